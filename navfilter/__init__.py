@@ -1,0 +1,1 @@
+"""navfilter: under construction."""
