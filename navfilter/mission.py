@@ -1,0 +1,251 @@
+"""Mission and Stream: recorded readings, one time-stamped stream per sensor name."""
+
+from __future__ import annotations
+
+import dataclasses
+import datetime
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+TRUTH_COLUMNS = (
+    "latitude_rad",
+    "longitude_rad",
+    "height_m",
+    "v_north_m_s",
+    "v_east_m_s",
+    "v_down_m_s",
+    "roll_rad",
+    "pitch_rad",
+    "yaw_rad",
+)
+NPZ_FORMAT = 1
+
+
+@dataclass(frozen=True, eq=False)
+class Stream:
+    """Readings of one sensor.
+
+    Parameters
+    ----------
+    time_s : array_like, shape (n,)
+        Seconds on the mission clock, finite and non-decreasing.
+    value : array_like, shape (n, k) or (n,)
+        SI units and radians; NaN marks a missing component. A one-dimensional array becomes one column.
+    columns : tuple of str
+        Name of each column, with its unit, e.g. ``("heading_rad",)``.
+
+    Raises
+    ------
+    ValueError
+        If shapes disagree, a time is not finite or goes backwards, or a value is infinite.
+
+    Examples
+    --------
+    >>> depth = Stream([0.0, 1.0], [5.0, 5.1], ("depth_m",))
+    >>> len(depth), depth.value.shape
+    (2, (2, 1))
+    """
+
+    time_s: Array
+    value: Array
+    columns: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        time_s = np.ascontiguousarray(self.time_s, dtype=np.float64)
+        value = np.asarray(self.value, dtype=np.float64)
+        if time_s.ndim != 1:
+            raise ValueError(f"time_s must be one-dimensional, found shape {time_s.shape}.")
+        if value.ndim == 1 and value.shape == time_s.shape:
+            value = value[:, np.newaxis]
+        if value.ndim != 2 or value.shape[0] != time_s.size:
+            raise ValueError(f"value must have one row per time ({time_s.size}), found shape {value.shape}.")
+        columns = tuple(self.columns) or tuple(f"column_{k}" for k in range(value.shape[1]))
+        if len(columns) != value.shape[1]:
+            raise ValueError(f"{len(columns)} column names {columns} for {value.shape[1]} columns of values.")
+        if not np.isfinite(time_s).all():
+            raise ValueError(f"{np.count_nonzero(~np.isfinite(time_s))} times are not finite; drop those rows.")
+        if time_s.size and np.any(np.diff(time_s) < 0.0):
+            row = int(np.argmax(np.diff(time_s) < 0.0)) + 1
+            raise ValueError(
+                f"time goes back from {time_s[row - 1]:.6g} to {time_s[row]:.6g} s at row {row}; "
+                'sort the rows first (np.argsort(time_s, kind="stable")).'
+            )
+        if np.isinf(value).any():
+            raise ValueError(f"{np.count_nonzero(np.isinf(value))} values are infinite; use NaN for a missing value.")
+        object.__setattr__(self, "time_s", time_s)
+        object.__setattr__(self, "value", np.ascontiguousarray(value))
+        object.__setattr__(self, "columns", columns)
+
+    def __len__(self) -> int:
+        return self.time_s.size
+
+    def keep(self, rows: Any) -> Stream:
+        """Same columns, only the given rows (a mask, a slice or increasing indices)."""
+        return Stream(self.time_s[rows], self.value[rows], self.columns)
+
+    def column(self, name: str) -> Array:
+        """Values of one column, shape (n,). Raises ValueError for an unknown name."""
+        if name not in self.columns:
+            raise ValueError(f'no column "{name}" in this stream (columns: {", ".join(self.columns)}).')
+        return self.value[:, self.columns.index(name)]
+
+
+@dataclass(frozen=True, eq=False)
+class Mission:
+    """Everything recorded on one mission, ready to be replayed.
+
+    Parameters
+    ----------
+    name : str
+    streams : dict of str to Stream
+        Keys are the sensor names of the vehicle; what drives is called ``"imu"``, or ``"attitude"`` and ``"velocity"``.
+    truth : Stream or None
+        Reference trajectory with the columns `TRUTH_COLUMNS`, NaN where unknown.
+    start : navfilter.Start or None
+        Where and how the mission begins, if the recording says so.
+    date : datetime.date or None
+        Day of the mission (for the magnetic declination).
+    notes : tuple of str
+        What the reader had to do: rows dropped, sorted, marked invalid, each with its count.
+    windows : tuple of (float, float)
+        Stretches of the mission clock that are worth evaluating; empty means all of it.
+    """
+
+    name: str
+    streams: dict[str, Stream] = field(default_factory=dict)
+    truth: Stream | None = None
+    # A Start lives in the vehicle layer, above this module; typing it here would turn the import arrow round.
+    start: Any = None
+    date: datetime.date | None = None
+    notes: tuple[str, ...] = ()
+    windows: tuple[tuple[float, float], ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.truth is not None and self.truth.columns != TRUTH_COLUMNS:
+            raise ValueError(f"truth must have the columns {TRUTH_COLUMNS}, found {self.truth.columns}.")
+        for name, stream in self.streams.items():
+            if not isinstance(stream, Stream):
+                raise ValueError(f'stream "{name}" must be a Stream, found {type(stream).__name__}.')
+        object.__setattr__(self, "streams", dict(self.streams))
+        object.__setattr__(self, "notes", tuple(self.notes))
+        object.__setattr__(self, "windows", tuple((float(a), float(b)) for a, b in self.windows))
+
+    @property
+    def begin_s(self) -> float:
+        """Time of the first reading of any stream [s]; NaN when there is none."""
+        return min((s.time_s[0] for s in self.streams.values() if len(s)), default=float("nan"))
+
+    @property
+    def end_s(self) -> float:
+        """Time of the last reading of any stream [s]; NaN when there is none."""
+        return max((s.time_s[-1] for s in self.streams.values() if len(s)), default=float("nan"))
+
+    @property
+    def duration_s(self) -> float:
+        """From the first reading of any stream to the last [s]; 0 when there is none."""
+        return 0.0 if np.isnan(self.begin_s) else float(self.end_s - self.begin_s)
+
+    def stream(self, name: str) -> Stream:
+        """One stream by its name. Raises ValueError naming the streams there are."""
+        if name not in self.streams:
+            raise ValueError(
+                f'"{name}" has no stream in mission "{self.name}" (streams: {", ".join(self.streams) or "none"}). '
+                f'Add it, or drop the sensor with vehicle.without("{name}").'
+            )
+        return self.streams[name]
+
+    def between(self, t0_s: float, t1_s: float) -> Mission:
+        """The part of the mission with t0_s <= time <= t1_s; a start outside it is dropped."""
+        if not t0_s < t1_s:
+            raise ValueError(f"between needs t0_s < t1_s, found {t0_s} and {t1_s}.")
+
+        def cut(stream: Stream) -> Stream:
+            first = np.searchsorted(stream.time_s, t0_s, side="left")
+            last = np.searchsorted(stream.time_s, t1_s, side="right")
+            return stream.keep(slice(first, last))
+
+        start = self.start
+        if start is not None and not t0_s <= start.time_s <= t1_s:
+            start = None
+        return dataclasses.replace(
+            self,
+            streams={name: cut(stream) for name, stream in self.streams.items()},
+            truth=None if self.truth is None else cut(self.truth),
+            start=start,
+        )
+
+    def hide(self, name: str, *intervals: tuple[float, float]) -> Mission:
+        """Without the readings of one stream inside the closed intervals (t0_s, t1_s)."""
+        stream = self.stream(name)
+        keep = np.ones(len(stream), dtype=bool)
+        for t0_s, t1_s in intervals:
+            keep &= ~((stream.time_s >= t0_s) & (stream.time_s <= t1_s))
+        return self.with_stream(name, stream.keep(keep))
+
+    def with_stream(self, name: str, stream: Stream) -> Mission:
+        """A copy in which one stream is added or replaced."""
+        return dataclasses.replace(self, streams={**self.streams, name: stream})
+
+    def without_stream(self, name: str) -> Mission:
+        """A copy without one stream."""
+        self.stream(name)
+        return dataclasses.replace(self, streams={k: v for k, v in self.streams.items() if k != name})
+
+    def with_start(self, start: Any) -> Mission:
+        """A copy that begins as the given `navfilter.Start` says."""
+        return dataclasses.replace(self, start=start)
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write the mission as one .npz file that `read_mission` reads back unchanged.
+
+        Parameters
+        ----------
+        path : path-like
+            Must end in ``.npz``. The file is written beside it first and then moved, so a reader never sees half of it.
+
+        Returns
+        -------
+        Path
+            The file written.
+        """
+        path = Path(path)
+        if path.suffix != ".npz":
+            raise ValueError(f'a mission is saved as .npz, found "{path.name}".')
+        meta: dict[str, Any] = {
+            "format": NPZ_FORMAT,
+            "name": self.name,
+            "columns": {name: stream.columns for name, stream in self.streams.items()},
+            "truth": self.truth is not None,
+            "start": None if self.start is None else dataclasses.asdict(self.start),
+            "date": None if self.date is None else self.date.isoformat(),
+            "notes": self.notes,
+            "windows": self.windows,
+        }
+        arrays: dict[str, npt.NDArray[Any]] = {"navfilter_mission": np.array(json.dumps(meta, default=_plain))}
+        for number, stream in enumerate(self.streams.values()):
+            arrays[f"time_{number}"], arrays[f"value_{number}"] = stream.time_s, stream.value
+        if self.truth is not None:
+            arrays["time_truth"], arrays["value_truth"] = self.truth.time_s, self.truth.value
+        part = path.with_name(path.name + ".part")
+        with part.open("wb") as file:
+            np.savez_compressed(file, **arrays)
+        part.replace(path)
+        return path
+
+
+def _plain(value: Any) -> Any:
+    """What json cannot write by itself: NumPy numbers, arrays and mappings."""
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    if isinstance(value, Mapping):
+        return dict(value)
+    raise TypeError(f"{type(value).__name__} cannot be written to a mission file")
