@@ -1,0 +1,344 @@
+"""Error models: frozen values that say how one axis of a sensor errs.
+
+Every model is turned, once, at the sensor's own period, into a `Block`, the only form the filter knows::
+
+    x[j+1]   = Phi x[j] + w[j],    w ~ N(0, Q)
+    error[j] = C x[j]   + v[j],    v ~ N(0, r)        x[0] ~ N(0, P0)
+
+Models add: ``White(sd=0.5) + GaussMarkov(sd=0.6, tau_s=30)`` is the sum of two independent errors.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import block_diag, solve_discrete_lyapunov
+
+from navfilter.arma import is_stable
+
+__all__ = ["Arma", "Block", "ErrorModel", "GaussMarkov", "RandomWalk", "Sum", "White", "per_axis", "simulate_error"]
+
+Array = NDArray[np.float64]
+
+#: beta * tau of an order-n Gauss-Markov process whose autocorrelation falls to 1/e at tau (thesis, after eq 2.42, corrected).
+CORRELATION_CONSTANTS = {1: 1.0, 2: 2.146193, 3: 2.904630, 4: 3.512608}
+
+
+@dataclass(frozen=True)
+class Block:
+    """One axis of an error model, discretised at the period of its sensor.
+
+    Attributes
+    ----------
+    Phi, Q, P0 : ndarray, shape (n, n)
+        Transition, process noise covariance of one tick, covariance at the start.
+    C : ndarray, shape (n,)
+        Output row: the error is ``C @ x`` plus white noise of variance `r`.
+    r : float
+        Variance of the white part of one sample.
+    """
+
+    Phi: Array
+    Q: Array
+    C: Array
+    r: float
+    P0: Array
+
+    @property
+    def size(self) -> int:
+        """Number of states n (0 for white noise)."""
+        return len(self.C)
+
+
+class ErrorModel:
+    """Base of all error models; a model is a frozen value and models add with ``+``."""
+
+    def block(self, period_s: float) -> Block:
+        """Discretise at the sensor's period.
+
+        Parameters
+        ----------
+        period_s : float
+            Sampling period of the sensor [s].
+
+        Returns
+        -------
+        Block
+        """
+        raise NotImplementedError
+
+    def __add__(self, other: ErrorModel) -> Sum:
+        if not isinstance(other, ErrorModel):
+            return NotImplemented
+        return Sum((*_parts(self), *_parts(other)))
+
+
+def _parts(model: ErrorModel) -> tuple[ErrorModel, ...]:
+    return model.parts if isinstance(model, Sum) else (model,)
+
+
+def _check(name: str, value: float, *, zero_ok: bool = True) -> None:
+    if not (math.isfinite(value) and (value > 0 or (zero_ok and value == 0))):
+        bound = ">= 0" if zero_ok else "> 0"
+        raise ValueError(f"{name} must be a finite number {bound}, found {value!r}.")
+
+
+def _square(values: ArrayLike, n: int) -> Array:
+    return np.ascontiguousarray(np.asarray(values, dtype=np.float64).reshape(n, n))
+
+
+@dataclass(frozen=True)
+class White(ErrorModel):
+    """White noise, independent from sample to sample.
+
+    Parameters
+    ----------
+    sd : float, optional
+        Standard deviation of one sample [unit of the sensor].
+    density : float, optional
+        Root power spectral density [unit/sqrt(Hz)]; the variance of a sample is ``density**2 * rate`` (Groves, 2013, sec. 14.2.6).
+        Give either `sd` or `density`.
+
+    Examples
+    --------
+    >>> White(density=0.01).block(period_s=0.25).r
+    0.0004
+    """
+
+    sd: float | None = None
+    density: float | None = None
+
+    def __post_init__(self) -> None:
+        if (self.sd is None) == (self.density is None):
+            raise ValueError(f"White needs exactly one of sd and density, found sd={self.sd!r}, density={self.density!r}.")
+        _check("White.sd" if self.density is None else "White.density", float(self.sd if self.density is None else self.density))
+
+    def block(self, period_s: float) -> Block:
+        """Discretise: no state, only a white variance."""
+        r = self.sd**2 if self.sd is not None else self.density**2 / period_s  # type: ignore[operator]
+        return Block(np.zeros((0, 0)), np.zeros((0, 0)), np.zeros(0), float(r), np.zeros((0, 0)))
+
+
+@dataclass(frozen=True)
+class RandomWalk(ErrorModel):
+    """Random walk (Wiener process): a bias that wanders; with ``density=0`` a constant.
+
+    Parameters
+    ----------
+    density : float
+        Root PSD of the rate of change [unit/s/sqrt(Hz)]: the variance grows by ``density**2`` per second (Groves, 2013, sec. 14.2.6).
+    start_sd : float, optional
+        Standard deviation at the start [unit], such as a turn-on bias. Default: what the walk gathers in one hour,
+        ``60 * density``.
+
+    Examples
+    --------
+    >>> float(RandomWalk(density=2.0).block(period_s=0.25).Q[0, 0])
+    1.0
+    """
+
+    density: float
+    start_sd: float | None = None
+
+    def __post_init__(self) -> None:
+        _check("RandomWalk.density", self.density)
+        if self.start_sd is not None:
+            _check("RandomWalk.start_sd", self.start_sd)
+
+    def block(self, period_s: float) -> Block:
+        """Discretise: exact for any period."""
+        start = 60.0 * self.density if self.start_sd is None else self.start_sd
+        return Block(np.eye(1), _square(self.density**2 * period_s, 1), np.ones(1), 0.0, _square(start**2, 1))
+
+
+@dataclass(frozen=True)
+class GaussMarkov(ErrorModel):
+    """Stationary Gauss-Markov process of order 1 to 4: ``(d/dt + beta)^n x = w`` (thesis eq 2.41, corrected; Gelb, 1974, sec. 3.6).
+
+    Parameters
+    ----------
+    sd : float
+        Stationary standard deviation [unit].
+    tau_s : float
+        Correlation time [s]: lag at which the autocorrelation is 1/e. ``beta = c_n / tau`` with c = 1, 2.1462, 2.9046, 3.5126.
+    order : int
+        1 to 4.
+
+    Notes
+    -----
+    The states are the process and its derivatives scaled by powers of beta, so that all have comparable size.
+
+    Examples
+    --------
+    >>> block = GaussMarkov(sd=2.0, tau_s=10.0).block(period_s=10.0)
+    >>> round(float(block.Phi[0, 0]), 6), float(block.P0[0, 0])
+    (0.367879, 4.0)
+    """
+
+    sd: float
+    tau_s: float
+    order: int = 1
+
+    def __post_init__(self) -> None:
+        _check("GaussMarkov.sd", self.sd)
+        _check("GaussMarkov.tau_s", self.tau_s, zero_ok=False)
+        if self.order not in CORRELATION_CONSTANTS:
+            raise ValueError(f"GaussMarkov.order must be 1, 2, 3 or 4, found {self.order!r}. For other orders use Arma.")
+
+    @property
+    def beta(self) -> float:
+        """Inverse time constant of the n equal poles [1/s]."""
+        return CORRELATION_CONSTANTS[self.order] / self.tau_s
+
+    def block(self, period_s: float) -> Block:
+        """Discretise: closed form for order 1, Van Loan's method (1978) above."""
+        n, step = self.order, self.beta * period_s
+        if n == 1:
+            phi = math.exp(-step)
+            q = -math.expm1(-2.0 * step) * self.sd**2
+            return Block(_square(phi, 1), _square(q, 1), np.ones(1), 0.0, _square(self.sd**2, 1))
+        from filterpy.common import van_loan_discretization  # costs half a second to import
+
+        F = np.diag(np.ones(n - 1), 1)
+        F[-1] = [-math.comb(n, k) for k in range(n)]
+        # White noise of spectral density s2 drives the last state; the process then has this variance (thesis eq 2.42, corrected).
+        s2 = self.sd**2 * 2.0 ** (2 * n - 1) * math.factorial(n - 1) ** 2 / math.factorial(2 * n - 2)
+        G = np.zeros((n, 1))
+        G[-1] = math.sqrt(s2)
+        Phi, Q = van_loan_discretization(F, G, step)
+        P0 = _stationary_gauss_markov(n) * self.sd**2
+        return Block(_square(Phi, n), _square((Q + Q.T) / 2, n), np.eye(n)[0], 0.0, P0)
+
+
+def _stationary_gauss_markov(n: int) -> Array:
+    """Stationary covariance of the scaled states for unit variance: E[x^(i) x^(j)] = (-1)^j R^(i+j)(0), odd derivatives vanish."""
+    # Partial moments of the spectrum 1/(1 + w^2)^n: m_2k = integral of w^2k S(w), ratio by the beta function.
+    moment = [math.gamma(k + 0.5) * math.gamma(n - k - 0.5) / (math.gamma(0.5) * math.gamma(n - 0.5)) for k in range(n)]
+    P = np.zeros((n, n))
+    for i in range(n):
+        for j in range(n):
+            if (i + j) % 2 == 0:
+                P[i, j] = (-1.0) ** ((j - i) // 2) * moment[(i + j) // 2]
+    return P
+
+
+@dataclass(frozen=True)
+class Arma(ErrorModel):
+    """ARMA(p, q) process that ticks with its sensor: ``A(q) y = C(q) e`` with ``A = 1 + ar[0] q^-1 + ...``.
+
+    Parameters
+    ----------
+    ar, ma : sequence of float
+        Coefficients without the leading one, in the sign convention of ``scipy.signal.lfilter([1, *ma], [1, *ar], e)``.
+    sd : float
+        Standard deviation of the innovation e [unit].
+
+    Notes
+    -----
+    State form of Harvey (1989, sec. 3.3): dimension max(p, q+1), no separate measurement noise. The start is stationary
+    (discrete Lyapunov equation), so the poles must lie inside the unit circle; a unit root belongs into ``RandomWalk``.
+
+    Examples
+    --------
+    >>> block = Arma(ar=[-0.8], ma=[], sd=0.6).block(period_s=1.0)
+    >>> round(float(block.P0[0, 0]), 9)
+    1.0
+    """
+
+    ar: tuple[float, ...]
+    ma: tuple[float, ...] = ()
+    sd: float = field(default=1.0)
+
+    def __post_init__(self) -> None:
+        for name in ("ar", "ma"):
+            values = tuple(float(c) for c in getattr(self, name))
+            if not all(math.isfinite(c) for c in values):
+                raise ValueError(f"Arma.{name} must be finite, found {values}.")
+            object.__setattr__(self, name, values)
+        _check("Arma.sd", self.sd)
+        if not is_stable(np.array(self.ar)):
+            radius = max(abs(np.roots([1.0, *self.ar])))
+            raise ValueError(
+                f"Arma.ar has a pole of radius {radius:.6f}: the error would grow without bound. Use a pole inside the unit circle, "
+                "or RandomWalk(...) + Arma(...) for a unit root."
+            )
+
+    def block(self, period_s: float) -> Block:
+        """Discretise: the model is discrete already, `period_s` only says how often it ticks."""
+        n = max(len(self.ar), len(self.ma) + 1)
+        F = np.diag(np.ones(n - 1), 1)
+        F[: len(self.ar), 0] = -np.array(self.ar)
+        h = np.zeros(n)
+        h[: len(self.ma) + 1] = [1.0, *self.ma]
+        Q = self.sd**2 * np.outer(h, h)
+        return Block(F, Q, np.eye(n)[0], 0.0, _square(solve_discrete_lyapunov(F, Q), n))
+
+
+@dataclass(frozen=True)
+class Sum(ErrorModel):
+    """Sum of independent errors; made by ``a + b``."""
+
+    parts: tuple[ErrorModel, ...]
+
+    def block(self, period_s: float) -> Block:
+        """Discretise: the blocks of the parts side by side."""
+        blocks = [part.block(period_s) for part in self.parts]
+        n = sum(b.size for b in blocks)
+        stack = {key: _square(block_diag(*(getattr(b, key) for b in blocks if b.size)), n) if n else np.zeros((0, 0)) for key in ("Phi", "Q", "P0")}
+        return Block(stack["Phi"], stack["Q"], np.concatenate([b.C for b in blocks]), sum(b.r for b in blocks), stack["P0"])
+
+    def __str__(self) -> str:
+        return " + ".join(str(part) for part in self.parts)
+
+
+def per_axis(error: ErrorModel | Sequence[ErrorModel], axes: int, owner: str) -> tuple[ErrorModel, ...]:
+    """One model per axis: a single model serves all axes, a sequence gives one each.
+
+    Raises
+    ------
+    ValueError
+        When something is not an error model or the number does not fit.
+    """
+    models = (error,) * axes if isinstance(error, ErrorModel) else tuple(error)
+    if len(models) != axes or not all(isinstance(m, ErrorModel) for m in models):
+        raise ValueError(f"{owner} needs one error model, or a tuple of {axes}, found {error!r}. Example: White(sd=0.1) + RandomWalk(density=1e-4).")
+    return models
+
+
+def simulate_error(model: ErrorModel, period_s: float, n: int, rng: np.random.Generator) -> Array:
+    """Draw the error of one axis.
+
+    Parameters
+    ----------
+    model : ErrorModel
+    period_s : float
+        Sampling period [s].
+    n : int
+        Number of samples.
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Errors in the unit of the model.
+    """
+    block = model.block(period_s)
+    error = rng.normal(scale=math.sqrt(block.r), size=n)
+    if block.size == 0:
+        return error
+    x = _root(block.P0) @ rng.normal(size=block.size)
+    drive = rng.normal(size=(n, block.size)) @ _root(block.Q).T
+    for j in range(n):
+        error[j] += block.C @ x
+        x = block.Phi @ x + drive[j]
+    return error
+
+
+def _root(P: Array) -> Array:
+    """A factor L with L L' = P; P may be singular."""
+    value, vector = np.linalg.eigh(P)
+    return vector * np.sqrt(np.maximum(value, 0.0))

@@ -1,0 +1,393 @@
+"""Kalman kernels: fold the drive's compound transition, tick a sensor's block, correct, and smooth backward.
+
+Symbols: P covariance, Phi transition, Q process noise, H measurement Jacobian, R measurement noise, S innovation covariance, K gain.
+Errors e here are *true minus estimated*, so a correction is +K (measured - predicted).
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True)
+def fold(P, acc, nav, T):
+    """P <- Phi P Phi' + Q for the leading m states, where acc holds Phi and Q (m rows each); acc is reset to identity and zero.
+
+    C_nb in nav is made orthonormal again to first order (its rounding grows with the number of products). T: (m, n) work.
+    """
+    m, n = acc.shape[1], P.shape[0]
+    for i in range(m):
+        for j in range(n):
+            T[i, j] = 0.0
+        for r in range(m):
+            f = acc[i, r]
+            if f != 0.0:
+                for j in range(n):
+                    T[i, j] += f * P[r, j]
+    for i in range(m):
+        for j in range(m, n):
+            P[i, j] = T[i, j]
+            P[j, i] = T[i, j]
+        for j in range(i + 1):
+            s = 0.5 * (acc[m + i, j] + acc[m + j, i])
+            for r in range(m):
+                s += T[i, r] * acc[j, r]
+            P[i, j] = s
+            P[j, i] = s
+    for i in range(2 * m):
+        for j in range(m):
+            acc[i, j] = 1.0 if i == j else 0.0
+    E = T[0]
+    for i in range(3):
+        for j in range(3):
+            E[3 * i + j] = 0.0
+            for a in range(3):
+                E[3 * i + j] += nav[6 + 3 * a + i] * nav[6 + 3 * a + j]
+    for i in range(3):
+        x, y, z = nav[6 + 3 * i], nav[7 + 3 * i], nav[8 + 3 * i]
+        for j in range(3):
+            nav[6 + 3 * i + j] += 0.5 * (nav[6 + 3 * i + j] - (x * E[j] + y * E[3 + j] + z * E[6 + j]))
+
+
+@njit(cache=True)
+def power(Phi, Q, count, W):
+    """Phi^count and the noise gathered in as many ticks, by doubling. W (4, b, b): result Phi, result Q, and the square and its noise."""
+    b = Phi.shape[0]
+    A, B, F, G = W[0], W[1], W[2], W[3]
+    U = np.empty((b, b))
+    V = np.empty((b, b))
+    for i in range(b):
+        for j in range(b):
+            A[i, j] = 1.0 if i == j else 0.0
+            B[i, j] = 0.0
+            F[i, j] = Phi[i, j]
+            G[i, j] = Q[i, j]
+    while count > 0:
+        for step in range(2):
+            if step == 0 and count % 2 == 0:
+                continue
+            # B <- F B F' + G and A <- F A; in the second round the same with F and G themselves (squaring)
+            X = A if step == 0 else F
+            Y = B if step == 0 else G
+            for i in range(b):
+                for j in range(b):
+                    s, t = 0.0, 0.0
+                    for r in range(b):
+                        s += F[i, r] * X[r, j]
+                        t += F[i, r] * Y[r, j]
+                    U[i, j] = s
+                    V[i, j] = t
+            for i in range(b):
+                for j in range(i + 1):
+                    s = G[i, j]
+                    for r in range(b):
+                        s += V[i, r] * F[j, r]
+                    Y[i, j] = s
+            for i in range(b):
+                for j in range(b):
+                    X[i, j] = U[i, j]
+                    if j > i:
+                        Y[i, j] = Y[j, i]
+        count //= 2
+
+
+@njit(cache=True)
+def tick(P, x, start, A, B, T):
+    """Advance the block at `start` of the state (its own clock): x <- A x, P <- A P A' + B on its rows and columns. T: (b, n) work."""
+    b, n = A.shape[0], P.shape[0]
+    for i in range(b):
+        for j in range(n):
+            s = 0.0
+            for r in range(b):
+                s += A[i, r] * P[start + r, j]
+            T[i, j] = s
+    for i in range(b):
+        for j in range(n):
+            if j < start or j >= start + b:
+                P[start + i, j] = T[i, j]
+                P[j, start + i] = T[i, j]
+    for i in range(b):
+        for j in range(i + 1):
+            s = B[i, j]
+            for r in range(b):
+                s += T[i, start + r] * A[j, r]
+            P[start + i, start + j] = s
+            P[start + j, start + i] = s
+    for i in range(b):
+        s = 0.0
+        for r in range(b):
+            s += A[i, r] * x[start - 9 + r]
+        T[i, 0] = s
+    for i in range(b):
+        x[start - 9 + i] = T[i, 0]
+
+
+@njit(cache=True)
+def innovation(P, H, res, R, S, PH, out):
+    """Innovation covariance S = H P H' + diag(R), its inverse, P H' and the normalised innovation squared (NIS).
+
+    A component whose residual is NaN is missing: zero residual, zero row of H, unit variance. A reading without white noise of its own
+    gets 1e-12 of its predicted variance, so that P stays definite. S: (2a, a) receives S, then its inverse; PH: (a, n), P H' transposed;
+    out: NIS, number of components used.
+    """
+    a, n = H.shape
+    used = 0
+    for i in range(a):
+        missing = math.isnan(res[i])
+        if missing:
+            res[i] = 0.0
+            for j in range(n):
+                H[i, j] = 0.0
+        else:
+            used += 1
+        for j in range(n):
+            PH[i, j] = 0.0
+        for r in range(n):
+            f = H[i, r]
+            if f != 0.0:
+                for j in range(n):
+                    PH[i, j] += f * P[r, j]
+        for j in range(i + 1):
+            s = 0.0
+            for r in range(n):
+                s += PH[i, r] * H[j, r]
+            S[i, j] = s
+            S[j, i] = s
+        S[i, i] = 1.0 if missing else S[i, i] + max(R[i], 1e-12 * S[i, i])
+    nis = 0.0
+    if a == 1:
+        S[1, 0] = 1.0 / S[0, 0]
+        nis = res[0] * res[0] / S[0, 0]
+    else:
+        b, c, d, e, f, g = S[0, 0], S[0, 1], S[0, 2], S[1, 1], S[1, 2], S[2, 2]
+        m0, m1, m2 = e * g - f * f, d * f - c * g, c * f - d * e
+        det = b * m0 + c * m1 + d * m2
+        S[3, 0], S[3, 1], S[3, 2] = m0 / det, m1 / det, m2 / det
+        S[4, 0], S[4, 1], S[4, 2] = S[3, 1], (b * g - d * d) / det, (c * d - b * f) / det
+        S[5, 0], S[5, 1], S[5, 2] = S[3, 2], S[4, 2], (b * e - c * c) / det
+        for i in range(3):
+            for j in range(3):
+                nis += res[i] * S[3 + i, j] * res[j]
+    out[0], out[1] = nis, used
+
+
+@njit(cache=True)
+def correct(P, nav, x, res, S, PH, K, turn):
+    """Closed-loop correction after `innovation`: gain, Joseph covariance, feedback into the nominal state, attitude reset.
+
+    Joseph's form for the gain as rounded: P - K PH - (PH' - K S) K', which costs O(n^2 a) (Bierman, 1977, sec. V.2). The attitude error
+    left over is expressed at the corrected attitude: P <- G P G', G = I + [d x]/2 + [d x]^2/6 (left Jacobian; Markley, 2003).
+    K: (n, a) receives the gain, turn: (3,) the rotation d fed back.
+    """
+    n, a = K.shape
+    for i in range(n):
+        for j in range(a):
+            s = 0.0
+            for r in range(a):
+                s += PH[r, i] * S[a + r, j]
+            K[i, j] = s
+    for i in range(n):
+        for r in range(a):
+            e = PH[r, i]
+            for c in range(a):
+                e -= K[i, c] * S[c, r]
+            k = K[i, r]
+            for j in range(n):
+                P[i, j] -= k * PH[r, j] + e * K[j, r]
+    for i in range(n):
+        for j in range(i):
+            s = 0.5 * (P[i, j] + P[j, i])
+            P[i, j] = s
+            P[j, i] = s
+        s = 0.0
+        for j in range(a):
+            s += K[i, j] * res[j]
+        if i == 0:
+            nav[0] += s / nav[15]
+        elif i == 1:
+            nav[1] += s / (nav[16] * math.cos(nav[0]))
+        elif i == 2:
+            nav[2] -= s
+        elif i < 6:
+            nav[i] += s
+        elif i < 9:
+            turn[i - 6] = s
+        else:
+            x[i - 9] += s
+    x0, y0, z0 = turn[0], turn[1], turn[2]
+    t2 = x0 * x0 + y0 * y0 + z0 * z0
+    # C <- exp([d x]) C, column by column (Rodrigues); the series holds to 1e-16 below t2 = 1e-8
+    t = math.sqrt(t2)
+    p, q = (math.sin(t) / t, (1.0 - math.cos(t)) / t2) if t2 > 1e-8 else (1.0 - t2 / 6.0, 0.5 - t2 / 24.0)
+    for j in range(3):
+        u, v, w = nav[6 + j], nav[9 + j], nav[12 + j]
+        f, g, h = y0 * w - z0 * v, z0 * u - x0 * w, x0 * v - y0 * u
+        nav[6 + j] = u + p * f + q * (y0 * h - z0 * g)
+        nav[9 + j] = v + p * g + q * (z0 * f - x0 * h)
+        nav[12 + j] = w + p * h + q * (x0 * g - y0 * f)
+    _reset_rows(P, x0, y0, z0, n)
+    for i in range(n):
+        for j in range(6, 9):
+            if i < 6 or i >= 9:
+                P[i, j] = P[j, i]
+    # the 3 x 3 block needs G from the right too; its rows are done, take them as columns
+    for i in range(6, 9):
+        u, v, w = P[i, 6], P[i, 7], P[i, 8]
+        f, g, h = y0 * w - z0 * v, z0 * u - x0 * w, x0 * v - y0 * u
+        P[i, 6] = u + 0.5 * f + (y0 * h - z0 * g) / 6.0
+        P[i, 7] = v + 0.5 * g + (z0 * f - x0 * h) / 6.0
+        P[i, 8] = w + 0.5 * h + (x0 * g - y0 * f) / 6.0
+    for i in range(6, 9):
+        for j in range(6, i):
+            s = 0.5 * (P[i, j] + P[j, i])
+            P[i, j] = s
+            P[j, i] = s
+
+
+@njit(cache=True)
+def _reset_rows(M, x, y, z, cols):
+    """Rows 6 to 8 of M from the left by G = I + [d x]/2 + [d x]^2/6."""
+    for j in range(cols):
+        u, v, w = M[6, j], M[7, j], M[8, j]
+        f, g, h = y * w - z * v, z * u - x * w, x * v - y * u
+        M[6, j] = u + 0.5 * f + (y * h - z * g) / 6.0
+        M[7, j] = v + 0.5 * g + (z * f - x * h) / 6.0
+        M[8, j] = w + 0.5 * h + (x * g - y * f) / 6.0
+
+
+@njit(cache=True)
+def _reset_rows_transposed(M, x, y, z, cols):
+    """Rows 6 to 8 of M from the left by G': the same with the rotation reversed."""
+    _reset_rows(M, -x, -y, -z, cols)
+
+
+@njit(cache=True)
+def smooth_record(L, lam, record, a, m, b, start, T):
+    """Carry the adjoint (lam, L) backward over one tape record: reset, correction, tick, compound transition.
+
+    Modified Bryson-Frazier form of the fixed-interval (Rauch-Tung-Striebel) solution (Bierman, 1973): only S is inverted, so singular
+    predicted covariances do no harm. With D = G (I - K H): lam <- D' lam - H' S^-1 res, L <- D' L D + H' S^-1 H, then through the transitions
+    lam <- Phi' lam, L <- Phi' L Phi. After it the smoothed error at the record before is -P lam with covariance P - P L P.
+
+    record: Phi (m x m), tick Phi (b x b), then if a > 0: H (a x n), K (n x a), inverse S (a x a), res (a), turn (3), each row by row.
+    `start` is the ticked block's place, b its size (0: none). L (n, n) and lam (n,) change; T (n, n) work.
+    """
+    n = len(lam)
+    at = m * m + b * b
+    if a > 0:
+        H = record[at : at + a * n].reshape((a, n))
+        K = record[at + a * n : at + 2 * a * n].reshape((n, a))
+        at += 2 * a * n
+        Sinv = record[at : at + a * a].reshape((a, a))
+        res = record[at + a * a : at + a * a + a]
+        turn = record[at + a * a + a : at + a * a + a + 3]
+        # reset: L <- G' L G, lam <- G' lam
+        if turn[0] != 0.0 or turn[1] != 0.0 or turn[2] != 0.0:
+            x, y, z = turn[0], turn[1], turn[2]
+            _reset_rows_transposed(L, x, y, z, n)
+            for i in range(n):
+                for j in range(6, 9):
+                    if i < 6 or i >= 9:
+                        L[i, j] = L[j, i]
+            for i in range(6, 9):
+                u, v, w = L[i, 6], L[i, 7], L[i, 8]
+                f, g, h = -(y * w - z * v), -(z * u - x * w), -(x * v - y * u)
+                L[i, 6] = u + 0.5 * f - (y * h - z * g) / 6.0
+                L[i, 7] = v + 0.5 * g - (z * f - x * h) / 6.0
+                L[i, 8] = w + 0.5 * h - (x * g - y * f) / 6.0
+            u, v, w = lam[6], lam[7], lam[8]
+            f, g, h = -(y * w - z * v), -(z * u - x * w), -(x * v - y * u)
+            lam[6] = u + 0.5 * f - (y * h - z * g) / 6.0
+            lam[7] = v + 0.5 * g - (z * f - x * h) / 6.0
+            lam[8] = w + 0.5 * h - (x * g - y * f) / 6.0
+        # L <- (I - K H)' L (I - K H) + H' S^-1 H = L - V H - (V H)' + H' (K' V + S^-1) H, V = L K
+        for c in range(a):
+            for i in range(n):
+                s = 0.0
+                for j in range(n):
+                    s += L[i, j] * K[j, c]
+                T[c, i] = s
+        for c in range(a):
+            f = 0.0
+            for i in range(n):
+                f += K[i, c] * lam[i]
+            for r in range(a):
+                f += Sinv[c, r] * res[r]
+                s = Sinv[c, r]
+                for i in range(n):
+                    s += K[i, c] * T[r, i]
+                T[3 + c, r] = s
+            for i in range(n):
+                lam[i] -= H[c, i] * f
+        for c in range(a):
+            for i in range(n):
+                s = -T[c, i]
+                for r in range(a):
+                    s += 0.5 * T[3 + c, r] * H[r, i]
+                T[6 + c, i] = s
+        for c in range(a):
+            for i in range(n):
+                h, t = H[c, i], T[6 + c, i]
+                for j in range(n):
+                    L[i, j] += h * T[6 + c, j] + t * H[c, j]
+    if b > 0:
+        _transition_transposed(L, lam, record[m * m : m * m + b * b].reshape((b, b)), start, b, T)
+    _transition_transposed(L, lam, record[: m * m].reshape((m, m)), 0, m, T)
+
+
+@njit(cache=True)
+def _transition_transposed(L, lam, Phi, start, b, T):
+    """L <- Phi' L Phi and lam <- Phi' lam for a transition that touches b states from `start`."""
+    n = len(lam)
+    for i in range(b):
+        for j in range(n):
+            T[i, j] = 0.0
+        for r in range(b):
+            f = Phi[r, i]
+            if f != 0.0:
+                for j in range(n):
+                    T[i, j] += f * L[start + r, j]
+    for i in range(b):
+        for j in range(n):
+            if j < start or j >= start + b:
+                L[start + i, j] = T[i, j]
+                L[j, start + i] = T[i, j]
+        for j in range(i + 1):
+            s = 0.0
+            for r in range(b):
+                f = Phi[r, j]
+                if f != 0.0:
+                    s += T[i, start + r] * f
+            L[start + i, start + j] = s
+            L[start + j, start + i] = s
+    for i in range(b):
+        s = 0.0
+        for r in range(b):
+            s += Phi[r, i] * lam[start + r]
+        T[0, i] = s
+    for i in range(b):
+        lam[start + i] = T[0, i]
+
+
+@njit(cache=True)
+def smooth_row(P, L, lam, mean, cov, T):
+    """Smoothed error at an epoch: mean = -P lam, cov = P - P L P (symmetric)."""
+    n = len(lam)
+    for i in range(n):
+        s = 0.0
+        for j in range(n):
+            T[i, j] = 0.0
+            s -= P[i, j] * lam[j]
+        mean[i] = s
+        for r in range(n):
+            f = P[i, r]
+            for j in range(n):
+                T[i, j] += f * L[r, j]
+    for i in range(n):
+        for j in range(i + 1):
+            s = P[i, j]
+            for r in range(n):
+                s -= T[i, r] * P[j, r]
+            cov[i, j] = s
+            cov[j, i] = s

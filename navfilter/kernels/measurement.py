@@ -1,0 +1,164 @@
+"""Measurement kernels: residual and Jacobian of every kind of sensor.
+
+Each fills ``res`` (a,) = measured minus predicted, with NaN where a component is missing, and ``H`` (a, 9 + k): derivative of the
+reading with respect to position, velocity, attitude (rotation vector in n) and the k parameters of the sensor (scale, deviation ...).
+The coloured and white parts of the error are the filter's business. ``nav`` as in the strapdown kernels; ``rate`` (3,) is the
+angular rate of the body against the Earth, in b [rad/s]; ``par`` (k,) the parameters' estimates; ``cfg`` the sensor's constants.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True)
+def _clear(H):
+    for i in range(H.shape[0]):
+        for j in range(H.shape[1]):
+            H[i, j] = 0.0
+
+
+@njit(cache=True)
+def body_velocity(z, nav, rate, par, cfg, H, res):
+    """Velocity at a lever arm in instrument axes: reading = (1 + s)(y + m x y), y = M' (C_nb' v_n + rate x arm).
+
+    cfg: lever arm (3), mounting matrix M instrument-to-body (9). par: none, or scale s and misalignment m (3).
+    """
+    _clear(H)
+    x0 = rate[1] * cfg[2] - rate[2] * cfg[1]
+    x1 = rate[2] * cfg[0] - rate[0] * cfg[2]
+    x2 = rate[0] * cfg[1] - rate[1] * cfg[0]
+    A = np.empty((3, 3))  # n to instrument
+    y = np.empty(3)
+    for i in range(3):
+        for j in range(3):
+            A[i, j] = cfg[3 + i] * nav[6 + 3 * j] + cfg[6 + i] * nav[7 + 3 * j] + cfg[9 + i] * nav[8 + 3 * j]
+        y[i] = A[i, 0] * nav[3] + A[i, 1] * nav[4] + A[i, 2] * nav[5] + cfg[3 + i] * x0 + cfg[6 + i] * x1 + cfg[9 + i] * x2
+    g, a, b, c = 1.0, 0.0, 0.0, 0.0
+    if len(par) > 0:
+        g, a, b, c = 1.0 + par[0], par[1], par[2], par[3]
+    t0, t1, t2 = y[0] + b * y[2] - c * y[1], y[1] + c * y[0] - a * y[2], y[2] + a * y[1] - b * y[0]
+    res[0], res[1], res[2] = z[0] - g * t0, z[1] - g * t1, z[2] - g * t2
+    for j in range(3):
+        a0, a1, a2 = A[0, j], A[1, j], A[2, j]
+        H[0, 3 + j] = g * (a0 + b * a2 - c * a1)
+        H[1, 3 + j] = g * (a1 + c * a0 - a * a2)
+        H[2, 3 + j] = g * (a2 + a * a1 - b * a0)
+    for i in range(3):
+        # C_nb' turns by -phi: d(C' v) = -C' (phi x v) = C' (v x phi)
+        h0, h1, h2 = H[i, 3], H[i, 4], H[i, 5]
+        H[i, 6] = h1 * nav[5] - h2 * nav[4]
+        H[i, 7] = h2 * nav[3] - h0 * nav[5]
+        H[i, 8] = h0 * nav[4] - h1 * nav[3]
+    if len(par) > 0:
+        H[0, 9], H[1, 9], H[2, 9] = t0, t1, t2
+        H[0, 11], H[0, 12] = g * y[2], -g * y[1]
+        H[1, 10], H[1, 12] = -g * y[2], g * y[0]
+        H[2, 10], H[2, 11] = g * y[1], -g * y[0]
+
+
+@njit(cache=True)
+def _bearing(n0, n1, n2, H):
+    """Azimuth of a vector given in n, and its derivative with respect to a rotation vector in n."""
+    h2 = n0 * n0 + n1 * n1
+    if h2 < 1e-300:
+        return math.nan  # a vertical vector has no azimuth
+    H[0, 6], H[0, 7], H[0, 8] = -n2 * n0 / h2, -n2 * n1 / h2, 1.0
+    return math.atan2(n1, n0)
+
+
+@njit(cache=True)
+def _deviation(psi, par, H, temperature, cfg):
+    """Compass error that follows the heading: bias, one- and two-cycle deviation, temperature. Returns its value and slope."""
+    s1, c1 = math.sin(psi), math.cos(psi)
+    s2, c2 = 2.0 * s1 * c1, c1 * c1 - s1 * s1
+    warm = 0.0 if math.isnan(temperature) else temperature - cfg[1]
+    H[0, 9], H[0, 10], H[0, 11], H[0, 12], H[0, 13], H[0, 14] = 1.0, s1, c1, s2, c2, warm
+    value = par[0] + par[1] * s1 + par[2] * c1 + par[3] * s2 + par[4] * c2 + par[5] * warm
+    return value, par[1] * c1 - par[2] * s1 + 2.0 * (par[3] * c2 - par[4] * s2)
+
+
+@njit(cache=True)
+def heading(z, nav, rate, par, cfg, H, res):
+    """Compass output: reading = true heading - declination + deviation(heading), wrapped to half a turn.
+
+    z: heading [rad], temperature (NaN if unknown). cfg: declination [rad], reference temperature. par: none, or bias, one-cycle (sin, cos),
+    two-cycle (sin, cos), temperature coefficient.
+    """
+    _clear(H)
+    psi = _bearing(nav[6], nav[9], nav[12], H) - cfg[0]
+    predicted = psi
+    if len(par) > 0:
+        value, slope = _deviation(psi, par, H, z[1], cfg)
+        predicted += value
+        for j in range(6, 9):
+            H[0, j] *= 1.0 + slope
+    r = z[0] - predicted
+    res[0] = r - 2.0 * math.pi * math.floor(r / (2.0 * math.pi) + 0.5)
+
+
+@njit(cache=True)
+def magnetometer(z, nav, rate, par, cfg, H, res):
+    """Three-axis magnetometer levelled with the filter's own attitude; the residual is the error of the magnetic azimuth.
+
+    z: field in b (any unit), temperature. cfg: declination, reference temperature. par as for `heading`.
+    """
+    _clear(H)
+    n0 = nav[6] * z[0] + nav[7] * z[1] + nav[8] * z[2]
+    n1 = nav[9] * z[0] + nav[10] * z[1] + nav[11] * z[2]
+    n2 = nav[12] * z[0] + nav[13] * z[1] + nav[14] * z[2]
+    # A compass that reads too high sees the field turned to the left: reading error = -(azimuth of the levelled field - declination).
+    azimuth = _bearing(n0, n1, n2, H)
+    predicted = 0.0
+    if len(par) > 0:
+        psi = math.atan2(nav[9], nav[6]) - cfg[0]
+        predicted, _ = _deviation(psi, par, H, z[3], cfg)
+    r = cfg[0] - azimuth - predicted
+    res[0] = r - 2.0 * math.pi * math.floor(r / (2.0 * math.pi) + 0.5)
+
+
+@njit(cache=True)
+def depth(z, nav, rate, par, cfg, H, res):
+    """Depth at a lever arm: reading = surface height - (height of the vehicle - down component of C_nb arm) + offset.
+
+    cfg: lever arm (3), height of the surface [m]. par: none or the offset [m].
+    """
+    _clear(H)
+    a0 = nav[6] * cfg[0] + nav[7] * cfg[1] + nav[8] * cfg[2]
+    a1 = nav[9] * cfg[0] + nav[10] * cfg[1] + nav[11] * cfg[2]
+    a2 = nav[12] * cfg[0] + nav[13] * cfg[1] + nav[14] * cfg[2]
+    res[0] = z[0] - (cfg[3] - nav[2] + a2)
+    H[0, 2] = 1.0
+    H[0, 6], H[0, 7] = a1, -a0  # third component of phi x arm
+    if len(par) > 0:
+        res[0] -= par[0]
+        H[0, 9] = 1.0
+
+
+@njit(cache=True)
+def position(z, nav, rate, par, cfg, H, res):
+    """Antenna position: latitude, longitude [rad], height [m] against the vehicle plus its lever arm, in metres in n. cfg: arm (3)."""
+    _clear(H)
+    a0 = nav[6] * cfg[0] + nav[7] * cfg[1] + nav[8] * cfg[2]
+    a1 = nav[9] * cfg[0] + nav[10] * cfg[1] + nav[11] * cfg[2]
+    a2 = nav[12] * cfg[0] + nav[13] * cfg[1] + nav[14] * cfg[2]
+    turn = z[1] - nav[1]
+    turn -= 2.0 * math.pi * math.floor(turn / (2.0 * math.pi) + 0.5)
+    res[0] = (z[0] - nav[0]) * nav[15] - a0
+    res[1] = turn * nav[16] * math.cos(0.5 * (z[0] + nav[0])) - a1
+    res[2] = nav[2] - z[2] - a2
+    for i in range(3):
+        H[i, i] = 1.0
+    H[0, 7], H[0, 8] = a2, -a1
+    H[1, 6], H[1, 8] = -a2, a0
+    H[2, 6], H[2, 7] = a1, -a0
+
+
+@njit(cache=True)
+def velocity(z, nav, rate, par, cfg, H, res):
+    """Velocity over ground in n [m/s] (zero when the vehicle stands still)."""
+    _clear(H)
+    for i in range(3):
+        res[i] = z[i] - nav[3 + i]
+        H[i, 3 + i] = 1.0

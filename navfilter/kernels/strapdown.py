@@ -1,0 +1,526 @@
+"""Mechanisation kernels: Earth, strapdown integration, dead reckoning, and the compound transition that goes with them.
+
+Arrays shared with the navigator (all float64, C-contiguous):
+
+``nav`` (17,)   latitude, longitude [rad], height [m], velocity_n (3) [m/s], C_nb row by row (9), meridian and prime-vertical
+                radius plus height [m].
+``drv`` (64,)   memory and settings of the drive, see the index constants below.
+``samples`` (n, 7)  seconds since the previous sample, then the six values of the drive.
+``Cr`` (6, k+1) output rows C of the drive's error blocks, and in the last column the white variance of one sample.
+``acc`` (4m, m) compound transition Phi and noise Q since the last fold (m rows each), then two m-row work areas. m = 9 + k.
+
+Signs: error = estimated minus true; attitude error is a rotation vector in n: ``C_est = exp([phi x]) C_true``.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+EARTH_RADIUS = 6378137.0  # WGS-84 semi-major axis [m]
+EARTH_E2 = 6.69437999014e-3  # first eccentricity squared
+EARTH_RATE = 7.292115e-5  # [rad/s]
+GRAVITY_EQUATOR = 9.7803253359  # Somigliana [m/s^2]
+GRAVITY_POLE = 9.8321849378
+SOMIGLIANA = math.sqrt(1.0 - EARTH_E2) * GRAVITY_POLE / GRAVITY_EQUATOR - 1.0
+
+# Places in drv. Memory: previous sample (6), increments consumed by holds since (6), their seconds, mean attitude of the last step,
+# sums and squares for the detection of rest. Settings: the rest.
+PREVIOUS, CONSUMED, HELD_S, STARTED, MEAN_C, COUNT, SUMS, SQUARES = 0, 6, 12, 13, 14, 23, 24, 30
+PERIOD_S, INCREMENTS, GAP_RATE_SD, GAP_FORCE_SD = 36, 37, 38, 39
+HOLD_DENSITY, DEVIATION, SCALE, MISALIGNMENT, LEVER, MOUNTING, LEVER_VELOCITY, PREVIOUS_RPY = 40, 41, 42, 43, 44, 47, 56, 59
+DRIVE_SIZE = 64
+GAP_PERIODS = 3.0  # a silence of more than this many periods is a gap: what the vehicle did in it is unknown
+
+
+@njit(cache=True)
+def radii(latitude):
+    """Meridian and prime-vertical radius of curvature [m] (Groves, 2013, eqs 2.105-2.106)."""
+    s = math.sin(latitude)
+    x = 1.0 - EARTH_E2 * s * s
+    prime = EARTH_RADIUS / math.sqrt(x)
+    return prime * (1.0 - EARTH_E2) / x, prime
+
+
+@njit(cache=True)
+def gravity(latitude, height):
+    """Normal gravity [m/s^2]: Somigliana, linear in height (Groves, 2013, sec. 2.4.7)."""
+    s2 = math.sin(latitude) ** 2
+    return GRAVITY_EQUATOR * (1.0 + SOMIGLIANA * s2) / math.sqrt(1.0 - EARTH_E2 * s2) * (1.0 - 2.0 * height / EARTH_RADIUS)
+
+
+@njit(cache=True)
+def _rotate(C, x, y, z, R, out):
+    """out = C exp([x y z]x), Rodrigues; R is a 9-element work array."""
+    t2 = x * x + y * y + z * z
+    if t2 > 1e-8:
+        t = math.sqrt(t2)
+        a, b = math.sin(t) / t, (1.0 - math.cos(t)) / t2
+    else:
+        a, b = 1.0 - t2 / 6.0, 0.5 - t2 / 24.0
+    R[0], R[1], R[2] = 1.0 - b * (y * y + z * z), b * x * y - a * z, b * x * z + a * y
+    R[3], R[4], R[5] = b * x * y + a * z, 1.0 - b * (x * x + z * z), b * y * z - a * x
+    R[6], R[7], R[8] = b * x * z - a * y, b * y * z + a * x, 1.0 - b * (x * x + y * y)
+    for i in range(3):
+        for j in range(3):
+            out[3 * i + j] = C[3 * i] * R[j] + C[3 * i + 1] * R[3 + j] + C[3 * i + 2] * R[6 + j]
+
+
+@njit(cache=True)
+def _multiply_left(F, M, out, m, cols):
+    """out = F M for the first m rows; zeros of F, the same at every step, are skipped."""
+    for i in range(m):
+        for j in range(cols):
+            out[i, j] = 0.0
+        for r in range(m):
+            f = F[i, r]
+            if f != 0.0:
+                for j in range(cols):
+                    out[i, j] += f * M[r, j]
+
+
+@njit(cache=True)
+def _compound(acc, m):
+    """Phi <- F Phi, Q <- F Q F' with F in the third block of acc; the fourth is the work area."""
+    Phi, Q, F, T = acc[:m], acc[m : 2 * m], acc[2 * m : 3 * m], acc[3 * m :]
+    _multiply_left(F, Phi, T, m, m)
+    for i in range(m):
+        for j in range(m):
+            Phi[i, j] = T[i, j]
+    _multiply_left(F, Q, T, m, m)
+    for i in range(m):
+        for j in range(i):
+            a = T[i, j]
+            T[i, j] = T[j, i]
+            T[j, i] = a
+    _multiply_left(F, T, Q, m, m)
+
+
+@njit(cache=True)
+def _clear_transition(F, m):
+    for i in range(m):
+        for j in range(m):
+            F[i, j] = 0.0
+
+
+@njit(cache=True)
+def _inertial_advance(nav, xd, inc, dt, drv, Cr, acc):
+    """One strapdown step from the increments inc = (angle 3, velocity 3); leaves its transition in the third block of acc.
+
+    Coning and sculling are in `inc` already. The transition is that of the same step, second order in dt.
+    """
+    k = len(xd)
+    m = 9 + k
+    F = acc[2 * m : 3 * m]
+    W = acc[3 * m :]
+    C = drv[MEAN_C : MEAN_C + 9]
+    Cn, R = W[1], W[2]  # rows of the work area, m >= 9 long
+    for i in range(9):
+        C[i] = nav[6 + i]
+    th0, th1, th2, u0, u1, u2 = inc[0], inc[1], inc[2], inc[3], inc[4], inc[5]
+    for s in range(k):
+        th0 -= dt * Cr[0, s] * xd[s]
+        th1 -= dt * Cr[1, s] * xd[s]
+        th2 -= dt * Cr[2, s] * xd[s]
+        u0 -= dt * Cr[3, s] * xd[s]
+        u1 -= dt * Cr[4, s] * xd[s]
+        u2 -= dt * Cr[5, s] * xd[s]
+    # rotation of the velocity increment within the sample (Savage, 1998, part 2)
+    d0 = u0 + 0.5 * (th1 * u2 - th2 * u1)
+    d1 = u1 + 0.5 * (th2 * u0 - th0 * u2)
+    d2 = u2 + 0.5 * (th0 * u1 - th1 * u0)
+    lat, h = nav[0], nav[2]
+    vn, ve, vd = nav[3], nav[4], nav[5]
+    sl, cl = math.sin(lat), math.cos(lat)
+    x = 1.0 - EARTH_E2 * sl * sl
+    re = EARTH_RADIUS / math.sqrt(x)
+    rn = re * (1.0 - EARTH_E2) / x + h
+    re += h
+    tl = sl / cl
+    an = C[0] * d0 + C[1] * d1 + C[2] * d2
+    ae = C[3] * d0 + C[4] * d1 + C[5] * d2
+    ad = C[6] * d0 + C[7] * d1 + C[8] * d2
+    g = gravity(lat, h - 0.5 * vd * dt)
+    mn, me, md = vn + 0.5 * an, ve + 0.5 * ae, vd + 0.5 * (ad + g * dt)  # velocity at mid-sample
+    ien, ied = EARTH_RATE * cl, -EARTH_RATE * sl
+    wn, we, wd = ien + me / re, -mn / rn, ied - me * tl / re  # rate of n against inertial space
+    on, oe, od = wn + ien, we, wd + ied
+    # n turns during the sample: half of its rotation acts on the increment
+    pn = an - 0.5 * dt * (we * ad - wd * ae)
+    pe = ae - 0.5 * dt * (wd * an - wn * ad)
+    pd = ad - 0.5 * dt * (wn * ae - we * an)
+    nav[3] = vn + pn - dt * (oe * md - od * me)
+    nav[4] = ve + pe - dt * (od * mn - on * md)
+    nav[5] = vd + pd - dt * (on * me - oe * mn) + g * dt
+    mn, me, md = 0.5 * (vn + nav[3]), 0.5 * (ve + nav[4]), 0.5 * (vd + nav[5])
+    hm = -0.5 * md * dt
+    dlat = mn / (rn + hm) * dt
+    nav[0] = lat + dlat
+    nav[1] += me / ((re + hm) * math.cos(lat + 0.5 * dlat)) * dt
+    nav[2] = h - md * dt
+    nav[15], nav[16] = rn + 2.0 * hm, re + 2.0 * hm
+    _rotate(C, th0, th1, th2, R, Cn)
+    # n-frame rotation from the left: exp(-w dt) C = (C' exp(w dt))', done on the transpose
+    for i in range(3):
+        for j in range(3):
+            C[3 * i + j] = 0.5 * C[3 * i + j]
+            W[3, 3 * j + i] = Cn[3 * i + j]
+    _rotate(W[3], wn * dt, we * dt, wd * dt, R, Cn)
+    for i in range(3):
+        for j in range(3):
+            nav[6 + 3 * i + j] = Cn[3 * j + i]
+            C[3 * i + j] += 0.5 * Cn[3 * j + i]  # now the mean of C_nb over the sample
+    # ---- transition: attitude rows, then velocity with the mean attitude error, then position with the mean velocity error
+    _clear_transition(F, m)
+    F[6, 6] = F[7, 7] = F[8, 8] = 1.0
+    F[6, 7], F[6, 8] = wd * dt, -we * dt
+    F[7, 6], F[7, 8] = -wd * dt, wn * dt
+    F[8, 6], F[8, 7] = we * dt, -wn * dt
+    F[6, 4], F[7, 3], F[8, 4] = -dt / re, dt / rn, dt * tl / re
+    F[6, 0] = dt * EARTH_RATE * sl / rn
+    F[8, 0] = dt * (EARTH_RATE * cl + me / (re * cl * cl)) / rn
+    F[6, 2], F[7, 2], F[8, 2] = -dt * me / (re * re), dt * mn / (rn * rn), dt * me * tl / (re * re)
+    for s in range(k):
+        for i in range(3):
+            F[6 + i, 9 + s] = -dt * (C[3 * i] * Cr[0, s] + C[3 * i + 1] * Cr[1, s] + C[3 * i + 2] * Cr[2, s])
+            F[3 + i, 9 + s] = -dt * (C[3 * i] * Cr[3, s] + C[3 * i + 1] * Cr[4, s] + C[3 * i + 2] * Cr[5, s])
+    for j in range(m):
+        a = 0.5 * (F[6, j] + (1.0 if j == 6 else 0.0))
+        b = 0.5 * (F[7, j] + (1.0 if j == 7 else 0.0))
+        c = 0.5 * (F[8, j] + (1.0 if j == 8 else 0.0))
+        F[3, j] += b * pd - c * pe
+        F[4, j] += c * pn - a * pd
+        F[5, j] += a * pe - b * pn
+    F[3, 3] += 1.0 + dt * md / rn
+    F[3, 4] += dt * (od - me * tl / re)
+    F[3, 5] -= dt * oe
+    F[4, 3] -= dt * od
+    F[4, 4] += 1.0 + dt * (md + mn * tl) / re
+    F[4, 5] += dt * on
+    F[5, 3] += dt * (oe - mn / rn)
+    F[5, 4] -= dt * (on + me / re)
+    F[5, 5] += 1.0
+    F[3, 0] -= dt * me * (2.0 * EARTH_RATE * cl + me / (re * cl * cl)) / rn
+    F[4, 0] += dt * (2.0 * EARTH_RATE * (mn * cl - md * sl) + mn * me / (re * cl * cl)) / rn
+    F[5, 0] += dt * 2.0 * EARTH_RATE * sl * me / rn
+    F[3, 2] += dt * (mn * md / (rn * rn) - me * me * tl / (re * re))
+    F[4, 2] += dt * (mn * me * tl + me * md) / (re * re)
+    F[5, 2] += dt * (2.0 * g / EARTH_RADIUS - mn * mn / (rn * rn) - me * me / (re * re))
+    for i in range(3):
+        for j in range(m):
+            F[i, j] += 0.5 * dt * F[3 + i, j]
+        F[i, i] += 1.0
+        F[i, 3 + i] += 0.5 * dt
+    F[0, 0] -= dt * md / rn
+    F[0, 2] += dt * mn / rn
+    F[1, 0] += dt * me * tl / rn
+    F[1, 1] -= dt * (md / re + tl * mn / rn)
+    F[1, 2] += dt * me / re
+
+
+@njit(cache=True)
+def _inertial_noise(dt, drv, Cr, acc, m):
+    """White noise of one step: variance r per sample means an angle (velocity) variance r * period per second."""
+    Q, C, k = acc[m : 2 * m], drv[MEAN_C : MEAN_C + 9], m - 9
+    span = max(dt, 0.0)
+    for a in range(3):
+        angle, speed = Cr[a, k] * drv[PERIOD_S] * span, Cr[3 + a, k] * drv[PERIOD_S] * span
+        if dt > GAP_PERIODS * drv[PERIOD_S]:
+            angle += (drv[GAP_RATE_SD] * dt) ** 2
+            speed += (drv[GAP_FORCE_SD] * dt) ** 2
+        for i in range(3):
+            for j in range(3):
+                cc = C[3 * i + a] * C[3 * j + a]
+                Q[6 + i, 6 + j] += cc * angle
+                Q[3 + i, 3 + j] += cc * speed
+
+
+@njit(cache=True)
+def _finish(xd, Phid, Qd, tick, acc):
+    """Complete the transition with the drive's blocks, compound it, and tick the blocks (their mean too)."""
+    k = len(xd)
+    m = 9 + k
+    F, Q, W = acc[2 * m : 3 * m], acc[m : 2 * m], acc[3 * m :]
+    for i in range(k):
+        for j in range(k):
+            F[9 + i, 9 + j] = Phid[i, j] if tick else (1.0 if i == j else 0.0)
+    _compound(acc, m)
+    if tick:
+        for i in range(k):
+            W[0, i] = 0.0
+            for j in range(k):
+                W[0, i] += Phid[i, j] * xd[j]
+                Q[9 + i, 9 + j] += Qd[i, j]
+        for i in range(k):
+            xd[i] = W[0, i]
+
+
+@njit(cache=True)
+def imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
+    """Strapdown over a block of samples (rates or increments) with coning and sculling by the linear-rate assumption.
+
+    Increments already used by `imu_hold` since the previous sample are taken off, so that holds change when the state is known,
+    not what it becomes. Savage (1998), parts 1 and 2; Groves (2013), ch. 5.
+    """
+    m = 9 + len(xd)
+    inc = np.empty(6)
+    for n in range(samples.shape[0]):
+        dt = samples[n, 0]
+        if drv[STARTED] == 0.0:
+            for i in range(6):
+                drv[PREVIOUS + i] = samples[n, 1 + i]
+            drv[STARTED] = 1.0
+        a0, a1, a2, b0, b1, b2 = drv[0], drv[1], drv[2], drv[3], drv[4], drv[5]
+        w0, w1, w2 = samples[n, 1], samples[n, 2], samples[n, 3]
+        f0, f1, f2 = samples[n, 4], samples[n, 5], samples[n, 6]
+        unit = 1.0 / 12.0 if drv[INCREMENTS] != 0.0 else dt * dt / 12.0
+        half = 1.0 if drv[INCREMENTS] != 0.0 else 0.5 * dt
+        keep = 0.0 if drv[INCREMENTS] != 0.0 else 1.0
+        inc[0] = half * (w0 + keep * a0) + unit * (a1 * w2 - a2 * w1)
+        inc[1] = half * (w1 + keep * a1) + unit * (a2 * w0 - a0 * w2)
+        inc[2] = half * (w2 + keep * a2) + unit * (a0 * w1 - a1 * w0)
+        inc[3] = half * (f0 + keep * b0) + unit * (a1 * f2 - a2 * f1 + b1 * w2 - b2 * w1)
+        inc[4] = half * (f1 + keep * b1) + unit * (a2 * f0 - a0 * f2 + b2 * w0 - b0 * w2)
+        inc[5] = half * (f2 + keep * b2) + unit * (a0 * f1 - a1 * f0 + b0 * w1 - b1 * w0)
+        drv[COUNT] += 1.0
+        for i in range(6):
+            value = samples[n, 1 + i]
+            drv[SUMS + i] += value
+            drv[SQUARES + i] += value * value
+            inc[i] -= drv[CONSUMED + i]
+            drv[CONSUMED + i] = 0.0
+            drv[PREVIOUS + i] = value
+        dt -= drv[HELD_S]
+        drv[HELD_S] = 0.0
+        _inertial_advance(nav, xd, inc, dt, drv, Cr, acc)
+        _finish(xd, Phid, Qd, True, acc)
+        _inertial_noise(dt, drv, Cr, acc, m)
+
+
+@njit(cache=True)
+def imu_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc):
+    """Carry the state `dt` seconds past the last sample with that sample's rates; the blocks do not tick."""
+    inc = np.empty(6)
+    scale = dt / drv[PERIOD_S] if drv[INCREMENTS] != 0.0 else dt
+    for i in range(6):
+        inc[i] = drv[PREVIOUS + i] * scale
+        drv[CONSUMED + i] += inc[i]
+    drv[HELD_S] += dt
+    _inertial_advance(nav, xd, inc, dt, drv, Cr, acc)
+    _finish(xd, Phid, Qd, False, acc)
+    _inertial_noise(dt, drv, Cr, acc, 9 + len(xd))
+
+
+@njit(cache=True)
+def _move(nav, dn, de, dd):
+    """Move the nominal position by metres in n."""
+    dlat = dn / nav[15]
+    nav[1] += de / (nav[16] * math.cos(nav[0] + 0.5 * dlat))
+    nav[0] += dlat
+    nav[2] -= dd
+    rn, re = radii(nav[0])
+    nav[15], nav[16] = rn + nav[2], re + nav[2]
+
+
+@njit(cache=True)
+def _position_rows(nav, F, dt, m):
+    """Add what the curved Earth does to a position error carried `dt` with the present velocity (small terms)."""
+    tl = math.tan(nav[0])
+    F[0, 0] -= dt * nav[5] / nav[15]
+    F[0, 2] += dt * nav[3] / nav[15]
+    F[1, 0] += dt * nav[4] * tl / nav[15]
+    F[1, 1] -= dt * (nav[5] / nav[16] + tl * nav[3] / nav[15])
+    F[1, 2] += dt * nav[4] / nav[16]
+
+
+@njit(cache=True)
+def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
+    """Attitude and body velocity carried forward: no inertial unit (Groves, 2013, sec. 6.2; the classical AUV filter).
+
+    A sample is seconds since the previous one, roll, pitch, yaw [rad] and the velocity in instrument axes [m/s]; a NaN velocity is
+    held in body axes with growing uncertainty. Position goes by the trapezoidal rule on the velocity of the instrument's point, and
+    the lever arm enters through the turn of the attitude itself, so that no angular rate is needed for it.
+    """
+    k = len(xd)
+    m = 9 + k
+    F, Q, W = acc[2 * m : 3 * m], acc[m : 2 * m], acc[3 * m :]
+    J = np.empty((9, 6))
+    B, err, v, u, w, l0, l1 = (np.empty((3, 3)), np.empty(6), np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3))
+    C, M = np.empty((3, 3)), drv[MOUNTING : MOUNTING + 9]
+    for n in range(samples.shape[0]):
+        span, held = samples[n, 0], drv[HELD_S]
+        drv[HELD_S] = 0.0
+        # -- the sensors' own errors
+        dev, par = int(drv[DEVIATION]), int(drv[SCALE])
+        for i in range(6):
+            err[i] = 0.0
+            for s in range(k):
+                err[i] += Cr[i, s] * xd[s]
+        yaw = samples[n, 3]
+        s1, c1 = math.sin(yaw), math.cos(yaw)
+        s2, c2 = 2.0 * s1 * c1, c1 * c1 - s1 * s1
+        if dev >= 0:
+            err[2] += s1 * xd[dev] + c1 * xd[dev + 1] + s2 * xd[dev + 2] + c2 * xd[dev + 3]
+        roll, pitch, psi = samples[n, 1] - err[0], samples[n, 2] - err[1], yaw - err[2]
+        cr, sr, cp, sp, cy, sy = math.cos(roll), math.sin(roll), math.cos(pitch), math.sin(pitch), math.cos(psi), math.sin(psi)
+        C[0, 0], C[0, 1], C[0, 2] = cp * cy, sr * sp * cy - cr * sy, cr * sp * cy + sr * sy
+        C[1, 0], C[1, 1], C[1, 2] = cp * sy, sr * sp * sy + cr * cy, cr * sp * sy - sr * cy
+        C[2, 0], C[2, 1], C[2, 2] = -sp, sr * cp, cr * cp
+        # -- angular rate from the readings (only for the velocity at the reference point)
+        q0, q1, q2 = 0.0, 0.0, 0.0
+        if drv[STARTED] != 0.0 and span > 0.0:
+            dr, dp = samples[n, 1] - drv[PREVIOUS_RPY], samples[n, 2] - drv[PREVIOUS_RPY + 1]
+            dy = samples[n, 3] - drv[PREVIOUS_RPY + 2]
+            dr -= 2.0 * math.pi * math.floor(dr / (2.0 * math.pi) + 0.5)
+            dy -= 2.0 * math.pi * math.floor(dy / (2.0 * math.pi) + 0.5)
+            q0, q1, q2 = (dr - sp * dy) / span, (cr * dp + sr * cp * dy) / span, (cr * cp * dy - sr * dp) / span
+        for i in range(3):
+            drv[PREVIOUS_RPY + i] = samples[n, 1 + i]
+        e0, e1, e2 = drv[LEVER], drv[LEVER + 1], drv[LEVER + 2]
+        x0, x1, x2 = q1 * e2 - q2 * e1, q2 * e0 - q0 * e2, q0 * e1 - q1 * e0
+        for i in range(3):
+            w[i] = C[i, 0] * x0 + C[i, 1] * x1 + C[i, 2] * x2
+            l1[i] = C[i, 0] * e0 + C[i, 1] * e1 + C[i, 2] * e2
+            l0[i] = nav[6 + 3 * i] * e0 + nav[7 + 3 * i] * e1 + nav[8 + 3 * i] * e2
+            if drv[STARTED] == 0.0:
+                l0[i] = l1[i] = 0.0  # nothing moved before the first sample
+        missing = math.isnan(samples[n, 4] + samples[n, 5] + samples[n, 6])
+        _clear_transition(F, m)
+        for i in range(9):
+            for j in range(6):
+                J[i, j] = 0.0
+        # -- velocity of the instrument's point in n, and how errors of the readings reach it
+        for i in range(3):
+            J[6 + i, 0] = C[i, 0]
+        J[6, 1], J[7, 1], J[8, 2] = -sy, cy, 1.0
+        if missing and drv[STARTED] != 0.0:
+            for i in range(3):
+                for j in range(3):
+                    B[i, j] = C[i, 0] * nav[6 + 3 * j] + C[i, 1] * nav[7 + 3 * j] + C[i, 2] * nav[8 + 3 * j]
+            for i in range(3):
+                u[i] = 0.0
+                for j in range(3):
+                    u[i] += B[i, j] * (nav[3 + j] + drv[LEVER_VELOCITY + j])
+                    F[3 + i, 3 + j] = B[i, j]
+                F[3 + i, 6] = B[i, 1] * nav[5] - B[i, 2] * nav[4]
+                F[3 + i, 7] = B[i, 2] * nav[3] - B[i, 0] * nav[5]
+                F[3 + i, 8] = B[i, 0] * nav[4] - B[i, 1] * nav[3]
+        else:
+            g, a, b, c = 1.0, 0.0, 0.0, 0.0
+            if par >= 0:
+                g += xd[par]
+                a, b, c = xd[par + 1], xd[par + 2], xd[par + 3]
+            h = 1.0 / (g * (1.0 + a * a + b * b + c * c))
+            for i in range(3):
+                # row i of C M, then times the inverse of (1 + scale)(I + [misalignment x])
+                r0 = C[i, 0] * M[0] + C[i, 1] * M[3] + C[i, 2] * M[6]
+                r1 = C[i, 0] * M[1] + C[i, 1] * M[4] + C[i, 2] * M[7]
+                r2 = C[i, 0] * M[2] + C[i, 1] * M[5] + C[i, 2] * M[8]
+                d = r0 * a + r1 * b + r2 * c
+                J[3 + i, 3] = h * (r0 + d * a - r1 * c + r2 * b)
+                J[3 + i, 4] = h * (r1 + d * b + r0 * c - r2 * a)
+                J[3 + i, 5] = h * (r2 + d * c - r0 * b + r1 * a)
+            z0, z1, z2 = 0.0, 0.0, 0.0
+            if not missing:
+                z0, z1, z2 = samples[n, 4] - err[3], samples[n, 5] - err[4], samples[n, 6] - err[5]
+            for i in range(3):
+                u[i] = J[3 + i, 3] * z0 + J[3 + i, 4] * z1 + J[3 + i, 5] * z2
+        for i in range(3):
+            v[i] = u[i] - w[i]
+        for j in range(3):
+            a, b, c = J[6, j], J[7, j], J[8, j]
+            J[3, j] = b * v[2] - c * v[1]
+            J[4, j] = c * v[0] - a * v[2]
+            J[5, j] = a * v[1] - b * v[0]
+        half = 0.5 * span
+        for j in range(6):
+            a, b, c = J[6, j], J[7, j], J[8, j]
+            y0, y1, y2 = half * w[0] - l1[0], half * w[1] - l1[1], half * w[2] - l1[2]
+            J[0, j] = half * J[3, j] + b * y2 - c * y1
+            J[1, j] = half * J[4, j] + c * y0 - a * y2
+            J[2, j] = half * J[5, j] + a * y1 - b * y0
+        # -- transition
+        started = drv[STARTED] != 0.0
+        lead = half - held
+        for i in range(3):
+            for j in range(9):
+                F[i, j] = half * F[3 + i, j]
+        for i in range(3):
+            F[i, i] += 1.0
+            F[i, 3 + i] += lead
+            y0 = half * drv[LEVER_VELOCITY] + l0[0]
+            y1 = half * drv[LEVER_VELOCITY + 1] + l0[1]
+            y2 = half * drv[LEVER_VELOCITY + 2] + l0[2]
+        F[0, 7] += y2
+        F[0, 8] -= y1
+        F[1, 8] += y0
+        F[1, 6] -= y2
+        F[2, 6] += y1
+        F[2, 7] -= y0
+        for s in range(k):
+            for i in range(9):
+                for a in range(6):
+                    F[i, 9 + s] -= J[i, a] * Cr[a, s]
+        if dev >= 0:
+            for i in range(9):
+                F[i, 9 + dev] -= J[i, 2] * s1
+                F[i, 10 + dev] -= J[i, 2] * c1
+                F[i, 11 + dev] -= J[i, 2] * s2
+                F[i, 12 + dev] -= J[i, 2] * c2
+        if par >= 0 and not missing:
+            # reading = (1 + s)(y + m x y): y is the true velocity in instrument axes
+            for i in range(3):
+                err[i] = 0.0
+                for j in range(3):
+                    err[i] += (C[j, 0] * M[i] + C[j, 1] * M[3 + i] + C[j, 2] * M[6 + i]) * u[j]
+            g = 1.0 + xd[par]
+            a, b, c = xd[par + 1], xd[par + 2], xd[par + 3]
+            y0, y1, y2 = err[0], err[1], err[2]
+            for i in range(9):
+                j0, j1, j2 = J[i, 3], J[i, 4], J[i, 5]
+                F[i, 9 + par] -= j0 * (y0 + b * y2 - c * y1) + j1 * (y1 + c * y0 - a * y2) + j2 * (y2 + a * y1 - b * y0)
+                F[i, 10 + par] -= g * (j2 * y1 - j1 * y2)
+                F[i, 11 + par] -= g * (j0 * y2 - j2 * y0)
+                F[i, 12 + par] -= g * (j1 * y0 - j0 * y1)
+        if started:
+            _position_rows(nav, F, span - held, m)
+            _move(
+                nav,
+                lead * nav[3] + half * (drv[LEVER_VELOCITY] + u[0]) - l1[0] + l0[0],
+                lead * nav[4] + half * (drv[LEVER_VELOCITY + 1] + u[1]) - l1[1] + l0[1],
+                lead * nav[5] + half * (drv[LEVER_VELOCITY + 2] + u[2]) - l1[2] + l0[2],
+            )
+        for i in range(3):
+            nav[3 + i] = v[i]
+            drv[LEVER_VELOCITY + i] = w[i]
+            for j in range(3):
+                nav[6 + 3 * i + j] = C[i, j]
+        _finish(xd, Phid, Qd, True, acc)
+        for i in range(9):
+            for j in range(9):
+                for a in range(6):
+                    Q[i, j] += J[i, a] * Cr[a, k] * J[j, a]
+        if missing and started:
+            walk = drv[HOLD_DENSITY] ** 2 * span
+            for i in range(3):
+                Q[i, i] += walk * half * half
+                Q[3 + i, 3 + i] += walk
+                Q[i, 3 + i] += walk * half
+                Q[3 + i, i] += walk * half
+        drv[STARTED] = 1.0
+
+
+@njit(cache=True)
+def dead_reckoning_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc):
+    """Carry the position `dt` seconds past the last sample with the last velocity; the blocks do not tick."""
+    m = 9 + len(xd)
+    F = acc[2 * m : 3 * m]
+    _clear_transition(F, m)
+    for i in range(9):
+        F[i, i] = 1.0
+    for i in range(3):
+        F[i, 3 + i] = dt
+    _position_rows(nav, F, dt, m)
+    _move(nav, dt * nav[3], dt * nav[4], dt * nav[5])
+    drv[HELD_S] += dt
+    _finish(xd, Phid, Qd, False, acc)

@@ -1,0 +1,134 @@
+"""Where each block of the error state stands: the only place that adds offsets.
+
+``[ position 3 | velocity 3 | attitude 3 | drive's blocks | drive's parameters | per sensor: blocks of its axes, parameters ]``
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import block_diag
+
+__all__ = ["Group", "Layout"]
+
+Array = NDArray[np.float64]
+POSITION, VELOCITY, ATTITUDE = slice(0, 3), slice(3, 6), slice(6, 9)
+NAVIGATION = ("position_north", "position_east", "position_down", "velocity_north", "velocity_east", "velocity_down") + (
+    "attitude_north",
+    "attitude_east",
+    "attitude_down",
+)
+
+
+@dataclass(frozen=True)
+class Group:
+    """The states of one sensor (or of the drive) side by side.
+
+    Attributes
+    ----------
+    start, size : int
+        Place in the error state.
+    errors : int
+        How many of them belong to error models; the rest are constant parameters.
+    Phi, Q, P0 : ndarray, shape (size, size)
+    C : ndarray, shape (axes, errors)
+    r : ndarray, shape (axes,)
+        White variance of one sample.
+    names : tuple of str
+    """
+
+    start: int
+    size: int
+    errors: int
+    Phi: Array
+    Q: Array
+    P0: Array
+    C: Array
+    r: Array
+    names: tuple[str, ...]
+
+    @property
+    def slice(self) -> slice:
+        """Rows of the error state."""
+        return slice(self.start, self.start + self.size)
+
+    @classmethod
+    def build(
+        cls, start: int, blocks: Sequence, parameters: Iterable[tuple[str, float]], axis_names: Sequence[str], prefix: str = ""
+    ) -> Group:
+        """Stack the blocks of the axes and the parameters."""
+        parameters = tuple(parameters)
+        k = len(parameters)
+        errors = sum(b.size for b in blocks)
+
+        def stack(key: str, tail: Array) -> Array:
+            parts = [getattr(b, key) for b in blocks if b.size] + ([tail] if k else [])
+            return np.ascontiguousarray(block_diag(*parts)) if parts else np.zeros((0, 0))
+
+        C = np.zeros((len(blocks), errors))
+        names: list[str] = []
+        for i, (b, axis) in enumerate(zip(blocks, axis_names, strict=True)):
+            label = "_".join(part for part in (prefix, axis) if part)
+            C[i, len(names) : len(names) + b.size] = b.C
+            names += [f"{label}[{j}]" for j in range(b.size)]
+        dot = f"{prefix}." if prefix else ""
+        names += [f"{dot}{name}" for name, _ in parameters]
+        variances = np.diag([sd**2 for _, sd in parameters]) if k else np.zeros((0, 0))
+        r = np.array([b.r for b in blocks])
+        return cls(
+            start, errors + k, errors, stack("Phi", np.eye(k)), stack("Q", np.zeros((k, k))), stack("P0", variances), C, r, tuple(names)
+        )
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Groups of the whole vehicle by name; `drive` first.
+
+    Attributes
+    ----------
+    size : int
+        Number of error states.
+    head : int
+        Navigation states and the drive's: those that move with every sample of the drive.
+    """
+
+    drive: Group
+    groups: dict[str, Group]
+
+    @property
+    def size(self) -> int:
+        """Number of error states."""
+        return self.head + sum(g.size for g in self.groups.values())
+
+    @property
+    def head(self) -> int:
+        """Nine navigation states and those of the drive."""
+        return 9 + self.drive.size
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all states behind the nine of navigation."""
+        return self.drive.names + tuple(name for g in self.groups.values() for name in g.names)
+
+    @classmethod
+    def of(cls, vehicle) -> Layout:  # type: ignore[no-untyped-def]
+        """Lay out a vehicle's states."""
+        drive = vehicle.drive
+        group = Group.build(9, [m.block(drive.period_s) for m in drive.models], drive.parameters(), drive.axis_names)
+        start, groups = 9 + group.size, {}
+        for name, sensor in vehicle.sensors.items():
+            blocks = [m.block(1.0 / sensor.rate_hz) for m in sensor.models]
+            groups[name] = Group.build(start, blocks, sensor.parameters(), sensor.axis_names, name)
+            start += groups[name].size
+        return cls(group, groups)
+
+    def start_covariance(self, navigation: Array) -> Array:
+        """Covariance at the start from that of the nine navigation errors."""
+        P = np.zeros((self.size, self.size))
+        P[:9, :9] = navigation
+        for g in (self.drive, *self.groups.values()):
+            P[g.slice, g.slice] = g.P0
+        return P

@@ -1,0 +1,177 @@
+"""What drives the state between corrections: an inertial unit, or attitude and body velocity."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navfilter.error_models import ErrorModel, RandomWalk, White, per_axis
+from navfilter.kernels import strapdown
+from navfilter.sensors import BodyVelocity, Heading
+
+__all__ = ["DeadReckoning", "Imu", "Mechanisation"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mechanisation:
+    """What both drives share: six channels whose errors enter the propagation."""
+
+    rate_hz: float
+
+    streams: ClassVar[tuple[str, ...]] = ()
+    axis_names: ClassVar[tuple[str, ...]] = ()
+    steps: ClassVar[Callable[..., None]]
+    hold: ClassVar[Callable[..., None]]
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.rate_hz) and self.rate_hz > 0):
+            raise ValueError(f"{type(self).__name__}.rate_hz must be a finite number > 0, found {self.rate_hz!r}.")
+        _ = self.models
+
+    @property
+    def period_s(self) -> float:
+        """Nominal sampling period [s]."""
+        return 1.0 / self.rate_hz
+
+    @property
+    def models(self) -> tuple[ErrorModel, ...]:
+        """Error models of the six channels."""
+        raise NotImplementedError
+
+    def parameters(self) -> tuple[tuple[str, float], ...]:
+        """Constant states of the drive: name and standard deviation at the start."""
+        return ()
+
+    def memory(self, first_parameter: int) -> Array:
+        """The kernels' ``drv`` at the start; `first_parameter` counts the drive's states before its parameters."""
+        drv = np.zeros(strapdown.DRIVE_SIZE)
+        drv[strapdown.PERIOD_S] = self.period_s
+        return drv
+
+
+@dataclass(frozen=True, kw_only=True)
+class Imu(Mechanisation):
+    """Strapdown inertial navigation on WGS-84, driven by three gyros and three accelerometers.
+
+    Parameters
+    ----------
+    rate_hz : float
+        Sampling rate [Hz].
+    gyro, accel : ErrorModel or tuple of three
+        Errors of the angular rate [rad/s] and of the specific force [m/s^2].
+    increments : bool
+        Samples are angle and velocity increments [rad], [m/s] instead of rates.
+    gap_rate_sd, gap_force_sd : float
+        What the vehicle may do unseen while samples are missing for more than three periods: rate [rad/s] and force [m/s^2].
+
+    Notes
+    -----
+    Mission stream "imu": rate_b (3), then force_b (3); at rest and level the specific force is (0, 0, -9.8).
+    """
+
+    gyro: ErrorModel | tuple[ErrorModel, ...] = White(density=1e-4) + RandomWalk(density=1e-6)
+    accel: ErrorModel | tuple[ErrorModel, ...] = White(density=1e-3) + RandomWalk(density=1e-5)
+    increments: bool = False
+    gap_rate_sd: float = 0.05
+    gap_force_sd: float = 0.3
+
+    streams: ClassVar[tuple[str, ...]] = ("imu",)
+    axis_names: ClassVar[tuple[str, ...]] = ("gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z")
+    steps: ClassVar[Callable[..., None]] = staticmethod(strapdown.imu_steps)
+    hold: ClassVar[Callable[..., None]] = staticmethod(strapdown.imu_hold)
+
+    @property
+    def models(self) -> tuple[ErrorModel, ...]:
+        """Gyro x, y, z, accelerometer x, y, z."""
+        return per_axis(self.gyro, 3, "Imu.gyro") + per_axis(self.accel, 3, "Imu.accel")
+
+    def memory(self, first_parameter: int) -> Array:
+        """The kernels' ``drv`` at the start."""
+        drv = super().memory(first_parameter)
+        drv[strapdown.INCREMENTS] = float(self.increments)
+        drv[strapdown.GAP_RATE_SD] = self.gap_rate_sd
+        drv[strapdown.GAP_FORCE_SD] = self.gap_force_sd
+        return drv
+
+
+@dataclass(frozen=True, kw_only=True)
+class DeadReckoning(Mechanisation):
+    """Dead reckoning by attitude and body velocity, without an inertial unit: their errors enter the propagation.
+
+    Parameters
+    ----------
+    rate_hz : float
+        Rate of the velocity readings [Hz].
+    attitude : Heading, ErrorModel or tuple of three
+        A `Heading` gives the error of the yaw (with bias and deviation states) and `tilt` that of roll and pitch; an error model, or a tuple
+        for roll, pitch and yaw, gives them directly [rad].
+    velocity : BodyVelocity, ErrorModel or tuple of three
+        A `BodyVelocity` brings its lever arm, mounting, scale and misalignment states; an error model stands for a plain one [m/s].
+    tilt : ErrorModel
+        Error of roll and pitch when `attitude` is a `Heading` [rad].
+    hold_density : float
+        How fast the true body velocity may wander while readings are missing [m/s/sqrt(s)].
+
+    Notes
+    -----
+    Mission streams "attitude" (roll, pitch, yaw [rad]) and "velocity" (instrument axes [m/s]; NaN: lost).
+    """
+
+    attitude: Heading | ErrorModel | tuple[ErrorModel, ...] = White(sd=0.01)
+    velocity: BodyVelocity | ErrorModel | tuple[ErrorModel, ...] = White(sd=0.02)
+    tilt: ErrorModel = White(sd=0.005)
+    hold_density: float = 0.05
+
+    streams: ClassVar[tuple[str, ...]] = ("attitude", "velocity")
+    axis_names: ClassVar[tuple[str, ...]] = ("roll", "pitch", "yaw", "velocity_x", "velocity_y", "velocity_z")
+    steps: ClassVar[Callable[..., None]] = staticmethod(strapdown.dead_reckoning_steps)
+    hold: ClassVar[Callable[..., None]] = staticmethod(strapdown.dead_reckoning_hold)
+
+    @property
+    def models(self) -> tuple[ErrorModel, ...]:
+        """Roll, pitch, yaw, velocity x, y, z."""
+        if isinstance(self.attitude, Heading):
+            yaw = self.attitude.models[0]
+            if self.attitude.bias_sd_rad:
+                yaw = yaw + RandomWalk(density=0.0, start_sd=self.attitude.bias_sd_rad)
+            attitude: tuple[ErrorModel, ...] = (self.tilt, self.tilt, yaw)
+        else:
+            attitude = per_axis(self.attitude, 3, "DeadReckoning.attitude")
+        return attitude + self.velocity_sensor.models
+
+    @property
+    def velocity_sensor(self) -> BodyVelocity:
+        """The velocity as a sensor (a plain one where only an error model was given)."""
+        if isinstance(self.velocity, BodyVelocity):
+            return self.velocity
+        return BodyVelocity(rate_hz=self.rate_hz, error=self.velocity, zero_is_invalid=False)
+
+    def _deviation(self) -> tuple[tuple[str, float], ...]:
+        if not isinstance(self.attitude, Heading) or not any(self.attitude.deviation_sd_rad):
+            return ()
+        names = ("one_cycle_sin", "one_cycle_cos", "two_cycle_sin", "two_cycle_cos")
+        one, two = self.attitude.deviation_sd_rad
+        return tuple((f"yaw.{name}", sd) for name, sd in zip(names, (one, one, two, two), strict=True))
+
+    def parameters(self) -> tuple[tuple[str, float], ...]:
+        """Deviation of the heading, scale and misalignment of the velocity."""
+        velocity = tuple((f"velocity.{name}", sd) for name, sd in self.velocity_sensor.parameters())
+        return self._deviation() + velocity
+
+    def memory(self, first_parameter: int) -> Array:
+        """The kernels' ``drv`` at the start."""
+        drv = super().memory(first_parameter)
+        deviation, total = len(self._deviation()), len(self.parameters())
+        drv[strapdown.HOLD_DENSITY] = self.hold_density
+        drv[strapdown.DEVIATION] = first_parameter if deviation else -1
+        drv[strapdown.SCALE] = first_parameter + deviation if total > deviation else -1
+        sensor: Any = self.velocity_sensor
+        drv[strapdown.LEVER : strapdown.LEVER + 12] = sensor.constants(None)
+        return drv
