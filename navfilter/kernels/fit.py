@@ -1,0 +1,260 @@
+"""Kernels of the batch fit. Observer form: ``z+ = M z + g e``, ``y = z[0] + e`` with ``g = c - a``.
+
+Coefficient vectors `a` and `c` are padded with zeros to the common length r = max(p, q, 1) of the state z.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True, nogil=True)
+def arma_filter(y, a, c, z, e):
+    """Residuals ``C e = A y`` from the observer state `z`, which is advanced in place."""
+    r = z.size
+    last = r - 1
+    for t in range(y.size):
+        yt = y[t]
+        et = yt - z[0]
+        e[t] = et
+        for i in range(last):
+            z[i] = z[i + 1] + (c[i] * et - a[i] * yt)
+        z[last] = c[last] * et - a[last] * yt
+
+
+@njit(cache=True, nogil=True)
+def impulse_response(c, w):
+    """Impulse response of 1/C into `w`; returns the length after which it stays below 1e-17 of its maximum."""
+    r = c.size
+    n = w.size
+    peak = 0.0
+    quiet = 0
+    for t in range(n):
+        s = 1.0 if t == 0 else 0.0
+        for i in range(min(r, t)):
+            s -= c[i] * w[t - 1 - i]
+        w[t] = s
+        peak = max(peak, abs(s))
+        quiet = quiet + 1 if abs(s) < 1e-17 * peak else 0
+        if quiet > r:
+            w[t:] = 0.0
+            return t + 1
+    return n
+
+
+@njit(cache=True, nogil=True)
+def lag_products(x, y, out):
+    """``out[k] = sum_t x[t] y[t+k]`` for every k of `out`."""
+    n = min(x.size, y.size)
+    m = out.size
+    out[:] = 0.0
+    whole = max(n - m + 1, 0)
+    for t in range(whole):
+        xt = x[t]
+        for k in range(m):
+            out[k] += xt * y[t + k]
+    for t in range(whole, n):
+        for k in range(min(m, n - t)):
+            out[k] += x[t] * y[t + k]
+
+
+@njit(cache=True, nogil=True)
+def shift_gram(x, y, first, G):
+    """Inner products of delayed copies, ``G[i, j] = sum_t x[t-i-first] y[t-j]``, zero before the start.
+
+    Only the products with one delay are summed over time; the others lose one term at the end per step down a diagonal.
+    """
+    n = x.size
+    rows, columns = G.shape[0] + first, G.shape[1]
+    down = np.empty(rows)
+    lag_products(x, y, down)
+    across = np.empty(columns)
+    lag_products(y, x, across)
+    for i in range(rows):
+        for j in range(columns):
+            k = min(i, j)
+            s = down[i - j] if i >= j else across[j - i]
+            for m in range(k):
+                s -= x[n - 1 - (i - k + m)] * y[n - 1 - (j - k + m)]
+            if i >= first:
+                G[i - first, j] = s
+
+
+@njit(cache=True, nogil=True)
+def lyapunov(M, Q, rounds, P):
+    """Sum ``P = Q + M Q M' + ...`` by doubling, at most 2^rounds terms.
+
+    For a stable M and enough rounds this solves ``P = M P M' + Q``.
+    """
+    n = M.shape[0]
+    A = M.copy()
+    T = np.empty((n, n))
+    B = np.empty((n, n))
+    P[:] = Q
+    for _ in range(rounds):
+        _matmul(A, P, T)
+        worst = 0.0
+        top = 0.0
+        for i in range(n):
+            for j in range(n):
+                s = 0.0
+                for k in range(n):
+                    s += T[i, k] * A[j, k]
+                B[i, j] = s
+                worst = max(worst, abs(s))
+                top = max(top, abs(P[i, j]))
+        for i in range(n):
+            for j in range(n):
+                P[i, j] += B[i, j]
+        if not worst > 1e-17 * top:
+            break
+        _matmul(A, A, T)
+        A[:] = T
+
+
+@njit(cache=True, nogil=True)
+def _matmul(A, B, out):
+    n = A.shape[0]
+    for i in range(n):
+        for j in range(n):
+            out[i, j] = 0.0
+        for k in range(n):
+            f = A[i, k]
+            for j in range(n):
+                out[i, j] += f * B[k, j]
+
+
+@njit(cache=True, nogil=True)
+def largest_reflection(c, radius):
+    """Largest reflection coefficient of ``1 + c1 q^-1 + ...`` scaled to `radius`: below 1 means all roots inside."""
+    n = c.size
+    u = np.empty(n)
+    f = 1.0
+    for i in range(n):
+        f /= radius
+        u[i] = c[i] * f
+    worst = 0.0
+    for m in range(n - 1, -1, -1):
+        k = u[m]
+        if not abs(k) < 1.0:
+            return math.inf
+        worst = max(worst, abs(k))
+        d = 1.0 - k * k
+        for i in range((m + 1) // 2):
+            left, right = u[i], u[m - 1 - i]
+            u[i] = (left - k * right) / d
+            u[m - 1 - i] = (right - k * left) / d
+    return worst
+
+
+@njit(cache=True, nogil=True)
+def kalman_whiten(Y, a, c, P0, W):
+    """Exact innovations over their root variances, column by column of `Y`, in units of the innovation sd.
+
+    `P0` is the stationary covariance of the observer state for sd = 1. NaN in the first column marks a missing row.
+    Once P has died out the gain is constant and a row costs O(r) (steady-state switch). Returns sum ln F.
+    """
+    n, columns = Y.shape
+    r = a.size
+    P = P0.copy()
+    T = np.empty((r, r))
+    K = np.empty(r)
+    z = np.zeros((columns, r))
+    logdet = 0.0
+    steady = False
+    for t in range(n):
+        missing = math.isnan(Y[t, 0])
+        if missing:
+            steady = False
+        F = 1.0
+        if not steady:
+            F = 1.0 + P[0, 0]
+            top = _covariance_step(P, T, K, a, c, missing)
+            steady = top < 1e-13
+        else:
+            for i in range(r):
+                K[i] = c[i] - a[i]
+        root = math.sqrt(F)
+        if not missing:
+            logdet += math.log(F)
+        for m in range(columns):
+            level = z[m, 0]
+            v = 0.0 if missing else Y[t, m] - level
+            W[t, m] = math.nan if missing else v / root
+            for i in range(r - 1):
+                z[m, i] = z[m, i + 1] - a[i] * level + K[i] * v
+            z[m, r - 1] = -a[r - 1] * level + K[r - 1] * v
+    return logdet
+
+
+@njit(cache=True, nogil=True)
+def _covariance_step(P, T, K, a, c, missing):
+    """One prediction of P in place (Joseph form), the gain into K; returns the largest entry of the new P."""
+    r = a.size
+    F = 1.0 + P[0, 0]
+    for i in range(r):
+        up = P[i + 1, 0] if i + 1 < r else 0.0
+        K[i] = 0.0 if missing else (up - a[i] * P[0, 0] + c[i] - a[i]) / F
+    # Rows of (M - K h') P, then the same from the right.
+    for i in range(r):
+        for j in range(r):
+            up = P[i + 1, j] if i + 1 < r else 0.0
+            T[i, j] = up - (a[i] + K[i]) * P[0, j]
+    top = 0.0
+    for i in range(r):
+        for j in range(r):
+            up = T[i, j + 1] if j + 1 < r else 0.0
+            gi, gj = c[i] - a[i] - K[i], c[j] - a[j] - K[j]
+            P[i, j] = up - (a[j] + K[j]) * T[i, 0] + gi * gj
+            top = max(top, abs(P[i, j]))
+    return top
+
+
+@njit(cache=True, nogil=True)
+def levinson(gamma, ar, pacf):
+    """Levinson-Durbin: AR coefficients and partial autocorrelations from autocovariances; returns sd^2."""
+    n = ar.size
+    v = gamma[0]
+    for m in range(n):
+        s = gamma[m + 1]
+        for i in range(m):
+            s += ar[i] * gamma[m - i]
+        k = -s / v if v > 0.0 else 0.0
+        pacf[m] = -k
+        for i in range((m + 1) // 2):
+            left, right = ar[i], ar[m - 1 - i]
+            ar[i] = left + k * right
+            ar[m - 1 - i] = right + k * left
+        ar[m] = k
+        v *= 1.0 - k * k
+    return v
+
+
+@njit(cache=True, nogil=True)
+def burg_recursion(x, ar):
+    """Burg's AR coefficients (forward and backward prediction errors, always stable); returns the residual power."""
+    n = x.size
+    f = x.copy()
+    b = x.copy()
+    v = 0.0
+    for t in range(n):
+        v += x[t] * x[t] / n
+    for m in range(ar.size):
+        top = 0.0
+        bottom = 0.0
+        for t in range(m + 1, n):
+            top += f[t] * b[t - 1]
+            bottom += f[t] * f[t] + b[t - 1] * b[t - 1]
+        k = -2.0 * top / bottom if bottom > 0.0 else 0.0
+        for t in range(n - 1, m, -1):
+            ft, bt = f[t], b[t - 1]
+            f[t] = ft + k * bt
+            b[t] = bt + k * ft
+        for i in range((m + 1) // 2):
+            left, right = ar[i], ar[m - 1 - i]
+            ar[i] = left + k * right
+            ar[m - 1 - i] = right + k * left
+        ar[m] = k
+        v *= 1.0 - k * k
+    return v
