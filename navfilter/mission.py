@@ -30,6 +30,10 @@ TRUTH_COLUMNS = (
 NPZ_FORMAT = 1
 
 
+class MissionError(ValueError):
+    """A mission cannot be read: which file, what is wrong with it and what to do, in one line."""
+
+
 @dataclass(frozen=True, eq=False)
 class Stream:
     """Readings of one sensor.
@@ -230,7 +234,7 @@ class Mission:
             "notes": self.notes,
             "windows": self.windows,
         }
-        arrays: dict[str, npt.NDArray[Any]] = {"navfilter_mission": np.array(json.dumps(meta, default=_plain))}
+        arrays: dict[str, Any] = {"navfilter_mission": np.array(json.dumps(meta, default=_plain))}
         for number, stream in enumerate(self.streams.values()):
             arrays[f"time_{number}"], arrays[f"value_{number}"] = stream.time_s, stream.value
         if self.truth is not None:
@@ -243,9 +247,11 @@ class Mission:
 
 
 def _plain(value: Any) -> Any:
-    """What json cannot write by itself: NumPy numbers, arrays and mappings."""
+    """What json cannot write by itself: NumPy numbers, arrays, mappings and dates."""
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     if isinstance(value, Mapping):
         return dict(value)
+    if isinstance(value, datetime.date):
+        return value.isoformat()
     raise TypeError(f"{type(value).__name__} cannot be written to a mission file")

@@ -1,0 +1,59 @@
+"""Files: the only place with column names, degrees and other people's units."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from navfilter.io.vehicle_toml import VehicleError, read_vehicle, write_vehicle
+from navfilter.mission import Mission, MissionError
+
+__all__ = ["VehicleError", "read_mission", "read_vehicle", "write_vehicle"]
+
+
+def read_mission(path: str | os.PathLike[str]) -> Mission:
+    """Read a recorded mission.
+
+    Parameters
+    ----------
+    path : path-like
+        A folder with a ``mission.toml``, a .toml file itself, or a .npz file written by `Mission.save`.
+
+    Returns
+    -------
+    Mission
+        Streams in SI and radians, sorted by time; `Mission.notes` counts what had to be dropped or mended.
+
+    Raises
+    ------
+    MissionError
+        A ValueError that says in one line which file cannot be read, why, and what to do. A mission.toml with several
+        mistakes gets them all listed.
+
+    Examples
+    --------
+    >>> from navfilter.mission import Stream
+    >>> import tempfile
+    >>> mission = Mission("dive", {"depth": Stream([0.0, 1.0], [5.0, 5.1], ("depth_m",))})
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     read_mission(mission.save(Path(folder) / "dive.npz")).streams["depth"].value[1, 0]
+    np.float64(5.1)
+    """
+    path = Path(path)
+    if path.is_dir():
+        if not (path / "mission.toml").exists():
+            raise MissionError(f"{path}: this folder has no mission.toml; write one that maps its files to streams.")
+        path = path / "mission.toml"
+    if not path.exists():
+        raise MissionError(f"{path}: no such file or folder.")
+    if path.suffix == ".toml":
+        from navfilter.io.mission_toml import read_mission_toml
+
+        return read_mission_toml(path)
+    if path.suffix == ".npz":
+        from navfilter.io.native import read_mission_npz
+
+        return read_mission_npz(path)
+    raise MissionError(
+        f'{path} is no mission: expected a folder with a mission.toml, a .toml or a .npz, found "{path.name}".'
+    )

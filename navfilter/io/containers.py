@@ -1,0 +1,88 @@
+"""Arrays inside .npy, .npz and .mat files (version 5 and 7.3), by name; nested names are joined with dots."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from navfilter.mission import MissionError
+
+_HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
+
+
+def read_arrays(path: Path) -> dict[str, npt.NDArray[Any]]:
+    """Read every array of a container.
+
+    Parameters
+    ----------
+    path : Path
+        A .npy file (its one array gets the name ``""``), a .npz file or a .mat file of either version.
+
+    Returns
+    -------
+    dict of str to ndarray
+        A matrix of a version 7.3 file has the shape that MATLAB shows, like one of version 5.
+
+    Raises
+    ------
+    MissionError
+        If the file is truncated, is not what its name says, or needs pickle.
+    """
+    try:
+        if path.suffix.lower() == ".npy":
+            arrays = {"": np.load(path, allow_pickle=False)}
+        elif path.suffix.lower() == ".npz":
+            with np.load(path, allow_pickle=False) as archive:
+                arrays = {name: archive[name] for name in archive.files}
+        elif _is_hdf5(path):
+            arrays = _read_hdf5(path)
+        else:
+            arrays = _read_mat5(path)
+    except Exception as error:  # numpy, zipfile, scipy and h5py raise a dozen unrelated types on broken files
+        reason = str(error).splitlines()[0].rstrip(".") if str(error) else type(error).__name__
+        raise MissionError(f"{path} cannot be read: {reason}. It is truncated or not what its name says.") from None
+    arrays = {name: array for name, array in arrays.items() if array.dtype.kind in "fiubU" or array.dtype.names}
+    if not arrays:
+        raise MissionError(f"{path} holds no array of numbers.")
+    return arrays
+
+
+def _is_hdf5(path: Path) -> bool:
+    # A version 7.3 file is HDF5 behind a user block of 512 bytes; one written by other software may have none.
+    with path.open("rb") as file:
+        head = file.read(520)
+    return head[:8] == _HDF5_SIGNATURE or head[512:520] == _HDF5_SIGNATURE
+
+
+def _read_hdf5(path: Path) -> dict[str, npt.NDArray[Any]]:
+    import h5py
+
+    arrays: dict[str, npt.NDArray[Any]] = {}
+
+    def visit(name: str, item: object) -> None:
+        if isinstance(item, h5py.Dataset) and not name.startswith("#") and item.dtype.kind in "fiub":
+            arrays[name.replace("/", ".")] = np.asarray(item[()]).T
+
+    with h5py.File(path, "r") as file:
+        file.visititems(visit)
+    return arrays
+
+
+def _read_mat5(path: Path) -> dict[str, npt.NDArray[Any]]:
+    from scipy.io import loadmat
+
+    arrays: dict[str, npt.NDArray[Any]] = {}
+
+    def visit(name: str, item: object) -> None:
+        if isinstance(item, dict):
+            for key, inner in item.items():
+                if not str(key).startswith("__"):
+                    visit(f"{name}.{key}" if name else str(key), inner)
+        elif isinstance(item, np.ndarray | float | int):
+            arrays[name] = np.asarray(item)
+
+    visit("", loadmat(path, simplify_cells=True))
+    return arrays

@@ -1,0 +1,357 @@
+"""What may stand in a mission.toml: the tables and keys, their defaults and their checks.
+
+A mission names its streams as the vehicle names its sensors. A stream is made of one or more sources (files); a source
+has a clock (`time`) and groups of columns (`rate`, `velocity`, `position`, ...), listed in `GROUPS`. With several
+sources the first gives the clock and the others are interpolated onto it; a group in several of them is their mean.
+"""
+
+from __future__ import annotations
+
+import datetime
+from typing import Any, Literal
+
+from pydantic import Field, field_validator, model_validator
+
+from navfilter.io.units import UNITS, parse_quantity, unit
+from navfilter.io.validation import Strict
+
+#: Group of columns -> (dimension of each column, names of the columns in SI).
+GROUPS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
+    "rate": (("angular rate",) * 3, ("rate_x_rad_s", "rate_y_rad_s", "rate_z_rad_s")),
+    "force": (("acceleration",) * 3, ("force_x_m_s2", "force_y_m_s2", "force_z_m_s2")),
+    "rotation": (("angle",) * 3, ("rotation_x_rad", "rotation_y_rad", "rotation_z_rad")),
+    "velocity_gain": (("speed",) * 3, ("velocity_gain_x_m_s", "velocity_gain_y_m_s", "velocity_gain_z_m_s")),
+    "velocity": (("speed",) * 3, ("v_x_m_s", "v_y_m_s", "v_z_m_s")),
+    "heading": (("angle",), ("heading_rad",)),
+    "field": (("magnetic field",) * 3, ("field_x_T", "field_y_T", "field_z_T")),
+    "temperature": (("temperature",), ("temperature_C",)),
+    "depth": (("length",), ("depth_m",)),
+    "pressure": (("pressure",), ("pressure_Pa",)),
+    "position": (("angle", "angle", "length"), ("latitude_rad", "longitude_rad", "height_m")),
+    "ecef": (("length",) * 3, ("ecef_x_m", "ecef_y_m", "ecef_z_m")),
+    "local": (("length",) * 3, ("north_m", "east_m", "down_m")),
+    "hdop": (("number",), ("hdop",)),
+    "velocity_n": (("speed",) * 3, ("v_north_m_s", "v_east_m_s", "v_down_m_s")),
+    "velocity_ecef": (("speed",) * 3, ("v_ecef_x_m_s", "v_ecef_y_m_s", "v_ecef_z_m_s")),
+    "attitude": (("angle",) * 3, ("roll_rad", "pitch_rad", "yaw_rad")),
+    "quaternion": (("number",) * 4, ("q_w", "q_x", "q_y", "q_z")),
+}
+#: What a stream may consist of. Each entry: the groups that must be there, then those that may.
+CONTENTS: tuple[tuple[tuple[str, ...], tuple[str, ...]], ...] = (
+    (("rate", "force"), ("temperature",)),
+    (("rotation", "velocity_gain"), ("temperature",)),
+    (("attitude",), ()),
+    (("quaternion",), ()),
+    (("velocity",), ()),
+    (("heading",), ("temperature",)),
+    (("field",), ("temperature",)),
+    (("depth",), ()),
+    (("pressure",), ()),
+    (("position",), ("hdop",)),
+    (("ecef",), ("hdop",)),
+    (("local",), ("hdop",)),
+    (("series",), ()),
+)
+TRUTH_GROUPS = ("position", "ecef", "local", "velocity_n", "velocity_ecef", "attitude", "quaternion")
+Reference = str | int
+
+
+def _check_unit(name: str) -> str:
+    unit(name)
+    return name
+
+
+class Component(Strict):
+    """One component of a group: a column, a constant or the mean of several columns."""
+
+    column: Reference | None = None
+    constant: float | None = None
+    mean: tuple[Reference, ...] | None = None
+    unit: str | None = None
+    scale: float | None = None
+    offset: float | str | None = None
+    absolute: bool | None = None
+    radius_m: float | None = Field(default=None, gt=0)
+
+    _unit = field_validator("unit")(lambda v: None if v is None else _check_unit(v))
+
+    @model_validator(mode="after")
+    def _one_origin(self) -> Component:
+        if sum(v is not None for v in (self.column, self.constant, self.mean)) != 1:
+            raise ValueError("give exactly one of column, constant and mean")
+        return self
+
+    @field_validator("offset")
+    @classmethod
+    def _offset(cls, value: float | str | None) -> float | str | None:
+        if isinstance(value, str):
+            parse_quantity(value)
+        return value
+
+
+class Origin(Strict):
+    """Where local coordinates have their zero."""
+
+    latitude_deg: float = Field(ge=-90, le=90)
+    longitude_deg: float = Field(ge=-180, le=360)
+    height_m: float = 0.0
+
+
+class Group(Strict):
+    """Columns that belong together. Per column: SI = unit(scale * raw + offset), with |raw| if `absolute`."""
+
+    columns: tuple[Component, ...]
+    unit: str | tuple[str, ...] = ""
+    scale: float = 1.0
+    offset: float | str = 0.0
+    absolute: bool = False
+    radius_m: float | None = Field(default=None, gt=0)
+    invalid: tuple[float, ...] = ()
+    invalid_above: float | None = Field(default=None, gt=0)
+    valid_range: tuple[float, float] | None = None
+    invalid_together: bool = True
+    axes: str | None = None
+    mounting_deg: tuple[float, float, float] | None = None
+    origin: Origin | None = None
+    order: Literal["wxyz", "xyzw"] = "wxyz"
+    reference: Literal["ned", "enu", "ecef"] = "ned"
+    body: Literal["frd", "flu"] = "frd"
+    names: tuple[str, ...] = ()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _short_forms(cls, data: Any) -> Any:
+        if isinstance(data, str | int):
+            data = {"columns": [data]}
+        elif isinstance(data, list):
+            data = {"columns": data}
+        elif isinstance(data, dict) and "columns" not in data:
+            data = dict(data)
+            one = {key: data.pop(key) for key in ("column", "constant", "mean") if key in data}
+            if one:
+                data["columns"] = [one]
+        if isinstance(data, dict) and isinstance(data.get("columns"), list):
+            whole = [{"column": c} if isinstance(c, str | int) else c for c in data["columns"]]
+            data = {**data, "columns": whole}
+        return data
+
+    @field_validator("unit")
+    @classmethod
+    def _units(cls, value: str | tuple[str, ...]) -> str | tuple[str, ...]:
+        for name in (value,) if isinstance(value, str) else value:
+            _check_unit(name)
+        return value
+
+    @field_validator("offset")
+    @classmethod
+    def _offset(cls, value: float | str) -> float | str:
+        if isinstance(value, str):
+            parse_quantity(value)
+        return value
+
+    @field_validator("axes")
+    @classmethod
+    def _axes(cls, value: str | None) -> str | None:
+        if value is not None and sorted(word.strip(" +-") for word in value.split(",")) != ["x", "y", "z"]:
+            raise ValueError('axes names each of x, y, z once, with signs, such as "x,-y,-z"')
+        return value
+
+
+class Clock(Strict):
+    """Times of a source: a column, or a rate."""
+
+    file: str | None = None
+    table: str = ""
+    transpose: bool = False
+    column: Reference | None = None
+    unit: str = "s"
+    scale: float = Field(default=1.0, gt=0)
+    rollover: float | None = Field(default=None, gt=0)
+    from_first: bool = False
+    ends_only: bool = False
+    rate_hz: float | None = Field(default=None, gt=0)
+    start_s: float = 0.0
+    offset_s: float = 0.0
+
+    @field_validator("unit")
+    @classmethod
+    def _time_unit(cls, value: str) -> str:
+        if value != "iso8601" and unit(value).dimension != "time":
+            times = [name for name, known in UNITS.items() if known.dimension == "time"]
+            raise ValueError(f"not a unit of time (known: {', '.join(times)}, iso8601)")
+        return value
+
+    @model_validator(mode="after")
+    def _column_or_rate(self) -> Clock:
+        if (self.column is None) == (self.rate_hz is None):
+            raise ValueError("give either the column of times or rate_hz (with start_s)")
+        return self
+
+
+class Source(Strict):
+    """One file and the groups of columns taken from it."""
+
+    file: str
+    table: str = ""
+    transpose: bool = False
+    header: bool | tuple[str, ...] | None = None
+    delimiter: str | None = None
+    decimal: str = "."
+    comment: str = "#"
+    skip_lines: int = Field(default=0, ge=0)
+    skip_rows: int = Field(default=0, ge=0)
+    time: Clock
+    only_changes: bool | tuple[Reference, ...] = False
+    max_gap_s: float | None = Field(default=None, gt=0)
+    rate: Group | None = None
+    force: Group | None = None
+    rotation: Group | None = None
+    velocity_gain: Group | None = None
+    velocity: Group | None = None
+    heading: Group | None = None
+    field: Group | None = None
+    temperature: Group | None = None
+    depth: Group | None = None
+    pressure: Group | None = None
+    position: Group | None = None
+    ecef: Group | None = None
+    local: Group | None = None
+    hdop: Group | None = None
+    velocity_n: Group | None = None
+    velocity_ecef: Group | None = None
+    attitude: Group | None = None
+    quaternion: Group | None = None
+    series: Group | None = None
+
+    def groups(self) -> dict[str, Group]:
+        """The groups given, in the order of their definition."""
+        given = {name: getattr(self, name) for name in (*GROUPS, "series")}
+        return {name: group for name, group in given.items() if group is not None}
+
+    @model_validator(mode="after")
+    def _sizes(self) -> Source:
+        if not self.groups():
+            raise ValueError(f"a source needs at least one group of columns (known: {', '.join(GROUPS)}, series)")
+        for name, group in self.groups().items():
+            if name == "series":
+                continue
+            dimensions = GROUPS[name][0]
+            # A position without height is a fix in two dimensions.
+            sizes = (2, 3) if name == "position" else (len(dimensions),)
+            if len(group.columns) not in sizes:
+                raise ValueError(f"{name} has {len(group.columns)} columns, it needs {' or '.join(map(str, sizes))}")
+            self._check_dimensions(name, group, dimensions)
+            if name == "local" and group.origin is None:
+                raise ValueError("local coordinates need origin = {latitude_deg = .., longitude_deg = ..}")
+        return self
+
+    @staticmethod
+    def _check_dimensions(name: str, group: Group, dimensions: tuple[str, ...]) -> None:
+        if not isinstance(group.unit, str) and len(group.unit) != len(group.columns):
+            raise ValueError(f"{name} has {len(group.columns)} columns and {len(group.unit)} units")
+        for k, part in enumerate(group.columns):
+            given = part.unit or (group.unit if isinstance(group.unit, str) else group.unit[k])
+            wanted = dimensions[k]
+            if part.radius_m or group.radius_m:
+                wanted = "angular rate"
+            if given and part.constant is None and unit(given).dimension != wanted:
+                fitting = [u for u, known in UNITS.items() if known.dimension == wanted and u]
+                raise ValueError(f'{name}: "{given}" is no unit of {wanted} (use {", ".join(fitting) or "no unit"})')
+
+
+class StreamSpec(Strict):
+    """A stream: its sources and what is kept of them."""
+
+    sources: tuple[Source, ...] = Field(min_length=1)
+    average: int = Field(default=1, ge=1)
+    every: int = Field(default=1, ge=1)
+    windows: tuple[tuple[float, float], ...] = ()
+    hide: tuple[tuple[float, float], ...] = ()
+    lever_arm_b_m: tuple[float, float, float] | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _single_source(cls, data: Any) -> Any:
+        if isinstance(data, dict) and "sources" not in data:
+            own = {key: value for key, value in data.items() if key in cls.model_fields}
+            rest = {key: value for key, value in data.items() if key not in cls.model_fields}
+            return {**own, "sources": [rest]}
+        return data
+
+    def groups(self) -> list[str]:
+        """Names of the groups of all sources, each once, in the order of `GROUPS`."""
+        given = {name for source in self.sources for name in source.groups()}
+        return [name for name in (*GROUPS, "series") if name in given]
+
+
+class SensorStream(StreamSpec):
+    """A stream of readings: its groups must form one of `CONTENTS`."""
+
+    @model_validator(mode="after")
+    def _contents(self) -> SensorStream:
+        given = set(self.groups())
+        if self.lever_arm_b_m is not None:
+            raise ValueError("the lever arm of a sensor belongs into vehicle.toml; here only [truth] has one")
+        if not any(set(must) <= given <= {*must, *may} for must, may in CONTENTS):
+            allowed = "; ".join(" + ".join(must) + "".join(f" (+ {m})" for m in may) for must, may in CONTENTS)
+            raise ValueError(f"a stream cannot consist of {' + '.join(self.groups())} (allowed: {allowed})")
+        return self
+
+
+class TruthStream(StreamSpec):
+    """The reference trajectory; the lever arm leads from the point the vehicle navigates to the point of the truth."""
+
+    @model_validator(mode="after")
+    def _contents(self) -> TruthStream:
+        given = set(self.groups())
+        if not given <= set(TRUTH_GROUPS):
+            raise ValueError(
+                f"truth cannot have {', '.join(sorted(given - set(TRUTH_GROUPS)))} ({', '.join(TRUTH_GROUPS)})"
+            )
+        for choice in (("position", "ecef", "local"), ("velocity_n", "velocity_ecef"), ("attitude", "quaternion")):
+            if len(given & set(choice)) > 1:
+                raise ValueError(f"truth can have only one of {', '.join(choice)}")
+        return self
+
+
+class StartSpec(Strict):
+    """How the mission begins: given, or taken from the truth; what is given wins."""
+
+    source: Literal["truth", "given"] = Field(default="given", alias="from")
+    time_s: float | None = None
+    latitude_deg: float | None = Field(default=None, ge=-90, le=90)
+    longitude_deg: float | None = Field(default=None, ge=-180, le=360)
+    height_m: float | None = None
+    velocity_n: tuple[float, float, float] | None = None
+    roll_deg: float | None = None
+    pitch_deg: float | None = None
+    heading_deg: float | None = None
+    position_sd_m: float | tuple[float, float, float] | None = None
+    velocity_sd_m_s: float | tuple[float, float, float] | None = None
+    tilt_sd_deg: float | None = Field(default=None, ge=0)
+    heading_sd_deg: float | None = Field(default=None, ge=0)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _short_form(cls, data: Any) -> Any:
+        return {"from": data} if isinstance(data, str) else data
+
+
+class MissionSpec(Strict):
+    """A whole mission.toml."""
+
+    name: str | None = None
+    date: datetime.date | None = None
+    zero_s: float | Literal["first"] = 0.0
+    windows: tuple[tuple[float, float], ...] = ()
+    start: StartSpec | None = None
+    truth: TruthStream | None = None
+    streams: dict[str, SensorStream] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _something(self) -> MissionSpec:
+        if not self.streams and self.truth is None:
+            raise ValueError("there is no stream; add [streams.NAME], named as the sensor in vehicle.toml")
+        if self.start is not None and self.start.source == "truth" and self.truth is None:
+            raise ValueError('start is to come from "truth", but there is no [truth]')
+        return self

@@ -1,0 +1,281 @@
+"""mission.toml -> Mission: the mapping of somebody else's files onto streams."""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from navfilter.io import geodesy
+from navfilter.io.columns import Counts, clock_times, group_names, group_values
+from navfilter.io.merging import block_mean, mean, resampled
+from navfilter.io.mission_schema import GROUPS, Clock, MissionSpec, Origin, Source, StreamSpec, TruthStream
+from navfilter.io.starting import start_of
+from navfilter.io.tables import Table, TableOptions, read_table
+from navfilter.io.validation import read_toml, validate
+from navfilter.mission import TRUTH_COLUMNS, Mission, MissionError, Stream
+
+Array = npt.NDArray[np.float64]
+Bool = npt.NDArray[np.bool_]
+
+#: Columns that are angles on a circle: interpolated unwrapped, handed out wrapped.
+_CIRCULAR = ("longitude_rad", "heading_rad", "roll_rad", "yaw_rad")
+#: Streams that drive a mechanisation: a repeated stamp would be a step of no length.
+_DRIVING = ("rate", "rotation", "velocity", "attitude", "quaternion")
+
+
+def read_mission_toml(path: Path) -> Mission:
+    """Read a mission.toml and the files that it names.
+
+    Raises
+    ------
+    MissionError
+        In one line where one thing is wrong; several mistakes in the .toml are listed together.
+    """
+    spec = validate(MissionSpec, read_toml(path, MissionError), path, MissionError)
+    reader = _Reader(path.parent)
+    streams = {}
+    for name, stream_spec in spec.streams.items():
+        streams[name] = reader.stream(name, stream_spec)
+    truth = None if spec.truth is None else reader.truth(spec.truth)
+    zero = _zero(spec.zero_s, streams, truth)
+    if zero:
+        streams = {name: Stream(s.time_s - zero, s.value, s.columns) for name, s in streams.items()}
+        truth = None if truth is None else Stream(truth.time_s - zero, truth.value, truth.columns)
+    for name, stream_spec in spec.streams.items():
+        streams[name] = _windowed(streams[name], stream_spec)
+    if truth is not None and spec.truth is not None:
+        truth = _windowed(truth, spec.truth)
+    return Mission(
+        name=spec.name or path.resolve().parent.name,
+        streams=streams,
+        truth=truth,
+        start=start_of(spec.start, truth, spec.date, path),
+        date=spec.date,
+        notes=tuple(reader.notes),
+        windows=spec.windows,
+    )
+
+
+def expand(path: str, folder: Path) -> Path:
+    """A path of a .toml: ``${NAME}`` is taken from the environment, the rest is relative to the folder of the .toml."""
+
+    def value(match: re.Match[str]) -> str:
+        name = match.group(1) or match.group(2)
+        if name not in os.environ:
+            raise MissionError(f'the environment variable {name} is not set; set it to the folder that "{path}" means.')
+        return os.environ[name]
+
+    expanded = re.sub(r"\$\{(\w+)\}|\$(\w+)", value, path)
+    return folder / Path(expanded).expanduser()
+
+
+def _zero(zero: float | str, streams: dict[str, Stream], truth: Stream | None) -> float:
+    if not isinstance(zero, str):
+        return float(zero)
+    firsts = [s.time_s[0] for s in (*streams.values(), truth) if s is not None and len(s)]
+    return float(min(firsts, default=0.0))
+
+
+def _windowed(stream: Stream, spec: StreamSpec) -> Stream:
+    keep = np.ones(len(stream), dtype=bool)
+    if spec.windows:
+        keep = np.logical_or.reduce([(stream.time_s >= a) & (stream.time_s <= b) for a, b in spec.windows])
+    for a, b in spec.hide:
+        keep &= ~((stream.time_s >= a) & (stream.time_s <= b))
+    return stream if keep.all() else stream.keep(keep)
+
+
+class _Reader:
+    """Reads sources relative to one folder, each file once, and collects notes."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.notes: list[str] = []
+        self._tables: dict[tuple[Path, TableOptions], Table] = {}
+
+    def table(self, file: str, options: TableOptions) -> Table:
+        path = expand(file, self.folder)
+        if (path, options) not in self._tables:
+            self._tables[path, options] = read_table(path, options)
+            self.notes += self._tables[path, options].notes
+        return self._tables[path, options]
+
+    def stream(self, name: str, spec: StreamSpec) -> Stream:
+        """One sensor's stream."""
+        time_s, parts, columns = self._merged(name, spec)
+        groups = list(parts)
+        if "ecef" in groups:
+            parts["ecef"], columns["ecef"] = geodesy.geodetic_from_ecef(parts["ecef"]), GROUPS["position"][1]
+        if "local" in groups:
+            parts["local"], columns["local"] = _from_local(parts["local"], spec), GROUPS["position"][1]
+        if "quaternion" in groups:
+            parts["quaternion"], columns["quaternion"] = _euler(parts["quaternion"], spec, None), GROUPS["attitude"][1]
+        return _assembled(time_s, parts, columns)
+
+    def truth(self, spec: TruthStream) -> Stream:
+        """The reference trajectory with all of `TRUTH_COLUMNS`."""
+        time_s, parts, _ = self._merged("truth", spec)
+        value = np.full((time_s.size, len(TRUTH_COLUMNS)), np.nan)
+        if "position" in parts:
+            value[:, :3] = parts["position"]
+        elif "ecef" in parts:
+            value[:, :3] = geodesy.geodetic_from_ecef(parts["ecef"])
+        elif "local" in parts:
+            value[:, :3] = _from_local(parts["local"], spec)
+        axes = geodesy.ned_axes(value[:, 0], value[:, 1])
+        if "velocity_n" in parts:
+            value[:, 3:6] = parts["velocity_n"]
+        elif "velocity_ecef" in parts:
+            value[:, 3:6] = np.einsum("nij,nj->ni", axes, parts["velocity_ecef"])
+        if "attitude" in parts:
+            value[:, 6:9] = parts["attitude"]
+        elif "quaternion" in parts:
+            value[:, 6:9] = _euler(parts["quaternion"], spec, axes)
+        value[:, [1, 6, 8]] = geodesy.wrapped(value[:, [1, 6, 8]])
+        if spec.lever_arm_b_m is not None:
+            value = _without_lever_arm(time_s, value, np.array(spec.lever_arm_b_m))
+        return Stream(time_s, value, TRUTH_COLUMNS)
+
+    def _merged(self, name: str, spec: StreamSpec) -> tuple[Array, dict[str, Array], dict[str, tuple[str, ...]]]:
+        """Time and groups of all sources on the clock of the first."""
+        sources = [self._source(name, source) for source in spec.sources]
+        time_s = sources[0][0]
+        parts: dict[str, Array] = {}
+        columns: dict[str, tuple[str, ...]] = {}
+        for group in spec.groups():
+            given = []
+            for source, (own_time, own) in zip(spec.sources, sources, strict=True):
+                if group in own:
+                    columns.setdefault(group, group_names(group, source.groups()[group]))
+                    circular = np.isin(columns[group], _CIRCULAR)
+                    if own_time is not time_s:
+                        own[group] = resampled(time_s, own_time, own[group], circular, source.max_gap_s)
+                    given.append(own[group])
+            parts[group] = given[0] if len(given) == 1 else mean(given)
+        if spec.average > 1:
+            circles = {group: np.isin(columns[group], _CIRCULAR) for group in parts}
+            parts = {group: block_mean(part, spec.average, circles[group]) for group, part in parts.items()}
+            time_s = block_mean(time_s[:, np.newaxis], spec.average, np.zeros(1, dtype=bool))[:, 0]
+        if spec.every > 1:
+            time_s, parts = time_s[:: spec.every], {group: part[:: spec.every] for group, part in parts.items()}
+        return time_s, parts, columns
+
+    def _source(self, name: str, source: Source) -> tuple[Array, dict[str, Array]]:
+        """Sorted times and groups of one source; every row dropped or mended on the way is noted."""
+        options = TableOptions(
+            **{key: getattr(source, key) for key in TableOptions.__dataclass_fields__}  # same names on purpose
+        )
+        table = self.table(source.file, options)
+        groups = source.groups()
+        counts = Counts()
+        rows = _rows(table, source)
+        time_s = clock_times(source.time, table, self._clock_table, rows)
+        parts = {key: group_values(table, key, group, rows, counts) for key, group in groups.items()}
+        keep = np.isfinite(time_s)
+        where = f"{name} ({Path(table.path).name})"
+        self._note(where, int(np.count_nonzero(~keep)), "rows without a readable time dropped")
+        self._note(where, counts.unreadable, "cells that are no number taken as missing")
+        self._note(where, counts.sentinel, "rows marked invalid by their value")
+        self._note(where, counts.infinite, "infinite values taken as missing")
+        if source.only_changes:
+            keep &= self._changed(table, source, parts)
+        time_s, parts = time_s[keep], {key: part[keep] for key, part in parts.items()}
+        time_s, parts = self._ordered(where, time_s, parts)
+        if not time_s.size:
+            raise MissionError(f"{where}: no row is left; check the time column, its unit and the sentinels.")
+        return time_s, parts
+
+    def _clock_table(self, clock: Clock) -> Table:
+        assert clock.file is not None  # only called with one, for the type checker
+        return self.table(clock.file, TableOptions(table=clock.table, transpose=clock.transpose))
+
+    def _changed(self, table: Table, source: Source, parts: dict[str, Array]) -> Bool:
+        """Rows in which a value differs from the row before; nobody knows how old the first row is, so it is none."""
+        if source.only_changes is True:
+            watched = np.column_stack(list(parts.values()))
+        else:
+            watched = np.column_stack([table.numbers(reference)[0] for reference in source.only_changes or ()])
+        before, after = watched[:-1], watched[1:]
+        differs = ((before != after) & ~(np.isnan(before) & np.isnan(after))).any(axis=1)
+        return np.concatenate([[False], differs])
+
+    def _ordered(self, where: str, time_s: Array, parts: dict[str, Array]) -> tuple[Array, dict[str, Array]]:
+        step = np.diff(time_s)
+        backward = step < 0.0
+        if backward.any():
+            self._note(where, int(backward.sum()), f"stamps go back, by up to {-step.min():.3g} s; rows sorted by time")
+            order = np.argsort(time_s, kind="stable")
+            time_s, parts = time_s[order], {key: part[order] for key, part in parts.items()}
+        repeated = np.concatenate([[False], np.diff(time_s) == 0.0])
+        if repeated.any() and any(key in _DRIVING for key in parts):
+            self._note(where, int(repeated.sum()), "rows with the time of the row before dropped")
+            time_s, parts = time_s[~repeated], {key: part[~repeated] for key, part in parts.items()}
+        else:
+            self._note(where, int(repeated.sum()), "rows have the time of the row before")
+        return time_s, parts
+
+    def _note(self, where: str, count: int, what: str) -> None:
+        if count:
+            self.notes.append(f"{where}: {count} {what}")
+
+
+def _rows(table: Table, source: Source) -> int:
+    """Rows of a source: those of the first column it names."""
+    for group in source.groups().values():
+        for part in group.columns:
+            reference = part.column if part.column is not None else (part.mean or (None,))[0]
+            if reference is not None:
+                return int(table.raw(reference).shape[0])
+    raise MissionError(f"{table.path}: all columns are constant; name at least one column of the file.")
+
+
+def _assembled(time_s: Array, parts: dict[str, Array], columns: dict[str, tuple[str, ...]]) -> Stream:
+    names = tuple(name for group in parts for name in columns[group])
+    value = np.column_stack(list(parts.values()))
+    circular = np.isin(names, _CIRCULAR)
+    value[:, circular] = geodesy.wrapped(value[:, circular])
+    return Stream(time_s, value, names)
+
+
+def _from_local(ned: Array, spec: StreamSpec) -> Array:
+    origins: list[Origin | None] = [s.local.origin for s in spec.sources if s.local is not None]
+    origin = next(o for o in origins if o is not None)
+    return geodesy.geodetic_from_local(
+        ned, np.radians(origin.latitude_deg), np.radians(origin.longitude_deg), origin.height_m
+    )
+
+
+def _euler(quaternion: Array, spec: StreamSpec, axes: Array | None) -> Array:
+    """Roll, pitch, yaw of a quaternion that rotates the body into its reference."""
+    group = next(s.quaternion for s in spec.sources if s.quaternion is not None)
+    wxyz = quaternion if group.order == "wxyz" else quaternion[:, [3, 0, 1, 2]]
+    C = geodesy.matrix_from_quaternion(wxyz)
+    if group.body == "flu":
+        C = C * np.array([1.0, -1.0, -1.0])
+    if group.reference == "enu":
+        C = C[:, [1, 0, 2]] * np.array([[1.0], [1.0], [-1.0]])
+    elif group.reference == "ecef":
+        if axes is None:
+            raise MissionError(
+                'a quaternion with reference = "ecef" needs a position in the same stream (see [truth]).'
+            )
+        C = axes @ C
+    return geodesy.euler_from_matrix(C)
+
+
+def _without_lever_arm(time_s: Array, value: Array, lever_b_m: Array) -> Array:
+    """The truth moved from its own point to the vehicle's, which lies -lever_b_m away from it."""
+    arm_n = geodesy.matrix_from_euler(value[:, 6], value[:, 7], value[:, 8]) @ lever_b_m
+    if np.isnan(arm_n).all():
+        raise MissionError("the lever arm of the truth needs the attitude of the truth; add it or drop lever_arm_b_m.")
+    value = value.copy()
+    axes = geodesy.ned_axes(value[:, 0], value[:, 1])
+    ecef = geodesy.ecef_from_geodetic(value[:, :3]) - np.einsum("nji,nj->ni", axes, arm_n)
+    value[:, :3] = geodesy.geodetic_from_ecef(ecef)
+    if time_s.size > 1:
+        value[:, 3:6] -= np.gradient(arm_n, time_s, axis=0)
+    return value

@@ -1,0 +1,294 @@
+"""Any file with numbers in it, as named columns: text tables, .npy, .npz and .mat, plain or compressed.
+
+`read_table` is the one entry. Every way in which a file can be unreadable ends in a `MissionError` of one line;
+whatever was skipped on the way is counted in `Table.notes`.
+"""
+
+from __future__ import annotations
+
+import bz2
+import gzip
+import lzma
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from navfilter.mission import MissionError
+
+Array = npt.NDArray[np.float64]
+
+_UNPACKERS = {".gz": gzip.decompress, ".xz": lzma.decompress, ".bz2": bz2.decompress}
+_BINARY = {".npy", ".npz", ".mat"}
+_BLANK = ("", "nan", "na", "n/a", "null", "none")
+
+
+@dataclass(frozen=True)
+class TableOptions:
+    """How a file is laid out; the defaults recognise most files by themselves.
+
+    Parameters
+    ----------
+    table : str
+        Which array of a container (.npz, .mat), such as ``"data.imu"``; an index picks one plane: ``"data[0]"``.
+    transpose : bool
+        True where each row of the array is a quantity and each column a sample.
+    header : bool, tuple of str or None
+        Whether a text file has a line of names, or the names themselves; None: a first line without any number is one.
+    delimiter : str or None
+        ``","``, ``";"``, ``"\\t"``, ``"whitespace"`` or None (recognised from the first line).
+    decimal, comment : str
+        Decimal point; character that starts a comment, to the end of its line.
+    skip_lines, skip_rows : int
+        Lines to skip before the header; rows of data to skip after it.
+    """
+
+    table: str = ""
+    transpose: bool = False
+    header: bool | tuple[str, ...] | None = None
+    delimiter: str | None = None
+    decimal: str = "."
+    comment: str = "#"
+    skip_lines: int = 0
+    skip_rows: int = 0
+
+
+@dataclass(frozen=True)
+class Table:
+    """Columns of one file, by name or by position.
+
+    Parameters
+    ----------
+    path : str
+        Where the columns come from, for messages.
+    columns : dict of str to ndarray
+        Arrays of equal or unequal length, in file order.
+    notes : tuple of str
+        What had to be skipped.
+    """
+
+    path: str
+    columns: Mapping[str, npt.NDArray[Any]]
+    notes: tuple[str, ...] = field(default=())
+
+    def raw(self, reference: str | int) -> npt.NDArray[Any]:
+        """A column as it stands in the file (numbers or text); reference is its name or its 0-based position."""
+        names = list(self.columns)
+        if isinstance(reference, int):
+            if not -len(names) <= reference < len(names):
+                raise MissionError(
+                    f"{self.path}: there is no column {reference}, the file has {len(names)} (0 to {len(names) - 1})."
+                    " If each row is a quantity, set transpose = true."
+                )
+            return self.columns[names[reference]]
+        if reference not in self.columns:
+            raise MissionError(f'{self.path}: there is no column "{reference}" (columns: {_listing(names)}).')
+        return self.columns[reference]
+
+    def numbers(self, reference: str | int) -> tuple[Array, int]:
+        """A column as float64 with NaN for what is no number, and how many cells were text that is no number."""
+        raw = self.raw(reference)
+        if raw.dtype.kind in "fiub":
+            return raw.astype(np.float64), 0
+        import pandas as pd
+
+        coerced = pd.to_numeric(pd.Series(raw, dtype=object), errors="coerce")
+        values = coerced.to_numpy(dtype=np.float64, na_value=np.nan)
+        wrong = [isinstance(cell, str) and cell.strip().lower() not in _BLANK for cell in raw[np.isnan(values)]]
+        return values, sum(wrong)
+
+
+def _listing(names: list[str], most: int = 40) -> str:
+    shown = ", ".join(f'"{name}"' for name in names[:most])
+    return (shown or "none") + (f" and {len(names) - most} more" if len(names) > most else "")
+
+
+def read_table(path: Path, options: TableOptions | None = None) -> Table:
+    """Read the columns of one file.
+
+    Parameters
+    ----------
+    path : Path
+        .csv/.txt/.dat/... text, optionally .gz, .xz or .bz2; .npy; .npz; .mat (version 5 or 7.3).
+    options : TableOptions, optional
+
+    Returns
+    -------
+    Table
+
+    Raises
+    ------
+    MissionError
+        If the file is missing, empty, truncated, not what its name says, or lacks the table asked for.
+    """
+    options = options or TableOptions()
+    if not path.exists():
+        raise MissionError(f"{path}: no such file. Check the path and the environment variables in it.")
+    if not path.is_file():
+        raise MissionError(f"{path} is not a file.")
+    if path.stat().st_size == 0:
+        raise MissionError(f"{path} is empty (0 bytes).")
+    if path.suffix.lower() in _BINARY:
+        from navfilter.io.containers import read_arrays
+
+        table = _columns_of(path, read_arrays(path), options)
+    else:
+        table = _read_text(path, _unpack(path), options)
+    if not table.columns or all(column.shape[0] == 0 for column in table.columns.values()):
+        raise MissionError(f"{path} holds no rows of data.")
+    return table
+
+
+def _unpack(path: Path) -> bytes:
+    unpack = _UNPACKERS.get(path.suffix.lower())
+    try:
+        data = path.read_bytes()
+        return data if unpack is None else unpack(data)
+    except (OSError, EOFError, lzma.LZMAError, zlib.error, ValueError) as error:
+        raise MissionError(f"{path} cannot be unpacked: {error}. It is truncated or not what its name says.") from None
+
+
+# --- arrays -----------------------------------------------------------------------------------------------------------
+
+
+def _columns_of(path: Path, arrays: dict[str, npt.NDArray[Any]], options: TableOptions) -> Table:
+    if options.table or len(arrays) == 1:
+        # The only array of a file needs no name.
+        matrix = _pick(path, arrays, options.table or next(iter(arrays)))
+        if matrix.dtype.names:
+            columns = {name: matrix[name].ravel() for name in matrix.dtype.names}
+        else:
+            if matrix.ndim == 1:
+                matrix = matrix[:, np.newaxis]
+            if matrix.ndim != 2:
+                raise MissionError(
+                    f'{path}: table "{options.table}" has {matrix.ndim} dimensions {matrix.shape}; '
+                    f'pick a plane, such as "{options.table}[0]".'
+                )
+            if options.transpose:
+                matrix = matrix.T
+            names = options.header if isinstance(options.header, tuple) else ()
+            if names and len(names) != matrix.shape[1]:
+                raise MissionError(f"{path}: {len(names)} names in header for {matrix.shape[1]} columns.")
+            columns = {names[k] if names else str(k): matrix[:, k] for k in range(matrix.shape[1])}
+    else:
+        columns = {
+            name: array.ravel() for name, array in arrays.items() if max(array.shape, default=0) == array.size > 1
+        }
+        if not columns:
+            tables = {name: array.shape for name, array in arrays.items()}
+            raise MissionError(f"{path} holds several arrays {tables}: name one with table = ...")
+    columns = {name: column[options.skip_rows :] for name, column in columns.items()}
+    return Table(str(path), {name: np.ascontiguousarray(column) for name, column in columns.items()})
+
+
+def _pick(path: Path, arrays: dict[str, npt.NDArray[Any]], reference: str) -> npt.NDArray[Any]:
+    name, *planes = reference.replace("]", "").split("[")
+    if name not in arrays:
+        raise MissionError(f'{path}: there is no table "{name}" (tables: {_listing(list(arrays))}).')
+    array = arrays[name]
+    try:
+        for plane in planes:
+            array = array[int(plane)]
+    except (ValueError, IndexError) as error:
+        raise MissionError(f'{path}: table = "{reference}" cannot be picked: {error}.') from None
+    return np.asarray(array)
+
+
+# --- text -------------------------------------------------------------------------------------------------------------
+
+
+def _read_text(path: Path, data: bytes, options: TableOptions) -> Table:
+    import io
+    import warnings
+
+    import pandas as pd
+
+    if b"\0" in data[:65536]:
+        raise MissionError(f"{path} is not a text file (it contains zero bytes).")
+    lines = data.decode("utf-8-sig", errors="replace").splitlines()[options.skip_lines :]
+    lines = [kept for kept in (_before(line, options.comment) for line in lines) if kept]
+    delimiter = options.delimiter
+    if lines and lines[0].lower().startswith("sep=") and len(lines[0]) == 5:
+        delimiter = delimiter or lines[0][4]
+        lines = lines[1:]
+    if not lines:
+        raise MissionError(f"{path} holds no rows of data.")
+    delimiter = delimiter or _delimiter(lines[0], options.decimal)
+    first = _split(lines[0], delimiter)
+    has_header = options.header if isinstance(options.header, bool) else not any(map(_is_number, first))
+    if isinstance(options.header, tuple):
+        names, has_header = list(options.header), False
+    else:
+        names = [name.strip().strip('"') for name in first] if has_header else [str(k) for k in range(len(first))]
+    rows = lines[1 + options.skip_rows :] if has_header else lines[options.skip_rows :]
+    if not rows:
+        raise MissionError(f"{path} holds no rows of data.")
+    names, bare = _unique(names), len(names)
+    width = max(bare, len(_split(rows[0], delimiter)))
+    names += [f"unnamed {k}" for k in range(bare, width)]
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            frame = pd.read_csv(
+                io.StringIO("\n".join(rows)),
+                sep=r"\s+" if delimiter == "whitespace" else delimiter,
+                header=None,
+                names=names,
+                index_col=False,
+                decimal=options.decimal,
+                skipinitialspace=True,
+                on_bad_lines="skip",
+                low_memory=False,
+            )
+    except Exception as error:  # pandas raises half a dozen unrelated types on garbage
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise MissionError(f"{path} cannot be read as a table: {reason}.") from None
+    notes = []
+    if len(frame) < len(rows):
+        notes.append(f"{path.name}: {len(rows) - len(frame)} rows with too many fields skipped")
+    columns = {name: frame[name].to_numpy() for name in names}
+    while columns and list(columns)[-1].startswith("unnamed ") and all(map(_is_blank, list(columns.values())[-1])):
+        columns.popitem()
+    return Table(str(path), columns, tuple(notes))
+
+
+def _before(line: str, comment: str) -> str:
+    return (line.split(comment, 1)[0] if comment else line).strip(" \r\n")
+
+
+def _delimiter(line: str, decimal: str) -> str:
+    for candidate in ("\t", ";", ","):
+        if candidate in line and candidate != decimal:
+            return candidate
+    return "whitespace" if len(line.split()) > 1 else ","
+
+
+def _split(line: str, delimiter: str) -> list[str]:
+    return line.split() if delimiter == "whitespace" else line.split(delimiter)
+
+
+def _is_number(field_text: str) -> bool:
+    try:
+        float(field_text.strip().replace(",", "."))
+    except ValueError:
+        return False
+    return True
+
+
+def _is_blank(cell: object) -> bool:
+    return (isinstance(cell, float) and np.isnan(cell)) or (isinstance(cell, str) and not cell.strip())
+
+
+def _unique(names: list[str]) -> list[str]:
+    seen: dict[str, int] = {}
+    result = []
+    for position, name in enumerate(names):
+        base = name or f"unnamed {position}"
+        seen[base] = seen.get(base, 0) + 1
+        result.append(base if seen[base] == 1 else f"{base}.{seen[base] - 1}")
+    return result

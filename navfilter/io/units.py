@@ -1,0 +1,149 @@
+"""Units of somebody else's files and what they are in SI: the only table of its kind."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+STANDARD_GRAVITY_M_S2 = 9.80665
+
+
+@dataclass(frozen=True)
+class Unit:
+    """A unit: value in SI = factor * (value - zero)."""
+
+    dimension: str
+    factor: float = 1.0
+    zero: float = 0.0
+
+
+_DEG = math.pi / 180.0
+
+UNITS: dict[str, Unit] = {
+    "": Unit("number"),
+    "1": Unit("number"),
+    "s": Unit("time"),
+    "ms": Unit("time", 1e-3),
+    "us": Unit("time", 1e-6),
+    "ns": Unit("time", 1e-9),
+    "min": Unit("time", 60.0),
+    "h": Unit("time", 3600.0),
+    "day": Unit("time", 86400.0),
+    "rad": Unit("angle"),
+    "mrad": Unit("angle", 1e-3),
+    "deg": Unit("angle", _DEG),
+    "arcmin": Unit("angle", _DEG / 60.0),
+    "arcsec": Unit("angle", _DEG / 3600.0),
+    "rev": Unit("angle", 2.0 * math.pi),
+    "rad/s": Unit("angular rate"),
+    "mrad/s": Unit("angular rate", 1e-3),
+    "deg/s": Unit("angular rate", _DEG),
+    "mdeg/s": Unit("angular rate", 1e-3 * _DEG),
+    "deg/h": Unit("angular rate", _DEG / 3600.0),
+    "rpm": Unit("angular rate", 2.0 * math.pi / 60.0),
+    "m": Unit("length"),
+    "mm": Unit("length", 1e-3),
+    "cm": Unit("length", 1e-2),
+    "km": Unit("length", 1e3),
+    "ft": Unit("length", 0.3048),
+    "nmi": Unit("length", 1852.0),
+    "m/s": Unit("speed"),
+    "mm/s": Unit("speed", 1e-3),
+    "cm/s": Unit("speed", 1e-2),
+    "km/h": Unit("speed", 1.0 / 3.6),
+    "kn": Unit("speed", 1852.0 / 3600.0),
+    "ft/s": Unit("speed", 0.3048),
+    "m/s^2": Unit("acceleration"),
+    "g": Unit("acceleration", STANDARD_GRAVITY_M_S2),
+    "mg": Unit("acceleration", 1e-3 * STANDARD_GRAVITY_M_S2),
+    "ug": Unit("acceleration", 1e-6 * STANDARD_GRAVITY_M_S2),
+    "T": Unit("magnetic field"),
+    "uT": Unit("magnetic field", 1e-6),
+    "nT": Unit("magnetic field", 1e-9),
+    "gauss": Unit("magnetic field", 1e-4),
+    "mgauss": Unit("magnetic field", 1e-7),
+    "Pa": Unit("pressure"),
+    "hPa": Unit("pressure", 1e2),
+    "kPa": Unit("pressure", 1e3),
+    "mbar": Unit("pressure", 1e2),
+    "bar": Unit("pressure", 1e5),
+    "dbar": Unit("pressure", 1e4),
+    "psi": Unit("pressure", 6894.757293168),
+    "degC": Unit("temperature"),
+    "K": Unit("temperature", 1.0, 273.15),
+    "degF": Unit("temperature", 5.0 / 9.0, 32.0),
+}
+
+_ALIASES = {
+    "degree": "deg",
+    "degrees": "deg",
+    "dps": "deg/s",
+    "knot": "kn",
+    "knots": "kn",
+    "m/s2": "m/s^2",
+    "m/s/s": "m/s^2",
+    "G": "gauss",
+    "Gauss": "gauss",
+    "mG": "mgauss",
+    "µs": "us",
+    "µT": "uT",
+    "°": "deg",
+    "°/s": "deg/s",
+    "C": "degC",
+    "°C": "degC",
+}
+
+
+def unit(name: str) -> Unit:
+    """Look up a unit by its name.
+
+    Raises
+    ------
+    ValueError
+        For an unknown unit; the message lists the known ones.
+
+    Examples
+    --------
+    >>> round(unit("deg/s").factor, 6)
+    0.017453
+    """
+    key = _ALIASES.get(name.strip(), name.strip())
+    if key not in UNITS:
+        raise ValueError(f'unknown unit "{name}" (known: {", ".join(k for k in UNITS if k)})')
+    return UNITS[key]
+
+
+def parse_quantity(text: str) -> tuple[float, Unit]:
+    """Split ``"90 deg"`` into its number and its unit.
+
+    Examples
+    --------
+    >>> parse_quantity("90 deg")[0]
+    90.0
+    """
+    number, _, name = text.strip().partition(" ")
+    try:
+        value = float(number)
+    except ValueError:
+        raise ValueError(f'"{text}" is not a number with a unit such as "90 deg"') from None
+    return value, unit(name)
+
+
+#: Endings of keys in a vehicle.toml -> factor to SI: ``sd_deg``, ``density_ug_per_sqrt_hz``, ``lever_arm_b_cm``.
+SUFFIXES: dict[str, float] = {
+    "deg": _DEG,
+    "deg_per_s": _DEG,
+    "deg_per_h": _DEG / 3600.0,
+    "deg_per_sqrt_h": _DEG / 60.0,
+    "deg_per_s_per_sqrt_hz": _DEG,
+    "deg_per_h_per_sqrt_h": _DEG / 3600.0 / 60.0,
+    "mg": 1e-3 * STANDARD_GRAVITY_M_S2,
+    "ug": 1e-6 * STANDARD_GRAVITY_M_S2,
+    "mg_per_sqrt_hz": 1e-3 * STANDARD_GRAVITY_M_S2,
+    "ug_per_sqrt_hz": 1e-6 * STANDARD_GRAVITY_M_S2,
+    "m_per_s_per_sqrt_h": 1.0 / 60.0,
+    "cm": 1e-2,
+    "mm": 1e-3,
+    "cm_per_s": 1e-2,
+    "mm_per_s": 1e-3,
+}

@@ -1,0 +1,330 @@
+"""vehicle.toml <-> Vehicle.
+
+The tables of the file are made from the dataclasses themselves: ``type = "body-velocity"`` is `BodyVelocity` and its
+keys are the fields of that class, ``model = "gauss-markov"`` is `GaussMarkov`. A new sensor or error model needs no
+change here. Every number may carry another unit in its key: ``mounting_deg`` for ``mounting_rad``, ``sd_deg`` or
+``density_deg_per_sqrt_h`` for ``sd`` and ``density`` (see `navfilter.io.units.SUFFIXES`). An error is one table, a
+list of tables (their sum) or a table with one error per axis (``{x = .., y = .., z = ..}``).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import re
+import types
+import typing
+from functools import cache
+from pathlib import Path
+from typing import Annotated, Any, Literal, Union
+
+from pydantic import Discriminator, Field, Tag, create_model, model_validator
+
+from navfilter.error_models import ErrorModel, Sum
+from navfilter.io.units import SUFFIXES
+from navfilter.io.validation import Strict, read_toml, validate
+from navfilter.mechanisation import Mechanisation
+from navfilter.sensors import Sensor
+from navfilter.vehicle import Vehicle
+
+
+class VehicleError(ValueError):
+    """A vehicle.toml cannot be read; lists every mistake with its place, its value and a cure."""
+
+
+def read_vehicle(path: str | os.PathLike[str]) -> Vehicle:
+    """Read the description of a vehicle.
+
+    Parameters
+    ----------
+    path : path-like
+        A vehicle.toml, or a folder that holds one.
+
+    Returns
+    -------
+    Vehicle
+
+    Raises
+    ------
+    VehicleError
+        A ValueError that lists every mistake in the file with its place, its value and a cure.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> text = '''
+    ... [drive]
+    ... type = "imu"
+    ... rate_hz = 100
+    ... gyro = [{model = "white", density_deg_per_sqrt_h = 0.3}, {model = "random-walk", density = 1e-6}]
+    ... [sensors.compass]
+    ... type = "heading"
+    ... rate_hz = 8
+    ... error = {model = "gauss-markov", sd_deg = 0.5, tau_s = 30}
+    ... '''
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = Path(folder) / "vehicle.toml"
+    ...     _ = path.write_text(text)
+    ...     read_vehicle(path).sensors["compass"].error.tau_s
+    30.0
+    """
+    path = Path(path)
+    if path.is_dir():
+        path = path / "vehicle.toml"
+    spec: Any = validate(_vehicle_spec(), read_toml(path, VehicleError), path, VehicleError)
+    wrong: list[str] = []
+    drive = _built(spec.drive, "drive", wrong, {})
+    sensors = {name: _built(sensor, f"sensors.{name}", wrong, {}) for name, sensor in spec.sensors.items()}
+    if wrong:
+        mistakes = wrong[0] if len(wrong) == 1 else f"{len(wrong)} mistakes:\n  " + "\n  ".join(wrong)
+        raise VehicleError(f"{path}: {mistakes}")
+    try:
+        return Vehicle(drive=drive, sensors=sensors, name=spec.name or path.resolve().parent.name)
+    except ValueError as error:
+        raise VehicleError(f"{path}: {error}") from None
+
+
+def write_vehicle(vehicle: Vehicle, path: str | os.PathLike[str]) -> Path:
+    """Write a vehicle as a .toml that `read_vehicle` reads back as an equal vehicle (SI and radians throughout)."""
+    lines = [f"name = {_toml(vehicle.name)}", "", "[drive]", *_lines(vehicle.drive)]
+    for name, sensor in vehicle.sensors.items():
+        lines += ["", f"[sensors.{_key(name)}]", *_lines(sensor)]
+    path = Path(path)
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+# --- classes -> tables ------------------------------------------------------------------------------------------------
+
+
+def _kebab(cls: type) -> str:
+    return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "-", cls.__name__).lower()
+
+
+def _concrete(base: type) -> dict[str, type]:
+    """Every dataclass below `base`, by the name it has in a file."""
+    found: dict[str, type] = {}
+    cls: type
+    for cls in base.__subclasses__():
+        found |= _concrete(cls)
+        if cls is not Sum:
+            found[_kebab(cls)] = cls
+    return found
+
+
+def _base_of(cls: type) -> tuple[str, type]:
+    """The key that tells the class, and the family it belongs to."""
+    for base in (ErrorModel, Sensor, Mechanisation):
+        if issubclass(cls, base):
+            return ("model" if base is ErrorModel else "type"), base
+    raise TypeError(f"{cls.__name__} is no error model, sensor or drive")
+
+
+class _Spec(Strict):
+    """A table made from a dataclass; keys with the suffix of another unit are converted first."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _convert(cls, data: Any) -> Any:
+        if not isinstance(data, dict):
+            return data
+        result: dict[str, Any] = {}
+        for key, value in data.items():
+            name, factor = _plain_key(key, set(cls.model_fields))
+            if name in result or (name != key and name in data):
+                raise ValueError(f'"{name}" is given twice, once with a unit in its key')
+            result[name] = value if factor is None else _times(value, factor)
+        return result
+
+
+def _plain_key(key: str, fields: set[str]) -> tuple[str, float | None]:
+    if key in fields:
+        return key, None
+    radians = re.sub(r"_deg(?=_|$)", "_rad", key)
+    if radians in fields:
+        return radians, SUFFIXES["deg"]
+    for suffix in sorted(SUFFIXES, key=len, reverse=True):
+        name = key.removesuffix(f"_{suffix}")
+        if name != key and name in fields:
+            return name, SUFFIXES[suffix]
+    return key, None
+
+
+def _times(value: Any, factor: float) -> Any:
+    if isinstance(value, list):
+        return [_times(part, factor) for part in value]
+    return value * factor if isinstance(value, int | float) and not isinstance(value, bool) else value
+
+
+@cache
+def _spec_of(cls: type) -> type[_Spec]:
+    key, _ = _base_of(cls)
+    hints = typing.get_type_hints(cls)
+    fields: dict[str, Any] = {key: (Literal[_kebab(cls)], ...)}
+    for field in dataclasses.fields(cls):
+        if not field.init:
+            continue
+        required = field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
+        fields[field.name] = (_type_of(hints[field.name]), ... if required else Field(default=None))
+    return create_model(f"{cls.__name__}Table", __base__=_Spec, **fields)
+
+
+def _type_of(hint: Any) -> Any:
+    """What a field may hold in a file: numbers as they are, errors and nested sensors as tables."""
+    members = _members(hint)
+    classes = [m for m in members if isinstance(m, type) and issubclass(m, ErrorModel | Sensor | Mechanisation)]
+    if not classes:
+        return hint
+    choices: list[Any] = []
+    if any(issubclass(c, ErrorModel) for c in classes):
+        one = _union("model", _concrete(ErrorModel))
+        either = Annotated[
+            Annotated[one, Tag("<one>")] | Annotated[list[one], Tag("<sum>")],  # type: ignore[valid-type]
+            Discriminator(lambda v: "<sum>" if isinstance(v, list) else "<one>"),
+        ]
+        choices += [
+            Annotated[one, Tag("<one>")],
+            Annotated[list[one], Tag("<sum>")],  # type: ignore[valid-type]
+            Annotated[dict[str, either], Tag("<axes>")],
+        ]
+    sensors = {_kebab(c): c for c in classes if issubclass(c, Sensor)}
+    if sensors:
+        choices.append(Annotated[_union("type", sensors), Tag("<sensor>")])
+    return Annotated[Union[tuple(choices)], Discriminator(_shape)]  # noqa: UP007
+
+
+def _members(hint: Any) -> list[Any]:
+    if typing.get_origin(hint) in (Union, types.UnionType, tuple):
+        return [m for argument in typing.get_args(hint) for m in _members(argument)]
+    return [hint]
+
+
+def _union(key: str, classes: dict[str, type]) -> Any:
+    tables = tuple(_spec_of(cls) for cls in classes.values())
+    return tables[0] if len(tables) == 1 else Annotated[Union[tables], Field(discriminator=key)]  # noqa: UP007
+
+
+def _shape(value: Any) -> str:
+    if isinstance(value, list):
+        return "<sum>"
+    if isinstance(value, dict) and "type" in value:
+        return "<sensor>"
+    if (
+        isinstance(value, dict)
+        and "model" not in value
+        and value
+        and all(isinstance(v, dict | list) for v in value.values())
+    ):
+        return "<axes>"
+    return "<one>"
+
+
+@cache
+def _vehicle_spec() -> type[Strict]:
+    fields: dict[str, Any] = {
+        "name": (str | None, None),
+        "drive": (_union("type", _concrete(Mechanisation)), ...),
+        "sensors": (dict[str, _union("type", _concrete(Sensor))], Field(default_factory=dict)),  # type: ignore[misc]
+    }
+    return create_model("VehicleTable", __base__=Strict, **fields)
+
+
+# --- tables -> objects ------------------------------------------------------------------------------------------------
+
+
+def _built(spec: Any, place: str, wrong: list[str], defaults: dict[str, Any]) -> Any:
+    """The object that a table describes; what its own class refuses is added to `wrong`."""
+    key = "model" if "model" in type(spec).model_fields else "type"
+    family: type = ErrorModel if key == "model" else Sensor
+    cls: Any = (_concrete(family) | (_concrete(Mechanisation) if key == "type" else {}))[getattr(spec, key)]
+    given: dict[str, Any] = {}
+    before = len(wrong)
+    for name in spec.model_fields_set - {key}:
+        value = getattr(spec, name)
+        inherited = {"rate_hz": spec.rate_hz} if isinstance(spec, _Spec) and hasattr(spec, "rate_hz") else {}
+        given[name] = _object(value, f"{place}.{name}", wrong, inherited, cls)
+    known = {field.name for field in dataclasses.fields(cls)}
+    given = {**{name: value for name, value in defaults.items() if name in known}, **given}
+    if len(wrong) > before:
+        return None
+    try:
+        return cls(**given)
+    except (ValueError, TypeError) as error:
+        wrong.append(f"{place}: {error}")
+        return None
+
+
+def _object(value: Any, place: str, wrong: list[str], inherited: dict[str, Any], owner: type) -> Any:
+    if isinstance(value, _Spec):
+        return _built(value, place, wrong, inherited)
+    if isinstance(value, list) and value and isinstance(value[0], _Spec):
+        parts = [_built(part, f"{place}[{k}]", wrong, inherited) for k, part in enumerate(value)]
+        parts = [part for part in parts if part is not None]
+        return sum(parts[1:], start=parts[0]) if parts else None
+    if isinstance(value, dict):
+        return _per_axis(value, place, wrong, inherited, owner)
+    return tuple(value) if isinstance(value, list) else value
+
+
+def _per_axis(value: dict[str, Any], place: str, wrong: list[str], inherited: dict[str, Any], owner: type) -> Any:
+    names = _axes_of(owner, place.rsplit(".", 1)[-1])
+    if set(value) != set(names):
+        found, needed = ", ".join(value) or "none", ", ".join(names)
+        wrong.append(f"{place}: one error per axis needs the axes {needed}; found {found}.")
+        return None
+    return tuple(_object(value[name], f"{place}.{name}", wrong, inherited, owner) for name in names)
+
+
+def _axes_of(owner: type, field: str) -> tuple[str, ...]:
+    if issubclass(owner, Mechanisation):
+        return ("roll", "pitch", "yaw") if field == "attitude" else ("x", "y", "z")
+    return tuple(getattr(owner, "axis_names", ("x", "y", "z")))
+
+
+# --- objects -> text --------------------------------------------------------------------------------------------------
+
+
+def _lines(item: Any) -> list[str]:
+    return [f"{key} = {_toml(value)}" for key, value in _table(item).items()]
+
+
+def _table(item: Any) -> dict[str, Any]:
+    """The table of an object; fields at their default are left out."""
+    key, _ = _base_of(type(item))
+    table: dict[str, Any] = {key: _kebab(type(item))}
+    for field in dataclasses.fields(item):
+        value = getattr(item, field.name)
+        if (
+            field.init
+            and value is not None
+            and not (field.default is not dataclasses.MISSING and value == field.default)
+        ):
+            table[field.name] = _plain(value, type(item), field.name)
+    return table
+
+
+def _plain(value: Any, owner: type, field: str) -> Any:
+    if isinstance(value, Sum):
+        return [_table(part) for part in value.parts]
+    if isinstance(value, ErrorModel | Sensor | Mechanisation):
+        return _table(value)
+    if isinstance(value, tuple) and value and isinstance(value[0], ErrorModel):
+        return {name: _plain(part, owner, field) for name, part in zip(_axes_of(owner, field), value, strict=True)}
+    return value
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return json.dumps(value)
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{_key(key)} = {_toml(part)}" for key, part in value.items()) + "}"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(_toml(part) for part in value) + "]"
+    return repr(value) if isinstance(value, int) else repr(float(value))
+
+
+def _key(name: str) -> str:
+    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else json.dumps(name)
