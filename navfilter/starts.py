@@ -145,7 +145,7 @@ def hannan_rissanen_start(x: Array, p: int, q: int, e: Array) -> Array:
     A[:p, :p], A[p:, p:] = own[1:, 1:], drive[1:, 1:]
     A[:p, p:], A[p:, :p] = -cross[1:, 1:], -cross[1:, 1:].T
     right[:p], right[p:] = -own[0, 1:], cross[0, 1:]
-    solution = np.linalg.lstsq(A, right, rcond=1e-12)[0]
+    solution = np.asarray(np.linalg.lstsq(A, right, rcond=1e-12)[0], dtype=np.float64)
     return np.r_[pull_inside(solution[:p]), pull_inside(solution[p:])]
 
 

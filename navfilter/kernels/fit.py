@@ -50,11 +50,12 @@ def lag_products(x, y, out):
     m = out.size
     out[:] = 0.0
     whole = max(n - m + 1, 0)
-    for t in range(whole):
-        xt = x[t]
+    blocks = whole - whole % 4
+    for t in range(0, blocks, 4):
+        x0, x1, x2, x3 = x[t], x[t + 1], x[t + 2], x[t + 3]
         for k in range(m):
-            out[k] += xt * y[t + k]
-    for t in range(whole, n):
+            out[k] += (x0 * y[t + k] + x1 * y[t + k + 1]) + (x2 * y[t + k + 2] + x3 * y[t + k + 3])
+    for t in range(blocks, n):
         for k in range(min(m, n - t)):
             out[k] += x[t] * y[t + k]
 

@@ -1,0 +1,319 @@
+"""Batch fit of an ARMA model: exact Gaussian likelihood, or least squares of the prediction errors."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from navfilter.arma import ArmaModel, log_s0_sd
+from navfilter.fit_objective import GapFree, Objective, Point, WithGaps, minimise
+from navfilter.starts import hannan_rissanen_start, long_residuals, pull_inside, tidy_series
+
+__all__ = ["ArmaFit", "fit_arma"]
+
+Array = NDArray[np.float64]
+_DEGREE = {"none": -1, "constant": 0, "linear": 1}
+
+
+@dataclass(frozen=True, eq=False)
+class ArmaFit:
+    """A fitted ARMA model with its likelihood and residuals.
+
+    Attributes
+    ----------
+    ar, ma : ndarray, shapes (p,) and (q,)
+        Coefficients of the `d` times differenced series, sign of ``lfilter([1, *ma], [1, *ar], e)``.
+    sd : float
+        Standard deviation of the innovation.
+    covariance : ndarray, shape (p+q, p+q)
+        Asymptotic covariance of ``[ar, ma]``.
+    loglik : float
+        Exact Gaussian log-likelihood of the differenced series (at the estimate, whatever the method).
+    aic, aicc, bic, hq : float
+        ``-2 loglik`` plus the penalty of Akaike, its small-sample form, Schwarz, and Hannan and Quinn, for
+        p + q + 1 parameters and the trend coefficients.
+    residuals : ndarray, shape (n - d,)
+        Prediction errors; NaN where the sample is missing.
+    trend : ndarray
+        Coefficients of the constant (level at the middle of the series), the slope per sample and the regressors, in
+        the unit of the series; those that differencing cancels are left out.
+    n : int
+        Number of known samples of the differenced series.
+    d : int
+        Times the series was differenced.
+    method : str
+        ``"likelihood"`` or ``"prediction-error"``.
+    flags : frozenset of str
+        ``"short"`` (fewer than 30 samples per coefficient), ``"not converged"``, ``"unit root"`` (a pole above 1 - 3/n,
+        which belongs to a random-walk bias), ``"gaps"``.
+    """
+
+    ar: Array
+    ma: Array
+    sd: float
+    covariance: Array
+    loglik: float
+    aic: float
+    aicc: float
+    bic: float
+    hq: float
+    residuals: Array = field(repr=False)
+    trend: Array
+    n: int
+    d: int
+    method: str
+    flags: frozenset[str]
+
+    @property
+    def p(self) -> int:
+        """Number of autoregressive coefficients."""
+        return int(self.ar.size)
+
+    @property
+    def q(self) -> int:
+        """Number of moving-average coefficients."""
+        return int(self.ma.size)
+
+    @property
+    def model(self) -> ArmaModel:
+        """The immutable model of the series itself: the `d` unit roots are part of `model.ar`."""
+        ar, covariance, q = np.r_[1.0, self.ar], self.covariance, self.q
+        for _ in range(self.d):
+            longer = np.zeros((ar.size + q, ar.size - 1 + q))
+            p = ar.size - 1
+            longer[:p, :p] += np.eye(p)
+            longer[1 : p + 1, :p] -= np.eye(p)
+            longer[p + 1 :, p:] = np.eye(q)
+            ar, covariance = np.convolve(ar, [1.0, -1.0]), longer @ covariance @ longer.T
+        spread = None if self.d else log_s0_sd(self.ar, self.ma, self.covariance, self.n)
+        return ArmaModel(ar[1:], self.ma, self.sd, covariance, spread, float(self.n), self.flags)
+
+
+def fit_arma(
+    series: ArrayLike,
+    p: int,
+    q: int,
+    method: str = "likelihood",
+    *,
+    d: int = 0,
+    trend: str = "constant",
+    regressors: ArrayLike | None = None,
+) -> ArmaFit:
+    """Fit an ARMA(p, q) model to a recorded series.
+
+    Parameters
+    ----------
+    series : array_like, shape (n,)
+        Samples; NaN marks a missing one.
+    p, q : int
+        Orders.
+    method : {"likelihood", "prediction-error"}
+        Exact Gaussian likelihood (stationary start), or the sum of squared prediction errors with the memory from
+        before the first sample left free: the choice for series whose pole is at 1.
+    d : int
+        Times to difference first (ARIMA).
+    trend : {"constant", "none", "linear"}
+        Mean or straight line, estimated together with the coefficients, never subtracted beforehand: near a unit root
+        that would shorten the correlation time.
+    regressors : array_like, shape (n,) or (n, k), optional
+        Known inputs (temperature, say) whose coefficients are estimated along.
+
+    Returns
+    -------
+    ArmaFit
+
+    Raises
+    ------
+    ValueError
+        For a series that is constant, too short, infinite, or not one-dimensional, and for unknown options.
+
+    Notes
+    -----
+    Levenberg-Marquardt on the exact objective with its exact gradient, from Hannan-Rissanen and other starts.
+
+    Examples
+    --------
+    >>> from navfilter.arma import simulate_arma
+    >>> fit = fit_arma(simulate_arma([-0.8], [0.4], 2.0, 5000, seed=1), p=1, q=1)
+    >>> fit.ar.round(2), fit.ma.round(2), round(fit.sd, 1)
+    (array([-0.8]), array([0.39]), 2.0)
+    """
+    problem = Problem(series, p, q, method, d, trend, regressors)
+    objective = problem.objective(p, q)
+    points = [minimise(objective, start, limit=8) for start in problem.starts(p, q)]
+    points = [point for point in points if math.isfinite(point[0].value)]
+    if not points:
+        raise ValueError(f"no ARMA({p}, {q}) start has a finite likelihood: the series is predictable without error.")
+    best, converged = min(points, key=lambda point: point[0].value)
+    if not converged:
+        best, converged = minimise(objective, best.theta)
+    return problem.result(best, objective, converged)
+
+
+class Problem:
+    """A checked and standardised series, ready to be fitted at several orders.
+
+    Parameters are those of `fit_arma`; `p` and `q` are the largest orders that will be asked for.
+    """
+
+    def __init__(
+        self, series: ArrayLike, p: int, q: int, method: str, d: int, trend: str, regressors: ArrayLike | None
+    ) -> None:
+        for name, order in (("p", p), ("q", q), ("d", d)):
+            if order != int(order) or order < 0:
+                raise ValueError(f"{name} must be a whole number, at least 0, found {order}.")
+        if method not in ("likelihood", "prediction-error"):
+            raise ValueError(f'method must be "likelihood" or "prediction-error", found "{method}".')
+        if trend not in _DEGREE:
+            raise ValueError(f"trend must be one of {list(_DEGREE)}, found {trend!r}.")
+        least = d + 3 * (p + q) + 8
+        x = tidy_series(series, least, f"fit_arma with orders ({p}, {q})", gaps=True)
+        self.method, self.d = method, d
+        inputs = _inputs(x.size, _DEGREE[trend], d, regressors)
+        x, self.scale = _standardised(np.diff(x, d) if d else x)
+        self.shift = float(np.mean(x[np.isfinite(x)]))
+        if _DEGREE[trend] >= 0 and d == 0:
+            x -= self.shift
+        elif abs(self.shift) > 1e6:
+            raise ValueError(
+                f'the mean is {self.shift:.1e} times the sd: fit it along with trend="constant", or use d=1.'
+            )
+        else:
+            self.shift = 0.0
+        self.y, self.known = x, np.isfinite(x)
+        self.count = int(self.known.sum())
+        self.gaps = self.count < x.size
+        if self.count < least - d:
+            raise ValueError(f"only {self.count} samples are left after {d} differences across the gaps. Lower d.")
+        self.inputs = inputs
+        sizes = np.sqrt(np.mean(inputs**2, axis=1)) if inputs.size else np.ones(len(inputs))
+        if np.any(sizes == 0.0):
+            raise ValueError("a regressor is zero, or vanishes when differenced. Leave it out.")
+        self.regressors = np.ascontiguousarray(inputs / sizes[:, None])
+        self.sizes = sizes
+        self._long: dict[int, Array] = {}
+
+    def objective(self, p: int, q: int) -> Objective:
+        """The function to minimise at orders (p, q)."""
+        kind = WithGaps if self.gaps else GapFree
+        return kind(self.y, self.regressors, p, q, self.method == "prediction-error")
+
+    def _filled(self) -> Array:
+        x = self.y
+        if self.gaps:
+            where = np.arange(x.size)
+            x = np.interp(where, where[self.known], x[self.known])
+        if len(self.regressors):
+            x = x - self.regressors.T @ np.linalg.lstsq(self.regressors.T, x, rcond=1e-12)[0]
+        return np.ascontiguousarray(x)
+
+    def starts(self, p: int, q: int) -> list[Array]:
+        """Start vectors for orders (p, q), the most promising first."""
+        x = self._filled()
+        short = max(min(max(int(2.0 * math.log(x.size) ** 1.3), 2 * (p + q)), x.size // 4), 1)
+        if short not in self._long:
+            self._long[short] = long_residuals(x, short)
+        first = hannan_rissanen_start(x, p, q, self._long[short])
+        if not (p and q):
+            return [first]
+        second = np.r_[first[:p] * 0.0, np.zeros(q)]
+        second[:p] = pull_inside(hannan_rissanen_start(x, p, 0, self._long[short]))
+        return [first, second]
+
+    def result(self, point: Point, objective: Objective, converged: bool) -> ArmaFit:
+        """The fit at the minimum `point`, in the unit of the series."""
+        p, q, n = objective.p, objective.q, self.count
+        H, _ = objective.linearise(point) if p + q else (np.zeros((0, 0)), None)
+        exact = point
+        if self.method != "likelihood":
+            kind = WithGaps if self.gaps else GapFree
+            exact = kind(self.y, self.regressors, p, q, False).evaluate(point.theta)
+        loglik = -exact.value - 0.5 * n * (1.0 + math.log(2.0 * math.pi)) - n * math.log(self.scale)
+        k = p + q + 1 + len(self.regressors)
+        flags = {"gaps"} if self.gaps else set()
+        if n < 30 * (p + q):
+            flags.add("short")
+        if not converged:
+            flags.add("not converged")
+        model = ArmaModel(point.theta[:p], point.theta[p:], 1.0)
+        if p and np.any(model.poles.real > 1.0 - 3.0 / n):
+            flags.add("unit root")
+        lost = max(p, q) if self.method != "likelihood" and not self.gaps else 0
+        trend = point.beta / self.sizes * self.scale
+        trend[:1] += self.shift * self.scale
+        return ArmaFit(
+            ar=model.ar,
+            ma=model.ma,
+            sd=self.scale * math.sqrt(point.power / (n - lost)),
+            covariance=_covariance(H),
+            loglik=loglik,
+            **_criteria(loglik, k, n),
+            residuals=objective.residuals(point) * self.scale,
+            trend=trend,
+            n=n,
+            d=self.d,
+            method=self.method,
+            flags=frozenset(flags),
+        )
+
+
+def _criteria(loglik: float, k: int, n: int) -> dict[str, float]:
+    """Information criteria for k parameters and n samples."""
+    deviance = -2.0 * loglik
+    small = 2.0 * k * n / (n - k - 1) if n > k + 1 else math.inf
+    return {
+        "aic": deviance + 2.0 * k,
+        "aicc": deviance + small,
+        "bic": deviance + k * math.log(n),
+        "hq": deviance + 2.0 * k * math.log(max(math.log(n), 1.0)),
+    }
+
+
+def _inputs(n: int, degree: int, d: int, regressors: ArrayLike | None) -> Array:
+    """Trend columns and regressors as rows, differenced like the series; what differencing cancels is left out."""
+    middle = np.arange(n, dtype=np.float64) - 0.5 * (n - 1)
+    rows = [middle**power for power in range(degree + 1) if power >= d]
+    if regressors is not None:
+        extra = np.asarray(regressors, dtype=np.float64)
+        extra = extra[:, None] if extra.ndim == 1 else extra
+        if extra.ndim != 2 or extra.shape[0] != n:
+            raise ValueError(f"regressors must have shape ({n},) or ({n}, k) like the series, found {extra.shape}.")
+        if not np.all(np.isfinite(extra)):
+            raise ValueError("regressors must be finite: interpolate their gaps first.")
+        rows.extend(extra.T)
+    table = np.array(rows).reshape(len(rows), n)
+    return np.diff(table, d, axis=1) if d else table
+
+
+def _standardised(x: Array) -> tuple[Array, float]:
+    """Series over its sd, and that sd, safe for huge offsets and tiny scales."""
+    known = x[np.isfinite(x)]
+    if not known.size:
+        raise ValueError("no difference of two known samples is left: the gaps are too dense.")
+    spread = float(known.max() - known.min())
+    if spread == 0.0:
+        raise ValueError("the series is constant, it has no error to model.")
+    if not np.isfinite(spread):
+        raise ValueError("the range of the series overflows. Change its unit.")
+    level = x / spread
+    sd = float(np.std((x[np.isfinite(x)] - known[0]) / spread))
+    return np.ascontiguousarray(level / sd), spread * sd
+
+
+def _covariance(H: Array) -> Array:
+    """Inverse of the information matrix; a direction without information gets a large but finite variance."""
+    if not H.size:
+        return np.zeros((0, 0))
+    scale = np.sqrt(np.maximum(np.diag(H), 1e-300))
+    values, vectors = np.linalg.eigh(H / np.outer(scale, scale))
+    values = np.maximum(values, 1e-12 * values.max())
+    inverse = (vectors / values) @ vectors.T / np.outer(scale, scale)
+    return np.asarray(0.5 * (inverse + inverse.T))
+
+
+def with_flags(fit: ArmaFit, *more: str) -> ArmaFit:
+    """The same fit with further flags."""
+    return replace(fit, flags=fit.flags | frozenset(more))
