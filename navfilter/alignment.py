@@ -1,0 +1,188 @@
+"""Initial alignment: a start from a mission's own first readings."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navfilter.mechanisation import DeadReckoning
+from navfilter.mission import Mission, Stream
+from navfilter.sensors import BodyVelocity, Depth, Heading, Position
+from navfilter.state import matrix_from_euler, wrap
+from navfilter.vehicle import Start, Vehicle
+
+__all__ = ["align"]
+
+Array = NDArray[np.float64]
+GRAVITY = 9.80665
+
+
+def align(vehicle: Vehicle, mission: Mission, window_s: float = 5.0) -> Start:
+    """Start a run from the first readings: level by the accelerometers, heading by the compass, velocity by the DVL, place by the first fixes.
+
+    Levelling works while the vehicle moves steadily (the specific force is gravity); the standard deviations grow with what the inertial unit
+    felt during the window. Without a compass the heading comes from the course between fixes, if the vehicle travelled far enough.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    mission : Mission
+        With a position stream for some `Position` sensor of the vehicle.
+    window_s : float
+        Readings of so many seconds are averaged.
+
+    Returns
+    -------
+    Start
+
+    Raises
+    ------
+    ValueError
+        When there is no position, no source of heading, or the vehicle moves too hard to be levelled.
+    """
+    place, place_sd, first_s = _first_fix(vehicle, mission)
+    drive = mission.streams.get(vehicle.drive.streams[0])
+    if drive is None or not len(drive):
+        raise ValueError(f'the drive needs a stream "{vehicle.drive.streams[0]}" in this mission.')
+    begin = max(first_s, drive.time_s[0])
+    rows = (drive.time_s >= begin) & (drive.time_s <= begin + window_s) & np.isfinite(drive.value).all(axis=1)
+    if not rows.any():
+        raise ValueError(f"no valid reading of the drive within {window_s} s after {begin:.3f} s: nothing to align with.")
+    if isinstance(vehicle.drive, DeadReckoning):
+        roll, pitch, heading = drive.value[rows][0, :3]
+        tilt_sd, heading_sd = np.radians(1.0), np.radians(5.0)
+    else:
+        roll, pitch, tilt_sd = _level(drive.value[rows, 3:6], vehicle.drive)
+        heading, heading_sd = _heading(vehicle, mission, begin, window_s, roll, pitch)
+    velocity, velocity_sd = _velocity(vehicle, mission, begin, window_s, np.array([roll, pitch, heading]))
+    return Start(
+        time_s=float(begin),
+        latitude_deg=float(np.degrees(place[0])),
+        longitude_deg=float(np.degrees(place[1])),
+        height_m=float(place[2]),
+        velocity_n=tuple(velocity.tolist()),
+        roll_deg=float(np.degrees(roll)),
+        pitch_deg=float(np.degrees(pitch)),
+        heading_deg=float(np.degrees(heading)),
+        position_sd_m=tuple(place_sd.tolist()),
+        velocity_sd_m_s=velocity_sd,
+        tilt_sd_deg=float(np.degrees(tilt_sd)),
+        heading_sd_deg=float(np.degrees(heading_sd)),
+        date=mission.date,
+    )
+
+
+def _stream(vehicle: Vehicle, mission: Mission, kind: type) -> tuple[Stream, object] | None:
+    for name, sensor in vehicle.sensors.items():
+        if isinstance(sensor, kind) and len(mission.streams.get(name, ())):
+            return mission.streams[name], sensor
+    return None
+
+
+def _first_fix(vehicle: Vehicle, mission: Mission) -> tuple[Array, Array, float]:
+    found = _stream(vehicle, mission, Position)
+    if found is None:
+        raise ValueError(
+            "no start: the mission gives none ([start] in mission.toml), and the vehicle has no position sensor with readings to align with. "
+            "Give replay(..., start=Start(latitude_deg=..., longitude_deg=..., heading_deg=...))."
+        )
+    stream, sensor = found
+    for t, value in zip(stream.time_s, stream.value, strict=True):
+        z = sensor.read(value)  # type: ignore[attr-defined]
+        if z is None:
+            continue
+        blocks = [m.block(1.0 / sensor.rate_hz) for m in sensor.models]  # type: ignore[attr-defined]
+        sd = np.sqrt([b.r + b.C @ b.P0 @ b.C for b in blocks])
+        if not np.isfinite(z[2]):
+            z, sd = z.copy(), sd.copy()
+            z[2], sd[2] = _height(vehicle, mission)
+        return z, np.maximum(sd, 1e-3), float(t)
+    raise ValueError("no start: none of the position readings is valid (latitude and longitude in radians? HDOP below the gate?).")
+
+
+def _height(vehicle: Vehicle, mission: Mission) -> tuple[float, float]:
+    found = _stream(vehicle, mission, Depth)
+    if found is None:
+        return 0.0, 50.0
+    stream, sensor = found
+    z = sensor.read(stream.value[0])  # type: ignore[attr-defined]
+    return (0.0, 50.0) if z is None else (float(sensor.surface_height_m - z[0]), 1.0)  # type: ignore[attr-defined]
+
+
+def _level(force: Array, drive: object) -> tuple[float, float, float]:
+    """Roll, pitch [rad] and their standard deviation from the mean specific force (Groves, 2013, eq 5.101)."""
+    if getattr(drive, "increments", False):
+        force = force / drive.period_s  # type: ignore[attr-defined]
+    mean = force.mean(axis=0)
+    excess = abs(np.linalg.norm(mean) - GRAVITY)
+    if excess > 1.5:
+        raise ValueError(
+            f"cannot level: the mean specific force is {np.linalg.norm(mean):.2f} m/s^2 instead of 9.8. Units in g? Sign? Or the vehicle moves too hard: "
+            "give a start."
+        )
+    if mean[2] > 0:
+        raise ValueError(
+            f"cannot level: the specific force points down (z = {mean[2]:.2f} m/s^2; at rest it must be -9.8 in forward-right-down axes). "
+            "Change the sign or the axis order in mission.toml."
+        )
+    roll = float(np.arctan2(-mean[1], -mean[2]))
+    pitch = float(np.arctan2(mean[0], np.hypot(mean[1], mean[2])))
+    # Slow manoeuvres lean the mean by their mean acceleration: a third of the scatter, not less than 0.05 m/s^2 of accelerometer bias.
+    lean = max(0.05, excess, float(force[:, :2].std(axis=0).max()) / 3.0)
+    return roll, pitch, lean / GRAVITY
+
+
+def _heading(vehicle: Vehicle, mission: Mission, begin: float, window_s: float, roll: float, pitch: float) -> tuple[float, float]:
+    found = _stream(vehicle, mission, Heading)
+    if found is None:
+        return _course(vehicle, mission, begin)
+    stream, sensor = found
+    assert isinstance(sensor, Heading)
+    rows = (stream.time_s >= begin) & (stream.time_s <= begin + window_s)
+    readings = [r for r in (sensor.read(v) for v in stream.value[rows]) if r is not None]
+    if not readings:
+        return _course(vehicle, mission, begin)
+    place = _first_fix(vehicle, mission)[0]
+    at = Start(latitude_deg=float(np.degrees(place[0])), longitude_deg=float(np.degrees(place[1])), date=mission.date)
+    if sensor.magnetometer:
+        level = np.array(readings)[:, :3] @ matrix_from_euler(roll, pitch, 0.0).T
+        angles = -np.arctan2(level[:, 1], level[:, 0])
+    else:
+        angles = np.array(readings)[:, 0]
+    mean = float(np.angle(np.mean(np.exp(1j * angles))))
+    block = sensor.models[0].block(1.0 / sensor.rate_hz)
+    variance = block.r / len(readings) + block.C @ block.P0 @ block.C + sum(sd**2 for _, sd in sensor.parameters()[:5])
+    return float(wrap(mean + sensor.declination(at))), float(np.sqrt(variance + np.radians(0.5) ** 2))
+
+
+def _course(vehicle: Vehicle, mission: Mission, begin: float, within_s: float = 60.0) -> tuple[float, float]:
+    """Heading from the course between the first fixes, for vehicles that move where they point."""
+    found = _stream(vehicle, mission, Position)
+    assert found is not None
+    stream, _ = found
+    rows = (stream.time_s >= begin) & (stream.time_s <= begin + within_s) & np.isfinite(stream.value[:, :2]).all(axis=1)
+    lat, lon = stream.value[rows, 0], stream.value[rows, 1]
+    if len(lat) > 1:
+        north, east = (lat - lat[0]) * 6.37e6, wrap(lon - lon[0]) * 6.37e6 * np.cos(lat[0])
+        far = np.flatnonzero(np.hypot(north, east) > 10.0)
+        if len(far):
+            return float(np.arctan2(east[far[0]], north[far[0]])), float(np.radians(15.0))
+    raise ValueError("no heading to start with: the vehicle has no compass with readings, and the first fixes do not move 10 m. Give a start.")
+
+
+def _velocity(vehicle: Vehicle, mission: Mission, begin: float, window_s: float, rpy: Array) -> tuple[Array, float]:
+    found = _stream(vehicle, mission, BodyVelocity)
+    if found is None and isinstance(vehicle.drive, DeadReckoning):
+        found = mission.streams["velocity"], vehicle.drive.velocity_sensor
+    if found is None:
+        return np.zeros(3), 2.0
+    stream, sensor = found
+    assert isinstance(sensor, BodyVelocity)
+    near = np.flatnonzero((stream.time_s >= begin - 1.0) & (stream.time_s <= begin + window_s))
+    for row in near:
+        z = sensor.read(stream.value[row, :3])
+        if z is not None and np.isfinite(z).all():
+            v_b = matrix_from_euler(*sensor.mounting_rad) @ z
+            return matrix_from_euler(*rpy) @ v_b, 0.5
+    return np.zeros(3), 2.0
+

@@ -1,0 +1,108 @@
+"""The Earth's magnetic field for compasses: declination, and the iron calibration of a magnetometer."""
+
+from __future__ import annotations
+
+import datetime
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+__all__ = ["calibrate_magnetometer", "declination"]
+
+Array = NDArray[np.float64]
+MODEL_YEARS = (2010, 2015, 2020, 2025)
+
+
+def declination(latitude_deg: float, longitude_deg: float, height_m: float, date: datetime.date | None) -> float:
+    """Magnetic declination [rad], east positive, by the World Magnetic Model of the date's epoch.
+
+    Parameters
+    ----------
+    latitude_deg, longitude_deg, height_m : float
+    date : datetime.date
+        2010 to 2029.
+
+    Raises
+    ------
+    ValueError
+        Without a date, or outside the models' years.
+
+    Examples
+    --------
+    >>> import datetime
+    >>> round(float(np.degrees(declination(32.76, 35.02, 0.0, datetime.date(2024, 6, 1)))), 0)
+    5.0
+    """
+    if date is None:
+        raise ValueError(
+            "the declination needs a date: set date in mission.toml or Start(date=...), or give the compass declination_rad=... "
+            "(declination_deg in vehicle.toml), or magnetic=False if it reads true heading."
+        )
+    year = date.year + (date.timetuple().tm_yday - 1) / 365.25
+    if not MODEL_YEARS[0] <= year < MODEL_YEARS[-1] + 5:
+        raise ValueError(f"no World Magnetic Model for {date} (2010 to 2029): give the compass its declination_rad.")
+    from pygeomag import GeoMag
+
+    model = GeoMag(base_year=max(y for y in MODEL_YEARS if y <= year))
+    result = model.calculate(glat=latitude_deg, glon=(longitude_deg + 180.0) % 360.0 - 180.0, alt=height_m / 1000.0, time=year)
+    return float(np.radians(result.d))
+
+
+def calibrate_magnetometer(field: ArrayLike, magnitude: float | None = None) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Hard and soft iron of a magnetometer from readings taken while turning.
+
+    Readings that leave the plane of the turns get the full ellipsoid (soft iron included); readings confined to a plane, as on a car or a
+    vehicle that only yaws, get the offsets in that plane and the ratio of its axes.
+
+    Parameters
+    ----------
+    field : array_like, shape (n, 3)
+        Readings in b, any unit; rows with NaN are left out.
+    magnitude : float, optional
+        Strength that calibrated readings shall have; default the mean strength of the readings about their centre.
+
+    Returns
+    -------
+    hard_iron : tuple of 3
+    soft_iron : tuple of 9
+        As `Heading` takes them: ``soft_iron @ (reading - hard_iron)`` lies on a sphere (circle).
+
+    Raises
+    ------
+    ValueError
+        With fewer than 20 readings, or when they do not turn through at least about half a circle.
+    """
+    m = np.asarray(field, dtype=float).reshape(-1, 3)
+    m = m[np.isfinite(m).all(axis=1)]
+    if len(m) < 20:
+        raise ValueError(f"calibration needs at least 20 readings, found {len(m)}.")
+    centre = m.mean(axis=0)
+    _, spread, axes = np.linalg.svd(m - centre, full_matrices=False)
+    if spread[1] < 0.15 * spread[0]:
+        raise ValueError("the readings lie on a short arc: turn the vehicle through at least half a circle for the calibration.")
+    dims = 3 if spread[2] > 0.25 * spread[0] else 2
+    basis = axes[:dims]
+    # Coordinates scaled to unit size, so that the fit of the quadric is well conditioned.
+    unit = spread[0] / np.sqrt(len(m))
+    p = (m - centre) @ basis.T / unit
+    columns = [p[:, i] * p[:, j] for i in range(dims) for j in range(i, dims)] + [p[:, i] for i in range(dims)]
+    solution, *_ = np.linalg.lstsq(np.column_stack(columns), np.ones(len(p)), rcond=None)
+    A, k = np.zeros((dims, dims)), 0
+    for i in range(dims):
+        for j in range(i, dims):
+            A[i, j] = A[j, i] = solution[k] * (1.0 if i == j else 0.5)
+            k += 1
+    b = solution[k:]
+    middle = -0.5 * np.linalg.solve(A, b)
+    A = A / (1.0 + middle @ A @ middle)
+    value, vector = np.linalg.eigh(A)
+    if np.any(value <= 0):
+        raise ValueError("the readings do not lie on an ellipsoid: turn through more directions, away from iron that moves along.")
+    root = vector @ np.diag(np.sqrt(value)) @ vector.T
+    soft = np.eye(3)
+    size = 1.0 / np.sqrt(value).mean()
+    soft = soft - basis.T @ basis + basis.T @ (root * size) @ basis
+    hard = centre + unit * (middle @ basis)
+    if magnitude is not None:
+        soft = soft * (magnitude / np.linalg.norm((m - hard) @ soft.T, axis=1).mean())
+    return tuple(hard.tolist()), tuple(soft.ravel().tolist())

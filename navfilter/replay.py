@@ -1,0 +1,229 @@
+"""Replay: a loop over a mission through the vehicle's own `step` and `correct`."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navfilter.alignment import align
+from navfilter.mechanisation import DeadReckoning
+from navfilter.mission import Mission, Stream
+from navfilter.navigator import Navigator
+from navfilter.sensors import ZeroVelocity
+from navfilter.smoother import smooth_rows
+from navfilter.state import euler_from_matrix, rotation_matrix
+from navfilter.tape import Tape
+from navfilter.track import Track
+from navfilter.vehicle import Start, Vehicle
+
+__all__ = ["drive_samples", "replay", "warm_up"]
+
+Array = NDArray[np.float64]
+
+
+def replay(
+    vehicle: Vehicle,
+    mission: Mission,
+    *,
+    start: Start | None = None,
+    smooth: bool = False,
+    output_rate_hz: float | None = 5.0,
+    progress: bool = False,
+) -> Track:
+    """Run a recorded mission through the filter, and optionally the smoother.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    mission : Mission
+        With a stream for the drive ("imu", or "attitude" and "velocity") and one per sensor of the vehicle.
+    start : Start, optional
+        Default: the mission's own start, else an alignment on its first readings.
+    smooth : bool
+        Return the smoothed track (its `forward` is the filter's).
+    output_rate_hz : float or None
+        At most so many rows per second in the track; None keeps every epoch.
+    progress : bool
+        Show a progress bar on standard error.
+
+    Returns
+    -------
+    Track
+
+    Raises
+    ------
+    ValueError
+        When a stream is missing, empty, or the mission holds nothing after the start.
+    """
+    samples = drive_samples(vehicle, mission)
+    if start is None:
+        start = mission.start if mission.start is not None else align(vehicle, mission)
+    began = time.process_time()
+    tape = Tape(output_rate_hz, smoothable=smooth)
+    nav = Navigator(vehicle, start, tape)
+    _run(nav, samples, *_events(vehicle, mission, start.time_s), progress)
+    forward = _track("forward", nav, tape, mission.name, time.process_time() - began)
+    if not smooth:
+        return forward
+    return _smoothed(forward, nav, tape, began, progress)
+
+
+def drive_samples(vehicle: Vehicle, mission: Mission) -> Array:
+    """Samples of the drive, shape (n, 7): time and six values; attitude is interpolated to the times of the velocity.
+
+    Raises
+    ------
+    ValueError
+        When a stream is missing, empty or has the wrong number of columns.
+    """
+    wanted = [(name, 6 if name == "imu" else 3) for name in vehicle.drive.streams]
+    for name, columns in wanted:
+        _require(mission, name, "the vehicle's drive needs it")
+        if mission.streams[name].value.shape[1] < columns:
+            raise ValueError(f'stream "{name}" has {mission.streams[name].value.shape[1]} columns, but its drive takes {columns}.')
+    if not isinstance(vehicle.drive, DeadReckoning):
+        imu = mission.streams["imu"]
+        return np.column_stack([imu.time_s, imu.value[:, :6]])
+    attitude, velocity = mission.streams["attitude"], mission.streams["velocity"]
+    good = np.isfinite(attitude.value[:, :3]).all(axis=1)
+    if good.sum() < 2:
+        raise ValueError('stream "attitude" has fewer than two valid readings.')
+    t, angles = attitude.time_s[good], np.unwrap(attitude.value[good, :3], axis=0)
+    inside = (velocity.time_s >= t[0] - vehicle.drive.period_s) & (velocity.time_s <= t[-1] + vehicle.drive.period_s)
+    times = velocity.time_s[inside]
+    rows = np.column_stack([times, *(np.interp(times, t, angles[:, i]) for i in range(3)), velocity.value[inside, :3]])
+    sensor = vehicle.drive.velocity_sensor
+    for row in rows:
+        reading = sensor.read(row[4:7])
+        row[4:7] = np.nan if reading is None else reading
+    return rows
+
+
+def _require(mission: Mission, name: str, why: str) -> None:
+    if name not in mission.streams:
+        have = ", ".join(mission.streams) or "none"
+        raise ValueError(
+            f'"{name}" has no stream in this mission (streams: {have}); {why}. Add it, or drop the sensor with vehicle.without("{name}").'
+        )
+    if not len(mission.streams[name]):
+        raise ValueError(f'stream "{name}" of this mission is empty; {why}.')
+
+
+def _events(vehicle: Vehicle, mission: Mission, begin_s: float) -> tuple[Array, NDArray[np.int64], NDArray[np.int64], list[tuple[str, Stream]]]:
+    """All readings of the correcting sensors in time order: time, number of the sensor, row in its stream."""
+    streams = []
+    for name, sensor in vehicle.sensors.items():
+        if isinstance(sensor, ZeroVelocity):
+            continue
+        _require(mission, name, f'the vehicle has a sensor "{name}"')
+        width = mission.streams[name].value.shape[1]
+        if width < sensor.reads:
+            raise ValueError(f'stream "{name}" has {width} columns, but a {type(sensor).__name__} takes {sensor.reads}.')
+        streams.append((name, mission.streams[name]))
+    times = np.concatenate([np.empty(0)] + [s.time_s for _, s in streams])
+    number = np.concatenate([np.empty(0, int)] + [np.full(len(s), i) for i, (_, s) in enumerate(streams)])
+    rows = np.concatenate([np.empty(0, int)] + [np.arange(len(s)) for _, s in streams])
+    order = np.lexsort((rows, number, times))
+    order = order[times[order] >= begin_s - 1e-9]
+    return times[order], number[order], rows[order], streams
+
+
+def _run(nav: Navigator, samples: Array, times: Array, number: Any, rows: Any, streams: list[tuple[str, Stream]], progress: bool) -> None:
+    first = int(np.searchsorted(samples[:, 0], nav.start.time_s - 1e-9))
+    if first >= len(samples):
+        raise ValueError(f"the drive's stream ends at {samples[-1, 0]:.3f} s, before the start at {nav.start.time_s:.3f} s. Check the clocks.")
+    ends = np.searchsorted(samples[:, 0], times + 1e-9, side="right")
+    bar = _bar(len(times), "filter", progress)
+    done = first
+    names = [name for name, _ in streams]
+    values = [stream.value for _, stream in streams]
+    for k, (t, i, row, end) in enumerate(zip(times.tolist(), number.tolist(), rows.tolist(), ends.tolist(), strict=True)):
+        if end > done:
+            nav.step_samples(samples[done:end].copy())
+            done = end
+        nav.correct(names[i], t, values[i][row])
+        if bar is not None and k % 512 == 511:
+            bar.update(512)
+    if done < len(samples):
+        nav.step_samples(samples[done:].copy())
+    if bar is not None:
+        bar.close()
+
+
+def _bar(total: int, what: str, progress: bool) -> Any:
+    if not progress:
+        return None
+    from tqdm import tqdm
+
+    return tqdm(total=total, desc=what, unit="", leave=False, mininterval=0.2)
+
+
+def _track(label: str, nav: Navigator, tape: Tape, name: str, cpu_s: float) -> Track:
+    n, size = len(tape.row_times), nav.layout.size
+    packed, x = np.empty((n, 17)), np.empty((n, size - 9))
+    P, sd = np.empty((n, 9, 9)), np.empty((n, size - 9))
+    for i in range(n):
+        row = tape.rows[i]
+        covariance = row[17 + size - 9 :].reshape(size, size)
+        packed[i], x[i], P[i] = row[:17], row[17 : 8 + size], covariance[:9, :9]
+        sd[i] = np.sqrt(np.maximum(np.diagonal(covariance)[9:], 0.0))
+    return _assemble(label, nav, tape, name, cpu_s, packed, x, P, sd, None)
+
+
+def _assemble(
+    label: str, nav: Navigator, tape: Tape, name: str, cpu_s: float, packed: Array, x: Array, P: Array, sd: Array, forward: Track | None
+) -> Track:
+    return Track(
+        label=label,
+        vehicle=nav.vehicle,
+        mission_name=name,
+        time_s=np.array(tape.row_times),
+        latitude=packed[:, 0],
+        longitude=packed[:, 1],
+        height=packed[:, 2],
+        velocity_n=packed[:, 3:6],
+        attitude=euler_from_matrix(packed[:, 6:15].reshape(-1, 3, 3)),
+        covariance=P,
+        states=x,
+        states_sd=sd,
+        state_names=nav.layout.names,
+        residuals=tape.residuals(),
+        error_models=tape.models,
+        counts=dict(nav.counts),
+        cpu_s=cpu_s,
+        forward=forward,
+    )
+
+
+def _smoothed(forward: Track, nav: Navigator, tape: Tape, began: float, progress: bool) -> Track:
+    n, size = len(tape.row_times), nav.layout.size
+    packed, x = np.empty((n, 17)), np.empty((n, size - 9))
+    P, sd = np.empty((n, 9, 9)), np.empty((n, size - 9))
+
+    def store(i: int, row: Array, mean: Array, covariance: Array) -> None:
+        packed[i] = row[:17]
+        packed[i, 0] += mean[0] / row[15]
+        packed[i, 1] += mean[1] / (row[16] * np.cos(row[0]))
+        packed[i, 2] -= mean[2]
+        packed[i, 3:6] += mean[3:6]
+        packed[i, 6:15] = (rotation_matrix(mean[6:9]) @ row[6:15].reshape(3, 3)).ravel()
+        x[i] = row[17 : 8 + size] + mean[9:]
+        P[i] = covariance[:9, :9]
+        sd[i] = np.sqrt(np.maximum(np.diagonal(covariance)[9:], 0.0))
+
+    bar = _bar(len(tape.heads), "smoother", progress)
+    smooth_rows(tape, size, store, None if bar is None else bar.update)
+    if bar is not None:
+        bar.close()
+    return _assemble("smoothed", nav, tape, forward.mission_name, time.process_time() - began, packed, x, P, sd, forward)
+
+
+def warm_up() -> None:
+    """Compile every kernel of the navigator and the smoother by running a tiny mission (a few seconds the first time, then cached)."""
+    from navfilter.simulate import tiny_missions
+
+    for vehicle, mission in tiny_missions():
+        replay(vehicle, mission, smooth=True)

@@ -1,0 +1,57 @@
+"""Fixed-interval smoothing over the tape of a run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navfilter.kernels import kalman
+from navfilter.tape import Tape
+
+__all__ = ["smooth_rows"]
+
+Array = NDArray[np.float64]
+
+
+def smooth_rows(tape: Tape, size: int, store: Callable[[int, Array, Array, Array], None], progress: Callable[[int], None] | None = None) -> None:
+    """Rauch-Tung-Striebel solution at every row of the tape, latest first.
+
+    Computed in the modified Bryson-Frazier form (Bierman, 1973), which inverts only innovation covariances. Feedback needs no bookkeeping: the
+    smoothed error is expressed against the forward trajectory itself, and each attitude reset is part of its record.
+
+    Parameters
+    ----------
+    tape : Tape
+        Of a run that wrote records (``smoothable=True``).
+    size : int
+        Number of error states.
+    store : callable(index, row, mean, covariance)
+        Called per row with the forward row (17 + (size - 9) + size^2 values), the smoothed correction to add to its state and the covariance of what is left.
+        The arrays are work space: copy what is to stay.
+    progress : callable(n), optional
+        Called now and then with the number of records done.
+
+    Raises
+    ------
+    ValueError
+        When the tape holds no records.
+    """
+    if not tape.smoothable:
+        raise ValueError("this tape was written with smoothable=False: it has no records to smooth. Replay with smooth=True.")
+    L, lam, T = np.zeros((size, size)), np.zeros(size), np.zeros((size, size))
+    mean, covariance = np.zeros(size), np.zeros((size, size))
+    row = len(tape.row_times) - 1
+    for index in range(len(tape.heads), -1, -1):
+        while row >= 0 and tape.row_records[row] == index:
+            values = tape.rows[row]
+            P = values[17 + size - 9 :].reshape(size, size)
+            kalman.smooth_row(P, L, lam, mean, covariance, T)
+            store(row, values, mean, covariance)
+            row -= 1
+        if index:
+            a, m, b, start = tape.heads[index - 1]
+            kalman.smooth_record(L, lam, tape.records[index - 1], a, m, b, start, T)
+            if progress is not None and index % 1000 == 0:
+                progress(1000)

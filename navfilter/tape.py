@@ -1,0 +1,206 @@
+"""What a run leaves behind: records for the smoother, rows for the track, residuals per sensor.
+
+Records and rows go to a spool that keeps a bounded amount in memory and the rest in a temporary file, so that a day-long mission needs no
+more memory than an hour.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["OUTCOMES", "Residuals", "Spool", "Tape"]
+
+Array = NDArray[np.float64]
+
+#: What can become of a reading, in the order of the codes in `Residuals.outcome`.
+OUTCOMES = ("used", "rejected", "invalid", "duplicate", "too-late", "ahead", "unknown-sensor")
+
+
+class Spool:
+    """Append-only store of float64 vectors; at most `memory_bytes` stay in memory, older ones go to a temporary file.
+
+    Raises
+    ------
+    OSError
+        When the temporary file cannot be written (disk full).
+    """
+
+    CHUNK = 1 << 18  # 2 MiB of float64
+
+    def __init__(self, memory_bytes: int) -> None:
+        self._keep = max(2, memory_bytes // (8 * self.CHUNK))
+        self._chunks: list[Array | None] = []
+        self._places: list[tuple[int, int, int]] = []  # chunk, first, last
+        self._offsets: list[int] = []
+        self._sizes: list[int] = []
+        self._file: Any = None
+        self._written = 0
+        self._end = 0
+        self._loaded: tuple[int, Array] | None = None
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+    def new(self, size: int) -> Array:
+        """A writable view of `size` elements, appended."""
+        if not self._chunks or self._end + size > len(self._chunks[-1]):  # type: ignore[arg-type]
+            self._spill()
+            self._chunks.append(np.empty(max(self.CHUNK, size)))
+            self._end = 0
+        self._places.append((len(self._chunks) - 1, self._end, self._end + size))
+        self._end += size
+        return self[-1]
+
+    def _spill(self) -> None:
+        oldest = len(self._chunks) - self._keep
+        if oldest < 0:
+            return
+        if self._file is None:
+            self._file = tempfile.TemporaryFile(prefix="navfilter-")  # noqa: SIM115  (lives as long as the spool)
+        chunk = self._chunks[oldest]
+        assert chunk is not None
+        self._file.seek(self._written)
+        self._offsets.append(self._written)
+        self._sizes.append(len(chunk))
+        self._written += self._file.write(memoryview(chunk).cast("B"))
+        self._chunks[oldest] = None
+
+    def __getitem__(self, index: int) -> Array:
+        number, first, last = self._places[index]
+        chunk = self._chunks[number]
+        if chunk is None:
+            if self._loaded is None or self._loaded[0] != number:
+                self._file.seek(self._offsets[number])
+                self._loaded = number, np.frombuffer(bytearray(self._file.read(8 * self._sizes[number])))
+            chunk = self._loaded[1]
+        return chunk[first:last]
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """Residuals of one sensor, one row per reading.
+
+    Attributes
+    ----------
+    time_s : ndarray, shape (n,)
+    value : ndarray, shape (n, a)
+        Measured minus predicted; NaN where missing.
+    sd : ndarray, shape (n, a)
+        Predicted standard deviation of the residual.
+    nis : ndarray, shape (n,)
+        Normalised innovation squared.
+    dof : ndarray, shape (n,)
+        Components used.
+    outcome : ndarray of uint8, shape (n,)
+        Index into `OUTCOMES`.
+    """
+
+    time_s: Array
+    value: Array
+    sd: Array
+    nis: Array
+    dof: Array
+    outcome: NDArray[np.uint8]
+
+    def count(self, outcome: str) -> int:
+        """How many readings met that outcome."""
+        return int(np.count_nonzero(self.outcome == OUTCOMES.index(outcome)))
+
+    @property
+    def used(self) -> NDArray[np.bool_]:
+        """Mask of the readings that corrected the state."""
+        return self.outcome == 0
+
+
+@dataclass
+class _Column:
+    """Growing residual table of one sensor: time, NIS, dof, outcome, values, sds."""
+
+    axes: int
+    rows: Array = field(init=False)
+    used: int = 0
+
+    def __post_init__(self) -> None:
+        self.rows = np.empty((1024, 4 + 2 * self.axes))
+
+    def append(self, time_s: float, code: int, nis: float, dof: float, res: Array | None, variances: Array | None) -> None:
+        if self.used == len(self.rows):
+            self.rows = np.concatenate([self.rows, np.empty_like(self.rows)])
+        row, a = self.rows[self.used], self.axes
+        row[0], row[1], row[2], row[3] = time_s, nis, dof, code
+        row[4 : 4 + a] = np.nan if res is None else res
+        row[4 + a :] = np.nan if variances is None else variances
+        self.used += 1
+
+    def residuals(self) -> Residuals:
+        r, a = self.rows[: self.used], self.axes
+        return Residuals(r[:, 0].copy(), r[:, 4 : 4 + a].copy(), np.sqrt(r[:, 4 + a :]), r[:, 1].copy(), r[:, 2].copy(), r[:, 3].astype(np.uint8))
+
+
+class Tape:
+    """Everything a run writes down.
+
+    Parameters
+    ----------
+    output_rate_hz : float or None
+        At most so many track rows per second of mission; None keeps one at every record.
+    smoothable : bool
+        Keep the records that `navfilter.smoother.smooth` needs; without them only the track and the residuals remain.
+    memory_bytes : int
+        In memory at most; the rest is spooled to a temporary file.
+    """
+
+    def __init__(self, output_rate_hz: float | None = None, smoothable: bool = True, memory_bytes: int = 96 << 20) -> None:
+        self.interval_s = 0.0 if output_rate_hz is None else 1.0 / output_rate_hz - 1e-9
+        self.smoothable = smoothable
+        self.records = Spool(memory_bytes)
+        self.heads: list[tuple[int, int, int, int]] = []  # a, m, b, start of each record
+        self.rows = Spool(memory_bytes)
+        self.row_times: list[float] = []
+        self.row_records: list[int] = []  # the record after which the row holds
+        self.columns: dict[str, _Column] = {}
+        self.models: dict[str, list[tuple[float, Any]]] = {}
+
+    def record(self, transition: Array, tick: Array | None, start: int, correction: tuple[Array, ...] = (), axes: int = 0) -> None:
+        """Write one record: compound transition, block tick, and what the correction was (see ``kalman.smooth_record``)."""
+        if not self.smoothable:
+            return
+        m, b = transition.shape[1], 0 if tick is None else tick.shape[0]
+        out = self.records.new(m * m + b * b + sum(c.size for c in correction))
+        out[: m * m] = transition.reshape(-1)
+        at = m * m + b * b
+        if tick is not None:
+            out[m * m : at] = tick.reshape(-1)
+        for c in correction:
+            out[at : at + c.size] = c.reshape(-1)
+            at += c.size
+        self.heads.append((axes, m, b, start))
+
+    def row(self, time_s: float, nav: Array, x: Array, P: Array) -> None:
+        """Note the state at this time; the last note of a time stands, and times closer than the output interval are skipped."""
+        times = self.row_times
+        if times and time_s == times[-1]:
+            out = self.rows[-1]
+            self.row_records[-1] = len(self.heads)
+        elif times and time_s - times[-1] < self.interval_s:
+            return
+        else:
+            out = self.rows.new(17 + x.size + P.size)
+            times.append(time_s)
+            self.row_records.append(len(self.heads))
+        out[:17] = nav
+        out[17 : 17 + x.size] = x
+        out[17 + x.size :] = P.reshape(-1)
+
+    def column(self, name: str, axes: int) -> _Column:
+        """The residual table of a sensor."""
+        return self.columns.setdefault(name, _Column(axes))
+
+    def residuals(self) -> dict[str, Residuals]:
+        """Residuals of every sensor that was heard of."""
+        return {name: column.residuals() for name, column in self.columns.items()}

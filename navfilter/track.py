@@ -1,0 +1,274 @@
+"""The result of a run: state, covariance, residuals, adopted models; its errors and consistency against a truth."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navfilter.kernels import strapdown
+from navfilter.mission import Stream
+from navfilter.state import matrix_from_euler, rotation_vector, wrap
+from navfilter.tape import Residuals
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from navfilter.vehicle import Vehicle
+
+__all__ = ["Track", "TrackErrors"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class TrackErrors:
+    """Estimated minus true along a track; NaN where there is no truth.
+
+    Attributes
+    ----------
+    time_s : ndarray, shape (n,)
+    position_n, velocity_n : ndarray, shape (n, 3)
+        North, east, down [m], [m/s].
+    attitude : ndarray, shape (n, 3)
+        Rotation vector in n [rad].
+    heading : ndarray, shape (n,)
+        Heading error [rad].
+    """
+
+    time_s: Array
+    position_n: Array
+    velocity_n: Array
+    attitude: Array
+    heading: Array
+
+    @property
+    def horizontal(self) -> Array:
+        """Horizontal distance to the truth [m], shape (n,)."""
+        return np.hypot(self.position_n[:, 0], self.position_n[:, 1])
+
+
+@dataclass(frozen=True)
+class Track:
+    """What a run found out.
+
+    Attributes
+    ----------
+    label : str
+        "forward" or "smoothed".
+    vehicle : Vehicle
+    mission_name : str
+    time_s : ndarray, shape (n,)
+    latitude, longitude : ndarray, shape (n,)
+        [rad].
+    height : ndarray, shape (n,)
+        [m].
+    velocity_n : ndarray, shape (n, 3)
+    attitude : ndarray, shape (n, 3)
+        Roll, pitch, heading [rad].
+    covariance : ndarray, shape (n, 9, 9)
+        Of position [m] in n, velocity [m/s] in n, attitude [rad] in n.
+    states, states_sd : ndarray, shape (n, k)
+        Estimates and standard deviations of sensor errors and parameters.
+    state_names : tuple of str
+    residuals : dict of str to Residuals
+    error_models : dict of str to list of (time_s, error model)
+        What was in force from when.
+    counts : dict of str to int
+        Irregularities of the drive: gaps, backward stamps, repaired samples; gates widened.
+    cpu_s : float
+        Processor time of the run [s].
+    forward : Track, optional
+        Of a smoothed track: the forward one.
+    """
+
+    label: str
+    vehicle: Vehicle
+    mission_name: str
+    time_s: Array
+    latitude: Array
+    longitude: Array
+    height: Array
+    velocity_n: Array
+    attitude: Array
+    covariance: Array
+    states: Array
+    states_sd: Array
+    state_names: tuple[str, ...]
+    residuals: dict[str, Residuals]
+    error_models: dict[str, list[tuple[float, Any]]]
+    counts: dict[str, int] = field(default_factory=dict)
+    cpu_s: float = 0.0
+    forward: Track | None = None
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+    @property
+    def distance_m(self) -> float:
+        """Horizontal distance travelled [m], from the estimated velocity."""
+        speed = np.hypot(self.velocity_n[:, 0], self.velocity_n[:, 1])
+        return float(np.sum(0.5 * (speed[1:] + speed[:-1]) * np.diff(self.time_s)))
+
+    def local(self, latitude: float | None = None, longitude: float | None = None) -> Array:
+        """Position north, east, down [m], shape (n, 3), from a reference point [rad] (default: the first position)."""
+        lat0 = self.latitude[0] if latitude is None else latitude
+        lon0 = self.longitude[0] if longitude is None else longitude
+        return _metres(self.latitude, self.longitude, self.height, lat0, lon0, 0.0)
+
+    def state(self, name: str) -> tuple[Array, Array]:
+        """Estimate and standard deviation of one error state or parameter over time."""
+        if name not in self.state_names:
+            raise ValueError(f'no state "{name}" on this track (states: {", ".join(self.state_names)}).')
+        i = self.state_names.index(name)
+        return self.states[:, i], self.states_sd[:, i]
+
+    def to_frame(self) -> pd.DataFrame:
+        """Table with one row per time, in degrees and metres; every column names its unit."""
+        import pandas as pd
+
+        sd = np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2))
+        rpy, rpy_sd = np.degrees(self.attitude), np.degrees(self._attitude_sd())
+        columns: dict[str, Array] = {
+            "time_s": self.time_s,
+            "latitude_deg": np.degrees(self.latitude),
+            "longitude_deg": np.degrees(self.longitude),
+            "height_m": self.height,
+            "depth_m": -self.height,
+        }
+        axes = ("north", "east", "down")
+        columns |= {f"velocity_{a}_m_s": self.velocity_n[:, i] for i, a in enumerate(axes)}
+        columns |= {"roll_deg": rpy[:, 0], "pitch_deg": rpy[:, 1], "heading_deg": rpy[:, 2] % 360.0}
+        columns |= {f"position_{a}_sd_m": sd[:, i] for i, a in enumerate(axes)}
+        columns["position_north_east_cov_m2"] = self.covariance[:, 0, 1]
+        columns |= {f"velocity_{a}_sd_m_s": sd[:, 3 + i] for i, a in enumerate(axes)}
+        columns |= {f"{a}_sd_deg": rpy_sd[:, i] for i, a in enumerate(("roll", "pitch", "heading"))}
+        for i, name in enumerate(self.state_names):
+            columns[name], columns[f"{name}_sd"] = self.states[:, i], self.states_sd[:, i]
+        return pd.DataFrame(columns)
+
+    def _attitude_sd(self) -> Array:
+        """Standard deviations of roll, pitch and heading [rad], shape (n, 3), from the covariance of the rotation vector in n."""
+        _, pitch, heading = self.attitude.T
+        c, s, t, z, o = np.cos(heading), np.sin(heading), np.tan(pitch), np.zeros(len(self)), np.ones(len(self))
+        cp = np.cos(pitch)
+        J = np.stack([np.stack([c / cp, s / cp, z], -1), np.stack([-s, c, z], -1), np.stack([c * t, s * t, o], -1)], -2)
+        P = J @ self.covariance[:, 6:9, 6:9] @ np.swapaxes(J, 1, 2)
+        return np.sqrt(np.maximum(np.diagonal(P, axis1=1, axis2=2), 0.0))
+
+    def errors(self, truth: Stream) -> TrackErrors:
+        """Errors of the track, at its own times; the truth is interpolated (NaN outside it and across gaps in it longer than 5 s)."""
+        t = _interpolate(truth, self.time_s)
+        lat, lon, h = t[:, 0], t[:, 1], t[:, 2]
+        north_east_down = _metres(self.latitude, self.longitude, self.height, lat, lon, h)
+        C, C_true = matrix_from_euler(*self.attitude.T), matrix_from_euler(*t[:, 6:9].T)
+        attitude = np.full((len(self), 3), np.nan)
+        known = np.isfinite(t[:, 6:9]).all(axis=1)
+        attitude[known] = rotation_vector(C[known] @ np.swapaxes(C_true[known], 1, 2))
+        return TrackErrors(self.time_s, north_east_down, self.velocity_n - t[:, 3:6], attitude, wrap(self.attitude[:, 2] - t[:, 8]))
+
+    def nees(self, errors: TrackErrors) -> dict[str, Array]:
+        """Normalised estimation error squared per degree of freedom over time: position, velocity, attitude, heading (NaN without truth).
+
+        Components without truth (a depth, a roll) are left out.
+        """
+        P = self.covariance
+        result = {
+            "position": _nees(errors.position_n, P[:, :3, :3]),
+            "velocity": _nees(errors.velocity_n, P[:, 3:6, 3:6]),
+            "attitude": _nees(errors.attitude, P[:, 6:9, 6:9]),
+        }
+        with np.errstate(divide="ignore", invalid="ignore"):
+            result["heading"] = errors.heading**2 / self._attitude_sd()[:, 2] ** 2
+        return result
+
+    def summary(self, truth: Stream | None = None, windows: tuple[tuple[float, float], ...] = ()) -> dict[str, Any]:
+        """Figures of the run as they stand in ``summary.json``; None where there is no truth.
+
+        Parameters
+        ----------
+        truth : Stream, optional
+        windows : tuple of (float, float)
+            Times [s] to be scored; default all.
+        """
+        keys = ("position_rms_m", "position_max_m", "position_end_m", "position_end_pct", "heading_rms_deg", "velocity_rms_m_s")
+        result: dict[str, Any] = dict.fromkeys((*keys, "nees_position", "nees_heading"))
+        if truth is not None and len(truth):
+            errors = self.errors(truth)
+            scored = np.ones(len(self), bool)
+            if windows:
+                scored = np.any([(self.time_s >= a) & (self.time_s <= b) for a, b in windows], axis=0)
+            horizontal = errors.horizontal[scored]
+            valid = horizontal[np.isfinite(horizontal)]
+            nees = self.nees(errors)
+            if valid.size:
+                result["position_rms_m"] = float(np.sqrt(np.mean(valid**2)))
+                result["position_max_m"], result["position_end_m"] = float(valid.max()), float(valid[-1])
+                result["position_end_pct"] = float(100.0 * valid[-1] / self.distance_m) if self.distance_m > 0 else None
+            result["heading_rms_deg"] = _rms(np.degrees(errors.heading[scored]))
+            result["velocity_rms_m_s"] = _rms(np.linalg.norm(errors.velocity_n[scored], axis=1))
+            result["nees_position"], result["nees_heading"] = _mean(nees["position"][scored]), _mean(nees["heading"][scored])
+        r = self.residuals
+        result["nis"] = {name: _mean(v.nis[v.used] / np.maximum(v.dof[v.used], 1)) for name, v in r.items()}
+        for outcome in ("used", "rejected", "invalid"):
+            result[outcome] = {name: v.count(outcome) for name, v in r.items()}
+        result["models"] = {name: [[round(t, 3), str(m)] for t, m in models] for name, models in self.error_models.items()}
+        result["cpu_s"] = self.cpu_s
+        return result
+
+
+def _mean(values: Array) -> float | None:
+    finite = values[np.isfinite(values)]
+    return float(finite.mean()) if finite.size else None
+
+
+def _rms(values: Array) -> float | None:
+    mean = _mean(values**2)
+    return None if mean is None else math.sqrt(mean)
+
+
+def _nees(error: Array, P: Array) -> Array:
+    """Per degree of freedom, over the components whose truth is known (the same ones at all times)."""
+    known = np.isfinite(error).any(axis=0)
+    if not known.any():
+        return np.full(len(error), np.nan)
+    e, S = error[:, known], P[:, known][:, :, known]
+    rows = np.isfinite(e).all(axis=1)
+    result = np.full(len(e), np.nan)
+    if rows.any():
+        solved = np.einsum("nij,nj->ni", np.linalg.pinv(S[rows], hermitian=True), e[rows])
+        result[rows] = np.einsum("ni,ni->n", e[rows], solved) / e.shape[1]
+    return result
+
+
+def _metres(lat: Array, lon: Array, h: Array, lat0: Any, lon0: Any, h0: Any) -> Array:
+    """North, east, down [m] of points from reference points nearby."""
+    mid = 0.5 * (lat + lat0)
+    s2 = np.sin(mid) ** 2
+    prime = strapdown.EARTH_RADIUS / np.sqrt(1.0 - strapdown.EARTH_E2 * s2)
+    meridian = prime * (1.0 - strapdown.EARTH_E2) / (1.0 - strapdown.EARTH_E2 * s2)
+    height = 0.5 * (h + h0)
+    height = np.where(np.isfinite(height), height, 0.0)
+    return np.stack([(lat - lat0) * (meridian + height), wrap(lon - lon0) * (prime + height) * np.cos(mid), h0 - h + 0.0 * lat], axis=-1)
+
+
+def _interpolate(truth: Stream, time_s: Array, longest_gap_s: float = 5.0) -> Array:
+    """Truth columns at other times; angles through the shorter way, NaN outside and across long gaps."""
+    result = np.full((len(time_s), truth.value.shape[1]), np.nan)
+    for c in range(truth.value.shape[1]):
+        column = truth.value[:, c]
+        good = np.isfinite(column)
+        if good.sum() < 2:
+            continue
+        t, v = truth.time_s[good], column[good]
+        if c in (1, 6, 7, 8):
+            v = np.unwrap(v)
+        after = np.clip(np.searchsorted(t, time_s, side="left"), 1, len(t) - 1)
+        inside = (time_s >= t[0] - 1e-6) & (time_s <= t[-1] + 1e-6)
+        near = (t[after] - t[after - 1] <= longest_gap_s) | (np.minimum(np.abs(time_s - t[after]), np.abs(time_s - t[after - 1])) < 1e-6)
+        result[:, c] = np.where(inside & near, np.interp(time_s, t, v), np.nan)
+    return result
+
