@@ -123,6 +123,8 @@ class GapFree:
         Gram = np.empty((r, r))
         kernels.shift_gram(w, w, 0, Gram)
         P0, V, logdet = self._start(a, c, Gram)
+        if not math.isfinite(logdet):
+            return Point(theta, math.inf)
         columns = [self._filter(x, a, c) for x in (*self.regressors, self.y)]
         B = np.empty((len(columns), r))
         for row, column in zip(B, columns, strict=True):
@@ -131,7 +133,7 @@ class GapFree:
         k = len(columns) - 1
         beta = _least_squares(gram[:k, :k], gram[:k, k])
         power = float(gram[k, k] - beta @ gram[:k, k])
-        if not (power > 0.0 and math.isfinite(power) and math.isfinite(logdet)):
+        if not (power > 0.0 and math.isfinite(power)):
             return Point(theta, math.inf)
         value = 0.5 * (n * math.log(power / n) + logdet)
         return Point(theta, value, power, beta, V @ (B[k] - beta @ B[:k]), V, Gram, P0, w)
@@ -143,6 +145,8 @@ class GapFree:
             return P0, np.asarray(np.linalg.inv(Gram), dtype=np.float64), 0.0
         M, g = observer(a, c)
         kernels.lyapunov(M, np.outer(g, g), 60, P0)
+        if not np.all(np.isfinite(P0)):
+            return P0, np.zeros_like(P0), math.inf
         growth = np.eye(self.r) + Gram @ P0
         sign, logdet = np.linalg.slogdet(growth)
         if sign <= 0.0 or not math.isfinite(logdet):
