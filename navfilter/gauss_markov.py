@@ -101,7 +101,10 @@ def gauss_markov_arma(order: int, sd: float, beta: float, rate_hz: float) -> Arm
 
 @dataclass(frozen=True)
 class GaussMarkovFit:
-    """A fitted Gauss-Markov process: standard deviation, ``beta`` (1/s), 1/e time ``tau_s``, log-likelihood."""
+    """A fitted Gauss-Markov process: standard deviation, ``beta`` (1/s), 1/e time ``tau_s``, log-likelihood.
+
+    `loglik` is NaN for a 1/e fit whose model is too smooth for double precision.
+    """
 
     order: int
     sd: float
@@ -158,10 +161,15 @@ def fit_gauss_markov(
         log_step = float(minimize_scalar(value, bounds=(low, high), method="bounded", options={"xatol": 1e-6}).x)
     unit = gauss_markov_arma(order, 1.0, math.exp(log_step), 1.0)
     point = objective.evaluate(np.r_[unit.ar, unit.ma])
-    fit = problem.result(point, objective, True)
-    sd = fit.sd / unit.sd if method == "likelihood" else float(np.nanstd(np.asarray(series, dtype=np.float64)))
+    sd, loglik = float(np.nanstd(np.asarray(series, dtype=np.float64))), math.nan
+    if math.isfinite(point.value):
+        fit = problem.result(point, objective, True)
+        loglik = fit.loglik
+        sd = fit.sd / unit.sd if method == "likelihood" else sd
+    elif method == "likelihood":
+        raise ValueError(f"order {order} is too smooth at this rate for double precision. Use a lower order or 1/e.")
     beta = math.exp(log_step) * rate_hz
-    return GaussMarkovFit(order, sd, beta, product / beta, fit.loglik, gauss_markov_arma(order, sd, beta, rate_hz))
+    return GaussMarkovFit(order, sd, beta, product / beta, loglik, gauss_markov_arma(order, sd, beta, rate_hz))
 
 
 def _one_over_e_lag(x: Array) -> float:
