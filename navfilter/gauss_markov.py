@@ -128,7 +128,7 @@ def fit_gauss_markov(
     rate_hz : float
         Sampling rate, Hz.
     method : {"likelihood", "1/e"}
-        Exact likelihood of the sampled process, or the lag at which the sample autocorrelation falls to 1/e (quick,
+        Exact likelihood of the sampled process (orders above 2: of about a dozen samples per tau), or the lag at which the sample autocorrelation falls to 1/e (quick,
         and biased towards short times when the record is not many tau long).
     trend : {"constant", "none", "linear"}
         As in `fit_arma`.
@@ -143,7 +143,12 @@ def fit_gauss_markov(
         raise ValueError(f'method must be "likelihood" or "1/e", found "{method}".')
     if not rate_hz > 0.0:
         raise ValueError(f"rate_hz must be positive, found {rate_hz}.")
-    problem = Problem(series, order, order - 1, "likelihood", 0, trend, None)
+    thin = 1
+    if method == "1/e" or order > 2:
+        lag = _one_over_e_lag(np.asarray(series, dtype=np.float64))
+        # An n-fold pole near 1 loses n-1 times the digits of its distance: keep about a dozen samples per tau.
+        thin = max(int(lag / 12.0), 1) if order > 2 else 1
+    problem = Problem(np.asarray(series)[::thin], order, order - 1, "likelihood", 0, trend, None)
     objective = problem.objective(order, order - 1)
 
     def value(log_step: float) -> float:
@@ -152,7 +157,7 @@ def fit_gauss_markov(
 
     product = correlation_product(order)
     if method == "1/e":
-        log_step = math.log(product / _one_over_e_lag(np.asarray(series, dtype=np.float64)))
+        log_step = math.log(product / lag * thin)
     else:
         grid = np.linspace(math.log(product / problem.y.size), math.log(10.0), 25)
         values = [value(float(g)) for g in grid]
@@ -168,7 +173,7 @@ def fit_gauss_markov(
         sd = fit.sd / unit.sd if method == "likelihood" else sd
     elif method == "likelihood":
         raise ValueError(f"order {order} is too smooth at this rate for double precision. Use a lower order or 1/e.")
-    beta = math.exp(log_step) * rate_hz
+    beta = math.exp(log_step) * rate_hz / thin
     return GaussMarkovFit(order, sd, beta, product / beta, loglik, gauss_markov_arma(order, sd, beta, rate_hz))
 
 
