@@ -128,8 +128,8 @@ def fit_gauss_markov(
     rate_hz : float
         Sampling rate, Hz.
     method : {"likelihood", "1/e"}
-        Exact likelihood of the sampled process (orders above 2: of about a dozen samples per tau), or the lag at which the sample autocorrelation falls to 1/e (quick,
-        and biased towards short times when the record is not many tau long).
+        Exact likelihood of the sampled process (orders above 2: of about a dozen samples per tau), or the lag at
+        which the sample autocorrelation falls to 1/e (quick, biased to short times unless the record is many tau long).
     trend : {"constant", "none", "linear"}
         As in `fit_arma`.
 
