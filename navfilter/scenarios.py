@@ -172,14 +172,7 @@ def transit(duration_s: float) -> Motion:
 
 def turns_and_dives(duration_s: float) -> Motion:
     """Figure-eights, spiral dives and climbs, one after the other."""
-    cycle = (
-        FigureEight(),
-        SpiralDive(40.0),
-        Straight(duration_s=20.0),
-        Dive(10.0),
-        Turn(120.0),
-        Straight(duration_s=30.0),
-    )
+    cycle = (FigureEight(rate_deg_s=6.0), SpiralDive(20.0), Straight(duration_s=15.0), Dive(10.0), Turn(120.0))
     begin = (Wait(20.0), ChangeSpeed(1.5, 15.0), Straight(duration_s=45.0), Dive(10.0))
     end = (Surface(), Straight(duration_s=45.0), ChangeSpeed(0.0, 15.0), Wait(20.0))
     return _fill(duration_s, begin, lambda times: cycle * times, end)

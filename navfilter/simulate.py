@@ -8,7 +8,7 @@ from __future__ import annotations
 import dataclasses
 import datetime
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -16,11 +16,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
+from navfilter.error_models import GaussMarkov, White
 from navfilter.faults import Faults, Models, draw_errors, generator, outliers, quantise, within
+from navfilter.manoeuvres import ChangeSpeed, Wait
 from navfilter.mechanisation import DeadReckoning, Imu, Mechanisation
 from navfilter.mission import TRUTH_COLUMNS, Mission, Stream
 from navfilter.motion import Kinematics, Motion
-from navfilter.sensors import Heading, Sensor, ZeroVelocity
+from navfilter.sensors import BodyVelocity, Depth, Heading, Position, Sensor, ZeroVelocity
 from navfilter.simulated_sensors import READERS, Truth, attitude, displaced, turned_and_scaled
 from navfilter.vehicle import Start, Vehicle
 
@@ -155,7 +157,7 @@ class _Scene:
     def calibration(self, name: str, what: str, given: ArrayLike | None, sd: ArrayLike, size: int) -> Array:
         """A calibration error (size,): as given, or drawn with the standard deviation that the description states."""
         if given is not None:
-            return np.broadcast_to(np.asarray(given, dtype=np.float64), (size,))
+            return np.array(np.broadcast_to(given, (size,)), dtype=np.float64)
         drawn = np.broadcast_to(np.asarray(sd, dtype=np.float64), (size,))
         drawn = drawn * generator(self.seed, name, what).normal(size=size)
         if np.any(drawn):
@@ -307,3 +309,21 @@ def _draw_start(here: Kinematics, known: StartErrors, seed: int, date: datetime.
         heading_sd_deg=known.heading_sd_deg,
         date=date,
     )
+
+
+def tiny_missions() -> Iterator[tuple[Vehicle, Mission]]:
+    """Two missions of a few seconds that between them use every drive and every sensor, for compiling ahead of time."""
+    white, slow = White(sd=0.01), GaussMarkov(sd=0.01, tau_s=10.0)
+    sensors: dict[str, Sensor] = {
+        "compass": Heading(rate_hz=4.0, error=white + slow, bias_sd_rad=0.01),
+        "magnetometer": Heading(rate_hz=4.0, error=white, magnetometer=True),
+        "dvl": BodyVelocity(rate_hz=4.0, error=white, scale_sd=0.01, misalignment_sd_rad=0.01),
+        "depth": Depth(rate_hz=1.0, error=white, offset_sd_m=0.1),
+        "gps": Position(rate_hz=1.0, error=slow),
+    }
+    motion = Motion((Wait(3.0), ChangeSpeed(1.0, 2.0)), latitude_deg=30.0)
+    inertial = Vehicle(imu=Imu(rate_hz=20.0), sensors={**sensors, "rest": ZeroVelocity()}, name="tiny-inertial")
+    course = Heading(rate_hz=4.0, error=white, deviation_sd_rad=(0.01, 0.01))
+    reckoning = DeadReckoning(rate_hz=4.0, attitude=course, velocity=BodyVelocity(rate_hz=4.0, scale_sd=0.01))
+    for vehicle in (inertial, Vehicle(reckoning, {"gps": sensors["gps"]}, name="tiny-reckoning")):
+        yield vehicle, simulate(vehicle, motion, seed=1, faults={"gps": Faults(hdop=1.0)}, name=vehicle.name)

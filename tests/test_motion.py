@@ -1,6 +1,7 @@
 """The simulated motion is exact: kinematics agree with each other, and an independent integrator follows them."""
 
 import math
+import os
 
 import numpy as np
 import pandas as pd
@@ -18,6 +19,8 @@ from navfilter.manoeuvres import (
     Wait,
 )
 from navfilter.motion import Motion, Wander, rotation
+
+pytestmark = pytest.mark.filterwarnings("ignore:The copy keyword is deprecated")  # inside python-ins
 
 TOUR = (
     Wait(20.0),
@@ -123,6 +126,8 @@ def inertial_axes(motion, t):
 
 def integrate(motion, rate_hz, increments):
     """Largest errors (position n m, velocity m/s, attitude rad) of the python-ins integrator along the motion."""
+    if os.environ.get("NUMBA_DISABLE_JIT", "0") != "0":
+        pytest.skip("the integrator's loop takes minutes without the compiler")
     strapdown = pytest.importorskip("pyins.strapdown")
     t, gyro, accel = motion.inertial(rate_hz, increments=increments)
     if increments:
