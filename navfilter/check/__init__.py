@@ -1,0 +1,89 @@
+"""Look at a mission before it is replayed: what is in it, and which of the usual mistakes it seems to contain.
+
+`check_mission` returns findings; `report_text` writes them as plain words. Nothing here changes a mission.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+from navfilter.check.finding import Finding, Severity
+from navfilter.check.motion import motion_findings
+from navfilter.check.streams import stream_findings
+from navfilter.mission import Mission
+
+if TYPE_CHECKING:
+    from navfilter.vehicle import Vehicle
+
+__all__ = ["Finding", "Severity", "check_mission", "report_text"]
+
+
+def check_mission(mission: Mission, vehicle: Vehicle | None = None) -> tuple[Finding, ...]:
+    """Everything worth saying about a mission, the gravest first.
+
+    Parameters
+    ----------
+    mission : Mission
+    vehicle : Vehicle, optional
+        If given, its sensors are looked for in the mission, and mountings are applied before directions are compared.
+
+    Returns
+    -------
+    tuple of Finding
+        Severity "error": a replay would go wrong; "warning": look at it; "info": a fact.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from navfilter.mission import Stream
+    >>> held = Stream(np.arange(100.0), np.repeat(np.arange(10.0), 10), ("depth_m",))
+    >>> [finding.severity for finding in check_mission(Mission("x", {"depth": held}))]
+    ['warning', 'info', 'info']
+    """
+    found: list[Finding] = []
+    if not mission.streams:
+        found.append(Finding("error", "", "there is no stream.", "Add [streams.NAME] to the mission.toml."))
+    for name, stream in mission.streams.items():
+        found += stream_findings(name, stream, mission)
+    for note in mission.notes:
+        stream_name = note.split(" ", 1)[0].rstrip(":")
+        known = stream_name if stream_name in mission.streams else ""
+        graver: Severity = "warning" if "go back" in note or "too many fields" in note else "info"
+        cure = "Late or shuffled readings: see whether the time column is the right one." if "go back" in note else ""
+        found.append(Finding(graver, known, f"the reader notes: {note}.", cure))
+    if vehicle is not None:
+        found += _absent(mission, vehicle)
+    found += motion_findings(mission, vehicle)
+    rank = {"error": 0, "warning": 1, "info": 2}
+    return tuple(sorted(found, key=lambda finding: rank[finding.severity]))
+
+
+def report_text(mission: Mission, findings: tuple[Finding, ...]) -> str:
+    """The findings as text: one paragraph per severity, one line per finding, its cure below it."""
+    lines = [f"Mission {mission.name}: {mission.duration_s:.1f} s, streams {', '.join(mission.streams) or 'none'}."]
+    headings = {"error": "Wrong, to be put right first", "warning": "Worth a look", "info": "What is there"}
+    for severity, heading in headings.items():
+        of_kind = [finding for finding in findings if finding.severity == severity]
+        if not of_kind:
+            continue
+        lines += ["", f"{heading}:"]
+        for finding in of_kind:
+            lines.append(f"  {finding.stream + ': ' if finding.stream else ''}{finding.text}")
+            if finding.cure:
+                lines.append(f"      -> {finding.cure}")
+    if not any(finding.severity == "error" for finding in findings):
+        lines += ["", "No mistake found that would spoil a replay."]
+    return "\n".join(lines)
+
+
+def _absent(mission: Mission, vehicle: Vehicle) -> Iterator[Finding]:
+    silent = {name for name, sensor in vehicle.sensors.items() if type(sensor).__name__ == "ZeroVelocity"}
+    wanted = {*vehicle.drive.streams, *vehicle.sensors} - silent
+    for name in sorted(wanted - set(mission.streams)):
+        cure = f'Add the stream, or drop the sensor with vehicle.without("{name}").'
+        if name in vehicle.drive.streams:
+            cure = "Nothing moves without what drives: add the stream, or choose another drive."
+        yield Finding("error", name, "the vehicle has this sensor, the mission has no such stream.", cure)
+    for name in sorted(set(mission.streams) - wanted):
+        yield Finding("info", name, "this stream belongs to no sensor of the vehicle and is not used.")

@@ -1,0 +1,29 @@
+"""One thing worth saying about a mission."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+Severity = Literal["error", "warning", "info"]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What was seen in a mission and what to do about it.
+
+    Parameters
+    ----------
+    severity : {"error", "warning", "info"}
+    stream : str
+        Name of the stream, empty for the mission as a whole.
+    text : str
+        What was seen, in plain words.
+    cure : str
+        What to do; empty where there is nothing to do.
+    """
+
+    severity: Severity
+    stream: str
+    text: str
+    cure: str = ""

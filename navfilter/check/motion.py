@@ -1,0 +1,244 @@
+"""Compare sensors with each other and with the Earth: signs, axes, units, mounting and time offsets."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from navfilter.check.course import course_findings
+from navfilter.check.finding import Finding
+from navfilter.check.series import correlation, heading_of, integral, unwrapped, vector
+from navfilter.mission import Array, Mission, Stream
+
+if TYPE_CHECKING:
+    from navfilter.vehicle import Vehicle
+
+GRAVITY = 9.81
+EARTH_RADIUS_M = 6.371e6
+#: Correlation below which two sensors have too little in common to be judged.
+LITTLE = 0.5
+#: Delays up to this are looked for [s].
+MOST_DELAY_S = 2.5
+
+
+def motion_findings(mission: Mission, vehicle: Vehicle | None) -> Iterator[Finding]:
+    """Findings that need more than one column: gravity, handedness, heading, course, field, depth."""
+    imu = next((s for s in mission.streams.values() if "force_x_m_s2" in s.columns and len(s) > 10), None)
+    if imu is not None:
+        name = next(n for n, s in mission.streams.items() if s is imu)
+        yield from _gravity(name, imu)
+        yield from _gyro_range(name, imu)
+        yield from _handedness(name, imu)
+    for name, stream in mission.streams.items():
+        yield from _angles(name, stream)
+        yield from _field(name, stream, mission)
+        yield from _positions(name, stream)
+        yield from _pressure(name, stream)
+        if imu is not None:
+            yield from _gyro_against_heading(name, stream, imu)
+    for name, stream in mission.streams.items():
+        if "v_x_m_s" in stream.columns and len(stream) > 10:
+            yield from course_findings(name, stream, mission, vehicle)
+
+
+# --- inertial unit ----------------------------------------------------------------------------------------------------
+
+
+def _gravity(name: str, imu: Stream) -> Iterator[Finding]:
+    mean = np.nanmean(vector(imu, "force_x_m_s2"), axis=0)
+    size = float(np.linalg.norm(mean))
+    if not 0.9 * GRAVITY < size < 1.1 * GRAVITY:
+        known = {1.0: 'the unit is "g"', 1000.0: 'the unit is "mg"', GRAVITY**2: "the values are m/s^2 already, not g"}
+        guess = [words for value, words in known.items() if 0.9 * value < size < 1.1 * value]
+        cure = f"Perhaps {guess[0]}." if guess else "Raw specific force is needed, with gravity in it; check the unit."
+        yield Finding("error", name, f"the mean specific force is {size:.3g} m/s^2, gravity is 9.8.", cure)
+        return
+    largest = int(np.argmax(np.abs(mean)))
+    if largest != 2 or abs(mean[2]) < 0.7 * size:
+        text = f"gravity lies mostly along the {'xyz'[largest]} axis ({mean[largest]:+.2f} m/s^2), not along z."
+        yield Finding("error", name, text, "Put the axes in the order forward, right, down (axes, mounting_deg).")
+    elif mean[2] > 0.0:
+        text = f"the specific force along z is {mean[2]:+.2f} m/s^2 at rest; with z down it is -9.8."
+        yield Finding("error", name, text, 'Is z up? Then axes = "x,-y,-z" for rates and forces both.')
+
+
+def _gyro_range(name: str, imu: Stream) -> Iterator[Finding]:
+    rate = np.abs(vector(imu, "rate_x_rad_s"))
+    high = float(np.nanquantile(rate, 0.99))
+    if high > 6.0:
+        text = f"one rate in a hundred is above {math.degrees(high):.0f} deg/s."
+        yield Finding("warning", name, text, 'Are these degrees per second? Then unit = "deg/s".')
+
+
+def _windows(time_s: Array, length_s: float) -> Array:
+    """Edges of consecutive windows over a span of time."""
+    return np.arange(time_s[0], time_s[-1], length_s)
+
+
+def _handedness(name: str, imu: Stream) -> Iterator[Finding]:
+    """A turning body sees gravity turn the other way: d(force)/dt = -rate x force, in windows of a second."""
+    time_s, force, rate = imu.time_s, vector(imu, "force_x_m_s2"), vector(imu, "rate_x_rad_s")
+    edges = _windows(time_s, 1.0)
+    if edges.size < 30:
+        return
+    half = 0.1
+    smooth = integral(time_s, force)
+    at = np.column_stack(
+        [
+            np.interp(edges + half, time_s, smooth[:, k]) - np.interp(edges - half, time_s, smooth[:, k])
+            for k in range(3)
+        ]
+    ) / (2.0 * half)
+    turn = integral(time_s, -np.cross(rate, force))
+    expected = np.column_stack([np.diff(np.interp(edges, time_s, turn[:, k])) for k in range(3)])
+    seen = np.diff(at, axis=0)
+    wrong = []
+    for axis, gyro in ((0, "y"), (1, "x")):
+        agreement, slope = correlation(expected[1:-1, axis], seen[1:-1, axis])
+        if agreement < -LITTLE:
+            wrong.append(f"gyro {gyro} against accelerometer {'xyz'[axis]} (correlation {agreement:.2f})")
+        elif agreement > LITTLE and not 1 / 5 < slope < 5:
+            text = f"gyro {gyro} is {1 / slope:.3g} times what the turning of gravity says."
+            yield Finding("error", name, text, f"Degrees for radians would be {180 / math.pi:.1f}; check the unit.")
+    if wrong:
+        cure = "Gyro and accelerometer must have the same right-handed axes: check the signs of both."
+        yield Finding("error", name, f"gravity turns the wrong way: {'; '.join(wrong)}.", cure)
+
+
+# --- angles and heading -----------------------------------------------------------------------------------------------
+
+
+def _angles(name: str, stream: Stream) -> Iterator[Finding]:
+    cure = 'Are these degrees? Then unit = "deg".'
+    if "pitch_rad" in stream.columns:
+        largest = float(np.nanmax(np.abs(stream.column("pitch_rad")), initial=0.0))
+        if largest > 0.5 * math.pi + 1e-6:
+            yield Finding("error", name, f"a pitch of {largest:.3g} rad is beyond 90 deg.", cure)
+            return
+    for column in ("heading_rad", "yaw_rad"):
+        if column in stream.columns:
+            angle = stream.column(column)
+            step = np.abs(np.remainder(np.diff(angle) + np.pi, 2 * np.pi) - np.pi)
+            period = float(np.median(np.diff(stream.time_s))) if len(stream) > 1 else 1.0
+            # Degrees read as radians and wrapped look random: the median step of random angles is a quarter turn.
+            if np.nanmedian(step) > 0.5 and period <= 1.5:
+                text = (
+                    f"the heading jumps by {math.degrees(float(np.nanmedian(step))):.0f} deg from reading to reading."
+                )
+                yield Finding("error", name, text, cure)
+
+
+@dataclass(frozen=True)
+class _Match:
+    """How well one series follows another: correlation, slope and by how many seconds it is late."""
+
+    correlation: float
+    slope: float
+    late_s: float
+
+
+def _match(reference: tuple[Array, Array], other: tuple[Array, Array], window_s: float, most_s: float) -> _Match | None:
+    """Compare increments over windows, trying delays of `other` up to `most_s`."""
+    begin, end = max(reference[0][0], other[0][0]) + most_s, min(reference[0][-1], other[0][-1]) - most_s
+    if end - begin < 10.0 * window_s:
+        return None
+    edges = np.arange(begin, end, window_s / 4.0)
+
+    def increments(series: tuple[Array, Array], delay: float) -> Array:
+        return np.interp(edges + window_s + delay, *series) - np.interp(edges + delay, *series)
+
+    wanted = increments(reference, 0.0)
+    best, at = (0.0, 0.0), 0.0
+    for delay in np.linspace(-most_s, most_s, 81):
+        found = correlation(wanted, increments(other, float(delay)))
+        if abs(found[0]) > abs(best[0]):
+            best, at = found, float(delay)
+    return _Match(best[0], best[1], at)
+
+
+def _gyro_against_heading(name: str, stream: Stream, imu: Stream) -> Iterator[Finding]:
+    angle = heading_of(stream)
+    if angle is None or len(stream) < 20:
+        return
+    heading = unwrapped(stream.time_s, angle)
+    if heading[0].size < 20:
+        return
+    turned = imu.time_s, integral(imu.time_s, vector(imu, "rate_x_rad_s")[:, 2])
+    match = _match(turned, heading, window_s=2.0, most_s=MOST_DELAY_S)
+    if match is None or abs(match.correlation) < LITTLE:
+        yield Finding("info", name, "turns too little to compare the heading with the gyro.")
+        return
+    if match.correlation < 0.0:
+        text = f"the heading turns against the gyro (correlation {match.correlation:.2f})."
+        cure = "Heading counts clockwise from north, gyro z is positive clockwise (down): one has the wrong sign."
+        yield Finding("error", name, text, cure)
+        return
+    text = f"the heading follows the gyro: correlation {match.correlation:.2f}, slope {match.slope:.3f}"
+    yield Finding("info", name, f"{text}, {abs(match.late_s):.2f} s {'late' if match.late_s >= 0 else 'early'}.")
+    # A loose match says nothing about a scale of 0.7, but a factor of 57 shows in any.
+    if not (0.7 < match.slope < 1.4 if match.correlation > 0.9 else 0.2 < match.slope < 5.0):
+        cure = "A slope of 57.3 or 0.017 is degrees for radians; another one a wrong scale, or an uncalibrated compass."
+        yield Finding("error", name, f"the heading turns {match.slope:.3g} times as far as the gyro.", cure)
+    elif 0.3 < abs(match.late_s) < MOST_DELAY_S and match.correlation > 0.9:
+        text = f"the heading is {abs(match.late_s):.2f} s {'late' if match.late_s > 0 else 'early'} against the gyro."
+        yield Finding("warning", name, text, f"Set time.offset_s = {-match.late_s:.2f} on top of what it is now.")
+
+
+# --- the rest ---------------------------------------------------------------------------------------------------------
+
+
+def _field(name: str, stream: Stream, mission: Mission) -> Iterator[Finding]:
+    if "field_x_T" not in stream.columns:
+        return
+    field = vector(stream, "field_x_T")
+    size = np.linalg.norm(field, axis=1)
+    mean, scatter = float(np.nanmean(size)), float(np.nanstd(size))
+    if not 15e-6 < mean < 80e-6:
+        text = f"the magnetic field is {mean * 1e6:.3g} uT; the Earth's is 22 to 67."
+        yield Finding("warning", name, text, "Check the unit; the heading does not need it, the calibration does.")
+    if mean > 0.0 and scatter > 0.04 * mean:
+        text = f"the strength of the field varies by {100 * scatter / mean:.0f} %: iron on board."
+        yield Finding("warning", name, text, "Calibrate (hard_iron, soft_iron), or give the compass deviation states.")
+    place = next((s for s in (mission.truth, *mission.streams.values()) if s and "latitude_rad" in s.columns), None)
+    if place is not None and np.isfinite(place.column("latitude_rad")).any():
+        latitude = float(np.nanmedian(place.column("latitude_rad")))
+        down = float(np.nanmean(field[:, 2]))
+        if abs(latitude) > math.radians(15.0) and down * latitude < 0.0 and abs(down) > 0.2 * mean:
+            text = "the field points up in the northern half of the Earth (or down in the southern)."
+            yield Finding("error", name, text, "Its z axis is not down: check the axes.")
+
+
+def _positions(name: str, stream: Stream) -> Iterator[Finding]:
+    if "latitude_rad" not in stream.columns:
+        return
+    latitude, longitude = stream.column("latitude_rad"), stream.column("longitude_rad")
+    if float(np.nanmax(np.abs(latitude), initial=0.0)) > 0.5 * math.pi:
+        yield Finding(
+            "error", name, "latitudes beyond 90 deg.", 'Degrees for radians (unit = "deg"), or swapped columns.'
+        )
+        return
+    north = np.diff(latitude) * EARTH_RADIUS_M
+    east = np.diff(longitude) * np.cos(latitude[1:]) * EARTH_RADIUS_M
+    step = np.diff(stream.time_s)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        speed = np.hypot(north, east) / np.where(step > 0.0, step, np.nan)
+    jumps = int(np.count_nonzero((speed > 60.0) & (np.hypot(north, east) > 20.0)))
+    if jumps:
+        text = f"{jumps} jumps faster than 60 m/s between fixes."
+        yield Finding(
+            "warning", name, text, "The gate will refuse outliers; make sure that the run starts on a good fix."
+        )
+
+
+def _pressure(name: str, stream: Stream) -> Iterator[Finding]:
+    if "pressure_Pa" in stream.columns:
+        lowest = float(np.nanmin(stream.column("pressure_Pa")))
+        if lowest < 5e4:
+            text = f"an absolute pressure of {lowest:.4g} Pa is below any at sea level."
+            yield Finding(
+                "error", name, text, 'Check the unit ("hPa", "dbar", "bar"); gauge pressure needs offset = 101325.'
+            )

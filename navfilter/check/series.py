@@ -1,0 +1,53 @@
+"""Small mathematics on time series that the checks share."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from navfilter.mission import Array, Stream
+
+
+def vector(stream: Stream, first: str) -> Array:
+    """Three columns of a stream, (n, 3), from the one named `first` on."""
+    start = stream.columns.index(first)
+    return stream.value[:, start : start + 3]
+
+
+def integral(time_s: Array, value: Array) -> Array:
+    """Running trapezoidal integral along the first axis; a missing value counts as the last known one."""
+    filled = np.array(value, dtype=float)
+    flat = filled.reshape(len(filled), -1)
+    for k in range(flat.shape[1]):
+        known = np.isfinite(flat[:, k])
+        flat[:, k] = np.interp(time_s, time_s[known], flat[known, k]) if known.any() else 0.0
+    step = np.diff(time_s).reshape(-1, *([1] * (filled.ndim - 1)))
+    parts = 0.5 * (filled[1:] + filled[:-1]) * step
+    return np.concatenate([np.zeros_like(filled[:1]), np.cumsum(parts, axis=0)])
+
+
+def correlation(a: Array, b: Array) -> tuple[float, float]:
+    """Correlation of two series and the slope of b on a, both without their means."""
+    both = np.isfinite(a) & np.isfinite(b)
+    a, b = a[both] - a[both].mean(), b[both] - b[both].mean()
+    aa, bb, ab = float(a @ a), float(b @ b), float(a @ b)
+    if aa <= 0.0 or bb <= 0.0:
+        return 0.0, 0.0
+    return ab / math.sqrt(aa * bb), ab / aa
+
+
+def heading_of(stream: Stream) -> Array | None:
+    """Heading [rad] of a stream that has one, else None; a magnetometer is taken as level."""
+    for column in ("heading_rad", "yaw_rad"):
+        if column in stream.columns:
+            return stream.column(column)
+    if "field_x_T" in stream.columns:
+        return np.arctan2(-stream.column("field_y_T"), stream.column("field_x_T"))
+    return None
+
+
+def unwrapped(time_s: Array, angle: Array) -> tuple[Array, Array]:
+    """Times and continuous values of an angle, where it is known."""
+    known = np.isfinite(angle)
+    return time_s[known], np.unwrap(angle[known])

@@ -1,0 +1,93 @@
+"""What one stream shows by itself: rate, gaps, repeated stamps, bursts, missing and held values, quantisation."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from navfilter.check.finding import Finding, Severity
+from navfilter.mission import Array, Mission, Stream
+
+
+def stream_findings(name: str, stream: Stream, mission: Mission) -> Iterator[Finding]:
+    """Findings about one stream alone."""
+    if len(stream) < 2:
+        cure = "Check the file and the sentinels in the mission.toml."
+        yield Finding("error", name, f"only {len(stream)} readings.", cure)
+        return
+    yield from _timing(name, stream, mission)
+    yield from _values(name, stream)
+
+
+def _timing(name: str, stream: Stream, mission: Mission) -> Iterator[Finding]:
+    step = np.diff(stream.time_s)
+    moving = step[step > 0.0]
+    if not moving.size:
+        yield Finding("error", name, "all readings have the same time.", "Check the time column and its unit.")
+        return
+    usual = float(np.median(moving))
+    span = stream.time_s[-1] - stream.time_s[0]
+    mean_rate = (len(stream) - 1) / span
+    text = f"{len(stream)} readings from {stream.time_s[0]:.2f} to {stream.time_s[-1]:.2f} s, {mean_rate:.4g} Hz"
+    yield Finding("info", name, f"{text} (usual step {usual:.4g} s).")
+    repeated = int(np.count_nonzero(step == 0.0))
+    if repeated:
+        cure = "The navigator counts them as duplicates; drop them if the values are equal too."
+        yield Finding("warning", name, f"{repeated} readings have the time of the one before.", cure)
+    gaps = step > 5.0 * usual
+    if gaps.any():
+        worst = int(np.argmax(step))
+        text = f"{int(gaps.sum())} gaps, the longest {step[worst]:.3g} s at {stream.time_s[worst]:.2f} s."
+        grave: Severity = "warning" if step[worst] > 20.0 * usual else "info"
+        yield Finding(grave, name, text, "The filter carries on without; check that nothing was lost on the way.")
+    # Bursts: many steps far shorter and far longer than the mean step, as stamps of reception have.
+    mean = span / (len(stream) - 1)
+    bursty = float(np.mean((step < 0.3 * mean) | (step > 2.0 * mean)))
+    if bursty > 0.1:
+        text = (
+            f"{100 * bursty:.0f} % of the steps are far from the mean of {mean:.4g} s: stamps of reception, in bursts?"
+        )
+        yield Finding("warning", name, text, "If the sensor has an even rate, set time.ends_only = true.")
+    late = stream.time_s[0] - mission.begin_s
+    if late > max(10.0 * usual, 5.0):
+        yield Finding("info", name, f"starts {late:.1f} s after the first stream.")
+
+
+def _values(name: str, stream: Stream) -> Iterator[Finding]:
+    missing = float(np.mean(np.isnan(stream.value).any(axis=1)))
+    whole: Any = np.isnan(stream.value).all(axis=0)
+    if whole.all():
+        yield Finding("error", name, "no reading has a value.", "Check the columns, the sentinels and valid_range.")
+        return
+    if missing and not whole.any():
+        yield Finding("info", name, f"{100 * missing:.1f} % of the readings are invalid or incomplete.")
+    measured = [k for k in range(stream.value.shape[1]) if not whole[k] and np.nanstd(stream.value[:, k]) > 0.0]
+    if not measured:
+        yield Finding("warning", name, "no value ever changes.", "A sensor that is stuck, or the wrong columns.")
+        return
+    values = stream.value[:, measured]
+    held = float(np.mean((np.diff(values, axis=0) == 0.0).all(axis=1)))
+    if held > 0.5:
+        text = f"{100 * held:.0f} % of the readings repeat the one before: a slower sensor, held?"
+        yield Finding("warning", name, text, "If so, set only_changes = true, or the filter takes old news for new.")
+    for k in measured:
+        yield from _quantisation(name, stream.columns[k], stream.value[:, k])
+
+
+def _quantisation(name: str, column: str, values: Array) -> Iterator[Finding]:
+    known = values[np.isfinite(values)]
+    levels = np.unique(known)
+    step = np.diff(levels)
+    # Rounding of decimal text makes steps of 1e-16; a quantum is a step that many levels share.
+    step = step[step > 1e-9 * max(float(np.abs(levels).max()), 1e-12)]
+    if step.size < 2 or levels.size > 0.5 * known.size:
+        return
+    quantum = float(np.quantile(step, 0.1))
+    scatter = 1.4826 * float(np.median(np.abs(np.diff(known)))) / np.sqrt(2.0)
+    changing = np.diff(known)
+    rough = float(np.std(changing)) / np.sqrt(2.0)
+    if quantum > max(scatter, 0.5 * rough):
+        text = f"{column} is quantised in steps of {quantum:.3g}, {levels.size} levels in all."
+        yield Finding("info", name, text, f"Its error is at least {quantum / np.sqrt(12.0):.2g} (step / sqrt 12).")
