@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from navfilter.arma import ArmaModel, log_s0_sd
 from navfilter.fit_objective import GapFree, Objective, Point, WithGaps, minimise
+from navfilter.kernels import fit as kernels
 from navfilter.starts import hannan_rissanen_start, long_residuals, pull_inside, tidy_series
 
 __all__ = ["ArmaFit", "fit_arma"]
@@ -207,7 +208,11 @@ class Problem:
             where = np.arange(x.size)
             x = np.interp(where, where[self.known], x[self.known])
         if len(self.regressors):
-            x = x - self.regressors.T @ np.linalg.lstsq(self.regressors.T, x, rcond=1e-12)[0]
+            gram, right = np.empty((len(self.regressors) + 1,) * 2), np.empty_like(x)
+            kernels.inner_products(np.vstack([self.regressors, x]), gram)
+            beta = np.linalg.lstsq(gram[:-1, :-1], gram[:-1, -1], rcond=1e-12)[0]
+            kernels.without_inputs(np.ascontiguousarray(x), self.regressors, beta, right)
+            x = right
         return np.ascontiguousarray(x)
 
     def starts(self, p: int, q: int) -> list[Array]:

@@ -107,6 +107,12 @@ class GapFree:
         self.count = y.size
         self.rounds = max(math.ceil(math.log2(y.size)), 1)
 
+    def _pure(self, beta: Array) -> Array:
+        """The series without its fitted inputs."""
+        out = np.empty_like(self.y)
+        kernels.without_inputs(self.y, self.regressors, beta, out)
+        return out
+
     def _filter(self, x: Array, a: Array, c: Array, z: Array | None = None) -> Array:
         e = np.empty_like(x)
         kernels.arma_filter(x, a, c, np.zeros(self.r) if z is None else z, e)
@@ -125,12 +131,13 @@ class GapFree:
         P0, V, logdet = self._start(a, c, Gram)
         if not math.isfinite(logdet):
             return Point(theta, math.inf)
-        columns = [self._filter(x, a, c) for x in (*self.regressors, self.y)]
-        B = np.empty((len(columns), r))
-        for row, column in zip(B, columns, strict=True):
+        k = len(self.regressors)
+        columns, B, gram = np.empty((k + 1, n)), np.empty((k + 1, r)), np.empty((k + 1, k + 1))
+        for x, column, row in zip((*self.regressors, self.y), columns, B, strict=True):
+            kernels.arma_filter(x, a, c, np.zeros(r), column)
             kernels.lag_products(w, column[: w.size], row)
-        gram = np.array([[u @ v for v in columns] for u in columns]) - B @ V @ B.T
-        k = len(columns) - 1
+        kernels.inner_products(columns, gram)
+        gram -= B @ V @ B.T
         beta = _least_squares(gram[:k, :k], gram[:k, k])
         power = float(gram[k, k] - beta @ gram[:k, k])
         if not (power > 0.0 and math.isfinite(power)):
@@ -157,7 +164,7 @@ class GapFree:
     def residuals(self, point: Point) -> Array:
         """Residuals from the best start, without the fitted regressors."""
         a, c = split(point.theta, self.p, self.q)
-        return self._filter(self.y - point.beta @ self.regressors, a, c, point.state.copy())
+        return self._filter(self._pure(point.beta), a, c, point.state.copy())
 
     def linearise(self, point: Point) -> tuple[Array, Array]:
         """Gauss-Newton Hessian and exact gradient of the value."""
@@ -165,7 +172,7 @@ class GapFree:
         a, c = split(point.theta, p, q)
         e = self.residuals(point)
         zero, w = np.zeros(r), point.w
-        x = self._filter(self.y - point.beta @ self.regressors, zero, c)
+        x = self._filter(self._pure(point.beta), zero, c)
         v = self._filter(-e, zero, c)
         n = p + q
         H, XW, g = np.empty((n, n)), np.empty((n, r)), np.empty(n)
@@ -274,8 +281,10 @@ def minimise(objective: Objective, start: Array, limit: int = 60, tolerance: flo
     damping = 1e-6
     for _ in range(limit):
         H, g = objective.linearise(point)
-        scale = np.sqrt(np.maximum(np.diag(H), 1e-300))
+        scale = np.sqrt(np.maximum(np.diag(H), 1e-150))
         H, g = H / np.outer(scale, scale), g / scale
+        if not (np.all(np.isfinite(H)) and np.all(np.isfinite(g))):
+            return point, False
         for _ in range(25):
             step = -np.linalg.lstsq(H + damping * np.eye(g.size), g, rcond=1e-15)[0]
             gain = -float(g @ step) - 0.5 * float(step @ H @ step)

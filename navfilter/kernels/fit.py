@@ -61,6 +61,38 @@ def lag_products(x, y, out):
 
 
 @njit(cache=True, nogil=True)
+def inner_products(X, G):
+    """``G = X X'`` for few long rows; unlike BLAS it starts no threads."""
+    m, n = X.shape
+    for i in range(m):
+        for j in range(i + 1):
+            s0 = 0.0
+            s1 = 0.0
+            s2 = 0.0
+            s3 = 0.0
+            whole = n - n % 4
+            for t in range(0, whole, 4):
+                s0 += X[i, t] * X[j, t]
+                s1 += X[i, t + 1] * X[j, t + 1]
+                s2 += X[i, t + 2] * X[j, t + 2]
+                s3 += X[i, t + 3] * X[j, t + 3]
+            for t in range(whole, n):
+                s0 += X[i, t] * X[j, t]
+            G[i, j] = (s0 + s1) + (s2 + s3)
+            G[j, i] = G[i, j]
+
+
+@njit(cache=True, nogil=True)
+def without_inputs(y, R, b, out):
+    """``out = y - R' b``, the series without its fitted inputs (rows of R)."""
+    out[:] = y
+    for i in range(b.size):
+        f = b[i]
+        for t in range(y.size):
+            out[t] -= f * R[i, t]
+
+
+@njit(cache=True, nogil=True)
 def shift_gram(x, y, first, G):
     """Inner products of delayed copies, ``G[i, j] = sum_t x[t-i-first] y[t-j]``, zero before the start.
 
