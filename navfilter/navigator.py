@@ -11,7 +11,7 @@ from scipy.stats import chi2
 
 from navfilter.kernels import kalman, strapdown
 from navfilter.layout import Group, Layout
-from navfilter.sensors import Sensor, ZeroVelocity
+from navfilter.sensors import BodyVelocity, Sensor, ZeroVelocity
 from navfilter.state import NavState
 from navfilter.tape import OUTCOMES, Tape
 from navfilter.vehicle import Start, Vehicle
@@ -49,37 +49,33 @@ class Outcome(NamedTuple):
 
 
 class _Channel:
-    """Working memory of one correcting sensor."""
+    """Working memory of one correcting sensor: one array shared with the kernels, seen through views (``kalman.places``)."""
 
-    def __init__(self, name: str, sensor: Sensor, group: Group, start: Start, size: int) -> None:
-        a = sensor.axes
+    def __init__(self, name: str, sensor: Sensor, group: Group, start: Start, layout: Layout) -> None:
+        a, n, m, par = sensor.axes, layout.size, layout.head, group.size - group.errors
+        b = group.size if group.errors else 0
         self.name, self.sensor, self.group = name, sensor, group
         self.kernel, self.constants = sensor.kernel, sensor.constants(start)
         self.period_s = 1.0 / sensor.rate_hz
-        self.gates = np.concatenate([[np.inf], chi2.ppf(sensor.gate_probability, np.arange(1, a + 1))])
-        self.near = np.zeros((a, 9 + group.size - group.errors))
-        self.H, self.PH = np.zeros((a, size)), np.zeros((a, size))
-        self.K, self.S = np.zeros((size, a)), np.zeros((2 * a, a))
-        self.res, self.R = np.zeros(a), group.r.copy()
-        self.powers = np.zeros((4, group.size, group.size))
-        self.ticks = np.zeros((group.size, size))
+        self.limits = np.concatenate([[np.inf], chi2.ppf(sensor.gate_probability, np.arange(1, a + 1))])
+        self.dims = np.array([a, n, m, b, group.start, group.errors, par])
+        at = kalman.places(self.dims)
+        self.mem = mem = np.zeros(at[-1])
+        self.res, self.near = mem[at[3] : at[3] + a], mem[at[7] : at[8]].reshape(a, 9 + par)
+        self.H, self.PH, self.S = mem[at[0] : at[1]].reshape(a, n), mem[at[6] : at[7]].reshape(a, n), mem[at[5] : at[6]].reshape(2 * a, a)
+        self.variances, self.verdict = mem[at[8] : at[9]], mem[at[9] : at[9] + 3]
+        self.record, self.moved = mem[: at[5]], mem[: at[0]]
+        self.model, self.C, self.white, self.R = np.array([group.Phi[:b, :b], group.Q[:b, :b]]), group.C, group.r, group.r.copy()
         first = group.start - 9
-        self.errors = slice(first, first + group.errors)
         self.parameters = slice(first + group.errors, first + group.size)
+        self.turns = isinstance(sensor, BodyVelocity) and any(sensor.lever_arm_b_m)
         self.last_s = self.ticked_s = -math.inf
         self.rejected_since_s = math.nan
 
-    def measure(self, z: Array, nav: Array, rate: Array, x: Array) -> None:
-        """Fill the residual and its Jacobian over the whole error state."""
-        self.kernel(z, nav, rate, x[self.parameters], self.constants, self.near, self.res)
-        g = self.group
-        self.H[:] = 0.0
-        self.H[:, :9] = self.near[:, :9]
-        if g.size:
-            self.H[:, g.start : g.start + g.errors] = g.C
-            self.H[:, g.start + g.errors : g.start + g.size] = self.near[:, 9:]
-            if g.errors:
-                self.res -= g.C @ x[self.errors]
+    def ticks(self, time_s: float) -> int:
+        """Periods of the sensor since it was last heard; 0 at the first reading."""
+        elapsed, self.ticked_s = time_s - self.ticked_s, time_s
+        return 0 if math.isinf(elapsed) else max(1, round(elapsed / self.period_s))
 
 
 class Navigator:
@@ -130,17 +126,19 @@ class Navigator:
         self._Cr = np.zeros((6, g.size + 1))
         self._Cr[:, : g.errors], self._Cr[:, -1] = g.C, g.r
         self._acc = np.vstack([np.eye(m), np.zeros((3 * m, m))])
-        self._work = np.zeros((max(m, 9), layout.size))
-        self._turn, self._out, self._rate = np.zeros(3), np.zeros(2), np.zeros(3)
+        self._work = np.zeros((m, layout.size))
+        self._rate = np.zeros(3)
         self._steps, self._hold = vehicle.drive.steps, vehicle.drive.hold
         self._period_s = vehicle.drive.period_s
+        self._gap_s = strapdown.GAP_PERIODS * self._period_s
         self._ahead_s = max(self.AHEAD_S, 3.0 * self._period_s)
         self._fold_every = max(1, round(vehicle.drive.rate_hz))
+        self._dims = np.array([0, layout.size, m, 0, 0, 0, 0])
         self._unfolded = 0
         self._inertial = "imu" in vehicle.drive.streams
-        self._channels = {
-            name: _Channel(name, s, layout.groups[name], start, layout.size) for name, s in vehicle.sensors.items()
-        }
+        self._checked = 6 if self._inertial else 3  # values of a sample that must be finite: a lost velocity may be NaN
+        self._before_s = math.nextafter(self._sample_s, -math.inf)  # the first sample may come at the start itself
+        self._channels = {name: _Channel(name, s, layout.groups[name], start, layout) for name, s in vehicle.sensors.items()}
         self._rest = [c for c in self._channels.values() if isinstance(c.sensor, ZeroVelocity) and self._inertial]
         self.counts: dict[str, int] = {"gap": 0, "backward": 0, "bad-sample": 0, "widened": 0}
         if tape is not None:
@@ -175,13 +173,20 @@ class Navigator:
 
     def step_samples(self, samples: Array) -> None:
         """As `step`, for rows of time and the six values; the array is used as work space."""
-        clean = self._clean(samples)
-        begin = 0
-        while begin < len(clean):
-            end = min(len(clean), begin + self._room())
-            self._steps(self._nav, self._xd, self._drv, clean[begin:end], self._Phid, self._Qd, self._Cr, self._acc)
+        if not len(samples):
+            return
+        stamps = samples[:, 0].copy() if len(samples) > self._fold_every - self._unfolded or self._rest else samples[-1:, 0].copy()
+        gaps = strapdown.stamps_to_steps(samples, self._before_s, self._checked, self._gap_s)
+        if gaps < 0:
+            samples, stamps = self._mend(samples)
+        elif gaps:
+            self.counts["gap"] += gaps
+        begin, total = 0, len(samples)
+        while begin < total:
+            end = min(total, begin + self._room())
+            self._steps(self._nav, self._xd, self._drv, samples[begin:end], self._Phid, self._Qd, self._Cr, self._acc)
             self._unfolded += end - begin
-            self._time_s = self._sample_s = float(self._stamps[end - 1])
+            self._time_s = self._sample_s = self._before_s = float(stamps[end - 1 if len(stamps) == total else -1])
             if self._unfolded >= self._fold_every:
                 self._close_second()
             for channel in self._rest:
@@ -191,33 +196,28 @@ class Navigator:
     def _room(self) -> int:
         """Samples until something is due: the fold, or the detection of rest."""
         room = self._fold_every - self._unfolded
+        if not self._rest:
+            return room
         for channel in self._rest:
             window = max(2, round(self.vehicle.drive.rate_hz * channel.period_s))
             room = min(room, max(1, window - int(self._drv[strapdown.COUNT])))
         return max(1, room)
 
-    def _clean(self, samples: Array) -> Array:
-        """Turn stamps into steps; drop what does not come after the last sample, repair what is not finite."""
-        stamps = samples[:, 0].copy()
-        ok = np.isfinite(stamps)
-        latest = np.maximum.accumulate(np.where(ok, stamps, -np.inf))
-        previous = np.concatenate([[-np.inf], latest[:-1]])
-        ok &= (stamps > previous) & (stamps > self._sample_s + (0.0 if self._drv[strapdown.STARTED] else -1e-9))
-        if not ok.all():
-            self.counts["backward"] += int(np.count_nonzero(~ok))
-            samples, stamps = np.ascontiguousarray(samples[ok]), stamps[ok]
-        if not len(stamps):
-            return samples
-        values = samples[:, 1:7] if self._inertial else samples[:, 1:4]
+    def _mend(self, samples: Array) -> tuple[Array, Array]:
+        """Drop samples that do not come after the last one, repair what is not finite; returns steps and stamps."""
+        stamps = samples[:, 0]
+        latest = np.maximum.accumulate(np.where(np.isfinite(stamps), stamps, -np.inf))
+        previous = np.concatenate([[self._before_s], np.maximum(latest[:-1], self._before_s)])
+        ok = np.isfinite(stamps) & (stamps > previous)
+        self.counts["backward"] += int(np.count_nonzero(~ok))
+        samples = np.ascontiguousarray(samples[ok])
+        values = samples[:, 1 : 1 + self._checked]
         if not np.isfinite(values).all():
             self._repair(values)
-        if not self._inertial and np.isnan(samples[:, 4:7]).any():
-            samples[np.isnan(samples[:, 4:7]).any(axis=1), 4:7] = np.nan
-        samples[1:, 0] = stamps[1:] - stamps[:-1]
-        samples[0, 0] = stamps[0] - self._sample_s
-        self.counts["gap"] += int(np.count_nonzero(samples[:, 0] > strapdown.GAP_PERIODS * self._period_s))
-        self._stamps = stamps
-        return samples
+        stamps = samples[:, 0].copy()
+        if len(samples):
+            self.counts["gap"] += strapdown.stamps_to_steps(samples, self._before_s, self._checked, self._gap_s)
+        return samples, stamps
 
     def _repair(self, values: Array) -> None:
         """Replace samples that are not finite by the last good one."""
@@ -234,14 +234,11 @@ class Navigator:
 
     def _close_second(self) -> None:
         if self._tape is not None:
-            self._tape.record(self._acc[: self._head], None, 0)
-        self._fold()
-        if self._tape is not None:
-            self._tape.row(self._time_s, self._nav, self._x, self._P)
-
-    def _fold(self) -> None:
+            self._tape.record(self._acc[: self._head].reshape(-1), 0, self._dims)
         kalman.fold(self._P, self._acc, self._nav, self._work)
         self._unfolded = 0
+        if self._tape is not None:
+            self._tape.row(self._time_s, self._nav, self._x, self._P)
 
     def _detect_rest(self, channel: _Channel) -> None:
         """Zero-velocity update when the last period of the inertial unit was quiet."""
@@ -282,7 +279,9 @@ class Navigator:
         channel = self._channels.get(name)
         if channel is None:
             return Outcome("unknown-sensor")
-        z = np.atleast_1d(np.asarray(value, dtype=np.float64)).ravel()
+        z = np.asarray(value, dtype=np.float64)
+        if z.ndim != 1:
+            z = z.reshape(-1)
         early = time_s - self._time_s
         if not math.isfinite(time_s) or len(z) < channel.sensor.reads:
             return self._note(channel, time_s, "invalid")
@@ -302,78 +301,62 @@ class Navigator:
 
     def _note(self, channel: _Channel, time_s: float, status: str, nis: float = math.nan, dof: int = 0, widened: bool = False) -> Outcome:
         if self._tape is not None:
-            formed = status in ("used", "rejected")
-            variances = np.diag(channel.S) if formed else None
-            self._tape.column(channel.name, channel.sensor.axes).append(
-                time_s, CODES[status], nis, dof, self._residual if formed else None, variances
+            formed = dof > 0
+            self._tape.columns[channel.name].append(
+                time_s, CODES[status], nis, dof, channel.res if formed else None, channel.variances if formed else None
             )
         return Outcome(status, nis, dof, widened)
 
     def _apply(self, channel: _Channel, time_s: float, z: Array, sd: ArrayLike | None) -> Outcome:
-        tape, group = self._tape, channel.group
-        transition = self._acc[: self._head].copy() if tape is not None else None
-        self._fold()
-        tick = self._tick(channel, time_s)
+        tape, nav, P, x = self._tape, self._nav, self._P, self._x
+        kalman.predict(P, nav, x, self._acc, channel.model, channel.mem, channel.dims, channel.ticks(time_s))
+        self._unfolded = 0
         channel.last_s = time_s
-        channel.R[:] = group.r if sd is None else np.square(np.asarray(sd, dtype=float))
-        self._body_rate()
-        channel.measure(z, self._nav, self._rate, self._x)
-        self._residual = channel.res.copy()
-        kalman.innovation(self._P, channel.H, channel.res, channel.R, channel.S, channel.PH, self._out)
-        nis, dof = float(self._out[0]), int(self._out[1])
-        if dof == 0 or not math.isfinite(nis):
-            if tape is not None:
-                tape.record(transition, tick, group.start)
-            return self._note(channel, time_s, "invalid")
-        widened = self._gate(channel, time_s, nis, dof)
-        if widened is None:
-            if tape is not None:
-                tape.record(transition, tick, group.start)
-            return self._note(channel, time_s, "rejected", nis, dof)
-        kalman.correct(self._P, self._nav, self._x, channel.res, channel.S, channel.PH, channel.K, self._turn)
-        if tape is not None:
-            a = channel.sensor.axes
-            tape.record(transition, tick, group.start, (channel.H, channel.K, channel.S[a:], channel.res, self._turn), a)
-            tape.row(self._time_s, self._nav, self._x, self._P)
-        return self._note(channel, time_s, "used", nis, dof, widened)
-
-    def _tick(self, channel: _Channel, time_s: float) -> Array | None:
-        """Advance the sensor's own block by the ticks since it was last heard."""
-        group = channel.group
-        if group.errors == 0:
-            return None
-        elapsed, channel.ticked_s = time_s - channel.ticked_s, time_s
-        count = 0 if math.isinf(elapsed) else max(1, round(elapsed / channel.period_s))
-        if count == 0:
-            return None
-        kalman.power(group.Phi, group.Q, count, channel.powers)
-        kalman.tick(self._P, self._x, group.start, channel.powers[0], channel.powers[1], channel.ticks)
-        return channel.powers[0]
-
-    def _gate(self, channel: _Channel, time_s: float, nis: float, dof: int) -> bool | None:
-        """False or True: accept (True through a widened gate); None: reject."""
-        limit = channel.gates[dof]
-        if nis <= limit:
+        if channel.turns:
+            self._body_rate()
+        channel.kernel(z, nav, self._rate, x[channel.parameters], channel.constants, channel.near, channel.res)
+        channel.R[:] = channel.white if sd is None else np.square(np.asarray(sd, dtype=float))
+        kalman.update(P, nav, x, channel.C, channel.R, channel.mem, channel.dims, channel.limits)
+        nis, dof, used = channel.verdict.tolist()
+        widened = False
+        if used:
             channel.rejected_since_s = math.nan
-            return False
+        elif dof and math.isfinite(nis):
+            widened = self._widen(channel, time_s, nis, int(dof))
+        if used or widened:
+            if tape is not None:
+                tape.record(channel.record, channel.sensor.axes, channel.dims)
+                tape.row(self._time_s, nav, x, P)
+            return self._note(channel, time_s, "used", nis, int(dof), widened)
+        if tape is not None:
+            tape.record(channel.moved, 0, channel.dims)
+        if dof == 0 or not math.isfinite(nis):
+            return self._note(channel, time_s, "invalid")
+        return self._note(channel, time_s, "rejected", nis, int(dof))
+
+    def _widen(self, channel: _Channel, time_s: float, nis: float, dof: int) -> bool:
+        """After a long series of rejections the gate doubles, and again; True when that lets the reading in."""
+        limit = channel.limits[dof]
         if math.isnan(channel.rejected_since_s):
             channel.rejected_since_s = time_s
         periods = math.floor((time_s - channel.rejected_since_s) / channel.sensor.gate_timeout_s)
         if periods < 1 or nis > limit * 2.0 ** min(periods, 500):
-            return None
+            return False
         # A sensor that is rejected for so long shows that the state is less certain than thought: widen P along its reading.
         a = channel.sensor.axes
-        seen = channel.PH @ channel.H.T + 1e-300 * np.eye(a)
-        grow = nis / limit * max(1.0, float(np.trace(channel.S[:a]) / np.trace(seen)))
+        seen = channel.PH @ channel.H.T
+        grow = nis / limit * max(1.0, float(np.trace(channel.S[:a]) / max(np.trace(seen), 1e-300)))
         self._P += grow * channel.PH.T @ np.linalg.pinv(seen, hermitian=True) @ channel.PH
         self._P[:] = 0.5 * (self._P + self._P.T)
-        kalman.innovation(self._P, channel.H, channel.res, channel.R, channel.S, channel.PH, self._out)
+        first = channel.group.start - 9
+        channel.res += channel.C @ self._x[first : first + channel.group.errors]  # `update` takes it off again
+        kalman.update(self._P, self._nav, self._x, channel.C, channel.R, channel.mem, channel.dims, np.full(a + 1, np.inf))
         channel.rejected_since_s = math.nan
         self.counts["widened"] += 1
         return True
 
     def _body_rate(self) -> None:
-        """Angular rate against the Earth in b [rad/s] for lever arms; the Earth's own rate (1e-4 rad/s) is left in."""
+        """Angular rate in b [rad/s] for lever arms; the Earth's own rate (1e-4 rad/s) is left in."""
         if not self._inertial:
             return
         rate = self._drv[strapdown.PREVIOUS : strapdown.PREVIOUS + 3] - self._Cr[:3, :-1] @ self._xd

@@ -145,11 +145,16 @@ class BodyVelocity(Sensor):
 
     def read(self, value: Array) -> Array | None:
         """Mask components that cannot be velocities; None when none is left."""
-        z = np.where(np.abs(value) <= self.max_speed_m_s, value, np.nan)
-        finite = np.isfinite(z)
-        if not finite.any() or (self.zero_is_invalid and not z[finite].any()):
+        top, moving, valid, clean = self.max_speed_m_s, False, False, True
+        components = value[:3].tolist()
+        for c in components:
+            if -top <= c <= top:
+                valid, moving = True, moving or c != 0.0
+            else:
+                clean = False
+        if not valid or (self.zero_is_invalid and not moving):
             return None
-        return z
+        return value[:3] if clean else np.array([c if -top <= c <= top else math.nan for c in components])
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -166,20 +166,11 @@ class Tape:
         self.columns: dict[str, _Column] = {}
         self.models: dict[str, list[tuple[float, Any]]] = {}
 
-    def record(self, transition: Array, tick: Array | None, start: int, correction: tuple[Array, ...] = (), axes: int = 0) -> None:
+    def record(self, record: Array, axes: int, dims: NDArray[np.int64]) -> None:
         """Write one record: compound transition, block tick, and what the correction was (see ``kalman.smooth_record``)."""
-        if not self.smoothable:
-            return
-        m, b = transition.shape[1], 0 if tick is None else tick.shape[0]
-        out = self.records.new(m * m + b * b + sum(c.size for c in correction))
-        out[: m * m] = transition.reshape(-1)
-        at = m * m + b * b
-        if tick is not None:
-            out[m * m : at] = tick.reshape(-1)
-        for c in correction:
-            out[at : at + c.size] = c.reshape(-1)
-            at += c.size
-        self.heads.append((axes, m, b, start))
+        if self.smoothable:
+            self.records.new(record.size)[:] = record
+            self.heads.append((axes, int(dims[2]), int(dims[3]), int(dims[4])))
 
     def row(self, time_s: float, nav: Array, x: Array, P: Array) -> None:
         """Note the state at this time; the last note of a time stands, and times closer than the output interval are skipped."""

@@ -263,6 +263,89 @@ def _reset_rows_transposed(M, x, y, z, cols):
 
 
 @njit(cache=True)
+def places(dims):
+    """Where things stand in a channel's memory ``mem``: starts of H, K, inverse S, res, turn, then of S, PH, near, variances, verdict, work, and the end.
+
+    dims: axes a, states n, head m, ticked block b, its start, states of its error models, parameters. Everything before S has the layout
+    of a tape record (see `smooth_record`), which starts with the head's transition (m x m) and the tick's (b x b).
+    """
+    a, n, m, b = dims[0], dims[1], dims[2], dims[3]
+    H = m * m + b * b
+    K = H + a * n
+    inverse = K + n * a
+    res = inverse + a * a
+    turn = res + a
+    S = turn + 3
+    PH = S + 2 * a * a
+    near = PH + a * n
+    variances = near + a * (9 + dims[6])
+    verdict = variances + a
+    work = verdict + 3
+    return H, K, inverse, res, turn, S, PH, near, variances, verdict, work, work + max(m, b, 1) * n + 4 * b * b
+
+
+@njit(cache=True)
+def predict(P, nav, x, acc, model, mem, dims, count):
+    """Before a reading: note the transition in `mem`, fold it, and tick the sensor's block `count` times. model: (2, b, b), Phi and Q."""
+    n, m, b, start = dims[1], dims[2], dims[3], dims[4]
+    work = places(dims)[10]
+    mem[: m * m] = acc[:m].reshape(m * m)
+    fold(P, acc, nav, mem[work : work + m * n].reshape((m, n)))
+    if b == 0:
+        return
+    A = mem[m * m : m * m + b * b].reshape((b, b))
+    if count == 1:
+        A[:] = model[0]
+        tick(P, x, start, A, model[1], mem[work : work + b * n].reshape((b, n)))
+    elif count > 1:
+        W = mem[work + max(m, b) * n : work + max(m, b) * n + 4 * b * b].reshape((4, b, b))
+        power(model[0], model[1], count, W)
+        A[:] = W[0]
+        tick(P, x, start, A, W[1], mem[work : work + b * n].reshape((b, n)))
+    else:
+        for i in range(b):
+            for j in range(b):
+                A[i, j] = 1.0 if i == j else 0.0
+
+
+@njit(cache=True)
+def update(P, nav, x, C, R, mem, dims, limits):
+    """A reading, after its sensor filled `near` and `res` in `mem`: take the coloured error off, form the NIS, correct if it passes.
+
+    C: (a, errors) output rows of the error models, R: (a,) white variances, limits: (a + 1,) gates by the number of components used.
+    Leaves the verdict: NIS, components used, 1 if the state was corrected.
+    """
+    a, n, b, start, errors, par = dims[0], dims[1], dims[3], dims[4], dims[5], dims[6]
+    iH, iK, ii, ir, it, iS, iP, ine, iv, ive, _, _ = places(dims)
+    H, near, res = mem[iH : iH + a * n].reshape((a, n)), mem[ine:iv].reshape((a, 9 + par)), mem[ir : ir + a]
+    for i in range(a):
+        for j in range(n):
+            H[i, j] = 0.0
+        for j in range(9):
+            H[i, j] = near[i, j]
+        for j in range(errors):
+            H[i, start + j] = C[i, j]
+            res[i] -= C[i, j] * x[start - 9 + j]
+        for j in range(par):
+            H[i, start + errors + j] = near[i, 9 + j]
+    S, PH, out = mem[iS:iP].reshape((2 * a, a)), mem[iP:ine].reshape((a, n)), mem[ive : ive + 3]
+    missing = 0
+    for i in range(a):
+        missing += math.isnan(res[i])
+    innovation(P, H, res, R, S, PH, out)
+    out[2] = 0.0
+    for i in range(a):
+        mem[iv + i] = S[i, i]
+    if missing == a or not out[0] <= limits[int(out[1])]:
+        return
+    out[2] = 1.0
+    correct(P, nav, x, res, S, PH, mem[iK:ii].reshape((n, a)), mem[it : it + 3])
+    for i in range(a):
+        for j in range(a):
+            mem[ii + i * a + j] = S[a + i, j]
+
+
+@njit(cache=True)
 def smooth_record(L, lam, record, a, m, b, start, T):
     """Carry the adjoint (lam, L) backward over one tape record: reset, correction, tick, compound transition.
 

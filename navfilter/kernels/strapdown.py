@@ -80,6 +80,29 @@ def _compound(acc, m):
 
 
 @njit(cache=True)
+def stamps_to_steps(samples, last_s, checked, gap_s):
+    """Replace the stamps of a block (first column) by seconds since the sample before; returns the number of gaps longer than `gap_s`.
+
+    Returns -1, and changes nothing, when a stamp does not come after the one before or one of the first `checked` values is not finite.
+    """
+    previous, gaps = last_s, 0
+    for n in range(samples.shape[0]):
+        if not samples[n, 0] > previous or samples[n, 0] == math.inf:
+            return -1
+        gaps += samples[n, 0] - previous > gap_s
+        previous = samples[n, 0]
+        for j in range(1, 1 + checked):
+            if not abs(samples[n, j]) < math.inf:
+                return -1
+    previous = last_s
+    for n in range(samples.shape[0]):
+        step = samples[n, 0] - previous
+        previous = samples[n, 0]
+        samples[n, 0] = step
+    return gaps
+
+
+@njit(cache=True)
 def _clear_transition(F, m):
     for i in range(m):
         for j in range(m):
