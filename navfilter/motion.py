@@ -23,6 +23,7 @@ from navfilter.simulated_earth import frame_rates, gravity, integrate_path
 Array = NDArray[np.float64]
 
 _KNOT_STEP_S = 0.2
+_CHUNK = 50_000  # samples evaluated at once: bounds the memory of a day at 100 Hz
 _SPEED, _HEADING, _PITCH, _ROLL = range(4)
 
 
@@ -214,17 +215,19 @@ class Motion:
             m/s^2, or m/s for increments.
         """
         duration = self.duration_s if duration_s is None else duration_s
-        ticks = np.arange(math.floor(duration * rate_hz + 1e-6) + 1)
-        if not increments:
-            time_s = ticks / rate_hz
-            here = self.at(time_s)
-            return time_s, here.rate_b, here.force_b
-        time_s = ticks[1:] / rate_hz
+        time_s = np.arange(int(increments), math.floor(duration * rate_hz + 1e-6) + 1) / rate_hz
+        gyro, accel = np.empty((time_s.size, 3)), np.empty((time_s.size, 3))
         nodes, weights = np.polynomial.legendre.leggauss(3)
         half = 0.5 / rate_hz
-        here = self.at((time_s[:, None] - half + half * nodes).ravel())
-        gyro = half * np.einsum("k,nkj->nj", weights, here.rate_b.reshape(-1, 3, 3))
-        accel = half * np.einsum("k,nkj->nj", weights, here.force_b.reshape(-1, 3, 3))
+        for begin in range(0, time_s.size, _CHUNK):
+            rows = slice(begin, begin + _CHUNK)
+            if increments:
+                here = self.at((time_s[rows, None] - half + half * nodes).ravel())
+                gyro[rows] = half * np.einsum("k,nkj->nj", weights, here.rate_b.reshape(-1, 3, 3))
+                accel[rows] = half * np.einsum("k,nkj->nj", weights, here.force_b.reshape(-1, 3, 3))
+            else:
+                here = self.at(time_s[rows])
+                gyro[rows], accel[rows] = here.rate_b, here.force_b
         return time_s, gyro, accel
 
     @cached_property

@@ -225,6 +225,16 @@ def _oscillating(duration_s: float) -> dict[str, Faults]:
     return {**_gps_at_surface(duration_s), "compass": Faults(true_error=GaussMarkov(0.35 * _DEG, tau_s=60.0) + swing)}
 
 
+def _oscillating_vehicle() -> Vehicle:
+    """Believes in the Gauss-Markov process that goes through the 1/e point of that autocorrelation."""
+    return survey_vehicle().with_error(compass=GaussMarkov(sd=0.5 * _DEG, tau_s=1.75))
+
+
+def _demo_vehicle() -> Vehicle:
+    """Its compass reads in steps of 0.1 deg, so that it has a white part too."""
+    return survey_vehicle().with_error(compass=COMPASS + White(sd=0.1 * _DEG))
+
+
 def _gain(ar: tuple[float, float]) -> float:
     """Standard deviation of an AR(2) process driven by unit white noise (Box & Jenkins, 1976, eq 3.2.28)."""
     a1, a2 = ar
@@ -243,7 +253,7 @@ def _changing(duration_s: float) -> dict[str, Faults]:
 SCENARIOS: dict[str, Scenario] = {
     "demo": Scenario(
         "one hour: fixes at the surface, dive, lawnmower with DVL dropouts and outliers, surfacing",
-        survey_vehicle, survey, _survey_faults, 3600.0, StartErrors(position_sd_m=(3.0, 3.0, 0.5), heading_sd_deg=2.0),
+        _demo_vehicle, survey, _survey_faults, 3600.0, StartErrors(position_sd_m=(3.0, 3.0, 0.5), heading_sd_deg=2.0),
     ),
     "lawnmower": Scenario("fixes, dive, lawnmower, surfacing, fixes", survey_vehicle, lawnmower, _gps_at_surface),
     "transit": Scenario("fixes, dive, straight transit, surfacing, fixes", survey_vehicle, transit, _gps_at_surface),
@@ -253,7 +263,7 @@ SCENARIOS: dict[str, Scenario] = {
     "reckoning": Scenario("the same lawnmower without an inertial unit", reckoning_vehicle, lawnmower, _gps_at_surface),
     "thesis": Scenario("survey with the instruments of the thesis", thesis_vehicle, survey, _gps_at_surface, 1800.0),
     "oscillating": Scenario("lawnmower; the compass errs slowly and swings, the vehicle believes in Gauss-Markov",
-                            survey_vehicle, lawnmower, _oscillating, 1800.0),
+                            _oscillating_vehicle, lawnmower, _oscillating, 1800.0),
     "changing": Scenario("lawnmower; the error of the compass trebles half-way",
                          survey_vehicle, lawnmower, _changing, 1800.0),
 }  # fmt: skip
