@@ -191,11 +191,11 @@ def bias_plus_white(model: ArmaModel) -> BiasPlusWhite:
     drive = float(drives[bias].real) if bias is not None else 0.0
     lines = []
     for i in np.flatnonzero(~real):
-        if poles[i].imag >= 0.0 and drives[i].real > 0.0:
-            pair = 2.0 if poles[i].imag > 0.0 else 1.0
-            radius = float(abs(poles[i]))
-            variance = pair * drives[i].real / (1.0 - radius**2) if radius < 1.0 else np.inf
-            lines.append(Line(float(np.angle(poles[i]) / (2.0 * np.pi)), radius, float(np.sqrt(variance))))
+        pole_i, radius = poles[i], float(abs(poles[i]))
+        pair = 2.0 if pole_i.imag > 0.0 else 1.0
+        variance = pair * (drives[i] / (1.0 - pole_i**2)).real if radius < 1.0 else np.inf
+        if pole_i.imag >= 0.0 and variance > 0.0:
+            lines.append(Line(float(np.angle(pole_i) / (2.0 * np.pi)), radius, float(np.sqrt(variance))))
     white = _white_power(model, poles, drives)
     if white < -1e-9 * model.sd**2:
         raise ValueError(f"no split into bias + white noise: the white variance would be {white:.3g}.")
