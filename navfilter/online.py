@@ -9,14 +9,14 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtr
 
 from navfilter.arma import ArmaModel, is_stable, log_s0_sd
+from navfilter.diagnostics import whiteness
 from navfilter.kernels import arma as kernel
+from navfilter.unit_root import has_unit_root
+from navfilter.window_fit import WindowFit
 
 __all__ = ["RecursiveArma"]
 
 Array = NDArray[np.float64]
-
-# Passes that polish a window: two usually suffice from a running estimate, a cold start may need many.
-PASSES, COLD_PASSES = 15, 60
 
 
 class RecursiveArma:
@@ -86,7 +86,7 @@ class RecursiveArma:
         self.window = int(window)
         if self.window != window or self.window < least:
             raise ValueError(
-                f"window must be an integer of at least {least} samples for orders ({self.p}, {self.q}), found {window}. "
+                f"window must be an integer of at least {least} for orders ({self.p}, {self.q}), found {window}. "
                 "Use a longer window or lower orders."
             )
         self.hop = max(1, self.window // 4) if hop is None else int(hop)
@@ -101,22 +101,17 @@ class RecursiveArma:
         self.clip = float(clip)
         self._m = int(self.mean) + self.n_exog
         self._n = self.p + self.q + self._m
-        r = max(self.p, self.q)
-        # One hop more than the window, and room for the memory: the passes burn in on the samples before the window.
-        length = self.window + self.hop
-        width = max(kernel.WIDTH, self._n)
-        self._s = np.zeros((kernel.COV + self._n + self._m, width))
-        self._buf = np.zeros((1 + self._m, length))
-        self._carry = np.zeros((3 + self._m, width))
-        self._work = np.zeros((5 + self._m, r + length))
-        self._normal = np.zeros((self._n + 1, self._n + 1))
-        self._used = 0
-        self._residuals = np.empty(0)
-        self._doubtful = 0
+        self._fit = WindowFit(self.p, self.q, self._m, self.window, self.hop)
+        self._use(self._fit.state, self._fit.samples)
         self._white: bool | None = None
-        self._unit_free_exog = np.zeros(self.n_exog)
+        self._exog_origin = np.zeros(self.n_exog)
         self._exog_set = False
         self._write_header()
+
+    def _use(self, state: Array, samples: Array) -> None:
+        """Work in these arrays (a bank lays its members side by side)."""
+        self._fit.state = self._s = state
+        self._fit.samples = self._buf = samples
 
     def _write_header(self) -> None:
         head = self._s[kernel.HEAD]
@@ -142,7 +137,7 @@ class RecursiveArma:
         if self.n_exog:
             self._s[kernel.PHI, self.p + self.q + int(self.mean) : self._n] = self._check_exog(exog, 1)[0]
         if kernel.rml_step(self._s, self._buf, float(x)):
-            self._at_hop()
+            self._window_work()
 
     def update_many(self, series: ArrayLike, exog: ArrayLike | None = None) -> None:
         """Take samples in order: the same arithmetic as `update` on each, to the last bit.
@@ -162,7 +157,11 @@ class RecursiveArma:
         while done < xs.size:
             done = kernel.rml_run(self._s, self._buf, xs, us, done)
             if self._s[kernel.HEAD, kernel.POS] >= self._s[kernel.HEAD, kernel.DUE]:
-                self._at_hop()
+                self._window_work()
+
+    def _window_work(self) -> None:
+        self._fit.due(self.method == "els", self.clip, self.mean)
+        self._white = None
 
     def _check_exog(self, exog: ArrayLike | None, count: int) -> Array:
         if self.n_exog == 0 and exog is None:
@@ -170,127 +169,14 @@ class RecursiveArma:
         us = np.array(exog, dtype=np.float64, ndmin=1).reshape(count, -1) if exog is not None else np.empty((count, 0))
         if us.shape[1] != self.n_exog or not np.all(np.isfinite(us)):
             raise ValueError(
-                f"exog must be finite with {self.n_exog} value(s) per sample, found shape {np.shape(exog)}. "
+                f"exog must be finite with {self.n_exog} value(s) per sample, found shape {us.shape}. "
                 "Fill gaps of the regressors before the estimator."
             )
         if count and not self._exog_set:
             # Taken relative to the first values when a constant absorbs the difference: it keeps the two apart.
-            self._unit_free_exog = us[0].copy() if self.mean else np.zeros(self.n_exog)
+            self._exog_origin = us[0].copy() if self.mean else np.zeros(self.n_exog)
             self._exog_set = True
-        return np.ascontiguousarray(us - self._unit_free_exog)
-
-    # ------------------------------------------------------------------ window work
-
-    def _at_hop(self) -> None:
-        head = self._s[kernel.HEAD]
-        if head[kernel.RUNNING] == 0.0:
-            self._start()
-        elif self.method == "rml":
-            self._polish()
-        self._white = None
-        length = self._buf.shape[1]
-        if head[kernel.POS] >= length:
-            if head[kernel.RUNNING] == 0.0 or self.method == "els":
-                self._work[:] = 0.0
-            kernel.slide(self._s, self._buf, self._carry, self._work, self.hop)
-        pos = int(head[kernel.POS])
-        head[kernel.DUE] = min(length, pos + self.hop, 2 * pos)
-
-    def _first_counted(self) -> int:
-        """Index in the buffer where the window begins; a young record leaves out the start of its filters."""
-        pos = int(self._s[kernel.HEAD, kernel.POS])
-        return max(pos - self.window, min(pos // 8, self.hop))
-
-    def _start(self) -> None:
-        """Set origin and unit from the samples collected, and the first estimate by several starts."""
-        head = self._s[kernel.HEAD]
-        pos = int(head[kernel.POS])
-        x = self._buf[0, :pos]
-        seen = x[np.isfinite(x)]
-        if seen.size < max(pos // 2, 10) or not np.ptp(seen) > 0.0:
-            return
-        shift = float(np.median(seen)) if self.mean else 0.0
-        spread = float(np.std(seen - shift)) if self.mean else float(np.sqrt(np.mean((seen / np.ptp(seen)) ** 2)) * np.ptp(seen))
-        if not (spread > 0.0 and math.isfinite(spread)):
-            spread = float(np.ptp(seen))
-        unit = 2.0 ** -round(math.log2(spread))
-        head[kernel.ORIGIN] += shift / head[kernel.UNIT]
-        head[kernel.UNIT] *= unit
-        x -= shift
-        x *= unit
-        head[kernel.RUNNING] = 1.0
-        head[kernel.LAM] = 1.0 - 2.0 / pos
-        self._cold_start()
-        if self.clip > 0.0:
-            for _ in range(3):
-                if not self._drop_outliers():
-                    break
-                self._cold_start()
-
-    def _drop_outliers(self) -> bool:
-        """Mark samples of the first block beyond the clipping limit as missing; sets the robust spread."""
-        residuals = self._residuals
-        spread = 1.4826 * float(np.median(np.abs(residuals)))
-        self._s[kernel.HEAD, kernel.SPREAD] = max(spread, 1e-9)
-        far = np.flatnonzero(np.abs(residuals) > self.clip * spread)
-        if far.size == 0 or far.size > residuals.size // 5:
-            return False
-        pos = int(self._s[kernel.HEAD, kernel.POS])
-        self._buf[0, pos - residuals.size + far] = np.nan
-        return True
-
-    def _cold_start(self) -> None:
-        starts = [np.zeros(self._n), *self._rough_starts()]
-        if self.method == "els":
-            self._run(starts[-1], passes=1)
-        else:
-            self._best_of(starts)
-
-    def _rough_starts(self) -> list[Array]:
-        """Hannan-Rissanen starts with a short and a long autoregression."""
-        pos = int(self._s[kernel.HEAD, kernel.POS])
-        x = self._buf[0, :pos]
-        mean = float(np.nanmean(x)) if self.mean else 0.0
-        x = np.where(np.isfinite(x), x - mean, 0.0)
-        starts = []
-        if self.p + self.q == 0:
-            return starts
-        for order in (max(12, 2 * (self.p + self.q)), max(40, 4 * (self.p + self.q))):
-            theta = np.zeros(self._n)
-            if kernel.rough_start(self._s, x, min(order, pos // 5), theta):
-                if self.mean:
-                    theta[self.p + self.q] = mean * (1.0 + theta[: self.p].sum())
-                starts.append(theta)
-        return starts
-
-    def _run(self, theta: Array, passes: int) -> tuple[float, bool]:
-        """Polish `theta` in place and make it the running estimate; returns the mean square and whether it settled."""
-        lo = self._first_counted()
-        used, settled = kernel.polish(
-            self._s, theta, self._buf, lo, self._carry, self._work, self._normal, passes
-        )
-        kernel.adopt(self._s, theta, self._carry, self._work, self._normal, used)
-        r, pos = max(self.p, self.q), int(self._s[kernel.HEAD, kernel.POS])
-        self._used = used
-        self._residuals = self._work[4, r + lo : r + pos]
-        return float(self._normal[self._n, self._n]) / max(used, 1), bool(settled)
-
-    def _best_of(self, starts: list[Array]) -> None:
-        costs = [self._run(theta, COLD_PASSES)[0] for theta in starts]
-        best = int(np.argmin(costs))
-        if best != len(starts) - 1:
-            self._run(starts[best], COLD_PASSES)
-
-    def _polish(self) -> None:
-        """Polish from the running estimate; when the result is doubtful, try other starts as well, ever more rarely."""
-        theta = self._s[kernel.THETA, : self._n].copy()
-        _, settled = self._run(theta, PASSES)
-        if settled and not _coloured(self._residuals):
-            self._doubtful = 0
-            return
-        self._doubtful += 1
-        if self._doubtful & (self._doubtful - 1) == 0:
-            self._best_of([*self._rough_starts(), theta])
+        return np.ascontiguousarray(us - self._exog_origin)
 
     # ------------------------------------------------------------------ estimate out
 
@@ -351,7 +237,7 @@ class RecursiveArma:
     @property
     def effective_window(self) -> float:
         """Number of residuals behind the last polish."""
-        return float(self._used)
+        return float(self._fit.used)
 
     @property
     def is_stable(self) -> bool:
@@ -361,15 +247,14 @@ class RecursiveArma:
     @property
     def residuals(self) -> Array:
         """Residuals of the last window under the polished coefficients, in the unit of the series."""
-        return self._residuals / self._s[kernel.HEAD, kernel.UNIT]
+        return self._fit.residuals / self._s[kernel.HEAD, kernel.UNIT]
 
     @property
     def is_white(self) -> bool:
         """Whether the residuals of the last window pass the whiteness gate at 1 %; False before the start."""
         if self._white is None:
-            from navfilter.gate import is_white
-
-            self._white = is_white(self._residuals, self.p + self.q) if self._residuals.size else False
+            enough = self._fit.residuals.size > 60 and bool(np.any(self._fit.residuals))
+            self._white = enough and whiteness(self._fit.residuals, fitted=self.p + self.q).is_white
         return self._white
 
     @property
@@ -377,18 +262,18 @@ class RecursiveArma:
         """The estimate as an immutable model; flags: "starting", "constant", "unit root", "coloured", "gaps"."""
         if not self.is_running:
             flags = {"starting"} | ({"constant"} if self.n_seen and self.sd == 0.0 else set())
-            return ArmaModel([], [], self.sd, effective_window=0.0, flags=frozenset(flags))
+            return ArmaModel(np.zeros(0), np.zeros(0), self.sd, effective_window=0.0, flags=frozenset(flags))
         head = self._s[kernel.HEAD]
         ar, ma, covariance = self.ar, self.ma, self.covariance
         flags = set()
-        if not is_stable(ar, 1.0 - 3.0 / self.window):
+        if has_unit_root(ar, covariance, max(self._fit.used, 1), self.mean):
             flags.add("unit root")
         if not self.is_white:
             flags.add("coloured")
         if head[kernel.MISSED] > 0.1 * head[kernel.SEEN]:
             flags.add("gaps")
-        spread = log_s0_sd(ar, ma, covariance, max(self._used, 1))
-        return ArmaModel(ar, ma, self.sd, covariance, spread, float(self._used), frozenset(flags))
+        spread = log_s0_sd(ar, ma, covariance, max(self._fit.used, 1))
+        return ArmaModel(ar, ma, self.sd, covariance, spread, float(self._fit.used), frozenset(flags))
 
     def spectrum(self, freq_hz: ArrayLike, rate_hz: float) -> Array:
         """One-sided power spectral density of the model at `freq_hz` (unit^2/Hz), samples coming at `rate_hz`."""
@@ -416,27 +301,28 @@ class RecursiveArma:
         return {
             "state": self._s.copy(),
             "samples": self._buf.copy(),
-            "carry": self._carry.copy(),
-            "residuals": self._residuals.copy(),
-            "exog_origin": self._unit_free_exog.copy(),
-            "counters": np.array([self._used, self._doubtful, self._exog_set], dtype=np.float64),
+            "carry": self._fit.carry.copy(),
+            "residuals": self._fit.residuals.copy(),
+            "exog_origin": self._exog_origin.copy(),
+            "counters": np.array([self._fit.used, self._fit.doubtful, self._exog_set], dtype=np.float64),
         }
 
     def restore(self, snapshot: dict[str, Array]) -> None:
         """Continue from a `snapshot` of an estimator built with the same arguments, to the last bit."""
-        for name, own in (("state", self._s), ("samples", self._buf), ("carry", self._carry)):
-            if name not in snapshot or np.shape(snapshot[name]) != own.shape:
+        for name, own in (("state", self._s), ("samples", self._buf), ("carry", self._fit.carry)):
+            given = snapshot.get(name, np.empty(0))
+            if given.shape != own.shape:
                 raise ValueError(
-                    f"snapshot does not fit: {name} has shape {np.shape(snapshot.get(name))}, expected {own.shape}. "
+                    f"snapshot does not fit: {name} has shape {given.shape}, expected {own.shape}. "
                     "Build the estimator with the same orders, window, hop and regressors."
                 )
         self._s[:] = snapshot["state"]
         self._buf[:] = snapshot["samples"]
-        self._carry[:] = snapshot["carry"]
-        self._residuals = np.array(snapshot["residuals"], dtype=np.float64)
-        self._unit_free_exog = np.array(snapshot["exog_origin"], dtype=np.float64)
+        self._fit.carry[:] = snapshot["carry"]
+        self._fit.residuals = np.array(snapshot["residuals"], dtype=np.float64)
+        self._exog_origin = np.array(snapshot["exog_origin"], dtype=np.float64)
         used, doubtful, exog_set = snapshot["counters"]
-        self._used, self._doubtful, self._exog_set = int(used), int(doubtful), bool(exog_set)
+        self._fit.used, self._fit.doubtful, self._exog_set = int(used), int(doubtful), bool(exog_set)
         self._white = None
 
 
@@ -444,16 +330,6 @@ def _order(value: int, name: str) -> int:
     if int(value) != value or not 0 <= value <= 30:
         raise ValueError(f"{name} must be an integer from 0 to 30, found {value}.")
     return int(value)
-
-
-def _coloured(residuals: Array, lags: int = 20) -> bool:
-    """Quick portmanteau at about 4 sigma: reason enough to look for a better optimum."""
-    n = residuals.size
-    power = float(residuals @ residuals)
-    if n < 3 * lags or not power > 0.0:
-        return False
-    r = np.array([residuals[k:] @ residuals[:-k] for k in range(1, lags + 1)]) / power
-    return bool(n * float(r @ r) > lags + 4.0 * math.sqrt(2.0 * lags))
 
 
 def _clipped_variance(limit: float) -> float:
