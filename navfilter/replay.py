@@ -200,24 +200,24 @@ def _assemble(
 
 def _smoothed(forward: Track, nav: Navigator, tape: Tape, began: float, progress: bool) -> Track:
     n, size = len(tape.row_times), nav.layout.size
-    packed, x = np.empty((n, 17)), np.empty((n, size - 9))
+    packed, x, correction = np.empty((n, 17)), np.empty((n, size - 9)), np.empty((n, 9))
     P, sd = np.empty((n, 9, 9)), np.empty((n, size - 9))
 
     def store(i: int, row: Array, mean: Array, covariance: Array) -> None:
-        packed[i] = row[:17]
-        packed[i, 0] += mean[0] / row[15]
-        packed[i, 1] += mean[1] / (row[16] * np.cos(row[0]))
-        packed[i, 2] -= mean[2]
-        packed[i, 3:6] += mean[3:6]
-        packed[i, 6:15] = (rotation_matrix(mean[6:9]) @ row[6:15].reshape(3, 3)).ravel()
-        x[i] = row[17 : 8 + size] + mean[9:]
-        P[i] = covariance[:9, :9]
-        sd[i] = np.sqrt(np.maximum(np.diagonal(covariance)[9:], 0.0))
+        packed[i], x[i], correction[i], P[i] = row[:17], row[17 : 8 + size], mean[:9], covariance[:9, :9]
+        x[i] += mean[9:]
+        sd[i] = covariance.diagonal()[9:]
 
     bar = _bar(len(tape.heads), "smoother", progress)
     smooth_rows(tape, size, store, None if bar is None else bar.update)
     if bar is not None:
         bar.close()
+    packed[:, 6:15] = (rotation_matrix(correction[:, 6:]) @ packed[:, 6:15].reshape(-1, 3, 3)).reshape(-1, 9)
+    packed[:, 0] += correction[:, 0] / packed[:, 15]
+    packed[:, 1] += correction[:, 1] / (packed[:, 16] * np.cos(packed[:, 0]))
+    packed[:, 2] -= correction[:, 2]
+    packed[:, 3:6] += correction[:, 3:6]
+    sd = np.sqrt(np.maximum(sd, 0.0))
     return _assemble("smoothed", nav, tape, forward.mission_name, time.process_time() - began, packed, x, P, sd, forward)
 
 

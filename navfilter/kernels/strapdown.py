@@ -53,11 +53,12 @@ def gravity(latitude, height):
 def _rotate(C, x, y, z, R, out):
     """out = C exp([x y z]x), Rodrigues; R is a 9-element work array."""
     t2 = x * x + y * y + z * z
-    if t2 > 1e-8:
+    if t2 > 1e-3:
         t = math.sqrt(t2)
         a, b = math.sin(t) / t, (1.0 - math.cos(t)) / t2
-    else:
-        a, b = 1.0 - t2 / 6.0, 0.5 - t2 / 24.0
+    else:  # series: the first term left out is below 1e-17
+        a = 1.0 - t2 / 6.0 * (1.0 - t2 / 20.0 * (1.0 - t2 / 42.0))
+        b = 0.5 - t2 / 24.0 * (1.0 - t2 / 30.0 * (1.0 - t2 / 56.0))
     R[0], R[1], R[2] = 1.0 - b * (y * y + z * z), b * x * y - a * z, b * x * z + a * y
     R[3], R[4], R[5] = b * x * y + a * z, 1.0 - b * (x * x + z * z), b * y * z - a * x
     R[6], R[7], R[8] = b * x * z - a * y, b * y * z + a * x, 1.0 - b * (x * x + y * y)
@@ -110,27 +111,43 @@ def _clear_transition(F, m):
 
 
 @njit(cache=True)
-def _inertial_advance(nav, xd, inc, dt, drv, Cr, acc):
-    """One strapdown step from the increments inc = (angle 3, velocity 3); leaves its transition in the third block of acc.
+def _increments(samples, n, drv, inc):
+    """Angle and velocity increments of sample n from rates or increments: linear-rate coning and sculling (Savage, 1998)."""
+    dt = samples[n, 0]
+    if drv[STARTED] == 0.0:
+        for i in range(6):
+            drv[PREVIOUS + i] = samples[n, 1 + i]
+        drv[STARTED] = 1.0
+    a0, a1, a2, b0, b1, b2 = drv[0], drv[1], drv[2], drv[3], drv[4], drv[5]
+    w0, w1, w2 = samples[n, 1], samples[n, 2], samples[n, 3]
+    f0, f1, f2 = samples[n, 4], samples[n, 5], samples[n, 6]
+    rates = drv[INCREMENTS] == 0.0
+    unit = dt * dt / 12.0 if rates else 1.0 / 12.0
+    half = 0.5 * dt if rates else 1.0
+    keep = 1.0 if rates else 0.0
+    inc[0] = half * (w0 + keep * a0) + unit * (a1 * w2 - a2 * w1)
+    inc[1] = half * (w1 + keep * a1) + unit * (a2 * w0 - a0 * w2)
+    inc[2] = half * (w2 + keep * a2) + unit * (a0 * w1 - a1 * w0)
+    inc[3] = half * (f0 + keep * b0) + unit * (a1 * f2 - a2 * f1 + b1 * w2 - b2 * w1)
+    inc[4] = half * (f1 + keep * b1) + unit * (a2 * f0 - a0 * f2 + b2 * w0 - b0 * w2)
+    inc[5] = half * (f2 + keep * b2) + unit * (a0 * f1 - a1 * f0 + b0 * w1 - b1 * w0)
+    for i in range(6):
+        inc[i] -= drv[CONSUMED + i]
+        drv[CONSUMED + i] = 0.0
+        drv[PREVIOUS + i] = samples[n, 1 + i]
 
-    Coning and sculling are in `inc` already. The transition is that of the same step, second order in dt.
+
+@njit(cache=True)
+def _mechanise(nav, inc, dt, W, C, mid):
+    """One strapdown step from the corrected increments inc = (angle 3, velocity 3).
+
+    W: (3, >= 9) work. C (9,) receives the mean of C_nb over the step, mid (9,) what the transition needs: the velocity increment in n (3), the mean
+    velocity (3), gravity, and the two radii.
     """
-    k = len(xd)
-    m = 9 + k
-    F = acc[2 * m : 3 * m]
-    W = acc[3 * m :]
-    C = drv[MEAN_C : MEAN_C + 9]
-    Cn, R = W[1], W[2]  # rows of the work area, m >= 9 long
+    Cn, R, B = W[0], W[1], W[2]
     for i in range(9):
         C[i] = nav[6 + i]
     th0, th1, th2, u0, u1, u2 = inc[0], inc[1], inc[2], inc[3], inc[4], inc[5]
-    for s in range(k):
-        th0 -= dt * Cr[0, s] * xd[s]
-        th1 -= dt * Cr[1, s] * xd[s]
-        th2 -= dt * Cr[2, s] * xd[s]
-        u0 -= dt * Cr[3, s] * xd[s]
-        u1 -= dt * Cr[4, s] * xd[s]
-        u2 -= dt * Cr[5, s] * xd[s]
     # rotation of the velocity increment within the sample (Savage, 1998, part 2)
     d0 = u0 + 0.5 * (th1 * u2 - th2 * u1)
     d1 = u1 + 0.5 * (th2 * u0 - th0 * u2)
@@ -139,14 +156,15 @@ def _inertial_advance(nav, xd, inc, dt, drv, Cr, acc):
     vn, ve, vd = nav[3], nav[4], nav[5]
     sl, cl = math.sin(lat), math.cos(lat)
     x = 1.0 - EARTH_E2 * sl * sl
-    re = EARTH_RADIUS / math.sqrt(x)
+    root = math.sqrt(x)
+    re = EARTH_RADIUS / root
     rn = re * (1.0 - EARTH_E2) / x + h
     re += h
     tl = sl / cl
     an = C[0] * d0 + C[1] * d1 + C[2] * d2
     ae = C[3] * d0 + C[4] * d1 + C[5] * d2
     ad = C[6] * d0 + C[7] * d1 + C[8] * d2
-    g = gravity(lat, h - 0.5 * vd * dt)
+    g = GRAVITY_EQUATOR * (1.0 + SOMIGLIANA * sl * sl) / root * (1.0 - 2.0 * (h - 0.5 * vd * dt) / EARTH_RADIUS)
     mn, me, md = vn + 0.5 * an, ve + 0.5 * ae, vd + 0.5 * (ad + g * dt)  # velocity at mid-sample
     ien, ied = EARTH_RATE * cl, -EARTH_RATE * sl
     wn, we, wd = ien + me / re, -mn / rn, ied - me * tl / re  # rate of n against inertial space
@@ -162,20 +180,50 @@ def _inertial_advance(nav, xd, inc, dt, drv, Cr, acc):
     hm = -0.5 * md * dt
     dlat = mn / (rn + hm) * dt
     nav[0] = lat + dlat
-    nav[1] += me / ((re + hm) * math.cos(lat + 0.5 * dlat)) * dt
+    nav[1] += me / ((re + hm) * (cl - 0.5 * sl * dlat)) * dt
     nav[2] = h - md * dt
     nav[15], nav[16] = rn + 2.0 * hm, re + 2.0 * hm
+    mid[0], mid[1], mid[2], mid[3], mid[4], mid[5], mid[6], mid[7], mid[8] = pn, pe, pd, mn, me, md, g, rn, re
     _rotate(C, th0, th1, th2, R, Cn)
     # n-frame rotation from the left: exp(-w dt) C = (C' exp(w dt))', done on the transpose
     for i in range(3):
         for j in range(3):
-            C[3 * i + j] = 0.5 * C[3 * i + j]
-            W[3, 3 * j + i] = Cn[3 * i + j]
-    _rotate(W[3], wn * dt, we * dt, wd * dt, R, Cn)
+            B[3 * j + i] = Cn[3 * i + j]
+    _rotate(B, wn * dt, we * dt, wd * dt, R, Cn)
     for i in range(3):
         for j in range(3):
             nav[6 + 3 * i + j] = Cn[3 * j + i]
-            C[3 * i + j] += 0.5 * Cn[3 * j + i]  # now the mean of C_nb over the sample
+            C[3 * i + j] = 0.5 * (C[3 * i + j] + Cn[3 * j + i])
+
+
+@njit(cache=True)
+def integrate(nav, drv, samples, out):
+    """Strapdown alone, without errors or covariance: the state after each sample goes to the rows of out (n, 17), or nowhere if it has none."""
+    inc, W, C, mid = np.empty(6), np.empty((3, 9)), np.empty(9), np.empty(9)
+    for n in range(samples.shape[0]):
+        _increments(samples, n, drv, inc)
+        _mechanise(nav, inc, samples[n, 0], W, C, mid)
+        if out.shape[0] > 0:
+            for i in range(17):
+                out[n, i] = nav[i]
+
+
+@njit(cache=True)
+def _inertial_advance(nav, xd, inc, dt, drv, Cr, acc):
+    """One strapdown step with the errors of the drive taken off; leaves its transition, of second order in dt, in the third block of acc."""
+    k = len(xd)
+    m = 9 + k
+    F, W = acc[2 * m : 3 * m], acc[3 * m :]
+    C, mid = drv[MEAN_C : MEAN_C + 9], W[3]
+    for i in range(6):
+        for s in range(k):
+            inc[i] -= dt * Cr[i, s] * xd[s]
+    sl, cl = math.sin(nav[0]), math.cos(nav[0])
+    tl = sl / cl
+    _mechanise(nav, inc, dt, W, C, mid)
+    pn, pe, pd, mn, me, md, g, rn, re = mid[0], mid[1], mid[2], mid[3], mid[4], mid[5], mid[6], mid[7], mid[8]
+    wn, we, wd = EARTH_RATE * cl + me / re, -mn / rn, -EARTH_RATE * sl - me * tl / re
+    on, oe, od = wn + EARTH_RATE * cl, we, wd - EARTH_RATE * sl
     # ---- transition: attitude rows, then velocity with the mean attitude error, then position with the mean velocity error
     _clear_transition(F, m)
     F[6, 6] = F[7, 7] = F[8, 8] = 1.0
@@ -271,32 +319,12 @@ def imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
     m = 9 + len(xd)
     inc = np.empty(6)
     for n in range(samples.shape[0]):
-        dt = samples[n, 0]
-        if drv[STARTED] == 0.0:
-            for i in range(6):
-                drv[PREVIOUS + i] = samples[n, 1 + i]
-            drv[STARTED] = 1.0
-        a0, a1, a2, b0, b1, b2 = drv[0], drv[1], drv[2], drv[3], drv[4], drv[5]
-        w0, w1, w2 = samples[n, 1], samples[n, 2], samples[n, 3]
-        f0, f1, f2 = samples[n, 4], samples[n, 5], samples[n, 6]
-        unit = 1.0 / 12.0 if drv[INCREMENTS] != 0.0 else dt * dt / 12.0
-        half = 1.0 if drv[INCREMENTS] != 0.0 else 0.5 * dt
-        keep = 0.0 if drv[INCREMENTS] != 0.0 else 1.0
-        inc[0] = half * (w0 + keep * a0) + unit * (a1 * w2 - a2 * w1)
-        inc[1] = half * (w1 + keep * a1) + unit * (a2 * w0 - a0 * w2)
-        inc[2] = half * (w2 + keep * a2) + unit * (a0 * w1 - a1 * w0)
-        inc[3] = half * (f0 + keep * b0) + unit * (a1 * f2 - a2 * f1 + b1 * w2 - b2 * w1)
-        inc[4] = half * (f1 + keep * b1) + unit * (a2 * f0 - a0 * f2 + b2 * w0 - b0 * w2)
-        inc[5] = half * (f2 + keep * b2) + unit * (a0 * f1 - a1 * f0 + b0 * w1 - b1 * w0)
+        _increments(samples, n, drv, inc)
         drv[COUNT] += 1.0
         for i in range(6):
-            value = samples[n, 1 + i]
-            drv[SUMS + i] += value
-            drv[SQUARES + i] += value * value
-            inc[i] -= drv[CONSUMED + i]
-            drv[CONSUMED + i] = 0.0
-            drv[PREVIOUS + i] = value
-        dt -= drv[HELD_S]
+            drv[SUMS + i] += samples[n, 1 + i]
+            drv[SQUARES + i] += samples[n, 1 + i] * samples[n, 1 + i]
+        dt = samples[n, 0] - drv[HELD_S]
         drv[HELD_S] = 0.0
         _inertial_advance(nav, xd, inc, dt, drv, Cr, acc)
         _finish(xd, Phid, Qd, True, acc)
