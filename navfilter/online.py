@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import ndtr
 
 from navfilter.arma import ArmaModel, is_stable, log_s0_sd
 from navfilter.diagnostics import whiteness
@@ -209,7 +208,7 @@ class RecursiveArma:
             x = x[np.isfinite(x)]
             top = float(np.max(np.abs(x))) if x.size else 0.0
             return float(np.std(x / top)) * top if top > 0.0 else 0.0
-        return math.sqrt(max(head[kernel.VAR], 0.0) / _clipped_variance(self.clip)) / float(head[kernel.UNIT])
+        return math.sqrt(max(head[kernel.VAR], 0.0) / _truncated_variance(0.99 * self.clip)) / float(head[kernel.UNIT])
 
     @property
     def covariance(self) -> Array:
@@ -332,10 +331,9 @@ def _order(value: int, name: str) -> int:
     return int(value)
 
 
-def _clipped_variance(limit: float) -> float:
-    """Variance of a standard normal clipped at +-limit; 1 without clipping."""
+def _truncated_variance(limit: float) -> float:
+    """Variance of a standard normal known to lie within +-limit; 1 without a limit."""
     if limit <= 0.0:
         return 1.0
     density = math.exp(-0.5 * limit * limit) / math.sqrt(2.0 * math.pi)
-    tail = 1.0 - float(ndtr(limit))
-    return 1.0 - 2.0 * tail - 2.0 * limit * density + 2.0 * limit * limit * tail
+    return 1.0 - 2.0 * limit * density / math.erf(limit / math.sqrt(2.0))

@@ -9,15 +9,16 @@ from numpy.typing import ArrayLike
 
 __all__ = ["has_unit_root"]
 
-# Five per cent points of the t statistic of a unit root, with and without an estimated mean (Fuller 1976, table 8.5.2).
-WITH_MEAN, WITHOUT_MEAN = -2.86, -1.95
+# One per cent points of the t statistic of a unit root, with and without an estimated mean (Fuller 1976, table 8.5.2):
+# a slow pole taken for a bias does little harm, a bias taken for a slow pole gets a correlation time far too short.
+WITH_MEAN, WITHOUT_MEAN = -3.43, -2.58
 
 
 def has_unit_root(ar: ArrayLike, covariance: ArrayLike, window: float, mean: bool = True) -> bool:
     """Whether the slowest real pole cannot be told from 1 with `window` samples.
 
     True for a pole above ``1 - 3/window``, and for a pole above ``1 - 20/window`` (a correlation time longer than a
-    twentieth of the window) when the Dickey-Fuller t test on A(1) does not reject the unit root at 5 %. A bias state
+    twentieth of the window) when the Dickey-Fuller t test on A(1) does not reject the unit root at 1 %. A bias state
     describes such a pole better: a stationary model fitted to it has its correlation time too short.
 
     Parameters

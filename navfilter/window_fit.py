@@ -157,6 +157,11 @@ class WindowFit:
         s[kernel.COV + n : kernel.COV + n + self.m, : memory.shape[1]] = memory[3:]
         if self.used:
             s[kernel.HEAD, kernel.VAR] = self._normal[n, n] / self.used
+        limit = s[kernel.HEAD, kernel.CLIP] * s[kernel.HEAD, kernel.SPREAD]
+        if limit > 0.0:
+            # Limited innovations say that something was not noise, not how large the noise is.
+            whole = self.residuals[(np.abs(self.residuals) < 0.99 * limit) & (self.residuals != 0.0)]
+            s[kernel.HEAD, kernel.VAR] = float(np.mean(whole**2)) if whole.size else s[kernel.HEAD, kernel.VAR]
         inverse = np.zeros((n, n))
         if window_kernel.window_covariance(self._normal, n, inverse):
             s[kernel.COV : kernel.COV + n, :n] = inverse

@@ -200,8 +200,10 @@ def _step(s, buf, x):
         _remember(s, predicted, 0.0, p, q)
         return pos + 1 >= s[HEAD, DUE]
     e = y - predicted
+    whole = True
     if s[HEAD, CLIP] > 0.0:
         e = _clip(s, e)
+        whole = abs(e) < 0.99 * s[HEAD, CLIP] * s[HEAD, SPREAD]
         y = predicted + e
         buf[0, pos] = y
     s[HEAD, INNOVATION] = e
@@ -212,7 +214,8 @@ def _step(s, buf, x):
     else:
         if n > 0:
             posterior = _adapt(s, y, e, p, q, n)
-        s[HEAD, VAR] += (1.0 - lam) * (e * posterior - s[HEAD, VAR])
+        if whole:
+            s[HEAD, VAR] += (1.0 - lam) * (e * posterior - s[HEAD, VAR])
         s[HEAD, LAM] = s[HEAD, LAM_END] + (lam - s[HEAD, LAM_END]) * s[HEAD, LAM_RATE]
     _remember(s, y, posterior, p, q)
     return pos + 1 >= s[HEAD, DUE]
