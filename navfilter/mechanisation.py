@@ -174,4 +174,6 @@ class DeadReckoning(Mechanisation):
         drv[strapdown.SCALE] = first_parameter + deviation if total > deviation else -1
         sensor: Any = self.velocity_sensor
         drv[strapdown.LEVER : strapdown.LEVER + 12] = sensor.constants(None)
+        drv[strapdown.MAX_SPEED] = sensor.max_speed_m_s
+        drv[strapdown.ZERO_IS_VALID] = float(not sensor.zero_is_invalid)
         return drv

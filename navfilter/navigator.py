@@ -48,6 +48,12 @@ class Outcome(NamedTuple):
         return self.status == "used"
 
 
+def _usable(sd: ArrayLike, axes: int) -> bool:
+    """Whether standard deviations given with a reading can be used."""
+    values = np.asarray(sd, dtype=np.float64)
+    return values.size in (1, axes) and bool(np.all((values >= 0.0) & np.isfinite(values)))
+
+
 class _Channel:
     """Working memory of one correcting sensor: one array shared with the kernels, seen through views (``kalman.places``)."""
 
@@ -223,7 +229,7 @@ class Navigator:
         """Replace samples that are not finite by the last good one."""
         bad = ~np.isfinite(values).all(axis=1)
         self.counts["bad-sample"] += int(bad.sum())
-        good = np.maximum.accumulate(np.where(bad, -1, np.arange(len(bad))))
+        good = np.maximum.accumulate(np.where(bad, -1, np.arange(len(values))))
         if self._inertial:
             last = self._drv[strapdown.PREVIOUS : strapdown.PREVIOUS + 6]
             if not self._drv[strapdown.STARTED]:
@@ -279,11 +285,9 @@ class Navigator:
         channel = self._channels.get(name)
         if channel is None:
             return Outcome("unknown-sensor")
-        z = np.asarray(value, dtype=np.float64)
-        if z.ndim != 1:
-            z = z.reshape(-1)
+        z = np.array(value, dtype=np.float64).reshape(-1)  # a copy: kernels want it contiguous and writable
         early = time_s - self._time_s
-        if not math.isfinite(time_s) or len(z) < channel.sensor.reads:
+        if not math.isfinite(time_s) or len(z) < channel.sensor.reads or not (sd is None or _usable(sd, channel.sensor.axes)):
             return self._note(channel, time_s, "invalid")
         if time_s <= channel.last_s:
             return self._note(channel, time_s, "duplicate")
@@ -301,10 +305,14 @@ class Navigator:
 
     def _note(self, channel: _Channel, time_s: float, status: str, nis: float = math.nan, dof: int = 0, widened: bool = False) -> Outcome:
         if self._tape is not None:
-            formed = dof > 0
-            self._tape.columns[channel.name].append(
-                time_s, CODES[status], nis, dof, channel.res if formed else None, channel.variances if formed else None
-            )
+            residual = variances = None
+            if dof > 0:
+                residual, variances = channel.res, channel.variances
+            if 0 < dof < channel.sensor.axes:
+                # a missing component has an empty row of H, and a residual of zero for the smoother's sake
+                missing = ~channel.H.any(axis=1)
+                residual, variances = np.where(missing, np.nan, residual), np.where(missing, np.nan, variances)
+            self._tape.columns[channel.name].append(time_s, CODES[status], nis, dof, residual, variances)
         return Outcome(status, nis, dof, widened)
 
     def _apply(self, channel: _Channel, time_s: float, z: Array, sd: ArrayLike | None) -> Outcome:
@@ -315,7 +323,7 @@ class Navigator:
         if channel.turns:
             self._body_rate()
         channel.kernel(z, nav, self._rate, x[channel.parameters], channel.constants, channel.near, channel.res)
-        channel.R[:] = channel.white if sd is None else np.square(np.asarray(sd, dtype=float))
+        channel.R[:] = channel.white if sd is None else np.square(np.asarray(sd, dtype=float).reshape(-1))
         kalman.update(P, nav, x, channel.C, channel.R, channel.mem, channel.dims, channel.limits)
         nis, dof, used = channel.verdict.tolist()
         widened = False
@@ -350,6 +358,7 @@ class Navigator:
         self._P[:] = 0.5 * (self._P + self._P.T)
         first = channel.group.start - 9
         channel.res += channel.C @ self._x[first : first + channel.group.errors]  # `update` takes it off again
+        channel.res[~channel.H.any(axis=1)] = np.nan
         kalman.update(self._P, self._nav, self._x, channel.C, channel.R, channel.mem, channel.dims, np.full(a + 1, np.inf))
         channel.rejected_since_s = math.nan
         self.counts["widened"] += 1

@@ -243,7 +243,7 @@ class Heading(Sensor):
         if not np.isfinite(value[:n]).all():
             return None
         z = np.full(n + 1, np.nan)
-        z[: len(value)] = value
+        z[: len(value)] = value[: n + 1]
         if self.magnetometer:
             z[:3] = np.reshape(self.soft_iron, (3, 3)) @ (z[:3] - np.asarray(self.hard_iron))
             return z if z[:3].any() else None

@@ -154,7 +154,8 @@ def innovation(P, H, res, R, S, PH, out):
                 s += PH[i, r] * H[j, r]
             S[i, j] = s
             S[j, i] = s
-        S[i, i] = 1.0 if missing else S[i, i] + max(R[i], 1e-12 * S[i, i])
+        # 1e-60: S is invertible even where nothing is uncertain
+        S[i, i] = 1.0 if missing else S[i, i] + max(R[i], 1e-12 * S[i, i], 1e-60)
     nis = 0.0
     if a == 1:
         S[1, 0] = 1.0 / S[0, 0]
@@ -315,7 +316,7 @@ def update(P, nav, x, C, R, mem, dims, limits):
     C: (a, errors) output rows of the error models, R: (a,) white variances, limits: (a + 1,) gates by the number of components used.
     Leaves the verdict: NIS, components used, 1 if the state was corrected.
     """
-    a, n, b, start, errors, par = dims[0], dims[1], dims[3], dims[4], dims[5], dims[6]
+    a, n, start, errors, par = dims[0], dims[1], dims[4], dims[5], dims[6]
     iH, iK, ii, ir, it, iS, iP, ine, iv, ive, _, _ = places(dims)
     H, near, res = mem[iH : iH + a * n].reshape((a, n)), mem[ine:iv].reshape((a, 9 + par)), mem[ir : ir + a]
     for i in range(a):

@@ -112,8 +112,10 @@ def magnetometer(z, nav, rate, par, cfg, H, res):
     azimuth = _bearing(n0, n1, n2, H)
     predicted = 0.0
     if len(par) > 0:
-        psi = math.atan2(nav[9], nav[6]) - cfg[0]
-        predicted, _ = _deviation(psi, par, H, z[3], cfg)
+        a, b = H[0, 6], H[0, 7]
+        psi = _bearing(nav[6], nav[9], nav[12], H) - cfg[0]
+        predicted, slope = _deviation(psi, par, H, z[3], cfg)
+        H[0, 6], H[0, 7], H[0, 8] = a + slope * H[0, 6], b + slope * H[0, 7], 1.0 + slope
     r = cfg[0] - azimuth - predicted
     res[0] = r - 2.0 * math.pi * math.floor(r / (2.0 * math.pi) + 0.5)
 

@@ -28,8 +28,9 @@ SOMIGLIANA = math.sqrt(1.0 - EARTH_E2) * GRAVITY_POLE / GRAVITY_EQUATOR - 1.0
 # sums and squares for the detection of rest. Settings: the rest.
 PREVIOUS, CONSUMED, HELD_S, STARTED, MEAN_C, COUNT, SUMS, SQUARES = 0, 6, 12, 13, 14, 23, 24, 30
 PERIOD_S, INCREMENTS, GAP_RATE_SD, GAP_FORCE_SD = 36, 37, 38, 39
-HOLD_DENSITY, DEVIATION, SCALE, MISALIGNMENT, LEVER, MOUNTING, LEVER_VELOCITY, PREVIOUS_RPY = 40, 41, 42, 43, 44, 47, 56, 59
+HOLD_DENSITY, DEVIATION, SCALE, MISALIGNMENT, LEVER, MOUNTING, LEVER_VELOCITY, PREVIOUS_RPY, MAX_SPEED, ZERO_IS_VALID = 40, 41, 42, 43, 44, 47, 56, 59, 62, 63
 DRIVE_SIZE = 64
+MOST_TICKS = 10000.0  # of the drive's blocks in one step
 GAP_PERIODS = 3.0  # a silence of more than this many periods is a gap: what the vehicle did in it is unknown
 
 
@@ -113,8 +114,9 @@ def _clear_transition(F, m):
 @njit(cache=True)
 def _increments(samples, n, drv, inc):
     """Angle and velocity increments of sample n from rates or increments: linear-rate coning and sculling (Savage, 1998)."""
-    dt = samples[n, 0]
+    dt, whole = samples[n, 0], 1.0
     if drv[STARTED] == 0.0:
+        whole = min(max(dt / drv[PERIOD_S], 0.0), 1.0)  # what the first increments gathered before the start is not ours
         for i in range(6):
             drv[PREVIOUS + i] = samples[n, 1 + i]
         drv[STARTED] = 1.0
@@ -123,7 +125,7 @@ def _increments(samples, n, drv, inc):
     f0, f1, f2 = samples[n, 4], samples[n, 5], samples[n, 6]
     rates = drv[INCREMENTS] == 0.0
     unit = dt * dt / 12.0 if rates else 1.0 / 12.0
-    half = 0.5 * dt if rates else 1.0
+    half = 0.5 * dt if rates else whole
     keep = 1.0 if rates else 0.0
     inc[0] = half * (w0 + keep * a0) + unit * (a1 * w2 - a2 * w1)
     inc[1] = half * (w1 + keep * a1) + unit * (a2 * w0 - a0 * w2)
@@ -277,9 +279,10 @@ def _inertial_noise(dt, drv, Cr, acc, m):
     """White noise of one step: variance r per sample means an angle (velocity) variance r * period per second."""
     Q, C, k = acc[m : 2 * m], drv[MEAN_C : MEAN_C + 9], m - 9
     span = max(dt, 0.0)
+    gap = dt > GAP_PERIODS * drv[PERIOD_S]
     for a in range(3):
         angle, speed = Cr[a, k] * drv[PERIOD_S] * span, Cr[3 + a, k] * drv[PERIOD_S] * span
-        if dt > GAP_PERIODS * drv[PERIOD_S]:
+        if gap:
             angle += (drv[GAP_RATE_SD] * dt) ** 2
             speed += (drv[GAP_FORCE_SD] * dt) ** 2
         for i in range(3):
@@ -287,19 +290,38 @@ def _inertial_noise(dt, drv, Cr, acc, m):
                 cc = C[3 * i + a] * C[3 * j + a]
                 Q[6 + i, 6 + j] += cc * angle
                 Q[3 + i, 3 + j] += cc * speed
+                if gap:
+                    Q[i, j] += cc * speed * 0.25 * dt * dt
+                    Q[i, 3 + j] += cc * speed * 0.5 * dt
+                    Q[3 + i, j] += cc * speed * 0.5 * dt
 
 
 @njit(cache=True)
-def _finish(xd, Phid, Qd, tick, acc):
+def _ticks(span, drv):
+    """How often the drive's blocks tick over a step: once per sample, those that are missing included."""
+    return int(min(max(span / drv[PERIOD_S] + 0.5, 1.0), MOST_TICKS))
+
+
+@njit(cache=True)
+def _finish(xd, Phid, Qd, ticks, acc):
     """Complete the transition with the drive's blocks, compound it, and tick the blocks (their mean too)."""
     k = len(xd)
     m = 9 + k
     F, Q, W = acc[2 * m : 3 * m], acc[m : 2 * m], acc[3 * m :]
     for i in range(k):
         for j in range(k):
-            F[9 + i, 9 + j] = Phid[i, j] if tick else (1.0 if i == j else 0.0)
+            F[9 + i, 9 + j] = Phid[i, j] if ticks > 0 else (1.0 if i == j else 0.0)
     _compound(acc, m)
-    if tick:
+    for count in range(ticks):
+        if count == 1:
+            _clear_transition(F, m)
+            for i in range(9):
+                F[i, i] = 1.0
+            for i in range(k):
+                for j in range(k):
+                    F[9 + i, 9 + j] = Phid[i, j]
+        if count > 0:
+            _compound(acc, m)
         for i in range(k):
             W[0, i] = 0.0
             for j in range(k):
@@ -327,7 +349,7 @@ def imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
         dt = samples[n, 0] - drv[HELD_S]
         drv[HELD_S] = 0.0
         _inertial_advance(nav, xd, inc, dt, drv, Cr, acc)
-        _finish(xd, Phid, Qd, True, acc)
+        _finish(xd, Phid, Qd, _ticks(samples[n, 0], drv), acc)
         _inertial_noise(dt, drv, Cr, acc, m)
 
 
@@ -341,7 +363,7 @@ def imu_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc):
         drv[CONSUMED + i] += inc[i]
     drv[HELD_S] += dt
     _inertial_advance(nav, xd, inc, dt, drv, Cr, acc)
-    _finish(xd, Phid, Qd, False, acc)
+    _finish(xd, Phid, Qd, 0, acc)
     _inertial_noise(dt, drv, Cr, acc, 9 + len(xd))
 
 
@@ -371,13 +393,13 @@ def _position_rows(nav, F, dt, m):
 def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
     """Attitude and body velocity carried forward: no inertial unit (Groves, 2013, sec. 6.2; the classical AUV filter).
 
-    A sample is seconds since the previous one, roll, pitch, yaw [rad] and the velocity in instrument axes [m/s]; a NaN velocity is
-    held in body axes with growing uncertainty. Position goes by the trapezoidal rule on the velocity of the instrument's point, and
+    A sample is seconds since the previous one, roll, pitch, yaw [rad] and the velocity in instrument axes [m/s]; a velocity that is NaN, or
+    not a reading by the sensor's own limits, is held in body axes with growing uncertainty. Position goes by the trapezoidal rule on the velocity of the instrument's point, and
     the lever arm enters through the turn of the attitude itself, so that no angular rate is needed for it.
     """
     k = len(xd)
     m = 9 + k
-    F, Q, W = acc[2 * m : 3 * m], acc[m : 2 * m], acc[3 * m :]
+    F, Q = acc[2 * m : 3 * m], acc[m : 2 * m]
     J = np.empty((9, 6))
     B, err, v, u, w, l0, l1 = (np.empty((3, 3)), np.empty(6), np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3))
     C, M = np.empty((3, 3)), drv[MOUNTING : MOUNTING + 9]
@@ -401,7 +423,7 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
         C[1, 0], C[1, 1], C[1, 2] = cp * sy, sr * sp * sy + cr * cy, cr * sp * sy - sr * cy
         C[2, 0], C[2, 1], C[2, 2] = -sp, sr * cp, cr * cp
         # -- angular rate from the readings (only for the velocity at the reference point)
-        q0, q1, q2 = 0.0, 0.0, 0.0
+        q0, q1, q2, dp, dy = 0.0, 0.0, 0.0, 0.0, 0.0
         if drv[STARTED] != 0.0 and span > 0.0:
             dr, dp = samples[n, 1] - drv[PREVIOUS_RPY], samples[n, 2] - drv[PREVIOUS_RPY + 1]
             dy = samples[n, 3] - drv[PREVIOUS_RPY + 2]
@@ -417,8 +439,12 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
             l1[i] = C[i, 0] * e0 + C[i, 1] * e1 + C[i, 2] * e2
             l0[i] = nav[6 + 3 * i] * e0 + nav[7 + 3 * i] * e1 + nav[8 + 3 * i] * e2
             if drv[STARTED] == 0.0:
-                l0[i] = l1[i] = 0.0  # nothing moved before the first sample
-        missing = math.isnan(samples[n, 4] + samples[n, 5] + samples[n, 6])
+                l0[i] = l1[i] = 0.0  # the start's velocity is that of the reference point
+        missing, moving = False, drv[ZERO_IS_VALID] != 0.0
+        for i in range(4, 7):
+            missing = missing or not abs(samples[n, i]) <= drv[MAX_SPEED]
+            moving = moving or samples[n, i] != 0.0
+        missing = missing or not moving
         _clear_transition(F, m)
         for i in range(9):
             for j in range(6):
@@ -427,7 +453,7 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
         for i in range(3):
             J[6 + i, 0] = C[i, 0]
         J[6, 1], J[7, 1], J[8, 2] = -sy, cy, 1.0
-        if missing and drv[STARTED] != 0.0:
+        if missing:
             for i in range(3):
                 for j in range(3):
                     B[i, j] = C[i, 0] * nav[6 + 3 * j] + C[i, 1] * nav[7 + 3 * j] + C[i, 2] * nav[8 + 3 * j]
@@ -454,9 +480,7 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
                 J[3 + i, 3] = h * (r0 + d * a - r1 * c + r2 * b)
                 J[3 + i, 4] = h * (r1 + d * b + r0 * c - r2 * a)
                 J[3 + i, 5] = h * (r2 + d * c - r0 * b + r1 * a)
-            z0, z1, z2 = 0.0, 0.0, 0.0
-            if not missing:
-                z0, z1, z2 = samples[n, 4] - err[3], samples[n, 5] - err[4], samples[n, 6] - err[5]
+            z0, z1, z2 = samples[n, 4] - err[3], samples[n, 5] - err[4], samples[n, 6] - err[5]
             for i in range(3):
                 u[i] = J[3 + i, 3] * z0 + J[3 + i, 4] * z1 + J[3 + i, 5] * z2
         for i in range(3):
@@ -473,8 +497,17 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
             J[0, j] = half * J[3, j] + b * y2 - c * y1
             J[1, j] = half * J[4, j] + c * y0 - a * y2
             J[2, j] = half * J[5, j] + a * y1 - b * y0
+        if drv[STARTED] != 0.0 and span > 0.0:
+            # the axes of pitch and yaw do not turn with a roll error, nor that of yaw with a pitch error
+            for j in range(2):
+                a = dp / span if j == 0 else 0.0
+                x0, x1, x2 = a * J[6, 1], a * J[7, 1], dy / span
+                a, b, c = J[6, j], J[7, j], J[8, j]
+                y0, y1, y2 = b * x2 - c * x1, c * x0 - a * x2, a * x1 - b * x0
+                J[3, j] += y1 * l1[2] - y2 * l1[1]
+                J[4, j] += y2 * l1[0] - y0 * l1[2]
+                J[5, j] += y0 * l1[1] - y1 * l1[0]
         # -- transition
-        started = drv[STARTED] != 0.0
         lead = half - held
         for i in range(3):
             for j in range(9):
@@ -516,26 +549,28 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
                 F[i, 10 + par] -= g * (j2 * y1 - j1 * y2)
                 F[i, 11 + par] -= g * (j0 * y2 - j2 * y0)
                 F[i, 12 + par] -= g * (j1 * y0 - j0 * y1)
-        if started:
-            _position_rows(nav, F, span - held, m)
-            _move(
-                nav,
-                lead * nav[3] + half * (drv[LEVER_VELOCITY] + u[0]) - l1[0] + l0[0],
-                lead * nav[4] + half * (drv[LEVER_VELOCITY + 1] + u[1]) - l1[1] + l0[1],
-                lead * nav[5] + half * (drv[LEVER_VELOCITY + 2] + u[2]) - l1[2] + l0[2],
-            )
+        _position_rows(nav, F, span - held, m)
+        _move(
+            nav,
+            lead * nav[3] + half * (drv[LEVER_VELOCITY] + u[0]) - l1[0] + l0[0],
+            lead * nav[4] + half * (drv[LEVER_VELOCITY + 1] + u[1]) - l1[1] + l0[1],
+            lead * nav[5] + half * (drv[LEVER_VELOCITY + 2] + u[2]) - l1[2] + l0[2],
+        )
         for i in range(3):
             nav[3 + i] = v[i]
             drv[LEVER_VELOCITY + i] = w[i]
             for j in range(3):
                 nav[6 + 3 * i + j] = C[i, j]
-        _finish(xd, Phid, Qd, True, acc)
+        _finish(xd, Phid, Qd, _ticks(span, drv), acc)
         for i in range(9):
             for j in range(9):
                 for a in range(6):
                     Q[i, j] += J[i, a] * Cr[a, k] * J[j, a]
-        if missing and started:
-            walk = drv[HOLD_DENSITY] ** 2 * span
+        walk = drv[HOLD_DENSITY] ** 2 * span
+        if span > GAP_PERIODS * drv[PERIOD_S] and not missing:
+            for i in range(3):
+                Q[i, i] += walk * span * span / 12.0  # a walk between two known velocities (Brownian bridge)
+        if missing:
             for i in range(3):
                 Q[i, i] += walk * half * half
                 Q[3 + i, 3 + i] += walk
@@ -557,4 +592,4 @@ def dead_reckoning_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc):
     _position_rows(nav, F, dt, m)
     _move(nav, dt * nav[3], dt * nav[4], dt * nav[5])
     drv[HELD_S] += dt
-    _finish(xd, Phid, Qd, False, acc)
+    _finish(xd, Phid, Qd, 0, acc)
