@@ -1,0 +1,7 @@
+"""``python -m navfilter`` is the command ``navfilter``."""
+
+import sys
+
+from navfilter.cli import main
+
+sys.exit(main())

@@ -1,0 +1,251 @@
+"""The report of a run: tables for the terminal, and one HTML page that needs nothing but itself."""
+
+from __future__ import annotations
+
+import base64
+import html
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from navfilter import figures, state_figures
+from navfilter.drawing import style, svg
+from navfilter.io.write import summarise
+from navfilter.mission import Mission
+from navfilter.tape import OUTCOMES
+from navfilter.track import Track
+
+__all__ = ["headline_table", "render_report", "sensor_table", "write_report"]
+
+Tracks = Mapping[str, Track]
+Rows = list[list[str]]
+
+#: Columns of the headline table: heading, key of ``summary.json``, format.
+HEADLINES = (
+    ("position rms [m]", "position_rms_m", "{:.2f}"),
+    ("max [m]", "position_max_m", "{:.2f}"),
+    ("end [m]", "position_end_m", "{:.2f}"),
+    ("end [% of distance]", "position_end_pct", "{:.3f}"),
+    ("heading rms [deg]", "heading_rms_deg", "{:.3f}"),
+    ("velocity rms [m/s]", "velocity_rms_m_s", "{:.4f}"),
+    ("NEES position", "nees_position", "{:.2f}"),
+    ("NEES heading", "nees_heading", "{:.2f}"),
+)
+
+_CSS = """
+:root { color-scheme: light; }
+body { font: 16px/1.5 system-ui, -apple-system, "Segoe UI", Roboto, sans-serif; color: #1b1b1b; background: #fff;
+       max-width: 820px; margin: 0 auto; padding: 1rem; }
+h1 { font-size: 1.5rem; margin: .5rem 0 .2rem; } h2 { font-size: 1.15rem; margin: 2rem 0 .5rem; border-bottom: 1px solid #ccc; }
+p.sub { color: #555; margin: 0 0 1rem; }
+.wide { overflow-x: auto; }
+table { border-collapse: collapse; font-size: .85rem; font-variant-numeric: tabular-nums; width: 100%; }
+th, td { padding: .3rem .5rem; text-align: right; border-bottom: 1px solid #e2e2e2; }
+th { font-weight: 600; vertical-align: bottom; } th:first-child, td:first-child, td.text, th.text { text-align: left; }
+figure { margin: 1rem 0; break-inside: avoid; page-break-inside: avoid; }
+figure img { width: 100%; height: auto; display: block; }
+figcaption { font-size: .85rem; color: #444; margin-top: .3rem; }
+ul { padding-left: 1.2rem; } li, td.text { overflow-wrap: anywhere; }
+@media print { body { max-width: none; font-size: 10pt; padding: 0; } h2 { break-after: avoid; page-break-after: avoid; } .wide { overflow: visible; } }
+"""
+
+
+def headline_table(tracks: Tracks, mission: Mission) -> str:
+    """Errors and consistency of every run as text, one line per run; a dash where there is no truth."""
+    header, rows = _headlines(tracks, mission)
+    return _text([header, *rows])
+
+
+def sensor_table(track: Track) -> str:
+    """What became of the readings of every sensor, and its mean NIS, as text."""
+    header, rows = _sensors(track)
+    return _text([header, *rows])
+
+
+def write_report(tracks: Tracks, mission: Mission, path: str | os.PathLike[str], progress: Callable[[], Any] | None = None) -> Path:
+    """Write `render_report` to a file.
+
+    Parameters
+    ----------
+    tracks : dict of str to Track
+        Runs by label, see `navfilter.io.write.labelled`.
+    mission : Mission
+    path : path-like
+        Of the .html.
+    progress : callable, optional
+        Called after each figure.
+    """
+    path = Path(path)
+    text = render_report(tracks, mission, progress)
+    part = path.with_name(path.name + ".part")
+    part.write_text(text, encoding="utf-8")
+    part.replace(path)
+    return path
+
+
+def render_report(tracks: Tracks, mission: Mission, progress: Callable[[], Any] | None = None) -> str:
+    """One HTML page with tables and figures; no scripts, no links, nothing to load."""
+    result = list(tracks.values())[-1]
+    summary = summarise(tracks, mission)
+    body = [
+        f"<h1>{_escape(mission.name)}</h1>",
+        f'<p class="sub">{_escape(_subtitle(result, mission, summary))}</p>',
+        "<h2>Result</h2>",
+        _html_table(*_headlines(tracks, mission)),
+        f"<p>{_reading(mission)}</p>",
+    ]
+    for title, caption, figure in _drawn(tracks, mission):
+        if title:
+            body.append(f"<h2>{_escape(title)}</h2>")
+        body.append(_html_figure(figure, caption))
+        if progress is not None:
+            progress()
+    body += ["<h2>Readings</h2>", _html_table(*_sensors(result)), _notes(result, mission)]
+    body += ["<h2>Error models</h2>", _html_table(*_models(result), text_columns=(1, 2))]
+    head = f'<meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1"><title>{_escape(mission.name)}</title>'
+    return f'<!doctype html>\n<html lang="en"><head>{head}<style>{_CSS}</style></head>\n<body>\n' + "\n".join(body) + "\n</body></html>\n"
+
+
+# --- figures with their captions --------------------------------------------------------------------------------------
+
+
+def _drawn(tracks: Tracks, mission: Mission) -> Iterator[tuple[str, str, Figure]]:
+    """Heading of a new section (or nothing), caption and figure, one after the other."""
+    truth = mission.truth
+    filters = _filters(tracks)
+    with style():
+        caption = "Ellipses hold the vehicle with 95 % probability, if the filter is honest. Crosses are the fixes that were used."
+        yield "Track", caption, figures.track_figure(tracks, mission)
+        yield "", "Height over time; under water it is minus the depth.", figures.depth_figure(tracks, mission)
+        caption = (
+            "Estimated minus true. Two thirds of the errors should lie inside the 1-sigma band. The lowest panel divides by the distance travelled so far."
+            if truth is not None
+            else "This mission has no truth: the bands show what the filter believes of itself."
+        )
+        yield "Position error", caption, figures.position_figure(tracks, truth)
+        yield "Heading error", caption.split(" The lowest")[0], figures.heading_figure(tracks, truth)
+        if truth is not None:
+            caption = "Squared error in units of its predicted variance. Above the grey range: too confident; below it: too modest."
+            yield "Honesty of the covariance", caption, figures.consistency_figure(tracks, truth)
+        nis = figures.nis_figure(filters)
+        if nis is not None:
+            caption = "Squared innovation in units of its predicted variance, mean over a moving window. Honest is 1; the grey range holds 95 % of such means."
+            yield "NIS per sensor", caption, nis
+        for label, track in filters.items():
+            many = f" ({label})" if len(filters) > 1 else ""
+            for number, name in enumerate(n for n, r in track.residuals.items() if r.used.any() and n in track.vehicle.sensors):
+                caption = f"{name}{many}: measured minus predicted, {_count(track, name)}."
+                yield "" if number else f"Innovations{many}", caption, figures.innovation_figure(track, name)
+        yield from _state_figures(tracks)
+
+
+def _filters(tracks: Tracks) -> dict[str, Track]:
+    """One run per set of residuals: a smoothed track has those of its forward track."""
+    first: dict[int, tuple[str, Track]] = {}
+    for label, track in tracks.items():
+        first.setdefault(id(track.forward or track), (label, track))
+    return dict(first.values())
+
+
+def _state_figures(tracks: Tracks) -> Iterator[tuple[str, str, Figure]]:
+    by_owner: dict[str, dict[str, state_figures.ShownState]] = {}
+    for track in tracks.values():
+        for state in state_figures.shown_states(track.vehicle):
+            if state.name in track.state_names:
+                by_owner.setdefault(state.owner, {})[state.name] = state
+    for number, (owner, states) in enumerate(by_owner.items()):
+        caption = f"{owner}: estimated error, with its 1-sigma band."
+        yield "" if number else "Sensor errors and parameters", caption, state_figures.states_figure(tracks, tuple(states.values()))
+
+
+def _count(track: Track, name: str) -> str:
+    r = track.residuals[name]
+    return ", ".join(f"{r.count(outcome)} {outcome}" for outcome in OUTCOMES if r.count(outcome))
+
+
+# --- tables -----------------------------------------------------------------------------------------------------------
+
+
+def _headlines(tracks: Tracks, mission: Mission) -> tuple[list[str], Rows]:
+    runs = summarise(tracks, mission)["runs"]
+    rows = [[label, *(_number(run[key], form) for _, key, form in HEADLINES), _number(_mean_nis(run), "{:.2f}")] for label, run in runs.items()]
+    return ["", *(name for name, _, _ in HEADLINES), "NIS"], rows
+
+
+def _mean_nis(run: Mapping[str, Any]) -> float | None:
+    values = [nis for nis in run["nis"].values() if nis is not None]
+    return float(np.mean(values)) if values else None
+
+
+def _sensors(track: Track) -> tuple[list[str], Rows]:
+    present = [o for o in OUTCOMES if any(r.count(o) for r in track.residuals.values()) or o in ("used", "rejected", "invalid")]
+    nis = track.summary()["nis"]
+    rows = [[name, *(str(r.count(o)) for o in present), _number(nis[name], "{:.2f}")] for name, r in track.residuals.items()]
+    return ["sensor", *present, "NIS"], rows
+
+
+def _models(track: Track) -> tuple[list[str], Rows]:
+    """Error models of every channel; of a long history the first and the last ones."""
+    drive = track.vehicle.drive
+    rows = [[axis, "", str(model)] for axis, model in zip(drive.axis_names, drive.models, strict=True)]
+    for name, history in track.error_models.items():
+        shown = history if len(history) <= 6 else [*history[:2], *history[-3:]]
+        rows += [[name, f"{time_s:.1f}", str(model)] for time_s, model in shown]
+        if len(history) > len(shown):
+            rows.append([name, "", f"... {len(history) - len(shown)} more in between"])
+    return ["channel", "from [s]", "model (SI units, radians)"], rows
+
+
+def _number(value: float | None, form: str) -> str:
+    return "–" if value is None else form.format(value)
+
+
+def _text(rows: Rows) -> str:
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+    return "\n".join("  ".join(cell.rjust(w) if i else cell.ljust(w) for i, (cell, w) in enumerate(zip(row, widths, strict=True))) for row in rows)
+
+
+# --- HTML -------------------------------------------------------------------------------------------------------------
+
+
+def _escape(text: str) -> str:
+    return html.escape(str(text), quote=True)
+
+
+def _html_table(header: Sequence[str], rows: Rows, text_columns: tuple[int, ...] = ()) -> str:
+    def line(cells: Sequence[str], tag: str) -> str:
+        return "<tr>" + "".join(f'<{tag}{" class=text" if i in text_columns else ""}>{_escape(c)}</{tag}>' for i, c in enumerate(cells)) + "</tr>"
+
+    return f'<div class="wide"><table><thead>{line(header, "th")}</thead><tbody>{"".join(line(row, "td") for row in rows)}</tbody></table></div>'
+
+
+def _html_figure(figure: Figure, caption: str) -> str:
+    data = base64.b64encode(svg(figure)).decode("ascii")
+    return f'<figure><img alt="{_escape(caption)}" src="data:image/svg+xml;base64,{data}"><figcaption>{_escape(caption)}</figcaption></figure>'
+
+
+def _subtitle(track: Track, mission: Mission, summary: Mapping[str, Any]) -> str:
+    when = f", {mission.date.isoformat()}" if mission.date is not None else ""
+    return (
+        f"Vehicle {track.vehicle.name}{when}. {summary['duration_s'] / 60:.1f} min, {summary['distance_m']:.0f} m travelled, "
+        f"{len(track.state_names) + 9} error states, {track.cpu_s:.1f} s of processor time. navfilter {metadata.version('navfilter')}."
+    )
+
+
+def _reading(mission: Mission) -> str:
+    if mission.truth is None:
+        return "There is no truth in this mission, so only NIS can be judged: the mean over all sensors should be near 1."
+    return (
+        "Position errors are horizontal. NEES and NIS are means per degree of freedom: 1 is honest, well above 1 means that the filter "
+        "believes itself too much, well below 1 too little. One run is one draw: NEES of a single mission scatters widely."
+    )
+
+
+def _notes(track: Track, mission: Mission) -> str:
+    lines = [f"drive: {count} {what}" for what, count in track.counts.items() if count] + list(mission.notes)
+    return "<ul>" + "".join(f"<li>{_escape(text)}</li>" for text in lines) + "</ul>" if lines else ""
