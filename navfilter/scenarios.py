@@ -184,9 +184,7 @@ def _dive(duration_s: float, pattern: _Pattern | None, surface_s: float, depth_m
     return _fill(duration_s, begin, pattern, end)
 
 
-def _fill(
-    duration_s: float, begin: tuple[Manoeuvre, ...], pattern: _Pattern | None, end: tuple[Manoeuvre, ...]
-) -> Motion:
+def _fill(duration_s: float, begin: tuple[Manoeuvre, ...], pattern: _Pattern | None, end: tuple[Manoeuvre, ...]) -> Motion:
     """A motion of this duration (or longer): as many repetitions of the pattern as fit, the rest straight on."""
 
     def build(repeats: int, straight_s: float = 0.0) -> Motion:
@@ -202,9 +200,7 @@ def _fill(
 
 
 def _survey_faults(duration_s: float) -> dict[str, Faults]:
-    lost = tuple(
-        (share * duration_s, share * duration_s + long_s) for share, long_s in ((0.3, 60.0), (0.5, 120.0), (0.7, 30.0))
-    )
+    lost = tuple((share * duration_s, share * duration_s + long_s) for share, long_s in ((0.3, 60.0), (0.5, 120.0), (0.7, 30.0)))
     return {
         "gps": Faults(available="surface", outlier_probability=0.01, outlier_sd=50.0),
         "dvl": Faults(dropouts=lost, outlier_probability=0.005, outlier_sd=0.5, quantisation=1e-3),

@@ -230,9 +230,7 @@ def _check_names(vehicle: Vehicle, faults: dict[str, Faults]) -> None:
     for name in ("gyro", "accel", "imu"):
         # each fault has one place: what is measured belongs to gyro and accel, when it is recorded to imu
         given, plain = faults.get(name, _NO_FAULTS), _NO_FAULTS
-        wrong = [
-            key for key in (_ERRORS if name == "imu" else _RECORDING) if getattr(given, key) != getattr(plain, key)
-        ]
+        wrong = [key for key in (_ERRORS if name == "imu" else _RECORDING) if getattr(given, key) != getattr(plain, key)]
         if wrong:
             right = '"gyro" and "accel"' if name == "imu" else '"imu"'
             raise ValueError(f'The fault {wrong[0]} of "{name}" has to be given for {right}.')
