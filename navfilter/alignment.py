@@ -114,7 +114,7 @@ def _level(force: Array, drive: object) -> tuple[float, float, float]:
     if getattr(drive, "increments", False):
         force = force / drive.period_s  # type: ignore[attr-defined]
     mean = force.mean(axis=0)
-    excess = abs(np.linalg.norm(mean) - GRAVITY)
+    excess = abs(float(np.linalg.norm(mean)) - GRAVITY)
     if excess > 1.5:
         raise ValueError(
             f"cannot level: the mean specific force is {np.linalg.norm(mean):.2f} m/s^2 instead of 9.8. Units in g? Sign? Or the vehicle moves too hard: "

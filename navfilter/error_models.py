@@ -115,7 +115,7 @@ class White(ErrorModel):
     def __post_init__(self) -> None:
         if (self.sd is None) == (self.density is None):
             raise ValueError(f"White needs exactly one of sd and density, found sd={self.sd!r}, density={self.density!r}.")
-        _check("White.sd" if self.density is None else "White.density", float(self.sd if self.density is None else self.density))
+        _check("White.density" if self.sd is None else "White.sd", self.density if self.sd is None else self.sd)  # type: ignore[arg-type]
 
     def block(self, period_s: float) -> Block:
         """Discretise: no state, only a white variance."""

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,12 +16,6 @@ from scipy.linalg import block_diag
 __all__ = ["Group", "Layout"]
 
 Array = NDArray[np.float64]
-POSITION, VELOCITY, ATTITUDE = slice(0, 3), slice(3, 6), slice(6, 9)
-NAVIGATION = ("position_north", "position_east", "position_down", "velocity_north", "velocity_east", "velocity_down") + (
-    "attitude_north",
-    "attitude_east",
-    "attitude_down",
-)
 
 
 @dataclass(frozen=True)
@@ -114,7 +109,7 @@ class Layout:
         return self.drive.names + tuple(name for g in self.groups.values() for name in g.names)
 
     @classmethod
-    def of(cls, vehicle) -> Layout:  # type: ignore[no-untyped-def]
+    def of(cls, vehicle: Any) -> Layout:
         """Lay out a vehicle's states."""
         drive = vehicle.drive
         group = Group.build(9, [m.block(drive.period_s) for m in drive.models], drive.parameters(), drive.axis_names)

@@ -67,7 +67,7 @@ class Spool:
         self._file.seek(self._written)
         self._offsets.append(self._written)
         self._sizes.append(len(chunk))
-        self._written += self._file.write(memoryview(chunk).cast("B"))
+        self._written += self._file.write(chunk.tobytes())
         self._chunks[oldest] = None
 
     def __getitem__(self, index: int) -> Array:

@@ -79,7 +79,7 @@ class Vehicle:
             elif hasattr(drive, key) and key in RESERVED:
                 part = getattr(drive, key)
                 new = dataclasses.replace(part, error=model) if isinstance(part, Sensor) else model
-                drive = dataclasses.replace(drive, **{key: new})
+                drive = dataclasses.replace(drive, **{key: new})  # type: ignore[arg-type]
             else:
                 raise ValueError(f'"{key}" is no sensor of this vehicle (sensors: {", ".join(sensors)}; drive: {type(drive).__name__}).')
         return Vehicle(drive, sensors, self.name)

@@ -1,0 +1,145 @@
+"""Initial alignment, magnetics and sensors' own readings."""
+
+import dataclasses
+import datetime
+
+import numpy as np
+import pytest
+
+import navfilter as nf
+from navfilter.scenarios import simulate_scenario
+from navfilter.state import matrix_from_euler
+
+
+def imu_mission(roll, pitch, heading, *, compass=True, fixes=None, scale=1.0, sign=1.0):
+    """Ten seconds at rest (or as the fixes say) with a true compass."""
+    C = matrix_from_euler(roll, pitch, heading)
+    t = np.arange(0.0, 10.0, 0.01)
+    force = sign * scale * (C.T @ np.array([0.0, 0.0, -9.80665]))
+    streams = {
+        "imu": nf.Stream(t, np.tile(np.concatenate([np.zeros(3), force]), (len(t), 1))),
+        "gps": nf.Stream(*((np.arange(10.0), np.tile([0.7, 0.2, 5.0], (10, 1))) if fixes is None else fixes)),
+    }
+    if compass:
+        streams["compass"] = nf.Stream(t[::10], np.full((len(t[::10]), 1), heading))
+    return nf.Mission("rest", streams)
+
+
+def vehicle(**compass):
+    sensors = {"gps": nf.Position(error=nf.White(sd=2.0)), "compass": nf.Heading(rate_hz=10, error=nf.White(sd=0.01), **compass)}
+    return nf.Vehicle(imu=nf.Imu(rate_hz=100), sensors=sensors)
+
+
+def test_levels_and_takes_the_compass():
+    roll, pitch, heading = np.radians([5.0, -3.0, 200.0])
+    start = nf.align(vehicle(), imu_mission(roll, pitch, heading))
+    # no noise in this mission: only the rounding of a mean of 500 equal numbers
+    assert np.allclose([start.roll_deg, start.pitch_deg], [5.0, -3.0], atol=1e-9)
+    assert (start.heading_deg - 200.0) % 360 == pytest.approx(0.0, abs=1e-9) or (start.heading_deg + 160.0) == pytest.approx(0.0, abs=1e-9)
+    assert start.tilt_sd_deg > 0.2 and start.heading_sd_deg >= 0.5
+    assert start.position_sd_m == (2.0, 2.0, 2.0)
+
+
+@pytest.mark.parametrize(("change", "words"), [({"sign": -1.0}, "points down"), ({"scale": 1 / 9.80665}, "Units in g")])
+def test_says_what_is_wrong_with_the_force(change, words):
+    with pytest.raises(ValueError, match=words):
+        nf.align(vehicle(), imu_mission(0.0, 0.0, 0.0, **change))
+
+
+def test_course_between_fixes_replaces_a_missing_compass():
+    t = np.arange(30.0)
+    fixes = (t, np.column_stack([0.7 + t * 1.0 / 6.37e6, 0.2 + t * 1.0 / (6.37e6 * np.cos(0.7)), np.full(30, 5.0)]))
+    start = nf.align(vehicle().without("compass"), imu_mission(0.0, 0.0, 0.0, compass=False, fixes=fixes))
+    assert start.heading_deg == pytest.approx(45.0, abs=0.5)  # the radii differ by 0.3 % north and east
+    assert start.heading_sd_deg == pytest.approx(15.0)
+
+
+def test_no_position_and_no_heading_are_said():
+    mission = imu_mission(0.0, 0.0, 0.0, compass=False)
+    with pytest.raises(ValueError, match="no heading"):
+        nf.align(vehicle().without("compass"), mission)
+    with pytest.raises(ValueError, match="no position sensor"):
+        nf.align(vehicle().without("gps"), mission)
+
+
+def test_alignment_of_a_simulated_mission_is_honest():
+    v, mission = simulate_scenario("lawnmower", 3, 120.0)
+    start = nf.align(v, dataclasses.replace(mission, start=None))
+    row = np.searchsorted(mission.truth.time_s, start.time_s)
+    truth = mission.truth.value[row]
+    # 4 sigma of what the alignment itself claims
+    error = np.degrees(np.arctan2(np.sin(np.radians(start.heading_deg) - truth[8]), np.cos(np.radians(start.heading_deg) - truth[8])))
+    assert abs(error) < 4 * start.heading_sd_deg
+    assert abs(start.roll_deg - np.degrees(truth[6])) < 4 * start.tilt_sd_deg
+    assert abs(start.pitch_deg - np.degrees(truth[7])) < 4 * start.tilt_sd_deg
+    track = nf.replay(v, dataclasses.replace(mission, start=None))
+    assert np.isfinite(track.covariance).all()
+
+
+@pytest.mark.parametrize(("lat", "lon", "expected"), [(80.0, 0.0, -1.28), (0.0, 120.0, 0.16), (-80.0, 240.0, 69.36)])
+def test_declination_gives_the_test_values_of_wmm2020(lat, lon, expected):
+    # test values published with WMM2020 for 2020.0 at height 0, printed to 0.01 degree
+    assert np.degrees(nf.declination(lat, lon, 0.0, datetime.date(2020, 1, 1))) == pytest.approx(expected, abs=0.006)
+
+
+def test_declination_errors():
+    with pytest.raises(ValueError, match="needs a date"):
+        nf.declination(32.8, 35.0, 0.0, None)
+    with pytest.raises(ValueError, match="no World Magnetic Model"):
+        nf.declination(32.8, 35.0, 0.0, datetime.date(1980, 1, 1))
+    assert nf.declination(32.8, 215.0, 0.0, datetime.date(2024, 6, 1)) == pytest.approx(nf.declination(32.8, -145.0, 0.0, datetime.date(2024, 6, 1)))
+
+
+@pytest.mark.parametrize("planar", [False, True])
+def test_iron_calibration_recovers_what_was_put_in(planar):
+    rng = np.random.default_rng(1)
+    direction = rng.normal(size=(400, 3))
+    if planar:
+        angle = np.linspace(0, 2 * np.pi, 400)
+        direction = np.column_stack([np.cos(angle), np.sin(angle), np.full(400, 1.2)])
+        field = 50.0 * direction
+    else:
+        field = 50.0 * direction / np.linalg.norm(direction, axis=1, keepdims=True)
+    iron = np.array([[1.1, 0.05, 0.0], [0.05, 0.95, 0.0], [0.0, 0.0, 1.0]])
+    hard, soft = nf.calibrate_magnetometer(field @ iron.T + [5.0, -8.0, 0.0])
+    clean = (field @ iron.T + [5.0, -8.0, 0.0] - hard) @ np.reshape(soft, (3, 3)).T
+    radius = np.linalg.norm(clean[:, :2], axis=1) if planar else np.linalg.norm(clean, axis=1)
+    assert radius.std() < 1e-6 * radius.mean()  # no noise was added
+
+
+def test_iron_calibration_refuses_an_arc():
+    angle = np.linspace(0, 0.2, 100)
+    with pytest.raises(ValueError, match="short arc"):
+        nf.calibrate_magnetometer(np.column_stack([np.cos(angle), np.sin(angle), np.ones(100)]))
+
+
+def test_depth_from_pressure_follows_teos10():
+    # example of the Gibbs SeaWater toolbox's own documentation: 1000 dbar at 4 degrees latitude is 992.0919 m
+    depth = nf.Depth(pressure=True, latitude_deg=4.0).read(np.array([1000.0e4 + 101325.0]))
+    assert depth[0] == pytest.approx(992.0919, abs=1e-3)
+
+
+def test_readings_that_are_none():
+    dvl, gps = nf.BodyVelocity(), nf.Position(max_hdop=4)
+    assert dvl.read(np.zeros(3)) is None
+    assert dvl.read(np.array([-32.768, -32.768, -32.768])) is None
+    assert np.isnan(dvl.read(np.array([1.0, np.nan, 99.0]))).tolist() == [False, True, True]
+    assert nf.BodyVelocity(zero_is_invalid=False).read(np.zeros(3)) is not None
+    assert gps.read(np.array([0.7, 0.2, 5.0, 4.1])) is None
+    assert gps.read(np.array([45.0, 0.2, 5.0])) is None  # degrees for radians
+    assert gps.read(np.array([0.7, 0.2, 5.0, 1.0])).tolist() == [0.7, 0.2, 5.0]
+
+
+def test_magnetometer_and_heading_give_the_same_track():
+    """A level field vector that points where the compass says must have the same effect as the compass."""
+    heading = np.radians(70.0)
+    rest = imu_mission(0.0, 0.0, heading)
+    C = matrix_from_euler(0.0, 0.0, heading)
+    field = C.T @ np.array([30.0, 0.0, 40.0])
+    stream = nf.Stream(rest.streams["compass"].time_s, np.tile(field, (len(rest.streams["compass"]), 1)))
+    start = nf.Start(latitude_deg=40.1, longitude_deg=11.5, height_m=5.0, heading_deg=65.0, heading_sd_deg=10.0, tilt_sd_deg=0.01)
+    one = nf.replay(vehicle(declination_rad=0.0), rest, start=start)
+    two = nf.replay(vehicle(magnetometer=True, declination_rad=0.0), rest.with_stream("compass", stream), start=start)
+    assert one.attitude[-1, 2] == pytest.approx(heading, abs=np.radians(0.5))  # 100 readings of 0.57 deg
+    # the magnetometer also depends on tilt, known here to 0.01 deg; dip tan = 4/3
+    assert np.abs(one.attitude[:, 2] - two.attitude[:, 2]).max() < np.radians(0.02)
