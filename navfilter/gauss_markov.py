@@ -114,9 +114,7 @@ class GaussMarkovFit:
     model: ArmaModel
 
 
-def fit_gauss_markov(
-    series: ArrayLike, order: int, rate_hz: float, method: str = "likelihood", trend: str = "constant"
-) -> GaussMarkovFit:
+def fit_gauss_markov(series: ArrayLike, order: int, rate_hz: float, method: str = "likelihood", trend: str = "constant") -> GaussMarkovFit:
     """Fit an order-n Gauss-Markov process.
 
     Parameters
@@ -128,7 +126,7 @@ def fit_gauss_markov(
     rate_hz : float
         Sampling rate, Hz.
     method : {"likelihood", "1/e"}
-        Exact likelihood of the sampled process (orders above 2: of about a dozen samples per tau), or the lag at
+        Exact likelihood of the sampled process (orders above 1: of a few samples per tau), or the lag at
         which the sample autocorrelation falls to 1/e (quick, biased to short times unless the record is many tau long).
     trend : {"constant", "none", "linear"}
         As in `fit_arma`.
@@ -136,18 +134,16 @@ def fit_gauss_markov(
     Raises
     ------
     ValueError
-        For unusable series, and when the autocorrelation never falls to 1/e (record shorter than tau).
+        For unusable series and options.
     """
     _check_order(order)
     if method not in ("likelihood", "1/e"):
         raise ValueError(f'method must be "likelihood" or "1/e", found "{method}".')
     if not rate_hz > 0.0:
         raise ValueError(f"rate_hz must be positive, found {rate_hz}.")
-    thin = 1
-    if method == "1/e" or order > 2:
-        lag = _one_over_e_lag(np.asarray(series, dtype=np.float64))
-        # An n-fold pole near 1 loses n-1 times the digits of its distance: keep about a dozen samples per tau.
-        thin = max(int(lag / 12.0), 1) if order > 2 else 1
+    lag = _one_over_e_lag(np.asarray(series, dtype=np.float64))
+    # An n-fold pole near 1 loses n-1 times the digits of its distance: keep so many samples per tau.
+    thin = max(int(lag / {1: np.inf, 2: 200.0}.get(order, 12.0)), 1)
     problem = Problem(np.asarray(series)[::thin], order, order - 1, "likelihood", 0, trend, None)
     objective = problem.objective(order, order - 1)
 
@@ -159,7 +155,7 @@ def fit_gauss_markov(
     if method == "1/e":
         log_step = math.log(product / lag * thin)
     else:
-        grid = np.linspace(math.log(product / problem.y.size), math.log(10.0), 25)
+        grid = np.linspace(math.log(product / min(20.0 * lag / thin, problem.y.size)), math.log(10.0), 25)
         values = [value(float(g)) for g in grid]
         i = int(np.argmin(values))
         low, high = float(grid[max(i - 1, 0)]), float(grid[min(i + 1, grid.size - 1)])
@@ -181,13 +177,12 @@ def _one_over_e_lag(x: Array) -> float:
     """Lag in samples, interpolated, at which the autocorrelation first falls below 1/e."""
     level = math.exp(-1.0)
     span = 64
+    # It does fall: with the mean removed, all lags together sum to -1/2.
     while True:
         span = min(span, x.size - 1)
         r = acf(x, span)
         below = np.flatnonzero(r < level)
         if below.size:
             i = int(below[0])
-            return i - 1 + (r[i - 1] - level) / (r[i - 1] - r[i])
-        if span == x.size - 1:
-            raise ValueError("the autocorrelation never falls to 1/e: the record is too short for this process.")
+            return i - 1 + float((r[i - 1] - level) / (r[i - 1] - r[i]))
         span *= 4

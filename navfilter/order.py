@@ -9,7 +9,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from navfilter.diagnostics import whiteness
+from navfilter.arma import ArmaModel
+from navfilter.diagnostics import Whiteness, whiteness
 from navfilter.fit import ArmaFit, Problem
 from navfilter.fit_objective import Objective, Point, minimise
 
@@ -90,15 +91,15 @@ def select_order(
             line.sort(key=lambda order: -min(order))
             for order, cell in zip(line, pool.map(lambda order: _fit_cell(problem, cells, *order), line), strict=True):
                 cells[order] = cell
-        fits = dict(zip(cells, pool.map(lambda cell: problem.result(cell[1], cell[0], cell[2]), cells.values())))
-        tests = dict(zip(fits, pool.map(lambda fit: whiteness(fit.residuals, fit.p + fit.q), fits.values())))
+        fits = dict(zip(cells, pool.map(lambda cell: problem.result(cell[1], cell[0], cell[2]), cells.values()), strict=True))
+        tests = dict(zip(fits, pool.map(_whiteness, fits.values()), strict=True))
 
     def table(value: dict[tuple[int, int], float]) -> Array:
         return np.array([[value[p, q] for q in range(max_q + 1)] for p in range(max_p + 1)])
 
     columns = {name: table({k: getattr(f, name) for k, f in fits.items()}) for name in _COLUMNS}
     is_white = table({k: float(t.is_white) for k, t in tests.items()}) > 0.5
-    best = choose(fits, is_white)
+    best = choose(fits, tests)
     return OrderTable(
         **columns,
         whiteness=table({k: t.wt for k, t in tests.items()}),
@@ -106,6 +107,10 @@ def select_order(
         best=best,
         fit=fits[best],
     )
+
+
+def _whiteness(fit: ArmaFit) -> Whiteness:
+    return whiteness(fit.residuals, fit.p + fit.q)
 
 
 _COLUMNS = ("loglik", "aic", "aicc", "bic", "hq", "sd")
@@ -133,6 +138,45 @@ def _fit_cell(
     return objective, leader, done
 
 
-def choose(fits: dict[tuple[int, int], ArmaFit], is_white: NDArray[np.bool_]) -> tuple[int, int]:
-    """The chosen order among fitted ones."""
-    return min(fits, key=lambda order: fits[order].bic)
+# In units of 2 ln L: a lead in BIC below this is "not worth more than a bare mention" (Kass and Raftery, 1995).
+CLOSE = 2.0
+# The gate is tried on many orders, so it is stricter here than for one series.
+GATE = 1e-3
+
+
+def choose(fits: dict[tuple[int, int], ArmaFit], tests: dict[tuple[int, int], Whiteness]) -> tuple[int, int]:
+    """The chosen order among fitted ones.
+
+    The smallest BIC among orders whose residuals pass the whiteness gate and none of whose pole-zero pairs cancels within
+    two standard deviations. Of orders with as many coefficients and nearly the same BIC, the one with fewest moving-average
+    coefficients: it forgets its start fastest and has no zeros to keep inside the circle.
+    """
+    candidates = {k: f for k, f in fits.items() if not cancels(f)} or fits
+    white = {k: f for k, f in candidates.items() if min(tests[k].ljung_box_p, tests[k].periodogram_p) >= 0.5 * GATE}
+    candidates = white or candidates
+    lead = min(candidates, key=lambda k: candidates[k].bic)
+    close = [k for k, f in candidates.items() if sum(k) == sum(lead) and f.bic < candidates[lead].bic + CLOSE]
+    return min(close, key=lambda k: k[1])
+
+
+def cancels(fit: ArmaFit, reach: float = 2.0) -> bool:
+    """Whether some zero lies within `reach` standard deviations of a pole, so that the pair is noise.
+
+    First-order propagation: a root z of ``z^n + c1 z^(n-1) + ...`` moves by ``-z^(n-j) dc_j / (derivative at z)``.
+    """
+    model = fit.model if fit.d == 0 else ArmaModel(fit.ar, fit.ma, fit.sd)
+    for pole in model.poles:
+        by_pole = _root_gradient(fit.ar, pole)
+        for zero in model.zeros:
+            gradient = np.r_[by_pole, -_root_gradient(fit.ma, zero)]
+            spread = math.sqrt(max(float(np.real(gradient @ fit.covariance @ gradient.conj())), 0.0))
+            # Beyond a quarter of the circle's radius the first-order spread says nothing about cancellation.
+            if abs(pole - zero) < min(reach * spread, 0.25):
+                return True
+    return False
+
+
+def _root_gradient(c: Array, root: complex) -> NDArray[np.complex128]:
+    slope = np.polyval(np.polyder(np.r_[1.0, c]), root)
+    powers = np.asarray(root, dtype=np.complex128) ** np.arange(c.size - 1, -1, -1)
+    return np.asarray(-powers / (slope if abs(slope) > 1e-12 else 1e-12), dtype=np.complex128)
