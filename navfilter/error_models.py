@@ -20,7 +20,7 @@ from scipy.linalg import block_diag, solve_discrete_lyapunov
 
 from navfilter.arma import is_stable
 
-__all__ = ["Arma", "Block", "ErrorModel", "GaussMarkov", "RandomWalk", "Sum", "White", "per_axis", "simulate_error"]
+__all__ = ["Arma", "Block", "ErrorModel", "GaussMarkov", "RandomWalk", "Sum", "White", "per_axis"]
 
 Array = NDArray[np.float64]
 
@@ -307,38 +307,3 @@ def per_axis(error: ErrorModel | Sequence[ErrorModel], axes: int, owner: str) ->
     if len(models) != axes or not all(isinstance(m, ErrorModel) for m in models):
         raise ValueError(f"{owner} needs one error model, or a tuple of {axes}, found {error!r}. Example: White(sd=0.1) + RandomWalk(density=1e-4).")
     return models
-
-
-def simulate_error(model: ErrorModel, period_s: float, n: int, rng: np.random.Generator) -> Array:
-    """Draw the error of one axis.
-
-    Parameters
-    ----------
-    model : ErrorModel
-    period_s : float
-        Sampling period [s].
-    n : int
-        Number of samples.
-    rng : numpy.random.Generator
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        Errors in the unit of the model.
-    """
-    block = model.block(period_s)
-    error = rng.normal(scale=math.sqrt(block.r), size=n)
-    if block.size == 0:
-        return error
-    x = _root(block.P0) @ rng.normal(size=block.size)
-    drive = rng.normal(size=(n, block.size)) @ _root(block.Q).T
-    for j in range(n):
-        error[j] += block.C @ x
-        x = block.Phi @ x + drive[j]
-    return error
-
-
-def _root(P: Array) -> Array:
-    """A factor L with L L' = P; P may be singular."""
-    value, vector = np.linalg.eigh(P)
-    return vector * np.sqrt(np.maximum(value, 0.0))

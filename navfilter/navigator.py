@@ -12,7 +12,7 @@ from scipy.stats import chi2
 from navfilter.kernels import kalman, strapdown
 from navfilter.layout import Group, Layout
 from navfilter.sensors import BodyVelocity, Sensor, ZeroVelocity
-from navfilter.state import NavState
+from navfilter.state import NavState, matrix_from_euler
 from navfilter.tape import OUTCOMES, Tape
 from navfilter.vehicle import Start, Vehicle
 
@@ -57,7 +57,7 @@ def _usable(sd: ArrayLike, axes: int) -> bool:
 class _Channel:
     """Working memory of one correcting sensor: one array shared with the kernels, seen through views (``kalman.places``)."""
 
-    def __init__(self, name: str, sensor: Sensor, group: Group, start: Start, layout: Layout) -> None:
+    def __init__(self, name: str, sensor: Sensor, group: Group, start: Start, layout: Layout, rate_variance: Array) -> None:
         a, n, m, par = sensor.axes, layout.size, layout.head, group.size - group.errors
         b = group.size if group.errors else 0
         self.name, self.sensor, self.group = name, sensor, group
@@ -71,7 +71,8 @@ class _Channel:
         self.H, self.PH, self.S = mem[at[0] : at[1]].reshape(a, n), mem[at[6] : at[7]].reshape(a, n), mem[at[5] : at[6]].reshape(2 * a, a)
         self.variances, self.verdict = mem[at[8] : at[9]], mem[at[9] : at[9] + 3]
         self.record, self.moved = mem[: at[5]], mem[: at[0]]
-        self.model, self.C, self.white, self.R = np.array([group.Phi[:b, :b], group.Q[:b, :b]]), group.C, group.r, group.r.copy()
+        self.model, self.C, self.R = np.array([group.Phi[:b, :b], group.Q[:b, :b]]), group.C, group.r.copy()
+        self.white = group.r + _lever_arm_variance(sensor, rate_variance)
         first = group.start - 9
         self.parameters = slice(first + group.errors, first + group.size)
         self.turns = isinstance(sensor, BodyVelocity) and any(sensor.lever_arm_b_m)
@@ -82,6 +83,14 @@ class _Channel:
         """Periods of the sensor since it was last heard; 0 at the first reading."""
         elapsed, self.ticked_s = time_s - self.ticked_s, time_s
         return 0 if math.isinf(elapsed) else max(1, round(elapsed / self.period_s))
+
+
+def _lever_arm_variance(sensor: Sensor, rate_variance: Array) -> Array | float:
+    """What the white noise of the gyros adds to a velocity at a lever arm [m^2/s^2], per axis of the instrument."""
+    if not isinstance(sensor, BodyVelocity):
+        return 0.0
+    arm, mounting = np.asarray(sensor.lever_arm_b_m, dtype=float), matrix_from_euler(*sensor.mounting_rad)
+    return ((mounting.T @ np.cross(np.eye(3), arm).T) ** 2) @ rate_variance
 
 
 class Navigator:
@@ -144,7 +153,9 @@ class Navigator:
         self._inertial = "imu" in vehicle.drive.streams
         self._checked = 6 if self._inertial else 3  # values of a sample that must be finite: a lost velocity may be NaN
         self._before_s = math.nextafter(self._sample_s, -math.inf)  # the first sample may come at the start itself
-        self._channels = {name: _Channel(name, s, layout.groups[name], start, layout) for name, s in vehicle.sensors.items()}
+        self._channels = {
+            name: _Channel(name, s, layout.groups[name], start, layout, self._rate_variance()) for name, s in vehicle.sensors.items()
+        }
         self._rest = [c for c in self._channels.values() if isinstance(c.sensor, ZeroVelocity) and self._inertial]
         self.counts: dict[str, int] = {"gap": 0, "backward": 0, "bad-sample": 0, "widened": 0}
         if tape is not None:
@@ -363,6 +374,12 @@ class Navigator:
         channel.rejected_since_s = math.nan
         self.counts["widened"] += 1
         return True
+
+    def _rate_variance(self) -> Array:
+        """White variance of the three gyros as rates [rad^2/s^2]; none without an inertial unit."""
+        if not self._inertial:
+            return np.zeros(3)
+        return self.layout.drive.r[:3] / (self._period_s**2 if self._drv[strapdown.INCREMENTS] else 1.0)
 
     def _body_rate(self) -> None:
         """Angular rate in b [rad/s] for lever arms; the Earth's own rate (1e-4 rad/s) is left in."""

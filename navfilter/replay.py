@@ -82,6 +82,8 @@ def drive_samples(vehicle: Vehicle, mission: Mission) -> Array:
     wanted = [(name, 6 if name == "imu" else 3) for name in vehicle.drive.streams]
     for name, columns in wanted:
         _require(mission, name, "the vehicle's drive needs it")
+        if not len(mission.streams[name]):
+            raise ValueError(f'stream "{name}" of this mission is empty; the vehicle\'s drive needs it.')
         if mission.streams[name].value.shape[1] < columns:
             raise ValueError(f'stream "{name}" has {mission.streams[name].value.shape[1]} columns, but its drive takes {columns}.')
     if not isinstance(vehicle.drive, DeadReckoning):
@@ -94,12 +96,7 @@ def drive_samples(vehicle: Vehicle, mission: Mission) -> Array:
     t, angles = attitude.time_s[good], np.unwrap(attitude.value[good, :3], axis=0)
     inside = (velocity.time_s >= t[0] - vehicle.drive.period_s) & (velocity.time_s <= t[-1] + vehicle.drive.period_s)
     times = velocity.time_s[inside]
-    rows = np.column_stack([times, *(np.interp(times, t, angles[:, i]) for i in range(3)), velocity.value[inside, :3]])
-    sensor = vehicle.drive.velocity_sensor
-    for row in rows:
-        reading = sensor.read(row[4:7])
-        row[4:7] = np.nan if reading is None else reading
-    return rows
+    return np.column_stack([times, *(np.interp(times, t, angles[:, i]) for i in range(3)), velocity.value[inside, :3]])
 
 
 def _require(mission: Mission, name: str, why: str) -> None:
@@ -108,8 +105,6 @@ def _require(mission: Mission, name: str, why: str) -> None:
         raise ValueError(
             f'"{name}" has no stream in this mission (streams: {have}); {why}. Add it, or drop the sensor with vehicle.without("{name}").'
         )
-    if not len(mission.streams[name]):
-        raise ValueError(f'stream "{name}" of this mission is empty; {why}.')
 
 
 def _events(vehicle: Vehicle, mission: Mission, begin_s: float) -> tuple[Array, NDArray[np.int64], NDArray[np.int64], list[tuple[str, Stream]]]:
