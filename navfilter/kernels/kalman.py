@@ -402,8 +402,10 @@ def smooth_record(L, lam, record, a, m, b, start, T):
                 for i in range(n):
                     s += K[i, c] * T[r, i]
                 T[3 + c, r] = s
+            T[3 + c, a] = f
+        for c in range(a):
             for i in range(n):
-                lam[i] -= H[c, i] * f
+                lam[i] -= H[c, i] * T[3 + c, a]
         for c in range(a):
             for i in range(n):
                 s = -T[c, i]
