@@ -316,13 +316,12 @@ class Navigator:
 
     def _note(self, channel: _Channel, time_s: float, status: str, nis: float = math.nan, dof: int = 0, widened: bool = False) -> Outcome:
         if self._tape is not None:
-            residual = variances = None
-            if dof > 0:
-                residual, variances = channel.res, channel.variances
+            residual: Array | None = channel.res if dof > 0 else None
+            variances: Array | None = channel.variances if dof > 0 else None
             if 0 < dof < channel.sensor.axes:
                 # a missing component has an empty row of H, and a residual of zero for the smoother's sake
                 missing = ~channel.H.any(axis=1)
-                residual, variances = np.where(missing, np.nan, residual), np.where(missing, np.nan, variances)
+                residual, variances = np.where(missing, np.nan, channel.res), np.where(missing, np.nan, channel.variances)
             self._tape.columns[channel.name].append(time_s, CODES[status], nis, dof, residual, variances)
         return Outcome(status, nis, dof, widened)
 

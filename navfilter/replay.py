@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 
 from navfilter.alignment import align
 from navfilter.mechanisation import DeadReckoning
-from navfilter.mission import Mission, Stream
+from navfilter.mission import Mission
 from navfilter.navigator import Navigator
 from navfilter.sensors import ZeroVelocity
 from navfilter.smoother import smooth_rows
@@ -58,21 +59,21 @@ def replay(
     ValueError
         When a stream is missing, empty, or the mission holds nothing after the start.
     """
-    samples = drive_samples(vehicle, mission)
+    drive = drive_samples(vehicle, mission)
     if start is None:
         start = mission.start if mission.start is not None else align(vehicle, mission)
     began = time.process_time()
     tape = Tape(output_rate_hz, smoothable=smooth)
     nav = Navigator(vehicle, start, tape)
-    _run(nav, samples, *_events(vehicle, mission, start.time_s), progress)
+    _run(nav, *drive, _events(vehicle, mission, start.time_s), progress)
     forward = _track("forward", nav, tape, mission.name, time.process_time() - began)
     if not smooth:
         return forward
     return _smoothed(forward, nav, tape, began, progress)
 
 
-def drive_samples(vehicle: Vehicle, mission: Mission) -> Array:
-    """Samples of the drive, shape (n, 7): time and six values; attitude is interpolated to the times of the velocity.
+def drive_samples(vehicle: Vehicle, mission: Mission) -> tuple[Array, Array]:
+    """Samples of the drive: times (n,) and six values (n, 6); attitude is interpolated to the times of the velocity.
 
     Raises
     ------
@@ -88,7 +89,7 @@ def drive_samples(vehicle: Vehicle, mission: Mission) -> Array:
             raise ValueError(f'stream "{name}" has {mission.streams[name].value.shape[1]} columns, but its drive takes {columns}.')
     if not isinstance(vehicle.drive, DeadReckoning):
         imu = mission.streams["imu"]
-        return np.column_stack([imu.time_s, imu.value[:, :6]])
+        return imu.time_s, imu.value[:, :6]
     attitude, velocity = mission.streams["attitude"], mission.streams["velocity"]
     good = np.isfinite(attitude.value[:, :3]).all(axis=1)
     if good.sum() < 2:
@@ -96,7 +97,7 @@ def drive_samples(vehicle: Vehicle, mission: Mission) -> Array:
     t, angles = attitude.time_s[good], np.unwrap(attitude.value[good, :3], axis=0)
     inside = (velocity.time_s >= t[0] - vehicle.drive.period_s) & (velocity.time_s <= t[-1] + vehicle.drive.period_s)
     times = velocity.time_s[inside]
-    return np.column_stack([times, *(np.interp(times, t, angles[:, i]) for i in range(3)), velocity.value[inside, :3]])
+    return times, np.column_stack([*(np.interp(times, t, angles[:, i]) for i in range(3)), velocity.value[inside, :3]])
 
 
 def _require(mission: Mission, name: str, why: str) -> None:
@@ -107,45 +108,57 @@ def _require(mission: Mission, name: str, why: str) -> None:
         )
 
 
-def _events(vehicle: Vehicle, mission: Mission, begin_s: float) -> tuple[Array, NDArray[np.int64], NDArray[np.int64], list[tuple[str, Stream]]]:
-    """All readings of the correcting sensors in time order: time, number of the sensor, row in its stream."""
-    streams = []
-    for name, sensor in vehicle.sensors.items():
-        if isinstance(sensor, ZeroVelocity):
-            continue
+@dataclass(frozen=True)
+class _Events:
+    """All readings of the correcting sensors in time order."""
+
+    time_s: Array
+    sensor: NDArray[np.int64]
+    row: NDArray[np.int64]
+    names: tuple[str, ...]
+    values: tuple[Array, ...]
+
+
+def _events(vehicle: Vehicle, mission: Mission, begin_s: float) -> _Events:
+    names = tuple(name for name, sensor in vehicle.sensors.items() if not isinstance(sensor, ZeroVelocity))
+    for name in names:
         _require(mission, name, f'the vehicle has a sensor "{name}"')
-        width = mission.streams[name].value.shape[1]
+        width, sensor = mission.streams[name].value.shape[1], vehicle.sensors[name]
         if width < sensor.reads:
             raise ValueError(f'stream "{name}" has {width} columns, but a {type(sensor).__name__} takes {sensor.reads}.')
-        streams.append((name, mission.streams[name]))
-    times = np.concatenate([np.empty(0)] + [s.time_s for _, s in streams])
-    number = np.concatenate([np.empty(0, int)] + [np.full(len(s), i) for i, (_, s) in enumerate(streams)])
-    rows = np.concatenate([np.empty(0, int)] + [np.arange(len(s)) for _, s in streams])
+    streams = [mission.streams[name] for name in names]
+    times = np.concatenate([np.empty(0), *(s.time_s for s in streams)])
+    number = np.concatenate([np.empty(0, int), *(np.full(len(s), i) for i, s in enumerate(streams))])
+    rows = np.concatenate([np.empty(0, int), *(np.arange(len(s)) for s in streams)])
     order = np.lexsort((rows, number, times))
     order = order[times[order] >= begin_s - 1e-9]
-    return times[order], number[order], rows[order], streams
+    return _Events(times[order], number[order], rows[order], names, tuple(s.value for s in streams))
 
 
-def _run(nav: Navigator, samples: Array, times: Array, number: Any, rows: Any, streams: list[tuple[str, Stream]], progress: bool) -> None:
-    first = int(np.searchsorted(samples[:, 0], nav.start.time_s - 1e-9))
-    if first >= len(samples):
-        raise ValueError(f"the drive's stream ends at {samples[-1, 0]:.3f} s, before the start at {nav.start.time_s:.3f} s. Check the clocks.")
-    ends = np.searchsorted(samples[:, 0], times + 1e-9, side="right")
-    bar = _bar(len(times), "filter", progress)
-    done = first
-    names = [name for name, _ in streams]
-    values = [stream.value for _, stream in streams]
-    for k, (t, i, row, end) in enumerate(zip(times.tolist(), number.tolist(), rows.tolist(), ends.tolist(), strict=True)):
+def _run(nav: Navigator, times: Array, values: Array, events: _Events, progress: bool) -> None:
+    done = int(np.searchsorted(times, nav.start.time_s - 1e-9))
+    if done >= len(times):
+        raise ValueError(f"the drive's stream ends at {times[-1]:.3f} s, before the start at {nav.start.time_s:.3f} s. Check the clocks.")
+    bar = _bar(len(events.time_s), "filter", progress)
+    ends = np.searchsorted(times, events.time_s + 1e-9, side="right").tolist()
+    readings = zip(events.time_s.tolist(), events.sensor.tolist(), events.row.tolist(), ends, strict=True)
+    for k, (t, i, row, end) in enumerate(readings):
         if end > done:
-            nav.step_samples(samples[done:end].copy())
+            nav.step_samples(_block(times, values, done, end))
             done = end
-        nav.correct(names[i], t, values[i][row])
+        nav.correct(events.names[i], t, events.values[i][row])
         if bar is not None and k % 512 == 511:
             bar.update(512)
-    if done < len(samples):
-        nav.step_samples(samples[done:].copy())
+    for begin in range(done, len(times), 100_000):
+        nav.step_samples(_block(times, values, begin, min(begin + 100_000, len(times))))
     if bar is not None:
         bar.close()
+
+
+def _block(times: Array, values: Array, begin: int, end: int) -> Array:
+    block = np.empty((end - begin, 7))
+    block[:, 0], block[:, 1:] = times[begin:end], values[begin:end]
+    return block
 
 
 def _bar(total: int, what: str, progress: bool) -> Any:
@@ -203,7 +216,7 @@ def _smoothed(forward: Track, nav: Navigator, tape: Tape, began: float, progress
         x[i] += mean[9:]
         sd[i] = covariance.diagonal()[9:]
 
-    bar = _bar(len(tape.heads), "smoother", progress)
+    bar = _bar(len(tape.records), "smoother", progress)
     smooth_rows(tape, size, store, None if bar is None else bar.update)
     if bar is not None:
         bar.close()

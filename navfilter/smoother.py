@@ -43,7 +43,7 @@ def smooth_rows(tape: Tape, size: int, store: Callable[[int, Array, Array, Array
     L, lam, T = np.zeros((size, size)), np.zeros(size), np.zeros((size, size))
     mean, covariance = np.zeros(size), np.zeros((size, size))
     row = len(tape.row_times) - 1
-    for index in range(len(tape.heads), -1, -1):
+    for index in range(len(tape.records), -1, -1):
         while row >= 0 and tape.row_records[row] == index:
             values = tape.rows[row]
             P = values[17 + size - 9 :].reshape(size, size)
@@ -51,7 +51,7 @@ def smooth_rows(tape: Tape, size: int, store: Callable[[int, Array, Array, Array
             store(row, values, mean, covariance)
             row -= 1
         if index:
-            a, m, b, start = tape.heads[index - 1]
+            a, m, b, start = tape.head(index - 1)
             kalman.smooth_record(L, lam, tape.records[index - 1], a, m, b, start, T)
             if progress is not None and index % 1000 == 0:
                 progress(1000)

@@ -7,6 +7,7 @@ more memory than an hour.
 from __future__ import annotations
 
 import tempfile
+from array import array
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -35,7 +36,8 @@ class Spool:
     def __init__(self, memory_bytes: int) -> None:
         self._keep = max(2, memory_bytes // (8 * self.CHUNK))
         self._chunks: list[Array | None] = []
-        self._places: list[tuple[int, int, int]] = []  # chunk, first, last
+        # three integers per vector (chunk, first, last), in a flat array: a day has millions of them
+        self._places = array("q")
         self._offsets: list[int] = []
         self._sizes: list[int] = []
         self._file: Any = None
@@ -44,7 +46,7 @@ class Spool:
         self._loaded: tuple[int, Array] | None = None
 
     def __len__(self) -> int:
-        return len(self._places)
+        return len(self._places) // 3
 
     def new(self, size: int) -> Array:
         """A writable view of `size` elements, appended."""
@@ -52,7 +54,7 @@ class Spool:
             self._spill()
             self._chunks.append(np.empty(max(self.CHUNK, size)))
             self._end = 0
-        self._places.append((len(self._chunks) - 1, self._end, self._end + size))
+        self._places.extend((len(self._chunks) - 1, self._end, self._end + size))
         self._end += size
         return self[-1]
 
@@ -71,7 +73,8 @@ class Spool:
         self._chunks[oldest] = None
 
     def __getitem__(self, index: int) -> Array:
-        number, first, last = self._places[index]
+        at = 3 * (index if index >= 0 else len(self) + index)
+        number, first, last = self._places[at : at + 3]
         chunk = self._chunks[number]
         if chunk is None:
             if self._loaded is None or self._loaded[0] != number:
@@ -159,10 +162,10 @@ class Tape:
         self.interval_s = 0.0 if output_rate_hz is None else 1.0 / output_rate_hz - 1e-9
         self.smoothable = smoothable
         self.records = Spool(memory_bytes)
-        self.heads: list[tuple[int, int, int, int]] = []  # a, m, b, start of each record
+        self._heads = array("q")  # a, m, b, start of each record
         self.rows = Spool(memory_bytes)
-        self.row_times: list[float] = []
-        self.row_records: list[int] = []  # the record after which the row holds
+        self.row_times = array("d")
+        self.row_records = array("q")  # the record after which the row holds
         self.columns: dict[str, _Column] = {}
         self.models: dict[str, list[tuple[float, Any]]] = {}
 
@@ -170,20 +173,25 @@ class Tape:
         """Write one record: compound transition, block tick, and what the correction was (see ``kalman.smooth_record``)."""
         if self.smoothable:
             self.records.new(record.size)[:] = record
-            self.heads.append((axes, int(dims[2]), int(dims[3]), int(dims[4])))
+            self._heads.extend((axes, int(dims[2]), int(dims[3]), int(dims[4])))
+
+    def head(self, index: int) -> tuple[int, int, int, int]:
+        """Axes, size of the head, size and start of the ticked block of a record."""
+        a, m, b, start = self._heads[4 * index : 4 * index + 4]
+        return a, m, b, start
 
     def row(self, time_s: float, nav: Array, x: Array, P: Array) -> None:
         """Note the state at this time; the last note of a time stands, and times closer than the output interval are skipped."""
         times = self.row_times
         if times and time_s == times[-1]:
             out = self.rows[-1]
-            self.row_records[-1] = len(self.heads)
+            self.row_records[-1] = len(self.records)
         elif times and time_s - times[-1] < self.interval_s:
             return
         else:
             out = self.rows.new(17 + x.size + P.size)
             times.append(time_s)
-            self.row_records.append(len(self.heads))
+            self.row_records.append(len(self.records))
         out[:17] = nav
         out[17 : 17 + x.size] = x
         out[17 + x.size :] = P.reshape(-1)
