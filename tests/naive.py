@@ -1,6 +1,7 @@
 """Readable NumPy twins of the kernels, one function of the same name per kernel, a section per kernel file."""
 
 import numpy as np
+from scipy.linalg import block_diag, expm
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
@@ -175,3 +176,471 @@ def burg_recursion(x, ar):
         v *= 1.0 - k * k
     ar[:] = found[1:]
     return v
+
+
+# ---------------------------------------------------------------- kernels/strapdown.py: errors are estimated minus true, vectors in n
+
+RADIUS, E2, RATE = 6378137.0, 6.69437999014e-3, 7.292115e-5
+NORTH, EAST, DOWN = np.eye(3)
+
+
+def skew(v):
+    return np.cross(np.eye(3), v)
+
+
+def rotation(v):
+    """exp([v x]) by the matrix exponential."""
+    return expm(skew(v))
+
+
+def radii(latitude):
+    x = 1.0 - E2 * np.sin(latitude) ** 2
+    return RADIUS * (1.0 - E2) / x**1.5, RADIUS / np.sqrt(x)
+
+
+def gravity(latitude, height):
+    e, p, s2 = 9.7803253359, 9.8321849378, np.sin(latitude) ** 2
+    k = np.sqrt(1.0 - E2) * p / e - 1.0
+    return e * (1.0 + k * s2) / np.sqrt(1.0 - E2 * s2) * (1.0 - 2.0 * height / RADIUS)
+
+
+def stamps_to_steps(samples, last_s, checked, gap_s):
+    steps = np.diff(samples[:, 0], prepend=last_s)
+    if not (np.isfinite(samples[:, : 1 + checked]).all() and (steps > 0).all()):
+        return -1
+    samples[:, 0] = steps
+    return int(np.sum(steps > gap_s))
+
+
+def _increments(sample, drv):
+    """Angle and velocity gathered over one sample; coning and sculling for rates that change linearly."""
+    dt, now = sample[0], sample[1:7]
+    whole = 1.0
+    if not drv[13]:
+        drv[0:6], drv[13], whole = now, 1.0, min(max(dt / drv[36], 0.0), 1.0)
+    before, rates = drv[0:6].copy(), drv[37] == 0
+    inc = 0.5 * dt * (before + now) if rates else whole * now
+    unit = dt**2 / 12.0 if rates else 1.0 / 12.0
+    (w0, f0), (w1, f1) = before.reshape(2, 3), now.reshape(2, 3)
+    inc[:3] += unit * np.cross(w0, w1)
+    inc[3:] += unit * (np.cross(w0, f1) + np.cross(f0, w1))
+    inc -= drv[6:12]
+    drv[6:12], drv[0:6] = 0.0, now
+    return inc
+
+
+def _mechanise(nav, inc, dt):
+    """One strapdown step; returns what its transition is built from."""
+    lat, h, v, C = nav[0], nav[2], nav[3:6].copy(), nav[6:15].reshape(3, 3).copy()
+    rn, re = np.array(radii(lat)) + h
+    u = C @ (inc[3:] + 0.5 * np.cross(inc[:3], inc[3:]))
+    g = gravity(lat, h - 0.5 * v[2] * dt)
+    mid = v + 0.5 * (u + g * dt * DOWN)
+    earth = RATE * np.array([np.cos(lat), 0.0, -np.sin(lat)])
+    w = earth + [mid[1] / re, -mid[0] / rn, -mid[1] * np.tan(lat) / re]
+    p = u - 0.5 * dt * np.cross(w, u)
+    nav[3:6] = v + p - dt * np.cross(w + earth, mid) + g * dt * DOWN
+    mid = 0.5 * (v + nav[3:6])
+    climb = -0.5 * mid[2] * dt
+    dlat = mid[0] / (rn + climb) * dt
+    nav[0], nav[2] = lat + dlat, h - mid[2] * dt
+    nav[1] += mid[1] / ((re + climb) * np.cos(lat + 0.5 * dlat)) * dt
+    nav[15:17] = rn + 2 * climb, re + 2 * climb
+    C_new = rotation(-w * dt) @ C @ rotation(inc[:3])
+    nav[6:15] = C_new.ravel()
+    return 0.5 * (C + C_new), p, mid, g, lat, rn, re
+
+
+def integrate(nav, drv, samples, out):
+    for n, sample in enumerate(samples):
+        _mechanise(nav, _increments(sample, drv), sample[0])
+        if len(out):
+            out[n] = nav
+
+
+def _transport(v, lat, rn, re):
+    """Transport rate, and its derivatives with respect to velocity and to position in metres."""
+    t, c = np.tan(lat), np.cos(lat)
+    by_v = np.array([[0, 1 / re, 0], [-1 / rn, 0, 0], [0, -t / re, 0]])
+    by_p = np.zeros((3, 3))
+    by_p[2, 0] = -v[1] / (re * c**2 * rn)
+    by_p[:, 2] = [v[1] / re**2, -v[0] / rn**2, -v[1] * t / re**2]  # height is minus the down error
+    return by_v @ v, by_v, by_p
+
+
+def _inertial_transition(C, p, v, g, lat, rn, re, dt, Cr):
+    """Transition of one strapdown step, trapezoidal: attitude first, then velocity, then position."""
+    k = Cr.shape[1] - 1
+    earth = RATE * np.array([np.cos(lat), 0.0, -np.sin(lat)])
+    earth_by_p = np.zeros((3, 3))
+    earth_by_p[:, 0] = -RATE / rn * np.array([np.sin(lat), 0.0, np.cos(lat)])
+    rho, rho_by_v, rho_by_p = _transport(v, lat, rn, re)
+    F, start = np.zeros((9 + k, 9 + k)), np.eye(3, 9 + k, 6)
+    F[6:9, :3], F[6:9, 3:6], F[6:9, 6:9] = -dt * (earth_by_p + rho_by_p), -dt * rho_by_v, np.eye(3) - dt * skew(earth + rho)
+    F[6:9, 9:], F[3:6, 9:] = -dt * C @ Cr[:3, :k], -dt * C @ Cr[3:, :k]
+    F[3:6] -= skew(p) @ (0.5 * (F[6:9] + start))
+    F[3:6, 3:6] += np.eye(3) - dt * skew(2 * earth + rho) + dt * skew(v) @ rho_by_v
+    F[3:6, :3] += dt * skew(v) @ (2 * earth_by_p + rho_by_p)
+    F[5, 2] += dt * 2 * g / RADIUS
+    F[:3] = 0.5 * dt * (F[3:6] + np.eye(3, 9 + k, 3)) + np.eye(3, 9 + k)
+    F[:3, :3] += dt * _curvature(v, lat, rn, re)
+    return F
+
+
+def _curvature(v, lat, rn, re):
+    """Derivative of the velocity of a position error, because metres north and east depend on where one is."""
+    t = np.tan(lat)
+    return np.array([[-v[2] / rn, 0, v[0] / rn], [v[1] * t / rn, -v[2] / re - t * v[0] / rn, v[1] / re], [0, 0, 0]])
+
+
+def _compound(acc, F):
+    m = acc.shape[1]
+    acc[:m], acc[m : 2 * m] = F @ acc[:m], F @ acc[m : 2 * m] @ F.T
+
+
+def _tick_drive(acc, F, xd, Phid, Qd, ticks):
+    m = acc.shape[1]
+    F[9:, 9:] = Phid if ticks else np.eye(m - 9)
+    _compound(acc, F)
+    for count in range(ticks):
+        if count:
+            _compound(acc, block_diag(np.eye(9), Phid))
+        acc[m + 9 : 2 * m, 9:] += Qd
+        xd[:] = Phid @ xd
+
+
+def _inertial_step(nav, xd, inc, dt, drv, Phid, Qd, Cr, acc, ticks):
+    m = acc.shape[1]
+    parts = _mechanise(nav, inc - dt * Cr[:, :-1] @ xd, dt)
+    _tick_drive(acc, _inertial_transition(*parts, dt, Cr), xd, Phid, Qd, ticks)
+    drv[14:23] = parts[0].ravel()
+    Q, C, gap = acc[m : 2 * m], parts[0], dt > 3 * drv[36]
+    variance = Cr[:, -1] * drv[36] * max(dt, 0.0) + gap * (np.repeat(drv[38:40], 3) * dt) ** 2
+    speed = C @ np.diag(variance[3:]) @ C.T
+    Q[6:9, 6:9] += C @ np.diag(variance[:3]) @ C.T
+    Q[3:6, 3:6] += speed
+    if gap:
+        Q[:3, :3] += 0.25 * dt**2 * speed
+        Q[:3, 3:6] += 0.5 * dt * speed
+        Q[3:6, :3] += 0.5 * dt * speed
+
+
+def _ticks(span, period):
+    return int(min(max(span / period + 0.5, 1.0), 10000.0))
+
+
+def imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
+    for sample in samples:
+        inc = _increments(sample, drv)
+        drv[23:24] += 1.0
+        drv[24:30] += sample[1:7]
+        drv[30:36] += sample[1:7] ** 2
+        dt, drv[12] = sample[0] - drv[12], 0.0
+        _inertial_step(nav, xd, inc, dt, drv, Phid, Qd, Cr, acc, _ticks(sample[0], drv[36]))
+
+
+def imu_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc):
+    inc = drv[0:6] * (dt / drv[36] if drv[37] else dt)
+    drv[6:12] += inc
+    drv[12] += dt
+    _inertial_step(nav, xd, inc, dt, drv, Phid, Qd, Cr, acc, 0)
+
+
+def euler(roll, pitch, yaw):
+    return rotation(yaw * DOWN) @ rotation(pitch * EAST) @ rotation(roll * NORTH)
+
+
+def _move(nav, d):
+    nav[1] += d[1] / (nav[16] * np.cos(nav[0] + 0.5 * d[0] / nav[15]))
+    nav[0] += d[0] / nav[15]
+    nav[2] -= d[2]
+    nav[15:17] = np.array(radii(nav[0])) + nav[2]
+
+
+def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
+    for sample in samples:
+        _dead_reckoning_step(nav, xd, drv, sample, Phid, Qd, Cr, acc)
+
+
+def _dead_reckoning_step(nav, xd, drv, sample, Phid, Qd, Cr, acc):
+    k, m = len(xd), len(xd) + 9
+    span, held, started, half = sample[0], drv[12], drv[13] != 0, 0.5 * sample[0]
+    dev, par, arm, M = int(drv[41]), int(drv[42]), drv[44:47], drv[47:56].reshape(3, 3)
+    v0, w0, C0 = nav[3:6].copy(), drv[56:59].copy(), nav[6:15].reshape(3, 3).copy()
+    missing = not (np.abs(sample[4:7]) <= drv[62]).all() or not (sample[4:7].any() or drv[63])
+    # what the readings' errors are thought to be, and how they follow from the drive's states
+    E = Cr[:, :k].copy()
+    if dev >= 0:
+        y = sample[3]
+        E[2, dev : dev + 4] = np.sin(y), np.cos(y), np.sin(2 * y), np.cos(2 * y)
+    err = E @ xd
+    roll, pitch, yaw = sample[1:4] - err[:3]
+    C = euler(roll, pitch, yaw)
+    axes = np.column_stack([C[:, 0], rotation(yaw * DOWN) @ EAST, DOWN])  # each angle turns about one of these
+    turn = sample[1:4] - drv[59:62] if started and span > 0 else np.zeros(3)
+    turn[[0, 2]] = (turn[[0, 2]] + np.pi) % (2 * np.pi) - np.pi
+    rates = axes * (turn / (span or 1.0))
+    w = np.cross(rates.sum(axis=1), C @ arm)
+    l0, l1 = (C0 @ arm, C @ arm) if started else (np.zeros(3), np.zeros(3))
+    F, J, E_par = np.zeros((m, m)), np.zeros((9, 6)), np.zeros((3, k))
+    if missing:
+        B = C @ C0.T
+        u = B @ (v0 + w0)
+        F[3:6, 3:6], F[3:6, 6:9] = B, B @ skew(v0)
+    else:
+        scale, mis = (1.0 + xd[par], xd[par + 1 : par + 4]) if par >= 0 else (1.0, np.zeros(3))
+        D = scale * (np.eye(3) + skew(mis))
+        y = np.linalg.solve(D, sample[4:7] - err[3:])
+        u = C @ M @ y
+        J[3:6, 3:6] = C @ M @ np.linalg.inv(D)
+        if par >= 0:
+            E_par[:, par], E_par[:, par + 1 : par + 4] = y + np.cross(mis, y), -scale * skew(y)
+    for j in range(3):
+        a = axes[:, j]
+        turned = rates[:, :j].sum(axis=1)  # this angle turns the axes of the angles before it
+        spun = np.cross(np.cross(a, turned), C @ arm) + np.cross(rates.sum(axis=1), np.cross(a, C @ arm))
+        J[:3, j], J[3:6, j], J[6:9, j] = half * np.cross(a, u) - np.cross(a, l1), np.cross(a, u) - spun, a
+    J[:3, 3:] = half * J[3:6, 3:]
+    F[:3] = half * F[3:6] + np.eye(3, m)
+    F[:3, 3:6] += (half - held) * np.eye(3)
+    F[:3, 6:9] -= skew(half * w0 + l0)
+    F[:9, 9:] -= J @ E + J[:, 3:] @ E_par
+    F[:3, :3] += (span - held) * _curvature(v0, nav[0], *nav[15:17])
+    _move(nav, (half - held) * v0 + half * (w0 + u) - l1 + l0)
+    nav[3:6], nav[6:15], drv[56:59], drv[59:62], drv[12:14] = u - w, C.ravel(), w, sample[1:4], (0.0, 1.0)
+    _tick_drive(acc, F, xd, Phid, Qd, _ticks(span, drv[36]))
+    Q, walk = acc[m : 2 * m], drv[40] ** 2 * span * np.eye(3)
+    Q[:9, :9] += J @ np.diag(Cr[:, k]) @ J.T
+    if missing:
+        G = np.vstack([half * np.eye(3), np.eye(3)])
+        Q[:6, :6] += G @ walk @ G.T
+    elif span > 3 * drv[36]:
+        Q[:3, :3] += walk * span**2 / 12.0
+
+
+def dead_reckoning_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc):
+    F = np.eye(len(acc[0]))
+    F[:3, 3:6] = dt * np.eye(3)
+    F[:3, :3] += dt * _curvature(nav[3:6], nav[0], *nav[15:17])
+    _move(nav, dt * nav[3:6])
+    drv[12] += dt
+    _compound(acc, F)
+
+
+# ---------------------------------------------------------------- kernels/measurement.py: residual, and derivative of the reading
+
+
+def _attitude_columns(A, v):
+    """Derivative of A v, A taking n to something, when n turns under it: A (v x phi)."""
+    return A @ skew(v)
+
+
+def body_velocity(z, nav, rate, par, cfg, H, res):
+    arm, A = cfg[:3], cfg[3:12].reshape(3, 3).T
+    C_bn = nav[6:15].reshape(3, 3).T
+    y = A @ (C_bn @ nav[3:6] + np.cross(rate, arm))
+    g, mis = (1.0 + par[0], par[1:4]) if len(par) else (1.0, np.zeros(3))
+    D = g * (np.eye(3) + skew(mis))
+    res[:], H[:] = z[:3] - D @ y, 0.0
+    H[:, 3:6], H[:, 6:9] = D @ A @ C_bn, _attitude_columns(D @ A @ C_bn, nav[3:6])
+    if len(par):
+        H[:, 9], H[:, 10:13] = D @ y / g, -g * skew(y)
+
+
+def _bearing(n):
+    horizontal = n[0] ** 2 + n[1] ** 2
+    return np.arctan2(n[1], n[0]), np.array([-n[2] * n[0], -n[2] * n[1], horizontal]) / horizontal
+
+
+def _deviation(psi, temperature, reference):
+    warm = 0.0 if np.isnan(temperature) else temperature - reference
+    terms = np.array([1.0, np.sin(psi), np.cos(psi), np.sin(2 * psi), np.cos(2 * psi), warm])
+    return terms, np.array([0.0, np.cos(psi), -np.sin(psi), 2 * np.cos(2 * psi), -2 * np.sin(2 * psi), 0.0])
+
+
+def _half_turn(angle):
+    return (angle + np.pi) % (2 * np.pi) - np.pi
+
+
+def heading(z, nav, rate, par, cfg, H, res):
+    psi, row = _bearing(nav[6:15].reshape(3, 3) @ NORTH)
+    H[:] = 0.0
+    predicted = psi - cfg[0]
+    if len(par):
+        H[0, 9:], slopes = _deviation(psi - cfg[0], z[1], cfg[1])
+        predicted, row = predicted + par @ H[0, 9:], row * (1.0 + par @ slopes)
+    H[0, 6:9], res[0] = row, _half_turn(z[0] - predicted)
+
+
+def magnetometer(z, nav, rate, par, cfg, H, res):
+    C = nav[6:15].reshape(3, 3)
+    azimuth, row = _bearing(C @ z[:3])
+    H[:] = 0.0
+    predicted = azimuth - cfg[0]
+    if len(par):
+        psi, turn = _bearing(C @ NORTH)
+        H[0, 9:], slopes = _deviation(psi - cfg[0], z[3], cfg[1])
+        predicted, row = predicted + par @ H[0, 9:], row + par @ slopes * turn
+    H[0, 6:9], res[0] = row, _half_turn(-predicted)
+
+
+def depth(z, nav, rate, par, cfg, H, res):
+    arm = nav[6:15].reshape(3, 3) @ cfg[:3]
+    H[:] = 0.0
+    H[0, 2], H[0, 6:9] = 1.0, -skew(arm)[2]
+    H[0, 9:] = 1.0
+    res[0] = z[0] - (cfg[3] - nav[2] + arm[2] + par.sum())
+
+
+def position(z, nav, rate, par, cfg, H, res):
+    arm = nav[6:15].reshape(3, 3) @ cfg[:3]
+    H[:] = 0.0
+    H[:, :3], H[:, 6:9] = np.eye(3), -skew(arm)
+    east = _half_turn(z[1] - nav[1]) * nav[16] * np.cos(0.5 * (z[0] + nav[0]))
+    res[:] = np.array([(z[0] - nav[0]) * nav[15], east, nav[2] - z[2]]) - arm
+
+
+def velocity(z, nav, rate, par, cfg, H, res):
+    H[:] = 0.0
+    H[:, 3:6], res[:] = np.eye(3), z[:3] - nav[3:6]
+
+
+# ---------------------------------------------------------------- kernels/kalman.py: errors here are true minus estimated
+
+
+def fold(P, acc, nav, T):
+    m, n = acc.shape[1], len(P)
+    Phi = block_diag(acc[:m], np.eye(n - m))
+    P[:] = Phi @ P @ Phi.T
+    P[:m, :m] += 0.5 * (acc[m : 2 * m] + acc[m : 2 * m].T)
+    acc[:m], acc[m : 2 * m] = np.eye(m), 0.0
+    C = nav[6:15].reshape(3, 3)
+    nav[6:15] = (C @ (1.5 * np.eye(3) - 0.5 * C.T @ C)).ravel()
+
+
+def power(Phi, Q, count, W):
+    """Phi^count and its noise in W[0], W[1]."""
+    W[0], W[1] = np.eye(len(Phi)), 0.0
+    for _ in range(count):
+        W[0], W[1] = Phi @ W[0], Phi @ W[1] @ Phi.T + Q
+
+
+def tick(P, x, start, A, B, T):
+    here = slice(start, start + len(A))
+    Phi = np.eye(len(P))
+    Phi[here, here] = A
+    P[:] = Phi @ P @ Phi.T
+    P[here, here] += B
+    x[start - 9 : start - 9 + len(A)] = A @ x[start - 9 : start - 9 + len(A)]
+
+
+def innovation(P, H, res, R, S, PH, out):
+    missing = np.isnan(res)
+    a = len(res)
+    res[missing], H[missing] = 0.0, 0.0
+    PH[:], S[:a] = H @ P, H @ P @ H.T
+    S[:a] += np.diag(np.where(missing, 1.0, np.maximum(np.maximum(R, 1e-12 * np.diag(S[:a])), 1e-60)))
+    S[a:] = np.linalg.inv(S[:a])
+    out[0], out[1] = res @ S[a:] @ res, np.sum(~missing)
+
+
+def attitude_reset(turn, n):
+    """How a small error changes when the attitude it counts from is turned: left Jacobian of the rotation, to second order."""
+    G = np.eye(n)
+    G[6:9, 6:9] += skew(turn) / 2 + skew(turn) @ skew(turn) / 6
+    return G
+
+
+def correct(P, nav, x, res, S, PH, K, turn):
+    n, a = K.shape
+    K[:] = PH.T @ S[a:]
+    d = K @ res
+    P[:] = P - K @ PH - PH.T @ K.T + K @ S[:a] @ K.T
+    nav[0] += d[0] / nav[15]
+    nav[1] += d[1] / (nav[16] * np.cos(nav[0]))
+    nav[2] -= d[2]
+    nav[3:6] += d[3:6]
+    turn[:] = d[6:9]
+    nav[6:15] = (rotation(turn) @ nav[6:15].reshape(3, 3)).ravel()
+    x += d[9:]
+    G = attitude_reset(turn, n)
+    P[:] = G @ P @ G.T
+
+
+def places(dims):
+    a, n, m, b, _, _, par = dims
+    sizes = [m * m + b * b, a * n, a * n, a * a, a, 3, 2 * a * a, a * n, a * (9 + par), a, 3, max(m, b, 1) * n + 4 * b * b]
+    return tuple(np.cumsum(sizes))
+
+
+def predict(P, nav, x, acc, model, mem, dims, count):
+    m, b, start = dims[2:5]
+    mem[: m * m] = acc[:m].ravel()
+    fold(P, acc, nav, None)
+    if b:
+        W = np.zeros((2, b, b))
+        power(model[0], model[1], count, W)
+        mem[m * m : m * m + b * b] = W[0].ravel()
+        tick(P, x, start, W[0], W[1], None)
+
+
+def update(P, nav, x, C, R, mem, dims, limits):
+    a, n, _, _, start, errors, par = dims
+    at = places(dims)
+    H, K = mem[at[0] : at[1]].reshape(a, n), mem[at[1] : at[2]].reshape(n, a)
+    S, PH = mem[at[5] : at[6]].reshape(2 * a, a), mem[at[6] : at[7]].reshape(a, n)
+    near, res = mem[at[7] : at[8]].reshape(a, 9 + par), mem[at[3] : at[4]]
+    H[:] = np.hstack([near[:, :9], np.zeros((a, start - 9)), C, near[:, 9:], np.zeros((a, n - start - errors - par))])
+    res -= C @ x[start - 9 : start - 9 + errors]
+    out = mem[at[9] : at[10]]
+    innovation(P, H, res, R, S, PH, out)
+    mem[at[8] : at[9]] = np.diag(S[:a])
+    out[2] = float(out[1] > 0 and out[0] <= limits[int(out[1])])
+    if out[2]:
+        correct(P, nav, x, res, S, PH, K, mem[at[4] : at[5]])
+        mem[at[2] : at[3]] = S[a:].ravel()
+
+
+def smooth_record(L, lam, record, a, m, b, start, T):
+    """Adjoint of fold, tick, correction and reset, backward: Bierman (1973)."""
+    n = len(lam)
+    sizes = [m * m, b * b] + ([a * n, n * a, a * a, a, 3] if a else [])
+    parts = np.split(record[: sum(sizes)], np.cumsum(sizes)[:-1])
+    if a:
+        H, K, Sinv = parts[2].reshape(a, n), parts[3].reshape(n, a), parts[4].reshape(a, a)
+        D = attitude_reset(parts[6], n) @ (np.eye(n) - K @ H)
+        lam[:] = D.T @ lam - H.T @ Sinv @ parts[5]
+        L[:] = D.T @ L @ D + H.T @ Sinv @ H
+    for first, size, part in ((start, b, parts[1]), (0, m, parts[0])):
+        Phi = np.eye(n)
+        Phi[first : first + size, first : first + size] = part.reshape(size, size)
+        lam[:], L[:] = Phi.T @ lam, Phi.T @ L @ Phi
+
+
+def smooth_row(P, L, lam, mean, cov, T):
+    mean[:], cov[:] = -P @ lam, P - P @ L @ P
+
+
+def rts(records, rows, P0):
+    """Sample-by-sample Rauch-Tung-Striebel over (Phi, Q, H, R, residual, reset) steps; means are corrections to the forward state.
+
+    `records`: list of (Phi, Q, H or None, R, res, G); `rows`: forward covariance after each. Returns smoothed means and covariances after each record, and
+    at the start.
+    """
+    P = [P0, *rows]
+    n = len(P0)
+    means, covariances = [np.zeros(n)], [P[-1]]
+    for (Phi, Q, H, R, res, G), before in zip(records[::-1], P[-2::-1], strict=True):
+        predicted = Phi @ before @ Phi.T + Q
+        if H is None:
+            filtered, K = np.zeros(n), np.zeros((n, 0))
+        else:
+            K = predicted @ H.T @ np.linalg.inv(H @ predicted @ H.T + R)
+            filtered = K @ res
+        # the smoothed state after this record, seen from the prediction before it
+        after = filtered + np.linalg.solve(G, means[-1])
+        covariance = np.linalg.solve(G, np.linalg.solve(G, covariances[-1]).T).T
+        gain = before @ Phi.T @ np.linalg.pinv(predicted, hermitian=True)
+        means.append(gain @ after)
+        covariances.append(before + gain @ (covariance - predicted) @ gain.T)
+    return means[::-1], covariances[::-1]

@@ -1,0 +1,332 @@
+"""Every public kernel against its readable twin in `naive`, on random input; and what a kernel file may import.
+
+Twins round in another order (matrix products, matrix exponential, inverse instead of cofactors): `assert_close` allows rounding relative to the
+largest element of each array, far below what any mistake would do.
+"""
+
+import ast
+import math
+from pathlib import Path
+
+import naive
+import numpy as np
+import pytest
+
+from navfilter.kernels import kalman, measurement, strapdown
+from navfilter.state import matrix_from_euler
+
+FOLDER = Path(strapdown.__file__).parent
+FILES = sorted(path.stem for path in FOLDER.glob("*.py") if path.stem != "__init__")
+
+
+def public_kernels(name):
+    """Names of the public njit functions that a kernel file defines (by their decorator, so that it works without the JIT too)."""
+    tree = ast.parse((FOLDER / f"{name}.py").read_text())
+    functions = [node for node in tree.body if isinstance(node, ast.FunctionDef) and not node.name.startswith("_")]
+    return [f.name for f in functions if any("njit" in ast.unparse(d) for d in f.decorator_list)]
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_every_public_kernel_has_a_twin(name):
+    found = public_kernels(name)
+    assert found, f"{name}.py holds no kernel"
+    assert [kernel for kernel in found if not callable(getattr(naive, kernel, None))] == []
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_kernel_files_import_only_math_numpy_numba(name):
+    # A kernel that called one of another file would be cached with the old callee (numba does not look there).
+    imported = set()
+    for node in ast.walk(ast.parse((FOLDER / f"{name}.py").read_text())):
+        if isinstance(node, ast.Import):
+            imported |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            imported.add(node.module)
+    assert imported <= {"math", "numpy", "numba"}
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_kernels_are_cached_and_without_fastmath(name):
+    for node in ast.walk(ast.parse((FOLDER / f"{name}.py").read_text())):
+        if isinstance(node, ast.FunctionDef):
+            decorators = " ".join(ast.unparse(d) for d in node.decorator_list)
+            assert "cache=True" in decorators, f"{name}.{node.name}: {decorators}"
+            assert "fastmath" not in decorators, f"{name}.{node.name}: {decorators}"
+
+
+def assert_close(actual, expected, rtol=1e-11):
+    for a, b in zip(actual, expected, strict=True):
+        a, b = np.asarray(a), np.asarray(b)
+        assert a.shape == b.shape
+        finite = np.abs(b[np.isfinite(b)])
+        np.testing.assert_allclose(a, b, rtol=0, atol=rtol * max(finite.max(initial=0.0), 1e-300))
+
+
+def run_both(kernel, *args):
+    """Run kernel and twin on copies of the arguments; returns both sets of arguments afterwards."""
+    twin = getattr(naive, kernel.__name__)
+    results = []
+    for function in (kernel, twin):
+        copies = [a.copy() if isinstance(a, np.ndarray) else a for a in args]
+        value = function(*copies)
+        results.append((value, copies))
+    assert results[0][0] == results[1][0] or results[0][0] is None
+    return results[0][1], results[1][1]
+
+
+def spd(rng, n, scale=1.0):
+    A = rng.normal(size=(n, n + 3))
+    return scale * (A @ A.T) / n
+
+
+def random_nav(rng):
+    lat, h = rng.uniform(-1.2, 1.2), rng.uniform(-3000.0, 500.0)
+    C = matrix_from_euler(*rng.uniform([-0.6, -0.6, -3.1], [0.6, 0.6, 3.1]))
+    meridian, prime = naive.radii(lat)
+    return np.concatenate([[lat, rng.uniform(-3, 3), h], rng.normal(scale=3.0, size=3), C.ravel(), [meridian + h, prime + h]])
+
+
+def random_drive(rng, k, **settings):
+    drv = np.zeros(strapdown.DRIVE_SIZE)
+    drv[strapdown.PERIOD_S], drv[strapdown.HOLD_DENSITY] = 0.01, 0.1
+    drv[strapdown.GAP_RATE_SD], drv[strapdown.GAP_FORCE_SD] = 0.05, 0.3
+    drv[strapdown.DEVIATION] = drv[strapdown.SCALE] = -1
+    drv[strapdown.MOUNTING : strapdown.MOUNTING + 9] = matrix_from_euler(0.1, -0.2, 0.7).ravel()
+    drv[strapdown.MAX_SPEED], drv[strapdown.ZERO_IS_VALID] = 20.0, 0.0
+    for name, value in settings.items():
+        at = getattr(strapdown, name)
+        drv[at : at + np.size(value)] = value
+    Phid, Qd, Cr = 0.5 * rng.normal(size=(k, k)) / max(k, 1), spd(rng, k, 1e-6), 0.1 * rng.normal(size=(6, k + 1))
+    Cr[:, k] = rng.uniform(0.5, 2.0, 6) * 1e-4
+    acc = np.vstack([np.eye(9 + k), np.zeros((3 * (9 + k), 9 + k))])
+    return drv, 0.02 * rng.normal(size=k), Phid, Qd, Cr, acc
+
+
+def drive_result(args):
+    nav, xd, drv, _, _, _, _, acc = args
+    m = acc.shape[1]
+    return nav[:3], nav[3:6], nav[6:15], nav[15:], xd, drv, acc[:m], acc[m : 2 * m]
+
+
+def imu_samples(rng, n, increments=False):
+    samples = np.column_stack([np.full(n, 0.01), 0.3 * rng.normal(size=(n, 3)), rng.normal(size=(n, 3)) + [0, 0, -9.8]])
+    samples[:, 0] += rng.uniform(-0.003, 0.003, n)
+    if n > 3:
+        samples[n // 2, 0] = 0.046  # a gap: five ticks, and what happened unseen
+    samples[:, 1:] *= 0.01 if increments else 1.0
+    return samples
+
+
+@pytest.mark.parametrize("k", [0, 6])
+@pytest.mark.parametrize("increments", [False, True])
+def test_imu_kernels(k, increments):
+    rng = np.random.default_rng(k)
+    drv, xd, Phid, Qd, Cr, acc = random_drive(rng, k, INCREMENTS=float(increments))
+    nav, n = random_nav(rng), 12
+    for block in range(3):
+        args = nav, xd, drv, imu_samples(rng, n, increments), Phid, Qd, Cr, acc
+        ours, twins = run_both(strapdown.imu_steps, *args)
+        assert_close(drive_result(ours), drive_result(twins))
+        nav, xd, drv, acc = ours[0], ours[1], ours[2], ours[7]
+        ours, twins = run_both(strapdown.imu_hold, nav, xd, drv, 0.004 * (block + 1), Phid, Qd, Cr, acc)
+        assert_close(drive_result(ours), drive_result(twins))
+        nav, xd, drv, acc = ours[0], ours[1], ours[2], ours[7]
+
+
+@pytest.mark.parametrize("increments", [False, True])
+def test_integrate_is_imu_steps_without_errors(increments):
+    rng = np.random.default_rng(5)
+    drv, xd, Phid, Qd, Cr, acc = random_drive(rng, 0, INCREMENTS=float(increments))
+    nav, samples = random_nav(rng), imu_samples(rng, 15, increments)
+    ours, twins = run_both(strapdown.integrate, nav, drv, samples, np.zeros((15, 17)))
+    assert_close([ours[0][:6], ours[0][6:15], ours[3]], [twins[0][:6], twins[0][6:15], twins[3]])
+    strapdown.integrate(again := nav.copy(), drv.copy(), samples, np.zeros((0, 17)))
+    strapdown.imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc)
+    np.testing.assert_array_equal(nav, again)  # the same arithmetic
+
+
+DEAD_RECKONING = {
+    "plain": {},
+    "arm": {"LEVER": (0.8, -0.3, 0.4)},
+    "parameters": {"LEVER": (0.8, -0.3, 0.4), "DEVIATION": 4, "SCALE": 8},
+    "scale": {"SCALE": 4},
+}
+
+
+@pytest.mark.parametrize("settings", DEAD_RECKONING.values(), ids=DEAD_RECKONING.keys())
+def test_dead_reckoning_kernels(settings):
+    rng = np.random.default_rng(3)
+    k = 12 if "DEVIATION" in settings else 8
+    drv, xd, Phid, Qd, Cr, acc = random_drive(rng, k, PERIOD_S=0.25, **settings)
+    Cr[:, 4:k] = 0.0  # parameters act through the readings, not through C
+    nav = random_nav(rng)
+    for block in range(3):
+        samples = np.column_stack([np.full(8, 0.25), 0.4 * rng.normal(size=(8, 3)), rng.normal(size=(8, 3))])
+        samples[2, 4:] = np.nan
+        samples[3, 4:] = 0.0  # lost
+        samples[4, 5] = -32.768  # a sentinel
+        samples[6, 0] = 2.2  # a gap
+        samples[7, 0] = 0.4
+        if block == 0:
+            samples[0, 4:] = np.nan  # nothing to go by but the start's velocity
+        ours, twins = run_both(strapdown.dead_reckoning_steps, nav, xd, drv, samples, Phid, Qd, Cr, acc)
+        assert_close(drive_result(ours), drive_result(twins))
+        nav, xd, drv, acc = ours[0], ours[1], ours[2], ours[7]
+        ours, twins = run_both(strapdown.dead_reckoning_hold, nav, xd, drv, 0.1, Phid, Qd, Cr, acc)
+        assert_close(drive_result(ours), drive_result(twins))
+        nav, xd, drv, acc = ours[0], ours[1], ours[2], ours[7]
+
+
+def test_radii_and_gravity():
+    for lat in np.linspace(-1.5, 1.5, 7):
+        np.testing.assert_allclose(strapdown.radii(lat), naive.radii(lat), rtol=1e-14)
+        for h in (-6000.0, 0.0, 3000.0):
+            np.testing.assert_allclose(strapdown.gravity(lat, h), naive.gravity(lat, h), rtol=1e-14)
+
+
+def test_stamps_to_steps():
+    samples = np.column_stack([np.array([1.0, 1.01, 1.5, 1.51]), np.ones((4, 6))])
+    ours, twins = run_both(strapdown.stamps_to_steps, samples, 0.98, 6, 0.03)
+    assert_close(ours[:1], twins[:1])
+    np.testing.assert_allclose(ours[0][:, 0], [0.02, 0.01, 0.49, 0.01], rtol=1e-12)
+    for row, column, value in ((2, 0, 1.01), (0, 0, 0.98), (3, 0, math.inf), (1, 0, math.nan), (2, 3, math.nan), (2, 6, -math.inf)):
+        bad = samples.copy()
+        bad[row, column] = value
+        ours, twins = run_both(strapdown.stamps_to_steps, bad, 0.98, 6, 0.03)
+        assert naive.stamps_to_steps(bad.copy(), 0.98, 6, 0.03) == -1
+        np.testing.assert_array_equal(ours[0], bad)
+
+
+def readings(rng, nav):
+    """One reading per measurement kernel: kernel, reading, constants, numbers of parameters, axes."""
+    mounted = np.concatenate([[0.5, -0.2, 0.3], matrix_from_euler(0.1, -0.2, 0.7).ravel()])
+    place = np.array([nav[0] + 2e-6, nav[1] - 3e-6, nav[2] + 4.0])
+    return [
+        (measurement.body_velocity, rng.normal(size=3), mounted, (0, 4), 3),
+        (measurement.heading, np.array([2.5, 11.0]), np.array([0.1, 20.0]), (0, 6), 1),
+        (measurement.heading, np.array([-2.5, np.nan]), np.array([0.1, 20.0]), (6,), 1),
+        (measurement.magnetometer, np.array([24.0, 7.0, 30.0, 25.0]), np.array([0.1, 20.0]), (0, 6), 1),
+        (measurement.depth, np.array([12.0]), np.array([0.5, -0.2, 0.3, 2.0]), (0, 1), 1),
+        (measurement.position, place, np.array([0.5, -0.2, 0.3]), (0,), 3),
+        (measurement.position, np.array([nav[0], nav[1] + 2 * np.pi, np.nan]), np.array([0.5, -0.2, 0.3]), (0,), 3),
+        (measurement.velocity, rng.normal(size=3), np.zeros(1), (0,), 3),
+    ]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_measurement_kernels(seed):
+    rng = np.random.default_rng(seed)
+    nav = random_nav(rng)
+    for kernel, z, cfg, sizes, axes in readings(rng, nav):
+        for size in sizes:
+            par = 0.1 * rng.normal(size=size)
+            rate = rng.normal(size=3)
+            args = z, nav, rate, par, cfg, np.full((axes, 9 + size), 7.0), np.full(axes, 7.0)
+            ours, twins = run_both(kernel, *args)
+            assert_close([ours[5]], [twins[5]], rtol=1e-13)
+            # A difference of latitudes times the Earth's radius rounds to 1e-9 m.
+            np.testing.assert_allclose(ours[6], twins[6], rtol=0, atol=1e-8)
+
+
+def test_a_vertical_field_has_no_azimuth():
+    nav = random_nav(np.random.default_rng(0))
+    res, field = np.zeros(1), nav[6:15].reshape(3, 3).T @ np.array([0.0, 0.0, 50.0])
+    measurement.magnetometer(np.array([*field, np.nan]), nav, np.zeros(3), np.zeros(0), np.zeros(2), np.zeros((1, 9)), res)
+    # Rounding leaves 1e-15 of 50 in the horizontal: the azimuth is either undefined or arbitrary, never an exception.
+    assert math.isnan(res[0]) or abs(res[0]) <= math.pi
+
+
+def test_fold():
+    rng = np.random.default_rng(1)
+    n, m = 17, 12
+    nav, acc = random_nav(rng), np.zeros((4 * m, m))
+    nav[6:15] += 1e-7 * rng.normal(size=9)  # no longer quite orthonormal
+    acc[:m], acc[m : 2 * m] = np.eye(m) + 0.1 * rng.normal(size=(m, m)), spd(rng, m)
+    ours, twins = run_both(kalman.fold, spd(rng, n), acc, nav, np.zeros((m, n)))
+    assert_close([ours[0], ours[1][: 2 * m], ours[2]], [twins[0], twins[1][: 2 * m], twins[2]], 1e-14)
+    np.testing.assert_array_equal(ours[0], ours[0].T)
+    C = ours[2][6:15].reshape(3, 3)
+    np.testing.assert_allclose(C.T @ C, np.eye(3), atol=1e-12)
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 3, 7, 40])
+def test_power(count):
+    rng = np.random.default_rng(2)
+    Phi, Q = rng.normal(size=(4, 4)) / 2, spd(rng, 4)
+    ours, twins = run_both(kalman.power, Phi, Q, count, np.zeros((4, 4, 4)))
+    assert_close(ours[3][:2], twins[3][:2], 1e-12)
+
+
+def test_tick():
+    rng = np.random.default_rng(3)
+    ours, twins = run_both(kalman.tick, spd(rng, 16), rng.normal(size=7), 11, rng.normal(size=(3, 3)), spd(rng, 3), np.zeros((3, 16)))
+    assert_close(ours[:2], twins[:2], 1e-14)
+    np.testing.assert_array_equal(ours[0], ours[0].T)
+
+
+@pytest.mark.parametrize("missing", [(), (0,), (1, 2), (0, 1, 2)])
+@pytest.mark.parametrize("white", [0.3, 0.0])
+def test_innovation_and_correct(missing, white):
+    rng = np.random.default_rng(4)
+    n, nav, res = 15, random_nav(rng), 0.1 * rng.normal(size=3)
+    res[list(missing)] = np.nan
+    args = 0.1 * spd(rng, n), rng.normal(size=(3, n)), res, np.full(3, white), np.zeros((6, 3)), np.zeros((3, n)), np.zeros(2)
+    ours, twins = run_both(kalman.innovation, *args)
+    assert_close(ours[1:], twins[1:], 1e-11)
+    P, H, res, _, S, PH, _ = twins
+    args = P, nav, rng.normal(size=n - 9), res, S, PH, np.zeros((n, 3)), np.zeros(3)
+    ours, twins = run_both(kalman.correct, *args)
+    assert_close([ours[0], ours[1][:6], ours[1][6:15], *ours[2:]], [twins[0], twins[1][:6], twins[1][6:15], *twins[2:]], 1e-11)
+    np.testing.assert_array_equal(ours[0], ours[0].T)
+    assert np.linalg.eigvalsh(ours[0]).min() > -1e-14
+
+
+def test_innovation_of_a_scalar():
+    rng = np.random.default_rng(5)
+    for res, P in ((np.array([0.3]), spd(rng, 10)), (np.array([np.nan]), spd(rng, 10)), (np.array([0.3]), np.zeros((10, 10)))):
+        args = P, rng.normal(size=(1, 10)), res, np.zeros(1), np.zeros((2, 1)), np.zeros((1, 10)), np.zeros(2)
+        ours, twins = run_both(kalman.innovation, *args)
+        assert_close(ours[1:], twins[1:], 1e-13)
+        assert np.isfinite(ours[6]).all()
+
+
+@pytest.mark.parametrize(("count", "verdict"), [(0, 1.0), (1, 1.0), (4, 0.0)])
+def test_predict_and_update_work_through_the_channels_memory(count, verdict):
+    rng = np.random.default_rng(6)
+    dims = np.array([3, 18, 11, 5, 12, 4, 1])  # three axes, four error states and one parameter
+    a, n, m, b, start, errors, par = dims
+    at = kalman.places(dims)
+    assert tuple(at) == naive.places(dims)
+    P, nav, x, mem = spd(rng, n), random_nav(rng), rng.normal(size=n - 9), np.zeros(at[-1])
+    acc = np.vstack([np.eye(m) + 0.1 * rng.normal(size=(m, m)), spd(rng, m), np.zeros((2 * m, m))])
+    model = np.array([0.5 * rng.normal(size=(b, b)), spd(rng, b)])
+    ours, twins = run_both(kalman.predict, P, nav, x, acc, model, mem, dims, count)
+    assert_close([ours[0], ours[1], ours[2], ours[5][: at[0]]], [twins[0], twins[1], twins[2], twins[5][: at[0]]], 1e-13)
+    P, nav, x, _, _, mem, _, _ = twins
+    mem[at[7] : at[8]] = rng.normal(size=a * (9 + par))
+    mem[at[3] : at[4]] = 0.1, np.nan, -0.2
+    limits = np.array([np.inf, 5.0, 1e9 if verdict else 1e-9, 9.0])
+    ours, twins = run_both(kalman.update, P, nav, x, rng.normal(size=(a, errors)), np.full(a, 0.01), mem, dims, limits)
+    assert ours[5][at[9] + 2] == verdict
+    upto = at[5] if verdict else at[1]  # gain and the rest of the record are formed only by a correction
+    for ours_part, twins_part in zip(np.split(ours[5], at[:-1]), np.split(twins[5], at[:-1]), strict=True):
+        if verdict:
+            assert_close([ours_part], [twins_part], 1e-11)
+    assert_close([ours[0], ours[1][:6], ours[1][6:15], ours[2], ours[5][:upto]], [twins[0], twins[1][:6], twins[1][6:15], twins[2], twins[5][:upto]], 1e-11)
+
+
+@pytest.mark.parametrize(("a", "b"), [(0, 0), (0, 4), (1, 0), (3, 4)])
+def test_smoother_kernels(a, b):
+    rng = np.random.default_rng(7)
+    n, m, start = 16, 11, 12
+    parts = [np.eye(m) + 0.1 * rng.normal(size=(m, m)), rng.normal(size=(b, b))]
+    if a:
+        parts += [rng.normal(size=(a, n)), 0.1 * rng.normal(size=(n, a)), spd(rng, a), rng.normal(size=a), 0.3 * rng.normal(size=3)]
+    record = np.concatenate([part.ravel() for part in parts])
+    ours, twins = run_both(kalman.smooth_record, spd(rng, n), rng.normal(size=n), record, a, m, b, start, np.zeros((n, n)))
+    assert_close(ours[:2], twins[:2], 1e-13)
+    np.testing.assert_allclose(ours[0], ours[0].T, rtol=0, atol=1e-13 * np.abs(ours[0]).max())
+    P, L, lam = 0.1 * spd(rng, n), ours[0], ours[1]
+    ours, twins = run_both(kalman.smooth_row, P, L, lam, np.zeros(n), np.zeros((n, n)), np.zeros((n, n)))
+    assert_close(ours[3:5], twins[3:5], 1e-13)
+    np.testing.assert_array_equal(ours[4], ours[4].T)
