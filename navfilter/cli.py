@@ -97,7 +97,11 @@ class _Version(argparse.Action):
 
 def _command(commands: Any, name: str, run: Callable[[argparse.Namespace], int], about: str, epilog: str) -> argparse.ArgumentParser:
     parser: argparse.ArgumentParser = commands.add_parser(
-        name, help=about, description=about[0].upper() + about[1:] + ".", epilog=epilog, formatter_class=argparse.RawDescriptionHelpFormatter
+        name,
+        help=about,
+        description=about[0].upper() + about[1:] + ".",
+        epilog=epilog,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.set_defaults(run=run)
     return parser
@@ -177,7 +181,9 @@ def _add_replay(commands: Any) -> None:
     parser.add_argument("--out", required=True, metavar="DIR", help="folder to write to; files of the same name are replaced")
     parser.add_argument("--smooth", action="store_true", help="smooth too (Rauch-Tung-Striebel); the files then hold the smoothed track")
     parser.add_argument("--without", action="append", default=[], metavar="SENSOR", help="leave a sensor out; may be repeated")
-    parser.add_argument("--output-rate", type=_positive, default=5.0, metavar="HZ", help="rows of the track per second at most (default: %(default)s)")
+    parser.add_argument(
+        "--output-rate", type=_positive, default=5.0, metavar="HZ", help="rows of the track per second at most (default: %(default)s)"
+    )
     parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
 
 

@@ -73,7 +73,9 @@ def track_figure(tracks: Tracks, mission: Mission, ellipses: int = 16) -> Figure
     for name, sensor in first.vehicle.sensors.items():
         if isinstance(sensor, Position) and name in mission.streams:
             fixes = _used_fixes(first, mission.streams[name], name, origin)
-            ax.plot(*_capped(fixes)[:, 1::-1].T, "+", color="#888888", markersize=4, markeredgewidth=0.7, label=f"{name} fixes used", zorder=1.5)
+            ax.plot(
+                *_capped(fixes)[:, 1::-1].T, "+", color="#888888", markersize=4, markeredgewidth=0.7, label=f"{name} fixes used", zorder=1.5
+            )
     for number, (label, track) in enumerate(tracks.items()):
         hue, dash = colour(number)
         ax.plot(*_thinned_path(plans[label])[:, 1::-1].T, color=hue, linestyle=dash, label=label, zorder=2.0 + number, linewidth=1.6)
@@ -149,7 +151,7 @@ def heading_figure(tracks: Tracks, truth: Stream | None) -> Figure:
         hue, dash = colour(number)
         sd = np.degrees(np.sqrt(track.covariance[:, 8, 8]))
         band(ax, clock(track.time_s), sd, color=hue, alpha=0.25, label=rf"{label} $\pm 1\sigma$")
-        if truth is not None:
+        if truth is not None and np.isfinite(truth.value[:, 8]).any():
             line(ax, clock(track.time_s), np.degrees(track.errors(truth).heading), color=hue, linestyle=dash, label=label)
     ax.set_ylabel("heading error [deg]")
     _symmetric(ax)
@@ -158,24 +160,29 @@ def heading_figure(tracks: Tracks, truth: Stream | None) -> Figure:
     return figure
 
 
-def consistency_figure(tracks: Tracks, truth: Stream) -> Figure:
-    """NEES of position and heading per degree of freedom over time, with the 95 % range of chi-square."""
+def consistency_figure(tracks: Tracks, truth: Stream) -> Figure | None:
+    """NEES of position and heading per degree of freedom over time, with the 95 % range of chi-square; None without truth of either."""
     clock = clock_of(tracks)
-    figure, axes = panels(2, 1.6)
-    for number, (label, track) in enumerate(tracks.items()):
-        hue, dash = colour(number)
-        errors = track.errors(truth)
-        nees = track.nees(errors)
-        for ax, name in zip(axes, ("position", "heading"), strict=True):
-            line(ax, clock(track.time_s), np.maximum(nees[name], 1e-3), color=hue, linestyle=dash, label=label)
-    dof = max(int(np.isfinite(next(iter(tracks.values())).errors(truth).position_n).any(axis=0).sum()), 1)
-    for ax, name, n in zip(axes, ("position", "heading"), (dof, 1), strict=True):
-        low, high = chi2.ppf([0.025, 0.975], n) / n
+    errors = {label: track.errors(truth) for label, track in tracks.items()}
+    freedom = {
+        "position": max(int(np.isfinite(e.position_n).any(axis=0).sum()) for e in errors.values()),
+        "heading": int(any(np.isfinite(e.heading).any() for e in errors.values())),
+    }
+    freedom = {name: dof for name, dof in freedom.items() if dof}
+    if not freedom:
+        return None
+    figure, axes = panels(len(freedom), 1.6)
+    for ax, (name, dof) in zip(axes, freedom.items(), strict=True):
+        for number, (label, track) in enumerate(tracks.items()):
+            hue, dash = colour(number)
+            nees = np.maximum(track.nees(errors[label])[name], 1e-3)
+            line(ax, clock(track.time_s), nees, color=hue, linestyle=dash, label=label)
+        low, high = chi2.ppf([0.025, 0.975], dof) / dof
         ax.axhspan(max(low, 1e-3), high, color="#bbbbbb", alpha=0.35, linewidth=0, label="95 % of chi-square", zorder=0)
         ax.axhline(1.0, color="black", linewidth=0.7)
         ax.set_yscale("log")
         ax.set_ylim(1e-2, max(10.0, ax.get_ylim()[1]))
-        ax.set_ylabel(f"NEES per dof\n{name}")
+        ax.set_ylabel(f"{name}\nNEES per dof")
     clock.label(axes[-1])
     _legend(axes[0], above=True, columns=3)
     return figure
@@ -186,10 +193,10 @@ def innovation_figure(track: Track, name: str) -> Figure:
     residuals, sensor = track.residuals[name], track.vehicle.sensors[name]
     unit, factor = residual_unit(sensor)
     clock = Clock(track.time_s[0], track.time_s[-1])
-    axes_count = residuals.value.shape[1]
-    figure, axes = panels(axes_count, 1.45)
+    measured = np.flatnonzero(np.isfinite(residuals.value).any(axis=0)).tolist() or [0]
+    figure, axes = panels(len(measured), 1.45)
     rejected = residuals.outcome == OUTCOMES.index("rejected")
-    for i, ax in enumerate(axes):
+    for i, ax in zip(measured, axes, strict=True):
         seen = residuals.used & np.isfinite(residuals.value[:, i])
         t, value, bound = clock(residuals.time_s[seen]), factor * residuals.value[seen, i], 3 * factor * residuals.sd[seen, i]
         limit = 1.25 * max(_quantile(bound, 0.98), _quantile(np.abs(value), 0.998), 1e-12)
@@ -215,7 +222,7 @@ def innovation_figure(track: Track, name: str) -> Figure:
 
 
 def nis_figure(tracks: Tracks) -> Figure | None:
-    """Moving mean of NIS per degree of freedom, sensor by sensor, with the 95 % range of chi-square for such a mean; None without readings."""
+    """Moving mean of NIS per degree of freedom, sensor by sensor, with the 95 % range of such means; None without readings."""
     clock = clock_of(tracks)
     names = list(dict.fromkeys(name for track in tracks.values() for name, r in track.residuals.items() if r.used.sum() >= 5))
     if not names:

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from navfilter import figures, state_figures
 from navfilter.drawing import style, svg
 from navfilter.io.write import summarise
-from navfilter.mission import Mission
+from navfilter.mission import Mission, Stream
 from navfilter.tape import OUTCOMES
 from navfilter.track import Track
 
@@ -25,6 +25,8 @@ __all__ = ["headline_table", "render_report", "sensor_table", "write_report"]
 Tracks = Mapping[str, Track]
 Rows = list[list[str]]
 
+#: A figure with more panels than this does not fit on a printed page.
+_PANELS = 6
 #: Columns of the headline table: heading, key of ``summary.json``, format.
 HEADLINES = (
     ("position rms [m]", "position_rms_m", "{:.2f}"),
@@ -51,7 +53,8 @@ figure { margin: 1rem 0; break-inside: avoid; page-break-inside: avoid; }
 figure img { width: 100%; height: auto; display: block; }
 figcaption { font-size: .85rem; color: #444; margin-top: .3rem; }
 ul { padding-left: 1.2rem; } li, td.text { overflow-wrap: anywhere; }
-@media print { body { max-width: none; font-size: 10pt; padding: 0; } h2 { break-after: avoid; page-break-after: avoid; } .wide { overflow: visible; } }
+@media print { body { max-width: none; font-size: 10pt; padding: 0; } .wide { overflow: visible; }
+  h2 { break-after: avoid; page-break-after: avoid; } }
 """
 
 
@@ -107,7 +110,9 @@ def render_report(tracks: Tracks, mission: Mission, progress: Callable[[], Any] 
             progress()
     body += ["<h2>Readings</h2>", _html_table(*_sensors(result)), _notes(result, mission)]
     body += ["<h2>Error models</h2>", _html_table(*_models(result), text_columns=(1, 2))]
-    head = f'<meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1"><title>{_escape(mission.name)}</title>'
+    head = (
+        f'<meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1"><title>{_escape(mission.name)}</title>'
+    )
     return f'<!doctype html>\n<html lang="en"><head>{head}<style>{_CSS}</style></head>\n<body>\n' + "\n".join(body) + "\n</body></html>\n"
 
 
@@ -122,19 +127,19 @@ def _drawn(tracks: Tracks, mission: Mission) -> Iterator[tuple[str, str, Figure]
         caption = "Ellipses hold the vehicle with 95 % probability, if the filter is honest. Crosses are the fixes that were used."
         yield "Track", caption, figures.track_figure(tracks, mission)
         yield "", "Height over time; under water it is minus the depth.", figures.depth_figure(tracks, mission)
-        caption = (
-            "Estimated minus true. Two thirds of the errors should lie inside the 1-sigma band. The lowest panel divides by the distance travelled so far."
-            if truth is not None
-            else "This mission has no truth: the bands show what the filter believes of itself."
-        )
+        caption = f"{_band_caption(truth, slice(0, 2))} The lowest panel divides by the distance travelled so far."
         yield "Position error", caption, figures.position_figure(tracks, truth)
-        yield "Heading error", caption.split(" The lowest")[0], figures.heading_figure(tracks, truth)
-        if truth is not None:
+        yield "Heading error", _band_caption(truth, slice(8, 9)), figures.heading_figure(tracks, truth)
+        nees = None if truth is None else figures.consistency_figure(tracks, truth)
+        if nees is not None:
             caption = "Squared error in units of its predicted variance. Above the grey range: too confident; below it: too modest."
-            yield "Honesty of the covariance", caption, figures.consistency_figure(tracks, truth)
+            yield "Honesty of the covariance", caption, nees
         nis = figures.nis_figure(filters)
         if nis is not None:
-            caption = "Squared innovation in units of its predicted variance, mean over a moving window. Honest is 1; the grey range holds 95 % of such means."
+            caption = (
+                "Squared innovation in units of its predicted variance, mean over a moving window. Honest is 1; "
+                "the grey range holds 95 % of such means."
+            )
             yield "NIS per sensor", caption, nis
         for label, track in filters.items():
             many = f" ({label})" if len(filters) > 1 else ""
@@ -152,15 +157,26 @@ def _filters(tracks: Tracks) -> dict[str, Track]:
     return dict(first.values())
 
 
+def _band_caption(truth: Stream | None, columns: slice) -> str:
+    if truth is None or not np.isfinite(truth.value[:, columns]).any():
+        return "This mission has no truth of it: the bands show what the filter believes of itself."
+    return "Estimated minus true. Two thirds of the errors should lie inside the 1-sigma band."
+
+
 def _state_figures(tracks: Tracks) -> Iterator[tuple[str, str, Figure]]:
     by_owner: dict[str, dict[str, state_figures.ShownState]] = {}
     for track in tracks.values():
         for state in state_figures.shown_states(track.vehicle):
-            if state.name in track.state_names:
+            # A state that nothing excites, such as a temperature term without temperatures, has nothing to show.
+            if state.name in track.state_names and track.state(state.name)[1].any():
                 by_owner.setdefault(state.owner, {})[state.name] = state
-    for number, (owner, states) in enumerate(by_owner.items()):
-        caption = f"{owner}: estimated error, with its 1-sigma band."
-        yield "" if number else "Sensor errors and parameters", caption, state_figures.states_figure(tracks, tuple(states.values()))
+    title = "Sensor errors and parameters"
+    for owner, found in by_owner.items():
+        states = tuple(found.values())
+        for first in range(0, len(states), _PANELS):
+            figure = state_figures.states_figure(tracks, states[first : first + _PANELS])
+            yield title, f"{owner}: estimated error, with its 1-sigma band.", figure
+            title = ""
 
 
 def _count(track: Track, name: str) -> str:
@@ -173,7 +189,9 @@ def _count(track: Track, name: str) -> str:
 
 def _headlines(tracks: Tracks, mission: Mission) -> tuple[list[str], Rows]:
     runs = summarise(tracks, mission)["runs"]
-    rows = [[label, *(_number(run[key], form) for _, key, form in HEADLINES), _number(_mean_nis(run), "{:.2f}")] for label, run in runs.items()]
+    rows = [
+        [label, *(_number(run[key], form) for _, key, form in HEADLINES), _number(_mean_nis(run), "{:.2f}")] for label, run in runs.items()
+    ]
     return ["", *(name for name, _, _ in HEADLINES), "NIS"], rows
 
 
@@ -207,7 +225,9 @@ def _number(value: float | None, form: str) -> str:
 
 def _text(rows: Rows) -> str:
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    return "\n".join("  ".join(cell.rjust(w) if i else cell.ljust(w) for i, (cell, w) in enumerate(zip(row, widths, strict=True))) for row in rows)
+    return "\n".join(
+        "  ".join(cell.rjust(w) if i else cell.ljust(w) for i, (cell, w) in enumerate(zip(row, widths, strict=True))) for row in rows
+    )
 
 
 # --- HTML -------------------------------------------------------------------------------------------------------------
@@ -219,14 +239,18 @@ def _escape(text: str) -> str:
 
 def _html_table(header: Sequence[str], rows: Rows, text_columns: tuple[int, ...] = ()) -> str:
     def line(cells: Sequence[str], tag: str) -> str:
-        return "<tr>" + "".join(f'<{tag}{" class=text" if i in text_columns else ""}>{_escape(c)}</{tag}>' for i, c in enumerate(cells)) + "</tr>"
+        marks = [' class="text"' if i in text_columns else "" for i in range(len(cells))]
+        return "<tr>" + "".join(f"<{tag}{mark}>{_escape(cell)}</{tag}>" for mark, cell in zip(marks, cells, strict=True)) + "</tr>"
 
-    return f'<div class="wide"><table><thead>{line(header, "th")}</thead><tbody>{"".join(line(row, "td") for row in rows)}</tbody></table></div>'
+    body = "".join(line(row, "td") for row in rows)
+    return f'<div class="wide"><table><thead>{line(header, "th")}</thead><tbody>{body}</tbody></table></div>'
 
 
 def _html_figure(figure: Figure, caption: str) -> str:
     data = base64.b64encode(svg(figure)).decode("ascii")
-    return f'<figure><img alt="{_escape(caption)}" src="data:image/svg+xml;base64,{data}"><figcaption>{_escape(caption)}</figcaption></figure>'
+    return (
+        f'<figure><img alt="{_escape(caption)}" src="data:image/svg+xml;base64,{data}"><figcaption>{_escape(caption)}</figcaption></figure>'
+    )
 
 
 def _subtitle(track: Track, mission: Mission, summary: Mapping[str, Any]) -> str:

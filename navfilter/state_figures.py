@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -112,7 +113,8 @@ def states_figure(tracks: Mapping[str, Track], states: tuple[ShownState, ...]) -
             band(ax, clock(track.time_s), sd, value, color=hue, alpha=0.25, label=rf"{label} $\pm 1\sigma$")
             line(ax, clock(track.time_s), value, color=hue, linestyle=dash, label=label)
         ax.axhline(0.0, color="black", linewidth=0.6, zorder=1)
-        ax.set_ylabel(f"{state.label.replace('_', ' ')}\n[{state.unit}]", fontsize=8)
+        lines = textwrap.wrap(state.label.replace("_", " ").replace(".", " "), 16)
+        ax.set_ylabel("\n".join([*lines, f"[{state.unit}]"]), fontsize=7.5)
     clock.label(axes[-1])
     handles, labels = axes[0].get_legend_handles_labels()
     axes[0].legend(handles, labels, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4, borderaxespad=0.1)
