@@ -37,6 +37,7 @@ from navfilter.arma_algebra import BiasPlusWhite, add_arma, bias_plus_white, res
 from navfilter.diagnostics import Whiteness, acf, allan_deviation, cross_correlation, pacf, whiteness
 from navfilter.fit import ArmaFit, fit_arma
 from navfilter.gauss_markov import GaussMarkovFit, correlation_product, fit_gauss_markov, gauss_markov_arma
+from navfilter.order import OrderTable, select_order
 from navfilter.starts import burg, hannan_rissanen, yule_walker
 
 from navfilter.online import RecursiveArma

@@ -37,6 +37,8 @@ class OrderTable:
         The chosen (p, q).
     fit : ArmaFit
         The fit at the chosen order.
+    fits : dict
+        All fits, by (p, q).
     """
 
     loglik: Array
@@ -49,6 +51,7 @@ class OrderTable:
     is_white: NDArray[np.bool_]
     best: tuple[int, int]
     fit: ArmaFit = field(repr=False)
+    fits: dict[tuple[int, int], ArmaFit] = field(repr=False)
 
 
 def select_order(
@@ -106,6 +109,7 @@ def select_order(
         is_white=is_white,
         best=best,
         fit=fits[best],
+        fits=fits,
     )
 
 
