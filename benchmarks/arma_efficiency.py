@@ -64,7 +64,7 @@ def run(window: int, count: int, mean: bool, els: bool) -> list[dict[str, float 
         spent = {"online": 0.0, "exact": 0.0}
         failed = 0
         for seed in range(count):
-            series = nf.simulate_arma(ar, ma, 1.0, 2 * window, seed=1000 * at + seed)
+            series = nf.simulate_arma(ar, ma, 1.0, 2 * window, seed=100_000 * (at + 1) + seed)
             start = time.perf_counter()
             online = nf.RecursiveArma(p, q, window, mean=mean)
             online.update_many(series)
@@ -94,7 +94,7 @@ def run(window: int, count: int, mean: bool, els: bool) -> list[dict[str, float 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--windows", type=int, nargs="*", default=[1000, 4000, 10_000])
-    parser.add_argument("--series", type=int, nargs="*", default=[60, 60, 24], help="series per window length")
+    parser.add_argument("--series", type=int, nargs="*", default=[120, 120, 24], help="series per window length")
     parser.add_argument("--mean", action="store_true", help="carry a constant in both estimators")
     parser.add_argument("--no-els", action="store_true", help="leave out extended least squares")
     parser.add_argument("--quick", action="store_true", help="W = 1000 only, 10 series")

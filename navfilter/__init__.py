@@ -40,4 +40,6 @@ from navfilter.gauss_markov import GaussMarkovFit, correlation_product, fit_gaus
 from navfilter.order import OrderTable, select_order
 from navfilter.starts import burg, hannan_rissanen, yule_walker
 
+from navfilter.bank import ArmaBank
 from navfilter.online import RecursiveArma
+from navfilter.unit_root import split_bias

@@ -252,7 +252,7 @@ class RecursiveArma:
     def is_white(self) -> bool:
         """Whether the residuals of the last window pass the whiteness gate at 1 %; False before the start."""
         if self._white is None:
-            enough = self._fit.residuals.size > 60 and bool(np.any(self._fit.residuals))
+            enough = self._fit.residuals.size > 60 and float(np.std(self._fit.residuals)) > 1e-12
             self._white = enough and whiteness(self._fit.residuals, fitted=self.p + self.q).is_white
         return self._white
 

@@ -16,7 +16,7 @@ __all__ = ["WindowFit"]
 Array = NDArray[np.float64]
 
 # Passes that polish a window: two usually suffice from a running estimate, a cold start may need many.
-PASSES, COLD_PASSES = 15, 60
+PASSES, COLD_PASSES = 15, 30
 
 
 class WindowFit:
@@ -36,6 +36,10 @@ class WindowFit:
         Number of residuals that counted in the last fit.
     doubtful : int
         Hops in a row at which the fit did not settle or left colour.
+    passes : int
+        Most passes of a polish; 1 only filters the window and leaves the coefficients to the recursion.
+    may_search : bool
+        Whether other starts are tried when the fit is doubtful.
     """
 
     def __init__(self, p: int, q: int, m: int, window: int, hop: int) -> None:
@@ -49,6 +53,8 @@ class WindowFit:
         self.residuals: Array = np.empty(0)
         self.used = 0
         self.doubtful = 0
+        self.passes = PASSES
+        self.may_search = True
         self._work = np.zeros((5 + m, max(p, q) + length))
         self._normal = np.zeros((self.n + 1, self.n + 1))
 
@@ -136,9 +142,7 @@ class WindowFit:
         # A young record leaves out the start of its filters; later they carry memory from before the window.
         lo = max(pos - self.window, min(pos // 8, self.hop))
         limits = np.array([head[kernel.RADIUS_A], head[kernel.RADIUS_C], passes])
-        used, settled = window_kernel.polish(
-            theta, self.p, self.samples, (lo, pos), self.carry, self._work, self._normal, limits
-        )
+        used, settled = window_kernel.polish(theta, self.p, self.samples, (lo, pos), self.carry, self._work, self._normal, limits)
         r = max(self.p, self.q)
         self.used = used
         self.residuals = self._work[4, r + lo : r + pos]
@@ -163,7 +167,9 @@ class WindowFit:
             whole = self.residuals[(np.abs(self.residuals) < 0.99 * limit) & (self.residuals != 0.0)]
             s[kernel.HEAD, kernel.VAR] = float(np.mean(whole**2)) if whole.size else s[kernel.HEAD, kernel.VAR]
         inverse = np.zeros((n, n))
-        if window_kernel.window_covariance(self._normal, n, inverse):
+        known = window_kernel.window_covariance(self._normal, n, inverse)
+        # A silent window says nothing about the coefficients: what was known of them stays.
+        if known and np.all(np.diag(inverse) < 1e12):
             s[kernel.COV : kernel.COV + n, :n] = inverse
 
     def _best_of(self, starts: list[Array]) -> None:
@@ -175,8 +181,8 @@ class WindowFit:
     def _polish(self, mean: bool) -> None:
         """Polish from the running estimate; when the result is doubtful, try other starts as well, ever more rarely."""
         theta = self.state[kernel.THETA, : self.n].copy()
-        _, settled = self._fit(theta, PASSES)
-        if settled and not _coloured(self.residuals):
+        _, settled = self._fit(theta, self.passes)
+        if not self.may_search or (settled and not _coloured(self.residuals)):
             self.doubtful = 0
             return
         self.doubtful += 1

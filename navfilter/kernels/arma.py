@@ -121,7 +121,7 @@ def _adapt(s, y, e, p, q, n):
             break
         s[HEAD, HELD] += 1.0
         step *= 0.5
-    grow = 1.0 / lam if trace * s[HEAD, VAR] < s[HEAD, CAP] else 1.0
+    grow = 1.0 / lam if trace * (s[HEAD, VAR] + 1e-12) < s[HEAD, CAP] else 1.0
     # The product of the two gains first: it commutes, so P stays symmetric to the last bit. With the other order its
     # skew part grows like lam^-t and ruins the estimate after some ten windows.
     for j in range(n):
