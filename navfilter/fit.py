@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from navfilter.arma import ArmaModel, log_s0_sd
 from navfilter.fit_objective import GapFree, Objective, Point, WithGaps, minimise
 from navfilter.kernels import fit as kernels
-from navfilter.starts import hannan_rissanen_start, long_residuals, pull_inside, tidy_series
+from navfilter.starts import default_long_order, hannan_rissanen_start, long_residuals, pull_inside, tidy_series
 
 __all__ = ["ArmaFit", "fit_arma"]
 
@@ -144,14 +144,30 @@ def fit_arma(
     """
     problem = Problem(series, p, q, method, d, trend, regressors)
     objective = problem.objective(p, q)
-    points = [minimise(objective, start, limit=8) for start in problem.starts(p, q)]
-    points = [point for point in points if math.isfinite(point[0].value)]
-    if not points:
-        raise ValueError(f"no ARMA({p}, {q}) start has a finite likelihood: the series is predictable without error.")
-    best, converged = min(points, key=lambda point: point[0].value)
-    if not converged:
+    part = problem.objective(p, q, _PART)
+    best, converged = _best_of(part, problem.starts(p, q))
+    if part.count < objective.count:
         best, converged = minimise(objective, best.theta)
     return problem.result(best, objective, converged)
+
+
+# A long series is first fitted on this many samples, which costs little and leaves few steps for the whole.
+_PART = 10_000
+
+
+def _best_of(objective: Objective, starts: list[Array]) -> tuple[Point, bool]:
+    """Best minimum from several starts, each later one followed only while it may still win."""
+    best, converged = None, False
+    for start in starts:
+        point, done = minimise(objective, start, limit=4)
+        if not done and math.isfinite(point.value) and (best is None or point.value < best.value + 2.0):
+            point, done = minimise(objective, point.theta)
+        if math.isfinite(point.value) and (best is None or point.value < best.value):
+            best, converged = point, done
+    if best is None:
+        order = f"({objective.p}, {objective.q})"
+        raise ValueError(f"no ARMA{order} start has a finite likelihood: the series is predictable without error.")
+    return best, converged
 
 
 class Problem:
@@ -160,9 +176,7 @@ class Problem:
     Parameters are those of `fit_arma`; `p` and `q` are the largest orders that will be asked for.
     """
 
-    def __init__(
-        self, series: ArrayLike, p: int, q: int, method: str, d: int, trend: str, regressors: ArrayLike | None
-    ) -> None:
+    def __init__(self, series: ArrayLike, p: int, q: int, method: str, d: int, trend: str, regressors: ArrayLike | None) -> None:
         for name, order in (("p", p), ("q", q), ("d", d)):
             if order != int(order) or order < 0:
                 raise ValueError(f"{name} must be a whole number, at least 0, found {order}.")
@@ -179,9 +193,7 @@ class Problem:
         if _DEGREE[trend] >= 0 and d == 0:
             x -= self.shift
         elif abs(self.shift) > 1e6:
-            raise ValueError(
-                f'the mean is {self.shift:.1e} times the sd: fit it along with trend="constant", or use d=1.'
-            )
+            raise ValueError(f'the mean is {self.shift:.1e} times the sd: fit it along with trend="constant", or use d=1.')
         else:
             self.shift = 0.0
         self.y, self.known = x, np.isfinite(x)
@@ -197,10 +209,15 @@ class Problem:
         self.sizes = sizes
         self._long: dict[int, Array] = {}
 
-    def objective(self, p: int, q: int) -> Objective:
-        """The function to minimise at orders (p, q)."""
+    def objective(self, p: int, q: int, most: int | None = None) -> Objective:
+        """The function to minimise at orders (p, q), of the first samples only when there are twice `most`."""
+        n = self.y.size
+        # A start that barely moves (a sensor switched on later) says nothing about the rest.
+        if most is not None and not self.gaps and n >= 2 * most and np.std(self.y[:most]) > 0.1:
+            n = most
         kind = WithGaps if self.gaps else GapFree
-        return kind(self.y, self.regressors, p, q, self.method == "prediction-error")
+        inputs = np.ascontiguousarray(self.regressors[:, :n])
+        return kind(self.y[:n], inputs, p, q, self.method == "prediction-error")
 
     def _filled(self) -> Array:
         x = self.y
@@ -217,8 +234,8 @@ class Problem:
 
     def starts(self, p: int, q: int) -> list[Array]:
         """Start vectors for orders (p, q), the most promising first."""
-        x = self._filled()
-        short = max(min(max(int(2.0 * math.log(x.size) ** 1.3), 2 * (p + q)), x.size // 4), 1)
+        x = self._filled()[:_PART]
+        short = default_long_order(x.size, p, q)
         if short not in self._long:
             self._long[short] = long_residuals(x, short)
         first = hannan_rissanen_start(x, p, q, self._long[short])
@@ -246,6 +263,9 @@ class Problem:
         model = ArmaModel(point.theta[:p], point.theta[p:], 1.0)
         if p and np.any(model.poles.real > 1.0 - 3.0 / n):
             flags.add("unit root")
+            if self.method != "likelihood":
+                # The least sum of squares lies on the circle, where the search had to stop.
+                flags.discard("not converged")
         lost = max(p, q) if self.method != "likelihood" and not self.gaps else 0
         trend = point.beta / self.sizes * self.scale
         trend[:1] += self.shift * self.scale

@@ -273,7 +273,7 @@ class WithGaps:
         return J @ J.T / power, J @ r / power
 
 
-def minimise(objective: Objective, start: Array, limit: int = 60, tolerance: float = 1e-8) -> tuple[Point, bool]:
+def minimise(objective: Objective, start: Array, limit: int = 60, tolerance: float = 1e-6) -> tuple[Point, bool]:
     """Levenberg-Marquardt from `start`; returns the best point and whether the predicted gain fell below tolerance."""
     point = objective.evaluate(start)
     if not math.isfinite(point.value) or not start.size:

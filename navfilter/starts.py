@@ -112,8 +112,7 @@ def hannan_rissanen(series: ArrayLike, p: int, q: int, long_order: int | None = 
     """
     x, sd = _centred(series, p + q, "hannan_rissanen")
     if long_order is None:
-        long_order = max(int(2.0 * math.log(x.size) ** 1.3), 2 * (p + q))
-    long_order = max(min(long_order, x.size // 4), 1)
+        long_order = default_long_order(x.size, p, q)
     theta = hannan_rissanen_start(x, p, q, long_residuals(x, long_order))
     e = np.empty_like(x)
     r = max(p, q, 1)
@@ -121,6 +120,11 @@ def hannan_rissanen(series: ArrayLike, p: int, q: int, long_order: int | None = 
     a[:p], c[:q] = theta[:p], theta[p:]
     kernels.arma_filter(x, a, c, np.zeros(r), e)
     return ArmaModel(theta[:p], theta[p:], sd * math.sqrt(float(e @ e) / e.size))
+
+
+def default_long_order(n: int, p: int, q: int) -> int:
+    """Order of the first AR of Hannan and Rissanen: a little faster than ln n, and enough for p + q."""
+    return max(min(max(int(1.3 * math.log(n) ** 1.3), 2 * (p + q)), n // 4), 1)
 
 
 def long_residuals(x: Array, order: int) -> Array:
