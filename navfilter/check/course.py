@@ -23,6 +23,7 @@ MOST_DELAY_S = 3.0
 
 
 def course_findings(name: str, stream: Stream, mission: Mission, vehicle: Vehicle | None) -> Iterator[Finding]:
+    """Findings about a velocity stream whose axes, sign, scale or clock do not fit the positions."""
     mounting, lever = _mounting(name, vehicle)
     v = vector(stream, "v_x_m_s") @ mounting.T
     speed = np.hypot(v[:, 0], v[:, 1])
