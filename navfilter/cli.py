@@ -376,13 +376,14 @@ def _compile_first(quiet: bool) -> None:
 
 def _compiled() -> bool:
     """Whether numba has kept every kernel file of the navigator since it was last changed."""
-    import numba
-    from numba.core.config import CACHE_DIR
+    from numba import config
 
+    settings: Any = config
     sources = [Path(__file__).parent / "kernels" / f"{name}.py" for name in ("strapdown", "kalman", "measurement")]
-    if numba.config.DISABLE_JIT:
+    if settings.DISABLE_JIT:
         return True
-    folders = [Path(CACHE_DIR)] if CACHE_DIR else [sources[0].parent / "__pycache__", Path.home() / ".cache" / "numba"]
+    elsewhere = settings.CACHE_DIR
+    folders = [Path(elsewhere)] if elsewhere else [sources[0].parent / "__pycache__", Path.home() / ".cache" / "numba"]
     kept = [index for folder in folders if folder.is_dir() for index in folder.rglob("*.nbi")]
     tag = f".py{sys.version_info.major}{sys.version_info.minor}."
     kept = [index for index in kept if tag in index.name]

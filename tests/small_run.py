@@ -1,0 +1,16 @@
+"""A short simulated mission and its runs, made once per process, for the tests of files, report and command line."""
+
+from functools import cache
+
+from navfilter.io.write import labelled
+from navfilter.mission import Mission
+from navfilter.replay import replay
+from navfilter.scenarios import simulate_scenario
+from navfilter.track import Track
+
+
+@cache
+def small_run(scenario: str = "reckoning") -> tuple[Mission, dict[str, Track]]:
+    """The mission and its forward and smoothed tracks by label."""
+    vehicle, mission = simulate_scenario(scenario, seed=1, duration_s=150.0)
+    return mission, labelled(replay(vehicle, mission, smooth=True))

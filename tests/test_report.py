@@ -1,0 +1,218 @@
+"""The report: figures that thin without hiding, tables that say what the summary says, a page that needs nothing else."""
+
+import ast
+import base64
+import dataclasses
+import re
+import xml.etree.ElementTree as ElementTree
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from matplotlib.patches import Ellipse
+from scipy.stats import chi2
+from small_run import small_run
+
+import navfilter
+from navfilter import figures
+from navfilter.drawing import broken, envelope, extremes, style, svg
+from navfilter.io.write import summarise
+from navfilter.report import headline_table, render_report, sensor_table, write_report
+from navfilter.state_figures import shown_states, states_figure
+from navfilter.tape import OUTCOMES, Residuals
+
+
+def images(page):
+    """The SVG documents inside a page."""
+    return [base64.b64decode(data) for data in re.findall(r'src="data:image/svg\+xml;base64,([^"]+)"', page)]
+
+
+@settings(deadline=None, max_examples=60)
+@given(
+    values=st.lists(st.one_of(st.floats(-1e6, 1e6), st.just(float("nan"))), min_size=1, max_size=600),
+    stretches=st.integers(1, 40),
+)
+def test_an_envelope_hides_nothing(values, stretches):
+    value = np.array(values)
+    time, thin = envelope(np.arange(float(value.size)), value, stretches)
+    assert len(thin) <= max(4 * stretches, 1)
+    assert (np.diff(time) > 0).all()
+    np.testing.assert_array_equal(thin, value[time.astype(int)])
+    if np.isfinite(value).any():
+        assert np.nanmin(thin) == np.nanmin(value) and np.nanmax(thin) == np.nanmax(value)
+
+
+def test_an_envelope_keeps_gaps_open():
+    time = np.concatenate([np.arange(0.0, 5000.0), np.arange(9000.0, 14000.0)])
+    _, thin = envelope(*broken(time, np.sin(time)), stretches=300)
+    assert np.isnan(thin).sum() == 1
+
+
+def test_a_thinned_band_holds_the_band():
+    rng = np.random.default_rng(1)
+    high = rng.uniform(1.0, 2.0, 10_001)
+    time, low, top = extremes(np.arange(10_001.0), -high, high, 100)
+    assert len(time) <= 100 and top.max() == high.max() and low.min() == -high.max()
+    assert (top >= np.interp(time, np.arange(10_001.0), high)).all()
+
+
+def test_long_series_make_small_figures():
+    _, tracks = small_run()
+    n, rng = 200_000, np.random.default_rng(2)
+    value = rng.normal(size=(n, 1))
+    outcome = np.where(rng.random(n) < 0.2, OUTCOMES.index("rejected"), 0).astype(np.uint8)
+    many = Residuals(np.linspace(0, 150, n), value, np.ones((n, 1)), value[:, 0] ** 2, np.ones(n), outcome)
+    track = dataclasses.replace(tracks["forward"], residuals={"depth": many})
+    with style():
+        # 200 000 points would be about 4 MB; what remains is two edges per pixel and 1500 crosses.
+        assert len(svg(figures.innovation_figure(track, "depth"))) < 400_000
+
+
+def test_the_same_figure_is_the_same_file():
+    mission, tracks = small_run()
+
+    def draw():
+        with style():
+            return svg(figures.position_figure(tracks, mission.truth))
+
+    assert draw() == draw()
+
+
+def test_nis_bounds_hold_95_percent_of_honest_means():
+    _, tracks = small_run()
+    n = 40_000
+    nis = chi2.rvs(2, size=n, random_state=3)
+    honest = Residuals(np.arange(float(n)), np.zeros((n, 2)), np.ones((n, 2)), nis, np.full(n, 2.0), np.zeros(n, np.uint8))
+    track = dataclasses.replace(tracks["forward"], residuals={"gps": honest})
+    _, mean, low, high = figures.moving_nis(track, "gps")
+    # 100 independent windows: the share inside is 0.95 with a standard deviation of 0.022 at most.
+    assert 0.87 < np.mean((mean > low) & (mean < high)) <= 1.0
+    np.testing.assert_allclose(mean.mean(), 1.0, atol=0.02)
+
+
+def test_ellipses_are_those_of_the_covariance():
+    mission, tracks = small_run()
+    track = tracks["forward"]
+    P = np.array([[9.0, 0.0], [0.0, 1.0]])  # 3 m north, 1 m east
+    covariance = track.covariance.copy()
+    covariance[:, :2, :2] = P
+    with style():
+        figure = figures.track_figure({"forward": dataclasses.replace(track, covariance=covariance)}, mission, ellipses=3)
+    ax = figure.axes[0]
+    shapes = [patch for patch in ax.patches if isinstance(patch, Ellipse)]
+    assert len(shapes) == 3
+    outline = shapes[0].get_patch_transform().transform(shapes[0].get_path().vertices)
+    corners = outline - np.array(shapes[0].get_center())
+    # An ellipse drawn with Bezier curves is true to 0.03 %.
+    np.testing.assert_allclose(np.abs(corners).max(axis=0), np.sqrt(chi2.ppf(0.95, 2)) * np.array([1.0, 3.0]), rtol=1e-3)
+    assert ax.get_aspect() == 1.0
+
+
+def test_truth_lies_on_the_track_in_the_plan():
+    mission, tracks = small_run()
+    with style():
+        ax = figures.track_figure(tracks, mission).axes[0]
+    lines = {line.get_label(): line.get_xydata() for line in ax.get_lines()}
+    assert {"forward", "smoothed", "truth", "gps fixes used", "start", "end"} <= set(lines)
+    error = tracks["smoothed"].errors(mission.truth).position_n[-1]
+    np.testing.assert_allclose(lines["smoothed"][-1] - lines["truth"][-1], error[1::-1], atol=0.02)
+
+
+@pytest.mark.parametrize("scenario", ["reckoning", "lawnmower"])
+def test_shown_states_are_states_of_the_track(scenario):
+    _, tracks = small_run(scenario)
+    track = tracks["forward"]
+    shown = shown_states(track.vehicle)
+    assert {state.name for state in shown} <= set(track.state_names)
+    assert {state.owner for state in shown} == ({"drive", "gps"} if scenario == "reckoning" else {"gyro", "accel", "compass", "gps"})
+    with style():
+        axes = states_figure(tracks, shown).axes
+    assert len(axes) == len(shown) and all(ax.get_ylabel().endswith(f"[{state.unit}]") for ax, state in zip(axes, shown, strict=True))
+
+
+class Page(HTMLParser):
+    """What a browser would fetch, and whether the tags match."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.fetched, self.open, self.text = [], [], ""
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        self.fetched += [value for name, value in attrs if name in ("src", "href")]
+        if tag not in ("meta", "img"):
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.text += data
+
+
+def test_the_page_needs_nothing_else(tmp_path):
+    mission, tracks = small_run()
+    steps = []
+    page = write_report(tracks, mission, tmp_path / "report.html", lambda: steps.append(1)).read_text(encoding="utf-8")
+    parsed = Page(page)
+    assert not parsed.open and "<script" not in page and "@import" not in page
+    assert parsed.fetched and all(link.startswith("data:image/svg+xml;base64,") for link in parsed.fetched)
+    pictures = images(page)
+    assert len(pictures) == len(steps) == page.count("<figcaption>") >= 8
+    for picture in pictures:
+        for element in ElementTree.fromstring(picture).iter():
+            for name, value in element.attrib.items():
+                assert not name.endswith("href") or value.startswith("#")
+    for heading in (
+        "Result",
+        "Position error",
+        "Heading error",
+        "NIS per sensor",
+        "Innovations",
+        "Sensor errors and parameters",
+        "Readings",
+    ):
+        assert heading in parsed.text
+    assert [path.name for path in tmp_path.iterdir()] == ["report.html"]
+
+
+def test_a_page_without_truth_says_so():
+    mission, tracks = small_run()
+    page = render_report(tracks, dataclasses.replace(mission, truth=None))
+    assert "no truth" in page and "Honesty of the covariance" not in page and "nan" not in Page(page).text.lower()
+
+
+def test_names_are_escaped():
+    mission, tracks = small_run()
+    page = render_report(tracks, dataclasses.replace(mission, name="<b>dive & co</b>", notes=("gps: <none>",)))
+    assert "<b>dive" not in page and "&lt;b&gt;dive &amp; co" in page and "gps: &lt;none&gt;" in page
+
+
+def test_several_models_stand_side_by_side():
+    mission, tracks = small_run()
+    other = dataclasses.replace(tracks["forward"], residuals={"gps": tracks["forward"].residuals["gps"]}, state_names=())
+    page = render_report({"GM1": tracks["forward"], "white": other}, mission)
+    text = Page(page).text
+    assert "Innovations (GM1)" in text and "Innovations (white)" in text
+    assert headline_table({"GM1": tracks["forward"], "white": other}, mission).count("\n") == 2
+
+
+def test_tables_say_what_the_summary_says():
+    mission, tracks = small_run()
+    run = summarise(tracks, mission)["runs"]["smoothed"]
+    row = headline_table(tracks, mission).splitlines()[-1].split()
+    assert row[0] == "smoothed" and row[1] == f"{run['position_rms_m']:.2f}" and row[8] == f"{run['nees_heading']:.2f}"
+    gps = next(line.split() for line in sensor_table(tracks["smoothed"]).splitlines() if line.startswith("gps"))
+    assert gps[1:4] == [str(run[key]["gps"]) for key in ("used", "rejected", "invalid")]
+
+
+def test_no_module_draws_through_pyplot():
+    folder = Path(navfilter.__file__).parent
+    for path in folder.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            names = [alias.name for alias in node.names] if isinstance(node, ast.Import | ast.ImportFrom) else []
+            module = getattr(node, "module", None) or ""
+            assert not any("pyplot" in name for name in (*names, module)), path.name
