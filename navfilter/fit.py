@@ -32,7 +32,8 @@ class ArmaFit:
     covariance : ndarray, shape (p+q, p+q)
         Asymptotic covariance of ``[ar, ma]``.
     loglik : float
-        Exact Gaussian log-likelihood of the differenced series (at the estimate, whatever the method).
+        Exact Gaussian log-likelihood of the differenced series at the estimate, whatever the method; that of the
+        residuals alone when poles on the circle leave no exact one.
     aic, aicc, bic, hq : float
         ``-2 loglik`` plus the penalty of Akaike, its small-sample form, Schwarz, and Hannan and Quinn, for
         p + q + 1 parameters and the trend coefficients.
@@ -241,9 +242,13 @@ class Problem:
         first = hannan_rissanen_start(x, p, q, self._long[short])
         if not (p and q):
             return [first]
-        second = np.r_[first[:p] * 0.0, np.zeros(q)]
-        second[:p] = pull_inside(hannan_rissanen_start(x, p, 0, self._long[short]))
-        return [first, second]
+        second = np.r_[pull_inside(hannan_rissanen_start(x, p, 0, self._long[short])), np.zeros(q)]
+        if -first[:p].sum() < 0.97:
+            return [first, second]
+        # Near a unit root the regression on levels is blind to everything else: try its difference too.
+        change = np.diff(x)
+        rest = hannan_rissanen_start(change, p - 1, q, long_residuals(change, short))
+        return [first, second, np.r_[np.convolve(np.r_[1.0, rest[: p - 1]], [1.0, -0.999])[1:], rest[p - 1 :]]]
 
     def result(self, point: Point, objective: Objective, converged: bool) -> ArmaFit:
         """The fit at the minimum `point`, in the unit of the series."""
@@ -253,6 +258,7 @@ class Problem:
         if self.method != "likelihood":
             kind = WithGaps if self.gaps else GapFree
             exact = kind(self.y, self.regressors, p, q, False).evaluate(point.theta)
+            exact = exact if math.isfinite(exact.value) else point
         loglik = -exact.value - 0.5 * n * (1.0 + math.log(2.0 * math.pi)) - n * math.log(self.scale)
         k = p + q + 1 + len(self.regressors)
         flags = {"gaps"} if self.gaps else set()

@@ -124,7 +124,7 @@ def hannan_rissanen(series: ArrayLike, p: int, q: int, long_order: int | None = 
 
 def default_long_order(n: int, p: int, q: int) -> int:
     """Order of the first AR of Hannan and Rissanen: a little faster than ln n, and enough for p + q."""
-    return max(min(max(int(1.3 * math.log(n) ** 1.3), 2 * (p + q)), n // 4), 1)
+    return max(min(max(int(1.3 * math.log(n) ** 1.3), 6 * (p + q)), n // 4), 1)
 
 
 def long_residuals(x: Array, order: int) -> Array:
