@@ -41,5 +41,7 @@ from navfilter.order import OrderTable, select_order
 from navfilter.starts import burg, hannan_rissanen, yule_walker
 
 from navfilter.bank import ArmaBank
+from navfilter.front_end import FrontEnd
 from navfilter.online import RecursiveArma
+from navfilter.periodic_motion import find_motion_band, subtract_motion
 from navfilter.unit_root import split_bias
