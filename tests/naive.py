@@ -377,11 +377,9 @@ def _dead_reckoning_step(nav, xd, drv, sample, Phid, Qd, Cr, acc):
     roll, pitch, yaw = sample[1:4] - err[:3]
     C = euler(roll, pitch, yaw)
     axes = np.column_stack([C[:, 0], rotation(yaw * DOWN) @ EAST, DOWN])  # each angle turns about one of these
-    turn = sample[1:4] - drv[59:62] if started and span > 0 else np.zeros(3)
-    turn[[0, 2]] = (turn[[0, 2]] + np.pi) % (2 * np.pi) - np.pi
-    rates = axes * (turn / (span or 1.0))
-    w = np.cross(rates.sum(axis=1), C @ arm)
     l0, l1 = (C0 @ arm, C @ arm) if started else (np.zeros(3), np.zeros(3))
+    per = 1.0 / span if started and span > 0 else 0.0
+    w = per * (l1 - l0)
     F, J, E_par = np.zeros((m, m)), np.zeros((9, 6)), np.zeros((3, k))
     if missing:
         B = C @ C0.T
@@ -397,13 +395,13 @@ def _dead_reckoning_step(nav, xd, drv, sample, Phid, Qd, Cr, acc):
             E_par[:, par], E_par[:, par + 1 : par + 4] = y + np.cross(mis, y), -scale * skew(y)
     for j in range(3):
         a = axes[:, j]
-        turned = rates[:, :j].sum(axis=1)  # this angle turns the axes of the angles before it
-        spun = np.cross(np.cross(a, turned), C @ arm) + np.cross(rates.sum(axis=1), np.cross(a, C @ arm))
-        J[:3, j], J[3:6, j], J[6:9, j] = half * np.cross(a, u) - np.cross(a, l1), np.cross(a, u) - spun, a
+        moved, du = np.cross(a, l1), np.cross(a, u)
+        J[:3, j], J[3:6, j], J[6:9, j] = half * du - moved, du - per * moved, a
     J[:3, 3:] = half * J[3:6, 3:]
     F[:3] = half * F[3:6] + np.eye(3, m)
     F[:3, 3:6] += (half - held) * np.eye(3)
     F[:3, 6:9] -= skew(half * w0 + l0)
+    F[3:6, 6:9] -= per * skew(l0)
     F[:9, 9:] -= J @ E + J[:, 3:] @ E_par
     F[:3, :3] += (span - held) * _curvature(v0, nav[0], *nav[15:17])
     _move(nav, (half - held) * v0 + half * (w0 + u) - l1 + l0)
@@ -621,26 +619,45 @@ def smooth_row(P, L, lam, mean, cov, T):
     mean[:], cov[:] = -P @ lam, P - P @ L @ P
 
 
-def rts(records, rows, P0):
-    """Sample-by-sample Rauch-Tung-Striebel over (Phi, Q, H, R, residual, reset) steps; means are corrections to the forward state.
+def cholesky_solve(S, Y):
+    """S^-1 Y in whatever precision the arrays have."""
+    L = np.zeros_like(S)
+    for j in range(len(S)):
+        L[j, j] = np.sqrt(S[j, j] - L[j, :j] @ L[j, :j])
+        L[j + 1 :, j] = (S[j + 1 :, j] - L[j + 1 :, :j] @ L[j, :j]) / L[j, j]
+    Y = np.array(Y, S.dtype)
+    for j in range(len(S)):
+        Y[j] = (Y[j] - L[j, :j] @ Y[:j]) / L[j, j]
+    for j in range(len(S) - 1, -1, -1):
+        Y[j] = (Y[j] - L[j + 1 :, j] @ Y[j + 1 :]) / L[j, j]
+    return Y
 
-    `records`: list of (Phi, Q, H or None, R, res, G); `rows`: forward covariance after each. Returns smoothed means and covariances after each record, and
-    at the start.
+
+def rts(records, P0):
+    """Sample-by-sample Rauch-Tung-Striebel (1965), in extended precision because it inverts predicted covariances.
+
+    `records`: one (Phi, Q, H or None, R, residual, reset) per sample. Returns smoothed corrections to the forward state and their covariances: at the start,
+    and after each sample.
     """
-    P = [P0, *rows]
-    n = len(P0)
-    means, covariances = [np.zeros(n)], [P[-1]]
-    for (Phi, Q, H, R, res, G), before in zip(records[::-1], P[-2::-1], strict=True):
-        predicted = Phi @ before @ Phi.T + Q
-        if H is None:
-            filtered, K = np.zeros(n), np.zeros((n, 0))
-        else:
-            K = predicted @ H.T @ np.linalg.inv(H @ predicted @ H.T + R)
+    wide, n = np.longdouble, len(P0)
+    P, forward = np.asarray(P0, wide), []
+    for record in records:
+        Phi, Q, H, R, res, G = (None if part is None else np.asarray(part, wide) for part in record)
+        predicted = Phi @ P @ Phi.T + Q
+        filtered, K = np.zeros(n, wide), np.zeros((n, 1), wide)
+        H = np.zeros((1, n), wide) if H is None else H
+        if R is not None:
+            K = cholesky_solve(H @ predicted @ H.T + R, H @ predicted).T
             filtered = K @ res
-        # the smoothed state after this record, seen from the prediction before it
-        after = filtered + np.linalg.solve(G, means[-1])
-        covariance = np.linalg.solve(G, np.linalg.solve(G, covariances[-1]).T).T
-        gain = before @ Phi.T @ np.linalg.pinv(predicted, hermitian=True)
+        forward.append((P, predicted, Phi, filtered, G))
+        P = G @ (predicted - K @ H @ predicted) @ G.T
+        P = (P + P.T) / 2
+    means, covariances = [np.zeros(n, wide)], [P]
+    for before, predicted, Phi, filtered, G in forward[::-1]:
+        back = np.asarray(np.linalg.inv(G.astype(float)), wide)
+        # the smoothed state after this sample, seen from its prediction, before feedback and reset
+        after, covariance = filtered + back @ means[-1], back @ covariances[-1] @ back.T
+        gain = cholesky_solve(predicted, Phi @ before).T
         means.append(gain @ after)
         covariances.append(before + gain @ (covariance - predicted) @ gain.T)
     return means[::-1], covariances[::-1]

@@ -390,6 +390,17 @@ def _position_rows(nav, F, dt, m):
 
 
 @njit(cache=True)
+def _turn_arm(F, l0, per):
+    """What an attitude error before the step does to the velocity of the lever arm."""
+    F[3, 7] += per * l0[2]
+    F[3, 8] -= per * l0[1]
+    F[4, 8] += per * l0[0]
+    F[4, 6] -= per * l0[2]
+    F[5, 6] += per * l0[1]
+    F[5, 7] -= per * l0[0]
+
+
+@njit(cache=True)
 def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
     """Attitude and body velocity carried forward: no inertial unit (Groves, 2013, sec. 6.2; the classical AUV filter).
 
@@ -422,22 +433,15 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
         C[0, 0], C[0, 1], C[0, 2] = cp * cy, sr * sp * cy - cr * sy, cr * sp * cy + sr * sy
         C[1, 0], C[1, 1], C[1, 2] = cp * sy, sr * sp * sy + cr * cy, cr * sp * sy - sr * cy
         C[2, 0], C[2, 1], C[2, 2] = -sp, sr * cp, cr * cp
-        # -- angular rate from the readings (only for the velocity at the reference point)
-        q0, q1, q2, dp, dy = 0.0, 0.0, 0.0, 0.0, 0.0
-        if drv[STARTED] != 0.0 and span > 0.0:
-            dr, dp = samples[n, 1] - drv[PREVIOUS_RPY], samples[n, 2] - drv[PREVIOUS_RPY + 1]
-            dy = samples[n, 3] - drv[PREVIOUS_RPY + 2]
-            dr -= 2.0 * math.pi * math.floor(dr / (2.0 * math.pi) + 0.5)
-            dy -= 2.0 * math.pi * math.floor(dy / (2.0 * math.pi) + 0.5)
-            q0, q1, q2 = (dr - sp * dy) / span, (cr * dp + sr * cp * dy) / span, (cr * cp * dy - sr * dp) / span
         for i in range(3):
             drv[PREVIOUS_RPY + i] = samples[n, 1 + i]
+        # -- lever arm before and after, and its velocity: what the turn of the attitude moved it by
         e0, e1, e2 = drv[LEVER], drv[LEVER + 1], drv[LEVER + 2]
-        x0, x1, x2 = q1 * e2 - q2 * e1, q2 * e0 - q0 * e2, q0 * e1 - q1 * e0
+        per = 1.0 / span if drv[STARTED] != 0.0 and span > 0.0 else 0.0
         for i in range(3):
-            w[i] = C[i, 0] * x0 + C[i, 1] * x1 + C[i, 2] * x2
             l1[i] = C[i, 0] * e0 + C[i, 1] * e1 + C[i, 2] * e2
             l0[i] = nav[6 + 3 * i] * e0 + nav[7 + 3 * i] * e1 + nav[8 + 3 * i] * e2
+            w[i] = per * (l1[i] - l0[i])
             if drv[STARTED] == 0.0:
                 l0[i] = l1[i] = 0.0  # the start's velocity is that of the reference point
         missing, moving = False, drv[ZERO_IS_VALID] != 0.0
@@ -485,28 +489,14 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
                 u[i] = J[3 + i, 3] * z0 + J[3 + i, 4] * z1 + J[3 + i, 5] * z2
         for i in range(3):
             v[i] = u[i] - w[i]
-        for j in range(3):
-            a, b, c = J[6, j], J[7, j], J[8, j]
-            J[3, j] = b * v[2] - c * v[1]
-            J[4, j] = c * v[0] - a * v[2]
-            J[5, j] = a * v[1] - b * v[0]
         half = 0.5 * span
         for j in range(6):
+            # an angle turns the velocity u and, later in time than l0, the arm; the velocity of the arm follows from its move
             a, b, c = J[6, j], J[7, j], J[8, j]
-            y0, y1, y2 = half * w[0] - l1[0], half * w[1] - l1[1], half * w[2] - l1[2]
-            J[0, j] = half * J[3, j] + b * y2 - c * y1
-            J[1, j] = half * J[4, j] + c * y0 - a * y2
-            J[2, j] = half * J[5, j] + a * y1 - b * y0
-        if drv[STARTED] != 0.0 and span > 0.0:
-            # the axes of pitch and yaw do not turn with a roll error, nor that of yaw with a pitch error
-            for j in range(2):
-                a = dp / span if j == 0 else 0.0
-                x0, x1, x2 = a * J[6, 1], a * J[7, 1], dy / span
-                a, b, c = J[6, j], J[7, j], J[8, j]
-                y0, y1, y2 = b * x2 - c * x1, c * x0 - a * x2, a * x1 - b * x0
-                J[3, j] += y1 * l1[2] - y2 * l1[1]
-                J[4, j] += y2 * l1[0] - y0 * l1[2]
-                J[5, j] += y0 * l1[1] - y1 * l1[0]
+            y0, y1, y2 = b * l1[2] - c * l1[1], c * l1[0] - a * l1[2], a * l1[1] - b * l1[0]
+            u0, u1, u2 = J[3, j] + b * u[2] - c * u[1], J[4, j] + c * u[0] - a * u[2], J[5, j] + a * u[1] - b * u[0]
+            J[0, j], J[1, j], J[2, j] = half * u0 - y0, half * u1 - y1, half * u2 - y2
+            J[3, j], J[4, j], J[5, j] = u0 - per * y0, u1 - per * y1, u2 - per * y2
         # -- transition
         lead = half - held
         for i in range(3):
@@ -524,6 +514,7 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
         F[1, 6] -= y2
         F[2, 6] += y1
         F[2, 7] -= y0
+        _turn_arm(F, l0, per)
         for s in range(k):
             for i in range(9):
                 for a in range(6):

@@ -1,0 +1,341 @@
+"""Exactness: filter and smoother are the Gaussian posterior of their own linearised model.
+
+Every run is captured as its chain ``e- = Phi e + w, res = H e- + v, e+ = G (e- - K res)`` of errors (true minus estimated), G the reset of the attitude.
+The whole chain is then one Gaussian vector, conditioned in one piece on all its residuals, or walked sample by sample.
+"""
+
+import types
+from dataclasses import dataclass
+
+import naive
+import numpy as np
+import pytest
+from filterpy.kalman import KalmanFilter
+from scipy.linalg import block_diag
+
+import navfilter as nf
+from navfilter import navigator
+from navfilter.kernels import kalman
+from navfilter.smoother import smooth_rows
+
+DEG = np.pi / 180.0
+ARMA = {"ar": (-1.6, 0.7), "ma": (0.4, 0.1)}
+
+
+@dataclass
+class Step:
+    """One link of the chain over all n states; H is None where nothing was corrected."""
+
+    Phi: np.ndarray
+    Q: np.ndarray
+    H: np.ndarray | None = None
+    R: np.ndarray | None = None
+    res: np.ndarray | None = None
+    K: np.ndarray | None = None
+    G: np.ndarray | None = None
+
+
+class Capture:
+    """Stands in for the kernels in the navigator, and notes the chain: folds, corrections, and single samples of the drive."""
+
+    def __init__(self, monkeypatch, vehicle, start):
+        self.steps, self.samples, self.frozen = [], [], False
+        self.places = kalman.places
+        monkeypatch.setattr(navigator, "kalman", self)
+        self.tape = nf.Tape()
+        self.nav = nf.Navigator(vehicle, start, self.tape)
+        self.P0, self.n = self.nav._P.copy(), len(self.nav._P)
+        self.nav._steps, self.nav._hold = self._each(self.nav._steps, True), self._each(self.nav._hold, False)
+        self._single = []
+
+    def _each(self, kernel, block):
+        """Run the drive's kernel sample by sample on a fresh compound, note each transition, and compound them here."""
+
+        def run(nav, xd, drv, samples, Phid, Qd, Cr, acc):
+            m = acc.shape[1]
+            for sample in samples[:, None] if block else [samples]:
+                one = np.vstack([np.eye(m), np.zeros((3 * m, m))])
+                kernel(nav, xd, drv, sample, Phid, Qd, Cr, one)
+                F, Q = one[:m], one[m : 2 * m]
+                if self.frozen:
+                    F[6:9], Q[6:9], Q[:, 6:9] = np.eye(3, m, 6), 0.0, 0.0
+                self._single.append((F.copy(), Q.copy()))
+                acc[:m], acc[m : 2 * m] = F @ acc[:m], F @ acc[m : 2 * m] @ F.T + Q
+
+        return run
+
+    def freeze_attitude(self):
+        """From now on no error reaches the attitude."""
+        self.frozen = True
+
+    def _full(self, Phi, Q):
+        rest = self.n - len(Phi)
+        return Step(block_diag(Phi, np.eye(rest)), block_diag(Q, np.zeros((rest, rest))))
+
+    def _flush(self):
+        self.samples += [self._full(F, Q) for F, Q in self._single]
+        self._single = []
+
+    def fold(self, P, acc, nav, work):
+        m = acc.shape[1]
+        self._flush()
+        self.steps.append(self._full(acc[:m], acc[m : 2 * m]))
+        kalman.fold(P, acc, nav, work)
+
+    def predict(self, P, nav, x, acc, model, mem, dims, count):
+        m, b, start = dims[2:5]
+        self._flush()
+        step, W = self._full(acc[:m], acc[m : 2 * m]), np.zeros((2, b, b))
+        naive.power(model[0], model[1], count, W)
+        A, B, here = np.eye(self.n), np.zeros((self.n, self.n)), slice(start, start + b)
+        A[here, here], B[here, here] = W
+        for chain, link in ((self.steps, step), (self.samples, self._full(np.eye(m), np.zeros((m, m))))):
+            chain.append(Step(A @ link.Phi, A @ link.Q @ A.T + B))
+        kalman.predict(P, nav, x, acc, model, mem, dims, count)
+
+    def update(self, P, nav, x, C, R, mem, dims, limits):
+        at, a, n = kalman.places(dims), dims[0], dims[1]
+        before = P.copy()
+        kalman.update(P, nav, x, C, R, mem, dims, limits)
+        if not mem[at[9] + 2]:
+            return
+        H = mem[at[0] : at[1]].reshape(a, n).copy()
+        white = np.maximum(R, 1e-12 * np.diag(H @ before @ H.T))
+        white[~H.any(axis=1)] = 1.0
+        for chain in (self.steps, self.samples):
+            step = chain[-1]
+            step.H, step.R, step.res, step.K = H, np.diag(white), mem[at[3] : at[4]].copy(), mem[at[1] : at[2]].reshape(n, a).copy()
+            step.G = naive.attitude_reset(mem[at[4] : at[5]], n)
+
+    def rows(self):
+        """Per track row: how many steps came before it, and the forward covariance."""
+        n = self.n
+        return [(count, self.tape.rows[i][17 + n - 9 :].reshape(n, n).copy()) for i, count in enumerate(self.tape.row_records)]
+
+    def smoothed(self):
+        result = {}
+        smooth_rows(self.tape, self.n, lambda i, row, mean, cov: result.__setitem__(self.tape.row_records[i], (mean.copy(), cov.copy())))
+        return result
+
+
+def posterior(steps, P0, wanted, upto=None):
+    """Mean and covariance of the error after the `wanted` steps, given the residuals of the first `upto` steps: one dense conditioning.
+
+    The unknowns are the error at the start and the noises of all steps, so singular P0 and Q need no inverse. Extended precision, because readings
+    without white noise make the covariance of the residuals nearly singular.
+    """
+    n, wide = len(P0), np.longdouble
+    size = n * (len(steps) + 1)
+    A, c = np.eye(n, size, dtype=wide), np.zeros(n, wide)  # the present error is A unknowns + c
+    prior = [np.asarray(M, wide) for M in (P0, *[step.Q for step in steps])]
+
+    def weigh(B):
+        """B times the covariance of the unknowns, block by block."""
+        return np.hstack([B[:, n * k : n * (k + 1)] @ M for k, M in enumerate(prior)])
+
+    kept, seen, gap, noise = {0: (A, c)}, [], [], []
+    for k, step in enumerate(steps, 1):
+        used = n * (k + 1)
+        A = np.hstack([step.Phi @ A[:, : n * k], np.eye(n, dtype=wide), np.zeros((n, size - used), wide)])
+        c = step.Phi @ c
+        if step.H is not None:
+            if upto is None or k <= upto:
+                seen.append(step.H @ A)
+                gap.append(step.res - step.H @ c)
+                noise.append(np.diag(step.R))
+            A, c = np.hstack([step.G @ A[:, :used], A[:, used:]]), step.G @ (c - step.K @ step.res)
+        if k in wanted:
+            kept[k] = A, c
+    B, y = np.vstack(seen), np.concatenate(gap)
+    S = weigh(B) @ B.T + np.diag(np.concatenate(noise))
+    result = {}
+    for k, (A, c) in kept.items():
+        weighted = weigh(A)
+        cross = weighted @ B.T
+        solved = naive.cholesky_solve(S, np.column_stack([y, cross.T]))
+        result[k] = (c + cross @ solved[:, 0]).astype(float), (weighted @ A.T - cross @ solved[:, 1:]).astype(float)
+    return result
+
+
+def assert_same(actual, expected, scale, tolerance):
+    """Means in units of the sd, covariances of both sds."""
+    (mean, cov), (mean_expected, cov_expected) = actual, expected
+    unit = np.where(scale > 0, scale, 1.0)
+    np.testing.assert_allclose(mean / unit, mean_expected / unit, rtol=0, atol=tolerance)
+    np.testing.assert_allclose(cov / np.outer(unit, unit), cov_expected / np.outer(unit, unit), rtol=0, atol=tolerance)
+
+
+def start(**changes):
+    given = {"latitude_deg": 35.0, "longitude_deg": 20.0, "heading_deg": 60.0, "velocity_n": (1.0, 1.0, 0.0)}
+    return nf.Start(**(given | {"position_sd_m": 5.0, "velocity_sd_m_s": 0.3, "tilt_sd_deg": 2.0, "heading_sd_deg": 10.0} | changes))
+
+
+def inertial_vehicle(arma=True):
+    """Several rates, every kind of block, scale and offset states; with ``arma=False`` each reading has white noise of its own."""
+    shaped = nf.Arma(**ARMA, sd=0.4 * DEG) if arma else nf.Arma(**ARMA, sd=0.4 * DEG) + nf.White(sd=0.2 * DEG)
+    return nf.Vehicle(
+        imu=nf.Imu(
+            rate_hz=20.0,
+            gyro=nf.White(density=1e-3) + nf.RandomWalk(density=1e-4, start_sd=1e-3),
+            accel=(nf.White(density=1e-2), nf.GaussMarkov(sd=0.05, tau_s=3.0, order=2) + nf.White(density=1e-2), nf.RandomWalk(density=1e-3, start_sd=0.02)),
+        ),
+        sensors={
+            "compass": nf.Heading(rate_hz=5.0, error=shaped, bias_sd_rad=0.02, deviation_sd_rad=(0.03, 0.01)),
+            "dvl": nf.BodyVelocity(
+                rate_hz=4.0, error=nf.GaussMarkov(sd=0.1, tau_s=2.0, order=2) + nf.White(sd=0.05), lever_arm_b_m=(0.5, 0.1, 0.2), scale_sd=0.01,
+                misalignment_sd_rad=0.02,
+            ),
+            "depth": nf.Depth(rate_hz=1.0, error=nf.RandomWalk(density=0.1, start_sd=0.5) + nf.White(sd=0.1), offset_sd_m=0.5, lever_arm_b_m=(0.5, 0, 0)),
+            "gps": nf.Position(rate_hz=1.0, error=nf.GaussMarkov(sd=2.0, tau_s=20.0) + nf.White(sd=0.3), lever_arm_b_m=(-1.0, 0.2, -0.5)),
+        },
+    )  # fmt: skip
+
+
+def reckoning_vehicle(arma=True):
+    shaped = nf.Arma(**ARMA, sd=0.8 * DEG) if arma else nf.GaussMarkov(sd=2.0 * DEG, tau_s=5.0) + nf.White(sd=1.0 * DEG)
+    return nf.Vehicle(
+        nf.DeadReckoning(
+            rate_hz=4.0,
+            attitude=nf.Heading(rate_hz=4.0, error=shaped, bias_sd_rad=0.05, deviation_sd_rad=(0.03, 0.01)),
+            velocity=nf.BodyVelocity(rate_hz=4.0, error=nf.White(sd=0.05), lever_arm_b_m=(0.5, 0.1, 0.2), scale_sd=0.02, misalignment_sd_rad=0.01),
+            tilt=nf.GaussMarkov(sd=0.5 * DEG, tau_s=5.0) + nf.White(sd=0.0 if arma else 0.2 * DEG),
+        ),
+        sensors={"depth": nf.Depth(rate_hz=1.0, error=nf.White(sd=0.1)), "gps": nf.Position(rate_hz=1.0, error=nf.Arma(**ARMA, sd=0.2))},
+    )
+
+
+def drive_through(nav, seconds, seed, readings=("compass", "dvl", "depth", "gps")):
+    """Feed plausible readings at several rates, off the drive's clock, with missing ones, missing components and an outlier.
+
+    Gates are wide open but for the outlier: exactness does not need plausible readings.
+    """
+    rng, vehicle, begin = np.random.default_rng(seed), nav.vehicle, nav.start.state
+    for channel in nav._channels.values():
+        channel.limits[1:] = 1e4
+    rate = vehicle.drive.rate_hz
+    events = [(k / rate, "drive") for k in range(1, int(seconds * rate) + 1)]
+    for name, offset in zip(readings, (0.013, 0.03, 0.0, 0.021), strict=False):
+        if name in vehicle.sensors:
+            sensor = vehicle.sensors[name]
+            events += [(k / sensor.rate_hz + offset, name) for k in range(int(seconds * sensor.rate_hz)) if rng.random() > 0.2]
+    for time_s, name in sorted(events):
+        turn = 0.2 * time_s
+        if name == "drive":
+            if nav._inertial:
+                nav.step(time_s, [0.01, 0.0, 0.2], [0.1, 0.3, -9.8])
+            else:
+                lost = rng.random() < 0.15
+                nav.step(time_s, [0.02, 0.1, 1.0 + turn + 0.02 * rng.normal()], [np.nan] * 3 if lost else 1.4 + 0.05 * rng.normal(size=3))
+            continue
+        heading = 1.0 + turn
+        outlier = name == "gps" and 2.0 < time_s < 3.0
+        value = {
+            "compass": lambda heading=heading: [heading + 0.1 * rng.normal()],
+            "dvl": lambda: [1.4, 0.1 * rng.normal(), np.nan if rng.random() < 0.3 else 0.1 * rng.normal()],
+            "depth": lambda: [1.0 + 0.3 * rng.normal()],
+            "gps": lambda time_s=time_s, outlier=outlier: [
+                begin.latitude + (time_s + 2.0 * rng.normal() + 1000.0 * outlier) / 6.4e6,
+                begin.longitude + (time_s + 2.0 * rng.normal()) / 5.2e6,
+                np.nan if rng.random() < 0.3 else 3.0 * rng.normal(),
+            ],
+        }[name]()
+        outcome = nav.correct(name, time_s, value)
+        assert outcome.status == ("rejected" if outlier else "used"), (name, time_s, outcome)
+
+
+CASES = {
+    "inertial": (inertial_vehicle, 6.0),
+    "reckoning": (reckoning_vehicle, 9.0),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_filter_and_smoother_equal_the_dense_posterior(case, monkeypatch):
+    build, seconds = CASES[case]
+    capture = Capture(monkeypatch, build(), start())
+    drive_through(capture.nav, seconds, seed=1)
+    rows, smoothed = capture.rows(), capture.smoothed()
+    corrected = [k for k, step in enumerate(capture.steps, 1) if step.H is not None]
+    assert len(corrected) > 12
+    assert max(np.abs(capture.steps[k - 1].G - np.eye(capture.n)).max() for k in corrected) > 0.01  # resets worth the name
+    dense = posterior(capture.steps, capture.P0, dict(rows))
+    for count, P in rows:
+        assert_same(smoothed[count], dense[count], np.sqrt(np.diag(P)), 1e-9)
+    for count, P in rows[:: max(1, len(rows) // 6)]:
+        past = posterior(capture.steps[:count], capture.P0, {count})[count]
+        assert_same((np.zeros(capture.n), P), past, np.sqrt(np.diag(P)), 1e-9)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_smoother_equals_rauch_tung_striebel_at_every_sample(case, monkeypatch):
+    build, seconds = CASES[case]
+    capture = Capture(monkeypatch, build(arma=False), start())
+    drive_through(capture.nav, 2.0 if case == "inertial" else seconds, seed=2)
+    chain = capture.samples
+    ends, at = {0: 0}, 0
+    means, covariances = naive.rts([(s.Phi, s.Q, s.H, s.R, s.res, s.G if s.G is not None else np.eye(capture.n)) for s in chain], capture.P0)
+    # where in the chain of samples each record of the tape ends: compound transitions agree there
+    compound = np.eye(capture.n)
+    records = iter(capture.steps)
+    record = next(records)
+    for k, step in enumerate(chain, 1):
+        compound = step.Phi @ compound
+        if record is not None and np.allclose(compound, record.Phi, rtol=0, atol=1e-12) and (step.H is None) == (record.H is None):
+            at += 1
+            ends[at], compound, record = k, np.eye(capture.n), next(records, None)
+    assert record is None
+    smoothed = capture.smoothed()
+    for count, P in capture.rows():
+        k = ends[count]
+        assert_same(smoothed[count], (means[k], covariances[k]), np.sqrt(np.diag(P)), 1e-9)
+
+
+def test_filterpy_agrees_in_a_linear_case(monkeypatch):
+    """No attitude error, so nothing is reset and the chain is plainly linear; filterpy runs it open loop."""
+    still = nf.White(sd=0.0)
+    vehicle = nf.Vehicle(
+        imu=nf.Imu(rate_hz=10.0, gyro=still, accel=nf.White(density=0.05) + nf.RandomWalk(density=0.01, start_sd=0.05)),
+        sensors={
+            "depth": nf.Depth(rate_hz=2.0, error=nf.GaussMarkov(sd=0.3, tau_s=4.0) + nf.White(sd=0.1)),
+            "gps": nf.Position(rate_hz=1.0, error=nf.Arma(**ARMA, sd=0.3) + nf.White(sd=0.5)),
+        },
+    )
+    # A frozen attitude: the Earth's rate and the curvature of its surface would tilt n under a moving vehicle by 1e-7 rad.
+    capture = Capture(monkeypatch, vehicle, start(tilt_sd_deg=0.0, heading_sd_deg=0.0))
+    capture.freeze_attitude()
+    drive_through(capture.nav, 8.0, seed=3)
+    n = capture.n
+    kf = KalmanFilter(dim_x=n, dim_z=3)
+    kf.x, kf.P = np.zeros(n), capture.P0.copy()
+    xs, Ps, Fs, Qs = [kf.x.copy()], [kf.P.copy()], [np.eye(n)], [np.zeros((n, n))]
+    for step in capture.steps:
+        kf.predict(F=step.Phi, Q=step.Q)
+        if step.H is not None:
+            assert np.array_equal(step.G, np.eye(n))
+            kf.dim_z = len(step.res)
+            kf.update(step.res + step.H @ kf.x, R=step.R, H=step.H)
+        xs.append(kf.x.copy())
+        Ps.append(kf.P.copy())
+        Fs.append(step.Phi)
+        Qs.append(step.Q)
+    # the method uses Fs[k + 1] and Qs[k + 1] for the step from k to k + 1
+    sxs, sPs, _, _ = kf.rts_smoother(np.array(xs), np.array(Ps), Fs=Fs, Qs=Qs, inv=lambda P: np.linalg.pinv(P, hermitian=True))
+    smoothed = capture.smoothed()
+    for count, P in capture.rows():
+        sd = np.sqrt(np.diag(P))
+        assert_same((np.zeros(n), P), (np.zeros(n), Ps[count]), sd, 1e-9)
+        assert_same(smoothed[count], (sxs[count] - xs[count], sPs[count]), sd, 1e-9)
+
+
+def test_the_capture_is_the_run_itself(monkeypatch):
+    """What the other tests capture is what an untouched navigator does, up to rounding of the compound."""
+    tape = nf.Tape()
+    nav = nf.Navigator(inertial_vehicle(), start(), tape)
+    drive_through(nav, 3.0, seed=4)
+    capture = Capture(monkeypatch, inertial_vehicle(), start())
+    drive_through(capture.nav, 3.0, seed=4)
+    assert len(tape.records) == len(capture.steps)
+    assert isinstance(capture.nav.state, nf.NavState) and not isinstance(navigator.kalman, types.ModuleType)
+    sd = nav.state.sd
+    np.testing.assert_allclose(nav.state.minus(capture.nav.state) / sd, 0.0, atol=1e-10)
+    np.testing.assert_allclose(nav.state.covariance / np.outer(sd, sd), capture.nav.state.covariance / np.outer(sd, sd), atol=1e-10)
