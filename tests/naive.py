@@ -657,7 +657,8 @@ def rts(records, P0):
         back = np.asarray(np.linalg.inv(G.astype(float)), wide)
         # the smoothed state after this sample, seen from its prediction, before feedback and reset
         after, covariance = filtered + back @ means[-1], back @ covariances[-1] @ back.T
-        gain = cholesky_solve(predicted, Phi @ before).T
+        gain, unsure = np.zeros((n, n), wide), np.diag(predicted) > 0  # states of zero variance stay as they are
+        gain[:, unsure] = cholesky_solve(predicted[np.ix_(unsure, unsure)], (Phi @ before)[unsure]).T
         means.append(gain @ after)
         covariances.append(before + gain @ (covariance - predicted) @ gain.T)
     return means[::-1], covariances[::-1]
