@@ -124,6 +124,10 @@ def add_arma(models: Iterable[ArmaModel]) -> ArmaModel:
     return ArmaModel(ar[1:], ma, sd)
 
 
+# A pole this small is gone after a sample or two: its part counts as white noise.
+_BRIEF = 0.3
+
+
 @dataclass(frozen=True)
 class Line:
     """A narrow resonance: `freq` in cycles per sample, `radius` of its poles, `sd` of its contribution."""
@@ -146,7 +150,8 @@ class BiasPlusWhite:
     pole : float
         Pole of the bias; 0 when the model has no real positive pole.
     lines : tuple of Line
-        Resonances (poles off the positive real axis), strongest first. Described, not included in `model`.
+        What other poles add, strongest first: resonances, and at frequency 0 further slow parts. Described, not
+        included in `model`.
     """
 
     white_sd: float
@@ -165,7 +170,7 @@ def bias_plus_white(model: ArmaModel) -> BiasPlusWhite:
     """Read a model as random-walk or Gauss-Markov bias + white noise + lines.
 
     Exact for orders (0,0), (1,0) and (1,1); its inverse is `BiasPlusWhite.model`. For larger models the spectrum is
-    split into partial fractions, the slowest real pole being the bias, complex and negative poles the lines.
+    split into partial fractions: the slowest real pole is the bias, the others are lines (below radius 0.3: white).
 
     Raises
     ------
@@ -189,14 +194,18 @@ def bias_plus_white(model: ArmaModel) -> BiasPlusWhite:
     bias = max(slow, key=lambda i: poles[i].real, default=None)
     pole = float(poles[bias].real) if bias is not None else 0.0
     drive = float(drives[bias].real) if bias is not None else 0.0
-    lines = []
-    for i in np.flatnonzero(~real):
+    lines, spread = [], 0.0
+    for i in range(poles.size):
         pole_i, radius = poles[i], float(abs(poles[i]))
+        if i == bias or pole_i.imag < 0.0:
+            continue
         pair = 2.0 if pole_i.imag > 0.0 else 1.0
         variance = pair * (drives[i] / (1.0 - pole_i**2)).real if radius < 1.0 else np.inf
-        if pole_i.imag >= 0.0 and variance > 0.0:
+        if radius < _BRIEF:
+            spread += variance
+        elif variance > 0.0:
             lines.append(Line(float(np.angle(pole_i) / (2.0 * np.pi)), radius, float(np.sqrt(variance))))
-    white = _white_power(model, poles, drives)
+    white = _white_power(model, poles, drives) + spread
     if white < -1e-9 * model.sd**2:
         raise ValueError(f"no split into bias + white noise: the white variance would be {white:.3g}.")
     lines.sort(key=lambda line: -line.sd)

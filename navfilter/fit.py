@@ -114,7 +114,7 @@ def fit_arma(
         Orders.
     method : {"likelihood", "prediction-error"}
         Exact Gaussian likelihood (stationary start), or the sum of squared prediction errors with the memory from
-        before the first sample left free: the choice for series whose pole is at 1.
+        before the first sample left free: the choice for series whose pole is at 1. (With gaps both start stationary.)
     d : int
         Times to difference first (ARIMA).
     trend : {"constant", "none", "linear"}

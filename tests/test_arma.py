@@ -137,7 +137,8 @@ def test_spectral_factor_recovers_an_invertible_moving_average(ma, sd):
     np.testing.assert_allclose(
         nf.ArmaModel([], found, found_sd).autocovariance(model.q), model.autocovariance(model.q), atol=1e-9 * sd**2 * 64
     )
-    assert found_sd <= sd * (1.0 + 1e-4)
+    # A double zero on the circle is a fourfold one of the spectrum: a quarter of the digits.
+    assert found_sd <= sd * (1.0 + 1e-3)
 
 
 def test_spectral_factor_refuses_what_is_no_autocovariance():
