@@ -19,7 +19,7 @@ a `Track` is what a run found out.
 
 from navfilter.alignment import align
 from navfilter.error_models import Arma, ErrorModel, GaussMarkov, RandomWalk, White
-from navfilter.io import read_mission
+from navfilter.io import read_mission, read_vehicle
 from navfilter.magnetic import calibrate_magnetometer, declination
 from navfilter.mechanisation import DeadReckoning, Imu
 from navfilter.mission import Mission, Stream
