@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import base64
-import html
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -17,6 +15,7 @@ from navfilter import figures, state_figures
 from navfilter.drawing import style, svg
 from navfilter.io.write import summarise
 from navfilter.mission import Mission, Stream
+from navfilter.page import escape, figure_html, heading_html, page, table_html, table_text
 from navfilter.tape import OUTCOMES
 from navfilter.track import Track
 
@@ -39,35 +38,15 @@ HEADLINES = (
     ("NEES heading", "nees_heading", "{:.2f}"),
 )
 
-_CSS = """
-:root { color-scheme: light; }
-body { font: 16px/1.5 system-ui, -apple-system, "Segoe UI", Roboto, sans-serif; color: #1b1b1b; background: #fff;
-       max-width: 820px; margin: 0 auto; padding: 1rem; }
-h1 { font-size: 1.5rem; margin: .5rem 0 .2rem; } h2 { font-size: 1.15rem; margin: 2rem 0 .5rem; border-bottom: 1px solid #ccc; }
-p.sub { color: #555; margin: 0 0 1rem; }
-.wide { overflow-x: auto; }
-table { border-collapse: collapse; font-size: .85rem; font-variant-numeric: tabular-nums; width: 100%; }
-th, td { padding: .3rem .5rem; text-align: right; border-bottom: 1px solid #e2e2e2; }
-th { font-weight: 600; vertical-align: bottom; } th:first-child, td:first-child, td.text, th.text { text-align: left; }
-figure { margin: 1rem 0; break-inside: avoid; page-break-inside: avoid; }
-figure img { width: 100%; height: auto; display: block; }
-figcaption { font-size: .85rem; color: #444; margin-top: .3rem; }
-ul { padding-left: 1.2rem; } li, td.text { overflow-wrap: anywhere; }
-@media print { body { max-width: none; font-size: 10pt; padding: 0; } .wide { overflow: visible; }
-  h2 { break-after: avoid; page-break-after: avoid; } }
-"""
-
 
 def headline_table(tracks: Tracks, mission: Mission) -> str:
     """Errors and consistency of every run as text, one line per run; a dash where there is no truth."""
-    header, rows = _headlines(tracks, mission)
-    return _text([header, *rows])
+    return table_text(*_headlines(tracks, mission))
 
 
 def sensor_table(track: Track) -> str:
     """What became of the readings of every sensor, and its mean NIS, as text."""
-    header, rows = _sensors(track)
-    return _text([header, *rows])
+    return table_text(*_sensors(track))
 
 
 def write_report(tracks: Tracks, mission: Mission, path: str | os.PathLike[str], progress: Callable[[], Any] | None = None) -> Path:
@@ -95,25 +74,16 @@ def render_report(tracks: Tracks, mission: Mission, progress: Callable[[], Any] 
     """One HTML page with tables and figures; no scripts, no links, nothing to load."""
     result = list(tracks.values())[-1]
     summary = summarise(tracks, mission)
-    body = [
-        f"<h1>{_escape(mission.name)}</h1>",
-        f'<p class="sub">{_escape(_subtitle(result, mission, summary))}</p>',
-        "<h2>Result</h2>",
-        _html_table(*_headlines(tracks, mission)),
-        f"<p>{_reading(mission)}</p>",
-    ]
+    body = [heading_html("Result"), table_html(*_headlines(tracks, mission)), f"<p>{_reading(mission)}</p>"]
     for title, caption, figure in _drawn(tracks, mission):
         if title:
-            body.append(f"<h2>{_escape(title)}</h2>")
-        body.append(_html_figure(figure, caption))
+            body.append(heading_html(title))
+        body.append(figure_html(svg(figure), caption))
         if progress is not None:
             progress()
-    body += ["<h2>Readings</h2>", _html_table(*_sensors(result)), _notes(result, mission)]
-    body += ["<h2>Error models</h2>", _html_table(*_models(result), text_columns=(1, 2))]
-    head = (
-        f'<meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1"><title>{_escape(mission.name)}</title>'
-    )
-    return f'<!doctype html>\n<html lang="en"><head>{head}<style>{_CSS}</style></head>\n<body>\n' + "\n".join(body) + "\n</body></html>\n"
+    body += [heading_html("Readings"), table_html(*_sensors(result)), _notes(result, mission)]
+    body += [heading_html("Error models"), table_html(*_models(result), text_columns=(1, 2))]
+    return page(mission.name, mission.name, _subtitle(result, mission, summary), body)
 
 
 # --- figures with their captions --------------------------------------------------------------------------------------
@@ -223,36 +193,6 @@ def _number(value: float | None, form: str) -> str:
     return "–" if value is None else form.format(value)
 
 
-def _text(rows: Rows) -> str:
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    return "\n".join(
-        "  ".join(cell.rjust(w) if i else cell.ljust(w) for i, (cell, w) in enumerate(zip(row, widths, strict=True))) for row in rows
-    )
-
-
-# --- HTML -------------------------------------------------------------------------------------------------------------
-
-
-def _escape(text: str) -> str:
-    return html.escape(str(text), quote=True)
-
-
-def _html_table(header: Sequence[str], rows: Rows, text_columns: tuple[int, ...] = ()) -> str:
-    def line(cells: Sequence[str], tag: str) -> str:
-        marks = [' class="text"' if i in text_columns else "" for i in range(len(cells))]
-        return "<tr>" + "".join(f"<{tag}{mark}>{_escape(cell)}</{tag}>" for mark, cell in zip(marks, cells, strict=True)) + "</tr>"
-
-    body = "".join(line(row, "td") for row in rows)
-    return f'<div class="wide"><table><thead>{line(header, "th")}</thead><tbody>{body}</tbody></table></div>'
-
-
-def _html_figure(figure: Figure, caption: str) -> str:
-    data = base64.b64encode(svg(figure)).decode("ascii")
-    return (
-        f'<figure><img alt="{_escape(caption)}" src="data:image/svg+xml;base64,{data}"><figcaption>{_escape(caption)}</figcaption></figure>'
-    )
-
-
 def _subtitle(track: Track, mission: Mission, summary: Mapping[str, Any]) -> str:
     when = f", {mission.date.isoformat()}" if mission.date is not None else ""
     return (
@@ -272,4 +212,4 @@ def _reading(mission: Mission) -> str:
 
 def _notes(track: Track, mission: Mission) -> str:
     lines = [f"drive: {count} {what}" for what, count in track.counts.items() if count] + list(mission.notes)
-    return "<ul>" + "".join(f"<li>{_escape(text)}</li>" for text in lines) + "</ul>" if lines else ""
+    return "<ul>" + "".join(f"<li>{escape(text)}</li>" for text in lines) + "</ul>" if lines else ""
