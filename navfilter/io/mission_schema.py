@@ -265,6 +265,7 @@ class StreamSpec(Strict):
     sources: tuple[Source, ...] = Field(min_length=1)
     average: int = Field(default=1, ge=1)
     every: int = Field(default=1, ge=1)
+    resample_hz: float | None = Field(default=None, gt=0)
     windows: tuple[tuple[float, float], ...] = ()
     hide: tuple[tuple[float, float], ...] = ()
     lever_arm_b_m: tuple[float, float, float] | None = None

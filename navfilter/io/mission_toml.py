@@ -156,6 +156,12 @@ class _Reader:
                         own[group] = resampled(time_s, own_time, own[group], circular, source.max_gap_s)
                     given.append(own[group])
             parts[group] = given[0] if len(given) == 1 else mean(given)
+        if spec.resample_hz is not None:
+            # Between slow readings of a turning vehicle, interpolated ones are nearer the truth than held ones.
+            even = np.arange(time_s[0], time_s[-1], 1.0 / spec.resample_hz)
+            for group, part in parts.items():
+                parts[group] = resampled(even, time_s, part, np.isin(columns[group], _CIRCULAR), None)
+            time_s = even
         if spec.average > 1:
             circles = {group: np.isin(columns[group], _CIRCULAR) for group in parts}
             parts = {group: block_mean(part, spec.average, circles[group]) for group, part in parts.items()}

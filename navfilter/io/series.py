@@ -1,0 +1,176 @@
+"""One column of a recording as an evenly sampled series: from any table that `read_table` opens, or a mission's stream."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from navfilter.io import read_mission
+from navfilter.io.tables import Table, TableOptions, read_table
+from navfilter.mission import MissionError
+
+__all__ = ["Series", "on_a_grid", "read_series"]
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """Samples at a constant rate, NaN where one is missing.
+
+    Parameters
+    ----------
+    name : str
+        Column, or ``stream.column`` of a mission.
+    value : ndarray, shape (n,)
+        In the unit of the file (missions: SI and radians).
+    rate_hz : float
+        Samples per second.
+    source : str
+        File or mission.
+    begin_s : float
+        Time of the first sample on the file's clock.
+    notes : tuple of str
+        What was mended while reading.
+    """
+
+    name: str
+    value: Array
+    rate_hz: float
+    source: str = ""
+    begin_s: float = 0.0
+    notes: tuple[str, ...] = ()
+
+
+def read_series(
+    source: str | os.PathLike[str],
+    column: str | None = None,
+    *,
+    rate_hz: float | None = None,
+    time_column: str | None = None,
+    options: TableOptions | None = None,
+) -> Series:
+    """Read one series.
+
+    Parameters
+    ----------
+    source : path-like
+        A text table (.csv, .txt, .dat, also .gz, .xz, .bz2), .npz, .npy or .mat; or a mission with its stream,
+        ``"dive_042:depth"`` or ``"dive_042:imu.rate_x"`` (the beginning of a column's name is enough).
+    column : str, optional
+        Name of the column, or its position counted from 0. Not needed where there is only one.
+    rate_hz : float, optional
+        Sampling rate. Not needed with a time column or a mission.
+    time_column : str, optional
+        Column with the time in seconds: gives the rate, and tells where samples are missing.
+    options : TableOptions, optional
+        Layout of the file.
+
+    Returns
+    -------
+    Series
+
+    Raises
+    ------
+    MissionError
+        A ValueError of one line: what is wrong, and the columns there are.
+    """
+    text = os.fspath(source)
+    path, _, stream = text.rpartition(":")
+    if path and not Path(text).exists() and Path(path).exists():
+        return _from_mission(path, stream, column, rate_hz)
+    if Path(text).is_dir() or Path(text).suffix == ".toml":
+        streams = ", ".join(read_mission(text).streams)
+        raise MissionError(f"{text} is a mission: say which stream, such as {text}:STREAM.COLUMN (streams: {streams}).")
+    table = read_table(Path(text), options)
+    name = _column(table, column, time_column)
+    value, wrong = table.numbers(name)
+    notes = list(table.notes)
+    if wrong:
+        notes.append(f"{wrong} cells of {name} are not numbers and count as missing")
+    if time_column is None:
+        if rate_hz is None:
+            raise MissionError(f"{text}: give the sampling rate with --rate-hz, or the time with --time-column.")
+        return Series(name, value, float(rate_hz), text, 0.0, tuple(notes))
+    time, _ = table.numbers(_reference(table, time_column))
+    if time.shape != value.shape:
+        raise MissionError(f'{text}: "{time_column}" has {time.size} values and "{name}" has {value.size}.')
+    return on_a_grid(name, time, value, rate_hz, text, notes)
+
+
+def _reference(table: Table, column: str) -> str:
+    """Name of a column given by name or position."""
+    if column not in table.columns and column.lstrip("-").isdecimal():
+        table.raw(int(column))
+        return list(table.columns)[int(column)]
+    table.raw(column)
+    return column
+
+
+def _column(table: Table, column: str | None, time_column: str | None) -> str:
+    if column is not None:
+        return _reference(table, column)
+    others = [name for name in table.columns if time_column is None or name != _reference(table, time_column)]
+    if len(others) != 1:
+        raise MissionError(f"{table.path}: say which column with --column (columns: {', '.join(others)}).")
+    return others[0]
+
+
+def _from_mission(path: str, reference: str, column: str | None, rate_hz: float | None) -> Series:
+    mission = read_mission(path)
+    name, _, wanted = reference.partition(".")
+    stream = mission.stream(name)
+    wanted = column or wanted
+    found = [c for c in stream.columns if c == wanted] or [c for c in stream.columns if c.startswith(wanted)]
+    if len(found) != 1:
+        what = f'"{wanted}" names {len(found)} columns' if wanted else "it has several columns"
+        raise MissionError(f"{path}: stream {name}: {what}; choose one of {', '.join(stream.columns)}.")
+    return on_a_grid(f"{name}.{found[0]}", stream.time_s, stream.column(found[0]), rate_hz, path, [])
+
+
+def on_a_grid(name: str, time_s: Array, value: Array, rate_hz: float | None, source: str = "", notes: list[str] | None = None) -> Series:
+    """Lay time-stamped samples on an even grid.
+
+    Samples follow one another; only a step of more than one and a half periods is a gap, filled with as many NaN as
+    fit. So a clock that jitters, or runs at 99.3 Hz instead of 100, costs nothing.
+
+    Parameters
+    ----------
+    name : str
+    time_s, value : ndarray, shape (n,)
+        Rows without a finite time are dropped, and rows that repeat a time.
+    rate_hz : float, optional
+        Default: one over the median step.
+    source : str
+    notes : list of str, optional
+        Notes so far.
+    """
+    notes = list(notes or [])
+    known = np.isfinite(time_s)
+    time, x = np.asarray(time_s, dtype=np.float64)[known], np.asarray(value, dtype=np.float64)[known]
+    if time.size < 3:
+        raise MissionError(f"{source}: {name} has {time.size} samples with a time, too few.")
+    fresh = np.r_[True, np.diff(time) > 0.0]
+    if np.any(np.diff(time) < 0.0):
+        raise MissionError(f"{source}: the time of {name} goes back {int(np.sum(np.diff(time) < 0))} times. Sort the rows.")
+    if not fresh.all():
+        notes.append(f"{int((~fresh).sum())} rows repeat a time and were dropped")
+        time, x = time[fresh], x[fresh]
+    step = np.diff(time)
+    period = 1.0 / rate_hz if rate_hz else float(np.median(step))
+    places = np.maximum(np.round(step / period - 0.001), 1.0)
+    if places.sum() > 10 * time.size:
+        raise MissionError(
+            f"{source}: {name} would be {100 * (1 - time.size / places.sum()):.0f} % gaps at {1 / period:.6g} Hz."
+            " Check the rate and the unit of the time column, or choose a part with --from-s and --to-s."
+        )
+    index = np.r_[0, np.cumsum(places).astype(np.int64)]
+    grid = np.full(int(index[-1]) + 1, np.nan)
+    grid[index] = x
+    if grid.size > time.size:
+        notes.append(f"{grid.size - time.size} samples are missing in {int(np.sum(places > 1))} gaps")
+    return Series(name, grid, 1.0 / period, source, float(time[0]), tuple(notes))
