@@ -147,6 +147,9 @@ def fit_arma(
     objective = problem.objective(p, q)
     part = problem.objective(p, q, _PART)
     best, converged = _best_of(part, problem.starts(p, q))
+    if min(p, q) >= 2 and not problem.gaps and _holds_a_line(part.residuals(best)):
+        other = minimise(part, _line_start(problem, p, q))
+        best, converged = min((best, converged), other, key=lambda run: run[0].value)
     if part.count < objective.count:
         best, converged = minimise(objective, best.theta)
     return problem.result(best, objective, converged)
@@ -169,6 +172,32 @@ def _best_of(objective: Objective, starts: list[Array]) -> tuple[Point, bool]:
         order = f"({objective.p}, {objective.q})"
         raise ValueError(f"no ARMA{order} start has a finite likelihood: the series is predictable without error.")
     return best, converged
+
+
+def _smooth_periodogram(e: Array) -> Array:
+    """Periodogram without the mean, averaged over five ordinates."""
+    power = np.abs(np.fft.rfft(e)[1:]) ** 2
+    return np.convolve(power, np.full(5, 0.2), mode="same")
+
+
+def _holds_a_line(e: Array) -> bool:
+    """Whether some frequency stands out of white residuals by five times the mean: one in a thousand by chance."""
+    power = _smooth_periodogram(e)
+    return bool(power.max() > 5.0 * power.mean())
+
+
+def _line_start(problem: Problem, p: int, q: int) -> Array:
+    """The fit two orders lower, with a pole pair and a zero pair at the strongest frequency it leaves over.
+
+    A weak line under other noise is a narrow valley of the likelihood that regressions on lags do not lead into.
+    """
+    smaller = problem.objective(p - 2, q - 2, _PART)
+    point, _ = _best_of(smaller, problem.starts(p - 2, q - 2))
+    power = _smooth_periodogram(smaller.residuals(point))
+    w = math.pi * float(np.argmax(power) + 1) / power.size
+    pole, zero = ([-2.0 * r * math.cos(w), r * r] for r in (0.995, 0.98))
+    a, c = np.r_[1.0, point.theta[: p - 2]], np.r_[1.0, point.theta[p - 2 :]]
+    return np.r_[np.convolve(a, [1.0, *pole])[1:], np.convolve(c, [1.0, *zero])[1:]]
 
 
 class Problem:
