@@ -49,6 +49,10 @@ class Mechanisation:
         """Constant states of the drive: name and standard deviation at the start."""
         return ()
 
+    def limits(self) -> Array:
+        """Largest magnitude of the values of a sample that must be there; beyond it the sample is a defect."""
+        raise NotImplementedError
+
     def memory(self, first_parameter: int) -> Array:
         """The kernels' ``drv`` at the start; `first_parameter` counts the drive's states before its parameters."""
         drv = np.zeros(strapdown.DRIVE_SIZE)
@@ -70,6 +74,8 @@ class Imu(Mechanisation):
         Samples are angle and velocity increments [rad], [m/s] instead of rates.
     gap_rate_sd, gap_force_sd : float
         What the vehicle may do unseen while samples are missing for more than three periods: rate [rad/s] and force [m/s^2].
+    max_rate, max_force : float
+        A sample beyond them is a defect of the recording, not a motion [rad/s], [m/s^2].
 
     Notes
     -----
@@ -81,6 +87,8 @@ class Imu(Mechanisation):
     increments: bool = False
     gap_rate_sd: float = 0.05
     gap_force_sd: float = 0.3
+    max_rate: float = 50.0
+    max_force: float = 1000.0
 
     streams: ClassVar[tuple[str, ...]] = ("imu",)
     axis_names: ClassVar[tuple[str, ...]] = ("gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z")
@@ -91,6 +99,10 @@ class Imu(Mechanisation):
     def models(self) -> tuple[ErrorModel, ...]:
         """Gyro x, y, z, accelerometer x, y, z."""
         return per_axis(self.gyro, 3, "Imu.gyro") + per_axis(self.accel, 3, "Imu.accel")
+
+    def limits(self) -> Array:
+        """Rates and forces, or what they gather in one period."""
+        return np.repeat([self.max_rate, self.max_force], 3) * (self.period_s if self.increments else 1.0)
 
     def memory(self, first_parameter: int) -> Array:
         """The kernels' ``drv`` at the start."""
@@ -159,6 +171,10 @@ class DeadReckoning(Mechanisation):
         names = ("one_cycle_sin", "one_cycle_cos", "two_cycle_sin", "two_cycle_cos")
         one, two = self.attitude.deviation_sd_rad
         return tuple((f"yaw.{name}", sd) for name, sd in zip(names, (one, one, two, two), strict=True))
+
+    def limits(self) -> Array:
+        """Angles, which may have been unwrapped over many turns; a velocity may be missing."""
+        return np.full(3, 1e6)
 
     def parameters(self) -> tuple[tuple[str, float], ...]:
         """Deviation of the heading, scale and misalignment of the velocity."""

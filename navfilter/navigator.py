@@ -121,6 +121,8 @@ class Navigator:
     'used'
     """
 
+    #: A step of the drive longer than this must be confirmed by a second sample, and counts as this long [s].
+    LONGEST_S = 600.0
     #: Corrections may come so long after the last sample of the drive, at least [s].
     AHEAD_S = 1.0
 
@@ -151,7 +153,8 @@ class Navigator:
         self._dims = np.array([0, layout.size, m, 0, 0, 0, 0])
         self._unfolded = 0
         self._inertial = "imu" in vehicle.drive.streams
-        self._checked = 6 if self._inertial else 3  # values of a sample that must be finite: a lost velocity may be NaN
+        self._limits = vehicle.drive.limits()
+        self._doubtful_s = -math.inf  # a stamp far ahead, dropped until the next one confirms it
         self._before_s = math.nextafter(self._sample_s, -math.inf)  # the first sample may come at the start itself
         self._channels = {
             name: _Channel(name, s, layout.groups[name], start, layout, self._rate_variance()) for name, s in vehicle.sensors.items()
@@ -178,8 +181,9 @@ class Navigator:
 
         Notes
         -----
-        Samples that do not come after the last one are dropped; a sample with a NaN repeats the one before (an invalid DVL velocity is held, with
-        growing uncertainty). Both are counted in `counts`, like gaps of more than three periods.
+        Samples that do not come after the last one are dropped, and so is a single stamp far ahead (`LONGEST_S`); a sample with a NaN or an
+        impossible value repeats the one before (an invalid DVL velocity is held, with growing uncertainty). Both are counted in `counts`, like gaps of
+        more than three periods.
         """
         times = np.atleast_1d(np.asarray(time_s, dtype=np.float64))
         samples = np.empty((times.size, 7))
@@ -193,7 +197,7 @@ class Navigator:
         if not len(samples):
             return
         stamps = samples[:, 0].copy() if len(samples) > self._fold_every - self._unfolded or self._rest else samples[-1:, 0].copy()
-        gaps = strapdown.stamps_to_steps(samples, self._before_s, self._checked, self._gap_s)
+        gaps = strapdown.stamps_to_steps(samples, self._before_s, self._limits, self._gap_s, self.LONGEST_S)
         if gaps < 0:
             samples, stamps = self._mend(samples)
         elif gaps:
@@ -221,33 +225,42 @@ class Navigator:
         return max(1, room)
 
     def _mend(self, samples: Array) -> tuple[Array, Array]:
-        """Drop samples that do not come after the last one, repair what is not finite; returns steps and stamps."""
-        stamps = samples[:, 0]
-        latest = np.maximum.accumulate(np.where(np.isfinite(stamps), stamps, -np.inf))
-        previous = np.concatenate([[self._before_s], np.maximum(latest[:-1], self._before_s)])
-        ok = np.isfinite(stamps) & (stamps > previous)
-        self.counts["backward"] += int(np.count_nonzero(~ok))
-        samples = np.ascontiguousarray(samples[ok])
-        values = samples[:, 1 : 1 + self._checked]
-        if not np.isfinite(values).all():
-            self._repair(values)
+        """Drop samples that do not come after the last one, repair what is not possible; returns steps and stamps."""
+        keep, before = np.zeros(len(samples), bool), self._before_s
+        for i, stamp in enumerate(samples[:, 0].tolist()):
+            if not (math.isfinite(stamp) and stamp > before):
+                continue
+            if stamp - before > self.LONGEST_S and not 0.0 < stamp - self._doubtful_s <= self.LONGEST_S:
+                self._doubtful_s = stamp
+                continue
+            keep[i], before = True, stamp
+        self.counts["backward"] += int(np.count_nonzero(~keep))
+        samples = np.ascontiguousarray(samples[keep])
+        self._repair(samples[:, 1 : 1 + len(self._limits)])
         stamps = samples[:, 0].copy()
-        if len(samples):
-            self.counts["gap"] += strapdown.stamps_to_steps(samples, self._before_s, self._checked, self._gap_s)
+        steps = np.diff(stamps, prepend=self._before_s)
+        self.counts["gap"] += int(np.count_nonzero(steps > self._gap_s))
+        samples[:, 0] = np.minimum(steps, self.LONGEST_S)
         return samples, stamps
 
     def _repair(self, values: Array) -> None:
-        """Replace samples that are not finite by the last good one."""
-        bad = ~np.isfinite(values).all(axis=1)
+        """Replace samples with impossible values by the last good one."""
+        bad = ~(np.abs(values) <= self._limits).all(axis=1)
+        if not bad.any():
+            return
         self.counts["bad-sample"] += int(bad.sum())
         good = np.maximum.accumulate(np.where(bad, -1, np.arange(len(values))))
-        if self._inertial:
-            last = self._drv[strapdown.PREVIOUS : strapdown.PREVIOUS + 6]
-            if not self._drv[strapdown.STARTED]:
-                last = np.array([0.0, 0.0, 0.0, 0.0, 0.0, -9.8])
-        else:
-            last = self._drv[strapdown.PREVIOUS_RPY : strapdown.PREVIOUS_RPY + 3]
-        values[bad] = np.where(good[bad, None] >= 0, values[good[bad]], last)
+        values[bad] = np.where(good[bad, None] >= 0, values[good[bad]], self._last_good())
+
+    def _last_good(self) -> Array:
+        """The drive's last values; before the first sample those of a vehicle that keeps still as it started."""
+        if self._drv[strapdown.STARTED]:
+            first = strapdown.PREVIOUS if self._inertial else strapdown.PREVIOUS_RPY
+            return self._drv[first : first + len(self._limits)]
+        if not self._inertial:
+            return self.state.roll_pitch_heading
+        level = np.concatenate([np.zeros(3), -self.state.C_nb[2] * strapdown.gravity(self._nav[0], self._nav[2])])
+        return level * self._period_s if self._drv[strapdown.INCREMENTS] else level
 
     def _close_second(self) -> None:
         if self._tape is not None:
@@ -360,11 +373,14 @@ class Navigator:
         periods = math.floor((time_s - channel.rejected_since_s) / channel.sensor.gate_timeout_s)
         if periods < 1 or nis > limit * 2.0 ** min(periods, 500):
             return False
-        # A sensor that is rejected for so long shows that the state is less certain than thought: widen P along its reading.
-        a = channel.sensor.axes
-        seen = channel.PH @ channel.H.T
+        # A sensor that is rejected for so long shows that the state is less certain than thought: widen P where the sensor sees it. Only there:
+        # along P H' a fix that is far off would throw the velocity after the position.
+        a, H = channel.sensor.axes, channel.H
+        seen = channel.PH @ H.T
         grow = nis / limit * max(1.0, float(np.trace(channel.S[:a]) / max(np.trace(seen), 1e-300)))
-        self._P += grow * channel.PH.T @ np.linalg.pinv(seen, hermitian=True) @ channel.PH
+        spread = np.diag(self._P)[:9, None] * H[:, :9].T
+        inverse = np.linalg.pinv(H[:, :9] @ spread, hermitian=True)
+        self._P[:9, :9] += grow * spread @ inverse @ seen @ inverse @ spread.T
         self._P[:] = 0.5 * (self._P + self._P.T)
         first = channel.group.start - 9
         channel.res += channel.C @ self._x[first : first + channel.group.errors]  # `update` takes it off again

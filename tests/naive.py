@@ -204,9 +204,10 @@ def gravity(latitude, height):
     return e * (1.0 + k * s2) / np.sqrt(1.0 - E2 * s2) * (1.0 - 2.0 * height / RADIUS)
 
 
-def stamps_to_steps(samples, last_s, checked, gap_s):
+def stamps_to_steps(samples, last_s, limits, gap_s, longest_s):
     steps = np.diff(samples[:, 0], prepend=last_s)
-    if not (np.isfinite(samples[:, : 1 + checked]).all() and (steps > 0).all()):
+    possible = np.abs(samples[:, 1 : 1 + len(limits)]) <= limits
+    if not (possible.all() and (steps > 0).all() and (steps <= longest_s).all()):
         return -1
     samples[:, 0] = steps
     return int(np.sum(steps > gap_s))

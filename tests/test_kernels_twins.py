@@ -186,15 +186,17 @@ def test_radii_and_gravity():
 
 def test_stamps_to_steps():
     samples = np.column_stack([np.array([1.0, 1.01, 1.5, 1.51]), np.ones((4, 6))])
-    ours, twins = run_both(strapdown.stamps_to_steps, samples, 0.98, 6, 0.03)
+    limits = np.full(6, 2.0)
+    ours, twins = run_both(strapdown.stamps_to_steps, samples, 0.98, limits, 0.03, 5.0)
     assert_close(ours[:1], twins[:1])
     np.testing.assert_allclose(ours[0][:, 0], [0.02, 0.01, 0.49, 0.01], rtol=1e-12)
-    for row, column, value in ((2, 0, 1.01), (0, 0, 0.98), (3, 0, math.inf), (1, 0, math.nan), (2, 3, math.nan), (2, 6, -math.inf)):
-        bad = samples.copy()
-        bad[row, column] = value
-        ours, twins = run_both(strapdown.stamps_to_steps, bad, 0.98, 6, 0.03)
-        assert naive.stamps_to_steps(bad.copy(), 0.98, 6, 0.03) == -1
-        np.testing.assert_array_equal(ours[0], bad)
+    bad = [(2, 0, 1.01), (0, 0, 0.98), (3, 0, math.inf), (3, 0, 7.0), (1, 0, math.nan), (2, 3, math.nan), (2, 6, -math.inf), (2, 5, -2.1)]
+    for row, column, value in bad:
+        spoilt = samples.copy()
+        spoilt[row, column] = value
+        ours, twins = run_both(strapdown.stamps_to_steps, spoilt, 0.98, limits, 0.03, 5.0)
+        assert naive.stamps_to_steps(spoilt.copy(), 0.98, limits, 0.03, 5.0) == -1
+        np.testing.assert_array_equal(ours[0], spoilt)
 
 
 def readings(rng, nav):

@@ -82,19 +82,20 @@ def _compound(acc, m):
 
 
 @njit(cache=True)
-def stamps_to_steps(samples, last_s, checked, gap_s):
+def stamps_to_steps(samples, last_s, limits, gap_s, longest_s):
     """Replace the stamps of a block (first column) by seconds since the sample before; returns the number of gaps longer than `gap_s`.
 
-    Returns -1, and changes nothing, when a stamp does not come after the one before or one of the first `checked` values is not finite.
+    Returns -1, and changes nothing, when a stamp does not come after the one before or more than `longest_s` after it, or when one of the
+    first values is not within its limits.
     """
     previous, gaps = last_s, 0
     for n in range(samples.shape[0]):
-        if not samples[n, 0] > previous or samples[n, 0] == math.inf:
+        if not previous < samples[n, 0] <= previous + longest_s:
             return -1
         gaps += samples[n, 0] - previous > gap_s
         previous = samples[n, 0]
-        for j in range(1, 1 + checked):
-            if not abs(samples[n, j]) < math.inf:
+        for j in range(len(limits)):
+            if not abs(samples[n, 1 + j]) <= limits[j]:
                 return -1
     previous = last_s
     for n in range(samples.shape[0]):
