@@ -1,4 +1,4 @@
-"""The command line: ``navfilter demo | replay | simulate | check | warmup``.
+"""The command line: ``navfilter demo | replay | identify | simulate | check | warmup``.
 
 Each sub-command is a function that adds its arguments and one that runs. Everything heavy is imported where it is used, so that
 ``navfilter --help`` answers at once. Exit codes: 0 all is well, 1 `check` found an error in the mission, 2 wrong usage or input.
@@ -80,7 +80,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action=_Version, nargs=0, help="show the version and stop")
     parser.set_defaults(run=None)
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", parser_class=_Parser)
-    for add in (_add_demo, _add_replay, _add_simulate, _add_check, _add_warmup):
+    for add in (_add_demo, _add_replay, _add_identify, _add_simulate, _add_check, _add_warmup):
         add(commands)
     return parser
 
@@ -232,6 +232,15 @@ def _print_result(tracks: dict[str, Track], mission: Mission, folder: Path) -> N
     print()
     print(f"{result.distance_m:.0f} m travelled, {result.cpu_s:.1f} s of processor time. Written to {folder}{os.sep}:")
     print("  report.html (open this one), summary.json, track.csv, track.tum, track.geojson")
+
+
+# --- identify ---------------------------------------------------------------------------------------------------------
+
+
+def _add_identify(commands: Any) -> None:
+    from navfilter import identify_command
+
+    identify_command.add_arguments(_command(commands, "identify", identify_command.run, identify_command.ABOUT, identify_command.EPILOG))
 
 
 # --- simulate ---------------------------------------------------------------------------------------------------------
