@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navfilter.arma import ArmaModel, log_s0_sd
 from navfilter.fit_objective import GapFree, Objective, Point, WithGaps, minimise
-from navfilter.kernels import fit as kernels
-from navfilter.starts import default_long_order, hannan_rissanen_start, long_residuals, pull_inside, tidy_series
+from navfilter.fit_problem import PART, Problem
 
 __all__ = ["ArmaFit", "fit_arma"]
 
 Array = NDArray[np.float64]
-_DEGREE = {"none": -1, "constant": 0, "linear": 1}
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,18 +143,14 @@ def fit_arma(
     """
     problem = Problem(series, p, q, method, d, trend, regressors)
     objective = problem.objective(p, q)
-    part = problem.objective(p, q, _PART)
+    part = problem.objective(p, q, PART)
     best, converged = _best_of(part, problem.starts(p, q))
     if min(p, q) >= 2 and not problem.gaps and _holds_a_line(part.residuals(best)):
         other = minimise(part, _line_start(problem, p, q))
         best, converged = min((best, converged), other, key=lambda run: run[0].value)
     if part.count < objective.count:
         best, converged = minimise(objective, best.theta)
-    return problem.result(best, objective, converged)
-
-
-# A long series is first fitted on this many samples, which costs little and leaves few steps for the whole.
-_PART = 10_000
+    return fitted(problem, best, objective, converged)
 
 
 def _best_of(objective: Objective, starts: list[Array]) -> tuple[Point, bool]:
@@ -191,7 +185,7 @@ def _line_start(problem: Problem, p: int, q: int) -> Array:
 
     A weak line under other noise is a narrow valley of the likelihood that regressions on lags do not lead into.
     """
-    smaller = problem.objective(p - 2, q - 2, _PART)
+    smaller = problem.objective(p - 2, q - 2, PART)
     point, _ = _best_of(smaller, problem.starts(p - 2, q - 2))
     power = _smooth_periodogram(smaller.residuals(point))
     w = math.pi * float(np.argmax(power) + 1) / power.size
@@ -200,124 +194,45 @@ def _line_start(problem: Problem, p: int, q: int) -> Array:
     return np.r_[np.convolve(a, [1.0, *pole])[1:], np.convolve(c, [1.0, *zero])[1:]]
 
 
-class Problem:
-    """A checked and standardised series, ready to be fitted at several orders.
-
-    Parameters are those of `fit_arma`; `p` and `q` are the largest orders that will be asked for.
-    """
-
-    def __init__(self, series: ArrayLike, p: int, q: int, method: str, d: int, trend: str, regressors: ArrayLike | None) -> None:
-        for name, order in (("p", p), ("q", q), ("d", d)):
-            if order != int(order) or order < 0:
-                raise ValueError(f"{name} must be a whole number, at least 0, found {order}.")
-        if method not in ("likelihood", "prediction-error"):
-            raise ValueError(f'method must be "likelihood" or "prediction-error", found "{method}".')
-        if trend not in _DEGREE:
-            raise ValueError(f"trend must be one of {list(_DEGREE)}, found {trend!r}.")
-        least = d + 3 * (p + q) + 8
-        x = tidy_series(series, least, f"fit_arma with orders ({p}, {q})", gaps=True)
-        self.method, self.d = method, d
-        inputs = _inputs(x.size, _DEGREE[trend], d, regressors)
-        x, self.scale = _standardised(np.diff(x, d) if d else x)
-        self.shift = float(np.mean(x[np.isfinite(x)]))
-        if _DEGREE[trend] >= 0 and d == 0:
-            x -= self.shift
-        elif abs(self.shift) > 1e6:
-            raise ValueError(f'the mean is {self.shift:.1e} times the sd: fit it along with trend="constant", or use d=1.')
-        else:
-            self.shift = 0.0
-        self.y, self.known = x, np.isfinite(x)
-        self.count = int(self.known.sum())
-        self.gaps = self.count < x.size
-        if self.count < least - d:
-            raise ValueError(f"only {self.count} samples are left after {d} differences across the gaps. Lower d.")
-        self.inputs = inputs
-        sizes = np.sqrt(np.mean(inputs**2, axis=1)) if inputs.size else np.ones(len(inputs))
-        if np.any(sizes == 0.0):
-            raise ValueError("a regressor is zero, or vanishes when differenced. Leave it out.")
-        self.regressors = np.ascontiguousarray(inputs / sizes[:, None])
-        self.sizes = sizes
-        self._long: dict[int, Array] = {}
-
-    def objective(self, p: int, q: int, most: int | None = None) -> Objective:
-        """The function to minimise at orders (p, q), of the first samples only when there are twice `most`."""
-        n = self.y.size
-        # A start that barely moves (a sensor switched on later) says nothing about the rest.
-        if most is not None and not self.gaps and n >= 2 * most and np.std(self.y[:most]) > 0.1:
-            n = most
-        kind = WithGaps if self.gaps else GapFree
-        inputs = np.ascontiguousarray(self.regressors[:, :n])
-        return kind(self.y[:n], inputs, p, q, self.method == "prediction-error")
-
-    def _filled(self) -> Array:
-        x = self.y
-        if self.gaps:
-            where = np.arange(x.size)
-            x = np.interp(where, where[self.known], x[self.known])
-        if len(self.regressors):
-            gram, right = np.empty((len(self.regressors) + 1,) * 2), np.empty_like(x)
-            kernels.inner_products(np.vstack([self.regressors, x]), gram)
-            beta = np.linalg.lstsq(gram[:-1, :-1], gram[:-1, -1], rcond=1e-12)[0]
-            kernels.without_inputs(np.ascontiguousarray(x), self.regressors, beta, right)
-            x = right
-        return np.ascontiguousarray(x)
-
-    def starts(self, p: int, q: int) -> list[Array]:
-        """Start vectors for orders (p, q), the most promising first."""
-        x = self._filled()[:_PART]
-        short = default_long_order(x.size, p, q)
-        if short not in self._long:
-            self._long[short] = long_residuals(x, short)
-        first = hannan_rissanen_start(x, p, q, self._long[short])
-        if not (p and q):
-            return [first]
-        second = np.r_[pull_inside(hannan_rissanen_start(x, p, 0, self._long[short])), np.zeros(q)]
-        if -first[:p].sum() < 0.97:
-            return [first, second]
-        # Near a unit root the regression on levels is blind to everything else: try its difference too.
-        change = np.diff(x)
-        rest = hannan_rissanen_start(change, p - 1, q, long_residuals(change, short))
-        return [first, second, np.r_[np.convolve(np.r_[1.0, rest[: p - 1]], [1.0, -0.999])[1:], rest[p - 1 :]]]
-
-    def result(self, point: Point, objective: Objective, converged: bool) -> ArmaFit:
-        """The fit at the minimum `point`, in the unit of the series."""
-        p, q, n = objective.p, objective.q, self.count
-        H, _ = objective.linearise(point) if p + q else (np.zeros((0, 0)), None)
-        exact = point
-        if self.method != "likelihood":
-            kind = WithGaps if self.gaps else GapFree
-            exact = kind(self.y, self.regressors, p, q, False).evaluate(point.theta)
-            exact = exact if math.isfinite(exact.value) else point
-        loglik = -exact.value - 0.5 * n * (1.0 + math.log(2.0 * math.pi)) - n * math.log(self.scale)
-        k = p + q + 1 + len(self.regressors)
-        flags = {"gaps"} if self.gaps else set()
-        if n < 30 * (p + q):
-            flags.add("short")
-        if not converged:
-            flags.add("not converged")
-        model = ArmaModel(point.theta[:p], point.theta[p:], 1.0)
-        if p and np.any(model.poles.real > 1.0 - 3.0 / n):
-            flags.add("unit root")
-            if self.method != "likelihood":
-                # The least sum of squares lies on the circle, where the search had to stop.
-                flags.discard("not converged")
-        lost = max(p, q) if self.method != "likelihood" and not self.gaps else 0
-        trend = point.beta / self.sizes * self.scale
-        trend[:1] += self.shift * self.scale
-        return ArmaFit(
-            ar=model.ar,
-            ma=model.ma,
-            sd=self.scale * math.sqrt(point.power / (n - lost)),
-            covariance=_covariance(H),
-            loglik=loglik,
-            **_criteria(loglik, k, n),
-            residuals=objective.residuals(point) * self.scale,
-            trend=trend,
-            n=n,
-            d=self.d,
-            method=self.method,
-            flags=frozenset(flags),
-        )
+def fitted(problem: Problem, point: Point, objective: Objective, converged: bool) -> ArmaFit:
+    """The fit at the minimum `point`, in the unit of the series."""
+    p, q, n = objective.p, objective.q, problem.count
+    H, _ = objective.linearise(point) if p + q else (np.zeros((0, 0)), None)
+    exact = point
+    if problem.method != "likelihood":
+        kind = WithGaps if problem.gaps else GapFree
+        exact = kind(problem.y, problem.regressors, p, q, False).evaluate(point.theta)
+        exact = exact if math.isfinite(exact.value) else point
+    loglik = -exact.value - 0.5 * n * (1.0 + math.log(2.0 * math.pi)) - n * math.log(problem.scale)
+    k = p + q + 1 + len(problem.regressors)
+    flags = {"gaps"} if problem.gaps else set()
+    if n < 30 * (p + q):
+        flags.add("short")
+    if not converged:
+        flags.add("not converged")
+    model = ArmaModel(point.theta[:p], point.theta[p:], 1.0)
+    if p and np.any(model.poles.real > 1.0 - 3.0 / n):
+        flags.add("unit root")
+        if problem.method != "likelihood":
+            # The least sum of squares lies on the circle, where the search had to stop.
+            flags.discard("not converged")
+    lost = max(p, q) if problem.method != "likelihood" and not problem.gaps else 0
+    trend = point.beta / problem.sizes * problem.scale
+    trend[:1] += problem.shift * problem.scale
+    return ArmaFit(
+        ar=model.ar,
+        ma=model.ma,
+        sd=problem.scale * math.sqrt(point.power / (n - lost)),
+        covariance=_covariance(H),
+        loglik=loglik,
+        **_criteria(loglik, k, n),
+        residuals=objective.residuals(point) * problem.scale,
+        trend=trend,
+        n=n,
+        d=problem.d,
+        method=problem.method,
+        flags=frozenset(flags),
+    )
 
 
 def _criteria(loglik: float, k: int, n: int) -> dict[str, float]:
@@ -332,37 +247,6 @@ def _criteria(loglik: float, k: int, n: int) -> dict[str, float]:
     }
 
 
-def _inputs(n: int, degree: int, d: int, regressors: ArrayLike | None) -> Array:
-    """Trend columns and regressors as rows, differenced like the series; what differencing cancels is left out."""
-    middle = np.arange(n, dtype=np.float64) - 0.5 * (n - 1)
-    rows = [middle**power for power in range(degree + 1) if power >= d]
-    if regressors is not None:
-        extra = np.asarray(regressors, dtype=np.float64)
-        extra = extra[:, None] if extra.ndim == 1 else extra
-        if extra.ndim != 2 or extra.shape[0] != n:
-            raise ValueError(f"regressors must have shape ({n},) or ({n}, k) like the series, found {extra.shape}.")
-        if not np.all(np.isfinite(extra)):
-            raise ValueError("regressors must be finite: interpolate their gaps first.")
-        rows.extend(extra.T)
-    table = np.array(rows).reshape(len(rows), n)
-    return np.diff(table, d, axis=1) if d else table
-
-
-def _standardised(x: Array) -> tuple[Array, float]:
-    """Series over its sd, and that sd, safe for huge offsets and tiny scales."""
-    known = x[np.isfinite(x)]
-    if not known.size:
-        raise ValueError("no difference of two known samples is left: the gaps are too dense.")
-    spread = float(known.max() - known.min())
-    if spread == 0.0:
-        raise ValueError("the series is constant, it has no error to model.")
-    if not np.isfinite(spread):
-        raise ValueError("the range of the series overflows. Change its unit.")
-    level = x / spread
-    sd = float(np.std((x[np.isfinite(x)] - known[0]) / spread))
-    return np.ascontiguousarray(level / sd), spread * sd
-
-
 def _covariance(H: Array) -> Array:
     """Inverse of the information matrix; a direction without information gets a large but finite variance."""
     if not H.size:
@@ -372,8 +256,3 @@ def _covariance(H: Array) -> Array:
     values = np.maximum(values, 1e-12 * values.max())
     inverse = (vectors / values) @ vectors.T / np.outer(scale, scale)
     return np.asarray(0.5 * (inverse + inverse.T))
-
-
-def with_flags(fit: ArmaFit, *more: str) -> ArmaFit:
-    """The same fit with further flags."""
-    return replace(fit, flags=fit.flags | frozenset(more))

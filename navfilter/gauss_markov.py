@@ -18,7 +18,8 @@ from scipy.optimize import brentq, minimize_scalar
 from navfilter.arma import ArmaModel
 from navfilter.arma_algebra import spectral_factor
 from navfilter.diagnostics import acf
-from navfilter.fit import Problem
+from navfilter.fit import fitted
+from navfilter.fit_problem import Problem
 
 __all__ = [
     "GaussMarkovFit",
@@ -164,7 +165,7 @@ def fit_gauss_markov(series: ArrayLike, order: int, rate_hz: float, method: str 
     point = objective.evaluate(np.r_[unit.ar, unit.ma])
     sd, loglik = float(np.nanstd(np.asarray(series, dtype=np.float64))), math.nan
     if math.isfinite(point.value):
-        fit = problem.result(point, objective, True)
+        fit = fitted(problem, point, objective, True)
         loglik = fit.loglik
         sd = fit.sd / unit.sd if method == "likelihood" else sd
     elif method == "likelihood":

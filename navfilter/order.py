@@ -11,8 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from navfilter.arma import ArmaModel
 from navfilter.diagnostics import Whiteness, whiteness
-from navfilter.fit import ArmaFit, Problem
+from navfilter.fit import ArmaFit, fitted
 from navfilter.fit_objective import Objective, Point, minimise
+from navfilter.fit_problem import Problem
 
 __all__ = ["OrderTable", "select_order"]
 
@@ -94,7 +95,7 @@ def select_order(
             line.sort(key=lambda order: -min(order))
             for order, cell in zip(line, pool.map(lambda order: _fit_cell(problem, cells, *order), line), strict=True):
                 cells[order] = cell
-        fits = dict(zip(cells, pool.map(lambda cell: problem.result(cell[1], cell[0], cell[2]), cells.values()), strict=True))
+        fits = dict(zip(cells, pool.map(lambda cell: fitted(problem, cell[1], cell[0], cell[2]), cells.values()), strict=True))
         tests = dict(zip(fits, pool.map(_whiteness, fits.values()), strict=True))
 
     def table(value: dict[tuple[int, int], float]) -> Array:
