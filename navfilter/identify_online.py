@@ -51,6 +51,7 @@ class Tracks:
     pole, zero : ndarray, shape (k,)
         Largest radius of a pole and of a zero (0 without any).
     order : ndarray, shape (k, 2)
+        Order in use, before a random-walk bias is split off.
     walk_sd : ndarray, shape (k,)
         Step of the random-walk bias that was split off; 0 for none.
     is_white : ndarray of bool, shape (k,)
@@ -117,7 +118,7 @@ def track_online(
         estimator = ArmaBank(window, hop=hop, mean=not difference)
     else:
         estimator = RecursiveArma(*order, window, hop=hop, mean=not difference)
-    times, models, walks, white = [], [], [], []
+    times, models, orders, walks, white = [], [], [], [], []
     for first in range(0, x.size, hop):
         part = x[first : first + hop]
         estimator.update_many(part)
@@ -128,11 +129,14 @@ def track_online(
             continue
         times.append(data.begin_s + (first + part.size + difference) / data.rate_hz)
         models.append(model)
+        orders.append((estimator.order if isinstance(estimator, ArmaBank) else order) or (model.p, model.q))
         walks.append(estimator.walk_sd if isinstance(estimator, ArmaBank) else 0.0)
         white.append(estimator.is_white)
     if not models:
         raise ValueError(f"{x.size} samples did not suffice to start the estimator: too many are missing or equal.")
-    return Tracks(data, window, order is None, np.array(times), *_columns(models), np.array(walks), np.array(white), models[-1])
+    return Tracks(
+        data, window, order is None, np.array(times), *_columns(models), np.array(orders), np.array(walks), np.array(white), models[-1]
+    )
 
 
 def _columns(models: list[ArmaModel]) -> tuple[Any, ...]:
@@ -144,7 +148,7 @@ def _columns(models: list[ArmaModel]) -> tuple[Any, ...]:
             spread = np.sqrt(np.maximum(np.diag(m.covariance), 0.0))
             ar_sd[k, : m.p], ma_sd[k, : m.q] = spread[: m.p], spread[m.p :]
     radii = [np.array([np.abs(getattr(m, roots)).max(initial=0.0) for m in models]) for roots in ("poles", "zeros")]
-    return ar, ar_sd, ma, ma_sd, np.array([m.sd for m in models]), *radii, np.array([(m.p, m.q) for m in models])
+    return ar, ar_sd, ma, ma_sd, np.array([m.sd for m in models]), *radii
 
 
 def tracks_figure(tracks: Tracks, unit: str = "") -> Figure:
@@ -194,19 +198,28 @@ def tracks_figure(tracks: Tracks, unit: str = "") -> Figure:
 def tracks_text(tracks: Tracks, unit: str = "") -> str:
     """Table for the terminal: a dozen looks, and the last model in words."""
     shown = np.unique(np.linspace(0, tracks.time_s.size - 1, 12).astype(int))
-    rows = [["time [s]", "order", "ar", "ma", "sd" + (f" [{unit}]" if unit else ""), "pole", "white"]]
+    per = f"{unit}/sqrt(s)" if unit else "1/sqrt(s)"
+    header = ["time [s]", "order", "ar", "ma", "sd" + (f" [{unit}]" if unit else ""), "largest pole", f"bias walk [{per}]", "white"]
+    rows = []
     for k in shown:
-        p, q = tracks.order[k]
-        ar, ma = (" ".join(f"{c:.4f}" for c in values) or "-" for values in (tracks.ar[k, :p], tracks.ma[k, :q]))
-        verdict = "yes" if tracks.is_white[k] else "no"
-        rows.append([f"{tracks.time_s[k]:.1f}", f"({p},{q})", ar, ma, number(tracks.sd[k]), f"{tracks.pole[k]:.4f}", verdict])
-    return "\n".join([table_text(rows[0], rows[1:]), "", f"last model: {_last_reading(tracks)}"])
+        ar, ma = (" ".join(f"{c:.4f}" for c in values[np.isfinite(values)]) or "-" for values in (tracks.ar[k], tracks.ma[k]))
+        walk = number(tracks.walk_sd[k] * math.sqrt(tracks.data.rate_hz), 3) if tracks.walk_sd[k] > 0.0 else "-"
+        order, verdict = f"({tracks.order[k, 0]},{tracks.order[k, 1]})", "yes" if tracks.is_white[k] else "no"
+        rows.append([f"{tracks.time_s[k]:.1f}", order, ar, ma, number(tracks.sd[k]), f"{tracks.pole[k]:.4f}", walk, verdict])
+    if not tracks.walk_sd.any():
+        header, rows = header[:6] + header[7:], [row[:6] + row[7:] for row in rows]
+    return "\n".join([table_text(header, rows), "", f"last model: {_last_reading(tracks)}"])
 
 
 def _last_reading(tracks: Tracks) -> str:
     model = tracks.model
-    reading = read_model(model, tracks.data.rate_hz, int(model.effective_window or tracks.window), "", bool(tracks.is_white[-1]))
-    return ("random-walk bias + " if tracks.walk_sd[-1] > 0.0 else "") + reading.text
+    n = int(model.effective_window or tracks.window)
+    text = read_model(model, tracks.data.rate_hz, n, "", bool(tracks.is_white[-1])).text
+    if tracks.walk_sd[-1] > 0.0:
+        parts, _, end = text.partition("; minimal order")
+        more = end.partition(")")[2]
+        text = f"random-walk bias + {parts}; minimal order ({tracks.order[-1, 0]},{tracks.order[-1, 1]}){more}"
+    return text
 
 
 def write_tracks(tracks: Tracks, folder: Path, unit: str = "") -> list[Path]:

@@ -105,14 +105,15 @@ def _summary(found: Identification, unit: str) -> list[list[str]]:
         [
             "residuals",
             f"{'white' if tests.is_white else 'NOT white'}: Ljung-Box({tests.lags}) p = {tests.ljung_box_p:.2g}, cumulative periodogram "
-            f"p = {tests.periodogram_p:.2g}, WT = {tests.wt:.2f} (white noise scores {tests.wt_white:.2f})",
+            f"p = {tests.periodogram_p:.2g}, WT = {tests.wt:.2f} (white noise scores {tests.wt_white:.3f})",
         ],
     ]
+    against = "" if np.isnan(data.value).any() else ", ln L {:+.1f} against it"
     for process in found.gauss_markov:
         rows.append(
             [
                 f"Gauss-Markov {process.order}",
-                f"sd {number(process.sd)}{u}, 1/e time {number(process.tau_s)} s, ln L {process.loglik - fit.loglik:+.1f} against it",
+                f"sd {number(process.sd)}{u}, 1/e time {number(process.tau_s)} s" + against.format(process.loglik - fit.loglik),
             ]
         )
     rows.append(["Allan deviation", _allan(found, u)])
@@ -146,7 +147,8 @@ def _roots(roots: ArrayLike) -> str:
 
 def _allan(found: Identification, u: str) -> str:
     tau, deviation = found.allan_tau_s, found.allan
-    lowest = int(np.argmin(deviation))
+    # The longest averages rest on two or three independent ones.
+    lowest = int(np.argmin(np.where(tau <= tau[-1] / 3.0, deviation, np.inf)))
     shown = [f"{number(float(np.interp(t, tau, deviation)), 3)}{u} at {t:g} s" for t in (1.0, 10.0, 100.0) if tau[0] <= t <= tau[-1]]
     least = f"least {number(float(deviation[lowest]), 3)}{u} at {number(float(tau[lowest]), 2)} s"
     return ", ".join([*shown, least])

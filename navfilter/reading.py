@@ -40,7 +40,7 @@ class Component:
     Attributes
     ----------
     kind : str
-        "random walk", "gauss-markov", "second order", "oscillation", "line", "short", "moving average" or "white".
+        "random walk", "correlated walk", "gauss-markov", "second order", "oscillation", "line", "short", "moving average" or "white".
     sd : float
         Its standard deviation in the unit of the series (random walk: step per sample; NaN where it cannot be told).
     tau_s, tau_sd_s : float
@@ -126,7 +126,7 @@ def read_model(model: ArmaModel, rate_hz: float, n: int, unit: str = "", white: 
     text = f"{' + '.join(names)}; minimal order ({model.p},{model.q})"
     if not white:
         text += "; the residuals are not white: an approximation"
-    details = "; ".join(_size(part, rate_hz, unit) for part in parts)
+    details = "; ".join(_size(part, rate_hz, unit) for part in parts if math.isfinite(part.sd))
     return Reading(text, details, tuple(parts), (model.p, model.q), error)
 
 
@@ -136,21 +136,25 @@ def _parts(model: ArmaModel, rate_hz: float, n: int, d: int) -> tuple[list[Compo
         try:
             walk, rest = split_bias(model)
         except ValueError:
-            return _inseparable(model, rate_hz, n)
+            return _inseparable(model, rate_hz, n, d)
         if rest.is_stable:
             bias = Component("random walk", walk)
             others = _stationary_parts(rest, rate_hz) if rest.sd > 0.0 else []
             error: ErrorModel = RandomWalk(density=_rounded(walk * math.sqrt(rate_hz)))
             return [bias, *others], error + _error_of(others, rest) if others else error
-        return _inseparable(model, rate_hz, n)
+        return _inseparable(model, rate_hz, n, d)
     parts = _stationary_parts(model, rate_hz)
     return parts, _error_of(parts, model)
 
 
-def _inseparable(model: ArmaModel, rate_hz: float, n: int) -> tuple[list[Component], ErrorModel]:
-    """A unit root whose walk cannot be taken out as an independent noise: held stable, described by its poles."""
-    held = ArmaModel(cap_poles(model.ar, 1.0 - 3.0 / n), model.ma, model.sd, model.covariance)
-    return _by_poles(held, rate_hz), _arma(held)
+def _inseparable(model: ArmaModel, rate_hz: float, n: int, d: int) -> tuple[list[Component], ErrorModel]:
+    """A unit root whose walk cannot be taken out as an independent noise: a walk with correlated steps, held stable."""
+    roots = sorted(range(model.p), key=lambda i: abs(model.poles[i] - 1.0))
+    steps = np.delete(model.poles, roots[: max(d, 1)])
+    tail = ArmaModel(np.atleast_1d(np.real(np.poly(steps)))[1:], model.ma, model.sd)
+    size = model.sd * abs(1.0 + float(model.ma.sum())) / max(abs(1.0 + float(tail.ar.sum())), 1e-300)
+    held = ArmaModel(cap_poles(model.ar, 1.0 - 3.0 / n), model.ma, model.sd)
+    return [Component("correlated walk", size), *_by_poles(tail, rate_hz)], _arma(held)
 
 
 # --- parts of a stationary model ---------------------------------------------------------------------------------------
@@ -251,6 +255,7 @@ def _name(part: Component, rate_hz: float) -> str:
     where = "near Nyquist" if part.freq_hz > 0.45 * rate_hz else f"at {number(part.freq_hz, 3)} Hz"
     return {
         "random walk": "random-walk bias",
+        "correlated walk": "random walk with correlated steps",
         "gauss-markov": f"first-order Gauss-Markov, {tau}",
         "second order": f"second-order Gauss-Markov, {tau}",
         "oscillation": f"damped oscillation {where}",
@@ -264,12 +269,12 @@ def _name(part: Component, rate_hz: float) -> str:
 def _size(part: Component, rate_hz: float, unit: str) -> str:
     """The part's name with its strength."""
     name = {"gauss-markov": "Gauss-Markov", "second order": "second order", "short": "short correlation"}.get(part.kind, part.kind)
-    if part.kind == "random walk":
+    if part.kind in ("random walk", "correlated walk"):
         per = f"{unit}/sqrt(s)" if unit else "per sqrt(s)"
         return f"{name} {number(part.sd * math.sqrt(rate_hz), 3)} {per}"
     if part.kind == "line":
         name += " near Nyquist" if part.freq_hz > 0.45 * rate_hz else f" at {number(part.freq_hz, 3)} Hz"
-    size = f"sd {number(part.sd)}{' ' + unit if unit else ''}" if math.isfinite(part.sd) else "no power of its own"
+    size = f"sd {number(part.sd)}{' ' + unit if unit else ''}"
     return f"{name} {size}" + (f", lasting {_time(part.tau_s)}" if part.kind in ("line", "oscillation", "short") else "")
 
 
