@@ -32,9 +32,7 @@ def course_findings(name: str, stream: Stream, mission: Mission, vehicle: Vehicl
     fast = float(np.nanquantile(speed, 0.99))
     if fast > 50.0:
         text = f"speeds up to {fast:.3g} m/s."
-        yield Finding(
-            "error", name, text, "Centimetres or millimetres per second, or a sentinel: set unit or invalid_above."
-        )
+        yield Finding("error", name, text, "Centimetres or millimetres per second, or a sentinel: set unit or invalid_above.")
         return
     position = _positions_m(mission)
     headings = [(n, s) for n, s in mission.streams.items() if heading_of(s) is not None and n != name]
@@ -66,9 +64,7 @@ def _mounting(name: str, vehicle: Vehicle | None) -> tuple[Array, complex]:
 
 def _positions_m(mission: Mission) -> tuple[Array, Array] | None:
     """Times and complex positions (north + i east) of the truth, or else of the first position sensor."""
-    candidates = [
-        s for s in (mission.truth, *mission.streams.values()) if s is not None and "latitude_rad" in s.columns
-    ]
+    candidates = [s for s in (mission.truth, *mission.streams.values()) if s is not None and "latitude_rad" in s.columns]
     for stream in candidates:
         latitude, longitude = stream.column("latitude_rad"), stream.column("longitude_rad")
         known = np.isfinite(latitude) & np.isfinite(longitude)
@@ -91,12 +87,15 @@ class _CourseFit:
     residual: float
     plain_residual: float
     speed_m_s: float
+    shortest_s: float
 
 
 def _course_fit(
     time_s: Array, v: Array, heading: tuple[Array, Array], position: tuple[Array, Array], window_s: float = 10.0
 ) -> _CourseFit | None:
     most = MOST_DELAY_S
+    # Held and interpolated readings are half a step off by themselves.
+    shortest = max(0.25, 0.5 * float(np.median(np.diff(time_s))))
     begin = max(time_s[0], heading[0][0], position[0][0]) + most
     end = min(time_s[-1], heading[0][-1], position[0][-1]) - most
     if end - begin < 5.0 * window_s:
@@ -133,9 +132,9 @@ def _course_fit(
         signs = (1, 1)
     late = min(np.linspace(-most, most, 61), key=lambda shift: fit(signs[0], signs[1], float(shift))[0])
     residual, ratio = fit(signs[0], signs[1], float(late))
-    return _CourseFit(
-        *signs, ratio, float(late), residual, fit(signs[0], signs[1], 0.0)[0], math.sqrt(power / edges.size) / window_s
-    )
+    speed = math.sqrt(power / edges.size) / window_s
+    plain, _ = fit(signs[0], signs[1], 0.0)
+    return _CourseFit(signs[0], signs[1], ratio, float(late), residual, plain, speed, shortest)
 
 
 def _course_findings(name: str, heading: str, fit: _CourseFit, rough: bool) -> Iterator[Finding]:
@@ -154,9 +153,7 @@ def _course_findings(name: str, heading: str, fit: _CourseFit, rough: bool) -> I
         yield Finding("error", name, "the velocity is mirrored: it fits with its y axis reversed.", cure)
     if abs(angle) > (15.0 if rough else 4.0):
         text = f"the velocity must be turned by {angle:+.1f} deg to follow the course over ground."
-        cure = (
-            f"Either the instrument is mounted so (mounting_deg yaw {angle:+.0f}) or the heading is off by that much."
-        )
+        cure = f"Either the instrument is mounted so (mounting_deg yaw {angle:+.0f}) or the heading is off by that much."
         yield Finding("error" if abs(angle) > 20.0 else "warning", name, text, cure)
     if not 0.93 < scale < 1.07:
         text = f"the position moves {scale:.3g} times as far as the velocity says."
@@ -165,7 +162,7 @@ def _course_findings(name: str, heading: str, fit: _CourseFit, rough: bool) -> I
         grave = not 0.8 < scale < 1.25
         yield Finding("error" if grave else "warning", name, text, guess[0] if guess else "Check unit and scale.")
     # A delay is believed when it explains clearly more than none does, and more than the longest one tried.
-    if 0.25 < abs(fit.late_s) < MOST_DELAY_S - 0.01 and fit.residual < 0.6 * fit.plain_residual:
+    if fit.shortest_s < abs(fit.late_s) < MOST_DELAY_S - 0.01 and fit.residual < 0.6 * fit.plain_residual:
         word = "late" if fit.late_s > 0 else "early"
         text = f"the velocity is about {abs(fit.late_s):.1f} s {word} against the position."
         speed = fit.speed_m_s
@@ -184,7 +181,5 @@ def _main_direction(name: str, v: Array, speed: Array) -> Iterator[Finding]:
     if abs(axis) > 0.6 and abs(angle) > 20.0:
         side = "right" if angle > 0 else "left"
         text = f"the vehicle mostly moves {abs(angle):.0f} deg {side} of the instrument's x axis."
-        cure = (
-            f"If it moves along its own length, the instrument is mounted turned: mounting_deg yaw {-angle:+.0f} or so."
-        )
+        cure = f"If it moves along its own length, the instrument is mounted turned: mounting_deg yaw {-angle:+.0f} or so."
         yield Finding("warning", name, text, cure)

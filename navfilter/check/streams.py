@@ -46,9 +46,7 @@ def _timing(name: str, stream: Stream, mission: Mission) -> Iterator[Finding]:
     mean = span / (len(stream) - 1)
     bursty = float(np.mean((step < 0.3 * mean) | (step > 2.0 * mean)))
     if bursty > 0.1:
-        text = (
-            f"{100 * bursty:.0f} % of the steps are far from the mean of {mean:.4g} s: stamps of reception, in bursts?"
-        )
+        text = f"{100 * bursty:.0f} % of the steps are far from the mean of {mean:.4g} s: stamps of reception, in bursts?"
         yield Finding("warning", name, text, "If the sensor has an even rate, set time.ends_only = true.")
     late = stream.time_s[0] - mission.begin_s
     if late > max(10.0 * usual, 5.0):
@@ -85,9 +83,7 @@ def _quantisation(name: str, column: str, values: Array) -> Iterator[Finding]:
     if step.size < 2 or levels.size > 0.5 * known.size:
         return
     quantum = float(np.quantile(step, 0.1))
-    scatter = 1.4826 * float(np.median(np.abs(np.diff(known)))) / np.sqrt(2.0)
-    changing = np.diff(known)
-    rough = float(np.std(changing)) / np.sqrt(2.0)
-    if quantum > max(scatter, 0.5 * rough):
+    noise = float(np.std(np.diff(known))) / np.sqrt(2.0)
+    if quantum > 0.8 * noise:
         text = f"{column} is quantised in steps of {quantum:.3g}, {levels.size} levels in all."
         yield Finding("info", name, text, f"Its error is at least {quantum / np.sqrt(12.0):.2g} (step / sqrt 12).")

@@ -262,7 +262,7 @@ class Source(Strict):
 class StreamSpec(Strict):
     """A stream: its sources and what is kept of them."""
 
-    sources: tuple[Source, ...] = Field(min_length=1)
+    sources: tuple[Source, ...]
     average: int = Field(default=1, ge=1)
     every: int = Field(default=1, ge=1)
     resample_hz: float | None = Field(default=None, gt=0)
@@ -278,6 +278,14 @@ class StreamSpec(Strict):
             rest = {key: value for key, value in data.items() if key not in cls.model_fields}
             return {**own, "sources": [rest]}
         return data
+
+    @field_validator("sources")
+    @classmethod
+    def _some(cls, value: tuple[Source, ...]) -> tuple[Source, ...]:
+        # Not min_length: pydantic reports it besides every mistake inside the one source there is.
+        if not value:
+            raise ValueError("a stream needs at least one source")
+        return value
 
     def groups(self) -> list[str]:
         """Names of the groups of all sources, each once, in the order of `GROUPS`."""
