@@ -178,7 +178,7 @@ def peers(repeats: int) -> list[dict[str, float | str]]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--repeats", type=int, default=60)
+    parser.add_argument("--repeats", type=int, default=150)
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--json", metavar="PATH")
     options = parser.parse_args()
