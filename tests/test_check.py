@@ -90,7 +90,7 @@ def test_handedness_and_units_of_the_gyro():
     degrees = said(mission(rate=np.degrees(m["rate"])), "error")
     assert "57.3; check the unit" in degrees
     assert "the heading turns 0.017" in degrees
-    assert "one rate in a hundred" in said(mission(rate=np.degrees(m["rate"])), "warning")
+    assert "one rate in a hundred" in said(mission(rate=2.0 * np.degrees(m["rate"])), "warning")
 
 
 def test_gyro_against_heading():

@@ -129,7 +129,7 @@ def parse_quantity(text: str) -> tuple[float, Unit]:
     return value, unit(name)
 
 
-#: Endings of keys in a vehicle.toml -> factor to SI: ``sd_deg``, ``density_ug_per_sqrt_hz``, ``lever_arm_b_cm``.
+#: Endings of keys in a vehicle.toml -> factor to SI: ``sd_deg``, ``density_ug_per_sqrt_hz``, ``sd_cm``.
 SUFFIXES: dict[str, float] = {
     "deg": _DEG,
     "deg_per_s": _DEG,
