@@ -112,6 +112,8 @@ def draw(path: Path, results: dict[str, tuple[np.ndarray, np.ndarray, dict[str, 
             axis.set_ylabel(label)
             axis.grid(alpha=0.3)
             axis.set_xlim(2.0, time[-1])
+            low, high = truth[:, index].min(), truth[:, index].max()
+            axis.set_ylim(low - 0.15 * (high - low), high + 0.15 * (high - low))
             if row == 0:
                 axis.set_title(title)
     for axis in axes[1]:

@@ -114,7 +114,7 @@ class ArmaBank:
 
     def update_many(self, series: ArrayLike) -> None:
         """Take samples in order, shape (N,): the same arithmetic as `update` on each."""
-        xs = np.ascontiguousarray(series, dtype=np.float64)
+        xs = np.array(series, dtype=np.float64, order="C")
         if xs.ndim != 1:
             raise ValueError(f"series must be one-dimensional, found shape {xs.shape}. Use one bank per channel.")
         done = 0

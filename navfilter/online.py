@@ -148,7 +148,7 @@ class RecursiveArma:
         exog : array_like, shape (N, exog), optional
             External regressors of each sample.
         """
-        xs = np.ascontiguousarray(series, dtype=np.float64)
+        xs = np.array(series, dtype=np.float64, order="C")
         if xs.ndim != 1:
             raise ValueError(f"series must be one-dimensional, found shape {xs.shape}. Use one estimator per channel.")
         us = self._check_exog(exog, xs.size)

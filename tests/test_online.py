@@ -247,3 +247,18 @@ def test_order_ten_runs_stably():
 def test_wrong_arguments_are_named(arguments, message):
     with pytest.raises(ValueError, match=message):
         RecursiveArma(**arguments)
+
+
+def test_each_kernel_keeps_one_signature():
+    # A second one is compiled when an argument has another layout: on a vehicle a pause of seconds.
+    from navfilter.kernels import arma as kernel
+
+    frozen = simulate_arma([-0.8], [0.3], 1.0, 600, seed=28)
+    frozen.setflags(write=False)
+    arma = RecursiveArma(1, 1, 200)
+    for series in (frozen, frozen[::2], np.asfortranarray(frozen), frozen.astype(np.float32), frozen.tolist()):
+        arma.update_many(series)
+    for x in (1, 1.0, np.float32(1.0), np.int16(1)):
+        arma.update(x)
+    for function in (kernel.rml_step, kernel.rml_run):
+        assert len(getattr(function, "signatures", [1])) == 1
