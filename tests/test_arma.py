@@ -99,9 +99,7 @@ def roots_within(radius):
     """Stable coefficient vectors from random real roots and pairs."""
     pair = st.tuples(st.floats(0.0, radius), st.floats(0.0, np.pi))
     return st.tuples(st.lists(st.floats(-radius, radius), max_size=2), st.lists(pair, max_size=2)).map(
-        lambda parts: np.atleast_1d(
-            np.poly([*parts[0], *(r * np.exp(s * 1j * w) for r, w in parts[1] for s in (1, -1))])
-        ).real[1:]
+        lambda parts: np.atleast_1d(np.poly([*parts[0], *(r * np.exp(s * 1j * w) for r, w in parts[1] for s in (1, -1))])).real[1:]
     )
 
 
