@@ -171,9 +171,11 @@ def find_resolution(series: ArrayLike) -> float:
     gaps = gaps[gaps > 1e-12 * np.max(np.abs(values))]
     if gaps.size == 0:
         return 0.0
+    # Digits may have been rounded twice (a pressure step printed in centimetres): gaps are multiples up to a quarter.
     step = float(gaps.min())
+    step = float(np.mean(gaps[gaps < 1.5 * step]))
     multiples = gaps / step
-    if np.max(multiples) > 1e6 or np.any(np.abs(multiples - np.round(multiples)) > 0.02 * np.round(multiples)):
+    if np.max(multiples) > 1e6 or np.any(np.abs(multiples - np.round(multiples)) > 0.25):
         return 0.0
     return float(gaps.sum() / np.sum(np.round(multiples)))
 

@@ -59,6 +59,8 @@ def test_digits_coarser_than_the_noise_are_flagged():
 def test_resolution_of_odd_inputs():
     assert find_resolution([]) == 0.0
     assert find_resolution([1.0, 1.0, np.nan]) == 0.0
+    twice = np.round(np.round(NOISE[:200] / 0.0915) * 0.0915, 2)
+    assert find_resolution(twice) == pytest.approx(0.0915, rel=0.01)
     assert find_resolution(1e9 + np.array([0.0, 0.125, 0.5])) == pytest.approx(0.125)
     assert repeat_share([2.0, 2.0, 2.0], 0.0) == (1.0, 1.0)
     assert repeat_share([2.0], 0.0) == (0.0, 0.0)
