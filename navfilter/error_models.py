@@ -25,7 +25,7 @@ __all__ = ["Arma", "Block", "ErrorModel", "GaussMarkov", "RandomWalk", "Sum", "W
 Array = NDArray[np.float64]
 
 #: beta * tau of an order-n Gauss-Markov process whose autocorrelation falls to 1/e at tau (thesis, after eq 2.42, corrected).
-CORRELATION_CONSTANTS = {1: 1.0, 2: 2.146193, 3: 2.904630, 4: 3.512608}
+CORRELATION_CONSTANTS = {1: 1.0, 2: 2.14619322062, 3: 2.90462997502, 4: 3.51264845273}
 
 
 @dataclass(frozen=True)
@@ -275,7 +275,8 @@ class Arma(ErrorModel):
         h = np.zeros(n)
         h[: len(self.ma) + 1] = [1.0, *self.ma]
         Q = self.sd**2 * np.outer(h, h)
-        return Block(F, Q, np.eye(n)[0], 0.0, _square(solve_discrete_lyapunov(F, Q), n))
+        P0 = solve_discrete_lyapunov(F, Q)
+        return Block(F, Q, np.eye(n)[0], 0.0, _square((P0 + P0.T) / 2, n))
 
 
 @dataclass(frozen=True)
@@ -303,7 +304,7 @@ def per_axis(error: ErrorModel | Sequence[ErrorModel], axes: int, owner: str) ->
     ValueError
         When something is not an error model or the number does not fit.
     """
-    models = (error,) * axes if isinstance(error, ErrorModel) else tuple(error)
+    models = (error,) * axes if isinstance(error, ErrorModel) else tuple(error) if isinstance(error, Sequence) else ()
     if len(models) != axes or not all(isinstance(m, ErrorModel) for m in models):
         raise ValueError(f"{owner} needs one error model, or a tuple of {axes}, found {error!r}. Example: White(sd=0.1) + RandomWalk(density=1e-4).")
     return models
