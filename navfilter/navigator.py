@@ -69,7 +69,7 @@ class _Channel:
         self.mem = mem = np.zeros(at[-1])
         self.res, self.near = mem[at[3] : at[3] + a], mem[at[7] : at[8]].reshape(a, 9 + par)
         self.H, self.PH, self.S = mem[at[0] : at[1]].reshape(a, n), mem[at[6] : at[7]].reshape(a, n), mem[at[5] : at[6]].reshape(2 * a, a)
-        self.variances, self.verdict = mem[at[8] : at[9]], mem[at[9] : at[9] + 3]
+        self.verdict, self.note = mem[at[8] : at[8] + 3], mem[at[8] : at[9]]
         self.record, self.moved = mem[: at[5]], mem[: at[0]]
         self.model, self.C, self.R = np.array([group.Phi[:b, :b], group.Q[:b, :b]]), group.C, group.r.copy()
         self.white = group.r + _lever_arm_variance(sensor, rate_variance)
@@ -309,7 +309,9 @@ class Navigator:
         channel = self._channels.get(name)
         if channel is None:
             return Outcome("unknown-sensor")
-        z = np.array(value, dtype=np.float64).reshape(-1)  # a copy: kernels want it contiguous and writable
+        z = np.array(value, dtype=np.float64)  # a copy: kernels want it contiguous and writable
+        if z.ndim != 1:
+            z = z.reshape(-1)
         early = time_s - self._time_s
         if not math.isfinite(time_s) or len(z) < channel.sensor.reads or not (sd is None or _usable(sd, channel.sensor.axes)):
             return self._note(channel, time_s, "invalid")
@@ -329,13 +331,7 @@ class Navigator:
 
     def _note(self, channel: _Channel, time_s: float, status: str, nis: float = math.nan, dof: int = 0, widened: bool = False) -> Outcome:
         if self._tape is not None:
-            residual: Array | None = channel.res if dof > 0 else None
-            variances: Array | None = channel.variances if dof > 0 else None
-            if 0 < dof < channel.sensor.axes:
-                # a missing component has an empty row of H, and a residual of zero for the smoother's sake
-                missing = ~channel.H.any(axis=1)
-                residual, variances = np.where(missing, np.nan, channel.res), np.where(missing, np.nan, channel.variances)
-            self._tape.columns[channel.name].append(time_s, CODES[status], nis, dof, residual, variances)
+            self._tape.columns[channel.name].append(time_s, CODES[status], channel.note if dof > 0 else None)
         return Outcome(status, nis, dof, widened)
 
     def _apply(self, channel: _Channel, time_s: float, z: Array, sd: ArrayLike | None) -> Outcome:

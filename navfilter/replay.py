@@ -175,9 +175,13 @@ def _track(label: str, nav: Navigator, tape: Tape, name: str, cpu_s: float) -> T
     P, sd = np.empty((n, 9, 9)), np.empty((n, size - 9))
     for i in range(n):
         row = tape.rows[i]
-        covariance = row[17 + size - 9 :].reshape(size, size)
-        packed[i], x[i], P[i] = row[:17], row[17 : 8 + size], covariance[:9, :9]
-        sd[i] = np.sqrt(np.maximum(np.diagonal(covariance)[9:], 0.0))
+        packed[i], x[i], rest = row[:17], row[17 : 8 + size], row[8 + size :]
+        if tape.smoothable:
+            covariance = rest.reshape(size, size)
+            P[i], sd[i] = covariance[:9, :9], covariance.diagonal()[9:]
+        else:
+            P[i], sd[i] = rest[:81].reshape(9, 9), rest[81:]
+    sd = np.sqrt(np.maximum(sd, 0.0))
     return _assemble(label, nav, tape, name, cpu_s, packed, x, P, sd, None)
 
 

@@ -240,10 +240,9 @@ class Heading(Sensor):
     def read(self, value: Array) -> Array | None:
         """Apply the iron calibration; append NaN where there is no temperature."""
         n = self.reads
-        if not np.isfinite(value[:n]).all():
+        if not all(map(math.isfinite, value[:n].tolist())):
             return None
-        z = np.full(n + 1, np.nan)
-        z[: len(value)] = value[: n + 1]
+        z = np.array([*value[: n + 1].tolist(), math.nan][: n + 1])
         if self.magnetometer:
             z[:3] = np.reshape(self.soft_iron, (3, 3)) @ (z[:3] - np.asarray(self.hard_iron))
             return z if z[:3].any() else None

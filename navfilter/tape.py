@@ -122,7 +122,7 @@ class Residuals:
 
 @dataclass
 class _Column:
-    """Growing residual table of one sensor: time, NIS, dof, outcome, values, sds."""
+    """Growing residual table of one sensor: time, NIS, components used, outcome, residuals, variances."""
 
     axes: int
     rows: Array = field(init=False)
@@ -131,13 +131,16 @@ class _Column:
     def __post_init__(self) -> None:
         self.rows = np.empty((1024, 4 + 2 * self.axes))
 
-    def append(self, time_s: float, code: int, nis: float, dof: float, res: Array | None, variances: Array | None) -> None:
+    def append(self, time_s: float, code: int, note: Array | None) -> None:
         if self.used == len(self.rows):
             self.rows = np.concatenate([self.rows, np.empty_like(self.rows)])
-        row, a = self.rows[self.used], self.axes
-        row[0], row[1], row[2], row[3] = time_s, nis, dof, code
-        row[4 : 4 + a] = np.nan if res is None else res
-        row[4 + a :] = np.nan if variances is None else variances
+        row = self.rows[self.used]
+        if note is None:
+            row[:] = np.nan
+            row[2] = 0.0
+        else:
+            row[1:] = note
+        row[0], row[3] = time_s, code
         self.used += 1
 
     def residuals(self) -> Residuals:
@@ -181,20 +184,23 @@ class Tape:
         return a, m, b, start
 
     def row(self, time_s: float, nav: Array, x: Array, P: Array) -> None:
-        """Note the state at this time; the last note of a time stands, and times closer than the output interval are skipped."""
-        times = self.row_times
-        if times and time_s == times[-1]:
+        """Note the state at this time (the whole covariance only where the smoother needs it); the last note of a time stands, and times closer than the output interval are skipped."""
+        if self.row_times and time_s == self.row_times[-1]:
             out = self.rows[-1]
             self.row_records[-1] = len(self.records)
-        elif times and time_s - times[-1] < self.interval_s:
-            return
         else:
-            out = self.rows.new(17 + x.size + P.size)
-            times.append(time_s)
+            if self.row_times and time_s - self.row_times[-1] < self.interval_s:
+                return
+            out = self.rows.new(17 + x.size + (P.size if self.smoothable else 81 + x.size))
+            self.row_times.append(time_s)
             self.row_records.append(len(self.records))
         out[:17] = nav
         out[17 : 17 + x.size] = x
-        out[17 + x.size :] = P.reshape(-1)
+        if self.smoothable:
+            out[17 + x.size :] = P.reshape(-1)
+        else:
+            out[17 + x.size : 98 + x.size] = P[:9, :9].reshape(-1)
+            out[98 + x.size :] = P.diagonal()[9:]
 
     def column(self, name: str, axes: int) -> _Column:
         """The residual table of a sensor."""

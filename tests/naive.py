@@ -568,7 +568,7 @@ def correct(P, nav, x, res, S, PH, K, turn):
 
 def places(dims):
     a, n, m, b, _, _, par = dims
-    sizes = [m * m + b * b, a * n, a * n, a * a, a, 3, 2 * a * a, a * n, a * (9 + par), a, 3, max(m, b, 1) * n + 4 * b * b]
+    sizes = [m * m + b * b, a * n, a * n, a * a, a, 3, 2 * a * a, a * n, a * (9 + par), 3 + 2 * a, max(m, b, 1) * n + 4 * b * b]
     return tuple(np.cumsum(sizes))
 
 
@@ -591,9 +591,10 @@ def update(P, nav, x, C, R, mem, dims, limits):
     near, res = mem[at[7] : at[8]].reshape(a, 9 + par), mem[at[3] : at[4]]
     H[:] = np.hstack([near[:, :9], np.zeros((a, start - 9)), C, near[:, 9:], np.zeros((a, n - start - errors - par))])
     res -= C @ x[start - 9 : start - 9 + errors]
-    out = mem[at[9] : at[10]]
+    out = mem[at[8] : at[9]]
+    out[3 : 3 + a] = res
     innovation(P, H, res, R, S, PH, out)
-    mem[at[8] : at[9]] = np.diag(S[:a])
+    out[3 + a :] = np.where(np.isnan(out[3 : 3 + a]), np.nan, np.diag(S[:a]))
     out[2] = float(out[1] > 0 and out[0] <= limits[int(out[1])])
     if out[2]:
         correct(P, nav, x, res, S, PH, K, mem[at[4] : at[5]])

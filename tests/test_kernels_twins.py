@@ -309,7 +309,7 @@ def test_predict_and_update_work_through_the_channels_memory(count, verdict):
     mem[at[3] : at[4]] = 0.1, np.nan, -0.2
     limits = np.array([np.inf, 5.0, 1e9 if verdict else 1e-9, 9.0])
     ours, twins = run_both(kalman.update, P, nav, x, rng.normal(size=(a, errors)), np.full(a, 0.01), mem, dims, limits)
-    assert ours[5][at[9] + 2] == verdict
+    assert ours[5][at[8] + 2] == verdict
     upto = at[5] if verdict else at[1]  # gain and the rest of the record are formed only by a correction
     for ours_part, twins_part in zip(np.split(ours[5], at[:-1]), np.split(twins[5], at[:-1]), strict=True):
         if verdict:

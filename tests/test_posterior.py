@@ -97,7 +97,7 @@ class Capture:
         at, a, n = kalman.places(dims), dims[0], dims[1]
         before = P.copy()
         kalman.update(P, nav, x, C, R, mem, dims, limits)
-        if not mem[at[9] + 2]:
+        if not mem[at[8] + 2]:
             return
         H = mem[at[0] : at[1]].reshape(a, n).copy()
         white = np.maximum(R, 1e-12 * np.diag(H @ before @ H.T))

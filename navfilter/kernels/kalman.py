@@ -17,14 +17,7 @@ def fold(P, acc, nav, T):
     C_nb in nav is made orthonormal again to first order (its rounding grows with the number of products). T: (m, n) work.
     """
     m, n = acc.shape[1], P.shape[0]
-    for i in range(m):
-        for j in range(n):
-            T[i, j] = 0.0
-        for r in range(m):
-            f = acc[i, r]
-            if f != 0.0:
-                for j in range(n):
-                    T[i, j] += f * P[r, j]
+    np.dot(acc[:m], P[:m], T)
     for i in range(m):
         for j in range(m, n):
             P[i, j] = T[i, j]
@@ -265,7 +258,7 @@ def _reset_rows_transposed(M, x, y, z, cols):
 
 @njit(cache=True)
 def places(dims):
-    """Where things stand in a channel's memory ``mem``: starts of H, K, inverse S, res, turn, then of S, PH, near, variances, verdict, work, and the end.
+    """Where things stand in a channel's memory ``mem``: starts of H, K, inverse S, res, turn, then of S, PH, near, verdict, work, and the end.
 
     dims: axes a, states n, head m, ticked block b, its start, states of its error models, parameters. Everything before S has the layout
     of a tape record (see `smooth_record`), which starts with the head's transition (m x m) and the tick's (b x b).
@@ -279,17 +272,16 @@ def places(dims):
     S = turn + 3
     PH = S + 2 * a * a
     near = PH + a * n
-    variances = near + a * (9 + dims[6])
-    verdict = variances + a
-    work = verdict + 3
-    return H, K, inverse, res, turn, S, PH, near, variances, verdict, work, work + max(m, b, 1) * n + 4 * b * b
+    verdict = near + a * (9 + dims[6])
+    work = verdict + 3 + 2 * a
+    return H, K, inverse, res, turn, S, PH, near, verdict, work, work + max(m, b, 1) * n + 4 * b * b
 
 
 @njit(cache=True)
 def predict(P, nav, x, acc, model, mem, dims, count):
     """Before a reading: note the transition in `mem`, fold it, and tick the sensor's block `count` times. model: (2, b, b), Phi and Q."""
     n, m, b, start = dims[1], dims[2], dims[3], dims[4]
-    work = places(dims)[10]
+    work = places(dims)[9]
     mem[: m * m] = acc[:m].reshape(m * m)
     fold(P, acc, nav, mem[work : work + m * n].reshape((m, n)))
     if b == 0:
@@ -314,10 +306,10 @@ def update(P, nav, x, C, R, mem, dims, limits):
     """A reading, after its sensor filled `near` and `res` in `mem`: take the coloured error off, form the NIS, correct if it passes.
 
     C: (a, errors) output rows of the error models, R: (a,) white variances, limits: (a + 1,) gates by the number of components used.
-    Leaves the verdict: NIS, components used, 1 if the state was corrected.
+    Leaves the verdict: NIS, components used, 1 if the state was corrected, then residuals and their variances (NaN where missing).
     """
     a, n, start, errors, par = dims[0], dims[1], dims[4], dims[5], dims[6]
-    iH, iK, ii, ir, it, iS, iP, ine, iv, ive, _, _ = places(dims)
+    iH, iK, ii, ir, it, iS, iP, ine, iv, _, _ = places(dims)
     H, near, res = mem[iH : iH + a * n].reshape((a, n)), mem[ine:iv].reshape((a, 9 + par)), mem[ir : ir + a]
     for i in range(a):
         for j in range(n):
@@ -329,14 +321,15 @@ def update(P, nav, x, C, R, mem, dims, limits):
             res[i] -= C[i, j] * x[start - 9 + j]
         for j in range(par):
             H[i, start + errors + j] = near[i, 9 + j]
-    S, PH, out = mem[iS:iP].reshape((2 * a, a)), mem[iP:ine].reshape((a, n)), mem[ive : ive + 3]
+    S, PH, out = mem[iS:iP].reshape((2 * a, a)), mem[iP:ine].reshape((a, n)), mem[iv : iv + 3 + 2 * a]
     missing = 0
     for i in range(a):
         missing += math.isnan(res[i])
+        out[3 + i] = res[i]
     innovation(P, H, res, R, S, PH, out)
     out[2] = 0.0
     for i in range(a):
-        mem[iv + i] = S[i, i]
+        out[3 + a + i] = math.nan if math.isnan(out[3 + i]) else S[i, i]
     if missing == a or not out[0] <= limits[int(out[1])]:
         return
     out[2] = 1.0
