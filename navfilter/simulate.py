@@ -323,5 +323,6 @@ def tiny_missions() -> Iterator[tuple[Vehicle, Mission]]:
     inertial = Vehicle(imu=Imu(rate_hz=20.0), sensors={**sensors, "rest": ZeroVelocity()}, name="tiny-inertial")
     course = Heading(rate_hz=4.0, error=white, deviation_sd_rad=(0.01, 0.01))
     reckoning = DeadReckoning(rate_hz=4.0, attitude=course, velocity=BodyVelocity(rate_hz=4.0, scale_sd=0.01))
+    late = Faults(hdop=1.0, time_offset_s=0.03)  # fixes between the samples of the drive
     for vehicle in (inertial, Vehicle(reckoning, {"gps": sensors["gps"]}, name="tiny-reckoning")):
-        yield vehicle, simulate(vehicle, motion, seed=1, faults={"gps": Faults(hdop=1.0)}, name=vehicle.name)
+        yield vehicle, simulate(vehicle, motion, seed=1, faults={"gps": late}, name=vehicle.name)
