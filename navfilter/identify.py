@@ -146,7 +146,8 @@ def identify(
 def _chosen(
     data: Conditioned, max_p: int, max_q: int, order: tuple[int, int] | None, d: int, trend: str, say: Say
 ) -> tuple[OrderTable | None, ArmaFit, list[str]]:
-    x, remarks = data.value, []
+    x = data.value
+    remarks: list[str] = []
     missing = int(np.isnan(x).sum())
     if order is not None:
         say(f"fitting order ({order[0]},{order[1]})")

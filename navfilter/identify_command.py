@@ -104,7 +104,6 @@ def run(options: argparse.Namespace) -> int:
     folder = Path(options.out)
     folder.mkdir(parents=True, exist_ok=True)
     with _busy(options.quiet) as say:
-        say("reading")
         series = _read(options)
         return (_online if options.online else _batch)(options, series, folder, say)
 

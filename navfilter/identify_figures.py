@@ -115,7 +115,7 @@ def _squared(unit: str) -> str:
 
 def _spectrum(x: Array, rate: float) -> tuple[Array, Array]:
     """Welch's estimate from long segments at low and short ones at high frequencies, so that both ends are smooth."""
-    freqs, powers, top = [], [], 0.5 * rate
+    freqs, top = [], 0.5 * rate
     for share in (4, 32, 256):
         size = max(x.size // share, 64)
         f, p = welch(x, rate, nperseg=min(size, x.size), detrend="constant")
@@ -185,7 +185,7 @@ def order_figure(found: Identification) -> Figure:
         ax.xaxis.set_major_locator(MaxNLocator(integer=True))
         ax.yaxis.set_major_locator(MaxNLocator(integer=True))
         bar = figure.colorbar(image, ax=ax, shrink=0.62, pad=0.03)
-        bar.outline.set_linewidth(0.4)  # type: ignore[operator]
+        bar.outline.set_linewidth(0.4)
         if above:
             ticks = [t for t in range(7) if t <= shown.max()]
             bar.set_ticks(ticks, labels=[f"$10^{t}$" if t else "0" for t in ticks])

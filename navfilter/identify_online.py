@@ -135,11 +135,19 @@ def track_online(
     if not models:
         raise ValueError(f"{x.size} samples did not suffice to start the estimator: too many are missing or equal.")
     return Tracks(
-        data, window, order is None, np.array(times), *_columns(models), np.array(orders), np.array(walks), np.array(white), models[-1]
+        data=data,
+        window=window,
+        is_bank=order is None,
+        time_s=np.array(times),
+        order=np.array(orders),
+        walk_sd=np.array(walks),
+        is_white=np.array(white),
+        model=models[-1],
+        **_columns(models),
     )
 
 
-def _columns(models: list[ArmaModel]) -> tuple[Any, ...]:
+def _columns(models: list[ArmaModel]) -> dict[str, Array]:
     p, q = max(m.p for m in models), max(m.q for m in models)
     ar, ar_sd, ma, ma_sd = (np.full((len(models), width), np.nan) for width in (p, p, q, q))
     for k, m in enumerate(models):
@@ -148,7 +156,8 @@ def _columns(models: list[ArmaModel]) -> tuple[Any, ...]:
             spread = np.sqrt(np.maximum(np.diag(m.covariance), 0.0))
             ar_sd[k, : m.p], ma_sd[k, : m.q] = spread[: m.p], spread[m.p :]
     radii = [np.array([np.abs(getattr(m, roots)).max(initial=0.0) for m in models]) for roots in ("poles", "zeros")]
-    return ar, ar_sd, ma, ma_sd, np.array([m.sd for m in models]), *radii
+    sd = np.array([m.sd for m in models])
+    return {"ar": ar, "ar_sd": ar_sd, "ma": ma, "ma_sd": ma_sd, "sd": sd, "pole": radii[0], "zero": radii[1]}
 
 
 def tracks_figure(tracks: Tracks, unit: str = "") -> Figure:
@@ -224,7 +233,7 @@ def _last_reading(tracks: Tracks) -> str:
 
 def write_tracks(tracks: Tracks, folder: Path, unit: str = "") -> list[Path]:
     """Write identify.json, tracks.csv, tracks.svg and identify.html."""
-    columns = {"time_s": tracks.time_s, "p": tracks.order[:, 0], "q": tracks.order[:, 1]}
+    columns: dict[str, NDArray[Any]] = {"time_s": tracks.time_s, "p": tracks.order[:, 0], "q": tracks.order[:, 1]}
     for name, value in (("ar", tracks.ar), ("ar_sd", tracks.ar_sd), ("ma", tracks.ma), ("ma_sd", tracks.ma_sd)):
         columns |= {f"{name}_{i + 1}": value[:, i] for i in range(value.shape[1])}
     columns |= {"sd": tracks.sd, "pole_radius": tracks.pole, "zero_radius": tracks.zero, "walk_sd": tracks.walk_sd}

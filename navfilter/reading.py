@@ -208,7 +208,7 @@ def _component(model: ArmaModel, rate_hz: float, pole: complex, power: float) ->
     if memory < SHORT_SAMPLES:
         return Component("short", sd, tau)
     spread = math.inf if model.covariance is None else root_sd(model.ar, model.covariance[: model.p, : model.p], pole)
-    tau_sd = tau * spread * memory / abs(pole)
+    tau_sd = float(tau * spread * memory / abs(pole))
     if pole.imag == 0.0 and pole.real > 0.0:
         return Component("gauss-markov", sd, tau, tau_sd)
     s = np.log(complex(pole))
@@ -250,7 +250,7 @@ def _left_over(model: ArmaModel, poles: Complex, power: list[float]) -> float:
 
 def _name(part: Component, rate_hz: float) -> str:
     tau = f"tau = {_time(part.tau_s)}"
-    if part.tau_sd_s < part.tau_s:
+    if 0.0 < part.tau_sd_s < part.tau_s:
         tau += f" +- {_time(part.tau_sd_s)}"
     where = "near Nyquist" if part.freq_hz > 0.45 * rate_hz else f"at {number(part.freq_hz, 3)} Hz"
     return {

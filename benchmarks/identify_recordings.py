@@ -1,0 +1,297 @@
+"""Identify real sensors at rest and compare with what is known about them.
+
+Needs the recordings: set NAVFILTER_DATA to their folder. Every row is one `navfilter.identify.identify` with its default
+choice of order; where a recording is known by the coefficients of a fixed order, that order is fitted as well. The
+"expected" column is what the recordings' own descriptions state, found with other software (statsmodels).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+import navfilter as nf
+from navfilter.identify import Identification, identify
+from navfilter.io.series import Series, read_series
+from navfilter.io.tables import TableOptions, read_table
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Case:
+    """One series, how to identify it, what is expected and whether it was found."""
+
+    name: str
+    load: Callable[[Path], Series]
+    expected: str
+    found: Callable[[Identification], bool]
+    order: tuple[int, int] | None = None
+    conditions: tuple[tuple[str, float], ...] = ()
+    difference: int = 0
+
+
+# --- loading ------------------------------------------------------------------------------------------------------------
+
+
+def table(file: str, column: str | int, rate_hz: float, **layout: object) -> Callable[[Path], Series]:
+    """A column of a table at a known rate."""
+    return lambda root: read_series(root / file, str(column), rate_hz=rate_hz, options=TableOptions(**layout))  # type: ignore[arg-type]
+
+
+def gps(file: str) -> Callable[[Path], Series]:
+    """North position, every tenth fix of the file, the first 1500, gaps ignored: as the expected figures were found."""
+
+    def load(root: Path) -> Series:
+        latitude, _ = read_table(root / "gps-sa-2000-static" / file).numbers(3)
+        north = np.radians(latitude - latitude.mean()) * 6_371_000.0
+        return Series("north", north[::10][:1500], 0.1, file)
+
+    return load
+
+
+def bme280(root: Path) -> Series:
+    """Pressure about every 2 s; the clock's gaps of up to 6 s become missing samples."""
+    import pandas as pd
+
+    frame = pd.read_csv(root / "baro-static" / "bme280_temphumpress_0p5hz.csv", header=None, comment="#")
+    stamp, pressure = frame.iloc[:, 0], pd.to_numeric(frame.iloc[:, 3], errors="coerce")
+    keep = pressure.notna().to_numpy()
+    return Series("pressure", pressure.to_numpy()[keep], 0.5, "bme280 " + str(stamp.iloc[-1]))
+
+
+def compass_heading(root: Path) -> Series:
+    """Heading of a level magnetometer, deg."""
+    file = root / "imu-mag-mpu6050-hmc5883l-static" / "unmoved_10min_hmc5883l_compass.mat"
+    columns = read_table(file)
+    x, y = columns.numbers(1)[0], columns.numbers(2)[0]
+    return Series("heading", np.degrees(np.unwrap(np.arctan2(-y, x))), 76.9, file.name)
+
+
+def xsens_heading(root: Path) -> Series:
+    """Fused heading of a wearable unit, its first (empty) row dropped."""
+    psi, _ = read_table(root / "imu-xsens-dot-static" / "x_stat_2.csv.xz").numbers(3)
+    psi = psi[1:]
+    return Series("psi", psi[np.isfinite(psi)], 120.0, "x_stat_2")
+
+
+def dvl_residual(run: int, axis: int) -> Callable[[Path], Series]:
+    """DVL minus truth in the body after time shift, lever arm, scale and misalignment, by regression."""
+
+    def load(root: Path) -> Series:
+        folder = root / "snapir-auv-1hz"
+        dvl, truth = (read_table(folder / f"{kind}_trajectory{run}.csv") for kind in ("DVL", "GT"))
+        t = dvl.numbers(0)[0]
+        reading = np.column_stack([dvl.numbers(k)[0] for k in (1, 2, 3)])
+        columns = np.column_stack([truth.numbers(k)[0] for k in range(10)])
+        best = min((_misfit(t, reading, columns, shift)[:2] for shift in np.arange(0.0, 2.6, 0.05)), key=lambda pair: pair[0])
+        residual = _misfit(t, reading, columns, best[1])[2]
+        return Series(f"dvl {run} axis {axis}", residual[5:-5, axis], 1.0 / 1.0025, f"trajectory {run}")
+
+    return load
+
+
+def _misfit(t: Array, reading: Array, truth: Array, shift: float) -> tuple[float, float, Array]:
+    """Residual power, shift and residuals when the truth is read `shift` seconds later."""
+    from scipy.interpolate import CubicSpline
+
+    clock = np.clip(t + shift, truth[0, 0], truth[-1, 0])
+    angles = CubicSpline(truth[:, 0], np.unwrap(truth[:, 7:10], axis=0))
+    (roll, pitch, yaw), rates = angles(clock).T, angles(clock, 1)
+    velocity = CubicSpline(truth[:, 0], truth[:, 4:7])(clock)
+    body = np.empty_like(velocity)
+    for k, (r, p, y) in enumerate(zip(roll, pitch, yaw, strict=True)):
+        body[k] = _body_to_nav(r, p, y).T @ velocity[k]
+    regressors = np.column_stack([np.ones(t.size), body, rates])
+    residual = reading - regressors @ np.linalg.lstsq(regressors, reading, rcond=None)[0]
+    return float(np.sum(residual[5:-5, :2] ** 2)), shift, residual
+
+
+def _body_to_nav(roll: float, pitch: float, yaw: float) -> Array:
+    cr, sr, cp, sp, cy, sy = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch), np.cos(yaw), np.sin(yaw)
+    return np.array(
+        [
+            [cp * cy, sr * sp * cy - cr * sy, cr * sp * cy + sr * sy],
+            [cp * sy, sr * sp * sy + cr * cy, cr * sp * sy - sr * cy],
+            [-sp, sr * cp, cr * cp],
+        ]
+    )
+
+
+# --- what is expected ---------------------------------------------------------------------------------------------------
+
+
+def orders(*wanted: tuple[int, int]) -> Callable[[Identification], bool]:
+    """One of these orders was chosen."""
+    return lambda found: (found.fit.p, found.fit.q) in wanted
+
+
+def coefficients(ar: dict[int, tuple[float, float]], ma: dict[int, tuple[float, float]]) -> Callable[[Identification], bool]:
+    """Coefficients within a tolerance, by their index from 0."""
+
+    def check(found: Identification) -> bool:
+        pairs = [(found.fit.ar, ar), (found.fit.ma, ma)]
+        return all(k < c.size and abs(c[k] - value) <= near for c, wanted in pairs for k, (value, near) in wanted.items())
+
+    return check
+
+
+def pole(value: float, near: float) -> Callable[[Identification], bool]:
+    """The largest pole within a tolerance."""
+    return lambda found: found.fit.p > 0 and abs(abs(found.fit.model.poles[0]) - value) <= near
+
+
+def first_lag(low: float, high: float) -> Callable[[Identification], bool]:
+    """First autocorrelation of the model in a range, whatever its order."""
+
+    def check(found: Identification) -> bool:
+        gamma = found.fit.model.autocovariance(1)
+        return low <= gamma[1] / gamma[0] <= high
+
+    return check
+
+
+def cases() -> list[Case]:
+    """All recordings, in the order of the table."""
+    mpu = "imu-mpu6050-raw-static/mpu6050_static_450s.csv.xz"
+    ms5611 = "baro-static/ms5611_static_altitude_80hz.csv.xz"
+    vn100 = "ahrs-vn100-static/vn100_live_capture_vnymr.txt.xz"
+    memsense = "gyro-memsense-3025-static/memsense_test_real.npy"
+    result = [Case(f"MPU-6050 gyro {a}", table(mpu, f"g{a}", 100.0, skip_lines=4), "(0,0)", orders((0, 0))) for a in "xyz"]
+    near = coefficients({0: (-0.998, 0.002)}, {0: (-0.985, 0.005)})
+    result += [
+        Case("MS5611 height", table(ms5611, "h", 80.0, skip_lines=2), "(1,1): AR .998+-.002, MA -.985+-.005", near),
+        Case("VN-100 heading", table(vn100, 1, 40.0), "pole .998 (+-.002)", pole(0.998, 0.002)),
+        Case("VN-100 heading, AR(1)", table(vn100, 1, 40.0), "AR .998+-.002", coefficients({0: (-0.998, 0.002)}, {}), (1, 0)),
+    ]
+    for axis in range(3):
+        layout = {"table": "[0]", "transpose": True}
+        check = first_lag(-0.17, -0.13)
+        result.append(Case(f"Memsense gyro {'xyz'[axis]}", table(memsense, axis, 250.0, **layout), "MA(1)/AR(2), lag 1 about -.15", check))
+    for name, file, a, b in (("on", "gps_sa_on_dev.dat.gz", -1.839, 0.848), ("off", "gps_sa_off_dev.dat.gz", -1.239, 0.306)):
+        check = coefficients({0: (a, 0.02), 1: (b, 0.02)}, {})
+        result.append(Case(f"GPS SA {name} 10 s, AR(2)", gps(file), f"AR {-a}, {-b} (+-.02)", check, (2, 0)))
+        result.append(Case(f"GPS SA {name} 10 s", gps(file), "second order, strongly coloured", lambda found: found.fit.p >= 2))
+    for unit, low in ((1, 0.170), (2, 0.169), (3, 0.198), (4, 0.197)):
+        file = f"imu-adis16405-static/adis16405_unit{unit}.npz"
+        check = first_lag(low - 0.015, low + 0.015)
+        result.append(
+            Case(f"ADIS16405 #{unit} gyro x", table(file, 0, 100.0, table="counts"), f"MA(1)-like, lag 1 {low:.3f} (+-.015)", check)
+        )
+    gyro = "imu-mag-mpu6050-hmc5883l-static/unmoved_10min_mpu6050_gyroscope.mat"
+    result += [
+        Case("HMC5883L heading", compass_heading, "about white: lag 1 -.02 (+-.05)", first_lag(-0.07, 0.03)),
+        Case("MPU6050 (HMC unit) gyro x", table(gyro, 1, 99.3), "white + slow bias: |lag 1| < .03", first_lag(-0.03, 0.03)),
+        Case("BME280 pressure", bme280, "pole .995 (+-.01), MA about -.82", pole(0.995, 0.01)),
+    ]
+    for oss, low in ((0, 0.985), (3, 0.985)):
+        layout = {"delimiter": ";", "skip_lines": 4, "header": False}
+        file = f"baro-static/bmp180_mpl115_oss{oss}.log"
+        result.append(Case(f"BMP180 oss {oss}", table(file, 1, 1.0, **layout), "AR about .99, MA -.93", pole(low, 0.015)))
+    result.append(
+        Case(
+            "Xsens DOT heading",
+            xsens_heading,
+            "lag 1 .999: pole above .99",
+            lambda found: found.fit.p > 0 and abs(found.fit.model.poles[0]) > 0.99,
+        )
+    )
+    for run in (1, 2, 3, 5, 6, 7, 8, 10, 12):
+        result.append(Case(f"snapir {run} DVL forward", dvl_residual(run, 0), "lag 1 .35 to .83", first_lag(0.3, 0.88)))
+    return result
+
+
+# --- running ------------------------------------------------------------------------------------------------------------
+
+
+def run(case: Case, root: Path, max_order: int) -> dict[str, object]:
+    """Identify one recording."""
+    series = case.load(root)
+    began = time.perf_counter()
+    found = identify(series, max_p=max_order, max_q=max_order, order=case.order, **dict(case.conditions))  # type: ignore[arg-type]
+    seconds = time.perf_counter() - began
+    fit = found.fit
+    return {
+        "series": case.name,
+        "samples": fit.n,
+        "order": [fit.p, fit.q],
+        "ar": fit.ar.tolist(),
+        "ma": fit.ma.tolist(),
+        "sd": fit.sd,
+        "largest_pole": float(abs(fit.model.poles[0])) if fit.p else 0.0,
+        "white": found.tests.is_white,
+        "ljung_box_p": found.tests.ljung_box_p,
+        "reading": found.reading.text,
+        "remarks": list(found.remarks),
+        "expected": case.expected,
+        "as_expected": bool(case.found(found)),
+        "seconds": seconds,
+    }
+
+
+def row(result: dict[str, object]) -> list[str]:
+    """One line of the table."""
+
+    def shown(values: list[float]) -> str:
+        return " ".join(f"{c:.4f}" for c in values[:4]) + (" .." if len(values) > 4 else "") or "-"
+
+    p, q = result["order"]  # type: ignore[misc]
+    verdict = ("white" if result["white"] else "not white") + f" {result['ljung_box_p']:.2g}"
+    ok = "yes" if result["as_expected"] else "NO"
+    ar, ma = shown(result["ar"]), shown(result["ma"])  # type: ignore[arg-type]
+    return [
+        str(result["series"]),
+        str(result["samples"]),
+        f"({p},{q})",
+        ar,
+        ma,
+        verdict,
+        str(result["expected"]),
+        ok,
+        f"{result['seconds']:.1f}",
+    ]
+
+
+HEADER = ["series", "samples", "order", "AR", "MA", "residuals, p", "expected", "found", "s"]
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--json", metavar="PATH", help="write the results there too")
+    parser.add_argument("--quick", action="store_true", help="a few recordings, small orders")
+    parser.add_argument("--max-order", type=int, default=6, help="largest p and q (default: %(default)s)")
+    parser.add_argument("--only", default="", metavar="TEXT", help="recordings whose name contains this")
+    options = parser.parse_args()
+    root = os.environ.get("NAVFILTER_DATA")
+    if not root:
+        print("skipped: set NAVFILTER_DATA to the folder with the recordings.")
+        return
+    chosen = [case for case in cases() if options.only in case.name]
+    if options.quick:
+        chosen = [case for case in chosen if case.name in ("MPU-6050 gyro x", "MS5611 height", "Memsense gyro x", "GPS SA on 10 s, AR(2)")]
+    # Compiling is not identifying.
+    identify(nf.simulate_arma([-0.9], [-0.4], 1.0, 500, seed=1), 1.0, max_p=1, max_q=1)
+    results = []
+    for case in chosen:
+        results.append(run(case, Path(root), 3 if options.quick else options.max_order))
+        print("  ".join(row(results[-1])), file=sys.stderr, flush=True)
+    lines = [HEADER, *map(row, results)]
+    widths = [max(len(line[i]) for line in lines) for i in range(len(HEADER))]
+    print("\n".join("  ".join(cell.ljust(w) for cell, w in zip(line, widths, strict=True)).rstrip() for line in lines))
+    print(f"{sum(bool(r['as_expected']) for r in results)} of {len(results)} as expected")
+    if options.json:
+        Path(options.json).write_text(json.dumps({"results": results}, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
