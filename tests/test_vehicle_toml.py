@@ -73,7 +73,8 @@ def test_units_in_keys(tmp_path):
     )
     vehicle = read_vehicle(tmp_path)
     assert vehicle.name == tmp_path.name
-    assert vehicle.drive.gyro == RandomWalk(density=np.radians(6.0) / 3600 / 60, start_sd=np.radians(36.0) / 3600)
+    assert vehicle.drive.gyro.density == pytest.approx(np.radians(6.0) / 3600 / 60)
+    assert vehicle.drive.gyro.start_sd == pytest.approx(np.radians(36.0) / 3600)
     assert vehicle.drive.accel.density == pytest.approx(9.80665e-4)
     assert vehicle.sensors["compass"].error.sd == pytest.approx(np.radians(0.5))
     assert vehicle.sensors["compass"].deviation_sd_rad == pytest.approx(np.radians([1.0, 0.5]))
