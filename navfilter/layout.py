@@ -17,6 +17,17 @@ __all__ = ["Group", "Layout"]
 
 Array = NDArray[np.float64]
 
+#: Units of the constant parameters by the beginning of their last name; "1" is a pure number.
+PARAMETER_UNITS = {
+    "scale": "1",
+    "misalignment": "rad",
+    "bias": "rad",
+    "one_cycle": "rad",
+    "two_cycle": "rad",
+    "temperature": "rad_per_k",
+    "offset": "m",
+}
+
 
 @dataclass(frozen=True)
 class Group:
@@ -32,7 +43,8 @@ class Group:
     C : ndarray, shape (axes, errors)
     r : ndarray, shape (axes,)
         White variance of one sample.
-    names : tuple of str
+    names, units : tuple of str
+        Of each state.
     """
 
     start: int
@@ -44,6 +56,7 @@ class Group:
     C: Array
     r: Array
     names: tuple[str, ...]
+    units: tuple[str, ...]
 
     @property
     def slice(self) -> slice:
@@ -52,7 +65,7 @@ class Group:
 
     @classmethod
     def build(
-        cls, start: int, blocks: Sequence, parameters: Iterable[tuple[str, float]], axis_names: Sequence[str], prefix: str = ""
+        cls, start: int, blocks: Sequence, parameters: Iterable[tuple[str, float]], axis_names: Sequence[str], axis_units: Sequence[str], prefix: str = ""
     ) -> Group:
         """Stack the blocks of the axes and the parameters."""
         parameters = tuple(parameters)
@@ -65,16 +78,19 @@ class Group:
 
         C = np.zeros((len(blocks), errors))
         names: list[str] = []
+        units: list[str] = []
         for i, (b, axis) in enumerate(zip(blocks, axis_names, strict=True)):
             label = "_".join(part for part in (prefix, axis) if part)
             C[i, len(names) : len(names) + b.size] = b.C
             names += [f"{label}[{j}]" for j in range(b.size)]
+            units += [axis_units[i]] * b.size
         dot = f"{prefix}." if prefix else ""
         names += [f"{dot}{name}" for name, _ in parameters]
+        units += [next(u for begin, u in PARAMETER_UNITS.items() if name.split(".")[-1].startswith(begin)) for name, _ in parameters]
         variances = np.diag([sd**2 for _, sd in parameters]) if k else np.zeros((0, 0))
         r = np.array([b.r for b in blocks])
         return cls(
-            start, errors + k, errors, stack("Phi", np.eye(k)), stack("Q", np.zeros((k, k))), stack("P0", variances), C, r, tuple(names)
+            start, errors + k, errors, stack("Phi", np.eye(k)), stack("Q", np.zeros((k, k))), stack("P0", variances), C, r, tuple(names), tuple(units)
         )
 
 
@@ -108,15 +124,20 @@ class Layout:
         """Names of all states behind the nine of navigation."""
         return self.drive.names + tuple(name for g in self.groups.values() for name in g.names)
 
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Units of the same states."""
+        return self.drive.units + tuple(unit for g in self.groups.values() for unit in g.units)
+
     @classmethod
     def of(cls, vehicle: Any) -> Layout:
         """Lay out a vehicle's states."""
         drive = vehicle.drive
-        group = Group.build(9, [m.block(drive.period_s) for m in drive.models], drive.parameters(), drive.axis_names)
+        group = Group.build(9, [m.block(drive.period_s) for m in drive.models], drive.parameters(), drive.axis_names, drive.units)
         start, groups = 9 + group.size, {}
         for name, sensor in vehicle.sensors.items():
             blocks = [m.block(1.0 / sensor.rate_hz) for m in sensor.models]
-            groups[name] = Group.build(start, blocks, sensor.parameters(), sensor.axis_names, name)
+            groups[name] = Group.build(start, blocks, sensor.parameters(), sensor.axis_names, (sensor.unit,) * sensor.axes, name)
             start += groups[name].size
         return cls(group, groups)
 

@@ -27,6 +27,7 @@ class Mechanisation:
 
     streams: ClassVar[tuple[str, ...]] = ()
     axis_names: ClassVar[tuple[str, ...]] = ()
+    units: ClassVar[tuple[str, ...]] = ()
     steps: ClassVar[Callable[..., None]]
     hold: ClassVar[Callable[..., None]]
 
@@ -92,6 +93,7 @@ class Imu(Mechanisation):
 
     streams: ClassVar[tuple[str, ...]] = ("imu",)
     axis_names: ClassVar[tuple[str, ...]] = ("gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z")
+    units: ClassVar[tuple[str, ...]] = ("rad_s",) * 3 + ("m_s2",) * 3
     steps: ClassVar[Callable[..., None]] = staticmethod(strapdown.imu_steps)
     hold: ClassVar[Callable[..., None]] = staticmethod(strapdown.imu_hold)
 
@@ -143,6 +145,7 @@ class DeadReckoning(Mechanisation):
 
     streams: ClassVar[tuple[str, ...]] = ("attitude", "velocity")
     axis_names: ClassVar[tuple[str, ...]] = ("roll", "pitch", "yaw", "velocity_x", "velocity_y", "velocity_z")
+    units: ClassVar[tuple[str, ...]] = ("rad",) * 3 + ("m_s",) * 3
     steps: ClassVar[Callable[..., None]] = staticmethod(strapdown.dead_reckoning_steps)
     hold: ClassVar[Callable[..., None]] = staticmethod(strapdown.dead_reckoning_hold)
 

@@ -202,6 +202,7 @@ def _assemble(
         states=x,
         states_sd=sd,
         state_names=nav.layout.names,
+        state_units=nav.layout.units,
         residuals=tape.residuals(),
         error_models=tape.models,
         counts=dict(nav.counts),

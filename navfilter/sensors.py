@@ -49,6 +49,7 @@ class Sensor:
     gate_probability: float = 0.9999
     gate_timeout_s: float = 20.0
 
+    unit: ClassVar[str] = "m"
     axes: ClassVar[int] = 1
     reads: ClassVar[int] = 1
     axis_names: ClassVar[tuple[str, ...]] = ("",)
@@ -122,6 +123,7 @@ class BodyVelocity(Sensor):
     zero_is_invalid: bool = True
     max_speed_m_s: float = 20.0
 
+    unit: ClassVar[str] = "m_s"
     axes: ClassVar[int] = 3
     reads: ClassVar[int] = 3
     axis_names: ClassVar[tuple[str, ...]] = ("x", "y", "z")
@@ -192,6 +194,8 @@ class Heading(Sensor):
     reference_temperature_c: float = 20.0
     hard_iron: Vector = (0.0, 0.0, 0.0)
     soft_iron: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+
+    unit: ClassVar[str] = "rad"
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -357,6 +361,7 @@ class ZeroVelocity(Sensor):
     force_sd_max: float = 0.05
     gyro_mean_max: float = 0.02
 
+    unit: ClassVar[str] = "m_s"
     axes: ClassVar[int] = 3
     reads: ClassVar[int] = 3
     axis_names: ClassVar[tuple[str, ...]] = ("north", "east", "down")

@@ -73,7 +73,7 @@ class Track:
         Of position [m] in n, velocity [m/s] in n, attitude [rad] in n.
     states, states_sd : ndarray, shape (n, k)
         Estimates and standard deviations of sensor errors and parameters.
-    state_names : tuple of str
+    state_names, state_units : tuple of str
     residuals : dict of str to Residuals
     error_models : dict of str to list of (time_s, error model)
         What was in force from when.
@@ -103,6 +103,7 @@ class Track:
     counts: dict[str, int] = field(default_factory=dict)
     cpu_s: float = 0.0
     forward: Track | None = None
+    state_units: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.time_s)
@@ -147,7 +148,10 @@ class Track:
         columns |= {f"velocity_{a}_sd_m_s": sd[:, 3 + i] for i, a in enumerate(axes)}
         columns |= {f"{a}_sd_deg": rpy_sd[:, i] for i, a in enumerate(("roll", "pitch", "heading"))}
         for i, name in enumerate(self.state_names):
-            columns[name], columns[f"{name}_sd"] = self.states[:, i], self.states_sd[:, i]
+            unit = self.state_units[i] if self.state_units else "1"
+            factor = 180.0 / math.pi if unit.startswith("rad") else 1.0
+            unit = unit.replace("rad", "deg")
+            columns[f"{name}_{unit}"], columns[f"{name}_sd_{unit}"] = factor * self.states[:, i], factor * self.states_sd[:, i]
         return pd.DataFrame(columns)
 
     def _attitude_sd(self) -> Array:

@@ -238,7 +238,7 @@ def _mechanise(nav, inc, dt):
     g = gravity(lat, h - 0.5 * v[2] * dt)
     mid = v + 0.5 * (u + g * dt * DOWN)
     earth = RATE * np.array([np.cos(lat), 0.0, -np.sin(lat)])
-    w = earth + [mid[1] / re, -mid[0] / rn, -mid[1] * np.tan(lat) / re]
+    w = earth + np.array([mid[1] / re, -mid[0] / rn, -mid[1] * np.tan(lat) / re])
     p = u - 0.5 * dt * np.cross(w, u)
     nav[3:6] = v + p - dt * np.cross(w + earth, mid) + g * dt * DOWN
     mid = 0.5 * (v + nav[3:6])
@@ -380,6 +380,8 @@ def _dead_reckoning_step(nav, xd, drv, sample, Phid, Qd, Cr, acc):
     axes = np.column_stack([C[:, 0], rotation(yaw * DOWN) @ EAST, DOWN])  # each angle turns about one of these
     l0, l1 = (C0 @ arm, C @ arm) if started else (np.zeros(3), np.zeros(3))
     per = 1.0 / span if started and span > 0 else 0.0
+    turned = (sample[1:4] - drv[59:62] + np.pi) % (2 * np.pi) - np.pi
+    drv[64] = per * np.linalg.norm(turned)
     w = per * (l1 - l0)
     F, J, E_par = np.zeros((m, m)), np.zeros((9, 6)), np.zeros((3, k))
     if missing:
@@ -424,6 +426,8 @@ def dead_reckoning_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc):
     _move(nav, dt * nav[3:6])
     drv[12] += dt
     _compound(acc, F)
+    m = len(acc[0])
+    acc[m : 2 * m][range(6, 9), range(6, 9)] += (drv[64] * dt) ** 2
 
 
 # ---------------------------------------------------------------- kernels/measurement.py: residual, and derivative of the reading
@@ -638,7 +642,8 @@ def cholesky_solve(S, Y):
 def rts(records, P0):
     """Sample-by-sample Rauch-Tung-Striebel (1965), in extended precision because it inverts predicted covariances.
 
-    `records`: one (Phi, Q, H or None, R, residual, reset) per sample. Returns smoothed corrections to the forward state and their covariances: at the start,
+    `records`: one (Phi, Q, H or None, R, residual, reset) per sample. Returns smoothed corrections to the forward state and their
+    covariances: at the start,
     and after each sample.
     """
     wide, n = np.longdouble, len(P0)

@@ -4,7 +4,7 @@ Arrays shared with the navigator (all float64, C-contiguous):
 
 ``nav`` (17,)   latitude, longitude [rad], height [m], velocity_n (3) [m/s], C_nb row by row (9), meridian and prime-vertical
                 radius plus height [m].
-``drv`` (64,)   memory and settings of the drive, see the index constants below.
+``drv`` (65,)   memory and settings of the drive, see the index constants below.
 ``samples`` (n, 7)  seconds since the previous sample, then the six values of the drive.
 ``Cr`` (6, k+1) output rows C of the drive's error blocks, and in the last column the white variance of one sample.
 ``acc`` (4m, m) compound transition Phi and noise Q since the last fold (m rows each), then two m-row work areas. m = 9 + k.
@@ -29,7 +29,8 @@ SOMIGLIANA = math.sqrt(1.0 - EARTH_E2) * GRAVITY_POLE / GRAVITY_EQUATOR - 1.0
 PREVIOUS, CONSUMED, HELD_S, STARTED, MEAN_C, COUNT, SUMS, SQUARES = 0, 6, 12, 13, 14, 23, 24, 30
 PERIOD_S, INCREMENTS, GAP_RATE_SD, GAP_FORCE_SD = 36, 37, 38, 39
 HOLD_DENSITY, DEVIATION, SCALE, MISALIGNMENT, LEVER, MOUNTING, LEVER_VELOCITY, PREVIOUS_RPY, MAX_SPEED, ZERO_IS_VALID = 40, 41, 42, 43, 44, 47, 56, 59, 62, 63
-DRIVE_SIZE = 64
+TURN_RATE = 64
+DRIVE_SIZE = 65
 MOST_TICKS = 10000.0  # of the drive's blocks in one step
 GAP_PERIODS = 3.0  # a silence of more than this many periods is a gap: what the vehicle did in it is unknown
 
@@ -439,11 +440,15 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
         C[0, 0], C[0, 1], C[0, 2] = cp * cy, sr * sp * cy - cr * sy, cr * sp * cy + sr * sy
         C[1, 0], C[1, 1], C[1, 2] = cp * sy, sr * sp * sy + cr * cy, cr * sp * sy - sr * cy
         C[2, 0], C[2, 1], C[2, 2] = -sp, sr * cp, cr * cp
+        turned = 0.0
         for i in range(3):
+            angle = samples[n, 1 + i] - drv[PREVIOUS_RPY + i]
+            turned += (angle - 2.0 * math.pi * math.floor(angle / (2.0 * math.pi) + 0.5)) ** 2
             drv[PREVIOUS_RPY + i] = samples[n, 1 + i]
         # -- lever arm before and after, and its velocity: what the turn of the attitude moved it by
         e0, e1, e2 = drv[LEVER], drv[LEVER + 1], drv[LEVER + 2]
         per = 1.0 / span if drv[STARTED] != 0.0 and span > 0.0 else 0.0
+        drv[TURN_RATE] = per * math.sqrt(turned)
         for i in range(3):
             l1[i] = C[i, 0] * e0 + C[i, 1] * e1 + C[i, 2] * e2
             l0[i] = nav[6 + 3 * i] * e0 + nav[7 + 3 * i] * e1 + nav[8 + 3 * i] * e2
@@ -578,9 +583,12 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
 
 @njit(cache=True)
 def dead_reckoning_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc):
-    """Carry the position `dt` seconds past the last sample with the last velocity; the blocks do not tick."""
+    """Carry the position `dt` seconds past the last sample with the last velocity; the blocks do not tick.
+
+    The attitude stays, and becomes less certain by the angle that the vehicle may have turned: what it turned by between the last samples.
+    """
     m = 9 + len(xd)
-    F = acc[2 * m : 3 * m]
+    F, Q = acc[2 * m : 3 * m], acc[m : 2 * m]
     _clear_transition(F, m)
     for i in range(9):
         F[i, i] = 1.0
@@ -590,3 +598,5 @@ def dead_reckoning_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc):
     _move(nav, dt * nav[3], dt * nav[4], dt * nav[5])
     drv[HELD_S] += dt
     _finish(xd, Phid, Qd, 0, acc)
+    for i in range(6, 9):
+        Q[i, i] += (drv[TURN_RATE] * dt) ** 2
