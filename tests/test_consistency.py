@@ -1,8 +1,11 @@
 """Monte Carlo: what the filter and the smoother say about their errors is what their errors are.
 
-Errors of one run are correlated in time, so the normalised estimation error squared (NEES) is taken at a few fixed times and averaged over independent seeds:
-then it is chi-square with (seeds x components) degrees of freedom. Innovations of a matching model are white, so the NIS of a sensor counts over all its readings.
-With so many figures, one in twenty lies outside its 95 % band by chance: all must lie within the band that holds for the whole family with 95 %
+Errors of one run are correlated in time, so the normalised estimation error squared (NEES) is taken at a few fixed times and averaged
+over independent seeds:
+then it is chi-square with (seeds x components) degrees of freedom. Innovations of a matching model are white, so the NIS of a sensor
+counts over all its readings.
+With so many figures, one in twenty lies outside its 95 % band by chance: all must lie within the band that holds for the whole family
+with 95 %
 (Bonferroni), and at least 85 % within their own 95 % bands.
 """
 
@@ -77,7 +80,9 @@ def campaign(drive, noise, seeds):
     nees = {(label, q): np.zeros((seeds, len(TIMES_S))) for label in ("forward", "smoothed") for q in QUANTITIES}
     nis = {name: np.zeros(2) for name in described.sensors}
     for seed in range(seeds):
-        mission = simulate(described, motion(), seed=1000 + seed, duration_s=DURATION_S, start=StartErrors(heading_sd_deg=2.0, velocity_sd_m_s=0.05))
+        mission = simulate(
+            described, motion(), seed=1000 + seed, duration_s=DURATION_S, start=StartErrors(heading_sd_deg=2.0, velocity_sd_m_s=0.05)
+        )
         smoothed = nf.replay(described, mission, smooth=True, output_rate_hz=None)
         for track in (smoothed.forward, smoothed):
             rows = np.searchsorted(track.time_s, np.array(TIMES_S) - 1e-6)

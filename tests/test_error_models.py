@@ -25,7 +25,10 @@ def autocovariance(block, lags):
 def gauss_markov(order, beta, t):
     """Autocorrelation of an order-n Gauss-Markov process: thesis eq 2.42 with the factor Gamma(n + k) that the print lost."""
     n, b = order, beta * np.abs(t)
-    terms = [math.gamma(n) * math.gamma(n + k) * (2.0 * b) ** (n - k - 1) / (math.factorial(2 * n - 2) * math.factorial(k) * math.gamma(n - k)) for k in range(n)]
+    terms = [
+        math.gamma(n) * math.gamma(n + k) * (2.0 * b) ** (n - k - 1) / (math.factorial(2 * n - 2) * math.factorial(k) * math.gamma(n - k))
+        for k in range(n)
+    ]
     return np.exp(-b) * sum(terms)
 
 
@@ -48,7 +51,13 @@ def test_gauss_markov_falls_to_one_over_e_at_tau(order):
     assert autocovariance(block, 2)[1] == pytest.approx(4.0 * math.exp(-1.0), abs=1e-5)
 
 
-ARMAS = [((), (), 0.3), ((-0.8,), (), 0.6), ((), (0.5, -0.2, 0.1), 1.0), ((-1.6, 0.7), (0.4, 0.1), 0.4), ((-0.5, 0.2, 0.1, -0.3), (0.9,), 2.0)]
+ARMAS = [
+    ((), (), 0.3),
+    ((-0.8,), (), 0.6),
+    ((), (0.5, -0.2, 0.1), 1.0),
+    ((-1.6, 0.7), (0.4, 0.1), 0.4),
+    ((-0.5, 0.2, 0.1, -0.3), (0.9,), 2.0),
+]
 
 
 @pytest.mark.parametrize(("ar", "ma", "sd"), ARMAS)
@@ -101,7 +110,9 @@ def test_a_sum_is_the_sum():
         nf.White(sd=0.1) + 0.1
 
 
-@pytest.mark.parametrize("model", [nf.GaussMarkov(sd=0.6, tau_s=2.0, order=2) + nf.White(sd=0.3), nf.Arma(ar=(-1.2, 0.5), ma=(0.4,), sd=0.3)])
+@pytest.mark.parametrize(
+    "model", [nf.GaussMarkov(sd=0.6, tau_s=2.0, order=2) + nf.White(sd=0.3), nf.Arma(ar=(-1.2, 0.5), ma=(0.4,), sd=0.3)]
+)
 def test_simulated_errors_have_the_autocovariance(model):
     n, lags = 200_000, 6
     x = draw_error(model, 0.5, n, 0, "test")
@@ -141,7 +152,11 @@ def test_wrong_models_are_refused(build, message):
 # ---------------------------------------------------------------- layout: where the blocks stand
 def test_layout_stacks_blocks_parameters_and_names():
     vehicle = nf.Vehicle(
-        imu=nf.Imu(rate_hz=100.0, gyro=nf.RandomWalk(density=1e-6), accel=(nf.White(sd=0.1), nf.GaussMarkov(sd=0.1, tau_s=1.0, order=2), nf.White(sd=0.1))),
+        imu=nf.Imu(
+            rate_hz=100.0,
+            gyro=nf.RandomWalk(density=1e-6),
+            accel=(nf.White(sd=0.1), nf.GaussMarkov(sd=0.1, tau_s=1.0, order=2), nf.White(sd=0.1)),
+        ),
         sensors={
             "depth": nf.Depth(error=nf.White(sd=0.1)),
             "dvl": nf.BodyVelocity(rate_hz=4.0, error=nf.Arma(ar=(-0.8,), ma=(0.2, 0.1), sd=0.1), scale_sd=0.01, misalignment_sd_rad=0.02),

@@ -77,13 +77,17 @@ def test_imports_point_down():
 
 def test_nothing_below_imports_the_face():
     """The package's __init__ is for users: a module that imports it would depend on everything."""
-    assert [name_of(path) for path in modules() if name_of(path) not in ("__init__", "__main__", "cli") and "__init__" in imports(path)] == []
+    assert [
+        name_of(path) for path in modules() if name_of(path) not in ("__init__", "__main__", "cli") and "__init__" in imports(path)
+    ] == []
 
 
 @pytest.mark.parametrize("lazy", [False, True])
 def test_no_circles(lazy):
     """Neither at import time nor through imports inside functions."""
-    arrows = {name_of(path): {t for t in imports(path, lazy=lazy)} - {name_of(path)} for path in modules() if name_of(path) not in ("__init__", "__main__")}
+    arrows = {
+        name_of(path): imports(path, lazy=lazy) - {name_of(path)} for path in modules() if name_of(path) not in ("__init__", "__main__")
+    }
     done, path = set(), []
 
     def walk(name):

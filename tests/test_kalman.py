@@ -47,8 +47,11 @@ def test_components_one_by_one_are_the_components_together():
         before = res[i : i + 1] - H[i] @ moved
         x, part, turn = correction(single, H[i : i + 1].copy(), R[i : i + 1], before, n)
         total += part[0]
-        moved += np.concatenate([[(n[0] - nav[0]) * nav[15], (n[1] - nav[1]) * nav[16] * np.cos(nav[0]), nav[2] - n[2]], n[3:6] - nav[3:6], turn, x])
-    # residuals of 1e-6, so that the reset of the attitude (second order, 1e-6 relative) does not tell the two apart; metres from radians round at 1e-9
+        moved += np.concatenate(
+            [[(n[0] - nav[0]) * nav[15], (n[1] - nav[1]) * nav[16] * np.cos(nav[0]), nav[2] - n[2]], n[3:6] - nav[3:6], turn, x]
+        )
+    # residuals of 1e-6, so that the reset of the attitude (second order, 1e-6 relative) does not tell the two apart; metres from radians
+    # round at 1e-9
     np.testing.assert_allclose(single, together, atol=1e-5)
     assert total == pytest.approx(out[0], rel=2e-3)
 
@@ -105,7 +108,9 @@ print(json.dumps([warm, signatures()]))
 @pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled without the JIT")
 def test_each_kernel_is_compiled_once_and_warm_up_compiles_all_that_runs():
     """A second signature (a slice, a Fortran order, a read-only array) would be a pause of seconds on a vehicle."""
-    done = subprocess.run([sys.executable, "-c", RUN], capture_output=True, text=True, env={**os.environ, "NUMBA_DISABLE_JIT": "0"}, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", RUN], capture_output=True, text=True, env={**os.environ, "NUMBA_DISABLE_JIT": "0"}, check=False
+    )
     assert done.returncode == 0, done.stderr[-3000:]
     warm, after = json.loads(done.stdout.splitlines()[-1])
     assert {name: count for name, count in after.items() if count > 1} == {}

@@ -43,7 +43,8 @@ def test_jacobians_equal_finite_differences(seed):
                 # the reading is predicted plus residual: H is minus the slope of the residual
                 slope = -(ends[0] - ends[1]) / (2.0 * step)
                 seen = ~np.isnan(res)
-                # Rounding 1e-9 m over 10 m; second order of a rotation by 1e-3 rad, 1e-6 / 6; metres east on the mid parallel, 10 m / 6e6 m. Per metre and
+                # Rounding 1e-9 m over 10 m; second order of a rotation by 1e-3 rad, 1e-6 / 6; metres east on the mid parallel, 10 m / 6e6
+                # m. Per metre and
                 # rad of up to 3 m/s or 1 m lever arm. A nearly vertical field magnifies the second order.
                 np.testing.assert_allclose(H[seen, j], slope[seen], rtol=2e-5, atol=6e-6)
 
@@ -70,7 +71,9 @@ def test_signs_of_the_residuals():
     # declination east: a magnetic compass reads less than the true heading
     _, res = evaluate(measurement.heading, np.array([math.pi / 2 - 0.1, np.nan]), state, still, none, np.array([0.1, 20.0]), 1)
     np.testing.assert_allclose(res, 0.0, atol=1e-12)
-    _, res = evaluate(measurement.heading, np.array([math.pi / 2 - 0.1 + 6 * math.pi + 0.02, np.nan]), state, still, none, np.array([0.1, 20.0]), 1)
+    _, res = evaluate(
+        measurement.heading, np.array([math.pi / 2 - 0.1 + 6 * math.pi + 0.02, np.nan]), state, still, none, np.array([0.1, 20.0]), 1
+    )
     np.testing.assert_allclose(res, 0.02, atol=1e-12)
     # the field points to magnetic north and down; turned by 0.02 rad too far to the left, the azimuth of magnetic north comes out too small
     field_n = matrix_from_euler(0.0, 0.0, 0.1) @ [20.0, 0.0, 40.0]
@@ -107,7 +110,7 @@ def test_iron_calibration_is_applied():
     soft = (1.1, 0.02, 0.0, 0.02, 0.9, 0.0, 0.0, 0.0, 1.0)
     sensor = nf.Heading(magnetometer=True, declination_rad=0.0, hard_iron=(3.0, -2.0, 1.0), soft_iron=soft)
     field = np.array([20.0, 5.0, 40.0])
-    reading = np.linalg.solve(np.reshape(soft, (3, 3)), field) + [3.0, -2.0, 1.0]
+    reading = np.linalg.solve(np.reshape(soft, (3, 3)), field) + np.array([3.0, -2.0, 1.0])
     np.testing.assert_allclose(sensor.read(np.array([*reading, 12.0])), [*field, 12.0], atol=1e-12)
     assert sensor.read(np.array([3.0, -2.0, 1.0])) is None  # no field at all
 
@@ -116,7 +119,12 @@ def test_parameters_appear_only_where_they_are_uncertain():
     assert nf.Heading().parameters() == () and nf.Depth().parameters() == () and nf.BodyVelocity().parameters() == ()
     names = [name for name, _ in nf.Heading(bias_sd_rad=0.1).parameters()]
     assert names == ["bias", "one_cycle_sin", "one_cycle_cos", "two_cycle_sin", "two_cycle_cos", "temperature"]
-    assert dict(nf.BodyVelocity(scale_sd=0.01).parameters()) == {"scale": 0.01, "misalignment_x": 0.0, "misalignment_y": 0.0, "misalignment_z": 0.0}
+    assert dict(nf.BodyVelocity(scale_sd=0.01).parameters()) == {
+        "scale": 0.01,
+        "misalignment_x": 0.0,
+        "misalignment_y": 0.0,
+        "misalignment_z": 0.0,
+    }
     assert nf.Depth(offset_sd_m=0.3).parameters() == (("offset", 0.3),)
 
 
@@ -140,7 +148,14 @@ def test_wrong_sensors_are_refused(build, message):
 
 
 def test_every_sensor_reads_nothing_from_nothing():
-    for sensor in (nf.BodyVelocity(), nf.Heading(), nf.Heading(magnetometer=True, declination_rad=0.0), nf.Depth(), nf.Depth(pressure=True), nf.Position()):
+    for sensor in (
+        nf.BodyVelocity(),
+        nf.Heading(),
+        nf.Heading(magnetometer=True, declination_rad=0.0),
+        nf.Depth(),
+        nf.Depth(pressure=True),
+        nf.Position(),
+    ):
         assert isinstance(sensor, Sensor)
         assert sensor.read(np.full(sensor.reads, np.nan)) is None
         assert sensor.read(np.full(sensor.reads, np.inf)) is None

@@ -27,7 +27,10 @@ def sensors():
 
 
 def inertial():
-    gyro, accel = nf.White(density=1e-4) + nf.RandomWalk(density=1e-6, start_sd=1e-4), nf.White(density=1e-3) + nf.RandomWalk(density=1e-5, start_sd=1e-2)
+    gyro, accel = (
+        nf.White(density=1e-4) + nf.RandomWalk(density=1e-6, start_sd=1e-4),
+        nf.White(density=1e-3) + nf.RandomWalk(density=1e-5, start_sd=1e-2),
+    )
     return nf.Vehicle(imu=nf.Imu(rate_hz=50.0, gyro=gyro, accel=accel), sensors=sensors())
 
 
@@ -130,9 +133,15 @@ def test_a_dvl_that_lost_the_bottom_is_not_a_reading():
     outcome = nav.correct("dvl", 1.1, [1.5, math.nan, -32.768])
     assert outcome.status == "used" and outcome.dof == 1
     residuals = nav._tape.residuals()["dvl"]
-    assert np.isfinite(residuals.value[-1]).tolist() == [True, False, False] and np.isfinite(residuals.sd[-1]).tolist() == [True, False, False]
+    assert np.isfinite(residuals.value[-1]).tolist() == [True, False, False] and np.isfinite(residuals.sd[-1]).tolist() == [
+        True,
+        False,
+        False,
+    ]
     wheels = nf.BodyVelocity(rate_hz=4.0, zero_is_invalid=False)
-    nav = nf.Navigator(nf.Vehicle(imu=nf.Imu(rate_hz=50.0), sensors={"wheels": wheels}), dataclasses.replace(START, velocity_n=(0.0, 0.0, 0.0)))
+    nav = nf.Navigator(
+        nf.Vehicle(imu=nf.Imu(rate_hz=50.0), sensors={"wheels": wheels}), dataclasses.replace(START, velocity_n=(0.0, 0.0, 0.0))
+    )
     run(nav, 0.1)
     assert nav.correct("wheels", 0.1, [0.0, 0.0, 0.0]).status == "used"
 
@@ -169,7 +178,7 @@ def test_widening_with_a_missing_height_invents_no_reading():
     for second in range(1, 31):
         run(nav, second, second - 1)
         sd_height = nav.state.sd[2]
-        outcome = nav.correct("gps", second, fix(nav, north_m=0.0)[:2] + [math.nan] if second < 2 else [*fix(nav, north_m=300.0)[:2], math.nan])
+        outcome = nav.correct("gps", second, [*fix(nav, north_m=0.0 if second < 2 else 300.0)[:2], math.nan])
         if outcome.widened:
             break
     assert outcome.widened and outcome.dof == 2
@@ -248,7 +257,9 @@ def test_readings_before_the_first_sample():
 def test_nothing_uncertain_is_no_division_by_zero():
     sure = dataclasses.replace(START, position_sd_m=0.0, velocity_sd_m_s=0.0, tilt_sd_deg=0.0, heading_sd_deg=0.0)
     exact = nf.White(sd=0.0)
-    vehicle = nf.Vehicle(imu=nf.Imu(rate_hz=50.0, gyro=exact, accel=exact), sensors={"depth": nf.Depth(error=exact), "gps": nf.Position(error=exact)})
+    vehicle = nf.Vehicle(
+        imu=nf.Imu(rate_hz=50.0, gyro=exact, accel=exact), sensors={"depth": nf.Depth(error=exact), "gps": nf.Position(error=exact)}
+    )
     nav = nf.Navigator(vehicle, sure, nf.Tape())
     run(nav, 1.0)
     for k, value in enumerate((0.0, -nav.state.height, 1.0)):
@@ -391,7 +402,9 @@ def test_rest_is_detected_and_counts_as_zero_velocity():
 
 def test_gaps_leave_the_uncertainty_that_they_should():
     for build, expected_m in ((inertial, 0.3 * 20.0**2 / 2), (reckoning, 0.05 * math.sqrt(20.0**3 / 12.0))):
-        nav = nf.Navigator(build(), dataclasses.replace(START, position_sd_m=0.1, velocity_sd_m_s=0.001, tilt_sd_deg=0.01, heading_sd_deg=0.01))
+        nav = nf.Navigator(
+            build(), dataclasses.replace(START, position_sd_m=0.1, velocity_sd_m_s=0.001, tilt_sd_deg=0.01, heading_sd_deg=0.01)
+        )
         run(nav, 1.0)
         before = nav.state.sd[0]
         run(nav, 21.0 + nav.vehicle.drive.period_s, 21.0)

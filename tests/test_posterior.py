@@ -1,6 +1,7 @@
 """Exactness: filter and smoother are the Gaussian posterior of their own linearised model.
 
-Every run is captured as its chain ``e- = Phi e + w, res = H e- + v, e+ = G (e- - K res)`` of errors (true minus estimated), G the reset of the attitude.
+Every run is captured as its chain ``e- = Phi e + w, res = H e- + v, e+ = G (e- - K res)`` of errors (true minus estimated), G the reset
+of the attitude.
 The whole chain is then one Gaussian vector, conditioned in one piece on all its residuals, or walked sample by sample.
 """
 
@@ -121,7 +122,8 @@ class Capture:
 def posterior(steps, P0, wanted, upto=None):
     """Mean and covariance of the error after the `wanted` steps, given the residuals of the first `upto` steps: one dense conditioning.
 
-    The unknowns are the error at the start and the noises of all steps, so singular P0 and Q need no inverse. Extended precision, because readings
+    The unknowns are the error at the start and the noises of all steps, so singular P0 and Q need no inverse. Extended precision, because
+    readings
     without white noise make the covariance of the residuals nearly singular.
     """
     n, wide = len(P0), np.longdouble
@@ -177,18 +179,27 @@ def inertial_vehicle(arma=True):
         imu=nf.Imu(
             rate_hz=20.0,
             gyro=nf.White(density=1e-3) + nf.RandomWalk(density=1e-4, start_sd=1e-3),
-            accel=(nf.White(density=1e-2), nf.GaussMarkov(sd=0.05, tau_s=3.0, order=2) + nf.White(density=1e-2), nf.RandomWalk(density=1e-3, start_sd=0.02)),
+            accel=(
+                nf.White(density=1e-2),
+                nf.GaussMarkov(sd=0.05, tau_s=3.0, order=2) + nf.White(density=1e-2),
+                nf.RandomWalk(density=1e-3, start_sd=0.02),
+            ),
         ),
         sensors={
             "compass": nf.Heading(rate_hz=5.0, error=shaped, bias_sd_rad=0.02, deviation_sd_rad=(0.03, 0.01)),
             "dvl": nf.BodyVelocity(
-                rate_hz=4.0, error=nf.GaussMarkov(sd=0.1, tau_s=2.0, order=2) + nf.White(sd=0.05), lever_arm_b_m=(0.5, 0.1, 0.2), scale_sd=0.01,
+                rate_hz=4.0,
+                error=nf.GaussMarkov(sd=0.1, tau_s=2.0, order=2) + nf.White(sd=0.05),
+                lever_arm_b_m=(0.5, 0.1, 0.2),
+                scale_sd=0.01,
                 misalignment_sd_rad=0.02,
             ),
-            "depth": nf.Depth(rate_hz=1.0, error=nf.RandomWalk(density=0.1, start_sd=0.5) + nf.White(sd=0.1), offset_sd_m=0.5, lever_arm_b_m=(0.5, 0, 0)),
+            "depth": nf.Depth(
+                rate_hz=1.0, error=nf.RandomWalk(density=0.1, start_sd=0.5) + nf.White(sd=0.1), offset_sd_m=0.5, lever_arm_b_m=(0.5, 0, 0)
+            ),
             "gps": nf.Position(rate_hz=1.0, error=nf.GaussMarkov(sd=2.0, tau_s=20.0) + nf.White(sd=0.3), lever_arm_b_m=(-1.0, 0.2, -0.5)),
         },
-    )  # fmt: skip
+    )
 
 
 def reckoning_vehicle(arma=True):
@@ -197,7 +208,9 @@ def reckoning_vehicle(arma=True):
         nf.DeadReckoning(
             rate_hz=4.0,
             attitude=nf.Heading(rate_hz=4.0, error=shaped, bias_sd_rad=0.05, deviation_sd_rad=(0.03, 0.01)),
-            velocity=nf.BodyVelocity(rate_hz=4.0, error=nf.White(sd=0.05), lever_arm_b_m=(0.5, 0.1, 0.2), scale_sd=0.02, misalignment_sd_rad=0.01),
+            velocity=nf.BodyVelocity(
+                rate_hz=4.0, error=nf.White(sd=0.05), lever_arm_b_m=(0.5, 0.1, 0.2), scale_sd=0.02, misalignment_sd_rad=0.01
+            ),
             tilt=nf.GaussMarkov(sd=0.5 * DEG, tau_s=5.0) + nf.White(sd=0.0 if arma else 0.2 * DEG),
         ),
         sensors={"depth": nf.Depth(rate_hz=1.0, error=nf.White(sd=0.1)), "gps": nf.Position(rate_hz=1.0, error=nf.Arma(**ARMA, sd=0.2))},
@@ -273,7 +286,9 @@ def test_smoother_equals_rauch_tung_striebel_at_every_sample(case, monkeypatch):
     drive_through(capture.nav, 2.0 if case == "inertial" else seconds, seed=2)
     chain = capture.samples
     ends, at = {0: 0}, 0
-    means, covariances = naive.rts([(s.Phi, s.Q, s.H, s.R, s.res, s.G if s.G is not None else np.eye(capture.n)) for s in chain], capture.P0)
+    means, covariances = naive.rts(
+        [(s.Phi, s.Q, s.H, s.R, s.res, s.G if s.G is not None else np.eye(capture.n)) for s in chain], capture.P0
+    )
     # where in the chain of samples each record of the tape ends: compound transitions agree there
     compound = np.eye(capture.n)
     records = iter(capture.steps)

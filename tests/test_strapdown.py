@@ -24,7 +24,15 @@ RATE_HZ = 100.0
 # ---------------------------------------------------------------- ten minutes without noise
 @pytest.fixture(scope="module")
 def motion():
-    lap = (Straight(duration_s=15.0), Turn(120.0), Dive(30.0, pitch_deg=20.0), FigureEight(rate_deg_s=10.0), SpiralDive(5.0), ChangeSpeed(2.5), Turn(-200.0))
+    lap = (
+        Straight(duration_s=15.0),
+        Turn(120.0),
+        Dive(30.0, pitch_deg=20.0),
+        FigureEight(rate_deg_s=10.0),
+        SpiralDive(5.0),
+        ChangeSpeed(2.5),
+        Turn(-200.0),
+    )
     return Motion(lap * 6, latitude_deg=48.0, longitude_deg=-5.0, heading_deg=20.0, speed_m_s=2.0, depth_m=5.0, wander=Wander())
 
 
@@ -72,14 +80,18 @@ def test_strapdown_equals_python_ins_for_ten_minutes(motion, kind):
     assert velocity < 1e-5
     assert attitude < 1e-6
     # Against the motion itself, both err alike: a third of a metre from rates that do not change linearly, 17 mm from increments.
-    ours, python = differences(out[::50], place[1::50], C[1::50]), differences(np.hstack([theirs, C_theirs.reshape(-1, 9)])[1::50], place[1::50], C[1::50])
+    ours, python = (
+        differences(out[::50], place[1::50], C[1::50]),
+        differences(np.hstack([theirs, C_theirs.reshape(-1, 9)])[1::50], place[1::50], C[1::50]),
+    )
     np.testing.assert_allclose(ours[:2], python[:2], rtol=0.02)
     assert ours[0] < (0.5 if kind == "rate" else 0.02) and ours[2] < 1e-6
 
 
 @pytest.mark.parametrize(("increments", "rate_hz", "position_m"), [(True, 500.0, 1e-3), (False, 1000.0, 6e-3)])
 def test_strapdown_converges_to_the_exact_motion(motion, increments, rate_hz, position_m):
-    """The error is of second order in the step, so fast samples show that nothing else is missing: 17 mm / 25; 0.34 m / 100, and rounding."""
+    """The error is of second order in the step, so fast samples show that nothing else is missing: 17 mm / 25; 0.34 m / 100, and
+    rounding."""
     times, gyro, accel = motion.inertial(rate_hz, increments=increments, duration_s=600.0)
     checked = np.arange(0.0, 601.0, 60.0)
     place, C = truth_at(motion, checked)
@@ -193,7 +205,8 @@ def test_rotations():
 
 
 # ---------------------------------------------------------------- Jacobians by finite differences
-# Ten metres move a latitude by 1.6e-6 rad, which is rounded at 1e-16: 1e-9 m, or 1e-10 of the step. Smaller steps drown in that, larger ones see the
+# Ten metres move a latitude by 1.6e-6 rad, which is rounded at 1e-16: 1e-9 m, or 1e-10 of the step. Smaller steps drown in that, larger
+# ones see the
 # curvature of the Earth (10 m over 6.4e6 m, squared in a central difference).
 STEPS = np.array([10.0] * 3 + [0.1] * 3 + [1e-3] * 3)
 
@@ -250,7 +263,8 @@ def test_strapdown_transition_equals_finite_differences(kind, increments, seed):
     a = acc.copy()
     run(nav.copy(), xd.copy(), drv.copy(), a)
     drive_scale = np.full(6, 0.1)
-    # The transition is of second order in the step: 10 ms with 0.3 rad/s and 10 m/s^2 leave (0.003)^2 of 0.1 m/s, and the variation of gravity
+    # The transition is of second order in the step: 10 ms with 0.3 rad/s and 10 m/s^2 leave (0.003)^2 of 0.1 m/s, and the variation of
+    # gravity
     # with latitude (1e-8 1/s^2) is left out on purpose.
     compare(a[:15], numeric(run, nav, xd, drv, drive_scale * 0.1), drive_scale, 3e-6)
 
@@ -332,10 +346,14 @@ def test_white_noise_of_the_drive_spreads_the_state_as_its_covariance_says():
         (strapdown.imu_steps, nf.Imu(rate_hz=20.0, gyro=nf.White(sd=0.01), accel=nf.White(sd=0.1)), [0.01] * 3 + [0.1] * 3),
         (
             strapdown.dead_reckoning_steps,
-            nf.DeadReckoning(rate_hz=20.0, attitude=nf.White(sd=0.01), velocity=nf.BodyVelocity(rate_hz=20.0, error=nf.White(sd=0.1), lever_arm_b_m=(0.5, 0.1, 0.2))),
+            nf.DeadReckoning(
+                rate_hz=20.0,
+                attitude=nf.White(sd=0.01),
+                velocity=nf.BodyVelocity(rate_hz=20.0, error=nf.White(sd=0.1), lever_arm_b_m=(0.5, 0.1, 0.2)),
+            ),
             [0.01] * 3 + [0.1] * 3,
         ),
-    ):  # fmt: skip
+    ):
         inertial = isinstance(drive, nf.Imu)
         base = np.array([0.02, 0.01, 0.3, 0.5, 0.2, -9.7]) if inertial else np.array([0.1, 0.05, 0.3, 1.5, 0.1, 0.05])
         samples = np.column_stack([np.full(n, 0.05), np.tile(base, (n, 1))])
@@ -356,7 +374,8 @@ def test_white_noise_of_the_drive_spreads_the_state_as_its_covariance_says():
         Q = acc[9:18]
         unit = np.sqrt(np.diag(Q))
         spread = np.cov(errors.T) / np.outer(unit, unit)
-        # Correlations from 1500 runs have an sd of 0.026, relative variances 0.037; the first inertial sample stands for the one before it too, which
+        # Correlations from 1500 runs have an sd of 0.026, relative variances 0.037; the first inertial sample stands for the one before
+        # it too, which
         # adds 3 % to the variance of the position.
         np.testing.assert_allclose(spread, Q / np.outer(unit, unit), atol=0.14)
 
