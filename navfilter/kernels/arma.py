@@ -20,6 +20,8 @@ import math
 import numpy as np
 from numba import njit
 
+OPTIONS: dict = {"error_model": "numpy", "_nrt": False}
+
 # Rows of the state.
 HEAD, THETA, PHI, PSI, MORE, GAIN, TRIAL, SCRATCH, COV = 0, 1, 2, 3, 4, 5, 6, 7, 8
 # Slots of the header; counts are floats so that one array holds the whole state.
@@ -40,7 +42,7 @@ WIDTH = 32  # least number of columns: the header's
 BEYOND = 1e75  # larger working values overflow when squared: taken as missing
 
 
-@njit(cache=True, error_model="numpy", _nrt=False, inline="always")
+@njit(cache=True, inline="always", **OPTIONS)
 def _inside(s, at, order, radius):
     """Schur-Cohn: are all roots of 1 + s[TRIAL, at] z^-1 + ... inside |z| < radius? NaN answers no."""
     inverse = 1.0 / radius
@@ -63,7 +65,7 @@ def _inside(s, at, order, radius):
     return inside
 
 
-@njit(cache=True, error_model="numpy", _nrt=False, inline="always")
+@njit(cache=True, inline="always", **OPTIONS)
 def _remember(s, y, e, p, q):
     """Push y and e into the lags, and their versions filtered by 1/C into psi (unfiltered for least squares)."""
     fy = -y
@@ -90,7 +92,7 @@ def _remember(s, y, e, p, q):
         s[PSI, 0] = fy
 
 
-@njit(cache=True, error_model="numpy", _nrt=False, inline="always")
+@njit(cache=True, inline="always", **OPTIONS)
 def _adapt(s, y, e, p, q, n):
     """Gauss-Newton step of theta and P; returns the residual after the step."""
     weight = s[PSI, 0]
@@ -137,7 +139,7 @@ def _adapt(s, y, e, p, q, n):
     return residual
 
 
-@njit(cache=True, error_model="numpy", _nrt=False, inline="always")
+@njit(cache=True, inline="always", **OPTIONS)
 def _predict(s, p, q, m, n):
     """Filter the regressors of this instant by 1/C, and return the one-step prediction."""
     for j in range(m):
@@ -157,7 +159,7 @@ def _predict(s, p, q, m, n):
     return predicted
 
 
-@njit(cache=True, error_model="numpy", _nrt=False, inline="always")
+@njit(cache=True, inline="always", **OPTIONS)
 def _clip(s, e):
     """Innovation limited to CLIP robust standard deviations."""
     # The median of |e| is followed by steps of one per cent: robust, and a tripled noise is reached in 200 samples.
@@ -172,7 +174,7 @@ def _clip(s, e):
     return e
 
 
-@njit(cache=True, error_model="numpy", _nrt=False, inline="always")
+@njit(cache=True, inline="always", **OPTIONS)
 def _learn(s, buf, pos, predicted):
     """What a known sample changes; `buf[0, pos]` holds it and receives its clipped value."""
     p = int(s[HEAD, AR])
@@ -200,7 +202,7 @@ def _learn(s, buf, pos, predicted):
     _remember(s, y, posterior, p, q)
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+@njit(cache=True, **OPTIONS)
 def _step(s, buf, x):
     p = int(s[HEAD, AR])
     q = int(s[HEAD, MA])
@@ -235,7 +237,7 @@ def _step(s, buf, x):
     return pos + 1 >= s[HEAD, DUE]
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+@njit(cache=True, **OPTIONS)
 def rml_step(s, buf, x):
     """One sample through one estimator; True when window work is due. O(n^2), no allocation.
 
@@ -245,7 +247,7 @@ def rml_step(s, buf, x):
     return _step(s, buf, x)
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+@njit(cache=True, **OPTIONS)
 def rml_run(s, buf, xs, us, start):
     """Samples xs[start:] with regressors us through one estimator until window work is due; returns where it stops."""
     held = int(s[HEAD, AR]) + int(s[HEAD, MA]) + int(s[HEAD, EXOG]) - us.shape[1]
@@ -257,7 +259,7 @@ def rml_run(s, buf, xs, us, start):
     return xs.size
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+@njit(cache=True, **OPTIONS)
 def bank_run(states, bufs, xs, start):
     """The same for several estimators with one schedule: states (k, rows, width), bufs (k, rows, L)."""
     for i in range(start, xs.size):
@@ -270,7 +272,7 @@ def bank_run(states, bufs, xs, start):
     return xs.size
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+@njit(cache=True, **OPTIONS)
 def bank_step(states, bufs, x):
     """One sample through several estimators; True when window work is due."""
     due = False
