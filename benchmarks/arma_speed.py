@@ -142,11 +142,12 @@ def peers(repeats: int) -> list[dict[str, float | str]]:
         arma.update_many(xs)
         kept = arma.snapshot()
         public_s = best(lambda a=arma, x=xs: a.update_many(x), lambda a=arma, k=kept: a.restore(k), max(repeats // 3, 2))
-        lags = np.column_stack([np.roll(xs, k + 1) for k in range(p)])[p:]
+        # As many coefficients as the kernel has: lags of the series stand in for those of the innovation.
+        lags = np.column_stack([np.roll(xs, k + 1) for k in range(p + q)])[p + q :]
 
-        def rls(lags=lags, xs=xs, p=p) -> None:
-            estimator = padasip.filters.FilterRLS(n=p, mu=0.999)
-            for row, x in zip(lags[:2000], xs[p:], strict=False):
+        def rls(lags=lags, xs=xs, n=p + q) -> None:
+            estimator = padasip.filters.FilterRLS(n=n, mu=0.999)
+            for row, x in zip(lags[:2000], xs[n:], strict=False):
                 estimator.adapt(x, row)
 
         def snarimax(xs=xs, p=p, q=q) -> None:
@@ -154,13 +155,13 @@ def peers(repeats: int) -> list[dict[str, float | str]]:
             for x in xs[:1000]:
                 model.learn_one(float(x))
 
-        def recursive_ls(lags=lags, xs=xs, p=p) -> None:
-            RecursiveLS(xs[p:], lags).fit()
+        def recursive_ls(lags=lags, xs=xs, n=p + q) -> None:
+            RecursiveLS(xs[n:], lags).fit()
 
         for name, call, count in (
-            ("padasip FilterRLS (AR part)", rls, 2000),
+            ("padasip FilterRLS, p+q lags", rls, 2000),
             ("river SNARIMAX", snarimax, 1000),
-            ("statsmodels RecursiveLS (AR part)", recursive_ls, lags.shape[0]),
+            ("statsmodels RecursiveLS, p+q lags", recursive_ls, lags.shape[0]),
         ):
             peer = best(call, lambda: None, 2) / count
             rows.append(
