@@ -27,6 +27,7 @@ first steps:
   navfilter simulate lawnmower --out dive         make a mission to play with
   navfilter check dive/mission.npz                look for the usual mistakes in a recording
   navfilter replay dive/mission.npz --vehicle dive/vehicle.toml --smooth --out result
+  navfilter identify still.csv --column gyro_x --rate-hz 100 --out gyro_x
 
 'navfilter COMMAND --help' explains one command.
 """

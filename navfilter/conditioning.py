@@ -16,6 +16,8 @@ Array = NDArray[np.float64]
 
 MAX_SAMPLES = 50_000
 LEAST_SAMPLES = 50
+#: No noise lies so many robust standard deviations off; a transmission error does.
+GROSS = 50.0
 #: A share of repeated values above this, in a series that is not coarsely quantised, means a sensor slower than its logger.
 HELD_SHARE = 0.4
 
@@ -58,7 +60,7 @@ def condition(
     to_s: float | None = None,
     decimate: int = 1,
     seasonal_lag: int = 0,
-    reject: float = 0.0,
+    reject: float = GROSS,
     max_samples: int = MAX_SAMPLES,
 ) -> Conditioned:
     """Cut, thin and clean a series.
@@ -74,7 +76,7 @@ def condition(
         Fit ``x[t] - x[t - lag]`` (a periodic disturbance of that many samples).
     reject : float
         Make samples missing that lie further than so many robust standard deviations from the median of the 11 around
-        them (0: none).
+        them (0: none). The default only catches what cannot be noise.
     max_samples : int
         Of a longer record the middle is fitted.
 
@@ -86,11 +88,14 @@ def condition(
     _check(series, decimate, seasonal_lag, max_samples)
     notes = list(series.notes)
     x, begin = _cut(series, from_s, to_s, notes)
+    size = float(np.max(np.abs(x[np.isfinite(x)]), initial=0.0))
+    if size and not 1e-100 < size < 1e100:
+        raise ValueError(f"{series.name} is of size {size:.1e}, beyond what can be squared. Is it the right column, the right unit?")
     infinite = int(np.isinf(x).sum())
     if infinite:
         notes.append(f"{infinite} infinite samples count as missing")
         x = np.where(np.isinf(x), np.nan, x)
-    if reject:
+    if reject and np.isfinite(x).sum() >= LEAST_SAMPLES:
         x = _without_impulses(x, reject, notes)
     step = quantisation_step(x)
     held = _held(x, step, notes) if decimate == 1 else 1
@@ -154,7 +159,9 @@ def _cut(series: Series, from_s: float | None, to_s: float | None, notes: list[s
 def _without_impulses(x: Array, reject: float, notes: list[str]) -> Array:
     smooth = median_filter(bridged(x), size=11, mode="nearest")
     away = np.abs(x - smooth)
-    far = away > reject * 1.4826 * float(np.nanmedian(away))
+    limit = reject * 1.4826 * float(np.nanmedian(away))
+    # More than half of the samples on one value: a coarse sensor, whose rare steps are no impulses.
+    far = away > limit if limit > 0.0 else np.zeros(x.size, dtype=bool)
     if far.mean() > 0.2:
         raise ValueError(f"--reject {reject:g} would reject {100 * far.mean():.0f} % of the samples. Take a larger number.")
     if far.any():

@@ -237,7 +237,7 @@ def _remarks(data: Conditioned, fit: ArmaFit, tests: Whiteness, curves: tuple[Ar
         )
     e = fit.residuals[np.isfinite(fit.residuals)]
     robust = 1.4826 * float(np.median(np.abs(e - np.median(e))))
-    far = int(np.sum(np.abs(e) > 6.0 * robust)) if robust > 0.0 else 0
+    far = int(np.sum(np.abs(e - np.median(e)) > 6.0 * robust)) if robust > 0.0 else 0
     if far:
         remarks.append(f"{far} residuals lie beyond 6 robust standard deviations: impulses (see --reject) or heavy tails")
     if data.step > fit.sd:
@@ -246,13 +246,23 @@ def _remarks(data: Conditioned, fit: ArmaFit, tests: Whiteness, curves: tuple[Ar
         )
     if "not converged" in fit.flags:
         remarks.append("the likelihood is flat along some direction: coefficients are not unique, poles and spectrum are")
-    drift = _drift(*curves)
+    straight = _straight(data.value)
+    if straight > 0.9 and not fit.d and fit.trend.size < 2:
+        remarks.append(f"a straight line explains {100 * straight:.0f} % of the variance: see --detrend, or --difference 1")
+    drift = _drift(*curves) if data.whole.size > 2 * data.value.size else None
     if drift is not None:
         remarks.append(
-            f"beyond {drift:.3g} s the whole record wanders more than the model (Allan deviation): a slow drift that these "
+            f"beyond {drift:.3g} s the whole record wanders more than the model (Allan deviation): a slow drift that the fitted "
             "samples do not show. Use --decimate, or add a RandomWalk"
         )
     return remarks
+
+
+def _straight(x: Array) -> float:
+    """Share of the variance that a straight line explains."""
+    known = np.isfinite(x)
+    where = np.arange(x.size)[known]
+    return float(np.corrcoef(where, x[known])[0, 1]) ** 2
 
 
 def _drift(tau: Array, allan: Array, model: Array) -> float | None:

@@ -51,7 +51,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     part.add_argument("--to-s", type=float, metavar="S", help="last time to use")
     part.add_argument("--decimate", type=_least_one, default=1, metavar="M", help="keep every M-th sample, without averaging")
     part.add_argument(
-        "--reject", type=_positive, default=0.0, metavar="K", help="samples K robust sd away from their neighbours are missing"
+        "--reject",
+        type=float,
+        default=50.0,
+        metavar="K",
+        help="samples K robust sd off their neighbours are missing (default: %(default)g; 0: none)",
     )
     part.add_argument("--max-samples", type=_least_one, metavar="N", help="fit the middle N of a longer record (default: 50000)")
     model = parser.add_argument_group("the model")
@@ -101,6 +105,8 @@ def run(options: argparse.Namespace) -> int:
     """Read, identify, write, print; 0 when all is well."""
     if not 0 <= options.difference <= 2:
         raise ValueError(f"--difference must be 0, 1 or 2, found {options.difference}.")
+    if not options.reject >= 0.0:
+        raise ValueError(f"--reject must be a number >= 0, found {options.reject}.")
     folder = Path(options.out)
     folder.mkdir(parents=True, exist_ok=True)
     with _busy(options.quiet) as say:

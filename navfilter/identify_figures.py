@@ -257,7 +257,7 @@ def pole_figure(found: Identification) -> Figure:
     near.set_xlim(1.0 - 1.7 * reach, 1.0 + 0.3 * reach)
     near.set_ylim(-reach, reach)
     near.xaxis.set_major_locator(MaxNLocator(4))
-    whole.legend(loc="center")
+    near.legend(loc="best")
     return figure
 
 
@@ -279,7 +279,7 @@ def allan_figure(found: Identification, unit: str) -> Figure:
     ax.loglog(tau, deviation, color=SAMPLE, label="record")
     if np.isfinite(found.allan_model).any():
         ax.loglog(tau, found.allan_model, color=MODEL, linestyle=(0, (5, 1.5)), linewidth=1.5, label=_order_text(found))
-    if found.data.step > 0.0:
+    if found.data.step / math.sqrt(12.0) > 0.5 * deviation[deviation > 0.0].min():
         ax.axhline(
             found.data.step / math.sqrt(12.0), color=GREY, linewidth=0.8, linestyle=(0, (1, 1.5)), label="quantisation of one sample"
         )

@@ -29,8 +29,10 @@ SMOOTH = 0.75
 RINGING = 0.16
 #: Half of beta * tau = 2.1462 of a second-order Gauss-Markov process: its 1/e time from the memories of its two poles.
 SECOND = 1.0731
-#: Shares of the variance (of the innovation, for white noise) below this are not worth a word.
+#: White noise of a smaller share of the innovation's variance is not worth a word.
 NEGLIGIBLE = 0.01
+#: Nor is another part whose density, at its own frequency, stays below this share of the innovation's.
+INVISIBLE = 0.3
 
 
 @dataclass(frozen=True)
@@ -122,7 +124,7 @@ def read_model(model: ArmaModel, rate_hz: float, n: int, unit: str = "", white: 
     'random-walk bias + white noise; minimal order (1,1)'
     """
     parts, error = _parts(model, rate_hz, n, d)
-    names = [_name(part, rate_hz) for part in parts]
+    names = list(dict.fromkeys(_name(part, rate_hz) for part in parts))
     text = f"{' + '.join(names)}; minimal order ({model.p},{model.q})"
     if not white:
         text += "; the residuals are not white: an approximation"
@@ -172,8 +174,11 @@ def _stationary_parts(model: ArmaModel, rate_hz: float) -> list[Component]:
     parts = [_component(model, rate_hz, p, v) for p, v in zip(poles, power, strict=True) if p.imag >= 0.0]
     if left < -0.02 * model.sd**2 or any(not part.sd >= 0.0 for part in parts):
         return _by_poles(model, rate_hz)
-    total = sum(part.sd**2 for part in parts) + max(left, 0.0)
-    parts = [part for part in parts if part.sd**2 > NEGLIGIBLE * min(total, model.sd**2)]
+    parts = [part for part in parts if _shows(part, model.sd, rate_hz)]
+    short = [part for part in parts if part.kind == "short"]
+    if len(short) > 1:
+        merged = Component("short", math.sqrt(sum(part.sd**2 for part in short)), max(part.tau_s for part in short))
+        parts = [part for part in parts if part.kind != "short"] + [merged]
     parts.sort(key=lambda part: (_RANK[part.kind], -part.tau_s if part.tau_s == part.tau_s else 0.0))
     if left > NEGLIGIBLE * model.sd**2:
         parts.append(Component("white", math.sqrt(left)))
@@ -181,6 +186,12 @@ def _stationary_parts(model: ArmaModel, rate_hz: float) -> list[Component]:
 
 
 _RANK = {"gauss-markov": 0, "second order": 1, "oscillation": 2, "line": 3, "short": 4, "moving average": 5, "white": 6}
+
+
+def _shows(part: Component, innovation_sd: float, rate_hz: float) -> bool:
+    """Whether a part rises out of the spectrum: 2 tau samples gather its variance, a line's is spread over two sides."""
+    gathered = max(2.0 * part.tau_s * rate_hz / (2.0 if part.kind == "line" else 1.0), 1.0)
+    return part.sd**2 * gathered > INVISIBLE * innovation_sd**2
 
 
 def _by_poles(model: ArmaModel, rate_hz: float) -> list[Component]:

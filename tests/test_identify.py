@@ -237,6 +237,13 @@ def test_parts_of_a_sum_are_recovered():
     assert slow.tau_s == pytest.approx(-0.01 / np.log(0.99), rel=1e-6)
 
 
+def test_a_bias_far_below_the_noise_is_named():
+    """A hundredth of the sample's variance, but ten times its density at low frequency: it decides the navigation error."""
+    model = sum_of(([-0.999], 0.0045), ([], 1.0))
+    reading = read_model(nf.ArmaModel(model.ar, model.ma, model.sd, np.eye(2) * 1e-10), 100.0, 50_000)
+    assert reading.text.startswith("first-order Gauss-Markov, tau = 10 s") and "+ white noise" in reading.text
+
+
 def test_suggested_walk_keeps_its_strength_at_another_rate():
     """A density does not depend on the rate: the walk of every second sample steps sqrt(2) further."""
     model = sum_of(([-1.0], 0.1), ([], 1.0))
