@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from navfilter.check import check_mission, report_text
 from navfilter.io import geodesy, read_mission, read_vehicle
@@ -225,3 +227,37 @@ def test_recordings_with_their_known_defects_undone(recording):
     assert delays(raw) == [pytest.approx(-1.5, abs=0.5)]
     # At one reading per second half a second cannot be told from how readings are joined.
     assert all(abs(delay) <= 0.5 for delay in delays(sound))
+
+
+KINDS = {
+    "imu": IMU,
+    "velocity": V,
+    "heading": ("heading_rad",),
+    "attitude": ("roll_rad", "pitch_rad", "yaw_rad"),
+    "field": ("field_x_T", "field_y_T", "field_z_T"),
+    "gps": PLACE,
+    "pressure": ("pressure_Pa",),
+    "depth": ("depth_m",),
+}
+
+
+@pytest.mark.filterwarnings("error")
+@settings(max_examples=100, deadline=None)
+@given(
+    kinds=st.lists(st.sampled_from(sorted(KINDS)), max_size=4, unique=True),
+    rows=st.integers(0, 400),
+    missing=st.sampled_from([0.0, 0.3, 1.0]),
+    size=st.sampled_from([0.0, 1.0, 1e6]),
+    seed=st.integers(0, 5),
+    gap_s=st.sampled_from([0.0, 0.5, 1e5]),
+)
+def test_any_mission_is_judged_without_a_word_of_python(kinds, rows, missing, size, seed, gap_s):
+    rng = np.random.default_rng(seed)
+    streams = {}
+    for kind in kinds:
+        n = rows if seed else int(rng.integers(0, rows + 1))
+        value = size * rng.standard_normal((n, len(KINDS[kind])))
+        value[rng.random(value.shape) < missing] = np.nan
+        streams[kind] = Stream(np.cumsum(rng.choice([0.0, 0.1, gap_s], n)), value, KINDS[kind])
+    judged = Mission("any", streams)
+    assert "Mission any" in report_text(judged, check_mission(judged))

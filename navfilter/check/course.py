@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from navfilter.check.finding import Finding
-from navfilter.check.series import heading_of, integral, unwrapped, vector
+from navfilter.check.series import heading_of, integral, unwrapped, vector, window_edges
 from navfilter.mission import Array, Mission, Stream
 from navfilter.state import matrix_from_euler
 
@@ -100,7 +100,7 @@ def _course_fit(
     end = min(time_s[-1], heading[0][-1], position[0][-1]) - most
     if end - begin < 5.0 * window_s:
         return None
-    edges = np.arange(begin, end - window_s, window_s / 4.0)
+    edges = window_edges(begin, end - window_s, window_s / 4.0)
     # A window across a gap of the position has no displacement of its own.
     gap = np.searchsorted(position[0], edges)
     sparse = position[0][np.minimum(gap, position[0].size - 1)] - position[0][np.maximum(gap - 1, 0)] > window_s / 2

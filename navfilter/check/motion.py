@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from navfilter.check.course import course_findings
 from navfilter.check.finding import Finding
-from navfilter.check.series import correlation, heading_of, integral, unwrapped, vector
+from navfilter.check.series import MOST_WINDOWS, correlation, heading_of, integral, unwrapped, vector, window_edges
 from navfilter.mission import Array, Mission, Stream
 
 if TYPE_CHECKING:
@@ -27,7 +27,8 @@ MOST_DELAY_S = 2.5
 
 def motion_findings(mission: Mission, vehicle: Vehicle | None) -> Iterator[Finding]:
     """Findings that need more than one column: gravity, handedness, heading, course, field, depth."""
-    imu = next((s for s in mission.streams.values() if "force_x_m_s2" in s.columns and len(s) > 10), None)
+    mission = replace(mission, streams={name: s for name, s in mission.streams.items() if _has_enough(s)})
+    imu = next((s for s in mission.streams.values() if "force_x_m_s2" in s.columns), None)
     if imu is not None:
         name = next(n for n, s in mission.streams.items() if s is imu)
         yield from _gravity(name, imu)
@@ -41,8 +42,15 @@ def motion_findings(mission: Mission, vehicle: Vehicle | None) -> Iterator[Findi
         if imu is not None:
             yield from _gyro_against_heading(name, stream, imu)
     for name, stream in mission.streams.items():
-        if "v_x_m_s" in stream.columns and len(stream) > 10:
+        if "v_x_m_s" in stream.columns:
             yield from course_findings(name, stream, mission, vehicle)
+
+
+def _has_enough(stream: Stream) -> bool:
+    """At least ten readings of every column (a height may be missing), over some time."""
+    needed = [k for k, name in enumerate(stream.columns) if name not in ("height_m", "hdop", "temperature_C")]
+    known = np.isfinite(stream.value[:, needed]).all(axis=1)
+    return bool(np.count_nonzero(known) >= 10 and stream.time_s[known][-1] > stream.time_s[known][0])
 
 
 # --- inertial unit ----------------------------------------------------------------------------------------------------
@@ -74,15 +82,10 @@ def _gyro_range(name: str, imu: Stream) -> Iterator[Finding]:
         yield Finding("warning", name, text, 'Are these degrees per second? Then unit = "deg/s".')
 
 
-def _windows(time_s: Array, length_s: float) -> Array:
-    """Edges of consecutive windows over a span of time."""
-    return np.arange(time_s[0], time_s[-1], length_s)
-
-
 def _handedness(name: str, imu: Stream) -> Iterator[Finding]:
     """A turning body sees gravity turn the other way: d(force)/dt = -rate x force, in windows of a second."""
     time_s, force, rate = imu.time_s, vector(imu, "force_x_m_s2"), vector(imu, "rate_x_rad_s")
-    edges = _windows(time_s, 1.0)
+    edges = np.arange(time_s[0], min(time_s[-1], time_s[0] + MOST_WINDOWS), 1.0)
     if edges.size < 30:
         return
     half = 0.1
@@ -141,7 +144,7 @@ def _match(reference: tuple[Array, Array], other: tuple[Array, Array], window_s:
     begin, end = max(reference[0][0], other[0][0]) + most_s, min(reference[0][-1], other[0][-1]) - most_s
     if end - begin < 10.0 * window_s:
         return None
-    edges = np.arange(begin, end, window_s / 4.0)
+    edges = window_edges(begin, end, window_s / 4.0)
 
     def increments(series: tuple[Array, Array], delay: float) -> Array:
         return np.interp(edges + window_s + delay, *series) - np.interp(edges + delay, *series)

@@ -15,6 +15,15 @@ def vector(stream: Stream, first: str) -> Array:
     return stream.value[:, start : start + 3]
 
 
+#: More windows than these say nothing new and take long.
+MOST_WINDOWS = 20_000
+
+
+def window_edges(begin_s: float, end_s: float, step_s: float) -> Array:
+    """Starts of windows between two times, `step_s` apart or, on a long mission, as far as `MOST_WINDOWS` need."""
+    return np.arange(begin_s, end_s, max(step_s, (end_s - begin_s) / MOST_WINDOWS))
+
+
 def integral(time_s: Array, value: Array) -> Array:
     """Running trapezoidal integral along the first axis; a missing value counts as the last known one."""
     filled = np.array(value, dtype=float)
