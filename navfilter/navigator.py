@@ -71,8 +71,9 @@ class _Channel:
         self.H, self.PH, self.S = mem[at[0] : at[1]].reshape(a, n), mem[at[6] : at[7]].reshape(a, n), mem[at[5] : at[6]].reshape(2 * a, a)
         self.verdict, self.note = mem[at[8] : at[8] + 3], mem[at[8] : at[9]]
         self.record, self.moved = mem[: at[5]], mem[: at[0]]
-        self.model, self.C, self.R = np.array([group.Phi[:b, :b], group.Q[:b, :b]]), group.C, group.r.copy()
-        self.white = group.r + _lever_arm_variance(sensor, rate_variance)
+        self.model, self.C, self.R = np.array([group.Phi[:b, :b], group.Q[:b, :b]]), group.C, np.diag(group.r)
+        self.lever = _lever_arm_covariance(sensor, rate_variance)
+        self.white = self.R + self.lever
         first = group.start - 9
         self.parameters = slice(first + group.errors, first + group.size)
         self.turns = isinstance(sensor, BodyVelocity) and any(sensor.lever_arm_b_m)
@@ -85,12 +86,15 @@ class _Channel:
         return 0 if math.isinf(elapsed) else max(1, round(elapsed / self.period_s))
 
 
-def _lever_arm_variance(sensor: Sensor, rate_variance: Array) -> Array | float:
-    """What the white noise of the gyros adds to a velocity at a lever arm [m^2/s^2], per axis of the instrument."""
+def _lever_arm_covariance(sensor: Sensor, rate_variance: Array) -> Array:
+    """What the white noise of the gyros adds to a velocity at a lever arm [m^2/s^2], in the instrument's axes, shape (a, a).
+
+    Its axes are strongly correlated (a rate moves the arm across itself), which counts where the instrument itself is quiet.
+    """
     if not isinstance(sensor, BodyVelocity):
-        return 0.0
-    arm, mounting = np.asarray(sensor.lever_arm_b_m, dtype=float), matrix_from_euler(*sensor.mounting_rad)
-    return ((mounting.T @ np.cross(np.eye(3), arm).T) ** 2) @ rate_variance
+        return np.zeros((sensor.axes, sensor.axes))
+    by_rate = matrix_from_euler(*sensor.mounting_rad).T @ np.cross(np.eye(3), np.asarray(sensor.lever_arm_b_m, dtype=float)).T
+    return by_rate @ np.diag(rate_variance) @ by_rate.T
 
 
 class Navigator:
@@ -342,7 +346,7 @@ class Navigator:
         if channel.turns:
             self._body_rate()
         channel.kernel(z, nav, self._rate, x[channel.parameters], channel.constants, channel.near, channel.res)
-        channel.R[:] = channel.white if sd is None else np.square(np.asarray(sd, dtype=float).reshape(-1))
+        channel.R[:] = channel.white if sd is None else channel.lever + np.eye(channel.sensor.axes) * np.square(np.ravel(sd))
         kalman.update(P, nav, x, channel.C, channel.R, channel.mem, channel.dims, channel.limits)
         nis, dof, used = channel.verdict.tolist()
         widened = False
@@ -390,7 +394,7 @@ class Navigator:
         """White variance of the three gyros as rates [rad^2/s^2]; none without an inertial unit."""
         if not self._inertial:
             return np.zeros(3)
-        return self.layout.drive.r[:3] / (self._period_s**2 if self._drv[strapdown.INCREMENTS] else 1.0)
+        return self.layout.drive.r[:3]
 
     def _body_rate(self) -> None:
         """Angular rate in b [rad/s] for lever arms; the Earth's own rate (1e-4 rad/s) is left in."""

@@ -542,7 +542,8 @@ def innovation(P, H, res, R, S, PH, out):
     a = len(res)
     res[missing], H[missing] = 0.0, 0.0
     PH[:], S[:a] = H @ P, H @ P @ H.T
-    S[:a] += np.diag(np.where(missing, 1.0, np.maximum(np.maximum(R, 1e-12 * np.diag(S[:a])), 1e-60)))
+    own = np.where(missing, 1.0, np.maximum(np.maximum(np.diag(R), 1e-12 * np.diag(S[:a])), 1e-60))
+    S[:a] += np.where(np.eye(a) > 0, np.diag(own), np.where(missing | missing[:, None], 0.0, R))
     S[a:] = np.linalg.inv(S[:a])
     out[0], out[1] = res @ S[a:] @ res, np.sum(~missing)
 

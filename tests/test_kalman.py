@@ -29,7 +29,7 @@ def test_correction_keeps_the_covariance_positive(white):
     P, nav = spd(rng, 14), random_nav(rng)
     for _ in range(500):
         H = rng.normal(size=(3, 14))
-        correction(P, H, np.full(3, white), 1e-3 * rng.normal(size=3), nav)
+        correction(P, H, white * np.eye(3), 1e-3 * rng.normal(size=3), nav)
         P += 1e-3 * np.eye(14)
     assert np.isfinite(P).all() and np.array_equal(P, P.T)
     # Joseph's form with the gain as rounded loses at most rounding against the noise added each time.
@@ -38,14 +38,14 @@ def test_correction_keeps_the_covariance_positive(white):
 
 def test_components_one_by_one_are_the_components_together():
     rng = np.random.default_rng(1)
-    P0, H, R, res = spd(rng, 12), rng.normal(size=(3, 12)), np.array([0.1, 0.2, 0.3]), 1e-6 * rng.normal(size=3)
+    P0, H, R, res = spd(rng, 12), rng.normal(size=(3, 12)), np.diag([0.1, 0.2, 0.3]), 1e-6 * rng.normal(size=3)
     together, nav = P0.copy(), random_nav(rng)
     _, out, _ = correction(together, H.copy(), R, res.copy(), nav.copy())
     single, total, moved = P0.copy(), 0.0, np.zeros(12)
     for i in range(3):
         n = nav.copy()
         before = res[i : i + 1] - H[i] @ moved
-        x, part, turn = correction(single, H[i : i + 1].copy(), R[i : i + 1], before, n)
+        x, part, turn = correction(single, H[i : i + 1].copy(), R[i : i + 1, i : i + 1].copy(), before, n)
         total += part[0]
         moved += np.concatenate(
             [[(n[0] - nav[0]) * nav[15], (n[1] - nav[1]) * nav[16] * np.cos(nav[0]), nav[2] - n[2]], n[3:6] - nav[3:6], turn, x]

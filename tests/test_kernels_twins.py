@@ -277,7 +277,7 @@ def test_innovation_and_correct(missing, white):
     rng = np.random.default_rng(4)
     n, nav, res = 15, random_nav(rng), 0.1 * rng.normal(size=3)
     res[list(missing)] = np.nan
-    args = 0.1 * spd(rng, n), rng.normal(size=(3, n)), res, np.full(3, white), np.zeros((6, 3)), np.zeros((3, n)), np.zeros(2)
+    args = 0.1 * spd(rng, n), rng.normal(size=(3, n)), res, white * spd(rng, 3), np.zeros((6, 3)), np.zeros((3, n)), np.zeros(2)
     ours, twins = run_both(kalman.innovation, *args)
     assert_close(ours[1:], twins[1:], 1e-11)
     P, _, res, _, S, PH, _ = twins
@@ -291,7 +291,7 @@ def test_innovation_and_correct(missing, white):
 def test_innovation_of_a_scalar():
     rng = np.random.default_rng(5)
     for res, P in ((np.array([0.3]), spd(rng, 10)), (np.array([np.nan]), spd(rng, 10)), (np.array([0.3]), np.zeros((10, 10)))):
-        args = P, rng.normal(size=(1, 10)), res, np.zeros(1), np.zeros((2, 1)), np.zeros((1, 10)), np.zeros(2)
+        args = P, rng.normal(size=(1, 10)), res, np.zeros((1, 1)), np.zeros((2, 1)), np.zeros((1, 10)), np.zeros(2)
         ours, twins = run_both(kalman.innovation, *args)
         assert_close(ours[1:], twins[1:], 1e-13)
         assert np.isfinite(ours[6]).all()
@@ -313,7 +313,7 @@ def test_predict_and_update_work_through_the_channels_memory(count, verdict):
     mem[at[7] : at[8]] = rng.normal(size=a * (9 + par))
     mem[at[3] : at[4]] = 0.1, np.nan, -0.2
     limits = np.array([np.inf, 5.0, 1e9 if verdict else 1e-9, 9.0])
-    ours, twins = run_both(kalman.update, P, nav, x, rng.normal(size=(a, errors)), np.full(a, 0.01), mem, dims, limits)
+    ours, twins = run_both(kalman.update, P, nav, x, rng.normal(size=(a, errors)), spd(rng, a, 0.01), mem, dims, limits)
     assert ours[5][at[8] + 2] == verdict
     upto = at[5] if verdict else at[1]  # gain and the rest of the record are formed only by a correction
     for ours_part, twins_part in zip(np.split(ours[5], at[:-1]), np.split(twins[5], at[:-1]), strict=True):

@@ -101,11 +101,14 @@ class Capture:
         if not mem[at[8] + 2]:
             return
         H = mem[at[0] : at[1]].reshape(a, n).copy()
-        white = np.maximum(R, 1e-12 * np.diag(H @ before @ H.T))
-        white[~H.any(axis=1)] = 1.0
+        missing = ~H.any(axis=1)
+        white = R.copy()
+        white[missing], white[:, missing] = 0.0, 0.0
+        own = np.maximum(np.diag(R), 1e-12 * np.diag(H @ before @ H.T))
+        np.fill_diagonal(white, np.where(missing, 1.0, own))
         for chain in (self.steps, self.samples):
             step = chain[-1]
-            step.H, step.R, step.res, step.K = H, np.diag(white), mem[at[3] : at[4]].copy(), mem[at[1] : at[2]].reshape(n, a).copy()
+            step.H, step.R, step.res, step.K = H, white, mem[at[3] : at[4]].copy(), mem[at[1] : at[2]].reshape(n, a).copy()
             step.G = naive.attitude_reset(mem[at[4] : at[5]], n)
 
     def rows(self):
@@ -144,12 +147,12 @@ def posterior(steps, P0, wanted, upto=None):
             if upto is None or k <= upto:
                 seen.append(step.H @ A)
                 gap.append(step.res - step.H @ c)
-                noise.append(np.diag(step.R))
+                noise.append(step.R)
             A, c = np.hstack([step.G @ A[:, :used], A[:, used:]]), step.G @ (c - step.K @ step.res)
         if k in wanted:
             kept[k] = A, c
     B, y = np.vstack(seen), np.concatenate(gap)
-    S = weigh(B) @ B.T + np.diag(np.concatenate(noise))
+    S = weigh(B) @ B.T + block_diag(*noise)
     result = {}
     for k, (A, c) in kept.items():
         weighted = weigh(A)

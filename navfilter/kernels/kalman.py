@@ -118,7 +118,7 @@ def tick(P, x, start, A, B, T):
 
 @njit(cache=True)
 def innovation(P, H, res, R, S, PH, out):
-    """Innovation covariance S = H P H' + diag(R), its inverse, P H' and the normalised innovation squared (NIS).
+    """Innovation covariance S = H P H' + R, its inverse, P H' and the normalised innovation squared (NIS).
 
     A component whose residual is NaN is missing: zero residual, zero row of H, unit variance. A reading without white noise of its own
     gets 1e-12 of its predicted variance, so that P stays definite. S: (2a, a) receives S, then its inverse; PH: (a, n), P H' transposed;
@@ -128,6 +128,7 @@ def innovation(P, H, res, R, S, PH, out):
     used = 0
     for i in range(a):
         missing = math.isnan(res[i])
+        S[a + i, 0] = 0.0 if missing else 1.0
         if missing:
             res[i] = 0.0
             for j in range(n):
@@ -145,10 +146,13 @@ def innovation(P, H, res, R, S, PH, out):
             s = 0.0
             for r in range(n):
                 s += PH[i, r] * H[j, r]
+            if i == j:
+                # 1e-60: S is invertible even where nothing is uncertain
+                s = 1.0 if missing else s + max(R[i, i], 1e-12 * s, 1e-60)
+            elif S[a + i, 0] * S[a + j, 0] > 0.0:
+                s += R[i, j]
             S[i, j] = s
             S[j, i] = s
-        # 1e-60: S is invertible even where nothing is uncertain
-        S[i, i] = 1.0 if missing else S[i, i] + max(R[i], 1e-12 * S[i, i], 1e-60)
     nis = 0.0
     if a == 1:
         S[1, 0] = 1.0 / S[0, 0]
@@ -305,7 +309,7 @@ def predict(P, nav, x, acc, model, mem, dims, count):
 def update(P, nav, x, C, R, mem, dims, limits):
     """A reading, after its sensor filled `near` and `res` in `mem`: take the coloured error off, form the NIS, correct if it passes.
 
-    C: (a, errors) output rows of the error models, R: (a,) white variances, limits: (a + 1,) gates by the number of components used.
+    C: (a, errors) output rows of the error models, R: (a, a) white covariance, limits: (a + 1,) gates by the number of components used.
     Leaves the verdict: NIS, components used, 1 if the state was corrected, then residuals and their variances (NaN where missing).
     """
     a, n, start, errors, par = dims[0], dims[1], dims[4], dims[5], dims[6]
