@@ -124,7 +124,8 @@ class DeadReckoning(Mechanisation):
     rate_hz : float
         Rate of the velocity readings [Hz].
     attitude : Heading, ErrorModel or tuple of three
-        A `Heading` gives the error of the yaw (with bias and deviation states) and `tilt` that of roll and pitch; an error model, or a tuple
+        A `Heading` gives the error of the yaw (with bias and deviation states) and `tilt` that of roll and pitch; an error model, or a
+        tuple
         for roll, pitch and yaw, gives them directly [rad].
     velocity : BodyVelocity, ErrorModel or tuple of three
         A `BodyVelocity` brings its lever arm, mounting, scale and misalignment states; an error model stands for a plain one [m/s].

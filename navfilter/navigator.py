@@ -180,13 +180,15 @@ class Navigator:
         time_s : float or array_like, shape (n,)
             Time of the sample(s) [s].
         first, second : array_like, shape (3,) or (n, 3)
-            For an `Imu` angular rate [rad/s] and specific force [m/s^2] in b (or increments); for `DeadReckoning` roll, pitch, yaw [rad] and
+            For an `Imu` angular rate [rad/s] and specific force [m/s^2] in b (or increments); for `DeadReckoning` roll, pitch, yaw [rad]
+            and
             velocity in instrument axes [m/s].
 
         Notes
         -----
         Samples that do not come after the last one are dropped, and so is a single stamp far ahead (`LONGEST_S`); a sample with a NaN or an
-        impossible value repeats the one before (an invalid DVL velocity is held, with growing uncertainty). Both are counted in `counts`, like gaps of
+        impossible value repeats the one before (an invalid DVL velocity is held, with growing uncertainty). Both are counted in `counts`,
+        like gaps of
         more than three periods.
         """
         times = np.atleast_1d(np.asarray(time_s, dtype=np.float64))
@@ -200,7 +202,9 @@ class Navigator:
         """As `step`, for rows of time and the six values; the array is used as work space."""
         if not len(samples):
             return
-        stamps = samples[:, 0].copy() if len(samples) > self._fold_every - self._unfolded or self._rest else samples[-1:, 0].copy()
+        total = len(samples)
+        whole = total <= self._fold_every - self._unfolded and not self._rest
+        stamps = samples[-1:, 0].copy() if whole else samples[:, 0].copy()
         gaps = strapdown.stamps_to_steps(samples, self._before_s, self._limits, self._gap_s, self.LONGEST_S)
         if gaps < 0:
             samples, stamps = self._mend(samples)
@@ -208,10 +212,10 @@ class Navigator:
             self.counts["gap"] += gaps
         begin, total = 0, len(samples)
         while begin < total:
-            end = min(total, begin + self._room())
+            end = total if whole else min(total, begin + self._room())
             self._steps(self._nav, self._xd, self._drv, samples[begin:end], self._Phid, self._Qd, self._Cr, self._acc)
             self._unfolded += end - begin
-            self._time_s = self._sample_s = self._before_s = float(stamps[end - 1 if len(stamps) == total else -1])
+            self._time_s = self._sample_s = self._before_s = float(stamps[-1 if whole else end - 1])
             if self._unfolded >= self._fold_every:
                 self._close_second()
             for channel in self._rest:
@@ -373,7 +377,8 @@ class Navigator:
         periods = math.floor((time_s - channel.rejected_since_s) / channel.sensor.gate_timeout_s)
         if periods < 1 or nis > limit * 2.0 ** min(periods, 500):
             return False
-        # A sensor that is rejected for so long shows that the state is less certain than thought: widen P where the sensor sees it. Only there:
+        # A sensor that is rejected for so long shows that the state is less certain than thought: widen P where the sensor sees it. Only
+        # there:
         # along P H' a fix that is far off would throw the velocity after the position.
         a, H = channel.sensor.axes, channel.H
         seen = channel.PH @ H.T

@@ -28,7 +28,8 @@ SOMIGLIANA = math.sqrt(1.0 - EARTH_E2) * GRAVITY_POLE / GRAVITY_EQUATOR - 1.0
 # sums and squares for the detection of rest. Settings: the rest.
 PREVIOUS, CONSUMED, HELD_S, STARTED, MEAN_C, COUNT, SUMS, SQUARES = 0, 6, 12, 13, 14, 23, 24, 30
 PERIOD_S, INCREMENTS, GAP_RATE_SD, GAP_FORCE_SD = 36, 37, 38, 39
-HOLD_DENSITY, DEVIATION, SCALE, MISALIGNMENT, LEVER, MOUNTING, LEVER_VELOCITY, PREVIOUS_RPY, MAX_SPEED, ZERO_IS_VALID = 40, 41, 42, 43, 44, 47, 56, 59, 62, 63
+HOLD_DENSITY, DEVIATION, SCALE, LEVER, MOUNTING, LEVER_VELOCITY, PREVIOUS_RPY = 40, 41, 42, 44, 47, 56, 59
+MAX_SPEED, ZERO_IS_VALID = 62, 63
 TURN_RATE = 64
 DRIVE_SIZE = 65
 MOST_TICKS = 10000.0  # of the drive's blocks in one step
@@ -73,7 +74,8 @@ def _rotate(C, x, y, z, R, out):
 def _compound(acc, m):
     """Phi <- F Phi, Q <- F Q F' with F in the third block of acc; the fourth is the work area.
 
-    Products of this size are three times faster in BLAS than in loops, even skipping the zeros of F, and BLAS with a transposed factor three times
+    Products of this size are three times faster in BLAS than in loops, even skipping the zeros of F, and BLAS with a transposed factor
+    three times
     slower than without (measured at m = 15): Q F' is formed as (F Q)', Q being symmetric.
     """
     Phi, Q, F, T = acc[:m], acc[m : 2 * m], acc[2 * m : 3 * m], acc[3 * m :]
@@ -150,7 +152,8 @@ def _increments(samples, n, drv, inc):
 def _mechanise(nav, inc, dt, W, C, mid):
     """One strapdown step from the corrected increments inc = (angle 3, velocity 3).
 
-    W: (3, >= 9) work. C (9,) receives the mean of C_nb over the step, mid (9,) what the transition needs: the velocity increment in n (3), the mean
+    W: (3, >= 9) work. C (9,) receives the mean of C_nb over the step, mid (9,) what the transition needs: the velocity increment in n
+    (3), the mean
     velocity (3), gravity, and the two radii.
     """
     Cn, R, B = W[0], W[1], W[2]
@@ -207,7 +210,7 @@ def _mechanise(nav, inc, dt, W, C, mid):
 
 @njit(cache=True)
 def integrate(nav, drv, samples, out):
-    """Strapdown alone, without errors or covariance: the state after each sample goes to the rows of out (n, 17), or nowhere if it has none."""
+    """Strapdown alone, without errors or covariance: the state after each sample goes to the rows of out (n, 17), if it has any."""
     inc, W, C, mid = np.empty(6), np.empty((3, 9)), np.empty(9), np.empty(9)
     for n in range(samples.shape[0]):
         _increments(samples, n, drv, inc)
@@ -219,7 +222,7 @@ def integrate(nav, drv, samples, out):
 
 @njit(cache=True)
 def _inertial_advance(nav, xd, inc, dt, drv, Cr, acc):
-    """One strapdown step with the errors of the drive taken off; leaves its transition, of second order in dt, in the third block of acc."""
+    """One strapdown step with the drive's errors taken off; leaves its transition, of second order in dt, in the third block of acc."""
     k = len(xd)
     m = 9 + k
     F, W = acc[2 * m : 3 * m], acc[3 * m :]
@@ -412,8 +415,9 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
     """Attitude and body velocity carried forward: no inertial unit (Groves, 2013, sec. 6.2; the classical AUV filter).
 
     A sample is seconds since the previous one, roll, pitch, yaw [rad] and the velocity in instrument axes [m/s]; a velocity that is NaN, or
-    not a reading by the sensor's own limits, is held in body axes with growing uncertainty. Position goes by the trapezoidal rule on the velocity of the instrument's point, and
-    the lever arm enters through the turn of the attitude itself, so that no angular rate is needed for it.
+    not a reading by the sensor's own limits, is held in body axes with growing uncertainty. Position goes by the trapezoidal rule on the
+    velocity of the instrument's point, and the lever arm enters through the turn of the attitude itself, so that no angular rate is
+    needed for it.
     """
     k = len(xd)
     m = 9 + k
