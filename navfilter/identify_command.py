@@ -31,6 +31,10 @@ examples:
 """
 
 
+#: Records longer than this get a progress in tenths.
+LONG = 100_000
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the sub-command."""
     parser.add_argument("file", metavar="FILE")
@@ -146,8 +150,18 @@ def _batch(options: argparse.Namespace, series: Any, folder: Path, say: Any) -> 
 def _online(options: argparse.Namespace, series: Any, folder: Path, say: Any) -> int:
     from navfilter.identify_online import track_online, tracks_text, write_tracks
 
+    done = 0
+
+    def progress(samples: int) -> None:
+        nonlocal done
+        before, done = done, done + samples
+        tenth = series.value.size / options.decimate / 10.0
+        if series.value.size > LONG and int(done / tenth) > int(before / tenth):
+            say(f"running the online estimator, {10 * int(done / tenth)} %")
+
     say("running the online estimator")
-    tracks = track_online(series, options.window, order=options.order, difference=options.difference, **_conditions(options))
+    how = {"order": options.order, "difference": options.difference, "progress": progress}
+    tracks = track_online(series, options.window, **how, **_conditions(options))
     say("drawing")
     write_tracks(tracks, folder, options.unit)
     say("")

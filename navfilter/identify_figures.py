@@ -55,7 +55,7 @@ def identification_figures(found: Identification, unit: str = "") -> Iterator[tu
     )
     yield "residuals", "Residuals", caption, residual_figure(found, unit)
     if found.fit.model.p + found.fit.model.q:
-        caption = "Poles (crosses) and zeros (circles) with the ranges of two standard deviations; right: the surroundings of 1."
+        caption = "Poles (crosses) and zeros (circles) with their ranges of two standard deviations."
         yield "poles", "Poles and zeros", caption, pole_figure(found)
     caption = "Allan deviation of the whole record (band: one standard deviation) and of the model."
     yield "allan", "Allan deviation", caption, allan_figure(found, unit)
@@ -175,6 +175,8 @@ def order_figure(found: Identification) -> Figure:
         above = name != "WT"
         shown = np.log10(1.0 + values - values.min()) if above else np.minimum(values, 8.0)
         image = ax.imshow(shown, origin="lower", cmap="viridis_r" if above else "viridis", aspect="equal")
+        if not above:
+            image.set_clim(0.0, max(4.0, float(shown.max())))
         ax.grid(False)
         best = np.unravel_index(int(np.argmin(values) if above else np.argmax(values)), values.shape)
         ax.plot(best[1], best[0], "s", markerfacecolor="none", markeredgecolor="white", markersize=9, markeredgewidth=3.0)
@@ -216,8 +218,9 @@ def residual_figure(found: Identification, unit: str) -> Figure:
 def pole_figure(found: Identification) -> Figure:
     """Unit circle with poles and zeros, and its surroundings of 1."""
     model, fit = found.fit.model, found.fit
+    reach = _zoom(model.poles, model.zeros)
     figure = Figure(figsize=(WIDTH_IN, 3.2), layout="constrained")
-    whole, near = figure.subplots(1, 2)
+    axes = list(figure.subplots(1, 2 if reach else 1, squeeze=False)[0])
     spreads = [
         (
             model.poles,
@@ -227,10 +230,9 @@ def pole_figure(found: Identification) -> Figure:
         ),
         (model.zeros, [root_sd(fit.ma, fit.covariance[fit.p :, fit.p :], r) for r in model.zeros], "o", SAMPLE),
     ]
-    reach = _zoom(model.poles, model.zeros)
-    for ax in (whole, near):
+    for ax in axes:
         ax.add_patch(Ellipse((0, 0), 2, 2, facecolor="none", edgecolor="black", linewidth=0.8))
-        for roots, sds, mark, hue in spreads:
+        for roots, sds, mark, hue in (spread for spread in spreads if spread[0].size):
             for root, sd in zip(roots, sds, strict=True):
                 if sd < 0.5 and root.imag:
                     ax.add_patch(Ellipse((root.real, root.imag), 4.0 * sd, 4.0 * sd, facecolor=hue, alpha=0.25, linewidth=0.0))
@@ -251,21 +253,22 @@ def pole_figure(found: Identification) -> Figure:
             )
         ax.set_aspect("equal")
         ax.set_xlabel("real part")
-    whole.set_xlim(-1.15, 1.15)
-    whole.set_ylim(-1.15, 1.15)
-    whole.set_ylabel("imaginary part")
-    near.set_xlim(1.0 - 1.7 * reach, 1.0 + 0.3 * reach)
-    near.set_ylim(-reach, reach)
-    near.xaxis.set_major_locator(MaxNLocator(4))
-    near.legend(loc="best")
+    axes[0].set_xlim(-1.15, 1.15)
+    axes[0].set_ylim(-1.15, 1.15)
+    axes[0].set_ylabel("imaginary part")
+    if reach:
+        axes[1].set_xlim(1.0 - 1.7 * reach, 1.0 + 0.3 * reach)
+        axes[1].set_ylim(-reach, reach)
+        axes[1].xaxis.set_major_locator(MaxNLocator(4))
+    axes[-1].legend(loc="best")
     return figure
 
 
 def _zoom(poles: NDArray[np.complex128], zeros: NDArray[np.complex128]) -> float:
-    """Half width of the window about 1: the cluster of roots within 0.2, otherwise 0.2."""
+    """Half width of the window about 1 that holds the roots within 0.2 of it; 0 when there is none."""
     roots = np.r_[poles, zeros]
     close = np.abs(roots[np.abs(roots - 1.0) < 0.2] - 1.0)
-    return float(np.clip(1.2 * close.max(), 0.005, 0.25)) if close.size else 0.2
+    return float(np.clip(1.2 * close.max(), 0.005, 0.25)) if close.size else 0.0
 
 
 def allan_figure(found: Identification, unit: str) -> Figure:
