@@ -50,6 +50,9 @@ def align(vehicle: Vehicle, mission: Mission, window_s: float = 5.0) -> Start:
         raise ValueError(f"no valid reading of the drive within {window_s} s after {begin:.3f} s: nothing to align with.")
     if isinstance(vehicle.drive, DeadReckoning):
         roll, pitch, heading = drive.value[rows][0, :3]
+        if isinstance(vehicle.drive.attitude, Heading):
+            lat, lon = np.degrees(place[:2])
+            heading += vehicle.drive.attitude.declination(Start(latitude_deg=float(lat), longitude_deg=float(lon), date=mission.date))
         tilt_sd, heading_sd = np.radians(1.0), np.radians(5.0)
     else:
         roll, pitch, tilt_sd = _level(drive.value[rows, 3:6], vehicle.drive)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,9 @@ from numpy.typing import NDArray
 from navfilter.error_models import ErrorModel, RandomWalk, White, per_axis
 from navfilter.kernels import strapdown
 from navfilter.sensors import BodyVelocity, Heading
+
+if TYPE_CHECKING:
+    from navfilter.vehicle import Start
 
 __all__ = ["DeadReckoning", "Imu", "Mechanisation"]
 
@@ -54,7 +57,7 @@ class Mechanisation:
         """Largest magnitude of the values of a sample that must be there; beyond it the sample is a defect."""
         raise NotImplementedError
 
-    def memory(self, first_parameter: int) -> Array:
+    def memory(self, first_parameter: int, start: Start | None = None) -> Array:
         """The kernels' ``drv`` at the start; `first_parameter` counts the drive's states before its parameters."""
         drv = np.zeros(strapdown.DRIVE_SIZE)
         drv[strapdown.PERIOD_S] = self.period_s
@@ -106,9 +109,9 @@ class Imu(Mechanisation):
         """Rates and forces, or what they gather in one period."""
         return np.repeat([self.max_rate, self.max_force], 3) * (self.period_s if self.increments else 1.0)
 
-    def memory(self, first_parameter: int) -> Array:
+    def memory(self, first_parameter: int, start: Start | None = None) -> Array:
         """The kernels' ``drv`` at the start."""
-        drv = super().memory(first_parameter)
+        drv = super().memory(first_parameter, start)
         drv[strapdown.INCREMENTS] = float(self.increments)
         drv[strapdown.GAP_RATE_SD] = self.gap_rate_sd
         drv[strapdown.GAP_FORCE_SD] = self.gap_force_sd
@@ -150,6 +153,14 @@ class DeadReckoning(Mechanisation):
     steps: ClassVar[Callable[..., None]] = staticmethod(strapdown.dead_reckoning_steps)
     hold: ClassVar[Callable[..., None]] = staticmethod(strapdown.dead_reckoning_hold)
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if isinstance(self.attitude, Heading) and self.attitude.magnetometer:
+            raise ValueError(
+                "DeadReckoning.attitude must give a heading, found a magnetometer: dead reckoning has no attitude of its own to level it with. "
+                "Use the compass's heading output."
+            )
+
     @property
     def models(self) -> tuple[ErrorModel, ...]:
         """Roll, pitch, yaw, velocity x, y, z."""
@@ -185,15 +196,17 @@ class DeadReckoning(Mechanisation):
         velocity = tuple((f"velocity.{name}", sd) for name, sd in self.velocity_sensor.parameters())
         return self._deviation() + velocity
 
-    def memory(self, first_parameter: int) -> Array:
+    def memory(self, first_parameter: int, start: Start | None = None) -> Array:
         """The kernels' ``drv`` at the start."""
-        drv = super().memory(first_parameter)
+        drv = super().memory(first_parameter, start)
         deviation, total = len(self._deviation()), len(self.parameters())
         drv[strapdown.HOLD_DENSITY] = self.hold_density
         drv[strapdown.DEVIATION] = first_parameter if deviation else -1
         drv[strapdown.SCALE] = first_parameter + deviation if total > deviation else -1
         sensor: Any = self.velocity_sensor
         drv[strapdown.LEVER : strapdown.LEVER + 12] = sensor.constants(None)
+        if isinstance(self.attitude, Heading) and start is not None:
+            drv[strapdown.DECLINATION] = self.attitude.declination(start)
         drv[strapdown.MAX_SPEED] = sensor.max_speed_m_s
         drv[strapdown.ZERO_IS_VALID] = float(not sensor.zero_is_invalid)
         return drv

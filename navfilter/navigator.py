@@ -142,7 +142,7 @@ class Navigator:
         self._x = np.zeros(layout.size - 9)
         g, m = layout.drive, layout.head
         self._head, self._xd = m, self._x[: g.size]
-        self._drv = vehicle.drive.memory(g.errors)
+        self._drv = vehicle.drive.memory(g.errors, start)
         self._Phid, self._Qd = g.Phi, g.Q
         self._Cr = np.zeros((6, g.size + 1))
         self._Cr[:, : g.errors], self._Cr[:, -1] = g.C, g.r
@@ -266,7 +266,7 @@ class Navigator:
             first = strapdown.PREVIOUS if self._inertial else strapdown.PREVIOUS_RPY
             return self._drv[first : first + len(self._limits)]
         if not self._inertial:
-            return self.state.roll_pitch_heading
+            return self.state.roll_pitch_heading - np.array([0.0, 0.0, self._drv[strapdown.DECLINATION]])
         level = np.concatenate([np.zeros(3), -self.state.C_nb[2] * strapdown.gravity(self._nav[0], self._nav[2])])
         return level * self._period_s if self._drv[strapdown.INCREMENTS] else level
 

@@ -376,6 +376,7 @@ def _dead_reckoning_step(nav, xd, drv, sample, Phid, Qd, Cr, acc):
         E[2, dev : dev + 4] = np.sin(y), np.cos(y), np.sin(2 * y), np.cos(2 * y)
     err = E @ xd
     roll, pitch, yaw = sample[1:4] - err[:3]
+    yaw += drv[43]  # declination
     C = euler(roll, pitch, yaw)
     axes = np.column_stack([C[:, 0], rotation(yaw * DOWN) @ EAST, DOWN])  # each angle turns about one of these
     l0, l1 = (C0 @ arm, C @ arm) if started else (np.zeros(3), np.zeros(3))

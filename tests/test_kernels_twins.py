@@ -152,7 +152,7 @@ def test_integrate_is_imu_steps_without_errors(increments):
 
 DEAD_RECKONING = {
     "plain": {},
-    "arm": {"LEVER": (0.8, -0.3, 0.4)},
+    "arm": {"LEVER": (0.8, -0.3, 0.4), "DECLINATION": -0.2},
     "parameters": {"LEVER": (0.8, -0.3, 0.4), "DEVIATION": 4, "SCALE": 8},
     "scale": {"SCALE": 4},
 }

@@ -417,6 +417,15 @@ def test_navigator_refuses_what_is_no_vehicle():
         nf.Navigator({}, START)
 
 
+def test_dead_reckoning_by_a_magnetic_compass_applies_the_declination():
+    compass = nf.Heading(rate_hz=4.0, magnetic=True, declination_rad=0.2)
+    nav = nf.Navigator(nf.Vehicle(nf.DeadReckoning(rate_hz=4.0, attitude=compass)), START)
+    nav.step(0.25, [0.0, 0.0, 0.3], [1.0, 0.0, 0.0])
+    assert nav.state.heading == pytest.approx(0.5)
+    with pytest.raises(ValueError, match="must give a heading, found a magnetometer"):
+        nf.DeadReckoning(rate_hz=4.0, attitude=nf.Heading(magnetometer=True))
+
+
 def test_a_vehicle_survives_pickling():
     again = pickle.loads(pickle.dumps(inertial()))
     assert again.sensors["gps"] == inertial().sensors["gps"] and again.drive == inertial().drive

@@ -28,7 +28,7 @@ SOMIGLIANA = math.sqrt(1.0 - EARTH_E2) * GRAVITY_POLE / GRAVITY_EQUATOR - 1.0
 # sums and squares for the detection of rest. Settings: the rest.
 PREVIOUS, CONSUMED, HELD_S, STARTED, MEAN_C, COUNT, SUMS, SQUARES = 0, 6, 12, 13, 14, 23, 24, 30
 PERIOD_S, INCREMENTS, GAP_RATE_SD, GAP_FORCE_SD = 36, 37, 38, 39
-HOLD_DENSITY, DEVIATION, SCALE, LEVER, MOUNTING, LEVER_VELOCITY, PREVIOUS_RPY = 40, 41, 42, 44, 47, 56, 59
+HOLD_DENSITY, DEVIATION, SCALE, DECLINATION, LEVER, MOUNTING, LEVER_VELOCITY, PREVIOUS_RPY = 40, 41, 42, 43, 44, 47, 56, 59
 MAX_SPEED, ZERO_IS_VALID = 62, 63
 TURN_RATE = 64
 DRIVE_SIZE = 65
@@ -439,7 +439,7 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
         s2, c2 = 2.0 * s1 * c1, c1 * c1 - s1 * s1
         if dev >= 0:
             err[2] += s1 * xd[dev] + c1 * xd[dev + 1] + s2 * xd[dev + 2] + c2 * xd[dev + 3]
-        roll, pitch, psi = samples[n, 1] - err[0], samples[n, 2] - err[1], yaw - err[2]
+        roll, pitch, psi = samples[n, 1] - err[0], samples[n, 2] - err[1], yaw - err[2] + drv[DECLINATION]
         cr, sr, cp, sp, cy, sy = math.cos(roll), math.sin(roll), math.cos(pitch), math.sin(pitch), math.cos(psi), math.sin(psi)
         C[0, 0], C[0, 1], C[0, 2] = cp * cy, sr * sp * cy - cr * sy, cr * sp * cy + sr * sy
         C[1, 0], C[1, 1], C[1, 2] = cp * sy, sr * sp * sy + cr * cy, cr * sp * sy - sr * cy
