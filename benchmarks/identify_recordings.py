@@ -60,7 +60,7 @@ def gps(file: str) -> Callable[[Path], Series]:
 
 
 def bme280(root: Path) -> Series:
-    """Pressure about every 2 s; the clock's gaps of up to 6 s become missing samples."""
+    """Pressure about every 2 s; steps of up to 6 s are taken as one, as the expected figures were found."""
     import pandas as pd
 
     frame = pd.read_csv(root / "baro-static" / "bme280_temphumpress_0p5hz.csv", header=None, comment="#")

@@ -40,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", metavar="FILE")
     parser.add_argument("--out", required=True, metavar="DIR", help="folder to write to; files of the same name are replaced")
     data = parser.add_argument_group("the series")
-    data.add_argument("--column", metavar="C", help="name of the column, or its position from 0")
+    data.add_argument("--column", metavar="C", help='name of the column, or its position from 0; of an array "counts[0]"')
     data.add_argument("--rate-hz", type=_positive, metavar="R", help="samples per second; not needed with a time column")
     data.add_argument("--time-column", metavar="T", help="column with seconds: gives the rate, and gaps where samples are missing")
     data.add_argument(

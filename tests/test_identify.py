@@ -68,6 +68,17 @@ def test_reads_a_column_of_any_table(tmp_path, name):
     assert (series.name, series.rate_hz, series.begin_s) == ("b", 10.0, 0.0)
 
 
+def test_finds_the_header_below_a_preamble_and_the_column_of_an_array(tmp_path):
+    series = read_series(write(tmp_path / "x.csv.xz"), "b", rate_hz=10.0)
+    np.testing.assert_array_equal(series.value, -np.arange(60.0))
+    assert series.notes == ("the header was found on line 2",)
+    np.savez(tmp_path / "y.npz", counts=np.arange(120).reshape(60, 2), scale=np.ones(2))
+    np.testing.assert_array_equal(read_series(tmp_path / "y.npz", "counts[1]", rate_hz=1.0).value, np.arange(1.0, 120.0, 2.0))
+    (tmp_path / "broken.csv.gz").write_bytes(b"no gzip")
+    with pytest.raises(MissionError, match="cannot be unpacked"):
+        read_series(tmp_path / "broken.csv.gz", "b", rate_hz=1.0)
+
+
 def test_reads_a_plane_of_an_array_by_position(tmp_path):
     options = TableOptions(table="[1]", transpose=True)
     series = read_series(write(tmp_path / "x.npy"), "1", rate_hz=10.0, options=options)

@@ -2,9 +2,16 @@
 
 from __future__ import annotations
 
+import bz2
+import gzip
+import itertools
+import lzma
 import os
-from dataclasses import dataclass
+import re
+import zlib
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -62,7 +69,8 @@ def read_series(
         A text table (.csv, .txt, .dat, also .gz, .xz, .bz2), .npz, .npy or .mat; or a mission with its stream,
         ``"dive_042:depth"`` or ``"dive_042:imu.rate_x"`` (the beginning of a column's name is enough).
     column : str, optional
-        Name of the column, or its position counted from 0. Not needed where there is only one.
+        Name of the column, or its position counted from 0; ``"counts[0]"`` is column 0 of the array ``counts``. Not
+        needed where there is only one. A header further down in a text file is found by this name.
     rate_hz : float, optional
         Sampling rate. Not needed with a time column or a mission.
     time_column : str, optional
@@ -86,10 +94,12 @@ def read_series(
     if Path(text).is_dir() or Path(text).suffix == ".toml":
         streams = ", ".join(read_mission(text).streams)
         raise MissionError(f"{text} is a mission: say which stream, such as {text}:STREAM.COLUMN (streams: {streams}).")
+    options, column, notes = _layout(Path(text), column, options or TableOptions())
     table = read_table(Path(text), options)
     name = _column(table, column, time_column)
     value, wrong = table.numbers(name)
-    notes = list(table.notes)
+    name = f"{options.table}[{name}]" if options.table else name
+    notes += table.notes
     if wrong:
         notes.append(f"{wrong} cells of {name} are not numbers and count as missing")
     if time_column is None:
@@ -100,6 +110,36 @@ def read_series(
     if time.shape != value.shape:
         raise MissionError(f'{text}: "{time_column}" has {time.size} values and "{name}" has {value.size}.')
     return on_a_grid(name, time, value, rate_hz, text, notes)
+
+
+def _layout(path: Path, column: str | None, options: TableOptions) -> tuple[TableOptions, str | None, list[str]]:
+    """Complete the layout from the column asked for: its array, or the line that holds its name."""
+    if column is None or options.table or options.skip_lines or options.header is not None:
+        return options, column, []
+    if path.suffix.lower() in _CONTAINERS:
+        part = re.fullmatch(r"(.+)\[(\d+)\]", column)
+        return (replace(options, table=part[1]), part[2], []) if part else (options, column, [])
+    if column.isdecimal() or not path.is_file():
+        return options, column, []
+    for number, line in enumerate(_first_lines(path)):
+        fields = re.split("[,;\t]", line) if re.search("[,;\t]", line) else line.split()
+        if column in [name.strip().strip('"') for name in fields]:
+            notes = [f"the header was found on line {number + 1}"] if number else []
+            return replace(options, skip_lines=number), column, notes
+    return options, column, []
+
+
+_CONTAINERS = (".npy", ".npz", ".mat")
+_OPENERS: dict[str, Any] = {".gz": gzip.open, ".xz": lzma.open, ".bz2": bz2.open}
+
+
+def _first_lines(path: Path, most: int = 40) -> list[str]:
+    """The first lines of a text file, plain or compressed; none of a broken one, whose reader says what is wrong."""
+    try:
+        with _OPENERS.get(path.suffix.lower(), open)(path, "rt", encoding="utf-8-sig", errors="replace") as file:
+            return list(itertools.islice(file, most))
+    except (OSError, EOFError, lzma.LZMAError, zlib.error):
+        return []
 
 
 def _reference(table: Table, column: str) -> str:
