@@ -157,8 +157,8 @@ class DeadReckoning(Mechanisation):
         super().__post_init__()
         if isinstance(self.attitude, Heading) and self.attitude.magnetometer:
             raise ValueError(
-                "DeadReckoning.attitude must give a heading, found a magnetometer: dead reckoning has no attitude of its own to level it with. "
-                "Use the compass's heading output."
+                "DeadReckoning.attitude must give a heading, found a magnetometer: dead reckoning has no attitude of its own to level it "
+                "with. Use the compass's heading output."
             )
 
     @property
