@@ -12,20 +12,26 @@ from numba import njit
 
 @njit(cache=True)
 def fold(P, acc, nav, T):
-    """P <- Phi P Phi' + Q for the leading m states, where acc holds Phi and Q (m rows each); acc is reset to identity and zero.
+    """P <- Phi P Phi' + Q for the leading m states, where acc holds Phi and Q (m rows each); acc (4m rows, the rest is work) is reset to identity and zero.
 
     C_nb in nav is made orthonormal again to first order (its rounding grows with the number of products). T: (m, n) work.
     """
     m, n = acc.shape[1], P.shape[0]
     np.dot(acc[:m], P[:m], T)
+    # Phi P Phi' = (Phi P) Phi' needs contiguous factors; the drive's work areas in acc are free between its steps
+    A, B = acc[2 * m : 3 * m], acc[3 * m :]
+    for i in range(m):
+        for j in range(m):
+            A[i, j] = T[i, j]
+            B[i, j] = acc[j, i]
+    head = acc[:m]
+    np.dot(A, B, head)
     for i in range(m):
         for j in range(m, n):
             P[i, j] = T[i, j]
             P[j, i] = T[i, j]
         for j in range(i + 1):
-            s = 0.5 * (acc[m + i, j] + acc[m + j, i])
-            for r in range(m):
-                s += T[i, r] * acc[j, r]
+            s = 0.5 * (head[i, j] + head[j, i] + acc[m + i, j] + acc[m + j, i])
             P[i, j] = s
             P[j, i] = s
     for i in range(2 * m):
@@ -262,7 +268,8 @@ def _reset_rows_transposed(M, x, y, z, cols):
 
 @njit(cache=True)
 def places(dims):
-    """Where things stand in a channel's memory ``mem``: starts of H, K, inverse S, res, turn, then of S, PH, near, verdict, work, and the end.
+    """Where things stand in a channel's memory ``mem``: starts of H, K, inverse S, res, turn, then of S, PH, near, verdict, work, and the
+    end.
 
     dims: axes a, states n, head m, ticked block b, its start, states of its error models, parameters. Everything before S has the layout
     of a tape record (see `smooth_record`), which starts with the head's transition (m x m) and the tick's (b x b).
@@ -348,7 +355,8 @@ def smooth_record(L, lam, record, a, m, b, start, T):
     """Carry the adjoint (lam, L) backward over one tape record: reset, correction, tick, compound transition.
 
     Modified Bryson-Frazier form of the fixed-interval (Rauch-Tung-Striebel) solution (Bierman, 1973): only S is inverted, so singular
-    predicted covariances do no harm. With D = G (I - K H): lam <- D' lam - H' S^-1 res, L <- D' L D + H' S^-1 H, then through the transitions
+    predicted covariances do no harm. With D = G (I - K H): lam <- D' lam - H' S^-1 res, L <- D' L D + H' S^-1 H, then through the
+    transitions
     lam <- Phi' lam, L <- Phi' L Phi. After it the smoothed error at the record before is -P lam with covariance P - P L P.
 
     record: Phi (m x m), tick Phi (b x b), then if a > 0: H (a x n), K (n x a), inverse S (a x a), res (a), turn (3), each row by row.
