@@ -77,6 +77,7 @@ def pyins_seconds(samples: np.ndarray, start: nf.Start) -> tuple[float, float]:
         index=util.TRAJECTORY_COLS,
         name=float(samples[0, 0]),
     )
+    pyins_strapdown.Integrator(pva).integrate(pyins_strapdown.compute_increments_from_imu(imu.iloc[:100], "rate"))  # compile
     began = time.process_time()
     increments = pyins_strapdown.compute_increments_from_imu(imu, "rate")
     integrator = pyins_strapdown.Integrator(pva)

@@ -158,10 +158,10 @@ class Tape:
     smoothable : bool
         Keep the records that `navfilter.smoother.smooth` needs; without them only the track and the residuals remain.
     memory_bytes : int
-        In memory at most; the rest is spooled to a temporary file.
+        In memory at most, of records and of rows each; the rest is spooled to a temporary file.
     """
 
-    def __init__(self, output_rate_hz: float | None = None, smoothable: bool = True, memory_bytes: int = 96 << 20) -> None:
+    def __init__(self, output_rate_hz: float | None = None, smoothable: bool = True, memory_bytes: int = 32 << 20) -> None:
         self.interval_s = 0.0 if output_rate_hz is None else 1.0 / output_rate_hz - 1e-9
         self.smoothable = smoothable
         self.records = Spool(memory_bytes)

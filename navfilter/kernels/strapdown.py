@@ -22,6 +22,7 @@ EARTH_E2 = 6.69437999014e-3  # first eccentricity squared
 EARTH_RATE = 7.292115e-5  # [rad/s]
 GRAVITY_EQUATOR = 9.7803253359  # Somigliana [m/s^2]
 GRAVITY_POLE = 9.8321849378
+GRAVITY_SLOPE = 2.0 / EARTH_RADIUS  # relative decrease per metre of height
 SOMIGLIANA = math.sqrt(1.0 - EARTH_E2) * GRAVITY_POLE / GRAVITY_EQUATOR - 1.0
 
 # Places in drv. Memory: previous sample (6), increments consumed by holds since (6), their seconds, mean attitude of the last step,
@@ -36,7 +37,7 @@ MOST_TICKS = 10000.0  # of the drive's blocks in one step
 GAP_PERIODS = 3.0  # a silence of more than this many periods is a gap: what the vehicle did in it is unknown
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def radii(latitude):
     """Meridian and prime-vertical radius of curvature [m] (Groves, 2013, eqs 2.105-2.106)."""
     s = math.sin(latitude)
@@ -45,32 +46,31 @@ def radii(latitude):
     return prime * (1.0 - EARTH_E2) / x, prime
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def gravity(latitude, height):
     """Normal gravity [m/s^2]: Somigliana, linear in height (Groves, 2013, sec. 2.4.7)."""
     s2 = math.sin(latitude) ** 2
-    return GRAVITY_EQUATOR * (1.0 + SOMIGLIANA * s2) / math.sqrt(1.0 - EARTH_E2 * s2) * (1.0 - 2.0 * height / EARTH_RADIUS)
+    return GRAVITY_EQUATOR * (1.0 + SOMIGLIANA * s2) / math.sqrt(1.0 - EARTH_E2 * s2) * (1.0 - GRAVITY_SLOPE * height)
 
 
-@njit(cache=True)
-def _rotate(C, x, y, z, R, out):
-    """out = C exp([x y z]x), Rodrigues; R is a 9-element work array."""
-    t2 = x * x + y * y + z * z
+@njit(cache=True, error_model="numpy", inline="always")
+def _rodrigues(t2):
+    """Factors a, b of ``exp([v x]) = I + a [v x] + b [v x]^2`` for |v|^2 = t2."""
     if t2 > 1e-3:
         t = math.sqrt(t2)
-        a, b = math.sin(t) / t, (1.0 - math.cos(t)) / t2
-    else:  # series: the first term left out is below 1e-17
-        a = 1.0 - t2 / 6.0 * (1.0 - t2 / 20.0 * (1.0 - t2 / 42.0))
-        b = 0.5 - t2 / 24.0 * (1.0 - t2 / 30.0 * (1.0 - t2 / 56.0))
-    R[0], R[1], R[2] = 1.0 - b * (y * y + z * z), b * x * y - a * z, b * x * z + a * y
-    R[3], R[4], R[5] = b * x * y + a * z, 1.0 - b * (x * x + z * z), b * y * z - a * x
-    R[6], R[7], R[8] = b * x * z - a * y, b * y * z + a * x, 1.0 - b * (x * x + y * y)
-    for i in range(3):
-        for j in range(3):
-            out[3 * i + j] = C[3 * i] * R[j] + C[3 * i + 1] * R[3 + j] + C[3 * i + 2] * R[6 + j]
+        return math.sin(t) / t, (1.0 - math.cos(t)) / t2
+    # series: the first term left out is below 1e-17
+    return 1.0 - t2 / 6.0 * (1.0 - t2 / 20.0 * (1.0 - t2 / 42.0)), 0.5 - t2 / 24.0 * (1.0 - t2 / 30.0 * (1.0 - t2 / 56.0))
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy", inline="always")
+def _turned(a, b, x, y, z, u, v, w):
+    """The vector (u, v, w) turned: itself + a (x, y, z) x it + b (x, y, z) x ((x, y, z) x it)."""
+    f, g, h = y * w - z * v, z * u - x * w, x * v - y * u
+    return u + a * f + b * (y * h - z * g), v + a * g + b * (z * f - x * h), w + a * h + b * (x * g - y * f)
+
+
+@njit(cache=True, error_model="numpy")
 def _compound(acc, m):
     """Phi <- F Phi, Q <- F Q F' with F in the third block of acc; the fourth is the work area.
 
@@ -89,7 +89,7 @@ def _compound(acc, m):
     Q[:] = T
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def stamps_to_steps(samples, last_s, limits, gap_s, longest_s):
     """Replace the stamps of a block (first column) by seconds since the sample before; returns the number of gaps longer than `gap_s`.
 
@@ -113,14 +113,14 @@ def stamps_to_steps(samples, last_s, limits, gap_s, longest_s):
     return gaps
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _clear_transition(F, m):
     for i in range(m):
         for j in range(m):
             F[i, j] = 0.0
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy", inline="always")
 def _increments(samples, n, drv, inc):
     """Angle and velocity increments of sample n from rates or increments: linear-rate coning and sculling (Savage, 1998)."""
     dt, whole = samples[n, 0], 1.0
@@ -148,15 +148,13 @@ def _increments(samples, n, drv, inc):
         drv[PREVIOUS + i] = samples[n, 1 + i]
 
 
-@njit(cache=True)
-def _mechanise(nav, inc, dt, W, C, mid):
+@njit(cache=True, error_model="numpy", inline="always")
+def _mechanise(nav, inc, dt, C, mid):
     """One strapdown step from the corrected increments inc = (angle 3, velocity 3).
 
-    W: (3, >= 9) work. C (9,) receives the mean of C_nb over the step, mid (9,) what the transition needs: the velocity increment in n
-    (3), the mean
-    velocity (3), gravity, and the two radii.
+    C (9,) receives the mean of C_nb over the step, mid (9,) what the transition needs: the velocity increment in n (3), the mean velocity (3),
+    gravity, and the two radii.
     """
-    Cn, R, B = W[0], W[1], W[2]
     for i in range(9):
         C[i] = nav[6 + i]
     th0, th1, th2, u0, u1, u2 = inc[0], inc[1], inc[2], inc[3], inc[4], inc[5]
@@ -167,19 +165,19 @@ def _mechanise(nav, inc, dt, W, C, mid):
     lat, h = nav[0], nav[2]
     vn, ve, vd = nav[3], nav[4], nav[5]
     sl, cl = math.sin(lat), math.cos(lat)
-    x = 1.0 - EARTH_E2 * sl * sl
-    root = math.sqrt(x)
-    re = EARTH_RADIUS / root
-    rn = re * (1.0 - EARTH_E2) / x + h
+    # few divisions: they are the dearest operations here
+    root = 1.0 / math.sqrt(1.0 - EARTH_E2 * sl * sl)
+    re = EARTH_RADIUS * root
+    rn = re * (1.0 - EARTH_E2) * root * root + h
     re += h
-    tl = sl / cl
+    by_rn, by_re, tl = 1.0 / rn, 1.0 / re, sl / cl
     an = C[0] * d0 + C[1] * d1 + C[2] * d2
     ae = C[3] * d0 + C[4] * d1 + C[5] * d2
     ad = C[6] * d0 + C[7] * d1 + C[8] * d2
-    g = GRAVITY_EQUATOR * (1.0 + SOMIGLIANA * sl * sl) / root * (1.0 - 2.0 * (h - 0.5 * vd * dt) / EARTH_RADIUS)
+    g = GRAVITY_EQUATOR * (1.0 + SOMIGLIANA * sl * sl) * root * (1.0 - GRAVITY_SLOPE * (h - 0.5 * vd * dt))
     mn, me, md = vn + 0.5 * an, ve + 0.5 * ae, vd + 0.5 * (ad + g * dt)  # velocity at mid-sample
     ien, ied = EARTH_RATE * cl, -EARTH_RATE * sl
-    wn, we, wd = ien + me / re, -mn / rn, ied - me * tl / re  # rate of n against inertial space
+    wn, we, wd = ien + me * by_re, -mn * by_rn, ied - me * tl * by_re  # rate of n against inertial space
     on, oe, od = wn + ien, we, wd + ied
     # n turns during the sample: half of its rotation acts on the increment
     pn = an - 0.5 * dt * (we * ad - wd * ae)
@@ -190,37 +188,39 @@ def _mechanise(nav, inc, dt, W, C, mid):
     nav[5] = vd + pd - dt * (on * me - oe * mn) + g * dt
     mn, me, md = 0.5 * (vn + nav[3]), 0.5 * (ve + nav[4]), 0.5 * (vd + nav[5])
     hm = -0.5 * md * dt
-    dlat = mn / (rn + hm) * dt
+    dlat = mn * by_rn * (1.0 - hm * by_rn) * dt
     nav[0] = lat + dlat
-    nav[1] += me / ((re + hm) * (cl - 0.5 * sl * dlat)) * dt
+    nav[1] += me * dt / ((re + hm) * (cl - 0.5 * sl * dlat))
     nav[2] = h - md * dt
     nav[15], nav[16] = rn + 2.0 * hm, re + 2.0 * hm
     mid[0], mid[1], mid[2], mid[3], mid[4], mid[5], mid[6], mid[7], mid[8] = pn, pe, pd, mn, me, md, g, rn, re
-    _rotate(C, th0, th1, th2, R, Cn)
-    # n-frame rotation from the left: exp(-w dt) C = (C' exp(w dt))', done on the transpose
-    for i in range(3):
-        for j in range(3):
-            B[3 * j + i] = Cn[3 * i + j]
-    _rotate(B, wn * dt, we * dt, wd * dt, R, Cn)
-    for i in range(3):
-        for j in range(3):
-            nav[6 + 3 * i + j] = Cn[3 * j + i]
-            C[3 * i + j] = 0.5 * (C[3 * i + j] + Cn[3 * j + i])
+    # C exp([th x]): each row turned by -th; then exp(-[w dt x]) C: each column turned by -w dt
+    a, b = _rodrigues(th0 * th0 + th1 * th1 + th2 * th2)
+    c0, c1, c2 = _turned(-a, b, th0, th1, th2, C[0], C[1], C[2])
+    c3, c4, c5 = _turned(-a, b, th0, th1, th2, C[3], C[4], C[5])
+    c6, c7, c8 = _turned(-a, b, th0, th1, th2, C[6], C[7], C[8])
+    x, y, z = wn * dt, we * dt, wd * dt
+    a, b = _rodrigues(x * x + y * y + z * z)
+    nav[6], nav[9], nav[12] = _turned(-a, b, x, y, z, c0, c3, c6)
+    nav[7], nav[10], nav[13] = _turned(-a, b, x, y, z, c1, c4, c7)
+    nav[8], nav[11], nav[14] = _turned(-a, b, x, y, z, c2, c5, c8)
+    for i in range(9):
+        C[i] = 0.5 * (C[i] + nav[6 + i])
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def integrate(nav, drv, samples, out):
     """Strapdown alone, without errors or covariance: the state after each sample goes to the rows of out (n, 17), if it has any."""
-    inc, W, C, mid = np.empty(6), np.empty((3, 9)), np.empty(9), np.empty(9)
+    inc, C, mid = np.empty(6), np.empty(9), np.empty(9)
     for n in range(samples.shape[0]):
         _increments(samples, n, drv, inc)
-        _mechanise(nav, inc, samples[n, 0], W, C, mid)
+        _mechanise(nav, inc, samples[n, 0], C, mid)
         if out.shape[0] > 0:
             for i in range(17):
                 out[n, i] = nav[i]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _inertial_advance(nav, xd, inc, dt, drv, Cr, acc):
     """One strapdown step with the drive's errors taken off; leaves its transition, of second order in dt, in the third block of acc."""
     k = len(xd)
@@ -232,7 +232,7 @@ def _inertial_advance(nav, xd, inc, dt, drv, Cr, acc):
             inc[i] -= dt * Cr[i, s] * xd[s]
     sl, cl = math.sin(nav[0]), math.cos(nav[0])
     tl = sl / cl
-    _mechanise(nav, inc, dt, W, C, mid)
+    _mechanise(nav, inc, dt, C, mid)
     pn, pe, pd, mn, me, md, g, rn, re = mid[0], mid[1], mid[2], mid[3], mid[4], mid[5], mid[6], mid[7], mid[8]
     wn, we, wd = EARTH_RATE * cl + me / re, -mn / rn, -EARTH_RATE * sl - me * tl / re
     on, oe, od = wn + EARTH_RATE * cl, we, wd - EARTH_RATE * sl
@@ -284,7 +284,7 @@ def _inertial_advance(nav, xd, inc, dt, drv, Cr, acc):
     F[1, 2] += dt * me / re
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _inertial_noise(dt, drv, Cr, acc, m):
     """White noise of one step: variance r per sample means an angle (velocity) variance r * period per second."""
     Q, C, k = acc[m : 2 * m], drv[MEAN_C : MEAN_C + 9], m - 9
@@ -306,13 +306,13 @@ def _inertial_noise(dt, drv, Cr, acc, m):
                     Q[3 + i, j] += cc * speed * 0.5 * dt
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _ticks(span, drv):
     """How often the drive's blocks tick over a step: once per sample, those that are missing included."""
     return int(min(max(span / drv[PERIOD_S] + 0.5, 1.0), MOST_TICKS))
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _finish(xd, Phid, Qd, ticks, acc):
     """Complete the transition with the drive's blocks, compound it, and tick the blocks (their mean too)."""
     k = len(xd)
@@ -341,7 +341,7 @@ def _finish(xd, Phid, Qd, ticks, acc):
             xd[i] = W[0, i]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
     """Strapdown over a block of samples (rates or increments) with coning and sculling by the linear-rate assumption.
 
@@ -363,7 +363,7 @@ def imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
         _inertial_noise(dt, drv, Cr, acc, m)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def imu_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc):
     """Carry the state `dt` seconds past the last sample with that sample's rates; the blocks do not tick."""
     inc = np.empty(6)
@@ -377,7 +377,7 @@ def imu_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc):
     _inertial_noise(dt, drv, Cr, acc, 9 + len(xd))
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _move(nav, dn, de, dd):
     """Move the nominal position by metres in n."""
     dlat = dn / nav[15]
@@ -388,7 +388,7 @@ def _move(nav, dn, de, dd):
     nav[15], nav[16] = rn + nav[2], re + nav[2]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _position_rows(nav, F, dt, m):
     """Add what the curved Earth does to a position error carried `dt` with the present velocity (small terms)."""
     tl = math.tan(nav[0])
@@ -399,7 +399,7 @@ def _position_rows(nav, F, dt, m):
     F[1, 2] += dt * nav[4] / nav[16]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _turn_arm(F, l0, per):
     """What an attitude error before the step does to the velocity of the lever arm."""
     F[3, 7] += per * l0[2]
@@ -410,7 +410,7 @@ def _turn_arm(F, l0, per):
     F[5, 7] -= per * l0[0]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
     """Attitude and body velocity carried forward: no inertial unit (Groves, 2013, sec. 6.2; the classical AUV filter).
 
@@ -585,7 +585,7 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
         drv[STARTED] = 1.0
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def dead_reckoning_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc):
     """Carry the position `dt` seconds past the last sample with the last velocity; the blocks do not tick.
 
