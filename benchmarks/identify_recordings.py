@@ -1,6 +1,6 @@
 """Identify real sensors at rest and compare with what is known about them.
 
-Needs the recordings: set NAVFILTER_DATA to their folder. Every row is one `navfilter.identify.identify` with its default
+Needs the recordings: set NAVFILTER_DATA to their folder. Every row is one `navfilter.identification.identify.identify` with its default
 choice of order; where a recording is known by the coefficients of a fixed order, that order is fitted as well. The
 "expected" column is what the recordings' own descriptions state, found with other software (statsmodels).
 """
@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import navfilter as nf
-from navfilter.identify import Identification, identify
+from navfilter.identification.identify import Identification, identify
 from navfilter.io.series import Series, read_series
 from navfilter.io.tables import TableOptions, read_table
 

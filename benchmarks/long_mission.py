@@ -1,8 +1,9 @@
 """A day-long mission through filter and smoother: peak memory, processor time, and that spooling changes nothing.
 
-The mission: `--hours` (default 24) at 100 Hz inertial, DVL 4 Hz, depth and compass 1 Hz, a straight transit generated in place (one array for the
-inertial samples, no truth), so that the memory measured is that of the mission's own samples and of navfilter. Ours is compared with what the
-plain way would need: one float64 state and covariance per inertial sample, as filterpy's rts_smoother takes them.
+The mission: `--hours` (default 24) at 100 Hz inertial, DVL 4 Hz, depth and compass 1 Hz, a straight transit generated in place (one
+array for the inertial samples, no truth), so that the memory measured is that of the mission's own samples and of navfilter. Ours
+is compared
+with what the plain way would need: one float64 state and covariance per inertial sample, as filterpy's rts_smoother takes them.
 """
 
 from __future__ import annotations
@@ -36,7 +37,11 @@ def transit(hours: float, seed: int = 1) -> tuple[nf.Vehicle, nf.Mission]:
     imu[:, 4] += -force_n
     imu[:, 5] -= 9.806
     vehicle = nf.Vehicle(
-        imu=nf.Imu(rate_hz=100, gyro=nf.White(sd=1e-3) + nf.RandomWalk(density=1e-7, start_sd=1e-5), accel=nf.White(sd=0.01) + nf.RandomWalk(density=1e-6, start_sd=0.01)),
+        imu=nf.Imu(
+            rate_hz=100,
+            gyro=nf.White(sd=1e-3) + nf.RandomWalk(density=1e-7, start_sd=1e-5),
+            accel=nf.White(sd=0.01) + nf.RandomWalk(density=1e-6, start_sd=0.01),
+        ),
         sensors={
             "dvl": nf.BodyVelocity(rate_hz=4, error=nf.White(sd=0.01)),
             "compass": nf.Heading(rate_hz=1, error=nf.GaussMarkov(sd=0.01, tau_s=30.0) + nf.White(sd=0.005)),
@@ -50,7 +55,9 @@ def transit(hours: float, seed: int = 1) -> tuple[nf.Vehicle, nf.Mission]:
         "compass": nf.Stream(times["compass"], np.pi / 2 + rng.normal(scale=0.011, size=len(times["compass"]))),
         "depth": nf.Stream(times["depth"], rng.normal(scale=0.05, size=len(times["depth"]))),
     }
-    start = nf.Start(latitude_deg=45.0, longitude_deg=-30.0, velocity_n=(0.0, speed, 0.0), heading_deg=90.0, heading_sd_deg=1.0, tilt_sd_deg=0.1)
+    start = nf.Start(
+        latitude_deg=45.0, longitude_deg=-30.0, velocity_n=(0.0, speed, 0.0), heading_deg=90.0, heading_sd_deg=1.0, tilt_sd_deg=0.1
+    )
     return vehicle, nf.Mission(f"{hours:g} h transit", streams, start=start)
 
 
@@ -74,7 +81,10 @@ def main() -> None:
     print(f"{hours:g} h, {len(mission.streams['imu'])} inertial samples, {n} error states")
     print(f"{'processor time forward, both':34s}{track.forward.cpu_s:10.1f}{seconds:10.1f} s")
     print(f"{'peak memory with the mission loaded':34s}{loaded:10.0f} MB")
-    print(f"{'peak memory after the smoother':34s}{peak:10.0f} MB  (a state and covariance per sample: {plain:.0f} MB, {plain / peak:.0f} times)")
+    print(
+        f"{'peak memory after the smoother':34s}{peak:10.0f} MB  (a state and covariance per sample: "
+        f"{plain:.0f} MB, {plain / peak:.0f} times)"
+    )
     print(f"smoothed covariances positive definite: {definite}")
     if args.json:
         figures = {"hours": hours, "states": n, "forward_s": track.forward.cpu_s, "both_s": seconds, "loaded_mb": loaded, "peak_mb": peak}

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from navfilter.io import read_mission, read_vehicle
 from navfilter.io.geodesy import matrix_from_euler
 from navfilter.mission import Mission, Stream
-from navfilter.replay import replay
+from navfilter.playback import replay
 from navfilter.sensors import Position
 from navfilter.track import Track
 from navfilter.vehicle import Vehicle

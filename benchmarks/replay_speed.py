@@ -1,9 +1,12 @@
 """One hour at 100 Hz through the filter and the smoother, beside filterpy and python-ins, in one run.
 
-The mission: an inertial unit at 100 Hz, DVL 4 Hz, compass 8 Hz, depth 1 Hz, GPS 1 Hz at the surface; 29 error states. Competitors get the same work
-per step on a part of the hour, and their time is scaled to the whole: filterpy's KalmanFilter predicts at 100 Hz and updates at the sensors'
-rates with matrices of the same size (no mechanisation, no Jacobians: its best case), its rts_smoother runs over the steps kept; python-ins integrates
-the same inertial samples (strapdown alone) and runs its feedback filter with the DVL and the depth as far as it has them.
+The mission: an inertial unit at 100 Hz, DVL 4 Hz, compass 8 Hz, depth 1 Hz, GPS 1 Hz at the surface; 29 error states. Competitors
+get the same work per step on a part of the hour, and their time is scaled to the whole: filterpy's KalmanFilter predicts at 100 Hz
+and updates at the
+sensors' rates with matrices of the same size (no mechanisation, no Jacobians: its best case), its rts_smoother runs over the steps
+kept;
+python-ins integrates the same inertial samples (strapdown alone) and runs its feedback filter with the DVL and the depth as far as
+it has them.
 """
 
 from __future__ import annotations
@@ -19,7 +22,7 @@ import numpy as np
 
 import navfilter as nf
 from navfilter.kernels import strapdown
-from navfilter.scenarios import simulate_scenario
+from navfilter.simulation.scenarios import simulate_scenario
 
 
 def vehicle_29(base: nf.Vehicle) -> nf.Vehicle:
@@ -69,7 +72,8 @@ def filterpy_seconds(n: int, steps: int, corrections: float) -> tuple[float, flo
 def pyins_seconds(samples: np.ndarray, start: nf.Start) -> tuple[float, float]:
     """Processor seconds per sample of python-ins: strapdown alone, and its feedback filter with a body velocity at 4 Hz."""
     import pandas as pd
-    from pyins import filters, inertial_sensor, measurements, sim, strapdown as pyins_strapdown, util
+    from pyins import filters, inertial_sensor, measurements, sim, util
+    from pyins import strapdown as pyins_strapdown
 
     imu = pd.DataFrame(samples[:, 1:], index=pd.Index(samples[:, 0], name="time"), columns=util.GYRO_COLS + util.ACCEL_COLS)
     pva = pd.Series(
@@ -134,7 +138,9 @@ def main() -> None:
         line += f"{filterpy:11.1f}{filterpy / ours:8.1f}" if filterpy else f"{'-':>11s}{'':8s}"
         line += f"{pyins:12.1f}{pyins / ours:8.1f}" if pyins else f"{'-':>12s}{'':8s}"
         print(line)
-    print(f"strapdown alone: {1e-6 / alone:.1f} million samples/s; peak memory {peak:.0f} MB ({before:.0f} MB before the hour was replayed)")
+    print(
+        f"strapdown alone: {1e-6 / alone:.1f} million samples/s; peak memory {peak:.0f} MB ({before:.0f} MB before the hour was replayed)"
+    )
     if args.json:
         figures = {name: {"navfilter_s": a, "filterpy_s": b, "python_ins_s": c} for name, a, b, c in rows}
         extra = {"hours": seconds / 3600, "states": n, "strapdown_samples_per_s": 1 / alone, "peak_mb": peak, "before_mb": before}

@@ -18,10 +18,11 @@ GRAVITY = 9.80665
 
 
 def align(vehicle: Vehicle, mission: Mission, window_s: float = 5.0) -> Start:
-    """Start a run from the first readings: level by the accelerometers, heading by the compass, velocity by the DVL, place by the first fixes.
+    """Start a run from the first readings: level by the accelerometers, heading by the compass, velocity by the DVL, place by fixes.
 
-    Levelling works while the vehicle moves steadily (the specific force is gravity); the standard deviations grow with what the inertial unit
-    felt during the window. Without a compass the heading comes from the course between fixes, if the vehicle travelled far enough.
+    Levelling works while the vehicle moves steadily (the specific force is gravity); the standard deviations grow with what the
+    inertial unit felt during the window. Without a compass the heading comes from the course between fixes, if the vehicle
+    travelled far enough.
 
     Parameters
     ----------
@@ -86,7 +87,8 @@ def _first_fix(vehicle: Vehicle, mission: Mission) -> tuple[Array, Array, float]
     found = _stream(vehicle, mission, Position)
     if found is None:
         raise ValueError(
-            "no start: the mission gives none ([start] in mission.toml), and the vehicle has no position sensor with readings to align with. "
+            "no start: the mission gives none ([start] in mission.toml), and the vehicle has no "
+            "position sensor with readings to align with. "
             "Give replay(..., start=Start(latitude_deg=..., longitude_deg=..., heading_deg=...))."
         )
     stream, sensor = found
@@ -120,7 +122,8 @@ def _level(force: Array, drive: object) -> tuple[float, float, float]:
     excess = abs(float(np.linalg.norm(mean)) - GRAVITY)
     if excess > 1.5:
         raise ValueError(
-            f"cannot level: the mean specific force is {np.linalg.norm(mean):.2f} m/s^2 instead of 9.8. Units in g? Sign? Or the vehicle moves too hard: "
+            f"cannot level: the mean specific force is {np.linalg.norm(mean):.2f} m/s^2 instead of "
+            f"9.8. Units in g? Sign? Or the vehicle moves too hard: "
             "give a start."
         )
     if mean[2] > 0:
@@ -170,7 +173,9 @@ def _course(vehicle: Vehicle, mission: Mission, begin: float, within_s: float = 
         far = np.flatnonzero(np.hypot(north, east) > 10.0)
         if len(far):
             return float(np.arctan2(east[far[0]], north[far[0]])), float(np.radians(15.0))
-    raise ValueError("no heading to start with: the vehicle has no compass with readings, and the first fixes do not move 10 m. Give a start.")
+    raise ValueError(
+        "no heading to start with: the vehicle has no compass with readings, and the first fixes do not move 10 m. Give a start."
+    )
 
 
 def _velocity(vehicle: Vehicle, mission: Mission, begin: float, window_s: float, rpy: Array) -> tuple[Array, float]:
@@ -188,4 +193,3 @@ def _velocity(vehicle: Vehicle, mission: Mission, begin: float, window_s: float,
             v_b = matrix_from_euler(*sensor.mounting_rad) @ z
             return matrix_from_euler(*rpy) @ v_b, 0.5
     return np.zeros(3), 2.0
-

@@ -13,8 +13,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
-from navfilter import replay_command
-from navfilter.console import announce_compilation, output_folder, positive, seed, speaker
+from navfilter.commands import replay as replay_command
+from navfilter.commands.console import announce_compilation, output_folder, positive, seed, speaker
 
 __all__ = ["main"]
 
@@ -120,7 +120,7 @@ def _add_replay(commands: Any) -> None:
 
 
 def _add_identify(commands: Any) -> None:
-    from navfilter import identify_command
+    from navfilter.commands import identify as identify_command
 
     identify_command.add_arguments(_command(commands, "identify", identify_command.run, identify_command.ABOUT, identify_command.EPILOG))
 
@@ -148,7 +148,7 @@ def _add_simulate(commands: Any) -> None:
 
 
 def _simulate(options: argparse.Namespace) -> int:
-    from navfilter.scenarios import SCENARIOS, simulate_scenario
+    from navfilter.simulation.scenarios import SCENARIOS, simulate_scenario
 
     if options.list:
         width = max(map(len, SCENARIOS))
@@ -220,7 +220,7 @@ def _warmup(options: argparse.Namespace) -> int:
     import time
 
     announce_compilation(options.quiet)
-    from navfilter.replay import warm_up
+    from navfilter.playback import warm_up
 
     began = time.perf_counter()
     warm_up()

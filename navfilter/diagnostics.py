@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import fft, stats
 
+from navfilter.arma.starts import tidy_series
 from navfilter.kernels import fit as kernels
-from navfilter.starts import tidy_series
 
 __all__ = ["WT_WHITE", "Whiteness", "acf", "allan_deviation", "cross_correlation", "pacf", "whiteness"]
 

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import block_diag, solve_discrete_lyapunov
 
-from navfilter.arma import is_stable
+from navfilter.arma.model import is_stable
 
 __all__ = ["Arma", "Block", "ErrorModel", "GaussMarkov", "RandomWalk", "Sum", "White", "per_axis"]
 
@@ -289,7 +289,10 @@ class Sum(ErrorModel):
         """Discretise: the blocks of the parts side by side."""
         blocks = [part.block(period_s) for part in self.parts]
         n = sum(b.size for b in blocks)
-        stack = {key: _square(block_diag(*(getattr(b, key) for b in blocks if b.size)), n) if n else np.zeros((0, 0)) for key in ("Phi", "Q", "P0")}
+        stack = {
+            key: _square(block_diag(*(getattr(b, key) for b in blocks if b.size)), n) if n else np.zeros((0, 0))
+            for key in ("Phi", "Q", "P0")
+        }
         return Block(stack["Phi"], stack["Q"], np.concatenate([b.C for b in blocks]), sum(b.r for b in blocks), stack["P0"])
 
     def __str__(self) -> str:
@@ -306,5 +309,7 @@ def per_axis(error: ErrorModel | Sequence[ErrorModel], axes: int, owner: str) ->
     """
     models = (error,) * axes if isinstance(error, ErrorModel) else tuple(error) if isinstance(error, Sequence) else ()
     if len(models) != axes or not all(isinstance(m, ErrorModel) for m in models):
-        raise ValueError(f"{owner} needs one error model, or a tuple of {axes}, found {error!r}. Example: White(sd=0.1) + RandomWalk(density=1e-4).")
+        raise ValueError(
+            f"{owner} needs one error model, or a tuple of {axes}, found {error!r}. Example: White(sd=0.1) + RandomWalk(density=1e-4)."
+        )
     return models

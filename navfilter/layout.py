@@ -65,7 +65,13 @@ class Group:
 
     @classmethod
     def build(
-        cls, start: int, blocks: Sequence, parameters: Iterable[tuple[str, float]], axis_names: Sequence[str], axis_units: Sequence[str], prefix: str = ""
+        cls,
+        start: int,
+        blocks: Sequence,
+        parameters: Iterable[tuple[str, float]],
+        axis_names: Sequence[str],
+        axis_units: Sequence[str],
+        prefix: str = "",
     ) -> Group:
         """Stack the blocks of the axes and the parameters."""
         parameters = tuple(parameters)
@@ -90,7 +96,16 @@ class Group:
         variances = np.diag([sd**2 for _, sd in parameters]) if k else np.zeros((0, 0))
         r = np.array([b.r for b in blocks])
         return cls(
-            start, errors + k, errors, stack("Phi", np.eye(k)), stack("Q", np.zeros((k, k))), stack("P0", variances), C, r, tuple(names), tuple(units)
+            start,
+            errors + k,
+            errors,
+            stack("Phi", np.eye(k)),
+            stack("Q", np.zeros((k, k))),
+            stack("P0", variances),
+            C,
+            r,
+            tuple(names),
+            tuple(units),
         )
 
 

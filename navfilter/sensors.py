@@ -101,7 +101,8 @@ class BodyVelocity(Sensor):
     mounting_rad : (3,) float
         Roll, pitch, yaw of the instrument's axes in b [rad]: ``v_b = C(mounting) v_instrument``.
     scale_sd : float
-        Standard deviation of an unknown constant scale error; 0 leaves the scale and misalignment states out unless `misalignment_sd_rad` is set.
+        Standard deviation of an unknown constant scale error; 0 leaves the scale and misalignment states out unless
+        `misalignment_sd_rad` is set.
     misalignment_sd_rad : float
         Standard deviation of the unknown constant mounting error about each axis [rad].
     zero_is_invalid : bool
@@ -346,14 +347,15 @@ class ZeroVelocity(Sensor):
     Parameters
     ----------
     gyro_sd_max, force_sd_max : float
-        Rest is when, over one period of this sensor, every gyro axis scatters less than this [rad/s] and every accelerometer axis less [m/s^2].
+        Rest is when, over one period of this sensor, every gyro axis scatters less than this [rad/s] and every accelerometer axis
+        less [m/s^2].
     gyro_mean_max : float
         ... and every mean rate is below this [rad/s] (estimated bias and Earth rate are within it).
 
     Notes
     -----
-    For vehicles that really stand still (on deck, on the bottom, on wheels). An AUV gliding in calm water looks the same to its inertial unit:
-    do not use it there.
+    For vehicles that really stand still (on deck, on the bottom, on wheels). An AUV gliding in calm water looks the same to its
+    inertial unit: do not use it there.
     """
 
     error: Errors = White(sd=0.02)

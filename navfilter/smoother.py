@@ -15,11 +15,14 @@ __all__ = ["smooth_rows"]
 Array = NDArray[np.float64]
 
 
-def smooth_rows(tape: Tape, size: int, store: Callable[[int, Array, Array, Array], None], progress: Callable[[int], None] | None = None) -> None:
+def smooth_rows(
+    tape: Tape, size: int, store: Callable[[int, Array, Array, Array], None], progress: Callable[[int], None] | None = None
+) -> None:
     """Rauch-Tung-Striebel solution at every row of the tape, latest first.
 
-    Computed in the modified Bryson-Frazier form (Bierman, 1973), which inverts only innovation covariances. Feedback needs no bookkeeping: the
-    smoothed error is expressed against the forward trajectory itself, and each attitude reset is part of its record.
+    Computed in the modified Bryson-Frazier form (Bierman, 1973), which inverts only innovation covariances. Feedback needs no
+    bookkeeping: the smoothed error is expressed against the forward trajectory itself, and each attitude reset is part of its
+    record.
 
     Parameters
     ----------
@@ -28,7 +31,8 @@ def smooth_rows(tape: Tape, size: int, store: Callable[[int, Array, Array, Array
     size : int
         Number of error states.
     store : callable(index, row, mean, covariance)
-        Called per row with the forward row (17 + (size - 9) + size^2 values), the smoothed correction to add to its state and the covariance of what is left.
+        Called per row with the forward row (17 + (size - 9) + size^2 values), the smoothed correction to add to its state and the
+        covariance of what is left.
         The arrays are work space: copy what is to stay.
     progress : callable(n), optional
         Called now and then with the number of records done.

@@ -145,7 +145,9 @@ class _Column:
 
     def residuals(self) -> Residuals:
         r, a = self.rows[: self.used], self.axes
-        return Residuals(r[:, 0].copy(), r[:, 4 : 4 + a].copy(), np.sqrt(r[:, 4 + a :]), r[:, 1].copy(), r[:, 2].copy(), r[:, 3].astype(np.uint8))
+        return Residuals(
+            r[:, 0].copy(), r[:, 4 : 4 + a].copy(), np.sqrt(r[:, 4 + a :]), r[:, 1].copy(), r[:, 2].copy(), r[:, 3].astype(np.uint8)
+        )
 
 
 class Tape:
@@ -184,7 +186,10 @@ class Tape:
         return a, m, b, start
 
     def row(self, time_s: float, nav: Array, x: Array, P: Array) -> None:
-        """Note the state at this time (the whole covariance only where the smoother needs it); the last note of a time stands, and times closer than the output interval are skipped."""
+        """Note the state at this time; the last note of a time stands, and times closer than the output interval are skipped.
+
+        The whole covariance is kept only where the smoother needs it.
+        """
         if self.row_times and time_s == self.row_times[-1]:
             out = self.rows[-1]
             self.row_records[-1] = len(self.records)

@@ -275,4 +275,3 @@ def _interpolate(truth: Stream, time_s: Array, longest_gap_s: float = 5.0) -> Ar
         near = (t[after] - t[after - 1] <= longest_gap_s) | (np.minimum(np.abs(time_s - t[after]), np.abs(time_s - t[after - 1])) < 1e-6)
         result[:, c] = np.where(inside & near, np.interp(time_s, t, v), np.nan)
     return result
-

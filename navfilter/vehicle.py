@@ -51,7 +51,12 @@ class Vehicle:
     name: str = "vehicle"
 
     def __init__(
-        self, drive: Mechanisation | None = None, sensors: Mapping[str, Sensor] | None = None, name: str = "vehicle", *, imu: Imu | None = None
+        self,
+        drive: Mechanisation | None = None,
+        sensors: Mapping[str, Sensor] | None = None,
+        name: str = "vehicle",
+        *,
+        imu: Imu | None = None,
     ) -> None:
         if (drive is None) == (imu is None):
             raise ValueError("Vehicle needs exactly one of drive= and imu= (imu=Imu(...) is short for drive=Imu(...)).")

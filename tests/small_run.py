@@ -4,8 +4,8 @@ from functools import cache
 
 from navfilter.io.write import labelled
 from navfilter.mission import Mission
-from navfilter.replay import replay
-from navfilter.scenarios import simulate_scenario
+from navfilter.playback import replay
+from navfilter.simulation.scenarios import simulate_scenario
 from navfilter.track import Track
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import navfilter as nf
-from navfilter.scenarios import simulate_scenario
+from navfilter.simulation.scenarios import simulate_scenario
 from navfilter.state import matrix_from_euler
 
 
@@ -87,7 +87,9 @@ def test_declination_errors():
         nf.declination(32.8, 35.0, 0.0, None)
     with pytest.raises(ValueError, match="no World Magnetic Model"):
         nf.declination(32.8, 35.0, 0.0, datetime.date(1980, 1, 1))
-    assert nf.declination(32.8, 215.0, 0.0, datetime.date(2024, 6, 1)) == pytest.approx(nf.declination(32.8, -145.0, 0.0, datetime.date(2024, 6, 1)))
+    assert nf.declination(32.8, 215.0, 0.0, datetime.date(2024, 6, 1)) == pytest.approx(
+        nf.declination(32.8, -145.0, 0.0, datetime.date(2024, 6, 1))
+    )
 
 
 @pytest.mark.parametrize("planar", [False, True])

@@ -186,7 +186,7 @@ def test_compilation_is_announced_once(dive, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
     monkeypatch.setattr(numba.config, "DISABLE_JIT", 0)
     # The package's name "replay" is the function; the module of that name holds what is replaced here.
-    monkeypatch.setattr(sys.modules["navfilter.replay"], "warm_up", lambda: None)
+    monkeypatch.setattr(sys.modules["navfilter.playback"], "warm_up", lambda: None)
     assert main(["warmup"]) == 0
     assert "compiling" in capsys.readouterr().err
     for name in ("strapdown", "kalman", "measurement"):

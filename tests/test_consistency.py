@@ -17,10 +17,10 @@ import pytest
 from scipy.stats import chi2
 
 import navfilter as nf
-from navfilter import presets
-from navfilter.manoeuvres import ChangeSpeed, Dive, FigureEight, SpiralDive, Straight, Turn
-from navfilter.motion import Motion, Wander
-from navfilter.simulate import StartErrors, simulate
+from navfilter.simulation import presets
+from navfilter.simulation.manoeuvres import ChangeSpeed, Dive, FigureEight, SpiralDive, Straight, Turn
+from navfilter.simulation.motion import Motion, Wander
+from navfilter.simulation.simulate import StartErrors, simulate
 
 DEG = np.pi / 180.0
 DURATION_S = 150.0

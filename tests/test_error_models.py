@@ -9,8 +9,8 @@ from statsmodels.tsa.arima_process import ArmaProcess
 
 import navfilter as nf
 from navfilter.error_models import CORRELATION_CONSTANTS, per_axis
-from navfilter.faults import draw_error
 from navfilter.layout import Layout
+from navfilter.simulation.faults import draw_error
 
 
 def autocovariance(block, lags):

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from navfilter.arma import simulate_arma
-from navfilter.bank import ArmaBank
-from navfilter.fit import fit_arma
-from navfilter.front_end import FrontEnd, find_resolution, repeat_share
-from navfilter.online import RecursiveArma
-from navfilter.periodic_motion import find_motion_band, subtract_motion
+from navfilter.arma.bank import ArmaBank
+from navfilter.arma.fit import fit_arma
+from navfilter.arma.front_end import FrontEnd, find_resolution, repeat_share
+from navfilter.arma.model import simulate_arma
+from navfilter.arma.online import RecursiveArma
+from navfilter.arma.periodic_motion import find_motion_band, subtract_motion
 
 NOISE = simulate_arma([-0.8], [0.3], 1.0, 6000, seed=61)
 

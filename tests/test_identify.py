@@ -13,16 +13,16 @@ import scipy.io
 
 import navfilter as nf
 from navfilter.cli import main
-from navfilter.conditioning import MAX_SAMPLES, condition, gap_free, quantisation_step
 from navfilter.error_models import Arma, GaussMarkov, RandomWalk, Sum, White
-from navfilter.identify import identify, model_allan_deviation
-from navfilter.identify_figures import identification_figures
-from navfilter.identify_online import track_online, tracks_text
-from navfilter.identify_report import as_dict, error_lines, summary_text
+from navfilter.identification.conditioning import MAX_SAMPLES, condition, gap_free, quantisation_step
+from navfilter.identification.figures import identification_figures
+from navfilter.identification.identify import identify, model_allan_deviation
+from navfilter.identification.online import track_online, tracks_text
+from navfilter.identification.reading import read_model
+from navfilter.identification.report import as_dict, error_lines, summary_text
 from navfilter.io.series import Series, on_a_grid, read_series
 from navfilter.io.tables import TableOptions
 from navfilter.mission import Mission, MissionError, Stream
-from navfilter.reading import read_model
 
 WALK_AND_WHITE = ([-1.0], [-0.95])
 

@@ -69,7 +69,7 @@ import importlib, json, pathlib
 import numpy as np
 import navfilter as nf
 from navfilter import kernels
-from navfilter.scenarios import simulate_scenario
+from navfilter.simulation.scenarios import simulate_scenario
 
 nf.warm_up()
 after = {}

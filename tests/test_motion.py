@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from navfilter.manoeuvres import (
+from navfilter.simulation.manoeuvres import (
     ChangeSpeed,
     Dive,
     FigureEight,
@@ -18,7 +18,7 @@ from navfilter.manoeuvres import (
     Turn,
     Wait,
 )
-from navfilter.motion import Motion, Wander, rotation
+from navfilter.simulation.motion import Motion, Wander, rotation
 
 pytestmark = pytest.mark.filterwarnings("ignore:The copy keyword is deprecated")  # inside python-ins
 

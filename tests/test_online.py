@@ -5,9 +5,9 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
-from navfilter.arma import simulate_arma
-from navfilter.fit import fit_arma
-from navfilter.online import RecursiveArma
+from navfilter.arma.fit import fit_arma
+from navfilter.arma.model import simulate_arma
+from navfilter.arma.online import RecursiveArma
 
 NON_SPR = ([0.9, 0.95], [1.5, 0.75])
 MODELS = {

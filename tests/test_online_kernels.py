@@ -4,7 +4,7 @@ import naive
 import numpy as np
 import pytest
 
-from navfilter.arma import simulate_arma
+from navfilter.arma.model import simulate_arma
 from navfilter.kernels import arma, arma_window
 
 ORDERS = [(1, 0), (0, 1), (1, 1), (2, 1), (1, 3), (4, 2), (0, 3)]

@@ -56,7 +56,7 @@ def test_every_file_of_the_map_exists():
     section = README.split("## How it is built")[1]
     tree = re.search(r"^```\n(.*?)^```", section, flags=re.MULTILINE | re.DOTALL).group(1)
     for name in re.findall(r"\b(\w+\.py)\b", tree):
-        assert any((ROOT / folder / name).exists() for folder in ("navfilter", "navfilter/io", "tests")), name
+        assert any((ROOT / folder / name).exists() for folder in ("navfilter", "navfilter/io", "navfilter/arma", "tests")), name
     for name in re.findall(r"^\| `(\w+)` \|", README.split("## Benchmarks")[1].split("## ")[0], flags=re.MULTILINE):
         assert (ROOT / "benchmarks" / f"{name}.py").exists(), name
 

@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-import navfilter.simulate as simulator
+import navfilter.simulation.simulate as simulator
 from navfilter.error_models import Arma, GaussMarkov, RandomWalk, White
-from navfilter.faults import Changing, Faults, draw_error, draw_errors, generator, outliers, quantise, within
-from navfilter.manoeuvres import ChangeSpeed, Dive, FigureEight, Straight, Surface, Turn, Wait
 from navfilter.mechanisation import DeadReckoning, Imu
-from navfilter.motion import Motion, Wander
-from navfilter.presets import crossbow_imu, mems_imu, motorola_gps, rdi_dvl, tactical_imu, tcm2_compass, tcm2_tilt
-from navfilter.replay import replay
-from navfilter.scenarios import SCENARIOS, demo_mission, simulate_scenario
+from navfilter.playback import replay
 from navfilter.sensors import BodyVelocity, Depth, Heading, Position
-from navfilter.simulate import StartErrors, simulate, tiny_missions
+from navfilter.simulation.faults import Changing, Faults, draw_error, draw_errors, generator, outliers, quantise, within
+from navfilter.simulation.manoeuvres import ChangeSpeed, Dive, FigureEight, Straight, Surface, Turn, Wait
+from navfilter.simulation.motion import Motion, Wander
+from navfilter.simulation.presets import crossbow_imu, mems_imu, motorola_gps, rdi_dvl, tactical_imu, tcm2_compass, tcm2_tilt
+from navfilter.simulation.scenarios import SCENARIOS, demo_mission, simulate_scenario
+from navfilter.simulation.simulate import StartErrors, simulate, tiny_missions
 from navfilter.state import NavState
 from navfilter.vehicle import Vehicle
 

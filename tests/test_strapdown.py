@@ -13,8 +13,8 @@ from test_kernels_twins import imu_samples, random_drive, random_nav
 
 import navfilter as nf
 from navfilter.kernels import strapdown
-from navfilter.manoeuvres import ChangeSpeed, Dive, FigureEight, SpiralDive, Straight, Turn
-from navfilter.motion import Motion, Wander
+from navfilter.simulation.manoeuvres import ChangeSpeed, Dive, FigureEight, SpiralDive, Straight, Turn
+from navfilter.simulation.motion import Motion, Wander
 from navfilter.state import NavState, euler_from_matrix, matrix_from_euler, rotation_matrix, rotation_vector, wrap
 from navfilter.track import _metres
 

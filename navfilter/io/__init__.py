@@ -54,6 +54,4 @@ def read_mission(path: str | os.PathLike[str]) -> Mission:
         from navfilter.io.native import read_mission_npz
 
         return read_mission_npz(path)
-    raise MissionError(
-        f'{path} is no mission: expected a folder with a mission.toml, a .toml or a .npz, found "{path.name}".'
-    )
+    raise MissionError(f'{path} is no mission: expected a folder with a mission.toml, a .toml or a .npz, found "{path.name}".')

@@ -314,9 +314,7 @@ class TruthStream(StreamSpec):
     def _contents(self) -> TruthStream:
         given = set(self.groups())
         if not given <= set(TRUTH_GROUPS):
-            raise ValueError(
-                f"truth cannot have {', '.join(sorted(given - set(TRUTH_GROUPS)))} ({', '.join(TRUTH_GROUPS)})"
-            )
+            raise ValueError(f"truth cannot have {', '.join(sorted(given - set(TRUTH_GROUPS)))} ({', '.join(TRUTH_GROUPS)})")
         for choice in (("position", "ecef", "local"), ("velocity_n", "velocity_ecef"), ("attitude", "quaternion")):
             if len(given & set(choice)) > 1:
                 raise ValueError(f"truth can have only one of {', '.join(choice)}")

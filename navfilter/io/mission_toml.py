@@ -250,9 +250,7 @@ def _assembled(time_s: Array, parts: dict[str, Array], columns: dict[str, tuple[
 def _from_local(ned: Array, spec: StreamSpec) -> Array:
     origins: list[Origin | None] = [s.local.origin for s in spec.sources if s.local is not None]
     origin = next(o for o in origins if o is not None)
-    return geodesy.geodetic_from_local(
-        ned, np.radians(origin.latitude_deg), np.radians(origin.longitude_deg), origin.height_m
-    )
+    return geodesy.geodetic_from_local(ned, np.radians(origin.latitude_deg), np.radians(origin.longitude_deg), origin.height_m)
 
 
 def _euler(quaternion: Array, spec: StreamSpec, axes: Array | None) -> Array:
@@ -266,9 +264,7 @@ def _euler(quaternion: Array, spec: StreamSpec, axes: Array | None) -> Array:
         C = C[:, [1, 0, 2]] * np.array([[1.0], [1.0], [-1.0]])
     elif group.reference == "ecef":
         if axes is None:
-            raise MissionError(
-                'a quaternion with reference = "ecef" needs a position in the same stream (see [truth]).'
-            )
+            raise MissionError('a quaternion with reference = "ecef" needs a position in the same stream (see [truth]).')
         C = axes @ C
     return geodesy.euler_from_matrix(C)
 

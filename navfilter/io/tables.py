@@ -176,9 +176,7 @@ def _columns_of(path: Path, arrays: dict[str, npt.NDArray[Any]], options: TableO
                 raise MissionError(f"{path}: {len(names)} names in header for {matrix.shape[1]} columns.")
             columns = {names[k] if names else str(k): matrix[:, k] for k in range(matrix.shape[1])}
     else:
-        columns = {
-            name: array.ravel() for name, array in arrays.items() if max(array.shape, default=0) == array.size > 1
-        }
+        columns = {name: array.ravel() for name, array in arrays.items() if max(array.shape, default=0) == array.size > 1}
         if not columns:
             tables = {name: array.shape for name, array in arrays.items()}
             raise MissionError(f"{path} holds several arrays {tables}: name one with table = ...")

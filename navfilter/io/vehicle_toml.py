@@ -210,12 +210,7 @@ def _shape(value: Any) -> str:
         return "<sum>"
     if isinstance(value, dict) and "type" in value:
         return "<sensor>"
-    if (
-        isinstance(value, dict)
-        and "model" not in value
-        and value
-        and all(isinstance(v, dict | list) for v in value.values())
-    ):
+    if isinstance(value, dict) and "model" not in value and value and all(isinstance(v, dict | list) for v in value.values()):
         return "<axes>"
     return "<one>"
 
@@ -295,11 +290,7 @@ def _table(item: Any) -> dict[str, Any]:
     table: dict[str, Any] = {key: _kebab(type(item))}
     for field in dataclasses.fields(item):
         value = getattr(item, field.name)
-        if (
-            field.init
-            and value is not None
-            and not (field.default is not dataclasses.MISSING and value == field.default)
-        ):
+        if field.init and value is not None and not (field.default is not dataclasses.MISSING and value == field.default):
             table[field.name] = _plain(value, type(item), field.name)
     return table
 

@@ -12,7 +12,9 @@ from numba import njit
 
 @njit(cache=True)
 def fold(P, acc, nav, T):
-    """P <- Phi P Phi' + Q for the leading m states, where acc holds Phi and Q (m rows each); acc (4m rows, the rest is work) is reset to identity and zero.
+    """P <- Phi P Phi' + Q for the leading m states.
+
+    acc (4m rows) holds Phi and Q, m rows each, then work areas; it is reset to identity and zero.
 
     C_nb in nav is made orthonormal again to first order (its rounding grows with the number of products). T: (m, n) work.
     """

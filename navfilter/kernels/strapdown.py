@@ -152,8 +152,8 @@ def _increments(samples, n, drv, inc):
 def _mechanise(nav, inc, dt, C, mid):
     """One strapdown step from the corrected increments inc = (angle 3, velocity 3).
 
-    C (9,) receives the mean of C_nb over the step, mid (9,) what the transition needs: the velocity increment in n (3), the mean velocity (3),
-    gravity, and the two radii.
+    C (9,) receives the mean of C_nb over the step, mid (9,) what the transition needs: the velocity increment in n (3), the mean
+    velocity (3), gravity, and the two radii.
     """
     for i in range(9):
         C[i] = nav[6 + i]

@@ -1,0 +1,5 @@
+"""ARMA error models from series: the model value, batch fits and order selection, the online estimator and its bank of orders."""
+
+from navfilter.arma.model import ArmaModel, forecast_arma, is_stable, log_s0_sd, simulate_arma
+
+__all__ = ["ArmaModel", "forecast_arma", "is_stable", "log_s0_sd", "simulate_arma"]

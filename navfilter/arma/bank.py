@@ -1,0 +1,337 @@
+"""A bank of online ARMA estimators of different orders, and the choice of the model that it hands out."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from navfilter.arma.model import ArmaModel, log_s0_sd
+from navfilter.arma.online import RecursiveArma
+from navfilter.arma.unit_root import cap_poles, has_unit_root, split_bias
+from navfilter.kernels import arma as kernel
+
+__all__ = ["ArmaBank", "cancelling_pairs", "moment_gm1"]
+
+Array = NDArray[np.float64]
+
+DEFAULT_ORDERS = ((0, 0), (1, 0), (0, 1), (1, 1), (2, 0), (2, 1), (2, 2), (3, 2), (4, 2))
+# A candidate this far behind is followed by its recursion alone until the order in use no longer serves.
+FAR, PASSES = 30.0, 8
+# Hysteresis: a challenger must lead by this much, at this many hops in a row.
+LEAD, HOPS = 6.0, 2
+
+
+class ArmaBank:
+    """Candidate orders side by side on the same samples; hands out one immutable, stable model.
+
+    At each hop every candidate is polished on the same window, compared by an information criterion over the same
+    residuals, and must pass the gate: poles and zeros inside the circle, no pole-zero pair closer than two of its
+    standard deviations, residuals white (Ljung-Box and cumulative periodogram, 1 % together). The order changes only
+    when a challenger leads by 6 at two hops running, or when the order in use fails the gate.
+
+    A pole that cannot be told from 1 belongs to a random-walk bias: it is split off (`walk_sd`), and `model` is what
+    remains. If nothing passes the gate, the last good model stays in use for two windows, then a first-order
+    Gauss-Markov model from the moments of the window.
+
+    Parameters
+    ----------
+    window : int
+        Samples behind an estimate.
+    orders : sequence of (p, q), optional
+        Candidates; default (0,0) to (4,2). Include the reductions of each, so that a superfluous pair has somewhere
+        to go.
+    hop : int, optional
+        Samples between two choices, default a quarter of the window.
+    mean : bool
+        Carry a constant beside the coefficients.
+    clip : float
+        Limit innovations to this many robust standard deviations (0 = never).
+    criterion : {"bic", "hq"}
+        Schwarz, or Hannan and Quinn (keeps weaker terms).
+    strict : bool
+        False hands out the best candidate even when its residuals are coloured (flag "coloured") in place of the
+        Gauss-Markov fall-back.
+
+    Raises
+    ------
+    ValueError
+        For an empty list, an unknown criterion, and what `RecursiveArma` refuses.
+
+    Examples
+    --------
+    >>> import navfilter as nf
+    >>> bank = nf.ArmaBank(window=2000)
+    >>> bank.update_many(nf.simulate_arma([-0.9], [-0.4], 1.0, 4000, seed=3))
+    >>> bank.order, bank.model.is_stable, sorted(bank.model.flags)
+    ((1, 1), True, [])
+    """
+
+    def __init__(
+        self,
+        window: int,
+        *,
+        orders: Sequence[tuple[int, int]] = DEFAULT_ORDERS,
+        hop: int | None = None,
+        mean: bool = True,
+        clip: float = 4.0,
+        criterion: str = "bic",
+        strict: bool = True,
+    ) -> None:
+        if criterion not in ("bic", "hq"):
+            raise ValueError(f'criterion must be "bic" or "hq", found {criterion!r}.')
+        if not orders:
+            raise ValueError("orders is empty. Give at least one (p, q).")
+        self.orders = tuple(sorted({(int(p), int(q)) for p, q in orders}, key=lambda pq: (sum(pq), pq)))
+        self.window, self.criterion, self.strict, self.mean = int(window), criterion, bool(strict), bool(mean)
+        self.candidates = tuple(RecursiveArma(p, q, window, hop=hop, mean=mean, clip=clip) for p, q in self.orders)
+        self._side_by_side()
+        self._chosen: int | None = None
+        self._challenger, self._leads = -1, 0
+        self._stale = 0
+        self._walk_sd = 0.0
+        self._model = ArmaModel(np.zeros(0), np.zeros(0), 0.0, effective_window=0.0, flags=frozenset({"starting"}))
+
+    def _side_by_side(self) -> None:
+        """Lay the candidates' states and samples into two arrays, so that one kernel call serves all."""
+        states = [candidate._s for candidate in self.candidates]
+        rows, width = max(s.shape[0] for s in states), max(s.shape[1] for s in states)
+        self._states = np.zeros((len(states), rows, width))
+        self._bufs = np.zeros((len(states), *self.candidates[0]._buf.shape))
+        first = max(float(s[kernel.HEAD, kernel.DUE]) for s in states)
+        for i, candidate in enumerate(self.candidates):
+            self._states[i, : states[i].shape[0], : states[i].shape[1]] = states[i]
+            self._states[i, kernel.HEAD, kernel.DUE] = first
+            candidate._use(self._states[i], self._bufs[i])
+
+    def update(self, x: float) -> None:
+        """Take one sample (NaN if it is missing)."""
+        if kernel.bank_step(self._states, self._bufs, float(x)):
+            self._at_hop()
+
+    def update_many(self, series: ArrayLike) -> None:
+        """Take samples in order, shape (N,): the same arithmetic as `update` on each."""
+        xs = np.array(series, dtype=np.float64, order="C")
+        if xs.ndim != 1:
+            raise ValueError(f"series must be one-dimensional, found shape {xs.shape}. Use one bank per channel.")
+        done = 0
+        while done < xs.size:
+            done = kernel.bank_run(self._states, self._bufs, xs, done)
+            head = self._states[0, kernel.HEAD]
+            if head[kernel.POS] >= head[kernel.DUE]:
+                self._at_hop()
+
+    # ------------------------------------------------------------------ what it hands out
+
+    @property
+    def model(self) -> ArmaModel:
+        """The model in use. Flags: "starting", "unit root", "coloured", "stale", "fallback", "gaps", "constant"."""
+        return self._model
+
+    @property
+    def walk_sd(self) -> float:
+        """Step per sample of the random-walk bias that took over a pole near 1, in the unit of the series; else 0."""
+        return self._walk_sd
+
+    @property
+    def order(self) -> tuple[int, int] | None:
+        """Order (p, q) in use, before a bias is split off; None for a fall-back or before the start."""
+        return None if self._chosen is None else self.orders[self._chosen]
+
+    @property
+    def is_white(self) -> bool:
+        """Whether the residuals of the order in use pass the whiteness gate."""
+        return self._chosen is not None and self.candidates[self._chosen].is_white
+
+    @property
+    def scores(self) -> dict[tuple[int, int], float]:
+        """Criterion of each candidate over the last window (smaller is better)."""
+        return {order: self._score(c) for order, c in zip(self.orders, self.candidates, strict=True)}
+
+    # ------------------------------------------------------------------ the choice
+
+    def _at_hop(self) -> None:
+        for candidate in self.candidates:
+            candidate._window_work()
+        if not self.candidates[0].is_running:
+            self._model = replace(self.candidates[0].model, flags=self.candidates[0].model.flags | {"starting"})
+            return
+        scores = np.array([self._score(candidate) for candidate in self.candidates])
+        self._ration(scores)
+        ranking = [int(i) for i in np.argsort(scores, kind="stable")]
+        good = next((i for i in ranking if self._passes(i)), None)
+        if good is None:
+            self._fall_back(ranking[0])
+            return
+        self._stale = 0
+        self._choose(good, scores)
+
+    def _ration(self, scores: Array) -> None:
+        """Spend the work of the next hop on the candidates that may win it; on all while the record is young."""
+        young = self.candidates[0].n_seen < self.window or self._chosen is None or self._stale > 0
+        for candidate, score in zip(self.candidates, scores, strict=True):
+            near = young or not score > scores.min() + FAR
+            candidate._fit.passes = PASSES if near else 1
+            candidate._fit.may_search = near
+
+    def _score(self, candidate: RecursiveArma) -> float:
+        """Criterion from the mean square residual of the window, which the candidates share."""
+        residuals, used = candidate._fit.residuals, candidate._fit.used
+        if used < 2 or not np.any(residuals):
+            return math.inf
+        n = float(residuals.size)
+        penalty = math.log(n) if self.criterion == "bic" else 2.0 * math.log(math.log(n))
+        return n * math.log(float(residuals @ residuals) / used) + penalty * (candidate.p + candidate.q)
+
+    def _passes(self, i: int) -> bool:
+        candidate = self.candidates[i]
+        if not candidate.is_stable or not np.all(np.isfinite(candidate.covariance)):
+            return False
+        return candidate.is_white and not cancelling_pairs(candidate.ar, candidate.ma, candidate.covariance)
+
+    def _choose(self, good: int, scores: Array) -> None:
+        """Adopt the best that passed, with hysteresis once the window is full."""
+        now = self._chosen
+        full = self.candidates[0].n_seen >= self.window
+        if now is not None and now != good and full and self._passes(now):
+            self._leads = self._leads + 1 if self._challenger == good else 1
+            self._challenger = good
+            if scores[now] - scores[good] <= LEAD or self._leads < HOPS:
+                good = now
+        if good != now:
+            self._challenger, self._leads = -1, 0
+        self._chosen = good
+        self._hand_out(self.candidates[good].model)
+
+    def _hand_out(self, model: ArmaModel) -> None:
+        self._walk_sd = 0.0
+        self._model = model
+        if model.covariance is None:
+            return
+        window = max(model.effective_window or 0.0, 1.0)
+        if not has_unit_root(model.ar, model.covariance, window, self.mean):
+            self._model = replace(model, flags=model.flags - {"unit root"})
+            return
+        flags = model.flags | {"unit root"}
+        try:
+            self._walk_sd, rest = split_bias(model)
+            self._model = replace(rest, flags=flags)
+        except ValueError:
+            ar = cap_poles(model.ar, 1.0 - 3.0 / window)
+            spread = log_s0_sd(ar, model.ma, model.covariance, window)
+            self._model = replace(model, ar=ar, sd_log_s0=spread, flags=flags)
+
+    def _fall_back(self, best: int) -> None:
+        """Nothing passed: the best candidate if not strict, else the last good model, else Gauss-Markov."""
+        candidate = self.candidates[best]
+        if not self.strict:
+            self._chosen = best
+            self._hand_out(replace(candidate.model, flags=candidate.model.flags | {"coloured"}))
+            return
+        self._stale += 1
+        if self._chosen is not None and self._stale * candidate.hop <= 2 * self.window:
+            self._model = replace(self._model, flags=self._model.flags | {"stale"})
+            return
+        self._chosen = None
+        head = candidate._s[kernel.HEAD]
+        series = candidate._buf[0, : int(head[kernel.POS])] / head[kernel.UNIT]
+        self._walk_sd = 0.0
+        self._model = moment_gm1(series[-self.window :], self.mean)
+
+    # ------------------------------------------------------------------ keep and bring back
+
+    def snapshot(self) -> dict[str, Array]:
+        """All that the bank knows, as a plain dict of arrays (fit for ``numpy.savez``)."""
+        kept = {f"{i}/{name}": v for i, c in enumerate(self.candidates) for name, v in c.snapshot().items()}
+        chosen = -1 if self._chosen is None else self._chosen
+        model, n = self._model, self._model.p + self._model.q
+        kept["choice"] = np.array([chosen, self._challenger, self._leads, self._stale, self._walk_sd], dtype=np.float64)
+        kept["model"] = np.r_[model.p, model.q, model.ar, model.ma, model.sd]
+        kept["model_covariance"] = np.full((n, n), np.nan) if model.covariance is None else model.covariance.copy()
+        optional = (model.sd_log_s0, model.effective_window)
+        kept["model_extra"] = np.array([np.nan if v is None else v for v in optional])
+        kept["model_flags"] = np.frombuffer(",".join(sorted(model.flags)).encode(), dtype=np.uint8).astype(np.float64)
+        return kept
+
+    def restore(self, snapshot: dict[str, Array]) -> None:
+        """Continue from a `snapshot` of a bank built with the same arguments, to the last bit."""
+        for i, candidate in enumerate(self.candidates):
+            own = {name[len(f"{i}/") :]: v for name, v in snapshot.items() if name.startswith(f"{i}/")}
+            candidate.restore(own)
+        chosen, challenger, leads, stale, self._walk_sd = (float(v) for v in snapshot["choice"])
+        self._chosen = None if chosen < 0 else int(chosen)
+        self._challenger, self._leads, self._stale = int(challenger), int(leads), int(stale)
+        p, q = int(snapshot["model"][0]), int(snapshot["model"][1])
+        ar, ma, sd = np.split(snapshot["model"][2:], [p, p + q])
+        covariance = snapshot["model_covariance"]
+        spread, length = (None if np.isnan(v) else float(v) for v in snapshot["model_extra"])
+        known = None if np.any(np.isnan(covariance)) or (p + q == 0 and spread is None) else covariance
+        flags = bytes(snapshot["model_flags"].astype(np.uint8)).decode()
+        self._model = ArmaModel(ar, ma, float(sd[0]), known, spread, length, frozenset(flags.split(",")) - {""})
+
+
+def cancelling_pairs(ar: ArrayLike, ma: ArrayLike, covariance: ArrayLike, deviations: float = 2.0) -> int:
+    """Number of pole-zero pairs closer than `deviations` of the standard deviation of their distance.
+
+    The distance of pole z_i and zero z_j has, to first order, the gradient
+    ``-z_i^(p-k) / A'(z_i)`` in a_k and ``+z_j^(q-k) / C'(z_j)`` in c_k.
+
+    Examples
+    --------
+    >>> cancelling_pairs([-0.50], [-0.52], [[0.01, 0.0], [0.0, 0.01]])
+    1
+    >>> cancelling_pairs([-0.99], [-0.93], [[1e-5, 0.0], [0.0, 1e-5]])
+    0
+    """
+    a, c = np.asarray(ar, dtype=np.float64), np.asarray(ma, dtype=np.float64)
+    p, q = a.size, c.size
+    if p == 0 or q == 0:
+        return 0
+    cov = np.asarray(covariance, dtype=np.float64)
+    poles, zeros = np.roots(np.r_[1.0, a]), np.roots(np.r_[1.0, c])
+    count = 0
+    free = list(range(zeros.size))
+    for pole in poles:
+        if not free:
+            break
+        j = min(free, key=lambda k: abs(pole - zeros[k]))
+        slope_a, slope_c = np.polyval(np.polyder(np.r_[1.0, a]), pole), np.polyval(np.polyder(np.r_[1.0, c]), zeros[j])
+        if slope_a == 0.0 or slope_c == 0.0:
+            continue
+        gradient = np.r_[-(pole ** np.arange(p - 1, -1, -1)) / slope_a, zeros[j] ** np.arange(q - 1, -1, -1) / slope_c]
+        spread = math.sqrt(max(float((gradient @ cov @ gradient.conj()).real), 0.0))
+        if abs(pole - zeros[j]) < deviations * spread:
+            count += 1
+            free.remove(j)
+    return count
+
+
+def moment_gm1(series: ArrayLike, mean: bool = True) -> ArmaModel:
+    """First-order Gauss-Markov model from variance and lag-one correlation, the pole capped at ``1 - 3/N``.
+
+    NaN samples are left out; a correlation within two standard deviations of zero gives white noise. Flag "fallback".
+    """
+    x = np.asarray(series, dtype=np.float64)
+    known = np.isfinite(x)
+    n = int(known.sum())
+    flags = frozenset({"fallback"})
+    if n < 2:
+        return ArmaModel(np.zeros(0), np.zeros(0), 0.0, effective_window=float(n), flags=flags)
+    x = np.where(known, x - (float(x[known].mean()) if mean else 0.0), 0.0)
+    top = float(np.max(np.abs(x)))
+    if not top > 0.0:
+        return ArmaModel(np.zeros(0), np.zeros(0), 0.0, effective_window=float(n), flags=flags)
+    x = x / top
+    variance = float(x @ x) / n
+    pairs = max(int(np.sum(known[1:] & known[:-1])), 1)
+    rho = float(x[1:] @ x[:-1]) / pairs / variance
+    if abs(rho) < 2.0 / math.sqrt(n):
+        return ArmaModel(np.zeros(0), np.zeros(0), top * math.sqrt(variance), np.zeros((0, 0)), None, float(n), flags)
+    limit = 1.0 - 3.0 / max(n, 4)
+    rho = min(max(rho, -limit), limit)
+    covariance = np.array([[(1.0 - rho * rho) / n]])
+    sd = top * math.sqrt(variance * (1.0 - rho * rho))
+    return ArmaModel(np.array([-rho]), np.zeros(0), sd, covariance, log_s0_sd([-rho], [], covariance, n), float(n), flags)

@@ -1,0 +1,207 @@
+"""``navfilter identify``: its arguments and what it does. Everything heavy is imported where it is used."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+__all__ = ["ABOUT", "EPILOG", "add_arguments", "run"]
+
+ABOUT = "identify a sensor's error model from a recording at rest"
+EPILOG = """\
+FILE is a table (.csv, .txt, .dat, also .gz, .xz, .bz2), .npz, .npy or .mat, or one stream of a mission:
+  dive_042:depth, dive_042:imu.rate_x
+
+written to --out:
+  identify.html   everything on one page that works offline
+  identify.json   order criteria, coefficients with covariance, poles, zeros, whiteness, Allan deviation, reading
+  *.svg           the figures
+
+examples:
+  navfilter identify still.csv --column gyro_x --rate-hz 100 --unit deg/s --out gyro_x
+  navfilter identify gps.dat.gz --column 3 --time-column 1 --decimate 10 --out north
+  navfilter identify still.csv --column heading --rate-hz 8 --online --window 4000 --out tracks
+"""
+
+
+#: Records longer than this get a progress in tenths.
+LONG = 100_000
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the sub-command."""
+    parser.add_argument("file", metavar="FILE")
+    parser.add_argument("--out", required=True, metavar="DIR", help="folder to write to; files of the same name are replaced")
+    data = parser.add_argument_group("the series")
+    data.add_argument("--column", metavar="C", help='name of the column, or its position from 0; of an array "counts[0]"')
+    data.add_argument("--rate-hz", type=_positive, metavar="R", help="samples per second; not needed with a time column")
+    data.add_argument("--time-column", metavar="T", help="column with seconds: gives the rate, and gaps where samples are missing")
+    data.add_argument(
+        "--unit", default="", metavar="U", help="unit of the series (deg, m/s, ...); known ones are turned to SI for the vehicle"
+    )
+    data.add_argument("--table", default="", metavar="NAME", help='array of an .npz or .mat file, with planes: "counts", "data[0]"')
+    data.add_argument("--transpose", action="store_true", help="each row of the array is a quantity")
+    data.add_argument("--skip-lines", type=_count, default=0, metavar="N", help="lines before the header of a text file")
+    data.add_argument("--skip-rows", type=_count, default=0, metavar="N", help="rows of data to skip after it")
+    part = parser.add_argument_group("which samples")
+    part.add_argument("--from-s", type=float, metavar="S", help="first time to use")
+    part.add_argument("--to-s", type=float, metavar="S", help="last time to use")
+    part.add_argument("--decimate", type=_least_one, default=1, metavar="M", help="keep every M-th sample, without averaging")
+    part.add_argument(
+        "--reject",
+        type=float,
+        default=50.0,
+        metavar="K",
+        help="samples K robust sd off their neighbours are missing (default: %(default)g; 0: none)",
+    )
+    part.add_argument("--max-samples", type=_least_one, metavar="N", help="fit the middle N of a longer record (default: 50000)")
+    model = parser.add_argument_group("the model")
+    model.add_argument("--max-p", type=_count, default=10, metavar="P", help="highest autoregressive order (default: %(default)s)")
+    model.add_argument("--max-q", type=_count, default=10, metavar="Q", help="highest moving-average order (default: %(default)s)")
+    model.add_argument("--order", type=_order, metavar="P,Q", help="fit this order instead of choosing one")
+    model.add_argument("--difference", type=_count, default=0, metavar="D", help="times to difference first (ARIMA)")
+    model.add_argument(
+        "--seasonal-lag", type=_count, default=0, metavar="S", help="model x[t] - x[t-S]: removes what repeats every S samples"
+    )
+    model.add_argument("--detrend", action="store_true", help="estimate a straight line along with the coefficients")
+    model.add_argument("--online", action="store_true", help="coefficients over time from the online estimator instead")
+    model.add_argument("--window", type=_least_one, default=4000, metavar="W", help="its window in samples (default: %(default)s)")
+    parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
+
+
+def _positive(text: str) -> float:
+    return _number(text, 0.0, float, "a number > 0")
+
+
+def _count(text: str) -> int:
+    return int(_number(text, -1, int, "a whole number >= 0"))
+
+
+def _least_one(text: str) -> int:
+    return int(_number(text, 0, int, "a whole number >= 1"))
+
+
+def _number(text: str, above: float, kind: Any, what: str) -> Any:
+    try:
+        value = kind(text)
+    except ValueError:
+        value = math.nan
+    if not (math.isfinite(value) and value > above):
+        raise argparse.ArgumentTypeError(f"must be {what}, found '{text}'")
+    return value
+
+
+def _order(text: str) -> tuple[int, int]:
+    parts = text.strip("() ").split(",")
+    if len(parts) != 2:
+        raise argparse.ArgumentTypeError(f"must be P,Q such as 2,1, found '{text}'")
+    return _count(parts[0]), _count(parts[1])
+
+
+def run(options: argparse.Namespace) -> int:
+    """Read, identify, write, print; 0 when all is well."""
+    if not 0 <= options.difference <= 2:
+        raise ValueError(f"--difference must be 0, 1 or 2, found {options.difference}.")
+    if not options.reject >= 0.0:
+        raise ValueError(f"--reject must be a number >= 0, found {options.reject}.")
+    folder = Path(options.out)
+    folder.mkdir(parents=True, exist_ok=True)
+    with _busy(options.quiet) as say:
+        series = _read(options)
+        return (_online if options.online else _batch)(options, series, folder, say)
+
+
+def _read(options: argparse.Namespace) -> Any:
+    from navfilter.io.series import read_series
+    from navfilter.io.tables import TableOptions
+
+    layout = TableOptions(table=options.table, transpose=options.transpose, skip_lines=options.skip_lines, skip_rows=options.skip_rows)
+    return read_series(options.file, options.column, rate_hz=options.rate_hz, time_column=options.time_column, options=layout)
+
+
+def _conditions(options: argparse.Namespace) -> dict[str, Any]:
+    chosen = {name: getattr(options, name) for name in ("from_s", "to_s", "decimate", "seasonal_lag", "reject")}
+    return chosen | ({} if options.max_samples is None else {"max_samples": options.max_samples})
+
+
+def _batch(options: argparse.Namespace, series: Any, folder: Path, say: Any) -> int:
+    from navfilter.identification.identify import identify
+    from navfilter.identification.report import summary_text, write_identification
+
+    how = {name: getattr(options, name) for name in ("max_p", "max_q", "order", "difference", "detrend", "unit")}
+    found = identify(series, say=say, **how, **_conditions(options))
+    say("drawing")
+    write_identification(found, folder, options.unit)
+    say("")
+    if not options.quiet:
+        print(f"{series.name} of {series.source}")
+        print(summary_text(found, options.unit))
+        print(f"Written to {folder}{os.sep}: identify.html (open this one), identify.json, figures (.svg)")
+    return 0
+
+
+def _online(options: argparse.Namespace, series: Any, folder: Path, say: Any) -> int:
+    from navfilter.identification.online import track_online, tracks_text, write_tracks
+
+    done = 0
+
+    def progress(samples: int) -> None:
+        nonlocal done
+        before, done = done, done + samples
+        tenth = series.value.size / options.decimate / 10.0
+        if series.value.size > LONG and int(done / tenth) > int(before / tenth):
+            say(f"running the online estimator, {10 * int(done / tenth)} %")
+
+    say("running the online estimator")
+    how = {"order": options.order, "difference": options.difference, "progress": progress}
+    tracks = track_online(series, options.window, **how, **_conditions(options))
+    say("drawing")
+    write_tracks(tracks, folder, options.unit)
+    say("")
+    if not options.quiet:
+        print(f"{series.name} of {series.source}, windows of {options.window} samples")
+        print(tracks_text(tracks, options.unit))
+        for note in tracks.data.notes:
+            print(f"note: {note}")
+        print(f"Written to {folder}{os.sep}: identify.html (open this one), identify.json, tracks.csv, tracks.svg")
+    return 0
+
+
+@contextmanager
+def _busy(quiet: bool) -> Iterator[Any]:
+    """Say what is going on and for how long, on a terminal; one line per step elsewhere."""
+    if quiet:
+        yield lambda text: None
+        return
+    if not sys.stderr.isatty():
+        yield lambda text: print(f"{text} ...", file=sys.stderr, flush=True) if text else None
+        return
+    from tqdm import tqdm
+
+    done = threading.Event()
+    with tqdm(bar_format="{desc} ... {elapsed}", leave=False) as bar:
+
+        def tick() -> None:
+            while not done.wait(0.25):
+                bar.refresh()
+
+        def say(text: str) -> None:
+            bar.set_description_str(text)
+            if not text:
+                bar.clear()
+                done.set()
+
+        clock = threading.Thread(target=tick, daemon=True)
+        clock.start()
+        try:
+            yield say
+        finally:
+            done.set()
+            clock.join()

@@ -1,0 +1,135 @@
+"""``navfilter demo`` and ``navfilter replay``: their arguments and what they do. Everything heavy is imported where it is used."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from navfilter.commands.console import compile_first, output_folder, positive, seed, speaker
+
+if TYPE_CHECKING:
+    from navfilter.mission import Mission
+    from navfilter.track import Track
+
+__all__ = ["DEMO", "REPLAY", "add_demo_arguments", "add_replay_arguments", "demo", "replay", "save"]
+
+#: What the command is about, in one line, and what stands below its help.
+DEMO = (
+    "simulate a mission of one hour, replay and smooth it, and write a report",
+    """\
+the mission:
+  satellite fixes at the surface, dive to 20 m, lawnmower by inertial unit, compass, DVL and depth gauge,
+  with outliers and three losses of the DVL (60, 120 and 30 s), surfacing, fixes again.
+
+examples:
+  navfilter demo
+  navfilter demo --seed 7 --out demo-7        the same mission with other noise
+""",
+)
+REPLAY = (
+    "run a recorded mission through the filter (and the smoother)",
+    """\
+MISSION is a folder with a mission.toml, the .toml itself, or a .npz saved by navfilter; --vehicle describes what is on board.
+
+written to --out:
+  report.html     tables and figures, one file that works offline
+  summary.json    errors, consistency (NEES, NIS), counts of every run
+  track.csv       the track: degrees, metres, standard deviations, states
+  track.tum       the same for 'evo' (east, north, up), with truth.tum when there is a truth
+  track.geojson   for a map
+
+examples:
+  navfilter replay dive_042 --vehicle vehicle.toml --smooth --out result
+  navfilter replay dive_042 --vehicle vehicle.toml --without gps --out no-gps
+""",
+)
+
+
+def add_demo_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of ``navfilter demo``."""
+    parser.add_argument("--out", default="navfilter-demo", metavar="DIR", help="folder to write to (default: %(default)s)")
+    parser.add_argument("--seed", type=seed, default=1, metavar="N", help="seed of everything random (default: %(default)s)")
+    parser.add_argument("--duration", type=positive, metavar="S", help="length of the mission in seconds (default: one hour)")
+    parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
+
+
+def demo(options: argparse.Namespace) -> int:
+    """Run ``navfilter demo``."""
+    folder = output_folder(options.out)
+    say = speaker(options.quiet)
+    say("simulating the mission ...")
+    from navfilter.simulation.scenarios import simulate_scenario
+
+    vehicle, mission = simulate_scenario("demo", options.seed, options.duration)
+    save(vehicle, mission, folder / "mission.npz", folder / "vehicle.toml")
+    return _replay_and_write(vehicle, mission, folder, options.quiet, smooth=True)
+
+
+def save(vehicle: Any, mission: Mission, mission_path: Path, vehicle_path: Path) -> None:
+    """Write a simulated mission and its vehicle."""
+    from navfilter.io import write_vehicle
+
+    mission.save(mission_path)
+    write_vehicle(vehicle, vehicle_path)
+
+
+def add_replay_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of ``navfilter replay``."""
+    parser.add_argument("mission", metavar="MISSION")
+    parser.add_argument("--vehicle", required=True, metavar="TOML", help="the vehicle.toml, or the folder that holds it")
+    parser.add_argument("--out", required=True, metavar="DIR", help="folder to write to; files of the same name are replaced")
+    parser.add_argument("--smooth", action="store_true", help="smooth too (Rauch-Tung-Striebel); the files then hold the smoothed track")
+    parser.add_argument("--without", action="append", default=[], metavar="SENSOR", help="leave a sensor out; may be repeated")
+    parser.add_argument(
+        "--output-rate", type=positive, default=5.0, metavar="HZ", help="rows of the track per second (default: %(default)s)"
+    )
+    parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
+
+
+def replay(options: argparse.Namespace) -> int:
+    """Run ``navfilter replay``."""
+    from navfilter.io import read_mission, read_vehicle
+
+    vehicle = read_vehicle(options.vehicle).without(*options.without)
+    mission = read_mission(options.mission)
+    folder = output_folder(options.out)
+    return _replay_and_write(vehicle, mission, folder, options.quiet, smooth=options.smooth, output_rate_hz=options.output_rate)
+
+
+def _replay_and_write(vehicle: Any, mission: Mission, folder: Path, quiet: bool, **how: Any) -> int:
+    from navfilter.io.write import labelled, write_outputs
+    from navfilter.playback import replay as replay_mission
+
+    bars = not quiet and sys.stderr.isatty()
+    compile_first(quiet)
+    speaker(quiet)(f"replaying {mission.name} ({mission.duration_s / 60:.1f} min) ...")
+    tracks = labelled(replay_mission(vehicle, mission, progress=bars, **how))
+    write_outputs(tracks, mission, folder)
+    _write_report(tracks, mission, folder / "report.html", bars)
+    if not quiet:
+        _print_result(tracks, mission, folder)
+    return 0
+
+
+def _write_report(tracks: dict[str, Track], mission: Mission, path: Path, bars: bool) -> None:
+    from tqdm import tqdm
+
+    from navfilter.report.report import write_report
+
+    with tqdm(desc="figures", unit="", leave=False, disable=not bars, bar_format="{desc}: {n_fmt} [{elapsed}]") as bar:
+        write_report(tracks, mission, path, bar.update)
+
+
+def _print_result(tracks: dict[str, Track], mission: Mission, folder: Path) -> None:
+    from navfilter.report.report import headline_table, sensor_table
+
+    result = list(tracks.values())[-1]
+    print(headline_table(tracks, mission))
+    if mission.truth is None:
+        print("(no truth in this mission: only NIS can be judged; 1 is honest)")
+    print(f"\n{sensor_table(result)}\n")
+    print(f"{result.distance_m:.0f} m travelled, {result.cpu_s:.1f} s of processor time. Written to {folder}{os.sep}:")
+    print("  report.html (open this one), summary.json, track.csv, track.tum, track.geojson")

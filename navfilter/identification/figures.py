@@ -1,0 +1,294 @@
+"""The figures of an identification: series, spectra, correlations, order surfaces, residuals, poles and zeros, Allan deviation."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Ellipse
+from matplotlib.ticker import MaxNLocator
+from numpy.typing import NDArray
+from scipy.signal import welch
+
+from navfilter.diagnostics import WT_WHITE, acf, pacf
+from navfilter.identification.conditioning import bridged
+from navfilter.identification.identify import Identification
+from navfilter.identification.reading import root_sd
+from navfilter.report.drawing import COLOURS, WIDTH_IN, line
+
+__all__ = ["identification_figures"]
+
+Array = NDArray[np.float64]
+
+SAMPLE, MODEL, GREY = COLOURS[1], COLOURS[5], "#777777"
+LAGS = 50
+
+
+def identification_figures(found: Identification, unit: str = "") -> Iterator[tuple[str, str, str, Figure]]:
+    """File stem, heading, caption and figure, one after the other.
+
+    Parameters
+    ----------
+    found : Identification
+    unit : str
+        Unit of the series.
+    """
+    yield "series", "Series", _series_caption(found), series_figure(found, unit)
+    caption = "Power spectral density of the samples (Welch) and of the fitted model; both one-sided, their integral is the variance."
+    yield "psd", "Spectrum", caption, spectrum_figure(found, unit)
+    caption = "Autocorrelation and partial autocorrelation of what was modelled, with the 95 % limits of white noise."
+    x = np.diff(found.data.value, found.fit.d) if found.fit.d else found.data.value
+    yield "correlation", "Correlation", caption, correlation_figure(x)
+    if found.table is not None and found.table.bic.size > 1:
+        caption = (
+            "Criteria over the order: AIC and BIC above their smallest value (squares), and the thesis's all-lag whiteness measure WT, "
+            f"which is {WT_WHITE} on average for white noise. The chosen order carries a cross."
+        )
+        yield "orders", "Order", caption, order_figure(found)
+    verdict = "white" if found.tests.is_white else "not white"
+    caption = (
+        f"Residuals of the model: {verdict} (Ljung-Box p = {found.tests.ljung_box_p:.2g}, periodogram p = {found.tests.periodogram_p:.2g})."
+    )
+    yield "residuals", "Residuals", caption, residual_figure(found, unit)
+    if found.fit.model.p + found.fit.model.q:
+        caption = "Poles (crosses) and zeros (circles) with their ranges of two standard deviations."
+        yield "poles", "Poles and zeros", caption, pole_figure(found)
+    caption = "Allan deviation of the whole record (band: one standard deviation) and of the model."
+    yield "allan", "Allan deviation", caption, allan_figure(found, unit)
+
+
+def _series_caption(found: Identification) -> str:
+    data = found.data
+    text = f"{data.whole.size} samples at {data.rate_hz:.6g} Hz"
+    return text + (f"; the model is fitted to the {data.value.size} shaded ones." if data.value.size < data.whole.size else ".")
+
+
+def _labelled(quantity: str, unit: str) -> str:
+    return f"{quantity} [{unit}]" if unit else quantity
+
+
+def _seconds(span_s: float) -> tuple[str, float]:
+    return ("h", 1 / 3600) if span_s > 3 * 3600 else ("min", 1 / 60) if span_s > 1200 else ("s", 1.0)
+
+
+def series_figure(found: Identification, unit: str) -> Figure:
+    """The record over time, the fitted part shaded."""
+    data = found.data
+    figure = Figure(figsize=(WIDTH_IN, 2.2), layout="constrained")
+    ax = figure.subplots()
+    name, factor = _seconds(data.whole.size / data.rate_hz)
+    shown = data.value.size + data.seasonal_lag
+    first = (data.whole.size - shown) // 2
+    time = (data.begin_s + (np.arange(data.whole.size) - first) / data.rate_hz) * factor
+    line(ax, time, data.whole, color=SAMPLE, linewidth=0.7)
+    if shown < data.whole.size:
+        ax.axvspan(time[first], time[first + shown - 1], color="#999999", alpha=0.25, linewidth=0.0)
+    ax.set_xlabel(f"time [{name}]")
+    ax.set_ylabel(_labelled(data.name, unit))
+    ax.margins(x=0.01)
+    return figure
+
+
+def spectrum_figure(found: Identification, unit: str) -> Figure:
+    """Sample spectrum, averaged in bands that widen with frequency, and the model's."""
+    data, fit = found.data, found.fit
+    x, rate = bridged(data.value), data.rate_hz
+    figure = Figure(figsize=(WIDTH_IN, 2.9), layout="constrained")
+    ax = figure.subplots()
+    freq, power = _spectrum(x, rate)
+    ax.loglog(freq, power, color=SAMPLE, linewidth=0.8, label="samples")
+    grid = np.geomspace(freq[0], 0.5 * rate, 600)
+    ax.loglog(grid, fit.model.spectrum(grid, rate), color=MODEL, linewidth=1.5, label=_order_text(found))
+    ax.set_xlabel("frequency [Hz]")
+    ax.set_ylabel(_labelled("density", f"{_squared(unit)}/Hz" if unit else "1/Hz"))
+    ax.legend()
+    return figure
+
+
+def _squared(unit: str) -> str:
+    return f"({unit})$^2$" if "/" in unit else f"{unit}$^2$"
+
+
+def _spectrum(x: Array, rate: float) -> tuple[Array, Array]:
+    """Welch's estimate from long segments at low and short ones at high frequencies, so that both ends are smooth."""
+    freqs, top = [], 0.5 * rate
+    for share in (4, 32, 256):
+        size = max(x.size // share, 64)
+        f, p = welch(x, rate, nperseg=min(size, x.size), detrend="constant")
+        low = 1.5 * f[1]
+        freqs.append((f, p, low))
+        if size == 64:
+            break
+    edges = [low for _, _, low in freqs[1:]]
+    out_f, out_p = [], []
+    for k, (f, p, low) in enumerate(freqs):
+        high = 8.0 * edges[k] if k < len(edges) else top * 1.01
+        below = 8.0 * edges[k - 1] if k else low
+        keep = (f >= below) & (f < high)
+        out_f.append(f[keep])
+        out_p.append(p[keep])
+    powers = np.concatenate(out_p)
+    freq = np.concatenate(out_f)
+    # The band at half the rate is half as wide as the others and scatters more.
+    return freq[freq < 0.4999 * rate], np.maximum(powers[freq < 0.4999 * rate], 1e-300)
+
+
+def _order_text(found: Identification) -> str:
+    fit = found.fit
+    return f"ARIMA({fit.p},{fit.d},{fit.q})" if fit.d else f"ARMA({fit.p},{fit.q})"
+
+
+def correlation_figure(x: Array) -> Figure:
+    """Autocorrelation and partial autocorrelation side by side."""
+    figure = Figure(figsize=(WIDTH_IN, 2.2), layout="constrained")
+    left, right = figure.subplots(1, 2, sharey=False)
+    _correlation(left, x, acf, "autocorrelation")
+    _correlation(right, x, pacf, "partial autocorrelation")
+    return figure
+
+
+def _correlation(ax: Axes, x: Array, function: Any, name: str) -> None:
+    lags = min(LAGS, x.size // 4)
+    r = function(x if function is acf else bridged(x), lags)
+    limit = 1.959964 / math.sqrt(np.isfinite(x).sum())
+    ax.axhspan(-limit, limit, color="#cccccc", alpha=0.6, linewidth=0.0)
+    ax.vlines(np.arange(1, lags + 1), 0.0, r[1:], color=SAMPLE, linewidth=1.3)
+    ax.axhline(0.0, color="black", linewidth=0.6)
+    ax.set_xlim(0.0, lags + 1.0)
+    top = max(float(np.abs(r[1:]).max()), 2.0 * limit) * 1.1
+    ax.set_ylim(min(float(r[1:].min()) * 1.1, -1.5 * limit), top if r[1:].max() > 0.3 * top else max(r[1:].max() * 1.1, 1.5 * limit))
+    ax.set_xlabel("lag [samples]")
+    ax.set_title(name)
+
+
+def order_figure(found: Identification) -> Figure:
+    """AIC, BIC and WT over (p, q)."""
+    table = found.table
+    assert table is not None
+    figure = Figure(figsize=(WIDTH_IN, 2.6), layout="constrained")
+    axes = figure.subplots(1, 3, sharey=True)
+    for ax, values, name in zip(axes, (table.aic, table.bic, table.whiteness), ("AIC", "BIC", "WT"), strict=True):
+        above = name != "WT"
+        shown = np.log10(1.0 + values - values.min()) if above else np.minimum(values, 8.0)
+        image = ax.imshow(shown, origin="lower", cmap="viridis_r" if above else "viridis", aspect="equal")
+        if not above:
+            image.set_clim(0.0, max(4.0, float(shown.max())))
+        ax.grid(False)
+        best = np.unravel_index(int(np.argmin(values) if above else np.argmax(values)), values.shape)
+        ax.plot(best[1], best[0], "s", markerfacecolor="none", markeredgecolor="white", markersize=9, markeredgewidth=3.0)
+        ax.plot(best[1], best[0], "s", markerfacecolor="none", markeredgecolor="black", markersize=9, markeredgewidth=1.2)
+        for width, hue in ((3.0, "white"), (1.3, "black")):
+            ax.plot(table.best[1], table.best[0], "x", color=hue, markersize=7, markeredgewidth=width)
+        ax.set_xlabel("q")
+        ax.xaxis.set_major_locator(MaxNLocator(integer=True))
+        ax.yaxis.set_major_locator(MaxNLocator(integer=True))
+        bar = figure.colorbar(image, ax=ax, shrink=0.62, pad=0.03)
+        bar.outline.set_linewidth(0.4)
+        if above:
+            ticks = [t for t in range(7) if t <= shown.max()]
+            bar.set_ticks(ticks, labels=[f"$10^{t}$" if t else "0" for t in ticks])
+        ax.set_title(f"{name} above best" if above else "WT (white: 3.86)")
+    axes[0].set_ylabel("p")
+    return figure
+
+
+def residual_figure(found: Identification, unit: str) -> Figure:
+    """Residuals over time, and their correlations."""
+    data, e = found.data, found.fit.residuals
+    figure = Figure(figsize=(WIDTH_IN, 4.0), layout="constrained")
+    grid = figure.add_gridspec(2, 2)
+    top = figure.add_subplot(grid[0, :])
+    name, factor = _seconds(e.size / data.rate_hz)
+    time = (data.begin_s + (np.arange(e.size) + found.fit.d + data.seasonal_lag) / data.rate_hz) * factor
+    line(top, time, e, color=SAMPLE, linewidth=0.6)
+    for side in (-1.96, 1.96):
+        top.axhline(side * found.fit.sd, color=GREY, linewidth=0.8, linestyle=(0, (4, 2)))
+    top.set_xlabel(f"time [{name}]")
+    top.set_ylabel(_labelled("residual", unit))
+    top.margins(x=0.01)
+    _correlation(figure.add_subplot(grid[1, 0]), e, acf, "autocorrelation of residuals")
+    _correlation(figure.add_subplot(grid[1, 1]), e, pacf, "partial autocorrelation")
+    return figure
+
+
+def pole_figure(found: Identification) -> Figure:
+    """Unit circle with poles and zeros, and its surroundings of 1."""
+    model, fit = found.fit.model, found.fit
+    reach = _zoom(model.poles, model.zeros)
+    figure = Figure(figsize=(WIDTH_IN, 3.2), layout="constrained")
+    axes = list(figure.subplots(1, 2 if reach else 1, squeeze=False)[0])
+    spreads = [
+        (
+            model.poles,
+            [root_sd(fit.ar, fit.covariance[: fit.p, : fit.p], r) if abs(r - 1.0) > 1e-9 else 0.0 for r in model.poles],
+            "x",
+            MODEL,
+        ),
+        (model.zeros, [root_sd(fit.ma, fit.covariance[fit.p :, fit.p :], r) for r in model.zeros], "o", SAMPLE),
+    ]
+    for ax in axes:
+        ax.add_patch(Ellipse((0, 0), 2, 2, facecolor="none", edgecolor="black", linewidth=0.8))
+        for roots, sds, mark, hue in (spread for spread in spreads if spread[0].size):
+            for root, sd in zip(roots, sds, strict=True):
+                if sd < 0.5 and root.imag:
+                    ax.add_patch(Ellipse((root.real, root.imag), 4.0 * sd, 4.0 * sd, facecolor=hue, alpha=0.25, linewidth=0.0))
+                elif sd < 0.5:
+                    ends = [root.real - 2.0 * sd, root.real + 2.0 * sd]
+                    ax.plot(ends, [0.0, 0.0], color=hue, alpha=0.35, linewidth=5.0, solid_capstyle="butt")
+            label = "poles" if mark == "x" else "zeros"
+            ax.plot(
+                roots.real,
+                roots.imag,
+                mark,
+                color=hue,
+                markerfacecolor="none",
+                markersize=7,
+                markeredgewidth=1.4,
+                label=label,
+                linestyle="",
+            )
+        ax.set_aspect("equal")
+        ax.set_xlabel("real part")
+    axes[0].set_xlim(-1.15, 1.15)
+    axes[0].set_ylim(-1.15, 1.15)
+    axes[0].set_ylabel("imaginary part")
+    if reach:
+        axes[1].set_xlim(1.0 - 1.7 * reach, 1.0 + 0.3 * reach)
+        axes[1].set_ylim(-reach, reach)
+        axes[1].xaxis.set_major_locator(MaxNLocator(4))
+    axes[-1].legend(loc="best")
+    return figure
+
+
+def _zoom(poles: NDArray[np.complex128], zeros: NDArray[np.complex128]) -> float:
+    """Half width of the window about 1 that holds the roots within 0.2 of it; 0 when there is none."""
+    roots = np.r_[poles, zeros]
+    close = np.abs(roots[np.abs(roots - 1.0) < 0.2] - 1.0)
+    return float(np.clip(1.2 * close.max(), 0.005, 0.25)) if close.size else 0.0
+
+
+def allan_figure(found: Identification, unit: str) -> Figure:
+    """Allan deviation of record and model."""
+    figure = Figure(figsize=(WIDTH_IN, 2.9), layout="constrained")
+    ax = figure.subplots()
+    tau, deviation = found.allan_tau_s, found.allan
+    # Relative spread of an overlapping estimate from N/m independent averages.
+    spread = 1.0 / np.sqrt(2.0 * np.maximum(tau[-1] * 3.0 / tau - 1.0, 0.5))
+    ax.fill_between(tau, deviation / (1.0 + spread), deviation * (1.0 + spread), color=SAMPLE, alpha=0.2, linewidth=0.0)
+    ax.loglog(tau, deviation, color=SAMPLE, label="record")
+    if np.isfinite(found.allan_model).any():
+        ax.loglog(tau, found.allan_model, color=MODEL, linestyle=(0, (5, 1.5)), linewidth=1.5, label=_order_text(found))
+    if found.data.step / math.sqrt(12.0) > 0.5 * deviation[deviation > 0.0].min():
+        ax.axhline(
+            found.data.step / math.sqrt(12.0), color=GREY, linewidth=0.8, linestyle=(0, (1, 1.5)), label="quantisation of one sample"
+        )
+    low = float(min(deviation[deviation > 0.0].min(), np.nanmin(found.allan_model) if np.isfinite(found.allan_model).any() else np.inf))
+    ax.set_ylim(0.5 * low, 2.0 * float(max(deviation.max(), np.nanmax(np.r_[found.allan_model, 0.0]))))
+    ax.set_xlabel("averaging time [s]")
+    ax.set_ylabel(_labelled("Allan deviation", unit))
+    ax.legend()
+    return figure

@@ -1,0 +1,265 @@
+"""The online estimator's coefficients along a recorded series, as a vehicle would have seen them."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from navfilter.arma.bank import ArmaBank
+from navfilter.arma.model import ArmaModel
+from navfilter.arma.online import RecursiveArma
+from navfilter.identification.conditioning import Conditioned, condition
+from navfilter.identification.reading import number, read_model
+from navfilter.identification.report import plain, write_page
+from navfilter.io.series import Series
+from navfilter.report.drawing import COLOURS, DASHES, WIDTH_IN, band, line, style
+from navfilter.report.page import table_text
+
+__all__ = ["Tracks", "track_online", "tracks_figure", "tracks_text", "write_tracks"]
+
+Array = NDArray[np.float64]
+
+#: Looks at the estimate per window.
+LOOKS = 8
+
+
+@dataclass(frozen=True, eq=False)
+class Tracks:
+    """The estimate at every look.
+
+    Attributes
+    ----------
+    data : Conditioned
+        The samples.
+    window : int
+    is_bank : bool
+        Whether the order was tracked too.
+    time_s : ndarray, shape (k,)
+    ar, ar_sd : ndarray, shape (k, p)
+        Coefficients and their standard deviations; NaN beyond the order in use.
+    ma, ma_sd : ndarray, shape (k, q)
+    sd : ndarray, shape (k,)
+        Innovation.
+    pole, zero : ndarray, shape (k,)
+        Largest radius of a pole and of a zero (0 without any).
+    order : ndarray, shape (k, 2)
+        Order in use, before a random-walk bias is split off.
+    walk_sd : ndarray, shape (k,)
+        Step of the random-walk bias that was split off; 0 for none.
+    is_white : ndarray of bool, shape (k,)
+    model : ArmaModel
+        The last one.
+    """
+
+    data: Conditioned
+    window: int
+    is_bank: bool
+    time_s: Array
+    ar: Array
+    ar_sd: Array
+    ma: Array
+    ma_sd: Array
+    sd: Array
+    pole: Array
+    zero: Array
+    order: NDArray[np.int64]
+    walk_sd: Array
+    is_white: NDArray[np.bool_]
+    model: ArmaModel
+
+
+def track_online(
+    series: Series,
+    window: int,
+    *,
+    order: tuple[int, int] | None = None,
+    difference: int = 0,
+    progress: Callable[[int], Any] | None = None,
+    **conditions: Any,
+) -> Tracks:
+    """Feed a series to the online estimator and look at it `LOOKS` times per window.
+
+    Parameters
+    ----------
+    series : Series
+    window : int
+        Samples behind an estimate.
+    order : (p, q), optional
+        A single `RecursiveArma`; without it an `ArmaBank` chooses the order as it goes.
+    difference : int
+        Times to difference first.
+    progress : callable, optional
+        Told the number of samples done since the last call.
+    **conditions
+        Of `navfilter.identification.conditioning.condition`. By default the whole record is used, however long.
+
+    Raises
+    ------
+    ValueError
+        For a window longer than the record, and what the estimators refuse.
+    """
+    conditions.setdefault("max_samples", 2**62)
+    data = condition(series, **conditions)
+    x = np.diff(data.value, difference) if difference else data.value
+    if window >= x.size:
+        raise ValueError(f"the window of {window} samples is no shorter than the series ({x.size}). Take a shorter window.")
+    hop = max(window // LOOKS, 1)
+    # A differenced series has no mean worth carrying.
+    estimator: ArmaBank | RecursiveArma
+    if order is None:
+        estimator = ArmaBank(window, hop=hop, mean=not difference)
+    else:
+        estimator = RecursiveArma(*order, window, hop=hop, mean=not difference)
+    times, models, orders, walks, white = [], [], [], [], []
+    for first in range(0, x.size, hop):
+        part = x[first : first + hop]
+        estimator.update_many(part)
+        if progress is not None:
+            progress(part.size)
+        model = estimator.model
+        if "starting" in model.flags:
+            continue
+        times.append(data.begin_s + (first + part.size + difference) / data.rate_hz)
+        models.append(model)
+        orders.append((estimator.order if isinstance(estimator, ArmaBank) else order) or (model.p, model.q))
+        walks.append(estimator.walk_sd if isinstance(estimator, ArmaBank) else 0.0)
+        white.append(estimator.is_white)
+    if not models:
+        raise ValueError(f"{x.size} samples did not suffice to start the estimator: too many are missing or equal.")
+    return Tracks(
+        data=data,
+        window=window,
+        is_bank=order is None,
+        time_s=np.array(times),
+        order=np.array(orders),
+        walk_sd=np.array(walks),
+        is_white=np.array(white),
+        model=models[-1],
+        **_columns(models),
+    )
+
+
+def _columns(models: list[ArmaModel]) -> dict[str, Array]:
+    p, q = max(m.p for m in models), max(m.q for m in models)
+    ar, ar_sd, ma, ma_sd = (np.full((len(models), width), np.nan) for width in (p, p, q, q))
+    for k, m in enumerate(models):
+        ar[k, : m.p], ma[k, : m.q] = m.ar, m.ma
+        if m.covariance is not None:
+            spread = np.sqrt(np.maximum(np.diag(m.covariance), 0.0))
+            ar_sd[k, : m.p], ma_sd[k, : m.q] = spread[: m.p], spread[m.p :]
+    radii = [np.array([np.abs(getattr(m, roots)).max(initial=0.0) for m in models]) for roots in ("poles", "zeros")]
+    sd = np.array([m.sd for m in models])
+    return {"ar": ar, "ar_sd": ar_sd, "ma": ma, "ma_sd": ma_sd, "sd": sd, "pole": radii[0], "zero": radii[1]}
+
+
+def tracks_figure(tracks: Tracks, unit: str = "") -> Figure:
+    """Coefficients with two standard deviations, innovation sd, largest radii and, from a bank, the order over time."""
+    rows = [("ar", tracks.ar, tracks.ar_sd), ("ma", tracks.ma, tracks.ma_sd)]
+    rows = [row for row in rows if row[1].shape[1]]
+    walks = bool(np.any(tracks.walk_sd > 0.0))
+    count = len(rows) + 1 + bool(rows) + tracks.is_bank + walks
+    figure = Figure(figsize=(WIDTH_IN, 1.45 * count + 0.5), layout="constrained")
+    axes = list(figure.subplots(count, 1, sharex=True, squeeze=False)[:, 0])
+    time = tracks.time_s
+    for name, value, sd in rows:
+        ax = axes.pop(0)
+        for i in range(value.shape[1]):
+            hue = COLOURS[(i + 1) % len(COLOURS)]
+            band(ax, time, 2.0 * sd[:, i], value[:, i], color=hue, alpha=0.25)
+            line(ax, time, value[:, i], color=hue, linestyle=DASHES[i % len(DASHES)], label=f"{name}[{i}]")
+        ax.set_ylabel(name)
+        ax.legend(ncols=min(value.shape[1], 6), loc="best")
+    ax = axes.pop(0)
+    line(ax, time, tracks.sd, color=COLOURS[1])
+    ax.set_ylabel("innovation sd" + (f"\n[{unit}]" if unit else ""))
+    if rows:
+        ax = axes.pop(0)
+        line(ax, time, tracks.pole, color=COLOURS[5], label="largest pole")
+        line(ax, time, tracks.zero, color=COLOURS[1], linestyle=DASHES[2], label="largest zero")
+        ax.axhline(1.0, color="black", linewidth=0.6)
+        ax.set_ylabel("radius")
+        ax.legend(loc="best")
+    if walks:
+        ax = axes.pop(0)
+        line(ax, time, tracks.walk_sd * math.sqrt(tracks.data.rate_hz), color=COLOURS[2])
+        ax.set_ylabel("bias walk\n" + (f"[{unit}/sqrt(s)]" if unit else "[1/sqrt(s)]"))
+    if tracks.is_bank:
+        ax = axes.pop(0)
+        ax.step(time, tracks.order[:, 0], where="post", color=COLOURS[5], label="p")
+        ax.step(time, tracks.order[:, 1], where="post", color=COLOURS[1], linestyle=DASHES[2], label="q")
+        ax.set_ylabel("order")
+        ax.set_ylim(-0.4, max(int(tracks.order.max()), 1) + 0.4)
+        ax.yaxis.get_major_locator().set_params(integer=True)
+        ax.legend(loc="best")
+        figure.align_ylabels()
+    figure.axes[-1].set_xlabel("time [s]")
+    return figure
+
+
+def tracks_text(tracks: Tracks, unit: str = "") -> str:
+    """Table for the terminal: a dozen looks, and the last model in words."""
+    shown = np.unique(np.linspace(0, tracks.time_s.size - 1, 12).astype(int))
+    per = f"{unit}/sqrt(s)" if unit else "1/sqrt(s)"
+    header = ["time [s]", "order", "ar", "ma", "sd" + (f" [{unit}]" if unit else ""), "largest pole", f"bias walk [{per}]", "white"]
+    rows = []
+    for k in shown:
+        ar, ma = (" ".join(f"{c:.4f}" for c in values[np.isfinite(values)]) or "-" for values in (tracks.ar[k], tracks.ma[k]))
+        walk = number(tracks.walk_sd[k] * math.sqrt(tracks.data.rate_hz), 3) if tracks.walk_sd[k] > 0.0 else "-"
+        order, verdict = f"({tracks.order[k, 0]},{tracks.order[k, 1]})", "yes" if tracks.is_white[k] else "no"
+        rows.append([f"{tracks.time_s[k]:.1f}", order, ar, ma, number(tracks.sd[k]), f"{tracks.pole[k]:.4f}", walk, verdict])
+    if not tracks.walk_sd.any():
+        header, rows = header[:6] + header[7:], [row[:6] + row[7:] for row in rows]
+    return "\n".join([table_text(header, rows), "", f"last model: {_last_reading(tracks)}"])
+
+
+def _last_reading(tracks: Tracks) -> str:
+    model = tracks.model
+    n = int(model.effective_window or tracks.window)
+    text = read_model(model, tracks.data.rate_hz, n, "", bool(tracks.is_white[-1])).text
+    if tracks.walk_sd[-1] > 0.0:
+        parts, _, end = text.partition("; minimal order")
+        more = end.partition(")")[2]
+        text = f"random-walk bias + {parts}; minimal order ({tracks.order[-1, 0]},{tracks.order[-1, 1]}){more}"
+    return text
+
+
+def write_tracks(tracks: Tracks, folder: Path, unit: str = "") -> list[Path]:
+    """Write identify.json, tracks.csv, tracks.svg and identify.html."""
+    columns: dict[str, NDArray[Any]] = {"time_s": tracks.time_s, "p": tracks.order[:, 0], "q": tracks.order[:, 1]}
+    for name, value in (("ar", tracks.ar), ("ar_sd", tracks.ar_sd), ("ma", tracks.ma), ("ma_sd", tracks.ma_sd)):
+        columns |= {f"{name}_{i + 1}": value[:, i] for i in range(value.shape[1])}
+    columns |= {"sd": tracks.sd, "pole_radius": tracks.pole, "zero_radius": tracks.zero, "walk_sd": tracks.walk_sd}
+    columns["is_white"] = tracks.is_white
+    rows = [",".join(columns)] + [
+        ",".join("" if value != value else f"{value:.9g}" for value in row) for row in zip(*columns.values(), strict=True)
+    ]
+    (folder / "tracks.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+    data, model = tracks.data, tracks.model
+    result = {
+        "name": data.name,
+        "source": data.source,
+        "unit": unit,
+        "period_s": 1.0 / data.rate_hz,
+        "window": tracks.window,
+        "online": True,
+        "tracks": columns,
+        "last": {"ar": model.ar, "ma": model.ma, "sd": model.sd, "covariance": model.covariance, "flags": sorted(model.flags)},
+        "reading": _last_reading(tracks),
+        "remarks": list(data.notes),
+    }
+    (folder / "identify.json").write_text(json.dumps(plain(result), indent=1) + "\n", encoding="utf-8")
+    caption = (
+        f"Online estimates over windows of {tracks.window} samples ({tracks.window / data.rate_hz:.6g} s), with two standard deviations."
+    )
+    with style():
+        figures = [("tracks", "Coefficients over time", caption, tracks_figure(tracks, unit))]
+        pages = write_page(folder, f"{data.name}: {_last_reading(tracks)}", data.source, [], figures)
+    return [folder / "identify.json", folder / "tracks.csv", *pages]

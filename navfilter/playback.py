@@ -1,0 +1,242 @@
+"""Replay: a loop over a mission through the vehicle's own `step` and `correct`."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navfilter.alignment import align
+from navfilter.mechanisation import DeadReckoning
+from navfilter.mission import Mission
+from navfilter.navigator import Navigator
+from navfilter.sensors import ZeroVelocity
+from navfilter.smoother import smooth_rows
+from navfilter.state import euler_from_matrix, rotation_matrix
+from navfilter.tape import Tape
+from navfilter.track import Track
+from navfilter.vehicle import Start, Vehicle
+
+__all__ = ["drive_samples", "replay", "warm_up"]
+
+Array = NDArray[np.float64]
+
+
+def replay(
+    vehicle: Vehicle,
+    mission: Mission,
+    *,
+    start: Start | None = None,
+    smooth: bool = False,
+    output_rate_hz: float | None = 5.0,
+    progress: bool = False,
+) -> Track:
+    """Run a recorded mission through the filter, and optionally the smoother.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    mission : Mission
+        With a stream for the drive ("imu", or "attitude" and "velocity") and one per sensor of the vehicle.
+    start : Start, optional
+        Default: the mission's own start, else an alignment on its first readings.
+    smooth : bool
+        Return the smoothed track (its `forward` is the filter's).
+    output_rate_hz : float or None
+        At most so many rows per second in the track; None keeps every epoch.
+    progress : bool
+        Show a progress bar on standard error.
+
+    Returns
+    -------
+    Track
+
+    Raises
+    ------
+    ValueError
+        When a stream is missing, empty, or the mission holds nothing after the start.
+    """
+    drive = drive_samples(vehicle, mission)
+    if start is None:
+        start = mission.start if mission.start is not None else align(vehicle, mission)
+    began = time.process_time()
+    tape = Tape(output_rate_hz, smoothable=smooth)
+    nav = Navigator(vehicle, start, tape)
+    _run(nav, *drive, _events(vehicle, mission, start.time_s), progress)
+    forward = _track("forward", nav, tape, mission.name, time.process_time() - began)
+    if not smooth:
+        return forward
+    return _smoothed(forward, nav, tape, began, progress)
+
+
+def drive_samples(vehicle: Vehicle, mission: Mission) -> tuple[Array, Array]:
+    """Samples of the drive: times (n,) and six values (n, 6); attitude is interpolated to the times of the velocity.
+
+    Raises
+    ------
+    ValueError
+        When a stream is missing, empty or has the wrong number of columns.
+    """
+    wanted = [(name, 6 if name == "imu" else 3) for name in vehicle.drive.streams]
+    for name, columns in wanted:
+        _require(mission, name, "the vehicle's drive needs it")
+        if not len(mission.streams[name]):
+            raise ValueError(f'stream "{name}" of this mission is empty; the vehicle\'s drive needs it.')
+        if mission.streams[name].value.shape[1] < columns:
+            raise ValueError(f'stream "{name}" has {mission.streams[name].value.shape[1]} columns, but its drive takes {columns}.')
+    if not isinstance(vehicle.drive, DeadReckoning):
+        imu = mission.streams["imu"]
+        return imu.time_s, imu.value[:, :6]
+    attitude, velocity = mission.streams["attitude"], mission.streams["velocity"]
+    good = np.isfinite(attitude.value[:, :3]).all(axis=1)
+    if good.sum() < 2:
+        raise ValueError('stream "attitude" has fewer than two valid readings.')
+    t, angles = attitude.time_s[good], np.unwrap(attitude.value[good, :3], axis=0)
+    inside = (velocity.time_s >= t[0] - vehicle.drive.period_s) & (velocity.time_s <= t[-1] + vehicle.drive.period_s)
+    times = velocity.time_s[inside]
+    return times, np.column_stack([*(np.interp(times, t, angles[:, i]) for i in range(3)), velocity.value[inside, :3]])
+
+
+def _require(mission: Mission, name: str, why: str) -> None:
+    if name not in mission.streams:
+        have = ", ".join(mission.streams) or "none"
+        raise ValueError(
+            f'"{name}" has no stream in this mission (streams: {have}); {why}. Add it, or drop the sensor with vehicle.without("{name}").'
+        )
+
+
+@dataclass(frozen=True)
+class _Events:
+    """All readings of the correcting sensors in time order."""
+
+    time_s: Array
+    sensor: NDArray[np.int64]
+    row: NDArray[np.int64]
+    names: tuple[str, ...]
+    values: tuple[Array, ...]
+
+
+def _events(vehicle: Vehicle, mission: Mission, begin_s: float) -> _Events:
+    names = tuple(name for name, sensor in vehicle.sensors.items() if not isinstance(sensor, ZeroVelocity))
+    for name in names:
+        _require(mission, name, f'the vehicle has a sensor "{name}"')
+        width, sensor = mission.streams[name].value.shape[1], vehicle.sensors[name]
+        if width < sensor.reads:
+            raise ValueError(f'stream "{name}" has {width} columns, but a {type(sensor).__name__} takes {sensor.reads}.')
+    streams = [mission.streams[name] for name in names]
+    times = np.concatenate([np.empty(0), *(s.time_s for s in streams)])
+    number = np.concatenate([np.empty(0, int), *(np.full(len(s), i) for i, s in enumerate(streams))])
+    rows = np.concatenate([np.empty(0, int), *(np.arange(len(s)) for s in streams)])
+    order = np.lexsort((rows, number, times))
+    order = order[times[order] >= begin_s - 1e-9]
+    return _Events(times[order], number[order], rows[order], names, tuple(s.value for s in streams))
+
+
+def _run(nav: Navigator, times: Array, values: Array, events: _Events, progress: bool) -> None:
+    done = int(np.searchsorted(times, nav.start.time_s - 1e-9))
+    if done >= len(times):
+        raise ValueError(f"the drive's stream ends at {times[-1]:.3f} s, before the start at {nav.start.time_s:.3f} s. Check the clocks.")
+    bar = _bar(len(events.time_s), "filter", progress)
+    ends = np.searchsorted(times, events.time_s + 1e-9, side="right").tolist()
+    readings = zip(events.time_s.tolist(), events.sensor.tolist(), events.row.tolist(), ends, strict=True)
+    for k, (t, i, row, end) in enumerate(readings):
+        if end > done:
+            nav.step_samples(_block(times, values, done, end))
+            done = end
+        nav.correct(events.names[i], t, events.values[i][row])
+        if bar is not None and k % 512 == 511:
+            bar.update(512)
+    for begin in range(done, len(times), 100_000):
+        nav.step_samples(_block(times, values, begin, min(begin + 100_000, len(times))))
+    if bar is not None:
+        bar.close()
+
+
+def _block(times: Array, values: Array, begin: int, end: int) -> Array:
+    block = np.empty((end - begin, 7))
+    block[:, 0], block[:, 1:] = times[begin:end], values[begin:end]
+    return block
+
+
+def _bar(total: int, what: str, progress: bool) -> Any:
+    if not progress:
+        return None
+    from tqdm import tqdm
+
+    return tqdm(total=total, desc=what, unit="", leave=False, mininterval=0.2)
+
+
+def _track(label: str, nav: Navigator, tape: Tape, name: str, cpu_s: float) -> Track:
+    n, size = len(tape.row_times), nav.layout.size
+    packed, x = np.empty((n, 17)), np.empty((n, size - 9))
+    P, sd = np.empty((n, 9, 9)), np.empty((n, size - 9))
+    for i in range(n):
+        row = tape.rows[i]
+        packed[i], x[i], rest = row[:17], row[17 : 8 + size], row[8 + size :]
+        if tape.smoothable:
+            covariance = rest.reshape(size, size)
+            P[i], sd[i] = covariance[:9, :9], covariance.diagonal()[9:]
+        else:
+            P[i], sd[i] = rest[:81].reshape(9, 9), rest[81:]
+    sd = np.sqrt(np.maximum(sd, 0.0))
+    return _assemble(label, nav, tape, name, cpu_s, packed, x, P, sd, None)
+
+
+def _assemble(
+    label: str, nav: Navigator, tape: Tape, name: str, cpu_s: float, packed: Array, x: Array, P: Array, sd: Array, forward: Track | None
+) -> Track:
+    return Track(
+        label=label,
+        vehicle=nav.vehicle,
+        mission_name=name,
+        time_s=np.array(tape.row_times),
+        latitude=packed[:, 0],
+        longitude=packed[:, 1],
+        height=packed[:, 2],
+        velocity_n=packed[:, 3:6],
+        attitude=euler_from_matrix(packed[:, 6:15].reshape(-1, 3, 3)),
+        covariance=P,
+        states=x,
+        states_sd=sd,
+        state_names=nav.layout.names,
+        state_units=nav.layout.units,
+        residuals=tape.residuals(),
+        error_models=tape.models,
+        counts=dict(nav.counts),
+        cpu_s=cpu_s,
+        forward=forward,
+    )
+
+
+def _smoothed(forward: Track, nav: Navigator, tape: Tape, began: float, progress: bool) -> Track:
+    n, size = len(tape.row_times), nav.layout.size
+    packed, x, correction = np.empty((n, 17)), np.empty((n, size - 9)), np.empty((n, 9))
+    P, sd = np.empty((n, 9, 9)), np.empty((n, size - 9))
+
+    def store(i: int, row: Array, mean: Array, covariance: Array) -> None:
+        packed[i], x[i], correction[i], P[i] = row[:17], row[17 : 8 + size], mean[:9], covariance[:9, :9]
+        x[i] += mean[9:]
+        sd[i] = covariance.diagonal()[9:]
+
+    bar = _bar(len(tape.records), "smoother", progress)
+    smooth_rows(tape, size, store, None if bar is None else bar.update)
+    if bar is not None:
+        bar.close()
+    packed[:, 6:15] = (rotation_matrix(correction[:, 6:]) @ packed[:, 6:15].reshape(-1, 3, 3)).reshape(-1, 9)
+    packed[:, 0] += correction[:, 0] / packed[:, 15]
+    packed[:, 1] += correction[:, 1] / (packed[:, 16] * np.cos(packed[:, 0]))
+    packed[:, 2] -= correction[:, 2]
+    packed[:, 3:6] += correction[:, 3:6]
+    sd = np.sqrt(np.maximum(sd, 0.0))
+    return _assemble("smoothed", nav, tape, forward.mission_name, time.process_time() - began, packed, x, P, sd, forward)
+
+
+def warm_up() -> None:
+    """Compile every kernel of the navigator and the smoother by running a tiny mission (a few seconds the first time, then cached)."""
+    from navfilter.simulation.simulate import tiny_missions
+
+    for vehicle, mission in tiny_missions():
+        replay(vehicle, mission, smooth=True)

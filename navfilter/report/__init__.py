@@ -1,0 +1,1 @@
+"""What a run shows people: figures and the page that holds them."""

@@ -1,0 +1,215 @@
+"""The report of a run: tables for the terminal, and one HTML page that needs nothing but itself."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Mapping
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from navfilter.io.write import summarise
+from navfilter.mission import Mission, Stream
+from navfilter.report import figures, state_figures
+from navfilter.report.drawing import style, svg
+from navfilter.report.page import escape, figure_html, heading_html, page, table_html, table_text
+from navfilter.tape import OUTCOMES
+from navfilter.track import Track
+
+__all__ = ["headline_table", "render_report", "sensor_table", "write_report"]
+
+Tracks = Mapping[str, Track]
+Rows = list[list[str]]
+
+#: A figure with more panels than this does not fit on a printed page.
+_PANELS = 6
+#: Columns of the headline table: heading, key of ``summary.json``, format.
+HEADLINES = (
+    ("position rms [m]", "position_rms_m", "{:.2f}"),
+    ("max [m]", "position_max_m", "{:.2f}"),
+    ("end [m]", "position_end_m", "{:.2f}"),
+    ("end [% of distance]", "position_end_pct", "{:.3f}"),
+    ("heading rms [deg]", "heading_rms_deg", "{:.3f}"),
+    ("velocity rms [m/s]", "velocity_rms_m_s", "{:.4f}"),
+    ("NEES position", "nees_position", "{:.2f}"),
+    ("NEES heading", "nees_heading", "{:.2f}"),
+)
+
+
+def headline_table(tracks: Tracks, mission: Mission) -> str:
+    """Errors and consistency of every run as text, one line per run; a dash where there is no truth."""
+    return table_text(*_headlines(tracks, mission))
+
+
+def sensor_table(track: Track) -> str:
+    """What became of the readings of every sensor, and its mean NIS, as text."""
+    return table_text(*_sensors(track))
+
+
+def write_report(tracks: Tracks, mission: Mission, path: str | os.PathLike[str], progress: Callable[[], Any] | None = None) -> Path:
+    """Write `render_report` to a file.
+
+    Parameters
+    ----------
+    tracks : dict of str to Track
+        Runs by label, see `navfilter.io.write.labelled`.
+    mission : Mission
+    path : path-like
+        Of the .html.
+    progress : callable, optional
+        Called after each figure.
+    """
+    path = Path(path)
+    text = render_report(tracks, mission, progress)
+    part = path.with_name(path.name + ".part")
+    part.write_text(text, encoding="utf-8")
+    part.replace(path)
+    return path
+
+
+def render_report(tracks: Tracks, mission: Mission, progress: Callable[[], Any] | None = None) -> str:
+    """One HTML page with tables and figures; no scripts, no links, nothing to load."""
+    result = list(tracks.values())[-1]
+    summary = summarise(tracks, mission)
+    body = [heading_html("Result"), table_html(*_headlines(tracks, mission)), f"<p>{_reading(mission)}</p>"]
+    for title, caption, figure in _drawn(tracks, mission):
+        if title:
+            body.append(heading_html(title))
+        body.append(figure_html(svg(figure), caption))
+        if progress is not None:
+            progress()
+    body += [heading_html("Readings"), table_html(*_sensors(result)), _notes(result, mission)]
+    body += [heading_html("Error models"), table_html(*_models(result), text_columns=(1, 2))]
+    return page(mission.name, mission.name, _subtitle(result, mission, summary), body)
+
+
+# --- figures with their captions --------------------------------------------------------------------------------------
+
+
+def _drawn(tracks: Tracks, mission: Mission) -> Iterator[tuple[str, str, Figure]]:
+    """Heading of a new section (or nothing), caption and figure, one after the other."""
+    truth = mission.truth
+    filters = _filters(tracks)
+    with style():
+        caption = "Ellipses hold the vehicle with 95 % probability, if the filter is honest. Crosses are the fixes that were used."
+        yield "Track", caption, figures.track_figure(tracks, mission)
+        yield "", "Height over time; under water it is minus the depth.", figures.depth_figure(tracks, mission)
+        caption = f"{_band_caption(truth, slice(0, 2))} The lowest panel divides by the distance travelled so far."
+        yield "Position error", caption, figures.position_figure(tracks, truth)
+        yield "Heading error", _band_caption(truth, slice(8, 9)), figures.heading_figure(tracks, truth)
+        nees = None if truth is None else figures.consistency_figure(tracks, truth)
+        if nees is not None:
+            caption = "Squared error in units of its predicted variance. Above the grey range: too confident; below it: too modest."
+            yield "Honesty of the covariance", caption, nees
+        nis = figures.nis_figure(filters)
+        if nis is not None:
+            caption = (
+                "Squared innovation in units of its predicted variance, mean over a moving window. Honest is 1; "
+                "the grey range holds 95 % of such means."
+            )
+            yield "NIS per sensor", caption, nis
+        for label, track in filters.items():
+            many = f" ({label})" if len(filters) > 1 else ""
+            for number, name in enumerate(n for n, r in track.residuals.items() if r.used.any() and n in track.vehicle.sensors):
+                caption = f"{name}{many}: measured minus predicted, {_count(track, name)}."
+                yield "" if number else f"Innovations{many}", caption, figures.innovation_figure(track, name)
+        yield from _state_figures(tracks)
+
+
+def _filters(tracks: Tracks) -> dict[str, Track]:
+    """One run per set of residuals: a smoothed track has those of its forward track."""
+    first: dict[int, tuple[str, Track]] = {}
+    for label, track in tracks.items():
+        first.setdefault(id(track.forward or track), (label, track))
+    return dict(first.values())
+
+
+def _band_caption(truth: Stream | None, columns: slice) -> str:
+    if truth is None or not np.isfinite(truth.value[:, columns]).any():
+        return "This mission has no truth of it: the bands show what the filter believes of itself."
+    return "Estimated minus true. Two thirds of the errors should lie inside the 1-sigma band."
+
+
+def _state_figures(tracks: Tracks) -> Iterator[tuple[str, str, Figure]]:
+    by_owner: dict[str, dict[str, state_figures.ShownState]] = {}
+    for track in tracks.values():
+        for state in state_figures.shown_states(track.vehicle):
+            # A state that nothing excites, such as a temperature term without temperatures, has nothing to show.
+            if state.name in track.state_names and track.state(state.name)[1].any():
+                by_owner.setdefault(state.owner, {})[state.name] = state
+    title = "Sensor errors and parameters"
+    for owner, found in by_owner.items():
+        states = tuple(found.values())
+        for first in range(0, len(states), _PANELS):
+            figure = state_figures.states_figure(tracks, states[first : first + _PANELS])
+            yield title, f"{owner}: estimated error, with its 1-sigma band.", figure
+            title = ""
+
+
+def _count(track: Track, name: str) -> str:
+    r = track.residuals[name]
+    return ", ".join(f"{r.count(outcome)} {outcome}" for outcome in OUTCOMES if r.count(outcome))
+
+
+# --- tables -----------------------------------------------------------------------------------------------------------
+
+
+def _headlines(tracks: Tracks, mission: Mission) -> tuple[list[str], Rows]:
+    runs = summarise(tracks, mission)["runs"]
+    rows = [
+        [label, *(_number(run[key], form) for _, key, form in HEADLINES), _number(_mean_nis(run), "{:.2f}")] for label, run in runs.items()
+    ]
+    return ["", *(name for name, _, _ in HEADLINES), "NIS"], rows
+
+
+def _mean_nis(run: Mapping[str, Any]) -> float | None:
+    values = [nis for nis in run["nis"].values() if nis is not None]
+    return float(np.mean(values)) if values else None
+
+
+def _sensors(track: Track) -> tuple[list[str], Rows]:
+    present = [o for o in OUTCOMES if any(r.count(o) for r in track.residuals.values()) or o in ("used", "rejected", "invalid")]
+    nis = track.summary()["nis"]
+    rows = [[name, *(str(r.count(o)) for o in present), _number(nis[name], "{:.2f}")] for name, r in track.residuals.items()]
+    return ["sensor", *present, "NIS"], rows
+
+
+def _models(track: Track) -> tuple[list[str], Rows]:
+    """Error models of every channel; of a long history the first and the last ones."""
+    drive = track.vehicle.drive
+    rows = [[axis, "", str(model)] for axis, model in zip(drive.axis_names, drive.models, strict=True)]
+    for name, history in track.error_models.items():
+        shown = history if len(history) <= 6 else [*history[:2], *history[-3:]]
+        rows += [[name, f"{time_s:.1f}", str(model)] for time_s, model in shown]
+        if len(history) > len(shown):
+            rows.append([name, "", f"... {len(history) - len(shown)} more in between"])
+    return ["channel", "from [s]", "model (SI units, radians)"], rows
+
+
+def _number(value: float | None, form: str) -> str:
+    return "–" if value is None else form.format(value)
+
+
+def _subtitle(track: Track, mission: Mission, summary: Mapping[str, Any]) -> str:
+    when = f", {mission.date.isoformat()}" if mission.date is not None else ""
+    return (
+        f"Vehicle {track.vehicle.name}{when}. {summary['duration_s'] / 60:.1f} min, {summary['distance_m']:.0f} m travelled, "
+        f"{len(track.state_names) + 9} error states, {track.cpu_s:.1f} s of processor time. navfilter {metadata.version('navfilter')}."
+    )
+
+
+def _reading(mission: Mission) -> str:
+    if mission.truth is None:
+        return "There is no truth in this mission, so only NIS can be judged: the mean over all sensors should be near 1."
+    return (
+        "Position errors are horizontal. NEES and NIS are means per degree of freedom: 1 is honest, well above 1 means that the filter "
+        "believes itself too much, well below 1 too little. One run is one draw: NEES of a single mission scatters widely."
+    )
+
+
+def _notes(track: Track, mission: Mission) -> str:
+    lines = [f"drive: {count} {what}" for what, count in track.counts.items() if count] + list(mission.notes)
+    return "<ul>" + "".join(f"<li>{escape(text)}</li>" for text in lines) + "</ul>" if lines else ""

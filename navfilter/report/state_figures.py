@@ -1,0 +1,121 @@
+"""Figures of the states behind the nine of navigation: biases, coloured errors, calibration parameters."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from navfilter.error_models import ErrorModel, Sum
+from navfilter.mechanisation import Imu
+from navfilter.report.drawing import band, colour, line, panels
+from navfilter.report.figures import clock_of, residual_unit
+from navfilter.track import Track
+from navfilter.vehicle import Vehicle
+
+__all__ = ["ShownState", "shown_states", "states_figure"]
+
+_DEG = 180.0 / np.pi
+_DEG_PER_H = _DEG * 3600.0
+_MG = 1e3 / 9.80665
+
+
+@dataclass(frozen=True)
+class ShownState:
+    """One state worth a panel.
+
+    Attributes
+    ----------
+    owner : str
+        Sensor, or "gyro", "accel", "drive".
+    name : str
+        As in `Track.state_names`.
+    label, unit : str
+        For the axis.
+    factor : float
+        From SI to the unit.
+    """
+
+    owner: str
+    name: str
+    label: str
+    unit: str
+    factor: float
+
+
+def shown_states(vehicle: Vehicle) -> tuple[ShownState, ...]:
+    """The states that mean something by themselves: the first of every part of an error model, and all parameters."""
+    found: list[ShownState] = []
+    drive = vehicle.drive
+    for axis, model in zip(drive.axis_names, drive.models, strict=True):
+        owner = axis.rsplit("_", 1)[0] if isinstance(drive, Imu) else "drive"
+        unit, factor = _drive_unit(axis)
+        found += _parts(owner, axis, model, drive.period_s, unit, factor)
+    found += [ShownState("drive", name, name, *_parameter_unit(name, "m/s", 1.0)) for name, _ in drive.parameters()]
+    for key, sensor in vehicle.sensors.items():
+        unit, factor = residual_unit(sensor)
+        for axis, model in zip(sensor.axis_names, sensor.models, strict=True):
+            found += _parts(key, "_".join(part for part in (key, axis) if part), model, 1.0 / sensor.rate_hz, unit, factor)
+        found += [ShownState(key, f"{key}.{name}", name, *_parameter_unit(name, unit, factor)) for name, _ in sensor.parameters()]
+    return tuple(found)
+
+
+def _parts(owner: str, axis: str, model: ErrorModel, period_s: float, unit: str, factor: float) -> list[ShownState]:
+    """The first state of each part of one axis's model."""
+    parts = model.parts if isinstance(model, Sum) else (model,)
+    sizes = [part.block(period_s).size for part in parts]
+    found, offset = [], 0
+    for part, size in zip(parts, sizes, strict=True):
+        if size:
+            kind = f" ({type(part).__name__})" if sum(map(bool, sizes)) > 1 else ""
+            found.append(ShownState(owner, f"{axis}[{offset}]", f"{axis}{kind}", unit, factor))
+        offset += size
+    return found
+
+
+def _drive_unit(axis: str) -> tuple[str, float]:
+    if axis.startswith("gyro"):
+        return "deg/h", _DEG_PER_H
+    if axis.startswith("accel"):
+        return "mg", _MG
+    return ("m/s", 1.0) if axis.startswith("velocity") else ("deg", _DEG)
+
+
+def _parameter_unit(name: str, unit: str, factor: float) -> tuple[str, float]:
+    """Unit of a constant state from its name; else that of its sensor."""
+    if name.endswith("scale"):
+        return "%", 100.0
+    if "misalignment" in name or "cycle" in name:
+        return "deg", _DEG
+    return (f"{unit}/K", factor) if name.endswith("temperature") else (unit, factor)
+
+
+def states_figure(tracks: Mapping[str, Track], states: tuple[ShownState, ...]) -> Figure:
+    """Estimates over time with their 1-sigma bands, one panel per state.
+
+    Parameters
+    ----------
+    tracks : dict of str to Track
+    states : tuple of ShownState
+        Of one owner, see `shown_states`; a run that has no such state is left out of its panel.
+    """
+    clock = clock_of(tracks)
+    figure, axes = panels(len(states), 1.2)
+    for ax, state in zip(axes, states, strict=True):
+        for number, (label, track) in enumerate(tracks.items()):
+            if state.name not in track.state_names:
+                continue
+            hue, dash = colour(number)
+            value, sd = (state.factor * part for part in track.state(state.name))
+            band(ax, clock(track.time_s), sd, value, color=hue, alpha=0.25, label=rf"{label} $\pm 1\sigma$")
+            line(ax, clock(track.time_s), value, color=hue, linestyle=dash, label=label)
+        ax.axhline(0.0, color="black", linewidth=0.6, zorder=1)
+        lines = textwrap.wrap(state.label.replace("_", " ").replace(".", " "), 16)
+        ax.set_ylabel("\n".join([*lines, f"[{state.unit}]"]), fontsize=7.5)
+    clock.label(axes[-1])
+    handles, labels = axes[0].get_legend_handles_labels()
+    axes[0].legend(handles, labels, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4, borderaxespad=0.1)
+    return figure

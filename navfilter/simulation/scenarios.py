@@ -1,0 +1,265 @@
+"""Missions by name: a vehicle, a motion that fills a given time, and what goes wrong on the way."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from navfilter.error_models import Arma, GaussMarkov, White
+from navfilter.mechanisation import DeadReckoning
+from navfilter.mission import Mission
+from navfilter.sensors import BodyVelocity, Depth, Heading, Position
+from navfilter.simulation import presets
+from navfilter.simulation.faults import Changing, Faults
+from navfilter.simulation.manoeuvres import (
+    ChangeSpeed,
+    Dive,
+    FigureEight,
+    Lawnmower,
+    Manoeuvre,
+    SpiralDive,
+    Straight,
+    Surface,
+    Turn,
+    Wait,
+)
+from navfilter.simulation.motion import Motion, Wander
+from navfilter.simulation.simulate import StartErrors, simulate
+from navfilter.vehicle import Vehicle
+
+_DEG = math.pi / 180.0
+COMPASS = GaussMarkov(sd=0.6 * _DEG, tau_s=30.0)
+_Pattern = Callable[[int], tuple[Manoeuvre, ...]]
+# off Fort Lauderdale, where the vehicles of the thesis dived
+_PLACE = {"latitude_deg": 26.05, "longitude_deg": -80.1}
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """A simulated mission that has a name.
+
+    Parameters
+    ----------
+    about : str
+        One line for listings.
+    vehicle : callable
+        Returns the Vehicle.
+    motion : callable
+        Takes a duration in s, returns a Motion at least that long.
+    faults : callable
+        Takes a duration in s, returns the faults by sensor.
+    duration_s : float
+        When nothing else is asked for, s.
+    start : StartErrors
+        How well the start is known.
+    """
+
+    about: str
+    vehicle: Callable[[], Vehicle]
+    motion: Callable[[float], Motion]
+    faults: Callable[[float], dict[str, Faults]] = field(default=lambda duration_s: {})
+    duration_s: float = 600.0
+    start: StartErrors = field(default_factory=StartErrors)
+
+
+def simulate_scenario(name: str, seed: int, duration_s: float | None = None) -> tuple[Vehicle, Mission]:
+    """Simulate one of the `SCENARIOS`.
+
+    Parameters
+    ----------
+    name : str
+        Key of `SCENARIOS`.
+    seed : int
+    duration_s : float, optional
+        Default: that of the scenario.
+
+    Returns
+    -------
+    vehicle : Vehicle
+        As its operator describes it.
+    mission : Mission
+        With truth and start.
+
+    Raises
+    ------
+    ValueError
+        For an unknown name.
+    """
+    if name not in SCENARIOS:
+        raise ValueError(f'There is no scenario "{name}". Scenarios: {", ".join(SCENARIOS)}.')
+    scenario = SCENARIOS[name]
+    duration = scenario.duration_s if duration_s is None else float(duration_s)
+    if not duration > 0.0:
+        raise ValueError(f"duration_s must be positive, found {duration}.")
+    vehicle = scenario.vehicle()
+    mission = simulate(
+        vehicle,
+        scenario.motion(duration),
+        seed=seed,
+        duration_s=duration,
+        faults=scenario.faults(duration),
+        start=scenario.start,
+        name=f"{name}-{seed}",
+    )
+    return vehicle, mission
+
+
+def demo_mission(seed: int = 1) -> tuple[Vehicle, Mission]:
+    """The one-hour mission of the demonstration, see `SCENARIOS`."""
+    return simulate_scenario("demo", seed)
+
+
+def survey_vehicle(*, mems: bool = False) -> Vehicle:
+    """AUV with an inertial unit (tactical or micromechanical), compass, DVL, depth gauge and satellite receiver."""
+    return Vehicle(
+        imu=presets.mems_imu() if mems else presets.tactical_imu(),
+        sensors={
+            "compass": Heading(rate_hz=8.0, error=COMPASS),
+            "dvl": BodyVelocity(rate_hz=4.0, error=White(sd=0.01), lever_arm_b_m=(0.5, 0.0, 0.1)),
+            "depth": Depth(rate_hz=1.0, error=White(sd=0.05), lever_arm_b_m=(0.2, 0.0, -0.1)),
+            "gps": Position(rate_hz=1.0, error=GaussMarkov(sd=3.0, tau_s=60.0), lever_arm_b_m=(-0.4, 0.0, -0.2)),
+        },
+        name="survey-mems" if mems else "survey",
+    )
+
+
+def reckoning_vehicle() -> Vehicle:
+    """The same AUV without an inertial unit: its compass and its DVL carry the position."""
+    return Vehicle(
+        DeadReckoning(
+            rate_hz=4.0,
+            attitude=Heading(rate_hz=4.0, error=COMPASS),
+            velocity=BodyVelocity(rate_hz=4.0, error=White(sd=0.01), lever_arm_b_m=(0.5, 0.0, 0.1)),
+            tilt=GaussMarkov(sd=0.2 * _DEG, tau_s=5.0),
+        ),
+        sensors={
+            "depth": Depth(rate_hz=1.0, error=White(sd=0.05)),
+            "gps": Position(rate_hz=1.0, error=GaussMarkov(sd=3.0, tau_s=60.0)),
+        },
+        name="reckoning",
+    )
+
+
+def thesis_vehicle() -> Vehicle:
+    """The vehicle of the thesis's Table 2.1, with a depth gauge."""
+    return Vehicle(
+        imu=presets.crossbow_imu(),
+        sensors={
+            "compass": presets.tcm2_compass(),
+            "dvl": presets.rdi_dvl(),
+            "depth": presets.pressure_depth(),
+            "gps": presets.motorola_gps(),
+        },
+        name="thesis",
+    )
+
+
+def survey(duration_s: float, surface_s: float = 120.0, depth_m: float = 20.0, leg_m: float = 120.0) -> Motion:
+    """Fixes at the surface, dive, lawnmower at depth, surfacing and fixes again, to fill the duration."""
+    return _dive(duration_s, lambda legs: (Lawnmower(legs, leg_m),), surface_s, depth_m)
+
+
+def lawnmower(duration_s: float) -> Motion:
+    """The survey with less time at the surface, shallower and with shorter legs: turns fill a third of it."""
+    return survey(duration_s, surface_s=45.0, depth_m=10.0, leg_m=60.0)
+
+
+def transit(duration_s: float) -> Motion:
+    """As `lawnmower`, but straight on at depth."""
+    return _dive(duration_s, None, surface_s=45.0, depth_m=10.0)
+
+
+def turns_and_dives(duration_s: float) -> Motion:
+    """Figure-eights, spiral dives and climbs, one after the other."""
+    cycle = (FigureEight(rate_deg_s=6.0), SpiralDive(20.0), Straight(duration_s=15.0), Dive(10.0), Turn(120.0))
+    begin = (Wait(20.0), ChangeSpeed(1.5, 15.0), Straight(duration_s=45.0), Dive(10.0))
+    end = (Surface(), Straight(duration_s=45.0), ChangeSpeed(0.0, 15.0), Wait(20.0))
+    return _fill(duration_s, begin, lambda times: cycle * times, end)
+
+
+def _dive(duration_s: float, pattern: _Pattern | None, surface_s: float, depth_m: float) -> Motion:
+    begin = (Wait(20.0), ChangeSpeed(1.5, 15.0), Straight(duration_s=surface_s), Dive(depth_m))
+    end = (Surface(), Straight(duration_s=surface_s), ChangeSpeed(0.0, 15.0), Wait(20.0))
+    return _fill(duration_s, begin, pattern, end)
+
+
+def _fill(duration_s: float, begin: tuple[Manoeuvre, ...], pattern: _Pattern | None, end: tuple[Manoeuvre, ...]) -> Motion:
+    """A motion of this duration (or longer): as many repetitions of the pattern as fit, the rest straight on."""
+
+    def build(repeats: int, straight_s: float = 0.0) -> Motion:
+        middle = pattern(repeats) if pattern is not None and repeats else ()
+        rest = (Straight(duration_s=straight_s),) if straight_s > 0.0 else ()
+        return Motion((*begin, *middle, *rest, *end), heading_deg=40.0, wander=Wander(), **_PLACE)
+
+    repeats = 0
+    if pattern is not None and duration_s >= build(1).duration_s:
+        one, two = build(1).duration_s, build(2).duration_s
+        repeats = 1 + int((duration_s - one) / (two - one))
+    return build(repeats, max(duration_s - build(repeats).duration_s, 0.0))
+
+
+def _survey_faults(duration_s: float) -> dict[str, Faults]:
+    lost = tuple((share * duration_s, share * duration_s + long_s) for share, long_s in ((0.3, 60.0), (0.5, 120.0), (0.7, 30.0)))
+    return {
+        "gps": Faults(available="surface", outlier_probability=0.01, outlier_sd=50.0),
+        "dvl": Faults(dropouts=lost, outlier_probability=0.005, outlier_sd=0.5, quantisation=1e-3),
+        "compass": Faults(quantisation=0.1 * _DEG, outlier_probability=0.002, outlier_sd=20.0 * _DEG),
+        "depth": Faults(quantisation=0.01),
+    }
+
+
+def _gps_at_surface(duration_s: float) -> dict[str, Faults]:
+    return {"gps": Faults(available="surface")}
+
+
+def _oscillating(duration_s: float) -> dict[str, Faults]:
+    """A slow error and an oscillation of 6 s, together an ARMA(3, 2) at 8 Hz."""
+    angle, radius = 2.0 * math.pi / (6.0 * 8.0), 0.99
+    ar = (-2.0 * radius * math.cos(angle), radius**2)
+    swing = Arma(ar=ar, sd=0.35 * _DEG / _gain(ar))
+    return {**_gps_at_surface(duration_s), "compass": Faults(true_error=GaussMarkov(0.35 * _DEG, tau_s=60.0) + swing)}
+
+
+def _oscillating_vehicle() -> Vehicle:
+    """Believes in the Gauss-Markov process that goes through the 1/e point of that autocorrelation."""
+    return survey_vehicle().with_error(compass=GaussMarkov(sd=0.5 * _DEG, tau_s=1.75))
+
+
+def _demo_vehicle() -> Vehicle:
+    """Its compass reads in steps of 0.1 deg, so that it has a white part too."""
+    return survey_vehicle().with_error(compass=COMPASS + White(sd=0.1 * _DEG))
+
+
+def _gain(ar: tuple[float, float]) -> float:
+    """Standard deviation of an AR(2) process driven by unit white noise (Box & Jenkins, 1976, eq 3.2.28)."""
+    a1, a2 = ar
+    return math.sqrt((1.0 + a2) / ((1.0 - a2) * ((1.0 + a2) ** 2 - a1**2)))
+
+
+def _changing(duration_s: float) -> dict[str, Faults]:
+    later = GaussMarkov(sd=1.8 * _DEG, tau_s=30.0)
+    return {
+        **_gps_at_surface(duration_s),
+        "compass": Faults(true_error=Changing(((0.0, COMPASS), (duration_s / 2.0, later)))),
+    }
+
+
+#: The scenarios by name.
+SCENARIOS: dict[str, Scenario] = {
+    "demo": Scenario(
+        "one hour: fixes at the surface, dive, lawnmower with DVL dropouts and outliers, surfacing",
+        _demo_vehicle, survey, _survey_faults, 3600.0, StartErrors(position_sd_m=(3.0, 3.0, 0.5), heading_sd_deg=2.0),
+    ),
+    "lawnmower": Scenario("fixes, dive, lawnmower, surfacing, fixes", survey_vehicle, lawnmower, _gps_at_surface),
+    "transit": Scenario("fixes, dive, straight transit, surfacing, fixes", survey_vehicle, transit, _gps_at_surface),
+    "turns": Scenario("figure-eights, spiral dives and climbs", survey_vehicle, turns_and_dives, _gps_at_surface),
+    "mems": Scenario("the same lawnmower with a micromechanical inertial unit",
+                     lambda: survey_vehicle(mems=True), lawnmower, _gps_at_surface),
+    "reckoning": Scenario("the same lawnmower without an inertial unit", reckoning_vehicle, lawnmower, _gps_at_surface),
+    "thesis": Scenario("survey with the instruments of the thesis", thesis_vehicle, survey, _gps_at_surface, 1800.0),
+    "oscillating": Scenario("lawnmower; the compass errs slowly and swings, the vehicle believes in Gauss-Markov",
+                            _oscillating_vehicle, lawnmower, _oscillating, 1800.0),
+    "changing": Scenario("lawnmower; the error of the compass trebles half-way",
+                         survey_vehicle, lawnmower, _changing, 1800.0),
+}  # fmt: skip

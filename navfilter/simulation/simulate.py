@@ -1,0 +1,328 @@
+"""Simulated missions: exact motion, seen by the sensors of a vehicle with all their errors, recorded with the truth.
+
+The motion is given and every error is drawn here; what the sensors make of them is in `navfilter.simulation.sensors`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import datetime
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+
+from navfilter.error_models import GaussMarkov, White
+from navfilter.mechanisation import DeadReckoning, Imu, Mechanisation
+from navfilter.mission import TRUTH_COLUMNS, Mission, Stream
+from navfilter.sensors import BodyVelocity, Depth, Heading, Position, Sensor, ZeroVelocity
+from navfilter.simulation.faults import Faults, Models, draw_errors, generator, outliers, quantise, within
+from navfilter.simulation.manoeuvres import ChangeSpeed, Wait
+from navfilter.simulation.motion import Kinematics, Motion
+from navfilter.simulation.sensors import READERS, Truth, attitude, displaced, turned_and_scaled
+from navfilter.vehicle import Start, Vehicle
+
+Array = NDArray[np.float64]
+
+SURFACE_DEPTH_M = 0.3  # an antenna works down to this depth
+
+
+@dataclass(frozen=True)
+class StartErrors:
+    """Standard deviations with which the start is known; the start is drawn around the truth with them.
+
+    Parameters
+    ----------
+    position_sd_m : float or tuple of 3 floats
+        North, east, down, m.
+    velocity_sd_m_s, tilt_sd_deg, heading_sd_deg : float
+        m/s per axis; deg.
+    exact : bool
+        Start at the truth, while stating the standard deviations all the same.
+    """
+
+    position_sd_m: float | tuple[float, float, float] = (1.0, 1.0, 0.2)
+    velocity_sd_m_s: float = 0.02
+    tilt_sd_deg: float = 0.1
+    heading_sd_deg: float = 1.0
+    exact: bool = False
+
+
+def simulate(
+    vehicle: Vehicle,
+    motion: Motion,
+    *,
+    seed: int,
+    duration_s: float | None = None,
+    faults: Mapping[str, Faults] | None = None,
+    start: StartErrors | None = None,
+    date: datetime.date = datetime.date(2026, 6, 1),
+    truth_rate_hz: float = 20.0,
+    name: str = "simulated",
+) -> Mission:
+    """Drive a vehicle through a motion and record what its sensors say.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        Its sensors, with the errors its description states; what differs from it in truth is in `faults`.
+    motion : Motion
+        Where it really goes.
+    seed : int
+        Everything random follows from it, see `navfilter.simulation.faults`.
+    duration_s : float, optional
+        Stop after this time, s; default the whole motion.
+    faults : dict of str to Faults, optional
+        By name of the sensor; "gyro" and "accel" for the error and calibration of an inertial unit, "imu" for its
+        dropouts and time stamps; "attitude" and "velocity" for dead reckoning.
+    start : StartErrors, optional
+        How well the start is known.
+    date : datetime.date
+        For the magnetic field.
+    truth_rate_hz : float
+        Rate of the recorded truth, Hz.
+    name : str
+        Of the mission.
+
+    Returns
+    -------
+    Mission
+        With truth and start. The notes say which calibration errors were drawn.
+
+    Raises
+    ------
+    ValueError
+        If the motion is shorter than `duration_s`, or a fault names a sensor that the vehicle does not have.
+
+    Examples
+    --------
+    >>> from navfilter.simulation.scenarios import simulate_scenario
+    >>> vehicle, mission = simulate_scenario("lawnmower", seed=1, duration_s=60.0)
+    >>> mission.truth is not None, sorted(mission.streams) == sorted(["imu", *vehicle.sensors])
+    (True, True)
+    """
+    faults = dict(faults or {})
+    _check_names(vehicle, faults)
+    duration = motion.duration_s if duration_s is None else float(duration_s)
+    if not 0.0 < duration <= motion.duration_s + 1e-9:
+        raise ValueError(f"duration_s must lie between 0 and the motion's {motion.duration_s:.1f} s, found {duration}.")
+    scene = _Scene(motion, duration, seed, faults, date, [])
+    streams = _drive_streams(scene, vehicle.drive)
+    for key, sensor in vehicle.sensors.items():
+        if not isinstance(sensor, ZeroVelocity):
+            streams[key] = scene.record(key, sensor, sensor.rate_hz)
+    truth = _truth(motion.at(np.arange(math.floor(duration * truth_rate_hz + 1e-6) + 1) / truth_rate_hz))
+    begin = _draw_start(motion.at([0.0]), start or StartErrors(), seed, date)
+    return Mission(name, streams, truth, begin, date, tuple(scene.notes))
+
+
+@dataclass(frozen=True)
+class _Scene:
+    """What all sensors of one simulated mission share."""
+
+    motion: Motion
+    duration_s: float
+    seed: int
+    faults: dict[str, Faults]
+    date: datetime.date
+    notes: list[str]
+
+    @cached_property
+    def field_n(self) -> Array:
+        """Magnetic field at the start, north-east-down, microtesla."""
+        from pygeomag import GeoMag  # its tables take a while to load
+
+        day = datetime.datetime.combine(self.date, datetime.time())
+        year = day.year + (day.timetuple().tm_yday - 1) / 365.25
+        field = GeoMag(base_year=day).calculate(self.motion.latitude_deg, self.motion.longitude_deg, 0.0, year)
+        return np.array([field.x, field.y, field.z]) * 1e-3
+
+    def fault(self, name: str) -> Faults:
+        return self.faults.get(name, _NO_FAULTS)
+
+    def ticks(self, rate_hz: float) -> Array:
+        return np.arange(math.floor(self.duration_s * rate_hz + 1e-6) + 1) / rate_hz
+
+    def error(self, name: str, models: Models, rate_hz: float, time_s: Array, axes: int) -> Array:
+        """What is added to the readings at these ticks, (n, axes): error, outliers, bias."""
+        fault = self.fault(name)
+        really = models if fault.true_error is None else fault.true_error
+        error = draw_errors(really, 1.0 / rate_hz, time_s, axes, self.seed, name)
+        return error + outliers(fault, time_s.size, axes, self.seed, name) + np.asarray(fault.bias)
+
+    def calibration(self, name: str, what: str, given: ArrayLike | None, sd: ArrayLike, size: int) -> Array:
+        """A calibration error (size,): as given, or drawn with the standard deviation that the description states."""
+        if given is not None:
+            return np.array(np.broadcast_to(given, (size,)), dtype=np.float64)
+        drawn = np.broadcast_to(np.asarray(sd, dtype=np.float64), (size,))
+        drawn = drawn * generator(self.seed, name, what).normal(size=size)
+        if np.any(drawn):
+            self.notes.append(f"{name}: {what} error {' '.join(f'{v:.4g}' for v in drawn)}")
+        return drawn
+
+    def truth(self, name: str, sensor: Sensor | None, error: Array, time_s: Array) -> Truth:
+        """How the sensor really is."""
+        fault = self.fault(name)
+        one, two = getattr(sensor, "deviation_sd_rad", (0.0, 0.0))
+        deviation = (getattr(sensor, "bias_sd_rad", 0.0), one, one, two, two)
+        by_field = getattr(sensor, "magnetic", False) or getattr(sensor, "magnetometer", False)
+        angle, warm = getattr(sensor, "misalignment_sd_rad", 0.0), getattr(sensor, "temperature_sd_rad_per_k", 0.0)
+        return Truth(
+            error=error,
+            scale=float(self.calibration(name, "scale", fault.scale, getattr(sensor, "scale_sd", 0.0), 1)[0]),
+            misalignment_rad=self.calibration(name, "misalignment", fault.misalignment_rad, angle, 3),
+            deviation_rad=self.calibration(name, "deviation", fault.deviation_rad, deviation, 5),
+            temperature_rad_per_k=float(self.calibration(name, "temperature", fault.temperature_rad_per_k, warm, 1)[0]),
+            offset_m=float(self.calibration(name, "offset", None, getattr(sensor, "offset_sd_m", 0.0), 1)[0]),
+            field_n=self.field_n if by_field else _NORTH,
+            surface_height_m=self.motion.surface_height_m,
+            hdop=None if fault.hdop is None else _steps(fault.hdop, time_s),
+        )
+
+    def record(self, name: str, sensor: Sensor, rate_hz: float) -> Stream:
+        """The stream of one sensor, read at this rate."""
+        reader = next((read for kind, read in READERS.items() if isinstance(sensor, kind)), None)
+        if reader is None:
+            raise ValueError(f'"{name}" is a {type(sensor).__name__}, which the simulator cannot read. Leave it out.')
+        time_s = self.ticks(rate_hz)
+        error = self.error(name, sensor.error, rate_hz, time_s, sensor.axes)
+        here = self.motion.at(time_s)
+        return self.stamp(name, time_s, *reader(sensor, here, self.truth(name, sensor, error, time_s)))
+
+    def stamp(self, name: str, time_s: Array, value: Array, columns: tuple[str, ...]) -> Stream:
+        """Round, leave out what the sensor could not read, and put the time stamps on."""
+        fault = self.fault(name)
+        value = quantise(value, fault.quantisation)
+        if fault.available == "surface":
+            keep = self.motion.surface_height_m - self.motion.at(time_s).height < SURFACE_DEPTH_M
+        elif isinstance(fault.available, str):
+            keep = np.ones(time_s.size, dtype=bool)
+        else:
+            keep = within(time_s, fault.available)
+        lost = within(time_s, fault.dropouts)
+        if fault.dropout_reading == "missing":
+            keep &= ~lost
+        else:
+            value = np.where(lost[:, None], math.nan if fault.dropout_reading == "nan" else 0.0, value)
+        stamps = time_s + fault.time_offset_s
+        if fault.time_jitter_sd_s > 0.0:
+            stamps += fault.time_jitter_sd_s * generator(self.seed, name, "jitter").normal(size=stamps.size)
+        order = np.argsort(stamps[keep], kind="stable")
+        return Stream(stamps[keep][order], value[keep][order], columns)
+
+
+_NO_FAULTS = Faults()
+_NORTH = np.array([1.0, 0.0, 0.0])
+_RECORDING = ("available", "dropouts", "time_offset_s", "time_jitter_sd_s")
+_ERRORS = ("true_error", "bias", "scale", "misalignment_rad", "outlier_probability", "quantisation")
+
+
+def _check_names(vehicle: Vehicle, faults: dict[str, Faults]) -> None:
+    drive = {"gyro", "accel", "imu"} if isinstance(vehicle.drive, Imu) else {"attitude", "velocity"}
+    unknown = sorted(set(faults) - set(vehicle.sensors) - drive)
+    if unknown:
+        known = ", ".join(sorted(set(vehicle.sensors) | drive))
+        raise ValueError(f'The vehicle has no sensor "{unknown[0]}" that could have faults. It has: {known}.')
+    for name in ("gyro", "accel", "imu"):
+        # each fault has one place: what is measured belongs to gyro and accel, when it is recorded to imu
+        given, plain = faults.get(name, _NO_FAULTS), _NO_FAULTS
+        wrong = [key for key in (_ERRORS if name == "imu" else _RECORDING) if getattr(given, key) != getattr(plain, key)]
+        if wrong:
+            right = '"gyro" and "accel"' if name == "imu" else '"imu"'
+            raise ValueError(f'The fault {wrong[0]} of "{name}" has to be given for {right}.')
+
+
+def _steps(value: float | tuple[tuple[float, float], ...], time_s: Array) -> Array:
+    """A constant, or the steps (from time, value), at these times."""
+    if isinstance(value, int | float):
+        return np.full(time_s.size, float(value))
+    times, values = np.array(value, dtype=np.float64).T
+    return values[np.maximum(np.searchsorted(times, time_s, side="right") - 1, 0)]
+
+
+def _drive_streams(scene: _Scene, drive: Mechanisation) -> dict[str, Stream]:
+    if isinstance(drive, Imu):
+        return {"imu": _inertial(scene, drive)}
+    if not isinstance(drive, DeadReckoning):
+        raise ValueError(f"The simulator knows Imu and DeadReckoning, found {type(drive).__name__}.")
+    # both error blocks of dead reckoning tick with the drive, so both streams are read at its rate
+    time_s = scene.ticks(drive.rate_hz)
+    here = scene.motion.at(time_s)
+    compass = drive.attitude if isinstance(drive.attitude, Heading) else None
+    error = scene.error("attitude", drive.models[:3], drive.rate_hz, time_s, 3)
+    # the constant bias of a Heading is part of the drive's error model already
+    plain = dataclasses.replace(compass, bias_sd_rad=0.0) if compass else None
+    truth = scene.truth("attitude", plain, error, time_s)
+    return {
+        "attitude": scene.stamp("attitude", time_s, *attitude(here, truth)),
+        "velocity": scene.record("velocity", drive.velocity_sensor, drive.rate_hz),
+    }
+
+
+def _inertial(scene: _Scene, drive: Imu) -> Stream:
+    time_s, *ideal = scene.motion.inertial(drive.rate_hz, increments=drive.increments, duration_s=scene.duration_s)
+    parts = []
+    for name, vector, models in zip(("gyro", "accel"), ideal, (drive.models[:3], drive.models[3:]), strict=True):
+        error = scene.error(name, models, drive.rate_hz, time_s, 3)
+        measured = turned_and_scaled(vector, scene.truth(name, None, error, time_s))
+        measured += error / drive.rate_hz if drive.increments else error
+        parts.append(quantise(measured, scene.fault(name).quantisation))
+    columns = _INCREMENTS if drive.increments else _RATES
+    return scene.stamp("imu", time_s, np.hstack(parts), columns)
+
+
+_RATES = ("rate_x_rad_s", "rate_y_rad_s", "rate_z_rad_s", "force_x_m_s2", "force_y_m_s2", "force_z_m_s2")
+_INCREMENTS = ("angle_x_rad", "angle_y_rad", "angle_z_rad", "velocity_x_m_s", "velocity_y_m_s", "velocity_z_m_s")
+
+
+def _truth(here: Kinematics) -> Stream:
+    place = np.stack([here.latitude, here.longitude, here.height], axis=-1)
+    return Stream(here.time_s, np.hstack([place, here.velocity_n, here.attitude]), TRUTH_COLUMNS)
+
+
+def _draw_start(here: Kinematics, known: StartErrors, seed: int, date: datetime.date) -> Start:
+    position_sd = np.broadcast_to(np.asarray(known.position_sd_m, dtype=np.float64), (3,))
+    angle_sd = np.radians([known.tilt_sd_deg, known.tilt_sd_deg, known.heading_sd_deg])
+    sd = np.concatenate([position_sd, [known.velocity_sd_m_s] * 3, angle_sd])
+    error = np.zeros(9) if known.exact else sd * generator(seed, "start", "error").normal(size=9)
+    latitude, longitude, height = displaced(here, error[None, :3])
+    turned = Rotation.from_rotvec(error[6:]) * Rotation.from_matrix(here.C_nb[0])
+    heading, pitch, roll = turned.as_euler("ZYX", degrees=True)
+    north, east, down = (here.velocity_n[0] + error[3:6]).tolist()
+    return Start(
+        latitude_deg=math.degrees(latitude[0]),
+        longitude_deg=math.degrees(longitude[0]),
+        height_m=float(height[0]),
+        velocity_n=(north, east, down),
+        roll_deg=float(roll),
+        pitch_deg=float(pitch),
+        heading_deg=float(heading),
+        position_sd_m=(float(position_sd[0]), float(position_sd[1]), float(position_sd[2])),
+        velocity_sd_m_s=known.velocity_sd_m_s,
+        tilt_sd_deg=known.tilt_sd_deg,
+        heading_sd_deg=known.heading_sd_deg,
+        date=date,
+    )
+
+
+def tiny_missions() -> Iterator[tuple[Vehicle, Mission]]:
+    """Two missions of a few seconds that between them use every drive and every sensor, for compiling ahead of time."""
+    white, slow = White(sd=0.01), GaussMarkov(sd=0.01, tau_s=10.0)
+    sensors: dict[str, Sensor] = {
+        "compass": Heading(rate_hz=4.0, error=white + slow, bias_sd_rad=0.01),
+        "magnetometer": Heading(rate_hz=4.0, error=white, magnetometer=True),
+        "dvl": BodyVelocity(rate_hz=4.0, error=white, scale_sd=0.01, misalignment_sd_rad=0.01),
+        "depth": Depth(rate_hz=1.0, error=white, offset_sd_m=0.1),
+        "gps": Position(rate_hz=1.0, error=slow),
+    }
+    motion = Motion((Wait(3.0), ChangeSpeed(1.0, 2.0)), latitude_deg=30.0)
+    inertial = Vehicle(imu=Imu(rate_hz=20.0), sensors={**sensors, "rest": ZeroVelocity()}, name="tiny-inertial")
+    course = Heading(rate_hz=4.0, error=white, deviation_sd_rad=(0.01, 0.01))
+    reckoning = DeadReckoning(rate_hz=4.0, attitude=course, velocity=BodyVelocity(rate_hz=4.0, scale_sd=0.01))
+    late = Faults(hdop=1.0, time_offset_s=0.03)  # fixes between the samples of the drive
+    for vehicle in (inertial, Vehicle(reckoning, {"gps": sensors["gps"]}, name="tiny-reckoning")):
+        yield vehicle, simulate(vehicle, motion, seed=1, faults={"gps": late}, name=vehicle.name)
