@@ -7,7 +7,7 @@ import sys
 import numba
 import pytest
 
-from navfilter import cli
+from navfilter import cli, playback
 from navfilter.cli import main
 from navfilter.io import read_mission, read_vehicle, write_vehicle
 
@@ -185,8 +185,7 @@ def test_interrupted_and_out_of_memory(monkeypatch, capsys):
 def test_compilation_is_announced_once(dive, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
     monkeypatch.setattr(numba.config, "DISABLE_JIT", 0)
-    # The package's name "replay" is the function; the module of that name holds what is replaced here.
-    monkeypatch.setattr(sys.modules["navfilter.playback"], "warm_up", lambda: None)
+    monkeypatch.setattr(playback, "warm_up", lambda: None)
     assert main(["warmup"]) == 0
     assert "compiling" in capsys.readouterr().err
     for name in ("strapdown", "kalman", "measurement"):
