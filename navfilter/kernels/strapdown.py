@@ -164,7 +164,8 @@ def _mechanise(nav, inc, dt, C, mid):
     d2 = u2 + 0.5 * (th0 * u1 - th1 * u0)
     lat, h = nav[0], nav[2]
     vn, ve, vd = nav[3], nav[4], nav[5]
-    sl, cl = math.sin(lat), math.cos(lat)
+    sl = math.sin(lat)
+    cl = math.sqrt(1.0 - sl * sl)  # cheaper than a cosine; a start is never within 0.1 degree of a pole
     # few divisions: they are the dearest operations here
     root = 1.0 / math.sqrt(1.0 - EARTH_E2 * sl * sl)
     re = EARTH_RADIUS * root
