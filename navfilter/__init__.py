@@ -48,7 +48,8 @@ _FACE = {
     "state": "NavState",
     "tape": "Tape",
     "track": "Track",
-    "vehicle": "Start Vehicle",
+    "start": "Start",
+    "vehicle": "Vehicle",
 }
 _HOME = {name: module for module, names in _FACE.items() for name in names.split()}
 __all__ = sorted(_HOME)

@@ -8,8 +8,9 @@ from numpy.typing import NDArray
 from navfilter.mechanisation import DeadReckoning
 from navfilter.mission import Mission, Stream
 from navfilter.sensors import BodyVelocity, Depth, Heading, Position
+from navfilter.start import Start
 from navfilter.state import matrix_from_euler, wrap
-from navfilter.vehicle import Start, Vehicle
+from navfilter.vehicle import Vehicle
 
 __all__ = ["align"]
 

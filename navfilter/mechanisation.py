@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,9 +13,7 @@ from numpy.typing import NDArray
 from navfilter.error_models import ErrorModel, RandomWalk, White, per_axis
 from navfilter.kernels import strapdown
 from navfilter.sensors import BodyVelocity, Heading
-
-if TYPE_CHECKING:
-    from navfilter.vehicle import Start
+from navfilter.start import Start
 
 __all__ = ["DeadReckoning", "Imu", "Mechanisation"]
 

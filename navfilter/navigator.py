@@ -12,9 +12,10 @@ from scipy.stats import chi2
 from navfilter.kernels import kalman, strapdown
 from navfilter.layout import Group, Layout
 from navfilter.sensors import BodyVelocity, Sensor, ZeroVelocity
+from navfilter.start import Start
 from navfilter.state import NavState, matrix_from_euler
 from navfilter.tape import OUTCOMES, Tape
-from navfilter.vehicle import Start, Vehicle
+from navfilter.vehicle import Vehicle
 
 __all__ = ["Navigator", "Outcome"]
 

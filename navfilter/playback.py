@@ -15,10 +15,11 @@ from navfilter.mission import Mission
 from navfilter.navigator import Navigator
 from navfilter.sensors import ZeroVelocity
 from navfilter.smoother import smooth_rows
+from navfilter.start import Start
 from navfilter.state import euler_from_matrix, rotation_matrix
 from navfilter.tape import Tape
 from navfilter.track import Track
-from navfilter.vehicle import Start, Vehicle
+from navfilter.vehicle import Vehicle
 
 __all__ = ["drive_samples", "replay", "warm_up"]
 

@@ -9,17 +9,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navfilter.error_models import ErrorModel, White, per_axis
 from navfilter.kernels import measurement
+from navfilter.start import Start
 from navfilter.state import matrix_from_euler
-
-if TYPE_CHECKING:
-    from navfilter.vehicle import Start
 
 __all__ = ["BodyVelocity", "Depth", "Heading", "Position", "Sensor", "ZeroVelocity"]
 

@@ -12,7 +12,7 @@ ROOT = Path(navfilter.__file__).parent
 FLOORS = [
     {"kernels"},
     {"arma", "state", "layout", "mission", "diagnostics", "magnetic", "tape"},
-    {"error_models", "sensors", "mechanisation", "vehicle", "track"},
+    {"error_models", "sensors", "mechanisation", "vehicle", "start", "track"},
     {"navigator", "smoother", "alignment"},
     {"playback", "simulation", "io", "check"},
     {"report", "identification"},

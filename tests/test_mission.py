@@ -16,7 +16,7 @@ from navfilter.io import geodesy, read_mission
 from navfilter.io.mission_toml import expand
 from navfilter.io.tables import TableOptions, read_table
 from navfilter.mission import TRUTH_COLUMNS, Mission, MissionError, Stream
-from navfilter.vehicle import Start
+from navfilter.start import Start
 
 ALL_RECORDINGS = sorted(
     str(path.parent.relative_to(Path(__file__).parent / "recordings"))

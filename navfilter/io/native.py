@@ -56,7 +56,7 @@ def read_mission_npz(path: Path) -> Mission:
 
 
 def _start(fields: dict[str, Any]) -> Any:
-    from navfilter.vehicle import Start
+    from navfilter.start import Start
 
     fields = {**fields, "date": None if fields.get("date") is None else datetime.date.fromisoformat(fields["date"])}
     given: dict[str, Any] = {key: tuple(value) if isinstance(value, list) else value for key, value in fields.items()}

@@ -32,7 +32,7 @@ def start_of(spec: StartSpec | None, truth: Stream | None, date: datetime.date |
     """
     if spec is None:
         return None
-    from navfilter.vehicle import Start
+    from navfilter.start import Start
 
     given = {k: v for k, v in spec.model_dump(exclude={"source"}).items() if v is not None}
     if spec.source == "truth" and truth is not None:

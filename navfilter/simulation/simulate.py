@@ -24,7 +24,8 @@ from navfilter.simulation.faults import Faults, Models, draw_errors, generator, 
 from navfilter.simulation.manoeuvres import ChangeSpeed, Wait
 from navfilter.simulation.motion import Kinematics, Motion
 from navfilter.simulation.sensors import READERS, Truth, attitude, displaced, turned_and_scaled
-from navfilter.vehicle import Start, Vehicle
+from navfilter.start import Start
+from navfilter.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 
