@@ -1,0 +1,150 @@
+"""The report of a comparison: one HTML page with the runs side by side."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Mapping
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from matplotlib.figure import Figure
+
+from navfilter.comparison import Comparison, shown_unit
+from navfilter.mission import Mission
+from navfilter.report import comparison_figures, figures
+from navfilter.report.drawing import style, svg
+from navfilter.report.page import escape, figure_html, heading_html, page, table_html
+from navfilter.track import Track
+
+__all__ = ["drawn", "render_comparison", "write_comparison"]
+
+Tracks = Mapping[str, Track]
+#: A figure with more panels than this does not fit on a printed page.
+_PANELS = 8
+
+
+def write_comparison(
+    comparison: Comparison, tracks: Tracks, mission: Mission, path: str | os.PathLike[str], progress: Callable[[], Any] | None = None
+) -> Path:
+    """Write `render_comparison` to a file.
+
+    Parameters
+    ----------
+    comparison : Comparison
+    tracks : dict of str to Track
+        What was compared.
+    mission : Mission
+    path : path-like
+        Of the .html.
+    progress : callable, optional
+        Called after each figure.
+    """
+    path = Path(path)
+    text = render_comparison(comparison, tracks, mission, progress)
+    part = path.with_name(path.name + ".part")
+    part.write_text(text, encoding="utf-8")
+    part.replace(path)
+    return path
+
+
+def render_comparison(
+    comparison: Comparison, tracks: Tracks, mission: Mission, progress: Callable[[], Any] | None = None, remarks: tuple[str, ...] = ()
+) -> str:
+    """One HTML page with table and figures of all runs; no scripts, no links, nothing to load."""
+    body = [heading_html("Result"), table_html(["", *comparison.runs], comparison.rows())]
+    body.append(f"<p>{escape(' '.join((*comparison.notes(), *remarks)))}</p>")
+    for title, caption, figure in drawn(comparison, tracks, mission):
+        if title:
+            body.append(heading_html(title))
+        body.append(figure_html(svg(figure), caption))
+        if progress is not None:
+            progress()
+    body += [heading_html("Innovations, axis by axis"), table_html(*_axes_table(comparison), text_columns=(1,))]
+    body += [heading_html("Error models at the end"), table_html(*_models_table(tracks), text_columns=(1, 2))]
+    first = next(iter(tracks.values()))
+    subtitle = f"Vehicle {first.vehicle.name}. {mission.duration_s / 60:.1f} min, {first.distance_m:.0f} m travelled. "
+    return page(mission.name, f"{mission.name}: {', '.join(tracks)}", f"{subtitle}navfilter {metadata.version('navfilter')}.", body)
+
+
+def drawn(comparison: Comparison, tracks: Tracks, mission: Mission) -> Iterator[tuple[str, str, Figure]]:
+    """Heading of a new section (or nothing), caption and figure, one after the other."""
+    truth = mission.truth
+    begin_s = comparison.windows[0][0]
+
+    def shaded(figure: Figure) -> Figure:
+        return comparison_figures.shade(figure, tracks, begin_s)
+
+    with style():
+        caption = "Ellipses hold the vehicle with 95 % probability, if the run is honest."
+        yield "Track", caption, figures.track_figure(tracks, mission, ellipses=8)
+        if truth is not None and any("heading" in run["nees"] for run in comparison.runs.values()):
+            caption = "Two thirds of the errors should lie inside the band; what is shaded is not scored."
+            yield "Error against 1 sigma", caption, shaded(comparison_figures.heading_against_sigma(tracks, truth))
+        if truth is not None and any("position" in run["nees"] for run in comparison.runs.values()):
+            caption = "Where the error keeps above the coloured area, the run believes itself too much."
+            yield "", caption, shaded(comparison_figures.position_against_sigma(tracks, truth))
+        nees = None if truth is None else figures.consistency_figure(tracks, truth)
+        if nees is not None:
+            caption = "Squared error in units of its predicted variance. Above the grey range: too confident; below it: too modest."
+            yield "Honesty of the covariance", caption, shaded(nees)
+        filters = {label: track.forward or track for label, track in tracks.items()}
+        nis = figures.nis_figure(filters)
+        if nis is not None:
+            caption = "Squared innovation in units of its predicted variance, moving mean. Honest is 1; the grey range holds 95 % of such means."
+            yield "NIS per sensor", caption, shaded(nis)
+        axes = _tested_axes(comparison, filters)
+        for first in range(0, len(axes), _PANELS):
+            caption = "Autocorrelation of the innovations over the whole run: a filter that knows how its sensors err leaves none."
+            yield "" if first else "What is left in the innovations", caption, comparison_figures.correlation_figure(
+                filters, axes[first : first + _PANELS]
+            )
+        yield from _learnt(filters)
+
+
+def _tested_axes(comparison: Comparison, tracks: Tracks) -> list[tuple[str, int, str]]:
+    """Sensor, number of the axis and title of all axes whose innovations were tested in some run."""
+    found: dict[tuple[str, int], str] = {}
+    for label, run in comparison.runs.items():
+        for name, about in run["sensors"].items():
+            names = tracks[label].vehicle.sensors[name].axis_names
+            for i, axis in enumerate(names):
+                if about["axes"].get(axis or name, {}).get("largest_acf") is not None:
+                    found[name, i] = f"{name} {axis}".strip()
+    return [(name, i, title) for (name, i), title in found.items()]
+
+
+def _learnt(tracks: Tracks) -> Iterator[tuple[str, str, Figure]]:
+    title = "Models learnt under way"
+    for label, track in tracks.items():
+        for history in comparison_figures.adopted(track, shown_unit):
+            last = history.models[-1]
+            radius = f", largest pole {abs(last.poles[0]):.4f}" if last.p else ""
+            caption = (
+                f"{label}, {history.title}: {len(history.models)} models adopted, the last one of order ({last.p}, {last.q}){radius}. "
+                "A pole radius of 1 would be a random walk."
+            )
+            yield title, caption, comparison_figures.adopted_figure(tracks, history, float(track.time_s[-1]))
+            title = ""
+
+
+def _axes_table(comparison: Comparison) -> tuple[list[str], list[list[str]]]:
+    rows = []
+    for label, run in comparison.runs.items():
+        for name, about in run["sensors"].items():
+            for axis, value in about["axes"].items():
+                where = name if axis == name else f"{name} {axis}"
+                p, r = value["ljung_box_p"], value["largest_acf"]
+                verdict = ["–"] * 3 if p is None else ["yes" if value["is_white"] else "no", f"{p:.2g}", f"{r:+.3f}"]
+                rows.append([label, where, f"{value['prediction_rms']:.4g} {about['unit']}", str(about["compared"]), *verdict])
+    return ["run", "axis", "prediction error rms", "readings", "white", "Ljung-Box p", "largest autocorrelation"], rows
+
+
+def _models_table(tracks: Tracks) -> tuple[list[str], list[list[str]]]:
+    rows = []
+    for label, track in tracks.items():
+        for name, history in track.error_models.items():
+            error = history[-1][1]
+            shown = "; ".join(map(str, error)) if isinstance(error, tuple) else str(error)
+            rows.append([label, name, shown])
+    return ["run", "sensor", "model (SI units, radians)"], rows
