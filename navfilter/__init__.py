@@ -39,6 +39,7 @@ _FACE = {
     "diagnostics": "Whiteness acf allan_deviation cross_correlation pacf whiteness",
     "error_models": "Arma ErrorModel GaussMarkov RandomWalk White",
     "io": "read_mission read_vehicle",
+    "learned": "LearnedArma",
     "magnetic": "calibrate_magnetometer declination",
     "mechanisation": "DeadReckoning Imu",
     "mission": "Mission Stream",

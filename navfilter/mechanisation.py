@@ -12,12 +12,15 @@ from numpy.typing import NDArray
 
 from navfilter.error_models import ErrorModel, RandomWalk, White, per_axis
 from navfilter.kernels import strapdown
+from navfilter.learned import resolve_prior
 from navfilter.sensors import BodyVelocity, Heading
 from navfilter.start import Start
 
 __all__ = ["DeadReckoning", "Imu", "Mechanisation"]
 
 Array = NDArray[np.float64]
+GYRO_PRIOR: ErrorModel = White(density=1e-4) + RandomWalk(density=1e-6)
+ACCEL_PRIOR: ErrorModel = White(density=1e-3) + RandomWalk(density=1e-5)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,8 +87,8 @@ class Imu(Mechanisation):
     Mission stream "imu": rate_b (3), then force_b (3); at rest and level the specific force is (0, 0, -9.8).
     """
 
-    gyro: ErrorModel | tuple[ErrorModel, ...] = White(density=1e-4) + RandomWalk(density=1e-6)
-    accel: ErrorModel | tuple[ErrorModel, ...] = White(density=1e-3) + RandomWalk(density=1e-5)
+    gyro: ErrorModel | tuple[ErrorModel, ...] = GYRO_PRIOR
+    accel: ErrorModel | tuple[ErrorModel, ...] = ACCEL_PRIOR
     increments: bool = False
     gap_rate_sd: float = 0.05
     gap_force_sd: float = 0.3
@@ -101,7 +104,8 @@ class Imu(Mechanisation):
     @property
     def models(self) -> tuple[ErrorModel, ...]:
         """Gyro x, y, z, accelerometer x, y, z."""
-        return per_axis(self.gyro, 3, "Imu.gyro") + per_axis(self.accel, 3, "Imu.accel")
+        gyro, accel = per_axis(self.gyro, 3, "Imu.gyro"), per_axis(self.accel, 3, "Imu.accel")
+        return resolve_prior(gyro, GYRO_PRIOR) + resolve_prior(accel, ACCEL_PRIOR)
 
     def limits(self) -> Array:
         """Rates and forces, or what they gather in one period."""

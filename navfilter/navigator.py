@@ -7,13 +7,16 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.stats import chi2
 
-from navfilter.kernels import kalman, strapdown
-from navfilter.layout import Group, Layout
-from navfilter.sensors import BodyVelocity, Sensor, ZeroVelocity
+from navfilter.adoption import state_change
+from navfilter.channels import Channel, ChannelSeries, Listener, usable
+from navfilter.error_models import ErrorModel
+from navfilter.kernels import kalman, listen, strapdown
+from navfilter.layout import Layout
+from navfilter.learned import learned_part
+from navfilter.sensors import ZeroVelocity
 from navfilter.start import Start
-from navfilter.state import NavState, matrix_from_euler
+from navfilter.state import NavState
 from navfilter.tape import OUTCOMES, Tape
 from navfilter.vehicle import Vehicle
 
@@ -49,53 +52,7 @@ class Outcome(NamedTuple):
         return self.status == "used"
 
 
-def _usable(sd: ArrayLike, axes: int) -> bool:
-    """Whether standard deviations given with a reading can be used."""
-    values = np.asarray(sd, dtype=np.float64)
-    return values.size in (1, axes) and bool(np.all((values >= 0.0) & np.isfinite(values)))
-
-
-class _Channel:
-    """Working memory of one correcting sensor: one array shared with the kernels, seen through views (``kalman.places``)."""
-
-    def __init__(self, name: str, sensor: Sensor, group: Group, start: Start, layout: Layout, rate_variance: Array) -> None:
-        a, n, m, par = sensor.axes, layout.size, layout.head, group.size - group.errors
-        b = group.size if group.errors else 0
-        self.name, self.sensor, self.group = name, sensor, group
-        self.kernel, self.constants = sensor.kernel, sensor.constants(start)
-        self.period_s = 1.0 / sensor.rate_hz
-        self.limits = np.concatenate([[np.inf], chi2.ppf(sensor.gate_probability, np.arange(1, a + 1))])
-        self.dims = np.array([a, n, m, b, group.start, group.errors, par])
-        at = kalman.places(self.dims)
-        self.mem = mem = np.zeros(at[-1])
-        self.res, self.near = mem[at[3] : at[3] + a], mem[at[7] : at[8]].reshape(a, 9 + par)
-        self.H, self.PH, self.S = mem[at[0] : at[1]].reshape(a, n), mem[at[6] : at[7]].reshape(a, n), mem[at[5] : at[6]].reshape(2 * a, a)
-        self.verdict, self.note = mem[at[8] : at[8] + 3], mem[at[8] : at[9]]
-        self.record, self.moved = mem[: at[5]], mem[: at[0]]
-        self.model, self.C, self.R = np.array([group.Phi[:b, :b], group.Q[:b, :b]]), group.C, np.diag(group.r)
-        self.lever = _lever_arm_covariance(sensor, rate_variance)
-        self.white = self.R + self.lever
-        first = group.start - 9
-        self.parameters = slice(first + group.errors, first + group.size)
-        self.turns = isinstance(sensor, BodyVelocity) and any(sensor.lever_arm_b_m)
-        self.last_s = self.ticked_s = -math.inf
-        self.rejected_since_s = math.nan
-
-    def ticks(self, time_s: float) -> int:
-        """Periods of the sensor since it was last heard; 0 at the first reading."""
-        elapsed, self.ticked_s = time_s - self.ticked_s, time_s
-        return 0 if math.isinf(elapsed) else max(1, round(elapsed / self.period_s))
-
-
-def _lever_arm_covariance(sensor: Sensor, rate_variance: Array) -> Array:
-    """What the white noise of the gyros adds to a velocity at a lever arm [m^2/s^2], in the instrument's axes, shape (a, a).
-
-    Its axes are strongly correlated (a rate moves the arm across itself), which counts where the instrument itself is quiet.
-    """
-    if not isinstance(sensor, BodyVelocity):
-        return np.zeros((sensor.axes, sensor.axes))
-    by_rate = matrix_from_euler(*sensor.mounting_rad).T @ np.cross(np.eye(3), np.asarray(sensor.lever_arm_b_m, dtype=float)).T
-    return by_rate @ np.diag(rate_variance) @ by_rate.T
+_NO_RING, _NO_CURSOR, _NO_MOUNT = np.zeros((1, 1)), np.zeros(1, np.int64), np.zeros(9)
 
 
 class Navigator:
@@ -130,47 +87,67 @@ class Navigator:
     LONGEST_S = 600.0
     #: Corrections may come so long after the last sample of the drive, at least [s].
     AHEAD_S = 1.0
+    #: Nothing is learnt from readings before this age: the start's tilt has to settle [s].
+    SETTLE_S = 60.0
 
     def __init__(self, vehicle: Vehicle, start: Start, tape: Tape | None = None) -> None:
         if not isinstance(vehicle, Vehicle):
             raise ValueError(f"Navigator needs a Vehicle, found {type(vehicle).__name__}.")
-        self.vehicle, self.start, self.layout, self._tape = vehicle, start, Layout.of(vehicle), tape
-        layout, state = self.layout, start.state
+        self.vehicle, self.start, self._tape = vehicle, start, tape
+        state = start.state
         self._time_s = self._sample_s = state.time_s
         self._nav = state.pack()
-        assert state.covariance is not None
-        self._P = layout.start_covariance(state.covariance)
-        self._x = np.zeros(layout.size - 9)
-        g, m = layout.drive, layout.head
-        self._head, self._xd = m, self._x[: g.size]
-        self._drv = vehicle.drive.memory(g.errors, start)
-        self._Phid, self._Qd = g.Phi, g.Q
-        self._Cr = np.zeros((6, g.size + 1))
-        self._Cr[:, : g.errors], self._Cr[:, -1] = g.C, g.r
-        self._acc = np.vstack([np.eye(m), np.zeros((3 * m, m))])
-        self._work = np.zeros((m, layout.size))
         self._rate = np.zeros(3)
         self._steps, self._hold = vehicle.drive.steps, vehicle.drive.hold
         self._period_s = vehicle.drive.period_s
         self._gap_s = strapdown.GAP_PERIODS * self._period_s
         self._ahead_s = max(self.AHEAD_S, 3.0 * self._period_s)
         self._fold_every = max(1, round(vehicle.drive.rate_hz))
-        self._dims = np.array([0, layout.size, m, 0, 0, 0, 0])
         self._unfolded = 0
         self._inertial = "imu" in vehicle.drive.streams
         self._limits = vehicle.drive.limits()
         self._doubtful_s = -math.inf  # a stamp far ahead, dropped until the next one confirms it
         self._before_s = math.nextafter(self._sample_s, -math.inf)  # the first sample may come at the start itself
-        self._channels = {
-            name: _Channel(name, s, layout.groups[name], start, layout, self._rate_variance()) for name, s in vehicle.sensors.items()
-        }
-        self._rest = [c for c in self._channels.values() if isinstance(c.sensor, ZeroVelocity) and self._inertial]
-        self.counts: dict[str, int] = {"gap": 0, "backward": 0, "bad-sample": 0, "widened": 0}
+        self.counts: dict[str, int] = {"gap": 0, "backward": 0, "bad-sample": 0, "widened": 0, "adopted": 0}
+        self._channels: dict[str, Channel] = {}
+        self._arrange(vehicle)
+        assert state.covariance is not None
+        self._P = self.layout.start_covariance(state.covariance)
+        self._x = np.zeros(self.layout.size - 9)
+        self._xd = self._x[: self.layout.drive.size]
+        self._drv = vehicle.drive.memory(self.layout.drive.errors, start)
+        self._undone = np.zeros(2 * self._head - 6)
+        self._listening = False
+        self._listen_from_s = self._time_s + self.SETTLE_S
+        for name, sensor in vehicle.sensors.items():
+            if any(learned_part(model) is not None for model in sensor.models):
+                self.listen(name)
         if tape is not None:
+            tape.layouts.append(self.layout)
             for name, sensor in vehicle.sensors.items():
                 tape.column(name, sensor.axes)
                 tape.models[name] = [(self._time_s, sensor.error)]
             tape.row(self._time_s, self._nav, self._x, self._P)
+
+    def _arrange(self, vehicle: Vehicle) -> None:
+        """Lay out the states of the models in force, and the working memory that depends on it."""
+        self._in_force = vehicle
+        self.layout = layout = Layout.of(vehicle)
+        g, m = layout.drive, layout.head
+        self._head = m
+        self._Phid, self._Qd = g.Phi, g.Q
+        self._Cr = np.zeros((6, g.size + 1))
+        self._Cr[:, : g.errors], self._Cr[:, -1] = g.C, g.r
+        self._acc = np.vstack([np.eye(m), np.zeros((3 * m, m))])
+        self._work = np.zeros((m, layout.size))
+        self._dims = np.array([0, layout.size, m, 0, 0, 0, 0])
+        old, variance = self._channels, self._rate_variance()
+        self._channels = {}
+        for name, sensor in vehicle.sensors.items():
+            self._channels[name] = channel = Channel(name, sensor, layout.groups[name], self.start, layout, variance)
+            if name in old:
+                channel.clock, channel.listener = old[name].clock, old[name].listener
+        self._rest = [c for c in self._channels.values() if isinstance(c.sensor, ZeroVelocity) and self._inertial]
 
     # ---------------------------------------------------------------- propagation
     def step(self, time_s: ArrayLike, first: ArrayLike, second: ArrayLike) -> None:
@@ -274,12 +251,14 @@ class Navigator:
     def _close_second(self) -> None:
         if self._tape is not None:
             self._tape.record(self._acc[: self._head].reshape(-1), 0, self._dims)
+        if self._listening:
+            listen.carry(self._undone, self._acc[: self._head])
         kalman.fold(self._P, self._acc, self._nav, self._work)
         self._unfolded = 0
         if self._tape is not None:
             self._tape.row(self._time_s, self._nav, self._x, self._P)
 
-    def _detect_rest(self, channel: _Channel) -> None:
+    def _detect_rest(self, channel: Channel) -> None:
         """Zero-velocity update when the last period of the inertial unit was quiet."""
         drv, sensor = self._drv, channel.sensor
         n = drv[strapdown.COUNT]
@@ -322,7 +301,7 @@ class Navigator:
         if z.ndim != 1:
             z = z.reshape(-1)
         early = time_s - self._time_s
-        if not math.isfinite(time_s) or len(z) < channel.sensor.reads or not (sd is None or _usable(sd, channel.sensor.axes)):
+        if not math.isfinite(time_s) or len(z) < channel.sensor.reads or not (sd is None or usable(sd, channel.sensor.axes)):
             return self._note(channel, time_s, "invalid")
         if time_s <= channel.last_s:
             return self._note(channel, time_s, "duplicate")
@@ -338,12 +317,12 @@ class Navigator:
             self._time_s = time_s
         return self._apply(channel, time_s, reading, sd)
 
-    def _note(self, channel: _Channel, time_s: float, status: str, nis: float = math.nan, dof: int = 0, widened: bool = False) -> Outcome:
+    def _note(self, channel: Channel, time_s: float, status: str, nis: float = math.nan, dof: int = 0, widened: bool = False) -> Outcome:
         if self._tape is not None:
             self._tape.columns[channel.name].append(time_s, CODES[status], channel.note if dof > 0 else None)
         return Outcome(status, nis, dof, widened)
 
-    def _apply(self, channel: _Channel, time_s: float, z: Array, sd: ArrayLike | None) -> Outcome:
+    def _apply(self, channel: Channel, time_s: float, z: Array, sd: ArrayLike | None) -> Outcome:
         tape, nav, P, x = self._tape, self._nav, self._P, self._x
         kalman.predict(P, nav, x, self._acc, channel.model, channel.mem, channel.dims, channel.ticks(time_s))
         self._unfolded = 0
@@ -359,10 +338,14 @@ class Navigator:
             channel.rejected_since_s = math.nan
         elif dof and math.isfinite(nis):
             widened = self._widen(channel, time_s, nis, int(dof))
+        if self._listening:
+            self._hear(channel, time_s)
         if used or widened:
             if tape is not None:
                 tape.record(channel.record, channel.sensor.axes, channel.dims)
                 tape.row(self._time_s, nav, x, P)
+            if channel.listener is not None and channel.listener.cursor[0] >= channel.listener.due:
+                self._learn(channel)
             return self._note(channel, time_s, "used", nis, int(dof), widened)
         if tape is not None:
             tape.record(channel.moved, 0, channel.dims)
@@ -370,7 +353,7 @@ class Navigator:
             return self._note(channel, time_s, "invalid")
         return self._note(channel, time_s, "rejected", nis, int(dof))
 
-    def _widen(self, channel: _Channel, time_s: float, nis: float, dof: int) -> bool:
+    def _widen(self, channel: Channel, time_s: float, nis: float, dof: int) -> bool:
         """After a long series of rejections the gate doubles, and again; True when that lets the reading in."""
         limit = channel.limits[dof]
         if math.isnan(channel.rejected_since_s):
@@ -395,6 +378,90 @@ class Navigator:
         channel.rejected_since_s = math.nan
         self.counts["widened"] += 1
         return True
+
+    # ---------------------------------------------------------------- learning
+    def listen(self, name: str, capacity: int | None = None) -> None:
+        """Note the open-loop residuals of a sensor, see `heard`; sensors with a `LearnedArma` are listened to without being asked.
+
+        Parameters
+        ----------
+        name : str
+        capacity : int, optional
+            Ticks to keep; default: the window of its `LearnedArma`.
+
+        Raises
+        ------
+        ValueError
+            For an unknown sensor, or one without readings of its own.
+        """
+        if name not in self._channels:
+            raise ValueError(f'"{name}" is no sensor of this vehicle (sensors: {", ".join(self._channels)}).')
+        channel = self._channels[name]
+        channel.listener = Listener(name, channel.sensor, self.vehicle, np.diag(channel.lever), capacity)
+        self._listening = True
+
+    def heard(self, name: str) -> tuple[ChannelSeries, ...]:
+        """Open-loop residuals of a sensor that is listened to, one series per axis."""
+        listener = self._channels[name].listener if name in self._channels else None
+        if listener is None:
+            raise ValueError(f'nothing is noted of "{name}": call listen("{name}") first, or give the sensor a LearnedArma.')
+        return listener.all_series()
+
+    def _hear(self, channel: Channel, time_s: float) -> None:
+        listener, kind = channel.listener, listen.NOTHING
+        ring, cursor, mount = _NO_RING, _NO_CURSOR, _NO_MOUNT
+        if listener is not None and time_s >= self._listen_from_s:
+            kind, ring, cursor, mount = listener.kind, listener.ring, listener.cursor, listener.mount
+        Phi = channel.mem[: self._head**2].reshape(self._head, self._head)
+        listen.carry(self._undone, Phi)
+        listen.listen(
+            self._undone, channel.mem, channel.dims, channel.places, self._nav, channel.C, self._x, kind, mount, ring, cursor, channel.count
+        )
+
+    def _learn(self, channel: Channel) -> None:
+        assert channel.listener is not None
+        models = channel.listener.learn()
+        if models is not None:
+            self.adopt(channel.name, models)
+
+    def adopt(self, name: str, error: ErrorModel | tuple[ErrorModel, ...]) -> None:
+        """Put other error models of one sensor in force, now.
+
+        The states follow without a jump: see `navfilter.learned.transfer`. What was adopted goes on the tape.
+
+        Parameters
+        ----------
+        name : str
+            A correcting sensor, or ``gyro`` / ``accel``.
+        error : ErrorModel or tuple of ErrorModel
+            One for all axes, or one per axis.
+
+        Raises
+        ------
+        ValueError
+            For an unknown sensor, or something that is no error model.
+        """
+        new = self._in_force.with_error(**{name: error})
+        if self._unfolded:
+            self._close_second()
+        M, N = state_change(self.layout, self._in_force, Layout.of(new), new)
+        if self._tape is not None:
+            self._tape.change(M)
+        P, x = M @ self._P @ M.T + N, M[9:, 9:] @ self._x
+        head, undone = self._head, self._undone
+        self._arrange(new)
+        self._P, self._x = np.ascontiguousarray(0.5 * (P + P.T)), np.ascontiguousarray(x)
+        self._xd = self._x[: self.layout.drive.size]
+        fresh = new.drive.memory(self.layout.drive.errors, self.start)
+        self._drv[[strapdown.DEVIATION, strapdown.SCALE]] = fresh[[strapdown.DEVIATION, strapdown.SCALE]]
+        self._undone = np.zeros(2 * self._head - 6)
+        self._undone[: self._head] = M[: self._head, :head] @ undone[:head]
+        self._undone[self._head : self._head + 3] = undone[head : head + 3]
+        self.counts["adopted"] += 1
+        if self._tape is not None:
+            self._tape.layouts.append(self.layout)
+            self._tape.models.setdefault(name, []).append((self._time_s, error))
+            self._tape.row(self._time_s, self._nav, self._x, self._P)
 
     def _rate_variance(self) -> Array:
         """White variance of the three gyros as rates [rad^2/s^2]; none without an inertial unit."""

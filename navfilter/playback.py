@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.alignment import align
+from navfilter.channels import ChannelSeries, kind_of
 from navfilter.mechanisation import DeadReckoning
 from navfilter.mission import Mission
 from navfilter.navigator import Navigator
@@ -21,7 +23,7 @@ from navfilter.tape import Tape
 from navfilter.track import Track
 from navfilter.vehicle import Vehicle
 
-__all__ = ["drive_samples", "replay", "warm_up"]
+__all__ = ["drive_samples", "replay", "residual_series", "warm_up"]
 
 Array = NDArray[np.float64]
 
@@ -170,25 +172,50 @@ def _bar(total: int, what: str, progress: bool) -> Any:
     return tqdm(total=total, desc=what, unit="", leave=False, mininterval=0.2)
 
 
+class _Rows:
+    """Arrays of a track while its rows are gathered: states that do not exist at a time are NaN."""
+
+    def __init__(self, tape: Tape) -> None:
+        n = len(tape.row_times)
+        units: dict[str, str] = {}
+        for layout in tape.layouts:
+            units |= dict(zip(layout.names, layout.units, strict=True))
+        order = {name: i for i, name in enumerate(units)}
+        groups = [*tape.layouts[-1].groups]
+        self.names = tuple(sorted(units, key=lambda name: (_group(name, groups), order[name])))
+        self.units = tuple(units[name] for name in self.names)
+        at = {name: i for i, name in enumerate(self.names)}
+        self.places = [np.array([at[name] for name in layout.names], dtype=int) for layout in tape.layouts]
+        self.tape, self.packed, self.P = tape, np.empty((n, 17)), np.empty((n, 9, 9))
+        self.x, self.variance = np.full((n, len(units)), np.nan), np.full((n, len(units)), np.nan)
+
+    def put(self, i: int, row: Array, P: Array, variance: Array, correction: Array | float = 0.0) -> None:
+        places = self.places[self.tape.row_layouts[i]]
+        self.packed[i], self.P[i] = row[:17], P
+        self.x[i, places], self.variance[i, places] = row[17 : 17 + len(places)] + correction, variance
+
+
+def _group(name: str, groups: list[str]) -> int:
+    """Place of a state's sensor in the vehicle; -1 for the drive's."""
+    return next((i for i, group in enumerate(groups) if name.startswith((f"{group}_", f"{group}[", f"{group}."))), -1)
+
+
 def _track(label: str, nav: Navigator, tape: Tape, name: str, cpu_s: float) -> Track:
-    n, size = len(tape.row_times), nav.layout.size
-    packed, x = np.empty((n, 17)), np.empty((n, size - 9))
-    P, sd = np.empty((n, 9, 9)), np.empty((n, size - 9))
-    for i in range(n):
+    rows = _Rows(tape)
+    for i in range(len(tape.row_times)):
         row = tape.rows[i]
-        packed[i], x[i], rest = row[:17], row[17 : 8 + size], row[8 + size :]
+        k = len(rows.places[tape.row_layouts[i]])
+        rest = row[17 + k :]
         if tape.smoothable:
-            covariance = rest.reshape(size, size)
-            P[i], sd[i] = covariance[:9, :9], covariance.diagonal()[9:]
+            covariance = rest.reshape(k + 9, k + 9)
+            rows.put(i, row, covariance[:9, :9], covariance.diagonal()[9:])
         else:
-            P[i], sd[i] = rest[:81].reshape(9, 9), rest[81:]
-    sd = np.sqrt(np.maximum(sd, 0.0))
-    return _assemble(label, nav, tape, name, cpu_s, packed, x, P, sd, None)
+            rows.put(i, row, rest[:81].reshape(9, 9), rest[81:])
+    return _assemble(label, nav, rows, name, cpu_s, None)
 
 
-def _assemble(
-    label: str, nav: Navigator, tape: Tape, name: str, cpu_s: float, packed: Array, x: Array, P: Array, sd: Array, forward: Track | None
-) -> Track:
+def _assemble(label: str, nav: Navigator, rows: _Rows, name: str, cpu_s: float, forward: Track | None) -> Track:
+    tape, packed = rows.tape, rows.packed
     return Track(
         label=label,
         vehicle=nav.vehicle,
@@ -199,11 +226,11 @@ def _assemble(
         height=packed[:, 2],
         velocity_n=packed[:, 3:6],
         attitude=euler_from_matrix(packed[:, 6:15].reshape(-1, 3, 3)),
-        covariance=P,
-        states=x,
-        states_sd=sd,
-        state_names=nav.layout.names,
-        state_units=nav.layout.units,
+        covariance=rows.P,
+        states=rows.x,
+        states_sd=np.sqrt(np.maximum(rows.variance, 0.0)),
+        state_names=rows.names,
+        state_units=rows.units,
         residuals=tape.residuals(),
         error_models=tape.models,
         counts=dict(nav.counts),
@@ -213,26 +240,55 @@ def _assemble(
 
 
 def _smoothed(forward: Track, nav: Navigator, tape: Tape, began: float, progress: bool) -> Track:
-    n, size = len(tape.row_times), nav.layout.size
-    packed, x, correction = np.empty((n, 17)), np.empty((n, size - 9)), np.empty((n, 9))
-    P, sd = np.empty((n, 9, 9)), np.empty((n, size - 9))
+    rows = _Rows(tape)
+    correction = np.empty((len(tape.row_times), 9))
 
     def store(i: int, row: Array, mean: Array, covariance: Array) -> None:
-        packed[i], x[i], correction[i], P[i] = row[:17], row[17 : 8 + size], mean[:9], covariance[:9, :9]
-        x[i] += mean[9:]
-        sd[i] = covariance.diagonal()[9:]
+        correction[i] = mean[:9]
+        rows.put(i, row, covariance[:9, :9], covariance.diagonal()[9:], mean[9:])
 
     bar = _bar(len(tape.records), "smoother", progress)
-    smooth_rows(tape, size, store, None if bar is None else bar.update)
+    smooth_rows(tape, store, None if bar is None else bar.update)
     if bar is not None:
         bar.close()
+    packed = rows.packed
     packed[:, 6:15] = (rotation_matrix(correction[:, 6:]) @ packed[:, 6:15].reshape(-1, 3, 3)).reshape(-1, 9)
     packed[:, 0] += correction[:, 0] / packed[:, 15]
     packed[:, 1] += correction[:, 1] / (packed[:, 16] * np.cos(packed[:, 0]))
     packed[:, 2] -= correction[:, 2]
     packed[:, 3:6] += correction[:, 3:6]
-    sd = np.sqrt(np.maximum(sd, 0.0))
-    return _assemble("smoothed", nav, tape, forward.mission_name, time.process_time() - began, packed, x, P, sd, forward)
+    return _assemble("smoothed", nav, rows, forward.mission_name, time.process_time() - began, forward)
+
+
+def residual_series(
+    vehicle: Vehicle, mission: Mission, sensors: Sequence[str] | None = None, start: Start | None = None
+) -> dict[str, tuple[ChannelSeries, ...]]:
+    """Open-loop residuals of the correcting sensors over a whole mission: what their error models are fitted to.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    mission : Mission
+    sensors : sequence of str, optional
+        Default: all that have readings of their own.
+    start : Start, optional
+        As in `replay`.
+
+    Returns
+    -------
+    dict of str to tuple of ChannelSeries
+        One series per axis: readings minus the prediction of an open loop, with the known noise of what else is in them.
+    """
+    drive = drive_samples(vehicle, mission)
+    if start is None:
+        start = mission.start if mission.start is not None else align(vehicle, mission)
+    nav = Navigator(vehicle, start)
+    names = [name for name, sensor in vehicle.sensors.items() if kind_of(sensor)] if sensors is None else list(sensors)
+    for name in names:
+        span = mission.duration_s + 2.0 * nav.AHEAD_S
+        nav.listen(name, max(1, int(span * vehicle.sensors[name].rate_hz * 1.2) + 16))
+    _run(nav, *drive, _events(vehicle, mission, start.time_s), False)
+    return {name: nav.heard(name) for name in names}
 
 
 def warm_up() -> None:

@@ -14,8 +14,9 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from navfilter.error_models import ErrorModel, White, per_axis
+from navfilter.error_models import ErrorModel, GaussMarkov, White, per_axis
 from navfilter.kernels import measurement
+from navfilter.learned import resolve_prior
 from navfilter.start import Start
 from navfilter.state import matrix_from_euler
 
@@ -47,6 +48,7 @@ class Sensor:
     gate_probability: float = 0.9999
     gate_timeout_s: float = 20.0
 
+    prior: ClassVar[ErrorModel] = White(sd=1.0)
     unit: ClassVar[str] = "m"
     axes: ClassVar[int] = 1
     reads: ClassVar[int] = 1
@@ -65,8 +67,8 @@ class Sensor:
 
     @property
     def models(self) -> tuple[ErrorModel, ...]:
-        """The error model of each axis."""
-        return per_axis(self.error, self.axes, f"{type(self).__name__}.error")
+        """The error model of each axis; a `LearnedArma` that brings no prior gets that of the sensor's kind."""
+        return resolve_prior(per_axis(self.error, self.axes, f"{type(self).__name__}.error"), self.prior)
 
     def parameters(self) -> tuple[tuple[str, float], ...]:
         """Constant states beside the error model: name and standard deviation at the start."""
@@ -122,6 +124,7 @@ class BodyVelocity(Sensor):
     zero_is_invalid: bool = True
     max_speed_m_s: float = 20.0
 
+    prior: ClassVar[ErrorModel] = GaussMarkov(sd=0.01, tau_s=5.0) + White(sd=0.01)
     unit: ClassVar[str] = "m_s"
     axes: ClassVar[int] = 3
     reads: ClassVar[int] = 3
@@ -194,6 +197,7 @@ class Heading(Sensor):
     hard_iron: Vector = (0.0, 0.0, 0.0)
     soft_iron: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 
+    prior: ClassVar[ErrorModel] = GaussMarkov(sd=0.015, tau_s=30.0) + White(sd=0.005)
     unit: ClassVar[str] = "rad"
 
     def __post_init__(self) -> None:
@@ -280,6 +284,7 @@ class Depth(Sensor):
     surface_height_m: float = 0.0
     offset_sd_m: float = 0.0
 
+    prior: ClassVar[ErrorModel] = GaussMarkov(sd=0.05, tau_s=10.0) + White(sd=0.05)
     kernel: ClassVar[Callable[..., None]] = staticmethod(measurement.depth)
 
     def parameters(self) -> tuple[tuple[str, float], ...]:
@@ -321,6 +326,7 @@ class Position(Sensor):
     lever_arm_b_m: Vector = (0.0, 0.0, 0.0)
     max_hdop: float = 4.0
 
+    prior: ClassVar[ErrorModel] = GaussMarkov(sd=3.0, tau_s=60.0) + White(sd=1.0)
     axes: ClassVar[int] = 3
     reads: ClassVar[int] = 3
     axis_names: ClassVar[tuple[str, ...]] = ("north", "east", "down")

@@ -8,16 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.kernels import kalman
-from navfilter.tape import Tape
+from navfilter.tape import CHANGE, Tape
 
 __all__ = ["smooth_rows"]
 
 Array = NDArray[np.float64]
 
 
-def smooth_rows(
-    tape: Tape, size: int, store: Callable[[int, Array, Array, Array], None], progress: Callable[[int], None] | None = None
-) -> None:
+def smooth_rows(tape: Tape, store: Callable[[int, Array, Array, Array], None], progress: Callable[[int], None] | None = None) -> None:
     """Rauch-Tung-Striebel solution at every row of the tape, latest first.
 
     Computed in the modified Bryson-Frazier form (Bierman, 1973), which inverts only innovation covariances. Feedback needs no
@@ -28,10 +26,8 @@ def smooth_rows(
     ----------
     tape : Tape
         Of a run that wrote records (``smoothable=True``).
-    size : int
-        Number of error states.
     store : callable(index, row, mean, covariance)
-        Called per row with the forward row (17 + (size - 9) + size^2 values), the smoothed correction to add to its state and the
+        Called per row with the forward row (17 + (n - 9) + n^2 values for n error states), the smoothed correction to add to its state and the
         covariance of what is left.
         The arrays are work space: copy what is to stay.
     progress : callable(n), optional
@@ -44,8 +40,9 @@ def smooth_rows(
     """
     if not tape.smoothable:
         raise ValueError("this tape was written with smoothable=False: it has no records to smooth. Replay with smooth=True.")
-    L, lam, T = np.zeros((size, size)), np.zeros(size), np.zeros((size, size))
-    mean, covariance = np.zeros(size), np.zeros((size, size))
+    size = tape.layouts[-1].size
+    L, lam = np.zeros((size, size)), np.zeros(size)
+    T, mean, covariance = np.zeros((size, size)), np.zeros(size), np.zeros((size, size))
     row = len(tape.row_times) - 1
     for index in range(len(tape.records), -1, -1):
         while row >= 0 and tape.row_records[row] == index:
@@ -56,6 +53,11 @@ def smooth_rows(
             row -= 1
         if index:
             a, m, b, start = tape.head(index - 1)
+            if a == CHANGE:
+                M = tape.records[index - 1].reshape(m, b)
+                L, lam, size = np.ascontiguousarray(M.T @ L @ M), M.T @ lam, b
+                T, mean, covariance = np.zeros((size, size)), np.zeros(size), np.zeros((size, size))
+                continue
             kalman.smooth_record(L, lam, tape.records[index - 1], a, m, b, start, T)
             if progress is not None and index % 1000 == 0:
                 progress(1000)

@@ -14,12 +14,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["OUTCOMES", "Residuals", "Spool", "Tape"]
+__all__ = ["CHANGE", "OUTCOMES", "Residuals", "Spool", "Tape"]
 
 Array = NDArray[np.float64]
 
 #: What can become of a reading, in the order of the codes in `Residuals.outcome`.
 OUTCOMES = ("used", "rejected", "invalid", "duplicate", "too-late", "ahead", "unknown-sensor")
+
+#: In place of the axes: the record is a change of the layout.
+CHANGE = -1
 
 
 class Spool:
@@ -57,6 +60,10 @@ class Spool:
         self._places.extend((len(self._chunks) - 1, self._end, self._end + size))
         self._end += size
         return self[-1]
+
+    def drop(self) -> None:
+        """Forget the last vector."""
+        del self._places[-3:]
 
     def _spill(self) -> None:
         oldest = len(self._chunks) - self._keep
@@ -173,6 +180,8 @@ class Tape:
         self.row_records = array("q")  # the record after which the row holds
         self.columns: dict[str, _Column] = {}
         self.models: dict[str, list[tuple[float, Any]]] = {}
+        self.layouts: list[Any] = []
+        self.row_layouts = array("q")  # the layout of each row
 
     def record(self, record: Array, axes: int, dims: NDArray[np.int64]) -> None:
         """Write one record: compound transition, block tick, and what the correction was (see ``kalman.smooth_record``)."""
@@ -180,8 +189,14 @@ class Tape:
             self.records.new(record.size)[:] = record
             self._heads.extend((axes, int(dims[2]), int(dims[3]), int(dims[4])))
 
+    def change(self, M: Array) -> None:
+        """Write down that the error state became M times what it was: another layout of the states from here on."""
+        if self.smoothable:
+            self.records.new(M.size)[:] = M.reshape(-1)
+            self._heads.extend((CHANGE, *M.shape, 0))
+
     def head(self, index: int) -> tuple[int, int, int, int]:
-        """Axes, size of the head, size and start of the ticked block of a record."""
+        """Axes, size of the head, size and start of the ticked block of a record; or `CHANGE`, rows and columns of the matrix, 0."""
         a, m, b, start = self._heads[4 * index : 4 * index + 4]
         return a, m, b, start
 
@@ -190,15 +205,20 @@ class Tape:
 
         The whole covariance is kept only where the smoother needs it.
         """
+        size = 17 + x.size + (P.size if self.smoothable else 81 + x.size)
         if self.row_times and time_s == self.row_times[-1]:
             out = self.rows[-1]
-            self.row_records[-1] = len(self.records)
+            if out.size != size:
+                self.rows.drop()
+                out = self.rows.new(size)
+            self.row_records[-1], self.row_layouts[-1] = len(self.records), len(self.layouts) - 1
         else:
             if self.row_times and time_s - self.row_times[-1] < self.interval_s:
                 return
-            out = self.rows.new(17 + x.size + (P.size if self.smoothable else 81 + x.size))
+            out = self.rows.new(size)
             self.row_times.append(time_s)
             self.row_records.append(len(self.records))
+            self.row_layouts.append(len(self.layouts) - 1)
         out[:17] = nav
         out[17 : 17 + x.size] = x
         if self.smoothable:

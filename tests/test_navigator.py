@@ -311,7 +311,7 @@ def test_rubbish_leaves_no_nan_anywhere(build, seed):
     residuals = nav._tape.residuals()
     assert sum(len(r.time_s) for r in residuals.values()) == sum(name != "drive" for _, name, _ in events)
     smoothed = []
-    smooth_rows(nav._tape, nav.layout.size, lambda i, row, mean, cov: smoothed.append(np.isfinite(mean).all() and np.isfinite(cov).all()))
+    smooth_rows(nav._tape, lambda i, row, mean, cov: smoothed.append(np.isfinite(mean).all() and np.isfinite(cov).all()))
     assert smoothed and all(smoothed)
 
 
@@ -366,7 +366,7 @@ def test_a_spooled_tape_smooths_to_the_same_bits_and_thinning_changes_nothing(bu
         if memory_bytes == 0:
             assert sum(chunk is None for chunk in tape.records._chunks) > 3  # really in the file
         rows = {}
-        smooth_rows(tape, nav.layout.size, lambda i, row, mean, cov, rows=rows, tape=tape: rows.__setitem__(
+        smooth_rows(tape, lambda i, row, mean, cov, rows=rows, tape=tape: rows.__setitem__(
             tape.row_times[i], np.concatenate([row, mean, cov.ravel()])
         ))  # fmt: skip
         results.append(rows)
@@ -380,7 +380,7 @@ def test_a_spooled_tape_smooths_to_the_same_bits_and_thinning_changes_nothing(bu
 
 def test_a_tape_without_records_cannot_be_smoothed():
     with pytest.raises(ValueError, match="smooth=True"):
-        smooth_rows(nf.Tape(smoothable=False), 9, lambda *_: None)
+        smooth_rows(nf.Tape(smoothable=False), lambda *_: None)
 
 
 def test_rest_is_detected_and_counts_as_zero_velocity():

@@ -118,7 +118,7 @@ class Capture:
 
     def smoothed(self):
         result = {}
-        smooth_rows(self.tape, self.n, lambda i, row, mean, cov: result.__setitem__(self.tape.row_records[i], (mean.copy(), cov.copy())))
+        smooth_rows(self.tape, lambda i, row, mean, cov: result.__setitem__(self.tape.row_records[i], (mean.copy(), cov.copy())))
         return result
 
 

@@ -1,0 +1,230 @@
+"""Working memory of one correcting sensor, and what is listened to of it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.stats import chi2
+
+from navfilter.error_models import ErrorModel
+from navfilter.kernels import kalman, listen
+from navfilter.layout import Group, Layout
+from navfilter.learned import known_walk, known_white, learned_part, with_learned
+from navfilter.sensors import BodyVelocity, Depth, Heading, Position, Sensor
+from navfilter.start import Start
+from navfilter.state import matrix_from_euler
+from navfilter.vehicle import Vehicle
+
+if TYPE_CHECKING:
+    from navfilter.learning.channel import Drift
+
+__all__ = ["Channel", "ChannelSeries", "Listener"]
+
+Array = NDArray[np.float64]
+GRAVITY = 9.81
+
+
+class Channel:
+    """Working memory of one correcting sensor: one array shared with the kernels, seen through views (``kalman.places``)."""
+
+    def __init__(self, name: str, sensor: Sensor, group: Group, start: Start, layout: Layout, rate_variance: Array) -> None:
+        a, n, m, par = sensor.axes, layout.size, layout.head, group.size - group.errors
+        b = group.size if group.errors else 0
+        self.name, self.sensor, self.group = name, sensor, group
+        self.kernel, self.constants = sensor.kernel, sensor.constants(start)
+        self.period_s = 1.0 / sensor.rate_hz
+        self.limits = np.concatenate([[np.inf], chi2.ppf(sensor.gate_probability, np.arange(1, a + 1))])
+        self.dims = np.array([a, n, m, b, group.start, group.errors, par])
+        at = kalman.places(self.dims)
+        self.places = np.array(at)
+        self.mem = mem = np.zeros(at[-1])
+        self.res, self.near = mem[at[3] : at[3] + a], mem[at[7] : at[8]].reshape(a, 9 + par)
+        self.H, self.PH, self.S = mem[at[0] : at[1]].reshape(a, n), mem[at[6] : at[7]].reshape(a, n), mem[at[5] : at[6]].reshape(2 * a, a)
+        self.verdict, self.note = mem[at[8] : at[8] + 3], mem[at[8] : at[9]]
+        self.record, self.moved = mem[: at[5]], mem[: at[0]]
+        self.model, self.C, self.R = np.array([group.Phi[:b, :b], group.Q[:b, :b]]), group.C, np.diag(group.r)
+        self.lever = _lever_arm_covariance(sensor, rate_variance)
+        self.white = self.R + self.lever
+        first = group.start - 9
+        self.parameters = slice(first + group.errors, first + group.size)
+        self.turns = isinstance(sensor, BodyVelocity) and any(sensor.lever_arm_b_m)
+        self.last_s = self.ticked_s = -math.inf
+        self.rejected_since_s = math.nan
+        self.count = 0
+        self.listener: Listener | None = None
+
+    def ticks(self, time_s: float) -> int:
+        """Periods of the sensor since it was last heard; 0 at the first reading."""
+        elapsed, self.ticked_s = time_s - self.ticked_s, time_s
+        self.count = 0 if math.isinf(elapsed) else max(1, round(elapsed / self.period_s))
+        return self.count
+
+    @property
+    def clock(self) -> tuple[float, float, float]:
+        """What it remembers beside its states: last reading, last tick, since when readings are rejected."""
+        return self.last_s, self.ticked_s, self.rejected_since_s
+
+    @clock.setter
+    def clock(self, values: tuple[float, float, float]) -> None:
+        self.last_s, self.ticked_s, self.rejected_since_s = values
+
+
+def usable(sd: ArrayLike, axes: int) -> bool:
+    """Whether standard deviations given with a reading can be used."""
+    values = np.asarray(sd, dtype=np.float64)
+    return values.size in (1, axes) and bool(np.all((values >= 0.0) & np.isfinite(values)))
+
+
+def _lever_arm_covariance(sensor: Sensor, rate_variance: Array) -> Array:
+    """What the white noise of the gyros adds to a velocity at a lever arm [m^2/s^2], in the instrument's axes, shape (a, a).
+
+    Its axes are strongly correlated (a rate moves the arm across itself), which counts where the instrument itself is quiet.
+    """
+    if not isinstance(sensor, BodyVelocity):
+        return np.zeros((sensor.axes, sensor.axes))
+    by_rate = matrix_from_euler(*sensor.mounting_rad).T @ np.cross(np.eye(3), np.asarray(sensor.lever_arm_b_m, dtype=float)).T
+    return by_rate @ np.diag(rate_variance) @ by_rate.T
+
+
+# ---------------------------------------------------------------- what is learnt from
+
+
+@dataclass(frozen=True)
+class ChannelSeries:
+    """Readings of one axis minus what an open loop would have predicted.
+
+    Attributes
+    ----------
+    value : ndarray, shape (n,)
+        One element per tick of the sensor [unit of the sensor]; NaN where there was no reading.
+    drift : Drift
+        Known noise of the slow navigation error in it.
+    period_s : float
+    white : float
+        Known white variance in it.
+    """
+
+    value: Array
+    drift: Drift
+    period_s: float
+    white: float
+
+
+KINDS: dict[type[Sensor], int] = {
+    Heading: listen.HEADING,
+    Position: listen.POSITION,
+    Depth: listen.POSITION,
+    BodyVelocity: listen.VELOCITY,
+}
+
+
+def kind_of(sensor: Sensor) -> int:
+    """How the kernel undoes the feedback for this sensor; 0 when its error cannot be told from the vehicle's motion."""
+    return KINDS.get(type(sensor), listen.NOTHING)
+
+
+class Listener:
+    """Notes the open-loop residuals of one sensor, and learns its error models from them.
+
+    The series is the reading minus the prediction of an open loop (the filter's own, with everything fed back taken off again), so that
+    it holds the sensor's error whole, beside a navigation error that wanders by the known noise of the inertial unit. What the filter
+    believes of the sensor does not enter: no feedback can bias it.
+
+    Parameters
+    ----------
+    sensor : Sensor
+    layout : Layout
+    vehicle : Vehicle
+    white : ndarray, shape (axes,)
+        Known white variance beside the models: that of the lever arm.
+    capacity : int, optional
+        Ticks to keep; default: the window of the learnt models.
+    """
+
+    def __init__(self, name: str, sensor: Sensor, vehicle: Vehicle, white: Array, capacity: int | None = None) -> None:
+        from navfilter.learning.learner import Learner
+
+        self.kind = kind_of(sensor)
+        if self.kind == listen.NOTHING:
+            raise ValueError(f'"{name}": a {type(sensor).__name__} has no readings to learn its error from. Give it a fixed error model.')
+        self.name, self.period_s, self.models = name, 1.0 / sensor.rate_hz, sensor.models
+        learned = [learned_part(model) for model in self.models]
+        window = max((part.window for part in learned if part is not None), default=0)
+        self.ring = np.full((sensor.axes, capacity or window + round(4 * sensor.rate_hz) + 64), np.nan)
+        self.cursor = np.zeros(1, np.int64)
+        self.mount = np.eye(3).ravel()
+        if isinstance(sensor, BodyVelocity):
+            self.mount = np.ascontiguousarray(matrix_from_euler(*sensor.mounting_rad).T).ravel()
+        self.drifts = tuple(_drift(sensor, axis, vehicle, known_walk(model)) for axis, model in enumerate(self.models))
+        self.white = tuple(float(white[i]) + known_white(model, self.period_s) for i, model in enumerate(self.models))
+        self.learners = tuple(
+            None if part is None else Learner(part.orders, part.window, drift, white=r)
+            for part, drift, r in zip(learned, self.drifts, self.white, strict=True)
+        )
+        self.window = window
+        self.hop = min((part.hop or part.window // 4 for part in learned if part is not None), default=0)
+        self.due = max(1, window // 8) if window else np.iinfo(np.int64).max
+
+    def series(self, axis: int, last: int | None = None) -> Array:
+        """The last ticks of one axis, oldest first."""
+        written, capacity = int(self.cursor[0]), self.ring.shape[1]
+        n = min(written, capacity if last is None else last, capacity)
+        return np.ascontiguousarray(np.take(self.ring[axis], np.arange(written - n, written) % capacity))
+
+    def all_series(self) -> tuple[ChannelSeries, ...]:
+        """What was heard, axis by axis."""
+        return tuple(
+            ChannelSeries(self.series(axis), drift, self.period_s, white)
+            for axis, (drift, white) in enumerate(zip(self.drifts, self.white, strict=True))
+        )
+
+    def learn(self) -> tuple[ErrorModel, ...] | None:
+        """At a hop: the error models to adopt, or None when there is nothing new."""
+        written = int(self.cursor[0])
+        self.due = written + (self.hop if written >= self.window // 2 else max(1, self.window // 8))
+        new = []
+        for axis, (model, learner) in enumerate(zip(self.models, self.learners, strict=True)):
+            part = learned_part(model)
+            if part is not None and learner is not None:
+                found = learner.hop(self.series(axis, part.window))
+                if "starting" not in found.flags and found.is_stable and found.is_invertible:
+                    model = with_learned(model, replace(part, model=found))
+            new.append(model)
+        if tuple(new) == self.models:
+            return None
+        self.models = tuple(new)
+        return self.models
+
+
+def _drift(sensor: Sensor, axis: int, vehicle: Vehicle, walk: float) -> Drift:
+    """Known noise of the navigation error in the open-loop residual of one axis: integrators from the inside out.
+
+    An inertial unit: heading by the angle random walk and the gyro's bias; velocity by the velocity random walk and the tilt, which the
+    gyros' random walk turns into acceleration (Groves, 2013, sec. 14.2). Without one: the noise of the velocity.
+    """
+    from navfilter.learning.channel import Drift
+
+    period_s = 1.0 / sensor.rate_hz
+    drive = vehicle.drive
+    blocks = [model.block(drive.period_s) for model in drive.models]
+    step = drive.period_s
+    white = [math.sqrt(b.r * step) for b in blocks]
+    walks = [math.sqrt(max(float(b.C @ b.Q @ b.C), 0.0) / step) if b.size else 0.0 for b in blocks]
+    if "imu" not in drive.streams:
+        speed = max(white[3:6])
+        if isinstance(sensor, Heading):
+            return Drift((max(walk, 1e-9), 1e-12), period_s)
+        return Drift((math.hypot(speed, walk), 1e-3), period_s)
+    turn, force = max(white[:3]), max(white[3:])
+    if isinstance(sensor, Heading):
+        return Drift((math.hypot(turn, walk), max(walks[:3])), period_s)
+    level = 2.0 * GRAVITY * turn  # tilt wanders about two axes, and what the loop corrects of it
+    vertical = isinstance(sensor, Depth) or axis == 2
+    slow = max(max(walks[3:]), 1e-7) if vertical else level
+    if isinstance(sensor, BodyVelocity):
+        return Drift((math.hypot(force, walk), slow), period_s)
+    return Drift((walk, force, slow), period_s)

@@ -1,0 +1,174 @@
+"""The error model that is learnt while the vehicle moves, and how its states follow a change of the model."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_discrete_lyapunov
+
+from navfilter.arma.model import ArmaModel
+from navfilter.error_models import Block, ErrorModel, RandomWalk, Sum, White
+
+__all__ = ["LearnedArma", "known_walk", "known_white", "learned_part", "register_labels", "resolve_prior", "with_learned"]
+
+Array = NDArray[np.float64]
+
+#: Orders (p, q) tried by default: white, Gauss-Markov, Gauss-Markov and white, up to two oscillations with white noise.
+DEFAULT_ORDERS = ((0, 0), (1, 0), (1, 1), (2, 0), (2, 1), (2, 2), (3, 2), (4, 2), (4, 4))
+#: sd ln S(0) counts at most so much: beyond it the window says nothing about the low frequencies.
+LARGEST_SPREAD = 1.5
+
+
+@dataclass(frozen=True)
+class LearnedArma(ErrorModel):
+    """ARMA error whose order and coefficients are learnt under way, on a sliding window of the sensor's own readings.
+
+    Parameters
+    ----------
+    prior : ErrorModel, optional
+        In force until the first model has been learnt. Default: that of the sensor's kind.
+    orders : sequence of (p, q)
+        Candidates.
+    window : int
+        Samples behind an estimate.
+    hop : int, optional
+        Samples between two adoptions, default a quarter of the window; the first comes after an eighth of a window.
+    model : ArmaModel, optional
+        The model in force; the navigator sets it when it adopts one.
+
+    Raises
+    ------
+    ValueError
+        For a window below 200 samples, an empty or impossible list of orders, or a model that is not stable.
+
+    Notes
+    -----
+    Whatever else is known of the sensor is added: ``White(sd=0.01) + LearnedArma()``, ``RandomWalk(1e-5) + LearnedArma()``.
+
+    The states are a register of past values, ``[n(t) .. n(t-p+1), e(t) .. e(t-q+1)]``, so that new coefficients leave them as they are,
+    and a new order only appends or drops the oldest. The driving variance is raised by ``exp(sd ln S(0))``: what is not known of the
+    spectrum near zero frequency is what makes a filter overconfident.
+
+    Examples
+    --------
+    >>> from navfilter import GaussMarkov, Heading
+    >>> Heading(rate_hz=8, error=LearnedArma(prior=GaussMarkov(sd=0.01, tau_s=30))).models[0].block(0.125).size
+    1
+    """
+
+    prior: ErrorModel | None = None
+    orders: tuple[tuple[int, int], ...] = DEFAULT_ORDERS
+    window: int = 4000
+    hop: int | None = None
+    model: ArmaModel | None = None
+
+    def __post_init__(self) -> None:
+        orders = tuple(sorted({(int(p), int(q)) for p, q in self.orders}, key=lambda pq: (sum(pq), pq)))
+        if not orders or any(min(pq) < 0 or max(pq) > 10 for pq in orders):
+            raise ValueError(f"LearnedArma.orders must be pairs (p, q) from 0 to 10, found {self.orders!r}. Example: ((1, 0), (2, 1)).")
+        object.__setattr__(self, "orders", orders)
+        if int(self.window) < 200:
+            raise ValueError(f"LearnedArma.window must be at least 200 samples, found {self.window!r}. Typical: 4000.")
+        if self.hop is not None and int(self.hop) < 1:
+            raise ValueError(f"LearnedArma.hop must be at least 1 sample, found {self.hop!r}.")
+        if self.prior is not None and (not isinstance(self.prior, ErrorModel) or learned_part(self.prior) is not None):
+            raise ValueError(
+                f"LearnedArma.prior must be a fixed error model, found {self.prior!r}. Example: GaussMarkov(sd=0.01, tau_s=30)."
+            )
+        if self.model is not None and not self.model.is_stable:
+            raise ValueError(f"LearnedArma.model must be stable, found a pole of radius {abs(self.model.poles).max():.6f}.")
+
+    def block(self, period_s: float) -> Block:
+        """Discretise: the model in force, else the prior.
+
+        Raises
+        ------
+        ValueError
+            When there is neither.
+        """
+        if self.model is not None:
+            return register_block(self.model)
+        if self.prior is None:
+            raise ValueError("LearnedArma needs a prior here: LearnedArma(prior=GaussMarkov(sd=..., tau_s=...)).")
+        return self.prior.block(period_s)
+
+    def __str__(self) -> str:
+        if self.model is None:
+            return f"LearnedArma(prior={self.prior})"
+        return f"LearnedArma({self.model.p}, {self.model.q})"
+
+
+def register_block(model: ArmaModel) -> Block:
+    """Block of an ARMA model as a register of past values and innovations, with the driving noise raised by exp(sd ln S(0))."""
+    spread = 0.0 if model.sd_log_s0 is None else min(model.sd_log_s0, LARGEST_SPREAD)
+    variance = model.sd**2 * math.exp(spread)
+    p, q = model.p, model.q
+    if p + q == 0:
+        return Block(np.zeros((0, 0)), np.zeros((0, 0)), np.zeros(0), variance, np.zeros((0, 0)))
+    k = max(p, 1)
+    Phi, g = np.zeros((k + q, k + q)), np.zeros(k + q)
+    Phi[0, :p], Phi[0, k:] = -model.ar, model.ma
+    Phi[range(1, k), range(k - 1)] = 1.0
+    Phi[range(k + 1, k + q), range(k, k + q - 1)] = 1.0
+    g[0] = 1.0
+    if q:
+        g[k] = 1.0
+    Q = variance * np.outer(g, g)
+    P0 = solve_discrete_lyapunov(Phi, Q)
+    return Block(Phi, Q, np.eye(k + q)[0], 0.0, np.ascontiguousarray(0.5 * (P0 + P0.T)))
+
+
+def register_labels(model: ArmaModel) -> list[tuple[str, int]]:
+    """What the states of a register are: values n and innovations e by their age."""
+    if model.p + model.q == 0:
+        return []
+    return [("n", i) for i in range(max(model.p, 1))] + [("e", i) for i in range(model.q)]
+
+
+def learned_part(model: ErrorModel) -> LearnedArma | None:
+    """The learnt part of an error model, or None.
+
+    Raises
+    ------
+    ValueError
+        When there are two: only their sum can be observed.
+    """
+    parts = model.parts if isinstance(model, Sum) else (model,)
+    found = [part for part in parts if isinstance(part, LearnedArma)]
+    if len(found) > 1:
+        raise ValueError("an error model can hold one LearnedArma: of two only the sum can be observed.")
+    return found[0] if found else None
+
+
+def with_learned(model: ErrorModel, learned: LearnedArma) -> ErrorModel:
+    """The same error model with another learnt part."""
+    parts = model.parts if isinstance(model, Sum) else (model,)
+    new = tuple(learned if isinstance(part, LearnedArma) else part for part in parts)
+    return Sum(new) if len(new) > 1 else new[0]
+
+
+def resolve_prior(models: Sequence[ErrorModel], prior: ErrorModel) -> tuple[ErrorModel, ...]:
+    """Error models with `prior` where a learnt part has neither prior nor model."""
+    resolved = []
+    for model in models:
+        learned = learned_part(model)
+        if learned is not None and learned.prior is None and learned.model is None:
+            model = with_learned(model, replace(learned, prior=prior))
+        resolved.append(model)
+    return tuple(resolved)
+
+
+def known_white(model: ErrorModel, period_s: float) -> float:
+    """White variance of what stands beside the learnt part."""
+    parts = model.parts if isinstance(model, Sum) else (model,)
+    return sum(part.block(period_s).r for part in parts if isinstance(part, White))
+
+
+def known_walk(model: ErrorModel) -> float:
+    """Root PSD of the random walks that stand beside the learnt part."""
+    parts = model.parts if isinstance(model, Sum) else (model,)
+    return math.sqrt(sum(part.density**2 for part in parts if isinstance(part, RandomWalk)))
