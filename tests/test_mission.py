@@ -373,7 +373,7 @@ def test_environment_in_paths(monkeypatch, tmp_path):
         ('[streams.d]\nfile = "a.csv"\ntime = {rate_hz = 1}\nvelocity = ["a", "b"]\n', ["2 columns, it needs 3"]),
         (
             '[streams.d]\nfile = "a.csv"\ntime = {rate_hz = -1}\ndepth = {column = "d", axes = "x,y"}\n[start]\nheading = 3\n',
-            ["3 mistakes", "streams.d.sources[0].time.rate_hz", "names each of x, y, z once", 'did you mean "heading_deg"'],
+            ["3 mistakes", "streams.d.time.rate_hz: must be > 0; found -1", "names each of x, y, z once", 'did you mean "heading_deg"'],
         ),
         ('[streams.d]\nfile = "a.csv"\ntime = {column = "d"}\ndepth = "nope"\n', ['no column "nope" (columns: "t", "d")']),
         ('[streams.d]\nfile = "a.csv"\ntime = {column = "t"}\ndepth = 7\n', ["no column 7, the file has 2"]),

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import difflib
+import json
 import tomllib
 import typing
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic_core import PydanticCustomError
 
 
 class Strict(BaseModel):
@@ -16,23 +19,87 @@ class Strict(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=False, allow_inf_nan=False)
 
+    @classmethod
+    def spellings(cls, field: str) -> list[str]:
+        """The keys by which a file may give a field, itself first."""
+        return [field]
+
 
 Model = TypeVar("Model", bound=Strict)
 
 #: Tags with which a model tells alternatives of different shape apart; they are no part of a place in the file.
 SHAPES = {"<one>": None, "<sensor>": None, "<sum>": list, "<axes>": dict}
+#: What pydantic finds wrong -> what to write instead.
+_CURES = {
+    "float_type": "must be a number",
+    "float_parsing": "must be a number",
+    "int_type": "must be a whole number",
+    "int_parsing": "must be a whole number",
+    "int_from_float": "must be a whole number",
+    "finite_number": "must be a finite number",
+    "bool_type": "must be true or false",
+    "bool_parsing": "must be true or false",
+    "string_type": "must be text in quotes",
+    "dict_type": "must be a table, such as [section] or {key = value}",
+    "model_type": "must be a table, such as [section] or {key = value}",
+    "model_attributes_type": "must be a table, such as [section] or {key = value}",
+    "list_type": "must be a list, such as [1.0, 2.0]",
+    "tuple_type": "must be a list, such as [1.0, 2.0]",
+    "date_type": "must be a date, such as 2026-06-01",
+    "date_from_datetime_inexact": "must be a date without a time, such as 2026-06-01",
+    "date_from_datetime_parsing": "must be a date, such as 2026-06-01",
+    "date_parsing": "must be a date, such as 2026-06-01",
+}
+_BOUNDS = {"greater_than": ">", "greater_than_equal": ">=", "less_than": "<", "less_than_equal": "<="}
+_TOML_INTEGER = 2**63
 
 
 def read_toml(path: Path, error: type[ValueError]) -> dict[str, Any]:
     """Parse a .toml file; whatever is wrong with it becomes one line of type `error`."""
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        data = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except FileNotFoundError:
         raise error(f"{path}: no such file.") from None
     except (OSError, UnicodeDecodeError) as reason:
         raise error(f"{path} cannot be read: {reason}.") from None
-    except tomllib.TOMLDecodeError as reason:
+    except RecursionError:
+        raise error(f"{path} is not valid TOML: tables or lists are nested too deeply.") from None
+    except ValueError as reason:  # of tomllib, or of a number with thousands of digits
         raise error(f"{path} is not valid TOML: {reason}.") from None
+    large = next(_beyond_64_bit(data, ""), None)
+    if large is not None:
+        raise error(f"{path}: {large}: whole numbers of TOML have 64 bit; write a number this large as 1e20.")
+    return data
+
+
+def _beyond_64_bit(value: Any, place: str) -> Iterator[str]:
+    if isinstance(value, dict):
+        for key, part in value.items():
+            yield from _beyond_64_bit(part, f"{place}.{key}" if place else key)
+    elif isinstance(value, list):
+        for k, part in enumerate(value):
+            yield from _beyond_64_bit(part, f"{place}[{k}]")
+    elif isinstance(value, int) and not -_TOML_INTEGER <= value < _TOML_INTEGER:
+        yield place
+
+
+def inside(mistakes: Iterable[tuple[str, str]]) -> PydanticCustomError:
+    """An error for a validator to raise: several mistakes, each with its place below the table that is validated.
+
+    Parameters
+    ----------
+    mistakes : iterable of (str, str)
+        Place, such as ``".error[0]"`` (empty: the table itself), and what is wrong there.
+    """
+    return PydanticCustomError("inside", "mistakes inside", {"mistakes": list(mistakes)})
+
+
+def listed(path: Path, mistakes: list[str], error: type[ValueError]) -> ValueError:
+    """One error of all mistakes: one line when there is one, else one line each."""
+    mistakes = list(dict.fromkeys(mistakes))
+    if len(mistakes) == 1:
+        return error(f"{path}: {mistakes[0]}")
+    return error(f"{path}: {len(mistakes)} mistakes:\n" + "\n".join(f"  {line}" for line in mistakes))
 
 
 def validate(model: type[Model], data: dict[str, Any], path: Path, error: type[ValueError]) -> Model:
@@ -46,48 +113,125 @@ def validate(model: type[Model], data: dict[str, Any], path: Path, error: type[V
     try:
         return model.model_validate(data)
     except ValidationError as found:
-        lines = list(dict.fromkeys(_sentence(model, detail) for detail in found.errors()))
-        if len(lines) == 1:
-            raise error(f"{path}: {lines[0]}") from None
-        raise error(f"{path}: {len(lines)} mistakes:\n" + "\n".join(f"  {line}" for line in lines)) from None
+        details = found.errors(include_url=False)
+    except RecursionError:
+        raise error(f"{path}: tables or lists are nested too deeply.") from None
+    # What a value may be of several kinds is refused once for each of them: one line, with all that it could have been.
+    merged: dict[tuple[str, str], list[str]] = {}
+    for detail in details:
+        for place, message, shown in _sentences(model, data, detail):
+            merged.setdefault((place, shown), []).append(message)
+    lines = [f"{place}: {', or '.join(dict.fromkeys(messages))}{shown}." for (place, shown), messages in merged.items()]
+    raise listed(path, lines, error)
 
 
-def _sentence(model: type[BaseModel], detail: Any) -> str:
-    kind, value = detail["type"], detail.get("input")
-    place = _place(model, detail["loc"], kind)
+def _sentences(model: type[BaseModel], data: Any, detail: Any) -> list[tuple[str, str, str]]:
+    """Place, what is wrong and what was found there."""
+    kind, loc, context = detail["type"], detail["loc"], detail.get("ctx", {})
+    if kind == "missing" and isinstance(loc[-1], int):
+        # An element of a list of fixed length: what is wrong is the list.
+        loc, size = loc[:-1], _size_at(model, loc[:-1])
+        place, value = _place(model, data, loc, "short")
+        return [(place, f"needs {size} values", _found(value))]
+    place, value = _place(model, data, loc, kind)
+    if kind == "inside":
+        return [(f"{place}{below}" if place != "the file" else below.lstrip(".") or place, text, "") for below, text in context["mistakes"]]
     if kind == "extra_forbidden":
-        known = sorted(_keys(_models_at(model, detail["loc"][:-1])))
-        key = str(detail["loc"][-1])
-        close = difflib.get_close_matches(key, known, n=1)
-        hint = f'did you mean "{close[0]}"? ' if close else ""
-        return f"{place}: unknown key; {hint}known keys: {', '.join(known)}."
+        return [(place, _unknown_key(str(loc[-1]), _models_at(model, loc[:-1])), "")]
     if kind == "missing":
-        return f"{place}: this key is missing; add it."
+        return [(place, "this key is missing; add it", "")]
     if kind == "union_tag_not_found":
-        return f"{place}: the key {detail['ctx']['discriminator']} is missing; it says which kind of table this is."
+        return [(place, f"the key {context['discriminator']} is missing; it says which kind of table this is", "")]
     if kind == "union_tag_invalid":
-        tag, expected = detail["ctx"]["tag"], detail["ctx"]["expected_tags"]
-        return f'{place}: there is no kind "{tag}" (known: {expected}).'
-    message = detail["msg"].removeprefix("Value error, ").rstrip(".")
-    shown = repr(value)
-    return f"{place}: {message}; found {shown if len(shown) <= 80 else shown[:77] + '...'}."
+        tag, known = str(context["tag"]), [word.strip(" '") for word in context["expected_tags"].split(",")]
+        return [(place, f'there is no kind "{_shortened(tag)}"; {_did_you_mean(tag, known)}known: {", ".join(known)}', "")]
+    if kind in _BOUNDS:
+        limit = next(iter(context.values()))
+        si = ", in SI units" if limit and value is not _ABSENT and value != detail.get("input") else ""
+        return [(place, f"must be {_BOUNDS[kind]} {limit:g}{si}", _found(value))]
+    if kind == "literal_error":
+        known = [word.strip(" '") for word in context["expected"].replace(" or ", ",").split(",")]
+        return [(place, f"{_did_you_mean(str(value), known)}must be one of {', '.join(known)}", _found(value))]
+    if kind == "too_long":
+        return [(place, f"may have {context['max_length']} values, not {context['actual_length']}", _found(value))]
+    message = _CURES.get(kind) or detail["msg"].removeprefix("Value error, ").rstrip(".")
+    return [(place, message, "" if "found" in message or loc[-1:] == ("[key]",) else _found(value))]
 
 
-def _place(model: type[BaseModel], loc: tuple[str | int, ...], kind: str) -> str:
-    """The path of a value as written in the file (without the names that the validator adds for alternatives)."""
+_ABSENT = object()
+
+
+def _found(value: Any) -> str:
+    return "" if value is _ABSENT else f"; found {_shortened(_shown(value))}"
+
+
+def _shown(value: Any) -> str:
+    """A value as a .toml has it."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False)
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{key} = {_shown(part)}" for key, part in value.items()) + "}"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(map(_shown, value)) + "]"
+    return str(value)
+
+
+def _shortened(text: str) -> str:
+    return text if len(text) <= 80 else text[:77] + "..."
+
+
+def _did_you_mean(word: str, known: Iterable[str]) -> str:
+    close = difflib.get_close_matches(word[:80], list(known), n=1)
+    return f'did you mean "{close[0]}"? ' if close else ""
+
+
+def _unknown_key(key: str, models: list[Any]) -> str:
+    known = sorted(_keys(models))
+    spelt = [word for m in models for field in sorted(_keys([m])) for word in m.spellings(field)]
+    # The bare names first: of two that are equally close they are the plainer.
+    hint = _did_you_mean(key, known) or _did_you_mean(key, spelt)
+    return f"unknown key; {hint}known keys: {', '.join(known)}"
+
+
+def _place(model: type[BaseModel], data: Any, loc: tuple[str | int, ...], kind: str) -> tuple[str, Any]:
+    """The path of a value as written in the file (without the names that the validator adds), and the value that stands there."""
     words: list[str] = []
     for depth, part in enumerate(loc):
-        if isinstance(part, int):
-            words.append(f"[{part}]")
-        elif part in SHAPES:
+        added = kind in ("extra_forbidden", "missing") and depth == len(loc) - 1
+        if part in SHAPES or part == "[key]":
             continue
-        elif (
-            (depth == len(loc) - 1 and kind in ("extra_forbidden", "missing"))
-            or part in _keys(_models_at(model, loc[:depth]))
-            or _is_free(model, loc[:depth])
-        ):
-            words.append(f".{part}" if words else part)
-    return "".join(words) or "the file"
+        if isinstance(part, int):
+            # A short form such as `depth = "d"` for `depth = {columns = ["d"]}` has no such element in the file.
+            if isinstance(data, list) and part < len(data):
+                words.append(f"[{part}]")
+                data = data[part]
+            continue
+        before = loc[:depth]
+        if not (added or part in _keys(_models_at(model, before)) or _is_free(model, before)):
+            continue
+        written = _written(part, data, _models_at(model, before))
+        if written is not None:
+            data = data[written]
+        elif added:
+            data = _ABSENT
+        else:
+            continue
+        words.append(f".{written or part}" if words else str(written or part))
+    return "".join(words) or "the file", data
+
+
+def _written(field: str, table: Any, models: list[Any]) -> str | None:
+    """The key by which the file gives a field; None where it does not."""
+    if not isinstance(table, Mapping):
+        return None
+    spelt = [field, *(word for m in models if issubclass(m, Strict) for word in m.spellings(field))]
+    return next((key for key in spelt if key in table), None)
+
+
+def _size_at(model: type[BaseModel], loc: tuple[str | int, ...]) -> int:
+    return max((len(typing.get_args(t)) for t in _types_at(model, loc) if typing.get_origin(t) is tuple), default=0)
 
 
 def _keys(models: list[Any]) -> set[str]:

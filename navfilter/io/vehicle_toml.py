@@ -4,7 +4,8 @@ The tables of the file are made from the dataclasses themselves: ``type = "body-
 keys are the fields of that class, ``model = "gauss-markov"`` is `GaussMarkov`. A new sensor or error model needs no
 change here. Every number may carry another unit in its key: ``mounting_deg`` for ``mounting_rad``, ``sd_deg`` or
 ``density_deg_per_sqrt_h`` for ``sd`` and ``density`` (see `navfilter.io.units.SUFFIXES`). An error is one table, a
-list of tables (their sum) or a table with one error per axis (``{x = .., y = .., z = ..}``).
+list of tables (their sum) or a table with one error per axis (``{x = .., y = .., z = ..}``). The model that a
+``learned-arma`` has adopted is a table of its own: ``adopted = {ar = [..], ma = [..], sd = ..}``.
 """
 
 from __future__ import annotations
@@ -17,16 +18,32 @@ import types
 import typing
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, Literal, Union
+from typing import Annotated, Any, ClassVar, Literal, Union
 
-from pydantic import Discriminator, Field, Tag, create_model, model_validator
+import numpy as np
+from pydantic import AfterValidator, Discriminator, Field, Tag, create_model, model_validator
 
+from navfilter.arma.model import ArmaModel
 from navfilter.error_models import ErrorModel, Sum
-from navfilter.io.units import SUFFIXES
-from navfilter.io.validation import Strict, read_toml, validate
+from navfilter.io.validation import Strict, inside, listed, read_toml, validate
+from navfilter.io.vehicle_keys import checked, plain_key, spellings, times
+from navfilter.learned import LearnedArma
 from navfilter.mechanisation import Mechanisation
 from navfilter.sensors import Sensor
-from navfilter.vehicle import Vehicle
+from navfilter.vehicle import RESERVED, Vehicle
+
+#: Fields whose name in a file is another one: `model` is taken by the kind of the error.
+_IN_FILES: dict[tuple[type, str], str] = {(LearnedArma, "model"): "adopted"}
+#: What an adopted model consists of in a file: lists for arrays.
+_ADOPTED: dict[str, Any] = {
+    "ar": tuple[float, ...],
+    "ma": tuple[float, ...],
+    "sd": float,
+    "covariance": tuple[tuple[float, ...], ...] | None,
+    "sd_log_s0": float | None,
+    "effective_window": float | None,
+    "flags": tuple[str, ...],
+}
 
 
 class VehicleError(ValueError):
@@ -73,12 +90,11 @@ def read_vehicle(path: str | os.PathLike[str]) -> Vehicle:
     if path.is_dir():
         path = path / "vehicle.toml"
     spec: Any = validate(_vehicle_spec(), read_toml(path, VehicleError), path, VehicleError)
-    wrong: list[str] = []
+    wrong: list[tuple[str, str]] = []
     drive = _built(spec.drive, "drive", wrong, {})
     sensors = {name: _built(sensor, f"sensors.{name}", wrong, {}) for name, sensor in spec.sensors.items()}
     if wrong:
-        mistakes = wrong[0] if len(wrong) == 1 else f"{len(wrong)} mistakes:\n  " + "\n  ".join(wrong)
-        raise VehicleError(f"{path}: {mistakes}")
+        raise listed(path, [f"{place}: {text}" for place, text in wrong], VehicleError)
     try:
         return Vehicle(drive=drive, sensors=sensors, name=spec.name or path.resolve().parent.name)
     except ValueError as error:
@@ -124,6 +140,13 @@ def _base_of(cls: type) -> tuple[str, type]:
 class _Spec(Strict):
     """A table made from a dataclass; keys with the suffix of another unit are converted first."""
 
+    builds: ClassVar[type]
+
+    @classmethod
+    def spellings(cls, field: str) -> list[str]:
+        """The keys by which a file may give a field: itself, and with other units."""
+        return spellings(field)
+
     @model_validator(mode="before")
     @classmethod
     def _convert(cls, data: Any) -> Any:
@@ -131,30 +154,20 @@ class _Spec(Strict):
             return data
         result: dict[str, Any] = {}
         for key, value in data.items():
-            name, factor = _plain_key(key, set(cls.model_fields))
+            name, factor = plain_key(key, set(cls.model_fields))
             if name in result or (name != key and name in data):
                 raise ValueError(f'"{name}" is given twice, once with a unit in its key')
-            result[name] = value if factor is None else _times(value, factor)
+            result[name] = value if factor is None else times(value, factor)
         return result
 
-
-def _plain_key(key: str, fields: set[str]) -> tuple[str, float | None]:
-    if key in fields:
-        return key, None
-    radians = re.sub(r"_deg(?=_|$)", "_rad", key)
-    if radians in fields:
-        return radians, SUFFIXES["deg"]
-    for suffix in sorted(SUFFIXES, key=len, reverse=True):
-        name = key.removesuffix(f"_{suffix}")
-        if name != key and name in fields:
-            return name, SUFFIXES[suffix]
-    return key, None
-
-
-def _times(value: Any, factor: float) -> Any:
-    if isinstance(value, list):
-        return [_times(part, factor) for part in value]
-    return value * factor if isinstance(value, int | float) and not isinstance(value, bool) else value
+    @model_validator(mode="after")
+    def _buildable(self) -> _Spec:
+        # Built here and thrown away, so that what the class itself refuses stands beside the mistakes in other tables.
+        wrong: list[tuple[str, str]] = []
+        _built(self, "", wrong, {"rate_hz": 1.0})
+        if wrong:
+            raise inside(wrong)
+        return self
 
 
 @cache
@@ -166,32 +179,54 @@ def _spec_of(cls: type) -> type[_Spec]:
         if not field.init:
             continue
         required = field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
-        fields[field.name] = (_type_of(hints[field.name]), ... if required else Field(default=None))
-    return create_model(f"{cls.__name__}Table", __base__=_Spec, **fields)
+        name = _IN_FILES.get((cls, field.name), field.name)
+        fields[name] = (_type_of(hints[field.name], field.name, cls), ... if required else Field(default=None))
+    spec = create_model(f"{cls.__name__}Table", __base__=_Spec, **fields)
+    spec.builds = cls
+    return spec
 
 
-def _type_of(hint: Any) -> Any:
+@cache
+def _adopted_spec() -> type[_Spec]:
+    fields: dict[str, Any] = {name: (checked(hint, name), ... if name in ("ar", "ma", "sd") else None) for name, hint in _ADOPTED.items()}
+    spec = create_model("AdoptedTable", __base__=_Spec, **fields)
+    spec.builds = ArmaModel
+    return spec
+
+
+def _type_of(hint: Any, name: str, owner: type) -> Any:
     """What a field may hold in a file: numbers as they are, errors and nested sensors as tables."""
     members = _members(hint)
+    if ArmaModel in members:
+        return _adopted_spec() | None
     classes = [m for m in members if isinstance(m, type) and issubclass(m, ErrorModel | Sensor | Mechanisation)]
     if not classes:
-        return hint
+        return checked(hint, name)
     choices: list[Any] = []
     if any(issubclass(c, ErrorModel) for c in classes):
-        one = _union("model", _concrete(ErrorModel))
+        # The prior of a learnt error is none itself.
+        models = {kind: cls for kind, cls in _concrete(ErrorModel).items() if cls is not owner}
+        one: Any = _union("model", models)
+        several: Any = Annotated[list[one], AfterValidator(_not_empty)]
         either = Annotated[
-            Annotated[one, Tag("<one>")] | Annotated[list[one], Tag("<sum>")],  # type: ignore[valid-type]
+            Annotated[one, Tag("<one>")] | Annotated[several, Tag("<sum>")],
             Discriminator(lambda v: "<sum>" if isinstance(v, list) else "<one>"),
         ]
         choices += [
             Annotated[one, Tag("<one>")],
-            Annotated[list[one], Tag("<sum>")],  # type: ignore[valid-type]
+            Annotated[several, Tag("<sum>")],
             Annotated[dict[str, either], Tag("<axes>")],
         ]
     sensors = {_kebab(c): c for c in classes if issubclass(c, Sensor)}
     if sensors:
         choices.append(Annotated[_union("type", sensors), Tag("<sensor>")])
     return Annotated[Union[tuple(choices)], Discriminator(_shape)]  # noqa: UP007
+
+
+def _not_empty(parts: list[Any]) -> list[Any]:
+    if not parts:
+        raise ValueError('an empty list is no error model; give at least one, such as {model = "white", sd = 0.1}')
+    return parts
 
 
 def _members(hint: Any) -> list[Any]:
@@ -220,37 +255,43 @@ def _vehicle_spec() -> type[Strict]:
     fields: dict[str, Any] = {
         "name": (str | None, None),
         "drive": (_union("type", _concrete(Mechanisation)), ...),
-        "sensors": (dict[str, _union("type", _concrete(Sensor))], Field(default_factory=dict)),  # type: ignore[misc]
+        "sensors": (dict[Annotated[str, AfterValidator(_sensor_name)], _union("type", _concrete(Sensor))], Field(default_factory=dict)),  # type: ignore[misc]
     }
     return create_model("VehicleTable", __base__=Strict, **fields)
+
+
+def _sensor_name(name: str) -> str:
+    if name in RESERVED:
+        raise ValueError(f'"{name}" is reserved for the drive; give the sensor another name')
+    if not name.strip() or not name.isprintable():
+        raise ValueError("a sensor needs a name of printable characters: that of its stream in the mission")
+    return name
 
 
 # --- tables -> objects ------------------------------------------------------------------------------------------------
 
 
-def _built(spec: Any, place: str, wrong: list[str], defaults: dict[str, Any]) -> Any:
+def _built(spec: Any, place: str, wrong: list[tuple[str, str]], defaults: dict[str, Any]) -> Any:
     """The object that a table describes; what its own class refuses is added to `wrong`."""
-    key = "model" if "model" in type(spec).model_fields else "type"
-    family: type = ErrorModel if key == "model" else Sensor
-    cls: Any = (_concrete(family) | (_concrete(Mechanisation) if key == "type" else {}))[getattr(spec, key)]
+    cls: Any = spec.builds
+    of_class = {_IN_FILES.get((cls, field.name), field.name): field.name for field in dataclasses.fields(cls)}
     given: dict[str, Any] = {}
     before = len(wrong)
-    for name in spec.model_fields_set - {key}:
+    for name in [name for name in of_class if name in spec.model_fields_set]:
         value = getattr(spec, name)
         inherited = {"rate_hz": spec.rate_hz} if isinstance(spec, _Spec) and hasattr(spec, "rate_hz") else {}
-        given[name] = _object(value, f"{place}.{name}", wrong, inherited, cls)
-    known = {field.name for field in dataclasses.fields(cls)}
-    given = {**{name: value for name, value in defaults.items() if name in known}, **given}
+        given[of_class[name]] = _object(value, f"{place}.{name}", wrong, inherited, cls)
+    given = {**{name: value for name, value in defaults.items() if name in of_class}, **given}
     if len(wrong) > before:
         return None
     try:
         return cls(**given)
     except (ValueError, TypeError) as error:
-        wrong.append(f"{place}: {error}")
+        wrong.append((place, str(error).rstrip(".")))
         return None
 
 
-def _object(value: Any, place: str, wrong: list[str], inherited: dict[str, Any], owner: type) -> Any:
+def _object(value: Any, place: str, wrong: list[tuple[str, str]], inherited: dict[str, Any], owner: type) -> Any:
     if isinstance(value, _Spec):
         return _built(value, place, wrong, inherited)
     if isinstance(value, list) and value and isinstance(value[0], _Spec):
@@ -262,11 +303,11 @@ def _object(value: Any, place: str, wrong: list[str], inherited: dict[str, Any],
     return tuple(value) if isinstance(value, list) else value
 
 
-def _per_axis(value: dict[str, Any], place: str, wrong: list[str], inherited: dict[str, Any], owner: type) -> Any:
+def _per_axis(value: dict[str, Any], place: str, wrong: list[tuple[str, str]], inherited: dict[str, Any], owner: type) -> Any:
     names = _axes_of(owner, place.rsplit(".", 1)[-1])
     if set(value) != set(names):
         found, needed = ", ".join(value) or "none", ", ".join(names)
-        wrong.append(f"{place}: one error per axis needs the axes {needed}; found {found}.")
+        wrong.append((place, f"one error per axis needs the axes {needed}; found {found}"))
         return None
     return tuple(_object(value[name], f"{place}.{name}", wrong, inherited, owner) for name in names)
 
@@ -291,8 +332,15 @@ def _table(item: Any) -> dict[str, Any]:
     for field in dataclasses.fields(item):
         value = getattr(item, field.name)
         if field.init and value is not None and not (field.default is not dataclasses.MISSING and value == field.default):
-            table[field.name] = _plain(value, type(item), field.name)
+            table[_IN_FILES.get((type(item), field.name), field.name)] = _plain(value, type(item), field.name)
     return table
+
+
+def _adopted(model: ArmaModel) -> dict[str, Any]:
+    """The table of an adopted model; what is not known is left out."""
+    values = {name: getattr(model, name) for name in _ADOPTED}
+    values["flags"] = sorted(model.flags) or None
+    return {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in values.items() if value is not None}
 
 
 def _plain(value: Any, owner: type, field: str) -> Any:
@@ -300,6 +348,8 @@ def _plain(value: Any, owner: type, field: str) -> Any:
         return [_table(part) for part in value.parts]
     if isinstance(value, ErrorModel | Sensor | Mechanisation):
         return _table(value)
+    if isinstance(value, ArmaModel):
+        return _adopted(value)
     if isinstance(value, tuple) and value and isinstance(value[0], ErrorModel):
         return {name: _plain(part, owner, field) for name, part in zip(_axes_of(owner, field), value, strict=True)}
     return value
