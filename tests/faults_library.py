@@ -1,0 +1,789 @@
+"""Faults as pure functions on what arrives: a list of events goes in, another one comes out.
+
+An `Event` is one reading on its way to the navigator, with the time it was measured (`true_s`), the stamp it carries (`time_s`) and
+when it is delivered (`arrival_s`); the list is in the order of delivery. A fault changes stamps, values, order or presence inside a
+window of time and nothing else. `KINDS` are all kinds by name; `damaged` applies one, `feed` hands the events to a navigator as a
+driver would, and looks after it.
+"""
+
+from __future__ import annotations
+
+import math
+import traceback
+import zlib
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+
+import navfilter as nf
+from navfilter.mission import Mission, Stream
+from navfilter.navigator import Navigator
+from navfilter.playback import drive_samples
+from navfilter.sensors import BodyVelocity, Depth, Heading, Position
+from navfilter.simulation.faults import Faults
+from navfilter.simulation.scenarios import lawnmower, survey_vehicle
+from navfilter.simulation.simulate import simulate
+from navfilter.state import NavState, matrix_from_euler
+from navfilter.vehicle import Vehicle
+
+DEG = math.pi / 180.0
+DRIVE = "drive"
+
+
+class Event(NamedTuple):
+    """One reading on its way. `value` is a tuple of floats, unless a fault made something else of it."""
+
+    sensor: str
+    time_s: Any
+    value: Any
+    true_s: float
+    arrival_s: float
+
+
+Events = list[Event]
+
+
+class Target(NamedTuple):
+    """Where the readings of one kind of sensor stand: name of the event's sensor, and columns of its value."""
+
+    sensor: str
+    columns: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What the faults of a mission need to know.
+
+    Attributes
+    ----------
+    targets : dict of str to Target
+        By role: "heading", "velocity", "depth", "position", "gyro", "accel", "tilt".
+    window : (float, float)
+        When faults of most sensors act, s.
+    fixes : (float, float)
+        When faults of the position fixes act (there must be some), s.
+    period_s : float
+        Of the drive.
+    """
+
+    targets: dict[str, Target]
+    window: tuple[float, float]
+    fixes: tuple[float, float]
+    period_s: float
+
+    def when(self, role: str) -> tuple[float, float]:
+        """The window in which faults of a role act."""
+        return self.fixes if role == "position" else self.window
+
+    def name(self, role: str) -> str:
+        """The event's sensor of a role."""
+        return self.targets[role].sensor if role in self.targets else role
+
+
+def events_of(vehicle: Vehicle, mission: Mission) -> Events:
+    """All readings of a mission in the order of their times; a sample of the drive goes before what was read at the same instant."""
+    times, values = drive_samples(vehicle, mission)
+    events = [Event(DRIVE, t, tuple(v), t, t) for t, v in zip(times.tolist(), values.tolist(), strict=True)]
+    for name in vehicle.sensors:
+        stream = mission.streams[name]
+        events += [Event(name, t, tuple(v), t, t) for t, v in zip(stream.time_s.tolist(), stream.value.tolist(), strict=True)]
+    events.sort(key=lambda e: (round(e.true_s, 9), e.sensor != DRIVE))
+    return events
+
+
+def scene_of(vehicle: Vehicle, window: tuple[float, float], fixes: tuple[float, float]) -> Scene:
+    """The scene of a vehicle: which of its sensors plays which role."""
+    inertial = "imu" in vehicle.drive.streams
+    targets = {"gyro": Target(DRIVE, (0, 1, 2)), "accel": Target(DRIVE, (3, 4, 5))}
+    if not inertial:
+        targets = {"tilt": Target(DRIVE, (0, 1)), "heading": Target(DRIVE, (2,)), "velocity": Target(DRIVE, (3, 4, 5))}
+    roles = {Heading: "heading", BodyVelocity: "velocity", Depth: "depth", Position: "position"}
+    for name, sensor in vehicle.sensors.items():
+        role = next((role for kind, role in roles.items() if isinstance(sensor, kind)), None)
+        if role is not None:
+            targets[role] = Target(name, tuple(range(sensor.reads)))
+    return Scene(targets, window, fixes, vehicle.drive.period_s)
+
+
+# --- what faults are made of ------------------------------------------------------------------------------------------
+
+
+def _inside(event: Event, window: tuple[float, float]) -> bool:
+    return window[0] <= event.true_s < window[1]
+
+
+def _delivered(events: Iterable[Event]) -> Events:
+    return sorted(events, key=lambda e: e.arrival_s)
+
+
+def changed(
+    events: Events,
+    scene: Scene,
+    role: str,
+    change: Callable[[np.ndarray], Any],
+    *,
+    share: float = 1.0,
+    rng: Any = None,
+    first_s: float = 1e9,
+) -> Events:
+    """Other values of one role inside its window: all of them, or a random share, for at most the first seconds."""
+    if role not in scene.targets:
+        return events
+    name, columns = scene.targets[role]
+    begin, end = scene.when(role)
+    window, at, result = (begin, min(end, begin + first_s)), list(columns), []
+    for event in events:
+        if event.sensor == name and _inside(event, window) and (share >= 1.0 or rng.random() < share):
+            value = np.array(event.value)
+            value[at] = change(value[at])
+            event = event._replace(value=tuple(value.tolist()))
+        result.append(event)
+    return result
+
+
+def silent(events: Events, scene: Scene, role: str, seconds: float = 1e9) -> Events:
+    """Nothing from one role (NaN where it is a part of the drive)."""
+    if role not in scene.targets:
+        return events
+    if role != DRIVE and scene.targets[role].sensor == DRIVE and len(scene.targets[role].columns) < 6:
+        return changed(events, scene, role, lambda v: v * math.nan, first_s=seconds)
+    begin, end = scene.when(role)
+    window = (begin, min(end, begin + seconds))
+    return [e for e in events if not (e.sensor == scene.name(role) and _inside(e, window))]
+
+
+def late(events: Events, sensors: Sequence[str], window: tuple[float, float], delay: Callable[[Event], float]) -> Events:
+    """Delivered later, with the stamps that they had."""
+    return _delivered(e._replace(arrival_s=e.arrival_s + delay(e)) if e.sensor in sensors and _inside(e, window) else e for e in events)
+
+
+def restamped(events: Events, sensors: Sequence[str], window: tuple[float, float], stamp: Callable[[Event], Any]) -> Events:
+    """Other stamps, delivered as before."""
+    return [e._replace(time_s=stamp(e)) if e.sensor in sensors and _inside(e, window) else e for e in events]
+
+
+def _names(events: Events) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(e.sensor for e in events))
+
+
+def _corrections(events: Events) -> tuple[str, ...]:
+    return tuple(name for name in _names(events) if name != DRIVE)
+
+
+Fault = Callable[[Events, Scene, np.random.Generator], Events]
+
+
+@dataclass(frozen=True)
+class Kind:
+    """One kind of fault.
+
+    Attributes
+    ----------
+    apply : callable
+        (events, scene, rng) to events.
+    counted : tuple of str
+        Any of these must have been counted more often than without the fault: "role:outcome", "drive:counter" or "role:condition" (of the
+        health); empty where nothing needs to be.
+    unseen : bool
+        Nothing in the readings tells the fault from a motion or from honest noise, so that the state may be wrong while it lasts.
+    """
+
+    apply: Fault
+    counted: tuple[str, ...] = ()
+    unseen: bool = False
+
+
+KINDS: dict[str, Kind] = {}
+
+
+def kind(name: str, *counted: str, unseen: bool = False) -> Callable[[Fault], Fault]:
+    """Enter a function in `KINDS`."""
+
+    def enter(function: Fault) -> Fault:
+        KINDS[name] = Kind(function, counted, unseen)
+        return function
+
+    return enter
+
+
+def damaged(name: str, events: Events, scene: Scene, seed: int) -> Events:
+    """The events with one kind of fault; every kind has its own random numbers."""
+    return KINDS[name].apply(events, scene, np.random.default_rng([seed, zlib.crc32(name.encode())]))
+
+
+def _each(name: str, roles: Sequence[str], make: Callable[[str], Fault], *counted: str) -> None:
+    """The same fault for several roles, as kinds of their own; ``{}`` in `counted` is the role."""
+    for role in roles:
+        KINDS[f"{name} {role}"] = Kind(make(role), tuple(c.format(role) for c in counted))
+
+
+ROLES = ("heading", "velocity", "depth", "position")
+
+# --- missing ----------------------------------------------------------------------------------------------------------
+
+
+@kind("drop a fifth")
+def _drop(events: Events, scene: Scene, rng: np.random.Generator) -> Events:
+    return [e for e in events if not (_inside(e, scene.window) and rng.random() < 0.2)]
+
+
+@kind("drop most of the drive", "drive:gap")
+def _drop_drive(events: Events, scene: Scene, rng: np.random.Generator) -> Events:
+    return [e for e in events if not (e.sensor == DRIVE and _inside(e, scene.window) and rng.random() < 0.9)]
+
+
+_each("silence", ROLES, lambda role: lambda events, scene, rng: silent(events, scene, role), "{}:silent", "{}:timeout", "{}:lost")
+
+
+def _silent_drive(seconds: float) -> Fault:
+    def fault(events: Events, scene: Scene, rng: np.random.Generator) -> Events:
+        begin = scene.window[0]
+        return [e for e in events if not (e.sensor == DRIVE and begin <= e.true_s < begin + seconds)]
+
+    return fault
+
+
+KINDS["silence drive 0.5 s"] = Kind(_silent_drive(0.5), ("drive:gap",))
+KINDS["silence drive 5 s"] = Kind(_silent_drive(5.0), ("drive:gap",))
+KINDS["silence drive 30 s"] = Kind(_silent_drive(30.0), ("drive:gap",))
+
+
+@kind("silence of all corrections", "velocity:silent", "velocity:timeout", "velocity:lost")
+def _only_drive(events: Events, scene: Scene, rng: np.random.Generator) -> Events:
+    for role in ("heading", "velocity", "depth"):
+        events = silent(events, scene, role)
+    return events
+
+
+@kind("process suspended for 20 s", "drive:gap")
+def _suspended(events: Events, scene: Scene, rng: np.random.Generator) -> Events:
+    begin = scene.window[0]
+    return [e for e in events if not begin <= e.true_s < begin + 20.0]
+
+
+# --- order ------------------------------------------------------------------------------------------------------------
+
+
+@kind("repeat each", "velocity:duplicate", "drive:backward")
+def _repeat(events: Events, scene: Scene, rng: np.random.Generator) -> Events:
+    return [copy for e in events for copy in ([e, e] if _inside(e, scene.window) else [e])]
+
+
+@kind("repeat half a second later", "velocity:duplicate", "drive:backward")
+def _repeat_later(events: Events, scene: Scene, rng: np.random.Generator) -> Events:
+    again = [e._replace(arrival_s=e.arrival_s + 0.5) for e in events if _inside(e, scene.window) and rng.random() < 0.2]
+    return _delivered([*events, *again])
+
+
+@kind("reorder neighbours", "drive:backward", "drive:late", "drive:reordered")
+def _swap(events: Events, scene: Scene, rng: np.random.Generator) -> Events:
+    result = list(events)
+    for i in range(len(result) - 1):
+        if _inside(result[i], scene.window) and rng.random() < 0.2:
+            result[i], result[i + 1] = result[i + 1], result[i]
+    return result
+
+
+@kind("reorder within 0.2 s", "velocity:late-replayed", "velocity:too-late")
+def _shuffle(events: Events, scene: Scene, rng: np.random.Generator) -> Events:
+    return late(events, _corrections(events), scene.window, lambda e: float(rng.uniform(0.0, 0.2)))
+
+
+@kind("reorder the drive within 0.1 s", "drive:backward", "drive:late", "drive:reordered")
+def _shuffle_drive(events: Events, scene: Scene, rng: np.random.Generator) -> Events:
+    return late(events, (DRIVE,), scene.window, lambda e: float(rng.uniform(0.0, 0.1)))
+
+
+def _delay(role: str, seconds: float) -> Fault:
+    def fault(events: Events, scene: Scene, rng: np.random.Generator) -> Events:
+        return late(events, (scene.name(role),), scene.when(role), lambda e: seconds)
+
+    return fault
+
+
+KINDS["delay velocity 0.1 s"] = Kind(_delay("velocity", 0.1), ("velocity:late-replayed", "velocity:too-late"))
+KINDS["delay heading 0.5 s"] = Kind(_delay("heading", 0.5), ("heading:late-replayed", "heading:too-late"))
+KINDS["delay position 1.5 s"] = Kind(_delay("position", 1.5), ("position:late-replayed", "position:too-late"))
+KINDS["delay position 3 s"] = Kind(_delay("position", 3.0), ("position:too-late",))
+KINDS["delay drive 0.3 s"] = Kind(_delay(DRIVE, 0.3))
+KINDS["delay drive 3 s"] = Kind(_delay(DRIVE, 3.0), ("velocity:ahead", "velocity:held", "velocity:late-replayed"))
+
+
+@kind("everything in bursts of 1 s")
+def _burst(events: Events, scene: Scene, rng: np.random.Generator) -> Events:
+    return late(events, _names(events), scene.window, lambda e: math.ceil(e.true_s) - e.true_s)
+
+
+@kind("bursts stamped on receipt")
+def _burst_received(events: Events, scene: Scene, rng: np.random.Generator) -> Events:
+    """As a serial line does it after the computer was busy for half a second: the readings of that time in one go, 0.2 ms apart."""
+    begin, end = scene.window
+    held = late(events, _names(events), scene.window, lambda e: math.ceil(2.0 * e.true_s) / 2.0 - e.true_s)
+    result, last = [], -math.inf
+    for e in held:
+        if begin <= e.true_s < end:
+            last = max(e.arrival_s, last + 2e-4)
+            e = e._replace(time_s=last)
+        result.append(e)
+    return result
+
+
+# --- stamps -----------------------------------------------------------------------------------------------------------
+
+
+@kind("jitter of all stamps")
+def _jitter(events: Events, scene: Scene, rng: np.random.Generator) -> Events:
+    size = {name: 0.3 * scene.period_s if name == DRIVE else 0.02 for name in _names(events)}
+    return restamped(events, _names(events), scene.window, lambda e: e.time_s + size[e.sensor] * rng.normal())
+
+
+def _clock(names: Callable[[Events], Sequence[str]], jump_s: float, *, for_good: bool) -> Fault:
+    def fault(events: Events, scene: Scene, rng: np.random.Generator) -> Events:
+        window = (scene.window[0], math.inf if for_good else scene.window[1])
+        return restamped(events, names(events), window, lambda e: e.time_s + jump_s)
+
+    return fault
+
+
+KINDS["clock jumps forward 0.5 s"] = Kind(_clock(_names, 0.5, for_good=True), ("drive:gap",))
+KINDS["clock jumps forward 5 s"] = Kind(_clock(_names, 5.0, for_good=True), ("drive:gap",))
+KINDS["clock jumps back 0.5 s"] = Kind(_clock(_names, -0.5, for_good=True), ("drive:backward",))
+KINDS["clock jumps back 5 s"] = Kind(_clock(_names, -5.0, for_good=True), ("drive:backward",))
+KINDS["clock leaps an hour ahead"] = Kind(_clock(_names, 3600.0, for_good=True), ("drive:gap", "drive:leap"))
+KINDS["clock leaps an hour back"] = Kind(_clock(_names, -3600.0, for_good=True), ("drive:backward", "drive:leap"))
+KINDS["clock leaps an hour ahead and returns"] = Kind(_clock(_names, 3600.0, for_good=False), ("drive:gap", "drive:backward", "drive:leap"))
+KINDS["corrections 2 s ahead of the drive"] = Kind(_clock(_corrections, 2.0, for_good=False), ("velocity:ahead",))
+KINDS["corrections 0.2 s behind"] = Kind(_clock(_corrections, -0.2, for_good=False), ("velocity:too-late", "velocity:late-replayed"))
+KINDS["corrections an hour behind"] = Kind(_clock(_corrections, -3600.0, for_good=False), ("velocity:duplicate", "velocity:too-late"))
+
+
+def _single_stamps(names: Callable[[Events], Sequence[str]], stamp: Callable[[Event], Any], share: float = 0.02) -> Fault:
+    def fault(events: Events, scene: Scene, rng: np.random.Generator) -> Events:
+        return restamped(events, names(events), scene.window, lambda e: stamp(e) if rng.random() < share else e.time_s)
+
+    return fault
+
+
+KINDS["single stamps an hour ahead"] = Kind(_single_stamps(_names, lambda e: e.time_s + 3600.0), ("drive:backward",))
+KINDS["single stamps 5 s ahead"] = Kind(_single_stamps(_names, lambda e: e.time_s + 5.0, 0.002), ("drive:backward", "drive:gap"))
+KINDS["single stamps zero"] = Kind(_single_stamps(_names, lambda e: 0.0), ("drive:backward",))
+KINDS["single stamps NaN"] = Kind(_single_stamps(_names, lambda e: math.nan), ("drive:backward", "velocity:invalid"))
+KINDS["single stamps infinite"] = Kind(_single_stamps(_names, lambda e: math.inf), ("drive:backward", "velocity:invalid"))
+KINDS["stamps in milliseconds"] = Kind(_single_stamps(_names, lambda e: 1000.0 * e.time_s, 0.01), ("drive:backward",))
+KINDS["drive stamped in steps of 0.1 s"] = Kind(
+    _single_stamps(lambda events: (DRIVE,), lambda e: math.floor(10.0 * e.time_s + 1e-6) / 10.0, 1.0), ("drive:backward",)
+)
+KINDS["drive's stamps stand still for 5 s"] = Kind(
+    lambda events, scene, rng: restamped(events, (DRIVE,), (scene.window[0], scene.window[0] + 5.0), lambda e: scene.window[0]),
+    ("drive:backward",),
+)
+
+
+# --- values -----------------------------------------------------------------------------------------------------------
+
+BAD = {"NaN": math.nan, "infinite": math.inf, "minus infinite": -math.inf, "huge": 1e300}
+for _word, _value in BAD.items():
+    KINDS[f"corrections {_word}"] = Kind(
+        lambda events, scene, rng, bad=_value: _all_roles(events, scene, lambda v: v * 0.0 + bad, rng, 0.3),
+        ("velocity:invalid", "velocity:rejected"),
+    )
+    KINDS[f"drive {_word}"] = Kind(
+        lambda events, scene, rng, bad=_value: _part_of_drive(events, scene, lambda v: v * 0.0 + bad, rng, 0.1), ("drive:bad-sample",)
+    )
+
+
+def _all_roles(events: Events, scene: Scene, change: Callable[[np.ndarray], Any], rng: Any, share: float) -> Events:
+    for role in ROLES:
+        events = changed(events, scene, role, change, share=share, rng=rng)
+    return events
+
+
+def _part_of_drive(events: Events, scene: Scene, change: Callable[[np.ndarray], Any], rng: Any, share: float) -> Events:
+    """One half of the drive's values (gyros, or attitude), so that the other half tempts."""
+    role = "gyro" if "gyro" in scene.targets else "tilt"
+    return changed(events, scene, role, change, share=share, rng=rng)
+
+
+@kind("drive NaN for 10 s", "drive:bad-sample")
+def _drive_nan(events: Events, scene: Scene, rng: np.random.Generator) -> Events:
+    for role in ("gyro", "accel", "tilt"):
+        events = changed(events, scene, role, lambda v: v * math.nan, first_s=10.0)
+    return events
+
+
+SPIKE = {"heading": 90.0 * DEG, "velocity": 3.0, "depth": 50.0, "position": 3e-5}
+_each(
+    "spikes",
+    ROLES,
+    lambda role: (
+        lambda events, scene, rng: changed(events, scene, role, lambda v: v + SPIKE[role] * rng.choice((-1.0, 1.0)), share=0.1, rng=rng)
+    ),
+    "{}:rejected",
+    "{}:invalid",
+)
+KINDS["spikes gyro, impossible"] = Kind(
+    lambda events, scene, rng: changed(events, scene, "gyro", lambda v: v + 300.0, share=0.01, rng=rng), ("drive:bad-sample",)
+)
+KINDS["spikes gyro, possible"] = Kind(
+    lambda events, scene, rng: changed(events, scene, "gyro", lambda v: v + rng.choice((-2.0, 2.0)), share=0.002, rng=rng),
+    ("drive:bad-sample", "drive:spike"),
+)
+KINDS["spikes accel, possible"] = Kind(
+    lambda events, scene, rng: changed(events, scene, "accel", lambda v: v + rng.choice((-50.0, 50.0)), share=0.002, rng=rng),
+    ("drive:bad-sample", "drive:spike"),
+)
+
+
+def _stuck(role: str, seconds: float = 1e9) -> Fault:
+    def fault(events: Events, scene: Scene, rng: np.random.Generator) -> Events:
+        held: list[Any] = []
+
+        def hold(value: np.ndarray) -> Any:
+            if not held:
+                held.append(value.copy())
+            return held[0]
+
+        return changed(events, scene, role, hold, first_s=seconds)
+
+    return fault
+
+
+_each("stuck", ROLES, _stuck, "{}:stuck", "{}:rejected", "{}:frozen")
+KINDS["stuck gyro and accel 5 s"] = Kind(
+    lambda events, scene, rng: _stuck("accel", 5.0)(_stuck("gyro", 5.0)(events, scene, rng), scene, rng),
+    ("drive:stuck", "drive:bad-sample", "drive:frozen"),
+)
+KINDS["one gyro dead for 20 s"] = Kind(
+    lambda events, scene, rng: changed(events, scene, "gyro", lambda v: v * (1.0, 1.0, 0.0), first_s=20.0),
+    ("drive:stuck", "drive:frozen", "heading:rejected"),
+)
+
+for _sentinel in (-32.768, -9999.0, 65535.0, 9.96921e36):
+    KINDS[f"sentinel {_sentinel:g}"] = Kind(
+        lambda events, scene, rng, bad=_sentinel: _all_roles(events, scene, lambda v: v * 0.0 + bad, rng, 0.3),
+        ("velocity:invalid", "velocity:rejected"),
+    )
+KINDS["bottom lock lost: zeros"] = Kind(
+    lambda events, scene, rng: changed(events, scene, "velocity", lambda v: v * 0.0), ("velocity:invalid", "drive:velocity-lost")
+)
+KINDS["bottom lock lost: sentinels"] = Kind(
+    lambda events, scene, rng: changed(events, scene, "velocity", lambda v: v * 0.0 - 32.768), ("velocity:invalid", "drive:velocity-lost")
+)
+KINDS["bottom lock lost: one component"] = Kind(
+    lambda events, scene, rng: changed(events, scene, "velocity", lambda v: np.array([math.nan, v[1], v[2]]))
+)
+KINDS["bottom lock comes and goes"] = Kind(
+    lambda events, scene, rng: changed(events, scene, "velocity", lambda v: v * 0.0, share=0.5, rng=rng),
+    ("velocity:invalid", "drive:velocity-lost"),
+)
+KINDS["DVL tracks the water (current of 0.3 m/s)"] = Kind(
+    lambda events, scene, rng: changed(events, scene, "velocity", lambda v: v + (0.25, -0.17, 0.0)), ("velocity:rejected",), unseen=True
+)
+KINDS["compass next to iron, 25 deg"] = Kind(
+    lambda events, scene, rng: changed(events, scene, "heading", lambda v: v + 25.0 * DEG), ("heading:rejected",)
+)
+KINDS["compass next to iron, 4 deg"] = Kind(
+    lambda events, scene, rng: changed(events, scene, "heading", lambda v: v + 4.0 * DEG), ("heading:rejected",), unseen=True
+)
+KINDS["fixes 100 m off"] = Kind(
+    lambda events, scene, rng: changed(events, scene, "position", lambda v: v + (100.0 / 6.37e6, 0.0, 0.0)[: len(v)]),
+    ("position:rejected",),
+)
+KINDS["fixes at 0 N 0 E"] = Kind(
+    lambda events, scene, rng: changed(events, scene, "position", lambda v: v * 0.0), ("position:rejected", "position:invalid")
+)
+KINDS["depth jumps by 5 m"] = Kind(lambda events, scene, rng: changed(events, scene, "depth", lambda v: v + 5.0), ("depth:rejected",))
+
+KINDS["heading in degrees"] = Kind(
+    lambda events, scene, rng: changed(events, scene, "heading", lambda v: v / DEG % 360.0), ("heading:rejected", "heading:invalid")
+)
+KINDS["fixes in degrees"] = Kind(
+    lambda events, scene, rng: changed(events, scene, "position", lambda v: np.array([v[0] / DEG, v[1] / DEG, *v[2:]])),
+    ("position:rejected", "position:invalid"),
+)
+KINDS["velocity in mm/s"] = Kind(
+    lambda events, scene, rng: changed(events, scene, "velocity", lambda v: 1e3 * v), ("velocity:rejected", "velocity:invalid")
+)
+KINDS["velocity in knots"] = Kind(
+    lambda events, scene, rng: changed(events, scene, "velocity", lambda v: 1.944 * v), ("velocity:rejected",)
+)
+KINDS["velocity with the sign changed"] = Kind(
+    lambda events, scene, rng: changed(events, scene, "velocity", lambda v: -v), ("velocity:rejected",)
+)
+KINDS["depth in Pa"] = Kind(
+    lambda events, scene, rng: changed(events, scene, "depth", lambda v: 1e4 * v + 101325.0), ("depth:rejected", "depth:invalid")
+)
+KINDS["gyro in deg/s for 10 s"] = Kind(
+    lambda events, scene, rng: changed(events, scene, "gyro", lambda v: v / DEG, first_s=10.0), ("drive:bad-sample", "heading:rejected")
+)
+KINDS["accel in g for 10 s"] = Kind(
+    lambda events, scene, rng: changed(events, scene, "accel", lambda v: v / 9.80665, first_s=10.0),
+    ("drive:bad-sample", "velocity:rejected"),
+)
+
+NOISE = {"heading": 6.0 * DEG, "velocity": 0.1, "depth": 0.5, "position": 4.7e-6}
+_each(
+    "noise x10",
+    ROLES,
+    lambda role: lambda events, scene, rng: changed(events, scene, role, lambda v: v + _noise(role, v, rng)),
+    "{}:rejected",
+    "{}:noisy",
+)
+KINDS["noise x10 drive"] = Kind(
+    lambda events, scene, rng: changed(
+        changed(events, scene, "gyro", lambda v: v + 0.01 * rng.normal(size=3)), scene, "accel", lambda v: v + 0.1 * rng.normal(size=3)
+    )
+)
+
+
+def _noise(role: str, value: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    size = np.full(len(value), NOISE[role])
+    if role == "position" and len(size) > 2:
+        size[2] = 30.0
+    return size * rng.normal(size=len(value))
+
+
+# --- things that are no readings --------------------------------------------------------------------------------------
+
+RUBBISH = (
+    None,
+    "",
+    "12.3$",
+    b"\x00\xff",
+    [],
+    [[]],
+    {},
+    "NaN",
+    [1.0, "x", 2.0],
+    object(),
+    1j,
+    [[1.0, 2.0], [3.0]],
+    True,
+    [None, None, None],
+)
+
+
+def _rubbish_values(names: Callable[[Events], Sequence[str]], share: float) -> Fault:
+    def fault(events: Events, scene: Scene, rng: np.random.Generator) -> Events:
+        where = names(events)
+        return [
+            e._replace(value=RUBBISH[rng.integers(len(RUBBISH))])
+            if e.sensor in where and _inside(e, scene.window) and rng.random() < share
+            else e
+            for e in events
+        ]
+
+    return fault
+
+
+KINDS["corrections that are no numbers"] = Kind(_rubbish_values(_corrections, 0.3), ("velocity:invalid",))
+KINDS["samples that are no numbers"] = Kind(_rubbish_values(lambda events: (DRIVE,), 0.02), ("drive:bad-sample", "drive:backward"))
+KINDS["stamps that are no numbers"] = Kind(
+    lambda events, scene, rng: restamped(
+        events, _names(events), scene.window, lambda e: RUBBISH[rng.integers(len(RUBBISH))] if rng.random() < 0.02 else e.time_s
+    ),
+    ("velocity:invalid", "drive:backward"),
+)
+
+
+@kind("too few and too many values", "velocity:invalid", "drive:bad-sample")
+def _wrong_length(events: Events, scene: Scene, rng: np.random.Generator) -> Events:
+    result = []
+    for e in events:
+        if _inside(e, scene.window) and rng.random() < 0.05:
+            e = e._replace(value=e.value[: rng.integers(len(e.value))] if rng.random() < 0.7 else (*e.value, 1.0, 2.0))
+        result.append(e)
+    return result
+
+
+@kind("readings of sensors that the vehicle does not have", "unknown:unknown-sensor")
+def _unknown(events: Events, scene: Scene, rng: np.random.Generator) -> Events:
+    names = ("sonar", "", "imu", "gyro", None, 3, ("dvl",), [])
+    return [
+        e._replace(sensor=names[rng.integers(len(names))]) if e.sensor != DRIVE and _inside(e, scene.window) and rng.random() < 0.2 else e
+        for e in events
+    ]
+
+
+@kind("everything at once", "velocity:invalid", "drive:bad-sample", "drive:backward")
+def _everything(events: Events, scene: Scene, rng: np.random.Generator) -> Events:
+    for name in ("corrections NaN", "drive infinite", "reorder neighbours", "repeat half a second later", "sentinel -32.768", "drop a fifth",
+                 "single stamps NaN", "spikes velocity", "jitter of all stamps"):  # fmt: skip
+        events = KINDS[name].apply(events, scene, rng)
+    return events
+
+
+# --- missions ---------------------------------------------------------------------------------------------------------
+
+
+def simulated(
+    seed: int, duration_s: float = 480.0, fixes: tuple[tuple[float, float], ...] = ((0.0, 120.0), (270.0, 1e9))
+) -> tuple[Vehicle, Mission]:
+    """A lawnmower by the survey vehicle, with position fixes in two stretches only: the faults of other sensors act in between.
+
+    Compass and fixes have white noise beside their coloured error, so that no covariance has a reason to be singular.
+    """
+    plain = survey_vehicle()
+    vehicle = plain.with_error(
+        compass=plain.sensors["compass"].error + nf.White(sd=0.1 * DEG), gps=plain.sensors["gps"].error + nf.White(sd=0.5)
+    )
+    motion = lawnmower(duration_s)
+    return vehicle, simulate(
+        vehicle, motion, seed=seed, duration_s=duration_s, faults={"gps": Faults(available=fixes)}, name=f"faults-{seed}"
+    )
+
+
+# --- the run, watched -------------------------------------------------------------------------------------------------
+
+
+@dataclass
+class Outcome:
+    """What a run with a fault showed.
+
+    Attributes
+    ----------
+    crashes : Counter
+        Exceptions by place and message.
+    nan_s, not_definite_s : float or None
+        Time of the first NaN in state or covariance, of the first covariance that is not positive definite.
+    smallest : float
+        Smallest eigenvalue of the covariance scaled to a unit diagonal, over the run.
+    counts : Counter
+        By "role:outcome" and "drive:counter".
+    sent, answered : int
+        Readings handed in, and outcomes that came back for them.
+    states : list of (float, NavState)
+        Once a second: true time and state.
+    """
+
+    crashes: Counter = field(default_factory=Counter)
+    nan_s: float | None = None
+    not_definite_s: float | None = None
+    smallest: float = math.inf
+    counts: Counter = field(default_factory=Counter)
+    sent: int = 0
+    answered: int = 0
+    states: list[tuple[float, NavState]] = field(default_factory=list)
+
+
+def feed(nav: Navigator, events: Events, scene: Scene, *, check_s: float = 1.0, one_by_one: bool = False) -> Outcome:
+    """Hand all events to a navigator in the order of delivery, and look at it every `check_s` seconds.
+
+    Samples of the drive that arrive without a correction in between go in as one block, as a driver would read them (or one by one: it is
+    the same arithmetic). Exceptions are noted and the run goes on.
+    """
+    outcome = Outcome()
+    roles = {target.sensor: role for role, target in scene.targets.items() if target.sensor != DRIVE}
+    block: list[tuple[float, ...]] = []
+    last: Event | None = None
+    due = -math.inf
+    for event in events:
+        if event.sensor == DRIVE:
+            if _regular(event) and not one_by_one:
+                block.append((event.time_s, *event.value))
+            else:
+                _flush(nav, block, outcome)
+                value = event.value if isinstance(event.value, tuple) else (event.value,)
+                _guard(outcome, nav.step, event.time_s, value[:3], value[3:])
+            last = event
+        else:
+            _flush(nav, block, outcome)
+            _correct(nav, event, roles, outcome)
+        if event.arrival_s >= due and last is not None and not last.time_s != last.time_s:
+            _flush(nav, block, outcome)
+            due = event.arrival_s + check_s
+            _look(nav, last, outcome)
+    _flush(nav, block, outcome)
+    if last is not None:
+        _look(nav, last, outcome)
+    outcome.counts.update({f"drive:{name}": n for name, n in nav.counts.items()})
+    return outcome
+
+
+def _regular(event: Event) -> bool:
+    value = event.value
+    return type(event.time_s) is float and isinstance(value, tuple) and len(value) == 6 and all(type(v) is float for v in value)
+
+
+def _guard(outcome: Outcome, call: Callable[..., Any], *arguments: Any) -> Any:
+    try:
+        return call(*arguments)
+    except Exception as error:
+        frames = [f for f in traceback.extract_tb(error.__traceback__) if "/navfilter/" in f.filename] or [
+            traceback.extract_tb(error.__traceback__)[-1]
+        ]
+        place = f"{frames[-1].filename.rsplit('/', 1)[-1]}:{frames[-1].name}"
+        outcome.crashes[f"{place}: {type(error).__name__}: {str(error)[:90]}"] += 1
+        return None
+
+
+def _flush(nav: Navigator, block: list[tuple[float, ...]], outcome: Outcome) -> None:
+    if block:
+        _guard(outcome, nav.step_samples, np.array(block))
+        block.clear()
+
+
+def _correct(nav: Navigator, event: Event, roles: dict[str, str], outcome: Outcome) -> None:
+    outcome.sent += 1
+    result = _guard(outcome, nav.correct, event.sensor, event.time_s, event.value)
+    if result is None:
+        return
+    outcome.answered += 1
+    role = roles.get(event.sensor, "unknown") if isinstance(event.sensor, str) else "unknown"
+    outcome.counts[f"{role}:{result.status}"] += 1
+
+
+def _look(nav: Navigator, last: Event, outcome: Outcome) -> None:
+    """Note NaN, a covariance that is not positive definite, and the state at the instant at which it truly holds."""
+    state = _guard(outcome, lambda: nav.state)
+    P = nav._P
+    finite = bool(np.isfinite(P).all() and np.isfinite(nav._nav).all() and np.isfinite(nav._x).all())
+    if state is None or not finite or not np.isfinite(state.covariance).all():
+        outcome.nan_s = last.true_s if outcome.nan_s is None else outcome.nan_s
+        return
+    sd = np.sqrt(np.maximum(np.diag(P), 0.0))
+    if (sd == 0.0).any():
+        smallest = 0.0
+    else:
+        smallest = float(np.linalg.eigvalsh(P / np.outer(sd, sd)).min())
+    outcome.smallest = min(outcome.smallest, smallest)
+    if smallest <= 0.0 and outcome.not_definite_s is None:
+        outcome.not_definite_s = last.true_s
+    stamp = last.time_s if isinstance(last.time_s, float) else math.nan
+    outcome.states.append((last.true_s + (state.time_s - stamp if abs(state.time_s - stamp) < 2.0 else 0.0), state))
+
+
+def truth_at(truth: Stream, time_s: float) -> NavState:
+    """The truth at an instant, between its rows."""
+    k = int(np.clip(np.searchsorted(truth.time_s, time_s), 1, len(truth.time_s) - 1))
+    rows = truth.value[k - 1 : k + 1].copy()
+    rows[:, 6:9] = np.unwrap(rows[:, 6:9], axis=0)
+    share = (time_s - truth.time_s[k - 1]) / (truth.time_s[k] - truth.time_s[k - 1])
+    row = rows[0] + share * (rows[1] - rows[0])
+    return NavState(time_s, float(row[0]), float(row[1]), float(row[2]), row[3:6], matrix_from_euler(*row[6:9]))
+
+
+def nees(outcome: Outcome, truth: Stream, begin_s: float, end_s: float = math.inf) -> dict[str, float]:
+    """Mean normalised squared error per degree of freedom of position, velocity and attitude between two instants."""
+    parts: dict[str, list[float]] = {"position": [], "velocity": [], "attitude": []}
+    for time_s, state in outcome.states:
+        if not begin_s <= time_s <= min(end_s, truth.time_s[-1]):
+            continue
+        error, P = state.minus(truth_at(truth, time_s)), state.covariance
+        for k, values in enumerate(parts.values()):
+            e = error[3 * k : 3 * k + 3]
+            values.append(float(e @ np.linalg.pinv(P[3 * k : 3 * k + 3, 3 * k : 3 * k + 3], hermitian=True) @ e) / 3.0)
+    return {name: float(np.mean(values)) if values else math.nan for name, values in parts.items()}
+
+
+def run(name: str | None, vehicle: Vehicle, mission: Mission, scene: Scene, seed: int, **options: Any) -> Outcome:
+    """One mission with one kind of fault (None: without)."""
+    events = events_of(vehicle, mission)
+    start = mission.start
+    events = [e for e in events if e.true_s >= start.time_s - 1e-9]
+    if name is not None:
+        events = damaged(name, events, scene, seed)
+    return feed(nf.Navigator(vehicle, start), events, scene, **options)
