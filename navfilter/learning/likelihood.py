@@ -1,0 +1,188 @@
+"""The likelihood of one channel as a function of [ar, ma, ln sd], and its maximisation by Fisher scoring."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navfilter.arma.starts import pull_inside
+from navfilter.arma.unit_root import cap_poles
+from navfilter.kernels import channel as kernel
+from navfilter.kernels.fit import largest_reflection
+
+__all__ = ["Likelihood", "Point", "maximise"]
+
+Array = NDArray[np.float64]
+
+ZERO_RADIUS = 0.9995
+# Longest run of missing ticks that is predicted through.
+LONGEST_GAP = 8
+CLIP = 4.0
+# What is left to gain, in units of log-likelihood, when an estimate counts as converged: far below its sampling error.
+CONVERGED = 1e-3
+DAMPING = (1e-6, 1e-3, 1e-2, 1e-1, 1.0, 10.0, 1e3)
+
+
+class Likelihood:
+    """Likelihood of ``y = drift + ARMA error + white noise`` over a series with gaps, in scaled units.
+
+    Parameters
+    ----------
+    series : ndarray, shape (N,)
+        Samples; NaN where missing.
+    noise : ndarray, shape (r, r)
+        Noise of the drift per tick, states in units per tick; (0, 0) for no drift.
+    white : float
+        Variance of known white noise.
+    clip : float
+        Innovations beyond this many standard deviations are clipped.
+    """
+
+    def __init__(self, series: Array, noise: Array, white: float, clip: float = CLIP) -> None:
+        known = series[np.isfinite(series)]
+        self.n = max(known.size - noise.shape[0], 0)
+        step = np.diff(known)
+        top = float(np.max(np.abs(step), initial=0.0))
+        if known.size < noise.shape[0] + 8:
+            raise ValueError(f"the channel likelihood needs at least {noise.shape[0] + 8} known samples, found {known.size}.")
+        if not top > 1e-13 * float(np.max(np.abs(known))):
+            raise ValueError("the series is constant: it has no error to learn.")
+        # A power of two, so that scaling is exact.
+        self.unit = 2.0 ** -round(math.log2(top * max(float(np.sqrt(np.mean((step / top) ** 2))), 1e-6)))
+        self.y = np.ascontiguousarray(series - known[0]) * self.unit
+        r = noise.shape[0]
+        self.Q = np.zeros((1, 1)) if r == 0 else np.ascontiguousarray(noise * self.unit**2)
+        self.rules = np.array([r, LONGEST_GAP, clip, white * self.unit**2])
+        if r == 0:
+            self.y = np.ascontiguousarray(series) * self.unit
+        self.pole_radius = 1.0 - 3.0 / max(known.size, 8)
+        self._e, self._lns = np.empty(self.y.size), np.empty(self.y.size)
+
+    def value(self, theta: Array, p: int) -> float:
+        """Minus the log-likelihood at ``theta = [ar, ma, ln sd]``; the innovations stay in `innovations`."""
+        padded, _ = _padded(theta, p)
+        return float(kernel.channel_filter(self.y, padded, self.Q, self.rules, self._e, self._lns))
+
+    @property
+    def innovations(self) -> Array:
+        """Standardised innovations of the last `value`, NaN where nothing counts."""
+        return self._e.copy()
+
+    def point(self, theta: Array, p: int, steps: Array | None = None) -> Point:
+        """Value, gradient and Fisher information at `theta`."""
+        k = theta.size
+        padded, free = _padded(theta, p)
+        E, LNS = np.empty((k + 1, self.y.size)), np.empty((k + 1, self.y.size))
+        info, gradient = np.empty((k, k)), np.empty(k)
+        steps = self._steps(theta, p)
+        value = kernel.channel_scores(self.y, padded, self.Q, self.rules, free, steps, E, LNS, info, gradient)
+        return Point(theta, p, float(value), gradient, info)
+
+    def _steps(self, theta: Array, p: int) -> Array:
+        """Difference steps that stay where a stationary start exists."""
+        steps = np.full(theta.size, 1e-6)
+        for i in range(p):
+            for size in (1e-6, -1e-6, 1e-7, -1e-7, 1e-8, -1e-8, 1e-9, -1e-9):
+                moved = theta[:p].copy()
+                moved[i] += size
+                steps[i] = size
+                if largest_reflection(moved, 1.0) < 1.0:
+                    break
+        return steps
+
+    def confine(self, theta: Array, p: int) -> Array:
+        """`theta` with poles and zeros pulled inside their radii, and ln sd within floating point."""
+        out = theta.copy()
+        if largest_reflection(np.ascontiguousarray(theta[:p]), self.pole_radius) >= 1.0:
+            out[:p] = cap_poles(theta[:p], self.pole_radius - 1e-12)
+        if largest_reflection(np.ascontiguousarray(theta[p:-1]), ZERO_RADIUS) >= 1.0:
+            out[p:-1] = pull_inside(theta[p:-1], ZERO_RADIUS - 1e-12)
+        out[-1] = min(max(theta[-1], -14.0), 40.0)
+        return out
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """Minus the log-likelihood at one ``theta = [ar, ma, ln sd]``, with its derivatives."""
+
+    theta: Array
+    p: int
+    value: float
+    gradient: Array
+    info: Array
+
+    @property
+    def covariance(self) -> Array:
+        """Inverse Fisher information, with a trace of regularisation for directions the series says nothing about."""
+        scale = np.sqrt(np.maximum(np.diag(self.info), 1e-12))
+        correlation = self.info / np.outer(scale, scale) + 1e-10 * np.eye(scale.size)
+        return np.asarray(np.linalg.inv(correlation), dtype=np.float64) / np.outer(scale, scale)
+
+
+def _padded(theta: Array, p: int) -> tuple[Array, NDArray[np.int64]]:
+    """The kernel's parameter vector, and where the elements of `theta` are in it."""
+    q = theta.size - 1 - p
+    m = max(p, q, 1)
+    free = np.r_[np.arange(p), m + np.arange(q), 2 * m]
+    out = np.zeros(2 * m + 1)
+    out[free] = theta
+    return out, free
+
+
+def maximise(likelihood: Likelihood, starts: Sequence[Array], p: int, passes: int) -> Point:
+    """Fisher scoring: a short race between the starts, then the leader alone.
+
+    Parameters
+    ----------
+    likelihood : Likelihood
+    starts : sequence of ndarray
+        ``[ar, ma, ln sd]`` each.
+    p : int
+        Number of AR coefficients.
+    passes : int
+        Most scoring passes of the leader.
+    """
+    starts = [likelihood.confine(start, p) for start in starts]
+    if len(starts) > 1:
+        values = [likelihood.value(start, p) for start in starts]
+        front = sorted(range(len(starts)), key=lambda i: values[i])[:3]
+        points = [_climb(likelihood, likelihood.point(starts[i], p), 2) for i in front]
+        lead = min(points, key=lambda point: point.value)
+    else:
+        lead = likelihood.point(starts[0], p)
+    return _climb(likelihood, lead, passes)
+
+
+def _climb(likelihood: Likelihood, point: Point, passes: int) -> Point:
+    for _ in range(passes):
+        better = _step(likelihood, point)
+        if better is None:
+            break
+        point = better
+    return point
+
+
+def _step(likelihood: Likelihood, point: Point) -> Point | None:
+    """One Levenberg-damped scoring step that lowers the value; None when there is nothing left to gain."""
+    if not (np.all(np.isfinite(point.gradient)) and np.all(np.isfinite(point.info))):
+        return None
+    scale = np.maximum(np.diag(point.info), 1e-9)
+    for damping in DAMPING:
+        step = np.linalg.solve(point.info + np.diag(damping * scale), -point.gradient)
+        gain = -0.5 * float(step @ point.gradient)
+        if not gain > CONVERGED:
+            return None
+        step *= min(1.0, 1.5 / max(abs(float(step[-1])), 1e-300))
+        trial = likelihood.confine(point.theta + step, point.p)
+        if likelihood.value(trial, point.p) < point.value - 1e-2 * min(gain, 1.0):
+            return likelihood.point(trial, point.p)
+    return None
+
+
+def scaled(point: Point, shift: float) -> Point:
+    """The same point with ln sd moved by `shift`: another unit."""
+    return replace(point, theta=np.r_[point.theta[:-1], point.theta[-1] + shift])

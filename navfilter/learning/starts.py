@@ -1,0 +1,133 @@
+"""Where the channel likelihood's maximisation begins: Gauss-Markov grids, padded neighbours, Hannan-Rissanen."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navfilter.arma.algebra import add_arma
+from navfilter.arma.model import ArmaModel
+from navfilter.arma.starts import default_long_order, hannan_rissanen_start, long_residuals, pull_inside
+from navfilter.learning.likelihood import Likelihood
+
+__all__ = ["cold_starts", "grown_starts", "padded_start"]
+
+Array = NDArray[np.float64]
+
+# Time constants in ticks, and shares of white noise in the variance.
+TAUS, SHARES = (2.0, 8.0, 30.0, 120.0, 500.0), (0.0, 0.5, 0.95)
+
+
+def padded_start(theta: Array, p: int, up_p: int, up_q: int) -> Array:
+    """``[ar, ma, ln sd]`` of a lower order as a start for a higher one."""
+    q = theta.size - 1 - p
+    return np.r_[theta[:p], np.zeros(up_p - p), theta[p:-1], np.zeros(up_q - q), theta[-1]]
+
+
+def cold_starts(likelihood: Likelihood, p: int, q: int) -> list[Array]:
+    """Starts that need no earlier estimate, their sd matched to the series."""
+    if p == 0 and q == 0:
+        return [_matched(likelihood, np.zeros(1), 0)]
+    shapes = [*_rough(likelihood, p, q)]
+    if p:
+        taus = [tau for tau in TAUS if tau < likelihood.y.size / 3]
+        best = min(
+            (_matched(likelihood, _gauss_markov(tau, share, q), 1) for tau in taus for share in (SHARES if q else SHARES[:1])),
+            key=lambda start: likelihood.value(start, 1),
+        )
+        shapes.append(padded_start(best, 1, p, q))
+    return [_matched(likelihood, shape, p) for shape in shapes]
+
+
+def grown_starts(likelihood: Likelihood, below: dict[tuple[int, int], Array], p: int, q: int) -> list[Array]:
+    """Starts from estimates of lower orders: padded, and with an independent slow Gauss-Markov process added."""
+    lower = {k: theta for k, theta in below.items() if k[0] <= p and k[1] <= q}
+    if not lower:
+        return cold_starts(likelihood, p, q)
+    values = {k: likelihood.value(theta, k[0]) for k, theta in lower.items()}
+    best = min(values, key=lambda k: values[k])
+    shapes = [padded_start(lower[best], best[0], p, q)]
+    for k in sorted(lower, key=lambda k: values[k]):
+        if k[0] < p and max(k[1] + 1, k[0]) <= q:
+            shapes.extend(_with_slow_part(likelihood, lower[k], k[0], p, q))
+            break
+    return [*shapes, *(_matched(likelihood, shape, p) for shape in _rough(likelihood, p, q))]
+
+
+def _with_slow_part(likelihood: Likelihood, theta: Array, at: int, p: int, q: int) -> list[Array]:
+    """The lower order plus a Gauss-Markov process of some time constants, as strong as the whole."""
+    own = ArmaModel(theta[:at], theta[at:-1], math.exp(theta[-1]))
+    out = []
+    for tau in (30.0, 120.0, 500.0):
+        phi = math.exp(-1.0 / tau)
+        slow = ArmaModel(np.array([-phi]), np.zeros(0), math.sqrt(own.variance * (1.0 - phi * phi)))
+        try:
+            both = add_arma([own, slow])
+        except ValueError:
+            continue
+        if both.p <= p and both.q <= q:
+            out.append(padded_start(np.r_[both.ar, both.ma, math.log(both.sd)], both.p, p, q))
+    return out
+
+
+def _gauss_markov(tau: float, share: float, q: int) -> Array:
+    phi = math.exp(-1.0 / tau)
+    parts = [ArmaModel(np.array([-phi]), np.zeros(0), math.sqrt((1.0 - share) * (1.0 - phi * phi)))]
+    if q == 0 or share == 0.0:
+        return np.r_[-phi, np.zeros(q), 0.0] if q == 0 else np.r_[-phi, -1e-3, np.zeros(q - 1), 0.0]
+    both = add_arma([*parts, ArmaModel(np.zeros(0), np.zeros(0), math.sqrt(share))])
+    return np.r_[both.ar, both.ma, np.zeros(q - both.q), 0.0]
+
+
+def _matched(likelihood: Likelihood, start: Array, p: int) -> Array:
+    """The start with its ln sd such that the innovations have about unit variance."""
+    start = likelihood.confine(start, p)
+    for _ in range(2):
+        if not math.isfinite(likelihood.value(start, p)):
+            return start
+        z = likelihood.innovations
+        size = float(np.nanmedian(np.abs(z))) / 0.6745
+        start = np.r_[start[:-1], start[-1] + min(max(math.log(max(size, 1e-6)), -5.0), 5.0)]
+    return start
+
+
+def _rough(likelihood: Likelihood, p: int, q: int) -> list[Array]:
+    """Hannan-Rissanen on the detrended series, as it is and with one slow pole and zero more, which are then dropped."""
+    x = _detrended(likelihood)
+    out = []
+    for extra in (0, 1):
+        P, Q = p + extra, q + extra
+        residuals = long_residuals(x, default_long_order(x.size, P, Q))
+        theta = hannan_rissanen_start(x, P, Q, residuals)
+        if not np.all(np.isfinite(theta)):
+            continue
+        ar, ma = (theta[:p], theta[p:]) if not extra else (_without_slowest(theta[:P]), _without_slowest(theta[P:]))
+        out.append(np.r_[pull_inside(ar, 0.99), pull_inside(ma, 0.99), 0.0])
+    return out
+
+
+def _detrended(likelihood: Likelihood) -> Array:
+    """The series less its polynomial trend, over its sd, zero where missing."""
+    y = likelihood.y
+    known = np.isfinite(y)
+    order = int(likelihood.rules[0])
+    t = np.linspace(-1.0, 1.0, y.size)
+    x = np.where(known, y, 0.0)
+    if order:
+        basis = np.polynomial.legendre.legvander(t, order - 1)
+        fit = np.linalg.lstsq(basis[known], y[known], rcond=None)[0]
+        x = np.where(known, y - basis @ fit, 0.0)
+    sd = float(np.sqrt(np.mean(x[known] ** 2)))
+    return np.ascontiguousarray(x / (sd if sd > 0.0 else 1.0))
+
+
+def _without_slowest(c: Array) -> Array:
+    """Coefficients without the real root nearest to 1 (or, where there is none, without the last coefficient)."""
+    roots = np.roots(np.r_[1.0, c])
+    real = np.flatnonzero(np.abs(roots.imag) < 1e-9)
+    if real.size == 0 or roots.size != c.size:
+        return c[:-1]
+    kept = np.delete(roots, real[np.argmax(roots[real].real)])
+    return np.atleast_1d(np.poly(kept)).real[1:]
