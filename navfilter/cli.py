@@ -1,4 +1,4 @@
-"""The command line: ``navfilter demo | replay | identify | simulate | check | warmup``.
+"""The command line: ``navfilter demo | replay | compare | identify | simulate | check | warmup``.
 
 Each sub-command is a function that adds its arguments and one that runs. Everything heavy is imported where it is used, so that
 ``navfilter --help`` answers at once. Exit codes: 0 all is well, 1 `check` found an error in the mission, 2 wrong usage or input.
@@ -27,6 +27,7 @@ first steps:
   navfilter simulate lawnmower --out dive         make a mission to play with
   navfilter check dive/mission.npz                look for the usual mistakes in a recording
   navfilter replay dive/mission.npz --vehicle dive/vehicle.toml --smooth --out result
+  navfilter compare dive/mission.npz --vehicle dive/vehicle.toml --out compared
   navfilter identify still.csv --column gyro_x --rate-hz 100 --out gyro_x
 
 'navfilter COMMAND --help' explains one command.
@@ -78,7 +79,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action=_Version, nargs=0, help="show the version and stop")
     parser.set_defaults(run=None)
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", parser_class=_Parser)
-    for add in (_add_demo, _add_replay, _add_identify, _add_simulate, _add_check, _add_warmup):
+    for add in (_add_demo, _add_replay, _add_compare, _add_identify, _add_simulate, _add_check, _add_warmup):
         add(commands)
     return parser
 
@@ -114,6 +115,15 @@ def _add_demo(commands: Any) -> None:
 
 def _add_replay(commands: Any) -> None:
     replay_command.add_replay_arguments(_command(commands, "replay", replay_command.replay, *replay_command.REPLAY))
+
+
+# --- compare ----------------------------------------------------------------------------------------------------------
+
+
+def _add_compare(commands: Any) -> None:
+    from navfilter.commands import compare as compare_command
+
+    compare_command.add_arguments(_command(commands, "compare", compare_command.run, compare_command.ABOUT, compare_command.EPILOG))
 
 
 # --- identify ---------------------------------------------------------------------------------------------------------

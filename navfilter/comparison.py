@@ -340,7 +340,9 @@ class Comparison:
         lines = [f"scored: {when}."]
         if self.baseline is not None:
             lines.append(f"(...) is the ratio to {self.baseline}; below 1 is better.")
-        lines.append("NEES and NIS are per degree of freedom, 1 is honest; * is outside the 95 % range. Autocorrelations of the innovations")
+        lines.append(
+            "NEES and NIS are per degree of freedom, 1 is honest; * is outside the 95 % range. Autocorrelations of the innovations"
+        )
         lines.append('over 20 lags, the largest of the axes; "white" where every axis passes. 0.27 % of honest errors lie beyond 3 sigma.')
         return lines
 

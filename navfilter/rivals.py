@@ -7,22 +7,25 @@ has seen so far. None of them sees the truth but ``oracle``, whose very point th
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.arma.gauss_markov import fit_gauss_markov
-from navfilter.error_models import ErrorModel, GaussMarkov, Sum, White
+from navfilter.channels import ChannelSeries, kind_of
+from navfilter.error_models import ErrorModel, GaussMarkov, RandomWalk, Sum, White
+from navfilter.learned import LearnedArma, known_white, learned_part
 from navfilter.mission import Mission
-from navfilter.sensors import ZeroVelocity
+from navfilter.playback import residual_series
 from navfilter.start import Start
 from navfilter.vehicle import Vehicle
 
 __all__ = ["LEAST", "MODELS", "learnable", "rival", "rivals"]
 
 Array = NDArray[np.float64]
+Errors = ErrorModel | tuple[ErrorModel, ...]
+Series = Mapping[str, tuple[ChannelSeries, ...]]
 
 #: Kinds of error models that can be compared.
 MODELS = ("white", "gm1", "gm1-fitted", "arma", "oracle", "vehicle")
@@ -36,7 +39,7 @@ def rival(
     mission: Mission,
     *,
     sensors: Sequence[str] | None = None,
-    truth: Mapping[str, Any] | None = None,
+    truth: Mapping[str, Errors] | None = None,
     start: Start | None = None,
 ) -> Vehicle:
     """The vehicle with error models of one kind on its correcting sensors.
@@ -76,7 +79,7 @@ def rivals(
     mission: Mission,
     *,
     sensors: Sequence[str] | None = None,
-    truth: Mapping[str, Any] | None = None,
+    truth: Mapping[str, Errors] | None = None,
     start: Start | None = None,
 ) -> dict[str, Vehicle]:
     """Several rivals at once, see `rival`; the series that they are fitted to are made only once."""
@@ -87,19 +90,17 @@ def rivals(
     _check_sensors(vehicle, chosen)
     if "oracle" in names and not truth:
         raise ValueError('"oracle" needs the true error models (truth=, --oracle): only a simulator knows them. Leave it out.')
-    series: Mapping[str, Any] = {}
+    series: Series = {}
     if chosen and set(names) & set(_FITS):
-        from navfilter.playback import residual_series
-
-        series = residual_series(vehicle, mission, sensors=chosen, start=start)
+        series = residual_series(vehicle, mission, chosen, start)
     return {name: vehicle.with_error(**_models(name, vehicle, chosen, series, truth or {})) for name in names}
 
 
 def learnable(vehicle: Vehicle, mission: Mission) -> tuple[str, ...]:
-    """Correcting sensors with enough readings to fit a model to; a detected rest is no sensor."""
+    """Correcting sensors with readings of their own, and enough of them to fit a model to."""
     found = []
     for name, sensor in vehicle.sensors.items():
-        if not isinstance(sensor, ZeroVelocity) and name in mission.streams:
+        if kind_of(sensor) and name in mission.streams:
             known = np.isfinite(mission.streams[name].value[:, : sensor.reads]).any(axis=1)
             if np.count_nonzero(known) >= LEAST:
                 found.append(name)
@@ -108,19 +109,17 @@ def learnable(vehicle: Vehicle, mission: Mission) -> tuple[str, ...]:
 
 def _check_sensors(vehicle: Vehicle, names: Sequence[str]) -> None:
     for name in names:
-        if name not in vehicle.sensors or isinstance(vehicle.sensors[name], ZeroVelocity):
-            have = ", ".join(key for key, sensor in vehicle.sensors.items() if not isinstance(sensor, ZeroVelocity)) or "none"
-            raise ValueError(f'"{name}" is no correcting sensor of this vehicle (sensors: {have}).')
+        if name not in vehicle.sensors or not kind_of(vehicle.sensors[name]):
+            have = ", ".join(key for key, sensor in vehicle.sensors.items() if kind_of(sensor)) or "none"
+            raise ValueError(f'"{name}" is no sensor of this vehicle whose error could be modelled from its readings (there are: {have}).')
 
 
-def _models(
-    kind: str, vehicle: Vehicle, names: Sequence[str], series: Mapping[str, Any], truth: Mapping[str, Any]
-) -> dict[str, ErrorModel | tuple[ErrorModel, ...]]:
+def _models(kind: str, vehicle: Vehicle, names: Sequence[str], series: Series, truth: Mapping[str, Errors]) -> dict[str, Errors]:
     if kind == "vehicle":
         return {}
     if kind == "oracle":
         return {name: model for name, model in truth.items() if name in vehicle.sensors}
-    found: dict[str, ErrorModel | tuple[ErrorModel, ...]] = {}
+    found: dict[str, Errors] = {}
     for name in names:
         priors = vehicle.sensors[name].models
         if kind == "arma":
@@ -131,64 +130,74 @@ def _models(
     return found
 
 
+def _split(model: ErrorModel) -> tuple[list[ErrorModel], list[ErrorModel]]:
+    """Random walks, which are the bias of a sensor and stay as they are in every rival, and the rest."""
+    parts = model.parts if isinstance(model, Sum) else (model,)
+    return [p for p in parts if isinstance(p, RandomWalk)], [p for p in parts if not isinstance(p, RandomWalk)]
+
+
+def _sum(parts: Sequence[ErrorModel]) -> ErrorModel:
+    return Sum(tuple(parts)) if len(parts) > 1 else parts[0]
+
+
 def _learning(prior: ErrorModel) -> ErrorModel:
     """The axis learns, from its model in the vehicle file on; one that learns already is left as it is."""
-    from navfilter.learned import LearnedArma
-
-    parts = prior.parts if isinstance(prior, Sum) else (prior,)
-    return prior if any(isinstance(part, LearnedArma) for part in parts) else LearnedArma(prior=prior)
+    if learned_part(prior) is not None:
+        return prior
+    walks, rest = _split(prior)
+    return _sum([*walks, LearnedArma(prior=_sum(rest) if rest else None)])
 
 
 # --- fits -------------------------------------------------------------------------------------------------------------
 
 
-def _fitted(kind: str, channel: Any, prior: ErrorModel) -> ErrorModel:
+def _fitted(kind: str, channel: ChannelSeries, prior: ErrorModel) -> ErrorModel:
     """The model of one axis; that of the vehicle file where there are too few readings, or they never change."""
     known = channel.value[np.isfinite(channel.value)]
     if known.size < LEAST or np.ptp(known) == 0.0:
         return prior
-    return _FITS[kind](channel)
+    # What the vehicle file calls white belongs to the sensor and is to be fitted; what is white beyond it does not.
+    white = max(channel.white - known_white(prior, channel.period_s), 0.0)
+    return _sum([*_split(prior)[0], _FITS[kind](channel, white)])
 
 
-def _white(channel: Any) -> ErrorModel:
+def _white(channel: ChannelSeries, white: float) -> ErrorModel:
     from navfilter.learning.channel import fit_channel
 
-    return White(sd=float(fit_channel(channel.value, channel.drift, 0, 0).model.sd))
+    return White(sd=float(fit_channel(channel.value, channel.drift, 0, 0, white=white).model.sd))
 
 
-def _gm1_fitted(channel: Any) -> ErrorModel:
+def _gm1_fitted(channel: ChannelSeries, white: float) -> ErrorModel:
     """Order (1, 0) of the channel: ``x[t] = phi x[t-1] + e`` is the sampled Gauss-Markov process with ``phi = exp(-period/tau)``."""
     from navfilter.learning.channel import fit_channel
 
-    model = fit_channel(channel.value, channel.drift, 1, 0).model
+    model = fit_channel(channel.value, channel.drift, 1, 0, white=white).model
     phi = -float(model.ar[0])
     if phi <= 0.0:
         # No such process alternates; the best one is that whose time constant goes to zero.
-        return _white(channel)
+        return _white(channel, white)
     phi = min(phi, 1.0 - 1e-9)
     return GaussMarkov(sd=float(model.sd) / math.sqrt(1.0 - phi * phi), tau_s=-channel.period_s / math.log(phi))
 
 
-def _gm1(channel: Any) -> ErrorModel:
-    """The thesis's way: autocorrelation of the longest stretch without a long gap, detrended, and where it falls to 1/e.
+def _gm1(channel: ChannelSeries, white: float) -> ErrorModel:
+    """The thesis's way: autocorrelation of the detrended series, and where it falls to 1/e.
 
     The detrending polynomial has the degree that the slow navigation error would have without noise: it is a chain of integrators.
     """
     value = _longest_stretch(channel.value)
     at = np.linspace(-1.0, 1.0, value.size)
     known = np.isfinite(value)
-    trend = np.polynomial.Polynomial.fit(at[known], value[known], len(channel.drift.density) - 1)
-    series = np.where(known, value - trend(at), np.nan)
-    fit = fit_gauss_markov(series, 1, 1.0 / channel.period_s, method="1/e")
+    trend = np.polynomial.Polynomial.fit(at[known], value[known], max(channel.drift.order - 1, 0))
+    fit = fit_gauss_markov(np.where(known, value - trend(at), np.nan), 1, 1.0 / channel.period_s, method="1/e")
     return GaussMarkov(sd=fit.sd, tau_s=fit.tau_s)
 
 
-def _longest_stretch(value: Array, longest_gap: int = 40) -> Array:
-    """The stretch with most readings between gaps of more than so many missing ones."""
+def _longest_stretch(value: Array, gap: int = 40, least: int = 50) -> Array:
+    """The stretch with most readings between gaps of more than `gap` missing ones; all of it where that leaves too little."""
     known = np.flatnonzero(np.isfinite(value))
-    cuts = np.flatnonzero(np.diff(known) > longest_gap) + 1
-    best = max(np.split(known, cuts), key=len)
-    return value[best[0] : best[-1] + 1]
+    best = max(np.split(known, np.flatnonzero(np.diff(known) > gap) + 1), key=len)
+    return value if best.size < least else value[best[0] : best[-1] + 1]
 
 
-_FITS = {"white": _white, "gm1": _gm1, "gm1-fitted": _gm1_fitted}
+_FITS: dict[str, Callable[[ChannelSeries, float], ErrorModel]] = {"white": _white, "gm1": _gm1, "gm1-fitted": _gm1_fitted}

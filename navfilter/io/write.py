@@ -19,7 +19,7 @@ from navfilter.mission import Mission, Stream
 from navfilter.sensors import Position
 from navfilter.track import Track
 
-__all__ = ["labelled", "local_enu", "summarise", "write_csv", "write_geojson", "write_outputs", "write_summary", "write_tum"]
+__all__ = ["labelled", "local_enu", "summarise", "write_csv", "write_geojson", "write_json", "write_outputs", "write_summary", "write_tum"]
 
 Array = npt.NDArray[np.float64]
 
@@ -91,8 +91,13 @@ def summarise(tracks: Mapping[str, Track], mission: Mission) -> dict[str, Any]:
 
 def write_summary(tracks: Mapping[str, Track], mission: Mission, path: str | os.PathLike[str]) -> Path:
     """Write `summarise` as JSON with keys in a fixed order; what is not a finite number becomes null."""
+    return write_json(summarise(tracks, mission), path)
+
+
+def write_json(value: Any, path: str | os.PathLike[str]) -> Path:
+    """Write plain values as JSON; what is not a finite number becomes null."""
     with _replacing(path) as file:
-        json.dump(summarise(tracks, mission), file, indent=2, allow_nan=False, ensure_ascii=False)
+        json.dump(_finite(value), file, indent=2, allow_nan=False, ensure_ascii=False)
         file.write("\n")
     return Path(path)
 

@@ -230,6 +230,6 @@ def shade(figure: Figure, tracks: Tracks, begin_s: float) -> Figure:
     if begin_s > clock.begin_s + 1e-9:
         for ax in figure.axes:
             low, high = ax.get_xlim()
-            ax.axvspan(low, clock(np.array([begin_s]))[0], color="#000000", alpha=0.07, linewidth=0, zorder=0)
+            ax.axvspan(low, clock(np.array([begin_s]))[0], facecolor="none", edgecolor="#c8c8c8", hatch="///", linewidth=0, zorder=0)
             ax.set_xlim(low, high)
     return figure

@@ -17,7 +17,7 @@ from navfilter.report.drawing import style, svg
 from navfilter.report.page import escape, figure_html, heading_html, page, table_html
 from navfilter.track import Track
 
-__all__ = ["drawn", "render_comparison", "write_comparison"]
+__all__ = ["adopted_models", "drawn", "render_comparison", "write_comparison"]
 
 Tracks = Mapping[str, Track]
 #: A figure with more panels than this does not fit on a printed page.
@@ -91,13 +91,17 @@ def drawn(comparison: Comparison, tracks: Tracks, mission: Mission) -> Iterator[
         filters = {label: track.forward or track for label, track in tracks.items()}
         nis = figures.nis_figure(filters)
         if nis is not None:
-            caption = "Squared innovation in units of its predicted variance, moving mean. Honest is 1; the grey range holds 95 % of such means."
+            caption = (
+                "Squared innovation in units of its predicted variance, moving mean. Honest is 1; the grey range holds 95 % of such means."
+            )
             yield "NIS per sensor", caption, shaded(nis)
         axes = _tested_axes(comparison, filters)
         for first in range(0, len(axes), _PANELS):
             caption = "Autocorrelation of the innovations over the whole run: a filter that knows how its sensors err leaves none."
-            yield "" if first else "What is left in the innovations", caption, comparison_figures.correlation_figure(
-                filters, axes[first : first + _PANELS]
+            yield (
+                "" if first else "What is left in the innovations",
+                caption,
+                comparison_figures.correlation_figure(filters, axes[first : first + _PANELS]),
             )
         yield from _learnt(filters)
 
@@ -126,6 +130,25 @@ def _learnt(tracks: Tracks) -> Iterator[tuple[str, str, Figure]]:
             )
             yield title, caption, comparison_figures.adopted_figure(tracks, history, float(track.time_s[-1]))
             title = ""
+
+
+def adopted_models(tracks: Tracks) -> dict[str, dict[str, list[dict[str, Any]]]]:
+    """Every model that was adopted under way, by run and sensor axis, as plain values in SI units."""
+    found: dict[str, dict[str, list[dict[str, Any]]]] = {}
+    for label, track in tracks.items():
+        for history in comparison_figures.adopted(track, shown_unit):
+            found.setdefault(label, {})[history.title] = [
+                {
+                    "time_s": time_s,
+                    "ar": model.ar.tolist(),
+                    "ma": model.ma.tolist(),
+                    "sd": model.sd,
+                    "pole_radius": float(abs(model.poles[0])) if model.p else 0.0,
+                    "sd_log_s0": model.sd_log_s0,
+                }
+                for time_s, model in zip(history.time_s, history.models, strict=True)
+            ]
+    return found
 
 
 def _axes_table(comparison: Comparison) -> tuple[list[str], list[list[str]]]:

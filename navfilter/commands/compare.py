@@ -1,0 +1,219 @@
+"""``navfilter compare``: its arguments and what it does. Everything heavy is imported where it is used."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from navfilter.commands.console import compile_first, output_folder, positive, speaker
+
+if TYPE_CHECKING:
+    from navfilter.comparison import Comparison
+    from navfilter.mission import Mission
+    from navfilter.start import Start
+    from navfilter.track import Track
+    from navfilter.vehicle import Vehicle
+
+__all__ = ["ABOUT", "BASELINES", "EPILOG", "Plan", "add_arguments", "compare_models", "run", "write_results"]
+
+ABOUT = "run a mission with several kinds of error models and compare what they make of it"
+EPILOG = """\
+the models, by name, for the sensors that correct:
+  white        white noise                                  fitted to the whole mission by likelihood
+  gm1          first-order Gauss-Markov                     through the 1/e point of the autocorrelation (the thesis's way)
+  gm1-fitted   first-order Gauss-Markov                     fitted to the whole mission by likelihood: the fair baseline
+  arma         learnt on the way, order and coefficients    begins with the model of vehicle.toml, sees only the past
+  vehicle      as vehicle.toml says
+  oracle       the true models, from --oracle               only where the mission is simulated
+
+A mission does not say how its sensors really err: --oracle takes a second vehicle file that does. 'navfilter simulate' writes it as
+vehicle_true.toml where the scenario errs otherwise than its vehicle.toml believes.
+
+When arma is among the models, nothing is scored before its first window is full (--begin 0 scores everything).
+
+written to --out:
+  report.html      table and figures side by side, one file that works offline
+  comparison.csv   one row per model, a column per figure
+  summary.json     the same, with every model adopted under way, and the figures of the whole mission
+
+examples:
+  navfilter compare dive_042 --vehicle dive_042 --models white,gm1-fitted,arma
+  navfilter compare dive_042 --vehicle vehicle.toml --sensors compass --smooth --out compared
+  navfilter simulate oscillating --out swing
+  navfilter compare swing/mission.npz --vehicle swing --models gm1-fitted,arma,oracle --oracle swing/vehicle_true.toml --out compared
+"""
+DEFAULT = "white,gm1,gm1-fitted,arma"
+#: What ratios refer to: the first of these that is among the models, else the first model.
+BASELINES = ("gm1-fitted", "gm1", "vehicle", "white")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the sub-command."""
+    parser.add_argument("mission", metavar="MISSION")
+    parser.add_argument("--vehicle", required=True, metavar="TOML", help="the vehicle.toml, or the folder that holds it")
+    parser.add_argument("--models", type=_names, default=_names(DEFAULT), metavar="A,B,..", help=f"see below (default: {DEFAULT})")
+    parser.add_argument(
+        "--sensors", type=_names, metavar="A,B,..", help="sensors whose model is exchanged (default: all with enough readings)"
+    )
+    parser.add_argument("--without", action="append", default=[], metavar="SENSOR", help="leave a sensor out; may be repeated")
+    parser.add_argument("--oracle", metavar="TOML", help="vehicle file with the true error models, for the model 'oracle'")
+    parser.add_argument("--smooth", action="store_true", help="compare the smoothed tracks (Rauch-Tung-Striebel)")
+    parser.add_argument("--begin", type=float, metavar="S", help="score from this mission time on [s] (default: after the first window)")
+    parser.add_argument("--output-rate", type=positive, default=5.0, metavar="HZ", help="rows of a track per second (default: %(default)s)")
+    parser.add_argument("--out", metavar="DIR", help="folder to write to (default: only the table is printed)")
+    parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
+
+
+def _names(text: str) -> tuple[str, ...]:
+    names = tuple(dict.fromkeys(part.strip() for part in text.split(",") if part.strip()))
+    if not names:
+        raise argparse.ArgumentTypeError(f"must be names with commas between them, found '{text}'")
+    return names
+
+
+def run(options: argparse.Namespace) -> int:
+    """Read, replay with every model, compare, write, print; 0 when all is well."""
+    from navfilter.io import read_mission, read_vehicle
+    from navfilter.rivals import MODELS
+
+    for name in options.models:
+        if name not in MODELS:
+            raise ValueError(f'--models: there is no model "{name}". Models: {", ".join(MODELS)}.')
+    if options.oracle is not None and "oracle" not in options.models:
+        raise ValueError("--oracle is only used by the model 'oracle': add it to --models.")
+    if options.oracle is None and "oracle" in options.models:
+        raise ValueError("the model 'oracle' needs --oracle TOML: a vehicle file with the true error models. A mission does not hold them.")
+    vehicle = read_vehicle(options.vehicle).without(*options.without)
+    truth = None if options.oracle is None else true_errors(vehicle, read_vehicle(options.oracle))
+    mission = read_mission(options.mission)
+    folder = None if options.out is None else output_folder(options.out)
+    plan = Plan(options.models, options.sensors, truth, options.smooth, options.begin, options.output_rate)
+    comparison, tracks = compare_models(plan, vehicle, mission, options.quiet)
+    if not options.quiet:
+        print_comparison(comparison, mission)
+    if folder is not None:
+        write_results(comparison, tracks, mission, folder, options.quiet)
+        speaker(options.quiet)(f"Written to {folder}{os.sep}: report.html (open this one), comparison.csv, summary.json")
+    return 0
+
+
+def true_errors(vehicle: Vehicle, really: Vehicle) -> dict[str, Any]:
+    """Error models of the second vehicle for the sensors that both have."""
+    return {name: really.sensors[name].error for name in vehicle.sensors if name in really.sensors}
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is compared, and how.
+
+    Attributes
+    ----------
+    models : sequence of str
+        Names, see `navfilter.rivals.rival`.
+    sensors : sequence of str, optional
+        Whose model is exchanged; default all with enough readings.
+    truth : dict of str to ErrorModel or tuple of ErrorModel, optional
+        For "oracle".
+    smooth : bool
+    begin_s : float, optional
+        Score from here on [s]; default after the first learning window.
+    output_rate_hz : float
+    """
+
+    models: Sequence[str]
+    sensors: Sequence[str] | None = None
+    truth: Mapping[str, Any] | None = None
+    smooth: bool = False
+    begin_s: float | None = None
+    output_rate_hz: float = 5.0
+
+
+def compare_models(plan: Plan, vehicle: Vehicle, mission: Mission, quiet: bool = False) -> tuple[Comparison, dict[str, Track]]:
+    """Fit the rivals, replay the mission with each, and compare.
+
+    Parameters
+    ----------
+    plan : Plan
+    vehicle : Vehicle
+    mission : Mission
+    quiet : bool
+        Say nothing on the way.
+
+    Returns
+    -------
+    comparison : Comparison
+    tracks : dict of str to Track
+        Forward tracks, or smoothed ones, by name of the model.
+    """
+    from navfilter.alignment import align
+    from navfilter.comparison import compare
+    from navfilter.playback import replay
+    from navfilter.rivals import rivals
+
+    say, bars = speaker(quiet), not quiet and sys.stderr.isatty()
+    compile_first(quiet)
+    # One start for all: an alignment uses the error models, and the rivals are to differ in nothing else.
+    start = mission.start if mission.start is not None else align(vehicle, mission)
+    if set(plan.models) - {"arma", "oracle", "vehicle"}:
+        say(f"fitting models to {mission.name} ({mission.duration_s / 60:.1f} min) ...")
+    vehicles = rivals(tuple(plan.models), vehicle, mission, sensors=plan.sensors, truth=plan.truth, start=start)
+    tracks = {}
+    for number, (name, with_model) in enumerate(vehicles.items(), 1):
+        say(f"replaying with {name} ({number} of {len(vehicles)}) ...")
+        tracks[name] = replay(with_model, mission, start=start, smooth=plan.smooth, output_rate_hz=plan.output_rate_hz, progress=bars)
+    begin_s = learning_ends(vehicles, mission, start) if plan.begin_s is None else plan.begin_s
+    baseline = next((name for name in BASELINES if name in tracks), next(iter(tracks)))
+    return compare(tracks, mission.truth, begin_s=begin_s, windows=mission.windows, baseline=baseline), tracks
+
+
+def learning_ends(vehicles: Mapping[str, Vehicle], mission: Mission, start: Start) -> float:
+    """Mission time [s] at which the first window of everything that learns is full; a window longer than half the mission is no reason to
+    wait for it.
+    """
+    from navfilter.learned import learned_part
+
+    spans = [0.0]
+    for vehicle in vehicles.values():
+        for sensor in vehicle.sensors.values():
+            parts = [part for model in sensor.models if (part := learned_part(model)) is not None]
+            spans += [part.window / sensor.rate_hz for part in parts]
+    return start.time_s + max(span for span in spans if span <= 0.5 * (mission.end_s - start.time_s))
+
+
+# --- results ----------------------------------------------------------------------------------------------------------
+
+
+def print_comparison(comparison: Comparison, mission: Mission) -> None:
+    """The table on standard output."""
+    print(f"\n{comparison}")
+    if mission.truth is None:
+        print("(no truth in this mission: only what the readings themselves tell)")
+
+
+def write_results(comparison: Comparison, tracks: Mapping[str, Track], mission: Mission, folder: Path, quiet: bool) -> None:
+    """Write report.html, comparison.csv and summary.json."""
+    from tqdm import tqdm
+
+    from navfilter.comparison import compare
+    from navfilter.io.write import write_json
+    from navfilter.report.comparison_page import adopted_models, write_comparison
+
+    comparison.to_frame().to_csv(folder / "comparison.csv", index_label="model")
+    whole = compare(tracks, mission.truth, windows=mission.windows, baseline=comparison.baseline)
+    summary = {
+        "mission": mission.name,
+        "vehicle": next(iter(tracks.values())).vehicle.name,
+        **comparison.to_dict(),
+        "whole_mission": whole.to_dict()["runs"],
+        "models": {label: track.summary()["models"] for label, track in tracks.items()},
+        "adopted": adopted_models(tracks),
+    }
+    write_json(summary, folder / "summary.json")
+    bars = not quiet and sys.stderr.isatty()
+    with tqdm(desc="figures", unit="", leave=False, disable=not bars, bar_format="{desc}: {n_fmt} [{elapsed}]") as bar:
+        write_comparison(comparison, tracks, mission, folder / "report.html", bar.update)
