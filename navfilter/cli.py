@@ -1,7 +1,7 @@
-"""The command line: ``navfilter demo | replay | compare | identify | simulate | check | warmup``.
+"""The command line: ``navfilter demo | replay | run | compare | identify | simulate | check | vehicle | warmup``.
 
 Each sub-command is a function that adds its arguments and one that runs. Everything heavy is imported where it is used, so that
-``navfilter --help`` answers at once. Exit codes: 0 all is well, 1 `check` found an error in the mission, 2 wrong usage or input.
+``navfilter --help`` answers at once. Exit codes: 0 all is well, 1 `check` or `vehicle --check` found something wrong, 2 wrong usage or input.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action=_Version, nargs=0, help="show the version and stop")
     parser.set_defaults(run=None)
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", parser_class=_Parser)
-    for add in (_add_demo, _add_replay, _add_compare, _add_identify, _add_simulate, _add_check, _add_warmup):
+    for add in (_add_demo, _add_replay, _add_run, _add_compare, _add_identify, _add_simulate, _add_check, _add_vehicle, _add_warmup):
         add(commands)
     return parser
 
@@ -126,6 +126,15 @@ def _add_compare(commands: Any) -> None:
     compare_command.add_arguments(_command(commands, "compare", compare_command.run, compare_command.ABOUT, compare_command.EPILOG))
 
 
+# --- run --------------------------------------------------------------------------------------------------------------
+
+
+def _add_run(commands: Any) -> None:
+    from navfilter.commands import run as run_command
+
+    run_command.add_arguments(_command(commands, "run", run_command.run, run_command.ABOUT, run_command.EPILOG))
+
+
 # --- identify ---------------------------------------------------------------------------------------------------------
 
 
@@ -144,7 +153,9 @@ def _add_simulate(commands: Any) -> None:
         "simulate",
         _simulate,
         "simulate a mission with its truth",
-        "DIR gets mission.npz and vehicle.toml; a name that ends in .npz gets the mission, with the vehicle in a .toml beside it.\n\n"
+        "DIR gets mission.npz and vehicle.toml; a name that ends in .npz gets the mission, with the vehicle in a .toml beside it.\n"
+        "Where the sensors err otherwise than the vehicle believes, a second file, vehicle_true.toml, says how: it is the oracle of\n"
+        "'navfilter compare'.\n\n"
         "examples:\n"
         "  navfilter simulate --list\n"
         "  navfilter simulate lawnmower --seed 3 --duration 900 --out dive\n",
@@ -159,6 +170,7 @@ def _add_simulate(commands: Any) -> None:
 
 def _simulate(options: argparse.Namespace) -> int:
     from navfilter.simulation.scenarios import SCENARIOS, simulate_scenario
+    from navfilter.simulation.truth import true_vehicle
 
     if options.list:
         width = max(map(len, SCENARIOS))
@@ -175,7 +187,7 @@ def _simulate(options: argparse.Namespace) -> int:
     else:
         folder = output_folder(out)
         to = folder / "mission.npz", folder / "vehicle.toml"
-    replay_command.save(vehicle, mission, *to)
+    replay_command.save(vehicle, mission, *to, true_vehicle(options.scenario, options.duration))
     say = speaker(options.quiet)
     say(f"{mission.duration_s:.0f} s, streams {', '.join(mission.streams)}. Replay it with:")
     say(f"  navfilter replay {to[0]} --vehicle {to[1]} --smooth --out result")
@@ -210,6 +222,15 @@ def _check(options: argparse.Namespace) -> int:
     findings = check_mission(mission, None if options.vehicle is None else read_vehicle(options.vehicle))
     speaker(options.quiet)(report_text(mission, findings))
     return FOUND if any(finding.severity == "error" for finding in findings) else OK
+
+
+# --- vehicle ----------------------------------------------------------------------------------------------------------
+
+
+def _add_vehicle(commands: Any) -> None:
+    from navfilter.commands import vehicle as vehicle_command
+
+    vehicle_command.add_arguments(_command(commands, "vehicle", vehicle_command.run, vehicle_command.ABOUT, vehicle_command.EPILOG))
 
 
 # --- warmup -----------------------------------------------------------------------------------------------------------

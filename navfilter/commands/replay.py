@@ -68,12 +68,14 @@ def demo(options: argparse.Namespace) -> int:
     return _replay_and_write(vehicle, mission, folder, options.quiet, smooth=True)
 
 
-def save(vehicle: Any, mission: Mission, mission_path: Path, vehicle_path: Path) -> None:
-    """Write a simulated mission and its vehicle."""
+def save(vehicle: Any, mission: Mission, mission_path: Path, vehicle_path: Path, truth: Any = None) -> None:
+    """Write a simulated mission and its vehicle; where its sensors err otherwise than it believes, also the vehicle as it really is."""
     from navfilter.io import write_vehicle
 
     mission.save(mission_path)
     write_vehicle(vehicle, vehicle_path)
+    if truth is not None:
+        write_vehicle(truth, vehicle_path.with_name(f"{vehicle_path.stem}_true.toml"))
 
 
 def add_replay_arguments(parser: argparse.ArgumentParser) -> None:
