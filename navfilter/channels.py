@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,6 +27,7 @@ __all__ = ["Channel", "ChannelSeries", "Listener"]
 
 Array = NDArray[np.float64]
 GRAVITY = 9.81
+NEVER = int(np.iinfo(np.int64).max)
 
 
 class Channel:
@@ -167,7 +169,8 @@ class Listener:
         )
         self.window = window
         self.hop = min((part.hop or part.window // 4 for part in learned if part is not None), default=0)
-        self.due = max(1, window // 8) if window else np.iinfo(np.int64).max
+        self.due = max(1, window // 8) if window else NEVER
+        self._before_hop: tuple[Any, ...] = (-1, self.due, self.models, ())
 
     def series(self, axis: int, last: int | None = None) -> Array:
         """The last ticks of one axis, oldest first."""
@@ -182,9 +185,39 @@ class Listener:
             for axis, (drift, white) in enumerate(zip(self.drifts, self.white, strict=True))
         )
 
+    def mark(self) -> tuple[Any, ...]:
+        """Where it stands, to `recall` within the few seconds that the ring keeps beyond its window."""
+        return int(self.cursor[0]), self.due, self.models
+
+    def recall(self, mark: tuple[Any, ...]) -> None:
+        """Go back to a `mark`: not further than one hop."""
+        self.cursor[0], self.due, self.models = mark
+        hop, _, _, kept = self._before_hop
+        if self.cursor[0] < hop:
+            for learner, values in zip(self.learners, kept, strict=True):
+                if learner is not None:
+                    learner.restore(values)
+            self._before_hop = (-1, self.due, self.models, ())
+
+    def kept(self, mark: tuple[Any, ...]) -> tuple[int, int, tuple[ErrorModel, ...], tuple[Any, ...]]:
+        """A `mark` with what the learners knew then."""
+        hop, _, _, kept = self._before_hop
+        if mark[0] >= hop:
+            kept = tuple(None if learner is None else learner.snapshot() for learner in self.learners)
+        return (*mark, kept)
+
+    def revive(self, ring: Array, learners: Sequence[dict[str, Array]]) -> None:
+        """Take over readings and learners of another run."""
+        self.ring[:] = ring
+        for learner, kept in zip(self.learners, learners, strict=True):
+            if learner is not None:
+                learner.restore(kept)
+
     def learn(self) -> tuple[ErrorModel, ...] | None:
         """At a hop: the error models to adopt, or None when there is nothing new."""
         written = int(self.cursor[0])
+        kept = tuple(None if learner is None else learner.snapshot() for learner in self.learners)
+        self._before_hop = (written, self.due, self.models, kept)
         self.due = written + (self.hop if written >= self.window // 2 else max(1, self.window // 8))
         new = []
         for axis, (model, learner) in enumerate(zip(self.models, self.learners, strict=True)):

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from navfilter.health import Health
 from navfilter.kernels import strapdown
 
 __all__ = ["NavState", "euler_from_matrix", "matrix_from_euler", "rotation_matrix", "rotation_vector", "wrap"]
@@ -85,6 +86,8 @@ class NavState:
         Body to nav: ``v_n = C_nb @ v_b``.
     covariance : ndarray, shape (9, 9), optional
         Of the error (position [m] in n, velocity [m/s] in n, attitude rotation vector in n [rad]).
+    health : Health, optional
+        Of a navigator's state: what the sensors were worth.
     """
 
     time_s: float
@@ -94,6 +97,7 @@ class NavState:
     velocity_n: Array
     C_nb: Array
     covariance: Array | None = None
+    health: Health | None = None
 
     @property
     def roll_pitch_heading(self) -> Array:

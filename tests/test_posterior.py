@@ -15,7 +15,7 @@ from filterpy.kalman import KalmanFilter
 from scipy.linalg import block_diag
 
 import navfilter as nf
-from navfilter import navigator
+from navfilter import engine
 from navfilter.kernels import kalman
 from navfilter.smoother import smooth_rows
 
@@ -42,7 +42,7 @@ class Capture:
     def __init__(self, monkeypatch, vehicle, start):
         self.steps, self.samples, self.frozen = [], [], False
         self.places = kalman.places
-        monkeypatch.setattr(navigator, "kalman", self)
+        monkeypatch.setattr(engine, "kalman", self)
         self.tape = nf.Tape()
         self.nav = nf.Navigator(vehicle, start, self.tape)
         self.P0, self.n = self.nav._P.copy(), len(self.nav._P)
@@ -353,7 +353,7 @@ def test_the_capture_is_the_run_itself(monkeypatch):
     capture = Capture(monkeypatch, inertial_vehicle(), start())
     drive_through(capture.nav, 3.0, seed=4)
     assert len(tape.records) == len(capture.steps)
-    assert isinstance(capture.nav.state, nf.NavState) and not isinstance(navigator.kalman, types.ModuleType)
+    assert isinstance(capture.nav.state, nf.NavState) and not isinstance(engine.kalman, types.ModuleType)
     sd = nav.state.sd
     np.testing.assert_allclose(nav.state.minus(capture.nav.state) / sd, 0.0, atol=1e-10)
     np.testing.assert_allclose(nav.state.covariance / np.outer(sd, sd), capture.nav.state.covariance / np.outer(sd, sd), atol=1e-10)

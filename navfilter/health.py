@@ -1,0 +1,129 @@
+"""How the sensors fare: what became of their readings, how old the last good one is, and what looks wrong."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Health", "SensorHealth", "Watch"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SensorHealth:
+    """Condition of one sensor.
+
+    Attributes
+    ----------
+    condition : str
+        "good", "waiting" (nothing heard yet), "silent" (not heard for longer than its gate time-out), "rejected" (heard, but not used
+        for so long), "stuck" (the same value for too long) or "noisy" (residuals far larger than predicted).
+    age_s : float
+        Since the last reading that was used [s]; infinite before the first.
+    outcomes : dict of str to int
+        What became of its readings so far.
+    nis : float
+        Running mean of NIS per component, 1 when sensor and model agree; NaN before the first.
+    """
+
+    condition: str
+    age_s: float
+    outcomes: dict[str, int]
+    nis: float
+
+
+@dataclass(frozen=True)
+class Health:
+    """Condition of the whole.
+
+    Attributes
+    ----------
+    sensors : dict of str to SensorHealth
+    drive : dict of str to int
+        Irregularities of the drive's samples so far: gaps, backward stamps, repaired samples, clock set back or right; gates widened,
+        models adopted.
+    clock_offset_s : float
+        By how much stamps are moved because the clock was set back [s].
+    """
+
+    sensors: dict[str, SensorHealth]
+    drive: dict[str, int]
+    clock_offset_s: float = 0.0
+
+    @property
+    def degraded(self) -> tuple[str, ...]:
+        """Names of the sensors that do not help at present."""
+        return tuple(name for name, s in self.sensors.items() if s.condition not in ("good", "waiting"))
+
+
+@dataclass
+class Watch:
+    """Keeps the figures of one sensor.
+
+    Parameters
+    ----------
+    timeout_s : float
+        Silence for longer than this is a loss.
+    """
+
+    timeout_s: float
+    outcomes: Counter[str] = field(default_factory=Counter)
+    used_s: float = -math.inf
+    heard_s: float = -math.inf
+    nis: float = math.nan
+    value: bytes = b""
+    same: int = 0
+    since_s: float = math.nan
+
+    #: The same value for so long, and at least so many times in a row, is stuck: a live sensor has noise.
+    STUCK_S = 10.0
+    STUCK_READINGS = 10
+    #: Running mean of NIS over about so many readings; beyond `NOISY` the sensor is noisier than its model.
+    MEMORY = 50
+    NOISY = 3.0
+
+    def sees(self, time_s: float, value: Array) -> bool:
+        """Note what arrives; True when it looks stuck."""
+        raw = value.tobytes()
+        if raw == self.value:
+            self.same += 1
+        else:
+            self.value, self.same, self.since_s = raw, 1, time_s
+        self.heard_s = max(self.heard_s, time_s)
+        return self.stuck
+
+    @property
+    def stuck(self) -> bool:
+        """Whether the value has not changed for suspiciously long."""
+        return self.same >= self.STUCK_READINGS and self.heard_s - self.since_s >= self.STUCK_S
+
+    def note(self, status: str, time_s: float, nis: float, dof: int) -> None:
+        """Note what became of it."""
+        self.outcomes[status] += 1
+        if status in ("used", "late-replayed"):
+            self.used_s = max(self.used_s, time_s)
+        if dof and math.isfinite(nis):
+            share = min(nis / dof, 100.0)
+            self.nis = share if math.isnan(self.nis) else self.nis + (share - self.nis) / self.MEMORY
+
+    def health(self, now_s: float) -> SensorHealth:
+        """The figures at a time."""
+        age_s = now_s - self.used_s
+        if not self.outcomes:
+            condition = "waiting"
+        elif now_s - self.heard_s > self.timeout_s:
+            condition = "silent"
+        elif self.stuck:
+            condition = "stuck"
+        elif age_s > self.timeout_s:
+            condition = "rejected"
+        elif self.nis > self.NOISY:
+            condition = "noisy"
+        else:
+            condition = "good"
+        return SensorHealth(condition, max(age_s, 0.0), dict(self.outcomes), self.nis)
