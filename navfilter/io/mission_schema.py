@@ -344,6 +344,13 @@ class StartSpec(Strict):
         return {"from": data} if isinstance(data, str) else data
 
 
+class LogSpec(Strict):
+    """The log of ``navfilter run``: readings of all streams in the order of their arrival, and the names of their columns."""
+
+    file: str
+    columns: dict[str, tuple[str, ...]] = Field(default_factory=dict)
+
+
 class MissionSpec(Strict):
     """A whole mission.toml."""
 
@@ -353,11 +360,12 @@ class MissionSpec(Strict):
     windows: tuple[tuple[float, float], ...] = ()
     start: StartSpec | None = None
     truth: TruthStream | None = None
+    log: LogSpec | None = None
     streams: dict[str, SensorStream] = Field(default_factory=dict)
 
     @model_validator(mode="after")
     def _something(self) -> MissionSpec:
-        if not self.streams and self.truth is None:
+        if not self.streams and self.truth is None and self.log is None:
             raise ValueError("there is no stream; add [streams.NAME], named as the sensor in vehicle.toml")
         if self.start is not None and self.start.source == "truth" and self.truth is None:
             raise ValueError('start is to come from "truth", but there is no [truth]')

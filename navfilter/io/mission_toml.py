@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ import numpy.typing as npt
 
 from navfilter.io import geodesy
 from navfilter.io.columns import Counts, clock_times, group_names, group_values
+from navfilter.io.json_lines import read_log
 from navfilter.io.merging import block_mean, mean, resampled
 from navfilter.io.mission_schema import GROUPS, Clock, MissionSpec, Origin, Source, StreamSpec, TruthStream
 from navfilter.io.starting import start_of
@@ -37,7 +39,10 @@ def read_mission_toml(path: Path) -> Mission:
     """
     spec = validate(MissionSpec, read_toml(path, MissionError), path, MissionError)
     reader = _Reader(path.parent)
-    streams = {}
+    streams: dict[str, Stream] = {}
+    logged_start = None
+    if spec.log is not None:
+        streams, logged_start, reader.notes = read_log(expand(spec.log.file, path.parent), spec.log.columns)
     for name, stream_spec in spec.streams.items():
         streams[name] = reader.stream(name, stream_spec)
     truth = None if spec.truth is None else reader.truth(spec.truth)
@@ -45,6 +50,8 @@ def read_mission_toml(path: Path) -> Mission:
     if zero:
         streams = {name: Stream(s.time_s - zero, s.value, s.columns) for name, s in streams.items()}
         truth = None if truth is None else Stream(truth.time_s - zero, truth.value, truth.columns)
+        if logged_start is not None:
+            logged_start = replace(logged_start, time_s=logged_start.time_s - zero)
     for name, stream_spec in spec.streams.items():
         streams[name] = _windowed(streams[name], stream_spec)
     if truth is not None and spec.truth is not None:
@@ -53,7 +60,7 @@ def read_mission_toml(path: Path) -> Mission:
         name=spec.name or path.resolve().parent.name,
         streams=streams,
         truth=truth,
-        start=start_of(spec.start, truth, spec.date, path),
+        start=logged_start if spec.start is None else start_of(spec.start, truth, spec.date, path),
         date=spec.date,
         notes=tuple(reader.notes),
         windows=spec.windows,

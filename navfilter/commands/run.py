@@ -1,0 +1,137 @@
+"""``navfilter run``: its arguments, and what they mean. Everything heavy is imported where it is used."""
+
+from __future__ import annotations
+
+import argparse
+import datetime
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+from navfilter.commands.console import announce_compilation, positive
+
+__all__ = ["ABOUT", "EPILOG", "add_arguments", "run"]
+
+ABOUT = "navigate live: readings in, states out, as line-delimited JSON"
+EPILOG = """\
+readings, one per line, in SI units and radians; null is a missing component:
+  {"sensor": "imu", "time_s": 12.34, "rate_b": [0.0, 0.0, 0.01], "force_b": [0.1, 0.0, -9.8]}
+  {"sensor": "compass", "time_s": 12.34, "value": 1.57}
+  {"sensor": "gps", "time_s": 12.0, "value": [0.785, -0.07, null], "sd": [2, 2, 5]}
+A vehicle without an inertial unit is driven by "attitude" (roll, pitch, yaw) and "velocity". "sd" is optional: the white standard
+deviation of this one reading. A line that is no reading is counted and told, and never stops the run.
+
+the start: --start, or a line {"sensor": "start", "latitude_deg": 45.0, "longitude_deg": -4.0, "heading_deg": 90.0}, or else an alignment on
+  the first seconds (level by the accelerometers, heading by the compass, place by a fix); "waiting" events tell what it lacks.
+
+states, --rate-hz times a second of the readings' clock: time, place, velocity, attitude, standard deviations, age of each sensor, what
+  became of its readings. Lines with an "event" tell of everything else.
+
+the log is a mission folder: 'navfilter replay DIR --vehicle DIR --out result' smooths it, 'navfilter run --replay-log DIR' gives the output
+  of the run again, bit for bit. With --log (or --state) a run that was killed goes on with --resume as if nothing had happened.
+
+Ctrl-C and SIGTERM end the run cleanly; so does the end of the input.
+
+examples:
+  driver | navfilter run --vehicle auv.toml --start start.toml | publisher
+  navfilter run --vehicle auv.toml --listen tcp://127.0.0.1:4600 --log dive_042 --rate-hz 10
+  navfilter run --vehicle auv.toml --listen tcp://127.0.0.1:4600 --log dive_042 --resume
+  navfilter run --replay-log dive_042 > states.jsonl
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of ``navfilter run``."""
+    parser.add_argument("--vehicle", metavar="TOML", help="the vehicle.toml, or the folder that holds it")
+    source = parser.add_mutually_exclusive_group()
+    source.add_argument("--input", default="-", metavar="FILE", help="file or pipe to read; - is standard input (default)")
+    source.add_argument("--listen", metavar="URL", help="wait for one client at a time, such as tcp://127.0.0.1:4600; states go back to it")
+    source.add_argument("--replay-log", metavar="DIR", help="feed the log of an earlier run again")
+    parser.add_argument("--allow-remote", action="store_true", help="let --listen be reached from other computers (there is no password)")
+    parser.add_argument("--start", metavar="FILE", help=".toml or .json with the fields of Start; without time_s: the first reading")
+    parser.add_argument("--align", type=positive, default=5.0, metavar="S", help="without a start: align on so many seconds (default: 5)")
+    parser.add_argument("--date", type=_date, metavar="YYYY-MM-DD", help="for the magnetic declination (default: today)")
+    parser.add_argument("--rate-hz", type=positive, metavar="HZ", help="states per second (default: 1)")
+    parser.add_argument("--log", metavar="DIR", help="write the readings to this mission folder")
+    parser.add_argument(
+        "--fsync", type=positive, default=1.0, metavar="S", help="a power cut costs at most so many seconds of the log (default: 1)"
+    )
+    parser.add_argument("--state", metavar="FILE", help="write snapshots to this file (default with --log: snapshot in its folder)")
+    parser.add_argument("--snapshot-every", type=positive, default=10.0, metavar="S", help="time between snapshots (default: 10)")
+    parser.add_argument("--resume", action="store_true", help="go on from the snapshot and the log, if there are any")
+    parser.add_argument("--quiet", action="store_true", help="print nothing but errors to standard error")
+
+
+def _date(text: str) -> datetime.date:
+    try:
+        return datetime.date.fromisoformat(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"must look like 2026-05-04, found '{text}'") from None
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run ``navfilter run``."""
+    from navfilter.io import read_vehicle
+    from navfilter.service.loop import Service, replay_log
+    from navfilter.service.loop import run as run_loop
+    from navfilter.service.session import Options
+
+    def say(text: str) -> None:
+        if not options.quiet:
+            print(f"navfilter run: {text}", file=sys.stderr, flush=True)
+
+    _check(options)
+    vehicle = read_vehicle(options.vehicle or options.replay_log)
+    if options.replay_log is not None:
+        announce_compilation(options.quiet)
+        return replay_log(vehicle, Path(options.replay_log), rate_hz=options.rate_hz, say=say)
+    today = datetime.datetime.now(datetime.UTC).date()
+    decides = Options(rate_hz=options.rate_hz or 1.0, align_s=options.align, start=_start(options.start), date=options.date or today)
+    log = None if options.log is None else Path(options.log)
+    state = log / "snapshot" if options.state is None and log is not None else options.state
+    service = Service(
+        input=_input(options),
+        log=log,
+        fsync_s=options.fsync,
+        state=None if state is None else Path(state),
+        snapshot_s=options.snapshot_every,
+        resume=options.resume,
+        say=say,
+    )
+    announce_compilation(options.quiet)
+    return run_loop(vehicle, decides, service)
+
+
+def _check(options: argparse.Namespace) -> None:
+    if options.vehicle is None and options.replay_log is None:
+        raise ValueError("run needs --vehicle (only --replay-log has one in its folder).")
+    if options.resume and options.log is None and options.state is None:
+        raise ValueError("--resume needs --log or --state: there is nothing to go on from.")
+    if options.replay_log is not None and (options.log or options.state or options.start or options.resume):
+        raise ValueError("--replay-log feeds a log as it is: leave out --log, --state, --start and --resume.")
+
+
+def _input(options: argparse.Namespace) -> int | tuple[str, int]:
+    if options.listen is not None:
+        from navfilter.service.sources import listen_address
+
+        return listen_address(options.listen, allow_remote=options.allow_remote)
+    return 0 if options.input == "-" else os.open(options.input, os.O_RDONLY)
+
+
+def _start(path: str | None) -> dict[str, Any] | None:
+    """Fields of the start in a .toml or .json, at its top or in a table [start]."""
+    if path is None:
+        return None
+    import json
+    import tomllib
+
+    from navfilter.io.json_lines import start_from
+
+    text = Path(path).read_text(encoding="utf-8-sig")
+    try:
+        data = json.loads(text) if path.endswith(".json") else tomllib.loads(text)
+        return start_from(data["start"] if isinstance(data.get("start"), dict) else data)
+    except (ValueError, AttributeError) as error:
+        raise ValueError(f"{path}: {error}") from None

@@ -1,0 +1,230 @@
+"""The log and the snapshots of a run, written by a thread of their own: a slow or full disk never keeps the navigator waiting.
+
+The log is only ever appended to. Every block that was read goes to the operating system at once, so a killed process loses nothing; a
+power cut loses what came after the last fsync. A snapshot is written beside the old one, synced and moved over it, always after the log
+it refers to.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import hashlib
+import json
+import os
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from navfilter.service.protocol import event_line, to_line
+
+__all__ = ["Disk", "StateFile"]
+
+
+class StateFile:
+    """A snapshot on disk: one line with a checksum, one with the session as JSON, then the navigator's own snapshot."""
+
+    MAGIC = b"navfilter-run-state 1 "
+
+    @classmethod
+    def pack(cls, session: dict[str, Any], nav: bytes, log_offset: int | None) -> bytes:
+        """The bytes of the file."""
+        rest = to_line({"log_offset": log_offset, **session}) + nav
+        return cls.MAGIC + hashlib.sha256(rest).hexdigest().encode() + b"\n" + rest
+
+    @classmethod
+    def read(cls, path: Path) -> tuple[dict[str, Any], bytes]:
+        """The session (with ``log_offset``) and the navigator's snapshot.
+
+        Raises
+        ------
+        ValueError
+            When the file is damaged or of another version.
+        """
+        data = path.read_bytes()
+        head, _, rest = data.partition(b"\n")
+        if not head.startswith(b"navfilter-run-state "):
+            raise ValueError(f"{path} is no snapshot of navfilter run. Move it away to start afresh.")
+        if not head.startswith(cls.MAGIC):
+            raise ValueError(
+                f"{path} was written by another version ({head[:24].decode('ascii', 'replace')}). Move it away to start afresh."
+            )
+        if hashlib.sha256(rest).hexdigest().encode() != head[len(cls.MAGIC) :]:
+            raise ValueError(
+                f"{path} is damaged (its checksum is wrong). Move it away: with --log and --resume the whole log is then replayed instead."
+            )
+        session, _, nav = rest.partition(b"\n")
+        return json.loads(session), nav
+
+
+class Disk:
+    """The thread that writes.
+
+    Parameters
+    ----------
+    log : Path, optional
+        File to append lines to.
+    state : Path, optional
+        File of the snapshots.
+    fsync_s : float
+        The log is synced so often [s].
+    notice : callable
+        Is told, from the thread, of what goes wrong and when it is well again.
+
+    Raises
+    ------
+    OSError
+        When the log cannot be opened.
+    ValueError
+        When another process is writing to it.
+    """
+
+    #: So many bytes may wait for the disk; more are counted as lost.
+    LONGEST_QUEUE = 64 << 20
+
+    def __init__(self, log: Path | None, state: Path | None, fsync_s: float, notice: Callable[..., None]) -> None:
+        self._state_path, self._fsync_s, self._notice = state, fsync_s, notice
+        self.lost_lines = self.failed_snapshots = 0
+        self._file = None if log is None else self._open(log)
+        self._good = 0 if self._file is None else self._file.tell()
+        self._queue: deque[bytes | tuple[dict[str, Any], bytes]] = deque()
+        self._queued = 0
+        self._lost_before = self._dirty = False
+        self._troubles: set[str] = set()
+        self._synced = time.monotonic()
+        self._closing = False
+        self._condition = threading.Condition()
+        self._thread = threading.Thread(target=self._work, name="navfilter-disk", daemon=True)
+        self._thread.start()
+
+    @staticmethod
+    def _open(log: Path) -> Any:
+        file = log.open("ab", buffering=0)
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            file.close()
+            raise ValueError(f"{log}: another process is writing to this log. Stop it first, or log to another folder.") from None
+        return file
+
+    # ---------------------------------------------------------------- from the loop
+    def append(self, lines: bytes) -> None:
+        """Append whole lines to the log; returns at once."""
+        if self._file is None or not lines:
+            return
+        with self._condition:
+            if self._queued + len(lines) > self.LONGEST_QUEUE:
+                self._lose(lines)
+                return
+            self._queue.append(lines)
+            self._queued += len(lines)
+            self._condition.notify()
+
+    def snapshot(self, session: dict[str, Any], nav: bytes) -> None:
+        """Write a snapshot that refers to the log as appended so far; returns at once."""
+        with self._condition:
+            # of two that wait only the later counts
+            self._queue = deque(task for task in self._queue if isinstance(task, bytes))
+            self._queue.append((session, nav))
+            self._condition.notify()
+
+    def close(self, patience_s: float = 30.0) -> bool:
+        """Write everything, sync and end; False when the disk did not come to an end in time."""
+        with self._condition:
+            self._closing = True
+            self._condition.notify()
+        self._thread.join(patience_s)
+        return not self._thread.is_alive()
+
+    # ---------------------------------------------------------------- the thread
+    def _work(self) -> None:
+        while True:
+            with self._condition:
+                if not self._queue and not self._closing:
+                    self._condition.wait(self._fsync_s if self._dirty else None)
+                tasks, self._queue, self._queued = self._queue, deque(), 0
+                closing = self._closing
+            lines = b""
+            for task in tasks:
+                if isinstance(task, bytes):
+                    lines += task
+                else:
+                    self._write(lines)
+                    lines = b""
+                    self._save(*task)
+            self._write(lines)
+            if self._dirty and (closing or time.monotonic() - self._synced >= self._fsync_s):
+                self._sync()
+            if closing and not self._queue:
+                return
+
+    def _write(self, lines: bytes) -> None:
+        if not lines or self._file is None:
+            return
+        data = event_line("lost") + lines if self._lost_before else lines
+        view = memoryview(data)
+        try:
+            while view:
+                view = view[self._file.write(view) or 0 :]
+        except OSError as error:
+            # What was written of these lines must not stand before later ones.
+            with contextlib.suppress(OSError):
+                os.ftruncate(self._file.fileno(), self._good)
+            self._lose(lines)
+            self._trouble("log", error)
+            return
+        self._good += len(data)
+        self._dirty, self._lost_before = True, False
+        self._recovered("log")
+
+    def _lose(self, lines: bytes) -> None:
+        self.lost_lines += lines.count(b"\n")
+        self._lost_before = True
+
+    def _sync(self) -> None:
+        if self._file is not None:
+            try:
+                os.fsync(self._file.fileno())
+                self._recovered("fsync of the log")
+            except OSError as error:
+                self._trouble("fsync of the log", error)
+        self._dirty, self._synced = False, time.monotonic()
+
+    def _save(self, session: dict[str, Any], nav: bytes) -> None:
+        if self._state_path is None:
+            return
+        self._sync()
+        data = StateFile.pack(session, nav, None if self._file is None else self._good)
+        part = self._state_path.with_name(self._state_path.name + ".part")
+        try:
+            with part.open("wb") as file:
+                file.write(data)
+                file.flush()
+                os.fsync(file.fileno())
+            part.replace(self._state_path)
+            folder = os.open(self._state_path.parent, os.O_RDONLY)
+            try:
+                os.fsync(folder)
+            finally:
+                os.close(folder)
+        except OSError as error:
+            self.failed_snapshots += 1
+            with contextlib.suppress(OSError):
+                part.unlink()
+            self._trouble("snapshot", error)
+            return
+        self._recovered("snapshot")
+
+    def _trouble(self, what: str, error: OSError) -> None:
+        """Told once, until it is well again."""
+        if what not in self._troubles:
+            self._troubles.add(what)
+            self._notice("disk-failed", text=f"{what}: {error.strerror or error}; the navigation goes on", lost_lines=self.lost_lines)
+
+    def _recovered(self, what: str) -> None:
+        if what in self._troubles:
+            self._troubles.discard(what)
+            self._notice("disk-recovered", text=what, lost_lines=self.lost_lines, failed_snapshots=self.failed_snapshots)

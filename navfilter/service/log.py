@@ -1,0 +1,148 @@
+"""The folder of a log: a mission that `navfilter replay` reads, and everything that `navfilter run` needs to give its output again.
+
+``mission.toml`` and ``vehicle.toml`` are written first; ``readings.jsonl`` then grows line by line (see `navfilter.io.json_lines`).
+"""
+
+from __future__ import annotations
+
+import datetime
+import json
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from navfilter.io import write_vehicle
+from navfilter.io.json_lines import Item, LineParser, Note, log_lines
+from navfilter.io.mission_schema import GROUPS
+from navfilter.mission import MissionError
+from navfilter.sensors import Depth, Heading, Position, Sensor, ZeroVelocity
+from navfilter.service.protocol import event_line
+from navfilter.service.session import Options
+from navfilter.vehicle import Vehicle
+
+__all__ = ["LOG_FILE", "log_items", "logged_options", "prepare_log", "run_note"]
+
+LOG_FILE = "readings.jsonl"
+
+
+def prepare_log(folder: Path, vehicle: Vehicle, options: Options, *, resume: bool) -> Path:
+    """Make the folder of a log, or take the end of one that was broken off.
+
+    Parameters
+    ----------
+    folder : Path
+    vehicle : Vehicle
+    options : Options
+    resume : bool
+        Whether a log may be there already; the half line that a crash left at its end is then cut off.
+
+    Returns
+    -------
+    Path
+        The file to append to.
+
+    Raises
+    ------
+    ValueError
+        When there is a log and `resume` is False.
+    OSError
+        When the folder cannot be written.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / LOG_FILE
+    if path.exists() and path.stat().st_size:
+        if not resume:
+            raise ValueError(f"{folder} holds a log already. Give another folder, or --resume to continue that run.")
+        _cut_half_line(path)
+        return path
+    write_vehicle(vehicle, folder / "vehicle.toml")
+    (folder / "mission.toml").write_text(_mission_toml(folder, vehicle, options.date), encoding="utf-8")
+    for name in ("vehicle.toml", "mission.toml", "."):
+        handle = os.open(folder / name, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
+    return path
+
+
+def _cut_half_line(path: Path) -> None:
+    with path.open("rb+") as file:
+        end = file.seek(0, os.SEEK_END)
+        while end:
+            begin = max(0, end - 65536)
+            file.seek(begin)
+            feed = file.read(end - begin).rfind(b"\n")
+            if feed >= 0:
+                end = begin + feed + 1
+                break
+            end = begin
+        file.truncate(end)
+
+
+def _mission_toml(folder: Path, vehicle: Vehicle, date: datetime.date | None) -> str:
+    lines = [
+        "# Written by navfilter run. The readings stand in the order of their arrival; navfilter run --replay-log feeds them again.",
+        f"name = {json.dumps(folder.resolve().name)}",
+        *([] if date is None else [f"date = {date.isoformat()}"]),
+        "",
+        "[log]",
+        f'file = "{LOG_FILE}"',
+        "",
+        "[log.columns]",
+    ]
+    return "\n".join(lines + [f"{json.dumps(name)} = {json.dumps(columns)}" for name, columns in _columns(vehicle).items()]) + "\n"
+
+
+def _columns(vehicle: Vehicle) -> dict[str, list[str]]:
+    """Names of the columns of every stream that the vehicle listens to."""
+    drive = {name: _group(*(("rate", "force") if name == "imu" else (name,))) for name in vehicle.drive.streams}
+    if getattr(vehicle.drive, "increments", False):
+        drive["imu"] = _group("rotation", "velocity_gain")
+    corrections = {name: _sensor_columns(s) for name, s in vehicle.sensors.items() if not isinstance(s, ZeroVelocity)}
+    return drive | corrections
+
+
+def _sensor_columns(sensor: Sensor) -> list[str]:
+    if isinstance(sensor, Heading):
+        return _group("field" if sensor.magnetometer else "heading")
+    if isinstance(sensor, Depth):
+        return _group("pressure" if sensor.pressure else "depth")
+    if isinstance(sensor, Position):
+        return _group("position")
+    return _group("velocity") if sensor.reads == 3 else [f"column_{k}" for k in range(sensor.reads)]
+
+
+def _group(*names: str) -> list[str]:
+    return [column for name in names for column in GROUPS[name][1]]
+
+
+def run_note(options: Options, **more: Any) -> bytes:
+    """The note with which each run begins its part of the log."""
+    return event_line("run", **options.to_json(), **more)
+
+
+def log_items(path: Path, vehicle: Vehicle, offset: int = 0) -> Iterator[Item]:
+    """The lines of a log, to be fed again; damaged ones are left out."""
+    parser = LineParser(vehicle, notes=True)
+    for line in log_lines(path, offset):
+        item = parser.parse(line)
+        if item is not None and item.raw.rstrip(b"\n") == line.strip():
+            yield item
+
+
+def logged_options(path: Path) -> Options:
+    """How the run that wrote a log was asked for.
+
+    Raises
+    ------
+    MissionError
+        When the log does not begin as logs do.
+    """
+    if not path.is_file():
+        raise MissionError(f"{path}: no such file. A log of navfilter run is a folder with a {LOG_FILE}.")
+    first = LineParser(notes=True).parse(next(log_lines(path), b""))
+    if not isinstance(first, Note) or first.event != "run":
+        raise MissionError(f"{path} does not begin like a log of navfilter run.")
+    return Options.from_json(first.fields)

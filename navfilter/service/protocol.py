@@ -1,0 +1,102 @@
+"""Lines out of ``navfilter run``: states, events, and the bytes of the input cut into lines.
+
+Numbers are written with the fewest digits that read back as the same float64, so two outputs can be compared bit for bit.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from navfilter.health import Health
+from navfilter.io.json_lines import LONGEST_LINE
+from navfilter.state import NavState
+
+__all__ = ["Lines", "event_line", "state_fields", "to_line"]
+
+
+def to_line(fields: Mapping[str, Any]) -> bytes:
+    """One object as one line; what is not finite becomes null."""
+    try:
+        text = json.dumps(fields, separators=(",", ":"), allow_nan=False)
+    except ValueError:
+        text = json.dumps(_finite(fields), separators=(",", ":"), allow_nan=False)
+    return text.encode() + b"\n"
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {key: _finite(v) for key, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(v) for v in value]
+    return value
+
+
+def event_line(event: str, **fields: Any) -> bytes:
+    """A line that tells of something that happened."""
+    return to_line({"event": event, **fields})
+
+
+def state_fields(state: NavState) -> dict[str, Any]:
+    """The navigation state as it is published.
+
+    Returns
+    -------
+    dict
+        ``time_s``, ``latitude_deg``, ``longitude_deg``, ``depth_m`` (minus the height), ``velocity_n_m_s`` (north, east, down),
+        ``roll_deg``, ``pitch_deg``, ``heading_deg`` (0 to 360) and standard deviations ``position_sd_m``, ``velocity_sd_m_s`` (north, east,
+        down) and ``attitude_sd_deg`` (rotations about north, east, down; the last is that of the heading of a level vehicle); ``sensors``:
+        condition, age of the last good reading [s], mean NIS and what became of the readings, by name; ``clock_offset_s``.
+    """
+    health = state.health or Health({}, {})
+    roll, pitch, heading = np.degrees(state.roll_pitch_heading).tolist()
+    sd = state.sd.tolist()
+    return {
+        "time_s": state.time_s,
+        "latitude_deg": math.degrees(state.latitude),
+        "longitude_deg": math.degrees(state.longitude),
+        "depth_m": -state.height,
+        "velocity_n_m_s": state.velocity_n.tolist(),
+        "roll_deg": roll,
+        "pitch_deg": pitch,
+        "heading_deg": heading % 360.0,
+        "position_sd_m": sd[:3],
+        "velocity_sd_m_s": sd[3:6],
+        "attitude_sd_deg": [math.degrees(s) for s in sd[6:]],
+        "sensors": {
+            name: {"condition": s.condition, "age_s": s.age_s, "nis": s.nis, "outcomes": s.outcomes} for name, s in health.sensors.items()
+        },
+        "clock_offset_s": health.clock_offset_s,
+    }
+
+
+class Lines:
+    """Cuts bytes as they arrive into lines; one that does not end is cut off, and told from a whole one."""
+
+    def __init__(self) -> None:
+        self._rest = b""
+        self._skipping = False
+
+    def feed(self, data: bytes) -> Iterator[tuple[bytes, bool]]:
+        """Lines that are complete now, without the line feed, and whether each was cut off."""
+        *whole, self._rest = (self._rest + data).split(b"\n")
+        for line in whole:
+            if not self._skipping:
+                yield line, False
+            self._skipping = False
+        if len(self._rest) > LONGEST_LINE:
+            if not self._skipping:
+                yield self._rest[:200], True
+            self._rest, self._skipping = b"", True
+
+    def end(self) -> Iterator[tuple[bytes, bool]]:
+        """What stands after the last line feed when the input ends."""
+        if self._rest and not self._skipping:
+            yield self._rest, False
+        self._rest, self._skipping = b"", False

@@ -1,0 +1,313 @@
+"""What a run does with each line: everything here follows from the lines alone, never from a clock of the computer.
+
+So a log that is fed again gives the same output, bit for bit, however the lines came in blocks.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import datetime
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from navfilter.alignment import align
+from navfilter.intake import Intake
+from navfilter.io.json_lines import BadLine, Item, Note, Reading, StartLine, start_from, streams_of
+from navfilter.mission import Mission
+from navfilter.navigator import Navigator
+from navfilter.service.pairing import Pairing
+from navfilter.service.protocol import event_line, state_fields, to_line
+from navfilter.start import Start
+from navfilter.vehicle import Vehicle
+
+__all__ = ["Options", "Session"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """How a run was asked for, as far as it decides the output.
+
+    Parameters
+    ----------
+    rate_hz : float
+        States per second of the readings' clock.
+    align_s : float
+        Without a start the first readings of so many seconds are aligned.
+    start : dict, optional
+        Keyword arguments of `Start`; without ``time_s`` it is the first reading of the drive.
+    date : datetime.date, optional
+        For the magnetic declination.
+    """
+
+    rate_hz: float = 1.0
+    align_s: float = 5.0
+    start: dict[str, Any] | None = None
+    date: datetime.date | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """As the log holds it."""
+        start = None if self.start is None else {k: v.isoformat() if k == "date" else v for k, v in self.start.items()}
+        date = None if self.date is None else self.date.isoformat()
+        return {"rate_hz": self.rate_hz, "align_s": self.align_s, "start": start, "date": date}
+
+    @classmethod
+    def from_json(cls, saved: dict[str, Any]) -> Options:
+        """The inverse of `to_json`; raises ValueError where it cannot be."""
+        try:
+            start = None if saved["start"] is None else start_from(saved["start"])
+            date = None if saved["date"] is None else datetime.date.fromisoformat(saved["date"])
+            options = cls(rate_hz=float(saved["rate_hz"]), align_s=float(saved["align_s"]), start=start, date=date)
+        except (KeyError, TypeError, ValueError) as error:
+            raise ValueError(f"the options of this run cannot be read: {error!r}.") from None
+        if not (0.0 < options.rate_hz < math.inf and 0.0 < options.align_s < math.inf):
+            raise ValueError(f"the options of this run make no sense: rate_hz {options.rate_hz}, align_s {options.align_s}.")
+        return options
+
+
+class Session:
+    """A navigator that is fed with lines.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    options : Options
+    emit : callable
+        Takes each line of output, and whether it is a state (True) or an event.
+    note : callable, optional
+        Takes notes for the log (the start that was found).
+    """
+
+    #: Drive samples are handed over together for so long [s], and never more than so many.
+    BLOCK_S, BLOCK = 0.1, 256
+    #: A warning about one kind of bad line comes at most so often [s], or when there are ten times as many.
+    WARN_EVERY_S = 60.0
+    #: Readings that are kept for an alignment: of so many seconds, and never more than so many.
+    KEPT_S, KEPT = 65.0, 200_000
+
+    def __init__(
+        self, vehicle: Vehicle, options: Options, emit: Callable[[bytes, bool], None], note: Callable[[bytes], None] | None = None
+    ) -> None:
+        self.vehicle, self.options, self._emit = vehicle, options, emit
+        self._note = note or (lambda line: None)
+        self.nav: Navigator | None = None
+        self._start = options.start
+        self._buffer: list[Reading] = []
+        self._align_at_s: float | None = None
+        self._waited = ""
+        self._pairing = None if "imu" in vehicle.drive.streams else Pairing(vehicle.drive.period_s)
+        self._rows: list[list[float]] = []
+        self._tick = self._second = -math.inf
+        self._due_s = -math.inf
+        self._drive_s = self._offset_s = 0.0
+        self.bad: dict[str, int] = {}
+        self._warned: dict[str, list[float]] = {}
+        self._conditions: dict[str, str] = {}
+
+    # ---------------------------------------------------------------- in
+    def feed(self, item: Item) -> None:
+        """Take the next line. Drive samples are gathered into blocks, whose ends follow from the stamps alone."""
+        if isinstance(item, Reading):
+            if self.nav is None:
+                self._before_start(item)
+            elif self._pairing is not None:
+                for reading, attitude in self._pairing.take(item):
+                    self._take(reading, attitude)
+            else:
+                self._take(item, None)
+        elif isinstance(item, BadLine):
+            self._bad(item)
+        elif isinstance(item, StartLine):
+            self._start_line(item)
+        elif item.event == "stop":
+            self.stop()
+        elif item.event == "run":
+            self._run(item)
+
+    def _flush(self) -> None:
+        """Hand over the drive samples that were gathered."""
+        if self._rows and self.nav is not None:
+            rows, self._rows = self._rows, []
+            self.nav.step_samples(np.array(rows))
+            self._offset_s = self.nav.intake.offset_s
+
+    def stop(self) -> None:
+        """The end of the readings (of this run): what still waits is used, and the last state is told."""
+        if self.nav is not None:
+            if self._pairing is not None:
+                for reading, attitude in self._pairing.end():
+                    self._take(reading, attitude)
+            self._flush()
+            self._state()
+        self._tell("stop", time_s=None if self.nav is None else self.nav.time_s, bad_lines=self.bad)
+
+    def _run(self, item: Note) -> None:
+        """A run that was resumed may have been asked for another rate."""
+        rate_hz = item.fields.get("rate_hz")
+        if isinstance(rate_hz, int | float) and 0.0 < rate_hz < math.inf:
+            self.options = dataclasses.replace(self.options, rate_hz=float(rate_hz))
+            if self.nav is not None:
+                self._flush()
+                self._next_tick()
+
+    def _take(self, reading: Reading, attitude: list[float] | None) -> None:
+        name, time_s = reading.sensor, reading.time_s
+        if name == "imu":
+            self._rows.append([time_s, *reading.value[:6]])
+        elif attitude is not None:
+            self._rows.append([time_s, *attitude, *reading.value[:3]])
+        else:
+            self._correct(reading)
+            return
+        self._drive_s = time_s
+        block = abs(time_s - self._rows[0][0]) >= self.BLOCK_S or len(self._rows) >= self.BLOCK
+        if block or time_s + self._offset_s >= self._due_s:
+            self._flush()
+            self._ticks()
+
+    def _correct(self, reading: Reading) -> None:
+        assert self.nav is not None
+        self._flush()
+        outcome = self.nav.correct(reading.sensor, reading.time_s, reading.value, reading.sd)
+        if outcome.status in ("ahead", "used", "rejected"):
+            self._condition(self.vehicle.drive.streams[-1], "silent" if outcome.status == "ahead" else "good")
+        self._ticks()
+
+    # ---------------------------------------------------------------- start
+    def _before_start(self, reading: Reading) -> None:
+        if len(self._buffer) >= self.KEPT:
+            del self._buffer[: self.KEPT // 2]
+        self._buffer.append(reading)
+        if reading.sensor not in self.vehicle.drive.streams[:1]:
+            return
+        if self._start is not None:
+            self._begin(Start(**{"time_s": reading.time_s, "date": self.options.date, **self._start}), "given")
+        elif self._align_at_s is None or abs(reading.time_s - self._align_at_s) > 10.0 * self.options.align_s:
+            self._align_at_s = reading.time_s + self.options.align_s  # the first reading, or the clock was set
+        elif reading.time_s > self._align_at_s:
+            self._align_at_s = reading.time_s + 1.0
+            self._align()
+
+    def _align(self) -> None:
+        streams, _ = streams_of(self._buffer)
+        mission = Mission("live", streams, date=self.options.date)
+        try:
+            start = align(self.vehicle, mission, self.options.align_s)
+        except ValueError as error:
+            if str(error) != self._waited:
+                self._waited = str(error)
+                self._tell("waiting", text=self._waited)
+            oldest_s = self._buffer[-1].time_s - self.KEPT_S - self.options.align_s
+            self._buffer = [reading for reading in self._buffer if reading.time_s >= oldest_s]
+            return
+        # Everything within the window must have arrived, so that the same readings in a file align the same.
+        if self._buffer[-1].time_s > start.time_s + self.options.align_s:
+            self._begin(start, "aligned")
+
+    def _begin(self, start: Start, how: str) -> None:
+        fields = {k: v.isoformat() if isinstance(v, datetime.date) else v for k, v in dataclasses.asdict(start).items() if v is not None}
+        self._note(to_line({"event": "start", "how": how, "start": fields}))
+        self._tell("start", how=how, **fields)
+        self.nav = Navigator(self.vehicle, start)
+        self._next_tick()
+        first = next((r.time_s for r in self._buffer if r.sensor in self.vehicle.drive.streams), start.time_s)
+        if abs(first - start.time_s) > Intake.LONGEST_S:
+            self._tell("warning", text=f"the start is at {start.time_s} s, the readings at {first} s: is it the same clock?")
+        buffer, self._buffer = self._buffer, []
+        for reading in buffer:
+            if reading.time_s >= start.time_s - 1e-9 or reading.sensor == "attitude":
+                self.feed(reading)
+
+    def _start_line(self, item: StartLine) -> None:
+        if self.nav is not None:
+            self._bad(BadLine("wrong-start", "a start came after the start; restart the run to start again", b""))
+            return
+        self._start = item.fields
+        if "time_s" in item.fields:
+            self._begin(Start(**{"date": self.options.date, **item.fields}), "line")
+
+    # ---------------------------------------------------------------- out
+    def _next_tick(self) -> None:
+        """The first time at which something is due."""
+        assert self.nav is not None
+        t, rate = self.nav.time_s, self.options.rate_hz
+        self._tick, self._second = math.floor(t * rate + 1e-6), math.floor(t + 1e-6)
+        self._due_s = min((self._tick + 1 - 1e-6) / rate, self._second + 1 - 1e-6)
+
+    def _ticks(self) -> None:
+        """Tell the state when the navigator's time has passed the next multiple of the output's period."""
+        assert self.nav is not None
+        t = self.nav.time_s
+        if t < self._due_s:
+            return
+        tick, second = self._tick, self._second
+        self._next_tick()
+        if self._second != second:
+            for name, health in self.nav.health.sensors.items():
+                self._condition(name, health.condition)
+        if self._tick > tick:
+            self._state()
+
+    def _state(self) -> None:
+        assert self.nav is not None
+        state = self.nav.state
+        drive = self.nav.counts if self._pairing is None else {**self.nav.counts, **self._pairing.counts}
+        self._emit(to_line({**state_fields(state), "drive": drive, "bad_lines": self.bad}), True)
+
+    def _tell(self, event: str, **fields: Any) -> None:
+        self._emit(event_line(event, **fields), False)
+
+    def _condition(self, name: str, condition: str) -> None:
+        """Tell when a sensor's condition has changed; that it has been heard at all is no news."""
+        was = self._conditions.get(name, "waiting")
+        if condition != was:
+            self._conditions[name] = condition
+            if (was, condition) != ("waiting", "good"):
+                assert self.nav is not None
+                self._tell("condition", sensor=name, condition=condition, was=was, time_s=self.nav.time_s)
+
+    def _bad(self, item: BadLine) -> None:
+        count = self.bad[item.kind] = self.bad.get(item.kind, 0) + 1
+        now, warned = self._drive_s, self._warned.get(item.kind)
+        if warned is None or abs(now - warned[0]) >= self.WARN_EVERY_S or count >= 10 * warned[1]:
+            self._warned[item.kind] = [now, count]
+            self._tell("bad-line", kind=item.kind, count=count, text=item.text)
+
+    # ---------------------------------------------------------------- snapshot
+    def snapshot(self) -> tuple[dict[str, Any], bytes] | None:
+        """What a later process needs beside the log: this session as JSON can hold it, and the navigator; None before the start."""
+        if self.nav is None:
+            return None
+        saved = {
+            "options": self.options.to_json(),
+            "rows": self._rows,
+            "tick": self._tick,
+            "second": self._second,
+            "drive_s": self._drive_s,
+            "bad": self.bad,
+            "warned": self._warned,
+            "conditions": self._conditions,
+            "pairing": None if self._pairing is None else self._pairing.snapshot(),
+        }
+        return saved, self.nav.snapshot()
+
+    def restore(self, saved: dict[str, Any], nav: bytes) -> None:
+        """Continue where `snapshot` was taken.
+
+        Raises
+        ------
+        ValueError
+            When the snapshot is damaged, of another version or of another vehicle.
+        """
+        self.nav = Navigator.restore(self.vehicle, nav)
+        self.options, self._offset_s = Options.from_json(saved["options"]), self.nav.intake.offset_s
+        self._next_tick()
+        self._tick, self._second, self._drive_s = saved["tick"], saved["second"], saved["drive_s"]
+        # JSON has no NaN: null stands for a missing component, as in a line
+        self._rows = [[math.nan if v is None else v for v in row] for row in saved["rows"]]
+        self.bad, self._warned, self._conditions = saved["bad"], saved["warned"], saved["conditions"]
+        if self._pairing is not None:
+            self._pairing.restore(saved["pairing"])

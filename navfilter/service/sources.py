@@ -1,0 +1,179 @@
+"""Where the lines come from: standard input or a file, or one client at a time on a TCP socket."""
+
+from __future__ import annotations
+
+import contextlib
+import ipaddress
+import os
+import select
+import signal
+import socket
+from collections.abc import Callable
+from types import FrameType
+from typing import Any
+from urllib.parse import urlsplit
+
+__all__ = ["Client", "FileSource", "StopSignal", "TcpSource", "listen_address"]
+
+BLOCK = 65536
+
+
+class StopSignal:
+    """SIGTERM and SIGINT as a flag, and as something that wakes a `select`."""
+
+    def __init__(self) -> None:
+        self.received = False
+        self.wake, self._send = socket.socketpair()
+        self.wake.setblocking(False)
+        self._send.setblocking(False)
+        signal.set_wakeup_fd(self._send.fileno(), warn_on_full_buffer=False)
+        self._before = {number: signal.signal(number, self._take) for number in (signal.SIGTERM, signal.SIGINT)}
+
+    def _take(self, number: int, frame: FrameType | None) -> None:
+        self.received = True
+
+    def restore(self) -> None:
+        """Leave the process's signals as they were."""
+        signal.set_wakeup_fd(-1)
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+        self.wake.close()
+        self._send.close()
+
+
+class FileSource:
+    """Bytes of a file descriptor.
+
+    Parameters
+    ----------
+    handle : int
+    stop : StopSignal
+    """
+
+    def __init__(self, handle: int, stop: StopSignal) -> None:
+        self._handle, self._stop = handle, stop
+
+    def read(self, timeout_s: float) -> bytes | None:
+        """The next block; nothing when none came in time or a signal did; None at the end."""
+        watched: list[Any] = [self._handle, self._stop.wake]
+        ready, _, _ = select.select(watched, [], [], timeout_s)
+        if self._handle not in ready:
+            return b""
+        return os.read(self._handle, BLOCK) or None
+
+
+def listen_address(url: str, *, allow_remote: bool) -> tuple[str, int]:
+    """Host and port of ``tcp://127.0.0.1:4600``.
+
+    Raises
+    ------
+    ValueError
+        When it is no such address, or not on the loopback and that was not asked for.
+    """
+    try:
+        parts = urlsplit(url)
+        host, port = parts.hostname, parts.port
+    except ValueError as error:
+        raise ValueError(f"--listen {url}: {error}.") from None
+    if parts.scheme != "tcp" or host is None or port is None or parts.path not in ("", "/"):
+        raise ValueError(f"--listen must look like tcp://127.0.0.1:4600, found {url!r}.")
+    host = "127.0.0.1" if host == "localhost" else host
+    try:
+        local = ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        raise ValueError(f'--listen needs the address of an interface such as 127.0.0.1, found "{host}".') from None
+    if not local and not allow_remote:
+        raise ValueError(
+            f"{host} can be reached from other computers: whoever reaches it can steer the navigation, for there is no password. "
+            "Use 127.0.0.1, or add --allow-remote if that is meant."
+        )
+    return host, port
+
+
+class Client:
+    """The client of the moment, and what it is known by."""
+
+    def __init__(self, connection: socket.socket, name: str) -> None:
+        self.connection, self.name = connection, name
+
+
+class TcpSource:
+    """Bytes of one client at a time; when it goes, the next one may come.
+
+    Parameters
+    ----------
+    address : (str, int)
+    stop : StopSignal
+    changed : callable
+        Is told of each client that comes or, with None, goes: ``changed(client, text)``.
+
+    Raises
+    ------
+    OSError
+        When the address cannot be listened on.
+    """
+
+    def __init__(self, address: tuple[str, int], stop: StopSignal, changed: Callable[[Client | None, str], Any]) -> None:
+        self._stop, self._changed = stop, changed
+        family = socket.AF_INET6 if ":" in address[0] else socket.AF_INET
+        self._server = socket.create_server(address, family=family, backlog=4)
+        self._server.setblocking(False)
+        self._client: Client | None = None
+
+    @property
+    def url(self) -> str:
+        """Where it listens, with the port that was found when none was asked for."""
+        host, port = self._server.getsockname()[:2]
+        return f"tcp://[{host}]:{port}" if ":" in host else f"tcp://{host}:{port}"
+
+    def read(self, timeout_s: float) -> bytes | None:
+        """The next block; nothing when none came in time. A client that goes ends its last line."""
+        watched: list[Any] = [self._server, self._stop.wake]
+        if self._client is not None:
+            watched.append(self._client.connection)
+        ready, _, _ = select.select(watched, [], [], timeout_s)
+        data = b""
+        if self._client is not None and self._client.connection in ready:
+            try:
+                data = self._client.connection.recv(BLOCK)
+            except OSError:
+                data = b""
+            if not data:
+                self._drop()
+                data = b"\n"
+        if self._server in ready:
+            self._accept()
+        return data
+
+    def _accept(self) -> None:
+        try:
+            connection, address = self._server.accept()
+        except OSError:
+            return
+        name = f"{address[0]}:{address[1]}"
+        if self._client is not None:
+            self._changed(self._client, f"{name} refused: {self._client.name} is connected")
+            connection.close()
+            return
+        # A peer whose power failed must not hold the place for hours.
+        for option, value in (("TCP_KEEPIDLE", 5), ("TCP_KEEPINTVL", 2), ("TCP_KEEPCNT", 3)):
+            if hasattr(socket, option):
+                connection.setsockopt(socket.IPPROTO_TCP, getattr(socket, option), value)
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._client = Client(connection, name)
+        self._changed(self._client, f"{name} connected")
+
+    def _drop(self) -> None:
+        if self._client is None:
+            return
+        client, self._client = self._client, None
+        self._changed(None, f"{client.name} gone")
+        with contextlib.suppress(OSError):
+            client.connection.shutdown(socket.SHUT_RDWR)
+        client.connection.close()
+
+    def close(self) -> None:
+        """Close the client and the server."""
+        self._drop()
+        self._server.close()
