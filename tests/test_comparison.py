@@ -61,8 +61,7 @@ def test_figures_are_those_of_the_summary(runs):
 
 
 def test_prediction_errors_and_whiteness_are_those_of_the_innovations(runs):
-    mission, tracks = runs
-    track = tracks["forward"]
+    track = runs[1]["forward"]
     axis = nf.compare({"a": track}).runs["a"]["sensors"]["compass"]["axes"]["compass"]
     r = track.residuals["compass"]
     assert axis["prediction_rms"] == pytest.approx(np.degrees(np.sqrt(np.mean(r.value[r.used, 0] ** 2))), rel=1e-12)
@@ -208,7 +207,7 @@ def learnt(track):
 
 
 def test_the_history_of_what_was_learnt(runs):
-    mission, tracks = runs
+    _, tracks = runs
     track = learnt(tracks["forward"])
     histories = adopted(track, shown_unit)
     assert [h.title for h in histories] == ["compass", "dvl y"]

@@ -171,7 +171,7 @@ def test_oracle_and_vehicle(vehicle, mission, series):
 
 
 def test_wrong_names_are_said(vehicle, mission):
-    with pytest.raises(ValueError, match='no model "gm2". Models: white, gm1'):
+    with pytest.raises(ValueError, match=r'no model "gm2"\. Models: white, gm1'):
         rival("gm2", vehicle, mission)
     with pytest.raises(ValueError, match='"sonar" is no sensor of this vehicle'):
         rival("white", vehicle, mission, sensors=["sonar"])

@@ -15,11 +15,22 @@ from navfilter.commands.console import compile_first, output_folder, positive, s
 if TYPE_CHECKING:
     from navfilter.comparison import Comparison
     from navfilter.mission import Mission
-    from navfilter.start import Start
     from navfilter.track import Track
     from navfilter.vehicle import Vehicle
 
-__all__ = ["ABOUT", "BASELINES", "EPILOG", "Plan", "add_arguments", "compare_models", "run", "write_results"]
+__all__ = [
+    "ABOUT",
+    "BASELINES",
+    "EPILOG",
+    "Plan",
+    "add_arguments",
+    "compare_tracks",
+    "print_comparison",
+    "replay_models",
+    "run",
+    "true_errors",
+    "write_results",
+]
 
 ABOUT = "run a mission with several kinds of error models and compare what they make of it"
 EPILOG = """\
@@ -92,8 +103,9 @@ def run(options: argparse.Namespace) -> int:
     truth = None if options.oracle is None else true_errors(vehicle, read_vehicle(options.oracle))
     mission = read_mission(options.mission)
     folder = None if options.out is None else output_folder(options.out)
-    plan = Plan(options.models, options.sensors, truth, options.smooth, options.begin, options.output_rate)
-    comparison, tracks = compare_models(plan, vehicle, mission, options.quiet)
+    plan = Plan(options.models, options.sensors, truth, options.models if options.smooth else (), options.output_rate)
+    tracks = replay_models(plan, vehicle, mission, options.quiet)
+    comparison = compare_tracks(tracks, mission, options.begin)
     if not options.quiet:
         print_comparison(comparison, mission)
     if folder is not None:
@@ -109,7 +121,7 @@ def true_errors(vehicle: Vehicle, really: Vehicle) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Plan:
-    """What is compared, and how.
+    """With which models a mission is replayed, and how.
 
     Attributes
     ----------
@@ -119,22 +131,20 @@ class Plan:
         Whose model is exchanged; default all with enough readings.
     truth : dict of str to ErrorModel or tuple of ErrorModel, optional
         For "oracle".
-    smooth : bool
-    begin_s : float, optional
-        Score from here on [s]; default after the first learning window.
+    smooth : sequence of str
+        Models whose track is smoothed.
     output_rate_hz : float
     """
 
     models: Sequence[str]
     sensors: Sequence[str] | None = None
     truth: Mapping[str, Any] | None = None
-    smooth: bool = False
-    begin_s: float | None = None
+    smooth: Sequence[str] = ()
     output_rate_hz: float = 5.0
 
 
-def compare_models(plan: Plan, vehicle: Vehicle, mission: Mission, quiet: bool = False) -> tuple[Comparison, dict[str, Track]]:
-    """Fit the rivals, replay the mission with each, and compare.
+def replay_models(plan: Plan, vehicle: Vehicle, mission: Mission, quiet: bool = False) -> dict[str, Track]:
+    """Fit the rivals and replay the mission with each.
 
     Parameters
     ----------
@@ -146,12 +156,10 @@ def compare_models(plan: Plan, vehicle: Vehicle, mission: Mission, quiet: bool =
 
     Returns
     -------
-    comparison : Comparison
-    tracks : dict of str to Track
-        Forward tracks, or smoothed ones, by name of the model.
+    dict of str to Track
+        By name of the model.
     """
     from navfilter.alignment import align
-    from navfilter.comparison import compare
     from navfilter.playback import replay
     from navfilter.rivals import rivals
 
@@ -163,26 +171,35 @@ def compare_models(plan: Plan, vehicle: Vehicle, mission: Mission, quiet: bool =
         say(f"fitting models to {mission.name} ({mission.duration_s / 60:.1f} min) ...")
     vehicles = rivals(tuple(plan.models), vehicle, mission, sensors=plan.sensors, truth=plan.truth, start=start)
     tracks = {}
-    for number, (name, with_model) in enumerate(vehicles.items(), 1):
+    for number, (name, other) in enumerate(vehicles.items(), 1):
         say(f"replaying with {name} ({number} of {len(vehicles)}) ...")
-        tracks[name] = replay(with_model, mission, start=start, smooth=plan.smooth, output_rate_hz=plan.output_rate_hz, progress=bars)
-    begin_s = learning_ends(vehicles, mission, start) if plan.begin_s is None else plan.begin_s
+        tracks[name] = replay(other, mission, start=start, smooth=name in plan.smooth, output_rate_hz=plan.output_rate_hz, progress=bars)
+    return tracks
+
+
+def compare_tracks(tracks: Mapping[str, Track], mission: Mission, begin_s: float | None = None) -> Comparison:
+    """Compare runs by name of the model, from the end of the first learning window on unless `begin_s` says otherwise."""
+    from navfilter.comparison import compare
+
+    begin_s = learning_ends(tracks, mission) if begin_s is None else begin_s
     baseline = next((name for name in BASELINES if name in tracks), next(iter(tracks)))
-    return compare(tracks, mission.truth, begin_s=begin_s, windows=mission.windows, baseline=baseline), tracks
+    return compare(tracks, mission.truth, begin_s=begin_s, windows=mission.windows, baseline=baseline)
 
 
-def learning_ends(vehicles: Mapping[str, Vehicle], mission: Mission, start: Start) -> float:
-    """Mission time [s] at which the first window of everything that learns is full; a window longer than half the mission is no reason to
-    wait for it.
+def learning_ends(tracks: Mapping[str, Track], mission: Mission) -> float:
+    """Mission time [s] at which the first window of everything that learns is full.
+
+    A window that is longer than half the mission is no reason to wait for it.
     """
     from navfilter.learned import learned_part
 
+    begin_s = min(float(track.time_s[0]) for track in tracks.values())
     spans = [0.0]
-    for vehicle in vehicles.values():
-        for sensor in vehicle.sensors.values():
+    for track in tracks.values():
+        for sensor in track.vehicle.sensors.values():
             parts = [part for model in sensor.models if (part := learned_part(model)) is not None]
             spans += [part.window / sensor.rate_hz for part in parts]
-    return start.time_s + max(span for span in spans if span <= 0.5 * (mission.end_s - start.time_s))
+    return begin_s + max(span for span in spans if span <= 0.5 * (mission.end_s - begin_s))
 
 
 # --- results ----------------------------------------------------------------------------------------------------------

@@ -18,11 +18,17 @@ __all__ = ["DEMO", "REPLAY", "add_demo_arguments", "add_replay_arguments", "demo
 
 #: What the command is about, in one line, and what stands below its help.
 DEMO = (
-    "simulate a mission of one hour, replay and smooth it, and write a report",
+    "simulate a mission of one hour, replay it with a compass error that is learnt on the way, and compare",
     """\
 the mission:
   satellite fixes at the surface, dive to 20 m, lawnmower by inertial unit, compass, DVL and depth gauge,
   with outliers and three losses of the DVL (60, 120 and 30 s), surfacing, fixes again.
+  The compass errs slowly and swings with a period of 6 s; vehicle.toml believes in a slow error only.
+
+written to --out:
+  report.html, track.*    the run that learns, filtered and smoothed, as from 'navfilter replay'
+  comparison/             the same mission with white noise, Gauss-Markov, the learnt model and the true one side by side
+  mission.npz, vehicle.toml, vehicle_true.toml
 
 examples:
   navfilter demo
@@ -56,16 +62,35 @@ def add_demo_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
 
 
+#: What the demonstration compares; the third is the result.
+_COMPARED = ("white", "gm1-fitted", "arma", "oracle")
+
+
 def demo(options: argparse.Namespace) -> int:
     """Run ``navfilter demo``."""
+    from navfilter.commands import compare as compare_command
+
     folder = output_folder(options.out)
     say = speaker(options.quiet)
     say("simulating the mission ...")
     from navfilter.simulation.scenarios import simulate_scenario
+    from navfilter.simulation.truth import true_vehicle
 
     vehicle, mission = simulate_scenario("demo", options.seed, options.duration)
-    save(vehicle, mission, folder / "mission.npz", folder / "vehicle.toml")
-    return _replay_and_write(vehicle, mission, folder, options.quiet, smooth=True)
+    truth = true_vehicle("demo", options.duration)
+    save(vehicle, mission, folder / "mission.npz", folder / "vehicle.toml", truth)
+    errors = None if truth is None else compare_command.true_errors(vehicle, truth)
+    plan = compare_command.Plan(_COMPARED, ("compass",), errors, smooth=("arma",))
+    tracks = compare_command.replay_models(plan, vehicle, mission, options.quiet)
+    _write(tracks["arma"], mission, folder, options.quiet)
+    forward = {name: track.forward or track for name, track in tracks.items()}
+    comparison = compare_command.compare_tracks(forward, mission)
+    if not options.quiet:
+        compare_command.print_comparison(comparison, mission)
+    below = output_folder(folder / "comparison")
+    compare_command.write_results(comparison, forward, mission, below, options.quiet)
+    say(f"Written to {below}{os.sep}: report.html (the models side by side), comparison.csv, summary.json")
+    return 0
 
 
 def save(vehicle: Any, mission: Mission, mission_path: Path, vehicle_path: Path, truth: Any = None) -> None:
@@ -102,18 +127,23 @@ def replay(options: argparse.Namespace) -> int:
 
 
 def _replay_and_write(vehicle: Any, mission: Mission, folder: Path, quiet: bool, **how: Any) -> int:
-    from navfilter.io.write import labelled, write_outputs
     from navfilter.playback import replay as replay_mission
 
-    bars = not quiet and sys.stderr.isatty()
     compile_first(quiet)
     speaker(quiet)(f"replaying {mission.name} ({mission.duration_s / 60:.1f} min) ...")
-    tracks = labelled(replay_mission(vehicle, mission, progress=bars, **how))
+    _write(replay_mission(vehicle, mission, progress=not quiet and sys.stderr.isatty(), **how), mission, folder, quiet)
+    return 0
+
+
+def _write(track: Track, mission: Mission, folder: Path, quiet: bool) -> None:
+    """Files, report and tables of one run."""
+    from navfilter.io.write import labelled, write_outputs
+
+    tracks = labelled(track)
     write_outputs(tracks, mission, folder)
-    _write_report(tracks, mission, folder / "report.html", bars)
+    _write_report(tracks, mission, folder / "report.html", not quiet and sys.stderr.isatty())
     if not quiet:
         _print_result(tracks, mission, folder)
-    return 0
 
 
 def _write_report(tracks: dict[str, Track], mission: Mission, path: Path, bars: bool) -> None:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from navfilter.error_models import Arma, GaussMarkov, White
+from navfilter.error_models import Arma, ErrorModel, GaussMarkov, White
 from navfilter.mechanisation import DeadReckoning
 from navfilter.mission import Mission
 from navfilter.sensors import BodyVelocity, Depth, Heading, Position
@@ -157,7 +157,7 @@ def thesis_vehicle() -> Vehicle:
 
 def survey(duration_s: float, surface_s: float = 120.0, depth_m: float = 20.0, leg_m: float = 120.0) -> Motion:
     """Fixes at the surface, dive, lawnmower at depth, surfacing and fixes again, to fill the duration."""
-    return _dive(duration_s, lambda legs: (Lawnmower(legs, leg_m),), surface_s, depth_m)
+    return dive(duration_s, lambda legs: (Lawnmower(legs, leg_m),), (surface_s, surface_s), depth_m)
 
 
 def lawnmower(duration_s: float) -> Motion:
@@ -167,7 +167,7 @@ def lawnmower(duration_s: float) -> Motion:
 
 def transit(duration_s: float) -> Motion:
     """As `lawnmower`, but straight on at depth."""
-    return _dive(duration_s, None, surface_s=45.0, depth_m=10.0)
+    return dive(duration_s, None, (45.0, 45.0), 10.0)
 
 
 def turns_and_dives(duration_s: float) -> Motion:
@@ -178,9 +178,29 @@ def turns_and_dives(duration_s: float) -> Motion:
     return _fill(duration_s, begin, lambda times: cycle * times, end)
 
 
-def _dive(duration_s: float, pattern: _Pattern | None, surface_s: float, depth_m: float) -> Motion:
-    begin = (Wait(20.0), ChangeSpeed(1.5, 15.0), Straight(duration_s=surface_s), Dive(depth_m))
-    end = (Surface(), Straight(duration_s=surface_s), ChangeSpeed(0.0, 15.0), Wait(20.0))
+def dive(duration_s: float, pattern: _Pattern | None, surface_s: tuple[float, float], depth_m: float, rest_s: float = 20.0) -> Motion:
+    """Rest, fixes at the surface, dive, the pattern as often as it fits (or straight on), surfacing, fixes, rest.
+
+    Parameters
+    ----------
+    duration_s : float
+        To be filled, s.
+    pattern : callable or None
+        Takes a number of repetitions, returns manoeuvres.
+    surface_s : tuple of (float, float)
+        Way at the surface before and after the dive, s.
+    depth_m : float
+        Of the dive, m.
+    rest_s : float
+        At rest before the start, s.
+
+    Returns
+    -------
+    Motion
+        At least that long.
+    """
+    begin = (Wait(rest_s), ChangeSpeed(1.5, 15.0), Straight(duration_s=surface_s[0]), Dive(depth_m))
+    end = (Surface(), Straight(duration_s=surface_s[1]), ChangeSpeed(0.0, 15.0), Wait(20.0))
     return _fill(duration_s, begin, pattern, end)
 
 
@@ -204,7 +224,7 @@ def _survey_faults(duration_s: float) -> dict[str, Faults]:
     return {
         "gps": Faults(available="surface", outlier_probability=0.01, outlier_sd=50.0),
         "dvl": Faults(dropouts=lost, outlier_probability=0.005, outlier_sd=0.5, quantisation=1e-3),
-        "compass": Faults(quantisation=0.1 * _DEG, outlier_probability=0.002, outlier_sd=20.0 * _DEG),
+        "compass": Faults(_swinging_compass(), quantisation=0.1 * _DEG, outlier_probability=0.002, outlier_sd=20.0 * _DEG),
         "depth": Faults(quantisation=0.01),
     }
 
@@ -213,12 +233,15 @@ def _gps_at_surface(duration_s: float) -> dict[str, Faults]:
     return {"gps": Faults(available="surface")}
 
 
-def _oscillating(duration_s: float) -> dict[str, Faults]:
+def _swinging_compass() -> ErrorModel:
     """A slow error and an oscillation of 6 s, together an ARMA(3, 2) at 8 Hz."""
     angle, radius = 2.0 * math.pi / (6.0 * 8.0), 0.99
     ar = (-2.0 * radius * math.cos(angle), radius**2)
-    swing = Arma(ar=ar, sd=0.35 * _DEG / _gain(ar))
-    return {**_gps_at_surface(duration_s), "compass": Faults(true_error=GaussMarkov(0.35 * _DEG, tau_s=60.0) + swing)}
+    return GaussMarkov(0.35 * _DEG, tau_s=60.0) + Arma(ar=ar, sd=0.35 * _DEG / _gain(ar))
+
+
+def _oscillating(duration_s: float) -> dict[str, Faults]:
+    return {**_gps_at_surface(duration_s), "compass": Faults(true_error=_swinging_compass())}
 
 
 def _oscillating_vehicle() -> Vehicle:
@@ -227,7 +250,7 @@ def _oscillating_vehicle() -> Vehicle:
 
 
 def _demo_vehicle() -> Vehicle:
-    """Its compass reads in steps of 0.1 deg, so that it has a white part too."""
+    """Believes in a slow error of the compass, with a white part because it reads in steps of 0.1 deg; really the compass swings too."""
     return survey_vehicle().with_error(compass=COMPASS + White(sd=0.1 * _DEG))
 
 
@@ -248,7 +271,7 @@ def _changing(duration_s: float) -> dict[str, Faults]:
 #: The scenarios by name.
 SCENARIOS: dict[str, Scenario] = {
     "demo": Scenario(
-        "one hour: fixes at the surface, dive, lawnmower with DVL dropouts and outliers, surfacing",
+        "one hour: fixes at the surface, dive, lawnmower, DVL dropouts, outliers, a compass that swings, surfacing",
         _demo_vehicle, survey, _survey_faults, 3600.0, StartErrors(position_sd_m=(3.0, 3.0, 0.5), heading_sd_deg=2.0),
     ),
     "lawnmower": Scenario("fixes, dive, lawnmower, surfacing, fixes", survey_vehicle, lawnmower, _gps_at_surface),
