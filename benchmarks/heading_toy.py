@@ -50,7 +50,7 @@ ORDERS = ((0, 0), (1, 0), (1, 1), (2, 1), (2, 2), (3, 2), (4, 2), (4, 4))
 
 def gyro(random_walk: float, bias: float, change: float) -> Gyro:
     """Gyro from deg/sqrt(h), deg/h at the start, and deg/h of change in an hour; heading known to 5 deg at the start."""
-    white, walk = gyro_error(random_walk, bias, change).parts  # type: ignore[attr-defined]
+    white, walk = gyro_error(random_walk, bias, change).parts
     return Gyro((white.density, walk.density), (5.0 * DEG, walk.start_sd), 1.0 / RATE_HZ)
 
 
