@@ -18,13 +18,15 @@ from navfilter.arma.model import ArmaModel
 from navfilter.arma.starts import tidy_series
 from navfilter.diagnostics import whiteness
 from navfilter.learning.likelihood import Likelihood, Point, maximise
-from navfilter.learning.starts import cold_starts, padded_start
+from navfilter.learning.starts import cold_starts, grown_starts, padded_start
 
 __all__ = ["ChannelFit", "Drift", "fit_channel"]
 
 Array = NDArray[np.float64]
 
 LEVEL = 0.01
+# Scoring passes of a lower order that only serves as a start.
+BELOW = 8
 
 
 @dataclass(frozen=True)
@@ -187,6 +189,11 @@ def fit_channel(
     likelihood = Likelihood(y, drift.noise_per_tick(), white)
     if start is None:
         starts = cold_starts(likelihood, p, q)
+        if p >= 2 and q >= 1:
+            # A slow part that a lower order leaves out is found by adding one to its estimate, and hardly otherwise.
+            below = min(p - 1, q), q - 1
+            simple = maximise(likelihood, cold_starts(likelihood, *below), below[0], BELOW)
+            starts += grown_starts(likelihood, {below: simple.theta}, p, q)
     elif start.p > p or start.q > q:
         raise ValueError(f"start has orders ({start.p}, {start.q}), above ({p}, {q}).")
     else:
@@ -212,7 +219,7 @@ def channel_fit(likelihood: Likelihood, point: Point) -> ChannelFit:
         theta[p:-1],
         math.exp(theta[-1]) / likelihood.unit,
         covariance[:-1, :-1],
-        log_s0_spread(theta, p, covariance),
+        max(log_s0_spread(theta, p, covariance), upward_spread(likelihood, point)),
         float(n),
         flags,
     )
@@ -220,11 +227,46 @@ def channel_fit(likelihood: Likelihood, point: Point) -> ChannelFit:
     return ChannelFit(model, loglik, -2.0 * loglik + theta.size * math.log(max(n, 2)), z, _is_white(z, theta.size - 1), n)
 
 
-def log_s0_spread(theta: Array, p: int, covariance: Array) -> float:
-    """Standard deviation of ``ln S(0) = 2 ln sd + 2 ln C(1) - 2 ln A(1)`` from the covariance of all parameters."""
+def log_s0_gradient(theta: Array, p: int) -> Array:
+    """Gradient of ``ln S(0) = 2 ln sd + 2 ln C(1) - 2 ln A(1)`` in ``[ar, ma, ln sd]``."""
     a1, c1 = 1.0 + float(np.sum(theta[:p])), 1.0 + float(np.sum(theta[p:-1]))
-    g = 2.0 * np.r_[np.full(p, -1.0 / a1), np.full(theta.size - 1 - p, 1.0 / c1), 1.0]
+    return 2.0 * np.r_[np.full(p, -1.0 / a1), np.full(theta.size - 1 - p, 1.0 / c1), 1.0]
+
+
+def log_s0_spread(theta: Array, p: int, covariance: Array) -> float:
+    """Standard deviation of ln S(0) from the covariance of all parameters."""
+    g = log_s0_gradient(theta, p)
     return float(math.sqrt(max(float(g @ covariance @ g), 0.0)))
+
+
+def log_s0(theta: Array, p: int) -> float:
+    """``ln S(0)`` of ``[ar, ma, ln sd]``."""
+    a1, c1 = 1.0 + float(np.sum(theta[:p])), 1.0 + float(np.sum(theta[p:-1]))
+    return 2.0 * (float(theta[-1]) + math.log(max(abs(c1), 1e-300)) - math.log(max(abs(a1), 1e-300)))
+
+
+def upward_spread(likelihood: Likelihood, point: Point) -> float:
+    """How far ln S(0) can rise before minus the log-likelihood does by one half, along its most probable direction.
+
+    The information at an estimate that came out too quick or too quiet claims too much: S(0) is limited downwards by
+    what the series shows and upwards by hardly anything. Of a Gaussian this is the standard deviation.
+    """
+    theta, p, covariance = point.theta, point.p, point.covariance
+    g = log_s0_gradient(theta, p)
+    spread = math.sqrt(max(float(g @ covariance @ g), 0.0))
+    if not 0.0 < spread < math.inf:
+        return 0.0
+    direction, length, rise = covariance @ g / spread, 1.0, 0.0
+    for _ in range(3):
+        trial = likelihood.confine(theta + length * direction, p)
+        rise = likelihood.penalised(trial, p) - point.value
+        if abs(rise - 0.5) < 0.1:
+            break
+        if not 1e-3 < rise < 1e3:
+            return 0.0
+        # Minus the log-likelihood grows about as the square of the length.
+        length *= min(max(math.sqrt(0.5 / rise), 0.3), 2.0)
+    return log_s0(trial, p) - log_s0(theta, p) if 0.3 < rise < 0.8 else 0.0
 
 
 def at_cap(likelihood: Likelihood, ar: Array) -> bool:

@@ -24,9 +24,13 @@ Order = tuple[int, int]
 LEAST, PER_PARAMETER = 200, 20
 # Hysteresis, as in `ArmaBank`: a challenger must lead by this much, at this many hops in a row.
 LEAD, HOPS = 6.0, 2
+# A candidate within this much of the best by BIC is not ruled out (Kass and Raftery 1995: evidence up to "strong"); if it
+# finds far more power at zero frequency (by two standard deviations, and at least twofold), that power is not denied.
+OPEN, TWOFOLD = 10.0, math.log(2.0)
 # Scoring passes of a first estimate, of the order in use, and of a challenger.
 COLD, OWN, OTHER = 20, 3, 2
-CHALLENGERS = 2
+# Orders that exceed a good one by more parameters than this wait for their turn.
+BEYOND = 2
 
 
 class Learner:
@@ -107,7 +111,7 @@ class Learner:
             return self._without(y, n, "starting" if n < LEAST else "constant")
         if not able:
             return self._without(y, n, "starting")
-        fits = self._fit(likelihood, able, n)
+        fits = self._fit(likelihood, able)
         model = self._choose(likelihood, fits)
         self._young = n < 0.9 * self.window
         return model
@@ -123,37 +127,46 @@ class Learner:
 
     # ------------------------------------------------------------------ fits
 
-    def _fit(self, likelihood: Likelihood, able: list[Order], n: int) -> dict[Order, ChannelFit]:
+    def _fit(self, likelihood: Likelihood, able: list[Order]) -> dict[Order, ChannelFit]:
         fits: dict[Order, ChannelFit] = {}
         for order in self._ration(able):
-            p, q = order
             known = self._thetas.get(order)
-            if known is not None:
-                starts, passes = [_rescaled(known, likelihood)], OWN if order == self._chosen else OTHER
-            elif p + q <= 1 or not fits:
-                starts, passes = cold_starts(likelihood, p, q), COLD
-            else:
-                below = {k: theta_of(f.model, likelihood) for k, f in fits.items()}
-                starts, passes = grown_starts(likelihood, below, p, q), COLD
-            fit = channel_fit(likelihood, maximise(likelihood, starts, p, passes))
+            if known is None and self._superfluous(order, fits):
+                continue
+            starts, passes = self._starts(order, likelihood, fits)
+            fit = channel_fit(likelihood, maximise(likelihood, starts, order[0], passes))
             if math.isfinite(fit.loglik):
                 fits[order] = fit
                 self._thetas[order] = np.r_[fit.model.ar, fit.model.ma, math.log(max(fit.model.sd, 1e-300))]
         return fits
 
+    def _starts(self, order: Order, likelihood: Likelihood, fits: dict[Order, ChannelFit]) -> tuple[list[Array], int]:
+        """Where to begin, and how many passes to spend."""
+        known = self._thetas.get(order)
+        if known is not None:
+            return [_rescaled(known, likelihood)], OWN if order == self._chosen else OTHER
+        below = {k: theta_of(fit.model, likelihood) for k, fit in fits.items() if k != order and sum(k)}
+        return (grown_starts(likelihood, below, *order) if below else cold_starts(likelihood, *order)), COLD
+
+    def _superfluous(self, order: Order, fits: dict[Order, ChannelFit]) -> bool:
+        """Whether to put off an order that was never fitted: much larger than the best so far, which passes the gate."""
+        if not self._young or not fits:
+            return False
+        best = min(fits, key=lambda k: fits[k].bic)
+        return sum(order) > sum(best) + BEYOND and _passes(fits[best])
+
     def _ration(self, able: list[Order]) -> list[Order]:
         """The orders to fit at this hop: all while young, then the one in use, its nearest challenger and one in turn."""
-        new = [order for order in able if order not in self._thetas]
         if self._young or self._chosen is None or self._chosen not in able:
             return able
-        others = [order for order in able if order != self._chosen and order not in new]
+        others = [order for order in able if order != self._chosen]
         nearest = sorted(others, key=lambda order: (self._gaps.get(order, math.inf), sum(order)))[:1]
-        if self._challenger in others:
-            nearest = [self._challenger] if self._challenger is not None else nearest
+        if self._challenger is not None and self._challenger in others:
+            nearest = [self._challenger]
         rest = [order for order in others if order not in nearest]
         turn = [rest[self._turn % len(rest)]] if rest else []
         self._turn += 1
-        picked = {self._chosen, *nearest, *turn[: CHALLENGERS - 1], *new}
+        picked = {self._chosen, *nearest, *turn}
         return [order for order in able if order in picked]
 
     # ------------------------------------------------------------------ choice
@@ -162,14 +175,14 @@ class Learner:
         if not fits:
             return self._without(likelihood.y / likelihood.unit, likelihood.n, "constant")
         ranking = sorted(fits, key=lambda order: fits[order].bic)
-        good = next((order for order in ranking if _passes(fits[order])), None)
+        good = _preferred(fits, ranking)
         if good is None:
             return self._unsure(likelihood, fits, ranking)
         now = self._chosen
         if now is not None and now in fits and now != good and not self._young and _passes(fits[now]):
             self._leads = self._leads + 1 if self._challenger == good else 1
             self._challenger = good
-            if fits[now].bic - fits[good].bic <= LEAD or self._leads < HOPS:
+            if not (fits[now].bic - fits[good].bic > LEAD or _denied(fits[now], fits[good])) or self._leads < HOPS:
                 good = now
         if good != now:
             self._challenger, self._leads = None, 0
@@ -252,3 +265,28 @@ def _cancels(fit: ChannelFit) -> bool:
 
 def _passes(fit: ChannelFit) -> bool:
     return fit.is_white and not _cancels(fit)
+
+
+def _preferred(fits: dict[Order, ChannelFit], ranking: list[Order]) -> Order | None:
+    """The best by BIC that passes the gate, unless one about as good finds far more power at low frequencies."""
+    passing = [order for order in ranking if _passes(fits[order])]
+    if not passing:
+        return None
+    best = passing[0]
+    for order in passing[1:]:
+        if fits[order].bic <= fits[passing[0]].bic + OPEN and _denied(fits[best], fits[order]):
+            best = order
+    return best
+
+
+def _denied(fit: ChannelFit, other: ChannelFit) -> bool:
+    """Whether `fit` denies, by two of its standard deviations, the low-frequency power that `other` finds."""
+    if not other.bic <= fit.bic + OPEN:
+        return False
+    excess = 2.0 * math.log(max(_gain(other.model), 1e-300) / max(_gain(fit.model), 1e-300))
+    return excess > max(2.0 * (fit.model.sd_log_s0 or 0.0), TWOFOLD)
+
+
+def _gain(model: ArmaModel) -> float:
+    """Square root of S(0)."""
+    return model.sd * abs(1.0 + float(model.ma.sum())) / max(abs(1.0 + float(model.ar.sum())), 1e-300)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,11 @@ LONGEST_GAP = 8
 CLIP = 4.0
 # What is left to gain, in units of log-likelihood, when an estimate counts as converged: far below its sampling error.
 CONVERGED = 1e-3
+# Below the lowest frequency that the series resolves, the spectrum is taken to stay level within a factor of about e:
+# mean and standard deviation of ln S(0) - ln S(lowest resolved).
+LEVEL_MEAN, LEVEL_SD = 0.3, 1.0
+# Scoring passes before the leader of several starts goes on alone.
+RACE = 2
 DAMPING = (1e-6, 1e-3, 1e-2, 1e-1, 1.0, 10.0, 1e3)
 
 
@@ -60,6 +65,7 @@ class Likelihood:
         if r == 0:
             self.y = np.ascontiguousarray(series) * self.unit
         self.pole_radius = 1.0 - 3.0 / max(known.size, 8)
+        self.lowest = 2.0 * math.pi / max(known.size, 8)
         self._e, self._lns = np.empty(self.y.size), np.empty(self.y.size)
 
     def value(self, theta: Array, p: int) -> float:
@@ -67,12 +73,30 @@ class Likelihood:
         padded, _ = _padded(theta, p)
         return float(kernel.channel_filter(self.y, padded, self.Q, self.rules, self._e, self._lns))
 
+    def penalised(self, theta: Array, p: int) -> float:
+        """What is minimised: `value` plus the weak prior on the spectrum below the lowest resolved frequency."""
+        rise, _ = self._rise(theta, p)
+        return self.value(theta, p) + 0.5 * ((rise - LEVEL_MEAN) / LEVEL_SD) ** 2
+
+    def _rise(self, theta: Array, p: int) -> tuple[float, Array]:
+        """``ln S(0) - ln S(lowest)`` and its gradient."""
+        gradient = np.zeros(theta.size)
+        rise = 0.0
+        for part, sign in ((slice(0, p), -2.0), (slice(p, theta.size - 1), 2.0)):
+            c = theta[part]
+            if c.size:
+                turn = np.exp(-1j * self.lowest * np.arange(1, c.size + 1))
+                at_zero, at_low = 1.0 + float(c.sum()), 1.0 + complex(c @ turn)
+                rise += sign * (math.log(max(abs(at_zero), 1e-300)) - math.log(max(abs(at_low), 1e-300)))
+                gradient[part] = sign * (1.0 / at_zero - (turn / at_low).real)
+        return rise, gradient
+
     @property
     def innovations(self) -> Array:
         """Standardised innovations of the last `value`, NaN where nothing counts."""
         return self._e.copy()
 
-    def point(self, theta: Array, p: int, steps: Array | None = None) -> Point:
+    def point(self, theta: Array, p: int) -> Point:
         """Value, gradient and Fisher information at `theta`."""
         k = theta.size
         padded, free = _padded(theta, p)
@@ -80,7 +104,10 @@ class Likelihood:
         info, gradient = np.empty((k, k)), np.empty(k)
         steps = self._steps(theta, p)
         value = kernel.channel_scores(self.y, padded, self.Q, self.rules, free, steps, E, LNS, info, gradient)
-        return Point(theta, p, float(value), gradient, info)
+        rise, slope = self._rise(theta, p)
+        value += 0.5 * ((rise - LEVEL_MEAN) / LEVEL_SD) ** 2
+        gradient += (rise - LEVEL_MEAN) / LEVEL_SD**2 * slope
+        return Point(theta, p, float(value), gradient, info + np.outer(slope, slope) / LEVEL_SD**2)
 
     def _steps(self, theta: Array, p: int) -> Array:
         """Difference steps that stay where a stationary start exists."""
@@ -148,9 +175,7 @@ def maximise(likelihood: Likelihood, starts: Sequence[Array], p: int, passes: in
     """
     starts = [likelihood.confine(start, p) for start in starts]
     if len(starts) > 1:
-        values = [likelihood.value(start, p) for start in starts]
-        front = sorted(range(len(starts)), key=lambda i: values[i])[:3]
-        points = [_climb(likelihood, likelihood.point(starts[i], p), 2) for i in front]
+        points = [_climb(likelihood, likelihood.point(start, p), RACE) for start in starts]
         lead = min(points, key=lambda point: point.value)
     else:
         lead = likelihood.point(starts[0], p)
@@ -178,11 +203,6 @@ def _step(likelihood: Likelihood, point: Point) -> Point | None:
             return None
         step *= min(1.0, 1.5 / max(abs(float(step[-1])), 1e-300))
         trial = likelihood.confine(point.theta + step, point.p)
-        if likelihood.value(trial, point.p) < point.value - 1e-2 * min(gain, 1.0):
+        if likelihood.penalised(trial, point.p) < point.value - 1e-2 * min(gain, 1.0):
             return likelihood.point(trial, point.p)
     return None
-
-
-def scaled(point: Point, shift: float) -> Point:
-    """The same point with ln sd moved by `shift`: another unit."""
-    return replace(point, theta=np.r_[point.theta[:-1], point.theta[-1] + shift])

@@ -17,6 +17,7 @@ __all__ = ["cold_starts", "grown_starts", "padded_start"]
 Array = NDArray[np.float64]
 
 # Time constants in ticks, and shares of white noise in the variance.
+SLOW_TAUS, SLOW_SHARES = (60.0, 400.0), (0.1, 1.0)
 TAUS, SHARES = (2.0, 8.0, 30.0, 120.0, 500.0), (0.0, 0.5, 0.95)
 
 
@@ -42,34 +43,36 @@ def cold_starts(likelihood: Likelihood, p: int, q: int) -> list[Array]:
 
 
 def grown_starts(likelihood: Likelihood, below: dict[tuple[int, int], Array], p: int, q: int) -> list[Array]:
-    """Starts from estimates of lower orders: padded, and with an independent slow Gauss-Markov process added."""
+    """Starts from estimates of lower orders: padded, with an independent slow part added, and Hannan-Rissanen's."""
     lower = {k: theta for k, theta in below.items() if k[0] <= p and k[1] <= q}
     if not lower:
         return cold_starts(likelihood, p, q)
-    values = {k: likelihood.value(theta, k[0]) for k, theta in lower.items()}
-    best = min(values, key=lambda k: values[k])
-    shapes = [padded_start(lower[best], best[0], p, q)]
-    for k in sorted(lower, key=lambda k: values[k]):
-        if k[0] < p and max(k[1] + 1, k[0]) <= q:
-            shapes.extend(_with_slow_part(likelihood, lower[k], k[0], p, q))
-            break
-    return [*shapes, *(_matched(likelihood, shape, p) for shape in _rough(likelihood, p, q))]
+    values = {k: likelihood.penalised(theta, k[0]) for k, theta in lower.items()}
+    order = sorted(values, key=lambda k: values[k])
+    rough = [_matched(likelihood, shape, p) for shape in _rough(likelihood, p, q)]
+    out = [padded_start(lower[order[0]], order[0][0], p, q), *_best(likelihood, rough, p)]
+    room = [k for k in order if k[0] < p and max(k[1] + 1, k[0]) <= q]
+    if room:
+        out += _best(likelihood, _with_slow_part(likelihood, lower[room[0]], room[0][0], p, q), p)
+    return out
+
+
+def _best(likelihood: Likelihood, starts: list[Array], p: int) -> list[Array]:
+    return [min(starts, key=lambda start: likelihood.penalised(start, p))] if starts else []
 
 
 def _with_slow_part(likelihood: Likelihood, theta: Array, at: int, p: int, q: int) -> list[Array]:
-    """The lower order plus a Gauss-Markov process of some time constants, as strong as the whole."""
+    """The lower order plus a Gauss-Markov process of some time constants and strengths."""
     own = ArmaModel(theta[:at], theta[at:-1], math.exp(theta[-1]))
     out = []
-    for tau in (30.0, 120.0, 500.0):
-        phi = math.exp(-1.0 / tau)
-        slow = ArmaModel(np.array([-phi]), np.zeros(0), math.sqrt(own.variance * (1.0 - phi * phi)))
-        try:
+    for tau in SLOW_TAUS:
+        for share in SLOW_SHARES:
+            phi = math.exp(-1.0 / tau)
+            slow = ArmaModel(np.array([-phi]), np.zeros(0), math.sqrt(share * own.variance * (1.0 - phi * phi)))
             both = add_arma([own, slow])
-        except ValueError:
-            continue
-        if both.p <= p and both.q <= q:
-            out.append(padded_start(np.r_[both.ar, both.ma, math.log(both.sd)], both.p, p, q))
-    return out
+            if both.p <= p and both.q <= q:
+                out.append(padded_start(np.r_[both.ar, both.ma, math.log(both.sd)], both.p, p, q))
+    return [likelihood.confine(start, p) for start in out]
 
 
 def _gauss_markov(tau: float, share: float, q: int) -> Array:
