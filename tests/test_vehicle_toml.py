@@ -84,6 +84,7 @@ def test_units_in_keys(tmp_path):
         type = "body-velocity"
         mounting_deg = [0.0, 0.0, 45.0]
         error = {model = "white", sd_cm_per_s = 2.0}
+        lever_arm_b_cm = [50.0, 0.0, 10.0]
         """
     )
     vehicle = read_vehicle(tmp_path)
@@ -95,6 +96,7 @@ def test_units_in_keys(tmp_path):
     assert vehicle.sensors["compass"].deviation_sd_rad == pytest.approx(np.radians([1.0, 0.5]))
     assert vehicle.sensors["dvl"].mounting_rad == pytest.approx((0.0, 0.0, np.pi / 4))
     assert vehicle.sensors["dvl"].error.sd == pytest.approx(0.02)
+    assert vehicle.sensors["dvl"].lever_arm_b_m == pytest.approx((0.5, 0.0, 0.1))
 
 
 @pytest.mark.parametrize(
@@ -111,7 +113,7 @@ def test_units_in_keys(tmp_path):
         ),
         (
             '[drive]\ntype = "imu"\nrate_hz = 9\n[sensors.d]\ntype = "body-velocity"\nerror = {x = {model = "white", sd = 1}}\n',
-            ["sensors.d.error: one error per axis needs the axes x, y, z; found x"],
+            ["sensors.d.error.y: this key is missing", "sensors.d.error.z: this key is missing"],
         ),
         ('[drive]\ntype = "imu"\nrate_hz = 9\n[sensors.gyro]\ntype = "depth"\n', ['"gyro" is reserved']),
     ],
@@ -122,6 +124,138 @@ def test_mistakes_are_named(tmp_path, text, messages):
         read_vehicle(tmp_path)
     for message in messages:
         assert message in str(caught.value)
+
+
+EVERY_MISTAKE = """
+nam = "x"
+[drive]
+type = "imu"
+rate_hz = -5
+gyro = [{model = "white", sd_deg = -1}, {model = "random-walk", density_deg_per_hour = 1}]
+accel = {model = "white"}
+increments = 3
+[sensors.compass]
+type = "heading"
+rate_hz = "8"
+error = [{model = "white", sd_deg = -1.5}, {model = "gauss-markov", sd_deg = "x", tau_s = 0, order = 2.0}, {model = "gauss-markow"}]
+deviation_sd_deg = [1, 2, 3]
+magnetic = "no"
+[sensors.dvl]
+type = "body-velocity"
+error = {x = {model = "white", sd = true}, y = [{model = "arma", ar = [-2.0]}], z = []}
+lever_arm_b_m = [1, 2]
+mounting_deg = ["a", 1, 2]
+gate_probability = 1
+[sensors.truth]
+type = "depth"
+offset_sd_mm = inf
+latitude_deg = 91
+[sensors.gps]
+type = "position"
+lever_arm_b_m = 3
+error = {north = {model = "white", sd = 1}, up = {model = "white", sd = 1}, down = {model = "white", sd = -2}}
+[sensors.learning]
+type = "depth"
+error = {model = "learned-arma", orders = [[1, 11], [1]], window = 100, prior = {model = "learned-arma"}}
+[sensors.adopted]
+type = "depth"
+error = {model = "learned-arma", adopted = {ar = [-1.5], ma = [], sd = -1, covariance = [[1.0]], flag = 3}}
+"""
+
+
+def test_every_mistake_at_once(tmp_path):
+    """Each with its path and value as they stand in the file, and a cure; none hides another."""
+    (tmp_path / "vehicle.toml").write_text(EVERY_MISTAKE)
+    with pytest.raises(VehicleError) as caught:
+        read_vehicle(tmp_path)
+    first, *found = str(caught.value).splitlines()
+    expected = [
+        "drive.rate_hz: must be >= 1e-06; found -5.",
+        "drive.gyro[0].sd_deg: must be >= 0; found -1.",
+        "drive.gyro[1].density: this key is missing; add it.",
+        'drive.gyro[1].density_deg_per_hour: unknown key; did you mean "density_deg_per_h"? known keys: density, model, start_sd.',
+        "drive.accel: White needs exactly one of sd and density, found sd=None, density=None.",
+        "drive.increments: must be true or false; found 3.",
+        'sensors.compass.rate_hz: must be a number; found "8".',
+        "sensors.compass.error[0].sd_deg: must be >= 0; found -1.5.",
+        'sensors.compass.error[1].sd_deg: must be a number; found "x".',
+        "sensors.compass.error[1].tau_s: must be >= 1e-06; found 0.",
+        "sensors.compass.error[1].order: must be a whole number; found 2.0.",
+        'sensors.compass.error[2]: there is no kind "gauss-markow"; did you mean "gauss-markov"? known: ',
+        "sensors.compass.deviation_sd_deg: may have 2 values, not 3; found [1, 2, 3].",
+        'sensors.compass.magnetic: must be true or false; found "no".',
+        "sensors.dvl.error.x.sd: must be a number; found true.",
+        "sensors.dvl.error.y[0]: Arma.ar has a pole of radius 2.000000: ",
+        "sensors.dvl.error.z: an empty list is no error model; give at least one, such as ",
+        "sensors.dvl.lever_arm_b_m: needs 3 values; found [1, 2].",
+        'sensors.dvl.mounting_deg[0]: must be a number; found "a".',
+        "sensors.dvl.gate_probability: must be < 1; found 1.",
+        'sensors.truth: "truth" is reserved for the drive; give the sensor another name.',
+        "sensors.truth.offset_sd_mm: must be a finite number; found inf.",
+        "sensors.truth.latitude_deg: must be <= 90; found 91.",
+        "sensors.gps.lever_arm_b_m: must be a list, such as [1.0, 2.0]; found 3.",
+        "sensors.gps.error.down.sd: must be >= 0; found -2.",
+        "sensors.gps.error.east: this key is missing; add it.",
+        "sensors.gps.error.up: unknown key; known keys: down, east, north.",
+        "sensors.learning.error.orders[0][1]: must be <= 10; found 11.",
+        "sensors.learning.error.orders[1]: needs 2 values; found [1].",
+        'sensors.learning.error.prior: there is no kind "learned-arma"; ',
+        "sensors.adopted.error.adopted.sd: must be >= 0; found -1.",
+        'sensors.adopted.error.adopted.flag: unknown key; did you mean "flags"? known keys: ',
+        'nam: unknown key; did you mean "name"? known keys: drive, name, sensors.',
+    ]
+    assert first.endswith(f"{len(found)} mistakes:")
+    for begin in expected:
+        assert any(line.strip().startswith(begin) for line in found), begin
+    assert len(found) == len(expected), found
+
+
+def test_what_a_class_refuses_stands_beside_mistakes_elsewhere(tmp_path):
+    (tmp_path / "vehicle.toml").write_text(
+        """
+        [drive]
+        type = "dead-reckoning"
+        rate_hz = 4
+        attitude = {type = "heading", magnetometer = true}
+        velocity = {type = "depth"}
+        [sensors.a]
+        type = "depth"
+        error = {model = "learned-arma", window = 100}
+        [sensors."new\\nline"]
+        type = "depth"
+        error = [{model = "learned-arma"}, {model = "learned-arma"}]
+        [sensors.b]
+        type = "depth"
+        error = {model = "learned-arma", adopted = {ar = [-0.5], ma = [0.1], sd = 1, covariance = [[1.0]]}}
+        """
+    )
+    with pytest.raises(VehicleError) as caught:
+        read_vehicle(tmp_path)
+    for message in (
+        'drive.velocity.type: must be "body-velocity"; found "depth"',
+        "sensors.a.error: LearnedArma.window must be at least 200 samples, found 100",
+        'sensors."new\\nline": a sensor needs a name of printable characters',
+        "can hold one LearnedArma",
+        "sensors.b.error.adopted: covariance must be 2 x 2",
+    ):
+        assert message in str(caught.value), message
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("a = " + "[" * 3000, "nested too deeply"),
+        (f"a = 1{'0' * 5000}", "not valid TOML"),
+        (f"[drive]\nrate_hz = 1{'0' * 30}", "drive.rate_hz: whole numbers of TOML have 64 bit"),
+        ("a = 1\na = 2", "not valid TOML"),
+        ("a = 2026-13-01", "not valid TOML"),
+    ],
+    ids=["nested", "digits", "64 bit", "twice", "date"],
+)
+def test_toml_that_no_parser_takes(tmp_path, text, message):
+    (tmp_path / "vehicle.toml").write_text(text)
+    with pytest.raises(VehicleError, match=message):
+        read_vehicle(tmp_path)
 
 
 def test_a_file_that_is_not_there(tmp_path):

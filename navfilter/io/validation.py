@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import difflib
 import json
+import math
+import re
 import tomllib
 import typing
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import PydanticCustomError
@@ -19,6 +21,9 @@ class Strict(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=False, allow_inf_nan=False)
 
+    #: Whether the table holds one value for each axis (see `SHAPES`).
+    per_axis: ClassVar[bool] = False
+
     @classmethod
     def spellings(cls, field: str) -> list[str]:
         """The keys by which a file may give a field, itself first."""
@@ -28,7 +33,7 @@ class Strict(BaseModel):
 Model = TypeVar("Model", bound=Strict)
 
 #: Tags with which a model tells alternatives of different shape apart; they are no part of a place in the file.
-SHAPES = {"<one>": None, "<sensor>": None, "<sum>": list, "<axes>": dict}
+SHAPES = ("<one>", "<sensor>", "<sum>", "<axes>")
 #: What pydantic finds wrong -> what to write instead.
 _CURES = {
     "float_type": "must be a number",
@@ -147,11 +152,14 @@ def _sentences(model: type[BaseModel], data: Any, detail: Any) -> list[tuple[str
         return [(place, f'there is no kind "{_shortened(tag)}"; {_did_you_mean(tag, known)}known: {", ".join(known)}', "")]
     if kind in _BOUNDS:
         limit = next(iter(context.values()))
+        if value in (math.inf, -math.inf):
+            return [(place, _CURES["finite_number"], _found(value))]
         si = ", in SI units" if limit and value is not _ABSENT and value != detail.get("input") else ""
         return [(place, f"must be {_BOUNDS[kind]} {limit:g}{si}", _found(value))]
     if kind == "literal_error":
         known = [word.strip(" '") for word in context["expected"].replace(" or ", ",").split(",")]
-        return [(place, f"{_did_you_mean(str(value), known)}must be one of {', '.join(known)}", _found(value))]
+        choice = f"{_did_you_mean(str(value), known)}must be one of {', '.join(known)}" if len(known) > 1 else f'must be "{known[0]}"'
+        return [(place, choice, _found(value))]
     if kind == "too_long":
         return [(place, f"may have {context['max_length']} values, not {context['actual_length']}", _found(value))]
     message = _CURES.get(kind) or detail["msg"].removeprefix("Value error, ").rstrip(".")
@@ -218,8 +226,14 @@ def _place(model: type[BaseModel], data: Any, loc: tuple[str | int, ...], kind: 
             data = _ABSENT
         else:
             continue
-        words.append(f".{written or part}" if words else str(written or part))
+        key = _key(str(written or part))
+        words.append(f".{key}" if words else key)
     return "".join(words) or "the file", data
+
+
+def _key(name: str) -> str:
+    """A key as it must be written: in quotes where it is no bare one."""
+    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else json.dumps(name, ensure_ascii=False)
 
 
 def _written(field: str, table: Any, models: list[Any]) -> str | None:
@@ -252,7 +266,7 @@ def _types_at(model: type[BaseModel], loc: tuple[str | int, ...]) -> list[Any]:
     for part in loc:
         stepped: list[Any] = []
         if part in SHAPES:
-            types = [t for t in types if typing.get_origin(t) is SHAPES[str(part)]]
+            types = [t for t in types if _has_shape(t, str(part))]
             continue
         for t in types:
             if isinstance(t, type) and issubclass(t, BaseModel):
@@ -268,6 +282,13 @@ def _types_at(model: type[BaseModel], loc: tuple[str | int, ...]) -> list[Any]:
                 stepped.append(t)
         types = stepped
     return types
+
+
+def _has_shape(t: Any, shape: str) -> bool:
+    if shape == "<sum>":
+        return typing.get_origin(t) is list
+    axes = isinstance(t, type) and issubclass(t, Strict) and t.per_axis
+    return axes if shape == "<axes>" else typing.get_origin(t) is None and not axes
 
 
 def _tags(model: type[BaseModel]) -> tuple[object, ...]:

@@ -74,14 +74,18 @@ def plain_key(key: str, fields: Iterable[str]) -> tuple[str, float | None]:
     --------
     >>> plain_key("mounting_deg", {"mounting_rad"})[0]
     'mounting_rad'
-    >>> plain_key("sd_cm", {"sd"})
-    ('sd', 0.01)
+    >>> plain_key("sd_cm", {"sd"}), plain_key("lever_arm_b_cm", {"lever_arm_b_m"})
+    (('sd', 0.01), ('lever_arm_b_m', 0.01))
     """
     if key in fields:
         return key, None
     radians = re.sub(r"_deg(?=_|$)", "_rad", key)
     if radians in fields:
         return radians, SUFFIXES["deg"]
+    for length in ("cm", "mm"):
+        metres = re.sub(rf"_{length}$", "_m", key)
+        if metres != key and metres in fields:
+            return metres, SUFFIXES[length]
     for suffix in _LONGEST_FIRST:
         name = key.removesuffix(f"_{suffix}")
         if name != key and name in fields:
@@ -91,8 +95,8 @@ def plain_key(key: str, fields: Iterable[str]) -> tuple[str, float | None]:
 
 def spellings(field: str) -> list[str]:
     """Every key by which a file may give a field, itself first."""
-    plain = re.sub(r"_rad(?=_|$)", "_deg", field)
-    return list(dict.fromkeys([field, plain, *(f"{field}_{suffix}" for suffix in SUFFIXES)]))
+    other = [re.sub(r"_rad(?=_|$)", "_deg", field), *(re.sub("_m$", f"_{length}", field) for length in ("cm", "mm"))]
+    return list(dict.fromkeys([field, *other, *(f"{field}_{suffix}" for suffix in SUFFIXES)]))
 
 
 def times(value: Any, factor: float) -> Any:

@@ -170,6 +170,12 @@ class _Spec(Strict):
         return self
 
 
+class _Axes(Strict):
+    """One error per axis."""
+
+    per_axis = True
+
+
 @cache
 def _spec_of(cls: type) -> type[_Spec]:
     key, _ = _base_of(cls)
@@ -210,17 +216,20 @@ def _type_of(hint: Any, name: str, owner: type) -> Any:
         several: Any = Annotated[list[one], AfterValidator(_not_empty)]
         either = Annotated[
             Annotated[one, Tag("<one>")] | Annotated[several, Tag("<sum>")],
-            Discriminator(lambda v: "<sum>" if isinstance(v, list) else "<one>"),
+            Discriminator(_one_or_sum),
         ]
         choices += [
             Annotated[one, Tag("<one>")],
             Annotated[several, Tag("<sum>")],
-            Annotated[dict[str, either], Tag("<axes>")],
         ]
+        if not issubclass(owner, ErrorModel):
+            axes: dict[str, Any] = dict.fromkeys(_axes_of(owner, name), (either, ...))
+            choices.append(Annotated[create_model(f"{owner.__name__}{name.title()}Axes", __base__=_Axes, **axes), Tag("<axes>")])
     sensors = {_kebab(c): c for c in classes if issubclass(c, Sensor)}
     if sensors:
         choices.append(Annotated[_union("type", sensors), Tag("<sensor>")])
-    return Annotated[Union[tuple(choices)], Discriminator(_shape)]  # noqa: UP007
+    # A learnt error is that of one axis.
+    return Annotated[Union[tuple(choices)], Discriminator(_one_or_sum if issubclass(owner, ErrorModel) else _shape)]  # noqa: UP007
 
 
 def _not_empty(parts: list[Any]) -> list[Any]:
@@ -238,6 +247,10 @@ def _members(hint: Any) -> list[Any]:
 def _union(key: str, classes: dict[str, type]) -> Any:
     tables = tuple(_spec_of(cls) for cls in classes.values())
     return tables[0] if len(tables) == 1 else Annotated[Union[tables], Field(discriminator=key)]  # noqa: UP007
+
+
+def _one_or_sum(value: Any) -> str:
+    return "<sum>" if isinstance(value, list) else "<one>"
 
 
 def _shape(value: Any) -> str:
@@ -280,7 +293,7 @@ def _built(spec: Any, place: str, wrong: list[tuple[str, str]], defaults: dict[s
     for name in [name for name in of_class if name in spec.model_fields_set]:
         value = getattr(spec, name)
         inherited = {"rate_hz": spec.rate_hz} if isinstance(spec, _Spec) and hasattr(spec, "rate_hz") else {}
-        given[of_class[name]] = _object(value, f"{place}.{name}", wrong, inherited, cls)
+        given[of_class[name]] = _object(value, f"{place}.{name}", wrong, inherited)
     given = {**{name: value for name, value in defaults.items() if name in of_class}, **given}
     if len(wrong) > before:
         return None
@@ -291,25 +304,16 @@ def _built(spec: Any, place: str, wrong: list[tuple[str, str]], defaults: dict[s
         return None
 
 
-def _object(value: Any, place: str, wrong: list[tuple[str, str]], inherited: dict[str, Any], owner: type) -> Any:
+def _object(value: Any, place: str, wrong: list[tuple[str, str]], inherited: dict[str, Any]) -> Any:
     if isinstance(value, _Spec):
         return _built(value, place, wrong, inherited)
     if isinstance(value, list) and value and isinstance(value[0], _Spec):
         parts = [_built(part, f"{place}[{k}]", wrong, inherited) for k, part in enumerate(value)]
         parts = [part for part in parts if part is not None]
         return sum(parts[1:], start=parts[0]) if parts else None
-    if isinstance(value, dict):
-        return _per_axis(value, place, wrong, inherited, owner)
+    if isinstance(value, _Axes):
+        return tuple(_object(getattr(value, name), f"{place}.{name}", wrong, inherited) for name in type(value).model_fields)
     return tuple(value) if isinstance(value, list) else value
-
-
-def _per_axis(value: dict[str, Any], place: str, wrong: list[tuple[str, str]], inherited: dict[str, Any], owner: type) -> Any:
-    names = _axes_of(owner, place.rsplit(".", 1)[-1])
-    if set(value) != set(names):
-        found, needed = ", ".join(value) or "none", ", ".join(names)
-        wrong.append((place, f"one error per axis needs the axes {needed}; found {found}"))
-        return None
-    return tuple(_object(value[name], f"{place}.{name}", wrong, inherited, owner) for name in names)
 
 
 def _axes_of(owner: type, field: str) -> tuple[str, ...]:

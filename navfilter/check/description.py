@@ -1,0 +1,239 @@
+"""A vehicle in plain words: what drives it, its sensors, and what their error models mean."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from navfilter.check.amounts import amount, duration, root_density, walk
+from navfilter.error_models import Arma, Block, ErrorModel, GaussMarkov, RandomWalk, Sum, White
+from navfilter.layout import PARAMETER_UNITS, Layout
+from navfilter.learned import LearnedArma
+from navfilter.mechanisation import Imu
+
+if TYPE_CHECKING:
+    from navfilter.vehicle import Vehicle
+
+__all__ = ["describe_error", "describe_vehicle", "zero_frequency"]
+
+_ORDERS = {1: "first", 2: "second", 3: "third", 4: "fourth"}
+_KINDS = {
+    "BodyVelocity": "body velocity",
+    "Heading": "heading",
+    "Depth": "depth",
+    "Position": "position",
+    "ZeroVelocity": "zero velocity, whenever the inertial unit says that the vehicle rests; needs no stream",
+}
+_COLUMN = 13
+
+
+def describe_vehicle(vehicle: Vehicle) -> str:
+    """Drive, sensors, error models and number of states in plain words.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+
+    Returns
+    -------
+    str
+        Several lines.
+
+    Examples
+    --------
+    >>> from navfilter import Depth, Imu, Vehicle, White
+    >>> print(describe_vehicle(Vehicle(imu=Imu(rate_hz=100), sensors={"depth": Depth(error=White(sd=0.05))})).splitlines()[0])
+    Vehicle "vehicle": 15 states (9 of navigation, 6 of the drive), 1 sensor.
+    """
+    layout = Layout.of(vehicle)
+    counts = [f"9 of navigation, {layout.drive.size} of the drive"] + [f"{g.size} of {name}" for name, g in layout.groups.items() if g.size]
+    number = len(vehicle.sensors)
+    lines = [f'Vehicle "{vehicle.name}": {layout.size} states ({", ".join(counts)}), {number} sensor{"" if number == 1 else "s"}.', ""]
+    lines += _drive_lines(vehicle.drive)
+    for name, sensor in vehicle.sensors.items():
+        lines += ["", *_sensor_lines(name, sensor)]
+    return "\n".join(lines)
+
+
+def _drive_lines(drive: Any) -> Iterator[str]:
+    streams = " and ".join(f'"{stream}"' for stream in drive.streams)
+    if isinstance(drive, Imu):
+        what = "angle and velocity increments" if drive.increments else "rates and forces"
+        yield f"Drive: inertial unit at {drive.rate_hz:g} Hz, {what} (stream {streams})"
+        groups = {"gyro": slice(0, 3), "accel": slice(3, 6)}
+    else:
+        yield f"Drive: dead reckoning by attitude and body velocity at {drive.rate_hz:g} Hz (streams {streams})"
+        groups = {"attitude": slice(0, 3), "velocity": slice(3, 6)}
+    for name, part in groups.items():
+        yield from _error_lines(name, drive.models[part], drive.axis_names[part], drive.units[part], drive.period_s)
+    if not isinstance(drive, Imu):
+        yield from _fitting_lines(drive.velocity_sensor)
+    yield from _parameter_lines(drive.parameters())
+
+
+def _sensor_lines(name: str, sensor: Any) -> Iterator[str]:
+    kind = "magnetometer" if getattr(sensor, "magnetometer", False) else _KINDS.get(type(sensor).__name__, type(sensor).__name__)
+    if getattr(sensor, "pressure", False):
+        kind = "depth from absolute pressure"
+    yield f'Sensor "{name}": {kind}, {sensor.rate_hz:g} Hz'
+    yield from _error_lines("error", sensor.models, sensor.axis_names, (sensor.unit,) * sensor.axes, 1.0 / sensor.rate_hz)
+    yield from _fitting_lines(sensor)
+    yield from _parameter_lines(sensor.parameters())
+    share = 1.0 - sensor.gate_probability
+    yield _line("gate", f"refuses one good reading in {1.0 / share:.0f}; widens after {duration(sensor.gate_timeout_s)} of refusals")
+
+
+def _error_lines(
+    name: str, models: tuple[ErrorModel, ...], axis_names: tuple[str, ...], units: tuple[str, ...], period_s: float
+) -> Iterator[str]:
+    """One paragraph for axes that err alike, else one for each."""
+    alike = all(model == models[0] for model in models)
+    for model, axis, unit in list(zip(models, axis_names, units, strict=True))[: 1 if alike else None]:
+        label = name if alike or not axis else f"error {axis}" if name == "error" else axis
+        for k, text in enumerate(describe_error(model, unit, period_s)):
+            yield _line(label if k == 0 else "", text)
+
+
+def _fitting_lines(sensor: Any) -> Iterator[str]:
+    lever, mounting = getattr(sensor, "lever_arm_b_m", None), getattr(sensor, "mounting_rad", None)
+    if lever is not None and any(lever):
+        forward, right, down = lever
+        yield _line("lever arm", f"{forward:g} m forward, {right:g} m right, {down:g} m down of the reference point")
+    if mounting is not None and any(mounting):
+        yield _line("mounting", "roll {:g}, pitch {:g}, yaw {:g} deg".format(*(round(math.degrees(angle), 6) for angle in mounting)))
+
+
+def _parameter_lines(parameters: tuple[tuple[str, float], ...]) -> Iterator[str]:
+    """Constant states: those that may differ from zero."""
+    texts = []
+    for name, sd in parameters:
+        if not sd:
+            continue
+        unit = next(unit for begin, unit in PARAMETER_UNITS.items() if name.split(".")[-1].startswith(begin))
+        size = f"{100.0 * sd:.3g} %" if unit == "1" else f"{math.degrees(sd):.3g} deg/K" if unit == "rad_per_k" else amount(sd, unit)
+        texts.append(f"{name} {size}")
+    if texts:
+        yield _line("constants", f"estimated, sd at the start: {', '.join(texts)}")
+
+
+def _line(label: str, text: str) -> str:
+    return f"  {label:{_COLUMN}}{text}" if len(label) < _COLUMN else f"  {label} {text}"
+
+
+def describe_error(model: ErrorModel, unit: str, period_s: float) -> list[str]:
+    """What an error model says: a line per part, then what it means at low frequencies.
+
+    Parameters
+    ----------
+    model : ErrorModel
+    unit : str
+        Of the channel, as in `Layout.units`.
+    period_s : float
+        Sampling period of the sensor [s].
+
+    Returns
+    -------
+    list of str
+
+    Examples
+    --------
+    >>> describe_error(GaussMarkov(sd=0.1, tau_s=30.0), "m", 1.0)[0]
+    'Gauss-Markov of first order: sd 0.1 m, correlation time 30 s'
+    """
+    parts = model.parts if isinstance(model, Sum) else (model,)
+    lines = []
+    for k, part in enumerate(parts):
+        lines.append(f"{'+ ' if k else ''}{_part(part, unit, period_s)}")
+        if isinstance(part, LearnedArma) and part.model is None and part.prior is not None:
+            before = [_part(inner, unit, period_s) for inner in getattr(part.prior, "parts", (part.prior,))]
+            lines.append(f"  until then {' + '.join(before)}")
+    return [*lines, *_low_frequencies(model.block(period_s), unit, period_s)]
+
+
+def _part(model: ErrorModel, unit: str, period_s: float) -> str:
+    if isinstance(model, White):
+        if model.density is None:
+            return f"white noise: sd {amount(float(model.sd or 0.0), unit)} of a reading"
+        return f"white noise: {root_density(model.density, unit)}, sd {amount(model.density / math.sqrt(period_s), unit)} of a reading"
+    if isinstance(model, RandomWalk):
+        start = 60.0 * model.density if model.start_sd is None else model.start_sd
+        if not model.density:
+            return f"constant bias: sd {amount(start, unit)}"
+        return f"bias: sd {amount(start, unit)} at the start, wanders by {walk(model.density, unit)}"
+    if isinstance(model, GaussMarkov):
+        return f"Gauss-Markov of {_ORDERS[model.order]} order: sd {amount(model.sd, unit)}, correlation time {duration(model.tau_s)}"
+    if isinstance(model, Arma):
+        return _arma("ARMA", (len(model.ar), len(model.ma)), model, unit, period_s)
+    if isinstance(model, LearnedArma):
+        return _learned(model, unit, period_s)
+    return str(model)
+
+
+def _arma(name: str, order: tuple[int, int], model: ErrorModel, unit: str, period_s: float) -> str:
+    block = model.block(period_s)
+    times = _time_constants(block, period_s)
+    total = math.sqrt(float(block.C @ block.P0 @ block.C) + block.r)
+    return f"{name}({order[0]}, {order[1]}): sd {amount(total, unit)}{'; ' if times else ''}{', '.join(times)}"
+
+
+def _learned(model: LearnedArma, unit: str, period_s: float) -> str:
+    if model.model is not None:
+        return _arma("learnt ARMA", (model.model.p, model.model.q), model, unit, period_s)
+    first, span = duration(model.window / 8.0 * period_s), duration(model.window * period_s)
+    orders = ", ".join(f"({p},{q})" for p, q in model.orders)
+    return f"learnt under way from the last {span}, first after {first}, orders {orders}"
+
+
+def _time_constants(block: Block, period_s: float) -> list[str]:
+    """Decay times, and periods of oscillations, of the poles."""
+    found = []
+    for pole in sorted(np.linalg.eigvals(block.Phi), key=lambda pole: -abs(pole)) if block.size else []:
+        if abs(pole) < 1e-6 or pole.imag < 0.0:
+            continue
+        decay = duration(-period_s / math.log(abs(pole))) if abs(pole) < 1.0 else "never"
+        if abs(pole.imag) > 1e-9:
+            found.append(f"swings with a period of {duration(2.0 * math.pi * period_s / float(np.angle(pole)))}, decays in {decay}")
+        elif pole.real > 0.0:
+            found.append(f"time constant {decay}")
+    return found
+
+
+def zero_frequency(block: Block, period_s: float) -> float:
+    """Root of the spectral density at zero frequency [unit/sqrt(Hz)]; infinite for a random walk.
+
+    The spectrum is two-sided, as that of `White.density`: the mean over a long time T then has the variance ``S(0) / T``.
+
+    Parameters
+    ----------
+    block : Block
+    period_s : float
+        Sampling period [s].
+
+    Examples
+    --------
+    >>> round(zero_frequency(White(density=0.3).block(0.1), 0.1), 9)
+    0.3
+    """
+    if not block.size:
+        return math.sqrt(block.r * period_s)
+    radius = float(np.abs(np.linalg.eigvals(block.Phi)).max())
+    if radius > 1.0 - 1e-12:
+        return math.inf
+    gain = np.linalg.solve((np.eye(block.size) - block.Phi).T, block.C)
+    return math.sqrt(max(float(gain @ block.Q @ gain) + block.r, 0.0) * period_s)
+
+
+def _low_frequencies(block: Block, unit: str, period_s: float) -> Iterator[str]:
+    if not block.size:
+        return
+    root = zero_frequency(block, period_s)
+    if math.isinf(root):
+        return
+    slowest = -period_s / math.log(max(float(np.abs(np.linalg.eigvals(block.Phi)).max()), 1e-12))
+    # The mean obeys S(0)/T only over times that are long beside the slowest memory.
+    over = next((T for T in (60.0, 600.0, 3600.0, 36000.0) if max(5.0 * slowest, 2.0 * period_s) <= T), None)
+    mean = "" if over is None else f": the mean of {duration(over)} still errs by {amount(root / math.sqrt(over), unit)}"
+    yield f"  at low frequencies {root_density(root, unit)}, the root of S(0){mean}"

@@ -1,0 +1,212 @@
+"""A commented vehicle.toml to start from: every key with its unit and its default.
+
+A line that begins with ``#key`` states a default: taking the ``#`` away changes nothing. Lines that begin with ``# `` are words.
+The words and the defaults come from the classes themselves.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+import math
+import re
+import textwrap
+from collections.abc import Iterator
+from typing import Any, Literal
+
+from navfilter.io.units import SUFFIXES
+from navfilter.mechanisation import DeadReckoning, Imu
+from navfilter.sensors import BodyVelocity, Depth, Heading, Position, Sensor, ZeroVelocity
+
+__all__ = ["DRIVES", "vehicle_template"]
+
+DRIVES = ("imu", "dead-reckoning")
+_WIDTH = 130
+
+_HEAD = """\
+# What is on board, and how it errs. 'navfilter vehicle --check vehicle.toml' says in words what this file describes.
+#
+# Lines that begin with "#key" state a default: take the # away and change the value. Lines that begin with "# " are words.
+#
+# Numbers are SI and radians, unless the key ends in another unit: sd_deg, mounting_deg, density_deg_per_sqrt_h. Endings:
+{suffixes}
+#
+# Frames: b is the body, forward, right, down. Lever arms lead from the reference point (the inertial unit) to the sensor.
+#
+# An error is one model, a list of models (their sum), or one per axis, {{x = .., y = .., z = ..}} (for fixes north, east, down;
+# for attitudes roll, pitch, yaw). The models, numbers in the unit of the sensor:
+#   {{model = "white", sd = 0.1}}
+#       independent from reading to reading; or as root PSD, density = 0.01 [unit/sqrt(Hz)], sd = density * sqrt(rate)
+#   {{model = "random-walk", density = 1e-6, start_sd = 1e-5}}
+#       a bias that wanders by 60 * density in an hour [density: unit/s/sqrt(Hz)]; start_sd: how large it is at the start, default
+#       60 * density; density = 0: a constant
+#   {{model = "gauss-markov", sd = 0.1, tau_s = 30, order = 1}}
+#       correlated: the autocorrelation falls to 1/e in tau_s seconds; order 1 (default) to 4
+#   {{model = "arma", ar = [-0.9], ma = [], sd = 0.1}}
+#       ARMA(p, q), one step per reading, signs as scipy.signal.lfilter([1, *ma], [1, *ar], e) with e of this sd (default 1); ma may be
+#       left out; 'navfilter identify' finds all three from a recording at rest
+#   {{model = "learned-arma", orders = [[1, 0], [1, 1], [2, 1]], window = 4000, hop = 1000, prior = {{model = "white", sd = 0.1}}}}
+#       learnt under way; every key may be left out: candidates (p, q), readings behind an estimate (at least 200, default 4000),
+#       readings between two adoptions (default: a quarter of the window), and what is in force before the first (default: what is
+#       usual for the sensor). What has been learnt is kept as adopted = {{ar = [..], ma = [..], sd = ..}}
+"""
+_COMPASS_ERROR = 'error = {model = "gauss-markov", sd_deg = 0.6, tau_s = 30}'
+_COMPASS_LEARNT = '# learnt under way instead: error = {model = "learned-arma", prior = {model = "gauss-markov", sd_deg = 0.6, tau_s = 30}}'
+_DVL_ERROR = 'error = {model = "white", sd = 0.01}'
+_GYRO = """\
+gyro = [
+  {model = "white", density_deg_per_sqrt_h = 0.3},
+  {model = "random-walk", density_deg_per_h_per_sqrt_h = 1.0, start_sd_deg_per_h = 5.0},
+]"""
+_ACCEL = """\
+accel = [
+  {model = "white", density_mg_per_sqrt_hz = 0.1},
+  {model = "random-walk", density = 8e-6, start_sd_mg = 1.0},
+]"""
+
+
+def vehicle_template(drive: str = "imu") -> str:
+    """The text of a vehicle.toml with every key, commented.
+
+    Parameters
+    ----------
+    drive : {"imu", "dead-reckoning"}
+        What carries the state between corrections.
+
+    Returns
+    -------
+    str
+        Reads back as a vehicle with compass, DVL, depth gauge and GPS.
+
+    Raises
+    ------
+    ValueError
+        For another drive.
+
+    Examples
+    --------
+    >>> "[drive]" in vehicle_template("dead-reckoning")
+    True
+    """
+    if drive not in DRIVES:
+        raise ValueError(f'there is no drive "{drive}" (known: {", ".join(DRIVES)}).')
+    suffixes = "\n".join(textwrap.wrap(", ".join(SUFFIXES), _WIDTH, initial_indent="#   ", subsequent_indent="#   "))
+    parts = [_HEAD.format(suffixes=suffixes), 'name = "example AUV"\n', *(_inertial() if drive == "imu" else _reckoning())]
+    parts += [
+        _section("sensors.depth", Depth, "Depth gauge.", 1, 'error = {model = "white", sd = 0.05}', lever=(0.2, 0.0, -0.1)),
+        _section(
+            "sensors.gps", Position, "Position fixes.", 1, 'error = {model = "gauss-markov", sd = 3.0, tau_s = 60}', lever=(-0.4, 0.0, -0.2)
+        ),
+    ]
+    return "\n".join(parts)
+
+
+def _inertial() -> Iterator[str]:
+    words = 'What carries the state between corrections: an inertial unit (stream "imu"), strapdown on WGS-84.'
+    yield _section("drive", Imu, words, 100, _GYRO, _ACCEL)
+    yield "# The correcting sensors. The name is that of the mission's stream, the states, the residuals and the output columns.\n"
+    yield _section("sensors.compass", Heading, "Compass, or magnetometer.", 8, _COMPASS_ERROR, _COMPASS_LEARNT)
+    yield _section("sensors.dvl", BodyVelocity, "DVL in bottom track, or wheels.", 4, _DVL_ERROR, lever=(0.5, 0.0, 0.1))
+    still = _section(
+        "sensors.still",
+        ZeroVelocity,
+        "For vehicles that really stand still (on deck, on the bottom, on wheels); it needs no stream. Not for an AUV under way.",
+        1,
+        'error = {model = "white", sd = 0.02}',
+    )
+    yield re.sub(r"^(?=[^#\n])", "#", still, flags=re.MULTILINE)
+
+
+def _reckoning() -> Iterator[str]:
+    words = 'What carries the state between corrections: attitude and body velocity (streams "attitude" and "velocity"), no inertial unit.'
+    yield _section("drive", DeadReckoning, words, 5, 'tilt = {model = "white", sd_deg = 0.3}', without={"attitude", "velocity"})
+    # What corrects nothing has no gate; a magnetometer cannot be levelled here, and a drift with temperature has no state.
+    unused = {"rate_hz", "gate_probability", "gate_timeout_s"}
+    iron = {"magnetometer", "hard_iron", "soft_iron", "temperature_sd_rad_per_k", "reference_temperature_c"}
+    yield _section(
+        "drive.attitude", Heading, "The heading, with its error.", None, 'type = "heading"', _COMPASS_ERROR, without=unused | iron
+    )
+    yield _section(
+        "drive.velocity",
+        BodyVelocity,
+        "The body velocity.",
+        None,
+        'type = "body-velocity"',
+        _DVL_ERROR,
+        lever=(0.5, 0.0, 0.1),
+        without=unused,
+    )
+    yield "# The correcting sensors. The name is that of the mission's stream, the states, the residuals and the output columns.\n"
+
+
+def _section(
+    name: str,
+    cls: Any,
+    words: str,
+    rate_hz: float | None,
+    *live: str,
+    lever: tuple[float, float, float] | None = None,
+    without: set[str] | None = None,
+) -> str:
+    """One table: what is set, then every other key of the class at its default."""
+    lines = [*_wrapped(words), f"[{name}]"]
+    texts = _parameters(cls)
+    if rate_hz is not None:
+        lines += [f'type = "{_kind(cls)}"', f"rate_hz = {rate_hz}"]
+    lines += live
+    given = {match.group(1) for line in lines if (match := re.match(r"(\w+) = ", line))} | (without or set())
+    if lever is not None:
+        lines += [*_wrapped(texts["lever_arm_b_m"][1]), f"lever_arm_b_m = {list(lever)}"]
+        given.add("lever_arm_b_m")
+    # What all sensors share is explained once, with the first of them.
+    said = set() if cls in (Imu, DeadReckoning, Heading) else {group for group, _ in _parameters(Sensor).values()}
+    for field in dataclasses.fields(cls):
+        if field.name in given or not field.init:
+            continue
+        group, text = texts[field.name]
+        if group not in said:
+            said.add(group)
+            lines += _wrapped(text)
+        lines.append(_default(field))
+    return "\n".join(lines) + "\n"
+
+
+def _default(field: Any) -> str:
+    key, value = field.name, field.default
+    if value is None:
+        # It has no default that could be written: an example, in words.
+        return f"# {re.sub(r'_rad(?=_|$)', '_deg', key)} = 0.0"
+    if re.search(r"_rad(?=_|$)", key):
+        key = re.sub(r"_rad(?=_|$)", "_deg", key)
+        value = tuple(map(math.degrees, value)) if isinstance(value, tuple) else math.degrees(value)
+    return f"#{key} = {_text(value)}"
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    return f"[{', '.join(map(_text, value))}]" if isinstance(value, tuple) else repr(value)
+
+
+def _kind(cls: type) -> Literal["imu"] | str:
+    return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "-", cls.__name__).lower()
+
+
+def _wrapped(text: str) -> list[str]:
+    return textwrap.wrap(text.replace("False", "false").replace("True", "true"), _WIDTH, initial_indent="# ", subsequent_indent="# ")
+
+
+def _parameters(cls: type) -> dict[str, tuple[str, str]]:
+    """What the docstrings of a class and its bases say of each parameter: the names it is explained with, and the words."""
+    found: dict[str, tuple[str, str]] = {}
+    for base in reversed(cls.__mro__):
+        section = re.search(r"Parameters\n-+\n(.*?)(?:\n\n|\Z)", inspect.cleandoc(base.__doc__ or ""), re.DOTALL)
+        entries = re.split(r"\n(?=\S)", section.group(1)) if section else []
+        for entry in entries:
+            names, *words = entry.split("\n")
+            text = " ".join(word.strip() for word in words).replace("`", "")
+            # The file has angles in degrees; rates stay in rad/s.
+            text = re.sub(r"_rad(?=_|\b)", "_deg", text.replace("[rad]", "[deg]"))
+            found |= {name.strip(): (names, text) for name in names.split(" : ")[0].split(",")}
+    documented = {field.name: (field.name, "") for field in dataclasses.fields(cls)}
+    return documented | found
