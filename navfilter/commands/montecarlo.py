@@ -1,0 +1,141 @@
+"""``navfilter montecarlo``: its arguments and what it does. Everything heavy is imported where it is used."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from navfilter.commands.console import compile_first, output_folder, positive, seed, speaker
+
+__all__ = ["ABOUT", "EPILOG", "add_arguments", "run"]
+
+ABOUT = "repeat a simulated scenario with many seeds and compare error models over all runs"
+EPILOG = """\
+one mission is simulated per seed and replayed with every model, so that models meet the same missions:
+  white        white noise, fitted to the mission          arma       learns from scratch, under way
+  gm1          Gauss-Markov through the 1/e point          oracle     the simulator's own model
+  gm1-fitted   Gauss-Markov by likelihood, whole mission   vehicle    as the vehicle's description says
+
+written to --out:
+  table.txt, results.csv, results.json   figures with 95 % intervals, and ratios with paired intervals
+  runs.npz (and runs.parquet)            every run
+  envelope-*.png, nees.png, end-error.png
+  runs/                                  finished runs: the same command continues a campaign that was stopped
+
+examples:
+  navfilter montecarlo --list
+  navfilter montecarlo --scenario compass-rolling --runs 50
+  navfilter montecarlo --scenario compass-gm2 --motion transit --gyro mems --runs 50 --models gm1-fitted,arma,oracle
+  navfilter montecarlo --scenario dvl-coloured --runs 1000 --dask tcp://10.0.0.1:8786
+"""
+_DEFAULT = "white,gm1,gm1-fitted,arma,oracle"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of ``navfilter montecarlo``."""
+    parser.add_argument("--scenario", metavar="NAME", help="see --list")
+    parser.add_argument("--list", action="store_true", help="list the scenarios and stop")
+    parser.add_argument("--runs", type=_count, default=20, metavar="N", help="missions, with seeds from --seed on (default: %(default)s)")
+    parser.add_argument("--seed", type=seed, default=1, metavar="S", help="seed of the first mission (default: %(default)s)")
+    parser.add_argument("--models", default=_DEFAULT, metavar="NAMES", help="separated by commas (default: %(default)s)")
+    parser.add_argument("--motion", choices=("lawnmower", "transit"), default="lawnmower", help="default: %(default)s")
+    parser.add_argument("--gyro", choices=("tactical", "mems"), default="tactical", help="default: %(default)s")
+    parser.add_argument("--duration", type=positive, metavar="S", help="length of a mission in seconds (default: that of the scenario)")
+    parser.add_argument("--score-start", type=float, metavar="S", help="score from this time on (default: one window of the learner)")
+    parser.add_argument("--imu-rate", type=positive, default=100.0, metavar="HZ", help="of the inertial unit (default: %(default)s)")
+    parser.add_argument("--smooth", action=argparse.BooleanOptionalAction, default=True, help="run the smoother too (default: yes)")
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument("--workers", type=_count, metavar="K", help="processes (default: all cores)")
+    where.add_argument("--dask", metavar="ADDRESS", help="scheduler of a Dask cluster, such as tcp://10.0.0.1:8786")
+    parser.add_argument("--out", metavar="DIR", help="folder to write to (default: one per scenario in navfilter-montecarlo)")
+    parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
+
+
+def _count(text: str) -> int:
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"must be a whole number >= 1, found '{text}'")
+    return int(text)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run ``navfilter montecarlo``."""
+    from navfilter.simulation.campaigns import STUDIES
+
+    if options.list:
+        width = max(map(len, STUDIES))
+        for name, study in STUDIES.items():
+            print(f"{name:{width}}  {study.duration_s / 60:3.0f} min  {study.about}")
+        return 0
+    if options.scenario is None:
+        raise ValueError("montecarlo needs --scenario (scenarios: navfilter montecarlo --list).")
+    from navfilter.montecarlo.campaign import Campaign
+
+    campaign = Campaign(
+        options.scenario,
+        motion=options.motion,
+        gyro=options.gyro,
+        duration_s=options.duration,
+        score_from_s=options.score_start,
+        smooth=options.smooth,
+        imu_rate_hz=options.imu_rate,
+    )
+    models = _models(options, campaign)
+    folder = output_folder(options.out or Path("navfilter-montecarlo") / campaign.name.replace("/", "-"))
+    compile_first(options.quiet)
+    return _run(options, campaign, models, folder)
+
+
+def _models(options: argparse.Namespace, campaign: Any) -> tuple[str, ...]:
+    """The models asked for; the default ones without the oracle where there is no fixed truth."""
+    from navfilter.rivals import MODELS
+
+    names = tuple(dict.fromkeys(name.strip() for name in options.models.split(",") if name.strip()))
+    unknown = [name for name in names if name not in MODELS]
+    if unknown or not names:
+        raise ValueError(f'--models: there is no "{(*unknown, options.models)[0]}". Models: {", ".join(MODELS)}.')
+    if "oracle" in names and campaign.staged.truth is None:
+        if names == ("oracle",):
+            raise ValueError(f'"oracle" needs one true model for the whole mission, but in {campaign.scenario} the noise changes.')
+        speaker(options.quiet)("(no oracle: the noise of this scenario changes, no fixed model is the truth)")
+        names = tuple(name for name in names if name != "oracle")
+    return names
+
+
+def _run(options: argparse.Namespace, campaign: Any, models: tuple[str, ...], folder: Path) -> int:
+    from navfilter.montecarlo.campaign import available_cores, cluster, process_pool, run_campaign
+    from navfilter.montecarlo.store import Store
+
+    say = speaker(options.quiet)
+    Store(folder, campaign.settings)  # refuses a folder of another campaign before any worker is started
+    seeds = range(options.seed, options.seed + options.runs)
+    where = options.dask or f"{options.workers or available_cores()} processes"
+    say(f"{campaign.name}: {options.runs} missions of {campaign.duration_s:g} s, {len(models)} models, on {where} ...")
+    workers = cluster(options.dask) if options.dask else process_pool(options.workers)
+    with workers as executor, _bar(options.runs * len(models), options.quiet) as progress:
+        try:
+            results = run_campaign(campaign, seeds, models, folder, executor, progress)
+        except KeyboardInterrupt:
+            kept = len(list((folder / "runs").rglob("*.npz")))
+            print(f"\nstopped; {kept} runs are kept in {folder}, the same command continues.", file=sys.stderr)
+            raise
+    from navfilter.montecarlo.figures import write_figures
+    from navfilter.montecarlo.tables import table, write_tables
+
+    names = [*write_tables(results, folder), *write_figures(results, folder)]
+    say(f"\n{table(results)}\n\nWritten to {folder}{os.sep}: {', '.join(names)}")
+    return 0
+
+
+@contextmanager
+def _bar(total: int, quiet: bool) -> Iterator[Any]:
+    from tqdm import tqdm
+
+    # Away from a terminal a line a minute is enough to see that it is alive.
+    often = 0.2 if sys.stderr.isatty() else 60.0
+    with tqdm(total=total, desc="runs", unit="", disable=quiet, mininterval=often, maxinterval=max(often, 10.0)) as bar:
+        yield bar.update

@@ -1,0 +1,361 @@
+"""A campaign: seeds -> missions -> one run per model -> results, on all cores or on a cluster, continued where it was stopped.
+
+A job is one seed: its mission is simulated once and replayed with every model, so that models are compared on the same
+missions. What a job returns depends on nothing but the settings, the seed and the model; which process does it does not matter.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import multiprocessing
+import os
+import signal
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from navfilter.mission import Mission
+from navfilter.montecarlo.scores import TRACKS, curve_times, run_record
+from navfilter.montecarlo.store import Record, Store
+from navfilter.playback import replay
+from navfilter.rivals import rivals
+from navfilter.simulation.campaigns import Staged, stage
+from navfilter.vehicle import Vehicle
+
+__all__ = ["Campaign", "Results", "cluster", "collect", "process_pool", "run_campaign", "run_seed"]
+
+#: Threads inside a worker would only get into each other's way, and could change the last digit.
+_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """Everything that the numbers of a campaign depend on, but for seeds and models.
+
+    Parameters
+    ----------
+    scenario : str
+        Key of `navfilter.simulation.campaigns.STUDIES`.
+    motion, gyro : str
+        See `navfilter.simulation.campaigns.stage`.
+    duration_s : float, optional
+        Default: that of the scenario.
+    score_from_s : float, optional
+        Time from which runs are scored. Default: one window of the learner (500 s at 8 Hz), a third of a mission that is not
+        even three windows long.
+    smooth : bool
+        Whether the smoother runs too.
+    imu_rate_hz : float
+    """
+
+    scenario: str
+    motion: str = "lawnmower"
+    gyro: str = "tactical"
+    duration_s: float | None = None
+    score_from_s: float | None = None
+    smooth: bool = True
+    imu_rate_hz: float = 100.0
+
+    def __post_init__(self) -> None:
+        staged = stage(self.scenario, motion=self.motion, gyro=self.gyro, duration_s=self.duration_s, imu_rate_hz=self.imu_rate_hz)
+        scenario, motion, gyro = staged.name.split("/")
+        score_from_s = self.score_from_s
+        if score_from_s is None:
+            score_from_s = min(staged.window_s, staged.duration_s / 3.0)
+        if not 0.0 <= score_from_s < staged.duration_s:
+            raise ValueError(f"scoring must start within the mission of {staged.duration_s:g} s, found {score_from_s:g} s.")
+        whole = {"scenario": scenario, "motion": motion, "gyro": gyro, "duration_s": staged.duration_s}
+        for key, value in (whole | {"score_from_s": float(score_from_s)}).items():
+            object.__setattr__(self, key, value)
+
+    @property
+    def name(self) -> str:
+        """Scenario, motion and gyro."""
+        return f"{self.scenario}/{self.motion}/{self.gyro}"
+
+    @property
+    def staged(self) -> Staged:
+        """The scenario, made ready."""
+        return _staged(self)
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """As they stand in ``campaign.json``, the state of the program included."""
+        return {**asdict(self), "program": program()}
+
+
+@cache
+def _staged(campaign: Campaign) -> Staged:
+    return stage(
+        campaign.scenario,
+        motion=campaign.motion,
+        gyro=campaign.gyro,
+        duration_s=campaign.duration_s,
+        imu_rate_hz=campaign.imu_rate_hz,
+    )
+
+
+@cache
+def program() -> str:
+    """Version, and a digest of the source that runs depend on: runs of a changed program must not be mixed with older ones."""
+    from navfilter import __version__
+
+    root = Path(__file__).parents[1]
+    aside = {"commands", "report", "check", "io", "identification", "montecarlo", "cli.py", "__main__.py", "__init__.py"}
+    digest = hashlib.sha256()
+    for path in sorted(root.rglob("*.py")):
+        place = path.relative_to(root)
+        if place.parts[0] not in aside or place.name == "scores.py":
+            digest.update(place.as_posix().encode() + b"\0" + path.read_bytes())
+    return f"{__version__} {digest.hexdigest()[:12]}"
+
+
+def run_seed(campaign: Campaign, seed: int, models: Sequence[str]) -> tuple[str, dict[str, Record]]:
+    """Simulate the mission of one seed and run every model on it.
+
+    Parameters
+    ----------
+    campaign : Campaign
+    seed : int
+    models : sequence of str
+        See `navfilter.rivals`.
+
+    Returns
+    -------
+    program : str
+        What it was run with, see `program`.
+    records : dict of str to dict of str to ndarray
+        By model, see `navfilter.montecarlo.scores.run_record`.
+    """
+    staged = campaign.staged
+    mission = staged.mission(seed)
+    records = {}
+    for model, vehicle in _vehicles(models, staged, mission).items():
+        track = replay(vehicle, mission, smooth=campaign.smooth, output_rate_hz=1.0)
+        records[model] = run_record(track, mission, staged.learnt, float(campaign.score_from_s or 0.0))
+    return program(), records
+
+
+def _vehicles(models: Sequence[str], staged: Staged, mission: Mission) -> dict[str, Vehicle]:
+    """The vehicle with each model on the sensor under study; everything else as described, which for everything else is the truth."""
+    fitted = rivals([m for m in models if m != "oracle"], staged.vehicle, mission, sensors=(staged.learnt,))
+    if "oracle" in models:
+        if staged.truth is None:
+            raise ValueError(f'"oracle" needs one true model for the whole mission, but {staged.name} changes. Leave it out.')
+        # the truth may be that of the gyro, which no rival replaces
+        fitted["oracle"] = staged.vehicle.with_error(**staged.truth)  # type: ignore[arg-type]
+    return {model: fitted[model] for model in models}
+
+
+@dataclass(frozen=True)
+class Results:
+    """All runs of a campaign.
+
+    Attributes
+    ----------
+    campaign : Campaign
+    models : tuple of str
+    seeds : ndarray, shape (n,)
+    scores : ndarray, shape (models, 2, n, len(SCORES))
+        By track: forward, smoothed (NaN when it was not run).
+    curves : ndarray of float32, shape (models, 2, n, len(CURVES), m)
+    time_s : ndarray, shape (m,)
+        Of the curves.
+    cpu_s : ndarray, shape (models, n)
+        Processor time of every run; the only figure that differs from one execution to the next.
+    """
+
+    campaign: Campaign
+    models: tuple[str, ...]
+    seeds: np.ndarray
+    scores: np.ndarray
+    curves: np.ndarray
+    time_s: np.ndarray
+    cpu_s: np.ndarray
+
+    @property
+    def tracks(self) -> tuple[str, ...]:
+        """Labels of the tracks that there are."""
+        return TRACKS if self.campaign.smooth else TRACKS[:1]
+
+
+def run_campaign(
+    campaign: Campaign,
+    seeds: Sequence[int],
+    models: Sequence[str],
+    folder: str | Path,
+    executor: Executor | None = None,
+    progress: Callable[[int], Any] | None = None,
+) -> Results:
+    """Run what is not yet in the folder, and collect everything.
+
+    Parameters
+    ----------
+    campaign : Campaign
+    seeds : sequence of int
+        One mission each.
+    models : sequence of str
+        See `navfilter.rivals`.
+    folder : path
+        Finished runs are kept there as they come; a campaign that was stopped continues from them.
+    executor : concurrent.futures.Executor, optional
+        See `process_pool` and `cluster`. Default: this process.
+    progress : callable, optional
+        Called with the number of runs finished, those found in the folder included.
+
+    Returns
+    -------
+    Results
+
+    Raises
+    ------
+    ValueError
+        When the folder belongs to a campaign with other settings, or a worker runs another version of the program.
+    ChildProcessError
+        When a worker process dies.
+    """
+    store = Store(folder, campaign.settings)
+    missing = {seed: [model for model in models if store.load(seed, model) is None] for seed in seeds}
+    found = len(seeds) * len(models) - sum(map(len, missing.values()))
+    if progress is not None and found:
+        progress(found)
+    for seed, (version, records) in _finished(campaign, {s: m for s, m in missing.items() if m}, executor):
+        if version != program():
+            raise ValueError(f"a worker runs navfilter {version}, here it is {program()}. Install the same version on all of them.")
+        for model, record in records.items():
+            store.save(seed, model, record)
+        if progress is not None:
+            progress(len(records))
+    return collect(campaign, seeds, models, store)
+
+
+def _finished(campaign: Campaign, jobs: dict[int, list[str]], executor: Executor | None) -> Iterator[tuple[int, Any]]:
+    """Results of the jobs as they come."""
+    if executor is None:
+        yield from ((seed, run_seed(campaign, seed, models)) for seed, models in jobs.items())
+        return
+    futures: dict[Future[Any], int] = {executor.submit(run_seed, campaign, s, tuple(models)): s for s, models in jobs.items()}
+    try:
+        for future in as_completed(list(futures)):
+            # popped, so that a finished job's curves do not stay in memory until the last one is done
+            seed = futures.pop(future)
+            yield seed, _result(future, seed)
+    finally:
+        for future in futures:
+            future.cancel()
+
+
+def _result(future: Future[Any], seed: int) -> Any:
+    try:
+        return future.result()
+    except BrokenProcessPool:
+        raise ChildProcessError(
+            "a worker process died (was the memory used up?); finished runs are kept: run it again, perhaps with fewer workers"
+        ) from None
+    except ValueError as error:
+        raise ValueError(f"the run of seed {seed} failed: {error}") from error
+
+
+def collect(campaign: Campaign, seeds: Sequence[int], models: Sequence[str], store: Store) -> Results:
+    """Read all the runs back from the folder."""
+    records: list[list[Record]] = []
+    for model in models:
+        loaded = [store.load(seed, model) for seed in seeds]
+        if any(record is None for record in loaded):
+            raise ValueError(f"{store.folder} has lost runs of {model} since they were finished. Run the campaign again.")
+        records.append([record for record in loaded if record is not None])
+    stacked = {key: np.array([[record[key] for record in row] for row in records]) for key in ("scores", "curves", "cpu_s")}
+    return Results(
+        campaign,
+        tuple(models),
+        np.array(seeds),
+        np.swapaxes(stacked["scores"], 1, 2),
+        np.swapaxes(stacked["curves"], 1, 2),
+        curve_times(float(campaign.duration_s or 0.0)),
+        stacked["cpu_s"],
+    )
+
+
+@contextmanager
+def process_pool(workers: int | None = None) -> Iterator[Executor]:
+    """Worker processes on this machine.
+
+    Parameters
+    ----------
+    workers : int, optional
+        Default: as many as there are processors for this process.
+    """
+    # Spawned, not forked: a fork of a process with threads can hang, and all systems behave alike.
+    context = multiprocessing.get_context("spawn")
+    before = set(multiprocessing.active_children())
+    with _single_threaded():
+        pool = ProcessPoolExecutor(workers or available_cores(), context, initializer=_ignore_interrupt)
+        try:
+            yield pool
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            for process in set(multiprocessing.active_children()) - before:
+                process.terminate()
+            raise
+        pool.shutdown()
+
+
+@contextmanager
+def cluster(address: str) -> Iterator[Executor]:
+    """The workers of a Dask cluster.
+
+    Parameters
+    ----------
+    address : str
+        Of its scheduler, such as "tcp://10.0.0.1:8786". The workers need navfilter in the same version.
+
+    Raises
+    ------
+    ValueError
+        Without the extra ``dask``, and when nobody answers there.
+    """
+    try:
+        from distributed import Client
+    except ImportError:
+        raise ValueError("--dask needs dask.distributed: pip install 'navfilter[dask]'.") from None
+    try:
+        client = Client(address, timeout="20s", set_as_default=False)
+    except (OSError, TimeoutError, ValueError) as error:
+        raise ValueError(f'no Dask scheduler answers at "{address}" ({error}).') from None
+    with client:
+        # not pure: every seed is computed, none taken from a cache of results
+        yield client.get_executor(pure=False)
+
+
+def available_cores() -> int:
+    """Processors that this process may use."""
+    try:
+        return len(os.sched_getaffinity(0))
+    except AttributeError:  # not on macOS and Windows
+        return os.cpu_count() or 1
+
+
+def _ignore_interrupt() -> None:
+    """Ctrl-C reaches the workers too; only the parent shall act on it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+@contextmanager
+def _single_threaded() -> Iterator[None]:
+    before = {name: os.environ.get(name) for name in _THREADS}
+    os.environ.update(dict.fromkeys(_THREADS, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value

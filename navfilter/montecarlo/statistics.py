@@ -1,0 +1,139 @@
+"""Intervals over the runs of a campaign. Within a run the errors depend on each other; the runs do not."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import stats
+
+__all__ = ["Estimate", "chi_square_band", "mean_interval", "ratio_interval", "rms_interval", "share_interval"]
+
+Array = NDArray[np.float64]
+#: Value, lower end, upper end.
+Estimate = tuple[float, float, float]
+
+RESAMPLES = 4000
+_NOTHING: Estimate = (math.nan, math.nan, math.nan)
+
+
+def mean_interval(values: ArrayLike, level: float = 0.95) -> Estimate:
+    """Mean over runs with its interval by Student's t.
+
+    Parameters
+    ----------
+    values : array_like, shape (n,)
+        One per run; NaN is left out.
+    level : float
+        Coverage.
+
+    Returns
+    -------
+    value, low, high : float
+        No interval (NaN) for a single run.
+
+    Examples
+    --------
+    >>> [round(v, 4) for v in mean_interval([1.0, 2.0, 3.0])]
+    [2.0, -0.4841, 4.4841]
+    """
+    x = _finite(values)
+    if x.size == 0:
+        return _NOTHING
+    mean = float(x.mean())
+    if x.size == 1:
+        return mean, math.nan, math.nan
+    half = float(stats.t.ppf(0.5 + 0.5 * level, x.size - 1) * x.std(ddof=1) / math.sqrt(x.size))
+    return mean, mean - half, mean + half
+
+
+def rms_interval(values: ArrayLike, level: float = 0.95) -> Estimate:
+    """Root mean square over runs of their root mean squares, with its percentile bootstrap interval (Efron & Tibshirani, 1993, ch. 13)."""
+    x = _finite(values)
+    if x.size == 0:
+        return _NOTHING
+    value = math.sqrt(float(np.mean(x**2)))
+    if x.size == 1:
+        return value, math.nan, math.nan
+    low, high = np.quantile(np.sqrt(np.mean(x[_resampled(x.size)] ** 2, axis=1)), _tails(level))
+    return value, float(low), float(high)
+
+
+def ratio_interval(values: ArrayLike, others: ArrayLike, level: float = 0.95) -> Estimate:
+    """Ratio of the root mean squares of two models over the same missions, resampled in pairs.
+
+    Parameters
+    ----------
+    values, others : array_like, shape (n,)
+        Of the model and of the one that it is compared with, run by run; a run that one of them lacks (NaN) is left out.
+    level : float
+        Coverage.
+
+    Returns
+    -------
+    value, low, high : float
+
+    Examples
+    --------
+    >>> ratio_interval([1.0, 2.0, 3.0], [2.0, 4.0, 6.0])
+    (0.5, 0.5, 0.5)
+    """
+    a, b = np.asarray(values, dtype=np.float64), np.asarray(others, dtype=np.float64)
+    if a.shape != b.shape:
+        raise ValueError(f"the two models must have the same runs, found {a.shape} and {b.shape}.")
+    both = np.isfinite(a) & np.isfinite(b)
+    a, b = a[both] ** 2, b[both] ** 2
+    if a.size == 0 or not b.any():
+        return _NOTHING
+    value = math.sqrt(a.mean() / b.mean())
+    if a.size == 1:
+        return value, math.nan, math.nan
+    pick = _resampled(a.size)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratios = np.sqrt(a[pick].mean(axis=1) / b[pick].mean(axis=1))
+    low, high = np.quantile(ratios, _tails(level))
+    return value, float(low), float(high)
+
+
+def share_interval(values: ArrayLike, level: float = 0.95) -> Estimate:
+    """Share of the runs for which something holds (1, not 0), with Wilson's interval (1927).
+
+    Examples
+    --------
+    >>> [round(v, 4) for v in share_interval([1, 1, 1, 0])]
+    [0.75, 0.3006, 0.9544]
+    """
+    x = _finite(values)
+    if x.size == 0:
+        return _NOTHING
+    n, p, z = x.size, float(x.mean()), float(stats.norm.ppf(0.5 + 0.5 * level))
+    centre = (p + z**2 / (2 * n)) / (1 + z**2 / n)
+    half = z / (1 + z**2 / n) * math.sqrt(p * (1 - p) / n + z**2 / (4 * n**2))
+    return p, max(centre - half, 0.0), min(centre + half, 1.0)
+
+
+def chi_square_band(runs: int, dof: int, level: float = 0.95) -> tuple[float, float]:
+    """Band in which the mean over independent runs of an honest NEES per degree of freedom lies (Bar-Shalom et al., 2001, sec. 5.4).
+
+    Examples
+    --------
+    >>> [round(v, 2) for v in chi_square_band(50, 1)]
+    [0.65, 1.43]
+    """
+    low, high = stats.chi2.ppf(_tails(level), runs * dof) / (runs * dof)
+    return float(low), float(high)
+
+
+def _finite(values: ArrayLike) -> Array:
+    x = np.asarray(values, dtype=np.float64).ravel()
+    return x[np.isfinite(x)]
+
+
+def _tails(level: float) -> list[float]:
+    return [0.5 - 0.5 * level, 0.5 + 0.5 * level]
+
+
+def _resampled(n: int) -> NDArray[np.int64]:
+    """Rows of resampled runs; the same ones every time, so that a table can be made again."""
+    return np.random.default_rng(20030501).integers(0, n, size=(RESAMPLES, n))

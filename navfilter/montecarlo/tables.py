@@ -1,0 +1,211 @@
+"""What a campaign says: figures with intervals over its runs, ratios between models, as text, CSV, JSON, npz and parquet."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navfilter.montecarlo.campaign import Results
+from navfilter.montecarlo.scores import CURVES, SCORES
+from navfilter.montecarlo.statistics import Estimate, mean_interval, ratio_interval, rms_interval, share_interval
+from navfilter.montecarlo.store import write_whole
+from navfilter.report.page import table_text
+
+__all__ = ["REFERENCES", "Row", "ratios", "rows", "table", "write_tables"]
+
+Array = NDArray[np.float64]
+
+#: Models that the others are divided by.
+REFERENCES = ("gm1-fitted", "oracle")
+_RATIOS = ("heading_rms_deg", "position_rms_m")
+_SHARES = ("white", "adopted")
+_MAIN = {
+    "heading_rms_deg": ("heading rms [deg]", ".4f"),
+    "position_rms_m": ("position rms [m]", ".2f"),
+    "end_m": ("end of dive [m]", ".2f"),
+    "end_pct": ("[% of way]", ".3f"),
+    "anees_position": ("ANEES position", ".2f"),
+    "anees_heading": ("ANEES heading", ".2f"),
+}
+_FIRST = {f"{key}_first": _MAIN[key] for key in ("heading_rms_deg", "position_rms_m", "anees_position", "anees_heading")}
+_INNOVATIONS = {
+    "nis_sensor": ("NIS", ".3f"),
+    "nis_all": ("NIS of all sensors", ".3f"),
+    "white": ("white", ".0%"),
+    "ljung_box": ("Ljung-Box/dof", ".1f"),
+    "rejected_pct": ("rejected [%]", ".2f"),
+    "adopted": ("runs with adoptions", ".0%"),
+    "adoptions": ("adoptions", ".1f"),
+}
+
+
+@dataclass(frozen=True)
+class Row:
+    """One figure of one model with its 95 % interval over the runs.
+
+    Attributes
+    ----------
+    model, track, quantity : str
+    value, low, high : float
+        NaN where there is none.
+    runs : int
+        That it rests on.
+    reference : str
+        Of a ratio: the model that is divided by; else empty.
+    """
+
+    model: str
+    track: str
+    quantity: str
+    value: float
+    low: float
+    high: float
+    runs: int
+    reference: str = ""
+
+
+def rows(results: Results) -> list[Row]:
+    """All figures of all models and tracks."""
+    found = []
+    for m, model in enumerate(results.models):
+        for t, track in enumerate(results.tracks):
+            for q, quantity in enumerate(SCORES):
+                values = results.scores[m, t, :, q]
+                n = int(np.isfinite(values).sum())
+                if n:
+                    found.append(Row(model, track, quantity, *_estimate(quantity, values), runs=n))
+    return found
+
+
+def ratios(results: Results) -> list[Row]:
+    """Root mean squares of the models, divided by those of the references on the same missions."""
+    found = []
+    for reference in REFERENCES:
+        if reference not in results.models:
+            continue
+        r = results.models.index(reference)
+        for m, model in enumerate(results.models):
+            for t, track in enumerate(results.tracks):
+                for quantity in _RATIOS if m != r else ():
+                    q = SCORES.index(quantity)
+                    pair = results.scores[m, t, :, q], results.scores[r, t, :, q]
+                    n = int((np.isfinite(pair[0]) & np.isfinite(pair[1])).sum())
+                    found.append(Row(model, track, quantity, *ratio_interval(*pair), runs=n, reference=reference))
+    return found
+
+
+def _estimate(quantity: str, values: Array) -> Estimate:
+    if "rms" in quantity or quantity == "end_m":
+        return rms_interval(values)
+    if quantity in _SHARES:
+        return share_interval(values)
+    value, low, high = mean_interval(values)
+    # none of these figures can be negative; with few runs Student's interval does not know that
+    return value, max(low, 0.0) if math.isfinite(low) else low, high
+
+
+def table(results: Results) -> str:
+    """Everything that is worth reading on a terminal."""
+    campaign, found = results.campaign, {(r.model, r.track, r.quantity): r for r in rows(results)}
+    study, learnt = campaign.staged.study, campaign.staged.learnt
+    begin, end = float(campaign.score_from_s or 0.0), float(campaign.duration_s or 0.0)
+    parts = [
+        f"{campaign.name}: {study.sensor} - {study.about}\n{len(results.seeds)} runs (seeds {results.seeds[0]} to {results.seeds[-1]}), "
+        f"{end:g} s each, scored from {begin:g} s; 95 % intervals over the runs."
+    ]
+    for track in results.tracks:
+        parts.append(f"{track}\n{_block(results.models, track, _MAIN, found)}")
+    parts.append(f"innovations of {learnt}, forward\n{_block(results.models, 'forward', _INNOVATIONS, found)}")
+    if begin > 0.0:
+        for track in results.tracks:
+            parts.append(f"before {begin:g} s (not scored), {track}\n{_block(results.models, track, _FIRST, found)}")
+    compared = ratios(results)
+    for reference in dict.fromkeys(row.reference for row in compared):
+        parts.append(f"divided by {reference} on the same missions\n{_ratio_block(results, compared, reference)}")
+    return "\n\n".join(parts)
+
+
+def _block(models: Iterable[str], track: str, columns: dict[str, tuple[str, str]], found: dict[tuple[str, str, str], Row]) -> str:
+    lines = [[model, *(_cell(found.get((model, track, key)), form) for key, (_, form) in columns.items())] for model in models]
+    return table_text(["model", *(title for title, _ in columns.values())], lines)
+
+
+def _ratio_block(results: Results, compared: list[Row], reference: str) -> str:
+    found = {(r.model, r.track, r.quantity): r for r in compared if r.reference == reference}
+    keys = [(quantity, track) for quantity in _RATIOS for track in results.tracks]
+    header = ["model", *(f"{quantity.split('_')[0]} rms, {track}" for quantity, track in keys)]
+    lines = [[m, *(_cell(found.get((m, track, q)), ".3f") for q, track in keys)] for m in results.models if m != reference]
+    return table_text(header, lines)
+
+
+def _cell(row: Row | None, form: str) -> str:
+    if row is None or not math.isfinite(row.value):
+        return "-"
+    value = format(row.value, form)
+    return value if not math.isfinite(row.low) else f"{value} ({format(row.low, form)}..{format(row.high, form)})"
+
+
+def write_tables(results: Results, folder: Path) -> list[str]:
+    """Write table.txt, results.csv, results.json, runs.npz, and runs.parquet where pyarrow is installed; returns the names."""
+    found = [*rows(results), *ratios(results)]
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    names = ("model", "track", "quantity", "reference", "value", "low", "high", "runs")
+    writer.writerow(names)
+    writer.writerows([_plain(getattr(row, name)) for name in names] for row in found)
+    content = {
+        "campaign": results.campaign.settings,
+        "models": list(results.models),
+        "seeds": results.seeds.tolist(),
+        "results": [{name: _plain(getattr(row, name)) for name in names} for row in found],
+    }
+    write_whole(folder / "table.txt", (table(results) + "\n").encode())
+    write_whole(folder / "results.csv", text.getvalue().encode())
+    write_whole(folder / "results.json", (json.dumps(content, indent=1) + "\n").encode())
+    write_whole(folder / "runs.npz", _npz(results))
+    return ["table.txt", "results.csv", "results.json", "runs.npz", *_parquet(results, folder / "runs.parquet")]
+
+
+def _plain(value: Any) -> Any:
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _npz(results: Results) -> bytes:
+    buffer = io.BytesIO()
+    labels = {"models": results.models, "tracks": results.tracks, "score_names": SCORES, "curve_names": CURVES}
+    n = len(results.tracks)
+    content = {name: np.array(value) for name, value in labels.items()} | {"time_s": results.time_s, "seeds": results.seeds}
+    content |= {"scores": results.scores[:, :n], "curves": results.curves[:, :n], "cpu_s": results.cpu_s}
+    np.savez_compressed(buffer, **content)  # type: ignore[arg-type]
+    return buffer.getvalue()
+
+
+def _parquet(results: Results, path: Path) -> list[str]:
+    """One row per run, model and track."""
+    try:
+        import pyarrow  # noqa: F401
+    except ImportError:
+        return []
+    import pandas as pd
+
+    frames = []
+    for m, model in enumerate(results.models):
+        for t, track in enumerate(results.tracks):
+            frame = pd.DataFrame(results.scores[m, t], columns=list(SCORES))
+            frame.insert(0, "seed", results.seeds)
+            frame.insert(0, "track", track)
+            frame.insert(0, "model", model)
+            frames.append(frame)
+    buffer = io.BytesIO()
+    pd.concat(frames, ignore_index=True).to_parquet(buffer, index=False)
+    write_whole(path, buffer.getvalue())
+    return [path.name]
