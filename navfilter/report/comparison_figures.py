@@ -200,10 +200,8 @@ def adopted_figure(tracks: Tracks, history: Adopted, end_s: float) -> Figure:
     if order[0]:
         ax = next(remaining)
         for k in range(order[0]):
-            _steps(ax, t, [_at(np.abs(m.poles), k) for m in history.models], k, "largest" if k == 0 else f"{k + 1}.")
-        ax.axhline(1.0, color="black", linewidth=0.7)
-        ax.set_ylim(0.0, 1.05)
-        ax.set_ylabel("pole radius", fontsize=7.5)
+            _steps(ax, t, [_nines(_at(np.abs(m.poles), k)) for m in history.models], k, "largest" if k == 0 else f"{k + 1}.")
+        _nines_axis(ax)
     ax = next(remaining)
     _steps(ax, t, [history.factor * m.sd for m in history.models], 0, "innovation sd")
     ax.set_ylim(0.0, 1.15 * ax.get_ylim()[1])
@@ -212,6 +210,19 @@ def adopted_figure(tracks: Tracks, history: Adopted, end_s: float) -> Figure:
         ax.legend(loc="lower right", bbox_to_anchor=(1.0, 0.97), ncols=8, borderaxespad=0.1, fontsize=7.0)
     clock.label(axes[-1])
     return figure
+
+
+def _nines(radius: float) -> float:
+    """Radius of a pole on a scale that counts its nines: what happens near 1 is what matters."""
+    return -float(np.log10(max(1.0 - radius, 1e-6)))
+
+
+def _nines_axis(ax: Axes) -> None:
+    top = max(2.0, np.ceil(ax.get_ylim()[1]))
+    ticks = np.arange(top + 1.0)
+    ax.set_ylim(0.0, top)
+    ax.set_yticks(ticks, [f"{1.0 - 10.0**-tick:.{int(tick)}f}" for tick in ticks])
+    ax.set_ylabel("pole radius", fontsize=7.5)
 
 
 def _at(values: Array, k: int) -> float:
