@@ -1,7 +1,8 @@
-"""The command line: ``navfilter demo | replay | run | compare | identify | simulate | check | vehicle | warmup``.
+"""The command line: ``navfilter demo | replay | run | compare | montecarlo | identify | simulate | check | vehicle | warmup``.
 
 Each sub-command is a function that adds its arguments and one that runs. Everything heavy is imported where it is used, so that
-``navfilter --help`` answers at once. Exit codes: 0 all is well, 1 `check` or `vehicle --check` found something wrong, 2 wrong usage or input.
+``navfilter --help`` answers at once. Exit codes: 0 all is well, 1 `check` or `vehicle --check` found something wrong, 2 wrong usage or
+input.
 """
 
 from __future__ import annotations
@@ -79,7 +80,18 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action=_Version, nargs=0, help="show the version and stop")
     parser.set_defaults(run=None)
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", parser_class=_Parser)
-    for add in (_add_demo, _add_replay, _add_run, _add_compare, _add_identify, _add_simulate, _add_check, _add_vehicle, _add_warmup):
+    for add in (
+        _add_demo,
+        _add_replay,
+        _add_run,
+        _add_compare,
+        _add_montecarlo,
+        _add_identify,
+        _add_simulate,
+        _add_check,
+        _add_vehicle,
+        _add_warmup,
+    ):
         add(commands)
     return parser
 
@@ -133,6 +145,15 @@ def _add_run(commands: Any) -> None:
     from navfilter.commands import run as run_command
 
     run_command.add_arguments(_command(commands, "run", run_command.run, run_command.ABOUT, run_command.EPILOG))
+
+
+# --- montecarlo -------------------------------------------------------------------------------------------------------
+
+
+def _add_montecarlo(commands: Any) -> None:
+    from navfilter.commands import montecarlo
+
+    montecarlo.add_arguments(_command(commands, "montecarlo", montecarlo.run, montecarlo.ABOUT, montecarlo.EPILOG))
 
 
 # --- identify ---------------------------------------------------------------------------------------------------------
