@@ -9,7 +9,7 @@ likelihood, and how well they can be told apart is in the covariance (Harvey 198
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -198,7 +198,8 @@ def fit_channel(
         raise ValueError(f"start has orders ({start.p}, {start.q}), above ({p}, {q}).")
     else:
         starts = [padded_start(theta_of(start, likelihood), start.p, p, q)]
-    return channel_fit(likelihood, maximise(likelihood, starts, p, passes))
+    point = maximise(likelihood, starts, p, passes)
+    return with_upward_spread(channel_fit(likelihood, point), likelihood, point)
 
 
 def theta_of(model: ArmaModel, likelihood: Likelihood) -> Array:
@@ -219,7 +220,7 @@ def channel_fit(likelihood: Likelihood, point: Point) -> ChannelFit:
         theta[p:-1],
         math.exp(theta[-1]) / likelihood.unit,
         covariance[:-1, :-1],
-        max(log_s0_spread(theta, p, covariance), upward_spread(likelihood, point)),
+        log_s0_spread(theta, p, covariance),
         float(n),
         flags,
     )
@@ -243,6 +244,12 @@ def log_s0(theta: Array, p: int) -> float:
     """``ln S(0)`` of ``[ar, ma, ln sd]``."""
     a1, c1 = 1.0 + float(np.sum(theta[:p])), 1.0 + float(np.sum(theta[p:-1]))
     return 2.0 * (float(theta[-1]) + math.log(max(abs(c1), 1e-300)) - math.log(max(abs(a1), 1e-300)))
+
+
+def with_upward_spread(fit: ChannelFit, likelihood: Likelihood, point: Point) -> ChannelFit:
+    """The fit with the larger of both standard deviations of ln S(0): by the information, and upwards by the likelihood."""
+    spread = max(fit.model.sd_log_s0 or 0.0, upward_spread(likelihood, point))
+    return replace(fit, model=replace(fit.model, sd_log_s0=spread))
 
 
 def upward_spread(likelihood: Likelihood, point: Point) -> float:

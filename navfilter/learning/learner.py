@@ -9,11 +9,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from navfilter.arma.bank import cancelling_pairs
 from navfilter.arma.model import ArmaModel
-from navfilter.learning.channel import ChannelFit, Drift, channel_fit, theta_of
-from navfilter.learning.likelihood import Likelihood, maximise
-from navfilter.learning.starts import cold_starts, grown_starts
+from navfilter.learning.candidates import LEAD, Candidate, denies, fit_candidate, preferred
+from navfilter.learning.channel import Drift, theta_of
+from navfilter.learning.likelihood import Likelihood
+from navfilter.learning.starts import cold_starts, grown_starts, slow_part_start
 
 __all__ = ["Learner"]
 
@@ -22,13 +22,10 @@ Order = tuple[int, int]
 
 # Fewer known samples than this, or than so many per parameter, say nothing that a filter should believe.
 LEAST, PER_PARAMETER = 200, 20
-# Hysteresis, as in `ArmaBank`: a challenger must lead by this much, at this many hops in a row.
-LEAD, HOPS = 6.0, 2
-# A candidate within this much of the best by BIC is not ruled out (Kass and Raftery 1995: evidence up to "strong"); if it
-# finds far more power at zero frequency (by two standard deviations, and at least twofold), that power is not denied.
-OPEN, TWOFOLD = 10.0, math.log(2.0)
+# Hops in a row at which a challenger must lead.
+HOPS = 2
 # Scoring passes of a first estimate, of the order in use, and of a challenger.
-COLD, OWN, OTHER = 20, 3, 2
+COLD, OWN, OTHER = 20, 2, 1
 # Orders that exceed a good one by more parameters than this wait for their turn.
 BEYOND = 2
 
@@ -72,7 +69,7 @@ class Learner:
     """
 
     def __init__(self, orders: Sequence[Order], window: int, drift: Drift, *, white: float = 0.0) -> None:
-        self.orders: tuple[Order, ...] = tuple(sorted({(int(p), int(q)) for p, q in orders}, key=lambda pq: (sum(pq), pq)))
+        self.orders = tuple(sorted({(int(p), int(q)) for p, q in orders}, key=lambda pq: (sum(pq), pq)))
         if not self.orders or min(min(order) for order in self.orders) < 0:
             raise ValueError(f"orders must be at least one (p, q) of numbers not below 0, found {orders!r}.")
         if int(window) != window or window < LEAST:
@@ -84,7 +81,7 @@ class Learner:
         self._gaps: dict[Order, float] = {}
         self._chosen: Order | None = None
         self._challenger: Order | None = None
-        self._leads, self._turn, self._young = 0, 0, True
+        self._leads, self._turn, self._coloured, self._young = 0, 0, 0, True
         self._good: ArmaModel | None = None
 
     @property
@@ -98,6 +95,7 @@ class Learner:
         Returns
         -------
         ArmaModel
+            Stable and invertible, in the unit of the series, with flags.
         """
         y = np.array(series, dtype=np.float64, order="C")
         if y.ndim != 1:
@@ -105,55 +103,34 @@ class Learner:
         y = np.where(np.isfinite(y), y, np.nan)[-self.window :]
         n = int(np.isfinite(y).sum())
         able = [order for order in self.orders if n - self.drift.order >= max(LEAST, PER_PARAMETER * (sum(order) + 1))]
+        if not able:
+            return self._without(y, "starting")
         try:
             likelihood = Likelihood(y, self.drift.noise_per_tick(), self.white)
         except ValueError:
-            return self._without(y, n, "starting" if n < LEAST else "constant")
-        if not able:
-            return self._without(y, n, "starting")
-        fits = self._fit(likelihood, able)
-        model = self._choose(likelihood, fits)
+            return self._without(y, "constant")
+        fits = self._fit(likelihood, self._ration(able))
+        best = preferred(fits.values())
+        if best is None and self._coloured & (self._coloured + 1) == 0:
+            # Ever more rarely, see whether any other order does.
+            fits |= self._fit(likelihood, [order for order in able if order not in fits])
+            best = preferred(fits.values())
+        self._coloured = self._coloured + 1 if best is None else 0
+        model = self._without(y, "constant") if not fits else self._choose(likelihood, fits, best)
         self._young = n < 0.9 * self.window
         return model
 
-    def _without(self, y: Array, n: int, flag: str) -> ArmaModel:
+    def _without(self, y: Array, flag: str) -> ArmaModel:
         """What is handed out when there is nothing to learn from: the last good model, else white noise."""
         if self._good is not None:
             return replace(self._good, flags=self._good.flags | {"stale"})
         known = y[np.isfinite(y)]
-        # Differences: the drift does not count, and the white noise of equal power is on the cautious side.
+        # The drift counts as noise here, which is on the cautious side.
         sd = float(np.std(known)) if known.size > 1 else 0.0
-        return ArmaModel(np.zeros(0), np.zeros(0), sd, effective_window=float(n), flags=frozenset({"starting", flag}))
+        flags = frozenset({"starting", flag})
+        return ArmaModel(np.zeros(0), np.zeros(0), sd, effective_window=float(known.size), flags=flags)
 
     # ------------------------------------------------------------------ fits
-
-    def _fit(self, likelihood: Likelihood, able: list[Order]) -> dict[Order, ChannelFit]:
-        fits: dict[Order, ChannelFit] = {}
-        for order in self._ration(able):
-            known = self._thetas.get(order)
-            if known is None and self._superfluous(order, fits):
-                continue
-            starts, passes = self._starts(order, likelihood, fits)
-            fit = channel_fit(likelihood, maximise(likelihood, starts, order[0], passes))
-            if math.isfinite(fit.loglik):
-                fits[order] = fit
-                self._thetas[order] = np.r_[fit.model.ar, fit.model.ma, math.log(max(fit.model.sd, 1e-300))]
-        return fits
-
-    def _starts(self, order: Order, likelihood: Likelihood, fits: dict[Order, ChannelFit]) -> tuple[list[Array], int]:
-        """Where to begin, and how many passes to spend."""
-        known = self._thetas.get(order)
-        if known is not None:
-            return [_rescaled(known, likelihood)], OWN if order == self._chosen else OTHER
-        below = {k: theta_of(fit.model, likelihood) for k, fit in fits.items() if k != order and sum(k)}
-        return (grown_starts(likelihood, below, *order) if below else cold_starts(likelihood, *order)), COLD
-
-    def _superfluous(self, order: Order, fits: dict[Order, ChannelFit]) -> bool:
-        """Whether to put off an order that was never fitted: much larger than the best so far, which passes the gate."""
-        if not self._young or not fits:
-            return False
-        best = min(fits, key=lambda k: fits[k].bic)
-        return sum(order) > sum(best) + BEYOND and _passes(fits[best])
 
     def _ration(self, able: list[Order]) -> list[Order]:
         """The orders to fit at this hop: all while young, then the one in use, its nearest challenger and one in turn."""
@@ -166,54 +143,80 @@ class Learner:
         rest = [order for order in others if order not in nearest]
         turn = [rest[self._turn % len(rest)]] if rest else []
         self._turn += 1
-        picked = {self._chosen, *nearest, *turn}
-        return [order for order in able if order in picked]
+        return [self._chosen, *nearest, *turn]
+
+    def _fit(self, likelihood: Likelihood, orders: list[Order]) -> dict[Order, Candidate]:
+        fits: dict[Order, Candidate] = {}
+        for order in orders:
+            known = self._thetas.get(order)
+            if known is not None:
+                passes = OWN if order == self._chosen else OTHER
+                found = fit_candidate(likelihood, order, [_rescaled(known, likelihood)], passes)
+                found = self._second_chance(likelihood, found, fits)
+            elif self._superfluous(order, fits):
+                continue
+            else:
+                below = {k: c.point.theta for k, c in fits.items() if sum(k)}
+                starts = grown_starts(likelihood, below, *order) if below else cold_starts(likelihood, *order)
+                found = fit_candidate(likelihood, order, starts, COLD)
+            if found is not None:
+                fits[order] = found
+                self._thetas[order] = found.theta
+        return fits
+
+    def _second_chance(self, likelihood: Likelihood, found: Candidate | None, fits: dict[Order, Candidate]) -> Candidate | None:
+        """A larger order that gains nothing over the one in use may sit in a local optimum: start it from there as well."""
+        own = fits.get(self._chosen) if self._chosen is not None else None
+        if found is None or own is None or self._young or found.order == own.order or found.fit.loglik > own.fit.loglik + 1.0:
+            return found
+        starts = slow_part_start(likelihood, own.point.theta, own.order[0], *found.order)
+        again = fit_candidate(likelihood, found.order, starts, OWN) if starts else None
+        return again if again is not None and again.point.value < found.point.value else found
+
+    def _superfluous(self, order: Order, fits: dict[Order, Candidate]) -> bool:
+        """Whether to put off an order that was never fitted: much larger than the best so far, which passes the gate."""
+        if not self._young or not fits:
+            return False
+        best = min(fits.values(), key=lambda c: c.fit.bic)
+        return sum(order) > sum(best.order) + BEYOND and best.passes
 
     # ------------------------------------------------------------------ choice
 
-    def _choose(self, likelihood: Likelihood, fits: dict[Order, ChannelFit]) -> ArmaModel:
-        if not fits:
-            return self._without(likelihood.y / likelihood.unit, likelihood.n, "constant")
-        ranking = sorted(fits, key=lambda order: fits[order].bic)
-        good = _preferred(fits, ranking)
-        if good is None:
-            return self._unsure(likelihood, fits, ranking)
-        now = self._chosen
-        if now is not None and now in fits and now != good and not self._young and _passes(fits[now]):
-            self._leads = self._leads + 1 if self._challenger == good else 1
-            self._challenger = good
-            if not (fits[now].bic - fits[good].bic > LEAD or _denied(fits[now], fits[good])) or self._leads < HOPS:
-                good = now
-        if good != now:
+    def _choose(self, likelihood: Likelihood, fits: dict[Order, Candidate], best: Candidate | None) -> ArmaModel:
+        if best is None:
+            return self._unsure(likelihood, fits)
+        now = fits.get(self._chosen) if self._chosen is not None else None
+        if now is not None and now is not best and not self._young and now.passes:
+            self._leads = self._leads + 1 if self._challenger == best.order else 1
+            self._challenger = best.order
+            better = now.fit.bic - best.fit.bic > LEAD or denies(now, best)
+            if not better or self._leads < HOPS:
+                best = now
+        if best is not now:
             self._challenger, self._leads = None, 0
-        self._settle(good, fits)
-        self._good = fits[good].model
-        return fits[good].model
+        self._settle(best, fits)
+        self._good = best.model(likelihood)
+        return self._good
 
-    def _settle(self, order: Order, fits: dict[Order, ChannelFit]) -> None:
-        self._chosen = order
-        for other, fit in fits.items():
-            self._gaps[other] = fit.bic - fits[order].bic
+    def _settle(self, best: Candidate, fits: dict[Order, Candidate]) -> None:
+        self._chosen = best.order
+        for order, candidate in fits.items():
+            self._gaps[order] = candidate.fit.bic - best.fit.bic
 
-    def _unsure(self, likelihood: Likelihood, fits: dict[Order, ChannelFit], ranking: list[Order]) -> ArmaModel:
+    def _unsure(self, likelihood: Likelihood, fits: dict[Order, Candidate]) -> ArmaModel:
         """Nothing passed: the last good model while it explains the window as well, else the best, else Gauss-Markov."""
-        tidy = [order for order in ranking if not _cancels(fits[order])]
-        best = tidy[0] if tidy else None
-        if self._good is not None and best is not None:
-            theta = theta_of(self._good, likelihood)
-            value = likelihood.value(likelihood.confine(theta, self._good.p), self._good.p)
-            n = fits[best].n
-            bic = 2.0 * (value - n * math.log(likelihood.unit)) + theta.size * math.log(max(n, 2))
-            if bic <= fits[best].bic + LEAD:
-                return replace(self._good, flags=self._good.flags | {"stale", "coloured"})
-        if best is not None:
+        tidy = [candidate for candidate in fits.values() if not candidate.cancels]
+        if tidy:
+            best = min(tidy, key=lambda candidate: candidate.fit.bic)
+            if self._good is not None and _bic(self._good, likelihood, best.fit.n) <= best.fit.bic + LEAD:
+                return replace(self._good, flags=self._good.flags | {"stale"})
             self._settle(best, fits)
-            return replace(fits[best].model, flags=fits[best].model.flags | {"coloured"})
-        simple = []
-        for p, q in ((1, 0), (1, 1)):
-            simple.append(channel_fit(likelihood, maximise(likelihood, cold_starts(likelihood, p, q), p, COLD)))
-        model = min(simple, key=lambda fit: fit.bic).model
-        return replace(model, flags=model.flags | {"fallback", "coloured"})
+            return _flagged(best.model(likelihood), "coloured")
+        simple = [fit_candidate(likelihood, order, cold_starts(likelihood, *order), COLD) for order in ((1, 0), (1, 1))]
+        found = [candidate for candidate in simple if candidate is not None]
+        if not found:
+            return self._without(likelihood.y / likelihood.unit, "fallback")
+        return _flagged(min(found, key=lambda candidate: candidate.fit.bic).model(likelihood), "fallback")
 
     # ------------------------------------------------------------------ keep and bring back
 
@@ -221,7 +224,7 @@ class Learner:
         """All that the learner knows, as a plain dict of float64 arrays."""
         index = {order: float(i) for i, order in enumerate(self.orders)}
         at = [-1.0 if order is None else index.get(order, -1.0) for order in (self._chosen, self._challenger)]
-        kept = {"choice": np.array([*at, self._leads, self._turn, float(self._young)], dtype=np.float64)}
+        kept = {"choice": np.array([*at, self._leads, self._turn, self._coloured, self._young], dtype=np.float64)}
         kept["gaps"] = np.array([self._gaps.get(order, math.nan) for order in self.orders])
         for order, theta in self._thetas.items():
             kept[f"theta/{int(index[order])}"] = theta.copy()
@@ -234,10 +237,10 @@ class Learner:
 
     def restore(self, snapshot: dict[str, Array]) -> None:
         """Continue from a `snapshot` of a learner built with the same arguments, to the last bit."""
-        chosen, challenger, leads, turn, young = (float(v) for v in snapshot["choice"])
+        chosen, challenger, leads, turn, coloured, young = (float(v) for v in snapshot["choice"])
         self._chosen = None if chosen < 0 else self.orders[int(chosen)]
         self._challenger = None if challenger < 0 else self.orders[int(challenger)]
-        self._leads, self._turn, self._young = int(leads), int(turn), bool(young)
+        self._leads, self._turn, self._coloured, self._young = int(leads), int(turn), int(coloured), bool(young)
         gaps = zip(self.orders, snapshot["gaps"], strict=True)
         self._gaps = {order: float(gap) for order, gap in gaps if not math.isnan(gap)}
         names = [(order, f"theta/{i}") for i, order in enumerate(self.orders)]
@@ -256,37 +259,12 @@ def _rescaled(theta: Array, likelihood: Likelihood) -> Array:
     return np.r_[theta[:-1], theta[-1] + math.log(likelihood.unit)]
 
 
-def _cancels(fit: ChannelFit) -> bool:
-    model = fit.model
-    if model.covariance is None or not np.all(np.isfinite(model.covariance)):
-        return True
-    return cancelling_pairs(model.ar, model.ma, model.covariance) > 0
+def _bic(model: ArmaModel, likelihood: Likelihood, n: int) -> float:
+    """BIC of a model as it is, on this window."""
+    theta = likelihood.confine(theta_of(model, likelihood), model.p)
+    value = likelihood.value(theta, model.p) - n * math.log(likelihood.unit)
+    return 2.0 * value + theta.size * math.log(max(n, 2))
 
 
-def _passes(fit: ChannelFit) -> bool:
-    return fit.is_white and not _cancels(fit)
-
-
-def _preferred(fits: dict[Order, ChannelFit], ranking: list[Order]) -> Order | None:
-    """The best by BIC that passes the gate, unless one about as good finds far more power at low frequencies."""
-    passing = [order for order in ranking if _passes(fits[order])]
-    if not passing:
-        return None
-    best = passing[0]
-    for order in passing[1:]:
-        if fits[order].bic <= fits[passing[0]].bic + OPEN and _denied(fits[best], fits[order]):
-            best = order
-    return best
-
-
-def _denied(fit: ChannelFit, other: ChannelFit) -> bool:
-    """Whether `fit` denies, by two of its standard deviations, the low-frequency power that `other` finds."""
-    if not other.bic <= fit.bic + OPEN:
-        return False
-    excess = 2.0 * math.log(max(_gain(other.model), 1e-300) / max(_gain(fit.model), 1e-300))
-    return excess > max(2.0 * (fit.model.sd_log_s0 or 0.0), TWOFOLD)
-
-
-def _gain(model: ArmaModel) -> float:
-    """Square root of S(0)."""
-    return model.sd * abs(1.0 + float(model.ma.sum())) / max(abs(1.0 + float(model.ar.sum())), 1e-300)
+def _flagged(model: ArmaModel, flag: str) -> ArmaModel:
+    return replace(model, flags=model.flags | {flag})

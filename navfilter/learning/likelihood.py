@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,8 @@ LONGEST_GAP = 8
 CLIP = 4.0
 # What is left to gain, in units of log-likelihood, when an estimate counts as converged: far below its sampling error.
 CONVERGED = 1e-3
+# A step that gains less than this was so small that derivatives need not be taken again.
+SMALL = 0.05
 # Below the lowest frequency that the series resolves, the spectrum is taken to stay level within a factor of about e:
 # mean and standard deviation of ln S(0) - ln S(lowest resolved).
 LEVEL_MEAN, LEVEL_SD = 0.3, 1.0
@@ -175,24 +177,27 @@ def maximise(likelihood: Likelihood, starts: Sequence[Array], p: int, passes: in
     """
     starts = [likelihood.confine(start, p) for start in starts]
     if len(starts) > 1:
-        points = [_climb(likelihood, likelihood.point(start, p), RACE) for start in starts]
-        lead = min(points, key=lambda point: point.value)
-    else:
-        lead = likelihood.point(starts[0], p)
-    return _climb(likelihood, lead, passes)
+        runs = [_climb(likelihood, start, p, RACE) for start in starts]
+        starts = [min(runs, key=lambda point: point.value).theta]
+    return _climb(likelihood, starts[0], p, passes)
 
 
-def _climb(likelihood: Likelihood, point: Point, passes: int) -> Point:
-    for _ in range(passes):
-        better = _step(likelihood, point)
-        if better is None:
+def _climb(likelihood: Likelihood, theta: Array, p: int, passes: int) -> Point:
+    """Scoring passes from `theta`; the information is that of the last but one point, a small step away."""
+    point = likelihood.point(theta, p)
+    for left in range(passes, 0, -1):
+        found = _step(likelihood, point)
+        if found is None:
             break
-        point = better
+        theta, value, gain = found
+        if left == 1 or gain < SMALL:
+            return replace(point, theta=theta, value=value)
+        point = likelihood.point(theta, p)
     return point
 
 
-def _step(likelihood: Likelihood, point: Point) -> Point | None:
-    """One Levenberg-damped scoring step that lowers the value; None when there is nothing left to gain."""
+def _step(likelihood: Likelihood, point: Point) -> tuple[Array, float, float] | None:
+    """A Levenberg-damped scoring step that lowers the value: where, to what, and by how much; None if nothing is left."""
     if not (np.all(np.isfinite(point.gradient)) and np.all(np.isfinite(point.info))):
         return None
     scale = np.maximum(np.diag(point.info), 1e-9)
@@ -203,6 +208,7 @@ def _step(likelihood: Likelihood, point: Point) -> Point | None:
             return None
         step *= min(1.0, 1.5 / max(abs(float(step[-1])), 1e-300))
         trial = likelihood.confine(point.theta + step, point.p)
-        if likelihood.penalised(trial, point.p) < point.value - 1e-2 * min(gain, 1.0):
-            return likelihood.point(trial, point.p)
+        value = likelihood.penalised(trial, point.p)
+        if value < point.value - 1e-2 * min(gain, 1.0):
+            return trial, value, point.value - value
     return None

@@ -12,7 +12,7 @@ from navfilter.arma.model import ArmaModel
 from navfilter.arma.starts import default_long_order, hannan_rissanen_start, long_residuals, pull_inside
 from navfilter.learning.likelihood import Likelihood
 
-__all__ = ["cold_starts", "grown_starts", "padded_start"]
+__all__ = ["cold_starts", "grown_starts", "padded_start", "slow_part_start"]
 
 Array = NDArray[np.float64]
 
@@ -51,9 +51,10 @@ def grown_starts(likelihood: Likelihood, below: dict[tuple[int, int], Array], p:
     order = sorted(values, key=lambda k: values[k])
     rough = [_matched(likelihood, shape, p) for shape in _rough(likelihood, p, q)]
     out = [padded_start(lower[order[0]], order[0][0], p, q), *_best(likelihood, rough, p)]
-    room = [k for k in order if k[0] < p and max(k[1] + 1, k[0]) <= q]
-    if room:
-        out += _best(likelihood, _with_slow_part(likelihood, lower[room[0]], room[0][0], p, q), p)
+    for k in order:
+        slow = slow_part_start(likelihood, lower[k], k[0], p, q)
+        if slow:
+            return [*out, *slow]
     return out
 
 
@@ -61,18 +62,19 @@ def _best(likelihood: Likelihood, starts: list[Array], p: int) -> list[Array]:
     return [min(starts, key=lambda start: likelihood.penalised(start, p))] if starts else []
 
 
-def _with_slow_part(likelihood: Likelihood, theta: Array, at: int, p: int, q: int) -> list[Array]:
-    """The lower order plus a Gauss-Markov process of some time constants and strengths."""
+def slow_part_start(likelihood: Likelihood, theta: Array, at: int, p: int, q: int) -> list[Array]:
+    """A lower order (with `at` AR coefficients) plus the Gauss-Markov process that serves best; empty where (p, q) has no room."""
     own = ArmaModel(theta[:at], theta[at:-1], math.exp(theta[-1]))
+    if own.p + 1 > p or max(own.q + 1, own.p) > q:
+        return []
     out = []
     for tau in SLOW_TAUS:
+        phi = math.exp(-1.0 / tau)
         for share in SLOW_SHARES:
-            phi = math.exp(-1.0 / tau)
-            slow = ArmaModel(np.array([-phi]), np.zeros(0), math.sqrt(share * own.variance * (1.0 - phi * phi)))
-            both = add_arma([own, slow])
-            if both.p <= p and both.q <= q:
-                out.append(padded_start(np.r_[both.ar, both.ma, math.log(both.sd)], both.p, p, q))
-    return [likelihood.confine(start, p) for start in out]
+            both = add_arma([own, ArmaModel(np.array([-phi]), np.zeros(0), math.sqrt(share * own.variance * (1.0 - phi * phi)))])
+            start = padded_start(np.r_[both.ar, both.ma, math.log(both.sd)], both.p, p, q)
+            out.append(likelihood.confine(start, p))
+    return _best(likelihood, out, p)
 
 
 def _gauss_markov(tau: float, share: float, q: int) -> Array:

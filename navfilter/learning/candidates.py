@@ -1,0 +1,86 @@
+"""Candidate orders of one channel on one window: how they are fitted, which of them pass, and which is preferred."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navfilter.arma.bank import cancelling_pairs
+from navfilter.arma.model import ArmaModel
+from navfilter.learning.channel import ChannelFit, channel_fit, log_s0, with_upward_spread
+from navfilter.learning.likelihood import Likelihood, Point, maximise
+
+__all__ = ["LEAD", "Candidate", "denies", "fit_candidate", "preferred"]
+
+Array = NDArray[np.float64]
+Order = tuple[int, int]
+
+# Difference in BIC that counts, as in `ArmaBank`.
+LEAD = 6.0
+# A candidate within this much of the best by BIC is not ruled out (Kass and Raftery 1995: evidence up to "strong"); if it
+# finds far more power at zero frequency (by two standard deviations, and at least twofold), that power is not denied.
+OPEN, TWOFOLD = 10.0, math.log(2.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """One order fitted to a window."""
+
+    order: Order
+    fit: ChannelFit
+    point: Point
+
+    @property
+    def theta(self) -> Array:
+        """``[ar, ma, ln sd]`` in the unit of the series."""
+        model = self.fit.model
+        return np.r_[model.ar, model.ma, math.log(max(model.sd, 1e-300))]
+
+    @property
+    def cancels(self) -> bool:
+        """Whether a pole and a zero are closer than two standard deviations, or nothing is known about them."""
+        model = self.fit.model
+        if model.covariance is None or not np.all(np.isfinite(model.covariance)):
+            return True
+        return cancelling_pairs(model.ar, model.ma, model.covariance) > 0
+
+    @property
+    def passes(self) -> bool:
+        """Whether the gate lets it through: white innovations, no cancelling pair."""
+        return self.fit.is_white and not self.cancels
+
+    def model(self, likelihood: Likelihood) -> ArmaModel:
+        """The model as it is handed out, its sd of ln S(0) checked upwards."""
+        return with_upward_spread(self.fit, likelihood, self.point).model
+
+
+def fit_candidate(likelihood: Likelihood, order: Order, starts: list[Array], passes: int) -> Candidate | None:
+    """Fit one order; None where the likelihood is not finite."""
+    point = maximise(likelihood, starts, order[0], passes)
+    if not (math.isfinite(point.value) and np.all(np.isfinite(point.info))):
+        return None
+    return Candidate(order, channel_fit(likelihood, point), point)
+
+
+def preferred(candidates: Iterable[Candidate]) -> Candidate | None:
+    """The best by BIC that passes the gate, unless one not ruled out finds far more power at zero frequency."""
+    passing = sorted((c for c in candidates if c.passes), key=lambda c: c.fit.bic)
+    if not passing:
+        return None
+    best = passing[0]
+    for other in passing[1:]:
+        if other.fit.bic <= passing[0].fit.bic + OPEN and denies(best, other):
+            best = other
+    return best
+
+
+def denies(one: Candidate, other: Candidate) -> bool:
+    """Whether `one` denies the power at zero frequency that `other`, not ruled out, finds."""
+    if other.fit.bic > one.fit.bic + OPEN:
+        return False
+    excess = log_s0(other.theta, other.order[0]) - log_s0(one.theta, one.order[0])
+    return excess > max(2.0 * (one.fit.model.sd_log_s0 or 0.0), TWOFOLD)
