@@ -11,7 +11,7 @@ from navfilter import cli, playback
 from navfilter.cli import main
 from navfilter.io import read_mission, read_vehicle, write_vehicle
 
-COMMANDS = ("demo", "replay", "simulate", "check", "warmup")
+COMMANDS = ("demo", "replay", "compare", "simulate", "check", "warmup")
 OUTPUTS = {"report.html", "summary.json", "track.csv", "track.tum", "truth.tum", "track.geojson"}
 
 
@@ -105,7 +105,7 @@ def test_replay_without_smoother_and_without_a_sensor(dive, tmp_path, capsys):
 
 def test_demo_writes_mission_vehicle_and_result(tmp_path, capsys):
     assert main(["demo", "--duration", "60", "--seed", "2", "--out", str(tmp_path)]) == 0
-    assert {path.name for path in tmp_path.iterdir()} == OUTPUTS | {"mission.npz", "vehicle.toml"}
+    assert {path.name for path in tmp_path.iterdir()} == OUTPUTS | {"mission.npz", "vehicle.toml", "vehicle_true.toml", "comparison"}
     said = capsys.readouterr().out
     assert "smoothed" in said and "position rms [m]" in said and "NIS" in said
 

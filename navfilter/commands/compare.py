@@ -45,7 +45,8 @@ the models, by name, for the sensors that correct:
 A mission does not say how its sensors really err: --oracle takes a second vehicle file that does. 'navfilter simulate' writes it as
 vehicle_true.toml where the scenario errs otherwise than its vehicle.toml believes.
 
-When arma is among the models, nothing is scored before its first window is full (--begin 0 scores everything).
+When arma is among the models, nothing is scored before its first window is full: when the first models are there, the beginning is run
+again with them, so they know it already. --begin 0 scores everything.
 
 written to --out:
   report.html      table and figures side by side, one file that works offline
@@ -187,19 +188,25 @@ def compare_tracks(tracks: Mapping[str, Track], mission: Mission, begin_s: float
 
 
 def learning_ends(tracks: Mapping[str, Track], mission: Mission) -> float:
-    """Mission time [s] at which the first window of everything that learns is full.
+    """Mission time [s] from which on a run that learns knows only the past, and the first window of all that learns is full.
 
-    A window that is longer than half the mission is no reason to wait for it.
+    When the first models are there, the navigator runs the beginning again with them: until then it knows what is still to come. A window
+    that is longer than half the mission is no reason to wait for it.
     """
+    from navfilter.engine import Engine
     from navfilter.learned import learned_part
 
     begin_s = min(float(track.time_s[0]) for track in tracks.values())
-    spans = [0.0]
+    spans = []
     for track in tracks.values():
         for sensor in track.vehicle.sensors.values():
             parts = [part for model in sensor.models if (part := learned_part(model)) is not None]
             spans += [part.window / sensor.rate_hz for part in parts]
-    return begin_s + max(span for span in spans if span <= 0.5 * (mission.end_s - begin_s))
+    duration_s = mission.end_s - begin_s
+    revised_s = min(Engine.FIRST_S, Engine.SETTLE_S + max(spans, default=0.0))
+    if not spans or revised_s >= duration_s:
+        return begin_s
+    return begin_s + max([revised_s, *(span for span in spans if span <= 0.5 * duration_s)])
 
 
 # --- results ----------------------------------------------------------------------------------------------------------
