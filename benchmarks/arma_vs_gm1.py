@@ -1,0 +1,350 @@
+"""White noise, Gauss-Markov and learned ARMA on real recordings: who is nearer, and who is honest.
+
+Every model gets the same mapping, the same readings and the same other sensors; only the error models of the correcting sensors differ
+(`navfilter.rivals`). "gm1" (1/e point), "white" and "gm1-fitted" (by likelihood) are fitted beforehand to the readings of the whole
+mission, as the filter would have them, positions withheld; "vehicle" is what the vehicle file says, set by hand; "arma" learns under
+way and begins with that: the difference between those two is what learning has done. None sees what is withheld, and nothing is scored
+before positions are withheld.
+
+| kind | mission | scored against |
+|---|---|---|
+| wid-car-rtk | gyro and accelerometers drive, wheels and compass correct; RTK for the first 25 m | RTK; heading of the smoothed run with all RTK |
+| snapir | as below; positions for the first 100 s | post-processed position and attitude |
+| auv-lake | attitude and DVL drive, GPS corrects in every second minute | the GPS fixes of the minutes between |
+
+What rests on what:
+
+- The car is taken with `car_clocks.clean`: clocks, gyro offset and lever arm from its own accelerometers and wheels. Its mapping in
+  tests/recordings has clocks that were fitted to all of the RTK.
+- Of snapir there is no inertial recording. Its gyros and accelerometers are made here from the post-processed attitude and velocity
+  (splines, 20 Hz) with the noise of a tactical unit; DVL and depth are real; the compass is the recorded heading with an error of a
+  known kind, slow and oscillating or compass-like, at 8 Hz. The DVL's clock is that of the mapping, published with the recordings and
+  found against the same attitude and velocity.
+- The other lake missions have no sensor beside those that drive, and nothing to learn from: they are not in the table.
+
+Printed: rms of position and heading; NEES of both; NIS, mean over the sensors; rms of the one-step prediction error of each aiding
+sensor; on how many of its axes the innovations pass as white, and the largest autocorrelation; when models were adopted. In brackets
+the ratio to gm1-fitted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import os
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import car_clocks
+import numpy as np
+from heading_toy import RATE_HZ, noises
+from numpy.typing import NDArray
+from recordings import FOREVER, RECORDINGS, position_name, truth_of
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation, RotationSpline
+
+import navfilter as nf
+from navfilter.comparison import compare
+from navfilter.error_models import Sum
+from navfilter.io import read_mission, read_vehicle
+from navfilter.mission import Mission, Stream
+from navfilter.playback import replay
+from navfilter.rivals import learnable, rivals
+from navfilter.simulation.earth import frame_rates, gravity
+from navfilter.simulation.faults import draw_error
+from navfilter.simulation.presets import tactical_imu
+from navfilter.track import Track
+from navfilter.vehicle import Vehicle
+
+Array = NDArray[np.float64]
+MODELS = ("white", "gm1", "gm1-fitted", "vehicle", "arma")
+BASELINE = "gm1-fitted"
+#: Correcting sensors that are real and not withheld: only their error models differ.
+AIDING = ("compass", "odometer", "dvl", "gps")
+SNAPIR = ("01", "02", "03", "05", "06", "07", "08", "10", "12")
+IMU_HZ = 20.0
+NOTHING = "nothing adopted"
+
+
+@dataclass(frozen=True)
+class Case:
+    """One mission as it is replayed: what is withheld is gone from it, `truth` is what it is judged by, from `begin_s` on."""
+
+    kind: str
+    name: str
+    mission: Mission
+    vehicle: Vehicle
+    truth: Stream
+    begin_s: float
+    windows: tuple[tuple[float, float], ...] = ()
+
+
+# --- the car ----------------------------------------------------------------------------------------------------------
+
+
+def car(trial: str) -> Case:
+    """A trial of the car with RTK for the first 25 m, judged by RTK, its heading by the smoother that has all of it."""
+    mission, vehicle = car_clocks.clean(trial)
+    until = car_clocks.known_until(mission)
+    best = replay(vehicle, mission, smooth=True)
+    truth = truth_of(mission)
+    value = truth.value.copy()
+    # nothing but RTK knows the height, and it is withheld
+    value[:, 2] = np.nan
+    for axis in range(3):
+        angle = np.interp(truth.time_s, best.time_s, np.unwrap(best.attitude[:, axis]), left=np.nan, right=np.nan)
+        value[:, 6 + axis] = np.angle(np.exp(1j * angle))
+    judged = Stream(truth.time_s, value, truth.columns)
+    return Case("wid-car-rtk", trial, mission.hide("rtk", (until + 1e-6, FOREVER)), vehicle, judged, until)
+
+
+# --- snapir -----------------------------------------------------------------------------------------------------------
+
+
+def inertial(truth: Stream, seed: int) -> tuple[Stream, Callable[[Array], Array]]:
+    """Inertial readings that belong to a recorded attitude and velocity, with tactical noise, and the heading at any time."""
+    t = truth.time_s
+    path, velocity = CubicSpline(t, truth.value[:, :3]), CubicSpline(t, truth.value[:, 3:6])
+    # Rotation("ZYX") with yaw, pitch, roll is body to north-east-down
+    attitude = RotationSpline(t, Rotation.from_euler("ZYX", truth.value[:, [8, 7, 6]]))
+    at = np.arange(t[0], t[-1], 1.0 / IMU_HZ)
+    where, v = path(at), velocity(at)
+    earth, over = frame_rates(where[:, 0], where[:, 2], v)
+    down = np.column_stack([np.zeros((at.size, 2)), gravity(where[:, 0], where[:, 2])])
+    to_body = attitude(at).inv()
+    force = to_body.apply(velocity(at, 1) + np.cross(2.0 * earth + over, v) - down)
+    rate = attitude(at, 1) + to_body.apply(earth + over)
+    value = np.column_stack([rate, force])
+    for axis, model in enumerate(tactical_imu(IMU_HZ).models):
+        value[:, axis] += draw_error(model, 1.0 / IMU_HZ, at.size, seed, "imu", axis)
+    columns = tuple(f"{what}_{axis}" for what in ("rate", "force") for axis in "xyz")
+    return Stream(at, value, columns), lambda times: attitude(times).as_euler("ZYX")[:, 0]
+
+
+def snapir(run: str, error: nf.ArmaModel) -> Case:
+    """A run of the AUV with inertial readings made from its attitude and velocity, and a compass with a known kind of error."""
+    folder = RECORDINGS / "snapir-auv-1hz" / run
+    mission, mapped = read_mission(folder), read_vehicle(folder)
+    truth = truth_of(mission)
+    imu, heading = inertial(truth, int(run))
+    ticks = np.arange(truth.time_s[0], truth.time_s[-1], 1.0 / RATE_HZ)
+    yaw = heading(ticks) + nf.simulate_arma(error.ar, error.ma, error.sd, ticks.size, 1000 + int(run))
+    streams = {name: mission.streams[name] for name in ("depth", "usbl")}
+    streams |= {"imu": imu, "compass": Stream(ticks, np.angle(np.exp(1j * yaw)), ("heading_rad",)), "dvl": as_recorded(folder)}
+    velocity = mapped.drive.velocity_sensor  # type: ignore[attr-defined]
+    vehicle = Vehicle(
+        imu=tactical_imu(IMU_HZ),
+        sensors={
+            "compass": nf.Heading(rate_hz=RATE_HZ, error=nf.GaussMarkov(sd=math.radians(0.6), tau_s=30.0)),
+            "dvl": replace(velocity, rate_hz=0.9975),
+            **mapped.sensors,
+        },
+        name=mapped.name,
+    )
+    until = float(truth.time_s[0]) + 100.0
+    hidden = replace(mission, streams=streams).hide("usbl", (until + 1e-6, FOREVER))
+    return Case("snapir", run, hidden, vehicle, truth, until)
+
+
+def as_recorded(folder: Path) -> Stream:
+    """The DVL's readings at 1 Hz, without the interpolation that dead reckoning wants."""
+    text = (folder / "mission.toml").read_text().replace("resample_hz = 5.0\n", "")
+    mission, _ = car_clocks.read_text(text, (folder / "vehicle.toml").read_text())
+    return mission.streams["velocity"]
+
+
+# --- the lake ---------------------------------------------------------------------------------------------------------
+
+
+def lake(name: str = "20220625_0_0") -> Case:
+    """The torpedo AUV with GPS in every second minute, judged in the minutes between."""
+    folder = RECORDINGS / "auv-lake-sea-10hz" / name
+    mission, vehicle = read_mission(folder), read_vehicle(folder)
+    gps = position_name(vehicle)
+    fixes = mission.streams[gps]
+    starts = np.arange(fixes.time_s[0] + 60.0, fixes.time_s[-1] - 60.0, 120.0)
+    gaps = tuple((float(a), float(a + 60.0)) for a in starts)
+    return Case("auv-lake", name, mission.hide(gps, *gaps), vehicle, truth_of(mission), gaps[0][0], gaps)
+
+
+def cases(only: str, error: nf.ArmaModel) -> Iterator[Case]:
+    """The missions whose kind and name contain a text."""
+    makers: dict[str, Callable[[], Case]] = {f"wid-car-rtk {trial}": lambda trial=trial: car(trial) for trial in car_clocks.TRIALS}
+    makers |= {f"snapir {run}": lambda run=run: snapir(run, error) for run in SNAPIR}
+    makers["auv-lake 20220625_0_0"] = lake
+    for name, make in makers.items():
+        if only in name:
+            yield make()
+
+
+# --- figures ----------------------------------------------------------------------------------------------------------
+
+
+def adopted(track: Track) -> str:
+    """When and what a run learnt, in short: orders of the last models and the number of adoptions per sensor."""
+    said = []
+    for name, history in track.error_models.items():
+        models = history[-1][1]
+        orders = [learned_order(m) for m in (models if isinstance(models, tuple) else (models,))]
+        if any(orders):
+            said.append(f"{name} {'/'.join(o or '-' for o in orders)} from {history[1][0]:.0f} s, {len(history) - 1} times")
+    return "; ".join(said) or NOTHING
+
+
+def learned_order(model: nf.ErrorModel) -> str:
+    """Order of the learnt part of an error model, "" when there is none."""
+    for part in model.parts if isinstance(model, Sum) else (model,):
+        found = getattr(part, "model", None)
+        if found is not None:
+            return f"({found.p},{found.q})"
+    return ""
+
+
+def figures(case: Case) -> dict[str, dict[str, Any]]:
+    """Figures of every model on one mission."""
+    sensors = [name for name in learnable(case.vehicle, case.mission) if name in AIDING]
+    vehicles = rivals(MODELS, case.vehicle, case.mission, sensors=sensors)
+    tracks = {name: replay(vehicle, case.mission) for name, vehicle in vehicles.items()}
+    comparison = compare(tracks, case.truth, begin_s=case.begin_s, windows=case.windows)
+    # a sensor that is withheld in the scored windows is judged by its readings between them
+    listened = compare(tracks, case.truth, begin_s=case.begin_s).runs
+    result = {}
+    for name, run in comparison.runs.items():
+        aiding = {key: sensor for key, sensor in listened[name]["sensors"].items() if sensor["axes"] and key in sensors}
+        axes = [axis for sensor in aiding.values() for axis in sensor["axes"].values() if axis["is_white"] is not None]
+        result[name] = {
+            "position_rms_m": run["position_rms_m"],
+            "heading_rms_deg": run["heading_rms_deg"],
+            "nees_position": run["nees"].get("position", {}).get("mean"),
+            "nees_heading": run["nees"].get("heading", {}).get("mean"),
+            "nis": float(np.mean([s["nis"] for s in aiding.values()])) if aiding else None,
+            "prediction": {k: [s["unit"], math.sqrt(sum(a["prediction_rms"] ** 2 for a in s["axes"].values()))] for k, s in aiding.items()},
+            "white_axes": sum(bool(axis["is_white"]) for axis in axes),
+            "axes": len(axes),
+            "largest_acf": max((abs(axis["largest_acf"]) for axis in axes), default=None),
+            "adopted": adopted(tracks[name]) if name == "arma" else "",
+        }
+    return result
+
+
+def pooled(runs: list[dict[str, dict[str, Any]]]) -> dict[str, dict[str, Any]]:
+    """Figures of several missions together: root mean square of the rms, mean of NEES and NIS, sums of axes."""
+
+    def over(model: str, key: str, power: int) -> float | None:
+        values = [run[model][key] for run in runs if run[model][key] is not None]
+        return float(np.mean(np.power(values, power)) ** (1.0 / power)) if values else None
+
+    total = {}
+    for model in runs[0]:
+        sensors = runs[0][model]["prediction"]
+        total[model] = {
+            **{key: over(model, key, 2) for key in ("position_rms_m", "heading_rms_deg")},
+            **{key: over(model, key, 1) for key in ("nees_position", "nees_heading", "nis")},
+            "prediction": {
+                k: [unit, math.sqrt(np.mean([r[model]["prediction"][k][1] ** 2 for r in runs if k in r[model]["prediction"]]))]
+                for k, (unit, _) in sensors.items()
+            },
+            "white_axes": sum(r[model]["white_axes"] for r in runs),
+            "axes": sum(r[model]["axes"] for r in runs),
+            "largest_acf": max((r[model]["largest_acf"] for r in runs if r[model]["largest_acf"] is not None), default=None),
+            "adopted": "",
+        }
+    return total
+
+
+# --- what is printed --------------------------------------------------------------------------------------------------
+
+
+def cell(value: float | None, base: float | None = None, digits: int = 3) -> str:
+    """A number, with its ratio to another one in brackets."""
+    if value is None:
+        return "-"
+    return f"{value:.{digits}g}" + (f" ({value / base:.2f})" if base else "")
+
+
+def table(name: str, runs: Mapping[str, Mapping[str, Any]]) -> str:
+    """One mission for people."""
+    base = runs[BASELINE]
+    lines = [("", "position m", "heading deg", "NEES pos", "NEES hdg", "NIS", "prediction errors", "white", "acf")]
+    for model, run in runs.items():
+        predicted = ", ".join(f"{k} {cell(v, base['prediction'][k][1])} {unit}" for k, (unit, v) in run["prediction"].items())
+        lines.append(
+            (
+                model,
+                cell(run["position_rms_m"], base["position_rms_m"]),
+                cell(run["heading_rms_deg"], base["heading_rms_deg"]),
+                cell(run["nees_position"]),
+                cell(run["nees_heading"]),
+                cell(run["nis"]),
+                predicted,
+                f"{run['white_axes']}/{run['axes']}",
+                cell(run["largest_acf"], digits=2),
+            )
+        )
+    widths = [max(len(line[k]) for line in lines) for k in range(len(lines[0]))]
+    rows = ["  ".join(text.ljust(width) for text, width in zip(line, widths, strict=True)).rstrip() for line in lines]
+    learnt = [f"   arma: {runs['arma']['adopted']}"] if runs["arma"]["adopted"] else []
+    return "\n".join([name, *rows, *learnt])
+
+
+def against(arma: Mapping[str, Any], other: Mapping[str, Any]) -> str:
+    """What is better and what is not, in plain words."""
+    said = []
+    for key, what in (("position_rms_m", "position rms"), ("heading_rms_deg", "heading rms")):
+        if arma[key] and other[key]:
+            ratio = arma[key] / other[key]
+            word = "worse" if ratio > 1.02 else "the same" if ratio > 0.98 else "better"
+            said.append(f"{what} {word} ({ratio:.2f})")
+    for key, what in (("nees_position", "NEES of position"), ("nees_heading", "NEES of heading"), ("nis", "NIS")):
+        if arma[key] and other[key]:
+            nearer = abs(math.log(other[key])) - abs(math.log(arma[key]))
+            word = "nearer to 1" if nearer > 0.1 else "farther from 1" if nearer < -0.1 else "alike"
+            said.append(f"{what} {word} ({arma[key]:.2g}, {other[key]:.2g})")
+    for key, (_, value) in arma["prediction"].items():
+        ratio = value / other["prediction"][key][1]
+        word = "worse" if ratio > 1.02 else "as well" if ratio > 0.98 else "better"
+        said.append(f"{key} predicted {word} ({ratio:.2f})")
+    return ", ".join(said)
+
+
+def verdicts(name: str, total: Mapping[str, Mapping[str, Any]], missions: Mapping[str, Mapping[str, Any]]) -> str:
+    """Where ARMA helps and where not, all missions of a kind together."""
+    idle = [mission for mission, runs in missions.items() if runs["arma"]["adopted"] == NOTHING]
+    lines = [f"{name}, ARMA against {other}: {against(total['arma'], total[other])}." for other in (BASELINE, "vehicle")]
+    if idle:
+        lines.append(f"{name}: nothing was adopted in {', '.join(idle)}; there ARMA is the model of the vehicle file.")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Replay everything and print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--only", default="", help="only missions whose kind and name contain this")
+    parser.add_argument("--compass", choices=[*noises()], default="slow + oscillating (4,2)", help="error of snapir's compass")
+    parser.add_argument("--quick", action="store_true", help="one mission of each kind")
+    parser.add_argument("--json", type=Path, help="write the figures to this file too")
+    arguments = parser.parse_args()
+    if not os.environ.get("NAVFILTER_DATA"):
+        parser.error("set the environment variable NAVFILTER_DATA to the folder of the recordings.")
+    found: dict[str, dict[str, dict[str, dict[str, Any]]]] = {}
+    for case in cases(arguments.only, noises()[arguments.compass]):
+        if arguments.quick and case.kind in found:
+            continue
+        runs = found.setdefault(case.kind, {})[case.name] = figures(case)
+        print(table(f"{case.kind} {case.name}", runs), flush=True)
+    print()
+    totals = {kind: pooled(list(missions.values())) for kind, missions in found.items()}
+    for kind, total in totals.items():
+        print(table(f"{kind}, {len(found[kind])} together", total))
+    print()
+    for kind, total in totals.items():
+        print(verdicts(kind, total, found[kind]))
+    if arguments.json:
+        arguments.json.write_text(json.dumps({"missions": found, "totals": totals}, indent=1))
+
+
+if __name__ == "__main__":
+    main()
