@@ -21,9 +21,10 @@ Order = tuple[int, int]
 
 # Difference in BIC that counts, as in `ArmaBank`.
 LEAD = 6.0
-# A candidate within this much of the best by BIC is not ruled out (Kass and Raftery 1995: evidence up to "strong"); if it
-# finds far more power at zero frequency (by two standard deviations, and at least twofold), that power is not denied.
-OPEN, TWOFOLD = 10.0, math.log(2.0)
+# BIC believes a parameter only on strong evidence. For power at zero frequency the burden of proof is the other way round:
+# a larger candidate that passes the gate and finds far more of it (by two standard deviations, at least twofold) is
+# preferred unless it is this much worse. 20 is two or three parameters that gain next to nothing.
+OPEN, TWOFOLD = 20.0, math.log(2.0)
 
 
 @dataclass(frozen=True, eq=False)
