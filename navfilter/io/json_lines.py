@@ -22,9 +22,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from pydantic import ValidationError
 
 from navfilter.io.mission_schema import StartSpec
+from navfilter.io.validation import validate
 from navfilter.mission import MissionError, Stream
 from navfilter.start import Start
 from navfilter.vehicle import Vehicle
@@ -248,21 +248,18 @@ def start_from(data: Mapping[str, Any]) -> dict[str, Any]:
     Raises
     ------
     ValueError
-        Naming the first field that is missing, unknown or impossible.
+        Naming the fields that are missing, unknown or impossible.
     """
     data = dict(data)
     date = data.pop("date", None)
     if "from" in data:
         raise ValueError('start: "from" has no meaning here; give the fields of the start.')
-    try:
-        if isinstance(date, str):
-            date = datetime.date.fromisoformat(date)
-        elif date is not None and not isinstance(date, datetime.date):
-            raise ValueError(f"date must look like 2026-05-04, found {date!r}.")
-        given = StartSpec.model_validate(data).model_dump(exclude={"source"}, exclude_none=True)
-    except ValidationError as error:
-        first = error.errors()[0]
-        raise ValueError(f"start: {'.'.join(map(str, first['loc'])) or 'the table'}: {first['msg']}.") from None
+    if isinstance(date, str):
+        date = datetime.date.fromisoformat(date)
+    elif date is not None and not isinstance(date, datetime.date):
+        raise ValueError(f"start: date must look like 2026-05-04, found {date!r}.")
+    spec = validate(StartSpec, data, Path("start"), MissionError)
+    given = spec.model_dump(exclude={"source"}, exclude_none=True)
     missing = [key for key in ("latitude_deg", "longitude_deg") if key not in given]
     if missing:
         raise ValueError(f"start lacks {' and '.join(missing)}.")

@@ -8,7 +8,6 @@ it refers to.
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import hashlib
 import json
 import os
@@ -17,7 +16,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from navfilter.service.protocol import event_line, to_line
 
@@ -65,50 +64,35 @@ class Disk:
 
     Parameters
     ----------
-    log : Path, optional
-        File to append lines to.
+    log : file, optional
+        Unbuffered, to append lines to.
     state : Path, optional
         File of the snapshots.
     fsync_s : float
         The log is synced so often [s].
     notice : callable
         Is told, from the thread, of what goes wrong and when it is well again.
-
-    Raises
-    ------
-    OSError
-        When the log cannot be opened.
-    ValueError
-        When another process is writing to it.
     """
 
     #: So many bytes may wait for the disk; more are counted as lost.
     LONGEST_QUEUE = 64 << 20
+    #: What failed is well again when it has not failed for so long [s]: a full disk takes a little now and then.
+    WELL_S = 5.0
 
-    def __init__(self, log: Path | None, state: Path | None, fsync_s: float, notice: Callable[..., None]) -> None:
+    def __init__(self, log: BinaryIO | None, state: Path | None, fsync_s: float, notice: Callable[..., None]) -> None:
         self._state_path, self._fsync_s, self._notice = state, fsync_s, notice
         self.lost_lines = self.failed_snapshots = 0
-        self._file = None if log is None else self._open(log)
-        self._good = 0 if self._file is None else self._file.tell()
+        self._file: Any = log
+        self._good = 0 if log is None else log.seek(0, os.SEEK_END)
         self._queue: deque[bytes | tuple[dict[str, Any], bytes]] = deque()
         self._queued = 0
         self._lost_before = self._dirty = False
-        self._troubles: set[str] = set()
+        self._troubles: dict[str, float] = {}
         self._synced = time.monotonic()
         self._closing = False
         self._condition = threading.Condition()
         self._thread = threading.Thread(target=self._work, name="navfilter-disk", daemon=True)
         self._thread.start()
-
-    @staticmethod
-    def _open(log: Path) -> Any:
-        file = log.open("ab", buffering=0)
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            file.close()
-            raise ValueError(f"{log}: another process is writing to this log. Stop it first, or log to another folder.") from None
-        return file
 
     # ---------------------------------------------------------------- from the loop
     def append(self, lines: bytes) -> None:
@@ -221,10 +205,10 @@ class Disk:
     def _trouble(self, what: str, error: OSError) -> None:
         """Told once, until it is well again."""
         if what not in self._troubles:
-            self._troubles.add(what)
             self._notice("disk-failed", text=f"{what}: {error.strerror or error}; the navigation goes on", lost_lines=self.lost_lines)
+        self._troubles[what] = time.monotonic()
 
     def _recovered(self, what: str) -> None:
-        if what in self._troubles:
-            self._troubles.discard(what)
+        if what in self._troubles and time.monotonic() - self._troubles[what] >= self.WELL_S:
+            del self._troubles[what]
             self._notice("disk-recovered", text=what, lost_lines=self.lost_lines, failed_snapshots=self.failed_snapshots)

@@ -6,11 +6,12 @@
 from __future__ import annotations
 
 import datetime
+import fcntl
 import json
 import os
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from navfilter.io import write_vehicle
 from navfilter.io.json_lines import Item, LineParser, Note, log_lines
@@ -26,8 +27,8 @@ __all__ = ["LOG_FILE", "log_items", "logged_options", "prepare_log", "run_note"]
 LOG_FILE = "readings.jsonl"
 
 
-def prepare_log(folder: Path, vehicle: Vehicle, options: Options, *, resume: bool) -> Path:
-    """Make the folder of a log, or take the end of one that was broken off.
+def prepare_log(folder: Path, vehicle: Vehicle, options: Options, *, resume: bool) -> BinaryIO:
+    """Make the folder of a log, or take one that was broken off; it is ours until the file is closed.
 
     Parameters
     ----------
@@ -39,32 +40,38 @@ def prepare_log(folder: Path, vehicle: Vehicle, options: Options, *, resume: boo
 
     Returns
     -------
-    Path
-        The file to append to.
+    file
+        The log, unbuffered, at its end.
 
     Raises
     ------
     ValueError
-        When there is a log and `resume` is False.
+        When there is a log and `resume` is False, or another process is writing to it.
     OSError
         When the folder cannot be written.
     """
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / LOG_FILE
-    if path.exists() and path.stat().st_size:
-        if not resume:
-            raise ValueError(f"{folder} holds a log already. Give another folder, or --resume to continue that run.")
-        _cut_half_line(path)
-        return path
-    write_vehicle(vehicle, folder / "vehicle.toml")
-    (folder / "mission.toml").write_text(_mission_toml(folder, vehicle, options.date), encoding="utf-8")
-    for name in ("vehicle.toml", "mission.toml", "."):
-        handle = os.open(folder / name, os.O_RDONLY)
-        try:
-            os.fsync(handle)
-        finally:
-            os.close(handle)
-    return path
+    begun = path.exists() and path.stat().st_size > 0
+    if begun and not resume:
+        raise ValueError(f"{folder} holds a log already. Give another folder, or --resume to continue that run.")
+    if not begun:
+        write_vehicle(vehicle, folder / "vehicle.toml")
+        (folder / "mission.toml").write_text(_mission_toml(folder, vehicle, options.date), encoding="utf-8")
+        for name in ("vehicle.toml", "mission.toml", "."):
+            handle = os.open(folder / name, os.O_RDONLY)
+            try:
+                os.fsync(handle)
+            finally:
+                os.close(handle)
+    file = path.open("ab", buffering=0)
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        file.close()
+        raise ValueError(f"{folder}: another process is writing this log. Stop it first, or log to another folder.") from None
+    _cut_half_line(path)
+    return file
 
 
 def _cut_half_line(path: Path) -> None:

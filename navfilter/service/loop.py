@@ -13,7 +13,7 @@ from typing import Any
 from navfilter.io.json_lines import Item, LineParser, Note, Reading
 from navfilter.playback import warm_up
 from navfilter.service.disk import Disk, StateFile
-from navfilter.service.log import log_items, logged_options, prepare_log, run_note
+from navfilter.service.log import LOG_FILE, log_items, logged_options, prepare_log, run_note
 from navfilter.service.outlet import Outlet
 from navfilter.service.protocol import Lines, event_line
 from navfilter.service.session import Options, Session
@@ -79,8 +79,13 @@ def run(vehicle: Vehicle, options: Options, service: Service) -> int:
     """
     stop = StopSignal()
     try:
+        live = _Run(vehicle, options, service, stop)
         _warm(service.say)
-        return _Run(vehicle, options, service, stop).loop()
+        live.open()
+        return live.loop()
+    except _Interrupted:
+        service.say("ended while it was resuming; log and snapshot are as they were")
+        return os.EX_OK
     finally:
         stop.restore()
 
@@ -97,7 +102,7 @@ def replay_log(vehicle: Vehicle, folder: Path, *, rate_hz: float | None, say: Ca
     say : callable
         Takes a line for the operator.
     """
-    path = folder / "readings.jsonl"
+    path = folder / LOG_FILE
     options = logged_options(path)
     stop = StopSignal()
     outlet = Outlet(_STDOUT, wait=True)
@@ -128,6 +133,10 @@ def _warm(say: Callable[[str], None]) -> None:
     say(f"ready ({time.perf_counter() - began:.1f} s)")
 
 
+class _Interrupted(Exception):
+    """A signal came before everything of the log was fed again."""
+
+
 class _Run:
     """One run: the session and everything that is open around it."""
 
@@ -140,19 +149,22 @@ class _Run:
         self._outlet = Outlet(None if isinstance(service.input, tuple) else _STDOUT)
         self._parser, self._lines = LineParser(vehicle), Lines()
         self.errors = 0
-        path = None if service.log is None else prepare_log(service.log, vehicle, options, resume=service.resume)
-        self._session, resumed = self._prepared(options, path)
-        self._disk = Disk(path, service.state, service.fsync_s, self._notice)
+        log = None if service.log is None else prepare_log(service.log, vehicle, options, resume=service.resume)
+        self._session, resumed = self._prepared(options, None if service.log is None else service.log / LOG_FILE)
+        self._disk = Disk(log, service.state, service.fsync_s, self._notice)
         self._disk.append(run_note(options, **({"resumed": True} if resumed else {})))
         if resumed:
             self._session.feed(Note("run", options.to_json(), b""))
             self._tell("resume", time_s=self._session.nav and self._session.nav.time_s, **resumed)
-        self._source: FileSource | TcpSource
-        if isinstance(service.input, tuple):
-            self._source = TcpSource(service.input, stop, self._client_changed)
-            service.say(f"listening on {self._source.url}")
+        self._source: FileSource | TcpSource | None = None
+
+    def open(self) -> None:
+        """Begin to listen, or to read."""
+        if isinstance(self._service.input, tuple):
+            self._source = TcpSource(self._service.input, self._stop, self._client_changed)
+            self._service.say(f"listening on {self._source.url}")
         else:
-            self._source = FileSource(service.input, stop)
+            self._source = FileSource(self._service.input, self._stop)
 
     def _emit(self, line: bytes, is_state: bool) -> None:
         if not self._muted:
@@ -180,7 +192,7 @@ class _Run:
     def _prepared(self, options: Options, path: Path | None) -> tuple[Session, dict[str, Any] | None]:
         """The session, and what it resumed from."""
         service = self._service
-        log = path is not None and path.exists() and path.stat().st_size > 0
+        log = path is not None and path.stat().st_size > 0
         saved = StateFile.read(service.state) if service.resume and service.state is not None and service.state.exists() else None
         if path is not None and log and saved is None:
             options = logged_options(path)
@@ -206,7 +218,7 @@ class _Run:
             session.feed(item)
             count += 1
             if self._stop.received:
-                break
+                raise _Interrupted
         self._muted = False
         return count
 
@@ -214,7 +226,7 @@ class _Run:
     def loop(self) -> int:
         """Until the end of the input or a signal."""
         snapshot_at, heard, silent = time.monotonic() + self._service.snapshot_s, time.monotonic(), False
-        while not self._stop.received:
+        while not self._stop.received and self._source is not None:
             data = self._source.read(min(1.0, max(0.0, snapshot_at - time.monotonic())))
             now = time.monotonic()
             if data is None:
