@@ -117,7 +117,7 @@ def program() -> str:
     return f"{__version__} {digest.hexdigest()[:12]}"
 
 
-def run_seed(campaign: Campaign, seed: int, models: Sequence[str]) -> tuple[str, dict[str, Record]]:
+def run_seed(campaign: Campaign, seed: int, models: Sequence[str]) -> dict[str, Record]:
     """Simulate the mission of one seed and run every model on it.
 
     Parameters
@@ -129,9 +129,7 @@ def run_seed(campaign: Campaign, seed: int, models: Sequence[str]) -> tuple[str,
 
     Returns
     -------
-    program : str
-        What it was run with, see `program`.
-    records : dict of str to dict of str to ndarray
+    dict of str to dict of str to ndarray
         By model, see `navfilter.montecarlo.scores.run_record`.
     """
     staged = campaign.staged
@@ -140,7 +138,7 @@ def run_seed(campaign: Campaign, seed: int, models: Sequence[str]) -> tuple[str,
     for model, vehicle in _vehicles(models, staged, mission).items():
         track = replay(vehicle, mission, smooth=campaign.smooth, output_rate_hz=1.0)
         records[model] = run_record(track, mission, staged.learnt, float(campaign.score_from_s or 0.0))
-    return program(), records
+    return records
 
 
 def _vehicles(models: Sequence[str], staged: Staged, mission: Mission) -> dict[str, Vehicle]:
@@ -217,7 +215,7 @@ def run_campaign(
     Raises
     ------
     ValueError
-        When the folder belongs to a campaign with other settings, or a worker runs another version of the program.
+        When the folder belongs to a campaign with other settings, or a run fails.
     ChildProcessError
         When a worker process dies.
     """
@@ -226,9 +224,7 @@ def run_campaign(
     found = len(seeds) * len(models) - sum(map(len, missing.values()))
     if progress is not None and found:
         progress(found)
-    for seed, (version, records) in _finished(campaign, {s: m for s, m in missing.items() if m}, executor):
-        if version != program():
-            raise ValueError(f"a worker runs navfilter {version}, here it is {program()}. Install the same version on all of them.")
+    for seed, records in _finished(campaign, {s: m for s, m in missing.items() if m}, executor):
         for model, record in records.items():
             store.save(seed, model, record)
         if progress is not None:
@@ -301,8 +297,11 @@ def process_pool(workers: int | None = None) -> Iterator[Executor]:
             yield pool
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
-            for process in set(multiprocessing.active_children()) - before:
+            ours = set(multiprocessing.active_children()) - before
+            for process in ours:
                 process.terminate()
+            for process in ours:
+                process.join(10.0)
             raise
         pool.shutdown()
 
@@ -319,7 +318,7 @@ def cluster(address: str) -> Iterator[Executor]:
     Raises
     ------
     ValueError
-        Without the extra ``dask``, and when nobody answers there.
+        Without the extra ``dask``, when nobody answers there, and when a worker runs another version of navfilter.
     """
     try:
         from distributed import Client
@@ -330,6 +329,11 @@ def cluster(address: str) -> Iterator[Executor]:
     except (OSError, TimeoutError, ValueError) as error:
         raise ValueError(f'no Dask scheduler answers at "{address}" ({error}).') from None
     with client:
+        other = sorted({str(version) for version in client.run(program).values()} - {program()})
+        if other:
+            raise ValueError(
+                f"the cluster's workers run navfilter {', '.join(other)}, here it is {program()}. Install the same one on all."
+            )
         # not pure: every seed is computed, none taken from a cache of results
         yield client.get_executor(pure=False)
 

@@ -166,5 +166,5 @@ def _over_runs(how: Any, values: Array, *more: Any) -> Array:
 def _png(figure: Figure) -> bytes:
     buffer = io.BytesIO()
     with style():
-        FigureCanvasAgg(figure).print_png(buffer, metadata={"Software": None}, pil_kwargs={"optimize": True})
+        FigureCanvasAgg(figure).print_png(buffer, metadata={"Software": None})
         return buffer.getvalue()
