@@ -1,9 +1,10 @@
 """White noise, Gauss-Markov and learned ARMA on real recordings: who is nearer, and who is honest.
 
-Every model gets the same mapping, the same readings and the same other sensors; only the error models of the correcting sensors differ
-(`navfilter.rivals`). "gm1" (1/e point), "white" and "gm1-fitted" (by likelihood) are fitted beforehand to the readings of the whole
-mission, as the filter would have them, positions withheld; "vehicle" is what the vehicle file says, set by hand; "arma" learns under
-way and begins with that: the difference between those two is what learning has done. None sees what is withheld, and nothing is scored
+Every model gets the same mapping, the same readings and the same other sensors; only the error models of the correcting sensors differ.
+"gm1" (1/e point), "white" and "gm1-fitted" (by likelihood) are fitted beforehand to the readings of the whole mission, as the filter
+would have them, positions withheld, and so is "arma-fitted", order chosen and drive inflated as in `LearnedArma`: beside "gm1-fitted" it
+tells what the noise deserves, on the same information. "vehicle" is what the vehicle file says, set by hand; "arma" learns under way
+and begins with that: the difference between those two is what learning has done. None sees what is withheld, and nothing is scored
 before positions are withheld.
 
 | kind | mission | scored against |
@@ -51,8 +52,10 @@ import navfilter as nf
 from navfilter.comparison import compare
 from navfilter.error_models import Sum
 from navfilter.io import read_mission, read_vehicle
+from navfilter.learned import LearnedArma, known_white
+from navfilter.learning.learner import Learner
 from navfilter.mission import Mission, Stream
-from navfilter.playback import replay
+from navfilter.playback import replay, residual_series
 from navfilter.rivals import learnable, rivals
 from navfilter.simulation.earth import frame_rates, gravity
 from navfilter.simulation.faults import draw_error
@@ -62,6 +65,8 @@ from navfilter.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 MODELS = ("white", "gm1", "gm1-fitted", "vehicle", "arma")
+#: Row of the table that `navfilter.rivals` does not know.
+FITTED = "arma-fitted"
 BASELINE = "gm1-fitted"
 #: Correcting sensors that are real and not withheld: only their error models differ.
 AIDING = ("compass", "odometer", "dvl", "gps")
@@ -195,6 +200,11 @@ def adopted(track: Track) -> str:
     return "; ".join(said) or NOTHING
 
 
+def orders(vehicle: Vehicle, sensors: list[str]) -> str:
+    """Orders of the ARMA models of a vehicle's sensors."""
+    return "; ".join(f"{name} {'/'.join(f'({len(m.ar)},{len(m.ma)})' for m in vehicle.sensors[name].models)}" for name in sensors)
+
+
 def learned_order(model: nf.ErrorModel) -> str:
     """Order of the learnt part of an error model, "" when there is none."""
     for part in model.parts if isinstance(model, Sum) else (model,):
@@ -204,10 +214,27 @@ def learned_order(model: nf.ErrorModel) -> str:
     return ""
 
 
+def fitted_arma(case: Case, sensors: list[str]) -> Vehicle:
+    """The vehicle with ARMA models fitted to the readings of the whole mission, by the likelihood that gm1-fitted uses."""
+    series = residual_series(case.vehicle, case.mission, sensors)
+    models: dict[str, tuple[nf.ErrorModel, ...]] = {}
+    for name, channels in series.items():
+        axes = []
+        for channel, prior in zip(channels, case.vehicle.sensors[name].models, strict=True):
+            known = int(np.isfinite(channel.value).sum())
+            white = max(channel.white - known_white(prior, channel.period_s), 0.0)
+            found = Learner(LearnedArma().orders, max(known, 200), channel.drift, white=white).hop(channel.value)
+            spread = min(found.sd_log_s0 or 0.0, 1.5)
+            axes.append(nf.Arma(tuple(found.ar), tuple(found.ma), found.sd * math.exp(0.5 * spread)))
+        models[name] = tuple(axes)
+    return case.vehicle.with_error(**{name: axes if len(axes) > 1 else axes[0] for name, axes in models.items()})
+
+
 def figures(case: Case) -> dict[str, dict[str, Any]]:
     """Figures of every model on one mission."""
     sensors = [name for name in learnable(case.vehicle, case.mission) if name in AIDING]
     vehicles = rivals(MODELS, case.vehicle, case.mission, sensors=sensors)
+    vehicles = {**vehicles, FITTED: fitted_arma(case, sensors)}
     tracks = {name: replay(vehicle, case.mission) for name, vehicle in vehicles.items()}
     comparison = compare(tracks, case.truth, begin_s=case.begin_s, windows=case.windows)
     # a sensor that is withheld in the scored windows is judged by its readings between them
@@ -226,7 +253,7 @@ def figures(case: Case) -> dict[str, dict[str, Any]]:
             "white_axes": sum(bool(axis["is_white"]) for axis in axes),
             "axes": len(axes),
             "largest_acf": max((abs(axis["largest_acf"]) for axis in axes), default=None),
-            "adopted": adopted(tracks[name]) if name == "arma" else "",
+            "adopted": adopted(tracks[name]) if name == "arma" else orders(vehicles[FITTED], sensors) if name == FITTED else "",
         }
     return result
 
@@ -287,7 +314,7 @@ def table(name: str, runs: Mapping[str, Mapping[str, Any]]) -> str:
         )
     widths = [max(len(line[k]) for line in lines) for k in range(len(lines[0]))]
     rows = ["  ".join(text.ljust(width) for text, width in zip(line, widths, strict=True)).rstrip() for line in lines]
-    learnt = [f"   arma: {runs['arma']['adopted']}"] if runs["arma"]["adopted"] else []
+    learnt = [f"   {model}: {run['adopted']}" for model, run in runs.items() if run["adopted"]]
     return "\n".join([name, *rows, *learnt])
 
 
@@ -314,7 +341,8 @@ def against(arma: Mapping[str, Any], other: Mapping[str, Any]) -> str:
 def verdicts(name: str, total: Mapping[str, Mapping[str, Any]], missions: Mapping[str, Mapping[str, Any]]) -> str:
     """Where ARMA helps and where not, all missions of a kind together."""
     idle = [mission for mission, runs in missions.items() if runs["arma"]["adopted"] == NOTHING]
-    lines = [f"{name}, ARMA against {other}: {against(total['arma'], total[other])}." for other in (BASELINE, "vehicle")]
+    pairs = ((FITTED, BASELINE), ("arma", BASELINE), ("arma", "vehicle"))
+    lines = [f"{name}, {one} against {other}: {against(total[one], total[other])}." for one, other in pairs]
     if idle:
         lines.append(f"{name}: nothing was adopted in {', '.join(idle)}; there ARMA is the model of the vehicle file.")
     return "\n".join(lines)
