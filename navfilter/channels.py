@@ -27,6 +27,8 @@ __all__ = ["Channel", "ChannelSeries", "Listener"]
 
 Array = NDArray[np.float64]
 GRAVITY = 9.81
+#: A first try at learning needs so many ticks.
+FEWEST = 200
 NEVER = int(np.iinfo(np.int64).max)
 
 
@@ -169,7 +171,7 @@ class Listener:
         )
         self.window = window
         self.hop = min((part.hop or part.window // 4 for part in learned if part is not None), default=0)
-        self.due = max(1, window // 8) if window else NEVER
+        self.due = 0 if window else NEVER
         self._before_hop: tuple[Any, ...] = (-1, self.due, self.models, ())
 
     def series(self, axis: int, last: int | None = None) -> Array:
@@ -184,6 +186,19 @@ class Listener:
             ChannelSeries(self.series(axis), drift, self.period_s, white)
             for axis, (drift, white) in enumerate(zip(self.drifts, self.white, strict=True))
         )
+
+    @property
+    def learns(self) -> bool:
+        """Whether there is something to learn, and enough was heard for a first try."""
+        return self.window > 0 and int(self.cursor[0]) >= FEWEST
+
+    def rewind(self) -> None:
+        """Hear everything again from the start, without learning from it again."""
+        self.cursor[0], self.due = 0, NEVER
+
+    def resume(self) -> None:
+        """Learn again from here on."""
+        self.due = int(self.cursor[0]) + self.hop if self.window else NEVER
 
     def mark(self) -> tuple[Any, ...]:
         """Where it stands, to `recall` within the few seconds that the ring keeps beyond its window."""
@@ -218,7 +233,7 @@ class Listener:
         written = int(self.cursor[0])
         kept = tuple(None if learner is None else learner.snapshot() for learner in self.learners)
         self._before_hop = (written, self.due, self.models, kept)
-        self.due = written + (self.hop if written >= self.window // 2 else max(1, self.window // 8))
+        self.due = written + self.hop
         new = []
         for axis, (model, learner) in enumerate(zip(self.models, self.learners, strict=True)):
             part = learned_part(model)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -65,6 +66,23 @@ class Memory(NamedTuple):
     in_force: Vehicle
     channels: dict[str, tuple[Any, Any]]
     counts: dict[str, int]
+    early: int | None
+
+
+def joined(items: Sequence[Any]) -> list[Any]:
+    """Inputs with samples that follow each other in one block."""
+    result: list[Any] = []
+    run: list[Array] = []
+    for item in [*items, None]:
+        if isinstance(item, np.ndarray):
+            run.append(item)
+            continue
+        if run:
+            result.append(np.concatenate(run) if len(run) > 1 else run[0].copy())
+            run = []
+        if item is not None:
+            result.append(item)
+    return result
 
 
 class Engine:
@@ -74,42 +92,58 @@ class Engine:
     AHEAD_S = 1.0
     #: Nothing is learnt from readings before this age: the start's tilt has to settle [s].
     SETTLE_S = 60.0
+    #: The first models are adopted at this age, or when the longest window is full [s].
+    FIRST_S = 500.0
 
     def __init__(self, vehicle: Vehicle, start: Start, tape: Tape | None = None) -> None:
         if not isinstance(vehicle, Vehicle):
             raise ValueError(f"Navigator needs a Vehicle, found {type(vehicle).__name__}.")
         self.vehicle, self.start, self._tape = vehicle, start, tape
-        state = start.state
-        self._time_s = self._sample_s = state.time_s
-        self._nav = state.pack()
         self._rate = np.zeros(3)
         self._steps, self._hold = vehicle.drive.steps, vehicle.drive.hold
         self._period_s = vehicle.drive.period_s
         self._ahead_s = max(self.AHEAD_S, 3.0 * self._period_s)
         self._fold_every = max(1, round(vehicle.drive.rate_hz))
-        self._unfolded = 0
         self._inertial = "imu" in vehicle.drive.streams
+        self._listening = False
+        self._channels: dict[str, Channel] = {}
+        self._begin(vehicle)
+        self._listen_from_s = self._time_s + self.SETTLE_S
+        self._early: list[Array | tuple[Any, ...]] | None = None
+        self._revise_s = math.inf
+        learning = []
+        for name, sensor in vehicle.sensors.items():
+            if any(learned_part(model) is not None for model in sensor.models):
+                self.listen(name)
+                learning.append(self._channels[name].listener)
+        if learning:
+            longest = max(listener.window * listener.period_s for listener in learning if listener is not None)
+            self._early, self._revise_s = [], self._time_s + min(self.FIRST_S, self.SETTLE_S + longest)
+
+    def _begin(self, vehicle: Vehicle) -> None:
+        """Stand at the start, with the error models of `vehicle` in force."""
+        state = self.start.state
+        self._time_s = self._sample_s = state.time_s
+        self._nav, self._unfolded = state.pack(), 0
         self.counts = dict.fromkeys(("gap", "backward", "bad-sample", "clock-set", "widened", "adopted"), 0)
         self.intake = Intake(vehicle.drive, state.time_s, self.counts)
-        self._channels: dict[str, Channel] = {}
+        listeners = {name: channel.listener for name, channel in self._channels.items()}
+        self._channels = {}
         self._arrange(vehicle)
+        for name, listener in listeners.items():
+            self._channels[name].listener = listener
         assert state.covariance is not None
         self._P = self.layout.start_covariance(state.covariance)
         self._x = np.zeros(self.layout.size - 9)
         self._xd = self._x[: self.layout.drive.size]
-        self._drv = vehicle.drive.memory(self.layout.drive.errors, start)
+        self._drv = vehicle.drive.memory(self.layout.drive.errors, self.start)
         self._undone = np.zeros(2 * self._head - 6)
-        self._listening = False
-        self._listen_from_s = self._time_s + self.SETTLE_S
-        for name, sensor in vehicle.sensors.items():
-            if any(learned_part(model) is not None for model in sensor.models):
-                self.listen(name)
-        if tape is not None:
-            tape.layouts.append(self.layout)
+        if self._tape is not None:
+            self._tape.begin(self.layout)
             for name, sensor in vehicle.sensors.items():
-                tape.column(name, sensor.axes)
-                tape.models[name] = [(self._time_s, sensor.error)]
-            tape.row(self._time_s, self._nav, self._x, self._P)
+                self._tape.column(name, sensor.axes)
+                self._tape.models[name] = [(self._time_s, sensor.error)]
+            self._tape.row(self._time_s, self._nav, self._x, self._P)
 
     def _arrange(self, vehicle: Vehicle) -> None:
         """Lay out the states of the models in force, and the working memory that depends on it."""
@@ -136,6 +170,8 @@ class Engine:
         """Carry the state over a block of samples: rows of time and six values; the array is used as work space."""
         if not len(samples):
             return
+        if self._early is not None:
+            self._early.append(samples.copy())
         whole = len(samples) <= self._fold_every - self._unfolded and not self._rest
         samples, stamps = self.intake.take(samples, self._drv, self._at_rest, whole)
         begin, total = 0, len(samples)
@@ -200,6 +236,12 @@ class Engine:
 
     def take(self, channel: Channel, time_s: float, value: ArrayLike, sd: ArrayLike | None, frozen: bool = False) -> Outcome:
         """Correct the state with a reading that comes in order; `frozen` readings never widen the gate."""
+        if self._early is not None:
+            if time_s >= self._revise_s:
+                self._revise()
+                channel = self._channels[channel.name]
+            else:
+                self._early.append((channel.name, time_s, value, sd, frozen))
         z = np.array(value, dtype=np.float64)  # a copy: kernels want it contiguous and writable
         if z.ndim != 1:
             z = z.reshape(-1)
@@ -247,7 +289,7 @@ class Engine:
             if tape is not None:
                 tape.record(channel.record, channel.sensor.axes, channel.dims)
                 tape.row(self._time_s, nav, x, P)
-            if channel.listener is not None and channel.listener.cursor[0] >= channel.listener.due:
+            if channel.listener is not None and channel.listener.cursor[0] >= channel.listener.due and self._early is None:
                 self._learn(channel)
             return self._note(channel, time_s, "used", nis, int(dof), widened)
         if tape is not None:
@@ -327,6 +369,35 @@ class Engine:
         if models is not None:
             self.adopt(channel.name, models)
 
+    def _revise(self) -> None:
+        """Adopt the first models, and run what there was so far again with them.
+
+        Until here the priors were in force. What they took for certain cannot be taken back from the covariance, so the beginning is done
+        again as if the models had been known.
+        """
+        early, self._early = self._early, None
+        found = {name: c.listener.learn() for name, c in self._channels.items() if c.listener is not None and c.listener.learns}
+        found = {name: models for name, models in found.items() if models is not None}
+        if not found or early is None:
+            return
+        for channel in self._channels.values():
+            if channel.listener is not None:
+                channel.listener.rewind()
+        self._begin(self._in_force.with_error(**found))
+        self.counts["adopted"] = len(found)
+        self._again(early)
+        for channel in self._channels.values():
+            if channel.listener is not None:
+                channel.listener.resume()
+
+    def _again(self, items: list[Array | tuple[Any, ...]]) -> None:
+        """Feed inputs that were fed before."""
+        for item in joined(items):
+            if isinstance(item, np.ndarray):
+                self.advance(item)
+            else:
+                self.take(self._channels[item[0]], *item[1:])
+
     def adopt(self, name: str, error: ErrorModel | tuple[ErrorModel, ...]) -> None:
         """Put other error models of one sensor in force, now.
 
@@ -345,6 +416,7 @@ class Engine:
             For an unknown sensor, or something that is no error model.
         """
         new = self._in_force.with_error(**{name: error})
+        self._early = None
         if self._unfolded:
             self._close_second()
         M, N = state_change(self.layout, self._in_force, Layout.of(new), new)
@@ -407,6 +479,7 @@ class Engine:
             self._in_force,
             {name: (c.clock, c.listener.mark() if c.listener is not None else None) for name, c in self._channels.items()},
             dict(self.counts),
+            None if self._early is None else len(self._early),
         )
 
     def recall(self, memory: Memory) -> None:
@@ -424,3 +497,5 @@ class Engine:
                 listener.recall(mark)
         self.counts.clear()
         self.counts |= memory.counts
+        if self._early is not None and memory.early is not None:
+            del self._early[memory.early :]

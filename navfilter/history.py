@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from bisect import bisect_right
+from bisect import bisect_left
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.engine import Engine, Memory, Outcome
+from navfilter.engine import Engine, Memory, Outcome, joined
 
 __all__ = ["History", "Reading"]
 
@@ -50,11 +50,17 @@ class History:
     def feed(self, item: Array | Reading) -> Outcome | None:
         """Give samples (rows of time and six values) or a reading to the engine, and keep them."""
         self._mark()
-        self._log.append(item.copy() if isinstance(item, np.ndarray) else item)
         if isinstance(item, np.ndarray):
+            self._log.append(item.copy())
             self.engine.advance(item)
             return None
-        return self.engine.take(self.engine.channel(item.name), *item[1:])
+        outcome = self.engine.take(self.engine.channel(item.name), *item[1:])
+        self._log.append(item)  # behind: the engine may have begun this history anew
+        return outcome
+
+    def begin(self) -> None:
+        """Forget everything: the engine starts anew."""
+        self._marks, self._log, self._first = [], [], 0
 
     def _mark(self) -> None:
         now = self.engine.time_s
@@ -72,7 +78,10 @@ class History:
 
     def late(self, reading: Reading) -> Outcome | None:
         """Put a late reading in its place; None when the place lies before the history."""
-        at = bisect_right(self._marks, reading.time_s, key=lambda mark: mark[0]) - 1
+        # strictly before it, for readings of one time have an order; only the very first checkpoint stands before all readings of its time
+        at = bisect_left(self._marks, reading.time_s, key=lambda mark: mark[0]) - 1
+        if at < 0 and self._marks and self._marks[0][:2] == (reading.time_s, 0):
+            at = 0
         if at < 0:
             return None
         if any(isinstance(i, Reading) and i.name == reading.name and i.time_s == reading.time_s for i in self._log):
@@ -84,7 +93,7 @@ class History:
         del self._log[number - self._first :], self._marks[at:]
         self.engine.recall(memory)
         result: Outcome | None = None
-        for item in _in_place(again, reading, offset_s):
+        for item in _in_place(again, reading, offset_s, list(self.engine.vehicle.sensors)):
             outcome = self.feed(item)
             if item is reading:
                 result = outcome
@@ -97,20 +106,18 @@ class History:
         return self._marks[0][2], list(self._log)
 
 
-def _in_place(items: list[Array | Reading], reading: Reading, offset_s: float) -> list[Array | Reading]:
-    """The inputs with a reading put where its time says; samples that follow each other are joined."""
+def _in_place(items: list[Array | Reading], reading: Reading, offset_s: float, order: list[str]) -> list[Array | Reading]:
+    """The inputs with a reading put where its time says, among those of the same time in the vehicle's order, as a replay has it."""
     before: list[Array | Reading] = []
     after: list[Array | Reading] = []
     for item in items:
         if isinstance(item, Reading):
-            (before if item.time_s <= reading.time_s else after).append(item)
+            first = (item.time_s, order.index(item.name)) < (reading.time_s, order.index(reading.name))
+            (before if first else after).append(item)
             continue
         late = item[:, 0] + offset_s > reading.time_s + 1e-9
         split = int(np.argmax(late)) if late.any() else len(item)
         for part, whither in ((item[:split], before), (item[split:], after)):
             if len(part):
-                if whither and isinstance(whither[-1], np.ndarray):
-                    whither[-1] = np.concatenate([whither[-1], part])
-                else:
-                    whither.append(part.copy())
-    return [*before, reading, *after]
+                whither.append(part)
+    return [*joined(before), reading, *joined(after)]

@@ -21,6 +21,8 @@ Array = NDArray[np.float64]
 DEFAULT_ORDERS = ((0, 0), (1, 0), (1, 1), (2, 0), (2, 1), (2, 2), (3, 2), (4, 2), (4, 4))
 #: sd ln S(0) counts at most so much: beyond it the window says nothing about the low frequencies.
 LARGEST_SPREAD = 1.5
+#: No pole comes nearer to 1.
+NEAREST = 1e-5
 
 
 @dataclass(frozen=True)
@@ -102,16 +104,32 @@ class LearnedArma(ErrorModel):
         return f"LearnedArma({self.model.p}, {self.model.q})"
 
 
-def register_block(model: ArmaModel) -> Block:
-    """Block of an ARMA model as a register of past values and innovations, with the driving noise raised by exp(sd ln S(0))."""
+def cautious(model: ArmaModel) -> tuple[Array, float]:
+    """AR coefficients and driving variance with S(0) raised by exp(sd ln S(0)).
+
+    Where the model has a real slow pole, that pole moves towards 1: only the low frequencies rise, which are what is uncertain, and the
+    innovation keeps its size. Otherwise the driving variance takes it.
+    """
     spread = 0.0 if model.sd_log_s0 is None else min(model.sd_log_s0, LARGEST_SPREAD)
-    variance = model.sd**2 * math.exp(spread)
+    poles = model.poles
+    slow = [i for i, z in enumerate(poles) if abs(z.imag) < 1e-9 and z.real > 0.5]
+    if not slow:
+        return model.ar, model.sd**2 * math.exp(spread)
+    first = max(slow, key=lambda i: poles[i].real)
+    room = max((1.0 - poles[first].real) * math.exp(-0.5 * spread), NEAREST)
+    poles[first] = 1.0 - min(room, 1.0 - poles[first].real)
+    return np.atleast_1d(np.poly(poles)).real[1:], model.sd**2
+
+
+def register_block(model: ArmaModel) -> Block:
+    """Block of an ARMA model as a register of past values and innovations, see `cautious`."""
+    ar, variance = cautious(model)
     p, q = model.p, model.q
     if p + q == 0:
         return Block(np.zeros((0, 0)), np.zeros((0, 0)), np.zeros(0), variance, np.zeros((0, 0)))
     k = max(p, 1)
     Phi, g = np.zeros((k + q, k + q)), np.zeros(k + q)
-    Phi[0, :p], Phi[0, k:] = -model.ar, model.ma
+    Phi[0, :p], Phi[0, k:] = -ar, model.ma
     Phi[range(1, k), range(k - 1)] = 1.0
     Phi[range(k + 1, k + q), range(k, k + q - 1)] = 1.0
     g[0] = 1.0

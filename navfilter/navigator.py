@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from os import PathLike
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,6 +22,11 @@ from navfilter.vehicle import Vehicle
 __all__ = ["Navigator", "Outcome"]
 
 Array = NDArray[np.float64]
+
+
+def _when(item: Any) -> float:
+    """Time of an input: of its last sample, or of the reading."""
+    return float(item[-1, 0]) if isinstance(item, np.ndarray) else float(item[1])
 
 
 class Navigator(Engine):
@@ -71,6 +77,8 @@ class Navigator(Engine):
             raise ValueError("a run with a tape cannot go back: leave history_s out, and feed the readings in the order of their times.")
         self._history = History(self, length_s) if length_s else None
         self._watches = {name: Watch(sensor.gate_timeout_s) for name, sensor in vehicle.sensors.items()}
+        names = list(vehicle.sensors)
+        self._behind = {name: names[i + 1 :] for i, name in enumerate(names)}
         self._row = np.empty((1, 7))
 
     def step(self, time_s: ArrayLike, first: ArrayLike, second: ArrayLike) -> None:
@@ -144,7 +152,9 @@ class Navigator(Engine):
         history = self._history
         if history is None:
             return self.take(self._channels[reading.name], *reading[1:])
-        if not reading.time_s < self._time_s - 1e-7:
+        # of readings with the same time, those of the sensors named first come first, as in a replay
+        overtaken = any(self._channels[name].last_s == reading.time_s for name in self._behind[reading.name])
+        if not (reading.time_s < self._time_s - 1e-7 or overtaken):
             outcome = history.feed(reading)
         else:
             outcome = history.late(reading)
@@ -154,6 +164,18 @@ class Navigator(Engine):
                 outcome = outcome._replace(status="late-replayed")
         assert outcome is not None
         return outcome
+
+    def _again(self, items: list[Any]) -> None:
+        if self._history is None:
+            return super()._again(items)
+        # The last of it goes through the history, so that late readings find their place
+        self._history.begin()
+        recent = self._revise_s - self._history.length_s
+        split = next((i for i, item in enumerate(items) if _when(item) > recent), len(items))
+        super()._again(items[:split])
+        for item in items[split:]:
+            self._history.feed(item if isinstance(item, np.ndarray) else Reading(*item))
+        return None
 
     @property
     def state(self) -> NavState:

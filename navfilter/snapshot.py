@@ -141,6 +141,14 @@ def _payload(nav: Navigator) -> bytes:
         else:
             items.append([])
             arrays[f"log/{i}"] = item
+    early = nav._early[: memory.early] if nav._early is not None else []
+    beginning, arrays["early/samples"] = [], np.concatenate([np.empty((0, 7)), *(e for e in early if isinstance(e, np.ndarray))])
+    for item in early:
+        if isinstance(item, np.ndarray):
+            beginning.append(len(item))
+        else:
+            name, time_s, value, sd, frozen = item
+            beginning.append([name, time_s, np.ravel(value).tolist(), None if sd is None else np.ravel(sd).tolist(), frozen])
     now = memory.in_force
     parts = {name: getattr(now.drive, name) for name in ("gyro", "accel") if hasattr(now.drive, name)}
     meta = {
@@ -156,6 +164,7 @@ def _payload(nav: Navigator) -> bytes:
             name: [dict(w.outcomes), w.used_s, w.heard_s, w.nis, w.value.hex(), w.same, w.since_s] for name, w in nav._watches.items()
         },
         "log": items,
+        "early": None if nav._early is None else beginning,
     }
     arrays["meta"] = np.frombuffer(json.dumps(meta).encode(), dtype=np.uint8)
     out = io.BytesIO()
@@ -199,6 +208,18 @@ def _checked(data: bytes, vehicle: Vehicle) -> bytes:
     return payload
 
 
+def _early(items: list[Any], samples: Array) -> list[Any]:
+    result: list[Any] = []
+    at = 0
+    for item in items:
+        if isinstance(item, int):
+            result.append(samples[at : at + item])
+            at += item
+        else:
+            result.append((item[0], item[1], np.array(item[2], dtype=np.float64), item[3], item[4]))
+    return result
+
+
 def _revived(kind: type[Navigator], vehicle: Vehicle, meta: dict[str, Any], arrays: dict[str, Array]) -> Navigator:
     date = meta["start"].pop("date")
     fields: dict[str, Any] = {name: tuple(v) if isinstance(v, list) else v for name, v in meta["start"].items()}
@@ -227,7 +248,9 @@ def _revived(kind: type[Navigator], vehicle: Vehicle, meta: dict[str, Any], arra
         in_force,
         {name: (tuple(clock), marks.get(name)) for name, clock in meta["channels"].items()},
         meta["counts"],
+        None if meta["early"] is None else len(meta["early"]),
     )
+    nav._early = None if meta["early"] is None else _early(meta["early"], arrays["early/samples"])
     nav.recall(memory)
     for i, item in enumerate(meta["log"]):
         fed = arrays[f"log/{i}"] if not item else Reading(item[0], item[1], arrays[f"log/{i}"], item[2], item[3])

@@ -172,16 +172,20 @@ class Tape:
 
     def __init__(self, output_rate_hz: float | None = None, smoothable: bool = True, memory_bytes: int = 32 << 20) -> None:
         self.interval_s = 0.0 if output_rate_hz is None else 1.0 / output_rate_hz - 1e-9
-        self.smoothable = smoothable
-        self.records = Spool(memory_bytes)
+        self.smoothable, self._memory_bytes = smoothable, memory_bytes
+        self.begin(None)
+
+    def begin(self, layout: Any) -> None:
+        """Start anew with a layout of the states; what was written before is forgotten."""
+        self.records = Spool(self._memory_bytes)
         self._heads = array("q")  # a, m, b, start of each record
-        self.rows = Spool(memory_bytes)
+        self.rows = Spool(self._memory_bytes)
         self.row_times = array("d")
         self.row_records = array("q")  # the record after which the row holds
+        self.row_layouts = array("q")  # the layout of each row
         self.columns: dict[str, _Column] = {}
         self.models: dict[str, list[tuple[float, Any]]] = {}
-        self.layouts: list[Any] = []
-        self.row_layouts = array("q")  # the layout of each row
+        self.layouts: list[Any] = [layout]
 
     def record(self, record: Array, axes: int, dims: NDArray[np.int64]) -> None:
         """Write one record: compound transition, block tick, and what the correction was (see ``kalman.smooth_record``)."""
