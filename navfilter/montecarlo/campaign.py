@@ -16,6 +16,7 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from functools import cache
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -105,8 +106,6 @@ def _staged(campaign: Campaign) -> Staged:
 @cache
 def program() -> str:
     """Version, and a digest of the source that runs depend on: runs of a changed program must not be mixed with older ones."""
-    from navfilter import __version__
-
     root = Path(__file__).parents[1]
     aside = {"commands", "report", "check", "io", "identification", "montecarlo", "cli.py", "__main__.py", "__init__.py"}
     digest = hashlib.sha256()
@@ -114,7 +113,7 @@ def program() -> str:
         place = path.relative_to(root)
         if place.parts[0] not in aside or place.name == "scores.py":
             digest.update(place.as_posix().encode() + b"\0" + path.read_bytes())
-    return f"{__version__} {digest.hexdigest()[:12]}"
+    return f"{version('navfilter')} {digest.hexdigest()[:12]}"
 
 
 def run_seed(campaign: Campaign, seed: int, models: Sequence[str]) -> dict[str, Record]:
@@ -329,7 +328,7 @@ def cluster(address: str) -> Iterator[Executor]:
     except (OSError, TimeoutError, ValueError) as error:
         raise ValueError(f'no Dask scheduler answers at "{address}" ({error}).') from None
     with client:
-        other = sorted({str(version) for version in client.run(program).values()} - {program()})
+        other = sorted({str(theirs) for theirs in client.run(program).values()} - {program()})
         if other:
             raise ValueError(
                 f"the cluster's workers run navfilter {', '.join(other)}, here it is {program()}. Install the same one on all."
