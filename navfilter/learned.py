@@ -181,12 +181,14 @@ def resolve_prior(models: Sequence[ErrorModel], prior: ErrorModel) -> tuple[Erro
 
 
 def known_white(model: ErrorModel, period_s: float) -> float:
-    """White variance of what stands beside the learnt part."""
+    """White variance of what stands beside the learnt part; 0 without one: nothing of a fixed model is known to be right."""
+    if learned_part(model) is None:
+        return 0.0
     parts = model.parts if isinstance(model, Sum) else (model,)
     return sum(part.block(period_s).r for part in parts if isinstance(part, White))
 
 
 def known_walk(model: ErrorModel) -> float:
-    """Root PSD of the random walks that stand beside the learnt part."""
+    """Root PSD of the random walks in a model: the bias of the sensor, which stays beside whatever is learnt."""
     parts = model.parts if isinstance(model, Sum) else (model,)
     return math.sqrt(sum(part.density**2 for part in parts if isinstance(part, RandomWalk)))
