@@ -38,6 +38,7 @@ from navfilter.sensors import Position  # noqa: E402
 
 DURATION_S, WINDOW, FIXES, SILENT, JUDGED = 480.0, (150.0, 210.0), (300.0, 340.0), (240.0, 270.0), (400.0, 480.0)
 WORST_NEES = 2.0
+SLOWER = 10.0  # than the run without a fault: what arrives must not be able to stall the vehicle
 FAR_M = 5.0  # from the truth of a recording, when the fixes have been back for a while; or three times the distance without a fault
 RECORDINGS = ("snapir-auv-1hz/01", "auv-lake-sea-10hz/20220625_0_0")
 
@@ -45,7 +46,7 @@ RECORDINGS = ("snapir-auv-1hz/01", "auv-lake-sea-10hz/20220625_0_0")
 def added(outcome: watched.Outcome, clean: watched.Outcome) -> Counter:
     """What was counted more often than without the fault, without the readings that were used."""
     more = outcome.counts - clean.counts
-    return Counter({name: n for name, n in more.items() if not name.endswith(":used")})
+    return Counter({name: n for name, n in more.items() if not name.endswith((":used", ":good", ":waiting"))})
 
 
 def simulated_rows(kinds: Sequence[str], seeds: Sequence[int], one_by_one: bool) -> list[dict[str, Any]]:
@@ -56,18 +57,26 @@ def simulated_rows(kinds: Sequence[str], seeds: Sequence[int], one_by_one: bool)
     rows = []
     for name in (None, *kinds):
         row: dict[str, Any] = {"kind": name or "(none)", "crashes": Counter(), "counted": Counter(), "smallest": math.inf}
-        after, before, nan, definite, answered = [], [], 0, 0, True
+        after, before, nan, definite, answered, slow = [], [], 0, 0, True, 0.0
         for seed, (vehicle, mission) in missions.items():
             outcome = clean[seed] if name is None else watched.run(name, vehicle, mission, scene, seed, one_by_one=one_by_one)
             row["crashes"] += outcome.crashes
             row["counted"] += added(outcome, clean[seed])
             row["smallest"] = min(row["smallest"], outcome.smallest)
+            slow = max(slow, outcome.cpu_s / clean[seed].cpu_s)
             nan += outcome.nan_s is not None
             definite += outcome.not_definite_s is not None
             answered = answered and outcome.sent == outcome.answered
             after.append(watched.nees(outcome, mission.truth, *JUDGED))
             before.append(watched.nees(outcome, mission.truth, *SILENT))
-        row |= {"nan": nan, "not_definite": definite, "answered": answered, "nees": mean(after), "nees_before_fixes": mean(before)}
+        row |= {
+            "slower": slow,
+            "nan": nan,
+            "not_definite": definite,
+            "answered": answered,
+            "nees": mean(after),
+            "nees_before_fixes": mean(before),
+        }
         row["failures"] = failures(row, library.KINDS[name].counted if name else ())
         rows.append(row)
         print(line(row), flush=True)
@@ -86,6 +95,8 @@ def failures(row: dict[str, Any], counted: Sequence[str]) -> list[str]:
         found.append("crash")
     if row["nan"]:
         found.append("NaN")
+    if row["slower"] > SLOWER:
+        found.append(f"{row['slower']:.0f} times slower")
     if row["not_definite"]:
         found.append("not PD")
     if counted and not any(row["counted"][key] for key in counted):
@@ -130,7 +141,8 @@ def recorded_rows(name: str, kinds: Sequence[str], seeds: Sequence[int]) -> list
     clean = watched.run(None, vehicle, mission, scene, 1)
     rows = []
     for kind in kinds:
-        row: dict[str, Any] = {"kind": kind, "crashes": Counter(), "counted": Counter(), "smallest": math.inf, "nan": 0, "not_definite": 0}
+        row: dict[str, Any] = {"kind": kind, "crashes": Counter(), "counted": Counter(), "smallest": math.inf}
+        row |= {"nan": 0, "not_definite": 0, "slower": 0.0}
         answered, after, silent = True, [], []
         for seed in seeds:
             outcome = watched.run(kind, vehicle, mission, scene, seed)
@@ -138,6 +150,7 @@ def recorded_rows(name: str, kinds: Sequence[str], seeds: Sequence[int]) -> list
             row["counted"] += added(outcome, clean)
             row["smallest"] = min(row["smallest"], outcome.smallest)
             row["nan"] += outcome.nan_s is not None
+            row["slower"] = max(row["slower"], outcome.cpu_s / clean.cpu_s)
             row["not_definite"] += outcome.not_definite_s is not None
             answered = answered and outcome.sent == outcome.answered
             after.append(distance(outcome, mission, *judged))

@@ -226,7 +226,7 @@ def _drop_drive(events: Events, scene: Scene, rng: np.random.Generator) -> Event
     return [e for e in events if not (e.sensor == DRIVE and _inside(e, scene.window) and rng.random() < 0.9)]
 
 
-_each("silence", ROLES, lambda role: lambda events, scene, rng: silent(events, scene, role), "{}:silent", "{}:timeout", "{}:lost")
+_each("silence", ROLES, lambda role: lambda events, scene, rng: silent(events, scene, role), "{}:silent")
 
 
 def _silent_drive(seconds: float) -> Fault:
@@ -242,7 +242,7 @@ KINDS["silence drive 5 s"] = Kind(_silent_drive(5.0), ("drive:gap",))
 KINDS["silence drive 30 s"] = Kind(_silent_drive(30.0), ("drive:gap",))
 
 
-@kind("silence of all corrections", "velocity:silent", "velocity:timeout", "velocity:lost")
+@kind("silence of all corrections", "velocity:silent")
 def _only_drive(events: Events, scene: Scene, rng: np.random.Generator) -> Events:
     for role in ("heading", "velocity", "depth"):
         events = silent(events, scene, role)
@@ -442,7 +442,7 @@ def _stuck(role: str, seconds: float = 1e9) -> Fault:
     return fault
 
 
-_each("stuck", ROLES, _stuck, "{}:stuck", "{}:rejected", "{}:frozen")
+_each("stuck", ROLES, _stuck, "{}:stuck")
 KINDS["stuck gyro and accel 5 s"] = Kind(
     lambda events, scene, rng: _stuck("accel", 5.0)(_stuck("gyro", 5.0)(events, scene, rng), scene, rng),
     ("drive:stuck", "drive:bad-sample", "drive:frozen"),

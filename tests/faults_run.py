@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 import traceback
 from collections import Counter
 from collections.abc import Callable
@@ -24,6 +25,8 @@ from navfilter.vehicle import Vehicle
 #: A smallest eigenvalue (of the covariance scaled to a unit diagonal) at or below this is not positive definite. Models without white noise
 #: make covariances that are singular for a moment after a reading; what an eigenvalue is rounded by is n^2 eps = 2e-13.
 DEFINITE = -1e-12
+#: Of processor time is as much as a run of eight minutes may take [s]; without a fault it takes one or two.
+LONGEST_CPU_S = 20.0
 
 # --- missions ---------------------------------------------------------------------------------------------------------
 
@@ -61,11 +64,15 @@ class Outcome:
     smallest : float
         Smallest eigenvalue of the covariance scaled to a unit diagonal, over the run.
     counts : Counter
-        By "role:outcome" and "drive:counter".
+        By "role:outcome", "drive:counter", and seconds of "role:condition" (see `navfilter.health`).
     sent, answered : int
         Readings handed in, and outcomes that came back for them.
     states : list of (float, NavState)
         Once a second: true time and state.
+    cpu_s : float
+        Processor time of the run.
+    stopped : bool
+        It took more than `LONGEST_CPU_S`, and was not fed to the end.
     """
 
     crashes: Counter = field(default_factory=Counter)
@@ -76,6 +83,8 @@ class Outcome:
     sent: int = 0
     answered: int = 0
     states: list[tuple[float, NavState]] = field(default_factory=list)
+    cpu_s: float = 0.0
+    stopped: bool = False
 
 
 def feed(nav: Navigator, events: Events, scene: Scene, *, check_s: float = 1.0, one_by_one: bool = False) -> Outcome:
@@ -88,7 +97,7 @@ def feed(nav: Navigator, events: Events, scene: Scene, *, check_s: float = 1.0, 
     roles = {target.sensor: role for role, target in scene.targets.items() if target.sensor != DRIVE}
     block: list[tuple[float, ...]] = []
     last: Event | None = None
-    due = -math.inf
+    due, began = -math.inf, time.process_time()
     for event in events:
         if event.sensor == DRIVE:
             if _regular(event) and not one_by_one:
@@ -104,10 +113,16 @@ def feed(nav: Navigator, events: Events, scene: Scene, *, check_s: float = 1.0, 
         if event.arrival_s >= due and last is not None:
             _flush(nav, block, outcome)
             due = event.arrival_s + check_s
+            if time.process_time() - began > LONGEST_CPU_S:
+                outcome.stopped = True
+                break
             _look(nav, last, outcome)
+            for name, sensor in nav.health.sensors.items():
+                outcome.counts[f"{roles[name]}:{sensor.condition}"] += 1
     _flush(nav, block, outcome)
     if last is not None:
         _look(nav, last, outcome)
+    outcome.cpu_s = time.process_time() - began
     outcome.counts.update({f"drive:{name}": n for name, n in nav.counts.items()})
     return outcome
 
