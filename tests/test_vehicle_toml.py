@@ -41,6 +41,7 @@ RECKONING = Vehicle(
     ),
     sensors={"a name": Position()},
 )
+SLOW = Vehicle(drive=DeadReckoning(rate_hz=5.0, attitude=Heading(rate_hz=1.0), velocity=BodyVelocity(rate_hz=1.0)))
 PLAIN = Vehicle(drive=DeadReckoning(rate_hz=1.0, attitude=(White(sd=0.1), White(sd=0.2), White(sd=0.3)), velocity=White(sd=0.1)))
 ADOPTED = ArmaModel([-1.2, 0.3], [0.1], 0.0123456789012345, np.diag([1e-4, 2e-4, 3e-4]) - 1e-5, 0.25, 3990.5, frozenset({"a", "b c"}))
 LEARNING = Vehicle(
@@ -57,7 +58,9 @@ LEARNING = Vehicle(
 )
 
 
-@pytest.mark.parametrize("vehicle", [INERTIAL, RECKONING, PLAIN, LEARNING], ids=["inertial", "reckoning", "plain", "learning"])
+@pytest.mark.parametrize(
+    "vehicle", [INERTIAL, RECKONING, SLOW, PLAIN, LEARNING], ids=["inertial", "reckoning", "slow", "plain", "learning"]
+)
 def test_what_is_written_comes_back(tmp_path, vehicle):
     assert read_vehicle(write_vehicle(vehicle, tmp_path / "v.toml")) == vehicle
 

@@ -16,6 +16,10 @@ from navfilter.mission import MissionError
 
 Array = npt.NDArray[np.float64]
 AXES = "xyz"
+#: In SI; what is beyond is no measurement, and its square could not be held.
+LARGEST = 1e100
+#: Thirty million years [s]: later no clock stands, and mean times and their differences stay numbers.
+LATEST_S = 1e15
 
 
 @dataclasses.dataclass
@@ -41,8 +45,9 @@ def group_values(table: Table, name: str, group: Group, rows: int, counts: Count
         invalid[:, k] = _is_sentinel(raw, group)
         values[:, k] = _si(raw, part, group, k)
     counts.sentinel += int(np.count_nonzero(invalid.any(axis=1)))
-    counts.infinite += int(np.count_nonzero(np.isinf(values)))
-    values[invalid | np.isinf(values)] = np.nan
+    infinite = np.abs(values) > LARGEST
+    counts.infinite += int(np.count_nonzero(infinite))
+    values[invalid | infinite] = np.nan
     if group.valid_range is not None:
         low, high = group.valid_range
         outside = (values < low) | (values > high)
@@ -119,6 +124,11 @@ def group_names(name: str, group: Group) -> tuple[str, ...]:
 
 def clock_times(clock: Clock, table: Table, other: Callable[[Clock], Table], rows: int) -> Array:
     """Times of a source on the mission clock [s], NaN where a stamp cannot be read."""
+    time_s = _clock_times(clock, table, other, rows)
+    return np.where(np.abs(time_s) < LATEST_S, time_s, np.nan)
+
+
+def _clock_times(clock: Clock, table: Table, other: Callable[[Clock], Table], rows: int) -> Array:
     if clock.rate_hz is not None:
         return clock.start_s + np.arange(rows) / clock.rate_hz + clock.offset_s
     source = table if clock.file is None else other(clock)

@@ -33,7 +33,7 @@ def read_arrays(path: Path) -> dict[str, npt.NDArray[Any]]:
     """
     try:
         if path.suffix.lower() == ".npy":
-            arrays = {"": np.load(path, allow_pickle=False)}
+            arrays = {"": _read_npy(path)}
         elif path.suffix.lower() == ".npz":
             with np.load(path, allow_pickle=False) as archive:
                 arrays = {name: archive[name] for name in archive.files}
@@ -48,6 +48,14 @@ def read_arrays(path: Path) -> dict[str, npt.NDArray[Any]]:
     if not arrays:
         raise MissionError(f"{path} holds no array of numbers.")
     return arrays
+
+
+def _read_npy(path: Path) -> npt.NDArray[Any]:
+    found = np.load(path, allow_pickle=False)
+    if not isinstance(found, np.ndarray):
+        found.close()
+        raise ValueError("it is an archive of several arrays; name it .npz")
+    return found
 
 
 def _is_hdf5(path: Path) -> bool:
@@ -74,6 +82,9 @@ def _read_hdf5(path: Path) -> dict[str, npt.NDArray[Any]]:
 def _read_mat5(path: Path) -> dict[str, npt.NDArray[Any]]:
     from scipy.io import loadmat
 
+    from navfilter.io.mat5 import check_mat5
+
+    check_mat5(path)
     arrays: dict[str, npt.NDArray[Any]] = {}
 
     def visit(name: str, item: object) -> None:

@@ -27,6 +27,8 @@ Bool = npt.NDArray[np.bool_]
 _CIRCULAR = ("longitude_rad", "heading_rad", "roll_rad", "yaw_rad")
 #: Streams that drive a mechanisation: a repeated stamp would be a step of no length.
 _DRIVING = ("rate", "rotation", "velocity", "attitude", "quaternion")
+#: More than a month at 100 Hz.
+_MOST_ROWS = 3e8
 
 
 def read_mission_toml(path: Path) -> Mission:
@@ -165,6 +167,9 @@ class _Reader:
             parts[group] = given[0] if len(given) == 1 else mean(given)
         if spec.resample_hz is not None:
             # Between slow readings of a turning vehicle, interpolated ones are nearer the truth than held ones.
+            rows = (time_s[-1] - time_s[0]) * spec.resample_hz
+            if rows > _MOST_ROWS:
+                raise MissionError(f"{name}: resample_hz would make {rows:.3g} rows; are the times in seconds, or is one of them far off?")
             even = np.arange(time_s[0], time_s[-1], 1.0 / spec.resample_hz)
             for group, part in parts.items():
                 parts[group] = resampled(even, time_s, part, np.isin(columns[group], _CIRCULAR), None)

@@ -350,7 +350,10 @@ def _adopted(model: ArmaModel) -> dict[str, Any]:
 def _plain(value: Any, owner: type, field: str) -> Any:
     if isinstance(value, Sum):
         return [_table(part) for part in value.parts]
-    if isinstance(value, ErrorModel | Sensor | Mechanisation):
+    if isinstance(value, Sensor):
+        # Inside a drive the default of the rate is that of the drive, not that of the class.
+        return _table(value) | {"rate_hz": value.rate_hz}
+    if isinstance(value, ErrorModel | Mechanisation):
         return _table(value)
     if isinstance(value, ArmaModel):
         return _adopted(value)
