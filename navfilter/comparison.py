@@ -276,11 +276,14 @@ class Comparison:
         Times [s] that were scored.
     baseline : str or None
         Label of the run that the ratios refer to.
+    remarks : tuple of str
+        What else has to be known to judge the table; printed below it.
     """
 
     runs: Mapping[str, Mapping[str, Any]]
     windows: Windows
     baseline: str | None = None
+    remarks: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         from navfilter.report.page import table_text
@@ -344,11 +347,12 @@ class Comparison:
             "NEES and NIS are per degree of freedom, 1 is honest; * is outside the 95 % range. Autocorrelations of the innovations"
         )
         lines.append('over 20 lags, the largest of the axes; "white" where every axis passes. 0.27 % of honest errors lie beyond 3 sigma.')
-        return lines
+        return [*lines, *self.remarks]
 
     def to_dict(self) -> dict[str, Any]:
-        """Everything as plain values: "windows_s", "baseline" and "runs"."""
-        return {"windows_s": [list(w) for w in self.windows], "baseline": self.baseline, "runs": _plain(self.runs)}
+        """Everything as plain values: "windows_s", "baseline", "remarks" and "runs"."""
+        windows = [list(w) for w in self.windows]
+        return {"windows_s": windows, "baseline": self.baseline, "remarks": list(self.remarks), "runs": _plain(self.runs)}
 
     def to_frame(self) -> pd.DataFrame:
         """One row per run; a column per figure, nested keys joined by dots, such as ``sensors.dvl.axes.x.prediction_rms``."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import os
 import sys
 from collections.abc import Mapping, Sequence
@@ -106,7 +107,7 @@ def run(options: argparse.Namespace) -> int:
     folder = None if options.out is None else output_folder(options.out)
     plan = Plan(options.models, options.sensors, truth, options.models if options.smooth else (), options.output_rate)
     tracks = replay_models(plan, vehicle, mission, options.quiet)
-    comparison = compare_tracks(tracks, mission, options.begin)
+    comparison = compare_tracks(tracks, mission, vehicle, options.sensors, options.begin)
     if not options.quiet:
         print_comparison(comparison, mission)
     if folder is not None:
@@ -178,13 +179,42 @@ def replay_models(plan: Plan, vehicle: Vehicle, mission: Mission, quiet: bool = 
     return tracks
 
 
-def compare_tracks(tracks: Mapping[str, Track], mission: Mission, begin_s: float | None = None) -> Comparison:
-    """Compare runs by name of the model, from the end of the first learning window on unless `begin_s` says otherwise."""
+def compare_tracks(
+    tracks: Mapping[str, Track], mission: Mission, vehicle: Vehicle, sensors: Sequence[str] | None = None, begin_s: float | None = None
+) -> Comparison:
+    """Compare runs by name of the model, from the end of the first learning window on unless `begin_s` says otherwise.
+
+    Where nothing could be fitted or learnt, so that a run kept the model of the vehicle file after all, the result says so.
+    """
     from navfilter.comparison import compare
 
     begin_s = learning_ends(tracks, mission) if begin_s is None else begin_s
     baseline = next((name for name in BASELINES if name in tracks), next(iter(tracks)))
-    return compare(tracks, mission.truth, begin_s=begin_s, windows=mission.windows, baseline=baseline)
+    result = compare(tracks, mission.truth, begin_s=begin_s, windows=mission.windows, baseline=baseline)
+    return dataclasses.replace(result, remarks=_kept(tracks, vehicle, sensors))
+
+
+def _kept(tracks: Mapping[str, Track], vehicle: Vehicle, sensors: Sequence[str] | None) -> tuple[str, ...]:
+    """One line on the axes for which a run was to have another model and had none, for want of readings."""
+    from navfilter.channels import kind_of
+    from navfilter.comparison import shown_unit
+    from navfilter.report.comparison_figures import adopted
+
+    kept: dict[str, list[str]] = {}
+    for label in [name for name in tracks if name not in ("vehicle", "oracle")]:
+        learnt = {history.title for history in adopted(tracks[label], shown_unit)}
+        for name, sensor in vehicle.sensors.items():
+            if not kind_of(sensor) or (sensors is not None and name not in sensors):
+                continue
+            new = tracks[label].vehicle.sensors[name].models
+            for axis, before, after in zip(sensor.axis_names, sensor.models, new, strict=True):
+                title = f"{name} {axis}".strip()
+                if title not in learnt if label == "arma" else before == after:
+                    kept.setdefault(title, []).append(label)
+    if not kept:
+        return ()
+    listed = "; ".join(f"{title} ({', '.join(labels)})" for title, labels in kept.items())
+    return (f"Too few readings, so vehicle.toml stands: {listed}.",)
 
 
 def learning_ends(tracks: Mapping[str, Track], mission: Mission) -> float:

@@ -84,7 +84,7 @@ def demo(options: argparse.Namespace) -> int:
     tracks = compare_command.replay_models(plan, vehicle, mission, options.quiet)
     _write(tracks["arma"], mission, folder, options.quiet)
     forward = {name: track.forward or track for name, track in tracks.items()}
-    comparison = compare_command.compare_tracks(forward, mission)
+    comparison = compare_command.compare_tracks(forward, mission, vehicle, plan.sensors)
     if not options.quiet:
         compare_command.print_comparison(comparison, mission)
     below = output_folder(folder / "comparison")

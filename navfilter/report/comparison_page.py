@@ -48,12 +48,10 @@ def write_comparison(
     return path
 
 
-def render_comparison(
-    comparison: Comparison, tracks: Tracks, mission: Mission, progress: Callable[[], Any] | None = None, remarks: tuple[str, ...] = ()
-) -> str:
+def render_comparison(comparison: Comparison, tracks: Tracks, mission: Mission, progress: Callable[[], Any] | None = None) -> str:
     """One HTML page with table and figures of all runs; no scripts, no links, nothing to load."""
     body = [heading_html("Result"), table_html(["", *comparison.runs], comparison.rows())]
-    body.append(f"<p>{escape(' '.join((*comparison.notes(), *remarks)))}</p>")
+    body.append(f"<p>{escape(' '.join(comparison.notes()))}</p>")
     for title, caption, figure in drawn(comparison, tracks, mission):
         if title:
             body.append(heading_html(title))
