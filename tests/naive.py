@@ -1,5 +1,7 @@
 """Readable NumPy twins of the kernels, one function of the same name per kernel, a section per kernel file."""
 
+import math
+
 import numpy as np
 from scipy.linalg import block_diag, expm
 from scipy.optimize import least_squares
@@ -671,3 +673,68 @@ def rts(records, P0):
         means.append(gain @ after)
         covariances.append(before + gain @ (covariance - predicted) @ gain.T)
     return means[::-1], covariances[::-1]
+
+
+def stationary(a, c, P):
+    m, g = len(a), c - a
+    M = np.eye(m, k=1)
+    M[:, 0] -= a
+    if m and np.abs(np.linalg.eigvals(M)).max() >= 1.0:
+        return False
+    P[:] = np.linalg.solve(np.eye(m * m) - np.kron(M, M), np.outer(g, g).ravel()).reshape(m, m)
+    return True
+
+
+def channel_filter(y, theta, Q, rules, e, lns):
+    r, m = len(Q), (len(theta) - 1) // 2
+    d, longest, clip, white = int(rules[0]), rules[1], rules[2], rules[3]
+    a, c, var = theta[:m], theta[m:-1], np.exp(2 * theta[-1])
+    F, W, start = np.zeros((r + m, r + m)), np.zeros((r + m, r + m)), np.zeros((r + m, r + m))
+    F[:r, :r] = [[1 / math.factorial(j - i) if j >= i else 0.0 for j in range(r)] for i in range(r)]
+    F[r:, r:] = np.eye(m, k=1)
+    F[r:, r] -= a
+    shared = np.r_[np.zeros(r), var * (c - a)]  # covariance of process and measurement noise
+    W[:r, :r], W[r:, r:] = Q, np.outer(shared, shared)[r:, r:] / var
+    h = np.isin(np.arange(r + m), (0, r)).astype(float)
+    unit = np.zeros((m, m))
+    if not stationary(a, c, unit):
+        return math.inf
+    start[r:, r:] = var * unit
+    total, gap, x, P, A, rows = 0.0, math.inf, None, None, None, []
+    for t in range(len(y)):
+        e[t], lns[t] = np.nan, 0.0
+        if np.isnan(y[t]):
+            gap += 1
+            if gap <= longest:
+                x, P, A = F @ x, F @ P @ F.T + W, F @ A
+            continue
+        if gap > longest:  # a new segment: drift diffuse (columns A), ARMA error stationary
+            x, P, A, rows = np.zeros(r + m), start, np.eye(r + m)[:, :d], []
+        gap = 0
+        v, S = y[t] - h @ x, h @ P @ h + var + white
+        K = (F @ P @ h + shared) / S
+        z = v / np.sqrt(S)
+        if len(rows) < d:
+            rows.append(np.r_[h @ A, v] / np.sqrt(S))
+            x, A, P = F @ x + K * v, F @ A - np.outer(K, h @ A), F @ P @ F.T + W - S * np.outer(K, K)
+            if len(rows) == d:
+                X = np.linalg.inv(np.array(rows)[:, :d])
+                x, P = x + A @ X @ np.array(rows)[:, d], P + A @ X @ X.T @ A.T
+            continue
+        e[t], lns[t] = z, np.log(S)
+        total += 0.5 * np.log(2 * np.pi * S) + (z * z / 2 if abs(z) <= clip else clip * abs(z) - clip**2 / 2)
+        x, P = F @ x + K * np.sqrt(S) * np.clip(z, -clip, clip), F @ P @ F.T + W - S * np.outer(K, K)
+    return total
+
+
+def channel_scores(y, theta, Q, rules, free, steps, E, LNS, info, gradient):
+    value = channel_filter(y, theta, Q, rules, E[0], LNS[0])
+    for i, (k, step) in enumerate(zip(free, steps, strict=True)):
+        channel_filter(y, theta + step * (np.arange(len(theta)) == k), Q, rules, E[i + 1], LNS[i + 1])
+        LNS[i + 1] = (LNS[i + 1] - LNS[0]) / step
+        E[i + 1] = (E[i + 1] - E[0]) / step + 0.5 * E[0] * LNS[i + 1]
+    known = np.isfinite(E[0])
+    z, dv, ds = E[0, known], E[1:, known], LNS[1:, known]
+    gradient[:] = (dv - 0.5 * z * ds) @ np.clip(z, -rules[2], rules[2]) + 0.5 * ds.sum(1)
+    info[:] = dv @ dv.T + 0.5 * ds @ ds.T
+    return value

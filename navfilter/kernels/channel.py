@@ -38,11 +38,13 @@ def stationary(a, c, P):
         _product(T, A, B, True)
         for i in range(m):
             for j in range(m):
+                if not abs(B[i, j]) < 1e300:
+                    return False
                 P[i, j] += B[i, j]
                 worst = max(worst, abs(B[i, j]))
                 top = max(top, abs(P[i, j]))
         if not worst > 1e-17 * top:
-            return worst == worst
+            return True
         _product(A, A, T, False)
         A[:, :] = T
     return False

@@ -31,6 +31,8 @@ SMALL = 0.05
 LEVEL_MEAN, LEVEL_SD = 0.3, 1.0
 # Scoring passes before the leader of several starts goes on alone.
 RACE = 2
+# Difference steps: poles that crowd near the circle leave it at a very small one.
+STEPS = (1e-6, -1e-6, 1e-7, -1e-7, 1e-8, -1e-8, 1e-9, -1e-9, 1e-10, -1e-10)
 DAMPING = (1e-6, 1e-3, 1e-2, 1e-1, 1.0, 10.0, 1e3)
 
 
@@ -115,7 +117,7 @@ class Likelihood:
         """Difference steps that stay where a stationary start exists."""
         steps = np.full(theta.size, 1e-6)
         for i in range(p):
-            for size in (1e-6, -1e-6, 1e-7, -1e-7, 1e-8, -1e-8, 1e-9, -1e-9):
+            for size in STEPS:
                 moved = theta[:p].copy()
                 moved[i] += size
                 steps[i] = size
