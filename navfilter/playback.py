@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 
 from navfilter.alignment import align
 from navfilter.channels import ChannelSeries, kind_of
+from navfilter.error_models import GaussMarkov
+from navfilter.learned import LearnedArma
 from navfilter.mechanisation import DeadReckoning
 from navfilter.mission import Mission
 from navfilter.navigator import Navigator
@@ -292,8 +294,16 @@ def residual_series(
 
 
 def warm_up() -> None:
-    """Compile every kernel of the navigator and the smoother by running a tiny mission (a few seconds the first time, then cached)."""
+    """Compile every kernel of navigator, smoother and learners by running tiny missions (half a minute the first time, then cached)."""
+    from navfilter.learning.channel import Drift
+    from navfilter.learning.learner import Learner
     from navfilter.simulation.simulate import tiny_missions
 
-    for vehicle, mission in tiny_missions():
+    missions = list(tiny_missions())
+    for vehicle, mission in missions:
         replay(vehicle, mission, smooth=True)
+    # a learner's first hop comes minutes into a dive: no place to compile
+    vehicle, mission = missions[0]
+    learned = LearnedArma(prior=GaussMarkov(sd=0.01, tau_s=10.0))
+    replay(vehicle.with_error(compass=learned), mission)
+    Learner(learned.orders, 400, Drift((1e-3, 1e-5), 0.25)).hop(np.random.default_rng(1).normal(size=400))
