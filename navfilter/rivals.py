@@ -156,7 +156,7 @@ def _fitted(kind: str, channel: ChannelSeries, prior: ErrorModel) -> ErrorModel:
     known = channel.value[np.isfinite(channel.value)]
     if known.size < LEAST or np.ptp(known) == 0.0:
         return prior
-    # What the vehicle file calls white belongs to the sensor and is to be fitted; what is white beyond it does not.
+    # White noise that stands beside a learnt part is the sensor's and to be fitted; what is known to be white beyond it is not.
     white = max(channel.white - known_white(prior, channel.period_s), 0.0)
     return _sum([*_split(prior)[0], _FITS[kind](channel, white)])
 
