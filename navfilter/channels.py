@@ -27,6 +27,8 @@ __all__ = ["Channel", "ChannelSeries", "Listener"]
 
 Array = NDArray[np.float64]
 GRAVITY = 9.81
+#: The newest readings are left out of what is learnt from, so that those that come late by as much change nothing [s].
+GUARD_S = 2.0
 #: A first try at learning needs so many ticks.
 FEWEST = 200
 NEVER = int(np.iinfo(np.int64).max)
@@ -174,11 +176,11 @@ class Listener:
         self.due = 0 if window else NEVER
         self._before_hop: tuple[Any, ...] = (-1, self.due, self.models, ())
 
-    def series(self, axis: int, last: int | None = None) -> Array:
-        """The last ticks of one axis, oldest first."""
+    def series(self, axis: int, last: int | None = None, without: int = 0) -> Array:
+        """The last ticks of one axis, oldest first, without the newest."""
         written, capacity = int(self.cursor[0]), self.ring.shape[1]
         n = min(written, capacity if last is None else last, capacity)
-        return np.ascontiguousarray(np.take(self.ring[axis], np.arange(written - n, written) % capacity))
+        return np.ascontiguousarray(np.take(self.ring[axis], np.arange(written - n, written - without) % capacity))
 
     def all_series(self) -> tuple[ChannelSeries, ...]:
         """What was heard, axis by axis."""
@@ -194,11 +196,9 @@ class Listener:
 
     def rewind(self) -> None:
         """Hear everything again from the start, without learning from it again."""
-        self.cursor[0], self.due = 0, NEVER
-
-    def resume(self) -> None:
-        """Learn again from here on."""
         self.due = int(self.cursor[0]) + self.hop if self.window else NEVER
+        self.cursor[0] = 0
+        self._before_hop = (-1, self.due, self.models, ())
 
     def mark(self) -> tuple[Any, ...]:
         """Where it stands, to `recall` within the few seconds that the ring keeps beyond its window."""
@@ -228,9 +228,10 @@ class Listener:
             if learner is not None:
                 learner.restore(kept)
 
-    def learn(self) -> tuple[ErrorModel, ...] | None:
-        """At a hop: the error models to adopt, or None when there is nothing new."""
+    def learn(self, behind_s: float) -> tuple[ErrorModel, ...] | None:
+        """At a hop: the error models to adopt, or None when there is nothing new; the last reading is `behind_s` behind the present."""
         written = int(self.cursor[0])
+        newest = min(max(0, round((GUARD_S - behind_s) / self.period_s)), written)
         kept = tuple(None if learner is None else learner.snapshot() for learner in self.learners)
         self._before_hop = (written, self.due, self.models, kept)
         self.due = written + self.hop
@@ -238,7 +239,7 @@ class Listener:
         for axis, (model, learner) in enumerate(zip(self.models, self.learners, strict=True)):
             part = learned_part(model)
             if part is not None and learner is not None:
-                found = learner.hop(self.series(axis, part.window))
+                found = learner.hop(self.series(axis, part.window + newest, newest))
                 if "starting" not in found.flags and found.is_stable and found.is_invertible:
                     model = with_learned(model, replace(part, model=found))
             new.append(model)

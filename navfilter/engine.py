@@ -365,7 +365,7 @@ class Engine:
 
     def _learn(self, channel: Channel) -> None:
         assert channel.listener is not None
-        models = channel.listener.learn()
+        models = channel.listener.learn(0.0)
         if models is not None:
             self.adopt(channel.name, models)
 
@@ -376,8 +376,12 @@ class Engine:
         again as if the models had been known.
         """
         early, self._early = self._early, None
-        found = {name: c.listener.learn() for name, c in self._channels.items() if c.listener is not None and c.listener.learns}
-        found = {name: models for name, models in found.items() if models is not None}
+        found: dict[str, Any] = {}
+        for name, channel in self._channels.items():
+            if channel.listener is not None and channel.listener.learns:
+                models = channel.listener.learn(self._revise_s - channel.ticked_s)
+                if models is not None:
+                    found[name] = models
         if not found or early is None:
             return
         for channel in self._channels.values():
@@ -386,9 +390,6 @@ class Engine:
         self._begin(self._in_force.with_error(**found))
         self.counts["adopted"] = len(found)
         self._again(early)
-        for channel in self._channels.values():
-            if channel.listener is not None:
-                channel.listener.resume()
 
     def _again(self, items: list[Array | tuple[Any, ...]]) -> None:
         """Feed inputs that were fed before."""

@@ -142,12 +142,13 @@ def _payload(nav: Navigator) -> bytes:
             items.append([])
             arrays[f"log/{i}"] = item
     early = nav._early[: memory.early] if nav._early is not None else []
-    beginning, arrays["early/samples"] = [], np.concatenate([np.empty((0, 7)), *(e for e in early if isinstance(e, np.ndarray))])
-    for item in early:
-        if isinstance(item, np.ndarray):
-            beginning.append(len(item))
+    beginning: list[Any] = []
+    arrays["early/samples"] = np.concatenate([np.empty((0, 7)), *(fed for fed in early if isinstance(fed, np.ndarray))])
+    for fed in early:
+        if isinstance(fed, np.ndarray):
+            beginning.append(len(fed))
         else:
-            name, time_s, value, sd, frozen = item
+            name, time_s, value, sd, frozen = fed
             beginning.append([name, time_s, np.ravel(value).tolist(), None if sd is None else np.ravel(sd).tolist(), frozen])
     now = memory.in_force
     parts = {name: getattr(now.drive, name) for name in ("gyro", "accel") if hasattr(now.drive, name)}
