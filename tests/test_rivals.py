@@ -124,7 +124,7 @@ def test_an_alternating_error_is_white_to_a_gauss_markov_fit(vehicle, mission, s
 
 
 def test_white_noise_beyond_the_sensor_is_not_charged_to_it(vehicle, mission, series):
-    """Of the known white variance, what stands beside a learnt part is the sensor's and fitted anew; the rest, a lever arm's, is taken off."""
+    """Of the known white variance, what stands beside a learnt part is fitted anew; the rest, a lever arm's, is taken off."""
     noise = np.hypot(0.03, 0.04) * np.random.default_rng(6).standard_normal(8000)
     series[0]["compass"] = (channel(noise, white=0.04**2 + 0.01**2),)
     with_white = vehicle.with_error(compass=nf.White(sd=0.01) + LearnedArma(prior=PRIOR))
