@@ -10,7 +10,7 @@ from small_run import small_run
 
 import navfilter as nf
 from navfilter.arma.model import ArmaModel
-from navfilter.comparison import _band, _independent, innovation_series, shown_unit
+from navfilter.consistency import chi_square_range, independent, innovation_series, shown_unit
 from navfilter.error_models import GaussMarkov
 from navfilter.learned import LearnedArma
 from navfilter.report.comparison_figures import adopted
@@ -125,7 +125,7 @@ def test_a_gap_leaves_room_in_the_series():
 @pytest.mark.parametrize("phi", [0.0, 0.9, 0.98])
 def test_correlated_errors_count_for_as_many_as_they_are_worth(phi):
     n = 20_000
-    found = np.median([_independent(coloured(phi, n, seed)) for seed in range(9)])
+    found = np.median([independent(coloured(phi, n, seed)) for seed in range(9)])
     # Squares of an AR(1) correlate as phi^2k: n (1 - phi^2) / (1 + phi^2) independent ones. The estimate thins to 4000 and ends its sum at
     # the first zero, so it is true to some 15 %.
     exact = n * (1.0 - phi**2) / (1.0 + phi**2)
@@ -136,7 +136,7 @@ def test_the_range_of_a_nees_holds_95_percent_of_honest_runs():
     inside = 0
     for seed in range(300):
         z = coloured(0.95, 1500, seed)
-        low, high = _band(_independent(z))
+        low, high = chi_square_range(independent(z))
         inside += low <= np.mean(z**2) <= high
     # 95 % of 300 with an sd of 1.3 %; the number of independent errors is itself estimated, which costs some per cent.
     assert 0.88 < inside / 300 <= 1.0

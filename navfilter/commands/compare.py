@@ -197,7 +197,7 @@ def compare_tracks(
 def _kept(tracks: Mapping[str, Track], vehicle: Vehicle, sensors: Sequence[str] | None) -> tuple[str, ...]:
     """One line on the axes for which a run was to have another model and had none, for want of readings."""
     from navfilter.channels import kind_of
-    from navfilter.comparison import shown_unit
+    from navfilter.consistency import shown_unit
     from navfilter.report.comparison_figures import adopted
 
     kept: dict[str, list[str]] = {}
