@@ -32,6 +32,7 @@ sys.path.insert(0, str(ROOT / "tests"))
 import faults_library as library  # noqa: E402
 import faults_run as watched  # noqa: E402
 
+import navfilter as nf  # noqa: E402
 from navfilter.alignment import align  # noqa: E402
 from navfilter.io import read_mission, read_vehicle  # noqa: E402
 from navfilter.sensors import Position  # noqa: E402
@@ -46,7 +47,7 @@ RECORDINGS = ("snapir-auv-1hz/01", "auv-lake-sea-10hz/20220625_0_0")
 def added(outcome: watched.Outcome, clean: watched.Outcome) -> Counter:
     """What was counted more often than without the fault, without the readings that were used."""
     more = outcome.counts - clean.counts
-    return Counter({name: n for name, n in more.items() if not name.endswith((":used", ":good", ":waiting"))})
+    return Counter({name: n for name, n in more.items() if not name.endswith((":used", " is good", " is waiting"))})
 
 
 def simulated_rows(kinds: Sequence[str], seeds: Sequence[int], one_by_one: bool) -> list[dict[str, Any]]:
@@ -185,6 +186,7 @@ def main() -> None:
     parser.add_argument("--one-by-one", action="store_true", help="samples of the drive one at a time")
     arguments = parser.parse_args()
     kinds = [name for name in library.KINDS if arguments.only in name]
+    nf.warm_up()
     seeds = [1] if arguments.quick else list(range(1, arguments.seeds + 1))
     print(f"{len(kinds)} kinds x {len(seeds)} seeds; NEES of position, velocity, attitude after recovery | before the first fix")
     print(f"{'kind':44s} {'crash':>5s} {'NaN':>3s} {'!PD':>3s}")

@@ -176,8 +176,8 @@ class Kind:
     apply : callable
         (events, scene, rng) to events.
     counted : tuple of str
-        Any of these must have been counted more often than without the fault: "role:outcome", "drive:counter" or "role:condition" (of the
-        health); empty where nothing needs to be.
+        Any of these must have been counted more often than without the fault: "role:outcome", "drive:counter" or "role is condition" (of
+        the health); empty where nothing needs to be.
     unseen : bool
         Nothing in the readings tells the fault from a motion or from honest noise, so that the state may be wrong while it lasts.
     """
@@ -226,7 +226,7 @@ def _drop_drive(events: Events, scene: Scene, rng: np.random.Generator) -> Event
     return [e for e in events if not (e.sensor == DRIVE and _inside(e, scene.window) and rng.random() < 0.9)]
 
 
-_each("silence", ROLES, lambda role: lambda events, scene, rng: silent(events, scene, role), "{}:silent")
+_each("silence", ROLES, lambda role: lambda events, scene, rng: silent(events, scene, role), "{} is silent")
 
 
 def _silent_drive(seconds: float) -> Fault:
@@ -242,7 +242,7 @@ KINDS["silence drive 5 s"] = Kind(_silent_drive(5.0), ("drive:gap",))
 KINDS["silence drive 30 s"] = Kind(_silent_drive(30.0), ("drive:gap",))
 
 
-@kind("silence of all corrections", "velocity:silent")
+@kind("silence of all corrections", "velocity is silent")
 def _only_drive(events: Events, scene: Scene, rng: np.random.Generator) -> Events:
     for role in ("heading", "velocity", "depth"):
         events = silent(events, scene, role)
@@ -343,9 +343,11 @@ KINDS["clock jumps forward 0.5 s"] = Kind(_clock(_names, 0.5, for_good=True), ("
 KINDS["clock jumps forward 5 s"] = Kind(_clock(_names, 5.0, for_good=True), ("drive:gap",))
 KINDS["clock jumps back 0.5 s"] = Kind(_clock(_names, -0.5, for_good=True), ("drive:backward",))
 KINDS["clock jumps back 5 s"] = Kind(_clock(_names, -5.0, for_good=True), ("drive:backward",))
-KINDS["clock leaps an hour ahead"] = Kind(_clock(_names, 3600.0, for_good=True), ("drive:gap", "drive:leap"))
-KINDS["clock leaps an hour back"] = Kind(_clock(_names, -3600.0, for_good=True), ("drive:backward", "drive:leap"))
-KINDS["clock leaps an hour ahead and returns"] = Kind(_clock(_names, 3600.0, for_good=False), ("drive:gap", "drive:backward", "drive:leap"))
+KINDS["clock leaps an hour ahead"] = Kind(_clock(_names, 3600.0, for_good=True), ("drive:gap", "drive:clock-set"))
+KINDS["clock leaps an hour back"] = Kind(_clock(_names, -3600.0, for_good=True), ("drive:backward", "drive:clock-set"))
+KINDS["clock leaps an hour ahead and returns"] = Kind(
+    _clock(_names, 3600.0, for_good=False), ("drive:gap", "drive:backward", "drive:clock-set")
+)
 KINDS["corrections 2 s ahead of the drive"] = Kind(_clock(_corrections, 2.0, for_good=False), ("velocity:ahead",))
 KINDS["corrections 0.2 s behind"] = Kind(_clock(_corrections, -0.2, for_good=False), ("velocity:too-late", "velocity:late-replayed"))
 KINDS["corrections an hour behind"] = Kind(_clock(_corrections, -3600.0, for_good=False), ("velocity:duplicate", "velocity:too-late"))
@@ -442,7 +444,7 @@ def _stuck(role: str, seconds: float = 1e9) -> Fault:
     return fault
 
 
-_each("stuck", ROLES, _stuck, "{}:stuck")
+_each("stuck", ROLES, _stuck, "{} is stuck")
 KINDS["stuck gyro and accel 5 s"] = Kind(
     lambda events, scene, rng: _stuck("accel", 5.0)(_stuck("gyro", 5.0)(events, scene, rng), scene, rng),
     ("drive:stuck", "drive:bad-sample", "drive:frozen"),
@@ -523,7 +525,7 @@ _each(
     ROLES,
     lambda role: lambda events, scene, rng: changed(events, scene, role, lambda v: v + _noise(role, v, rng)),
     "{}:rejected",
-    "{}:noisy",
+    "{} is noisy",
 )
 KINDS["noise x10 drive"] = Kind(
     lambda events, scene, rng: changed(

@@ -64,7 +64,7 @@ class Outcome:
     smallest : float
         Smallest eigenvalue of the covariance scaled to a unit diagonal, over the run.
     counts : Counter
-        By "role:outcome", "drive:counter", and seconds of "role:condition" (see `navfilter.health`).
+        By "role:outcome", "drive:counter", and seconds of "role is condition" (see `navfilter.health`).
     sent, answered : int
         Readings handed in, and outcomes that came back for them.
     states : list of (float, NavState)
@@ -118,7 +118,7 @@ def feed(nav: Navigator, events: Events, scene: Scene, *, check_s: float = 1.0, 
                 break
             _look(nav, last, outcome)
             for name, sensor in nav.health.sensors.items():
-                outcome.counts[f"{roles[name]}:{sensor.condition}"] += 1
+                outcome.counts[f"{roles[name]} is {sensor.condition}"] += 1
     _flush(nav, block, outcome)
     if last is not None:
         _look(nav, last, outcome)

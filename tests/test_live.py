@@ -1,0 +1,204 @@
+"""The vehicle's own loop: the same bits as a replay, nothing compiled under way, no memory gathered."""
+
+import itertools
+import json
+import math
+import os
+import subprocess
+import sys
+import tracemalloc
+
+import numba
+import numpy as np
+import pytest
+from faults_library import DRIVE, events_of
+
+import navfilter as nf
+from navfilter.simulation.scenarios import simulate_scenario
+
+
+def learning(vehicle):
+    """The survey vehicle with a compass whose error is learnt from the first minute on, in small windows."""
+    error = nf.LearnedArma(prior=vehicle.sensors["compass"].error, window=400, hop=50, orders=((1, 0), (1, 1)))
+    return vehicle.with_error(compass=error)
+
+
+@pytest.fixture(scope="module")
+def dive():
+    vehicle, mission = simulate_scenario("lawnmower", 4, 120.0)
+    vehicle = learning(vehicle)
+    return vehicle, mission, events_of(vehicle, mission)
+
+
+def one_by_one(nav, events):
+    for event in events:
+        if event.sensor == DRIVE:
+            nav.step(event.time_s, event.value[:3], event.value[3:])
+        else:
+            nav.correct(event.sensor, event.time_s, event.value)
+
+
+def in_blocks(nav, events, rng):
+    """Samples in blocks of random length, cut at every correction."""
+    block = []
+
+    def flush():
+        while block:
+            n = int(rng.integers(1, 13))
+            part = np.array(block[:n])
+            nav.step(part[:, 0], part[:, 1:4], part[:, 4:])
+            del block[:n]
+
+    for event in events:
+        if event.sensor == DRIVE:
+            block.append((event.time_s, *event.value))
+        else:
+            flush()
+            nav.correct(event.sensor, event.time_s, event.value)
+    flush()
+
+
+def test_live_one_by_one_in_blocks_and_replayed_are_the_same_bits(dive):
+    """With a history and without, while a compass is learnt: three ways to feed one mission."""
+    vehicle, mission, events = dive
+    live, blocks, bare = (nf.Navigator(vehicle, mission.start, history_s=s) for s in (2.0, 0.5, 0.0))
+    one_by_one(live, events)
+    in_blocks(blocks, events, np.random.default_rng(0))
+    one_by_one(bare, events)
+    assert live.counts["adopted"] >= 2
+    for other in (blocks, bare):
+        assert other.time_s == live.time_s and other.counts == live.counts
+        for name in ("_nav", "_x", "_P"):
+            np.testing.assert_array_equal(getattr(other, name), getattr(live, name), err_msg=name)
+
+
+def test_a_replay_ends_where_the_vehicle_was(dive):
+    vehicle, mission, events = dive
+    # a replay reads the whole mission before it starts: with models that are given it has nothing more to go by than the vehicle had
+    vehicle = vehicle.with_error(compass=nf.GaussMarkov(sd=0.01, tau_s=30.0) + nf.White(sd=0.002))
+    nav = nf.Navigator(vehicle, mission.start)
+    one_by_one(nav, events)
+    track = nf.replay(vehicle, mission, output_rate_hz=None)
+    state = nav.state
+    assert track.time_s[-1] == state.time_s
+    assert (track.latitude[-1], track.longitude[-1], track.height[-1]) == (state.latitude, state.longitude, state.height)
+    np.testing.assert_array_equal(track.velocity_n[-1], state.velocity_n)
+    np.testing.assert_array_equal(track.covariance[-1], nav._P[:9, :9])
+    np.testing.assert_array_equal(track.states[-1], nav._x)
+
+
+def test_a_snapshot_between_two_samples_changes_nothing(dive):
+    """Taken, thrown away and taken up again at any place: the run goes on to the same bits."""
+    vehicle, mission, events = dive
+    whole = nf.Navigator(vehicle, mission.start)
+    one_by_one(whole, events)
+    nav = nf.Navigator(vehicle, mission.start)
+    places = [0, 1, 2500, 9000, 9001, 12000, len(events)]
+    for begin, end in itertools.pairwise(places):
+        one_by_one(nav, events[begin:end])
+        nav = nf.Navigator.restore(vehicle, nav.snapshot())
+    np.testing.assert_array_equal(nav._nav, whole._nav)
+    np.testing.assert_array_equal(nav._x, whole._x)
+    np.testing.assert_array_equal(nav._P, whole._P)
+
+
+RUN = """
+import importlib, json, pathlib, sys
+sys.path.insert(0, {tests!r})
+import numpy as np
+import navfilter as nf
+from navfilter import kernels
+from faults_library import events_of
+from test_live import learning, one_by_one
+from navfilter.simulation.scenarios import simulate_scenario
+
+nf.warm_up()
+def signatures():
+    found = {{}}
+    for path in pathlib.Path(kernels.__file__).parent.glob("*.py"):
+        module = importlib.import_module("navfilter.kernels." + path.stem)
+        # private kernels are compiled into their callers
+        found |= {{f"{{path.stem}}.{{k}}": len(v.signatures) for k, v in vars(module).items() if hasattr(v, "signatures") and k[0] != "_"}}
+    return found
+warm = signatures()
+vehicle, mission = simulate_scenario("lawnmower", 4, 120.0)
+vehicle = learning(vehicle)
+# fixes come late, a compass reading in seven is lost, the drive is silent for a second: gaps, ticks to catch up, rewinding
+events = [e._replace(arrival_s=e.arrival_s + (0.8 if e.sensor == "gps" else 0.0)) for e in events_of(vehicle, mission)]
+events = [e for k, e in enumerate(sorted(events, key=lambda e: e.arrival_s)) if k % 7 or e.sensor != "compass"]
+events = [e for e in events if not (e.sensor == "drive" and 70.0 < e.time_s < 71.0)]
+nav = nf.Navigator(vehicle, mission.start)
+one_by_one(nav, events[:9000])
+nav.step_samples(np.array([(e.time_s, *e.value) for e in events[9000:9040] if e.sensor == "drive"]))
+nav = nf.Navigator.restore(vehicle, nav.snapshot())
+one_by_one(nav, events[9040:])
+nav.state, nav.health
+assert nav.counts["adopted"] >= 2 and nav.counts["gap"] >= 1 and nav.health.sensors["gps"].outcomes["late-replayed"] > 20
+print(json.dumps([warm, signatures()]))
+"""
+
+
+@pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled without the JIT")
+def test_nothing_is_compiled_under_way():
+    """Learning, late fixes, gaps, a snapshot: what `warm_up` compiled is all that runs, and each kernel in one form only."""
+    run = RUN.format(tests=os.path.dirname(__file__))
+    done = subprocess.run(
+        [sys.executable, "-c", run], capture_output=True, text=True, env={**os.environ, "NUMBA_DISABLE_JIT": "0"}, check=False
+    )
+    assert done.returncode == 0, done.stderr[-3000:]
+    warm, after = json.loads(done.stdout.splitlines()[-1])
+    assert {name: count for name, count in after.items() if count > 1} == {}
+    assert {name for name, count in after.items() if count and not warm[name]} == set()
+
+
+def circling(steps, begin=0):
+    """Samples one at a time and their corrections, for a vehicle that keeps going round, generated as they are fed."""
+    rng = np.random.default_rng(begin)
+    for k in range(begin + 1, begin + steps + 1):
+        noise = rng.normal(size=6)
+        yield DRIVE, 0.01 * k, (1e-3 * noise[0], 1e-3 * noise[1], 0.05), (0.01 * noise[3], 0.075, -9.806 + 0.01 * noise[5])
+        if k % 13 == 0:
+            yield "compass", 0.01 * k, (0.0005 * k + 0.01 * noise[0],), None
+        if k % 25 == 0:
+            yield "dvl", 0.01 * k, (1.5 + 0.01 * noise[0], 0.01 * noise[1], 0.01 * noise[2]), None
+        if k % 100 == 0:
+            yield "gps", 0.01 * k - 0.7, (0.7 + 1e-7 * noise[0], -1.2 + 1e-7 * noise[1], noise[2]), None
+
+
+def grown(steps):
+    """Python and NumPy memory [bytes] that a navigator gathers over so many steps, after as many as its learner's window holds."""
+    vehicle = nf.Vehicle(
+        imu=nf.Imu(rate_hz=100),
+        sensors={
+            "compass": nf.Heading(rate_hz=100 / 13, error=nf.LearnedArma(prior=nf.GaussMarkov(sd=0.01, tau_s=30.0), window=400, hop=200)),
+            "dvl": nf.BodyVelocity(rate_hz=4, error=nf.White(sd=0.01)),
+            "gps": nf.Position(rate_hz=1, error=nf.White(sd=50.0)),  # the circle of 30 m is not in the readings
+        },
+    )
+    nav = nf.Navigator(vehicle, nf.Start(latitude_deg=math.degrees(0.7), longitude_deg=math.degrees(-1.2), velocity_n=(1.5, 0.0, 0.0)))
+
+    def feed(events):
+        for name, time_s, first, second in events:
+            if name == DRIVE:
+                nav.step(time_s, first, second)
+            else:
+                nav.correct(name, time_s, first)
+
+    feed(circling(20_000))
+    tracemalloc.start()
+    try:
+        feed(circling(1000, 20_000))
+        before = tracemalloc.get_traced_memory()[0]
+        feed(circling(steps, 21_000))
+        return tracemalloc.get_traced_memory()[0] - before, nav
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.mark.parametrize("steps", [100_000, pytest.param(1_000_000, marks=pytest.mark.slow)])
+def test_memory_does_not_grow(steps):
+    size, nav = grown(steps)
+    assert nav.health.sensors["gps"].outcomes["late-replayed"] > steps // 200 and nav.counts["adopted"] > 0
+    # The history holds 2 s: 20 checkpoints of 30 kB. It breathes by one or two, whatever the number of steps; one float kept per step
+    # would be 2.4 MB.
+    assert size < 200_000
