@@ -113,8 +113,9 @@ class Capture:
 
     def rows(self):
         """Per track row: how many steps came before it, and the forward covariance."""
-        n = self.n
-        return [(count, self.tape.rows[i][17 + n - 9 :].reshape(n, n).copy()) for i, count in enumerate(self.tape.row_records)]
+        sizes = [self.tape.layouts[number].size for number in self.tape.row_layouts]
+        rows = zip(self.tape.row_records, sizes, strict=True)
+        return [(count, self.tape.rows[i][17 + n - 9 :].reshape(n, n).copy()) for i, (count, n) in enumerate(rows)]
 
     def smoothed(self):
         result = {}
@@ -126,22 +127,23 @@ def posterior(steps, P0, wanted, upto=None):
     """Mean and covariance of the error after the `wanted` steps, given the residuals of the first `upto` steps: one dense conditioning.
 
     The unknowns are the error at the start and the noises of all steps, so singular P0 and Q need no inverse. Extended precision, because
-    readings
-    without white noise make the covariance of the residuals nearly singular.
+    readings without white noise make the covariance of the residuals nearly singular. The number of states may change from step to step.
     """
     n, wide = len(P0), np.longdouble
-    size = n * (len(steps) + 1)
+    sizes = [n, *(len(step.Phi) for step in steps)]
+    ends = np.cumsum(sizes)
+    size = ends[-1]
     A, c = np.eye(n, size, dtype=wide), np.zeros(n, wide)  # the present error is A unknowns + c
     prior = [np.asarray(M, wide) for M in (P0, *[step.Q for step in steps])]
 
     def weigh(B):
         """B times the covariance of the unknowns, block by block."""
-        return np.hstack([B[:, n * k : n * (k + 1)] @ M for k, M in enumerate(prior)])
+        return np.hstack([B[:, end - len(M) : end] @ M for end, M in zip(ends, prior, strict=True)])
 
     kept, seen, gap, noise = {0: (A, c)}, [], [], []
     for k, step in enumerate(steps, 1):
-        used = n * (k + 1)
-        A = np.hstack([step.Phi @ A[:, : n * k], np.eye(n, dtype=wide), np.zeros((n, size - used), wide)])
+        n, used = sizes[k], ends[k]
+        A = np.hstack([step.Phi @ A[:, : ends[k - 1]], np.eye(n, dtype=wide), np.zeros((n, size - used), wide)])
         c = step.Phi @ c
         if step.H is not None:
             if upto is None or k <= upto:
@@ -220,14 +222,18 @@ def reckoning_vehicle(arma=True):
     )
 
 
-def drive_through(nav, seconds, seed, readings=("compass", "dvl", "depth", "gps")):
-    """Feed plausible readings at several rates, off the drive's clock, with missing ones, missing components and an outlier.
-
-    Gates are wide open but for the outlier: exactness does not need plausible readings.
-    """
-    rng, vehicle, begin = np.random.default_rng(seed), nav.vehicle, nav.start.state
+def open_gates(nav):
     for channel in nav._channels.values():
         channel.limits[1:] = 1e4
+
+
+def drive_through(nav, seconds, seed, readings=("compass", "dvl", "depth", "gps"), changes=()):
+    """Feed plausible readings at several rates, off the drive's clock, with missing ones, missing components and an outlier.
+
+    Gates are wide open but for the outlier: exactness does not need plausible readings. `changes`: (time, sensor, error model) to adopt.
+    """
+    rng, vehicle, begin, changes = np.random.default_rng(seed), nav.vehicle, nav.start.state, list(changes)
+    open_gates(nav)
     rate = vehicle.drive.rate_hz
     events = [(k / rate, "drive") for k in range(1, int(seconds * rate) + 1)]
     for name, offset in zip(readings, (0.013, 0.03, 0.0, 0.021), strict=False):
@@ -235,6 +241,9 @@ def drive_through(nav, seconds, seed, readings=("compass", "dvl", "depth", "gps"
             sensor = vehicle.sensors[name]
             events += [(k / sensor.rate_hz + offset, name) for k in range(int(seconds * sensor.rate_hz)) if rng.random() > 0.2]
     for time_s, name in sorted(events):
+        while changes and changes[0][0] <= time_s:
+            nav.adopt(*changes.pop(0)[1:])
+            open_gates(nav)
         turn = 0.2 * time_s
         if name == "drive":
             if nav._inertial:

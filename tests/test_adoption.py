@@ -1,0 +1,396 @@
+"""How states follow a change of the error model: `transfer`, `state_change`, the register, and `LearnedArma` itself."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy.linalg import solve_discrete_lyapunov
+from scipy.signal import lfilter
+
+import navfilter as nf
+from navfilter.adoption import state_change, transfer
+from navfilter.arma.model import ArmaModel
+from navfilter.layout import Layout
+from navfilter.learned import (
+    LARGEST_SPREAD,
+    LearnedArma,
+    known_walk,
+    known_white,
+    learned_part,
+    register_block,
+    register_labels,
+    resolve_prior,
+    with_learned,
+)
+
+PERIOD_S = 0.25
+
+
+def random_model(rng, p, q, sd=1.0, **more):
+    """Poles and zeros within radius 0.95, complex ones in pairs."""
+
+    def coefficients(n):
+        roots = []
+        while len(roots) < n:
+            if n - len(roots) > 1 and rng.random() < 0.6:
+                z = rng.uniform(0.2, 0.95) * np.exp(1j * rng.uniform(0.1, 3.0))
+                roots += [z, z.conjugate()]
+            else:
+                roots.append(rng.uniform(-0.95, 0.95))
+        return np.poly(roots).real[1:] if n else []
+
+    return ArmaModel(coefficients(p), coefficients(q), sd, **more)
+
+
+def learnt(model):
+    return LearnedArma(model=model)
+
+
+ORDERS = [(0, 0), (1, 0), (0, 1), (1, 1), (2, 1), (1, 3), (4, 2), (4, 4)]
+PAIRS = [(a, b) for a in ORDERS for b in ORDERS]
+
+
+# ---------------------------------------------------------------- the register
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_stationary_register_has_the_autocovariance_of_the_model(order):
+    model = random_model(np.random.default_rng(sum(order)), *order, sd=0.7)
+    block, lags = register_block(model), 12
+    expected = model.autocovariance(lags)
+    P, ours = block.P0, []
+    for _ in range(lags + 1):
+        ours.append(block.C @ P @ block.C + (block.r if not ours else 0.0))
+        P = block.Phi @ P
+    np.testing.assert_allclose(ours, expected[: lags + 1], rtol=0, atol=1e-10 * expected[0])
+    if block.size:
+        np.testing.assert_allclose(block.Phi @ block.P0 @ block.Phi.T + block.Q, block.P0, rtol=0, atol=1e-11 * block.P0.max())
+
+
+def test_register_reproduces_the_difference_equation_of_coefficients_that_jump():
+    """Same innovations: the register, its coefficients replaced on the way, against lfilter piece by piece with the true past."""
+    rng = np.random.default_rng(5)
+    models = [random_model(rng, 4, 2), random_model(rng, 4, 2), random_model(rng, 4, 2)]
+    e, k, q = rng.normal(size=90), 4, 2
+    state, out = np.zeros(k + q), []
+    for t in range(90):
+        block = register_block(models[t // 30])
+        g = np.zeros(k + q)
+        g[0] = g[k] = 1.0
+        assert np.array_equal(block.Q, np.outer(g, g) * models[0].sd ** 2)
+        state = block.Phi @ state + g * e[t]
+        out.append(block.C @ state)
+    y = np.zeros(90)
+    for t in range(90):
+        a, c = models[t // 30].ar, models[t // 30].ma
+        y[t] = e[t] + sum(c[j] * e[t - 1 - j] for j in range(q) if t > j) - sum(a[i] * y[t - 1 - i] for i in range(k) if t > i)
+    np.testing.assert_allclose(out, y, rtol=0, atol=1e-12 * np.abs(y).max())
+    np.testing.assert_allclose(out[:30], lfilter(np.r_[1, models[0].ma], np.r_[1, models[0].ar], e[:30]), rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("order", [(0, 0), (1, 0), (2, 1), (0, 2), (4, 4)])
+def test_an_uncertain_s0_raises_the_spectrum_at_zero(order):
+    """By exp(sd ln S(0)), at most `LARGEST_SPREAD`: however it is done, that much has to come out at frequency zero."""
+    plain = random_model(np.random.default_rng(9), *order)
+
+    def s0(model):
+        block = register_block(model)
+        if not block.size:
+            return block.r
+        gain = block.C @ np.linalg.inv(np.eye(block.size) - block.Phi)
+        return gain @ block.Q @ gain
+
+    for spread, counted in ((0.0, 0.0), (0.3, 0.3), (9.0, LARGEST_SPREAD)):
+        raised = dataclasses.replace(plain, sd_log_s0=spread)
+        np.testing.assert_allclose(s0(raised) / s0(plain), np.exp(counted), rtol=1e-9)
+
+
+# ---------------------------------------------------------------- transfer of one axis
+
+
+def joint(old, new):
+    """Stationary covariance of the new register, and which elements it shares with the old one: what the change is to condition on."""
+    labels, have = register_labels(new), register_labels(old)
+    return register_block(new).P0, [i for i, label in enumerate(labels) if label in have]
+
+
+def test_equal_models_keep_their_states_exactly():
+    rng = np.random.default_rng(0)
+    for order in ORDERS:
+        model = learnt(random_model(rng, *order))
+        for error in (model, nf.RandomWalk(density=1.0) + model, nf.White(sd=0.1) + nf.GaussMarkov(sd=1.0, tau_s=3.0, order=2)):
+            M, N = transfer(error, error, PERIOD_S)
+            np.testing.assert_array_equal(M, np.eye(len(M)))
+            np.testing.assert_array_equal(N, np.zeros_like(M))
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_the_same_order_keeps_its_states_whatever_the_coefficients(order):
+    rng = np.random.default_rng(1)
+    M, N = transfer(learnt(random_model(rng, *order)), learnt(random_model(rng, *order, sd=5.0)), PERIOD_S)
+    np.testing.assert_array_equal(M, np.eye(len(M)))
+    np.testing.assert_array_equal(N, np.zeros_like(M))
+
+
+@pytest.mark.parametrize(("before", "after"), PAIRS)
+def test_what_both_registers_hold_stays_and_the_rest_is_drawn_given_it(before, after):
+    """M and N are the conditional mean and covariance of the new model's stationary register, by a dense conditioning of its joint."""
+    rng = np.random.default_rng(10 * sum(before) + sum(after))
+    old, new = random_model(rng, *before), random_model(rng, *after, sd=1.7)
+    M, N = transfer(learnt(old), learnt(new), PERIOD_S)
+    P, shared = joint(old, new)
+    have = register_labels(old)
+    assert M.shape == (len(P), len(have))
+    picked = np.eye(len(have))[[have.index(register_labels(new)[i]) for i in shared]].reshape(len(shared), len(have))
+    if shared:
+        G = np.linalg.solve(P[np.ix_(shared, shared)], P[shared]).T
+        scale = np.sqrt(np.diag(P))
+        np.testing.assert_allclose(M, G @ picked, rtol=0, atol=1e-8 * scale.max())
+        np.testing.assert_allclose(N / np.outer(scale, scale), (P - G @ P[shared]) / np.outer(scale, scale), rtol=0, atol=1e-8)
+        np.testing.assert_allclose(M[shared], picked, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(N[shared], 0.0, rtol=0, atol=1e-9 * P.max())
+    else:
+        np.testing.assert_array_equal(N, P)
+        np.testing.assert_array_equal(M, 0.0)
+
+
+@pytest.mark.parametrize(("before", "after"), [(a, b) for a, b in PAIRS if sum(a) and sum(b)])
+def test_the_present_error_neither_jumps_nor_loses_its_variance(before, after):
+    rng = np.random.default_rng(sum(before) - sum(after) + 40)
+    old, new = learnt(random_model(rng, *before)), learnt(random_model(rng, *after))
+    (M, N), C_old, C_new = transfer(old, new, PERIOD_S), old.block(PERIOD_S).C, new.block(PERIOD_S).C
+    np.testing.assert_allclose(C_new @ M, C_old, rtol=0, atol=1e-9)
+    assert abs(C_new @ N @ C_new) < 1e-9 * new.block(PERIOD_S).P0[0, 0]
+
+
+@pytest.mark.parametrize("white", [0.0, 0.3])
+@pytest.mark.parametrize("order", [(1, 0), (2, 1), (4, 4)])
+def test_a_prior_hands_over_its_present_error(order, white):
+    """A fixed model's output becomes the register's value; the white part of it is not known."""
+    coloured = nf.GaussMarkov(sd=1.3, tau_s=2.0, order=2)
+    prior = coloured + nf.White(sd=white)
+    old, new = LearnedArma(prior=prior), LearnedArma(prior=prior, model=random_model(np.random.default_rng(3), *order))
+    M, N = transfer(old, new, PERIOD_S)
+    C_old, C_new = old.block(PERIOD_S).C, new.block(PERIOD_S).C
+    np.testing.assert_allclose(C_new @ M, C_old, rtol=0, atol=1e-12)
+    assert C_new @ N @ C_new == pytest.approx(white**2, abs=1e-12)
+    P = new.block(PERIOD_S).P0
+    g = P[:, 0] / P[0, 0]
+    expected = P - np.outer(g, g) * P[0, 0] + white**2 * np.outer(g, g)
+    np.testing.assert_allclose(N, expected, rtol=0, atol=1e-9 * P.max())
+
+
+def test_noise_of_a_change_is_positive_semidefinite():
+    rng = np.random.default_rng(7)
+    for _ in range(200):
+        (p, q), (r, s) = rng.integers(0, 6, size=2), rng.integers(0, 6, size=2)
+        old, new = random_model(rng, p, q, sd=rng.uniform(0.1, 10)), random_model(rng, r, s, sd=rng.uniform(0.1, 10))
+        N = transfer(learnt(old), learnt(new), PERIOD_S)[1]
+        np.testing.assert_array_equal(N, N.T)
+        if len(N):
+            values = np.linalg.eigvalsh(N)
+            assert values.min() >= -1e-12 * max(np.abs(values).max(), 1e-300)
+
+
+def test_parts_beside_the_learnt_one_keep_their_states():
+    walk, markov = nf.RandomWalk(density=0.1), nf.GaussMarkov(sd=1.0, tau_s=2.0)
+    rng = np.random.default_rng(2)
+    old, new = random_model(rng, 2, 1), random_model(rng, 3, 1)
+    M, N = transfer(walk + learnt(old) + markov, walk + learnt(new) + markov, PERIOD_S)
+    inner, noise = transfer(learnt(old), learnt(new), PERIOD_S)
+    assert M.shape == (1 + 4 + 1, 1 + 3 + 1)
+    np.testing.assert_array_equal(M[1:5, 1:4], inner)
+    np.testing.assert_array_equal(N[1:5, 1:5], noise)
+    assert M[0, 0] == M[5, 4] == 1.0
+    assert np.count_nonzero(M[0]) == np.count_nonzero(M[5]) == 1 and not N[0].any() and not N[5].any()
+
+
+def test_a_part_that_is_new_starts_like_at_the_start():
+    walk = nf.RandomWalk(density=0.1, start_sd=0.7)
+    M, N = transfer(nf.White(sd=1.0), nf.White(sd=1.0) + walk, PERIOD_S)
+    assert M.shape == (1, 0) and N == pytest.approx(np.array([[0.49]]))
+
+
+# ---------------------------------------------------------------- all states of a vehicle
+
+
+def vehicle_with(compass, dvl):
+    return nf.Vehicle(
+        imu=nf.Imu(rate_hz=100.0),
+        sensors={
+            "dvl": nf.BodyVelocity(rate_hz=4.0, error=dvl, scale_sd=0.01, misalignment_sd_rad=0.01),
+            "compass": nf.Heading(rate_hz=8.0, error=compass, bias_sd_rad=0.02),
+        },
+    )
+
+
+def test_state_change_leaves_everything_else_alone():
+    rng = np.random.default_rng(4)
+    models = [random_model(rng, p, q) for p, q in ((2, 1), (1, 0), (0, 0), (3, 2))]
+    old = vehicle_with(nf.GaussMarkov(sd=0.01, tau_s=30.0), (learnt(models[0]), learnt(models[1]), learnt(models[2])))
+    new = vehicle_with(nf.GaussMarkov(sd=0.01, tau_s=30.0), (learnt(models[3]), learnt(models[1]), learnt(models[0])))
+    before, after = Layout.of(old), Layout.of(new)
+    M, N = state_change(before, old, after, new)
+    assert M.shape == (after.size, before.size) and N.shape == (after.size, after.size)
+    changed = {name for name in after.names if name.startswith(("dvl_x[", "dvl_z["))}
+    for i, name in enumerate(("",) * 9 + after.names):
+        if name in changed:
+            continue
+        j = i if i < 9 else 9 + before.names.index(name)
+        assert M[i, j] == 1.0 and np.count_nonzero(M[i]) == 1, name
+        assert not N[i].any() and not N[:, i].any()
+    x = slice(after.groups["dvl"].start, after.groups["dvl"].start + 5)
+    np.testing.assert_array_equal(N[x, x], transfer(learnt(models[0]), learnt(models[3]), 0.25)[1])
+
+
+def test_the_predicted_reading_does_not_jump():
+    """Adopting other coefficients in the middle of a run leaves the state as it is, and the estimated errors of equal order too."""
+    rng = np.random.default_rng(6)
+    nav = nf.Navigator(
+        vehicle_with(learnt(random_model(rng, 2, 1, sd=0.01)), nf.White(sd=0.05)), nf.Start(latitude_deg=45.0, longitude_deg=0)
+    )
+    for k in range(1, 401):
+        nav.step(0.01 * k, [0.0, 0.0, 0.0], [0.0, 0.0, -9.8])
+        if k % 25 == 0:
+            nav.correct("compass", 0.01 * k, 0.02 * rng.normal())
+    position, errors = nav.state, nav.errors
+    nav.adopt("compass", learnt(random_model(rng, 2, 1, sd=0.03)))
+    assert nav.errors == errors
+    nav.adopt("compass", learnt(random_model(rng, 4, 2, sd=0.03)))
+    assert nav.errors["compass[0]"] == pytest.approx(errors["compass[0]"], rel=1e-9)
+    np.testing.assert_array_equal(nav.state.minus(position), np.zeros(9))
+    np.testing.assert_allclose(nav.state.covariance, position.covariance, rtol=1e-12, atol=1e-20)
+    assert nav.counts["adopted"] == 2
+    with pytest.raises(ValueError, match="sonar"):
+        nav.adopt("sonar", nf.White(sd=1.0))
+    with pytest.raises(ValueError, match="needs one error model"):
+        nav.adopt("compass", "white")
+
+
+# ---------------------------------------------------------------- LearnedArma as a value
+
+
+@pytest.mark.parametrize(
+    ("wrong", "says"),
+    [
+        ({"orders": ()}, "orders"),
+        ({"orders": ((1, -1),)}, "orders"),
+        ({"orders": ((11, 0),)}, "orders"),
+        ({"window": 199}, "window"),
+        ({"hop": 0}, "hop"),
+        ({"prior": "white"}, "prior"),
+        ({"prior": LearnedArma()}, "prior"),
+        ({"prior": nf.White(sd=1.0) + LearnedArma()}, "prior"),
+        ({"model": ArmaModel([-1.0], [], 1.0)}, "stable.*1.0000"),
+        ({"model": ArmaModel([-2.0, 1.1], [], 1.0)}, "stable"),
+    ],
+)
+def test_impossible_descriptions_are_refused(wrong, says):
+    with pytest.raises(ValueError, match=says):
+        LearnedArma(**wrong)
+
+
+def test_orders_are_sorted_and_each_counts_once():
+    assert LearnedArma(orders=[(2, 1), (1, 0), (2, 1), (0, 0), (1, 1)]).orders == ((0, 0), (1, 0), (1, 1), (2, 1))
+
+
+def test_block_is_that_of_the_model_else_of_the_prior():
+    prior = nf.GaussMarkov(sd=1.0, tau_s=3.0)
+    model = ArmaModel([-0.5, 0.2], [0.3], 0.4)
+    assert LearnedArma(prior=prior).block(PERIOD_S).size == 1
+    assert LearnedArma(prior=prior, model=model).block(PERIOD_S).size == 3
+    with pytest.raises(ValueError, match="prior"):
+        LearnedArma().block(PERIOD_S)
+    assert str(LearnedArma(prior=prior, model=model)) == "LearnedArma(2, 1)"
+    assert "GaussMarkov" in str(LearnedArma(prior=prior))
+
+
+def test_the_learnt_part_of_a_sum():
+    learned, white = LearnedArma(), nf.White(sd=0.1)
+    assert learned_part(white) is None and learned_part(learned) is learned and learned_part(white + learned) is learned
+    with pytest.raises(ValueError, match="one LearnedArma"):
+        learned_part(learned + LearnedArma(window=500))
+    other = LearnedArma(window=777)
+    assert with_learned(learned, other) is other
+    assert with_learned(white + learned + white, other) == white + other + white
+    assert with_learned(white, other) is white
+
+
+def test_a_prior_is_filled_in_only_where_there_is_neither_prior_nor_model():
+    prior, own, white = nf.GaussMarkov(sd=1.0, tau_s=3.0), nf.White(sd=2.0), nf.White(sd=0.1)
+    adopted = LearnedArma(model=ArmaModel([], [], 1.0))
+    given = (white, LearnedArma(), LearnedArma(prior=own), adopted, white + LearnedArma(window=500))
+    expected = (white, LearnedArma(prior=prior), LearnedArma(prior=own), adopted, white + LearnedArma(prior=prior, window=500))
+    assert resolve_prior(given, prior) == expected
+    sensor = nf.Heading(rate_hz=8.0, error=LearnedArma())
+    assert learned_part(sensor.models[0]).prior == nf.Heading.prior
+    imu = nf.Imu(rate_hz=100.0, gyro=LearnedArma())
+    assert all(learned_part(model).prior is not None for model in imu.models[:3])
+
+
+def test_what_is_known_beside_the_learnt_part():
+    learned, white, walk = LearnedArma(), nf.White(sd=0.1) + nf.White(density=0.2), nf.RandomWalk(density=3.0) + nf.RandomWalk(density=4.0)
+    assert known_white(white + learned, 0.25) == pytest.approx(0.01 + 0.16)
+    assert known_white(white, 0.25) == 0.0  # a belief about the sensor, not knowledge
+    assert known_walk(walk + learned) == pytest.approx(5.0)
+    assert known_walk(learned) == 0.0
+
+
+# ---------------------------------------------------------------- the track
+
+
+@pytest.mark.parametrize("smooth", [False, True])
+def test_states_that_appear_and_vanish_are_nan_on_the_track(smooth):
+    """state_names is the union over time, each sensor's states together; a state that does not exist is NaN, never a stale number."""
+    from navfilter.playback import _smoothed, _track
+    from navfilter.tape import Tape
+
+    vehicle = nf.Vehicle(
+        imu=nf.Imu(rate_hz=20.0),
+        sensors={
+            "compass": nf.Heading(rate_hz=4.0, error=nf.White(sd=0.02), bias_sd_rad=0.01),
+            "depth": nf.Depth(rate_hz=2.0, error=nf.GaussMarkov(sd=0.1, tau_s=5.0)),
+        },
+    )
+    tape = Tape(None, smoothable=smooth)
+    nav = nf.Navigator(vehicle, nf.Start(latitude_deg=45.0, longitude_deg=0.0), tape)
+    two, four = learnt(ArmaModel([-0.5], [0.2], 0.02)), learnt(ArmaModel([-0.5, 0.1], [0.2, 0.1], 0.02))
+    changes = {5.0: two, 10.0: four, 15.0: nf.White(sd=0.02)}
+    for k in range(1, 401):
+        time_s = k / 20.0
+        nav.step(time_s, [0.0, 0.0, 0.0], [0.0, 0.0, -9.8])
+        if k % 5 == 0:
+            nav.correct("compass", time_s, 0.01)
+        if k % 10 == 0:
+            nav.correct("depth", time_s, 0.05)
+        if time_s in changes:
+            nav.adopt("compass", changes[time_s])
+    track = _track("forward", nav, tape, "t", 0.0)
+    if smooth:
+        track = _smoothed(track, nav, tape, 0.0, False)
+    assert len(set(track.state_names)) == len(track.state_names) == len(track.state_units)
+    compass = [name for name in track.state_names if name.startswith("compass")]
+    assert set(compass) == {f"compass[{i}]" for i in range(4)} | {"compass.bias", *(c for c in compass if "." in c)}
+    places = [track.state_names.index(name) for name in compass]
+    assert places == list(range(places[0], places[0] + len(places)))  # side by side, though they came later than those of the depth
+    t = track.time_s
+    for name, begin, end in (("compass[0]", 5, 15), ("compass[1]", 5, 15), ("compass[2]", 10, 15), ("compass[3]", 10, 15)):
+        value, sd = track.state(name)
+        exists = np.isfinite(value)
+        np.testing.assert_array_equal(exists, np.isfinite(sd))
+        np.testing.assert_array_equal(exists, (t >= begin) & (t < end))
+    for name in ("compass.bias", "depth[0]"):
+        assert np.isfinite(track.state(name)[0]).all() and np.isfinite(track.state(name)[1]).all()
+    assert track.error_models["compass"] == [(0.0, nf.White(sd=0.02)), *changes.items()]
+    assert np.isfinite(track.latitude).all() and np.isfinite(track.covariance).all()
+
+
+def test_cautious_models_stay_stable():
+    rng = np.random.default_rng(11)
+    for _ in range(100):
+        p, q = rng.integers(0, 5, size=2)
+        block = register_block(random_model(rng, p, q, sd_log_s0=rng.uniform(0.0, 5.0)))
+        if block.size:
+            assert np.abs(np.linalg.eigvals(block.Phi)).max() < 1.0
+            P = solve_discrete_lyapunov(block.Phi, block.Q)
+            np.testing.assert_allclose(block.P0, P, rtol=0, atol=1e-9 * P.max())
