@@ -16,7 +16,7 @@ from navfilter.intake import Intake
 from navfilter.kernels import kalman, listen, strapdown
 from navfilter.layout import Layout
 from navfilter.learned import learned_part
-from navfilter.sensors import ZeroVelocity
+from navfilter.sensors import Depth, ZeroVelocity
 from navfilter.start import Start
 from navfilter.state import NavState
 from navfilter.tape import OUTCOMES, Tape
@@ -54,6 +54,8 @@ class Outcome(NamedTuple):
         return self.status == "used"
 
 
+#: What may be wrong with a state that all sensors contradict: velocity [m/s], roll, pitch and heading [rad].
+OPEN_SPEED, OPEN_ATTITUDE = 2.0, np.array([0.1, 0.1, 1.0])
 _NO_RING, _NO_CURSOR, _NO_MOUNT = np.zeros((1, 1)), np.zeros(1, np.int64), np.zeros(9)
 
 
@@ -125,7 +127,7 @@ class Engine:
         state = self.start.state
         self._time_s = self._sample_s = state.time_s
         self._nav, self._unfolded = state.pack(), 0
-        self.counts = dict.fromkeys(("gap", "backward", "bad-sample", "clock-set", "widened", "adopted"), 0)
+        self.counts = dict.fromkeys(("gap", "backward", "bad-sample", "clock-set", "widened", "opened", "adopted"), 0)
         self.intake = Intake(vehicle.drive, state.time_s, self.counts)
         listeners = {name: channel.listener for name, channel in self._channels.items()}
         self._channels = {}
@@ -281,6 +283,8 @@ class Engine:
         widened = False
         if used:
             channel.rejected_since_s = math.nan
+        elif dof and math.isfinite(nis) and self._at_fault(channel, time_s, frozen):
+            self._open()
         elif dof and math.isfinite(nis) and not frozen:
             widened = self._widen(channel, time_s, nis, int(dof))
         if self._listening:
@@ -297,6 +301,36 @@ class Engine:
         if dof == 0 or not math.isfinite(nis):
             return self._note(channel, time_s, "invalid")
         return self._note(channel, time_s, "rejected", nis, int(dof))
+
+    def _at_fault(self, channel: Channel, time_s: float, frozen: bool) -> bool:
+        """Whether it is the state that is wrong: two sensors or more have been rejected for half their time-outs, and none was used since."""
+        if math.isnan(channel.rejected_since_s):
+            channel.rejected_since_s = time_s
+        if frozen:
+            return False
+        against = 0
+        for other in self._channels.values():
+            heard = time_s - other.last_s < max(5.0, 3.0 * other.period_s)
+            if heard and time_s - other.rejected_since_s > 0.5 * other.sensor.gate_timeout_s:
+                against += 1
+            elif heard and math.isnan(other.rejected_since_s) and not isinstance(other.sensor, Depth):
+                return False
+        return against > 1
+
+    def _open(self) -> None:
+        """Give up what is known of attitude, velocity, position and the drive's errors, so that the sensors can say it again."""
+        largest = np.zeros(9)
+        for channel in self._channels.values():
+            if not math.isnan(channel.rejected_since_s):
+                seen = np.abs(channel.near[:, :3]).max(axis=0) > 0.5
+                residual = np.nanmax(np.abs(channel.note[3 : 3 + channel.sensor.axes]), initial=0.0)
+                largest[:3] = np.maximum(largest[:3], np.where(seen, residual, 0.0))
+                channel.rejected_since_s = math.nan
+        spread = np.concatenate([largest[:3] + 10.0, np.full(3, OPEN_SPEED), OPEN_ATTITUDE])
+        self._P[range(9), range(9)] += spread**2
+        drive = self.layout.drive
+        self._P[drive.slice, drive.slice] += drive.P0
+        self.counts["opened"] += 1
 
     def _widen(self, channel: Channel, time_s: float, nis: float, dof: int) -> bool:
         """After a long series of rejections the gate doubles, and again; True when that lets the reading in."""
@@ -319,6 +353,7 @@ class Engine:
         first = channel.group.start - 9
         channel.res += channel.C @ self._x[first : first + channel.group.errors]  # `update` takes it off again
         channel.res[~channel.H.any(axis=1)] = np.nan
+        channel.R *= max(1.0, nis / limit)  # let in, but not believed more than the gate would have
         kalman.update(self._P, self._nav, self._x, channel.C, channel.R, channel.mem, channel.dims, np.full(a + 1, np.inf))
         channel.rejected_since_s = math.nan
         self.counts["widened"] += 1

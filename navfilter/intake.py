@@ -19,9 +19,9 @@ Array = NDArray[np.float64]
 class Intake:
     """What is known of the drive's clock.
 
-    Stamps must rise. One that does not is dropped, and so is a single stamp far ahead (`LONGEST_S`), until the next one confirms it. When
-    the stamps of a whole second follow each other but lie before the last good one, the clock has been set back: from then on all stamps
-    are moved by `offset_s`, so that time goes on; when the clock is put right again the offset goes.
+    Stamps must rise. One that does not is dropped, and so is a stamp more than `DOUBT_S` ahead, unless the very next one confirms it. A
+    confirmed leap of more than `LONGEST_S`, or stamps that follow each other for a quarter of a second but lie before the last good one, mean
+    that the clock has been set: from then on all stamps are moved by `offset_s`, so that time goes on, and back when it is put right again.
 
     Parameters
     ----------
@@ -31,13 +31,19 @@ class Intake:
         Counters "gap", "backward", "bad-sample", "clock-set".
     """
 
-    #: A step of the drive longer than this must be confirmed by a second sample, and counts as this long [s].
+    #: A stamp so far ahead must be confirmed by the next one [s].
+    DOUBT_S = 1.0
+    #: A leap of the stamps by more than this is one of the clock [s].
     LONGEST_S = 600.0
+    #: Bad samples in a row that are replaced by the last good one; what comes after is missing.
+    REPEATED = 3
 
     def __init__(self, drive: Mechanisation, start_s: float, counts: dict[str, int]) -> None:
         self.counts, self._period_s, self._limits = counts, drive.period_s, drive.limits()
         self._gap_s = strapdown.GAP_PERIODS * self._period_s
-        self._confirm = max(3, round(drive.rate_hz))
+        self._doubt_s = max(self.DOUBT_S, 10.0 * self._period_s)
+        self._confirm = max(5, round(0.25 * drive.rate_hz))
+        self._bad = 0
         self._previous = strapdown.PREVIOUS if "imu" in drive.streams else strapdown.PREVIOUS_RPY
         self.before_s = math.nextafter(start_s, -math.inf)  # the first sample may come at the start itself
         self._doubtful_s = -math.inf  # a stamp far ahead, dropped until the next one confirms it
@@ -47,81 +53,85 @@ class Intake:
     @property
     def clock(self) -> tuple[float, ...]:
         """What it remembers."""
-        return self.before_s, self._doubtful_s, self._back_s, float(self._back_count), self.offset_s
+        return self.before_s, self._doubtful_s, self._back_s, float(self._back_count), self.offset_s, float(self._bad)
 
     @clock.setter
     def clock(self, values: tuple[float, ...]) -> None:
-        self.before_s, self._doubtful_s, self._back_s, count, self.offset_s = values
-        self._back_count = int(count)
+        self.before_s, self._doubtful_s, self._back_s, count, self.offset_s, bad = values
+        self._back_count, self._bad = int(count), int(bad)
 
     def take(self, samples: Array, drv: Array, at_rest: Callable[[], Array], whole: bool) -> tuple[Array, Array]:
         """Steps in place of stamps (first column), and the stamps: all of them, or only the last one if the block is taken `whole`."""
         if self.offset_s:
             samples[:, 0] += self.offset_s
         stamps = samples[-1:, 0].copy() if whole else samples[:, 0].copy()
-        gaps = strapdown.stamps_to_steps(samples, self.before_s, self._limits, self._gap_s, self.LONGEST_S)
+        gaps = strapdown.stamps_to_steps(samples, self.before_s, self._limits, self._gap_s, self._doubt_s)
         if gaps < 0:
             return self._mend(samples, drv, at_rest)
-        if gaps:
-            self.counts["gap"] += gaps
-            if self.offset_s and self._put_right(samples, stamps, whole):
-                return self.take(samples, drv, at_rest, whole)
+        self.counts["gap"] += gaps
+        self._doubtful_s, self._back_count, self._bad = -math.inf, 0, 0
         return samples, stamps
 
-    def _put_right(self, samples: Array, stamps: Array, whole: bool) -> bool:
-        """Whether the clock has been put right again after it was set back: the first step is the offset, give or take a second."""
-        if abs(samples[0, 0] - self.offset_s) > 1.0:
-            return False
-        samples[:, 0] = np.cumsum(samples[:, 0]) + self.before_s - self.offset_s
-        self.counts["gap"] -= 1
-        self.counts["clock-set"] += 1
-        self.offset_s = 0.0
-        return True
-
     def _mend(self, samples: Array, drv: Array, at_rest: Callable[[], Array]) -> tuple[Array, Array]:
-        """Drop samples that do not come after the last one, repair what is not possible; returns steps and stamps."""
+        """Drop samples whose stamps cannot be, repair values that cannot be; returns steps and stamps."""
+        possible = (np.abs(samples[:, 1 : 1 + len(self._limits)]) <= self._limits).all(axis=1)
         keep, before, shift = np.zeros(len(samples), bool), self.before_s, 0.0
         for i, stamp in enumerate(samples[:, 0].tolist()):
             stamp += shift
             if not (math.isfinite(stamp) and stamp > before):
                 moved = self._set_back(stamp, before)
-                if not moved:
-                    continue
-                shift += moved
-                stamp += moved
-            if stamp - before > self.LONGEST_S and not 0.0 < stamp - self._doubtful_s <= self.LONGEST_S:
-                self._doubtful_s = stamp
+            elif stamp - before > self._doubt_s:
+                moved = self._leap(stamp, before)
+            else:
+                moved = 0.0
+                self._doubtful_s = -math.inf
+            if math.isnan(moved):
+                self.counts["backward"] += 1
+                continue
+            shift, self.offset_s, stamp = shift + moved, self.offset_s + moved, stamp + moved
+            self._back_count = 0
+            self._bad = 0 if possible[i] else self._bad + 1
+            if not possible[i]:
+                self.counts["bad-sample"] += 1
+            if self._bad > self.REPEATED:
                 continue
             samples[i, 0] = stamp
             keep[i], before = True, stamp
-        self.counts["backward"] += int(np.count_nonzero(~keep))
         samples = np.ascontiguousarray(samples[keep])
-        self._repair(samples[:, 1 : 1 + len(self._limits)], drv, at_rest)
+        self._repair(samples[:, 1 : 1 + len(self._limits)], ~possible[keep], drv, at_rest)
         stamps = samples[:, 0].copy()
         steps = np.diff(stamps, prepend=self.before_s)
         self.counts["gap"] += int(np.count_nonzero(steps > self._gap_s))
-        samples[:, 0] = np.minimum(steps, self.LONGEST_S)
+        samples[:, 0] = steps
         return samples, stamps
 
+    def _leap(self, stamp: float, before: float) -> float:
+        """What to add to a stamp far ahead: NaN while it is in doubt, 0 for a gap, else by how much the clock has been set."""
+        confirmed = 0.0 < stamp - self._doubtful_s <= self._doubt_s
+        self._doubtful_s = stamp
+        if not confirmed:
+            return math.nan
+        self._doubtful_s = -math.inf
+        righted = self.offset_s > 0.0 and abs(stamp - before - self.offset_s) < max(1.0, 0.01 * self.offset_s)
+        if stamp - before <= self.LONGEST_S and not righted:
+            return 0.0
+        self.counts["clock-set"] += 1
+        return -self.offset_s if righted else before + self._period_s - stamp
+
     def _set_back(self, stamp: float, before: float) -> float:
-        """How far to move the stamps from here on: not 0 once a second of them in good order shows that the clock was set back."""
-        follows = 0.0 < stamp - self._back_s <= max(1.0, 3.0 * self._period_s)
+        """What to add to a stamp that does not rise: NaN until a quarter of a second of them in good order shows that the clock was set back."""
+        follows = 0.0 < stamp - self._back_s <= self._doubt_s
         self._back_count = self._back_count + 1 if follows else 1
         self._back_s = stamp
-        if not math.isfinite(stamp) or self._back_count < self._confirm or before - stamp < 1.0:
-            return 0.0
-        moved = before + self._period_s - stamp
-        self.offset_s += moved
-        self._back_s, self._back_count = math.nan, 0
+        if not math.isfinite(stamp) or self._back_count < self._confirm or before - stamp < 2.0 * self._period_s:
+            return math.nan
         self.counts["clock-set"] += 1
-        return moved
+        return before + self._period_s - stamp
 
-    def _repair(self, values: Array, drv: Array, at_rest: Callable[[], Array]) -> None:
+    def _repair(self, values: Array, bad: NDArray[np.bool_], drv: Array, at_rest: Callable[[], Array]) -> None:
         """Replace samples with impossible values by the last good one; before the first sample by those of a vehicle that keeps still."""
-        bad = ~(np.abs(values) <= self._limits).all(axis=1)
         if not bad.any():
             return
-        self.counts["bad-sample"] += int(bad.sum())
         good = np.maximum.accumulate(np.where(bad, -1, np.arange(len(values))))
         last = drv[self._previous : self._previous + len(self._limits)] if drv[strapdown.STARTED] else at_rest()
         values[bad] = np.where(good[bad, None] >= 0, values[good[bad]], last)

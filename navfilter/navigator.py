@@ -98,15 +98,17 @@ class Navigator(Engine):
         with a NaN or an impossible value repeats the one before (an invalid DVL velocity is held, with growing uncertainty). All are
         counted in `counts`, like gaps of more than three periods.
         """
-        if isinstance(time_s, float):
-            samples = self._row
-        else:
-            times = np.atleast_1d(np.asarray(time_s, dtype=np.float64))
-            samples = np.empty((times.size, 7))
-            time_s = times
-        samples[:, 0] = time_s
-        samples[:, 1:4] = first
-        samples[:, 4:7] = second
+        try:
+            if isinstance(time_s, float) and len(first) == 3 == len(second):  # type: ignore[arg-type]
+                samples = self._row
+                samples[0, 0], samples[0, 1:4], samples[0, 4:7] = time_s, first, second
+            else:
+                times = np.atleast_1d(np.asarray(time_s, dtype=np.float64))
+                values = [np.asarray(v, dtype=np.float64).reshape(times.size, 3) for v in (first, second)]
+                samples = np.column_stack([times, *values])
+        except (TypeError, ValueError):
+            self.counts["bad-sample"] += 1
+            return
         self.step_samples(samples)
 
     def step_samples(self, samples: Array) -> None:
@@ -136,7 +138,7 @@ class Navigator(Engine):
         Outcome
             Never an exception: whatever arrives has a defined outcome.
         """
-        watch = self._watches.get(name)
+        watch = self._watches.get(name) if isinstance(name, str) else None
         if watch is None:
             return Outcome("unknown-sensor")
         try:
