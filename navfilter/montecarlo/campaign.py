@@ -10,6 +10,7 @@ import hashlib
 import multiprocessing
 import os
 import signal
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
@@ -291,7 +292,7 @@ def process_pool(workers: int | None = None) -> Iterator[Executor]:
     context = multiprocessing.get_context("spawn")
     before = set(multiprocessing.active_children())
     with _single_threaded():
-        pool = ProcessPoolExecutor(workers or available_cores(), context, initializer=_ignore_interrupt)
+        pool = ProcessPoolExecutor(workers or available_cores(), context, initializer=_prepare_worker)
         try:
             yield pool
         except BaseException:
@@ -345,9 +346,17 @@ def available_cores() -> int:
         return os.cpu_count() or 1
 
 
-def _ignore_interrupt() -> None:
-    """Ctrl-C reaches the workers too; only the parent shall act on it."""
+def _prepare_worker() -> None:
+    """Ctrl-C reaches the workers too, but only the parent shall act on it; a worker whose parent is killed must not wait for ever."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
+
+
+def _end_with(parent: Any) -> None:
+    parent.join()
+    os._exit(1)
 
 
 @contextmanager

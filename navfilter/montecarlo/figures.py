@@ -11,6 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 from numpy.typing import NDArray
 
 from navfilter.montecarlo.campaign import Results
@@ -135,8 +136,15 @@ def _limit_nees(axes: Any, results: Results) -> None:
     ]
     finite = np.concatenate(values)
     finite = finite[np.isfinite(finite)]
-    if finite.size:
-        axes[0][0].set_ylim(max(min(0.3, 0.7 * finite.min()), 0.02), max(3.0, 1.4 * finite.max()))
+    if not finite.size:
+        return
+    low, high = max(min(0.3, 0.7 * float(finite.min())), 0.02), max(3.0, 1.4 * float(finite.max()))
+    axes[0][0].set_ylim(low, high)
+    steps = (1.0, 2.0, 5.0) if high < 100.0 * low else (1.0,)
+    for ax in axes.ravel():
+        ax.yaxis.set_major_locator(LogLocator(10.0, subs=steps))
+        ax.yaxis.set_major_formatter(FormatStrFormatter("%g"))
+        ax.yaxis.set_minor_formatter(NullFormatter())
 
 
 def _largest(values: Array) -> float:

@@ -178,9 +178,12 @@ def _motion(name: str, duration_s: float, study: Study) -> Motion:
 
 
 def _faults(duration_s: float, sensor: str, error: Models | Changing) -> dict[str, Faults]:
-    """DVL losses of 1, 2 and half a minute (less in a short mission), outliers, fixes at the surface only."""
+    """DVL losses of 30, 60 and 15 s (less in a short mission), outliers, fixes at the surface only.
+
+    Longer losses would leave errors of position that drown those of the heading: 2 minutes on inertia cost 40 m.
+    """
     short = min(1.0, duration_s / 1800.0)
-    lost = tuple((share * duration_s, share * duration_s + short * long_s) for share, long_s in ((0.3, 60.0), (0.5, 120.0), (0.7, 30.0)))
+    lost = tuple((share * duration_s, share * duration_s + short * long_s) for share, long_s in ((0.3, 30.0), (0.5, 60.0), (0.7, 15.0)))
     faults = {
         "gps": Faults(available="surface", outlier_probability=0.01, outlier_sd=50.0),
         "dvl": Faults(dropouts=lost, outlier_probability=0.005, outlier_sd=0.5),
