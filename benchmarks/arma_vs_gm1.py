@@ -2,7 +2,7 @@
 
 Every model gets the same mapping, the same readings and the same other sensors; only the error models of the correcting sensors differ.
 "gm1" (1/e point), "white" and "gm1-fitted" (by likelihood) are fitted beforehand to the readings of the whole mission, as the filter
-would have them, positions withheld, and so is "arma-fitted", order chosen and drive inflated as in `LearnedArma`: beside "gm1-fitted" it
+would have them, positions withheld, and so is "arma-fitted", order chosen and S(0) raised as in `LearnedArma`: beside "gm1-fitted" it
 tells what the noise deserves, on the same information. "vehicle" is what the vehicle file says, set by hand; "arma" learns under way
 and begins with that: the difference between those two is what learning has done. None sees what is withheld, and nothing is scored
 before positions are withheld.
@@ -52,7 +52,7 @@ import navfilter as nf
 from navfilter.comparison import compare
 from navfilter.error_models import Sum
 from navfilter.io import read_mission, read_vehicle
-from navfilter.learned import LearnedArma, known_white
+from navfilter.learned import LearnedArma, cautious, known_white
 from navfilter.learning.learner import Learner
 from navfilter.mission import Mission, Stream
 from navfilter.playback import replay, residual_series
@@ -224,8 +224,8 @@ def fitted_arma(case: Case, sensors: list[str]) -> Vehicle:
             known = int(np.isfinite(channel.value).sum())
             white = max(channel.white - known_white(prior, channel.period_s), 0.0)
             found = Learner(LearnedArma().orders, max(known, 200), channel.drift, white=white).hop(channel.value)
-            spread = min(found.sd_log_s0 or 0.0, 1.5)
-            axes.append(nf.Arma(tuple(found.ar), tuple(found.ma), found.sd * math.exp(0.5 * spread)))
+            ar, variance = cautious(found)
+            axes.append(nf.Arma(tuple(ar), tuple(found.ma), math.sqrt(variance)))
         models[name] = tuple(axes)
     return case.vehicle.with_error(**{name: axes if len(axes) > 1 else axes[0] for name, axes in models.items()})
 

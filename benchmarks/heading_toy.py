@@ -16,7 +16,7 @@ first 15 minutes.
 | oracle | the model that made the noise |
 
 Printed: rms of the heading error in degrees; NEES (mean of error squared over predicted variance: 1 is honest); S(0), the power at
-zero frequency that was identified over the true one (geometric mean), before the ARMA's drive is inflated by its uncertainty.
+zero frequency that was identified over the true one (geometric mean), before the ARMA's is raised by its uncertainty.
 """
 
 from __future__ import annotations
@@ -124,7 +124,8 @@ def likeliest_gm1(window: Array, gyro: Gyro) -> nf.ArmaModel:
 
 
 def learner_hop(gyro: Gyro) -> Callable[[Array], Belief]:
-    """Navfilter's learner; its drive is inflated by exp(sd ln S(0)), as the navigator does when it adopts a model."""
+    """Navfilter's learner; S(0) is raised by exp(sd ln S(0)), as the navigator does when it adopts a model."""
+    from navfilter.learned import cautious
     from navfilter.learning.channel import Drift
     from navfilter.learning.learner import Learner
 
@@ -132,8 +133,8 @@ def learner_hop(gyro: Gyro) -> Callable[[Array], Belief]:
 
     def hop(window: Array) -> Belief:
         found = learner.hop(window)
-        inflated = found.sd * math.exp(0.5 * (found.sd_log_s0 or 0.0))
-        return Belief(nf.ArmaModel(found.ar, found.ma, inflated), found)
+        ar, variance = cautious(found)
+        return Belief(nf.ArmaModel(ar, found.ma, math.sqrt(variance)), found)
 
     return hop
 
@@ -186,12 +187,17 @@ def scored(run: Filtered, drift: Array, part: slice) -> tuple[Array, Array]:
 def follow(hop: Callable[[Array], Belief], y: Array, drift: Array, gyro: Gyro, true_s0: float) -> Score:
     """Learn at every hop, filter with the model in force."""
     squared, variance, logs, seconds = [], [], [], 0.0
+    last: nf.ArmaModel | None = None
+    run: Filtered | None = None
     for now in range(WINDOW, SAMPLES, HOP):
         window = y[now - WINDOW : now]
         begin = time.process_time()
         belief = hop(window - window[0])
         seconds += time.process_time() - begin
-        run = filter_heading(y[: now + HOP], gyro, belief.used)
+        # a model that stays is run to the end, once
+        if run is None or last is not belief.used or len(run.estimate) < now + HOP:
+            run = filter_heading(y if last is belief.used else y[: now + HOP], gyro, belief.used)
+            last = belief.used
         error2, P = scored(run, drift, slice(now, now + HOP))
         squared.append(error2)
         variance.append(P)
