@@ -381,6 +381,21 @@ def test_environment_in_paths(monkeypatch, tmp_path):
         ('[streams.d]\nfile = "a.csv"\ntime = {column = "w"}\ndepth = "d"\n', ["no row is left"]),
         ('start = "truth"\n[streams.d]\nfile = "a.csv"\ntime = {column = "t"}\ndepth = "d"\n', ["there is no [truth]"]),
         ('[streams.d]\nfile = "a.csv"\ntime = {column = "t"}\ndepth = "d"\n[start]\ntime_s = 1\n', ["start lacks latitude_deg"]),
+        (
+            '[streams.d]\nfile = "a.csv"\ntime = {column = "t"}\ndepth = {column = "d", mounting_deg = [1e300, 0, 0]}\n'
+            "[start]\nposition_sd_m = [1, -1, 1]\nheight_m = 1e20\n",
+            [
+                "3 mistakes",
+                "start.position_sd_m[1]: must be >= 0; found -1",
+                "start.height_m: must be <= 1e+12",
+                "streams.d.depth.mounting_deg[0]",
+            ],
+        ),
+        (
+            '[streams.d]\nfile = "a.csv"\ntime = {column = "t"}\ndepth = "d"\n[start]\n'
+            "time_s = 1\nlatitude_deg = 89.95\nlongitude_deg = 0\n",
+            ["mission.toml: Start.latitude_deg must lie within 89.9 degrees"],
+        ),
     ],
 )
 def test_mistakes_in_the_mapping_are_named(tmp_path, toml, messages):

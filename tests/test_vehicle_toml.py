@@ -30,7 +30,7 @@ INERTIAL = Vehicle(
         "gps": Position(error=GaussMarkov(sd=3.0, tau_s=60.0)),
         "still": ZeroVelocity(),
     },
-    name="made of everything",
+    name='made of everything, \U0001f6a2 \x7f "\\\n',
 )
 RECKONING = Vehicle(
     drive=DeadReckoning(
@@ -53,6 +53,7 @@ LEARNING = Vehicle(
         ),
         "sum": Depth(error=White(sd=0.01) + LearnedArma(prior=White(sd=0.1) + RandomWalk(density=1e-3))),
         "adopted": Depth(error=LearnedArma(model=ADOPTED)),
+        "white": Depth(error=LearnedArma(model=ArmaModel([], [], 0.5, np.zeros((0, 0)), 0.02))),
         "axes": BodyVelocity(error=(LearnedArma(), White(sd=0.1), LearnedArma(model=ArmaModel([], [], 0.5, sd_log_s0=np.inf)))),
     },
 )

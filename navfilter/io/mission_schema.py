@@ -8,7 +8,7 @@ sources the first gives the clock and the others are interpolated onto it; a gro
 from __future__ import annotations
 
 import datetime
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
@@ -54,6 +54,9 @@ CONTENTS: tuple[tuple[tuple[str, ...], tuple[str, ...]], ...] = (
 )
 TRUTH_GROUPS = ("position", "ecef", "local", "velocity_n", "velocity_ecef", "attitude", "quaternion")
 Reference = str | int
+#: Lengths, angles and the like: what is computed from them stays a number.
+Amount = Annotated[float, Field(ge=-1e12, le=1e12)]
+Sd = Annotated[float, Field(ge=0, le=1e12)]
 
 
 def _check_unit(name: str) -> str:
@@ -94,7 +97,7 @@ class Origin(Strict):
 
     latitude_deg: float = Field(ge=-90, le=90)
     longitude_deg: float = Field(ge=-180, le=360)
-    height_m: float = 0.0
+    height_m: Amount = 0.0
 
 
 class Group(Strict):
@@ -111,7 +114,7 @@ class Group(Strict):
     valid_range: tuple[float, float] | None = None
     invalid_together: bool = True
     axes: str | None = None
-    mounting_deg: tuple[float, float, float] | None = None
+    mounting_deg: tuple[Amount, Amount, Amount] | None = None
     origin: Origin | None = None
     order: Literal["wxyz", "xyzw"] = "wxyz"
     reference: Literal["ned", "enu", "ecef"] = "ned"
@@ -268,7 +271,7 @@ class StreamSpec(Strict):
     resample_hz: float | None = Field(default=None, gt=0)
     windows: tuple[tuple[float, float], ...] = ()
     hide: tuple[tuple[float, float], ...] = ()
-    lever_arm_b_m: tuple[float, float, float] | None = None
+    lever_arm_b_m: tuple[Amount, Amount, Amount] | None = None
 
     @model_validator(mode="before")
     @classmethod
@@ -328,15 +331,15 @@ class StartSpec(Strict):
     time_s: float | None = None
     latitude_deg: float | None = Field(default=None, ge=-90, le=90)
     longitude_deg: float | None = Field(default=None, ge=-180, le=360)
-    height_m: float | None = None
-    velocity_n: tuple[float, float, float] | None = None
-    roll_deg: float | None = None
-    pitch_deg: float | None = None
-    heading_deg: float | None = None
-    position_sd_m: float | tuple[float, float, float] | None = None
-    velocity_sd_m_s: float | tuple[float, float, float] | None = None
-    tilt_sd_deg: float | None = Field(default=None, ge=0)
-    heading_sd_deg: float | None = Field(default=None, ge=0)
+    height_m: Amount | None = None
+    velocity_n: tuple[Amount, Amount, Amount] | None = None
+    roll_deg: Amount | None = None
+    pitch_deg: Amount | None = None
+    heading_deg: Amount | None = None
+    position_sd_m: Sd | tuple[Sd, Sd, Sd] | None = None
+    velocity_sd_m_s: Sd | tuple[Sd, Sd, Sd] | None = None
+    tilt_sd_deg: Sd | None = None
+    heading_sd_deg: Sd | None = None
 
     @model_validator(mode="before")
     @classmethod

@@ -40,7 +40,10 @@ def start_of(spec: StartSpec | None, truth: Stream | None, date: datetime.date |
     missing = [key for key in ("time_s", "latitude_deg", "longitude_deg") if key not in given]
     if missing:
         raise MissionError(f'{path}: start lacks {", ".join(missing)}; add them or write from = "truth".')
-    return Start(**given, date=date)
+    try:
+        return Start(**given, date=date)
+    except ValueError as error:
+        raise MissionError(f"{path}: {error}") from None
 
 
 def _from_truth(truth: Stream, time_s: float | None, path: Path) -> dict[str, Any]:

@@ -126,6 +126,9 @@ def validate(model: type[Model], data: dict[str, Any], path: Path, error: type[V
     for detail in details:
         for place, message, shown in _sentences(model, data, detail):
             merged.setdefault((place, shown), []).append(message)
+    # Of "a number or a list of numbers", a list with a mistake inside is only that.
+    lists = {place.rsplit("[", 1)[0] for place, _ in merged if place.endswith("]")}
+    merged = {key: texts for key, texts in merged.items() if key[0] not in lists or texts != [_CURES["float_type"]]}
     lines = [f"{place}: {', or '.join(dict.fromkeys(messages))}{shown}." for (place, shown), messages in merged.items()]
     raise listed(path, lines, error)
 

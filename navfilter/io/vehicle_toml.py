@@ -297,6 +297,8 @@ def _built(spec: Any, place: str, wrong: list[tuple[str, str]], defaults: dict[s
     given = {**{name: value for name, value in defaults.items() if name in of_class}, **given}
     if len(wrong) > before:
         return None
+    if cls is ArmaModel and given.get("covariance") == ():
+        given["covariance"] = np.zeros((0, 0))  # of a model without coefficients: no list tells a matrix of 0 x 0 from an empty row
     try:
         return cls(**given)
     except (ValueError, TypeError) as error:
@@ -366,7 +368,7 @@ def _toml(value: Any) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
-        return json.dumps(value)
+        return _quoted(value)
     if isinstance(value, dict):
         return "{" + ", ".join(f"{_key(key)} = {_toml(part)}" for key, part in value.items()) + "}"
     if isinstance(value, list | tuple):
@@ -375,4 +377,9 @@ def _toml(value: Any) -> str:
 
 
 def _key(name: str) -> str:
-    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else json.dumps(name)
+    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else _quoted(name)
+
+
+def _quoted(text: str) -> str:
+    """Text as TOML has it: like JSON, but characters beyond 16 bit as themselves, and the delete character escaped."""
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
