@@ -183,8 +183,11 @@ def read(kind: type[Navigator], vehicle: Vehicle, source: bytes | str | PathLike
     try:
         with np.load(io.BytesIO(payload), allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in archive.files}
+    except Exception as error:  # numpy, zipfile and zlib raise many unrelated types on broken archives
+        raise ValueError(f"the snapshot cannot be read ({error}). Start afresh, or take an older one.") from error
+    try:
         return _revived(kind, vehicle, json.loads(arrays.pop("meta").tobytes()), arrays)
-    except (KeyError, TypeError, AttributeError, IndexError, ValueError, EOFError) as error:
+    except (KeyError, TypeError, AttributeError, IndexError, ValueError, AssertionError, OverflowError) as error:
         raise ValueError(f"the snapshot cannot be read ({error}). Start afresh, or take an older one.") from error
 
 
