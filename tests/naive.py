@@ -686,7 +686,7 @@ def stationary(a, c, P):
 
 
 def channel_filter(y, theta, Q, rules, e, lns):
-    r, m = len(Q), (len(theta) - 1) // 2
+    r, m = Q.shape[1], (len(theta) - 1) // 2
     d, longest, clip, white = int(rules[0]), rules[1], rules[2], rules[3]
     a, c, var = theta[:m], theta[m:-1], np.exp(2 * theta[-1])
     F, W, start = np.zeros((r + m, r + m)), np.zeros((r + m, r + m)), np.zeros((r + m, r + m))
@@ -694,8 +694,9 @@ def channel_filter(y, theta, Q, rules, e, lns):
     F[r:, r:] = np.eye(m, k=1)
     F[r:, r] -= a
     shared = np.r_[np.zeros(r), var * (c - a)]  # covariance of process and measurement noise
-    W[:r, :r], W[r:, r:] = Q, np.outer(shared, shared)[r:, r:] / var
+    W[:r, :r], W[r:, r:] = Q[:r], np.outer(shared, shared)[r:, r:] / var
     h = np.isin(np.arange(r + m), (0, r)).astype(float)
+    start[range(d, r), range(d, r)] = Q[r, d:]
     unit = np.zeros((m, m))
     if not stationary(a, c, unit):
         return math.inf

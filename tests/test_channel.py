@@ -70,7 +70,7 @@ def test_drift_per_tick_moves_like_the_drift():
     scale = np.diag(0.37 ** np.arange(3))
     unit = Drift((0.3, 0.7, 0.02), 1.0).transition()
     np.testing.assert_allclose(scale @ drift.transition() @ np.linalg.inv(scale), unit, rtol=1e-14)
-    np.testing.assert_allclose(scale @ drift.noise() @ scale, drift.noise_per_tick(), rtol=1e-14)
+    np.testing.assert_allclose(scale @ drift.noise() @ scale, drift.per_tick()[:3], rtol=1e-14)
 
 
 @pytest.mark.parametrize(
@@ -96,7 +96,7 @@ CASES = [
 
 def noise_of_chain(r, random):
     B = 0.1 * random.normal(size=(r, r))
-    return B @ B.T if r else np.zeros((1, 1))
+    return np.vstack([B @ B.T, np.full(r, np.inf)]) if r else np.zeros((2, 1))
 
 
 def walk_with_gaps(random, n=70):
@@ -161,18 +161,19 @@ def test_stationary_is_its_twin(a, c):
 
 def test_nothing_is_stationary_outside_the_circle():
     assert not kernels.stationary(np.array([-1.01]), np.array([0.0]), np.empty((1, 1)))
-    assert run(np.zeros(20), packed([-1.01], [], 1.0), np.eye(1), 1)[0] == math.inf
+    assert run(np.zeros(20), packed([-1.01], [], 1.0), np.ones((2, 1)), 1)[0] == math.inf
 
 
 def dense(y, ar, ma, sd, white, Q, d):
     """Minus the log of the marginal Gaussian density, the drift's start integrated out, less that of its first d samples."""
-    n, known, r = len(y), np.isfinite(y), len(Q)
-    lag = np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
+    n, known, r = len(y), np.isfinite(y), Q.shape[1]
+    lag, start, Q = np.abs(np.subtract.outer(np.arange(n), np.arange(n))), Q[-1], Q[:-1]
     V = wide(ArmaModel(ar, ma, sd).autocovariance(n)[lag] + white * np.eye(n))
     rows = [wide([t**k / math.factorial(k) for k in range(r)]) for t in range(n)]
     for t in range(n - 1):  # noise that enters after tick t reaches all later ones
         later = np.array([np.zeros(r)] * (t + 1) + rows[: n - t - 1])
         V += later @ wide(Q) @ later.T
+    V += np.array(rows)[:, d:] @ np.diag(wide(start[d:])) @ np.array(rows)[:, d:].T
     V, y, X = V[np.ix_(known, known)], wide(y[known]), np.array(rows)[known, :d]
     # Legendre polynomials in place of powers of time, for the condition of M; extended precision for that of V
     U = wide(np.polynomial.legendre.legvander(2.0 * np.flatnonzero(known) / n - 1.0, d - 1)) if d else wide(X)
@@ -202,11 +203,15 @@ def test_likelihood_is_the_dense_marginal_gaussian(ar, ma, r):
     y, Q = walk_with_gaps(random), noise_of_chain(r, random)
     value = run(y, packed(ar, ma, 0.7), Q, r, white=0.04)[0]
     assert value == pytest.approx(dense(y, ar, ma, 0.7, 0.04, Q, r), abs=1e-8)
+    if r > 1:  # the last state known to start with
+        Q[-1, -1] = 0.3
+        value = run(y[1:], packed(ar, ma, 0.7), Q, r - 1, white=0.04)[0]
+        assert value == pytest.approx(dense(y[1:], ar, ma, 0.7, 0.04, Q, r - 1), abs=1e-8)
 
 
 def test_a_long_gap_starts_anew():
     random = np.random.default_rng(7)
-    y, Q, theta = np.cumsum(random.normal(size=120)), 0.01 * np.eye(2), packed([-0.8], [0.3], 0.5)
+    y, Q, theta = np.cumsum(random.normal(size=120)), np.vstack([0.01 * np.eye(2), np.zeros((1, 2))]), packed([-0.8], [0.3], 0.5)
     y[50:59] = np.nan
     whole = run(y, theta, Q, 2)[0]
     assert whole == pytest.approx(run(y[:50], theta, Q, 2)[0] + run(y[59:], theta, Q, 2)[0], rel=1e-12)
@@ -222,7 +227,7 @@ def test_without_drift_it_is_the_arima_likelihood(gaps):
     if gaps:
         y[[20, 21, 100]] = np.nan
     reference = arima(y, order=(2, 0, 1), trend="n").loglike([1.2, -0.4, 0.5, 0.64])
-    assert -run(y, packed([-1.2, 0.4], [0.5], 0.8), np.zeros((1, 1)), 0)[0] == pytest.approx(reference, abs=1e-6)
+    assert -run(y, packed([-1.2, 0.4], [0.5], 0.8), np.zeros((2, 1)), 0)[0] == pytest.approx(reference, abs=1e-6)
 
 
 # ---------------------------------------------------------------------- the fit
@@ -322,8 +327,8 @@ def test_fit_refuses_orders():
 
 def test_difference_steps_stay_stationary():
     """Three poles close together near the circle: steps of 1e-6 in a coefficient would leave it."""
-    likelihood = Likelihood(np.random.default_rng(15).standard_normal(4000), np.zeros((0, 0)), 0.0)
-    ar = np.poly([0.998, 0.998, 0.998])[1:]
+    likelihood = Likelihood(np.random.default_rng(15).standard_normal(4000), np.zeros((1, 0)), 0.0)
+    ar = np.poly([0.995, 0.995, 0.995])[1:]
     point = likelihood.point(np.r_[ar, -0.9, 0.1, 0.0, 0.0], 3)
     assert math.isfinite(point.value) and np.all(np.isfinite(point.info))
 
@@ -386,6 +391,32 @@ def test_learner_falls_back_to_gauss_markov():
     learner = Learner(((1, 1),), 1500, Drift((), 1.0))
     model = learner.hop(np.random.default_rng(20).standard_normal(1500))
     assert "fallback" in model.flags and model.p <= 1 and model.q <= 1 and model.is_stable
+
+
+def test_a_known_start_tells_more_of_a_short_series():
+    """Two hundred seconds of a slow error, the rate of the drift known to 5 deg/h or not at all."""
+    known, off = Drift(TACTICAL.density, PERIOD_S, (math.inf, 5.0 * DEG / 3600.0)), []
+    truth = gauss_markov(0.6 * DEG, 30.0)
+    for seed in range(12):
+        y = series([truth], TACTICAL, 1600, 40 + seed)
+        off.append([log_s0(fit_channel(y, drift, 1, 0, start=truth).model) - log_s0(truth) for drift in (TACTICAL, known)])
+    unknown_rms, known_rms = np.sqrt(np.mean(np.square(off), axis=0))
+    assert known_rms < unknown_rms
+
+
+@pytest.mark.parametrize("start", [(1.0, math.inf), (1.0,), (-1.0, 1.0), (math.nan, 1.0)])
+def test_a_start_that_does_not_fit_is_refused(start):
+    with pytest.raises(ValueError, match="start_sd"):
+        Drift((1.0, 1.0), 1.0, start)
+
+
+def test_a_young_learner_says_that_it_has_seen_too_little_of_a_slow_error():
+    learner = Learner(ORDERS, 4000, TACTICAL)
+    y = series([gauss_markov(0.6 * DEG, 30.0)], TACTICAL, 4000, 60)
+    assert "starting" in learner.hop(y[:400]).flags
+    assert "starting" not in learner.hop(y).flags
+    quick = series([gauss_markov(0.6 * DEG, 1.0)], TACTICAL, 400, 61)
+    assert "starting" not in Learner(ORDERS, 4000, TACTICAL).hop(quick).flags
 
 
 def test_learner_says_capped():

@@ -151,12 +151,13 @@ def _collapse(X, w, A, x, P, n):
 def channel_filter(y, theta, Q, rules, e, lns):
     """Standardised innovations and ln S of a series with gaps; returns minus the log-likelihood.
 
-    y (N,) with NaN where a sample is missing; Q (r, r) noise of the chain per tick. The drift starts diffuse: the first
-    r known samples of a segment fix it and do not count (their density does not depend on theta). A run of more than
-    LONGEST_GAP missing samples ends a segment. Innovations beyond CLIP standard deviations enter the state clipped and
-    the likelihood by Huber's function. `e` (N,) is NaN and `lns` 0 where nothing counts. Infinite if not stationary.
+    y (N,) with NaN where a sample is missing; Q (r+1, r) noise of the chain per tick and, last, the variances of its
+    start. The first DIFFUSE states start diffuse: as many known samples of a segment fix them and do not count (their
+    density does not depend on theta). A run of more than LONGEST_GAP missing samples ends a segment. Innovations beyond
+    CLIP standard deviations enter the state clipped and the likelihood by Huber's function. `e` (N,) is NaN and `lns` 0
+    where nothing counts. Infinite if not stationary.
     """
-    r, m = Q.shape[0], (theta.size - 1) // 2
+    r, m = Q.shape[1], (theta.size - 1) // 2
     n, d = r + m, int(rules[DIFFUSE])
     a, c, var = theta[:m], theta[m : 2 * m], math.exp(2.0 * theta[2 * m])
     noise, clip, longest = var + rules[WHITE], rules[CLIP], int(rules[LONGEST_GAP])
@@ -182,6 +183,8 @@ def channel_filter(y, theta, Q, rules, e, lns):
                     P[r + i, r + j] = var * start[i, j]
             for i in range(d):
                 A[i, i] = 1.0
+            for i in range(d, r):
+                P[i, i] = Q[r, i]
         scale, gain = 0.0, 0.0
         if seen:
             missing = 0
@@ -224,7 +227,7 @@ def channel_filter(y, theta, Q, rules, e, lns):
                     _collapse(X, w, A, x, P, n)
         if seen:
             known += 1
-    return total
+    return total if total < math.inf else math.inf
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -39,11 +39,16 @@ class Drift:
         Root power spectral densities of w1, w2, ... (unit per s^(i-1) and sqrt(Hz)), 0 to 4 of them; empty: no drift.
     period_s : float
         Sampling period, s.
+    start_sd : tuple of float, optional
+        What is known of the states at the start of a series (unit per s^(i-1)), infinite for nothing, which is the
+        default. A finite one, such as the filter's own for the gyro bias, tells more of the low frequencies of a short
+        series; those after the first finite one must be finite too.
 
     Raises
     ------
     ValueError
-        For more than four integrators, densities that are negative or not finite, a period that is not positive.
+        For more than four integrators, densities that are negative or not finite, a period that is not positive, a
+        start that does not fit.
 
     Examples
     --------
@@ -55,6 +60,7 @@ class Drift:
 
     density: tuple[float, ...]
     period_s: float
+    start_sd: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         density = tuple(float(value) for value in self.density)
@@ -66,6 +72,12 @@ class Drift:
             raise ValueError(f"densities must be finite and not negative, found {density}.")
         if not (math.isfinite(self.period_s) and self.period_s > 0.0):
             raise ValueError(f"period_s must be positive, found {self.period_s}.")
+
+        start = tuple(float(value) for value in self.start_sd) or (math.inf,) * len(density)
+        object.__setattr__(self, "start_sd", start)
+        free = sum(math.isinf(value) for value in start)
+        if len(start) != len(density) or not all(value >= 0.0 for value in start) or not all(math.isinf(v) for v in start[:free]):
+            raise ValueError(f"start_sd must be {len(density)} numbers not below 0, the infinite ones first, found {start}.")
 
     @property
     def order(self) -> int:
@@ -83,10 +95,13 @@ class Drift:
         """
         return _chain_noise(self.density, self.period_s)
 
-    def noise_per_tick(self) -> Array:
-        """The same with states in units per tick (state i times period^i), so that the transition has period 1."""
+    def per_tick(self) -> Array:
+        """Noise with states in units per tick (state i times period^i) and, as last row, the variances of the start.
+
+        Shape (r+1, r). In these units the transition has period 1.
+        """
         scale = self.period_s ** np.arange(self.order)
-        return np.asarray(self.noise() * np.outer(scale, scale))
+        return np.vstack([self.noise() * np.outer(scale, scale), np.square(scale * self.start_sd)])
 
 
 def _chain_transition(r: int, period_s: float) -> Array:
@@ -186,7 +201,7 @@ def fit_channel(
     if not (math.isfinite(white) and white >= 0.0):
         raise ValueError(f"white must be a variance (finite, not negative), found {white}.")
     y = tidy_series(series, 10 + 3 * (p + q) + drift.order, "fit_channel", gaps=True)
-    likelihood = Likelihood(y, drift.noise_per_tick(), white)
+    likelihood = Likelihood(y, drift.per_tick(), white)
     if start is None:
         starts = cold_starts(likelihood, p, q)
         if p >= 2 and q >= 1:

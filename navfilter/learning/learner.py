@@ -22,8 +22,12 @@ Order = tuple[int, int]
 
 # Fewer known samples than this, or than so many per parameter, say nothing that a filter should believe.
 LEAST, PER_PARAMETER = 200, 20
+# Before its window is full, a learner hands out nothing slower than this part of its samples. A process that the series
+# holds fewer times is taken for drift and found too quick: measured, S(0) 4 to 17 times too small.
+CYCLES = 10.0
 # Hops in a row at which a challenger must lead.
 HOPS = 2
+KEPT_FLAGS = ("capped", "starting")
 # Scoring passes of a first estimate, of the order in use, and of a challenger.
 COLD, OWN, OTHER = 20, 2, 1
 # Orders that exceed a good one by more parameters than this wait for their turn.
@@ -38,7 +42,8 @@ class Learner:
     deviations). The first windows fit all orders; later hops polish the order in use and two challengers, the nearest
     and one in turn.
 
-    Flags of the model: "starting" (too few samples: white noise of about the right size), "coloured" (nothing passed the
+    Flags of the model: "starting" (too few samples: white noise of about the right size; or samples over less than ten
+    times the slowest time constant found, while the window fills: such a fit takes slow errors for drift), "coloured" (nothing passed the
     gate: the best by BIC), "stale" (nothing passed, and the last good model still explains the window as well),
     "fallback" (nothing usable but first-order Gauss-Markov, by likelihood), "capped" (a pole as near to 1 as the window
     can tell), "constant" (the series does not change).
@@ -106,7 +111,7 @@ class Learner:
         if not able:
             return self._without(y, "starting")
         try:
-            likelihood = Likelihood(y, self.drift.noise_per_tick(), self.white)
+            likelihood = Likelihood(y, self.drift.per_tick(), self.white)
         except ValueError:
             return self._without(y, "constant")
         fits = self._fit(likelihood, self._ration(able))
@@ -116,8 +121,12 @@ class Learner:
             fits |= self._fit(likelihood, [order for order in able if order not in fits])
             best = preferred(fits.values())
         self._coloured = self._coloured + 1 if best is None else 0
+        young = n < 0.9 * self.window
         model = self._without(y, "constant") if not fits else self._choose(likelihood, fits, best)
-        self._young = n < 0.9 * self.window
+        self._young = young
+        if young and "stale" not in model.flags and _slowest(model) > n / CYCLES:
+            model = _flagged(model, "starting")
+            self._good = None if self._good is None else _flagged(self._good, "starting")
         return model
 
     def _without(self, y: Array, flag: str) -> ArmaModel:
@@ -232,7 +241,9 @@ class Learner:
             model = self._good
             kept["good"] = np.r_[model.p, model.q, model.ar, model.ma, model.sd]
             kept["good_covariance"] = np.zeros((0, 0)) if model.covariance is None else model.covariance.copy()
-            kept["good_extra"] = np.array([model.sd_log_s0, model.effective_window, float("capped" in model.flags)], dtype=np.float64)
+            kept["good_extra"] = np.array(
+                [model.sd_log_s0, model.effective_window, *(float(flag in model.flags) for flag in KEPT_FLAGS)], dtype=np.float64
+            )
         return kept
 
     def restore(self, snapshot: dict[str, Array]) -> None:
@@ -249,8 +260,8 @@ class Learner:
         if "good" in snapshot:
             p, q = int(snapshot["good"][0]), int(snapshot["good"][1])
             ar, ma, sd = np.split(np.asarray(snapshot["good"][2:]), [p, p + q])
-            spread, length, capped = (float(v) for v in snapshot["good_extra"])
-            flags = frozenset({"capped"}) if capped else frozenset()
+            spread, length, *kept = (float(v) for v in snapshot["good_extra"])
+            flags = frozenset(flag for flag, is_set in zip(KEPT_FLAGS, kept, strict=True) if is_set)
             self._good = ArmaModel(ar, ma, float(sd[0]), snapshot["good_covariance"], spread, length, flags)
 
 
@@ -264,6 +275,11 @@ def _bic(model: ArmaModel, likelihood: Likelihood, n: int) -> float:
     theta = likelihood.confine(theta_of(model, likelihood), model.p)
     value = likelihood.value(theta, model.p) - n * math.log(likelihood.unit)
     return 2.0 * value + theta.size * math.log(max(n, 2))
+
+
+def _slowest(model: ArmaModel) -> float:
+    """Longest time constant of the poles, ticks."""
+    return -1.0 / math.log(min(max(float(np.max(np.abs(model.poles))), 1e-9), 1.0 - 1e-12)) if model.p else 0.0
 
 
 def _flagged(model: ArmaModel, flag: str) -> ArmaModel:

@@ -43,31 +43,31 @@ class Likelihood:
     ----------
     series : ndarray, shape (N,)
         Samples; NaN where missing.
-    noise : ndarray, shape (r, r)
-        Noise of the drift per tick, states in units per tick; (0, 0) for no drift.
+    drift : ndarray, shape (r+1, r)
+        Noise of the drift per tick, states in units per tick, and the variances of their start (infinite: diffuse).
     white : float
         Variance of known white noise.
     clip : float
         Innovations beyond this many standard deviations are clipped.
     """
 
-    def __init__(self, series: Array, noise: Array, white: float, clip: float = CLIP) -> None:
+    def __init__(self, series: Array, drift: Array, white: float, clip: float = CLIP) -> None:
         known = series[np.isfinite(series)]
-        self.n = max(known.size - noise.shape[0], 0)
+        r = drift.shape[1]
+        if known.size < r + 8:
+            raise ValueError(f"the channel likelihood needs at least {r + 8} known samples, found {known.size}.")
         step = np.diff(known)
-        top = float(np.max(np.abs(step), initial=0.0))
-        if known.size < noise.shape[0] + 8:
-            raise ValueError(f"the channel likelihood needs at least {noise.shape[0] + 8} known samples, found {known.size}.")
+        top = float(np.max(np.abs(step)))
         if not top > 1e-13 * float(np.max(np.abs(known))):
             raise ValueError("the series is constant: it has no error to learn.")
         # A power of two, so that scaling is exact.
         self.unit = 2.0 ** -round(math.log2(top * max(float(np.sqrt(np.mean((step / top) ** 2))), 1e-6)))
-        self.y = np.ascontiguousarray(series - known[0]) * self.unit
-        r = noise.shape[0]
-        self.Q = np.zeros((1, 1)) if r == 0 else np.ascontiguousarray(noise * self.unit**2)
-        self.rules = np.array([r, LONGEST_GAP, clip, white * self.unit**2])
-        if r == 0:
-            self.y = np.ascontiguousarray(series) * self.unit
+        diffuse = int(np.isinf(drift[r]).sum())
+        # A diffuse level takes up any constant: without it, arithmetic is with small numbers.
+        self.y = np.ascontiguousarray(series - (known[0] if diffuse else 0.0)) * self.unit
+        self.Q = np.zeros((2, 1)) if r == 0 else np.ascontiguousarray(drift * self.unit**2)
+        self.rules = np.array([diffuse, LONGEST_GAP, clip, white * self.unit**2])
+        self.n = known.size - diffuse
         self.pole_radius = 1.0 - 3.0 / max(known.size, 8)
         self.lowest = 2.0 * math.pi / max(known.size, 8)
         self._e, self._lns = np.empty(self.y.size), np.empty(self.y.size)
@@ -115,13 +115,16 @@ class Likelihood:
 
     def _steps(self, theta: Array, p: int) -> Array:
         """Difference steps that stay where a stationary start exists."""
-        steps = np.full(theta.size, 1e-6)
+        steps = np.full(theta.size, STEPS[0])
+        padded, _ = _padded(theta, p)
+        m = padded.size // 2
+        spare = np.empty((m, m))
         for i in range(p):
             for size in STEPS:
-                moved = theta[:p].copy()
+                moved = padded[:m].copy()
                 moved[i] += size
                 steps[i] = size
-                if largest_reflection(moved, 1.0) < 1.0:
+                if kernel.stationary(moved, padded[m:-1], spare):
                     break
         return steps
 
