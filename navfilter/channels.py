@@ -80,9 +80,9 @@ class Channel:
 
 
 def usable(sd: ArrayLike, axes: int) -> bool:
-    """Whether standard deviations given with a reading can be used."""
+    """Whether standard deviations given with a reading can be used; the variance of one beyond 1e100 would not be finite."""
     values = np.asarray(sd, dtype=np.float64)
-    return values.size in (1, axes) and bool(np.all((values >= 0.0) & np.isfinite(values)))
+    return values.size in (1, axes) and bool(np.all((values >= 0.0) & (values < 1e100)))
 
 
 def _lever_arm_covariance(sensor: Sensor, rate_variance: Array) -> Array:
