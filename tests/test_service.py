@@ -318,6 +318,34 @@ def test_lost_sensors_are_told_and_come_back(dive):
     assert 40 <= events[0]["time_s"] <= 42 and 50 <= events[1]["time_s"] <= 52
 
 
+def test_a_state_that_is_lost_is_found_again(dive, reckoning):
+    """The covariance is broken on purpose: nothing that arrives should be able to."""
+    for case in (dive, reckoning):
+        out, parser, broken = [], LineParser(case.vehicle), False
+        session = Session(case.vehicle, case.options, lambda line, is_state, out=out: out.append(line))
+        for line in case.lines:
+            item = parser.parse(line)
+            if item.time_s == 20.5 and not broken:
+                session.nav._P[:], broken = np.nan, True
+            session.feed(item)
+        session.stop()
+        rows, events = states(out)
+        told = [(e["event"], e.get("how")) for e in events if e["event"] != "condition"]
+        assert told == [("start", "given"), ("diverged", None), ("start", "aligned"), ("stop", None)]
+        assert 21.0 <= events[1]["time_s"] <= events[2]["time_s"] <= 22.0
+        times = [row["time_s"] for row in rows]
+        assert times == sorted(times) and set(range(1, 61)) - {round(t) for t in times} <= {21, 22}
+        assert abs(rows[-1]["latitude_deg"] - states(case.output)[0][-1]["latitude_deg"]) < 5 * 3.0 / 111e3  # the fixes have 3 m
+
+
+@pytest.mark.parametrize("sd", [1e300, 1e160])
+def test_a_standard_deviation_whose_square_is_infinite_is_invalid(dive, sd):
+    """Found by fuzzing: the covariance became NaN."""
+    nav = nf.Navigator(dive.vehicle, dive.mission.start)
+    nav.step(0.01, (0, 0, 0), (0, 0, -9.8))
+    assert nav.correct("depth", 0.01, 0.0, sd=sd).status == "invalid" and np.isfinite(nav.state.covariance).all()
+
+
 def test_warnings_of_bad_lines_are_few(dive):
     lines = []
     for line in dive.lines[:3000]:

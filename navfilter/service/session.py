@@ -116,6 +116,8 @@ class Session:
             elif self._pairing is not None:
                 for reading, attitude in self._pairing.take(item):
                     self._take(reading, attitude)
+                    if self.nav is None:
+                        break
             else:
                 self._take(item, None)
         elif isinstance(item, BadLine):
@@ -137,10 +139,11 @@ class Session:
     def stop(self) -> None:
         """The end of the readings (of this run): what still waits is used, and the last state is told."""
         if self.nav is not None:
-            if self._pairing is not None:
-                for reading, attitude in self._pairing.end():
+            for reading, attitude in () if self._pairing is None else self._pairing.end():
+                if self.nav is not None:
                     self._take(reading, attitude)
             self._flush()
+        if self.nav is not None:
             self._state()
         self._tell("stop", time_s=None if self.nav is None else self.nav.time_s, bad_lines=self.bad)
 
@@ -221,6 +224,16 @@ class Session:
             if reading.time_s >= start.time_s - 1e-9 or reading.sensor == "attitude":
                 self.feed(reading)
 
+    def _start_again(self) -> None:
+        """When the readings made so little sense that there is no state any more, look for a start in those to come."""
+        assert self.nav is not None
+        self._tell("diverged", time_s=self.nav.time_s, text="the state is not finite any more; aligning again, or give a start line")
+        self.nav, self._start, self._align_at_s, self._waited, self._offset_s = None, None, None, "", 0.0
+        self._rows.clear()
+        self._conditions.clear()
+        if self._pairing is not None:
+            self._pairing = Pairing(self.vehicle.drive.period_s)
+
     def _start_line(self, item: StartLine) -> None:
         if self.nav is not None:
             self._bad(BadLine("wrong-start", "a start came after the start; restart the run to start again", b""))
@@ -246,6 +259,9 @@ class Session:
         tick, second = self._tick, self._second
         self._next_tick()
         if self._second != second:
+            if not np.isfinite(self.nav.state.sd).all():
+                self._start_again()
+                return
             for name, health in self.nav.health.sensors.items():
                 self._condition(name, health.condition)
         if self._tick > tick:
