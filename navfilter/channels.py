@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.stats import chi2
 
+from navfilter.arma.model import ArmaModel
 from navfilter.error_models import ErrorModel
 from navfilter.kernels import kalman, listen
 from navfilter.layout import Group, Layout
-from navfilter.learned import known_walk, known_white, learned_part, with_learned
+from navfilter.learned import known_walk, known_white, learned_part, with_learned, with_zero_frequency, zero_frequency
 from navfilter.sensors import BodyVelocity, Depth, Heading, Position, Sensor
 from navfilter.start import Start
 from navfilter.state import matrix_from_euler
@@ -27,6 +28,8 @@ __all__ = ["Channel", "ChannelSeries", "Listener"]
 
 Array = NDArray[np.float64]
 GRAVITY = 9.81
+#: S(0) is averaged over so many hops: two windows.
+HOPS_REMEMBERED = 8
 #: The newest readings are left out of what is learnt from, so that those that come late by as much change nothing [s].
 GUARD_S = 2.0
 #: A first try at learning needs so many ticks.
@@ -174,7 +177,8 @@ class Listener:
         self.window = window
         self.hop = min((part.hop or part.window // 4 for part in learned if part is not None), default=0)
         self.due = 0 if window else NEVER
-        self._before_hop: tuple[Any, ...] = (-1, self.due, self.models, ())
+        self._before_hop: tuple[int, tuple[Any, ...]] = (-1, ())
+        self.levels: tuple[tuple[float, ...], ...] = ((),) * sensor.axes
 
     def series(self, axis: int, last: int | None = None, without: int = 0) -> Array:
         """The last ticks of one axis, oldest first, without the newest."""
@@ -198,28 +202,28 @@ class Listener:
         """Hear everything again from the start, without learning from it again."""
         self.due = int(self.cursor[0]) + self.hop if self.window else NEVER
         self.cursor[0] = 0
-        self._before_hop = (-1, self.due, self.models, ())
+        self._before_hop = (-1, ())
 
     def mark(self) -> tuple[Any, ...]:
         """Where it stands, to `recall` within the few seconds that the ring keeps beyond its window."""
-        return int(self.cursor[0]), self.due, self.models
+        return int(self.cursor[0]), self.due, self.models, self.levels
 
     def recall(self, mark: tuple[Any, ...]) -> None:
         """Go back to a `mark`: not further than one hop."""
-        self.cursor[0], self.due, self.models = mark
-        hop, _, _, kept = self._before_hop
+        self.cursor[0], self.due, self.models, self.levels = mark
+        hop, kept = self._before_hop
         if self.cursor[0] < hop:
             for learner, values in zip(self.learners, kept, strict=True):
                 if learner is not None:
                     learner.restore(values)
-            self._before_hop = (-1, self.due, self.models, ())
+            self._before_hop = (-1, ())
 
-    def kept(self, mark: tuple[Any, ...]) -> tuple[int, int, tuple[ErrorModel, ...], tuple[Any, ...]]:
-        """A `mark` with what the learners knew then."""
-        hop, _, _, kept = self._before_hop
+    def kept(self, mark: tuple[Any, ...]) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
+        """A `mark`, and what the learners knew then."""
+        hop, kept = self._before_hop
         if mark[0] >= hop:
             kept = tuple(None if learner is None else learner.snapshot() for learner in self.learners)
-        return (*mark, kept)
+        return mark, kept
 
     def revive(self, ring: Array, learners: Sequence[dict[str, Array]]) -> None:
         """Take over readings and learners of another run."""
@@ -233,20 +237,35 @@ class Listener:
         written = int(self.cursor[0])
         newest = min(max(0, round((GUARD_S - behind_s) / self.period_s)), written)
         kept = tuple(None if learner is None else learner.snapshot() for learner in self.learners)
-        self._before_hop = (written, self.due, self.models, kept)
+        self._before_hop = (written, kept)
         self.due = written + self.hop
-        new = []
+        new, levels = [], list(self.levels)
         for axis, (model, learner) in enumerate(zip(self.models, self.learners, strict=True)):
             part = learned_part(model)
             if part is not None and learner is not None:
                 found = learner.hop(self.series(axis, part.window + newest, newest))
                 if "starting" not in found.flags and found.is_stable and found.is_invertible:
+                    levels[axis] = (*levels[axis], zero_frequency(found))[-HOPS_REMEMBERED:]
+                    found = steadied(found, levels[axis])
                     model = with_learned(model, replace(part, model=found))
             new.append(model)
+        self.levels = tuple(levels)
         if tuple(new) == self.models:
             return None
         self.models = tuple(new)
         return self.models
+
+
+def steadied(model: ArmaModel, levels: Sequence[float]) -> ArmaModel:
+    """The model with S(0) at the mean of what the last windows found, and sd ln S(0) accordingly smaller.
+
+    One window holds few correlation times of a slow error: its S(0) swings by a factor, and the low ones claim to be sure. Windows
+    overlap by three quarters, so n of them are worth (n + 3) / 4.
+    """
+    factor = float(np.mean(levels)) / levels[-1] if levels[-1] > 0.0 else 1.0
+    ar, variance = with_zero_frequency(model, factor)
+    spread = None if model.sd_log_s0 is None else model.sd_log_s0 / math.sqrt((len(levels) + 3) / 4.0)
+    return replace(model, ar=ar, sd=math.sqrt(variance), sd_log_s0=spread)
 
 
 def _drift(sensor: Sensor, axis: int, vehicle: Vehicle, walk: float) -> Drift:

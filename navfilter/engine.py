@@ -95,7 +95,7 @@ class Engine:
     #: Nothing is learnt from readings before this age: the start's tilt has to settle [s].
     SETTLE_S = 60.0
     #: The first models are adopted at this age, or when the longest window is full [s].
-    FIRST_S = 500.0
+    FIRST_S = 520.0
 
     def __init__(self, vehicle: Vehicle, start: Start, tape: Tape | None = None) -> None:
         if not isinstance(vehicle, Vehicle):
@@ -303,7 +303,7 @@ class Engine:
         return self._note(channel, time_s, "rejected", nis, int(dof))
 
     def _at_fault(self, channel: Channel, time_s: float, frozen: bool) -> bool:
-        """Whether it is the state that is wrong: two sensors or more have been rejected for half their time-outs, and none was used since."""
+        """Whether the state is wrong: two sensors or more have been rejected for half their time-outs, and none was used since."""
         if math.isnan(channel.rejected_since_s):
             channel.rejected_since_s = time_s
         if frozen:

@@ -20,8 +20,8 @@ class Intake:
     """What is known of the drive's clock.
 
     Stamps must rise. One that does not is dropped, and so is a stamp more than `DOUBT_S` ahead, unless the very next one confirms it. A
-    confirmed leap of more than `LONGEST_S`, or stamps that follow each other for a quarter of a second but lie before the last good one, mean
-    that the clock has been set: from then on all stamps are moved by `offset_s`, so that time goes on, and back when it is put right again.
+    confirmed leap of more than `LONGEST_S`, or stamps that follow each other for a quarter of a second but lie before the last good one,
+    mean that the clock has been set: from then on all stamps are moved by `offset_s`, so that time goes on, and back when it is put right.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ class Intake:
 
     def _mend(self, samples: Array, drv: Array, at_rest: Callable[[], Array]) -> tuple[Array, Array]:
         """Drop samples whose stamps cannot be, repair values that cannot be; returns steps and stamps."""
-        possible = (np.abs(samples[:, 1 : 1 + len(self._limits)]) <= self._limits).all(axis=1)
+        possible: NDArray[np.bool_] = np.all(np.abs(samples[:, 1 : 1 + len(self._limits)]) <= self._limits, axis=1)
         keep, before, shift = np.zeros(len(samples), bool), self.before_s, 0.0
         for i, stamp in enumerate(samples[:, 0].tolist()):
             stamp += shift
@@ -119,7 +119,7 @@ class Intake:
         return -self.offset_s if righted else before + self._period_s - stamp
 
     def _set_back(self, stamp: float, before: float) -> float:
-        """What to add to a stamp that does not rise: NaN until a quarter of a second of them in good order shows that the clock was set back."""
+        """What to add to a stamp that does not rise: NaN until a quarter of a second of them in order shows that the clock was set back."""
         follows = 0.0 < stamp - self._back_s <= self._doubt_s
         self._back_count = self._back_count + 1 if follows else 1
         self._back_s = stamp

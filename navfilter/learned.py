@@ -18,9 +18,11 @@ __all__ = ["LearnedArma", "known_walk", "known_white", "learned_part", "register
 Array = NDArray[np.float64]
 
 #: Orders (p, q) tried by default: white, Gauss-Markov, Gauss-Markov and white, up to two oscillations with white noise.
-DEFAULT_ORDERS = ((0, 0), (1, 0), (1, 1), (2, 0), (2, 1), (2, 2), (3, 2), (4, 2), (4, 4))
+DEFAULT_ORDERS = ((0, 0), (1, 0), (1, 1), (2, 0), (2, 1), (2, 2), (3, 2), (3, 3), (4, 2), (4, 4))
 #: sd ln S(0) counts at most so much: beyond it the window says nothing about the low frequencies.
 LARGEST_SPREAD = 1.5
+#: S(0) is raised by exp(share * sd ln S(0)).
+SHARE = 0.5
 #: No pole comes nearer to 1.
 NEAREST = 1e-5
 
@@ -104,21 +106,31 @@ class LearnedArma(ErrorModel):
         return f"LearnedArma({self.model.p}, {self.model.q})"
 
 
-def cautious(model: ArmaModel) -> tuple[Array, float]:
-    """AR coefficients and driving variance with S(0) raised by exp(sd ln S(0)).
+def zero_frequency(model: ArmaModel) -> float:
+    """Spectral density at zero frequency per sample, ``S(0) = sd^2 (C(1) / A(1))^2`` [unit^2]."""
+    return float(model.sd**2 * ((1.0 + model.ma.sum()) / (1.0 + model.ar.sum())) ** 2)
 
-    Where the model has a real slow pole, that pole moves towards 1: only the low frequencies rise, which are what is uncertain, and the
-    innovation keeps its size. Otherwise the driving variance takes it.
+
+def with_zero_frequency(model: ArmaModel, factor: float) -> tuple[Array, float]:
+    """AR coefficients and driving variance of the model with S(0) times `factor`.
+
+    Where the model has a real slow pole, that pole moves: only the low frequencies change, and the innovation keeps its size. Otherwise the
+    driving variance takes it, but it is never lowered.
     """
-    spread = 0.0 if model.sd_log_s0 is None else min(model.sd_log_s0, LARGEST_SPREAD)
     poles = model.poles
     slow = [i for i, z in enumerate(poles) if abs(z.imag) < 1e-9 and z.real > 0.5]
     if not slow:
-        return model.ar, model.sd**2 * math.exp(spread)
+        return model.ar, model.sd**2 * max(factor, 1.0)
     first = max(slow, key=lambda i: poles[i].real)
-    room = max((1.0 - poles[first].real) * math.exp(-0.5 * spread), NEAREST)
-    poles[first] = 1.0 - min(room, 1.0 - poles[first].real)
+    own = 1.0 - poles[first].real
+    poles[first] = 1.0 - min(max(own / math.sqrt(factor), min(own, NEAREST)), 0.5)
     return np.atleast_1d(np.poly(poles)).real[1:], model.sd**2
+
+
+def cautious(model: ArmaModel) -> tuple[Array, float]:
+    """AR coefficients and driving variance with S(0) raised by what is not known of it."""
+    spread = 0.0 if model.sd_log_s0 is None else min(model.sd_log_s0, LARGEST_SPREAD)
+    return with_zero_frequency(model, math.exp(SHARE * spread))
 
 
 def register_block(model: ArmaModel) -> Block:

@@ -99,7 +99,7 @@ class Navigator(Engine):
         counted in `counts`, like gaps of more than three periods.
         """
         try:
-            if isinstance(time_s, float) and len(first) == 3 == len(second):  # type: ignore[arg-type]
+            if isinstance(time_s, float) and len(first) == 3 == len(second):
                 samples = self._row
                 samples[0, 0], samples[0, 1:4], samples[0, 4:7] = time_s, first, second
             else:

@@ -126,8 +126,8 @@ def _payload(nav: Navigator) -> bytes:
         listener = nav.channel(name).listener
         if listener is None:
             continue
-        cursor, due, models, learners = listener.kept(mark)
-        listeners[name] = [cursor, due, plain(models)]
+        (cursor, due, models, levels), learners = listener.kept(mark)
+        listeners[name] = [cursor, due, plain(models), levels]
         arrays[f"ring/{name}"] = listener.ring
         for axis, kept in enumerate(learners):
             arrays |= {f"learner/{name}/{axis}/{key}": v for key, v in (kept or {}).items()}
@@ -233,7 +233,7 @@ def _revived(kind: type[Navigator], vehicle: Vehicle, meta: dict[str, Any], arra
     for name, error in meta["models"].items():
         in_force = in_force.with_error(**{name: revive(error)})
     marks = {}
-    for name, (cursor, due, models) in meta["listeners"].items():
+    for name, (cursor, due, models, levels) in meta["listeners"].items():
         if nav.channel(name).listener is None:
             nav.listen(name, arrays[f"ring/{name}"].shape[1])
         listener = nav.channel(name).listener
@@ -244,7 +244,7 @@ def _revived(kind: type[Navigator], vehicle: Vehicle, meta: dict[str, Any], arra
             for axis in range(len(listener.learners))
         ]
         listener.revive(arrays[f"ring/{name}"], learners)
-        marks[name] = (cursor, due, revive(models))
+        marks[name] = (cursor, due, revive(models), tuple(tuple(axis) for axis in levels))
     memory = Memory(
         tuple(meta["clock"]),
         tuple(meta["intake"]),
