@@ -30,6 +30,7 @@ import sys
 import tempfile
 import time
 import traceback
+import types
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -39,6 +40,7 @@ from typing import Any
 import numpy as np
 import scipy.io
 import scipy.sparse
+from pydantic import BaseModel
 
 import navfilter as nf
 from navfilter.check.description import describe_vehicle
@@ -588,6 +590,19 @@ def with_atheris(target: Target, inputs: int, seed: int, keep: Path | None) -> C
     return Count(**{**found, "kinds": Counter(found["kinds"])})
 
 
+def instrument(owner: Any, module: str) -> None:
+    """Let libFuzzer see which lines of a module's functions, and of its classes' methods, are reached."""
+    import atheris
+
+    for key, value in list(vars(owner).items()):
+        if getattr(value, "__module__", None) != module:
+            continue
+        if isinstance(value, types.FunctionType):
+            setattr(owner, key, atheris.instrument_func(value))
+        elif isinstance(value, type) and not issubclass(value, BaseModel | tuple):
+            instrument(value, module)
+
+
 def child(name: str, inputs: int, seed: int, keep: Path | None, path: Path) -> None:
     """Fuzz one target under libFuzzer and write the count at the end."""
     import atheris
@@ -597,9 +612,7 @@ def child(name: str, inputs: int, seed: int, keep: Path | None, path: Path) -> N
         for module in [
             m for n, m in sys.modules.items() if n.startswith(("navfilter.io", "navfilter.snapshot", "navfilter.service", "tomllib"))
         ]:
-            for value in list(vars(module).values()):
-                if callable(value) and getattr(value, "__module__", None) == module.__name__ and hasattr(value, "__code__"):
-                    setattr(module, value.__name__, atheris.instrument_func(value))
+            instrument(module, module.__name__)
         corpus = Path(folder, "corpus")
         corpus.mkdir()
         for k, example in enumerate(target.examples):
