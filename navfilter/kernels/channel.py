@@ -155,7 +155,7 @@ def channel_filter(y, theta, Q, rules, e, lns):
     start. The first DIFFUSE states start diffuse: as many known samples of a segment fix them and do not count (their
     density does not depend on theta). A run of more than LONGEST_GAP missing samples ends a segment. Innovations beyond
     CLIP standard deviations enter the state clipped and the likelihood by Huber's function. `e` (N,) is NaN and `lns` 0
-    where nothing counts. Infinite if not stationary.
+    where nothing counts. Infinite if not stationary, or so nearly integrating that the start's covariance is only rounding.
     """
     r, m = Q.shape[1], (theta.size - 1) // 2
     n, d = r + m, int(rules[DIFFUSE])

@@ -28,8 +28,8 @@ CYCLES = 10.0
 # Hops in a row at which a challenger must lead.
 HOPS = 2
 KEPT_FLAGS = ("capped", "starting")
-# Scoring passes of a first estimate, of the order in use, and of a challenger.
-COLD, OWN, OTHER = 20, 2, 1
+# Scoring passes of a first estimate (while young; later, in its turn), of the order in use, and of a challenger.
+COLD, TURN, OWN, OTHER = 20, 5, 2, 1
 # Orders that exceed a good one by more parameters than this wait for their turn.
 BEYOND = 2
 
@@ -167,7 +167,7 @@ class Learner:
             else:
                 below = {k: c.point.theta for k, c in fits.items() if sum(k)}
                 starts = grown_starts(likelihood, below, *order) if below else cold_starts(likelihood, *order)
-                found = fit_candidate(likelihood, order, starts, COLD)
+                found = fit_candidate(likelihood, order, starts, COLD if self._young else TURN)
             if found is not None:
                 fits[order] = found
                 self._thetas[order] = found.theta
