@@ -10,9 +10,12 @@ import pytest
 from navfilter.arma.model import ArmaModel
 from navfilter.error_models import Arma, GaussMarkov, RandomWalk, White
 from navfilter.io import VehicleError, read_vehicle, write_vehicle
-from navfilter.learned import LearnedArma
+from navfilter.io.write import labelled, write_outputs
+from navfilter.learned import LearnedArma, learned_part
 from navfilter.mechanisation import DeadReckoning, Imu
+from navfilter.playback import replay
 from navfilter.sensors import BodyVelocity, Depth, Heading, Position, ZeroVelocity
+from navfilter.simulation.scenarios import simulate_scenario
 from navfilter.vehicle import Vehicle
 
 RECORDINGS = Path(__file__).parent / "recordings"
@@ -64,6 +67,20 @@ LEARNING = Vehicle(
 )
 def test_what_is_written_comes_back(tmp_path, vehicle):
     assert read_vehicle(write_vehicle(vehicle, tmp_path / "v.toml")) == vehicle
+
+
+def test_what_a_run_has_learnt_is_written_for_the_next_one(tmp_path):
+    """The file holds the models in force at the end, number for number; a run that learnt nothing writes none."""
+    vehicle, mission = simulate_scenario("lawnmower", seed=3, duration_s=150.0)
+    learning = vehicle.with_error(compass=White(sd=0.001) + LearnedArma(window=400, orders=((1, 0), (1, 1))))
+    for who, expected in ((vehicle, False), (learning, True)):
+        track = replay(who, mission)
+        files = {path.name for path in write_outputs(labelled(track), mission, tmp_path / str(expected))}
+        assert ("vehicle_learned.toml" in files) == expected
+    back = read_vehicle(tmp_path / "True" / "vehicle_learned.toml")
+    last = track.error_models["compass"][-1][1][0]
+    assert learned_part(last).model is not None and back.sensors["compass"].error == last
+    assert back.with_error(compass=learning.sensors["compass"].error) == learning
 
 
 @pytest.mark.parametrize("path", sorted(RECORDINGS.glob("*/*/vehicle.toml")), ids=lambda p: f"{p.parts[-3]}-{p.parts[-2]}")

@@ -1,4 +1,4 @@
-"""The files of a run: track.csv, track.tum, truth.tum, track.geojson, summary.json."""
+"""The files of a run: track.csv, track.tum, truth.tum, track.geojson, summary.json, and vehicle_learned.toml where it learnt."""
 
 from __future__ import annotations
 
@@ -15,11 +15,25 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from navfilter.io.geodesy import ecef_from_geodetic, matrix_from_euler, ned_axes
+from navfilter.io.vehicle_toml import write_vehicle
+from navfilter.learned import learned_part
 from navfilter.mission import Mission, Stream
 from navfilter.sensors import Position
 from navfilter.track import Track
+from navfilter.vehicle import Vehicle
 
-__all__ = ["labelled", "local_enu", "summarise", "write_csv", "write_geojson", "write_json", "write_outputs", "write_summary", "write_tum"]
+__all__ = [
+    "labelled",
+    "learned_vehicle",
+    "local_enu",
+    "summarise",
+    "write_csv",
+    "write_geojson",
+    "write_json",
+    "write_outputs",
+    "write_summary",
+    "write_tum",
+]
 
 Array = npt.NDArray[np.float64]
 
@@ -55,12 +69,35 @@ def write_outputs(tracks: Mapping[str, Track], mission: Mission, folder: str | o
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     result = list(tracks.values())[-1]
+    learnt = learned_vehicle(result)
     return [
         write_csv(result, folder / "track.csv"),
         *write_tum(result, folder, mission.truth),
         write_geojson(result, mission, folder / "track.geojson"),
         write_summary(tracks, mission, folder / "summary.json"),
+        *([] if learnt is None else [write_vehicle(learnt, folder / "vehicle_learned.toml")]),
     ]
+
+
+def learned_vehicle(track: Track) -> Vehicle | None:
+    """The vehicle of a run with the error models that were in force at its end: the next dive can begin with them.
+
+    Parameters
+    ----------
+    track : Track
+
+    Returns
+    -------
+    Vehicle or None
+        None where no model has been learnt.
+    """
+    last: dict[str, Any] = {}
+    for name, history in track.error_models.items():
+        error = history[-1][1] if history else None
+        models = error if isinstance(error, tuple) else (error,)
+        if any(learned is not None and learned.model is not None for learned in map(learned_part, filter(None, models))):
+            last[name] = models[0] if len(models) == 1 else models
+    return track.vehicle.with_error(**last) if last else None
 
 
 def summarise(tracks: Mapping[str, Track], mission: Mission) -> dict[str, Any]:
