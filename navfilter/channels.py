@@ -290,7 +290,7 @@ def _drift(sensor: Sensor, axis: int, vehicle: Vehicle, walk: float) -> Drift:
     turn, force = max(white[:3]), max(white[3:])
     if isinstance(sensor, Heading):
         return Drift((math.hypot(turn, walk), max(walks[:3])), period_s)
-    level = 2.0 * GRAVITY * turn  # tilt wanders about two axes, and what the loop corrects of it
+    level = GRAVITY * turn  # the tilt wanders, and turns gravity into acceleration
     vertical = isinstance(sensor, Depth) or axis == 2
     slow = max(max(walks[3:]), 1e-7) if vertical else level
     if isinstance(sensor, BodyVelocity):

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navfilter.adoption import state_change
-from navfilter.channels import Channel, ChannelSeries, Listener, usable
+from navfilter.channels import GRAVITY, Channel, ChannelSeries, Listener, usable
 from navfilter.error_models import ErrorModel
 from navfilter.intake import Intake
 from navfilter.kernels import kalman, listen, strapdown
@@ -139,7 +139,7 @@ class Engine:
         self._x = np.zeros(self.layout.size - 9)
         self._xd = self._x[: self.layout.drive.size]
         self._drv = vehicle.drive.memory(self.layout.drive.errors, self.start)
-        self._undone = np.zeros(2 * self._head - 6)
+        self._undone = np.zeros(2 * self._head)
         if self._tape is not None:
             self._tape.begin(self.layout)
             for name, sensor in vehicle.sensors.items():
@@ -394,8 +394,10 @@ class Engine:
             kind, ring, cursor, mount = listener.kind, listener.ring, listener.cursor, listener.mount
         Phi = channel.mem[: self._head**2].reshape(self._head, self._head)
         listen.carry(self._undone, Phi)
+        gravity = GRAVITY if self._inertial else 0.0
         listen.listen(
-            self._undone, channel.mem, channel.dims, channel.places, self._nav, channel.C, self._x, kind, mount, ring, cursor, channel.count
+            *(self._undone, channel.mem, channel.dims, channel.places, self._nav, channel.C, self._x),
+            *(kind, mount, ring, cursor, channel.count, self._Cr, gravity),
         )
 
     def _learn(self, channel: Channel) -> None:
@@ -465,9 +467,9 @@ class Engine:
         self._xd = self._x[: self.layout.drive.size]
         fresh = new.drive.memory(self.layout.drive.errors, self.start)
         self._drv[[strapdown.DEVIATION, strapdown.SCALE]] = fresh[[strapdown.DEVIATION, strapdown.SCALE]]
-        self._undone = np.zeros(2 * self._head - 6)
+        self._undone = np.zeros(2 * self._head)
         self._undone[: self._head] = M[: self._head, :head] @ undone[:head]
-        self._undone[self._head : self._head + 3] = undone[head : head + 3]
+        self._undone[self._head : self._head + 9] = undone[head : head + 9]
         self.counts["adopted"] += 1
         if self._tape is not None:
             self._tape.layouts.append(self.layout)

@@ -739,3 +739,43 @@ def channel_scores(y, theta, Q, rules, free, steps, E, LNS, info, gradient):
     gradient[:] = (dv - 0.5 * z * ds) @ np.clip(z, -rules[2], rules[2]) + 0.5 * ds.sum(1)
     info[:] = dv @ dv.T + 0.5 * ds @ ds.T
     return value
+
+
+# ---------------------------------------------------------------- kernels/listen.py: what an open loop would have read
+
+
+def carry(undone, Phi):
+    """Position, velocity and acceleration fed back, a chain of integrators; heading and the drive's states by Phi."""
+    m, dt = len(Phi), Phi[0, 3]
+    p, v, v_b, a, a_b = undone[:3], undone[3:6], undone[m : m + 3], undone[m + 3 : m + 6], undone[m + 6 : m + 9]
+    p[:], v[:], v_b[:] = p + dt * v + 0.5 * dt**2 * a, v + dt * a, v_b + dt * a_b
+    undone[8] += Phi[8, 9:] @ undone[9:m]
+    undone[9:m] = Phi[9:, 9:] @ undone[9:m]
+
+
+def listen(undone, mem, dims, places, nav, C, x, kind, mount, ring, cursor, ticks, Cr, gravity):
+    a, n, m, _, start, errors, par = dims
+    at, capacity = places, ring.shape[1]
+    K, res, near = mem[at[1] : at[2]].reshape(n, a), mem[at[3] : at[4]], mem[at[7] : at[8]].reshape(a, 9 + par)
+    used, C_nb, own = mem[at[8] + 2] != 0, nav[6:15].reshape(3, 3), slice(start, start + errors)
+    d = K @ res
+    if kind:
+        value = np.full(a, np.nan)
+        if used:
+            before = x[start - 9 : start - 9 + errors] - d[own]
+            closed = mem[at[8] + 3 : at[8] + 3 + a] + C @ before
+            value = closed + {1: undone[[8]], 2: near[:, :3] @ undone[:3], 3: mount.reshape(3, 3) @ undone[m : m + 3]}[kind][:a]
+        for column in [*[np.full(a, np.nan)] * min(ticks - 1, capacity), value]:
+            ring[:, cursor[0] % capacity] = column
+            cursor[0] += 1
+    if not used:
+        return
+    inertial = gravity > 0
+    tilt, force = gravity * np.array([-d[7], d[6], 0.0]), -inertial * Cr[3:, :-1] @ d[9:m]
+    heading = np.arctan2(C_nb[1, 0], C_nb[0, 0])
+    undone[:3] += d[:3]
+    undone[3:6] += inertial * d[3:6]
+    undone[8:m] += d[8:m]
+    undone[m : m + 3] += C_nb.T @ (d[3:6] + np.cross(nav[3:6], d[6:9]))
+    undone[m + 3 : m + 6] += tilt + C_nb @ force
+    undone[m + 6 : m + 9] += rotation(heading * DOWN).T @ tilt + force

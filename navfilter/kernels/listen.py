@@ -1,7 +1,12 @@
 """Kernels that take the filter's own feedback off again, so that a sensor's error can be learnt from its readings.
 
-``undone`` holds the sum of what corrections fed back, carried along like an error of the state: position and velocity in n, heading
-(element 8), the drive's states, and behind them the velocity in b. An open loop would read higher residuals by H times that sum.
+``undone`` holds the sum of what corrections fed back, carried along as an open loop would have carried it, but frozen at the time of the
+correction into chains of plain integrators: heading by the drive's states; position and velocity in n by the acceleration in n; velocity
+in b by the acceleration in b. An open loop would read higher residuals by H times that sum. What is left beside it is the error of the
+closed loop, which is small, so that Coriolis force, turns and a pitching accelerometer bias act on that small error only, not on the sum.
+
+Places in ``undone`` (2m elements for m head states): position 0-2, velocity 3-5, heading 8, the drive's states 9 to m, then velocity in b,
+acceleration in n, acceleration in b (three each), and m - 9 of work space.
 """
 
 import math
@@ -13,40 +18,32 @@ NOTHING, HEADING, POSITION, VELOCITY = 0, 1, 2, 3
 
 @njit(cache=True)
 def carry(undone, Phi):
-    """Carry the sum over a compound transition Phi (m x m): position by velocity, heading by the gyros' states.
-
-    Tilt and horizontal accelerometer states stay in the closed loop: only their sum shows, and the chain of the channel's model pays for it.
-    """
+    """Carry the sum over a compound transition Phi (m x m), which says how long it took and how the drive's states turn the heading."""
     m = Phi.shape[0]
-    p0, p1, p2, v0, v1, v2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for j in range(3):
-        p0 += Phi[0, j] * undone[j] + Phi[0, 3 + j] * undone[3 + j]
-        p1 += Phi[1, j] * undone[j] + Phi[1, 3 + j] * undone[3 + j]
-        p2 += Phi[2, j] * undone[j] + Phi[2, 3 + j] * undone[3 + j]
-        v0 += Phi[3, 3 + j] * undone[3 + j]
-        v1 += Phi[4, 3 + j] * undone[3 + j]
-        v2 += Phi[5, 3 + j] * undone[3 + j]
+    dt = Phi[0, 3]
+    for i in range(3):
+        undone[i] += dt * (undone[3 + i] + 0.5 * dt * undone[m + 3 + i])
+        undone[3 + i] += dt * undone[m + 3 + i]
+        undone[m + i] += dt * undone[m + 6 + i]
     for j in range(9, m):
-        p2 += Phi[2, j] * undone[j]
-        v2 += Phi[5, j] * undone[j]
         undone[8] += Phi[8, j] * undone[j]
     for i in range(9, m):
         s = 0.0
         for j in range(9, m):
             s += Phi[i, j] * undone[j]
-        undone[m + 3 + i - 9] = s
+        undone[m + i] = s
     for i in range(9, m):
-        undone[i] = undone[m + 3 + i - 9]
-    undone[0], undone[1], undone[2], undone[3], undone[4], undone[5] = p0, p1, p2, v0, v1, v2
+        undone[i] = undone[m + i]
 
 
 @njit(cache=True)
-def listen(undone, mem, dims, places, nav, C, x, kind, mount, ring, cursor, ticks):
+def listen(undone, mem, dims, places, nav, C, x, kind, mount, ring, cursor, ticks, Cr, gravity):
     """After a reading: note its open-loop residual in `ring` (kind != 0), then add what it fed back to `undone`.
 
-    mem, dims, places: the channel's memory as the correction left it (see ``kalman.places``). C (a, errors), x: output rows and block means.
+    mem, dims, places: the channel's memory as the correction left it (see ``kalman.places``). C (a, errors), x: output rows and means.
     mount: (9,) body to instrument, row by row. ring: (a, capacity); cursor: (1,) ticks written so far; `ticks` of the sensor's clock have
-    passed since the reading before (those without a reading are noted as NaN). undone: (m + 3 + m - 9,), the end is work space.
+    passed since the reading before (those without a reading are noted as NaN). Cr: (6, drive's states + 1), the drive's output rows, forces
+    last; gravity: what a tilt turns into acceleration, 0 without an inertial unit, whose velocity is no integral.
     """
     a, m, start, errors = dims[0], dims[2], dims[4], dims[5]
     K, res, verdict = places[1], places[3], places[8]
@@ -73,7 +70,7 @@ def listen(undone, mem, dims, places, nav, C, x, kind, mount, ring, cursor, tick
                 if kind == HEADING:
                     y += undone[8]
                 elif kind == POSITION:
-                    for j in range(6):
+                    for j in range(3):
                         y += mem[near + i * width + j] * undone[j]
                 else:
                     for j in range(3):
@@ -87,9 +84,25 @@ def listen(undone, mem, dims, places, nav, C, x, kind, mount, ring, cursor, tick
         d[i] = 0.0
         for r in range(a):
             d[i] += mem[K + i * a + r] * mem[res + r]
-        if i < 6 or i >= 8:
+        if i < 3 or i >= 8 or (i < 6 and gravity > 0.0):
             undone[i] += d[i]
     u, v, w = nav[3], nav[4], nav[5]
     e, f, g = d[3] + v * d[8] - w * d[7], d[4] + w * d[6] - u * d[8], d[5] + u * d[7] - v * d[6]
+    # tilt acts in n; in b it turns with the heading alone: pitch and roll come and go, what was fed back stays
+    north, east = -gravity * d[7], gravity * d[6]
+    level = math.sqrt(nav[6] ** 2 + nav[9] ** 2)
+    c, s = (nav[6] / level, nav[9] / level) if level > 0.0 else (1.0, 0.0)
+    n, b = m + 3, m + 6
+    undone[n] += north
+    undone[n + 1] += east
+    undone[b] += c * north + s * east
+    undone[b + 1] += c * east - s * north
     for j in range(3):
         undone[m + j] += nav[6 + j] * e + nav[9 + j] * f + nav[12 + j] * g
+        if gravity > 0.0:
+            force = 0.0
+            for i in range(9, m):
+                force -= Cr[3 + j, i - 9] * d[i]
+            undone[b + j] += force
+            for i in range(3):
+                undone[n + i] += nav[6 + 3 * i + j] * force

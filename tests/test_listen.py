@@ -1,0 +1,198 @@
+"""What error models are learnt from: the open-loop series holds the sensor's error whole, beside a drift that obeys its claim."""
+
+import dataclasses
+import math
+from functools import cache
+
+import numpy as np
+import pytest
+from test_kernels_twins import assert_close, random_nav, run_both
+
+import navfilter as nf
+from navfilter.kernels import kalman, listen
+from navfilter.learning.channel import Drift
+from navfilter.mission import Stream
+from navfilter.playback import residual_series
+from navfilter.simulation.faults import draw_errors
+from navfilter.simulation.scenarios import survey_vehicle, transit, turns_and_dives
+from navfilter.simulation.simulate import simulate
+
+# ---------------------------------------------------------------- kernels and their twins
+
+
+def test_carry():
+    rng = np.random.default_rng(1)
+    for m in (9, 10, 15):
+        Phi = np.eye(m) + 0.1 * rng.normal(size=(m, m))
+        ours, twins = run_both(listen.carry, rng.normal(size=2 * m), Phi)
+        assert_close([ours[0][: m + 9]], [twins[0][: m + 9]], 1e-14)
+
+
+@pytest.mark.parametrize("used", [True, False])
+@pytest.mark.parametrize("gravity", [9.81, 0.0])
+@pytest.mark.parametrize("kind", [listen.NOTHING, listen.HEADING, listen.POSITION, listen.VELOCITY])
+def test_listen(kind, gravity, used):
+    rng = np.random.default_rng(2)
+    a = 1 if kind == listen.HEADING else 3
+    for ticks, cursor in ((1, 0), (4, 6), (30, 17)):
+        dims = np.array([a, 20, 13, 4, 15, 3, 1])
+        n, m, errors, at = dims[1], dims[2], dims[5], kalman.places(dims)
+        mem = rng.normal(size=at[-1])
+        mem[at[8] + 2] = used
+        nav, mount = random_nav(rng), rng.normal(size=9)
+        args = (rng.normal(size=2 * m), mem, dims, np.array(at), nav, rng.normal(size=(a, errors)), rng.normal(size=n - 9))
+        args += (kind, mount, rng.normal(size=(a, 8)), np.array([cursor]), ticks, rng.normal(size=(6, m - 8)), gravity)
+        ours, twins = run_both(listen.listen, *args)
+        assert_close([ours[0][: m + 9]], [twins[0][: m + 9]], 1e-13)
+        np.testing.assert_array_equal(np.isnan(ours[9]), np.isnan(twins[9]))
+        assert_close([np.nan_to_num(ours[9])], [np.nan_to_num(twins[9])], 1e-13)
+        np.testing.assert_array_equal(ours[10], twins[10])
+        np.testing.assert_array_equal(ours[10], cursor + (0 if kind == listen.NOTHING else min(ticks - 1, 8) + 1))
+
+
+# ---------------------------------------------------------------- a mission whose errors are known
+
+TRUE = {
+    "compass": nf.GaussMarkov(sd=0.01, tau_s=30.0),
+    "dvl": nf.GaussMarkov(sd=0.01, tau_s=10.0) + nf.White(sd=0.005),
+    "depth": nf.GaussMarkov(sd=0.05, tau_s=20.0) + nf.White(sd=0.02),
+    "gps": nf.GaussMarkov(sd=3.0, tau_s=60.0),
+}
+MOTIONS = {"straight": transit, "turning": turns_and_dives}
+CASES = [(mems, motion) for mems in (False, True) for motion in MOTIONS]
+NAMES = ["tactical-straight", "tactical-turning", "mems-straight", "mems-turning"]
+SEED, DURATION_S = 3, 1200.0
+
+
+@cache
+def mission_of(mems, motion):
+    """Vehicle and mission; fixes all the time, and gates wide open: beliefs may be as wrong as they like."""
+    plain = survey_vehicle(mems=mems).with_error(**TRUE)
+    vehicle = nf.Vehicle(plain.drive, {name: dataclasses.replace(s, gate_probability=1 - 1e-15) for name, s in plain.sensors.items()})
+    return vehicle, simulate(vehicle, MOTIONS[motion](DURATION_S), seed=SEED, duration_s=DURATION_S)
+
+
+@cache
+def series_of(mems, motion, beliefs=()):
+    vehicle, mission = mission_of(mems, motion)
+    return residual_series(vehicle.with_error(**dict(beliefs)), mission)
+
+
+def true_errors(mems, motion, name):
+    """What the simulator added to the readings, (n, axes), at the ticks of the series."""
+    vehicle, mission = mission_of(mems, motion)
+    sensor, count = vehicle.sensors[name], len(mission.streams[name])
+    error = draw_errors(sensor.error, 1.0 / sensor.rate_hz, np.arange(count) / sensor.rate_hz, sensor.axes, SEED, name)
+    return error[-len(series_of(mems, motion)[name][0].value) :]
+
+
+def difference(values, stride, order):
+    """Differences of this order between samples `stride` apart: a polynomial of lower degree leaves nothing."""
+    for _ in range(order):
+        values = values[stride:] - values[:-stride]
+    return values[np.isfinite(values)]
+
+
+def claimed(channel, stride):
+    """Variance that the channel claims for such differences of its drift and its known white noise."""
+    drift = Drift(channel.drift.density, channel.drift.period_s * stride)
+    r, F, Q = drift.order, drift.transition(), drift.noise()
+    weights = [(-1) ** (r - j) * math.comb(r, j) for j in range(r + 1)]
+    variance = channel.white * sum(w * w for w in weights)
+    for i in range(r):
+        g = sum(weights[j] * np.linalg.matrix_power(F, j - 1 - i)[0] for j in range(i + 1, r + 1))
+        variance += g @ Q @ g
+    return variance
+
+
+SPACINGS_S = {"compass": (0.125, 1.0, 4.0, 16.0), "dvl": (0.25, 1.0, 4.0, 16.0), "depth": (1.0, 4.0, 16.0), "gps": (1.0, 4.0, 16.0)}
+
+
+@pytest.mark.parametrize("name", TRUE)
+@pytest.mark.parametrize(("mems", "motion"), CASES, ids=NAMES)
+def test_beside_the_true_error_there_is_only_the_claimed_drift(mems, motion, name):
+    """r-th differences of series minus true error have the claimed variance within a factor of 2, from one tick to 16 s.
+
+    The longest spacing leaves 1200 / (3 * 16) = 25 independent differences: a variance known to 28 %, so a factor of 2 is 2.5 sd away.
+    """
+    error = true_errors(mems, motion, name)
+    for axis, channel in enumerate(series_of(mems, motion)[name]):
+        for spacing_s in SPACINGS_S[name]:
+            stride = round(spacing_s / channel.period_s)
+            found = np.mean(difference(channel.value - error[:, axis], stride, channel.drift.order) ** 2)
+            assert 0.5 < found / claimed(channel, stride) < 2.0, (axis, spacing_s)
+
+
+# ---------------------------------------------------------------- nothing of the error is hidden
+
+AMPLITUDE = {"compass": 0.01, "dvl": 0.02, "depth": 0.05, "gps": 2.0}
+WAVE_S = 30.0
+#: The closed loop's own error turns and pitches with the vehicle, unlike what was fed back. The wave moves tilt and accelerometer biases a
+#: little; where the vehicle turns (DVL) or pitches (depth) that adds a wandering rest, out of which the wave is read to a tenth at worst.
+SLACK = {"compass": 0.002, "dvl": 0.1, "depth": 0.1, "gps": 0.005}
+
+
+@pytest.mark.parametrize("name", TRUE)
+@pytest.mark.parametrize(("mems", "motion"), CASES, ids=NAMES)
+def test_a_slow_wave_on_the_readings_comes_out_whole(mems, motion, name):
+    """A loop that followed it would hide it: a gain of 0.03 where tilt stays in the loop of a micromechanical unit."""
+    vehicle, mission = mission_of(mems, motion)
+    stream = mission.streams[name]
+    values = stream.value.copy()
+    values[:, 0] += AMPLITUDE[name] * np.sin(2 * np.pi * stream.time_s / WAVE_S) / (6.34e6 if name == "gps" else 1.0)
+    moved = dataclasses.replace(mission, streams=dict(mission.streams) | {name: Stream(stream.time_s, values, stream.columns)})
+    channel = series_of(mems, motion)[name][0]
+    change = residual_series(vehicle, moved, sensors=[name])[name][0].value - channel.value
+    t, known = stream.time_s[-len(change) :], np.isfinite(change)
+    phase, trend = 2 * np.pi * t / WAVE_S, np.polynomial.chebyshev.chebvander(np.linspace(-1, 1, len(t)), 8)
+    base = np.column_stack([np.sin(phase), np.cos(phase), trend])
+    gain = np.linalg.lstsq(base[known], change[known], rcond=None)[0][:2] / AMPLITUDE[name]
+    np.testing.assert_allclose(gain, [1.0, 0.0], rtol=0, atol=SLACK[name])
+
+
+BELIEFS = {
+    "compass": (nf.White(sd=0.002), nf.White(sd=0.1), nf.GaussMarkov(sd=0.02, tau_s=30.0)),
+    "dvl": (nf.White(sd=0.01), nf.White(sd=0.1), nf.GaussMarkov(sd=0.02, tau_s=30.0) + nf.White(sd=0.01)),
+    "depth": (nf.White(sd=0.02), nf.White(sd=0.5), nf.GaussMarkov(sd=0.05, tau_s=20.0) + nf.White(sd=0.01)),
+    "gps": (nf.White(sd=0.5), nf.White(sd=10.0), nf.GaussMarkov(sd=3.0, tau_s=60.0)),
+}
+
+
+@pytest.mark.parametrize("name", TRUE)
+@pytest.mark.parametrize(("mems", "motion"), CASES, ids=NAMES)
+def test_the_series_does_not_depend_on_what_is_believed_of_the_sensor(mems, motion, name):
+    """Series of different beliefs differ, in r-th differences, by less than the drift that is claimed beside the error anyway.
+
+    They differ because the errors left in the closed loop do, and these (not what was fed back) are turned by the vehicle: e' = turn x e.
+    A belief ten times too good leaves e = 0.01 m/s in the velocity, which a turn of 0.1 rad/s makes 0.001 m/s^2, about the drift of a
+    tactical unit; so the bound is the claimed sd (times 1.5 for the DVL while turning). A heading also shows tilt errors by the tangent of
+    the pitch, 0.3 in a dive, and compasses of different beliefs leave tilts that differ by a milliradian: 3 % of its error are added.
+    """
+    beliefs = [(name, model) for model in BELIEFS[name]]
+    reference, *others = [series_of(mems, motion, (belief,))[name] for belief in beliefs]
+    bound = 1.5 if name == "dvl" and motion == "turning" else 1.0
+    for other in others:
+        for axis, channel in enumerate(reference):
+            assert other[axis].drift == channel.drift and other[axis].white == channel.white
+            for spacing_s in SPACINGS_S[name]:
+                stride = round(spacing_s / channel.period_s)
+                sd = difference(other[axis].value - channel.value, stride, channel.drift.order).std()
+                own = 0.03 * difference(true_errors(mems, motion, name)[:, axis], stride, channel.drift.order).std()
+                assert sd < bound * math.sqrt(claimed(channel, stride)) + own, (axis, spacing_s)
+
+
+def test_a_reading_that_is_missing_or_rejected_is_nan_in_the_series():
+    vehicle, mission = mission_of(False, "straight")
+    stream = mission.streams["depth"]
+    values, keep = stream.value.copy(), np.ones(len(stream), bool)
+    values[300] += 50.0  # rejected
+    keep[400:403] = False  # not there at all
+    strict = nf.Vehicle(
+        vehicle.drive, dict(vehicle.sensors) | {"depth": dataclasses.replace(vehicle.sensors["depth"], gate_probability=0.999999)}
+    )
+    faulty = dataclasses.replace(
+        mission, streams=dict(mission.streams) | {"depth": Stream(stream.time_s[keep], values[keep], stream.columns)}
+    )
+    series = residual_series(strict, faulty, sensors=["depth"])["depth"][0].value
+    first = len(stream) - len(series)
+    assert np.flatnonzero(np.isnan(series)).tolist() == [300 - first, *(k - first for k in (400, 401, 402))]
