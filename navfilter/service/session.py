@@ -83,6 +83,8 @@ class Session:
 
     #: Drive samples are handed over together for so long [s], and never more than so many.
     BLOCK_S, BLOCK = 0.1, 256
+    #: The drive is silent after so many readings that are ahead of it, while its time stands still.
+    AHEAD = 3
     #: A warning about one kind of bad line comes at most so often [s], or when there are ten times as many.
     WARN_EVERY_S = 60.0
     #: Readings that are kept for an alignment: of so many seconds, and never more than so many.
@@ -103,6 +105,7 @@ class Session:
         self._tick = self._second = -math.inf
         self._due_s = -math.inf
         self._drive_s = self._offset_s = 0.0
+        self._ahead, self._stopped_s = 0, -math.inf
         self.bad: dict[str, int] = {}
         self._warned: dict[str, list[float]] = {}
         self._conditions: dict[str, str] = {}
@@ -135,6 +138,9 @@ class Session:
             rows, self._rows = self._rows, []
             self.nav.step_samples(np.array(rows))
             self._offset_s = self.nav.intake.offset_s
+            if self._ahead and self.nav.time_s > self._stopped_s:
+                self._ahead = 0
+                self._condition(self.vehicle.drive.streams[-1], "good")
 
     def stop(self) -> None:
         """The end of the readings (of this run): what still waits is used, and the last state is told."""
@@ -175,8 +181,10 @@ class Session:
         assert self.nav is not None
         self._flush()
         outcome = self.nav.correct(reading.sensor, reading.time_s, reading.value, reading.sd)
-        if outcome.status in ("ahead", "used", "rejected"):
-            self._condition(self.vehicle.drive.streams[-1], "silent" if outcome.status == "ahead" else "good")
+        if outcome.status == "ahead":  # of the drive; a single one may as well have a wild stamp
+            self._ahead, self._stopped_s = self._ahead + 1 if self._stopped_s == self.nav.time_s else 1, self.nav.time_s
+            if self._ahead >= self.AHEAD:
+                self._condition(self.vehicle.drive.streams[-1], "silent")
         self._ticks()
 
     # ---------------------------------------------------------------- start
@@ -303,6 +311,7 @@ class Session:
             "tick": self._tick,
             "second": self._second,
             "drive_s": self._drive_s,
+            "ahead": [self._ahead, self._stopped_s],
             "bad": self.bad,
             "warned": self._warned,
             "conditions": self._conditions,
@@ -322,6 +331,7 @@ class Session:
         self.options, self._offset_s = Options.from_json(saved["options"]), self.nav.intake.offset_s
         self._next_tick()
         self._tick, self._second, self._drive_s = saved["tick"], saved["second"], saved["drive_s"]
+        self._ahead, self._stopped_s = saved["ahead"][0], -math.inf if saved["ahead"][1] is None else saved["ahead"][1]
         # JSON has no NaN: null stands for a missing component, as in a line
         self._rows = [[math.nan if v is None else v for v in row] for row in saved["rows"]]
         self.bad, self._warned, self._conditions = saved["bad"], saved["warned"], saved["conditions"]
