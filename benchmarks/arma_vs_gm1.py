@@ -73,6 +73,7 @@ BASELINE = "gm1-fitted"
 AIDING = ("compass", "odometer", "dvl", "gps")
 SNAPIR = ("01", "02", "03", "05", "06", "07", "08", "10", "12")
 IMU_HZ = 20.0
+SURE = {"nees_position": "the position", "nees_heading": "the heading"}
 NOTHING = "nothing adopted"
 
 
@@ -373,6 +374,15 @@ def verdicts(name: str, total: Mapping[str, Mapping[str, Any]], missions: Mappin
     idle = [mission for mission, runs in missions.items() if runs["arma"]["adopted"] == NOTHING]
     pairs = ((FITTED, BASELINE), ("arma", BASELINE), ("arma", "vehicle"), (HURRIED, "vehicle"))
     lines = [f"{name}, {one} against {other}: {against(total[one], total[other])}." for one, other in pairs]
+    for model in (HURRIED, FITTED):
+        run, base = total[model], total["vehicle"]
+        better = [key for key, (_, value) in run["prediction"].items() if value < 0.98 * base["prediction"][key][1]]
+        unsure = [what for key, what in SURE.items() if run[key] is not None and run[key] > max(3.0, 2.0 * base[key])]
+        if better and unsure:
+            lines.append(
+                f"{name}: {model} predicts {' and '.join(better)} better than the vehicle file and is too sure of {' and '.join(unsure)}: what is "
+                "slow in these series (scale, lever arm, clock; a slow error in a short window) passes for drift and is missing in the model."
+            )
     if idle:
         lines.append(f"{name}: nothing was adopted in {', '.join(idle)}; there ARMA is the model of the vehicle file.")
     return "\n".join(lines)

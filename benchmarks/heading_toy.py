@@ -41,8 +41,6 @@ Array = NDArray[np.float64]
 DEG = math.pi / 180.0
 RATE_HZ = 8.0
 SAMPLES, WINDOW, HOP = 28_800, 7200, 2400
-#: Orders that the learner may choose from.
-ORDERS = ((0, 0), (1, 0), (1, 1), (2, 1), (2, 2), (3, 2), (4, 2), (4, 4))
 
 
 # --- the world --------------------------------------------------------------------------------------------------------
@@ -124,15 +122,19 @@ def likeliest_gm1(window: Array, gyro: Gyro) -> nf.ArmaModel:
 
 
 def learner_hop(gyro: Gyro) -> Callable[[Array], Belief]:
-    """Navfilter's learner; S(0) is raised by exp(sd ln S(0)), as the navigator does when it adopts a model."""
-    from navfilter.learned import cautious
+    """Navfilter's learner, its models used as the navigator does: S(0) steadied over hops and raised by what is not known of it."""
+    from navfilter.channels import HOPS_REMEMBERED, steadied
+    from navfilter.learned import LearnedArma, cautious, zero_frequency
     from navfilter.learning.channel import Drift
     from navfilter.learning.learner import Learner
 
-    learner = Learner(ORDERS, WINDOW, Drift(gyro.density, gyro.period_s))
+    learner = Learner(LearnedArma().orders, WINDOW, Drift(gyro.density, gyro.period_s, (math.inf, gyro.start_sd[1])))
+    levels: list[float] = []
 
     def hop(window: Array) -> Belief:
         found = learner.hop(window)
+        levels[:] = [*levels, zero_frequency(found)][-HOPS_REMEMBERED:]
+        found = steadied(found, levels)
         ar, variance = cautious(found)
         return Belief(nf.ArmaModel(ar, found.ma, math.sqrt(variance)), found)
 
