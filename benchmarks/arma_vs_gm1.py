@@ -369,20 +369,24 @@ def against(arma: Mapping[str, Any], other: Mapping[str, Any]) -> str:
     return ", ".join(said)
 
 
+def too_sure(model: str, run: Mapping[str, Any], base: Mapping[str, Any]) -> list[str]:
+    """Where a model predicts better than that of the vehicle file and navigates with less honesty, and what that means."""
+    better = [key for key, (_, value) in run["prediction"].items() if value < 0.98 * base["prediction"][key][1]]
+    unsure = [what for key, what in SURE.items() if run[key] is not None and run[key] > max(3.0, 2.0 * base[key])]
+    if not (better and unsure):
+        return []
+    return [
+        f"{model} predicts {' and '.join(better)} better than the vehicle file and is too sure of {' and '.join(unsure)}: "
+        "what is slow in these series (scale, lever arm, clock; a slow error in a short window) passes for drift and is not in the model."
+    ]
+
+
 def verdicts(name: str, total: Mapping[str, Mapping[str, Any]], missions: Mapping[str, Mapping[str, Any]]) -> str:
     """Where ARMA helps and where not, all missions of a kind together."""
     idle = [mission for mission, runs in missions.items() if runs["arma"]["adopted"] == NOTHING]
     pairs = ((FITTED, BASELINE), ("arma", BASELINE), ("arma", "vehicle"), (HURRIED, "vehicle"))
     lines = [f"{name}, {one} against {other}: {against(total[one], total[other])}." for one, other in pairs]
-    for model in (HURRIED, FITTED):
-        run, base = total[model], total["vehicle"]
-        better = [key for key, (_, value) in run["prediction"].items() if value < 0.98 * base["prediction"][key][1]]
-        unsure = [what for key, what in SURE.items() if run[key] is not None and run[key] > max(3.0, 2.0 * base[key])]
-        if better and unsure:
-            lines.append(
-                f"{name}: {model} predicts {' and '.join(better)} better than the vehicle file and is too sure of {' and '.join(unsure)}: what is "
-                "slow in these series (scale, lever arm, clock; a slow error in a short window) passes for drift and is missing in the model."
-            )
+    lines += [f"{name}: {text}" for model in (HURRIED, FITTED) for text in too_sure(model, total[model], total["vehicle"])]
     if idle:
         lines.append(f"{name}: nothing was adopted in {', '.join(idle)}; there ARMA is the model of the vehicle file.")
     return "\n".join(lines)
