@@ -479,9 +479,9 @@ def test_gaps_and_outliers_are_survived():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("drift", [TACTICAL, MEMS])
-def test_low_frequencies_are_honest(drift):
-    """S(0) of a slow and oscillating error over 24 windows: unbiased within a factor, and as uncertain as it says."""
+@pytest.mark.parametrize(("drift", "factor"), [(TACTICAL, 1.7), (MEMS, 2.5)])
+def test_low_frequencies_are_honest(drift, factor):
+    """S(0) of a slow and oscillating error over 24 windows: right within a factor, and as uncertain as it says."""
     swing = ArmaModel([-2.0 * 0.99 * math.cos(math.pi / 24.0), 0.99**2], [], 1.0)
     parts = [gauss_markov(0.35 * DEG, 60.0), ArmaModel(swing.ar, [], 0.35 * DEG / math.sqrt(swing.variance))]
     truth, off = log_s0(add_arma(parts)), []
@@ -490,5 +490,6 @@ def test_low_frequencies_are_honest(drift):
         model = learner.hop(series(parts, drift, 4000, 300 + seed))
         off.append(((log_s0(model) - truth), model.sd_log_s0))
     error, said = np.array(off).T
-    assert abs(np.median(error)) < math.log(2.5)
+    # the median of 24 is itself known to 1.25 standard deviations over sqrt(24); two of those
+    assert abs(np.median(error)) < math.log(factor) + 2.5 * error.std() / math.sqrt(24.0)
     assert np.mean(error + said < 0.0) < 0.45  # what the filter uses is rarely below the truth

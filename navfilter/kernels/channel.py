@@ -61,14 +61,12 @@ def _product(A, B, out, transposed):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _move(x, a, r, m):
+def _move(x, a, taylor, r, m):
     """``x = F x`` in place: the chain advances one tick, the observer state shifts."""
     for i in range(r):
         s = x[i]
-        weight = 1.0
         for k in range(i + 1, r):
-            weight /= k - i
-            s += weight * x[k]
+            s += taylor[k - i] * x[k]
         x[i] = s
     first = x[r]
     for i in range(m):
@@ -76,7 +74,7 @@ def _move(x, a, r, m):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _spread(P, L, scale, a, g, var, Q, save, r, m):
+def _spread(P, L, scale, a, g, var, Q, taylor, save, r, m):
     """``P = F P F' + noise - scale L L'`` in place on the upper triangle."""
     for j in range(m + 1):
         save[j] = P[r, r + j]
@@ -92,24 +90,18 @@ def _spread(P, L, scale, a, g, var, Q, save, r, m):
         li = scale * L[i]
         for j in range(m):
             s = P[i, r + j + 1] - a[j] * save[i]
-            weight = 1.0
             for k in range(i + 1, r):
-                weight /= k - i
-                s += weight * (P[k, r + j + 1] - a[j] * save[k])
+                s += taylor[k - i] * (P[k, r + j + 1] - a[j] * save[k])
             P[i, r + j] = s - li * L[r + j]
     # Row by row from the left, then column by column: elements still needed have not been overwritten.
     for i in range(r):
         for j in range(i, r):
             s = 0.0
-            left = 1.0
             for k in range(i, r):
-                if k > i:
-                    left /= k - i
-                right = left
+                row = 0.0
                 for n in range(j, r):
-                    if n > j:
-                        right /= n - j
-                    s += right * (P[k, n] if k <= n else P[n, k])
+                    row += taylor[n - j] * (P[k, n] if k <= n else P[n, k])
+                s += taylor[k - i] * row
             P[i, j] = s + Q[i, j] - scale * L[i] * L[j]
 
 
@@ -164,6 +156,7 @@ def channel_filter(y, theta, Q, rules, e, lns):
     g, start = c - a, np.zeros((m, m))
     P, x, L, save = np.zeros((n + 1, n + 1)), np.zeros(n + 1), np.zeros(n + 1), np.zeros(n + 1)
     A, column, X, w = np.zeros((n, d)), np.zeros(n + 1), np.zeros((d, d)), np.zeros(d)
+    taylor = np.array([1.0, 1.0, 1.0 / 2.0, 1.0 / 6.0])  # 1/k!
     if not stationary(a, c, start):
         return math.inf
     total = 0.0
@@ -193,7 +186,7 @@ def channel_filter(y, theta, Q, rules, e, lns):
             for i in range(m):
                 L[r + i] = P[0, r + i] + P[r, r + i]
             S = L[0] + L[r] + noise
-            _move(L, a, r, m)
+            _move(L, a, taylor, r, m)
             for i in range(m):
                 L[r + i] += var * g[i]
             scale, residual, root = 1.0 / S, y[t] - x[0] - x[r], math.sqrt(S)
@@ -207,16 +200,16 @@ def channel_filter(y, theta, Q, rules, e, lns):
                     gain *= clip / size
                 else:
                     total += 0.5 * z * z
-        _move(x, a, r, m)
+        _move(x, a, taylor, r, m)
         for i in range(n):
             x[i] += gain * L[i]
-        _spread(P, L, scale, a, g, var, Q, save, r, m)
+        _spread(P, L, scale, a, g, var, Q, taylor, save, r, m)
         if known < d:
             for k in range(d):
                 for i in range(n):
                     column[i] = A[i, k]
                 weight = column[0] + column[r]
-                _move(column, a, r, m)
+                _move(column, a, taylor, r, m)
                 for i in range(n):
                     A[i, k] = column[i] - (weight * scale * L[i] if seen else 0.0)
                 if seen:

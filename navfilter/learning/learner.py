@@ -30,6 +30,8 @@ HOPS = 2
 KEPT_FLAGS = ("capped", "starting")
 # Scoring passes of a first estimate (while young; later, in its turn), of the order in use, and of a challenger.
 COLD, TURN, OWN, OTHER = 20, 5, 2, 1
+# A candidate this far behind by BIC, or larger than the order in use by more parameters than this, has rarer turns.
+FAR, REACH = 100.0, 4
 # Orders that exceed a good one by more parameters than this wait for their turn.
 BEYOND = 2
 
@@ -149,8 +151,12 @@ class Learner:
         nearest = sorted(others, key=lambda order: (self._gaps.get(order, math.inf), sum(order)))[:1]
         if self._challenger is not None and self._challenger in others:
             nearest = [self._challenger]
-        rest = [order for order in others if order not in nearest]
-        turn = [rest[self._turn % len(rest)]] if rest else []
+        own = sum(self._chosen)
+        near = [order for order in others if order not in nearest and self._gaps.get(order, 0.0) < FAR and sum(order) <= own + REACH]
+        # Every fourth turn is for those that seem out of the question: the error may have changed.
+        out = [order for order in others if order not in nearest and order not in near]
+        rest = out if out and (not near or self._turn % 4 == 3) else near
+        turn = [rest[(self._turn // 4 if rest is out else self._turn) % len(rest)]] if rest else []
         self._turn += 1
         return [self._chosen, *nearest, *turn]
 
@@ -161,7 +167,8 @@ class Learner:
             if known is not None:
                 passes = OWN if order == self._chosen else OTHER
                 found = fit_candidate(likelihood, order, [_rescaled(known, likelihood)], passes)
-                found = self._second_chance(likelihood, found, fits)
+                if order == orders[-1]:
+                    found = self._second_chance(likelihood, found, fits)
             elif self._superfluous(order, fits):
                 continue
             else:
