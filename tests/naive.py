@@ -758,13 +758,11 @@ def listen(undone, mem, dims, places, nav, C, x, kind, mount, ring, cursor, tick
     at, capacity = places, ring.shape[1]
     K, res, near = mem[at[1] : at[2]].reshape(n, a), mem[at[3] : at[4]], mem[at[7] : at[8]].reshape(a, 9 + par)
     used, C_nb, own = mem[at[8] + 2] != 0, nav[6:15].reshape(3, 3), slice(start, start + errors)
-    d = K @ res
+    d = K @ res * used
     if kind:
-        value = np.full(a, np.nan)
-        if used:
-            before = x[start - 9 : start - 9 + errors] - d[own]
-            closed = mem[at[8] + 3 : at[8] + 3 + a] + C @ before
-            value = closed + {1: undone[[8]], 2: near[:, :3] @ undone[:3], 3: mount.reshape(3, 3) @ undone[m : m + 3]}[kind][:a]
+        before = x[start - 9 : start - 9 + errors] - d[own]
+        closed = mem[at[8] + 3 : at[8] + 3 + a] + C @ before
+        value = closed + {1: undone[[8]], 2: near[:, :3] @ undone[:3], 3: mount.reshape(3, 3) @ undone[m : m + 3]}[kind][:a]
         for column in [*[np.full(a, np.nan)] * min(ticks - 1, capacity), value]:
             ring[:, cursor[0] % capacity] = column
             cursor[0] += 1

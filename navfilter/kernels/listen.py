@@ -58,23 +58,23 @@ def listen(undone, mem, dims, places, nav, C, x, kind, mount, ring, cursor, tick
         near = places[7]
         width = (places[8] - places[7]) // a
         for i in range(a):
-            y = math.nan
-            if used:
-                # the residual as it was before the sensor's own coloured error was taken off
-                y = mem[verdict + 3 + i]
-                for j in range(errors):
-                    back = 0.0
+            # the residual as it was before the sensor's own coloured error was taken off; also of a reading that the gate rejected, or what
+            # is believed of the sensor would choose what is learnt of it
+            y = mem[verdict + 3 + i]
+            for j in range(errors):
+                back = 0.0
+                if used:
                     for r in range(a):
                         back += mem[K + (start + j) * a + r] * mem[res + r]
-                    y += C[i, j] * (x[start - 9 + j] - back)
-                if kind == HEADING:
-                    y += undone[8]
-                elif kind == POSITION:
-                    for j in range(3):
-                        y += mem[near + i * width + j] * undone[j]
-                else:
-                    for j in range(3):
-                        y += mount[3 * i + j] * undone[m + j]
+                y += C[i, j] * (x[start - 9 + j] - back)
+            if kind == HEADING:
+                y += undone[8]
+            elif kind == POSITION:
+                for j in range(3):
+                    y += mem[near + i * width + j] * undone[j]
+            else:
+                for j in range(3):
+                    y += mount[3 * i + j] * undone[m + j]
             ring[i, at % capacity] = y
         cursor[0] = at + 1
     if not used:
