@@ -176,3 +176,14 @@ def test_layout_stacks_blocks_parameters_and_names():
     P = layout.start_covariance(np.eye(9))
     np.testing.assert_allclose(np.diag(P)[-4:], [1e-4, 4e-4, 4e-4, 4e-4])
     assert np.array_equal(P, P.T) and np.linalg.eigvalsh(P).min() >= -1e-15
+
+
+@pytest.mark.parametrize("order", [1, 2, 3, 4])
+@pytest.mark.parametrize("periods", [1e-3, 0.3, 1.0, 3.0, 10.0, 100.0, 1e9])
+def test_gauss_markov_stays_stationary_at_any_period(order, periods):
+    """Found by fuzzing: with 10 correlation times between two readings, Van Loan's Q lost all its digits, with 100 all was NaN."""
+    block = nf.GaussMarkov(sd=2.0, tau_s=5.0, order=order).block(5.0 * periods)
+    assert np.abs(np.linalg.eigvals(block.Phi)).max() < 1.0
+    # Q of order 4 at a thousandth of tau is 1e-20 of P0: rounding of P0 may show as a negative eigenvalue of that size.
+    assert np.linalg.eigvalsh(block.Q).min() > -1e-15 * np.trace(block.P0)
+    np.testing.assert_allclose(block.Phi @ block.P0 @ block.Phi.T + block.Q, block.P0, rtol=0, atol=1e-12)
