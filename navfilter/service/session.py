@@ -22,6 +22,7 @@ from navfilter.navigator import Navigator
 from navfilter.service.pairing import Pairing
 from navfilter.service.protocol import event_line, state_fields, to_line
 from navfilter.start import Start
+from navfilter.state import NavState
 from navfilter.vehicle import Vehicle
 
 __all__ = ["Options", "Session"]
@@ -85,6 +86,8 @@ class Session:
     BLOCK_S, BLOCK = 0.1, 256
     #: The drive is silent after so many readings that are ahead of it, while its time stands still.
     AHEAD = 3
+    #: No vehicle is faster or farther from the surface: such a state is none.
+    FASTEST_M_S, HIGHEST_M = 3000.0, 100e3
     #: A warning about one kind of bad line comes at most so often [s], or when there are ten times as many.
     WARN_EVERY_S = 60.0
     #: Readings that are kept for an alignment: of so many seconds, and never more than so many.
@@ -149,7 +152,7 @@ class Session:
                 if self.nav is not None:
                     self._take(reading, attitude)
             self._flush()
-        if self.nav is not None:
+        if self.nav is not None and self._makes_sense(self.nav.state):
             self._state()
         self._tell("stop", time_s=None if self.nav is None else self.nav.time_s, bad_lines=self.bad)
 
@@ -235,7 +238,9 @@ class Session:
     def _start_again(self) -> None:
         """When the readings made so little sense that there is no state any more, look for a start in those to come."""
         assert self.nav is not None
-        self._tell("diverged", time_s=self.nav.time_s, text="the state is not finite any more; aligning again, or give a start line")
+        self._tell(
+            "diverged", time_s=self.nav.time_s, text="the state is that of no vehicle any more; aligning again, or give a start line"
+        )
         self.nav, self._start, self._align_at_s, self._waited, self._offset_s = None, None, None, "", 0.0
         self._rows.clear()
         self._conditions.clear()
@@ -266,14 +271,22 @@ class Session:
             return
         tick, second = self._tick, self._second
         self._next_tick()
+        if self._second == second and self._tick == tick:
+            return
+        state = self.nav.state
+        if not self._makes_sense(state):
+            self._start_again()
+            return
         if self._second != second:
-            if not np.isfinite(self.nav.state.sd).all():
-                self._start_again()
-                return
             for name, health in self.nav.health.sensors.items():
                 self._condition(name, health.condition)
         if self._tick > tick:
             self._state()
+
+    def _makes_sense(self, state: NavState) -> bool:
+        """Whether there is a state at all: finite, and of something that moves on or near the Earth."""
+        speed, height = float(np.abs(state.velocity_n).max()), abs(state.height)
+        return speed < self.FASTEST_M_S and height < self.HIGHEST_M and bool(np.isfinite(state.sd).all())
 
     def _state(self) -> None:
         assert self.nav is not None
