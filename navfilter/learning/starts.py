@@ -16,8 +16,8 @@ __all__ = ["cold_starts", "grown_starts", "padded_start", "slow_part_start"]
 
 Array = NDArray[np.float64]
 
-# Time constants in ticks, and shares of white noise in the variance.
-SLOW_TAUS, SLOW_SHARES = (60.0, 400.0), (0.1, 1.0)
+# Time constants in ticks, factors by which a slow part raises S(0), and shares of white noise in the variance.
+SLOW_TAUS, SLOW_FACTORS = (60.0, 400.0), (10.0, 300.0)
 TAUS, SHARES = (2.0, 8.0, 30.0, 120.0, 500.0), (0.0, 0.5, 0.95)
 
 
@@ -63,17 +63,19 @@ def _best(likelihood: Likelihood, starts: list[Array], p: int) -> list[Array]:
 
 
 def slow_part_start(likelihood: Likelihood, theta: Array, at: int, p: int, q: int) -> list[Array]:
-    """A lower order (with `at` AR coefficients) plus the Gauss-Markov process that serves best; empty where (p, q) has no room."""
-    own = ArmaModel(theta[:at], theta[at:-1], math.exp(theta[-1]))
-    if own.p + 1 > p or max(own.q + 1, own.p) > q:
+    """A lower order (with `at` AR coefficients) with the slow part that serves best; empty where (p, q) has no room.
+
+    A pole of time constant tau and a zero below it raise S(0) by a factor and leave higher frequencies as they are.
+    """
+    if at + 1 > p or theta.size - at > q:
         return []
     out = []
     for tau in SLOW_TAUS:
-        phi = math.exp(-1.0 / tau)
-        for share in SLOW_SHARES:
-            both = add_arma([own, ArmaModel(np.array([-phi]), np.zeros(0), math.sqrt(share * own.variance * (1.0 - phi * phi)))])
-            start = padded_start(np.r_[both.ar, both.ma, math.log(both.sd)], both.p, p, q)
-            out.append(likelihood.confine(start, p))
+        for factor in SLOW_FACTORS:
+            pole = 1.0 - 1.0 / tau
+            zero = max(1.0 - math.sqrt(factor) / tau, 0.0)
+            ar, ma = np.convolve(np.r_[1.0, theta[:at]], [1.0, -pole])[1:], np.convolve(np.r_[1.0, theta[at:-1]], [1.0, -zero])[1:]
+            out.append(likelihood.confine(padded_start(np.r_[ar, ma, theta[-1]], at + 1, p, q), p))
     return _best(likelihood, out, p)
 
 
