@@ -11,7 +11,7 @@ from navfilter import cli, playback
 from navfilter.cli import main
 from navfilter.io import read_mission, read_vehicle, write_vehicle
 
-COMMANDS = ("demo", "replay", "compare", "simulate", "check", "warmup")
+COMMANDS = ("demo", "replay", "compare", "simulate", "check", "warmup", "vehicle")
 OUTPUTS = {"report.html", "summary.json", "track.csv", "track.tum", "truth.tum", "track.geojson"}
 
 

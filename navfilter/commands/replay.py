@@ -46,6 +46,7 @@ written to --out:
   track.csv       the track: degrees, metres, standard deviations, states
   track.tum       the same for 'evo' (east, north, up), with truth.tum when there is a truth
   track.geojson   for a map
+  vehicle_learned.toml   where a sensor's error was learnt: the vehicle with the models in force at the end
 
 examples:
   navfilter replay dive_042 --vehicle vehicle.toml --smooth --out result
