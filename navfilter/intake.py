@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,9 +12,25 @@ from numpy.typing import NDArray
 from navfilter.kernels import strapdown
 from navfilter.mechanisation import Mechanisation
 
-__all__ = ["Intake"]
+__all__ = ["Intake", "joined"]
 
 Array = NDArray[np.float64]
+
+
+def joined(items: Sequence[Any]) -> list[Any]:
+    """Inputs with samples that follow each other in one block."""
+    result: list[Any] = []
+    run: list[Array] = []
+    for item in [*items, None]:
+        if isinstance(item, np.ndarray):
+            run.append(item)
+            continue
+        if run:
+            result.append(np.concatenate(run) if len(run) > 1 else run[0].copy())
+            run = []
+        if item is not None:
+            result.append(item)
+    return result
 
 
 class Intake:

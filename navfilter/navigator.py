@@ -11,12 +11,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navfilter import snapshot as snapshots
-from navfilter.engine import Engine, Outcome
+from navfilter.engine import Outcome
 from navfilter.health import Health, Watch
 from navfilter.history import History, Reading
 from navfilter.start import Start
 from navfilter.state import NavState
 from navfilter.tape import Tape
+from navfilter.underway import Learning
 from navfilter.vehicle import Vehicle
 
 __all__ = ["Navigator", "Outcome"]
@@ -29,7 +30,7 @@ def _when(item: Any) -> float:
     return float(item[-1, 0]) if isinstance(item, np.ndarray) else float(item[1])
 
 
-class Navigator(Engine):
+class Navigator(Learning):
     """Error-state extended Kalman filter over a vehicle's sensors, in closed loop.
 
     Parameters

@@ -9,7 +9,7 @@ import pytest
 from test_posterior import DEG, Capture, Step, assert_same, drive_through, inertial_vehicle, posterior, reckoning_vehicle, start
 
 import navfilter as nf
-from navfilter import engine
+from navfilter import underway
 from navfilter.arma.model import ArmaModel
 from navfilter.learned import LearnedArma
 
@@ -19,7 +19,7 @@ class Changing(Capture):
 
     def __init__(self, monkeypatch, vehicle, start):
         super().__init__(monkeypatch, vehicle, start)
-        follow, self.sizes = engine.state_change, []
+        follow, self.sizes = underway.state_change, []
 
         def change(*layouts_and_vehicles):
             M, N = follow(*layouts_and_vehicles)
@@ -30,7 +30,7 @@ class Changing(Capture):
             self.sizes.append(M.shape)
             return M, N
 
-        monkeypatch.setattr(engine, "state_change", change)
+        monkeypatch.setattr(underway, "state_change", change)
 
 
 def learnt(ar=(), ma=(), sd=1.0, spread=None):

@@ -223,8 +223,8 @@ def learning_ends(tracks: Mapping[str, Track], mission: Mission) -> float:
     When the first models are there, the navigator runs the beginning again with them: until then it knows what is still to come. A window
     that is longer than half the mission is no reason to wait for it.
     """
-    from navfilter.engine import Engine
     from navfilter.learned import learned_part
+    from navfilter.underway import Learning
 
     begin_s = min(float(track.time_s[0]) for track in tracks.values())
     spans = []
@@ -233,7 +233,7 @@ def learning_ends(tracks: Mapping[str, Track], mission: Mission) -> float:
             parts = [part for model in sensor.models if (part := learned_part(model)) is not None]
             spans += [part.window / sensor.rate_hz for part in parts]
     duration_s = mission.end_s - begin_s
-    revised_s = min(Engine.FIRST_S, Engine.SETTLE_S + max(spans, default=0.0))
+    revised_s = min(Learning.FIRST_S, Learning.SETTLE_S + max(spans, default=0.0))
     if not spans or revised_s >= duration_s:
         return begin_s
     return begin_s + max([revised_s, *(span for span in spans if span <= 0.5 * duration_s)])
