@@ -300,10 +300,19 @@ def _built(spec: Any, place: str, wrong: list[tuple[str, str]], defaults: dict[s
     if cls is ArmaModel and given.get("covariance") == ():
         given["covariance"] = np.zeros((0, 0))  # of a model without coefficients: no list tells a matrix of 0 x 0 from an empty row
     try:
-        return cls(**given)
+        item = cls(**given)
+        _discretise(item)
+        return item
     except (ValueError, TypeError) as error:
         wrong.append((place, str(error).rstrip(".")))
         return None
+
+
+def _discretise(item: Any) -> None:
+    """Try the error models of a sensor or drive: what the filter could not use is refused here, not when the run begins."""
+    if isinstance(item, Sensor | Mechanisation):
+        for model in dict.fromkeys(item.models):
+            model.block(1.0 / item.rate_hz)
 
 
 def _object(value: Any, place: str, wrong: list[tuple[str, str]], inherited: dict[str, Any]) -> Any:
