@@ -289,7 +289,9 @@ def _drift(sensor: Sensor, axis: int, vehicle: Vehicle, walk: float) -> Drift:
         return Drift((math.hypot(speed, walk), 1e-3), period_s)
     turn, force = max(white[:3]), max(white[3:])
     if isinstance(sensor, Heading):
-        return Drift((math.hypot(turn, walk), max(walks[:3])), period_s)
+        # the gyro's bias is no one's guess: how large it can be is part of the gyro's model
+        bias = max(math.sqrt(float(b.C @ b.P0 @ b.C) + w**2 * 3600.0) for b, w in zip(blocks[:3], walks[:3], strict=True))
+        return Drift((math.hypot(turn, walk), max(walks[:3])), period_s, (math.inf, bias) if bias > 0.0 else ())
     level = GRAVITY * turn  # the tilt wanders, and turns gravity into acceleration
     vertical = isinstance(sensor, Depth) or axis == 2
     slow = max(max(walks[3:]), 1e-7) if vertical else level

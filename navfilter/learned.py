@@ -22,7 +22,7 @@ DEFAULT_ORDERS = ((0, 0), (1, 0), (1, 1), (2, 0), (2, 1), (2, 2), (3, 2), (3, 3)
 #: sd ln S(0) counts at most so much: beyond it the window says nothing about the low frequencies.
 LARGEST_SPREAD = 1.5
 #: S(0) is raised by exp(share * sd ln S(0)).
-SHARE = 0.25
+SHARE = 0.5
 #: No pole comes nearer to 1.
 NEAREST = 1e-5
 
