@@ -137,26 +137,27 @@ def resident_mb() -> float:
     return int(Path("/proc/self/statm").read_text().split()[1]) * 4096 / 2**20
 
 
-def look(nav: nf.Navigator, laps: Laps) -> dict[str, float]:
-    """Memory, definiteness and consistency, now."""
+COLUMNS = ("hour", "rss_mb", "smallest", "nees_position", "nees_velocity", "nees_attitude", "position_m", "position_sd_m")
+
+
+def look(nav: nf.Navigator, laps: Laps) -> tuple[float, ...]:
+    """Memory, definiteness and consistency, now: the `COLUMNS`."""
     sd = np.sqrt(np.diag(nav._P))
     state = nav.state
     error, P = state.minus(laps.truth(state.time_s)), state.covariance
-    row = {"hour": state.time_s / 3600.0, "rss_mb": resident_mb(), "smallest": float(np.linalg.eigvalsh(nav._P / np.outer(sd, sd)).min())}
-    for name, k in (("position", 0), ("velocity", 3), ("attitude", 6)):
-        e = error[k : k + 3]
-        row[f"nees_{name}"] = float(e @ np.linalg.solve(P[k : k + 3, k : k + 3], e)) / 3.0
-    return row | {"position_m": float(np.hypot(error[0], error[1])), "position_sd_m": float(math.sqrt(P[0, 0] + P[1, 1]))}
+    smallest = float(np.linalg.eigvalsh(nav._P / np.outer(sd, sd)).min())
+    nees = [float(error[k : k + 3] @ np.linalg.solve(P[k : k + 3, k : k + 3], error[k : k + 3])) / 3.0 for k in (0, 3, 6)]
+    return (state.time_s / 3600.0, resident_mb(), smallest, *nees, math.hypot(error[0], error[1]), math.sqrt(P[0, 0] + P[1, 1]))
 
 
-def soak(hours: float, seed: int, learning: bool) -> tuple[list[dict[str, float]], nf.Navigator]:
-    """The run; one row per minute."""
+def soak(hours: float, seed: int, learning: bool) -> tuple[np.ndarray, nf.Navigator]:
+    """The run; one row of `COLUMNS` per minute, in an array that is there before: what grows is the navigator's."""
     believed, really = vehicle(learning)
     laps = Laps(really, seed)
     rng = np.random.default_rng(seed + 1)
     begin = laps.truth(0.0)
     nav = nf.Navigator(believed, start_at(begin, rng))
-    rows: list[dict[str, float]] = []
+    rows, seen = np.zeros((math.ceil(60 * hours) + 10, len(COLUMNS))), 0
     lap_s, period_s = laps.motion.duration_s, 1.0 / RATE_HZ
     waiting: list[Any] = []
     for number in range(math.ceil(hours * 3600.0 / lap_s)):
@@ -174,14 +175,15 @@ def soak(hours: float, seed: int, learning: bool) -> tuple[list[dict[str, float]
                 end = min(until, done + next(blocks))
                 stamps = begin_s + np.arange(done + 1, end + 1) * period_s
                 nav.step(stamps, laps.imu[done:end, :3], laps.imu[done:end, 3:])
-                if int(stamps[-1] / 60.0 + 1e-9) > len(rows) and abs(nav.time_s - round(nav.time_s)) < 1e-6:
-                    rows.append(look(nav, laps))
-                    if len(rows) % 60 == 0:
-                        print(hour_line(rows[-60:], nav), flush=True)
+                if int(stamps[-1] / 60.0 + 1e-9) > seen and abs(nav.time_s - round(nav.time_s)) < 1e-6:
+                    rows[seen] = look(nav, laps)
+                    seen += 1
+                    if seen % 60 == 0:
+                        print(hour_line(rows[seen - 60 : seen], nav), flush=True)
                 done = end
             if event is not None:
                 nav.correct(event[2], begin_s + event[3], event[4])
-    return rows, nav
+    return rows[:seen], nav
 
 
 def start_at(truth: NavState, rng: np.random.Generator) -> nf.Start:
@@ -196,13 +198,13 @@ def start_at(truth: NavState, rng: np.random.Generator) -> nf.Start:
     )  # fmt: skip
 
 
-def hour_line(rows: list[dict[str, float]], nav: nf.Navigator) -> str:
+def hour_line(rows: np.ndarray, nav: nf.Navigator) -> str:
     """One line per hour for people."""
-    mean = {key: float(np.mean([row[key] for row in rows])) for key in rows[0]}
+    mean = dict(zip(COLUMNS, rows.mean(axis=0).tolist(), strict=True))
     return (
-        f"{rows[-1]['hour']:5.1f} h  {rows[-1]['rss_mb']:8.2f} MB  {min(row['smallest'] for row in rows):9.1e}  "
+        f"{rows[-1, 0]:5.1f} h  {rows[-1, 1]:8.2f} MB  {rows[:, 2].min():9.1e}  "
         f"NEES {mean['nees_position']:5.2f} {mean['nees_velocity']:5.2f} {mean['nees_attitude']:5.2f}  "
-        f"{mean['position_m']:6.2f} m of {mean['position_sd_m']:6.2f}  {dict(nav.counts)}"
+        f"{mean['position_m']:6.2f} m of {mean['position_sd_m']:6.2f}  {nav.counts}"
     )
 
 
@@ -220,24 +222,31 @@ def main() -> None:
     learning = hasattr(nf, "LearnedArma") and not arguments.no_learning
     rows, nav = soak(arguments.hours, arguments.seed, learning)
     seconds = time.process_time() - began
-    after = [row for row in rows if row["hour"] >= min(1.0, arguments.hours / 2)]
-    growth = max(row["rss_mb"] for row in after) - after[0]["rss_mb"]
-    trend = float(np.polyfit([row["hour"] for row in after], [row["rss_mb"] for row in after], 1)[0])
+    hour, memory = rows[:, 0], rows[:, 1]
+    later = hour >= min(1.0, arguments.hours / 2)
+    after = dict(zip(COLUMNS, rows[later].T, strict=True))
+    growth = float(memory[later].max() - memory[later][0])
     figures = {
-        "hours": arguments.hours, "samples": round(arguments.hours * 3600 * RATE_HZ), "cpu_s": seconds, "learning": learning,
-        "rss_after_first_hour_mb": after[0]["rss_mb"], "growth_mb": growth, "trend_mb_per_h": trend,
-        "smallest_eigenvalue": min(row["smallest"] for row in rows),
-        **{f"nees_{k}": float(np.mean([row[f"nees_{k}"] for row in after])) for k in ("position", "velocity", "attitude")},
-        "position_rms_m": float(np.sqrt(np.mean([row["position_m"] ** 2 for row in after]))),
-        "position_sd_m": float(np.sqrt(np.mean([row["position_sd_m"] ** 2 for row in after]))),
-        "counts": dict(nav.counts), "outcomes": {name: sensor.outcomes for name, sensor in nav.health.sensors.items()},
-    }  # fmt: skip
+        "hours": arguments.hours,
+        "samples": round(arguments.hours * 3600 * RATE_HZ),
+        "cpu_s": seconds,
+        "learning": learning,
+        "rss_after_first_hour_mb": float(memory[later][0]),
+        "growth_mb": growth,
+        "trend_mb_per_h": float(np.polyfit(hour[later], memory[later], 1)[0]),
+        "smallest_eigenvalue": float(rows[:, 2].min()),
+        **{name: float(values.mean()) for name, values in after.items() if name.startswith("nees_")},
+        "position_rms_m": float(np.sqrt(np.mean(after["position_m"] ** 2))),
+        "position_sd_m": float(np.sqrt(np.mean(after["position_sd_m"] ** 2))),
+        "counts": dict(nav.counts),
+        "outcomes": {name: sensor.outcomes for name, sensor in nav.health.sensors.items()},
+    }
     for name, value in figures.items():
         print(f"{name:26s} {value:.4g}" if isinstance(value, float) else f"{name:26s} {value}")
     print(f"memory {'flat' if growth < 1.0 else 'NOT flat'} (less than 1 MB after the first hour), covariance "
           f"{'positive definite throughout' if figures['smallest_eigenvalue'] > 0.0 else 'NOT positive definite'}")  # fmt: skip
     if arguments.json:
-        arguments.json.write_text(json.dumps({"figures": figures, "minutes": rows}, indent=1))
+        arguments.json.write_text(json.dumps({"figures": figures, "columns": COLUMNS, "minutes": rows.tolist()}, indent=1))
 
 
 if __name__ == "__main__":
