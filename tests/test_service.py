@@ -275,9 +275,13 @@ def test_a_session_goes_on_from_its_snapshot(dive, reckoning):
             for line in lines[:cut]:
                 session.feed(parser.parse(line))
             saved, nav = session.snapshot()
-            waiting += bool(saved["rows"])
+            waiting += bool(json.loads(saved)["rows"])
+            told = len(out)
+            for line in lines[cut : cut + 40]:  # the first one goes on: its snapshot must not change with it
+                session.feed(parser.parse(line))
+            del out[told:]
             second = Session(case.vehicle, Options(), lambda line, is_state, out=out: out.append(line))
-            second.restore(json.loads(to_line(saved)), nav)
+            second.restore(saved, nav)
             for line in lines[cut:]:
                 second.feed(parser.parse(line))
             second.stop()
@@ -469,9 +473,9 @@ def test_a_full_disk_is_counted_and_left_behind(tmp_path, monkeypatch):
 
 
 def test_damaged_snapshots_are_refused(tmp_path):
-    path, data = tmp_path / "state", StateFile.pack({"a": 1.5}, b"navigator\n\x00", 7)
+    path, data = tmp_path / "state", StateFile.pack(b'{"a":1.5}\n', b"navigator\n\x00", 7)
     path.write_bytes(data)
-    assert StateFile.read(path) == ({"log_offset": 7, "a": 1.5}, b"navigator\n\x00")
+    assert StateFile.read(path) == (b'{"a":1.5}', b"navigator\n\x00", 7)
     for damaged, why in (
         (data[:-1], "damaged"),
         (data[:-3] + bytes([data[-3] ^ 1]) + data[-2:], "damaged"),

@@ -24,19 +24,19 @@ __all__ = ["Disk", "StateFile"]
 
 
 class StateFile:
-    """A snapshot on disk: one line with a checksum, one with the session as JSON, then the navigator's own snapshot."""
+    """A snapshot on disk: lines with a checksum, the place in the log and the session, then the navigator's own snapshot."""
 
     MAGIC = b"navfilter-run-state 1 "
 
     @classmethod
-    def pack(cls, session: dict[str, Any], nav: bytes, log_offset: int | None) -> bytes:
+    def pack(cls, session: bytes, nav: bytes, log_offset: int | None) -> bytes:
         """The bytes of the file."""
-        rest = to_line({"log_offset": log_offset, **session}) + nav
+        rest = to_line({"log_offset": log_offset}) + session + nav
         return cls.MAGIC + hashlib.sha256(rest).hexdigest().encode() + b"\n" + rest
 
     @classmethod
-    def read(cls, path: Path) -> tuple[dict[str, Any], bytes]:
-        """The session (with ``log_offset``) and the navigator's snapshot.
+    def read(cls, path: Path) -> tuple[bytes, bytes, int | None]:
+        """The session, the navigator's snapshot, and how much of the log was in them.
 
         Raises
         ------
@@ -55,8 +55,8 @@ class StateFile:
             raise ValueError(
                 f"{path} is damaged (its checksum is wrong). Move it away: with --log and --resume the whole log is then replayed instead."
             )
-        session, _, nav = rest.partition(b"\n")
-        return json.loads(session), nav
+        place, session, nav = rest.split(b"\n", 2)
+        return session, nav, json.loads(place)["log_offset"]
 
 
 class Disk:
@@ -84,7 +84,7 @@ class Disk:
         self.lost_lines = self.failed_snapshots = 0
         self._file: Any = log
         self._good = 0 if log is None else log.seek(0, os.SEEK_END)
-        self._queue: deque[bytes | tuple[dict[str, Any], bytes]] = deque()
+        self._queue: deque[bytes | tuple[bytes, bytes]] = deque()
         self._queued = 0
         self._lost_before = self._dirty = False
         self._troubles: dict[str, float] = {}
@@ -107,7 +107,7 @@ class Disk:
             self._queued += len(lines)
             self._condition.notify()
 
-    def snapshot(self, session: dict[str, Any], nav: bytes) -> None:
+    def snapshot(self, session: bytes, nav: bytes) -> None:
         """Write a snapshot that refers to the log as appended so far; returns at once."""
         with self._condition:
             # of two that wait only the later counts
@@ -177,7 +177,7 @@ class Disk:
                 self._trouble("fsync of the log", error)
         self._dirty, self._synced = False, time.monotonic()
 
-    def _save(self, session: dict[str, Any], nav: bytes) -> None:
+    def _save(self, session: bytes, nav: bytes) -> None:
         if self._state_path is None:
             return
         self._sync()

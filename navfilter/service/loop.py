@@ -201,8 +201,8 @@ class _Run:
             return session, None
         offset: int | None = 0
         if saved is not None:
-            session.restore(*saved)
-            offset = saved[0]["log_offset"]
+            session.restore(*saved[:2])
+            offset = saved[2]
         readings = 0
         if path is not None and log and offset is not None:
             if offset > path.stat().st_size:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import datetime
+import json
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -314,8 +315,8 @@ class Session:
             self._tell("bad-line", kind=item.kind, count=count, text=item.text)
 
     # ---------------------------------------------------------------- snapshot
-    def snapshot(self) -> tuple[dict[str, Any], bytes] | None:
-        """What a later process needs beside the log: this session as JSON can hold it, and the navigator; None before the start."""
+    def snapshot(self) -> tuple[bytes, bytes] | None:
+        """What a later process needs beside the log: this session as a line of JSON, and the navigator; None before the start."""
         if self.nav is None:
             return None
         saved = {
@@ -330,9 +331,9 @@ class Session:
             "conditions": self._conditions,
             "pairing": None if self._pairing is None else self._pairing.snapshot(),
         }
-        return saved, self.nav.snapshot()
+        return to_line(saved), self.nav.snapshot()
 
-    def restore(self, saved: dict[str, Any], nav: bytes) -> None:
+    def restore(self, session: bytes, nav: bytes) -> None:
         """Continue where `snapshot` was taken.
 
         Raises
@@ -340,7 +341,14 @@ class Session:
         ValueError
             When the snapshot is damaged, of another version or of another vehicle.
         """
-        self.nav = Navigator.restore(self.vehicle, nav)
+        restored = Navigator.restore(self.vehicle, nav)
+        try:
+            self._restore(json.loads(session), restored)
+        except (KeyError, TypeError, IndexError, AttributeError) as error:
+            raise ValueError(f"the snapshot cannot be read ({error!r}). Move it away to start afresh.") from None
+
+    def _restore(self, saved: dict[str, Any], nav: Navigator) -> None:
+        self.nav = nav
         self.options, self._offset_s = Options.from_json(saved["options"]), self.nav.intake.offset_s
         self._next_tick()
         self._tick, self._second, self._drive_s = saved["tick"], saved["second"], saved["drive_s"]
