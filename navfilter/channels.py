@@ -15,7 +15,7 @@ from navfilter.arma.model import ArmaModel
 from navfilter.error_models import ErrorModel
 from navfilter.kernels import kalman, listen
 from navfilter.layout import Group, Layout
-from navfilter.learned import known_walk, known_white, learned_part, with_learned, with_zero_frequency, zero_frequency
+from navfilter.learned import known_walk, known_white, learned_part, slow_pole, with_learned, with_zero_frequency, zero_frequency
 from navfilter.sensors import BodyVelocity, Depth, Heading, Position, Sensor
 from navfilter.start import Start
 from navfilter.state import matrix_from_euler
@@ -262,7 +262,9 @@ def steadied(model: ArmaModel, levels: Sequence[float]) -> ArmaModel:
     One window holds few correlation times of a slow error: its S(0) swings by a factor, and the low ones claim to be sure. Windows
     overlap by three quarters, so n of them are worth (n + 3) / 4.
     """
-    factor = float(np.mean(levels)) / levels[-1] if levels[-1] > 0.0 else 1.0
+    if slow_pole(model) is None or not levels[-1] > 0.0:
+        return model
+    factor = float(np.mean(levels)) / levels[-1]
     ar, variance = with_zero_frequency(model, factor)
     spread = None if model.sd_log_s0 is None else model.sd_log_s0 / math.sqrt((len(levels) + 3) / 4.0)
     return replace(model, ar=ar, sd=math.sqrt(variance), sd_log_s0=spread)

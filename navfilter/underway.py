@@ -15,7 +15,7 @@ from navfilter.error_models import ErrorModel
 from navfilter.intake import joined
 from navfilter.kernels import listen, strapdown
 from navfilter.layout import Layout
-from navfilter.learned import learned_part
+from navfilter.learned import block_level, learned_part
 from navfilter.start import Start
 from navfilter.tape import Tape
 from navfilter.vehicle import Vehicle
@@ -23,6 +23,8 @@ from navfilter.vehicle import Vehicle
 __all__ = ["Learning"]
 
 Array = NDArray[np.float64]
+#: At one adoption the variance in the direction of what a sensor sees grows by this factor at most.
+MOST_GIVEN_BACK = 4.0
 _NO_RING, _NO_CURSOR, _NO_MOUNT = np.zeros((1, 1)), np.zeros(1, np.int64), np.zeros(9)
 
 
@@ -133,7 +135,24 @@ class Learning(Engine):
         assert channel.listener is not None
         models = channel.listener.learn(0.0)
         if models is not None:
+            self._give_back(channel, models)
             self.adopt(channel.name, models)
+
+    def _give_back(self, channel: Channel, models: tuple[ErrorModel, ...]) -> None:
+        """Where a new model has more power at zero frequency, the old one took too much for certain: make P in the direction of what the
+        sensor sees that much larger (information about a constant goes with 1 / S(0)), with everything that hangs on it in proportion.
+        """
+        for axis, (old, new) in enumerate(zip(channel.sensor.models, models, strict=True)):
+            before, after = learned_part(old), learned_part(new)
+            if before is None or after is None:
+                continue
+            ratio = block_level(after.block(channel.period_s)) / max(block_level(before.block(channel.period_s)), 1e-300)
+            row = channel.H[axis].copy()
+            row[channel.group.start : channel.group.start + channel.group.errors] = 0.0
+            along = self._P @ row
+            variance = float(row @ along)
+            if ratio > 1.0 and variance > 0.0:
+                self._P += (min(ratio, MOST_GIVEN_BACK) - 1.0) / variance * np.outer(along, along)
 
     def _revise(self) -> None:
         """Adopt the first models, and run what there was so far again with them.
