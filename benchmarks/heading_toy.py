@@ -109,10 +109,10 @@ def one_over_e(window: Array) -> nf.ArmaModel:
 
 
 def likeliest_gm1(window: Array, gyro: Gyro) -> nf.ArmaModel:
-    """Gauss-Markov of first order by the joint likelihood with the drift."""
+    """Gauss-Markov of first order by the joint likelihood with the drift; no slower than a window can tell from a bias (W/3)."""
 
     def model(theta: Array) -> nf.ArmaModel:
-        phi = math.exp(-math.exp(float(np.clip(theta[0], -12.0, 3.0))))
+        phi = math.exp(-math.exp(float(np.clip(theta[0], math.log(3.0 / WINDOW), 3.0))))
         return nf.ArmaModel([-phi], [], math.exp(float(theta[1])))
 
     begin = one_over_e(window)
