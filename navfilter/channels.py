@@ -29,7 +29,7 @@ __all__ = ["Channel", "ChannelSeries", "Listener"]
 Array = NDArray[np.float64]
 GRAVITY = 9.81
 #: S(0) is averaged over so many hops: two windows.
-HOPS_REMEMBERED = 8
+HOPS_REMEMBERED = 4
 #: The newest readings are left out of what is learnt from, so that those that come late by as much change nothing [s].
 GUARD_S = 2.0
 #: A first try at learning needs so many ticks.
@@ -175,7 +175,7 @@ class Listener:
             for part, drift, r in zip(learned, self.drifts, self.white, strict=True)
         )
         self.window = window
-        self.hop = min((part.hop or part.window // 4 for part in learned if part is not None), default=0)
+        self.hop = min((part.hop or part.window // 2 for part in learned if part is not None), default=0)
         self.due = 0 if window else NEVER
         self._before_hop: tuple[int, tuple[Any, ...]] = (-1, ())
         self.levels: tuple[tuple[float, ...], ...] = ((),) * sensor.axes
@@ -260,13 +260,13 @@ def steadied(model: ArmaModel, levels: Sequence[float]) -> ArmaModel:
     """The model with S(0) at the mean of what the last windows found, and sd ln S(0) accordingly smaller.
 
     One window holds few correlation times of a slow error: its S(0) swings by a factor, and the low ones claim to be sure. Windows
-    overlap by three quarters, so n of them are worth (n + 3) / 4.
+    overlap by half, so n of them are worth (n + 1) / 2.
     """
     if slow_pole(model) is None or not levels[-1] > 0.0:
         return model
     factor = float(np.mean(levels)) / levels[-1]
     ar, variance = with_zero_frequency(model, factor)
-    spread = None if model.sd_log_s0 is None else model.sd_log_s0 / math.sqrt((len(levels) + 3) / 4.0)
+    spread = None if model.sd_log_s0 is None else model.sd_log_s0 / math.sqrt((len(levels) + 1) / 2.0)
     return replace(model, ar=ar, sd=math.sqrt(variance), sd_log_s0=spread)
 
 

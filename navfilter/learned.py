@@ -40,7 +40,7 @@ class LearnedArma(ErrorModel):
     window : int
         Samples behind an estimate.
     hop : int, optional
-        Samples between two adoptions, default a quarter of the window; the first comes after an eighth of a window.
+        Samples between two adoptions, default half the window.
     model : ArmaModel, optional
         The model in force; the navigator sets it when it adopts one.
 
