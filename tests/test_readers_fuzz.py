@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import lzma
 import string
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -200,6 +201,18 @@ def test_times_and_values_at_the_edge_of_the_numbers(tmp_path, stream, message):
         return
     with pytest.raises(MissionError, match=message):
         read_mission(tmp_path)
+
+
+@pytest.mark.parametrize("compressed", [False, True])
+def test_an_array_that_claims_to_be_shorter_than_it_is(tmp_path, compressed):
+    """numpy compares the checksum only at the end of a member, which a header that asks for less never reaches."""
+    (np.savez_compressed if compressed else np.savez)(tmp_path / "whole.npz", x=np.arange(60.0).reshape(20, 3))
+    with zipfile.ZipFile(tmp_path / "whole.npz") as whole:
+        content = whole.read("x.npy")
+        with zipfile.ZipFile(tmp_path / "less.npz", "w") as less:
+            less.writestr("x.npy", content.replace(b"(20, 3)", b"(10, 3)"))
+    with pytest.raises(MissionError, match="longer than it says"):
+        read_table(tmp_path / "less.npz")
 
 
 @QUICK

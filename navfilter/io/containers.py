@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +12,7 @@ import numpy.typing as npt
 
 from navfilter.mission import MissionError
 
+_NPY_MAGIC = b"\x93NUMPY"
 _HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 
 
@@ -35,8 +38,7 @@ def read_arrays(path: Path) -> dict[str, npt.NDArray[Any]]:
         if path.suffix.lower() == ".npy":
             arrays = {"": _read_npy(path)}
         elif path.suffix.lower() == ".npz":
-            with np.load(path, allow_pickle=False) as archive:
-                arrays = {name: archive[name] for name in archive.files}
+            arrays = read_npz(path)
         elif _is_hdf5(path):
             arrays = _read_hdf5(path)
         else:
@@ -47,6 +49,40 @@ def read_arrays(path: Path) -> dict[str, npt.NDArray[Any]]:
     arrays = {name: array for name, array in arrays.items() if array.dtype.kind in "fiubU" or array.dtype.names}
     if not arrays:
         raise MissionError(f"{path} holds no array of numbers.")
+    return arrays
+
+
+def read_npz(path: Path) -> dict[str, npt.NDArray[Any]]:
+    """Read every array of a .npz file, each held against its checksum.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    dict of str to ndarray
+
+    Raises
+    ------
+    ValueError, OSError, zipfile.BadZipFile, ...
+        When anything about the file is wrong; arrays of Python objects are refused.
+
+    Notes
+    -----
+    ``numpy.load`` reads as much of a member as the header of its array asks for. A damaged header that asks for less would give a
+    shorter array without a word: the checksum is only compared at the end of the member.
+    """
+    arrays = {}
+    with zipfile.ZipFile(path) as archive:
+        for entry in archive.namelist():
+            member = io.BytesIO(archive.read(entry))
+            if member.read(len(_NPY_MAGIC)) != _NPY_MAGIC:
+                continue
+            member.seek(0)
+            arrays[entry.removesuffix(".npy")] = np.lib.format.read_array(member, allow_pickle=False)
+            if member.read(1):
+                raise ValueError(f"{entry} is longer than it says")
     return arrays
 
 

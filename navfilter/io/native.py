@@ -7,8 +7,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
+from navfilter.io.containers import read_npz
 from navfilter.mission import NPZ_FORMAT, TRUTH_COLUMNS, Mission, MissionError, Stream
 
 
@@ -23,8 +22,7 @@ def read_mission_npz(path: Path) -> Mission:
     if not path.exists():
         raise MissionError(f"{path}: no such file.")
     try:
-        with np.load(path, allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in archive.files}
+        arrays = read_npz(path)
     except Exception as error:  # numpy, zipfile and zlib raise many unrelated types on broken files
         reason = str(error).splitlines()[0].rstrip(".") if str(error) else type(error).__name__
         raise MissionError(f"{path} cannot be read: {reason}. It is truncated or no .npz file.") from None
