@@ -14,6 +14,7 @@ import io
 import json
 import os
 import tempfile
+import zipfile
 from collections import Counter
 from os import PathLike
 from pathlib import Path
@@ -181,6 +182,10 @@ def read(kind: type[Navigator], vehicle: Vehicle, source: bytes | str | PathLike
     data = source if isinstance(source, bytes) else Path(source).read_bytes()
     payload = _checked(data, vehicle)
     try:
+        with zipfile.ZipFile(io.BytesIO(payload)) as whole:
+            # numpy reads as much as the header of an array says; only a member read to its end is held against its checksum.
+            if damaged := whole.testzip():
+                raise ValueError(f"{damaged} is damaged")
         with np.load(io.BytesIO(payload), allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in archive.files}
     except Exception as error:  # numpy, zipfile and zlib raise many unrelated types on broken archives
