@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import faulthandler
 import hashlib
 import io
 import json
@@ -653,6 +654,7 @@ def main() -> int:
     parser.add_argument("--keep", type=Path, metavar="DIR", help="keep what was not handled")
     parser.add_argument("--child", metavar="NAME", help=argparse.SUPPRESS)
     options = parser.parse_args()
+    faulthandler.enable()
     signal.signal(signal.SIGALRM, too_slow)
     np.seterr(all="ignore")
     if options.child:
