@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.error_models import ErrorModel, Sum
+from navfilter.error_models import ErrorModel, RandomWalk, Sum
 from navfilter.layout import Layout
 from navfilter.learned import LearnedArma, register_labels
 from navfilter.vehicle import Vehicle
@@ -52,8 +52,8 @@ def transfer(old: ErrorModel, new: ErrorModel, period_s: float) -> tuple[Array, 
     """How the states of one axis follow a change of its error model: ``x_new = M x_old + w``, ``w ~ N(0, N)``.
 
     Parts that are equal in both keep their states. A learnt part keeps the values and innovations that both registers hold; what only
-    the new one holds is drawn from its stationary distribution given those (Gaussian conditioning). When the old part is no register (a prior),
-    its present error is what both have in common.
+    the new one holds is drawn from its stationary distribution given those (Gaussian conditioning). When the old part is no register (a
+    prior), its present error is what both have in common.
 
     Returns
     -------
@@ -80,7 +80,8 @@ def transfer(old: ErrorModel, new: ErrorModel, period_s: float) -> tuple[Array, 
 
 
 def _same_kind(old: ErrorModel, new: ErrorModel) -> bool:
-    return old == new or isinstance(new, LearnedArma) or isinstance(old, LearnedArma)
+    walks = isinstance(old, RandomWalk) and isinstance(new, RandomWalk)  # the bias that there is wanders otherwise from now on
+    return old == new or walks or isinstance(new, LearnedArma) or isinstance(old, LearnedArma)
 
 
 def _transfer_part(old: ErrorModel, new: ErrorModel, period_s: float) -> tuple[Array, Array]:

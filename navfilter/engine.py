@@ -52,7 +52,7 @@ class Outcome(NamedTuple):
 
 
 class Memory(NamedTuple):
-    """What a run remembers at one moment: clocks and a mark of its listener for every channel."""
+    """What a run remembers at one moment: clocks and a mark of its listener for every channel, a mark of what was gathered at rest."""
 
     clock: tuple[float, float, int]
     intake: tuple[float, ...]
@@ -61,6 +61,7 @@ class Memory(NamedTuple):
     channels: dict[str, tuple[Any, Any]]
     counts: dict[str, int]
     early: int | None = None
+    still: Any = None
 
 
 class Engine:
@@ -68,6 +69,8 @@ class Engine:
 
     #: Corrections may come so long after the last sample of the drive, at least [s].
     AHEAD_S = 1.0
+    #: Whether `_passed` is called.
+    _watching = False
 
     def __init__(self, vehicle: Vehicle, start: Start, tape: Tape | None = None) -> None:
         if not isinstance(vehicle, Vehicle):
@@ -128,7 +131,7 @@ class Engine:
         """Carry the state over a block of samples: rows of time and six values; the array is used as work space."""
         if not len(samples):
             return
-        whole = len(samples) <= self._fold_every - self._unfolded and not self._rest
+        whole = len(samples) <= self._fold_every - self._unfolded and not (self._rest or self._watching)
         samples, stamps = self.intake.take(samples, self._drv, self._at_rest, whole)
         begin, total = 0, len(samples)
         while begin < total:
@@ -140,7 +143,12 @@ class Engine:
                 self._close_second()
             for channel in self._rest:
                 self._detect_rest(channel)
+            if self._watching:
+                self._passed(samples[begin:end])
             begin = end
+
+    def _passed(self, samples: Array) -> None:
+        """For those who want to see samples that the state has been carried over: no more at once than `_room`."""
 
     def _room(self) -> int:
         """Samples until something is due: the fold, or the detection of rest."""

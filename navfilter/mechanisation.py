@@ -3,24 +3,24 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.error_models import ErrorModel, RandomWalk, White, per_axis
+from navfilter.error_models import ErrorModel, RandomWalk, Sum, White, per_axis
 from navfilter.kernels import strapdown
-from navfilter.learned import resolve_prior
+from navfilter.learned import learned_part
 from navfilter.sensors import BodyVelocity, Heading
 from navfilter.start import Start
 
 __all__ = ["DeadReckoning", "Imu", "Mechanisation"]
 
 Array = NDArray[np.float64]
-GYRO_PRIOR: ErrorModel = White(density=1e-4) + RandomWalk(density=1e-6)
-ACCEL_PRIOR: ErrorModel = White(density=1e-3) + RandomWalk(density=1e-5)
+GYRO_PRIOR: Sum = White(density=1e-4) + RandomWalk(density=1e-6)
+ACCEL_PRIOR: Sum = White(density=1e-3) + RandomWalk(density=1e-5)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,7 +74,8 @@ class Imu(Mechanisation):
     rate_hz : float
         Sampling rate [Hz].
     gyro, accel : ErrorModel or tuple of three
-        Errors of the angular rate [rad/s] and of the specific force [m/s^2].
+        Errors of the angular rate [rad/s] and of the specific force [m/s^2]. A `LearnedArma` is learnt while the vehicle stands still
+        (`navfilter.stillness.Stillness`), beside a bias: a `RandomWalk`, that of the default where none is given.
     increments : bool
         Samples are angle and velocity increments [rad], [m/s] instead of rates.
     gap_rate_sd, gap_force_sd : float
@@ -105,7 +106,7 @@ class Imu(Mechanisation):
     def models(self) -> tuple[ErrorModel, ...]:
         """Gyro x, y, z, accelerometer x, y, z."""
         gyro, accel = per_axis(self.gyro, 3, "Imu.gyro"), per_axis(self.accel, 3, "Imu.accel")
-        return resolve_prior(gyro, GYRO_PRIOR) + resolve_prior(accel, ACCEL_PRIOR)
+        return _with_bias(gyro, GYRO_PRIOR) + _with_bias(accel, ACCEL_PRIOR)
 
     def limits(self) -> Array:
         """Rates and forces, or what they gather in one period."""
@@ -118,6 +119,28 @@ class Imu(Mechanisation):
         drv[strapdown.GAP_RATE_SD] = self.gap_rate_sd
         drv[strapdown.GAP_FORCE_SD] = self.gap_force_sd
         return drv
+
+
+def _with_bias(models: Sequence[ErrorModel], default: Sum) -> tuple[ErrorModel, ...]:
+    """Models of inertial axes with the bias of a prior beside their learnt part, where it stays whatever is learnt.
+
+    A learnt part without a prior gets what `default` has and nothing beside it stands for.
+    """
+    resolved = []
+    for model in models:
+        learned = learned_part(model)
+        if learned is not None and learned.model is None:
+            beside = [part for part in (model.parts if isinstance(model, Sum) else (model,)) if part is not learned]
+            if learned.prior is None:
+                given = [part for part in default.parts if not any(isinstance(part, type(other)) for other in beside)]
+            else:
+                given = list(learned.prior.parts) if isinstance(learned.prior, Sum) else [learned.prior]
+            walks = [part for part in given if isinstance(part, RandomWalk)]
+            rest = [part for part in given if not isinstance(part, RandomWalk)] or [White(sd=0.0)]
+            prior = rest[0] if len(rest) == 1 else Sum(tuple(rest))
+            model = Sum((*beside, *walks, replace(learned, prior=prior))) if beside or walks else replace(learned, prior=prior)
+        resolved.append(model)
+    return tuple(resolved)
 
 
 @dataclass(frozen=True, kw_only=True)

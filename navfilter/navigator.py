@@ -14,10 +14,10 @@ from navfilter import snapshot as snapshots
 from navfilter.engine import Outcome
 from navfilter.health import Health, Watch
 from navfilter.history import History, Reading
+from navfilter.standing import Standing
 from navfilter.start import Start
 from navfilter.state import NavState
 from navfilter.tape import Tape
-from navfilter.underway import Learning
 from navfilter.vehicle import Vehicle
 
 __all__ = ["Navigator", "Outcome"]
@@ -30,7 +30,7 @@ def _when(item: Any) -> float:
     return float(item[-1, 0]) if isinstance(item, np.ndarray) else float(item[1])
 
 
-class Navigator(Learning):
+class Navigator(Standing):
     """Error-state extended Kalman filter over a vehicle's sensors, in closed loop.
 
     Parameters

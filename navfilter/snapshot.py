@@ -132,6 +132,7 @@ def _payload(nav: Navigator) -> bytes:
         arrays[f"ring/{name}"] = listener.ring
         for axis, kept in enumerate(learners):
             arrays |= {f"learner/{name}/{axis}/{key}": v for key, v in (kept or {}).items()}
+    still = _still(nav, memory, arrays)
     start = dataclasses.asdict(nav.start)
     start["date"] = None if nav.start.date is None else nav.start.date.isoformat()
     items = []
@@ -160,6 +161,7 @@ def _payload(nav: Navigator) -> bytes:
         "intake": memory.intake,
         "channels": {name: clock for name, (clock, _) in memory.channels.items()},
         "listeners": listeners,
+        "still": still,
         "counts": memory.counts,
         "models": {name: plain(error) for name, error in (parts | {n: s.error for n, s in now.sensors.items()}).items()},
         "watches": {
@@ -217,6 +219,30 @@ def _checked(data: bytes, vehicle: Vehicle) -> bytes:
     return payload
 
 
+def _still(nav: Navigator, memory: Memory, arrays: dict[str, Array]) -> list[Any] | None:
+    """What was gathered at rest: its samples go to `arrays`."""
+    if nav._still is None:
+        return None
+    numbers, models, levels, block, pending = memory.still
+    arrays |= {"still/ring": nav._still.ring, "still/block": block, "still/pending": pending}
+    for axis, kept in enumerate(nav._still.kept(memory.still)):
+        arrays |= {f"still/{axis}/{key}": v for key, v in (kept or {}).items()}
+    return [numbers, plain(models), levels]
+
+
+def _still_mark(nav: Navigator, kept: list[Any] | None, arrays: dict[str, Array]) -> Any:
+    """The inverse of `_still`."""
+    if nav._still is None or kept is None:
+        return None
+    numbers, models, levels = kept
+    learners = [
+        {key.removeprefix(f"still/{axis}/"): v for key, v in arrays.items() if key.startswith(f"still/{axis}/")}
+        for axis in range(len(nav._still.learners))
+    ]
+    nav._still.revive(arrays["still/ring"], learners)
+    return tuple(numbers), revive(models), tuple(tuple(axis) for axis in levels), arrays["still/block"], arrays["still/pending"]
+
+
 def _early(items: list[Any], samples: Array) -> list[Any]:
     result: list[Any] = []
     at = 0
@@ -258,6 +284,7 @@ def _revived(kind: type[Navigator], vehicle: Vehicle, meta: dict[str, Any], arra
         {name: (tuple(clock), marks.get(name)) for name, clock in meta["channels"].items()},
         meta["counts"],
         None if meta["early"] is None else len(meta["early"]),
+        _still_mark(nav, meta["still"], arrays),
     )
     nav._early = None if meta["early"] is None else _early(meta["early"], arrays["early/samples"])
     nav.recall(memory)
