@@ -28,6 +28,8 @@ __all__ = ["Channel", "ChannelSeries", "Listener"]
 
 Array = NDArray[np.float64]
 GRAVITY = 9.81
+#: A sample so many robust deviations from its neighbours is a spike.
+SPIKE = 8.0
 #: S(0) is averaged over so many hops: two windows.
 HOPS_REMEMBERED = 4
 #: The newest readings are left out of what is learnt from, so that those that come late by as much change nothing [s].
@@ -181,10 +183,10 @@ class Listener:
         self.levels: tuple[tuple[float, ...], ...] = ((),) * sensor.axes
 
     def series(self, axis: int, last: int | None = None, without: int = 0) -> Array:
-        """The last ticks of one axis, oldest first, without the newest."""
+        """The last ticks of one axis, oldest first, without the newest; isolated spikes are missing."""
         written, capacity = int(self.cursor[0]), self.ring.shape[1]
         n = min(written, capacity if last is None else last, capacity)
-        return np.ascontiguousarray(np.take(self.ring[axis], np.arange(written - n, written - without) % capacity))
+        return without_spikes(np.take(self.ring[axis], np.arange(written - n, written - without) % capacity))
 
     def all_series(self) -> tuple[ChannelSeries, ...]:
         """What was heard, axis by axis."""
@@ -254,6 +256,25 @@ class Listener:
             return None
         self.models = tuple(new)
         return self.models
+
+
+def without_spikes(series: Array) -> Array:
+    """A copy with NaN where a sample stands out from the median of the five around it by more than `SPIKE` robust deviations.
+
+    The filter's gate cannot do this: it judges by what is believed of the sensor, which is what is to be learnt.
+    """
+    result = np.array(series, dtype=np.float64)
+    known = np.flatnonzero(np.isfinite(result))
+    if known.size < 5:
+        return result
+    y = result[known]
+    padded = np.concatenate([y[[2, 1]], y, y[[-2, -3]]])
+    off = y - np.median(np.lib.stride_tricks.sliding_window_view(padded, 5), axis=1)
+    size = np.abs(off)
+    # where most samples equal their median (quantised readings), the mean of the others says how much is ordinary
+    scale = max(float(np.median(size)) * 1.4826, float(np.mean(np.minimum(size, np.quantile(size, 0.99)))))
+    result[known[size > SPIKE * scale]] = np.nan
+    return result
 
 
 def steadied(model: ArmaModel, levels: Sequence[float]) -> ArmaModel:
