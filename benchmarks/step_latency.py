@@ -158,7 +158,7 @@ def pyins_times(samples: np.ndarray, start: nf.Start) -> dict[str, np.ndarray]:
 
 
 def starts() -> dict[str, tuple[float, float]]:
-    """Seconds from the first line of Python to the first state, and processor seconds of the process, with an empty cache and a full one."""
+    """Seconds to the first state, and processor seconds of the whole process, with an empty cache and with a full one."""
     found = {}
     with tempfile.TemporaryDirectory() as folder:
         environment = {**os.environ, "NUMBA_CACHE_DIR": folder}

@@ -1,0 +1,169 @@
+"""Faults of what is around the filter: killed processes, full disks, cut logs, damaged snapshots, garbage on the line.
+
+Each kind runs for several seeds on one minute of a simulated lawnmower through ``navfilter run`` as a process (snapshots in memory without
+one). What must hold: after SIGKILL at a random instant, `--resume` and the readings that the log does not have, the last state is that of
+an undisturbed run to the bit, and of the readings whose states were seen nothing is missing from the log; garbage between the lines, a
+full disk and a log that is cut at a random byte leave the last state as it was; a damaged snapshot is refused with a ValueError, always.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import resource
+import signal
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
+from test_service import Dive, Process
+
+import navfilter as nf
+from navfilter.io.json_lines import Reading
+from navfilter.playback import drive_samples
+from navfilter.service.log import LOG_FILE, log_items
+
+Verdict = dict[str, int]
+
+
+def states(output: list[bytes]) -> list[bytes]:
+    """Lines of states, without those of events."""
+    return [line for line in output if b'"event"' not in line]
+
+
+def without_counts(line: bytes) -> dict:
+    """A state without the count of bad lines."""
+    return {key: value for key, value in json.loads(line).items() if key != "bad_lines"}
+
+
+def killed(dive: Dive, folder: Path, rng: np.random.Generator) -> Verdict:
+    """SIGKILL at a random instant while readings come in, then resumed; and the file ends in the middle of a line."""
+    arguments = [*dive.arguments, "--log", folder / "log", "--resume", "--snapshot-every", "0.5", "--fsync", "0.2", "--quiet"]
+    at_s = float(rng.integers(5, 50))
+    process = Process(*arguments)
+    seen = next(k for k, line in enumerate(dive.lines) if json.loads(line)["time_s"] > at_s) + 1
+    process.send(dive.lines[:seen])
+    process.read_until(at_s)
+    time.sleep(rng.uniform(0.0, 0.3))
+    process.end(signal.SIGKILL)
+    whole = [item.raw for item in log_items(folder / "log" / LOG_FILE, dive.vehicle) if isinstance(item, Reading)]
+    with (folder / "log" / LOG_FILE).open("ab") as log:
+        log.write(b'{"sensor":"imu","time_s":')
+    process = Process(*arguments)
+    process.send(dive.lines[len(whole) :])
+    end = states(process.end())
+    return {"crash": process.code != 0, "lost readings": max(0, seen - 1 - len(whole)), "other state": end[-1:] != states(dive.output)[-1:]}
+
+
+def garbage(dive: Dive, folder: Path, rng: np.random.Generator) -> Verdict:
+    """Random bytes between the lines."""
+    lines = [*dive.lines]
+    for _ in range(200):
+        size = int(rng.integers(1, 400))
+        lines.insert(int(rng.integers(len(lines))), rng.integers(0, 256, size).astype(np.uint8).tobytes().replace(b"\n", b"") + b"\n")
+    process = Process(*dive.arguments, "--log", folder / "log", "--quiet")
+    process.send(lines)
+    end = states(process.end())
+    same = bool(end) and without_counts(end[-1]) == without_counts(states(dive.output)[-1])
+    return {"crash": process.code != 0, "lost readings": 0, "other state": not same}
+
+
+def full_disk(dive: Dive, folder: Path, rng: np.random.Generator) -> Verdict:
+    """No file may grow beyond a random size."""
+    limit = int(rng.integers(10_000, 1_000_000))
+    process = Process(
+        *dive.arguments, "--log", folder / "log", "--quiet", preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
+    )
+    process.send(dive.lines)
+    end = states(process.end())
+    return {"crash": process.code != 0, "lost readings": 0, "other state": end[-1:] != states(dive.output)[-1:]}
+
+
+def cut_log(dive: Dive, folder: Path, rng: np.random.Generator) -> Verdict:
+    """The log ends at a random byte, and there is no snapshot: what it has is fed again, the rest is sent."""
+    process = Process(*dive.arguments, "--log", folder / "log", "--quiet")
+    process.send(dive.lines[: len(dive.lines) // 2])
+    process.end(signal.SIGTERM)
+    log = folder / "log" / LOG_FILE
+    data = log.read_bytes()
+    head = data.index(b"\n") + 1
+    log.write_bytes(data[: int(rng.integers(head, len(data)))])
+    (folder / "log" / "snapshot").unlink(missing_ok=True)
+    whole = [item.raw for item in log_items(log, dive.vehicle) if isinstance(item, Reading)]
+    process = Process(*dive.arguments, "--log", folder / "log", "--resume", "--quiet")
+    process.send(dive.lines[len(whole) :])
+    end = states(process.end())
+    same = bool(end) and without_counts(end[-1]) == without_counts(states(dive.output)[-1])
+    return {"crash": process.code != 0, "lost readings": 0, "other state": not same}
+
+
+def damaged_snapshots(dive: Dive, folder: Path, rng: np.random.Generator) -> Verdict:
+    """A snapshot of the navigator with bits turned, cut, lengthened, or bytes put in, 200 times."""
+    nav = nf.Navigator(dive.vehicle, dive.mission.start)
+    times, values = drive_samples(dive.vehicle, dive.mission)
+    for t, v in zip(times[:2000].tolist(), values[:2000], strict=True):
+        nav.step(t, v[:3], v[3:])
+    data, verdict = nav.snapshot(), {"crash": 0, "lost readings": 0, "other state": 0}
+    for _ in range(200):
+        at, how = int(rng.integers(len(data))), int(rng.integers(4))
+        bad = bytearray(data)
+        if how == 0:
+            bad[at] ^= 1 << int(rng.integers(8))
+        elif how == 1:
+            del bad[at:]
+        elif how == 2:
+            bad += bytes(int(rng.integers(1, 100)))
+        else:
+            bad[at:at] = rng.integers(0, 256, 7).astype(np.uint8).tobytes()
+        try:
+            other = nf.Navigator.restore(dive.vehicle, bytes(bad))
+        except ValueError:
+            continue
+        except Exception as error:
+            print(f"  {type(error).__name__}: {error} (way {how}, byte {at} of {len(data)})")
+            verdict["crash"] += 1
+        else:
+            verdict["other state"] += not np.array_equal(other._P, nav._P)
+    return verdict
+
+
+KINDS: dict[str, Callable[[Dive, Path, np.random.Generator], Verdict]] = {
+    "SIGKILL at a random instant, half a line": killed,
+    "garbage between the lines (200)": garbage,
+    "disk full at a random size": full_disk,
+    "log cut at a random byte": cut_log,
+    "damaged snapshots (200)": damaged_snapshots,
+}
+
+
+def main() -> None:
+    """Run all kinds and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--json", type=Path, help="write the figures to this file")
+    arguments = parser.parse_args()
+    nf.warm_up()
+    figures: dict[str, Verdict] = {}
+    with tempfile.TemporaryDirectory() as name:
+        dive = Dive(Path(name), "lawnmower", 60.0)
+        print(f"{'kind':44s}{'crash':>14s}{'lost readings':>14s}{'other state':>14s}   of {arguments.seeds}")
+        for kind, run in KINDS.items():
+            total = {"crash": 0, "lost readings": 0, "other state": 0}
+            for seed in range(1, arguments.seeds + 1):
+                folder = Path(name) / f"{run.__name__}-{seed}"
+                folder.mkdir()
+                for key, value in run(dive, folder, np.random.default_rng(seed)).items():
+                    total[key] += int(value)
+            figures[kind] = total
+            print(f"{kind:44s}" + "".join(f"{value:14d}" for value in total.values()), flush=True)
+    if arguments.json:
+        arguments.json.write_text(json.dumps(figures, indent=1))
+
+
+if __name__ == "__main__":
+    main()
