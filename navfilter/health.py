@@ -94,7 +94,6 @@ class Watch:
             self.same += 1
         else:
             self.value, self.same, self.since_s = raw, 1, time_s
-        self.heard_s = max(self.heard_s, time_s)
         return self.stuck
 
     @property
@@ -105,6 +104,8 @@ class Watch:
     def note(self, status: str, time_s: float, nis: float, dof: int) -> None:
         """Note what became of it."""
         self.outcomes[status] += 1
+        if status not in ("ahead", "invalid"):  # a wild stamp is not the time at which it was heard
+            self.heard_s = max(self.heard_s, time_s)
         if status in ("used", "late-replayed"):
             self.used_s = max(self.used_s, time_s)
         if dof and math.isfinite(nis):
