@@ -15,7 +15,16 @@ from navfilter.arma.model import ArmaModel
 from navfilter.error_models import ErrorModel
 from navfilter.kernels import kalman, listen
 from navfilter.layout import Group, Layout
-from navfilter.learned import known_walk, known_white, learned_part, slow_pole, with_learned, with_zero_frequency, zero_frequency
+from navfilter.learned import (
+    known_walk,
+    known_white,
+    learned_part,
+    learning_part,
+    slow_pole,
+    with_learned,
+    with_zero_frequency,
+    zero_frequency,
+)
 from navfilter.sensors import BodyVelocity, Depth, Heading, Position, Sensor
 from navfilter.start import Start
 from navfilter.state import matrix_from_euler
@@ -163,7 +172,7 @@ class Listener:
         if self.kind == listen.NOTHING:
             raise ValueError(f'"{name}": a {type(sensor).__name__} has no readings to learn its error from. Give it a fixed error model.')
         self.name, self.period_s, self.models = name, 1.0 / sensor.rate_hz, sensor.models
-        learned = [learned_part(model) for model in self.models]
+        learned = [learning_part(model) for model in self.models]
         window = max((part.window for part in learned if part is not None), default=0)
         self.ring = np.full((sensor.axes, capacity or window + round(4 * sensor.rate_hz) + 64), np.nan)
         self.cursor = np.zeros(1, np.int64)

@@ -13,7 +13,7 @@ from scipy.linalg import solve_discrete_lyapunov
 from navfilter.arma.model import ArmaModel
 from navfilter.error_models import Block, ErrorModel, RandomWalk, Sum, White
 
-__all__ = ["LearnedArma", "known_walk", "known_white", "learned_part", "register_labels", "resolve_prior", "with_learned"]
+__all__ = ["LearnedArma", "known_walk", "known_white", "learned_part", "learning_part", "register_labels", "resolve_prior", "with_learned"]
 
 Array = NDArray[np.float64]
 
@@ -43,11 +43,13 @@ class LearnedArma(ErrorModel):
         Samples between two adoptions, default half the window.
     model : ArmaModel, optional
         The model in force; the navigator sets it when it adopts one.
+    frozen : bool
+        Keep `model` and learn nothing more: what one dive has taught, used on the next.
 
     Raises
     ------
     ValueError
-        For a window below 200 samples, an empty or impossible list of orders, or a model that is not stable.
+        For a window below 200 samples, an empty or impossible list of orders, a model that is not stable, or `frozen` without a model.
 
     Notes
     -----
@@ -69,6 +71,7 @@ class LearnedArma(ErrorModel):
     window: int = 4000
     hop: int | None = None
     model: ArmaModel | None = None
+    frozen: bool = False
 
     def __post_init__(self) -> None:
         orders = tuple(sorted({(int(p), int(q)) for p, q in self.orders}, key=lambda pq: (sum(pq), pq)))
@@ -85,6 +88,9 @@ class LearnedArma(ErrorModel):
             )
         if self.model is not None and not self.model.is_stable:
             raise ValueError(f"LearnedArma.model must be stable, found a pole of radius {abs(self.model.poles).max():.6f}.")
+
+        if self.frozen and self.model is None:
+            raise ValueError("LearnedArma(frozen=True) has no model to keep. Give it one, or leave frozen out and it learns one.")
 
     def block(self, period_s: float) -> Block:
         """Discretise: the model in force, else the prior.
@@ -103,7 +109,7 @@ class LearnedArma(ErrorModel):
     def __str__(self) -> str:
         if self.model is None:
             return f"LearnedArma(prior={self.prior})"
-        return f"LearnedArma({self.model.p}, {self.model.q})"
+        return f"LearnedArma({self.model.p}, {self.model.q}{', frozen' if self.frozen else ''})"
 
 
 def zero_frequency(model: ArmaModel) -> float:
@@ -183,6 +189,12 @@ def learned_part(model: ErrorModel) -> LearnedArma | None:
     if len(found) > 1:
         raise ValueError("an error model can hold one LearnedArma: of two only the sum can be observed.")
     return found[0] if found else None
+
+
+def learning_part(model: ErrorModel) -> LearnedArma | None:
+    """The part of an error model that goes on learning: as `learned_part`, but None where it is frozen."""
+    part = learned_part(model)
+    return None if part is None or part.frozen else part
 
 
 def with_learned(model: ErrorModel, learned: LearnedArma) -> ErrorModel:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.engine import Memory
-from navfilter.learned import learned_part
+from navfilter.learned import learning_part
 from navfilter.start import Start
 from navfilter.stillness import Stillness
 from navfilter.tape import Tape
@@ -32,7 +32,7 @@ class Standing(Learning):
 
     def __init__(self, vehicle: Vehicle, start: Start, tape: Tape | None = None) -> None:
         super().__init__(vehicle, start, tape)
-        if self._inertial and any(learned_part(model) is not None for model in vehicle.drive.models):
+        if self._inertial and any(learning_part(model) is not None for model in vehicle.drive.models):
             self._still, self._watching = Stillness(vehicle.drive), True
             self._note_models()
 

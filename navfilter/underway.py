@@ -15,7 +15,7 @@ from navfilter.error_models import ErrorModel
 from navfilter.intake import joined
 from navfilter.kernels import listen, strapdown
 from navfilter.layout import Layout
-from navfilter.learned import block_level, learned_part
+from navfilter.learned import block_level, learned_part, learning_part
 from navfilter.start import Start
 from navfilter.tape import Tape
 from navfilter.vehicle import Vehicle
@@ -44,7 +44,7 @@ class Learning(Engine):
         self._revise_s = math.inf
         learning = []
         for name, sensor in vehicle.sensors.items():
-            if any(learned_part(model) is not None for model in sensor.models):
+            if any(learning_part(model) is not None for model in sensor.models):
                 self.listen(name)
                 learning.append(self._channels[name].listener)
         if learning:

@@ -223,14 +223,14 @@ def learning_ends(tracks: Mapping[str, Track], mission: Mission) -> float:
     When the first models are there, the navigator runs the beginning again with them: until then it knows what is still to come. A window
     that is longer than half the mission is no reason to wait for it.
     """
-    from navfilter.learned import learned_part
+    from navfilter.learned import learning_part
     from navfilter.underway import Learning
 
     begin_s = min(float(track.time_s[0]) for track in tracks.values())
     spans = []
     for track in tracks.values():
         for sensor in track.vehicle.sensors.values():
-            parts = [part for model in sensor.models if (part := learned_part(model)) is not None]
+            parts = [part for model in sensor.models if (part := learning_part(model)) is not None]
             spans += [part.window / sensor.rate_hz for part in parts]
     duration_s = mission.end_s - begin_s
     revised_s = min(Learning.FIRST_S, Learning.SETTLE_S + max(spans, default=0.0))
