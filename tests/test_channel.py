@@ -13,7 +13,7 @@ from navfilter.arma.algebra import add_arma
 from navfilter.arma.model import ArmaModel, simulate_arma
 from navfilter.kernels import channel as kernels
 from navfilter.learning import Drift, Learner, fit_channel
-from navfilter.learning.likelihood import Likelihood
+from navfilter.learning.likelihood import TOLERANCE, Likelihood
 
 DEG = math.pi / 180.0
 PERIOD_S = 0.125
@@ -44,9 +44,9 @@ def packed(ar, ma, sd):
     return np.r_[ar, np.zeros(m - len(ar)), ma, np.zeros(m - len(ma)), math.log(sd)]
 
 
-def run(y, theta, Q, d, clip=NEVER, white=0.0, longest=8.0):
+def run(y, theta, Q, d, clip=NEVER, white=0.0, longest=8.0, tolerance=0.0):
     e, lns = np.empty(len(y)), np.empty(len(y))
-    value = kernels.channel_filter(y, theta, Q, np.array([d, longest, clip, white]), e, lns)
+    value = kernels.channel_filter(y, theta, Q, np.array([d, longest, clip, white, tolerance]), e, lns)
     return value, e, lns
 
 
@@ -112,7 +112,7 @@ def test_filter_is_its_twin(ar, ma, r, clip):
     y, theta, Q = walk_with_gaps(random), packed(ar, ma, 0.7), noise_of_chain(r, random)
     y[45:56] = np.nan  # longer than the longest gap: a new segment
     y[60] += 30.0
-    rules = np.array([r, 8.0, clip, 0.04])
+    rules = np.array([r, 8.0, clip, 0.04, 0.0])
     out = [np.empty(len(y)) for _ in range(4)]
     value = kernels.channel_filter(y, theta, Q, rules, out[0], out[1])
     twin = naive.channel_filter(y, theta, Q, rules, out[2], out[3])
@@ -133,16 +133,47 @@ def test_scores_are_their_twin(ar, ma, r):
     for scores in (kernels.channel_scores, naive.channel_scores):
         E, LNS = np.empty((k + 1, len(y))), np.empty((k + 1, len(y)))
         info, gradient = np.empty((k, k)), np.empty(k)
-        value = scores(y, theta, Q, np.array([r, 8.0, 1.5, 0.0]), free, np.full(k, 1e-4), E, LNS, info, gradient)
+        value = scores(y, theta, Q, np.array([r, 8.0, 1.5, 0.0, 0.0]), free, np.full(k, 1e-4), E, LNS, info, gradient)
         results.append((value, gradient, info))
     for one, other in zip(*results, strict=True):
         # both take the same differences: what is left is rounding over the step, and with four integrators P spans ten decades
         np.testing.assert_allclose(one, other, rtol=1e-6 if r < 4 else 1e-4, atol=1e-6 if r < 4 else 1e-4)
 
 
+@pytest.mark.parametrize(("ar", "ma", "r"), [([-1.5, 0.6], [0.3], 2), ([-0.99], [-0.9], 3), ([], [], 2)])
+def test_an_interpolated_gain_changes_next_to_nothing(ar, ma, r):
+    """Leaps with TOLERANCE against every tick by itself: log-likelihood, innovations, gradient and information over 1500 ticks."""
+    random = np.random.default_rng(31)
+    drift = Drift((1e-2, 1e-4, 1e-6)[:r], 1.0)
+    y = series([ArmaModel(ar, ma, 0.7)], drift, 1500, 31)
+    y[[300, 301, 500, 900]], y[1000:1020] = np.nan, np.nan
+    y[random.choice(1500, 5)] += 9.0
+    theta, Q, m = packed(ar, ma, 0.7), drift.per_tick(), max(len(ar), len(ma), 1)
+    free, out = np.r_[np.arange(len(ar)), m + np.arange(len(ma)), 2 * m], []
+    for scores, tolerance in ((kernels.channel_scores, TOLERANCE), (naive.channel_scores, 0.0)):
+        k = len(free)
+        E, LNS, info, gradient = np.empty((k + 1, 1500)), np.empty((k + 1, 1500)), np.empty((k, k)), np.empty(k)
+        value = scores(y, theta, Q, np.array([r, 8.0, 4.0, 0.04, tolerance]), free, np.full(k, 1e-6), E, LNS, info, gradient)
+        out.append((value, gradient, info, E[0], LNS[0]))
+    scale = np.sqrt(np.diag(out[1][2]))
+    # the likelihood decides by differences of 1e-2 and more, a scoring step of 1e-2 standard deviations is nothing
+    assert out[0][0] == pytest.approx(out[1][0], abs=5e-3)
+    np.testing.assert_allclose(out[0][1] / scale, out[1][1] / scale, atol=1e-2)
+    # one per cent of information is half a per cent of a standard deviation
+    np.testing.assert_allclose(out[0][2] / np.outer(scale, scale), out[1][2] / np.outer(scale, scale), atol=1e-2)
+    np.testing.assert_allclose(out[0][3], out[1][3], atol=2e-3)
+    np.testing.assert_allclose(out[0][4], out[1][4], atol=2e-3)
+    assert not np.array_equal(out[0][3], out[1][3])  # it did leap
+
+
 def test_scores_are_the_slope_of_the_filter():
     random = np.random.default_rng(5)
-    y, theta, Q, rules = walk_with_gaps(random), packed([-0.8, 0.1], [0.4], 0.7), noise_of_chain(2, random), np.array([2, 8.0, 1.5, 0.0])
+    y, theta, Q, rules = (
+        walk_with_gaps(random),
+        packed([-0.8, 0.1], [0.4], 0.7),
+        noise_of_chain(2, random),
+        np.array([2, 8.0, 1.5, 0.0, 0.0]),
+    )
     free, E, LNS = np.array([0, 1, 2, 4]), np.empty((5, len(y))), np.empty((5, len(y)))
     gradient = np.empty(4)
     kernels.channel_scores(y, theta, Q, rules, free, np.full(4, 1e-6), E, LNS, np.empty((4, 4)), gradient)

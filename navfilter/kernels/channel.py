@@ -6,7 +6,7 @@
 filter (predictor form, Anderson and Moore 1979, section 5.5) takes into account.
 
 Parameter vector ``theta = [a (m), c (m), ln sd]``, a and c padded with zeros to m = max(p, q, 1). ``rules`` holds
-[diffuse states, longest gap, clip, white variance]. Only the upper triangle of P is kept; row and column n are zero.
+[diffuse states, longest gap, clip, white variance, tolerance]. Only the upper triangle of P is kept; row and column n are zero.
 """
 
 import math
@@ -14,7 +14,10 @@ import math
 import numpy as np
 from numba import njit
 
-DIFFUSE, LONGEST_GAP, CLIP, WHITE = 0, 1, 2, 3
+DIFFUSE, LONGEST_GAP, CLIP, WHITE, TOLERANCE = 0, 1, 2, 3, 4
+TAYLOR = np.array([1.0, 1.0, 1.0 / 2.0, 1.0 / 6.0])  # 1/k!
+SHORTEST, LONGEST = 3, 8
+FIRST, AGAIN = 32, 8
 HALF_LOG_2PI = 0.9189385332046727
 
 
@@ -61,12 +64,12 @@ def _product(A, B, out, transposed):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _move(x, a, taylor, r, m):
+def _move(x, a, r, m):
     """``x = F x`` in place: the chain advances one tick, the observer state shifts."""
     for i in range(r):
         s = x[i]
         for k in range(i + 1, r):
-            s += taylor[k - i] * x[k]
+            s += TAYLOR[k - i] * x[k]
         x[i] = s
     first = x[r]
     for i in range(m):
@@ -74,7 +77,7 @@ def _move(x, a, taylor, r, m):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _spread(P, L, scale, a, g, var, Q, taylor, save, r, m):
+def _spread(P, L, scale, a, g, var, Q, save, r, m):
     """``P = F P F' + noise - scale L L'`` in place on the upper triangle."""
     for j in range(m + 1):
         save[j] = P[r, r + j]
@@ -91,7 +94,7 @@ def _spread(P, L, scale, a, g, var, Q, taylor, save, r, m):
         for j in range(m):
             s = P[i, r + j + 1] - a[j] * save[i]
             for k in range(i + 1, r):
-                s += taylor[k - i] * (P[k, r + j + 1] - a[j] * save[k])
+                s += TAYLOR[k - i] * (P[k, r + j + 1] - a[j] * save[k])
             P[i, r + j] = s - li * L[r + j]
     # Row by row from the left, then column by column: elements still needed have not been overwritten.
     for i in range(r):
@@ -100,8 +103,8 @@ def _spread(P, L, scale, a, g, var, Q, taylor, save, r, m):
             for k in range(i, r):
                 row = 0.0
                 for n in range(j, r):
-                    row += taylor[n - j] * (P[k, n] if k <= n else P[n, k])
-                s += taylor[k - i] * row
+                    row += TAYLOR[n - j] * (P[k, n] if k <= n else P[n, k])
+                s += TAYLOR[k - i] * row
             P[i, j] = s + Q[i, j] - scale * L[i] * L[j]
 
 
@@ -139,6 +142,218 @@ def _collapse(X, w, A, x, P, n):
                 P[i, j] += A[i, k] * A[j, k]
 
 
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _gain(P, L, a, g, var, noise, r, m):
+    """Variance S of the innovation; ``L = F P h + covariance of process and measurement noise``, gain times S."""
+    for i in range(r):
+        L[i] = P[0, i] + P[i, r]
+    for i in range(m):
+        L[r + i] = P[0, r + i] + P[r, r + i]
+    S = L[0] + L[r] + noise
+    _move(L, a, r, m)
+    for i in range(m):
+        L[r + i] += var * g[i]
+    return S
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _solve(M, B):
+    """``B = M^-1 B`` by elimination with partial pivoting; M is consumed."""
+    n = M.shape[0]
+    for k in range(n):
+        top = k
+        for i in range(k + 1, n):
+            if abs(M[i, k]) > abs(M[top, k]):
+                top = i
+        if top != k:
+            for j in range(k, n):
+                M[k, j], M[top, j] = M[top, j], M[k, j]
+            for j in range(B.shape[1]):
+                B[k, j], B[top, j] = B[top, j], B[k, j]
+        pivot = 1.0 / M[k, k]
+        for i in range(k + 1, n):
+            f = M[i, k] * pivot
+            if f != 0.0:
+                for j in range(k + 1, n):
+                    M[i, j] -= f * M[k, j]
+                for j in range(B.shape[1]):
+                    B[i, j] -= f * B[k, j]
+    for k in range(n - 1, -1, -1):
+        pivot = 1.0 / M[k, k]
+        for j in range(B.shape[1]):
+            s = B[k, j]
+            for i in range(k + 1, n):
+                s -= M[k, i] * B[i, j]
+            B[k, j] = s * pivot
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _first_map(maps, a, g, var, noise, Q, r, m):
+    """One tick of the covariance recursion as ``P+ = H + A (P^-1 + G)^-1 A'``: ``maps[0]`` holds A, G, H."""
+    maps[0, :, :, :] = 0.0
+    A, G, H = maps[0, 0], maps[0, 1], maps[0, 2]
+    for i in range(r):
+        for j in range(i, r):
+            A[i, j] = TAYLOR[j - i]
+            H[i, j] = H[j, i] = Q[i, j]
+    for i in range(m):
+        A[r + i, r] = -a[i]
+        if i + 1 < m:
+            A[r + i, r + i + 1] = 1.0
+    # Process and measurement noise share e: taken apart first (Anderson and Moore 1979, section 5.5).
+    for i in range(m):
+        if r > 0:
+            A[r + i, 0] -= var * g[i] / noise
+        A[r + i, r] -= var * g[i] / noise
+        for j in range(m):
+            H[r + i, r + j] = var * g[i] * g[j] * (1.0 - var / noise)
+    for i in (0, r):
+        for j in (0, r):
+            G[i, j] = 1.0 / noise
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _double(maps, k, work):
+    """``maps[k]``: the recursion over twice as many ticks as ``maps[k - 1]`` (Lainiotis 1976)."""
+    n = maps.shape[2]
+    A, G, H = maps[k - 1, 0], maps[k - 1, 1], maps[k - 1, 2]
+    M, B, T = work[:n, :n], work[n : 2 * n], work[2 * n :, :n]
+    for i in range(n):
+        for j in range(n):
+            s = 1.0 if i == j else 0.0
+            for o in range(n):
+                s += H[i, o] * G[o, j]
+            M[i, j] = s
+            B[i, j], B[i, n + j] = A[i, j], H[i, j]
+    _solve(M, B)
+    _product(A, B[:, :n], maps[k, 0], False)
+    _product(A, B[:, n:], T, False)
+    _product(T, A, maps[k, 2], True)
+    _product(G, B[:, :n], T, False)
+    for i in range(n):
+        for j in range(n):
+            s = G[i, j]
+            for o in range(n):
+                s += A[o, i] * T[o, j]
+            maps[k, 1, i, j] = s
+            maps[k, 2, i, j] += H[i, j]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _leap(P, out, step, work):
+    """Upper triangle of the covariance after the ticks of a map into `out`."""
+    n = step.shape[1]
+    A, G, H = step[0], step[1], step[2]
+    M, B, T = work[:n, :n], work[n : 2 * n, :n], work[2 * n :, :n]
+    for i in range(n):
+        for j in range(i, n):
+            B[i, j] = B[j, i] = P[i, j]
+    _product(B, G, M, False)
+    for i in range(n):
+        M[i, i] += 1.0
+    _solve(M, B)
+    _product(A, B, T, False)
+    for i in range(n):
+        for j in range(i, n):
+            s = H[i, j]
+            for o in range(n):
+                s += T[i, o] * A[j, o]
+            out[i, j] = s
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _alike(L, S, ahead, ahead_S, tolerance, r):
+    """Whether two gains are so near to each other that all between them may be interpolated."""
+    floor = 1e-6
+    for i in range(ahead.size - 1):
+        old, new = L[i] / S, ahead[i] / ahead_S
+        least = floor if i == 0 or i >= r else floor * 1e-3**i
+        if not abs(new - old) <= tolerance * max(min(abs(old), abs(new)), least):
+            return False
+    return abs(ahead_S - S) <= tolerance * min(S, ahead_S)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _glide(y, t, ticks, x, a, L, S, ahead, ahead_S, clip, e, lns, K, slope):
+    """`ticks` known samples from `t` on, the gain interpolated between both ends; returns what they add to minus the log-likelihood."""
+    m, n = a.size, x.size - 1
+    r = n - m
+    for i in range(n):
+        K[i] = L[i] / S
+        slope[i] = (ahead[i] / ahead_S - K[i]) / ticks
+    level, root = math.log(S), 1.0 / math.sqrt(S)
+    rise, turn = (math.log(ahead_S) - level) / ticks, (1.0 / math.sqrt(ahead_S) - root) / ticks
+    total = ticks * (HALF_LOG_2PI + 0.5 * (level + 0.5 * rise * (ticks - 1)))
+    for k in range(t, t + ticks):
+        residual = y[k] - x[0] - x[r]
+        z = residual * root
+        e[k], lns[k] = z, level
+        size = abs(z)
+        if size > clip:
+            total += clip * (size - 0.5 * clip)
+            residual *= clip / size
+        else:
+            total += 0.5 * z * z
+        _move(x, a, r, m)
+        for i in range(n):
+            x[i] += K[i] * residual
+            K[i] += slope[i]
+        level += rise
+        root += turn
+    return total
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _reach(P, after, maps, made, level, far, L, S, ahead, a, g, var, noise, tolerance, work):
+    """Largest level from `level` down whose 2^level ticks stay within `far` and the tolerance; the covariance then is `after`.
+
+    Returns the level (0: none), the variance of the innovation there, and how many maps there are now.
+    """
+    m = a.size
+    r = maps.shape[2] - m
+    while level >= SHORTEST:
+        if 2**level <= far:
+            for k in range(made, level + 1):
+                _double(maps, k, work)
+            made = max(made, level + 1)
+            _leap(P, after, maps[level], work)
+            ahead_S = _gain(after, ahead, a, g, var, noise, r, m)
+            if tolerance < 0.0 or _alike(L, S, ahead, ahead_S, tolerance, r):
+                return level, ahead_S, made
+        level -= 1
+    return 0, S, made
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _segment(P, x, A, start, var, Q):
+    """The state at the start of a segment: drift diffuse (columns of A) or as known, ARMA error stationary."""
+    d, r, m = A.shape[1], Q.shape[1], start.shape[0]
+    x[:], P[:, :], A[:, :] = 0.0, 0.0, 0.0
+    for i in range(m):
+        for j in range(m):
+            P[r + i, r + j] = var * start[i, j]
+    for i in range(d):
+        A[i, i] = 1.0
+    for i in range(d, r):
+        P[i, i] = Q[r, i]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _carry(A, column, a, L, scale, X, row, root, r):
+    """One tick of the diffuse columns; what a known sample (`row` not below 0) says of them goes into that row of X."""
+    m, n = a.size, A.shape[0]
+    column[n] = 0.0
+    for k in range(A.shape[1]):
+        for i in range(n):
+            column[i] = A[i, k]
+        weight = column[0] + column[r]
+        _move(column, a, r, m)
+        for i in range(n):
+            A[i, k] = column[i] - (weight * scale * L[i] if row >= 0 else 0.0)
+        if row >= 0:
+            X[row, k] = weight / root
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def channel_filter(y, theta, Q, rules, e, lns):
     """Standardised innovations and ln S of a series with gaps; returns minus the log-likelihood.
@@ -148,20 +363,32 @@ def channel_filter(y, theta, Q, rules, e, lns):
     density does not depend on theta). A run of more than LONGEST_GAP missing samples ends a segment. Innovations beyond
     CLIP standard deviations enter the state clipped and the likelihood by Huber's function. `e` (N,) is NaN and `lns` 0
     where nothing counts. Infinite if not stationary, or so nearly integrating that the start's covariance is only rounding.
+
+    Where the gain changes by no more than the part TOLERANCE over 8 to 256 ticks, it is interpolated between both ends;
+    the covariance at the far end is exact (by doubling). 0: every tick by itself.
     """
+    return _filter(y, theta, Q, rules, np.zeros(y.size, np.int64), False, e, lns)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _filter(y, theta, Q, rules, plan, follow, e, lns):
+    """`channel_filter`; where it leapt how far (2^level ticks) is noted in `plan` (N,), or done as noted there (`follow`)."""
     r, m = Q.shape[1], (theta.size - 1) // 2
     n, d = r + m, int(rules[DIFFUSE])
     a, c, var = theta[:m], theta[m : 2 * m], math.exp(2.0 * theta[2 * m])
-    noise, clip, longest = var + rules[WHITE], rules[CLIP], int(rules[LONGEST_GAP])
-    g, start = c - a, np.zeros((m, m))
-    P, x, L, save = np.zeros((n + 1, n + 1)), np.zeros(n + 1), np.zeros(n + 1), np.zeros(n + 1)
-    A, column, X, w = np.zeros((n, d)), np.zeros(n + 1), np.zeros((d, d)), np.zeros(d)
-    taylor = np.array([1.0, 1.0, 1.0 / 2.0, 1.0 / 6.0])  # 1/k!
+    noise, clip, longest, tolerance = var + rules[WHITE], rules[CLIP], int(rules[LONGEST_GAP]), -1.0 if follow else rules[TOLERANCE]
+    g, start, P, after = c - a, np.zeros((m, m)), np.zeros((n + 1, n + 1)), np.zeros((n + 1, n + 1))
+    rows = np.zeros((6, n + 1))
+    x, L, ahead, column, save, slope = rows[0], rows[1], rows[2], rows[3], rows[4], rows[5]
+    A, X, w, work = np.zeros((n, d)), np.zeros((d, d)), np.zeros(d), np.zeros((3 * n, 2 * n))
+    maps, made, level, wait, until, gap = np.empty((LONGEST + 1, 3, n, n)), 1, SHORTEST - 1, FIRST, 0, -1
     if not stationary(a, c, start):
         return math.inf
-    total = 0.0
-    missing, known = longest + 1, 0
+    _first_map(maps, a, g, var, noise, Q, r, m)
+    total, missing, known = 0.0, longest + 1, 0
     for t in range(y.size):
+        if t < until:
+            continue
         seen = not math.isnan(y[t])
         e[t], lns[t] = math.nan, 0.0
         if not seen:
@@ -169,26 +396,22 @@ def channel_filter(y, theta, Q, rules, e, lns):
             if missing > longest:
                 continue
         elif missing > longest:
-            known = 0
-            x[:], P[:, :], A[:, :] = 0.0, 0.0, 0.0
-            for i in range(m):
-                for j in range(m):
-                    P[r + i, r + j] = var * start[i, j]
-            for i in range(d):
-                A[i, i] = 1.0
-            for i in range(d, r):
-                P[i, i] = Q[r, i]
-        scale, gain = 0.0, 0.0
+            known, wait = 0, FIRST
+            _segment(P, x, A, start, var, Q)
+        scale, gain, root = 0.0, 0.0, 1.0
         if seen:
-            missing = 0
-            for i in range(r):
-                L[i] = P[0, i] + P[i, r]
-            for i in range(m):
-                L[r + i] = P[0, r + i] + P[r, r + i]
-            S = L[0] + L[r] + noise
-            _move(L, a, taylor, r, m)
-            for i in range(m):
-                L[r + i] += var * g[i]
+            missing, wait = 0, wait - 1
+            S = _gain(P, L, a, g, var, noise, r, m)
+            if known >= d and (plan[t] > 0 if follow else wait <= 0 and tolerance > 0.0):
+                while gap < t or (gap < y.size and gap < t + 2**LONGEST and not math.isnan(y[gap])):
+                    gap = max(gap, t) + 1
+                wanted = plan[t] if follow else min(level + 1, LONGEST)
+                level, ahead_S, made = _reach(P, after, maps, made, wanted, gap - t, L, S, ahead, a, g, var, noise, tolerance, work)
+                if level > 0:
+                    total += _glide(y, t, 2**level, x, a, L, S, ahead, ahead_S, clip, e, lns, save, slope)
+                    P[:, :], plan[t], until = after, level, t + 2**level
+                    continue
+                level, wait = SHORTEST - 1, AGAIN
             scale, residual, root = 1.0 / S, y[t] - x[0] - x[r], math.sqrt(S)
             gain = residual * scale
             if known >= d:
@@ -200,20 +423,12 @@ def channel_filter(y, theta, Q, rules, e, lns):
                     gain *= clip / size
                 else:
                     total += 0.5 * z * z
-        _move(x, a, taylor, r, m)
+        _move(x, a, r, m)
         for i in range(n):
             x[i] += gain * L[i]
-        _spread(P, L, scale, a, g, var, Q, taylor, save, r, m)
+        _spread(P, L, scale, a, g, var, Q, save, r, m)
         if known < d:
-            for k in range(d):
-                for i in range(n):
-                    column[i] = A[i, k]
-                weight = column[0] + column[r]
-                _move(column, a, taylor, r, m)
-                for i in range(n):
-                    A[i, k] = column[i] - (weight * scale * L[i] if seen else 0.0)
-                if seen:
-                    X[known, k] = weight / root
+            _carry(A, column, a, L, scale, X, known if seen else -1, root, r)
             if seen:
                 w[known] = residual / root
                 if known == d - 1:
@@ -234,11 +449,12 @@ def channel_scores(y, theta, Q, rules, free, steps, E, LNS, info, gradient):
     """
     k = free.size
     clip = rules[CLIP]
-    value = channel_filter(y, theta, Q, rules, E[0], LNS[0])
+    plan = np.zeros(y.size, np.int64)
+    value = _filter(y, theta, Q, rules, plan, False, E[0], LNS[0])
     moved = theta.copy()
     for i in range(k):
         moved[free[i]] = theta[free[i]] + steps[i]
-        if not channel_filter(y, moved, Q, rules, E[i + 1], LNS[i + 1]) < math.inf:
+        if not _filter(y, moved, Q, rules, plan, True, E[i + 1], LNS[i + 1]) < math.inf:
             return math.inf
         moved[free[i]] = theta[free[i]]
     info[:, :] = 0.0

@@ -22,6 +22,8 @@ ZERO_RADIUS = 0.9995
 # Longest run of missing ticks that is predicted through.
 LONGEST_GAP = 8
 CLIP = 4.0
+# Relative change of the gain over which it is interpolated: changes the log-likelihood by 1e-4 or less.
+TOLERANCE = 0.03
 # What is left to gain, in units of log-likelihood, when an estimate counts as converged: far below its sampling error.
 CONVERGED = 1e-3
 # A step that gains less than this was so small that derivatives need not be taken again.
@@ -66,7 +68,7 @@ class Likelihood:
         # A diffuse level takes up any constant: without it, arithmetic is with small numbers.
         self.y = np.ascontiguousarray(series - (known[0] if diffuse else 0.0)) * self.unit
         self.Q = np.zeros((2, 1)) if r == 0 else np.ascontiguousarray(drift * self.unit**2)
-        self.rules = np.array([diffuse, LONGEST_GAP, clip, white * self.unit**2])
+        self.rules = np.array([diffuse, LONGEST_GAP, clip, white * self.unit**2, TOLERANCE])
         self.n = known.size - diffuse
         self.pole_radius = 1.0 - 3.0 / max(known.size, 8)
         self.lowest = 2.0 * math.pi / max(known.size, 8)
