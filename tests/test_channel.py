@@ -156,8 +156,8 @@ def test_an_interpolated_gain_changes_next_to_nothing(ar, ma, r):
         value = scores(y, theta, Q, np.array([r, 8.0, 4.0, 0.04, tolerance]), free, np.full(k, 1e-6), E, LNS, info, gradient)
         out.append((value, gradient, info, E[0], LNS[0]))
     scale = np.sqrt(np.diag(out[1][2]))
-    # the likelihood decides by differences of 1e-2 and more, a scoring step of 1e-2 standard deviations is nothing
-    assert out[0][0] == pytest.approx(out[1][0], abs=5e-3)
+    # orders are decided by 3 in log-likelihood, of which this is a hundredth; a shift of 1e-2 standard deviations is nothing
+    assert out[0][0] == pytest.approx(out[1][0], abs=3e-2)
     np.testing.assert_allclose(out[0][1] / scale, out[1][1] / scale, atol=1e-2)
     # one per cent of information is half a per cent of a standard deviation
     np.testing.assert_allclose(out[0][2] / np.outer(scale, scale), out[1][2] / np.outer(scale, scale), atol=1e-2)

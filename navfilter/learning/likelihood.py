@@ -22,8 +22,8 @@ ZERO_RADIUS = 0.9995
 # Longest run of missing ticks that is predicted through.
 LONGEST_GAP = 8
 CLIP = 4.0
-# Relative change of the gain over which it is interpolated: changes the log-likelihood by 1e-4 or less.
-TOLERANCE = 0.03
+# Relative change of the gain over which it is interpolated: the log-likelihood changes by 1e-3 to 3e-2.
+TOLERANCE = 0.1
 # What is left to gain, in units of log-likelihood, when an estimate counts as converged: far below its sampling error.
 CONVERGED = 1e-3
 # A step that gains less than this was so small that derivatives need not be taken again.
