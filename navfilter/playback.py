@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,6 +18,7 @@ from navfilter.learned import LearnedArma
 from navfilter.mechanisation import DeadReckoning
 from navfilter.mission import Mission
 from navfilter.navigator import Navigator
+from navfilter.refit import change, learning_sensors, refitted
 from navfilter.sensors import ZeroVelocity
 from navfilter.smoother import smooth_rows
 from navfilter.start import Start
@@ -25,9 +27,11 @@ from navfilter.tape import Tape
 from navfilter.track import Track
 from navfilter.vehicle import Vehicle
 
-__all__ = ["drive_samples", "replay", "residual_series", "warm_up"]
+__all__ = ["drive_samples", "identified", "replay", "residual_series", "warm_up"]
 
 Array = NDArray[np.float64]
+#: Models have settled when they change by less than so many of their own standard deviations.
+SETTLED = 0.2
 
 
 def replay(
@@ -38,6 +42,7 @@ def replay(
     smooth: bool = False,
     output_rate_hz: float | None = 5.0,
     progress: bool = False,
+    iterate: int = 0,
 ) -> Track:
     """Run a recorded mission through the filter, and optionally the smoother.
 
@@ -54,6 +59,9 @@ def replay(
         At most so many rows per second in the track; None keeps every epoch.
     progress : bool
         Show a progress bar on standard error.
+    iterate : int
+        Identify on the whole mission first, see `identified`, in at most so many rounds. The models then are in force from the start, and
+        frozen. 0: the models are learnt under way, from what came before, as on the vehicle.
 
     Returns
     -------
@@ -62,11 +70,13 @@ def replay(
     Raises
     ------
     ValueError
-        When a stream is missing, empty, or the mission holds nothing after the start.
+        When a stream is missing, empty, or the mission holds nothing after the start, and for `iterate` where no sensor learns.
     """
+    if iterate:
+        start = _start(vehicle, mission, start)
+        vehicle = identified(vehicle, mission, iterate, start)
     drive = drive_samples(vehicle, mission)
-    if start is None:
-        start = mission.start if mission.start is not None else align(vehicle, mission)
+    start = _start(vehicle, mission, start)
     began = time.process_time()
     tape = Tape(output_rate_hz, smoothable=smooth)
     nav = Navigator(vehicle, start, tape)
@@ -75,6 +85,69 @@ def replay(
     if not smooth:
         return forward
     return _smoothed(forward, nav, tape, began, progress)
+
+
+def identified(
+    vehicle: Vehicle,
+    mission: Mission,
+    rounds: int = 5,
+    start: Start | None = None,
+    report: Callable[[int, float], None] | None = None,
+) -> Vehicle:
+    """Error models identified on a whole mission: replay, fit every `LearnedArma` to all that was heard, replay with the fits, fit again.
+
+    Ends when the models have settled: ln S(0) and the innovations' sd of every axis change by less than `SETTLED` of their own standard
+    deviation.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    mission : Mission
+    rounds : int
+        At most.
+    start : Start, optional
+        As in `replay`.
+    report : callable, optional
+        Called after each round with its number and the change since the round before (`navfilter.refit.change`; infinite in the first).
+
+    Returns
+    -------
+    Vehicle
+        With the models in force and frozen; an axis whose series says too little goes on learning.
+
+    Raises
+    ------
+    ValueError
+        Where no sensor learns, and for less than one round.
+
+    Notes
+    -----
+    What is fitted is the open-loop residual of `residual_series` beside the known noise of its drift, not the residual from the smoothed
+    track. A smoother gives the slow part of a sensor's error to the state, more of it at every pass, so that models fitted to its
+    residuals lose the low frequencies, and what is believed of them is what makes a filter overconfident. The open-loop residual holds the
+    error whole whatever is believed of it, so that this settles after the second round, but for what gates and linearisation depend on.
+    """
+    names = learning_sensors(vehicle)
+    if not names:
+        raise ValueError('no sensor of this vehicle learns its error: give one a LearnedArma (model = "learned-arma"), or do not iterate.')
+    if int(rounds) != rounds or rounds < 1:
+        raise ValueError(f"rounds must be a whole number of at least 1, found {rounds!r}.")
+    start = _start(vehicle, mission, start)
+    now, apart = vehicle, math.inf
+    for number in range(1, int(rounds) + 1):
+        before, now = now, refitted(vehicle, residual_series(now, mission, names, start))
+        apart = change(before, now)
+        if report is not None:
+            report(number, apart)
+        if apart < SETTLED:
+            break
+    return now
+
+
+def _start(vehicle: Vehicle, mission: Mission, start: Start | None) -> Start:
+    if start is not None:
+        return start
+    return mission.start if mission.start is not None else align(vehicle, mission)
 
 
 def drive_samples(vehicle: Vehicle, mission: Mission) -> tuple[Array, Array]:
@@ -282,8 +355,7 @@ def residual_series(
         One series per axis: readings minus the prediction of an open loop, with the known noise of what else is in them.
     """
     drive = drive_samples(vehicle, mission)
-    if start is None:
-        start = mission.start if mission.start is not None else align(vehicle, mission)
+    start = _start(vehicle, mission, start)
     nav = Navigator(vehicle, start)
     names = [name for name, sensor in vehicle.sensors.items() if kind_of(sensor)] if sensors is None else list(sensors)
     for name in names:

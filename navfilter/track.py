@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.kernels import strapdown
+from navfilter.learned import LearnedArma, learned_part, zero_frequency
 from navfilter.mission import Stream
 from navfilter.state import matrix_from_euler, rotation_vector, wrap
 from navfilter.tape import Residuals
@@ -17,6 +18,7 @@ from navfilter.tape import Residuals
 if TYPE_CHECKING:
     import pandas as pd
 
+    from navfilter.arma.model import ArmaModel
     from navfilter.vehicle import Vehicle
 
 __all__ = ["Track", "TrackErrors"]
@@ -127,6 +129,30 @@ class Track:
         i = self.state_names.index(name)
         return self.states[:, i], self.states_sd[:, i]
 
+    def adopted(self) -> dict[str, list[dict[str, Any]]]:
+        """Every learnt model by sensor axis ("compass", "dvl x"), as plain values in the order of their times.
+
+        Returns
+        -------
+        dict of str to list of dict
+            "time_s" from when it was in force, "order" (p, q), "ar", "ma", "sd" (of the innovations), "s0" (spectral density at zero
+            frequency, ``sd^2 (C(1) / A(1))^2`` per sample), "sd_log_s0", "pole_radius" (the largest; 0 without poles), "flags", "frozen".
+            SI units and radians. Axes that have none are left out.
+        """
+        found: dict[str, list[dict[str, Any]]] = {}
+        for name, history in self.error_models.items():
+            last: dict[str, LearnedArma] = {}
+            for time_s, error in history:
+                models = error if isinstance(error, tuple) else (error,)
+                axes = getattr(self.vehicle.sensors.get(name), "axis_names", ("x", "y", "z")) if len(models) > 1 else ("",)
+                for axis, model in zip(axes, models, strict=True):
+                    title, part = f"{name} {axis}".strip(), learned_part(model)
+                    # what is no other than before is the adoption of another axis
+                    if part is not None and part.model is not None and last.get(title) != part:
+                        found.setdefault(title, []).append(_plain(time_s, part, part.model))
+                        last[title] = part
+        return found
+
     def to_frame(self) -> pd.DataFrame:
         """Table with one row per time, in degrees and metres; every column names its unit."""
         import pandas as pd
@@ -220,8 +246,24 @@ class Track:
         for outcome in ("used", "rejected", "invalid"):
             result[outcome] = {name: v.count(outcome) for name, v in r.items()}
         result["models"] = {name: [[round(t, 3), str(m)] for t, m in models] for name, models in self.error_models.items()}
+        result["adopted"] = self.adopted()
         result["cpu_s"] = self.cpu_s
         return result
+
+
+def _plain(time_s: float, part: LearnedArma, model: ArmaModel) -> dict[str, Any]:
+    return {
+        "time_s": round(time_s, 3),
+        "order": [model.p, model.q],
+        "ar": model.ar.tolist(),
+        "ma": model.ma.tolist(),
+        "sd": model.sd,
+        "s0": zero_frequency(model),
+        "sd_log_s0": model.sd_log_s0,
+        "pole_radius": float(np.abs(model.poles).max(initial=0.0)),
+        "flags": sorted(model.flags),
+        "frozen": part.frozen,
+    }
 
 
 def _mean(values: Array) -> float | None:

@@ -14,7 +14,7 @@ FLOORS = [
     {"arma", "learning", "health", "state", "layout", "mission", "diagnostics", "magnetic", "tape"},
     {"error_models", "learned", "sensors", "mechanisation", "vehicle", "start", "track"},
     {"channels", "gating", "intake", "adoption", "stillness"},
-    {"engine"},
+    {"engine", "refit"},
     {"underway", "standing"},
     {"history", "snapshot", "navigator", "smoother", "alignment"},
     {"playback", "simulation", "io", "check"},

@@ -26,6 +26,7 @@ RUN_KEYS = [
     "rejected",
     "invalid",
     "models",
+    "adopted",
     "cpu_s",
 ]
 

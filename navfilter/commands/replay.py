@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import sys
 from pathlib import Path
@@ -42,7 +43,7 @@ MISSION is a folder with a mission.toml, the .toml itself, or a .npz saved by na
 
 written to --out:
   report.html     tables and figures, one file that works offline
-  summary.json    errors, consistency (NEES, NIS), counts of every run
+  summary.json    errors, consistency (NEES, NIS), counts of every run, and every error model that was learnt
   track.csv       the track: degrees, metres, standard deviations, states
   track.tum       the same for 'evo' (east, north, up), with truth.tum when there is a truth
   track.geojson   for a map
@@ -51,6 +52,7 @@ written to --out:
 examples:
   navfilter replay dive_042 --vehicle vehicle.toml --smooth --out result
   navfilter replay dive_042 --vehicle vehicle.toml --without gps --out no-gps
+  navfilter replay dive_042 --vehicle vehicle.toml --iterate 5 --smooth --out best      the best track that the recording gives
 """,
 )
 
@@ -110,6 +112,13 @@ def add_replay_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--vehicle", required=True, metavar="TOML", help="the vehicle.toml, or the folder that holds it")
     parser.add_argument("--out", required=True, metavar="DIR", help="folder to write to; files of the same name are replaced")
     parser.add_argument("--smooth", action="store_true", help="smooth too (Rauch-Tung-Striebel); the files then hold the smoothed track")
+    parser.add_argument(
+        "--iterate",
+        type=seed,
+        default=0,
+        metavar="N",
+        help="identify learnt errors on the whole mission first: replay and fit until the models settle, at most N times (5 is plenty)",
+    )
     parser.add_argument("--without", action="append", default=[], metavar="SENSOR", help="leave a sensor out; may be repeated")
     parser.add_argument(
         "--output-rate", type=positive, default=5.0, metavar="HZ", help="rows of the track per second (default: %(default)s)"
@@ -124,7 +133,24 @@ def replay(options: argparse.Namespace) -> int:
     vehicle = read_vehicle(options.vehicle).without(*options.without)
     mission = read_mission(options.mission)
     folder = output_folder(options.out)
+    if options.iterate:
+        vehicle = _identify(vehicle, mission, options.iterate, options.quiet)
     return _replay_and_write(vehicle, mission, folder, options.quiet, smooth=options.smooth, output_rate_hz=options.output_rate)
+
+
+def _identify(vehicle: Any, mission: Mission, rounds: int, quiet: bool) -> Any:
+    """The vehicle with error models identified on the whole mission; says how the rounds went."""
+    from navfilter.playback import SETTLED, identified
+
+    compile_first(quiet)
+    say = speaker(quiet)
+    say(f"identifying on {mission.name} ({mission.duration_s / 60:.1f} min) ...")
+
+    def report(number: int, apart: float) -> None:
+        change = "first models" if apart == math.inf else f"models changed by {apart:.2g} of their standard deviations"
+        say(f"  round {number}: {change}{', settled' if apart < SETTLED else ''}")
+
+    return identified(vehicle, mission, rounds, report=report)
 
 
 def _replay_and_write(vehicle: Any, mission: Mission, folder: Path, quiet: bool, **how: Any) -> int:

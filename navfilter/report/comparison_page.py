@@ -132,22 +132,8 @@ def _learnt(tracks: Tracks) -> Iterator[tuple[str, str, Figure]]:
 
 
 def adopted_models(tracks: Tracks) -> dict[str, dict[str, list[dict[str, Any]]]]:
-    """Every model that was adopted under way, by run and sensor axis, as plain values in SI units."""
-    found: dict[str, dict[str, list[dict[str, Any]]]] = {}
-    for label, track in tracks.items():
-        for history in comparison_figures.adopted(track, shown_unit):
-            found.setdefault(label, {})[history.title] = [
-                {
-                    "time_s": time_s,
-                    "ar": model.ar.tolist(),
-                    "ma": model.ma.tolist(),
-                    "sd": model.sd,
-                    "pole_radius": float(abs(model.poles[0])) if model.p else 0.0,
-                    "sd_log_s0": model.sd_log_s0,
-                }
-                for time_s, model in zip(history.time_s, history.models, strict=True)
-            ]
-    return found
+    """Every model that was learnt, by run and sensor axis, see `navfilter.track.Track.adopted`."""
+    return {label: found for label, track in tracks.items() if (found := track.adopted())}
 
 
 def _axes_table(comparison: Comparison) -> tuple[list[str], list[list[str]]]:

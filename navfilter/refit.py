@@ -1,0 +1,91 @@
+"""Error models identified on a whole mission: what a replay has heard is fitted once more, all of it at a time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from navfilter.channels import ChannelSeries, kind_of
+from navfilter.error_models import ErrorModel
+from navfilter.learned import LearnedArma, learned_part, learning_part, with_learned, zero_frequency
+from navfilter.vehicle import Vehicle
+
+__all__ = ["change", "learning_sensors", "refitted"]
+
+
+def learning_sensors(vehicle: Vehicle) -> list[str]:
+    """Correcting sensors that learn an error model from their readings."""
+    return [
+        name
+        for name, sensor in vehicle.sensors.items()
+        if kind_of(sensor) and any(learning_part(model) is not None for model in sensor.models)
+    ]
+
+
+def refitted(vehicle: Vehicle, series: Mapping[str, tuple[ChannelSeries, ...]]) -> Vehicle:
+    """The vehicle with every learning axis fitted to a whole series and frozen there.
+
+    The order is chosen as under way, by BIC among the candidates of the axis that pass the gate; the window is the whole series. An axis
+    whose series says too little goes on learning under way.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        As its operator describes it.
+    series : dict of str to tuple of ChannelSeries
+        See `navfilter.playback.residual_series`.
+
+    Returns
+    -------
+    Vehicle
+    """
+    found: dict[str, ErrorModel | tuple[ErrorModel, ...]] = {}
+    for name, channels in series.items():
+        models = tuple(_fitted(model, channel) for model, channel in zip(vehicle.sensors[name].models, channels, strict=True))
+        found[name] = models if len(models) > 1 else models[0]
+    return vehicle.with_error(**found)
+
+
+def _fitted(model: ErrorModel, channel: ChannelSeries) -> ErrorModel:
+    from navfilter.learning.learner import LEAST, Learner
+
+    part = learning_part(model)
+    if part is None or np.count_nonzero(np.isfinite(channel.value)) < LEAST:
+        return model
+    found = Learner(part.orders, channel.value.size, channel.drift, white=channel.white).hop(channel.value)
+    if "starting" in found.flags or not (found.is_stable and found.is_invertible):
+        return model
+    return with_learned(model, replace(part, model=found, frozen=True))
+
+
+def change(before: Vehicle, after: Vehicle) -> float:
+    """How far the models of two rounds are apart: the largest change of ln S(0) or of ln sd of any axis, in its own standard deviation.
+
+    Parameters
+    ----------
+    before, after : Vehicle
+        With the same sensors.
+
+    Returns
+    -------
+    float
+        Infinite where only one of them has a model of an axis. The sd of ln sd is ``1 / sqrt(2 n)`` for n samples behind a model.
+    """
+    largest = 0.0
+    for name, sensor in after.sensors.items():
+        for old, new in zip(map(learned_part, before.sensors[name].models), map(learned_part, sensor.models), strict=True):
+            largest = max(largest, _apart(old, new))
+    return largest
+
+
+def _apart(old: LearnedArma | None, new: LearnedArma | None) -> float:
+    one, other = (None if part is None else part.model for part in (old, new))
+    if one is None or other is None:
+        return 0.0 if one is other else math.inf
+    if one == other:
+        return 0.0
+    level = abs(math.log(zero_frequency(other) / zero_frequency(one))) / (other.sd_log_s0 or 1.0)
+    return max(level, abs(math.log(other.sd / one.sd)) * math.sqrt(2.0 * max(other.effective_window or 1.0, 1.0)))
