@@ -31,7 +31,8 @@ class Outcome(NamedTuple):
     Attributes
     ----------
     status : str
-        "used", "rejected" (by the gate), "invalid", "duplicate", "too-late", "ahead" (no drive sample for too long) or "unknown-sensor".
+        "used", "rejected" (by the gate), "invalid", "duplicate", "late-replayed" (used, in its place in time), "too-late", "ahead" (no drive
+        sample for too long) or "unknown-sensor".
     nis : float
         Normalised innovation squared; NaN when it was not formed.
     dof : int
@@ -48,7 +49,7 @@ class Outcome(NamedTuple):
     @property
     def accepted(self) -> bool:
         """Whether the reading corrected the state."""
-        return self.status == "used"
+        return self.status in ("used", "late-replayed")
 
 
 class Memory(NamedTuple):
