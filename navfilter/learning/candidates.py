@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,10 +50,10 @@ class Candidate:
             return True
         return cancelling_pairs(model.ar, model.ma, model.covariance) > 0
 
-    @property
+    @cached_property
     def passes(self) -> bool:
         """Whether the gate lets it through: white innovations, no cancelling pair."""
-        return self.fit.is_white and not self.cancels
+        return not self.cancels and self.fit.is_white
 
     def model(self, likelihood: Likelihood) -> ArmaModel:
         """The model as it is handed out, its sd of ln S(0) checked upwards."""
@@ -69,12 +70,13 @@ def fit_candidate(likelihood: Likelihood, order: Order, starts: list[Array], pas
 
 def preferred(candidates: Iterable[Candidate]) -> Candidate | None:
     """The best by BIC that passes the gate, unless one not ruled out finds far more power at zero frequency."""
-    passing = sorted((c for c in candidates if c.passes), key=lambda c: c.fit.bic)
-    if not passing:
+    ranked = sorted(candidates, key=lambda c: c.fit.bic)
+    first = next((i for i, candidate in enumerate(ranked) if candidate.passes), None)
+    if first is None:
         return None
-    best = passing[0]
-    for other in passing[1:]:
-        if other.fit.bic <= passing[0].fit.bic + OPEN and denies(best, other):
+    best = ranked[first]
+    for other in ranked[first + 1 :]:
+        if other.fit.bic <= ranked[first].fit.bic + OPEN and denies(best, other) and other.passes:
             best = other
     return best
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from navfilter.arma.model import ArmaModel
 from navfilter.arma.starts import tidy_series
 from navfilter.diagnostics import whiteness
+from navfilter.kernels.fit import largest_reflection
 from navfilter.learning.likelihood import Likelihood, Point, maximise
 from navfilter.learning.starts import cold_starts, grown_starts, padded_start
 
@@ -138,8 +140,6 @@ class ChannelFit:
         ``-2 loglik + (p + q + 1) ln n``.
     innovations : ndarray, shape (N,)
         Standardised; NaN where a sample is missing or belongs to a diffuse start.
-    is_white : bool
-        Ljung-Box and cumulative periodogram together at 1 %.
     n : int
         Innovations that count.
     """
@@ -148,8 +148,12 @@ class ChannelFit:
     loglik: float
     bic: float
     innovations: Array
-    is_white: bool
     n: int
+
+    @cached_property
+    def is_white(self) -> bool:
+        """Whether the innovations are white: Ljung-Box and cumulative periodogram together at 1 %."""
+        return _is_white(self.innovations, self.model.p + self.model.q)
 
 
 def fit_channel(
@@ -240,7 +244,7 @@ def channel_fit(likelihood: Likelihood, point: Point) -> ChannelFit:
         flags,
     )
     loglik = -value + n * math.log(likelihood.unit)
-    return ChannelFit(model, loglik, -2.0 * loglik + theta.size * math.log(max(n, 2)), z, _is_white(z, theta.size - 1), n)
+    return ChannelFit(model, loglik, -2.0 * loglik + theta.size * math.log(max(n, 2)), z, n)
 
 
 def log_s0_gradient(theta: Array, p: int) -> Array:
@@ -293,8 +297,7 @@ def upward_spread(likelihood: Likelihood, point: Point) -> float:
 
 def at_cap(likelihood: Likelihood, ar: Array) -> bool:
     """Whether a pole sits at the largest radius that the series can tell from a bias."""
-    poles = np.abs(np.roots(np.r_[1.0, ar]))
-    return bool(np.any(poles > 1.0 - 1.01 * (1.0 - likelihood.pole_radius)))
+    return bool(largest_reflection(np.ascontiguousarray(ar), 1.0 - 1.01 * (1.0 - likelihood.pole_radius)) >= 1.0)
 
 
 def _is_white(z: Array, fitted: int) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,53 +73,68 @@ class Likelihood:
         self.n = known.size - diffuse
         self.pole_radius = 1.0 - 3.0 / max(known.size, 8)
         self.lowest = 2.0 * math.pi / max(known.size, 8)
-        self._e, self._lns = np.empty(self.y.size), np.empty(self.y.size)
+        self._E, self._LNS = np.empty((2, self.y.size)), np.empty((2, self.y.size))
+        self._turn = [complex(np.exp(-1j * self.lowest * k)) for k in range(1, 11)]
+        # Where the likelihood was evaluated last, and what it was there.
+        self._at, self._last = (-1, b""), math.inf
 
     def value(self, theta: Array, p: int) -> float:
         """Minus the log-likelihood at ``theta = [ar, ma, ln sd]``; the innovations stay in `innovations`."""
-        padded, _ = _padded(theta, p)
-        return float(kernel.channel_filter(self.y, padded, self.Q, self.rules, self._e, self._lns))
+        at = (p, theta.tobytes())
+        if at != self._at:
+            self._at, padded = at, _padded(theta, p)
+            self._last = float(kernel.channel_filter(self.y, padded, self.Q, self.rules, self._E[0], self._LNS[0]))
+        return self._last
 
     def penalised(self, theta: Array, p: int) -> float:
         """What is minimised: `value` plus the weak prior on the spectrum below the lowest resolved frequency."""
-        rise, _ = self._rise(theta, p)
-        return self.value(theta, p) + 0.5 * ((rise - LEVEL_MEAN) / LEVEL_SD) ** 2
+        return self.value(theta, p) + 0.5 * ((self._rise(theta, p) - LEVEL_MEAN) / LEVEL_SD) ** 2
 
-    def _rise(self, theta: Array, p: int) -> tuple[float, Array]:
-        """``ln S(0) - ln S(lowest)`` and its gradient."""
+    def _sums(self, c: Array) -> tuple[float, complex]:
+        """``1 + c1 q^-1 + ...`` at zero frequency and at the lowest that the series resolves."""
+        at_zero, at_low = 1.0, 1.0 + 0.0j
+        for value, turn in zip(c.tolist(), self._turn, strict=False):
+            at_zero += value
+            at_low += value * turn
+        return at_zero, at_low
+
+    def _rise(self, theta: Array, p: int) -> float:
+        """``ln S(0) - ln S(lowest)``."""
+        (a0, a1), (c0, c1) = self._sums(theta[:p]), self._sums(theta[p:-1])
+        ratio = max(abs(c0), 1e-300) * max(abs(a1), 1e-300) / (max(abs(a0), 1e-300) * max(abs(c1), 1e-300))
+        return 2.0 * math.log(ratio)
+
+    def _slope(self, theta: Array, p: int) -> Array:
+        """Gradient of `_rise`."""
         gradient = np.zeros(theta.size)
-        rise = 0.0
         for part, sign in ((slice(0, p), -2.0), (slice(p, theta.size - 1), 2.0)):
-            c = theta[part]
-            if c.size:
-                turn = np.exp(-1j * self.lowest * np.arange(1, c.size + 1))
-                at_zero, at_low = 1.0 + float(c.sum()), 1.0 + complex(c @ turn)
-                rise += sign * (math.log(max(abs(at_zero), 1e-300)) - math.log(max(abs(at_low), 1e-300)))
-                gradient[part] = sign * (1.0 / at_zero - (turn / at_low).real)
-        return rise, gradient
+            at_zero, at_low = self._sums(theta[part])
+            gradient[part] = [sign * (1.0 / at_zero - (turn / at_low).real) for turn in self._turn[: part.stop - part.start]]
+        return gradient
 
     @property
     def innovations(self) -> Array:
         """Standardised innovations of the last `value`, NaN where nothing counts."""
-        return self._e.copy()
+        return self._E[0].copy()
 
     def point(self, theta: Array, p: int) -> Point:
         """Value, gradient and Fisher information at `theta`."""
         k = theta.size
-        padded, free = _padded(theta, p)
-        E, LNS = np.empty((k + 1, self.y.size)), np.empty((k + 1, self.y.size))
+        if len(self._E) < k + 1:
+            self._E, self._LNS = np.empty((k + 1, self.y.size)), np.empty((k + 1, self.y.size))
         info, gradient = np.empty((k, k)), np.empty(k)
-        steps = self._steps(theta, p)
-        value = kernel.channel_scores(self.y, padded, self.Q, self.rules, free, steps, E, LNS, info, gradient)
-        rise, slope = self._rise(theta, p)
-        value += 0.5 * ((rise - LEVEL_MEAN) / LEVEL_SD) ** 2
-        gradient += (rise - LEVEL_MEAN) / LEVEL_SD**2 * slope
-        return Point(theta, p, float(value), gradient, info + np.outer(slope, slope) / LEVEL_SD**2)
+        padded, free, steps = _padded(theta, p), _places(p, k - 1 - p), self._steps(theta, p)
+        E, LNS = self._E[: k + 1], self._LNS[: k + 1]
+        value = float(kernel.channel_scores(self.y, padded, self.Q, self.rules, free, steps, E, LNS, info, gradient))
+        self._at, self._last = ((p, theta.tobytes()) if value < math.inf else (-1, b"")), value
+        off, slope = (self._rise(theta, p) - LEVEL_MEAN) / LEVEL_SD**2, self._slope(theta, p)
+        value += 0.5 * LEVEL_SD**2 * off * off
+        return Point(theta, p, value, gradient + off * slope, info + np.outer(slope, slope) / LEVEL_SD**2)
 
     def _steps(self, theta: Array, p: int) -> Array:
         """Difference steps that stay where a stationary start exists."""
         steps = np.full(theta.size, STEPS[0])
-        padded, _ = _padded(theta, p)
+        padded = _padded(theta, p)
         m = padded.size // 2
         spare = np.empty((m, m))
         for i in range(p):
@@ -159,14 +175,20 @@ class Point:
         return np.asarray(np.linalg.inv(correlation), dtype=np.float64) / np.outer(scale, scale)
 
 
-def _padded(theta: Array, p: int) -> tuple[Array, NDArray[np.int64]]:
-    """The kernel's parameter vector, and where the elements of `theta` are in it."""
+def _padded(theta: Array, p: int) -> Array:
+    """The kernel's parameter vector."""
     q = theta.size - 1 - p
     m = max(p, q, 1)
-    free = np.r_[np.arange(p), m + np.arange(q), 2 * m]
     out = np.zeros(2 * m + 1)
-    out[free] = theta
-    return out, free
+    out[:p], out[m : m + q], out[-1] = theta[:p], theta[p:-1], theta[-1]
+    return out
+
+
+@cache
+def _places(p: int, q: int) -> NDArray[np.int64]:
+    """Where the elements of ``[ar, ma, ln sd]`` are in the kernel's parameter vector."""
+    m = max(p, q, 1)
+    return np.r_[np.arange(p), m + np.arange(q), 2 * m]
 
 
 def maximise(likelihood: Likelihood, starts: Sequence[Array], p: int, passes: int) -> Point:
