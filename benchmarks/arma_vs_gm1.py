@@ -214,16 +214,21 @@ def adopted(track: Track) -> str:
     """When and what a run learnt, in short: orders of the last models and the number of adoptions per sensor."""
     said = []
     for name, history in track.error_models.items():
-        models = history[-1][1]
-        orders = [learned_order(m) for m in (models if isinstance(models, tuple) else (models,))]
-        if any(orders):
-            said.append(f"{name} {'/'.join(o or '-' for o in orders)} from {history[1][0]:.0f} s, {len(history) - 1} times")
+        # the first models are in force from the start, when the beginning has been run again with them
+        learnt = [(time_s, found) for time_s, models in history if any(found := learned_orders(models))]
+        if learnt:
+            said.append(f"{name} {'/'.join(o or '-' for o in learnt[-1][1])} in force from {learnt[0][0]:.0f} s, {len(learnt)} times")
     return "; ".join(said) or NOTHING
 
 
 def orders(vehicle: Vehicle, sensors: list[str]) -> str:
     """Orders of the ARMA models of a vehicle's sensors."""
     return "; ".join(f"{name} {'/'.join(f'({len(m.ar)},{len(m.ma)})' for m in vehicle.sensors[name].models)}" for name in sensors)
+
+
+def learned_orders(models: nf.ErrorModel | tuple[nf.ErrorModel, ...]) -> list[str]:
+    """`learned_order` of every axis."""
+    return [learned_order(model) for model in (models if isinstance(models, tuple) else (models,))]
 
 
 def learned_order(model: nf.ErrorModel) -> str:
