@@ -47,8 +47,9 @@ _HEAD = """\
 #       left out; 'navfilter identify' finds all three from a recording at rest
 #   {{model = "learned-arma", orders = [[1, 0], [1, 1], [2, 1]], window = 4000, hop = 1000, prior = {{model = "white", sd = 0.1}}}}
 #       learnt under way; every key may be left out: candidates (p, q), readings behind an estimate (at least 200, default 4000),
-#       readings between two adoptions (default: a quarter of the window), and what is in force before the first (default: what is
-#       usual for the sensor). What has been learnt is kept as adopted = {{ar = [..], ma = [..], sd = ..}}
+#       readings between two adoptions (default: half the window), and what is in force before the first (default: what is
+#       usual for the sensor). What has been learnt is kept as adopted = {{ar = [..], ma = [..], sd = ..}}; with frozen = true beside
+#       it that model stays in force and nothing is learnt
 """
 _COMPASS_ERROR = 'error = {model = "gauss-markov", sd_deg = 0.6, tau_s = 30}'
 _COMPASS_LEARNT = '# learnt under way instead: error = {model = "learned-arma", prior = {model = "gauss-markov", sd_deg = 0.6, tau_s = 30}}'
