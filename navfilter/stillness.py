@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from navfilter.arma.model import ArmaModel
 from navfilter.channels import HOPS_REMEMBERED, steadied
 from navfilter.error_models import ErrorModel, RandomWalk, Sum
-from navfilter.learned import known_walk, known_white, learned_part, with_learned, zero_frequency
+from navfilter.learned import known_walk, known_white, learned_part, learning_part, with_learned, zero_frequency
 from navfilter.mechanisation import Imu, Mechanisation
 from navfilter.sensors import ZeroVelocity
 
@@ -68,7 +68,7 @@ class Stillness:
         self._unit = 1.0 / drive.period_s if drive.increments else 1.0
         self.length = max(2, round(drive.rate_hz))
         self.limits = _limits(drive)
-        parts = [learned_part(model) for model in self.models]
+        parts = [learning_part(model) for model in self.models]
         self.window = max(part.window for part in parts if part is not None)
         given = [part.hop for part in parts if part is not None and part.hop is not None]
         # a late reading may take the run back over one hop, not two
