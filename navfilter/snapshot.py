@@ -223,8 +223,8 @@ def _still(nav: Navigator, memory: Memory, arrays: dict[str, Array]) -> list[Any
     """What was gathered at rest: its samples go to `arrays`."""
     if nav._still is None:
         return None
-    numbers, models, levels, block, pending = memory.still
-    arrays |= {"still/ring": nav._still.ring, "still/block": block, "still/pending": pending}
+    numbers, models, levels, level, block, pending = memory.still
+    arrays |= {"still/ring": nav._still.ring, "still/level": level, "still/block": block, "still/pending": pending}
     for axis, kept in enumerate(nav._still.kept(memory.still)):
         arrays |= {f"still/{axis}/{key}": v for key, v in (kept or {}).items()}
     return [numbers, plain(models), levels]
@@ -240,7 +240,8 @@ def _still_mark(nav: Navigator, kept: list[Any] | None, arrays: dict[str, Array]
         for axis in range(len(nav._still.learners))
     ]
     nav._still.revive(arrays["still/ring"], learners)
-    return tuple(numbers), revive(models), tuple(tuple(axis) for axis in levels), arrays["still/block"], arrays["still/pending"]
+    samples = (arrays[f"still/{name}"] for name in ("level", "block", "pending"))
+    return tuple(numbers), revive(models), tuple(tuple(axis) for axis in levels), *samples
 
 
 def _early(items: list[Any], samples: Array) -> list[Any]:

@@ -23,10 +23,14 @@ __all__ = ["Stillness", "hand_over"]
 
 Array = NDArray[np.float64]
 
-#: A quiet axis scatters less than so many of its believed standard deviations.
+#: A quiet axis scatters less than so many of its believed standard deviations, and its mean stays within as many.
 QUIET = 3.0
 #: What is surely no rest: speed [m/s], mean rate [rad/s], each beyond three standard deviations of what is known of it.
 SLOWEST, STEADIEST = 0.05, 0.02
+#: A velocity that is known no better than this [m/s] says nothing.
+UNKNOWN = 0.2
+#: So many blocks at rest in a row count, but for the first and the last.
+RUN = 3
 #: More missing ticks than this end a segment; so many and one more separate two of them (see `navfilter.kernels.channel`).
 LONGEST_GAP = 8
 #: Without a hop of its own a unit is looked at first when half a window is full, then whenever there is half as much again, and at least
@@ -44,10 +48,12 @@ class Stillness:
     the axes of a vehicle that does not move, and disappear in the diffuse start of the bias. Nothing of the filter's state enters the
     series, so no feedback can bias what is learnt. The filter's velocity only serves to refuse samples.
 
-    Rest is judged by blocks of about one second: every axis scatters less than `QUIET` believed standard deviations, no mean rate (less
-    the estimated gyro error) and no velocity estimate is surely above `STEADIEST` and `SLOWEST`. A block counts between two others that
-    are at rest too. What remains possible: an AUV that glides through calm water without any velocity aid looks the same, and what
-    shakes it less than the limits is taken for noise of the unit; that makes the model larger than the unit's own error, never smaller.
+    Rest is judged by blocks of about one second: the velocity is known and not surely above `SLOWEST`, every axis scatters less than
+    `QUIET` believed standard deviations, its mean stays, and no mean rate (less the estimated gyro error) is surely above `STEADIEST`. A
+    block counts between two others that are at rest too. The velocity has to be known, by a DVL, fixes or `ZeroVelocity`, because an AUV
+    that glides through calm water cannot be told from one at rest by a micromechanical unit (simulated: its slow turns, taken for noise,
+    raise S(0) by factors of 40 to 2000). What remains possible: a vehicle that sways at its mooring by less than these limits. That makes
+    the model larger than the unit's own error, not smaller.
 
     Parameters
     ----------
@@ -84,6 +90,7 @@ class Stillness:
         self.ring = np.full((6, self.window + 8 * self.length + 64), np.nan)
         self.block, self.pending = np.zeros((self.length, 7)), np.zeros((self.length, 7))
         self.filled = self.run = self.cursor = self._newest = 0
+        self._open, self.level = False, np.zeros(6)  # a segment, and its mean
         self.due = self.hop if given else max(self.hop, self.window // 2)
         self._before_hop: tuple[int, tuple[Any, ...]] = (-1, ())
         self.levels: tuple[tuple[float, ...], ...] = ((),) * 6
@@ -108,16 +115,19 @@ class Stillness:
         """
         self.filled = 0
         if not self._quiet(speed, rate):
-            self.run = 0
+            self.run, self._open = 0, False
             return False
+        mean = self.block[:, 1:].mean(axis=0) * self._unit
+        if not self.run or np.any(np.abs(mean - self.level) > self.limits):
+            self.run, self._open, self.level = 0, False, mean
         self.run += 1
-        if self.run >= 3:
+        if self.run >= RUN:
             self._keep(self.pending)
         self.pending, self.block = self.block, self.pending
         return self.cursor >= self.due
 
     def _quiet(self, speed: Array, rate: Array) -> bool:
-        if np.any(np.abs(speed[0]) > SLOWEST + 3.0 * speed[1]):
+        if np.any(speed[1] > UNKNOWN) or np.any(np.abs(speed[0]) > SLOWEST + 3.0 * speed[1]):
             return False
         if np.max(self.block[:, 0]) > (LONGEST_GAP + 0.5) * self.period_s:
             return False
@@ -132,8 +142,9 @@ class Stillness:
         ticks = np.rint(np.cumsum(block[:, 0]) / self.period_s).astype(np.int64)
         # stamps may come in bursts: later samples give way, so that none is lost
         places = np.maximum.accumulate(ticks - count) + count
-        if self.run == 3 and self.cursor:
+        if not self._open and self.cursor:
             self._write(np.full((LONGEST_GAP + 1, 6), np.nan))
+        self._open = True
         first = max(1, int(places[0]))
         values = np.full((int(places[-1] - places[0]) + first, 6), np.nan)
         values[places - places[0] + first - 1] = block[:, 1:] * self._unit
@@ -166,9 +177,11 @@ class Stillness:
             found = learner.hop(y)
             if "starting" in found.flags or not (found.is_stable and found.is_invertible):
                 continue
-            model = self._described[axis]
+            drift, white, model = self._drifts[axis], self._white[axis], self._described[axis]
+            found = plainer(found, y, drift, white)
             if known_walk(model):
-                found, model = hand_over(found, model, y, self._drifts[axis], self._white[axis])
+                found, model = hand_over(found, model, y, drift, white)
+                found = plainer(found, y, replace(drift, density=(known_walk(model),)), white)
             levels[axis] = (*levels[axis], zero_frequency(found))[-HOPS_REMEMBERED:]
             new[axis] = with_learned(model, replace(part, model=steadied(found, levels[axis])))
         before, self.models, self.levels = self.models, tuple(new), tuple(levels)
@@ -179,18 +192,20 @@ class Stillness:
         """Gather everything again from the start, without learning from it again."""
         self.due = self.cursor + self.hop
         self.filled = self.run = self.cursor = self._newest = 0
+        self._open = False
         self._before_hop = (-1, ())
 
     def mark(self) -> tuple[Any, ...]:
         """Where it stands, to `recall` within the few seconds that the ring keeps beyond its window."""
-        numbers = (self.cursor, self.filled, self.run, self.due, self._newest)
-        return numbers, self.models, self.levels, self.block.copy(), self.pending.copy()
+        numbers = (self.cursor, self.filled, self.run, self.due, self._newest, int(self._open))
+        return numbers, self.models, self.levels, self.level.copy(), self.block.copy(), self.pending.copy()
 
     def recall(self, mark: tuple[Any, ...]) -> None:
         """Go back to a `mark`: not further than one hop."""
-        numbers, self.models, self.levels, block, pending = mark
-        self.cursor, self.filled, self.run, self.due, self._newest = numbers
-        self.block, self.pending = block.copy(), pending.copy()
+        numbers, self.models, self.levels, level, block, pending = mark
+        self.cursor, self.filled, self.run, self.due, self._newest, segment = numbers
+        self._open = bool(segment)
+        self.level, self.block, self.pending = level.copy(), block.copy(), pending.copy()
         hop, kept = self._before_hop
         if self.due <= hop:
             for learner, values in zip(self.learners, kept, strict=True):
@@ -229,6 +244,35 @@ def _limits(drive: Imu) -> Array:
 
 def _each(errors: ErrorModel | tuple[ErrorModel, ...]) -> tuple[ErrorModel, ...]:
     return (errors,) * 3 if isinstance(errors, ErrorModel) else tuple(errors)
+
+
+def plainer(found: ArmaModel, series: Array, drift: Drift, white: float) -> ArmaModel:
+    """White noise in place of a learnt model that is no better by BIC.
+
+    States of an inertial axis cost at every sample. A learner takes a larger order where white noise fails a test of whiteness, which
+    one window in a hundred does by chance.
+
+    Parameters
+    ----------
+    found : ArmaModel
+    series : ndarray, shape (n,)
+        What it was learnt from.
+    drift : Drift
+        The known random walk.
+    white : float
+        Known white variance.
+
+    Returns
+    -------
+    ArmaModel
+    """
+    from navfilter.learning.channel import fit_channel
+
+    if found.p + found.q == 0:
+        return found
+    own = fit_channel(series, drift, found.p, found.q, white=white, start=found, passes=0)
+    plain = fit_channel(series, drift, 0, 0, white=white)
+    return plain.model if plain.bic <= own.bic else found
 
 
 def hand_over(found: ArmaModel, model: ErrorModel, series: Array, drift: Drift, white: float) -> tuple[ArmaModel, ErrorModel]:
