@@ -284,6 +284,8 @@ def _glide(y, t, ticks, x, a, L, S, ahead, ahead_S, clip, e, lns, K, slope):
     level, root = math.log(S), 1.0 / math.sqrt(S)
     rise, turn = (math.log(ahead_S) - level) / ticks, (1.0 / math.sqrt(ahead_S) - root) / ticks
     total = ticks * (HALF_LOG_2PI + 0.5 * (level + 0.5 * rise * (ticks - 1)))
+    if r == 2 and m <= 2:
+        return total + _glide_small(y, t, ticks, x, a, clip, e, lns, K, slope, level, rise, root, turn)
     for k in range(t, t + ticks):
         residual = y[k] - x[0] - x[r]
         z = residual * root
@@ -300,6 +302,34 @@ def _glide(y, t, ticks, x, a, L, S, ahead, ahead_S, clip, e, lns, K, slope):
             K[i] += slope[i]
         level += rise
         root += turn
+    return total
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _glide_small(y, t, ticks, x, a, clip, e, lns, K, slope, level, rise, root, turn):
+    """The loop of `_glide` for two integrators and at most two ARMA states, which then stay in registers."""
+    m, total = a.size, 0.0
+    a0, a1 = a[0], a[m - 1] if m == 2 else 0.0
+    d0, d1, n0, n1 = x[0], x[1], x[2], x[m + 1] if m == 2 else 0.0
+    K0, K1, K2, K3 = K[0], K[1], K[2], K[m + 1] if m == 2 else 0.0
+    s0, s1, s2, s3 = slope[0], slope[1], slope[2], slope[m + 1] if m == 2 else 0.0
+    for k in range(t, t + ticks):
+        residual = y[k] - d0 - n0
+        z = residual * root
+        e[k], lns[k] = z, level
+        size = abs(z)
+        if size > clip:
+            total += clip * (size - 0.5 * clip)
+            residual *= clip / size
+        else:
+            total += 0.5 * z * z
+        d0, n0, n1 = d0 + d1 + K0 * residual, n1 - a0 * n0 + K2 * residual, K3 * residual - a1 * n0
+        d1 += K1 * residual
+        K0, K1, K2, K3 = K0 + s0, K1 + s1, K2 + s2, K3 + s3
+        level, root = level + rise, root + turn
+    x[0], x[1], x[2] = d0, d1, n0
+    if m == 2:
+        x[3] = n1
     return total
 
 
@@ -438,6 +468,15 @@ def _filter(y, theta, Q, rules, plan, follow, e, lns):
     return total if total < math.inf else math.inf
 
 
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract"})
+def _dot(u, v):
+    """Sum of products; in any order, so that several are added at a time."""
+    s = 0.0
+    for t in range(u.size):
+        s += u[t] * v[t]
+    return s
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def channel_scores(y, theta, Q, rules, free, steps, E, LNS, info, gradient):
     """Minus the log-likelihood, its gradient and the Fisher information in the parameters ``theta[free]``.
@@ -457,22 +496,22 @@ def channel_scores(y, theta, Q, rules, free, steps, E, LNS, info, gradient):
         if not _filter(y, moved, Q, rules, plan, True, E[i + 1], LNS[i + 1]) < math.inf:
             return math.inf
         moved[free[i]] = theta[free[i]]
-    info[:, :] = 0.0
-    gradient[:] = 0.0
+    psi = np.empty(y.size)
     for t in range(y.size):
         z = E[0, t]
-        if math.isnan(z):
-            continue
-        psi = min(max(z, -clip), clip)
-        for i in range(k):
-            by_s = (LNS[i + 1, t] - LNS[0, t]) / steps[i]
-            by_z = (E[i + 1, t] - z) / steps[i]
-            gradient[i] += psi * by_z + 0.5 * by_s
-            E[i + 1, t] = by_z + 0.5 * z * by_s
-            LNS[i + 1, t] = by_s
-            for j in range(i + 1):
-                info[i, j] += E[i + 1, t] * E[j + 1, t] + 0.5 * by_s * LNS[j + 1, t]
+        psi[t] = 0.0 if math.isnan(z) else min(max(z, -clip), clip)
     for i in range(k):
-        for j in range(i):
-            info[j, i] = info[i, j]
+        per = 1.0 / steps[i]
+        slope = 0.0
+        for t in range(y.size):
+            z = E[0, t]
+            counts = not math.isnan(z)
+            by_s = (LNS[i + 1, t] - LNS[0, t]) * per if counts else 0.0
+            by_z = (E[i + 1, t] - z) * per if counts else 0.0
+            slope += psi[t] * by_z + 0.5 * by_s
+            E[i + 1, t] = by_z + 0.5 * z * by_s if counts else 0.0
+            LNS[i + 1, t] = by_s
+        gradient[i] = slope
+        for j in range(i + 1):
+            info[i, j] = info[j, i] = _dot(E[i + 1], E[j + 1]) + 0.5 * _dot(LNS[i + 1], LNS[j + 1])
     return value
