@@ -75,6 +75,12 @@ def test_frozen_and_learning_axes_of_one_sensor():
     assert [learner is not None for learner in listener.learners] == [False, True, False] and listener.window == LEARNS.window
 
 
+def test_frozen_inertial_models_are_not_learnt_at_rest():
+    start = nf.Start(latitude_deg=45.0, longitude_deg=0.0)
+    one, other = (nf.Navigator(nf.Vehicle(imu=nf.Imu(rate_hz=100.0, gyro=gyro)), start) for gyro in (KEPT, (LEARNS, KEPT, KEPT)))
+    assert one._still is None and [learner is not None for learner in other._still.learners] == [True] + 5 * [False]
+
+
 def test_frozen_needs_a_model():
     with pytest.raises(ValueError, match="no model to keep"):
         LearnedArma(prior=nf.White(sd=0.1), frozen=True)
