@@ -47,7 +47,7 @@ _FACE = {
     "navigator": "Navigator Outcome",
     "playback": "replay warm_up",
     "rivals": "rival",
-    "sensors": "BodyVelocity Depth Heading Position ZeroVelocity",
+    "sensors": "BodyVelocity Depth Heading Position WaterVelocity ZeroVelocity",
     "state": "NavState",
     "tape": "Tape",
     "track": "Track",

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from navfilter.mechanisation import DeadReckoning
 from navfilter.mission import Mission, Stream
-from navfilter.sensors import BodyVelocity, Depth, Heading, Position
+from navfilter.sensors import BodyVelocity, Depth, Heading, Position, WaterVelocity
 from navfilter.start import Start
 from navfilter.state import matrix_from_euler, wrap
 from navfilter.vehicle import Vehicle
@@ -79,7 +79,7 @@ def align(vehicle: Vehicle, mission: Mission, window_s: float = 5.0) -> Start:
 
 def _stream(vehicle: Vehicle, mission: Mission, kind: type) -> tuple[Stream, object] | None:
     for name, sensor in vehicle.sensors.items():
-        if isinstance(sensor, kind) and len(mission.streams.get(name, ())):
+        if isinstance(sensor, kind) and not isinstance(sensor, WaterVelocity) and len(mission.streams.get(name, ())):
             return mission.streams[name], sensor
     return None
 

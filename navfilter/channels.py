@@ -12,10 +12,12 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.stats import chi2
 
 from navfilter.arma.model import ArmaModel
-from navfilter.error_models import ErrorModel
+from navfilter.error_models import Arma, ErrorModel, Sum
 from navfilter.kernels import kalman, listen
 from navfilter.layout import Group, Layout
 from navfilter.learned import (
+    LearnedArma,
+    block_level,
     known_walk,
     known_white,
     learned_part,
@@ -53,7 +55,7 @@ class Channel:
 
     def __init__(self, name: str, sensor: Sensor, group: Group, start: Start, layout: Layout, rate_variance: Array) -> None:
         a, n, m, par = sensor.axes, layout.size, layout.head, group.size - group.errors
-        b = group.size if group.errors else 0
+        b = group.size if group.ticks else 0
         self.name, self.sensor, self.group = name, sensor, group
         self.kernel, self.constants = sensor.kernel, sensor.constants(start)
         self.period_s = 1.0 / sensor.rate_hz
@@ -300,6 +302,24 @@ def steadied(model: ArmaModel, levels: Sequence[float]) -> ArmaModel:
     return replace(model, ar=ar, sd=math.sqrt(variance), sd_log_s0=spread)
 
 
+def _drive_noise(model: ErrorModel, period_s: float) -> tuple[float, float, float]:
+    """Root densities of the white noise and of the walk in one axis of the drive, and the standard deviation of what walks at the start.
+
+    An ARMA error ticks with the drive and is forgotten within a sensor's period: to an integral it is white noise of its S(0).
+    """
+    white = walk = start = 0.0
+    for part in model.parts if isinstance(model, Sum) else (model,):
+        block = part.block(period_s)
+        if isinstance(part, Arma) or (isinstance(part, LearnedArma) and part.model is not None):
+            white += block_level(block)
+            continue
+        white += block.r
+        if block.size:
+            walk += float(block.C @ block.Q @ block.C)
+            start += float(block.C @ block.P0 @ block.C)
+    return math.sqrt(white * period_s), math.sqrt(max(walk, 0.0) / period_s), math.sqrt(start)
+
+
 def _drift(sensor: Sensor, axis: int, vehicle: Vehicle, walk: float) -> Drift:
     """Known noise of the navigation error in the open-loop residual of one axis: integrators from the inside out.
 
@@ -310,10 +330,7 @@ def _drift(sensor: Sensor, axis: int, vehicle: Vehicle, walk: float) -> Drift:
 
     period_s = 1.0 / sensor.rate_hz
     drive = vehicle.drive
-    blocks = [model.block(drive.period_s) for model in drive.models]
-    step = drive.period_s
-    white = [math.sqrt(b.r * step) for b in blocks]
-    walks = [math.sqrt(max(float(b.C @ b.Q @ b.C), 0.0) / step) if b.size else 0.0 for b in blocks]
+    white, walks, starts = zip(*(_drive_noise(model, drive.period_s) for model in drive.models), strict=True)
     if "imu" not in drive.streams:
         speed = max(white[3:6])
         if isinstance(sensor, Heading):
@@ -322,7 +339,7 @@ def _drift(sensor: Sensor, axis: int, vehicle: Vehicle, walk: float) -> Drift:
     turn, force = max(white[:3]), max(white[3:])
     if isinstance(sensor, Heading):
         # the gyro's bias is no one's guess: how large it can be is part of the gyro's model
-        bias = max(math.sqrt(float(b.C @ b.P0 @ b.C) + w**2 * 3600.0) for b, w in zip(blocks[:3], walks[:3], strict=True))
+        bias = max(math.hypot(sd, w * 60.0) for sd, w in zip(starts[:3], walks[:3], strict=True))
         return Drift((math.hypot(turn, walk), max(walks[:3])), period_s, (math.inf, bias) if bias > 0.0 else ())
     level = GRAVITY * turn  # the tilt wanders, and turns gravity into acceleration
     vertical = isinstance(sensor, Depth) or axis == 2

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,7 +17,7 @@ __all__ = ["Group", "Layout"]
 
 Array = NDArray[np.float64]
 
-#: Units of the constant parameters by the beginning of their last name; "1" is a pure number.
+#: Units of the parameters by the beginning of their last name; "1" is a pure number.
 PARAMETER_UNITS = {
     "scale": "1",
     "misalignment": "rad",
@@ -26,6 +26,7 @@ PARAMETER_UNITS = {
     "two_cycle": "rad",
     "temperature": "rad_per_k",
     "offset": "m",
+    "current": "m_s",
 }
 
 
@@ -38,7 +39,7 @@ class Group:
     start, size : int
         Place in the error state.
     errors : int
-        How many of them belong to error models; the rest are constant parameters.
+        How many of them belong to error models; the rest are parameters.
     Phi, Q, P0 : ndarray, shape (size, size)
     C : ndarray, shape (axes, errors)
     r : ndarray, shape (axes,)
@@ -63,6 +64,11 @@ class Group:
         """Rows of the error state."""
         return slice(self.start, self.start + self.size)
 
+    @property
+    def ticks(self) -> bool:
+        """Whether any of its states changes by itself."""
+        return self.errors > 0 or bool(self.Q.any())
+
     @classmethod
     def build(
         cls,
@@ -72,9 +78,10 @@ class Group:
         axis_names: Sequence[str],
         axis_units: Sequence[str],
         prefix: str = "",
+        wandering: Mapping[str, Any] | None = None,
     ) -> Group:
-        """Stack the blocks of the axes and the parameters."""
-        parameters = tuple(parameters)
+        """Stack the blocks of the axes and the parameters; those that are not constant have a block of one state in `wandering`."""
+        parameters, wandering = tuple(parameters), wandering or {}
         k = len(parameters)
         errors = sum(b.size for b in blocks)
 
@@ -94,13 +101,15 @@ class Group:
         names += [f"{dot}{name}" for name, _ in parameters]
         units += [next(u for begin, u in PARAMETER_UNITS.items() if name.split(".")[-1].startswith(begin)) for name, _ in parameters]
         variances = np.diag([sd**2 for _, sd in parameters]) if k else np.zeros((0, 0))
+        keep = np.diag([float(wandering[name].Phi[0, 0]) if name in wandering else 1.0 for name, _ in parameters])
+        noise = np.diag([float(wandering[name].Q[0, 0]) if name in wandering else 0.0 for name, _ in parameters])
         r = np.array([b.r for b in blocks])
         return cls(
             start,
             errors + k,
             errors,
-            stack("Phi", np.eye(k)),
-            stack("Q", np.zeros((k, k))),
+            stack("Phi", keep),
+            stack("Q", noise),
             stack("P0", variances),
             C,
             r,
@@ -152,7 +161,9 @@ class Layout:
         start, groups = 9 + group.size, {}
         for name, sensor in vehicle.sensors.items():
             blocks = [m.block(1.0 / sensor.rate_hz) for m in sensor.models]
-            groups[name] = Group.build(start, blocks, sensor.parameters(), sensor.axis_names, (sensor.unit,) * sensor.axes, name)
+            wandering = {key: model.block(1.0 / sensor.rate_hz) for key, model in sensor.wandering().items()}
+            units = (sensor.unit,) * sensor.axes
+            groups[name] = Group.build(start, blocks, sensor.parameters(), sensor.axis_names, units, name, wandering)
             start += groups[name].size
         return cls(group, groups)
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from navfilter.error_models import ErrorModel, RandomWalk, Sum, White, per_axis
 from navfilter.kernels import strapdown
 from navfilter.learned import learned_part
-from navfilter.sensors import BodyVelocity, Heading
+from navfilter.sensors import BodyVelocity, Heading, WaterVelocity
 from navfilter.start import Start
 
 __all__ = ["DeadReckoning", "Imu", "Mechanisation"]
@@ -184,6 +184,11 @@ class DeadReckoning(Mechanisation):
             raise ValueError(
                 "DeadReckoning.attitude must give a heading, found a magnetometer: dead reckoning has no attitude of its own to level it "
                 "with. Use the compass's heading output."
+            )
+        if isinstance(self.velocity, WaterVelocity):
+            raise ValueError(
+                "DeadReckoning.velocity must be over ground, found a WaterVelocity: dead reckoning has no states for the current. Use a "
+                "BodyVelocity whose error says how fast the water may move, such as GaussMarkov(sd=0.3, tau_s=3600)."
             )
 
     @property

@@ -16,11 +16,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from navfilter.error_models import ErrorModel, GaussMarkov, White, per_axis
 from navfilter.kernels import measurement
-from navfilter.learned import resolve_prior
+from navfilter.learned import learning_part, resolve_prior
 from navfilter.start import Start
 from navfilter.state import matrix_from_euler
 
-__all__ = ["BodyVelocity", "Depth", "Heading", "Position", "Sensor", "ZeroVelocity"]
+__all__ = ["BodyVelocity", "Depth", "Heading", "Position", "Sensor", "WaterVelocity", "ZeroVelocity"]
 
 Array = NDArray[np.float64]
 Vector = tuple[float, float, float]
@@ -71,8 +71,12 @@ class Sensor:
         return resolve_prior(per_axis(self.error, self.axes, f"{type(self).__name__}.error"), self.prior)
 
     def parameters(self) -> tuple[tuple[str, float], ...]:
-        """Constant states beside the error model: name and standard deviation at the start."""
+        """States beside the error model: name and standard deviation at the start; constant, but for those of `wandering`."""
         return ()
+
+    def wandering(self) -> dict[str, ErrorModel]:
+        """Those of the parameters that are not constant: how they wander, by name (a model of one state)."""
+        return {}
 
     def constants(self, start: Start) -> Array:
         """What the kernel needs to know beside the state, shape depends on the sensor."""
@@ -159,6 +163,55 @@ class BodyVelocity(Sensor):
         if not valid or (self.zero_is_invalid and not moving):
             return None
         return value[:3] if clean else np.array([c if -top <= c <= top else math.nan for c in components])
+
+
+@dataclass(frozen=True, kw_only=True)
+class WaterVelocity(BodyVelocity):
+    """Velocity through the water in instrument axes [m/s]: a DVL in water track, or an electromagnetic log.
+
+    The horizontal current is two states, north and east, so that what is known of it carries the position while there is nothing else.
+
+    Parameters
+    ----------
+    current_sd_m_s : float
+        Standard deviation of each component of the current [m/s].
+    current_tau_s : float
+        Its correlation time [s]: in dt << tau the current changes by ``sd * sqrt(2 dt / tau)``.
+
+    Notes
+    -----
+    As `BodyVelocity`, with ``y`` the velocity relative to the water: ``C_nb' (v_n - c_n)``. The current wanders as a first-order
+    Gauss-Markov process on the clock of this sensor; water that rises or sinks is taken for error. What this sensor itself errs by at low
+    frequencies cannot be told from the current, so that its error is not learnt.
+    """
+
+    error: Errors = White(sd=0.02)
+    current_sd_m_s: float = 0.3
+    current_tau_s: float = 3600.0
+
+    kernel: ClassVar[Callable[..., None]] = staticmethod(measurement.water_velocity)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("current_sd_m_s", "current_tau_s"):
+            if not (math.isfinite(getattr(self, name)) and getattr(self, name) > 0):
+                raise ValueError(
+                    f"WaterVelocity.{name} must be a finite number > 0, found {getattr(self, name)!r}. Usual: 0.3 m/s, 3600 s."
+                )
+        if any(learning_part(model) is not None for model in self.models):
+            raise ValueError(
+                "WaterVelocity.error cannot be learnt under way: the current hides in it. Give it a fixed error model, or a LearnedArma "
+                "with frozen=True."
+            )
+
+    def parameters(self) -> tuple[tuple[str, float], ...]:
+        """Current north and east, then scale and misalignment where they are uncertain."""
+        return (("current_north", self.current_sd_m_s), ("current_east", self.current_sd_m_s), *super().parameters())
+
+    def wandering(self) -> dict[str, ErrorModel]:
+        """The current."""
+        current = GaussMarkov(sd=self.current_sd_m_s, tau_s=self.current_tau_s)
+        return {"current_north": current, "current_east": current}
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -318,7 +318,8 @@ def _inertial_step(nav, xd, inc, dt, drv, Phid, Qd, Cr, acc, ticks):
     _tick_drive(acc, _inertial_transition(*parts, dt, Cr), xd, Phid, Qd, ticks)
     drv[14:23] = parts[0].ravel()
     Q, C, gap = acc[m : 2 * m], parts[0], dt > 3 * drv[36]
-    variance = Cr[:, -1] * drv[36] * max(dt, 0.0) + gap * (np.repeat(drv[38:40], 3) * dt) ** 2
+    unseen = np.minimum(np.repeat(drv[38:40], 3) * dt, [0.1, 0.1, np.inf, np.inf, np.inf, np.inf])
+    variance = Cr[:, -1] * drv[36] * max(dt, 0.0) + gap * unseen**2
     speed = C @ np.diag(variance[3:]) @ C.T
     Q[6:9, 6:9] += C @ np.diag(variance[:3]) @ C.T
     Q[3:6, 3:6] += speed
@@ -777,3 +778,13 @@ def listen(undone, mem, dims, places, nav, C, x, kind, mount, ring, cursor, tick
     undone[m : m + 3] += C_nb.T @ (d[3:6] + np.cross(nav[3:6], d[6:9]))
     undone[m + 3 : m + 6] += tilt + C_nb @ force
     undone[m + 6 : m + 9] += rotation(heading * DOWN).T @ tilt + force
+
+
+# ---------------------------------------------------------------- kernels/measurement.py: through water that moves
+
+
+def water_velocity(z, nav, rate, par, cfg, H, res):
+    relative, current, plain = nav.copy(), np.array([par[0], par[1], 0.0]), np.zeros((3, 9 + len(par) - 2))
+    relative[3:6] -= current
+    body_velocity(z, relative, rate, par[2:], cfg, plain, res)
+    H[:, :9], H[:, 9:11], H[:, 11:] = plain[:, :9], -plain[:, 3:5], plain[:, 9:]

@@ -12,6 +12,7 @@ import pytest
 import navfilter as nf
 from navfilter.arma.algebra import add_arma
 from navfilter.arma.model import ArmaModel
+from navfilter.channels import _drift
 from navfilter.error_models import RandomWalk, Sum
 from navfilter.learned import DEFAULT_ORDERS, learned_part, zero_frequency
 from navfilter.learning.channel import Drift
@@ -518,3 +519,21 @@ def test_a_recorded_unit_that_is_nearly_white():
     model = in_force(recorded_run(np.radians(values[:, :3]), values[:, 3:] * GRAVITY))[0]
     assert 0.1 < model.autocovariance(1)[1] / model.autocovariance(1)[0] < 0.25
     assert 1.0 - model.sd**2 / model.variance < 0.08
+
+
+def test_what_is_learnt_of_the_unit_drives_the_other_sensors_series_as_white_noise():
+    """A dive that begins with learnt gyros: heading and velocity wander by their S(0), not by the innovation of every sample."""
+    white, sd = GYRO_SD * math.sqrt(PERIOD_S), 4e-4
+    for model in (ArmaModel([], [], GYRO_SD), ArmaModel([-0.6], [], sd), ArmaModel([0.6], [0.3], sd)):
+        learnt = WALK + nf.LearnedArma(model=model)
+        plain = WALK + nf.White(density=math.sqrt(zero_frequency(model) * PERIOD_S))
+        for one, two in zip(drifts(learnt), drifts(plain), strict=True):
+            np.testing.assert_allclose(one.density, two.density, rtol=1e-12)
+            np.testing.assert_allclose(one.start_sd, two.start_sd, rtol=1e-12)
+    assert drifts(WALK + nf.White(sd=GYRO_SD))[0].density == pytest.approx((white, WALK.density))
+
+
+def drifts(gyro):
+    sensors = {"compass": nf.Heading(rate_hz=8), "dvl": nf.BodyVelocity(rate_hz=4), "gps": nf.Position(rate_hz=1)}
+    vehicle = nf.Vehicle(imu=nf.Imu(rate_hz=RATE_HZ, gyro=gyro, accel=FORCE_WALK + nf.White(sd=FORCE_SD)), sensors=sensors)
+    return [_drift(sensor, 0, vehicle, 0.0) for sensor in sensors.values()]

@@ -68,6 +68,10 @@ def test_signs_of_the_residuals():
     turned = np.concatenate([np.zeros(3), matrix_from_euler(0.0, 0.0, math.pi / 2).ravel()])
     _, res = evaluate(measurement.body_velocity, np.array([0.0, -2.0, 0.0]), state, still, none, turned, 3)
     np.testing.assert_allclose(res, 0.0, atol=1e-12)
+    # water that flows east at 0.5 m/s carries a third of that speed: eastward, the log reads 1.5 m/s; a current north comes from port
+    flow = np.array([0.25, 0.5])
+    _, res = evaluate(measurement.water_velocity, np.array([1.5, 0.25, 0.0]), state, still, flow, plain, 3)
+    np.testing.assert_allclose(res, 0.0, atol=1e-12)
     # declination east: a magnetic compass reads less than the true heading
     _, res = evaluate(measurement.heading, np.array([math.pi / 2 - 0.1, np.nan]), state, still, none, np.array([0.1, 20.0]), 1)
     np.testing.assert_allclose(res, 0.0, atol=1e-12)
@@ -126,6 +130,8 @@ def test_parameters_appear_only_where_they_are_uncertain():
         "misalignment_z": 0.0,
     }
     assert nf.Depth(offset_sd_m=0.3).parameters() == (("offset", 0.3),)
+    assert nf.WaterVelocity().parameters() == (("current_north", 0.3), ("current_east", 0.3))
+    assert len(nf.WaterVelocity(misalignment_sd_rad=0.01).parameters()) == 6
 
 
 @pytest.mark.parametrize(
@@ -140,6 +146,10 @@ def test_parameters_appear_only_where_they_are_uncertain():
         (lambda: nf.Position(error=(nf.White(sd=1.0),)), "tuple of 3"),
         (lambda: nf.Position(error=2.0), r"one error model, or a tuple of 3, found 2\.0"),
         (lambda: nf.Heading(soft_iron=(1.0, 0.0)), "soft_iron must be 9"),
+        (lambda: nf.WaterVelocity(current_sd_m_s=0.0), r"WaterVelocity\.current_sd_m_s"),
+        (lambda: nf.WaterVelocity(current_tau_s=math.inf), r"WaterVelocity\.current_tau_s"),
+        (lambda: nf.WaterVelocity(error=nf.LearnedArma()), "the current hides in it"),
+        (lambda: nf.DeadReckoning(rate_hz=4.0, velocity=nf.WaterVelocity()), "no states for the current"),
     ],
 )
 def test_wrong_sensors_are_refused(build, message):
@@ -150,6 +160,7 @@ def test_wrong_sensors_are_refused(build, message):
 def test_every_sensor_reads_nothing_from_nothing():
     for sensor in (
         nf.BodyVelocity(),
+        nf.WaterVelocity(),
         nf.Heading(),
         nf.Heading(magnetometer=True, declination_rad=0.0),
         nf.Depth(),

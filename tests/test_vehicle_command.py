@@ -24,7 +24,7 @@ from navfilter.io.vehicle_toml import _concrete, _kebab
 from navfilter.layout import Layout
 from navfilter.learned import LearnedArma
 from navfilter.mechanisation import DeadReckoning, Imu
-from navfilter.sensors import BodyVelocity, Depth, Heading, Position, Sensor, ZeroVelocity
+from navfilter.sensors import BodyVelocity, Depth, Heading, Position, Sensor, WaterVelocity, ZeroVelocity
 from navfilter.simulation.scenarios import SCENARIOS, simulate_scenario
 from navfilter.vehicle import Vehicle
 
@@ -48,7 +48,9 @@ def test_defaults_in_the_template_are_the_defaults(tmp_path, drive):
     uncommented = written(tmp_path, re.sub(r"^#(?=[^ #\n])", "", text, flags=re.MULTILINE))
     if drive == "imu":
         assert uncommented.sensors["still"] == ZeroVelocity()
-        uncommented = uncommented.without("still")
+        plain = WaterVelocity(rate_hz=4.0, lever_arm_b_m=(0.5, 0.0, 0.1))
+        assert uncommented.sensors["water"] == plain
+        uncommented = uncommented.without("still").without("water")
     assert dataclasses.replace(uncommented.drive) == as_written.drive
     assert list(uncommented.sensors) != [] and dict(uncommented.sensors) == dict(as_written.sensors)
 
@@ -267,6 +269,8 @@ SUSPICIOUS = {
     "deviation in degrees": (with_sensor(Heading(deviation_sd_rad=(0.0, 2.0))), "sensors.s.deviation_sd_rad", "deviation_sd_deg"),
     "declination in degrees": (with_sensor(Heading(declination_rad=-5.0)), "sensors.s.declination_rad", "declination_deg"),
     "mounting in degrees": (with_sensor(BodyVelocity(mounting_rad=(0.0, 0.0, 45.0))), "sensors.s.mounting_rad", "mounting_deg"),
+    "current in cm/s": (with_sensor(WaterVelocity(current_sd_m_s=30.0)), "sensors.s.current_sd_m_s", "current_sd_cm_per_s"),
+    "current of seconds": (with_sensor(WaterVelocity(current_tau_s=5.0)), "sensors.s.current_tau_s", "in seconds"),
     "misalignment": (with_sensor(BodyVelocity(misalignment_sd_rad=0.5)), "sensors.s.misalignment_sd_rad", "misalignment_sd_deg"),
     "scale in per cent": (with_sensor(BodyVelocity(scale_sd=1.0)), "sensors.s.scale_sd", "1 % is 0.01"),
     "gps in degrees": (with_sensor(Position(error=White(sd=3e-5))), "sensors.s.error", "in metres, not in degrees"),

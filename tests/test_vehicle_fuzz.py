@@ -22,7 +22,7 @@ from navfilter.learned import LearnedArma
 from navfilter.mechanisation import DeadReckoning, Imu
 from navfilter.mission import MissionError
 from navfilter.navigator import Navigator
-from navfilter.sensors import BodyVelocity, Depth, Heading, Position, ZeroVelocity
+from navfilter.sensors import BodyVelocity, Depth, Heading, Position, WaterVelocity, ZeroVelocity
 from navfilter.service.protocol import Lines, to_line
 from navfilter.start import Start
 from navfilter.vehicle import RESERVED, Vehicle
@@ -95,6 +95,14 @@ SENSOR = st.one_of(
         error=ERROR,
         declination_rad=st.one_of(st.none(), st.floats(-7.0, 7.0)),
         deviation_sd_rad=st.tuples(sizes(), sizes()),
+        **SHARED,
+    ),
+    st.builds(
+        WaterVelocity,
+        error=three(FIXED),
+        current_sd_m_s=st.floats(1e-3, 10.0),
+        current_tau_s=st.floats(1.0, 1e6),
+        scale_sd=sizes(),
         **SHARED,
     ),
     st.builds(Depth, error=ERROR, latitude_deg=st.floats(-90.0, 90.0), pressure=st.booleans(), offset_sd_m=sizes(), **SHARED),

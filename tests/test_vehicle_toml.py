@@ -14,7 +14,7 @@ from navfilter.io.write import labelled, write_outputs
 from navfilter.learned import LearnedArma, learned_part
 from navfilter.mechanisation import DeadReckoning, Imu
 from navfilter.playback import replay
-from navfilter.sensors import BodyVelocity, Depth, Heading, Position, ZeroVelocity
+from navfilter.sensors import BodyVelocity, Depth, Heading, Position, WaterVelocity, ZeroVelocity
 from navfilter.simulation.scenarios import simulate_scenario
 from navfilter.vehicle import Vehicle
 
@@ -31,6 +31,7 @@ INERTIAL = Vehicle(
         ),
         "depth": Depth(rate_hz=1.0, pressure=True),
         "gps": Position(error=GaussMarkov(sd=3.0, tau_s=60.0)),
+        "water": WaterVelocity(rate_hz=2.0, current_sd_m_s=0.5, current_tau_s=7200.0, mounting_rad=(0.0, 0.0, 0.7), scale_sd=0.01),
         "still": ZeroVelocity(),
     },
     name='made of everything, \U0001f6a2 \x7f "\\\n',

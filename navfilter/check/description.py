@@ -22,6 +22,7 @@ __all__ = ["describe_error", "describe_vehicle", "zero_frequency"]
 _ORDERS = {1: "first", 2: "second", 3: "third", 4: "fourth"}
 _KINDS = {
     "BodyVelocity": "body velocity",
+    "WaterVelocity": "velocity through the water",
     "Heading": "heading",
     "Depth": "depth",
     "Position": "position",
@@ -81,7 +82,10 @@ def _sensor_lines(name: str, sensor: Any) -> Iterator[str]:
     yield f'Sensor "{name}": {kind}, {sensor.rate_hz:g} Hz'
     yield from _error_lines("error", sensor.models, sensor.axis_names, (sensor.unit,) * sensor.axes, 1.0 / sensor.rate_hz)
     yield from _fitting_lines(sensor)
-    yield from _parameter_lines(sensor.parameters())
+    wandering = sensor.wandering()
+    yield from _parameter_lines(tuple(item for item in sensor.parameters() if item[0] not in wandering))
+    for name, model in wandering.items():
+        yield _line(name.replace("_", " "), f"estimated, {describe_error(model, sensor.unit, 1.0 / sensor.rate_hz)[0]}")
     share = 1.0 - sensor.gate_probability
     yield _line("gate", f"refuses one good reading in {1.0 / share:.0f}; widens after {duration(sensor.gate_timeout_s)} of refusals")
 

@@ -13,7 +13,7 @@ from navfilter.error_models import Arma, ErrorModel, GaussMarkov, RandomWalk, Su
 from navfilter.layout import Layout
 from navfilter.learned import LearnedArma
 from navfilter.mechanisation import Imu
-from navfilter.sensors import BodyVelocity, Depth, Heading, Position, ZeroVelocity
+from navfilter.sensors import BodyVelocity, Depth, Heading, Position, WaterVelocity, ZeroVelocity
 
 if TYPE_CHECKING:
     from navfilter.vehicle import Vehicle
@@ -128,6 +128,8 @@ def _sensor_findings(place: str, sensor: Any) -> Iterator[Finding]:
     if isinstance(sensor, Heading):
         yield from _heading_findings(place, sensor)
     yield from _fitting_findings(place, sensor)
+    if isinstance(sensor, WaterVelocity):
+        yield from _current_findings(place, sensor)
     if sensor.gate_probability < 0.95:
         share = 1.0 - sensor.gate_probability
         yield _warn(f"{place}.gate_probability", f"refuses {100.0 * share:.3g} % of good readings.", "Usual: 0.999 or 0.9999.")
@@ -139,6 +141,15 @@ def _heading_findings(place: str, sensor: Heading) -> Iterator[Finding]:
             yield _angle(f"{place}.{name}", value)
     if sensor.declination_rad is not None and abs(sensor.declination_rad) > math.pi:
         yield _angle(f"{place}.declination_rad", sensor.declination_rad)
+
+
+def _current_findings(place: str, sensor: WaterVelocity) -> Iterator[Finding]:
+    if sensor.current_sd_m_s > 3.0:
+        text = f"a current of {sensor.current_sd_m_s:.4g} m/s is faster than all but the strongest tidal streams."
+        yield _warn(f"{place}.current_sd_m_s", text, "It is in m/s; for cm/s write current_sd_cm_per_s.")
+    if sensor.current_tau_s < 60.0:
+        text = f"a current that is another one after {duration(sensor.current_tau_s)} carries no position."
+        yield _warn(f"{place}.current_tau_s", text, "It is in seconds; currents last for hours. Eddies and waves belong to error.")
 
 
 def _fitting_findings(place: str, sensor: Any) -> Iterator[Finding]:
@@ -169,7 +180,7 @@ def _whole_findings(vehicle: Vehicle) -> Iterator[Finding]:
     if not kinds & {Position}:
         yield Finding("info", "sensors", "no position fixes: the error of the position grows without bound.", "")
     if isinstance(vehicle.drive, Imu):
-        if not kinds & {Position, BodyVelocity, ZeroVelocity}:
+        if not kinds & {Position, BodyVelocity, WaterVelocity, ZeroVelocity}:
             cure = "Add a sensor of type body-velocity or position: without one an inertial unit is lost within minutes."
             yield _warn("sensors", "nothing corrects position or velocity.", cure)
         if Heading not in kinds:

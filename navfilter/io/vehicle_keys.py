@@ -76,6 +76,8 @@ def plain_key(key: str, fields: Iterable[str]) -> tuple[str, float | None]:
     'mounting_rad'
     >>> plain_key("sd_cm", {"sd"}), plain_key("lever_arm_b_cm", {"lever_arm_b_m"})
     (('sd', 0.01), ('lever_arm_b_m', 0.01))
+    >>> plain_key("current_sd_cm_per_s", {"current_sd_m_s"})
+    ('current_sd_m_s', 0.01)
     """
     if key in fields:
         return key, None
@@ -83,9 +85,10 @@ def plain_key(key: str, fields: Iterable[str]) -> tuple[str, float | None]:
     if radians in fields:
         return radians, SUFFIXES["deg"]
     for length in ("cm", "mm"):
-        metres = re.sub(rf"_{length}$", "_m", key)
-        if metres != key and metres in fields:
-            return metres, SUFFIXES[length]
+        for ending, metres in ((length, "m"), (f"{length}_per_s", "m_s")):
+            name = re.sub(rf"_{ending}$", f"_{metres}", key)
+            if name != key and name in fields:
+                return name, SUFFIXES[length]
     for suffix in _LONGEST_FIRST:
         name = key.removesuffix(f"_{suffix}")
         if name != key and name in fields:
@@ -96,6 +99,7 @@ def plain_key(key: str, fields: Iterable[str]) -> tuple[str, float | None]:
 def spellings(field: str) -> list[str]:
     """Every key by which a file may give a field, itself first."""
     other = [re.sub(r"_rad(?=_|$)", "_deg", field), *(re.sub("_m$", f"_{length}", field) for length in ("cm", "mm"))]
+    other += [re.sub("_m_s$", f"_{length}_per_s", field) for length in ("cm", "mm")]
     return list(dict.fromkeys([field, *other, *(f"{field}_{suffix}" for suffix in SUFFIXES)]))
 
 

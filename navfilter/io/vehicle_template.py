@@ -16,7 +16,7 @@ from typing import Any, Literal
 
 from navfilter.io.units import SUFFIXES
 from navfilter.mechanisation import DeadReckoning, Imu
-from navfilter.sensors import BodyVelocity, Depth, Heading, Position, Sensor, ZeroVelocity
+from navfilter.sensors import BodyVelocity, Depth, Heading, Position, WaterVelocity, ZeroVelocity
 
 __all__ = ["DRIVES", "vehicle_template"]
 
@@ -108,6 +108,15 @@ def _inertial() -> Iterator[str]:
     yield "# The correcting sensors. The name is that of the mission's stream, the states, the residuals and the output columns.\n"
     yield _section("sensors.compass", Heading, "Compass, or magnetometer.", 8, _COMPASS_ERROR, _COMPASS_LEARNT)
     yield _section("sensors.dvl", BodyVelocity, "DVL in bottom track, or wheels.", 4, _DVL_ERROR, lever=(0.5, 0.0, 0.1))
+    water = _section(
+        "sensors.water",
+        WaterVelocity,
+        "Velocity through the water: a DVL in water track, or a log. Where the bottom is lost, the last known current carries on.",
+        4,
+        'error = {model = "white", sd = 0.02}',
+        lever=(0.5, 0.0, 0.1),
+    )
+    yield _unused(water)
     still = _section(
         "sensors.still",
         ZeroVelocity,
@@ -115,7 +124,12 @@ def _inertial() -> Iterator[str]:
         1,
         'error = {model = "white", sd = 0.02}',
     )
-    yield re.sub(r"^(?=[^#\n])", "#", still, flags=re.MULTILINE)
+    yield _unused(still)
+
+
+def _unused(section: str) -> str:
+    """A table that is there to be uncommented."""
+    return re.sub(r"^(?=[^#\n])", "#", section, flags=re.MULTILINE)
 
 
 def _reckoning() -> Iterator[str]:
@@ -159,8 +173,8 @@ def _section(
     if lever is not None:
         lines += [*_wrapped(texts["lever_arm_b_m"][1]), f"lever_arm_b_m = {list(lever)}"]
         given.add("lever_arm_b_m")
-    # What all sensors share is explained once, with the first of them.
-    said = set() if cls in (Imu, DeadReckoning, Heading) else {group for group, _ in _parameters(Sensor).values()}
+    # What all sensors share is explained once, with the first of them; a kind of another sensor shares all of that.
+    said = set() if cls in (Imu, DeadReckoning, Heading) else {group for group, _ in _parameters(cls.__base__).values()}
     for field in dataclasses.fields(cls):
         if field.name in given or not field.init:
             continue

@@ -20,11 +20,8 @@ def _clear(H):
 
 
 @njit(cache=True)
-def body_velocity(z, nav, rate, par, cfg, H, res):
-    """Velocity at a lever arm in instrument axes: reading = (1 + s)(y + m x y), y = M' (C_nb' v_n + rate x arm).
-
-    cfg: lever arm (3), mounting matrix M instrument-to-body (9). par: none, or scale s and misalignment m (3).
-    """
+def _instrument_velocity(z, nav, v0, v1, v2, rate, par, first, cfg, H, res):
+    """Velocity v in n of the reference point, as seen by an instrument; scale and misalignment, if any, are `par` from `first` on."""
     _clear(H)
     x0 = rate[1] * cfg[2] - rate[2] * cfg[1]
     x1 = rate[2] * cfg[0] - rate[0] * cfg[2]
@@ -34,10 +31,10 @@ def body_velocity(z, nav, rate, par, cfg, H, res):
     for i in range(3):
         for j in range(3):
             A[i, j] = cfg[3 + i] * nav[6 + 3 * j] + cfg[6 + i] * nav[7 + 3 * j] + cfg[9 + i] * nav[8 + 3 * j]
-        y[i] = A[i, 0] * nav[3] + A[i, 1] * nav[4] + A[i, 2] * nav[5] + cfg[3 + i] * x0 + cfg[6 + i] * x1 + cfg[9 + i] * x2
+        y[i] = A[i, 0] * v0 + A[i, 1] * v1 + A[i, 2] * v2 + cfg[3 + i] * x0 + cfg[6 + i] * x1 + cfg[9 + i] * x2
     g, a, b, c = 1.0, 0.0, 0.0, 0.0
-    if len(par) > 0:
-        g, a, b, c = 1.0 + par[0], par[1], par[2], par[3]
+    if len(par) > first:
+        g, a, b, c = 1.0 + par[first], par[first + 1], par[first + 2], par[first + 3]
     t0, t1, t2 = y[0] + b * y[2] - c * y[1], y[1] + c * y[0] - a * y[2], y[2] + a * y[1] - b * y[0]
     res[0], res[1], res[2] = z[0] - g * t0, z[1] - g * t1, z[2] - g * t2
     for j in range(3):
@@ -48,14 +45,32 @@ def body_velocity(z, nav, rate, par, cfg, H, res):
     for i in range(3):
         # C_nb' turns by -phi: d(C' v) = -C' (phi x v) = C' (v x phi)
         h0, h1, h2 = H[i, 3], H[i, 4], H[i, 5]
-        H[i, 6] = h1 * nav[5] - h2 * nav[4]
-        H[i, 7] = h2 * nav[3] - h0 * nav[5]
-        H[i, 8] = h0 * nav[4] - h1 * nav[3]
-    if len(par) > 0:
-        H[0, 9], H[1, 9], H[2, 9] = t0, t1, t2
-        H[0, 11], H[0, 12] = g * y[2], -g * y[1]
-        H[1, 10], H[1, 12] = -g * y[2], g * y[0]
-        H[2, 10], H[2, 11] = g * y[1], -g * y[0]
+        H[i, 6] = h1 * v2 - h2 * v1
+        H[i, 7] = h2 * v0 - h0 * v2
+        H[i, 8] = h0 * v1 - h1 * v0
+    if len(par) > first:
+        s = 9 + first
+        H[0, s], H[1, s], H[2, s] = t0, t1, t2
+        H[0, s + 2], H[0, s + 3] = g * y[2], -g * y[1]
+        H[1, s + 1], H[1, s + 3] = -g * y[2], g * y[0]
+        H[2, s + 1], H[2, s + 2] = g * y[1], -g * y[0]
+
+
+@njit(cache=True)
+def body_velocity(z, nav, rate, par, cfg, H, res):
+    """Velocity at a lever arm in instrument axes: reading = (1 + s)(y + m x y), y = M' (C_nb' v_n + rate x arm).
+
+    cfg: lever arm (3), mounting matrix M instrument-to-body (9). par: none, or scale s and misalignment m (3).
+    """
+    _instrument_velocity(z, nav, nav[3], nav[4], nav[5], rate, par, 0, cfg, H, res)
+
+
+@njit(cache=True)
+def water_velocity(z, nav, rate, par, cfg, H, res):
+    """As `body_velocity`, but through water that moves: v_n less the current. par: current north, east, then as there."""
+    _instrument_velocity(z, nav, nav[3] - par[0], nav[4] - par[1], nav[5], rate, par, 2, cfg, H, res)
+    for i in range(3):
+        H[i, 9], H[i, 10] = -H[i, 3], -H[i, 4]
 
 
 @njit(cache=True)

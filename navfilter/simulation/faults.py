@@ -73,6 +73,8 @@ class Faults:
         Compass: bias, sine and cosine of the heading, sine and cosine of twice the heading, rad.
     temperature_rad_per_k : float, optional
         Compass: drift with temperature, rad/K.
+    current_m_s : tuple of 2 floats, optional
+        Velocity through the water: a steady current, north and east, m/s. At None it is drawn as the description states it, and wanders.
     available : "always", "surface" or tuple of (float, float)
         When there are readings: always, at the surface only, or within intervals of time, s.
     dropouts : tuple of (float, float)
@@ -95,6 +97,7 @@ class Faults:
     misalignment_rad: tuple[float, float, float] | None = None
     deviation_rad: tuple[float, float, float, float, float] | None = None
     temperature_rad_per_k: float | None = None
+    current_m_s: tuple[float, float] | None = None
     available: str | tuple[Interval, ...] = "always"
     dropouts: tuple[Interval, ...] = ()
     dropout_reading: str = "missing"

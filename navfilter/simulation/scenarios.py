@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from navfilter.error_models import Arma, ErrorModel, GaussMarkov, White
 from navfilter.mechanisation import DeadReckoning
 from navfilter.mission import Mission
-from navfilter.sensors import BodyVelocity, Depth, Heading, Position
+from navfilter.sensors import BodyVelocity, Depth, Heading, Position, WaterVelocity
 from navfilter.simulation import presets
 from navfilter.simulation.faults import Changing, Faults
 from navfilter.simulation.manoeuvres import (
@@ -155,6 +155,13 @@ def thesis_vehicle() -> Vehicle:
     )
 
 
+def water_track_vehicle() -> Vehicle:
+    """The survey's AUV whose DVL tracks the water too, in a current that lasts for hours."""
+    plain = survey_vehicle()
+    water = WaterVelocity(rate_hz=4.0, lever_arm_b_m=(0.5, 0.0, 0.1), current_sd_m_s=0.1, current_tau_s=6.0 * 3600.0)
+    return Vehicle(plain.drive, {**plain.sensors, "water": water}, name="water-track")
+
+
 def survey(duration_s: float, surface_s: float = 120.0, depth_m: float = 20.0, leg_m: float = 120.0) -> Motion:
     """Fixes at the surface, dive, lawnmower at depth, surfacing and fixes again, to fill the duration."""
     return dive(duration_s, lambda legs: (Lawnmower(legs, leg_m),), (surface_s, surface_s), depth_m)
@@ -233,6 +240,11 @@ def _gps_at_surface(duration_s: float) -> dict[str, Faults]:
     return {"gps": Faults(available="surface")}
 
 
+def _bottom_lost(duration_s: float) -> dict[str, Faults]:
+    """Its middle third over water too deep for bottom track."""
+    return {**_gps_at_surface(duration_s), "dvl": Faults(dropouts=((duration_s / 3.0, duration_s / 1.5),))}
+
+
 def _swinging_compass() -> ErrorModel:
     """A slow error and an oscillation of 6 s, together an ARMA(3, 2) at 8 Hz."""
     angle, radius = 2.0 * math.pi / (6.0 * 8.0), 0.99
@@ -285,4 +297,6 @@ SCENARIOS: dict[str, Scenario] = {
                             _oscillating_vehicle, lawnmower, _oscillating, 1800.0),
     "changing": Scenario("lawnmower; the error of the compass trebles half-way",
                          survey_vehicle, lawnmower, _changing, 1800.0),
+    "water-track": Scenario("survey; the DVL loses the bottom for its middle third, but tracks the water",
+                            water_track_vehicle, survey, _bottom_lost, 1800.0),
 }  # fmt: skip

@@ -41,6 +41,8 @@ class Truth:
         Magnetic field north-east-down, any unit.
     surface_height_m : float
     hdop : ndarray, shape (n,), or None
+    current_n : ndarray, shape (n, 3)
+        Velocity of the water, m/s; zero for sensors that do not see it.
     """
 
     error: Array
@@ -52,6 +54,7 @@ class Truth:
     field_n: Array
     surface_height_m: float
     hdop: Array | None
+    current_n: Array
 
 
 Reading = tuple[Array, tuple[str, ...]]
@@ -63,9 +66,9 @@ def turned_and_scaled(vector: Array, truth: Truth) -> Array:
 
 
 def body_velocity(sensor: BodyVelocity, here: Kinematics, truth: Truth) -> Reading:
-    """Velocity over ground of the instrument in its own axes, m/s."""
+    """Velocity of the instrument in its own axes, m/s, over ground or through water that moves."""
     lever = np.asarray(sensor.lever_arm_b_m, dtype=np.float64)
-    v_b = np.einsum("nij,ni->nj", here.C_nb, here.velocity_n) + np.cross(here.rate_eb_b, lever)
+    v_b = np.einsum("nij,ni->nj", here.C_nb, here.velocity_n - truth.current_n) + np.cross(here.rate_eb_b, lever)
     mounting = Rotation.from_euler("ZYX", sensor.mounting_rad[::-1])
     v = turned_and_scaled(mounting.inv().apply(v_b), truth)
     return v + truth.error, ("velocity_x_m_s", "velocity_y_m_s", "velocity_z_m_s")

@@ -19,8 +19,8 @@ from scipy.spatial.transform import Rotation
 from navfilter.error_models import GaussMarkov, White
 from navfilter.mechanisation import DeadReckoning, Imu, Mechanisation
 from navfilter.mission import TRUTH_COLUMNS, Mission, Stream
-from navfilter.sensors import BodyVelocity, Depth, Heading, Position, Sensor, ZeroVelocity
-from navfilter.simulation.faults import Faults, Models, draw_errors, generator, outliers, quantise, within
+from navfilter.sensors import BodyVelocity, Depth, Heading, Position, Sensor, WaterVelocity, ZeroVelocity
+from navfilter.simulation.faults import Faults, Models, draw_error, draw_errors, generator, outliers, quantise, within
 from navfilter.simulation.manoeuvres import ChangeSpeed, Wait
 from navfilter.simulation.motion import Kinematics, Motion
 from navfilter.simulation.sensors import READERS, Truth, attitude, displaced, turned_and_scaled
@@ -182,7 +182,20 @@ class _Scene:
             field_n=self.field_n if by_field else _NORTH,
             surface_height_m=self.motion.surface_height_m,
             hdop=None if fault.hdop is None else _steps(fault.hdop, time_s),
+            current_n=self.current(name, sensor, time_s),
         )
+
+    def current(self, name: str, sensor: Sensor | None, time_s: Array) -> Array:
+        """Velocity of the water at these ticks, (n, 3): as given, or wandering as the description of the sensor states."""
+        current_n = np.zeros((time_s.size, 3))
+        if isinstance(sensor, WaterVelocity):
+            given = self.fault(name).current_m_s
+            for axis, model in enumerate(sensor.wandering().values()):
+                drawn = draw_error(model, 1.0 / sensor.rate_hz, time_s.size, self.seed, f"{name}.current", axis)
+                current_n[:, axis] = drawn if given is None else given[axis]
+            begin, end = (" ".join(f"{v:.4g}" for v in row) for row in current_n[[0, -1], :2])
+            self.notes.append(f"{name}: current {begin} m/s at the start, {end} m/s at the end")
+        return current_n
 
     def record(self, name: str, sensor: Sensor, rate_hz: float) -> Stream:
         """The stream of one sensor, read at this rate."""
@@ -317,6 +330,7 @@ def tiny_missions() -> Iterator[tuple[Vehicle, Mission]]:
         "compass": Heading(rate_hz=4.0, error=white + slow, bias_sd_rad=0.01),
         "magnetometer": Heading(rate_hz=4.0, error=white, magnetometer=True),
         "dvl": BodyVelocity(rate_hz=4.0, error=white, scale_sd=0.01, misalignment_sd_rad=0.01),
+        "water": WaterVelocity(rate_hz=4.0, error=white),
         "depth": Depth(rate_hz=1.0, error=white, offset_sd_m=0.1),
         "gps": Position(rate_hz=1.0, error=slow),
     }
