@@ -62,7 +62,7 @@ class Candidate:
 
 def fit_candidate(likelihood: Likelihood, order: Order, starts: list[Array], passes: int) -> Candidate | None:
     """Fit one order; None where the likelihood is not finite."""
-    point = maximise(likelihood, starts, order[0], passes)
+    point = maximise(likelihood, starts, order[0], passes, likelihood.recent)
     if not (math.isfinite(point.value) and np.all(np.isfinite(point.info))):
         return None
     return Candidate(order, channel_fit(likelihood, point), point)

@@ -173,7 +173,8 @@ class Learner:
                 continue
             else:
                 below = {k: c.point.theta for k, c in fits.items() if sum(k)}
-                starts = grown_starts(likelihood, below, *order) if below else cold_starts(likelihood, *order)
+                some = likelihood.recent
+                starts = grown_starts(some, below, *order) if below else cold_starts(some, *order)
                 found = fit_candidate(likelihood, order, starts, COLD if self._young else TURN)
             if found is not None:
                 fits[order] = found

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +33,8 @@ SMALL = 0.05
 # Below the lowest frequency that the series resolves, the spectrum is taken to stay level within a factor of about e:
 # mean and standard deviation of ln S(0) - ln S(lowest resolved).
 LEVEL_MEAN, LEVEL_SD = 0.3, 1.0
+# Fewest samples on which starts are compared.
+FEWEST_RECENT = 500
 # Scoring passes before the leader of several starts goes on alone.
 RACE = 2
 # Difference steps: poles that crowd near the circle leave it at a very small one.
@@ -77,6 +80,18 @@ class Likelihood:
         self._turn = [complex(np.exp(-1j * self.lowest * k)) for k in range(1, 11)]
         # Where the likelihood was evaluated last, and what it was there.
         self._at, self._last = (-1, b""), math.inf
+
+    @cached_property
+    def recent(self) -> Likelihood:
+        """The likelihood of the newer half, in the same units: enough to tell good starts from bad ones."""
+        if self.y.size < 2 * FEWEST_RECENT:
+            return self
+        half = copy(self)
+        half.y = np.ascontiguousarray(self.y[self.y.size // 2 :])
+        if int(np.isfinite(half.y).sum()) < FEWEST_RECENT // 2:
+            return self
+        half._E, half._LNS, half._at = np.empty((2, half.y.size)), np.empty((2, half.y.size)), (-1, b"")
+        return half
 
     def value(self, theta: Array, p: int) -> float:
         """Minus the log-likelihood at ``theta = [ar, ma, ln sd]``; the innovations stay in `innovations`."""
@@ -191,7 +206,7 @@ def _places(p: int, q: int) -> NDArray[np.int64]:
     return np.r_[np.arange(p), m + np.arange(q), 2 * m]
 
 
-def maximise(likelihood: Likelihood, starts: Sequence[Array], p: int, passes: int) -> Point:
+def maximise(likelihood: Likelihood, starts: Sequence[Array], p: int, passes: int, race: Likelihood | None = None) -> Point:
     """Fisher scoring: a short race between the starts, then the leader alone.
 
     Parameters
@@ -203,10 +218,12 @@ def maximise(likelihood: Likelihood, starts: Sequence[Array], p: int, passes: in
         Number of AR coefficients.
     passes : int
         Most scoring passes of the leader.
+    race : Likelihood, optional
+        Where several starts race; default: where the leader goes on.
     """
     starts = [likelihood.confine(start, p) for start in starts]
     if len(starts) > 1:
-        runs = [_climb(likelihood, start, p, RACE) for start in starts]
+        runs = [_climb(race or likelihood, start, p, RACE) for start in starts]
         starts = [min(runs, key=lambda point: point.value).theta]
     return _climb(likelihood, starts[0], p, passes)
 
