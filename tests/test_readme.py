@@ -1,38 +1,76 @@
 """The README works when copied."""
 
+import contextlib
 import json
 import re
 import runpy
+import shlex
+import subprocess
+import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
 import navfilter as nf
-from navfilter.cli import main
+from navfilter.cli import _parser, main
 from navfilter.io import read_vehicle
+from navfilter.io.json_lines import LineParser, Reading
+from navfilter.service.session import Options, Session
+from navfilter.simulation.campaigns import STUDIES
 
-README = (Path(__file__).parent.parent / "README.md").read_text(encoding="utf-8")
 ROOT = Path(__file__).parent.parent
+README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
 def blocks(language):
     return re.findall(rf"^```{language}\n(.*?)^```", README, flags=re.MULTILINE | re.DOTALL)
 
 
-def test_the_example_mission_works_when_copied(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    script = next(block for block in blocks("python") if block.startswith("# make_example.py"))
-    Path("make_example.py").write_text(script)
-    runpy.run_path("make_example.py")
-    for block in blocks("toml"):
-        name = re.match(r"# (\S+?):", block).group(1)
-        Path(name).write_text(block)
-    assert {path.name for path in Path("dive_042").iterdir()} >= {"mission.toml", "vehicle.toml", "imu.csv"}
+def the_block(start, language="python"):
+    return next(block for block in blocks(language) if block.startswith(start))
+
+
+def commands():
+    """Every navfilter command of the README, as lists of words."""
     lines = [line for block in blocks("sh") for line in block.splitlines()]
-    commands = [line.split()[1:] for line in lines if line.startswith(("navfilter check", "navfilter replay"))]
-    assert [command[0] for command in commands] == ["check", "replay"]
-    for command in commands:
-        assert main(command) == 0, capsys.readouterr()
+    lines += [re.sub(r".*?ExecStart=\S*/", "", line) for block in blocks("ini") for line in block.splitlines() if "ExecStart" in line]
+    parts = [part.strip() for line in lines for part in re.split(r"&&|\s#|[<>]", line)]
+    return [shlex.split(part) for part in parts if part.startswith("navfilter ")]
+
+
+def run(command, capsys):
+    assert main(command[1:]) == 0, (command, capsys.readouterr())
+
+
+@pytest.fixture(scope="module")
+def dive(tmp_path_factory):
+    """A folder in which the example mission has been written as the README says."""
+    folder = tmp_path_factory.mktemp("readme")
+    with contextlib.chdir(folder):
+        Path("make_example.py").write_text(the_block("# make_example.py"))
+        runpy.run_path("make_example.py")
+        for block in blocks("toml"):
+            if named := re.match(r"# (\S+?\.toml):", block):
+                Path(named.group(1)).write_text(block)
+        script = the_block("# lines.py")
+        exec(compile(script, "lines.py", "exec"), {})
+    return folder
+
+
+@pytest.fixture
+def here(dive, monkeypatch):
+    monkeypatch.chdir(dive)
+    return dive
+
+
+def test_the_example_mission_works_when_copied(here, capsys):
+    assert {path.name for path in Path("dive_042").iterdir()} >= {"mission.toml", "vehicle.toml", "imu.csv"}
+    first = [command for command in commands() if command[1] in ("check", "replay")][:2]
+    assert [command[1] for command in first] == ["check", "replay"]
+    for command in first:
+        run(command, capsys)
     summary = json.loads(Path("result/summary.json").read_text())
     assert list(summary["runs"]) == ["forward", "smoothed"] and summary["distance_m"] > 500
     used = summary["runs"]["smoothed"]["used"]
@@ -45,11 +83,104 @@ def test_the_example_mission_works_when_copied(tmp_path, monkeypatch, capsys):
     assert set(read_vehicle("dive_042").sensors) == {"compass", "dvl", "depth", "gps"}
 
 
-def test_the_vehicle_in_code_is_valid():
-    block = next(block for block in blocks("python") if block.startswith("vehicle = nf.Vehicle("))
+def test_vehicle_commands_and_iterate_work_when_copied(here, capsys):
+    for command in commands():
+        if command[1] == "vehicle":
+            run(command, capsys)
+    assert "Nothing looks wrong" in capsys.readouterr().out
+    edit = re.search(r"^sed 's/(.*?)/(.*)/' (\S+) > (\S+)$", README, flags=re.MULTILINE)
+    changed, count = re.subn(edit.group(1), edit.group(2), Path(edit.group(3)).read_text(), flags=re.MULTILINE)
+    assert count == 1
+    Path(edit.group(4)).write_text(changed)
+    run(next(command for command in commands() if "--iterate" in command), capsys)
+    assert "settled" in capsys.readouterr().out and Path("best/vehicle_learned.toml").exists()
+    assert read_vehicle("best/vehicle_learned.toml").sensors["compass"].error.frozen
+
+
+def test_comparing_works_when_copied(here, capsys):
+    run(next(command for command in commands() if command[1:3] == ["compare", "dive_042"]), capsys)
+    assert "gm1-fitted" in capsys.readouterr().out and Path("compared/report.html").exists()
+
+
+def test_the_live_loop_works_when_copied(here, capsys):
+    live = [command for command in commands() if command[1] == "run" and "--listen" not in command]
+    assert [("--log" in command, "--replay-log" in command) for command in live] == [(True, False), (False, True)]
+    states = []
+    for command in live:
+        with open("readings.jsonl", "rb") as readings:
+            done = subprocess.run([sys.executable, "-m", *command], stdin=readings, capture_output=True, timeout=120)
+        assert done.returncode == 0, done.stderr
+        states.append(done.stdout)
+    assert states[0] == states[1] and states[0].count(b"\n") > 500
+    run(next(command for command in commands() if command[1:3] == ["replay", "logged"]), capsys)
+    assert json.loads(Path("smoothed/summary.json").read_text())["distance_m"] > 500
+
+
+def test_json_lines_are_what_is_read_and_written(here):
+    said, written = blocks("json")
+    vehicle = read_vehicle("dive_042")
+    parser = LineParser(vehicle)
+    assert all(isinstance(parser.parse(line.encode()), Reading) for line in said.splitlines())
+    out, session = [], Session(vehicle, Options(), lambda line, is_state: out.append(json.loads(line)) if is_state else None)
+    with open("readings.jsonl", "rb") as readings:
+        for line, _ in zip(readings, range(2000), strict=False):
+            session.feed(parser.parse(line))
+    shown, state = json.loads(written), out[-1]
+    assert set(shown) <= set(state) and set(shown["sensors"]["compass"]) <= set(state["sensors"]["compass"])
+
+
+def test_every_command_is_one():
+    """Those that the tests above run, and those that take too long, listen, or need a cluster."""
+    parser, seen = _parser(), set()
+    for command in commands():
+        if "--list" not in command:
+            parser.parse_args(command[1:])
+        seen.add(command[1])
+    assert seen == {"demo", "check", "replay", "run", "compare", "montecarlo", "identify", "simulate", "vehicle", "warmup"} - {"warmup"}
+    for command in commands():
+        if command[1] == "montecarlo" and "--scenario" in command:
+            assert command[command.index("--scenario") + 1] in STUDIES
+
+
+def test_scenarios_of_campaigns_are_those_of_the_table():
+    section = README.split("## Campaigns")[1].split("## ")[0]
+    assert set(re.findall(r"^\| `([a-z0-9-]+)` \|", section, flags=re.MULTILINE)) == set(STUDIES)
+
+
+def test_the_python_of_replay_learning_and_comparison_works(here, capsys):
     names = {"nf": nf}
-    exec(block, names)
+    for start in ("import navfilter as nf\n\nmission", "learning = vehicle", "gm1 = vehicle"):
+        exec(the_block(start), names)
+    assert Path("track.csv").exists()
+    adopted = names["track"].error_models["compass"]
+    assert adopted[0][1].model is not None, "ten minutes are enough for a first model, and the beginning is run again with it"
+
+
+def test_the_vehicle_in_code_is_valid():
+    names = {"nf": nf}
+    exec(the_block("vehicle = nf.Vehicle("), names)
     assert list(names["other"].sensors) == ["compass", "dvl", "gps"] and names["other"].sensors["compass"].error.order == 2
+
+
+def test_the_embedding_loop_works_when_copied(here):
+    said, published = [], []
+    lines = [json.loads(line) for line in Path("readings.jsonl").read_text().splitlines()[:4000]]
+    lines.insert(3000, {**next(line for line in lines if line["sensor"] == "depth"), "time_s": lines[2900]["time_s"]})
+    lines.append({"sensor": "sonar", "time_s": lines[-1]["time_s"], "value": 1.0})
+    empty = {"rate_b": None, "force_b": None, "value": None}
+    names = {
+        "nf": nf,
+        "driver": lambda: (SimpleNamespace(**{**empty, **line}) for line in lines),
+        "log": lambda *what: said.append(what),
+        "publish": published.append,
+        "every_ten_seconds": lambda: len(published) % 1000 == 0,
+    }
+    exec(the_block("nf.warm_up()"), names)
+    # the late reading of the depth has taken its place and is not complained about; the sonar is
+    assert [what[1] for what in said] == ["unknown-sensor"]
+    assert published[-1].health.sensors["depth"].outcomes["late-replayed"] >= 1
+    restored = nf.Navigator.restore(names["vehicle"], "auv.snapshot")
+    assert restored.state.time_s > 0
 
 
 def test_every_file_of_the_map_exists():
@@ -57,8 +188,21 @@ def test_every_file_of_the_map_exists():
     tree = re.search(r"^```\n(.*?)^```", section, flags=re.MULTILINE | re.DOTALL).group(1)
     for name in re.findall(r"\b(\w+\.py)\b", tree):
         assert any((ROOT / folder / name).exists() for folder in ("navfilter", "navfilter/io", "navfilter/arma", "tests")), name
-    for name in re.findall(r"^\| `(\w+)` \|", README.split("## Benchmarks")[1].split("## ")[0], flags=re.MULTILINE):
-        assert (ROOT / "benchmarks" / f"{name}.py").exists(), name
+
+
+def test_the_map_has_every_module():
+    section = README.split("## How it is built")[1]
+    tree = re.search(r"^```\n(.*?)^```", section, flags=re.MULTILINE | re.DOTALL).group(1)
+    package = ROOT / "navfilter"
+    modules = {path.name for path in package.glob("*.py")} - {"__init__.py"}
+    folders = {f"{path.name}/" for path in package.iterdir() if (path / "__init__.py").exists()}
+    assert {name for name in modules | folders if not re.search(rf"(?<!\w){re.escape(name)}", tree)} == set()
+
+
+def test_the_table_has_every_benchmark():
+    listed = set(re.findall(r"^\| `(\w+)`[ (*)]* \|", README.split("## Benchmarks")[1].split("## ")[0], flags=re.MULTILINE))
+    scripts = {path.stem for path in (ROOT / "benchmarks").glob("*.py") if "__main__" in path.read_text(encoding="utf-8")}
+    assert listed == scripts
 
 
 def test_names_of_the_face_exist():
