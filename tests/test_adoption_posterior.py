@@ -6,7 +6,18 @@ right ones is the business of `test_adoption`; here the chain with these links i
 
 import numpy as np
 import pytest
-from test_posterior import DEG, Capture, Step, assert_same, drive_through, inertial_vehicle, posterior, reckoning_vehicle, start
+from test_posterior import (
+    DEG,
+    Capture,
+    Step,
+    assert_same,
+    drive_through,
+    inertial_vehicle,
+    posterior,
+    reckoning_vehicle,
+    start,
+    water_vehicle,
+)
 
 import navfilter as nf
 from navfilter import underway
@@ -76,11 +87,18 @@ VELOCITY = [
     (4.2, "attitude", learnt((-0.9,), (), 0.8 * DEG)),
     (5.5, "velocity", nf.White(sd=0.05)),
 ]
+#: Its error is not learnt, but may be changed; in between nothing of it ticks but the current.
+WATER = [
+    (0.5, "dvl", WHITE),
+    (1.6, "dvl", nf.GaussMarkov(sd=0.1, tau_s=2.0) + nf.White(sd=0.05)),
+    (2.1, "dvl", (WHITE, nf.GaussMarkov(sd=0.1, tau_s=2.0) + WHITE, WHITE)),
+]
 CASES = {
     "compass": (inertial_vehicle, 6.0, COMPASS),
     "others": (inertial_vehicle, 5.0, OTHERS),
     "imu": (inertial_vehicle, 4.8, IMU),
     "all": (inertial_vehicle, 3.8, sorted([*COMPASS, *OTHERS, *IMU], key=lambda change: change[0])),
+    "water": (water_vehicle, 3.0, sorted([*COMPASS, *WATER], key=lambda change: change[0])),
     "reckoning": (reckoning_vehicle, 9.0, sorted([*VELOCITY, *(c for c in OTHERS if c[1] in ("gps", "depth"))], key=lambda c: c[0])),
 }
 
