@@ -6,8 +6,10 @@ from functools import cache
 import numpy as np
 import pytest
 from scipy.stats import chi2
+from test_history import events_of, feed
 
 import navfilter as nf
+from navfilter.rivals import learnable
 from navfilter.simulation.faults import Faults
 from navfilter.simulation.manoeuvres import ChangeSpeed, Lawnmower, Wait
 from navfilter.simulation.motion import Motion
@@ -106,3 +108,35 @@ def test_alignment_does_not_take_the_water_for_the_ground():
     turned = nf.Vehicle(vehicle.drive, dict(reversed(vehicle.sensors.items())))
     plain = replace(mission, start=None)
     assert nf.align(turned, plain) == nf.align(vehicle.without("water"), plain)
+
+
+def test_late_and_restored_water_tracks_are_in_order(tmp_path):
+    """Readings through the water up to 1.5 s late, and a snapshot half-way, give what arrival in order gives."""
+    vehicle, mission = simulate_scenario("water-track", 4, 60.0)
+    events = events_of(mission, vehicle)
+    rng = np.random.default_rng(1)
+    arrival = [t + (rng.uniform(0.0, 1.5) if name == "water" else 0.0) for t, name, _ in events]
+    late = [events[i] for i in np.argsort(arrival, kind="stable")]
+    ordered, mixed = nf.Navigator(vehicle, mission.start), nf.Navigator(vehicle, mission.start)
+    feed(ordered, events)
+    outcomes = [outcome.status for outcome in feed(mixed, late[:4000])]
+    assert outcomes.count("late-replayed") > 50
+    mixed.snapshot(tmp_path / "state.nav")
+    restored = nf.Navigator.restore(vehicle, tmp_path / "state.nav")
+    for nav in (mixed, restored):
+        feed(nav, late[4000:])
+    for name in ("_nav", "_x", "_P"):
+        np.testing.assert_array_equal(getattr(restored, name), getattr(mixed, name), err_msg=name)
+        np.testing.assert_allclose(getattr(mixed, name), getattr(ordered, name), rtol=1e-9, atol=1e-9)
+
+
+def test_others_learn_beside_it():
+    """What is learnt and compared leaves the log alone; to ask for it is refused with a reason."""
+    vehicle, mission = simulate_scenario("water-track", 1, 120.0)
+    assert "water" not in learnable(vehicle, mission)
+    with pytest.raises(ValueError, match="the current hides in it"):
+        vehicle.with_error(water=nf.LearnedArma())
+    learning = vehicle.with_error(compass=nf.LearnedArma(prior=vehicle.sensors["compass"].error, window=400, hop=100))
+    nav = nf.Navigator(learning, mission.start)
+    feed(nav, events_of(mission, learning))
+    assert nav.counts["adopted"] > 0 and abs(nav.errors["water.current_north"]) < 0.4
