@@ -73,6 +73,7 @@ class Channel:
         self.white = self.R + self.lever
         first = group.start - 9
         self.parameters = slice(first + group.errors, first + group.size)
+        self.moves = isinstance(sensor, BodyVelocity)
         self.turns = isinstance(sensor, BodyVelocity) and any(sensor.lever_arm_b_m)
         self.last_s = self.ticked_s = -math.inf
         self.rejected_since_s = math.nan

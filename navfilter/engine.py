@@ -22,6 +22,8 @@ from navfilter.vehicle import Vehicle
 __all__ = ["Engine", "Memory", "Outcome"]
 
 Array = NDArray[np.float64]
+#: Beyond this variance of the heading [rad^2] a body velocity is taken with its second-order term.
+UNSURE_HEADING = 0.01
 CODES = {name: code for code, name in enumerate(OUTCOMES)}
 
 
@@ -233,6 +235,9 @@ class Engine:
             self._body_rate()
         channel.kernel(z, nav, self._rate, x[channel.parameters], channel.constants, channel.near, channel.res)
         channel.R[:] = channel.white if sd is None else channel.lever + np.eye(channel.sensor.axes) * np.square(np.ravel(sd))
+        if channel.moves and P[8, 8] > UNSURE_HEADING:
+            # second-order term of a velocity seen from a heading that is hardly known (Gelb, 1974, sec. 6.1)
+            channel.R[range(3), range(3)] += 0.5 * (nav[3] ** 2 + nav[4] ** 2) * P[8, 8] ** 2
         kalman.update(P, nav, x, channel.C, channel.R, channel.mem, channel.dims, channel.limits)
         nis, dof, used = channel.verdict.tolist()
         widened = False

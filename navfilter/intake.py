@@ -133,7 +133,7 @@ class Intake:
         if stamp - before <= self.LONGEST_S and not righted:
             return 0.0
         self.counts["clock-set"] += 1
-        return -self.offset_s if righted else before + self._period_s - stamp
+        return -self.offset_s if righted else before + 2.0 * self._period_s - stamp
 
     def _set_back(self, stamp: float, before: float) -> float:
         """What to add to a stamp that does not rise: NaN until a quarter of a second of them in order shows that the clock was set back."""
@@ -143,7 +143,8 @@ class Intake:
         if not math.isfinite(stamp) or self._back_count < self._confirm or before - stamp < 2.0 * self._period_s:
             return math.nan
         self.counts["clock-set"] += 1
-        return before + self._period_s - stamp
+        # what was dropped until here took its time: it counts as a gap
+        return before + self._back_count * self._period_s - stamp
 
     def _repair(self, values: Array, bad: NDArray[np.bool_], drv: Array, at_rest: Callable[[], Array]) -> None:
         """Replace samples with impossible values by the last good one; before the first sample by those of a vehicle that keeps still."""

@@ -91,7 +91,7 @@ class Imu(Mechanisation):
     gyro: ErrorModel | tuple[ErrorModel, ...] = GYRO_PRIOR
     accel: ErrorModel | tuple[ErrorModel, ...] = ACCEL_PRIOR
     increments: bool = False
-    gap_rate_sd: float = 0.1
+    gap_rate_sd: float = 0.2
     gap_force_sd: float = 0.3
     max_rate: float = 50.0
     max_force: float = 1000.0

@@ -28,6 +28,7 @@ SOMIGLIANA = math.sqrt(1.0 - EARTH_E2) * GRAVITY_POLE / GRAVITY_EQUATOR - 1.0
 # Places in drv. Memory: previous sample (6), increments consumed by holds since (6), their seconds, mean attitude of the last step,
 # sums and squares for the detection of rest. Settings: the rest.
 PREVIOUS, CONSUMED, HELD_S, STARTED, MEAN_C, COUNT, SUMS, SQUARES = 0, 6, 12, 13, 14, 23, 24, 30
+GAP_TILT = 0.1  # rad
 PERIOD_S, INCREMENTS, GAP_RATE_SD, GAP_FORCE_SD = 36, 37, 38, 39
 HOLD_DENSITY, DEVIATION, SCALE, DECLINATION, LEVER, MOUNTING, LEVER_VELOCITY, PREVIOUS_RPY = 40, 41, 42, 43, 44, 47, 56, 59
 MAX_SPEED, ZERO_IS_VALID = 62, 63
@@ -294,7 +295,9 @@ def _inertial_noise(dt, drv, Cr, acc, m):
     for a in range(3):
         angle, speed = Cr[a, k] * drv[PERIOD_S] * span, Cr[3 + a, k] * drv[PERIOD_S] * span
         if gap:
-            angle += (drv[GAP_RATE_SD] * dt) ** 2
+            # about x and y a vehicle comes back to where it was: what it tilts by is bounded, what it turns by is not
+            unseen = drv[GAP_RATE_SD] * dt
+            angle += unseen * unseen if a == 2 else min(unseen, GAP_TILT) ** 2
             speed += (drv[GAP_FORCE_SD] * dt) ** 2
         for i in range(3):
             for j in range(3):
