@@ -33,8 +33,8 @@ class Outcome(NamedTuple):
     Attributes
     ----------
     status : str
-        "used", "rejected" (by the gate), "invalid", "duplicate", "late-replayed" (used, in its place in time), "too-late", "ahead" (no drive
-        sample for too long) or "unknown-sensor".
+        "used", "rejected" (by the gate), "invalid", "duplicate", "late-replayed" (used, in its place in time), "too-late", "ahead"
+        (no drive sample for too long) or "unknown-sensor".
     nis : float
         Normalised innovation squared; NaN when it was not formed.
     dof : int
