@@ -39,6 +39,8 @@ __all__ = ["Channel", "ChannelSeries", "Listener"]
 
 Array = NDArray[np.float64]
 GRAVITY = 9.81
+#: A model whose S(0) is uncertain by more than this many powers of e is not adopted: the drift hides its low frequencies.
+UNOBSERVABLE = 3.0
 #: A sample so many robust deviations from its neighbours is a spike.
 SPIKE = 8.0
 #: S(0) is averaged over so many hops: two windows.
@@ -258,7 +260,8 @@ class Listener:
             part = learned_part(model)
             if part is not None and learner is not None:
                 found = learner.hop(self.series(axis, part.window + newest, newest))
-                if "starting" not in found.flags and found.is_stable and found.is_invertible:
+                known = "starting" not in found.flags and (found.sd_log_s0 or 0.0) <= UNOBSERVABLE
+                if known and found.is_stable and found.is_invertible:
                     levels[axis] = (*levels[axis], zero_frequency(found))[-HOPS_REMEMBERED:]
                     found = steadied(found, levels[axis])
                     model = with_learned(model, replace(part, model=found))
