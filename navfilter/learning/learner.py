@@ -29,9 +29,9 @@ CYCLES = 10.0
 HOPS = 2
 KEPT_FLAGS = ("capped", "starting")
 # Scoring passes of a first estimate (while young; later, in its turn), of the order in use, and of a challenger.
-COLD, TURN, OWN, OTHER = 20, 5, 2, 1
+COLD, TURN, OWN, OTHER = 20, 3, 2, 1
 # A candidate this far behind by BIC, or larger than the order in use by more parameters than this, has rarer turns.
-FAR, REACH = 100.0, 4
+FAR, REACH = 100.0, 2
 # Orders that exceed a good one by more parameters than this wait for their turn.
 BEYOND = 2
 
