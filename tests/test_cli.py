@@ -11,7 +11,7 @@ from navfilter import cli, playback
 from navfilter.cli import main
 from navfilter.io import read_mission, read_vehicle, write_vehicle
 
-COMMANDS = ("demo", "replay", "compare", "simulate", "check", "warmup", "vehicle")
+COMMANDS = ("demo", "replay", "run", "compare", "montecarlo", "identify", "simulate", "check", "vehicle", "warmup")
 OUTPUTS = {"report.html", "summary.json", "track.csv", "track.tum", "truth.tum", "track.geojson"}
 
 
