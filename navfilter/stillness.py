@@ -169,7 +169,7 @@ class Stillness:
         self.due = self.cursor + min(max(self.hop, self.cursor // 2), self._longest_hop)
         new, levels = list(self.models), list(self.levels)
         for axis, learner in enumerate(self.learners):
-            part = learned_part(self.models[axis])
+            part = learning_part(self.models[axis])
             if part is None or learner is None:
                 continue
             # the newest block may still change by a reading that comes late

@@ -1,5 +1,6 @@
 """Error models of gyros and accelerometers, learnt while the vehicle stands still."""
 
+import dataclasses
 import itertools
 import lzma
 import math
@@ -14,6 +15,8 @@ from navfilter.arma.algebra import add_arma
 from navfilter.arma.model import ArmaModel
 from navfilter.channels import _drift
 from navfilter.error_models import RandomWalk, Sum
+from navfilter.io.vehicle_toml import write_vehicle
+from navfilter.io.write import learned_vehicle
 from navfilter.learned import DEFAULT_ORDERS, learned_part, zero_frequency
 from navfilter.learning.channel import Drift
 from navfilter.learning.learner import Learner
@@ -57,7 +60,7 @@ def run(vehicle, samples, start=START):
 
 def in_force(nav):
     """The learnt models of the six axes; None where the prior still is."""
-    return [learned_part(model).model for model in nav._in_force.drive.models]
+    return [getattr(learned_part(model), "model", None) for model in nav._in_force.drive.models]
 
 
 def band_power(model, edges):
@@ -537,3 +540,21 @@ def drifts(gyro):
     sensors = {"compass": nf.Heading(rate_hz=8), "dvl": nf.BodyVelocity(rate_hz=4), "gps": nf.Position(rate_hz=1)}
     vehicle = nf.Vehicle(imu=nf.Imu(rate_hz=RATE_HZ, gyro=gyro, accel=FORCE_WALK + nf.White(sd=FORCE_SD)), sensors=sensors)
     return [_drift(sensor, 0, vehicle, 0.0) for sensor in sensors.values()]
+
+
+def test_the_next_dive_begins_with_what_was_learnt(tmp_path):
+    """Through vehicle_learned.toml; a frozen model is not learnt again."""
+    staged = stage("gyro-thesis", motion="transit", duration_s=200.0)
+    mission, models = staged.mission(2), staged.vehicle.drive.models
+    vehicle = staged.vehicle.with_error(gyro=nf.LearnedArma(prior=models[0], window=1000))
+    track = nf.replay(vehicle, mission)
+    learnt = learned_vehicle(track)
+    again = nf.read_vehicle(write_vehicle(learnt, tmp_path / "vehicle_learned.toml"))
+    for axis in range(3):
+        one, two = learnt.drive.models[axis], again.drive.models[axis]
+        np.testing.assert_array_equal(one.block(PERIOD_S).Phi, two.block(PERIOD_S).Phi)
+        np.testing.assert_array_equal(one.block(PERIOD_S).Q, two.block(PERIOD_S).Q)
+    nav = nf.Navigator(again, mission.start)
+    assert nav._still is not None and all(model is not None for model in in_force(nav)[:3])
+    fixed = again.with_error(gyro=tuple(known(m) + dataclasses.replace(learned_part(m), frozen=True) for m in again.drive.models[:3]))
+    assert nf.Navigator(fixed, mission.start)._still is None
