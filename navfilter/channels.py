@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -61,7 +62,7 @@ class Channel:
         self.name, self.sensor, self.group = name, sensor, group
         self.kernel, self.constants = sensor.kernel, sensor.constants(start)
         self.period_s = 1.0 / sensor.rate_hz
-        self.limits = np.concatenate([[np.inf], chi2.ppf(sensor.gate_probability, np.arange(1, a + 1))])
+        self.limits = np.array(_limits(sensor.gate_probability, a))
         self.dims = np.array([a, n, m, b, group.start, group.errors, par])
         at = kalman.places(self.dims)
         self.places = np.array(at)
@@ -96,6 +97,12 @@ class Channel:
     @clock.setter
     def clock(self, values: tuple[float, float, float]) -> None:
         self.last_s, self.ticked_s, self.rejected_since_s = values
+
+
+@cache
+def _limits(probability: float, axes: int) -> tuple[float, ...]:
+    """Chi-square limits of the gate for 0 (never), 1, ... axes."""
+    return (math.inf, *chi2.ppf(probability, np.arange(1, axes + 1)).tolist())
 
 
 def usable(sd: ArrayLike, axes: int) -> bool:

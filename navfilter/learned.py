@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -101,10 +102,16 @@ class LearnedArma(ErrorModel):
             When there is neither.
         """
         if self.model is not None:
-            return register_block(self.model)
+            return self._register
         if self.prior is None:
             raise ValueError("LearnedArma needs a prior here: LearnedArma(prior=GaussMarkov(sd=..., tau_s=...)).")
         return self.prior.block(period_s)
+
+    @cached_property
+    def _register(self) -> Block:
+        # laying out the states asks for it some fifty times at each adoption
+        assert self.model is not None
+        return register_block(self.model)
 
     def __str__(self) -> str:
         if self.model is None:
