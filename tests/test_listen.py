@@ -181,11 +181,11 @@ def test_the_series_does_not_depend_on_what_is_believed_of_the_sensor(mems, moti
                 assert sd < bound * math.sqrt(claimed(channel, stride)) + own, (axis, spacing_s)
 
 
-def test_a_reading_that_is_missing_or_rejected_is_nan_in_the_series():
+def test_a_reading_that_is_missing_or_a_spike_is_nan_in_the_series():
     vehicle, mission = mission_of(False, "straight")
     stream = mission.streams["depth"]
     values, keep = stream.value.copy(), np.ones(len(stream), bool)
-    values[300] += 50.0  # rejected
+    values[300] += 50.0  # a spike
     keep[400:403] = False  # not there at all
     strict = nf.Vehicle(
         vehicle.drive, dict(vehicle.sensors) | {"depth": dataclasses.replace(vehicle.sensors["depth"], gate_probability=0.999999)}
