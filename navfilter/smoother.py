@@ -27,9 +27,8 @@ def smooth_rows(tape: Tape, store: Callable[[int, Array, Array, Array], None], p
     tape : Tape
         Of a run that wrote records (``smoothable=True``).
     store : callable(index, row, mean, covariance)
-        Called per row with the forward row (17 + (n - 9) + n^2 values for n error states), the smoothed correction to add to its state and the
-        covariance of what is left.
-        The arrays are work space: copy what is to stay.
+        Called per row with the forward row (17 + (n - 9) + n^2 values for n error states), the smoothed correction to add to its
+        state and the covariance of what is left. The arrays are work space: copy what is to stay.
     progress : callable(n), optional
         Called now and then with the number of records done.
 
