@@ -203,7 +203,9 @@ class Learner:
         if best is None:
             return self._unsure(likelihood, fits)
         now = fits.get(self._chosen) if self._chosen is not None else None
-        if now is not None and now is not best and not self._young and now.passes:
+        # one window in a hundred fails the gate by chance: that alone, without a lead by BIC, is no reason to leave an order
+        stays = now is not None and (now.passes or (not now.cancels and now.fit.bic <= best.fit.bic + LEAD))
+        if now is not None and now is not best and not self._young and stays:
             self._leads = self._leads + 1 if self._challenger == best.order else 1
             self._challenger = best.order
             better = now.fit.bic - best.fit.bic > LEAD or denies(now, best)
