@@ -158,7 +158,14 @@ class Learner:
         rest = out if out and (not near or self._turn % 4 == 3) else near
         turn = [rest[(self._turn // 4 if rest is out else self._turn) % len(rest)]] if rest else []
         self._turn += 1
-        return [self._chosen, *nearest, *turn]
+        # where nothing slow was found, look for it: by a pole and a zero more
+        wider = (self._chosen[0] + 1, self._chosen[1] + 1)
+        slow = [wider] if wider in others and wider not in (*nearest, *turn) and not self._has_slow_pole() else []
+        return [self._chosen, *nearest, *turn, *slow]
+
+    def _has_slow_pole(self) -> bool:
+        """Whether the last good model has a real pole in the right half of the circle."""
+        return self._good is None or any(abs(z.imag) < 1e-9 and z.real > 0.5 for z in self._good.poles)
 
     def _fit(self, likelihood: Likelihood, orders: list[Order]) -> dict[Order, Candidate]:
         fits: dict[Order, Candidate] = {}
@@ -173,7 +180,8 @@ class Learner:
                 continue
             else:
                 below = {k: c.point.theta for k, c in fits.items() if sum(k)}
-                some = likelihood.recent
+                # half a window hides the slow part that a first fit must not miss
+                some = likelihood if self._young else likelihood.recent
                 starts = grown_starts(some, below, *order) if below else cold_starts(some, *order)
                 found = fit_candidate(likelihood, order, starts, COLD if self._young else TURN)
             if found is not None:
