@@ -63,7 +63,8 @@ def test_everything_goes_wrong_that_should():
     mission = staged.mission(3)
     dvl, gps, truth = mission.streams["dvl"], mission.streams["gps"], mission.truth
     gaps = np.diff(dvl.time_s)
-    assert np.round(np.sort(gaps)[-3:]).tolist() == [15.0, 30.0, 60.0] and np.sort(gaps)[-4] < 0.3
+    # a loss ends between two pings of 0.25 s: the gap is up to two of them longer
+    assert np.all(np.abs(np.sort(gaps)[-3:] - [15.0, 30.0, 60.0]) <= 0.5 + 1e-9) and np.sort(gaps)[-4] < 0.3
     depth = -np.interp(gps.time_s, truth.time_s, truth.column("height_m"))
     assert depth.max() < 0.3 and gps.time_s[0] < 1.0 and gps.time_s[-1] > 1790.0 and np.diff(gps.time_s).max() > 1500.0
     yaw = np.interp(mission.streams["compass"].time_s, truth.time_s, np.unwrap(truth.column("yaw_rad")))
