@@ -180,8 +180,7 @@ class Learner:
                 continue
             else:
                 below = {k: c.point.theta for k, c in fits.items() if sum(k)}
-                # half a window hides the slow part that a first fit must not miss
-                some = likelihood if self._young else likelihood.recent
+                some = likelihood.recent
                 starts = grown_starts(some, below, *order) if below else cold_starts(some, *order)
                 found = fit_candidate(likelihood, order, starts, COLD if self._young else TURN)
             if found is not None:
@@ -211,8 +210,9 @@ class Learner:
         if best is None:
             return self._unsure(likelihood, fits)
         now = fits.get(self._chosen) if self._chosen is not None else None
-        # one window in a hundred fails the gate by chance: that alone, without a lead by BIC, is no reason to leave an order
-        stays = now is not None and (now.passes or (not now.cancels and now.fit.bic <= best.fit.bic + LEAD))
+        # one window in a hundred fails the gate by chance: that alone, without a lead by BIC, is no reason for a larger order
+        held = best is not None and now is not None and sum(best.order) > sum(now.order) and now.fit.bic <= best.fit.bic + LEAD
+        stays = now is not None and (now.passes or (held and not now.cancels))
         if now is not None and now is not best and not self._young and stays:
             self._leads = self._leads + 1 if self._challenger == best.order else 1
             self._challenger = best.order
