@@ -45,23 +45,27 @@ class History:
         self.engine, self.length_s = engine, length_s
         self._marks: list[tuple[float, int, Memory]] = []  # time, number of the next input, what the engine remembered
         self._log: list[Array | Reading] = []
+        self._shifts: list[float] = []  # by how much the stamps of each input were moved when it came
         self._first = 0  # number of the first input in the log
         self.replayed_s = 0.0
 
     def feed(self, item: Array | Reading) -> Outcome | None:
         """Give samples (rows of time and six values) or a reading to the engine, and keep them."""
         self._mark()
+        shift = self.engine.intake.offset_s
         if isinstance(item, np.ndarray):
             self._log.append(item.copy())
+            self._shifts.append(shift)
             self.engine.advance(item)
             return None
         outcome = self.engine.take(self.engine.channel(item.name), *item[1:])
         self._log.append(item)  # behind: the engine may have begun this history anew
+        self._shifts.append(shift)
         return outcome
 
     def begin(self) -> None:
         """Forget everything: the engine starts anew."""
-        self._marks, self._log, self._first = [], [], 0
+        self._marks, self._log, self._shifts, self._first = [], [], [], 0
 
     def _mark(self) -> None:
         now = self.engine.time_s
@@ -74,7 +78,7 @@ class History:
         if old:
             del self._marks[:old]
             number = self._marks[0][1]
-            del self._log[: number - self._first]
+            del self._log[: number - self._first], self._shifts[: number - self._first]
             self._first = number
 
     def late(self, reading: Reading) -> Outcome | None:
@@ -88,13 +92,12 @@ class History:
         if any(isinstance(i, Reading) and i.name == reading.name and i.time_s == reading.time_s for i in self._log):
             return Outcome("duplicate")
         _, number, memory = self._marks[at]
-        again = self._log[number - self._first :]
+        again, shifts = self._log[number - self._first :], self._shifts[number - self._first :]
         self.replayed_s += self.engine.time_s - memory.clock[0]
-        offset_s = self.engine.intake.offset_s
-        del self._log[number - self._first :], self._marks[at:]
+        del self._log[number - self._first :], self._shifts[number - self._first :], self._marks[at:]
         self.engine.recall(memory)
         result: Outcome | None = None
-        for item in _in_place(again, reading, offset_s, list(self.engine.vehicle.sensors)):
+        for item in _in_place(again, shifts, reading, list(self.engine.vehicle.sensors)):
             outcome = self.feed(item)
             if item is reading:
                 result = outcome
@@ -107,11 +110,11 @@ class History:
         return self._marks[0][2], list(self._log)
 
 
-def _in_place(items: list[Array | Reading], reading: Reading, offset_s: float, order: list[str]) -> list[Array | Reading]:
+def _in_place(items: list[Array | Reading], shifts: list[float], reading: Reading, order: list[str]) -> list[Array | Reading]:
     """The inputs with a reading put where its time says, among those of the same time in the vehicle's order, as a replay has it."""
     before: list[Array | Reading] = []
     after: list[Array | Reading] = []
-    for item in items:
+    for item, offset_s in zip(items, shifts, strict=True):
         if isinstance(item, Reading):
             first = (item.time_s, order.index(item.name)) < (reading.time_s, order.index(reading.name))
             (before if first else after).append(item)
