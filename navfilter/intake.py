@@ -68,6 +68,11 @@ class Intake:
         self.offset_s = 0.0
 
     @property
+    def in_doubt(self) -> bool:
+        """Whether the last samples came with stamps that lie back: until that is settled, nobody can say what is late."""
+        return self._back_count > 1
+
+    @property
     def clock(self) -> tuple[float, ...]:
         """What it remembers."""
         return self.before_s, self._doubtful_s, self._back_s, float(self._back_count), self.offset_s, float(self._bad)

@@ -159,6 +159,8 @@ class Navigator(Standing):
         overtaken = any(self._channels[name].last_s == reading.time_s for name in self._behind[reading.name])
         if not (reading.time_s < self._time_s - 1e-7 or overtaken):
             outcome = history.feed(reading)
+        elif self.intake.in_doubt:
+            return Outcome("too-late")
         else:
             outcome = history.late(reading)
             if outcome is None:

@@ -177,7 +177,9 @@ def _look(nav: Navigator, last: Event, outcome: Outcome) -> None:
     if smallest <= DEFINITE and outcome.not_definite_s is None:
         outcome.not_definite_s = last.true_s
     stamp = last.time_s if isinstance(last.time_s, float) else math.nan
-    outcome.states.append((last.true_s + (state.time_s - stamp if abs(state.time_s - stamp) < 2.0 else 0.0), state))
+    # a clock that was set moves the stamps, not the instant
+    ahead = state.time_s - nav.intake.offset_s - stamp
+    outcome.states.append((last.true_s + (ahead if abs(ahead) < 2.0 else 0.0), state))
 
 
 def truth_at(truth: Stream, time_s: float) -> NavState:
