@@ -187,7 +187,7 @@ class Learning(Engine):
     def adopt(self, name: str, error: ErrorModel | tuple[ErrorModel, ...]) -> None:
         """Put other error models of one sensor in force, now.
 
-        The states follow without a jump: see `navfilter.learned.transfer`. What was adopted goes on the tape.
+        The states follow without a jump: see `navfilter.adoption.transfer`. What was adopted goes on the tape.
 
         Parameters
         ----------
