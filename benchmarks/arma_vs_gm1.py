@@ -50,14 +50,14 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, RotationSpline
 
 import navfilter as nf
-from navfilter.comparison import compare
 from navfilter.error_models import Sum
+from navfilter.evaluation.comparison import compare
+from navfilter.evaluation.rivals import learnable, rivals
 from navfilter.io import read_mission, read_vehicle
-from navfilter.learned import LearnedArma, cautious, known_white
+from navfilter.learning.learned import LearnedArma, cautious, known_white
 from navfilter.learning.learner import Learner
 from navfilter.mission import Mission, Stream
 from navfilter.playback import replay, residual_series
-from navfilter.rivals import learnable, rivals
 from navfilter.simulation.earth import frame_rates, gravity
 from navfilter.simulation.faults import draw_error
 from navfilter.simulation.presets import tactical_imu
@@ -66,7 +66,7 @@ from navfilter.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 MODELS = ("white", "gm1", "gm1-fitted", "vehicle", "arma")
-#: Rows of the table that `navfilter.rivals` does not know.
+#: Rows of the table that `navfilter.evaluation.rivals` does not know.
 HURRIED, FITTED = "arma-hurried", "arma-fitted"
 BASELINE = "gm1-fitted"
 #: Correcting sensors that are real and not withheld: only their error models differ.

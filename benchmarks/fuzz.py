@@ -611,7 +611,7 @@ def child(name: str, inputs: int, seed: int, keep: Path | None, path: Path) -> N
     with tempfile.TemporaryDirectory() as folder:
         target = targets(Path(folder), [name])[0]
         for module in [
-            m for n, m in sys.modules.items() if n.startswith(("navfilter.io", "navfilter.snapshot", "navfilter.service", "tomllib"))
+            m for n, m in sys.modules.items() if n.startswith(("navfilter.io", "navfilter.filter.snapshot", "navfilter.service", "tomllib"))
         ]:
             instrument(module, module.__name__)
         corpus = Path(folder, "corpus")

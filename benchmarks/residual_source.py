@@ -13,8 +13,9 @@ given to all, the coefficients not), and the whole mission is replayed with that
 | joint | reading minus open-loop prediction, fitted beside drift states of known noise: what navfilter does |
 | oracle | (the true model) |
 
-The driving variance of all fitted models is raised alike by what is not known of S(0), as the filter does (`navfilter.learned.cautious`);
-the S(0) printed is that before. Printed: power at zero frequency identified over true, median and 10-90 % of the seeds; rms of the
+The driving variance of all fitted models is raised alike by what is not known of S(0), as the filter does
+(`navfilter.learning.learned.cautious`); the S(0) printed is that before.
+ Printed: power at zero frequency identified over true, median and 10-90 % of the seeds; rms of the
 heading error; NEES of the heading (1 is honest).
 
 The second table is for the other sensors, by the joint way only: S(0), and the largest factor, over all frequencies that the series holds
@@ -38,10 +39,10 @@ from numpy.typing import NDArray
 
 import navfilter as nf
 from navfilter.arma.model import ArmaModel
-from navfilter.channels import ChannelSeries
 from navfilter.error_models import ErrorModel
-from navfilter.learned import block_level, cautious, zero_frequency
-from navfilter.learning.channel import Drift, fit_channel
+from navfilter.learning.fit import Drift, fit_channel
+from navfilter.learning.learned import block_level, cautious, zero_frequency
+from navfilter.learning.listener import ChannelSeries
 from navfilter.mission import Mission, Stream
 from navfilter.playback import residual_series
 from navfilter.simulation.campaigns import Staged, stage

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from navfilter.error_models import ErrorModel, RandomWalk, Sum, White, per_axis
 from navfilter.kernels import strapdown
-from navfilter.learned import learned_part
+from navfilter.learning.learned import learned_part
 from navfilter.sensors import BodyVelocity, Heading, WaterVelocity
 from navfilter.start import Start
 
@@ -75,7 +75,7 @@ class Imu(Mechanisation):
         Sampling rate [Hz].
     gyro, accel : ErrorModel or tuple of three
         Errors of the angular rate [rad/s] and of the specific force [m/s^2]. A `LearnedArma` is learnt while the vehicle stands still
-        (`navfilter.stillness.Stillness`), beside a bias: a `RandomWalk`, that of the default where none is given.
+        (`navfilter.learning.rest.Stillness`), beside a bias: a `RandomWalk`, that of the default where none is given.
     increments : bool
         Samples are angle and velocity increments [rad], [m/s] instead of rates.
     gap_rate_sd, gap_force_sd : float

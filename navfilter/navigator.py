@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from navfilter import snapshot as snapshots
-from navfilter.engine import Outcome
-from navfilter.health import Health, Watch
-from navfilter.history import History, Reading
-from navfilter.standing import Standing
+from navfilter.filter import snapshot as snapshots
+from navfilter.filter.filter import Outcome
+from navfilter.filter.health import Health, Watch
+from navfilter.filter.history import History, Reading
+from navfilter.filter.tape import Tape
+from navfilter.learning.standing import Standing
 from navfilter.start import Start
 from navfilter.state import NavState
-from navfilter.tape import Tape
 from navfilter.vehicle import Vehicle
 
 __all__ = ["Navigator", "Outcome"]
@@ -95,9 +95,9 @@ class Navigator(Standing):
 
         Notes
         -----
-        Samples that do not come after the last one are dropped, and so is a single stamp far ahead (`navfilter.intake.Intake`); a sample
-        with a NaN or an impossible value repeats the one before (an invalid DVL velocity is held, with growing uncertainty). All are
-        counted in `counts`, like gaps of more than three periods.
+        Samples that do not come after the last one are dropped, and so is a single stamp far ahead (`navfilter.filter.intake.Intake`);
+        a sample with a NaN or an impossible value repeats the one before (an invalid DVL velocity is held, with growing uncertainty).
+        All are counted in `counts`, like gaps of more than three periods.
         """
         try:
             if isinstance(time_s, float) and len(first) == 3 == len(second):

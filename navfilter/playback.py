@@ -12,18 +12,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.alignment import align
-from navfilter.channels import ChannelSeries, kind_of
 from navfilter.error_models import GaussMarkov
-from navfilter.learned import LearnedArma
+from navfilter.filter.smoother import smooth_rows
+from navfilter.filter.tape import Tape
+from navfilter.learning.learned import LearnedArma
+from navfilter.learning.listener import ChannelSeries, kind_of
+from navfilter.learning.refit import change, learning_sensors, refitted
 from navfilter.mechanisation import DeadReckoning
 from navfilter.mission import Mission
 from navfilter.navigator import Navigator
-from navfilter.refit import change, learning_sensors, refitted
 from navfilter.sensors import ZeroVelocity
-from navfilter.smoother import smooth_rows
 from navfilter.start import Start
 from navfilter.state import euler_from_matrix, rotation_matrix
-from navfilter.tape import Tape
 from navfilter.track import Track
 from navfilter.vehicle import Vehicle
 
@@ -108,7 +108,8 @@ def identified(
     start : Start, optional
         As in `replay`.
     report : callable, optional
-        Called after each round with its number and the change since the round before (`navfilter.refit.change`; infinite in the first).
+        Called after each round with its number and the change since the round before (`navfilter.learning.refit.change`; infinite in the
+        first).
 
     Returns
     -------
@@ -367,7 +368,7 @@ def residual_series(
 
 def warm_up() -> None:
     """Compile every kernel of navigator, smoother and learners by running tiny missions (half a minute the first time, then cached)."""
-    from navfilter.learning.channel import Drift
+    from navfilter.learning.fit import Drift
     from navfilter.learning.learner import Learner
     from navfilter.simulation.simulate import tiny_missions
 

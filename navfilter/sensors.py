@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from navfilter.error_models import ErrorModel, GaussMarkov, White, per_axis
 from navfilter.kernels import measurement
-from navfilter.learned import learning_part, resolve_prior
+from navfilter.learning.learned import learning_part, resolve_prior
 from navfilter.start import Start
 from navfilter.state import matrix_from_euler
 

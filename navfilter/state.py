@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from navfilter.health import Health
+from navfilter.filter.health import Health
 from navfilter.kernels import strapdown
 
 __all__ = ["NavState", "euler_from_matrix", "matrix_from_euler", "rotation_matrix", "rotation_vector", "wrap"]

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from navfilter.filter.tape import Residuals
 from navfilter.kernels import strapdown
-from navfilter.learned import LearnedArma, learned_part, zero_frequency
+from navfilter.learning.learned import LearnedArma, learned_part, zero_frequency
 from navfilter.mission import Stream
 from navfilter.state import matrix_from_euler, rotation_vector, wrap
-from navfilter.tape import Residuals
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -64,7 +64,7 @@ class Outcome:
     smallest : float
         Smallest eigenvalue of the covariance scaled to a unit diagonal, over the run.
     counts : Counter
-        By "role:outcome", "drive:counter", and seconds of "role is condition" (see `navfilter.health`).
+        By "role:outcome", "drive:counter", and seconds of "role is condition" (see `navfilter.filter.health`).
     sent, answered : int
         Readings handed in, and outcomes that came back for them.
     states : list of (float, NavState)

@@ -8,11 +8,11 @@ from scipy.linalg import solve_discrete_lyapunov
 from scipy.signal import lfilter
 
 import navfilter as nf
-from navfilter import learned as learning
-from navfilter.adoption import state_change, transfer
 from navfilter.arma.model import ArmaModel
-from navfilter.layout import Layout
-from navfilter.learned import (
+from navfilter.filter.adoption import state_change, transfer
+from navfilter.filter.layout import Layout
+from navfilter.learning import learned as learning
+from navfilter.learning.learned import (
     LARGEST_SPREAD,
     LearnedArma,
     known_walk,
@@ -345,8 +345,8 @@ def test_what_is_known_beside_the_learnt_part():
 @pytest.mark.parametrize("smooth", [False, True])
 def test_states_that_appear_and_vanish_are_nan_on_the_track(smooth):
     """state_names is the union over time, each sensor's states together; a state that does not exist is NaN, never a stale number."""
+    from navfilter.filter.tape import Tape
     from navfilter.playback import _smoothed, _track
-    from navfilter.tape import Tape
 
     vehicle = nf.Vehicle(
         imu=nf.Imu(rate_hz=20.0),

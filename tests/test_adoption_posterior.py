@@ -20,9 +20,9 @@ from test_posterior import (
 )
 
 import navfilter as nf
-from navfilter import underway
 from navfilter.arma.model import ArmaModel
-from navfilter.learned import LearnedArma
+from navfilter.learning import schedule as underway
+from navfilter.learning.learned import LearnedArma
 
 
 class Changing(Capture):

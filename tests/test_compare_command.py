@@ -10,10 +10,10 @@ from navfilter.cli import main
 from navfilter.commands.compare import learning_ends
 from navfilter.error_models import Arma, GaussMarkov, Sum, White
 from navfilter.io import read_mission, read_vehicle, write_vehicle
-from navfilter.learned import LearnedArma, learned_part
+from navfilter.learning.learned import LearnedArma, learned_part
+from navfilter.learning.schedule import Learning
 from navfilter.playback import replay
 from navfilter.simulation.truth import true_vehicle
-from navfilter.underway import Learning
 
 MODELS = ("white", "gm1", "gm1-fitted", "arma", "oracle", "vehicle")
 

@@ -10,12 +10,12 @@ from small_run import small_run
 
 import navfilter as nf
 from navfilter.arma.model import ArmaModel
-from navfilter.consistency import chi_square_range, independent, innovation_series, shown_unit
 from navfilter.error_models import GaussMarkov
-from navfilter.learned import LearnedArma
+from navfilter.evaluation.consistency import chi_square_range, independent, innovation_series, shown_unit
+from navfilter.filter.tape import OUTCOMES, Residuals
+from navfilter.learning.learned import LearnedArma
 from navfilter.report.comparison_figures import adopted
 from navfilter.report.comparison_page import adopted_models, drawn, render_comparison
-from navfilter.tape import OUTCOMES, Residuals
 
 REJECTED = OUTCOMES.index("rejected")
 

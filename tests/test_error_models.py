@@ -9,7 +9,7 @@ from statsmodels.tsa.arima_process import ArmaProcess
 
 import navfilter as nf
 from navfilter.error_models import CORRELATION_CONSTANTS, per_axis
-from navfilter.layout import Layout
+from navfilter.filter.layout import Layout
 from navfilter.simulation.faults import draw_error
 
 

@@ -13,11 +13,11 @@ from navfilter.arma.model import ArmaModel
 from navfilter.cli import main
 from navfilter.io import read_vehicle, write_vehicle
 from navfilter.io.write import labelled, write_outputs
-from navfilter.learned import LearnedArma, block_level, learned_part, learning_part, zero_frequency
-from navfilter.learning.channel import Drift
+from navfilter.learning.fit import Drift
+from navfilter.learning.learned import LearnedArma, block_level, learned_part, learning_part, zero_frequency
 from navfilter.learning.learner import Learner
+from navfilter.learning.refit import change
 from navfilter.playback import SETTLED, identified, replay
-from navfilter.refit import change
 from navfilter.simulation.scenarios import survey_vehicle, transit
 from navfilter.simulation.simulate import simulate
 from navfilter.state import wrap

@@ -17,17 +17,17 @@ from test_live import in_blocks, one_by_one
 
 import navfilter as nf
 from navfilter.arma.model import ArmaModel
-from navfilter.learned import DEFAULT_ORDERS, block_level, learned_part, zero_frequency
-from navfilter.learning.channel import Drift
+from navfilter.evaluation.montecarlo.campaign import Campaign, run_seed
+from navfilter.evaluation.montecarlo.scores import SCORES
+from navfilter.learning.fit import Drift
+from navfilter.learning.learned import DEFAULT_ORDERS, block_level, learned_part, zero_frequency
 from navfilter.learning.learner import Learner
-from navfilter.montecarlo.campaign import Campaign, run_seed
-from navfilter.montecarlo.scores import SCORES
+from navfilter.learning.schedule import Learning
 from navfilter.simulation.campaigns import STUDIES, stage
 from navfilter.simulation.faults import Faults
 from navfilter.simulation.manoeuvres import Lawnmower
 from navfilter.simulation.scenarios import dive, survey_vehicle
 from navfilter.simulation.simulate import simulate
-from navfilter.underway import Learning
 
 DEG = np.pi / 180.0
 GYROS = ("tactical", "mems")

@@ -16,13 +16,13 @@ import pytest
 from scipy import stats
 
 from navfilter.cli import main
-from navfilter.montecarlo import campaign as campaigns
-from navfilter.montecarlo.campaign import Campaign, cluster, process_pool, run_campaign, run_seed
-from navfilter.montecarlo.figures import write_figures
-from navfilter.montecarlo.scores import CURVES, SCORES
-from navfilter.montecarlo.statistics import chi_square_band, mean_interval, ratio_interval, rms_interval, share_interval
-from navfilter.montecarlo.store import Store
-from navfilter.montecarlo.tables import ratios, rows, table, write_tables
+from navfilter.evaluation.montecarlo import campaign as campaigns
+from navfilter.evaluation.montecarlo.campaign import Campaign, cluster, process_pool, run_campaign, run_seed
+from navfilter.evaluation.montecarlo.figures import write_figures
+from navfilter.evaluation.montecarlo.scores import CURVES, SCORES
+from navfilter.evaluation.montecarlo.statistics import chi_square_band, mean_interval, ratio_interval, rms_interval, share_interval
+from navfilter.evaluation.montecarlo.store import Store
+from navfilter.evaluation.montecarlo.tables import ratios, rows, table, write_tables
 
 SMALL = Campaign("compass-gm1-white", duration_s=100.0, score_from_s=40.0, imu_rate_hz=20.0)
 MODELS, SEEDS = ("vehicle", "gm1-fitted", "oracle"), (3, 4, 5)
@@ -235,8 +235,8 @@ def test_files_say_the_same_as_the_results(small, tmp_path):
 
 def test_scores_are_those_of_the_track(small):
     """Against `Track.summary`, which goes another way."""
+    from navfilter.evaluation.rivals import rivals
     from navfilter.playback import replay
-    from navfilter.rivals import rivals
 
     staged = SMALL.staged
     mission = staged.mission(4)

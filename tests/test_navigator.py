@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import navfilter as nf
-from navfilter.smoother import smooth_rows
-from navfilter.tape import OUTCOMES
+from navfilter.filter.smoother import smooth_rows
+from navfilter.filter.tape import OUTCOMES
 
 DEG = np.pi / 180.0
 START = nf.Start(latitude_deg=40.0, longitude_deg=-70.0, heading_deg=30.0, velocity_n=(1.3, 0.75, 0.0), tilt_sd_deg=0.5, heading_sd_deg=3.0)
@@ -359,7 +359,7 @@ def test_blocks_and_single_samples_agree_bit_for_bit(build):
 
 @pytest.mark.parametrize("build", VEHICLES.values(), ids=VEHICLES.keys())
 def test_a_spooled_tape_smooths_to_the_same_bits_and_thinning_changes_nothing(build, monkeypatch):
-    monkeypatch.setattr("navfilter.tape.Spool.CHUNK", 1 << 11)  # 16 KiB, so that a short run has many chunks
+    monkeypatch.setattr("navfilter.filter.tape.Spool.CHUNK", 1 << 11)  # 16 KiB, so that a short run has many chunks
     results = []
     for memory_bytes, rate in ((1 << 30, None), (0, None), (0, 2.0)):
         tape = nf.Tape(output_rate_hz=rate, memory_bytes=memory_bytes)

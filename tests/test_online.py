@@ -7,7 +7,7 @@ from scipy.signal import lfilter
 
 from navfilter.arma.fit import fit_arma
 from navfilter.arma.model import simulate_arma
-from navfilter.arma.online import RecursiveArma
+from navfilter.arma.online.recursive import RecursiveArma
 
 NON_SPR = ([0.9, 0.95], [1.5, 0.75])
 MODELS = {

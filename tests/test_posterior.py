@@ -15,9 +15,9 @@ from filterpy.kalman import KalmanFilter
 from scipy.linalg import block_diag
 
 import navfilter as nf
-from navfilter import engine
+from navfilter.filter import filter as engine
+from navfilter.filter.smoother import smooth_rows
 from navfilter.kernels import kalman
-from navfilter.smoother import smooth_rows
 
 DEG = np.pi / 180.0
 ARMA = {"ar": (-1.6, 0.7), "ma": (0.4, 0.1)}

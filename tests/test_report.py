@@ -17,12 +17,12 @@ from scipy.stats import chi2
 from small_run import small_run
 
 import navfilter
+from navfilter.filter.tape import OUTCOMES, Residuals
 from navfilter.io.write import summarise
 from navfilter.report import figures
 from navfilter.report.drawing import broken, envelope, extremes, style, svg
 from navfilter.report.report import headline_table, render_report, sensor_table, write_report
 from navfilter.report.state_figures import shown_states, states_figure
-from navfilter.tape import OUTCOMES, Residuals
 
 
 def images(page):

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 import navfilter as nf
-from navfilter import rivals as module
 from navfilter.arma.model import simulate_arma
-from navfilter.channels import ChannelSeries
 from navfilter.error_models import Sum
-from navfilter.learned import LearnedArma
-from navfilter.learning.channel import Drift
+from navfilter.evaluation import rivals as module
+from navfilter.evaluation.rivals import LEAST, MODELS, learnable, rival, rivals
+from navfilter.learning.fit import Drift
+from navfilter.learning.learned import LearnedArma
+from navfilter.learning.listener import ChannelSeries
 from navfilter.mission import Mission, Stream
-from navfilter.rivals import LEAST, MODELS, learnable, rival, rivals
 
 PERIOD = 0.125
 PRIOR = nf.GaussMarkov(sd=0.02, tau_s=5.0)

@@ -18,11 +18,11 @@ from navfilter.check.description import describe_error, describe_vehicle, zero_f
 from navfilter.check.plausibility import check_vehicle
 from navfilter.cli import main
 from navfilter.error_models import Arma, ErrorModel, GaussMarkov, RandomWalk, White
+from navfilter.filter.layout import Layout
 from navfilter.io import read_vehicle
 from navfilter.io.vehicle_template import DRIVES, vehicle_template
 from navfilter.io.vehicle_toml import _concrete, _kebab
-from navfilter.layout import Layout
-from navfilter.learned import LearnedArma
+from navfilter.learning.learned import LearnedArma
 from navfilter.mechanisation import DeadReckoning, Imu
 from navfilter.sensors import BodyVelocity, Depth, Heading, Position, Sensor, WaterVelocity, ZeroVelocity
 from navfilter.simulation.scenarios import SCENARIOS, simulate_scenario

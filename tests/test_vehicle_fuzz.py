@@ -18,7 +18,7 @@ from navfilter.error_models import Arma, GaussMarkov, RandomWalk, White
 from navfilter.io import VehicleError, read_mission, read_vehicle, write_vehicle
 from navfilter.io.json_lines import BAD_KINDS, BadLine, LineParser, Reading
 from navfilter.io.vehicle_template import DRIVES, vehicle_template
-from navfilter.learned import LearnedArma
+from navfilter.learning.learned import LearnedArma
 from navfilter.mechanisation import DeadReckoning, Imu
 from navfilter.mission import MissionError
 from navfilter.navigator import Navigator

@@ -11,7 +11,7 @@ from navfilter.arma.model import ArmaModel
 from navfilter.error_models import Arma, GaussMarkov, RandomWalk, White
 from navfilter.io import VehicleError, read_vehicle, write_vehicle
 from navfilter.io.write import labelled, write_outputs
-from navfilter.learned import LearnedArma, learned_part
+from navfilter.learning.learned import LearnedArma, learned_part
 from navfilter.mechanisation import DeadReckoning, Imu
 from navfilter.playback import replay
 from navfilter.sensors import BodyVelocity, Depth, Heading, Position, WaterVelocity, ZeroVelocity

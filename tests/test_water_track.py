@@ -9,7 +9,7 @@ from scipy.stats import chi2
 from test_history import events_of, feed
 
 import navfilter as nf
-from navfilter.rivals import learnable
+from navfilter.evaluation.rivals import learnable
 from navfilter.simulation.faults import Faults
 from navfilter.simulation.manoeuvres import ChangeSpeed, Lawnmower, Wait
 from navfilter.simulation.motion import Motion

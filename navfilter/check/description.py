@@ -10,8 +10,8 @@ import numpy as np
 
 from navfilter.check.amounts import amount, duration, root_density, walk
 from navfilter.error_models import Arma, Block, ErrorModel, GaussMarkov, RandomWalk, Sum, White
-from navfilter.layout import PARAMETER_UNITS, Layout
-from navfilter.learned import LearnedArma
+from navfilter.filter.layout import PARAMETER_UNITS, Layout
+from navfilter.learning.learned import LearnedArma
 from navfilter.mechanisation import Imu
 
 if TYPE_CHECKING:

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 from navfilter.check.amounts import amount, duration, root_density
 from navfilter.check.finding import Finding
 from navfilter.error_models import Arma, ErrorModel, GaussMarkov, RandomWalk, Sum, White
-from navfilter.layout import Layout
-from navfilter.learned import LearnedArma
+from navfilter.filter.layout import Layout
+from navfilter.learning.learned import LearnedArma
 from navfilter.mechanisation import Imu
 from navfilter.sensors import BodyVelocity, Depth, Heading, Position, WaterVelocity, ZeroVelocity
 

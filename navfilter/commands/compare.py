@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from navfilter.commands.console import compile_first, output_folder, positive, speaker
 
 if TYPE_CHECKING:
-    from navfilter.comparison import Comparison
+    from navfilter.evaluation.comparison import Comparison
     from navfilter.mission import Mission
     from navfilter.track import Track
     from navfilter.vehicle import Vehicle
@@ -91,8 +91,8 @@ def _names(text: str) -> tuple[str, ...]:
 
 def run(options: argparse.Namespace) -> int:
     """Read, replay with every model, compare, write, print; 0 when all is well."""
+    from navfilter.evaluation.rivals import MODELS
     from navfilter.io import read_mission, read_vehicle
-    from navfilter.rivals import MODELS
 
     for name in options.models:
         if name not in MODELS:
@@ -128,7 +128,7 @@ class Plan:
     Attributes
     ----------
     models : sequence of str
-        Names, see `navfilter.rivals.rival`.
+        Names, see `navfilter.evaluation.rivals.rival`.
     sensors : sequence of str, optional
         Whose model is exchanged; default all with enough readings.
     truth : dict of str to ErrorModel or tuple of ErrorModel, optional
@@ -162,8 +162,8 @@ def replay_models(plan: Plan, vehicle: Vehicle, mission: Mission, quiet: bool = 
         By name of the model.
     """
     from navfilter.alignment import align
+    from navfilter.evaluation.rivals import rivals
     from navfilter.playback import replay
-    from navfilter.rivals import rivals
 
     say, bars = speaker(quiet), not quiet and sys.stderr.isatty()
     compile_first(quiet)
@@ -186,7 +186,7 @@ def compare_tracks(
 
     Where nothing could be fitted or learnt, so that a run kept the model of the vehicle file after all, the result says so.
     """
-    from navfilter.comparison import compare
+    from navfilter.evaluation.comparison import compare
 
     begin_s = learning_ends(tracks, mission) if begin_s is None else begin_s
     baseline = next((name for name in BASELINES if name in tracks), next(iter(tracks)))
@@ -196,8 +196,8 @@ def compare_tracks(
 
 def _kept(tracks: Mapping[str, Track], vehicle: Vehicle, sensors: Sequence[str] | None) -> tuple[str, ...]:
     """One line on the axes for which a run was to have another model and had none, for want of readings."""
-    from navfilter.channels import kind_of
-    from navfilter.consistency import shown_unit
+    from navfilter.evaluation.consistency import shown_unit
+    from navfilter.learning.listener import kind_of
     from navfilter.report.comparison_figures import adopted
 
     kept: dict[str, list[str]] = {}
@@ -223,8 +223,8 @@ def learning_ends(tracks: Mapping[str, Track], mission: Mission) -> float:
     When the first models are there, the navigator runs the beginning again with them: until then it knows what is still to come. A window
     that is longer than half the mission is no reason to wait for it.
     """
-    from navfilter.learned import learning_part
-    from navfilter.underway import Learning
+    from navfilter.learning.learned import learning_part
+    from navfilter.learning.schedule import Learning
 
     begin_s = min(float(track.time_s[0]) for track in tracks.values())
     spans = []
@@ -253,7 +253,7 @@ def write_results(comparison: Comparison, tracks: Mapping[str, Track], mission: 
     """Write report.html, comparison.csv and summary.json."""
     from tqdm import tqdm
 
-    from navfilter.comparison import compare
+    from navfilter.evaluation.comparison import compare
     from navfilter.io.write import write_json
     from navfilter.report.comparison_page import adopted_models, write_comparison
 

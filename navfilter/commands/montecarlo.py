@@ -73,7 +73,7 @@ def run(options: argparse.Namespace) -> int:
         return 0
     if options.scenario is None:
         raise ValueError("montecarlo needs --scenario (scenarios: navfilter montecarlo --list).")
-    from navfilter.montecarlo.campaign import Campaign
+    from navfilter.evaluation.montecarlo.campaign import Campaign
 
     campaign = Campaign(
         options.scenario,
@@ -92,7 +92,7 @@ def run(options: argparse.Namespace) -> int:
 
 def _models(options: argparse.Namespace, campaign: Any) -> tuple[str, ...]:
     """The models asked for; the default ones without the oracle where there is no fixed truth."""
-    from navfilter.rivals import MODELS
+    from navfilter.evaluation.rivals import MODELS
 
     names = tuple(dict.fromkeys(name.strip() for name in options.models.split(",") if name.strip()))
     unknown = [name for name in names if name not in MODELS]
@@ -107,8 +107,8 @@ def _models(options: argparse.Namespace, campaign: Any) -> tuple[str, ...]:
 
 
 def _run(options: argparse.Namespace, campaign: Any, models: tuple[str, ...], folder: Path) -> int:
-    from navfilter.montecarlo.campaign import available_cores, cluster, process_pool, run_campaign
-    from navfilter.montecarlo.store import Store
+    from navfilter.evaluation.montecarlo.campaign import available_cores, cluster, process_pool, run_campaign
+    from navfilter.evaluation.montecarlo.store import Store
 
     say = speaker(options.quiet)
     Store(folder, campaign.settings)  # refuses a folder of another campaign before any worker is started
@@ -123,8 +123,8 @@ def _run(options: argparse.Namespace, campaign: Any, models: tuple[str, ...], fo
             kept = len(list((folder / "runs").rglob("*.npz")))
             print(f"\nstopped; {kept} runs are kept in {folder}, the same command continues.", file=sys.stderr)
             raise
-    from navfilter.montecarlo.figures import write_figures
-    from navfilter.montecarlo.tables import table, write_tables
+    from navfilter.evaluation.montecarlo.figures import write_figures
+    from navfilter.evaluation.montecarlo.tables import table, write_tables
 
     names = [*write_tables(results, folder), *write_figures(results, folder)]
     say(f"\n{table(results)}\n\nWritten to {folder}{os.sep}: {', '.join(names)}")

@@ -13,9 +13,9 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from navfilter.arma.bank import ArmaBank
 from navfilter.arma.model import ArmaModel
-from navfilter.arma.online import RecursiveArma
+from navfilter.arma.online.bank import ArmaBank
+from navfilter.arma.online.recursive import RecursiveArma
 from navfilter.identification.conditioning import Conditioned, condition
 from navfilter.identification.reading import number, read_model
 from navfilter.identification.report import plain, write_page

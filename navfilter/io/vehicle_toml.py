@@ -27,7 +27,7 @@ from navfilter.arma.model import ArmaModel
 from navfilter.error_models import ErrorModel, Sum
 from navfilter.io.validation import Strict, inside, listed, read_toml, validate
 from navfilter.io.vehicle_keys import checked, plain_key, spellings, times
-from navfilter.learned import LearnedArma
+from navfilter.learning.learned import LearnedArma
 from navfilter.mechanisation import Mechanisation
 from navfilter.sensors import Sensor
 from navfilter.vehicle import RESERVED, Vehicle

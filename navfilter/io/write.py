@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from navfilter.io.geodesy import ecef_from_geodetic, matrix_from_euler, ned_axes
 from navfilter.io.vehicle_toml import write_vehicle
-from navfilter.learned import learned_part
+from navfilter.learning.learned import learned_part
 from navfilter.mission import Mission, Stream
 from navfilter.sensors import Position
 from navfilter.track import Track

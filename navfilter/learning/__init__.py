@@ -1,6 +1,1 @@
-"""Learning a sensor's error under way: the likelihood of one channel, and the learner that follows it from hop to hop."""
-
-from navfilter.learning.channel import ChannelFit, Drift, fit_channel
-from navfilter.learning.learner import Learner
-
-__all__ = ["ChannelFit", "Drift", "Learner", "fit_channel"]
+"""Learning sensors' errors under way: what is listened to, the likelihood of one axis, the learner, and when it is asked."""

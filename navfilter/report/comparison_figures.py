@@ -12,9 +12,9 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from navfilter.arma.model import ArmaModel
-from navfilter.consistency import LAGS, innovation_series
 from navfilter.diagnostics import acf
 from navfilter.error_models import ErrorModel, Sum, per_axis
+from navfilter.evaluation.consistency import LAGS, innovation_series
 from navfilter.mission import Stream
 from navfilter.report.drawing import WIDTH_IN, band, colour, line, panels
 from navfilter.report.figures import clock_of
@@ -151,7 +151,7 @@ def adopted(track: Track, unit_of: Any) -> list[Adopted]:
     ----------
     track : Track
     unit_of : callable
-        Takes a sensor, returns unit and factor, see `navfilter.consistency.shown_unit`.
+        Takes a sensor, returns unit and factor, see `navfilter.evaluation.consistency.shown_unit`.
     """
     found = []
     for name, sensor in track.vehicle.sensors.items():

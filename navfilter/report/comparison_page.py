@@ -10,8 +10,8 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from navfilter.comparison import Comparison
-from navfilter.consistency import shown_unit
+from navfilter.evaluation.comparison import Comparison
+from navfilter.evaluation.consistency import shown_unit
 from navfilter.mission import Mission
 from navfilter.report import comparison_figures, figures
 from navfilter.report.drawing import style, svg

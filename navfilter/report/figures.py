@@ -13,10 +13,10 @@ from matplotlib.patches import Ellipse
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from navfilter.filter.tape import OUTCOMES
 from navfilter.mission import Mission, Stream
 from navfilter.report.drawing import WIDTH_IN, Clock, band, broken, colour, line, panels
 from navfilter.sensors import BodyVelocity, Depth, Heading, Position, Sensor, ZeroVelocity
-from navfilter.tape import OUTCOMES
 from navfilter.track import Track
 
 __all__ = ["consistency_figure", "depth_figure", "heading_figure", "innovation_figure", "nis_figure", "position_figure", "track_figure"]

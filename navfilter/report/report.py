@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from navfilter.filter.tape import OUTCOMES
 from navfilter.io.write import summarise
 from navfilter.mission import Mission, Stream
 from navfilter.report import figures, state_figures
 from navfilter.report.drawing import style, svg
 from navfilter.report.page import escape, figure_html, heading_html, page, table_html, table_text
-from navfilter.tape import OUTCOMES
 from navfilter.track import Track
 
 __all__ = ["headline_table", "render_report", "sensor_table", "write_report"]

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from navfilter.health import Health
+from navfilter.filter.health import Health
 from navfilter.io.json_lines import LONGEST_LINE
 from navfilter.state import NavState
 

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from navfilter.alignment import align
-from navfilter.intake import Intake
+from navfilter.filter.intake import Intake
 from navfilter.io.json_lines import BadLine, Item, Note, Reading, StartLine, start_from, streams_of
 from navfilter.mission import Mission
 from navfilter.navigator import Navigator

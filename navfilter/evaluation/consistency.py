@@ -12,9 +12,9 @@ from scipy import signal
 from scipy.stats import chi2
 
 from navfilter.diagnostics import Whiteness, acf, whiteness
+from navfilter.filter.tape import OUTCOMES, Residuals
 from navfilter.mission import Stream
 from navfilter.sensors import Sensor
-from navfilter.tape import OUTCOMES, Residuals
 from navfilter.track import Track
 
 __all__ = ["ERRORS", "LAGS", "chi_square_range", "figures_of", "independent", "innovation_series", "inside", "shown_unit"]

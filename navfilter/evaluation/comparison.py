@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.consistency import figures_of, inside
+from navfilter.evaluation.consistency import figures_of, inside
+from navfilter.filter.tape import Residuals
 from navfilter.mission import Stream
-from navfilter.tape import Residuals
 from navfilter.track import Track
 
 if TYPE_CHECKING:

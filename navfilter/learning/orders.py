@@ -10,9 +10,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.arma.bank import cancelling_pairs
 from navfilter.arma.model import ArmaModel
-from navfilter.learning.channel import ChannelFit, channel_fit, log_s0, with_upward_spread
+from navfilter.arma.online.bank import cancelling_pairs
+from navfilter.learning.fit import ChannelFit, channel_fit, log_s0, with_upward_spread
 from navfilter.learning.likelihood import Likelihood, Point, maximise
 
 __all__ = ["LEAD", "Candidate", "denies", "fit_candidate", "preferred"]

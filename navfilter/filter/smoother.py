@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from navfilter.filter.tape import CHANGE, Tape
 from navfilter.kernels import kalman
-from navfilter.tape import CHANGE, Tape
 
 __all__ = ["smooth_rows"]
 

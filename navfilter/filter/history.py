@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.engine import Engine, Memory, Outcome
-from navfilter.intake import joined
+from navfilter.filter.filter import Engine, Memory, Outcome
+from navfilter.filter.intake import joined
 
 __all__ = ["History", "Reading"]
 

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.arma.gauss_markov import fit_gauss_markov
-from navfilter.channels import ChannelSeries, kind_of
 from navfilter.error_models import ErrorModel, GaussMarkov, RandomWalk, Sum, White
-from navfilter.learned import LearnedArma, known_white, learned_part
+from navfilter.learning.learned import LearnedArma, known_white, learned_part
+from navfilter.learning.listener import ChannelSeries, kind_of
 from navfilter.mission import Mission
 from navfilter.playback import residual_series
 from navfilter.start import Start
@@ -162,14 +162,14 @@ def _fitted(kind: str, channel: ChannelSeries, prior: ErrorModel) -> ErrorModel:
 
 
 def _white(channel: ChannelSeries, white: float) -> ErrorModel:
-    from navfilter.learning.channel import fit_channel
+    from navfilter.learning.fit import fit_channel
 
     return White(sd=float(fit_channel(channel.value, channel.drift, 0, 0, white=white).model.sd))
 
 
 def _gm1_fitted(channel: ChannelSeries, white: float) -> ErrorModel:
     """Order (1, 0) of the channel: ``x[t] = phi x[t-1] + e`` is the sampled Gauss-Markov process with ``phi = exp(-period/tau)``."""
-    from navfilter.learning.channel import fit_channel
+    from navfilter.learning.fit import fit_channel
 
     model = fit_channel(channel.value, channel.drift, 1, 0, white=white).model
     phi = -float(model.ar[0])

@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from navfilter.arma.bank import ArmaBank
 from navfilter.arma.model import ArmaModel
-from navfilter.arma.online import RecursiveArma
+from navfilter.arma.online.bank import ArmaBank
+from navfilter.arma.online.recursive import RecursiveArma
 
 __all__ = ["FrontEnd", "find_resolution", "repeat_share"]
 

@@ -24,10 +24,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.arma.model import ArmaModel
-from navfilter.engine import Memory
 from navfilter.error_models import Arma, ErrorModel, GaussMarkov, RandomWalk, Sum, White
-from navfilter.history import Reading
-from navfilter.learned import LearnedArma
+from navfilter.filter.filter import Memory
+from navfilter.filter.history import Reading
+from navfilter.learning.learned import LearnedArma
 from navfilter.start import Start
 from navfilter.vehicle import Vehicle
 

@@ -8,16 +8,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from navfilter.adoption import state_change
-from navfilter.channels import GRAVITY, Channel, ChannelSeries, Listener
-from navfilter.engine import Engine, Memory, Outcome
 from navfilter.error_models import ErrorModel
-from navfilter.intake import joined
+from navfilter.filter.adoption import state_change
+from navfilter.filter.filter import Engine, Memory, Outcome
+from navfilter.filter.intake import joined
+from navfilter.filter.layout import Layout
+from navfilter.filter.tape import Tape
 from navfilter.kernels import listen, strapdown
-from navfilter.layout import Layout
-from navfilter.learned import block_level, learned_part, learning_part
+from navfilter.learning.learned import block_level, learned_part, learning_part
+from navfilter.learning.listener import GRAVITY, Channel, ChannelSeries, Listener
 from navfilter.start import Start
-from navfilter.tape import Tape
 from navfilter.vehicle import Vehicle
 
 __all__ = ["Learning"]
@@ -187,7 +187,7 @@ class Learning(Engine):
     def adopt(self, name: str, error: ErrorModel | tuple[ErrorModel, ...]) -> None:
         """Put other error models of one sensor in force, now.
 
-        The states follow without a jump: see `navfilter.adoption.transfer`. What was adopted goes on the tape.
+        The states follow without a jump: see `navfilter.filter.adoption.transfer`. What was adopted goes on the tape.
 
         Parameters
         ----------

@@ -8,15 +8,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from navfilter import gating
-from navfilter.channels import Channel, usable
-from navfilter.intake import Intake
+from navfilter.filter import gating
+from navfilter.filter.intake import Intake
+from navfilter.filter.layout import Layout
+from navfilter.filter.tape import OUTCOMES, Tape
 from navfilter.kernels import kalman, strapdown
-from navfilter.layout import Layout
+from navfilter.learning.listener import Channel, usable
 from navfilter.sensors import ZeroVelocity
 from navfilter.start import Start
 from navfilter.state import NavState
-from navfilter.tape import OUTCOMES, Tape
 from navfilter.vehicle import Vehicle
 
 __all__ = ["Engine", "Memory", "Outcome"]

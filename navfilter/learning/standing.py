@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.engine import Memory
-from navfilter.learned import learning_part
+from navfilter.filter.filter import Memory
+from navfilter.filter.tape import Tape
+from navfilter.learning.learned import learning_part
+from navfilter.learning.rest import Stillness
+from navfilter.learning.schedule import Learning
 from navfilter.start import Start
-from navfilter.stillness import Stillness
-from navfilter.tape import Tape
-from navfilter.underway import Learning
 from navfilter.vehicle import Vehicle
 
 __all__ = ["Standing"]

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.error_models import ErrorModel, RandomWalk, Sum
-from navfilter.layout import Layout
-from navfilter.learned import LearnedArma, register_labels
+from navfilter.filter.layout import Layout
+from navfilter.learning.learned import LearnedArma, register_labels
 from navfilter.vehicle import Vehicle
 
 __all__ = ["state_change", "transfer"]

@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.arma.model import ArmaModel
-from navfilter.channels import HOPS_REMEMBERED, steadied
 from navfilter.error_models import ErrorModel, RandomWalk, Sum
-from navfilter.learned import known_walk, known_white, learned_part, learning_part, with_learned, zero_frequency
+from navfilter.learning.learned import known_walk, known_white, learned_part, learning_part, with_learned, zero_frequency
+from navfilter.learning.listener import HOPS_REMEMBERED, steadied
 from navfilter.mechanisation import Imu, Mechanisation
 from navfilter.sensors import ZeroVelocity
 
 if TYPE_CHECKING:
-    from navfilter.learning.channel import Drift
+    from navfilter.learning.fit import Drift
 
 __all__ = ["Stillness", "hand_over"]
 
@@ -66,7 +66,7 @@ class Stillness:
     """
 
     def __init__(self, drive: Mechanisation) -> None:
-        from navfilter.learning.channel import Drift
+        from navfilter.learning.fit import Drift
         from navfilter.learning.learner import Learner
 
         assert isinstance(drive, Imu)
@@ -266,7 +266,7 @@ def plainer(found: ArmaModel, series: Array, drift: Drift, white: float) -> Arma
     -------
     ArmaModel
     """
-    from navfilter.learning.channel import fit_channel
+    from navfilter.learning.fit import fit_channel
 
     if found.p + found.q == 0:
         return found
@@ -301,7 +301,7 @@ def hand_over(found: ArmaModel, model: ErrorModel, series: Array, drift: Drift, 
     ArmaModel, ErrorModel
         Without such poles, and the model with the random walk that has taken them over.
     """
-    from navfilter.learning.channel import Drift, fit_channel
+    from navfilter.learning.fit import Drift, fit_channel
 
     known, period_s = drift.density[0], drift.period_s
     n = int(np.isfinite(series).sum())

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navfilter.arma.model import ArmaModel, log_s0_sd
-from navfilter.arma.online import RecursiveArma
+from navfilter.arma.online.recursive import RecursiveArma
 from navfilter.arma.unit_root import cap_poles, has_unit_root, split_bias
 from navfilter.kernels import arma as kernel
 

@@ -8,8 +8,8 @@ from collections.abc import Collection
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.channels import Channel
-from navfilter.layout import Group
+from navfilter.filter.layout import Group
+from navfilter.learning.listener import Channel
 from navfilter.sensors import Depth
 
 __all__ = ["at_fault", "open_wide", "widen"]

@@ -14,10 +14,10 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 from numpy.typing import NDArray
 
-from navfilter.montecarlo.campaign import Results
-from navfilter.montecarlo.scores import CURVES, SCORES
-from navfilter.montecarlo.statistics import chi_square_band
-from navfilter.montecarlo.store import write_whole
+from navfilter.evaluation.montecarlo.campaign import Results
+from navfilter.evaluation.montecarlo.scores import CURVES, SCORES
+from navfilter.evaluation.montecarlo.statistics import chi_square_band
+from navfilter.evaluation.montecarlo.store import write_whole
 from navfilter.report.drawing import WIDTH_IN, Clock, colour, style
 
 __all__ = ["end_error_figure", "envelope_figure", "nees_figure", "write_figures"]

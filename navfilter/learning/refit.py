@@ -8,9 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from navfilter.channels import ChannelSeries, kind_of
 from navfilter.error_models import ErrorModel
-from navfilter.learned import LearnedArma, learned_part, learning_part, with_learned, zero_frequency
+from navfilter.learning.learned import LearnedArma, learned_part, learning_part, with_learned, zero_frequency
+from navfilter.learning.listener import ChannelSeries, kind_of
 from navfilter.vehicle import Vehicle
 
 __all__ = ["change", "learning_sensors", "refitted"]

@@ -14,9 +14,9 @@ from scipy.stats import chi2
 
 from navfilter.arma.model import ArmaModel
 from navfilter.error_models import Arma, ErrorModel, Sum
+from navfilter.filter.layout import Group, Layout
 from navfilter.kernels import kalman, listen
-from navfilter.layout import Group, Layout
-from navfilter.learned import (
+from navfilter.learning.learned import (
     LearnedArma,
     block_level,
     known_walk,
@@ -34,7 +34,7 @@ from navfilter.state import matrix_from_euler
 from navfilter.vehicle import Vehicle
 
 if TYPE_CHECKING:
-    from navfilter.learning.channel import Drift
+    from navfilter.learning.fit import Drift
 
 __all__ = ["Channel", "ChannelSeries", "Listener"]
 
@@ -340,7 +340,7 @@ def _drift(sensor: Sensor, axis: int, vehicle: Vehicle, walk: float) -> Drift:
     An inertial unit: heading by the angle random walk and the gyro's bias; velocity by the velocity random walk and the tilt, which the
     gyros' random walk turns into acceleration (Groves, 2013, sec. 14.2). Without one: the noise of the velocity.
     """
-    from navfilter.learning.channel import Drift
+    from navfilter.learning.fit import Drift
 
     period_s = 1.0 / sensor.rate_hz
     drive = vehicle.drive

@@ -23,11 +23,11 @@ from typing import Any
 
 import numpy as np
 
+from navfilter.evaluation.montecarlo.scores import TRACKS, curve_times, run_record
+from navfilter.evaluation.montecarlo.store import Record, Store
+from navfilter.evaluation.rivals import rivals
 from navfilter.mission import Mission
-from navfilter.montecarlo.scores import TRACKS, curve_times, run_record
-from navfilter.montecarlo.store import Record, Store
 from navfilter.playback import replay
-from navfilter.rivals import rivals
 from navfilter.simulation.campaigns import Staged, stage
 from navfilter.vehicle import Vehicle
 
@@ -125,12 +125,12 @@ def run_seed(campaign: Campaign, seed: int, models: Sequence[str]) -> dict[str, 
     campaign : Campaign
     seed : int
     models : sequence of str
-        See `navfilter.rivals`.
+        See `navfilter.evaluation.rivals`.
 
     Returns
     -------
     dict of str to dict of str to ndarray
-        By model, see `navfilter.montecarlo.scores.run_record`.
+        By model, see `navfilter.evaluation.montecarlo.scores.run_record`.
     """
     staged = campaign.staged
     mission = staged.mission(seed)
@@ -200,7 +200,7 @@ def run_campaign(
     seeds : sequence of int
         One mission each.
     models : sequence of str
-        See `navfilter.rivals`.
+        See `navfilter.evaluation.rivals`.
     folder : path
         Finished runs are kept there as they come; a campaign that was stopped continues from them.
     executor : concurrent.futures.Executor, optional

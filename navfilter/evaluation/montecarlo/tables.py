@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.montecarlo.campaign import Results
-from navfilter.montecarlo.scores import CURVES, SCORES
-from navfilter.montecarlo.statistics import Estimate, mean_interval, ratio_interval, rms_interval, share_interval
-from navfilter.montecarlo.store import write_whole
+from navfilter.evaluation.montecarlo.campaign import Results
+from navfilter.evaluation.montecarlo.scores import CURVES, SCORES
+from navfilter.evaluation.montecarlo.statistics import Estimate, mean_interval, ratio_interval, rms_interval, share_interval
+from navfilter.evaluation.montecarlo.store import write_whole
 from navfilter.report.page import table_text
 
 __all__ = ["REFERENCES", "Row", "ratios", "rows", "table", "write_tables"]

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.diagnostics import whiteness
+from navfilter.filter.tape import Residuals
 from navfilter.mission import Mission
-from navfilter.tape import Residuals
 from navfilter.track import Track
 
 __all__ = ["CURVES", "SCORES", "TRACKS", "curve_times", "run_record"]

@@ -1,0 +1,1 @@
+"""Judging runs: error-model comparisons, consistency, baselines and campaigns."""
