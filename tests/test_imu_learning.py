@@ -16,11 +16,13 @@ from navfilter.arma.model import ArmaModel
 from navfilter.error_models import RandomWalk, Sum
 from navfilter.io.vehicle_toml import write_vehicle
 from navfilter.io.write import learned_vehicle
+from navfilter.learning.bias import _driving_variance, hand_over, plainer
 from navfilter.learning.fit import Drift
-from navfilter.learning.learned import DEFAULT_ORDERS, learned_part, zero_frequency
+from navfilter.learning.learned import DEFAULT_ORDERS, learned_part
 from navfilter.learning.learner import Learner
 from navfilter.learning.listener import _drift
-from navfilter.learning.rest import LONGEST_GAP, Stillness, hand_over, plainer
+from navfilter.learning.low_frequency import zero_frequency
+from navfilter.learning.rest import LONGEST_GAP, Stillness
 from navfilter.mechanisation import ACCEL_PRIOR, GYRO_PRIOR
 from navfilter.simulation.campaigns import stage
 from navfilter.simulation.faults import Faults, draw_error
@@ -182,8 +184,6 @@ def test_increments_are_learnt_as_rates():
 
 
 def test_power_that_drives_a_pole_is_that_of_its_part():
-    from navfilter.learning.rest import _driving_variance
-
     both = add_arma([ArmaModel([-0.9995], [], 0.01), ArmaModel([-1.2, 0.7], [0.3], 1.0)])
     assert _driving_variance(both, 0.9995) == pytest.approx(1e-4, rel=1e-6)
 

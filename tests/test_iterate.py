@@ -14,8 +14,9 @@ from navfilter.cli import main
 from navfilter.io import read_vehicle, write_vehicle
 from navfilter.io.write import labelled, write_outputs
 from navfilter.learning.fit import Drift
-from navfilter.learning.learned import LearnedArma, block_level, learned_part, learning_part, zero_frequency
+from navfilter.learning.learned import LearnedArma, learned_part, learning_part
 from navfilter.learning.learner import Learner
+from navfilter.learning.low_frequency import block_level, zero_frequency
 from navfilter.learning.refit import change
 from navfilter.playback import SETTLED, identified, replay
 from navfilter.simulation.scenarios import survey_vehicle, transit

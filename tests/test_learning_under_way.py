@@ -20,8 +20,9 @@ from navfilter.arma.model import ArmaModel
 from navfilter.evaluation.montecarlo.campaign import Campaign, run_seed
 from navfilter.evaluation.montecarlo.scores import SCORES
 from navfilter.learning.fit import Drift
-from navfilter.learning.learned import DEFAULT_ORDERS, block_level, learned_part, zero_frequency
+from navfilter.learning.learned import DEFAULT_ORDERS, learned_part
 from navfilter.learning.learner import Learner
+from navfilter.learning.low_frequency import block_level, zero_frequency
 from navfilter.learning.schedule import Learning
 from navfilter.simulation.campaigns import STUDIES, stage
 from navfilter.simulation.faults import Faults

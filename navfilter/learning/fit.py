@@ -9,7 +9,7 @@ likelihood, and how well they can be told apart is in the covariance (Harvey 198
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -20,6 +20,7 @@ from navfilter.arma.starts import tidy_series
 from navfilter.diagnostics import whiteness
 from navfilter.kernels.fit import largest_reflection
 from navfilter.learning.likelihood import Likelihood, Point, maximise
+from navfilter.learning.low_frequency import log_s0_spread, with_upward_spread
 from navfilter.learning.starts import cold_starts, grown_starts, padded_start
 
 __all__ = ["ChannelFit", "Drift", "fit_channel"]
@@ -245,54 +246,6 @@ def channel_fit(likelihood: Likelihood, point: Point) -> ChannelFit:
     )
     loglik = -value + n * math.log(likelihood.unit)
     return ChannelFit(model, loglik, -2.0 * loglik + theta.size * math.log(max(n, 2)), z, n)
-
-
-def log_s0_gradient(theta: Array, p: int) -> Array:
-    """Gradient of ``ln S(0) = 2 ln sd + 2 ln C(1) - 2 ln A(1)`` in ``[ar, ma, ln sd]``."""
-    a1, c1 = 1.0 + float(np.sum(theta[:p])), 1.0 + float(np.sum(theta[p:-1]))
-    return 2.0 * np.r_[np.full(p, -1.0 / a1), np.full(theta.size - 1 - p, 1.0 / c1), 1.0]
-
-
-def log_s0_spread(theta: Array, p: int, covariance: Array) -> float:
-    """Standard deviation of ln S(0) from the covariance of all parameters."""
-    g = log_s0_gradient(theta, p)
-    return float(math.sqrt(max(float(g @ covariance @ g), 0.0)))
-
-
-def log_s0(theta: Array, p: int) -> float:
-    """``ln S(0)`` of ``[ar, ma, ln sd]``."""
-    a1, c1 = 1.0 + float(np.sum(theta[:p])), 1.0 + float(np.sum(theta[p:-1]))
-    return 2.0 * (float(theta[-1]) + math.log(max(abs(c1), 1e-300)) - math.log(max(abs(a1), 1e-300)))
-
-
-def with_upward_spread(fit: ChannelFit, likelihood: Likelihood, point: Point) -> ChannelFit:
-    """The fit with the larger of both standard deviations of ln S(0): by the information, and upwards by the likelihood."""
-    spread = max(fit.model.sd_log_s0 or 0.0, upward_spread(likelihood, point))
-    return replace(fit, model=replace(fit.model, sd_log_s0=spread))
-
-
-def upward_spread(likelihood: Likelihood, point: Point) -> float:
-    """How far ln S(0) can rise before minus the log-likelihood does by one half, along its most probable direction.
-
-    The information at an estimate that came out too quick or too quiet claims too much: S(0) is limited downwards by
-    what the series shows and upwards by hardly anything. Of a Gaussian this is the standard deviation.
-    """
-    theta, p, covariance = point.theta, point.p, point.covariance
-    g = log_s0_gradient(theta, p)
-    spread = math.sqrt(max(float(g @ covariance @ g), 0.0))
-    if not 0.0 < spread < math.inf:
-        return 0.0
-    direction, length, rise = covariance @ g / spread, 1.0, 0.0
-    for _ in range(3):
-        trial = likelihood.confine(theta + length * direction, p)
-        rise = likelihood.penalised(trial, p) - point.value
-        if abs(rise - 0.5) < 0.1:
-            break
-        if not 1e-3 < rise < 1e3:
-            return 0.0
-        # Minus the log-likelihood grows about as the square of the length.
-        length *= min(max(math.sqrt(0.5 / rise), 0.3), 2.0)
-    return log_s0(trial, p) - log_s0(theta, p) if 0.3 < rise < 0.8 else 0.0
 
 
 def at_cap(likelihood: Likelihood, ar: Array) -> bool:

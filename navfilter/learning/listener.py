@@ -12,22 +12,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.stats import chi2
 
-from navfilter.arma.model import ArmaModel
 from navfilter.error_models import Arma, ErrorModel, Sum
 from navfilter.filter.layout import Group, Layout
 from navfilter.kernels import kalman, listen
-from navfilter.learning.learned import (
-    LearnedArma,
-    block_level,
-    known_walk,
-    known_white,
-    learned_part,
-    learning_part,
-    slow_pole,
-    with_learned,
-    with_zero_frequency,
-    zero_frequency,
-)
+from navfilter.learning.learned import LearnedArma, known_walk, known_white, learned_part, learning_part, with_learned
+from navfilter.learning.low_frequency import HOPS_REMEMBERED, UNOBSERVABLE, block_level, steadied, zero_frequency
 from navfilter.sensors import BodyVelocity, Depth, Heading, Position, Sensor
 from navfilter.start import Start
 from navfilter.state import matrix_from_euler
@@ -40,12 +29,8 @@ __all__ = ["Channel", "ChannelSeries", "Listener"]
 
 Array = NDArray[np.float64]
 GRAVITY = 9.81
-#: A model whose S(0) is uncertain by more than this many powers of e is not adopted: the drift hides its low frequencies.
-UNOBSERVABLE = 3.0
 #: A sample so many robust deviations from its neighbours is a spike.
 SPIKE = 8.0
-#: S(0) is averaged over so many hops: two windows.
-HOPS_REMEMBERED = 4
 #: The newest readings are left out of what is learnt from, so that those that come late by as much change nothing [s].
 GUARD_S = 2.0
 #: A first try at learning needs so many ticks.
@@ -300,20 +285,6 @@ def without_spikes(series: Array) -> Array:
     scale = max(float(np.median(size)) * 1.4826, float(np.mean(np.minimum(size, np.quantile(size, 0.99)))))
     result[known[size > SPIKE * scale]] = np.nan
     return result
-
-
-def steadied(model: ArmaModel, levels: Sequence[float]) -> ArmaModel:
-    """The model with S(0) at the mean of what the last windows found, and sd ln S(0) accordingly smaller.
-
-    One window holds few correlation times of a slow error: its S(0) swings by a factor, and the low ones claim to be sure. Windows
-    overlap by half, so n of them are worth (n + 1) / 2.
-    """
-    if slow_pole(model) is None or not levels[-1] > 0.0:
-        return model
-    factor = float(np.mean(levels)) / levels[-1]
-    ar, variance = with_zero_frequency(model, factor)
-    spread = None if model.sd_log_s0 is None else model.sd_log_s0 / math.sqrt((len(levels) + 1) / 2.0)
-    return replace(model, ar=ar, sd=math.sqrt(variance), sd_log_s0=spread)
 
 
 def _drive_noise(model: ErrorModel, period_s: float) -> tuple[float, float, float]:

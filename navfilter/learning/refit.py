@@ -9,8 +9,9 @@ from dataclasses import replace
 import numpy as np
 
 from navfilter.error_models import ErrorModel
-from navfilter.learning.learned import LearnedArma, learned_part, learning_part, with_learned, zero_frequency
+from navfilter.learning.learned import LearnedArma, learned_part, learning_part, with_learned
 from navfilter.learning.listener import ChannelSeries, kind_of
+from navfilter.learning.low_frequency import zero_frequency
 from navfilter.vehicle import Vehicle
 
 __all__ = ["change", "learning_sensors", "refitted"]

@@ -15,8 +15,9 @@ from navfilter.filter.intake import joined
 from navfilter.filter.layout import Layout
 from navfilter.filter.tape import Tape
 from navfilter.kernels import listen, strapdown
-from navfilter.learning.learned import block_level, learned_part, learning_part
+from navfilter.learning.learned import learned_part, learning_part
 from navfilter.learning.listener import GRAVITY, Channel, ChannelSeries, Listener
+from navfilter.learning.low_frequency import block_level
 from navfilter.start import Start
 from navfilter.vehicle import Vehicle
 
