@@ -56,8 +56,12 @@ class Channel:
         self.period_s = 1.0 / sensor.rate_hz
         self.limits = np.array(_limits(sensor.gate_probability, sensor.axes))
         self.moves, self.turns = sensor.sees_velocity, sensor.needs_rate
-        self.count = 0
+        self.forget()
+
+    def forget(self) -> None:
+        """Remember nothing, as at the start."""
         self._memory = ChannelMemory()
+        self.count = 0
 
     def arrange(self, sensor: Sensor, group: Group, layout: Layout, rate_variance: Array) -> None:
         """Lay out its working memory for other states; what is remembered stays.
