@@ -14,7 +14,6 @@ from navfilter.filter.layout import Layout
 from navfilter.filter.tape import OUTCOMES, Tape
 from navfilter.kernels import kalman, strapdown
 from navfilter.learning.listener import Channel, usable
-from navfilter.sensors import ZeroVelocity
 from navfilter.start import Start
 from navfilter.state import NavState
 from navfilter.vehicle import Vehicle
@@ -84,7 +83,7 @@ class Engine:
         self._period_s = vehicle.drive.period_s
         self._ahead_s = max(self.AHEAD_S, 3.0 * self._period_s)
         self._fold_every = max(1, round(vehicle.drive.rate_hz))
-        self._inertial = "imu" in vehicle.drive.streams
+        self._inertial = vehicle.drive.inertial
         self._channels: dict[str, Channel] = {}
         self._begin(vehicle)
 
@@ -127,7 +126,7 @@ class Engine:
             self._channels[name] = channel = Channel(name, sensor, layout.groups[name], self.start, layout, variance)
             if name in old:
                 channel.clock, channel.listener = old[name].clock, old[name].listener
-        self._rest = [c for c in self._channels.values() if isinstance(c.sensor, ZeroVelocity) and self._inertial]
+        self._rest = [c for c in self._channels.values() if c.sensor.from_drive and self._inertial]
 
     # ---------------------------------------------------------------- propagation
     def advance(self, samples: Array) -> None:
@@ -179,8 +178,8 @@ class Engine:
             self._tape.row(self._time_s, self._nav, self._x, self._P)
 
     def _detect_rest(self, channel: Channel) -> None:
-        """Zero-velocity update when the last period of the inertial unit was quiet."""
-        drv, sensor = self._drv, channel.sensor
+        """Correct with what the last period of the inertial unit says, such as a zero velocity when it was quiet."""
+        drv = self._drv
         n = drv[strapdown.COUNT]
         if n < max(2, round(self.vehicle.drive.rate_hz * channel.period_s)):
             return
@@ -189,10 +188,9 @@ class Engine:
         if drv[strapdown.INCREMENTS]:
             mean, scatter = mean / self._period_s, scatter / self._period_s
         drv[strapdown.COUNT : strapdown.SQUARES + 6] = 0.0
-        assert isinstance(sensor, ZeroVelocity)
-        quiet = scatter[:3].max() < sensor.gyro_sd_max and scatter[3:].max() < sensor.force_sd_max
-        if quiet and np.abs(mean[:3]).max() < sensor.gyro_mean_max:
-            self._apply(channel, self._time_s, np.zeros(3), None)
+        reading = channel.sensor.felt(mean, scatter)
+        if reading is not None:
+            self._apply(channel, self._time_s, reading, None)
 
     # ---------------------------------------------------------------- correction
     def channel(self, name: str) -> Channel:
@@ -235,7 +233,7 @@ class Engine:
             self._body_rate()
         channel.kernel(z, nav, self._rate, x[channel.parameters], channel.constants, channel.near, channel.res)
         channel.R[:] = channel.white if sd is None else channel.lever + np.eye(channel.sensor.axes) * np.square(np.ravel(sd))
-        if channel.moves and P[8, 8] > UNSURE_HEADING:
+        if channel.sensor.sees_velocity and P[8, 8] > UNSURE_HEADING:
             # second-order term of a velocity seen from a heading that is hardly known (Gelb, 1974, sec. 6.1)
             channel.R[range(3), range(3)] += 0.5 * (nav[3] ** 2 + nav[4] ** 2) * P[8, 8] ** 2
         kalman.update(P, nav, x, channel.C, channel.R, channel.mem, channel.dims, channel.limits)

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from navfilter.filter.layout import Group
 from navfilter.learning.listener import Channel
-from navfilter.sensors import Depth
 
 __all__ = ["at_fault", "open_wide", "widen"]
 
@@ -42,7 +41,7 @@ def at_fault(channels: Collection[Channel], channel: Channel, time_s: float, fro
         heard = time_s - other.last_s < max(5.0, 3.0 * other.period_s)
         if heard and time_s - other.rejected_since_s > 0.5 * other.sensor.gate_timeout_s:
             against += 1
-        elif heard and math.isnan(other.rejected_since_s) and not isinstance(other.sensor, Depth):
+        elif heard and math.isnan(other.rejected_since_s) and other.sensor.confirms_state:
             return False
     return against > 1
 

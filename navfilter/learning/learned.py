@@ -12,9 +12,19 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_lyapunov
 
 from navfilter.arma.model import ArmaModel
-from navfilter.error_models import Block, ErrorModel, RandomWalk, Sum, White
+from navfilter.error_models import Block, ErrorModel, Integrated, RandomWalk, Sum, White, block_level
 
-__all__ = ["LearnedArma", "known_walk", "known_white", "learned_part", "learning_part", "register_labels", "resolve_prior", "with_learned"]
+__all__ = [
+    "LearnedArma",
+    "block_level",
+    "known_walk",
+    "known_white",
+    "learned_part",
+    "learning_part",
+    "register_labels",
+    "resolve_prior",
+    "with_learned",
+]
 
 Array = NDArray[np.float64]
 
@@ -107,6 +117,10 @@ class LearnedArma(ErrorModel):
             raise ValueError("LearnedArma needs a prior here: LearnedArma(prior=GaussMarkov(sd=..., tau_s=...)).")
         return self.prior.block(period_s)
 
+    def integrated(self, period_s: float) -> Integrated:
+        """That of the prior while nothing has been learnt."""
+        return self.prior.integrated(period_s) if self.model is None and self.prior is not None else super().integrated(period_s)
+
     @cached_property
     def _register(self) -> Block:
         # laying out the states asks for it some fifty times at each adoption
@@ -122,12 +136,6 @@ class LearnedArma(ErrorModel):
 def zero_frequency(model: ArmaModel) -> float:
     """Spectral density at zero frequency per sample, ``S(0) = sd^2 (C(1) / A(1))^2`` [unit^2]."""
     return float(model.sd**2 * ((1.0 + model.ma.sum()) / (1.0 + model.ar.sum())) ** 2)
-
-
-def block_level(block: Block) -> float:
-    """S(0) per sample of a stationary block."""
-    response = np.linalg.solve(np.eye(block.size) - block.Phi.T, block.C) if block.size else np.zeros(0)
-    return float(response @ block.Q @ response) + block.r
 
 
 def slow_pole(model: ArmaModel) -> int | None:

@@ -6,19 +6,18 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.stats import chi2
 
 from navfilter.arma.model import ArmaModel
-from navfilter.error_models import Arma, ErrorModel, Sum
+from navfilter.error_models import ErrorModel
 from navfilter.filter.layout import Group, Layout
 from navfilter.kernels import kalman, listen
+from navfilter.learning.drift import Drift
 from navfilter.learning.learned import (
-    LearnedArma,
-    block_level,
     known_walk,
     known_white,
     learned_part,
@@ -28,18 +27,13 @@ from navfilter.learning.learned import (
     with_zero_frequency,
     zero_frequency,
 )
-from navfilter.sensors import BodyVelocity, Depth, Heading, Position, Sensor
+from navfilter.sensors import Sensor
 from navfilter.start import Start
-from navfilter.state import matrix_from_euler
 from navfilter.vehicle import Vehicle
-
-if TYPE_CHECKING:
-    from navfilter.learning.fit import Drift
 
 __all__ = ["Channel", "ChannelSeries", "Listener"]
 
 Array = NDArray[np.float64]
-GRAVITY = 9.81
 #: A model whose S(0) is uncertain by more than this many powers of e is not adopted: the drift hides its low frequencies.
 UNOBSERVABLE = 3.0
 #: A sample so many robust deviations from its neighbours is a spike.
@@ -72,12 +66,11 @@ class Channel:
         self.verdict, self.note = mem[at[8] : at[8] + 3], mem[at[8] : at[9]]
         self.record, self.moved = mem[: at[5]], mem[: at[0]]
         self.model, self.C, self.R = np.array([group.Phi[:b, :b], group.Q[:b, :b]]), group.C, np.diag(group.r)
-        self.lever = _lever_arm_covariance(sensor, rate_variance)
+        self.lever = sensor.lever_arm_covariance(rate_variance)
         self.white = self.R + self.lever
         first = group.start - 9
         self.parameters = slice(first + group.errors, first + group.size)
-        self.moves = isinstance(sensor, BodyVelocity)
-        self.turns = isinstance(sensor, BodyVelocity) and any(sensor.lever_arm_b_m)
+        self.turns = sensor.needs_rate
         self.last_s = self.ticked_s = -math.inf
         self.rejected_since_s = math.nan
         self.count = 0
@@ -111,17 +104,6 @@ def usable(sd: ArrayLike, axes: int) -> bool:
     return values.size in (1, axes) and bool(np.all((values >= 0.0) & (values < 1e100)))
 
 
-def _lever_arm_covariance(sensor: Sensor, rate_variance: Array) -> Array:
-    """What the white noise of the gyros adds to a velocity at a lever arm [m^2/s^2], in the instrument's axes, shape (a, a).
-
-    Its axes are strongly correlated (a rate moves the arm across itself), which counts where the instrument itself is quiet.
-    """
-    if not isinstance(sensor, BodyVelocity):
-        return np.zeros((sensor.axes, sensor.axes))
-    by_rate = matrix_from_euler(*sensor.mounting_rad).T @ np.cross(np.eye(3), np.asarray(sensor.lever_arm_b_m, dtype=float)).T
-    return by_rate @ np.diag(rate_variance) @ by_rate.T
-
-
 # ---------------------------------------------------------------- what is learnt from
 
 
@@ -146,19 +128,6 @@ class ChannelSeries:
     white: float
 
 
-KINDS: dict[type[Sensor], int] = {
-    Heading: listen.HEADING,
-    Position: listen.POSITION,
-    Depth: listen.POSITION,
-    BodyVelocity: listen.VELOCITY,
-}
-
-
-def kind_of(sensor: Sensor) -> int:
-    """How the kernel undoes the feedback for this sensor; 0 when its error cannot be told from the vehicle's motion."""
-    return KINDS.get(type(sensor), listen.NOTHING)
-
-
 class Listener:
     """Notes the open-loop residuals of one sensor, and learns its error models from them.
 
@@ -180,7 +149,7 @@ class Listener:
     def __init__(self, name: str, sensor: Sensor, vehicle: Vehicle, white: Array, capacity: int | None = None) -> None:
         from navfilter.learning.learner import Learner
 
-        self.kind = kind_of(sensor)
+        self.kind = sensor.open_loop
         if self.kind == listen.NOTHING:
             raise ValueError(f'"{name}": a {type(sensor).__name__} has no readings to learn its error from. Give it a fixed error model.')
         self.name, self.period_s, self.models = name, 1.0 / sensor.rate_hz, sensor.models
@@ -188,10 +157,8 @@ class Listener:
         window = max((part.window for part in learned if part is not None), default=0)
         self.ring = np.full((sensor.axes, capacity or window + round(4 * sensor.rate_hz) + 64), np.nan)
         self.cursor = np.zeros(1, np.int64)
-        self.mount = np.eye(3).ravel()
-        if isinstance(sensor, BodyVelocity):
-            self.mount = np.ascontiguousarray(matrix_from_euler(*sensor.mounting_rad).T).ravel()
-        self.drifts = tuple(_drift(sensor, axis, vehicle, known_walk(model)) for axis, model in enumerate(self.models))
+        self.mount = np.ascontiguousarray(sensor.instrument_axes()).ravel()
+        self.drifts = tuple(sensor.drift(vehicle.drive, axis, known_walk(model)) for axis, model in enumerate(self.models))
         self.white = tuple(float(white[i]) + known_white(model, self.period_s) for i, model in enumerate(self.models))
         self.learners = tuple(
             None if part is None else Learner(part.orders, part.window, drift, white=r)
@@ -314,50 +281,3 @@ def steadied(model: ArmaModel, levels: Sequence[float]) -> ArmaModel:
     ar, variance = with_zero_frequency(model, factor)
     spread = None if model.sd_log_s0 is None else model.sd_log_s0 / math.sqrt((len(levels) + 1) / 2.0)
     return replace(model, ar=ar, sd=math.sqrt(variance), sd_log_s0=spread)
-
-
-def _drive_noise(model: ErrorModel, period_s: float) -> tuple[float, float, float]:
-    """Root densities of the white noise and of the walk in one axis of the drive, and the standard deviation of what walks at the start.
-
-    An ARMA error ticks with the drive and is forgotten within a sensor's period: to an integral it is white noise of its S(0).
-    """
-    white = walk = start = 0.0
-    for part in model.parts if isinstance(model, Sum) else (model,):
-        block = part.block(period_s)
-        if isinstance(part, Arma) or (isinstance(part, LearnedArma) and part.model is not None):
-            white += block_level(block)
-            continue
-        white += block.r
-        if block.size:
-            walk += float(block.C @ block.Q @ block.C)
-            start += float(block.C @ block.P0 @ block.C)
-    return math.sqrt(white * period_s), math.sqrt(max(walk, 0.0) / period_s), math.sqrt(start)
-
-
-def _drift(sensor: Sensor, axis: int, vehicle: Vehicle, walk: float) -> Drift:
-    """Known noise of the navigation error in the open-loop residual of one axis: integrators from the inside out.
-
-    An inertial unit: heading by the angle random walk and the gyro's bias; velocity by the velocity random walk and the tilt, which the
-    gyros' random walk turns into acceleration (Groves, 2013, sec. 14.2). Without one: the noise of the velocity.
-    """
-    from navfilter.learning.fit import Drift
-
-    period_s = 1.0 / sensor.rate_hz
-    drive = vehicle.drive
-    white, walks, starts = zip(*(_drive_noise(model, drive.period_s) for model in drive.models), strict=True)
-    if "imu" not in drive.streams:
-        speed = max(white[3:6])
-        if isinstance(sensor, Heading):
-            return Drift((max(walk, 1e-9), 1e-12), period_s)
-        return Drift((math.hypot(speed, walk), 1e-3), period_s)
-    turn, force = max(white[:3]), max(white[3:])
-    if isinstance(sensor, Heading):
-        # the gyro's bias is no one's guess: how large it can be is part of the gyro's model
-        bias = max(math.hypot(sd, w * 60.0) for sd, w in zip(starts[:3], walks[:3], strict=True))
-        return Drift((math.hypot(turn, walk), max(walks[:3])), period_s, (math.inf, bias) if bias > 0.0 else ())
-    level = GRAVITY * turn  # the tilt wanders, and turns gravity into acceleration
-    vertical = isinstance(sensor, Depth) or axis == 2
-    slow = max(max(walks[3:]), 1e-7) if vertical else level
-    if isinstance(sensor, BodyVelocity):
-        return Drift((math.hypot(force, walk), slow), period_s)
-    return Drift((walk, force, slow), period_s)

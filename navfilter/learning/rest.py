@@ -17,7 +17,7 @@ from navfilter.mechanisation import Imu, Mechanisation
 from navfilter.sensors import ZeroVelocity
 
 if TYPE_CHECKING:
-    from navfilter.learning.fit import Drift
+    from navfilter.learning.drift import Drift
 
 __all__ = ["Stillness", "hand_over"]
 
@@ -66,7 +66,7 @@ class Stillness:
     """
 
     def __init__(self, drive: Mechanisation) -> None:
-        from navfilter.learning.fit import Drift
+        from navfilter.learning.drift import Drift
         from navfilter.learning.learner import Learner
 
         assert isinstance(drive, Imu)
@@ -301,7 +301,8 @@ def hand_over(found: ArmaModel, model: ErrorModel, series: Array, drift: Drift, 
     ArmaModel, ErrorModel
         Without such poles, and the model with the random walk that has taken them over.
     """
-    from navfilter.learning.fit import Drift, fit_channel
+    from navfilter.learning.drift import Drift
+    from navfilter.learning.fit import fit_channel
 
     known, period_s = drift.density[0], drift.period_s
     n = int(np.isfinite(series).sum())

@@ -16,7 +16,7 @@ from navfilter.filter.layout import Layout
 from navfilter.filter.tape import Tape
 from navfilter.kernels import listen, strapdown
 from navfilter.learning.learned import block_level, learned_part, learning_part
-from navfilter.learning.listener import GRAVITY, Channel, ChannelSeries, Listener
+from navfilter.learning.listener import Channel, ChannelSeries, Listener
 from navfilter.start import Start
 from navfilter.vehicle import Vehicle
 
@@ -125,7 +125,7 @@ class Learning(Engine):
             kind, ring, cursor, mount = listener.kind, listener.ring, listener.cursor, listener.mount
         Phi = channel.mem[: self._head**2].reshape(self._head, self._head)
         listen.carry(self._undone, Phi)
-        gravity = GRAVITY if self._inertial else 0.0
+        gravity = self.vehicle.drive.gravity
         listen.listen(
             *(self._undone, channel.mem, channel.dims, channel.places, self._nav, channel.C, self._x),
             *(kind, mount, ring, cursor, channel.count, self._Cr, gravity),
