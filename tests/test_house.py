@@ -12,7 +12,7 @@ ROOT = Path(navfilter.__file__).parent
 FLOORS = [
     {"kernels"},
     {"arma", "filter.health", "state", "filter.layout", "mission", "diagnostics", "magnetic", "filter.tape"},
-    {"error_models", "learning.fit", "learning.likelihood", "learning.starts", "learning.orders", "learning.learner",
+    {"error_models", "learning.drift", "learning.fit", "learning.likelihood", "learning.starts", "learning.orders", "learning.learner",
      "learning.low_frequency"},
     {"learning.learned", "learning.bias", "sensors", "mechanisation", "vehicle", "start", "track"},
     {"learning.listener", "filter.gating", "filter.intake", "filter.adoption", "learning.rest"},

@@ -17,10 +17,9 @@ from navfilter.error_models import RandomWalk, Sum
 from navfilter.io.vehicle_toml import write_vehicle
 from navfilter.io.write import learned_vehicle
 from navfilter.learning.bias import _driving_variance, hand_over, plainer
-from navfilter.learning.fit import Drift
+from navfilter.learning.drift import Drift
 from navfilter.learning.learned import DEFAULT_ORDERS, learned_part
 from navfilter.learning.learner import Learner
-from navfilter.learning.listener import _drift
 from navfilter.learning.low_frequency import zero_frequency
 from navfilter.learning.rest import LONGEST_GAP, Stillness
 from navfilter.mechanisation import ACCEL_PRIOR, GYRO_PRIOR
@@ -539,7 +538,7 @@ def test_what_is_learnt_of_the_unit_drives_the_other_sensors_series_as_white_noi
 def drifts(gyro):
     sensors = {"compass": nf.Heading(rate_hz=8), "dvl": nf.BodyVelocity(rate_hz=4), "gps": nf.Position(rate_hz=1)}
     vehicle = nf.Vehicle(imu=nf.Imu(rate_hz=RATE_HZ, gyro=gyro, accel=FORCE_WALK + nf.White(sd=FORCE_SD)), sensors=sensors)
-    return [_drift(sensor, 0, vehicle, 0.0) for sensor in sensors.values()]
+    return [sensor.drift(vehicle.drive, 0, 0.0) for sensor in sensors.values()]
 
 
 def test_the_next_dive_begins_with_what_was_learnt(tmp_path):

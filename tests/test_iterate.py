@@ -13,7 +13,7 @@ from navfilter.arma.model import ArmaModel
 from navfilter.cli import main
 from navfilter.io import read_vehicle, write_vehicle
 from navfilter.io.write import labelled, write_outputs
-from navfilter.learning.fit import Drift
+from navfilter.learning.drift import Drift
 from navfilter.learning.learned import LearnedArma, learned_part, learning_part
 from navfilter.learning.learner import Learner
 from navfilter.learning.low_frequency import block_level, zero_frequency

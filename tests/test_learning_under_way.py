@@ -19,7 +19,7 @@ import navfilter as nf
 from navfilter.arma.model import ArmaModel
 from navfilter.evaluation.montecarlo.campaign import Campaign, run_seed
 from navfilter.evaluation.montecarlo.scores import SCORES
-from navfilter.learning.fit import Drift
+from navfilter.learning.drift import Drift
 from navfilter.learning.learned import DEFAULT_ORDERS, learned_part
 from navfilter.learning.learner import Learner
 from navfilter.learning.low_frequency import block_level, zero_frequency

@@ -116,7 +116,7 @@ class Filter:
         self._period_s = drive.period_s
         self._ahead_s = max(self.AHEAD_S, 3.0 * self._period_s)
         self._fold_every = max(1, round(drive.rate_hz))
-        self.inertial = "imu" in drive.streams
+        self.inertial = drive.inertial
         self._rate = np.zeros(3)
         self.channels = {name: Channel(name, sensor, start) for name, sensor in vehicle.sensors.items()}
         self._rest = [self.channels[name] for name, s in vehicle.sensors.items() if s.from_drive and self.inertial]
@@ -195,6 +195,17 @@ class Filter:
         for name, channel in self.channels.items():
             channel.memory = memory.channels[name]
 
+    def problem(self, memory: FilterMemory) -> str | None:
+        """What is wrong with the values of a memory that came from outside, in words; its form is `misfit`'s business."""
+        P, drv = memory.P, memory.drv
+        if not (np.isfinite(P).all() and np.allclose(P, P.T, rtol=1e-6, atol=0.0) and np.all(np.diag(P) >= 0.0)):
+            return "the covariance is not finite, symmetric and positive on its diagonal"
+        if not (np.isfinite(memory.nav).all() and np.isfinite(memory.x).all()):
+            return "the state is not finite"
+        fresh = self.in_force.drive.memory(self.layout.drive.errors, self.start)
+        places = [strapdown.DEVIATION, strapdown.SCALE, strapdown.INCREMENTS]
+        return None if np.array_equal(drv[places], fresh[places]) else "the drive's memory is not laid out as this vehicle's"
+
     @property
     def time_s(self) -> float:
         """Mission time of the state [s]."""
@@ -263,8 +274,9 @@ class Filter:
             if memory.unfolded >= self._fold_every:
                 yield self._fold()
             for channel in self._rest:
-                if self._detect_rest(channel):
-                    yield self._update(channel, memory.time_s, np.zeros(3), None, False)
+                reading = self._felt(channel)
+                if reading is not None:
+                    yield self._update(channel, memory.time_s, reading, None, False)
             if room is not None:
                 yield Passed(block)
             begin = end
@@ -303,18 +315,18 @@ class Filter:
             memory = self._memory
             self.tape.row(memory.time_s, memory.nav, memory.x, memory.P)
 
-    def _detect_rest(self, channel: Channel) -> bool:
-        """Whether the last period of a zero-velocity sensor was quiet; asked once a period."""
+    def _felt(self, channel: Channel) -> Array | None:
+        """The reading that the drive's last samples make, such as a zero velocity when they were quiet; asked once a period."""
         drv = self._memory.drv
         n = drv[strapdown.COUNT]
         if n < max(2, round(self.vehicle.drive.rate_hz * channel.period_s)):
-            return False
+            return None
         mean = drv[strapdown.SUMS : strapdown.SUMS + 6] / n
         scatter = np.sqrt(np.maximum(drv[strapdown.SQUARES : strapdown.SQUARES + 6] / n - mean**2, 0.0))
         if drv[strapdown.INCREMENTS]:
             mean, scatter = mean / self._period_s, scatter / self._period_s
         drv[strapdown.COUNT : strapdown.SQUARES + 6] = 0.0
-        return channel.sensor.at_rest(mean, scatter)
+        return channel.sensor.felt(mean, scatter)
 
     # ---------------------------------------------------------------- correction
     def correct(self, name: str, time_s: float, value: ArrayLike, sd: ArrayLike | None = None, frozen: bool = False) -> Correction:

@@ -89,7 +89,7 @@ class Intake:
         self._gap_s = strapdown.GAP_PERIODS * self._period_s
         self._doubt_s = max(self.DOUBT_S, 10.0 * self._period_s)
         self._confirm = max(5, round(0.25 * drive.rate_hz))
-        self._previous = strapdown.PREVIOUS if "imu" in drive.streams else strapdown.PREVIOUS_RPY
+        self._previous = strapdown.PREVIOUS if drive.inertial else strapdown.PREVIOUS_RPY
         # the first sample may come at the start itself
         self.memory = IntakeMemory(math.nextafter(start_s, -math.inf))
 

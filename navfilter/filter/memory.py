@@ -1,8 +1,8 @@
 """State as values: what a part remembers is one dataclass of arrays and plain numbers, copied, compared and stored by the functions here.
 
 Conventions. A class that is not frozen holds what changes; its arrays, lists and dicts are copied with it. What cannot change is shared
-between copies: numbers, strings, tuples, frozen dataclasses. A field made by `shared` is append-only storage that a cursor beside it bounds
-(a ring of samples, the inputs of the first minutes): copies share it, and going back moves the cursor only.
+between copies: numbers, strings, tuples, frozen dataclasses. Fields that a class names in `SHARED` are append-only storage that a cursor
+beside them bounds (a ring of samples, the inputs of the first minutes): copies share them, and going back moves the cursor only.
 """
 
 from __future__ import annotations
@@ -17,27 +17,21 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["copied", "differences", "from_arrays", "misfit", "shared", "to_arrays"]
+__all__ = ["copied", "differences", "from_arrays", "misfit", "to_arrays"]
 
 Array = NDArray[np.float64]
 T = TypeVar("T")
 
-_SHARED = "shared"
 #: For each class of state: its fields, and whether the field is to be copied.
 _PLANS: dict[type, tuple[tuple[str, bool], ...]] = {}
-
-
-def shared() -> Any:
-    """A field whose value copies share: append-only storage."""
-    return dataclasses.field(metadata={_SHARED: True})
 
 
 def _plan(kind: type) -> tuple[tuple[str, bool], ...]:
     plan = _PLANS.get(kind)
     if plan is None:
         fixed = kind.__dataclass_params__.frozen if dataclasses.is_dataclass(kind) else True  # type: ignore[attr-defined]
-        fields = () if fixed else tuple((f.name, _SHARED not in f.metadata) for f in dataclasses.fields(kind))
-        plan = _PLANS[kind] = fields
+        held = getattr(kind, "SHARED", ())
+        plan = _PLANS[kind] = () if fixed else tuple((f.name, f.name not in held) for f in dataclasses.fields(kind))
     return plan
 
 
@@ -54,7 +48,7 @@ def copied(value: T) -> T:
     """
     kind = type(value)
     if kind is np.ndarray:
-        return value.copy()  # type: ignore[attr-defined, no-any-return]
+        return value.copy()  # type: ignore[attr-defined]
     if kind is float or kind is int:
         return value
     if kind is dict:
@@ -135,16 +129,15 @@ def misfit(value: Any, like: Any, where: str = "state") -> str | None:
 
 def to_arrays(value: Any) -> dict[str, NDArray[Any]]:
     """A state as three arrays: "meta" (JSON as bytes), "floats" and "integers", which hold the elements of all its arrays."""
-    floats: list[Array] = []
-    integers: list[NDArray[np.int64]] = []
+    elements: dict[str, list[NDArray[Any]]] = {"floats": [], "integers": []}
     sizes = {"floats": 0, "integers": 0}
 
     def plain(v: Any) -> Any:
         if v is None or isinstance(v, bool | int | float | str):
             return v
         if isinstance(v, np.ndarray):
-            key, store, kind = ("integers", integers, np.int64) if v.dtype.kind in "iub" else ("floats", floats, np.float64)
-            store.append(np.asarray(v, dtype=kind).ravel())  # type: ignore[attr-defined]
+            key = "integers" if v.dtype.kind in "iub" else "floats"
+            elements[key].append(v.ravel())
             at, sizes[key] = sizes[key], sizes[key] + v.size
             return {"": key, "at": at, "shape": list(v.shape)}
         if isinstance(v, np.integer | np.floating):
@@ -170,8 +163,8 @@ def to_arrays(value: Any) -> dict[str, NDArray[Any]]:
     meta = json.dumps(plain(value)).encode()
     return {
         "meta": np.frombuffer(meta, dtype=np.uint8),
-        "floats": np.concatenate([np.zeros(0), *floats]),
-        "integers": np.concatenate([np.zeros(0, np.int64), *integers]),
+        "floats": np.concatenate([np.zeros(0), *elements["floats"]]),
+        "integers": np.concatenate([np.zeros(0, np.int64), *elements["integers"]]),
     }
 
 

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navfilter.arma.model import ArmaModel
-from navfilter.learning.fit import Drift, theta_of
+from navfilter.learning.drift import Drift
+from navfilter.learning.fit import theta_of
 from navfilter.learning.likelihood import Likelihood
 from navfilter.learning.orders import LEAD, Candidate, denies, fit_candidate, preferred
 from navfilter.learning.starts import cold_starts, grown_starts, slow_part_start
