@@ -11,12 +11,12 @@ from os import PathLike
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from navfilter.error_models import ErrorModel
 from navfilter.filter import snapshot as snapshots
 from navfilter.filter.adoption import Change
 from navfilter.filter.channel import ChannelMemory
 from navfilter.filter.events import Event, Outcome
-from navfilter.filter.filter import Filter, FilterMemory
+from navfilter.filter.filter import Filter
+from navfilter.filter.filter_memory import Errors, FilterMemory
 from navfilter.filter.health import Health, Watch
 from navfilter.filter.history import History, Reading
 from navfilter.filter.intake import IntakeMemory, joined
@@ -62,7 +62,8 @@ class Navigator:
         Write down what smoother and track need. Without one, memory stays flat.
     history_s : float, optional
         Readings may come so late [s]: the state goes back and takes them in their place. Default 2 without a tape; with one nothing may be
-        late, because what is on the tape stays there. Models are learnt from readings older than that (2 s where there is no history).
+        late, because what is on the tape stays there. Models are learnt
+        from readings older than that, and at least 2 s old.
 
     Raises
     ------
@@ -100,7 +101,8 @@ class Navigator:
             raise ValueError(f"history_s must be a finite number >= 0, found {history_s!r}.")
         if length_s and tape is not None:
             raise ValueError("a run with a tape cannot go back: leave history_s out, and feed the readings in the order of their times.")
-        self.learning = LearningSchedule(self.filter, length_s or self.HISTORY_S)
+        # a replay has no history, and learns what the same run learns on board with the default one
+        self.learning = LearningSchedule(self.filter, max(length_s, self.HISTORY_S))
         self._room = None if self.learning.rest is None else self.learning.room
         names = list(vehicle.sensors)
         self._history = History(self, length_s, names) if length_s else None
@@ -242,7 +244,7 @@ class Navigator:
             self._history.feed(item)
 
     # ---------------------------------------------------------------- error models
-    def adopt(self, name: str, error: ErrorModel | tuple[ErrorModel, ...]) -> None:
+    def adopt(self, name: str, error: Errors) -> None:
         """Put other error models of one sensor in force, now; the states follow without a jump, and it goes on the tape.
 
         Readings from before this moment are too late from now on, and the beginning is not done again for learnt models.
@@ -372,7 +374,7 @@ class Navigator:
                 nav.listen(name, listener.ring.shape[1])
         nav.filter.begin(dict(memory.filter.models))
         nav.learning.begin_again()
-        problem = misfit(memory, nav.memory, "memory") or nav.filter.problem(memory.filter)
+        problem = misfit(memory, nav.memory, "memory") or memory.filter.problem(nav.filter.memory)
         if problem:
             raise ValueError(problem)
         if len(memory.learning.beginning or ()) != memory.learning.kept:

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from navfilter.error_models import ErrorModel
 from navfilter.filter import gating
 from navfilter.filter.adoption import Change, inflated, state_change
-from navfilter.filter.channel import Channel, ChannelMemory, usable
+from navfilter.filter.channel import Channel, usable
 from navfilter.filter.events import Correction, Event, Outcome, Passed, Propagated, Relaid
-from navfilter.filter.intake import Intake, IntakeMemory
+from navfilter.filter.filter_memory import Errors, FilterMemory
+from navfilter.filter.intake import Intake
 from navfilter.filter.layout import Layout
 from navfilter.filter.tape import OUTCOMES, Tape
 from navfilter.kernels import kalman, strapdown
@@ -23,55 +22,13 @@ from navfilter.start import Start
 from navfilter.state import NavState
 from navfilter.vehicle import Vehicle
 
-__all__ = ["Filter", "FilterMemory"]
+__all__ = ["Filter"]
 
 Array = NDArray[np.float64]
-Errors = ErrorModel | tuple[ErrorModel, ...]
 #: Beyond this variance of the heading [rad^2] a body velocity is taken with its second-order term.
 UNSURE_HEADING = 0.01
 CODES = {name: code for code, name in enumerate(OUTCOMES)}
 COUNTED = ("gap", "backward", "bad-sample", "clock-set", "widened", "opened", "adopted")
-
-
-@dataclass
-class FilterMemory:
-    """Everything that changes while a filter runs.
-
-    Attributes
-    ----------
-    time_s, sample_s : float
-        Mission time of the state and of the last sample of the drive [s].
-    unfolded : int
-        Samples whose transition is not in P yet.
-    nav : ndarray, shape (17,)
-        Nominal state, see `NavState.pack`.
-    x : ndarray, shape (n - 9,)
-        Estimated error states behind the nine of navigation.
-    P : ndarray, shape (n, n)
-        Covariance of all error states, as of the last fold.
-    acc : ndarray, shape (4m, m)
-        Compound transition and noise of the samples since then.
-    drv : ndarray
-        Memory of the drive's kernels.
-    intake : IntakeMemory
-    channels : dict of str to ChannelMemory
-    models : tuple of (str, error)
-        Error models put in force since the start, by sensor.
-    counts : dict of str to int
-    """
-
-    time_s: float
-    sample_s: float
-    unfolded: int
-    nav: Array
-    x: Array
-    P: Array
-    acc: Array
-    drv: Array
-    intake: IntakeMemory
-    channels: dict[str, ChannelMemory]
-    models: tuple[tuple[str, Errors], ...]
-    counts: dict[str, int]
 
 
 class Filter:
@@ -194,17 +151,6 @@ class Filter:
         self.intake.memory, self.intake.counts = memory.intake, memory.counts
         for name, channel in self.channels.items():
             channel.memory = memory.channels[name]
-
-    def problem(self, memory: FilterMemory) -> str | None:
-        """What is wrong with the values of a memory that came from outside, in words; its form is `misfit`'s business."""
-        P, drv = memory.P, memory.drv
-        if not (np.isfinite(P).all() and np.allclose(P, P.T, rtol=1e-6, atol=0.0) and np.all(np.diag(P) >= 0.0)):
-            return "the covariance is not finite, symmetric and positive on its diagonal"
-        if not (np.isfinite(memory.nav).all() and np.isfinite(memory.x).all()):
-            return "the state is not finite"
-        fresh = self.in_force.drive.memory(self.layout.drive.errors, self.start)
-        places = [strapdown.DEVIATION, strapdown.SCALE, strapdown.INCREMENTS]
-        return None if np.array_equal(drv[places], fresh[places]) else "the drive's memory is not laid out as this vehicle's"
 
     @property
     def time_s(self) -> float:
