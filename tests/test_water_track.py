@@ -125,9 +125,10 @@ def test_late_and_restored_water_tracks_are_in_order(tmp_path):
     restored = nf.Navigator.restore(vehicle, tmp_path / "state.nav")
     for nav in (mixed, restored):
         feed(nav, late[4000:])
-    for name in ("_nav", "_x", "_P"):
-        np.testing.assert_array_equal(getattr(restored, name), getattr(mixed, name), err_msg=name)
-        np.testing.assert_allclose(getattr(mixed, name), getattr(ordered, name), rtol=1e-9, atol=1e-9)
+    for name in ("nav", "x", "P"):
+        value = getattr(mixed.filter, name)
+        np.testing.assert_array_equal(getattr(restored.filter, name), value, err_msg=name)
+        np.testing.assert_allclose(value, getattr(ordered.filter, name), rtol=1e-9, atol=1e-9)
 
 
 def test_others_learn_beside_it():
