@@ -54,8 +54,9 @@ from navfilter.error_models import Sum
 from navfilter.evaluation.comparison import compare
 from navfilter.evaluation.rivals import learnable, rivals
 from navfilter.io import read_mission, read_vehicle
-from navfilter.learning.learned import LearnedArma, cautious, known_white
+from navfilter.learning.learned import LearnedArma, known_white
 from navfilter.learning.learner import Learner
+from navfilter.learning.low_frequency import cautious
 from navfilter.mission import Mission, Stream
 from navfilter.playback import replay, residual_series
 from navfilter.simulation.earth import frame_rates, gravity

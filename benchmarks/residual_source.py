@@ -14,7 +14,7 @@ given to all, the coefficients not), and the whole mission is replayed with that
 | oracle | (the true model) |
 
 The driving variance of all fitted models is raised alike by what is not known of S(0), as the filter does
-(`navfilter.learning.learned.cautious`); the S(0) printed is that before.
+(`navfilter.learning.low_frequency.cautious`); the S(0) printed is that before.
  Printed: power at zero frequency identified over true, median and 10-90 % of the seeds; rms of the
 heading error; NEES of the heading (1 is honest).
 
@@ -40,9 +40,10 @@ from numpy.typing import NDArray
 import navfilter as nf
 from navfilter.arma.model import ArmaModel
 from navfilter.error_models import ErrorModel
-from navfilter.learning.fit import Drift, fit_channel
-from navfilter.learning.learned import block_level, cautious, zero_frequency
+from navfilter.learning.drift import Drift
+from navfilter.learning.fit import fit_channel
 from navfilter.learning.listener import ChannelSeries
+from navfilter.learning.low_frequency import block_level, cautious, zero_frequency
 from navfilter.mission import Mission, Stream
 from navfilter.playback import residual_series
 from navfilter.simulation.campaigns import Staged, stage

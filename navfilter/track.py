@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from navfilter.filter.tape import Residuals
 from navfilter.kernels import strapdown
-from navfilter.learning.learned import LearnedArma, learned_part, zero_frequency
+from navfilter.learning.learned import LearnedArma, learned_part
+from navfilter.learning.low_frequency import zero_frequency
 from navfilter.mission import Stream
 from navfilter.state import matrix_from_euler, rotation_vector, wrap
 

@@ -11,9 +11,7 @@ import navfilter as nf
 from navfilter.arma.model import ArmaModel
 from navfilter.filter.adoption import state_change, transfer
 from navfilter.filter.layout import Layout
-from navfilter.learning import learned as learning
 from navfilter.learning.learned import (
-    LARGEST_SPREAD,
     LearnedArma,
     known_walk,
     known_white,
@@ -23,6 +21,7 @@ from navfilter.learning.learned import (
     resolve_prior,
     with_learned,
 )
+from navfilter.learning.low_frequency import LARGEST_SPREAD, SHARE
 
 PERIOD_S = 0.25
 
@@ -92,7 +91,6 @@ def test_register_reproduces_the_difference_equation_of_coefficients_that_jump()
 @pytest.mark.parametrize("order", [(0, 0), (1, 0), (2, 1), (0, 2), (4, 4)])
 def test_an_uncertain_s0_raises_the_spectrum_at_zero(order):
     """By exp(share * sd ln S(0)), at most `LARGEST_SPREAD`: however it is done, that much has to come out at frequency zero."""
-    share = getattr(learning, "SHARE", 1.0)
     plain = random_model(np.random.default_rng(9), *order)
 
     def s0(model):
@@ -104,7 +102,7 @@ def test_an_uncertain_s0_raises_the_spectrum_at_zero(order):
 
     for spread, counted in ((0.0, 0.0), (0.3, 0.3), (9.0, LARGEST_SPREAD)):
         raised = dataclasses.replace(plain, sd_log_s0=spread)
-        np.testing.assert_allclose(s0(raised) / s0(plain), np.exp(share * counted), rtol=1e-9)
+        np.testing.assert_allclose(s0(raised) / s0(plain), np.exp(SHARE * counted), rtol=1e-9)
 
 
 # ---------------------------------------------------------------- transfer of one axis

@@ -12,20 +12,24 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_lyapunov
 
 from navfilter.arma.model import ArmaModel
-from navfilter.error_models import Block, ErrorModel, RandomWalk, Sum, White
+from navfilter.error_models import Block, ErrorModel, Integrated, RandomWalk, Sum, White
+from navfilter.learning.low_frequency import cautious
 
-__all__ = ["LearnedArma", "known_walk", "known_white", "learned_part", "learning_part", "register_labels", "resolve_prior", "with_learned"]
+__all__ = [
+    "LearnedArma",
+    "known_walk",
+    "known_white",
+    "learned_part",
+    "learning_part",
+    "register_labels",
+    "resolve_prior",
+    "with_learned",
+]
 
 Array = NDArray[np.float64]
 
 #: Orders (p, q) tried by default: white, Gauss-Markov, Gauss-Markov and white, up to two oscillations with white noise.
 DEFAULT_ORDERS = ((0, 0), (1, 0), (1, 1), (2, 0), (2, 1), (2, 2), (3, 2), (3, 3), (4, 2), (4, 4))
-#: sd ln S(0) counts at most so much: beyond it the window says nothing about the low frequencies.
-LARGEST_SPREAD = 1.5
-#: S(0) is raised by exp(share * sd ln S(0)).
-SHARE = 0.25
-#: No pole comes nearer to 1.
-NEAREST = 1e-5
 
 
 @dataclass(frozen=True)
@@ -107,6 +111,10 @@ class LearnedArma(ErrorModel):
             raise ValueError("LearnedArma needs a prior here: LearnedArma(prior=GaussMarkov(sd=..., tau_s=...)).")
         return self.prior.block(period_s)
 
+    def integrated(self, period_s: float) -> Integrated:
+        """That of the prior while nothing has been learnt."""
+        return self.prior.integrated(period_s) if self.model is None and self.prior is not None else super().integrated(period_s)
+
     @cached_property
     def _register(self) -> Block:
         # laying out the states asks for it some fifty times at each adoption
@@ -117,44 +125,6 @@ class LearnedArma(ErrorModel):
         if self.model is None:
             return f"LearnedArma(prior={self.prior})"
         return f"LearnedArma({self.model.p}, {self.model.q}{', frozen' if self.frozen else ''})"
-
-
-def zero_frequency(model: ArmaModel) -> float:
-    """Spectral density at zero frequency per sample, ``S(0) = sd^2 (C(1) / A(1))^2`` [unit^2]."""
-    return float(model.sd**2 * ((1.0 + model.ma.sum()) / (1.0 + model.ar.sum())) ** 2)
-
-
-def block_level(block: Block) -> float:
-    """S(0) per sample of a stationary block."""
-    response = np.linalg.solve(np.eye(block.size) - block.Phi.T, block.C) if block.size else np.zeros(0)
-    return float(response @ block.Q @ response) + block.r
-
-
-def slow_pole(model: ArmaModel) -> int | None:
-    """Which of ``model.poles`` is real and slow, the slowest of them; None when there is none."""
-    poles = model.poles
-    slow = [i for i, z in enumerate(poles) if abs(z.imag) < 1e-9 and z.real > 0.5]
-    return max(slow, key=lambda i: poles[i].real) if slow else None
-
-
-def with_zero_frequency(model: ArmaModel, factor: float) -> tuple[Array, float]:
-    """AR coefficients and driving variance of the model with S(0) times `factor`.
-
-    Where the model has a real slow pole, that pole moves: only the low frequencies change, and the innovation keeps its size. Otherwise the
-    driving variance takes it, but it is never lowered.
-    """
-    poles, first = model.poles, slow_pole(model)
-    if first is None:
-        return model.ar, model.sd**2 * max(factor, 1.0)
-    own = 1.0 - poles[first].real
-    poles[first] = 1.0 - min(max(own / math.sqrt(factor), min(own, NEAREST)), 0.5)
-    return np.atleast_1d(np.poly(poles)).real[1:], model.sd**2
-
-
-def cautious(model: ArmaModel) -> tuple[Array, float]:
-    """AR coefficients and driving variance with S(0) raised by what is not known of it."""
-    spread = 0.0 if model.sd_log_s0 is None else min(model.sd_log_s0, LARGEST_SPREAD)
-    return with_zero_frequency(model, math.exp(SHARE * spread))
 
 
 def register_block(model: ArmaModel) -> Block:

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from navfilter.arma.model import ArmaModel
 from navfilter.arma.online.bank import cancelling_pairs
-from navfilter.learning.fit import ChannelFit, channel_fit, log_s0, with_upward_spread
+from navfilter.learning.fit import ChannelFit, channel_fit
 from navfilter.learning.likelihood import Likelihood, Point, maximise
+from navfilter.learning.low_frequency import log_s0, with_upward_spread
 
 __all__ = ["LEAD", "Candidate", "denies", "fit_candidate", "preferred"]
 
