@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from navfilter.arma.model import ArmaModel, log_s0_sd
 from navfilter.arma.objective import GapFree, Objective, Point, WithGaps, minimise
 from navfilter.arma.problem import PART, Problem
+from navfilter.arma.roots import resolved_radius
 
 __all__ = ["ArmaFit", "fit_arma"]
 
@@ -211,7 +212,7 @@ def fitted(problem: Problem, point: Point, objective: Objective, converged: bool
     if not converged:
         flags.add("not converged")
     model = ArmaModel(point.theta[:p], point.theta[p:], 1.0)
-    if p and np.any(model.poles.real > 1.0 - 3.0 / n):
+    if p and np.any(model.poles.real > resolved_radius(n)):
         flags.add("unit root")
         if problem.method != "likelihood":
             # The least sum of squares lies on the circle, where the search had to stop.

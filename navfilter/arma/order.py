@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
@@ -10,9 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navfilter.arma.fit import ArmaFit, fitted
-from navfilter.arma.model import ArmaModel
 from navfilter.arma.objective import Objective, Point, minimise
 from navfilter.arma.problem import Problem
+from navfilter.arma.roots import cancelling_pairs
 from navfilter.diagnostics import Whiteness, whiteness
 
 __all__ = ["OrderTable", "select_order"]
@@ -147,6 +146,8 @@ def _fit_cell(
 CLOSE = 2.0
 # The gate is tried on many orders, so it is stricter here than for one series.
 GATE = 1e-3
+# Beyond a quarter of the circle's radius the first-order spread says nothing about cancellation.
+FARTHEST = 0.25
 
 
 def choose(fits: dict[tuple[int, int], ArmaFit], tests: dict[tuple[int, int], Whiteness]) -> tuple[int, int]:
@@ -164,24 +165,6 @@ def choose(fits: dict[tuple[int, int], ArmaFit], tests: dict[tuple[int, int], Wh
     return min(close, key=lambda k: k[1])
 
 
-def cancels(fit: ArmaFit, reach: float = 2.0) -> bool:
-    """Whether some zero lies within `reach` standard deviations of a pole, so that the pair is noise.
-
-    First-order propagation: a root z of ``z^n + c1 z^(n-1) + ...`` moves by ``-z^(n-j) dc_j / (derivative at z)``.
-    """
-    model = fit.model if fit.d == 0 else ArmaModel(fit.ar, fit.ma, fit.sd)
-    for pole in model.poles:
-        by_pole = _root_gradient(fit.ar, pole)
-        for zero in model.zeros:
-            gradient = np.r_[by_pole, -_root_gradient(fit.ma, zero)]
-            spread = math.sqrt(max(float(np.real(gradient @ fit.covariance @ gradient.conj())), 0.0))
-            # Beyond a quarter of the circle's radius the first-order spread says nothing about cancellation.
-            if abs(pole - zero) < min(reach * spread, 0.25):
-                return True
-    return False
-
-
-def _root_gradient(c: Array, root: complex) -> NDArray[np.complex128]:
-    slope = np.polyval(np.polyder(np.r_[1.0, c]), root)
-    powers = np.asarray(root, dtype=np.complex128) ** np.arange(c.size - 1, -1, -1)
-    return np.asarray(-powers / (slope if abs(slope) > 1e-12 else 1e-12), dtype=np.complex128)
+def cancels(fit: ArmaFit) -> bool:
+    """Whether some zero lies within two standard deviations of a pole, so that the pair is noise."""
+    return cancelling_pairs(fit.ar, fit.ma, fit.covariance, farthest=FARTHEST, nearest=False) > 0

@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navfilter.arma.model import ArmaModel
+from navfilter.arma.roots import is_stable
 from navfilter.arma.starts import tidy_series
 from navfilter.diagnostics import whiteness
-from navfilter.kernels.fit import largest_reflection
 from navfilter.learning.likelihood import Likelihood, Point, maximise
 from navfilter.learning.low_frequency import log_s0_spread, with_upward_spread
 from navfilter.learning.starts import cold_starts, grown_starts, padded_start
@@ -250,7 +250,7 @@ def channel_fit(likelihood: Likelihood, point: Point) -> ChannelFit:
 
 def at_cap(likelihood: Likelihood, ar: Array) -> bool:
     """Whether a pole sits at the largest radius that the series can tell from a bias."""
-    return bool(largest_reflection(np.ascontiguousarray(ar), 1.0 - 1.01 * (1.0 - likelihood.pole_radius)) >= 1.0)
+    return not is_stable(ar, 1.0 - 1.01 * (1.0 - likelihood.pole_radius))
 
 
 def _is_white(z: Array, fitted: int) -> bool:

@@ -10,8 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navfilter.arma.model import ArmaModel
+from navfilter.arma.roots import time_constant
 from navfilter.learning.fit import Drift, theta_of
 from navfilter.learning.likelihood import Likelihood
+from navfilter.learning.low_frequency import slow_pole
 from navfilter.learning.orders import LEAD, Candidate, denies, fit_candidate, preferred
 from navfilter.learning.starts import cold_starts, grown_starts, slow_part_start
 
@@ -126,7 +128,7 @@ class Learner:
         young = n < 0.9 * self.window
         model = self._without(y, "constant") if not fits else self._choose(likelihood, fits, best)
         self._young = young
-        if young and "stale" not in model.flags and _slowest(model) > n / CYCLES:
+        if young and "stale" not in model.flags and max(map(time_constant, model.poles), default=0.0) > n / CYCLES:
             model = _flagged(model, "starting")
             self._good = None if self._good is None else _flagged(self._good, "starting")
         return model
@@ -165,7 +167,7 @@ class Learner:
 
     def _has_slow_pole(self) -> bool:
         """Whether the last good model has a real pole in the right half of the circle."""
-        return self._good is None or any(abs(z.imag) < 1e-9 and z.real > 0.5 for z in self._good.poles)
+        return self._good is None or slow_pole(self._good) is not None
 
     def _fit(self, likelihood: Likelihood, orders: list[Order]) -> dict[Order, Candidate]:
         fits: dict[Order, Candidate] = {}
@@ -293,11 +295,6 @@ def _bic(model: ArmaModel, likelihood: Likelihood, n: int) -> float:
     theta = likelihood.confine(theta_of(model, likelihood), model.p)
     value = likelihood.value(theta, model.p) - n * math.log(likelihood.unit)
     return 2.0 * value + theta.size * math.log(max(n, 2))
-
-
-def _slowest(model: ArmaModel) -> float:
-    """Longest time constant of the poles, ticks."""
-    return -1.0 / math.log(min(max(float(np.max(np.abs(model.poles))), 1e-9), 1.0 - 1e-12)) if model.p else 0.0
 
 
 def _flagged(model: ArmaModel, flag: str) -> ArmaModel:

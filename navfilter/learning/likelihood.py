@@ -11,10 +11,8 @@ from functools import cache, cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.arma.starts import pull_inside
-from navfilter.arma.unit_root import cap_poles
+from navfilter.arma.roots import cap_poles, is_stable, pull_inside, resolved_radius
 from navfilter.kernels import channel as kernel
-from navfilter.kernels.fit import largest_reflection
 
 __all__ = ["Likelihood", "Point", "maximise"]
 
@@ -74,7 +72,7 @@ class Likelihood:
         self.Q = np.zeros((2, 1)) if r == 0 else np.ascontiguousarray(drift * self.unit**2)
         self.rules = np.array([diffuse, LONGEST_GAP, clip, white * self.unit**2, TOLERANCE])
         self.n = known.size - diffuse
-        self.pole_radius = 1.0 - 3.0 / max(known.size, 8)
+        self.pole_radius = resolved_radius(max(known.size, 8))
         self.lowest = 2.0 * math.pi / max(known.size, 8)
         self._E, self._LNS = np.empty((2, self.y.size)), np.empty((2, self.y.size))
         self._turn = [complex(np.exp(-1j * self.lowest * k)) for k in range(1, 11)]
@@ -164,9 +162,9 @@ class Likelihood:
     def confine(self, theta: Array, p: int) -> Array:
         """`theta` with poles and zeros pulled inside their radii, and ln sd within floating point."""
         out = theta.copy()
-        if largest_reflection(np.ascontiguousarray(theta[:p]), self.pole_radius) >= 1.0:
+        if not is_stable(theta[:p], self.pole_radius):
             out[:p] = cap_poles(theta[:p], self.pole_radius - 1e-12)
-        if largest_reflection(np.ascontiguousarray(theta[p:-1]), ZERO_RADIUS) >= 1.0:
+        if not is_stable(theta[p:-1], ZERO_RADIUS):
             out[p:-1] = pull_inside(theta[p:-1], ZERO_RADIUS - 1e-12)
         out[-1] = min(max(theta[-1], -14.0), 40.0)
         return out

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.arma.model import ArmaModel
-from navfilter.arma.online.bank import cancelling_pairs
+from navfilter.arma.roots import cancelling_pairs
 from navfilter.learning.fit import ChannelFit, channel_fit
 from navfilter.learning.likelihood import Likelihood, Point, maximise
 from navfilter.learning.low_frequency import log_s0, with_upward_spread

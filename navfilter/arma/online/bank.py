@@ -9,12 +9,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from navfilter.arma.algebra import split_bias
 from navfilter.arma.model import ArmaModel, log_s0_sd
 from navfilter.arma.online.recursive import RecursiveArma
-from navfilter.arma.unit_root import cap_poles, has_unit_root, split_bias
+from navfilter.arma.roots import cancelling_pairs, cap_poles, has_unit_root, resolved_radius
 from navfilter.kernels import arma as kernel
 
-__all__ = ["ArmaBank", "cancelling_pairs", "moment_gm1"]
+__all__ = ["ArmaBank", "moment_gm1"]
 
 Array = NDArray[np.float64]
 
@@ -220,7 +221,7 @@ class ArmaBank:
             self._walk_sd, rest = split_bias(model)
             self._model = replace(rest, flags=flags)
         except ValueError:
-            ar = cap_poles(model.ar, 1.0 - 3.0 / window)
+            ar = cap_poles(model.ar, resolved_radius(window))
             spread = log_s0_sd(ar, model.ma, model.covariance, window)
             self._model = replace(model, ar=ar, sd_log_s0=spread, flags=flags)
 
@@ -273,42 +274,6 @@ class ArmaBank:
         self._model = ArmaModel(ar, ma, float(sd[0]), known, spread, length, frozenset(flags.split(",")) - {""})
 
 
-def cancelling_pairs(ar: ArrayLike, ma: ArrayLike, covariance: ArrayLike, deviations: float = 2.0) -> int:
-    """Number of pole-zero pairs closer than `deviations` of the standard deviation of their distance.
-
-    The distance of pole z_i and zero z_j has, to first order, the gradient
-    ``-z_i^(p-k) / A'(z_i)`` in a_k and ``+z_j^(q-k) / C'(z_j)`` in c_k.
-
-    Examples
-    --------
-    >>> cancelling_pairs([-0.50], [-0.52], [[0.01, 0.0], [0.0, 0.01]])
-    1
-    >>> cancelling_pairs([-0.99], [-0.93], [[1e-5, 0.0], [0.0, 1e-5]])
-    0
-    """
-    a, c = np.asarray(ar, dtype=np.float64), np.asarray(ma, dtype=np.float64)
-    p, q = a.size, c.size
-    if p == 0 or q == 0:
-        return 0
-    cov = np.asarray(covariance, dtype=np.float64)
-    poles, zeros = np.roots(np.r_[1.0, a]), np.roots(np.r_[1.0, c])
-    count = 0
-    free = list(range(zeros.size))
-    for pole in poles:
-        if not free:
-            break
-        j = min(free, key=lambda k: abs(pole - zeros[k]))
-        slope_a, slope_c = np.polyval(np.polyder(np.r_[1.0, a]), pole), np.polyval(np.polyder(np.r_[1.0, c]), zeros[j])
-        if slope_a == 0.0 or slope_c == 0.0:
-            continue
-        gradient = np.r_[-(pole ** np.arange(p - 1, -1, -1)) / slope_a, zeros[j] ** np.arange(q - 1, -1, -1) / slope_c]
-        spread = math.sqrt(max(float((gradient @ cov @ gradient.conj()).real), 0.0))
-        if abs(pole - zeros[j]) < deviations * spread:
-            count += 1
-            free.remove(j)
-    return count
-
-
 def moment_gm1(series: ArrayLike, mean: bool = True) -> ArmaModel:
     """First-order Gauss-Markov model from variance and lag-one correlation, the pole capped at ``1 - 3/N``.
 
@@ -330,7 +295,7 @@ def moment_gm1(series: ArrayLike, mean: bool = True) -> ArmaModel:
     rho = float(x[1:] @ x[:-1]) / pairs / variance
     if abs(rho) < 2.0 / math.sqrt(n):
         return ArmaModel(np.zeros(0), np.zeros(0), top * math.sqrt(variance), np.zeros((0, 0)), None, float(n), flags)
-    limit = 1.0 - 3.0 / max(n, 4)
+    limit = resolved_radius(max(n, 4))
     rho = min(max(rho, -limit), limit)
     covariance = np.array([[(1.0 - rho * rho) / n]])
     sd = top * math.sqrt(variance * (1.0 - rho * rho))
