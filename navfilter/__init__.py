@@ -25,7 +25,7 @@ __version__ = "0.1.0"
 #: Public names by the module that holds them; imported when first used, so that ``navfilter --help`` answers at once.
 _FACE = {
     "alignment": "align",
-    "arma.algebra": "BiasPlusWhite add_arma bias_plus_white resample_arma spectral_factor split_bias",
+    "arma.algebra": "BiasPlusWhite add_arma bias_plus_white resample_arma split_bias",
     "arma.online.bank": "ArmaBank",
     "arma.fit": "ArmaFit fit_arma",
     "arma.online.front_end": "FrontEnd",
@@ -35,6 +35,7 @@ _FACE = {
     "arma.order": "OrderTable select_order",
     "arma.periodic_motion": "find_motion_band subtract_motion",
     "arma.roots": "is_stable",
+    "arma.spectral": "spectral_factor",
     "arma.starts": "burg hannan_rissanen yule_walker",
     "evaluation.comparison": "Comparison compare",
     "diagnostics": "Whiteness acf allan_deviation cross_correlation pacf whiteness",

@@ -1,4 +1,4 @@
-"""Exact algebra of ARMA models: spectral factorisation, decimation, sums, and the reading as bias + white + lines."""
+"""Exact algebra of ARMA models: decimation, sums, the reading as bias + white + lines, and the bias split off."""
 
 from __future__ import annotations
 
@@ -6,57 +6,15 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from navfilter.arma.model import ArmaModel, log_s0_sd
 from navfilter.arma.roots import slowest_real
+from navfilter.arma.spectral import spectral_factor
 
-__all__ = ["BiasPlusWhite", "Line", "add_arma", "bias_plus_white", "resample_arma", "spectral_factor", "split_bias"]
+__all__ = ["BiasPlusWhite", "Line", "add_arma", "bias_plus_white", "resample_arma", "split_bias"]
 
 Array = NDArray[np.float64]
-
-
-def spectral_factor(autocovariance: ArrayLike) -> tuple[Array, float]:
-    """Invertible moving average with a given autocovariance.
-
-    Newton's method of G. Wilson (SIAM J. Numer. Anal. 6, 1969): quadratic, and from its start every iterate keeps
-    all zeros inside the circle.
-
-    Parameters
-    ----------
-    autocovariance : array_like, shape (q+1,)
-        Lags 0 ... q; all further lags are zero.
-
-    Returns
-    -------
-    ma : ndarray, shape (q,)
-        Coefficients with zeros inside or on the unit circle.
-    sd : float
-        Standard deviation of the innovation.
-    """
-    gamma = np.array(autocovariance, dtype=np.float64)
-    n = gamma.size
-    if n == 0 or not np.all(np.isfinite(gamma)) or gamma[0] <= 0.0:
-        raise ValueError("the autocovariance must be finite and positive at lag 0.")
-    scale = gamma[0]
-    gamma = gamma / scale
-    c = np.zeros(n)
-    c[0] = 1.0
-    for _ in range(200):
-        lead = np.array([[c[j - i] if j >= i else 0.0 for j in range(n)] for i in range(n)])
-        lag = np.array([[c[i + j] if i + j < n else 0.0 for j in range(n)] for i in range(n)])
-        product = np.array([c[: n - k] @ c[k:] for k in range(n)])
-        try:
-            new = np.linalg.solve(lead + lag, gamma + product)
-        except np.linalg.LinAlgError:
-            break
-        change, c = np.abs(new - c).max(), new
-        if change < 1e-15:
-            break
-    worst = max(abs(c[: n - k] @ c[k:] - gamma[k]) for k in range(n))
-    if not worst < 1e-6:
-        raise ValueError(f"not an autocovariance: no moving average of order {n - 1} has it (misfit {worst:.1e}).")
-    return c[1:] / c[0], float(c[0] * np.sqrt(scale))
 
 
 def resample_arma(model: ArmaModel, m: int) -> ArmaModel:
