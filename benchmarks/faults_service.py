@@ -128,7 +128,7 @@ def damaged_snapshots(dive: Dive, folder: Path, rng: np.random.Generator) -> Ver
             print(f"  {type(error).__name__}: {error} (way {how}, byte {at} of {len(data)})")
             verdict["crash"] += 1
         else:
-            verdict["other state"] += not np.array_equal(other._P, nav._P)
+            verdict["other state"] += not np.array_equal(other.filter.P, nav.filter.P)
     return verdict
 
 

@@ -123,7 +123,7 @@ def likeliest_gm1(window: Array, gyro: Gyro) -> nf.ArmaModel:
 
 def learner_hop(gyro: Gyro) -> Callable[[Array], Belief]:
     """Navfilter's learner, its models used as the navigator does: S(0) steadied over hops and raised by what is not known of it."""
-    from navfilter.learning.fit import Drift
+    from navfilter.learning.drift import Drift
     from navfilter.learning.learned import LearnedArma
     from navfilter.learning.learner import Learner
     from navfilter.learning.low_frequency import HOPS_REMEMBERED, cautious, steadied, zero_frequency

@@ -40,7 +40,8 @@ from numpy.typing import NDArray
 import navfilter as nf
 from navfilter.arma.model import ArmaModel
 from navfilter.error_models import ErrorModel
-from navfilter.learning.fit import Drift, fit_channel
+from navfilter.learning.drift import Drift
+from navfilter.learning.fit import fit_channel
 from navfilter.learning.listener import ChannelSeries
 from navfilter.learning.low_frequency import block_level, cautious, zero_frequency
 from navfilter.mission import Mission, Stream

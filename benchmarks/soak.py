@@ -142,10 +142,10 @@ COLUMNS = ("hour", "rss_mb", "smallest", "nees_position", "nees_velocity", "nees
 
 def look(nav: nf.Navigator, laps: Laps) -> tuple[float, ...]:
     """Memory, definiteness and consistency, now: the `COLUMNS`."""
-    sd = np.sqrt(np.diag(nav._P))
+    sd = np.sqrt(np.diag(nav.filter.P))
     state = nav.state
     error, P = state.minus(laps.truth(state.time_s)), state.covariance
-    smallest = float(np.linalg.eigvalsh(nav._P / np.outer(sd, sd)).min())
+    smallest = float(np.linalg.eigvalsh(nav.filter.P / np.outer(sd, sd)).min())
     nees = [float(error[k : k + 3] @ np.linalg.solve(P[k : k + 3, k : k + 3], error[k : k + 3])) / 3.0 for k in (0, 3, 6)]
     return (state.time_s / 3600.0, resident_mb(), smallest, *nees, math.hypot(error[0], error[1]), math.sqrt(P[0, 0] + P[1, 1]))
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,12 +21,14 @@ from scipy.linalg import block_diag, solve_discrete_lyapunov
 
 from navfilter.arma.roots import is_stable
 
-__all__ = ["Arma", "Block", "ErrorModel", "GaussMarkov", "RandomWalk", "Sum", "White", "per_axis"]
+__all__ = ["Arma", "Block", "ErrorModel", "GaussMarkov", "Integrated", "RandomWalk", "Sum", "White", "block_level", "per_axis"]
 
 Array = NDArray[np.float64]
 
 #: beta * tau of an order-n Gauss-Markov process whose autocorrelation falls to 1/e at tau (thesis, after eq 2.42, corrected).
 CORRELATION_CONSTANTS = {1: 1.0, 2: 2.14619322062, 3: 2.90462997502, 4: 3.51264845273}
+#: A pole nearer to the unit circle than this has no stationary variance in floating point.
+UNIT_ROOT = 1e-12
 
 
 @dataclass(frozen=True)
@@ -54,6 +57,34 @@ class Block:
         return len(self.C)
 
 
+def block_level(block: Block) -> float:
+    """S(0) per sample of a stationary block."""
+    response = np.linalg.solve(np.eye(block.size) - block.Phi.T, block.C) if block.size else np.zeros(0)
+    return float(response @ block.Q @ response) + block.r
+
+
+class Integrated(NamedTuple):
+    """What the integral of an error gathers, see `ErrorModel.integrated`.
+
+    Attributes
+    ----------
+    white : float
+        Variance per sample of the white noise that the integral cannot tell from the error [unit^2].
+    walk : float
+        Variance that its bias gains per sample [unit^2].
+    start : float
+        Variance of that bias at the start [unit^2].
+    """
+
+    white: float
+    walk: float = 0.0
+    start: float = 0.0
+
+
+def _as_walk(block: Block) -> Integrated:
+    return Integrated(block.r, float(block.C @ block.Q @ block.C), float(block.C @ block.P0 @ block.C))
+
+
 class ErrorModel:
     """Base of all error models; a model is a frozen value and models add with ``+``."""
 
@@ -70,6 +101,26 @@ class ErrorModel:
         Block
         """
         raise NotImplementedError
+
+    def integrated(self, period_s: float) -> Integrated:
+        """What this error looks like to an integral of the readings: white noise, and a bias that wanders.
+
+        Default: a stationary error is forgotten within the time of an integral, which then sees white noise of its S(0); one with a
+        unit root is a bias that wanders by its own driving noise.
+
+        Parameters
+        ----------
+        period_s : float
+            Sampling period of the sensor [s].
+
+        Returns
+        -------
+        Integrated
+        """
+        block = self.block(period_s)
+        if block.size and float(np.abs(np.linalg.eigvals(block.Phi)).max()) > 1.0 - UNIT_ROOT:
+            return _as_walk(block)
+        return Integrated(block_level(block))
 
     def __add__(self, other: ErrorModel) -> Sum:
         if not isinstance(other, ErrorModel):
@@ -223,6 +274,10 @@ class GaussMarkov(ErrorModel):
         Phi, Q = van_loan_discretization(F, G, step)
         return Block(_square(Phi, n), _square((Q + Q.T) / 2, n), np.eye(n)[0], 0.0, P0)
 
+    def integrated(self, period_s: float) -> Integrated:
+        """As a walk: such a model states a bias that outlasts the integral, which sees the beginning of a walk from its variance."""
+        return _as_walk(self.block(period_s))
+
 
 def _stationary_gauss_markov(n: int) -> Array:
     """Stationary covariance of the scaled states for unit variance: E[x^(i) x^(j)] = (-1)^j R^(i+j)(0), odd derivatives vanish."""
@@ -304,6 +359,11 @@ class Sum(ErrorModel):
             for key in ("Phi", "Q", "P0")
         }
         return Block(stack["Phi"], stack["Q"], np.concatenate([b.C for b in blocks]), sum(b.r for b in blocks), stack["P0"])
+
+    def integrated(self, period_s: float) -> Integrated:
+        """Part by part: the errors are independent, so that the variances add."""
+        each = [part.integrated(period_s) for part in self.parts]
+        return Integrated(sum(e.white for e in each), sum(e.walk for e in each), sum(e.start for e in each))
 
     def __str__(self) -> str:
         return " + ".join(str(part) for part in self.parts)

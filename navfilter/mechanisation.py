@@ -5,31 +5,73 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from functools import cached_property
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.error_models import ErrorModel, RandomWalk, Sum, White, per_axis
 from navfilter.kernels import strapdown
+from navfilter.learning.drift import Drift
 from navfilter.learning.learned import learned_part
 from navfilter.sensors import BodyVelocity, Heading, WaterVelocity
 from navfilter.start import Start
 
-__all__ = ["DeadReckoning", "Imu", "Mechanisation"]
+__all__ = ["DeadReckoning", "DriveNoise", "Imu", "Mechanisation"]
 
 Array = NDArray[np.float64]
 GYRO_PRIOR: Sum = White(density=1e-4) + RandomWalk(density=1e-6)
 ACCEL_PRIOR: Sum = White(density=1e-3) + RandomWalk(density=1e-5)
 
 
+class DriveNoise(NamedTuple):
+    """What the errors of a drive gather in an integral, axis by axis, see `ErrorModel.integrated`.
+
+    Attributes
+    ----------
+    white, walk : tuple of float
+        Root PSDs of the white noise [unit/sqrt(Hz)] and of the walk of the bias [unit/s/sqrt(Hz)].
+    start : tuple of float
+        Standard deviation of the bias at the start [unit].
+    """
+
+    white: tuple[float, ...]
+    walk: tuple[float, ...]
+    start: tuple[float, ...]
+
+    @classmethod
+    def of(cls, models: Sequence[ErrorModel], period_s: float) -> DriveNoise:
+        """That of these axes."""
+        each = [model.integrated(period_s) for model in models]
+        return cls(
+            tuple(math.sqrt(e.white * period_s) for e in each),
+            tuple(math.sqrt(max(e.walk, 0.0) / period_s) for e in each),
+            tuple(math.sqrt(e.start) for e in each),
+        )
+
+
 @dataclass(frozen=True, kw_only=True)
 class Mechanisation:
-    """What both drives share: six channels whose errors enter the propagation."""
+    """What both drives share: six channels whose errors enter the propagation.
+
+    Attributes
+    ----------
+    streams : tuple of str
+        Of the mission, in the order of the six values of a sample.
+    axis_names, units : tuple of str
+        Of the six channels.
+    inertial : bool
+        The channels are three rates and three forces: what the vehicle does between two samples is felt, rest can be told.
+    gravity : float
+        What a tilt turns into acceleration [m/s^2]; 0 where the velocity is no integral.
+    """
 
     rate_hz: float
 
     streams: ClassVar[tuple[str, ...]] = ()
+    inertial: ClassVar[bool] = False
+    gravity: ClassVar[float] = 0.0
     axis_names: ClassVar[tuple[str, ...]] = ()
     units: ClassVar[tuple[str, ...]] = ()
     steps: ClassVar[Callable[..., None]]
@@ -48,6 +90,31 @@ class Mechanisation:
     @property
     def models(self) -> tuple[ErrorModel, ...]:
         """Error models of the six channels."""
+        raise NotImplementedError
+
+    @cached_property
+    def noise(self) -> DriveNoise:
+        """What the errors of the six channels gather in an integral."""
+        return DriveNoise.of(self.models, self.period_s)
+
+    def heading_drift(self, walk: float, period_s: float) -> Drift:
+        """Known noise of the heading error in an open-loop residual: integrators from the inside out.
+
+        Parameters
+        ----------
+        walk : float
+            Root PSD of the sensor's own random walk, which nobody can tell from that of the heading [rad/s/sqrt(Hz)].
+        period_s : float
+            Of the sensor.
+        """
+        raise NotImplementedError
+
+    def velocity_drift(self, walk: float, period_s: float, *, vertical: bool = False) -> Drift:
+        """As `heading_drift`, for one component of the velocity error; `walk` in m/s/s/sqrt(Hz)."""
+        raise NotImplementedError
+
+    def position_drift(self, walk: float, period_s: float, *, vertical: bool = False) -> Drift:
+        """As `heading_drift`, for one component of the position error; `walk` in m/s/sqrt(Hz)."""
         raise NotImplementedError
 
     def parameters(self) -> tuple[tuple[str, float], ...]:
@@ -97,6 +164,8 @@ class Imu(Mechanisation):
     max_force: float = 1000.0
 
     streams: ClassVar[tuple[str, ...]] = ("imu",)
+    inertial: ClassVar[bool] = True
+    gravity: ClassVar[float] = 9.81
     axis_names: ClassVar[tuple[str, ...]] = ("gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z")
     units: ClassVar[tuple[str, ...]] = ("rad_s",) * 3 + ("m_s2",) * 3
     steps: ClassVar[Callable[..., None]] = staticmethod(strapdown.imu_steps)
@@ -107,6 +176,25 @@ class Imu(Mechanisation):
         """Gyro x, y, z, accelerometer x, y, z."""
         gyro, accel = per_axis(self.gyro, 3, "Imu.gyro"), per_axis(self.accel, 3, "Imu.accel")
         return _with_bias(gyro, GYRO_PRIOR) + _with_bias(accel, ACCEL_PRIOR)
+
+    def heading_drift(self, walk: float, period_s: float) -> Drift:
+        """Angle random walk, then the walk of the gyro's bias."""
+        # the gyro's bias is no one's guess: how large it can be is part of the gyro's model
+        white, walks, start = (part[:3] for part in self.noise)
+        bias = max(math.hypot(sd, w * 60.0) for sd, w in zip(start, walks, strict=True))
+        return Drift((math.hypot(max(white), walk), max(walks)), period_s, (math.inf, bias) if bias > 0.0 else ())
+
+    def velocity_drift(self, walk: float, period_s: float, *, vertical: bool = False) -> Drift:
+        """Velocity random walk, then what turns the force: the tilt, which wanders with the gyros (Groves, 2013, sec. 14.2)."""
+        return Drift((math.hypot(max(self.noise.white[3:]), walk), self._force_walk(vertical)), period_s)
+
+    def position_drift(self, walk: float, period_s: float, *, vertical: bool = False) -> Drift:
+        """The integral of the velocity's."""
+        return Drift((walk, max(self.noise.white[3:]), self._force_walk(vertical)), period_s)
+
+    def _force_walk(self, vertical: bool) -> float:
+        """How the error of the force along an axis wanders [m/s^2/s/sqrt(Hz)]: by the bias of the accelerometer, or by the tilt."""
+        return max(max(self.noise.walk[3:]), 1e-7) if vertical else self.gravity * max(self.noise.white[:3])
 
     def limits(self) -> Array:
         """Rates and forces, or what they gather in one period."""
@@ -216,6 +304,18 @@ class DeadReckoning(Mechanisation):
         names = ("one_cycle_sin", "one_cycle_cos", "two_cycle_sin", "two_cycle_cos")
         one, two = self.attitude.deviation_sd_rad
         return tuple((f"yaw.{name}", sd) for name, sd in zip(names, (one, one, two, two), strict=True))
+
+    def heading_drift(self, walk: float, period_s: float) -> Drift:
+        """There is no heading but that of the drive's own compass: what is known wanders with the sensor's walk alone."""
+        return Drift((max(walk, 1e-9), 1e-12), period_s)
+
+    def velocity_drift(self, walk: float, period_s: float, *, vertical: bool = False) -> Drift:
+        """As that of a position: the velocity of the drive is what is compared."""
+        return self.position_drift(walk, period_s, vertical=vertical)
+
+    def position_drift(self, walk: float, period_s: float, *, vertical: bool = False) -> Drift:
+        """The noise of the velocity, then a slow change of it."""
+        return Drift((math.hypot(max(self.noise.white[3:6]), walk), 1e-3), period_s)
 
     def limits(self) -> Array:
         """Angles, which may have been unwrapped over many turns; a velocity may be missing."""

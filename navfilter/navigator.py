@@ -4,18 +4,27 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Iterable
+from dataclasses import dataclass
 from os import PathLike
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navfilter.filter import snapshot as snapshots
-from navfilter.filter.filter import Outcome
+from navfilter.filter.adoption import Change
+from navfilter.filter.channel import ChannelMemory
+from navfilter.filter.events import Event, Outcome
+from navfilter.filter.filter import Filter
+from navfilter.filter.filter_memory import Errors, FilterMemory
 from navfilter.filter.health import Health, Watch
 from navfilter.filter.history import History, Reading
+from navfilter.filter.intake import IntakeMemory, joined
+from navfilter.filter.memory import misfit
 from navfilter.filter.tape import Tape
-from navfilter.learning.standing import Standing
+from navfilter.learning.listener import ChannelSeries, ListenerMemory
+from navfilter.learning.rest import RestMemory
+from navfilter.learning.schedule import LearningMemory, LearningSchedule
 from navfilter.start import Start
 from navfilter.state import NavState
 from navfilter.vehicle import Vehicle
@@ -25,12 +34,23 @@ __all__ = ["Navigator", "Outcome"]
 Array = NDArray[np.float64]
 
 
-def _when(item: Any) -> float:
+@dataclass
+class NavigatorMemory:
+    """Everything that changes in order: what late readings and snapshots go back to."""
+
+    filter: FilterMemory
+    learning: LearningMemory
+
+
+MEMORY = (NavigatorMemory, FilterMemory, LearningMemory, ListenerMemory, RestMemory, ChannelMemory, IntakeMemory)
+
+
+def _when(item: Array | Reading) -> float:
     """Time of an input: of its last sample, or of the reading."""
-    return float(item[-1, 0]) if isinstance(item, np.ndarray) else float(item[1])
+    return float(item[-1, 0]) if isinstance(item, np.ndarray) else item.time_s
 
 
-class Navigator(Standing):
+class Navigator:
     """Error-state extended Kalman filter over a vehicle's sensors, in closed loop.
 
     Parameters
@@ -42,7 +62,8 @@ class Navigator(Standing):
         Write down what smoother and track need. Without one, memory stays flat.
     history_s : float, optional
         Readings may come so late [s]: the state goes back and takes them in their place. Default 2 without a tape; with one nothing may be
-        late, because what is on the tape stays there.
+        late, because what is on the tape stays there. Models are learnt
+        from readings older than that, and at least 2 s old.
 
     Raises
     ------
@@ -53,6 +74,9 @@ class Navigator(Standing):
     -----
     `step` compounds the transition of the drive's samples and folds it into the covariance at every correction and at least once a second:
     the same covariance as folding every sample, without the cost. `state` gives it at any sample.
+
+    It composes what does the work: a `Filter` (`filter`) owns the state, a `LearningSchedule` listens to it and answers with error models
+    to adopt, a history lets late readings find their place, and a watch over each sensor says how it fares.
 
     A correction between two samples holds the last sample until its time; the next sample then covers what is left.
 
@@ -70,18 +94,23 @@ class Navigator(Standing):
     HISTORY_S = 2.0
 
     def __init__(self, vehicle: Vehicle, start: Start, tape: Tape | None = None, history_s: float | None = None) -> None:
-        super().__init__(vehicle, start, tape)
+        self.vehicle, self.start = vehicle, start
+        self.filter = Filter(vehicle, start, tape)
         length_s = (self.HISTORY_S if tape is None else 0.0) if history_s is None else float(history_s)
         if not (math.isfinite(length_s) and length_s >= 0.0):
             raise ValueError(f"history_s must be a finite number >= 0, found {history_s!r}.")
         if length_s and tape is not None:
             raise ValueError("a run with a tape cannot go back: leave history_s out, and feed the readings in the order of their times.")
-        self._history = History(self, length_s) if length_s else None
-        self._watches = {name: Watch(sensor.gate_timeout_s) for name, sensor in vehicle.sensors.items()}
+        # a replay has no history, and learns what the same run learns on board with the default one
+        self.learning = LearningSchedule(self.filter, max(length_s, self.HISTORY_S))
+        self._room = None if self.learning.rest is None else self.learning.room
         names = list(vehicle.sensors)
+        self._history = History(self, length_s, names) if length_s else None
+        self._watches = {name: Watch(sensor.gate_timeout_s) for name, sensor in vehicle.sensors.items()}
         self._behind = {name: names[i + 1 :] for i, name in enumerate(names)}
         self._row = np.empty((1, 7))
 
+    # ---------------------------------------------------------------- what comes in
     def step(self, time_s: ArrayLike, first: ArrayLike, second: ArrayLike) -> None:
         """Carry the state over one sample of the drive, or a block of them.
 
@@ -108,14 +137,14 @@ class Navigator(Standing):
                 values = [np.asarray(v, dtype=np.float64).reshape(times.size, 3) for v in (first, second)]
                 samples = np.column_stack([times, *values])
         except (TypeError, ValueError):
-            self.counts["bad-sample"] += 1
+            self.filter.counts["bad-sample"] += 1
             return
         self.step_samples(samples)
 
     def step_samples(self, samples: Array) -> None:
         """As `step`, for rows of time and the six values; the array is used as work space."""
         if self._history is None:
-            self.advance(samples)
+            self.feed(samples)
         elif len(samples):
             self._history.feed(samples)
 
@@ -144,7 +173,7 @@ class Navigator(Standing):
             return Outcome("unknown-sensor")
         try:
             z = np.array(value, dtype=np.float64).reshape(-1)
-            time_s = float(time_s) + self.intake.offset_s
+            time_s = float(time_s) + self.offset_s
         except (TypeError, ValueError):
             z, time_s = np.full(1, np.nan), math.nan
         outcome = self._taken(Reading(name, time_s, z, sd, watch.sees(time_s, z)))
@@ -152,14 +181,16 @@ class Navigator(Standing):
         return outcome
 
     def _taken(self, reading: Reading) -> Outcome:
-        history = self._history
+        history, filter = self._history, self.filter
         if history is None:
-            return self.take(self._channels[reading.name], *reading[1:])
+            outcome = self.feed(reading)
+            assert outcome is not None
+            return outcome
         # of readings with the same time, those of the sensors named first come first, as in a replay
-        overtaken = any(self._channels[name].last_s == reading.time_s for name in self._behind[reading.name])
-        if not (reading.time_s < self._time_s - 1e-7 or overtaken):
+        overtaken = any(filter.channels[name].memory.last_s == reading.time_s for name in self._behind[reading.name])
+        if not (reading.time_s < filter.time_s - 1e-7 or overtaken):
             outcome = history.feed(reading)
-        elif self.intake.in_doubt:
+        elif filter.intake.in_doubt:
             return Outcome("too-late")
         else:
             outcome = history.late(reading)
@@ -170,28 +201,120 @@ class Navigator(Standing):
         assert outcome is not None
         return outcome
 
-    def _again(self, items: list[Any]) -> None:
+    def feed(self, item: Array | Reading) -> Outcome | None:
+        """Give samples or a reading, in order, to filter and learning; users call `step` and `correct`."""
+        learning = self.learning
+        if isinstance(item, np.ndarray):
+            learning.keep(item)
+            self._follow(self.filter.advance(item, self._room))
+            return None
+        if learning.is_first_due(item.time_s):
+            self._adopt_first()
+        learning.keep(item)
+        correction = self.filter.correct(*item)
+        self._follow((correction,))
+        return correction.outcome
+
+    def _follow(self, events: Iterable[Event]) -> None:
+        """Show what the filter does to learning, and give the filter the error models that it answers with."""
+        for event in events:
+            for change in self.learning.heard(event):
+                self._follow(self.filter.adopt(change))
+
+    def _adopt_first(self) -> None:
+        """Adopt the first models, and run what there was so far again with them, see `LearningSchedule`."""
+        found = self.learning.first_models()
+        if not found:
+            self.learning.beginning = None
+            return
+        self.filter.begin({**dict(self.filter.memory.models), **found})
+        self.filter.counts["adopted"] = len(found)
+        inputs = joined(self.learning.begin_again())
         if self._history is None:
-            return super()._again(items)
-        # The last of it goes through the history, so that late readings find their place
+            for item in inputs:
+                self.feed(item)
+            return
+        # the last of it goes through the history, so that late readings find their place
         self._history.begin()
-        recent = self._revise_s - self._history.length_s
-        split = next((i for i, item in enumerate(items) if _when(item) > recent), len(items))
-        super()._again(items[:split])
-        for item in items[split:]:
-            self._history.feed(item if isinstance(item, np.ndarray) else Reading(*item))
-        return None
+        recent = self.learning.first_s - self._history.length_s
+        split = next((i for i, item in enumerate(inputs) if _when(item) > recent), len(inputs))
+        for item in inputs[:split]:
+            self.feed(item)
+        for item in inputs[split:]:
+            self._history.feed(item)
+
+    # ---------------------------------------------------------------- error models
+    def adopt(self, name: str, error: Errors) -> None:
+        """Put other error models of one sensor in force, now; the states follow without a jump, and it goes on the tape.
+
+        Readings from before this moment are too late from now on, and the beginning is not done again for learnt models.
+
+        Parameters
+        ----------
+        name : str
+            A correcting sensor, or ``gyro`` / ``accel``.
+        error : ErrorModel or tuple of ErrorModel
+            One for all axes, or one per axis.
+
+        Raises
+        ------
+        ValueError
+            For an unknown sensor, or something that is no error model.
+        """
+        self._follow(self.filter.adopt(Change(name, error)))
+        self.learning.beginning = None
+        if self._history is not None:
+            self._history.begin()
+
+    def listen(self, name: str, capacity: int | None = None) -> None:
+        """Note the open-loop residuals of a sensor, see `heard` and `navfilter.learning.schedule.LearningSchedule.listen`."""
+        self.learning.listen(name, capacity)
+
+    def heard(self, name: str) -> tuple[ChannelSeries, ...]:
+        """Open-loop residuals of a sensor that is listened to, one series per axis."""
+        return self.learning.series(name)
+
+    # ---------------------------------------------------------------- what is known
+    @property
+    def memory(self) -> NavigatorMemory:
+        """Everything that changes in order; setting one goes back (or on) to it. See `navfilter.filter.memory`."""
+        return NavigatorMemory(self.filter.memory, self.learning.memory)
+
+    @memory.setter
+    def memory(self, memory: NavigatorMemory) -> None:
+        self.filter.memory = memory.filter
+        self.learning.memory = memory.learning
+
+    @property
+    def time_s(self) -> float:
+        """Mission time of the state [s]."""
+        return self.filter.memory.time_s
+
+    @property
+    def offset_s(self) -> float:
+        """By how much the stamps of samples and readings are moved since the clock was set [s]."""
+        return self.filter.memory.intake.offset_s
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Irregularities so far, see `Health.drive`."""
+        return self.filter.counts
+
+    @property
+    def errors(self) -> dict[str, float]:
+        """Estimates of all error states and parameters by name."""
+        return self.filter.errors
 
     @property
     def state(self) -> NavState:
         """The state with its covariance and the health of the sensors, now; a copy."""
-        return dataclasses.replace(super().state, health=self.health)
+        return dataclasses.replace(self.filter.state, health=self.health)
 
     @property
     def health(self) -> Health:
         """What the sensors are worth at present."""
-        sensors = {name: watch.health(self._time_s) for name, watch in self._watches.items()}
-        return Health(sensors, dict(self.counts), self.intake.offset_s)
+        sensors = {name: watch.health(self.time_s) for name, watch in self._watches.items()}
+        return Health(sensors, dict(self.counts), self.offset_s)
 
     # ---------------------------------------------------------------- keep and bring back
     def snapshot(self, path: str | PathLike[str] | None = None) -> bytes:
@@ -209,7 +332,15 @@ class Navigator(Standing):
         OSError
             When the file cannot be written.
         """
-        return snapshots.write(self, path)
+        if self.filter.tape is not None:
+            raise ValueError("a run with a tape keeps no snapshot: make the navigator without one.")
+        memory, inputs = (self.memory, []) if self._history is None else self._history.kept()
+        beginning = memory.learning.beginning
+        learning = dataclasses.replace(memory.learning, beginning=None if beginning is None else beginning[: memory.learning.kept])
+        length_s = 0.0 if self._history is None else self._history.length_s
+        whole = NavigatorMemory(memory.filter, learning)
+        saved = snapshots.Saved(self.start, length_s, whole, inputs, self._watches)
+        return snapshots.write(saved, self.vehicle, self.time_s, path)
 
     @classmethod
     def restore(cls, vehicle: Vehicle, source: bytes | str | PathLike[str]) -> Navigator:
@@ -228,4 +359,39 @@ class Navigator(Standing):
         OSError
             When the file cannot be read.
         """
-        return snapshots.read(cls, vehicle, source)
+        saved = snapshots.read(vehicle, source, MEMORY)
+        try:
+            return cls._revived(vehicle, saved)
+        except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
+            raise snapshots.unreadable(error) from error
+
+    @classmethod
+    def _revived(cls, vehicle: Vehicle, saved: snapshots.Saved) -> Navigator:
+        nav = cls(vehicle, saved.start, history_s=saved.history_s)
+        memory: NavigatorMemory = saved.memory
+        for name, listener in memory.learning.listeners.items():
+            if name not in nav.learning.listeners:
+                nav.listen(name, listener.ring.shape[1])
+        nav.filter.begin(dict(memory.filter.models))
+        nav.learning.begin_again()
+        problem = misfit(memory, nav.memory, "memory") or memory.filter.problem(nav.filter.memory)
+        if problem:
+            raise ValueError(problem)
+        if len(memory.learning.beginning or ()) != memory.learning.kept:
+            raise ValueError("memory.learning.beginning has not as many inputs as were kept")
+        nav.memory = memory
+        for item in saved.inputs:
+            nav._given(item)
+        if set(saved.watches) != set(nav._watches):
+            raise ValueError(f"watches must be kept of {', '.join(nav._watches)}, found {', '.join(saved.watches)}")
+        nav._watches = saved.watches
+        return nav
+
+    def _given(self, item: Array | Reading) -> None:
+        """An input of a snapshot, again."""
+        if isinstance(item, np.ndarray) and (item.ndim != 2 or item.shape[1] != 7):
+            raise ValueError(f"inputs must be rows of seven numbers, found shape {item.shape}")
+        if self._history is None:
+            raise ValueError("it has inputs without a history")
+        self._history.feed(item)
+

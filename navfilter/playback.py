@@ -16,7 +16,7 @@ from navfilter.error_models import GaussMarkov
 from navfilter.filter.smoother import smooth_rows
 from navfilter.filter.tape import Tape
 from navfilter.learning.learned import LearnedArma
-from navfilter.learning.listener import ChannelSeries, kind_of
+from navfilter.learning.listener import ChannelSeries
 from navfilter.learning.refit import change, learning_sensors, refitted
 from navfilter.mechanisation import DeadReckoning
 from navfilter.mission import Mission
@@ -358,9 +358,9 @@ def residual_series(
     drive = drive_samples(vehicle, mission)
     start = _start(vehicle, mission, start)
     nav = Navigator(vehicle, start)
-    names = [name for name, sensor in vehicle.sensors.items() if kind_of(sensor)] if sensors is None else list(sensors)
+    names = [name for name, sensor in vehicle.sensors.items() if sensor.open_loop] if sensors is None else list(sensors)
     for name in names:
-        span = mission.duration_s + 2.0 * nav.AHEAD_S
+        span = mission.duration_s + 2.0 * nav.filter.AHEAD_S
         nav.listen(name, max(1, int(span * vehicle.sensors[name].rate_hz * 1.2) + 16))
     _run(nav, *drive, _events(vehicle, mission, start.time_s), False)
     return {name: nav.heard(name) for name in names}
@@ -368,7 +368,7 @@ def residual_series(
 
 def warm_up() -> None:
     """Compile every kernel of navigator, smoother and learners by running tiny missions (half a minute the first time, then cached)."""
-    from navfilter.learning.fit import Drift
+    from navfilter.learning.drift import Drift
     from navfilter.learning.learner import Learner
     from navfilter.simulation.simulate import tiny_missions
 

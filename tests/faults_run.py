@@ -163,8 +163,8 @@ def _correct(nav: Navigator, event: Event, roles: dict[str, str], outcome: Outco
 def _look(nav: Navigator, last: Event, outcome: Outcome) -> None:
     """Note NaN, a covariance that is not positive definite, and the state at the instant at which it truly holds."""
     state = _guard(outcome, lambda: nav.state)
-    P = nav._P
-    finite = bool(np.isfinite(P).all() and np.isfinite(nav._nav).all() and np.isfinite(nav._x).all())
+    P = nav.filter.P
+    finite = bool(np.isfinite(P).all() and np.isfinite(nav.filter.nav).all() and np.isfinite(nav.filter.x).all())
     if state is None or not finite or not np.isfinite(state.covariance).all():
         outcome.nan_s = last.true_s if outcome.nan_s is None else outcome.nan_s
         return
@@ -178,7 +178,7 @@ def _look(nav: Navigator, last: Event, outcome: Outcome) -> None:
         outcome.not_definite_s = last.true_s
     stamp = last.time_s if isinstance(last.time_s, float) else math.nan
     # a clock that was set moves the stamps, not the instant
-    ahead = state.time_s - nav.intake.offset_s - stamp
+    ahead = state.time_s - nav.offset_s - stamp
     outcome.states.append((last.true_s + (ahead if abs(ahead) < 2.0 else 0.0), state))
 
 

@@ -21,7 +21,7 @@ from test_posterior import (
 
 import navfilter as nf
 from navfilter.arma.model import ArmaModel
-from navfilter.learning import schedule as underway
+from navfilter.filter import filter as running
 from navfilter.learning.learned import LearnedArma
 
 
@@ -30,7 +30,7 @@ class Changing(Capture):
 
     def __init__(self, monkeypatch, vehicle, start):
         super().__init__(monkeypatch, vehicle, start)
-        follow, self.sizes = underway.state_change, []
+        follow, self.sizes = running.state_change, []
 
         def change(*layouts_and_vehicles):
             M, N = follow(*layouts_and_vehicles)
@@ -41,7 +41,7 @@ class Changing(Capture):
             self.sizes.append(M.shape)
             return M, N
 
-        monkeypatch.setattr(underway, "state_change", change)
+        monkeypatch.setattr(running, "state_change", change)
 
 
 def learnt(ar=(), ma=(), sd=1.0, spread=None):

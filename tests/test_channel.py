@@ -12,7 +12,8 @@ from scipy.linalg import expm
 from navfilter.arma.algebra import add_arma
 from navfilter.arma.model import ArmaModel, simulate_arma
 from navfilter.kernels import channel as kernels
-from navfilter.learning.fit import Drift, fit_channel
+from navfilter.learning.drift import Drift
+from navfilter.learning.fit import fit_channel
 from navfilter.learning.learner import Learner
 from navfilter.learning.likelihood import TOLERANCE, Likelihood
 

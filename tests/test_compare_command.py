@@ -11,7 +11,7 @@ from navfilter.commands.compare import learning_ends
 from navfilter.error_models import Arma, GaussMarkov, Sum, White
 from navfilter.io import read_mission, read_vehicle, write_vehicle
 from navfilter.learning.learned import LearnedArma, learned_part
-from navfilter.learning.schedule import Learning
+from navfilter.learning.schedule import LearningSchedule
 from navfilter.playback import replay
 from navfilter.simulation.truth import true_vehicle
 
@@ -150,7 +150,7 @@ def test_until_when_nothing_is_scored(swing, monkeypatch):
     depth = LearnedArma(prior=White(sd=0.05), window=200)
     assert begin(compass=LearnedArma(prior=prior, window=400), depth=depth) == 260.0
     # A window longer than half the mission is not waited for, but what was run again is never scored.
-    monkeypatch.setattr(Learning, "FIRST_S", 100.0)
+    monkeypatch.setattr(LearningSchedule, "FIRST_S", 100.0)
     assert begin(compass=LearnedArma(prior=prior, window=1600)) == 100.0
     monkeypatch.undo()
     # Nothing is learnt in time: nothing is run again.

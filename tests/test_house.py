@@ -10,22 +10,19 @@ import navfilter
 ROOT = Path(navfilter.__file__).parent
 #: From the ground up; a module may import from its own floor and those below.
 FLOORS = [
-    {"kernels"},
-    {"arma", "filter.health", "state", "filter.layout", "mission", "diagnostics", "magnetic", "filter.tape"},
-    {"error_models", "learning.fit", "learning.likelihood", "learning.starts", "learning.orders", "learning.learner",
-     "learning.low_frequency"},
-    {"learning.learned", "learning.bias", "sensors", "mechanisation", "vehicle", "start", "track"},
-    {"learning.listener", "filter.gating", "filter.intake", "filter.adoption", "learning.rest"},
-    {"filter.filter", "learning.refit"},
-    {"learning.schedule", "learning.standing"},
-    {"filter.history", "filter.snapshot", "navigator", "filter.smoother", "alignment"},
+    {"kernels", "filter.memory", "filter.health"},
+    {"arma", "state", "mission", "diagnostics", "magnetic", "filter.layout", "filter.tape", "error_models", "learning.drift"},
+    {"learning.low_frequency", "learning.likelihood", "learning.starts", "learning.fit", "learning.orders", "learning.learner",
+     "learning.learned", "learning.bias", "start"},
+    {"sensors", "mechanisation", "vehicle", "track"},
+    {"filter", "learning.listener", "learning.rest", "learning.refit"},
+    {"learning.schedule", "navigator", "alignment"},
     {"playback", "simulation", "io", "check"},
-    {"evaluation.rivals", "evaluation.consistency", "evaluation.comparison", "report", "identification"},
-    {"evaluation.montecarlo", "service"},
-    {"cli", "commands", "__init__", "__main__"},
+    {"evaluation", "report", "identification"},
+    {"service", "cli", "commands", "__init__", "__main__"},
 ]
 #: Folders whose modules stand on different floors.
-SPREAD = {"filter", "learning", "evaluation"}
+SPREAD = {"filter", "learning"}
 FORBIDDEN = {"utils", "util", "common", "helpers", "helper", "misc", "tools", "base", "core"}
 LONGEST_FILE = 450
 
@@ -70,8 +67,9 @@ def exists(name):
 
 def floor(name):
     parts = name.split(".")
-    place = ".".join(parts[: 2 if parts[0] in SPREAD else 1])
-    return next((i for i, names in enumerate(FLOORS) if place in names), 0 if name in SPREAD else None)
+    places = (".".join(parts[:2]), parts[0]) if parts[0] in SPREAD else (parts[0],)
+    found = (i for place in places for i, names in enumerate(FLOORS) if place in names)
+    return next(found, 0 if name in SPREAD else None)
 
 
 def test_imports_point_down():

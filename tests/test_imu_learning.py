@@ -17,12 +17,11 @@ from navfilter.error_models import RandomWalk, Sum
 from navfilter.io.vehicle_toml import write_vehicle
 from navfilter.io.write import learned_vehicle
 from navfilter.learning.bias import _driving_variance, hand_over, plainer
-from navfilter.learning.fit import Drift
+from navfilter.learning.drift import Drift
 from navfilter.learning.learned import DEFAULT_ORDERS, learned_part
 from navfilter.learning.learner import Learner
-from navfilter.learning.listener import _drift
 from navfilter.learning.low_frequency import zero_frequency
-from navfilter.learning.rest import LONGEST_GAP, Stillness
+from navfilter.learning.rest import LONGEST_GAP, RestRecorder
 from navfilter.mechanisation import ACCEL_PRIOR, GYRO_PRIOR
 from navfilter.simulation.campaigns import stage
 from navfilter.simulation.faults import Faults, draw_error
@@ -62,7 +61,7 @@ def run(vehicle, samples, start=START):
 
 def in_force(nav):
     """The learnt models of the six axes; None where the prior still is."""
-    return [getattr(learned_part(model), "model", None) for model in nav._in_force.drive.models]
+    return [getattr(learned_part(model), "model", None) for model in nav.filter.in_force.drive.models]
 
 
 def band_power(model, edges):
@@ -103,7 +102,7 @@ def test_whatever_is_learnt_a_bias_stands_beside_it(default):
 
 def test_without_a_learnt_axis_nothing_is_gathered():
     nav = run(vehicle_of(WALK + nf.White(sd=GYRO_SD), FORCE_WALK + nf.White(sd=FORCE_SD)), at_rest(2.0))
-    assert nav._still is None and not nav._watching
+    assert nav.learning.rest is None
 
 
 # ---------------------------------------------------------------- what is learnt
@@ -120,12 +119,12 @@ def test_spectrum_of_a_coloured_gyro(name):
     nav = run(vehicle_of(), at_rest(65.0, COLOURED[name]))
     edges = np.linspace(1e-3, math.pi, 51)
     truth = band_power(COLOURED[name], edges)
-    for model, learnt in zip(nav._in_force.drive.models[:3], in_force(nav)[:3], strict=True):
+    for model, learnt in zip(nav.filter.in_force.drive.models[:3], in_force(nav)[:3], strict=True):
         assert learnt.p >= 1
         ratio = band_power(model, edges) / truth
         assert ratio.min() > 1.0 / 1.5 and ratio.max() < 1.5
         assert known(model) == WALK
-    for learnt, model in zip(in_force(nav)[3:], nav._in_force.drive.models[3:], strict=True):
+    for learnt, model in zip(in_force(nav)[3:], nav.filter.in_force.drive.models[3:], strict=True):
         assert learnt.p + learnt.q == 0 and known(model) == FORCE_WALK
         assert learnt.sd == pytest.approx(FORCE_SD, rel=0.05)
 
@@ -161,7 +160,7 @@ def test_gyro_of_the_thesis_at_rest_before_a_dive(gyro):
 def test_known_white_noise_beside_is_not_learnt_again():
     white, true = nf.White(sd=5e-4), nf.Arma(ar=(-0.95,), sd=3e-4)
     nav = run(vehicle_of(white + WALK + nf.LearnedArma()), at_rest(65.0, WALK + white + true))
-    for model, learnt in zip(nav._in_force.drive.models[:3], in_force(nav)[:3], strict=True):
+    for model, learnt in zip(nav.filter.in_force.drive.models[:3], in_force(nav)[:3], strict=True):
         assert model.parts[0] == white
         assert learnt.sd == pytest.approx(3e-4, rel=0.15)
         # S(0) of 40 s with a correlation time of 0.2 s is known to about a quarter, and says so
@@ -229,12 +228,12 @@ def test_white_noise_that_fails_a_test_of_whiteness_stays_white():
 def test_the_bias_follows_an_adoption_of_another_walk():
     """Its estimate and variance stay; only how it wanders from now on changes."""
     nav = run(vehicle_of(), at_rest(3.0))
-    place = nav.layout.names.index("gyro_z[0]")
-    nav._x[place] = 3e-5
-    before = nav._x[place], nav._P[9 + place, 9 + place]
+    place = nav.filter.layout.names.index("gyro_z[0]")
+    nav.filter.x[place] = 3e-5
+    before = nav.filter.x[place], nav.filter.P[9 + place, 9 + place]
     nav.adopt("gyro", nf.RandomWalk(density=5e-5, start_sd=1e-4) + nf.LearnedArma(model=ArmaModel([-0.5], [], 1e-3)))
-    place = nav.layout.names.index("gyro_z[0]")
-    assert nav._x[place] == before[0] and nav._P[9 + place, 9 + place] == pytest.approx(before[1], rel=1e-3)
+    place = nav.filter.layout.names.index("gyro_z[0]")
+    assert nav.filter.x[place] == before[0] and nav.filter.P[9 + place, 9 + place] == pytest.approx(before[1], rel=1e-3)
 
 
 # ---------------------------------------------------------------- what is rest
@@ -254,7 +253,7 @@ def test_nothing_is_learnt_while_it_moves(gyro, aided):
     kept = []
     for begin, end in ((-1.0, moving[0] + 1.0), (moving[0] + 1.0, moving[-1])):
         in_blocks(nav, [event for event in events if begin < event[0] <= end], np.random.default_rng(0))
-        kept.append(nav._still.cursor)
+        kept.append(nav.learning.rest.memory.cursor)
     assert moving[-1] - moving[0] > 250.0 and (kept[0] > 10_000 or not aided)
     assert kept[1] == kept[0]
 
@@ -262,7 +261,7 @@ def test_nothing_is_learnt_while_it_moves(gyro, aided):
 @pytest.mark.parametrize(("speed", "speed_sd", "kept"), [(0.0, 0.02, 8), (1.0, 0.02, 0), (0.0, 0.5, 0), (1.0, 0.5, 0)])
 def test_calm_water_looks_like_rest_unless_the_velocity_is_known(speed, speed_sd, kept):
     start = nf.Start(latitude_deg=45.0, longitude_deg=0.0, velocity_n=(speed, 0.0, 0.0), velocity_sd_m_s=speed_sd, tilt_sd_deg=0.02)
-    assert run(vehicle_of().without("rest"), at_rest(10.0), start)._still.cursor == 100 * kept
+    assert run(vehicle_of().without("rest"), at_rest(10.0), start).learning.rest.memory.cursor == 100 * kept
 
 
 def feed(still, samples, speed=0.0):
@@ -281,10 +280,10 @@ def feed(still, samples, speed=0.0):
 def test_a_second_counts_between_two_others_at_rest():
     samples = at_rest(12.0)
     samples[600:700, 2] += 0.05 * np.sin(np.arange(100.0))
-    kept = feed(Stillness(vehicle_of().drive), samples)
+    kept = feed(RestRecorder(vehicle_of().drive), samples)
     # the first of a run never, the second when the third has passed; a new run begins behind a gap that ends a segment
     assert kept == [0, 0, 100, 100, 100, 100, 0, 0, 0, 100 + LONGEST_GAP + 1, 100, 100]
-    still = Stillness(vehicle_of().drive)
+    still = RestRecorder(vehicle_of().drive)
     feed(still, samples)
     y = still.series(1, 4000)
     np.testing.assert_array_equal(np.flatnonzero(np.isnan(y)), 400 + np.arange(LONGEST_GAP + 1))
@@ -297,27 +296,27 @@ def test_any_axis_that_moves_is_no_rest(column):
     samples = at_rest(6.0)
     size = 3.5 * math.sqrt(2.0) * (GYRO_SD if column < 4 else FORCE_SD)
     samples[:, column] += size * np.sin(2.0 * math.pi * samples[:, 0])
-    assert feed(Stillness(vehicle_of().drive), samples) == [0] * 6
+    assert feed(RestRecorder(vehicle_of().drive), samples) == [0] * 6
 
 
 def test_a_steady_turn_or_a_speed_is_no_rest():
     samples = at_rest(6.0)
-    assert feed(Stillness(vehicle_of().drive), samples, speed=0.2) == [0] * 6
+    assert feed(RestRecorder(vehicle_of().drive), samples, speed=0.2) == [0] * 6
     samples[:, 3] += 0.03
-    assert feed(Stillness(vehicle_of().drive), samples) == [0] * 6
+    assert feed(RestRecorder(vehicle_of().drive), samples) == [0] * 6
 
 
 def test_a_mean_that_moves_away_begins_another_segment():
     samples = at_rest(12.0)
     samples[500:, 4] += 4.0 * FORCE_SD  # a tilt of 0.23 deg
-    kept = feed(Stillness(vehicle_of().drive), samples)
+    kept = feed(RestRecorder(vehicle_of().drive), samples)
     assert kept == [0, 0, 100, 100, 100, 0, 0, 100 + LONGEST_GAP + 1, 100, 100, 100, 100]
 
 
 def test_missing_samples_are_missing_ticks():
     samples = at_rest(8.0)
     lost = np.array([250, 251, 315, 470])
-    still = Stillness(vehicle_of().drive)
+    still = RestRecorder(vehicle_of().drive)
     feed(still, np.delete(samples, lost, axis=0))
     y = still.series(0, 4000)
     first = int(np.flatnonzero(np.isclose(samples[:, 1], y[0], rtol=0, atol=0))[0])
@@ -329,7 +328,7 @@ def test_missing_samples_are_missing_ticks():
 def test_stamps_in_bursts_lose_no_sample():
     samples = at_rest(8.0)
     samples[:, 0] = 0.05 * np.ceil(samples[:, 0] / 0.05 - 1e-9) + 1e-4 * (np.arange(len(samples)) % 5)
-    still = Stillness(vehicle_of().drive)
+    still = RestRecorder(vehicle_of().drive)
     feed(still, samples)
     y = still.series(0, 4000)
     assert np.isfinite(y).sum() == 600 and len(y) < 700
@@ -337,7 +336,7 @@ def test_stamps_in_bursts_lose_no_sample():
 
 def test_a_silence_ends_the_rest():
     samples = at_rest(8.0)
-    still = Stillness(vehicle_of().drive)
+    still = RestRecorder(vehicle_of().drive)
     kept = feed(still, np.delete(samples, np.arange(420, 440), axis=0))
     assert kept == [0, 0, 100, 100, 0, 0, 0]
 
@@ -403,14 +402,14 @@ def assert_same_bits(one, two):
     assert one.time_s == two.time_s and one.counts == two.counts
     for name in ("_nav", "_x", "_P", "_drv"):
         np.testing.assert_array_equal(getattr(two, name), getattr(one, name), err_msg=name)
-    assert one._in_force.drive == two._in_force.drive and one._still.cursor == two._still.cursor
-    np.testing.assert_array_equal(two._still.series(0, 1000), one._still.series(0, 1000))
+    assert one.filter.in_force.drive == two.filter.in_force.drive and one.learning.rest.memory.cursor == two.learning.rest.memory.cursor
+    np.testing.assert_array_equal(two.learning.rest.series(0, 1000), one.learning.rest.series(0, 1000))
 
 
 def test_one_by_one_and_in_blocks_are_the_same_bits(survey):
     _, vehicle, mission, events = survey
     live = one_by_one(nf.Navigator(vehicle, mission.start), events)
-    assert live.counts["adopted"] >= 2 and live._still.cursor > 3000
+    assert live.counts["adopted"] >= 2 and live.learning.rest.memory.cursor > 3000
     assert all(model is not None for model in in_force(live))
     # the rare corrections alone leave blocks longer than a second
     rare = [event for event in events if event[1] in ("imu", "depth")]
@@ -430,7 +429,7 @@ def test_the_beginning_is_done_again_with_what_was_learnt_at_rest(survey):
     first_s, first = tape.models["gyro"][0]
     assert first_s == mission.start.time_s
     assert all(learned_part(model).model is not None for model in first)
-    assert nav._early is None
+    assert nav.learning.beginning is None
 
 
 def test_snapshots_go_on_bit_for_bit(survey):
@@ -452,8 +451,8 @@ def test_late_readings_change_nothing(survey):
     late = [events[i] for i in np.argsort(arrival, kind="stable")]
     one = one_by_one(nf.Navigator(vehicle, mission.start), events)
     two = one_by_one(nf.Navigator(vehicle, mission.start), late)
-    assert one.counts["adopted"] > 4 and one.counts == two.counts and one._still.cursor == two._still.cursor
-    np.testing.assert_allclose(two._x, one._x, rtol=0, atol=1e-9)
+    assert one.counts["adopted"] > 4 and one.counts == two.counts and one.learning.rest.memory.cursor == two.learning.rest.memory.cursor
+    np.testing.assert_allclose(two.filter.x, one.filter.x, rtol=0, atol=1e-9)
     for a, b in zip(in_force(one), in_force(two), strict=True):
         np.testing.assert_array_equal(b.ar, a.ar)
 
@@ -501,7 +500,7 @@ def recorded_run(rates, forces):
         sensors={"rest": nf.ZeroVelocity(gyro_sd_max=0.02, force_sd_max=0.2, gyro_mean_max=0.1)},
     )
     nav = run(vehicle, np.column_stack([np.arange(1, len(rates) + 1) * PERIOD_S, rates, forces]))
-    assert nav._still.cursor > 0.8 * len(rates)
+    assert nav.learning.rest.memory.cursor > 0.8 * len(rates)
     return nav
 
 
@@ -539,7 +538,7 @@ def test_what_is_learnt_of_the_unit_drives_the_other_sensors_series_as_white_noi
 def drifts(gyro):
     sensors = {"compass": nf.Heading(rate_hz=8), "dvl": nf.BodyVelocity(rate_hz=4), "gps": nf.Position(rate_hz=1)}
     vehicle = nf.Vehicle(imu=nf.Imu(rate_hz=RATE_HZ, gyro=gyro, accel=FORCE_WALK + nf.White(sd=FORCE_SD)), sensors=sensors)
-    return [_drift(sensor, 0, vehicle, 0.0) for sensor in sensors.values()]
+    return [sensor.drift(vehicle.drive, 0, 0.0) for sensor in sensors.values()]
 
 
 def test_the_next_dive_begins_with_what_was_learnt(tmp_path):
@@ -555,6 +554,6 @@ def test_the_next_dive_begins_with_what_was_learnt(tmp_path):
         np.testing.assert_array_equal(one.block(PERIOD_S).Phi, two.block(PERIOD_S).Phi)
         np.testing.assert_array_equal(one.block(PERIOD_S).Q, two.block(PERIOD_S).Q)
     nav = nf.Navigator(again, mission.start)
-    assert nav._still is not None and all(model is not None for model in in_force(nav)[:3])
+    assert nav.learning.rest is not None and all(model is not None for model in in_force(nav)[:3])
     fixed = again.with_error(gyro=tuple(known(m) + dataclasses.replace(learned_part(m), frozen=True) for m in again.drive.models[:3]))
-    assert nf.Navigator(fixed, mission.start)._still is None
+    assert nf.Navigator(fixed, mission.start).learning.rest is None

@@ -13,7 +13,7 @@ from navfilter.arma.model import ArmaModel
 from navfilter.cli import main
 from navfilter.io import read_vehicle, write_vehicle
 from navfilter.io.write import labelled, write_outputs
-from navfilter.learning.fit import Drift
+from navfilter.learning.drift import Drift
 from navfilter.learning.learned import LearnedArma, learned_part, learning_part
 from navfilter.learning.learner import Learner
 from navfilter.learning.low_frequency import block_level, zero_frequency
@@ -56,7 +56,7 @@ def test_a_frozen_model_is_kept_and_nothing_is_learnt():
     track = replay(vehicle.with_error(compass=KEPT), mission)
     assert track.error_models["compass"] == [(track.time_s[0], KEPT)] and track.counts["adopted"] == 0
     nav = nf.Navigator(vehicle.with_error(compass=KEPT), mission.start)
-    assert nav.channel("compass").listener is None and nav._early is None
+    assert nav.learning.listeners.get("compass") is None and nav.learning.beginning is None
 
 
 def test_a_frozen_model_is_the_model():
@@ -72,14 +72,14 @@ def test_a_frozen_model_is_the_model():
 def test_frozen_and_learning_axes_of_one_sensor():
     vehicle = survey_vehicle()
     nav = nf.Navigator(vehicle.with_error(dvl=(KEPT, LEARNS, KEPT)), nf.Start(latitude_deg=45.0, longitude_deg=0.0))
-    listener = nav.channel("dvl").listener
+    listener = nav.learning.listeners.get("dvl")
     assert [learner is not None for learner in listener.learners] == [False, True, False] and listener.window == LEARNS.window
 
 
 def test_frozen_inertial_models_are_not_learnt_at_rest():
     start = nf.Start(latitude_deg=45.0, longitude_deg=0.0)
     one, other = (nf.Navigator(nf.Vehicle(imu=nf.Imu(rate_hz=100.0, gyro=gyro)), start) for gyro in (KEPT, (LEARNS, KEPT, KEPT)))
-    assert one._still is None and [learner is not None for learner in other._still.learners] == [True] + 5 * [False]
+    assert one.learning.rest is None and [learner is not None for learner in other.learning.rest.learners] == [True] + 5 * [False]
 
 
 def test_frozen_needs_a_model():

@@ -19,11 +19,11 @@ import navfilter as nf
 from navfilter.arma.model import ArmaModel
 from navfilter.evaluation.montecarlo.campaign import Campaign, run_seed
 from navfilter.evaluation.montecarlo.scores import SCORES
-from navfilter.learning.fit import Drift
+from navfilter.learning.drift import Drift
 from navfilter.learning.learned import DEFAULT_ORDERS, learned_part
 from navfilter.learning.learner import Learner
 from navfilter.learning.low_frequency import block_level, zero_frequency
-from navfilter.learning.schedule import Learning
+from navfilter.learning.schedule import LearningSchedule
 from navfilter.simulation.campaigns import STUDIES, stage
 from navfilter.simulation.faults import Faults
 from navfilter.simulation.manoeuvres import Lawnmower
@@ -179,9 +179,9 @@ def short_run(end_s):
 
 def test_nothing_is_learnt_before_the_start_has_settled():
     """Before `SETTLE_S` nothing is even noted, and before the first models are due none is adopted."""
-    early = short_run(Learning.SETTLE_S - 1.0)
+    early = short_run(LearningSchedule.SETTLE_S - 1.0)
     assert all(series.value.size == 0 for name in TRUE for series in early.heard(name))
-    later = short_run(Learning.SETTLE_S + 30.0)
+    later = short_run(LearningSchedule.SETTLE_S + 30.0)
     for name in TRUE:
         rate_hz = described("tactical").sensors[name].rate_hz
         assert all(abs(series.value.size - 30.0 * rate_hz) <= 2 for series in later.heard(name))
@@ -223,12 +223,12 @@ def test_a_model_that_no_filter_should_believe_is_not_adopted(why):
     """Before a good one the prior stays, after it the last good one."""
     vehicle = described("tactical").with_error(compass=nf.LearnedArma(prior=BELIEF["compass"]))
     nav = nf.Navigator(vehicle, mission_of("tactical", 0).start)
-    listener = nav._channels["compass"].listener
+    listener = nav.learning.listeners["compass"]
     listener.learners = (Says(REFUSED[why], GOOD, REFUSED[why]),)
-    assert listener.learn(0.0) is None and learned_part(listener.models[0]).model is None
-    (first,) = listener.learn(0.0)
+    assert listener.learn() is None and learned_part(listener.memory.models[0]).model is None
+    (first,) = listener.learn()
     assert learned_part(first).model.ar == pytest.approx(GOOD.ar)
-    assert listener.learn(0.0) is None and listener.models == (first,)
+    assert listener.learn() is None and listener.memory.models == (first,)
 
 
 def test_fall_back_is_the_last_good_model_and_then_gauss_markov():
@@ -264,9 +264,9 @@ def test_live_in_blocks_and_replayed_are_the_same_bits_while_all_sensors_are_lea
     track = nf.replay(vehicle, mission, output_rate_hz=None)
     assert track.time_s[-1] == single.state.time_s
     np.testing.assert_array_equal(track.velocity_n[-1], single.state.velocity_n)
-    np.testing.assert_array_equal(track.covariance[-1], single._P[:9, :9])
+    np.testing.assert_array_equal(track.covariance[-1], single.filter.P[:9, :9])
     last = dict(zip(track.state_names, track.states[-1], strict=True))  # its names are those of all times, sorted by sensor
-    np.testing.assert_array_equal([last[name] for name in single.layout.names], single._x)
+    np.testing.assert_array_equal([last[name] for name in single.filter.layout.names], single.filter.x)
 
 
 # ---------------------------------------------------------------- noise that changes

@@ -10,7 +10,7 @@ from test_kernels_twins import assert_close, random_nav, run_both
 
 import navfilter as nf
 from navfilter.kernels import kalman, listen
-from navfilter.learning.fit import Drift
+from navfilter.learning.drift import Drift
 from navfilter.mission import Stream
 from navfilter.playback import residual_series
 from navfilter.simulation.faults import draw_errors

@@ -69,8 +69,8 @@ def test_live_one_by_one_in_blocks_and_replayed_are_the_same_bits(dive):
     assert live.counts["adopted"] >= 1
     for other in (blocks, bare):
         assert other.time_s == live.time_s and other.counts == live.counts
-        for name in ("_nav", "_x", "_P"):
-            np.testing.assert_array_equal(getattr(other, name), getattr(live, name), err_msg=name)
+        for name in ("nav", "x", "P"):
+            np.testing.assert_array_equal(getattr(other.filter, name), getattr(live.filter, name), err_msg=name)
 
 
 def test_a_replay_ends_where_the_vehicle_was(dive):
@@ -84,8 +84,8 @@ def test_a_replay_ends_where_the_vehicle_was(dive):
     assert track.time_s[-1] == state.time_s
     assert (track.latitude[-1], track.longitude[-1], track.height[-1]) == (state.latitude, state.longitude, state.height)
     np.testing.assert_array_equal(track.velocity_n[-1], state.velocity_n)
-    np.testing.assert_array_equal(track.covariance[-1], nav._P[:9, :9])
-    np.testing.assert_array_equal(track.states[-1], nav._x)
+    np.testing.assert_array_equal(track.covariance[-1], nav.filter.P[:9, :9])
+    np.testing.assert_array_equal(track.states[-1], nav.filter.x)
 
 
 def test_a_snapshot_between_two_samples_changes_nothing(dive):
@@ -98,9 +98,9 @@ def test_a_snapshot_between_two_samples_changes_nothing(dive):
     for begin, end in itertools.pairwise(places):
         one_by_one(nav, events[begin:end])
         nav = nf.Navigator.restore(vehicle, nav.snapshot())
-    np.testing.assert_array_equal(nav._nav, whole._nav)
-    np.testing.assert_array_equal(nav._x, whole._x)
-    np.testing.assert_array_equal(nav._P, whole._P)
+    np.testing.assert_array_equal(nav.filter.nav, whole.filter.nav)
+    np.testing.assert_array_equal(nav.filter.x, whole.filter.x)
+    np.testing.assert_array_equal(nav.filter.P, whole.filter.P)
 
 
 RUN = """

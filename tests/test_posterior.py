@@ -45,8 +45,9 @@ class Capture:
         monkeypatch.setattr(engine, "kalman", self)
         self.tape = nf.Tape()
         self.nav = nf.Navigator(vehicle, start, self.tape)
-        self.P0, self.n = self.nav._P.copy(), len(self.nav._P)
-        self.nav._steps, self.nav._hold = self._each(self.nav._steps, True), self._each(self.nav._hold, False)
+        self.P0, self.n = self.nav.filter.P.copy(), len(self.nav.filter.P)
+        run = self.nav.filter
+        run.steps, run.hold = self._each(run.steps, True), self._each(run.hold, False)
         self._single = []
 
     def _each(self, kernel, block):
@@ -240,7 +241,7 @@ def reckoning_vehicle(arma=True):
 
 
 def open_gates(nav):
-    for channel in nav._channels.values():
+    for channel in nav.filter.channels.values():
         channel.limits[1:] = 1e4
 
 
@@ -263,7 +264,7 @@ def drive_through(nav, seconds, seed, readings=("compass", "dvl", "depth", "gps"
             open_gates(nav)
         turn = 0.2 * time_s
         if name == "drive":
-            if nav._inertial:
+            if nav.filter.inertial:
                 nav.step(time_s, [0.01, 0.0, 0.2], [0.1, 0.3, -9.8])
             else:
                 lost = rng.random() < 0.15

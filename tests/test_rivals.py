@@ -8,7 +8,7 @@ from navfilter.arma.model import simulate_arma
 from navfilter.error_models import Sum
 from navfilter.evaluation import rivals as module
 from navfilter.evaluation.rivals import LEAST, MODELS, learnable, rival, rivals
-from navfilter.learning.fit import Drift
+from navfilter.learning.drift import Drift
 from navfilter.learning.learned import LearnedArma
 from navfilter.learning.listener import ChannelSeries
 from navfilter.mission import Mission, Stream

@@ -330,7 +330,7 @@ def test_a_state_that_is_lost_is_found_again(dive, reckoning):
         for line in case.lines:
             item = parser.parse(line)
             if item.time_s == 20.5 and not broken:
-                session.nav._P[:], broken = np.nan, True
+                session.nav.filter.P[:], broken = np.nan, True
             session.feed(item)
         session.stop()
         rows, events = states(out)

@@ -94,8 +94,8 @@ def test_the_current_wanders_on_the_sensors_clock():
     water = nf.WaterVelocity(rate_hz=4.0, current_sd_m_s=0.3, current_tau_s=500.0, gate_probability=1.0 - 1e-12)
     vehicle = nf.Vehicle(imu=nf.Imu(rate_hz=10.0), sensors={"water": water})
     nav = nf.Navigator(vehicle, nf.Start(latitude_deg=30.0, longitude_deg=0.0, velocity_sd_m_s=1e-6))
-    group = nav.layout.groups["water"]
-    ticked = nav.channel("water").model
+    group = nav.filter.layout.groups["water"]
+    ticked = nav.filter.channels["water"].model
     np.testing.assert_allclose(np.diag(ticked[0]), np.exp(-0.25 / 500.0), rtol=1e-12)
     np.testing.assert_allclose(np.diag(ticked[1]), 0.09 * (1.0 - np.exp(-0.5 / 500.0)), rtol=1e-9)
     np.testing.assert_allclose(np.sqrt(np.diag(group.P0)), 0.3)

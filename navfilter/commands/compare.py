@@ -197,14 +197,13 @@ def compare_tracks(
 def _kept(tracks: Mapping[str, Track], vehicle: Vehicle, sensors: Sequence[str] | None) -> tuple[str, ...]:
     """One line on the axes for which a run was to have another model and had none, for want of readings."""
     from navfilter.evaluation.consistency import shown_unit
-    from navfilter.learning.listener import kind_of
     from navfilter.report.comparison_figures import adopted
 
     kept: dict[str, list[str]] = {}
     for label in [name for name in tracks if name not in ("vehicle", "oracle")]:
         learnt = {history.title for history in adopted(tracks[label], shown_unit)}
         for name, sensor in vehicle.sensors.items():
-            if not kind_of(sensor) or (sensors is not None and name not in sensors):
+            if not sensor.open_loop or (sensors is not None and name not in sensors):
                 continue
             new = tracks[label].vehicle.sensors[name].models
             for axis, before, after in zip(sensor.axis_names, sensor.models, new, strict=True):
@@ -224,7 +223,7 @@ def learning_ends(tracks: Mapping[str, Track], mission: Mission) -> float:
     that is longer than half the mission is no reason to wait for it.
     """
     from navfilter.learning.learned import learning_part
-    from navfilter.learning.schedule import Learning
+    from navfilter.learning.schedule import LearningSchedule
 
     begin_s = min(float(track.time_s[0]) for track in tracks.values())
     spans = []
@@ -233,7 +232,7 @@ def learning_ends(tracks: Mapping[str, Track], mission: Mission) -> float:
             parts = [part for model in sensor.models if (part := learning_part(model)) is not None]
             spans += [part.window / sensor.rate_hz for part in parts]
     duration_s = mission.end_s - begin_s
-    revised_s = min(Learning.FIRST_S, Learning.SETTLE_S + max(spans, default=0.0))
+    revised_s = min(LearningSchedule.FIRST_S, LearningSchedule.SETTLE_S + max(spans, default=0.0))
     if not spans or revised_s >= duration_s:
         return begin_s
     return begin_s + max([revised_s, *(span for span in spans if span <= 0.5 * duration_s)])

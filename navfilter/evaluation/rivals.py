@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from navfilter.arma.gauss_markov import fit_gauss_markov
 from navfilter.error_models import ErrorModel, GaussMarkov, RandomWalk, Sum, White
 from navfilter.learning.learned import LearnedArma, known_white, learned_part
-from navfilter.learning.listener import ChannelSeries, kind_of
+from navfilter.learning.listener import ChannelSeries
 from navfilter.mission import Mission
 from navfilter.playback import residual_series
 from navfilter.start import Start
@@ -100,7 +100,7 @@ def learnable(vehicle: Vehicle, mission: Mission) -> tuple[str, ...]:
     """Correcting sensors with readings of their own, and enough of them to fit a model to."""
     found = []
     for name, sensor in vehicle.sensors.items():
-        if kind_of(sensor) and name in mission.streams:
+        if sensor.open_loop and name in mission.streams:
             known = np.isfinite(mission.streams[name].value[:, : sensor.reads]).any(axis=1)
             if np.count_nonzero(known) >= LEAST:
                 found.append(name)
@@ -109,8 +109,8 @@ def learnable(vehicle: Vehicle, mission: Mission) -> tuple[str, ...]:
 
 def _check_sensors(vehicle: Vehicle, names: Sequence[str]) -> None:
     for name in names:
-        if name not in vehicle.sensors or not kind_of(vehicle.sensors[name]):
-            have = ", ".join(key for key, sensor in vehicle.sensors.items() if kind_of(sensor)) or "none"
+        if name not in vehicle.sensors or not vehicle.sensors[name].open_loop:
+            have = ", ".join(key for key, sensor in vehicle.sensors.items() if sensor.open_loop) or "none"
             raise ValueError(f'"{name}" is no sensor of this vehicle whose error could be modelled from its readings (there are: {have}).')
 
 

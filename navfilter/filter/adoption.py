@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,9 +12,29 @@ from navfilter.filter.layout import Layout
 from navfilter.learning.learned import LearnedArma, register_labels
 from navfilter.vehicle import Vehicle
 
-__all__ = ["state_change", "transfer"]
+__all__ = ["Change", "inflated", "state_change", "transfer"]
 
 Array = NDArray[np.float64]
+#: At one adoption the variance in the direction of what a sensor sees grows by this factor at most.
+MOST_INFLATED = 4.0
+
+
+class Change(NamedTuple):
+    """Another error model of one sensor, to be put in force.
+
+    Attributes
+    ----------
+    sensor : str
+        A correcting sensor, or ``gyro`` / ``accel`` (``attitude`` / ``velocity``) of the drive.
+    error : ErrorModel or tuple of ErrorModel
+        One for all axes, or one per axis.
+    power_ratios : tuple of float
+        S(0) of the new model over that of the one in force, per axis; empty where P is to stay as it is. See `inflated`.
+    """
+
+    sensor: str
+    error: ErrorModel | tuple[ErrorModel, ...]
+    power_ratios: tuple[float, ...] = ()
 
 
 def state_change(before: Layout, old: Vehicle, after: Layout, new: Vehicle) -> tuple[Array, Array]:
@@ -109,3 +131,29 @@ def _transfer_part(old: ErrorModel, new: ErrorModel, period_s: float) -> tuple[A
     if len(keep) == after.size:
         G, N = np.eye(after.size)[:, np.argsort(np.argsort(keep))], np.diag(white[np.argsort(keep)])
     return G @ left, 0.5 * (N + N.T)
+
+
+def inflated(P: Array, row: Array, ratio: float) -> Array:
+    """What to add to P where a sensor sees the state, when the model in force took too much for certain.
+
+    Information about a constant goes with 1 / S(0), so that P in the direction of what the sensor sees grows by the ratio of the powers at
+    zero frequency, with everything that hangs on it in proportion.
+
+    Parameters
+    ----------
+    P : ndarray, shape (n, n)
+        Covariance.
+    row : ndarray, shape (n,)
+        What the sensor sees, without its own error.
+    ratio : float
+        S(0) of the new model over that of the old one; at most `MOST_INFLATED` of it counts.
+
+    Returns
+    -------
+    ndarray, shape (n, n)
+    """
+    along = P @ row
+    variance = float(row @ along)
+    if not (ratio > 1.0 and variance > 0.0):
+        return np.zeros_like(P)
+    return (min(ratio, MOST_INFLATED) - 1.0) / variance * np.outer(along, along)

@@ -1,240 +1,332 @@
-"""The filter's arithmetic: samples and readings in the order of their times. `navfilter.navigator` is what users see of it."""
+"""The filter: the sole owner of the nominal state, its covariance and the error states. `navfilter.navigator` is what users see of it."""
 
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navfilter.filter import gating
+from navfilter.filter.adoption import Change, inflated, state_change
+from navfilter.filter.channel import Channel, usable
+from navfilter.filter.events import Correction, Event, Outcome, Passed, Propagated, Relaid
+from navfilter.filter.filter_memory import Errors, FilterMemory
 from navfilter.filter.intake import Intake
 from navfilter.filter.layout import Layout
 from navfilter.filter.tape import OUTCOMES, Tape
 from navfilter.kernels import kalman, strapdown
-from navfilter.learning.listener import Channel, usable
-from navfilter.sensors import ZeroVelocity
+from navfilter.learning.learned import learning_part
 from navfilter.start import Start
 from navfilter.state import NavState
 from navfilter.vehicle import Vehicle
 
-__all__ = ["Engine", "Memory", "Outcome"]
+__all__ = ["Filter"]
 
 Array = NDArray[np.float64]
 #: Beyond this variance of the heading [rad^2] a body velocity is taken with its second-order term.
 UNSURE_HEADING = 0.01
 CODES = {name: code for code, name in enumerate(OUTCOMES)}
+COUNTED = ("gap", "backward", "bad-sample", "clock-set", "widened", "opened", "adopted")
 
 
-class Outcome(NamedTuple):
-    """What became of a reading.
+class Filter:
+    """Error-state extended Kalman filter in closed loop, fed in the order of time.
+
+    `advance` carries the state over samples of the drive, `correct` takes a reading, `adopt` puts another error model in force, `memory` is
+    all that changes. What it does, it tells as events (`navfilter.filter.events`).
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        As its operator describes it.
+    start : Start
+    tape : Tape, optional
+        To write down what smoother and track need.
 
     Attributes
     ----------
-    status : str
-        "used", "rejected" (by the gate), "invalid", "duplicate", "late-replayed" (used, in its place in time), "too-late", "ahead"
-        (no drive sample for too long) or "unknown-sensor".
-    nis : float
-        Normalised innovation squared; NaN when it was not formed.
-    dof : int
-        Components used in it.
-    widened : bool
-        The gate had been widened after a long series of rejections.
+    in_force : Vehicle
+        With the error models that are in force now.
+    layout : Layout
+        Of its states.
+    channels : dict of str to Channel
+    drive_output : ndarray, shape (6, states of the drive + 1)
+        Rows of C of the drive's error models, and the white variance of a sample.
+
+    Raises
+    ------
+    ValueError
+        For something that is no vehicle.
     """
-
-    status: str
-    nis: float = math.nan
-    dof: int = 0
-    widened: bool = False
-
-    @property
-    def accepted(self) -> bool:
-        """Whether the reading corrected the state."""
-        return self.status in ("used", "late-replayed")
-
-
-class Memory(NamedTuple):
-    """What a run remembers at one moment: clocks and a mark of its listener for every channel, a mark of what was gathered at rest."""
-
-    clock: tuple[float, float, int]
-    intake: tuple[float, ...]
-    arrays: tuple[Array, ...]
-    in_force: Vehicle
-    channels: dict[str, tuple[Any, Any]]
-    counts: dict[str, int]
-    early: int | None = None
-    still: Any = None
-
-
-class Engine:
-    """Error-state extended Kalman filter in closed loop, fed in order; see `navfilter.navigator.Navigator`."""
 
     #: Corrections may come so long after the last sample of the drive, at least [s].
     AHEAD_S = 1.0
-    #: Whether `_passed` is called.
-    _watching = False
 
     def __init__(self, vehicle: Vehicle, start: Start, tape: Tape | None = None) -> None:
         if not isinstance(vehicle, Vehicle):
             raise ValueError(f"Navigator needs a Vehicle, found {type(vehicle).__name__}.")
-        self.vehicle, self.start, self._tape = vehicle, start, tape
-        self._rate = np.zeros(3)
-        self._steps, self._hold = vehicle.drive.steps, vehicle.drive.hold
-        self._period_s = vehicle.drive.period_s
+        self.vehicle, self.start, self.tape = vehicle, start, tape
+        drive = vehicle.drive
+        self.steps, self.hold = drive.steps, drive.hold
+        self._period_s = drive.period_s
         self._ahead_s = max(self.AHEAD_S, 3.0 * self._period_s)
-        self._fold_every = max(1, round(vehicle.drive.rate_hz))
-        self._inertial = "imu" in vehicle.drive.streams
-        self._channels: dict[str, Channel] = {}
-        self._begin(vehicle)
+        self._fold_every = max(1, round(drive.rate_hz))
+        self.inertial = drive.inertial
+        self._rate = np.zeros(3)
+        self.channels = {name: Channel(name, sensor, start) for name, sensor in vehicle.sensors.items()}
+        self._rest = [self.channels[name] for name, s in vehicle.sensors.items() if s.from_drive and self.inertial]
+        self.begin()
 
-    def _begin(self, vehicle: Vehicle) -> None:
-        """Stand at the start, with the error models of `vehicle` in force."""
+    def begin(self, models: dict[str, Errors] | None = None) -> None:
+        """Stand at the start, with other error models than the described ones in force if `models` are given."""
         state = self.start.state
-        self._time_s = self._sample_s = state.time_s
-        self._nav, self._unfolded = state.pack(), 0
-        self.counts = dict.fromkeys(("gap", "backward", "bad-sample", "clock-set", "widened", "opened", "adopted"), 0)
-        self.intake = Intake(vehicle.drive, state.time_s, self.counts)
-        self._channels = {}
-        self._arrange(vehicle)
         assert state.covariance is not None
-        self._P = self.layout.start_covariance(state.covariance)
-        self._x = np.zeros(self.layout.size - 9)
-        self._xd = self._x[: self.layout.drive.size]
-        self._drv = vehicle.drive.memory(self.layout.drive.errors, self.start)
-        if self._tape is not None:
-            self._tape.begin(self.layout)
-            for name, sensor in vehicle.sensors.items():
-                self._tape.column(name, sensor.axes)
-                self._tape.models[name] = [(self._time_s, sensor.error)]
-            self._tape.row(self._time_s, self._nav, self._x, self._P)
+        counts = dict.fromkeys(COUNTED, 0)
+        self.intake = Intake(self.vehicle.drive, state.time_s, counts)
+        for channel in self.channels.values():
+            channel.forget()
+        adopted = tuple((models or {}).items())
+        self._arrange(adopted)
+        self.memory = FilterMemory(
+            time_s=state.time_s,
+            sample_s=state.time_s,
+            unfolded=0,
+            nav=state.pack(),
+            x=np.zeros(self.layout.size - 9),
+            P=self.layout.start_covariance(state.covariance),
+            acc=self._identity(),
+            drv=self.in_force.drive.memory(self.layout.drive.errors, self.start),
+            intake=self.intake.memory,
+            channels={name: channel.memory for name, channel in self.channels.items()},
+            models=adopted,
+            counts=counts,
+        )
+        if self.tape is not None:
+            self.tape.begin(self.layout)
+            for name, sensor in self.in_force.sensors.items():
+                self.tape.column(name, sensor.axes)
+                self.tape.models[name] = [(state.time_s, sensor.error)]
+            self._note_drive_models()
+            self._row()
 
-    def _arrange(self, vehicle: Vehicle) -> None:
-        """Lay out the states of the models in force, and the working memory that depends on it."""
-        self._in_force = vehicle
-        self.layout = layout = Layout.of(vehicle)
+    def _note_drive_models(self) -> None:
+        """Write down the drive's error models where they are learnt."""
+        drive = self.in_force.drive
+        if self.tape is not None and self.inertial and any(learning_part(model) is not None for model in drive.models):
+            self.tape.models |= {name: [(self.time_s, getattr(drive, name))] for name in ("gyro", "accel")}
+
+    def _arrange(self, models: tuple[tuple[str, Errors], ...]) -> None:
+        """Lay out the states with these models in force, and the working memory that depends on it."""
+        self.in_force = in_force = self.vehicle.with_error(**dict(models))
+        self._laid_out = models
+        self.layout = layout = Layout.of(in_force)
         g, m = layout.drive, layout.head
-        self._head = m
         self._Phid, self._Qd = g.Phi, g.Q
-        self._Cr = np.zeros((6, g.size + 1))
-        self._Cr[:, : g.errors], self._Cr[:, -1] = g.C, g.r
-        self._acc = np.vstack([np.eye(m), np.zeros((3 * m, m))])
+        self.drive_output = np.zeros((6, g.size + 1))
+        self.drive_output[:, : g.errors], self.drive_output[:, -1] = g.C, g.r
         self._work = np.zeros((m, layout.size))
         self._dims = np.array([0, layout.size, m, 0, 0, 0, 0])
-        old, variance = self._channels, self._rate_variance()
-        self._channels = {}
-        for name, sensor in vehicle.sensors.items():
-            self._channels[name] = channel = Channel(name, sensor, layout.groups[name], self.start, layout, variance)
-            if name in old:
-                channel.clock, channel.listener = old[name].clock, old[name].listener
-        self._rest = [c for c in self._channels.values() if isinstance(c.sensor, ZeroVelocity) and self._inertial]
+        variance = g.r[:3] if self.inertial else np.zeros(3)
+        for name, channel in self.channels.items():
+            channel.arrange(in_force.sensors[name], layout.groups[name], layout, variance)
+
+    def _identity(self) -> Array:
+        m = self.layout.head
+        return np.vstack([np.eye(m), np.zeros((3 * m, m))])
+
+    # ---------------------------------------------------------------- what changes
+    @property
+    def memory(self) -> FilterMemory:
+        """Everything that changes; setting one goes back (or on) to it. Copy it to keep it: `navfilter.filter.memory.copied`."""
+        return self._memory
+
+    @memory.setter
+    def memory(self, memory: FilterMemory) -> None:
+        if memory.models is not self._laid_out:
+            self._arrange(memory.models)
+        self._memory = memory
+        self._xd = memory.x[: self.layout.drive.size]
+        self.intake.memory, self.intake.counts = memory.intake, memory.counts
+        for name, channel in self.channels.items():
+            channel.memory = memory.channels[name]
+
+    @property
+    def time_s(self) -> float:
+        """Mission time of the state [s]."""
+        return self._memory.time_s
+
+    @property
+    def nav(self) -> Array:
+        """Nominal state, see `NavState.pack`; shape (17,)."""
+        return self._memory.nav
+
+    @property
+    def x(self) -> Array:
+        """Estimated error states behind the nine of navigation, shape (n - 9,)."""
+        return self._memory.x
+
+    @property
+    def P(self) -> Array:
+        """Covariance of all error states as of the last fold, shape (n, n)."""
+        return self._memory.P
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Irregularities so far."""
+        return self._memory.counts
+
+    @property
+    def state(self) -> NavState:
+        """The state with its covariance, now; a copy."""
+        memory, m = self._memory, self.layout.head
+        P, Phi, Q = memory.P[:m, :m], memory.acc[:9], memory.acc[m : m + 9, :9]
+        covariance = Phi @ P @ Phi.T + Q
+        return NavState.unpack(memory.time_s, memory.nav, 0.5 * (covariance + covariance.T))
+
+    @property
+    def errors(self) -> dict[str, float]:
+        """Estimates of all error states and parameters by name."""
+        return dict(zip(self.layout.names, self._memory.x.tolist(), strict=True))
 
     # ---------------------------------------------------------------- propagation
-    def advance(self, samples: Array) -> None:
-        """Carry the state over a block of samples: rows of time and six values; the array is used as work space."""
+    def advance(self, samples: Array, room: Callable[[], int] | None = None) -> Iterator[Event]:
+        """Carry the state over a block of samples: rows of time and six values; the array is used as work space.
+
+        Parameters
+        ----------
+        samples : ndarray, shape (k, 7)
+        room : callable, optional
+            Says after how many samples somebody wants to see them at the latest: they are then told as `Passed`.
+
+        Yields
+        ------
+        Event
+            The state may be given other error models between two events.
+        """
         if not len(samples):
             return
-        whole = len(samples) <= self._fold_every - self._unfolded and not (self._rest or self._watching)
-        samples, stamps = self.intake.take(samples, self._drv, self._at_rest, whole)
+        memory = self._memory
+        whole = len(samples) <= self._fold_every - memory.unfolded and not (self._rest or room)
+        samples, stamps = self.intake.take(samples, memory.drv, self._at_rest, whole)
         begin, total = 0, len(samples)
         while begin < total:
-            end = total if whole else min(total, begin + self._room())
-            self._steps(self._nav, self._xd, self._drv, samples[begin:end], self._Phid, self._Qd, self._Cr, self._acc)
-            self._unfolded += end - begin
-            self._time_s = self._sample_s = self.intake.before_s = float(stamps[-1 if whole else end - 1])
-            if self._unfolded >= self._fold_every:
-                self._close_second()
+            end = total if whole else min(total, begin + self._room(room))
+            block = samples[begin:end]
+            self.steps(memory.nav, self._xd, memory.drv, block, self._Phid, self._Qd, self.drive_output, memory.acc)
+            memory.unfolded += end - begin
+            memory.time_s = memory.sample_s = memory.intake.before_s = float(stamps[-1 if whole else end - 1])
+            if memory.unfolded >= self._fold_every:
+                yield self._fold()
             for channel in self._rest:
-                self._detect_rest(channel)
-            if self._watching:
-                self._passed(samples[begin:end])
+                reading = self._felt(channel)
+                if reading is not None:
+                    yield self._update(channel, memory.time_s, reading, None, False)
+            if room is not None:
+                yield Passed(block)
             begin = end
 
-    def _passed(self, samples: Array) -> None:
-        """For those who want to see samples that the state has been carried over: no more at once than `_room`."""
-
-    def _room(self) -> int:
-        """Samples until something is due: the fold, or the detection of rest."""
-        room = self._fold_every - self._unfolded
-        if not self._rest:
-            return room
+    def _room(self, asked: Callable[[], int] | None) -> int:
+        """Samples until something is due: the fold, the detection of rest, or what was asked for."""
+        room = self._fold_every - self._memory.unfolded
         for channel in self._rest:
             window = max(2, round(self.vehicle.drive.rate_hz * channel.period_s))
-            room = min(room, max(1, window - int(self._drv[strapdown.COUNT])))
-        return max(1, room)
+            room = min(room, max(1, window - int(self._memory.drv[strapdown.COUNT])))
+        if self._rest:
+            room = max(1, room)
+        return room if asked is None else min(room, asked())
 
     def _at_rest(self) -> Array:
         """What the drive would read if the vehicle kept still as it started."""
-        if not self._inertial:
-            return self.state.roll_pitch_heading - np.array([0.0, 0.0, self._drv[strapdown.DECLINATION]])
-        level = np.concatenate([np.zeros(3), -self.state.C_nb[2] * strapdown.gravity(self._nav[0], self._nav[2])])
-        return level * self._period_s if self._drv[strapdown.INCREMENTS] else level
+        state, drv = self.state, self._memory.drv
+        if not self.inertial:
+            return state.roll_pitch_heading - np.array([0.0, 0.0, drv[strapdown.DECLINATION]])
+        level = np.concatenate([np.zeros(3), -state.C_nb[2] * strapdown.gravity(self.nav[0], self.nav[2])])
+        return level * self._period_s if drv[strapdown.INCREMENTS] else level
 
-    def _close_second(self) -> None:
-        if self._tape is not None:
-            self._tape.record(self._acc[: self._head].reshape(-1), 0, self._dims)
-        kalman.fold(self._P, self._acc, self._nav, self._work)
-        self._unfolded = 0
-        if self._tape is not None:
-            self._tape.row(self._time_s, self._nav, self._x, self._P)
+    def _fold(self) -> Propagated:
+        """Fold the compound transition into P."""
+        memory = self._memory
+        transition = memory.acc[: self.layout.head].copy()
+        if self.tape is not None:
+            self.tape.record(transition.reshape(-1), 0, self._dims)
+        kalman.fold(memory.P, memory.acc, memory.nav, self._work)
+        memory.unfolded = 0
+        self._row()
+        return Propagated(transition)
 
-    def _detect_rest(self, channel: Channel) -> None:
-        """Zero-velocity update when the last period of the inertial unit was quiet."""
-        drv, sensor = self._drv, channel.sensor
+    def _row(self) -> None:
+        if self.tape is not None:
+            memory = self._memory
+            self.tape.row(memory.time_s, memory.nav, memory.x, memory.P)
+
+    def _felt(self, channel: Channel) -> Array | None:
+        """The reading that the drive's last samples make, such as a zero velocity when they were quiet; asked once a period."""
+        drv = self._memory.drv
         n = drv[strapdown.COUNT]
         if n < max(2, round(self.vehicle.drive.rate_hz * channel.period_s)):
-            return
+            return None
         mean = drv[strapdown.SUMS : strapdown.SUMS + 6] / n
         scatter = np.sqrt(np.maximum(drv[strapdown.SQUARES : strapdown.SQUARES + 6] / n - mean**2, 0.0))
         if drv[strapdown.INCREMENTS]:
             mean, scatter = mean / self._period_s, scatter / self._period_s
         drv[strapdown.COUNT : strapdown.SQUARES + 6] = 0.0
-        assert isinstance(sensor, ZeroVelocity)
-        quiet = scatter[:3].max() < sensor.gyro_sd_max and scatter[3:].max() < sensor.force_sd_max
-        if quiet and np.abs(mean[:3]).max() < sensor.gyro_mean_max:
-            self._apply(channel, self._time_s, np.zeros(3), None)
+        return channel.sensor.felt(mean, scatter)
 
     # ---------------------------------------------------------------- correction
-    def channel(self, name: str) -> Channel:
-        """Working memory of a sensor."""
-        return self._channels[name]
+    def correct(self, name: str, time_s: float, value: ArrayLike, sd: ArrayLike | None = None, frozen: bool = False) -> Correction:
+        """Correct the state with a reading that comes in order.
 
-    def take(self, channel: Channel, time_s: float, value: ArrayLike, sd: ArrayLike | None, frozen: bool = False) -> Outcome:
-        """Correct the state with a reading that comes in order; `frozen` readings never widen the gate."""
+        Parameters
+        ----------
+        name : str
+            Of a sensor of the vehicle.
+        time_s : float
+            At most a period of the drive before the present [s].
+        value : array_like
+            SI units and radians; NaN is a missing component.
+        sd : array_like, optional
+            White standard deviation of this one reading.
+        frozen : bool
+            The value has not changed for suspiciously long: it never widens the gate.
+        """
+        channel, memory = self.channels[name], self._memory
         z = np.array(value, dtype=np.float64)  # a copy: kernels want it contiguous and writable
         if z.ndim != 1:
             z = z.reshape(-1)
-        early = time_s - self._time_s
-        if not math.isfinite(time_s) or len(z) < channel.sensor.reads or not (sd is None or usable(sd, channel.sensor.axes)):
-            return self._note(channel, time_s, "invalid")
-        if time_s <= channel.last_s:
-            return self._note(channel, time_s, "duplicate")
+        early = time_s - memory.time_s
+        if not math.isfinite(time_s) or len(z) < channel.sensor.reads or not (sd is None or usable(sd, channel.axes)):
+            return self._refused(channel, time_s, "invalid")
+        if time_s <= channel.memory.last_s:
+            return self._refused(channel, time_s, "duplicate")
         if early < -1.001 * self._period_s:
-            return self._note(channel, time_s, "too-late")
-        if time_s - self._sample_s > self._ahead_s:
-            return self._note(channel, time_s, "ahead")
+            return self._refused(channel, time_s, "too-late")
+        if time_s - memory.sample_s > self._ahead_s:
+            return self._refused(channel, time_s, "ahead")
         reading = channel.sensor.read(z)
         if reading is None:
-            return self._note(channel, time_s, "invalid")
-        if early > 1e-7 and self._drv[strapdown.STARTED]:
-            self._hold(self._nav, self._xd, self._drv, early, self._Phid, self._Qd, self._Cr, self._acc)
-            self._time_s = time_s
-        return self._apply(channel, time_s, reading, sd, frozen)
+            return self._refused(channel, time_s, "invalid")
+        if early > 1e-7 and memory.drv[strapdown.STARTED]:
+            self.hold(memory.nav, self._xd, memory.drv, early, self._Phid, self._Qd, self.drive_output, memory.acc)
+            memory.time_s = time_s
+        return self._update(channel, time_s, reading, sd, frozen)
 
-    def _note(self, channel: Channel, time_s: float, status: str, nis: float = math.nan, dof: int = 0, widened: bool = False) -> Outcome:
-        if self._tape is not None:
-            self._tape.columns[channel.name].append(time_s, CODES[status], channel.note if dof > 0 else None)
-        return Outcome(status, nis, dof, widened)
+    def _refused(self, channel: Channel, time_s: float, status: str) -> Correction:
+        if self.tape is not None:
+            self.tape.columns[channel.name].append(time_s, CODES[status], None)
+        return Correction(Outcome(status), time_s, None)
 
-    def _apply(self, channel: Channel, time_s: float, z: Array, sd: ArrayLike | None, frozen: bool = False) -> Outcome:
-        tape, nav, P, x = self._tape, self._nav, self._P, self._x
-        kalman.predict(P, nav, x, self._acc, channel.model, channel.mem, channel.dims, channel.ticks(time_s))
-        self._unfolded = 0
-        channel.last_s = time_s
+    def _update(self, channel: Channel, time_s: float, z: Array, sd: ArrayLike | None, frozen: bool) -> Correction:
+        memory = self._memory
+        nav, P, x = memory.nav, memory.P, memory.x
+        kalman.predict(P, nav, x, memory.acc, channel.model, channel.mem, channel.dims, channel.ticks(time_s))
+        memory.unfolded = 0
+        channel.memory.last_s = time_s
         if channel.turns:
             self._body_rate()
         channel.kernel(z, nav, self._rate, x[channel.parameters], channel.constants, channel.near, channel.res)
-        channel.R[:] = channel.white if sd is None else channel.lever + np.eye(channel.sensor.axes) * np.square(np.ravel(sd))
+        channel.R[:] = channel.white if sd is None else channel.lever + np.eye(channel.axes) * np.square(np.ravel(sd))
         if channel.moves and P[8, 8] > UNSURE_HEADING:
             # second-order term of a velocity seen from a heading that is hardly known (Gelb, 1974, sec. 6.1)
             channel.R[range(3), range(3)] += 0.5 * (nav[3] ** 2 + nav[4] ** 2) * P[8, 8] ** 2
@@ -242,78 +334,105 @@ class Engine:
         nis, dof, used = channel.verdict.tolist()
         widened = False
         if used:
-            channel.rejected_since_s = math.nan
-        elif dof and math.isfinite(nis) and gating.at_fault(self._channels.values(), channel, time_s, frozen):
-            gating.open_wide(P, self._channels.values(), self.layout.drive)
-            self.counts["opened"] += 1
-        elif dof and math.isfinite(nis) and not frozen:
-            widened = gating.widen(P, x, channel, time_s, nis, int(dof))
-            if widened:
-                kalman.update(P, nav, x, channel.C, channel.R, channel.mem, channel.dims, np.full(channel.sensor.axes + 1, np.inf))
-                self.counts["widened"] += 1
+            channel.memory.rejected_since_s = math.nan
+        elif dof and math.isfinite(nis):
+            widened = self._rejected(channel, time_s, nis, int(dof), frozen)
         if used or widened:
-            if tape is not None:
-                tape.record(channel.record, channel.sensor.axes, channel.dims)
-                tape.row(self._time_s, nav, x, P)
-            return self._note(channel, time_s, "used", nis, int(dof), widened)
-        if tape is not None:
-            tape.record(channel.moved, 0, channel.dims)
-        if dof == 0 or not math.isfinite(nis):
-            return self._note(channel, time_s, "invalid")
-        return self._note(channel, time_s, "rejected", nis, int(dof))
+            status = "used"
+            if self.tape is not None:
+                self.tape.record(channel.record, channel.axes, channel.dims)
+                self._row()
+        else:
+            status = "rejected" if dof and math.isfinite(nis) else "invalid"
+            if self.tape is not None:
+                self.tape.record(channel.moved, 0, channel.dims)
+        if self.tape is not None:
+            self.tape.columns[channel.name].append(time_s, CODES[status], None if status == "invalid" else channel.note)
+        outcome = Outcome(status) if status == "invalid" else Outcome(status, nis, int(dof), widened)
+        return Correction(outcome, time_s, channel)
 
-    def _rate_variance(self) -> Array:
-        """White variance of the three gyros as rates [rad^2/s^2]; none without an inertial unit."""
-        if not self._inertial:
-            return np.zeros(3)
-        return self.layout.drive.r[:3]
+    def _rejected(self, channel: Channel, time_s: float, nis: float, dof: int, frozen: bool) -> bool:
+        """After a rejection: reset the state when all sensors contradict it, or widen the gate; True when the reading was let in after all.
+        """
+        memory, kept = self._memory, channel.memory
+        if math.isnan(kept.rejected_since_s):
+            kept.rejected_since_s = time_s
+        if frozen:
+            return False
+        P = memory.P
+        if gating.state_contradicted(self.channels.values(), time_s):
+            P[range(9), range(9)] += gating.reset_variance(self.channels.values())
+            drive = self.layout.drive
+            P[drive.slice, drive.slice] += drive.P0
+            for other in self.channels.values():
+                other.memory.rejected_since_s = math.nan
+            memory.counts["opened"] += 1
+            return False
+        added = gating.widening(P, memory.x, channel, time_s, nis, dof)
+        if added is None:
+            return False
+        P[:9, :9] += added.covariance
+        P[:] = 0.5 * (P + P.T)
+        channel.res[:] = added.residual
+        channel.R *= added.white_factor
+        kept.rejected_since_s = math.nan
+        no_limits = np.full(channel.axes + 1, np.inf)
+        kalman.update(P, memory.nav, memory.x, channel.C, channel.R, channel.mem, channel.dims, no_limits)
+        memory.counts["widened"] += 1
+        return True
 
     def _body_rate(self) -> None:
         """Angular rate in b [rad/s] for lever arms; the Earth's own rate (1e-4 rad/s) is left in."""
-        if not self._inertial:
+        if not self.inertial:
             return
-        rate = self._drv[strapdown.PREVIOUS : strapdown.PREVIOUS + 3] - self._Cr[:3, :-1] @ self._xd
-        self._rate[:] = rate / self._period_s if self._drv[strapdown.INCREMENTS] else rate
+        drv = self._memory.drv
+        rate = drv[strapdown.PREVIOUS : strapdown.PREVIOUS + 3] - self.drive_output[:3, :-1] @ self._xd
+        self._rate[:] = rate / self._period_s if drv[strapdown.INCREMENTS] else rate
 
-    # ---------------------------------------------------------------- what is known, and what it remembers
-    @property
-    def time_s(self) -> float:
-        """Mission time of the state [s]."""
-        return self._time_s
+    # ---------------------------------------------------------------- other error models
+    def adopt(self, change: Change) -> Iterator[Event]:
+        """Put another error model of one sensor in force, now; the states follow without a jump (`navfilter.filter.adoption.transfer`).
 
-    @property
-    def state(self) -> NavState:
-        """The state with its covariance, now; a copy."""
-        m = self._head
-        P, Phi, Q = self._P[:m, :m], self._acc[:9], self._acc[m : m + 9, :9]
-        covariance = Phi @ P @ Phi.T + Q
-        return NavState.unpack(self._time_s, self._nav, 0.5 * (covariance + covariance.T))
+        Parameters
+        ----------
+        change : Change
 
-    @property
-    def errors(self) -> dict[str, float]:
-        """Estimates of all error states and parameters by name."""
-        return dict(zip(self.layout.names, self._x.tolist(), strict=True))
+        Yields
+        ------
+        Event
+            The fold that comes before, and the new layout.
 
-    def memory(self) -> Memory:
-        """Everything that changes, copied."""
-        return Memory(
-            (self._time_s, self._sample_s, self._unfolded),
-            self.intake.clock,
-            tuple(a.copy() for a in (self._nav, self._x, self._P, self._acc, self._drv)),
-            self._in_force,
-            {name: (channel.clock, None) for name, channel in self._channels.items()},
-            dict(self.counts),
-        )
-
-    def recall(self, memory: Memory) -> None:
-        """Go back to what `memory` holds."""
-        if memory.in_force is not self._in_force:
-            self._arrange(memory.in_force)
-        self._time_s, self._sample_s, self._unfolded = memory.clock
-        self.intake.clock = memory.intake
-        self._nav, self._x, self._P, self._acc, self._drv = (a.copy() for a in memory.arrays[:5])
-        self._xd = self._x[: self.layout.drive.size]
-        for name, (clock, _) in memory.channels.items():
-            self._channels[name].clock = clock
-        self.counts.clear()
-        self.counts |= memory.counts
+        Raises
+        ------
+        ValueError
+            For an unknown sensor, or something that is no error model.
+        """
+        memory = self._memory
+        models = tuple((dict(memory.models) | {change.sensor: change.error}).items())
+        self.vehicle.with_error(**{change.sensor: change.error})  # refuses what cannot be adopted before anything has changed
+        for axis, ratio in enumerate(change.power_ratios):
+            if ratio > 1.0:
+                channel = self.channels[change.sensor]
+                row = channel.H[axis].copy()
+                row[channel.group.start : channel.group.start + channel.group.errors] = 0.0
+                memory.P += inflated(memory.P, row, ratio)
+        if memory.unfolded:
+            yield self._fold()
+        before, old = self.layout, self.in_force
+        self._arrange(models)
+        new = self.in_force
+        M, N = state_change(before, old, self.layout, new)
+        if self.tape is not None:
+            self.tape.change(M)
+        P, x = M @ memory.P @ M.T + N, M[9:, 9:] @ memory.x
+        memory.P, memory.x = np.ascontiguousarray(0.5 * (P + P.T)), np.ascontiguousarray(x)
+        memory.acc, self._xd = self._identity(), memory.x[: self.layout.drive.size]
+        fresh = new.drive.memory(self.layout.drive.errors, self.start)
+        memory.drv[[strapdown.DEVIATION, strapdown.SCALE]] = fresh[[strapdown.DEVIATION, strapdown.SCALE]]
+        memory.models = models
+        memory.counts["adopted"] += 1
+        if self.tape is not None:
+            self.tape.layouts.append(self.layout)
+            self.tape.models.setdefault(change.sensor, []).append((memory.time_s, change.error))
+            self._row()
+        yield Relaid(M)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -72,7 +71,7 @@ class Watch:
     """
 
     timeout_s: float
-    outcomes: Counter[str] = field(default_factory=Counter)
+    outcomes: dict[str, int] = field(default_factory=dict)
     used_s: float = -math.inf
     heard_s: float = -math.inf
     nis: float = math.nan
@@ -103,7 +102,7 @@ class Watch:
 
     def note(self, status: str, time_s: float, nis: float, dof: int) -> None:
         """Note what became of it."""
-        self.outcomes[status] += 1
+        self.outcomes[status] = self.outcomes.get(status, 0) + 1
         if status not in ("ahead", "invalid"):  # a wild stamp is not the time at which it was heard
             self.heard_s = max(self.heard_s, time_s)
         if status in ("used", "late-replayed"):

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from bisect import bisect_left
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.filter.filter import Engine, Memory, Outcome
+from navfilter.filter.events import Outcome
 from navfilter.filter.intake import joined
+from navfilter.filter.memory import copied
 
-__all__ = ["History", "Reading"]
+__all__ = ["History", "Reading", "Run"]
 
 Array = NDArray[np.float64]
 
@@ -26,52 +28,67 @@ class Reading(NamedTuple):
     frozen: bool
 
 
-class History:
-    """Everything that went into an engine during the last `length_s` seconds, with checkpoints.
+class Run(Protocol):
+    """What has a history: it is fed in order, and can go back."""
 
-    A late reading takes the engine back to the checkpoint before it, and all that came after is fed again, the reading in its place: the
+    @property
+    def time_s(self) -> float:
+        """Mission time of its state [s]."""
+
+    @property
+    def offset_s(self) -> float:
+        """By how much the stamps of samples are moved [s]."""
+
+    memory: Any
+
+    def feed(self, item: Array | Reading) -> Outcome | None:
+        """Take samples (rows of time and six values) or a reading, in order."""
+
+
+class History:
+    """Everything that went into a run during the last `length_s` seconds, with checkpoints.
+
+    A late reading takes the run back to the checkpoint before it, and all that came after is fed again, the reading in its place: the
     result is what arrival in order would have given, at the cost of feeding at most `length_s` again.
 
     Parameters
     ----------
-    engine : Engine
+    run : Run
     length_s : float
+    sensors : sequence of str
+        In the order in which readings of one time are taken.
     """
 
     #: Seconds between checkpoints: a late reading feeds at most so much more than its lateness.
     SPACING_S = 0.1
 
-    def __init__(self, engine: Engine, length_s: float) -> None:
-        self.engine, self.length_s = engine, length_s
-        self._marks: list[tuple[float, int, Memory]] = []  # time, number of the next input, what the engine remembered
+    def __init__(self, run: Run, length_s: float, sensors: Sequence[str]) -> None:
+        self.run, self.length_s, self.sensors = run, length_s, list(sensors)
+        self.replayed_s = 0.0
+        self.begin()
+
+    def begin(self) -> None:
+        """Forget everything: the run starts anew."""
+        self._marks: list[tuple[float, int, Any]] = []  # time, number of the next input, memory of the run
         self._log: list[Array | Reading] = []
         self._shifts: list[float] = []  # by how much the stamps of each input were moved when it came
         self._first = 0  # number of the first input in the log
-        self.replayed_s = 0.0
 
     def feed(self, item: Array | Reading) -> Outcome | None:
-        """Give samples (rows of time and six values) or a reading to the engine, and keep them."""
+        """Give samples (rows of time and six values) or a reading to the run, and keep them."""
         self._mark()
-        shift = self.engine.intake.offset_s
-        if isinstance(item, np.ndarray):
-            self._log.append(item.copy())
-            self._shifts.append(shift)
-            self.engine.advance(item)
-            return None
-        outcome = self.engine.take(self.engine.channel(item.name), *item[1:])
-        self._log.append(item)  # behind: the engine may have begun this history anew
+        shift = self.run.offset_s
+        kept = item.copy() if isinstance(item, np.ndarray) else item
+        outcome = self.run.feed(item)
+        self._log.append(kept)  # behind: the run may have begun this history anew
         self._shifts.append(shift)
         return outcome
 
-    def begin(self) -> None:
-        """Forget everything: the engine starts anew."""
-        self._marks, self._log, self._shifts, self._first = [], [], [], 0
-
     def _mark(self) -> None:
-        now = self.engine.time_s
+        now = self.run.time_s
         if self._marks and now - self._marks[-1][0] < self.SPACING_S:
             return
-        self._marks.append((now, self._first + len(self._log), self.engine.memory()))
+        self._marks.append((now, self._first + len(self._log), copied(self.run.memory)))
         old = 0
         while old + 1 < len(self._marks) and self._marks[old + 1][0] <= now - self.length_s:
             old += 1
@@ -91,22 +108,22 @@ class History:
             return None
         if any(isinstance(i, Reading) and i.name == reading.name and i.time_s == reading.time_s for i in self._log):
             return Outcome("duplicate")
-        _, number, memory = self._marks[at]
+        marked_s, number, memory = self._marks[at]
         again, shifts = self._log[number - self._first :], self._shifts[number - self._first :]
-        self.replayed_s += self.engine.time_s - memory.clock[0]
+        self.replayed_s += self.run.time_s - marked_s
         del self._log[number - self._first :], self._shifts[number - self._first :], self._marks[at:]
-        self.engine.recall(memory)
+        self.run.memory = memory
         result: Outcome | None = None
-        for item in _in_place(again, shifts, reading, list(self.engine.vehicle.sensors)):
+        for item in _in_place(again, shifts, reading, self.sensors):
             outcome = self.feed(item)
             if item is reading:
                 result = outcome
         return result
 
-    def kept(self) -> tuple[Memory, list[Array | Reading]]:
+    def kept(self) -> tuple[Any, list[Array | Reading]]:
         """The oldest checkpoint and everything fed since: all that is needed to come to the present state again."""
         if not self._marks:
-            return self.engine.memory(), []
+            return self.run.memory, []
         return self._marks[0][2], list(self._log)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from navfilter.kernels import strapdown
 from navfilter.mechanisation import Mechanisation
 
-__all__ = ["Intake", "joined"]
+__all__ = ["Intake", "IntakeMemory", "joined"]
 
 Array = NDArray[np.float64]
 
@@ -31,6 +32,34 @@ def joined(items: Sequence[Any]) -> list[Any]:
         if item is not None:
             result.append(item)
     return result
+
+
+@dataclass
+class IntakeMemory:
+    """What is remembered of the drive's clock.
+
+    Attributes
+    ----------
+    before_s : float
+        Stamp of the last sample taken [s].
+    doubtful_s : float
+        A stamp far ahead, dropped until the next one confirms it [s].
+    back_s : float
+        Last stamp of a clock that may have been set back [s].
+    back_count : int
+        Such stamps in a row.
+    offset_s : float
+        What is added to all stamps [s].
+    bad : int
+        Impossible samples in a row.
+    """
+
+    before_s: float
+    doubtful_s: float = -math.inf
+    back_s: float = math.nan
+    back_count: int = 0
+    offset_s: float = 0.0
+    bad: int = 0
 
 
 class Intake:
@@ -60,44 +89,36 @@ class Intake:
         self._gap_s = strapdown.GAP_PERIODS * self._period_s
         self._doubt_s = max(self.DOUBT_S, 10.0 * self._period_s)
         self._confirm = max(5, round(0.25 * drive.rate_hz))
-        self._bad = 0
-        self._previous = strapdown.PREVIOUS if "imu" in drive.streams else strapdown.PREVIOUS_RPY
-        self.before_s = math.nextafter(start_s, -math.inf)  # the first sample may come at the start itself
-        self._doubtful_s = -math.inf  # a stamp far ahead, dropped until the next one confirms it
-        self._back_s, self._back_count = math.nan, 0  # stamps of a clock that may have been set back
-        self.offset_s = 0.0
+        self._previous = strapdown.PREVIOUS if drive.inertial else strapdown.PREVIOUS_RPY
+        # the first sample may come at the start itself
+        self.memory = IntakeMemory(math.nextafter(start_s, -math.inf))
+
+    @property
+    def offset_s(self) -> float:
+        """What is added to all stamps since the clock was set [s]."""
+        return self.memory.offset_s
 
     @property
     def in_doubt(self) -> bool:
         """Whether the last samples came with stamps that lie back: until that is settled, nobody can say what is late."""
-        return self._back_count > 1
-
-    @property
-    def clock(self) -> tuple[float, ...]:
-        """What it remembers."""
-        return self.before_s, self._doubtful_s, self._back_s, float(self._back_count), self.offset_s, float(self._bad)
-
-    @clock.setter
-    def clock(self, values: tuple[float, ...]) -> None:
-        self.before_s, self._doubtful_s, self._back_s, count, self.offset_s, bad = values
-        self._back_count, self._bad = int(count), int(bad)
+        return self.memory.back_count > 1
 
     def take(self, samples: Array, drv: Array, at_rest: Callable[[], Array], whole: bool) -> tuple[Array, Array]:
         """Steps in place of stamps (first column), and the stamps: all of them, or only the last one if the block is taken `whole`."""
-        if self.offset_s:
-            samples[:, 0] += self.offset_s
+        if self.memory.offset_s:
+            samples[:, 0] += self.memory.offset_s
         stamps = samples[-1:, 0].copy() if whole else samples[:, 0].copy()
-        gaps = strapdown.stamps_to_steps(samples, self.before_s, self._limits, self._gap_s, self._doubt_s)
+        gaps = strapdown.stamps_to_steps(samples, self.memory.before_s, self._limits, self._gap_s, self._doubt_s)
         if gaps < 0:
             return self._mend(samples, drv, at_rest)
         self.counts["gap"] += gaps
-        self._doubtful_s, self._back_count, self._bad = -math.inf, 0, 0
+        self.memory.doubtful_s, self.memory.back_count, self.memory.bad = -math.inf, 0, 0
         return samples, stamps
 
     def _mend(self, samples: Array, drv: Array, at_rest: Callable[[], Array]) -> tuple[Array, Array]:
         """Drop samples whose stamps cannot be, repair values that cannot be; returns steps and stamps."""
         possible: NDArray[np.bool_] = np.all(np.abs(samples[:, 1 : 1 + len(self._limits)]) <= self._limits, axis=1)
-        keep, before, shift = np.zeros(len(samples), bool), self.before_s, 0.0
+        keep, before, shift = np.zeros(len(samples), bool), self.memory.before_s, 0.0
         for i, stamp in enumerate(samples[:, 0].tolist()):
             stamp += shift
             if not (math.isfinite(stamp) and stamp > before):
@@ -106,50 +127,50 @@ class Intake:
                 moved = self._leap(stamp, before)
             else:
                 moved = 0.0
-                self._doubtful_s = -math.inf
+                self.memory.doubtful_s = -math.inf
             if math.isnan(moved):
                 self.counts["backward"] += 1
                 continue
-            shift, self.offset_s, stamp = shift + moved, self.offset_s + moved, stamp + moved
-            self._back_count = 0
-            self._bad = 0 if possible[i] else self._bad + 1
+            shift, self.memory.offset_s, stamp = shift + moved, self.memory.offset_s + moved, stamp + moved
+            self.memory.back_count = 0
+            self.memory.bad = 0 if possible[i] else self.memory.bad + 1
             if not possible[i]:
                 self.counts["bad-sample"] += 1
-            if self._bad > self.REPEATED:
+            if self.memory.bad > self.REPEATED:
                 continue
             samples[i, 0] = stamp
             keep[i], before = True, stamp
         samples = np.ascontiguousarray(samples[keep])
         self._repair(samples[:, 1 : 1 + len(self._limits)], ~possible[keep], drv, at_rest)
         stamps = samples[:, 0].copy()
-        steps = np.diff(stamps, prepend=self.before_s)
+        steps = np.diff(stamps, prepend=self.memory.before_s)
         self.counts["gap"] += int(np.count_nonzero(steps > self._gap_s))
         samples[:, 0] = steps
         return samples, stamps
 
     def _leap(self, stamp: float, before: float) -> float:
         """What to add to a stamp far ahead: NaN while it is in doubt, 0 for a gap, else by how much the clock has been set."""
-        confirmed = 0.0 < stamp - self._doubtful_s <= self._doubt_s
-        self._doubtful_s = stamp
+        confirmed = 0.0 < stamp - self.memory.doubtful_s <= self._doubt_s
+        self.memory.doubtful_s = stamp
         if not confirmed:
             return math.nan
-        self._doubtful_s = -math.inf
-        righted = self.offset_s > 0.0 and abs(stamp - before - self.offset_s) < max(1.0, 0.01 * self.offset_s)
+        self.memory.doubtful_s = -math.inf
+        righted = self.memory.offset_s > 0.0 and abs(stamp - before - self.memory.offset_s) < max(1.0, 0.01 * self.memory.offset_s)
         if stamp - before <= self.LONGEST_S and not righted:
             return 0.0
         self.counts["clock-set"] += 1
-        return -self.offset_s if righted else before + 2.0 * self._period_s - stamp
+        return -self.memory.offset_s if righted else before + 2.0 * self._period_s - stamp
 
     def _set_back(self, stamp: float, before: float) -> float:
         """What to add to a stamp that does not rise: NaN until a quarter of a second of them in order shows that the clock was set back."""
-        follows = 0.0 < stamp - self._back_s <= self._doubt_s
-        self._back_count = self._back_count + 1 if follows else 1
-        self._back_s = stamp
-        if not math.isfinite(stamp) or self._back_count < self._confirm or before - stamp < 2.0 * self._period_s:
+        follows = 0.0 < stamp - self.memory.back_s <= self._doubt_s
+        self.memory.back_count = self.memory.back_count + 1 if follows else 1
+        self.memory.back_s = stamp
+        if not math.isfinite(stamp) or self.memory.back_count < self._confirm or before - stamp < 2.0 * self._period_s:
             return math.nan
         self.counts["clock-set"] += 1
         # what was dropped until here took its time: it counts as a gap
-        return before + self._back_count * self._period_s - stamp
+        return before + self.memory.back_count * self._period_s - stamp
 
     def _repair(self, values: Array, bad: NDArray[np.bool_], drv: Array, at_rest: Callable[[], Array]) -> None:
         """Replace samples with impossible values by the last good one; before the first sample by those of a vehicle that keeps still."""

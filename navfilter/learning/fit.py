@@ -19,112 +19,18 @@ from navfilter.arma.model import ArmaModel
 from navfilter.arma.roots import is_stable
 from navfilter.arma.starts import tidy_series
 from navfilter.diagnostics import whiteness
+from navfilter.learning.drift import Drift
 from navfilter.learning.likelihood import Likelihood, Point, maximise
 from navfilter.learning.low_frequency import log_s0_spread, with_upward_spread
 from navfilter.learning.starts import cold_starts, grown_starts, padded_start
 
-__all__ = ["ChannelFit", "Drift", "fit_channel"]
+__all__ = ["ChannelFit", "fit_channel"]
 
 Array = NDArray[np.float64]
 
 LEVEL = 0.01
 # Scoring passes of a lower order that only serves as a start.
 BELOW = 8
-
-
-@dataclass(frozen=True)
-class Drift:
-    """A chain of integrators driven by white noise: ``d1' = d2 + w1, d2' = d3 + w2, ...``, diffuse at the start.
-
-    Parameters
-    ----------
-    density : tuple of float
-        Root power spectral densities of w1, w2, ... (unit per s^(i-1) and sqrt(Hz)), 0 to 4 of them; empty: no drift.
-    period_s : float
-        Sampling period, s.
-    start_sd : tuple of float, optional
-        What is known of the states at the start of a series (unit per s^(i-1)), infinite for nothing, which is the
-        default. A finite one, such as the filter's own for the gyro bias, tells more of the low frequencies of a short
-        series; those after the first finite one must be finite too.
-
-    Raises
-    ------
-    ValueError
-        For more than four integrators, densities that are negative or not finite, a period that is not positive, a
-        start that does not fit.
-
-    Examples
-    --------
-    >>> drift = Drift((1e-4, 1e-6), 0.125)          # heading: angular random walk, then the walk of the gyro bias
-    >>> drift.transition()
-    array([[1.   , 0.125],
-           [0.   , 1.   ]])
-    """
-
-    density: tuple[float, ...]
-    period_s: float
-    start_sd: tuple[float, ...] = ()
-
-    def __post_init__(self) -> None:
-        density = tuple(float(value) for value in self.density)
-        object.__setattr__(self, "density", density)
-        object.__setattr__(self, "period_s", float(self.period_s))
-        if len(density) > 4:
-            raise ValueError(f"a drift has at most 4 integrators, found {len(density)} densities.")
-        if not all(math.isfinite(value) and value >= 0.0 for value in density):
-            raise ValueError(f"densities must be finite and not negative, found {density}.")
-        if not (math.isfinite(self.period_s) and self.period_s > 0.0):
-            raise ValueError(f"period_s must be positive, found {self.period_s}.")
-
-        start = tuple(float(value) for value in self.start_sd) or (math.inf,) * len(density)
-        object.__setattr__(self, "start_sd", start)
-        free = sum(math.isinf(value) for value in start)
-        if len(start) != len(density) or not all(value >= 0.0 for value in start) or not all(math.isinf(v) for v in start[:free]):
-            raise ValueError(f"start_sd must be {len(density)} numbers not below 0, the infinite ones first, found {start}.")
-
-    @property
-    def order(self) -> int:
-        """Number of integrators r."""
-        return len(self.density)
-
-    def transition(self) -> Array:
-        """Transition over one period, shape (r, r): ``period^(j-i) / (j-i)!`` above the diagonal."""
-        return _chain_transition(self.order, self.period_s)
-
-    def noise(self) -> Array:
-        """Covariance of the noise added over one period, shape (r, r).
-
-        ``sum over k >= i, j of density[k]^2 T^(2k-i-j+1) / ((k-i)! (k-j)! (2k-i-j+1))`` (Van Loan 1978, in closed form).
-        """
-        return _chain_noise(self.density, self.period_s)
-
-    def per_tick(self) -> Array:
-        """Noise with states in units per tick (state i times period^i) and, as last row, the variances of the start.
-
-        Shape (r+1, r). In these units the transition has period 1.
-        """
-        scale = self.period_s ** np.arange(self.order)
-        return np.vstack([self.noise() * np.outer(scale, scale), np.square(scale * self.start_sd)])
-
-
-def _chain_transition(r: int, period_s: float) -> Array:
-    out = np.eye(r)
-    for i in range(r):
-        for j in range(i + 1, r):
-            out[i, j] = period_s ** (j - i) / math.factorial(j - i)
-    return out
-
-
-def _chain_noise(density: tuple[float, ...], period_s: float) -> Array:
-    r = len(density)
-    out = np.zeros((r, r))
-    for i in range(r):
-        for j in range(r):
-            for k in range(max(i, j), r):
-                power = 2 * k - i - j + 1
-                weight = math.factorial(k - i) * math.factorial(k - j) * power
-                out[i, j] += density[k] ** 2 * period_s**power / weight
-    return out
 
 
 @dataclass(frozen=True, eq=False)

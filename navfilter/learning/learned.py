@@ -12,10 +12,19 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_lyapunov
 
 from navfilter.arma.model import ArmaModel
-from navfilter.error_models import Block, ErrorModel, RandomWalk, Sum, White
+from navfilter.error_models import Block, ErrorModel, Integrated, RandomWalk, Sum, White
 from navfilter.learning.low_frequency import cautious
 
-__all__ = ["LearnedArma", "known_walk", "known_white", "learned_part", "learning_part", "register_labels", "resolve_prior", "with_learned"]
+__all__ = [
+    "LearnedArma",
+    "known_walk",
+    "known_white",
+    "learned_part",
+    "learning_part",
+    "register_labels",
+    "resolve_prior",
+    "with_learned",
+]
 
 Array = NDArray[np.float64]
 
@@ -101,6 +110,10 @@ class LearnedArma(ErrorModel):
         if self.prior is None:
             raise ValueError("LearnedArma needs a prior here: LearnedArma(prior=GaussMarkov(sd=..., tau_s=...)).")
         return self.prior.block(period_s)
+
+    def integrated(self, period_s: float) -> Integrated:
+        """That of the prior while nothing has been learnt."""
+        return self.prior.integrated(period_s) if self.model is None and self.prior is not None else super().integrated(period_s)
 
     @cached_property
     def _register(self) -> Block:

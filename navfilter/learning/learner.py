@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from navfilter.arma.model import ArmaModel
 from navfilter.arma.roots import time_constant
-from navfilter.learning.fit import Drift, theta_of
+from navfilter.learning.drift import Drift
+from navfilter.learning.fit import theta_of
 from navfilter.learning.likelihood import Likelihood
 from navfilter.learning.low_frequency import slow_pole
 from navfilter.learning.orders import LEAD, Candidate, denies, fit_candidate, preferred

@@ -1,113 +1,31 @@
-"""Working memory of one correcting sensor, and what is listened to of it."""
+"""What is listened to of one sensor: its open-loop residuals, from which its error models are learnt."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from scipy.stats import chi2
+from numpy.typing import NDArray
 
-from navfilter.error_models import Arma, ErrorModel, Sum
-from navfilter.filter.layout import Group, Layout
-from navfilter.kernels import kalman, listen
-from navfilter.learning.learned import LearnedArma, known_walk, known_white, learned_part, learning_part, with_learned
-from navfilter.learning.low_frequency import HOPS_REMEMBERED, UNOBSERVABLE, block_level, steadied, zero_frequency
-from navfilter.sensors import BodyVelocity, Depth, Heading, Position, Sensor
-from navfilter.start import Start
-from navfilter.state import matrix_from_euler
+from navfilter.error_models import ErrorModel
+from navfilter.kernels import listen
+from navfilter.learning.drift import Drift
+from navfilter.learning.learned import known_walk, known_white, learned_part, learning_part, with_learned
+from navfilter.learning.learner import Learner
+from navfilter.learning.low_frequency import HOPS_REMEMBERED, UNOBSERVABLE, steadied, zero_frequency
+from navfilter.sensors import Sensor
 from navfilter.vehicle import Vehicle
 
-if TYPE_CHECKING:
-    from navfilter.learning.fit import Drift
-
-__all__ = ["Channel", "ChannelSeries", "Listener"]
+__all__ = ["ChannelSeries", "Listener", "ListenerMemory"]
 
 Array = NDArray[np.float64]
-GRAVITY = 9.81
 #: A sample so many robust deviations from its neighbours is a spike.
 SPIKE = 8.0
-#: The newest readings are left out of what is learnt from, so that those that come late by as much change nothing [s].
-GUARD_S = 2.0
 #: A first try at learning needs so many ticks.
 FEWEST = 200
 NEVER = int(np.iinfo(np.int64).max)
-
-
-class Channel:
-    """Working memory of one correcting sensor: one array shared with the kernels, seen through views (``kalman.places``)."""
-
-    def __init__(self, name: str, sensor: Sensor, group: Group, start: Start, layout: Layout, rate_variance: Array) -> None:
-        a, n, m, par = sensor.axes, layout.size, layout.head, group.size - group.errors
-        b = group.size if group.ticks else 0
-        self.name, self.sensor, self.group = name, sensor, group
-        self.kernel, self.constants = sensor.kernel, sensor.constants(start)
-        self.period_s = 1.0 / sensor.rate_hz
-        self.limits = np.array(_limits(sensor.gate_probability, a))
-        self.dims = np.array([a, n, m, b, group.start, group.errors, par])
-        at = kalman.places(self.dims)
-        self.places = np.array(at)
-        self.mem = mem = np.zeros(at[-1])
-        self.res, self.near = mem[at[3] : at[3] + a], mem[at[7] : at[8]].reshape(a, 9 + par)
-        self.H, self.PH, self.S = mem[at[0] : at[1]].reshape(a, n), mem[at[6] : at[7]].reshape(a, n), mem[at[5] : at[6]].reshape(2 * a, a)
-        self.verdict, self.note = mem[at[8] : at[8] + 3], mem[at[8] : at[9]]
-        self.record, self.moved = mem[: at[5]], mem[: at[0]]
-        self.model, self.C, self.R = np.array([group.Phi[:b, :b], group.Q[:b, :b]]), group.C, np.diag(group.r)
-        self.lever = _lever_arm_covariance(sensor, rate_variance)
-        self.white = self.R + self.lever
-        first = group.start - 9
-        self.parameters = slice(first + group.errors, first + group.size)
-        self.moves = isinstance(sensor, BodyVelocity)
-        self.turns = isinstance(sensor, BodyVelocity) and any(sensor.lever_arm_b_m)
-        self.last_s = self.ticked_s = -math.inf
-        self.rejected_since_s = math.nan
-        self.count = 0
-        self.listener: Listener | None = None
-
-    def ticks(self, time_s: float) -> int:
-        """Periods of the sensor since it was last heard; 0 at the first reading."""
-        elapsed, self.ticked_s = time_s - self.ticked_s, time_s
-        self.count = 0 if math.isinf(elapsed) else max(1, round(elapsed / self.period_s))
-        return self.count
-
-    @property
-    def clock(self) -> tuple[float, float, float]:
-        """What it remembers beside its states: last reading, last tick, since when readings are rejected."""
-        return self.last_s, self.ticked_s, self.rejected_since_s
-
-    @clock.setter
-    def clock(self, values: tuple[float, float, float]) -> None:
-        self.last_s, self.ticked_s, self.rejected_since_s = values
-
-
-@cache
-def _limits(probability: float, axes: int) -> tuple[float, ...]:
-    """Chi-square limits of the gate for 0 (never), 1, ... axes."""
-    return (math.inf, *chi2.ppf(probability, np.arange(1, axes + 1)).tolist())
-
-
-def usable(sd: ArrayLike, axes: int) -> bool:
-    """Whether standard deviations given with a reading can be used; the variance of one beyond 1e100 would not be finite."""
-    values = np.asarray(sd, dtype=np.float64)
-    return values.size in (1, axes) and bool(np.all((values >= 0.0) & (values < 1e100)))
-
-
-def _lever_arm_covariance(sensor: Sensor, rate_variance: Array) -> Array:
-    """What the white noise of the gyros adds to a velocity at a lever arm [m^2/s^2], in the instrument's axes, shape (a, a).
-
-    Its axes are strongly correlated (a rate moves the arm across itself), which counts where the instrument itself is quiet.
-    """
-    if not isinstance(sensor, BodyVelocity):
-        return np.zeros((sensor.axes, sensor.axes))
-    by_rate = matrix_from_euler(*sensor.mounting_rad).T @ np.cross(np.eye(3), np.asarray(sensor.lever_arm_b_m, dtype=float)).T
-    return by_rate @ np.diag(rate_variance) @ by_rate.T
-
-
-# ---------------------------------------------------------------- what is learnt from
 
 
 @dataclass(frozen=True)
@@ -131,17 +49,34 @@ class ChannelSeries:
     white: float
 
 
-KINDS: dict[type[Sensor], int] = {
-    Heading: listen.HEADING,
-    Position: listen.POSITION,
-    Depth: listen.POSITION,
-    BodyVelocity: listen.VELOCITY,
-}
+@dataclass
+class ListenerMemory:
+    """What a listener remembers.
 
+    Attributes
+    ----------
+    ring : ndarray, shape (axes, capacity)
+        Open-loop residuals, one element per tick [unit of the sensor]; the tick with number k stands at ``k % capacity``.
+    cursor : ndarray of int, shape (1,)
+        Ticks noted so far.
+    due : int
+        The next hop comes when so many have been noted.
+    models : tuple of ErrorModel
+        Of each axis, as learnt last.
+    levels : tuple of tuple of float
+        S(0) of each axis at the last hops.
+    learners : tuple of dict or None
+        What the learner of each axis knows; None where nothing is learnt.
+    """
 
-def kind_of(sensor: Sensor) -> int:
-    """How the kernel undoes the feedback for this sensor; 0 when its error cannot be told from the vehicle's motion."""
-    return KINDS.get(type(sensor), listen.NOTHING)
+    SHARED: ClassVar = ("ring",)
+
+    ring: Array
+    cursor: NDArray[np.int64]
+    due: int
+    models: tuple[ErrorModel, ...]
+    levels: tuple[tuple[float, ...], ...]
+    learners: tuple[dict[str, Array] | None, ...]
 
 
 class Listener:
@@ -153,102 +88,112 @@ class Listener:
 
     Parameters
     ----------
+    name : str
     sensor : Sensor
-    layout : Layout
     vehicle : Vehicle
     white : ndarray, shape (axes,)
         Known white variance beside the models: that of the lever arm.
+    behind_s : float
+        Readings may come so late [s]. A model is learnt from readings older than that, and the filter may go back by as much.
     capacity : int, optional
-        Ticks to keep; default: the window of the learnt models.
+        Ticks to keep; default: the window of the learnt models, and what going back needs.
+
+    Raises
+    ------
+    ValueError
+        For a sensor whose error cannot be told from the vehicle's motion.
     """
 
-    def __init__(self, name: str, sensor: Sensor, vehicle: Vehicle, white: Array, capacity: int | None = None) -> None:
-        from navfilter.learning.learner import Learner
-
-        self.kind = kind_of(sensor)
+    def __init__(
+        self, name: str, sensor: Sensor, vehicle: Vehicle, white: Array, behind_s: float, capacity: int | None = None
+    ) -> None:
+        self.kind = sensor.open_loop
         if self.kind == listen.NOTHING:
-            raise ValueError(f'"{name}": a {type(sensor).__name__} has no readings to learn its error from. Give it a fixed error model.')
-        self.name, self.period_s, self.models = name, 1.0 / sensor.rate_hz, sensor.models
-        learned = [learning_part(model) for model in self.models]
+            raise ValueError(
+                f'"{name}": a {type(sensor).__name__} has no readings to learn its error from. Give it a fixed error model.'
+            )
+        self.name, self.period_s, self.behind_s = name, 1.0 / sensor.rate_hz, behind_s
+        models = sensor.models
+        learned = [learning_part(model) for model in models]
         window = max((part.window for part in learned if part is not None), default=0)
-        self.ring = np.full((sensor.axes, capacity or window + round(4 * sensor.rate_hz) + 64), np.nan)
-        self.cursor = np.zeros(1, np.int64)
-        self.mount = np.eye(3).ravel()
-        if isinstance(sensor, BodyVelocity):
-            self.mount = np.ascontiguousarray(matrix_from_euler(*sensor.mounting_rad).T).ravel()
-        self.drifts = tuple(_drift(sensor, axis, vehicle, known_walk(model)) for axis, model in enumerate(self.models))
-        self.white = tuple(float(white[i]) + known_white(model, self.period_s) for i, model in enumerate(self.models))
+        self.mount = np.ascontiguousarray(sensor.instrument_axes()).ravel()
+        self.drifts = tuple(sensor.drift(vehicle.drive, axis, known_walk(model)) for axis, model in enumerate(models))
+        self.white = tuple(float(white[i]) + known_white(model, self.period_s) for i, model in enumerate(models))
         self.learners = tuple(
             None if part is None else Learner(part.orders, part.window, drift, white=r)
             for part, drift, r in zip(learned, self.drifts, self.white, strict=True)
         )
         self.window = window
         self.hop = min((part.hop or part.window // 2 for part in learned if part is not None), default=0)
-        self.due = 0 if window else NEVER
-        self._before_hop: tuple[int, tuple[Any, ...]] = (-1, ())
-        self.levels: tuple[tuple[float, ...], ...] = ((),) * sensor.axes
+        # what is left out as too new, and what going back writes over
+        capacity = capacity or window + round(2.0 * behind_s * sensor.rate_hz) + 64
+        self._memory = ListenerMemory(
+            ring=np.full((sensor.axes, capacity), np.nan),
+            cursor=np.zeros(1, np.int64),
+            due=0 if window else NEVER,
+            models=models,
+            levels=((),) * sensor.axes,
+            learners=self._known(),
+        )
+
+    @property
+    def memory(self) -> ListenerMemory:
+        """All that changes; setting one goes back (or on) to it."""
+        return self._memory
+
+    @memory.setter
+    def memory(self, memory: ListenerMemory) -> None:
+        for learner, now, then in zip(self.learners, self._memory.learners, memory.learners, strict=True):
+            if learner is not None and then is not None and then is not now:
+                learner.restore(then)
+        self._memory = memory
+
+    def _known(self) -> tuple[dict[str, Array] | None, ...]:
+        return tuple(None if learner is None else learner.snapshot() for learner in self.learners)
 
     def series(self, axis: int, last: int | None = None, without: int = 0) -> Array:
         """The last ticks of one axis, oldest first, without the newest; isolated spikes are missing."""
-        written, capacity = int(self.cursor[0]), self.ring.shape[1]
+        ring = self._memory.ring
+        written, capacity = int(self._memory.cursor[0]), ring.shape[1]
         n = min(written, capacity if last is None else last, capacity)
-        return without_spikes(np.take(self.ring[axis], np.arange(written - n, written - without) % capacity))
+        return without_spikes(np.take(ring[axis], np.arange(written - n, written - without) % capacity))
 
     def all_series(self) -> tuple[ChannelSeries, ...]:
-        """What was heard, axis by axis."""
+        """All that was heard, axis by axis."""
         return tuple(
             ChannelSeries(self.series(axis), drift, self.period_s, white)
             for axis, (drift, white) in enumerate(zip(self.drifts, self.white, strict=True))
         )
 
     @property
-    def learns(self) -> bool:
-        """Whether there is something to learn, and enough was heard for a first try."""
-        return self.window > 0 and int(self.cursor[0]) >= FEWEST
+    def is_due(self) -> bool:
+        """Whether the next hop has come."""
+        return bool(self._memory.cursor[0] >= self._memory.due)
 
-    def rewind(self) -> None:
-        """Hear everything again from the start, without learning from it again."""
-        self.due = int(self.cursor[0]) + self.hop if self.window else NEVER
-        self.cursor[0] = 0
-        self._before_hop = (-1, ())
+    def learn_first(self, age_s: float) -> tuple[ErrorModel, ...] | None:
+        """The first error models, or None where too little has been heard; the last tick was `age_s` ago."""
+        ticks = self._ticks_by_now(age_s)
+        return self.learn(age_s) if self.window and ticks >= FEWEST else None
 
-    def mark(self) -> tuple[Any, ...]:
-        """Where it stands, to `recall` within the few seconds that the ring keeps beyond its window."""
-        return int(self.cursor[0]), self.due, self.models, self.levels
+    def begin_again(self, age_s: float) -> None:
+        """Listen from the start again, without learning again from what was heard before; the last tick was `age_s` ago."""
+        memory = self._memory
+        memory.due = self._ticks_by_now(age_s) + self.hop if self.window else NEVER
+        memory.cursor[0] = 0
 
-    def recall(self, mark: tuple[Any, ...]) -> None:
-        """Go back to a `mark`: not further than one hop."""
-        self.cursor[0], self.due, self.models, self.levels = mark
-        hop, kept = self._before_hop
-        if self.cursor[0] < hop:
-            for learner, values in zip(self.learners, kept, strict=True):
-                if learner is not None:
-                    learner.restore(values)
-            self._before_hop = (-1, ())
+    def _ticks_by_now(self, age_s: float) -> int:
+        """Ticks noted so far, and those that should have come since: their readings may be on their way."""
+        ticks = int(self._memory.cursor[0])
+        return ticks + max(0, math.ceil(age_s / self.period_s - 1e-6) - 1) if ticks else 0
 
-    def kept(self, mark: tuple[Any, ...]) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
-        """A `mark`, and what the learners knew then."""
-        hop, kept = self._before_hop
-        if mark[0] >= hop:
-            kept = tuple(None if learner is None else learner.snapshot() for learner in self.learners)
-        return mark, kept
-
-    def revive(self, ring: Array, learners: Sequence[dict[str, Array]]) -> None:
-        """Take over readings and learners of another run."""
-        self.ring[:] = ring
-        for learner, kept in zip(self.learners, learners, strict=True):
-            if learner is not None:
-                learner.restore(kept)
-
-    def learn(self, behind_s: float) -> tuple[ErrorModel, ...] | None:
-        """At a hop: the error models to adopt, or None when there is nothing new; the last reading is `behind_s` behind the present."""
-        written = int(self.cursor[0])
-        newest = min(max(0, round((GUARD_S - behind_s) / self.period_s)), written)
-        kept = tuple(None if learner is None else learner.snapshot() for learner in self.learners)
-        self._before_hop = (written, kept)
-        self.due = written + self.hop
-        new, levels = [], list(self.levels)
-        for axis, (model, learner) in enumerate(zip(self.models, self.learners, strict=True)):
+    def learn(self, age_s: float = 0.0) -> tuple[ErrorModel, ...] | None:
+        """At a hop: the error models to adopt, or None when there is nothing new; the last tick was `age_s` ago."""
+        memory = self._memory
+        written = int(memory.cursor[0])
+        newest = min(max(0, round((self.behind_s - age_s) / self.period_s)), written)
+        memory.due = written + self.hop
+        new, levels = [], list(memory.levels)
+        for axis, (model, learner) in enumerate(zip(memory.models, self.learners, strict=True)):
             part = learned_part(model)
             if part is not None and learner is not None:
                 found = learner.hop(self.series(axis, part.window + newest, newest))
@@ -258,11 +203,11 @@ class Listener:
                     found = steadied(found, levels[axis])
                     model = with_learned(model, replace(part, model=found))
             new.append(model)
-        self.levels = tuple(levels)
-        if tuple(new) == self.models:
+        memory.levels, memory.learners = tuple(levels), self._known()
+        if tuple(new) == memory.models:
             return None
-        self.models = tuple(new)
-        return self.models
+        memory.models = tuple(new)
+        return memory.models
 
 
 def without_spikes(series: Array) -> Array:
@@ -285,50 +230,3 @@ def without_spikes(series: Array) -> Array:
     scale = max(float(np.median(size)) * 1.4826, float(np.mean(np.minimum(size, np.quantile(size, 0.99)))))
     result[known[size > SPIKE * scale]] = np.nan
     return result
-
-
-def _drive_noise(model: ErrorModel, period_s: float) -> tuple[float, float, float]:
-    """Root densities of the white noise and of the walk in one axis of the drive, and the standard deviation of what walks at the start.
-
-    An ARMA error ticks with the drive and is forgotten within a sensor's period: to an integral it is white noise of its S(0).
-    """
-    white = walk = start = 0.0
-    for part in model.parts if isinstance(model, Sum) else (model,):
-        block = part.block(period_s)
-        if isinstance(part, Arma) or (isinstance(part, LearnedArma) and part.model is not None):
-            white += block_level(block)
-            continue
-        white += block.r
-        if block.size:
-            walk += float(block.C @ block.Q @ block.C)
-            start += float(block.C @ block.P0 @ block.C)
-    return math.sqrt(white * period_s), math.sqrt(max(walk, 0.0) / period_s), math.sqrt(start)
-
-
-def _drift(sensor: Sensor, axis: int, vehicle: Vehicle, walk: float) -> Drift:
-    """Known noise of the navigation error in the open-loop residual of one axis: integrators from the inside out.
-
-    An inertial unit: heading by the angle random walk and the gyro's bias; velocity by the velocity random walk and the tilt, which the
-    gyros' random walk turns into acceleration (Groves, 2013, sec. 14.2). Without one: the noise of the velocity.
-    """
-    from navfilter.learning.fit import Drift
-
-    period_s = 1.0 / sensor.rate_hz
-    drive = vehicle.drive
-    white, walks, starts = zip(*(_drive_noise(model, drive.period_s) for model in drive.models), strict=True)
-    if "imu" not in drive.streams:
-        speed = max(white[3:6])
-        if isinstance(sensor, Heading):
-            return Drift((max(walk, 1e-9), 1e-12), period_s)
-        return Drift((math.hypot(speed, walk), 1e-3), period_s)
-    turn, force = max(white[:3]), max(white[3:])
-    if isinstance(sensor, Heading):
-        # the gyro's bias is no one's guess: how large it can be is part of the gyro's model
-        bias = max(math.hypot(sd, w * 60.0) for sd, w in zip(starts[:3], walks[:3], strict=True))
-        return Drift((math.hypot(turn, walk), max(walks[:3])), period_s, (math.inf, bias) if bias > 0.0 else ())
-    level = GRAVITY * turn  # the tilt wanders, and turns gravity into acceleration
-    vertical = isinstance(sensor, Depth) or axis == 2
-    slow = max(max(walks[3:]), 1e-7) if vertical else level
-    if isinstance(sensor, BodyVelocity):
-        return Drift((math.hypot(force, walk), slow), period_s)
-    return Drift((walk, force, slow), period_s)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from navfilter.arma.model import ArmaModel
 from navfilter.arma.roots import slowest_real
-from navfilter.error_models import Block
+from navfilter.error_models import block_level
 
 if TYPE_CHECKING:
     from navfilter.learning.fit import ChannelFit
@@ -54,12 +54,6 @@ HOPS_REMEMBERED = 4
 def zero_frequency(model: ArmaModel) -> float:
     """Spectral density at zero frequency per sample, ``S(0) = sd^2 (C(1) / A(1))^2`` [unit^2]."""
     return float(model.sd**2 * ((1.0 + model.ma.sum()) / (1.0 + model.ar.sum())) ** 2)
-
-
-def block_level(block: Block) -> float:
-    """S(0) per sample of a stationary block."""
-    response = np.linalg.solve(np.eye(block.size) - block.Phi.T, block.C) if block.size else np.zeros(0)
-    return float(response @ block.Q @ response) + block.r
 
 
 def slow_pole(model: ArmaModel) -> int | None:

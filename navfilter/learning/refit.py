@@ -10,7 +10,7 @@ import numpy as np
 
 from navfilter.error_models import ErrorModel
 from navfilter.learning.learned import LearnedArma, learned_part, learning_part, with_learned
-from navfilter.learning.listener import ChannelSeries, kind_of
+from navfilter.learning.listener import ChannelSeries
 from navfilter.learning.low_frequency import zero_frequency
 from navfilter.vehicle import Vehicle
 
@@ -22,7 +22,7 @@ def learning_sensors(vehicle: Vehicle) -> list[str]:
     return [
         name
         for name, sensor in vehicle.sensors.items()
-        if kind_of(sensor) and any(learning_part(model) is not None for model in sensor.models)
+        if sensor.open_loop and any(learning_part(model) is not None for model in sensor.models)
     ]
 
 

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
-from typing import Any
+import math
+from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.error_models import ErrorModel, RandomWalk, Sum
+from navfilter.learning.bias import hand_over, plainer
+from navfilter.learning.drift import Drift
 from navfilter.learning.learned import known_walk, known_white, learned_part, learning_part, with_learned
+from navfilter.learning.learner import Learner
 from navfilter.learning.low_frequency import HOPS_REMEMBERED, steadied, zero_frequency
 from navfilter.mechanisation import Imu, Mechanisation
 from navfilter.sensors import ZeroVelocity
 
-__all__ = ["Stillness"]
+__all__ = ["RestMemory", "RestRecorder"]
 
 Array = NDArray[np.float64]
 
@@ -35,7 +38,46 @@ LAZIEST = 10
 PARTS = {"gyro": slice(0, 3), "accel": slice(3, 6)}
 
 
-class Stillness:
+@dataclass
+class RestMemory:
+    """What is remembered of the samples at rest.
+
+    Attributes
+    ----------
+    ring : ndarray, shape (6, capacity)
+        Samples at rest [rad/s, m/s^2]; the tick with number k stands at ``k % capacity``, NaN between segments.
+    cursor, due, newest : int
+        Ticks kept so far, how many make the next hop due, and how many came with the newest block.
+    block, pending : ndarray, shape (length, 7)
+        The block that is being filled, and the one before it: seconds since the sample before, six values as they arrived.
+    filled, run : int
+        Samples in the block, and blocks at rest in a row.
+    is_open : bool
+        Whether the segment goes on.
+    level : ndarray, shape (6,)
+        Mean of the segment's first block [rad/s, m/s^2].
+    models, levels, learners
+        As in `navfilter.learning.listener.ListenerMemory`, for the six axes.
+    """
+
+    SHARED: ClassVar = ("ring",)
+
+    ring: Array
+    cursor: int
+    due: int
+    newest: int
+    block: Array
+    pending: Array
+    filled: int
+    run: int
+    is_open: bool
+    level: Array
+    models: tuple[ErrorModel, ...]
+    levels: tuple[tuple[float, ...], ...]
+    learners: tuple[dict[str, Array] | None, ...]
+
+
+class RestRecorder:
     """Gathers the samples of an inertial unit at rest, and learns the error models of its axes from them.
 
     At rest a gyro reads the Earth's rate and its error, an accelerometer gravity and its error. Earth's rate and gravity are constant in
@@ -53,51 +95,83 @@ class Stillness:
     ----------
     drive : Imu
         As its operator describes it.
+    behind_s : float
+        The filter may go back by so much [s].
 
     Notes
     -----
     Segments of rest follow each other in one series with gaps between them; a gap begins the bias and the error anew.
     """
 
-    def __init__(self, drive: Mechanisation) -> None:
-        from navfilter.learning.fit import Drift
-        from navfilter.learning.learner import Learner
-
+    def __init__(self, drive: Mechanisation, behind_s: float) -> None:
         assert isinstance(drive, Imu)
-        self.period_s, self.models = drive.period_s, drive.models
+        self.period_s = drive.period_s
         self._unit = 1.0 / drive.period_s if drive.increments else 1.0
         self.length = max(2, round(drive.rate_hz))
         self.limits = _limits(drive)
-        parts = [learning_part(model) for model in self.models]
+        parts = [learning_part(model) for model in drive.models]
         self.window = max(part.window for part in parts if part is not None)
         given = [part.hop for part in parts if part is not None and part.hop is not None]
-        # a late reading may take the run back over one hop, not two
         self.hop = max(4 * self.length, min(given, default=self.window // 4))
         self._longest_hop = self.hop if given else max(self.hop, LAZIEST * self.window)
-        self._drifts = tuple(Drift((max(known_walk(model), 1e-12),), self.period_s) for model in self.models)
-        self._white = tuple(known_white(model, self.period_s) for model in self.models)
-        self._described = self.models
+        self._drifts = tuple(Drift((max(known_walk(model), 1e-12),), self.period_s) for model in drive.models)
+        self._white = tuple(known_white(model, self.period_s) for model in drive.models)
+        self._described = drive.models
         self.learners = tuple(
             None if part is None else Learner(part.orders, part.window, drift, white=white)
             for part, drift, white in zip(parts, self._drifts, self._white, strict=True)
         )
-        self.ring = np.full((6, self.window + 8 * self.length + 64), np.nan)
-        self.block, self.pending = np.zeros((self.length, 7)), np.zeros((self.length, 7))
-        self.filled = self.run = self.cursor = self._newest = 0
-        self._open, self.level = False, np.zeros(6)  # a segment, and its mean
-        self.due = self.hop if given else max(self.hop, self.window // 2)
-        self._before_hop: tuple[int, tuple[Any, ...]] = (-1, ())
-        self.levels: tuple[tuple[float, ...], ...] = ((),) * 6
+        # beyond the window: what going back writes over, and a few blocks
+        capacity = self.window + (4 + math.ceil(2.0 * behind_s)) * self.length + 64
+        self._memory = RestMemory(
+            ring=np.full((6, capacity), np.nan),
+            cursor=0,
+            due=self.hop if given else max(self.hop, self.window // 2),
+            newest=0,
+            block=np.zeros((self.length, 7)),
+            pending=np.zeros((self.length, 7)),
+            filled=0,
+            run=0,
+            is_open=False,
+            level=np.zeros(6),
+            models=drive.models,
+            levels=((),) * 6,
+            learners=self._known(),
+        )
+
+    @property
+    def memory(self) -> RestMemory:
+        """All that changes; setting one goes back (or on) to it."""
+        return self._memory
+
+    @memory.setter
+    def memory(self, memory: RestMemory) -> None:
+        if not 0 <= memory.filled <= self.length:
+            raise ValueError(f"a block at rest holds 0 to {self.length} samples, found {memory.filled}.")
+        for learner, now, then in zip(self.learners, self._memory.learners, memory.learners, strict=True):
+            if learner is not None and then is not None and then is not now:
+                learner.restore(then)
+        self._memory = memory
+
+    def _known(self) -> tuple[dict[str, Array] | None, ...]:
+        return tuple(None if learner is None else learner.snapshot() for learner in self.learners)
+
+    def begin_again(self) -> None:
+        """Gather everything again from the start; what has been learnt from is not due again."""
+        memory = self._memory
+        memory.filled = memory.run = memory.cursor = memory.newest = 0
+        memory.is_open = False
 
     @property
     def room(self) -> int:
         """Samples until the block is full."""
-        return self.length - self.filled
+        return self.length - self._memory.filled
 
     def note(self, samples: Array) -> None:
         """Take up to `room` samples: rows of the seconds since the sample before, and the six values."""
-        self.block[self.filled : self.filled + len(samples)] = samples
-        self.filled += len(samples)
+        memory = self._memory
+        memory.block[memory.filled : memory.filled + len(samples)] = samples
+        memory.filled += len(samples)
 
     def close(self, speed: Array, rate: Array) -> bool:
         """Judge a full block; True when there is enough new for a hop.
@@ -107,69 +181,71 @@ class Stillness:
         speed, rate : ndarray, shape (2, 3)
             Velocity [m/s] and error of the gyros [rad/s] as estimated, each above its standard deviation.
         """
-        self.filled = 0
+        memory = self._memory
+        memory.filled = 0
         if not self._quiet(speed, rate):
-            self.run, self._open = 0, False
+            memory.run, memory.is_open = 0, False
             return False
-        mean = self.block[:, 1:].mean(axis=0) * self._unit
-        if not self.run or np.any(np.abs(mean - self.level) > self.limits):
-            self.run, self._open, self.level = 0, False, mean
-        self.run += 1
-        if self.run >= RUN:
-            self._keep(self.pending)
-        self.pending, self.block = self.block, self.pending
-        return self.cursor >= self.due
+        mean = memory.block[:, 1:].mean(axis=0) * self._unit
+        if not memory.run or np.any(np.abs(mean - memory.level) > self.limits):
+            memory.run, memory.is_open, memory.level = 0, False, mean
+        memory.run += 1
+        if memory.run >= RUN:
+            self._keep(memory.pending)
+        memory.pending, memory.block = memory.block, memory.pending
+        return memory.cursor >= memory.due
 
     def _quiet(self, speed: Array, rate: Array) -> bool:
+        memory = self._memory
         if np.any(speed[1] > UNKNOWN) or np.any(np.abs(speed[0]) > SLOWEST + 3.0 * speed[1]):
             return False
-        if np.max(self.block[:, 0]) > (LONGEST_GAP + 0.5) * self.period_s:
+        if np.max(memory.block[:, 0]) > (LONGEST_GAP + 0.5) * self.period_s:
             return False
-        values = self.block[:, 1:] * self._unit
+        values = memory.block[:, 1:] * self._unit
         if np.any(values.std(axis=0) > self.limits):
             return False
         return bool(np.all(np.abs(values[:, :3].mean(axis=0) - rate[0]) < STEADIEST + 3.0 * rate[1]))
 
     def _keep(self, block: Array) -> None:
         """Append a block to the series, on a grid of whole periods."""
+        memory = self._memory
         count = np.arange(len(block))
         ticks = np.rint(np.cumsum(block[:, 0]) / self.period_s).astype(np.int64)
         # stamps may come in bursts: later samples give way, so that none is lost
         places = np.maximum.accumulate(ticks - count) + count
-        if not self._open and self.cursor:
+        if not memory.is_open and memory.cursor:
             self._write(np.full((LONGEST_GAP + 1, 6), np.nan))
-        self._open = True
+        memory.is_open = True
         first = max(1, int(places[0]))
         values = np.full((int(places[-1] - places[0]) + first, 6), np.nan)
         values[places - places[0] + first - 1] = block[:, 1:] * self._unit
         self._write(values)
-        self._newest = len(values)
+        memory.newest = len(values)
 
     def _write(self, values: Array) -> None:
-        capacity = self.ring.shape[1]
+        memory = self._memory
+        capacity = memory.ring.shape[1]
         values = values[-capacity:]
-        self.ring[:, np.arange(self.cursor, self.cursor + len(values)) % capacity] = values.T
-        self.cursor += len(values)
+        memory.ring[:, np.arange(memory.cursor, memory.cursor + len(values)) % capacity] = values.T
+        memory.cursor += len(values)
 
     def series(self, axis: int, window: int, without: int = 0) -> Array:
         """The last ticks at rest of one axis [rad/s or m/s^2], oldest first, without the newest; NaN between segments."""
-        n = min(self.cursor, window + without, self.ring.shape[1])
-        return np.ascontiguousarray(self.ring[axis, np.arange(self.cursor - n, self.cursor - without) % self.ring.shape[1]])
+        memory = self._memory
+        n = min(memory.cursor, window + without, memory.ring.shape[1])
+        return np.ascontiguousarray(memory.ring[axis, np.arange(memory.cursor - n, memory.cursor - without) % memory.ring.shape[1]])
 
     def learn(self) -> dict[str, tuple[ErrorModel, ...]]:
         """At a hop: the error models to adopt by name, ``gyro`` and ``accel``; only those that are new."""
-        from navfilter.learning.bias import hand_over, plainer
-
-        kept = tuple(None if learner is None else learner.snapshot() for learner in self.learners)
-        self._before_hop = (self.cursor, kept)
-        self.due = self.cursor + min(max(self.hop, self.cursor // 2), self._longest_hop)
-        new, levels = list(self.models), list(self.levels)
+        memory = self._memory
+        memory.due = memory.cursor + min(max(self.hop, memory.cursor // 2), self._longest_hop)
+        new, levels = list(memory.models), list(memory.levels)
         for axis, learner in enumerate(self.learners):
-            part = learning_part(self.models[axis])
+            part = learning_part(memory.models[axis])
             if part is None or learner is None:
                 continue
             # the newest block may still change by a reading that comes late
-            y = self.series(axis, part.window, self._newest)
+            y = self.series(axis, part.window, memory.newest)
             found = learner.hop(y)
             if "starting" in found.flags or not (found.is_stable and found.is_invertible):
                 continue
@@ -180,48 +256,9 @@ class Stillness:
                 found = plainer(found, y, replace(drift, density=(known_walk(model),)), white)
             levels[axis] = (*levels[axis], zero_frequency(found))[-HOPS_REMEMBERED:]
             new[axis] = with_learned(model, replace(part, model=steadied(found, levels[axis])))
-        before, self.models, self.levels = self.models, tuple(new), tuple(levels)
-        return {name: self.models[axes] for name, axes in PARTS.items() if self.models[axes] != before[axes]}
-
-    # ---------------------------------------------------------------- keep and bring back
-    def rewind(self) -> None:
-        """Gather everything again from the start, without learning from it again."""
-        self.due = self.cursor + self.hop
-        self.filled = self.run = self.cursor = self._newest = 0
-        self._open = False
-        self._before_hop = (-1, ())
-
-    def mark(self) -> tuple[Any, ...]:
-        """Where it stands, to `recall` within the few seconds that the ring keeps beyond its window."""
-        numbers = (self.cursor, self.filled, self.run, self.due, self._newest, int(self._open))
-        return numbers, self.models, self.levels, self.level.copy(), self.block.copy(), self.pending.copy()
-
-    def recall(self, mark: tuple[Any, ...]) -> None:
-        """Go back to a `mark`: not further than one hop."""
-        numbers, self.models, self.levels, level, block, pending = mark
-        self.cursor, self.filled, self.run, self.due, self._newest, segment = numbers
-        self._open = bool(segment)
-        self.level, self.block, self.pending = level.copy(), block.copy(), pending.copy()
-        hop, kept = self._before_hop
-        if self.due <= hop:
-            for learner, values in zip(self.learners, kept, strict=True):
-                if learner is not None:
-                    learner.restore(values)
-            self._before_hop = (-1, ())
-
-    def kept(self, mark: tuple[Any, ...]) -> tuple[Any, ...]:
-        """What the learners knew at a `mark`."""
-        hop, kept = self._before_hop
-        if mark[0][3] <= hop:
-            return kept
-        return tuple(None if learner is None else learner.snapshot() for learner in self.learners)
-
-    def revive(self, ring: Array, learners: Sequence[dict[str, Array]]) -> None:
-        """Take over samples and learners of another run."""
-        self.ring[:] = ring
-        for learner, kept in zip(self.learners, learners, strict=True):
-            if learner is not None:
-                learner.restore(kept)
+        before, memory.models, memory.levels = memory.models, tuple(new), tuple(levels)
+        memory.learners = self._known()
+        return {name: memory.models[axes] for name, axes in PARTS.items() if memory.models[axes] != before[axes]}
 
 
 def _limits(drive: Imu) -> Array:

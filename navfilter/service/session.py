@@ -141,7 +141,7 @@ class Session:
         if self._rows and self.nav is not None:
             rows, self._rows = self._rows, []
             self.nav.step_samples(np.array(rows))
-            self._offset_s = self.nav.intake.offset_s
+            self._offset_s = self.nav.offset_s
             if self._ahead and self.nav.time_s > self._stopped_s:
                 self._ahead = 0
                 self._condition(self.vehicle.drive.streams[-1], "good")
@@ -349,7 +349,7 @@ class Session:
 
     def _restore(self, saved: dict[str, Any], nav: Navigator) -> None:
         self.nav = nav
-        self.options, self._offset_s = Options.from_json(saved["options"]), self.nav.intake.offset_s
+        self.options, self._offset_s = Options.from_json(saved["options"]), self.nav.offset_s
         self._next_tick()
         self._tick, self._second, self._drive_s = saved["tick"], saved["second"], saved["drive_s"]
         self._ahead, self._stopped_s = saved["ahead"][0], -math.inf if saved["ahead"][1] is None else saved["ahead"][1]

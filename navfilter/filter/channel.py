@@ -1,0 +1,130 @@
+"""Working memory of one correcting sensor: one array shared with the kernels, and what is remembered from reading to reading."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from functools import cache
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.stats import chi2
+
+from navfilter.filter.layout import Group, Layout
+from navfilter.kernels import kalman
+from navfilter.sensors import Sensor
+from navfilter.start import Start
+
+__all__ = ["Channel", "ChannelMemory", "usable"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass
+class ChannelMemory:
+    """What is remembered of a sensor.
+
+    Attributes
+    ----------
+    last_s, ticked_s : float
+        Times of the last reading and of the last tick of its clock [s].
+    rejected_since_s : float
+        Since when its readings have been rejected without one that was used [s]; NaN when they have not.
+    last : ndarray
+        Jacobian, verdict and residual of the last reading (``kalman.places`` 7 to 9).
+    """
+
+    last_s: float = -math.inf
+    ticked_s: float = -math.inf
+    rejected_since_s: float = math.nan
+    last: Array = field(default_factory=lambda: np.zeros(0))
+
+
+class Channel:
+    """A correcting sensor while the filter runs; `arrange` lays it out, `memory` is all that changes between readings.
+
+    Parameters
+    ----------
+    name : str
+    sensor : Sensor
+    start : Start
+    """
+
+    def __init__(self, name: str, sensor: Sensor, start: Start) -> None:
+        self.name, self._start = name, start
+        self.kernel, self.constants = sensor.kernel, sensor.constants(start)
+        self.period_s = 1.0 / sensor.rate_hz
+        self.limits = np.array(_limits(sensor.gate_probability, sensor.axes))
+        self.moves, self.turns = sensor.sees_velocity, sensor.needs_rate
+        self.forget()
+
+    def forget(self) -> None:
+        """Remember nothing, as at the start."""
+        self._memory = ChannelMemory()
+        self.count = 0
+
+    def arrange(self, sensor: Sensor, group: Group, layout: Layout, rate_variance: Array) -> None:
+        """Lay out its working memory for other states; what is remembered stays.
+
+        Parameters
+        ----------
+        sensor : Sensor
+            With the error model in force.
+        group : Group
+            Its states in `layout`.
+        layout : Layout
+        rate_variance : ndarray, shape (3,)
+            White variance of the gyros as rates [rad^2/s^2].
+        """
+        a, n, m, parameters = sensor.axes, layout.size, layout.head, group.size - group.errors
+        b = group.size if group.ticks else 0
+        self.sensor, self.group, self.axes = sensor, group, a
+        self.dims = np.array([a, n, m, b, group.start, group.errors, parameters])
+        at = kalman.places(self.dims)
+        self.places = np.array(at)
+        self.mem = mem = np.zeros(at[-1])
+        self.res, self.near = mem[at[3] : at[3] + a], mem[at[7] : at[8]].reshape(a, 9 + parameters)
+        self.H, self.PH = mem[at[0] : at[1]].reshape(a, n), mem[at[6] : at[7]].reshape(a, n)
+        self.S = mem[at[5] : at[6]].reshape(2 * a, a)
+        self.verdict, self.note = mem[at[8] : at[8] + 3], mem[at[8] : at[9]]
+        self.record, self.moved = mem[: at[5]], mem[: at[0]]
+        self.transition = mem[: m * m].reshape(m, m)
+        self.model, self.C, self.R = np.array([group.Phi[:b, :b], group.Q[:b, :b]]), group.C, np.diag(group.r)
+        self.lever = sensor.lever_arm_covariance(rate_variance)
+        self.white = self.R + self.lever
+        first = group.start - 9
+        self.parameters = slice(first + group.errors, first + group.size)
+        self._last = mem[at[7] : at[9]]
+        if self._memory.last.size == self._last.size:
+            self._last[:] = self._memory.last
+        self._memory.last = self._last
+
+    @property
+    def memory(self) -> ChannelMemory:
+        """What it remembers; its arrays are views of the working memory."""
+        return self._memory
+
+    @memory.setter
+    def memory(self, memory: ChannelMemory) -> None:
+        self._last[:] = memory.last
+        memory.last = self._last
+        self._memory = memory
+
+    def ticks(self, time_s: float) -> int:
+        """Periods of the sensor since it was last heard; 0 at the first reading."""
+        memory = self._memory
+        elapsed, memory.ticked_s = time_s - memory.ticked_s, time_s
+        self.count = 0 if math.isinf(elapsed) else max(1, round(elapsed / self.period_s))
+        return self.count
+
+
+@cache
+def _limits(probability: float, axes: int) -> tuple[float, ...]:
+    """Chi-square limits of the gate for 0 (never), 1, ... axes."""
+    return (math.inf, *chi2.ppf(probability, np.arange(1, axes + 1)).tolist())
+
+
+def usable(sd: ArrayLike, axes: int) -> bool:
+    """Whether standard deviations given with a reading can be used; the variance of one beyond 1e100 would not be finite."""
+    values = np.asarray(sd, dtype=np.float64)
+    return values.size in (1, axes) and bool(np.all((values >= 0.0) & (values < 1e100)))

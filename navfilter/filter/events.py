@@ -1,0 +1,80 @@
+"""What a filter tells of itself as it runs: propagated, passed, corrected, laid out anew. Those who learn from it listen to these."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navfilter.filter.channel import Channel
+
+__all__ = ["Correction", "Event", "Outcome", "Passed", "Propagated", "Relaid"]
+
+Array = NDArray[np.float64]
+
+
+class Outcome(NamedTuple):
+    """What became of a reading.
+
+    Attributes
+    ----------
+    status : str
+        "used", "rejected" (by the gate), "invalid", "duplicate", "late-replayed" (used, in its place in time), "too-late", "ahead"
+        (no drive sample for too long) or "unknown-sensor".
+    nis : float
+        Normalised innovation squared; NaN when it was not formed.
+    dof : int
+        Components used in it.
+    widened : bool
+        The gate had been widened after a long series of rejections.
+    """
+
+    status: str
+    nis: float = math.nan
+    dof: int = 0
+    widened: bool = False
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the reading corrected the state."""
+        return self.status in ("used", "late-replayed")
+
+
+class Correction(NamedTuple):
+    """A reading has been taken, or refused.
+
+    Attributes
+    ----------
+    outcome : Outcome
+    time_s : float
+        Of the reading [s].
+    channel : Channel or None
+        Its working memory holds transition, gain and residual of the update; None where the reading did not come so far.
+    """
+
+    outcome: Outcome
+    time_s: float
+    channel: Channel | None
+
+
+class Propagated(NamedTuple):
+    """The compound transition of the drive's samples has been folded into the covariance: `transition`, shape (m, m)."""
+
+    transition: Array
+
+
+class Passed(NamedTuple):
+    """The state has been carried over `samples`: rows of the seconds since the sample before, and the six values."""
+
+    samples: Array
+
+
+class Relaid(NamedTuple):
+    """The error state became `M` times what it was; shape (n_after, n_before)."""
+
+    M: Array
+
+
+Event = Correction | Propagated | Passed | Relaid

@@ -1,0 +1,78 @@
+"""What a filter remembers: one value that holds everything that changes while it runs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navfilter.error_models import ErrorModel
+from navfilter.filter.channel import ChannelMemory
+from navfilter.filter.intake import IntakeMemory
+from navfilter.kernels import strapdown
+
+__all__ = ["Errors", "FilterMemory"]
+
+Array = NDArray[np.float64]
+Errors = ErrorModel | tuple[ErrorModel, ...]
+
+
+@dataclass
+class FilterMemory:
+    """Everything that changes while a filter runs.
+
+    Attributes
+    ----------
+    time_s, sample_s : float
+        Mission time of the state and of the last sample of the drive [s].
+    unfolded : int
+        Samples whose transition is not in P yet.
+    nav : ndarray, shape (17,)
+        Nominal state, see `NavState.pack`.
+    x : ndarray, shape (n - 9,)
+        Estimated error states behind the nine of navigation.
+    P : ndarray, shape (n, n)
+        Covariance of all error states, as of the last fold.
+    acc : ndarray, shape (4m, m)
+        Compound transition and noise of the samples since then.
+    drv : ndarray
+        Memory of the drive's kernels.
+    intake : IntakeMemory
+    channels : dict of str to ChannelMemory
+    models : tuple of (str, error)
+        Error models put in force since the start, by sensor.
+    counts : dict of str to int
+    """
+
+    time_s: float
+    sample_s: float
+    unfolded: int
+    nav: Array
+    x: Array
+    P: Array
+    acc: Array
+    drv: Array
+    intake: IntakeMemory
+    channels: dict[str, ChannelMemory]
+    models: tuple[tuple[str, Errors], ...]
+    counts: dict[str, int]
+
+    def problem(self, fresh: FilterMemory) -> str | None:
+        """What is wrong with the values of one that came from outside, in words; None when nothing is.
+
+        Parameters
+        ----------
+        fresh : FilterMemory
+            Of the same layout, at the start. Whether the forms agree is the business of `navfilter.filter.memory.misfit`.
+        """
+        P = self.P
+        if not (np.isfinite(P).all() and np.allclose(P, P.T, rtol=1e-6, atol=0.0) and np.all(np.diag(P) >= 0.0)):
+            return "the covariance is not finite, symmetric and positive on its diagonal"
+        if not (np.isfinite(self.nav).all() and np.isfinite(self.x).all() and np.isfinite(self.acc).all()):
+            return "the state is not finite"
+        # kernels use these as places of states
+        places = [strapdown.DEVIATION, strapdown.SCALE, strapdown.INCREMENTS]
+        if not np.array_equal(self.drv[places], fresh.drv[places]):
+            return "the drive's memory is not laid out as this vehicle's"
+        return None

@@ -1,0 +1,217 @@
+"""State as values: what a part remembers is one dataclass of arrays and plain numbers, copied, compared and stored by the functions here.
+
+Conventions. A class that is not frozen holds what changes; its arrays, lists and dicts are copied with it. What cannot change is shared
+between copies: numbers, strings, tuples, frozen dataclasses. Fields that a class names in `SHARED` are append-only storage that a cursor
+beside them bounds (a ring of samples, the inputs of the first minutes): copies share them, and going back moves the cursor only.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import datetime
+import json
+import math
+from collections.abc import Iterable
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["copied", "differences", "from_arrays", "misfit", "to_arrays"]
+
+Array = NDArray[np.float64]
+T = TypeVar("T")
+
+#: For each class of state: its fields, and whether the field is to be copied.
+_PLANS: dict[type, tuple[tuple[str, bool], ...]] = {}
+
+
+def _plan(kind: type) -> tuple[tuple[str, bool], ...]:
+    plan = _PLANS.get(kind)
+    if plan is None:
+        fixed = kind.__dataclass_params__.frozen if dataclasses.is_dataclass(kind) else True  # type: ignore[attr-defined]
+        held = getattr(kind, "SHARED", ())
+        plan = _PLANS[kind] = () if fixed else tuple((f.name, f.name not in held) for f in dataclasses.fields(kind))
+    return plan
+
+
+def copied(value: T) -> T:
+    """A copy that shares nothing that changes with the original.
+
+    Examples
+    --------
+    >>> before = {"x": np.zeros(2), "models": ("a", "b")}
+    >>> after = copied(before)
+    >>> after["x"][0] = 1.0
+    >>> float(before["x"][0]), after["models"] is before["models"]
+    (0.0, True)
+    """
+    kind = type(value)
+    if kind is np.ndarray:
+        return value.copy()  # type: ignore[attr-defined]
+    if kind is float or kind is int:
+        return value
+    if kind is dict:
+        return {key: copied(item) for key, item in value.items()}  # type: ignore[attr-defined, return-value]
+    if kind is list:
+        return [copied(item) for item in value]  # type: ignore[attr-defined, return-value]
+    plan = _plan(kind)
+    if not plan:
+        return value
+    new = object.__new__(kind)
+    for name, own in plan:
+        item = getattr(value, name)
+        setattr(new, name, copied(item) if own else item)
+    return new
+
+
+def differences(one: Any, other: Any, tolerance: float = 0.0, where: str = "") -> list[str]:
+    """Where two states differ: paths, with the largest difference of arrays; empty when they are the same.
+
+    Parameters
+    ----------
+    one, other
+        Of the same class.
+    tolerance : float
+        Numbers may differ by so much.
+    where : str
+        Path of the two, for the answer.
+    """
+    if type(one) is not type(other):
+        return [f"{where}: {type(one).__name__} and {type(other).__name__}"]
+    if isinstance(one, np.ndarray):
+        if one.shape != other.shape:
+            return [f"{where}: shapes {one.shape} and {other.shape}"]
+        if np.allclose(one, other, rtol=0.0, atol=tolerance, equal_nan=True):
+            return []
+        return [f"{where}: {np.nanmax(np.abs(one - other)):.3g}"]
+    if isinstance(one, float):
+        same = one == other or abs(one - other) <= tolerance or (math.isnan(one) and math.isnan(other))
+        return [] if same else [f"{where}: {one} and {other}"]
+    if isinstance(one, list | tuple) and len(one) == len(other):
+        return [d for i, (a, b) in enumerate(zip(one, other, strict=True)) for d in differences(a, b, tolerance, f"{where}[{i}]")]
+    if isinstance(one, dict) and one.keys() == other.keys():
+        return [d for key, item in one.items() for d in differences(item, other[key], tolerance, f"{where}[{key!r}]")]
+    if dataclasses.is_dataclass(one):
+        names = [f.name for f in dataclasses.fields(one)]
+        return [d for n in names for d in differences(getattr(one, n), getattr(other, n), tolerance, f"{where}.{n}")]
+    return [] if one == other else [f"{where}: {one!r} and {other!r}"]
+
+
+def misfit(value: Any, like: Any, where: str = "state") -> str | None:
+    """Where a value that came from outside has not the form of one made here, in words; None when it fits.
+
+    The form is the class and the shape of arrays: kernels read memory by it. Lists may have any length; None fits everything that is None
+    or a frozen value.
+    """
+    if isinstance(like, np.ndarray):
+        if isinstance(value, np.ndarray) and value.shape == like.shape and value.dtype == like.dtype:
+            return None
+        found = f"shape {value.shape}" if isinstance(value, np.ndarray) else type(value).__name__
+        return f"{where} must be an array of shape {like.shape}, found {found}"
+    plan = _plan(type(like))
+    if plan:
+        if type(value) is not type(like):
+            return f"{where} must be a {type(like).__name__}, found {type(value).__name__}"
+        return next((m for name, _ in plan if (m := misfit(getattr(value, name), getattr(like, name), f"{where}.{name}"))), None)
+    if isinstance(like, dict) and any(isinstance(v, np.ndarray) or _plan(type(v)) for v in like.values()):
+        if not isinstance(value, dict) or value.keys() != like.keys():
+            return f"{where} must have the entries {', '.join(map(str, like))}"
+        return next((m for key in like if (m := misfit(value[key], like[key], f"{where}[{key!r}]"))), None)
+    number = isinstance(like, int | float) and not isinstance(like, bool)
+    if number and (isinstance(value, bool) or not isinstance(value, int if isinstance(like, int) else int | float)):
+        return f"{where} must be a number, found {value!r}"
+    return None
+
+
+# ---------------------------------------------------------------- to arrays and back
+
+
+def to_arrays(value: Any) -> dict[str, NDArray[Any]]:
+    """A state as three arrays: "meta" (JSON as bytes), "floats" and "integers", which hold the elements of all its arrays."""
+    elements: dict[str, list[NDArray[Any]]] = {"floats": [], "integers": []}
+    sizes = {"floats": 0, "integers": 0}
+
+    def plain(v: Any) -> Any:
+        if v is None or isinstance(v, bool | int | float | str):
+            return v
+        if isinstance(v, np.ndarray):
+            key = "integers" if v.dtype.kind in "iub" else "floats"
+            elements[key].append(v.ravel())
+            at, sizes[key] = sizes[key], sizes[key] + v.size
+            return {"": key, "at": at, "shape": list(v.shape)}
+        if isinstance(v, np.integer | np.floating):
+            return v.item()
+        if isinstance(v, bytes):
+            return {"": "bytes", "hex": v.hex()}
+        if isinstance(v, datetime.date):
+            return {"": "date", "day": v.isoformat()}
+        if isinstance(v, frozenset):
+            return {"": "set", "items": sorted(v)}
+        if isinstance(v, dict):
+            return {"": "dict", "items": [[plain(key), plain(item)] for key, item in v.items()]}
+        if dataclasses.is_dataclass(v):
+            return {"": type(v).__name__, "fields": {f.name: plain(getattr(v, f.name)) for f in dataclasses.fields(v)}}
+        if isinstance(v, tuple) and hasattr(v, "_fields"):
+            return {"": type(v).__name__, "fields": {name: plain(item) for name, item in zip(v._fields, v, strict=True)}}
+        if isinstance(v, tuple):
+            return {"": "tuple", "items": [plain(item) for item in v]}
+        if isinstance(v, list):
+            return [plain(item) for item in v]
+        raise ValueError(f"a {type(v).__name__} cannot be stored with the state: use a dataclass of numbers, arrays and texts.")
+
+    meta = json.dumps(plain(value)).encode()
+    return {
+        "meta": np.frombuffer(meta, dtype=np.uint8),
+        "floats": np.concatenate([np.zeros(0), *elements["floats"]]),
+        "integers": np.concatenate([np.zeros(0, np.int64), *elements["integers"]]),
+    }
+
+
+def from_arrays(arrays: dict[str, NDArray[Any]], kinds: Iterable[type]) -> Any:
+    """The inverse of `to_arrays`.
+
+    Parameters
+    ----------
+    arrays : dict
+        As `to_arrays` made it.
+    kinds : iterable of class
+        Classes that may be made from it, with all their subclasses that have been imported.
+
+    Raises
+    ------
+    ValueError
+        For a class that is not known, or a value that its class refuses.
+    """
+    known: dict[str, type] = {}
+    queue = list(kinds)
+    while queue:
+        kind = queue.pop()
+        known[kind.__name__] = kind
+        queue += kind.__subclasses__()
+
+    def value(v: Any) -> Any:
+        if isinstance(v, list):
+            return [value(item) for item in v]
+        if not isinstance(v, dict):
+            return v
+        kind = v[""]
+        if kind in ("floats", "integers"):
+            shape = tuple(int(n) for n in v["shape"])
+            part = arrays[kind][v["at"] : v["at"] + math.prod(shape)]
+            return np.array(part, dtype=np.float64 if kind == "floats" else np.int64).reshape(shape)
+        if kind == "bytes":
+            return bytes.fromhex(v["hex"])
+        if kind == "date":
+            return datetime.date.fromisoformat(v["day"])
+        if kind == "set":
+            return frozenset(v["items"])
+        if kind == "dict":
+            return {value(key): value(item) for key, item in v["items"]}
+        if kind == "tuple":
+            return tuple(value(item) for item in v["items"])
+        if kind not in known:
+            raise ValueError(f'it holds a "{kind}", and no class of that name is known. Import the module that defines it first')
+        return known[kind](**{name: value(item) for name, item in v["fields"].items()})
+
+    return value(json.loads(arrays["meta"].tobytes()))

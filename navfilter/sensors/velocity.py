@@ -1,0 +1,203 @@
+"""Velocity over ground, velocity through the water, and the zero velocity of a vehicle at rest."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navfilter.error_models import ErrorModel, GaussMarkov, White
+from navfilter.kernels import listen, measurement
+from navfilter.learning.drift import Drift
+from navfilter.learning.learned import learning_part
+from navfilter.sensors.sensor import Errors, Sensor, Vector, checked_vector
+from navfilter.start import Start
+from navfilter.state import matrix_from_euler
+
+if TYPE_CHECKING:
+    from navfilter.mechanisation import Mechanisation
+
+__all__ = ["BodyVelocity", "WaterVelocity", "ZeroVelocity"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class BodyVelocity(Sensor):
+    """Velocity over ground in instrument axes [m/s]: a DVL in bottom track, or wheels (constant zeros for the axes that cannot slip).
+
+    Parameters
+    ----------
+    lever_arm_b_m : (3,) float
+        From the reference point (the inertial unit) to the instrument, in b [m].
+    mounting_rad : (3,) float
+        Roll, pitch, yaw of the instrument's axes in b [rad]: ``v_b = C(mounting) v_instrument``.
+    scale_sd : float
+        Standard deviation of an unknown constant scale error; 0 leaves the scale and misalignment states out unless
+        `misalignment_sd_rad` is set.
+    misalignment_sd_rad : float
+        Standard deviation of the unknown constant mounting error about each axis [rad].
+    zero_is_invalid : bool
+        Exactly zero on all axes is what instruments print when they have lost the bottom; set False for wheels.
+    max_speed_m_s : float
+        A component above it is a sentinel or an error, not a reading.
+
+    Notes
+    -----
+    ``reading = (1 + s)(y + m x y) + error`` with ``y`` the velocity of the instrument in its own axes, lever arm included. Scale and
+    misalignment can only be told from the vehicle's motion by position fixes.
+    """
+
+    error: Errors = White(sd=0.01)
+    lever_arm_b_m: Vector = (0.0, 0.0, 0.0)
+    mounting_rad: Vector = (0.0, 0.0, 0.0)
+    scale_sd: float = 0.0
+    misalignment_sd_rad: float = 0.0
+    zero_is_invalid: bool = True
+    max_speed_m_s: float = 20.0
+
+    prior: ClassVar[ErrorModel] = GaussMarkov(sd=0.01, tau_s=5.0) + White(sd=0.01)
+    unit: ClassVar[str] = "m_s"
+    axes: ClassVar[int] = 3
+    reads: ClassVar[int] = 3
+    axis_names: ClassVar[tuple[str, ...]] = ("x", "y", "z")
+    kernel: ClassVar[Callable[..., None]] = staticmethod(measurement.body_velocity)
+    sees_velocity: ClassVar[bool] = True
+    open_loop: ClassVar[int] = listen.VELOCITY
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        checked_vector("BodyVelocity.lever_arm_b_m", self.lever_arm_b_m)
+        checked_vector("BodyVelocity.mounting_rad", self.mounting_rad)
+
+    def parameters(self) -> tuple[tuple[str, float], ...]:
+        """Scale and three misalignments, or none."""
+        if self.scale_sd == 0 and self.misalignment_sd_rad == 0:
+            return ()
+        angle = self.misalignment_sd_rad
+        return (("scale", self.scale_sd), ("misalignment_x", angle), ("misalignment_y", angle), ("misalignment_z", angle))
+
+    def constants(self, start: Start) -> Array:
+        """Lever arm, then the mounting matrix row by row."""
+        return np.concatenate([np.asarray(self.lever_arm_b_m, dtype=float), matrix_from_euler(*self.mounting_rad).ravel()])
+
+    def read(self, value: Array) -> Array | None:
+        """Mask components that cannot be velocities; None when none is left."""
+        top, moving, valid, clean = self.max_speed_m_s, False, False, True
+        components = value[:3].tolist()
+        for c in components:
+            if -top <= c <= top:
+                valid, moving = True, moving or c != 0.0
+            else:
+                clean = False
+        if not valid or (self.zero_is_invalid and not moving):
+            return None
+        return value[:3] if clean else np.array([c if -top <= c <= top else math.nan for c in components])
+
+    @property
+    def needs_rate(self) -> bool:
+        """With a lever arm."""
+        return any(self.lever_arm_b_m)
+
+    def lever_arm_covariance(self, rate_variance: Array) -> Array:
+        """Its axes are strongly correlated (a rate moves the arm across itself), which counts where the instrument itself is quiet."""
+        by_rate = self.instrument_axes() @ np.cross(np.eye(3), np.asarray(self.lever_arm_b_m, dtype=float)).T
+        return by_rate @ np.diag(rate_variance) @ by_rate.T
+
+    def instrument_axes(self) -> Array:
+        """Those of the mounting."""
+        return matrix_from_euler(*self.mounting_rad).T
+
+    def drift(self, drive: Mechanisation, axis: int, walk: float) -> Drift:
+        """As a velocity: the third axis is taken as the vertical one."""
+        return drive.velocity_drift(walk, 1.0 / self.rate_hz, vertical=axis == 2)
+
+
+@dataclass(frozen=True, kw_only=True)
+class WaterVelocity(BodyVelocity):
+    """Velocity through the water in instrument axes [m/s]: a DVL in water track, or an electromagnetic log.
+
+    The horizontal current is two states, north and east, so that what is known of it carries the position while there is nothing else.
+
+    Parameters
+    ----------
+    current_sd_m_s : float
+        Standard deviation of each component of the current [m/s].
+    current_tau_s : float
+        Its correlation time [s]: in dt << tau the current changes by ``sd * sqrt(2 dt / tau)``.
+
+    Notes
+    -----
+    As `BodyVelocity`, with ``y`` the velocity relative to the water: ``C_nb' (v_n - c_n)``. The current wanders as a first-order
+    Gauss-Markov process on the clock of this sensor; water that rises or sinks is taken for error. What this sensor itself errs by at low
+    frequencies cannot be told from the current, so that its error is not learnt.
+    """
+
+    error: Errors = White(sd=0.02)
+    current_sd_m_s: float = 0.3
+    current_tau_s: float = 3600.0
+
+    kernel: ClassVar[Callable[..., None]] = staticmethod(measurement.water_velocity)
+    open_loop: ClassVar[int] = listen.NOTHING
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("current_sd_m_s", "current_tau_s"):
+            if not (math.isfinite(getattr(self, name)) and getattr(self, name) > 0):
+                raise ValueError(
+                    f"WaterVelocity.{name} must be a finite number > 0, found {getattr(self, name)!r}. Usual: 0.3 m/s, 3600 s."
+                )
+        if any(learning_part(model) is not None for model in self.models):
+            raise ValueError(
+                "WaterVelocity.error cannot be learnt under way: the current hides in it. Give it a fixed error model, or a LearnedArma "
+                "with frozen=True."
+            )
+
+    def parameters(self) -> tuple[tuple[str, float], ...]:
+        """Current north and east, then scale and misalignment where they are uncertain."""
+        return (("current_north", self.current_sd_m_s), ("current_east", self.current_sd_m_s), *super().parameters())
+
+    def wandering(self) -> dict[str, ErrorModel]:
+        """The current."""
+        current = GaussMarkov(sd=self.current_sd_m_s, tau_s=self.current_tau_s)
+        return {"current_north": current, "current_east": current}
+
+
+@dataclass(frozen=True, kw_only=True)
+class ZeroVelocity(Sensor):
+    """Zero-velocity update: the navigator itself detects rest from the inertial unit; there is no stream of readings.
+
+    Parameters
+    ----------
+    gyro_sd_max, force_sd_max : float
+        Rest is when, over one period of this sensor, every gyro axis scatters less than this [rad/s] and every accelerometer axis
+        less [m/s^2].
+    gyro_mean_max : float
+        ... and every mean rate is below this [rad/s] (estimated bias and Earth rate are within it).
+
+    Notes
+    -----
+    For vehicles that really stand still (on deck, on the bottom, on wheels). An AUV gliding in calm water looks the same to its
+    inertial unit: do not use it there.
+    """
+
+    error: Errors = White(sd=0.02)
+    gyro_sd_max: float = 0.005
+    force_sd_max: float = 0.05
+    gyro_mean_max: float = 0.02
+
+    unit: ClassVar[str] = "m_s"
+    axes: ClassVar[int] = 3
+    reads: ClassVar[int] = 3
+    axis_names: ClassVar[tuple[str, ...]] = ("north", "east", "down")
+    kernel: ClassVar[Callable[..., None]] = staticmethod(measurement.velocity)
+    from_drive: ClassVar[bool] = True
+
+    def felt(self, mean: Array, scatter: Array) -> Array | None:
+        """Zeros when the period was quiet."""
+        quiet = scatter[:3].max() < self.gyro_sd_max and scatter[3:].max() < self.force_sd_max
+        return np.zeros(3) if quiet and np.abs(mean[:3]).max() < self.gyro_mean_max else None
