@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from navfilter.arma.choice import Choice
 from navfilter.arma.fit import ArmaFit, fitted
 from navfilter.arma.objective import Objective, Point, minimise
 from navfilter.arma.problem import Problem
-from navfilter.arma.roots import cancelling_pairs
 from navfilter.diagnostics import Whiteness, whiteness
 
 __all__ = ["OrderTable", "select_order"]
@@ -142,12 +142,9 @@ def _fit_cell(
     return objective, leader, done
 
 
-# In units of 2 ln L: a lead in BIC below this is "not worth more than a bare mention" (Kass and Raftery, 1995).
-CLOSE = 2.0
-# The gate is tried on many orders, so it is stricter here than for one series.
-GATE = 1e-3
-# Beyond a quarter of the circle's radius the first-order spread says nothing about cancellation.
-FARTHEST = 0.25
+#: A lead below 2 is "not worth more than a bare mention" (Kass and Raftery, 1995). The gate is tried on many orders, so it is stricter here
+#: than for one series. Beyond a quarter of the circle's radius the first-order spread says nothing about cancellation.
+TABLE_CHOICE = Choice(lead=2.0, level=1e-3, farthest=0.25, nearest=False)
 
 
 def choose(fits: dict[tuple[int, int], ArmaFit], tests: dict[tuple[int, int], Whiteness]) -> tuple[int, int]:
@@ -158,13 +155,13 @@ def choose(fits: dict[tuple[int, int], ArmaFit], tests: dict[tuple[int, int], Wh
     coefficients: it forgets its start fastest and has no zeros to keep inside the circle.
     """
     candidates = {k: f for k, f in fits.items() if not cancels(f)} or fits
-    white = {k: f for k, f in candidates.items() if min(tests[k].ljung_box_p, tests[k].periodogram_p) >= 0.5 * GATE}
+    white = {k: f for k, f in candidates.items() if min(tests[k].ljung_box_p, tests[k].periodogram_p) >= 0.5 * TABLE_CHOICE.level}
     candidates = white or candidates
     lead = min(candidates, key=lambda k: candidates[k].bic)
-    close = [k for k, f in candidates.items() if sum(k) == sum(lead) and f.bic < candidates[lead].bic + CLOSE]
+    close = [k for k, f in candidates.items() if sum(k) == sum(lead) and f.bic < candidates[lead].bic + TABLE_CHOICE.lead]
     return min(close, key=lambda k: k[1])
 
 
 def cancels(fit: ArmaFit) -> bool:
     """Whether some zero lies within two standard deviations of a pole, so that the pair is noise."""
-    return cancelling_pairs(fit.ar, fit.ma, fit.covariance, farthest=FARTHEST, nearest=False) > 0
+    return TABLE_CHOICE.cancels(fit.ar, fit.ma, fit.covariance)

@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 #: Largest misfit of a factor, relative to lag 0: beyond it there is none.
 ACCEPTED = 1e-6
 #: A factor that fits worse than this is looked for once more, its zeros on the unit circle taken out first.
-DOUBTFUL = 1e-9
+RETRIED = 1e-9
 #: Zeros are on the circle where taking them out leaves no more than this, relative to lag 0: rounding.
 ON_CIRCLE = 1e-12
 
@@ -55,7 +55,7 @@ def spectral_factor(autocovariance: ArrayLike) -> tuple[Array, float]:
     scale = gamma[0]
     gamma = gamma / scale
     c = _newton(gamma)
-    if not _misfit(c, gamma) < DOUBTFUL:
+    if not _misfit(c, gamma) < RETRIED:
         circle, rest = _without_circle_zeros(gamma)
         if circle.size > 1 and rest[0] > 0.0:
             c = min(c, np.convolve(circle, _newton(rest)), key=lambda found: _misfit(found, gamma))
