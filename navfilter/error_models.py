@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import block_diag, solve_discrete_lyapunov
 
-from navfilter.arma.model import is_stable
+from navfilter.arma.roots import is_stable
 
 __all__ = ["Arma", "Block", "ErrorModel", "GaussMarkov", "Integrated", "RandomWalk", "Sum", "White", "block_level", "per_axis"]
 

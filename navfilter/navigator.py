@@ -11,6 +11,7 @@ from os import PathLike
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from navfilter.arma.choice import Challenge
 from navfilter.filter import snapshot as snapshots
 from navfilter.filter.adoption import Change
 from navfilter.filter.channel import ChannelMemory
@@ -43,7 +44,10 @@ class NavigatorMemory:
     learning: LearningMemory
 
 
-MEMORY = (NavigatorMemory, FilterMemory, LearningMemory, ListenerMemory, LearnerMemory, RestMemory, ChannelMemory, IntakeMemory)
+MEMORY = (
+    *(NavigatorMemory, FilterMemory, ChannelMemory, IntakeMemory),
+    *(LearningMemory, ListenerMemory, RestMemory, LearnerMemory, Challenge),
+)
 
 
 def _when(item: Array | Reading) -> float:

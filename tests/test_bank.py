@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
+from navfilter.arma.algebra import split_bias
 from navfilter.arma.model import ArmaModel, simulate_arma
-from navfilter.arma.online.bank import ArmaBank, cancelling_pairs, moment_gm1
-from navfilter.arma.unit_root import cap_poles, has_unit_root, split_bias
+from navfilter.arma.online.bank import ArmaBank, moment_gm1
+from navfilter.arma.roots import cancelling_pairs, cap_poles, has_unit_root
 from navfilter.diagnostics import whiteness
 
 MODELS = {

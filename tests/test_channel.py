@@ -10,6 +10,7 @@ from filterpy.common import van_loan_discretization
 from scipy.linalg import expm
 
 from navfilter.arma.algebra import add_arma
+from navfilter.arma.choice import Challenge
 from navfilter.arma.model import ArmaModel, simulate_arma
 from navfilter.filter.memory import from_arrays, to_arrays
 from navfilter.kernels import channel as kernels
@@ -482,7 +483,7 @@ def test_learner_continues_from_a_snapshot_to_the_last_bit():
             first.hop(y[:end])
         kept = first.memory
         other = Learner(ORDERS, 1000, TACTICAL)
-        other.memory = from_arrays(to_arrays(kept), [LearnerMemory, ArmaModel])
+        other.memory = from_arrays(to_arrays(kept), [LearnerMemory, Challenge, ArmaModel])
         assert [other.hop(y[:end]) for end in list(ends)[cut:]] == models[cut:]
         assert other.order == one.order
 

@@ -12,8 +12,8 @@ ROOT = Path(navfilter.__file__).parent
 FLOORS = [
     {"kernels", "filter.memory", "filter.health"},
     {"arma", "state", "mission", "diagnostics", "magnetic", "filter.layout", "filter.tape", "error_models", "learning.drift"},
-    {"learning.low_frequency", "learning.likelihood", "learning.starts", "learning.fit", "learning.orders", "learning.learner",
-     "learning.learned", "learning.bias", "start"},
+    {"learning.low_frequency", "learning.limits", "learning.effort", "learning.likelihood", "learning.starts", "learning.fit",
+     "learning.orders", "learning.learner", "learning.learned", "learning.bias", "start"},
     {"sensors", "mechanisation", "vehicle", "track"},
     {"filter", "learning.listener", "learning.rest", "learning.refit"},
     {"learning.schedule", "navigator", "alignment"},

@@ -1,4 +1,4 @@
-"""Exact algebra of ARMA models: spectral factorisation, decimation, sums, and the reading as bias + white + lines."""
+"""Exact algebra of ARMA models: decimation, sums, the reading as bias + white + lines, and the bias split off."""
 
 from __future__ import annotations
 
@@ -6,56 +6,15 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from navfilter.arma.model import ArmaModel
+from navfilter.arma.model import ArmaModel, log_s0_sd
+from navfilter.arma.roots import slowest_real
+from navfilter.arma.spectral import spectral_factor
 
-__all__ = ["BiasPlusWhite", "Line", "add_arma", "bias_plus_white", "resample_arma", "spectral_factor"]
+__all__ = ["BiasPlusWhite", "Line", "add_arma", "bias_plus_white", "resample_arma", "split_bias"]
 
 Array = NDArray[np.float64]
-
-
-def spectral_factor(autocovariance: ArrayLike) -> tuple[Array, float]:
-    """Invertible moving average with a given autocovariance.
-
-    Newton's method of G. Wilson (SIAM J. Numer. Anal. 6, 1969): quadratic, and from its start every iterate keeps
-    all zeros inside the circle.
-
-    Parameters
-    ----------
-    autocovariance : array_like, shape (q+1,)
-        Lags 0 ... q; all further lags are zero.
-
-    Returns
-    -------
-    ma : ndarray, shape (q,)
-        Coefficients with zeros inside or on the unit circle.
-    sd : float
-        Standard deviation of the innovation.
-    """
-    gamma = np.array(autocovariance, dtype=np.float64)
-    n = gamma.size
-    if n == 0 or not np.all(np.isfinite(gamma)) or gamma[0] <= 0.0:
-        raise ValueError("the autocovariance must be finite and positive at lag 0.")
-    scale = gamma[0]
-    gamma = gamma / scale
-    c = np.zeros(n)
-    c[0] = 1.0
-    for _ in range(200):
-        lead = np.array([[c[j - i] if j >= i else 0.0 for j in range(n)] for i in range(n)])
-        lag = np.array([[c[i + j] if i + j < n else 0.0 for j in range(n)] for i in range(n)])
-        product = np.array([c[: n - k] @ c[k:] for k in range(n)])
-        try:
-            new = np.linalg.solve(lead + lag, gamma + product)
-        except np.linalg.LinAlgError:
-            break
-        change, c = np.abs(new - c).max(), new
-        if change < 1e-15:
-            break
-    worst = max(abs(c[: n - k] @ c[k:] - gamma[k]) for k in range(n))
-    if not worst < 1e-6:
-        raise ValueError(f"not an autocovariance: no moving average of order {n - 1} has it (misfit {worst:.1e}).")
-    return c[1:] / c[0], float(c[0] * np.sqrt(scale))
 
 
 def resample_arma(model: ArmaModel, m: int) -> ArmaModel:
@@ -229,3 +188,74 @@ def _white_power(model: ArmaModel, poles: NDArray[np.complex128], drives: NDArra
     total = model.sd**2 * np.abs(response) ** 2
     parts = sum(d / ((1.0 - p * z) * (1.0 - p / z)) for p, d in zip(poles, drives, strict=True))
     return float(np.mean(np.real(total - parts)))
+
+
+def split_bias(model: ArmaModel) -> tuple[float, ArmaModel]:
+    """Split a model with a pole at (or near) 1 into a random-walk bias and the independent rest.
+
+    The slowest real pole is taken as 1. Then ``sd^2 |C|^2 / |A|^2 = walk_sd^2 / |1 - z|^2 + |N|^2 / |A'|^2`` with
+    ``walk_sd = sd C(1) / A'(1)``; the rest's moving average N is the spectral factor of what remains. For ARMA(1, 1)
+    it is random walk + white noise (Muth 1960).
+
+    Parameters
+    ----------
+    model : ArmaModel
+        With at least one real positive pole.
+
+    Returns
+    -------
+    walk_sd : float
+        Standard deviation of the walk's step per sample.
+    rest : ArmaModel
+        Independent of the walk, with its covariance carried over to first order; ``sd`` 0 if nothing remains.
+
+    Raises
+    ------
+    ValueError
+        If no such sum has the model's spectrum (the rest would need a negative power somewhere).
+
+    Examples
+    --------
+    >>> walk_sd, rest = split_bias(ArmaModel([-1.0], [-0.9], 1.0))
+    >>> round(walk_sd, 6), rest.p, rest.q, round(rest.sd, 6)
+    (0.1, 0, 0, 0.948683)
+    """
+    walk_sd, ar, ma, sd = _split(model.ar, model.ma, model.sd)
+    if model.covariance is None:
+        return walk_sd, ArmaModel(ar, ma, sd, None, None, model.effective_window, model.flags)
+    theta, p = np.r_[model.ar, model.ma], model.p
+    jacobian = np.zeros((ar.size + ma.size, theta.size))
+    for i in range(theta.size):
+        # Towards a larger white part for the pole, away from the boundary of what can be split.
+        step = 1e-6 * max(1.0, abs(theta[i]))
+        try:
+            other = theta + step * (np.arange(theta.size) == i)
+            moved = _split(other[:p], other[p:], model.sd)
+        except ValueError:
+            continue
+        jacobian[:, i] = (np.r_[moved[1], moved[2]] - np.r_[ar, ma]) / step
+    covariance = jacobian @ model.covariance @ jacobian.T
+    window = model.effective_window or 1.0
+    spread = log_s0_sd(ar, ma, covariance, window)
+    return walk_sd, ArmaModel(ar, ma, sd, covariance, spread, model.effective_window, model.flags)
+
+
+def _split(ar: Array, ma: Array, sd: float) -> tuple[float, Array, Array, float]:
+    poles = np.roots(np.r_[1.0, ar])
+    slowest = slowest_real(poles, above=0.0)
+    if slowest is None:
+        raise ValueError(f"no real positive pole to split off, found {poles}.")
+    others = np.delete(poles, slowest)
+    rest = np.atleast_1d(np.poly(others)).real
+    lead = np.r_[1.0, ma]
+    walk = float(lead.sum() / rest.sum())
+    reach = max(lead.size, rest.size) - 1
+    power = np.zeros(2 * reach + 1)
+    for poly, weight in ((lead, 1.0), (rest, -(walk**2))):
+        both = weight * np.convolve(poly, poly[::-1])
+        power[reach - poly.size + 1 : reach + poly.size] += both
+    if reach == 0:
+        return abs(walk) * sd, rest[1:], np.zeros(0), 0.0
+    quotient = np.polydiv(power, np.array([-1.0, 2.0, -1.0]))[0]
+    numerator, scale = spectral_factor(quotient[reach - 1 :])
+    return abs(walk) * sd, rest[1:], numerator, scale * sd

@@ -8,9 +8,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from navfilter.arma.choice import CRITERIA, criterion
 from navfilter.arma.model import ArmaModel, log_s0_sd
 from navfilter.arma.objective import GapFree, Objective, Point, WithGaps, minimise
 from navfilter.arma.problem import PART, Problem
+from navfilter.arma.roots import resolved_radius
 
 __all__ = ["ArmaFit", "fit_arma"]
 
@@ -211,7 +213,7 @@ def fitted(problem: Problem, point: Point, objective: Objective, converged: bool
     if not converged:
         flags.add("not converged")
     model = ArmaModel(point.theta[:p], point.theta[p:], 1.0)
-    if p and np.any(model.poles.real > 1.0 - 3.0 / n):
+    if p and np.any(model.poles.real > resolved_radius(n)):
         flags.add("unit root")
         if problem.method != "likelihood":
             # The least sum of squares lies on the circle, where the search had to stop.
@@ -225,7 +227,7 @@ def fitted(problem: Problem, point: Point, objective: Objective, converged: bool
         sd=problem.scale * math.sqrt(point.power / (n - lost)),
         covariance=_covariance(H),
         loglik=loglik,
-        **_criteria(loglik, k, n),
+        **{name: criterion(name, -2.0 * loglik, k, n) for name in CRITERIA},
         residuals=objective.residuals(point) * problem.scale,
         trend=trend,
         n=n,
@@ -233,18 +235,6 @@ def fitted(problem: Problem, point: Point, objective: Objective, converged: bool
         method=problem.method,
         flags=frozenset(flags),
     )
-
-
-def _criteria(loglik: float, k: int, n: int) -> dict[str, float]:
-    """Information criteria for k parameters and n samples."""
-    deviance = -2.0 * loglik
-    small = 2.0 * k * n / (n - k - 1) if n > k + 1 else math.inf
-    return {
-        "aic": deviance + 2.0 * k,
-        "aicc": deviance + small,
-        "bic": deviance + k * math.log(n),
-        "hq": deviance + 2.0 * k * math.log(max(math.log(n), 1.0)),
-    }
 
 
 def _covariance(H: Array) -> Array:

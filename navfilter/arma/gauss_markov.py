@@ -15,10 +15,10 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import BSpline
 from scipy.optimize import brentq, minimize_scalar
 
-from navfilter.arma.algebra import spectral_factor
 from navfilter.arma.fit import fitted
 from navfilter.arma.model import ArmaModel
 from navfilter.arma.problem import Problem
+from navfilter.arma.spectral import spectral_factor
 from navfilter.diagnostics import acf
 
 __all__ = [

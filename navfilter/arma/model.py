@@ -12,10 +12,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.signal import freqz, lfilter
 
+from navfilter.arma.roots import is_stable, roots_of
+
 __all__ = [
     "ArmaModel",
     "forecast_arma",
-    "is_stable",
     "log_s0_sd",
     "simulate_arma",
 ]
@@ -32,31 +33,6 @@ def _coefficients(values: ArrayLike | None, name: str) -> Array:
         raise ValueError(f"{name} must be finite, found {array.tolist()}.")
     array.setflags(write=False)
     return array
-
-
-def is_stable(coefficients: ArrayLike, radius: float = 1.0) -> bool:
-    """Whether all roots of ``1 + c1 q^-1 + ... + cn q^-n`` lie strictly inside `radius` (Schur-Cohn step-down).
-
-    Parameters
-    ----------
-    coefficients : array_like, shape (n,)
-        ``c1 ... cn``, without the leading 1. Empty is stable.
-    radius : float
-        Radius of the circle, default the unit circle.
-
-    Examples
-    --------
-    >>> is_stable([-0.9]), is_stable([-1.0]), is_stable([-0.9], radius=0.8)
-    (True, False, False)
-    """
-    c = np.asarray(coefficients, dtype=np.float64).ravel()
-    c = c / radius ** np.arange(1, c.size + 1)
-    while c.size:
-        k = c[-1]
-        if not abs(k) < 1.0:
-            return False
-        c = (c[:-1] - k * c[-2::-1]) / (1.0 - k * k)
-    return True
 
 
 def log_s0_sd(ar: ArrayLike, ma: ArrayLike, covariance: ArrayLike, window: float) -> float:
@@ -179,12 +155,12 @@ class ArmaModel:
     @property
     def poles(self) -> NDArray[np.complex128]:
         """Roots of ``z^p A(z)``, largest first."""
-        return _roots(self.ar)
+        return roots_of(self.ar)
 
     @property
     def zeros(self) -> NDArray[np.complex128]:
         """Roots of ``z^q C(z)``, largest first."""
-        return _roots(self.ma)
+        return roots_of(self.ma)
 
     @property
     def variance(self) -> float:
@@ -251,11 +227,6 @@ class ArmaModel:
                 break
             power = power @ power
         return step, drive, P
-
-
-def _roots(c: Array) -> NDArray[np.complex128]:
-    roots = np.roots(np.r_[1.0, c]).astype(np.complex128)
-    return roots[np.argsort(-np.abs(roots), kind="stable")]
 
 
 def simulate_arma(ar: ArrayLike, ma: ArrayLike, sd: float, n: int, seed: int | np.random.Generator | None = None) -> Array:

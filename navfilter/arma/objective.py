@@ -15,6 +15,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from navfilter.arma.roots import is_stable
 from navfilter.kernels import fit as kernels
 
 Array = NDArray[np.float64]
@@ -67,8 +68,8 @@ def inside(theta: Array, p: int) -> bool:
     """Whether poles and zeros lie inside their radii, and all numbers are finite."""
     return bool(
         np.all(np.isfinite(theta))
-        and kernels.largest_reflection(theta[:p].copy(), POLE_RADIUS) < 1.0
-        and kernels.largest_reflection(theta[p:].copy(), ZERO_RADIUS) < 1.0
+        and is_stable(theta[:p], POLE_RADIUS)
+        and is_stable(theta[p:], ZERO_RADIUS)
     )
 
 

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from navfilter.arma.choice import Choice
 from navfilter.arma.fit import ArmaFit, fitted
-from navfilter.arma.model import ArmaModel
 from navfilter.arma.objective import Objective, Point, minimise
 from navfilter.arma.problem import Problem
 from navfilter.diagnostics import Whiteness, whiteness
@@ -143,10 +142,9 @@ def _fit_cell(
     return objective, leader, done
 
 
-# In units of 2 ln L: a lead in BIC below this is "not worth more than a bare mention" (Kass and Raftery, 1995).
-CLOSE = 2.0
-# The gate is tried on many orders, so it is stricter here than for one series.
-GATE = 1e-3
+#: A lead below 2 is "not worth more than a bare mention" (Kass and Raftery, 1995). The gate is tried on many orders, so it is stricter here
+#: than for one series. Beyond a quarter of the circle's radius the first-order spread says nothing about cancellation.
+TABLE_CHOICE = Choice(lead=2.0, level=1e-3, farthest=0.25, nearest=False)
 
 
 def choose(fits: dict[tuple[int, int], ArmaFit], tests: dict[tuple[int, int], Whiteness]) -> tuple[int, int]:
@@ -157,31 +155,13 @@ def choose(fits: dict[tuple[int, int], ArmaFit], tests: dict[tuple[int, int], Wh
     coefficients: it forgets its start fastest and has no zeros to keep inside the circle.
     """
     candidates = {k: f for k, f in fits.items() if not cancels(f)} or fits
-    white = {k: f for k, f in candidates.items() if min(tests[k].ljung_box_p, tests[k].periodogram_p) >= 0.5 * GATE}
+    white = {k: f for k, f in candidates.items() if min(tests[k].ljung_box_p, tests[k].periodogram_p) >= 0.5 * TABLE_CHOICE.level}
     candidates = white or candidates
     lead = min(candidates, key=lambda k: candidates[k].bic)
-    close = [k for k, f in candidates.items() if sum(k) == sum(lead) and f.bic < candidates[lead].bic + CLOSE]
+    close = [k for k, f in candidates.items() if sum(k) == sum(lead) and f.bic < candidates[lead].bic + TABLE_CHOICE.lead]
     return min(close, key=lambda k: k[1])
 
 
-def cancels(fit: ArmaFit, reach: float = 2.0) -> bool:
-    """Whether some zero lies within `reach` standard deviations of a pole, so that the pair is noise.
-
-    First-order propagation: a root z of ``z^n + c1 z^(n-1) + ...`` moves by ``-z^(n-j) dc_j / (derivative at z)``.
-    """
-    model = fit.model if fit.d == 0 else ArmaModel(fit.ar, fit.ma, fit.sd)
-    for pole in model.poles:
-        by_pole = _root_gradient(fit.ar, pole)
-        for zero in model.zeros:
-            gradient = np.r_[by_pole, -_root_gradient(fit.ma, zero)]
-            spread = math.sqrt(max(float(np.real(gradient @ fit.covariance @ gradient.conj())), 0.0))
-            # Beyond a quarter of the circle's radius the first-order spread says nothing about cancellation.
-            if abs(pole - zero) < min(reach * spread, 0.25):
-                return True
-    return False
-
-
-def _root_gradient(c: Array, root: complex) -> NDArray[np.complex128]:
-    slope = np.polyval(np.polyder(np.r_[1.0, c]), root)
-    powers = np.asarray(root, dtype=np.complex128) ** np.arange(c.size - 1, -1, -1)
-    return np.asarray(-powers / (slope if abs(slope) > 1e-12 else 1e-12), dtype=np.complex128)
+def cancels(fit: ArmaFit) -> bool:
+    """Whether some zero lies within two standard deviations of a pole, so that the pair is noise."""
+    return TABLE_CHOICE.cancels(fit.ar, fit.ma, fit.covariance)

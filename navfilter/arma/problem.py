@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navfilter.arma.objective import GapFree, Objective, WithGaps
-from navfilter.arma.starts import default_long_order, hannan_rissanen_start, long_residuals, pull_inside, tidy_series
+from navfilter.arma.roots import pull_inside
+from navfilter.arma.starts import default_long_order, hannan_rissanen_start, long_residuals, tidy_series
 from navfilter.kernels import fit as kernels
 
 Array = NDArray[np.float64]

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navfilter.arma.model import ArmaModel
+from navfilter.arma.roots import pull_inside
 from navfilter.kernels import fit as kernels
 
 __all__ = ["burg", "hannan_rissanen", "yule_walker"]
@@ -151,19 +152,3 @@ def hannan_rissanen_start(x: Array, p: int, q: int, e: Array) -> Array:
     right[:p], right[p:] = -own[0, 1:], cross[0, 1:]
     solution = np.asarray(np.linalg.lstsq(A, right, rcond=1e-12)[0], dtype=np.float64)
     return np.r_[pull_inside(solution[:p]), pull_inside(solution[p:])]
-
-
-def pull_inside(c: Array, radius: float = 0.995) -> Array:
-    """Coefficients with roots outside the unit circle reflected into it, and none beyond `radius`."""
-    if not np.all(np.isfinite(c)):
-        return np.zeros_like(c)
-    if kernels.largest_reflection(np.ascontiguousarray(c), radius) < 1.0:
-        return np.asarray(c)
-    roots = np.roots(np.r_[1.0, c])
-    size = np.abs(roots)
-    target = np.minimum(np.where(size > 1.0, 1.0 / np.maximum(size, 1e-300), size), radius)
-    roots = roots * np.where(size > 0.0, target / np.maximum(size, 1e-300), 1.0)
-    inside = np.zeros_like(c)
-    found = np.real(np.poly(roots))[1:]
-    inside[: found.size] = found
-    return inside

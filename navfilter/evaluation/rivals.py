@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from navfilter.arma.gauss_markov import fit_gauss_markov
 from navfilter.error_models import ErrorModel, GaussMarkov, RandomWalk, Sum, White
 from navfilter.learning.learned import LearnedArma, known_white, learned_part
+from navfilter.learning.limits import LEAST
 from navfilter.learning.listener import ChannelSeries
 from navfilter.mission import Mission
 from navfilter.playback import residual_series
@@ -29,8 +30,6 @@ Series = Mapping[str, tuple[ChannelSeries, ...]]
 
 #: Kinds of error models that can be compared.
 MODELS = ("white", "gm1", "gm1-fitted", "arma", "oracle", "vehicle")
-#: An axis with fewer readings keeps the model of the vehicle file.
-LEAST = 200
 
 
 def rival(

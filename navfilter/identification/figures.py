@@ -14,10 +14,10 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 from scipy.signal import welch
 
+from navfilter.arma.roots import root_sd
 from navfilter.diagnostics import WT_WHITE, acf, pacf
 from navfilter.identification.conditioning import bridged
 from navfilter.identification.identify import Identification
-from navfilter.identification.reading import root_sd
 from navfilter.report.drawing import COLOURS, WIDTH_IN, line
 
 __all__ = ["identification_figures"]

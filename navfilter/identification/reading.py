@@ -10,13 +10,14 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
+from navfilter.arma.algebra import split_bias
 from navfilter.arma.model import ArmaModel
-from navfilter.arma.unit_root import cap_poles, has_unit_root, split_bias
+from navfilter.arma.roots import cap_poles, has_unit_root, resolved_radius, root_sd, time_constant
 from navfilter.error_models import Arma, ErrorModel, GaussMarkov, RandomWalk, White
 
-__all__ = ["Component", "Reading", "number", "read_model", "root_sd"]
+__all__ = ["Component", "Reading", "number", "read_model"]
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -83,22 +84,6 @@ class Reading:
     error: ErrorModel
 
 
-def root_sd(coefficients: ArrayLike, covariance: ArrayLike, root: complex) -> float:
-    """Standard deviation of a root of ``z^n + c1 z^(n-1) + ...``, first order in the coefficients' covariance.
-
-    Examples
-    --------
-    >>> round(root_sd([-0.9], [[1e-4]], 0.9), 6)
-    0.01
-    """
-    c = np.asarray(coefficients, dtype=np.float64)
-    slope = np.polyval(np.polyder(np.r_[1.0, c]), root)
-    if abs(slope) < 1e-12:
-        return math.inf
-    gradient = -(complex(root) ** np.arange(c.size - 1, -1, -1)) / slope
-    return math.sqrt(max(float(np.real(gradient @ np.asarray(covariance) @ gradient.conj())), 0.0))
-
-
 def read_model(model: ArmaModel, rate_hz: float, n: int, unit: str = "", white: bool = True, d: int = 0) -> Reading:
     """Put a model into words.
 
@@ -155,7 +140,7 @@ def _inseparable(model: ArmaModel, rate_hz: float, n: int, d: int) -> tuple[list
     steps = np.delete(model.poles, roots[: max(d, 1)])
     tail = ArmaModel(np.atleast_1d(np.real(np.poly(steps)))[1:], model.ma, model.sd)
     size = model.sd * abs(1.0 + float(model.ma.sum())) / max(abs(1.0 + float(tail.ar.sum())), 1e-300)
-    held = ArmaModel(cap_poles(model.ar, 1.0 - 3.0 / n), model.ma, model.sd)
+    held = ArmaModel(cap_poles(model.ar, resolved_radius(n)), model.ma, model.sd)
     return [Component("correlated walk", size), *_by_poles(tail, rate_hz)], _arma(held)
 
 
@@ -197,11 +182,11 @@ def _shows(part: Component, innovation_sd: float, rate_hz: float) -> bool:
 def _by_poles(model: ArmaModel, rate_hz: float) -> list[Component]:
     """Parts named by their poles alone, without a power of their own."""
     parts: list[Component] = []
-    real = [p for p in model.poles if p.imag == 0.0 and p.real > 0.0 and _memory(p) > SHORT_SAMPLES]
-    if len(real) >= 2 and _memory(real[0]) < 3.0 * _memory(real[1]):
+    real = [p for p in model.poles if p.imag == 0.0 and p.real > 0.0 and time_constant(p) > SHORT_SAMPLES]
+    if len(real) >= 2 and time_constant(real[0]) < 3.0 * time_constant(real[1]):
         # Two neighbouring real poles without independent parts: one smooth process, faster pole well within a factor.
         slow = real[:2]
-        tau = SECOND * sum(_memory(p) for p in slow) / rate_hz
+        tau = SECOND * sum(time_constant(p) for p in slow) / rate_hz
         parts.append(Component("second order", math.nan, tau))
         rest = [p for p in model.poles if all(p != s for s in slow)]
     else:
@@ -214,7 +199,7 @@ def _by_poles(model: ArmaModel, rate_hz: float) -> list[Component]:
 def _component(model: ArmaModel, rate_hz: float, pole: complex, power: float) -> Component:
     """Name one pole (of a pair: the upper one)."""
     sd = math.sqrt(power) if power >= 0.0 else math.nan
-    memory = _memory(pole)
+    memory = time_constant(pole)
     tau, freq = memory / rate_hz, abs(float(np.angle(pole))) / (2.0 * math.pi) * rate_hz
     if memory < SHORT_SAMPLES:
         return Component("short", sd, tau)
@@ -227,12 +212,6 @@ def _component(model: ArmaModel, rate_hz: float, pole: complex, power: float) ->
     if damping > SMOOTH:
         return Component("second order", sd, 2.0 * SECOND * tau, 2.0 * SECOND * tau_sd, freq)
     return Component("line" if damping < RINGING else "oscillation", sd, tau, tau_sd, freq)
-
-
-def _memory(pole: complex) -> float:
-    """Samples in which the pole's response falls to 1/e."""
-    size = abs(pole)
-    return -1.0 / math.log(size) if 0.0 < size < 1.0 else (0.0 if size == 0.0 else math.inf)
 
 
 def _powers(model: ArmaModel, poles: Complex) -> list[float]:

@@ -13,10 +13,11 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
+from navfilter.arma.roots import root_sd
 from navfilter.error_models import ErrorModel, Sum
 from navfilter.identification.figures import identification_figures
 from navfilter.identification.identify import Identification
-from navfilter.identification.reading import number, root_sd
+from navfilter.identification.reading import number
 from navfilter.io.units import UNITS
 from navfilter.io.vehicle_toml import _plain as toml_value
 from navfilter.io.vehicle_toml import _toml as toml_text

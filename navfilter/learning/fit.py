@@ -15,12 +15,15 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from navfilter.arma.choice import Choice
 from navfilter.arma.model import ArmaModel
+from navfilter.arma.roots import is_stable
 from navfilter.arma.starts import tidy_series
 from navfilter.diagnostics import whiteness
-from navfilter.kernels.fit import largest_reflection
 from navfilter.learning.drift import Drift
+from navfilter.learning.effort import EFFORT
 from navfilter.learning.likelihood import Likelihood, Point, maximise
+from navfilter.learning.limits import CLIP
 from navfilter.learning.low_frequency import log_s0_spread, with_upward_spread
 from navfilter.learning.starts import cold_starts, grown_starts, padded_start
 
@@ -28,9 +31,9 @@ __all__ = ["ChannelFit", "fit_channel"]
 
 Array = NDArray[np.float64]
 
-LEVEL = 0.01
-# Scoring passes of a lower order that only serves as a start.
-BELOW = 8
+#: How the order of a channel is chosen: as in `ArmaBank`.
+CHANNEL_CHOICE = Choice()
+
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +121,7 @@ def fit_channel(
         if p >= 2 and q >= 1:
             # A slow part that a lower order leaves out is found by adding one to its estimate, and hardly otherwise.
             below = min(p - 1, q), q - 1
-            simple = maximise(likelihood, cold_starts(likelihood, *below), below[0], BELOW)
+            simple = maximise(likelihood, cold_starts(likelihood, *below), below[0], EFFORT.below_passes)
             starts += grown_starts(likelihood, {below: simple.theta}, p, q)
     elif start.p > p or start.q > q:
         raise ValueError(f"start has orders ({start.p}, {start.q}), above ({p}, {q}).")
@@ -151,12 +154,12 @@ def channel_fit(likelihood: Likelihood, point: Point) -> ChannelFit:
         flags,
     )
     loglik = -value + n * math.log(likelihood.unit)
-    return ChannelFit(model, loglik, -2.0 * loglik + theta.size * math.log(max(n, 2)), z, n)
+    return ChannelFit(model, loglik, CHANNEL_CHOICE.score(-2.0 * loglik, theta.size, n), z, n)
 
 
 def at_cap(likelihood: Likelihood, ar: Array) -> bool:
     """Whether a pole sits at the largest radius that the series can tell from a bias."""
-    return bool(largest_reflection(np.ascontiguousarray(ar), 1.0 - 1.01 * (1.0 - likelihood.pole_radius)) >= 1.0)
+    return not is_stable(ar, 1.0 - 1.01 * (1.0 - likelihood.pole_radius))
 
 
 def _is_white(z: Array, fitted: int) -> bool:
@@ -164,5 +167,5 @@ def _is_white(z: Array, fitted: int) -> bool:
     if int(known.sum()) < fitted + 30:
         return False
     first, last = np.flatnonzero(known)[[0, -1]]
-    clipped = np.clip(z[first : last + 1], -4.0, 4.0)
-    return bool(whiteness(clipped, fitted, level=LEVEL).is_white)
+    clipped = np.clip(z[first : last + 1], -CLIP, CLIP)
+    return bool(whiteness(clipped, fitted, level=CHANNEL_CHOICE.level).is_white)

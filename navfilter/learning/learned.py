@@ -13,6 +13,7 @@ from scipy.linalg import solve_discrete_lyapunov
 
 from navfilter.arma.model import ArmaModel
 from navfilter.error_models import Block, ErrorModel, Integrated, RandomWalk, Sum, White
+from navfilter.learning.limits import LEAST
 from navfilter.learning.low_frequency import cautious
 
 __all__ = [
@@ -83,8 +84,8 @@ class LearnedArma(ErrorModel):
         if not orders or any(min(pq) < 0 or max(pq) > 10 for pq in orders):
             raise ValueError(f"LearnedArma.orders must be pairs (p, q) from 0 to 10, found {self.orders!r}. Example: ((1, 0), (2, 1)).")
         object.__setattr__(self, "orders", orders)
-        if int(self.window) < 200:
-            raise ValueError(f"LearnedArma.window must be at least 200 samples, found {self.window!r}. Typical: 4000.")
+        if int(self.window) < LEAST:
+            raise ValueError(f"LearnedArma.window must be at least {LEAST} samples, found {self.window!r}. Typical: 4000.")
         if self.hop is not None and int(self.hop) < 1:
             raise ValueError(f"LearnedArma.hop must be at least 1 sample, found {self.hop!r}.")
         if self.prior is not None and (not isinstance(self.prior, ErrorModel) or learned_part(self.prior) is not None):

@@ -9,11 +9,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from navfilter.arma.choice import Challenge
 from navfilter.arma.model import ArmaModel
+from navfilter.arma.roots import time_constant
 from navfilter.learning.drift import Drift
-from navfilter.learning.fit import theta_of
+from navfilter.learning.effort import EFFORT
+from navfilter.learning.fit import CHANNEL_CHOICE, theta_of
 from navfilter.learning.likelihood import Likelihood
-from navfilter.learning.orders import LEAD, Candidate, denies, fit_candidate, preferred
+from navfilter.learning.limits import CYCLES, LEAST, PER_PARAMETER
+from navfilter.learning.low_frequency import slow_pole
+from navfilter.learning.orders import Candidate, finds_more_low_frequency_power, fit_candidate, preferred
 from navfilter.learning.starts import cold_starts, grown_starts, slow_part_start
 
 __all__ = ["Learner", "LearnerMemory"]
@@ -21,19 +26,8 @@ __all__ = ["Learner", "LearnerMemory"]
 Array = NDArray[np.float64]
 Order = tuple[int, int]
 
-# Fewer known samples than this, or than so many per parameter, say nothing that a filter should believe.
-LEAST, PER_PARAMETER = 200, 20
-# Before its window is full, a learner hands out nothing slower than this part of its samples. A process that the series
-# holds fewer times is taken for drift and found too quick: measured, S(0) 4 to 17 times too small.
-CYCLES = 10.0
-# Hops in a row at which a challenger must lead.
-HOPS = 2
-# Scoring passes of a first estimate (while young; later, in its turn), of the order in use, and of a challenger.
-COLD, TURN, OWN, OTHER = 20, 3, 2, 1
-# A candidate this far behind by BIC, or larger than the order in use by more parameters than this, has rarer turns.
-FAR, REACH = 100.0, 2
-# Orders that exceed a good one by more parameters than this wait for their turn.
-BEYOND = 2
+#: A window counts as full when this part of it is known.
+FULL = 0.9
 
 
 @dataclass(frozen=True)
@@ -46,9 +40,11 @@ class LearnerMemory:
         Estimates ``[ar, ma, ln sd]`` of every order that has been fitted, in the unit of the series.
     gaps : dict of (p, q) to float
         BIC above that of the order in use.
-    chosen, challenger : (p, q) or None
-    leads, turn, coloured : int
-        Hops that the challenger has led, turns of the others, hops without an order that passed.
+    chosen : (p, q) or None
+        The order in use.
+    challenge : Challenge
+    turn, coloured : int
+        Turns of the other orders, and hops in a row without an order that passed.
     young : bool
         Whether the window was not full at the last hop.
     good : ArmaModel or None
@@ -58,8 +54,7 @@ class LearnerMemory:
     thetas: dict[Order, Array]
     gaps: dict[Order, float]
     chosen: Order | None
-    challenger: Order | None
-    leads: int
+    challenge: Challenge
     turn: int
     coloured: int
     young: bool
@@ -117,8 +112,8 @@ class Learner:
         self._thetas: dict[Order, Array] = {}
         self._gaps: dict[Order, float] = {}
         self._chosen: Order | None = None
-        self._challenger: Order | None = None
-        self._leads, self._turn, self._coloured, self._young = 0, 0, 0, True
+        self._challenge = Challenge()
+        self._turn, self._coloured, self._young = 0, 0, True
         self._good: ArmaModel | None = None
 
     @property
@@ -153,10 +148,10 @@ class Learner:
             fits |= self._fit(likelihood, [order for order in able if order not in fits])
             best = preferred(fits.values())
         self._coloured = self._coloured + 1 if best is None else 0
-        young = n < 0.9 * self.window
+        young = n < FULL * self.window
         model = self._without(y, "constant") if not fits else self._choose(likelihood, fits, best)
         self._young = young
-        if young and "stale" not in model.flags and _slowest(model) > n / CYCLES:
+        if young and "stale" not in model.flags and max(map(time_constant, model.poles), default=0.0) > n / CYCLES:
             model = _flagged(model, "starting")
             self._good = None if self._good is None else _flagged(self._good, "starting")
         return model
@@ -179,30 +174,34 @@ class Learner:
             return able
         others = [order for order in able if order != self._chosen]
         nearest = sorted(others, key=lambda order: (self._gaps.get(order, math.inf), sum(order)))[:1]
-        if self._challenger is not None and self._challenger in others:
-            nearest = [self._challenger]
+        challenger = self._challenge.order
+        if challenger is not None and challenger in others:
+            nearest = [challenger]
         own = sum(self._chosen)
-        near = [order for order in others if order not in nearest and self._gaps.get(order, 0.0) < FAR and sum(order) <= own + REACH]
-        # Every fourth turn is for those that seem out of the question: the error may have changed.
+        near = [order for order in others if order not in nearest and self._near(order) and sum(order) <= own + EFFORT.hopeless_size]
         out = [order for order in others if order not in nearest and order not in near]
-        rest = out if out and (not near or self._turn % 4 == 3) else near
-        turn = [rest[(self._turn // 4 if rest is out else self._turn) % len(rest)]] if rest else []
+        rest = out if out and (not near or self._turn % EFFORT.rare_turn == EFFORT.rare_turn - 1) else near
+        turn = [rest[(self._turn // EFFORT.rare_turn if rest is out else self._turn) % len(rest)]] if rest else []
         self._turn += 1
         # where nothing slow was found, look for it: by a pole and a zero more
         wider = (self._chosen[0] + 1, self._chosen[1] + 1)
         slow = [wider] if wider in others and wider not in (*nearest, *turn) and not self._has_slow_pole() else []
         return [self._chosen, *nearest, *turn, *slow]
 
+    def _near(self, order: Order) -> bool:
+        """Whether an order was near enough when fitted last."""
+        return self._gaps.get(order, 0.0) < EFFORT.hopeless_bic
+
     def _has_slow_pole(self) -> bool:
         """Whether the last good model has a real pole in the right half of the circle."""
-        return self._good is None or any(abs(z.imag) < 1e-9 and z.real > 0.5 for z in self._good.poles)
+        return self._good is None or slow_pole(self._good) is not None
 
     def _fit(self, likelihood: Likelihood, orders: list[Order]) -> dict[Order, Candidate]:
         fits: dict[Order, Candidate] = {}
         for order in orders:
             known = self._thetas.get(order)
             if known is not None:
-                passes = OWN if order == self._chosen else OTHER
+                passes = EFFORT.own_passes if order == self._chosen else EFFORT.other_passes
                 found = fit_candidate(likelihood, order, [_rescaled(known, likelihood)], passes)
                 if order == orders[-1]:
                     found = self._second_chance(likelihood, found, fits)
@@ -212,7 +211,7 @@ class Learner:
                 below = {k: c.point.theta for k, c in fits.items() if sum(k)}
                 some = likelihood.recent
                 starts = grown_starts(some, below, *order) if below else cold_starts(some, *order)
-                found = fit_candidate(likelihood, order, starts, COLD if self._young else TURN)
+                found = fit_candidate(likelihood, order, starts, EFFORT.first_passes if self._young else EFFORT.late_passes)
             if found is not None:
                 fits[order] = found
                 self._thetas[order] = found.theta
@@ -224,7 +223,7 @@ class Learner:
         if found is None or own is None or self._young or found.order == own.order or found.fit.loglik > own.fit.loglik + 1.0:
             return found
         starts = slow_part_start(likelihood, own.point.theta, own.order[0], *found.order)
-        again = fit_candidate(likelihood, found.order, starts, OWN) if starts else None
+        again = fit_candidate(likelihood, found.order, starts, EFFORT.own_passes) if starts else None
         return again if again is not None and again.point.value < found.point.value else found
 
     def _superfluous(self, order: Order, fits: dict[Order, Candidate]) -> bool:
@@ -232,7 +231,7 @@ class Learner:
         if not self._young or not fits:
             return False
         best = min(fits.values(), key=lambda c: c.fit.bic)
-        return sum(order) > sum(best.order) + BEYOND and best.passes
+        return sum(order) > sum(best.order) + EFFORT.patience and best.passes
 
     # ------------------------------------------------------------------ choice
 
@@ -241,16 +240,16 @@ class Learner:
             return self._unsure(likelihood, fits)
         now = fits.get(self._chosen) if self._chosen is not None else None
         # one window in a hundred fails the gate by chance: that alone, without a lead by BIC, is no reason for a larger order
-        held = best is not None and now is not None and sum(best.order) > sum(now.order) and now.fit.bic <= best.fit.bic + LEAD
+        larger = now is not None and sum(best.order) > sum(now.order)
+        held = now is not None and larger and now.fit.bic <= best.fit.bic + CHANNEL_CHOICE.lead
         stays = now is not None and (now.passes or (held and not now.cancels))
         if now is not None and now is not best and not self._young and stays:
-            self._leads = self._leads + 1 if self._challenger == best.order else 1
-            self._challenger = best.order
-            better = now.fit.bic - best.fit.bic > LEAD or denies(now, best)
-            if not better or self._leads < HOPS:
+            self._challenge = self._challenge.by(best.order)
+            better = now.fit.bic - best.fit.bic > CHANNEL_CHOICE.lead or finds_more_low_frequency_power(best, now)
+            if not better or self._challenge.leads < CHANNEL_CHOICE.hops:
                 best = now
         if best is not now:
-            self._challenger, self._leads = None, 0
+            self._challenge = Challenge()
         self._settle(best, fits)
         self._good = best.model(likelihood)
         return self._good
@@ -265,11 +264,11 @@ class Learner:
         tidy = [candidate for candidate in fits.values() if not candidate.cancels]
         if tidy:
             best = min(tidy, key=lambda candidate: candidate.fit.bic)
-            if self._good is not None and _bic(self._good, likelihood, best.fit.n) <= best.fit.bic + LEAD:
+            if self._good is not None and _bic(self._good, likelihood, best.fit.n) <= best.fit.bic + CHANNEL_CHOICE.lead:
                 return replace(self._good, flags=self._good.flags | {"stale"})
             self._settle(best, fits)
             return _flagged(best.model(likelihood), "coloured")
-        simple = [fit_candidate(likelihood, order, cold_starts(likelihood, *order), COLD) for order in ((1, 0), (1, 1))]
+        simple = [fit_candidate(likelihood, order, cold_starts(likelihood, *order), EFFORT.first_passes) for order in ((1, 0), (1, 1))]
         found = [candidate for candidate in simple if candidate is not None]
         if not found:
             return self._without(likelihood.y / likelihood.unit, "fallback")
@@ -284,8 +283,7 @@ class Learner:
             thetas=dict(self._thetas),
             gaps=dict(self._gaps),
             chosen=self._chosen,
-            challenger=self._challenger,
-            leads=self._leads,
+            challenge=self._challenge,
             turn=self._turn,
             coloured=self._coloured,
             young=self._young,
@@ -298,9 +296,8 @@ class Learner:
             if order not in self.orders or theta.shape != (sum(order) + 1,):
                 raise ValueError(f"a learner of orders {self.orders} cannot go on from {theta.size} coefficients of order {order}.")
         self._thetas, self._gaps = dict(memory.thetas), dict(memory.gaps)
-        self._chosen, self._challenger = memory.chosen, memory.challenger
-        self._leads, self._turn, self._coloured, self._young = memory.leads, memory.turn, memory.coloured, memory.young
-        self._good = memory.good
+        self._chosen, self._challenge, self._good = memory.chosen, memory.challenge, memory.good
+        self._turn, self._coloured, self._young = memory.turn, memory.coloured, memory.young
 
 
 def _rescaled(theta: Array, likelihood: Likelihood) -> Array:
@@ -312,12 +309,7 @@ def _bic(model: ArmaModel, likelihood: Likelihood, n: int) -> float:
     """BIC of a model as it is, on this window."""
     theta = likelihood.confine(theta_of(model, likelihood), model.p)
     value = likelihood.value(theta, model.p) - n * math.log(likelihood.unit)
-    return 2.0 * value + theta.size * math.log(max(n, 2))
-
-
-def _slowest(model: ArmaModel) -> float:
-    """Longest time constant of the poles, ticks."""
-    return -1.0 / math.log(min(max(float(np.max(np.abs(model.poles))), 1e-9), 1.0 - 1e-12)) if model.p else 0.0
+    return CHANNEL_CHOICE.score(2.0 * value, theta.size, n)
 
 
 def _flagged(model: ArmaModel, flag: str) -> ArmaModel:

@@ -11,35 +11,18 @@ from functools import cache, cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.arma.starts import pull_inside
-from navfilter.arma.unit_root import cap_poles
+from navfilter.arma.roots import cap_poles, is_stable, pull_inside, resolved_radius
 from navfilter.kernels import channel as kernel
-from navfilter.kernels.fit import largest_reflection
+from navfilter.learning.effort import EFFORT
+from navfilter.learning.limits import CLIP, LONGEST_GAP
 
 __all__ = ["Likelihood", "Point", "maximise"]
 
 Array = NDArray[np.float64]
 
-ZERO_RADIUS = 0.9995
-# Longest run of missing ticks that is predicted through.
-LONGEST_GAP = 8
-CLIP = 4.0
-# Relative change of the gain over which it is interpolated: the log-likelihood changes by 1e-3 to 3e-2.
-TOLERANCE = 0.1
-# What is left to gain, in units of log-likelihood, when an estimate counts as converged: far below its sampling error.
-CONVERGED = 1e-3
-# A step that gains less than this was so small that derivatives need not be taken again.
-SMALL = 0.05
 # Below the lowest frequency that the series resolves, the spectrum is taken to stay level within a factor of about e:
 # mean and standard deviation of ln S(0) - ln S(lowest resolved).
 LEVEL_MEAN, LEVEL_SD = 0.3, 1.0
-# Fewest samples on which starts are compared.
-FEWEST_RECENT = 500
-# Scoring passes before the leader of several starts goes on alone.
-RACE = 2
-# Difference steps: poles that crowd near the circle leave it at a very small one.
-STEPS = (1e-6, -1e-6, 1e-7, -1e-7, 1e-8, -1e-8, 1e-9, -1e-9, 1e-10, -1e-10)
-DAMPING = (1e-6, 1e-3, 1e-2, 1e-1, 1.0, 10.0, 1e3)
 
 
 class Likelihood:
@@ -72,9 +55,9 @@ class Likelihood:
         # A diffuse level takes up any constant: without it, arithmetic is with small numbers.
         self.y = np.ascontiguousarray(series - (known[0] if diffuse else 0.0)) * self.unit
         self.Q = np.zeros((2, 1)) if r == 0 else np.ascontiguousarray(drift * self.unit**2)
-        self.rules = np.array([diffuse, LONGEST_GAP, clip, white * self.unit**2, TOLERANCE])
+        self.rules = np.array([diffuse, LONGEST_GAP, clip, white * self.unit**2, EFFORT.gain_tolerance])
         self.n = known.size - diffuse
-        self.pole_radius = 1.0 - 3.0 / max(known.size, 8)
+        self.pole_radius = resolved_radius(max(known.size, 8))
         self.lowest = 2.0 * math.pi / max(known.size, 8)
         self._E, self._LNS = np.empty((2, self.y.size)), np.empty((2, self.y.size))
         self._turn = [complex(np.exp(-1j * self.lowest * k)) for k in range(1, 11)]
@@ -84,11 +67,11 @@ class Likelihood:
     @cached_property
     def recent(self) -> Likelihood:
         """The likelihood of the newer half, in the same units: enough to tell good starts from bad ones."""
-        if self.y.size < 2 * FEWEST_RECENT:
+        if self.y.size < 2 * EFFORT.recent_samples:
             return self
         half = copy(self)
         half.y = np.ascontiguousarray(self.y[self.y.size // 2 :])
-        if int(np.isfinite(half.y).sum()) < FEWEST_RECENT // 2:
+        if int(np.isfinite(half.y).sum()) < EFFORT.recent_samples // 2:
             return self
         half._E, half._LNS, half._at = np.empty((2, half.y.size)), np.empty((2, half.y.size)), (-1, b"")
         return half
@@ -148,12 +131,12 @@ class Likelihood:
 
     def _steps(self, theta: Array, p: int) -> Array:
         """Difference steps that stay where a stationary start exists."""
-        steps = np.full(theta.size, STEPS[0])
+        steps = np.full(theta.size, EFFORT.differences[0])
         padded = _padded(theta, p)
         m = padded.size // 2
         spare = np.empty((m, m))
         for i in range(p):
-            for size in STEPS:
+            for size in EFFORT.differences:
                 moved = padded[:m].copy()
                 moved[i] += size
                 steps[i] = size
@@ -164,10 +147,10 @@ class Likelihood:
     def confine(self, theta: Array, p: int) -> Array:
         """`theta` with poles and zeros pulled inside their radii, and ln sd within floating point."""
         out = theta.copy()
-        if largest_reflection(np.ascontiguousarray(theta[:p]), self.pole_radius) >= 1.0:
+        if not is_stable(theta[:p], self.pole_radius):
             out[:p] = cap_poles(theta[:p], self.pole_radius - 1e-12)
-        if largest_reflection(np.ascontiguousarray(theta[p:-1]), ZERO_RADIUS) >= 1.0:
-            out[p:-1] = pull_inside(theta[p:-1], ZERO_RADIUS - 1e-12)
+        if not is_stable(theta[p:-1], EFFORT.zero_radius):
+            out[p:-1] = pull_inside(theta[p:-1], EFFORT.zero_radius - 1e-12)
         out[-1] = min(max(theta[-1], -14.0), 40.0)
         return out
 
@@ -223,7 +206,7 @@ def maximise(likelihood: Likelihood, starts: Sequence[Array], p: int, passes: in
     """
     starts = [likelihood.confine(start, p) for start in starts]
     if len(starts) > 1:
-        runs = [_climb(race or likelihood, start, p, RACE) for start in starts]
+        runs = [_climb(race or likelihood, start, p, EFFORT.race_passes) for start in starts]
         starts = [min(runs, key=lambda point: point.value).theta]
     return _climb(likelihood, starts[0], p, passes)
 
@@ -236,7 +219,7 @@ def _climb(likelihood: Likelihood, theta: Array, p: int, passes: int) -> Point:
         if found is None:
             break
         theta, value, gain = found
-        if left == 1 or gain < SMALL:
+        if left == 1 or gain < EFFORT.small_gain:
             return replace(point, theta=theta, value=value)
         point = likelihood.point(theta, p)
     return point
@@ -247,12 +230,12 @@ def _step(likelihood: Likelihood, point: Point) -> tuple[Array, float, float] | 
     if not (np.all(np.isfinite(point.gradient)) and np.all(np.isfinite(point.info))):
         return None
     scale = np.maximum(np.diag(point.info), 1e-9)
-    for damping in DAMPING:
+    for damping in EFFORT.dampings:
         step = np.linalg.solve(point.info + np.diag(damping * scale), -point.gradient)
         gain = -0.5 * float(step @ point.gradient)
-        if not gain > CONVERGED:
+        if not gain > EFFORT.converged:
             return None
-        step *= min(1.0, 1.5 / max(abs(float(step[-1])), 1e-300))
+        step *= min(1.0, EFFORT.longest_step / max(abs(float(step[-1])), 1e-300))
         trial = likelihood.confine(point.theta + step, point.p)
         value = likelihood.penalised(trial, point.p)
         if value < point.value - 1e-2 * min(gain, 1.0):

@@ -14,6 +14,7 @@ from navfilter.kernels import listen
 from navfilter.learning.drift import Drift
 from navfilter.learning.learned import known_walk, known_white, learned_part, learning_part, with_learned
 from navfilter.learning.learner import Learner, LearnerMemory
+from navfilter.learning.limits import LEAST
 from navfilter.learning.low_frequency import HOPS_REMEMBERED, UNOBSERVABLE, steadied, zero_frequency
 from navfilter.sensors import Sensor
 from navfilter.vehicle import Vehicle
@@ -23,8 +24,6 @@ __all__ = ["ChannelSeries", "Listener", "ListenerMemory"]
 Array = NDArray[np.float64]
 #: A sample so many robust deviations from its neighbours is a spike.
 SPIKE = 8.0
-#: A first try at learning needs so many ticks.
-FEWEST = 200
 NEVER = int(np.iinfo(np.int64).max)
 
 
@@ -173,7 +172,7 @@ class Listener:
     def learn_first(self, age_s: float) -> tuple[ErrorModel, ...] | None:
         """The first error models, or None where too little has been heard; the last tick was `age_s` ago."""
         ticks = self._ticks_by_now(age_s)
-        return self.learn(age_s) if self.window and ticks >= FEWEST else None
+        return self.learn(age_s) if self.window and ticks >= LEAST else None
 
     def begin_again(self, age_s: float) -> None:
         """Listen from the start again, without learning again from what was heard before; the last tick was `age_s` ago."""

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.arma.model import ArmaModel
+from navfilter.arma.roots import slowest_real
 from navfilter.error_models import block_level
 
 if TYPE_CHECKING:
@@ -39,6 +40,8 @@ LARGEST_SPREAD = 1.5
 SHARE = 0.25
 #: No pole comes nearer to 1.
 NEAREST = 1e-5
+#: A real pole beyond this shapes the low frequencies: its spectrum falls to half within a tenth of the sampling rate.
+SLOW = 0.5
 #: A model whose S(0) is uncertain by more than this many powers of e is not adopted: the drift hides its low frequencies.
 UNOBSERVABLE = 3.0
 #: S(0) is averaged over so many hops: two windows.
@@ -55,9 +58,7 @@ def zero_frequency(model: ArmaModel) -> float:
 
 def slow_pole(model: ArmaModel) -> int | None:
     """Which of ``model.poles`` is real and slow, the slowest of them; None when there is none."""
-    poles = model.poles
-    slow = [i for i, z in enumerate(poles) if abs(z.imag) < 1e-9 and z.real > 0.5]
-    return max(slow, key=lambda i: poles[i].real) if slow else None
+    return slowest_real(model.poles, above=SLOW)
 
 
 def with_zero_frequency(model: ArmaModel, factor: float) -> tuple[Array, float]:

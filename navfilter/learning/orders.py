@@ -11,22 +11,36 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.arma.model import ArmaModel
-from navfilter.arma.online.bank import cancelling_pairs
-from navfilter.learning.fit import ChannelFit, channel_fit
+from navfilter.learning.fit import CHANNEL_CHOICE, ChannelFit, channel_fit
 from navfilter.learning.likelihood import Likelihood, Point, maximise
 from navfilter.learning.low_frequency import log_s0, with_upward_spread
 
-__all__ = ["LEAD", "Candidate", "denies", "fit_candidate", "preferred"]
+__all__ = ["Candidate", "finds_more_low_frequency_power", "fit_candidate", "preferred"]
 
 Array = NDArray[np.float64]
 Order = tuple[int, int]
 
-# Difference in BIC that counts, as in `ArmaBank`.
-LEAD = 6.0
-# BIC believes a parameter only on strong evidence. For power at zero frequency the burden of proof is the other way round:
-# a larger candidate that passes the gate and finds far more of it (by two standard deviations, at least twofold) is
-# preferred unless it is this much worse. 20 is two or three parameters that gain next to nothing.
-OPEN, TWOFOLD = 20.0, math.log(2.0)
+
+@dataclass(frozen=True)
+class Proof:
+    """BIC believes a parameter only on strong evidence; for power at zero frequency the burden of proof is the other way round.
+
+    A larger candidate that passes the gate and finds far more of it is preferred unless it is ruled out.
+
+    Attributes
+    ----------
+    ruled_out : float
+        So much worse by BIC: two or three parameters that gain next to nothing.
+    deviations, factor : float
+        Far more is by so many standard deviations of ln S(0), and at least by this factor.
+    """
+
+    ruled_out: float = 20.0
+    deviations: float = 2.0
+    factor: float = 2.0
+
+
+PROOF = Proof()
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +63,7 @@ class Candidate:
         model = self.fit.model
         if model.covariance is None or not np.all(np.isfinite(model.covariance)):
             return True
-        return cancelling_pairs(model.ar, model.ma, model.covariance) > 0
+        return CHANNEL_CHOICE.cancels(model.ar, model.ma, model.covariance)
 
     @cached_property
     def passes(self) -> bool:
@@ -77,14 +91,14 @@ def preferred(candidates: Iterable[Candidate]) -> Candidate | None:
         return None
     best = ranked[first]
     for other in ranked[first + 1 :]:
-        if other.fit.bic <= ranked[first].fit.bic + OPEN and denies(best, other) and other.passes:
+        if other.fit.bic <= ranked[first].fit.bic + PROOF.ruled_out and finds_more_low_frequency_power(other, best) and other.passes:
             best = other
     return best
 
 
-def denies(one: Candidate, other: Candidate) -> bool:
-    """Whether `one` denies the power at zero frequency that `other`, not ruled out, finds."""
-    if other.fit.bic > one.fit.bic + OPEN:
+def finds_more_low_frequency_power(one: Candidate, other: Candidate) -> bool:
+    """Whether `one`, not ruled out against `other`, finds far more power at zero frequency, see `Proof`."""
+    if one.fit.bic > other.fit.bic + PROOF.ruled_out:
         return False
-    excess = log_s0(other.theta, other.order[0]) - log_s0(one.theta, one.order[0])
-    return excess > max(2.0 * (one.fit.model.sd_log_s0 or 0.0), TWOFOLD)
+    excess = log_s0(one.theta, one.order[0]) - log_s0(other.theta, other.order[0])
+    return excess > max(PROOF.deviations * (other.fit.model.sd_log_s0 or 0.0), math.log(PROOF.factor))

@@ -10,6 +10,7 @@ import numpy as np
 
 from navfilter.error_models import ErrorModel
 from navfilter.learning.learned import LearnedArma, learned_part, learning_part, with_learned
+from navfilter.learning.limits import LEAST
 from navfilter.learning.listener import ChannelSeries
 from navfilter.learning.low_frequency import zero_frequency
 from navfilter.vehicle import Vehicle
@@ -51,7 +52,7 @@ def refitted(vehicle: Vehicle, series: Mapping[str, tuple[ChannelSeries, ...]]) 
 
 
 def _fitted(model: ErrorModel, channel: ChannelSeries) -> ErrorModel:
-    from navfilter.learning.learner import LEAST, Learner
+    from navfilter.learning.learner import Learner
 
     part = learning_part(model)
     if part is None or np.count_nonzero(np.isfinite(channel.value)) < LEAST:

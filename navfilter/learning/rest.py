@@ -14,6 +14,7 @@ from navfilter.learning.bias import hand_over, plainer
 from navfilter.learning.drift import Drift
 from navfilter.learning.learned import known_walk, known_white, learned_part, learning_part, with_learned
 from navfilter.learning.learner import Learner, LearnerMemory
+from navfilter.learning.limits import LONGEST_GAP
 from navfilter.learning.low_frequency import HOPS_REMEMBERED, steadied, zero_frequency
 from navfilter.mechanisation import Imu, Mechanisation
 from navfilter.sensors import ZeroVelocity
@@ -30,8 +31,6 @@ SLOWEST, STEADIEST = 0.05, 0.02
 UNKNOWN = 0.2
 #: So many blocks at rest in a row count, but for the first and the last.
 RUN = 3
-#: More missing ticks than this end a segment; so many and one more separate two of them (see `navfilter.kernels.channel`).
-LONGEST_GAP = 8
 #: Without a hop of its own a unit is looked at first when half a window is full, then whenever there is half as much again, and at least
 #: once in so many windows.
 LAZIEST = 10

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from navfilter.arma.algebra import add_arma
 from navfilter.arma.model import ArmaModel
-from navfilter.arma.starts import default_long_order, hannan_rissanen_start, long_residuals, pull_inside
+from navfilter.arma.roots import pull_inside, slowest_real
+from navfilter.arma.starts import default_long_order, hannan_rissanen_start, long_residuals
 from navfilter.learning.likelihood import Likelihood
 
 __all__ = ["cold_starts", "grown_starts", "padded_start", "slow_part_start"]
@@ -133,8 +134,8 @@ def _detrended(likelihood: Likelihood) -> Array:
 def _without_slowest(c: Array) -> Array:
     """Coefficients without the real root nearest to 1 (or, where there is none, without the last coefficient)."""
     roots = np.roots(np.r_[1.0, c])
-    real = np.flatnonzero(np.abs(roots.imag) < 1e-9)
-    if real.size == 0 or roots.size != c.size:
+    slowest = slowest_real(roots)
+    if slowest is None:
         return c[:-1]
-    kept = np.delete(roots, real[np.argmax(roots[real].real)])
+    kept = np.delete(roots, slowest)
     return np.atleast_1d(np.poly(kept)).real[1:]

@@ -9,20 +9,21 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from navfilter.arma.algebra import split_bias
+from navfilter.arma.choice import Challenge, Choice
 from navfilter.arma.model import ArmaModel, log_s0_sd
 from navfilter.arma.online.recursive import RecursiveArma
-from navfilter.arma.unit_root import cap_poles, has_unit_root, split_bias
+from navfilter.arma.roots import cap_poles, has_unit_root, resolved_radius
 from navfilter.kernels import arma as kernel
 
-__all__ = ["ArmaBank", "cancelling_pairs", "moment_gm1"]
+__all__ = ["ArmaBank", "moment_gm1"]
 
 Array = NDArray[np.float64]
 
-DEFAULT_ORDERS = ((0, 0), (1, 0), (0, 1), (1, 1), (2, 0), (2, 1), (2, 2), (3, 2), (4, 2))
-# A candidate this far behind is followed by its recursion alone until the order in use no longer serves.
-FAR, PASSES = 30.0, 8
-# Hysteresis: a challenger must lead by this much, at this many hops in a row.
-LEAD, HOPS = 6.0, 2
+BANK_ORDERS = ((0, 0), (1, 0), (0, 1), (1, 1), (2, 0), (2, 1), (2, 2), (3, 2), (4, 2))
+#: A candidate this far behind by the criterion is followed by its recursion alone until the order in use no longer serves,
+#: the others are polished by so many passes at most.
+HOPELESS, POLISHES = 30.0, 8
 
 
 class ArmaBank:
@@ -74,7 +75,7 @@ class ArmaBank:
         self,
         window: int,
         *,
-        orders: Sequence[tuple[int, int]] = DEFAULT_ORDERS,
+        orders: Sequence[tuple[int, int]] = BANK_ORDERS,
         hop: int | None = None,
         mean: bool = True,
         clip: float = 4.0,
@@ -86,11 +87,11 @@ class ArmaBank:
         if not orders:
             raise ValueError("orders is empty. Give at least one (p, q).")
         self.orders = tuple(sorted({(int(p), int(q)) for p, q in orders}, key=lambda pq: (sum(pq), pq)))
-        self.window, self.criterion, self.strict, self.mean = int(window), criterion, bool(strict), bool(mean)
+        self.window, self.choice, self.strict, self.mean = int(window), Choice(criterion), bool(strict), bool(mean)
         self.candidates = tuple(RecursiveArma(p, q, window, hop=hop, mean=mean, clip=clip) for p, q in self.orders)
         self._side_by_side()
         self._chosen: int | None = None
-        self._challenger, self._leads = -1, 0
+        self._challenge = Challenge()
         self._stale = 0
         self._walk_sd = 0.0
         self._model = ArmaModel(np.zeros(0), np.zeros(0), 0.0, effective_window=0.0, flags=frozenset({"starting"}))
@@ -173,8 +174,8 @@ class ArmaBank:
         """Spend the work of the next hop on the candidates that may win it; on all while the record is young."""
         young = self.candidates[0].n_seen < self.window or self._chosen is None or self._stale > 0
         for candidate, score in zip(self.candidates, scores, strict=True):
-            near = young or not score > scores.min() + FAR
-            candidate._fit.passes = PASSES if near else 1
+            near = young or not score > scores.min() + HOPELESS
+            candidate._fit.passes = POLISHES if near else 1
             candidate._fit.may_search = near
 
     def _score(self, candidate: RecursiveArma) -> float:
@@ -183,26 +184,24 @@ class ArmaBank:
         if used < 2 or not np.any(residuals):
             return math.inf
         n = float(residuals.size)
-        penalty = math.log(n) if self.criterion == "bic" else 2.0 * math.log(math.log(n))
-        return n * math.log(float(residuals @ residuals) / used) + penalty * (candidate.p + candidate.q)
+        return self.choice.score(n * math.log(float(residuals @ residuals) / used), candidate.p + candidate.q, n)
 
     def _passes(self, i: int) -> bool:
         candidate = self.candidates[i]
         if not candidate.is_stable or not np.all(np.isfinite(candidate.covariance)):
             return False
-        return candidate.is_white and not cancelling_pairs(candidate.ar, candidate.ma, candidate.covariance)
+        return candidate.is_white and not self.choice.cancels(candidate.ar, candidate.ma, candidate.covariance)
 
     def _choose(self, good: int, scores: Array) -> None:
         """Adopt the best that passed, with hysteresis once the window is full."""
         now = self._chosen
         full = self.candidates[0].n_seen >= self.window
         if now is not None and now != good and full and self._passes(now):
-            self._leads = self._leads + 1 if self._challenger == good else 1
-            self._challenger = good
-            if scores[now] - scores[good] <= LEAD or self._leads < HOPS:
+            self._challenge = self._challenge.by(self.orders[good])
+            if scores[now] - scores[good] <= self.choice.lead or self._challenge.leads < self.choice.hops:
                 good = now
         if good != now:
-            self._challenger, self._leads = -1, 0
+            self._challenge = Challenge()
         self._chosen = good
         self._hand_out(self.candidates[good].model)
 
@@ -220,7 +219,7 @@ class ArmaBank:
             self._walk_sd, rest = split_bias(model)
             self._model = replace(rest, flags=flags)
         except ValueError:
-            ar = cap_poles(model.ar, 1.0 - 3.0 / window)
+            ar = cap_poles(model.ar, resolved_radius(window))
             spread = log_s0_sd(ar, model.ma, model.covariance, window)
             self._model = replace(model, ar=ar, sd_log_s0=spread, flags=flags)
 
@@ -248,7 +247,8 @@ class ArmaBank:
         kept = {f"{i}/{name}": v for i, c in enumerate(self.candidates) for name, v in c.snapshot().items()}
         chosen = -1 if self._chosen is None else self._chosen
         model, n = self._model, self._model.p + self._model.q
-        kept["choice"] = np.array([chosen, self._challenger, self._leads, self._stale, self._walk_sd], dtype=np.float64)
+        challenger = -1 if self._challenge.order is None else self.orders.index(self._challenge.order)
+        kept["choice"] = np.array([chosen, challenger, self._challenge.leads, self._stale, self._walk_sd], dtype=np.float64)
         kept["model"] = np.r_[model.p, model.q, model.ar, model.ma, model.sd]
         kept["model_covariance"] = np.full((n, n), np.nan) if model.covariance is None else model.covariance.copy()
         optional = (model.sd_log_s0, model.effective_window)
@@ -263,7 +263,8 @@ class ArmaBank:
             candidate.restore(own)
         chosen, challenger, leads, stale, self._walk_sd = (float(v) for v in snapshot["choice"])
         self._chosen = None if chosen < 0 else int(chosen)
-        self._challenger, self._leads, self._stale = int(challenger), int(leads), int(stale)
+        self._challenge = Challenge(None if challenger < 0 else self.orders[int(challenger)], int(leads))
+        self._stale = int(stale)
         p, q = int(snapshot["model"][0]), int(snapshot["model"][1])
         ar, ma, sd = np.split(snapshot["model"][2:], [p, p + q])
         covariance = snapshot["model_covariance"]
@@ -271,42 +272,6 @@ class ArmaBank:
         known = None if np.any(np.isnan(covariance)) or (p + q == 0 and spread is None) else covariance
         flags = bytes(snapshot["model_flags"].astype(np.uint8)).decode()
         self._model = ArmaModel(ar, ma, float(sd[0]), known, spread, length, frozenset(flags.split(",")) - {""})
-
-
-def cancelling_pairs(ar: ArrayLike, ma: ArrayLike, covariance: ArrayLike, deviations: float = 2.0) -> int:
-    """Number of pole-zero pairs closer than `deviations` of the standard deviation of their distance.
-
-    The distance of pole z_i and zero z_j has, to first order, the gradient
-    ``-z_i^(p-k) / A'(z_i)`` in a_k and ``+z_j^(q-k) / C'(z_j)`` in c_k.
-
-    Examples
-    --------
-    >>> cancelling_pairs([-0.50], [-0.52], [[0.01, 0.0], [0.0, 0.01]])
-    1
-    >>> cancelling_pairs([-0.99], [-0.93], [[1e-5, 0.0], [0.0, 1e-5]])
-    0
-    """
-    a, c = np.asarray(ar, dtype=np.float64), np.asarray(ma, dtype=np.float64)
-    p, q = a.size, c.size
-    if p == 0 or q == 0:
-        return 0
-    cov = np.asarray(covariance, dtype=np.float64)
-    poles, zeros = np.roots(np.r_[1.0, a]), np.roots(np.r_[1.0, c])
-    count = 0
-    free = list(range(zeros.size))
-    for pole in poles:
-        if not free:
-            break
-        j = min(free, key=lambda k: abs(pole - zeros[k]))
-        slope_a, slope_c = np.polyval(np.polyder(np.r_[1.0, a]), pole), np.polyval(np.polyder(np.r_[1.0, c]), zeros[j])
-        if slope_a == 0.0 or slope_c == 0.0:
-            continue
-        gradient = np.r_[-(pole ** np.arange(p - 1, -1, -1)) / slope_a, zeros[j] ** np.arange(q - 1, -1, -1) / slope_c]
-        spread = math.sqrt(max(float((gradient @ cov @ gradient.conj()).real), 0.0))
-        if abs(pole - zeros[j]) < deviations * spread:
-            count += 1
-            free.remove(j)
-    return count
 
 
 def moment_gm1(series: ArrayLike, mean: bool = True) -> ArmaModel:
@@ -330,7 +295,7 @@ def moment_gm1(series: ArrayLike, mean: bool = True) -> ArmaModel:
     rho = float(x[1:] @ x[:-1]) / pairs / variance
     if abs(rho) < 2.0 / math.sqrt(n):
         return ArmaModel(np.zeros(0), np.zeros(0), top * math.sqrt(variance), np.zeros((0, 0)), None, float(n), flags)
-    limit = 1.0 - 3.0 / max(n, 4)
+    limit = resolved_radius(max(n, 4))
     rho = min(max(rho, -limit), limit)
     covariance = np.array([[(1.0 - rho * rho) / n]])
     sd = top * math.sqrt(variance * (1.0 - rho * rho))

@@ -7,9 +7,9 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from navfilter.arma.model import ArmaModel, is_stable, log_s0_sd
+from navfilter.arma.model import ArmaModel, log_s0_sd
 from navfilter.arma.online.window import WindowFit
-from navfilter.arma.unit_root import has_unit_root
+from navfilter.arma.roots import has_unit_root, is_stable
 from navfilter.diagnostics import whiteness
 from navfilter.kernels import arma as kernel
 

@@ -1,0 +1,72 @@
+"""How much the learner computes, in one place: passes, steps and tolerances of the maximisation, and whose turn it is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+__all__ = ["EFFORT", "Effort"]
+
+
+@dataclass(frozen=True)
+class Effort:
+    """Numerical effort of learning; none of it says what is believed of a sensor.
+
+    Attributes
+    ----------
+    first_passes : int
+        Scoring passes of an order that was never fitted, while the window fills.
+    late_passes : int
+        The same later, when its turn comes.
+    own_passes, other_passes : int
+        Passes of the order in use, and of a challenger: from one hop to the next an estimate moves little.
+    below_passes : int
+        Passes of a lower order that only serves as a start.
+    race_passes : int
+        Passes of each of several starts before the leader goes on alone.
+    hopeless_bic : float
+        A candidate this far behind has rarer turns,
+    hopeless_size : int
+        and so has one with so many parameters more than the order in use.
+    rare_turn : int
+        Every so many-th turn is for those: the error may have changed.
+    patience : int
+        While the window fills, an order with so many parameters more than a good one waits.
+    recent_samples : int
+        Starts are compared on the newer half of a series, if that holds so many samples.
+    zero_radius : float
+        Largest radius of a zero: one on the circle would never forget its start.
+    gain_tolerance : float
+        Relative change of the gain over which it is interpolated. Measured: the log-likelihood changes by 1e-3 to 3e-2.
+    converged : float
+        What is left to gain when an estimate counts as converged, in units of log-likelihood: far below its sampling error.
+    small_gain : float
+        After a step that gains less, derivatives are not taken again.
+    longest_step : float
+        Largest change of ln sd in one step.
+    differences : tuple of float
+        Difference steps, the first that stays stable is taken: poles that crowd near the circle leave it at a very small one.
+    dampings : tuple of float
+        Levenberg damping of a scoring step, relative to the information, until one gains.
+    """
+
+    first_passes: int = 20
+    late_passes: int = 3
+    own_passes: int = 2
+    other_passes: int = 1
+    below_passes: int = 8
+    race_passes: int = 2
+    hopeless_bic: float = 100.0
+    hopeless_size: int = 2
+    rare_turn: int = 4
+    patience: int = 2
+    recent_samples: int = 500
+    zero_radius: float = 0.9995
+    gain_tolerance: float = 0.1
+    converged: float = 1e-3
+    small_gain: float = 0.05
+    longest_step: float = 1.5
+    differences: tuple[float, ...] = (1e-6, -1e-6, 1e-7, -1e-7, 1e-8, -1e-8, 1e-9, -1e-9, 1e-10, -1e-10)
+    dampings: tuple[float, ...] = (1e-6, 1e-3, 1e-2, 1e-1, 1.0, 10.0, 1e3)
+
+
+EFFORT = Effort()
