@@ -60,11 +60,13 @@ class Sensor:
     from_drive : bool
         Made from the drive's own samples: there is no stream, and there are no readings.
     sees_velocity : bool
-        Reads the velocity in the body's axes, through the heading: taken with its second-order term while the heading is hardly known.
+        Reads the three components of the velocity in the body's axes, through the heading: taken with its second-order term while the
+        heading is hardly known.
     confirms_state : bool
         Readings that fit say that the state is right, whatever the others read.
     open_loop : int
         How the feedback is taken off again for learning, see `navfilter.kernels.listen`; NOTHING: its error cannot be learnt under way.
+        The direction in which an axis sees the state must not turn much within a window of learning, or the drift is no chain.
     gives : str
         What a start can take from one reading alone: "position" (latitude, longitude, height), "heading", "depth", "velocity", or nothing.
     corrects : str
@@ -225,7 +227,10 @@ class Sensor:
     def examples(cls) -> tuple[Sensor, ...]:
         """Sensors that between them use all that is compiled or loaded for this kind; none where its defaults do not make one."""
         needed = any(f.init and f.default is MISSING and f.default_factory is MISSING for f in fields(cls))
-        return () if needed or not hasattr(cls, "kernel") else (cls(),)
+        try:
+            return () if needed or not hasattr(cls, "kernel") else (cls(),)
+        except ValueError:
+            return ()  # a default that stands for "must be given"
 
 
 def checked_vector(owner: str, value: ArrayLike, size: int = 3) -> tuple[float, ...]:

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from navfilter.error_models import ErrorModel, GaussMarkov, White
 from navfilter.filter.layout import Parameter
@@ -145,6 +144,8 @@ class BodyVelocity(Sensor):
 
     def simulated(self, here: Kinematics, truth: Truth) -> Reading:
         """Velocity of the instrument in its own axes, over ground or through water that moves."""
+        from scipy.spatial.transform import Rotation  # only a simulation needs it
+
         lever = np.asarray(self.lever_arm_b_m, dtype=np.float64)
         v_b = np.einsum("nij,ni->nj", here.C_nb, here.velocity_n - truth.current_n) + np.cross(here.rate_eb_b, lever)
         mounting = Rotation.from_euler("ZYX", self.mounting_rad[::-1])
