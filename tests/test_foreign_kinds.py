@@ -16,10 +16,12 @@ from navfilter.check.description import describe_vehicle
 from navfilter.check.plausibility import check_vehicle
 from navfilter.error_models import Block, ErrorModel, block_level
 from navfilter.filter.layout import Parameter
+from navfilter.io import write_vehicle
 from navfilter.io.geodesy import ecef_from_geodetic
 from navfilter.kernels import listen
 from navfilter.learning.drift import Drift
 from navfilter.learning.learned import learned_part
+from navfilter.playback import drive_samples
 from navfilter.report.report import render_report
 from navfilter.sensors import Sensor
 from navfilter.sensors.traits import Columns, Plausible
@@ -135,7 +137,7 @@ def test_vehicle_toml_writes_and_reads_them(dive, tmp_path):
     vehicle, _, _ = dive
     learnt = nf.LearnedArma(prior=Swing(sd=0.5, swing_s=20.0, tau_s=40.0))
     for each in (vehicle, vehicle.with_error(beacon=learnt)):
-        path = nf.io.vehicle_toml.write_vehicle(each, tmp_path / "vehicle.toml")
+        path = write_vehicle(each, tmp_path / "vehicle.toml")
         assert 'type = "beacon-range"' in path.read_text() and 'model = "swing"' in path.read_text()
         assert nf.read_vehicle(path) == each
 
@@ -221,18 +223,24 @@ def test_the_sensor_is_learnt():
 @pytest.mark.xfail(strict=False, reason="snapshot.MODELS is a closed list until error models are found by subclass")
 def test_snapshot_and_restore(dive):
     vehicle, mission, _ = dive
+    times, values = drive_samples(vehicle, mission)
+    ranges = mission.streams["beacon"]
+
+    def feed(nav, rows):
+        for k in rows:  # ten samples, then a range
+            nav.step_samples(np.column_stack([times[10 * k : 10 * k + 10], values[10 * k : 10 * k + 10]]))
+            nav.correct("beacon", float(ranges.time_s[k + 1]), ranges.value[k + 1])
+
     learned = nf.LearnedArma(prior=Swing(sd=0.5, swing_s=20.0, tau_s=40.0))
     for each in (vehicle, vehicle.with_error(beacon=learned)):
         nav = nf.Navigator(each, mission.start)
-        times, values = nf.playback.drive_samples(each, mission)
-        nav.step_samples(np.column_stack([times[:200], values[:200]]))
+        feed(nav, range(20))
         nav.adopt("beacon", Swing(sd=0.7, swing_s=25.0, tau_s=40.0))
+        feed(nav, range(20, 40))  # beyond what late readings reach, so that the model is in the snapshot
         again = nf.Navigator.restore(each, nav.snapshot())
-        for part in (nav, again):
-            part.step_samples(np.column_stack([times[200:400], values[200:400]]))
-            part.correct("beacon", 19.5, mission.streams["beacon"].value[39])
-        assert again.state == nav.state or np.array_equal(again.state.pack(), nav.state.pack())
-        assert again.errors == nav.errors
+        for run in (nav, again):
+            feed(run, range(40, 60))
+        assert np.array_equal(again.state.pack(), nav.state.pack()) and again.errors == nav.errors
 
 
 def test_what_an_error_adds_to_an_integral():
