@@ -47,8 +47,8 @@ import navfilter as nf
 from navfilter.check.description import describe_vehicle
 from navfilter.check.plausibility import check_vehicle
 from navfilter.io import VehicleError, read_mission, read_vehicle, write_vehicle
+from navfilter.io.contents import groups
 from navfilter.io.json_lines import BAD_KINDS, BadLine, LineParser, Reading
-from navfilter.io.mission_schema import GROUPS
 from navfilter.io.tables import TableOptions, read_table
 from navfilter.io.units import SUFFIXES, UNITS
 from navfilter.io.vehicle_template import vehicle_template
@@ -65,7 +65,7 @@ WORDS = [
     invalid invalid_above valid_range sources only_changes average every resample_hz hide windows zero_s first from date log
     sensor time_s value rate_b force_b event bad lost latitude_deg longitude_deg heading_deg position_sd_m table transpose
     delimiter decimal comment skip_lines skip_rows header max_gap_s rollover ends_only iso8601 reference ecef enu order wxyz""".split(),  # noqa: SIM905
-    *GROUPS,
+    *groups(),
     *(unit for unit in UNITS if unit),
     *(f"sd_{suffix}" for suffix in SUFFIXES),
 ]

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.mechanisation import DeadReckoning
+from navfilter.mechanisation import Mechanisation
 from navfilter.mission import Mission, Stream
-from navfilter.sensors import BodyVelocity, Depth, Heading, Position, WaterVelocity
 from navfilter.start import Start
 from navfilter.state import matrix_from_euler, wrap
 from navfilter.vehicle import Vehicle
@@ -50,11 +51,10 @@ def align(vehicle: Vehicle, mission: Mission, window_s: float = 5.0) -> Start:
     rows = (drive.time_s >= begin) & (drive.time_s <= begin + window_s) & np.isfinite(drive.value).all(axis=1)
     if not rows.any():
         raise ValueError(f"no valid reading of the drive within {window_s} s after {begin:.3f} s: nothing to align with.")
-    if isinstance(vehicle.drive, DeadReckoning):
+    if not vehicle.drive.inertial:
         roll, pitch, heading = drive.value[rows][0, :3]
-        if isinstance(vehicle.drive.attitude, Heading):
-            lat, lon = np.degrees(place[:2])
-            heading += vehicle.drive.attitude.declination(Start(latitude_deg=float(lat), longitude_deg=float(lon), date=mission.date))
+        lat, lon = np.degrees(place[:2])
+        heading += vehicle.drive.declination(Start(latitude_deg=float(lat), longitude_deg=float(lon), date=mission.date))
         tilt_sd, heading_sd = np.radians(1.0), np.radians(5.0)
     else:
         roll, pitch, tilt_sd = _level(drive.value[rows, 3:6], vehicle.drive)
@@ -77,15 +77,16 @@ def align(vehicle: Vehicle, mission: Mission, window_s: float = 5.0) -> Start:
     )
 
 
-def _stream(vehicle: Vehicle, mission: Mission, kind: type) -> tuple[Stream, object] | None:
+def _stream(vehicle: Vehicle, mission: Mission, what: str) -> tuple[Stream, Any] | None:
+    """The first stream with readings that gives this by itself, and its sensor."""
     for name, sensor in vehicle.sensors.items():
-        if isinstance(sensor, kind) and not isinstance(sensor, WaterVelocity) and len(mission.streams.get(name, ())):
+        if sensor.gives == what and len(mission.streams.get(name, ())):
             return mission.streams[name], sensor
     return None
 
 
 def _first_fix(vehicle: Vehicle, mission: Mission) -> tuple[Array, Array, float]:
-    found = _stream(vehicle, mission, Position)
+    found = _stream(vehicle, mission, "position")
     if found is None:
         raise ValueError(
             "no start: the mission gives none ([start] in mission.toml), and the vehicle has no "
@@ -94,10 +95,10 @@ def _first_fix(vehicle: Vehicle, mission: Mission) -> tuple[Array, Array, float]
         )
     stream, sensor = found
     for t, value in zip(stream.time_s, stream.value, strict=True):
-        z = sensor.read(value)  # type: ignore[attr-defined]
+        z = sensor.read(value)
         if z is None:
             continue
-        blocks = [m.block(1.0 / sensor.rate_hz) for m in sensor.models]  # type: ignore[attr-defined]
+        blocks = [m.block(1.0 / sensor.rate_hz) for m in sensor.models]
         sd = np.sqrt([b.r + b.C @ b.P0 @ b.C for b in blocks])
         if not np.isfinite(z[2]):
             z, sd = z.copy(), sd.copy()
@@ -107,18 +108,18 @@ def _first_fix(vehicle: Vehicle, mission: Mission) -> tuple[Array, Array, float]
 
 
 def _height(vehicle: Vehicle, mission: Mission) -> tuple[float, float]:
-    found = _stream(vehicle, mission, Depth)
+    found = _stream(vehicle, mission, "depth")
     if found is None:
         return 0.0, 50.0
     stream, sensor = found
-    z = sensor.read(stream.value[0])  # type: ignore[attr-defined]
-    return (0.0, 50.0) if z is None else (float(sensor.surface_height_m - z[0]), 1.0)  # type: ignore[attr-defined]
+    z = sensor.read(stream.value[0])
+    return (0.0, 50.0) if z is None else (float(sensor.surface_height_m - z[0]), 1.0)
 
 
-def _level(force: Array, drive: object) -> tuple[float, float, float]:
+def _level(force: Array, drive: Mechanisation) -> tuple[float, float, float]:
     """Roll, pitch [rad] and their standard deviation from the mean specific force (Groves, 2013, eq 5.101)."""
     if getattr(drive, "increments", False):
-        force = force / drive.period_s  # type: ignore[attr-defined]
+        force = force / drive.period_s
     mean = force.mean(axis=0)
     excess = abs(float(np.linalg.norm(mean)) - GRAVITY)
     if excess > 1.5:
@@ -140,11 +141,10 @@ def _level(force: Array, drive: object) -> tuple[float, float, float]:
 
 
 def _heading(vehicle: Vehicle, mission: Mission, begin: float, window_s: float, roll: float, pitch: float) -> tuple[float, float]:
-    found = _stream(vehicle, mission, Heading)
+    found = _stream(vehicle, mission, "heading")
     if found is None:
         return _course(vehicle, mission, begin)
     stream, sensor = found
-    assert isinstance(sensor, Heading)
     rows = (stream.time_s >= begin) & (stream.time_s <= begin + window_s)
     readings = [r for r in (sensor.read(v) for v in stream.value[rows]) if r is not None]
     if not readings:
@@ -158,13 +158,13 @@ def _heading(vehicle: Vehicle, mission: Mission, begin: float, window_s: float, 
         angles = np.array(readings)[:, 0]
     mean = float(np.angle(np.mean(np.exp(1j * angles))))
     block = sensor.models[0].block(1.0 / sensor.rate_hz)
-    variance = block.r / len(readings) + block.C @ block.P0 @ block.C + sum(sd**2 for _, sd in sensor.parameters()[:5])
+    variance = block.r / len(readings) + block.C @ block.P0 @ block.C + sum(p.sd**2 for p in sensor.parameters()[:5])
     return float(wrap(mean + sensor.declination(at))), float(np.sqrt(variance + np.radians(0.5) ** 2))
 
 
 def _course(vehicle: Vehicle, mission: Mission, begin: float, within_s: float = 60.0) -> tuple[float, float]:
     """Heading from the course between the first fixes, for vehicles that move where they point."""
-    found = _stream(vehicle, mission, Position)
+    found = _stream(vehicle, mission, "position")
     assert found is not None
     stream, _ = found
     rows = (stream.time_s >= begin) & (stream.time_s <= begin + within_s) & np.isfinite(stream.value[:, :2]).all(axis=1)
@@ -180,13 +180,12 @@ def _course(vehicle: Vehicle, mission: Mission, begin: float, within_s: float = 
 
 
 def _velocity(vehicle: Vehicle, mission: Mission, begin: float, window_s: float, rpy: Array) -> tuple[Array, float]:
-    found = _stream(vehicle, mission, BodyVelocity)
-    if found is None and isinstance(vehicle.drive, DeadReckoning):
+    found = _stream(vehicle, mission, "velocity")
+    if found is None and vehicle.drive.velocity_sensor is not None:
         found = mission.streams["velocity"], vehicle.drive.velocity_sensor
     if found is None:
         return np.zeros(3), 2.0
     stream, sensor = found
-    assert isinstance(sensor, BodyVelocity)
     near = np.flatnonzero((stream.time_s >= begin - 1.0) & (stream.time_s <= begin + window_s))
     for row in near:
         z = sensor.read(stream.value[row, :3])

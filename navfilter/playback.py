@@ -18,10 +18,8 @@ from navfilter.filter.tape import Tape
 from navfilter.learning.learned import LearnedArma
 from navfilter.learning.listener import ChannelSeries
 from navfilter.learning.refit import change, learning_sensors, refitted
-from navfilter.mechanisation import DeadReckoning
 from navfilter.mission import Mission
 from navfilter.navigator import Navigator
-from navfilter.sensors import ZeroVelocity
 from navfilter.start import Start
 from navfilter.state import euler_from_matrix, rotation_matrix
 from navfilter.track import Track
@@ -159,24 +157,14 @@ def drive_samples(vehicle: Vehicle, mission: Mission) -> tuple[Array, Array]:
     ValueError
         When a stream is missing, empty or has the wrong number of columns.
     """
-    wanted = [(name, 6 if name == "imu" else 3) for name in vehicle.drive.streams]
+    wanted = [(name, 6 // len(vehicle.drive.streams)) for name in vehicle.drive.streams]
     for name, columns in wanted:
         _require(mission, name, "the vehicle's drive needs it")
         if not len(mission.streams[name]):
             raise ValueError(f'stream "{name}" of this mission is empty; the vehicle\'s drive needs it.')
         if mission.streams[name].value.shape[1] < columns:
             raise ValueError(f'stream "{name}" has {mission.streams[name].value.shape[1]} columns, but its drive takes {columns}.')
-    if not isinstance(vehicle.drive, DeadReckoning):
-        imu = mission.streams["imu"]
-        return imu.time_s, imu.value[:, :6]
-    attitude, velocity = mission.streams["attitude"], mission.streams["velocity"]
-    good = np.isfinite(attitude.value[:, :3]).all(axis=1)
-    if good.sum() < 2:
-        raise ValueError('stream "attitude" has fewer than two valid readings.')
-    t, angles = attitude.time_s[good], np.unwrap(attitude.value[good, :3], axis=0)
-    inside = (velocity.time_s >= t[0] - vehicle.drive.period_s) & (velocity.time_s <= t[-1] + vehicle.drive.period_s)
-    times = velocity.time_s[inside]
-    return times, np.column_stack([*(np.interp(times, t, angles[:, i]) for i in range(3)), velocity.value[inside, :3]])
+    return vehicle.drive.samples(mission.streams)
 
 
 def _require(mission: Mission, name: str, why: str) -> None:
@@ -199,7 +187,7 @@ class _Events:
 
 
 def _events(vehicle: Vehicle, mission: Mission, begin_s: float) -> _Events:
-    names = tuple(name for name, sensor in vehicle.sensors.items() if not isinstance(sensor, ZeroVelocity))
+    names = tuple(name for name, sensor in vehicle.sensors.items() if not sensor.from_drive)
     for name in names:
         _require(mission, name, f'the vehicle has a sensor "{name}"')
         width, sensor = mission.streams[name].value.shape[1], vehicle.sensors[name]
@@ -378,5 +366,5 @@ def warm_up() -> None:
     # a learner's first hop comes minutes into a dive: no place to compile
     vehicle, mission = missions[0]
     learned = LearnedArma(prior=GaussMarkov(sd=0.01, tau_s=10.0))
-    replay(vehicle.with_error(compass=learned), mission)
+    replay(vehicle.with_error(**{name: learned for name, sensor in vehicle.sensors.items() if sensor.open_loop}), mission)
     Learner(learned.orders, 400, Drift((1e-3, 1e-5), 0.25)).hop(np.random.default_rng(1).normal(size=400))

@@ -187,3 +187,22 @@ def test_gauss_markov_stays_stationary_at_any_period(order, periods):
     # Q of order 4 at a thousandth of tau is 1e-20 of P0: rounding of P0 may show as a negative eigenvalue of that size.
     assert np.linalg.eigvalsh(block.Q).min() > -1e-15 * np.trace(block.P0)
     np.testing.assert_allclose(block.Phi @ block.P0 @ block.Phi.T + block.Q, block.P0, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("model", "expected"),
+    [
+        (nf.White(sd=0.2), (0.04, 0.0, 0.0)),
+        (nf.White(density=0.2), (0.04 / 0.5, 0.0, 0.0)),
+        (nf.RandomWalk(density=0.2, start_sd=0.3), (0.0, 0.04 * 0.5, 0.09)),
+        (nf.Arma(ar=(-0.8,), sd=0.1), (0.01 / 0.2**2, 0.0, 0.0)),
+        (nf.LearnedArma(prior=nf.White(sd=0.2)), (0.04, 0.0, 0.0)),
+        # stated as the bias of an instrument: its beginning is a walk
+        (nf.GaussMarkov(sd=2.0, tau_s=100.0), (0.0, 4.0 * -math.expm1(-0.01), 4.0)),
+    ],
+)
+def test_what_each_model_adds_to_an_integral(model, expected):
+    """White noise, walk and start of its bias, as variances per sample, at 2 Hz."""
+    assert model.integrated(0.5) == pytest.approx(expected, rel=1e-12, abs=1e-15)
+    twice = (model + model).integrated(0.5)
+    assert twice == pytest.approx([2.0 * part for part in expected], rel=1e-12, abs=1e-15)

@@ -1,6 +1,7 @@
 """The house stands: imports point down its layers, nothing goes in circles, and no module is called after nothing in particular."""
 
 import ast
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -138,3 +139,57 @@ def test_no_asserts_where_users_arrive():
             if isinstance(node, ast.Assert) and "is not None" not in ast.unparse(node.test) and "isinstance" not in ast.unparse(node.test):
                 found.append(f"{name_of(path)}:{node.lineno} {ast.unparse(node)}")
     assert found == []
+
+
+@cache
+def kinds_of(base):
+    """Names of all classes of the package below one, by the base classes as they are written."""
+    found, tree = {base}, [node for path in modules() for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.ClassDef)]
+    while new := {node.name for node in tree if found & {ast.unparse(b).rsplit(".", 1)[-1] for b in node.bases}} - found:
+        found |= new
+    return found - {base}
+
+
+def names_in(node):
+    return {getattr(part, "attr", getattr(part, "id", None)) for part in ast.walk(node)}
+
+
+#: Where each family of kinds is at home.
+HOMES = {"Sensor": "sensors", "Mechanisation": "mechanisation"}
+#: What may ask for one drive: the simulator draws an inertial unit's triples, learning at rest is about nothing else.
+EXCEPTIONS = {("simulation.simulate", "Imu"), ("learning.rest", "Imu")}
+
+
+@pytest.mark.parametrize("base", HOMES)
+def test_kinds_speak_for_themselves(base):
+    """Whoever needs to know what kind of sensor or drive he has asks it: no isinstance, no type(...), no name of a class elsewhere."""
+    kinds = kinds_of(base)
+    assert len(kinds) >= 2
+    wrong = []
+    for path in modules():
+        name = name_of(path)
+        if name.split(".")[0] == HOMES[base]:
+            continue
+        for node in ast.walk(ast.parse(path.read_text())):
+            asks = isinstance(node, ast.Call) and getattr(node.func, "id", "") in ("isinstance", "issubclass")
+            if asks or (isinstance(node, ast.Compare) and "type(" in ast.unparse(node)):
+                named = names_in(node) | {part.value for part in ast.walk(node) if isinstance(part, ast.Constant)}
+                wrong += [f"{name}:{node.lineno} {kind}" for kind in kinds & named if (name, kind) not in EXCEPTIONS]
+    assert wrong == []
+
+
+def test_there_is_no_list_of_kinds():
+    """No table of a module that stands outside the kinds' own home has two of them as keys or members."""
+    wrong = []
+    for path in modules():
+        name = name_of(path)
+        for node in ast.parse(path.read_text()).body:
+            value = getattr(node, "value", None) if isinstance(node, ast.Assign | ast.AnnAssign) else None
+            if value is None or name.split(".")[0] in HOMES.values():
+                continue
+            for part in ast.walk(value):
+                members = part.keys if isinstance(part, ast.Dict) else part.elts if isinstance(part, ast.Tuple | ast.List | ast.Set) else []
+                named = [kind for kind in kinds_of("Sensor") for member in members if member is not None and kind in names_in(member)]
+                if len(named) > 1:
+                    wrong.append(f"{name}:{node.lineno}")
+    assert wrong == []

@@ -78,7 +78,7 @@ def report_text(mission: Mission, findings: tuple[Finding, ...]) -> str:
 
 
 def _absent(mission: Mission, vehicle: Vehicle) -> Iterator[Finding]:
-    silent = {name for name, sensor in vehicle.sensors.items() if type(sensor).__name__ == "ZeroVelocity"}
+    silent = {name for name, sensor in vehicle.sensors.items() if sensor.from_drive}
     wanted = {*vehicle.drive.streams, *vehicle.sensors} - silent
     for name in sorted(wanted - set(mission.streams)):
         cure = f'Add the stream, or drop the sensor with vehicle.without("{name}").'

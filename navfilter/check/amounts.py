@@ -15,8 +15,9 @@ _SCALES: dict[str, tuple[tuple[str, float], ...]] = {
     "m_s2": (("m/s^2", 1.0), ("mg", _MILLI_G), ("ug", 1e-3 * _MILLI_G)),
     "m_s": (("m/s", 1.0), ("cm/s", 1e-2), ("mm/s", 1e-3)),
     "m": (("m", 1.0), ("cm", 1e-2), ("mm", 1e-3)),
+    "1": (("%", 1e-2),),
+    "rad_per_k": (("deg/K", _DEG),),
 }
-_PLAIN = {"rad": "rad", "rad_s": "rad/s", "m_s2": "m/s^2", "m_s": "m/s", "m": "m"}
 
 
 def amount(value: float, unit: str) -> str:
@@ -26,15 +27,15 @@ def amount(value: float, unit: str) -> str:
     ----------
     value : float
         In SI.
-    unit : {"rad", "rad_s", "m_s2", "m_s", "m"}
-        As in `Layout.units`.
+    unit : str
+        As in `Layout.units`; one that is not known is written as it is.
 
     Examples
     --------
     >>> amount(0.0105, "rad"), amount(2.4e-5, "rad_s"), amount(0.012, "m_s")
     ('0.602 deg', '4.95 deg/h', '1.2 cm/s')
     """
-    scales = _SCALES[unit]
+    scales = _SCALES.get(unit, ((unit.replace("_per_", "/").replace("_", "/"), 1.0),))
     name, size = next(((name, size) for name, size in scales if abs(value) >= 0.1 * size), scales[-1] if value else scales[0])
     return f"{value / size:.3g} {name}"
 

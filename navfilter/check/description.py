@@ -10,9 +10,10 @@ import numpy as np
 
 from navfilter.check.amounts import amount, duration, root_density, walk
 from navfilter.error_models import Arma, Block, ErrorModel, GaussMarkov, RandomWalk, Sum, White
-from navfilter.filter.layout import PARAMETER_UNITS, Layout
+from navfilter.filter.layout import Layout, Parameter
 from navfilter.learning.learned import LearnedArma
-from navfilter.mechanisation import Imu
+from navfilter.mechanisation import Mechanisation
+from navfilter.sensors import Sensor
 
 if TYPE_CHECKING:
     from navfilter.vehicle import Vehicle
@@ -20,14 +21,6 @@ if TYPE_CHECKING:
 __all__ = ["describe_error", "describe_vehicle", "zero_frequency"]
 
 _ORDERS = {1: "first", 2: "second", 3: "third", 4: "fourth"}
-_KINDS = {
-    "BodyVelocity": "body velocity",
-    "WaterVelocity": "velocity through the water",
-    "Heading": "heading",
-    "Depth": "depth",
-    "Position": "position",
-    "ZeroVelocity": "zero velocity, whenever the inertial unit says that the vehicle rests; needs no stream",
-}
 _COLUMN = 13
 
 
@@ -59,33 +52,25 @@ def describe_vehicle(vehicle: Vehicle) -> str:
     return "\n".join(lines)
 
 
-def _drive_lines(drive: Any) -> Iterator[str]:
+def _drive_lines(drive: Mechanisation) -> Iterator[str]:
     streams = " and ".join(f'"{stream}"' for stream in drive.streams)
-    if isinstance(drive, Imu):
-        what = "angle and velocity increments" if drive.increments else "rates and forces"
-        yield f"Drive: inertial unit at {drive.rate_hz:g} Hz, {what} (stream {streams})"
-        groups = {"gyro": slice(0, 3), "accel": slice(3, 6)}
-    else:
-        yield f"Drive: dead reckoning by attitude and body velocity at {drive.rate_hz:g} Hz (streams {streams})"
-        groups = {"attitude": slice(0, 3), "velocity": slice(3, 6)}
-    for name, part in groups.items():
+    yield f"Drive: {drive.words} (stream{'s' if len(drive.streams) > 1 else ''} {streams})"
+    for name, part in zip(drive.triples, (slice(0, 3), slice(3, 6)), strict=True):
         yield from _error_lines(name, drive.models[part], drive.axis_names[part], drive.units[part], drive.period_s)
-    if not isinstance(drive, Imu):
+    if drive.velocity_sensor is not None:
         yield from _fitting_lines(drive.velocity_sensor)
     yield from _parameter_lines(drive.parameters())
 
 
-def _sensor_lines(name: str, sensor: Any) -> Iterator[str]:
-    kind = "magnetometer" if getattr(sensor, "magnetometer", False) else _KINDS.get(type(sensor).__name__, type(sensor).__name__)
-    if getattr(sensor, "pressure", False):
-        kind = "depth from absolute pressure"
-    yield f'Sensor "{name}": {kind}, {sensor.rate_hz:g} Hz'
+def _sensor_lines(name: str, sensor: Sensor) -> Iterator[str]:
+    yield f'Sensor "{name}": {sensor.words}, {sensor.rate_hz:g} Hz'
     yield from _error_lines("error", sensor.models, sensor.axis_names, (sensor.unit,) * sensor.axes, 1.0 / sensor.rate_hz)
     yield from _fitting_lines(sensor)
     wandering = sensor.wandering()
-    yield from _parameter_lines(tuple(item for item in sensor.parameters() if item[0] not in wandering))
-    for name, model in wandering.items():
-        yield _line(name.replace("_", " "), f"estimated, {describe_error(model, sensor.unit, 1.0 / sensor.rate_hz)[0]}")
+    yield from _parameter_lines(tuple(p for p in sensor.parameters() if p.name not in wandering))
+    units = {p.name: p.unit for p in sensor.parameters()}
+    for key, model in wandering.items():
+        yield _line(key.replace("_", " "), f"estimated, {describe_error(model, units[key], 1.0 / sensor.rate_hz)[0]}")
     share = 1.0 - sensor.gate_probability
     yield _line("gate", f"refuses one good reading in {1.0 / share:.0f}; widens after {duration(sensor.gate_timeout_s)} of refusals")
 
@@ -110,15 +95,9 @@ def _fitting_lines(sensor: Any) -> Iterator[str]:
         yield _line("mounting", "roll {:g}, pitch {:g}, yaw {:g} deg".format(*(round(math.degrees(angle), 6) for angle in mounting)))
 
 
-def _parameter_lines(parameters: tuple[tuple[str, float], ...]) -> Iterator[str]:
+def _parameter_lines(parameters: tuple[Parameter, ...]) -> Iterator[str]:
     """Constant states: those that may differ from zero."""
-    texts = []
-    for name, sd in parameters:
-        if not sd:
-            continue
-        unit = next(unit for begin, unit in PARAMETER_UNITS.items() if name.split(".")[-1].startswith(begin))
-        size = f"{100.0 * sd:.3g} %" if unit == "1" else f"{math.degrees(sd):.3g} deg/K" if unit == "rad_per_k" else amount(sd, unit)
-        texts.append(f"{name} {size}")
+    texts = [f"{p.name} {amount(p.sd, p.unit)}" for p in parameters if p.sd]
     if texts:
         yield _line("constants", f"estimated, sd at the start: {', '.join(texts)}")
 

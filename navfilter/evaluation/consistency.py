@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -14,7 +13,7 @@ from scipy.stats import chi2
 from navfilter.diagnostics import Whiteness, acf, whiteness
 from navfilter.filter.tape import OUTCOMES, Residuals
 from navfilter.mission import Stream
-from navfilter.sensors import Sensor
+from navfilter.sensors import Sensor, traits
 from navfilter.track import Track
 
 __all__ = ["ERRORS", "LAGS", "chi_square_range", "figures_of", "independent", "innovation_series", "inside", "shown_unit"]
@@ -26,7 +25,6 @@ Windows = tuple[tuple[float, float], ...]
 LAGS, LEAST = 20, 100
 #: Figures that `Track.summary` gives where there is a truth.
 ERRORS = ("position_rms_m", "position_max_m", "position_end_m", "position_end_pct", "heading_rms_deg", "velocity_rms_m_s")
-_UNITS = {"rad": ("deg", 180.0 / math.pi), "m_s": ("m/s", 1.0), "m": ("m", 1.0)}
 
 
 def inside(time_s: Array, windows: Windows) -> NDArray[np.bool_]:
@@ -140,7 +138,7 @@ def _sensor(name: str, sensor: Sensor, r: Residuals, common: Array) -> dict[str,
 
 def shown_unit(sensor: Sensor) -> tuple[str, float]:
     """Unit in which a comparison shows residuals of a sensor, and its factor from SI."""
-    return _UNITS.get(sensor.unit, (sensor.unit, 1.0))
+    return traits.shown_unit(sensor.unit)
 
 
 def innovation_series(residuals: Residuals, axis: int, rows: NDArray[np.bool_] | None = None) -> Array:

@@ -5,29 +5,46 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple, SupportsFloat
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-__all__ = ["Group", "Layout"]
+__all__ = ["Group", "Layout", "Parameter"]
 
 Array = NDArray[np.float64]
 
-#: Units of the parameters by the beginning of their last name; "1" is a pure number.
-PARAMETER_UNITS = {
-    "scale": "1",
-    "misalignment": "rad",
-    "bias": "rad",
-    "one_cycle": "rad",
-    "two_cycle": "rad",
-    "temperature": "rad_per_k",
-    "offset": "m",
-    "current": "m_s",
-}
+
+class Parameter(NamedTuple):
+    """A state of a sensor or drive beside its error model.
+
+    Attributes
+    ----------
+    name : str
+        Unique within its sensor.
+    sd : float
+        Standard deviation at the start, not negative [unit]; 0 for one that is known to be zero.
+    unit : str
+        As in the names of columns: "m", "m_s", "rad", "rad_per_k"; "1" is a pure number.
+    """
+
+    name: str
+    sd: float
+    unit: str
+
+
+def _checked(parameters: Iterable[Any], owner: str) -> tuple[Parameter, ...]:
+    """The parameters of a kind that may be anybody's."""
+    for given in parameters:
+        if not (isinstance(given, tuple) and len(given) == 3 and all(isinstance(given[i], str) and given[i] for i in (0, 2))):
+            raise ValueError(f'{owner}: a parameter is Parameter(name, sd, unit), such as Parameter("offset", 0.3, "m"); found {given!r}.')
+        if not (isinstance(given[1], SupportsFloat) and 0.0 <= float(given[1]) < math.inf):
+            raise ValueError(f'{owner}: the sd of the parameter "{given[0]}" must be a finite number >= 0, found {given[1]!r}.')
+    return tuple(Parameter(*given) for given in parameters)
 
 
 @dataclass(frozen=True)
@@ -74,14 +91,14 @@ class Group:
         cls,
         start: int,
         blocks: Sequence,
-        parameters: Iterable[tuple[str, float]],
+        parameters: Iterable[Parameter],
         axis_names: Sequence[str],
         axis_units: Sequence[str],
         prefix: str = "",
         wandering: Mapping[str, Any] | None = None,
     ) -> Group:
         """Stack the blocks of the axes and the parameters; those that are not constant have a block of one state in `wandering`."""
-        parameters, wandering = tuple(parameters), wandering or {}
+        parameters, wandering = _checked(tuple(parameters), prefix or "the drive"), wandering or {}
         k = len(parameters)
         errors = sum(b.size for b in blocks)
 
@@ -98,11 +115,11 @@ class Group:
             names += [f"{label}[{j}]" for j in range(b.size)]
             units += [axis_units[i]] * b.size
         dot = f"{prefix}." if prefix else ""
-        names += [f"{dot}{name}" for name, _ in parameters]
-        units += [next(u for begin, u in PARAMETER_UNITS.items() if name.split(".")[-1].startswith(begin)) for name, _ in parameters]
-        variances = np.diag([sd**2 for _, sd in parameters]) if k else np.zeros((0, 0))
-        keep = np.diag([float(wandering[name].Phi[0, 0]) if name in wandering else 1.0 for name, _ in parameters])
-        noise = np.diag([float(wandering[name].Q[0, 0]) if name in wandering else 0.0 for name, _ in parameters])
+        names += [f"{dot}{name}" for name, _, _ in parameters]
+        units += [unit for _, _, unit in parameters]
+        variances = np.diag([sd**2 for _, sd, _ in parameters]) if k else np.zeros((0, 0))
+        keep = np.diag([float(wandering[name].Phi[0, 0]) if name in wandering else 1.0 for name, _, _ in parameters])
+        noise = np.diag([float(wandering[name].Q[0, 0]) if name in wandering else 0.0 for name, _, _ in parameters])
         r = np.array([b.r for b in blocks])
         return cls(
             start,

@@ -8,8 +8,9 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
+from navfilter.io.contents import SERIES, groups
 from navfilter.io.geodesy import matrix_from_euler
-from navfilter.io.mission_schema import GROUPS, Clock, Component, Group, Reference
+from navfilter.io.mission_schema import Clock, Component, Group, Reference
 from navfilter.io.tables import Table
 from navfilter.io.units import parse_quantity, unit
 from navfilter.mission import MissionError
@@ -32,7 +33,7 @@ class Counts:
 
 
 def group_values(table: Table, name: str, group: Group, rows: int, counts: Counts) -> Array:
-    """Values of one group in SI, shape (rows, k), NaN where invalid; k as in `GROUPS` (a missing height is NaN)."""
+    """Values of one group in SI, shape (rows, k), NaN where invalid; k as in `groups` (a missing height is NaN)."""
     values = np.empty((rows, len(group.columns)))
     measured = np.zeros(len(group.columns), dtype=bool)
     invalid = np.zeros(values.shape, dtype=bool)
@@ -107,7 +108,7 @@ def _oriented(values: Array, name: str, group: Group) -> Array:
             raise MissionError(f"{name}: mounting_deg needs three columns, found {values.shape[1]}.")
         roll, pitch, yaw = np.radians(np.array(group.mounting_deg)[:, np.newaxis])
         values = values @ matrix_from_euler(roll, pitch, yaw)[0].T
-    width = len(GROUPS[name][0]) if name in GROUPS else values.shape[1]
+    width = values.shape[1] if name == SERIES else len(groups()[name].names)
     if values.shape[1] < width:
         values = np.column_stack([values, np.full((values.shape[0], width - values.shape[1]), np.nan)])
     return values
@@ -115,8 +116,8 @@ def _oriented(values: Array, name: str, group: Group) -> Array:
 
 def group_names(name: str, group: Group) -> tuple[str, ...]:
     """Names of the columns of a group in SI."""
-    if name in GROUPS:
-        return GROUPS[name][1]
+    if name != SERIES:
+        return groups()[name].names
     if group.names:
         return group.names
     return tuple(str(c.column) if c.column is not None else f"column_{k}" for k, c in enumerate(group.columns))

@@ -1,57 +1,22 @@
 """What may stand in a mission.toml: the tables and keys, their defaults and their checks.
 
 A mission names its streams as the vehicle names its sensors. A stream is made of one or more sources (files); a source
-has a clock (`time`) and groups of columns (`rate`, `velocity`, `position`, ...), listed in `GROUPS`. With several
+has a clock (`time`) and groups of columns (`rate`, `velocity`, `position`, ...), which the kinds of drives and sensors state. With several
 sources the first gives the clock and the others are interpolated onto it; a group in several of them is their mean.
 """
 
 from __future__ import annotations
 
 import datetime
+from functools import cache
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, create_model, field_validator, model_validator
 
+from navfilter.io.contents import SERIES, contents, groups
 from navfilter.io.units import UNITS, parse_quantity, unit
 from navfilter.io.validation import Strict
 
-#: Group of columns -> (dimension of each column, names of the columns in SI).
-GROUPS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
-    "rate": (("angular rate",) * 3, ("rate_x_rad_s", "rate_y_rad_s", "rate_z_rad_s")),
-    "force": (("acceleration",) * 3, ("force_x_m_s2", "force_y_m_s2", "force_z_m_s2")),
-    "rotation": (("angle",) * 3, ("rotation_x_rad", "rotation_y_rad", "rotation_z_rad")),
-    "velocity_gain": (("speed",) * 3, ("velocity_gain_x_m_s", "velocity_gain_y_m_s", "velocity_gain_z_m_s")),
-    "velocity": (("speed",) * 3, ("v_x_m_s", "v_y_m_s", "v_z_m_s")),
-    "heading": (("angle",), ("heading_rad",)),
-    "field": (("magnetic field",) * 3, ("field_x_T", "field_y_T", "field_z_T")),
-    "temperature": (("temperature",), ("temperature_C",)),
-    "depth": (("length",), ("depth_m",)),
-    "pressure": (("pressure",), ("pressure_Pa",)),
-    "position": (("angle", "angle", "length"), ("latitude_rad", "longitude_rad", "height_m")),
-    "ecef": (("length",) * 3, ("ecef_x_m", "ecef_y_m", "ecef_z_m")),
-    "local": (("length",) * 3, ("north_m", "east_m", "down_m")),
-    "hdop": (("number",), ("hdop",)),
-    "velocity_n": (("speed",) * 3, ("v_north_m_s", "v_east_m_s", "v_down_m_s")),
-    "velocity_ecef": (("speed",) * 3, ("v_ecef_x_m_s", "v_ecef_y_m_s", "v_ecef_z_m_s")),
-    "attitude": (("angle",) * 3, ("roll_rad", "pitch_rad", "yaw_rad")),
-    "quaternion": (("number",) * 4, ("q_w", "q_x", "q_y", "q_z")),
-}
-#: What a stream may consist of. Each entry: the groups that must be there, then those that may.
-CONTENTS: tuple[tuple[tuple[str, ...], tuple[str, ...]], ...] = (
-    (("rate", "force"), ("temperature",)),
-    (("rotation", "velocity_gain"), ("temperature",)),
-    (("attitude",), ()),
-    (("quaternion",), ()),
-    (("velocity",), ()),
-    (("heading",), ("temperature",)),
-    (("field",), ("temperature",)),
-    (("depth",), ()),
-    (("pressure",), ()),
-    (("position",), ("hdop",)),
-    (("ecef",), ("hdop",)),
-    (("local",), ("hdop",)),
-    (("series",), ()),
-)
 TRUTH_GROUPS = ("position", "ecef", "local", "velocity_n", "velocity_ecef", "attitude", "quaternion")
 Reference = str | int
 #: Lengths, angles and the like: what is computed from them stays a number.
@@ -192,7 +157,7 @@ class Clock(Strict):
 
 
 class Source(Strict):
-    """One file and the groups of columns taken from it."""
+    """One file and the groups of columns taken from it; their keys are those of `groups`, see `mission_spec`."""
 
     file: str
     table: str = ""
@@ -206,39 +171,21 @@ class Source(Strict):
     time: Clock
     only_changes: bool | tuple[Reference, ...] = False
     max_gap_s: float | None = Field(default=None, gt=0)
-    rate: Group | None = None
-    force: Group | None = None
-    rotation: Group | None = None
-    velocity_gain: Group | None = None
-    velocity: Group | None = None
-    heading: Group | None = None
-    field: Group | None = None
-    temperature: Group | None = None
-    depth: Group | None = None
-    pressure: Group | None = None
-    position: Group | None = None
-    ecef: Group | None = None
-    local: Group | None = None
-    hdop: Group | None = None
-    velocity_n: Group | None = None
-    velocity_ecef: Group | None = None
-    attitude: Group | None = None
-    quaternion: Group | None = None
     series: Group | None = None
 
     def groups(self) -> dict[str, Group]:
         """The groups given, in the order of their definition."""
-        given = {name: getattr(self, name) for name in (*GROUPS, "series")}
+        given = {name: getattr(self, name, None) for name in (*groups(), SERIES)}
         return {name: group for name, group in given.items() if group is not None}
 
     @model_validator(mode="after")
     def _sizes(self) -> Source:
         if not self.groups():
-            raise ValueError(f"a source needs at least one group of columns (known: {', '.join(GROUPS)}, series)")
+            raise ValueError(f"a source needs at least one group of columns (known: {', '.join(groups())}, {SERIES})")
         for name, group in self.groups().items():
-            if name == "series":
+            if name == SERIES:
                 continue
-            dimensions = GROUPS[name][0]
+            dimensions = groups()[name].dimensions
             # A position without height is a fix in two dimensions.
             sizes = (2, 3) if name == "position" else (len(dimensions),)
             if len(group.columns) not in sizes:
@@ -291,21 +238,22 @@ class StreamSpec(Strict):
         return value
 
     def groups(self) -> list[str]:
-        """Names of the groups of all sources, each once, in the order of `GROUPS`."""
+        """Names of the groups of all sources, each once, in the order of `groups`."""
         given = {name for source in self.sources for name in source.groups()}
-        return [name for name in (*GROUPS, "series") if name in given]
+        return [name for name in (*groups(), SERIES) if name in given]
 
 
 class SensorStream(StreamSpec):
-    """A stream of readings: its groups must form one of `CONTENTS`."""
+    """A stream of readings: its groups must form one of `contents`."""
 
     @model_validator(mode="after")
     def _contents(self) -> SensorStream:
         given = set(self.groups())
         if self.lever_arm_b_m is not None:
             raise ValueError("the lever arm of a sensor belongs into vehicle.toml; here only [truth] has one")
-        if not any(set(must) <= given <= {*must, *may} for must, may in CONTENTS):
-            allowed = "; ".join(" + ".join(must) + "".join(f" (+ {m})" for m in may) for must, may in CONTENTS)
+        known = [([c.group for c in must], [c.group for c in may]) for must, may in contents()] + [([SERIES], [])]
+        if not any(set(must) <= given <= {*must, *may} for must, may in known):
+            allowed = "; ".join(" + ".join(must) + "".join(f" (+ {m})" for m in may) for must, may in known)
             raise ValueError(f"a stream cannot consist of {' + '.join(self.groups())} (allowed: {allowed})")
         return self
 
@@ -373,3 +321,31 @@ class MissionSpec(Strict):
         if self.start is not None and self.start.source == "truth" and self.truth is None:
             raise ValueError('start is to come from "truth", but there is no [truth]')
         return self
+
+
+def mission_spec() -> type[MissionSpec]:
+    """The tables of a mission.toml, with a key for every group of columns that there is now.
+
+    Raises
+    ------
+    ValueError
+        When the group of a user's own kind takes a key that means something else.
+    """
+    return _mission_spec(tuple(groups()))
+
+
+@cache
+def _mission_spec(names: tuple[str, ...]) -> type[MissionSpec]:
+    taken = set(names) & set(Source.model_fields)
+    if taken:
+        raise ValueError(f'"{taken.pop()}" is a key of every source; a kind of sensor must call its group of columns otherwise.')
+    given: Any = dict.fromkeys(names, (Group | None, None))
+    source: Any = create_model("Source", __base__=Source, **given)
+    sensor: Any = create_model("SensorStream", __base__=SensorStream, sources=(tuple[source, ...], ...))
+    truth: Any = create_model("TruthStream", __base__=TruthStream, sources=(tuple[source, ...], ...))
+    return create_model(
+        "MissionSpec",
+        __base__=MissionSpec,
+        truth=(truth | None, None),
+        streams=(dict[str, sensor], Field(default_factory=dict)),
+    )

@@ -12,9 +12,10 @@ import numpy.typing as npt
 
 from navfilter.io import geodesy
 from navfilter.io.columns import Counts, clock_times, group_names, group_values
+from navfilter.io.contents import driving, groups
 from navfilter.io.json_lines import read_log
 from navfilter.io.merging import block_mean, mean, resampled
-from navfilter.io.mission_schema import GROUPS, Clock, MissionSpec, Origin, Source, StreamSpec, TruthStream
+from navfilter.io.mission_schema import Clock, Origin, Source, StreamSpec, TruthStream, mission_spec
 from navfilter.io.starting import start_of
 from navfilter.io.tables import Table, TableOptions, read_table
 from navfilter.io.validation import read_toml, validate
@@ -23,10 +24,6 @@ from navfilter.mission import TRUTH_COLUMNS, Mission, MissionError, Stream
 Array = npt.NDArray[np.float64]
 Bool = npt.NDArray[np.bool_]
 
-#: Columns that are angles on a circle: interpolated unwrapped, handed out wrapped.
-_CIRCULAR = ("longitude_rad", "heading_rad", "roll_rad", "yaw_rad")
-#: Streams that drive a mechanisation: a repeated stamp would be a step of no length.
-_DRIVING = ("rate", "rotation", "velocity", "attitude", "quaternion")
 #: More than a month at 100 Hz.
 _MOST_ROWS = 3e8
 
@@ -39,7 +36,7 @@ def read_mission_toml(path: Path) -> Mission:
     MissionError
         In one line where one thing is wrong; several mistakes in the .toml are listed together.
     """
-    spec = validate(MissionSpec, read_toml(path, MissionError), path, MissionError)
+    spec = validate(mission_spec(), read_toml(path, MissionError), path, MissionError)
     reader = _Reader(path.parent)
     streams: dict[str, Stream] = {}
     logged_start = None
@@ -116,13 +113,13 @@ class _Reader:
     def stream(self, name: str, spec: StreamSpec) -> Stream:
         """One sensor's stream."""
         time_s, parts, columns = self._merged(name, spec)
-        groups = list(parts)
-        if "ecef" in groups:
-            parts["ecef"], columns["ecef"] = geodesy.geodetic_from_ecef(parts["ecef"]), GROUPS["position"][1]
-        if "local" in groups:
-            parts["local"], columns["local"] = _from_local(parts["local"], spec), GROUPS["position"][1]
-        if "quaternion" in groups:
-            parts["quaternion"], columns["quaternion"] = _euler(parts["quaternion"], spec, None), GROUPS["attitude"][1]
+        given = list(parts)
+        if "ecef" in given:
+            parts["ecef"], columns["ecef"] = geodesy.geodetic_from_ecef(parts["ecef"]), groups()["position"].names
+        if "local" in given:
+            parts["local"], columns["local"] = _from_local(parts["local"], spec), groups()["position"].names
+        if "quaternion" in given:
+            parts["quaternion"], columns["quaternion"] = _euler(parts["quaternion"], spec, None), groups()["attitude"].names
         return _assembled(time_s, parts, columns)
 
     def truth(self, spec: TruthStream) -> Stream:
@@ -160,7 +157,7 @@ class _Reader:
             for source, (own_time, own) in zip(spec.sources, sources, strict=True):
                 if group in own:
                     columns.setdefault(group, group_names(group, source.groups()[group]))
-                    circular = np.isin(columns[group], _CIRCULAR)
+                    circular = _on_circle(columns[group])
                     if own_time is not time_s:
                         own[group] = resampled(time_s, own_time, own[group], circular, source.max_gap_s)
                     given.append(own[group])
@@ -172,10 +169,10 @@ class _Reader:
                 raise MissionError(f"{name}: resample_hz would make {rows:.3g} rows; are the times in seconds, or is one of them far off?")
             even = np.arange(time_s[0], time_s[-1], 1.0 / spec.resample_hz)
             for group, part in parts.items():
-                parts[group] = resampled(even, time_s, part, np.isin(columns[group], _CIRCULAR), None)
+                parts[group] = resampled(even, time_s, part, _on_circle(columns[group]), None)
             time_s = even
         if spec.average > 1:
-            circles = {group: np.isin(columns[group], _CIRCULAR) for group in parts}
+            circles = {group: _on_circle(columns[group]) for group in parts}
             parts = {group: block_mean(part, spec.average, circles[group]) for group, part in parts.items()}
             time_s = block_mean(time_s[:, np.newaxis], spec.average, np.zeros(1, dtype=bool))[:, 0]
         if spec.every > 1:
@@ -229,7 +226,7 @@ class _Reader:
             order = np.argsort(time_s, kind="stable")
             time_s, parts = time_s[order], {key: part[order] for key, part in parts.items()}
         repeated = np.concatenate([[False], np.diff(time_s) == 0.0])
-        if repeated.any() and any(key in _DRIVING for key in parts):
+        if repeated.any() and driving() & set(parts):
             self._note(where, int(repeated.sum()), "rows with the time of the row before dropped")
             time_s, parts = time_s[~repeated], {key: part[~repeated] for key, part in parts.items()}
         else:
@@ -251,23 +248,28 @@ def _rows(table: Table, source: Source) -> int:
     raise MissionError(f"{table.path}: all columns are constant; name at least one column of the file.")
 
 
+def _on_circle(names: tuple[str, ...]) -> Bool:
+    """Which columns are angles on a circle: interpolated unwrapped, handed out wrapped."""
+    return np.isin(names, [name for columns in groups().values() for name in columns.circular])
+
+
 def _assembled(time_s: Array, parts: dict[str, Array], columns: dict[str, tuple[str, ...]]) -> Stream:
     names = tuple(name for group in parts for name in columns[group])
     value = np.column_stack(list(parts.values()))
-    circular = np.isin(names, _CIRCULAR)
+    circular = _on_circle(names)
     value[:, circular] = geodesy.wrapped(value[:, circular])
     return Stream(time_s, value, names)
 
 
 def _from_local(ned: Array, spec: StreamSpec) -> Array:
-    origins: list[Origin | None] = [s.local.origin for s in spec.sources if s.local is not None]
+    origins: list[Origin | None] = [s.groups()["local"].origin for s in spec.sources if "local" in s.groups()]
     origin = next(o for o in origins if o is not None)
     return geodesy.geodetic_from_local(ned, np.radians(origin.latitude_deg), np.radians(origin.longitude_deg), origin.height_m)
 
 
 def _euler(quaternion: Array, spec: StreamSpec, axes: Array | None) -> Array:
     """Roll, pitch, yaw of a quaternion that rotates the body into its reference."""
-    group = next(s.quaternion for s in spec.sources if s.quaternion is not None)
+    group = next(s.groups()["quaternion"] for s in spec.sources if "quaternion" in s.groups())
     wxyz = quaternion if group.order == "wxyz" else quaternion[:, [3, 0, 1, 2]]
     C = geodesy.matrix_from_quaternion(wxyz)
     if group.body == "flu":

@@ -16,7 +16,10 @@ from typing import Any, Literal
 
 from navfilter.io.units import SUFFIXES
 from navfilter.mechanisation import DeadReckoning, Imu
-from navfilter.sensors import BodyVelocity, Depth, Heading, Position, WaterVelocity, ZeroVelocity
+from navfilter.sensors import BodyVelocity, Heading, Sensor
+from navfilter.sensors.heading import COMPASS_ERROR
+from navfilter.sensors.traits import kinds_below
+from navfilter.sensors.velocity import DVL_ERROR
 
 __all__ = ["DRIVES", "vehicle_template"]
 
@@ -51,9 +54,7 @@ _HEAD = """\
 #       usual for the sensor). What has been learnt is kept as adopted = {{ar = [..], ma = [..], sd = ..}}; with frozen = true beside
 #       it that model stays in force and nothing is learnt
 """
-_COMPASS_ERROR = 'error = {model = "gauss-markov", sd_deg = 0.6, tau_s = 30}'
-_COMPASS_LEARNT = '# learnt under way instead: error = {model = "learned-arma", prior = {model = "gauss-markov", sd_deg = 0.6, tau_s = 30}}'
-_DVL_ERROR = 'error = {model = "white", sd = 0.01}'
+_SENSORS = "# The correcting sensors. The name is that of the mission's stream, the states, the residuals and the output columns.\n"
 _GYRO = """\
 gyro = [
   {model = "white", density_deg_per_sqrt_h = 0.3},
@@ -93,38 +94,26 @@ def vehicle_template(drive: str = "imu") -> str:
         raise ValueError(f'there is no drive "{drive}" (known: {", ".join(DRIVES)}).')
     suffixes = "\n".join(textwrap.wrap(", ".join(SUFFIXES), _WIDTH, initial_indent="#   ", subsequent_indent="#   "))
     parts = [_HEAD.format(suffixes=suffixes), 'name = "example AUV"\n', *(_inertial() if drive == "imu" else _reckoning())]
-    parts += [
-        _section("sensors.depth", Depth, "Depth gauge.", 1, 'error = {model = "white", sd = 0.05}', lever=(0.2, 0.0, -0.1)),
-        _section(
-            "sensors.gps", Position, "Position fixes.", 1, 'error = {model = "gauss-markov", sd = 3.0, tau_s = 60}', lever=(-0.4, 0.0, -0.2)
-        ),
-    ]
+    parts += [_correcting(kind) for kind in _shown(drive)]
     return "\n".join(parts)
+
+
+def _shown(drive: str) -> list[Any]:
+    """The kinds of correcting sensors to show: those that bring a template, but for what dead reckoning is made of."""
+    kinds: list[Any] = [kind for kind in kinds_below(Sensor) if "template" in vars(kind)]
+    return [kind for kind in kinds if drive == "imu" or kind.corrects not in ("heading", "velocity")]
+
+
+def _correcting(kind: Any) -> str:
+    example = kind.template
+    section = _section(f"sensors.{example.name}", kind, example.words, example.rate_hz, *example.lines, lever=example.lever_arm)
+    return section if example.live else _unused(section)
 
 
 def _inertial() -> Iterator[str]:
     words = 'What carries the state between corrections: an inertial unit (stream "imu"), strapdown on WGS-84.'
     yield _section("drive", Imu, words, 100, _GYRO, _ACCEL)
-    yield "# The correcting sensors. The name is that of the mission's stream, the states, the residuals and the output columns.\n"
-    yield _section("sensors.compass", Heading, "Compass, or magnetometer.", 8, _COMPASS_ERROR, _COMPASS_LEARNT)
-    yield _section("sensors.dvl", BodyVelocity, "DVL in bottom track, or wheels.", 4, _DVL_ERROR, lever=(0.5, 0.0, 0.1))
-    water = _section(
-        "sensors.water",
-        WaterVelocity,
-        "Velocity through the water: a DVL in water track, or a log. Where the bottom is lost, the last known current carries on.",
-        4,
-        'error = {model = "white", sd = 0.02}',
-        lever=(0.5, 0.0, 0.1),
-    )
-    yield _unused(water)
-    still = _section(
-        "sensors.still",
-        ZeroVelocity,
-        "For vehicles that really stand still (on deck, on the bottom, on wheels); it needs no stream. Not for an AUV under way.",
-        1,
-        'error = {model = "white", sd = 0.02}',
-    )
-    yield _unused(still)
+    yield _SENSORS
 
 
 def _unused(section: str) -> str:
@@ -139,7 +128,7 @@ def _reckoning() -> Iterator[str]:
     unused = {"rate_hz", "gate_probability", "gate_timeout_s"}
     iron = {"magnetometer", "hard_iron", "soft_iron", "temperature_sd_rad_per_k", "reference_temperature_c"}
     yield _section(
-        "drive.attitude", Heading, "The heading, with its error.", None, 'type = "heading"', _COMPASS_ERROR, without=unused | iron
+        "drive.attitude", Heading, "The heading, with its error.", None, 'type = "heading"', COMPASS_ERROR, without=unused | iron
     )
     yield _section(
         "drive.velocity",
@@ -147,11 +136,11 @@ def _reckoning() -> Iterator[str]:
         "The body velocity.",
         None,
         'type = "body-velocity"',
-        _DVL_ERROR,
+        DVL_ERROR,
         lever=(0.5, 0.0, 0.1),
         without=unused,
     )
-    yield "# The correcting sensors. The name is that of the mission's stream, the states, the residuals and the output columns.\n"
+    yield _SENSORS
 
 
 def _section(

@@ -30,8 +30,10 @@ from navfilter.io.vehicle_keys import checked, plain_key, spellings, times
 from navfilter.learning.learned import LearnedArma
 from navfilter.mechanisation import Mechanisation
 from navfilter.sensors import Sensor
+from navfilter.sensors.traits import kinds_below
 from navfilter.vehicle import RESERVED, Vehicle
 
+Kinds = tuple[type, ...]
 #: Fields whose name in a file is another one: `model` is taken by the kind of the error.
 _IN_FILES: dict[tuple[type, str], str] = {(LearnedArma, "model"): "adopted"}
 #: What an adopted model consists of in a file: lists for arrays.
@@ -89,7 +91,7 @@ def read_vehicle(path: str | os.PathLike[str]) -> Vehicle:
     path = Path(path)
     if path.is_dir():
         path = path / "vehicle.toml"
-    spec: Any = validate(_vehicle_spec(), read_toml(path, VehicleError), path, VehicleError)
+    spec: Any = validate(_vehicle_spec(_kinds()), read_toml(path, VehicleError), path, VehicleError)
     wrong: list[tuple[str, str]] = []
     drive = _built(spec.drive, "drive", wrong, {})
     sensors = {name: _built(sensor, f"sensors.{name}", wrong, {}) for name, sensor in spec.sensors.items()}
@@ -118,15 +120,14 @@ def _kebab(cls: type) -> str:
     return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "-", cls.__name__).lower()
 
 
-def _concrete(base: type) -> dict[str, type]:
-    """Every dataclass below `base`, by the name it has in a file."""
-    found: dict[str, type] = {}
-    cls: type
-    for cls in base.__subclasses__():
-        found |= _concrete(cls)
-        if cls is not Sum:
-            found[_kebab(cls)] = cls
-    return found
+def _concrete(base: type, kinds: Kinds) -> dict[str, type]:
+    """Every kind below `base`, by the name it has in a file."""
+    return {_kebab(cls): cls for cls in kinds if issubclass(cls, base)}
+
+
+def _kinds() -> Kinds:
+    """Every kind of error model, sensor and drive that there is now; those of a user's own come with the import of their module."""
+    return tuple(cls for base in (ErrorModel, Sensor, Mechanisation) for cls in kinds_below(base) if cls is not Sum)
 
 
 def _base_of(cls: type) -> tuple[str, type]:
@@ -177,7 +178,7 @@ class _Axes(Strict):
 
 
 @cache
-def _spec_of(cls: type) -> type[_Spec]:
+def _spec_of(cls: type, kinds: Kinds) -> type[_Spec]:
     key, _ = _base_of(cls)
     hints = typing.get_type_hints(cls)
     fields: dict[str, Any] = {key: (Literal[_kebab(cls)], ...)}
@@ -186,7 +187,7 @@ def _spec_of(cls: type) -> type[_Spec]:
             continue
         required = field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
         name = _IN_FILES.get((cls, field.name), field.name)
-        fields[name] = (_type_of(hints[field.name], field.name, cls), ... if required else Field(default=None))
+        fields[name] = (_type_of(hints[field.name], field.name, cls, kinds), ... if required else Field(default=None))
     spec = create_model(f"{cls.__name__}Table", __base__=_Spec, **fields)
     spec.builds = cls
     return spec
@@ -200,7 +201,7 @@ def _adopted_spec() -> type[_Spec]:
     return spec
 
 
-def _type_of(hint: Any, name: str, owner: type) -> Any:
+def _type_of(hint: Any, name: str, owner: type, kinds: Kinds) -> Any:
     """What a field may hold in a file: numbers as they are, errors and nested sensors as tables."""
     members = _members(hint)
     if ArmaModel in members:
@@ -211,8 +212,8 @@ def _type_of(hint: Any, name: str, owner: type) -> Any:
     choices: list[Any] = []
     if any(issubclass(c, ErrorModel) for c in classes):
         # The prior of a learnt error is none itself.
-        models = {kind: cls for kind, cls in _concrete(ErrorModel).items() if cls is not owner}
-        one: Any = _union("model", models)
+        models = {kind: cls for kind, cls in _concrete(ErrorModel, kinds).items() if cls is not owner}
+        one: Any = _union("model", models, kinds)
         several: Any = Annotated[list[one], AfterValidator(_not_empty)]
         either = Annotated[
             Annotated[one, Tag("<one>")] | Annotated[several, Tag("<sum>")],
@@ -227,7 +228,7 @@ def _type_of(hint: Any, name: str, owner: type) -> Any:
             choices.append(Annotated[create_model(f"{owner.__name__}{name.title()}Axes", __base__=_Axes, **axes), Tag("<axes>")])
     sensors = {_kebab(c): c for c in classes if issubclass(c, Sensor)}
     if sensors:
-        choices.append(Annotated[_union("type", sensors), Tag("<sensor>")])
+        choices.append(Annotated[_union("type", sensors, kinds), Tag("<sensor>")])
     # A learnt error is that of one axis.
     return Annotated[Union[tuple(choices)], Discriminator(_one_or_sum if issubclass(owner, ErrorModel) else _shape)]  # noqa: UP007
 
@@ -244,8 +245,8 @@ def _members(hint: Any) -> list[Any]:
     return [hint]
 
 
-def _union(key: str, classes: dict[str, type]) -> Any:
-    tables = tuple(_spec_of(cls) for cls in classes.values())
+def _union(key: str, classes: dict[str, type], kinds: Kinds) -> Any:
+    tables = tuple(_spec_of(cls, kinds) for cls in classes.values())
     return tables[0] if len(tables) == 1 else Annotated[Union[tables], Field(discriminator=key)]  # noqa: UP007
 
 
@@ -264,11 +265,12 @@ def _shape(value: Any) -> str:
 
 
 @cache
-def _vehicle_spec() -> type[Strict]:
+def _vehicle_spec(kinds: Kinds) -> type[Strict]:
+    sensors: Any = _union("type", _concrete(Sensor, kinds), kinds)
     fields: dict[str, Any] = {
         "name": (str | None, None),
-        "drive": (_union("type", _concrete(Mechanisation)), ...),
-        "sensors": (dict[Annotated[str, AfterValidator(_sensor_name)], _union("type", _concrete(Sensor))], Field(default_factory=dict)),  # type: ignore[misc]
+        "drive": (_union("type", _concrete(Mechanisation, kinds), kinds), ...),
+        "sensors": (dict[Annotated[str, AfterValidator(_sensor_name)], sensors], Field(default_factory=dict)),
     }
     return create_model("VehicleTable", __base__=Strict, **fields)
 

@@ -18,7 +18,6 @@ from navfilter.io.geodesy import ecef_from_geodetic, matrix_from_euler, ned_axes
 from navfilter.io.vehicle_toml import write_vehicle
 from navfilter.learning.learned import learned_part
 from navfilter.mission import Mission, Stream
-from navfilter.sensors import Position
 from navfilter.track import Track
 from navfilter.vehicle import Vehicle
 
@@ -230,7 +229,7 @@ def write_geojson(track: Track, mission: Mission, path: str | os.PathLike[str]) 
         if len(known) > 1:
             features.append(_line(known, {"name": "truth", "mission": mission.name, "stroke": "#000000"}))
     for name, sensor in track.vehicle.sensors.items():
-        if isinstance(sensor, Position) and name in mission.streams:
+        if sensor.gives == "position" and name in mission.streams:
             fixes = mission.streams[name].value[:, :3]
             fixes = _thinned(fixes[np.isfinite(fixes[:, :2]).all(axis=1)])
             shape = {"type": "MultiPoint", "coordinates": _coordinates(fixes)}

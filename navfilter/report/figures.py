@@ -16,7 +16,7 @@ from scipy.stats import chi2
 from navfilter.filter.tape import OUTCOMES
 from navfilter.mission import Mission, Stream
 from navfilter.report.drawing import WIDTH_IN, Clock, band, broken, colour, line, panels
-from navfilter.sensors import BodyVelocity, Depth, Heading, Position, Sensor, ZeroVelocity
+from navfilter.sensors.traits import shown_unit
 from navfilter.track import Track
 
 __all__ = ["consistency_figure", "depth_figure", "heading_figure", "innovation_figure", "nis_figure", "position_figure", "track_figure"]
@@ -27,19 +27,6 @@ Tracks = Mapping[str, Track]
 GREY = "#555555"
 #: Half axes of an ellipse that holds 95 % of a plane Gaussian, in standard deviations.
 ELLIPSE_95 = float(np.sqrt(chi2.ppf(0.95, 2)))
-#: Residuals are drawn in these units: by kind of sensor, unit and factor from SI.
-RESIDUAL_UNITS: tuple[tuple[type[Sensor], str, float], ...] = (
-    (Heading, "deg", 180.0 / np.pi),
-    (BodyVelocity, "m/s", 1.0),
-    (ZeroVelocity, "m/s", 1.0),
-    (Depth, "m", 1.0),
-    (Position, "m", 1.0),
-)
-
-
-def residual_unit(sensor: Sensor) -> tuple[str, float]:
-    """Unit in which residuals of a sensor are drawn, and its factor from SI."""
-    return next(((unit, factor) for kind, unit, factor in RESIDUAL_UNITS if isinstance(sensor, kind)), ("SI", 1.0))
 
 
 def clock_of(tracks: Tracks) -> Clock:
@@ -71,7 +58,7 @@ def track_figure(tracks: Tracks, mission: Mission, ellipses: int = 16) -> Figure
     figure = Figure(figsize=(WIDTH_IN, height), layout="constrained")
     ax = figure.subplots()
     for name, sensor in first.vehicle.sensors.items():
-        if isinstance(sensor, Position) and name in mission.streams:
+        if sensor.gives == "position" and name in mission.streams:
             fixes = _used_fixes(first, mission.streams[name], name, origin)
             ax.plot(
                 *_capped(fixes)[:, 1::-1].T, "+", color="#888888", markersize=4, markeredgewidth=0.7, label=f"{name} fixes used", zorder=1.5
@@ -191,7 +178,7 @@ def consistency_figure(tracks: Tracks, truth: Stream) -> Figure | None:
 def innovation_figure(track: Track, name: str) -> Figure:
     """Innovations of one sensor, each axis with its 3-sigma bounds; rejected readings are crossed, at the edge when off the scale."""
     residuals, sensor = track.residuals[name], track.vehicle.sensors[name]
-    unit, factor = residual_unit(sensor)
+    unit, factor = shown_unit(sensor.unit)
     clock = Clock(track.time_s[0], track.time_s[-1])
     measured = np.flatnonzero(np.isfinite(residuals.value).any(axis=0)).tolist() or [0]
     figure, axes = panels(len(measured), 1.45)

@@ -6,21 +6,16 @@ import textwrap
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-import numpy as np
 from matplotlib.figure import Figure
 
 from navfilter.error_models import ErrorModel, Sum
-from navfilter.mechanisation import Imu
 from navfilter.report.drawing import band, colour, line, panels
-from navfilter.report.figures import clock_of, residual_unit
+from navfilter.report.figures import clock_of
+from navfilter.sensors.traits import shown_unit
 from navfilter.track import Track
 from navfilter.vehicle import Vehicle
 
 __all__ = ["ShownState", "shown_states", "states_figure"]
-
-_DEG = 180.0 / np.pi
-_DEG_PER_H = _DEG * 3600.0
-_MG = 1e3 / 9.80665
 
 
 @dataclass(frozen=True)
@@ -50,20 +45,18 @@ def shown_states(vehicle: Vehicle) -> tuple[ShownState, ...]:
     """The states that mean something by themselves: the first of every part of an error model, and all parameters."""
     found: list[ShownState] = []
     drive = vehicle.drive
-    for axis, model in zip(drive.axis_names, drive.models, strict=True):
-        owner = axis.rsplit("_", 1)[0] if isinstance(drive, Imu) else "drive"
-        unit, factor = _drive_unit(axis)
-        found += _parts(owner, axis, model, drive.period_s, unit, factor)
-    found += [ShownState("drive", name, name, *_parameter_unit(name, "m/s", 1.0)) for name, _ in drive.parameters()]
+    for axis, model, unit in zip(drive.axis_names, drive.models, drive.units, strict=True):
+        owner = axis.rsplit("_", 1)[0] if drive.inertial else "drive"
+        found += _parts(owner, axis, model, drive.period_s, unit)
+    found += [ShownState("drive", p.name, p.name, *shown_unit(p.unit)) for p in drive.parameters()]
     for key, sensor in vehicle.sensors.items():
-        unit, factor = residual_unit(sensor)
         for axis, model in zip(sensor.axis_names, sensor.models, strict=True):
-            found += _parts(key, "_".join(part for part in (key, axis) if part), model, 1.0 / sensor.rate_hz, unit, factor)
-        found += [ShownState(key, f"{key}.{name}", name, *_parameter_unit(name, unit, factor)) for name, _ in sensor.parameters()]
+            found += _parts(key, "_".join(part for part in (key, axis) if part), model, 1.0 / sensor.rate_hz, sensor.unit)
+        found += [ShownState(key, f"{key}.{p.name}", p.name, *shown_unit(p.unit)) for p in sensor.parameters()]
     return tuple(found)
 
 
-def _parts(owner: str, axis: str, model: ErrorModel, period_s: float, unit: str, factor: float) -> list[ShownState]:
+def _parts(owner: str, axis: str, model: ErrorModel, period_s: float, unit: str) -> list[ShownState]:
     """The first state of each part of one axis's model."""
     parts = model.parts if isinstance(model, Sum) else (model,)
     sizes = [part.block(period_s).size for part in parts]
@@ -71,26 +64,9 @@ def _parts(owner: str, axis: str, model: ErrorModel, period_s: float, unit: str,
     for part, size in zip(parts, sizes, strict=True):
         if size:
             kind = f" ({type(part).__name__})" if sum(map(bool, sizes)) > 1 else ""
-            found.append(ShownState(owner, f"{axis}[{offset}]", f"{axis}{kind}", unit, factor))
+            found.append(ShownState(owner, f"{axis}[{offset}]", f"{axis}{kind}", *shown_unit(unit)))
         offset += size
     return found
-
-
-def _drive_unit(axis: str) -> tuple[str, float]:
-    if axis.startswith("gyro"):
-        return "deg/h", _DEG_PER_H
-    if axis.startswith("accel"):
-        return "mg", _MG
-    return ("m/s", 1.0) if axis.startswith("velocity") else ("deg", _DEG)
-
-
-def _parameter_unit(name: str, unit: str, factor: float) -> tuple[str, float]:
-    """Unit of a constant state from its name; else that of its sensor."""
-    if name.endswith("scale"):
-        return "%", 100.0
-    if "misalignment" in name or "cycle" in name:
-        return "deg", _DEG
-    return (f"{unit}/K", factor) if name.endswith("temperature") else (unit, factor)
 
 
 def states_figure(tracks: Mapping[str, Track], states: tuple[ShownState, ...]) -> Figure:

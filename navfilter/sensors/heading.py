@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
@@ -11,17 +11,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.error_models import ErrorModel, GaussMarkov, White
+from navfilter.filter.layout import Parameter
 from navfilter.kernels import listen, measurement
 from navfilter.learning.drift import Drift
-from navfilter.sensors.sensor import Errors, Sensor, Vector, checked_vector
+from navfilter.sensors.sensor import Errors, Reading, Sensor, Vector, checked_vector
+from navfilter.sensors.traits import Columns, Doubt, Example, Plausible, angle_doubt
 from navfilter.start import Start
 
 if TYPE_CHECKING:
     from navfilter.mechanisation import Mechanisation
+    from navfilter.simulation.motion import Kinematics
+    from navfilter.simulation.sensors import Truth
 
 __all__ = ["Heading"]
 
 Array = NDArray[np.float64]
+HEADING = Columns("heading", ("heading_rad",), ("angle",), circular=("heading_rad",))
+FIELD = Columns("field", ("field_x_T", "field_y_T", "field_z_T"), ("magnetic field",) * 3)
+TEMPERATURE = Columns("temperature", ("temperature_C",), ("temperature",))
+#: Generous: beyond the worst and the best of instruments on the market.
+USUAL = Plausible(1e-5, math.radians(30.0), "deg", most_rate_hz=200.0)
+COMPASS_ERROR = 'error = {model = "gauss-markov", sd_deg = 0.6, tau_s = 30}'
+_LEARNT = '# learnt under way instead: error = {model = "learned-arma", prior = {model = "gauss-markov", sd_deg = 0.6, tau_s = 30}}'
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,6 +74,12 @@ class Heading(Sensor):
     prior: ClassVar[ErrorModel] = GaussMarkov(sd=0.015, tau_s=30.0) + White(sd=0.005)
     unit: ClassVar[str] = "rad"
     open_loop: ClassVar[int] = listen.HEADING
+    gives: ClassVar[str] = "heading"
+    corrects: ClassVar[str] = "heading"
+    contents: ClassVar[tuple[tuple[Columns, ...], ...]] = ((HEADING,), (FIELD,))
+    beside: ClassVar[tuple[Columns, ...]] = (TEMPERATURE,)
+    plausible: ClassVar[Plausible | None] = USUAL
+    template: ClassVar[Example | None] = Example("compass", "Compass, or magnetometer.", 8, (COMPASS_ERROR, _LEARNT))
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -80,18 +97,18 @@ class Heading(Sensor):
         """Number of elements of a reading without the temperature."""
         return 3 if self.magnetometer else 1
 
-    def parameters(self) -> tuple[tuple[str, float], ...]:
+    def parameters(self) -> tuple[Parameter, ...]:
         """Bias, deviation and temperature states, or none."""
         one, two = self.deviation_sd_rad
         if not any((self.bias_sd_rad, one, two, self.temperature_sd_rad_per_k)):
             return ()
         return (
-            ("bias", self.bias_sd_rad),
-            ("one_cycle_sin", one),
-            ("one_cycle_cos", one),
-            ("two_cycle_sin", two),
-            ("two_cycle_cos", two),
-            ("temperature", self.temperature_sd_rad_per_k),
+            Parameter("bias", self.bias_sd_rad, "rad"),
+            Parameter("one_cycle_sin", one, "rad"),
+            Parameter("one_cycle_cos", one, "rad"),
+            Parameter("two_cycle_sin", two, "rad"),
+            Parameter("two_cycle_cos", two, "rad"),
+            Parameter("temperature", self.temperature_sd_rad_per_k, "rad_per_k"),
         )
 
     def declination(self, start: Start) -> float:
@@ -122,3 +139,59 @@ class Heading(Sensor):
     def drift(self, drive: Mechanisation, axis: int, walk: float) -> Drift:
         """As a heading."""
         return drive.heading_drift(walk, 1.0 / self.rate_hz)
+
+    @property
+    def words(self) -> str:
+        """What it measures."""
+        return "magnetometer" if self.magnetometer else "heading"
+
+    def stream_columns(self) -> tuple[str, ...]:
+        """Heading or field."""
+        return FIELD.names if self.magnetometer else HEADING.names
+
+    def doubts(self) -> Iterator[Doubt]:
+        """Of bias, deviation and declination."""
+        for name, value in (("bias_sd_rad", self.bias_sd_rad), ("deviation_sd_rad", max(self.deviation_sd_rad))):
+            if value > math.radians(60.0):
+                yield angle_doubt(name, value)
+        if self.declination_rad is not None and abs(self.declination_rad) > math.pi:
+            yield angle_doubt("declination_rad", self.declination_rad)
+
+    def draws(self) -> dict[str, tuple[float, ...]]:
+        """Deviation: bias, sine and cosine of the heading, sine and cosine of its double; then the drift with temperature."""
+        one, two = self.deviation_sd_rad
+        return {"deviation": (self.bias_sd_rad, one, one, two, two), "temperature": (self.temperature_sd_rad_per_k,)}
+
+    def simulated(self, here: Kinematics, truth: Truth) -> Reading:
+        """Heading, or the magnetic field in body axes; the temperature too if the compass has a temperature term."""
+        declination = 0.0
+        if self.magnetic or self.magnetometer:
+            north, east, _ = truth.field_n()
+            declination = math.atan2(east, north) if self.declination_rad is None else self.declination_rad
+        from_north = here.attitude[:, 2] - declination
+        temperature = truth.water_temperature_c(here)
+        warmth = temperature - self.reference_temperature_c
+        error = truth.error[:, 0] + truth.deviation(from_north) + truth.drawn["temperature"][0] * warmth
+        if self.magnetometer:
+            value = self._simulated_field(here, declination, error, truth.field_n())
+            columns: tuple[str, ...] = ("field_x", "field_y", "field_z")
+        else:
+            value, columns = (np.pi - np.mod(np.pi - (from_north + error), 2.0 * np.pi))[:, None], ("heading_rad",)
+        if self.temperature_sd_rad_per_k or truth.drawn["temperature"][0]:
+            return np.column_stack([value, temperature]), (*columns, "temperature_c")
+        return value, columns
+
+    def _simulated_field(self, here: Kinematics, declination: float, error: Array, field_n: Array) -> Array:
+        """Field in body axes that shows a compass this error: a compass reading too high sees north too far to the left."""
+        azimuth = declination - error
+        level = math.hypot(field_n[0], field_n[1])
+        down = np.full_like(azimuth, field_n[2])
+        field = np.stack([level * np.cos(azimuth), level * np.sin(azimuth), down], axis=-1)
+        field_b = np.einsum("nij,ni->nj", here.C_nb, field)
+        iron = np.linalg.inv(np.reshape(self.soft_iron, (3, 3)))
+        return field_b @ iron.T + np.asarray(self.hard_iron)
+
+    @classmethod
+    def examples(cls) -> tuple[Sensor, ...]:
+        """A compass and a magnetometer."""
+        return tuple(cls(magnetometer=field, error=White(sd=0.01) + GaussMarkov(sd=0.01, tau_s=10.0)) for field in (False, True))

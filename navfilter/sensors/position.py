@@ -11,17 +11,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.error_models import ErrorModel, GaussMarkov, White
+from navfilter.filter.layout import Parameter
 from navfilter.kernels import listen, measurement
 from navfilter.learning.drift import Drift
-from navfilter.sensors.sensor import Errors, Sensor, Vector
+from navfilter.sensors.sensor import Errors, Reading, Sensor, Vector
+from navfilter.sensors.traits import Columns, Example, Plausible
 from navfilter.start import Start
 
 if TYPE_CHECKING:
     from navfilter.mechanisation import Mechanisation
+    from navfilter.simulation.motion import Kinematics
+    from navfilter.simulation.sensors import Truth
 
 __all__ = ["Depth", "Position"]
 
 Array = NDArray[np.float64]
+DEPTH = Columns("depth", ("depth_m",), ("length",))
+PRESSURE = Columns("pressure", ("pressure_Pa",), ("pressure",))
+POSITION = Columns("position", ("latitude_rad", "longitude_rad", "height_m"), ("angle", "angle", "length"), circular=("longitude_rad",))
+HDOP = Columns("hdop", ("hdop",), ("number",))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,10 +64,17 @@ class Depth(Sensor):
     kernel: ClassVar[Callable[..., None]] = staticmethod(measurement.depth)
     confirms_state: ClassVar[bool] = False
     open_loop: ClassVar[int] = listen.POSITION
+    gives: ClassVar[str] = "depth"
+    corrects: ClassVar[str] = "depth"
+    contents: ClassVar[tuple[tuple[Columns, ...], ...]] = ((DEPTH,), (PRESSURE,))
+    plausible: ClassVar[Plausible | None] = Plausible(1e-4, 10.0, "cm", most_rate_hz=200.0)
+    template: ClassVar[Example | None] = Example(
+        "depth", "Depth gauge.", 1, ('error = {model = "white", sd = 0.05}',), (0.2, 0.0, -0.1)
+    )
 
-    def parameters(self) -> tuple[tuple[str, float], ...]:
+    def parameters(self) -> tuple[Parameter, ...]:
         """The offset, or none."""
-        return (("offset", self.offset_sd_m),) if self.offset_sd_m else ()
+        return (Parameter("offset", self.offset_sd_m, "m"),) if self.offset_sd_m else ()
 
     def constants(self, start: Start) -> Array:
         """Lever arm and height of the surface."""
@@ -78,6 +93,35 @@ class Depth(Sensor):
     def drift(self, drive: Mechanisation, axis: int, walk: float) -> Drift:
         """As a vertical position."""
         return drive.position_drift(walk, 1.0 / self.rate_hz, vertical=True)
+
+    @property
+    def words(self) -> str:
+        """What it measures."""
+        return "depth from absolute pressure" if self.pressure else "depth"
+
+    def stream_columns(self) -> tuple[str, ...]:
+        """Depth or pressure."""
+        return PRESSURE.names if self.pressure else DEPTH.names
+
+    def draws(self) -> dict[str, tuple[float, ...]]:
+        """The offset."""
+        return {"offset": (self.offset_sd_m,)}
+
+    def simulated(self, here: Kinematics, truth: Truth) -> Reading:
+        """Depth of the instrument below the surface, or the absolute pressure there."""
+        lever_down = here.C_nb[:, 2, :] @ np.asarray(self.lever_arm_b_m, dtype=np.float64)
+        below = truth.surface_height_m - here.height + lever_down + truth.drawn["offset"][0] + truth.error[:, 0]
+        if not self.pressure:
+            return below[:, None], ("depth_m",)
+        from gsw import p_from_z
+
+        pressure = self.atmospheric_pressure_pa + 1e4 * p_from_z(-below, np.degrees(here.latitude))
+        return pressure[:, None], ("pressure_pa",)
+
+    @classmethod
+    def examples(cls) -> tuple[Sensor, ...]:
+        """A depth, and a pressure to be converted."""
+        return cls(), cls(pressure=True)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,6 +150,16 @@ class Position(Sensor):
     axis_names: ClassVar[tuple[str, ...]] = ("north", "east", "down")
     kernel: ClassVar[Callable[..., None]] = staticmethod(measurement.position)
     open_loop: ClassVar[int] = listen.POSITION
+    gives: ClassVar[str] = "position"
+    corrects: ClassVar[str] = "position"
+    contents: ClassVar[tuple[tuple[Columns, ...], ...]] = ((POSITION,),)
+    beside: ClassVar[tuple[Columns, ...]] = (HDOP,)
+    plausible: ClassVar[Plausible | None] = Plausible(
+        3e-3, 1000.0, "", most_rate_hz=50.0, hint="Errors of fixes are in metres, not in degrees or radians."
+    )
+    template: ClassVar[Example | None] = Example(
+        "gps", "Position fixes.", 1, ('error = {model = "gauss-markov", sd = 3.0, tau_s = 60}',), (-0.4, 0.0, -0.2)
+    )
 
     def constants(self, start: Start) -> Array:
         """The lever arm."""
@@ -121,3 +175,11 @@ class Position(Sensor):
     def drift(self, drive: Mechanisation, axis: int, walk: float) -> Drift:
         """As a position, down being the third axis."""
         return drive.position_drift(walk, 1.0 / self.rate_hz, vertical=axis == 2)
+
+    def simulated(self, here: Kinematics, truth: Truth) -> Reading:
+        """Latitude, longitude, height of the antenna, and the HDOP if there is one."""
+        lever_n = here.C_nb @ np.asarray(self.lever_arm_b_m, dtype=np.float64)
+        value = np.stack(here.displaced(lever_n + truth.error), axis=-1)
+        if truth.hdop is None:
+            return value, POSITION.names
+        return np.column_stack([value, truth.hdop]), (*POSITION.names, *HDOP.names)

@@ -3,27 +3,33 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import MISSING, dataclass, fields
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navfilter.error_models import ErrorModel, White, per_axis
+from navfilter.filter.layout import Parameter
 from navfilter.kernels import listen
 from navfilter.learning.drift import Drift
 from navfilter.learning.learned import resolve_prior
+from navfilter.sensors.traits import Columns, Doubt, Example, Plausible
 from navfilter.start import Start
 
 if TYPE_CHECKING:
     from navfilter.mechanisation import Mechanisation
+    from navfilter.simulation.motion import Kinematics
+    from navfilter.simulation.sensors import Truth
 
-__all__ = ["Errors", "Sensor", "Vector", "checked_vector"]
+__all__ = ["Errors", "Reading", "Sensor", "Vector", "checked_vector"]
 
 Array = NDArray[np.float64]
 Vector = tuple[float, float, float]
 Errors = ErrorModel | tuple[ErrorModel, ...]
+Reading = tuple[Array, tuple[str, ...]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,11 +60,23 @@ class Sensor:
     from_drive : bool
         Made from the drive's own samples: there is no stream, and there are no readings.
     sees_velocity : bool
-        Reads the velocity in the body's axes, through the heading: taken with its second-order term while the heading is hardly known.
+        Reads the three components of the velocity in the body's axes, through the heading: taken with its second-order term while the
+        heading is hardly known.
     confirms_state : bool
         Readings that fit say that the state is right, whatever the others read.
     open_loop : int
         How the feedback is taken off again for learning, see `navfilter.kernels.listen`; NOTHING: its error cannot be learnt under way.
+        The direction in which an axis sees the state must not turn much within a window of learning, or the drift is no chain.
+    gives : str
+        What a start can take from one reading alone: "position" (latitude, longitude, height), "heading", "depth", "velocity", or nothing.
+    corrects : str
+        What of the state its readings bound: "position", "velocity", "heading", "depth".
+    contents, beside : tuple
+        What a stream of a file may consist of: alternatives, each of one or more groups of columns; groups that may stand beside them.
+    plausible : Plausible, optional
+        What such a sensor usually errs by.
+    template : Example, optional
+        How it stands in a vehicle.toml to start from.
     """
 
     rate_hz: float = 1.0
@@ -76,6 +94,12 @@ class Sensor:
     sees_velocity: ClassVar[bool] = False
     confirms_state: ClassVar[bool] = True
     open_loop: ClassVar[int] = listen.NOTHING
+    gives: ClassVar[str] = ""
+    corrects: ClassVar[str] = ""
+    contents: ClassVar[tuple[tuple[Columns, ...], ...]] = ()
+    beside: ClassVar[tuple[Columns, ...]] = ()
+    plausible: ClassVar[Plausible | None] = None
+    template: ClassVar[Example | None] = None
 
     def __post_init__(self) -> None:
         name = type(self).__name__
@@ -92,8 +116,8 @@ class Sensor:
         """The error model of each axis; a `LearnedArma` that brings no prior gets that of the sensor's kind."""
         return resolve_prior(per_axis(self.error, self.axes, f"{type(self).__name__}.error"), self.prior)
 
-    def parameters(self) -> tuple[tuple[str, float], ...]:
-        """States beside the error model: name and standard deviation at the start; constant, but for those of `wandering`."""
+    def parameters(self) -> tuple[Parameter, ...]:
+        """States beside the error model; constant, but for those of `wandering`."""
         return ()
 
     def wandering(self) -> dict[str, ErrorModel]:
@@ -151,6 +175,62 @@ class Sensor:
             Root PSD of the sensor's own known random walk, which stays beside whatever is learnt [unit/s/sqrt(Hz)].
         """
         return drive.position_drift(walk, 1.0 / self.rate_hz)
+
+    # ---------------------------------------------------------------- what files and checks ask
+    @property
+    def words(self) -> str:
+        """What it measures, in words; default: the name of the class."""
+        return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", " ", type(self).__name__).lower()
+
+    def stream_columns(self) -> tuple[str, ...]:
+        """Names of the columns of its stream, those that must be there."""
+        if self.contents:
+            return tuple(name for columns in self.contents[0] for name in columns.names)
+        return tuple(f"column_{k}" for k in range(self.reads))
+
+    def doubts(self) -> Iterator[Doubt]:
+        """Fields whose values were probably not meant so, beside error and rate."""
+        yield from ()
+
+    # ---------------------------------------------------------------- what the simulator and the warm-up ask
+    def draws(self) -> dict[str, tuple[float, ...]]:
+        """Calibration errors that are drawn for a simulated mission: by name, the standard deviations of the components.
+
+        Default: each of the parameters that is constant.
+        """
+        return {p.name: (p.sd,) for p in self.parameters() if p.name not in self.wandering()}
+
+    def simulated(self, here: Kinematics, truth: Truth) -> Reading:
+        """What it reads along a motion: the truth side of the measurement equation, written from the definition, not from the kernel.
+
+        Parameters
+        ----------
+        here : Kinematics
+            Place, motion and attitude at the n ticks of the sensor.
+        truth : Truth
+            How the sensor really is: errors and calibration errors as drawn.
+
+        Returns
+        -------
+        values : ndarray, shape (n, k)
+        columns : tuple of str
+            Their names.
+
+        Raises
+        ------
+        ValueError
+            Where the kind cannot be simulated.
+        """
+        raise ValueError(f"a {type(self).__name__} has no simulated readings: the simulator cannot read it. Give it a method simulated().")
+
+    @classmethod
+    def examples(cls) -> tuple[Sensor, ...]:
+        """Sensors that between them use all that is compiled or loaded for this kind; none where its defaults do not make one."""
+        needed = any(f.init and f.default is MISSING and f.default_factory is MISSING for f in fields(cls))
+        try:
+            return () if needed or not hasattr(cls, "kernel") else (cls(),)
+        except ValueError:
+            return ()  # a default that stands for "must be given"
 
 
 def checked_vector(owner: str, value: ArrayLike, size: int = 3) -> tuple[float, ...]:

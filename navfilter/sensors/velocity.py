@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
@@ -11,19 +11,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.error_models import ErrorModel, GaussMarkov, White
+from navfilter.filter.layout import Parameter
 from navfilter.kernels import listen, measurement
 from navfilter.learning.drift import Drift
 from navfilter.learning.learned import learning_part
-from navfilter.sensors.sensor import Errors, Sensor, Vector, checked_vector
+from navfilter.sensors.sensor import Errors, Reading, Sensor, Vector, checked_vector
+from navfilter.sensors.traits import Columns, Doubt, Example, Plausible, angle_doubt
 from navfilter.start import Start
 from navfilter.state import matrix_from_euler
 
 if TYPE_CHECKING:
     from navfilter.mechanisation import Mechanisation
+    from navfilter.simulation.motion import Kinematics
+    from navfilter.simulation.sensors import Truth
 
 __all__ = ["BodyVelocity", "WaterVelocity", "ZeroVelocity"]
 
 Array = NDArray[np.float64]
+VELOCITY = Columns("velocity", ("v_x_m_s", "v_y_m_s", "v_z_m_s"), ("speed",) * 3)
+#: Generous: beyond the worst and the best of instruments on the market.
+USUAL = Plausible(1e-4, 0.5, "cm_per_s", most_rate_hz=100.0)
+DVL_ERROR = 'error = {model = "white", sd = 0.01}'
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,18 +76,23 @@ class BodyVelocity(Sensor):
     kernel: ClassVar[Callable[..., None]] = staticmethod(measurement.body_velocity)
     sees_velocity: ClassVar[bool] = True
     open_loop: ClassVar[int] = listen.VELOCITY
+    gives: ClassVar[str] = "velocity"
+    corrects: ClassVar[str] = "velocity"
+    contents: ClassVar[tuple[tuple[Columns, ...], ...]] = ((VELOCITY,),)
+    plausible: ClassVar[Plausible | None] = USUAL
+    template: ClassVar[Example | None] = Example("dvl", "DVL in bottom track, or wheels.", 4, (DVL_ERROR,), (0.5, 0.0, 0.1))
 
     def __post_init__(self) -> None:
         super().__post_init__()
         checked_vector("BodyVelocity.lever_arm_b_m", self.lever_arm_b_m)
         checked_vector("BodyVelocity.mounting_rad", self.mounting_rad)
 
-    def parameters(self) -> tuple[tuple[str, float], ...]:
+    def parameters(self) -> tuple[Parameter, ...]:
         """Scale and three misalignments, or none."""
         if self.scale_sd == 0 and self.misalignment_sd_rad == 0:
             return ()
         angle = self.misalignment_sd_rad
-        return (("scale", self.scale_sd), ("misalignment_x", angle), ("misalignment_y", angle), ("misalignment_z", angle))
+        return (Parameter("scale", self.scale_sd, "1"), *(Parameter(f"misalignment_{axis}", angle, "rad") for axis in self.axis_names))
 
     def constants(self, start: Start) -> Array:
         """Lever arm, then the mounting matrix row by row."""
@@ -116,6 +129,29 @@ class BodyVelocity(Sensor):
         """As a velocity: the third axis is taken as the vertical one."""
         return drive.velocity_drift(walk, 1.0 / self.rate_hz, vertical=axis == 2)
 
+    def doubts(self) -> Iterator[Doubt]:
+        """Of mounting, misalignment and scale."""
+        if max(map(abs, self.mounting_rad)) > 2.0 * math.pi:
+            yield angle_doubt("mounting_rad", max(self.mounting_rad, key=abs))
+        if self.misalignment_sd_rad > math.radians(20.0):
+            yield angle_doubt("misalignment_sd_rad", self.misalignment_sd_rad)
+        if self.scale_sd > 0.2:
+            yield Doubt("scale_sd", f"a scale error of {100.0 * self.scale_sd:.4g} % is unusual.", "It is a pure number: 1 % is 0.01.")
+
+    def draws(self) -> dict[str, tuple[float, ...]]:
+        """Scale, and the rotation vector of the misalignment."""
+        return {"scale": (self.scale_sd,), "misalignment": (self.misalignment_sd_rad,) * 3}
+
+    def simulated(self, here: Kinematics, truth: Truth) -> Reading:
+        """Velocity of the instrument in its own axes, over ground or through water that moves."""
+        from scipy.spatial.transform import Rotation  # only a simulation needs it
+
+        lever = np.asarray(self.lever_arm_b_m, dtype=np.float64)
+        v_b = np.einsum("nij,ni->nj", here.C_nb, here.velocity_n - truth.current_n) + np.cross(here.rate_eb_b, lever)
+        mounting = Rotation.from_euler("ZYX", self.mounting_rad[::-1])
+        v = truth.turned_and_scaled(mounting.inv().apply(v_b))
+        return v + truth.error, ("velocity_x_m_s", "velocity_y_m_s", "velocity_z_m_s")
+
 
 @dataclass(frozen=True, kw_only=True)
 class WaterVelocity(BodyVelocity):
@@ -143,6 +179,15 @@ class WaterVelocity(BodyVelocity):
 
     kernel: ClassVar[Callable[..., None]] = staticmethod(measurement.water_velocity)
     open_loop: ClassVar[int] = listen.NOTHING
+    gives: ClassVar[str] = ""
+    template: ClassVar[Example | None] = Example(
+        "water",
+        "Velocity through the water: a DVL in water track, or a log. Where the bottom is lost, the last known current carries on.",
+        4,
+        ('error = {model = "white", sd = 0.02}',),
+        (0.5, 0.0, 0.1),
+        live=False,
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -157,14 +202,30 @@ class WaterVelocity(BodyVelocity):
                 "with frozen=True."
             )
 
-    def parameters(self) -> tuple[tuple[str, float], ...]:
+    def parameters(self) -> tuple[Parameter, ...]:
         """Current north and east, then scale and misalignment where they are uncertain."""
-        return (("current_north", self.current_sd_m_s), ("current_east", self.current_sd_m_s), *super().parameters())
+        current = (Parameter(f"current_{axis}", self.current_sd_m_s, "m_s") for axis in ("north", "east"))
+        return (*current, *super().parameters())
 
     def wandering(self) -> dict[str, ErrorModel]:
         """The current."""
         current = GaussMarkov(sd=self.current_sd_m_s, tau_s=self.current_tau_s)
         return {"current_north": current, "current_east": current}
+
+    @property
+    def words(self) -> str:
+        """What it measures."""
+        return "velocity through the water"
+
+    def doubts(self) -> Iterator[Doubt]:
+        """Also of the current."""
+        yield from super().doubts()
+        if self.current_sd_m_s > 3.0:
+            text = f"a current of {self.current_sd_m_s:.4g} m/s is faster than all but the strongest tidal streams."
+            yield Doubt("current_sd_m_s", text, "It is in m/s; for cm/s write current_sd_cm_per_s.")
+        if self.current_tau_s < 60.0:
+            text = f"a current that is another one after {self.current_tau_s:.3g} s carries no position."
+            yield Doubt("current_tau_s", text, "It is in seconds; currents last for hours. Eddies and waves belong to error.")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -196,6 +257,20 @@ class ZeroVelocity(Sensor):
     axis_names: ClassVar[tuple[str, ...]] = ("north", "east", "down")
     kernel: ClassVar[Callable[..., None]] = staticmethod(measurement.velocity)
     from_drive: ClassVar[bool] = True
+    corrects: ClassVar[str] = "velocity"
+    plausible: ClassVar[Plausible | None] = USUAL
+    template: ClassVar[Example | None] = Example(
+        "still",
+        "For vehicles that really stand still (on deck, on the bottom, on wheels); it needs no stream. Not for an AUV under way.",
+        1,
+        ('error = {model = "white", sd = 0.02}',),
+        live=False,
+    )
+
+    @property
+    def words(self) -> str:
+        """What it measures."""
+        return "zero velocity, whenever the inertial unit says that the vehicle rests; needs no stream"
 
     def felt(self, mean: Array, scatter: Array) -> Array | None:
         """Zeros when the period was quiet."""

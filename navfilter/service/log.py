@@ -15,9 +15,7 @@ from typing import Any, BinaryIO
 
 from navfilter.io import write_vehicle
 from navfilter.io.json_lines import Item, LineParser, Note, log_lines
-from navfilter.io.mission_schema import GROUPS
 from navfilter.mission import MissionError
-from navfilter.sensors import Depth, Heading, Position, Sensor, ZeroVelocity
 from navfilter.service.protocol import event_line
 from navfilter.service.session import Options
 from navfilter.vehicle import Vehicle
@@ -102,27 +100,10 @@ def _mission_toml(folder: Path, vehicle: Vehicle, date: datetime.date | None) ->
     return "\n".join(lines + [f"{json.dumps(name)} = {json.dumps(columns)}" for name, columns in _columns(vehicle).items()]) + "\n"
 
 
-def _columns(vehicle: Vehicle) -> dict[str, list[str]]:
+def _columns(vehicle: Vehicle) -> dict[str, tuple[str, ...]]:
     """Names of the columns of every stream that the vehicle listens to."""
-    drive = {name: _group(*(("rate", "force") if name == "imu" else (name,))) for name in vehicle.drive.streams}
-    if getattr(vehicle.drive, "increments", False):
-        drive["imu"] = _group("rotation", "velocity_gain")
-    corrections = {name: _sensor_columns(s) for name, s in vehicle.sensors.items() if not isinstance(s, ZeroVelocity)}
-    return drive | corrections
-
-
-def _sensor_columns(sensor: Sensor) -> list[str]:
-    if isinstance(sensor, Heading):
-        return _group("field" if sensor.magnetometer else "heading")
-    if isinstance(sensor, Depth):
-        return _group("pressure" if sensor.pressure else "depth")
-    if isinstance(sensor, Position):
-        return _group("position")
-    return _group("velocity") if sensor.reads == 3 else [f"column_{k}" for k in range(sensor.reads)]
-
-
-def _group(*names: str) -> list[str]:
-    return [column for name in names for column in GROUPS[name][1]]
+    corrections = {name: sensor.stream_columns() for name, sensor in vehicle.sensors.items() if not sensor.from_drive}
+    return vehicle.drive.stream_columns() | corrections
 
 
 def run_note(options: Options, **more: Any) -> bytes:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import PPoly
 
-from navfilter.simulation.earth import frame_rates, gravity, integrate_path
+from navfilter.simulation.earth import frame_rates, gravity, integrate_path, radii
 from navfilter.simulation.manoeuvres import BLEND, Manoeuvre, Piece, descent
 
 Array = NDArray[np.float64]
@@ -98,6 +98,19 @@ class Kinematics:
     rate_b: Array
     rate_eb_b: Array
     force_b: Array
+
+    def displaced(self, by_n: Array) -> tuple[Array, Array, Array]:
+        """Latitude, longitude, height of points some metres north, east and down of the vehicle, each (n,).
+
+        The curvature is taken at the middle of the way: exact to less than a micrometre for a hundred metres.
+        """
+        meridian, _ = radii(self.latitude)
+        half = self.latitude + 0.5 * by_n[:, 0] / (meridian + self.height)
+        meridian, across = radii(half)
+        height = self.height - 0.5 * by_n[:, 2]
+        latitude = self.latitude + by_n[:, 0] / (meridian + height)
+        longitude = self.longitude + by_n[:, 1] / ((across + height) * np.cos(half))
+        return latitude, longitude, self.height - by_n[:, 2]
 
 
 @dataclass(frozen=True)

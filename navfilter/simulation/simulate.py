@@ -16,14 +16,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from navfilter.error_models import GaussMarkov, White
+from navfilter.error_models import White
 from navfilter.mechanisation import DeadReckoning, Imu, Mechanisation
 from navfilter.mission import TRUTH_COLUMNS, Mission, Stream
-from navfilter.sensors import BodyVelocity, Depth, Heading, Position, Sensor, WaterVelocity, ZeroVelocity
+from navfilter.sensors import BodyVelocity, Heading, Sensor
+from navfilter.sensors.traits import kinds_below, shown_unit
 from navfilter.simulation.faults import Faults, Models, draw_error, draw_errors, generator, outliers, quantise, within
 from navfilter.simulation.manoeuvres import ChangeSpeed, Wait
 from navfilter.simulation.motion import Kinematics, Motion
-from navfilter.simulation.sensors import READERS, Truth, attitude, displaced, turned_and_scaled
+from navfilter.simulation.sensors import Truth, attitude
 from navfilter.start import Start
 from navfilter.vehicle import Vehicle
 
@@ -114,7 +115,7 @@ def simulate(
     scene = _Scene(motion, duration, seed, faults, date, [])
     streams = _drive_streams(scene, vehicle.drive)
     for key, sensor in vehicle.sensors.items():
-        if not isinstance(sensor, ZeroVelocity):
+        if not sensor.from_drive:
             streams[key] = scene.record(key, sensor, sensor.rate_hz)
     truth = _truth(motion.at(np.arange(math.floor(duration * truth_rate_hz + 1e-6) + 1) / truth_rate_hz))
     begin = _draw_start(motion.at([0.0]), start or StartErrors(), seed, date)
@@ -166,46 +167,46 @@ class _Scene:
         return drawn
 
     def truth(self, name: str, sensor: Sensor | None, error: Array, time_s: Array) -> Truth:
-        """How the sensor really is."""
+        """How the sensor really is; without one, a triple of a drive."""
         fault = self.fault(name)
-        one, two = getattr(sensor, "deviation_sd_rad", (0.0, 0.0))
-        deviation = (getattr(sensor, "bias_sd_rad", 0.0), one, one, two, two)
-        by_field = getattr(sensor, "magnetic", False) or getattr(sensor, "magnetometer", False)
-        angle, warm = getattr(sensor, "misalignment_sd_rad", 0.0), getattr(sensor, "temperature_sd_rad_per_k", 0.0)
-        return Truth(
-            error=error,
-            scale=float(self.calibration(name, "scale", fault.scale, getattr(sensor, "scale_sd", 0.0), 1)[0]),
-            misalignment_rad=self.calibration(name, "misalignment", fault.misalignment_rad, angle, 3),
-            deviation_rad=self.calibration(name, "deviation", fault.deviation_rad, deviation, 5),
-            temperature_rad_per_k=float(self.calibration(name, "temperature", fault.temperature_rad_per_k, warm, 1)[0]),
-            offset_m=float(self.calibration(name, "offset", None, getattr(sensor, "offset_sd_m", 0.0), 1)[0]),
-            field_n=self.field_n if by_field else _NORTH,
-            surface_height_m=self.motion.surface_height_m,
-            hdop=None if fault.hdop is None else _steps(fault.hdop, time_s),
-            current_n=self.current(name, sensor, time_s),
-        )
+        given = {
+            "scale": fault.scale,
+            "misalignment": fault.misalignment_rad,
+            "deviation": fault.deviation_rad,
+            "temperature": fault.temperature_rad_per_k,
+        }
+        draws = _PLAIN if sensor is None else sensor.draws()
+        drawn = {what: self.calibration(name, what, given.get(what), sd, len(sd)) for what, sd in draws.items()}
+        hdop = None if fault.hdop is None else _steps(fault.hdop, time_s)
+        wandering = {} if sensor is None else self.wandering(name, sensor, time_s)
+        return Truth(error, drawn, lambda: self.field_n, self.motion.surface_height_m, hdop, wandering)
 
-    def current(self, name: str, sensor: Sensor | None, time_s: Array) -> Array:
-        """Velocity of the water at these ticks, (n, 3): as given, or wandering as the description of the sensor states."""
-        current_n = np.zeros((time_s.size, 3))
-        if isinstance(sensor, WaterVelocity):
-            given = self.fault(name).current_m_s
-            for axis, model in enumerate(sensor.wandering().values()):
-                drawn = draw_error(model, 1.0 / sensor.rate_hz, time_s.size, self.seed, f"{name}.current", axis)
-                current_n[:, axis] = drawn if given is None else given[axis]
-            begin, end = (" ".join(f"{v:.4g}" for v in row) for row in current_n[[0, -1], :2])
-            self.notes.append(f"{name}: current {begin} m/s at the start, {end} m/s at the end")
-        return current_n
+    def wandering(self, name: str, sensor: Sensor, time_s: Array) -> dict[str, Array]:
+        """The parameters that are not constant, at these ticks: as given, or wandering as the description of the sensor states."""
+        models = sensor.wandering()
+        if not models:
+            return {}
+        what = next(iter(models))
+        what = what.rsplit("_", 1)[0] if len(models) > 1 else what  # several are the components of one vector
+        given = self.fault(name).current_m_s if what == "current" else None
+        drawn = {}
+        for axis, (key, model) in enumerate(models.items()):
+            values = draw_error(model, 1.0 / sensor.rate_hz, time_s.size, self.seed, f"{name}.{what}", axis)
+            drawn[key] = values if given is None else np.full(time_s.size, float(given[axis]))
+        unit, factor = shown_unit(next(p.unit for p in sensor.parameters() if p.name in models))
+        begin, end = (" ".join(f"{factor * values[k]:.4g}" for values in drawn.values()) for k in (0, -1))
+        self.notes.append(f"{name}: {what} {begin} {unit} at the start, {end} {unit} at the end")
+        return drawn
 
     def record(self, name: str, sensor: Sensor, rate_hz: float) -> Stream:
         """The stream of one sensor, read at this rate."""
-        reader = next((read for kind, read in READERS.items() if isinstance(sensor, kind)), None)
-        if reader is None:
-            raise ValueError(f'"{name}" is a {type(sensor).__name__}, which the simulator cannot read. Leave it out.')
         time_s = self.ticks(rate_hz)
         error = self.error(name, sensor.error, rate_hz, time_s, sensor.axes)
-        here = self.motion.at(time_s)
-        return self.stamp(name, time_s, *reader(sensor, here, self.truth(name, sensor, error, time_s)))
+        truth = self.truth(name, sensor, error, time_s)
+        try:
+            return self.stamp(name, time_s, *sensor.simulated(self.motion.at(time_s), truth))
+        except ValueError as reason:
+            raise ValueError(f'"{name}": {reason}') from None
 
     def stamp(self, name: str, time_s: Array, value: Array, columns: tuple[str, ...]) -> Stream:
         """Round, leave out what the sensor could not read, and put the time stamps on."""
@@ -230,13 +231,14 @@ class _Scene:
 
 
 _NO_FAULTS = Faults()
-_NORTH = np.array([1.0, 0.0, 0.0])
+#: Calibration errors of a triple of a drive: none is drawn, but faults may give them.
+_PLAIN = {"scale": (0.0,), "misalignment": (0.0,) * 3, "deviation": (0.0,) * 5}
 _RECORDING = ("available", "dropouts", "time_offset_s", "time_jitter_sd_s")
 _ERRORS = ("true_error", "bias", "scale", "misalignment_rad", "outlier_probability", "quantisation")
 
 
 def _check_names(vehicle: Vehicle, faults: dict[str, Faults]) -> None:
-    drive = {"gyro", "accel", "imu"} if isinstance(vehicle.drive, Imu) else {"attitude", "velocity"}
+    drive = {*vehicle.drive.triples, *vehicle.drive.streams}
     unknown = sorted(set(faults) - set(vehicle.sensors) - drive)
     if unknown:
         known = ", ".join(sorted(set(vehicle.sensors) | drive))
@@ -261,15 +263,14 @@ def _steps(value: float | tuple[tuple[float, float], ...], time_s: Array) -> Arr
 def _drive_streams(scene: _Scene, drive: Mechanisation) -> dict[str, Stream]:
     if isinstance(drive, Imu):
         return {"imu": _inertial(scene, drive)}
-    if not isinstance(drive, DeadReckoning):
+    if drive.velocity_sensor is None:
         raise ValueError(f"The simulator knows Imu and DeadReckoning, found {type(drive).__name__}.")
     # both error blocks of dead reckoning tick with the drive, so both streams are read at its rate
     time_s = scene.ticks(drive.rate_hz)
     here = scene.motion.at(time_s)
-    compass = drive.attitude if isinstance(drive.attitude, Heading) else None
     error = scene.error("attitude", drive.models[:3], drive.rate_hz, time_s, 3)
     # the constant bias of a Heading is part of the drive's error model already
-    plain = dataclasses.replace(compass, bias_sd_rad=0.0) if compass else None
+    plain = dataclasses.replace(drive.compass, bias_sd_rad=0.0) if drive.compass else None
     truth = scene.truth("attitude", plain, error, time_s)
     return {
         "attitude": scene.stamp("attitude", time_s, *attitude(here, truth)),
@@ -282,7 +283,7 @@ def _inertial(scene: _Scene, drive: Imu) -> Stream:
     parts = []
     for name, vector, models in zip(("gyro", "accel"), ideal, (drive.models[:3], drive.models[3:]), strict=True):
         error = scene.error(name, models, drive.rate_hz, time_s, 3)
-        measured = turned_and_scaled(vector, scene.truth(name, None, error, time_s))
+        measured = scene.truth(name, None, error, time_s).turned_and_scaled(vector)
         measured += error / drive.rate_hz if drive.increments else error
         parts.append(quantise(measured, scene.fault(name).quantisation))
     columns = _INCREMENTS if drive.increments else _RATES
@@ -303,7 +304,7 @@ def _draw_start(here: Kinematics, known: StartErrors, seed: int, date: datetime.
     angle_sd = np.radians([known.tilt_sd_deg, known.tilt_sd_deg, known.heading_sd_deg])
     sd = np.concatenate([position_sd, [known.velocity_sd_m_s] * 3, angle_sd])
     error = np.zeros(9) if known.exact else sd * generator(seed, "start", "error").normal(size=9)
-    latitude, longitude, height = displaced(here, error[None, :3])
+    latitude, longitude, height = here.displaced(error[None, :3])
     turned = Rotation.from_rotvec(error[6:]) * Rotation.from_matrix(here.C_nb[0])
     heading, pitch, roll = turned.as_euler("ZYX", degrees=True)
     north, east, down = (here.velocity_n[0] + error[3:6]).tolist()
@@ -324,20 +325,27 @@ def _draw_start(here: Kinematics, known: StartErrors, seed: int, date: datetime.
 
 
 def tiny_missions() -> Iterator[tuple[Vehicle, Mission]]:
-    """Two missions of a few seconds that between them use every drive and every sensor, for compiling ahead of time."""
-    white, slow = White(sd=0.01), GaussMarkov(sd=0.01, tau_s=10.0)
-    sensors: dict[str, Sensor] = {
-        "compass": Heading(rate_hz=4.0, error=white + slow, bias_sd_rad=0.01),
-        "magnetometer": Heading(rate_hz=4.0, error=white, magnetometer=True),
-        "dvl": BodyVelocity(rate_hz=4.0, error=white, scale_sd=0.01, misalignment_sd_rad=0.01),
-        "water": WaterVelocity(rate_hz=4.0, error=white),
-        "depth": Depth(rate_hz=1.0, error=white, offset_sd_m=0.1),
-        "gps": Position(rate_hz=1.0, error=slow),
-    }
-    motion = Motion((Wait(3.0), ChangeSpeed(1.0, 2.0)), latitude_deg=30.0)
-    inertial = Vehicle(imu=Imu(rate_hz=20.0), sensors={**sensors, "rest": ZeroVelocity()}, name="tiny-inertial")
-    course = Heading(rate_hz=4.0, error=white, deviation_sd_rad=(0.01, 0.01))
+    """Two missions of a few seconds that between them use every drive and every kind of sensor, for compiling ahead of time."""
+    sensors: dict[str, Sensor] = {}
+    for kind in kinds_below(Sensor):
+        for sensor in kind.examples():  # type: ignore[attr-defined]
+            sensors[f"{kind.__name__.lower()}-{len(sensors)}"] = sensor
+    fix = next(name for name, sensor in sensors.items() if sensor.gives == "position")
+    course = Heading(rate_hz=4.0, error=White(sd=0.01), deviation_sd_rad=(0.01, 0.01))
     reckoning = DeadReckoning(rate_hz=4.0, attitude=course, velocity=BodyVelocity(rate_hz=4.0, scale_sd=0.01))
-    late = Faults(hdop=1.0, time_offset_s=0.03)  # fixes between the samples of the drive
-    for vehicle in (inertial, Vehicle(reckoning, {"gps": sensors["gps"]}, name="tiny-reckoning")):
-        yield vehicle, simulate(vehicle, motion, seed=1, faults={"gps": late}, name=vehicle.name)
+    yield _tiny(Vehicle(imu=Imu(rate_hz=20.0), sensors=sensors, name="tiny-inertial"))
+    yield _tiny(Vehicle(reckoning, {fix: sensors[fix]}, name="tiny-reckoning"))
+
+
+def _tiny(vehicle: Vehicle) -> tuple[Vehicle, Mission]:
+    """With a mission: what the simulator cannot read reads zeros."""
+    silent = [name for name, sensor in vehicle.sensors.items() if type(sensor).simulated is Sensor.simulated and not sensor.from_drive]
+    heard = vehicle.without(*silent)
+    motion = Motion((Wait(3.0), ChangeSpeed(1.0, 2.0)), latitude_deg=30.0)
+    late = Faults(hdop=1.0, time_offset_s=0.03)  # readings between the samples of the drive
+    mission = simulate(heard, motion, seed=1, faults=dict.fromkeys(heard.sensors, late), name=vehicle.name)
+    times = np.arange(1.0, 4.0)
+    for name in silent:
+        values = np.zeros((times.size, vehicle.sensors[name].reads))
+        mission.streams[name] = Stream(times, values, tuple(f"column_{k}" for k in range(values.shape[1])))
+    return vehicle, mission

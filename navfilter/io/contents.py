@@ -1,0 +1,58 @@
+"""What streams of files may consist of: stated by the kinds of drives and sensors, with the other forms in which files give it."""
+
+from __future__ import annotations
+
+from navfilter.mechanisation import Mechanisation
+from navfilter.sensors import Sensor
+from navfilter.sensors.traits import Columns, kinds_below
+
+__all__ = ["FORMS", "SERIES", "TRUTH_ONLY", "contents", "driving", "groups"]
+
+#: Forms of a group that are turned into it when they are read: ECEF or local coordinates into geodetic ones, a quaternion into angles.
+FORMS: dict[str, tuple[Columns, ...]] = {
+    "position": (
+        Columns("ecef", ("ecef_x_m", "ecef_y_m", "ecef_z_m"), ("length",) * 3),
+        Columns("local", ("north_m", "east_m", "down_m"), ("length",) * 3),
+    ),
+    "attitude": (Columns("quaternion", ("q_w", "q_x", "q_y", "q_z"), ("number",) * 4),),
+}
+#: What only the truth has.
+TRUTH_ONLY = (
+    Columns("velocity_n", ("v_north_m_s", "v_east_m_s", "v_down_m_s"), ("speed",) * 3),
+    Columns("velocity_ecef", ("v_ecef_x_m_s", "v_ecef_y_m_s", "v_ecef_z_m_s"), ("speed",) * 3),
+)
+#: A group of any columns, for streams that no sensor reads.
+SERIES = "series"
+
+
+def contents() -> tuple[tuple[tuple[Columns, ...], tuple[Columns, ...]], ...]:
+    """What a stream may consist of: the groups that must be there, then those that may. Stated by the kinds of drives and sensors."""
+    found = []
+    for kind in (*kinds_below(Mechanisation), *kinds_below(Sensor)):
+        for must in kind.contents:  # type: ignore[attr-defined]
+            forms = FORMS.get(must[0].group, ()) if len(must) == 1 else ()
+            found += [(given, kind.beside) for given in (must, *((form,) for form in forms))]  # type: ignore[attr-defined]
+    return tuple(dict.fromkeys(found))
+
+
+def driving() -> set[str]:
+    """Groups of streams that drive a mechanisation: a repeated stamp would be a step of no length."""
+    first = {must[0].group for kind in kinds_below(Mechanisation) for must in kind.contents}  # type: ignore[attr-defined]
+    return first | {form.group for group in first for form in FORMS.get(group, ())}
+
+
+def groups() -> dict[str, Columns]:
+    """Every group of columns that a file may give, by its key.
+
+    Raises
+    ------
+    ValueError
+        When two kinds mean different columns by one key.
+    """
+    streams = contents()
+    every = [columns for must, _ in streams for columns in must] + [columns for _, may in streams for columns in may] + [*TRUTH_ONLY]
+    found: dict[str, Columns] = {}
+    for columns in every:
+        if found.setdefault(columns.group, columns) != columns:
+            raise ValueError(f'two kinds of sensors mean different columns by "{columns.group}"; give one of them another name.')
+    return found

@@ -1,0 +1,195 @@
+"""Attitude and body velocity as what drives."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navfilter.error_models import ErrorModel, RandomWalk, White, per_axis
+from navfilter.filter.layout import Parameter
+from navfilter.kernels import strapdown
+from navfilter.learning.drift import Drift
+from navfilter.mechanisation.mechanisation import Mechanisation, Triple
+from navfilter.mission import Stream
+from navfilter.sensors import BodyVelocity, Heading, Sensor
+from navfilter.sensors.heading import USUAL as HEADING_USUAL
+from navfilter.sensors.traits import Columns, Doubt, Plausible
+from navfilter.sensors.velocity import USUAL as VELOCITY_USUAL
+from navfilter.sensors.velocity import VELOCITY
+from navfilter.start import Start
+
+__all__ = ["DeadReckoning"]
+
+Array = NDArray[np.float64]
+ATTITUDE = Columns("attitude", ("roll_rad", "pitch_rad", "yaw_rad"), ("angle",) * 3, circular=("roll_rad", "yaw_rad"))
+#: Generous: beyond the worst and the best of instruments on the market.
+TILT_USUAL = Plausible(1e-7, math.radians(15.0), "deg", most_rate_hz=1000.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class DeadReckoning(Mechanisation):
+    """Dead reckoning by attitude and body velocity, without an inertial unit: their errors enter the propagation.
+
+    Parameters
+    ----------
+    rate_hz : float
+        Rate of the velocity readings [Hz].
+    attitude : Heading, ErrorModel or tuple of three
+        A `Heading` gives the error of the yaw (with bias and deviation states) and `tilt` that of roll and pitch; an error model, or a
+        tuple
+        for roll, pitch and yaw, gives them directly [rad].
+    velocity : BodyVelocity, ErrorModel or tuple of three
+        A `BodyVelocity` brings its lever arm, mounting, scale and misalignment states; an error model stands for a plain one [m/s].
+    tilt : ErrorModel
+        Error of roll and pitch when `attitude` is a `Heading` [rad].
+    hold_density : float
+        How fast the true body velocity may wander while readings are missing [m/s/sqrt(s)].
+
+    Notes
+    -----
+    Mission streams "attitude" (roll, pitch, yaw [rad]) and "velocity" (instrument axes [m/s]; NaN: lost).
+    """
+
+    attitude: Heading | ErrorModel | tuple[ErrorModel, ...] = White(sd=0.01)
+    velocity: BodyVelocity | ErrorModel | tuple[ErrorModel, ...] = White(sd=0.02)
+    tilt: ErrorModel = White(sd=0.005)
+    hold_density: float = 0.05
+
+    streams: ClassVar[tuple[str, ...]] = ("attitude", "velocity")
+    triples: ClassVar[tuple[str, str]] = ("attitude", "velocity")
+    contents: ClassVar[tuple[tuple[Columns, ...], ...]] = ((ATTITUDE,), (VELOCITY,))
+    axis_names: ClassVar[tuple[str, ...]] = ("roll", "pitch", "yaw", "velocity_x", "velocity_y", "velocity_z")
+    units: ClassVar[tuple[str, ...]] = ("rad",) * 3 + ("m_s",) * 3
+    steps: ClassVar[Callable[..., None]] = staticmethod(strapdown.dead_reckoning_steps)
+    hold: ClassVar[Callable[..., None]] = staticmethod(strapdown.dead_reckoning_hold)
+
+    def __post_init__(self) -> None:
+        if self.compass is not None and self.compass.gives != "heading":
+            raise ValueError(f"DeadReckoning.attitude must be a Heading or error models, found a {type(self.attitude).__name__}.")
+        if self.compass is not None and self.compass.magnetometer:
+            raise ValueError(
+                "DeadReckoning.attitude must give a heading, found a magnetometer: dead reckoning has no attitude of its own to level it "
+                "with. Use the compass's heading output."
+            )
+        if isinstance(self.velocity, Sensor) and self.velocity.gives != "velocity":
+            raise ValueError(
+                f"DeadReckoning.velocity must be over ground, found a {type(self.velocity).__name__}: dead reckoning has no states for "
+                "the current. Use a "
+                "BodyVelocity whose error says how fast the water may move, such as GaussMarkov(sd=0.3, tau_s=3600)."
+            )
+        super().__post_init__()
+
+    @property
+    def models(self) -> tuple[ErrorModel, ...]:
+        """Roll, pitch, yaw, velocity x, y, z."""
+        if self.compass is not None:
+            yaw = self.compass.models[0]
+            if self.compass.bias_sd_rad:
+                yaw = yaw + RandomWalk(density=0.0, start_sd=self.compass.bias_sd_rad)
+            attitude: tuple[ErrorModel, ...] = (self.tilt, self.tilt, yaw)
+        else:
+            attitude = per_axis(self.attitude, 3, "DeadReckoning.attitude")  # type: ignore[arg-type]
+        return attitude + self.velocity_sensor.models
+
+    @property
+    def compass(self) -> Heading | None:
+        """The `Heading`, where `attitude` is one."""
+        return self.attitude if isinstance(self.attitude, Sensor) else None
+
+    @property
+    def velocity_sensor(self) -> BodyVelocity:
+        """The velocity as a sensor (a plain one where only an error model was given)."""
+        if isinstance(self.velocity, Sensor):
+            return self.velocity
+        return BodyVelocity(rate_hz=self.rate_hz, error=self.velocity, zero_is_invalid=False)
+
+    def _deviation(self) -> tuple[Parameter, ...]:
+        if self.compass is None or not any(self.compass.deviation_sd_rad):
+            return ()
+        names = ("one_cycle_sin", "one_cycle_cos", "two_cycle_sin", "two_cycle_cos")
+        one, two = self.compass.deviation_sd_rad
+        return tuple(Parameter(f"yaw.{name}", sd, "rad") for name, sd in zip(names, (one, one, two, two), strict=True))
+
+    def heading_drift(self, walk: float, period_s: float) -> Drift:
+        """There is no heading but that of the drive's own compass: what is known wanders with the sensor's walk alone."""
+        return Drift((max(walk, 1e-9), 1e-12), period_s)
+
+    def velocity_drift(self, walk: float, period_s: float, *, vertical: bool = False) -> Drift:
+        """As that of a position: the velocity of the drive is what is compared."""
+        return self.position_drift(walk, period_s, vertical=vertical)
+
+    def position_drift(self, walk: float, period_s: float, *, vertical: bool = False) -> Drift:
+        """The noise of the velocity, then a slow change of it."""
+        return Drift((math.hypot(max(self.noise.white[3:6]), walk), 1e-3), period_s)
+
+    def limits(self) -> Array:
+        """Angles, which may have been unwrapped over many turns; a velocity may be missing."""
+        return np.full(3, 1e6)
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Deviation of the heading, scale and misalignment of the velocity."""
+        velocity = tuple(p._replace(name=f"velocity.{p.name}") for p in self.velocity_sensor.parameters())
+        return self._deviation() + velocity
+
+    def memory(self, first_parameter: int, start: Start | None = None) -> Array:
+        """The kernels' ``drv`` at the start."""
+        drv = super().memory(first_parameter, start)
+        deviation, total = len(self._deviation()), len(self.parameters())
+        drv[strapdown.HOLD_DENSITY] = self.hold_density
+        drv[strapdown.DEVIATION] = first_parameter if deviation else -1
+        drv[strapdown.SCALE] = first_parameter + deviation if total > deviation else -1
+        sensor = self.velocity_sensor
+        drv[strapdown.LEVER : strapdown.LEVER + 12] = sensor.constants(start)  # type: ignore[arg-type]  # lever arm and mounting: the same wherever it starts
+        if start is not None:
+            drv[strapdown.DECLINATION] = self.declination(start)
+        drv[strapdown.MAX_SPEED] = sensor.max_speed_m_s
+        drv[strapdown.ZERO_IS_VALID] = float(not sensor.zero_is_invalid)
+        return drv
+
+    def samples(self, streams: Mapping[str, Stream]) -> tuple[Array, Array]:
+        """Attitude, interpolated to the times of the velocity, and velocity."""
+        attitude, velocity = streams["attitude"], streams["velocity"]
+        good = np.isfinite(attitude.value[:, :3]).all(axis=1)
+        if good.sum() < 2:
+            raise ValueError('stream "attitude" has fewer than two valid readings.')
+        t, angles = attitude.time_s[good], np.unwrap(attitude.value[good, :3], axis=0)
+        inside = (velocity.time_s >= t[0] - self.period_s) & (velocity.time_s <= t[-1] + self.period_s)
+        times = velocity.time_s[inside]
+        return times, np.column_stack([*(np.interp(times, t, angles[:, i]) for i in range(3)), velocity.value[inside, :3]])
+
+    @property
+    def words(self) -> str:
+        """What drives."""
+        return f"dead reckoning by attitude and body velocity at {self.rate_hz:g} Hz"
+
+    def stream_columns(self) -> dict[str, tuple[str, ...]]:
+        """Attitude and velocity."""
+        return {"attitude": ATTITUDE.names, "velocity": VELOCITY.names}
+
+    def described(self) -> tuple[Triple, ...]:
+        """Heading and tilt, or attitude; velocity."""
+        if self.compass is not None:
+            attitude: tuple[Triple, ...] = (
+                Triple("attitude.error", self.compass.error, slice(2, 3), HEADING_USUAL),
+                Triple("tilt", self.tilt, slice(0, 1), TILT_USUAL),
+            )
+        else:
+            attitude = (Triple("attitude", self.attitude, slice(0, 3), HEADING_USUAL),)  # type: ignore[arg-type]
+        place = "velocity.error" if isinstance(self.velocity, Sensor) else "velocity"
+        return (*attitude, Triple(place, self.velocity_sensor.error, slice(3, 6), VELOCITY_USUAL))
+
+    def doubts(self) -> Iterator[Doubt]:
+        """Of the rate, and of the sensors it is made of."""
+        if not 0.1 <= self.rate_hz <= 100.0:
+            cure = "It is in Hz: the velocity readings per second."
+            yield Doubt("rate_hz", f"dead reckoning at {self.rate_hz:g} Hz is unusual.", cure)
+        if self.compass is not None:
+            yield from (doubt._replace(field=f"attitude.{doubt.field}") for doubt in self.compass.doubts())
+            if self.compass.temperature_sd_rad_per_k:
+                yield Doubt("attitude.temperature_sd_rad_per_k", "dead reckoning estimates no drift with temperature.", "Leave it out.")
+        yield from (doubt._replace(field=f"velocity.{doubt.field}") for doubt in self.velocity_sensor.doubts())

@@ -1,0 +1,159 @@
+"""An inertial unit as what drives."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navfilter.error_models import ErrorModel, RandomWalk, Sum, White, per_axis
+from navfilter.kernels import strapdown
+from navfilter.learning.drift import Drift
+from navfilter.learning.learned import learned_part
+from navfilter.mechanisation.mechanisation import Mechanisation, Triple
+from navfilter.mission import Stream
+from navfilter.sensors.heading import TEMPERATURE
+from navfilter.sensors.traits import Columns, Doubt, Plausible
+from navfilter.start import Start
+
+__all__ = ["ACCEL_PRIOR", "GYRO_PRIOR", "Imu"]
+
+Array = NDArray[np.float64]
+RATE = Columns("rate", ("rate_x_rad_s", "rate_y_rad_s", "rate_z_rad_s"), ("angular rate",) * 3)
+FORCE = Columns("force", ("force_x_m_s2", "force_y_m_s2", "force_z_m_s2"), ("acceleration",) * 3)
+ROTATION = Columns("rotation", ("rotation_x_rad", "rotation_y_rad", "rotation_z_rad"), ("angle",) * 3)
+VELOCITY_GAIN = Columns("velocity_gain", ("velocity_gain_x_m_s", "velocity_gain_y_m_s", "velocity_gain_z_m_s"), ("speed",) * 3)
+#: Generous: beyond the worst and the best of instruments on the market.
+GYRO_USUAL = Plausible(1e-8, 0.09, "deg_per_h", 6e-3, "deg_per_sqrt_h")  # 5 deg/s; 20 deg/sqrt(h)
+ACCEL_USUAL = Plausible(1e-7, 0.5, "mg", 0.05, "mg_per_sqrt_hz")  # 50 mg; 5 mg/sqrt(Hz)
+GYRO_PRIOR: Sum = White(density=1e-4) + RandomWalk(density=1e-6)
+ACCEL_PRIOR: Sum = White(density=1e-3) + RandomWalk(density=1e-5)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Imu(Mechanisation):
+    """Strapdown inertial navigation on WGS-84, driven by three gyros and three accelerometers.
+
+    Parameters
+    ----------
+    rate_hz : float
+        Sampling rate [Hz].
+    gyro, accel : ErrorModel or tuple of three
+        Errors of the angular rate [rad/s] and of the specific force [m/s^2]. A `LearnedArma` is learnt while the vehicle stands still
+        (`navfilter.learning.rest.Stillness`), beside a bias: a `RandomWalk`, that of the default where none is given.
+    increments : bool
+        Samples are angle and velocity increments [rad], [m/s] instead of rates.
+    gap_rate_sd, gap_force_sd : float
+        What the vehicle may do unseen while samples are missing for more than three periods: rate [rad/s] and force [m/s^2].
+    max_rate, max_force : float
+        A sample beyond them is a defect of the recording, not a motion [rad/s], [m/s^2].
+
+    Notes
+    -----
+    Mission stream "imu": rate_b (3), then force_b (3); at rest and level the specific force is (0, 0, -9.8).
+    """
+
+    gyro: ErrorModel | tuple[ErrorModel, ...] = GYRO_PRIOR
+    accel: ErrorModel | tuple[ErrorModel, ...] = ACCEL_PRIOR
+    increments: bool = False
+    gap_rate_sd: float = 0.2
+    gap_force_sd: float = 0.3
+    max_rate: float = 50.0
+    max_force: float = 1000.0
+
+    streams: ClassVar[tuple[str, ...]] = ("imu",)
+    triples: ClassVar[tuple[str, str]] = ("gyro", "accel")
+    contents: ClassVar[tuple[tuple[Columns, ...], ...]] = ((RATE, FORCE), (ROTATION, VELOCITY_GAIN))
+    beside: ClassVar[tuple[Columns, ...]] = (TEMPERATURE,)
+    inertial: ClassVar[bool] = True
+    gravity: ClassVar[float] = 9.81
+    axis_names: ClassVar[tuple[str, ...]] = ("gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z")
+    units: ClassVar[tuple[str, ...]] = ("rad_s",) * 3 + ("m_s2",) * 3
+    steps: ClassVar[Callable[..., None]] = staticmethod(strapdown.imu_steps)
+    hold: ClassVar[Callable[..., None]] = staticmethod(strapdown.imu_hold)
+
+    @property
+    def models(self) -> tuple[ErrorModel, ...]:
+        """Gyro x, y, z, accelerometer x, y, z."""
+        gyro, accel = per_axis(self.gyro, 3, "Imu.gyro"), per_axis(self.accel, 3, "Imu.accel")
+        return _with_bias(gyro, GYRO_PRIOR) + _with_bias(accel, ACCEL_PRIOR)
+
+    def heading_drift(self, walk: float, period_s: float) -> Drift:
+        """Angle random walk, then the walk of the gyro's bias."""
+        # the gyro's bias is no one's guess: how large it can be is part of the gyro's model
+        white, walks, start = (part[:3] for part in self.noise)
+        bias = max(math.hypot(sd, w * 60.0) for sd, w in zip(start, walks, strict=True))
+        return Drift((math.hypot(max(white), walk), max(walks)), period_s, (math.inf, bias) if bias > 0.0 else ())
+
+    def velocity_drift(self, walk: float, period_s: float, *, vertical: bool = False) -> Drift:
+        """Velocity random walk, then what turns the force: the tilt, which wanders with the gyros (Groves, 2013, sec. 14.2)."""
+        return Drift((math.hypot(max(self.noise.white[3:]), walk), self._force_walk(vertical)), period_s)
+
+    def position_drift(self, walk: float, period_s: float, *, vertical: bool = False) -> Drift:
+        """The integral of the velocity's."""
+        return Drift((walk, max(self.noise.white[3:]), self._force_walk(vertical)), period_s)
+
+    def _force_walk(self, vertical: bool) -> float:
+        """How the error of the force along an axis wanders [m/s^2/s/sqrt(Hz)]: by the bias of the accelerometer, or by the tilt."""
+        return max(max(self.noise.walk[3:]), 1e-7) if vertical else self.gravity * max(self.noise.white[:3])
+
+    def limits(self) -> Array:
+        """Rates and forces, or what they gather in one period."""
+        return np.repeat([self.max_rate, self.max_force], 3) * (self.period_s if self.increments else 1.0)
+
+    def memory(self, first_parameter: int, start: Start | None = None) -> Array:
+        """The kernels' ``drv`` at the start."""
+        drv = super().memory(first_parameter, start)
+        drv[strapdown.INCREMENTS] = float(self.increments)
+        drv[strapdown.GAP_RATE_SD] = self.gap_rate_sd
+        drv[strapdown.GAP_FORCE_SD] = self.gap_force_sd
+        return drv
+
+    def samples(self, streams: Mapping[str, Stream]) -> tuple[Array, Array]:
+        """The stream as it is."""
+        return streams["imu"].time_s, streams["imu"].value[:, :6]
+
+    @property
+    def words(self) -> str:
+        """What drives."""
+        return f"inertial unit at {self.rate_hz:g} Hz, {'angle and velocity increments' if self.increments else 'rates and forces'}"
+
+    def stream_columns(self) -> dict[str, tuple[str, ...]]:
+        """Rates and forces, or increments."""
+        return {"imu": tuple(name for columns in self.contents[self.increments] for name in columns.names)}
+
+    def described(self) -> tuple[Triple, ...]:
+        """Gyros and accelerometers."""
+        return Triple("gyro", self.gyro, slice(0, 3), GYRO_USUAL), Triple("accel", self.accel, slice(3, 6), ACCEL_USUAL)
+
+    def doubts(self) -> Iterator[Doubt]:
+        """Of the rate."""
+        if not 10.0 <= self.rate_hz < 1000.0:
+            cure = "It is in Hz: the samples per second of the stream. Below 10 Hz turns are lost; average what is faster than 1 kHz."
+            yield Doubt("rate_hz", f"an inertial unit at {self.rate_hz:g} Hz is unusual.", cure)
+
+
+def _with_bias(models: Sequence[ErrorModel], default: Sum) -> tuple[ErrorModel, ...]:
+    """Models of inertial axes with the bias of a prior beside their learnt part, where it stays whatever is learnt.
+
+    A learnt part without a prior gets what `default` has and nothing beside it stands for.
+    """
+    resolved = []
+    for model in models:
+        learned = learned_part(model)
+        if learned is not None and learned.model is None:
+            beside = [part for part in (model.parts if isinstance(model, Sum) else (model,)) if part is not learned]
+            if learned.prior is None:
+                given = [part for part in default.parts if not any(isinstance(part, type(other)) for other in beside)]
+            else:
+                given = list(learned.prior.parts) if isinstance(learned.prior, Sum) else [learned.prior]
+            walks = [part for part in given if isinstance(part, RandomWalk)]
+            rest = [part for part in given if not isinstance(part, RandomWalk)] or [White(sd=0.0)]
+            prior = rest[0] if len(rest) == 1 else Sum(tuple(rest))
+            model = Sum((*beside, *walks, replace(learned, prior=prior))) if beside or walks else replace(learned, prior=prior)
+        resolved.append(model)
+    return tuple(resolved)

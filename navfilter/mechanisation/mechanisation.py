@@ -1,0 +1,202 @@
+"""What every drive says of itself: the rest of the program asks it and keeps no list of kinds."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navfilter.error_models import ErrorModel
+from navfilter.filter.layout import Parameter
+from navfilter.kernels import strapdown
+from navfilter.learning.drift import Drift
+from navfilter.mission import Stream
+from navfilter.sensors import BodyVelocity, Heading
+from navfilter.sensors.sensor import Errors
+from navfilter.sensors.traits import Columns, Doubt, Plausible
+from navfilter.start import Start
+
+__all__ = ["DriveNoise", "Mechanisation", "Triple"]
+
+Array = NDArray[np.float64]
+
+
+class DriveNoise(NamedTuple):
+    """What the errors of a drive gather in an integral, axis by axis, see `ErrorModel.integrated`.
+
+    Attributes
+    ----------
+    white, walk : tuple of float
+        Root PSDs of the white noise [unit/sqrt(Hz)] and of the walk of the bias [unit/s/sqrt(Hz)].
+    start : tuple of float
+        Standard deviation of the bias at the start [unit].
+    """
+
+    white: tuple[float, ...]
+    walk: tuple[float, ...]
+    start: tuple[float, ...]
+
+    @classmethod
+    def of(cls, models: Sequence[ErrorModel], period_s: float) -> DriveNoise:
+        """That of these axes."""
+        each = [model.integrated(period_s) for model in models]
+        return cls(
+            tuple(math.sqrt(e.white * period_s) for e in each),
+            tuple(math.sqrt(max(e.walk, 0.0) / period_s) for e in each),
+            tuple(math.sqrt(e.start) for e in each),
+        )
+
+
+class Triple(NamedTuple):
+    """Errors of some channels of a drive as its description gives them.
+
+    Attributes
+    ----------
+    place : str
+        In the description: a field, or a field of a field.
+    given : ErrorModel or tuple of ErrorModel
+    axes : slice
+        Which of the six channels.
+    plausible : Plausible
+        What such channels usually err by.
+    """
+
+    place: str
+    given: Errors
+    axes: slice
+    plausible: Plausible
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mechanisation:
+    """What both drives share: six channels whose errors enter the propagation.
+
+    Attributes
+    ----------
+    streams : tuple of str
+        Of the mission, in the order of the six values of a sample.
+    axis_names, units : tuple of str
+        Of the six channels.
+    inertial : bool
+        The channels are three rates and three forces: what the vehicle does between two samples is felt, rest can be told.
+    gravity : float
+        What a tilt turns into acceleration [m/s^2]; 0 where the velocity is no integral.
+    triples : (2,) str
+        What the first three channels are called, and the last three.
+    contents, beside : tuple
+        What its streams in a file may consist of, see `navfilter.sensors.Sensor`.
+    """
+
+    rate_hz: float
+
+    streams: ClassVar[tuple[str, ...]] = ()
+    inertial: ClassVar[bool] = False
+    gravity: ClassVar[float] = 0.0
+    triples: ClassVar[tuple[str, str]]
+    contents: ClassVar[tuple[tuple[Columns, ...], ...]] = ()
+    beside: ClassVar[tuple[Columns, ...]] = ()
+    axis_names: ClassVar[tuple[str, ...]] = ()
+    units: ClassVar[tuple[str, ...]] = ()
+    steps: ClassVar[Callable[..., None]]
+    hold: ClassVar[Callable[..., None]]
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.rate_hz) and self.rate_hz > 0):
+            raise ValueError(f"{type(self).__name__}.rate_hz must be a finite number > 0, found {self.rate_hz!r}.")
+        _ = self.models
+
+    @property
+    def period_s(self) -> float:
+        """Nominal sampling period [s]."""
+        return 1.0 / self.rate_hz
+
+    @property
+    def models(self) -> tuple[ErrorModel, ...]:
+        """Error models of the six channels."""
+        raise NotImplementedError
+
+    @cached_property
+    def noise(self) -> DriveNoise:
+        """What the errors of the six channels gather in an integral."""
+        return DriveNoise.of(self.models, self.period_s)
+
+    def heading_drift(self, walk: float, period_s: float) -> Drift:
+        """Known noise of the heading error in an open-loop residual: integrators from the inside out.
+
+        Parameters
+        ----------
+        walk : float
+            Root PSD of the sensor's own random walk, which nobody can tell from that of the heading [rad/s/sqrt(Hz)].
+        period_s : float
+            Of the sensor.
+        """
+        raise NotImplementedError
+
+    def velocity_drift(self, walk: float, period_s: float, *, vertical: bool = False) -> Drift:
+        """As `heading_drift`, for one component of the velocity error; `walk` in m/s/s/sqrt(Hz)."""
+        raise NotImplementedError
+
+    def position_drift(self, walk: float, period_s: float, *, vertical: bool = False) -> Drift:
+        """As `heading_drift`, for one component of the position error; `walk` in m/s/sqrt(Hz)."""
+        raise NotImplementedError
+
+    @property
+    def compass(self) -> Heading | None:
+        """The sensor that gives the heading of its attitude, if one is described."""
+        return None
+
+    @property
+    def velocity_sensor(self) -> BodyVelocity | None:
+        """The sensor that gives its velocity, if it has one."""
+        return None
+
+    def declination(self, start: Start) -> float:
+        """From its heading to the true one [rad]."""
+        return 0.0 if self.compass is None else self.compass.declination(start)
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Constant states of the drive beside its error models."""
+        return ()
+
+    def limits(self) -> Array:
+        """Largest magnitude of the values of a sample that must be there; beyond it the sample is a defect."""
+        raise NotImplementedError
+
+    def memory(self, first_parameter: int, start: Start | None = None) -> Array:
+        """The kernels' ``drv`` at the start; `first_parameter` counts the drive's states before its parameters."""
+        drv = np.zeros(strapdown.DRIVE_SIZE)
+        drv[strapdown.PERIOD_S] = self.period_s
+        return drv
+
+    # ---------------------------------------------------------------- what files and checks ask
+    def samples(self, streams: Mapping[str, Stream]) -> tuple[Array, Array]:
+        """Samples from its streams: times (n,) and six values (n, 6).
+
+        Raises
+        ------
+        ValueError
+            Where a stream holds too little.
+        """
+        raise NotImplementedError
+
+    @property
+    def words(self) -> str:
+        """What drives, and at what rate."""
+        raise NotImplementedError
+
+    def stream_columns(self) -> dict[str, tuple[str, ...]]:
+        """Names of the columns of each of its streams."""
+        raise NotImplementedError
+
+    def described(self) -> tuple[Triple, ...]:
+        """The errors as they are given."""
+        raise NotImplementedError
+
+    def doubts(self) -> Iterator[Doubt]:
+        """Fields whose values were probably not meant so, beside the errors."""
+        raise NotImplementedError
