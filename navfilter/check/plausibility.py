@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from navfilter.check.amounts import amount, duration, root_density
 from navfilter.check.finding import Finding
+from navfilter.constants import ROOT_HOUR
 from navfilter.error_models import Arma, ErrorModel, GaussMarkov, RandomWalk, Sum, White
 from navfilter.filter.layout import Layout
 from navfilter.learning.learned import LearnedArma
@@ -220,9 +221,9 @@ def _part_findings(place: str, part: ErrorModel, channel: _Channel, period_s: fl
     elif isinstance(part, RandomWalk):
         if part.start_sd is not None:
             yield from _sd_findings(f"{place}.start_sd", part.start_sd, channel)
-        if 60.0 * part.density > channel.most_sd:
+        if ROOT_HOUR * part.density > channel.most_sd:
             cure = "The density is per second and root Hertz: (change in an hour) / 60."
-            yield _warn(f"{place}.density", f"a bias that wanders by {amount(60.0 * part.density, channel.unit)} in an hour.", cure)
+            yield _warn(f"{place}.density", f"a bias that wanders by {amount(ROOT_HOUR * part.density, channel.unit)} in an hour.", cure)
     elif isinstance(part, Arma) or (isinstance(part, LearnedArma) and part.model is not None):
         block = part.block(period_s)
         yield from _sd_findings(place, math.sqrt(float(block.C @ block.P0 @ block.C) + block.r), channel)

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.figure import Figure
 
+from navfilter.constants import STANDARD_GRAVITY
 from navfilter.error_models import ErrorModel, Sum
 from navfilter.mechanisation import Imu
 from navfilter.report.drawing import band, colour, line, panels
@@ -20,7 +21,7 @@ __all__ = ["ShownState", "shown_states", "states_figure"]
 
 _DEG = 180.0 / np.pi
 _DEG_PER_H = _DEG * 3600.0
-_MG = 1e3 / 9.80665
+_MG = 1e3 / STANDARD_GRAVITY
 
 
 @dataclass(frozen=True)
