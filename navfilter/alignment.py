@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from navfilter.constants import STANDARD_GRAVITY
 from navfilter.mechanisation import Mechanisation
 from navfilter.mission import Mission, Stream
 from navfilter.start import Start
@@ -16,7 +17,6 @@ from navfilter.vehicle import Vehicle
 __all__ = ["align"]
 
 Array = NDArray[np.float64]
-GRAVITY = 9.80665
 
 
 def align(vehicle: Vehicle, mission: Mission, window_s: float = 5.0) -> Start:
@@ -121,7 +121,7 @@ def _level(force: Array, drive: Mechanisation) -> tuple[float, float, float]:
     if getattr(drive, "increments", False):
         force = force / drive.period_s
     mean = force.mean(axis=0)
-    excess = abs(float(np.linalg.norm(mean)) - GRAVITY)
+    excess = abs(float(np.linalg.norm(mean)) - STANDARD_GRAVITY)
     if excess > 1.5:
         raise ValueError(
             f"cannot level: the mean specific force is {np.linalg.norm(mean):.2f} m/s^2 instead of "
@@ -137,7 +137,7 @@ def _level(force: Array, drive: Mechanisation) -> tuple[float, float, float]:
     pitch = float(np.arctan2(mean[0], np.hypot(mean[1], mean[2])))
     # Slow manoeuvres lean the mean by their mean acceleration: a third of the scatter, not less than 0.05 m/s^2 of accelerometer bias.
     lean = max(0.05, excess, float(force[:, :2].std(axis=0).max()) / 3.0)
-    return roll, pitch, lean / GRAVITY
+    return roll, pitch, lean / STANDARD_GRAVITY
 
 
 def _heading(vehicle: Vehicle, mission: Mission, begin: float, window_s: float, roll: float, pitch: float) -> tuple[float, float]:

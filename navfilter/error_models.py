@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import block_diag, solve_discrete_lyapunov
 
 from navfilter.arma.roots import is_stable
+from navfilter.constants import ROOT_HOUR
 
 __all__ = ["Arma", "Block", "ErrorModel", "GaussMarkov", "Integrated", "RandomWalk", "Sum", "White", "block_level", "per_axis"]
 
@@ -202,7 +203,7 @@ class RandomWalk(ErrorModel):
 
     def block(self, period_s: float) -> Block:
         """Discretise: exact for any period."""
-        start = 60.0 * self.density if self.start_sd is None else self.start_sd
+        start = ROOT_HOUR * self.density if self.start_sd is None else self.start_sd
         return Block(np.eye(1), _square(self.density**2 * period_s, 1), np.ones(1), 0.0, _square(start**2, 1))
 
 

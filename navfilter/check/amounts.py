@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import math
 
+from navfilter.constants import MILLI_G, ROOT_HOUR
+
 __all__ = ["amount", "duration", "root_density", "walk"]
 
 _DEG = math.pi / 180.0
-_MILLI_G = 9.80665e-3
 #: SI unit of a channel -> the units to write it in, the largest first: name, size in SI.
 _SCALES: dict[str, tuple[tuple[str, float], ...]] = {
     "rad": (("deg", _DEG),),
     "rad_s": (("deg/s", _DEG), ("deg/h", _DEG / 3600.0)),
-    "m_s2": (("m/s^2", 1.0), ("mg", _MILLI_G), ("ug", 1e-3 * _MILLI_G)),
+    "m_s2": (("m/s^2", 1.0), ("mg", MILLI_G), ("ug", 1e-3 * MILLI_G)),
     "m_s": (("m/s", 1.0), ("cm/s", 1e-2), ("mm/s", 1e-3)),
     "m": (("m", 1.0), ("cm", 1e-2), ("mm", 1e-3)),
     "1": (("%", 1e-2),),
@@ -49,14 +50,14 @@ def root_density(value: float, unit: str) -> str:
     ('0.3 deg/sqrt(h)', '99.9 ug/sqrt(Hz)')
     """
     if unit == "rad_s":
-        return f"{value / _DEG * 60.0:.3g} deg/sqrt(h)"
+        return f"{value / _DEG * ROOT_HOUR:.3g} deg/sqrt(h)"
     number, name = amount(value, unit).split(" ")
     return f"{number} {name}/sqrt(Hz)"
 
 
 def walk(density: float, unit: str) -> str:
     """How far a random walk of this density [unit/s/sqrt(Hz)] gets in an hour."""
-    return f"{amount(60.0 * density, unit)} in an hour"
+    return f"{amount(ROOT_HOUR * density, unit)} in an hour"
 
 
 def duration(seconds: float) -> str:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from navfilter.check.amounts import amount, duration, root_density, walk
+from navfilter.constants import ROOT_HOUR
 from navfilter.error_models import Arma, Block, ErrorModel, GaussMarkov, RandomWalk, Sum, White
 from navfilter.filter.layout import Layout, Parameter
 from navfilter.learning.learned import LearnedArma
@@ -142,7 +143,7 @@ def _part(model: ErrorModel, unit: str, period_s: float) -> str:
             return f"white noise: sd {amount(float(model.sd or 0.0), unit)} of a reading"
         return f"white noise: {root_density(model.density, unit)}, sd {amount(model.density / math.sqrt(period_s), unit)} of a reading"
     if isinstance(model, RandomWalk):
-        start = 60.0 * model.density if model.start_sd is None else model.start_sd
+        start = ROOT_HOUR * model.density if model.start_sd is None else model.start_sd
         if not model.density:
             return f"constant bias: sd {amount(start, unit)}"
         return f"bias: sd {amount(start, unit)} at the start, wanders by {walk(model.density, unit)}"

@@ -12,12 +12,12 @@ import numpy as np
 from navfilter.check.course import course_findings
 from navfilter.check.finding import Finding
 from navfilter.check.series import MOST_WINDOWS, correlation, heading_of, integral, unwrapped, vector, window_edges
+from navfilter.constants import ROUND_GRAVITY
 from navfilter.mission import Array, Mission, Stream
 
 if TYPE_CHECKING:
     from navfilter.vehicle import Vehicle
 
-GRAVITY = 9.81
 EARTH_RADIUS_M = 6.371e6
 #: Correlation below which two sensors have too little in common to be judged.
 LITTLE = 0.5
@@ -59,8 +59,8 @@ def _has_enough(stream: Stream) -> bool:
 def _gravity(name: str, imu: Stream) -> Iterator[Finding]:
     mean = np.nanmean(vector(imu, "force_x_m_s2"), axis=0)
     size = float(np.linalg.norm(mean))
-    if not 0.9 * GRAVITY < size < 1.1 * GRAVITY:
-        known = {1.0: 'the unit is "g"', 1000.0: 'the unit is "mg"', GRAVITY**2: "the values are m/s^2 already, not g"}
+    if not 0.9 * ROUND_GRAVITY < size < 1.1 * ROUND_GRAVITY:
+        known = {1.0: 'the unit is "g"', 1000.0: 'the unit is "mg"', ROUND_GRAVITY**2: "the values are m/s^2 already, not g"}
         guess = [words for value, words in known.items() if 0.9 * value < size < 1.1 * value]
         cure = f"Perhaps {guess[0]}." if guess else "Raw specific force is needed, with gravity in it; check the unit."
         yield Finding("error", name, f"the mean specific force is {size:.3g} m/s^2, gravity is 9.8.", cure)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from navfilter.check.amounts import amount, duration, root_density
 from navfilter.check.finding import Finding
+from navfilter.constants import ROOT_HOUR
 from navfilter.error_models import ErrorModel, GaussMarkov, RandomWalk, Sum, White
 from navfilter.filter.layout import Layout
 from navfilter.learning.learned import LearnedArma
@@ -150,9 +151,10 @@ def _part_findings(place: str, part: ErrorModel, channel: _Channel, period_s: fl
     elif isinstance(part, RandomWalk):
         if part.start_sd is not None:
             yield from _sd_findings(f"{place}.start_sd", part.start_sd, channel)
-        if 60.0 * part.density > channel.usual.most_sd:
+        if ROOT_HOUR * part.density > channel.usual.most_sd:
             cure = "The density is per second and root Hertz: (change in an hour) / 60."
-            yield _warn(f"{place}.density", f"a bias that wanders by {amount(60.0 * part.density, channel.unit)} in an hour.", cure)
+            wander = amount(ROOT_HOUR * part.density, channel.unit)
+            yield _warn(f"{place}.density", f"a bias that wanders by {wander} in an hour.", cure)
     elif isinstance(part, LearnedArma) and part.model is None:
         if part.window * period_s > 7200.0:
             cure = f"A window of {max(int(1800.0 / period_s), 200)} readings takes half an hour or less; models of slow sensors need fewer."

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-STANDARD_GRAVITY_M_S2 = 9.80665
+from navfilter.constants import STANDARD_GRAVITY
 
 
 @dataclass(frozen=True)
@@ -54,9 +54,9 @@ UNITS: dict[str, Unit] = {
     "kn": Unit("speed", 1852.0 / 3600.0),
     "ft/s": Unit("speed", 0.3048),
     "m/s^2": Unit("acceleration"),
-    "g": Unit("acceleration", STANDARD_GRAVITY_M_S2),
-    "mg": Unit("acceleration", 1e-3 * STANDARD_GRAVITY_M_S2),
-    "ug": Unit("acceleration", 1e-6 * STANDARD_GRAVITY_M_S2),
+    "g": Unit("acceleration", STANDARD_GRAVITY),
+    "mg": Unit("acceleration", 1e-3 * STANDARD_GRAVITY),
+    "ug": Unit("acceleration", 1e-6 * STANDARD_GRAVITY),
     "T": Unit("magnetic field"),
     "uT": Unit("magnetic field", 1e-6),
     "nT": Unit("magnetic field", 1e-9),
@@ -137,10 +137,10 @@ SUFFIXES: dict[str, float] = {
     "deg_per_sqrt_h": _DEG / 60.0,
     "deg_per_s_per_sqrt_hz": _DEG,
     "deg_per_h_per_sqrt_h": _DEG / 3600.0 / 60.0,
-    "mg": 1e-3 * STANDARD_GRAVITY_M_S2,
-    "ug": 1e-6 * STANDARD_GRAVITY_M_S2,
-    "mg_per_sqrt_hz": 1e-3 * STANDARD_GRAVITY_M_S2,
-    "ug_per_sqrt_hz": 1e-6 * STANDARD_GRAVITY_M_S2,
+    "mg": 1e-3 * STANDARD_GRAVITY,
+    "ug": 1e-6 * STANDARD_GRAVITY,
+    "mg_per_sqrt_hz": 1e-3 * STANDARD_GRAVITY,
+    "ug_per_sqrt_hz": 1e-6 * STANDARD_GRAVITY,
     "m_per_s_per_sqrt_h": 1.0 / 60.0,
     "cm": 1e-2,
     "mm": 1e-3,

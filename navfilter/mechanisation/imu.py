@@ -70,7 +70,7 @@ class Imu(Mechanisation):
     contents: ClassVar[tuple[tuple[Columns, ...], ...]] = ((RATE, FORCE), (ROTATION, VELOCITY_GAIN))
     beside: ClassVar[tuple[Columns, ...]] = (TEMPERATURE,)
     inertial: ClassVar[bool] = True
-    gravity: ClassVar[float] = 9.81
+    gravity: ClassVar[float] = ROUND_GRAVITY
     axis_names: ClassVar[tuple[str, ...]] = ("gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z")
     units: ClassVar[tuple[str, ...]] = ("rad_s",) * 3 + ("m_s2",) * 3
     steps: ClassVar[Callable[..., None]] = staticmethod(strapdown.imu_steps)

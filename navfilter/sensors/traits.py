@@ -14,7 +14,7 @@ _SHOWN = {
     "rad_s": ("deg/h", 180.0 / math.pi * 3600.0),
     "rad_per_k": ("deg/K", 180.0 / math.pi),
     "m_s": ("m/s", 1.0),
-    "m_s2": ("mg", 1e3 / 9.80665),
+    "m_s2": ("mg", 1e3 / STANDARD_GRAVITY),
     "1": ("%", 100.0),
 }
 

@@ -9,11 +9,10 @@ from __future__ import annotations
 
 import math
 
+from navfilter.constants import MILLI_G
 from navfilter.error_models import ErrorModel, GaussMarkov, RandomWalk, White
 from navfilter.mechanisation import Imu
 from navfilter.sensors import BodyVelocity, Depth, Heading, Position
-
-MILLI_G = 9.80665e-3  # m/s^2
 
 _DEG = math.pi / 180.0
 _HOUR_S = 3600.0
