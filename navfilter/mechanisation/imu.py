@@ -10,6 +10,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from navfilter.constants import ROUND_GRAVITY
 from navfilter.error_models import ErrorModel, RandomWalk, Sum, White, per_axis
 from navfilter.kernels import strapdown
 from navfilter.learning.drift import Drift

@@ -6,6 +6,8 @@ import math
 from collections.abc import Iterator
 from typing import NamedTuple
 
+from navfilter.constants import STANDARD_GRAVITY
+
 __all__ = ["Columns", "Doubt", "Example", "Plausible", "angle_doubt", "kinds_below", "shown_unit"]
 
 #: SI unit -> what people read it in, and the factor to it.
