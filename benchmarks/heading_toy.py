@@ -11,7 +11,7 @@ first 15 minutes.
 | Sage-Husa | R adapts to the innovations, memory of one window |
 | GM1 1/e | first-order Gauss-Markov through the 1/e point of the detrended series (Ah-Chong, 2003) |
 | GM1 fitted | first-order Gauss-Markov by the likelihood of drift and noise together |
-| IWAKF (4,2) | colouring filter that whitens the innovations (see `baselines`) |
+| IWAKF (4,2) | colouring filter that whitens the innovations (see `heading_filters`) |
 | ARMA | navfilter's learner: drift states and ARMA by their joint likelihood, order chosen |
 | oracle | the model that made the noise |
 
@@ -30,7 +30,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
-from baselines import Filtered, Gyro, Iwakf, filter_heading, sage_husa
+from heading_filters import Filtered, Gyro, Iwakf, filter_heading, sage_husa
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
