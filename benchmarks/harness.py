@@ -16,6 +16,7 @@ import math
 import os
 import platform
 import re
+import resource
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -147,8 +148,7 @@ class Table:
 def in_turn(
     calls: Mapping[str, Callable[[], object]], turns: int, clock: Callable[[], float] = time.process_time
 ) -> dict[str, Array]:
-    """Seconds of every call in every turn, A B A B: what slows the machine down for a while slows all of them down.
-    """
+    """Seconds of every call in every turn, A B A B: what slows the machine down for a while slows all of them down."""
     spent = {name: np.empty(turns) for name in calls}
     for turn in range(turns):
         for name, call in calls.items():
@@ -161,6 +161,11 @@ def in_turn(
 def ratio(over: Array, under: Array) -> float:
     """Median of the ratios turn by turn."""
     return float(np.median(over / under))
+
+
+def peak_mb() -> float:
+    """Largest memory of this process so far [MB]."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
 # --- missions ---------------------------------------------------------------------------------------------------------

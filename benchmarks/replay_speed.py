@@ -1,29 +1,23 @@
 """The standard hour through the filter and the smoother, beside filterpy and python-ins (see `baselines`), in one run.
 
 The competitors do the same work per step on a part of the hour, and their time is scaled to the whole. Learning on all
-eight channels (compass, DVL, depth, fixes; orders up to (4, 4)) is measured against the plain filter of the same vehicle,
-turn by turn. Processor seconds: medians over the turns.
+eight channels (compass, DVL, depth, fixes; orders up to (4, 4)) is measured against the plain filter of the same
+vehicle, turn by turn. Processor seconds: medians over the turns.
 """
 
 from __future__ import annotations
 
-import resource
 import time
 from typing import Any
 
 import numpy as np
 from baselines import filterpy_times, pyins_filter, pyins_strapdown
-from harness import Options, Table, flag, hour, in_turn, main, quick, ratio
+from harness import Options, Table, flag, hour, in_turn, main, peak_mb, quick, ratio
 
 import navfilter as nf
 from navfilter.kernels import strapdown
 
 CPU = time.process_time
-
-
-def peak_mb() -> float:
-    """Largest memory of this process so far [MB]."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
 def replayed(vehicle: nf.Vehicle, mission: nf.Mission, turns: int) -> tuple[dict[str, float], dict[str, Any]]:
@@ -79,9 +73,9 @@ def replay_speed(options: Options) -> dict[str, Any]:
         row = {"work": work, "navfilter_s": s, "filterpy_s": one, "python_ins_s": other}
         table.add(row | {"ratio": one and one / s, "ratio_ins": other and other / s})
     rate = n / ours["strapdown alone"]
-    print(f"strapdown alone: {1e-6 * rate:.1f} million samples/s; peak memory {peak:.0f} MB, {before:.0f} before the replay")
+    print(f"strapdown alone: {1e-6 * rate:.1f} million samples/s; peak memory {peak:.0f} MB, {before:.0f} before")
     print(
-        f"learning on {added['channels']} channels: plain {added['plain_s']:.2f} s, learning {added['learning_s']:.2f} s, "
+        f"{added['channels']} channels: plain {added['plain_s']:.2f} s, learning {added['learning_s']:.2f} s, "
         f"{100 * added['added_share']:+.0f} %, {added['adoptions']} adoptions"
     )
     memory = {"peak_mb": peak, "before_mb": before}

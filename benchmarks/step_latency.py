@@ -145,7 +145,9 @@ def step_latency(options: Options) -> dict[str, Any]:
     print("\n".join(f"median of {who}: {times:.1f} times ours" for who, times in ratios.items()))
     for (call, share), target in TARGETS_US.items():
         wall, processor = (us[f"navfilter {call}, gc.freeze()", clock][share] for clock in ("wall", "processor"))
-        print(f"target {call} {share} <= {target:g} us: {wall:.1f} by the wall clock, {processor:.1f} by the processor's")
+        print(
+            f"target {call} {share} <= {target:g} us: {wall:.1f} by the wall clock, {processor:.1f} by the processor's"
+        )
     began = None
     if not (options.quick or options.no_start):
         began = Table({"start": "<14", "warm_up": "<8", "wall_s": ">8.2f", "processor_s": ">8.2f"})
