@@ -30,8 +30,8 @@ def batch(options: Options) -> list[dict[str, Any]]:
     statsmodels needs minutes for (10, 10); it is given one run per series, navfilter the median of five.
     """
     nf.fit_arma(nf.simulate_arma([-0.5], [0.2], 1.0, 500, seed=0), 2, 1, trend="none")
-    columns = {"order": "<8", "n": ">7d", "navfilter_s": ">9.4f", "statsmodels_s": ">9.2f", "ratio": ">7.0f"}
-    table = Table(columns | {"loglik_gain": ">9.5f", "failure": "<8"})
+    columns = "order<8 n>7d navfilter_s>9.4f statsmodels_s>9.2f ratio>7.0f loglik_gain>9.5f failure<8"
+    table = Table(columns)
     for n in (10_000,) if options.quick else (10_000, 100_000):
         for name in FITTED:
             table.add(fitted(name, n, with_statsmodels=not (options.quick and name == "(10,10)")))
@@ -76,9 +76,9 @@ def efficiency(options: Options) -> dict[str, Any]:
     """
     windows, series = ([1000], [10]) if options.quick else (options.windows, options.series)
     kinds = ("online", "exact") if options.no_els else ("online", "exact", "els")
-    columns = {"model": "<18", "failed": ">6d", "ratio": ">6.2f"}
+    columns = "model<18 failed>6d ratio>6.2f"
     for kind in kinds:
-        columns |= {kind: ">7.2f", f"{kind}_sem": ">7.2f", f"{kind}_worst": ">7.1f", f"{kind}_s": ">7.3f"}
+        columns += f" {kind}>7.2f {kind}_sem>7.2f {kind}_worst>7.1f {kind}_s>7.3f"
     tables = {}
     for window, count in zip(windows, series, strict=True):
         print(f"\nW = {window}, {count} series: excess prediction variance / Cramer-Rao bound, and seconds per series")
@@ -158,9 +158,8 @@ def order(options: Options) -> dict[str, Any]:
     turns = in_turn(surface, 1 if options.quick else 3, time.perf_counter)
     spent = {name: float(times.min()) for name, times in turns.items()}
     print("11 x 11 surface, N = 14 400: " + ", ".join(f"{s:.2f} s on {name}" for name, s in spent.items()))
-    rules = ("navfilter", "aic", "bic", "hq", "true order")
-    costs = {f"{rule} {what}": ">6.2f" for rule in rules for what in ("cost", "right")}
-    table = Table({"model": "<16", "n_true": ">6d"} | costs)
+    rules = ("navfilter", "aic", "bic", "hq", "true_order")
+    table = Table("model<16 n_true>6d " + " ".join(f"{rule}_cost>6.2f {rule}_right>6.2f" for rule in rules))
     for name in CHOSEN:
         table.add(choose(name, runs))
     return {"surface_s": spent, "choice": table.rows}
@@ -172,14 +171,14 @@ def choose(name: str, runs: int) -> dict[str, Any]:
     found: dict[str, list[float]] = {}
     for seed in range(runs):
         table = nf.select_order(nf.simulate_arma(ar, ma, 1.0, LENGTH, seed=seed), 4, 4)
-        picks = {"navfilter": table.best, "true order": (ar.size, ma.size)}
+        picks = {"navfilter": table.best, "true_order": (ar.size, ma.size)}
         for rule in ("aic", "bic", "hq"):
             at = np.unravel_index(np.argmin(getattr(table, rule)), table.aic.shape)
             picks[rule] = (int(at[0]), int(at[1]))
         for rule, pick in picks.items():
             fit = table.fits[pick]
-            found.setdefault(f"{rule} cost", []).append(LENGTH * excess(fit.ar, fit.ma, ar, ma))
-            found.setdefault(f"{rule} right", []).append(pick == (ar.size, ma.size))
+            found.setdefault(f"{rule}_cost", []).append(LENGTH * excess(fit.ar, fit.ma, ar, ma))
+            found.setdefault(f"{rule}_right", []).append(pick == (ar.size, ma.size))
     return {"model": name, "n_true": ar.size + ma.size} | {key: float(np.mean(values)) for key, values in found.items()}
 
 
@@ -211,7 +210,7 @@ def tracking(options: Options) -> dict[str, Any]:
     inside, slope = drifting > 4.5 * WINDOW, (AFTER - BEFORE) / (DRIFT * WINDOW)
     print(f"window {WINDOW}, hop {HOP}, {count} series; share of a step missing so many windows later; lag of a drift")
     keys = [f"{k / 4:.2f}" for k in QUARTERS]
-    table = Table({"estimator": "<10"} | dict.fromkeys([*keys, "drift_lag"], ">6.2f"))
+    table = Table("estimator<10 " + " ".join(f"{key}>6.2f" for key in [*keys, "drift_lag"]))
     for name in FOLLOWERS:
         missing = np.max(np.abs((stepped[name][at] - AFTER) / (BEFORE - AFTER)), axis=1)
         lag = float(np.mean((truth[inside] - drifted[name][inside]) / slope) / WINDOW)

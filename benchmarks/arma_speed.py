@@ -29,26 +29,17 @@ def speed(options: Options) -> dict[str, Any]:
     """
     repeats = 10 if options.quick else options.repeats
     print("one step of the kernel against the same step in C, ns; medians of", repeats, "turns")
-    columns = {
-        "p": ">3d",
-        "q": ">3d",
-        "numba_ns": ">8.0f",
-        "c_ns": ">8.0f",
-        "ratio": ">6.2f",
-        "theta_difference": ">9.1e",
-    }
-    c = Table(columns)
+    c = Table("p>3d q>3d numba_ns>8.0f c_ns>8.0f ratio>6.2f theta_difference>9.1e")
     with tempfile.TemporaryDirectory() as folder:
         library = compile_twin(Path(folder))
         for p, q in ORDERS:
             c.add({"p": p, "q": q} | against_c(library, p, q, repeats))
     print("from Python: update(x), and update_many with a polish every 1000 of 4000 samples, us per sample")
-    python = Table({"p": ">3d", "q": ">3d", "update_us": ">8.2f", "with_polish_us": ">8.2f"})
+    python = Table("p>3d q>3d update_us>8.2f with_polish_us>8.2f")
     for p, q in ORDERS:
         python.add({"p": p, "q": q} | from_python(p, q, max(repeats // 4, 3)))
     print("against Python packages, samples per second")
-    per_second = {"peer_per_s": ">9.0f", "kernel_per_s": ">9.0f", "ratio": ">7.0f", "ratio_with_polish": ">7.0f"}
-    others = Table({"p": ">3d", "q": ">3d", "peer": "<34"} | per_second)
+    others = Table("p>3d q>3d peer<34 peer_per_s>9.0f kernel_per_s>9.0f ratio>7.0f ratio_with_polish>7.0f")
     for p, q in [(3, 0), (2, 1), (10, 10)]:
         for row in against_python(p, q, max(repeats // 4, 3)):
             others.add({"p": p, "q": q} | row)

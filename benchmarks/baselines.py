@@ -9,16 +9,12 @@ it is what they offer.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from harness import Array, Clock
 
 import navfilter as nf
-
-Array = NDArray[np.float64]
-Clock = Callable[[], float]
 
 
 class Filterpy(NamedTuple):

@@ -26,9 +26,9 @@ from navfilter.state import NavState
 RATE_HZ = 100
 LAP = (Straight(duration_s=30.0), Turn(180.0), Straight(duration_s=30.0), Turn(180.0))
 FIXES_EVERY_S, FIXES_FOR_S, FIX_LATE_S = 1800.0, 120.0, 0.7
-NEES = ("nees_position", "nees_velocity", "nees_attitude")
-COLUMNS = ("hour", "rss_mb", "smallest", *NEES, "position_m", "position_sd_m")
-HOURLY = dict.fromkeys(COLUMNS, ">8.2f") | {"smallest": ">8.1e"}
+NEES = "nees_position>8.2f nees_velocity>8.2f nees_attitude>8.2f"
+HOURLY = f"hour>6.1f rss_mb>8.2f smallest>8.1e {NEES} position_m>8.2f position_sd_m>8.2f"
+COLUMNS = tuple(column.split(">")[0] for column in HOURLY.split())
 #: When it arrives, from whom, when it was read, what.
 Event = tuple[float, str, float, Array]
 

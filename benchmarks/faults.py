@@ -30,7 +30,8 @@ WORST_NEES = 2.0
 SLOWER = 10.0  # than the run without a fault: what arrives must not be able to stall the vehicle
 FAR_M = 5.0  # from the truth of a recording, fixes back for a while; or three times the distance without a fault
 RECORDINGS = ("snapir-auv-1hz/01", "auv-lake-sea-10hz/20220625_0_0")
-SEEN = {"kind": "<44", "crashes": ">5d", "nan": ">3d", "not_definite": ">3d"}
+SEEN = "kind<44 crashes>5d nan>3d not_definite>3d"
+NAMES = ("position", "velocity", "attitude")
 Judge = Callable[[watched.Outcome, nf.Mission], dict[str, float]]
 
 
@@ -113,7 +114,7 @@ def failures(row: dict[str, Any], counted: Sequence[str]) -> Iterator[str]:
         yield "not PD"
     if "position" in row and counted and not any(row["counted"][key] for key in counted):
         yield "not counted"
-    if "position" in row and not max(row[key] for key in ("position", "velocity", "attitude")) < WORST_NEES:
+    if "position" in row and not max(row[key] for key in NAMES) < WORST_NEES:
         yield "NEES"
     if "after_m" in row and not row["after_m"] < max(3.0 * row["clean_after_m"], FAR_M):
         yield "far off"
@@ -132,9 +133,8 @@ def simulated(kinds: Sequence[str], seeds: Sequence[int], one_by_one: bool) -> l
         before = watched.nees(outcome, mission.truth, *SILENT)
         return watched.nees(outcome, mission.truth, *JUDGED) | {f"{key}_before": x for key, x in before.items()}
 
-    names = ("position", "velocity", "attitude")
-    nees = dict.fromkeys([*names, *(f"{name}_before" for name in names)], ">8.3g")
-    table = Table(SEEN | nees | {"verdict": "<20", "counts": "<6"})
+    nees = " ".join(f"{name}>8.3g" for name in [*NAMES, *(f"{name}_before" for name in NAMES)])
+    table = Table(f"{SEEN} {nees} verdict<20 counts<6")
     for kind in (None, *kinds):
         table.add(row_of(kind, runs, judge, one_by_one))
     return table.rows
@@ -159,8 +159,8 @@ def replayed(name: str, kinds: Sequence[str], seeds: Sequence[int]) -> list[dict
         figures = {key: distance(outcome, mission, *times) for key, times in when.items()}
         return figures | {f"clean_{key}": distance(clean, mission, *times) for key, times in when.items()}
 
-    metres = dict.fromkeys(("after_m", "clean_after_m", "before_m", "clean_before_m"), ">8.2f")
-    table = Table(SEEN | metres | {"verdict": "<20", "counts": "<6"})
+    metres = "after_m>8.2f clean_after_m>8.2f before_m>8.2f clean_before_m>8.2f"
+    table = Table(f"{SEEN} {metres} verdict<20 counts<6")
     for kind in kinds:
         table.add(row_of(kind, [Run(vehicle, mission, scene, seed, clean) for seed in seeds], judge))
     return table.rows

@@ -151,7 +151,7 @@ def service(options: Options) -> list[dict[str, Any]]:
     """
     seeds = 1 if options.quick else options.seeds
     nf.warm_up()
-    table = Table({"kind": "<42", **dict.fromkeys(VERDICT, ">8d"), "of": ">4d"})
+    table = Table("kind<42 crash>8d lost_readings>8d other_state>8d of>4d")
     with tempfile.TemporaryDirectory() as name:
         dive = Dive(Path(name), "lawnmower", 60.0)
         for kind, run in KINDS.items():

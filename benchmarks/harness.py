@@ -33,10 +33,11 @@ from navfilter.simulation.scenarios import simulate_scenario
 Array = NDArray[np.float64]
 Options = argparse.Namespace
 Flag = tuple[str, dict[str, Any]]
+Clock = Callable[[], float]
 ROOT = Path(__file__).parent.parent
 MAPPINGS = ROOT / "tests" / "recordings"
 DEG = math.pi / 180.0
-PACKAGES = ("numpy", "scipy", "numba", "filterpy", "python-ins", "statsmodels", "padasip", "river")
+PACKAGES = ("navfilter", "numpy", "scipy", "numba", "filterpy", "python-ins", "statsmodels", "padasip", "river")
 
 
 def flag(name: str, **settings: Any) -> Flag:
@@ -88,19 +89,18 @@ def write_json(options: Options, figures: Any) -> None:
         "benchmark": Path(sys.argv[0]).stem,
         "arguments": {name: value for name, value in vars(options).items() if name not in ("run", "json")},
         "machine": {"system": platform.platform(), "processor": (names or [""])[0], "cores": os.cpu_count()},
-        "versions": {"python": platform.python_version(), "navfilter": nf.__version__} | versions(),
+        "python": platform.python_version(),
+        "versions": {name: version(name) for name in PACKAGES},
         "figures": figures,
     }
     options.json.write_text(json.dumps(plain(document), indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
 
-def versions() -> dict[str, str]:
-    """Versions of the packages that are used or compared with, where they are installed."""
-    found = {}
-    for name in PACKAGES:
-        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
-            found[name] = importlib.metadata.version(name)
-    return found
+def version(name: str) -> str | None:
+    """Version of a package, None where it is not installed."""
+    with contextlib.suppress(importlib.metadata.PackageNotFoundError):
+        return importlib.metadata.version(name)
+    return None
 
 
 def plain(value: Any) -> Any:
@@ -122,33 +122,37 @@ class Table:
 
     Parameters
     ----------
-    columns : dict of str to str
-        Width and format of every column by its key, as ``format`` takes them: ``"<20"``, ``">8.2f"``.
+    columns : str
+        Key, alignment, width and format of every column: ``"kind<20 runs>4d end_m>8.2f"``.
     """
 
-    def __init__(self, columns: Mapping[str, str]) -> None:
-        self.columns = dict(columns)
+    def __init__(self, columns: str) -> None:
+        found = re.findall(r"(\S+)([<>])(\d+)(\.?\d*[dfge]?)", columns)
+        self.columns = {key: (f"{side}{max(int(width), len(key))}", form) for key, side, width, form in found}
         self.rows: list[dict[str, Any]] = []
-        print("  ".join(self._text(key, key) for key in columns).rstrip(), flush=True)
+        self._print({key: key for key in self.columns})
 
     def add(self, row: Mapping[str, Any]) -> None:
         """Print a row and keep it, with whatever else it holds."""
         self.rows.append(dict(row))
-        print("  ".join(self._text(key, row.get(key)) for key in self.columns).rstrip(), flush=True)
+        self._print(row)
 
-    def _text(self, key: str, value: Any) -> str:
-        side, width, kind = re.fullmatch(r"([<>])(\d+)(\.?\d*[dfge])?", self.columns[key]).groups()
-        text = "-" if value is None else format(value, kind) if kind and not isinstance(value, str) else str(value)
-        return format(text, f"{side}{max(int(width), len(key))}")
+    def _print(self, row: Mapping[str, Any]) -> None:
+        cells = ((row.get(key), place, form) for key, (place, form) in self.columns.items())
+        texts = (
+            format("-" if x is None else x if isinstance(x, str) else format(x, form), place)
+            for x, place, form in cells
+        )
+        print("  ".join(texts).rstrip(), flush=True)
 
 
 # --- timing -----------------------------------------------------------------------------------------------------------
 
 
 def in_turn(
-    calls: Mapping[str, Callable[[], object]], turns: int, clock: Callable[[], float] = time.process_time
+    calls: Mapping[str, Callable[[], object]], turns: int, clock: Clock = time.process_time
 ) -> dict[str, Array]:
-    """Seconds of every call in every turn, A B A B: what slows the machine down for a while slows all of them down."""
+    """Seconds of every call in every turn, A B A B: what slows the machine for a while slows all of them."""
     spent = {name: np.empty(turns) for name in calls}
     for turn in range(turns):
         for name, call in calls.items():

@@ -1,23 +1,26 @@
 """Adaptive Kalman filters to compare with, written from their published ideas, on the heading problem of `heading_toy`.
 
-The problem: y[k] = d[k] + n[k], compass minus gyro-integrated heading. d is the drift of the gyro (heading and bias, noise known), n the
-compass's error. Every filter here estimates d; they differ in what they believe of n.
+The problem: y[k] = d[k] + n[k], compass minus gyro-integrated heading. d is the drift of the gyro (heading and bias,
+noise known), n the compass's error. Every filter here estimates d; they differ in what they believe of n.
 
-Sage-Husa (A. P. Sage and G. W. Husa, "Adaptive filtering with unknown prior statistics", Joint Automatic Control Conference, 1969):
-n is white, its variance R follows the innovations with exponential forgetting, ``R += w (nu^2 - H P- H' - R)``.
+Sage-Husa (A. P. Sage and G. W. Husa, "Adaptive filtering with unknown prior statistics", Joint Automatic Control
+Conference, 1969): n is white, its variance R follows the innovations with exponential forgetting, ``R += w (nu^2 - H
+P- H' - R)``.
 
-IWAKF, innovations-whitening adaptive Kalman filter (M. Almuhaihi and D. S. Bernstein, "An adaptive Kalman filter that learns the
-coloring dynamics of the process noise", arXiv 2604.21644, 2026). Known to the author of this file: the abstract and the introduction.
-The idea taken from there: put an unknown colouring filter into the augmented state and choose its parameters such that the empirical
-autocorrelation of the innovations is as small as possible. Derived here, because it was not read:
+IWAKF, innovations-whitening adaptive Kalman filter (M. Almuhaihi and D. S. Bernstein, "An adaptive Kalman filter that
+learns the coloring dynamics of the process noise", arXiv 2604.21644, 2026). Known to the author of this file: the
+abstract and the introduction. The idea taken from there: put an unknown colouring filter into the augmented state and
+choose its parameters such that the empirical autocorrelation of the innovations is as small as possible. Derived
+here, because it was not read:
 
-- the coloured noise is that of the compass instead of the process; augmented, it is process noise of the state, as in the paper;
+- the coloured noise is that of the compass instead of the process; augmented, it is process noise of the state, as in
+  the paper;
 - colouring filter: ARMA(p, q), by partial (reflection) coefficients, so that every trial is stable and invertible;
-- cost: squares of the empirical autocorrelations of the normalised innovations at lags 1 to L, by Gauss-Newton with trust region
-  over the last window, warm-started at each hop from the last answer;
-- whiteness alone leaves the power of the noise open, so that the lag-zero term, ln mean(nu^2/S), is driven to zero as well, and a
-  penalty keeps the variance of the colouring filter within a factor of ten of that of the detrended window (without it, poles and
-  zeros crowd at 1 in half of the cases and the filter breaks down).
+- cost: squares of the empirical autocorrelations of the normalised innovations at lags 1 to L, by Gauss-Newton with
+  trust region over the last window, warm-started at each hop from the last answer;
+- whiteness alone leaves the power of the noise open, so that the lag-zero term, ln mean(nu^2/S), is driven to zero as
+  well, and a penalty keeps the variance of the colouring filter within a factor of ten of that of the detrended
+  window (without it, poles and zeros crowd at 1 in half of the cases and the filter breaks down).
 """
 
 from __future__ import annotations
@@ -25,14 +28,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+from harness import Array
 from numba import njit
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 import navfilter as nf
 from navfilter.error_models import Arma
-
-Array = NDArray[np.float64]
 
 #: The innovations of the first samples tell of the start, not of the noise.
 SETTLED = 100
@@ -40,7 +41,7 @@ SETTLED = 100
 
 @dataclass(frozen=True)
 class Gyro:
-    """What is known of the slow error of the heading: root PSDs of rate noise and bias walk, sd at the start (all rad, s)."""
+    """What is known of the heading's slow error: root PSDs of rate noise and bias walk, sd at the start (rad, s)."""
 
     density: tuple[float, float]
     start_sd: tuple[float, float]
@@ -186,7 +187,7 @@ def sage_husa(y: Array, gyro: Gyro, white: float, forgetting: float) -> tuple[Fi
 
 
 def polynomial(partial: Array) -> Array:
-    """Coefficients c1 ... cn of the stable polynomial with these partial (reflection) coefficients (Levinson step-up)."""
+    """Coefficients c1 ... cn of the stable polynomial with these reflection coefficients (Levinson step-up)."""
     c = np.zeros(0)
     for k in partial:
         c = np.r_[c + k * c[::-1], k]
@@ -233,12 +234,14 @@ class Iwakf:
         flat = y - np.polyval(np.polyfit(t, y, 1), t)
         begins = [self._last] if self._last is not None else self._starts(flat)
         of = (y, float(flat.var()))
-        fits = [least_squares(self._residual, begin, args=of, x_scale=0.3, max_nfev=40, diff_step=1e-4) for begin in begins]
+        fits = [
+            least_squares(self._residual, begin, args=of, x_scale=0.3, max_nfev=40, diff_step=1e-4) for begin in begins
+        ]
         self._last = min(fits, key=lambda fit: fit.cost).x
         return self._model(self._last)
 
     def _starts(self, flat: Array) -> list[Array]:
-        """Two places to begin: an AR(p) of the detrended series, and a short memory with the power of its increments."""
+        """Two places to begin: an AR(p) of the detrended series; a short memory with the power of its increments."""
         autoregression = nf.burg(flat, self.p)
         zeros = np.zeros(self.q)
         short = np.r_[-1.0, np.zeros(self.p - 1), zeros, np.log(np.std(np.diff(flat)))]
@@ -246,7 +249,7 @@ class Iwakf:
         return [short, long]
 
     def _model(self, theta: Array) -> nf.ArmaModel:
-        # tanh keeps the partial coefficients inside the circle; 0.999 keeps poles where a window can tell them from a bias
+        # tanh keeps the coefficients inside the circle; 0.999 keeps poles where a window can tell them from a bias
         partial = 0.999 * np.tanh(np.clip(theta[:-1], -6.0, 6.0))
         return nf.ArmaModel(polynomial(partial[: self.p]), polynomial(partial[self.p :]), float(np.exp(theta[-1])))
 

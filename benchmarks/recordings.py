@@ -169,17 +169,7 @@ def rows_of(name: str) -> list[Row]:
 
 # --- commands ---------------------------------------------------------------------------------------------------------
 
-COLUMNS = {
-    "recording": "<36",
-    "protocol": "<13",
-    "distance_m": ">6.0f",
-    "end_m": ">7.2f",
-    "end_pct": ">7.3f",
-    "rms_m": ">7.2f",
-    "smoothed_rms_m": ">7.2f",
-    "plain_end_m": ">7.2f",
-    "beyond_3_sigma_pct": ">6.1f",
-}
+ENDS = "end_m>7.2f end_pct>7.3f rms_m>7.2f smoothed_rms_m>7.2f plain_end_m>7.2f beyond_3_sigma_pct>6.1f"
 
 
 def withheld(options: Options) -> list[dict[str, Any]]:
@@ -197,7 +187,7 @@ def withheld(options: Options) -> list[dict[str, Any]]:
     names = [name for name in names if options.only in name and not name.endswith("OUTOFWATER")]
     if options.quick:
         names = list({name.split("/")[0]: name for name in reversed(names)}.values())[::-1]
-    table, groups = Table(COLUMNS | {"nis": "<4"}), {}
+    table, groups = Table(f"recording<30 protocol<13 distance_m>6.0f {ENDS} nis<4"), {}
     for name in names:
         for row in rows_of(name):
             nis = " ".join(f"{sensor} {value:.2f}" for sensor, value in row.nis.items() if value is not None)
@@ -220,10 +210,7 @@ def car_clocks(options: Options) -> dict[str, Any]:
     data_root()
     x, y = car.lever_arm()
     print(f"the point that does not slip is {x:.2f} m behind and {-y:.2f} m right of the box")
-    table = Table(
-        {"mapping": "<26"} | {key: form for key, form in COLUMNS.items() if key not in ("protocol", "distance_m")}
-    )
-    found = {}
+    table, found = Table(f"mapping<26 recording<16 {ENDS}"), {}
     for trial in car.TRIALS[: 1 if options.quick else None]:
         clocks, sd = car.clocks(trial)
         offset, said = car.gyro_offset(trial), ", ".join(f"{clock:.3f}" for clock in clocks)

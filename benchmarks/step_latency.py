@@ -130,7 +130,7 @@ def step_latency(options: Options) -> dict[str, Any]:
     nf.warm_up()
     states = 9 + len(nf.Navigator(vehicle, mission.start).errors)
     print(f"{minutes:g} min, {states} error states, compass learnt; microseconds per call")
-    table = Table({"call": "<32", "clock": "<9"} | dict.fromkeys(SHARES, ">9.1f") | {"over_10_ms": ">10d"})
+    table = Table("call<32 clock<9 p50>9.1f p99>9.1f p99.9>9.1f max>9.1f over_10_ms>10d")
     for row in navfilter_rows(vehicle, mission):
         table.add(row)
     kf = filterpy_times(states, 2000 if options.quick else 20000, 7)
@@ -150,7 +150,7 @@ def step_latency(options: Options) -> dict[str, Any]:
         )
     began = None
     if not (options.quick or options.no_start):
-        began = Table({"start": "<14", "warm_up": "<8", "wall_s": ">8.2f", "processor_s": ">8.2f"})
+        began = Table("start<14 warm_up<8d wall_s>8.2f processor_s>8.2f")
         for row in starts():
             began.add(row)
     return {"minutes": minutes, "states": states, "us": table.rows, "ratios": ratios, "starts": began and began.rows}
