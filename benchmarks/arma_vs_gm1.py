@@ -49,7 +49,6 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, RotationSpline
 
 import navfilter as nf
-from navfilter.error_models import Sum
 from navfilter.evaluation.comparison import compare
 from navfilter.evaluation.rivals import learnable, rivals
 from navfilter.learning.learned import LearnedArma, cautious, known_white
@@ -209,14 +208,10 @@ def cases(only: str, error: nf.ArmaModel) -> Iterator[Case]:
 
 
 def adopted(track: Track) -> str:
-    """When and what a run learnt, in short: orders of the last models and the number of adoptions per sensor."""
-    said = []
-    for name, history in track.error_models.items():
-        # the first models are in force from the start, when the beginning has been run again with them
-        learnt = [(time_s, found) for time_s, models in history if any(found := learned_orders(models))]
-        if learnt:
-            last = "/".join(order or "-" for order in learnt[-1][1])
-            said.append(f"{name} {last} in force from {learnt[0][0]:.0f} s, {len(learnt)} times")
+    """What a run learnt, by axis: order of the last model, since when there was one, and how many there were."""
+    # the first models are in force from the start, when the beginning has been run again with them
+    learnt = {axis: (found[-1]["order"], found[0]["time_s"], len(found)) for axis, found in track.adopted().items()}
+    said = [f"{axis} ({p},{q}) from {time_s:.0f} s, {n} times" for axis, ((p, q), time_s, n) in learnt.items()]
     return "; ".join(said) or "nothing adopted"
 
 
@@ -225,20 +220,6 @@ def orders(vehicle: Vehicle, sensors: list[str]) -> str:
     return "; ".join(
         f"{name} {'/'.join(f'({len(m.ar)},{len(m.ma)})' for m in vehicle.sensors[name].models)}" for name in sensors
     )
-
-
-def learned_orders(models: nf.ErrorModel | tuple[nf.ErrorModel, ...]) -> list[str]:
-    """`learned_order` of every axis."""
-    return [learned_order(model) for model in (models if isinstance(models, tuple) else (models,))]
-
-
-def learned_order(model: nf.ErrorModel) -> str:
-    """Order of the learnt part of an error model, "" when there is none."""
-    for part in model.parts if isinstance(model, Sum) else (model,):
-        found = getattr(part, "model", None)
-        if found is not None:
-            return f"({found.p},{found.q})"
-    return ""
 
 
 def fitted_arma(case: Case, sensors: list[str]) -> Vehicle:
@@ -359,19 +340,6 @@ def cell(value: float | None, base: float | None = None) -> str | None:
     return f"{value:.3g}" + (f" ({value / base:.2f})" if base else "")
 
 
-def against(totals: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Ratios between models, all missions together."""
-    rows = []
-    for one, other in ((FITTED, BASELINE), ("arma", BASELINE), ("arma", "vehicle"), (HURRIED, "vehicle")):
-        row: dict[str, Any] = {"model": one, "against": other}
-        for key in ("position_rms_m", "heading_rms_deg"):
-            row[key] = totals[one][key] / totals[other][key] if totals[other][key] else None
-        for key, (_, value) in totals[one]["prediction"].items():
-            row[key] = value / totals[other]["prediction"][key][1]
-        rows.append(row)
-    return rows
-
-
 def arma_vs_gm1(options: Options) -> dict[str, Any]:
     """Replay everything and print the tables."""
     data_root()
@@ -384,11 +352,6 @@ def arma_vs_gm1(options: Options) -> dict[str, Any]:
     totals = {kind: pooled(list(missions.values())) for kind, missions in found.items()}
     for kind, total in totals.items():
         show(f"{kind}, {len(found[kind])} together", total)
-        print("ratios:")
-        ratios = against(total)
-        table = Table("model<12 against<12 " + " ".join(f"{key}>8.2f" for key in list(ratios[0])[2:]))
-        for row in ratios:
-            table.add(row)
     return {"missions": found, "totals": totals}
 
 

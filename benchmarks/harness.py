@@ -34,6 +34,7 @@ Array = NDArray[np.float64]
 Options = argparse.Namespace
 Flag = tuple[str, dict[str, Any]]
 Clock = Callable[[], float]
+CPU: Clock = time.process_time
 ROOT = Path(__file__).parent.parent
 MAPPINGS = ROOT / "tests" / "recordings"
 DEG = math.pi / 180.0
@@ -50,7 +51,7 @@ def quick(what: str) -> Flag:
     return flag("--quick", action="store_true", help=what)
 
 
-def main(about: str, commands: Mapping[Callable[[Options], Any], Sequence[Flag]]) -> None:
+def main(about: str, commands: Mapping[Callable[[Options], Any], Sequence[Flag]]) -> Any:
     """Run a benchmark from the command line.
 
     Parameters
@@ -78,6 +79,7 @@ def main(about: str, commands: Mapping[Callable[[Options], Any], Sequence[Flag]]
     figures = options.run(options)
     if options.json:
         write_json(options, figures)
+    return figures
 
 
 def write_json(options: Options, figures: Any) -> None:
@@ -114,9 +116,6 @@ def plain(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-# --- tables -----------------------------------------------------------------------------------------------------------
-
-
 class Table:
     """Rows that are printed as they come, under a heading of the same names as in the JSON file.
 
@@ -146,12 +145,7 @@ class Table:
         print("  ".join(texts).rstrip(), flush=True)
 
 
-# --- timing -----------------------------------------------------------------------------------------------------------
-
-
-def in_turn(
-    calls: Mapping[str, Callable[[], object]], turns: int, clock: Clock = time.process_time
-) -> dict[str, Array]:
+def in_turn(calls: Mapping[str, Callable[[], object]], turns: int, clock: Clock = CPU) -> dict[str, Array]:
     """Seconds of every call in every turn, A B A B: what slows the machine for a while slows all of them."""
     spent = {name: np.empty(turns) for name in calls}
     for turn in range(turns):
@@ -170,9 +164,6 @@ def ratio(over: Array, under: Array) -> float:
 def peak_mb() -> float:
     """Largest memory of this process so far [MB]."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-
-
-# --- missions ---------------------------------------------------------------------------------------------------------
 
 
 def hour(minutes: float = 60.0) -> tuple[nf.Vehicle, nf.Mission]:
