@@ -2,7 +2,7 @@
 
 The competitors do the same work per step on a part of the hour, and their time is scaled to the whole. Learning on all
 eight channels (compass, DVL, depth, fixes; orders up to (4, 4)) is measured against the plain filter of the same
-vehicle, turn by turn. Processor seconds: medians over the turns.
+vehicle. Processor seconds; everything is measured turn by turn: medians of the turns, and medians of their ratios.
 """
 
 from __future__ import annotations
@@ -11,73 +11,83 @@ from typing import Any
 
 import numpy as np
 from baselines import filterpy_times, pyins_filter, pyins_strapdown
-from harness import CPU, Options, Table, flag, hour, in_turn, main, peak_mb, quick, ratio
+from harness import CPU, Array, Options, Table, flag, hour, in_turn, main, peak_mb, quick, ratio
 
 import navfilter as nf
 from navfilter.kernels import strapdown
 
+#: What is compared: ours, filterpy, python-ins.
+WORK = {
+    "forward": ("filterpy forward", "python-ins filter"),
+    "forward + smoother": ("filterpy both", None),
+    "strapdown alone": (None, "python-ins strapdown"),
+}
 
-def replayed(vehicle: nf.Vehicle, mission: nf.Mission, turns: int) -> tuple[dict[str, float], dict[str, Any]]:
-    """Processor seconds of the hour in every way, and what learning adds."""
-    learning = vehicle.with_error(**{name: nf.LearnedArma() for name in vehicle.sensors})
-    nf.replay(vehicle, mission.between(0.0, 30.0), smooth=True)  # compile, or load what was compiled
-    nf.replay(learning, mission.between(0.0, min(700.0, mission.duration_s)))
-    imu, adopted = mission.streams["imu"], []
-    steps = np.column_stack([np.diff(imu.time_s, prepend=imu.time_s[0]), imu.value])
-    memory = vehicle.drive.memory(0)
+
+def replays(vehicle: nf.Vehicle, learning: nf.Vehicle, mission: nf.Mission, turns: int) -> dict[str, Array]:
+    """Processor seconds of the hour in every way and turn, the competitors' scaled to the hour."""
+    imu = mission.streams["imu"]
+    n, samples = len(imu), np.column_stack([imu.time_s, imu.value])
+    readings = sum(len(mission.streams[name]) for name in vehicle.sensors)
+    states = 9 + len(nf.Navigator(vehicle, mission.start).errors)
+    steps, memory = samples.copy(), vehicle.drive.memory(0)
+    steps[:, 0] = np.diff(samples[:, 0], prepend=samples[0, 0])
+    part = 500 if turns == 1 else 2000
+    scaled: dict[str, list[float]] = {name: [] for pair in WORK.values() for name in pair if name}
+
+    def competitors() -> None:
+        kf = filterpy_times(states, min(5000, n), max(1, round(n / readings)), CPU)
+        forward = n * kf.predict.mean() + readings * kf.update.mean()
+        scaled["filterpy forward"].append(forward)
+        scaled["filterpy both"].append(forward + readings * kf.smoother)
+        scaled["python-ins filter"].append(n * pyins_filter(samples[:part], mission.start, 0.1, CPU).mean())
+        scaled["python-ins strapdown"].append(n * pyins_strapdown(samples[:60000], mission.start, CPU))
+
     calls = {
         "forward": lambda: nf.replay(vehicle, mission),
-        "learning": lambda: adopted.append(nf.replay(learning, mission).counts["adopted"]),
+        "learning": lambda: nf.replay(learning, mission),
         "forward + smoother": lambda: nf.replay(vehicle, mission, smooth=True),
         "strapdown alone": lambda: strapdown.integrate(mission.start.state.pack(), memory, steps, np.empty((0, 17))),
+        "competitors": competitors,
     }
-    calls["strapdown alone"]()
+    calls["strapdown alone"]()  # compiles, or loads what was compiled
     spent = in_turn(calls, turns)
-    added = {
-        "channels": sum(sensor.axes for sensor in vehicle.sensors.values()),
-        "adoptions": adopted[-1],
-        "plain_s": float(np.median(spent["forward"])),
-        "learning_s": float(np.median(spent["learning"])),
-        "added_share": ratio(spent["learning"], spent["forward"]) - 1.0,
-    }
-    return {name: float(np.median(seconds)) for name, seconds in spent.items()}, added
+    return spent | {name: np.array(seconds) for name, seconds in scaled.items()}
 
 
 def replay_speed(options: Options) -> dict[str, Any]:
     """Time the hour."""
     minutes, turns = (min(options.minutes, 10.0), 1) if options.quick else (options.minutes, 3)
     vehicle, mission = hour(minutes)
+    learning = vehicle.with_error(**{name: nf.LearnedArma() for name in vehicle.sensors})
     before = peak_mb()
-    ours, added = replayed(vehicle, mission, turns)
-    peak = peak_mb()
-    imu = mission.streams["imu"]
-    n, samples = len(imu), np.column_stack([imu.time_s, imu.value])
-    readings = sum(len(mission.streams[name]) for name in vehicle.sensors)
-    states = 9 + len(nf.Navigator(vehicle, mission.start).errors)
-    kf = filterpy_times(states, min(5000, n), max(1, round(n / readings)), CPU)
-    filterpy = n * kf.predict.mean() + readings * kf.update.mean()
-    part = 500 if options.quick else 6000
-    theirs = {
-        "forward": (filterpy, n * pyins_filter(samples[:part], mission.start, 0.1, CPU).mean()),
-        "forward + smoother": (filterpy + readings * kf.smoother, None),
-        "strapdown alone": (None, n * pyins_strapdown(samples[:60000], mission.start, CPU)),
+    nf.replay(vehicle, mission, smooth=True)
+    figures = {
+        "minutes": minutes,
+        "samples": len(mission.streams["imu"]),
+        "readings": sum(len(mission.streams[name]) for name in vehicle.sensors),
+        "states": 9 + len(nf.Navigator(vehicle, mission.start).errors),
+        "peak_mb": peak_mb(),
+        "before_mb": before,
+        "channels": sum(sensor.axes for sensor in vehicle.sensors.values()),
+        "adoptions": nf.replay(learning, mission).counts["adopted"],
     }
-    print(f"{minutes:g} min, {n} inertial samples, {readings} readings, {states} error states; processor seconds")
+    print(", ".join(f"{name} {value:.0f}" for name, value in figures.items()))
+    spent = replays(vehicle, learning, mission, turns)
     table = Table("work<18 navfilter_s>9.3f filterpy_s>9.1f ratio>9.1f python_ins_s>9.1f ratio_ins>9.1f")
-    for work, (one, other) in theirs.items():
-        s = ours[work]
-        row = {"work": work, "navfilter_s": s, "filterpy_s": one, "python_ins_s": other}
-        table.add(row | {"ratio": one and one / s, "ratio_ins": other and other / s})
-    rate = n / ours["strapdown alone"]
-    print(f"strapdown alone: {1e-6 * rate:.1f} million samples/s; peak memory {peak:.0f} MB, {before:.0f} before")
-    print(
-        f"{added['channels']} channels: plain {added['plain_s']:.2f} s, learning {added['learning_s']:.2f} s, "
-        f"{100 * added['added_share']:+.0f} %, {added['adoptions']} adoptions"
-    )
-    memory = {"peak_mb": peak, "before_mb": before}
-    sizes = {"minutes": minutes, "states": states, "samples": n, "readings": readings}
-    return sizes | memory | {"table": table.rows, "strapdown_samples_per_s": rate, "learning": added}
+    for work, (filterpy, pyins) in WORK.items():
+        row = {"work": work, "navfilter_s": float(np.median(spent[work]))}
+        for name, seconds, times in ((filterpy, "filterpy_s", "ratio"), (pyins, "python_ins_s", "ratio_ins")):
+            if name:
+                row |= {seconds: float(np.median(spent[name])), times: ratio(spent[name], spent[work])}
+        table.add(row)
+    table.add({"work": "forward, learning", "navfilter_s": float(np.median(spent["learning"]))})
+    added = ratio(spent["learning"], spent["forward"]) - 1.0
+    rate = figures["samples"] / float(np.median(spent["strapdown alone"]))
+    print(f"learning adds {100 * added:.0f} %; strapdown alone: {1e-6 * rate:.1f} million samples/s")
+    return figures | {"table": table.rows, "learning_adds": added, "strapdown_samples_per_s": rate}
 
 
 if __name__ == "__main__":
-    main(__doc__, {replay_speed: [flag("--minutes", type=float, default=60.0), quick("ten minutes at most, one turn")]})
+    flags = [flag("--minutes", type=float, default=60.0), quick("ten minutes at most, one turn")]
+    main(__doc__, {replay_speed: flags})
