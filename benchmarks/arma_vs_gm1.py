@@ -34,7 +34,7 @@ models were adopted. In brackets the ratio to gm1-fitted.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -248,6 +248,11 @@ def hurried(case: Case, sensors: list[str]) -> Vehicle:
     return case.vehicle.with_error(**{name: axes if len(axes) > 1 else axes[0] for name, axes in models.items()})
 
 
+def prediction(sensor: Mapping[str, Any]) -> float:
+    """Rms of a sensor's one-step prediction error over its axes."""
+    return math.sqrt(sum(axis["prediction_rms"] ** 2 for axis in sensor["axes"].values()))
+
+
 def figures(case: Case) -> dict[str, dict[str, Any]]:
     """Figures of every model on one mission."""
     sensors = [name for name in learnable(case.vehicle, case.mission) if name in AIDING]
@@ -257,6 +262,7 @@ def figures(case: Case) -> dict[str, dict[str, Any]]:
     comparison = compare(tracks, case.truth, begin_s=case.begin_s, windows=case.windows)
     # a sensor that is withheld in the scored windows is judged by its readings between them
     listened = compare(tracks, case.truth, begin_s=case.begin_s).runs
+    said = {name: adopted(tracks[name]) for name in ("arma", HURRIED)} | {FITTED: orders(vehicles[FITTED], sensors)}
     result = {}
     for name, run in comparison.runs.items():
         aiding = {key: sensor for key, sensor in listened[name]["sensors"].items() if sensor["axes"] and key in sensors}
@@ -267,18 +273,11 @@ def figures(case: Case) -> dict[str, dict[str, Any]]:
             "nees_position": run["nees"].get("position", {}).get("mean"),
             "nees_heading": run["nees"].get("heading", {}).get("mean"),
             "nis": float(np.mean([s["nis"] for s in aiding.values()])) if aiding else None,
-            "prediction": {
-                k: [s["unit"], math.sqrt(sum(a["prediction_rms"] ** 2 for a in s["axes"].values()))]
-                for k, s in aiding.items()
-            },
+            "prediction": {k: [s["unit"], prediction(s)] for k, s in aiding.items()},
             "white_axes": sum(bool(axis["is_white"]) for axis in axes),
             "axes": len(axes),
             "largest_acf": max((abs(axis["largest_acf"]) for axis in axes), default=None),
-            "adopted": adopted(tracks[name])
-            if name in ("arma", HURRIED)
-            else orders(vehicles[FITTED], sensors)
-            if name == FITTED
-            else "",
+            "adopted": said.get(name),
         }
     return result
 
@@ -286,37 +285,27 @@ def figures(case: Case) -> dict[str, dict[str, Any]]:
 def pooled(runs: list[dict[str, dict[str, Any]]]) -> dict[str, dict[str, Any]]:
     """Figures of several missions together: root mean square of the rms, mean of NEES and NIS, sums of axes."""
 
-    def over(model: str, key: str, power: int) -> float | None:
-        values = [run[model][key] for run in runs if run[model][key] is not None]
-        return float(np.mean(np.power(values, power)) ** (1.0 / power)) if values else None
+    def over(values: Iterable[float | None], power: int) -> float | None:
+        known = [value for value in values if value is not None]
+        return float(np.mean(np.power(known, power)) ** (1.0 / power)) if known else None
 
     total = {}
     for model in runs[0]:
-        sensors = runs[0][model]["prediction"]
+        of = [run[model] for run in runs]
         total[model] = {
-            **{key: over(model, key, 2) for key in ("position_rms_m", "heading_rms_deg")},
-            **{key: over(model, key, 1) for key in ("nees_position", "nees_heading", "nis")},
+            **{key: over((run[key] for run in of), 2) for key in ("position_rms_m", "heading_rms_deg")},
+            **{key: over((run[key] for run in of), 1) for key in ("nees_position", "nees_heading", "nis")},
             "prediction": {
-                k: [
-                    unit,
-                    math.sqrt(
-                        np.mean([r[model]["prediction"][k][1] ** 2 for r in runs if k in r[model]["prediction"]])
-                    ),
-                ]
-                for k, (unit, _) in sensors.items()
+                name: [unit, over((run["prediction"].get(name, (unit, None))[1] for run in of), 2)]
+                for name, (unit, _) in of[0]["prediction"].items()
             },
-            "white_axes": sum(r[model]["white_axes"] for r in runs),
-            "axes": sum(r[model]["axes"] for r in runs),
-            "largest_acf": max(
-                (r[model]["largest_acf"] for r in runs if r[model]["largest_acf"] is not None), default=None
-            ),
-            "adopted": "",
+            **{key: sum(run[key] for run in of) for key in ("white_axes", "axes")},
+            "largest_acf": max((run["largest_acf"] for run in of if run["largest_acf"] is not None), default=None),
         }
     return total
 
 
 # --- what is printed --------------------------------------------------------------------------------------------------
-
 
 NUMBERS = ("position_rms_m", "heading_rms_deg", "nees_position", "nees_heading", "nis", "largest_acf")
 
@@ -330,7 +319,7 @@ def show(name: str, runs: Mapping[str, Mapping[str, Any]]) -> None:
         row = {key: cell(run[key], base[key] if key.endswith(("_m", "_deg")) else None) for key in NUMBERS}
         predicted = [f"{k} {cell(v, base['prediction'][k][1])} {unit}" for k, (unit, v) in run["prediction"].items()]
         row |= {"white": f"{run['white_axes']}/{run['axes']}", "prediction": ", ".join(predicted)}
-        table.add({"model": model, "adopted": run["adopted"]} | row)
+        table.add({"model": model, "adopted": run.get("adopted")} | row)
 
 
 def cell(value: float | None, base: float | None = None) -> str | None:

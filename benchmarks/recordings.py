@@ -67,70 +67,51 @@ def way_of(truth: Stream) -> Array:
 # --- protocols --------------------------------------------------------------------------------------------------------
 
 
+def without(mission: Mission, vehicle: Vehicle, reference: Stream, *gaps: tuple[float, float]) -> tuple[Track, Any]:
+    """Replay without the fixes inside gaps: the forward track; its errors there, their covariances, the smoother's."""
+    smoothed = replay(vehicle, mission.hide(fixes_of(vehicle), *gaps), smooth=True)
+    ends = [(begin, min(end, smoothed.forward.time_s[-1])) for begin, end in gaps]
+    forward = [errors_at(smoothed.forward, reference, *gap) for gap in ends]
+    back = [errors_at(smoothed, reference, *gap)[0] for gap in ends]
+    return smoothed.forward, (np.vstack([e for e, _ in forward]), np.vstack([P for _, P in forward]), np.vstack(back))
+
+
+def judged(error: Array, P: Array, smoothed: Array) -> dict[str, float]:
+    """What errors are worth."""
+    return {"rms_m": rms(error), "smoothed_rms_m": rms(smoothed), "beyond_3_sigma_pct": beyond_3_sigma(error, P)}
+
+
 def hidden(mission: Mission, vehicle: Vehicle, until_s: float, protocol: str) -> Row:
     """Positions until a time and none after."""
-    truth = mission.truth
-    smoothed = replay(vehicle, mission.hide(fixes_of(vehicle), (until_s + 1e-6, math.inf)), smooth=True)
-    forward, distance = smoothed.forward, float(way_of(truth)[-1])
-    end_s = min(truth.time_s[-1], forward.time_s[-1])
-    error, P = errors_at(forward, truth, until_s, end_s)
-    end = float(np.hypot(*error[-1]))
-    return Row(
-        mission.name,
-        protocol,
-        distance,
-        end_m=end,
-        end_pct=100.0 * end / distance,
-        rms_m=rms(error),
-        smoothed_rms_m=rms(errors_at(smoothed, truth, until_s, end_s)[0]),
-        plain_end_m=plain_end_error(mission, vehicle, truth, until_s),
-        beyond_3_sigma_pct=beyond_3_sigma(error, P),
-        nis=forward.summary(truth)["nis"],
-    )
+    truth, distance = mission.truth, float(way_of(mission.truth)[-1])
+    forward, errors = without(mission, vehicle, truth, (until_s + 1e-6, math.inf))
+    plain = plain_end_error(mission, vehicle, truth, until_s)
+    if not len(errors[0]):
+        return Row(mission.name, f"ends at {forward.time_s[-1]:.1f} s", distance, plain_end_m=plain)
+    end = float(np.hypot(*errors[0][-1]))
+    ends = {"end_m": end, "end_pct": 100.0 * end / distance, "plain_end_m": plain}
+    return Row(mission.name, protocol, distance, **ends, **judged(*errors), nis=forward.summary(truth)["nis"])
 
 
 def now_and_then(mission: Mission, vehicle: Vehicle, on_s: float = 5.0, every_s: float = 60.0) -> Row:
     """Positions for a few seconds in every minute, judged in between."""
-    truth = mission.truth
+    truth, distance = mission.truth, float(way_of(mission.truth)[-1])
     starts = np.arange(mission.begin_s, mission.end_s, every_s)
     gaps = [(float(begin + on_s), float(begin + every_s)) for begin in starts]
-    smoothed = replay(vehicle, mission.hide(fixes_of(vehicle), *gaps), smooth=True)
-    forward = [errors_at(smoothed.forward, truth, *gap) for gap in gaps]
-    error = np.vstack([e for e, _ in forward])
-    return Row(
-        mission.name,
-        f"{on_s:.0f} s of {every_s:.0f}",
-        float(way_of(truth)[-1]),
-        rms_m=rms(error),
-        smoothed_rms_m=rms(np.vstack([errors_at(smoothed, truth, *gap)[0] for gap in gaps])),
-        beyond_3_sigma_pct=beyond_3_sigma(error, np.vstack([P for _, P in forward])),
-        nis=smoothed.forward.summary(truth)["nis"],
-    )
+    forward, errors = without(mission, vehicle, truth, *gaps)
+    protocol, nis = f"{on_s:.0f} s of {every_s:.0f}", forward.summary(truth)["nis"]
+    return Row(mission.name, protocol, distance, **judged(*errors), nis=nis)
 
 
 def minute_by_minute(mission: Mission, vehicle: Vehicle, minute_s: float = 60.0) -> Row:
     """Fixes withheld one minute at a time, judged against them."""
-    name = fixes_of(vehicle)
-    fixes = mission.streams[name]
-    errors, covariances, smooth_errors = [], [], []
-    for begin in np.arange(fixes.time_s[0] + minute_s, fixes.time_s[-1] - minute_s + 1.0, minute_s):
-        gap = (float(begin), float(begin + minute_s))
-        smoothed = replay(vehicle, mission.hide(name, gap), smooth=True)
-        error, P = errors_at(smoothed.forward, fixes, *gap)
-        errors.append(error)
-        covariances.append(P)
-        smooth_errors.append(errors_at(smoothed, fixes, *gap)[0])
-    error = np.vstack(errors)
-    return Row(
-        mission.name,
-        "1 min without",
-        float(way_of(fixes)[-1]),
-        rms_m=rms(error),
-        smoothed_rms_m=rms(np.vstack(smooth_errors)),
-        plain_end_m=plain_end_error(mission, vehicle, fixes, fixes.time_s[3]),
-        beyond_3_sigma_pct=beyond_3_sigma(error, np.vstack(covariances)),
-        nis=replay(vehicle, mission).summary(mission.truth)["nis"],
-    )
+    fixes = mission.streams[fixes_of(vehicle)]
+    begins = np.arange(fixes.time_s[0] + minute_s, fixes.time_s[-1] - minute_s + 1.0, minute_s).tolist()
+    errors = [without(mission, vehicle, fixes, (begin, begin + minute_s))[1] for begin in begins]
+    plain = plain_end_error(mission, vehicle, fixes, fixes.time_s[3])
+    nis = replay(vehicle, mission).summary(mission.truth)["nis"]
+    of = judged(*map(np.vstack, zip(*errors, strict=True)))
+    return Row(mission.name, "1 min without", float(way_of(fixes)[-1]), plain_end_m=plain, **of, nis=nis)
 
 
 def closure(mission: Mission, vehicle: Vehicle) -> Row:
