@@ -61,6 +61,13 @@ def too_slow(*_: Any) -> None:
     raise TimeoutError(f"no answer within {LONGEST_S} s")
 
 
+def watch() -> None:
+    """See crashes and what takes too long; overflows are expected."""
+    faulthandler.enable()
+    signal.signal(signal.SIGALRM, too_slow)
+    np.seterr(all="ignore")
+
+
 def judge(target: Target, data: bytes, count: Count, keep: Path | None) -> None:
     """Run one input and count what became of it."""
     count.inputs += 1
@@ -72,10 +79,8 @@ def judge(target: Target, data: bytes, count: Count, keep: Path | None) -> None:
         count.refused += 1
     except Exception as error:
         count.unhandled += 1
-        place = traceback.extract_tb(error.__traceback__)[-1]
-        ours = next(
-            (f for f in reversed(traceback.extract_tb(error.__traceback__)) if "/navfilter/" in f.filename), place
-        )
+        places = traceback.extract_tb(error.__traceback__)
+        ours = next((place for place in reversed(places) if "/navfilter/" in place.filename), places[-1])
         kind = f"{type(error).__name__} in {Path(ours.filename).name}:{ours.lineno} ({str(error)[:80]})"
         kind = re.sub(r"0x[0-9a-f]+|\d{3,}", "#", kind)
         count.kinds[kind] += 1
@@ -132,18 +137,12 @@ def child(name: str, inputs: int, seed: int, keep: Path | None, path: Path) -> N
     """Fuzz one target under libFuzzer, which ends the process, and write the count at the end."""
     import atheris
 
-    faulthandler.enable()
-    signal.signal(signal.SIGALRM, too_slow)
-    np.seterr(all="ignore")
-
+    watch()
     with tempfile.TemporaryDirectory() as folder:
         target = targets(Path(folder), [name])[0]
-        for module in [
-            m
-            for n, m in sys.modules.items()
-            if n.startswith(("navfilter.io", "navfilter.filter.snapshot", "navfilter.service", "tomllib"))
-        ]:
-            instrument(module, module.__name__)
+        for name, module in list(sys.modules.items()):
+            if name.startswith(("navfilter.io", "navfilter.filter.snapshot", "navfilter.service", "tomllib")):
+                instrument(module, name)
         corpus = Path(folder, "corpus")
         corpus.mkdir()
         for k, example in enumerate(target.examples):
@@ -160,15 +159,8 @@ def child(name: str, inputs: int, seed: int, keep: Path | None, path: Path) -> N
             rng = random.Random(number)
             return mutator.make(rng, data)[:most] if rng.random() < 0.7 else atheris.Mutate(data, most)
 
-        arguments = [
-            sys.argv[0],
-            str(corpus),
-            f"-runs={inputs}",
-            f"-seed={seed + 1}",
-            "-max_len=200000",
-            "-verbosity=0",
-            "-handle_alrm=0",
-        ]
+        limits = ["-max_len=200000", "-verbosity=0", "-handle_alrm=0"]
+        arguments = [sys.argv[0], str(corpus), f"-runs={inputs}", f"-seed={seed + 1}", *limits]
         atheris.Setup(arguments, one, custom_mutator=mutate)
         with contextlib.suppress(SystemExit):
             atheris.Fuzz()
@@ -176,9 +168,7 @@ def child(name: str, inputs: int, seed: int, keep: Path | None, path: Path) -> N
 
 def fuzz_all(options: Options) -> dict[str, Any]:
     """Feed every reader and print what became of the inputs."""
-    faulthandler.enable()
-    signal.signal(signal.SIGALRM, too_slow)
-    np.seterr(all="ignore")
+    watch()
     inputs = 20_000 if options.quick else options.inputs
     table = Table("reader<20 inputs>9d refused>9d accepted>9d unhandled>9d seconds>9.1f")
     with tempfile.TemporaryDirectory(dir="/dev/shm" if os.path.isdir("/dev/shm") else None) as folder:
