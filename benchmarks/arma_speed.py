@@ -1,214 +1,176 @@
-"""Cost of the online ARMA update: against the same step in C, and against Python packages that people would use.
-
-The C function (`arma_step.c`, beside this file) is compiled here with ``cc -O3 -march=native`` and works on the same
-state table. The Python peers fit fewer things: padasip's recursive least squares, statsmodels' RecursiveLS and river's
-SNARIMAX know no prediction-error gradient and no stability guard.
-"""
+"""Cost of the online ARMA update, `arma.py speed`."""
 
 from __future__ import annotations
 
-import argparse
 import ctypes
-import json
 import subprocess
 import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from harness import Array, Options, Table, in_turn, ratio
 
 import navfilter as nf
 from navfilter.kernels import arma as kernel
 
 ORDERS = [(1, 1), (3, 3), (6, 6), (10, 10)]
-POLES = [0.8, *(0.9 * np.exp(1j * np.array([0.5, 1.0, 1.5, 2.0, 2.5])))]
 
 
-def series(p: int, n: int) -> np.ndarray:
+def speed(options: Options) -> dict[str, Any]:
+    """One online update against the same step in C, and against Python packages that people would use.
+
+    The C function (`arma_step.c`, beside this file) is compiled here with ``cc -O3 -march=native`` and works on the
+    same state table, turn by turn. The Python peers fit fewer things: padasip's recursive least squares, statsmodels'
+    RecursiveLS and river's SNARIMAX know no prediction-error gradient and no stability guard. Those not installed are
+    left out.
+    """
+    repeats = 10 if options.quick else options.repeats
+    print("one step of the kernel against the same step in C, ns; medians of", repeats, "turns")
+    c = Table("p>3d q>3d numba_ns>8.0f c_ns>8.0f ratio>6.2f theta_difference>9.1e")
+    with tempfile.TemporaryDirectory() as folder:
+        library = compile_twin(Path(folder))
+        for p, q in ORDERS:
+            c.add({"p": p, "q": q} | against_c(library, p, q, repeats))
+    print("from Python: update(x), and update_many with a polish every 1000 of 4000 samples, us per sample")
+    python = Table("p>3d q>3d update_us>8.2f with_polish_us>8.2f")
+    for p, q in ORDERS:
+        python.add({"p": p, "q": q} | from_python(p, q, max(repeats // 4, 3)))
+    print("against Python packages, samples per second")
+    others = Table("p>3d q>3d peer<34 peer_per_s>9.0f kernel_per_s>9.0f ratio>7.0f ratio_with_polish>7.0f")
+    for p, q in [(3, 0), (2, 1), (10, 10)]:
+        for row in against_python(p, q, max(repeats // 4, 3)):
+            others.add({"p": p, "q": q} | row)
+    return {"c": c.rows, "python": python.rows, "peers": others.rows}
+
+
+def series(p: int, n: int) -> Array:
     """An AR series of order p, so that the coefficients of the run keep moving as they do in use."""
-    poles = np.array(POLES[1 : 1 + p // 2])
-    poles = np.r_[poles, poles.conj(), [0.8] * (p % 2)]
-    return nf.simulate_arma(np.poly(poles).real[1:], [0.3], 1.0, n, seed=p)
+    poles = 0.9 * np.exp(1j * np.array([0.5, 1.0, 1.5, 2.0, 2.5]))[: p // 2]
+    return nf.simulate_arma(np.poly([*poles, *poles.conj(), *[0.8] * (p % 2)]).real[1:], [0.3], 1.0, n, seed=p)
 
 
 def compile_twin(folder: Path) -> ctypes.CDLL:
     """The C twin, compiled for this machine."""
-    target = folder / "arma_step.so"
-    source = Path(__file__).with_name("arma_step.c")
-    subprocess.run(["cc", "-O3", "-march=native", "-shared", "-fPIC", str(source), "-o", str(target), "-lm"], check=True)
+    source, target = Path(__file__).with_name("arma_step.c"), folder / "arma_step.so"
+    subprocess.run(
+        ["cc", "-O3", "-march=native", "-shared", "-fPIC", str(source), "-o", str(target), "-lm"], check=True
+    )
     library = ctypes.CDLL(str(target))
     pointer = ctypes.POINTER(ctypes.c_double)
     library.run.argtypes = [pointer, ctypes.c_int64, pointer, pointer, ctypes.c_int64]
     return library
 
 
-def running_state(p: int, q: int, xs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """State of an estimator that has been running, with room for xs before window work is due."""
-    arma = nf.RecursiveArma(p, q, 4000, mean=False)
-    arma.update_many(xs[:6000])
-    state = arma.snapshot()["state"]
+def running(p: int, q: int, xs: Array, window: int = 4000) -> tuple[nf.RecursiveArma, dict[str, Any]]:
+    """An estimator that has been running, and its state."""
+    arma = nf.RecursiveArma(p, q, window, hop=window if window > 4000 else None, mean=False)
+    arma.update_many(xs)
+    return arma, arma.snapshot()
+
+
+def state_table(p: int, q: int, xs: Array) -> Array:
+    """State table of a running estimator with room for xs before window work is due."""
+    state = running(p, q, xs)[1]["state"]
     state[kernel.HEAD, kernel.POS], state[kernel.HEAD, kernel.DUE] = 0.0, xs.size + 1.0
-    return state, np.zeros((1, xs.size))
+    return state
 
 
-def best(call: Callable[[], None], prepare: Callable[[], None], repeats: int) -> float:
+def best(call: Callable[[], object], prepare: Callable[[], object], repeats: int) -> float:
     """Shortest of several runs, in seconds: what the machine can do when nobody disturbs it."""
-    times = []
+    spent = []
     for _ in range(repeats):
         prepare()
-        start = time.perf_counter()
-        call()
-        times.append(time.perf_counter() - start)
-    return min(times)
+        spent.append(float(in_turn({"": call}, 1, time.perf_counter)[""][0]))
+    return min(spent)
 
 
-def against_c(library: ctypes.CDLL, repeats: int) -> list[dict[str, float]]:
+def against_c(library: ctypes.CDLL, p: int, q: int, repeats: int) -> dict[str, float]:
     """Nanoseconds per sample of kernel and C twin, in alternation."""
-    rows = []
-    none = np.empty((6000, 0))
-    for p, q in ORDERS:
-        xs = series(p, 6000)
-        state, buf = running_state(p, q, xs)
-        ours, theirs = state.copy(), state.copy()
-        pointer = ctypes.POINTER(ctypes.c_double)
-        arguments = [a.ctypes.data_as(pointer) for a in (theirs, buf, xs)]
-
-        def numba_run(ours=ours, buf=buf, xs=xs) -> None:
-            kernel.rml_run(ours, buf, xs, none, 0)
-
-        def c_run(arguments=arguments, width=state.shape[1], count=xs.size) -> None:
-            library.run(arguments[0], width, arguments[1], arguments[2], count)
-
-        spent = {"numba": np.inf, "c": np.inf}
-        for _ in range(repeats):
-            spent["numba"] = min(spent["numba"], best(numba_run, lambda o=ours, s=state: np.copyto(o, s), 1))
-            spent["c"] = min(spent["c"], best(c_run, lambda o=theirs, s=state: np.copyto(o, s), 1))
-        difference = float(np.max(np.abs(ours[kernel.THETA] - theirs[kernel.THETA])))
-        rows.append(
-            {
-                "p": p,
-                "q": q,
-                "numba_ns": 1e9 * spent["numba"] / xs.size,
-                "c_ns": 1e9 * spent["c"] / xs.size,
-                "ratio": spent["numba"] / spent["c"],
-                "theta_difference": difference,
-            }
-        )
-    return rows
+    xs = series(p, 6000)
+    state, buffer, none = state_table(p, q, xs), np.zeros((1, xs.size)), np.empty((xs.size, 0))
+    ours, theirs = state.copy(), state.copy()
+    pointers = [a.ctypes.data_as(ctypes.POINTER(ctypes.c_double)) for a in (theirs, buffer, xs)]
+    calls = {
+        "numba": lambda: kernel.rml_run(ours, buffer, xs, none, 0),
+        "c": lambda: library.run(pointers[0], state.shape[1], pointers[1], pointers[2], xs.size),
+    }
+    turns = []
+    for _ in range(repeats + 1):  # the first compiles, or loads what was compiled
+        np.copyto(ours, state)
+        np.copyto(theirs, state)
+        turns.append(in_turn(calls, 1, time.perf_counter))
+    numba, c = (np.concatenate([turn[name] for turn in turns[1:]]) for name in calls)
+    return {
+        "numba_ns": 1e9 * float(np.median(numba)) / xs.size,
+        "c_ns": 1e9 * float(np.median(c)) / xs.size,
+        "ratio": ratio(numba, c),
+        "theta_difference": float(np.max(np.abs(ours[kernel.THETA] - theirs[kernel.THETA]))),
+    }
 
 
-def one_at_a_time(repeats: int) -> list[dict[str, float]]:
+def from_python(p: int, q: int, repeats: int) -> dict[str, float]:
     """Microseconds of update(x) from Python without window work, and of the window work spread over the samples."""
+    xs = series(p, 30_000)
+    alone, kept = running(p, q, xs[:17_000], window=8000)
+    values = xs[17_000:18_000].tolist()
+    update_s = best(lambda: [alone.update(x) for x in values], lambda: alone.restore(kept), repeats) / len(values)
+    whole, begun = running(p, q, xs[:10_000])
+    total_s = best(lambda: whole.update_many(xs[10_000:]), lambda: whole.restore(begun), max(repeats // 3, 2))
+    return {"update_us": 1e6 * update_s, "with_polish_us": 1e6 * total_s / 20_000}
+
+
+def against_python(p: int, q: int, repeats: int) -> list[dict[str, Any]]:
+    """Samples per second of Python packages, and of the kernel, at a comparable order."""
+    xs = series(max(p, 2), 6000)
+    state, buffer, none = state_table(p, q, xs), np.zeros((1, xs.size)), np.empty((xs.size, 0))
+    ours = state.copy()
+    kernel_s = (
+        best(lambda: kernel.rml_run(ours, buffer, xs, none, 0), lambda: np.copyto(ours, state), repeats) / xs.size
+    )
+    arma, kept = running(p, q, xs)
+    public_s = best(lambda: arma.update_many(xs), lambda: arma.restore(kept), max(repeats // 3, 2)) / xs.size
     rows = []
-    for p, q in ORDERS:
-        xs = series(p, 30_000)
-        arma = nf.RecursiveArma(p, q, 8000, hop=8000, mean=False)
-        arma.update_many(xs[:17_000])
-        values = [float(x) for x in xs[17_000:18_000]]
-        kept = arma.snapshot()
-
-        def single(arma=arma, values=values) -> None:
-            update = arma.update
-            for x in values:
-                update(x)
-
-        update_s = best(single, lambda a=arma, k=kept: a.restore(k), repeats) / len(values)
-        whole = nf.RecursiveArma(p, q, 4000, mean=False)
-        whole.update_many(xs[:10_000])
-        start_state = whole.snapshot()
-        total = best(lambda w=whole, x=xs[10_000:]: w.update_many(x), lambda w=whole, k=start_state: w.restore(k), max(repeats // 3, 2))
-        rows.append({"p": p, "q": q, "update_us": 1e6 * update_s, "with_polish_us": 1e6 * total / 20_000})
+    for name, (call, count) in peers(xs, p, q).items():
+        try:
+            peer_s = best(call, lambda: None, 2) / count
+        except ModuleNotFoundError as error:
+            print(f"{name} is left out: {error.name} is not installed (pip install -e '.[bench]')")
+            continue
+        row = {"peer": name, "peer_per_s": 1.0 / peer_s, "kernel_per_s": 1.0 / kernel_s}
+        rows.append(row | {"ratio": peer_s / kernel_s, "ratio_with_polish": peer_s / public_s})
     return rows
 
 
-def peers(repeats: int) -> list[dict[str, float | str]]:
-    """Samples per second of Python packages and of the kernel at a comparable order."""
-    import padasip
-    from river.time_series import SNARIMAX
-    from statsmodels.regression.recursive_ls import RecursiveLS
+def peers(xs: Array, p: int, q: int) -> dict[str, tuple[Callable[[], object], int]]:
+    """What Python packages do with a series, and with how many of its samples."""
+    # As many coefficients as the kernel has: lags of the series stand in for those of the innovation.
+    n = p + q
+    lags = np.column_stack([np.roll(xs, k + 1) for k in range(n)])[n:]
 
-    rows: list[dict[str, float | str]] = []
-    for p, q in [(3, 0), (2, 1), (10, 10)]:
-        xs = series(max(p, 2), 6000)
-        state, buf = running_state(p, q, xs)
-        ours = state.copy()
-        kernel_s = best(
-            lambda o=ours, b=buf, x=xs: kernel.rml_run(o, b, x, np.empty((x.size, 0)), 0),
-            lambda o=ours, s=state: np.copyto(o, s),
-            repeats,
-        )
-        arma = nf.RecursiveArma(p, q, 4000, mean=False)
-        arma.update_many(xs)
-        kept = arma.snapshot()
-        public_s = best(lambda a=arma, x=xs: a.update_many(x), lambda a=arma, k=kept: a.restore(k), max(repeats // 3, 2))
-        # As many coefficients as the kernel has: lags of the series stand in for those of the innovation.
-        lags = np.column_stack([np.roll(xs, k + 1) for k in range(p + q)])[p + q :]
+    def padasip_rls() -> None:
+        import padasip
 
-        def rls(lags=lags, xs=xs, n=p + q) -> None:
-            estimator = padasip.filters.FilterRLS(n=n, mu=0.999)
-            for row, x in zip(lags[:2000], xs[n:], strict=False):
-                estimator.adapt(x, row)
+        estimator = padasip.filters.FilterRLS(n=n, mu=0.999)
+        for row, x in zip(lags[:2000], xs[n:], strict=False):
+            estimator.adapt(x, row)
 
-        def snarimax(xs=xs, p=p, q=q) -> None:
-            model = SNARIMAX(p=p, d=0, q=q)
-            for x in xs[:1000]:
-                model.learn_one(float(x))
+    def snarimax() -> None:
+        from river.time_series import SNARIMAX
 
-        def recursive_ls(lags=lags, xs=xs, n=p + q) -> None:
-            RecursiveLS(xs[n:], lags).fit()
+        model = SNARIMAX(p=p, d=0, q=q)
+        for x in xs[:1000].tolist():
+            model.learn_one(x)
 
-        for name, call, count in (
-            ("padasip FilterRLS, p+q lags", rls, 2000),
-            ("river SNARIMAX", snarimax, 1000),
-            ("statsmodels RecursiveLS, p+q lags", recursive_ls, lags.shape[0]),
-        ):
-            peer = best(call, lambda: None, 2) / count
-            rows.append(
-                {
-                    "order": f"({p},{q})",
-                    "peer": name,
-                    "peer_per_s": 1.0 / peer,
-                    "kernel_per_s": xs.size / kernel_s,
-                    "ratio": peer * xs.size / kernel_s,
-                    "ratio_with_polish": peer * xs.size / public_s,
-                }
-            )
-    return rows
+    def recursive_ls() -> None:
+        from statsmodels.regression.recursive_ls import RecursiveLS
 
+        RecursiveLS(xs[n:], lags).fit()
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--repeats", type=int, default=150)
-    parser.add_argument("--quick", action="store_true")
-    parser.add_argument("--json", metavar="PATH")
-    options = parser.parse_args()
-    repeats = 10 if options.quick else options.repeats
-    with tempfile.TemporaryDirectory() as folder:
-        c_rows = against_c(compile_twin(Path(folder)), repeats)
-    print("one step of the kernel against the same step in C (cc -O3 -march=native), best of", repeats)
-    for row in c_rows:
-        print(
-            f"  ({row['p']:2d},{row['q']:2d})  numba {row['numba_ns']:7.0f} ns   C {row['c_ns']:7.0f} ns"
-            f"   ratio {row['ratio']:.2f}   largest difference of theta {row['theta_difference']:.1e}"
-        )
-    single = one_at_a_time(max(repeats // 4, 3))
-    print("from Python")
-    for row in single:
-        print(
-            f"  ({row['p']:2d},{row['q']:2d})  update(x) {row['update_us']:5.2f} us"
-            f"   update_many with a polish every 1000 of 4000 samples {row['with_polish_us']:5.2f} us/sample"
-        )
-    others = peers(max(repeats // 4, 3))
-    print("against Python packages (samples per second)")
-    for row in others:
-        print(
-            f"  {row['order']:8s} {row['peer']:34s} {row['peer_per_s']:9.0f}   kernel {row['kernel_per_s']:9.0f}"
-            f"   ratio {row['ratio']:6.0f}   with polish {row['ratio_with_polish']:6.0f}"
-        )
-    if options.json:
-        Path(options.json).write_text(json.dumps({"c": c_rows, "python": single, "peers": others}, indent=1))
-
-
-if __name__ == "__main__":
-    main()
+    return {
+        "padasip FilterRLS, p+q lags": (padasip_rls, 2000),
+        "river SNARIMAX": (snarimax, 1000),
+        "statsmodels RecursiveLS, p+q lags": (recursive_ls, len(lags)),
+    }

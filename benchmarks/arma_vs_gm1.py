@@ -1,41 +1,40 @@
 """White noise, Gauss-Markov and learned ARMA on real recordings: who is nearer, and who is honest.
 
-Every model gets the same mapping, the same readings and the same other sensors; only the error models of the correcting sensors differ.
-"gm1" (1/e point), "white" and "gm1-fitted" (by likelihood) are fitted beforehand to the readings of the whole mission, as the filter
-would have them, positions withheld, and so is "arma-fitted", order chosen and S(0) raised as in `LearnedArma`: beside "gm1-fitted" it
-tells what the noise deserves, on the same information. "vehicle" is what the vehicle file says, set by hand; "arma" learns under way
-and begins with that: the difference between those two is what learning has done. As it comes, it adopts nothing before 500 s unless its
-windows are shorter; "arma-hurried" has windows of a third of the mission. None sees what is withheld, and nothing is scored
+Every model gets the same mapping, the same readings and the same other sensors; only the error models of the
+correcting sensors differ. "gm1" (1/e point), "white" and "gm1-fitted" (by likelihood) are fitted beforehand to the
+readings of the whole mission, as the filter would have them, positions withheld, and so is "arma-fitted", order
+chosen and S(0) raised as in `LearnedArma`: beside "gm1-fitted" it tells what the noise deserves, on the same
+information. "vehicle" is what the vehicle file says, set by hand; "arma" learns under way and begins with that: the
+difference between those two is what learning has done. As it comes, it adopts nothing before 500 s unless its windows
+are shorter; "arma-hurried" has windows of a third of the mission. None sees what is withheld, and nothing is scored
 before positions are withheld.
 
 | kind | mission | scored against |
 |---|---|---|
-| wid-car-rtk | inertial unit drives, wheels and compass correct; RTK for the first 25 m | RTK; heading: smoothed run with all RTK |
+| wid-car-rtk | inertial unit drives, wheels and compass correct; RTK for 25 m | RTK; heading: smoothed with all RTK |
 | snapir | as below; positions for the first 100 s | post-processed position and attitude |
 | auv-lake | attitude and DVL drive, GPS corrects in every second minute | the GPS fixes of the minutes between |
 
 What rests on what:
 
-- The car is taken with `car_clocks.clean`: clocks, gyro offset and lever arm from its own accelerometers and wheels. Its mapping in
-  tests/recordings has clocks that were fitted to all of the RTK. The heading that it is judged by has an sd of 0.2 to 0.4 deg itself.
-- Of snapir there is no inertial recording. Its gyros and accelerometers are made here from the post-processed attitude and velocity
-  (splines, 20 Hz) with the noise of a tactical unit; DVL and depth are real; the compass is the recorded heading with an error of a
-  known kind, slow and oscillating or compass-like, at 8 Hz. The DVL's clock is that of the mapping, published with the recordings and
-  found against the same attitude and velocity.
+- The car is taken with `car_clocks.clean`: clocks, gyro offset and lever arm from its own accelerometers and wheels.
+  Its mapping in tests/recordings has clocks that were fitted to all of the RTK. The heading that it is judged by has
+  an sd of 0.2 to 0.4 deg itself.
+- Of snapir there is no inertial recording. Its gyros and accelerometers are made here from the post-processed
+  attitude and velocity (splines, 20 Hz) with the noise of a tactical unit; DVL and depth are real; the compass is the
+  recorded heading with an error of a known kind, slow and oscillating or compass-like, at 8 Hz. The DVL's clock is
+  that of the mapping, published with the recordings and found against the same attitude and velocity.
 - The other lake missions have no sensor beside those that drive, and nothing to learn from: they are not in the table.
 
-Printed: rms of position and heading; NEES of both; NIS, mean over the sensors; rms of the one-step prediction error of each aiding
-sensor; on how many of its axes the innovations pass as white, and the largest autocorrelation; when models were adopted. In brackets
-the ratio to gm1-fitted.
+Printed: rms of position and heading; NEES of both; NIS, mean over the sensors; rms of the one-step prediction error
+of each aiding sensor; on how many of its axes the innovations pass as white, and the largest autocorrelation; when
+models were adopted. In brackets the ratio to gm1-fitted.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
 import math
-import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -43,17 +42,15 @@ from typing import Any
 
 import car_clocks
 import numpy as np
+from harness import MAPPINGS, Array, Options, Table, data_root, fixes_of, flag, main, quick, recorded
 from heading_toy import RATE_HZ, noises
-from numpy.typing import NDArray
-from recordings import FOREVER, RECORDINGS, position_name, truth_of
+from recordings import known_until
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, RotationSpline
 
 import navfilter as nf
-from navfilter.error_models import Sum
 from navfilter.evaluation.comparison import compare
 from navfilter.evaluation.rivals import learnable, rivals
-from navfilter.io import read_mission, read_vehicle
 from navfilter.learning.learned import LearnedArma, known_white
 from navfilter.learning.learner import Learner
 from navfilter.learning.low_frequency import cautious
@@ -65,7 +62,6 @@ from navfilter.simulation.presets import tactical_imu
 from navfilter.track import Track
 from navfilter.vehicle import Vehicle
 
-Array = NDArray[np.float64]
 MODELS = ("white", "gm1", "gm1-fitted", "vehicle", "arma")
 #: Rows of the table that `navfilter.evaluation.rivals` does not know.
 HURRIED, FITTED = "arma-hurried", "arma-fitted"
@@ -74,13 +70,11 @@ BASELINE = "gm1-fitted"
 AIDING = ("compass", "odometer", "dvl", "gps")
 SNAPIR = ("01", "02", "03", "05", "06", "07", "08", "10", "12")
 IMU_HZ = 20.0
-SURE = {"nees_position": "the position", "nees_heading": "the heading"}
-NOTHING = "nothing adopted"
 
 
 @dataclass(frozen=True)
 class Case:
-    """One mission as it is replayed: what is withheld is gone from it, `truth` is what it is judged by, from `begin_s` on."""
+    """One mission as it is replayed, without what is withheld; `truth` is what it is judged by, from `begin_s` on."""
 
     kind: str
     name: str
@@ -97,9 +91,9 @@ class Case:
 def car(trial: str) -> Case:
     """A trial of the car with RTK for the first 25 m, judged by RTK, its heading by the smoother that has all of it."""
     mission, vehicle = car_clocks.clean(trial)
-    until = car_clocks.known_until(mission)
+    until = known_until(mission)
     best = replay(vehicle, mission, smooth=True)
-    truth = truth_of(mission)
+    truth = mission.truth
     value = truth.value.copy()
     # nothing but RTK knows the height, and it is withheld
     value[:, 2] = np.nan
@@ -107,14 +101,14 @@ def car(trial: str) -> Case:
         angle = np.interp(truth.time_s, best.time_s, np.unwrap(best.attitude[:, axis]), left=np.nan, right=np.nan)
         value[:, 6 + axis] = np.angle(np.exp(1j * angle))
     judged = Stream(truth.time_s, value, truth.columns)
-    return Case("wid-car-rtk", trial, mission.hide("rtk", (until + 1e-6, FOREVER)), vehicle, judged, until)
+    return Case("wid-car-rtk", trial, mission.hide("rtk", (until + 1e-6, math.inf)), vehicle, judged, until)
 
 
 # --- snapir -----------------------------------------------------------------------------------------------------------
 
 
 def inertial(truth: Stream, seed: int) -> tuple[Stream, Callable[[Array], Array]]:
-    """Inertial readings that belong to a recorded attitude and velocity, with tactical noise, and the heading at any time."""
+    """Inertial readings for a recorded attitude and velocity, with tactical noise; and the heading at any time."""
     t = truth.time_s
     path, velocity = CubicSpline(t, truth.value[:, :3]), CubicSpline(t, truth.value[:, 3:6])
     # Rotation("ZYX") with yaw, pitch, roll is body to north-east-down
@@ -134,15 +128,19 @@ def inertial(truth: Stream, seed: int) -> tuple[Stream, Callable[[Array], Array]
 
 
 def snapir(run: str, error: nf.ArmaModel) -> Case:
-    """A run of the AUV with inertial readings made from its attitude and velocity, and a compass with a known kind of error."""
-    folder = RECORDINGS / "snapir-auv-1hz" / run
-    mission, mapped = read_mission(folder), read_vehicle(folder)
-    truth = truth_of(mission)
+    """A run of the AUV, inertial readings made from its attitude and velocity, and a compass with a known error."""
+    folder = MAPPINGS / "snapir-auv-1hz" / run
+    mission, mapped = recorded(f"snapir-auv-1hz/{run}")
+    truth = mission.truth
     imu, heading = inertial(truth, int(run))
     ticks = np.arange(truth.time_s[0], truth.time_s[-1], 1.0 / RATE_HZ)
     yaw = heading(ticks) + nf.simulate_arma(error.ar, error.ma, error.sd, ticks.size, 1000 + int(run))
     streams = {name: mission.streams[name] for name in ("depth", "usbl")}
-    streams |= {"imu": imu, "compass": Stream(ticks, np.angle(np.exp(1j * yaw)), ("heading_rad",)), "dvl": as_recorded(folder)}
+    streams |= {
+        "imu": imu,
+        "compass": Stream(ticks, np.angle(np.exp(1j * yaw)), ("heading_rad",)),
+        "dvl": as_recorded(folder),
+    }
     velocity = mapped.drive.velocity_sensor
     vehicle = Vehicle(
         imu=tactical_imu(IMU_HZ),
@@ -154,7 +152,7 @@ def snapir(run: str, error: nf.ArmaModel) -> Case:
         name=mapped.name,
     )
     until = float(truth.time_s[0]) + 100.0
-    hidden = replace(mission, streams=streams).hide("usbl", (until + 1e-6, FOREVER))
+    hidden = replace(mission, streams=streams).hide("usbl", (until + 1e-6, math.inf))
     return Case("snapir", run, hidden.with_start(started(truth)), vehicle, truth, until)
 
 
@@ -189,13 +187,12 @@ def as_recorded(folder: Path) -> Stream:
 
 def lake(name: str = "20220625_0_0") -> Case:
     """The torpedo AUV with GPS in every second minute, judged in the minutes between."""
-    folder = RECORDINGS / "auv-lake-sea-10hz" / name
-    mission, vehicle = read_mission(folder), read_vehicle(folder)
-    gps = position_name(vehicle)
+    mission, vehicle = recorded(f"auv-lake-sea-10hz/{name}")
+    gps = fixes_of(vehicle)
     fixes = mission.streams[gps]
     starts = np.arange(fixes.time_s[0] + 60.0, fixes.time_s[-1] - 60.0, 120.0)
     gaps = tuple((float(a), float(a + 60.0)) for a in starts)
-    return Case("auv-lake", name, mission.hide(gps, *gaps), vehicle, truth_of(mission), gaps[0][0], gaps)
+    return Case("auv-lake", name, mission.hide(gps, *gaps), vehicle, mission.truth, gaps[0][0], gaps)
 
 
 def cases(only: str, error: nf.ArmaModel) -> Iterator[Case]:
@@ -212,37 +209,22 @@ def cases(only: str, error: nf.ArmaModel) -> Iterator[Case]:
 
 
 def adopted(track: Track) -> str:
-    """When and what a run learnt, in short: orders of the last models and the number of adoptions per sensor."""
-    said = []
-    for name, history in track.error_models.items():
-        # the first models are in force from the start, when the beginning has been run again with them
-        learnt = [(time_s, found) for time_s, models in history if any(found := learned_orders(models))]
-        if learnt:
-            said.append(f"{name} {'/'.join(o or '-' for o in learnt[-1][1])} in force from {learnt[0][0]:.0f} s, {len(learnt)} times")
-    return "; ".join(said) or NOTHING
+    """What a run learnt, by axis: order of the last model, since when there was one, and how many there were."""
+    # the first models are in force from the start, when the beginning has been run again with them
+    learnt = {axis: (found[-1]["order"], found[0]["time_s"], len(found)) for axis, found in track.adopted().items()}
+    said = [f"{axis} ({p},{q}) from {time_s:.0f} s, {n} times" for axis, ((p, q), time_s, n) in learnt.items()]
+    return "; ".join(said) or "nothing adopted"
 
 
 def orders(vehicle: Vehicle, sensors: list[str]) -> str:
     """Orders of the ARMA models of a vehicle's sensors."""
-    return "; ".join(f"{name} {'/'.join(f'({len(m.ar)},{len(m.ma)})' for m in vehicle.sensors[name].models)}" for name in sensors)
-
-
-def learned_orders(models: nf.ErrorModel | tuple[nf.ErrorModel, ...]) -> list[str]:
-    """`learned_order` of every axis."""
-    return [learned_order(model) for model in (models if isinstance(models, tuple) else (models,))]
-
-
-def learned_order(model: nf.ErrorModel) -> str:
-    """Order of the learnt part of an error model, "" when there is none."""
-    for part in model.parts if isinstance(model, Sum) else (model,):
-        found = getattr(part, "model", None)
-        if found is not None:
-            return f"({found.p},{found.q})"
-    return ""
+    return "; ".join(
+        f"{name} {'/'.join(f'({len(m.ar)},{len(m.ma)})' for m in vehicle.sensors[name].models)}" for name in sensors
+    )
 
 
 def fitted_arma(case: Case, sensors: list[str]) -> Vehicle:
-    """The vehicle with ARMA models fitted to the readings of the whole mission, by the likelihood that gm1-fitted uses."""
+    """The vehicle with ARMA models fitted to the whole mission's readings, by the likelihood that gm1-fitted uses."""
     series = residual_series(case.vehicle, case.mission, sensors)
     models: dict[str, tuple[nf.ErrorModel, ...]] = {}
     for name, channels in series.items():
@@ -258,13 +240,18 @@ def fitted_arma(case: Case, sensors: list[str]) -> Vehicle:
 
 
 def hurried(case: Case, sensors: list[str]) -> Vehicle:
-    """The vehicle with `LearnedArma` whose windows are a third of the mission, so that a short one is learnt from at all."""
+    """The vehicle with `LearnedArma` whose windows are a third of the mission: a short one is learnt from at all."""
     models: dict[str, tuple[nf.ErrorModel, ...]] = {}
     for name in sensors:
         sensor = case.vehicle.sensors[name]
         window = min(max(int(case.mission.duration_s / 3.0 * sensor.rate_hz), 200), 4000)
         models[name] = tuple(LearnedArma(prior=prior, window=window) for prior in sensor.models)
     return case.vehicle.with_error(**{name: axes if len(axes) > 1 else axes[0] for name, axes in models.items()})
+
+
+def prediction(sensor: Mapping[str, Any]) -> float:
+    """Rms of a sensor's one-step prediction error over its axes."""
+    return math.sqrt(sum(axis["prediction_rms"] ** 2 for axis in sensor["axes"].values()))
 
 
 def figures(case: Case) -> dict[str, dict[str, Any]]:
@@ -276,6 +263,7 @@ def figures(case: Case) -> dict[str, dict[str, Any]]:
     comparison = compare(tracks, case.truth, begin_s=case.begin_s, windows=case.windows)
     # a sensor that is withheld in the scored windows is judged by its readings between them
     listened = compare(tracks, case.truth, begin_s=case.begin_s).runs
+    said = {name: adopted(tracks[name]) for name in ("arma", HURRIED)} | {FITTED: orders(vehicles[FITTED], sensors)}
     result = {}
     for name, run in comparison.runs.items():
         aiding = {key: sensor for key, sensor in listened[name]["sensors"].items() if sensor["axes"] and key in sensors}
@@ -286,11 +274,11 @@ def figures(case: Case) -> dict[str, dict[str, Any]]:
             "nees_position": run["nees"].get("position", {}).get("mean"),
             "nees_heading": run["nees"].get("heading", {}).get("mean"),
             "nis": float(np.mean([s["nis"] for s in aiding.values()])) if aiding else None,
-            "prediction": {k: [s["unit"], math.sqrt(sum(a["prediction_rms"] ** 2 for a in s["axes"].values()))] for k, s in aiding.items()},
+            "prediction": {k: [s["unit"], prediction(s)] for k, s in aiding.items()},
             "white_axes": sum(bool(axis["is_white"]) for axis in axes),
             "axes": len(axes),
             "largest_acf": max((abs(axis["largest_acf"]) for axis in axes), default=None),
-            "adopted": adopted(tracks[name]) if name in ("arma", HURRIED) else orders(vehicles[FITTED], sensors) if name == FITTED else "",
+            "adopted": said.get(name),
         }
     return result
 
@@ -298,132 +286,68 @@ def figures(case: Case) -> dict[str, dict[str, Any]]:
 def pooled(runs: list[dict[str, dict[str, Any]]]) -> dict[str, dict[str, Any]]:
     """Figures of several missions together: root mean square of the rms, mean of NEES and NIS, sums of axes."""
 
-    def over(model: str, key: str, power: int) -> float | None:
-        values = [run[model][key] for run in runs if run[model][key] is not None]
-        return float(np.mean(np.power(values, power)) ** (1.0 / power)) if values else None
+    def over(values: Iterable[float | None], power: int) -> float | None:
+        known = [value for value in values if value is not None]
+        return float(np.mean(np.power(known, power)) ** (1.0 / power)) if known else None
 
     total = {}
     for model in runs[0]:
-        sensors = runs[0][model]["prediction"]
+        of = [run[model] for run in runs]
         total[model] = {
-            **{key: over(model, key, 2) for key in ("position_rms_m", "heading_rms_deg")},
-            **{key: over(model, key, 1) for key in ("nees_position", "nees_heading", "nis")},
+            **{key: over((run[key] for run in of), 2) for key in ("position_rms_m", "heading_rms_deg")},
+            **{key: over((run[key] for run in of), 1) for key in ("nees_position", "nees_heading", "nis")},
             "prediction": {
-                k: [unit, math.sqrt(np.mean([r[model]["prediction"][k][1] ** 2 for r in runs if k in r[model]["prediction"]]))]
-                for k, (unit, _) in sensors.items()
+                name: [unit, over((run["prediction"].get(name, (unit, None))[1] for run in of), 2)]
+                for name, (unit, _) in of[0]["prediction"].items()
             },
-            "white_axes": sum(r[model]["white_axes"] for r in runs),
-            "axes": sum(r[model]["axes"] for r in runs),
-            "largest_acf": max((r[model]["largest_acf"] for r in runs if r[model]["largest_acf"] is not None), default=None),
-            "adopted": "",
+            **{key: sum(run[key] for run in of) for key in ("white_axes", "axes")},
+            "largest_acf": max((run["largest_acf"] for run in of if run["largest_acf"] is not None), default=None),
         }
     return total
 
 
 # --- what is printed --------------------------------------------------------------------------------------------------
 
+NUMBERS = ("position_rms_m", "heading_rms_deg", "nees_position", "nees_heading", "nis", "largest_acf")
 
-def cell(value: float | None, base: float | None = None, digits: int = 3) -> str:
+
+def show(name: str, runs: Mapping[str, Mapping[str, Any]]) -> None:
+    """One mission, or all of a kind together, for people; in brackets the ratio to the `BASELINE`."""
+    base = runs[BASELINE]
+    print(f"\n{name}")
+    table = Table("model<12 " + " ".join(f"{key}>14" for key in NUMBERS) + " white>6 prediction<40 adopted<8")
+    for model, run in runs.items():
+        row = {key: cell(run[key], base[key] if key.endswith(("_m", "_deg")) else None) for key in NUMBERS}
+        predicted = [f"{k} {cell(v, base['prediction'][k][1])} {unit}" for k, (unit, v) in run["prediction"].items()]
+        row |= {"white": f"{run['white_axes']}/{run['axes']}", "prediction": ", ".join(predicted)}
+        table.add({"model": model, "adopted": run.get("adopted")} | row)
+
+
+def cell(value: float | None, base: float | None = None) -> str | None:
     """A number, with its ratio to another one in brackets."""
     if value is None:
-        return "-"
-    return f"{value:.{digits}g}" + (f" ({value / base:.2f})" if base else "")
+        return None
+    return f"{value:.3g}" + (f" ({value / base:.2f})" if base else "")
 
 
-def table(name: str, runs: Mapping[str, Mapping[str, Any]]) -> str:
-    """One mission for people."""
-    base = runs[BASELINE]
-    lines = [("", "position m", "heading deg", "NEES pos", "NEES hdg", "NIS", "prediction errors", "white", "acf")]
-    for model, run in runs.items():
-        predicted = ", ".join(f"{k} {cell(v, base['prediction'][k][1])} {unit}" for k, (unit, v) in run["prediction"].items())
-        lines.append(
-            (
-                model,
-                cell(run["position_rms_m"], base["position_rms_m"]),
-                cell(run["heading_rms_deg"], base["heading_rms_deg"]),
-                cell(run["nees_position"]),
-                cell(run["nees_heading"]),
-                cell(run["nis"]),
-                predicted,
-                f"{run['white_axes']}/{run['axes']}",
-                cell(run["largest_acf"], digits=2),
-            )
-        )
-    widths = [max(len(line[k]) for line in lines) for k in range(len(lines[0]))]
-    rows = ["  ".join(text.ljust(width) for text, width in zip(line, widths, strict=True)).rstrip() for line in lines]
-    learnt = [f"   {model}: {run['adopted']}" for model, run in runs.items() if run["adopted"]]
-    return "\n".join([name, *rows, *learnt])
-
-
-def against(arma: Mapping[str, Any], other: Mapping[str, Any]) -> str:
-    """What is better and what is not, in plain words."""
-    said = []
-    for key, what in (("position_rms_m", "position rms"), ("heading_rms_deg", "heading rms")):
-        if arma[key] and other[key]:
-            ratio = arma[key] / other[key]
-            word = "worse" if ratio > 1.02 else "the same" if ratio > 0.98 else "better"
-            said.append(f"{what} {word} ({ratio:.2f})")
-    for key, what in (("nees_position", "NEES of position"), ("nees_heading", "NEES of heading"), ("nis", "NIS")):
-        if arma[key] and other[key]:
-            nearer = abs(math.log(other[key])) - abs(math.log(arma[key]))
-            word = "nearer to 1" if nearer > 0.1 else "farther from 1" if nearer < -0.1 else "alike"
-            said.append(f"{what} {word} ({arma[key]:.2g}, {other[key]:.2g})")
-    for key, (_, value) in arma["prediction"].items():
-        ratio = value / other["prediction"][key][1]
-        word = "worse" if ratio > 1.02 else "as well" if ratio > 0.98 else "better"
-        said.append(f"{key} predicted {word} ({ratio:.2f})")
-    return ", ".join(said)
-
-
-def too_sure(model: str, run: Mapping[str, Any], base: Mapping[str, Any]) -> list[str]:
-    """Where a model predicts better than that of the vehicle file and navigates with less honesty, and what that means."""
-    better = [key for key, (_, value) in run["prediction"].items() if value < 0.98 * base["prediction"][key][1]]
-    unsure = [what for key, what in SURE.items() if run[key] is not None and run[key] > max(3.0, 2.0 * base[key])]
-    if not (better and unsure):
-        return []
-    return [
-        f"{model} predicts {' and '.join(better)} better than the vehicle file and is too sure of {' and '.join(unsure)}: "
-        "what is slow in these series (scale, lever arm, clock; a slow error in a short window) passes for drift and is not in the model."
-    ]
-
-
-def verdicts(name: str, total: Mapping[str, Mapping[str, Any]], missions: Mapping[str, Mapping[str, Any]]) -> str:
-    """Where ARMA helps and where not, all missions of a kind together."""
-    idle = [mission for mission, runs in missions.items() if runs["arma"]["adopted"] == NOTHING]
-    pairs = ((FITTED, BASELINE), ("arma", BASELINE), ("arma", "vehicle"), (HURRIED, "vehicle"))
-    lines = [f"{name}, {one} against {other}: {against(total[one], total[other])}." for one, other in pairs]
-    lines += [f"{name}: {text}" for model in (HURRIED, FITTED) for text in too_sure(model, total[model], total["vehicle"])]
-    if idle:
-        lines.append(f"{name}: nothing was adopted in {', '.join(idle)}; there ARMA is the model of the vehicle file.")
-    return "\n".join(lines)
-
-
-def main() -> None:
+def arma_vs_gm1(options: Options) -> dict[str, Any]:
     """Replay everything and print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--only", default="", help="only missions whose kind and name contain this")
-    parser.add_argument("--compass", choices=[*noises()], default="slow + oscillating (4,2)", help="error of snapir's compass")
-    parser.add_argument("--quick", action="store_true", help="one mission of each kind")
-    parser.add_argument("--json", type=Path, help="write the figures to this file too")
-    arguments = parser.parse_args()
-    if not os.environ.get("NAVFILTER_DATA"):
-        parser.error("set the environment variable NAVFILTER_DATA to the folder of the recordings.")
+    data_root()
     found: dict[str, dict[str, dict[str, dict[str, Any]]]] = {}
-    for case in cases(arguments.only, noises()[arguments.compass]):
-        if arguments.quick and case.kind in found:
+    for case in cases(options.only, noises()[options.compass]):
+        if options.quick and case.kind in found:
             continue
         runs = found.setdefault(case.kind, {})[case.name] = figures(case)
-        print(table(f"{case.kind} {case.name}", runs), flush=True)
-    print()
+        show(f"{case.kind} {case.name}", runs)
     totals = {kind: pooled(list(missions.values())) for kind, missions in found.items()}
     for kind, total in totals.items():
-        print(table(f"{kind}, {len(found[kind])} together", total))
-    print()
-    for kind, total in totals.items():
-        print(verdicts(kind, total, found[kind]))
-    if arguments.json:
-        arguments.json.write_text(json.dumps({"missions": found, "totals": totals}, indent=1))
+        show(f"{kind}, {len(found[kind])} together", total)
+    return {"missions": found, "totals": totals}
 
 
 if __name__ == "__main__":
-    main()
+    compass = flag(
+        "--compass", choices=[*noises()], default="slow + oscillating (4,2)", help="error of snapir's compass"
+    )
+    only = flag("--only", default="", help="only missions whose kind and name contain this")
+    main(__doc__, {arma_vs_gm1: [only, compass, quick("one mission of each kind")]})

@@ -1,40 +1,34 @@
-"""The car's wheel clocks, gyro offset and lever arm without RTK, and what that makes of its dead reckoning.
+"""The car's wheel clocks, gyro offset and lever arm from its own sensors, for `recordings.py car_clocks`.
 
-The mapping files of wid-car-rtk set the clocks of the wheels such that the dead-reckoned path fits all of the RTK, the part that is
-withheld in the benchmark included. Here the same numbers come from what the vehicle itself records:
+The mapping files of wid-car-rtk set the clocks of the wheels such that the dead-reckoned path fits all of the RTK,
+the part that is withheld in the benchmark included. Here the same numbers come from the car's own sensors:
 
-- clock of a wheel: the accelerometer along the car against the derivative of the wheel's speed. The delay maximises the sum over
-  frequencies of ``W cos(phase + 2 pi f delay)`` with ``W = coherence / (1 - coherence)``, the maximum-likelihood weight (Knapp and
-  Carter, 1976, "The generalized correlation method for estimation of time delay"). Below 1 Hz only: above, the body of the car pitches
-  on its springs and the accelerometer feels that;
+- clock of a wheel: the accelerometer along the car against the derivative of the wheel's speed. The delay maximises
+  the sum over frequencies of ``W cos(phase + 2 pi f delay)`` with ``W = coherence / (1 - coherence)``, the
+  maximum-likelihood weight (Knapp and Carter, 1976, "The generalized correlation method for estimation of time
+  delay"). Below 1 Hz only: above, the body of the car pitches on its springs and the accelerometer feels that;
 - gyro z: mean while both wheels stand (half a second on either side left out), less the Earth's rotation;
-- lever arm from the accelerometers: ``a_x = v' + y w'`` and ``a_y = v w + x w'`` between 0.05 and 1 Hz, all trials together, (x, y) being
-  where the box is, forward and left of the point that does not slip.
+- lever arm from the accelerometers: ``a_x = v' + y w'`` and ``a_y = v w + x w'`` between 0.05 and 1 Hz, all trials
+  together, (x, y) being where the box is, forward and left of the point that does not slip.
 
-The radii of the wheels are those published with the recordings. Printed per trial: end error with RTK for the first 25 m, with the
-mapping as it is, with the lags published with the recordings (no gyro offset, its sd at the start 0.01 deg/s), and with the numbers
-from here; and plain dead reckoning on the same mapping.
+The radii of the wheels are those published with the recordings.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
 import re
 import tempfile
 from functools import cache
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
-from recordings import RECORDINGS, Row, plane, truth_of, withheld
+from harness import MAPPINGS, Array, recorded
 from scipy.signal import butter, csd, filtfilt, welch
 
 from navfilter.io import read_mission, read_vehicle
 from navfilter.mission import Mission
 from navfilter.vehicle import Vehicle
 
-Array = NDArray[np.float64]
 TRIALS = ("00", "02", "08", "10")
 #: t_box = t_wheel + lag, as published with the recordings.
 PUBLISHED = {"00": (0.04, 0.02), "02": (0.08, 0.02), "08": (0.0, 0.0), "10": (0.30, 0.32)}
@@ -55,10 +49,12 @@ def read_text(mission: str, vehicle: str) -> tuple[Mission, Vehicle]:
 
 
 def variant(trial: str, clocks: tuple[float, ...], gyro_deg_s: float, **vehicle: str) -> tuple[Mission, Vehicle]:
-    """A trial with other clocks of the wheels, another offset of gyro z, and other numbers in vehicle.toml (key: text behind =)."""
-    folder = RECORDINGS / "wid-car-rtk" / trial
+    """A trial with other wheel clocks, another offset of gyro z, and other values in vehicle.toml (key: text)."""
+    folder = MAPPINGS / "wid-car-rtk" / trial
     offsets = iter(clocks)
-    text = re.sub(r"offset_s = [-\d.]+", lambda found: f"offset_s = {next(offsets):.6f}", (folder / "mission.toml").read_text())
+    text = re.sub(
+        r"offset_s = [-\d.]+", lambda found: f"offset_s = {next(offsets):.6f}", (folder / "mission.toml").read_text()
+    )
     text = re.sub(r'("Gyro_Z", offset = )[-\d.]+', rf"\g<1>{gyro_deg_s:.6f}", text)
     described = (folder / "vehicle.toml").read_text()
     for key, value in vehicle.items():
@@ -68,8 +64,8 @@ def variant(trial: str, clocks: tuple[float, ...], gyro_deg_s: float, **vehicle:
 
 @cache
 def raw(trial: str) -> tuple[Array, Array, tuple[tuple[Array, Array], ...]]:
-    """Rate and force in the box's axes (forward, left, up), 100 Hz, and time and speed of each wheel on its own clock."""
-    folder = RECORDINGS / "wid-car-rtk" / trial
+    """Rate and force in the box's axes (forward, left, up), 100 Hz; time and speed of each wheel, on its clock."""
+    folder = MAPPINGS / "wid-car-rtk" / trial
     text = re.sub(r"offset_s = [-\d.]+", "offset_s = 0.0", (folder / "mission.toml").read_text())
     text = re.sub(r'("Gyro_Z", offset = )[-\d.]+', r"\g<1>0.0", text)
     head, rest = text.split("[streams.odometer]\n")
@@ -78,7 +74,9 @@ def raw(trial: str) -> tuple[Array, Array, tuple[tuple[Array, Array], ...]]:
     streams = "".join(f"[streams.wheel{k}]\n{block}\n" for k, block in enumerate(wheels))
     mission, _ = read_text(head + streams + "[streams.compass]" + tail, (folder / "vehicle.toml").read_text())
     imu = mission.streams["imu"].value * [1.0, -1.0, -1.0, 1.0, -1.0, -1.0]
-    pairs = tuple((mission.streams[f"wheel{k}"].time_s, mission.streams[f"wheel{k}"].value[:, 0]) for k in range(len(wheels)))
+    pairs = tuple(
+        (mission.streams[f"wheel{k}"].time_s, mission.streams[f"wheel{k}"].value[:, 0]) for k in range(len(wheels))
+    )
     return imu[:, :3], imu[:, 3:], pairs
 
 
@@ -120,7 +118,7 @@ def gyro_offset(trial: str) -> float:
     moving = np.max(on_box(trial, clocks(trial)[0]), axis=0) > STILL_M_S
     reach = int(2 * MARGIN_S * RATE_HZ) + 1
     still = np.convolve(moving, np.ones(reach), "same") < 0.5
-    latitude = read_mission(RECORDINGS / "wid-car-rtk" / trial).streams["rtk"].value[0, 0]
+    latitude = read_mission(MAPPINGS / "wid-car-rtk" / trial).streams["rtk"].value[0, 0]
     return float(np.degrees(EARTH_RAD_S * np.sin(latitude) - rate[still, 2].mean()))
 
 
@@ -134,7 +132,10 @@ def lever_arm() -> tuple[float, float]:
         v = np.mean(on_box(trial, clocks(trial)[0]), axis=0)
         w = filtfilt(*butter(3, 3.0, fs=RATE_HZ), rate[:, 2])
         inside = slice(int(3 * RATE_HZ), -int(3 * RATE_HZ))
-        band = [filtfilt(b, a, x)[inside] for x in (np.gradient(v) * RATE_HZ, v * w, np.gradient(w) * RATE_HZ, w**2, *force[:, :2].T)]
+        band = [
+            filtfilt(b, a, x)[inside]
+            for x in (np.gradient(v) * RATE_HZ, v * w, np.gradient(w) * RATE_HZ, w**2, *force[:, :2].T)
+        ]
         # centripetal force of the lever arm itself, w^2, is fitted too and not used: it goes with roll and pitch
         along.append(np.column_stack([band[0], band[2], band[3], band[4]]))
         across.append(np.column_stack([band[1], band[2], band[5]]))
@@ -153,18 +154,12 @@ def clean(trial: str) -> tuple[Mission, Vehicle]:
     return variant(trial, clocks(trial)[0], gyro_offset(trial), lever_arm_b_m=f"[{-x:.3f}, {-y:.3f}, 0.5]")
 
 
-# --- the table --------------------------------------------------------------------------------------------------------
-
-
-def known_until(mission: Mission) -> float:
-    """Time at which the car has gone 25 m [s]."""
-    times, place = plane(truth_of(mission))
-    return float(times[np.searchsorted(np.concatenate([[0.0], np.cumsum(np.abs(np.diff(place)))]), 25.0)])
+# --- what is compared -------------------------------------------------------------------------------------------------
 
 
 def mappings(trial: str) -> dict[str, tuple[Mission, Vehicle]]:
     """The mappings that are compared."""
-    folder = RECORDINGS / "wid-car-rtk" / trial
+    folder = MAPPINGS / "wid-car-rtk" / trial
     text = (folder / "vehicle.toml").read_text()
     z = re.search(r"(?m)^z = .*start_sd_deg_per_s.*$", text)
     assert z is not None  # the car's gyro has one
@@ -173,41 +168,7 @@ def mappings(trial: str) -> dict[str, tuple[Mission, Vehicle]]:
     # only the first "z =" is the gyro's
     _, unsure = read_text((folder / "mission.toml").read_text(), text.replace(z.group(0), f"z = {loose}", 1))
     return {
-        "as mapped (fitted to RTK)": (read_mission(folder), read_vehicle(folder)),
+        "as mapped (fitted to RTK)": recorded(f"wid-car-rtk/{trial}"),
         "published lags": (published, unsure),
         "own sensors": clean(trial),
     }
-
-
-def line(label: str, row: Row) -> str:
-    """One line for people."""
-    return (
-        f"  {label:26s} {row.end_m:7.2f} m {row.end_pct:7.3f} %  rms {row.rms_m:6.2f} m  plain {row.plain_end_m:6.2f} m"
-        f"  beyond 3 sd {row.beyond_3_sigma_pct:5.1f} %"
-    )
-
-
-def main() -> None:
-    """Estimate, replay, print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", type=Path, help="write the figures to this file too")
-    arguments = parser.parse_args()
-    x, y = lever_arm()
-    print(f"the point that does not slip is {x:.2f} m behind and {-y:.2f} m right of the box")
-    figures: dict[str, dict[str, float | None]] = {}
-    ends: dict[str, list[float]] = {}
-    for trial in TRIALS:
-        found, sd = clocks(trial)
-        print(f"{trial}: clocks {', '.join(f'{c:.3f}' for c in found)} s (sd {sd:.3f}), gyro z {gyro_offset(trial):+.4f} deg/s")
-        for label, (mission, vehicle) in mappings(trial).items():
-            row = withheld(mission, vehicle, known_until(mission), label)
-            print(line(label, row), flush=True)
-            ends.setdefault(label, []).append(row.end_pct or 0.0)
-            figures[f"{trial} {label}"] = {"end_pct": row.end_pct, "end_m": row.end_m, "plain_m": row.plain_end_m}
-    print("\n".join(f"median {label}: {np.median(v):.3f} %" for label, v in ends.items()))
-    if arguments.json:
-        arguments.json.write_text(json.dumps(figures, indent=1))
-
-
-if __name__ == "__main__":
-    main()

@@ -1,26 +1,19 @@
-"""Faults of what is around the filter: killed processes, full disks, cut logs, damaged snapshots, garbage on the line.
-
-Each kind runs for several seeds on one minute of a simulated lawnmower through ``navfilter run`` as a process (snapshots in memory without
-one). What must hold: after SIGKILL at a random instant, `--resume` and the readings that the log does not have, the last state is that of
-an undisturbed run to the bit, and of the readings whose states were seen nothing is missing from the log; garbage between the lines, a
-full disk and a log that is cut at a random byte leave the last state as it was; a damaged snapshot is refused with a ValueError, always.
-"""
+"""Faults of what is around the filter, for `faults.py service`."""
 
 from __future__ import annotations
 
-import argparse
 import json
 import resource
 import signal
-import sys
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
+from harness import Options, Table
 from test_service import Dive, Process
 
 import navfilter as nf
@@ -28,7 +21,9 @@ from navfilter.io.json_lines import Reading
 from navfilter.playback import drive_samples
 from navfilter.service.log import LOG_FILE, log_items
 
-Verdict = dict[str, int]
+#: What a run with a fault is judged by: counts of these.
+VERDICT = ("crash", "lost_readings", "other_state")
+Verdict = tuple[int, int, int]
 
 
 def states(output: list[bytes]) -> list[bytes]:
@@ -43,7 +38,8 @@ def without_counts(line: bytes) -> dict:
 
 def killed(dive: Dive, folder: Path, rng: np.random.Generator) -> Verdict:
     """SIGKILL at a random instant while readings come in, then resumed; and the file ends in the middle of a line."""
-    arguments = [*dive.arguments, "--log", folder / "log", "--resume", "--snapshot-every", "0.5", "--fsync", "0.2", "--quiet"]
+    often = ["--snapshot-every", "0.5", "--fsync", "0.2"]
+    arguments = [*dive.arguments, "--log", folder / "log", "--resume", *often, "--quiet"]
     at_s = float(rng.integers(5, 50))
     process = Process(*arguments)
     seen = next(k for k, line in enumerate(dive.lines) if json.loads(line)["time_s"] > at_s) + 1
@@ -57,7 +53,7 @@ def killed(dive: Dive, folder: Path, rng: np.random.Generator) -> Verdict:
     process = Process(*arguments)
     process.send(dive.lines[len(whole) :])
     end = states(process.end())
-    return {"crash": process.code != 0, "lost readings": max(0, seen - 1 - len(whole)), "other state": end[-1:] != states(dive.output)[-1:]}
+    return process.code != 0, max(0, seen - 1 - len(whole)), end[-1:] != states(dive.output)[-1:]
 
 
 def garbage(dive: Dive, folder: Path, rng: np.random.Generator) -> Verdict:
@@ -65,23 +61,26 @@ def garbage(dive: Dive, folder: Path, rng: np.random.Generator) -> Verdict:
     lines = [*dive.lines]
     for _ in range(200):
         size = int(rng.integers(1, 400))
-        lines.insert(int(rng.integers(len(lines))), rng.integers(0, 256, size).astype(np.uint8).tobytes().replace(b"\n", b"") + b"\n")
+        at = int(rng.integers(len(lines)))
+        lines.insert(at, rng.integers(0, 256, size).astype(np.uint8).tobytes().replace(b"\n", b"") + b"\n")
     process = Process(*dive.arguments, "--log", folder / "log", "--quiet")
     process.send(lines)
     end = states(process.end())
     same = bool(end) and without_counts(end[-1]) == without_counts(states(dive.output)[-1])
-    return {"crash": process.code != 0, "lost readings": 0, "other state": not same}
+    return process.code != 0, 0, not same
 
 
 def full_disk(dive: Dive, folder: Path, rng: np.random.Generator) -> Verdict:
     """No file may grow beyond a random size."""
     limit = int(rng.integers(10_000, 1_000_000))
-    process = Process(
-        *dive.arguments, "--log", folder / "log", "--quiet", preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
-    )
+
+    def limited() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
+
+    process = Process(*dive.arguments, "--log", folder / "log", "--quiet", preexec_fn=limited)
     process.send(dive.lines)
     end = states(process.end())
-    return {"crash": process.code != 0, "lost readings": 0, "other state": end[-1:] != states(dive.output)[-1:]}
+    return process.code != 0, 0, end[-1:] != states(dive.output)[-1:]
 
 
 def cut_log(dive: Dive, folder: Path, rng: np.random.Generator) -> Verdict:
@@ -99,7 +98,7 @@ def cut_log(dive: Dive, folder: Path, rng: np.random.Generator) -> Verdict:
     process.send(dive.lines[len(whole) :])
     end = states(process.end())
     same = bool(end) and without_counts(end[-1]) == without_counts(states(dive.output)[-1])
-    return {"crash": process.code != 0, "lost readings": 0, "other state": not same}
+    return process.code != 0, 0, not same
 
 
 def damaged_snapshots(dive: Dive, folder: Path, rng: np.random.Generator) -> Verdict:
@@ -108,7 +107,7 @@ def damaged_snapshots(dive: Dive, folder: Path, rng: np.random.Generator) -> Ver
     times, values = drive_samples(dive.vehicle, dive.mission)
     for t, v in zip(times[:2000].tolist(), values[:2000], strict=True):
         nav.step(t, v[:3], v[3:])
-    data, verdict = nav.snapshot(), {"crash": 0, "lost readings": 0, "other state": 0}
+    data, crashes, others = nav.snapshot(), 0, 0
     for _ in range(200):
         at, how = int(rng.integers(len(data))), int(rng.integers(4))
         bad = bytearray(data)
@@ -126,10 +125,10 @@ def damaged_snapshots(dive: Dive, folder: Path, rng: np.random.Generator) -> Ver
             continue
         except Exception as error:
             print(f"  {type(error).__name__}: {error} (way {how}, byte {at} of {len(data)})")
-            verdict["crash"] += 1
+            crashes += 1
         else:
-            verdict["other state"] += not np.array_equal(other.filter.P, nav.filter.P)
-    return verdict
+            others += other.snapshot() != data
+    return crashes, 0, others
 
 
 KINDS: dict[str, Callable[[Dive, Path, np.random.Generator], Verdict]] = {
@@ -141,29 +140,26 @@ KINDS: dict[str, Callable[[Dive, Path, np.random.Generator], Verdict]] = {
 }
 
 
-def main() -> None:
-    """Run all kinds and print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seeds", type=int, default=5)
-    parser.add_argument("--json", type=Path, help="write the figures to this file")
-    arguments = parser.parse_args()
+def service(options: Options) -> list[dict[str, Any]]:
+    """Faults of what is around the filter: killed processes, full disks, cut logs, damaged snapshots, garbage.
+
+    Each kind runs for several seeds on one minute of a simulated lawnmower through ``navfilter run`` as a process
+    (snapshots in memory without one). What must hold: after SIGKILL at a random instant, `--resume` and the readings
+    that the log does not have, the last state is that of an undisturbed run to the bit, and of the readings whose
+    states were seen nothing is missing from the log; garbage between the lines, a full disk and a log that is cut at
+    a random byte leave the last state as it was; a damaged snapshot is refused with a ValueError, always.
+    """
+    seeds = 1 if options.quick else options.seeds
     nf.warm_up()
-    figures: dict[str, Verdict] = {}
+    table = Table("kind<42 crash>8d lost_readings>8d other_state>8d of>4d")
     with tempfile.TemporaryDirectory() as name:
         dive = Dive(Path(name), "lawnmower", 60.0)
-        print(f"{'kind':44s}{'crash':>14s}{'lost readings':>14s}{'other state':>14s}   of {arguments.seeds}")
         for kind, run in KINDS.items():
-            total = {"crash": 0, "lost readings": 0, "other state": 0}
-            for seed in range(1, arguments.seeds + 1):
+            total: Counter[str] = Counter()
+            for seed in range(1, seeds + 1):
                 folder = Path(name) / f"{run.__name__}-{seed}"
                 folder.mkdir()
-                for key, value in run(dive, folder, np.random.default_rng(seed)).items():
-                    total[key] += int(value)
-            figures[kind] = total
-            print(f"{kind:44s}" + "".join(f"{value:14d}" for value in total.values()), flush=True)
-    if arguments.json:
-        arguments.json.write_text(json.dumps(figures, indent=1))
-
-
-if __name__ == "__main__":
-    main()
+                verdict = run(dive, folder, np.random.default_rng(seed))
+                total.update(dict(zip(VERDICT, map(int, verdict), strict=True)))
+            table.add({"kind": kind, **{key: total[key] for key in VERDICT}, "of": seeds})
+    return table.rows

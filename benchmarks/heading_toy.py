@@ -1,9 +1,9 @@
 """Who finds the heading best: a gyro with drift, a compass with coloured noise, seven beliefs about that noise.
 
-One hour at 8 Hz. All that is filtered is y = compass minus gyro-integrated heading = gyro drift + compass error, so that the motion of
-the vehicle does not matter. Everybody learns from scratch under way: the first models are fitted to the first 15 minutes, then again
-every 5 minutes to the last 15; each model is in force until the next one, its filter having run over all of the past. Scored after the
-first 15 minutes.
+One hour at 8 Hz. All that is filtered is y = compass minus gyro-integrated heading = gyro drift + compass error, so
+that the motion of the vehicle does not matter. Everybody learns from scratch under way: the first models are fitted
+to the first 15 minutes, then again every 5 minutes to the last 15; each model is in force until the next one, its
+filter having run over all of the past. Scored after the first 15 minutes.
 
 | belief | |
 |---|---|
@@ -11,34 +11,32 @@ first 15 minutes.
 | Sage-Husa | R adapts to the innovations, memory of one window |
 | GM1 1/e | first-order Gauss-Markov through the 1/e point of the detrended series (Ah-Chong, 2003) |
 | GM1 fitted | first-order Gauss-Markov by the likelihood of drift and noise together |
-| IWAKF (4,2) | colouring filter that whitens the innovations (see `baselines`) |
+| IWAKF (4,2) | colouring filter that whitens the innovations (see `heading_filters`) |
 | ARMA | navfilter's learner: drift states and ARMA by their joint likelihood, order chosen |
 | oracle | the model that made the noise |
 
-Printed: rms of the heading error in degrees; NEES (mean of error squared over predicted variance: 1 is honest); S(0), the power at
-zero frequency that was identified over the true one (geometric mean), before the ARMA's is raised by its uncertainty.
+Printed: rms of the heading error in degrees; NEES (mean of error squared over predicted variance: 1 is honest); S(0),
+the power at zero frequency that was identified over the true one (geometric mean), before the ARMA's is raised by its
+uncertainty.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
 import math
+import re
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
-from pathlib import Path
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from baselines import Filtered, Gyro, Iwakf, filter_heading, sage_husa
-from numpy.typing import NDArray
+from harness import DEG, Array, Options, Table, flag, main, quick
+from heading_filters import Filtered, Gyro, Iwakf, filter_heading, sage_husa
 from scipy.optimize import minimize
 
 import navfilter as nf
 from navfilter.simulation.presets import gyro_error
 
-Array = NDArray[np.float64]
-DEG = math.pi / 180.0
 RATE_HZ = 8.0
 SAMPLES, WINDOW, HOP = 28_800, 7200, 2400
 
@@ -47,7 +45,7 @@ SAMPLES, WINDOW, HOP = 28_800, 7200, 2400
 
 
 def gyro(random_walk: float, bias: float, change: float) -> Gyro:
-    """Gyro from deg/sqrt(h), deg/h at the start, and deg/h of change in an hour; heading known to 5 deg at the start."""
+    """Gyro from deg/sqrt(h), deg/h at the start, deg/h of change in an hour; heading known to 5 deg at the start."""
     white, walk = gyro_error(random_walk, bias, change).parts
     return Gyro((white.density, walk.density), (5.0 * DEG, walk.start_sd), 1.0 / RATE_HZ)
 
@@ -77,7 +75,9 @@ def noises() -> dict[str, nf.ArmaModel]:
         "GM1, 30 s": nf.gauss_markov_arma(1, 0.6 * DEG, 1.0 / 30.0, RATE_HZ),
         "white": nf.ArmaModel([], [], 0.5 * DEG),
         "comb (10,9)": scaled(
-            [math.exp(-1.0 / (60.0 * RATE_HZ)), *both[0], -0.9948, 0.5087, -0.3461], [0.8214, *both[1], -0.9893, -0.2255], 0.5
+            [math.exp(-1.0 / (60.0 * RATE_HZ)), *both[0], -0.9948, 0.5087, -0.3461],
+            [0.8214, *both[1], -0.9893, -0.2255],
+            0.5,
         ),
     }
 
@@ -86,7 +86,9 @@ def simulate(noise: nf.ArmaModel, gyro: Gyro, seed: int) -> tuple[Array, Array]:
     """Series of compass minus gyro heading, and the drift in it [rad]."""
     random = np.random.default_rng(seed)
     dt = gyro.period_s
-    bias = gyro.start_sd[1] * random.standard_normal() + np.cumsum(gyro.density[1] * math.sqrt(dt) * random.standard_normal(SAMPLES))
+    bias = gyro.start_sd[1] * random.standard_normal() + np.cumsum(
+        gyro.density[1] * math.sqrt(dt) * random.standard_normal(SAMPLES)
+    )
     step = bias[:-1] * dt + gyro.density[0] * math.sqrt(dt) * random.standard_normal(SAMPLES - 1)
     drift = gyro.start_sd[0] * random.standard_normal() + np.concatenate([[0.0], np.cumsum(step)])
     return drift + nf.simulate_arma(noise.ar, noise.ma, noise.sd, SAMPLES, random), drift
@@ -109,7 +111,7 @@ def one_over_e(window: Array) -> nf.ArmaModel:
 
 
 def likeliest_gm1(window: Array, gyro: Gyro) -> nf.ArmaModel:
-    """Gauss-Markov of first order by the joint likelihood with the drift; no slower than a window can tell from a bias (W/3)."""
+    """Gauss-Markov of first order by the joint likelihood with the drift; no slower than W/3, else it is a bias."""
 
     def model(theta: Array) -> nf.ArmaModel:
         phi = math.exp(-math.exp(float(np.clip(theta[0], math.log(3.0 / WINDOW), 3.0))))
@@ -117,12 +119,17 @@ def likeliest_gm1(window: Array, gyro: Gyro) -> nf.ArmaModel:
 
     begin = one_over_e(window)
     start = [math.log(max(-math.log(max(-float(begin.ar[0]), 1e-6)), 1e-5)), math.log(begin.sd)]
-    fit = minimize(lambda theta: -filter_heading(window, gyro, model(theta)).loglik, start, method="Nelder-Mead", options={"xatol": 1e-3})
+    fit = minimize(
+        lambda theta: -filter_heading(window, gyro, model(theta)).loglik,
+        start,
+        method="Nelder-Mead",
+        options={"xatol": 1e-3},
+    )
     return model(fit.x)
 
 
 def learner_hop(gyro: Gyro) -> Callable[[Array], Belief]:
-    """Navfilter's learner, its models used as the navigator does: S(0) steadied over hops and raised by what is not known of it."""
+    """Navfilter's learner, its models used as the navigator does: S(0) steadied over hops, raised by its sd."""
     from navfilter.learning.drift import Drift
     from navfilter.learning.learned import LearnedArma
     from navfilter.learning.learner import Learner
@@ -173,7 +180,7 @@ def power_at_zero(model: nf.ArmaModel) -> float:
 
 @dataclass(frozen=True)
 class Score:
-    """Of one run: mean squared heading error, NEES, S(0) identified over true (mean of its logarithm), seconds of learning."""
+    """Of one run: mean squared heading error, NEES, mean ln of S(0) identified over true, seconds of learning."""
 
     squared: float
     nees: float
@@ -221,22 +228,11 @@ def one_run(noise: nf.ArmaModel, gyro: Gyro, seed: int, without: frozenset[str])
     return scores
 
 
-@dataclass(frozen=True)
-class Row:
-    """One line of the table."""
-
-    gyro: str
-    noise: str
-    belief: str
-    heading_rms_deg: float
-    over_oracle: float
-    nees: float
-    nees_standard_error: float
-    s0_ratio: float
-    seconds_per_hop: float
+SIZES = "heading_rms_deg>8.4f over_oracle>7.3f nees>8.2f nees_standard_error>6.2f s0_ratio>9.3g seconds_per_hop>8.3f"
+COLUMNS = f"gyro<8 noise<24 belief<11 {SIZES}"
 
 
-def rows(grade: str, kind: str, runs: int, without: frozenset[str]) -> list[Row]:
+def rows(grade: str, kind: str, runs: int, without: frozenset[str]) -> list[dict[str, Any]]:
     """All beliefs about one noise, over the same seeds."""
     noise = noises()[kind]
     results = [one_run(noise, GYROS[grade], seed, without) for seed in range(runs)]
@@ -252,41 +248,29 @@ def rows(grade: str, kind: str, runs: int, without: frozenset[str]) -> list[Row]
         hops = len(range(WINDOW, SAMPLES, HOP))
         seconds = float(np.mean([s.seconds for s in of])) / hops
         error = float(nees.std(ddof=1) / math.sqrt(len(of))) if len(of) > 1 else math.nan
-        table.append(Row(grade, kind, name, rms / DEG, rms / best, float(nees.mean()), error, s0, seconds))
+        found = (grade, kind, name, rms / DEG, rms / best, float(nees.mean()), error, s0, seconds)
+        table.append(dict(zip(re.findall(r"(\w+)[<>]", COLUMNS), found, strict=True)))
     return table
 
 
-def printed(row: Row) -> str:
-    """One line for people."""
-    return (
-        f"{row.gyro:9s} {row.noise:25s} {row.belief:12s} {row.heading_rms_deg:8.4f} {row.over_oracle:7.3f} "
-        f"{row.nees:8.2f} +-{row.nees_standard_error:6.2f} {row.s0_ratio:9.3g} {row.seconds_per_hop:8.3f}"
-    )
-
-
-def main() -> None:
+def heading_toy(options: Options) -> list[dict[str, Any]]:
     """Simulate, learn, filter, print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--runs", type=int, default=12, help="seeds per noise")
-    parser.add_argument("--only", default="", help="only noises whose name contains this")
-    parser.add_argument("--gyro", choices=[*GYROS, "both"], default="both")
-    parser.add_argument("--without", default="", help="beliefs to leave out, separated by commas")
-    parser.add_argument("--quick", action="store_true", help="two seeds")
-    parser.add_argument("--json", type=Path, help="write the figures to this file too")
-    arguments = parser.parse_args()
-    without = frozenset(filter(None, arguments.without.split(",")))
-    runs = 2 if arguments.quick else arguments.runs
-    print(f"{'gyro':9s} {'noise':25s} {'belief':12s} {'rms deg':>8s} {'/oracle':>7s} {'NEES':>8s} {'':8s} {'S(0)':>9s} {'s / hop':>8s}")
-    table: list[Row] = []
-    for grade in GYROS if arguments.gyro == "both" else (arguments.gyro,):
+    without = frozenset(filter(None, options.without.split(",")))
+    runs = 2 if options.quick else options.runs
+    table = Table(COLUMNS)
+    for grade in GYROS if options.gyro == "both" else (options.gyro,):
         for kind in noises():
-            if arguments.only in kind:
-                part = rows(grade, kind, runs, without)
-                print("\n".join(map(printed, part)), flush=True)
-                table += part
-    if arguments.json:
-        arguments.json.write_text(json.dumps([asdict(row) for row in table], indent=1))
+            for row in rows(grade, kind, runs, without) if options.only in kind else ():
+                table.add(row)
+    return table.rows
 
 
 if __name__ == "__main__":
-    main()
+    flags = [
+        flag("--runs", type=int, default=12, help="seeds per noise"),
+        flag("--only", default="", help="only noises whose name contains this"),
+        flag("--gyro", choices=[*GYROS, "both"], default="both"),
+        flag("--without", default="", help="beliefs to leave out, separated by commas"),
+        quick("two seeds"),
+    ]
+    main(__doc__, {heading_toy: flags})

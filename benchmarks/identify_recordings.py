@@ -1,30 +1,28 @@
 """Identify real sensors at rest and compare with what is known about them.
 
-Needs the recordings: set NAVFILTER_DATA to their folder. Every row is one `navfilter.identification.identify.identify` with its default
-choice of order; where a recording is known by the coefficients of a fixed order, that order is fitted as well. The
-"expected" column is what the recordings' own descriptions state, found with other software (statsmodels).
+Needs the recordings: set NAVFILTER_DATA to their folder. Every row is one
+`navfilter.identification.identify.identify` with its default choice of order; where a recording is known by the
+coefficients of a fixed order, that order is fitted as well. The "expected" column is what the recordings' own
+descriptions state, found with other software (statsmodels).
 """
 
 from __future__ import annotations
 
-import argparse
-import json
-import os
-import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from harness import Array, Options, Table, data_root, flag, main, quick
 
 import navfilter as nf
 from navfilter.identification.identify import Identification, identify
+from navfilter.io.geodesy import matrix_from_euler
 from navfilter.io.series import Series, read_series
 from navfilter.io.tables import TableOptions, read_table
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -36,16 +34,14 @@ class Case:
     expected: str
     found: Callable[[Identification], bool] | None
     order: tuple[int, int] | None = None
-    conditions: tuple[tuple[str, float], ...] = ()
-    difference: int = 0
 
 
-# --- loading ------------------------------------------------------------------------------------------------------------
+# --- loading ----------------------------------------------------------------------------------------------------------
 
 
 def table(file: str, column: str | int, rate_hz: float, **layout: object) -> Callable[[Path], Series]:
     """A column of a table at a known rate."""
-    return lambda root: read_series(root / file, str(column), rate_hz=rate_hz, options=TableOptions(**layout))  # type: ignore[arg-type]
+    return lambda root: read_series(root / file, str(column), rate_hz=rate_hz, options=TableOptions(**layout))
 
 
 def gps(file: str) -> Callable[[Path], Series]:
@@ -85,7 +81,7 @@ def xsens_heading(root: Path) -> Series:
 
 
 def dvl_residual(run: int, regressed: bool) -> Callable[[Path], Series]:
-    """Forward DVL minus truth in the body, after the time shift; if asked, scale, misalignment and rates regressed out."""
+    """Forward DVL minus truth in the body, time shift undone; if asked, scale, misalignment, rates regressed out."""
 
     def load(root: Path) -> Series:
         folder = root / "snapir-auv-1hz"
@@ -93,7 +89,11 @@ def dvl_residual(run: int, regressed: bool) -> Callable[[Path], Series]:
         t = dvl.numbers(0)[0]
         reading = np.column_stack([dvl.numbers(k)[0] for k in (1, 2, 3)])
         columns = np.column_stack([truth.numbers(k)[0] for k in range(10)])
-        shift = min(np.arange(0.0, 2.6, 0.05), key=lambda s: float(np.sum(_residuals(t, reading, columns, s)[1][5:-5, :2] ** 2)))
+
+        def left(shift: float) -> float:
+            return float(np.sum(_residuals(t, reading, columns, shift)[1][5:-5, :2] ** 2))
+
+        shift = min(np.arange(0.0, 2.6, 0.05), key=left)
         raw, rest = _residuals(t, reading, columns, shift)
         return Series(f"trajectory {run}", (rest if regressed else raw)[5:-5, 0], 1.0 / 1.0025)
 
@@ -107,24 +107,13 @@ def _residuals(t: Array, reading: Array, truth: Array, shift: float) -> tuple[Ar
     clock = np.clip(t + shift, truth[0, 0], truth[-1, 0])
     angles = CubicSpline(truth[:, 0], np.unwrap(truth[:, 7:10], axis=0))
     velocity, rates = CubicSpline(truth[:, 0], truth[:, 4:7])(clock), angles(clock, 1)
-    body = np.array([_body_to_nav(*angle).T @ v for angle, v in zip(angles(clock), velocity, strict=True)])
+    body = np.einsum("nji,nj->ni", matrix_from_euler(*angles(clock).T), velocity)
     raw = reading - body
     regressors = np.column_stack([np.ones(t.size), body, rates])
     return raw, raw - regressors @ np.linalg.lstsq(regressors, raw, rcond=None)[0]
 
 
-def _body_to_nav(roll: float, pitch: float, yaw: float) -> Array:
-    cr, sr, cp, sp, cy, sy = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch), np.cos(yaw), np.sin(yaw)
-    return np.array(
-        [
-            [cp * cy, sr * sp * cy - cr * sy, cr * sp * cy + sr * sy],
-            [cp * sy, sr * sp * sy + cr * cy, cr * sp * sy - sr * cy],
-            [-sp, sr * cp, cr * cp],
-        ]
-    )
-
-
-# --- what is expected ---------------------------------------------------------------------------------------------------
+# --- what is expected -------------------------------------------------------------------------------------------------
 
 
 def orders(*wanted: tuple[int, int]) -> Callable[[Identification], bool]:
@@ -132,12 +121,16 @@ def orders(*wanted: tuple[int, int]) -> Callable[[Identification], bool]:
     return lambda found: (found.fit.p, found.fit.q) in wanted
 
 
-def coefficients(ar: dict[int, tuple[float, float]], ma: dict[int, tuple[float, float]]) -> Callable[[Identification], bool]:
+def coefficients(
+    ar: dict[int, tuple[float, float]], ma: dict[int, tuple[float, float]]
+) -> Callable[[Identification], bool]:
     """Coefficients within a tolerance, by their index from 0."""
 
     def check(found: Identification) -> bool:
         pairs = [(found.fit.ar, ar), (found.fit.ma, ma)]
-        return all(k < c.size and abs(c[k] - value) <= near for c, wanted in pairs for k, (value, near) in wanted.items())
+        return all(
+            k < c.size and abs(c[k] - value) <= near for c, wanted in pairs for k, (value, near) in wanted.items()
+        )
 
     return check
 
@@ -157,68 +150,67 @@ def first_lag(low: float, high: float) -> Callable[[Identification], bool]:
     return check
 
 
-def cases() -> list[Case]:
-    """All recordings, in the order of the table."""
+def inertial() -> Iterator[Case]:
+    """Gyros at rest."""
     mpu = "imu-mpu6050-raw-static/mpu6050_static_450s.csv.xz"
-    ms5611 = "baro-static/ms5611_static_altitude_80hz.csv.xz"
-    vn100 = "ahrs-vn100-static/vn100_live_capture_vnymr.txt.xz"
+    # x is described as white; y and z are not (Allan deviation at 100 s three times that of white noise)
+    for axis in "xyz":
+        yield Case(f"MPU-6050 gyro {axis}", table(mpu, f"g{axis}", 100.0, skip_lines=4), "(0,0)", orders((0, 0)))
     memsense = "gyro-memsense-3025-static/memsense_test_real.npy"
-    result = [Case("MPU-6050 gyro x", table(mpu, "gx", 100.0, skip_lines=4), "(0,0)", orders((0, 0)))]
-    # The recording is described as the white case; y and z are not (their Allan deviation at 100 s is three times that of white noise).
-    result += [Case(f"MPU-6050 gyro {a}", table(mpu, f"g{a}", 100.0, skip_lines=4), "(0,0)", orders((0, 0))) for a in "yz"]
-    near = coefficients({0: (-0.998, 0.002)}, {0: (-0.985, 0.005)})
-    result += [
-        Case("MS5611 height", table(ms5611, "h", 80.0, skip_lines=2), "(1,1): AR .998+-.002, MA -.985+-.005", near),
-        Case("VN-100 heading", table(vn100, 1, 40.0), "pole .998 (+-.002)", pole(0.998, 0.002)),
-        Case("VN-100 heading, AR(1)", table(vn100, 1, 40.0), "AR .998+-.002", coefficients({0: (-0.998, 0.002)}, {}), (1, 0)),
-    ]
-    for axis in range(3):
-        layout = {"table": "[0]", "transpose": True}
-        check = first_lag(-0.17, -0.13)
-        result.append(Case(f"Memsense gyro {'xyz'[axis]}", table(memsense, axis, 250.0, **layout), "MA(1)/AR(2), lag 1 about -.15", check))
-    for name, file, a, b in (("on", "gps_sa_on_dev.dat.gz", -1.839, 0.848), ("off", "gps_sa_off_dev.dat.gz", -1.239, 0.306)):
-        check = coefficients({0: (a, 0.02), 1: (b, 0.02)}, {})
-        result.append(Case(f"GPS SA {name} 10 s, AR(2)", gps(file), f"AR {-a}, {-b} (+-.02)", check, (2, 0)))
-        result.append(Case(f"GPS SA {name} 10 s", gps(file), "second order, strongly coloured", lambda found: found.fit.p >= 2))
+    for k, axis in enumerate("xyz"):
+        load = table(memsense, k, 250.0, table="[0]", transpose=True)
+        yield Case(f"Memsense gyro {axis}", load, "MA(1)/AR(2), lag 1 about -.15", first_lag(-0.17, -0.13))
     for unit, low in ((1, 0.170), (2, 0.169), (3, 0.198), (4, 0.197)):
-        file = f"imu-adis16405-static/adis16405_unit{unit}.npz"
-        check = first_lag(low - 0.015, low + 0.015)
-        result.append(
-            Case(f"ADIS16405 #{unit} gyro x", table(file, 0, 100.0, table="counts"), f"MA(1)-like, lag 1 {low:.3f} (+-.015)", check)
-        )
-    gyro = "imu-mag-mpu6050-hmc5883l-static/unmoved_10min_mpu6050_gyroscope.mat"
-    result += [
-        Case("HMC5883L heading", compass_heading, "about white: lag 1 -.02 (+-.05)", first_lag(-0.07, 0.03)),
-        Case("MPU6050 (HMC unit) gyro x", table(gyro, 1, 99.3), "white + slow bias: |lag 1| < .03", first_lag(-0.03, 0.03)),
-        Case("BME280 pressure", bme280, "pole .995 (+-.01), MA about -.82", pole(0.995, 0.01)),
-    ]
-    for oss, low in ((0, 0.985), (3, 0.985)):
-        layout = {"delimiter": ";", "skip_lines": 4, "header": False}
-        file = f"baro-static/bmp180_mpl115_oss{oss}.log"
-        result.append(Case(f"BMP180 oss {oss}", table(file, 1, 1.0, **layout), "AR about .99, MA -.93", pole(low, 0.015)))
-    result.append(Case("Xsens DOT heading", xsens_heading, "lag 1 .999: pole above .99", pole(1.0, 0.01)))
+        load = table(f"imu-adis16405-static/adis16405_unit{unit}.npz", 0, 100.0, table="counts")
+        near = first_lag(low - 0.015, low + 0.015)
+        yield Case(f"ADIS16405 #{unit} gyro x", load, f"MA(1)-like, lag 1 {low:.3f} (+-.015)", near)
+    load = table("imu-mag-mpu6050-hmc5883l-static/unmoved_10min_mpu6050_gyroscope.mat", 1, 99.3)
+    yield Case("MPU6050 (HMC unit) gyro x", load, "white + slow bias: |lag 1| < .03", first_lag(-0.03, 0.03))
+
+
+def aiding() -> Iterator[Case]:
+    """Barometers, headings and fixes at rest."""
+    load = table("baro-static/ms5611_static_altitude_80hz.csv.xz", "h", 80.0, skip_lines=2)
+    near = coefficients({0: (-0.998, 0.002)}, {0: (-0.985, 0.005)})
+    yield Case("MS5611 height", load, "(1,1): AR .998+-.002, MA -.985+-.005", near)
+    yield Case("BME280 pressure", bme280, "pole .995 (+-.01), MA about -.82", pole(0.995, 0.01))
+    for oss in (0, 3):
+        load = table(f"baro-static/bmp180_mpl115_oss{oss}.log", 1, 1.0, delimiter=";", skip_lines=4, header=False)
+        yield Case(f"BMP180 oss {oss}", load, "AR about .99, MA -.93", pole(0.985, 0.015))
+    load = table("ahrs-vn100-static/vn100_live_capture_vnymr.txt.xz", 1, 40.0)
+    yield Case("VN-100 heading", load, "pole .998 (+-.002)", pole(0.998, 0.002))
+    yield Case("VN-100 heading, AR(1)", load, "AR .998+-.002", coefficients({0: (-0.998, 0.002)}, {}), (1, 0))
+    yield Case("HMC5883L heading", compass_heading, "about white: lag 1 -.02 (+-.05)", first_lag(-0.07, 0.03))
+    yield Case("Xsens DOT heading", xsens_heading, "lag 1 .999: pole above .99", pole(1.0, 0.01))
+    for name, a, b in (("on", -1.839, 0.848), ("off", -1.239, 0.306)):
+        load, near = gps(f"gps_sa_{name}_dev.dat.gz"), coefficients({0: (a, 0.02), 1: (b, 0.02)}, {})
+        yield Case(f"GPS SA {name} 10 s, AR(2)", load, f"AR {-a}, {-b} (+-.02)", near, (2, 0))
+        yield Case(f"GPS SA {name} 10 s", load, "second order, strongly coloured", lambda found: found.fit.p >= 2)
+
+
+def moving() -> Iterator[Case]:
+    """A DVL under way, against the truth."""
     for run in (1, 2, 3, 5, 6, 7, 8, 10):
-        result.append(Case(f"snapir {run} DVL forward", dvl_residual(run, False), "lag 1 .35 to .83", first_lag(0.3, 0.88)))
-    result.append(Case("snapir 12 DVL forward", dvl_residual(12, False), "straight run: white", orders((0, 0))))
+        yield Case(f"snapir {run} DVL forward", dvl_residual(run, False), "lag 1 .35 to .83", first_lag(0.3, 0.88))
+    yield Case("snapir 12 DVL forward", dvl_residual(12, False), "straight run: white", orders((0, 0)))
     for run in (1, 2, 3, 5, 6, 7, 8, 10, 12):
-        result.append(Case(f"snapir {run} DVL forward, regressed", dvl_residual(run, True), "-", None))
-    return result
+        yield Case(f"snapir {run} DVL forward, regressed", dvl_residual(run, True), "-", None)
 
 
-# --- running ------------------------------------------------------------------------------------------------------------
+# --- running ----------------------------------------------------------------------------------------------------------
 
 
-def run(case: Case, root: Path, max_order: int) -> dict[str, object]:
+def run(case: Case, root: Path, max_order: int) -> dict[str, Any]:
     """Identify one recording."""
     series = case.load(root)
     began = time.perf_counter()
-    found = identify(series, max_p=max_order, max_q=max_order, order=case.order, **dict(case.conditions))  # type: ignore[arg-type]
+    found = identify(series, max_p=max_order, max_q=max_order, order=case.order)
     seconds = time.perf_counter() - began
     fit = found.fit
     return {
         "series": case.name,
         "samples": fit.n,
-        "order": [fit.p, fit.q],
+        "order": f"({fit.p},{fit.q})",
         "ar": fit.ar.tolist(),
         "ma": fit.ma.tolist(),
         "sd": fit.sd,
@@ -233,55 +225,40 @@ def run(case: Case, root: Path, max_order: int) -> dict[str, object]:
     }
 
 
-def row(result: dict[str, object]) -> list[str]:
-    """One line of the table."""
-
-    def shown(values: list[float]) -> str:
-        return " ".join(f"{c:.4f}" for c in values[:4]) + (" .." if len(values) > 4 else "") or "-"
-
-    p, q = result["order"]  # type: ignore[misc]
-    verdict = ("white" if result["white"] else "not white") + f" {result['ljung_box_p']:.2g}"
-    ok = {True: "yes", False: "NO", None: "-"}[result["as_expected"]]  # type: ignore[index]
-    ar, ma = shown(result["ar"]), shown(result["ma"])  # type: ignore[arg-type]
-    first, last = [str(result["series"]), str(result["samples"])], [str(result["expected"]), ok, f"{result['seconds']:.1f}"]
-    return [*first, f"({p},{q})", ar, ma, verdict, *last]
+def shown(values: list[float]) -> str:
+    """The first coefficients."""
+    return " ".join(f"{c:.4f}" for c in values[:4]) + (" .." if len(values) > 4 else "") or "-"
 
 
-HEADER = ["series", "samples", "order", "AR", "MA", "residuals, p", "expected", "found", "s"]
-
-
-def main() -> None:
-    """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--json", metavar="PATH", help="write the results there too")
-    parser.add_argument("--quick", action="store_true", help="a few recordings, small orders")
-    parser.add_argument("--max-order", type=int, default=6, help="largest p and q (default: %(default)s)")
-    parser.add_argument("--only", default="", metavar="TEXT", help="recordings whose name contains this")
-    options = parser.parse_args()
-    root = os.environ.get("NAVFILTER_DATA")
-    if not root:
-        print("skipped: set NAVFILTER_DATA to the folder with the recordings.")
-        return
-    chosen = [case for case in cases() if options.only in case.name]
+def identify_recordings(options: Options) -> list[dict[str, Any]]:
+    """Identify every recording and print the table."""
+    root = data_root()
+    chosen = [case for case in chain(inertial(), aiding(), moving()) if options.only in case.name]
     if options.quick:
-        chosen = [case for case in chosen if case.name in ("MPU-6050 gyro x", "MS5611 height", "Memsense gyro x", "GPS SA on 10 s, AR(2)")]
+        few = ("MPU-6050 gyro x", "MS5611 height", "Memsense gyro x", "GPS SA on 10 s, AR(2)")
+        chosen = [case for case in chosen if case.name in few]
     # Compiling is not identifying.
     identify(nf.simulate_arma([-0.9], [-0.4], 1.0, 500, seed=1), 1.0, max_p=1, max_q=1)
-    results = []
+    columns = (
+        "series<28 samples>7d order<8 ar<32 ma<32 white<5d ljung_box_p>9.2g expected<40 as_expected<5 seconds>5.1f"
+    )
+    table, results = Table(columns), []
     for case in chosen:
-        results.append(run(case, Path(root), 3 if options.quick else options.max_order))
-        print("  ".join(row(results[-1])), file=sys.stderr, flush=True)
-    lines = [HEADER, *map(row, results)]
-    widths = [max(len(line[i]) for line in lines) for i in range(len(HEADER))]
-    print("\n".join("  ".join(cell.ljust(w) for cell, w in zip(line, widths, strict=True)).rstrip() for line in lines))
+        result = run(case, root, 3 if options.quick else options.max_order)
+        results.append(result)
+        table.add(result | {"ar": shown(result["ar"]), "ma": shown(result["ma"])})
     print()
     for result in results:
-        print(f"{result['series']!s:{widths[0]}}  {result['reading']}")
-    known = [r["as_expected"] for r in results if r["as_expected"] is not None]
-    print(f"\n{sum(map(bool, known))} of {len(known)} as expected")
-    if options.json:
-        Path(options.json).write_text(json.dumps({"results": results}, indent=1) + "\n", encoding="utf-8")
+        print(f"{result['series']:30}{result['reading']}")
+    known = [result["as_expected"] for result in results if result["as_expected"] is not None]
+    print(f"\n{sum(known)} of {len(known)} as expected")
+    return results
 
 
 if __name__ == "__main__":
-    main()
+    flags = [
+        flag("--max-order", type=int, default=6, help="largest p and q (default: %(default)s)"),
+        flag("--only", default="", metavar="TEXT", help="recordings whose name contains this"),
+        quick("a few recordings, orders up to 3"),
+    ]
+    main(__doc__, {identify_recordings: flags})

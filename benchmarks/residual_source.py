@@ -1,8 +1,9 @@
-"""From which series should a sensor's error model be learnt while the vehicle moves? The real filter, on the scenarios of the campaigns.
+"""From which series should a sensor's error model be learnt under way? The real filter, on the campaigns' scenarios.
 
-A survey vehicle (50 Hz inertial unit, lawnmower: it turns a third of the time, dives, loses its DVL, has outliers) is simulated for half an
-hour. From the first half of the mission a series is made in each of these ways, the compass's model is fitted to it (the true orders
-given to all, the coefficients not), and the whole mission is replayed with that model fixed; the second half is scored.
+A survey vehicle (50 Hz inertial unit, lawnmower: it turns a third of the time, dives, loses its DVL, has outliers) is
+simulated for half an hour. From the first half of the mission a series is made in each of these ways, the compass's
+model is fitted to it (the true orders given to all, the coefficients not), and the whole mission is replayed with
+that model fixed; the second half is scored.
 
 | series | |
 |---|---|
@@ -18,24 +19,23 @@ The driving variance of all fitted models is raised alike by what is not known o
  Printed: power at zero frequency identified over true, median and 10-90 % of the seeds; rms of the
 heading error; NEES of the heading (1 is honest).
 
-The second table is for the other sensors, by the joint way only: S(0), and the largest factor, over all frequencies that the series holds
-ten times or more, between identified and true spectrum.
+The second table is for the other sensors, by the joint way only: S(0), and the largest factor, over all frequencies
+that the series holds ten times or more, between identified and true spectrum.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
 import math
 import multiprocessing
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict, dataclass, replace
-from pathlib import Path
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from harness import Array, Options, Table, flag, main, quick
 
 import navfilter as nf
 from navfilter.arma.model import ArmaModel
@@ -50,7 +50,6 @@ from navfilter.simulation.campaigns import Staged, stage
 from navfilter.simulation.faults import Faults
 from navfilter.state import wrap
 
-Array = NDArray[np.float64]
 DURATION_S, LEARN_S = 1800.0, 900.0
 #: True orders of the compass's error, by scenario.
 COMPASS = {"compass-gm1": (1, 0), "compass-gm2": (2, 1), "compass-swell": (4, 2), "compass-rolling": (4, 2)}
@@ -71,7 +70,10 @@ def staged(scenario: str, gyro: str) -> Staged:
     if scenario != "depth-coloured":
         return stage(scenario, **settings)  # type: ignore[arg-type]
     plain = stage("compass-white", **settings)  # type: ignore[arg-type]
-    faults = plain.faults | {"compass": replace(plain.faults["compass"], true_error=None), "depth": Faults(true_error=DEPTH_ERROR)}
+    faults = plain.faults | {
+        "compass": replace(plain.faults["compass"], true_error=None),
+        "depth": Faults(true_error=DEPTH_ERROR),
+    }
     return replace(plain, name=f"depth-coloured/lawnmower/{gyro}", faults=faults, truth={"depth": DEPTH_ERROR})
 
 
@@ -162,7 +164,7 @@ def compass_models(vehicle: nf.Vehicle, mission: Mission, order: tuple[int, int]
 
 @dataclass(frozen=True)
 class Score:
-    """Of one source in one mission: S(0) identified over true, mean squared heading error [rad^2], NEES of the heading."""
+    """Of one source in one mission: S(0) identified over true, mean squared heading error [rad^2], its NEES."""
 
     s0: float
     squared: float
@@ -178,7 +180,9 @@ def compass_run(job: tuple[str, str, int]) -> dict[str, Score]:
     truth: ErrorModel = ready.truth["compass"]  # type: ignore[assignment]
     level = block_level(truth.block(1.0 / vehicle.sensors["compass"].rate_hz))
     models = compass_models(vehicle, until(mission, LEARN_S), COMPASS[scenario])
-    vehicles = {name: in_force(vehicle, model) for name, model in models.items()} | {"oracle": vehicle.with_error(compass=truth)}
+    vehicles = {name: in_force(vehicle, model) for name, model in models.items()} | {
+        "oracle": vehicle.with_error(compass=truth)
+    }
     scores = {}
     for name in SOURCES:
         track = nf.replay(vehicles[name], mission, output_rate_hz=1.0)
@@ -213,109 +217,76 @@ def axes_run(job: tuple[str, str, int]) -> list[tuple[float, float]]:
         freq = np.geomspace(lowest, 0.5 / channel.period_s, 300)
         found = nf.Arma(ar=tuple(model.ar), ma=tuple(model.ma), sd=model.sd)
         factor = np.abs(np.log(spectrum(found, channel.period_s, freq) / spectrum(true, channel.period_s, freq)))
-        figures.append((zero_frequency(model) / block_level(true.block(channel.period_s)), math.exp(float(factor.max()))))
+        figures.append(
+            (zero_frequency(model) / block_level(true.block(channel.period_s)), math.exp(float(factor.max())))
+        )
     return figures
 
 
 # --- tables -----------------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Row:
-    """One source in one scenario."""
-
-    scenario: str
-    gyro: str
-    source: str
-    runs: int
-    s0_median: float
-    s0_10: float
-    s0_90: float
-    heading_rms_deg: float
-    over_oracle: float
-    nees: float
-    nees_standard_error: float
-
-    def __str__(self) -> str:
-        spread = f"{self.s0_median:8.3g} [{self.s0_10:8.3g}, {self.s0_90:8.3g}]"
-        return (
-            f"{self.scenario:16s} {self.gyro:9s} {self.source:19s} {spread} {self.heading_rms_deg:8.4f} {self.over_oracle:7.3f} "
-            f"{self.nees:7.2f} +-{self.nees_standard_error:5.2f}"
-        )
+BOTH, SPREAD = "scenario<16 gyro<8 runs>4d", "s0_median>9.3g s0_10>8.3g s0_90>8.3g"
+Rows = list[dict[str, Any]]
 
 
-@dataclass(frozen=True)
-class AxisRow:
-    """One axis of one sensor."""
-
-    scenario: str
-    gyro: str
-    axis: int
-    runs: int
-    s0_median: float
-    s0_10: float
-    s0_90: float
-    factor_median: float
-    factor_90: float
-
-    def __str__(self) -> str:
-        spread = f"{self.s0_median:8.3g} [{self.s0_10:8.3g}, {self.s0_90:8.3g}]"
-        return f"{self.scenario:16s} {self.gyro:9s} axis {self.axis:<14d} {spread} {self.factor_median:8.3g} {self.factor_90:8.3g}"
+def spread(ratios: Sequence[float]) -> dict[str, float]:
+    """Median and 10-90 % of S(0) identified over true."""
+    return dict(zip(("s0_median", "s0_10", "s0_90"), np.quantile(ratios, [0.5, 0.1, 0.9]).tolist(), strict=True))
 
 
-def compass_rows(scenario: str, gyro: str, results: list[dict[str, Score]]) -> list[Row]:
+def compass_rows(results: list[dict[str, Score]]) -> Rows:
     """All sources over the same seeds."""
     rms = {name: math.degrees(math.sqrt(np.mean([r[name].squared for r in results]))) for name in SOURCES}
     rows = []
     for name in SOURCES:
-        s0 = np.quantile([r[name].s0 for r in results], [0.5, 0.1, 0.9]).tolist()
         nees = np.array([r[name].nees for r in results])
-        error = float(nees.std(ddof=1) / math.sqrt(nees.size)) if nees.size > 1 else math.nan
-        rows.append(Row(scenario, gyro, name, len(results), *s0, rms[name], rms[name] / rms["oracle"], float(nees.mean()), error))
+        error = float(nees.std(ddof=1) / math.sqrt(nees.size)) if nees.size > 1 else None
+        row = {"source": name, "heading_rms_deg": rms[name], "over_oracle": rms[name] / rms["oracle"]}
+        rows.append(row | {"nees": float(nees.mean()), "nees_sem": error} | spread([r[name].s0 for r in results]))
     return rows
 
 
-def axis_rows(scenario: str, gyro: str, results: list[list[tuple[float, float]]]) -> list[AxisRow]:
+def axis_rows(results: list[list[tuple[float, float]]]) -> Rows:
     """All axes of a sensor."""
-    figures = np.array(results)
     rows = []
-    for axis in range(figures.shape[1]):
-        s0 = np.quantile(figures[:, axis, 0], [0.5, 0.1, 0.9]).tolist()
-        rows.append(AxisRow(scenario, gyro, axis, len(results), *s0, *np.quantile(figures[:, axis, 1], [0.5, 0.9]).tolist()))
+    for axis, (s0, factor) in enumerate(np.array(results).transpose(1, 2, 0)):
+        median, most = np.quantile(factor, [0.5, 0.9]).tolist()
+        rows.append({"axis": axis, "factor_median": median, "factor_90": most} | spread(s0))
     return rows
 
 
-def main() -> None:
+OF_COMPASS = f"{BOTH} source<18 {SPREAD} heading_rms_deg>8.4f over_oracle>7.3f nees>7.2f nees_sem>5.2f"
+OF_AXES = f"{BOTH} axis>4d {SPREAD} factor_median>8.3g factor_90>8.3g"
+STUDIES: dict[str, tuple[Iterable[str], Callable[..., object], Callable[..., Rows], str]] = {
+    "compass": (COMPASS, compass_run, compass_rows, OF_COMPASS),
+    "others": (OTHERS, axes_run, axis_rows, OF_AXES),
+}
+
+
+def residual_source(options: Options) -> dict[str, Rows]:
     """Simulate, learn from every source, replay, print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--runs", type=int, default=12, help="seeds per scenario")
-    parser.add_argument("--seed", type=int, default=0, help="the first seed")
-    parser.add_argument("--only", default="", help="only scenarios whose name contains this")
-    parser.add_argument("--gyro", choices=["tactical", "mems", "both"], default="both")
-    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
-    parser.add_argument("--json", type=Path, help="write the figures to this file too")
-    arguments = parser.parse_args()
-    gyros = ("tactical", "mems") if arguments.gyro == "both" else (arguments.gyro,)
-    seeds = range(arguments.seed, arguments.seed + arguments.runs)
-    tables: dict[str, list[Row | AxisRow]] = {"compass": [], "others": []}
-    spread = f"{'S(0)':>8s} [   10 %,     90 %]"
-    headings = {
-        "compass": f"{'scenario':16s} {'gyro':9s} {'series':19s} {spread} {'rms deg':>8s} {'/oracle':>7s} {'NEES':>7s}",
-        "others": f"{'scenario':16s} {'gyro':9s} {'':19s} {spread} {'factor':>8s} {'90 %':>8s}",
-    }
-    with ProcessPoolExecutor(arguments.workers, multiprocessing.get_context("spawn")) as pool:
-        for kind, scenarios in (("compass", COMPASS), ("others", OTHERS)):
-            print(headings[kind], flush=True)
-            run: Callable[..., object] = compass_run if kind == "compass" else axes_run
-            make: Callable[..., list[Row | AxisRow]] = compass_rows if kind == "compass" else axis_rows  # type: ignore[assignment]
-            for scenario in scenarios:
-                for gyro in gyros if arguments.only in scenario else ():
-                    rows = make(scenario, gyro, list(pool.map(run, [(scenario, gyro, seed) for seed in seeds])))
-                    print("\n".join(map(str, rows)), flush=True)
-                    tables[kind] += rows
-    if arguments.json:
-        arguments.json.write_text(json.dumps({kind: [asdict(row) for row in rows] for kind, rows in tables.items()}, indent=1))
+    gyros = ("tactical", "mems") if options.gyro == "both" else (options.gyro,)
+    seeds = range(options.seed, options.seed + (1 if options.quick else options.runs))
+    tables = {}
+    with ProcessPoolExecutor(options.workers, multiprocessing.get_context("spawn")) as pool:
+        for kind, (scenarios, run, make, columns) in STUDIES.items():
+            table = Table(columns)
+            for scenario, gyro in product(filter(lambda name: options.only in name, scenarios), gyros):
+                results = list(pool.map(run, [(scenario, gyro, seed) for seed in seeds]))
+                for row in make(results):
+                    table.add({"scenario": scenario, "gyro": gyro, "runs": len(results)} | row)
+            tables[kind] = table.rows
+    return tables
 
 
 if __name__ == "__main__":
-    main()
+    flags = [
+        flag("--runs", type=int, default=12, help="seeds per scenario"),
+        flag("--seed", type=int, default=0, help="the first seed"),
+        flag("--only", default="", help="only scenarios whose name contains this"),
+        flag("--gyro", choices=["tactical", "mems", "both"], default="both"),
+        flag("--workers", type=int, default=os.cpu_count() or 1),
+        quick("one seed per scenario"),
+    ]
+    main(__doc__, {residual_source: flags})

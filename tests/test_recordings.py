@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
+import importlib
 from pathlib import Path
 from types import ModuleType
 
 import numpy as np
 import pytest
 
-BENCHMARK = Path(__file__).parent.parent / "benchmarks" / "recordings.py"
+BENCHMARKS = Path(__file__).parent.parent / "benchmarks"
 CARS = ("wid-car-rtk/00", "wid-car-rtk/02", "wid-car-rtk/08", "wid-car-rtk/10")
 AT_SEA = tuple(f"snapir-auv-1hz/{k:02d}" for k in (1, 2, 3, 5, 6, 7, 8, 10, 12))
 # End error of gyro + wheel dead reckoning as the recordings' own notes give it [m].
@@ -19,12 +18,9 @@ PUBLISHED_PLAIN_M = {"wid-car-rtk/00": 8.0, "wid-car-rtk/02": 3.2, "wid-car-rtk/
 
 @pytest.fixture(scope="module")
 def benchmark() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("benchmark_recordings", BENCHMARK)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(BENCHMARKS)
+        return importlib.import_module("recordings")
 
 
 def test_cars_with_rtk_for_25_m(recording, benchmark):

@@ -1,0 +1,89 @@
+"""Every benchmark says what it does and against what; the quick ones run and write figures that can be read again."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+BENCHMARKS = Path(__file__).parent.parent / "benchmarks"
+#: By script: what it is compared with, and its sub-commands.
+SCRIPTS = {
+    "arma": ("statsmodels", ("speed", "batch", "efficiency", "tracking", "order")),
+    "arma_vs_gm1": ("Gauss-Markov", ()),
+    "day": ("filterpy", ("live", "replay")),
+    "faults": ("without a fault", ("missions", "service")),
+    "fuzz": ("no other software", ()),
+    "heading_toy": ("Sage-Husa", ()),
+    "identify_recordings": ("statsmodels", ()),
+    "recordings": ("plain dead reckoning", ("withheld", "car_clocks")),
+    "replay_speed": ("python-ins", ()),
+    "residual_source": ("oracle", ()),
+    "step_latency": ("filterpy", ()),
+}
+
+
+def ended(*arguments: str) -> str:
+    """Output of a script that must end well."""
+    done = subprocess.run([sys.executable, *arguments], capture_output=True, text=True, cwd=BENCHMARKS, timeout=300)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_all_scripts_are_here():
+    files = {path.stem for path in BENCHMARKS.glob("*.py") if '__name__ == "__main__"' in path.read_text("utf-8")}
+    assert files == set(SCRIPTS)
+
+
+#: Asks commands for help in one process: what takes time is importing numba, and that is done once.
+ASK = """
+import contextlib, io, json, runpy, sys
+sys.path.insert(0, ".")
+said = {}
+for command in json.loads(sys.argv[1]):
+    sys.argv = [*command.split(), "--help"]
+    with contextlib.redirect_stdout(io.StringIO()) as out:
+        try:
+            runpy.run_path(sys.argv[0], run_name="__main__")
+        except SystemExit as end:
+            said[command] = [end.code, out.getvalue()]
+print(json.dumps(said))
+"""
+
+
+@pytest.fixture(scope="module")
+def helped():
+    commands = [f"{name}.py {part}".strip() for name, (_, parts) in SCRIPTS.items() for part in ("", *parts)]
+    return json.loads(ended("-c", ASK, json.dumps(commands)))
+
+
+@pytest.mark.parametrize("name", SCRIPTS)
+def test_every_script_says_what_it_does_and_against_what(helped, name):
+    competitor, parts = SCRIPTS[name]
+    code, text = helped[f"{name}.py"]
+    assert code == 0 and competitor in text and all(part in text for part in parts)
+    for command in [f"{name}.py {part}" for part in parts] or [f"{name}.py"]:
+        code, text = helped[command]
+        assert code == 0 and "--json PATH" in text and "--quick" in text, command
+
+
+@pytest.mark.parametrize(
+    "command, keys",
+    [
+        ("fuzz.py --inputs 300 --targets 'JSON lines' 'saved missions'", {"targets"}),
+        (
+            "replay_speed.py --minutes 1 --quick",
+            {"table", "learning_adds", "states", "peak_mb", "strapdown_samples_per_s"},
+        ),
+    ],
+)
+def test_figures_are_kept_as_json(command, keys, tmp_path):
+    ended(*shlex.split(command), "--json", str(tmp_path / "figures.json"))
+    found = json.loads((tmp_path / "figures.json").read_text(), parse_constant=pytest.fail)
+    assert set(found) == {"benchmark", "arguments", "machine", "python", "versions", "figures"}
+    assert found["benchmark"] == command.split(".")[0] and "numba" in found["versions"]
+    assert keys <= set(found["figures"])
