@@ -12,6 +12,10 @@ accepted input that is not what it must be, an answer that takes more than 10 s,
 python benchmarks/fuzz.py [--inputs N] [--targets NAME ...] [--seed N] [--atheris] [--json PATH] [--keep DIR]
 
 With ``--atheris`` (pip install atheris) the inputs are chosen by the coverage they reach, through the same mutations.
+
+The property tests use the same examples every time. To search with others, as often as wished:
+
+pytest --hypothesis-profile=search --hypothesis-seed=RANDOM tests
 """
 
 from __future__ import annotations

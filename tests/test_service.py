@@ -193,7 +193,7 @@ NAMES = st.sampled_from(["imu", "compass", "dvl", "gps", "depth", "start", "nobo
 KEYS = st.sampled_from(["time_s", "value", "sd", "rate_b", "force_b", "latitude_deg", "longitude_deg", "heading_deg", "event", "kind"])
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(st.binary(max_size=60) | st.builds(lambda n, d: json.dumps({"sensor": n, **d}).encode(), NAMES, st.dictionaries(KEYS, JSON)))
 def test_no_line_raises(line):
     for notes in (False, True):
@@ -216,7 +216,7 @@ FUZZ_LINE = st.builds(
 )
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(st.lists(FUZZ_LINE, max_size=30))
 def test_no_readings_stop_a_session(lines):
     """Whatever values and times arrive: no exception, and a state that is finite."""
