@@ -44,7 +44,8 @@ BELIEF = {
     "gps": nf.White(sd=3.0),
 }
 DURATION_S, SCORED_S = 1500.0, 560.0
-SEEDS = range(6)
+#: Three missions of each kind always, six with ``-m slow``.
+FEW, ALL = range(3), range(6)
 #: Of S(0) identified over true, from the issue: a micromechanical gyro hides more of the low frequencies.
 BARS = {"tactical": (0.6, 1.7), "mems": (0.4, 2.5)}
 
@@ -105,6 +106,8 @@ def run_of(gyro, seed):
     return Run(history, {k: v[0] for k, v in figures.items()}, {k: v[1] for k, v in figures.items()})
 
 
+SEEDS = pytest.mark.parametrize("seeds", [pytest.param(FEW, id="few"), pytest.param(ALL, id="all", marks=pytest.mark.slow)])
+
 # ---------------------------------------------------------------- what is identified
 
 HIDDEN = (
@@ -116,13 +119,15 @@ HIDDEN = (
     "name", [*(n for n in TRUE if n != "depth"), pytest.param("depth", marks=pytest.mark.xfail(strict=True, reason=HIDDEN))]
 )
 @pytest.mark.parametrize("gyro", GYROS)
-def test_the_power_at_zero_frequency_is_that_of_the_sensor(gyro, name):
+@SEEDS
+def test_the_power_at_zero_frequency_is_that_of_the_sensor(seeds, gyro, name):
     """Median over seeds and axes of S(0) of the last model in force over the true one, within the issue's bars.
 
-    A window of 4000 readings finds ln S(0) of these errors to about 0.4; the median of six is then good to 0.2, and the bars are at 0.5.
+    A window of 4000 readings finds ln S(0) of these errors to about 0.4; the median of three is then good to 0.27 and that of six to 0.2,
+    and the bars are at 0.5.
     """
     level = block_level(TRUE[name].block(1.0 / described(gyro).sensors[name].rate_hz))
-    last = [run_of(gyro, seed).history[name][-1][1] for seed in SEEDS]
+    last = [run_of(gyro, seed).history[name][-1][1] for seed in seeds]
     ratios = [zero_frequency(model) / level for models in last for model in models if model is not None]
     assert len(ratios) >= 0.8 * sum(map(len, last))
     low, high = BARS[gyro]
@@ -130,8 +135,9 @@ def test_the_power_at_zero_frequency_is_that_of_the_sensor(gyro, name):
 
 
 @pytest.mark.parametrize("gyro", GYROS)
-def test_only_stable_invertible_models_that_pass_or_are_flagged_come_into_force(gyro):
-    for seed in SEEDS:
+@SEEDS
+def test_only_stable_invertible_models_that_pass_or_are_flagged_come_into_force(seeds, gyro):
+    for seed in seeds:
         for name, history in run_of(gyro, seed).history.items():
             found = [model for _, models in history for model in models if model is not None]
             assert found or name == "depth"
@@ -144,25 +150,27 @@ def test_only_stable_invertible_models_that_pass_or_are_flagged_come_into_force(
 # ---------------------------------------------------------------- is the filter honest with it
 
 
-def independent_errors(gyro):
+def independent_errors(seeds):
     """Number of independent heading errors of all runs: they are correlated over two to three minutes (compass against gyro)."""
-    return len(SEEDS) * (DURATION_S - SCORED_S) / 300.0
+    return len(seeds) * (DURATION_S - SCORED_S) / 300.0
 
 
 @pytest.mark.parametrize("label", ["forward", "smoothed"])
 @pytest.mark.parametrize("gyro", GYROS)
-def test_heading_is_honest_across_adoptions(gyro, label):
+@SEEDS
+def test_heading_is_honest_across_adoptions(seeds, gyro, label):
     """Mean NEES within the 99.9 % range of chi-square with as many independent errors as there are."""
-    freedom = independent_errors(gyro)
+    freedom = independent_errors(seeds)
     low, high = chi2.ppf([0.0005, 0.9995], freedom) / freedom
-    values = [run_of(gyro, seed).nees[label] for seed in SEEDS]
+    values = [run_of(gyro, seed).nees[label] for seed in seeds]
     assert low < np.mean(values) < high, np.round(values, 2)
 
 
 @pytest.mark.parametrize("gyro", GYROS)
-def test_heading_is_nearly_that_of_the_filter_that_knows_the_truth(gyro):
-    """The issue asks for 5 % over fifty seeds; over six, the two rms differ by 10 % by chance (each follows other errors), so 1.25."""
-    ours, oracle = (math.sqrt(np.mean([run_of(gyro, seed).squared[label] for seed in SEEDS])) for label in ("forward", "oracle"))
+@SEEDS
+def test_heading_is_nearly_that_of_the_filter_that_knows_the_truth(seeds, gyro):
+    """The issue asks for 5 % over fifty seeds; over three, the two rms differ by 14 % by chance (each follows other errors), so 1.25."""
+    ours, oracle = (math.sqrt(np.mean([run_of(gyro, seed).squared[label] for seed in seeds])) for label in ("forward", "oracle"))
     assert ours < 1.25 * oracle
 
 
