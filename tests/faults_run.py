@@ -10,8 +10,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
+import inside
 import numpy as np
-from faults_library import DEG, DRIVE, Event, Events, Scene, damaged, events_of
+from faults_library import DEG, Scene, damaged
+from feeding import DRIVE, Event, Events, events_of
 
 import navfilter as nf
 from navfilter.mission import Mission, Stream
@@ -87,7 +89,7 @@ class Outcome:
     stopped: bool = False
 
 
-def feed(nav: Navigator, events: Events, scene: Scene, *, check_s: float = 1.0, one_by_one: bool = False) -> Outcome:
+def watch(nav: Navigator, events: Events, scene: Scene, *, check_s: float = 1.0, one_by_one: bool = False) -> Outcome:
     """Hand all events to a navigator in the order of delivery, and look at it every `check_s` seconds.
 
     Samples of the drive that arrive without a correction in between go in as one block, as a driver would read them (or one by one: it is
@@ -163,8 +165,8 @@ def _correct(nav: Navigator, event: Event, roles: dict[str, str], outcome: Outco
 def _look(nav: Navigator, last: Event, outcome: Outcome) -> None:
     """Note NaN, a covariance that is not positive definite, and the state at the instant at which it truly holds."""
     state = _guard(outcome, lambda: nav.state)
-    P = nav._P
-    finite = bool(np.isfinite(P).all() and np.isfinite(nav._nav).all() and np.isfinite(nav._x).all())
+    P = inside.covariance(nav)
+    finite = all(np.isfinite(array).all() for array in (P, inside.nominal(nav), inside.errors(nav)))
     if state is None or not finite or not np.isfinite(state.covariance).all():
         outcome.nan_s = last.true_s if outcome.nan_s is None else outcome.nan_s
         return
@@ -212,4 +214,4 @@ def run(name: str | None, vehicle: Vehicle, mission: Mission, scene: Scene, seed
     events = [e for e in events if e.true_s >= start.time_s - 1e-9]
     if name is not None:
         events = damaged(name, events, scene, seed)
-    return feed(nf.Navigator(vehicle, start), events, scene, **options)
+    return watch(nf.Navigator(vehicle, start), events, scene, **options)

@@ -4,6 +4,7 @@ import faults_library as library
 import faults_run as watched
 import numpy as np
 import pytest
+from feeding import events_of
 
 from navfilter.simulation.scenarios import simulate_scenario
 
@@ -53,7 +54,7 @@ def test_every_kind_is_survived_and_counted(dive, name):
 def test_a_fault_leaves_everything_outside_its_window_alone(dive):
     """The library itself: what it changes lies in the window, and the events it was given are as they were."""
     vehicle, mission, scene, _ = dive
-    events = [e for e in library.events_of(vehicle, mission) if 22.0 < e.true_s < 48.0]
+    events = [e for e in events_of(vehicle, mission) if 22.0 < e.true_s < 48.0]
     before = list(events)
     for name in library.KINDS:
         damaged = library.damaged(name, events, scene, 1)

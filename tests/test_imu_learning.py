@@ -7,8 +7,10 @@ import math
 import os
 from pathlib import Path
 
+import inside
 import numpy as np
 import pytest
+from feeding import DRIVE, delayed, events_of, in_blocks, one_by_one
 
 import navfilter as nf
 from navfilter.arma.algebra import add_arma
@@ -29,6 +31,7 @@ from navfilter.simulation.simulate import simulate
 
 RATE_HZ, GRAVITY = 100.0, 9.80665
 PERIOD_S = 1.0 / RATE_HZ
+LONGEST_BLOCK = 299  # of samples of the drive: up to three seconds, longer than what is judged at once
 GYRO_SD, FORCE_SD = 1e-3, 1e-2  # of one sample, as believed
 WALK, FORCE_WALK = nf.RandomWalk(density=1e-6, start_sd=1e-4), nf.RandomWalk(density=1e-5, start_sd=1e-2)
 GYRO = WALK + nf.LearnedArma(prior=nf.White(sd=GYRO_SD))
@@ -60,7 +63,7 @@ def run(vehicle, samples, start=START):
 
 def in_force(nav):
     """The learnt models of the six axes; None where the prior still is."""
-    return [getattr(learned_part(model), "model", None) for model in nav._in_force.drive.models]
+    return [getattr(learned_part(model), "model", None) for model in inside.drive_models(nav)]
 
 
 def band_power(model, edges):
@@ -101,7 +104,7 @@ def test_whatever_is_learnt_a_bias_stands_beside_it(default):
 
 def test_without_a_learnt_axis_nothing_is_gathered():
     nav = run(vehicle_of(WALK + nf.White(sd=GYRO_SD), FORCE_WALK + nf.White(sd=FORCE_SD)), at_rest(2.0))
-    assert nav._still is None and not nav._watching
+    assert inside.rest(nav) is None
 
 
 # ---------------------------------------------------------------- what is learnt
@@ -118,12 +121,12 @@ def test_spectrum_of_a_coloured_gyro(name):
     nav = run(vehicle_of(), at_rest(65.0, COLOURED[name]))
     edges = np.linspace(1e-3, math.pi, 51)
     truth = band_power(COLOURED[name], edges)
-    for model, learnt in zip(nav._in_force.drive.models[:3], in_force(nav)[:3], strict=True):
+    for model, learnt in zip(inside.drive_models(nav)[:3], in_force(nav)[:3], strict=True):
         assert learnt.p >= 1
         ratio = band_power(model, edges) / truth
         assert ratio.min() > 1.0 / 1.5 and ratio.max() < 1.5
         assert known(model) == WALK
-    for learnt, model in zip(in_force(nav)[3:], nav._in_force.drive.models[3:], strict=True):
+    for learnt, model in zip(in_force(nav)[3:], inside.drive_models(nav)[3:], strict=True):
         assert learnt.p + learnt.q == 0 and known(model) == FORCE_WALK
         assert learnt.sd == pytest.approx(FORCE_SD, rel=0.05)
 
@@ -159,7 +162,7 @@ def test_gyro_of_the_thesis_at_rest_before_a_dive(gyro):
 def test_known_white_noise_beside_is_not_learnt_again():
     white, true = nf.White(sd=5e-4), nf.Arma(ar=(-0.95,), sd=3e-4)
     nav = run(vehicle_of(white + WALK + nf.LearnedArma()), at_rest(65.0, WALK + white + true))
-    for model, learnt in zip(nav._in_force.drive.models[:3], in_force(nav)[:3], strict=True):
+    for model, learnt in zip(inside.drive_models(nav)[:3], in_force(nav)[:3], strict=True):
         assert model.parts[0] == white
         assert learnt.sd == pytest.approx(3e-4, rel=0.15)
         # S(0) of 40 s with a correlation time of 0.2 s is known to about a quarter, and says so
@@ -230,11 +233,12 @@ def test_the_bias_follows_an_adoption_of_another_walk():
     """Its estimate and variance stay; only how it wanders from now on changes."""
     nav = run(vehicle_of(), at_rest(3.0))
     place = nav.layout.names.index("gyro_z[0]")
-    nav._x[place] = 3e-5
-    before = nav._x[place], nav._P[9 + place, 9 + place]
+    inside.errors(nav)[place] = 3e-5
+    before = inside.errors(nav)[place], inside.covariance(nav)[9 + place, 9 + place]
     nav.adopt("gyro", nf.RandomWalk(density=5e-5, start_sd=1e-4) + nf.LearnedArma(model=ArmaModel([-0.5], [], 1e-3)))
     place = nav.layout.names.index("gyro_z[0]")
-    assert nav._x[place] == before[0] and nav._P[9 + place, 9 + place] == pytest.approx(before[1], rel=1e-3)
+    assert inside.errors(nav)[place] == before[0]
+    assert inside.covariance(nav)[9 + place, 9 + place] == pytest.approx(before[1], rel=1e-3)
 
 
 # ---------------------------------------------------------------- what is rest
@@ -250,11 +254,11 @@ def test_nothing_is_learnt_while_it_moves(gyro, aided):
     moving = mission.truth.time_s[speed > 0.1]
     vehicle = staged.vehicle if aided else staged.vehicle.without("dvl", "gps", "compass")
     vehicle = vehicle.with_error(gyro=nf.LearnedArma(prior=vehicle.drive.models[0]), accel=nf.LearnedArma(prior=vehicle.drive.models[3]))
-    nav, events = nf.Navigator(vehicle, mission.start, history_s=0.0), events_of(mission, vehicle)
+    nav, events = nf.Navigator(vehicle, mission.start, history_s=0.0), events_of(vehicle, mission)
     kept = []
     for begin, end in ((-1.0, moving[0] + 1.0), (moving[0] + 1.0, moving[-1])):
-        in_blocks(nav, [event for event in events if begin < event[0] <= end], np.random.default_rng(0))
-        kept.append(nav._still.cursor)
+        in_blocks(nav, [event for event in events if begin < event.time_s <= end], np.random.default_rng(0), LONGEST_BLOCK)
+        kept.append(inside.rest(nav).cursor)
     assert moving[-1] - moving[0] > 250.0 and (kept[0] > 10_000 or not aided)
     assert kept[1] == kept[0]
 
@@ -262,10 +266,10 @@ def test_nothing_is_learnt_while_it_moves(gyro, aided):
 @pytest.mark.parametrize(("speed", "speed_sd", "kept"), [(0.0, 0.02, 8), (1.0, 0.02, 0), (0.0, 0.5, 0), (1.0, 0.5, 0)])
 def test_calm_water_looks_like_rest_unless_the_velocity_is_known(speed, speed_sd, kept):
     start = nf.Start(latitude_deg=45.0, longitude_deg=0.0, velocity_n=(speed, 0.0, 0.0), velocity_sd_m_s=speed_sd, tilt_sd_deg=0.02)
-    assert run(vehicle_of().without("rest"), at_rest(10.0), start)._still.cursor == 100 * kept
+    assert inside.rest(run(vehicle_of().without("rest"), at_rest(10.0), start)).cursor == 100 * kept
 
 
-def feed(still, samples, speed=0.0):
+def kept_by(still, samples, speed=0.0):
     """Straight into the collector, one second after the other; which seconds have been kept."""
     before = np.r_[0.0, samples[:-1, 0]]
     steps = np.column_stack([samples[:, 0] - before, samples[:, 1:]])
@@ -281,11 +285,11 @@ def feed(still, samples, speed=0.0):
 def test_a_second_counts_between_two_others_at_rest():
     samples = at_rest(12.0)
     samples[600:700, 2] += 0.05 * np.sin(np.arange(100.0))
-    kept = feed(Stillness(vehicle_of().drive), samples)
+    kept = kept_by(Stillness(vehicle_of().drive), samples)
     # the first of a run never, the second when the third has passed; a new run begins behind a gap that ends a segment
     assert kept == [0, 0, 100, 100, 100, 100, 0, 0, 0, 100 + LONGEST_GAP + 1, 100, 100]
     still = Stillness(vehicle_of().drive)
-    feed(still, samples)
+    kept_by(still, samples)
     y = still.series(1, 4000)
     np.testing.assert_array_equal(np.flatnonzero(np.isnan(y)), 400 + np.arange(LONGEST_GAP + 1))
     np.testing.assert_array_equal(y[:400], samples[100:500, 2])
@@ -297,20 +301,20 @@ def test_any_axis_that_moves_is_no_rest(column):
     samples = at_rest(6.0)
     size = 3.5 * math.sqrt(2.0) * (GYRO_SD if column < 4 else FORCE_SD)
     samples[:, column] += size * np.sin(2.0 * math.pi * samples[:, 0])
-    assert feed(Stillness(vehicle_of().drive), samples) == [0] * 6
+    assert kept_by(Stillness(vehicle_of().drive), samples) == [0] * 6
 
 
 def test_a_steady_turn_or_a_speed_is_no_rest():
     samples = at_rest(6.0)
-    assert feed(Stillness(vehicle_of().drive), samples, speed=0.2) == [0] * 6
+    assert kept_by(Stillness(vehicle_of().drive), samples, speed=0.2) == [0] * 6
     samples[:, 3] += 0.03
-    assert feed(Stillness(vehicle_of().drive), samples) == [0] * 6
+    assert kept_by(Stillness(vehicle_of().drive), samples) == [0] * 6
 
 
 def test_a_mean_that_moves_away_begins_another_segment():
     samples = at_rest(12.0)
     samples[500:, 4] += 4.0 * FORCE_SD  # a tilt of 0.23 deg
-    kept = feed(Stillness(vehicle_of().drive), samples)
+    kept = kept_by(Stillness(vehicle_of().drive), samples)
     assert kept == [0, 0, 100, 100, 100, 0, 0, 100 + LONGEST_GAP + 1, 100, 100, 100, 100]
 
 
@@ -318,7 +322,7 @@ def test_missing_samples_are_missing_ticks():
     samples = at_rest(8.0)
     lost = np.array([250, 251, 315, 470])
     still = Stillness(vehicle_of().drive)
-    feed(still, np.delete(samples, lost, axis=0))
+    kept_by(still, np.delete(samples, lost, axis=0))
     y = still.series(0, 4000)
     first = int(np.flatnonzero(np.isclose(samples[:, 1], y[0], rtol=0, atol=0))[0])
     np.testing.assert_array_equal(np.flatnonzero(np.isnan(y)), lost - first)
@@ -330,7 +334,7 @@ def test_stamps_in_bursts_lose_no_sample():
     samples = at_rest(8.0)
     samples[:, 0] = 0.05 * np.ceil(samples[:, 0] / 0.05 - 1e-9) + 1e-4 * (np.arange(len(samples)) % 5)
     still = Stillness(vehicle_of().drive)
-    feed(still, samples)
+    kept_by(still, samples)
     y = still.series(0, 4000)
     assert np.isfinite(y).sum() == 600 and len(y) < 700
 
@@ -338,7 +342,7 @@ def test_stamps_in_bursts_lose_no_sample():
 def test_a_silence_ends_the_rest():
     samples = at_rest(8.0)
     still = Stillness(vehicle_of().drive)
-    kept = feed(still, np.delete(samples, np.arange(420, 440), axis=0))
+    kept = kept_by(still, np.delete(samples, np.arange(420, 440), axis=0))
     assert kept == [0, 0, 100, 100, 0, 0, 0]
 
 
@@ -365,95 +369,74 @@ def survey():
 
     vehicle = plain.with_error(gyro=learnable(gyro), accel=learnable(accel))
     compass = nf.LearnedArma(prior=plain.sensors["compass"].error, window=400, hop=50, orders=((1, 0), (1, 1)))
-    return vehicle, vehicle.with_error(compass=compass), mission, events_of(mission, vehicle)
+    return vehicle, vehicle.with_error(compass=compass), mission, events_of(vehicle, mission)
 
 
-def events_of(mission, vehicle):
-    events = [(t, "imu", v) for t, v in zip(mission.streams["imu"].time_s, mission.streams["imu"].value, strict=True)]
-    for name in vehicle.sensors:
-        events += [(t, name, v) for t, v in zip(mission.streams[name].time_s, mission.streams[name].value, strict=True)]
-    return sorted(events, key=lambda event: (event[0], event[1] != "imu"))
-
-
-def one_by_one(nav, events):
-    for time_s, name, value in events:
-        if name == "imu":
-            nav.step(float(time_s), value[:3], value[3:])
-        else:
-            nav.correct(name, time_s, value)
+def run_of(vehicle, mission, events, **options):
+    nav = nf.Navigator(vehicle, mission.start, **options)
+    one_by_one(nav, events)
     return nav
 
 
-def in_blocks(nav, events, rng):
-    block = []
-    for time_s, name, value in [*events, (0.0, "end", None)]:
-        if name == "imu":
-            block.append((time_s, *value))
-            continue
-        while block:
-            n = int(rng.integers(1, 300))
-            nav.step_samples(np.array(block[:n]))
-            del block[:n]
-        if value is not None:
-            nav.correct(name, time_s, value)
+def blocks_of(vehicle, mission, events, seed, history_s):
+    nav = nf.Navigator(vehicle, mission.start, history_s=history_s)
+    in_blocks(nav, events, np.random.default_rng(seed), LONGEST_BLOCK)
     return nav
 
 
 def assert_same_bits(one, two):
-    assert one.time_s == two.time_s and one.counts == two.counts
-    for name in ("_nav", "_x", "_P", "_drv"):
-        np.testing.assert_array_equal(getattr(two, name), getattr(one, name), err_msg=name)
-    assert one._in_force.drive == two._in_force.drive and one._still.cursor == two._still.cursor
-    np.testing.assert_array_equal(two._still.series(0, 1000), one._still.series(0, 1000))
+    inside.assert_same_bits(one, two)
+    assert inside.rest(one).cursor == inside.rest(two).cursor
+    np.testing.assert_array_equal(inside.rest(two).series(0, 1000), inside.rest(one).series(0, 1000))
 
 
 def test_one_by_one_and_in_blocks_are_the_same_bits(survey):
     _, vehicle, mission, events = survey
-    live = one_by_one(nf.Navigator(vehicle, mission.start), events)
-    assert live.counts["adopted"] >= 2 and live._still.cursor > 3000
+    live = run_of(vehicle, mission, events)
+    assert live.counts["adopted"] >= 2 and inside.rest(live).cursor > 3000
     assert all(model is not None for model in in_force(live))
     # the rare corrections alone leave blocks longer than a second
-    rare = [event for event in events if event[1] in ("imu", "depth")]
+    rare = [event for event in events if event.sensor in (DRIVE, "depth")]
     few = survey[0].without("compass", "dvl", "gps")
-    one = one_by_one(nf.Navigator(few, mission.start, history_s=0.0), rare)
+    one = run_of(few, mission, rare, history_s=0.0)
     for seed, history_s in ((0, 0.0), (1, 2.0)):
-        assert_same_bits(one, in_blocks(nf.Navigator(few, mission.start, history_s=history_s), rare, np.random.default_rng(seed)))
-    assert_same_bits(live, in_blocks(nf.Navigator(vehicle, mission.start, history_s=0.0), events, np.random.default_rng(2)))
+        assert_same_bits(one, blocks_of(few, mission, rare, seed, history_s))
+    assert_same_bits(live, blocks_of(vehicle, mission, events, 2, 0.0))
 
 
 def test_the_beginning_is_done_again_with_what_was_learnt_at_rest(survey):
     """The compass's first models come at 110 s; the unit's, learnt by then, are in force from the start of the second pass."""
     _, vehicle, mission, events = survey
     tape = nf.Tape()
-    nav = one_by_one(nf.Navigator(vehicle, mission.start, tape), events)
+    nav = run_of(vehicle, mission, events, tape=tape)
     assert tape.models["compass"][0][0] == mission.start.time_s and learned_part(tape.models["compass"][0][1][0]).model is not None
     first_s, first = tape.models["gyro"][0]
     assert first_s == mission.start.time_s
     assert all(learned_part(model).model is not None for model in first)
-    assert nav._early is None
+    assert inside.beginning(nav) is None
 
 
 def test_snapshots_go_on_bit_for_bit(survey):
     _, vehicle, mission, events = survey
-    whole = one_by_one(nf.Navigator(vehicle, mission.start), events)
+    whole = run_of(vehicle, mission, events)
     nav = nf.Navigator(vehicle, mission.start)
     places = [0, 1, 950, 1804, 2777, 5000, 12000, len(events)]
     for begin, end in itertools.pairwise(places):
-        nav = nf.Navigator.restore(vehicle, one_by_one(nav, events[begin:end]).snapshot())
+        one_by_one(nav, events[begin:end])
+        nav = nf.Navigator.restore(vehicle, nav.snapshot())
     assert_same_bits(whole, nav)
 
 
 def test_late_readings_change_nothing(survey):
     """Depth and compass come up to 1.9 s late, at rest as well: the run goes back over adoptions and samples at rest."""
     vehicle, _, mission, events = survey
-    events = [event for event in events if event[0] < 45.0]
-    rng = np.random.default_rng(1)
-    arrival = [t + (rng.uniform(0.0, 1.9) if name in ("depth", "compass") else 0.0) for t, name, _ in events]
-    late = [events[i] for i in np.argsort(arrival, kind="stable")]
-    one = one_by_one(nf.Navigator(vehicle, mission.start), events)
-    two = one_by_one(nf.Navigator(vehicle, mission.start), late)
-    assert one.counts["adopted"] > 4 and one.counts == two.counts and one._still.cursor == two._still.cursor
-    np.testing.assert_allclose(two._x, one._x, rtol=0, atol=1e-9)
+    events = [event for event in events if event.time_s < 45.0]
+    late = delayed(events, ("depth", "compass"), 1.9, seed=1)
+    one = run_of(vehicle, mission, events)
+    two = run_of(vehicle, mission, late)
+    assert one.counts["adopted"] > 4 and one.counts == two.counts
+    assert inside.rest(one).cursor == inside.rest(two).cursor
+    np.testing.assert_allclose(inside.errors(two), inside.errors(one), rtol=0, atol=1e-9)
     for a, b in zip(in_force(one), in_force(two), strict=True):
         np.testing.assert_array_equal(b.ar, a.ar)
 
@@ -501,7 +484,7 @@ def recorded_run(rates, forces):
         sensors={"rest": nf.ZeroVelocity(gyro_sd_max=0.02, force_sd_max=0.2, gyro_mean_max=0.1)},
     )
     nav = run(vehicle, np.column_stack([np.arange(1, len(rates) + 1) * PERIOD_S, rates, forces]))
-    assert nav._still.cursor > 0.8 * len(rates)
+    assert inside.rest(nav).cursor > 0.8 * len(rates)
     return nav
 
 
@@ -555,6 +538,6 @@ def test_the_next_dive_begins_with_what_was_learnt(tmp_path):
         np.testing.assert_array_equal(one.block(PERIOD_S).Phi, two.block(PERIOD_S).Phi)
         np.testing.assert_array_equal(one.block(PERIOD_S).Q, two.block(PERIOD_S).Q)
     nav = nf.Navigator(again, mission.start)
-    assert nav._still is not None and all(model is not None for model in in_force(nav)[:3])
+    assert inside.rest(nav) is not None and all(model is not None for model in in_force(nav)[:3])
     fixed = again.with_error(gyro=tuple(known(m) + dataclasses.replace(learned_part(m), frozen=True) for m in again.drive.models[:3]))
-    assert nf.Navigator(fixed, mission.start)._still is None
+    assert inside.rest(nf.Navigator(fixed, mission.start)) is None

@@ -5,6 +5,7 @@ import json
 import math
 from functools import cache
 
+import inside
 import numpy as np
 import pytest
 
@@ -55,7 +56,7 @@ def test_a_frozen_model_is_kept_and_nothing_is_learnt():
     track = replay(vehicle.with_error(compass=KEPT), mission)
     assert track.error_models["compass"] == [(track.time_s[0], KEPT)] and track.counts["adopted"] == 0
     nav = nf.Navigator(vehicle.with_error(compass=KEPT), mission.start)
-    assert nav.channel("compass").listener is None and nav._early is None
+    assert nav.channel("compass").listener is None and inside.beginning(nav) is None
 
 
 def test_a_frozen_model_is_the_model():
@@ -78,7 +79,7 @@ def test_frozen_and_learning_axes_of_one_sensor():
 def test_frozen_inertial_models_are_not_learnt_at_rest():
     start = nf.Start(latitude_deg=45.0, longitude_deg=0.0)
     one, other = (nf.Navigator(nf.Vehicle(imu=nf.Imu(rate_hz=100.0, gyro=gyro)), start) for gyro in (KEPT, (LEARNS, KEPT, KEPT)))
-    assert one._still is None and [learner is not None for learner in other._still.learners] == [True] + 5 * [False]
+    assert inside.rest(one) is None and [learner is not None for learner in inside.rest(other).learners] == [True] + 5 * [False]
 
 
 def test_frozen_needs_a_model():

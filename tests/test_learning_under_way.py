@@ -9,11 +9,11 @@ import math
 from dataclasses import dataclass, replace
 from functools import cache
 
+import inside
 import numpy as np
 import pytest
-from faults_library import events_of
+from feeding import events_of, in_blocks, one_by_one
 from scipy.stats import chi2
-from test_live import in_blocks, one_by_one
 
 import navfilter as nf
 from navfilter.arma.model import ArmaModel
@@ -230,7 +230,7 @@ def test_a_model_that_no_filter_should_believe_is_not_adopted(why):
     """Before a good one the prior stays, after it the last good one."""
     vehicle = described("tactical").with_error(compass=nf.LearnedArma(prior=BELIEF["compass"]))
     nav = nf.Navigator(vehicle, mission_of("tactical", 0).start)
-    listener = nav._channels["compass"].listener
+    listener = nav.channel("compass").listener
     listener.learners = (Says(REFUSED[why], GOOD, REFUSED[why]),)
     assert listener.learn(0.0) is None and learned_part(listener.models[0]).model is None
     (first,) = listener.learn(0.0)
@@ -265,15 +265,14 @@ def test_live_in_blocks_and_replayed_are_the_same_bits_while_all_sensors_are_lea
     single, blocks = nf.Navigator(vehicle, mission.start), nf.Navigator(vehicle, mission.start, history_s=0.5)
     one_by_one(single, events)
     in_blocks(blocks, events, np.random.default_rng(1))
-    assert single.counts["adopted"] > len(TRUE) and blocks.counts == single.counts
-    for name in ("_nav", "_x", "_P"):
-        np.testing.assert_array_equal(getattr(blocks, name), getattr(single, name), err_msg=name)
+    assert single.counts["adopted"] > len(TRUE)
+    inside.assert_same_bits(single, blocks)
     track = nf.replay(vehicle, mission, output_rate_hz=None)
     assert track.time_s[-1] == single.state.time_s
     np.testing.assert_array_equal(track.velocity_n[-1], single.state.velocity_n)
-    np.testing.assert_array_equal(track.covariance[-1], single._P[:9, :9])
+    np.testing.assert_array_equal(track.covariance[-1], inside.covariance(single)[:9, :9])
     last = dict(zip(track.state_names, track.states[-1], strict=True))  # its names are those of all times, sorted by sensor
-    np.testing.assert_array_equal([last[name] for name in single.layout.names], single._x)
+    np.testing.assert_array_equal([last[name] for name in single.layout.names], inside.errors(single))
 
 
 # ---------------------------------------------------------------- noise that changes

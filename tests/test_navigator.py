@@ -4,8 +4,10 @@ import dataclasses
 import math
 import pickle
 
+import inside
 import numpy as np
 import pytest
+from feeding import DRIVE, Event, one_by_one
 
 import navfilter as nf
 from navfilter.filter.smoother import smooth_rows
@@ -40,13 +42,17 @@ def reckoning():
     return nf.Vehicle(nf.DeadReckoning(rate_hz=4.0, attitude=attitude, velocity=nf.BodyVelocity(rate_hz=4.0, scale_sd=0.01)), kept)
 
 
+def inertial_drive(nav):
+    return isinstance(nav.vehicle.drive, nf.Imu)
+
+
 VEHICLES = {"inertial": inertial, "reckoning": reckoning}
 
 
 def sound(nav):
     """No NaN anywhere, a rotation for attitude, a symmetric positive covariance."""
-    state, P = nav.state, nav._P
-    assert np.isfinite(nav._nav).all() and np.isfinite(nav._x).all() and np.isfinite(P).all() and np.isfinite(state.covariance).all()
+    state, P = nav.state, inside.covariance(nav)
+    assert all(np.isfinite(array).all() for array in (inside.nominal(nav), inside.errors(nav), P, state.covariance))
     np.testing.assert_allclose(state.C_nb @ state.C_nb.T, np.eye(3), atol=1e-9)
     np.testing.assert_array_equal(P, P.T)
     sd = np.sqrt(np.maximum(np.diag(P), 1e-300))
@@ -58,7 +64,7 @@ def sound(nav):
 def run(nav, until_s, begin_s=0.0):
     rate = nav.vehicle.drive.rate_hz
     times = np.arange(round(begin_s * rate) + 1, round(until_s * rate) + 1) / rate
-    first, second = LEVEL if nav._inertial else CRUISE
+    first, second = LEVEL if inertial_drive(nav) else CRUISE
     nav.step(times, np.tile(first, (len(times), 1)), np.tile(second, (len(times), 1)))
 
 
@@ -83,7 +89,7 @@ def test_every_reading_has_an_outcome(nav):
     assert nav.correct("depth", 2.0, 0.0).accepted
     assert nav.correct("depth", 2.9, 0.0).status == "used"  # up to a second after the last sample of the drive
     assert nav.time_s == 2.9
-    residuals = nav._tape.residuals()
+    residuals = inside.tape(nav).residuals()
     assert [OUTCOMES[code] for code in residuals["gps"].outcome] == ["used", "duplicate", "duplicate"]
     assert [OUTCOMES[code] for code in residuals["depth"].outcome] == ["too-late", "ahead", "used", "used"]
     sound(nav)
@@ -98,11 +104,11 @@ def test_every_reading_has_an_outcome(nav):
     ],
 )  # fmt: skip
 def test_unusable_readings_are_invalid(nav, name, value):
-    before = nav._P.copy()
+    before = inside.covariance(nav).copy()
     outcome = nav.correct(name, 2.0, value)
     assert outcome.status == "invalid" and not outcome.accepted and math.isnan(outcome.nis)
-    np.testing.assert_array_equal(nav._P, before)
-    assert nav._tape.residuals()[name].count("invalid") == 1
+    np.testing.assert_array_equal(inside.covariance(nav), before)
+    assert inside.tape(nav).residuals()[name].count("invalid") == 1
     sound(nav)
 
 
@@ -132,7 +138,7 @@ def test_a_dvl_that_lost_the_bottom_is_not_a_reading():
         assert nav.correct("dvl", 1.0 + 0.001 * k, value).status == "invalid"
     outcome = nav.correct("dvl", 1.1, [1.5, math.nan, -32.768])
     assert outcome.status == "used" and outcome.dof == 1
-    residuals = nav._tape.residuals()["dvl"]
+    residuals = inside.tape(nav).residuals()["dvl"]
     assert np.isfinite(residuals.value[-1]).tolist() == [True, False, False] and np.isfinite(residuals.sd[-1]).tolist() == [
         True,
         False,
@@ -172,7 +178,7 @@ def test_gate_rejects_then_widens_after_the_time_out():
     assert statuses[first + 1 :].count("rejected") <= 2  # the sensor is believed again
     # 500 m off with an sd of 10 m: after it was let in, the state follows the sensor
     assert abs((nav.state.latitude - far[0]) * 6.37e6) < 20.0
-    assert nav._tape.residuals()["gps"].count("rejected") == statuses.count("rejected")
+    assert inside.tape(nav).residuals()["gps"].count("rejected") == statuses.count("rejected")
 
 
 def test_widening_with_a_missing_height_invents_no_reading():
@@ -189,11 +195,11 @@ def test_widening_with_a_missing_height_invents_no_reading():
 
 
 def test_bad_samples_of_the_drive_are_repaired_or_dropped_and_counted(nav):
-    first, second = LEVEL if nav._inertial else CRUISE
+    first, second = LEVEL if inertial_drive(nav) else CRUISE
     period = nav.vehicle.drive.period_s
     nav.step(2.0 + period, [math.nan, 0, 0], second)
     nav.step(2.0 + 2 * period, first, [0, math.inf, 0])
-    assert nav.counts["bad-sample"] == (2 if nav._inertial else 1)  # a lost velocity is no defect of dead reckoning
+    assert nav.counts["bad-sample"] == (2 if inertial_drive(nav) else 1)  # a lost velocity is no defect of dead reckoning
     nav.step(2.0 + 2 * period, first, second)  # duplicate
     nav.step(1.0, first, second)  # backward
     nav.step(math.nan, first, second)
@@ -206,7 +212,7 @@ def test_bad_samples_of_the_drive_are_repaired_or_dropped_and_counted(nav):
     block[2, 2] = math.nan
     nav.step_samples(block)
     assert nav.counts["backward"] == 6 and nav.time_s == 2.0 + 13 * period
-    assert nav.counts["bad-sample"] == (3 if nav._inertial else 2)
+    assert nav.counts["bad-sample"] == (3 if inertial_drive(nav) else 2)
     sound(nav)
 
 
@@ -237,7 +243,7 @@ def test_absurd_values_leave_no_nan(nav):
 
 @pytest.mark.parametrize("jump_s", [30.0, 3600.0, 1e6, 1.7e9])
 def test_a_jump_of_the_clock_leaves_no_nan(nav, jump_s):
-    first, second = LEVEL if nav._inertial else CRUISE
+    first, second = LEVEL if inertial_drive(nav) else CRUISE
     nav.step(2.0 + jump_s, first, second)
     sound(nav)
     run(nav, 3.0, 2.0)
@@ -271,11 +277,11 @@ def test_nothing_uncertain_is_no_division_by_zero():
 
 
 def noisy_mission(nav, seconds, seed, defects=0.0):
-    """Events (time, name, value or sample) of a wandering vehicle; a share of them is rubbish."""
+    """Events of a wandering vehicle; a share of them is rubbish."""
     rng, rate = np.random.default_rng(seed), nav.vehicle.drive.rate_hz
-    base = np.concatenate(LEVEL if nav._inertial else CRUISE)
-    spread = np.array([0.02] * 3 + [0.05] * 3) if nav._inertial else np.array([0.01] * 3 + [0.03] * 3)
-    events = [(k / rate, "drive", base + spread * rng.normal(size=6)) for k in range(1, int(seconds * rate) + 1)]
+    base = np.concatenate(LEVEL if inertial_drive(nav) else CRUISE)
+    spread = np.array([0.02] * 3 + [0.05] * 3) if inertial_drive(nav) else np.array([0.01] * 3 + [0.03] * 3)
+    events = [(k / rate, DRIVE, base + spread * rng.normal(size=6)) for k in range(1, int(seconds * rate) + 1)]
     place = START.state
     for name, sensor in nav.vehicle.sensors.items():
         for k in range(1, int(seconds * sensor.rate_hz)):
@@ -292,15 +298,11 @@ def noisy_mission(nav, seconds, seed, defects=0.0):
         else:
             time_s = rng.choice([math.nan, time_s - 1.0, time_s, time_s + 0.05, -1.0, time_s + 3.0])
         events[k] = time_s, name, value
-    return events
+    return [Event(name, time_s, value, time_s, time_s) for time_s, name, value in events]
 
 
 def feed(nav, events):
-    for time_s, name, value in events:
-        if name == "drive":
-            nav.step(time_s, value[:3], value[3:])
-        else:
-            assert nav.correct(name, time_s, value).status in OUTCOMES
+    assert {outcome.status for outcome in one_by_one(nav, events)} <= set(OUTCOMES)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -310,10 +312,10 @@ def test_rubbish_leaves_no_nan_anywhere(build, seed):
     events = noisy_mission(nav, 40.0, seed, defects=0.1)
     feed(nav, events)
     sound(nav)
-    residuals = nav._tape.residuals()
-    assert sum(len(r.time_s) for r in residuals.values()) == sum(name != "drive" for _, name, _ in events)
+    residuals = inside.tape(nav).residuals()
+    assert sum(len(r.time_s) for r in residuals.values()) == sum(event.sensor != DRIVE for event in events)
     smoothed = []
-    smooth_rows(nav._tape, lambda i, row, mean, cov: smoothed.append(np.isfinite(mean).all() and np.isfinite(cov).all()))
+    smooth_rows(inside.tape(nav), lambda i, row, mean, cov: smoothed.append(np.isfinite(mean).all() and np.isfinite(cov).all()))
     assert smoothed and all(smoothed)
 
 
@@ -330,7 +332,7 @@ def test_covariance_stays_positive_for_twelve_hours(build):
     nav = nf.Navigator(build(), START)
     for hour in range(12):
         events = noisy_mission(nav, 3600.0, hour)
-        feed(nav, [(time_s + 3600.0 * hour, name, value) for time_s, name, value in events])
+        feed(nav, [event._replace(time_s=event.time_s + 3600.0 * hour) for event in events])
         sound(nav)
 
 
@@ -340,8 +342,8 @@ def test_blocks_and_single_samples_agree_bit_for_bit(build):
     events = noisy_mission(single, 20.0, 5, defects=0.02)
     feed(single, events)
     waiting = []
-    for time_s, name, value in [*events, (None, None, None)]:
-        if name == "drive":
+    for name, time_s, value, *_ in [*events, Event("", None, None, 0.0, 0.0)]:
+        if name == DRIVE:
             waiting.append([time_s, *value])
             continue
         if waiting:
@@ -349,12 +351,9 @@ def test_blocks_and_single_samples_agree_bit_for_bit(build):
             waiting = []
         if name:
             blocks.correct(name, time_s, value)
-    np.testing.assert_array_equal(single._nav, blocks._nav)
-    np.testing.assert_array_equal(single._P, blocks._P)
-    np.testing.assert_array_equal(single._x, blocks._x)
-    assert single.counts == blocks.counts
-    assert single._tape.row_times == blocks._tape.row_times
-    assert len(single._tape.records) == len(blocks._tape.records)
+    inside.assert_same_bits(single, blocks)
+    assert inside.tape(single).row_times == inside.tape(blocks).row_times
+    assert len(inside.tape(single).records) == len(inside.tape(blocks).records)
 
 
 @pytest.mark.parametrize("build", VEHICLES.values(), ids=VEHICLES.keys())
@@ -395,11 +394,11 @@ def test_rest_is_detected_and_counts_as_zero_velocity():
         n = 500
         rates, forces = 1e-3 * rng.normal(size=(n, 3)), 1e-2 * rng.normal(size=(n, 3)) + LEVEL[1]
         nav.step(np.arange(1, n + 1) / 50.0, scale * rates, scale * forces)
-        assert nav._tape.residuals()["rest"].count("used") == 10
+        assert inside.tape(nav).residuals()["rest"].count("used") == 10
         assert nav.state.sd[3] < 0.02
         rates[:, 2] += 0.3 * np.sin(np.arange(n) / 10.0)
         nav.step(10.0 + np.arange(1, n + 1) / 50.0, scale * rates, scale * forces)
-        assert nav._tape.residuals()["rest"].count("used") == 10
+        assert inside.tape(nav).residuals()["rest"].count("used") == 10
 
 
 def test_gaps_leave_the_uncertainty_that_they_should():

@@ -8,6 +8,7 @@ The whole chain is then one Gaussian vector, conditioned in one piece on all its
 import types
 from dataclasses import dataclass
 
+import inside
 import naive
 import numpy as np
 import pytest
@@ -45,7 +46,7 @@ class Capture:
         monkeypatch.setattr(engine, "kalman", self)
         self.tape = nf.Tape()
         self.nav = nf.Navigator(vehicle, start, self.tape)
-        self.P0, self.n = self.nav._P.copy(), len(self.nav._P)
+        self.P0, self.n = inside.covariance(self.nav).copy(), len(inside.covariance(self.nav))
         self.nav._steps, self.nav._hold = self._each(self.nav._steps, True), self._each(self.nav._hold, False)
         self._single = []
 
@@ -240,8 +241,8 @@ def reckoning_vehicle(arma=True):
 
 
 def open_gates(nav):
-    for channel in nav._channels.values():
-        channel.limits[1:] = 1e4
+    for name in nav.vehicle.sensors:
+        nav.channel(name).limits[1:] = 1e4
 
 
 def drive_through(nav, seconds, seed, readings=("compass", "dvl", "depth", "gps"), changes=()):
@@ -263,7 +264,7 @@ def drive_through(nav, seconds, seed, readings=("compass", "dvl", "depth", "gps"
             open_gates(nav)
         turn = 0.2 * time_s
         if name == "drive":
-            if nav._inertial:
+            if isinstance(vehicle.drive, nf.Imu):
                 nav.step(time_s, [0.01, 0.0, 0.2], [0.1, 0.3, -9.8])
             else:
                 lost = rng.random() < 0.15

@@ -3,10 +3,11 @@
 from dataclasses import replace
 from functools import cache
 
+import inside
 import numpy as np
 import pytest
+from feeding import delayed, events_of, one_by_one
 from scipy.stats import chi2
-from test_history import events_of, feed
 
 import navfilter as nf
 from navfilter.evaluation.rivals import learnable
@@ -113,21 +114,18 @@ def test_alignment_does_not_take_the_water_for_the_ground():
 def test_late_and_restored_water_tracks_are_in_order(tmp_path):
     """Readings through the water up to 1.5 s late, and a snapshot half-way, give what arrival in order gives."""
     vehicle, mission = simulate_scenario("water-track", 4, 60.0)
-    events = events_of(mission, vehicle)
-    rng = np.random.default_rng(1)
-    arrival = [t + (rng.uniform(0.0, 1.5) if name == "water" else 0.0) for t, name, _ in events]
-    late = [events[i] for i in np.argsort(arrival, kind="stable")]
+    events = events_of(vehicle, mission)
+    late = delayed(events, ("water",), 1.5, seed=1)
     ordered, mixed = nf.Navigator(vehicle, mission.start), nf.Navigator(vehicle, mission.start)
-    feed(ordered, events)
-    outcomes = [outcome.status for outcome in feed(mixed, late[:4000])]
+    one_by_one(ordered, events)
+    outcomes = [outcome.status for outcome in one_by_one(mixed, late[:4000])]
     assert outcomes.count("late-replayed") > 50
     mixed.snapshot(tmp_path / "state.nav")
     restored = nf.Navigator.restore(vehicle, tmp_path / "state.nav")
     for nav in (mixed, restored):
-        feed(nav, late[4000:])
-    for name in ("_nav", "_x", "_P"):
-        np.testing.assert_array_equal(getattr(restored, name), getattr(mixed, name), err_msg=name)
-        np.testing.assert_allclose(getattr(mixed, name), getattr(ordered, name), rtol=1e-9, atol=1e-9)
+        one_by_one(nav, late[4000:])
+    inside.assert_same_bits(mixed, restored)
+    inside.assert_same_estimate(ordered, mixed)
 
 
 def test_others_learn_beside_it():
@@ -138,5 +136,5 @@ def test_others_learn_beside_it():
         vehicle.with_error(water=nf.LearnedArma())
     learning = vehicle.with_error(compass=nf.LearnedArma(prior=vehicle.sensors["compass"].error, window=400, hop=100))
     nav = nf.Navigator(learning, mission.start)
-    feed(nav, events_of(mission, learning))
+    one_by_one(nav, events_of(learning, mission))
     assert nav.counts["adopted"] > 0 and abs(nav.errors["water.current_north"]) < 0.4
