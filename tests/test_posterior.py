@@ -5,6 +5,7 @@ of the attitude.
 The whole chain is then one Gaussian vector, conditioned in one piece on all its residuals, or walked sample by sample.
 """
 
+import math
 import types
 from dataclasses import dataclass
 
@@ -124,45 +125,49 @@ class Capture:
         return result
 
 
-def posterior(steps, P0, wanted, upto=None):
-    """Mean and covariance of the error after the `wanted` steps, given the residuals of the first `upto` steps: one dense conditioning.
+class Unknowns:
+    """A whole run as one linear function of its unknowns: the error at the start and the noises of all steps.
 
-    The unknowns are the error at the start and the noises of all steps, so singular P0 and Q need no inverse. Extended precision, because
-    readings without white noise make the covariance of the residuals nearly singular. The number of states may change from step to step.
+    Singular P0 and Q need no inverse that way. Extended precision, because readings without white noise make the covariance of
+    the residuals nearly singular. The number of states may change from step to step. After step k only the unknowns up to its own
+    noise have come in: matrices are as wide as that, as multiplying by zeros is most of the work otherwise.
+
+    Attributes
+    ----------
+    kept : dict of int to (A, c, P)
+        After the `wanted` steps: the present error is A unknowns + c, and P is its covariance as long as nothing is seen.
     """
-    n, wide = len(P0), np.longdouble
-    sizes = [n, *(len(step.Phi) for step in steps)]
-    ends = np.cumsum(sizes)
-    size = ends[-1]
-    A, c = np.eye(n, size, dtype=wide), np.zeros(n, wide)  # the present error is A unknowns + c
-    prior = [np.asarray(M, wide) for M in (P0, *[step.Q for step in steps])]
 
-    def weigh(B):
-        """B times the covariance of the unknowns, block by block."""
-        return np.hstack([B[:, end - len(M) : end] @ M for end, M in zip(ends, prior, strict=True)])
+    def __init__(self, steps, P0, wanted):
+        wide = np.longdouble
+        A, c, P = np.eye(len(P0), dtype=wide), np.zeros(len(P0), wide), np.asarray(P0, wide)
+        self.prior, self.seen, self.kept = [P], [], {0: (A, c, P)}
+        for k, step in enumerate(steps, 1):
+            A = np.hstack([step.Phi @ A, np.eye(len(step.Phi), dtype=wide)])
+            c, P = step.Phi @ c, step.Phi @ P @ step.Phi.T + step.Q
+            self.prior.append(np.asarray(step.Q, wide))
+            if step.H is not None:
+                self.seen.append((k, step.H @ A, step.res - step.H @ c, step.R))
+                A, c, P = step.G @ A, step.G @ (c - step.K @ step.res), step.G @ P @ step.G.T
+            if k in wanted:
+                self.kept[k] = A, c, P
 
-    kept, seen, gap, noise = {0: (A, c)}, [], [], []
-    for k, step in enumerate(steps, 1):
-        n, used = sizes[k], ends[k]
-        A = np.hstack([step.Phi @ A[:, : ends[k - 1]], np.eye(n, dtype=wide), np.zeros((n, size - used), wide)])
-        c = step.Phi @ c
-        if step.H is not None:
-            if upto is None or k <= upto:
-                seen.append(step.H @ A)
-                gap.append(step.res - step.H @ c)
-                noise.append(step.R)
-            A, c = np.hstack([step.G @ A[:, :used], A[:, used:]]), step.G @ (c - step.K @ step.res)
-        if k in wanted:
-            kept[k] = A, c
-    B, y = np.vstack(seen), np.concatenate(gap)
-    S = weigh(B) @ B.T + block_diag(*noise)
-    result = {}
-    for k, (A, c) in kept.items():
-        weighted = weigh(A)
-        cross = weighted @ B.T
-        solved = naive.cholesky_solve(S, np.column_stack([y, cross.T]))
-        result[k] = (c + cross @ solved[:, 0]).astype(float), (weighted @ A.T - cross @ solved[:, 1:]).astype(float)
-    return result
+    def posterior(self, wanted, upto=math.inf):
+        """Mean and covariance of the error after the `wanted` steps, given the residuals of the first `upto`: one dense conditioning."""
+        seen = [row for row in self.seen if row[0] <= upto]
+        B = np.zeros((sum(len(gap) for _, _, gap, _ in seen), sum(map(len, self.prior))), np.longdouble)
+        for at, (_, rows, _, _) in zip(np.cumsum([0, *(len(gap) for _, _, gap, _ in seen)]), seen, strict=False):
+            B[at : at + len(rows), : rows.shape[1]] = rows
+        ends = np.cumsum([len(M) for M in self.prior])
+        weighted = np.vstack([M @ B[:, end - len(M) : end].T for end, M in zip(ends, self.prior, strict=True)])
+        S = B @ weighted + block_diag(*(R for *_, R in seen))
+        y, result = np.concatenate([gap for _, _, gap, _ in seen]), {}
+        for k in wanted:
+            A, c, P = self.kept[k]
+            cross = A @ weighted[: A.shape[1]]
+            solved = naive.cholesky_solve(S, np.column_stack([y, cross.T]))
+            result[k] = (c + cross @ solved[:, 0]).astype(float), (P - cross @ solved[:, 1:]).astype(float)
+        return result
 
 
 def assert_same(actual, expected, scale, tolerance):
@@ -303,11 +308,12 @@ def test_filter_and_smoother_equal_the_dense_posterior(case, monkeypatch):
     corrected = [k for k, step in enumerate(capture.steps, 1) if step.H is not None]
     assert len(corrected) > 12
     assert max(np.abs(capture.steps[k - 1].G - np.eye(capture.n)).max() for k in corrected) > 0.01  # resets worth the name
-    dense = posterior(capture.steps, capture.P0, dict(rows))
+    unknowns = Unknowns(capture.steps, capture.P0, dict(rows))
+    dense = unknowns.posterior(dict(rows))
     for count, P in rows:
         assert_same(smoothed[count], dense[count], np.sqrt(np.diag(P)), 1e-9)
     for count, P in rows[:: max(1, len(rows) // 6)]:
-        past = posterior(capture.steps[:count], capture.P0, {count})[count]
+        past = unknowns.posterior({count}, upto=count)[count]
         assert_same((np.zeros(capture.n), P), past, np.sqrt(np.diag(P)), 1e-9)
 
 
