@@ -22,6 +22,7 @@ from navfilter.vehicle import Vehicle
 
 DEG = math.pi / 180.0
 
+
 class Target(NamedTuple):
     """Where the readings of one kind of sensor stand: name of the event's sensor, and columns of its value."""
 

@@ -6,7 +6,7 @@ right ones is the business of `test_adoption`; here the chain with these links i
 
 import numpy as np
 import pytest
-from test_posterior import (
+from dense_posterior import (
     DEG,
     Capture,
     Step,
