@@ -18,6 +18,14 @@ settings.register_profile("search", derandomize=False, database=None, deadline=N
 settings.load_profile("fixed")
 
 
+def pytest_configure(config: pytest.Config) -> None:
+    """Compile, where nothing is compiled yet, once and not in every process of pytest-xdist at the same time."""
+    if not hasattr(config, "workerinput") and getattr(config.option, "numprocesses", None):
+        from navfilter.commands.console import compile_first
+
+        compile_first(quiet=False)
+
+
 @pytest.fixture
 def recording() -> Callable[[str], Path]:
     """Folder of the mission.toml of a recording, as ``recording("snapir-auv-1hz/01")``.
