@@ -40,10 +40,15 @@ def events_of(vehicle: Vehicle, mission: Mission) -> Events:
     return events
 
 
-def delayed(events: Events, sensors: Iterable[str], most_s: float, seed: int) -> Events:
-    """The events in the order of their arrival when readings of these sensors come up to so much too late."""
+def delayed(events: Events, sensors: Iterable[str], most_s: float, seed: int, share: float = 1.0) -> Events:
+    """The events in the order of their arrival when (a share of) the readings of these sensors come up to so much too late."""
     rng, names = np.random.default_rng(seed), set(sensors)
-    late = [e._replace(arrival_s=e.time_s + rng.uniform(0.0, most_s)) if e.sensor in names else e for e in events]
+
+    def arrival_s(event: Event) -> float:
+        comes_late = event.sensor in names and (share >= 1.0 or rng.random() < share)
+        return event.time_s + rng.uniform(0.0, most_s) if comes_late else event.time_s
+
+    late = [e._replace(arrival_s=arrival_s(e)) for e in events]
     return sorted(late, key=lambda e: e.arrival_s)
 
 
