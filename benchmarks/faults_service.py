@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 from harness import Options, Table
-from test_service import Dive, Process
+from live_run import Dive, Process
 
 import navfilter as nf
 from navfilter.io.json_lines import Reading

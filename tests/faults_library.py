@@ -1,8 +1,9 @@
 """Faults as pure functions on what arrives: a list of events goes in, another one comes out.
 
-An `Event` is one reading on its way to the navigator, with the time it was measured (`true_s`), the stamp it carries (`time_s`) and
-when it is delivered (`arrival_s`); the list is in the order of delivery. A fault changes stamps, values, order or presence inside a
-window of time and nothing else. `KINDS` are all kinds by name, and `damaged` applies one. Runs of them: `faults_run`.
+An `Event` (see `feeding`) is one reading on its way to the navigator, with the time it was measured (`true_s`), the stamp
+it carries (`time_s`) and when it is delivered (`arrival_s`); the list is in the order of delivery. A fault changes stamps,
+values, order or presence inside a window of time and nothing else. `KINDS` are all kinds by name, and `damaged` applies one.
+Runs of them: `faults_run`.
 """
 
 from __future__ import annotations
@@ -14,27 +15,12 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
+from feeding import DRIVE, Event, Events
 
-from navfilter.mission import Mission
-from navfilter.playback import drive_samples
 from navfilter.sensors import BodyVelocity, Depth, Heading, Position
 from navfilter.vehicle import Vehicle
 
 DEG = math.pi / 180.0
-DRIVE = "drive"
-
-
-class Event(NamedTuple):
-    """One reading on its way. `value` is a tuple of floats, unless a fault made something else of it."""
-
-    sensor: str
-    time_s: Any
-    value: Any
-    true_s: float
-    arrival_s: float
-
-
-Events = list[Event]
 
 
 class Target(NamedTuple):
@@ -72,17 +58,6 @@ class Scene:
     def name(self, role: str) -> str:
         """The event's sensor of a role."""
         return self.targets[role].sensor if role in self.targets else role
-
-
-def events_of(vehicle: Vehicle, mission: Mission) -> Events:
-    """All readings of a mission in the order of their times; a sample of the drive goes before what was read at the same instant."""
-    times, values = drive_samples(vehicle, mission)
-    events = [Event(DRIVE, t, tuple(v), t, t) for t, v in zip(times.tolist(), values.tolist(), strict=True)]
-    for name in vehicle.sensors:
-        stream = mission.streams[name]
-        events += [Event(name, t, tuple(v), t, t) for t, v in zip(stream.time_s.tolist(), stream.value.tolist(), strict=True)]
-    events.sort(key=lambda e: (round(e.true_s, 9), e.sensor != DRIVE))
-    return events
 
 
 def scene_of(vehicle: Vehicle, window: tuple[float, float], fixes: tuple[float, float]) -> Scene:

@@ -11,7 +11,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from faults_library import DEG, DRIVE, Event, Events, Scene, damaged, events_of
+from faults_library import DEG, Scene, damaged
+from feeding import DRIVE, Event, Events, events_of
 
 import navfilter as nf
 from navfilter.mission import Mission, Stream
@@ -72,7 +73,7 @@ class Outcome:
     cpu_s : float
         Processor time of the run.
     stopped : bool
-        It took more than `LONGEST_CPU_S`, and was not fed to the end.
+        It took more processor time than it may, and was not fed to the end.
     """
 
     crashes: Counter = field(default_factory=Counter)
@@ -87,7 +88,15 @@ class Outcome:
     stopped: bool = False
 
 
-def feed(nav: Navigator, events: Events, scene: Scene, *, check_s: float = 1.0, one_by_one: bool = False) -> Outcome:
+def watch(
+    nav: Navigator,
+    events: Events,
+    scene: Scene,
+    *,
+    check_s: float = 1.0,
+    one_by_one: bool = False,
+    longest_cpu_s: float = LONGEST_CPU_S,
+) -> Outcome:
     """Hand all events to a navigator in the order of delivery, and look at it every `check_s` seconds.
 
     Samples of the drive that arrive without a correction in between go in as one block, as a driver would read them (or one by one: it is
@@ -113,7 +122,7 @@ def feed(nav: Navigator, events: Events, scene: Scene, *, check_s: float = 1.0, 
         if event.arrival_s >= due and last is not None:
             _flush(nav, block, outcome)
             due = event.arrival_s + check_s
-            if time.process_time() - began > LONGEST_CPU_S:
+            if time.process_time() - began > longest_cpu_s:
                 outcome.stopped = True
                 break
             _look(nav, last, outcome)
@@ -164,7 +173,7 @@ def _look(nav: Navigator, last: Event, outcome: Outcome) -> None:
     """Note NaN, a covariance that is not positive definite, and the state at the instant at which it truly holds."""
     state = _guard(outcome, lambda: nav.state)
     P = nav.filter.P
-    finite = bool(np.isfinite(P).all() and np.isfinite(nav.filter.nav).all() and np.isfinite(nav.filter.x).all())
+    finite = all(np.isfinite(array).all() for array in (P, nav.filter.nav, nav.filter.x))
     if state is None or not finite or not np.isfinite(state.covariance).all():
         outcome.nan_s = last.true_s if outcome.nan_s is None else outcome.nan_s
         return
@@ -212,4 +221,4 @@ def run(name: str | None, vehicle: Vehicle, mission: Mission, scene: Scene, seed
     events = [e for e in events if e.true_s >= start.time_s - 1e-9]
     if name is not None:
         events = damaged(name, events, scene, seed)
-    return feed(nf.Navigator(vehicle, start), events, scene, **options)
+    return watch(nf.Navigator(vehicle, start), events, scene, **options)

@@ -6,14 +6,14 @@ right ones is the business of `test_adoption`; here the chain with these links i
 
 import numpy as np
 import pytest
-from test_posterior import (
+from dense_posterior import (
     DEG,
     Capture,
     Step,
+    Unknowns,
     assert_same,
     drive_through,
     inertial_vehicle,
-    posterior,
     reckoning_vehicle,
     start,
     water_vehicle,
@@ -111,9 +111,10 @@ def test_filter_and_smoother_equal_the_dense_posterior_of_changing_models(case, 
     assert len(capture.sizes) == sum(time_s < seconds for time_s, *_ in changes) == capture.nav.counts["adopted"]
     assert len({rows for rows, _ in capture.sizes}) > 3 and any(rows == columns for rows, columns in capture.sizes)
     rows, smoothed = capture.rows(), capture.smoothed()
-    dense = posterior(capture.steps, capture.P0, dict(rows))
+    unknowns = Unknowns(capture.steps, capture.P0, dict(rows))
+    dense = unknowns.posterior(dict(rows))
     for count, P in rows:
         assert_same(smoothed[count], dense[count], np.sqrt(np.diag(P)), 1e-8)
     for count, P in rows[:: max(1, len(rows) // 6)]:
-        past = posterior(capture.steps[:count], capture.P0, {count})[count]
+        past = unknowns.posterior({count}, upto=count)[count]
         assert_same((np.zeros(len(P)), P), past, np.sqrt(np.diag(P)), 1e-8)

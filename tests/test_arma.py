@@ -103,7 +103,7 @@ def roots_within(radius):
     )
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(ar=roots_within(0.95), ma=roots_within(0.95), m=st.integers(1, 6))
 def test_resampled_model_has_the_decimated_autocovariance(ar, ma, m):
     model = nf.ArmaModel(ar, ma, 1.3)
@@ -126,17 +126,27 @@ def test_resampling_crosses_unit_roots():
         nf.resample_arma(nf.ArmaModel([-1.0], [], 1.0), 0)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(ma=roots_within(1.0), sd=st.floats(1e-3, 1e3))
 def test_spectral_factor_recovers_an_invertible_moving_average(ma, sd):
-    model = nf.ArmaModel([], ma, sd)
+    factor_and_compare(nf.ArmaModel([], ma, sd))
+
+
+@pytest.mark.xfail(strict=False, reason="a triple zero on the unit circle is refused with a misfit of 3e-6")
+def test_spectral_factor_recovers_a_triple_zero_on_the_circle():
+    """Found by random search."""
+    factor_and_compare(nf.ArmaModel([], [-3.0, 3.0, -1.0], 1.0))
+
+
+def factor_and_compare(model):
+    """The factor of the model's autocovariance has that autocovariance, and no larger an innovation."""
     found, found_sd = nf.spectral_factor(model.autocovariance(model.q))
     # Zeros on the circle are double zeros of the spectrum: half the digits.
     np.testing.assert_allclose(
-        nf.ArmaModel([], found, found_sd).autocovariance(model.q), model.autocovariance(model.q), atol=1e-9 * sd**2 * 64
+        nf.ArmaModel([], found, found_sd).autocovariance(model.q), model.autocovariance(model.q), atol=1e-9 * model.sd**2 * 64
     )
     # A double zero on the circle is a fourfold one of the spectrum: a quarter of the digits.
-    assert found_sd <= sd * (1.0 + 1e-3)
+    assert found_sd <= model.sd * (1.0 + 1e-3)
 
 
 def test_spectral_factor_refuses_what_is_no_autocovariance():
@@ -155,7 +165,7 @@ def test_sum_of_models_has_the_sum_of_spectra():
     assert nf.add_arma([]).sd == 0.0
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 @given(pole=st.floats(0.05, 1.0), drive=st.floats(1e-3, 10.0), white=st.floats(1e-3, 10.0))
 def test_bias_plus_white_and_back(pole, drive, white):
     reading = nf.bias_plus_white(nf.BiasPlusWhite(white, drive, pole).model)
@@ -189,7 +199,7 @@ def test_log_s0_sd_is_the_spread_of_the_estimated_density_at_zero():
 
 
 @given(ma=roots_within(0.999))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_is_stable_agrees_with_the_roots(ma):
     assert nf.is_stable(ma)
     if ma.size:

@@ -257,7 +257,7 @@ def test_a_long_gap_starts_anew():
 
 @pytest.mark.parametrize("gaps", [False, True])
 def test_without_drift_it_is_the_arima_likelihood(gaps):
-    arima = pytest.importorskip("statsmodels.tsa.arima.model").ARIMA
+    arima = pytest.importorskip("statsmodels.tsa.arima.model", reason="install statsmodels to run this test").ARIMA
     y = simulate_arma([-1.2, 0.4], [0.5], 0.8, 300, seed=8)
     if gaps:
         y[[20, 21, 100]] = np.nan

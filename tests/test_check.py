@@ -242,7 +242,7 @@ KINDS = {
 
 
 @pytest.mark.filterwarnings("error")
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(
     kinds=st.lists(st.sampled_from(sorted(KINDS)), max_size=4, unique=True),
     rows=st.integers(0, 400),

@@ -11,6 +11,7 @@ from navfilter import cli, playback
 from navfilter.cli import main
 from navfilter.io import read_mission, read_vehicle, write_vehicle
 
+HANGS_S = 600.0  # far beyond what a command takes here
 COMMANDS = ("demo", "replay", "run", "compare", "montecarlo", "identify", "simulate", "check", "vehicle", "warmup")
 OUTPUTS = {"report.html", "summary.json", "track.csv", "track.tum", "truth.tum", "track.geojson"}
 
@@ -53,13 +54,13 @@ def test_every_command_explains_itself(command, capsys):
 
 
 def test_the_module_is_the_command():
-    done = subprocess.run([sys.executable, "-m", "navfilter", "--version"], capture_output=True, text=True, timeout=120)
+    done = subprocess.run([sys.executable, "-m", "navfilter", "--version"], capture_output=True, text=True, timeout=HANGS_S)
     assert done.returncode == 0 and done.stdout.startswith("navfilter ") and done.stderr == ""
 
 
 def test_help_loads_neither_figures_nor_tables():
     code = "import sys, navfilter.cli; print([m for m in ('matplotlib', 'pandas', 'h5py', 'tqdm') if m in sys.modules])"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=HANGS_S)
     assert done.stdout.strip() == "[]", done.stderr
 
 
@@ -101,13 +102,6 @@ def test_replay_without_smoother_and_without_a_sensor(dive, tmp_path, capsys):
     assert list(summary["runs"]) == ["forward"] and list(summary["runs"]["forward"]["used"]) == ["depth"]
     # 150 s at one row a second, and the header.
     assert len((tmp_path / "track.csv").read_text().splitlines()) <= 153
-
-
-def test_demo_writes_mission_vehicle_and_result(tmp_path, capsys):
-    assert main(["demo", "--duration", "60", "--seed", "2", "--out", str(tmp_path)]) == 0
-    assert {path.name for path in tmp_path.iterdir()} == OUTPUTS | {"mission.npz", "vehicle.toml", "vehicle_true.toml", "comparison"}
-    said = capsys.readouterr().out
-    assert "smoothed" in said and "position rms [m]" in said and "NIS" in said
 
 
 def test_check_finds_nothing_in_a_sound_mission(dive, capsys):
@@ -202,5 +196,5 @@ def test_a_vehicle_survives_its_file(dive, tmp_path):
 
 def test_nobody_listens(dive):
     code = f"from navfilter.cli import main; import sys; sys.exit(main(['check', {str(dive / 'mission.npz')!r}]))"
-    done = subprocess.run(f'{sys.executable} -c "{code}" | true', shell=True, capture_output=True, text=True, timeout=120)
+    done = subprocess.run(f'{sys.executable} -c "{code}" | true', shell=True, capture_output=True, text=True, timeout=HANGS_S)
     assert "Traceback" not in done.stderr and "Broken pipe" not in done.stderr

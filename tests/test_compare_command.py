@@ -171,8 +171,8 @@ def test_what_an_oracle_is_told(swing):
 
 def test_the_demonstration_compares(tmp_path, capsys):
     assert main(["demo", "--duration", "90", "--seed", "2", "--out", str(tmp_path)]) == 0
-    names = {path.name for path in tmp_path.iterdir()}
-    assert {"report.html", "track.csv", "track.geojson", "vehicle_true.toml", "comparison"} <= names
+    files = {"report.html", "summary.json", "track.csv", "track.tum", "truth.tum", "track.geojson"}
+    assert {path.name for path in tmp_path.iterdir()} == files | {"mission.npz", "vehicle.toml", "vehicle_true.toml", "comparison"}
     assert {path.name for path in (tmp_path / "comparison").iterdir()} == {"report.html", "comparison.csv", "summary.json"}
     summary = json.loads((tmp_path / "comparison" / "summary.json").read_text())
     assert list(summary["runs"]) == ["white", "gm1-fitted", "arma", "oracle"]
@@ -180,4 +180,5 @@ def test_the_demonstration_compares(tmp_path, capsys):
     # The result of the demonstration is the run that learns: the same one, once alone and once beside the others.
     assert runs["forward"]["heading_rms_deg"] == summary["whole_mission"]["arma"]["heading_rms_deg"]
     said = capsys.readouterr().out
-    assert "smoothed" in said and "gm1-fitted" in said and "compass: largest autocorrelation" in said
+    words = ("smoothed", "position rms [m]", "NIS", "gm1-fitted", "compass: largest autocorrelation")
+    assert [word for word in words if word not in said] == []

@@ -100,7 +100,7 @@ def test_bad_input_is_refused_clearly(call, message):
         call()
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(arrays(np.float64, st.integers(0, 80), elements=st.floats(-1e300, 1e300) | st.just(np.nan)), st.integers(0, 10))
 def test_any_series_gives_numbers_or_a_value_error(series, lags):
     try:

@@ -212,7 +212,7 @@ def test_hard_series_give_a_stable_model_or_a_clear_error(series, method, order)
     check(fit)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     series=arrays(np.float64, st.integers(0, 60), elements=st.floats(-1e6, 1e6) | st.just(np.nan)),
     p=st.integers(0, 3),

@@ -4,28 +4,12 @@ import json
 
 import numpy as np
 import pytest
+import same_runs
+from feeding import Event, delayed, events_of, one_by_one
 
 import navfilter as nf
 from navfilter.filter.memory import differences
 from navfilter.simulation.scenarios import simulate_scenario
-
-
-def events_of(mission, vehicle):
-    """All inputs in time order: (time, name, value), the drive's as "imu"."""
-    events = [(t, "imu", v) for t, v in zip(mission.streams["imu"].time_s, mission.streams["imu"].value, strict=True)]
-    for name in vehicle.sensors:
-        events += [(t, name, v) for t, v in zip(mission.streams[name].time_s, mission.streams[name].value, strict=True)]
-    return sorted(events, key=lambda event: (event[0], event[1] != "imu"))
-
-
-def feed(nav, events):
-    outcomes = []
-    for time_s, name, value in events:
-        if name == "imu":
-            nav.step(float(time_s), value[:3], value[3:])
-        else:
-            outcomes.append(nav.correct(name, time_s, value))
-    return outcomes
 
 
 @pytest.fixture(scope="module")
@@ -33,40 +17,34 @@ def dive():
     vehicle, mission = simulate_scenario("lawnmower", 3, 120.0)
     learner = nf.LearnedArma(prior=vehicle.sensors["compass"].error, window=400, hop=50, orders=((1, 0), (1, 1)))
     vehicle = vehicle.with_error(compass=learner)
-    return vehicle, mission, events_of(mission, vehicle)
+    return vehicle, mission, events_of(vehicle, mission)
 
 
 def test_late_readings_equal_arrival_in_order(dive):
     """The compass and the fixes arrive up to 1.9 s late, across an adoption too: same state as in order, to rounding."""
     vehicle, mission, events = dive
-    rng = np.random.default_rng(1)
-    arrival = [t + (rng.uniform(0.0, 1.9) if name in ("gps", "compass") else 0.0) for t, name, _ in events]
-    late = [events[i] for i in np.argsort(arrival, kind="stable")]
+    late = delayed(events, ("gps", "compass"), 1.9, seed=1)
     one, two = nf.Navigator(vehicle, mission.start), nf.Navigator(vehicle, mission.start)
-    feed(one, events)
-    outcomes = [outcome.status for outcome in feed(two, late)]
+    one_by_one(one, events)
+    outcomes = [outcome.status for outcome in one_by_one(two, late)]
     assert outcomes.count("late-replayed") > 100 and "too-late" not in outcomes
     assert one.counts["adopted"] >= 2 and one.counts == two.counts
-    np.testing.assert_allclose(two.filter.nav, one.filter.nav, rtol=0, atol=1e-9)
-    np.testing.assert_allclose(two.filter.x, one.filter.x, rtol=0, atol=1e-9)
-    np.testing.assert_allclose(two.filter.P, one.filter.P, rtol=1e-9, atol=1e-9)
+    same_runs.assert_same_estimate(one, two)
 
 
 @pytest.mark.parametrize(("history_s", "share"), [(2.0, 0.3), (10.0, 0.1), (30.0, 0.04)])
 def test_learning_is_the_same_whatever_comes_late(history_s, share):
-    """Compass and fixes late by up to the history's length, over the first adoption and hops of 25 s: same models and state as in order.
+    """Compass and fixes late by up to the history's length, over the first adoption and hops of 25 s: the same models and state as in order.
 
-    1e-9 is rounding: samples come in other blocks. Each run draws which readings are late, so that every hop has some around it.
+    1e-9 is rounding: samples come in other blocks.
     """
     vehicle, mission = simulate_scenario("lawnmower", 3, 240.0)
-    learner = nf.LearnedArma(prior=vehicle.sensors["compass"].error, window=400, hop=200)
-    vehicle = vehicle.with_error(compass=learner)
-    events, rng = events_of(mission, vehicle), np.random.default_rng(7)
-    late_by = [rng.uniform(0.0, history_s - 0.3) * (name in ("gps", "compass") and rng.random() < share) for _, name, _ in events]
-    order = np.argsort([t + late for (t, _, _), late in zip(events, late_by, strict=True)], kind="stable")
+    vehicle = vehicle.with_error(compass=nf.LearnedArma(prior=vehicle.sensors["compass"].error, window=400, hop=200))
+    events = events_of(vehicle, mission)
     one, two = (nf.Navigator(vehicle, mission.start, history_s=history_s) for _ in range(2))
-    feed(one, events)
-    outcomes = [outcome.status for outcome in feed(two, [events[i] for i in order])]
+    one_by_one(one, events)
+    late = delayed(events, ("gps", "compass"), history_s - 0.3, seed=7, share=share)
+    outcomes = [outcome.status for outcome in one_by_one(two, late)]
     assert outcomes.count("late-replayed") > 60 and "too-late" not in outcomes
     assert one.counts["adopted"] >= 5
     assert one.filter.memory.models == two.filter.memory.models
@@ -76,7 +54,7 @@ def test_learning_is_the_same_whatever_comes_late(history_s, share):
 def test_beyond_the_history_a_reading_is_too_late(dive):
     vehicle, mission, events = dive
     nav = nf.Navigator(vehicle, mission.start, history_s=1.0)
-    feed(nav, [event for event in events if event[0] <= 20.0])
+    one_by_one(nav, [event for event in events if event.time_s <= 20.0])
     before = nav.filter.nav.copy()
     assert nav.correct("depth", 18.0, 0.0).status == "too-late"
     np.testing.assert_array_equal(nav.filter.nav, before)
@@ -89,23 +67,24 @@ def test_beyond_the_history_a_reading_is_too_late(dive):
 @pytest.mark.parametrize("at_s", [0.0, 33.3, 97.77])
 def test_a_snapshot_goes_on_bit_for_bit(dive, at_s, tmp_path):
     vehicle, mission, events = dive
-    first = [event for event in events if event[0] <= at_s]
+    first = [event for event in events if event.time_s <= at_s]
     rest = events[len(first) :]
     whole = nf.Navigator(vehicle, mission.start)
-    feed(whole, first)
+    one_by_one(whole, first)
     data = whole.snapshot(tmp_path / "state.nav")
     again = nf.Navigator.restore(vehicle, tmp_path / "state.nav")
     assert again.snapshot() == data
-    late = (at_s - 1.0, "depth", np.array([0.5]))
-    assert [o.status for o in feed(whole, [late, *rest])] == [o.status for o in feed(again, [late, *rest])]
-    assert differences(again.memory, whole.memory) == [] and again.state.health == whole.state.health
+    late = Event("depth", at_s - 1.0, (0.5,), at_s - 1.0, at_s)
+    assert [o.status for o in one_by_one(whole, [late, *rest])] == [o.status for o in one_by_one(again, [late, *rest])]
+    same_runs.assert_same_bits(whole, again)
+    assert again.state.health == whole.state.health
     assert list(tmp_path.iterdir()) == [tmp_path / "state.nav"]
 
 
 def test_snapshots_that_cannot_be_trusted_are_refused(dive, tmp_path):
     vehicle, mission, events = dive
     nav = nf.Navigator(vehicle, mission.start)
-    feed(nav, events[:2000])
+    one_by_one(nav, events[:2000])
     data = nav.snapshot()
     with pytest.raises(ValueError, match="another vehicle"):
         nf.Navigator.restore(vehicle.without("gps"), data)

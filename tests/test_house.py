@@ -37,9 +37,15 @@ def name_of(path):
     return ".".join(parts[:-1] if len(parts) > 1 and parts[-1] == "__init__" else parts)
 
 
+@cache
+def tree_of(path):
+    return ast.parse(path.read_text())
+
+
+@cache
 def imports(path, *, lazy=True):
     """Modules of the package that a file imports, as (name, whether only inside functions); `TYPE_CHECKING` blocks do not run."""
-    tree, found = ast.parse(path.read_text()), set()
+    found = set()
 
     def visit(node, inside):
         if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
@@ -57,7 +63,7 @@ def imports(path, *, lazy=True):
         for child in ast.iter_child_nodes(node):
             visit(child, inside)
 
-    visit(tree, False)
+    visit(tree_of(path), False)
     return {target for target, inside in found if lazy or not inside}
 
 
@@ -135,7 +141,7 @@ def test_no_asserts_where_users_arrive():
     """Wrong input is a ValueError. An assert in a public function would vanish with -O."""
     found = []
     for path in modules():
-        for node in ast.walk(ast.parse(path.read_text())):
+        for node in ast.walk(tree_of(path)):
             if isinstance(node, ast.Assert) and "is not None" not in ast.unparse(node.test) and "isinstance" not in ast.unparse(node.test):
                 found.append(f"{name_of(path)}:{node.lineno} {ast.unparse(node)}")
     assert found == []

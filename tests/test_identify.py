@@ -3,7 +3,6 @@
 import gzip
 import json
 import lzma
-import os
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
@@ -467,22 +466,14 @@ def test_longest_stretch():
 # --- recordings ---------------------------------------------------------------------------------------------------------
 
 
-@pytest.fixture
-def data():
-    root = os.environ.get("NAVFILTER_DATA")
-    if not root:
-        pytest.skip("set NAVFILTER_DATA to the folder of the recordings to run this test")
-    return Path(root)
-
-
-def test_a_raw_gyro_is_white(data):
-    file = data / "imu-mpu6050-raw-static" / "mpu6050_static_450s.csv.xz"
+def test_a_raw_gyro_is_white(data_file):
+    file = data_file("imu-mpu6050-raw-static/mpu6050_static_450s.csv.xz")
     found = identify(read_series(file, "gx", rate_hz=100.0, options=TableOptions(skip_lines=4)), max_p=3, max_q=3)
     assert found.reading.text == "white noise; minimal order (0,0)" and found.data.step == 1.0
 
 
-def test_a_barometer_is_a_walk_in_white_noise(data):
-    file = data / "baro-static" / "ms5611_static_altitude_80hz.csv.xz"
+def test_a_barometer_is_a_walk_in_white_noise(data_file):
+    file = data_file("baro-static/ms5611_static_altitude_80hz.csv.xz")
     found = identify(read_series(file, "h", rate_hz=80.0, options=TableOptions(skip_lines=2)), max_p=2, max_q=2)
     assert found.reading.text == "random-walk bias + white noise; minimal order (1,1)" and found.tests.is_white
     assert found.fit.ar[0] == pytest.approx(-0.998, abs=0.002) and found.fit.ma[0] == pytest.approx(-0.985, abs=0.005)

@@ -177,7 +177,7 @@ def from_smoothed_residuals(seed, passes=2):
     return zero_frequency(fit)
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_low_frequencies_are_kept_that_smoothed_residuals_lose(seed):
     """A gyro of a MEMS unit and a compass that errs with 30 s: the smoother takes the slow error for heading.
 

@@ -11,9 +11,9 @@ from functools import cache
 
 import numpy as np
 import pytest
-from faults_library import events_of
+import same_runs
+from feeding import events_of, in_blocks, one_by_one
 from scipy.stats import chi2
-from test_live import in_blocks, one_by_one
 
 import navfilter as nf
 from navfilter.arma.model import ArmaModel
@@ -23,7 +23,6 @@ from navfilter.learning.drift import Drift
 from navfilter.learning.learned import DEFAULT_ORDERS, learned_part
 from navfilter.learning.learner import Learner
 from navfilter.learning.low_frequency import block_level, zero_frequency
-from navfilter.learning.schedule import LearningSchedule
 from navfilter.simulation.campaigns import STUDIES, stage
 from navfilter.simulation.faults import Faults
 from navfilter.simulation.manoeuvres import Lawnmower
@@ -45,7 +44,8 @@ BELIEF = {
     "gps": nf.White(sd=3.0),
 }
 DURATION_S, SCORED_S = 1500.0, 560.0
-SEEDS = range(6)
+#: Three missions of each kind always, six with ``-m slow``.
+FEW, ALL = range(3), range(6)
 #: Of S(0) identified over true, from the issue: a micromechanical gyro hides more of the low frequencies.
 BARS = {"tactical": (0.6, 1.7), "mems": (0.4, 2.5)}
 
@@ -106,6 +106,8 @@ def run_of(gyro, seed):
     return Run(history, {k: v[0] for k, v in figures.items()}, {k: v[1] for k, v in figures.items()})
 
 
+SEEDS = pytest.mark.parametrize("seeds", [pytest.param(FEW, id="few"), pytest.param(ALL, id="all", marks=pytest.mark.slow)])
+
 # ---------------------------------------------------------------- what is identified
 
 HIDDEN = (
@@ -117,13 +119,15 @@ HIDDEN = (
     "name", [*(n for n in TRUE if n != "depth"), pytest.param("depth", marks=pytest.mark.xfail(strict=True, reason=HIDDEN))]
 )
 @pytest.mark.parametrize("gyro", GYROS)
-def test_the_power_at_zero_frequency_is_that_of_the_sensor(gyro, name):
+@SEEDS
+def test_the_power_at_zero_frequency_is_that_of_the_sensor(seeds, gyro, name):
     """Median over seeds and axes of S(0) of the last model in force over the true one, within the issue's bars.
 
-    A window of 4000 readings finds ln S(0) of these errors to about 0.4; the median of six is then good to 0.2, and the bars are at 0.5.
+    A window of 4000 readings finds ln S(0) of these errors to about 0.4; the median of three is then good to 0.27 and that of six to 0.2,
+    and the bars are at 0.5.
     """
     level = block_level(TRUE[name].block(1.0 / described(gyro).sensors[name].rate_hz))
-    last = [run_of(gyro, seed).history[name][-1][1] for seed in SEEDS]
+    last = [run_of(gyro, seed).history[name][-1][1] for seed in seeds]
     ratios = [zero_frequency(model) / level for models in last for model in models if model is not None]
     assert len(ratios) >= 0.8 * sum(map(len, last))
     low, high = BARS[gyro]
@@ -131,8 +135,9 @@ def test_the_power_at_zero_frequency_is_that_of_the_sensor(gyro, name):
 
 
 @pytest.mark.parametrize("gyro", GYROS)
-def test_only_stable_invertible_models_that_pass_or_are_flagged_come_into_force(gyro):
-    for seed in SEEDS:
+@SEEDS
+def test_only_stable_invertible_models_that_pass_or_are_flagged_come_into_force(seeds, gyro):
+    for seed in seeds:
         for name, history in run_of(gyro, seed).history.items():
             found = [model for _, models in history for model in models if model is not None]
             assert found or name == "depth"
@@ -145,25 +150,27 @@ def test_only_stable_invertible_models_that_pass_or_are_flagged_come_into_force(
 # ---------------------------------------------------------------- is the filter honest with it
 
 
-def independent_errors(gyro):
+def independent_errors(seeds):
     """Number of independent heading errors of all runs: they are correlated over two to three minutes (compass against gyro)."""
-    return len(SEEDS) * (DURATION_S - SCORED_S) / 300.0
+    return len(seeds) * (DURATION_S - SCORED_S) / 300.0
 
 
 @pytest.mark.parametrize("label", ["forward", "smoothed"])
 @pytest.mark.parametrize("gyro", GYROS)
-def test_heading_is_honest_across_adoptions(gyro, label):
+@SEEDS
+def test_heading_is_honest_across_adoptions(seeds, gyro, label):
     """Mean NEES within the 99.9 % range of chi-square with as many independent errors as there are."""
-    freedom = independent_errors(gyro)
+    freedom = independent_errors(seeds)
     low, high = chi2.ppf([0.0005, 0.9995], freedom) / freedom
-    values = [run_of(gyro, seed).nees[label] for seed in SEEDS]
+    values = [run_of(gyro, seed).nees[label] for seed in seeds]
     assert low < np.mean(values) < high, np.round(values, 2)
 
 
 @pytest.mark.parametrize("gyro", GYROS)
-def test_heading_is_nearly_that_of_the_filter_that_knows_the_truth(gyro):
-    """The issue asks for 5 % over fifty seeds; over six, the two rms differ by 10 % by chance (each follows other errors), so 1.25."""
-    ours, oracle = (math.sqrt(np.mean([run_of(gyro, seed).squared[label] for seed in SEEDS])) for label in ("forward", "oracle"))
+@SEEDS
+def test_heading_is_nearly_that_of_the_filter_that_knows_the_truth(seeds, gyro):
+    """The issue asks for 5 % over fifty seeds; over three, the two rms differ by 14 % by chance (each follows other errors), so 1.25."""
+    ours, oracle = (math.sqrt(np.mean([run_of(gyro, seed).squared[label] for seed in seeds])) for label in ("forward", "oracle"))
     assert ours < 1.25 * oracle
 
 
@@ -223,12 +230,12 @@ def test_a_model_that_no_filter_should_believe_is_not_adopted(why):
     """Before a good one the prior stays, after it the last good one."""
     vehicle = described("tactical").with_error(compass=nf.LearnedArma(prior=BELIEF["compass"]))
     nav = nf.Navigator(vehicle, mission_of("tactical", 0).start)
-    listener = nav.learning.listeners["compass"]
+    listener = nav.learning.listeners.get("compass")
     listener.learners = (Says(REFUSED[why], GOOD, REFUSED[why]),)
-    assert listener.learn() is None and learned_part(listener.memory.models[0]).model is None
-    (first,) = listener.learn()
+    assert listener.learn(0.0) is None and learned_part(listener.models[0]).model is None
+    (first,) = listener.learn(0.0)
     assert learned_part(first).model.ar == pytest.approx(GOOD.ar)
-    assert listener.learn() is None and listener.memory.models == (first,)
+    assert listener.learn(0.0) is None and listener.models == (first,)
 
 
 def test_fall_back_is_the_last_good_model_and_then_gauss_markov():
@@ -258,9 +265,8 @@ def test_live_in_blocks_and_replayed_are_the_same_bits_while_all_sensors_are_lea
     single, blocks = nf.Navigator(vehicle, mission.start), nf.Navigator(vehicle, mission.start, history_s=0.5)
     one_by_one(single, events)
     in_blocks(blocks, events, np.random.default_rng(1))
-    assert single.counts["adopted"] > len(TRUE) and blocks.counts == single.counts
-    for name in ("nav", "x", "P"):
-        np.testing.assert_array_equal(getattr(blocks.filter, name), getattr(single.filter, name), err_msg=name)
+    assert single.counts["adopted"] > len(TRUE)
+    same_runs.assert_same_bits(single, blocks)
     track = nf.replay(vehicle, mission, output_rate_hz=None)
     assert track.time_s[-1] == single.state.time_s
     np.testing.assert_array_equal(track.velocity_n[-1], single.state.velocity_n)

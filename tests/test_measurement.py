@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 from gsw import p_from_z
-from test_kernels_twins import random_nav, readings
+from kernel_inputs import random_nav, readings
 
 import navfilter as nf
 from navfilter.kernels import measurement

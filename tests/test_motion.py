@@ -128,7 +128,7 @@ def integrate(motion, rate_hz, increments):
     """Largest errors (position n m, velocity m/s, attitude rad) of the python-ins integrator along the motion."""
     if os.environ.get("NUMBA_DISABLE_JIT", "0") != "0":
         pytest.skip("the integrator's loop takes minutes without the compiler")
-    strapdown = pytest.importorskip("pyins.strapdown")
+    strapdown = pytest.importorskip("pyins.strapdown", reason="install python-ins to run this test")
     t, gyro, accel = motion.inertial(rate_hz, increments=increments)
     if increments:
         # python-ins wants one sample more in front; at rest it equals the first

@@ -6,6 +6,8 @@ import pickle
 
 import numpy as np
 import pytest
+import same_runs
+from feeding import DRIVE, Event, one_by_one
 
 import navfilter as nf
 from navfilter.filter.smoother import smooth_rows
@@ -40,13 +42,17 @@ def reckoning():
     return nf.Vehicle(nf.DeadReckoning(rate_hz=4.0, attitude=attitude, velocity=nf.BodyVelocity(rate_hz=4.0, scale_sd=0.01)), kept)
 
 
+def inertial_drive(nav):
+    return isinstance(nav.vehicle.drive, nf.Imu)
+
+
 VEHICLES = {"inertial": inertial, "reckoning": reckoning}
 
 
 def sound(nav):
     """No NaN anywhere, a rotation for attitude, a symmetric positive covariance."""
     state, P = nav.state, nav.filter.P
-    assert all(np.isfinite(values).all() for values in (nav.filter.nav, nav.filter.x, P, state.covariance))
+    assert all(np.isfinite(array).all() for array in (nav.filter.nav, nav.filter.x, P, state.covariance))
     np.testing.assert_allclose(state.C_nb @ state.C_nb.T, np.eye(3), atol=1e-9)
     np.testing.assert_array_equal(P, P.T)
     sd = np.sqrt(np.maximum(np.diag(P), 1e-300))
@@ -58,7 +64,7 @@ def sound(nav):
 def run(nav, until_s, begin_s=0.0):
     rate = nav.vehicle.drive.rate_hz
     times = np.arange(round(begin_s * rate) + 1, round(until_s * rate) + 1) / rate
-    first, second = LEVEL if nav.filter.inertial else CRUISE
+    first, second = LEVEL if inertial_drive(nav) else CRUISE
     nav.step(times, np.tile(first, (len(times), 1)), np.tile(second, (len(times), 1)))
 
 
@@ -189,11 +195,11 @@ def test_widening_with_a_missing_height_invents_no_reading():
 
 
 def test_bad_samples_of_the_drive_are_repaired_or_dropped_and_counted(nav):
-    first, second = LEVEL if nav.filter.inertial else CRUISE
+    first, second = LEVEL if inertial_drive(nav) else CRUISE
     period = nav.vehicle.drive.period_s
     nav.step(2.0 + period, [math.nan, 0, 0], second)
     nav.step(2.0 + 2 * period, first, [0, math.inf, 0])
-    assert nav.counts["bad-sample"] == (2 if nav.filter.inertial else 1)  # a lost velocity is no defect of dead reckoning
+    assert nav.counts["bad-sample"] == (2 if inertial_drive(nav) else 1)  # a lost velocity is no defect of dead reckoning
     nav.step(2.0 + 2 * period, first, second)  # duplicate
     nav.step(1.0, first, second)  # backward
     nav.step(math.nan, first, second)
@@ -206,7 +212,7 @@ def test_bad_samples_of_the_drive_are_repaired_or_dropped_and_counted(nav):
     block[2, 2] = math.nan
     nav.step_samples(block)
     assert nav.counts["backward"] == 6 and nav.time_s == 2.0 + 13 * period
-    assert nav.counts["bad-sample"] == (3 if nav.filter.inertial else 2)
+    assert nav.counts["bad-sample"] == (3 if inertial_drive(nav) else 2)
     sound(nav)
 
 
@@ -237,7 +243,7 @@ def test_absurd_values_leave_no_nan(nav):
 
 @pytest.mark.parametrize("jump_s", [30.0, 3600.0, 1e6, 1.7e9])
 def test_a_jump_of_the_clock_leaves_no_nan(nav, jump_s):
-    first, second = LEVEL if nav.filter.inertial else CRUISE
+    first, second = LEVEL if inertial_drive(nav) else CRUISE
     nav.step(2.0 + jump_s, first, second)
     sound(nav)
     run(nav, 3.0, 2.0)
@@ -271,11 +277,11 @@ def test_nothing_uncertain_is_no_division_by_zero():
 
 
 def noisy_mission(nav, seconds, seed, defects=0.0):
-    """Events (time, name, value or sample) of a wandering vehicle; a share of them is rubbish."""
+    """Events of a wandering vehicle; a share of them is rubbish."""
     rng, rate = np.random.default_rng(seed), nav.vehicle.drive.rate_hz
-    base = np.concatenate(LEVEL if nav.filter.inertial else CRUISE)
-    spread = np.array([0.02] * 3 + [0.05] * 3) if nav.filter.inertial else np.array([0.01] * 3 + [0.03] * 3)
-    events = [(k / rate, "drive", base + spread * rng.normal(size=6)) for k in range(1, int(seconds * rate) + 1)]
+    base = np.concatenate(LEVEL if inertial_drive(nav) else CRUISE)
+    spread = np.array([0.02] * 3 + [0.05] * 3) if inertial_drive(nav) else np.array([0.01] * 3 + [0.03] * 3)
+    events = [(k / rate, DRIVE, base + spread * rng.normal(size=6)) for k in range(1, int(seconds * rate) + 1)]
     place = START.state
     for name, sensor in nav.vehicle.sensors.items():
         for k in range(1, int(seconds * sensor.rate_hz)):
@@ -292,15 +298,11 @@ def noisy_mission(nav, seconds, seed, defects=0.0):
         else:
             time_s = rng.choice([math.nan, time_s - 1.0, time_s, time_s + 0.05, -1.0, time_s + 3.0])
         events[k] = time_s, name, value
-    return events
+    return [Event(name, time_s, value, time_s, time_s) for time_s, name, value in events]
 
 
 def feed(nav, events):
-    for time_s, name, value in events:
-        if name == "drive":
-            nav.step(time_s, value[:3], value[3:])
-        else:
-            assert nav.correct(name, time_s, value).status in OUTCOMES
+    assert {outcome.status for outcome in one_by_one(nav, events)} <= set(OUTCOMES)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -311,7 +313,7 @@ def test_rubbish_leaves_no_nan_anywhere(build, seed):
     feed(nav, events)
     sound(nav)
     residuals = nav.filter.tape.residuals()
-    assert sum(len(r.time_s) for r in residuals.values()) == sum(name != "drive" for _, name, _ in events)
+    assert sum(len(r.time_s) for r in residuals.values()) == sum(event.sensor != DRIVE for event in events)
     smoothed = []
     smooth_rows(nav.filter.tape, lambda i, row, mean, cov: smoothed.append(np.isfinite(mean).all() and np.isfinite(cov).all()))
     assert smoothed and all(smoothed)
@@ -330,7 +332,7 @@ def test_covariance_stays_positive_for_twelve_hours(build):
     nav = nf.Navigator(build(), START)
     for hour in range(12):
         events = noisy_mission(nav, 3600.0, hour)
-        feed(nav, [(time_s + 3600.0 * hour, name, value) for time_s, name, value in events])
+        feed(nav, [event._replace(time_s=event.time_s + 3600.0 * hour) for event in events])
         sound(nav)
 
 
@@ -340,8 +342,8 @@ def test_blocks_and_single_samples_agree_bit_for_bit(build):
     events = noisy_mission(single, 20.0, 5, defects=0.02)
     feed(single, events)
     waiting = []
-    for time_s, name, value in [*events, (None, None, None)]:
-        if name == "drive":
+    for name, time_s, value, *_ in [*events, Event("", None, None, 0.0, 0.0)]:
+        if name == DRIVE:
             waiting.append([time_s, *value])
             continue
         if waiting:
@@ -349,10 +351,7 @@ def test_blocks_and_single_samples_agree_bit_for_bit(build):
             waiting = []
         if name:
             blocks.correct(name, time_s, value)
-    np.testing.assert_array_equal(single.filter.nav, blocks.filter.nav)
-    np.testing.assert_array_equal(single.filter.P, blocks.filter.P)
-    np.testing.assert_array_equal(single.filter.x, blocks.filter.x)
-    assert single.counts == blocks.counts
+    same_runs.assert_same_bits(single, blocks)
     assert single.filter.tape.row_times == blocks.filter.tape.row_times
     assert len(single.filter.tape.records) == len(blocks.filter.tape.records)
 

@@ -116,7 +116,7 @@ values = st.one_of(
 )
 
 
-@settings(max_examples=60, deadline=None, derandomize=True)
+@settings(max_examples=60)
 @given(
     st.lists(st.tuples(values, st.integers(1, 120)), min_size=1, max_size=8),
     st.integers(0, 3),

@@ -22,7 +22,7 @@ from navfilter.io.tables import TableOptions, read_table
 from navfilter.mission import Mission, MissionError, Stream
 
 # One folder serves all examples of a test: each example overwrites its files.
-QUICK = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+QUICK = settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 NAMES = [".csv", ".csv.gz", ".csv.xz", ".dat", ".npy", ".npz", ".mat"]
 FINITE = st.floats(-1e12, 1e12)
 

@@ -9,7 +9,7 @@ import pyins.sim
 import pyins.strapdown
 import pytest
 from geographiclib.geodesic import Geodesic
-from test_kernels_twins import imu_samples, random_drive, random_nav
+from kernel_inputs import imu_samples, random_drive, random_nav
 
 import navfilter as nf
 from navfilter.kernels import strapdown

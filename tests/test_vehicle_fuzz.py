@@ -27,7 +27,7 @@ from navfilter.service.protocol import Lines, to_line
 from navfilter.start import Start
 from navfilter.vehicle import RESERVED, Vehicle
 
-QUICK = settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
+QUICK = settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 
 
 # --- any vehicle ------------------------------------------------------------------------------------------------------

@@ -1,0 +1,81 @@
+"""Random input for kernels, and runs of a kernel beside its readable twin in `naive`."""
+
+import naive
+import numpy as np
+
+from navfilter.kernels import measurement, strapdown
+from navfilter.state import matrix_from_euler
+
+
+def assert_close(actual, expected, rtol=1e-11):
+    for a, b in zip(actual, expected, strict=True):
+        a, b = np.asarray(a), np.asarray(b)
+        assert a.shape == b.shape
+        finite = np.abs(b[np.isfinite(b)])
+        np.testing.assert_allclose(a, b, rtol=0, atol=rtol * max(finite.max(initial=0.0), 1e-300))
+
+
+def run_both(kernel, *args):
+    """Run kernel and twin on copies of the arguments; returns both sets of arguments afterwards."""
+    twin = getattr(naive, kernel.__name__)
+    results = []
+    for function in (kernel, twin):
+        copies = [a.copy() if isinstance(a, np.ndarray) else a for a in args]
+        value = function(*copies)
+        results.append((value, copies))
+    assert results[0][0] == results[1][0] or results[0][0] is None
+    return results[0][1], results[1][1]
+
+
+def spd(rng, n, scale=1.0):
+    A = rng.normal(size=(n, n + 3))
+    return scale * (A @ A.T) / n
+
+
+def random_nav(rng):
+    lat, h = rng.uniform(-1.2, 1.2), rng.uniform(-3000.0, 500.0)
+    C = matrix_from_euler(*rng.uniform([-0.6, -0.6, -3.1], [0.6, 0.6, 3.1]))
+    meridian, prime = naive.radii(lat)
+    return np.concatenate([[lat, rng.uniform(-3, 3), h], rng.normal(scale=3.0, size=3), C.ravel(), [meridian + h, prime + h]])
+
+
+def random_drive(rng, k, **settings):
+    drv = np.zeros(strapdown.DRIVE_SIZE)
+    drv[strapdown.PERIOD_S], drv[strapdown.HOLD_DENSITY] = 0.01, 0.1
+    drv[strapdown.GAP_RATE_SD], drv[strapdown.GAP_FORCE_SD] = 0.05, 0.3
+    drv[strapdown.DEVIATION] = drv[strapdown.SCALE] = -1
+    drv[strapdown.MOUNTING : strapdown.MOUNTING + 9] = matrix_from_euler(0.1, -0.2, 0.7).ravel()
+    drv[strapdown.MAX_SPEED], drv[strapdown.ZERO_IS_VALID] = 20.0, 0.0
+    for name, value in settings.items():
+        at = getattr(strapdown, name)
+        drv[at : at + np.size(value)] = value
+    Phid, Qd, Cr = 0.5 * rng.normal(size=(k, k)) / max(k, 1), spd(rng, k, 1e-6), 0.1 * rng.normal(size=(6, k + 1))
+    Cr[:, k] = rng.uniform(0.5, 2.0, 6) * 1e-4
+    acc = np.vstack([np.eye(9 + k), np.zeros((3 * (9 + k), 9 + k))])
+    return drv, 0.02 * rng.normal(size=k), Phid, Qd, Cr, acc
+
+
+def imu_samples(rng, n, increments=False):
+    samples = np.column_stack([np.full(n, 0.01), 0.3 * rng.normal(size=(n, 3)), rng.normal(loc=(0.0, 0.0, -9.8), size=(n, 3))])
+    samples[:, 0] += rng.uniform(-0.003, 0.003, n)
+    if n > 3:
+        samples[n // 2, 0] = 0.046  # a gap: five ticks, and what happened unseen
+    samples[:, 1:] *= 0.01 if increments else 1.0
+    return samples
+
+
+def readings(rng, nav):
+    """One reading per measurement kernel: kernel, reading, constants, numbers of parameters, axes."""
+    mounted = np.concatenate([[0.5, -0.2, 0.3], matrix_from_euler(0.1, -0.2, 0.7).ravel()])
+    place = np.array([nav[0] + 2e-6, nav[1] - 3e-6, nav[2] + 4.0])
+    return [
+        (measurement.body_velocity, rng.normal(size=3), mounted, (0, 4), 3),
+        (measurement.water_velocity, rng.normal(size=3), mounted, (2, 6), 3),
+        (measurement.heading, np.array([2.5, 11.0]), np.array([0.1, 20.0]), (0, 6), 1),
+        (measurement.heading, np.array([-2.5, np.nan]), np.array([0.1, 20.0]), (6,), 1),
+        (measurement.magnetometer, np.array([24.0, 7.0, 30.0, 25.0]), np.array([0.1, 20.0]), (0, 6), 1),
+        (measurement.depth, np.array([12.0]), np.array([0.5, -0.2, 0.3, 2.0]), (0, 1), 1),
+        (measurement.position, place, np.array([0.5, -0.2, 0.3]), (0,), 3),
+        (measurement.position, np.array([nav[0], nav[1] + 2 * np.pi, np.nan]), np.array([0.5, -0.2, 0.3]), (0,), 3),
+        (measurement.velocity, rng.normal(size=3), np.zeros(1), (0,), 3),
+    ]
