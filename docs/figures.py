@@ -1,4 +1,4 @@
-"""The figure of the README and the start page, as the demonstration drew it: ``navfilter demo && python docs/figures.py``."""
+"""The figure of the README, as the demonstration drew it: ``navfilter demo && python docs/figures.py``."""
 
 import base64
 import re
