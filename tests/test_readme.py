@@ -170,8 +170,10 @@ def test_every_command_is_one():
         "vehicle",
         "warmup",
     } - {"warmup"}
-    for command in commands():
+    in_tables = [shlex.split(text) for text in re.findall(r"`(navfilter montecarlo [^`]+)`", PAGES["README.md"])]
+    for command in [*commands(), *in_tables]:
         if command[1] == "montecarlo" and "--scenario" in command:
+            parser.parse_args(command[1:])
             assert command[command.index("--scenario") + 1] in STUDIES
 
 
