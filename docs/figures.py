@@ -5,7 +5,7 @@ import re
 from pathlib import Path
 
 PAGE = Path("navfilter-demo/comparison/report.html")
-FIGURE = Path(__file__).parent / "pages" / "demo.svg"
+FIGURE = Path(__file__).with_name("demo.svg")
 
 if __name__ == "__main__":
     section = PAGE.read_text(encoding="utf-8").split("<h2>Error against 1 sigma</h2>")[1]

@@ -212,6 +212,13 @@ def test_who_acts_stands_in_the_file_that_is_named():
     assert {path for path in named if not (PACKAGE / path).exists()} == set()
 
 
+def test_the_lines_that_join_filter_and_learning_are_the_codes_own():
+    shown = re.search(r"^```python\n(.*?)^```", text_of("how-it-is-built.md"), flags=re.M | re.S).group(1)
+    lines = [line.strip() for line in (PACKAGE / "navigator.py").read_text(encoding="utf-8").splitlines()]
+    first, *rest = [line.strip() for line in shown.splitlines()]
+    assert [first, *rest] in [lines[i : i + 1 + len(rest)] for i, line in enumerate(lines) if line == first]
+
+
 def test_the_reference_has_every_public_name():
     shown = {
         path.rsplit(".", 1)[1]
