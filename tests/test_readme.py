@@ -1,4 +1,4 @@
-"""The README works when copied."""
+"""README and manual work when copied: their commands, scripts and snippets run here."""
 
 import contextlib
 import json
@@ -15,27 +15,41 @@ import pytest
 
 import navfilter as nf
 from navfilter.cli import _parser, main
+from navfilter.commands.replay import save
 from navfilter.io import read_vehicle
 from navfilter.io.json_lines import LineParser, Reading
 from navfilter.service.session import Options, Session
 from navfilter.simulation.campaigns import STUDIES
+from navfilter.simulation.scenarios import simulate_scenario
 
 ROOT = Path(__file__).parent.parent
-README = (ROOT / "README.md").read_text(encoding="utf-8")
+PAGES = {
+    path.name: path.read_text(encoding="utf-8")
+    for path in (ROOT / "README.md", *sorted((ROOT / "docs" / "pages").rglob("*.md")))
+}
 
 
-def blocks(language):
-    return re.findall(rf"^```{language}\n(.*?)^```", README, flags=re.MULTILINE | re.DOTALL)
+def blocks(language, page=None):
+    """Code blocks of a language, of one page or of all."""
+    pages = PAGES.values() if page is None else [PAGES[page]]
+    return [
+        block
+        for text in pages
+        for block in re.findall(rf"^```{language}\n(.*?)^```", text, flags=re.MULTILINE | re.DOTALL)
+    ]
 
 
-def the_block(start, language="python"):
-    return next(block for block in blocks(language) if block.startswith(start))
+def the_block(page, start="", language="python"):
+    """The one block of a page that begins so."""
+    (found,) = [block for block in blocks(language, page) if block.startswith(start)]
+    return found
 
 
-def commands():
-    """Every navfilter command of the README, as lists of words."""
-    lines = [line for block in blocks("sh") for line in block.splitlines()]
-    lines += [re.sub(r".*?ExecStart=\S*/", "", line) for block in blocks("ini") for line in block.splitlines() if "ExecStart" in line]
+def commands(page=None):
+    """Every navfilter command, of one page or of all, as lists of words."""
+    lines = [line for block in blocks("sh", page) for line in block.splitlines()]
+    of_services = [line for block in blocks("ini", page) for line in block.splitlines() if "ExecStart" in line]
+    lines += [re.sub(r".*?ExecStart=\S*/", "", line) for line in of_services]
     parts = [part.strip() for line in lines for part in re.split(r"&&|\s#|[<>]", line)]
     return [shlex.split(part) for part in parts if part.startswith("navfilter ")]
 
@@ -46,15 +60,15 @@ def run(command, capsys):
 
 @pytest.fixture(scope="module")
 def dive(tmp_path_factory):
-    """A folder in which the example mission has been written as the README says."""
+    """A folder in which the example mission has been written as the manual says."""
     folder = tmp_path_factory.mktemp("readme")
     with contextlib.chdir(folder):
-        Path("make_example.py").write_text(the_block("# make_example.py"))
+        Path("make_example.py").write_text(the_block("replay.md", "# make_example.py"))
         runpy.run_path("make_example.py")
         for block in blocks("toml"):
             if named := re.match(r"# (\S+?\.toml):", block):
                 Path(named.group(1)).write_text(block)
-        script = the_block("# lines.py")
+        script = the_block("on-board.md", "# lines.py")
         exec(compile(script, "lines.py", "exec"), {})
     return folder
 
@@ -67,14 +81,14 @@ def here(dive, monkeypatch):
 
 def test_the_example_mission_works_when_copied(here, capsys):
     assert {path.name for path in Path("dive_042").iterdir()} >= {"mission.toml", "vehicle.toml", "imu.csv"}
-    first = [command for command in commands() if command[1] in ("check", "replay")][:2]
+    first = [command for command in commands("replay.md") if command[1] in ("check", "replay")][:2]
     assert [command[1] for command in first] == ["check", "replay"]
     for command in first:
         run(command, capsys)
     summary = json.loads(Path("result/summary.json").read_text())
     assert list(summary["runs"]) == ["forward", "smoothed"] and summary["distance_m"] > 500
     used = summary["runs"]["smoothed"]["used"]
-    # A hundred readings of the DVL are the sentinel; nearly all others must be used, or the example teaches something wrong.
+    # A hundred readings of the DVL are the sentinel; nearly all others must be used, or the example misleads.
     assert used["dvl"] > 2100 and used["compass"] > 4500 and used["depth"] > 550
     # The example describes the vehicle as it was simulated, so every NIS must be near 1 (sd of the depth's mean: 0.06).
     assert all(0.8 < nis < 1.2 for nis in summary["runs"]["smoothed"]["nis"].values())
@@ -88,7 +102,7 @@ def test_vehicle_commands_and_iterate_work_when_copied(here, capsys):
         if command[1] == "vehicle":
             run(command, capsys)
     assert "Nothing looks wrong" in capsys.readouterr().out
-    edit = re.search(r"^sed 's/(.*?)/(.*)/' (\S+) > (\S+)$", README, flags=re.MULTILINE)
+    edit = re.search(r"^sed 's/(.*?)/(.*)/' (\S+) > (\S+)$", PAGES["replay.md"], flags=re.MULTILINE)
     changed, count = re.subn(edit.group(1), edit.group(2), Path(edit.group(3)).read_text(), flags=re.MULTILINE)
     assert count == 1
     Path(edit.group(4)).write_text(changed)
@@ -108,7 +122,9 @@ def test_the_live_loop_works_when_copied(here, capsys):
     states = []
     # two minutes of the readings are as good as ten
     readings = b"".join(
-        line for line in Path("readings.jsonl").read_bytes().splitlines(keepends=True) if json.loads(line)["time_s"] < 120.0
+        line
+        for line in Path("readings.jsonl").read_bytes().splitlines(keepends=True)
+        if json.loads(line)["time_s"] < 120.0
     )
     for command in live:
         done = subprocess.run([sys.executable, "-m", *command], input=readings, capture_output=True, timeout=600)
@@ -124,7 +140,10 @@ def test_json_lines_are_what_is_read_and_written(here):
     vehicle = read_vehicle("dive_042")
     parser = LineParser(vehicle)
     assert all(isinstance(parser.parse(line.encode()), Reading) for line in said.splitlines())
-    out, session = [], Session(vehicle, Options(), lambda line, is_state: out.append(json.loads(line)) if is_state else None)
+    out, session = (
+        [],
+        Session(vehicle, Options(), lambda line, is_state: out.append(json.loads(line)) if is_state else None),
+    )
     with open("readings.jsonl", "rb") as readings:
         for line, _ in zip(readings, range(2000), strict=False):
             session.feed(parser.parse(line))
@@ -139,30 +158,58 @@ def test_every_command_is_one():
         if "--list" not in command:
             parser.parse_args(command[1:])
         seen.add(command[1])
-    assert seen == {"demo", "check", "replay", "run", "compare", "montecarlo", "identify", "simulate", "vehicle", "warmup"} - {"warmup"}
-    for command in commands():
+    (known,) = [action.choices for action in parser._actions if isinstance(action.choices, dict)]
+    assert seen == set(known) - {"warmup"}
+    in_tables = [shlex.split(text) for text in re.findall(r"`(navfilter montecarlo [^`]+)`", PAGES["README.md"])]
+    for command in [*commands(), *in_tables]:
         if command[1] == "montecarlo" and "--scenario" in command:
+            parser.parse_args(command[1:])
             assert command[command.index("--scenario") + 1] in STUDIES
 
 
 def test_scenarios_of_campaigns_are_those_of_the_table():
-    section = README.split("## Campaigns")[1].split("## ")[0]
+    section = PAGES["compare.md"].split("## Campaigns")[1].split("### ")[0]
     assert set(re.findall(r"^\| `([a-z0-9-]+)` \|", section, flags=re.MULTILINE)) == set(STUDIES)
 
 
-def test_the_python_of_replay_learning_and_comparison_works(here, capsys):
+def test_the_python_of_the_readme_works(here, capsys):
+    """On ten minutes of the demonstration: enough for a first model, and the beginning is run again with it."""
+    vehicle, mission = simulate_scenario("demo", 1, 600.0)
+    Path("navfilter-demo").mkdir()
+    save(vehicle, mission, Path("navfilter-demo/mission.npz"), Path("navfilter-demo/vehicle.toml"))
+    names = {}
+    exec(the_block("README.md"), names)
+    assert Path("track.csv").exists() and names["track"].adopted()["compass"][0]["time_s"] < 1.0
+    assert "prediction error" in capsys.readouterr().out
+
+
+def test_the_python_of_the_manual_works(here):
     names = {"nf": nf}
-    for start in ("import navfilter as nf\n\nmission", "learning = vehicle", "gm1 = vehicle"):
-        exec(the_block(start), names)
-    assert Path("track.csv").exists()
-    # ten minutes are enough for a first model, and the beginning is run again with it
-    assert names["track"].adopted()["compass"][0]["time_s"] < 1.0
+    exec(the_block("replay.md", "import navfilter as nf\n\nmission"), names)
+    exec(the_block("learning.md"), names)
+    assert "LearnedArma" in str(names["beside"].sensors["compass"].error)
 
 
 def test_the_vehicle_in_code_is_valid():
-    names = {"nf": nf}
-    exec(the_block("vehicle = nf.Vehicle("), names)
-    assert list(names["other"].sensors) == ["compass", "dvl", "gps"] and names["other"].sensors["compass"].error.order == 2
+    names = {}
+    exec(the_block("index.md"), names)
+    assert (
+        list(names["other"].sensors) == ["compass", "dvl", "gps"] and names["other"].sensors["compass"].error.order == 2
+    )
+
+
+def test_the_sensor_for_water_track_can_be_added(here):
+    Path("water.toml").write_text(
+        Path("dive_042/vehicle.toml").read_text() + the_block("vehicle-toml.md", "[sensors.water]", "toml")
+    )
+    assert read_vehicle("water.toml").sensors["water"].current_sd_m_s == pytest.approx(0.3)
+
+
+def test_the_estimators_alone_work_when_copied():
+    """On a tenth of the samples, and on fewer orders."""
+    names = {}
+    exec(the_block("identify.md").replace("20_000", "2_000").replace("max_p=4, max_q=4", "max_p=2, max_q=1"), names)
+    assert names["table"].best == (2, 1)
 
 
 def test_the_embedding_loop_works_when_copied(here):
@@ -178,7 +225,7 @@ def test_the_embedding_loop_works_when_copied(here):
         "publish": published.append,
         "every_ten_seconds": lambda: len(published) % 1000 == 0,
     }
-    exec(the_block("nf.warm_up()"), names)
+    exec(the_block("on-board.md", "nf.warm_up()"), names)
     # the late reading of the depth has taken its place and is not complained about; the sonar is
     assert [what[1] for what in said] == ["unknown-sensor"]
     assert published[-1].health.sensors["depth"].outcomes["late-replayed"] >= 1
@@ -186,28 +233,23 @@ def test_the_embedding_loop_works_when_copied(here):
     assert restored.state.time_s > 0
 
 
-def test_every_file_of_the_map_exists():
-    section = README.split("## How it is built")[1]
-    tree = re.search(r"^```\n(.*?)^```", section, flags=re.MULTILINE | re.DOTALL).group(1)
-    for name in re.findall(r"\b(\w+\.py)\b", tree):
-        assert any((ROOT / folder / name).exists() for folder in ("navfilter", "navfilter/io", "navfilter/arma", "tests")), name
+def benchmarks():
+    """The scripts among the benchmarks."""
+    return {
+        path.stem for path in (ROOT / "benchmarks").glob("*.py") if '"__main__"' in path.read_text(encoding="utf-8")
+    }
 
 
-def test_the_map_has_every_module():
-    section = README.split("## How it is built")[1]
-    tree = re.search(r"^```\n(.*?)^```", section, flags=re.MULTILINE | re.DOTALL).group(1)
-    package = ROOT / "navfilter"
-    modules = {path.name for path in package.glob("*.py")} - {"__init__.py"}
-    folders = {f"{path.name}/" for path in package.iterdir() if (path / "__init__.py").exists()}
-    assert {name for name in modules | folders if not re.search(rf"(?<!\w){re.escape(name)}", tree)} == set()
+def test_every_benchmark_that_a_page_names_can_be_run():
+    named = {name for text in PAGES.values() for name in re.findall(r"python benchmarks/(\w+)\.py", text)}
+    assert named and named - benchmarks() == set()
 
 
 def test_the_table_has_every_benchmark():
-    listed = set(re.findall(r"^\| `(\w+)`[ (*)]* \|", README.split("## Benchmarks")[1].split("## ")[0], flags=re.MULTILINE))
-    scripts = {path.stem for path in (ROOT / "benchmarks").glob("*.py") if "__main__" in path.read_text(encoding="utf-8")}
-    assert listed == scripts
+    table = PAGES["benchmarks.md"].split("\n## ")[0]
+    assert set(re.findall(r"^\| `(\w+)`[ (*)]* \|", table, flags=re.MULTILINE)) == benchmarks()
 
 
 def test_names_of_the_face_exist():
-    for name in set(re.findall(r"\bnf\.([A-Za-z_]\w*)", README)):
+    for name in {name for text in PAGES.values() for name in re.findall(r"\bnf\.([A-Za-z_]\w*)", text)}:
         assert hasattr(nf, name), name
