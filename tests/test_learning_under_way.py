@@ -23,6 +23,7 @@ from navfilter.learning.drift import Drift
 from navfilter.learning.learned import DEFAULT_ORDERS, learned_part
 from navfilter.learning.learner import Learner
 from navfilter.learning.low_frequency import block_level, zero_frequency
+from navfilter.learning.schedule import LearningSchedule
 from navfilter.simulation.campaigns import STUDIES, stage
 from navfilter.simulation.faults import Faults
 from navfilter.simulation.manoeuvres import Lawnmower

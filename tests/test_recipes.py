@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-PAGE = (Path(__file__).parent.parent / "docs" / "recipes.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parent.parent / "docs" / "pages" / "recipes.md").read_text(encoding="utf-8")
 
 
 @pytest.fixture(scope="module")
