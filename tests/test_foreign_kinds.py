@@ -220,7 +220,6 @@ def test_the_sensor_is_learnt():
     assert 0.3 < level < 3.0
 
 
-@pytest.mark.xfail(strict=False, reason="snapshot.MODELS is a closed list until error models are found by subclass")
 def test_snapshot_and_restore(dive):
     vehicle, mission, _ = dive
     times, values = drive_samples(vehicle, mission)
