@@ -18,13 +18,14 @@ from navfilter.error_models import Block, ErrorModel, block_level
 from navfilter.filter.layout import Parameter
 from navfilter.io import write_vehicle
 from navfilter.io.geodesy import ecef_from_geodetic
+from navfilter.io.vehicle_template import vehicle_template
 from navfilter.kernels import listen
 from navfilter.learning.drift import Drift
 from navfilter.learning.learned import learned_part
 from navfilter.playback import drive_samples
 from navfilter.report.report import render_report
 from navfilter.sensors import Sensor
-from navfilter.sensors.traits import Columns, Plausible
+from navfilter.sensors.traits import Columns, Example, Plausible
 from navfilter.service.log import LOG_FILE, prepare_log
 from navfilter.service.session import Options
 from navfilter.simulation.faults import Faults
@@ -275,3 +276,24 @@ def test_a_parameter_without_unit_or_with_a_wrong_sd_is_named(dive, monkeypatch,
     monkeypatch.setattr(BeaconRange, "parameters", lambda self: (wrong,))
     with pytest.raises(ValueError, match=message):
         nf.Navigator(vehicle, mission.start)
+
+
+@pytest.mark.parametrize(
+    ("group", "message"),
+    [("depth", 'two kinds of sensors mean different columns by "depth"'), ("file", '"file" is a key of every source')],
+)
+def test_a_group_of_columns_that_means_something_else_is_refused(monkeypatch, tmp_path, group, message):
+    monkeypatch.setattr(BeaconRange, "contents", ((Columns(group, ("other_m",), ("length",)),),))
+    (tmp_path / "mission.toml").write_text("")
+    with pytest.raises(ValueError, match=message):
+        nf.read_mission(tmp_path)
+
+
+def test_a_kind_that_brings_an_example_stands_in_the_template(monkeypatch, tmp_path):
+    example = Example("beacon", "Distance to a beacon.", 2, ('error = {model = "swing", sd = 0.3, swing_s = 10, tau_s = 60}',))
+    monkeypatch.setattr(BeaconRange, "template", example)
+    text = vehicle_template("imu")
+    assert "# Distance to a beacon.\n[sensors.beacon]" in text and "#beacon_height_m = 0.0" in text
+    (tmp_path / "vehicle.toml").write_text(text)
+    sensor = nf.read_vehicle(tmp_path).sensors["beacon"]
+    assert sensor == BeaconRange(rate_hz=2, error=Swing(sd=0.3, swing_s=10, tau_s=60))
