@@ -1,4 +1,4 @@
-"""A sensor and an error model that nobody here knows go through everything, from vehicle.toml to what is learnt of them."""
+"""A sensor and an error model that nobody here knows go through everything, from vehicle.toml to learning."""
 
 import itertools
 import json
@@ -18,13 +18,14 @@ from navfilter.error_models import Block, ErrorModel, block_level
 from navfilter.filter.layout import Parameter
 from navfilter.io import write_vehicle
 from navfilter.io.geodesy import ecef_from_geodetic
+from navfilter.io.vehicle_template import vehicle_template
 from navfilter.kernels import listen
 from navfilter.learning.drift import Drift
 from navfilter.learning.learned import learned_part
 from navfilter.playback import drive_samples
 from navfilter.report.report import render_report
 from navfilter.sensors import Sensor
-from navfilter.sensors.traits import Columns, Plausible
+from navfilter.sensors.traits import Columns, Example, Plausible
 from navfilter.service.log import LOG_FILE, prepare_log
 from navfilter.service.session import Options
 from navfilter.simulation.faults import Faults
@@ -34,7 +35,8 @@ from navfilter.simulation.scenarios import SCENARIOS
 from navfilter.simulation.simulate import StartErrors, simulate, tiny_missions
 
 
-# --- a sensor: the distance to a beacon, with an unknown offset -----------------------------------------------------------------------
+# --- a sensor: the distance to a beacon, with an unknown offset
+# -----------------------------------------------------------------------
 @njit(cache=True)
 def beacon_range(z, nav, rate, par, cfg, H, res):
     """Distance to a point. cfg: its latitude, longitude [rad], height [m]. par: none or the offset [m]."""
@@ -81,7 +83,8 @@ class BeaconRange(Sensor):
         return (np.linalg.norm(place - beacon, axis=1) + offset + truth.error[:, 0])[:, None], ("range_m",)
 
 
-# --- an error model: what swings ------------------------------------------------------------------------------------------------------
+# --- an error model: what swings
+# ------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Swing(ErrorModel):
     """Oscillation of random phase that is excited by white noise and decays."""
@@ -95,7 +98,9 @@ class Swing(ErrorModel):
         angle, shrink = 2.0 * math.pi * period_s / self.swing_s, math.exp(-period_s / self.tau_s)
         c, s = math.cos(angle), math.sin(angle)
         variance = self.sd**2 * np.eye(2)
-        return Block(shrink * np.array([[c, -s], [s, c]]), (1.0 - shrink**2) * variance, np.array([1.0, 0.0]), 0.0, variance)
+        return Block(
+            shrink * np.array([[c, -s], [s, c]]), (1.0 - shrink**2) * variance, np.array([1.0, 0.0]), 0.0, variance
+        )
 
 
 RANGE_ERROR = nf.White(sd=0.3) + Swing(sd=0.5, swing_s=20.0, tau_s=40.0)
@@ -108,7 +113,9 @@ def vehicle_at(start, error=RANGE_ERROR, offset_sd_m=1.0):
     return nf.Vehicle(
         imu=nf.Imu(rate_hz=20, gyro=gyro),
         sensors={
-            "beacon": BeaconRange(rate_hz=2.0, error=error, beacon_deg=beacon, beacon_height_m=-40.0, offset_sd_m=offset_sd_m),
+            "beacon": BeaconRange(
+                rate_hz=2.0, error=error, beacon_deg=beacon, beacon_height_m=-40.0, offset_sd_m=offset_sd_m
+            ),
             "compass": nf.Heading(rate_hz=4.0, error=nf.White(sd=0.01)),
             "dvl": nf.BodyVelocity(rate_hz=4.0, error=nf.White(sd=0.01)),
             "depth": nf.Depth(rate_hz=1.0, error=nf.White(sd=0.1)),
@@ -144,7 +151,9 @@ def test_vehicle_toml_writes_and_reads_them(dive, tmp_path):
 
 def test_mission_toml_maps_the_columns_of_the_kind(tmp_path):
     (tmp_path / "ranges.csv").write_text("t,km\n0,0.5\n1,0.75\n")
-    mapping = '[streams.beacon]\nfile = "ranges.csv"\ntime = {column = "t"}\nbeacon_range = {column = "km", unit = "km"}\n'
+    mapping = (
+        '[streams.beacon]\nfile = "ranges.csv"\ntime = {column = "t"}\nbeacon_range = {column = "km", unit = "km"}\n'
+    )
     (tmp_path / "mission.toml").write_text(mapping)
     stream = nf.read_mission(tmp_path).streams["beacon"]
     assert stream.columns == ("range_m",) and stream.value.ravel().tolist() == [500.0, 750.0]
@@ -205,7 +214,7 @@ def test_warm_up_leaves_no_kernel_of_theirs_to_compile(dive):
 
 
 def test_the_sensor_is_learnt():
-    """On the way straight to the beacon: the direction in which it sees the position must not turn, or the drift is no chain."""
+    """On the way straight to the beacon: the direction in which it sees the position must not turn."""
     motion = Motion((ChangeSpeed(1.5, 10.0), Straight(640.0)), latitude_deg=26.0, heading_deg=0.0, surface_height_m=0.0)
     learned = nf.LearnedArma(prior=nf.White(sd=1.0), orders=((0, 0), (1, 0), (2, 1)), window=400, hop=100)
     vehicle, true = vehicle_at(motion, learned, offset_sd_m=0.0), nf.GaussMarkov(sd=1.0, tau_s=5.0)
@@ -274,3 +283,26 @@ def test_a_parameter_without_unit_or_with_a_wrong_sd_is_named(dive, monkeypatch,
     monkeypatch.setattr(BeaconRange, "parameters", lambda self: (wrong,))
     with pytest.raises(ValueError, match=message):
         nf.Navigator(vehicle, mission.start)
+
+
+@pytest.mark.parametrize(
+    ("group", "message"),
+    [("depth", 'two kinds of sensors mean different columns by "depth"'), ("file", '"file" is a key of every source')],
+)
+def test_a_group_of_columns_that_means_something_else_is_refused(monkeypatch, tmp_path, group, message):
+    monkeypatch.setattr(BeaconRange, "contents", ((Columns(group, ("other_m",), ("length",)),),))
+    (tmp_path / "mission.toml").write_text("")
+    with pytest.raises(ValueError, match=message):
+        nf.read_mission(tmp_path)
+
+
+def test_a_kind_that_brings_an_example_stands_in_the_template(monkeypatch, tmp_path):
+    example = Example(
+        "beacon", "Distance to a beacon.", 2, ('error = {model = "swing", sd = 0.3, swing_s = 10, tau_s = 60}',)
+    )
+    monkeypatch.setattr(BeaconRange, "template", example)
+    text = vehicle_template("imu")
+    assert "# Distance to a beacon.\n[sensors.beacon]" in text and "#beacon_height_m = 0.0" in text
+    (tmp_path / "vehicle.toml").write_text(text)
+    sensor = nf.read_vehicle(tmp_path).sensors["beacon"]
+    assert sensor == BeaconRange(rate_hz=2, error=Swing(sd=0.3, swing_s=10, tau_s=60))

@@ -1,4 +1,4 @@
-"""The recipes work when followed literally: every block becomes the file it names, every script runs, in the order of the page."""
+"""The recipes work when followed literally: every block becomes the file it names, every script runs in its order."""
 
 import contextlib
 import re
@@ -52,6 +52,8 @@ def test_the_error_model_is_what_the_sensor_errs_by(followed):
 def test_the_file_formats_give_the_same_readings(followed):
     names = followed["convert.py"]
     simulated = names["mission"].streams["altimeter"].value
-    np.testing.assert_allclose(names["recorded"].streams["altimeter"].value, simulated, atol=0.0051)  # two digits in the file
+    np.testing.assert_allclose(
+        names["recorded"].streams["altimeter"].value, simulated, atol=0.0051
+    )  # two digits in the file
     np.testing.assert_allclose(names["table"].streams["altimeter"].value, simulated, rtol=1e-12)
     assert names["track"].residuals["altimeter"].used.sum() > 110

@@ -1,4 +1,4 @@
-"""What streams of files may consist of: stated by the kinds of drives and sensors, with the other forms in which files give it."""
+"""What streams of files may consist of, as the kinds of drives and sensors state it, and other forms of the same."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from navfilter.sensors.traits import Columns, kinds_below
 
 __all__ = ["FORMS", "SERIES", "TRUTH_ONLY", "contents", "driving", "groups"]
 
-#: Forms of a group that are turned into it when they are read: ECEF or local coordinates into geodetic ones, a quaternion into angles.
+#: Forms of a group that are turned into it when they are read: ECEF or local coordinates into geodetic ones, a
+#: quaternion into angles.
 FORMS: dict[str, tuple[Columns, ...]] = {
     "position": (
         Columns("ecef", ("ecef_x_m", "ecef_y_m", "ecef_z_m"), ("length",) * 3),
@@ -26,7 +27,7 @@ SERIES = "series"
 
 
 def contents() -> tuple[tuple[tuple[Columns, ...], tuple[Columns, ...]], ...]:
-    """What a stream may consist of: the groups that must be there, then those that may. Stated by the kinds of drives and sensors."""
+    """What a stream may consist of, as the kinds state it: the groups that must be there, then those that may."""
     found = []
     for kind in (*kinds_below(Mechanisation), *kinds_below(Sensor)):
         for must in kind.contents:  # type: ignore[attr-defined]
@@ -50,9 +51,15 @@ def groups() -> dict[str, Columns]:
         When two kinds mean different columns by one key.
     """
     streams = contents()
-    every = [columns for must, _ in streams for columns in must] + [columns for _, may in streams for columns in may] + [*TRUTH_ONLY]
+    every = (
+        [columns for must, _ in streams for columns in must]
+        + [columns for _, may in streams for columns in may]
+        + [*TRUTH_ONLY]
+    )
     found: dict[str, Columns] = {}
     for columns in every:
         if found.setdefault(columns.group, columns) != columns:
-            raise ValueError(f'two kinds of sensors mean different columns by "{columns.group}"; give one of them another name.')
+            raise ValueError(
+                f'two kinds of sensors mean different columns by "{columns.group}"; give one of them another name.'
+            )
     return found

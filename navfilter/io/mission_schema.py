@@ -1,8 +1,9 @@
 """What may stand in a mission.toml: the tables and keys, their defaults and their checks.
 
 A mission names its streams as the vehicle names its sensors. A stream is made of one or more sources (files); a source
-has a clock (`time`) and groups of columns (`rate`, `velocity`, `position`, ...), which the kinds of drives and sensors state. With several
-sources the first gives the clock and the others are interpolated onto it; a group in several of them is their mean.
+has a clock (`time`) and groups of columns (`rate`, `velocity`, `position`, ...), which the kinds of drives and sensors
+state. With several sources the first gives the clock and the others are interpolated onto it; a group in several of
+them is their mean.
 """
 
 from __future__ import annotations

@@ -60,8 +60,14 @@ class Drift:
         start = tuple(float(value) for value in self.start_sd) or (math.inf,) * len(density)
         object.__setattr__(self, "start_sd", start)
         free = sum(math.isinf(value) for value in start)
-        if len(start) != len(density) or not all(value >= 0.0 for value in start) or not all(math.isinf(v) for v in start[:free]):
-            raise ValueError(f"start_sd must be {len(density)} numbers not below 0, the infinite ones first, found {start}.")
+        if (
+            len(start) != len(density)
+            or not all(value >= 0.0 for value in start)
+            or not all(math.isinf(v) for v in start[:free])
+        ):
+            raise ValueError(
+                f"start_sd must be {len(density)} numbers not below 0, the infinite ones first, found {start}."
+            )
 
     @property
     def order(self) -> int:
@@ -75,7 +81,8 @@ class Drift:
     def noise(self) -> Array:
         """Covariance of the noise added over one period, shape (r, r).
 
-        ``sum over k >= i, j of density[k]^2 T^(2k-i-j+1) / ((k-i)! (k-j)! (2k-i-j+1))`` (Van Loan 1978, in closed form).
+        ``sum over k >= i, j of density[k]^2 T^(2k-i-j+1) / ((k-i)! (k-j)! (2k-i-j+1))`` (Van Loan 1978, in closed
+        form).
         """
         return _chain_noise(self.density, self.period_s)
 

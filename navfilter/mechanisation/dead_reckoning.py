@@ -40,11 +40,12 @@ class DeadReckoning(Mechanisation):
     rate_hz : float
         Rate of the velocity readings [Hz].
     attitude : Heading, ErrorModel or tuple of three
-        A `Heading` gives the error of the yaw (with bias and deviation states) and `tilt` that of roll and pitch; an error model, or a
-        tuple
+        A `Heading` gives the error of the yaw (with bias and deviation states) and `tilt` that of roll and pitch; an
+        error model, or a tuple
         for roll, pitch and yaw, gives them directly [rad].
     velocity : BodyVelocity, ErrorModel or tuple of three
-        A `BodyVelocity` brings its lever arm, mounting, scale and misalignment states; an error model stands for a plain one [m/s].
+        A `BodyVelocity` brings its lever arm, mounting, scale and misalignment states; an error model stands for a
+        plain one [m/s].
     tilt : ErrorModel
         Error of roll and pitch when `attitude` is a `Heading` [rad].
     hold_density : float
@@ -70,16 +71,18 @@ class DeadReckoning(Mechanisation):
 
     def __post_init__(self) -> None:
         if self.compass is not None and self.compass.gives != "heading":
-            raise ValueError(f"DeadReckoning.attitude must be a Heading or error models, found a {type(self.attitude).__name__}.")
+            raise ValueError(
+                f"DeadReckoning.attitude must be a Heading or error models, found a {type(self.attitude).__name__}."
+            )
         if self.compass is not None and self.compass.magnetometer:
             raise ValueError(
-                "DeadReckoning.attitude must give a heading, found a magnetometer: dead reckoning has no attitude of its own to level it "
-                "with. Use the compass's heading output."
+                "DeadReckoning.attitude must give a heading, found a magnetometer: dead reckoning has no attitude of "
+                "its own to level it with. Use the compass's heading output."
             )
         if isinstance(self.velocity, Sensor) and self.velocity.gives != "velocity":
             raise ValueError(
-                f"DeadReckoning.velocity must be over ground, found a {type(self.velocity).__name__}: dead reckoning has no states for "
-                "the current. Use a "
+                f"DeadReckoning.velocity must be over ground, found a {type(self.velocity).__name__}: dead reckoning "
+                "has no states for the current. Use a "
                 "BodyVelocity whose error says how fast the water may move, such as GaussMarkov(sd=0.3, tau_s=3600)."
             )
         super().__post_init__()
@@ -116,7 +119,7 @@ class DeadReckoning(Mechanisation):
         return tuple(Parameter(f"yaw.{name}", sd, "rad") for name, sd in zip(names, (one, one, two, two), strict=True))
 
     def heading_drift(self, walk: float, period_s: float) -> Drift:
-        """There is no heading but that of the drive's own compass: what is known wanders with the sensor's walk alone."""
+        """There is no heading but that of the drive's own compass: only the sensor's walk is known."""
         return Drift((max(walk, 1e-9), 1e-12), period_s)
 
     def velocity_drift(self, walk: float, period_s: float, *, vertical: bool = False) -> Drift:
@@ -144,7 +147,7 @@ class DeadReckoning(Mechanisation):
         drv[strapdown.DEVIATION] = first_parameter if deviation else -1
         drv[strapdown.SCALE] = first_parameter + deviation if total > deviation else -1
         sensor = self.velocity_sensor
-        drv[strapdown.LEVER : strapdown.LEVER + 12] = sensor.constants(start)  # type: ignore[arg-type]  # lever arm and mounting: the same wherever it starts
+        drv[strapdown.LEVER : strapdown.LEVER + 12] = sensor.constants(start)  # type: ignore[arg-type]  # the same for any start
         if start is not None:
             drv[strapdown.DECLINATION] = self.declination(start)
         drv[strapdown.MAX_SPEED] = sensor.max_speed_m_s
@@ -160,7 +163,9 @@ class DeadReckoning(Mechanisation):
         t, angles = attitude.time_s[good], np.unwrap(attitude.value[good, :3], axis=0)
         inside = (velocity.time_s >= t[0] - self.period_s) & (velocity.time_s <= t[-1] + self.period_s)
         times = velocity.time_s[inside]
-        return times, np.column_stack([*(np.interp(times, t, angles[:, i]) for i in range(3)), velocity.value[inside, :3]])
+        return times, np.column_stack(
+            [*(np.interp(times, t, angles[:, i]) for i in range(3)), velocity.value[inside, :3]]
+        )
 
     @property
     def words(self) -> str:
@@ -191,5 +196,9 @@ class DeadReckoning(Mechanisation):
         if self.compass is not None:
             yield from (doubt._replace(field=f"attitude.{doubt.field}") for doubt in self.compass.doubts())
             if self.compass.temperature_sd_rad_per_k:
-                yield Doubt("attitude.temperature_sd_rad_per_k", "dead reckoning estimates no drift with temperature.", "Leave it out.")
+                yield Doubt(
+                    "attitude.temperature_sd_rad_per_k",
+                    "dead reckoning estimates no drift with temperature.",
+                    "Leave it out.",
+                )
         yield from (doubt._replace(field=f"velocity.{doubt.field}") for doubt in self.velocity_sensor.doubts())

@@ -27,7 +27,9 @@ Array = NDArray[np.float64]
 RATE = Columns("rate", ("rate_x_rad_s", "rate_y_rad_s", "rate_z_rad_s"), ("angular rate",) * 3)
 FORCE = Columns("force", ("force_x_m_s2", "force_y_m_s2", "force_z_m_s2"), ("acceleration",) * 3)
 ROTATION = Columns("rotation", ("rotation_x_rad", "rotation_y_rad", "rotation_z_rad"), ("angle",) * 3)
-VELOCITY_GAIN = Columns("velocity_gain", ("velocity_gain_x_m_s", "velocity_gain_y_m_s", "velocity_gain_z_m_s"), ("speed",) * 3)
+VELOCITY_GAIN = Columns(
+    "velocity_gain", ("velocity_gain_x_m_s", "velocity_gain_y_m_s", "velocity_gain_z_m_s"), ("speed",) * 3
+)
 #: Generous: beyond the worst and the best of instruments on the market.
 GYRO_USUAL = Plausible(1e-8, 0.09, "deg_per_h", 6e-3, "deg_per_sqrt_h")  # 5 deg/s; 20 deg/sqrt(h)
 ACCEL_USUAL = Plausible(1e-7, 0.5, "mg", 0.05, "mg_per_sqrt_hz")  # 50 mg; 5 mg/sqrt(Hz)
@@ -44,12 +46,14 @@ class Imu(Mechanisation):
     rate_hz : float
         Sampling rate [Hz].
     gyro, accel : ErrorModel or tuple of three
-        Errors of the angular rate [rad/s] and of the specific force [m/s^2]. A `LearnedArma` is learnt while the vehicle stands still
-        (`navfilter.learning.rest.Stillness`), beside a bias: a `RandomWalk`, that of the default where none is given.
+        Errors of the angular rate [rad/s] and of the specific force [m/s^2]. A `LearnedArma` is learnt while the
+        vehicle stands still (`navfilter.learning.rest.Stillness`), beside a bias: a `RandomWalk`, that of the default
+        where none is given.
     increments : bool
         Samples are angle and velocity increments [rad], [m/s] instead of rates.
     gap_rate_sd, gap_force_sd : float
-        What the vehicle may do unseen while samples are missing for more than three periods: rate [rad/s] and force [m/s^2].
+        What the vehicle may do unseen while samples are missing for more than three periods: rate [rad/s] and force
+        [m/s^2].
     max_rate, max_force : float
         A sample beyond them is a defect of the recording, not a motion [rad/s], [m/s^2].
 
@@ -91,7 +95,7 @@ class Imu(Mechanisation):
         return Drift((math.hypot(max(white), walk), max(walks)), period_s, (math.inf, bias) if bias > 0.0 else ())
 
     def velocity_drift(self, walk: float, period_s: float, *, vertical: bool = False) -> Drift:
-        """Velocity random walk, then what turns the force: the tilt, which wanders with the gyros (Groves, 2013, sec. 14.2)."""
+        """Velocity random walk, then the tilt, which wanders with the gyros (Groves, 2013, sec. 14.2)."""
         return Drift((math.hypot(max(self.noise.white[3:]), walk), self._force_walk(vertical)), period_s)
 
     def position_drift(self, walk: float, period_s: float, *, vertical: bool = False) -> Drift:
@@ -99,7 +103,7 @@ class Imu(Mechanisation):
         return Drift((walk, max(self.noise.white[3:]), self._force_walk(vertical)), period_s)
 
     def _force_walk(self, vertical: bool) -> float:
-        """How the error of the force along an axis wanders [m/s^2/s/sqrt(Hz)]: by the bias of the accelerometer, or by the tilt."""
+        """How the error of a force wanders [m/s^2/s/sqrt(Hz)]: by the bias of the accelerometer, or by the tilt."""
         return max(max(self.noise.walk[3:]), 1e-7) if vertical else self.gravity * max(self.noise.white[:3])
 
     def limits(self) -> Array:
@@ -121,7 +125,8 @@ class Imu(Mechanisation):
     @property
     def words(self) -> str:
         """What drives."""
-        return f"inertial unit at {self.rate_hz:g} Hz, {'angle and velocity increments' if self.increments else 'rates and forces'}"
+        what = "angle and velocity increments" if self.increments else "rates and forces"
+        return f"inertial unit at {self.rate_hz:g} Hz, {what}"
 
     def stream_columns(self) -> dict[str, tuple[str, ...]]:
         """Rates and forces, or increments."""
@@ -134,7 +139,8 @@ class Imu(Mechanisation):
     def doubts(self) -> Iterator[Doubt]:
         """Of the rate."""
         if not 10.0 <= self.rate_hz < 1000.0:
-            cure = "It is in Hz: the samples per second of the stream. Below 10 Hz turns are lost; average what is faster than 1 kHz."
+            cure = "It is in Hz: the samples per second of the stream."
+            cure += " Below 10 Hz turns are lost; average what is faster than 1 kHz."
             yield Doubt("rate_hz", f"an inertial unit at {self.rate_hz:g} Hz is unusual.", cure)
 
 
@@ -155,6 +161,10 @@ def _with_bias(models: Sequence[ErrorModel], default: Sum) -> tuple[ErrorModel, 
             walks = [part for part in given if isinstance(part, RandomWalk)]
             rest = [part for part in given if not isinstance(part, RandomWalk)] or [White(sd=0.0)]
             prior = rest[0] if len(rest) == 1 else Sum(tuple(rest))
-            model = Sum((*beside, *walks, replace(learned, prior=prior))) if beside or walks else replace(learned, prior=prior)
+            model = (
+                Sum((*beside, *walks, replace(learned, prior=prior)))
+                if beside or walks
+                else replace(learned, prior=prior)
+            )
         resolved.append(model)
     return tuple(resolved)

@@ -83,7 +83,8 @@ class Mechanisation:
     axis_names, units : tuple of str
         Of the six channels.
     inertial : bool
-        The channels are three rates and three forces: what the vehicle does between two samples is felt, rest can be told.
+        The channels are three rates and three forces: what the vehicle does between two samples is felt, rest can be
+        told.
     gravity : float
         What a tilt turns into acceleration [m/s^2]; 0 where the velocity is no integral.
     triples : (2,) str

@@ -1,7 +1,8 @@
 """Sensors that correct: a frozen value each, saying what it reads (equation, Jacobian) and how it errs.
 
 A reading is a vector of float64 in SI units and radians; NaN is a missing component. Every reading is
-``h(state, parameters) + coloured error + white error``; the kernels of `navfilter.kernels.measurement` hold h and its Jacobian.
+``h(state, parameters) + coloured error + white error``; the kernels of `navfilter.kernels.measurement` hold h and its
+Jacobian.
 """
 
 from navfilter.sensors.heading import Heading

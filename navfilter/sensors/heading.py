@@ -32,7 +32,8 @@ TEMPERATURE = Columns("temperature", ("temperature_C",), ("temperature",))
 #: Generous: beyond the worst and the best of instruments on the market.
 USUAL = Plausible(1e-5, math.radians(30.0), "deg", most_rate_hz=200.0)
 COMPASS_ERROR = 'error = {model = "gauss-markov", sd_deg = 0.6, tau_s = 30}'
-_LEARNT = '# learnt under way instead: error = {model = "learned-arma", prior = {model = "gauss-markov", sd_deg = 0.6, tau_s = 30}}'
+_PRIOR = COMPASS_ERROR.removeprefix("error = ")
+_LEARNT = f'# learnt under way instead: error = {{model = "learned-arma", prior = {_PRIOR}}}'
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,8 +49,8 @@ class Heading(Sensor):
     declination_rad : float, optional
         East positive [rad]. Default: World Magnetic Model at the start's place and date.
     bias_sd_rad, deviation_sd_rad, temperature_sd_rad_per_k : float, (2,) float, float
-        Standard deviations of constant states: bias, one- and two-cycle deviation (each a sine and a cosine of the heading), and the drift
-        with temperature (thesis eq 4.1). All zero: no such states.
+        Standard deviations of constant states: bias, one- and two-cycle deviation (each a sine and a cosine of the
+        heading), and the drift with temperature (thesis eq 4.1). All zero: no such states.
     reference_temperature_c : float
         Temperature at which the temperature term vanishes [deg C].
     hard_iron, soft_iron : (3,) and (9,) float
@@ -158,7 +159,7 @@ class Heading(Sensor):
             yield angle_doubt("declination_rad", self.declination_rad)
 
     def draws(self) -> dict[str, tuple[float, ...]]:
-        """Deviation: bias, sine and cosine of the heading, sine and cosine of its double; then the drift with temperature."""
+        """Deviation (bias, sine and cosine of the heading and of its double), and the drift with temperature."""
         one, two = self.deviation_sd_rad
         return {"deviation": (self.bias_sd_rad, one, one, two, two), "temperature": (self.temperature_sd_rad_per_k,)}
 
@@ -182,7 +183,7 @@ class Heading(Sensor):
         return value, columns
 
     def _simulated_field(self, here: Kinematics, declination: float, error: Array, field_n: Array) -> Array:
-        """Field in body axes that shows a compass this error: a compass reading too high sees north too far to the left."""
+        """Field in body axes that shows this error: a compass that reads too high sees north too far to the left."""
         azimuth = declination - error
         level = math.hypot(field_n[0], field_n[1])
         down = np.full_like(azimuth, field_n[2])
@@ -194,4 +195,6 @@ class Heading(Sensor):
     @classmethod
     def examples(cls) -> tuple[Sensor, ...]:
         """A compass and a magnetometer."""
-        return tuple(cls(magnetometer=field, error=White(sd=0.01) + GaussMarkov(sd=0.01, tau_s=10.0)) for field in (False, True))
+        return tuple(
+            cls(magnetometer=field, error=White(sd=0.01) + GaussMarkov(sd=0.01, tau_s=10.0)) for field in (False, True)
+        )

@@ -28,7 +28,9 @@ __all__ = ["Depth", "Position"]
 Array = NDArray[np.float64]
 DEPTH = Columns("depth", ("depth_m",), ("length",))
 PRESSURE = Columns("pressure", ("pressure_Pa",), ("pressure",))
-POSITION = Columns("position", ("latitude_rad", "longitude_rad", "height_m"), ("angle", "angle", "length"), circular=("longitude_rad",))
+POSITION = Columns(
+    "position", ("latitude_rad", "longitude_rad", "height_m"), ("angle", "angle", "length"), circular=("longitude_rad",)
+)
 HDOP = Columns("hdop", ("hdop",), ("number",))
 
 

@@ -45,7 +45,8 @@ class Sensor:
     gate_probability : float
         A reading is rejected when its normalised innovation squared (NIS) exceeds this quantile of chi-square.
     gate_timeout_s : float
-        After rejecting every reading for so long the gate doubles (and again), so that a good sensor is never locked out.
+        After rejecting every reading for so long the gate doubles (and again), so that a good sensor is never locked
+        out.
 
     Attributes
     ----------
@@ -60,19 +61,22 @@ class Sensor:
     from_drive : bool
         Made from the drive's own samples: there is no stream, and there are no readings.
     sees_velocity : bool
-        Reads the three components of the velocity in the body's axes, through the heading: taken with its second-order term while the
-        heading is hardly known.
+        Reads the three components of the velocity in the body's axes, through the heading: taken with its second-order
+        term while the heading is hardly known.
     confirms_state : bool
         Readings that fit say that the state is right, whatever the others read.
     open_loop : int
-        How the feedback is taken off again for learning, see `navfilter.kernels.listen`; NOTHING: its error cannot be learnt under way.
-        The direction in which an axis sees the state must not turn much within a window of learning, or the drift is no chain.
+        How the feedback is taken off again for learning, see `navfilter.kernels.listen`; NOTHING: its error cannot be
+        learnt under way. The direction in which an axis sees the state must not turn much within a window of learning,
+        or the drift is no chain.
     gives : str
-        What a start can take from one reading alone: "position" (latitude, longitude, height), "heading", "depth", "velocity", or nothing.
+        What a start can take from one reading alone: "position" (latitude, longitude, height), "heading", "depth",
+        "velocity", or nothing.
     corrects : str
         What of the state its readings bound: "position", "velocity", "heading", "depth".
     contents, beside : tuple
-        What a stream of a file may consist of: alternatives, each of one or more groups of columns; groups that may stand beside them.
+        What a stream of a file may consist of: alternatives, each of one or more groups of columns; groups that may
+        stand beside them.
     plausible : Plausible, optional
         What such a sensor usually errs by.
     template : Example, optional
@@ -106,7 +110,9 @@ class Sensor:
         if not (math.isfinite(self.rate_hz) and self.rate_hz > 0):
             raise ValueError(f"{name}.rate_hz must be a finite number > 0, found {self.rate_hz!r}.")
         if not 0.5 <= self.gate_probability < 1.0:
-            raise ValueError(f"{name}.gate_probability must lie in [0.5, 1), found {self.gate_probability!r}. Typical: 0.999.")
+            raise ValueError(
+                f"{name}.gate_probability must lie in [0.5, 1), found {self.gate_probability!r}. Typical: 0.999."
+            )
         if not self.gate_timeout_s > 0:
             raise ValueError(f"{name}.gate_timeout_s must be > 0, found {self.gate_timeout_s!r}.")
         _ = self.models
@@ -194,14 +200,16 @@ class Sensor:
 
     # ---------------------------------------------------------------- what the simulator and the warm-up ask
     def draws(self) -> dict[str, tuple[float, ...]]:
-        """Calibration errors that are drawn for a simulated mission: by name, the standard deviations of the components.
+        """Calibration errors that are drawn for a simulated mission: by name, the standard deviations of the
+        components.
 
         Default: each of the parameters that is constant.
         """
         return {p.name: (p.sd,) for p in self.parameters() if p.name not in self.wandering()}
 
     def simulated(self, here: Kinematics, truth: Truth) -> Reading:
-        """What it reads along a motion: the truth side of the measurement equation, written from the definition, not from the kernel.
+        """What it reads along a motion: the truth side of the measurement equation, written from the definition, not
+        from the kernel.
 
         Parameters
         ----------
@@ -221,11 +229,14 @@ class Sensor:
         ValueError
             Where the kind cannot be simulated.
         """
-        raise ValueError(f"a {type(self).__name__} has no simulated readings: the simulator cannot read it. Give it a method simulated().")
+        raise ValueError(
+            f"a {type(self).__name__} has no method simulated(): the simulator cannot read it. Give it one, or leave "
+            "it out."
+        )
 
     @classmethod
     def examples(cls) -> tuple[Sensor, ...]:
-        """Sensors that between them use all that is compiled or loaded for this kind; none where its defaults do not make one."""
+        """Sensors that use all that is compiled or loaded for this kind; none where its defaults do not make one."""
         needed = any(f.init and f.default is MISSING and f.default_factory is MISSING for f in fields(cls))
         try:
             return () if needed or not hasattr(cls, "kernel") else (cls(),)

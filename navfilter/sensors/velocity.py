@@ -36,7 +36,8 @@ DVL_ERROR = 'error = {model = "white", sd = 0.01}'
 
 @dataclass(frozen=True, kw_only=True)
 class BodyVelocity(Sensor):
-    """Velocity over ground in instrument axes [m/s]: a DVL in bottom track, or wheels (constant zeros for the axes that cannot slip).
+    """Velocity over ground in instrument axes [m/s]: a DVL in bottom track, or wheels (constant zeros for the axes that
+    cannot slip).
 
     Parameters
     ----------
@@ -56,8 +57,8 @@ class BodyVelocity(Sensor):
 
     Notes
     -----
-    ``reading = (1 + s)(y + m x y) + error`` with ``y`` the velocity of the instrument in its own axes, lever arm included. Scale and
-    misalignment can only be told from the vehicle's motion by position fixes.
+    ``reading = (1 + s)(y + m x y) + error`` with ``y`` the velocity of the instrument in its own axes, lever arm
+    included. Scale and misalignment can only be told from the vehicle's motion by position fixes.
     """
 
     error: Errors = White(sd=0.01)
@@ -80,7 +81,9 @@ class BodyVelocity(Sensor):
     corrects: ClassVar[str] = "velocity"
     contents: ClassVar[tuple[tuple[Columns, ...], ...]] = ((VELOCITY,),)
     plausible: ClassVar[Plausible | None] = USUAL
-    template: ClassVar[Example | None] = Example("dvl", "DVL in bottom track, or wheels.", 4, (DVL_ERROR,), (0.5, 0.0, 0.1))
+    template: ClassVar[Example | None] = Example(
+        "dvl", "DVL in bottom track, or wheels.", 4, (DVL_ERROR,), (0.5, 0.0, 0.1)
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -92,11 +95,16 @@ class BodyVelocity(Sensor):
         if self.scale_sd == 0 and self.misalignment_sd_rad == 0:
             return ()
         angle = self.misalignment_sd_rad
-        return (Parameter("scale", self.scale_sd, "1"), *(Parameter(f"misalignment_{axis}", angle, "rad") for axis in self.axis_names))
+        return (
+            Parameter("scale", self.scale_sd, "1"),
+            *(Parameter(f"misalignment_{axis}", angle, "rad") for axis in self.axis_names),
+        )
 
     def constants(self, start: Start) -> Array:
         """Lever arm, then the mounting matrix row by row."""
-        return np.concatenate([np.asarray(self.lever_arm_b_m, dtype=float), matrix_from_euler(*self.mounting_rad).ravel()])
+        return np.concatenate(
+            [np.asarray(self.lever_arm_b_m, dtype=float), matrix_from_euler(*self.mounting_rad).ravel()]
+        )
 
     def read(self, value: Array) -> Array | None:
         """Mask components that cannot be velocities; None when none is left."""
@@ -117,7 +125,7 @@ class BodyVelocity(Sensor):
         return any(self.lever_arm_b_m)
 
     def lever_arm_covariance(self, rate_variance: Array) -> Array:
-        """Its axes are strongly correlated (a rate moves the arm across itself), which counts where the instrument itself is quiet."""
+        """Strongly correlated (a rate moves the arm across itself), which counts where the instrument is quiet."""
         by_rate = self.instrument_axes() @ np.cross(np.eye(3), np.asarray(self.lever_arm_b_m, dtype=float)).T
         return by_rate @ np.diag(rate_variance) @ by_rate.T
 
@@ -136,7 +144,11 @@ class BodyVelocity(Sensor):
         if self.misalignment_sd_rad > math.radians(20.0):
             yield angle_doubt("misalignment_sd_rad", self.misalignment_sd_rad)
         if self.scale_sd > 0.2:
-            yield Doubt("scale_sd", f"a scale error of {100.0 * self.scale_sd:.4g} % is unusual.", "It is a pure number: 1 % is 0.01.")
+            yield Doubt(
+                "scale_sd",
+                f"a scale error of {100.0 * self.scale_sd:.4g} % is unusual.",
+                "It is a pure number: 1 % is 0.01.",
+            )
 
     def draws(self) -> dict[str, tuple[float, ...]]:
         """Scale, and the rotation vector of the misalignment."""
@@ -157,7 +169,8 @@ class BodyVelocity(Sensor):
 class WaterVelocity(BodyVelocity):
     """Velocity through the water in instrument axes [m/s]: a DVL in water track, or an electromagnetic log.
 
-    The horizontal current is two states, north and east, so that what is known of it carries the position while there is nothing else.
+    The horizontal current is two states, north and east, so that what is known of it carries the position while there
+    is nothing else.
 
     Parameters
     ----------
@@ -168,9 +181,9 @@ class WaterVelocity(BodyVelocity):
 
     Notes
     -----
-    As `BodyVelocity`, with ``y`` the velocity relative to the water: ``C_nb' (v_n - c_n)``. The current wanders as a first-order
-    Gauss-Markov process on the clock of this sensor; water that rises or sinks is taken for error. What this sensor itself errs by at low
-    frequencies cannot be told from the current, so that its error is not learnt.
+    As `BodyVelocity`, with ``y`` the velocity relative to the water: ``C_nb' (v_n - c_n)``. The current wanders as a
+    first-order Gauss-Markov process on the clock of this sensor; water that rises or sinks is taken for error. What
+    this sensor itself errs by at low frequencies cannot be told from the current, so that its error is not learnt.
     """
 
     error: Errors = White(sd=0.02)
@@ -182,7 +195,8 @@ class WaterVelocity(BodyVelocity):
     gives: ClassVar[str] = ""
     template: ClassVar[Example | None] = Example(
         "water",
-        "Velocity through the water: a DVL in water track, or a log. Where the bottom is lost, the last known current carries on.",
+        "Velocity through the water: a DVL in water track, or a log. Where the bottom is lost, the last known current "
+        "carries on.",
         4,
         ('error = {model = "white", sd = 0.02}',),
         (0.5, 0.0, 0.1),
@@ -194,12 +208,13 @@ class WaterVelocity(BodyVelocity):
         for name in ("current_sd_m_s", "current_tau_s"):
             if not (math.isfinite(getattr(self, name)) and getattr(self, name) > 0):
                 raise ValueError(
-                    f"WaterVelocity.{name} must be a finite number > 0, found {getattr(self, name)!r}. Usual: 0.3 m/s, 3600 s."
+                    f"WaterVelocity.{name} must be a finite number > 0, found {getattr(self, name)!r}. Usual: 0.3 m/s, "
+                    "3600 s."
                 )
         if any(learning_part(model) is not None for model in self.models):
             raise ValueError(
-                "WaterVelocity.error cannot be learnt under way: the current hides in it. Give it a fixed error model, or a LearnedArma "
-                "with frozen=True."
+                "WaterVelocity.error cannot be learnt under way: the current hides in it. Give it a fixed error model, "
+                "or a LearnedArma with frozen=True."
             )
 
     def parameters(self) -> tuple[Parameter, ...]:
@@ -225,7 +240,9 @@ class WaterVelocity(BodyVelocity):
             yield Doubt("current_sd_m_s", text, "It is in m/s; for cm/s write current_sd_cm_per_s.")
         if self.current_tau_s < 60.0:
             text = f"a current that is another one after {self.current_tau_s:.3g} s carries no position."
-            yield Doubt("current_tau_s", text, "It is in seconds; currents last for hours. Eddies and waves belong to error.")
+            yield Doubt(
+                "current_tau_s", text, "It is in seconds; currents last for hours. Eddies and waves belong to error."
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -235,15 +252,15 @@ class ZeroVelocity(Sensor):
     Parameters
     ----------
     gyro_sd_max, force_sd_max : float
-        Rest is when, over one period of this sensor, every gyro axis scatters less than this [rad/s] and every accelerometer axis
-        less [m/s^2].
+        Rest is when, over one period of this sensor, every gyro axis scatters less than this [rad/s] and every
+        accelerometer axis less [m/s^2].
     gyro_mean_max : float
         ... and every mean rate is below this [rad/s] (estimated bias and Earth rate are within it).
 
     Notes
     -----
-    For vehicles that really stand still (on deck, on the bottom, on wheels). An AUV gliding in calm water looks the same to its
-    inertial unit: do not use it there.
+    For vehicles that really stand still (on deck, on the bottom, on wheels). An AUV gliding in calm water looks the
+    same to its inertial unit: do not use it there.
     """
 
     error: Errors = White(sd=0.02)
@@ -261,7 +278,8 @@ class ZeroVelocity(Sensor):
     plausible: ClassVar[Plausible | None] = USUAL
     template: ClassVar[Example | None] = Example(
         "still",
-        "For vehicles that really stand still (on deck, on the bottom, on wheels); it needs no stream. Not for an AUV under way.",
+        "For vehicles that really stand still (on deck, on the bottom, on wheels); it needs no stream. Not for an AUV "
+        "under way.",
         1,
         ('error = {model = "white", sd = 0.02}',),
         live=False,

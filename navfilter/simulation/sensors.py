@@ -30,8 +30,9 @@ class Truth:
     error : ndarray, shape (n, axes)
         In the unit of the sensor's error model.
     drawn : dict of str to ndarray
-        Calibration errors by name, see `Sensor.draws`. Of drives also "scale", "misalignment" (rotation vector of the measured vector,
-        rad) and "deviation" (bias, sine and cosine of the heading, sine and cosine of twice the heading, rad).
+        Calibration errors by name, see `Sensor.draws`. Of drives also "scale", "misalignment" (rotation vector of the
+        measured vector, rad) and "deviation" (bias, sine and cosine of the heading, sine and cosine of twice the
+        heading, rad).
     field_n : callable
         Gives the magnetic field north-east-down, any unit, shape (3,).
     surface_height_m : float
@@ -51,7 +52,9 @@ class Truth:
     def current_n(self) -> Array:
         """Velocity of the water, north-east-down, m/s, (n, 3); zero for sensors that do not see it."""
         still = np.zeros(len(self.error))
-        return np.stack([self.wandering.get("current_north", still), self.wandering.get("current_east", still), still], axis=-1)
+        return np.stack(
+            [self.wandering.get("current_north", still), self.wandering.get("current_east", still), still], axis=-1
+        )
 
     def turned_and_scaled(self, vector: Array) -> Array:
         """Vectors (n, 3) as a sensor with this misalignment and scale measures them, without noise."""
