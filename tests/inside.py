@@ -1,4 +1,4 @@
-"""What a navigator holds inside. Tests that must look there do it through these functions, so that they know no private name."""
+"""What a navigator holds inside: tests that must look there do it here, so that they know no private name."""
 
 from __future__ import annotations
 
@@ -13,7 +13,14 @@ Array = np.ndarray
 
 def arrays(nav: Navigator) -> dict[str, Array]:
     """All arrays that the next sample or reading is computed from; not copies."""
-    return {"nominal": nav._nav, "errors": nav._x, "covariance": nav._P, "transition": nav._acc, "drive": nav._drv, "fed back": nav._undone}
+    return {
+        "nominal": nav._nav,
+        "errors": nav._x,
+        "covariance": nav._P,
+        "transition": nav._acc,
+        "drive": nav._drv,
+        "fed back": nav._undone,
+    }
 
 
 def nominal(nav: Navigator) -> Array:
