@@ -27,7 +27,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def data_root() -> Path:
-    """The folder of the recordings. Skips where NAVFILTER_DATA is unset; where it is set, missing data are a failure."""
+    """The folder of the recordings. Skips where NAVFILTER_DATA is unset; where it is set, missing data are failures."""
     root = os.environ.get("NAVFILTER_DATA")
     if not root:
         pytest.skip("set NAVFILTER_DATA to the folder of the recordings to run this test")

@@ -35,7 +35,7 @@ class Step:
 
 
 class Capture:
-    """Stands in for the kernels in the navigator, and notes the chain: folds, corrections, single samples of the drive."""
+    """Stands in for the kernels in the navigator, and notes the chain: folds, corrections, single samples."""
 
     def __init__(self, monkeypatch, vehicle, start):
         self.steps, self.samples, self.frozen = [], [], False
@@ -193,7 +193,7 @@ def start(**changes):
 
 
 def inertial_vehicle(arma=True):
-    """Several rates, every kind of block, scale and offset; with ``arma=False`` each reading has white noise of its own."""
+    """Several rates, every kind of block, scale and offset; ``arma=False``: each reading has white noise of its own."""
     shaped = nf.Arma(**ARMA, sd=0.4 * DEG) if arma else nf.Arma(**ARMA, sd=0.4 * DEG) + nf.White(sd=0.2 * DEG)
     return nf.Vehicle(
         imu=nf.Imu(
@@ -230,7 +230,7 @@ def inertial_vehicle(arma=True):
 
 
 def water_vehicle(arma=True, white=False):
-    """The velocity is that through water whose current wanders within seconds; ``white=True``: only the current ticks."""
+    """The velocity is that through water whose current wanders within seconds; ``white=True``: only it ticks."""
     plain = inertial_vehicle(arma)
     error = nf.White(sd=0.05) if white else plain.sensors["dvl"].error
     calibration = {} if white else {"scale_sd": 0.01, "misalignment_sd_rad": 0.02}
