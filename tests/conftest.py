@@ -11,8 +11,8 @@ from hypothesis import settings
 
 RECORDINGS = Path(__file__).parent / "recordings"
 
-# The same examples in every run and on every machine. Random search is asked for (see benchmarks/fuzz.py); what it finds
-# becomes an example.
+# The same examples in every run and on every machine. Random search is asked for (see benchmarks/fuzz.py); what it
+# finds becomes an example.
 settings.register_profile("fixed", derandomize=True, database=None, deadline=None)
 settings.register_profile("search", derandomize=False, database=None, deadline=None)
 settings.load_profile("fixed")
@@ -27,7 +27,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def data_root() -> Path:
-    """The folder of the recordings. Skips where NAVFILTER_DATA is unset; where it is set, data that are missing are a failure."""
+    """The folder of the recordings. Skips where NAVFILTER_DATA is unset; where it is set, missing data are failures."""
     root = os.environ.get("NAVFILTER_DATA")
     if not root:
         pytest.skip("set NAVFILTER_DATA to the folder of the recordings to run this test")

@@ -1,7 +1,7 @@
-"""A run of the navigator captured as one linear Gaussian chain, that chain conditioned in one piece, and vehicles to try it on.
+"""A run of the navigator as one linear Gaussian chain, that chain conditioned in one piece, and vehicles to try it on.
 
-Every run is captured as its chain ``e- = Phi e + w, res = H e- + v, e+ = G (e- - K res)`` of errors (true minus estimated), G the
-reset of the attitude.
+Every run is captured as its chain ``e- = Phi e + w, res = H e- + v, e+ = G (e- - K res)`` of errors (true minus
+estimated), G the reset of the attitude.
 """
 
 import math
@@ -34,7 +34,7 @@ class Step:
 
 
 class Capture:
-    """Stands in for the kernels in the navigator, and notes the chain: folds, corrections, and single samples of the drive."""
+    """Stands in for the kernels in the navigator, and notes the chain: folds, corrections, single samples."""
 
     def __init__(self, monkeypatch, vehicle, start):
         self.steps, self.samples, self.frozen = [], [], False
@@ -106,7 +106,12 @@ class Capture:
         np.fill_diagonal(white, np.where(missing, 1.0, own))
         for chain in (self.steps, self.samples):
             step = chain[-1]
-            step.H, step.R, step.res, step.K = H, white, mem[at[3] : at[4]].copy(), mem[at[1] : at[2]].reshape(n, a).copy()
+            step.H, step.R, step.res, step.K = (
+                H,
+                white,
+                mem[at[3] : at[4]].copy(),
+                mem[at[1] : at[2]].reshape(n, a).copy(),
+            )
             step.G = naive.attitude_reset(mem[at[4] : at[5]], n)
 
     def rows(self):
@@ -117,21 +122,24 @@ class Capture:
 
     def smoothed(self):
         result = {}
-        smooth_rows(self.tape, lambda i, row, mean, cov: result.__setitem__(self.tape.row_records[i], (mean.copy(), cov.copy())))
+        smooth_rows(
+            self.tape, lambda i, row, mean, cov: result.__setitem__(self.tape.row_records[i], (mean.copy(), cov.copy()))
+        )
         return result
 
 
 class Unknowns:
     """A whole run as one linear function of its unknowns: the error at the start and the noises of all steps.
 
-    Singular P0 and Q need no inverse that way. Extended precision, because readings without white noise make the covariance of
-    the residuals nearly singular. The number of states may change from step to step. After step k only the unknowns up to its own
-    noise have come in: matrices are as wide as that, as multiplying by zeros is most of the work otherwise.
+    Singular P0 and Q need no inverse that way. Extended precision, because readings without white noise make the
+    covariance of the residuals nearly singular. The number of states may change from step to step. After step k only
+    the unknowns up to its own noise have come in: matrices are as wide as that, as multiplying by zeros is most of the
+    work otherwise.
 
     Attributes
     ----------
     kept : dict of int to (A, c, P)
-        After the `wanted` steps: the present error is A unknowns + c, and P is its covariance as long as nothing is seen.
+        After the `wanted` steps: the present error is A unknowns + c, P its covariance as long as nothing is seen.
     """
 
     def __init__(self, steps, P0, wanted):
@@ -149,7 +157,10 @@ class Unknowns:
                 self.kept[k] = A, c, P
 
     def posterior(self, wanted, upto=math.inf):
-        """Mean and covariance of the error after the `wanted` steps, given the residuals of the first `upto`: one dense conditioning."""
+        """Mean and covariance of the error after the `wanted` steps, given the residuals of the first `upto` steps.
+
+        One dense conditioning.
+        """
         seen = [row for row in self.seen if row[0] <= upto]
         B = np.zeros((sum(len(gap) for _, _, gap, _ in seen), sum(map(len, self.prior))), np.longdouble)
         for at, (_, rows, _, _) in zip(np.cumsum([0, *(len(gap) for _, _, gap, _ in seen)]), seen, strict=False):
@@ -176,11 +187,13 @@ def assert_same(actual, expected, scale, tolerance):
 
 def start(**changes):
     given = {"latitude_deg": 35.0, "longitude_deg": 20.0, "heading_deg": 60.0, "velocity_n": (1.0, 1.0, 0.0)}
-    return nf.Start(**(given | {"position_sd_m": 5.0, "velocity_sd_m_s": 0.3, "tilt_sd_deg": 2.0, "heading_sd_deg": 10.0} | changes))
+    return nf.Start(
+        **(given | {"position_sd_m": 5.0, "velocity_sd_m_s": 0.3, "tilt_sd_deg": 2.0, "heading_sd_deg": 10.0} | changes)
+    )
 
 
 def inertial_vehicle(arma=True):
-    """Several rates, every kind of block, scale and offset states; with ``arma=False`` each reading has white noise of its own."""
+    """Several rates, every kind of block, scale and offset; ``arma=False``: each reading has white noise of its own."""
     shaped = nf.Arma(**ARMA, sd=0.4 * DEG) if arma else nf.Arma(**ARMA, sd=0.4 * DEG) + nf.White(sd=0.2 * DEG)
     return nf.Vehicle(
         imu=nf.Imu(
@@ -202,15 +215,22 @@ def inertial_vehicle(arma=True):
                 misalignment_sd_rad=0.02,
             ),
             "depth": nf.Depth(
-                rate_hz=1.0, error=nf.RandomWalk(density=0.1, start_sd=0.5) + nf.White(sd=0.1), offset_sd_m=0.5, lever_arm_b_m=(0.5, 0, 0)
+                rate_hz=1.0,
+                error=nf.RandomWalk(density=0.1, start_sd=0.5) + nf.White(sd=0.1),
+                offset_sd_m=0.5,
+                lever_arm_b_m=(0.5, 0, 0),
             ),
-            "gps": nf.Position(rate_hz=1.0, error=nf.GaussMarkov(sd=2.0, tau_s=20.0) + nf.White(sd=0.3), lever_arm_b_m=(-1.0, 0.2, -0.5)),
+            "gps": nf.Position(
+                rate_hz=1.0,
+                error=nf.GaussMarkov(sd=2.0, tau_s=20.0) + nf.White(sd=0.3),
+                lever_arm_b_m=(-1.0, 0.2, -0.5),
+            ),
         },
     )
 
 
 def water_vehicle(arma=True, white=False):
-    """The velocity is that through water whose current wanders within seconds; with ``white=True`` nothing but the current ticks."""
+    """The velocity is that through water whose current wanders within seconds; ``white=True``: only it ticks."""
     plain = inertial_vehicle(arma)
     error = nf.White(sd=0.05) if white else plain.sensors["dvl"].error
     calibration = {} if white else {"scale_sd": 0.01, "misalignment_sd_rad": 0.02}
@@ -233,11 +253,18 @@ def reckoning_vehicle(arma=True):
             rate_hz=4.0,
             attitude=nf.Heading(rate_hz=4.0, error=shaped, bias_sd_rad=0.05, deviation_sd_rad=(0.03, 0.01)),
             velocity=nf.BodyVelocity(
-                rate_hz=4.0, error=nf.White(sd=0.05), lever_arm_b_m=(0.5, 0.1, 0.2), scale_sd=0.02, misalignment_sd_rad=0.01
+                rate_hz=4.0,
+                error=nf.White(sd=0.05),
+                lever_arm_b_m=(0.5, 0.1, 0.2),
+                scale_sd=0.02,
+                misalignment_sd_rad=0.01,
             ),
             tilt=nf.GaussMarkov(sd=0.5 * DEG, tau_s=5.0) + nf.White(sd=0.0 if arma else 0.2 * DEG),
         ),
-        sensors={"depth": nf.Depth(rate_hz=1.0, error=nf.White(sd=0.1)), "gps": nf.Position(rate_hz=1.0, error=nf.Arma(**ARMA, sd=0.2))},
+        sensors={
+            "depth": nf.Depth(rate_hz=1.0, error=nf.White(sd=0.1)),
+            "gps": nf.Position(rate_hz=1.0, error=nf.Arma(**ARMA, sd=0.2)),
+        },
     )
 
 
@@ -247,9 +274,10 @@ def open_gates(nav):
 
 
 def drive_through(nav, seconds, seed, readings=("compass", "dvl", "depth", "gps"), changes=()):
-    """Feed plausible readings at several rates, off the drive's clock, with missing ones, missing components and an outlier.
+    """Feed plausible readings at several rates, off the drive's clock, with missing ones and components and an outlier.
 
-    Gates are wide open but for the outlier: exactness does not need plausible readings. `changes`: (time, sensor, error model) to adopt.
+    Gates are wide open but for the outlier: exactness does not need plausible readings. `changes`: (time, sensor, error
+    model) to adopt.
     """
     rng, vehicle, begin, changes = np.random.default_rng(seed), nav.vehicle, nav.start.state, list(changes)
     open_gates(nav)
@@ -258,7 +286,9 @@ def drive_through(nav, seconds, seed, readings=("compass", "dvl", "depth", "gps"
     for name, offset in zip(readings, (0.013, 0.03, 0.0, 0.021), strict=False):
         if name in vehicle.sensors:
             sensor = vehicle.sensors[name]
-            events += [(k / sensor.rate_hz + offset, name) for k in range(int(seconds * sensor.rate_hz)) if rng.random() > 0.2]
+            events += [
+                (k / sensor.rate_hz + offset, name) for k in range(int(seconds * sensor.rate_hz)) if rng.random() > 0.2
+            ]
     for time_s, name in sorted(events):
         while changes and changes[0][0] <= time_s:
             nav.adopt(*changes.pop(0)[1:])
@@ -269,7 +299,11 @@ def drive_through(nav, seconds, seed, readings=("compass", "dvl", "depth", "gps"
                 nav.step(time_s, [0.01, 0.0, 0.2], [0.1, 0.3, -9.8])
             else:
                 lost = rng.random() < 0.15
-                nav.step(time_s, [0.02, 0.1, 1.0 + turn + 0.02 * rng.normal()], [np.nan] * 3 if lost else 1.4 + 0.05 * rng.normal(size=3))
+                nav.step(
+                    time_s,
+                    [0.02, 0.1, 1.0 + turn + 0.02 * rng.normal()],
+                    [np.nan] * 3 if lost else 1.4 + 0.05 * rng.normal(size=3),
+                )
             continue
         heading = 1.0 + turn
         outlier = name == "gps" and 2.0 < time_s < 3.0

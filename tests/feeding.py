@@ -30,18 +30,20 @@ Events = list[Event]
 
 
 def events_of(vehicle: Vehicle, mission: Mission) -> Events:
-    """All readings of a mission in the order of their times; a sample of the drive goes before what was read at the same instant."""
+    """All readings of a mission by time; a sample of the drive goes before what was read at the same instant."""
     times, values = drive_samples(vehicle, mission)
     events = [Event(DRIVE, t, tuple(v), t, t) for t, v in zip(times.tolist(), values.tolist(), strict=True)]
     for name in vehicle.sensors:
         stream = mission.streams[name]
-        events += [Event(name, t, tuple(v), t, t) for t, v in zip(stream.time_s.tolist(), stream.value.tolist(), strict=True)]
+        events += [
+            Event(name, t, tuple(v), t, t) for t, v in zip(stream.time_s.tolist(), stream.value.tolist(), strict=True)
+        ]
     events.sort(key=lambda e: (round(e.true_s, 9), e.sensor != DRIVE))
     return events
 
 
 def delayed(events: Events, sensors: Iterable[str], most_s: float, seed: int, share: float = 1.0) -> Events:
-    """The events in the order of their arrival when (a share of) the readings of these sensors come up to so much too late."""
+    """The events by arrival when (a share of) the readings of these sensors come up to so much too late."""
     rng, names = np.random.default_rng(seed), set(sensors)
 
     def arrival_s(event: Event) -> float:

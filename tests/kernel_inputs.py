@@ -36,7 +36,9 @@ def random_nav(rng):
     lat, h = rng.uniform(-1.2, 1.2), rng.uniform(-3000.0, 500.0)
     C = matrix_from_euler(*rng.uniform([-0.6, -0.6, -3.1], [0.6, 0.6, 3.1]))
     meridian, prime = naive.radii(lat)
-    return np.concatenate([[lat, rng.uniform(-3, 3), h], rng.normal(scale=3.0, size=3), C.ravel(), [meridian + h, prime + h]])
+    return np.concatenate(
+        [[lat, rng.uniform(-3, 3), h], rng.normal(scale=3.0, size=3), C.ravel(), [meridian + h, prime + h]]
+    )
 
 
 def random_drive(rng, k, **settings):
@@ -56,7 +58,9 @@ def random_drive(rng, k, **settings):
 
 
 def imu_samples(rng, n, increments=False):
-    samples = np.column_stack([np.full(n, 0.01), 0.3 * rng.normal(size=(n, 3)), rng.normal(loc=(0.0, 0.0, -9.8), size=(n, 3))])
+    samples = np.column_stack(
+        [np.full(n, 0.01), 0.3 * rng.normal(size=(n, 3)), rng.normal(loc=(0.0, 0.0, -9.8), size=(n, 3))]
+    )
     samples[:, 0] += rng.uniform(-0.003, 0.003, n)
     if n > 3:
         samples[n // 2, 0] = 0.046  # a gap: five ticks, and what happened unseen

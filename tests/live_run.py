@@ -1,4 +1,4 @@
-"""``navfilter run`` for tests and benchmarks: a mission as lines, a session in this process, and the command as a process."""
+"""``navfilter run`` for tests and benchmarks: a mission as lines, a session here, the command as a process."""
 
 import dataclasses
 import json

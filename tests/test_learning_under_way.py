@@ -292,7 +292,7 @@ def changing_run(gyro, seed):
     return heading_figures(track, mission, CHANGE_S + 2.0 * WINDOW_S)[1], sds
 
 
-@pytest.mark.parametrize("gyro", GYROS)
+@pytest.mark.parametrize("gyro", ["tactical", pytest.param("mems", marks=pytest.mark.slow)])
 def test_a_compass_error_that_trebles_is_followed_within_two_windows(gyro):
     """0.5 deg becomes 1.5 deg. A window holds 500 / 30 independent errors: an sd to 17 %, the median of three to 12 %; S(0) is the mean of
     two windows, the older of which still holds some of the quiet time, so the lower limit is 1.5 - 30 %.

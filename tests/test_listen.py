@@ -61,6 +61,11 @@ TRUE = {
 MOTIONS = {"straight": transit, "turning": turns_and_dives}
 CASES = [(mems, motion) for mems in (False, True) for motion in MOTIONS]
 NAMES = ["tactical-straight", "tactical-turning", "mems-straight", "mems-turning"]
+#: Each unit and each motion once; the other two with ``-m slow``.
+SOME = [
+    pytest.param(mems, motion, id=name, marks=[] if mems == (motion == "straight") else pytest.mark.slow)
+    for (mems, motion), name in zip(CASES, NAMES, strict=True)
+]
 SEED, DURATION_S = 3, 1200.0
 #: Where two series are compared little is a matter of statistics: twenty waves, and all turns and dives of the motion, are enough.
 PART_S = 660.0
@@ -139,7 +144,7 @@ SLACK = {"compass": 0.002, "dvl": 0.1, "depth": 0.1, "gps": 0.005}
 
 
 @pytest.mark.parametrize("name", TRUE)
-@pytest.mark.parametrize(("mems", "motion"), CASES, ids=NAMES)
+@pytest.mark.parametrize(("mems", "motion"), SOME)
 def test_a_slow_wave_on_the_readings_comes_out_whole(mems, motion, name):
     """A loop that followed it would hide it: a gain of 0.03 where tilt stays in the loop of a micromechanical unit."""
     # the wandering rest of a turning vehicle wants all forty waves
@@ -167,7 +172,7 @@ BELIEFS = {
 
 
 @pytest.mark.parametrize("name", TRUE)
-@pytest.mark.parametrize(("mems", "motion"), CASES, ids=NAMES)
+@pytest.mark.parametrize(("mems", "motion"), SOME)
 def test_the_series_does_not_depend_on_what_is_believed_of_the_sensor(mems, motion, name):
     """Series of different beliefs differ, in r-th differences, by less than the drift that is claimed beside the error anyway.
 
