@@ -250,7 +250,7 @@ def test_dropouts_remove_blank_or_zero(motion):
     sensor, lost = BodyVelocity(rate_hz=4.0, error=White(sd=0.1)), ((20.0, 30.0), (50.0, 50.6))
     whole = one_sensor(sensor, motion)
     inside = within(whole.time_s, lost)
-    assert runs.sum() == 41 + 3
+    assert inside.sum() == 41 + 3
     missing = one_sensor(sensor, motion, Faults(dropouts=lost))
     np.testing.assert_array_equal(missing.time_s, whole.time_s[~inside])
     np.testing.assert_array_equal(missing.value, whole.value[~inside])
