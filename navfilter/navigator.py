@@ -22,6 +22,7 @@ from navfilter.filter.history import History, Reading
 from navfilter.filter.intake import IntakeMemory, joined
 from navfilter.filter.memory import misfit
 from navfilter.filter.tape import Tape
+from navfilter.learning.learner import LearnerMemory
 from navfilter.learning.listener import ChannelSeries, ListenerMemory
 from navfilter.learning.rest import RestMemory
 from navfilter.learning.schedule import LearningMemory, LearningSchedule
@@ -42,7 +43,7 @@ class NavigatorMemory:
     learning: LearningMemory
 
 
-MEMORY = (NavigatorMemory, FilterMemory, LearningMemory, ListenerMemory, RestMemory, ChannelMemory, IntakeMemory)
+MEMORY = (NavigatorMemory, FilterMemory, LearningMemory, ListenerMemory, LearnerMemory, RestMemory, ChannelMemory, IntakeMemory)
 
 
 def _when(item: Array | Reading) -> float:

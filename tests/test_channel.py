@@ -11,10 +11,11 @@ from scipy.linalg import expm
 
 from navfilter.arma.algebra import add_arma
 from navfilter.arma.model import ArmaModel, simulate_arma
+from navfilter.filter.memory import from_arrays, to_arrays
 from navfilter.kernels import channel as kernels
 from navfilter.learning.drift import Drift
 from navfilter.learning.fit import fit_channel
-from navfilter.learning.learner import Learner
+from navfilter.learning.learner import Learner, LearnerMemory
 from navfilter.learning.likelihood import TOLERANCE, Likelihood
 
 DEG = math.pi / 180.0
@@ -479,10 +480,9 @@ def test_learner_continues_from_a_snapshot_to_the_last_bit():
         first = Learner(ORDERS, 1000, TACTICAL)
         for end in list(ends)[:cut]:
             first.hop(y[:end])
-        kept = first.snapshot()
-        assert all(isinstance(v, np.ndarray) and v.dtype == np.float64 for v in kept.values())
+        kept = first.memory
         other = Learner(ORDERS, 1000, TACTICAL)
-        other.restore({name: value.copy() for name, value in kept.items()})
+        other.memory = from_arrays(to_arrays(kept), [LearnerMemory, ArmaModel])
         assert [other.hop(y[:end]) for end in list(ends)[cut:]] == models[cut:]
         assert other.order == one.order
 

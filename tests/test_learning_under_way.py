@@ -259,8 +259,8 @@ def test_live_in_blocks_and_replayed_are_the_same_bits_while_all_sensors_are_lea
     one_by_one(single, events)
     in_blocks(blocks, events, np.random.default_rng(1))
     assert single.counts["adopted"] > len(TRUE) and blocks.counts == single.counts
-    for name in ("_nav", "_x", "_P"):
-        np.testing.assert_array_equal(getattr(blocks, name), getattr(single, name), err_msg=name)
+    for name in ("nav", "x", "P"):
+        np.testing.assert_array_equal(getattr(blocks.filter, name), getattr(single.filter, name), err_msg=name)
     track = nf.replay(vehicle, mission, output_rate_hz=None)
     assert track.time_s[-1] == single.state.time_s
     np.testing.assert_array_equal(track.velocity_n[-1], single.state.velocity_n)

@@ -353,8 +353,8 @@ def test_blocks_and_single_samples_agree_bit_for_bit(build):
     np.testing.assert_array_equal(single.filter.P, blocks.filter.P)
     np.testing.assert_array_equal(single.filter.x, blocks.filter.x)
     assert single.counts == blocks.counts
-    assert single.filter.tape.row_times == blocks._tape.row_times
-    assert len(single.filter.tape.records) == len(blocks._tape.records)
+    assert single.filter.tape.row_times == blocks.filter.tape.row_times
+    assert len(single.filter.tape.records) == len(blocks.filter.tape.records)
 
 
 @pytest.mark.parametrize("build", VEHICLES.values(), ids=VEHICLES.keys())

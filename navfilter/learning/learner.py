@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,14 +21,43 @@ from navfilter.learning.low_frequency import slow_pole
 from navfilter.learning.orders import Candidate, finds_more_low_frequency_power, fit_candidate, preferred
 from navfilter.learning.starts import cold_starts, grown_starts, slow_part_start
 
-__all__ = ["Learner"]
+__all__ = ["Learner", "LearnerMemory"]
 
 Array = NDArray[np.float64]
 Order = tuple[int, int]
 
 #: A window counts as full when this part of it is known.
 FULL = 0.9
-KEPT_FLAGS = ("capped", "starting")
+
+
+@dataclass(frozen=True)
+class LearnerMemory:
+    """What a learner knows between hops; nothing in it is changed.
+
+    Attributes
+    ----------
+    thetas : dict of (p, q) to ndarray, shape (p + q + 1,)
+        Estimates ``[ar, ma, ln sd]`` of every order that has been fitted, in the unit of the series.
+    gaps : dict of (p, q) to float
+        BIC above that of the order in use.
+    chosen, challenger : (p, q) or None
+    leads, turn, coloured : int
+        Hops that the challenger has led, turns of the others, hops without an order that passed.
+    young : bool
+        Whether the window was not full at the last hop.
+    good : ArmaModel or None
+        The last model that passed.
+    """
+
+    thetas: dict[Order, Array]
+    gaps: dict[Order, float]
+    chosen: Order | None
+    challenger: Order | None
+    leads: int
+    turn: int
+    coloured: int
+    young: bool
+    good: ArmaModel | None
 
 
 class Learner:
@@ -244,42 +273,32 @@ class Learner:
             return self._without(likelihood.y / likelihood.unit, "fallback")
         return _flagged(min(found, key=lambda candidate: candidate.fit.bic).model(likelihood), "fallback")
 
-    # ------------------------------------------------------------------ keep and bring back
+    # ------------------------------------------------------------------ what changes
 
-    def snapshot(self) -> dict[str, Array]:
-        """All that the learner knows, as a plain dict of float64 arrays."""
-        index = {order: float(i) for i, order in enumerate(self.orders)}
-        at = [-1.0 if order is None else index.get(order, -1.0) for order in (self._chosen, self._challenge.order)]
-        kept = {"choice": np.array([*at, self._challenge.leads, self._turn, self._coloured, self._young], dtype=np.float64)}
-        kept["gaps"] = np.array([self._gaps.get(order, math.nan) for order in self.orders])
-        for order, theta in self._thetas.items():
-            kept[f"theta/{int(index[order])}"] = theta.copy()
-        if self._good is not None:
-            model = self._good
-            kept["good"] = np.r_[model.p, model.q, model.ar, model.ma, model.sd]
-            kept["good_covariance"] = np.zeros((0, 0)) if model.covariance is None else model.covariance.copy()
-            kept["good_extra"] = np.array(
-                [model.sd_log_s0, model.effective_window, *(float(flag in model.flags) for flag in KEPT_FLAGS)], dtype=np.float64
-            )
-        return kept
+    @property
+    def memory(self) -> LearnerMemory:
+        """All that the learner knows; setting one goes on from it, to the last bit."""
+        return LearnerMemory(
+            thetas=dict(self._thetas),
+            gaps=dict(self._gaps),
+            chosen=self._chosen,
+            challenger=self._challenge.order,
+            leads=self._challenge.leads,
+            turn=self._turn,
+            coloured=self._coloured,
+            young=self._young,
+            good=self._good,
+        )
 
-    def restore(self, snapshot: dict[str, Array]) -> None:
-        """Continue from a `snapshot` of a learner built with the same arguments, to the last bit."""
-        chosen, challenger, leads, turn, coloured, young = (float(v) for v in snapshot["choice"])
-        self._chosen = None if chosen < 0 else self.orders[int(chosen)]
-        self._challenge = Challenge(None if challenger < 0 else self.orders[int(challenger)], int(leads))
-        self._turn, self._coloured, self._young = int(turn), int(coloured), bool(young)
-        gaps = zip(self.orders, snapshot["gaps"], strict=True)
-        self._gaps = {order: float(gap) for order, gap in gaps if not math.isnan(gap)}
-        names = [(order, f"theta/{i}") for i, order in enumerate(self.orders)]
-        self._thetas = {order: np.array(snapshot[name]) for order, name in names if name in snapshot}
-        self._good = None
-        if "good" in snapshot:
-            p, q = int(snapshot["good"][0]), int(snapshot["good"][1])
-            ar, ma, sd = np.split(np.asarray(snapshot["good"][2:]), [p, p + q])
-            spread, length, *kept = (float(v) for v in snapshot["good_extra"])
-            flags = frozenset(flag for flag, is_set in zip(KEPT_FLAGS, kept, strict=True) if is_set)
-            self._good = ArmaModel(ar, ma, float(sd[0]), snapshot["good_covariance"], spread, length, flags)
+    @memory.setter
+    def memory(self, memory: LearnerMemory) -> None:
+        for order, theta in memory.thetas.items():
+            if order not in self.orders or theta.shape != (sum(order) + 1,):
+                raise ValueError(f"a learner of orders {self.orders} cannot go on from {theta.size} coefficients of order {order}.")
+        self._thetas, self._gaps = dict(memory.thetas), dict(memory.gaps)
+        self._chosen, self._challenge = memory.chosen, Challenge(memory.challenger, memory.leads)
+        self._turn, self._coloured, self._young = memory.turn, memory.coloured, memory.young
+        self._good = memory.good
 
 
 def _rescaled(theta: Array, likelihood: Likelihood) -> Array:

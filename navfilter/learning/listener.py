@@ -13,7 +13,7 @@ from navfilter.error_models import ErrorModel
 from navfilter.kernels import listen
 from navfilter.learning.drift import Drift
 from navfilter.learning.learned import known_walk, known_white, learned_part, learning_part, with_learned
-from navfilter.learning.learner import Learner
+from navfilter.learning.learner import Learner, LearnerMemory
 from navfilter.learning.limits import LEAST
 from navfilter.learning.low_frequency import HOPS_REMEMBERED, UNOBSERVABLE, steadied, zero_frequency
 from navfilter.sensors import Sensor
@@ -64,7 +64,7 @@ class ListenerMemory:
         Of each axis, as learnt last.
     levels : tuple of tuple of float
         S(0) of each axis at the last hops.
-    learners : tuple of dict or None
+    learners : tuple of LearnerMemory or None
         What the learner of each axis knows; None where nothing is learnt.
     """
 
@@ -75,7 +75,7 @@ class ListenerMemory:
     due: int
     models: tuple[ErrorModel, ...]
     levels: tuple[tuple[float, ...], ...]
-    learners: tuple[dict[str, Array] | None, ...]
+    learners: tuple[LearnerMemory | None, ...]
 
 
 class Listener:
@@ -144,11 +144,11 @@ class Listener:
     def memory(self, memory: ListenerMemory) -> None:
         for learner, now, then in zip(self.learners, self._memory.learners, memory.learners, strict=True):
             if learner is not None and then is not None and then is not now:
-                learner.restore(then)
+                learner.memory = then
         self._memory = memory
 
-    def _known(self) -> tuple[dict[str, Array] | None, ...]:
-        return tuple(None if learner is None else learner.snapshot() for learner in self.learners)
+    def _known(self) -> tuple[LearnerMemory | None, ...]:
+        return tuple(None if learner is None else learner.memory for learner in self.learners)
 
     def series(self, axis: int, last: int | None = None, without: int = 0) -> Array:
         """The last ticks of one axis, oldest first, without the newest; isolated spikes are missing."""

@@ -13,7 +13,7 @@ from navfilter.error_models import ErrorModel, RandomWalk, Sum
 from navfilter.learning.bias import hand_over, plainer
 from navfilter.learning.drift import Drift
 from navfilter.learning.learned import known_walk, known_white, learned_part, learning_part, with_learned
-from navfilter.learning.learner import Learner
+from navfilter.learning.learner import Learner, LearnerMemory
 from navfilter.learning.limits import LONGEST_GAP
 from navfilter.learning.low_frequency import HOPS_REMEMBERED, steadied, zero_frequency
 from navfilter.mechanisation import Imu, Mechanisation
@@ -73,7 +73,7 @@ class RestMemory:
     level: Array
     models: tuple[ErrorModel, ...]
     levels: tuple[tuple[float, ...], ...]
-    learners: tuple[dict[str, Array] | None, ...]
+    learners: tuple[LearnerMemory | None, ...]
 
 
 class RestRecorder:
@@ -149,11 +149,11 @@ class RestRecorder:
             raise ValueError(f"a block at rest holds 0 to {self.length} samples, found {memory.filled}.")
         for learner, now, then in zip(self.learners, self._memory.learners, memory.learners, strict=True):
             if learner is not None and then is not None and then is not now:
-                learner.restore(then)
+                learner.memory = then
         self._memory = memory
 
-    def _known(self) -> tuple[dict[str, Array] | None, ...]:
-        return tuple(None if learner is None else learner.snapshot() for learner in self.learners)
+    def _known(self) -> tuple[LearnerMemory | None, ...]:
+        return tuple(None if learner is None else learner.memory for learner in self.learners)
 
     def begin_again(self) -> None:
         """Gather everything again from the start; what has been learnt from is not due again."""
