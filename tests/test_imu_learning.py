@@ -21,8 +21,9 @@ from navfilter.learning.bias import _driving_variance, hand_over, plainer
 from navfilter.learning.drift import Drift
 from navfilter.learning.learned import DEFAULT_ORDERS, learned_part
 from navfilter.learning.learner import Learner
+from navfilter.learning.limits import LONGEST_GAP
 from navfilter.learning.low_frequency import zero_frequency
-from navfilter.learning.rest import LONGEST_GAP, RestRecorder
+from navfilter.learning.rest import RestRecorder
 from navfilter.mechanisation import ACCEL_PRIOR, GYRO_PRIOR
 from navfilter.simulation.campaigns import stage
 from navfilter.simulation.faults import Faults, draw_error
