@@ -17,9 +17,10 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import block_diag, solve_discrete_lyapunov
+from scipy.linalg import block_diag
 
 from navfilter.arma.roots import is_stable
+from navfilter.arma.stationary import stationary_covariance
 from navfilter.constants import ROOT_HOUR
 
 __all__ = ["Arma", "Block", "ErrorModel", "GaussMarkov", "Integrated", "RandomWalk", "Sum", "White", "block_level", "per_axis"]
@@ -341,8 +342,7 @@ class Arma(ErrorModel):
         h = np.zeros(n)
         h[: len(self.ma) + 1] = [1.0, *self.ma]
         Q = self.sd**2 * np.outer(h, h)
-        P0 = solve_discrete_lyapunov(F, Q)
-        return Block(F, Q, np.eye(n)[0], 0.0, _square((P0 + P0.T) / 2, n))
+        return Block(F, Q, np.eye(n)[0], 0.0, stationary_covariance(F, Q))
 
 
 @dataclass(frozen=True)

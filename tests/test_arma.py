@@ -132,7 +132,6 @@ def test_spectral_factor_recovers_an_invertible_moving_average(ma, sd):
     factor_and_compare(nf.ArmaModel([], ma, sd))
 
 
-@pytest.mark.xfail(strict=False, reason="a triple zero on the unit circle is refused with a misfit of 3e-6")
 def test_spectral_factor_recovers_a_triple_zero_on_the_circle():
     """Found by random search."""
     factor_and_compare(nf.ArmaModel([], [-3.0, 3.0, -1.0], 1.0))

@@ -15,9 +15,10 @@ from navfilter.arma.model import ArmaModel, simulate_arma
 from navfilter.filter.memory import from_arrays, to_arrays
 from navfilter.kernels import channel as kernels
 from navfilter.learning.drift import Drift
+from navfilter.learning.effort import EFFORT
 from navfilter.learning.fit import fit_channel
 from navfilter.learning.learner import Learner, LearnerMemory
-from navfilter.learning.likelihood import TOLERANCE, Likelihood
+from navfilter.learning.likelihood import Likelihood
 
 DEG = math.pi / 180.0
 PERIOD_S = 0.125
@@ -146,7 +147,7 @@ def test_scores_are_their_twin(ar, ma, r):
 
 @pytest.mark.parametrize(("ar", "ma", "r"), [([-1.5, 0.6], [0.3], 2), ([-0.99], [-0.9], 3), ([], [], 2)])
 def test_an_interpolated_gain_changes_next_to_nothing(ar, ma, r):
-    """Leaps with TOLERANCE against every tick by itself: log-likelihood, innovations, gradient and information over 1500 ticks."""
+    """Leaps with the tolerance against every tick: log-likelihood, innovations, gradient and information over 1500 ticks."""
     random = np.random.default_rng(31)
     drift = Drift((1e-2, 1e-4, 1e-6)[:r], 1.0)
     y = series([ArmaModel(ar, ma, 0.7)], drift, 1500, 31)
@@ -154,7 +155,7 @@ def test_an_interpolated_gain_changes_next_to_nothing(ar, ma, r):
     y[random.choice(1500, 5)] += 9.0
     theta, Q, m = packed(ar, ma, 0.7), drift.per_tick(), max(len(ar), len(ma), 1)
     free, out = np.r_[np.arange(len(ar)), m + np.arange(len(ma)), 2 * m], []
-    for scores, tolerance in ((kernels.channel_scores, TOLERANCE), (naive.channel_scores, 0.0)):
+    for scores, tolerance in ((kernels.channel_scores, EFFORT.gain_tolerance), (naive.channel_scores, 0.0)):
         k = len(free)
         E, LNS, info, gradient = np.empty((k + 1, 1500)), np.empty((k + 1, 1500)), np.empty((k, k)), np.empty(k)
         value = scores(y, theta, Q, np.array([r, 8.0, 4.0, 0.04, tolerance]), free, np.full(k, 1e-6), E, LNS, info, gradient)

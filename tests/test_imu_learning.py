@@ -20,9 +20,9 @@ from navfilter.learning.bias import hand_over, plainer
 from navfilter.learning.drift import Drift
 from navfilter.learning.learned import DEFAULT_ORDERS, learned_part
 from navfilter.learning.learner import Learner
-from navfilter.learning.listener import _drift
+from navfilter.learning.limits import LONGEST_GAP
 from navfilter.learning.low_frequency import zero_frequency
-from navfilter.learning.rest import LONGEST_GAP, RestRecorder
+from navfilter.learning.rest import RestRecorder
 from navfilter.mechanisation import ACCEL_PRIOR, GYRO_PRIOR
 from navfilter.simulation.campaigns import stage
 from navfilter.simulation.faults import Faults, draw_error
@@ -513,7 +513,7 @@ def test_what_is_learnt_of_the_unit_drives_the_other_sensors_series_as_white_noi
 def drifts(gyro):
     sensors = {"compass": nf.Heading(rate_hz=8), "dvl": nf.BodyVelocity(rate_hz=4), "gps": nf.Position(rate_hz=1)}
     vehicle = nf.Vehicle(imu=nf.Imu(rate_hz=RATE_HZ, gyro=gyro, accel=FORCE_WALK + nf.White(sd=FORCE_SD)), sensors=sensors)
-    return [_drift(sensor, 0, vehicle, 0.0) for sensor in sensors.values()]
+    return [sensor.drift(vehicle.drive, 0, 0.0) for sensor in sensors.values()]
 
 
 def test_the_next_dive_begins_with_what_was_learnt(tmp_path):

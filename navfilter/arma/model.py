@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.signal import freqz, lfilter
 
 from navfilter.arma.roots import is_stable, roots_of
+from navfilter.arma.stationary import observer, settled
 
 __all__ = [
     "ArmaModel",
@@ -215,18 +216,8 @@ class ArmaModel:
         r = max(self.p, self.q)
         a, c = np.zeros(r), np.zeros(r)
         a[: self.p], c[: self.q] = self.ar, self.ma
-        step = np.eye(r, k=1)
-        step[:, :1] -= a[:, None]
-        drive = c - a
-        P, power = self.sd**2 * np.outer(drive, drive), step.copy()
-        # Doubling: after k rounds P holds 2^k terms of the series sum M^j g g' M^j'; 60 rounds exceed any memory.
-        for _ in range(60):
-            more = power @ P @ power.T
-            P = P + more
-            if not np.any(np.abs(more) > 1e-17 * np.abs(P).max(initial=0.0)):
-                break
-            power = power @ power
-        return step, drive, P
+        step, drive = observer(a, c)
+        return step, drive, settled(step, self.sd**2 * np.outer(drive, drive))
 
 
 def simulate_arma(ar: ArrayLike, ma: ArrayLike, sd: float, n: int, seed: int | np.random.Generator | None = None) -> Array:

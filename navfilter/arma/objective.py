@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.arma.roots import is_stable
+from navfilter.arma.stationary import observer
 from navfilter.kernels import fit as kernels
 
 Array = NDArray[np.float64]
@@ -55,13 +56,6 @@ class Objective(Protocol):
     def linearise(self, point: Point) -> tuple[Array, Array]: ...
 
     def residuals(self, point: Point) -> Array: ...
-
-
-def observer(a: Array, c: Array) -> tuple[Array, Array]:
-    """Transition M and input g of the observer form."""
-    M = np.eye(a.size, k=1)
-    M[:, 0] -= a
-    return M, c - a
 
 
 def inside(theta: Array, p: int) -> bool:

@@ -11,7 +11,7 @@ import dataclasses
 import datetime
 import json
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any, TypeVar
 
 import numpy as np
@@ -22,17 +22,49 @@ __all__ = ["copied", "differences", "from_arrays", "misfit", "to_arrays"]
 Array = NDArray[np.float64]
 T = TypeVar("T")
 
-#: For each class of state: its fields, and whether the field is to be copied.
-_PLANS: dict[type, tuple[tuple[str, bool], ...]] = {}
+class _Copiers(dict[type, Callable[[Any], Any] | None]):
+    """How values of a class are copied; None for classes whose values cannot change and are shared."""
+
+    def __missing__(self, kind: type) -> Callable[[Any], Any] | None:
+        own = self[kind] = _state_copier(kind) if _is_state(kind) else None
+        return own
 
 
-def _plan(kind: type) -> tuple[tuple[str, bool], ...]:
-    plan = _PLANS.get(kind)
-    if plan is None:
-        fixed = kind.__dataclass_params__.frozen if dataclasses.is_dataclass(kind) else True  # type: ignore[attr-defined]
-        held = getattr(kind, "SHARED", ())
-        plan = _PLANS[kind] = () if fixed else tuple((f.name, f.name not in held) for f in dataclasses.fields(kind))
-    return plan
+def _is_state(kind: type) -> bool:
+    """Whether it is a dataclass that can change."""
+    return dataclasses.is_dataclass(kind) and not kind.__dataclass_params__.frozen  # type: ignore[attr-defined]
+
+
+def _state_copier(kind: type) -> Callable[[Any], Any]:
+    held = frozenset(getattr(kind, "SHARED", ()))
+
+    def copy(value: Any) -> Any:
+        # ten times a second on board: the whole dict at once, then what changes
+        fields = dict(value.__dict__)
+        for name, item in fields.items():
+            own = _COPIERS[type(item)]
+            if own is not None and name not in held:
+                fields[name] = own(item)
+        new: Any = object.__new__(kind)
+        new.__dict__ = fields
+        return new
+
+    return copy
+
+
+def _copied_dict(value: dict[Any, Any]) -> dict[Any, Any]:
+    new = dict(value)
+    for key, item in new.items():
+        own = _COPIERS[type(item)]
+        if own is not None:
+            new[key] = own(item)
+    return new
+
+
+_COPIERS = _Copiers()
+_COPIERS[np.ndarray] = np.ndarray.copy
+_COPIERS[dict] = _copied_dict
+_COPIERS[list] = lambda value: [copied(item) for item in value]
 
 
 def copied(value: T) -> T:
@@ -46,23 +78,8 @@ def copied(value: T) -> T:
     >>> float(before["x"][0]), after["models"] is before["models"]
     (0.0, True)
     """
-    kind = type(value)
-    if kind is np.ndarray:
-        return value.copy()  # type: ignore[attr-defined]
-    if kind is float or kind is int:
-        return value
-    if kind is dict:
-        return {key: copied(item) for key, item in value.items()}  # type: ignore[attr-defined, return-value]
-    if kind is list:
-        return [copied(item) for item in value]  # type: ignore[attr-defined, return-value]
-    plan = _plan(kind)
-    if not plan:
-        return value
-    new = object.__new__(kind)
-    for name, own in plan:
-        item = getattr(value, name)
-        setattr(new, name, copied(item) if own else item)
-    return new
+    own = _COPIERS[type(value)]
+    return value if own is None else own(value)
 
 
 def differences(one: Any, other: Any, tolerance: float = 0.0, where: str = "") -> list[str]:
@@ -109,12 +126,12 @@ def misfit(value: Any, like: Any, where: str = "state") -> str | None:
             return None
         found = f"shape {value.shape}" if isinstance(value, np.ndarray) else type(value).__name__
         return f"{where} must be an array of shape {like.shape}, found {found}"
-    plan = _plan(type(like))
-    if plan:
+    if _is_state(type(like)):
         if type(value) is not type(like):
             return f"{where} must be a {type(like).__name__}, found {type(value).__name__}"
-        return next((m for name, _ in plan if (m := misfit(getattr(value, name), getattr(like, name), f"{where}.{name}"))), None)
-    if isinstance(like, dict) and any(isinstance(v, np.ndarray) or _plan(type(v)) for v in like.values()):
+        names = [f.name for f in dataclasses.fields(like)]
+        return next((m for n in names if (m := misfit(getattr(value, n), getattr(like, n), f"{where}.{n}"))), None)
+    if isinstance(like, dict) and any(isinstance(v, np.ndarray) or _is_state(type(v)) for v in like.values()):
         if not isinstance(value, dict) or value.keys() != like.keys():
             return f"{where} must have the entries {', '.join(map(str, like))}"
         return next((m for key in like if (m := misfit(value[key], like[key], f"{where}[{key!r}]"))), None)

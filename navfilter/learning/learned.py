@@ -9,9 +9,9 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_discrete_lyapunov
 
 from navfilter.arma.model import ArmaModel
+from navfilter.arma.stationary import stationary_covariance
 from navfilter.error_models import Block, ErrorModel, Integrated, RandomWalk, Sum, White
 from navfilter.learning.limits import LEAST
 from navfilter.learning.low_frequency import cautious
@@ -143,8 +143,7 @@ def register_block(model: ArmaModel) -> Block:
     if q:
         g[k] = 1.0
     Q = variance * np.outer(g, g)
-    P0 = solve_discrete_lyapunov(Phi, Q)
-    return Block(Phi, Q, np.eye(k + q)[0], 0.0, np.ascontiguousarray(0.5 * (P0 + P0.T)))
+    return Block(Phi, Q, np.eye(k + q)[0], 0.0, stationary_covariance(Phi, Q))
 
 
 def register_labels(model: ArmaModel) -> list[tuple[str, int]]:
