@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass
 from os import PathLike
 
@@ -210,21 +209,21 @@ class Navigator:
         """Give samples or a reading, in order, to filter and learning; users call `step` and `correct`."""
         learning = self.learning
         if isinstance(item, np.ndarray):
-            learning.keep(item)
-            self._follow(self.filter.advance(item, self._room))
+            if learning.beginning is not None:
+                learning.keep(item)
+            self.filter.advance(item, self._told, self._room)
             return None
         if learning.is_first_due(item.time_s):
             self._adopt_first()
         learning.keep(item)
         correction = self.filter.correct(*item)
-        self._follow((correction,))
+        self._told(correction)
         return correction.outcome
 
-    def _follow(self, events: Iterable[Event]) -> None:
-        """Show what the filter does to learning, and give the filter the error models that it answers with."""
-        for event in events:
-            for change in self.learning.heard(event):
-                self._follow(self.filter.adopt(change))
+    def _told(self, event: Event) -> None:
+        """Show learning what the filter does, and give the filter the error models that it answers with."""
+        for change in self.learning.heard(event):
+            self.filter.adopt(change, self._told)
 
     def _adopt_first(self) -> None:
         """Adopt the first models, and run what there was so far again with them, see `LearningSchedule`."""
@@ -266,7 +265,7 @@ class Navigator:
         ValueError
             For an unknown sensor, or something that is no error model.
         """
-        self._follow(self.filter.adopt(Change(name, error)))
+        self.filter.adopt(Change(name, error), self._told)
         self.learning.beginning = None
         if self._history is not None:
             self._history.begin()
@@ -287,7 +286,7 @@ class Navigator:
 
     @memory.setter
     def memory(self, memory: NavigatorMemory) -> None:
-        self.filter.memory = memory.filter
+        self.filter.recall(memory.filter)
         self.learning.memory = memory.learning
 
     @property

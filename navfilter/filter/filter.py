@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,6 +25,8 @@ from navfilter.vehicle import Vehicle
 __all__ = ["Filter"]
 
 Array = NDArray[np.float64]
+#: One that is told what the filter does.
+Listening = Callable[[Event], None]
 #: Beyond this variance of the heading [rad^2] a body velocity is taken with its second-order term.
 UNSURE_HEADING = 0.01
 CODES = {name: code for code, name in enumerate(OUTCOMES)}
@@ -34,8 +36,8 @@ COUNTED = ("gap", "backward", "bad-sample", "clock-set", "widened", "opened", "a
 class Filter:
     """Error-state extended Kalman filter in closed loop, fed in the order of time.
 
-    `advance` carries the state over samples of the drive, `correct` takes a reading, `adopt` puts another error model in force, `memory` is
-    all that changes. What it does, it tells as events (`navfilter.filter.events`).
+    `advance` carries the state over samples of the drive, `correct` takes a reading, `adopt` puts another error model in force, `recall`
+    goes back to an earlier `memory`. What it does, it tells as events (`navfilter.filter.events`).
 
     Parameters
     ----------
@@ -49,6 +51,8 @@ class Filter:
     ----------
     in_force : Vehicle
         With the error models that are in force now.
+    memory : FilterMemory
+        Everything that changes; copy it to keep it (`navfilter.filter.memory.copied`).
     layout : Layout
         Of its states.
     channels : dict of str to Channel
@@ -89,19 +93,21 @@ class Filter:
             channel.forget()
         adopted = tuple((models or {}).items())
         self._arrange(adopted)
-        self.memory = FilterMemory(
-            time_s=state.time_s,
-            sample_s=state.time_s,
-            unfolded=0,
-            nav=state.pack(),
-            x=np.zeros(self.layout.size - 9),
-            P=self.layout.start_covariance(state.covariance),
-            acc=self._identity(),
-            drv=self.in_force.drive.memory(self.layout.drive.errors, self.start),
-            intake=self.intake.memory,
-            channels={name: channel.memory for name, channel in self.channels.items()},
-            models=adopted,
-            counts=counts,
+        self.recall(
+            FilterMemory(
+                time_s=state.time_s,
+                sample_s=state.time_s,
+                unfolded=0,
+                nav=state.pack(),
+                x=np.zeros(self.layout.size - 9),
+                P=self.layout.start_covariance(state.covariance),
+                acc=self._identity(),
+                drv=self.in_force.drive.memory(self.layout.drive.errors, self.start),
+                intake=self.intake.memory,
+                channels={name: channel.memory for name, channel in self.channels.items()},
+                models=adopted,
+                counts=counts,
+            )
         )
         if self.tape is not None:
             self.tape.begin(self.layout)
@@ -137,16 +143,11 @@ class Filter:
         return np.vstack([np.eye(m), np.zeros((3 * m, m))])
 
     # ---------------------------------------------------------------- what changes
-    @property
-    def memory(self) -> FilterMemory:
-        """Everything that changes; setting one goes back (or on) to it. Copy it to keep it: `navfilter.filter.memory.copied`."""
-        return self._memory
-
-    @memory.setter
-    def memory(self, memory: FilterMemory) -> None:
+    def recall(self, memory: FilterMemory) -> None:
+        """Go back (or on) to a memory, which is then this filter's own."""
         if memory.models is not self._laid_out:
             self._arrange(memory.models)
-        self._memory = memory
+        self.memory = memory
         self._xd = memory.x[: self.layout.drive.size]
         self.intake.memory, self.intake.counts = memory.intake, memory.counts
         for name, channel in self.channels.items():
@@ -155,32 +156,32 @@ class Filter:
     @property
     def time_s(self) -> float:
         """Mission time of the state [s]."""
-        return self._memory.time_s
+        return self.memory.time_s
 
     @property
     def nav(self) -> Array:
         """Nominal state, see `NavState.pack`; shape (17,)."""
-        return self._memory.nav
+        return self.memory.nav
 
     @property
     def x(self) -> Array:
         """Estimated error states behind the nine of navigation, shape (n - 9,)."""
-        return self._memory.x
+        return self.memory.x
 
     @property
     def P(self) -> Array:
         """Covariance of all error states as of the last fold, shape (n, n)."""
-        return self._memory.P
+        return self.memory.P
 
     @property
     def counts(self) -> dict[str, int]:
         """Irregularities so far."""
-        return self._memory.counts
+        return self.memory.counts
 
     @property
     def state(self) -> NavState:
         """The state with its covariance, now; a copy."""
-        memory, m = self._memory, self.layout.head
+        memory, m = self.memory, self.layout.head
         P, Phi, Q = memory.P[:m, :m], memory.acc[:9], memory.acc[m : m + 9, :9]
         covariance = Phi @ P @ Phi.T + Q
         return NavState.unpack(memory.time_s, memory.nav, 0.5 * (covariance + covariance.T))
@@ -188,26 +189,23 @@ class Filter:
     @property
     def errors(self) -> dict[str, float]:
         """Estimates of all error states and parameters by name."""
-        return dict(zip(self.layout.names, self._memory.x.tolist(), strict=True))
+        return dict(zip(self.layout.names, self.memory.x.tolist(), strict=True))
 
     # ---------------------------------------------------------------- propagation
-    def advance(self, samples: Array, room: Callable[[], int] | None = None) -> Iterator[Event]:
+    def advance(self, samples: Array, tell: Listening, room: Callable[[], int] | None = None) -> None:
         """Carry the state over a block of samples: rows of time and six values; the array is used as work space.
 
         Parameters
         ----------
         samples : ndarray, shape (k, 7)
+        tell : callable
+            Is told each event as it comes, and may give the filter other error models then.
         room : callable, optional
             Says after how many samples somebody wants to see them at the latest: they are then told as `Passed`.
-
-        Yields
-        ------
-        Event
-            The state may be given other error models between two events.
         """
         if not len(samples):
             return
-        memory = self._memory
+        memory = self.memory
         whole = len(samples) <= self._fold_every - memory.unfolded and not (self._rest or room)
         samples, stamps = self.intake.take(samples, memory.drv, self._at_rest, whole)
         begin, total = 0, len(samples)
@@ -218,28 +216,28 @@ class Filter:
             memory.unfolded += end - begin
             memory.time_s = memory.sample_s = memory.intake.before_s = float(stamps[-1 if whole else end - 1])
             if memory.unfolded >= self._fold_every:
-                yield self._fold()
+                tell(self._fold())
             for channel in self._rest:
                 reading = self._felt(channel)
                 if reading is not None:
-                    yield self._update(channel, memory.time_s, reading, None, False)
+                    tell(self._update(channel, memory.time_s, reading, None, False))
             if room is not None:
-                yield Passed(block)
+                tell(Passed(block))
             begin = end
 
     def _room(self, asked: Callable[[], int] | None) -> int:
         """Samples until something is due: the fold, the detection of rest, or what was asked for."""
-        room = self._fold_every - self._memory.unfolded
+        room = self._fold_every - self.memory.unfolded
         for channel in self._rest:
             window = max(2, round(self.vehicle.drive.rate_hz * channel.period_s))
-            room = min(room, max(1, window - int(self._memory.drv[strapdown.COUNT])))
+            room = min(room, max(1, window - int(self.memory.drv[strapdown.COUNT])))
         if self._rest:
             room = max(1, room)
         return room if asked is None else min(room, asked())
 
     def _at_rest(self) -> Array:
         """What the drive would read if the vehicle kept still as it started."""
-        state, drv = self.state, self._memory.drv
+        state, drv = self.state, self.memory.drv
         if not self.inertial:
             return state.roll_pitch_heading - np.array([0.0, 0.0, drv[strapdown.DECLINATION]])
         level = np.concatenate([np.zeros(3), -state.C_nb[2] * strapdown.gravity(self.nav[0], self.nav[2])])
@@ -247,7 +245,7 @@ class Filter:
 
     def _fold(self) -> Propagated:
         """Fold the compound transition into P."""
-        memory = self._memory
+        memory = self.memory
         transition = memory.acc[: self.layout.head].copy()
         if self.tape is not None:
             self.tape.record(transition.reshape(-1), 0, self._dims)
@@ -258,12 +256,12 @@ class Filter:
 
     def _row(self) -> None:
         if self.tape is not None:
-            memory = self._memory
+            memory = self.memory
             self.tape.row(memory.time_s, memory.nav, memory.x, memory.P)
 
     def _felt(self, channel: Channel) -> Array | None:
         """The reading that the drive's last samples make, such as a zero velocity when they were quiet; asked once a period."""
-        drv = self._memory.drv
+        drv = self.memory.drv
         n = drv[strapdown.COUNT]
         if n < max(2, round(self.vehicle.drive.rate_hz * channel.period_s)):
             return None
@@ -291,7 +289,7 @@ class Filter:
         frozen : bool
             The value has not changed for suspiciously long: it never widens the gate.
         """
-        channel, memory = self.channels[name], self._memory
+        channel, memory = self.channels[name], self.memory
         z = np.array(value, dtype=np.float64)  # a copy: kernels want it contiguous and writable
         if z.ndim != 1:
             z = z.reshape(-1)
@@ -318,7 +316,7 @@ class Filter:
         return Correction(Outcome(status), time_s, None)
 
     def _update(self, channel: Channel, time_s: float, z: Array, sd: ArrayLike | None, frozen: bool) -> Correction:
-        memory = self._memory
+        memory = self.memory
         nav, P, x = memory.nav, memory.P, memory.x
         kalman.predict(P, nav, x, memory.acc, channel.model, channel.mem, channel.dims, channel.ticks(time_s))
         memory.unfolded = 0
@@ -354,7 +352,7 @@ class Filter:
     def _rejected(self, channel: Channel, time_s: float, nis: float, dof: int, frozen: bool) -> bool:
         """After a rejection: reset the state when all sensors contradict it, or widen the gate; True when the reading was let in after all.
         """
-        memory, kept = self._memory, channel.memory
+        memory, kept = self.memory, channel.memory
         if math.isnan(kept.rejected_since_s):
             kept.rejected_since_s = time_s
         if frozen:
@@ -385,29 +383,26 @@ class Filter:
         """Angular rate in b [rad/s] for lever arms; the Earth's own rate (1e-4 rad/s) is left in."""
         if not self.inertial:
             return
-        drv = self._memory.drv
+        drv = self.memory.drv
         rate = drv[strapdown.PREVIOUS : strapdown.PREVIOUS + 3] - self.drive_output[:3, :-1] @ self._xd
         self._rate[:] = rate / self._period_s if drv[strapdown.INCREMENTS] else rate
 
     # ---------------------------------------------------------------- other error models
-    def adopt(self, change: Change) -> Iterator[Event]:
+    def adopt(self, change: Change, tell: Listening) -> None:
         """Put another error model of one sensor in force, now; the states follow without a jump (`navfilter.filter.adoption.transfer`).
 
         Parameters
         ----------
         change : Change
-
-        Yields
-        ------
-        Event
-            The fold that comes before, and the new layout.
+        tell : callable
+            Is told the fold that comes before, and the new layout.
 
         Raises
         ------
         ValueError
             For an unknown sensor, or something that is no error model.
         """
-        memory = self._memory
+        memory = self.memory
         models = tuple((dict(memory.models) | {change.sensor: change.error}).items())
         self.vehicle.with_error(**{change.sensor: change.error})  # refuses what cannot be adopted before anything has changed
         for axis, ratio in enumerate(change.power_ratios):
@@ -417,7 +412,7 @@ class Filter:
                 row[channel.group.start : channel.group.start + channel.group.errors] = 0.0
                 memory.P += inflated(memory.P, row, ratio)
         if memory.unfolded:
-            yield self._fold()
+            tell(self._fold())
         before, old = self.layout, self.in_force
         self._arrange(models)
         new = self.in_force
@@ -435,4 +430,4 @@ class Filter:
             self.tape.layouts.append(self.layout)
             self.tape.models.setdefault(change.sensor, []).append((memory.time_s, change.error))
             self._row()
-        yield Relaid(M)
+        tell(Relaid(M))

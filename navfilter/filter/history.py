@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_left
 from collections.abc import Sequence
 from typing import Any, NamedTuple, Protocol
@@ -10,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.filter.events import Outcome
+from navfilter.filter.filter import Filter
 from navfilter.filter.intake import joined
 from navfilter.filter.memory import copied
 
@@ -31,14 +33,7 @@ class Reading(NamedTuple):
 class Run(Protocol):
     """What has a history: it is fed in order, and can go back."""
 
-    @property
-    def time_s(self) -> float:
-        """Mission time of its state [s]."""
-
-    @property
-    def offset_s(self) -> float:
-        """By how much the stamps of samples are moved [s]."""
-
+    filter: Filter
     memory: Any
 
     def feed(self, item: Array | Reading) -> Outcome | None:
@@ -73,21 +68,23 @@ class History:
         self._log: list[Array | Reading] = []
         self._shifts: list[float] = []  # by how much the stamps of each input were moved when it came
         self._first = 0  # number of the first input in the log
+        self._marked_s = -math.inf
 
     def feed(self, item: Array | Reading) -> Outcome | None:
         """Give samples (rows of time and six values) or a reading to the run, and keep them."""
-        self._mark()
-        shift = self.run.offset_s
+        filter_memory = self.run.filter.memory
+        now, shift = filter_memory.time_s, filter_memory.intake.offset_s
+        if now - self._marked_s >= self.SPACING_S:
+            self._mark(now)
         kept = item.copy() if isinstance(item, np.ndarray) else item
         outcome = self.run.feed(item)
         self._log.append(kept)  # behind: the run may have begun this history anew
         self._shifts.append(shift)
         return outcome
 
-    def _mark(self) -> None:
-        now = self.run.time_s
-        if self._marks and now - self._marks[-1][0] < self.SPACING_S:
-            return
+    def _mark(self, now: float) -> None:
+        """Keep a checkpoint of the present, and forget what lies too far back."""
+        self._marked_s = now
         self._marks.append((now, self._first + len(self._log), copied(self.run.memory)))
         old = 0
         while old + 1 < len(self._marks) and self._marks[old + 1][0] <= now - self.length_s:
@@ -110,8 +107,9 @@ class History:
             return Outcome("duplicate")
         marked_s, number, memory = self._marks[at]
         again, shifts = self._log[number - self._first :], self._shifts[number - self._first :]
-        self.replayed_s += self.run.time_s - marked_s
+        self.replayed_s += self.run.filter.memory.time_s - marked_s
         del self._log[number - self._first :], self._shifts[number - self._first :], self._marks[at:]
+        self._marked_s = self._marks[-1][0] if self._marks else -math.inf
         self.run.memory = memory
         result: Outcome | None = None
         for item in _in_place(again, shifts, reading, self.sensors):

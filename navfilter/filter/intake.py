@@ -105,14 +105,15 @@ class Intake:
 
     def take(self, samples: Array, drv: Array, at_rest: Callable[[], Array], whole: bool) -> tuple[Array, Array]:
         """Steps in place of stamps (first column), and the stamps: all of them, or only the last one if the block is taken `whole`."""
-        if self.memory.offset_s:
-            samples[:, 0] += self.memory.offset_s
+        memory = self.memory
+        if memory.offset_s:
+            samples[:, 0] += memory.offset_s
         stamps = samples[-1:, 0].copy() if whole else samples[:, 0].copy()
-        gaps = strapdown.stamps_to_steps(samples, self.memory.before_s, self._limits, self._gap_s, self._doubt_s)
+        gaps = strapdown.stamps_to_steps(samples, memory.before_s, self._limits, self._gap_s, self._doubt_s)
         if gaps < 0:
             return self._mend(samples, drv, at_rest)
         self.counts["gap"] += gaps
-        self.memory.doubtful_s, self.memory.back_count, self.memory.bad = -math.inf, 0, 0
+        memory.doubtful_s, memory.back_count, memory.bad = -math.inf, 0, 0
         return samples, stamps
 
     def _mend(self, samples: Array, drv: Array, at_rest: Callable[[], Array]) -> tuple[Array, Array]:

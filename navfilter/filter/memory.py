@@ -22,8 +22,8 @@ __all__ = ["copied", "differences", "from_arrays", "misfit", "to_arrays"]
 Array = NDArray[np.float64]
 T = TypeVar("T")
 
-#: Annotations of fields that hold what cannot change.
-_NUMBERS = {"float", "int", "bool", "str"}
+#: Annotations of fields that hold what cannot change, and of those whose own `copy` is a whole one.
+_NUMBERS, _FLAT = {"float", "int", "bool", "str"}, {"Array", "NDArray[np.int64]", "dict[str, int]"}
 
 
 class _Copiers(dict[type, Callable[[Any], Any] | None]):
@@ -40,14 +40,17 @@ def _is_state(kind: type) -> bool:
 
 
 def _state_copier(kind: type) -> Callable[[Any], Any]:
-    held = (*getattr(kind, "SHARED", ()), *(f.name for f in dataclasses.fields(kind) if f.type in _NUMBERS))
-    own = tuple(f.name for f in dataclasses.fields(kind) if f.name not in held)
+    own = [f for f in dataclasses.fields(kind) if f.name not in getattr(kind, "SHARED", ()) and f.type not in _NUMBERS]
+    flat = tuple(f.name for f in own if f.type in _FLAT)
+    nested = tuple(f.name for f in own if f.type not in _FLAT)
 
     def copy(value: Any) -> Any:
         # ten times a second on board: all fields at once, then those that are not shared
         new: Any = object.__new__(kind)
         new.__dict__ = fields = dict(value.__dict__)
-        for name in own:
+        for name in flat:
+            fields[name] = fields[name].copy()
+        for name in nested:
             item = fields[name]
             copier = _COPIERS[type(item)]
             if copier is not None:
