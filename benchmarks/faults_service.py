@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
-from test_service import Dive, Process
+from service_library import Dive, Process
 
 import navfilter as nf
 from navfilter.io.json_lines import Reading

@@ -2,7 +2,7 @@
 
 Each sub-command is a function that adds its arguments and one that runs. Everything heavy is imported where it is used, so that
 ``navfilter --help`` answers at once. Exit codes: 0 all is well, 1 `check` or `vehicle --check` found something wrong, 2 wrong usage or
-input.
+input, 130 interrupted, 141 whoever read the output has gone; `run` has its own (see its help).
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from navfilter.commands import replay as replay_command
-from navfilter.commands.console import announce_compilation, output_folder, positive, seed, speaker
+from navfilter.commands.console import announce_compilation, complain, output_folder, positive, seed, speaker
 
 __all__ = ["main"]
 
-OK, FOUND, WRONG, INTERRUPTED = 0, 1, 2, 130
+OK, FOUND, WRONG, INTERRUPTED, UNHEARD = 0, 1, 2, 130, 141
 
 _ABOUT = "Navigation filter for underwater (and other) vehicles: replay a recorded mission, smooth it, and see how honest the result is."
 _FIRST_STEPS = """\
@@ -56,13 +56,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
         parser.print_help()
         return OK
     try:
+        if options.compiled:
+            from navfilter.service.kernel_cache import make_usable
+
+            make_usable(complain)
         return options.run(options)
     except KeyboardInterrupt:
         return _fail("interrupted.", INTERRUPTED)
     except BrokenPipeError:
         # Whoever read our output has gone; what Python still holds for it must not be flushed into the closed pipe.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return OK
+        return UNHEARD
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
         return _fail(f"{where}{error.strerror or error}.", WRONG)
@@ -71,7 +75,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _fail(text: str, code: int) -> int:
-    print(f"navfilter: {text}", file=sys.stderr)
+    complain(f"navfilter: {text}")
     return code
 
 
@@ -114,7 +118,7 @@ def _command(commands: Any, name: str, run: Callable[[argparse.Namespace], int],
         epilog=epilog,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.set_defaults(run=run)
+    parser.set_defaults(run=run, compiled=True)
     return parser
 
 
@@ -271,10 +275,11 @@ def _add_warmup(commands: Any) -> None:
 def _warmup(options: argparse.Namespace) -> int:
     import time
 
-    announce_compilation(options.quiet)
-    from navfilter.playback import warm_up
+    from navfilter.service.kernel_cache import compile_kernels
 
+    say = (lambda text: None) if options.quiet else complain
+    announce_compilation(say)
     began = time.perf_counter()
-    warm_up()
+    compile_kernels(say)
     speaker(options.quiet)(f"ready ({time.perf_counter() - began:.1f} s).")
     return OK

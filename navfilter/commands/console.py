@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import math
+import select
 import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-__all__ = ["announce_compilation", "compile_first", "output_folder", "positive", "seed", "speaker"]
+__all__ = ["announce_compilation", "compile_first", "complain", "output_folder", "positive", "seed", "speaker"]
 
 
 def positive(text: str) -> float:
@@ -47,20 +49,32 @@ def output_folder(path: str | Path) -> Path:
     return folder
 
 
-def announce_compilation(quiet: bool) -> bool:
+def complain(text: str) -> None:
+    """A line to standard error; one that is closed, full or not drained keeps nobody waiting."""
+    if sys.stderr is None:
+        return
+    with contextlib.suppress(OSError, ValueError):
+        with contextlib.suppress(OSError, ValueError):
+            if not select.select([], [sys.stderr.fileno()], [], 1.0)[1]:
+                return
+        print(text, file=sys.stderr, flush=True)
+
+
+def announce_compilation(say: Callable[[str], None]) -> bool:
     """Whether the navigator's kernels have yet to be compiled; says so."""
     cold = not _compiled()
-    if cold and not quiet:
-        print("compiling the kernels, once: about 30 s ...", file=sys.stderr, flush=True)
+    if cold:
+        say("compiling the kernels, once: about 30 s ...")
     return cold
 
 
 def compile_first(quiet: bool) -> None:
     """Compile before a run, so that the run's processor time is its own."""
-    if announce_compilation(quiet):
-        from navfilter.playback import warm_up
+    say = (lambda text: None) if quiet else complain
+    if announce_compilation(say):
+        from navfilter.service.kernel_cache import compile_kernels
 
-        warm_up()
+        compile_kernels(say)
 
 
 def _compiled() -> bool:

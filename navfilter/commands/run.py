@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import datetime
 import os
-import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -29,9 +29,20 @@ states, --rate-hz times a second of the readings' clock: time, place, velocity, 
   became of its readings. Lines with an "event" tell of everything else.
 
 the log is a mission folder: 'navfilter replay DIR --vehicle DIR --out result' smooths it, 'navfilter run --replay-log DIR' gives the output
-  of the run again, bit for bit. With --log (or --state) a run that was killed goes on with --resume as if nothing had happened.
+  of the run again, bit for bit. With --log (or --state) a run that was killed goes on with --resume as if nothing had happened. When
+  snapshot or log do not fit, --resume=best (the default) goes on from the best there is and tells what it left; --resume=strict refuses.
 
-Ctrl-C and SIGTERM end the run cleanly; so does the end of the input.
+what is around the navigation never stops it: a reader that is slow or gone, a full disk, a deleted log, a terminal that hangs up are told,
+  counted, and tried again.
+
+supervision: under systemd (Type=notify) READY, STATUS and WATCHDOG are sent; --health-file is one line of JSON for anybody else, whose
+  "unix_s" is the time it was written: when that is more than five seconds ago, the run hangs or is no more.
+
+exit codes:
+  0  the end was ordered: Ctrl-C, SIGTERM (also while it still compiles or resumes), or the end of the input
+  1  the input failed, or ended before its first line; with --replay-log: the reader of the output has gone
+  2  it could not begin: wrong usage, a file or an address that cannot be used, a log that another process is writing
+ 130 Ctrl-C before anything had been opened; anything else, a signal's number included, is no ordered end
 
 examples:
   driver | navfilter run --vehicle auv.toml --start start.toml | publisher
@@ -59,7 +70,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--state", metavar="FILE", help="write snapshots to this file (default with --log: snapshot in its folder)")
     parser.add_argument("--snapshot-every", type=positive, default=10.0, metavar="S", help="time between snapshots (default: 10)")
-    parser.add_argument("--resume", action="store_true", help="go on from the snapshot and the log, if there are any")
+    parser.add_argument(
+        "--resume",
+        nargs="?",
+        const="best",
+        choices=("best", "strict"),
+        help="go on from the snapshot and the log, if there are any; what does not fit is left out (best) or refused (strict)",
+    )
+    parser.add_argument(
+        "--client-timeout",
+        type=positive,
+        default=10.0,
+        metavar="S",
+        help="with --listen: a client without a reading for so long loses its place to one that comes (default: 10)",
+    )
+    parser.add_argument("--health-file", metavar="FILE", help="say once a second in this file how the run is, for a supervisor")
     parser.add_argument("--quiet", action="store_true", help="print nothing but errors to standard error")
 
 
@@ -72,19 +97,44 @@ def _date(text: str) -> datetime.date:
 
 def run(options: argparse.Namespace) -> int:
     """Run ``navfilter run``."""
-    from navfilter.io import read_vehicle
-    from navfilter.service.loop import Service, replay_log
-    from navfilter.service.loop import run as run_loop
-    from navfilter.service.session import Options
+    closed = _open_standard_descriptors()
+    from navfilter.service.outlet import Outlet
+
+    # A thread of its own writes to standard error: a pipe that nobody drains, a full disk or a closed terminal must not stop the run.
+    operator = Outlet(2, longest=256, dropped_line=lambda count: f"navfilter run: {count} messages were dropped\n".encode())
 
     def say(text: str) -> None:
         if not options.quiet:
-            print(f"navfilter run: {text}", file=sys.stderr, flush=True)
+            operator.put(f"navfilter run: {text}\n".encode(), False)
+
+    try:
+        if 1 in closed and options.listen is None:
+            say("standard output is closed: nobody hears the states")
+        return _run(options, say)
+    finally:
+        operator.close(1.0)
+
+
+def _open_standard_descriptors() -> list[int]:
+    """Those that were closed; what is opened later must not get their numbers, or messages would end up in the log."""
+    closed = []
+    while (number := os.open(os.devnull, os.O_RDWR)) <= 2:
+        closed.append(number)
+    os.close(number)
+    return closed
+
+
+def _run(options: argparse.Namespace, say: Callable[[str], None]) -> int:
+    from navfilter.io import read_vehicle
+    from navfilter.service.log_replay import replay_log
+    from navfilter.service.loop import Service
+    from navfilter.service.loop import run as run_loop
+    from navfilter.service.session import Options
 
     _check(options)
     vehicle = read_vehicle(options.vehicle or options.replay_log)
     if options.replay_log is not None:
-        announce_compilation(options.quiet)
+        announce_compilation(say)
         return replay_log(vehicle, Path(options.replay_log), rate_hz=options.rate_hz, say=say)
     today = datetime.datetime.now(datetime.UTC).date()
     decides = Options(rate_hz=options.rate_hz or 1.0, align_s=options.align, start=_start(options.start), date=options.date or today)
@@ -92,14 +142,16 @@ def run(options: argparse.Namespace) -> int:
     state = log / "snapshot" if options.state is None and log is not None else options.state
     service = Service(
         input=_input(options),
+        silent_s=options.client_timeout,
         log=log,
         fsync_s=options.fsync,
         state=None if state is None else Path(state),
         snapshot_s=options.snapshot_every,
         resume=options.resume,
+        health=None if options.health_file is None else Path(options.health_file),
         say=say,
     )
-    announce_compilation(options.quiet)
+    announce_compilation(say)
     return run_loop(vehicle, decides, service)
 
 
@@ -128,8 +180,9 @@ def _start(path: str | None) -> dict[str, Any] | None:
     import tomllib
 
     from navfilter.io.json_lines import start_from
+    from navfilter.io.validation import bounded_text
 
-    text = Path(path).read_text(encoding="utf-8-sig")
+    text = bounded_text(Path(path))
     try:
         data = json.loads(text) if path.endswith(".json") else tomllib.loads(text)
         return start_from(data["start"] if isinstance(data.get("start"), dict) else data)

@@ -86,11 +86,17 @@ class StartLine(NamedTuple):
 
 
 class BadLine(NamedTuple):
-    """A line that is no reading: one of the `BAD_KINDS`, and in words; `raw` is the note of it for the log."""
+    """A line that is no reading, or several `lines`: one of the `BAD_KINDS`, and in words; `raw` is the note of it for the log."""
 
     kind: str
     text: str
     raw: bytes
+    lines: int = 1
+
+    @classmethod
+    def several(cls, kind: str, lines: int) -> BadLine:
+        """So many lines of a kind that are not quoted any more."""
+        return cls(kind, "", _dump({"event": "bad", "kind": kind, "lines": lines}), lines)
 
 
 class Note(NamedTuple):
@@ -231,7 +237,8 @@ def _wrong_fields(fields: dict[str, Any], known: frozenset[str]) -> _Wrong:
 
 def _note(fields: dict[str, Any], raw: bytes) -> Item:
     if fields["event"] == "bad" and fields.get("kind") in BAD_KINDS:
-        return BadLine(fields["kind"], str(fields.get("text", "")), raw)
+        lines = fields.get("lines", 1)
+        return BadLine(fields["kind"], str(fields.get("text", "")), raw, lines if type(lines) is int and 0 < lines < 1 << 53 else 1)
     return Note(fields["event"], fields, raw)
 
 
@@ -378,7 +385,7 @@ def read_log(path: Path, columns: Mapping[str, tuple[str, ...]]) -> tuple[dict[s
                 counts["sd"] += item.sd is not None
                 yield item
             elif isinstance(item, BadLine):
-                counts["bad" if b'"event"' in line[:9] else "damaged"] += 1
+                counts["bad" if b'"event"' in line[:9] else "damaged"] += item.lines
             elif isinstance(item, Note) and item.event == "start" and not starts:
                 starts.append(item.fields.get("start"))
             elif isinstance(item, Note) and item.event == "lost":
