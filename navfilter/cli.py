@@ -15,7 +15,18 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from navfilter.commands import replay as replay_command
-from navfilter.commands.console import announce_compilation, complain, output_folder, positive, seed, speaker
+from navfilter.commands.console import (
+    add_force_argument,
+    add_reading_arguments,
+    announce_compilation,
+    complain,
+    new_files,
+    output_folder,
+    positive,
+    read,
+    seed,
+    speaker,
+)
 
 __all__ = ["main"]
 
@@ -188,6 +199,7 @@ def _add_simulate(commands: Any) -> None:
     parser.add_argument("scenario", nargs="?", metavar="SCENARIO", help="see --list")
     parser.add_argument("--list", action="store_true", help="list the scenarios and stop")
     parser.add_argument("--out", metavar="PATH", help="folder, or file that ends in .npz")
+    add_force_argument(parser)
     parser.add_argument("--seed", type=seed, default=1, metavar="N", help="seed of everything random (default: %(default)s)")
     parser.add_argument("--duration", type=positive, metavar="S", help="length in seconds (default: that of the scenario)")
     parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
@@ -207,10 +219,10 @@ def _simulate(options: argparse.Namespace) -> int:
     out = Path(options.out)
     vehicle, mission = simulate_scenario(options.scenario, options.seed, options.duration)
     if out.suffix == ".npz":
-        output_folder(out.parent)
         to = out, out.with_suffix(".toml")
+        new_files((*to, out.with_name(f"{out.stem}_true.toml")), options.force)
     else:
-        folder = output_folder(out)
+        folder = output_folder(out, options.force)
         to = folder / "mission.npz", folder / "vehicle.toml"
     replay_command.save(vehicle, mission, *to, true_vehicle(options.scenario, options.duration))
     say = speaker(options.quiet)
@@ -236,14 +248,15 @@ def _add_check(commands: Any) -> None:
     )
     parser.add_argument("mission", metavar="MISSION")
     parser.add_argument("--vehicle", metavar="TOML", help="the vehicle.toml, or the folder that holds it")
+    add_reading_arguments(parser)
     parser.add_argument("--quiet", action="store_true", help="print nothing: only the exit code counts")
 
 
 def _check(options: argparse.Namespace) -> int:
     from navfilter.check import check_mission, report_text
-    from navfilter.io import read_mission, read_vehicle
+    from navfilter.io import read_vehicle
 
-    mission = read_mission(options.mission)
+    mission = read(options)
     findings = check_mission(mission, None if options.vehicle is None else read_vehicle(options.vehicle))
     speaker(options.quiet)(report_text(mission, findings))
     return FOUND if any(finding.severity == "error" for finding in findings) else OK

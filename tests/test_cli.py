@@ -88,7 +88,7 @@ def test_the_seed_decides(tmp_path):
 
 def test_replay_writes_everything_and_says_where(dive, tmp_path, capsys):
     assert replay(dive, tmp_path / "out", "--smooth") == 0
-    assert {path.name for path in (tmp_path / "out").iterdir()} == OUTPUTS
+    assert {path.name for path in (tmp_path / "out").glob("[!.]*")} == OUTPUTS
     said = capsys.readouterr().out
     assert "forward" in said and "smoothed" in said and str(tmp_path / "out") in said
     assert list(json.loads((tmp_path / "out" / "summary.json").read_text())["runs"]) == ["forward", "smoothed"]
@@ -105,7 +105,7 @@ def test_replay_without_smoother_and_without_a_sensor(dive, tmp_path, capsys):
 
 def test_demo_writes_mission_vehicle_and_result(tmp_path, capsys):
     assert main(["demo", "--duration", "60", "--seed", "2", "--out", str(tmp_path)]) == 0
-    assert {path.name for path in tmp_path.iterdir()} == OUTPUTS | {"mission.npz", "vehicle.toml", "vehicle_true.toml", "comparison"}
+    assert {path.name for path in tmp_path.glob("[!.]*")} == OUTPUTS | {"mission.npz", "vehicle.toml", "vehicle_true.toml", "comparison"}
     said = capsys.readouterr().out
     assert "smoothed" in said and "position rms [m]" in said and "NIS" in said
 
@@ -164,7 +164,7 @@ def test_wrong_input_is_one_line(dive, tmp_path, capsys):
 
 def test_a_sensor_without_a_stream_is_one_line(dive, tmp_path, capsys):
     path = read_mission(dive / "mission.npz").without_stream("depth").save(tmp_path / "m.npz")
-    assert main(["replay", str(path), "--vehicle", str(dive), "--out", str(tmp_path), "--quiet"]) == 2
+    assert main(["replay", str(path), "--vehicle", str(dive), "--out", str(tmp_path / "out"), "--quiet"]) == 2
     assert '"depth" has no stream' in one_line(capsys)
 
 
