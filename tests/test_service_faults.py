@@ -1,11 +1,15 @@
 """What must not stop a live run: whoever reads its outputs, its disk, its terminal, its cache, its past, and whoever holds the line."""
 
 import contextlib
+import datetime
 import hashlib
 import json
+import math
 import os
 import pickle
+import re
 import resource
+import shlex
 import shutil
 import signal
 import socket
@@ -18,10 +22,12 @@ import pytest
 from service_library import COMMAND, PATIENCE_S, Dive, Process, reproducible, states
 
 import navfilter as nf
-from navfilter.cli import main
+from navfilter.cli import _parser, main
+from navfilter.commands.run import _believable
 from navfilter.io import read_vehicle, write_vehicle
 from navfilter.io.json_lines import BadLine, LineParser, Reading
 from navfilter.kernels import measurement
+from navfilter.magnetic import declination
 from navfilter.service import kernel_cache
 from navfilter.service.log import LOG_FILE, log_items, prepare_log
 from navfilter.service.outlet import Outlet
@@ -393,6 +399,9 @@ def test_damaged_kernels_are_told_from_whole_ones(tmp_path):
     (tmp_path / "a.1.nbc").write_bytes(whole["a.1.nbc"].replace(b"codecode", b"codecodf"))  # still a pickle
     (tmp_path / "b.1.nbc").write_bytes(whole["a.1.nbc"])
     assert kernel_cache.discard_damaged(tmp_path) == 1 and (tmp_path / "b.1.nbc").exists()
+    (tmp_path / "a.1.nbc").write_bytes(pickle.dumps("compiled again, by who writes no list"))
+    (tmp_path / "a.nbi").write_bytes(pickle.dumps("0.1") + pickle.dumps(("stamp", {"signature": "a.1.nbc"})))
+    assert kernel_cache.discard_damaged(tmp_path) == 0
     (tmp_path / kernel_cache.LIST).write_text("[")
     assert kernel_cache.discard_damaged(tmp_path) == 0
 
@@ -415,6 +424,17 @@ def test_kernels_that_cannot_be_kept_are_said_in_one_line(dive, tmp_path):
     assert done.returncode == 0 and done.stderr.count("\n") == 1 and "NUMBA_CACHE_DIR" in done.stderr
 
 
+# --- the clock of the computer ------------------------------------------------------------------------------------------
+
+
+def test_a_computer_in_1970_does_not_keep_a_magnetic_compass_waiting():
+    said = []
+    for today in (datetime.date(1970, 1, 1), datetime.date(2106, 2, 7)):
+        date = _believable(today, said.append)
+        assert math.isfinite(declination(45.0, -4.0, 0.0, date)) and str(today) in said[-1]
+    assert _believable(datetime.date(2026, 5, 4), pytest.fail) == datetime.date(2026, 5, 4)
+
+
 # --- supervision ------------------------------------------------------------------------------------------------------
 
 
@@ -428,6 +448,8 @@ def test_the_health_file_says_how_the_run_is(dive, tmp_path):
         with contextlib.suppress(FileNotFoundError):
             health = json.loads(path.read_bytes())  # always whole
     assert health["pid"] == process.process.pid and health["time_s"] > 5.0 and health["bad_lines"] == 1
+    page = (Path(__file__).parent.parent / "docs" / "on-board-supervision.md").read_text(encoding="utf-8")
+    assert all(f"`{key}`" in page for key in health)
     assert health["internal_errors"] == health["lost_log_lines"] == 0 and health["disk_troubles"] == []
     process.end()
     assert process.code == 0 and json.loads(path.read_bytes())["phase"] == "stopped"
@@ -463,3 +485,17 @@ def test_without_a_supervisor_nothing_is_sent():
     there = {"NOTIFY_SOCKET": "/nowhere/notify", "WATCHDOG_USEC": "2000000"}
     assert Notifier(there).watchdog_s == 2.0 and Notifier({**there, "WATCHDOG_PID": "1"}).watchdog_s is None
     Notifier(there).tell(READY=1)  # nobody is there: no exception
+
+
+def test_the_manual_of_supervision_is_that_of_the_program(capsys):
+    """Its unit can be started as it stands, and each flag and exit code of the help is explained."""
+    page = (Path(__file__).parent.parent / "docs" / "on-board-supervision.md").read_text(encoding="utf-8")
+    for command in re.findall(r"^ExecStart\w*=/usr/local/bin/navfilter (.*)$", page, flags=re.MULTILINE):
+        _parser().parse_args(shlex.split(command))
+    with pytest.raises(SystemExit):
+        main(["run", "--help"])
+    said = capsys.readouterr().out
+    for word in ("--resume", "--client-timeout", "--health-file", "strict"):
+        assert word in said and word in page
+    codes = re.search(r"exit codes:\n(.*?)\n\n", said, flags=re.DOTALL).group(1)
+    assert re.findall(r"^ +(\d+) ", codes, flags=re.MULTILINE) == re.findall(r"^\| (\d+) \|", page, flags=re.MULTILINE) == ["0", "1", "2", "130"]

@@ -13,12 +13,13 @@ import hashlib
 import importlib
 import json
 import os
+import pickle
 import pickletools
 import shutil
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -92,25 +93,32 @@ def warm(say: Say) -> None:
 
 
 def discard_damaged(folder: Path) -> int:
-    """Remove the kernels that are not what the list says, and those on no list that are torn; how many there were."""
+    """Remove compiled kernels that are not what the list says, and files on no list that are torn; how many there were."""
     sums = _sums(folder)
-    damaged = [path for path in _files(folder) if _is_damaged(path, sums.get(path.name))]
+    damaged = [path for path in _files(folder) if _is_damaged(path, sums)]
     _remove(damaged)
+    if any(path.name in sums for path in damaged):
+        with contextlib.suppress(OSError):  # what is compiled now is another file of the same name
+            _write(folder, {name: digest for name, digest in sums.items() if (folder / name).exists()})
     return len(damaged)
 
 
 def seal(folder: Path) -> None:
     """Write the list of checksums, when what lies there has changed; a folder that cannot be written is left as it is."""
     with contextlib.suppress(OSError):
-        sums = {path.name: _digest(path) for path in _files(folder)}
+        sums = {path.name: _digest(path) for path in _files(folder) if path.suffix == ".nbc"}
         if sums == _sums(folder):
             return
         for path in _files(folder):
             with path.open("rb") as file:  # on the disk before the list says that it is
                 os.fsync(file.fileno())
-        part = folder / f"{LIST}.{os.getpid()}.part"
-        part.write_text(json.dumps(sums), encoding="utf-8")
-        part.replace(folder / LIST)
+        _write(folder, sums)
+
+
+def _write(folder: Path, sums: dict[str, str]) -> None:
+    part = folder / f"{LIST}.{os.getpid()}.part"
+    part.write_text(json.dumps(sums), encoding="utf-8")
+    part.replace(folder / LIST)
 
 
 def _folder() -> Path | None:
@@ -134,7 +142,7 @@ def _room(folder: Path) -> bool:
 
 
 def _sums(folder: Path) -> dict[str, str]:
-    """The list; empty where there is none that can be read."""
+    """The list of checksums by name; empty where there is none that can be read."""
     try:
         sums = json.loads((folder / LIST).read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -146,24 +154,31 @@ def _digest(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-def _is_damaged(path: Path, known: str | None) -> bool:
+def _is_damaged(path: Path, sums: dict[str, str]) -> bool:
+    """An index changes with every signature that is added: that it can be read is enough. Code must be what it was."""
     try:
-        return _digest(path) != known if known is not None else not _is_whole(path)
+        if path.suffix == ".nbi":
+            return not _is_index(path)
+        return _digest(path) != sums[path.name] if path.name in sums else not _is_pickle(path.read_bytes())
     except OSError:
         return False
 
 
-def _is_whole(path: Path) -> bool:
-    """Whether a file that is on no list has the form that numba writes: one pickle, or two in an index. Nothing of it is executed."""
-    data = memoryview(path.read_bytes())
+def _is_index(path: Path) -> bool:
     try:
-        for _ in range(2 if path.suffix == ".nbi" else 1):
-            data = data[_end_of_pickle(data) :]
-    except Exception:  # pickletools raises many unrelated types on garbage
+        with path.open("rb") as file:
+            pickle.load(file)
+            _, names = pickle.load(file)
+            return isinstance(names, dict) and not file.read(1)
+    except OSError:
+        raise
+    except Exception:  # pickle raises many unrelated types on garbage
         return False
-    return not data
 
 
-def _end_of_pickle(data: memoryview) -> int:
-    stop: Iterator[int] = (at + 1 for code, _, at in pickletools.genops(bytes(data)) if at is not None and code.name == "STOP")
-    return next(stop)
+def _is_pickle(data: bytes) -> bool:
+    """Whether this is one pickle from its beginning to its end; nothing of it is executed."""
+    try:
+        return any(code.name == "STOP" and at == len(data) - 1 for code, _, at in pickletools.genops(data))
+    except Exception:  # as above
+        return False
