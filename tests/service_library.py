@@ -100,12 +100,12 @@ class Process:
             if word in line:
                 return line
 
-    def end(self, number=None):
-        """Send a signal, or let the input end; returns all output."""
+    def end(self, number=None, lines=()):
+        """Send the last lines and a signal, or let the input end; returns all output."""
         if number is not None:
             self.process.send_signal(number)
-        rest, self.errors = self.process.communicate(timeout=PATIENCE_S)
-        self.output += rest.splitlines(keepends=True)
+        rest, self.errors = self.process.communicate(b"".join(lines), timeout=PATIENCE_S)
+        self.output += (rest or b"").splitlines(keepends=True)
         return self.output
 
     @property

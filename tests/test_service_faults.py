@@ -1,4 +1,4 @@
-"""What must not stop a live run: whoever reads its outputs, its disk, its terminal, its cache, its past, and whoever holds the line."""
+"""What must not stop a live run: readers of its outputs, its disk, terminal, cache and past, and whoever holds the line."""
 
 import contextlib
 import datetime
@@ -73,7 +73,9 @@ def full_pipe():
     return theirs
 
 
-@pytest.mark.parametrize("stderr", [broken_pipe, full_pipe, lambda: os.open("/dev/full", os.O_WRONLY)], ids=["gone", "stuck", "full"])
+@pytest.mark.parametrize(
+    "stderr", [broken_pipe, full_pipe, lambda: os.open("/dev/full", os.O_WRONLY)], ids=["gone", "stuck", "full"]
+)
 def test_standard_error_stops_nothing(dive, tmp_path, stderr):
     """Whatever becomes of the operator's messages, and with a full disk to be told of, from a thread of its own."""
     limit, handle = 300_000, stderr()
@@ -85,8 +87,7 @@ def test_standard_error_stops_nothing(dive, tmp_path, stderr):
         preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit)),
     )
     os.close(handle)
-    process.send(dive.lines)
-    output = process.end()
+    output = process.end(lines=dive.lines)
     assert process.code == 0 and reproducible(output) == dive.output and "disk-failed" in notices(output)
 
 
@@ -227,10 +228,16 @@ def test_garbage_does_not_fill_the_disk(dive, tmp_path):
     process.send([*dive.lines[:2000], noise, *dive.lines[2000:4000], b"x\n" * 1000, *dive.lines[4000:]])
     output = process.end()
     rows, _ = states(output)
-    assert process.code == 0 and rows[-1]["bad_lines"] == {"not-json": 61_000, "not-an-object": 60_000, "not-utf8": 60_000}
+    assert process.code == 0 and rows[-1]["bad_lines"] == {
+        "not-json": 61_000,
+        "not-an-object": 60_000,
+        "not-utf8": 60_000,
+    }
     size = (tmp_path / "log" / LOG_FILE).stat().st_size
     assert size < sum(map(len, dive.lines)) + 20_000
-    again = subprocess.run([*COMMAND, "--replay-log", str(tmp_path / "log"), "--quiet"], capture_output=True, timeout=PATIENCE_S)
+    again = subprocess.run(
+        [*COMMAND, "--replay-log", str(tmp_path / "log"), "--quiet"], capture_output=True, timeout=PATIENCE_S
+    )
     assert again.stdout == b"".join(reproducible(output))
     assert "181000 lines were no readings" in nf.read_mission(tmp_path / "log").notes[0]
 
@@ -240,7 +247,9 @@ def test_many_bad_lines_are_one_note(dive):
     items = list(tally.take(parser.parse(line) for line in [b"x", b"1"] * 500))
     assert len(items) == 2 * LineParser.QUOTED  # those that are quoted pass as they are
     last = list(tally.take([parser.parse(dive.lines[0])]))
-    assert [(item.kind, item.lines) for item in last[:2]] == [("not-json", 480), ("not-an-object", 480)] and len(last) == 3
+    assert [(item.kind, item.lines) for item in last[:2]] == [("not-json", 480), ("not-an-object", 480)] and len(
+        last
+    ) == 3
     assert tally.due() == []
     log = LineParser(dive.vehicle, notes=True)
     assert [log.parse(item.raw) for item in last] == last
@@ -299,7 +308,9 @@ def test_the_log_of_another_vehicle_is_never_taken_without_a_word(dive, broken_o
     process.send(dive.lines[4000:])
     rows, _ = states(process.end())
     assert process.code == 0 and "depth differs" in process.errors.decode() and "depth" not in rows[-1]["sensors"]
-    assert (broken_off / "vehicle.before.toml").read_bytes() == before and "depth" not in read_vehicle(broken_off).sensors
+    assert (broken_off / "vehicle.before.toml").read_bytes() == before and "depth" not in read_vehicle(
+        broken_off
+    ).sensors
 
 
 def test_a_log_with_a_damaged_beginning_gives_what_can_be_read(dive, broken_off):
@@ -412,7 +423,13 @@ def test_kernels_that_cannot_be_kept_are_said_in_one_line(dive, tmp_path):
     shutil.copytree(Path(nf.__file__).parent, package, ignore=shutil.ignore_patterns("__pycache__"))
     (package / "kernels" / "__pycache__").write_text("no folder")
     nowhere = "/dev/null/nowhere"
-    environment = {**os.environ, "PYTHONPATH": str(tmp_path), "NUMBA_CACHE_DIR": nowhere, "XDG_CACHE_HOME": nowhere, "HOME": nowhere}
+    environment = {
+        **os.environ,
+        "PYTHONPATH": str(tmp_path),
+        "NUMBA_CACHE_DIR": nowhere,
+        "XDG_CACHE_HOME": nowhere,
+        "HOME": nowhere,
+    }
     done = subprocess.run(
         [sys.executable, "-m", "navfilter", "vehicle", "--check", str(dive.toml)],
         capture_output=True,
@@ -424,7 +441,8 @@ def test_kernels_that_cannot_be_kept_are_said_in_one_line(dive, tmp_path):
     assert done.returncode == 0 and done.stderr.count("\n") == 1 and "NUMBA_CACHE_DIR" in done.stderr
 
 
-# --- the clock of the computer ------------------------------------------------------------------------------------------
+# --- the clock of the computer
+# ------------------------------------------------------------------------------------------
 
 
 def test_a_computer_in_1970_does_not_keep_a_magnetic_compass_waiting():
@@ -466,7 +484,9 @@ def test_systemd_hears_of_the_start_of_each_second_and_of_the_end(dive, tmp_path
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as heard:
         heard.bind(str(tmp_path / "notify"))
         heard.settimeout(PATIENCE_S)
-        process = Process(*dive.arguments, env={**os.environ, "NOTIFY_SOCKET": str(tmp_path / "notify"), "WATCHDOG_USEC": "300000"})
+        process = Process(
+            *dive.arguments, env={**os.environ, "NOTIFY_SOCKET": str(tmp_path / "notify"), "WATCHDOG_USEC": "300000"}
+        )
         said = b""
         for word in (b"STATUS=compiling", b"READY=1", b"WATCHDOG=1", b"WATCHDOG=1"):
             said = heard.recv(4096)
@@ -498,4 +518,8 @@ def test_the_manual_of_supervision_is_that_of_the_program(capsys):
     for word in ("--resume", "--client-timeout", "--health-file", "strict"):
         assert word in said and word in page
     codes = re.search(r"exit codes:\n(.*?)\n\n", said, flags=re.DOTALL).group(1)
-    assert re.findall(r"^ +(\d+) ", codes, flags=re.MULTILINE) == re.findall(r"^\| (\d+) \|", page, flags=re.MULTILINE) == ["0", "1", "2", "130"]
+    assert (
+        re.findall(r"^ +(\d+) ", codes, flags=re.MULTILINE)
+        == re.findall(r"^\| (\d+) \|", page, flags=re.MULTILINE)
+        == ["0", "1", "2", "130"]
+    )

@@ -1,4 +1,4 @@
-"""Files from elsewhere: bombs, devices, missions that lead out of their folder, messages that say too much, folders that are somebody's."""
+"""Files from elsewhere: bombs, devices, missions that lead out of their folder, messages, folders that are somebody's."""
 
 import bz2
 import gzip
@@ -58,8 +58,12 @@ def test_what_files_unpack_to_is_bounded(tmp_path, name):
 
 def test_the_bound_is_that_of_all_files_of_a_mission_and_can_be_raised(tmp_path, capsys):
     for name in ("a", "b"):
-        (tmp_path / f"{name}.csv.gz").write_bytes(gzip.compress(b"t,z\n" + b"".join(b"%d,5.0\n" % k for k in range(5000))))
-    streams = "".join(f'[streams.{n}]\nfile = "{n}.csv.gz"\ntime = {{column = "t"}}\ndepth = {{column = "z"}}\n' for n in ("a", "b"))
+        (tmp_path / f"{name}.csv.gz").write_bytes(
+            gzip.compress(b"t,z\n" + b"".join(b"%d,5.0\n" % k for k in range(5000)))
+        )
+    streams = "".join(
+        f'[streams.{n}]\nfile = "{n}.csv.gz"\ntime = {{column = "t"}}\ndepth = {{column = "z"}}\n' for n in ("a", "b")
+    )
     (tmp_path / "mission.toml").write_text(streams)
     size = len(gzip.decompress((tmp_path / "a.csv.gz").read_bytes()))
     with pytest.raises(MissionError, match=TOO_MUCH):
@@ -72,7 +76,9 @@ def test_the_bound_is_that_of_all_files_of_a_mission_and_can_be_raised(tmp_path,
 
 
 def test_missions_of_our_own_are_bounded_too(tmp_path):
-    path = Mission("dive", {"depth": Stream(np.arange(SMALL), NUMBERS[:, np.newaxis], ("depth_m",))}).save(tmp_path / "dive.npz")
+    path = Mission("dive", {"depth": Stream(np.arange(SMALL), NUMBERS[:, np.newaxis], ("depth_m",))}).save(
+        tmp_path / "dive.npz"
+    )
     with pytest.raises(MissionError, match=TOO_MUCH):
         read_mission(path, unpacked_bytes=SMALL)
     assert "navfilter_mission" in read_npz(path)
@@ -94,7 +100,9 @@ def test_arrays_that_lie_in_other_files_are_refused(tmp_path):
         read_table(tmp_path / "a.mat")
 
 
-@pytest.mark.parametrize("arguments", [["vehicle", "--check", "F"], ["run", "--vehicle", "V", "--start", "F"], ["check", "D"]])
+@pytest.mark.parametrize(
+    "arguments", [["vehicle", "--check", "F"], ["run", "--vehicle", "V", "--start", "F"], ["check", "D"]]
+)
 def test_what_never_ends_is_not_read_to_its_end(tmp_path, capsys, arguments):
     (tmp_path / "vehicle.toml").write_text('[drive]\ntype = "imu"\nrate_hz = 100\n')
     (tmp_path / "mission.toml").symlink_to("/dev/zero")
@@ -133,7 +141,11 @@ def test_messages_quote_nothing_from_outside_the_folder(foreign, tmp_path, monke
     monkeypatch.setenv("FOLDER", str(tmp_path))
     with pytest.raises(MissionError) as found:
         read_mission(foreign(file))
-    assert "hunter2" not in str(found.value) and "swordfish" not in str(found.value) and "2 columns, not shown" in str(found.value)
+    assert (
+        "hunter2" not in str(found.value)
+        and "swordfish" not in str(found.value)
+        and "2 columns, not shown" in str(found.value)
+    )
     assert ("${FOLDER}" in str(found.value)) == ("$" in file)
 
 
@@ -211,7 +223,10 @@ def test_every_command_asks(dive, tmp_path, capsys, command):
         "simulate": ["reckoning"],
     }[command]
     assert main([command, *arguments, "--quiet", "--out", str(tmp_path)]) == 2
-    assert "--force" in capsys.readouterr().err and sorted(p.name for p in tmp_path.iterdir()) == ["notes.txt", "vehicle.toml"]
+    assert "--force" in capsys.readouterr().err and sorted(p.name for p in tmp_path.iterdir()) == [
+        "notes.txt",
+        "vehicle.toml",
+    ]
 
 
 def test_files_of_a_simulation_are_not_replaced_unasked(tmp_path, capsys):

@@ -62,7 +62,9 @@ def speaker(quiet: bool) -> Callable[[str], None]:
 def add_reading_arguments(parser: argparse.ArgumentParser) -> None:
     """Add what limits the trust in the files of a mission (see `read`)."""
     parser.add_argument(
-        "--confine", action="store_true", help="refuse a mission that leads out of its folder: for one of people you do not know"
+        "--confine",
+        action="store_true",
+        help="refuse a mission that leads out of its folder: for one of people you do not know",
     )
     add_unpacking_argument(parser)
 
@@ -97,7 +99,9 @@ _OURS = ".navfilter"
 def add_force_argument(parser: argparse.ArgumentParser) -> None:
     """Add the consent to write where somebody's files are."""
     parser.add_argument(
-        "--force", action="store_true", help="write to --out also when navfilter did not make it; files of the same name are replaced"
+        "--force",
+        action="store_true",
+        help="write to --out also when navfilter did not make it; files of the same name are replaced",
     )
 
 
@@ -124,7 +128,8 @@ def output_folder(path: str | Path, force: bool, plan: str = _OURS) -> Path:
     mark = folder / _OURS
     if not force and not (mark.exists() or (folder / plan).exists()) and any(folder.iterdir()):
         raise ValueError(
-            f"{folder} is not empty, and navfilter did not make it: files of yours could be replaced. Give another folder, or --force."
+            f"{folder} is not empty, and navfilter did not make it: files of yours could be replaced."
+            " Give another folder, or --force."
         )
     mark.write_text("navfilter made this folder: it replaces files in it without asking.\n", encoding="utf-8")
     return folder
@@ -184,4 +189,6 @@ def _compiled() -> bool:
     folders = [Path(elsewhere)] if elsewhere else [sources[0].parent / "__pycache__", Path.home() / ".cache" / "numba"]
     tag = f".py{sys.version_info.major}{sys.version_info.minor}."
     kept = [index for folder in folders if folder.is_dir() for index in folder.rglob("*.nbi") if tag in index.name]
-    return all(any(i.name.startswith(f"{s.stem}.") and i.stat().st_mtime >= s.stat().st_mtime for i in kept) for s in sources)
+    return all(
+        any(i.name.startswith(f"{s.stem}.") and i.stat().st_mtime >= s.stat().st_mtime for i in kept) for s in sources
+    )

@@ -19,24 +19,27 @@ readings, one per line, in SI units and radians; null is a missing component:
   {"sensor": "imu", "time_s": 12.34, "rate_b": [0.0, 0.0, 0.01], "force_b": [0.1, 0.0, -9.8]}
   {"sensor": "compass", "time_s": 12.34, "value": 1.57}
   {"sensor": "gps", "time_s": 12.0, "value": [0.785, -0.07, null], "sd": [2, 2, 5]}
-A vehicle without an inertial unit is driven by "attitude" (roll, pitch, yaw) and "velocity". "sd" is optional: the white standard
-deviation of this one reading. A line that is no reading is counted and told, and never stops the run.
+A vehicle without an inertial unit is driven by "attitude" (roll, pitch, yaw) and "velocity". "sd" is optional: the
+white standard deviation of this one reading. A line that is no reading is counted and told, and never stops the run.
 
-the start: --start, or a line {"sensor": "start", "latitude_deg": 45.0, "longitude_deg": -4.0, "heading_deg": 90.0}, or else an alignment on
-  the first seconds (level by the accelerometers, heading by the compass, place by a fix); "waiting" events tell what it lacks.
+the start: --start, or a line {"sensor": "start", "latitude_deg": 45.0, "longitude_deg": -4.0, "heading_deg": 90.0}, or
+  else an alignment on the first seconds (level by the accelerometers, heading by the compass, place by a fix);
+  "waiting" events tell what it lacks.
 
-states, --rate-hz times a second of the readings' clock: time, place, velocity, attitude, standard deviations, age of each sensor, what
-  became of its readings. Lines with an "event" tell of everything else.
+states, --rate-hz times a second of the readings' clock: time, place, velocity, attitude, standard deviations, age of
+  each sensor, what became of its readings. Lines with an "event" tell of everything else.
 
-the log is a mission folder: 'navfilter replay DIR --vehicle DIR --out result' smooths it, 'navfilter run --replay-log DIR' gives the output
-  of the run again, bit for bit. With --log (or --state) a run that was killed goes on with --resume as if nothing had happened. When
-  snapshot or log do not fit, --resume=best (the default) goes on from the best there is and tells what it left; --resume=strict refuses.
+the log is a mission folder: 'navfilter replay DIR --vehicle DIR --out result' smooths it, 'navfilter run --replay-log
+  DIR' gives the output of the run again, bit for bit. With --log (or --state) a run that was killed goes on with
+  --resume as if nothing had happened. When snapshot or log do not fit, --resume=best (the default) goes on from the
+  best there is and tells what it left; --resume=strict refuses.
 
-what is around the navigation never stops it: a reader that is slow or gone, a full disk, a deleted log, a terminal that hangs up are told,
-  counted, and tried again.
+what is around the navigation never stops it: a reader that is slow or gone, a full disk, a deleted log, a terminal that
+  hangs up are told, counted, and tried again.
 
-supervision: under systemd (Type=notify) READY, STATUS and WATCHDOG are sent; --health-file is one line of JSON for anybody else, whose
-  "unix_s" is the time it was written: when that is more than five seconds ago, the run hangs or is no more.
+supervision: under systemd (Type=notify) READY, STATUS and WATCHDOG are sent; --health-file is one line of JSON for
+  anybody else, whose "unix_s" is the time it was written: when that is more than five seconds ago, the run hangs or is
+  no more.
 
 exit codes:
   0  the end was ordered: Ctrl-C, SIGTERM (also while it still compiles or resumes), or the end of the input
@@ -56,26 +59,54 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of ``navfilter run``."""
     parser.add_argument("--vehicle", metavar="TOML", help="the vehicle.toml, or the folder that holds it")
     source = parser.add_mutually_exclusive_group()
-    source.add_argument("--input", default="-", metavar="FILE", help="file or pipe to read; - is standard input (default)")
-    source.add_argument("--listen", metavar="URL", help="wait for one client at a time, such as tcp://127.0.0.1:4600; states go back to it")
+    source.add_argument(
+        "--input", default="-", metavar="FILE", help="file or pipe to read; - is standard input (default)"
+    )
+    source.add_argument(
+        "--listen",
+        metavar="URL",
+        help="wait for one client at a time, such as tcp://127.0.0.1:4600; states go back to it",
+    )
     source.add_argument("--replay-log", metavar="DIR", help="feed the log of an earlier run again")
-    parser.add_argument("--allow-remote", action="store_true", help="let --listen be reached from other computers (there is no password)")
-    parser.add_argument("--start", metavar="FILE", help=".toml or .json with the fields of Start; without time_s: the first reading")
-    parser.add_argument("--align", type=positive, default=5.0, metavar="S", help="without a start: align on so many seconds (default: 5)")
-    parser.add_argument("--date", type=_date, metavar="YYYY-MM-DD", help="for the magnetic declination (default: today)")
+    parser.add_argument(
+        "--allow-remote",
+        action="store_true",
+        help="let --listen be reached from other computers (there is no password)",
+    )
+    parser.add_argument(
+        "--start", metavar="FILE", help=".toml or .json with the fields of Start; without time_s: the first reading"
+    )
+    parser.add_argument(
+        "--align",
+        type=positive,
+        default=5.0,
+        metavar="S",
+        help="without a start: align on so many seconds (default: 5)",
+    )
+    parser.add_argument(
+        "--date", type=_date, metavar="YYYY-MM-DD", help="for the magnetic declination (default: today)"
+    )
     parser.add_argument("--rate-hz", type=positive, metavar="HZ", help="states per second (default: 1)")
     parser.add_argument("--log", metavar="DIR", help="write the readings to this mission folder")
     parser.add_argument(
-        "--fsync", type=positive, default=1.0, metavar="S", help="a power cut costs at most so many seconds of the log (default: 1)"
+        "--fsync",
+        type=positive,
+        default=1.0,
+        metavar="S",
+        help="a power cut costs at most so many seconds of the log (default: 1)",
     )
-    parser.add_argument("--state", metavar="FILE", help="write snapshots to this file (default with --log: snapshot in its folder)")
-    parser.add_argument("--snapshot-every", type=positive, default=10.0, metavar="S", help="time between snapshots (default: 10)")
+    parser.add_argument(
+        "--state", metavar="FILE", help="write snapshots to this file (default with --log: snapshot in its folder)"
+    )
+    parser.add_argument(
+        "--snapshot-every", type=positive, default=10.0, metavar="S", help="time between snapshots (default: 10)"
+    )
     parser.add_argument(
         "--resume",
         nargs="?",
         const="best",
         choices=("best", "strict"),
-        help="go on from the snapshot and the log, if there are any; what does not fit is left out (best) or refused (strict)",
+        help="go on from snapshot and log, if there are any; what does not fit is left out (best) or refused (strict)",
     )
     parser.add_argument(
         "--client-timeout",
@@ -84,7 +115,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="S",
         help="with --listen: a client without a reading for so long loses its place to one that comes (default: 10)",
     )
-    parser.add_argument("--health-file", metavar="FILE", help="say once a second in this file how the run is, for a supervisor")
+    parser.add_argument(
+        "--health-file", metavar="FILE", help="say once a second in this file how the run is, for a supervisor"
+    )
     parser.add_argument("--quiet", action="store_true", help="print nothing but errors to standard error")
 
 
@@ -100,8 +133,11 @@ def run(options: argparse.Namespace) -> int:
     closed = _open_standard_descriptors()
     from navfilter.service.outlet import Outlet
 
-    # A thread of its own writes to standard error: a pipe that nobody drains, a full disk or a closed terminal must not stop the run.
-    operator = Outlet(2, longest=256, dropped_line=lambda count: f"navfilter run: {count} messages were dropped\n".encode())
+    # A thread of its own writes to standard error: a pipe that nobody drains, a full disk or a closed terminal must not
+    # stop the run.
+    operator = Outlet(
+        2, longest=256, dropped_line=lambda count: f"navfilter run: {count} messages were dropped\n".encode()
+    )
 
     def say(text: str) -> None:
         if not options.quiet:
@@ -127,9 +163,9 @@ def _open_standard_descriptors() -> list[int]:
 def _run(options: argparse.Namespace, say: Callable[[str], None]) -> int:
     from navfilter.io import read_vehicle
     from navfilter.service.log_replay import replay_log
-    from navfilter.service.loop import Service
     from navfilter.service.loop import run as run_loop
     from navfilter.service.session import Options
+    from navfilter.service.setup import Service
 
     _check(options)
     vehicle = read_vehicle(options.vehicle or options.replay_log)
@@ -156,7 +192,7 @@ def _run(options: argparse.Namespace, say: Callable[[str], None]) -> int:
 
 
 def _believable(today: datetime.date, say: Callable[[str], None]) -> datetime.date:
-    """A computer whose clock has lost its battery says 1970: a magnetic compass would wait for ever for a declination."""
+    """A computer without a battery says 1970: a magnetic compass would wait for ever for its declination."""
     from navfilter.magnetic import MODEL_YEARS
 
     if MODEL_YEARS[0] <= today.year < MODEL_YEARS[-1] + 5:

@@ -12,7 +12,9 @@ from navfilter.mission import Mission, MissionError
 __all__ = ["VehicleError", "read_mission", "read_vehicle", "write_vehicle"]
 
 
-def read_mission(path: str | os.PathLike[str], *, confine: bool = False, unpacked_bytes: int = UNPACKED_BYTES) -> Mission:
+def read_mission(
+    path: str | os.PathLike[str], *, confine: bool = False, unpacked_bytes: int = UNPACKED_BYTES
+) -> Mission:
     """Read a recorded mission.
 
     Parameters

@@ -50,7 +50,9 @@ def read_arrays(file: Path | Place) -> dict[str, npt.NDArray[Any]]:
         raise MissionError(f"{place.shown}: {error}") from None
     except Exception as error:  # numpy, zipfile, scipy and h5py raise a dozen unrelated types on broken files
         reason = str(error).splitlines()[0].rstrip(".") if str(error) and place.quoted else type(error).__name__
-        raise MissionError(f"{place.shown} cannot be read: {reason}. It is truncated or not what its name says.") from None
+        raise MissionError(
+            f"{place.shown} cannot be read: {reason}. It is truncated or not what its name says."
+        ) from None
     arrays = {name: array for name, array in arrays.items() if array.dtype.kind in "fiubU" or array.dtype.names}
     if not arrays:
         raise MissionError(f"{place.shown} holds no array of numbers.")

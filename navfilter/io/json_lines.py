@@ -87,7 +87,7 @@ class StartLine(NamedTuple):
 
 
 class BadLine(NamedTuple):
-    """A line that is no reading, or several `lines`: one of the `BAD_KINDS`, and in words; `raw` is the note of it for the log."""
+    """A line that is no reading, or several `lines`: one of the `BAD_KINDS`, and in words; `raw` is its note for the log."""
 
     kind: str
     text: str
@@ -239,7 +239,8 @@ def _wrong_fields(fields: dict[str, Any], known: frozenset[str]) -> _Wrong:
 def _note(fields: dict[str, Any], raw: bytes) -> Item:
     if fields["event"] == "bad" and fields.get("kind") in BAD_KINDS:
         lines = fields.get("lines", 1)
-        return BadLine(fields["kind"], str(fields.get("text", "")), raw, lines if type(lines) is int and 0 < lines < 1 << 53 else 1)
+        lines = lines if type(lines) is int and 0 < lines < 1 << 53 else 1
+        return BadLine(fields["kind"], str(fields.get("text", "")), raw, lines)
     return Note(fields["event"], fields, raw)
 
 

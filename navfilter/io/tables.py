@@ -90,7 +90,8 @@ class Table:
                 )
             return self.columns[names[reference]]
         if reference not in self.columns:
-            raise MissionError(f'{self.path}: there is no column "{reference}" ({_listing("columns", names, self.quoted)}).')
+            listing = _listing("columns", names, self.quoted)
+            raise MissionError(f'{self.path}: there is no column "{reference}" ({listing}).')
         return self.columns[reference]
 
     def numbers(self, reference: str | int) -> tuple[Array, int]:
@@ -166,7 +167,9 @@ def _unpack(place: Place) -> bytes:
         raise MissionError(f"{place.shown}: {error}") from None
     except (OSError, EOFError, lzma.LZMAError, zlib.error, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
-        raise MissionError(f"{place.shown} cannot be unpacked: {reason}. It is truncated or not what its name says.") from None
+        raise MissionError(
+            f"{place.shown} cannot be unpacked: {reason}. It is truncated or not what its name says."
+        ) from None
 
 
 # --- arrays -----------------------------------------------------------------------------------------------------------
@@ -205,7 +208,8 @@ def _columns_of(place: Place, arrays: dict[str, npt.NDArray[Any]], options: Tabl
 def _pick(place: Place, arrays: dict[str, npt.NDArray[Any]], reference: str) -> npt.NDArray[Any]:
     name, *planes = reference.replace("]", "").split("[")
     if name not in arrays:
-        raise MissionError(f'{place.shown}: there is no table "{name}" ({_listing("tables", list(arrays), place.quoted)}).')
+        listing = _listing("tables", list(arrays), place.quoted)
+        raise MissionError(f'{place.shown}: there is no table "{name}" ({listing}).')
     array = arrays[name]
     try:
         for plane in planes:

@@ -1,4 +1,4 @@
-"""How far files from elsewhere are trusted: what they may unpack to, where they may lie, and what messages may say of them."""
+"""How far files from elsewhere are trusted: what they may unpack to, where they may lie, what messages say of them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ from navfilter.mission import MissionError
 
 __all__ = ["UNPACKED_BYTES", "Allowance", "Place"]
 
-#: All that the compressed files of one mission may unpack to: a month of inertial samples at 100 Hz is 14 GB, a day half a GB.
+#: All that the compressed files of one mission may unpack to: a month of inertial samples at 100 Hz is 14 GB, a day
+#: half a GB.
 UNPACKED_BYTES = 4 << 30
 
 
@@ -37,8 +38,8 @@ class Allowance:
         self.left -= size
         if self.left < 0:
             raise MissionError(
-                f"it unpacks to more than {self._whole / (1 << 30):.3g} GiB (all compressed files of a mission together)."
-                " If that is right, raise the limit with --max-unpacked."
+                f"it unpacks to more than {self._whole / (1 << 30):.3g} GiB"
+                " (all compressed files of a mission together). If that is right, raise the limit with --max-unpacked."
             )
 
 
@@ -69,7 +70,7 @@ class Place:
 
     @classmethod
     def of_mission(cls, file: str, folder: Path, confine: bool, allowance: Allowance) -> Place:
-        """A file that a mission.toml names: ``${NAME}`` is taken from the environment, the rest is relative to the folder of the .toml.
+        """A file that a mission.toml names (see `expand`).
 
         Raises
         ------
@@ -78,7 +79,9 @@ class Place:
         """
         varies = re.search(r"[$~]", file) is not None
         if confine and varies:
-            raise MissionError(f'"{file}": a confined mission names no variables and no homes. Leave out --confine if you trust it.')
+            raise MissionError(
+                f'"{file}": a confined mission names no variables and no homes. Leave out --confine if you trust it.'
+            )
         path = expand(file, folder)
         inside = path.resolve().is_relative_to(folder.resolve())
         if confine and not inside:

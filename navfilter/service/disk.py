@@ -1,8 +1,8 @@
-"""The log and the snapshots of a run, written by a thread of their own: a slow or full disk never keeps the navigator waiting.
+"""The log and the snapshots of a run, written by a thread of their own: no disk keeps the navigator waiting.
 
-The log is only ever appended to. Every block that was read goes to the operating system at once, so a killed process loses nothing; a
-power cut loses what came after the last fsync. A snapshot is written beside the old one, synced and moved over it, always after the log
-it refers to.
+The log is only ever appended to. Every block that was read goes to the operating system at once, so a killed process
+loses nothing; a power cut loses what came after the last fsync. A snapshot is written beside the old one, synced and
+moved over it, always after the log it refers to.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ __all__ = ["Disk", "StateFile"]
 
 
 class StateFile:
-    """A snapshot on disk: lines with a checksum, the place in the log and the session, then the navigator's own snapshot."""
+    """A snapshot on disk: lines with a checksum, the place in the log and the session, then that of the navigator."""
 
     MAGIC = b"navfilter-run-state 1 "
 
@@ -51,11 +51,13 @@ class StateFile:
             raise ValueError(f"{path} is no snapshot of navfilter run. Move it away to start afresh.")
         if not head.startswith(cls.MAGIC):
             raise ValueError(
-                f"{path} was written by another version ({head[:24].decode('ascii', 'replace')}). Move it away to start afresh."
+                f"{path} was written by another version ({head[:24].decode('ascii', 'replace')})."
+                " Move it away to start afresh."
             )
         if hashlib.sha256(rest).hexdigest().encode() != head[len(cls.MAGIC) :]:
             raise ValueError(
-                f"{path} is damaged (its checksum is wrong). Move it away: with --log and --resume the whole log is then replayed instead."
+                f"{path} is damaged (its checksum is wrong). Move it away, or use --resume=best:"
+                " the whole log is then fed instead."
             )
         place, session, nav = rest.split(b"\n", 2)
         return session, nav, json.loads(place)["log_offset"]
@@ -197,7 +199,9 @@ class Disk:
             try:
                 if self._remake is not None and os.fstat(self._file.fileno()).st_nlink == 0:
                     self._file = self._remake(self._file)
-                    self._notice("log-deleted", text="the log was deleted while it was written; all of it has been written anew")
+                    self._notice(
+                        "log-deleted", text="the log was deleted while it was written; all of it has been written anew"
+                    )
                 os.fsync(self._file.fileno())
                 self._recovered("fsync of the log")
             except (OSError, ValueError) as error:
@@ -241,4 +245,6 @@ class Disk:
     def _recovered(self, what: str) -> None:
         if what in self._troubles and time.monotonic() - self._troubles[what] >= self.WELL_S:
             del self._troubles[what]
-            self._notice("disk-recovered", text=what, lost_lines=self.lost_lines, failed_snapshots=self.failed_snapshots)
+            self._notice(
+                "disk-recovered", text=what, lost_lines=self.lost_lines, failed_snapshots=self.failed_snapshots
+            )

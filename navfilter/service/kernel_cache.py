@@ -1,7 +1,8 @@
-"""The compiled kernels on disk: found damaged they are compiled again, and where nothing can be kept that is said in one line.
+"""The compiled kernels on disk: damaged ones are compiled again, and where none can be kept that is said in one line.
 
-numba believes its files: one that a power cut left torn ends every start, and one with wrong bytes inside ends the process. So a list of
-checksums is written beside them when a warm-up has succeeded, and held against them before the next start.
+numba believes its files: one that a power cut left torn ends every start, and one with wrong bytes inside ends the
+process. So a list of checksums is written beside them when a warm-up has succeeded, and held against them before the
+next start.
 """
 
 from __future__ import annotations
@@ -57,7 +58,10 @@ def make_usable(say: Say) -> None:
             say(f"{damaged} damaged files of compiled kernels discarded in {folder}; they are compiled again.")
         return
     why = "no folder for them can be written" if folder is None else f"the disk of {folder} is full"
-    say(f"compiled kernels cannot be kept ({why}): every start compiles. Set NUMBA_CACHE_DIR to a folder that can be written.")
+    say(
+        f"compiled kernels cannot be kept ({why}): every start compiles."
+        " Set NUMBA_CACHE_DIR to a folder that can be written."
+    )
     settings: Any = config
     settings.CACHE_DIR = tempfile.mkdtemp(prefix="navfilter-kernels-")
     atexit.register(shutil.rmtree, settings.CACHE_DIR, ignore_errors=True)
@@ -93,7 +97,7 @@ def warm(say: Say) -> None:
 
 
 def discard_damaged(folder: Path) -> int:
-    """Remove compiled kernels that are not what the list says, and files on no list that are torn; how many there were."""
+    """Remove compiled kernels that are not what the list says, and torn ones on no list; how many there were."""
     sums = _sums(folder)
     damaged = [path for path in _files(folder) if _is_damaged(path, sums)]
     _remove(damaged)
@@ -104,7 +108,7 @@ def discard_damaged(folder: Path) -> int:
 
 
 def seal(folder: Path) -> None:
-    """Write the list of checksums, when what lies there has changed; a folder that cannot be written is left as it is."""
+    """Write the list of checksums, when what lies there has changed and the folder can be written."""
     with contextlib.suppress(OSError):
         sums = {path.name: _digest(path) for path in _files(folder) if path.suffix == ".nbc"}
         if sums == _sums(folder):

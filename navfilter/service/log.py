@@ -1,6 +1,7 @@
-"""The folder of a log: a mission that `navfilter replay` reads, and everything that `navfilter run` needs to give its output again.
+"""The folder of a log: a mission for `navfilter replay`, and all that `navfilter run` needs to give its output again.
 
-``mission.toml`` and ``vehicle.toml`` are written first; ``readings.jsonl`` then grows line by line (see `navfilter.io.json_lines`).
+``mission.toml`` and ``vehicle.toml`` are written first; ``readings.jsonl`` then grows line by line (see
+`navfilter.io.json_lines`).
 """
 
 from __future__ import annotations
@@ -29,7 +30,9 @@ __all__ = ["LOG_FILE", "log_items", "logged_options", "prepare_log", "remade_log
 LOG_FILE = "readings.jsonl"
 
 
-def prepare_log(folder: Path, vehicle: Vehicle, options: Options, *, resume: str | None, tell: Callable[[str], None]) -> BinaryIO:
+def prepare_log(
+    folder: Path, vehicle: Vehicle, options: Options, *, resume: str | None, tell: Callable[[str], None]
+) -> BinaryIO:
     """Make the folder of a log, or take one that was broken off; it is ours until the file is closed.
 
     Parameters
@@ -38,8 +41,8 @@ def prepare_log(folder: Path, vehicle: Vehicle, options: Options, *, resume: str
     vehicle : Vehicle
     options : Options
     resume : {"strict", "best"}, optional
-        Whether a log may be there already, and whether it may be that of another vehicle (see `navfilter.service.resuming`); the half
-        line that a crash left at its end is then cut off.
+        Whether a log may be there already, and whether it may be that of another vehicle (see
+        `navfilter.service.resuming`); the half line that a crash left at its end is then cut off.
     tell : callable
         Takes a sentence about what does not fit.
 
@@ -51,8 +54,8 @@ def prepare_log(folder: Path, vehicle: Vehicle, options: Options, *, resume: str
     Raises
     ------
     ValueError
-        When there is a log and `resume` is None, when another process is writing to it, or when it is that of another vehicle and
-        `resume` is "strict".
+        When there is a log and `resume` is None, when another process is writing to it, or when it is that of another
+        vehicle and `resume` is "strict".
     OSError
         When the folder cannot be written.
     """
@@ -63,7 +66,9 @@ def prepare_log(folder: Path, vehicle: Vehicle, options: Options, *, resume: str
             raise ValueError(f"{folder} holds a log already. Give another folder, or --resume to continue that run.")
         other = _difference(folder, vehicle) if begun else ""
         if other and resume == "strict":
-            raise ValueError(f"{folder}: {other}. Give the vehicle of that run, or --resume=best to feed its log to this one.")
+            raise ValueError(
+                f"{folder}: {other}. Give the vehicle of that run, or --resume=best to feed its log to this one."
+            )
         if other:
             tell(f"{other}: the whole log is fed to the vehicle that was given now")
             _put_aside(folder / "vehicle.toml")
@@ -109,7 +114,9 @@ def _locked(folder: Path) -> BinaryIO:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:
         file.close()
-        raise ValueError(f"{folder}: another process is writing this log. Stop it first, or log to another folder.") from None
+        raise ValueError(
+            f"{folder}: another process is writing this log. Stop it first, or log to another folder."
+        ) from None
     return file
 
 
@@ -161,7 +168,8 @@ def _cut_half_line(path: Path) -> None:
 
 def _mission_toml(folder: Path, vehicle: Vehicle, date: datetime.date | None) -> str:
     lines = [
-        "# Written by navfilter run. The readings stand in the order of their arrival; navfilter run --replay-log feeds them again.",
+        "# Written by navfilter run. The readings stand in the order of their arrival;"
+        " navfilter run --replay-log feeds them again.",
         f"name = {json.dumps(folder.resolve().name)}",
         *([] if date is None else [f"date = {date.isoformat()}"]),
         "",
@@ -170,7 +178,12 @@ def _mission_toml(folder: Path, vehicle: Vehicle, date: datetime.date | None) ->
         "",
         "[log.columns]",
     ]
-    return "\n".join(lines + [f"{json.dumps(name)} = {json.dumps(columns)}" for name, columns in _columns(vehicle).items()]) + "\n"
+    return (
+        "\n".join(
+            lines + [f"{json.dumps(name)} = {json.dumps(columns)}" for name, columns in _columns(vehicle).items()]
+        )
+        + "\n"
+    )
 
 
 def _columns(vehicle: Vehicle) -> dict[str, list[str]]:

@@ -1,4 +1,4 @@
-"""The loop of ``navfilter run``: read a block, log it, navigate with it; snapshots between blocks; an end only when it was ordered.
+"""The loop of ``navfilter run``: read a block, log it, navigate with it; snapshots between blocks; an ordered end.
 
 What is around the navigation never stops it: outputs, log, snapshots and supervision have threads of their own, and
 whatever goes wrong with one of them is told and counted.
@@ -7,8 +7,7 @@ whatever goes wrong with one of them is told and counted.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -20,53 +19,17 @@ from navfilter.service.outlet import Outlet
 from navfilter.service.protocol import Lines, event_line
 from navfilter.service.resuming import earlier_run
 from navfilter.service.session import Options, Session
+from navfilter.service.setup import Service
 from navfilter.service.sources import Client, FileSource, Stopped, StopSignal, TcpSource
 from navfilter.service.supervision import Supervision
 from navfilter.service.tally import Tally
 from navfilter.vehicle import Vehicle
 
-__all__ = ["ORDERED", "UNASKED", "Service", "run"]
+__all__ = ["ORDERED", "UNASKED", "run"]
 
 #: Exit codes: the end was asked for, or nobody asked for it. (2 is that of everything that prevents the start.)
 ORDERED, UNASKED = 0, 1
 _STDOUT = 1
-
-
-@dataclass(frozen=True, kw_only=True)
-class Service:
-    """How a run is set up, beside what decides its output (`Options`).
-
-    Parameters
-    ----------
-    input : int or (str, int)
-        File descriptor, or host and port to listen on.
-    silent_s : float
-        A client without a reading for so long [s] loses its place to one that comes.
-    log : Path, optional
-        Folder of the log.
-    fsync_s : float
-        The log is synced so often [s].
-    state : Path, optional
-        File of the snapshots.
-    snapshot_s : float
-        One every so many seconds.
-    resume : {"strict", "best"}, optional
-        Continue from the snapshot and the log, and what to do when they do not fit (see `navfilter.service.resuming`).
-    health : Path, optional
-        State file for others.
-    say : callable
-        Takes a line for the operator; must neither wait nor raise.
-    """
-
-    input: int | tuple[str, int]
-    silent_s: float = 10.0
-    log: Path | None = None
-    fsync_s: float = 1.0
-    state: Path | None = None
-    snapshot_s: float = 10.0
-    resume: str | None = None
-    health: Path | None = None
-    say: Callable[[str], None] = lambda text: None
 
 
 def run(vehicle: Vehicle, options: Options, service: Service) -> int:
@@ -115,7 +78,9 @@ class _Run:
     #: Supervisors hear from the loop so often [s].
     TEND_S = 1.0
 
-    def __init__(self, vehicle: Vehicle, options: Options, service: Service, stop: StopSignal, supervision: Supervision) -> None:
+    def __init__(
+        self, vehicle: Vehicle, options: Options, service: Service, stop: StopSignal, supervision: Supervision
+    ) -> None:
         self._vehicle, self._options, self._service = vehicle, options, service
         self._stop, self._supervision = stop, supervision
         self._muted = self._output_gone = False
@@ -176,7 +141,11 @@ class _Run:
             return None
         try:
             return prepare_log(
-                service.log, self._vehicle, self._options, resume=service.resume, tell=lambda text: self._notice("resume", text=text)
+                service.log,
+                self._vehicle,
+                self._options,
+                resume=service.resume,
+                tell=lambda text: self._notice("resume", text=text),
             )
         except OSError as error:
             if service.resume != "best":
@@ -281,7 +250,7 @@ class _Run:
             self._source.heard()
 
     def _guarded(self, item: Item) -> None:
-        """A mistake in this program must not end the navigation of a vehicle under way: it is told, and the next line is taken."""
+        """A mistake in this program must not end the navigation under way: it is told, and the next line is taken."""
         try:
             self._session.feed(item)
         except Exception as error:

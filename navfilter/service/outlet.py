@@ -34,7 +34,8 @@ class Outlet:
     handle : int, optional
         File descriptor to write to; a socket can take its place later (`attach`).
     longest : int
-        Lines that may wait; beyond them the oldest states are dropped and counted, events only when there is nothing else.
+        Lines that may wait; beyond them the oldest states are dropped and counted, events only when there is nothing
+        else.
     wait : bool
         Wait for the reader instead of dropping: for a log that is fed again there is no hurry.
     dropped_line : callable
@@ -105,7 +106,9 @@ class Outlet:
         """
         with self._condition:
             begun = self._progress = time.monotonic()
-            while (self._queue or self._busy) and not self.gone and (self._handle is not None or self._socket is not None):
+            while (
+                (self._queue or self._busy) and not self.gone and (self._handle is not None or self._socket is not None)
+            ):
                 left = min(self._progress + patience_s, begun + 5.0 * patience_s) - time.monotonic()
                 if left <= 0.0:
                     return False

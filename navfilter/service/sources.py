@@ -1,4 +1,4 @@
-"""Where the lines come from: standard input or a file, or one client at a time on a TCP socket; and the signals that end a run."""
+"""Where the lines come from: a file, or one client at a time on a TCP socket; and the signals that end a run."""
 
 from __future__ import annotations
 
@@ -35,7 +35,9 @@ class StopSignal:
         self._wake.setblocking(False)
         self._send.setblocking(False)
         signal.set_wakeup_fd(self._send.fileno(), warn_on_full_buffer=False)
-        self._before = {number: signal.signal(number, self._take) for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)}
+        self._before = {
+            number: signal.signal(number, self._take) for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
+        }
 
     def _take(self, number: int, frame: FrameType | None) -> None:
         if number == signal.SIGHUP:
@@ -48,7 +50,7 @@ class StopSignal:
 
     @contextlib.contextmanager
     def at_once(self) -> Iterator[None]:
-        """Within, a signal raises `Stopped` wherever the program is: a compilation of half a minute is not waited for."""
+        """Within, a signal raises `Stopped` wherever the program is: nobody waits for a compilation."""
         self._at_once = True
         try:
             if self.received:
@@ -125,8 +127,8 @@ def listen_address(url: str, *, allow_remote: bool) -> tuple[str, int]:
         raise ValueError(f'--listen needs the address of an interface such as 127.0.0.1, found "{host}".') from None
     if not local and not allow_remote:
         raise ValueError(
-            f"{host} can be reached from other computers: whoever reaches it can steer the navigation, for there is no password. "
-            "Use 127.0.0.1, or add --allow-remote if that is meant."
+            f"{host} can be reached from other computers: whoever reaches it can steer the navigation, for there is no"
+            " password. Use 127.0.0.1, or add --allow-remote if that is meant."
         )
     return host, port
 
@@ -157,7 +159,11 @@ class TcpSource:
     """
 
     def __init__(
-        self, address: tuple[str, int], stop: StopSignal, changed: Callable[[Client | None, str], Any], silent_s: float = 10.0
+        self,
+        address: tuple[str, int],
+        stop: StopSignal,
+        changed: Callable[[Client | None, str], Any],
+        silent_s: float = 10.0,
     ) -> None:
         self._stop, self._changed, self._silent_s = stop, changed, silent_s
         family = socket.AF_INET6 if ":" in address[0] else socket.AF_INET

@@ -56,7 +56,9 @@ class Supervision:
         """A round of the loop: only this keeps systemd's watchdog quiet, so a loop that hangs is noticed."""
         self._write(phase, fields)
         age_s = fields["input_age_s"]
-        self._notifier.tell(WATCHDOG=1, STATUS=f"{phase}, {fields['readings']} readings, the last line {age_s:.1f} s ago")
+        self._notifier.tell(
+            WATCHDOG=1, STATUS=f"{phase}, {fields['readings']} readings, the last line {age_s:.1f} s ago"
+        )
 
     def ended(self, phase: str) -> None:
         """The last word; only the first time counts."""
@@ -161,7 +163,8 @@ class HealthFile:
                 self._failed = True
 
     def _replace(self, data: bytes) -> None:
-        # Readers see the old file or the new one, never half of one. Not synced: after a power cut nobody asks how the run was.
+        # Readers see the old file or the new one, never half of one. Not synced: after a power cut nobody asks how the
+        # run was.
         part = self._path.with_name(self._path.name + ".part")
         part.write_bytes(data)
         part.replace(self._path)

@@ -10,10 +10,10 @@ __all__ = ["Tally"]
 
 
 class Tally:
-    """Passes items on, and gathers bad lines that are not quoted any more until the next reading comes or `due` is called.
+    """Passes items on; gathers bad lines that are not quoted any more until the next reading, or until `due` is called.
 
-    So there is at most one note of each kind between two readings, however much noise there is, and where it stands follows from the
-    lines alone. Without readings `due` is to be called once a second.
+    So there is at most one note of each kind between two readings, however much noise there is, and where it stands
+    follows from the lines alone. Without readings `due` is to be called once a second.
     """
 
     def __init__(self) -> None:
