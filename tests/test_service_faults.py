@@ -102,13 +102,12 @@ def test_a_reader_that_has_gone_stops_nothing(dive, tmp_path):
 
 
 def test_descriptors_that_are_closed_at_the_start_are_not_taken_by_the_log(dive, tmp_path):
-    """The log would get the number 2, and the messages for the operator with it."""
+    """The log would get the number 2, and the messages for the operator with it; Python sends them to standard output."""
     process = Process(*dive.arguments, "--log", tmp_path / "log", preexec_fn=lambda: os.close(2))
-    process.send(dive.lines[:2000])
-    process.end()
+    rows, _ = states(process.end(lines=dive.lines[:2000]))  # and none of the messages is among the states
     parser = LineParser(dive.vehicle, notes=True)
     logged = (tmp_path / "log" / LOG_FILE).read_bytes().splitlines()
-    assert process.code == 0 and not any(isinstance(parser.parse(line), BadLine) for line in logged)
+    assert process.code == 0 and rows and not any(isinstance(parser.parse(line), BadLine) for line in logged)
 
 
 def test_an_output_on_a_full_disk_goes_on_when_there_is_room(monkeypatch):
@@ -471,6 +470,14 @@ def test_the_health_file_says_how_the_run_is(dive, tmp_path):
     assert health["internal_errors"] == health["lost_log_lines"] == 0 and health["disk_troubles"] == []
     process.end()
     assert process.code == 0 and json.loads(path.read_bytes())["phase"] == "stopped"
+
+
+@pytest.mark.parametrize("flag", ["--state", "--health-file"])
+def test_what_is_no_file_is_not_replaced_by_one(dive, tmp_path, capsys, flag):
+    """As root it would have been the end of /dev/null."""
+    (tmp_path / "device").symlink_to("/dev/null")
+    assert main(["run", *dive.arguments, flag, str(tmp_path / "device"), "--quiet"]) == 2
+    assert "no file" in capsys.readouterr().err and (tmp_path / "device").is_symlink()
 
 
 def test_a_health_file_that_cannot_be_written_is_said_once(dive):

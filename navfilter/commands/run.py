@@ -209,6 +209,9 @@ def _check(options: argparse.Namespace) -> None:
         raise ValueError("--resume needs --log or --state: there is nothing to go on from.")
     if options.replay_log is not None and (options.log or options.state or options.start or options.resume):
         raise ValueError("--replay-log feeds a log as it is: leave out --log, --state, --start and --resume.")
+    for name, path in (("--state", options.state), ("--health-file", options.health_file)):
+        if path is not None and os.path.exists(path) and not os.path.isfile(path):
+            raise ValueError(f"{name} {path} is no file: it would be replaced. Give another name.")
 
 
 def _input(options: argparse.Namespace) -> int | tuple[str, int]:

@@ -43,8 +43,6 @@ class StateFile:
         ValueError
             When the file is damaged or of another version.
         """
-        if path.exists() and not path.is_file():
-            raise ValueError(f"{path} is no file. Give --state a file, or a name that is not taken.")
         data = path.read_bytes()
         head, _, rest = data.partition(b"\n")
         if not head.startswith(b"navfilter-run-state "):

@@ -83,7 +83,8 @@ def earlier_run(
                 raise
             tell(f"the snapshot is refused: {error}")
             with contextlib.suppress(OSError):
-                state.replace(state.with_name(state.name + ".refused"))
+                if state.is_file():
+                    state.replace(state.with_name(state.name + ".refused"))
     if log is None or not size:
         return Past(make(options), False, None)
     try:
