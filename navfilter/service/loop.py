@@ -75,8 +75,6 @@ class _Run:
 
     #: Without a line for so long the operator is told [s].
     SILENT_S = 5.0
-    #: Supervisors hear from the loop so often [s].
-    TEND_S = 1.0
 
     def __init__(
         self, vehicle: Vehicle, options: Options, service: Service, stop: StopSignal, supervision: Supervision
