@@ -440,6 +440,38 @@ def test_kernels_that_cannot_be_kept_are_said_in_one_line(dive, tmp_path):
     assert done.returncode == 0 and done.stderr.count("\n") == 1 and "NUMBA_CACHE_DIR" in done.stderr
 
 
+def test_kernels_that_cannot_be_loaded_are_compiled_again(tmp_path, monkeypatch):
+    """Whole files whose content numba cannot use."""
+    (tmp_path / "a.nbi").write_bytes(b"whole")
+    calls, said = [], []
+
+    def warm_up():
+        calls.append(sorted(path.name for path in tmp_path.iterdir()))
+        if len(calls) == 1:
+            raise AttributeError("no such name")
+        (tmp_path / "a.1.nbc").write_bytes(b"new")
+
+    monkeypatch.setattr("navfilter.playback.warm_up", warm_up)
+    monkeypatch.setattr(kernel_cache, "_folder", lambda: tmp_path)
+    kernel_cache.compile_kernels(said.append)
+    assert calls == [["a.nbi"], []] and len(said) == 1 and "no such name" in said[0]
+    assert list(json.loads((tmp_path / kernel_cache.LIST).read_text())) == ["a.1.nbc"]
+
+
+def test_where_the_disk_is_full_kernels_are_kept_for_this_process(tmp_path):
+    program = (
+        "from navfilter.service import kernel_cache as k; k.ROOM = 1 << 62; k.make_usable(print); "
+        "from navfilter.kernels.measurement import heading; print(heading.stats.cache_path)"
+    )
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "full"), "TMPDIR": str(tmp_path)}
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=PATIENCE_S, env=environment
+    )
+    said, folder = done.stdout.splitlines()
+    assert "is full" in said and folder.startswith(str(tmp_path / "navfilter-kernels-")) and done.stderr == ""
+    assert not list(tmp_path.glob("navfilter-kernels-*"))  # nothing is left behind
+
+
 # --- the clock of the computer
 # ------------------------------------------------------------------------------------------
 

@@ -53,7 +53,7 @@ def make_usable(say: Say) -> None:
         folder = _folder()
     except RuntimeError:  # of numba: no folder can be written
         folder = None
-    if folder is not None and (_room(folder) or (folder / LIST).exists()):
+    if folder is not None and (_files(folder) or _room(folder)):
         if damaged := discard_damaged(folder):
             say(f"{damaged} damaged files of compiled kernels discarded in {folder}; they are compiled again.")
         return
