@@ -30,7 +30,7 @@ from pathlib import Path
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
-from service_library import Dive, Process, quietly
+from live_run import Dive, Process
 
 import navfilter as nf
 from navfilter.io.json_lines import Reading
@@ -177,7 +177,12 @@ def broken_off(dive: Dive, folder: Path, rng: np.random.Generator, sent: int) ->
         process.process.stdout.close()
         process.process.stdout = None
     end = int(rng.integers(sent, len(dive.lines)))
-    sending = threading.Thread(target=quietly, args=(process.send, noisy(dive.lines[sent:end], rng)))
+
+    def send(lines: list[bytes]) -> None:
+        with contextlib.suppress(OSError):  # it was killed
+            process.send(lines)
+
+    sending = threading.Thread(target=send, args=(noisy(dive.lines[sent:end], rng),))
     sending.start()
     time.sleep(rng.uniform(0.0, 6.0))
     if deleted := rng.random() < 0.2:

@@ -1,13 +1,16 @@
 """The live loop: lines in, states out, a log that replays to the bit, kills, full disks, slow readers and every kind of bad line."""
 
+import contextlib
 import dataclasses
 import errno
 import json
 import os
 import resource
+import select
 import signal
 import socket
 import subprocess
+import sys
 import threading
 import time
 
@@ -15,10 +18,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from service_library import COMMAND, PATIENCE_S, Dive, Process, quietly, reproducible, run_session, states
 
 import navfilter as nf
 from navfilter.cli import main
+from navfilter.io import write_vehicle
 from navfilter.io.json_lines import BAD_KINDS, BadLine, LineParser, Note, Reading, StartLine, start_from
 from navfilter.playback import drive_samples
 from navfilter.service.disk import Disk, StateFile
@@ -28,6 +31,37 @@ from navfilter.service.pairing import Pairing
 from navfilter.service.protocol import Lines, to_line
 from navfilter.service.session import Options, Session
 from navfilter.service.sources import listen_address
+from navfilter.simulation.scenarios import simulate_scenario
+
+COMMAND = [sys.executable, "-m", "navfilter", "run"]
+PATIENCE_S = 60  # far beyond what anything here takes; reached only when something hangs
+
+
+def as_lines(vehicle, mission):
+    """The mission as it would arrive: by time, the drive before what it carries, the sensors in their order."""
+    drive, rows = list(vehicle.drive.streams), []
+    for name, stream in mission.streams.items():
+        rank = drive.index(name) if name in drive else len(drive) + list(vehicle.sensors).index(name)
+        for t, value in zip(stream.time_s.tolist(), stream.value.tolist(), strict=True):
+            value = [None if np.isnan(v) else v for v in value]
+            fields = {"rate_b": value[:3], "force_b": value[3:6]} if name == "imu" else {"value": value}
+            rows.append((t, rank, json.dumps({"sensor": name, "time_s": t, **fields}).encode() + b"\n"))
+    return [line for _, _, line in sorted(rows, key=lambda row: row[:2])]
+
+
+class Dive:
+    """A simulated mission as files and as lines, with what the navigator makes of it."""
+
+    def __init__(self, folder, scenario, duration_s):
+        self.vehicle, self.mission = simulate_scenario(scenario, 1, duration_s)
+        self.start = {k: v for k, v in dataclasses.asdict(self.mission.start).items() if v is not None}
+        self.lines = as_lines(self.vehicle, self.mission)
+        self.toml, self.start_file = folder / f"{scenario}.toml", folder / f"{scenario}.json"
+        write_vehicle(self.vehicle, self.toml)
+        self.start_file.write_text(json.dumps({**self.start, "date": self.start["date"].isoformat()}))
+        self.options = Options(start=self.start, date=self.start["date"])
+        self.output = run_session(self.vehicle, self.lines, self.options)
+        self.arguments = ["--vehicle", str(self.toml), "--start", str(self.start_file)]
 
 
 @pytest.fixture(scope="module")
@@ -38,6 +72,30 @@ def dive(tmp_path_factory):
 @pytest.fixture(scope="module")
 def reckoning(tmp_path_factory):
     return Dive(tmp_path_factory.mktemp("reckoning"), "reckoning", 90.0)
+
+
+def run_session(vehicle, lines, options, stop=True):
+    """The output of a session in this process."""
+    out, parser = [], LineParser(vehicle)
+    session = Session(vehicle, options, lambda line, is_state: out.append(line))
+    for line in lines:
+        item = parser.parse(line)
+        if item is not None:
+            session.feed(item)
+    if stop:
+        session.stop()
+    return out
+
+
+def states(output):
+    """The states among lines of output, and the events."""
+    rows = [json.loads(line) for line in output]
+    return [row for row in rows if "event" not in row], [row for row in rows if "event" in row]
+
+
+def reproducible(output):
+    """The lines that follow from the readings."""
+    return [line for line in output if json.loads(line).get("event") not in ("notice", "resume")]
 
 
 def imu(t, rate=(0.0, 0.0, 0.0), force=(0.0, 0.0, -9.8)):
@@ -433,6 +491,49 @@ def test_damaged_snapshots_are_refused(tmp_path):
 # --- the command ------------------------------------------------------------------------------------------------------
 
 
+class Process:
+    """``navfilter run`` as a process; everything it says is gathered."""
+
+    def __init__(self, *arguments, **more):
+        pipe = subprocess.PIPE
+        self.process = subprocess.Popen([*COMMAND, *map(str, arguments)], stdin=pipe, stdout=pipe, stderr=pipe, **more)
+        self.output = []
+
+    def send(self, lines):
+        self.process.stdin.write(b"".join(lines))
+        self.process.stdin.flush()
+
+    def read_until(self, time_s):
+        """Read output up to the state of this time."""
+        while True:
+            assert select.select([self.process.stdout], [], [], PATIENCE_S)[0], "no output"
+            line = self.process.stdout.readline()
+            assert line, self.process.stderr.read()
+            self.output.append(line)
+            if json.loads(line).get("time_s", -1) >= time_s:
+                return
+
+    def said(self, word):
+        """Read standard error up to a line with this word."""
+        while True:
+            line = self.process.stderr.readline().decode()
+            assert line, f"it never said {word}"
+            if word in line:
+                return line
+
+    def end(self, number=None):
+        """Send a signal, or let the input end; returns all output."""
+        if number is not None:
+            self.process.send_signal(number)
+        rest, self.errors = self.process.communicate(timeout=PATIENCE_S)
+        self.output += rest.splitlines(keepends=True)
+        return self.output
+
+    @property
+    def code(self):
+        return self.process.returncode
+
+
 @pytest.fixture(scope="module")
 def logged(dive, tmp_path_factory):
     """A run through standard input with a log, to its end, with every kind of bad line on the way."""
@@ -542,6 +643,11 @@ def test_killed_at_any_instant_it_goes_on(dive, tmp_path):
     assert set(got) <= set(expected) and len(set(got)) >= len(expected) - 2 and got[-1] == expected[-1]
     again = subprocess.run([*COMMAND, "--replay-log", str(folder), "--quiet"], capture_output=True, timeout=PATIENCE_S)
     assert again.stdout == b"".join(dive.output)
+
+
+def quietly(call, *arguments):
+    with contextlib.suppress(OSError):
+        call(*arguments)
 
 
 def test_a_signal_ends_it_cleanly_and_a_damaged_snapshot_is_refused_where_asked(dive, tmp_path, capsys):

@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from service_library import COMMAND, PATIENCE_S, Dive, Process, reproducible, states
+from live_run import COMMAND, PATIENCE_S, Dive, Process, states
 
 import navfilter as nf
 from navfilter.cli import _parser, main
@@ -38,6 +38,11 @@ from navfilter.service.tally import Tally
 @pytest.fixture(scope="module")
 def dive(tmp_path_factory):
     return Dive(tmp_path_factory.mktemp("dive"), "lawnmower", 60.0)
+
+
+def reproducible(output):
+    """The lines that follow from the readings."""
+    return [line for line in output if json.loads(line).get("event") not in ("notice", "resume")]
 
 
 def readings_of(folder, vehicle):

@@ -1,11 +1,12 @@
-"""Missions as lines, and ``navfilter run`` as a process: what the tests and the benchmark of the live loop share."""
+"""``navfilter run`` for tests and benchmarks: a mission as lines, a session here, the command as a process."""
 
-import contextlib
 import dataclasses
 import json
+import os
 import select
 import subprocess
 import sys
+import time
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from navfilter.service.session import Options, Session
 from navfilter.simulation.scenarios import simulate_scenario
 
 COMMAND = [sys.executable, "-m", "navfilter", "run"]
-PATIENCE_S = 60  # far beyond what anything here takes; reached only when something hangs
+PATIENCE_S = 600  # far beyond what anything here takes; reached only when something hangs
 
 
 def as_lines(vehicle, mission):
@@ -64,9 +65,12 @@ def states(output):
     return [row for row in rows if "event" not in row], [row for row in rows if "event" in row]
 
 
-def reproducible(output):
-    """The lines that follow from the readings."""
-    return [line for line in output if json.loads(line).get("event") not in ("notice", "resume")]
+def wait_for(happened):
+    """Until what is asked for is so; looked at often, as nothing tells when."""
+    until = time.monotonic() + PATIENCE_S
+    while not happened():
+        assert time.monotonic() < until, "it never happened"
+        time.sleep(0.002)
 
 
 class Process:
@@ -76,7 +80,7 @@ class Process:
         pipe = subprocess.PIPE
         more = {"stdin": pipe, "stdout": pipe, "stderr": pipe, **more}
         self.process = subprocess.Popen([*COMMAND, *map(str, arguments)], **more)
-        self.output = []
+        self.output, self._read = [], b""
 
     def send(self, lines):
         self.process.stdin.write(b"".join(lines))
@@ -85,10 +89,14 @@ class Process:
     def read_until(self, time_s):
         """Read output up to the state of this time."""
         while True:
-            assert select.select([self.process.stdout], [], [], PATIENCE_S)[0], "no output"
-            line = self.process.stdout.readline()
-            assert line, self.process.stderr.read()
-            self.output.append(line)
+            while b"\n" not in self._read:
+                assert select.select([self.process.stdout], [], [], PATIENCE_S)[0], "no output"
+                # from the descriptor itself: what a buffered reader has taken already, select does not see
+                more = os.read(self.process.stdout.fileno(), 1 << 16)
+                assert more, self.process.stderr.read()
+                self._read += more
+            line, _, self._read = self._read.partition(b"\n")
+            self.output.append(line + b"\n")
             if json.loads(line).get("time_s", -1) >= time_s:
                 return
 
@@ -105,14 +113,9 @@ class Process:
         if number is not None:
             self.process.send_signal(number)
         rest, self.errors = self.process.communicate(b"".join(lines), timeout=PATIENCE_S)
-        self.output += (rest or b"").splitlines(keepends=True)
+        self.output += (self._read + (rest or b"")).splitlines(keepends=True)
         return self.output
 
     @property
     def code(self):
         return self.process.returncode
-
-
-def quietly(call, *arguments):
-    with contextlib.suppress(OSError):
-        call(*arguments)
