@@ -202,7 +202,7 @@ def _columns_of(place: Place, arrays: dict[str, npt.NDArray[Any]], options: Tabl
             raise MissionError(f"{place.shown} holds several arrays {tables}: name one with table = ...")
     columns = {name: column[options.skip_rows :] for name, column in columns.items()}
     columns = {name: np.ascontiguousarray(column) for name, column in columns.items()}
-    return Table(place.shown, columns, (), place.quoted)
+    return Table(place.shown, columns, quoted=place.quoted)
 
 
 def _pick(place: Place, arrays: dict[str, npt.NDArray[Any]], reference: str) -> npt.NDArray[Any]:
@@ -274,7 +274,7 @@ def _read_text(place: Place, data: bytes, options: TableOptions) -> Table:
     columns = {name: frame[name].to_numpy() for name in names}
     while columns and list(columns)[-1].startswith("unnamed ") and all(map(_is_blank, list(columns.values())[-1])):
         columns.popitem()
-    return Table(place.shown, columns, tuple(notes), place.quoted)
+    return Table(place.shown, columns, tuple(notes), quoted=place.quoted)
 
 
 def _before(line: str, comment: str) -> str:
