@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import os
 import resource
+import shutil
 import signal
 import tempfile
+import threading
 import time
 from collections import Counter
 from collections.abc import Callable
@@ -131,12 +135,97 @@ def damaged_snapshots(dive: Dive, folder: Path, rng: np.random.Generator) -> Ver
     return crashes, 0, others
 
 
+def stderr_of(rng: np.random.Generator) -> int:
+    """A standard error that is there, gone, full, or not drained."""
+    kind = int(rng.integers(4))
+    if kind in (0, 1):
+        return os.open(("/dev/null", "/dev/full")[kind], os.O_WRONLY)
+    reading, writing = os.pipe()
+    if kind == 2:
+        os.close(reading)
+        return writing
+    os.set_blocking(writing, False)
+    with contextlib.suppress(BlockingIOError):
+        while True:
+            os.write(writing, bytes(65536))
+    os.set_blocking(writing, True)
+    return writing  # `reading` stays open, and nobody reads
+
+
+def noisy(lines: list[bytes], rng: np.random.Generator) -> list[bytes]:
+    """Lines with garbage between them."""
+    lines = [*lines]
+    for _ in range(int(rng.integers(0, 30))):
+        noise = rng.bytes(int(rng.integers(1, 2000)))
+        lines.insert(int(rng.integers(len(lines) + 1)), noise + b"\n")
+    return lines
+
+
+def broken_off(dive: Dive, folder: Path, rng: np.random.Generator, sent: int) -> None:
+    """One process of a schedule that is not the last; with a deleted log its snapshot goes too, for it may know more than the log."""
+    arguments = [*dive.arguments, "--log", folder, "--resume", "--snapshot-every", "0.2", "--fsync", "0.1"]
+    handle = stderr_of(rng)
+    process = Process(*arguments, stderr=handle)
+    os.close(handle)
+    if rng.random() < 0.3:
+        process.process.stdout.close()
+        process.process.stdout = None
+    end = int(rng.integers(sent, len(dive.lines)))
+
+    def send(lines: list[bytes]) -> None:
+        with contextlib.suppress(OSError):  # it was killed
+            process.send(lines)
+
+    sending = threading.Thread(target=send, args=(noisy(dive.lines[sent:end], rng),))
+    sending.start()
+    time.sleep(rng.uniform(0.0, 6.0))
+    if deleted := rng.random() < 0.2:
+        shutil.rmtree(folder, ignore_errors=True)
+    if rng.random() < 0.3:
+        process.process.send_signal(signal.SIGHUP)
+    number = (signal.SIGKILL, signal.SIGTERM, None)[int(rng.integers(3))]
+    if number is None:
+        sending.join(60.0)
+    process.end(number)
+    sending.join()
+    if deleted:
+        (folder / "snapshot").unlink(missing_ok=True)
+
+
+def schedule(dive: Dive, folder: Path, rng: np.random.Generator) -> Verdict:
+    """Several processes one after another on one log, and whatever can happen to them."""
+    log, lost, sent = folder / "log", 0, 0
+    for _ in range(int(rng.integers(1, 4))):
+        broken_off(dive, log, rng, sent)
+        file, snapshot = log / LOG_FILE, log / "snapshot"
+        whole = [item.raw for item in log_items(file, dive.vehicle) if isinstance(item, Reading)] if file.exists() else []
+        lost += whole != dive.lines[: len(whole)]
+        sent = len(whole)
+        if not sent:  # deleted, or never begun: what is left beside it belongs to nothing
+            shutil.rmtree(log, ignore_errors=True)
+            continue
+        with file.open("ab") as end:
+            end.write(b'{"sensor":"imu","ti' * int(rng.integers(2)))
+        if snapshot.exists() and rng.random() < 0.4:
+            data = bytearray(snapshot.read_bytes())
+            data[int(rng.integers(len(data)))] ^= 1 << int(rng.integers(8))
+            snapshot.write_bytes(data)
+    handle, limit = stderr_of(rng), int(rng.choice([10_000, 300_000, 1 << 40]))
+    full = lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))  # noqa: E731
+    process = Process(*dive.arguments, "--log", log, "--resume", stderr=handle, preexec_fn=full)
+    os.close(handle)
+    end = states(process.end(lines=noisy(dive.lines[sent:], rng)))
+    same = bool(end) and without_counts(end[-1]) == without_counts(states(dive.output)[-1])
+    return int(process.code != 0), lost, int(not same)
+
+
 KINDS: dict[str, Callable[[Dive, Path, np.random.Generator], Verdict]] = {
     "SIGKILL at a random instant, half a line": killed,
     "garbage between the lines (200)": garbage,
     "disk full at a random size": full_disk,
     "log cut at a random byte": cut_log,
     "damaged snapshots (200)": damaged_snapshots,
+    "schedules of everything": schedule,
 }
 
 
@@ -148,6 +237,12 @@ def service(options: Options) -> list[dict[str, Any]]:
     that the log does not have, the last state is that of an undisturbed run to the bit, and of the readings whose
     states were seen nothing is missing from the log; garbage between the lines, a full disk and a log that is cut at
     a random byte leave the last state as it was; a damaged snapshot is refused with a ValueError, always.
+
+    The schedules draw all of it at once: two to four processes one after another on one log, each with a standard error
+    that is gone, full or not drained, a reader of its states that is there, slow or gone, garbage on the line, and an
+    end by SIGKILL, SIGTERM or the end of its input; between them the snapshot is damaged or removed, the log gets half
+    a line, its folder is deleted under way; the last one may have a full disk. Whatever happens, the last state is that
+    of an undisturbed run.
     """
     seeds = 1 if options.quick else options.seeds
     nf.warm_up()

@@ -2,7 +2,7 @@
 
 Each sub-command is a function that adds its arguments and one that runs. Everything heavy is imported where it is used, so that
 ``navfilter --help`` answers at once. Exit codes: 0 all is well, 1 `check` or `vehicle --check` found something wrong, 2 wrong usage or
-input.
+input, 130 interrupted, 141 whoever read the output has gone; `run` has its own (see its help).
 """
 
 from __future__ import annotations
@@ -15,11 +15,22 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from navfilter.commands import replay as replay_command
-from navfilter.commands.console import announce_compilation, output_folder, positive, seed, speaker
+from navfilter.commands.console import (
+    add_force_argument,
+    add_reading_arguments,
+    announce_compilation,
+    complain,
+    new_files,
+    output_folder,
+    positive,
+    read,
+    seed,
+    speaker,
+)
 
 __all__ = ["main"]
 
-OK, FOUND, WRONG, INTERRUPTED = 0, 1, 2, 130
+OK, FOUND, WRONG, INTERRUPTED, UNHEARD = 0, 1, 2, 130, 141
 
 _ABOUT = "Navigation filter for underwater (and other) vehicles: replay a recorded mission, smooth it, and see how honest the result is."
 _FIRST_STEPS = """\
@@ -56,13 +67,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
         parser.print_help()
         return OK
     try:
+        if options.compiled:
+            from navfilter.service.kernel_cache import make_usable
+
+            make_usable(complain)
         return options.run(options)
     except KeyboardInterrupt:
         return _fail("interrupted.", INTERRUPTED)
     except BrokenPipeError:
         # Whoever read our output has gone; what Python still holds for it must not be flushed into the closed pipe.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return OK
+        return UNHEARD
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
         return _fail(f"{where}{error.strerror or error}.", WRONG)
@@ -71,7 +86,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _fail(text: str, code: int) -> int:
-    print(f"navfilter: {text}", file=sys.stderr)
+    complain(f"navfilter: {text}")
     return code
 
 
@@ -114,7 +129,7 @@ def _command(commands: Any, name: str, run: Callable[[argparse.Namespace], int],
         epilog=epilog,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.set_defaults(run=run)
+    parser.set_defaults(run=run, compiled=True)
     return parser
 
 
@@ -184,6 +199,7 @@ def _add_simulate(commands: Any) -> None:
     parser.add_argument("scenario", nargs="?", metavar="SCENARIO", help="see --list")
     parser.add_argument("--list", action="store_true", help="list the scenarios and stop")
     parser.add_argument("--out", metavar="PATH", help="folder, or file that ends in .npz")
+    add_force_argument(parser)
     parser.add_argument("--seed", type=seed, default=1, metavar="N", help="seed of everything random (default: %(default)s)")
     parser.add_argument("--duration", type=positive, metavar="S", help="length in seconds (default: that of the scenario)")
     parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
@@ -203,10 +219,10 @@ def _simulate(options: argparse.Namespace) -> int:
     out = Path(options.out)
     vehicle, mission = simulate_scenario(options.scenario, options.seed, options.duration)
     if out.suffix == ".npz":
-        output_folder(out.parent)
         to = out, out.with_suffix(".toml")
+        new_files((*to, out.with_name(f"{out.stem}_true.toml")), options.force)
     else:
-        folder = output_folder(out)
+        folder = output_folder(out, options.force)
         to = folder / "mission.npz", folder / "vehicle.toml"
     replay_command.save(vehicle, mission, *to, true_vehicle(options.scenario, options.duration))
     say = speaker(options.quiet)
@@ -232,14 +248,15 @@ def _add_check(commands: Any) -> None:
     )
     parser.add_argument("mission", metavar="MISSION")
     parser.add_argument("--vehicle", metavar="TOML", help="the vehicle.toml, or the folder that holds it")
+    add_reading_arguments(parser)
     parser.add_argument("--quiet", action="store_true", help="print nothing: only the exit code counts")
 
 
 def _check(options: argparse.Namespace) -> int:
     from navfilter.check import check_mission, report_text
-    from navfilter.io import read_mission, read_vehicle
+    from navfilter.io import read_vehicle
 
-    mission = read_mission(options.mission)
+    mission = read(options)
     findings = check_mission(mission, None if options.vehicle is None else read_vehicle(options.vehicle))
     speaker(options.quiet)(report_text(mission, findings))
     return FOUND if any(finding.severity == "error" for finding in findings) else OK
@@ -271,10 +288,11 @@ def _add_warmup(commands: Any) -> None:
 def _warmup(options: argparse.Namespace) -> int:
     import time
 
-    announce_compilation(options.quiet)
-    from navfilter.playback import warm_up
+    from navfilter.service.kernel_cache import compile_kernels
 
+    say = (lambda text: None) if options.quiet else complain
+    announce_compilation(say)
     began = time.perf_counter()
-    warm_up()
+    compile_kernels(say)
     speaker(options.quiet)(f"ready ({time.perf_counter() - began:.1f} s).")
     return OK

@@ -78,7 +78,8 @@ class Process:
 
     def __init__(self, *arguments, **more):
         pipe = subprocess.PIPE
-        self.process = subprocess.Popen([*COMMAND, *map(str, arguments)], stdin=pipe, stdout=pipe, stderr=pipe, **more)
+        more = {"stdin": pipe, "stdout": pipe, "stderr": pipe, **more}
+        self.process = subprocess.Popen([*COMMAND, *map(str, arguments)], **more)
         self.output, self._read = [], b""
 
     def send(self, lines):
@@ -107,12 +108,12 @@ class Process:
             if word in line:
                 return line
 
-    def end(self, number=None):
-        """Send a signal, or let the input end; returns all output."""
+    def end(self, number=None, lines=()):
+        """Send the last lines and a signal, or let the input end; returns all output."""
         if number is not None:
             self.process.send_signal(number)
-        rest, self.errors = self.process.communicate(timeout=PATIENCE_S)
-        self.output += (self._read + rest).splitlines(keepends=True)
+        rest, self.errors = self.process.communicate(b"".join(lines), timeout=PATIENCE_S)
+        self.output += (self._read + (rest or b"")).splitlines(keepends=True)
         return self.output
 
     @property

@@ -89,7 +89,7 @@ def test_the_seed_decides(tmp_path):
 
 def test_replay_writes_everything_and_says_where(dive, tmp_path, capsys):
     assert replay(dive, tmp_path / "out", "--smooth") == 0
-    assert {path.name for path in (tmp_path / "out").iterdir()} == OUTPUTS
+    assert {path.name for path in (tmp_path / "out").glob("[!.]*")} == OUTPUTS
     said = capsys.readouterr().out
     assert "forward" in said and "smoothed" in said and str(tmp_path / "out") in said
     assert list(json.loads((tmp_path / "out" / "summary.json").read_text())["runs"]) == ["forward", "smoothed"]
@@ -158,7 +158,7 @@ def test_wrong_input_is_one_line(dive, tmp_path, capsys):
 
 def test_a_sensor_without_a_stream_is_one_line(dive, tmp_path, capsys):
     path = read_mission(dive / "mission.npz").without_stream("depth").save(tmp_path / "m.npz")
-    assert main(["replay", str(path), "--vehicle", str(dive), "--out", str(tmp_path), "--quiet"]) == 2
+    assert main(["replay", str(path), "--vehicle", str(dive), "--out", str(tmp_path / "out"), "--quiet"]) == 2
     assert '"depth" has no stream' in one_line(capsys)
 
 

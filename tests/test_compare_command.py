@@ -43,7 +43,7 @@ def compared(swing):
 
 
 def test_it_writes_what_it_promises(compared):
-    assert {path.name for path in compared.iterdir()} == {"report.html", "comparison.csv", "summary.json"}
+    assert {path.name for path in compared.glob("[!.]*")} == {"report.html", "comparison.csv", "summary.json"}
     with (compared / "comparison.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert [row["model"] for row in rows] == list(MODELS)
@@ -98,7 +98,7 @@ def test_without_truth_it_still_compares(swing, tmp_path, capsys):
 
     mission = dataclasses.replace(read_mission(swing / "mission.npz"), truth=None)
     path = mission.save(tmp_path / "blind.npz")
-    assert main(["compare", str(path), "--vehicle", str(swing), "--models", "white,gm1", "--out", str(tmp_path)]) == 0
+    assert main(["compare", str(path), "--vehicle", str(swing), "--models", "white,gm1", "--out", str(tmp_path / "out")]) == 0
     said = capsys.readouterr().out
     assert "no truth in this mission" in said and "heading rms" not in said and "compass: NIS" in said
 
@@ -172,8 +172,9 @@ def test_what_an_oracle_is_told(swing):
 def test_the_demonstration_compares(tmp_path, capsys):
     assert main(["demo", "--duration", "90", "--seed", "2", "--out", str(tmp_path)]) == 0
     files = {"report.html", "summary.json", "track.csv", "track.tum", "truth.tum", "track.geojson"}
-    assert {path.name for path in tmp_path.iterdir()} == files | {"mission.npz", "vehicle.toml", "vehicle_true.toml", "comparison"}
-    assert {path.name for path in (tmp_path / "comparison").iterdir()} == {"report.html", "comparison.csv", "summary.json"}
+    written = {path.name for path in tmp_path.glob("[!.]*")}
+    assert written == files | {"mission.npz", "vehicle.toml", "vehicle_true.toml", "comparison"}
+    assert {path.name for path in (tmp_path / "comparison").glob("[!.]*")} == {"report.html", "comparison.csv", "summary.json"}
     summary = json.loads((tmp_path / "comparison" / "summary.json").read_text())
     assert list(summary["runs"]) == ["white", "gm1-fitted", "arma", "oracle"]
     runs = json.loads((tmp_path / "summary.json").read_text())["runs"]

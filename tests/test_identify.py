@@ -393,7 +393,7 @@ def still(tmp_path_factory):
 
 
 def test_command_writes_page_numbers_and_figures(still):
-    names = {path.name for path in (still / "out").iterdir()}
+    names = {path.name for path in (still / "out").glob("[!.]*")}
     figures = {f"{name}.svg" for name in ("series", "psd", "correlation", "orders", "residuals", "poles", "allan")}
     assert names == figures | {"identify.html", "identify.json"}
     for name in figures:
@@ -430,7 +430,7 @@ def test_command_prints_the_reading(still, tmp_path, capsys):
 def test_command_tracks_online(still, tmp_path, capsys):
     how = ["--column", "heading", "--rate-hz", "8", "--online", "--window", "1000", "--out", str(tmp_path)]
     assert main(["identify", str(still / "still.csv"), *how]) == 0
-    assert {path.name for path in tmp_path.iterdir()} == {"identify.html", "identify.json", "tracks.csv", "tracks.svg"}
+    assert {path.name for path in tmp_path.glob("[!.]*")} == {"identify.html", "identify.json", "tracks.csv", "tracks.svg"}
     assert "last model: random-walk bias + white noise; minimal order (1,1)" in capsys.readouterr().out
     rows = np.genfromtxt(tmp_path / "tracks.csv", delimiter=",", names=True)
     assert rows["time_s"][-1] == pytest.approx(500.0) and np.all(rows["sd"] > 0.0)

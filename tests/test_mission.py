@@ -13,8 +13,8 @@ import pytest
 import scipy.io
 
 from navfilter.io import geodesy, read_mission
-from navfilter.io.mission_toml import expand
 from navfilter.io.tables import TableOptions, read_table
+from navfilter.io.trust import expand
 from navfilter.mission import TRUTH_COLUMNS, Mission, MissionError, Stream
 from navfilter.start import Start
 

@@ -11,7 +11,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from navfilter.commands.console import compile_first, output_folder, positive, speaker
+from navfilter.commands.console import (
+    add_force_argument,
+    add_reading_arguments,
+    compile_first,
+    output_folder,
+    positive,
+    read,
+    speaker,
+)
 
 if TYPE_CHECKING:
     from navfilter.evaluation.comparison import Comparison
@@ -79,6 +87,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--begin", type=float, metavar="S", help="score from this mission time on [s] (default: after the first window)")
     parser.add_argument("--output-rate", type=positive, default=5.0, metavar="HZ", help="rows of a track per second (default: %(default)s)")
     parser.add_argument("--out", metavar="DIR", help="folder to write to (default: only the table is printed)")
+    add_force_argument(parser)
+    add_reading_arguments(parser)
     parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
 
 
@@ -92,7 +102,7 @@ def _names(text: str) -> tuple[str, ...]:
 def run(options: argparse.Namespace) -> int:
     """Read, replay with every model, compare, write, print; 0 when all is well."""
     from navfilter.evaluation.rivals import MODELS
-    from navfilter.io import read_mission, read_vehicle
+    from navfilter.io import read_vehicle
 
     for name in options.models:
         if name not in MODELS:
@@ -103,8 +113,8 @@ def run(options: argparse.Namespace) -> int:
         raise ValueError("the model 'oracle' needs --oracle TOML: a vehicle file with the true error models. A mission does not hold them.")
     vehicle = read_vehicle(options.vehicle).without(*options.without)
     truth = None if options.oracle is None else true_errors(vehicle, read_vehicle(options.oracle))
-    mission = read_mission(options.mission)
-    folder = None if options.out is None else output_folder(options.out)
+    mission = read(options)
+    folder = None if options.out is None else output_folder(options.out, options.force)
     plan = Plan(options.models, options.sensors, truth, options.models if options.smooth else (), options.output_rate)
     tracks = replay_models(plan, vehicle, mission, options.quiet)
     comparison = compare_tracks(tracks, mission, vehicle, options.sensors, options.begin)

@@ -3,13 +3,32 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import math
+import select
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-__all__ = ["announce_compilation", "compile_first", "output_folder", "positive", "seed", "speaker"]
+if TYPE_CHECKING:
+    from navfilter.mission import Mission
+
+__all__ = [
+    "add_force_argument",
+    "add_reading_arguments",
+    "add_unpacking_argument",
+    "announce_compilation",
+    "compile_first",
+    "complain",
+    "new_files",
+    "output_folder",
+    "positive",
+    "read",
+    "seed",
+    "speaker",
+    "unpacked_bytes",
+]
 
 
 def positive(text: str) -> float:
@@ -40,27 +59,122 @@ def speaker(quiet: bool) -> Callable[[str], None]:
     return say
 
 
-def output_folder(path: str | Path) -> Path:
-    """Make the output folder; done before the work begins, so that a wrong path costs no time."""
+def add_reading_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add what limits the trust in the files of a mission (see `read`)."""
+    parser.add_argument(
+        "--confine",
+        action="store_true",
+        help="refuse a mission that leads out of its folder: for one of people you do not know",
+    )
+    add_unpacking_argument(parser)
+
+
+def add_unpacking_argument(parser: argparse.ArgumentParser) -> None:
+    """Add the limit of what compressed files may unpack to."""
+    parser.add_argument(
+        "--max-unpacked",
+        type=positive,
+        default=4.0,
+        metavar="GIB",
+        help="what the compressed files of a mission may unpack to, together (default: %(default)g)",
+    )
+
+
+def unpacked_bytes(options: argparse.Namespace) -> int:
+    """The limit in bytes."""
+    return int(options.max_unpacked * (1 << 30))
+
+
+def read(options: argparse.Namespace) -> Mission:
+    """The mission that was asked for, within the limits that were asked for."""
+    from navfilter.io import read_mission
+
+    return read_mission(options.mission, confine=options.confine, unpacked_bytes=unpacked_bytes(options))
+
+
+#: Stands in every folder that navfilter has made.
+_OURS = ".navfilter"
+
+
+def add_force_argument(parser: argparse.ArgumentParser) -> None:
+    """Add the consent to write where somebody's files are."""
+    parser.add_argument(
+        "--force",
+        action="store_true",
+        help="write to --out also when navfilter did not make it; files of the same name are replaced",
+    )
+
+
+def output_folder(path: str | Path, force: bool, plan: str = _OURS) -> Path:
+    """Make the output folder; done before the work begins, so that a wrong path costs no time.
+
+    Parameters
+    ----------
+    path : path-like
+    force : bool
+        Whatever is in it.
+    plan : str
+        Another file that tells a folder of ours.
+
+    Raises
+    ------
+    ValueError
+        When there are files in it, navfilter has not made it, and that is not forced.
+    OSError
+        When it cannot be made.
+    """
     folder = Path(path)
     folder.mkdir(parents=True, exist_ok=True)
+    mark = folder / _OURS
+    if not force and not (mark.exists() or (folder / plan).exists()) and any(folder.iterdir()):
+        raise ValueError(
+            f"{folder} is not empty, and navfilter did not make it: files of yours could be replaced."
+            " Give another folder, or --force."
+        )
+    mark.write_text("navfilter made this folder: it replaces files in it without asking.\n", encoding="utf-8")
     return folder
 
 
-def announce_compilation(quiet: bool) -> bool:
+def new_files(paths: Iterable[Path], force: bool) -> None:
+    """Make the folder of files that are to be written.
+
+    Raises
+    ------
+    ValueError
+        When one is there already, and that is not forced.
+    """
+    for path in paths:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if path.exists() and not force:
+            raise ValueError(f"{path} is there already; choose another name, or --force to replace it.")
+
+
+def complain(text: str) -> None:
+    """A line to standard error; one that is closed, full or not drained keeps nobody waiting."""
+    if sys.stderr is None:
+        return
+    with contextlib.suppress(OSError, ValueError):
+        with contextlib.suppress(OSError, ValueError):
+            if not select.select([], [sys.stderr.fileno()], [], 1.0)[1]:
+                return
+        print(text, file=sys.stderr, flush=True)
+
+
+def announce_compilation(say: Callable[[str], None]) -> bool:
     """Whether the navigator's kernels have yet to be compiled; says so."""
     cold = not _compiled()
-    if cold and not quiet:
-        print("compiling the kernels, once: about 30 s ...", file=sys.stderr, flush=True)
+    if cold:
+        say("compiling the kernels, once: about 30 s ...")
     return cold
 
 
 def compile_first(quiet: bool) -> None:
     """Compile before a run, so that the run's processor time is its own."""
-    if announce_compilation(quiet):
-        from navfilter.playback import warm_up
+    say = (lambda text: None) if quiet else complain
+    if announce_compilation(say):
+        from navfilter.service.kernel_cache import compile_kernels
 
-        warm_up()
+        compile_kernels(say)
 
 
 def _compiled() -> bool:
@@ -75,4 +189,6 @@ def _compiled() -> bool:
     folders = [Path(elsewhere)] if elsewhere else [sources[0].parent / "__pycache__", Path.home() / ".cache" / "numba"]
     tag = f".py{sys.version_info.major}{sys.version_info.minor}."
     kept = [index for folder in folders if folder.is_dir() for index in folder.rglob("*.nbi") if tag in index.name]
-    return all(any(i.name.startswith(f"{s.stem}.") and i.stat().st_mtime >= s.stat().st_mtime for i in kept) for s in sources)
+    return all(
+        any(i.name.startswith(f"{s.stem}.") and i.stat().st_mtime >= s.stat().st_mtime for i in kept) for s in sources
+    )

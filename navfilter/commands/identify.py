@@ -12,6 +12,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from navfilter.commands.console import add_force_argument, add_unpacking_argument, output_folder, unpacked_bytes
+
 __all__ = ["ABOUT", "EPILOG", "add_arguments", "run"]
 
 ABOUT = "identify a sensor's error model from a recording at rest"
@@ -38,7 +40,9 @@ LONG = 100_000
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the sub-command."""
     parser.add_argument("file", metavar="FILE")
-    parser.add_argument("--out", required=True, metavar="DIR", help="folder to write to; files of the same name are replaced")
+    parser.add_argument("--out", required=True, metavar="DIR", help="folder to write to")
+    add_force_argument(parser)
+    add_unpacking_argument(parser)
     data = parser.add_argument_group("the series")
     data.add_argument("--column", metavar="C", help='name of the column, or its position from 0; of an array "counts[0]"')
     data.add_argument("--rate-hz", type=_positive, metavar="R", help="samples per second; not needed with a time column")
@@ -111,8 +115,7 @@ def run(options: argparse.Namespace) -> int:
         raise ValueError(f"--difference must be 0, 1 or 2, found {options.difference}.")
     if not options.reject >= 0.0:
         raise ValueError(f"--reject must be a number >= 0, found {options.reject}.")
-    folder = Path(options.out)
-    folder.mkdir(parents=True, exist_ok=True)
+    folder = output_folder(options.out, options.force)
     with _busy(options.quiet) as say:
         series = _read(options)
         return (_online if options.online else _batch)(options, series, folder, say)
@@ -123,7 +126,14 @@ def _read(options: argparse.Namespace) -> Any:
     from navfilter.io.tables import TableOptions
 
     layout = TableOptions(table=options.table, transpose=options.transpose, skip_lines=options.skip_lines, skip_rows=options.skip_rows)
-    return read_series(options.file, options.column, rate_hz=options.rate_hz, time_column=options.time_column, options=layout)
+    return read_series(
+        options.file,
+        options.column,
+        rate_hz=options.rate_hz,
+        time_column=options.time_column,
+        options=layout,
+        unpacked_bytes=unpacked_bytes(options),
+    )
 
 
 def _conditions(options: argparse.Namespace) -> dict[str, Any]:

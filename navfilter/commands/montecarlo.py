@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from navfilter.commands.console import compile_first, output_folder, positive, seed, speaker
+from navfilter.commands.console import add_force_argument, compile_first, output_folder, positive, seed, speaker
 
 __all__ = ["ABOUT", "EPILOG", "add_arguments", "run"]
 
@@ -53,6 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     where.add_argument("--workers", type=_count, metavar="K", help="processes (default: all cores)")
     where.add_argument("--dask", metavar="ADDRESS", help="scheduler of a Dask cluster, such as tcp://10.0.0.1:8786")
     parser.add_argument("--out", metavar="DIR", help="folder to write to (default: one per scenario in navfilter-montecarlo)")
+    add_force_argument(parser)
     parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
 
 
@@ -85,7 +86,8 @@ def run(options: argparse.Namespace) -> int:
         imu_rate_hz=options.imu_rate,
     )
     models = _models(options, campaign)
-    folder = output_folder(options.out or Path("navfilter-montecarlo") / campaign.name.replace("/", "-"))
+    where = options.out or Path("navfilter-montecarlo") / campaign.name.replace("/", "-")
+    folder = output_folder(where, options.force, plan="campaign.json")
     compile_first(options.quiet)
     return _run(options, campaign, models, folder)
 

@@ -9,7 +9,16 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from navfilter.commands.console import compile_first, output_folder, positive, seed, speaker
+from navfilter.commands.console import (
+    add_force_argument,
+    add_reading_arguments,
+    compile_first,
+    output_folder,
+    positive,
+    read,
+    seed,
+    speaker,
+)
 
 if TYPE_CHECKING:
     from navfilter.mission import Mission
@@ -62,6 +71,7 @@ def add_demo_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", default="navfilter-demo", metavar="DIR", help="folder to write to (default: %(default)s)")
     parser.add_argument("--seed", type=seed, default=1, metavar="N", help="seed of everything random (default: %(default)s)")
     parser.add_argument("--duration", type=positive, metavar="S", help="length of the mission in seconds (default: one hour)")
+    add_force_argument(parser)
     parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
 
 
@@ -73,7 +83,7 @@ def demo(options: argparse.Namespace) -> int:
     """Run ``navfilter demo``."""
     from navfilter.commands import compare as compare_command
 
-    folder = output_folder(options.out)
+    folder = output_folder(options.out, options.force)
     say = speaker(options.quiet)
     say("simulating the mission ...")
     from navfilter.simulation.scenarios import simulate_scenario
@@ -90,7 +100,7 @@ def demo(options: argparse.Namespace) -> int:
     comparison = compare_command.compare_tracks(forward, mission, vehicle, plan.sensors)
     if not options.quiet:
         compare_command.print_comparison(comparison, mission)
-    below = output_folder(folder / "comparison")
+    below = output_folder(folder / "comparison", options.force)
     compare_command.write_results(comparison, forward, mission, below, options.quiet)
     say(f"Written to {below}{os.sep}: report.html (the models side by side), comparison.csv, summary.json")
     return 0
@@ -110,7 +120,9 @@ def add_replay_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of ``navfilter replay``."""
     parser.add_argument("mission", metavar="MISSION")
     parser.add_argument("--vehicle", required=True, metavar="TOML", help="the vehicle.toml, or the folder that holds it")
-    parser.add_argument("--out", required=True, metavar="DIR", help="folder to write to; files of the same name are replaced")
+    parser.add_argument("--out", required=True, metavar="DIR", help="folder to write to")
+    add_force_argument(parser)
+    add_reading_arguments(parser)
     parser.add_argument("--smooth", action="store_true", help="smooth too (Rauch-Tung-Striebel); the files then hold the smoothed track")
     parser.add_argument(
         "--iterate",
@@ -128,11 +140,11 @@ def add_replay_arguments(parser: argparse.ArgumentParser) -> None:
 
 def replay(options: argparse.Namespace) -> int:
     """Run ``navfilter replay``."""
-    from navfilter.io import read_mission, read_vehicle
+    from navfilter.io import read_vehicle
 
     vehicle = read_vehicle(options.vehicle).without(*options.without)
-    mission = read_mission(options.mission)
-    folder = output_folder(options.out)
+    mission = read(options)
+    folder = output_folder(options.out, options.force)
     if options.iterate:
         vehicle = _identify(vehicle, mission, options.iterate, options.quiet)
     return _replay_and_write(vehicle, mission, folder, options.quiet, smooth=options.smooth, output_rate_hz=options.output_rate)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import datetime
 import os
-import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -19,19 +19,33 @@ readings, one per line, in SI units and radians; null is a missing component:
   {"sensor": "imu", "time_s": 12.34, "rate_b": [0.0, 0.0, 0.01], "force_b": [0.1, 0.0, -9.8]}
   {"sensor": "compass", "time_s": 12.34, "value": 1.57}
   {"sensor": "gps", "time_s": 12.0, "value": [0.785, -0.07, null], "sd": [2, 2, 5]}
-A vehicle without an inertial unit is driven by "attitude" (roll, pitch, yaw) and "velocity". "sd" is optional: the white standard
-deviation of this one reading. A line that is no reading is counted and told, and never stops the run.
+A vehicle without an inertial unit is driven by "attitude" (roll, pitch, yaw) and "velocity". "sd" is optional: the
+white standard deviation of this one reading. A line that is no reading is counted and told, and never stops the run.
 
-the start: --start, or a line {"sensor": "start", "latitude_deg": 45.0, "longitude_deg": -4.0, "heading_deg": 90.0}, or else an alignment on
-  the first seconds (level by the accelerometers, heading by the compass, place by a fix); "waiting" events tell what it lacks.
+the start: --start, or a line {"sensor": "start", "latitude_deg": 45.0, "longitude_deg": -4.0, "heading_deg": 90.0}, or
+  else an alignment on the first seconds (level by the accelerometers, heading by the compass, place by a fix);
+  "waiting" events tell what it lacks.
 
-states, --rate-hz times a second of the readings' clock: time, place, velocity, attitude, standard deviations, age of each sensor, what
-  became of its readings. Lines with an "event" tell of everything else.
+states, --rate-hz times a second of the readings' clock: time, place, velocity, attitude, standard deviations, age of
+  each sensor, what became of its readings. Lines with an "event" tell of everything else.
 
-the log is a mission folder: 'navfilter replay DIR --vehicle DIR --out result' smooths it, 'navfilter run --replay-log DIR' gives the output
-  of the run again, bit for bit. With --log (or --state) a run that was killed goes on with --resume as if nothing had happened.
+the log is a mission folder: 'navfilter replay DIR --vehicle DIR --out result' smooths it, 'navfilter run --replay-log
+  DIR' gives the output of the run again, bit for bit. With --log (or --state) a run that was killed goes on with
+  --resume as if nothing had happened. When snapshot or log do not fit, --resume=best (the default) goes on from the
+  best there is and tells what it left; --resume=strict refuses.
 
-Ctrl-C and SIGTERM end the run cleanly; so does the end of the input.
+what is around the navigation never stops it: a reader that is slow or gone, a full disk, a deleted log, a terminal that
+  hangs up are told, counted, and tried again.
+
+supervision: under systemd (Type=notify) READY, STATUS and WATCHDOG are sent; --health-file is one line of JSON for
+  anybody else, whose "unix_s" is the time it was written: when that is more than five seconds ago, the run hangs or is
+  no more.
+
+exit codes:
+  0  the end was ordered: Ctrl-C, SIGTERM (also while it still compiles or resumes), or the end of the input
+  1  the input failed, or ended before its first line; with --replay-log: the reader of the output has gone
+  2  it could not begin: wrong usage, a file or an address that cannot be used, a log that another process is writing
+ 130 Ctrl-C before anything had been opened; anything else, a signal's number included, is no ordered end
 
 examples:
   driver | navfilter run --vehicle auv.toml --start start.toml | publisher
@@ -45,21 +59,65 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of ``navfilter run``."""
     parser.add_argument("--vehicle", metavar="TOML", help="the vehicle.toml, or the folder that holds it")
     source = parser.add_mutually_exclusive_group()
-    source.add_argument("--input", default="-", metavar="FILE", help="file or pipe to read; - is standard input (default)")
-    source.add_argument("--listen", metavar="URL", help="wait for one client at a time, such as tcp://127.0.0.1:4600; states go back to it")
+    source.add_argument(
+        "--input", default="-", metavar="FILE", help="file or pipe to read; - is standard input (default)"
+    )
+    source.add_argument(
+        "--listen",
+        metavar="URL",
+        help="wait for one client at a time, such as tcp://127.0.0.1:4600; states go back to it",
+    )
     source.add_argument("--replay-log", metavar="DIR", help="feed the log of an earlier run again")
-    parser.add_argument("--allow-remote", action="store_true", help="let --listen be reached from other computers (there is no password)")
-    parser.add_argument("--start", metavar="FILE", help=".toml or .json with the fields of Start; without time_s: the first reading")
-    parser.add_argument("--align", type=positive, default=5.0, metavar="S", help="without a start: align on so many seconds (default: 5)")
-    parser.add_argument("--date", type=_date, metavar="YYYY-MM-DD", help="for the magnetic declination (default: today)")
+    parser.add_argument(
+        "--allow-remote",
+        action="store_true",
+        help="let --listen be reached from other computers (there is no password)",
+    )
+    parser.add_argument(
+        "--start", metavar="FILE", help=".toml or .json with the fields of Start; without time_s: the first reading"
+    )
+    parser.add_argument(
+        "--align",
+        type=positive,
+        default=5.0,
+        metavar="S",
+        help="without a start: align on so many seconds (default: 5)",
+    )
+    parser.add_argument(
+        "--date", type=_date, metavar="YYYY-MM-DD", help="for the magnetic declination (default: today)"
+    )
     parser.add_argument("--rate-hz", type=positive, metavar="HZ", help="states per second (default: 1)")
     parser.add_argument("--log", metavar="DIR", help="write the readings to this mission folder")
     parser.add_argument(
-        "--fsync", type=positive, default=1.0, metavar="S", help="a power cut costs at most so many seconds of the log (default: 1)"
+        "--fsync",
+        type=positive,
+        default=1.0,
+        metavar="S",
+        help="a power cut costs at most so many seconds of the log (default: 1)",
     )
-    parser.add_argument("--state", metavar="FILE", help="write snapshots to this file (default with --log: snapshot in its folder)")
-    parser.add_argument("--snapshot-every", type=positive, default=10.0, metavar="S", help="time between snapshots (default: 10)")
-    parser.add_argument("--resume", action="store_true", help="go on from the snapshot and the log, if there are any")
+    parser.add_argument(
+        "--state", metavar="FILE", help="write snapshots to this file (default with --log: snapshot in its folder)"
+    )
+    parser.add_argument(
+        "--snapshot-every", type=positive, default=10.0, metavar="S", help="time between snapshots (default: 10)"
+    )
+    parser.add_argument(
+        "--resume",
+        nargs="?",
+        const="best",
+        choices=("best", "strict"),
+        help="go on from snapshot and log, if there are any; what does not fit is left out (best) or refused (strict)",
+    )
+    parser.add_argument(
+        "--client-timeout",
+        type=positive,
+        default=10.0,
+        metavar="S",
+        help="with --listen: a client without a reading for so long loses its place to one that comes (default: 10)",
+    )
+    parser.add_argument(
+        "--health-file", metavar="FILE", help="say once a second in this file how the run is, for a supervisor"
+    )
     parser.add_argument("--quiet", action="store_true", help="print nothing but errors to standard error")
 
 
@@ -72,35 +130,76 @@ def _date(text: str) -> datetime.date:
 
 def run(options: argparse.Namespace) -> int:
     """Run ``navfilter run``."""
-    from navfilter.io import read_vehicle
-    from navfilter.service.loop import Service, replay_log
-    from navfilter.service.loop import run as run_loop
-    from navfilter.service.session import Options
+    closed = _open_standard_descriptors()
+    from navfilter.service.outlet import Outlet
+
+    # A thread of its own writes to standard error: a pipe that nobody drains, a full disk or a closed terminal must not
+    # stop the run.
+    operator = Outlet(
+        2, longest=256, dropped_line=lambda count: f"navfilter run: {count} messages were dropped\n".encode()
+    )
 
     def say(text: str) -> None:
         if not options.quiet:
-            print(f"navfilter run: {text}", file=sys.stderr, flush=True)
+            operator.put(f"navfilter run: {text}\n".encode(), False)
+
+    try:
+        if 1 in closed and options.listen is None:
+            say("standard output is closed: nobody hears the states")
+        return _run(options, say)
+    finally:
+        operator.close(1.0)
+
+
+def _open_standard_descriptors() -> list[int]:
+    """Those that were closed; what is opened later must not get their numbers, or messages would end up in the log."""
+    closed = []
+    while (number := os.open(os.devnull, os.O_RDWR)) <= 2:
+        closed.append(number)
+    os.close(number)
+    return closed
+
+
+def _run(options: argparse.Namespace, say: Callable[[str], None]) -> int:
+    from navfilter.io import read_vehicle
+    from navfilter.service.log_replay import replay_log
+    from navfilter.service.loop import run as run_loop
+    from navfilter.service.session import Options
+    from navfilter.service.setup import Service
 
     _check(options)
     vehicle = read_vehicle(options.vehicle or options.replay_log)
     if options.replay_log is not None:
-        announce_compilation(options.quiet)
+        announce_compilation(say)
         return replay_log(vehicle, Path(options.replay_log), rate_hz=options.rate_hz, say=say)
-    today = datetime.datetime.now(datetime.UTC).date()
-    decides = Options(rate_hz=options.rate_hz or 1.0, align_s=options.align, start=_start(options.start), date=options.date or today)
+    date = options.date or _believable(datetime.datetime.now(datetime.UTC).date(), say)
+    decides = Options(rate_hz=options.rate_hz or 1.0, align_s=options.align, start=_start(options.start), date=date)
     log = None if options.log is None else Path(options.log)
     state = log / "snapshot" if options.state is None and log is not None else options.state
     service = Service(
         input=_input(options),
+        silent_s=options.client_timeout,
         log=log,
         fsync_s=options.fsync,
         state=None if state is None else Path(state),
         snapshot_s=options.snapshot_every,
         resume=options.resume,
+        health=None if options.health_file is None else Path(options.health_file),
         say=say,
     )
-    announce_compilation(options.quiet)
+    announce_compilation(say)
     return run_loop(vehicle, decides, service)
+
+
+def _believable(today: datetime.date, say: Callable[[str], None]) -> datetime.date:
+    """A computer without a battery says 1970: a magnetic compass would wait for ever for its declination."""
+    from navfilter.magnetic import MODEL_YEARS
+
+    if MODEL_YEARS[0] <= today.year < MODEL_YEARS[-1] + 5:
+        return today
+    date = datetime.date(MODEL_YEARS[-1], 1, 1)
+    say(f"the clock of this computer says {today}: the magnetic declination is that of {date}; give --date")
+    return date
 
 
 def _check(options: argparse.Namespace) -> None:
@@ -110,6 +209,9 @@ def _check(options: argparse.Namespace) -> None:
         raise ValueError("--resume needs --log or --state: there is nothing to go on from.")
     if options.replay_log is not None and (options.log or options.state or options.start or options.resume):
         raise ValueError("--replay-log feeds a log as it is: leave out --log, --state, --start and --resume.")
+    for name, path in (("--state", options.state), ("--health-file", options.health_file)):
+        if path is not None and os.path.exists(path) and not os.path.isfile(path):
+            raise ValueError(f"{name} {path} is no file: it would be replaced. Give another name.")
 
 
 def _input(options: argparse.Namespace) -> int | tuple[str, int]:
@@ -128,8 +230,9 @@ def _start(path: str | None) -> dict[str, Any] | None:
     import tomllib
 
     from navfilter.io.json_lines import start_from
+    from navfilter.io.validation import bounded_text
 
-    text = Path(path).read_text(encoding="utf-8-sig")
+    text = bounded_text(Path(path))
     try:
         data = json.loads(text) if path.endswith(".json") else tomllib.loads(text)
         return start_from(data["start"] if isinstance(data.get("start"), dict) else data)

@@ -5,19 +5,26 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+from navfilter.io.trust import UNPACKED_BYTES
 from navfilter.io.vehicle_toml import VehicleError, read_vehicle, write_vehicle
 from navfilter.mission import Mission, MissionError
 
 __all__ = ["VehicleError", "read_mission", "read_vehicle", "write_vehicle"]
 
 
-def read_mission(path: str | os.PathLike[str]) -> Mission:
+def read_mission(
+    path: str | os.PathLike[str], *, confine: bool = False, unpacked_bytes: int = UNPACKED_BYTES
+) -> Mission:
     """Read a recorded mission.
 
     Parameters
     ----------
     path : path-like
         A folder with a ``mission.toml``, a .toml file itself, or a .npz file written by `Mission.save`.
+    confine : bool
+        Refuse whatever leads out of the folder of the mission.toml: for missions of people you do not know.
+    unpacked_bytes : int
+        What its compressed files may unpack to, together.
 
     Returns
     -------
@@ -49,9 +56,9 @@ def read_mission(path: str | os.PathLike[str]) -> Mission:
     if path.suffix == ".toml":
         from navfilter.io.mission_toml import read_mission_toml
 
-        return read_mission_toml(path)
+        return read_mission_toml(path, confine=confine, unpacked_bytes=unpacked_bytes)
     if path.suffix == ".npz":
         from navfilter.io.native import read_mission_npz
 
-        return read_mission_npz(path)
+        return read_mission_npz(path, unpacked_bytes)
     raise MissionError(f'{path} is no mission: expected a folder with a mission.toml, a .toml or a .npz, found "{path.name}".')

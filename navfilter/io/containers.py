@@ -10,18 +10,19 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from navfilter.io.trust import Allowance, Place
 from navfilter.mission import MissionError
 
 _NPY_MAGIC = b"\x93NUMPY"
 _HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 
 
-def read_arrays(path: Path) -> dict[str, npt.NDArray[Any]]:
+def read_arrays(file: Path | Place) -> dict[str, npt.NDArray[Any]]:
     """Read every array of a container.
 
     Parameters
     ----------
-    path : Path
+    file : Path or Place
         A .npy file (its one array gets the name ``""``), a .npz file or a .mat file of either version.
 
     Returns
@@ -32,32 +33,40 @@ def read_arrays(path: Path) -> dict[str, npt.NDArray[Any]]:
     Raises
     ------
     MissionError
-        If the file is truncated, is not what its name says, or needs pickle.
+        If the file is truncated, is not what its name says, needs pickle, or unpacks to more than is allowed.
     """
+    place = Place.of(file) if isinstance(file, Path) else file
+    path, allowance = place.path, place.allowance
     try:
         if path.suffix.lower() == ".npy":
             arrays = {"": _read_npy(path)}
         elif path.suffix.lower() == ".npz":
-            arrays = read_npz(path)
+            arrays = read_npz(path, allowance)
         elif _is_hdf5(path):
-            arrays = _read_hdf5(path)
+            arrays = _read_hdf5(path, allowance)
         else:
-            arrays = _read_mat5(path)
+            arrays = _read_mat5(path, allowance)
+    except MissionError as error:
+        raise MissionError(f"{place.shown}: {error}") from None
     except Exception as error:  # numpy, zipfile, scipy and h5py raise a dozen unrelated types on broken files
-        reason = str(error).splitlines()[0].rstrip(".") if str(error) else type(error).__name__
-        raise MissionError(f"{path} cannot be read: {reason}. It is truncated or not what its name says.") from None
+        reason = str(error).splitlines()[0].rstrip(".") if str(error) and place.quoted else type(error).__name__
+        raise MissionError(
+            f"{place.shown} cannot be read: {reason}. It is truncated or not what its name says."
+        ) from None
     arrays = {name: array for name, array in arrays.items() if array.dtype.kind in "fiubU" or array.dtype.names}
     if not arrays:
-        raise MissionError(f"{path} holds no array of numbers.")
+        raise MissionError(f"{place.shown} holds no array of numbers.")
     return arrays
 
 
-def read_npz(path: Path) -> dict[str, npt.NDArray[Any]]:
+def read_npz(path: Path, allowance: Allowance | None = None) -> dict[str, npt.NDArray[Any]]:
     """Read every array of a .npz file, each held against its checksum.
 
     Parameters
     ----------
     path : Path
+    allowance : Allowance, optional
+        What it may unpack to.
 
     Returns
     -------
@@ -75,6 +84,8 @@ def read_npz(path: Path) -> dict[str, npt.NDArray[Any]]:
     """
     arrays = {}
     with zipfile.ZipFile(path) as archive:
+        # No member gives more than it says of itself: zipfile stops reading there.
+        (allowance or Allowance()).take(sum(entry.file_size for entry in archive.infolist()))
         for entry in archive.namelist():
             member = io.BytesIO(archive.read(entry))
             if member.read(len(_NPY_MAGIC)) != _NPY_MAGIC:
@@ -101,13 +112,16 @@ def _is_hdf5(path: Path) -> bool:
     return head[:8] == _HDF5_SIGNATURE or head[512:520] == _HDF5_SIGNATURE
 
 
-def _read_hdf5(path: Path) -> dict[str, npt.NDArray[Any]]:
+def _read_hdf5(path: Path, allowance: Allowance) -> dict[str, npt.NDArray[Any]]:
     import h5py
 
     arrays: dict[str, npt.NDArray[Any]] = {}
 
     def visit(name: str, item: object) -> None:
         if isinstance(item, h5py.Dataset) and not name.startswith("#") and item.dtype.kind in "fiub":
+            if item.external or item.is_virtual:
+                raise ValueError(f"{name} takes its numbers from other files")
+            allowance.take(item.nbytes)
             arrays[name.replace("/", ".")] = np.asarray(item[()]).T
 
     with h5py.File(path, "r") as file:
@@ -115,12 +129,12 @@ def _read_hdf5(path: Path) -> dict[str, npt.NDArray[Any]]:
     return arrays
 
 
-def _read_mat5(path: Path) -> dict[str, npt.NDArray[Any]]:
+def _read_mat5(path: Path, allowance: Allowance) -> dict[str, npt.NDArray[Any]]:
     from scipy.io import loadmat
 
     from navfilter.io.mat5 import check_mat5
 
-    check_mat5(path)
+    check_mat5(path, allowance)
     arrays: dict[str, npt.NDArray[Any]] = {}
 
     def visit(name: str, item: object) -> None:

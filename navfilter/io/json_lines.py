@@ -24,6 +24,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from navfilter.io.mission_schema import StartSpec
+from navfilter.io.trust import Place
 from navfilter.io.validation import validate
 from navfilter.mission import MissionError, Stream
 from navfilter.start import Start
@@ -86,11 +87,17 @@ class StartLine(NamedTuple):
 
 
 class BadLine(NamedTuple):
-    """A line that is no reading: one of the `BAD_KINDS`, and in words; `raw` is the note of it for the log."""
+    """A line that is no reading, or several `lines`: one of the `BAD_KINDS`, and in words; `raw` is its note for the log."""
 
     kind: str
     text: str
     raw: bytes
+    lines: int = 1
+
+    @classmethod
+    def several(cls, kind: str, lines: int) -> BadLine:
+        """So many lines of a kind that are not quoted any more."""
+        return cls(kind, "", _dump({"event": "bad", "kind": kind, "lines": lines}), lines)
 
 
 class Note(NamedTuple):
@@ -231,7 +238,9 @@ def _wrong_fields(fields: dict[str, Any], known: frozenset[str]) -> _Wrong:
 
 def _note(fields: dict[str, Any], raw: bytes) -> Item:
     if fields["event"] == "bad" and fields.get("kind") in BAD_KINDS:
-        return BadLine(fields["kind"], str(fields.get("text", "")), raw)
+        lines = fields.get("lines", 1)
+        lines = lines if type(lines) is int and 0 < lines < 1 << 53 else 1
+        return BadLine(fields["kind"], str(fields.get("text", "")), raw, lines)
     return Note(fields["event"], fields, raw)
 
 
@@ -343,12 +352,12 @@ def log_lines(path: Path, offset: int = 0) -> Iterator[bytes]:
                 yield line
 
 
-def read_log(path: Path, columns: Mapping[str, tuple[str, ...]]) -> tuple[dict[str, Stream], Start | None, list[str]]:
+def read_log(place: Place, columns: Mapping[str, tuple[str, ...]]) -> tuple[dict[str, Stream], Start | None, list[str]]:
     """Read the log of ``navfilter run`` as streams.
 
     Parameters
     ----------
-    path : Path
+    place : Place
         The file of lines.
     columns : mapping of str to tuple of str
         Names of the columns by sensor.
@@ -366,19 +375,19 @@ def read_log(path: Path, columns: Mapping[str, tuple[str, ...]]) -> tuple[dict[s
     MissionError
         When there is no such file.
     """
-    if not path.is_file():
-        raise MissionError(f"{path}: no such file.")
+    if not place.path.is_file():
+        raise MissionError(f"{place.shown}: no such file.")
     parser, counts = LineParser(notes=True), {"bad": 0, "lost": 0, "damaged": 0, "sd": 0}
     starts: list[Any] = []
 
     def readings() -> Iterator[Reading]:
-        for line in log_lines(path):
+        for line in log_lines(place.path):
             item = parser.parse(line)
             if isinstance(item, Reading):
                 counts["sd"] += item.sd is not None
                 yield item
             elif isinstance(item, BadLine):
-                counts["bad" if b'"event"' in line[:9] else "damaged"] += 1
+                counts["bad" if b'"event"' in line[:9] else "damaged"] += item.lines
             elif isinstance(item, Note) and item.event == "start" and not starts:
                 starts.append(item.fields.get("start"))
             elif isinstance(item, Note) and item.event == "lost":
@@ -391,11 +400,12 @@ def read_log(path: Path, columns: Mapping[str, tuple[str, ...]]) -> tuple[dict[s
         "damaged": "lines of the log are damaged",
         "sd": "readings came with their own standard deviation, which a replay does not use",
     }
-    notes += [f"{path.name}: {counts[key]} {words[key]}" for key in words if counts[key]]
+    notes += [f"{Path(place.shown).name}: {counts[key]} {words[key]}" for key in words if counts[key]]
     start = None
     if starts:
         try:
             start = Start(**{"time_s": 0.0, **start_from(starts[0])})
         except (ValueError, TypeError) as error:
-            raise MissionError(f"{path}: the start in this log cannot be read: {error}") from None
+            reason = f": {error}" if place.quoted else "."
+            raise MissionError(f"{place.shown}: the start in this log cannot be read{reason}") from None
     return streams, start, notes

@@ -12,6 +12,8 @@ import zlib
 from collections.abc import Iterator
 from pathlib import Path
 
+from navfilter.io.trust import Allowance
+
 __all__ = ["check_mat5"]
 
 _HEADER = 128
@@ -27,18 +29,20 @@ class _Damaged(ValueError):
     """What the file says of itself is not so."""
 
 
-def check_mat5(path: Path) -> None:
+def check_mat5(path: Path, allowance: Allowance | None = None) -> None:
     """Walk through a .mat file of version 5; one of version 4 passes, its reader trusts nothing.
 
     Parameters
     ----------
     path : Path
         A file that is not empty.
+    allowance : Allowance, optional
+        What it may unpack to.
 
     Raises
     ------
     ValueError
-        When sizes or types contradict each other.
+        When sizes or types contradict each other, or it unpacks to more than is allowed.
     """
     data = memoryview(path.read_bytes())
     head = bytes(data[:_HEADER])
@@ -46,10 +50,22 @@ def check_mat5(path: Path) -> None:
         return
     if len(head) < _HEADER or head[126:128] not in (b"IM", b"MI"):
         raise _Damaged("it has no header of a .mat file")
-    _variables(data[_HEADER:], "<" if head[126:128] == b"IM" else ">")
+    _variables(data[_HEADER:], "<" if head[126:128] == b"IM" else ">", allowance or Allowance())
 
 
-def _variables(view: memoryview, order: str) -> None:
+def _unpacked(body: memoryview, allowance: Allowance) -> memoryview:
+    unpacker = zlib.decompressobj()
+    try:
+        data = unpacker.decompress(body, allowance.left + 1)
+    except zlib.error as error:
+        raise _Damaged(f"a compressed variable cannot be unpacked ({error})") from None
+    allowance.take(len(data))
+    if not unpacker.eof:
+        raise _Damaged("a compressed variable cannot be unpacked (it is truncated)")
+    return memoryview(data)
+
+
+def _variables(view: memoryview, order: str, allowance: Allowance) -> None:
     at = 0
     while at < len(view):
         if len(view) - at < 8:
@@ -59,11 +75,7 @@ def _variables(view: memoryview, order: str) -> None:
         if size == 0 or len(body) < size:
             raise _Damaged("it ends inside a variable")
         if kind == _COMPRESSED:
-            try:
-                unpacked = memoryview(zlib.decompress(body))
-            except zlib.error as error:
-                raise _Damaged(f"a compressed variable cannot be unpacked ({error})") from None
-            elements = list(_elements(unpacked, order))
+            elements = list(_elements(_unpacked(body, allowance), order))
             if len(elements) != 1:
                 raise _Damaged("a compressed variable is not one matrix")
             kind, body = elements[0]

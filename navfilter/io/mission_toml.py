@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,6 +16,7 @@ from navfilter.io.merging import block_mean, mean, resampled
 from navfilter.io.mission_schema import Clock, Origin, Source, StreamSpec, TruthStream, mission_spec
 from navfilter.io.starting import start_of
 from navfilter.io.tables import Table, TableOptions, read_table
+from navfilter.io.trust import UNPACKED_BYTES, Allowance, Place
 from navfilter.io.validation import read_toml, validate
 from navfilter.mission import TRUTH_COLUMNS, Mission, MissionError, Stream
 
@@ -28,8 +27,16 @@ Bool = npt.NDArray[np.bool_]
 _MOST_ROWS = 3e8
 
 
-def read_mission_toml(path: Path) -> Mission:
+def read_mission_toml(path: Path, *, confine: bool = False, unpacked_bytes: int = UNPACKED_BYTES) -> Mission:
     """Read a mission.toml and the files that it names.
+
+    Parameters
+    ----------
+    path : Path
+    confine : bool
+        Refuse files outside the folder of the .toml, and variables of the environment.
+    unpacked_bytes : int
+        What its compressed files may unpack to, together.
 
     Raises
     ------
@@ -37,11 +44,11 @@ def read_mission_toml(path: Path) -> Mission:
         In one line where one thing is wrong; several mistakes in the .toml are listed together.
     """
     spec = validate(mission_spec(), read_toml(path, MissionError), path, MissionError)
-    reader = _Reader(path.parent)
+    reader = _Reader(path.parent, confine, Allowance(unpacked_bytes))
     streams: dict[str, Stream] = {}
     logged_start = None
     if spec.log is not None:
-        streams, logged_start, reader.notes = read_log(expand(spec.log.file, path.parent), spec.log.columns)
+        streams, logged_start, reader.notes = read_log(reader.place(spec.log.file), spec.log.columns)
     for name, stream_spec in spec.streams.items():
         streams[name] = reader.stream(name, stream_spec)
     truth = None if spec.truth is None else reader.truth(spec.truth)
@@ -66,19 +73,6 @@ def read_mission_toml(path: Path) -> Mission:
     )
 
 
-def expand(path: str, folder: Path) -> Path:
-    """A path of a .toml: ``${NAME}`` is taken from the environment, the rest is relative to the folder of the .toml."""
-
-    def value(match: re.Match[str]) -> str:
-        name = match.group(1) or match.group(2)
-        if name not in os.environ:
-            raise MissionError(f'the environment variable {name} is not set; set it to the folder that "{path}" means.')
-        return os.environ[name]
-
-    expanded = re.sub(r"\$\{(\w+)\}|\$(\w+)", value, path)
-    return folder / Path(expanded).expanduser()
-
-
 def _zero(zero: float | str, streams: dict[str, Stream], truth: Stream | None) -> float:
     if not isinstance(zero, str):
         return float(zero)
@@ -98,17 +92,21 @@ def _windowed(stream: Stream, spec: StreamSpec) -> Stream:
 class _Reader:
     """Reads sources relative to one folder, each file once, and collects notes."""
 
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
+    def __init__(self, folder: Path, confine: bool, allowance: Allowance) -> None:
+        self.folder, self._confine, self._allowance = folder, confine, allowance
         self.notes: list[str] = []
-        self._tables: dict[tuple[Path, TableOptions], Table] = {}
+        self._tables: dict[tuple[Place, TableOptions], Table] = {}
+
+    def place(self, file: str) -> Place:
+        """A file that the .toml names."""
+        return Place.of_mission(file, self.folder, self._confine, self._allowance)
 
     def table(self, file: str, options: TableOptions) -> Table:
-        path = expand(file, self.folder)
-        if (path, options) not in self._tables:
-            self._tables[path, options] = read_table(path, options)
-            self.notes += self._tables[path, options].notes
-        return self._tables[path, options]
+        place = self.place(file)
+        if (place, options) not in self._tables:
+            self._tables[place, options] = read_table(place, options)
+            self.notes += self._tables[place, options].notes
+        return self._tables[place, options]
 
     def stream(self, name: str, spec: StreamSpec) -> Stream:
         """One sensor's stream."""

@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from navfilter.io.containers import read_npz
+from navfilter.io.trust import UNPACKED_BYTES, Allowance
 from navfilter.mission import NPZ_FORMAT, TRUTH_COLUMNS, Mission, MissionError, Stream
 
 
-def read_mission_npz(path: Path) -> Mission:
+def read_mission_npz(path: Path, unpacked_bytes: int = UNPACKED_BYTES) -> Mission:
     """Read a file written by `Mission.save`.
 
     Raises
@@ -22,7 +23,9 @@ def read_mission_npz(path: Path) -> Mission:
     if not path.exists():
         raise MissionError(f"{path}: no such file.")
     try:
-        arrays = read_npz(path)
+        arrays = read_npz(path, Allowance(unpacked_bytes))
+    except MissionError as error:
+        raise MissionError(f"{path}: {error}") from None
     except Exception as error:  # numpy, zipfile and zlib raise many unrelated types on broken files
         reason = str(error).splitlines()[0].rstrip(".") if str(error) else type(error).__name__
         raise MissionError(f"{path} cannot be read: {reason}. It is truncated or no .npz file.") from None

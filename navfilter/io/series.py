@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import bz2
 import gzip
-import itertools
 import lzma
 import os
 import re
@@ -18,6 +17,7 @@ import numpy.typing as npt
 
 from navfilter.io import read_mission
 from navfilter.io.tables import Table, TableOptions, read_table
+from navfilter.io.trust import UNPACKED_BYTES, Allowance, Place
 from navfilter.mission import MissionError
 
 __all__ = ["Series", "on_a_grid", "read_series"]
@@ -60,6 +60,7 @@ def read_series(
     rate_hz: float | None = None,
     time_column: str | None = None,
     options: TableOptions | None = None,
+    unpacked_bytes: int = UNPACKED_BYTES,
 ) -> Series:
     """Read one series.
 
@@ -77,6 +78,8 @@ def read_series(
         Column with the time in seconds: gives the rate, and tells where samples are missing.
     options : TableOptions, optional
         Layout of the file.
+    unpacked_bytes : int
+        What it may unpack to.
 
     Returns
     -------
@@ -90,12 +93,12 @@ def read_series(
     text = os.fspath(source)
     path, _, stream = text.rpartition(":")
     if path and not Path(text).exists() and Path(path).exists():
-        return _from_mission(path, stream, column, rate_hz)
+        return _from_mission(path, stream, column, rate_hz, unpacked_bytes)
     if Path(text).is_dir() or Path(text).suffix == ".toml":
-        streams = ", ".join(read_mission(text).streams)
+        streams = ", ".join(read_mission(text, unpacked_bytes=unpacked_bytes).streams)
         raise MissionError(f"{text} is a mission: say which stream, such as {text}:STREAM.COLUMN (streams: {streams}).")
     options, column, notes = _layout(Path(text), column, options or TableOptions())
-    table = read_table(Path(text), options)
+    table = read_table(Place(Path(text), text, True, Allowance(unpacked_bytes)), options)
     name = _column(table, column, time_column)
     value, wrong = table.numbers(name)
     name = f"{options.table}[{name}]" if options.table else name
@@ -131,13 +134,15 @@ def _layout(path: Path, column: str | None, options: TableOptions) -> tuple[Tabl
 
 _CONTAINERS = (".npy", ".npz", ".mat")
 _OPENERS: dict[str, Any] = {".gz": gzip.open, ".xz": lzma.open, ".bz2": bz2.open}
+#: Characters in which a header is looked for: a line need not end.
+_BEGINNING = 1 << 20
 
 
 def _first_lines(path: Path, most: int = 40) -> list[str]:
     """The first lines of a text file, plain or compressed; none of a broken one, whose reader says what is wrong."""
     try:
         with _OPENERS.get(path.suffix.lower(), open)(path, "rt", encoding="utf-8-sig", errors="replace") as file:
-            return list(itertools.islice(file, most))
+            return file.read(_BEGINNING).splitlines(keepends=True)[:most]
     except (OSError, EOFError, lzma.LZMAError, zlib.error):
         return []
 
@@ -160,8 +165,8 @@ def _column(table: Table, column: str | None, time_column: str | None) -> str:
     return others[0]
 
 
-def _from_mission(path: str, reference: str, column: str | None, rate_hz: float | None) -> Series:
-    mission = read_mission(path)
+def _from_mission(path: str, reference: str, column: str | None, rate_hz: float | None, unpacked_bytes: int) -> Series:
+    mission = read_mission(path, unpacked_bytes=unpacked_bytes)
     name, _, wanted = reference.partition(".")
     stream = mission.stream(name)
     wanted = column or wanted

@@ -18,11 +18,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from navfilter.io.trust import Place
 from navfilter.mission import MissionError
 
 Array = npt.NDArray[np.float64]
 
-_UNPACKERS = {".gz": gzip.decompress, ".xz": lzma.decompress, ".bz2": bz2.decompress}
+_OPENERS: dict[str, Any] = {".gz": gzip.open, ".xz": lzma.open, ".bz2": bz2.open}
 _BINARY = {".npy", ".npz", ".mat"}
 _BLANK = ("", "nan", "na", "n/a", "null", "none")
 
@@ -69,11 +70,14 @@ class Table:
         Arrays of equal or unequal length, in file order.
     notes : tuple of str
         What had to be skipped.
+    quoted : bool
+        Whether messages may show what is written in the file.
     """
 
     path: str
     columns: Mapping[str, npt.NDArray[Any]]
     notes: tuple[str, ...] = field(default=())
+    quoted: bool = True
 
     def raw(self, reference: str | int) -> npt.NDArray[Any]:
         """A column as it stands in the file (numbers or text); reference is its name or its 0-based position."""
@@ -86,7 +90,8 @@ class Table:
                 )
             return self.columns[names[reference]]
         if reference not in self.columns:
-            raise MissionError(f'{self.path}: there is no column "{reference}" (columns: {_listing(names)}).')
+            listing = _listing("columns", names, self.quoted)
+            raise MissionError(f'{self.path}: there is no column "{reference}" ({listing}).')
         return self.columns[reference]
 
     def numbers(self, reference: str | int) -> tuple[Array, int]:
@@ -102,17 +107,19 @@ class Table:
         return values, sum(wrong)
 
 
-def _listing(names: list[str], most: int = 40) -> str:
+def _listing(what: str, names: list[str], quoted: bool, most: int = 40) -> str:
+    if not quoted:
+        return f"{len(names)} {what}, not shown: the file lies outside the folder of the mission"
     shown = ", ".join(f'"{name}"' for name in names[:most])
-    return (shown or "none") + (f" and {len(names) - most} more" if len(names) > most else "")
+    return f"{what}: {shown or 'none'}" + (f" and {len(names) - most} more" if len(names) > most else "")
 
 
-def read_table(path: Path, options: TableOptions | None = None) -> Table:
+def read_table(file: Path | Place, options: TableOptions | None = None) -> Table:
     """Read the columns of one file.
 
     Parameters
     ----------
-    path : Path
+    file : Path or Place
         .csv/.txt/.dat/... text, optionally .gz, .xz or .bz2; .npy; .npz; .mat (version 5 or 7.3).
     options : TableOptions, optional
 
@@ -126,39 +133,52 @@ def read_table(path: Path, options: TableOptions | None = None) -> Table:
         If the file is missing, empty, truncated, not what its name says, or lacks the table asked for.
     """
     options = options or TableOptions()
+    place = Place.of(file) if isinstance(file, Path) else file
+    path = place.path
     if not path.exists():
-        raise MissionError(f"{path}: no such file. Check the path and the environment variables in it.")
+        raise MissionError(f"{place.shown}: no such file. Check the path and the environment variables in it.")
     if not path.is_file():
-        raise MissionError(f"{path} is not a file.")
+        raise MissionError(f"{place.shown} is not a file.")
     if path.stat().st_size == 0:
-        raise MissionError(f"{path} is empty (0 bytes).")
+        raise MissionError(f"{place.shown} is empty (0 bytes).")
     if path.suffix.lower() in _BINARY:
         from navfilter.io.containers import read_arrays
 
-        table = _columns_of(path, read_arrays(path), options)
+        table = _columns_of(place, read_arrays(place), options)
     else:
-        table = _read_text(path, _unpack(path), options)
+        table = _read_text(place, _unpack(place), options)
     if not table.columns or all(column.shape[0] == 0 for column in table.columns.values()):
-        raise MissionError(f"{path} holds no rows of data.")
+        raise MissionError(f"{place.shown} holds no rows of data.")
     return table
 
 
-def _unpack(path: Path) -> bytes:
-    unpack = _UNPACKERS.get(path.suffix.lower())
+def _unpack(place: Place) -> bytes:
+    opener = _OPENERS.get(place.path.suffix.lower())
     try:
-        data = path.read_bytes()
-        return data if unpack is None else unpack(data)
+        if opener is None:
+            return place.path.read_bytes()
+        data = bytearray()
+        with opener(place.path) as file:
+            while block := file.read(1 << 20):
+                place.allowance.take(len(block))
+                data += block
+        return bytes(data)
+    except MissionError as error:
+        raise MissionError(f"{place.shown}: {error}") from None
     except (OSError, EOFError, lzma.LZMAError, zlib.error, ValueError) as error:
-        raise MissionError(f"{path} cannot be unpacked: {error}. It is truncated or not what its name says.") from None
+        reason = getattr(error, "strerror", None) or error
+        raise MissionError(
+            f"{place.shown} cannot be unpacked: {reason}. It is truncated or not what its name says."
+        ) from None
 
 
 # --- arrays -----------------------------------------------------------------------------------------------------------
 
 
-def _columns_of(path: Path, arrays: dict[str, npt.NDArray[Any]], options: TableOptions) -> Table:
+def _columns_of(place: Place, arrays: dict[str, npt.NDArray[Any]], options: TableOptions) -> Table:
     if options.table or len(arrays) == 1:
         # The only array of a file needs no name.
-        matrix = _pick(path, arrays, options.table or next(iter(arrays)))
+        matrix = _pick(place, arrays, options.table or next(iter(arrays)))
         if matrix.dtype.names:
             columns = {name: matrix[name].ravel() for name in matrix.dtype.names}
         else:
@@ -166,48 +186,50 @@ def _columns_of(path: Path, arrays: dict[str, npt.NDArray[Any]], options: TableO
                 matrix = matrix[:, np.newaxis]
             if matrix.ndim != 2:
                 raise MissionError(
-                    f'{path}: table "{options.table}" has {matrix.ndim} dimensions {matrix.shape}; '
+                    f'{place.shown}: table "{options.table}" has {matrix.ndim} dimensions {matrix.shape}; '
                     f'pick a plane, such as "{options.table}[0]".'
                 )
             if options.transpose:
                 matrix = matrix.T
             names = options.header if isinstance(options.header, tuple) else ()
             if names and len(names) != matrix.shape[1]:
-                raise MissionError(f"{path}: {len(names)} names in header for {matrix.shape[1]} columns.")
+                raise MissionError(f"{place.shown}: {len(names)} names in header for {matrix.shape[1]} columns.")
             columns = {names[k] if names else str(k): matrix[:, k] for k in range(matrix.shape[1])}
     else:
         columns = {name: array.ravel() for name, array in arrays.items() if max(array.shape, default=0) == array.size > 1}
         if not columns:
-            tables = {name: array.shape for name, array in arrays.items()}
-            raise MissionError(f"{path} holds several arrays {tables}: name one with table = ...")
+            tables = str({name: array.shape for name, array in arrays.items()}) if place.quoted else ""
+            raise MissionError(f"{place.shown} holds several arrays {tables}: name one with table = ...")
     columns = {name: column[options.skip_rows :] for name, column in columns.items()}
-    return Table(str(path), {name: np.ascontiguousarray(column) for name, column in columns.items()})
+    columns = {name: np.ascontiguousarray(column) for name, column in columns.items()}
+    return Table(place.shown, columns, quoted=place.quoted)
 
 
-def _pick(path: Path, arrays: dict[str, npt.NDArray[Any]], reference: str) -> npt.NDArray[Any]:
+def _pick(place: Place, arrays: dict[str, npt.NDArray[Any]], reference: str) -> npt.NDArray[Any]:
     name, *planes = reference.replace("]", "").split("[")
     if name not in arrays:
-        raise MissionError(f'{path}: there is no table "{name}" (tables: {_listing(list(arrays))}).')
+        listing = _listing("tables", list(arrays), place.quoted)
+        raise MissionError(f'{place.shown}: there is no table "{name}" ({listing}).')
     array = arrays[name]
     try:
         for plane in planes:
             array = array[int(plane)]
     except (ValueError, IndexError) as error:
-        raise MissionError(f'{path}: table = "{reference}" cannot be picked: {error}.') from None
+        raise MissionError(f'{place.shown}: table = "{reference}" cannot be picked: {error}.') from None
     return np.asarray(array)
 
 
 # --- text -------------------------------------------------------------------------------------------------------------
 
 
-def _read_text(path: Path, data: bytes, options: TableOptions) -> Table:
+def _read_text(place: Place, data: bytes, options: TableOptions) -> Table:
     import io
     import warnings
 
     import pandas as pd
 
     if b"\0" in data[:65536]:
-        raise MissionError(f"{path} is not a text file (it contains zero bytes).")
+        raise MissionError(f"{place.shown} is not a text file (it contains zero bytes).")
     lines = data.decode("utf-8-sig", errors="replace").splitlines()[options.skip_lines :]
     lines = [kept for kept in (_before(line, options.comment) for line in lines) if kept]
     delimiter = options.delimiter
@@ -215,7 +237,7 @@ def _read_text(path: Path, data: bytes, options: TableOptions) -> Table:
         delimiter = delimiter or lines[0][4]
         lines = lines[1:]
     if not lines:
-        raise MissionError(f"{path} holds no rows of data.")
+        raise MissionError(f"{place.shown} holds no rows of data.")
     delimiter = delimiter or _delimiter(lines[0], options.decimal)
     first = _split(lines[0], delimiter)
     has_header = options.header if isinstance(options.header, bool) else not any(map(_is_number, first))
@@ -225,7 +247,7 @@ def _read_text(path: Path, data: bytes, options: TableOptions) -> Table:
         names = [name.strip().strip('"') for name in first] if has_header else [str(k) for k in range(len(first))]
     rows = lines[1 + options.skip_rows :] if has_header else lines[options.skip_rows :]
     if not rows:
-        raise MissionError(f"{path} holds no rows of data.")
+        raise MissionError(f"{place.shown} holds no rows of data.")
     names, bare = _unique(names), len(names)
     width = max(bare, len(_split(rows[0], delimiter)))
     names += [f"unnamed {k}" for k in range(bare, width)]
@@ -244,15 +266,15 @@ def _read_text(path: Path, data: bytes, options: TableOptions) -> Table:
                 low_memory=False,
             )
     except Exception as error:  # pandas raises half a dozen unrelated types on garbage
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise MissionError(f"{path} cannot be read as a table: {reason}.") from None
+        reason = str(error).splitlines()[0] if str(error) and place.quoted else type(error).__name__
+        raise MissionError(f"{place.shown} cannot be read as a table: {reason}.") from None
     notes = []
     if len(frame) < len(rows):
-        notes.append(f"{path.name}: {len(rows) - len(frame)} rows with too many fields skipped")
+        notes.append(f"{Path(place.shown).name}: {len(rows) - len(frame)} rows with too many fields skipped")
     columns = {name: frame[name].to_numpy() for name in names}
     while columns and list(columns)[-1].startswith("unnamed ") and all(map(_is_blank, list(columns.values())[-1])):
         columns.popitem()
-    return Table(str(path), columns, tuple(notes))
+    return Table(place.shown, columns, tuple(notes), quoted=place.quoted)
 
 
 def _before(line: str, comment: str) -> str:

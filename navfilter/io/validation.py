@@ -59,14 +59,41 @@ _BOUNDS = {"greater_than": ">", "greater_than_equal": ">=", "less_than": "<", "l
 _TOML_INTEGER = 2**63
 
 
+#: No description of a vehicle or a mission is larger [bytes]; a device that never ends is.
+_LARGEST = 16 << 20
+
+
+def bounded_text(path: Path) -> str:
+    """Text of a file that somebody wrote by hand.
+
+    Raises
+    ------
+    OSError
+        When it cannot be read.
+    ValueError
+        When it is too large to be one, or no UTF-8.
+    """
+    with path.open("rb") as file:
+        data = file.read(_LARGEST + 1)
+    if len(data) > _LARGEST:
+        raise ValueError(f"{path} is larger than {_LARGEST >> 20} MiB: that is no description. Give the right file.")
+    return data.decode("utf-8-sig")
+
+
 def read_toml(path: Path, error: type[ValueError]) -> dict[str, Any]:
     """Parse a .toml file; whatever is wrong with it becomes one line of type `error`."""
     try:
-        data = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        text = bounded_text(path)
     except FileNotFoundError:
         raise error(f"{path}: no such file.") from None
-    except (OSError, UnicodeDecodeError) as reason:
+    except UnicodeDecodeError as reason:
         raise error(f"{path} cannot be read: {reason}.") from None
+    except OSError as reason:
+        raise error(f"{path} cannot be read: {reason.strerror or reason}.") from None
+    except ValueError as reason:
+        raise error(str(reason)) from None
+    try:
+        data = tomllib.loads(text)
     except RecursionError:
         raise error(f"{path} is not valid TOML: tables or lists are nested too deeply.") from None
     except ValueError as reason:  # of tomllib, or of a number with thousands of digits

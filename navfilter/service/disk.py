@@ -1,8 +1,8 @@
-"""The log and the snapshots of a run, written by a thread of their own: a slow or full disk never keeps the navigator waiting.
+"""The log and the snapshots of a run, written by a thread of their own: no disk keeps the navigator waiting.
 
-The log is only ever appended to. Every block that was read goes to the operating system at once, so a killed process loses nothing; a
-power cut loses what came after the last fsync. A snapshot is written beside the old one, synced and moved over it, always after the log
-it refers to.
+The log is only ever appended to. Every block that was read goes to the operating system at once, so a killed process
+loses nothing; a power cut loses what came after the last fsync. A snapshot is written beside the old one, synced and
+moved over it, always after the log it refers to.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ __all__ = ["Disk", "StateFile"]
 
 
 class StateFile:
-    """A snapshot on disk: lines with a checksum, the place in the log and the session, then the navigator's own snapshot."""
+    """A snapshot on disk: lines with a checksum, the place in the log and the session, then that of the navigator."""
 
     MAGIC = b"navfilter-run-state 1 "
 
@@ -49,11 +49,13 @@ class StateFile:
             raise ValueError(f"{path} is no snapshot of navfilter run. Move it away to start afresh.")
         if not head.startswith(cls.MAGIC):
             raise ValueError(
-                f"{path} was written by another version ({head[:24].decode('ascii', 'replace')}). Move it away to start afresh."
+                f"{path} was written by another version ({head[:24].decode('ascii', 'replace')})."
+                " Move it away to start afresh."
             )
         if hashlib.sha256(rest).hexdigest().encode() != head[len(cls.MAGIC) :]:
             raise ValueError(
-                f"{path} is damaged (its checksum is wrong). Move it away: with --log and --resume the whole log is then replayed instead."
+                f"{path} is damaged (its checksum is wrong). Move it away, or use --resume=best:"
+                " the whole log is then fed instead."
             )
         place, session, nav = rest.split(b"\n", 2)
         return session, nav, json.loads(place)["log_offset"]
@@ -72,6 +74,8 @@ class Disk:
         The log is synced so often [s].
     notice : callable
         Is told, from the thread, of what goes wrong and when it is well again.
+    remake : callable, optional
+        Writes a log that was deleted anew: takes the old file, which is still open, and returns the new one.
     """
 
     #: So many bytes may wait for the disk; more are counted as lost.
@@ -79,8 +83,16 @@ class Disk:
     #: What failed is well again when it has not failed for so long [s]: a full disk takes a little now and then.
     WELL_S = 5.0
 
-    def __init__(self, log: BinaryIO | None, state: Path | None, fsync_s: float, notice: Callable[..., None]) -> None:
-        self._state_path, self._fsync_s, self._notice = state, fsync_s, notice
+    def __init__(
+        self,
+        log: BinaryIO | None,
+        state: Path | None,
+        fsync_s: float,
+        notice: Callable[..., None],
+        remake: Callable[[BinaryIO], BinaryIO] | None = None,
+    ) -> None:
+        self._state_path, self._fsync_s, self._notice, self._remake = state, fsync_s, notice, remake
+        self.snapshot_at: float | None = None
         self.lost_lines = self.failed_snapshots = 0
         self._file: Any = log
         self._good = 0 if log is None else log.seek(0, os.SEEK_END)
@@ -123,6 +135,11 @@ class Disk:
         self._thread.join(patience_s)
         return not self._thread.is_alive()
 
+    @property
+    def troubles(self) -> list[str]:
+        """What fails at present."""
+        return list(self._troubles)
+
     # ---------------------------------------------------------------- the thread
     def _work(self) -> None:
         while True:
@@ -131,19 +148,26 @@ class Disk:
                     self._condition.wait(self._fsync_s if self._dirty else None)
                 tasks, self._queue, self._queued = self._queue, deque(), 0
                 closing = self._closing
-            lines = b""
-            for task in tasks:
-                if isinstance(task, bytes):
-                    lines += task
-                else:
-                    self._write(lines)
-                    lines = b""
-                    self._save(*task)
-            self._write(lines)
-            if self._dirty and (closing or time.monotonic() - self._synced >= self._fsync_s):
-                self._sync()
+            try:
+                self._do(tasks)
+                if self._dirty and (closing or time.monotonic() - self._synced >= self._fsync_s):
+                    self._sync()
+            except Exception as error:  # without this thread there is no log any more
+                self._lose(b"".join(task for task in tasks if isinstance(task, bytes)))
+                self._trouble("writing", error)
             if closing and not self._queue:
                 return
+
+    def _do(self, tasks: deque[bytes | tuple[bytes, bytes]]) -> None:
+        lines: list[bytes] = []
+        for task in tasks:
+            if isinstance(task, bytes):
+                lines.append(task)
+            else:
+                self._write(b"".join(lines))
+                lines.clear()
+                self._save(*task)
+        self._write(b"".join(lines))
 
     def _write(self, lines: bytes) -> None:
         if not lines or self._file is None:
@@ -171,9 +195,14 @@ class Disk:
     def _sync(self) -> None:
         if self._file is not None:
             try:
+                if self._remake is not None and os.fstat(self._file.fileno()).st_nlink == 0:
+                    self._file = self._remake(self._file)
+                    self._notice(
+                        "log-deleted", text="the log was deleted while it was written; all of it has been written anew"
+                    )
                 os.fsync(self._file.fileno())
                 self._recovered("fsync of the log")
-            except OSError as error:
+            except (OSError, ValueError) as error:
                 self._trouble("fsync of the log", error)
         self._dirty, self._synced = False, time.monotonic()
 
@@ -184,6 +213,7 @@ class Disk:
         data = StateFile.pack(session, nav, None if self._file is None else self._good)
         part = self._state_path.with_name(self._state_path.name + ".part")
         try:
+            part.parent.mkdir(parents=True, exist_ok=True)
             with part.open("wb") as file:
                 file.write(data)
                 file.flush()
@@ -200,15 +230,19 @@ class Disk:
                 part.unlink()
             self._trouble("snapshot", error)
             return
+        self.snapshot_at = time.monotonic()
         self._recovered("snapshot")
 
-    def _trouble(self, what: str, error: OSError) -> None:
+    def _trouble(self, what: str, error: Exception) -> None:
         """Told once, until it is well again."""
         if what not in self._troubles:
-            self._notice("disk-failed", text=f"{what}: {error.strerror or error}; the navigation goes on", lost_lines=self.lost_lines)
+            reason = getattr(error, "strerror", None) or error
+            self._notice("disk-failed", text=f"{what}: {reason}; the navigation goes on", lost_lines=self.lost_lines)
         self._troubles[what] = time.monotonic()
 
     def _recovered(self, what: str) -> None:
         if what in self._troubles and time.monotonic() - self._troubles[what] >= self.WELL_S:
             del self._troubles[what]
-            self._notice("disk-recovered", text=what, lost_lines=self.lost_lines, failed_snapshots=self.failed_snapshots)
+            self._notice(
+                "disk-recovered", text=what, lost_lines=self.lost_lines, failed_snapshots=self.failed_snapshots
+            )

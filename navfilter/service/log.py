@@ -1,31 +1,36 @@
-"""The folder of a log: a mission that `navfilter replay` reads, and everything that `navfilter run` needs to give its output again.
+"""The folder of a log: a mission for `navfilter replay`, and all that `navfilter run` needs to give its output again.
 
-``mission.toml`` and ``vehicle.toml`` are written first; ``readings.jsonl`` then grows line by line (see `navfilter.io.json_lines`).
+``mission.toml`` and ``vehicle.toml`` are written first; ``readings.jsonl`` then grows line by line (see
+`navfilter.io.json_lines`).
 """
 
 from __future__ import annotations
 
+import contextlib
 import datetime
 import fcntl
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from navfilter.io import write_vehicle
+from navfilter.filter.snapshot import fingerprint
+from navfilter.io import read_vehicle, write_vehicle
 from navfilter.io.json_lines import Item, LineParser, Note, log_lines
 from navfilter.mission import MissionError
 from navfilter.service.protocol import event_line
 from navfilter.service.session import Options
 from navfilter.vehicle import Vehicle
 
-__all__ = ["LOG_FILE", "log_items", "logged_options", "prepare_log", "run_note"]
+__all__ = ["LOG_FILE", "log_items", "logged_options", "prepare_log", "remade_log", "run_note"]
 
 LOG_FILE = "readings.jsonl"
 
 
-def prepare_log(folder: Path, vehicle: Vehicle, options: Options, *, resume: bool) -> BinaryIO:
+def prepare_log(
+    folder: Path, vehicle: Vehicle, options: Options, *, resume: str | None, tell: Callable[[str], None]
+) -> BinaryIO:
     """Make the folder of a log, or take one that was broken off; it is ours until the file is closed.
 
     Parameters
@@ -33,8 +38,11 @@ def prepare_log(folder: Path, vehicle: Vehicle, options: Options, *, resume: boo
     folder : Path
     vehicle : Vehicle
     options : Options
-    resume : bool
-        Whether a log may be there already; the half line that a crash left at its end is then cut off.
+    resume : {"strict", "best"}, optional
+        Whether a log may be there already, and whether it may be that of another vehicle (see
+        `navfilter.service.resuming`); the half line that a crash left at its end is then cut off.
+    tell : callable
+        Takes a sentence about what does not fit.
 
     Returns
     -------
@@ -44,32 +52,102 @@ def prepare_log(folder: Path, vehicle: Vehicle, options: Options, *, resume: boo
     Raises
     ------
     ValueError
-        When there is a log and `resume` is False, or another process is writing to it.
+        When there is a log and `resume` is None, when another process is writing to it, or when it is that of another
+        vehicle and `resume` is "strict".
     OSError
         When the folder cannot be written.
     """
+    file = _locked(folder)
+    try:
+        begun = os.fstat(file.fileno()).st_size > 0
+        if begun and resume is None:
+            raise ValueError(f"{folder} holds a log already. Give another folder, or --resume to continue that run.")
+        other = _difference(folder, vehicle) if begun else ""
+        if other and resume == "strict":
+            raise ValueError(
+                f"{folder}: {other}. Give the vehicle of that run, or --resume=best to feed its log to this one."
+            )
+        if other:
+            tell(f"{other}: the whole log is fed to the vehicle that was given now")
+            _put_aside(folder / "vehicle.toml")
+        if other or not begun:
+            _describe(folder, vehicle, options)
+        _cut_half_line(folder / LOG_FILE)
+    except BaseException:
+        file.close()
+        raise
+    return file
+
+
+def remade_log(old: BinaryIO, folder: Path, vehicle: Vehicle, options: Options) -> BinaryIO:
+    """Write a log anew that was deleted while `old` is still open: everything that it holds, and its descriptions.
+
+    Raises
+    ------
+    OSError
+        When that is impossible; `old` then stays as it is.
+    """
+    file, at = _locked(folder), 0
+    try:
+        _describe(folder, vehicle, options)
+        while block := os.pread(old.fileno(), 1 << 20, at):
+            at += len(block)
+            view = memoryview(block)
+            while view:
+                view = view[file.write(view) or 0 :]
+    except BaseException:
+        file.close()
+        raise
+    old.close()
+    return file
+
+
+def _locked(folder: Path) -> BinaryIO:
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / LOG_FILE
-    begun = path.exists() and path.stat().st_size > 0
-    if begun and not resume:
-        raise ValueError(f"{folder} holds a log already. Give another folder, or --resume to continue that run.")
-    if not begun:
-        write_vehicle(vehicle, folder / "vehicle.toml")
-        (folder / "mission.toml").write_text(_mission_toml(folder, vehicle, options.date), encoding="utf-8")
-        for name in ("vehicle.toml", "mission.toml", "."):
-            handle = os.open(folder / name, os.O_RDONLY)
-            try:
-                os.fsync(handle)
-            finally:
-                os.close(handle)
-    file = path.open("ab", buffering=0)
+    if path.exists() and not path.is_file():
+        raise ValueError(f"{path} is no file. Move it away, or log to another folder.")
+    file = path.open("a+b", buffering=0)
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:
         file.close()
-        raise ValueError(f"{folder}: another process is writing this log. Stop it first, or log to another folder.") from None
-    _cut_half_line(path)
+        raise ValueError(
+            f"{folder}: another process is writing this log. Stop it first, or log to another folder."
+        ) from None
     return file
+
+
+def _describe(folder: Path, vehicle: Vehicle, options: Options) -> None:
+    """Write vehicle.toml and mission.toml, and sync them with their folder."""
+    write_vehicle(vehicle, folder / "vehicle.toml")
+    (folder / "mission.toml").write_text(_mission_toml(folder, vehicle, options.date), encoding="utf-8")
+    for name in ("vehicle.toml", "mission.toml", "."):
+        handle = os.open(folder / name, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
+
+
+def _difference(folder: Path, vehicle: Vehicle) -> str:
+    """Why a log is not that of a vehicle; empty where it is."""
+    try:
+        logged = read_vehicle(folder)
+    except ValueError:
+        return "the vehicle.toml of this log cannot be read"
+    if fingerprint(logged) == fingerprint(vehicle):
+        return ""
+    drive = ["the drive"] * (repr(logged.drive) != repr(vehicle.drive))
+    every = {**logged.sensors, **vehicle.sensors}
+    names = [name for name in every if repr(logged.sensors.get(name)) != repr(vehicle.sensors.get(name))]
+    return f"this log is of another vehicle ({', '.join(drive + names) or 'its name'} differs)"
+
+
+def _put_aside(path: Path) -> None:
+    """Keep a file that does not fit under another name."""
+    with contextlib.suppress(OSError):
+        path.replace(path.with_name(f"{path.stem}.before{path.suffix}"))
 
 
 def _cut_half_line(path: Path) -> None:
@@ -88,7 +166,8 @@ def _cut_half_line(path: Path) -> None:
 
 def _mission_toml(folder: Path, vehicle: Vehicle, date: datetime.date | None) -> str:
     lines = [
-        "# Written by navfilter run. The readings stand in the order of their arrival; navfilter run --replay-log feeds them again.",
+        "# Written by navfilter run. The readings stand in the order of their arrival;"
+        " navfilter run --replay-log feeds them again.",
         f"name = {json.dumps(folder.resolve().name)}",
         *([] if date is None else [f"date = {date.isoformat()}"]),
         "",
@@ -97,7 +176,12 @@ def _mission_toml(folder: Path, vehicle: Vehicle, date: datetime.date | None) ->
         "",
         "[log.columns]",
     ]
-    return "\n".join(lines + [f"{json.dumps(name)} = {json.dumps(columns)}" for name, columns in _columns(vehicle).items()]) + "\n"
+    return (
+        "\n".join(
+            lines + [f"{json.dumps(name)} = {json.dumps(columns)}" for name, columns in _columns(vehicle).items()]
+        )
+        + "\n"
+    )
 
 
 def _columns(vehicle: Vehicle) -> dict[str, tuple[str, ...]]:

@@ -1,59 +1,35 @@
-"""The loop of ``navfilter run``: read a block, log it, navigate with it; snapshots between blocks; a clean end on SIGTERM and SIGINT."""
+"""The loop of ``navfilter run``: read a block, log it, navigate with it; snapshots between blocks; an ordered end.
+
+What is around the navigation never stops it: outputs, log, snapshots and supervision have threads of their own, and
+whatever goes wrong with one of them is told and counted.
+"""
 
 from __future__ import annotations
 
-import gc
-import os
 import time
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from navfilter.io.json_lines import Item, LineParser, Note, Reading
-from navfilter.playback import warm_up
-from navfilter.service.disk import Disk, StateFile
-from navfilter.service.log import LOG_FILE, log_items, logged_options, prepare_log, run_note
+from navfilter.service.disk import Disk
+from navfilter.service.kernel_cache import warm
+from navfilter.service.log import LOG_FILE, log_items, prepare_log, remade_log, run_note
 from navfilter.service.outlet import Outlet
 from navfilter.service.protocol import Lines, event_line
+from navfilter.service.resuming import earlier_run
 from navfilter.service.session import Options, Session
-from navfilter.service.sources import Client, FileSource, StopSignal, TcpSource
+from navfilter.service.setup import Service
+from navfilter.service.sources import Client, FileSource, Stopped, StopSignal, TcpSource
+from navfilter.service.supervision import Supervision
+from navfilter.service.tally import Tally
 from navfilter.vehicle import Vehicle
 
-__all__ = ["Service", "replay_log", "run"]
+__all__ = ["ORDERED", "UNASKED", "run"]
 
+#: Exit codes: the end was asked for, or nobody asked for it. (2 is that of everything that prevents the start.)
+ORDERED, UNASKED = 0, 1
 _STDOUT = 1
-
-
-@dataclass(frozen=True, kw_only=True)
-class Service:
-    """How a run is set up, beside what decides its output (`Options`).
-
-    Parameters
-    ----------
-    input : int or (str, int)
-        File descriptor, or host and port to listen on.
-    log : Path, optional
-        Folder of the log.
-    fsync_s : float
-        The log is synced so often [s].
-    state : Path, optional
-        File of the snapshots.
-    snapshot_s : float
-        One every so many seconds.
-    resume : bool
-        Continue from the snapshot, or from the log alone where there is no snapshot.
-    say : callable
-        Takes a line for the operator.
-    """
-
-    input: int | tuple[str, int]
-    log: Path | None = None
-    fsync_s: float = 1.0
-    state: Path | None = None
-    snapshot_s: float = 10.0
-    resume: bool = False
-    say: Callable[[str], None] = lambda text: None
 
 
 def run(vehicle: Vehicle, options: Options, service: Service) -> int:
@@ -68,7 +44,7 @@ def run(vehicle: Vehicle, options: Options, service: Service) -> int:
     Returns
     -------
     int
-        0.
+        `ORDERED`, or `UNASKED` when the input failed, or ended before its first line.
 
     Raises
     ------
@@ -77,64 +53,21 @@ def run(vehicle: Vehicle, options: Options, service: Service) -> int:
     OSError
         When the log cannot be opened or the address cannot be listened on.
     """
-    stop = StopSignal()
+    stop, supervision = StopSignal(), Supervision(service.health, service.say)
     try:
-        live = _Run(vehicle, options, service, stop)
-        _warm(service.say)
-        live.open()
-        return live.loop()
-    except _Interrupted:
-        service.say("ended while it was resuming; log and snapshot are as they were")
-        return os.EX_OK
+        with stop.at_once():
+            live = _Run(vehicle, options, service, stop, supervision)
+            live.open()
+        code = live.loop()
+        supervision.ended("stopped" if code == ORDERED else "failed")
+        return code
+    except Stopped:
+        service.say("stopped before the navigation began; log and snapshot are as they were")
+        supervision.ended("stopped")
+        return ORDERED
     finally:
+        supervision.ended("failed")  # unless it has been told already
         stop.restore()
-
-
-def replay_log(vehicle: Vehicle, folder: Path, *, rate_hz: float | None, say: Callable[[str], None]) -> int:
-    """Feed a log again: the output of the run that wrote it, bit for bit.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-    folder : Path
-    rate_hz : float, optional
-        Another rate of states than that of the run.
-    say : callable
-        Takes a line for the operator.
-    """
-    path = folder / LOG_FILE
-    options = logged_options(path)
-    stop = StopSignal()
-    outlet = Outlet(_STDOUT, wait=True)
-    try:
-        _warm(say)
-        session, last = Session(vehicle, options, outlet.put), None
-        for last in log_items(path, vehicle):
-            if rate_hz is not None and isinstance(last, Note) and last.event == "run":
-                last = last._replace(fields={**last.fields, "rate_hz": rate_hz})
-            session.feed(last)
-            if stop.received or outlet.gone:
-                break
-        if not (isinstance(last, Note) and last.event == "stop"):
-            session.stop()
-        outlet.close()
-    finally:
-        stop.restore()
-    return 0
-
-
-def _warm(say: Callable[[str], None]) -> None:
-    say("warming up ...")
-    began = time.perf_counter()
-    warm_up()
-    # What is here now stays: the collector need not look at it again and again.
-    gc.collect()
-    gc.freeze()
-    say(f"ready ({time.perf_counter() - began:.1f} s)")
-
-
-class _Interrupted(Exception):
-    """A signal came before everything of the log was fed again."""
 
 
 class _Run:
@@ -143,29 +76,39 @@ class _Run:
     #: Without a line for so long the operator is told [s].
     SILENT_S = 5.0
 
-    def __init__(self, vehicle: Vehicle, options: Options, service: Service, stop: StopSignal) -> None:
-        self._vehicle, self._service, self._stop = vehicle, service, stop
-        self._muted = False
+    def __init__(
+        self, vehicle: Vehicle, options: Options, service: Service, stop: StopSignal, supervision: Supervision
+    ) -> None:
+        self._vehicle, self._options, self._service = vehicle, options, service
+        self._stop, self._supervision = stop, supervision
+        self._muted = self._output_gone = False
+        self.errors = self._readings = 0
+        self._heard = time.monotonic()
+        self._client = ""
+        supervision.starting("compiling, or loading what has been compiled")
         self._outlet = Outlet(None if isinstance(service.input, tuple) else _STDOUT)
-        self._parser, self._lines = LineParser(vehicle), Lines()
-        self.errors = 0
-        log = None if service.log is None else prepare_log(service.log, vehicle, options, resume=service.resume)
-        self._session, resumed = self._prepared(options, None if service.log is None else service.log / LOG_FILE)
-        self._disk = Disk(log, service.state, service.fsync_s, self._notice)
+        self._parser, self._lines, self._tally = LineParser(vehicle), Lines(), Tally()
+        log = self._open_log()
+        warm(service.say)
+        resumed = self._resume(None if log is None or service.log is None else service.log / LOG_FILE)
+        self._disk = Disk(log, service.state, service.fsync_s, self._notice, self._remade)
         self._disk.append(run_note(options, **({"resumed": True} if resumed else {})))
-        if resumed:
+        if resumed is not None:
             self._session.feed(Note("run", options.to_json(), b""))
             self._tell("resume", time_s=self._session.nav and self._session.nav.time_s, **resumed)
-        self._source: FileSource | TcpSource | None = None
+        self._source: FileSource | TcpSource
 
     def open(self) -> None:
         """Begin to listen, or to read."""
-        if isinstance(self._service.input, tuple):
-            self._source = TcpSource(self._service.input, self._stop, self._client_changed)
-            self._service.say(f"listening on {self._source.url}")
+        service = self._service
+        if isinstance(service.input, tuple):
+            self._source = TcpSource(service.input, self._stop, self._client_changed, service.silent_s)
+            service.say(f"listening on {self._source.url}")
         else:
-            self._source = FileSource(self._service.input, self._stop)
+            self._source = FileSource(service.input, self._stop)
+        self._supervision.ready()
 
+    # ---------------------------------------------------------------- what goes out
     def _emit(self, line: bytes, is_state: bool) -> None:
         if not self._muted:
             self._outlet.put(line, is_state)
@@ -185,100 +128,186 @@ class _Run:
     def _client_changed(self, client: Client | None, text: str) -> None:
         if client is None:
             self._outlet.drain(1.0)
+        self._client = "" if client is None else client.name
         self._outlet.attach(None if client is None else client.connection)
         self._notice("client", text=text)
 
-    # ---------------------------------------------------------------- resuming
-    def _prepared(self, options: Options, path: Path | None) -> tuple[Session, dict[str, Any] | None]:
-        """The session, and what it resumed from."""
+    # ---------------------------------------------------------------- log and resuming
+    def _open_log(self) -> BinaryIO | None:
         service = self._service
-        log = path is not None and path.stat().st_size > 0
-        saved = StateFile.read(service.state) if service.resume and service.state is not None and service.state.exists() else None
-        if path is not None and log and saved is None:
-            options = logged_options(path)
-        session = Session(self._vehicle, options, self._emit, self._log_note)
-        if saved is None and not log:
-            return session, None
-        offset: int | None = 0
-        if saved is not None:
-            session.restore(*saved[:2])
-            offset = saved[2]
-        readings = 0
-        if path is not None and log and offset is not None:
-            if offset > path.stat().st_size:
-                raise ValueError(f"{path} is shorter than when the snapshot {service.state} was taken: it belongs to another run.")
-            service.say("resuming ...")
-            readings = self._catch_up(session, log_items(path, self._vehicle, offset))
-        return session, {"snapshot": saved is not None, "readings_from_log": readings}
+        if service.log is None:
+            return None
+        try:
+            return prepare_log(
+                service.log,
+                self._vehicle,
+                self._options,
+                resume=service.resume,
+                tell=lambda text: self._notice("resume", text=text),
+            )
+        except OSError as error:
+            if service.resume != "best":
+                raise
+            self._notice("disk-failed", text=f"{service.log}: {error.strerror or error}; navigating without a log")
+            return None
 
-    def _catch_up(self, session: Session, items: Iterable[Item]) -> int:
+    def _remade(self, old: BinaryIO) -> BinaryIO:
+        assert self._service.log is not None  # only asked of a log
+        return remade_log(old, self._service.log, self._vehicle, self._options)
+
+    def _resume(self, log: Path | None) -> dict[str, Any] | None:
+        """Make the session, and bring it to where an earlier run was; says from what."""
+        service = self._service
+        past = earlier_run(
+            lambda how: Session(self._vehicle, how, self._emit, self._log_note),
+            self._options,
+            service.state,
+            log,
+            service.resume,
+            lambda text: self._notice("resume", text=text),
+        )
+        self._session = past.session
+        if not past.snapshot and past.offset is None:
+            return None
+        readings = 0
+        if log is not None and past.offset is not None:
+            service.say("resuming ...")
+            readings = self._catch_up(log_items(log, self._vehicle, past.offset))
+        return {"snapshot": past.snapshot, "readings_from_log": readings}
+
+    def _catch_up(self, items: Iterator[Item]) -> int:
         """What the log holds after the snapshot; its output was given already."""
         self._muted, count = True, 0
-        for item in items:
-            session.feed(item)
-            count += 1
-            if self._stop.received:
-                raise _Interrupted
+        try:
+            for item in items:
+                self._guarded(item)
+                count += 1
+                if count % 10_000 == 0:
+                    self._supervision.starting(f"resuming: {count} lines of the log")
+        except OSError as error:
+            if self._service.resume != "best":
+                raise
+            self._notice("resume", text=f"the log cannot be read to its end: {error.strerror or error}")
         self._muted = False
         return count
 
     # ---------------------------------------------------------------- the loop
     def loop(self) -> int:
-        """Until the end of the input or a signal."""
-        snapshot_at, heard, silent = time.monotonic() + self._service.snapshot_s, time.monotonic(), False
-        while not self._stop.received and self._source is not None:
-            data = self._source.read(min(1.0, max(0.0, snapshot_at - time.monotonic())))
+        """Until the end of the input or a signal; the exit code."""
+        try:
+            code = self._rounds()
+        except Exception as error:  # whatever it is, log and last snapshot are written
+            self._notice("failed", text=f"{type(error).__name__}: {error}")
+            code = UNASKED
+        self._end()
+        return code
+
+    def _rounds(self) -> int:
+        now = time.monotonic()
+        tend_at, snapshot_at, self._heard, silent = now, now + self._service.snapshot_s, now, False
+        while not self._stop.received:
+            if now >= tend_at:
+                self._tend(now)
+                tend_at = now + self._supervision.period_s
+            try:
+                data = self._source.read(max(0.0, min(tend_at, snapshot_at) - now))
+            except OSError as error:
+                self._notice("input-failed", text=f"{error.strerror or error}")
+                return UNASKED
             now = time.monotonic()
             if data is None:
                 self._take(self._lines.end())
-                break
+                return ORDERED if self._read_anything() else UNASKED
             if data:
                 self._take(self._lines.feed(data))
-                heard, silent = now, False
-            elif now - heard > self.SILENT_S and not silent:
+                self._heard, silent = now, False
+            elif now - self._heard > self.SILENT_S and not silent:
                 silent = True
                 self._notice("input-silent", text=f"no line for {self.SILENT_S:.0f} s")
             if now >= snapshot_at:
                 self._snapshot()
                 snapshot_at = now + self._service.snapshot_s
-        return self._end()
+        return ORDERED
+
+    def _read_anything(self) -> bool:
+        if self._readings or self._session.bad or self._session.nav is not None:
+            return True
+        self._notice("input-empty", text="the input ended before its first line")
+        return False
 
     def _take(self, lines: Iterable[tuple[bytes, bool]]) -> None:
         """Log a block of lines, then navigate with them."""
-        items: list[Item] = []
-        for line, cut_off in lines:
-            item = self._parser.too_long(line) if cut_off else self._parser.parse(line)
-            if item is not None:
-                items.append(item)
+        parsed = (self._parser.too_long(line) if cut_off else self._parser.parse(line) for line, cut_off in lines)
+        items = list(self._tally.take(item for item in parsed if item is not None))
         self._disk.append(b"".join(item.raw for item in items))
+        before = self._readings
         for item in items:
+            self._readings += isinstance(item, Reading)
             self._guarded(item)
+        if self._readings > before:
+            self._source.heard()
 
     def _guarded(self, item: Item) -> None:
-        """A mistake in this program must not end the navigation of a vehicle under way: it is told, and the next line is taken."""
+        """A mistake in this program must not end the navigation under way: it is told, and the next line is taken."""
         try:
             self._session.feed(item)
         except Exception as error:
-            self.errors += 1
-            if self.errors <= 10 or self.errors % 1000 == 0:
-                sensor = item.sensor if isinstance(item, Reading) else type(item).__name__
-                self._notice("internal-error", text=f"{type(error).__name__}: {error} ({sensor})", count=self.errors)
+            sensor = item.sensor if isinstance(item, Reading) else type(item).__name__
+            self._mistake(error, sensor)
+
+    def _mistake(self, error: Exception, where: str) -> None:
+        self.errors += 1
+        if self.errors <= 10 or self.errors % 1000 == 0:
+            self._notice("internal-error", text=f"{type(error).__name__}: {error} ({where})", count=self.errors)
 
     def _snapshot(self) -> None:
         if self._service.state is None:
             return
-        taken = self._session.snapshot()
+        try:
+            taken = self._session.snapshot()
+        except Exception as error:
+            self._mistake(error, "snapshot")
+            return
         if taken is not None:
             self._disk.snapshot(*taken)
 
-    def _end(self) -> int:
-        self._disk.append(event_line("stop"))
-        self._session.stop()
+    def _tend(self, now: float) -> None:
+        """Once a second: what has been gathered, and word to those that watch."""
+        items = self._tally.due()
+        self._disk.append(b"".join(item.raw for item in items))
+        for item in items:
+            self._guarded(item)
+        if self._outlet.gone and not self._output_gone:
+            self._output_gone = True
+            self._service.say("the reader of the output has gone; the navigation goes on")
+        if self._stop.hung_up:
+            self._stop.hung_up = False
+            self._notice("hang-up", text="SIGHUP; the navigation goes on (SIGTERM ends it)")
+        nav = self._session.nav
+        self._supervision.report(
+            "waiting" if nav is None else "navigating",
+            time_s=None if nav is None else nav.time_s,
+            input_age_s=now - self._heard,
+            readings=self._readings,
+            bad_lines=sum(self._session.bad.values()),
+            client=self._client,
+            output_dropped=self._outlet.dropped,
+            output_gone=self._outlet.gone,
+            disk_troubles=self._disk.troubles,
+            lost_log_lines=self._disk.lost_lines,
+            failed_snapshots=self._disk.failed_snapshots,
+            snapshot_age_s=None if self._disk.snapshot_at is None else now - self._disk.snapshot_at,
+            internal_errors=self.errors,
+        )
+
+    def _end(self) -> None:
+        items = self._tally.due()
+        self._disk.append(b"".join(item.raw for item in items) + event_line("stop"))
+        for item in (*items, Note("stop", {}, b"")):
+            self._guarded(item)
         self._snapshot()
         if not self._disk.close():
             self._notice("disk-failed", text="the disk does not come to an end")
         if not self._outlet.close():
-            self._service.say("the reader of the output has stopped reading; its last lines are lost")
-        if isinstance(self._source, TcpSource):
-            self._source.close()
-        return os.EX_OK
+            self._service.say("the reader of the output has gone or stopped reading; its last lines are lost")
+        self._source.close()

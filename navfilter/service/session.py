@@ -308,7 +308,7 @@ class Session:
                 self._tell("condition", sensor=name, condition=condition, was=was, time_s=self.nav.time_s)
 
     def _bad(self, item: BadLine) -> None:
-        count = self.bad[item.kind] = self.bad.get(item.kind, 0) + 1
+        count = self.bad[item.kind] = self.bad.get(item.kind, 0) + item.lines
         now, warned = self._drive_s, self._warned.get(item.kind)
         if warned is None or abs(now - warned[0]) >= self.WARN_EVERY_S or count >= 10 * warned[1]:
             self._warned[item.kind] = [now, count]
