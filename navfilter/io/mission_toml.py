@@ -13,6 +13,7 @@ import numpy.typing as npt
 from navfilter.io import geodesy
 from navfilter.io.columns import Counts, clock_times, group_names, group_values
 from navfilter.io.json_lines import read_log
+from navfilter.io.logs import Shelf
 from navfilter.io.merging import block_mean, mean, resampled
 from navfilter.io.mission_schema import GROUPS, Clock, MissionSpec, Origin, Source, StreamSpec, TruthStream
 from navfilter.io.starting import start_of
@@ -40,7 +41,7 @@ def read_mission_toml(path: Path) -> Mission:
         In one line where one thing is wrong; several mistakes in the .toml are listed together.
     """
     spec = validate(MissionSpec, read_toml(path, MissionError), path, MissionError)
-    reader = _Reader(path.parent)
+    reader = _Reader(path.parent, spec)
     streams: dict[str, Stream] = {}
     logged_start = None
     if spec.log is not None:
@@ -101,15 +102,16 @@ def _windowed(stream: Stream, spec: StreamSpec) -> Stream:
 class _Reader:
     """Reads sources relative to one folder, each file once, and collects notes."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, spec: MissionSpec) -> None:
         self.folder = folder
         self.notes: list[str] = []
+        self._shelf = Shelf(_wanted_of_logs(spec, folder))
         self._tables: dict[tuple[Path, TableOptions], Table] = {}
 
     def table(self, file: str, options: TableOptions) -> Table:
         path = expand(file, self.folder)
         if (path, options) not in self._tables:
-            self._tables[path, options] = read_table(path, options)
+            self._tables[path, options] = read_table(path, options, self._shelf)
             self.notes += self._tables[path, options].notes
         return self._tables[path, options]
 
@@ -239,6 +241,17 @@ class _Reader:
     def _note(self, where: str, count: int, what: str) -> None:
         if count:
             self.notes.append(f"{where}: {count} {what}")
+
+
+def _wanted_of_logs(spec: MissionSpec, folder: Path) -> dict[Path, dict[str, set[str]]]:
+    """What all streams together want of each log: it may be large, and is gone through once."""
+    wanted: dict[Path, dict[str, set[str]]] = {}
+    for stream in (*spec.streams.values(), *([spec.truth] if spec.truth else [])):
+        for source in stream.sources:
+            if source.topic:
+                columns = wanted.setdefault(expand(source.file, folder), {}).setdefault(source.topic, set())
+                columns |= {str(reference) for reference in source.references()}
+    return wanted
 
 
 def _rows(table: Table, source: Source) -> int:

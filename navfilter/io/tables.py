@@ -10,21 +10,26 @@ import bz2
 import gzip
 import lzma
 import zlib
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
+from navfilter.io.table import Table, listing
+from navfilter.io.where import Where
 from navfilter.mission import MissionError
+
+if TYPE_CHECKING:
+    from navfilter.io.logs import Shelf
 
 Array = npt.NDArray[np.float64]
 
 _UNPACKERS = {".gz": gzip.decompress, ".xz": lzma.decompress, ".bz2": bz2.decompress}
 _BINARY = {".npy", ".npz", ".mat"}
-_BLANK = ("", "nan", "na", "n/a", "null", "none")
+#: Logs that cannot be taken for tables.
+_LOGS = {".bag", ".db3", ".mcap", ".ulg", ".tlog", ".ad2cp"}
 
 
 @dataclass(frozen=True)
@@ -45,6 +50,10 @@ class TableOptions:
         Decimal point; character that starts a comment, to the end of its line.
     skip_lines, skip_rows : int
         Lines to skip before the header; rows of data to skip after it.
+    topic : str
+        Of a log (see `navfilter.io.logs`): which of its topics.
+    where : tuple of Where
+        Only the rows that fulfil all these conditions.
     """
 
     table: str = ""
@@ -55,59 +64,11 @@ class TableOptions:
     comment: str = "#"
     skip_lines: int = 0
     skip_rows: int = 0
+    topic: str = ""
+    where: tuple[Where, ...] = ()
 
 
-@dataclass(frozen=True)
-class Table:
-    """Columns of one file, by name or by position.
-
-    Parameters
-    ----------
-    path : str
-        Where the columns come from, for messages.
-    columns : dict of str to ndarray
-        Arrays of equal or unequal length, in file order.
-    notes : tuple of str
-        What had to be skipped.
-    """
-
-    path: str
-    columns: Mapping[str, npt.NDArray[Any]]
-    notes: tuple[str, ...] = field(default=())
-
-    def raw(self, reference: str | int) -> npt.NDArray[Any]:
-        """A column as it stands in the file (numbers or text); reference is its name or its 0-based position."""
-        names = list(self.columns)
-        if isinstance(reference, int):
-            if not -len(names) <= reference < len(names):
-                raise MissionError(
-                    f"{self.path}: there is no column {reference}, the file has {len(names)} (0 to {len(names) - 1})."
-                    " If each row is a quantity, set transpose = true."
-                )
-            return self.columns[names[reference]]
-        if reference not in self.columns:
-            raise MissionError(f'{self.path}: there is no column "{reference}" (columns: {_listing(names)}).')
-        return self.columns[reference]
-
-    def numbers(self, reference: str | int) -> tuple[Array, int]:
-        """A column as float64 with NaN for what is no number, and how many cells were text that is no number."""
-        raw = self.raw(reference)
-        if raw.dtype.kind in "fiub":
-            return raw.astype(np.float64), 0
-        import pandas as pd
-
-        coerced = pd.to_numeric(pd.Series(raw, dtype=object), errors="coerce")
-        values = coerced.to_numpy(dtype=np.float64, na_value=np.nan)
-        wrong = [isinstance(cell, str) and cell.strip().lower() not in _BLANK for cell in raw[np.isnan(values)]]
-        return values, sum(wrong)
-
-
-def _listing(names: list[str], most: int = 40) -> str:
-    shown = ", ".join(f'"{name}"' for name in names[:most])
-    return (shown or "none") + (f" and {len(names) - most} more" if len(names) > most else "")
-
-
-def read_table(path: Path, options: TableOptions | None = None) -> Table:
+def read_table(path: Path, options: TableOptions | None = None, shelf: Shelf | None = None) -> Table:
     """Read the columns of one file.
 
     Parameters
@@ -115,6 +76,8 @@ def read_table(path: Path, options: TableOptions | None = None) -> Table:
     path : Path
         .csv/.txt/.dat/... text, optionally .gz, .xz or .bz2; .npy; .npz; .mat (version 5 or 7.3).
     options : TableOptions, optional
+    shelf : Shelf, optional
+        The logs of the mission that the table is for; without one a log is gone through for this topic alone.
 
     Returns
     -------
@@ -128,10 +91,16 @@ def read_table(path: Path, options: TableOptions | None = None) -> Table:
     options = options or TableOptions()
     if not path.exists():
         raise MissionError(f"{path}: no such file. Check the path and the environment variables in it.")
+    if options.topic:
+        from navfilter.io.logs import Shelf
+
+        return _chosen_rows((shelf or Shelf()).table(path, options.topic), options)
     if not path.is_file():
         raise MissionError(f"{path} is not a file.")
     if path.stat().st_size == 0:
         raise MissionError(f"{path} is empty (0 bytes).")
+    if path.suffix.lower() in _LOGS:
+        raise MissionError(f'{path} is a log: say which topic = "..." of it ("navfilter check {path}" lists them).')
     if path.suffix.lower() in _BINARY:
         from navfilter.io.containers import read_arrays
 
@@ -140,6 +109,21 @@ def read_table(path: Path, options: TableOptions | None = None) -> Table:
         table = _read_text(path, _unpack(path), options)
     if not table.columns or all(column.shape[0] == 0 for column in table.columns.values()):
         raise MissionError(f"{path} holds no rows of data.")
+    return _chosen_rows(table, options)
+
+
+def _chosen_rows(table: Table, options: TableOptions) -> Table:
+    """The rows that fulfil all conditions; how many did not is noted."""
+    for condition in options.where:
+        keep = condition.rows(table)
+        notes = table.notes
+        if not keep.any():
+            raise MissionError(f"{table.path}: no row has {condition.words()}; look at what the column holds.")
+        if not keep.all():
+            name = Path(table.path).name
+            notes += (f"{name}: {int((~keep).sum())} of {keep.size} rows left out by where ({condition.words()})",)
+        columns = {key: column[keep] if column.shape[0] == keep.size else column for key, column in table.columns.items()}
+        table = replace(table, columns=columns, notes=notes)
     return table
 
 
@@ -187,7 +171,7 @@ def _columns_of(path: Path, arrays: dict[str, npt.NDArray[Any]], options: TableO
 def _pick(path: Path, arrays: dict[str, npt.NDArray[Any]], reference: str) -> npt.NDArray[Any]:
     name, *planes = reference.replace("]", "").split("[")
     if name not in arrays:
-        raise MissionError(f'{path}: there is no table "{name}" (tables: {_listing(list(arrays))}).')
+        raise MissionError(f'{path}: there is no table "{name}" (tables: {listing(list(arrays))}).')
     array = arrays[name]
     try:
         for plane in planes:
