@@ -9,6 +9,7 @@ from __future__ import annotations
 import fnmatch
 import importlib
 import importlib.util
+import re
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
@@ -17,6 +18,7 @@ from types import ModuleType
 from typing import Any
 
 from navfilter.io.logs.gathering import TopicColumns
+from navfilter.io.logs.lines import first_bytes
 from navfilter.io.table import Table, listing
 from navfilter.mission import MissionError
 
@@ -37,6 +39,8 @@ class Format:
         Endings of its files, in lower case.
     package, extra : str
         What it is read with, and the extra of navfilter that brings it; empty: nothing beside navfilter.
+    pattern : bytes
+        Regular expression that the beginning of such a file contains, for files of any other ending.
     """
 
     title: str
@@ -44,6 +48,7 @@ class Format:
     suffixes: tuple[str, ...]
     package: str = ""
     extra: str = ""
+    pattern: bytes = b""
 
     def load(self) -> ModuleType:
         """The module that reads it. Raises MissionError where what it needs is not installed."""
@@ -56,6 +61,7 @@ class Format:
 
 FORMATS: tuple[Format, ...] = (
     Format("a ROS bag", "ros", (".bag", ".db3", ".mcap"), "rosbags", "ros"),
+    Format("NMEA 0183", "nmea", (".nmea",), "pynmeagps", "nmea", rb"[$!][A-Z]{2}[A-Z0-9]{3,6},[^*\r\n]*\*[0-9A-Fa-f]{2}"),
 )
 
 
@@ -66,7 +72,8 @@ def format_of(path: Path) -> Format | None:
     for known in FORMATS:
         if path.suffix.lower() in known.suffixes:
             return known
-    return None
+    head = first_bytes(path)
+    return next((known for known in FORMATS if known.pattern and re.search(known.pattern, head)), None)
 
 
 def records_of(
@@ -90,7 +97,7 @@ def records_of(
     known = format_of(path)
     if known is None:
         endings = ", ".join(suffix for one in FORMATS for suffix in one.suffixes)
-        raise MissionError(f"{path} is no log that navfilter knows (known: {endings}); leave topic out for a table.")
+        raise MissionError(f"{path} is no log that navfilter knows (known: {endings}, NMEA); leave topic out for a table.")
     yield from known.load().records(path, wanted, tally)
 
 
@@ -127,7 +134,7 @@ def _read(path: Path, wanted: Mapping[str, Collection[str] | None]) -> dict[str,
     known = format_of(path)
     short = getattr(known.load(), "short_name", _without_instance) if known else _without_instance
     gathered = {name: TopicColumns(columns) for name, columns in wanted.items()}
-    answers: dict[str, list[str]] = {name: [] for name in wanted}
+    answers: dict[str, Counter[str]] = {name: Counter() for name in wanted}
     #: Full name of a topic -> the topics asked for that it answers to.
     asked_as: dict[str, list[str]] = {}
     tally: Counter[str] = Counter()
@@ -141,12 +148,12 @@ def _read(path: Path, wanted: Mapping[str, Collection[str] | None]) -> dict[str,
 
     for topic, time_s, record in records_of(path, is_wanted, tally):
         for name in asked_as[topic]:
-            if topic not in answers[name]:
-                answers[name].append(topic)
+            answers[name][topic] += 1
             gathered[name].put(time_s, record)
     for name, topics in answers.items():
         if len(topics) > 1 and "*" not in name:
-            raise MissionError(f'{path}: topic "{name}" is {" and ".join(topics)}: name one of them.')
+            several = " and ".join(f"{topic} ({count} records)" for topic, count in topics.items())
+            raise MissionError(f'{path}: topic "{name}" is {several}: name one of them, or "*{name}" for all.')
         if not topics:
             there = ", ".join(asked_as) or "none"
             raise MissionError(f'{path}: there is no topic "{name}" with any record (topics: {there}).')
