@@ -116,7 +116,10 @@ def test_three_kinds_of_dvl_message_and_their_flags(tmp_path):
         "/uuv/dvl": (
             "uuv_sensor_ros_plugins_msgs/msg/DVL",
             # -1 in a covariance: this reading is invalid.
-            [{"velocity": v, "velocity_covariance": covariance if any(v) else -covariance, "altitude": 3.0} for v in speeds],
+            [
+                {"velocity": v, "velocity_covariance": covariance if any(v) else -covariance, "altitude": 3.0}
+                for v in speeds
+            ],
         ),
     }
     write_bag(tmp_path / "bag", messages)

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 Array = npt.NDArray[np.float64]
 
 _UNPACKERS = {".gz": gzip.decompress, ".xz": lzma.decompress, ".bz2": bz2.decompress}
+#: Columns of a MOOS log.
+_ALOG = ("time", "name", "source", "value")
 _BINARY = {".npy", ".npz", ".mat"}
 #: Logs that cannot be taken for tables.
 _LOGS = {".bag", ".db3", ".mcap", ".ulg", ".tlog", ".ad2cp"}
@@ -94,7 +96,7 @@ def read_table(path: Path, options: TableOptions | None = None, shelf: Shelf | N
     if options.topic:
         from navfilter.io.logs import Shelf
 
-        return _chosen_rows((shelf or Shelf()).table(path, options.topic), options)
+        return _chosen_rows((shelf or Shelf()).table(path, options.topic), options.where)
     if not path.is_file():
         raise MissionError(f"{path} is not a file.")
     if path.stat().st_size == 0:
@@ -106,15 +108,23 @@ def read_table(path: Path, options: TableOptions | None = None, shelf: Shelf | N
 
         table = _columns_of(path, read_arrays(path), options)
     else:
-        table = _read_text(path, _unpack(path), options)
+        if path.suffix.lower() == ".alog" and options.header is None:
+            options = replace(options, header=_ALOG, comment="%", delimiter="whitespace")
+        lines = _chosen_lines(path, options)
+        table = _read_text(path, lines or _unpack(path), options)
+        if lines:
+            # Rows of other names are no loss and need no note.
+            names = tuple(c for c in options.where if isinstance(c.equals, str))
+            table = replace(_chosen_rows(table, names), notes=table.notes)
+            options = replace(options, where=tuple(c for c in options.where if c not in names))
     if not table.columns or all(column.shape[0] == 0 for column in table.columns.values()):
         raise MissionError(f"{path} holds no rows of data.")
-    return _chosen_rows(table, options)
+    return _chosen_rows(table, options.where)
 
 
-def _chosen_rows(table: Table, options: TableOptions) -> Table:
+def _chosen_rows(table: Table, conditions: tuple[Where, ...]) -> Table:
     """The rows that fulfil all conditions; how many did not is noted."""
-    for condition in options.where:
+    for condition in conditions:
         keep = condition.rows(table)
         notes = table.notes
         if not keep.any():
@@ -125,6 +135,25 @@ def _chosen_rows(table: Table, options: TableOptions) -> Table:
         columns = {key: column[keep] if column.shape[0] == keep.size else column for key, column in table.columns.items()}
         table = replace(table, columns=columns, notes=notes)
     return table
+
+
+def _chosen_lines(path: Path, options: TableOptions) -> bytes:
+    """Of a long table (time, name, value) only the head and the lines that hold the texts asked for: it may be large."""
+    texts = [c.equals for c in options.where if isinstance(c.equals, str)]
+    if not texts or any(condition.equals == "" for condition in options.where):
+        return b""
+    from collections import Counter
+
+    from navfilter.io.logs.lines import lines
+
+    wanted = [text.encode() for text in texts]
+    kept, rows = [], 0
+    for line in lines(path, Counter()):
+        # What precedes the rows (header, comments) decides how they are read; the first row is dropped again by `where`.
+        rows += bool(_before(line.decode("utf-8-sig", "replace"), options.comment)) if rows <= options.skip_lines + 2 else 0
+        if rows <= options.skip_lines + 2 or all(text in line for text in wanted):
+            kept.append(line)
+    return b"\n".join(kept)
 
 
 def _unpack(path: Path) -> bytes:

@@ -61,7 +61,10 @@ class Format:
 
 FORMATS: tuple[Format, ...] = (
     Format("a ROS bag", "ros", (".bag", ".db3", ".mcap"), "rosbags", "ros"),
-    Format("NMEA 0183", "nmea", (".nmea",), "pynmeagps", "nmea", rb"[$!][A-Z]{2}[A-Z0-9]{3,6},[^*\r\n]*\*[0-9A-Fa-f]{2}"),
+    Format("a MOOS log", "moos", (".alog",)),
+    Format(
+        "NMEA 0183", "nmea", (".nmea",), "pynmeagps", "nmea", rb"[$!][A-Z]{2}[A-Z0-9]{3,6},[^*\r\n]*\*[0-9A-Fa-f]{2}"
+    ),
 )
 
 
@@ -70,15 +73,13 @@ def format_of(path: Path) -> Format | None:
     if path.is_dir():
         return FORMATS[0] if (path / "metadata.yaml").exists() else None
     for known in FORMATS:
-        if path.suffix.lower() in known.suffixes:
+        if any(ending.lower() in known.suffixes for ending in path.suffixes[-2:]):
             return known
     head = first_bytes(path)
     return next((known for known in FORMATS if known.pattern and re.search(known.pattern, head)), None)
 
 
-def records_of(
-    path: Path, wanted: Callable[[str], bool], tally: Counter[str]
-) -> Iterator[tuple[str, float, Any]]:
+def records_of(path: Path, wanted: Callable[[str], bool], tally: Counter[str]) -> Iterator[tuple[str, float, Any]]:
     """All records of the topics wanted: topic, time [s] by the log's own clock, and the record.
 
     Parameters
@@ -97,7 +98,9 @@ def records_of(
     known = format_of(path)
     if known is None:
         endings = ", ".join(suffix for one in FORMATS for suffix in one.suffixes)
-        raise MissionError(f"{path} is no log that navfilter knows (known: {endings}, NMEA); leave topic out for a table.")
+        raise MissionError(
+            f"{path} is no log that navfilter knows (known: {endings}, NMEA); leave topic out for a table."
+        )
     yield from known.load().records(path, wanted, tally)
 
 

@@ -18,7 +18,14 @@ def bar(items: Iterable[Item], path: Path, total: int | None, unit: str) -> Iter
     from tqdm import tqdm
 
     yield from tqdm(
-        items, desc=path.name, total=total, unit=f" {unit}", delay=_PATIENCE_S, disable=None, leave=False, unit_scale=True
+        items,
+        desc=path.name,
+        total=total,
+        unit=f" {unit}",
+        delay=_PATIENCE_S,
+        disable=None,
+        leave=False,
+        unit_scale=True,
     )
 
 
