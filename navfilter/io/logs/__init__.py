@@ -61,6 +61,7 @@ class Format:
 
 FORMATS: tuple[Format, ...] = (
     Format("a ROS bag", "ros", (".bag", ".db3", ".mcap"), "rosbags", "ros"),
+    Format("a Water Linked log", "waterlinked", (), pattern=rb'"format": ?"json_v'),
     Format("a MOOS log", "moos", (".alog",)),
     Format(
         "NMEA 0183", "nmea", (".nmea",), "pynmeagps", "nmea", rb"[$!][A-Z]{2}[A-Z0-9]{3,6},[^*\r\n]*\*[0-9A-Fa-f]{2}"
@@ -97,9 +98,9 @@ def records_of(path: Path, wanted: Callable[[str], bool], tally: Counter[str]) -
     """
     known = format_of(path)
     if known is None:
-        endings = ", ".join(suffix for one in FORMATS for suffix in one.suffixes)
+        endings = ", ".join(f"{one.title} ({', '.join(one.suffixes) or 'any ending'})" for one in FORMATS)
         raise MissionError(
-            f"{path} is no log that navfilter knows (known: {endings}, NMEA); leave topic out for a table."
+            f"{path} is no log that navfilter knows (known: {endings}); leave topic out for a table."
         )
     yield from known.load().records(path, wanted, tally)
 
