@@ -3,6 +3,7 @@
 import json
 
 import numpy as np
+import pytest
 
 import navfilter as nf
 from navfilter.io.logs import Shelf, format_of
@@ -54,7 +55,7 @@ attitude = {columns = ["roll", "pitch", "yaw"], unit = "deg"}
     dvl = mission.streams["dvl"]
     np.testing.assert_array_equal(dvl.value, [[0.5, -0.1, 0.02], [0.51, -0.1, 0.02], [0.53, -0.1, 0.02]])
     np.testing.assert_allclose(dvl.time_s, 1e-6 * VALID_US + np.array([0.0, 0.1, 0.3]), atol=1e-6)
-    assert np.degrees(mission.streams["attitude"].value[0, 2]) == 19.3
+    assert np.degrees(mission.streams["attitude"].value[0, 2]) == pytest.approx(19.3)
     notes = " ".join(mission.notes)
     for reason in ("1 reports cut short", "1 lines without a report", "1 of 4 rows left out by where (velocity_valid = true)"):
         assert reason in notes

@@ -11,7 +11,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["TopicColumns", "leaves"]
+__all__ = ["LOG_TIME", "TopicColumns", "leaves"]
+
+Array = npt.NDArray[np.float64]
 
 #: Longer sequences (images, point clouds, spectra) are no columns.
 _LONGEST_SEQUENCE = 36
@@ -47,8 +49,11 @@ class TopicColumns:
     def __len__(self) -> int:
         return len(self._times)
 
-    def put(self, time_s: float, record: Any) -> None:
-        """Append one record."""
+    def put(self, time_s: float | Array, record: Any) -> None:
+        """Append one record, or many: their times and a mapping of arrays."""
+        if isinstance(time_s, np.ndarray):
+            self._put_block(time_s, record)
+            return
         if self._get is None:
             self._begin(record)
         try:
@@ -60,6 +65,16 @@ class TopicColumns:
         for name, cells in self._texts.items():
             found = _field(record, name)
             cells.append(found if isinstance(found, str) else "" if found is None else str(found))
+
+    def _put_block(self, time_s: Array, record: Mapping[str, npt.NDArray[Any]]) -> None:
+        if not self.fields:
+            self.fields = tuple(record)
+            self._names = list(self.fields) if self._wanted is None else self._wanted
+            self._doubtful = [name for name in self._names if name not in record]
+        lacking = np.full(time_s.size, np.nan)
+        rows = np.column_stack([lacking, *(record.get(name, lacking) for name in self._names)])[:, 1:]
+        self._times.frombytes(np.ascontiguousarray(time_s, dtype=np.float64).tobytes())
+        self._numbers.frombytes(np.ascontiguousarray(rows, dtype=np.float64).tobytes())
 
     def absent(self) -> list[str]:
         """The wanted fields that no record has."""

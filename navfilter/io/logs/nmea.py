@@ -11,7 +11,7 @@ from __future__ import annotations
 import datetime
 import re
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import reduce
 from operator import xor
 from pathlib import Path
@@ -21,6 +21,7 @@ from pynmeagps import NMEAReader
 from pynmeagps.exceptions import NMEAMessageError, NMEAParseError, NMEAStreamError, NMEATypeError
 
 from navfilter.io.logs.carrying import Carrier
+from navfilter.io.logs.choosing import Wanted
 from navfilter.io.logs.lines import lines
 
 __all__ = ["records", "short_name"]
@@ -51,7 +52,7 @@ def short_name(topic: str) -> str:
     return topic if topic.startswith(("P", "DVPD")) else topic[2:]
 
 
-def records(path: Path, wanted: Callable[[str], bool], tally: Counter[str]) -> Iterator[tuple[str, float, Any]]:
+def records(path: Path, wanted: Wanted, tally: Counter[str]) -> Iterator[tuple[str, float, Any]]:
     """See `navfilter.io.logs`."""
     carrier = Carrier(_first_date(path), tally)
     for line in lines(path, tally):

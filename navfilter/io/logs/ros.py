@@ -7,7 +7,7 @@ The time of a record is that of its reception by the recorder; instruments' own 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ from typing import Any
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
+from navfilter.io.logs.choosing import Wanted
 from navfilter.io.logs.progress import bar
 from navfilter.mission import MissionError
 
@@ -29,7 +30,7 @@ _REPAIR = {
 _HEAVY = ("Image", "CompressedImage", "PointCloud2", "LaserScan", "OccupancyGrid", "TFMessage", "MarkerArray", "Log")
 
 
-def records(path: Path, wanted: Callable[[str], bool], tally: Counter[str]) -> Iterator[tuple[str, float, Any]]:
+def records(path: Path, wanted: Wanted, tally: Counter[str]) -> Iterator[tuple[str, float, Any]]:
     """See `navfilter.io.logs`."""
     with _opened(path) as reader:
         chosen = []

@@ -9,16 +9,17 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from navfilter.io.logs.choosing import Wanted
 from navfilter.io.logs.lines import lines
 
 __all__ = ["records"]
 
 
-def records(path: Path, wanted: Callable[[str], bool], tally: Counter[str]) -> Iterator[tuple[str, float, Any]]:
+def records(path: Path, wanted: Wanted, tally: Counter[str]) -> Iterator[tuple[str, float, Any]]:
     """See `navfilter.io.logs`."""
     elapsed_s = 0.0
     for line in lines(path, tally):
