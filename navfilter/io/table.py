@@ -30,11 +30,14 @@ class Table:
         Arrays of equal or unequal length, in file order.
     notes : tuple of str
         What had to be skipped.
+    units : dict of str to str
+        Units of columns where the file itself says so; they hold where the mapping says nothing.
     """
 
     path: str
     columns: Mapping[str, npt.NDArray[Any]]
     notes: tuple[str, ...] = field(default=())
+    units: Mapping[str, str] = field(default_factory=dict)
 
     def raw(self, reference: str | int) -> npt.NDArray[Any]:
         """A column as it stands in the file (numbers or text); reference is its name or its 0-based position."""

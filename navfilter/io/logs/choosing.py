@@ -28,6 +28,8 @@ class Wanted:
         self._names = names
         self._short = short
         self._answers: dict[str, tuple[str, ...]] = {}
+        #: Topic -> field -> unit, where the log itself says so; filled by the reader.
+        self.units: dict[str, dict[str, str]] = {}
 
     def __call__(self, topic: str) -> bool:
         return bool(self.asked_as(topic))

@@ -51,6 +51,7 @@ class Format:
 
 FORMATS: tuple[Format, ...] = (
     Format("a ROS bag", "ros", (".bag", ".db3", ".mcap"), "rosbags", "ros"),
+    Format("an ArduPilot log", "ardupilot", (".bin", ".tlog"), "pymavlink", "ardupilot"),
     Format("a Water Linked log", "waterlinked", (), pattern=rb'"format": ?"json_v'),
     Format("a PX4 log", "ulog", (".ulg",), "pyulog", "px4"),
     Format("a MOOS log", "moos", (".alog",)),

@@ -125,7 +125,7 @@ def leaves(record: Any, prefix: str = "") -> Iterator[str]:
     if isinstance(record, Mapping):
         parts = [(str(key), value) for key, value in record.items()]
     else:
-        names = getattr(record, "__dataclass_fields__", None) or vars(record)
+        names = getattr(record, "__dataclass_fields__", None) or getattr(record, "_fieldnames", None) or vars(record)
         parts = [(name, getattr(record, name)) for name in names if not name.startswith("_")]
     for key, value in parts:
         name = f"{prefix}.{key}" if prefix else key

@@ -66,9 +66,12 @@ def _read(path: Path, columns: Mapping[str, Collection[str] | None]) -> dict[str
         tally[f"cells of {name} are no numbers"] += topic_columns.unreadable
     notes = tuple(f"{path.name}: {count} {reason}" for reason, count in tally.items() if count)
     # What was dropped was dropped once, from the log: the first of its tables says so.
-    tables = {name: Table(f"{path} {name}", part.columns()) for name, part in gathered.items()}
-    first = next(iter(tables))
-    return {**tables, first: Table(tables[first].path, tables[first].columns, notes)}
+    tables = {}
+    for name, part in gathered.items():
+        units = wanted.units.get(next(iter(answers[name])), {})
+        tables[name] = Table(f"{path} {name}", part.columns(), notes, units)
+        notes = ()
+    return tables
 
 
 def _check_one(path: Path, name: str, topics: Counter[str], wanted: Wanted) -> None:
