@@ -37,12 +37,18 @@ attitude = ["Roll", "Pitch", "Yaw"]
     )
     mission = nf.read_mission(tmp_path)
     imu = mission.streams["imu"]
-    assert {name: len(stream) for name, stream in mission.streams.items()} == {"imu": 594, "compass": 237, "attitude": 237}
+    assert {name: len(stream) for name, stream in mission.streams.items()} == {
+        "imu": 594,
+        "compass": 237,
+        "attitude": 237,
+    }
     assert imu.time_s[0] == pytest.approx(265.678654, abs=1e-9)
     np.testing.assert_array_equal(imu.value[0, [0, 5]], np.float32([-0.007749793119728565, -9.770174026489258]))
     # mGauss and degrees: by the log's own UNIT and MULT, nothing is said in the mission.toml.
     np.testing.assert_allclose(mission.streams["compass"].value[0], np.array([-140, 63, 900]) * 1e-7, rtol=1e-12)
-    np.testing.assert_allclose(np.degrees(mission.streams["attitude"].value[0]), [-0.08, -0.63, 213.93 - 360], atol=1e-9)
+    np.testing.assert_allclose(
+        np.degrees(mission.streams["attitude"].value[0]), [-0.08, -0.63, 213.93 - 360], atol=1e-9
+    )
 
 
 def test_a_unit_of_the_log_must_fit(log_sample, tmp_path):

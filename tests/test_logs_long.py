@@ -54,7 +54,9 @@ def test_a_value_of_pairs_is_a_field_each(tmp_path):
 
 
 def test_any_long_table_with_a_header(tmp_path):
-    rows = [f"{0.1 * k:.1f},{name},{k + 100 * j}" for k in range(200) for j, name in enumerate(("yaw", "pitch", "yaw rate"))]
+    rows = [
+        f"{0.1 * k:.1f},{name},{k + 100 * j}" for k in range(200) for j, name in enumerate(("yaw", "pitch", "yaw rate"))
+    ]
     (tmp_path / "log.csv").write_text("t,signal,value\n" + "\n".join(rows) + "\n")
     table = read_table(tmp_path / "log.csv", TableOptions(where=(Where(column="signal", equals="yaw"),)))
     np.testing.assert_array_equal(table.numbers("value")[0], np.arange(200.0))

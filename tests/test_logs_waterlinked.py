@@ -23,7 +23,15 @@ def velocity(k, valid=True, **others):
 
 
 def position(k):
-    return {"ts": 1_638_191_471.5 + 0.2 * k, "x": 12.4, "y": 64.6, "z": 1.8, "std": 0.002, "roll": 0.6, "pitch": 0.6} | {
+    return {
+        "ts": 1_638_191_471.5 + 0.2 * k,
+        "x": 12.4,
+        "y": 64.6,
+        "z": 1.8,
+        "std": 0.002,
+        "roll": 0.6,
+        "pitch": 0.6,
+    } | {
         "yaw": 19.3,
         "type": "position_local",
         "status": 0,
@@ -57,7 +65,11 @@ attitude = {columns = ["roll", "pitch", "yaw"], unit = "deg"}
     np.testing.assert_allclose(dvl.time_s, 1e-6 * VALID_US + np.array([0.0, 0.1, 0.3]), atol=1e-6)
     assert np.degrees(mission.streams["attitude"].value[0, 2]) == pytest.approx(19.3)
     notes = " ".join(mission.notes)
-    for reason in ("1 reports cut short", "1 lines without a report", "1 of 4 rows left out by where (velocity_valid = true)"):
+    for reason in (
+        "1 reports cut short",
+        "1 lines without a report",
+        "1 of 4 rows left out by where (velocity_valid = true)",
+    ):
         assert reason in notes
 
 

@@ -91,12 +91,12 @@ def read_table(path: Path, options: TableOptions | None = None, shelf: Shelf | N
         If the file is missing, empty, truncated, not what its name says, or lacks the table asked for.
     """
     options = options or TableOptions()
-    if not path.exists():
-        raise MissionError(f"{path}: no such file. Check the path and the environment variables in it.")
     if options.topic:
         from navfilter.io.logs import Shelf
 
         return _chosen_rows((shelf or Shelf()).table(path, options.topic), options.where)
+    if not path.exists():
+        raise MissionError(f"{path}: no such file. Check the path and the environment variables in it.")
     if not path.is_file():
         raise MissionError(f"{path} is not a file.")
     if path.stat().st_size == 0:

@@ -51,8 +51,14 @@ def records(path: Path, wanted: Wanted, tally: Counter[str]) -> Iterator[tuple[s
         if not wanted(topic):
             continue
         if topic not in wanted.units:
-            stated = message.fieldunits_by_name if telemetry else dict(zip(_fields(message), message.fmt.units or (), strict=False))
-            wanted.units[topic] = {field: _UNITS.get(unit, unit) for field, unit in stated.items() if unit not in ("", "instance")}
+            stated = (
+                message.fieldunits_by_name
+                if telemetry
+                else dict(zip(_fields(message), message.fmt.units or (), strict=False))
+            )
+            wanted.units[topic] = {
+                field: _UNITS.get(unit, unit) for field, unit in stated.items() if unit not in ("", "instance")
+            }
         name = message.get_type()
         yield topic, message._timestamp, _with_velocity(name, message) if name in _DELTAS else message
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections import Counter
 from collections.abc import Collection, Mapping
 from pathlib import Path
@@ -23,7 +24,7 @@ class Shelf:
     Parameters
     ----------
     wanted : mapping of Path to (mapping of str to (collection of str or None)), optional
-        Log -> topic -> columns (None: all). A topic asked for that is not in it is read by itself.
+        Log, or a pattern of several that follow one another -> topic -> columns (None: all). A topic asked for that is not in it is read by itself.
     """
 
     def __init__(self, wanted: Mapping[Path, Mapping[str, Collection[str] | None]] | None = None) -> None:
@@ -48,12 +49,13 @@ class Shelf:
 
 
 def _read(path: Path, columns: Mapping[str, Collection[str] | None]) -> dict[str, Table]:
-    module = log_format(path).load()
+    paths = _files(path)
+    module = log_format(paths[0]).load()
     wanted = Wanted(columns, getattr(module, "short_name", without_instance))
     gathered = {name: TopicColumns(fields) for name, fields in columns.items()}
     answers: dict[str, Counter[str]] = {name: Counter() for name in columns}
     tally: Counter[str] = Counter()
-    for topic, time_s, record in module.records(path, wanted, tally):
+    for topic, time_s, record in itertools.chain.from_iterable(module.records(one, wanted, tally) for one in paths):
         for name in wanted.asked_as(topic):
             answers[name][topic] += np.size(time_s)
             gathered[name].put(time_s, record)
@@ -72,6 +74,17 @@ def _read(path: Path, columns: Mapping[str, Collection[str] | None]) -> dict[str
         tables[name] = Table(f"{path} {name}", part.columns(), notes, units)
         notes = ()
     return tables
+
+
+def _files(path: Path) -> list[Path]:
+    """The files of a pattern such as ``segment_*.dat``, in the order of their names; one file as it is."""
+    if "*" not in path.name:
+        if not path.exists():
+            raise MissionError(f"{path}: no such file. Check the path and the environment variables in it.")
+        return [path]
+    if not (found := sorted(path.parent.glob(path.name))):
+        raise MissionError(f"{path}: no file fits this pattern.")
+    return found
 
 
 def _check_one(path: Path, name: str, topics: Counter[str], wanted: Wanted) -> None:
