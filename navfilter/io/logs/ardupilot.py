@@ -43,6 +43,10 @@ _DELTAS: dict[str, tuple[str, float, tuple[str, str, str]]] = {
 }
 
 
+#: Messages that describe the log itself.
+_DESCRIPTIONS = ("FMT", "FMTU", "UNIT", "MULT")
+
+
 def records(path: Path, wanted: Wanted, tally: Counter[str]) -> Iterator[tuple[str, float, Any]]:
     """See `navfilter.io.logs`."""
     telemetry = path.suffix.lower() == ".tlog"
@@ -69,7 +73,7 @@ def _dataflash(path: Path, wanted: Wanted) -> Iterator[tuple[str, Any]]:
     except Exception as error:  # struct's, mmap's and its own plain Exception on broken files
         raise _unreadable(path, error) from None
     # Others are skipped without being decoded; a clock without GPS needs none of them.
-    names = [name for name in log.name_to_id if wanted.family(name)]
+    names = [name for name in log.name_to_id if name not in _DESCRIPTIONS and wanted.family(name)]
     total = sum(log.counts[log.name_to_id[name]] for name in names)
     for message in bar(iter(lambda: log.recv_match(type=names), None), path, total, "messages"):
         kind = message.fmt

@@ -15,7 +15,7 @@ from navfilter.io.logs.gathering import LOG_TIME, TopicColumns
 from navfilter.io.table import Table, listing
 from navfilter.mission import MissionError
 
-__all__ = ["Shelf"]
+__all__ = ["Shelf", "files_of"]
 
 
 class Shelf:
@@ -24,7 +24,8 @@ class Shelf:
     Parameters
     ----------
     wanted : mapping of Path to (mapping of str to (collection of str or None)), optional
-        Log, or a pattern of several that follow one another -> topic -> columns (None: all). A topic asked for that is not in it is read by itself.
+        Log, or a pattern of several that follow one another -> topic -> columns (None: all). A topic asked for that
+        is not in it is read by itself.
     """
 
     def __init__(self, wanted: Mapping[Path, Mapping[str, Collection[str] | None]] | None = None) -> None:
@@ -49,7 +50,7 @@ class Shelf:
 
 
 def _read(path: Path, columns: Mapping[str, Collection[str] | None]) -> dict[str, Table]:
-    paths = _files(path)
+    paths = files_of(path)
     module = log_format(paths[0]).load()
     wanted = Wanted(columns, getattr(module, "short_name", without_instance))
     gathered = {name: TopicColumns(fields) for name, fields in columns.items()}
@@ -76,7 +77,7 @@ def _read(path: Path, columns: Mapping[str, Collection[str] | None]) -> dict[str
     return tables
 
 
-def _files(path: Path) -> list[Path]:
+def files_of(path: Path) -> list[Path]:
     """The files of a pattern such as ``segment_*.dat``, in the order of their names; one file as it is."""
     if "*" not in path.name:
         if not path.exists():
