@@ -11,12 +11,15 @@ from pathlib import Path
 
 import numpy as np
 
+from navfilter.alignment import align
 from navfilter.io.logs.draft_vehicle import LIKE, vehicle_text
 from navfilter.io.logs.known import READINGS, Use, uses_of
 from navfilter.io.logs.survey import Survey, Topic
 from navfilter.io.mission_toml import read_mission_toml
 from navfilter.io.vehicle_toml import read_vehicle
-from navfilter.mission import Mission, MissionError
+from navfilter.mission import Mission, MissionError, Stream
+from navfilter.sensors import Heading, Position
+from navfilter.start import Start
 from navfilter.vehicle import Vehicle
 
 __all__ = ["Draft", "draft"]
@@ -29,11 +32,14 @@ _STEADY_S = 1.0
 _CORRECTING = (
     ("compass", ("heading", "magnetic", "field")),
     ("dvl", ("velocity",)),
+    ("odometry", ("odometry",)),
     ("depth", ("depth", "pressure")),
     ("gps", ("position",)),
 )
 _ATTITUDES = ("attitude", "heading", "magnetic", "course")
-_VELOCITIES = ("velocity", "water", "speed")
+_VELOCITIES = ("velocity", "odometry", "water", "speed")
+#: Without any of these an inertial unit drifts away within a minute.
+_AIDS = ("velocity", "odometry", "position")
 
 
 @dataclass(frozen=True)
@@ -137,9 +143,10 @@ def _vehicle(text: str) -> Vehicle:
 
 def _driving(found: Survey, uses: list[tuple[Topic, Use]], like: str) -> tuple[list[_Stream], str]:
     imu = [(topic, use) for topic, use in uses if use.reading == "imu" and topic.rate_hz >= _SLOWEST_IMU_HZ]
-    if imu and (not like or LIKE[like].drive == "imu"):
-        return [_stream("imu", *imu[0])], "imu"
     attitude = _first(uses, _ATTITUDES)
+    aided = _first(uses, _AIDS) is not None or attitude is None
+    if imu and aided and (not like or LIKE[like].drive == "imu"):
+        return [_stream("imu", *imu[0])], "imu"
     if attitude is None:
         known = ", ".join(f"{topic.name} ({READINGS[use.reading]})" for topic, use in uses) or "none of a known kind"
         raise MissionError(
@@ -237,38 +244,58 @@ def _mission_text(found: Survey, streams: list[_Stream], clock: str, file: str, 
 
 def _start(vehicle: Vehicle, mission: Mission) -> str:
     """A [start] where the mission's own readings give none; empty where they do."""
-    from navfilter.alignment import align
+    reasons: list[str] = []
+    for assumed in ((), ("position",), ("position", "heading")):
+        try:
+            start = align(*_assuming(vehicle, mission, assumed))
+        except ValueError as error:
+            reasons.append(_one_line(error).removeprefix("no start: ").split(". ")[0].split(" (")[0].rstrip("."))
+            continue
+        return _start_text(start, assumed, reasons) if assumed else ""
+    return _start_text(
+        Start(time_s=_first_s(vehicle, mission), latitude_deg=0.0, longitude_deg=0.0, tilt_sd_deg=5.0),
+        ("position", "heading", "level"),
+        reasons,
+    )
 
-    try:
-        align(vehicle, mission)
-        return ""
-    except ValueError as error:
-        reason = _one_line(error).removeprefix("no start: ").split(". ")[0].split(" (")[0]
-    fixes = mission.streams.get("gps")
-    place, known_s = (0.0, 0.0), 0.0
-    if fixes is not None and np.isfinite(fixes.value[:, :2]).all(axis=1).any():
-        row = int(np.argmax(np.isfinite(fixes.value[:, :2]).all(axis=1)))
-        place, known_s = tuple(np.degrees(fixes.value[row, :2])), float(fixes.time_s[row])
+
+def _assuming(vehicle: Vehicle, mission: Mission, what: tuple[str, ...]) -> tuple[Vehicle, Mission]:
+    """Vehicle and mission with one reading of each sensor that is lacking for an alignment: at 0, 0, heading north."""
+    at = np.array([_first_s(vehicle, mission)])
+    sensors, streams = dict(vehicle.sensors), dict(mission.streams)
+    if "position" in what and "gps" not in streams:
+        sensors["assumed_position"] = Position()
+        streams["assumed_position"] = Stream(at, np.zeros((1, 3)), ("latitude_rad", "longitude_rad", "height_m"))
+    if "heading" in what:
+        sensors = {name: sensor for name, sensor in sensors.items() if not isinstance(sensor, Heading)}
+        sensors["assumed_heading"] = Heading()
+        streams["assumed_heading"] = Stream(at, np.zeros((1, 1)), ("heading_rad",))
+    return replace(vehicle, sensors=sensors), replace(mission, streams=streams)
+
+
+def _first_s(vehicle: Vehicle, mission: Mission) -> float:
     drive = mission.streams[vehicle.drive.streams[0]]
-    usable = drive.time_s[np.isfinite(drive.value).all(axis=1) & (drive.time_s >= known_s)]
-    heading = drive.columns.index("yaw_rad") if "yaw_rad" in drive.columns else None
-    degrees = (
-        0.0 if heading is None else float(np.degrees(drive.value[np.searchsorted(drive.time_s, usable[0]), heading]))
-    )
-    return "\n".join(
-        [
-            f"{GUESS}where and how the mission begins, because {reason}",
-            "[start]",
-            f"time_s = {usable[0] if usable.size else 0.0:.3f}",
-            f"latitude_deg = {place[0]:.7f}",
-            f"longitude_deg = {place[1]:.7f}",
-            f"heading_deg = {degrees:.1f}",
-            f"heading_sd_deg = {5.0 if heading is not None else 60.0}",
-            "tilt_sd_deg = 5.0",
-            "velocity_sd_m_s = 1.0",
-            "",
-        ]
-    )
+    usable = np.isfinite(drive.value).all(axis=1)
+    return float(drive.time_s[np.argmax(usable)])
+
+
+def _start_text(start: Start, assumed: tuple[str, ...], reasons: list[str]) -> str:
+    unknown = {"position": "at 0, 0", "heading": "heading north", "level": "level and at rest"}
+    lines = [
+        f"{GUESS}the beginning, {', '.join(unknown[key] for key in assumed)}: {reasons[0]}",
+        "[start]",
+        f"time_s = {start.time_s:.3f}",
+        f"latitude_deg = {start.latitude_deg:.7f}",
+        f"longitude_deg = {start.longitude_deg:.7f}",
+        f"velocity_n = [{', '.join(f'{speed:.3f}' for speed in start.velocity_n)}]",
+        f"roll_deg = {start.roll_deg:.2f}",
+        f"pitch_deg = {start.pitch_deg:.2f}",
+        f"heading_deg = {start.heading_deg:.1f}",
+        f"tilt_sd_deg = {max(start.tilt_sd_deg, 1.0):.2f}",
+        f"heading_sd_deg = {30.0 if 'heading' in assumed else 5.0}",
+        "velocity_sd_m_s = 0.5",
+    ]
+    return "\n".join(lines) + "\n"
 
 
 def _one_line(error: ValueError) -> str:

@@ -23,14 +23,18 @@ class Like:
         In words.
     drive : str
         ``"imu"`` or ``"dead-reckoning"``.
-    gyro, accel, heading, tilt, velocity, water, depth, position : str
+    gyro_density, accel_density : float
+        White noise of an inertial unit at rest [rad/s/sqrt(Hz)], [m/s^2/sqrt(Hz)].
+    gyro_bias, accel_bias, heading, tilt, velocity, water, depth, position : str
         Error models, as a vehicle.toml has them.
     """
 
     about: str
     drive: str
-    gyro: str
-    accel: str
+    gyro_density: float
+    gyro_bias: str
+    accel_density: float
+    accel_bias: str
     heading: str
     tilt: str
     velocity: str
@@ -39,27 +43,24 @@ class Like:
     position: str
 
 
-_MEMS_GYRO = (
-    '[{model = "white", density_deg_per_sqrt_h = 0.6},'
-    ' {model = "random-walk", density_deg_per_h_per_sqrt_h = 20.0, start_sd_deg_per_h = 600.0}]'
+_MEMS = (
+    1.7e-4,
+    '{model = "random-walk", density_deg_per_h_per_sqrt_h = 20.0, start_sd_deg_per_h = 600.0}',
+    3e-3,
+    '{model = "random-walk", density = 2e-5, start_sd_mg = 20.0}',
 )
-_MEMS_ACCEL = (
-    '[{model = "white", density_ug_per_sqrt_hz = 300.0}, {model = "random-walk", density = 2e-5, start_sd_mg = 20.0}]'
-)
-_FINE_GYRO = (
-    '[{model = "white", density_deg_per_sqrt_h = 0.05},'
-    ' {model = "random-walk", density_deg_per_h_per_sqrt_h = 0.5, start_sd_deg_per_h = 5.0}]'
-)
-_FINE_ACCEL = (
-    '[{model = "white", density_ug_per_sqrt_hz = 100.0}, {model = "random-walk", density = 8e-6, start_sd_mg = 1.0}]'
+_FINE = (
+    1.5e-5,
+    '{model = "random-walk", density_deg_per_h_per_sqrt_h = 0.5, start_sd_deg_per_h = 5.0}',
+    1e-3,
+    '{model = "random-walk", density = 8e-6, start_sd_mg = 1.0}',
 )
 
 LIKE = {
     "bluerov2": Like(
         "a small vehicle with a micromechanical inertial unit, magnetometer, DVL and an acoustic positioning system",
         "imu",
-        _MEMS_GYRO,
-        _MEMS_ACCEL,
+        *_MEMS,
         '[{model = "gauss-markov", sd_deg = 3.0, tau_s = 60}, {model = "white", sd_deg = 1.0}]',
         '{model = "white", sd_deg = 1.0}',
         '[{model = "gauss-markov", sd = 0.02, tau_s = 5}, {model = "white", sd = 0.02}]',
@@ -70,8 +71,7 @@ LIKE = {
     "survey": Like(
         "a survey vehicle with a tactical inertial unit or better, DVL and GPS",
         "imu",
-        _FINE_GYRO,
-        _FINE_ACCEL,
+        *_FINE,
         '{model = "gauss-markov", sd_deg = 0.6, tau_s = 30}',
         '{model = "white", sd_deg = 0.3}',
         '{model = "white", sd = 0.01}',
@@ -82,8 +82,7 @@ LIKE = {
     "glider": Like(
         "a glider: compass and depth, no velocity, fixes between dives, a current as large as its own speed",
         "dead-reckoning",
-        _MEMS_GYRO,
-        _MEMS_ACCEL,
+        *_MEMS,
         '[{model = "gauss-markov", sd_deg = 3.0, tau_s = 600}, {model = "white", sd_deg = 1.0}]',
         '{model = "white", sd_deg = 1.0}',
         '{model = "gauss-markov", sd = 0.3, tau_s = 3600}',
@@ -94,8 +93,7 @@ LIKE = {
     "yacht": Like(
         "a boat: compass, speed through the water, GPS",
         "dead-reckoning",
-        _MEMS_GYRO,
-        _MEMS_ACCEL,
+        *_MEMS,
         '[{model = "gauss-markov", sd_deg = 4.0, tau_s = 120}, {model = "white", sd_deg = 1.5}]',
         '{model = "white", sd_deg = 5.0}',
         '[{model = "gauss-markov", sd = 0.05, tau_s = 60}, {model = "white", sd = 0.1}]',
@@ -104,6 +102,8 @@ LIKE = {
         '[{model = "gauss-markov", sd = 2.0, tau_s = 60}, {model = "white", sd = 1.0}]',
     ),
 }
+#: Wheels slip, cameras lose their scale.
+_ODOMETRY = '[{model = "gauss-markov", sd = 0.2, tau_s = 2}, {model = "white", sd = 0.1}]'
 #: How far off a speed is that nobody measured.
 _UNKNOWN_SPEED = '{model = "gauss-markov", sd = 0.5, tau_s = 120}'
 
@@ -135,8 +135,7 @@ def vehicle_text(mission: Mission, readings: dict[str, str], drive: str, like: s
             "[drive]",
             'type = "imu"',
             _rate(mission.streams["imu"]),
-            f"gyro = {kind.gyro}",
-            f"accel = {kind.accel}",
+            *_inertial(mission.streams["imu"], kind),
             "",
         ]
     else:
@@ -149,13 +148,28 @@ def vehicle_text(mission: Mission, readings: dict[str, str], drive: str, like: s
             *_north(mission, readings["attitude"]),
             "",
         ]
-        speeds = {"none": _UNKNOWN_SPEED, "water": kind.water}
+        speeds = {"none": _UNKNOWN_SPEED, "water": kind.water, "odometry": _ODOMETRY}
         error = speeds.get(readings["velocity"], kind.velocity)
         lines += ["[drive.velocity]", 'type = "body-velocity"', f"error = {error}", "zero_is_invalid = false", ""]
-    for name in ("compass", "dvl", "depth", "gps"):
+    for name in ("compass", "dvl", "odometry", "depth", "gps"):
         if name in readings:
             lines += [f"[sensors.{name}]", *_sensor(name, readings[name], kind, mission), ""]
     return "\n".join(lines).rstrip() + "\n"
+
+
+def _inertial(stream: Stream, kind: Like) -> list[str]:
+    """The errors of gyros and accelerometers; the scatter from sample to sample is also the vehicle's shaking, which aliases."""
+    step_s = float(np.median(np.diff(stream.time_s)))
+    change = np.abs(np.diff(stream.value, axis=0))
+    # Median of |x[k+1] - x[k]| of white noise of sd s: 0.6745 * sqrt(2) * s.
+    density = np.nanmedian(change, axis=0) / (0.6745 * np.sqrt(2.0)) * np.sqrt(step_s)
+    gyro, accel = float(density[:3].max()), float(density[3:6].max())
+    words = f"{GUESS}gyro.white and accel.white: not below the scatter from sample to sample in this log"
+    return [
+        words,
+        f'gyro = [{{model = "white", density = {max(gyro, kind.gyro_density):.2g}}}, {kind.gyro_bias}]',
+        f'accel = [{{model = "white", density = {max(accel, kind.accel_density):.2g}}}, {kind.accel_bias}]',
+    ]
 
 
 def _sensor(name: str, reading: str, kind: Like, mission: Mission) -> list[str]:
@@ -163,6 +177,8 @@ def _sensor(name: str, reading: str, kind: Like, mission: Mission) -> list[str]:
     if name == "compass":
         field = ["magnetometer = true"] if reading == "field" else []
         return ['type = "heading"', rate, f"error = {kind.heading}", *field, *_north(mission, reading)]
+    if name == "odometry":
+        return ['type = "body-velocity"', rate, f"error = {_ODOMETRY}", "zero_is_invalid = false"]
     if name == "dvl":
         return ['type = "body-velocity"', rate, f"error = {kind.velocity}"]
     if name == "depth":

@@ -18,6 +18,7 @@ READINGS = {
     "imu": "turn rates and specific forces",
     "attitude": "roll, pitch and heading",
     "velocity": "velocity over ground in the body's axes",
+    "odometry": "velocity by wheels, camera or another filter",
     "water": "velocity through the water in the body's axes",
     "speed": "speed over ground, from fixes",
     "heading": "heading",
