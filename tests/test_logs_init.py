@@ -21,6 +21,7 @@ LOGS = {
     "ardupilot/ardusub_small.BIN": ({"attitude": 237, "velocity": 237, "depth": 237}, {"depth": 230}),
     "ardupilot/ardusub_small.tlog": ({"depth": 635, "gps": 936}, {"depth": 500, "gps": 700}),
     "px4/sample_log_small.ulg": ({"imu": 1298, "compass": 319, "gps": 32}, {"compass": 300, "gps": 32}),
+    "nortek/VelEchoBT01.ad2cp": ({"attitude": 319, "velocity": 319}, {}),
     "pd0/RDI_withBT.000": ({"attitude": 1721, "velocity": 1721}, {}),
     "pd0/vmdas01_wh.ENX": ({"attitude": 3713, "velocity": 3713, "gps": 3713}, {"gps": 3700}),
 }
@@ -44,7 +45,13 @@ def test_a_log_replays_as_it_is_mapped(log_sample, tmp_path, capsys, log):
 def test_check_takes_a_bare_log(log_sample, capsys):
     assert main(["check", str(log_sample("pd0/vmdas01_wh.ENX"))]) in (0, 1)
     out = capsys.readouterr().out
-    for part in ("navigation", "latitude = 48.0805 deg", "Left out while reading:", "1 ensemble cut short", "gps: 3713 readings"):
+    for part in (
+        "navigation",
+        "latitude = 48.0805 deg",
+        "Left out while reading:",
+        "1 ensemble cut short",
+        "gps: 3713 readings",
+    ):
         assert part in out
 
 
@@ -67,9 +74,7 @@ def test_a_glider_by_a_pattern(log_sample, tmp_path):
 
 def test_a_log_beside_its_mission_is_named_relative_to_it(tmp_path):
     log = tmp_path / "dvl.json"
-    line = (
-        '{"type": "position_local", "ts": %.1f, "x": 0, "y": 0, "z": 0, "roll": 1, "pitch": 2, "yaw": 3, "format": "json_v3"}'
-    )
+    line = '{"type": "position_local", "ts": %.1f, "x": 0, "y": 0, "z": 0, "roll": 1, "pitch": 2, "yaw": 3, "format": "json_v3"}'
     log.write_text("\n".join(line % (1.7e9 + 0.2 * k) for k in range(50)))
     assert main(["mission", str(log), "--init", "--out", str(tmp_path / "dive"), "--quiet"]) == 0
     assert 'file = "../dvl.json"' in (tmp_path / "dive" / "mission.toml").read_text()

@@ -123,6 +123,19 @@ def test_with_a_loggers_stamps_their_differences_count(tmp_path):
     np.testing.assert_allclose(time_s - utc(2024, 6, 1, 12), [0.25, 0.8], atol=1e-6)
 
 
+def test_a_loggers_stamps_alone(tmp_path):
+    path = write(tmp_path / "x.nmea", *(f"1717243200.{k}5 {sentence(f'HEHDT,{k}.0,T')}" for k in range(3)))
+    np.testing.assert_allclose(
+        Shelf().table(path, "HDT").raw("log_time"), 1717243200.05 + 0.1 * np.arange(3), atol=1e-6
+    )
+
+
+def test_without_any_time_the_reason_is_said(tmp_path):
+    path = write(tmp_path / "x.nmea", *(sentence(f"HEHDT,{k}.0,T") for k in range(3)))
+    with pytest.raises(MissionError, match="Left out while reading: 3 sentences before the first time"):
+        Shelf().table(path, "HDT")
+
+
 def test_two_talkers_are_told_apart(tmp_path):
     clock = sentence("GPZDA,120000.00,01,06,2024,00,00")
     path = write(

@@ -53,6 +53,7 @@ FORMATS: tuple[Format, ...] = (
     Format("a ROS bag", "ros", (".bag", ".db3", ".mcap"), "rosbags", "ros"),
     Format("a Teledyne PD0 log", "pd0", (".pd0",), pattern=rb"\A[^\x7f]{0,64}\x7f\x7f[\x00-\xff]{2}\x00[\x02-\x20]"),
     Format("an ArduPilot log", "ardupilot", (".bin", ".tlog"), "pymavlink", "ardupilot"),
+    Format("a Nortek log", "nortek", (".ad2cp",)),
     Format("a Slocum glider's table", "slocum", (), pattern=rb"\Adbd_label:"),
     Format("a Water Linked log", "waterlinked", (), pattern=rb'"format": ?"json_v'),
     Format("a PX4 log", "ulog", (".ulg",), "pyulog", "px4"),

@@ -3,7 +3,7 @@
 A topic is talker and sentence (``GPGGA``; ``GGA`` is enough where only one talker says it). ``log_time`` is UTC: of the
 sentence where it has a time, with the date of the last RMC or ZDA; else that of the last sentence that had one. Where a
 sentence comes several times between two times they are spread evenly; where the logger put a time before each line,
-its differences are used.
+its differences are used, and where no sentence has a time, it alone.
 """
 
 from __future__ import annotations
@@ -54,7 +54,8 @@ def short_name(topic: str) -> str:
 
 def records(path: Path, wanted: Wanted, tally: Counter[str]) -> Iterator[tuple[str, float, Any]]:
     """See `navfilter.io.logs`."""
-    carrier = Carrier(_first_date(path), tally)
+    date, has_times = _first_date(path)
+    carrier = Carrier(date, tally)
     for line in lines(path, tally):
         found = SENTENCE.search(line)
         if found is None:
@@ -73,6 +74,9 @@ def records(path: Path, wanted: Wanted, tally: Counter[str]) -> Iterator[tuple[s
             if wanted(topic) and (record := _record(topic, found, tally)) is not None:
                 yield topic, time_s, record
         elif wanted(topic) and (record := _record(topic, found, tally)) is not None:
+            if received is not None and not has_times:
+                yield topic, received, record
+                continue
             carrier.wait(topic, record, received)
             yield from carrier.settled()
     yield from carrier.rest()
@@ -168,14 +172,18 @@ def _date(fields: list[bytes]) -> datetime.date | None:
     return None
 
 
-def _first_date(path: Path) -> datetime.date | None:
-    """The date that the first RMC or ZDA gives, for the sentences before it."""
+def _first_date(path: Path) -> tuple[datetime.date | None, bool]:
+    """The date that the first RMC or ZDA gives, for the sentences before it; whether any sentence has a time."""
+    has_times = False
     for line in lines(path, Counter()):
-        if b"RMC" in line or b"ZDA" in line:
-            found = SENTENCE.search(line)
-            if found is not None and _is_sound(found, Counter()) and (date := _date(found[1].split(b","))):
-                return date
-    return None
+        found = SENTENCE.search(line)
+        if found is None or not _is_sound(found, Counter()):
+            continue
+        fields = found[1].split(b",")
+        has_times = has_times or _time_of_day(fields) is not None
+        if date := _date(fields):
+            return date, has_times
+    return None, has_times
 
 
 def _received(prefix: bytes) -> float | None:

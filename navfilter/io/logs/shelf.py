@@ -61,7 +61,7 @@ def _read(path: Path, columns: Mapping[str, Collection[str] | None]) -> dict[str
             answers[name][topic] += np.size(time_s)
             gathered[name].put(time_s, record)
     for name, topics in answers.items():
-        _check_one(path, name, topics, wanted)
+        _check_one(path, name, topics, wanted, tally)
     for name, topic_columns in gathered.items():
         if absent := topic_columns.absent():
             there = listing([LOG_TIME, *topic_columns.fields])
@@ -88,10 +88,12 @@ def files_of(path: Path) -> list[Path]:
     return found
 
 
-def _check_one(path: Path, name: str, topics: Counter[str], wanted: Wanted) -> None:
+def _check_one(path: Path, name: str, topics: Counter[str], wanted: Wanted, tally: Counter[str]) -> None:
     if len(topics) > 1 and "*" not in name:
         several = " and ".join(f"{topic} ({count} records)" for topic, count in topics.items())
         raise MissionError(f'{path}: topic "{name}" is {several}: name one of them, or "*{name}*" for all.')
     if not topics:
         there = ", ".join(wanted.seen) or "none"
-        raise MissionError(f'{path}: there is no topic "{name}" with any record (topics: {there}).')
+        why = "; ".join(f"{count} {reason}" for reason, count in tally.items() if count)
+        left_out = f" Left out while reading: {why}." if why else ""
+        raise MissionError(f'{path}: there is no topic "{name}" with any record (topics: {there}).{left_out}')
