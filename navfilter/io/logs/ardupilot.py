@@ -10,9 +10,11 @@ time since the autopilot started.
 
 from __future__ import annotations
 
+import contextlib
+import io
 import re
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -50,7 +52,7 @@ _DESCRIPTIONS = ("FMT", "FMTU", "UNIT", "MULT")
 def records(path: Path, wanted: Wanted, tally: Counter[str]) -> Iterator[tuple[str, float, Any]]:
     """See `navfilter.io.logs`."""
     telemetry = path.suffix.lower() == ".tlog"
-    messages = _telemetry(path, tally) if telemetry else _dataflash(path, wanted)
+    messages = _telemetry(path, tally) if telemetry else _dataflash(path, wanted, tally)
     for topic, message in messages:
         if not wanted(topic):
             continue
@@ -67,15 +69,17 @@ def records(path: Path, wanted: Wanted, tally: Counter[str]) -> Iterator[tuple[s
         yield topic, message._timestamp, _with_velocity(name, message) if name in _DELTAS else message
 
 
-def _dataflash(path: Path, wanted: Wanted) -> Iterator[tuple[str, Any]]:
+def _dataflash(path: Path, wanted: Wanted, tally: Counter[str]) -> Iterator[tuple[str, Any]]:
     try:
-        log = DFReader.DFReader_binary(str(path))
+        log = _quietly(lambda: DFReader.DFReader_binary(str(path)), Counter())
     except Exception as error:  # struct's, mmap's and its own plain Exception on broken files
         raise _unreadable(path, error) from None
     # Others are skipped without being decoded; a clock without GPS needs none of them.
     names = [name for name in log.name_to_id if name not in _DESCRIPTIONS and wanted.family(name)]
     total = sum(log.counts[log.name_to_id[name]] for name in names)
-    for message in bar(iter(lambda: log.recv_match(type=names), None), path, total, "messages"):
+    for message in bar(
+        iter(lambda: _quietly(lambda: log.recv_match(type=names), tally), None), path, total, "messages"
+    ):
         kind = message.fmt
         instance = kind.instance_field
         yield kind.name if instance is None else f"{kind.name}[{getattr(message, instance)}]", message
@@ -100,6 +104,16 @@ def _telemetry(path: Path, tally: Counter[str]) -> Iterator[tuple[str, Any]]:
             continue
         yield f"{message.get_type()}[{message.get_srcSystem()}.{message.get_srcComponent()}]", message
     log.close()
+
+
+def _quietly(call: Callable[[], Any], tally: Counter[str]) -> Any:
+    """Call the library, which prints what is wrong with a log: counted instead."""
+    said = io.StringIO()
+    with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+        found = call()
+    if said.tell():
+        tally["places with damaged messages left out"] += said.getvalue().count("\n")
+    return found
 
 
 def _fields(message: Any) -> list[str]:

@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
@@ -21,8 +23,10 @@ __all__ = ["records"]
 def records(path: Path, wanted: Wanted, tally: Counter[str]) -> Iterator[tuple[str, Any, Any]]:
     """See `navfilter.io.logs`."""
     try:
-        formats = ULog(str(path), parse_header_only=True).message_formats
-        log = ULog(str(path), message_name_filter_list=[name for name in formats if wanted.family(name)])
+        # The library prints what is wrong with a file; here it is counted.
+        with contextlib.redirect_stdout(io.StringIO()):
+            formats = ULog(str(path), parse_header_only=True).message_formats
+            log = ULog(str(path), message_name_filter_list=[name for name in formats if wanted.family(name)])
     except Exception as error:  # pyulog raises its own, struct's and numpy's errors on broken files
         reason = (str(error) or type(error).__name__).splitlines()[0].rstrip(".")
         raise MissionError(f"{path} cannot be read as a PX4 log: {reason}.") from None
