@@ -17,7 +17,7 @@ for package, extra in (("rosbags", "ros"), ("pynmeagps", "nmea"), ("pyulog", "px
 LOGS = {
     "ros1/robot_localization_test2.bag": ({"imu": 3061, "odometry": 3060}, {"odometry": 2900}),
     "ros2/derived_from_test2_mcap/derived_from_test2_mcap.mcap": ({"imu": 3061, "odometry": 3060}, {"odometry": 2900}),
-    "nmea/ugps_nmea_log.txt": ({"attitude": 129, "velocity": 129, "gps": 16}, {"gps": 16}),
+    "nmea/ugps_nmea_log.txt": ({"attitude": 16, "velocity": 16, "gps": 16}, {"gps": 16}),
     "ardupilot/ardusub_small.BIN": ({"attitude": 237, "velocity": 237, "depth": 237}, {"depth": 230}),
     "ardupilot/ardusub_small.tlog": ({"depth": 635, "gps": 936}, {"depth": 500, "gps": 700}),
     "px4/sample_log_small.ulg": ({"imu": 1298, "compass": 319, "gps": 32}, {"compass": 300, "gps": 32}),

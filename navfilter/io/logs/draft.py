@@ -12,9 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from navfilter.alignment import align
-from navfilter.io.logs.draft_vehicle import LIKE, vehicle_text
-from navfilter.io.logs.known import READINGS, Use, uses_of
-from navfilter.io.logs.survey import Survey, Topic
+from navfilter.io.logs.draft_streams import Drafted, chosen_streams, still
+from navfilter.io.logs.draft_vehicle import vehicle_text
+from navfilter.io.logs.known import READINGS
+from navfilter.io.logs.survey import Survey
 from navfilter.io.mission_toml import read_mission_toml
 from navfilter.io.vehicle_toml import read_vehicle
 from navfilter.mission import Mission, MissionError, Stream
@@ -25,21 +26,8 @@ from navfilter.vehicle import Vehicle
 __all__ = ["Draft", "draft"]
 
 GUESS = "# GUESSED: "
-#: A slower inertial unit cannot carry the state between its samples [Hz].
-_SLOWEST_IMU_HZ = 20.0
 #: Instruments' own stamps are used where they keep step with the recorder's to this [s].
 _STEADY_S = 1.0
-_CORRECTING = (
-    ("compass", ("heading", "magnetic", "field")),
-    ("dvl", ("velocity",)),
-    ("odometry", ("odometry",)),
-    ("depth", ("depth", "pressure")),
-    ("gps", ("position",)),
-)
-_ATTITUDES = ("attitude", "heading", "magnetic", "course")
-_VELOCITIES = ("velocity", "odometry", "water", "speed")
-#: Without any of these an inertial unit drifts away within a minute.
-_AIDS = ("velocity", "odometry", "position")
 
 
 @dataclass(frozen=True)
@@ -61,16 +49,6 @@ class Draft:
     guesses: tuple[str, ...]
 
 
-@dataclass(frozen=True)
-class _Stream:
-    name: str
-    reading: str
-    topic: Topic
-    lines: tuple[str, ...]
-    where: str = ""
-    guess: str = ""
-
-
 def draft(found: Survey, folder: Path, like: str = "") -> Draft:
     """Write both files for a log.
 
@@ -87,9 +65,8 @@ def draft(found: Survey, folder: Path, like: str = "") -> Draft:
     MissionError
         If nothing in the log can drive.
     """
-    uses = uses_of(found)
-    driving, drive = _driving(found, uses, like)
-    streams, dropped = _readable(found, driving, _correcting(uses, drive))
+    driving, correcting, drive = chosen_streams(found, like)
+    streams, dropped = _readable(found, driving, correcting)
     clock = _clock(streams)
     begin = "".join(f"{line}\n" for line in dropped)
     mission = _read(_mission_text(found, streams, clock, str(found.path.resolve()), begin))
@@ -102,7 +79,7 @@ def draft(found: Survey, folder: Path, like: str = "") -> Draft:
     return Draft(mission_toml, vehicle_toml, mission, guesses)
 
 
-def _readable(found: Survey, driving: list[_Stream], others: list[_Stream]) -> tuple[list[_Stream], list[str]]:
+def _readable(found: Survey, driving: list[Drafted], others: list[Drafted]) -> tuple[list[Drafted], list[str]]:
     """The streams that can be read, and a comment for each that cannot (say, because no reading is valid)."""
     file, clock = str(found.path.resolve()), _clock([*driving, *others])
     try:
@@ -117,7 +94,7 @@ def _readable(found: Survey, driving: list[_Stream], others: list[_Stream]) -> t
             kept.append(stream)
         except MissionError as error:
             if stream.name == "velocity":
-                kept.append(_still(kept[0]))
+                kept.append(still(kept[0]))
             elif stream in driving:
                 raise MissionError(f"{found.path}: {stream.name}, which is to drive: {_one_line(error)}") from None
             dropped.append(f"# {stream.name} from {stream.topic.name} is left out: {_one_line(error)}")
@@ -138,66 +115,10 @@ def _vehicle(text: str) -> Vehicle:
         return read_vehicle(path)
 
 
-# --- what drives, what corrects ---------------------------------------------------------------------------------------
-
-
-def _driving(found: Survey, uses: list[tuple[Topic, Use]], like: str) -> tuple[list[_Stream], str]:
-    imu = [(topic, use) for topic, use in uses if use.reading == "imu" and topic.rate_hz >= _SLOWEST_IMU_HZ]
-    attitude = _first(uses, _ATTITUDES)
-    aided = _first(uses, _AIDS) is not None or attitude is None
-    if imu and aided and (not like or LIKE[like].drive == "imu"):
-        return [_stream("imu", *imu[0])], "imu"
-    if attitude is None:
-        known = ", ".join(f"{topic.name} ({READINGS[use.reading]})" for topic, use in uses) or "none of a known kind"
-        raise MissionError(
-            f"{found.path}: nothing in this log can drive; it takes turn rates with forces at {_SLOWEST_IMU_HZ:g} Hz or more, or a"
-            f" heading. Known topics: {known}. Map it by hand (docs/logs.md)."
-        )
-    level = _as_attitude(_stream("attitude", *attitude))
-    velocity = _first(uses, _VELOCITIES)
-    return [level, _still(level) if velocity is None else _stream("velocity", *velocity)], "dead-reckoning"
-
-
-def _still(attitude: _Stream) -> _Stream:
-    """A velocity of zero at the times of the attitude, for a log without any."""
-    line = (
-        'velocity = {columns = [{column = "log_time", scale = 0.0}, {constant = 0.0}, {constant = 0.0}], unit = "m/s"}'
-    )
-    words = (
-        "there is no velocity in this log: the vehicle is taken to stand still, give or take the error in vehicle.toml"
-    )
-    return _Stream("velocity", "none", attitude.topic, (line,), attitude.where, words)
-
-
-def _correcting(uses: list[tuple[Topic, Use]], drive: str) -> list[_Stream]:
-    wanted = [(name, readings) for name, readings in _CORRECTING if drive == "imu" or name in ("depth", "gps")]
-    chosen = [(name, _first(uses, readings)) for name, readings in wanted]
-    return [_stream(name, *use) for name, use in chosen if use is not None]
-
-
-def _first(uses: list[tuple[Topic, Use]], readings: tuple[str, ...]) -> tuple[Topic, Use] | None:
-    return next((pair for reading in readings for pair in uses if pair[1].reading == reading), None)
-
-
-def _stream(name: str, topic: Topic, use: Use) -> _Stream:
-    return _Stream(name, use.reading, topic, use.lines, use.where, use.guess)
-
-
-def _as_attitude(stream: _Stream) -> _Stream:
-    """A heading alone as roll, pitch and heading, level."""
-    line = stream.lines[0]
-    if not line.startswith("heading"):
-        return stream
-    column = line.split('column = "', 1)[1].split('"', 1)[0]
-    lines = (f'attitude = {{columns = [{{constant = 0.0}}, {{constant = 0.0}}, "{column}"], unit = "deg"}}',)
-    words = "; ".join(filter(None, [stream.guess, "level: there is no roll and pitch in this log"]))
-    return replace(stream, lines=lines, guess=words)
-
-
 # --- the mission.toml -------------------------------------------------------------------------------------------------
 
 
-def _clock(streams: list[_Stream]) -> str:
+def _clock(streams: list[Drafted]) -> str:
     """The column with the times: instruments' own stamps where all keep step with the recorder, else the recorder's."""
     lags = []
     for stream in streams:
@@ -209,6 +130,14 @@ def _clock(streams: list[_Stream]) -> str:
     return "header.stamp" if lags and max(lags) - min(lags) < _STEADY_S else "log_time"
 
 
+def _utc_s(found: Survey) -> float | None:
+    """When the log begins [s since 1970], by its own times or by those of a receiver in it."""
+    if found.is_utc:
+        return found.begin_s
+    told = [topic.columns["time_utc_usec"] for topic in found.topics if topic.has("time_utc_usec")]
+    return 1e-6 * float(told[0].max()) if told and told[0].max() > 1e15 else None
+
+
 def _named(path: Path, folder: Path) -> str:
     """The log as the mission.toml names it."""
     path, folder = path.resolve(), folder.resolve()
@@ -216,15 +145,15 @@ def _named(path: Path, folder: Path) -> str:
     return os.path.relpath(path, folder).replace(os.sep, "/") if near else str(path)
 
 
-def _mission_text(found: Survey, streams: list[_Stream], clock: str, file: str, begin: str) -> str:
+def _mission_text(found: Survey, streams: list[Drafted], clock: str, file: str, begin: str) -> str:
     lines = [
         f"# From {found.path.name} ({found.format.title}). Lines that begin with GUESSED are to be looked at; the rest is",
         "# what the log says. 'navfilter check' with this folder looks for the usual mistakes.",
         "",
         f"name = {json.dumps(found.path.name.split('.')[0])}",
     ]
-    if found.is_utc:
-        lines.append(f"date = {datetime.datetime.fromtimestamp(found.begin_s, datetime.UTC).date()}")
+    if (utc_s := _utc_s(found)) is not None:
+        lines.append(f"date = {datetime.datetime.fromtimestamp(utc_s, datetime.UTC).date()}")
     lines += ['zero_s = "first"', "", begin.rstrip("\n")] if begin else ['zero_s = "first"', ""]
     if begin:
         lines.append("")
