@@ -14,6 +14,7 @@ from pydantic import Field, field_validator, model_validator
 
 from navfilter.io.units import UNITS, parse_quantity, unit
 from navfilter.io.validation import Strict
+from navfilter.io.where import Where
 
 #: Group of columns -> (dimension of each column, names of the columns in SI).
 GROUPS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
@@ -203,6 +204,8 @@ class Source(Strict):
     comment: str = "#"
     skip_lines: int = Field(default=0, ge=0)
     skip_rows: int = Field(default=0, ge=0)
+    topic: str = ""
+    where: tuple[Where, ...] = ()
     time: Clock
     only_changes: bool | tuple[Reference, ...] = False
     max_gap_s: float | None = Field(default=None, gt=0)
@@ -225,6 +228,21 @@ class Source(Strict):
     attitude: Group | None = None
     quaternion: Group | None = None
     series: Group | None = None
+
+    @field_validator("where", mode="before")
+    @classmethod
+    def _single_condition(cls, value: Any) -> Any:
+        return [value] if isinstance(value, dict) else value
+
+    def references(self) -> set[Reference]:
+        """The columns that are named anywhere in this source."""
+        named = {condition.column for condition in self.where}
+        named |= set(self.only_changes) if isinstance(self.only_changes, tuple) else set()
+        if self.time.file is None and self.time.column is not None:
+            named.add(self.time.column)
+        for part in (part for group in self.groups().values() for part in group.columns):
+            named |= {part.column} if part.column is not None else set(part.mean or ())
+        return named
 
     def groups(self) -> dict[str, Group]:
         """The groups given, in the order of their definition."""
