@@ -1,4 +1,4 @@
-"""The command line: ``navfilter demo | replay | run | compare | montecarlo | identify | simulate | check | vehicle | warmup``.
+"""The command line: ``navfilter demo | replay | run | compare | montecarlo | identify | simulate | check | mission | vehicle | warmup``.
 
 Each sub-command is a function that adds its arguments and one that runs. Everything heavy is imported where it is used, so that
 ``navfilter --help`` answers at once. Exit codes: 0 all is well, 1 `check` or `vehicle --check` found something wrong, 2 wrong usage or
@@ -37,6 +37,7 @@ _FIRST_STEPS = """\
 first steps:
   navfilter demo                                  a simulated mission of one hour, replayed and smoothed
   navfilter simulate lawnmower --out dive         make a mission to play with
+  navfilter mission --init dive.mcap --out dive   a mission.toml and a vehicle.toml for a log of yours
   navfilter check dive/mission.npz                look for the usual mistakes in a recording
   navfilter replay dive/mission.npz --vehicle dive/vehicle.toml --smooth --out result
   navfilter compare dive/mission.npz --vehicle dive/vehicle.toml --out compared
@@ -104,6 +105,7 @@ def _parser() -> argparse.ArgumentParser:
         _add_identify,
         _add_simulate,
         _add_check,
+        _add_mission,
         _add_vehicle,
         _add_warmup,
     ):
@@ -244,9 +246,10 @@ def _add_check(commands: Any) -> None:
         "swapped, degrees for radians, gyro against heading, DVL against position. Exit code 1 when something would spoil a replay.\n\n"
         "examples:\n"
         "  navfilter check dive_042\n"
+        "  navfilter check dive.mcap                            a bare log: what is in it, mapped as 'navfilter mission' would\n"
         "  navfilter check dive_042 --vehicle vehicle.toml      also: are all sensors there, with their mountings applied\n",
     )
-    parser.add_argument("mission", metavar="MISSION")
+    parser.add_argument("mission", metavar="MISSION", help="a mission, or a bare log")
     parser.add_argument("--vehicle", metavar="TOML", help="the vehicle.toml, or the folder that holds it")
     add_reading_arguments(parser)
     parser.add_argument("--quiet", action="store_true", help="print nothing: only the exit code counts")
@@ -256,10 +259,39 @@ def _check(options: argparse.Namespace) -> int:
     from navfilter.check import check_mission, report_text
     from navfilter.io import read_vehicle
 
-    mission = read(options)
+    say = speaker(options.quiet)
+    mission = _of_a_log(Path(options.mission), say) or read(options)
     findings = check_mission(mission, None if options.vehicle is None else read_vehicle(options.vehicle))
-    speaker(options.quiet)(report_text(mission, findings))
+    say(report_text(mission, findings))
     return FOUND if any(finding.severity == "error" for finding in findings) else OK
+
+
+def _of_a_log(path: Path, say: Callable[[str], None]) -> Any:
+    """A bare log as the mission that ``navfilter mission --init`` would make of it; None for a mission."""
+    from navfilter.io.logs import format_of
+
+    if not path.exists() or (path / "mission.toml").exists() or path.suffix in (".toml", ".npz") or format_of(path) is None:
+        return None
+    from navfilter.io.logs.draft import draft
+    from navfilter.io.logs.survey import survey, survey_text
+
+    found = survey(path)
+    say(survey_text(found))
+    made = draft(found, path.parent)
+    say("\nMapped as 'navfilter mission --init' would. Guessed:")
+    for guess in made.guesses:
+        say(f"  {guess}")
+    say("")
+    return made.mission
+
+
+# --- mission ----------------------------------------------------------------------------------------------------------
+
+
+def _add_mission(commands: Any) -> None:
+    from navfilter.commands import mission as mission_command
+
+    mission_command.add_arguments(_command(commands, "mission", mission_command.run, mission_command.ABOUT, mission_command.EPILOG))
 
 
 # --- vehicle ----------------------------------------------------------------------------------------------------------

@@ -57,3 +57,18 @@ def recording() -> Callable[[str], Path]:
         return RECORDINGS / name
 
     return folder
+
+
+@pytest.fixture
+def log_sample() -> Callable[[str], Path]:
+    """A small real log of another maker's format, as ``log_sample("px4/sample_log_small.ulg")``; skips as `recording`."""
+
+    def file(name: str) -> Path:
+        root = os.environ.get("NAVFILTER_DATA")
+        if not root:
+            pytest.skip("set NAVFILTER_DATA to the folder of the recordings to run this test")
+        path = Path(root) / "logs" / name
+        assert path.exists(), f"NAVFILTER_DATA is {root}, but there is no {path}"
+        return path
+
+    return file

@@ -51,6 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--unit", default="", metavar="U", help="unit of the series (deg, m/s, ...); known ones are turned to SI for the vehicle"
     )
     data.add_argument("--table", default="", metavar="NAME", help='array of an .npz or .mat file, with planes: "counts", "data[0]"')
+    data.add_argument("--topic", default="", metavar="NAME", help="of a log (a ROS bag, NMEA, ...): which of its topics")
     data.add_argument("--transpose", action="store_true", help="each row of the array is a quantity")
     data.add_argument("--skip-lines", type=_count, default=0, metavar="N", help="lines before the header of a text file")
     data.add_argument("--skip-rows", type=_count, default=0, metavar="N", help="rows of data to skip after it")
@@ -125,7 +126,13 @@ def _read(options: argparse.Namespace) -> Any:
     from navfilter.io.series import read_series
     from navfilter.io.tables import TableOptions
 
-    layout = TableOptions(table=options.table, transpose=options.transpose, skip_lines=options.skip_lines, skip_rows=options.skip_rows)
+    layout = TableOptions(
+        table=options.table,
+        transpose=options.transpose,
+        skip_lines=options.skip_lines,
+        skip_rows=options.skip_rows,
+        topic=options.topic,
+    )
     return read_series(
         options.file,
         options.column,

@@ -12,7 +12,7 @@ from navfilter.io.contents import SERIES, groups
 from navfilter.io.geodesy import matrix_from_euler
 from navfilter.io.mission_schema import Clock, Component, Group, Reference
 from navfilter.io.tables import Table
-from navfilter.io.units import parse_quantity, unit
+from navfilter.io.units import UNITS, parse_quantity, unit
 from navfilter.mission import MissionError
 
 Array = npt.NDArray[np.float64]
@@ -44,7 +44,7 @@ def group_values(table: Table, name: str, group: Group, rows: int, counts: Count
         measured[k] = True
         raw = _raw(table, part, rows, counts)
         invalid[:, k] = _is_sentinel(raw, group)
-        values[:, k] = _si(raw, part, group, k)
+        values[:, k] = _si(raw, part, group, k, _stated_unit(table, name, part, k))
     counts.sentinel += int(np.count_nonzero(invalid.any(axis=1)))
     infinite = np.abs(values) > LARGEST
     counts.infinite += int(np.count_nonzero(infinite))
@@ -81,9 +81,19 @@ def _is_sentinel(raw: Array, group: Group) -> npt.NDArray[np.bool_]:
     return found
 
 
-def _si(raw: Array, part: Component, group: Group, k: int) -> Array:
-    name = part.unit or (group.unit if isinstance(group.unit, str) else group.unit[k])
-    known = unit(name)
+def _stated_unit(table: Table, name: str, part: Component, k: int) -> str:
+    """The unit that the file itself states for a column; empty where it states none, or none that is known here."""
+    stated = table.units.get(str(part.column), "")
+    if stated not in UNITS:
+        return ""
+    wanted = "angular rate" if part.radius_m else GROUPS[name][0][k] if name in GROUPS else UNITS[stated].dimension
+    if UNITS[stated].dimension not in (wanted, "number"):
+        raise MissionError(f'{table.path}: column "{part.column}" is in {stated} by the file itself, {name} needs {wanted}.')
+    return stated
+
+
+def _si(raw: Array, part: Component, group: Group, k: int, stated: str) -> Array:
+    known = unit(part.unit or (group.unit if isinstance(group.unit, str) else group.unit[k]) or stated)
     offset = group.offset if part.offset is None else part.offset
     after = 0.0
     if isinstance(offset, str):

@@ -17,6 +17,7 @@ from pydantic import Field, create_model, field_validator, model_validator
 from navfilter.io.contents import SERIES, contents, groups
 from navfilter.io.units import UNITS, parse_quantity, unit
 from navfilter.io.validation import Strict
+from navfilter.io.where import Where
 
 TRUTH_GROUPS = ("position", "ecef", "local", "velocity_n", "velocity_ecef", "attitude", "quaternion")
 Reference = str | int
@@ -169,10 +170,27 @@ class Source(Strict):
     comment: str = "#"
     skip_lines: int = Field(default=0, ge=0)
     skip_rows: int = Field(default=0, ge=0)
+    topic: str = ""
+    where: tuple[Where, ...] = ()
     time: Clock
     only_changes: bool | tuple[Reference, ...] = False
     max_gap_s: float | None = Field(default=None, gt=0)
     series: Group | None = None
+
+    @field_validator("where", mode="before")
+    @classmethod
+    def _single_condition(cls, value: Any) -> Any:
+        return [value] if isinstance(value, dict) else value
+
+    def references(self) -> set[Reference]:
+        """The columns that are named anywhere in this source."""
+        named = {condition.column for condition in self.where}
+        named |= set(self.only_changes) if isinstance(self.only_changes, tuple) else set()
+        if self.time.file is None and self.time.column is not None:
+            named.add(self.time.column)
+        for part in (part for group in self.groups().values() for part in group.columns):
+            named |= {part.column} if part.column is not None else set(part.mean or ())
+        return named
 
     def groups(self) -> dict[str, Group]:
         """The groups given, in the order of their definition."""

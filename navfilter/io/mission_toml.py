@@ -12,11 +12,12 @@ from navfilter.io import geodesy
 from navfilter.io.columns import Counts, clock_times, group_names, group_values
 from navfilter.io.contents import driving, groups
 from navfilter.io.json_lines import read_log
+from navfilter.io.logs import Shelf
 from navfilter.io.merging import block_mean, mean, resampled
-from navfilter.io.mission_schema import Clock, Origin, Source, StreamSpec, TruthStream, mission_spec
+from navfilter.io.mission_schema import Clock, MissionSpec, Origin, Source, StreamSpec, TruthStream, mission_spec
 from navfilter.io.starting import start_of
 from navfilter.io.tables import Table, TableOptions, read_table
-from navfilter.io.trust import UNPACKED_BYTES, Allowance, Place
+from navfilter.io.trust import UNPACKED_BYTES, Allowance, Place, expand
 from navfilter.io.validation import read_toml, validate
 from navfilter.mission import TRUTH_COLUMNS, Mission, MissionError, Stream
 
@@ -44,7 +45,7 @@ def read_mission_toml(path: Path, *, confine: bool = False, unpacked_bytes: int 
         In one line where one thing is wrong; several mistakes in the .toml are listed together.
     """
     spec = validate(mission_spec(), read_toml(path, MissionError), path, MissionError)
-    reader = _Reader(path.parent, confine, Allowance(unpacked_bytes))
+    reader = _Reader(path.parent, spec, confine, Allowance(unpacked_bytes))
     streams: dict[str, Stream] = {}
     logged_start = None
     if spec.log is not None:
@@ -92,9 +93,10 @@ def _windowed(stream: Stream, spec: StreamSpec) -> Stream:
 class _Reader:
     """Reads sources relative to one folder, each file once, and collects notes."""
 
-    def __init__(self, folder: Path, confine: bool, allowance: Allowance) -> None:
+    def __init__(self, folder: Path, spec: MissionSpec, confine: bool, allowance: Allowance) -> None:
         self.folder, self._confine, self._allowance = folder, confine, allowance
         self.notes: list[str] = []
+        self._shelf = Shelf(_wanted_of_logs(spec, folder))
         self._tables: dict[tuple[Place, TableOptions], Table] = {}
 
     def place(self, file: str) -> Place:
@@ -104,7 +106,7 @@ class _Reader:
     def table(self, file: str, options: TableOptions) -> Table:
         place = self.place(file)
         if (place, options) not in self._tables:
-            self._tables[place, options] = read_table(place, options)
+            self._tables[place, options] = read_table(place, options, self._shelf)
             self.notes += self._tables[place, options].notes
         return self._tables[place, options]
 
@@ -234,6 +236,17 @@ class _Reader:
     def _note(self, where: str, count: int, what: str) -> None:
         if count:
             self.notes.append(f"{where}: {count} {what}")
+
+
+def _wanted_of_logs(spec: MissionSpec, folder: Path) -> dict[Path, dict[str, set[str]]]:
+    """What all streams together want of each log: it may be large, and is gone through once."""
+    wanted: dict[Path, dict[str, set[str]]] = {}
+    for stream in (*spec.streams.values(), *([spec.truth] if spec.truth else [])):
+        for source in stream.sources:
+            if source.topic:
+                columns = wanted.setdefault(expand(source.file, folder), {}).setdefault(source.topic, set())
+                columns |= {str(reference) for reference in source.references()}
+    return wanted
 
 
 def _rows(table: Table, source: Source) -> int:

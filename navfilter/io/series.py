@@ -101,7 +101,7 @@ def read_series(
     table = read_table(Place(Path(text), text, True, Allowance(unpacked_bytes)), options)
     name = _column(table, column, time_column)
     value, wrong = table.numbers(name)
-    name = f"{options.table}[{name}]" if options.table else name
+    name = f"{options.table}[{name}]" if options.table else f"{options.topic} {name}" if options.topic else name
     notes += table.notes
     if wrong:
         notes.append(f"{wrong} cells of {name} are not numbers and count as missing")
@@ -117,7 +117,7 @@ def read_series(
 
 def _layout(path: Path, column: str | None, options: TableOptions) -> tuple[TableOptions, str | None, list[str]]:
     """Complete the layout from the column asked for: its array, or the line that holds its name."""
-    if column is None or options.table or options.skip_lines or options.header is not None:
+    if column is None or options.topic or options.table or options.skip_lines or options.header is not None:
         return options, column, []
     if path.suffix.lower() in _CONTAINERS:
         part = re.fullmatch(r"(.+)\[(\d+)\]", column)

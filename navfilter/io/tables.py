@@ -10,22 +10,29 @@ import bz2
 import gzip
 import lzma
 import zlib
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
+from navfilter.io.table import Table, listing
 from navfilter.io.trust import Place
+from navfilter.io.where import Where
 from navfilter.mission import MissionError
+
+if TYPE_CHECKING:
+    from navfilter.io.logs import Shelf
 
 Array = npt.NDArray[np.float64]
 
 _OPENERS: dict[str, Any] = {".gz": gzip.open, ".xz": lzma.open, ".bz2": bz2.open}
+#: Columns of a MOOS log.
+_ALOG = ("time", "name", "source", "value")
 _BINARY = {".npy", ".npz", ".mat"}
-_BLANK = ("", "nan", "na", "n/a", "null", "none")
+#: Logs that cannot be taken for tables.
+_LOGS = {".bag", ".db3", ".mcap", ".ulg", ".tlog", ".ad2cp"}
 
 
 @dataclass(frozen=True)
@@ -46,6 +53,10 @@ class TableOptions:
         Decimal point; character that starts a comment, to the end of its line.
     skip_lines, skip_rows : int
         Lines to skip before the header; rows of data to skip after it.
+    topic : str
+        Of a log (see `navfilter.io.logs`): which of its topics.
+    where : tuple of Where
+        Only the rows that fulfil all these conditions.
     """
 
     table: str = ""
@@ -56,65 +67,11 @@ class TableOptions:
     comment: str = "#"
     skip_lines: int = 0
     skip_rows: int = 0
+    topic: str = ""
+    where: tuple[Where, ...] = ()
 
 
-@dataclass(frozen=True)
-class Table:
-    """Columns of one file, by name or by position.
-
-    Parameters
-    ----------
-    path : str
-        Where the columns come from, for messages.
-    columns : dict of str to ndarray
-        Arrays of equal or unequal length, in file order.
-    notes : tuple of str
-        What had to be skipped.
-    quoted : bool
-        Whether messages may show what is written in the file.
-    """
-
-    path: str
-    columns: Mapping[str, npt.NDArray[Any]]
-    notes: tuple[str, ...] = field(default=())
-    quoted: bool = True
-
-    def raw(self, reference: str | int) -> npt.NDArray[Any]:
-        """A column as it stands in the file (numbers or text); reference is its name or its 0-based position."""
-        names = list(self.columns)
-        if isinstance(reference, int):
-            if not -len(names) <= reference < len(names):
-                raise MissionError(
-                    f"{self.path}: there is no column {reference}, the file has {len(names)} (0 to {len(names) - 1})."
-                    " If each row is a quantity, set transpose = true."
-                )
-            return self.columns[names[reference]]
-        if reference not in self.columns:
-            listing = _listing("columns", names, self.quoted)
-            raise MissionError(f'{self.path}: there is no column "{reference}" ({listing}).')
-        return self.columns[reference]
-
-    def numbers(self, reference: str | int) -> tuple[Array, int]:
-        """A column as float64 with NaN for what is no number, and how many cells were text that is no number."""
-        raw = self.raw(reference)
-        if raw.dtype.kind in "fiub":
-            return raw.astype(np.float64), 0
-        import pandas as pd
-
-        coerced = pd.to_numeric(pd.Series(raw, dtype=object), errors="coerce")
-        values = coerced.to_numpy(dtype=np.float64, na_value=np.nan)
-        wrong = [isinstance(cell, str) and cell.strip().lower() not in _BLANK for cell in raw[np.isnan(values)]]
-        return values, sum(wrong)
-
-
-def _listing(what: str, names: list[str], quoted: bool, most: int = 40) -> str:
-    if not quoted:
-        return f"{len(names)} {what}, not shown: the file lies outside the folder of the mission"
-    shown = ", ".join(f'"{name}"' for name in names[:most])
-    return f"{what}: {shown or 'none'}" + (f" and {len(names) - most} more" if len(names) > most else "")
-
-
-def read_table(file: Path | Place, options: TableOptions | None = None) -> Table:
+def read_table(file: Path | Place, options: TableOptions | None = None, shelf: Shelf | None = None) -> Table:
     """Read the columns of one file.
 
     Parameters
@@ -122,6 +79,8 @@ def read_table(file: Path | Place, options: TableOptions | None = None) -> Table
     file : Path or Place
         .csv/.txt/.dat/... text, optionally .gz, .xz or .bz2; .npy; .npz; .mat (version 5 or 7.3).
     options : TableOptions, optional
+    shelf : Shelf, optional
+        The logs of the mission that the table is for; without one a log is gone through for this topic alone.
 
     Returns
     -------
@@ -135,21 +94,69 @@ def read_table(file: Path | Place, options: TableOptions | None = None) -> Table
     options = options or TableOptions()
     place = Place.of(file) if isinstance(file, Path) else file
     path = place.path
+    if options.topic:
+        from navfilter.io.logs import Shelf
+
+        return _chosen_rows((shelf or Shelf()).table(path, options.topic), options.where)
     if not path.exists():
         raise MissionError(f"{place.shown}: no such file. Check the path and the environment variables in it.")
     if not path.is_file():
         raise MissionError(f"{place.shown} is not a file.")
     if path.stat().st_size == 0:
         raise MissionError(f"{place.shown} is empty (0 bytes).")
+    if path.suffix.lower() in _LOGS:
+        raise MissionError(f'{place.shown} is a log: say which topic = "..." of it ("navfilter check {place.shown}" lists them).')
     if path.suffix.lower() in _BINARY:
         from navfilter.io.containers import read_arrays
 
         table = _columns_of(place, read_arrays(place), options)
     else:
-        table = _read_text(place, _unpack(place), options)
+        if path.suffix.lower() == ".alog" and options.header is None:
+            options = replace(options, header=_ALOG, comment="%", delimiter="whitespace")
+        lines = _chosen_lines(path, options)
+        table = _read_text(place, lines or _unpack(place), options)
+        if lines:
+            # Rows of other names are no loss and need no note.
+            names = tuple(c for c in options.where if isinstance(c.equals, str))
+            table = replace(_chosen_rows(table, names), notes=table.notes)
+            options = replace(options, where=tuple(c for c in options.where if c not in names))
     if not table.columns or all(column.shape[0] == 0 for column in table.columns.values()):
         raise MissionError(f"{place.shown} holds no rows of data.")
+    return _chosen_rows(table, options.where)
+
+
+def _chosen_rows(table: Table, conditions: tuple[Where, ...]) -> Table:
+    """The rows that fulfil all conditions; how many did not is noted."""
+    for condition in conditions:
+        keep = condition.rows(table)
+        notes = table.notes
+        if not keep.any():
+            raise MissionError(f"{table.path}: no row has {condition.words()}; look at what the column holds.")
+        if not keep.all():
+            name = Path(table.path).name
+            notes += (f"{name}: {int((~keep).sum())} of {keep.size} rows left out by where ({condition.words()})",)
+        columns = {key: column[keep] if column.shape[0] == keep.size else column for key, column in table.columns.items()}
+        table = replace(table, columns=columns, notes=notes)
     return table
+
+
+def _chosen_lines(path: Path, options: TableOptions) -> bytes:
+    """Of a long table (time, name, value) only the head and the lines that hold the texts asked for: it may be large."""
+    texts = [c.equals for c in options.where if isinstance(c.equals, str)]
+    if not texts or any(condition.equals == "" for condition in options.where):
+        return b""
+    from collections import Counter
+
+    from navfilter.io.logs.lines import lines
+
+    wanted = [text.encode() for text in texts]
+    kept, rows = [], 0
+    for line in lines(path, Counter()):
+        # What precedes the rows (header, comments) decides how they are read; the first row is dropped again by `where`.
+        rows += bool(_before(line.decode("utf-8-sig", "replace"), options.comment)) if rows <= options.skip_lines + 2 else 0
+        if rows <= options.skip_lines + 2 or all(text in line for text in wanted):
+            kept.append(line)
+    return b"\n".join(kept)
 
 
 def _unpack(place: Place) -> bytes:
@@ -208,8 +215,8 @@ def _columns_of(place: Place, arrays: dict[str, npt.NDArray[Any]], options: Tabl
 def _pick(place: Place, arrays: dict[str, npt.NDArray[Any]], reference: str) -> npt.NDArray[Any]:
     name, *planes = reference.replace("]", "").split("[")
     if name not in arrays:
-        listing = _listing("tables", list(arrays), place.quoted)
-        raise MissionError(f'{place.shown}: there is no table "{name}" ({listing}).')
+        names = listing("tables", list(arrays), place.quoted)
+        raise MissionError(f'{place.shown}: there is no table "{name}" ({names}).')
     array = arrays[name]
     try:
         for plane in planes:

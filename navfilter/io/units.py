@@ -32,6 +32,8 @@ UNITS: dict[str, Unit] = {
     "rad": Unit("angle"),
     "mrad": Unit("angle", 1e-3),
     "deg": Unit("angle", _DEG),
+    "cdeg": Unit("angle", 1e-2 * _DEG),
+    "degE7": Unit("angle", 1e-7 * _DEG),
     "arcmin": Unit("angle", _DEG / 60.0),
     "arcsec": Unit("angle", _DEG / 3600.0),
     "rev": Unit("angle", 2.0 * math.pi),
@@ -70,6 +72,7 @@ UNITS: dict[str, Unit] = {
     "dbar": Unit("pressure", 1e4),
     "psi": Unit("pressure", 6894.757293168),
     "degC": Unit("temperature"),
+    "cdegC": Unit("temperature", 1e-2),
     "K": Unit("temperature", 1.0, 273.15),
     "degF": Unit("temperature", 5.0 / 9.0, 32.0),
 }

@@ -1,0 +1,78 @@
+"""``navfilter mission --init LOG``: say what a log holds, and write a mission.toml and a vehicle.toml that replay it."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from navfilter.commands.console import speaker
+
+__all__ = ["ABOUT", "EPILOG", "add_arguments", "run"]
+
+OK = 0
+
+ABOUT = "write a mission.toml and a vehicle.toml for a log (a ROS bag, NMEA, ArduPilot, PX4, PD0, ...)"
+EPILOG = """\
+Lists the topics of the log with their rates, gaps and first values, and maps those of a known kind: what drives, what corrects.
+Both files replay as they are; lines that begin with GUESSED say what was not known for certain. Without --init the log is only
+listed.
+
+examples:
+  navfilter mission --init dive.mcap --out dive              writes dive/mission.toml and dive/vehicle.toml
+  navfilter mission --init 2024-05-04.tlog --vehicle-like bluerov2
+  navfilter mission --init 'segment_*.dat' --vehicle-like glider --out glider
+  navfilter mission dive.mcap                                only lists the topics
+"""
+#: The kinds of `navfilter.io.logs.draft_vehicle.LIKE`, stated here so that --help answers at once.
+KINDS = ("bluerov2", "survey", "glider", "yacht")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the sub-command."""
+    parser.add_argument(
+        "log", metavar="LOG", help="the log; a pattern in quotes, with *, for several files that follow one another"
+    )
+    parser.add_argument("--init", action="store_true", help="write the two files")
+    parser.add_argument(
+        "--vehicle-like",
+        choices=KINDS,
+        default="",
+        help="whose sensors' errors to begin with (default: bluerov2 with an inertial unit, else yacht)",
+    )
+    parser.add_argument("--out", metavar="DIR", default=".", help="with --init: folder for the files (default: here)")
+    parser.add_argument("--force", action="store_true", help="with --init: replace files that are there")
+    parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run ``navfilter mission``."""
+    from navfilter.io.logs.survey import survey, survey_text
+
+    say = speaker(options.quiet)
+    folder = Path(options.out)
+    targets = [folder / name for name in ("mission.toml", "vehicle.toml")]
+    there = [str(path) for path in targets if path.exists()]
+    if options.init and there and not options.force:
+        raise ValueError(
+            f"{' and '.join(there)}: there already; choose another folder with --out, or --force to replace."
+        )
+    found = survey(Path(options.log))
+    say(survey_text(found))
+    if not options.init:
+        return OK
+    from navfilter.io.logs.draft import draft
+
+    made = draft(found, folder, options.vehicle_like)
+    folder.mkdir(parents=True, exist_ok=True)
+    for path, text in zip(targets, (made.mission_toml, made.vehicle_toml), strict=True):
+        path.write_text(text, encoding="utf-8", newline="\n")
+    streams = ", ".join(f"{name} ({len(stream)})" for name, stream in made.mission.streams.items())
+    say(f"\n{targets[0]} and {targets[1]} written: {streams}.")
+    if made.guesses:
+        say("Guessed, and marked in the files:")
+        for guess in made.guesses:
+            say(f"  {guess}")
+    say(
+        f"Next:\n  navfilter check {folder} --vehicle {folder}\n  navfilter replay {folder} --vehicle {folder} --smooth --out result"
+    )
+    return OK

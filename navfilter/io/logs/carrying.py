@@ -1,0 +1,95 @@
+"""Times for sentences that have none: carried on from those that have, with the date."""
+
+from __future__ import annotations
+
+import datetime
+from collections import Counter
+from collections.abc import Iterator
+from typing import Any
+
+__all__ = ["Carrier"]
+
+_DAY_S = 86400.0
+#: 1970-01-01 as `datetime.date.toordinal` counts.
+_EPOCH = 719163
+#: More than this cannot come between two times of a living receiver; bounds the memory.
+_MOST_WAITING = 5000
+#: Times farther apart than this are a gap, not a cycle [s].
+_LONGEST_CYCLE_S = 30.0
+
+
+class Carrier:
+    """Carries time of day and date from sentence to sentence.
+
+    Parameters
+    ----------
+    date : datetime.date or None
+        Of the beginning; None: nothing in the file gives one, and times count from midnight of the first day.
+    tally : Counter
+        Gets the sentences that had to be dropped for want of a time.
+    """
+
+    def __init__(self, date: datetime.date | None, tally: Counter[str]) -> None:
+        self._tally = tally
+        self._midnight = 0.0 if date is None else _DAY_S * (date.toordinal() - _EPOCH)
+        self._dated = date is not None
+        self._now: float | None = None
+        self._received: float | None = None
+        self._cycle_s = 1.0
+        self._waiting: list[tuple[str, Any, float | None]] = []
+        self._ready: list[tuple[str, float, Any]] = []
+
+    def heard(self, time_of_day: float, date: datetime.date | None, received: float | None) -> float:
+        """A sentence with a time came; those that waited for it become `settled`. Returns its time [s]."""
+        if time_of_day > 1e8:
+            # Some instruments count seconds since 1970 by themselves.
+            time_s = time_of_day
+        else:
+            if date is not None:
+                self._midnight = _DAY_S * (date.toordinal() - _EPOCH)
+            time_s = self._midnight + time_of_day
+            if date is None and self._now is not None and time_s < self._now - 0.5 * _DAY_S:
+                self._midnight += _DAY_S
+                time_s += _DAY_S
+        if self._now is None or time_s != self._now:
+            self._settle(time_s)
+            self._now, self._received = time_s, received
+        return time_s
+
+    def wait(self, topic: str, record: Any, received: float | None) -> None:
+        """A sentence without a time came."""
+        if self._now is None:
+            self._tally["sentences before the first time left out"] += 1
+            return
+        self._waiting.append((topic, record, received))
+        if len(self._waiting) >= _MOST_WAITING:
+            self._settle(None)
+
+    def settled(self) -> Iterator[tuple[str, float, Any]]:
+        """The sentences whose times are known by now."""
+        ready, self._ready = self._ready, []
+        return iter(ready)
+
+    def rest(self) -> Iterator[tuple[str, float, Any]]:
+        """Those after the last time."""
+        self._settle(None)
+        if not self._dated and self._now is not None:
+            self._tally["file without a date (no RMC, no ZDA): times count from midnight of its first day"] += 1
+        return self.settled()
+
+    def _settle(self, next_s: float | None) -> None:
+        """Give those that wait their times, between the last time and the next."""
+        if self._now is None:
+            return
+        if next_s is not None and 0.0 < next_s - self._now < _LONGEST_CYCLE_S:
+            self._cycle_s = next_s - self._now
+        count = Counter(topic for topic, _, _ in self._waiting)
+        seen: Counter[str] = Counter()
+        for topic, record, received in self._waiting:
+            if received is not None and self._received is not None:
+                time_s = self._now + received - self._received
+            else:
+                time_s = self._now + self._cycle_s * seen[topic] / count[topic]
+            seen[topic] += 1
+            self._ready.append((topic, time_s, record))
+        self._waiting = []

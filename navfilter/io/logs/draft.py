@@ -1,0 +1,231 @@
+"""A mission.toml and a vehicle.toml for a log, ready to be replayed; what had to be guessed is marked."""
+
+from __future__ import annotations
+
+import datetime
+import json
+import os
+import tempfile
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from navfilter.alignment import align
+from navfilter.io.logs.draft_streams import Drafted, chosen_streams, still
+from navfilter.io.logs.draft_vehicle import vehicle_text
+from navfilter.io.logs.known import READINGS
+from navfilter.io.logs.survey import Survey
+from navfilter.io.mission_toml import read_mission_toml
+from navfilter.io.vehicle_toml import read_vehicle
+from navfilter.mission import Mission, MissionError, Stream
+from navfilter.sensors import Heading, Position
+from navfilter.start import Start
+from navfilter.vehicle import Vehicle
+
+__all__ = ["Draft", "draft"]
+
+GUESS = "# GUESSED: "
+#: Instruments' own stamps are used where they keep step with the recorder's to this [s].
+_STEADY_S = 1.0
+
+
+@dataclass(frozen=True)
+class Draft:
+    """Two files as text, and what they make of the log.
+
+    Parameters
+    ----------
+    mission_toml, vehicle_toml : str
+    mission : Mission
+        As the mission.toml reads it.
+    guesses : tuple of str
+        What is marked in the files.
+    """
+
+    mission_toml: str
+    vehicle_toml: str
+    mission: Mission
+    guesses: tuple[str, ...]
+
+
+def draft(found: Survey, folder: Path, like: str = "") -> Draft:
+    """Write both files for a log.
+
+    Parameters
+    ----------
+    found : Survey
+    folder : Path
+        Where the files will stand; the log is named relative to it where it lies beside or below it.
+    like : str
+        Key of `LIKE`: whose sensors' errors are taken; empty: those that fit what drives.
+
+    Raises
+    ------
+    MissionError
+        If nothing in the log can drive.
+    """
+    driving, correcting, drive = chosen_streams(found, like)
+    streams, dropped = _readable(found, driving, correcting)
+    clock = _clock(streams)
+    begin = "".join(f"{line}\n" for line in dropped)
+    mission = _read(_mission_text(found, streams, clock, str(found.path.resolve()), begin))
+    readings = {stream.name: stream.reading for stream in streams}
+    vehicle_toml = vehicle_text(mission, readings, drive, like or ("bluerov2" if drive == "imu" else "yacht"))
+    begin += _start(_vehicle(vehicle_toml), mission)
+    mission_toml = _mission_text(found, streams, clock, _named(found.path, folder), begin)
+    texts = (mission_toml + vehicle_toml).splitlines()
+    guesses = tuple(dict.fromkeys(line.removeprefix(GUESS) for line in texts if line.startswith(GUESS)))
+    return Draft(mission_toml, vehicle_toml, mission, guesses)
+
+
+def _readable(found: Survey, driving: list[Drafted], others: list[Drafted]) -> tuple[list[Drafted], list[str]]:
+    """The streams that can be read, and a comment for each that cannot (say, because no reading is valid)."""
+    file, clock = str(found.path.resolve()), _clock([*driving, *others])
+    try:
+        _read(_mission_text(found, [*driving, *others], clock, file, ""))
+        return [*driving, *others], []
+    except MissionError:
+        pass
+    kept, dropped = [], []
+    for stream in [*driving, *others]:
+        try:
+            _read(_mission_text(found, [stream], clock, file, ""))
+            kept.append(stream)
+        except MissionError as error:
+            if stream.name == "velocity":
+                kept.append(still(kept[0]))
+            elif stream in driving:
+                raise MissionError(f"{found.path}: {stream.name}, which is to drive: {_one_line(error)}") from None
+            dropped.append(f"# {stream.name} from {stream.topic.name} is left out: {_one_line(error)}")
+    return kept, dropped
+
+
+def _read(text: str) -> Mission:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "mission.toml"
+        path.write_text(text, encoding="utf-8")
+        return read_mission_toml(path)
+
+
+def _vehicle(text: str) -> Vehicle:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "vehicle.toml"
+        path.write_text(text, encoding="utf-8")
+        return read_vehicle(path)
+
+
+# --- the mission.toml -------------------------------------------------------------------------------------------------
+
+
+def _clock(streams: list[Drafted]) -> str:
+    """The column with the times: instruments' own stamps where all keep step with the recorder, else the recorder's."""
+    lags = []
+    for stream in streams:
+        column = stream.topic.columns.get("header.stamp")
+        if column is None:
+            return "log_time"
+        lag = stream.topic.time_s[: column.size] - column
+        lags += [float(np.median(lag)), float(lag.min())]
+    return "header.stamp" if lags and max(lags) - min(lags) < _STEADY_S else "log_time"
+
+
+def _utc_s(found: Survey) -> float | None:
+    """When the log begins [s since 1970], by its own times or by those of a receiver in it."""
+    if found.is_utc:
+        return found.begin_s
+    told = [topic.columns["time_utc_usec"] for topic in found.topics if topic.has("time_utc_usec")]
+    return 1e-6 * float(told[0].max()) if told and told[0].max() > 1e15 else None
+
+
+def _named(path: Path, folder: Path) -> str:
+    """The log as the mission.toml names it."""
+    path, folder = path.resolve(), folder.resolve()
+    near = path.is_relative_to(folder) or path.is_relative_to(folder.parent)
+    return os.path.relpath(path, folder).replace(os.sep, "/") if near else str(path)
+
+
+def _mission_text(found: Survey, streams: list[Drafted], clock: str, file: str, begin: str) -> str:
+    lines = [
+        f"# From {found.path.name} ({found.format.title}). Lines that begin with GUESSED are to be looked at; the rest is",
+        "# what the log says. 'navfilter check' with this folder looks for the usual mistakes.",
+        "",
+        f"name = {json.dumps(found.path.name.split('.')[0])}",
+    ]
+    if (utc_s := _utc_s(found)) is not None:
+        lines.append(f"date = {datetime.datetime.fromtimestamp(utc_s, datetime.UTC).date()}")
+    lines += ['zero_s = "first"', "", begin.rstrip("\n")] if begin else ['zero_s = "first"', ""]
+    if begin:
+        lines.append("")
+    for stream in streams:
+        said = READINGS.get(stream.reading, "no reading at all")
+        lines.append(f"# {stream.topic.name}: {said}; {stream.topic.count} records, {stream.topic.rate_hz:.3g} Hz.")
+        lines += [f"{GUESS}{stream.guess}"] if stream.guess else []
+        lines += [f"[streams.{stream.name}]", f"file = {json.dumps(file)}", f"topic = {json.dumps(stream.topic.name)}"]
+        lines += [f'time = {{column = "{clock}"}}', *stream.lines]
+        lines += [f"where = {stream.where}"] if stream.where else []
+        lines.append("")
+    others = sorted({topic.name for topic in found.topics} - {stream.topic.name for stream in streams})
+    if others:
+        lines.append(f"# Not used: {', '.join(others[:30])}{' and others' if len(others) > 30 else ''}.")
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def _start(vehicle: Vehicle, mission: Mission) -> str:
+    """A [start] where the mission's own readings give none; empty where they do."""
+    reasons: list[str] = []
+    for assumed in ((), ("position",), ("position", "heading")):
+        try:
+            start = align(*_assuming(vehicle, mission, assumed))
+        except ValueError as error:
+            reasons.append(_one_line(error).removeprefix("no start: ").split(". ")[0].split(" (")[0].rstrip("."))
+            continue
+        return _start_text(start, assumed, reasons) if assumed else ""
+    return _start_text(
+        Start(time_s=_first_s(vehicle, mission), latitude_deg=0.0, longitude_deg=0.0, tilt_sd_deg=5.0),
+        ("position", "heading", "level"),
+        reasons,
+    )
+
+
+def _assuming(vehicle: Vehicle, mission: Mission, what: tuple[str, ...]) -> tuple[Vehicle, Mission]:
+    """Vehicle and mission with one reading of each sensor that is lacking for an alignment: at 0, 0, heading north."""
+    at = np.array([_first_s(vehicle, mission)])
+    sensors, streams = dict(vehicle.sensors), dict(mission.streams)
+    if "position" in what and "gps" not in streams:
+        sensors["assumed_position"] = Position()
+        streams["assumed_position"] = Stream(at, np.zeros((1, 3)), ("latitude_rad", "longitude_rad", "height_m"))
+    if "heading" in what:
+        sensors = {name: sensor for name, sensor in sensors.items() if not isinstance(sensor, Heading)}
+        sensors["assumed_heading"] = Heading()
+        streams["assumed_heading"] = Stream(at, np.zeros((1, 1)), ("heading_rad",))
+    return replace(vehicle, sensors=sensors), replace(mission, streams=streams)
+
+
+def _first_s(vehicle: Vehicle, mission: Mission) -> float:
+    drive = mission.streams[vehicle.drive.streams[0]]
+    usable = np.isfinite(drive.value).all(axis=1)
+    return float(drive.time_s[np.argmax(usable)])
+
+
+def _start_text(start: Start, assumed: tuple[str, ...], reasons: list[str]) -> str:
+    unknown = {"position": "at 0, 0", "heading": "heading north", "level": "level and at rest"}
+    lines = [
+        f"{GUESS}the beginning, {', '.join(unknown[key] for key in assumed)}: {reasons[0]}",
+        "[start]",
+        f"time_s = {start.time_s:.3f}",
+        f"latitude_deg = {start.latitude_deg:.7f}",
+        f"longitude_deg = {start.longitude_deg:.7f}",
+        f"velocity_n = [{', '.join(f'{speed:.3f}' for speed in start.velocity_n)}]",
+        f"roll_deg = {start.roll_deg:.2f}",
+        f"pitch_deg = {start.pitch_deg:.2f}",
+        f"heading_deg = {start.heading_deg:.1f}",
+        f"tilt_sd_deg = {max(start.tilt_sd_deg, 1.0):.2f}",
+        f"heading_sd_deg = {30.0 if 'heading' in assumed else 5.0}",
+        "velocity_sd_m_s = 0.5",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _one_line(error: ValueError) -> str:
+    return str(error).replace("\n", " ")

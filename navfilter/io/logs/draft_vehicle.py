@@ -1,0 +1,214 @@
+"""A vehicle.toml for the streams of a log: which sensors there are, and how such sensors usually err."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from navfilter.mission import Mission, Stream
+
+__all__ = ["LIKE", "Like", "vehicle_text"]
+
+GUESS = "# GUESSED: "
+
+
+@dataclass(frozen=True)
+class Like:
+    """How the sensors of a kind of vehicle err.
+
+    Parameters
+    ----------
+    about : str
+        In words.
+    drive : str
+        ``"imu"`` or ``"dead-reckoning"``.
+    gyro_density, accel_density : float
+        White noise of an inertial unit at rest [rad/s/sqrt(Hz)], [m/s^2/sqrt(Hz)].
+    gyro_bias, accel_bias, heading, tilt, velocity, water, depth, position : str
+        Error models, as a vehicle.toml has them.
+    """
+
+    about: str
+    drive: str
+    gyro_density: float
+    gyro_bias: str
+    accel_density: float
+    accel_bias: str
+    heading: str
+    tilt: str
+    velocity: str
+    water: str
+    depth: str
+    position: str
+
+
+_MEMS = (
+    1.7e-4,
+    '{model = "random-walk", density_deg_per_h_per_sqrt_h = 20.0, start_sd_deg_per_h = 600.0}',
+    3e-3,
+    '{model = "random-walk", density = 2e-5, start_sd_mg = 20.0}',
+)
+_FINE = (
+    1.5e-5,
+    '{model = "random-walk", density_deg_per_h_per_sqrt_h = 0.5, start_sd_deg_per_h = 5.0}',
+    1e-3,
+    '{model = "random-walk", density = 8e-6, start_sd_mg = 1.0}',
+)
+
+LIKE = {
+    "bluerov2": Like(
+        "a small vehicle with a micromechanical inertial unit, magnetometer, DVL and an acoustic positioning system",
+        "imu",
+        *_MEMS,
+        '[{model = "gauss-markov", sd_deg = 3.0, tau_s = 60}, {model = "white", sd_deg = 1.0}]',
+        '{model = "white", sd_deg = 1.0}',
+        '[{model = "gauss-markov", sd = 0.02, tau_s = 5}, {model = "white", sd = 0.02}]',
+        '[{model = "gauss-markov", sd = 0.2, tau_s = 300}, {model = "white", sd = 0.05}]',
+        '{model = "white", sd = 0.05}',
+        '[{model = "gauss-markov", sd = 1.5, tau_s = 30}, {model = "white", sd = 1.0}]',
+    ),
+    "survey": Like(
+        "a survey vehicle with a tactical inertial unit or better, DVL and GPS",
+        "imu",
+        *_FINE,
+        '{model = "gauss-markov", sd_deg = 0.6, tau_s = 30}',
+        '{model = "white", sd_deg = 0.3}',
+        '{model = "white", sd = 0.01}',
+        '[{model = "gauss-markov", sd = 0.2, tau_s = 600}, {model = "white", sd = 0.02}]',
+        '{model = "white", sd = 0.05}',
+        '{model = "gauss-markov", sd = 3.0, tau_s = 60}',
+    ),
+    "glider": Like(
+        "a glider: compass and depth, no velocity, fixes between dives, a current as large as its own speed",
+        "dead-reckoning",
+        *_MEMS,
+        '[{model = "gauss-markov", sd_deg = 3.0, tau_s = 600}, {model = "white", sd_deg = 1.0}]',
+        '{model = "white", sd_deg = 1.0}',
+        '{model = "gauss-markov", sd = 0.3, tau_s = 3600}',
+        '{model = "gauss-markov", sd = 0.3, tau_s = 3600}',
+        '{model = "white", sd = 0.2}',
+        '{model = "white", sd = 10.0}',
+    ),
+    "yacht": Like(
+        "a boat: compass, speed through the water, GPS",
+        "dead-reckoning",
+        *_MEMS,
+        '[{model = "gauss-markov", sd_deg = 4.0, tau_s = 120}, {model = "white", sd_deg = 1.5}]',
+        '{model = "white", sd_deg = 5.0}',
+        '[{model = "gauss-markov", sd = 0.05, tau_s = 60}, {model = "white", sd = 0.1}]',
+        '[{model = "gauss-markov", sd = 0.3, tau_s = 600}, {model = "white", sd = 0.15}]',
+        '{model = "white", sd = 0.1}',
+        '[{model = "gauss-markov", sd = 2.0, tau_s = 60}, {model = "white", sd = 1.0}]',
+    ),
+}
+#: Wheels slip, cameras lose their scale.
+_ODOMETRY = '[{model = "gauss-markov", sd = 0.2, tau_s = 2}, {model = "white", sd = 0.1}]'
+#: How far off a speed is that nobody measured.
+_UNKNOWN_SPEED = '{model = "gauss-markov", sd = 0.5, tau_s = 120}'
+
+
+def vehicle_text(mission: Mission, readings: dict[str, str], drive: str, like: str) -> str:
+    """The vehicle.toml for a drafted mission.
+
+    Parameters
+    ----------
+    mission : Mission
+    readings : dict of str to str
+        Stream -> what it reads (see `navfilter.io.logs.known.READINGS`).
+    drive : str
+        ``"imu"`` or ``"dead-reckoning"``.
+    like : str
+        Key of `LIKE`.
+    """
+    kind = LIKE[like]
+    lines = [
+        "# What is on board, and how it errs. Rates are those of the log; 'navfilter vehicle --check' says it in words, and",
+        "# 'navfilter vehicle --init' lists every key that there is.",
+        f"{GUESS}the errors, as of {kind.about}; 'navfilter identify' finds them from the log",
+        f"{GUESS}lever arms and mountings, all zero: set lever_arm_b_m and mounting_deg of each sensor",
+        f'name = "like {like}"',
+        "",
+    ]
+    if drive == "imu":
+        lines += [
+            "[drive]",
+            'type = "imu"',
+            _rate(mission.streams["imu"]),
+            *_inertial(mission.streams["imu"], kind),
+            "",
+        ]
+    else:
+        lines += ["[drive]", 'type = "dead-reckoning"', _rate(mission.streams["velocity"]), f"tilt = {kind.tilt}"]
+        lines += [
+            "",
+            "[drive.attitude]",
+            'type = "heading"',
+            f"error = {kind.heading}",
+            *_north(mission, readings["attitude"]),
+            "",
+        ]
+        speeds = {"none": _UNKNOWN_SPEED, "water": kind.water, "odometry": _ODOMETRY}
+        error = speeds.get(readings["velocity"], kind.velocity)
+        lines += ["[drive.velocity]", 'type = "body-velocity"', f"error = {error}", "zero_is_invalid = false", ""]
+    for name in ("compass", "dvl", "odometry", "depth", "gps"):
+        if name in readings:
+            lines += [f"[sensors.{name}]", *_sensor(name, readings[name], kind, mission), ""]
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def _inertial(stream: Stream, kind: Like) -> list[str]:
+    """The errors of gyros and accelerometers; the scatter from sample to sample is also the vehicle's shaking, which aliases."""
+    step_s = float(np.median(np.diff(stream.time_s)))
+    change = np.abs(np.diff(stream.value, axis=0))
+    # Median of |x[k+1] - x[k]| of white noise of sd s: 0.6745 * sqrt(2) * s.
+    density = np.nanmedian(change, axis=0) / (0.6745 * np.sqrt(2.0)) * np.sqrt(step_s)
+    gyro, accel = float(density[:3].max()), float(density[3:6].max())
+    words = f"{GUESS}gyro.white and accel.white: not below the scatter from sample to sample in this log"
+    return [
+        words,
+        f'gyro = [{{model = "white", density = {max(gyro, kind.gyro_density):.2g}}}, {kind.gyro_bias}]',
+        f'accel = [{{model = "white", density = {max(accel, kind.accel_density):.2g}}}, {kind.accel_bias}]',
+    ]
+
+
+def _sensor(name: str, reading: str, kind: Like, mission: Mission) -> list[str]:
+    rate = _rate(mission.streams[name])
+    if name == "compass":
+        field = ["magnetometer = true"] if reading == "field" else []
+        return ['type = "heading"', rate, f"error = {kind.heading}", *field, *_north(mission, reading)]
+    if name == "odometry":
+        return ['type = "body-velocity"', rate, f"error = {_ODOMETRY}", "zero_is_invalid = false"]
+    if name == "dvl":
+        return ['type = "body-velocity"', rate, f"error = {kind.velocity}"]
+    if name == "depth":
+        pressure = (
+            ["pressure = true                       # absolute, from the surface's 101325 Pa"]
+            if reading == "pressure"
+            else []
+        )
+        return ['type = "depth"', rate, f"error = {kind.depth}", *pressure]
+    return ['type = "position"', rate, f"error = {kind.position}"]
+
+
+def _north(mission: Mission, reading: str) -> list[str]:
+    """Which north a heading counts from."""
+    if reading == "magnetic" or reading == "field":
+        known = mission.date is not None and 2010 <= mission.date.year < 2030 and "gps" in mission.streams
+        magnetic = [] if reading == "field" else ["magnetic = true"]
+        if known:
+            return magnetic
+        return [
+            *magnetic,
+            f"{GUESS}no declination: it needs a date (2010 to 2029) and a place",
+            "declination_deg = 0.0",
+        ]
+    return []
+
+
+def _rate(stream: Stream) -> str:
+    """The rate between gaps, to three digits."""
+    step = np.diff(stream.time_s)
+    step = step[(step > 0) & (step <= 10.0 * max(float(np.median(step)), float(step.mean())))] if step.size else step
+    rate = step.size / float(step.sum()) if step.size else 1.0
+    return f"rate_hz = {float(f'{rate:.3g}'):g}"

@@ -1,0 +1,51 @@
+"""Lines of a text log, plain or compressed, one at a time."""
+
+from __future__ import annotations
+
+import bz2
+import gzip
+import lzma
+import zlib
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from navfilter.io.logs.progress import byte_bar
+
+__all__ = ["first_bytes", "lines"]
+
+_OPENERS: dict[str, Any] = {".gz": gzip.open, ".xz": lzma.open, ".bz2": bz2.open}
+_BROKEN = (OSError, EOFError, lzma.LZMAError, zlib.error)
+#: A longer "line" is no line of text.
+_LONGEST = 1 << 16
+
+
+def lines(path: Path, tally: Counter[str]) -> Iterator[bytes]:
+    """All lines, without their ends; a compressed file that is cut short gives what it holds, and is counted."""
+    with path.open("rb") as raw, byte_bar(path, path.stat().st_size) as bar:
+        opener = _OPENERS.get(path.suffix.lower())
+        file = raw if opener is None else opener(raw, "rb")
+        done = told = 0
+        try:
+            while line := file.readline(_LONGEST):
+                yield line.rstrip(b"\r\n")
+                done += 1
+                if done % 4096 == 0:
+                    at = raw.tell()
+                    bar.update(at - told)
+                    told = at
+        except _BROKEN:
+            tally["place where the file is damaged or cut short, nothing read behind it"] += 1
+
+
+def first_bytes(path: Path, most: int = 1 << 16) -> bytes:
+    """The first bytes, unpacked; of a broken file as many as it has."""
+    found = b""
+    try:
+        with _OPENERS.get(path.suffix.lower(), open)(path, "rb") as file:
+            while len(found) < most and (piece := file.read(4096)):
+                found += piece
+    except _BROKEN:
+        pass
+    return found

@@ -1,0 +1,92 @@
+"""ROS 1 bags and ROS 2 bags (SQLite and MCAP, single files and folders), read with rosbags.
+
+Message definitions come from the bag; those of a bag that has none (older .db3) from the definitions of ROS itself.
+The time of a record is that of its reception by the recorder; instruments' own stamps are ``header.stamp``.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from rosbags.highlevel import AnyReader
+from rosbags.typesys import Stores, get_typestore
+
+from navfilter.io.logs.choosing import Wanted
+from navfilter.io.logs.progress import bar
+from navfilter.mission import MissionError
+
+__all__ = ["kinds", "records"]
+
+_REPAIR = {
+    ".bag": '"rosbag reindex" mends it',
+    ".mcap": '"mcap recover" mends it',
+    ".db3": '"sqlite3 FILE .recover" mends it',
+}
+#: Message types without a reading that navigates; decoding them would cost minutes.
+_HEAVY = ("Image", "CompressedImage", "PointCloud2", "LaserScan", "OccupancyGrid", "TFMessage", "MarkerArray", "Log")
+
+
+def records(path: Path, wanted: Wanted, tally: Counter[str]) -> Iterator[tuple[str, float, Any]]:
+    """See `navfilter.io.logs`."""
+    with _opened(path) as reader:
+        chosen = []
+        for connection in reader.connections:
+            if not wanted(connection.topic):
+                continue
+            if connection.msgtype in reader.typestore.fielddefs and not connection.msgtype.endswith(_HEAVY):
+                chosen.append(connection)
+            else:
+                tally[f"messages of {connection.topic} left out ({connection.msgtype})"] += connection.msgcount
+        if not chosen:
+            return
+        typestore, is2 = reader.typestore, reader.is2
+        decode = typestore.deserialize_cdr if is2 else typestore.deserialize_ros1
+        total = sum(connection.msgcount for connection in chosen)
+        for connection, nanoseconds, raw in bar(_until_damage(reader, chosen, tally), path, total, "messages"):
+            try:
+                message = decode(raw, connection.msgtype)
+            except Exception:  # the decoders are generated code: whatever a damaged message makes them raise
+                tally[f"messages of {connection.topic} cannot be decoded"] += 1
+                continue
+            yield connection.topic, nanoseconds * 1e-9, message
+
+
+def kinds(path: Path) -> dict[str, str]:
+    """Topic -> type of its messages, such as ``"sensor_msgs/msg/Imu"``."""
+    with _opened(path) as reader:
+        return {connection.topic: connection.msgtype for connection in reader.connections}
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[AnyReader]:
+    reader = AnyReader([path], default_typestore=get_typestore(Stores.LATEST))
+    try:
+        reader.open()
+    except Exception as error:  # rosbags raises its own errors, those of sqlite3, of struct and of lz4
+        advice = f" If the recording was cut short, {_REPAIR[path.suffix]}." if path.suffix in _REPAIR else ""
+        raise MissionError(f"{path} cannot be read as a ROS bag: {_one_line(error)}.{advice}") from None
+    try:
+        yield reader
+    finally:
+        reader.close()
+
+
+def _until_damage(reader: AnyReader, chosen: list[Any], tally: Counter[str]) -> Iterator[tuple[Any, int, bytes]]:
+    """The messages up to the first place that cannot be read: what was recorded before it is worth having."""
+    missing = sum(connection.msgcount for connection in chosen)
+    try:
+        for found in reader.messages(connections=chosen):
+            missing -= 1
+            yield found
+    except Exception as error:  # as above
+        tally[f"place where the bag is damaged, nothing read behind it ({_one_line(error)})"] += 1
+    if missing > 0:
+        tally["messages that the bag's index counts are not to be found"] += missing
+
+
+def _one_line(error: BaseException) -> str:
+    return (str(error) or type(error).__name__).splitlines()[0].rstrip(".")

@@ -1,0 +1,89 @@
+"""Slocum gliders: the text tables that dinkum binary data become (``dbd2asc``): wide, and NaN where nothing was sampled.
+
+The one topic is ``glider``, its fields are the glider's sensors by their own names and, latitude and longitude apart, in
+their own units: those come as degrees and minutes in one number (ddmm.mmmm) and are read as degrees. ``log_time`` is
+``m_present_time`` (of science files ``sci_m_present_time``), UTC. Several files, by a pattern with ``*``, follow one another.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from navfilter.io.logs.choosing import Wanted
+from navfilter.io.logs.lines import lines
+from navfilter.mission import MissionError
+
+__all__ = ["records"]
+
+TOPIC = "glider"
+_CLOCKS = ("m_present_time", "sci_m_present_time")
+#: Units as the glider writes them -> as a mission.toml does.
+_UNITS = {
+    "rad": "rad",
+    "m": "m",
+    "m/s": "m/s",
+    "bar": "bar",
+    "degC": "degC",
+    "lat": "deg",
+    "lon": "deg",
+    "timestamp": "s",
+}
+#: Beyond is the glider's mark for "never": 69696969.
+_LARGEST_ANGLE = 18000.0
+
+
+def records(path: Path, wanted: Wanted, tally: Counter[str]) -> Iterator[tuple[str, float, Any]]:
+    """See `navfilter.io.logs`."""
+    rows = lines(path, tally)
+    names, units = _head(path, rows)
+    clock = next((name for name in _CLOCKS if name in names), None)
+    if clock is None:
+        raise MissionError(f"{path}: a glider's table needs a column {' or '.join(_CLOCKS)}; it has none.")
+    if not wanted(TOPIC):
+        return
+    stated = {name: _UNITS.get(unit, "") for name, unit in zip(names, units, strict=True)}
+    wanted.units[TOPIC] = {name: unit for name, unit in stated.items() if unit}
+    angles = [name for name, unit in zip(names, units, strict=True) if unit in ("lat", "lon")]
+    for line in rows:
+        cells = line.split()
+        if len(cells) != len(names):
+            tally["rows cut short or with too many cells left out"] += bool(cells)
+            continue
+        try:
+            record = dict(zip(names, map(float, cells), strict=True))
+        except ValueError:
+            tally["rows with text among the numbers left out"] += 1
+            continue
+        for name in angles:
+            record[name] = _degrees(record[name])
+        yield TOPIC, record[clock], record
+
+
+def _head(path: Path, rows: Iterator[bytes]) -> tuple[list[str], list[str]]:
+    """Names and units: the first two of the label lines behind the tags."""
+    tags: dict[bytes, bytes] = {}
+    for line in rows:
+        key, _, value = line.partition(b":")
+        tags[key.strip()] = value.strip()
+        if len(tags) >= int(tags.get(b"num_ascii_tags", b"14")):
+            break
+    labels = [
+        next(rows, b"").decode("ascii", "replace").split() for _ in range(int(tags.get(b"num_label_lines", b"3")))
+    ]
+    if len(labels) < 2 or not labels[0] or len(labels[0]) != len(labels[1]):
+        raise MissionError(
+            f"{path}: the lines with the names and the units of a glider's table are missing or disagree."
+        )
+    return labels[0], labels[1]
+
+
+def _degrees(value: float) -> float:
+    """Degrees of a number that is written ddmm.mmmm."""
+    if not abs(value) <= _LARGEST_ANGLE:
+        return math.nan
+    degrees, minutes = divmod(abs(value), 100.0)
+    return math.copysign(degrees + minutes / 60.0, value)

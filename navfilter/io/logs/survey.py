@@ -1,0 +1,197 @@
+"""What a log holds: its topics with their rates, spans, gaps and first values."""
+
+from __future__ import annotations
+
+import itertools
+from array import array
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from navfilter.io.logs.choosing import Wanted
+from navfilter.io.logs.formats import Format, log_format
+from navfilter.io.logs.gathering import LOG_TIME, TopicColumns
+from navfilter.io.logs.shelf import files_of
+from navfilter.mission import MissionError
+
+__all__ = ["Survey", "Topic", "survey", "survey_text"]
+
+Array = npt.NDArray[np.float64]
+
+#: Records of each topic that are kept for a look at their values.
+_KEPT = 3000
+#: A step longer than this many usual ones is a gap.
+_GAP = 10.0
+#: Later than 2001: these are seconds since 1970, not since some start.
+_UTC_S = 1e9
+
+
+@dataclass(frozen=True, eq=False)
+class Topic:
+    """One topic of a log.
+
+    Parameters
+    ----------
+    name, kind : str
+        Full name; type of its messages where the format has such.
+    count : int
+        Records.
+    time_s : ndarray, shape (count,)
+        `log_time` of every record.
+    columns : dict of str to ndarray
+        Fields of the first records.
+    units : dict of str to str
+        Where the log states them.
+    """
+
+    name: str
+    kind: str
+    count: int
+    time_s: Array
+    columns: dict[str, npt.NDArray[Any]]
+    units: dict[str, str]
+
+    @property
+    def rate_hz(self) -> float:
+        """Mean rate, gaps left out; 0 for fewer than two records."""
+        step = np.diff(np.sort(self.time_s))
+        whole = step[step <= self.longest_usual_s]
+        total = float(whole.sum())
+        return whole.size / total if total > 0 else 0.0
+
+    @property
+    def longest_usual_s(self) -> float:
+        """A step longer than this is a gap [s]; bursts and repeated stamps do not make it shorter than the mean step."""
+        step = np.diff(np.sort(self.time_s))
+        return _GAP * max(float(np.median(step)), float(step.mean())) if step.size else 0.0
+
+    @property
+    def gaps(self) -> Array:
+        """Lengths of the gaps [s]."""
+        step = np.diff(np.sort(self.time_s))
+        return step[step > self.longest_usual_s]
+
+    def has(self, *fields: str) -> bool:
+        """Whether all these fields are there."""
+        return all(field in self.columns for field in fields)
+
+
+@dataclass(frozen=True, eq=False)
+class Survey:
+    """A log.
+
+    Parameters
+    ----------
+    path : Path
+    format : Format
+    topics : tuple of Topic
+        In the order of their first records.
+    notes : tuple of str
+        What was dropped, and why.
+    """
+
+    path: Path
+    format: Format
+    topics: tuple[Topic, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def begin_s(self) -> float:
+        """First `log_time` of any topic [s]."""
+        return min(float(topic.time_s.min()) for topic in self.topics)
+
+    @property
+    def end_s(self) -> float:
+        """Last `log_time` of any topic [s]."""
+        return max(float(topic.time_s.max()) for topic in self.topics)
+
+    @property
+    def is_utc(self) -> bool:
+        """Whether times count from 1970."""
+        return self.begin_s > _UTC_S
+
+
+def survey(path: Path) -> Survey:
+    """Go through a log and say what is in it.
+
+    Parameters
+    ----------
+    path : Path
+        A log, or a pattern with ``*`` of several that follow one another.
+
+    Raises
+    ------
+    MissionError
+        If it is no log, cannot be read or is empty.
+    """
+    paths = files_of(path)
+    known = log_format(paths[0])
+    module = known.load()
+    wanted, tally = Wanted(), Counter[str]()
+    times: dict[str, array[float]] = {}
+    kept: dict[str, TopicColumns] = {}
+    for topic, time_s, record in itertools.chain.from_iterable(module.records(one, wanted, tally) for one in paths):
+        if topic not in times:
+            times[topic], kept[topic] = array("d"), TopicColumns()
+        if isinstance(time_s, np.ndarray):
+            times[topic].frombytes(time_s.tobytes())
+        else:
+            times[topic].append(time_s)
+        if len(kept[topic]) < _KEPT:
+            kept[topic].put(time_s, record)
+    if not times:
+        raise MissionError(f"{path} holds no records.")
+    kinds = module.kinds(paths[0]) if hasattr(module, "kinds") else {}
+    topics = []
+    for name, stamps in times.items():
+        time = np.array(stamps)
+        topics.append(
+            Topic(name, kinds.get(name, ""), time.size, time, kept[name].columns(), wanted.units.get(name, {}))
+        )
+    notes = tuple(f"{count} {reason}" for reason, count in tally.items() if count)
+    return Survey(path, known, tuple(topics), notes)
+
+
+def survey_text(found: Survey, most: int = 80) -> str:
+    """The topics as a table of text, one line each, and what was dropped."""
+    length = found.end_s - found.begin_s
+    lines = [f"{found.path.name}: {found.format.title}, {len(found.topics)} topics, {length:.1f} s{_when(found)}.", ""]
+    width = max(5, *(len(_title(topic)) for topic in found.topics[:most]))
+    lines.append(f"{'topic':{width}}  {'records':>8} {'Hz':>7} {'from s':>8} {'to s':>8}  gaps           first values")
+    for topic in found.topics[:most]:
+        begin, end = topic.time_s.min() - found.begin_s, topic.time_s.max() - found.begin_s
+        gaps = f"{topic.gaps.size}, up to {topic.gaps.max():.3g} s" if topic.gaps.size else "-"
+        rate = f"{topic.rate_hz:.4g}" if topic.count > 1 else "-"
+        head = f"{_title(topic):{width}}  {topic.count:8d} {rate:>7} {begin:8.1f} {end:8.1f}  {gaps:13}"
+        lines.append(f"{head}  {_first_values(topic)}")
+    if len(found.topics) > most:
+        lines.append(f"and {len(found.topics) - most} more topics")
+    if found.notes:
+        lines += ["", "Left out while reading:", *(f"  {note}" for note in found.notes)]
+    return "\n".join(lines)
+
+
+def _title(topic: Topic) -> str:
+    return f"{topic.name} ({topic.kind})" if topic.kind else topic.name
+
+
+def _when(found: Survey) -> str:
+    if not found.is_utc:
+        return " (times count from the start of the recorder)"
+    return f" from {np.datetime64(int(found.begin_s), 's')} UTC"
+
+
+def _first_values(topic: Topic, most: int = 4) -> str:
+    shown = []
+    for name, column in topic.columns.items():
+        if name == LOG_TIME or name.endswith((".sec", ".nanosec")) or "covar" in name:
+            continue
+        first = next((cell for cell in column if not (isinstance(cell, float) and np.isnan(cell)) and cell != ""), None)
+        if first is not None:
+            value = first if isinstance(first, str) else f"{first:.10g}" if "stamp" in name else f"{first:.6g}"
+            shown.append(f"{name} = {value}{' ' + topic.units[name] if name in topic.units else ''}")
+    return ", ".join(shown[:most]) + (", ..." if len(shown) > most else "")

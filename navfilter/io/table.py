@@ -1,0 +1,78 @@
+"""Columns of one file or of one topic of a log: what every reader hands over."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from navfilter.mission import MissionError
+
+__all__ = ["Table", "listing"]
+
+Array = npt.NDArray[np.float64]
+
+_BLANK = ("", "nan", "na", "n/a", "null", "none")
+
+
+@dataclass(frozen=True)
+class Table:
+    """Columns of one file, by name or by position.
+
+    Parameters
+    ----------
+    path : str
+        Where the columns come from, for messages.
+    columns : dict of str to ndarray
+        Arrays of equal or unequal length, in file order.
+    notes : tuple of str
+        What had to be skipped.
+    units : dict of str to str
+        Units of columns where the file itself says so; they hold where the mapping says nothing.
+    quoted : bool
+        Whether messages may show what is written in the file.
+    """
+
+    path: str
+    columns: Mapping[str, npt.NDArray[Any]]
+    notes: tuple[str, ...] = field(default=())
+    units: Mapping[str, str] = field(default_factory=dict)
+    quoted: bool = True
+
+    def raw(self, reference: str | int) -> npt.NDArray[Any]:
+        """A column as it stands in the file (numbers or text); reference is its name or its 0-based position."""
+        names = list(self.columns)
+        if isinstance(reference, int):
+            if not -len(names) <= reference < len(names):
+                raise MissionError(
+                    f"{self.path}: there is no column {reference}, the file has {len(names)} (0 to {len(names) - 1})."
+                    " If each row is a quantity, set transpose = true."
+                )
+            return self.columns[names[reference]]
+        if reference not in self.columns:
+            known = listing("columns", names, self.quoted)
+            raise MissionError(f'{self.path}: there is no column "{reference}" ({known}).')
+        return self.columns[reference]
+
+    def numbers(self, reference: str | int) -> tuple[Array, int]:
+        """A column as float64 with NaN for what is no number, and how many cells were text that is no number."""
+        raw = self.raw(reference)
+        if raw.dtype.kind in "fiub":
+            return raw.astype(np.float64), 0
+        import pandas as pd
+
+        coerced = pd.to_numeric(pd.Series(raw, dtype=object), errors="coerce")
+        values = coerced.to_numpy(dtype=np.float64, na_value=np.nan)
+        wrong = [isinstance(cell, str) and cell.strip().lower() not in _BLANK for cell in raw[np.isnan(values)]]
+        return values, sum(wrong)
+
+
+def listing(what: str, names: list[str], quoted: bool = True, most: int = 40) -> str:
+    """The first names in quotes, and how many more there are; of a file that is not quoted only their number."""
+    if not quoted:
+        return f"{len(names)} {what}, not shown: the file lies outside the folder of the mission"
+    shown = ", ".join(f'"{name}"' for name in names[:most])
+    return f"{what}: {shown or 'none'}" + (f" and {len(names) - most} more" if len(names) > most else "")
