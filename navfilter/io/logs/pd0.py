@@ -130,7 +130,7 @@ def _sensors(leader: bytes) -> dict[str, float | None]:
     }
     record |= {"temperature": 0.01 * temperature, "speed_of_sound": speed, "transducer_depth": 0.1 * depth}
     if len(leader) >= 52:
-        record["pressure"] = 10.0 * int.from_bytes(leader[48:52], "little")
+        record["pressure"] = 10.0 * int.from_bytes(leader[48:52], "little", signed=True)
     return record
 
 
