@@ -3,6 +3,7 @@
 import os
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import navfilter as nf
@@ -70,6 +71,34 @@ def test_a_glider_by_a_pattern(log_sample, tmp_path):
     track = nf.replay(nf.read_vehicle(tmp_path), mission)
     assert track.residuals["gps"].used.sum() >= 5 and track.residuals["depth"].used.sum() > 400
     assert "there is no velocity in this log" in (tmp_path / "mission.toml").read_text()
+
+
+def test_a_ros_driver_that_counts_downwards(tmp_path):
+    """Gravity tells forward-right-down from the forward-left-up that ROS asks for."""
+    from rosbags.rosbag2 import Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    types = store.types
+    vector, nine = types["geometry_msgs/msg/Vector3"], np.zeros(9)
+    kinds = {"/imu": "sensor_msgs/msg/Imu", "/dvl": "geometry_msgs/msg/TwistStamped"}
+    with Writer(tmp_path / "bag", version=8) as writer:
+        links = {topic: writer.add_connection(topic, kind, typestore=store) for topic, kind in kinds.items()}
+        for k in range(200):
+            ns = 1_700_000_000_000_000_000 + 20_000_000 * k
+            stamp = types["builtin_interfaces/msg/Time"](sec=ns // 10**9, nanosec=ns % 10**9)
+            header = types["std_msgs/msg/Header"](stamp=stamp, frame_id="b")
+            turn = types["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0)
+            force = vector(x=0.01 * (k % 3), y=0.0, z=-9.81)
+            imu = types[kinds["/imu"]](header, turn, nine, vector(x=0.0, y=0.001 * (k % 2), z=0.0), nine, force, nine)
+            writer.write(links["/imu"], ns, store.serialize_cdr(imu, kinds["/imu"]))
+            twist = types["geometry_msgs/msg/Twist"](vector(x=1.0, y=0.0, z=0.0), vector(x=0.0, y=0.0, z=0.0))
+            writer.write(links["/dvl"], ns, store.serialize_cdr(types[kinds["/dvl"]](header, twist), kinds["/dvl"]))
+    assert main(["mission", str(tmp_path / "bag"), "--init", "--out", str(tmp_path / "dive"), "--quiet"]) == 0
+    mission = nf.read_mission(tmp_path / "dive")
+    assert mission.streams["imu"].column("force_z_m_s2").mean() == pytest.approx(-9.81)
+    assert mission.date.isoformat() == "2023-11-14"
+    assert "because gravity points that way" in (tmp_path / "dive" / "mission.toml").read_text()
 
 
 def test_a_log_beside_its_mission_is_named_relative_to_it(tmp_path):
