@@ -84,13 +84,13 @@ def test_what_is_not_there_is_said_with_what_is(log_sample):
         read_table(path)
 
 
-def write_bag(path, messages):
+def write_bag(path, messages, storage=rosbag2.StoragePlugin.MCAP):
     """A ROS 2 bag of DVL messages: topic -> (type, list of dicts of fields)."""
     store = get_typestore(Stores.ROS2_HUMBLE)
     for name, text in DVL_TYPES.items():
         store.register(get_types_from_msg(text, name))
     types = store.types
-    with rosbag2.Writer(path, version=8, storage_plugin=rosbag2.StoragePlugin.MCAP) as writer:
+    with rosbag2.Writer(path, version=8, storage_plugin=storage) as writer:
         for topic, (kind, records) in messages.items():
             connection = writer.add_connection(topic, kind, typestore=store)
             for k, fields in enumerate(records):
@@ -134,6 +134,21 @@ def test_three_kinds_of_dvl_message_and_their_flags(tmp_path):
         np.testing.assert_array_equal(table.raw("header.stamp"), [1_700_000_000.25, 1_700_000_001.25])
         np.testing.assert_array_equal(table.raw("log_time"), [1_700_000_001.0, 1_700_000_002.0])
         assert any("1 of 3 rows left out by where" in note for note in table.notes)
+
+
+def test_an_old_bag_without_definitions_takes_those_beside_it(tmp_path):
+    import sqlite3
+
+    speeds = [{"velocity": (0.1 * k, 0.0, 0.0), "time": 0.0, "fom": 0.01, "velocity_valid": True} for k in range(3)]
+    write_bag(tmp_path / "bag", {"/dvl": ("dvl_msgs/msg/DVL", speeds)}, rosbag2.StoragePlugin.SQLITE3)
+    with sqlite3.connect(tmp_path / "bag" / "bag.db3") as database:
+        database.execute("DELETE FROM message_definitions")
+    database.close()
+    with pytest.raises(MissionError, match=r"3 messages of /dvl left out .*put dvl_msgs/msg/DVL.msg beside it"):
+        Shelf().table(tmp_path / "bag", "/dvl")
+    (tmp_path / "dvl_msgs" / "msg").mkdir(parents=True)
+    (tmp_path / "dvl_msgs" / "msg" / "DVL.msg").write_text(DVL_TYPES["dvl_msgs/msg/DVL"])
+    np.testing.assert_allclose(Shelf().table(tmp_path / "bag", "/dvl").raw("velocity.x"), [0.0, 0.1, 0.2])
 
 
 @pytest.mark.parametrize(("log", "readings", "reason"), [(BAG, 1394, "damaged"), (MCAP, 2721, "not to be found")])
