@@ -56,6 +56,11 @@ def test_check_takes_a_bare_log(log_sample, capsys):
         assert part in out
 
 
+def test_a_log_is_no_mission_but_can_become_one(log_sample):
+    with pytest.raises(MissionError, match='is a PX4 log, not a mission: "navfilter mission --init'):
+        nf.read_mission(log_sample("px4/sample_log_small.ulg"))
+
+
 def test_the_list_of_topics(log_sample):
     found = survey(log_sample("ardupilot/ardusub_small.BIN"))
     imu = next(topic for topic in found.topics if topic.name == "IMU[0]")

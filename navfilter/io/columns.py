@@ -152,7 +152,7 @@ def _clock_times(clock: Clock, table: Table, other: Callable[[Clock], Table], ro
     raw = np.where(np.isfinite(raw), raw, np.nan)
     if clock.rollover is not None:
         raw = raw + clock.rollover * _turns(raw, clock.rollover)
-    factor = 1.0 if clock.unit == "iso8601" else unit(clock.unit).factor
+    factor = 1.0 if clock.unit == "iso8601" else unit(_time_unit(clock, source)).factor
     # Subtract before scaling: counters in microseconds since 1970 would lose digits.
     known = np.flatnonzero(np.isfinite(raw))
     if clock.from_first and known.size:
@@ -163,6 +163,13 @@ def _clock_times(clock: Clock, table: Table, other: Callable[[Clock], Table], ro
         step = (time_s[last] - time_s[first]) / (last - first)
         time_s = time_s[first] + step * (np.arange(rows) - first)
     return time_s + clock.offset_s
+
+
+def _time_unit(clock: Clock, source: Table) -> str:
+    """The unit of the times: as the mapping says, else as the file itself states it, else seconds."""
+    stated = source.units.get(str(clock.column), "")
+    known = stated in UNITS and UNITS[stated].dimension == "time"
+    return stated if known and "unit" not in clock.model_fields_set else clock.unit
 
 
 def _turns(raw: Array, rollover: float) -> Array:
