@@ -1,6 +1,8 @@
 """From a log to a replayed mission with the commands of the manual, and no line of code."""
 
 import os
+import re
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +10,11 @@ import pytest
 
 import navfilter as nf
 from navfilter.cli import main
+from navfilter.io.logs import FORMATS, formats
+from navfilter.io.logs.known import READINGS
 from navfilter.io.logs.survey import survey, survey_text
+from navfilter.io.mission_schema import MissionSpec
+from navfilter.io.validation import validate
 from navfilter.mission import MissionError
 
 for package, extra in (("rosbags", "ros"), ("pynmeagps", "nmea"), ("pyulog", "px4"), ("pymavlink", "ardupilot")):
@@ -125,3 +131,20 @@ def test_a_log_that_cannot_drive_says_what_it_has(log_sample, tmp_path, capsys):
     with pytest.raises(MissionError, match="is no log that navfilter knows"):
         (tmp_path / "x.csv").write_text("a,b\n1,2\n")
         survey(Path(tmp_path / "x.csv"))
+
+
+def test_the_examples_of_the_manual_are_valid():
+    text = (Path(__file__).parents[1] / "docs" / "logs.md").read_text(encoding="utf-8")
+    blocks = re.findall(r"```toml\n(.*?)```", text, re.DOTALL)
+    assert len(blocks) >= 3
+    for block in blocks:
+        validate(MissionSpec, tomllib.loads(block), Path("docs/logs.md"), MissionError)
+
+
+def test_every_format_is_in_the_manual_and_every_row_has_its_format():
+    text = (Path(__file__).parents[1] / "docs" / "logs.md").read_text(encoding="utf-8")
+    for known in FORMATS:
+        assert all(f"`{ending}`" in text for ending in known.suffixes), known.title
+    rows = tomllib.loads((Path(formats.__file__).parent / "known.toml").read_text(encoding="utf-8"))["use"]
+    assert {row["format"] for row in rows} == {known.module for known in FORMATS}
+    assert {row["reading"] for row in rows} <= set(READINGS)

@@ -67,6 +67,28 @@ def test_each_storage_holds_the_same(log_sample, tmp_path, other):
         np.testing.assert_array_equal(two.streams[name].value, stream.value)
 
 
+def test_a_pose_in_east_north_up_is_a_local_position(log_sample, tmp_path):
+    pose = [f"pose.pose.position.{axis}" for axis in "xyz"]
+    (tmp_path / "mission.toml").write_text(
+        f"""
+[streams.usbl]
+file = "{log_sample(MCAP)}"
+topic = "/jackal_velocity_controller/odom"
+time = {{column = "header.stamp"}}
+[streams.usbl.local]
+columns = {pose}
+axes = "y,x,-z"
+origin = {{latitude_deg = 45.0, longitude_deg = 9.0}}
+"""
+    )
+    position = nf.read_mission(tmp_path).streams["usbl"].value
+    raw = Shelf().table(log_sample(MCAP), "/jackal_velocity_controller/odom")
+    # Within 30 m of the origin a degree of latitude is 111 131 m, one of longitude 78 847 m.
+    north, east = np.degrees(position[:, 0]) - 45.0, np.degrees(position[:, 1]) - 9.0
+    np.testing.assert_allclose(111_131.75 * north, raw.raw(pose[1]), atol=1e-2)
+    np.testing.assert_allclose(78_846.8 * east, raw.raw(pose[0]), atol=1e-2)
+
+
 def test_a_series_for_identify(log_sample):
     series = read_series(
         log_sample(BAG), "angular_velocity.z", time_column="header.stamp", options=TableOptions(topic="/imu/data")
