@@ -53,7 +53,8 @@ attitude = ["Roll", "Pitch", "Yaw"]
 
 def test_a_unit_of_the_log_must_fit(log_sample, tmp_path):
     (tmp_path / "mission.toml").write_text(
-        f'[streams.depth]\nfile = "{log_sample(BIN)}"\ntopic = "BARO[0]"\ntime = {{column = "log_time"}}\ndepth = "Press"\n'
+        f'[streams.depth]\nfile = "{log_sample(BIN)}"\ntopic = "BARO[0]"\n'
+        'time = {column = "log_time"}\ndepth = "Press"\n'
     )
     with pytest.raises(MissionError, match='column "Press" is in Pa by the file itself, depth needs length'):
         nf.read_mission(tmp_path)

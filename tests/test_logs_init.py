@@ -114,7 +114,7 @@ def test_a_ros_driver_that_counts_downwards(tmp_path):
 
 def test_a_log_beside_its_mission_is_named_relative_to_it(tmp_path):
     log = tmp_path / "dvl.json"
-    line = '{"type": "position_local", "ts": %.1f, "x": 0, "y": 0, "z": 0, "roll": 1, "pitch": 2, "yaw": 3, "format": "json_v3"}'
+    line = '{"type": "position_local", "ts": %.1f, "roll": 1, "pitch": 2, "yaw": 3, "format": "json_v3"}'
     log.write_text("\n".join(line % (1.7e9 + 0.2 * k) for k in range(50)))
     assert main(["mission", str(log), "--init", "--out", str(tmp_path / "dive"), "--quiet"]) == 0
     assert 'file = "../dvl.json"' in (tmp_path / "dive" / "mission.toml").read_text()

@@ -79,8 +79,8 @@ def ensemble(number, velocity_mm_s, frame=2):
 
 
 def test_every_field_of_a_made_ensemble_and_the_ship_frame(tmp_path):
-    # Over ground 1.5 m/s forward, 0.2 m/s to starboard, 0.1 m/s down: what the ship frame (starboard, forward, up) of the
-    # bottom relative to the instrument says.
+    # Over ground 1.5 m/s forward, 0.2 m/s to starboard, 0.1 m/s down: what the ship frame (starboard, forward, up) of
+    # the bottom relative to the instrument says.
     path = tmp_path / "dvl.pd0"
     path.write_bytes(ensemble(1, (-200, -1500, 100, 3)))
     (tmp_path / "mission.toml").write_text(

@@ -33,9 +33,10 @@ where = {{column = "twist.covariance[0]", at_most = 0.01}}
 """
 #: Types of DVL messages in use, with the fields that matter; the validity is said in a different way by each.
 DVL_TYPES = {
-    "dvl_msgs/msg/DVL": "std_msgs/Header header\nfloat64 time\ngeometry_msgs/Vector3 velocity\nfloat64 fom\nbool velocity_valid\n",
-    "marine_acoustic_msgs/msg/Dvl": "std_msgs/Header header\ngeometry_msgs/Vector3 velocity\nfloat64[9] velocity_covar\n"
-    "uint8 num_good_beams\n",
+    "dvl_msgs/msg/DVL": "std_msgs/Header header\nfloat64 time\ngeometry_msgs/Vector3 velocity\nfloat64 fom\n"
+    "bool velocity_valid\n",
+    "marine_acoustic_msgs/msg/Dvl": "std_msgs/Header header\ngeometry_msgs/Vector3 velocity\n"
+    "float64[9] velocity_covar\nuint8 num_good_beams\n",
     "uuv_sensor_ros_plugins_msgs/msg/DVL": "std_msgs/Header header\ngeometry_msgs/Vector3 velocity\n"
     "float64[9] velocity_covariance\nfloat64 altitude\n",
 }

@@ -87,7 +87,8 @@ def _stated_unit(table: Table, name: str, part: Component, k: int) -> str:
         return ""
     wanted = "angular rate" if part.radius_m else GROUPS[name][0][k] if name in GROUPS else UNITS[stated].dimension
     if UNITS[stated].dimension not in (wanted, "number"):
-        raise MissionError(f'{table.path}: column "{part.column}" is in {stated} by the file itself, {name} needs {wanted}.')
+        found = f'column "{part.column}" is in {stated} by the file itself'
+        raise MissionError(f"{table.path}: {found}, {name} needs {wanted}.")
     return stated
 
 

@@ -1,11 +1,11 @@
 """ArduPilot logs, read with pymavlink: DataFlash (.bin) and telemetry (.tlog).
 
-DataFlash: a topic is a message (``ATT``), with ``[0]``, ``[1]`` where the log says that it has instances (``IMU[0]``). Its
-units are those that the log itself states (UNIT, MULT). Telemetry: a topic is a MAVLink message and who sent it
+DataFlash: a topic is a message (``ATT``), with ``[0]``, ``[1]`` where the log says that it has instances (``IMU[0]``).
+Its units are those that the log itself states (UNIT, MULT). Telemetry: a topic is a MAVLink message and who sent it
 (``ATTITUDE[1.1]``: system and component); ``ATTITUDE`` is enough where only one sends it. Its units are MAVLink's.
 
-``log_time`` is UTC where the log knows it (DataFlash with GPS; telemetry: when the message was received), else the
-time since the autopilot started.
+``log_time`` is UTC where the log knows it (DataFlash with GPS; telemetry: when the message was received), else the time
+since the autopilot started.
 """
 
 from __future__ import annotations

@@ -78,7 +78,7 @@ def draft(found: Survey, folder: Path, like: str = "") -> Draft:
 
 
 def _readable(found: Survey, driving: list[Drafted], others: list[Drafted]) -> tuple[list[Drafted], list[str], Mission]:
-    """The streams that can be read, a comment for each that cannot (say, because no reading is valid), and the mission."""
+    """The streams that can be read, a comment for each that cannot (no reading is valid, say), and the mission."""
     file, streams = str(found.path.resolve()), [*driving, *others]
     try:
         return streams, [], _read(_mission_text(found, streams, file, ""))
@@ -145,8 +145,8 @@ def _named(path: Path, folder: Path) -> str:
 def _mission_text(found: Survey, streams: list[Drafted], file: str, begin: str) -> str:
     clock = _clock(streams)
     lines = [
-        f"# From {found.path.name} ({found.format.title}). Lines that begin with GUESSED are to be looked at; the rest is",
-        "# what the log says. 'navfilter check' with this folder looks for the usual mistakes.",
+        f"# From {found.path.name} ({found.format.title}). Lines that begin with GUESSED are to be looked at;",
+        "# the rest is what the log says. 'navfilter check' with this folder looks for the usual mistakes.",
         "",
         f"name = {json.dumps(found.path.name.split('.')[0])}",
     ]

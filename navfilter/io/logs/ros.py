@@ -1,8 +1,8 @@
 """ROS 1 bags and ROS 2 bags (SQLite and MCAP, single files and folders), read with rosbags.
 
-Message definitions come from the bag; those of a bag that has none (older .db3) from the definitions of ROS itself, and from
-files ``PACKAGE/msg/TYPE.msg`` beside the bag.
-The time of a record is that of its reception by the recorder; instruments' own stamps are ``header.stamp``.
+Message definitions come from the bag; those of a bag that has none (older .db3) from the definitions of ROS itself, and
+from files ``PACKAGE/msg/TYPE.msg`` beside the bag. The time of a record is that of its reception by the recorder;
+instruments' own stamps are ``header.stamp``.
 """
 
 from __future__ import annotations
