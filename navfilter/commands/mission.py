@@ -37,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--vehicle-like",
         choices=KINDS,
         default="",
-        help="whose sensors' errors to begin with (default: bluerov2 with an inertial unit, else yacht)",
+        help="whose sensors' errors to begin with (default: what is usual for the format)",
     )
     parser.add_argument("--out", metavar="DIR", default=".", help="with --init: folder for the files (default: here)")
     parser.add_argument("--force", action="store_true", help="with --init: replace files that are there")

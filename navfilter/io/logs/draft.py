@@ -13,7 +13,7 @@ import numpy as np
 
 from navfilter.alignment import align
 from navfilter.io.logs.draft_streams import Drafted, chosen_streams, still
-from navfilter.io.logs.draft_vehicle import vehicle_text
+from navfilter.io.logs.draft_vehicle import usual_kind, vehicle_text
 from navfilter.io.logs.known import READINGS
 from navfilter.io.logs.survey import Survey
 from navfilter.io.mission_toml import read_mission_toml
@@ -58,7 +58,7 @@ def draft(found: Survey, folder: Path, like: str = "") -> Draft:
     folder : Path
         Where the files will stand; the log is named relative to it where it lies beside or below it.
     like : str
-        Key of `LIKE`: whose sensors' errors are taken; empty: those that fit what drives.
+        Key of `LIKE`: whose sensors' errors are taken; empty: those usual for the format.
 
     Raises
     ------
@@ -69,7 +69,7 @@ def draft(found: Survey, folder: Path, like: str = "") -> Draft:
     streams, dropped, mission = _readable(found, driving, correcting)
     begin = "".join(f"{line}\n" for line in dropped)
     readings = {stream.name: stream.reading for stream in streams}
-    vehicle_toml = vehicle_text(mission, readings, drive, like or ("bluerov2" if drive == "imu" else "yacht"))
+    vehicle_toml = vehicle_text(mission, readings, drive, like or usual_kind(found.format.module, drive))
     begin += _start(_vehicle(vehicle_toml), mission)
     mission_toml = _mission_text(found, streams, _named(found.path, folder), begin)
     texts = (mission_toml + vehicle_toml).splitlines()

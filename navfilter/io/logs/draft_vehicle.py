@@ -8,7 +8,7 @@ import numpy as np
 
 from navfilter.mission import Mission, Stream
 
-__all__ = ["LIKE", "Like", "vehicle_text"]
+__all__ = ["LIKE", "Like", "usual_kind", "vehicle_text"]
 
 GUESS = "# GUESSED: "
 
@@ -108,6 +108,12 @@ _ODOMETRY = '[{model = "gauss-markov", sd = 0.2, tau_s = 2}, {model = "white", s
 _UNKNOWN_SPEED = '{model = "gauss-markov", sd = 0.5, tau_s = 120}'
 
 
+def usual_kind(module: str, drive: str) -> str:
+    """Key of `LIKE` for a format of logs and the type of the drive."""
+    usual = {"ardupilot": "bluerov2", "waterlinked": "bluerov2", "slocum": "glider", "nmea": "yacht"}
+    return usual.get(module, "bluerov2" if drive == "imu" else "yacht")
+
+
 def vehicle_text(mission: Mission, readings: dict[str, str], drive: str, like: str) -> str:
     """The vehicle.toml for a drafted mission.
 
@@ -181,7 +187,8 @@ def _inertial(stream: Stream, kind: Like) -> list[str]:
 def _sensor(name: str, reading: str, kind: Like, mission: Mission) -> list[str]:
     rate = _rate(mission.streams[name])
     if name == "compass":
-        field = ["magnetometer = true"] if reading == "field" else []
+        iron = f"{GUESS}the magnetometer needs no calibration; else set hard_iron and soft_iron"
+        field = [iron, "magnetometer = true"] if reading == "field" else []
         return ['type = "heading"', rate, f"error = {kind.heading}", *field, *_north(mission, reading)]
     if name == "odometry":
         return ['type = "body-velocity"', rate, f"error = {_ODOMETRY}", "zero_is_invalid = false"]
