@@ -51,6 +51,12 @@ attitude = ["Roll", "Pitch", "Yaw"]
     )
 
 
+def test_one_topic_by_two_names(log_sample):
+    path = log_sample(BIN)
+    shelf = Shelf({path: {"IMU": {"GyrX"}, "IMU[0]": {"GyrY"}}})
+    assert shelf.table(path, "IMU").raw("GyrX").size == shelf.table(path, "IMU[0]").raw("GyrY").size == 594
+
+
 def test_a_unit_of_the_log_must_fit(log_sample, tmp_path):
     (tmp_path / "mission.toml").write_text(
         f'[streams.depth]\nfile = "{log_sample(BIN)}"\ntopic = "BARO[0]"\n'
