@@ -1,8 +1,8 @@
 """Reading logs: time against the library underneath, in one run with calls alternating; memory on a large bag.
 
-``python benchmarks/logs.py`` reads the samples below NAVFILTER_DATA/logs for what a mission wants
-of them, and with the library alone (every record decoded, nothing kept). ``--large MB`` writes a ROS 2 bag of that size
-(images, an inertial unit, a velocity log), reads the two streams that a mission would want, and says what memory it took.
+``python benchmarks/logs.py`` reads the samples below NAVFILTER_DATA/logs for what a mission wants of them, and with the
+library alone (every record decoded, nothing kept). ``--large MB`` writes a ROS 2 bag of that size (images, an inertial
+unit, a velocity log), reads the two streams that a mission would want, and says what memory it took.
 """
 
 from __future__ import annotations

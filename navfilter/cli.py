@@ -1,4 +1,5 @@
-"""The command line: ``navfilter demo | replay | run | compare | montecarlo | identify | simulate | check | mission | vehicle | warmup``.
+"""The command line: ``navfilter demo | replay | run | compare | montecarlo | identify | simulate | check | mission |
+vehicle | warmup``.
 
 Each sub-command is a function that adds its arguments and one that runs. Everything heavy is imported where it is used, so that
 ``navfilter --help`` answers at once. Exit codes: 0 all is well, 1 `check` or `vehicle --check` found something wrong, 2 wrong usage or
@@ -246,7 +247,8 @@ def _add_check(commands: Any) -> None:
         "swapped, degrees for radians, gyro against heading, DVL against position. Exit code 1 when something would spoil a replay.\n\n"
         "examples:\n"
         "  navfilter check dive_042\n"
-        "  navfilter check dive.mcap                            a bare log: what is in it, mapped as 'navfilter mission' would\n"
+        "  navfilter check dive.mcap                            a bare log: what is in it, and mapped as by\n"
+        "                                                       'navfilter mission --init'\n"
         "  navfilter check dive_042 --vehicle vehicle.toml      also: are all sensors there, with their mountings applied\n",
     )
     parser.add_argument("mission", metavar="MISSION", help="a mission, or a bare log")
@@ -270,7 +272,8 @@ def _of_a_log(path: Path, say: Callable[[str], None]) -> Any:
     """A bare log as the mission that ``navfilter mission --init`` would make of it; None for a mission."""
     from navfilter.io.logs import format_of
 
-    if not path.exists() or (path / "mission.toml").exists() or path.suffix in (".toml", ".npz") or format_of(path) is None:
+    is_mission = not path.exists() or (path / "mission.toml").exists() or path.suffix in (".toml", ".npz")
+    if is_mission or format_of(path) is None:
         return None
     from navfilter.io.logs.draft import draft
     from navfilter.io.logs.survey import survey, survey_text
@@ -289,9 +292,9 @@ def _of_a_log(path: Path, say: Callable[[str], None]) -> Any:
 
 
 def _add_mission(commands: Any) -> None:
-    from navfilter.commands import mission as mission_command
+    from navfilter.commands import mission as command
 
-    mission_command.add_arguments(_command(commands, "mission", mission_command.run, mission_command.ABOUT, mission_command.EPILOG))
+    command.add_arguments(_command(commands, "mission", command.run, command.ABOUT, command.EPILOG))
 
 
 # --- vehicle ----------------------------------------------------------------------------------------------------------

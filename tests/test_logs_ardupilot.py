@@ -20,7 +20,7 @@ def test_a_dataflash_log_in_its_own_units(log_sample, tmp_path):
 [streams.imu]
 file = "{log_sample(BIN)}"
 topic = "IMU"
-time = {{column = "TimeUS", unit = "us"}}
+time = {{column = "TimeUS"}}
 rate = ["GyrX", "GyrY", "GyrZ"]
 force = ["AccX", "AccY", "AccZ"]
 [streams.compass]
@@ -44,16 +44,23 @@ attitude = ["Roll", "Pitch", "Yaw"]
     }
     assert imu.time_s[0] == pytest.approx(265.678654, abs=1e-9)
     np.testing.assert_array_equal(imu.value[0, [0, 5]], np.float32([-0.007749793119728565, -9.770174026489258]))
-    # mGauss and degrees: by the log's own UNIT and MULT, nothing is said in the mission.toml.
+    # Microseconds, mGauss and degrees: by the log's own UNIT and MULT, nothing is said in the mission.toml.
     np.testing.assert_allclose(mission.streams["compass"].value[0], np.array([-140, 63, 900]) * 1e-7, rtol=1e-12)
     np.testing.assert_allclose(
         np.degrees(mission.streams["attitude"].value[0]), [-0.08, -0.63, 213.93 - 360], atol=1e-9
     )
 
 
+def test_one_topic_by_two_names(log_sample):
+    path = log_sample(BIN)
+    shelf = Shelf({path: {"IMU": {"GyrX"}, "IMU[0]": {"GyrY"}}})
+    assert shelf.table(path, "IMU").raw("GyrX").size == shelf.table(path, "IMU[0]").raw("GyrY").size == 594
+
+
 def test_a_unit_of_the_log_must_fit(log_sample, tmp_path):
     (tmp_path / "mission.toml").write_text(
-        f'[streams.depth]\nfile = "{log_sample(BIN)}"\ntopic = "BARO[0]"\ntime = {{column = "log_time"}}\ndepth = "Press"\n'
+        f'[streams.depth]\nfile = "{log_sample(BIN)}"\ntopic = "BARO[0]"\n'
+        'time = {column = "log_time"}\ndepth = "Press"\n'
     )
     with pytest.raises(MissionError, match='column "Press" is in Pa by the file itself, depth needs length'):
         nf.read_mission(tmp_path)

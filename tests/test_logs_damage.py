@@ -37,7 +37,7 @@ def damaged(data, seed):
 
 
 @pytest.mark.parametrize("log", LOGS)
-def test_damage_never_ends_in_a_traceback(log_sample, tmp_path, capsys, log):
+def test_damage_never_ends_in_a_traceback(log_sample, tmp_path, capfd, log):
     path = log_sample(log)
     data = lzma.decompress(path.read_bytes()) if path.suffix == ".xz" else path.read_bytes()
     target = tmp_path / path.name.removesuffix(".xz")
@@ -47,4 +47,4 @@ def test_damage_never_ends_in_a_traceback(log_sample, tmp_path, capsys, log):
             assert survey_text(survey(target))
         except MissionError as error:
             assert "\n" not in str(error)
-    assert capsys.readouterr() == ("", "")  # what a library prints is counted instead
+    assert capfd.readouterr() == ("", "")  # what a library prints is counted instead

@@ -60,7 +60,7 @@ def test_any_long_table_with_a_header(tmp_path):
     (tmp_path / "log.csv").write_text("t,signal,value\n" + "\n".join(rows) + "\n")
     table = read_table(tmp_path / "log.csv", TableOptions(where=(Where(column="signal", equals="yaw"),)))
     np.testing.assert_array_equal(table.numbers("value")[0], np.arange(200.0))
-    assert table.notes == ()
+    assert table.notes == ("log.csv: 400 rows left out by where (signal = yaw)",)
     both = Where(column="signal", equals=("yaw", "pitch"))
     assert read_table(tmp_path / "log.csv", TableOptions(where=(both,))).raw("t").size == 400
 

@@ -62,7 +62,7 @@ def ensemble(number, velocity_mm_s, frame=2):
     variable = bytearray(65)
     struct.pack_into("<HH7B", variable, 0, 0x0080, number, 26, 6, 1, 12, 0, number % 60, 25)
     struct.pack_into("<HHHhhHh", variable, 14, 1500, 37, 27001, -150, 220, 35, 1234)
-    struct.pack_into("<I", variable, 48, 4100)
+    struct.pack_into("<i", variable, 48, -41)
     variable[57:65] = bytes([20, 26, 6, 1, 12, 0, number % 60, 25])
     bottom = bytearray(81)
     struct.pack_into("<H", bottom, 0, 0x0600)
@@ -79,8 +79,8 @@ def ensemble(number, velocity_mm_s, frame=2):
 
 
 def test_every_field_of_a_made_ensemble_and_the_ship_frame(tmp_path):
-    # Over ground 1.5 m/s forward, 0.2 m/s to starboard, 0.1 m/s down: what the ship frame (starboard, forward, up) of the
-    # bottom relative to the instrument says.
+    # Over ground 1.5 m/s forward, 0.2 m/s to starboard, 0.1 m/s down: what the ship frame (starboard, forward, up) of
+    # the bottom relative to the instrument says.
     path = tmp_path / "dvl.pd0"
     path.write_bytes(ensemble(1, (-200, -1500, 100, 3)))
     (tmp_path / "mission.toml").write_text(
@@ -98,7 +98,7 @@ def test_every_field_of_a_made_ensemble_and_the_ship_frame(tmp_path):
         for name in ("heading", "pitch", "roll", "temperature", "transducer_depth", "pressure")
     }
     expected = {"heading": 270.01, "pitch": -1.5, "roll": 2.2, "temperature": 12.34, "transducer_depth": 3.7}
-    assert found == pytest.approx(expected | {"pressure": 41000.0})
+    assert found == pytest.approx(expected | {"pressure": -410.0})
     assert (
         sensors.raw("log_time")[0] == datetime.datetime(2026, 6, 1, 12, 0, 1, 250_000, tzinfo=datetime.UTC).timestamp()
     )

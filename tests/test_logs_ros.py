@@ -33,9 +33,10 @@ where = {{column = "twist.covariance[0]", at_most = 0.01}}
 """
 #: Types of DVL messages in use, with the fields that matter; the validity is said in a different way by each.
 DVL_TYPES = {
-    "dvl_msgs/msg/DVL": "std_msgs/Header header\nfloat64 time\ngeometry_msgs/Vector3 velocity\nfloat64 fom\nbool velocity_valid\n",
-    "marine_acoustic_msgs/msg/Dvl": "std_msgs/Header header\ngeometry_msgs/Vector3 velocity\nfloat64[9] velocity_covar\n"
-    "uint8 num_good_beams\n",
+    "dvl_msgs/msg/DVL": "std_msgs/Header header\nfloat64 time\ngeometry_msgs/Vector3 velocity\nfloat64 fom\n"
+    "bool velocity_valid\n",
+    "marine_acoustic_msgs/msg/Dvl": "std_msgs/Header header\ngeometry_msgs/Vector3 velocity\n"
+    "float64[9] velocity_covar\nuint8 num_good_beams\n",
     "uuv_sensor_ros_plugins_msgs/msg/DVL": "std_msgs/Header header\ngeometry_msgs/Vector3 velocity\n"
     "float64[9] velocity_covariance\nfloat64 altitude\n",
 }
@@ -67,6 +68,28 @@ def test_each_storage_holds_the_same(log_sample, tmp_path, other):
         np.testing.assert_array_equal(two.streams[name].value, stream.value)
 
 
+def test_a_pose_in_east_north_up_is_a_local_position(log_sample, tmp_path):
+    pose = [f"pose.pose.position.{axis}" for axis in "xyz"]
+    (tmp_path / "mission.toml").write_text(
+        f"""
+[streams.usbl]
+file = "{log_sample(MCAP)}"
+topic = "/jackal_velocity_controller/odom"
+time = {{column = "header.stamp"}}
+[streams.usbl.local]
+columns = {pose}
+axes = "y,x,-z"
+origin = {{latitude_deg = 45.0, longitude_deg = 9.0}}
+"""
+    )
+    position = nf.read_mission(tmp_path).streams["usbl"].value
+    raw = Shelf().table(log_sample(MCAP), "/jackal_velocity_controller/odom")
+    # Within 30 m of the origin a degree of latitude is 111 131 m, one of longitude 78 847 m.
+    north, east = np.degrees(position[:, 0]) - 45.0, np.degrees(position[:, 1]) - 9.0
+    np.testing.assert_allclose(111_131.75 * north, raw.raw(pose[1]), atol=1e-2)
+    np.testing.assert_allclose(78_846.8 * east, raw.raw(pose[0]), atol=1e-2)
+
+
 def test_a_series_for_identify(log_sample):
     series = read_series(
         log_sample(BAG), "angular_velocity.z", time_column="header.stamp", options=TableOptions(topic="/imu/data")
@@ -84,13 +107,13 @@ def test_what_is_not_there_is_said_with_what_is(log_sample):
         read_table(path)
 
 
-def write_bag(path, messages):
+def write_bag(path, messages, storage=rosbag2.StoragePlugin.MCAP):
     """A ROS 2 bag of DVL messages: topic -> (type, list of dicts of fields)."""
     store = get_typestore(Stores.ROS2_HUMBLE)
     for name, text in DVL_TYPES.items():
         store.register(get_types_from_msg(text, name))
     types = store.types
-    with rosbag2.Writer(path, version=8, storage_plugin=rosbag2.StoragePlugin.MCAP) as writer:
+    with rosbag2.Writer(path, version=8, storage_plugin=storage) as writer:
         for topic, (kind, records) in messages.items():
             connection = writer.add_connection(topic, kind, typestore=store)
             for k, fields in enumerate(records):
@@ -134,6 +157,21 @@ def test_three_kinds_of_dvl_message_and_their_flags(tmp_path):
         np.testing.assert_array_equal(table.raw("header.stamp"), [1_700_000_000.25, 1_700_000_001.25])
         np.testing.assert_array_equal(table.raw("log_time"), [1_700_000_001.0, 1_700_000_002.0])
         assert any("1 of 3 rows left out by where" in note for note in table.notes)
+
+
+def test_an_old_bag_without_definitions_takes_those_beside_it(tmp_path):
+    import sqlite3
+
+    speeds = [{"velocity": (0.1 * k, 0.0, 0.0), "time": 0.0, "fom": 0.01, "velocity_valid": True} for k in range(3)]
+    write_bag(tmp_path / "bag", {"/dvl": ("dvl_msgs/msg/DVL", speeds)}, rosbag2.StoragePlugin.SQLITE3)
+    with sqlite3.connect(tmp_path / "bag" / "bag.db3") as database:
+        database.execute("DELETE FROM message_definitions")
+    database.close()
+    with pytest.raises(MissionError, match=r"3 messages of /dvl left out .*put dvl_msgs/msg/DVL.msg beside it"):
+        Shelf().table(tmp_path / "bag", "/dvl")
+    (tmp_path / "dvl_msgs" / "msg").mkdir(parents=True)
+    (tmp_path / "dvl_msgs" / "msg" / "DVL.msg").write_text(DVL_TYPES["dvl_msgs/msg/DVL"])
+    np.testing.assert_allclose(Shelf().table(tmp_path / "bag", "/dvl").raw("velocity.x"), [0.0, 0.1, 0.2])
 
 
 @pytest.mark.parametrize(("log", "readings", "reason"), [(BAG, 1394, "damaged"), (MCAP, 2721, "not to be found")])

@@ -17,7 +17,8 @@ def test_a_dive_by_its_sensors(log_sample, tmp_path):
     (tmp_path / "mission.toml").write_text(
         f'[streams.compass]\n{stream}heading = "m_heading"\nwhere = {{column = "m_heading", known = true}}\n'
         f'[streams.depth]\n{stream}depth = "m_depth"\nwhere = {{column = "m_depth", known = true}}\n'
-        f'[streams.gps]\n{stream}position = ["m_gps_lat", "m_gps_lon"]\nwhere = {{column = "m_gps_lat", known = true}}\n'
+        f'[streams.gps]\n{stream}position = ["m_gps_lat", "m_gps_lon"]\n'
+        'where = {column = "m_gps_lat", known = true}\n'
     )
     mission = nf.read_mission(tmp_path)
     compass, depth, gps = (mission.streams[name] for name in ("compass", "depth", "gps"))

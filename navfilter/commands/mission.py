@@ -1,4 +1,4 @@
-"""``navfilter mission --init LOG``: say what a log holds, and write a mission.toml and a vehicle.toml that replay it."""
+"""``navfilter mission --init LOG``: say what a log holds, and write the two files that replay it."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ OK = 0
 
 ABOUT = "write a mission.toml and a vehicle.toml for a log (a ROS bag, NMEA, ArduPilot, PX4, PD0, ...)"
 EPILOG = """\
-Lists the topics of the log with their rates, gaps and first values, and maps those of a known kind: what drives, what corrects.
-Both files replay as they are; lines that begin with GUESSED say what was not known for certain. Without --init the log is only
-listed.
+Lists the topics of the log with their rates, gaps and first values, and maps those of a known kind: what drives, what
+corrects. Both files replay as they are; lines that begin with GUESSED say what was not known for certain. Without
+--init the log is only listed.
 
 examples:
   navfilter mission --init dive.mcap --out dive              writes dive/mission.toml and dive/vehicle.toml
@@ -37,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--vehicle-like",
         choices=KINDS,
         default="",
-        help="whose sensors' errors to begin with (default: bluerov2 with an inertial unit, else yacht)",
+        help="whose sensors' errors to begin with (default: what is usual for the format)",
     )
     parser.add_argument("--out", metavar="DIR", default=".", help="with --init: folder for the files (default: here)")
     parser.add_argument("--force", action="store_true", help="with --init: replace files that are there")
@@ -73,6 +73,8 @@ def run(options: argparse.Namespace) -> int:
         for guess in made.guesses:
             say(f"  {guess}")
     say(
-        f"Next:\n  navfilter check {folder} --vehicle {folder}\n  navfilter replay {folder} --vehicle {folder} --smooth --out result"
+        "Next:\n"
+        f"  navfilter check {folder} --vehicle {folder}\n"
+        f"  navfilter replay {folder} --vehicle {folder} --smooth --out result"
     )
     return OK

@@ -47,6 +47,13 @@ def read_mission(
     np.float64(5.1)
     """
     path = Path(path)
+    if path.exists() and path.suffix not in (".toml", ".npz") and not (path / "mission.toml").exists():
+        from navfilter.io.logs import format_of
+
+        if known := format_of(path):
+            raise MissionError(
+                f'{path} is {known.title}, not a mission: "navfilter mission --init {path} --out DIR" writes one for it.'
+            )
     if path.is_dir():
         if not (path / "mission.toml").exists():
             raise MissionError(f"{path}: this folder has no mission.toml; write one that maps its files to streams.")

@@ -86,9 +86,14 @@ def _stated_unit(table: Table, name: str, part: Component, k: int) -> str:
     stated = table.units.get(str(part.column), "")
     if stated not in UNITS:
         return ""
-    wanted = "angular rate" if part.radius_m else GROUPS[name][0][k] if name in GROUPS else UNITS[stated].dimension
+    known = groups()
+    if part.radius_m:
+        wanted = "angular rate"
+    else:
+        wanted = known[name].dimensions[k] if name in known else UNITS[stated].dimension
     if UNITS[stated].dimension not in (wanted, "number"):
-        raise MissionError(f'{table.path}: column "{part.column}" is in {stated} by the file itself, {name} needs {wanted}.')
+        found = f'column "{part.column}" is in {stated} by the file itself'
+        raise MissionError(f"{table.path}: {found}, {name} needs {wanted}.")
     return stated
 
 
@@ -153,7 +158,7 @@ def _clock_times(clock: Clock, table: Table, other: Callable[[Clock], Table], ro
     raw = np.where(np.isfinite(raw), raw, np.nan)
     if clock.rollover is not None:
         raw = raw + clock.rollover * _turns(raw, clock.rollover)
-    factor = 1.0 if clock.unit == "iso8601" else unit(clock.unit).factor
+    factor = 1.0 if clock.unit == "iso8601" else unit(_time_unit(clock, source)).factor
     # Subtract before scaling: counters in microseconds since 1970 would lose digits.
     known = np.flatnonzero(np.isfinite(raw))
     if clock.from_first and known.size:
@@ -164,6 +169,13 @@ def _clock_times(clock: Clock, table: Table, other: Callable[[Clock], Table], ro
         step = (time_s[last] - time_s[first]) / (last - first)
         time_s = time_s[first] + step * (np.arange(rows) - first)
     return time_s + clock.offset_s
+
+
+def _time_unit(clock: Clock, source: Table) -> str:
+    """The unit of the times: as the mapping says, else as the file itself states it, else seconds."""
+    stated = source.units.get(str(clock.column), "")
+    known = stated in UNITS and UNITS[stated].dimension == "time"
+    return stated if known and "unit" not in clock.model_fields_set else clock.unit
 
 
 def _turns(raw: Array, rollover: float) -> Array:

@@ -113,13 +113,9 @@ def read_table(file: Path | Place, options: TableOptions | None = None, shelf: S
     else:
         if path.suffix.lower() == ".alog" and options.header is None:
             options = replace(options, header=_ALOG, comment="%", delimiter="whitespace")
-        lines = _chosen_lines(path, options)
-        table = _read_text(place, lines or _unpack(place), options)
-        if lines:
-            # Rows of other names are no loss and need no note.
-            names = tuple(c for c in options.where if isinstance(c.equals, str))
-            table = replace(_chosen_rows(table, names), notes=table.notes)
-            options = replace(options, where=tuple(c for c in options.where if c not in names))
+        names = tuple(condition for condition in options.where if isinstance(condition.equals, str))
+        table = _read_long(place, names, options) if names else _read_text(place, _unpack(place), options)
+        options = replace(options, where=tuple(c for c in options.where if c not in names))
     if not table.columns or all(column.shape[0] == 0 for column in table.columns.values()):
         raise MissionError(f"{place.shown} holds no rows of data.")
     return _chosen_rows(table, options.where)
@@ -135,28 +131,33 @@ def _chosen_rows(table: Table, conditions: tuple[Where, ...]) -> Table:
         if not keep.all():
             name = Path(table.path).name
             notes += (f"{name}: {int((~keep).sum())} of {keep.size} rows left out by where ({condition.words()})",)
-        columns = {key: column[keep] if column.shape[0] == keep.size else column for key, column in table.columns.items()}
+        columns = {key: cells[keep] if cells.shape[0] == keep.size else cells for key, cells in table.columns.items()}
         table = replace(table, columns=columns, notes=notes)
     return table
 
 
-def _chosen_lines(path: Path, options: TableOptions) -> bytes:
-    """Of a long table (time, name, value) only the head and the lines that hold the texts asked for: it may be large."""
-    texts = [c.equals for c in options.where if isinstance(c.equals, str)]
-    if not texts or any(condition.equals == "" for condition in options.where):
-        return b""
+def _read_long(place: Place, names: tuple[Where, ...], options: TableOptions) -> Table:
+    """Of a table that may be long only the head and the lines that hold the texts asked for, then the rows that are so."""
     from collections import Counter
 
     from navfilter.io.logs.lines import lines
 
-    wanted = [text.encode() for text in texts]
-    kept, rows = [], 0
-    for line in lines(path, Counter()):
-        # What precedes the rows (header, comments) decides how they are read; the first row is dropped again by `where`.
-        rows += bool(_before(line.decode("utf-8-sig", "replace"), options.comment)) if rows <= options.skip_lines + 2 else 0
-        if rows <= options.skip_lines + 2 or all(text in line for text in wanted):
+    texts = [str(condition.equals).encode() for condition in names]
+    head = options.skip_lines + 2
+    kept, rows, passed = [], 0, 0
+    for line in lines(place.path, Counter()):
+        # What precedes the rows (header, comments) decides how they are read.
+        rows += rows <= head and bool(_before(line.decode("utf-8-sig", "replace"), options.comment))
+        if rows <= head or all(text in line for text in texts):
             kept.append(line)
-    return b"\n".join(kept)
+        else:
+            passed += bool(line)
+    table = _read_text(place, b"\n".join(kept), options)
+    chosen = _chosen_rows(table, names)
+    left_out = passed + len(next(iter(table.columns.values()))) - len(next(iter(chosen.columns.values())))
+    words = " and ".join(condition.words() for condition in names)
+    notes = (f"{place.path.name}: {left_out} rows left out by where ({words})",) if left_out else ()
+    return replace(chosen, notes=table.notes + notes)
 
 
 def _unpack(place: Place) -> bytes:

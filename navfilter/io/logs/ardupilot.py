@@ -1,18 +1,21 @@
 """ArduPilot logs, read with pymavlink: DataFlash (.bin) and telemetry (.tlog).
 
-DataFlash: a topic is a message (``ATT``), with ``[0]``, ``[1]`` where the log says that it has instances (``IMU[0]``). Its
-units are those that the log itself states (UNIT, MULT). Telemetry: a topic is a MAVLink message and who sent it
+DataFlash: a topic is a message (``ATT``), with ``[0]``, ``[1]`` where the log says that it has instances (``IMU[0]``).
+Its units are those that the log itself states (UNIT, MULT). Telemetry: a topic is a MAVLink message and who sent it
 (``ATTITUDE[1.1]``: system and component); ``ATTITUDE`` is enough where only one sends it. Its units are MAVLink's.
 
-``log_time`` is UTC where the log knows it (DataFlash with GPS; telemetry: when the message was received), else the
-time since the autopilot started.
+``log_time`` is UTC where the log knows it (DataFlash with GPS; telemetry: when the message was received), else the time
+since the autopilot started.
 """
 
 from __future__ import annotations
 
 import contextlib
 import io
+import os
 import re
+import sys
+import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -26,6 +29,8 @@ from navfilter.mission import MissionError
 
 __all__ = ["records"]
 
+#: Number of its descriptor, by POSIX and in Windows' runtime.
+_STANDARD_ERROR = 2
 #: Units as these logs write them -> as a mission.toml does.
 _UNITS = {
     "degheading": "deg",
@@ -71,7 +76,8 @@ def records(path: Path, wanted: Wanted, tally: Counter[str]) -> Iterator[tuple[s
 
 def _dataflash(path: Path, wanted: Wanted, tally: Counter[str]) -> Iterator[tuple[str, Any]]:
     try:
-        log = _quietly(lambda: DFReader.DFReader_binary(str(path)), Counter())
+        with _native_messages(tally):
+            log = _quietly(lambda: DFReader.DFReader_binary(str(path)), Counter())
     except Exception as error:  # struct's, mmap's and its own plain Exception on broken files
         raise _unreadable(path, error) from None
     # Others are skipped without being decoded; a clock without GPS needs none of them.
@@ -114,6 +120,22 @@ def _quietly(call: Callable[[], Any], tally: Counter[str]) -> Any:
     if said.tell():
         tally["places with damaged messages left out"] += said.getvalue().count("\n")
     return found
+
+
+@contextlib.contextmanager
+def _native_messages(tally: Counter[str]) -> Iterator[None]:
+    """What the compiled part of the library writes straight to the standard error stream: counted instead of shown."""
+    sys.stderr.flush()
+    with tempfile.TemporaryFile() as said:
+        shown = os.dup(_STANDARD_ERROR)
+        os.dup2(said.fileno(), _STANDARD_ERROR)
+        try:
+            yield
+        finally:
+            os.dup2(shown, _STANDARD_ERROR)
+            os.close(shown)
+        said.seek(0)
+        tally["bytes between messages skipped"] += sum(b"bad header" in line for line in said)
 
 
 def _fields(message: Any) -> list[str]:

@@ -50,5 +50,7 @@ class Wanted:
         return tuple(self._answers)
 
     def _matching(self, topic: str, names: Collection[str]) -> tuple[str, ...]:
-        exact = [name for name in names if topic == name or ("*" in name and fnmatch.fnmatchcase(topic, name))]
-        return tuple(exact or [name for name in names if name == self._short(topic)])
+        short = self._short(topic)
+        return tuple(
+            name for name in names if name in (topic, short) or ("*" in name and fnmatch.fnmatchcase(topic, name))
+        )

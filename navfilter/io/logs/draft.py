@@ -13,7 +13,7 @@ import numpy as np
 
 from navfilter.alignment import align
 from navfilter.io.logs.draft_streams import Drafted, chosen_streams, still
-from navfilter.io.logs.draft_vehicle import vehicle_text
+from navfilter.io.logs.draft_vehicle import usual_kind, vehicle_text
 from navfilter.io.logs.known import READINGS
 from navfilter.io.logs.survey import Survey
 from navfilter.io.mission_toml import read_mission_toml
@@ -58,7 +58,7 @@ def draft(found: Survey, folder: Path, like: str = "") -> Draft:
     folder : Path
         Where the files will stand; the log is named relative to it where it lies beside or below it.
     like : str
-        Key of `LIKE`: whose sensors' errors are taken; empty: those that fit what drives.
+        Key of `LIKE`: whose sensors' errors are taken; empty: those usual for the format.
 
     Raises
     ------
@@ -66,31 +66,28 @@ def draft(found: Survey, folder: Path, like: str = "") -> Draft:
         If nothing in the log can drive.
     """
     driving, correcting, drive = chosen_streams(found, like)
-    streams, dropped = _readable(found, driving, correcting)
-    clock = _clock(streams)
+    streams, dropped, mission = _readable(found, driving, correcting)
     begin = "".join(f"{line}\n" for line in dropped)
-    mission = _read(_mission_text(found, streams, clock, str(found.path.resolve()), begin))
     readings = {stream.name: stream.reading for stream in streams}
-    vehicle_toml = vehicle_text(mission, readings, drive, like or ("bluerov2" if drive == "imu" else "yacht"))
+    vehicle_toml = vehicle_text(mission, readings, drive, like or usual_kind(found.format.module, drive))
     begin += _start(_vehicle(vehicle_toml), mission)
-    mission_toml = _mission_text(found, streams, clock, _named(found.path, folder), begin)
+    mission_toml = _mission_text(found, streams, _named(found.path, folder), begin)
     texts = (mission_toml + vehicle_toml).splitlines()
     guesses = tuple(dict.fromkeys(line.removeprefix(GUESS) for line in texts if line.startswith(GUESS)))
     return Draft(mission_toml, vehicle_toml, mission, guesses)
 
 
-def _readable(found: Survey, driving: list[Drafted], others: list[Drafted]) -> tuple[list[Drafted], list[str]]:
-    """The streams that can be read, and a comment for each that cannot (say, because no reading is valid)."""
-    file, clock = str(found.path.resolve()), _clock([*driving, *others])
+def _readable(found: Survey, driving: list[Drafted], others: list[Drafted]) -> tuple[list[Drafted], list[str], Mission]:
+    """The streams that can be read, a comment for each that cannot (no reading is valid, say), and the mission."""
+    file, streams = str(found.path.resolve()), [*driving, *others]
     try:
-        _read(_mission_text(found, [*driving, *others], clock, file, ""))
-        return [*driving, *others], []
+        return streams, [], _read(_mission_text(found, streams, file, ""))
     except MissionError:
         pass
     kept, dropped = [], []
-    for stream in [*driving, *others]:
+    for stream in streams:
         try:
-            _read(_mission_text(found, [stream], clock, file, ""))
+            _read(_mission_text(found, [stream], file, ""))
             kept.append(stream)
         except MissionError as error:
             if stream.name == "velocity":
@@ -98,7 +95,7 @@ def _readable(found: Survey, driving: list[Drafted], others: list[Drafted]) -> t
             elif stream in driving:
                 raise MissionError(f"{found.path}: {stream.name}, which is to drive: {_one_line(error)}") from None
             dropped.append(f"# {stream.name} from {stream.topic.name} is left out: {_one_line(error)}")
-    return kept, dropped
+    return kept, dropped, _read(_mission_text(found, kept, file, ""))
 
 
 def _read(text: str) -> Mission:
@@ -145,10 +142,11 @@ def _named(path: Path, folder: Path) -> str:
     return os.path.relpath(path, folder).replace(os.sep, "/") if near else str(path)
 
 
-def _mission_text(found: Survey, streams: list[Drafted], clock: str, file: str, begin: str) -> str:
+def _mission_text(found: Survey, streams: list[Drafted], file: str, begin: str) -> str:
+    clock = _clock(streams)
     lines = [
-        f"# From {found.path.name} ({found.format.title}). Lines that begin with GUESSED are to be looked at; the rest is",
-        "# what the log says. 'navfilter check' with this folder looks for the usual mistakes.",
+        f"# From {found.path.name} ({found.format.title}). Lines that begin with GUESSED are to be looked at;",
+        "# the rest is what the log says. 'navfilter check' with this folder looks for the usual mistakes.",
         "",
         f"name = {json.dumps(found.path.name.split('.')[0])}",
     ]

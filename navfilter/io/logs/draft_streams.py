@@ -28,6 +28,7 @@ _VELOCITIES = ("velocity", "odometry", "water", "speed")
 _FROM_FIXES, _SLOWEST_KN = ("course", "speed"), 1.0
 #: Fixes that repeat the one before more often than this are held, not new.
 _HELD = 0.5
+_FLU = ', axes = "x,-y,-z"'
 #: Without any of these an inertial unit drifts away within a minute.
 _AIDS = ("velocity", "odometry", "position")
 
@@ -80,7 +81,7 @@ def _driving(found: Survey, uses: list[tuple[Topic, Use]], like: str) -> tuple[l
     attitude = _first(uses, _ATTITUDES)
     aided = _first(uses, _AIDS) is not None or attitude is None
     if imu and aided and (not like or LIKE[like].drive == "imu"):
-        return [_stream("imu", *imu[0])], "imu"
+        return [_upright(_stream("imu", *imu[0]))], "imu"
     fixes = _first(uses, ("position",))
     if attitude is None and fixes is not None:
         north = _north(*fixes)
@@ -88,12 +89,21 @@ def _driving(found: Survey, uses: list[tuple[Topic, Use]], like: str) -> tuple[l
     if attitude is None:
         known = ", ".join(f"{topic.name} ({READINGS[use.reading]})" for topic, use in uses) or "none of a known kind"
         raise MissionError(
-            f"{found.path}: nothing in this log can drive; it takes turn rates with forces at {_SLOWEST_IMU_HZ:g} Hz or more, a"
-            f" heading, or fixes. Known topics: {known}. Map it by hand (docs/logs.md)."
+            f"{found.path}: nothing in this log can drive; it takes turn rates with forces at {_SLOWEST_IMU_HZ:g} Hz or"
+            f" more, a heading, or fixes. Known topics: {known}. Map it by hand (docs/logs.md)."
         )
     level = _as_attitude(_stream("attitude", *attitude))
     velocity = _first(uses, _VELOCITIES)
     return [level, still(level) if velocity is None else _stream("velocity", *velocity)], "dead-reckoning"
+
+
+def _upright(imu: Drafted) -> Drafted:
+    """Axes forward, left, up only where gravity agrees: not every ROS driver keeps to them."""
+    up = imu.topic.columns.get("linear_acceleration.z")
+    if up is None or _FLU not in imu.lines[0] or np.nanmean(up) > 0.0:
+        return imu
+    words = "axes: forward, right, down, because gravity points that way (ROS asks for forward, left, up)"
+    return replace(imu, lines=tuple(line.replace(_FLU, "") for line in imu.lines), guess=words)
 
 
 def _is_under_way(topic: Topic) -> bool:

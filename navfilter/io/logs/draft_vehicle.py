@@ -8,7 +8,7 @@ import numpy as np
 
 from navfilter.mission import Mission, Stream
 
-__all__ = ["LIKE", "Like", "vehicle_text"]
+__all__ = ["LIKE", "Like", "usual_kind", "vehicle_text"]
 
 GUESS = "# GUESSED: "
 
@@ -108,6 +108,12 @@ _ODOMETRY = '[{model = "gauss-markov", sd = 0.2, tau_s = 2}, {model = "white", s
 _UNKNOWN_SPEED = '{model = "gauss-markov", sd = 0.5, tau_s = 120}'
 
 
+def usual_kind(module: str, drive: str) -> str:
+    """Key of `LIKE` for a format of logs and the type of the drive."""
+    usual = {"ardupilot": "bluerov2", "waterlinked": "bluerov2", "slocum": "glider", "nmea": "yacht"}
+    return usual.get(module, "bluerov2" if drive == "imu" else "yacht")
+
+
 def vehicle_text(mission: Mission, readings: dict[str, str], drive: str, like: str) -> str:
     """The vehicle.toml for a drafted mission.
 
@@ -123,13 +129,22 @@ def vehicle_text(mission: Mission, readings: dict[str, str], drive: str, like: s
     """
     kind = LIKE[like]
     lines = [
-        "# What is on board, and how it errs. Rates are those of the log; 'navfilter vehicle --check' says it in words, and",
-        "# 'navfilter vehicle --init' lists every key that there is.",
+        "# What is on board, and how it errs. Rates are those of the log; 'navfilter vehicle --check' says it in",
+        "# words, and 'navfilter vehicle --init' lists every key that there is.",
         f"{GUESS}the errors, as of {kind.about}; 'navfilter identify' finds them from the log",
         f"{GUESS}lever arms and mountings, all zero: set lever_arm_b_m and mounting_deg of each sensor",
         f'name = "like {like}"',
         "",
     ]
+    lines += _drive(mission, readings, drive, kind)
+    for name in ("compass", "dvl", "odometry", "depth", "gps"):
+        if name in readings:
+            lines += [f"[sensors.{name}]", *_sensor(name, readings[name], kind, mission), ""]
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def _drive(mission: Mission, readings: dict[str, str], drive: str, kind: Like) -> list[str]:
+    lines: list[str] = []
     if drive == "imu":
         lines += [
             "[drive]",
@@ -151,14 +166,11 @@ def vehicle_text(mission: Mission, readings: dict[str, str], drive: str, like: s
         speeds = {"none": _UNKNOWN_SPEED, "water": kind.water, "odometry": _ODOMETRY}
         error = speeds.get(readings["velocity"], kind.velocity)
         lines += ["[drive.velocity]", 'type = "body-velocity"', f"error = {error}", "zero_is_invalid = false", ""]
-    for name in ("compass", "dvl", "odometry", "depth", "gps"):
-        if name in readings:
-            lines += [f"[sensors.{name}]", *_sensor(name, readings[name], kind, mission), ""]
-    return "\n".join(lines).rstrip() + "\n"
+    return lines
 
 
 def _inertial(stream: Stream, kind: Like) -> list[str]:
-    """The errors of gyros and accelerometers; the scatter from sample to sample is also the vehicle's shaking, which aliases."""
+    """The errors of gyros and accelerometers; the scatter from sample to sample is also the vehicle's shaking."""
     step_s = float(np.median(np.diff(stream.time_s)))
     change = np.abs(np.diff(stream.value, axis=0))
     # Median of |x[k+1] - x[k]| of white noise of sd s: 0.6745 * sqrt(2) * s.
@@ -175,7 +187,8 @@ def _inertial(stream: Stream, kind: Like) -> list[str]:
 def _sensor(name: str, reading: str, kind: Like, mission: Mission) -> list[str]:
     rate = _rate(mission.streams[name])
     if name == "compass":
-        field = ["magnetometer = true"] if reading == "field" else []
+        iron = f"{GUESS}the magnetometer needs no calibration; else set hard_iron and soft_iron"
+        field = [iron, "magnetometer = true"] if reading == "field" else []
         return ['type = "heading"', rate, f"error = {kind.heading}", *field, *_north(mission, reading)]
     if name == "odometry":
         return ['type = "body-velocity"', rate, f"error = {_ODOMETRY}", "zero_is_invalid = false"]

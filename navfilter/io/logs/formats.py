@@ -44,7 +44,8 @@ class Format:
         """The module that reads it. Raises MissionError where what it needs is not installed."""
         if self.package and importlib.util.find_spec(self.package) is None:
             raise MissionError(
-                f'{self.title} is read with {self.package}, which is not installed: pip install "navfilter[{self.extra}]"'
+                f"{self.title} is read with {self.package}, which is not installed:"
+                f' pip install "navfilter[{self.extra}]"'
             )
         return importlib.import_module(f"navfilter.io.logs.{self.module}")
 

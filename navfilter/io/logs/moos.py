@@ -1,7 +1,7 @@
 """MOOS logs (.alog): a line is time, name of the variable, who published it, value; each variable is a topic.
 
-A value of pairs (``X=12.5,Y=3``) becomes one field per pair; any other is the field ``value``. Times count from the start
-of the log.
+A value of pairs (``X=12.5,Y=3``) becomes one field per pair; any other is the field ``value``. Times count from the
+start of the log.
 """
 
 from __future__ import annotations

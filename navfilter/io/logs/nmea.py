@@ -2,8 +2,8 @@
 
 A topic is talker and sentence (``GPGGA``; ``GGA`` is enough where only one talker says it). ``log_time`` is UTC: of the
 sentence where it has a time, with the date of the last RMC or ZDA; else that of the last sentence that had one. Where a
-sentence comes several times between two times they are spread evenly; where the logger put a time before each line,
-its differences are used, and where no sentence has a time, it alone.
+sentence comes several times between two times they are spread evenly; where the logger put a time before each line, its
+differences are used, and where no sentence has a time, it alone.
 """
 
 from __future__ import annotations

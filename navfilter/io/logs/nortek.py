@@ -3,9 +3,10 @@
 A record is a header (0xA5, its size, identifier, family, size and checksum of the data, its own checksum), then data.
 Source: Nortek, "Signature Integrator's Guide", N3015-007, 2022, chapter 6 (data format 3).
 
-``bottom_track``: ``velocity[0]`` ... [m/s], ``distance[0]`` ... [m], ``fom[0]`` ..., ``frame`` (0 east-north-up, 1 instrument
-XYZ, 2 beams); where the figure of merit marks a beam as bad (65535), or the velocity itself is -32.768, it is NaN.
-``sensors``: heading, pitch, roll, pressure, temperature, speed of sound. ``log_time`` is the instrument's clock, as UTC.
+``bottom_track``: ``velocity[0]`` ... [m/s], ``distance[0]`` ... [m], ``fom[0]`` ..., ``frame`` (0 east-north-up, 1
+instrument XYZ, 2 beams); where the figure of merit marks a beam as bad (65535), or the velocity itself is -32.768, it
+is NaN. ``sensors``: heading, pitch, roll, pressure, temperature, speed of sound. ``log_time`` is the instrument's
+clock, as UTC.
 """
 
 from __future__ import annotations

@@ -1,12 +1,13 @@
 """Teledyne RDI PD0: bottom track, water track, attitude, and the navigation block that VMDAS adds.
 
-An ensemble is a header (identifier 0x7F7F, number of bytes, offsets of its blocks), the blocks, and a checksum (sum of all
-bytes). Source: Teledyne RD Instruments, "Workhorse Commands and Output Data Format", P/N 957-6156-00, 2014, chapter 8;
-"VmDas User's Guide", P/N 95A-6015-00, appendix (navigation block).
+An ensemble is a header (identifier 0x7F7F, number of bytes, offsets of its blocks), the blocks, and a checksum (sum of
+all bytes). Source: Teledyne RD Instruments, "Workhorse Commands and Output Data Format", P/N 957-6156-00, 2014, chapter
+8; "VmDas User's Guide", P/N 95A-6015-00, appendix (navigation block).
 
 Velocities are the instrument's: those of the bottom, or the water, relative to it, in m/s, in the frame that the field
-``frame`` gives (0 beam, 1 instrument, 2 ship, 3 earth); what the instrument marks as bad (-32768) is NaN. Over ground and in
-forward, right, down the ship frame reads ``axes = "-y,-x,z"``. ``log_time`` is the instrument's clock, taken as UTC.
+``frame`` gives (0 beam, 1 instrument, 2 ship, 3 earth); what the instrument marks as bad (-32768) is NaN. Over ground
+and in forward, right, down the ship frame reads ``axes = "-y,-x,z"``. ``log_time`` is the instrument's clock, taken as
+UTC.
 """
 
 from __future__ import annotations
@@ -130,7 +131,7 @@ def _sensors(leader: bytes) -> dict[str, float | None]:
     }
     record |= {"temperature": 0.01 * temperature, "speed_of_sound": speed, "transducer_depth": 0.1 * depth}
     if len(leader) >= 52:
-        record["pressure"] = 10.0 * int.from_bytes(leader[48:52], "little")
+        record["pressure"] = 10.0 * int.from_bytes(leader[48:52], "little", signed=True)
     return record
 
 

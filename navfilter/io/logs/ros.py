@@ -1,7 +1,8 @@
 """ROS 1 bags and ROS 2 bags (SQLite and MCAP, single files and folders), read with rosbags.
 
-Message definitions come from the bag; those of a bag that has none (older .db3) from the definitions of ROS itself.
-The time of a record is that of its reception by the recorder; instruments' own stamps are ``header.stamp``.
+Message definitions come from the bag; those of a bag that has none (older .db3) from the definitions of ROS itself, and
+from files ``PACKAGE/msg/TYPE.msg`` beside the bag. The time of a record is that of its reception by the recorder;
+instruments' own stamps are ``header.stamp``.
 """
 
 from __future__ import annotations
@@ -13,7 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from rosbags.highlevel import AnyReader
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
 
 from navfilter.io.logs.choosing import Wanted
 from navfilter.io.logs.progress import bar
@@ -40,7 +42,10 @@ def records(path: Path, wanted: Wanted, tally: Counter[str]) -> Iterator[tuple[s
             if connection.msgtype in reader.typestore.fielddefs and not connection.msgtype.endswith(_HEAVY):
                 chosen.append(connection)
             else:
-                tally[f"messages of {connection.topic} left out ({connection.msgtype})"] += connection.msgcount
+                package, _, kind = connection.msgtype.partition("/msg/")
+                undefined = connection.msgtype not in reader.typestore.fielddefs
+                cure = f": not defined in this bag; put {package}/msg/{kind}.msg beside it" if undefined else ""
+                tally[f"messages of {connection.topic} left out ({connection.msgtype}{cure})"] += connection.msgcount
         if not chosen:
             return
         typestore, is2 = reader.typestore, reader.is2
@@ -63,8 +68,8 @@ def kinds(path: Path) -> dict[str, str]:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[AnyReader]:
-    reader = AnyReader([path], default_typestore=get_typestore(Stores.LATEST))
     try:
+        reader = AnyReader([path], default_typestore=_definitions(path))
         reader.open()
     except Exception as error:  # rosbags raises its own errors, those of sqlite3, of struct and of lz4
         advice = f" If the recording was cut short, {_REPAIR[path.suffix]}." if path.suffix in _REPAIR else ""
@@ -73,6 +78,17 @@ def _opened(path: Path) -> Iterator[AnyReader]:
         yield reader
     finally:
         reader.close()
+
+
+def _definitions(path: Path) -> Typestore:
+    """The message types of ROS, and those that stand beside the bag."""
+    store = get_typestore(Stores.LATEST)
+    found: dict[str, Any] = {}
+    for file in sorted(path.parent.glob("*/msg/*.msg")):
+        name = f"{file.parent.parent.name}/msg/{file.stem}"
+        found.update(get_types_from_msg(file.read_text(encoding="utf-8"), name))
+    store.register(found)
+    return store
 
 
 def _until_damage(reader: AnyReader, chosen: list[Any], tally: Counter[str]) -> Iterator[tuple[Any, int, bytes]]:

@@ -1,8 +1,10 @@
-"""Slocum gliders: the text tables that dinkum binary data become (``dbd2asc``): wide, and NaN where nothing was sampled.
+"""Slocum gliders: the text tables that dinkum binary data become (``dbd2asc``): wide, and NaN where nothing was
+sampled.
 
-The one topic is ``glider``, its fields are the glider's sensors by their own names and, latitude and longitude apart, in
-their own units: those come as degrees and minutes in one number (ddmm.mmmm) and are read as degrees. ``log_time`` is
-``m_present_time`` (of science files ``sci_m_present_time``), UTC. Several files, by a pattern with ``*``, follow one another.
+The one topic is ``glider``, its fields are the glider's sensors by their own names and, latitude and longitude apart,
+in their own units: those come as degrees and minutes in one number (ddmm.mmmm) and are read as degrees. ``log_time`` is
+``m_present_time`` (of science files ``sci_m_present_time``), UTC. Several files, by a pattern with ``*``, follow one
+another.
 """
 
 from __future__ import annotations

@@ -65,7 +65,7 @@ class Topic:
 
     @property
     def longest_usual_s(self) -> float:
-        """A step longer than this is a gap [s]; bursts and repeated stamps do not make it shorter than the mean step."""
+        """A step longer than this is a gap [s]; bursts do not make it shorter than the mean step allows."""
         step = np.diff(np.sort(self.time_s))
         return _GAP * max(float(np.median(step)), float(step.mean())) if step.size else 0.0
 

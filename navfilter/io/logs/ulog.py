@@ -1,4 +1,5 @@
-"""PX4 logs (.ulg), read with pyulog. A topic is a uORB topic, with ``[0]``, ``[1]`` where several instruments publish it.
+"""PX4 logs (.ulg), read with pyulog. A topic is a uORB topic, with ``[0]``, ``[1]`` where several instruments publish
+it.
 
 ``log_time`` is the field ``timestamp``: seconds since the autopilot started.
 """
