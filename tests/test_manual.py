@@ -64,6 +64,7 @@ MISSION_TABLES = {
     "The mission": (schema.MissionSpec, set()),
     "Stream": (schema.StreamSpec, set()),
     "Source": (schema.Source, GROUP_NAMES),
+    "Where": (schema.Where, set()),
     "Time": (schema.Clock, set()),
     "Component": (schema.Component, set()),
     "Origin": (schema.Origin, set()),
