@@ -195,7 +195,7 @@ def test_report_check_and_description_speak_of_them(dive):
 def test_the_log_of_a_run_is_a_mission(dive, tmp_path):
     vehicle, mission, _ = dive
     stream = mission.streams["beacon"]
-    with prepare_log(tmp_path, vehicle, Options(), resume=False) as file:
+    with prepare_log(tmp_path, vehicle, Options(), resume=None, tell=print) as file:
         for time_s, value in zip(stream.time_s.tolist(), stream.value.tolist(), strict=True):
             file.write(json.dumps({"sensor": "beacon", "time_s": time_s, "value": value}).encode() + b"\n")
     assert (tmp_path / LOG_FILE).is_file() and nf.read_vehicle(tmp_path) == vehicle

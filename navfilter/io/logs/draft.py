@@ -194,7 +194,7 @@ def _assuming(vehicle: Vehicle, mission: Mission, what: tuple[str, ...]) -> tupl
         sensors["assumed_position"] = Position()
         streams["assumed_position"] = Stream(at, np.zeros((1, 3)), ("latitude_rad", "longitude_rad", "height_m"))
     if "heading" in what:
-        sensors = {name: sensor for name, sensor in sensors.items() if not isinstance(sensor, Heading)}
+        sensors = {name: sensor for name, sensor in sensors.items() if sensor.gives != "heading"}
         sensors["assumed_heading"] = Heading()
         streams["assumed_heading"] = Stream(at, np.zeros((1, 1)), ("heading_rad",))
     return replace(vehicle, sensors=sensors), replace(mission, streams=streams)
