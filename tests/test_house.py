@@ -199,3 +199,40 @@ def test_there_is_no_list_of_kinds():
                 if len(named) > 1:
                     wrong.append(f"{name}:{node.lineno}")
     assert wrong == []
+
+
+def test_nothing_inherits_from_the_filter():
+    """It is a part, and tells what it does; learning and navigator compose."""
+    bases = {
+        f"{name_of(path)}.{node.name}": [ast.unparse(base) for base in node.bases]
+        for path in modules()
+        for node in ast.walk(tree_of(path))
+        if isinstance(node, ast.ClassDef)
+    }
+    parts = {"Filter", "LearningSchedule", "Navigator", "History", "Intake", "Channel", "Listener", "RestRecorder"}
+    assert {name: found for name, found in bases.items() if parts & set(found)} == {}
+
+
+#: Names with an underscore that other libraries mean to be used: named tuples, and a time stamp that has no other name.
+OPEN = {"_replace", "_fields", "_asdict", "os._exit", "message._timestamp"}
+
+
+def test_nobody_reaches_into_the_privates_of_another():
+    """A private name is for its own class: of `self`, or of another object of the same class where a class method makes one."""
+    wrong = []
+    for path in modules():
+        tree = tree_of(path)
+        own = {}
+        for kind in ast.walk(tree):
+            if isinstance(kind, ast.ClassDef):
+                names = {n.attr for n in ast.walk(kind) if isinstance(n, ast.Attribute) and ast.unparse(n.value) == "self"}
+                names |= {n.name for n in ast.walk(kind) if isinstance(n, ast.FunctionDef)}
+                own |= {id(n): names for n in ast.walk(kind)}
+        for node in ast.walk(tree):
+            if not isinstance(node, ast.Attribute) or not node.attr.startswith("_") or node.attr.startswith("__"):
+                continue
+            text = ast.unparse(node)
+            of_self = isinstance(node.value, ast.Name) and node.value.id in ("self", "cls")
+            if not (of_self or text in OPEN or node.attr in OPEN or node.attr in own.get(id(node), ())):
+                wrong.append(f"{name_of(path)}:{node.lineno} {text}")
+    assert wrong == []

@@ -199,7 +199,7 @@ class ArmaModel:
         """
         if not self.is_stable:
             raise ValueError(f"the autocovariance of an unstable model does not exist (largest pole {np.abs(self.poles).max():.6f}).")
-        step, drive, P = self._observer()
+        step, drive, P = self.observer_form()
         variance = self.sd**2
         if not P.size:
             return np.r_[variance, np.zeros(lags)]
@@ -211,7 +211,7 @@ class ArmaModel:
         tail, _ = lfilter(c, a, np.zeros(lags), zi=start) if lags else (np.zeros(0), None)
         return np.r_[variance + P[0, 0], tail]
 
-    def _observer(self) -> tuple[Array, Array, Array]:
+    def observer_form(self) -> tuple[Array, Array, Array]:
         """Observer form ``z+ = M z + g e``, ``y = z[0] + e`` (the state of `lfilter`) and its stationary covariance."""
         r = max(self.p, self.q)
         a, c = np.zeros(r), np.zeros(r)
@@ -250,7 +250,7 @@ def simulate_arma(ar: ArrayLike, ma: ArrayLike, sd: float, n: int, seed: int | n
     r = max(model.p, model.q)
     start = np.zeros(r)
     if r and model.is_stable:
-        _, _, P = model._observer()
+        _, _, P = model.observer_form()
         values, vectors = np.linalg.eigh(P)
         start = vectors @ (np.sqrt(np.maximum(values, 0.0)) * random.standard_normal(r))
     e = model.sd * random.standard_normal(n)

@@ -98,15 +98,15 @@ class ArmaBank:
 
     def _side_by_side(self) -> None:
         """Lay the candidates' states and samples into two arrays, so that one kernel call serves all."""
-        states = [candidate._s for candidate in self.candidates]
+        states = [candidate.window_fit.state for candidate in self.candidates]
         rows, width = max(s.shape[0] for s in states), max(s.shape[1] for s in states)
         self._states = np.zeros((len(states), rows, width))
-        self._bufs = np.zeros((len(states), *self.candidates[0]._buf.shape))
+        self._bufs = np.zeros((len(states), *self.candidates[0].window_fit.samples.shape))
         first = max(float(s[kernel.HEAD, kernel.DUE]) for s in states)
         for i, candidate in enumerate(self.candidates):
             self._states[i, : states[i].shape[0], : states[i].shape[1]] = states[i]
             self._states[i, kernel.HEAD, kernel.DUE] = first
-            candidate._use(self._states[i], self._bufs[i])
+            candidate.share_memory(self._states[i], self._bufs[i])
 
     def update(self, x: float) -> None:
         """Take one sample (NaN if it is missing)."""
@@ -156,7 +156,7 @@ class ArmaBank:
 
     def _at_hop(self) -> None:
         for candidate in self.candidates:
-            candidate._window_work()
+            candidate.polish_window()
         if not self.candidates[0].is_running:
             self._model = replace(self.candidates[0].model, flags=self.candidates[0].model.flags | {"starting"})
             return
@@ -175,12 +175,12 @@ class ArmaBank:
         young = self.candidates[0].n_seen < self.window or self._chosen is None or self._stale > 0
         for candidate, score in zip(self.candidates, scores, strict=True):
             near = young or not score > scores.min() + HOPELESS
-            candidate._fit.passes = POLISHES if near else 1
-            candidate._fit.may_search = near
+            candidate.window_fit.passes = POLISHES if near else 1
+            candidate.window_fit.may_search = near
 
     def _score(self, candidate: RecursiveArma) -> float:
         """Criterion from the mean square residual of the window, which the candidates share."""
-        residuals, used = candidate._fit.residuals, candidate._fit.used
+        residuals, used = candidate.window_fit.residuals, candidate.window_fit.used
         if used < 2 or not np.any(residuals):
             return math.inf
         n = float(residuals.size)
@@ -235,8 +235,8 @@ class ArmaBank:
             self._model = replace(self._model, flags=self._model.flags | {"stale"})
             return
         self._chosen = None
-        head = candidate._s[kernel.HEAD]
-        series = candidate._buf[0, : int(head[kernel.POS])] / head[kernel.UNIT]
+        head = candidate.window_fit.state[kernel.HEAD]
+        series = candidate.window_fit.samples[0, : int(head[kernel.POS])] / head[kernel.UNIT]
         self._walk_sd = 0.0
         self._model = moment_gm1(series[-self.window :], self.mean)
 

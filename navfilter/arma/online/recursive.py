@@ -100,17 +100,17 @@ class RecursiveArma:
         self.clip = float(clip)
         self._m = int(self.mean) + self.n_exog
         self._n = self.p + self.q + self._m
-        self._fit = WindowFit(self.p, self.q, self._m, self.window, self.hop)
-        self._use(self._fit.state, self._fit.samples)
+        self.window_fit = WindowFit(self.p, self.q, self._m, self.window, self.hop)
+        self.share_memory(self.window_fit.state, self.window_fit.samples)
         self._white: bool | None = None
         self._exog_origin = np.zeros(self.n_exog)
         self._exog_set = False
         self._write_header()
 
-    def _use(self, state: Array, samples: Array) -> None:
+    def share_memory(self, state: Array, samples: Array) -> None:
         """Work in these arrays (a bank lays its members side by side)."""
-        self._fit.state = self._s = state
-        self._fit.samples = self._buf = samples
+        self.window_fit.state = self._s = state
+        self.window_fit.samples = self._buf = samples
 
     def _write_header(self) -> None:
         head = self._s[kernel.HEAD]
@@ -136,7 +136,7 @@ class RecursiveArma:
         if self.n_exog:
             self._s[kernel.PHI, self.p + self.q + int(self.mean) : self._n] = self._check_exog(exog, 1)[0]
         if kernel.rml_step(self._s, self._buf, float(x)):
-            self._window_work()
+            self.polish_window()
 
     def update_many(self, series: ArrayLike, exog: ArrayLike | None = None) -> None:
         """Take samples in order: the same arithmetic as `update` on each, to the last bit.
@@ -156,10 +156,11 @@ class RecursiveArma:
         while done < xs.size:
             done = kernel.rml_run(self._s, self._buf, xs, us, done)
             if self._s[kernel.HEAD, kernel.POS] >= self._s[kernel.HEAD, kernel.DUE]:
-                self._window_work()
+                self.polish_window()
 
-    def _window_work(self) -> None:
-        self._fit.due(self.method == "els", self.clip, self.mean)
+    def polish_window(self) -> None:
+        """At a hop: fit the window again, as far as is due."""
+        self.window_fit.due(self.method == "els", self.clip, self.mean)
         self._white = None
 
     def _check_exog(self, exog: ArrayLike | None, count: int) -> Array:
@@ -236,7 +237,7 @@ class RecursiveArma:
     @property
     def effective_window(self) -> float:
         """Number of residuals behind the last polish."""
-        return float(self._fit.used)
+        return float(self.window_fit.used)
 
     @property
     def is_stable(self) -> bool:
@@ -246,14 +247,14 @@ class RecursiveArma:
     @property
     def residuals(self) -> Array:
         """Residuals of the last window under the polished coefficients, in the unit of the series."""
-        return self._fit.residuals / self._s[kernel.HEAD, kernel.UNIT]
+        return self.window_fit.residuals / self._s[kernel.HEAD, kernel.UNIT]
 
     @property
     def is_white(self) -> bool:
         """Whether the residuals of the last window pass the whiteness gate at 1 %; False before the start."""
         if self._white is None:
-            enough = self._fit.residuals.size > 60 and float(np.std(self._fit.residuals)) > 1e-12
-            self._white = enough and whiteness(self._fit.residuals, fitted=self.p + self.q).is_white
+            enough = self.window_fit.residuals.size > 60 and float(np.std(self.window_fit.residuals)) > 1e-12
+            self._white = enough and whiteness(self.window_fit.residuals, fitted=self.p + self.q).is_white
         return self._white
 
     @property
@@ -265,14 +266,14 @@ class RecursiveArma:
         head = self._s[kernel.HEAD]
         ar, ma, covariance = self.ar, self.ma, self.covariance
         flags = set()
-        if has_unit_root(ar, covariance, max(self._fit.used, 1), self.mean):
+        if has_unit_root(ar, covariance, max(self.window_fit.used, 1), self.mean):
             flags.add("unit root")
         if not self.is_white:
             flags.add("coloured")
         if head[kernel.MISSED] > 0.1 * head[kernel.SEEN]:
             flags.add("gaps")
-        spread = log_s0_sd(ar, ma, covariance, max(self._fit.used, 1))
-        return ArmaModel(ar, ma, self.sd, covariance, spread, float(self._fit.used), frozenset(flags))
+        spread = log_s0_sd(ar, ma, covariance, max(self.window_fit.used, 1))
+        return ArmaModel(ar, ma, self.sd, covariance, spread, float(self.window_fit.used), frozenset(flags))
 
     def spectrum(self, freq_hz: ArrayLike, rate_hz: float) -> Array:
         """One-sided power spectral density of the model at `freq_hz` (unit^2/Hz), samples coming at `rate_hz`."""
@@ -300,15 +301,15 @@ class RecursiveArma:
         return {
             "state": self._s.copy(),
             "samples": self._buf.copy(),
-            "carry": self._fit.carry.copy(),
-            "residuals": self._fit.residuals.copy(),
+            "carry": self.window_fit.carry.copy(),
+            "residuals": self.window_fit.residuals.copy(),
             "exog_origin": self._exog_origin.copy(),
-            "counters": np.array([self._fit.used, self._fit.doubtful, self._exog_set], dtype=np.float64),
+            "counters": np.array([self.window_fit.used, self.window_fit.doubtful, self._exog_set], dtype=np.float64),
         }
 
     def restore(self, snapshot: dict[str, Array]) -> None:
         """Continue from a `snapshot` of an estimator built with the same arguments, to the last bit."""
-        for name, own in (("state", self._s), ("samples", self._buf), ("carry", self._fit.carry)):
+        for name, own in (("state", self._s), ("samples", self._buf), ("carry", self.window_fit.carry)):
             given = snapshot.get(name, np.empty(0))
             if given.shape != own.shape:
                 raise ValueError(
@@ -317,11 +318,11 @@ class RecursiveArma:
                 )
         self._s[:] = snapshot["state"]
         self._buf[:] = snapshot["samples"]
-        self._fit.carry[:] = snapshot["carry"]
-        self._fit.residuals = np.array(snapshot["residuals"], dtype=np.float64)
+        self.window_fit.carry[:] = snapshot["carry"]
+        self.window_fit.residuals = np.array(snapshot["residuals"], dtype=np.float64)
         self._exog_origin = np.array(snapshot["exog_origin"], dtype=np.float64)
         used, doubtful, exog_set = snapshot["counters"]
-        self._fit.used, self._fit.doubtful, self._exog_set = int(used), int(doubtful), bool(exog_set)
+        self.window_fit.used, self.window_fit.doubtful, self._exog_set = int(used), int(doubtful), bool(exog_set)
         self._white = None
 
 
