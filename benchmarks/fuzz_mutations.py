@@ -5,7 +5,7 @@ from __future__ import annotations
 import random
 import re
 
-from navfilter.io.mission_schema import GROUPS
+from navfilter.io.contents import groups
 from navfilter.io.units import SUFFIXES, UNITS
 
 VOCABULARY = """
@@ -18,7 +18,7 @@ heading_deg position_sd_m table transpose delimiter decimal comment skip_lines s
 ends_only iso8601 reference ecef enu order wxyz
 """
 #: Words that mean something to one of the readers.
-WORDS = [*VOCABULARY.split(), *GROUPS, *(unit for unit in UNITS if unit), *(f"sd_{suffix}" for suffix in SUFFIXES)]
+WORDS = [*VOCABULARY.split(), *groups(), *(unit for unit in UNITS if unit), *(f"sd_{suffix}" for suffix in SUFFIXES)]
 NUMBERS = """
 0 -0.0 1 -1 2 3 4 7 10 0.5 -2.5 100 1e-3 1e-9 1e-300 5e-324 1e9 1e12 1e20 1e300 1.7976931348623157e308 1e400 -1e400
 inf -inf nan 9223372036854775807 9223372036854775808 -9223372036854775809 99999999999999999999999 0x7f 0b1 1_000 00 1e

@@ -1,16 +1,9 @@
-"""Reading logs: time against the library underneath, in one run with calls alternating; memory on a large bag.
-
-``python benchmarks/logs.py`` reads the samples below NAVFILTER_DATA/logs for what a mission wants of them, and with the
-library alone (every record decoded, nothing kept). ``--large MB`` writes a ROS 2 bag of that size (images, an inertial
-unit, a velocity log), reads the two streams that a mission would want, and says what memory it took.
-"""
+"""Reading logs: time against the library underneath, in one run with calls alternating; memory on a large bag."""
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import json
-import os
 import resource
 import subprocess
 import sys
@@ -18,8 +11,10 @@ import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from harness import Options, Table, data_root, flag, in_turn, main, quick
 
 from navfilter.io.logs import Shelf
 from navfilter.io.logs.survey import survey
@@ -111,35 +106,38 @@ def _pynmeagps(path: Path) -> None:
                     NMEAReader.parse(line[begin:])
 
 
-def measure(root: Path, repeats: int) -> list[dict[str, object]]:
-    """One row per sample: records, and the best of `repeats` alternating runs of each reader [s]."""
-    rows: list[dict[str, object]] = []
-    for name, columns in SAMPLES.items():
+def samples(options: Options) -> list[dict[str, Any]]:
+    """The samples below NAVFILTER_DATA/logs, for what a mission wants of them and with the library alone.
+
+    The library decodes every record and keeps nothing. The best of alternating runs of each reader, processor time.
+    """
+    root = data_root() / "logs"
+    table = Table("log<36 records>9d readings>9d seconds>9.3f library_s>10.3f ratio>7.2f left_out<60")
+    for name, columns in [*SAMPLES.items()][: 2 if options.quick else None]:
         path = root / name
         alone = library_alone(path)
-        best = {"ours": np.inf, "library": np.inf}
-        for _ in range(repeats):
-            best["ours"] = min(best["ours"], _seconds(lambda p=path, c=columns: _ours(p, c)))
-            if alone is not None:
-                best["library"] = min(best["library"], _seconds(alone))
+        calls: dict[str, Callable[[], object]] = {"ours": lambda p=path, c=columns: _ours(p, c)}  # type: ignore[misc]
+        times = in_turn(calls | ({} if alone is None else {"library": alone}), 1 if options.quick else options.repeats)
+        best = {key: float(values.min()) for key, values in times.items()}
         found = survey(path)
-        row = {"log": name, "records": sum(topic.count for topic in found.topics), "readings": _ours(path, columns)}
-        row["left out"] = "; ".join(found.notes) or "-"
-        row |= {"seconds": round(best["ours"], 3), "library": round(best["library"], 3) if alone else None}
-        row["ratio"] = round(best["ours"] / best["library"], 2) if alone else None
-        rows.append(row)
-    return rows
+        library = best.get("library", np.nan)
+        table.add(
+            {
+                "log": name,
+                "records": sum(topic.count for topic in found.topics),
+                "readings": _ours(path, columns),
+                "seconds": best["ours"],
+                "library_s": library,
+                "ratio": best["ours"] / library,
+                "left_out": "; ".join(found.notes) or "-",
+            }
+        )
+    return table.rows
 
 
 def _ours(path: Path, columns: dict[str, list[str]]) -> int:
     shelf = Shelf({path: columns})
     return sum(shelf.table(path, topic).raw("log_time").size for topic in columns)
-
-
-def _seconds(call: Callable[[], object]) -> float:
-    began = time.process_time()
-    call()
-    return time.process_time() - began
 
 
 # --- a large bag ------------------------------------------------------------------------------------------------------
@@ -187,29 +185,24 @@ def read_large(path: Path) -> dict[str, float]:
     return {"readings": readings, "seconds": round(time.perf_counter() - began, 1), "peak_mb": round(peak)}
 
 
-def main() -> None:
-    """Print the table, or the figures of the large bag."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--repeats", type=int, default=3)
-    parser.add_argument("--large", type=float, metavar="MB", help="write and read a bag of this size instead")
-    parser.add_argument("--read", metavar="BAG", help=argparse.SUPPRESS)
-    options = parser.parse_args()
-    if options.read:
-        print(json.dumps(read_large(Path(options.read))))
-    elif options.large:
-        with tempfile.TemporaryDirectory() as folder:
-            bag = Path(folder) / "bag"
-            write_large(bag, options.large)
-            size = sum(file.stat().st_size for file in bag.iterdir()) / 1e6
-            print(f"{size:.0f} MB written", flush=True)
-            # In a process of its own: the peak of this one is that of writing.
-            subprocess.run([sys.executable, __file__, "--read", str(bag)], check=True)
-    else:
-        rows = measure(Path(os.environ["NAVFILTER_DATA"]) / "logs", options.repeats)
-        print("| log | records | readings read | left out | s | library alone, s | ratio |\n" + "|---" * 7 + "|")
-        for row in rows:
-            print("| " + " | ".join("-" if value is None else str(value) for value in row.values()) + " |")
+def large(options: Options) -> dict[str, Any]:
+    """Write a ROS 2 bag (images, an inertial unit, a velocity log), read two streams of it, and say what memory it took.
+
+    Reading has a process of its own: the peak of this one is that of writing.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        bag = Path(folder) / "bag"
+        write_large(bag, 20.0 if options.quick else options.megabytes)
+        size = sum(file.stat().st_size for file in bag.iterdir()) / 1e6
+        code = f"import json, logs, pathlib; print(json.dumps(logs.read_large(pathlib.Path({str(bag)!r}))))"
+        done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True, cwd=Path(__file__).parent)
+    read = json.loads(done.stdout.splitlines()[-1])
+    table = Table("megabytes>10.0f " + " ".join(f"{key}>12.2f" for key in read))
+    table.add({"megabytes": size} | read)
+    return table.rows[0]
 
 
 if __name__ == "__main__":
-    main()
+    repeats = flag("--repeats", type=int, default=3, help="alternating runs of each reader (default: %(default)s)")
+    megabytes = flag("--megabytes", type=float, default=2000.0, help="size of the bag (default: %(default)s)")
+    main(__doc__, {samples: [repeats, quick("two samples, once")], large: [megabytes, quick("20 MB")]})

@@ -20,6 +20,7 @@ SCRIPTS = {
     "fuzz": ("no other software", ()),
     "heading_toy": ("Sage-Husa", ()),
     "identify_recordings": ("statsmodels", ()),
+    "logs": ("library underneath", ("samples", "large")),
     "recordings": ("plain dead reckoning", ("withheld", "car_clocks")),
     "replay_speed": ("python-ins", ()),
     "residual_source": ("oracle", ()),

@@ -185,7 +185,7 @@ def test_increments_are_learnt_as_rates():
 
 
 def test_power_that_drives_a_pole_is_that_of_its_part():
-    from navfilter.learning.rest import _driving_variance
+    from navfilter.learning.bias import _driving_variance
 
     both = add_arma([ArmaModel([-0.9995], [], 0.01), ArmaModel([-1.2, 0.7], [0.3], 1.0)])
     assert _driving_variance(both, 0.9995) == pytest.approx(1e-4, rel=1e-6)

@@ -215,8 +215,7 @@ class Says:
     def hop(self, series):
         return self.models.pop(0)
 
-    def snapshot(self):
-        return {}
+    memory = None
 
 
 REFUSED = {
@@ -233,10 +232,10 @@ def test_a_model_that_no_filter_should_believe_is_not_adopted(why):
     nav = nf.Navigator(vehicle, mission_of("tactical", 0).start)
     listener = nav.learning.listeners.get("compass")
     listener.learners = (Says(REFUSED[why], GOOD, REFUSED[why]),)
-    assert listener.learn(0.0) is None and learned_part(listener.models[0]).model is None
-    (first,) = listener.learn(0.0)
+    assert listener.learn() is None and learned_part(listener.memory.models[0]).model is None
+    (first,) = listener.learn()
     assert learned_part(first).model.ar == pytest.approx(GOOD.ar)
-    assert listener.learn(0.0) is None and listener.models == (first,)
+    assert listener.learn() is None and listener.memory.models == (first,)
 
 
 def test_fall_back_is_the_last_good_model_and_then_gauss_markov():

@@ -502,7 +502,7 @@ def test_the_health_file_says_how_the_run_is(dive, tmp_path):
         with contextlib.suppress(FileNotFoundError):
             health = json.loads(path.read_bytes())  # always whole
     assert health["pid"] == process.process.pid and health["time_s"] > 5.0 and health["bad_lines"] == 1
-    page = (Path(__file__).parent.parent / "docs" / "on-board-supervision.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parent.parent / "docs" / "pages" / "on-board-supervision.md").read_text(encoding="utf-8")
     assert all(f"`{key}`" in page for key in health)
     assert health["internal_errors"] == health["lost_log_lines"] == 0 and health["disk_troubles"] == []
     process.end()
@@ -553,7 +553,7 @@ def test_without_a_supervisor_nothing_is_sent():
 
 def test_the_manual_of_supervision_is_that_of_the_program(capsys):
     """Its unit can be started as it stands, and each flag and exit code of the help is explained."""
-    page = (Path(__file__).parent.parent / "docs" / "on-board-supervision.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parent.parent / "docs" / "pages" / "on-board-supervision.md").read_text(encoding="utf-8")
     for command in re.findall(r"^ExecStart\w*=/usr/local/bin/navfilter (.*)$", page, flags=re.MULTILINE):
         _parser().parse_args(shlex.split(command))
     with pytest.raises(SystemExit):
