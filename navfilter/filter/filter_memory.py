@@ -16,6 +16,8 @@ __all__ = ["Errors", "FilterMemory"]
 
 Array = NDArray[np.float64]
 Errors = ErrorModel | tuple[ErrorModel, ...]
+#: Rounding leaves no eigenvalue of the correlations below this.
+INDEFINITE = -1e-6
 
 
 @dataclass
@@ -69,6 +71,10 @@ class FilterMemory:
         P = self.P
         if not (np.isfinite(P).all() and np.allclose(P, P.T, rtol=1e-6, atol=0.0) and np.all(np.diag(P) >= 0.0)):
             return "the covariance is not finite, symmetric and positive on its diagonal"
+        sd = np.sqrt(np.diag(P))
+        sd[sd == 0.0] = 1.0  # a state that is known for certain
+        if np.linalg.eigvalsh(P / np.outer(sd, sd)).min() < INDEFINITE:
+            return "the covariance is not positive semidefinite"
         if not (np.isfinite(self.nav).all() and np.isfinite(self.x).all() and np.isfinite(self.acc).all()):
             return "the state is not finite"
         # kernels use these as places of states

@@ -1,0 +1,117 @@
+"""Snapshots that are whole by their checksum and wrong inside: every array is held against the layout before a kernel sees it."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+
+import numpy as np
+import pytest
+from feeding import events_of, one_by_one
+
+import navfilter as nf
+from navfilter.simulation.scenarios import simulate_scenario
+
+
+@pytest.fixture(scope="module")
+def dive():
+    """A run that is kept in its first minutes: inputs of the beginning, listeners, samples at rest."""
+    vehicle, mission = simulate_scenario("lawnmower", 1, 40.0)
+    vehicle = vehicle.with_error(
+        compass=nf.LearnedArma(prior=vehicle.sensors["compass"].error, window=400),
+        gyro=vehicle.drive.gyro.parts[1] + nf.LearnedArma(prior=vehicle.drive.gyro.parts[0], window=1000),
+    )
+    nav = nf.Navigator(vehicle, mission.start)
+    one_by_one(nav, [event for event in events_of(vehicle, mission) if event.time_s <= 20.0])
+    return vehicle, nav.snapshot()
+
+
+def resealed(data, change):
+    """The snapshot with its content changed, under a right checksum."""
+    magic, header, payload = data.split(b"\n", 2)
+    with np.load(io.BytesIO(payload)) as archive:
+        arrays = {name: archive[name].copy() for name in archive.files}
+    meta = json.loads(arrays["meta"].tobytes())
+    change(meta["fields"], arrays)
+    arrays["meta"] = np.frombuffer(json.dumps(meta).encode(), np.uint8)
+    out = io.BytesIO()
+    np.savez(out, **arrays)
+    head = json.loads(header) | {"sha256": hashlib.sha256(out.getvalue()).hexdigest(), "size": len(out.getvalue())}
+    return magic + b"\n" + json.dumps(head).encode() + b"\n" + out.getvalue()
+
+
+def filter_of(saved):
+    return saved["memory"]["fields"]["filter"]["fields"]
+
+
+def learning_of(saved):
+    return saved["memory"]["fields"]["learning"]["fields"]
+
+
+def put(field, value):
+    """Another value for elements of one of the filter's arrays."""
+
+    def change(saved, arrays):
+        place = filter_of(saved)[field]
+        arrays["floats"][place["at"] + value[0]] = value[1]
+
+    return change
+
+
+def shape(field, other):
+    return lambda saved, arrays: filter_of(saved)[field].update(shape=other)
+
+
+def indefinite(saved, arrays):
+    """Symmetric, with a correlation beyond 1."""
+    place = filter_of(saved)["P"]
+    n, at = place["shape"][0], place["at"]
+    arrays["floats"][[at + 1, at + n]] = 10.0 * np.sqrt(arrays["floats"][at] * arrays["floats"][at + n + 1])
+
+
+def pairs(*items):
+    return {"": "tuple", "items": [{"": "tuple", "items": list(item)} for item in items]}
+
+
+CHANGES = {
+    "P of another shape": shape("P", [3, 3]),
+    "P beyond the end": lambda saved, arrays: filter_of(saved)["P"].update(at=10**9),
+    "P before the beginning": lambda saved, arrays: filter_of(saved)["P"].update(at=-(10**9)),
+    "x too short": shape("x", [1]),
+    "drv too short": shape("drv", [2]),
+    "acc turned": lambda saved, arrays: filter_of(saved)["acc"].update(shape=filter_of(saved)["acc"]["shape"][::-1]),
+    "NaN in P": put("P", (0, np.nan)),
+    "a negative variance": put("P", (0, -1.0)),
+    "an infinite latitude": put("nav", (0, np.inf)),
+    "P is not symmetric": put("P", (1, 1e9)),
+    "a covariance that is none": indefinite,
+    "P is a text": lambda saved, arrays: filter_of(saved).update(P="none"),
+    "a time that is a text": lambda saved, arrays: filter_of(saved).update(time_s="soon"),
+    "no time": lambda saved, arrays: filter_of(saved).pop("time_s"),
+    "models of an unknown sensor": lambda saved, arrays: filter_of(saved).update(models=pairs(["x", 1])),
+    "a channel too few": lambda saved, arrays: filter_of(saved)["channels"]["items"].pop(),
+    "a class of another kind": lambda saved, arrays: saved["memory"]["fields"].update(filter={"": "Popen", "fields": {}}),
+    "fewer inputs of the beginning": lambda saved, arrays: learning_of(saved)["beginning"].pop(),
+    "a ring of another shape": lambda saved, arrays: learning_of(saved)["listeners"]["items"][0][1]["fields"]["ring"].update(shape=[1, 7]),
+    "a block beyond its end": lambda saved, arrays: learning_of(saved)["rest"]["fields"].update(filled=10**6),
+    "nothing at rest": lambda saved, arrays: learning_of(saved).update(rest=None),
+    "an input with six columns": lambda saved, arrays: saved["inputs"].append({"": "floats", "at": 0, "shape": [2, 6]}),
+    "a watch too few": lambda saved, arrays: saved["watches"]["items"].pop(),
+    "a history without end": lambda saved, arrays: saved.update(history_s=float("inf")),
+    "no floats": lambda saved, arrays: arrays.update(floats=np.zeros(3)),
+    "no meta": lambda saved, arrays: saved.clear(),
+}
+
+
+def test_unchanged_it_is_taken(dive):
+    vehicle, data = dive
+    again = nf.Navigator.restore(vehicle, resealed(data, lambda saved, arrays: None))
+    assert again.time_s > 19.9
+
+
+@pytest.mark.parametrize("why", CHANGES)
+def test_what_does_not_fit_is_refused_in_words(dive, why):
+    vehicle, data = dive
+    with pytest.raises(ValueError, match=r"^the snapshot cannot be read \(.+\)\. Start afresh"):
+        nf.Navigator.restore(vehicle, resealed(data, CHANGES[why]))
