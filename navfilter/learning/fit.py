@@ -9,7 +9,7 @@ likelihood, and how well they can be told apart is in the covariance (Harvey 198
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -24,10 +24,10 @@ from navfilter.learning.drift import Drift
 from navfilter.learning.effort import EFFORT
 from navfilter.learning.likelihood import Likelihood, Point, maximise
 from navfilter.learning.limits import CLIP
-from navfilter.learning.low_frequency import log_s0_spread, with_upward_spread
+from navfilter.learning.low_frequency import log_s0_spread, upward_spread
 from navfilter.learning.starts import cold_starts, grown_starts, padded_start
 
-__all__ = ["ChannelFit", "fit_channel"]
+__all__ = ["ChannelFit", "fit_channel", "with_upward_spread"]
 
 Array = NDArray[np.float64]
 
@@ -155,6 +155,12 @@ def channel_fit(likelihood: Likelihood, point: Point) -> ChannelFit:
     )
     loglik = -value + n * math.log(likelihood.unit)
     return ChannelFit(model, loglik, CHANNEL_CHOICE.score(-2.0 * loglik, theta.size, n), z, n)
+
+
+def with_upward_spread(fit: ChannelFit, likelihood: Likelihood, point: Point) -> ChannelFit:
+    """The fit with the larger of both standard deviations of ln S(0): by the information, and upwards by the likelihood."""
+    spread = max(fit.model.sd_log_s0 or 0.0, upward_spread(likelihood, point))
+    return replace(fit, model=replace(fit.model, sd_log_s0=spread))
 
 
 def at_cap(likelihood: Likelihood, ar: Array) -> bool:

@@ -15,7 +15,6 @@ from navfilter.arma.roots import slowest_real
 from navfilter.error_models import block_level
 
 if TYPE_CHECKING:
-    from navfilter.learning.fit import ChannelFit
     from navfilter.learning.likelihood import Likelihood, Point
 
 __all__ = [
@@ -27,7 +26,7 @@ __all__ = [
     "log_s0_spread",
     "slow_pole",
     "steadied",
-    "with_upward_spread",
+    "upward_spread",
     "with_zero_frequency",
     "zero_frequency",
 ]
@@ -141,9 +140,3 @@ def upward_spread(likelihood: Likelihood, point: Point) -> float:
         # Minus the log-likelihood grows about as the square of the length.
         length *= min(max(math.sqrt(0.5 / rise), 0.3), 2.0)
     return log_s0(trial, p) - log_s0(theta, p) if 0.3 < rise < 0.8 else 0.0
-
-
-def with_upward_spread(fit: ChannelFit, likelihood: Likelihood, point: Point) -> ChannelFit:
-    """The fit with the larger of both standard deviations of ln S(0): by the information, and upwards by the likelihood."""
-    spread = max(fit.model.sd_log_s0 or 0.0, upward_spread(likelihood, point))
-    return replace(fit, model=replace(fit.model, sd_log_s0=spread))

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.arma.model import ArmaModel
-from navfilter.learning.fit import CHANNEL_CHOICE, ChannelFit, channel_fit
+from navfilter.learning.fit import CHANNEL_CHOICE, ChannelFit, channel_fit, with_upward_spread
 from navfilter.learning.likelihood import Likelihood, Point, maximise
-from navfilter.learning.low_frequency import log_s0, with_upward_spread
+from navfilter.learning.low_frequency import log_s0
 
 __all__ = ["Candidate", "finds_more_low_frequency_power", "fit_candidate", "preferred"]
 
