@@ -12,7 +12,7 @@ from navfilter.arma.model import ArmaModel
 from navfilter.error_models import Arma, GaussMarkov, RandomWalk, White
 from navfilter.io import mission_schema as schema
 from navfilter.io.contents import FORMS, TRUTH_ONLY, groups
-from navfilter.io.units import SUFFIXES, UNITS
+from navfilter.io.units import ALIASES, SUFFIXES, UNITS
 from navfilter.io.vehicle_keys import plain_key, times
 from navfilter.learning.learned import LearnedArma
 from navfilter.mechanisation import DeadReckoning, Imu, Mechanisation
@@ -106,6 +106,8 @@ def test_every_unit_is_listed():
     assert {(unit, dimension) for dimension, units in rows for unit in re.findall(r"`([^`]+)`", units)} == {
         (name, unit.dimension) for name, unit in UNITS.items() if name
     }
+    others = section("mission-toml.md", "Units").split("Other names for the same:")[1].split("Anything else")[0]
+    assert re.findall(r"`([^`]+)`", others) == list(ALIASES)
     endings = section("vehicle-toml.md", "Units").split("These endings are known:")[1]
     assert re.findall(r"`([^`]+)`", endings) == list(SUFFIXES)
 
