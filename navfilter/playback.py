@@ -18,7 +18,7 @@ from navfilter.filter.tape import Tape
 from navfilter.learning.learned import LearnedArma
 from navfilter.learning.listener import ChannelSeries
 from navfilter.learning.refit import change, learning_sensors, refitted
-from navfilter.mission import Mission
+from navfilter.mission import Mission, Stream
 from navfilter.navigator import Navigator
 from navfilter.start import Start
 from navfilter.state import euler_from_matrix, rotation_matrix
@@ -184,6 +184,7 @@ class _Events:
     row: NDArray[np.int64]
     names: tuple[str, ...]
     values: tuple[Array, ...]
+    sds: tuple[list[Array | None] | None, ...]
 
 
 def _events(vehicle: Vehicle, mission: Mission, begin_s: float) -> _Events:
@@ -199,7 +200,15 @@ def _events(vehicle: Vehicle, mission: Mission, begin_s: float) -> _Events:
     rows = np.concatenate([np.empty(0, int), *(np.arange(len(s)) for s in streams)])
     order = np.lexsort((rows, number, times))
     order = order[times[order] >= begin_s - 1e-9]
-    return _Events(times[order], number[order], rows[order], names, tuple(s.value for s in streams))
+    values, sds = tuple(s.value for s in streams), tuple(_sds(s) for s in streams)
+    return _Events(times[order], number[order], rows[order], names, values, sds)
+
+
+def _sds(stream: Stream) -> list[Array | None] | None:
+    """What `Navigator.correct` takes as the standard deviation of each reading; None where none has its own."""
+    if stream.sd is None or np.isnan(stream.sd).any(axis=1).all():
+        return None
+    return [None if np.isnan(row).any() else row for row in stream.sd]
 
 
 def _run(nav: Navigator, times: Array, values: Array, events: _Events, progress: bool) -> None:
@@ -213,7 +222,8 @@ def _run(nav: Navigator, times: Array, values: Array, events: _Events, progress:
         if end > done:
             nav.step_samples(_block(times, values, done, end))
             done = end
-        nav.correct(events.names[i], t, events.values[i][row])
+        sd = events.sds[i]
+        nav.correct(events.names[i], t, events.values[i][row], None if sd is None else sd[row])
         if bar is not None and k % 512 == 511:
             bar.update(512)
     for begin in range(done, len(times), 100_000):
