@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
+from navfilter.check.clocks import clock_findings
 from navfilter.check.finding import Finding, Severity
 from navfilter.check.motion import motion_findings
 from navfilter.check.streams import stream_findings
@@ -54,6 +55,7 @@ def check_mission(mission: Mission, vehicle: Vehicle | None = None) -> tuple[Fin
         found.append(Finding(graver, known, f"the reader notes: {note}.", cure))
     if vehicle is not None:
         found += _absent(mission, vehicle)
+    found += clock_findings(mission, vehicle)
     found += motion_findings(mission, vehicle)
     rank = {"error": 0, "warning": 1, "info": 2}
     return tuple(sorted(found, key=lambda finding: rank[finding.severity]))
