@@ -178,7 +178,7 @@ class Mission:
         if name not in self.streams:
             raise ValueError(
                 f'"{name}" has no stream in mission "{self.name}" (streams: {", ".join(self.streams) or "none"}). '
-                f'Add it, or drop the sensor with vehicle.without("{name}").'
+                f"Take one of these, or add [streams.{name}] to the mission.toml."
             )
         return self.streams[name]
 

@@ -159,7 +159,7 @@ def drive_samples(vehicle: Vehicle, mission: Mission) -> tuple[Array, Array]:
     """
     wanted = [(name, 6 // len(vehicle.drive.streams)) for name in vehicle.drive.streams]
     for name, columns in wanted:
-        _require(mission, name, "the vehicle's drive needs it")
+        _require(mission, name, "the vehicle's drive needs it", "choose another [drive] in the vehicle.toml")
         if not len(mission.streams[name]):
             raise ValueError(f'stream "{name}" of this mission is empty; the vehicle\'s drive needs it.')
         if mission.streams[name].value.shape[1] < columns:
@@ -167,11 +167,12 @@ def drive_samples(vehicle: Vehicle, mission: Mission) -> tuple[Array, Array]:
     return vehicle.drive.samples(mission.streams)
 
 
-def _require(mission: Mission, name: str, why: str) -> None:
+def _require(mission: Mission, name: str, why: str, instead: str) -> None:
     if name not in mission.streams:
         have = ", ".join(mission.streams) or "none"
         raise ValueError(
-            f'"{name}" has no stream in this mission (streams: {have}); {why}. Add it, or drop the sensor with vehicle.without("{name}").'
+            f'"{name}" has no stream in this mission (streams: {have}); {why}. Add [streams.{name}] to the mission.toml, '
+            f"or {instead}."
         )
 
 
@@ -190,7 +191,8 @@ class _Events:
 def _events(vehicle: Vehicle, mission: Mission, begin_s: float) -> _Events:
     names = tuple(name for name, sensor in vehicle.sensors.items() if not sensor.from_drive)
     for name in names:
-        _require(mission, name, f'the vehicle has a sensor "{name}"')
+        leave_out = f"leave the sensor out: --without {name}, or take [sensors.{name}] out of the vehicle.toml"
+        _require(mission, name, f'the vehicle has a sensor "{name}"', leave_out)
         width, sensor = mission.streams[name].value.shape[1], vehicle.sensors[name]
         if width < sensor.reads:
             raise ValueError(f'stream "{name}" has {width} columns, but a {type(sensor).__name__} takes {sensor.reads}.')

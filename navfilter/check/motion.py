@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from navfilter.check.amounts import counted
 from navfilter.check.course import course_findings
 from navfilter.check.course_fit import POLAR
 from navfilter.check.finding import Finding
@@ -236,7 +237,7 @@ def _positions(name: str, stream: Stream) -> Iterator[Finding]:
         speed = np.hypot(north, east) / np.where(step > 0.0, step, np.nan)
     jumps = int(np.count_nonzero((speed > 60.0) & (np.hypot(north, east) > 20.0)))
     if jumps:
-        text = f"{jumps} jumps faster than 60 m/s between fixes."
+        text = f"{counted(jumps, 'jump')} faster than 60 m/s between fixes."
         yield Finding("warning", name, text, "The gate will refuse outliers; make sure that the run starts on a good fix.")
 
 

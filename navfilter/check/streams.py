@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from navfilter.check.amounts import counted
 from navfilter.check.finding import Finding, Severity
 from navfilter.mission import Array, Mission, Stream
 
@@ -18,7 +19,7 @@ def stream_findings(name: str, stream: Stream, mission: Mission) -> Iterator[Fin
     """Findings about one stream alone."""
     if len(stream) < 2:
         cure = "Check the file and the sentinels in the mission.toml."
-        yield Finding("error", name, f"only {_counted(len(stream), 'reading')}.", cure)
+        yield Finding("error", name, f"only {counted(len(stream), 'reading')}.", cure)
         return
     yield from _timing(name, stream, mission)
     yield from _values(name, stream)
@@ -33,16 +34,16 @@ def _timing(name: str, stream: Stream, mission: Mission) -> Iterator[Finding]:
     usual = float(np.median(moving))
     span = stream.time_s[-1] - stream.time_s[0]
     mean_rate = (len(stream) - 1) / span
-    text = f"{len(stream)} readings from {stream.time_s[0]:.2f} to {stream.time_s[-1]:.2f} s, {mean_rate:.4g} Hz"
+    text = f"{counted(len(stream), 'reading')} from {stream.time_s[0]:.2f} to {stream.time_s[-1]:.2f} s, {mean_rate:.4g} Hz"
     yield Finding("info", name, f"{text} (usual step {usual:.4g} s).")
     repeated = int(np.count_nonzero(step == 0.0))
     if repeated:
         cure = "The navigator counts them as duplicates; drop them if the values are equal too."
-        yield Finding("warning", name, f"{_counted(repeated, 'reading')} with the time of the one before.", cure)
+        yield Finding("warning", name, f"{counted(repeated, 'reading')} with the time of the one before.", cure)
     gaps = step > 5.0 * usual
     if gaps.any():
         worst = int(np.argmax(step))
-        text = f"{_counted(int(gaps.sum()), 'gap')}, the longest {step[worst]:.3g} s at {stream.time_s[worst]:.2f} s."
+        text = f"{counted(int(gaps.sum()), 'gap')}, the longest {step[worst]:.3g} s at {stream.time_s[worst]:.2f} s."
         # fixes are not to be had under water
         grave: Severity = "warning" if step[worst] > 20.0 * usual and "latitude_rad" not in stream.columns else "info"
         yield Finding(grave, name, text, "The filter carries on without; check that nothing was lost on the way.")
@@ -63,10 +64,6 @@ def _even(step: Array) -> bool:
         return False
     low, usual, high = np.quantile(step, [0.1, 0.5, 0.9])
     return bool(usual > _EMPTYING_S and high - low < 0.2 * usual)
-
-
-def _counted(count: int, what: str) -> str:
-    return f"{count} {what}" if count == 1 else f"{count} {what}s"
 
 
 def _values(name: str, stream: Stream) -> Iterator[Finding]:
