@@ -186,7 +186,8 @@ def compare_tracks(
 ) -> Comparison:
     """Compare runs by name of the model, from the end of the first learning window on unless `begin_s` says otherwise.
 
-    Where that leaves less than `LEAST_SCORED` of the mission, everything is scored, and the result says so. Where nothing could be fitted or learnt, so that a run kept the model of the vehicle file after all, the result says so.
+    Where that leaves less than `LEAST_SCORED` of the mission, everything is scored. The result says so, and where nothing could be fitted
+    or learnt, so that a run kept the model of the vehicle file after all.
     """
     from navfilter.evaluation.comparison import compare
 

@@ -7,7 +7,10 @@ import math
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from navfilter.vehicle import Vehicle
 
 __all__ = ["announce_compilation", "compile_first", "output_folder", "positive", "seed", "speaker"]
 
@@ -48,19 +51,23 @@ def output_folder(path: str | Path) -> Path:
 
 
 def announce_compilation(quiet: bool) -> bool:
-    """Whether the navigator's kernels have yet to be compiled; says so."""
+    """Whether the navigator's kernels have yet to be compiled; says so, and shows what is compiled from now on."""
     cold = not _compiled()
-    if cold and not quiet:
-        print("compiling the kernels, once: about 30 s ...", file=sys.stderr, flush=True)
+    if not quiet:
+        from navfilter.compilation import show_compilation
+
+        show_compilation()
+        if cold:
+            print("compiling the kernels, once: about a minute ...", file=sys.stderr, flush=True)
     return cold
 
 
-def compile_first(quiet: bool) -> None:
-    """Compile before a run, so that the run's processor time is its own."""
+def compile_first(quiet: bool, vehicle: Vehicle | None = None) -> None:
+    """Compile before a run, so that the run's processor time is its own; given a vehicle, only what that one needs."""
     if announce_compilation(quiet):
         from navfilter.playback import warm_up
 
-        warm_up()
+        warm_up(vehicle)
 
 
 def _compiled() -> bool:
