@@ -373,7 +373,7 @@ def _learns(vehicle: Vehicle) -> bool:
 
 
 def warm_up(vehicle: Vehicle | None = None, progress: bool = False) -> None:
-    """Compile the kernels of navigator, smoother and learners by running tiny missions: about a minute once, then cached.
+    """Compile the kernels of navigator, smoother and learners by running tiny missions: a minute once, then cached.
 
     Parameters
     ----------

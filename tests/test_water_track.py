@@ -85,7 +85,7 @@ def test_the_current_is_found_and_stands_in_the_track():
         value, sd = track.state(name)
         # sd: 0.02 and 0.01 m/s of two hundred seconds at 4 Hz leave millimetres; the current itself wanders on
         assert sd[-1] < 0.02 and abs(value[-1] - truth) < 4.0 * sd[-1]
-    layout = nf.Navigator(vehicle, mission.start).layout
+    layout = nf.Navigator(vehicle, mission.start).filter.layout
     units = dict(zip(layout.names, layout.units, strict=True))
     assert units["water.current_north"] == units["water.current_east"] == "m_s"
 
@@ -100,7 +100,8 @@ def test_the_current_wanders_on_the_sensors_clock():
     np.testing.assert_allclose(np.diag(ticked[0]), np.exp(-0.25 / 500.0), rtol=1e-12)
     np.testing.assert_allclose(np.diag(ticked[1]), 0.09 * (1.0 - np.exp(-0.5 / 500.0)), rtol=1e-9)
     np.testing.assert_allclose(np.sqrt(np.diag(group.P0)), 0.3)
-    assert not nf.Navigator(replace(vehicle, sensors={"dvl": nf.BodyVelocity(scale_sd=0.01)}), nav.start).layout.groups["dvl"].ticks
+    constant = replace(vehicle, sensors={"dvl": nf.BodyVelocity(scale_sd=0.01)})
+    assert not nf.Navigator(constant, nav.start).filter.layout.groups["dvl"].ticks
 
 
 def test_alignment_does_not_take_the_water_for_the_ground():

@@ -1,4 +1,4 @@
-"""Times in another unit than they were read in: a stream that lasts, or ticks, a thousand times as long as it should."""
+"""Times in another unit than they were read in: a stream that lasts, or ticks, a thousand times too long."""
 
 from __future__ import annotations
 

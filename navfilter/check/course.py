@@ -72,7 +72,7 @@ def mounting_of(name: str, vehicle: Vehicle | None) -> tuple[Array, complex]:
 
 
 class _Streams(NamedTuple):
-    """Whose findings they are; a magnetic heading, of a magnetometer that is not levelled or to be declined, is rough."""
+    """Whose findings they are; a magnetic heading, not levelled or without its declination, is rough."""
 
     velocity: str
     heading: str
@@ -117,7 +117,8 @@ def _course_findings(streams: _Streams, fit: CourseFit) -> Iterator[Finding]:
 
 def mirrored_finding(name: str, why: str) -> Finding:
     """That a velocity has its y axis to the left, and what to change."""
-    cure = f'x is forward, y right, z down: set axes = "x,-y,z" in velocity of [streams.{name}], or "x,-y,-z" where z is up too.'
+    cure = f'x is forward, y right, z down: set axes = "x,-y,z" in velocity of [streams.{name}]'
+    cure += ', or "x,-y,-z" where z is up too.'
     return Finding("error", name, f"the velocity is mirrored: {why}.", cure)
 
 

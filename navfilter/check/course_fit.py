@@ -1,4 +1,4 @@
-"""Which way a body velocity must be turned, scaled and shifted to follow the positions, and how surely that is known."""
+"""Which way a body velocity must be turned, scaled and shifted to follow the positions, and how sure that is."""
 
 from __future__ import annotations
 
@@ -186,7 +186,7 @@ def _relative(way: Complex, wanted: Complex, ratio: complex) -> Array:
 def _sideways(
     paths: Paths, wanted: Complex, kept: NDArray[np.bool_], ratio: complex, late_s: float
 ) -> tuple[float, float]:
-    """Factor of the sideways velocity that fits the positions best beside the forward one, and its standard deviation."""
+    """Factor of the sideways velocity that fits the positions best beside the forward one, with its sd."""
     turned = wanted[kept] * (abs(ratio) / ratio)
     axes = (paths.body.real.astype(complex), paths.body.imag.astype(complex))
     parts = [paths.way(part, late_s)[kept] for part in (axes[0], 1j * axes[1])]
@@ -197,7 +197,7 @@ def _sideways(
 
 
 def _wander(paths: Paths) -> float:
-    """By what share of the way the slow error of fixes moves, which is no chance from window to window; 0 of a truth."""
+    """By what share of the way the slow error of fixes moves, as no windows show by their scatter; 0 of a truth."""
     if paths.places.name == "truth":
         return 0.0
     legs = np.split(paths.edges, np.flatnonzero(np.diff(paths.edges) > WINDOW_S) + 1)

@@ -228,7 +228,8 @@ def _positions(name: str, stream: Stream) -> Iterator[Finding]:
         yield Finding("error", name, "latitudes beyond 90 deg.", 'Degrees for radians (unit = "deg"), or swapped columns.')
         return
     if abs(float(np.nanmedian(latitude))) > POLAR and abs(float(np.nanmedian(longitude))) < POLAR:
-        text = f"latitudes around {math.degrees(float(np.nanmedian(latitude))):.0f} deg: are latitude and longitude exchanged?"
+        usual_deg = math.degrees(float(np.nanmedian(latitude)))
+        text = f"latitudes around {usual_deg:.0f} deg: are latitude and longitude exchanged?"
         yield Finding("warning", name, text, f"If so, exchange the first two columns of position in [streams.{name}].")
     north = np.diff(latitude) * EARTH_RADIUS_M
     east = np.diff(longitude) * np.cos(latitude[1:]) * EARTH_RADIUS_M

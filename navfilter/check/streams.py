@@ -34,7 +34,7 @@ def _timing(name: str, stream: Stream, mission: Mission) -> Iterator[Finding]:
     usual = float(np.median(moving))
     span = stream.time_s[-1] - stream.time_s[0]
     mean_rate = (len(stream) - 1) / span
-    text = f"{counted(len(stream), 'reading')} from {stream.time_s[0]:.2f} to {stream.time_s[-1]:.2f} s, {mean_rate:.4g} Hz"
+    text = f"{len(stream)} readings from {stream.time_s[0]:.2f} to {stream.time_s[-1]:.2f} s, {mean_rate:.4g} Hz"
     yield Finding("info", name, f"{text} (usual step {usual:.4g} s).")
     repeated = int(np.count_nonzero(step == 0.0))
     if repeated:

@@ -44,7 +44,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     data.add_argument("--rate-hz", type=_positive, metavar="R", help="samples per second; not needed with a time column")
     data.add_argument("--time-column", metavar="T", help="column with seconds: gives the rate, and gaps where samples are missing")
     data.add_argument(
-        "--unit", type=_unit, default="", metavar="U", help="unit of the file (deg/s, m/s, counts, ...); the vehicle gets SI"
+        "--unit",
+        type=_unit,
+        default="",
+        metavar="U",
+        help="unit of the file (deg/s, m/s, counts, ...); the vehicle gets SI",
     )
     data.add_argument("--table", default="", metavar="NAME", help='array of an .npz or .mat file, with planes: "counts", "data[0]"')
     data.add_argument("--transpose", action="store_true", help="each row of the array is a quantity")

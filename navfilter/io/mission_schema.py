@@ -267,12 +267,12 @@ class SensorStream(StreamSpec):
             return
         sensor = axes_of(given)
         if sensor is None:
-            raise ValueError("sd belongs to a sensor that corrects; what drives takes none, its errors stand in vehicle.toml")
+            raise ValueError("sd belongs to a sensor that corrects; what drives takes none (see its errors in vehicle.toml)")
         if len(own) > 1:
             raise ValueError("only one of the sources of a stream can give sd")
         sd, (axes, known) = own[0], sensor
         if len(sd.columns) not in (1, axes):
-            raise ValueError(f"sd has {len(sd.columns)} columns, it needs 1, or one for each of the {axes} axes of the sensor")
+            raise ValueError(f"sd has {len(sd.columns)} columns, it needs 1, or one for each of the {axes} axes")
         if sd.axes is not None or sd.mounting_deg is not None:
             raise ValueError("sd takes no axes and no mounting_deg: give its columns in the order of the sensor's axes")
         dimension = UNITS[known].dimension if known in UNITS else "number"
