@@ -323,9 +323,12 @@ def _add_warmup(commands: Any) -> None:
 def _warmup(options: argparse.Namespace) -> int:
     import time
 
+    from navfilter.compilation import show_compilation
     from navfilter.service.kernel_cache import compile_kernels
 
     say = (lambda text: None) if options.quiet else complain
+    if not options.quiet:
+        show_compilation()
     announce_compilation(say)
     began = time.perf_counter()
     compile_kernels(say)

@@ -46,6 +46,10 @@ class Stream:
         SI units and radians; NaN marks a missing component. A one-dimensional array becomes one column.
     columns : tuple of str
         Name of each column, with its unit, e.g. ``("heading_rad",)``.
+    sd : array_like, shape (n, m) or (n,), optional
+        White standard deviation of each single reading, in place of that of the sensor's error model: one for all axes
+        of the sensor, or one for each, in the unit of its error. A row with a NaN says that none was given. A negative
+        one makes the reading invalid, as it does in `navfilter.Navigator.correct`.
 
     Raises
     ------
@@ -62,6 +66,7 @@ class Stream:
     time_s: Array
     value: Array
     columns: tuple[str, ...] = ()
+    sd: Array | None = None
 
     def __post_init__(self) -> None:
         time_s = np.ascontiguousarray(self.time_s, dtype=np.float64)
@@ -88,13 +93,23 @@ class Stream:
         object.__setattr__(self, "time_s", time_s)
         object.__setattr__(self, "value", np.ascontiguousarray(value))
         object.__setattr__(self, "columns", columns)
+        if self.sd is not None:
+            sd = np.ascontiguousarray(self.sd, dtype=np.float64)
+            sd = sd[:, np.newaxis] if sd.ndim == 1 else sd
+            if sd.ndim != 2 or len(sd) != time_s.size or not sd.shape[1]:
+                raise ValueError(f"sd must have one row per time ({time_s.size}), found shape {sd.shape}.")
+            object.__setattr__(self, "sd", sd)
 
     def __len__(self) -> int:
         return self.time_s.size
 
     def keep(self, rows: Any) -> Stream:
         """Same columns, only the given rows (a mask, a slice or increasing indices)."""
-        return Stream(self.time_s[rows], self.value[rows], self.columns)
+        return Stream(self.time_s[rows], self.value[rows], self.columns, None if self.sd is None else self.sd[rows])
+
+    def later(self, by_s: float) -> Stream:
+        """The same readings on a clock that stands `by_s` ahead [s]."""
+        return dataclasses.replace(self, time_s=self.time_s + by_s)
 
     def column(self, name: str) -> Array:
         """Values of one column, shape (n,). Raises ValueError for an unknown name."""
@@ -163,7 +178,7 @@ class Mission:
         if name not in self.streams:
             raise ValueError(
                 f'"{name}" has no stream in mission "{self.name}" (streams: {", ".join(self.streams) or "none"}). '
-                f'Add it, or drop the sensor with vehicle.without("{name}").'
+                f"Take one of these, or add [streams.{name}] to the mission.toml."
             )
         return self.streams[name]
 
@@ -237,6 +252,8 @@ class Mission:
         arrays: dict[str, Any] = {"navfilter_mission": np.array(json.dumps(meta, default=_plain))}
         for number, stream in enumerate(self.streams.values()):
             arrays[f"time_{number}"], arrays[f"value_{number}"] = stream.time_s, stream.value
+            if stream.sd is not None:
+                arrays[f"sd_{number}"] = stream.sd
         if self.truth is not None:
             arrays["time_truth"], arrays["value_truth"] = self.truth.time_s, self.truth.value
         part = path.with_name(path.name + ".part")

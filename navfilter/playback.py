@@ -12,13 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.alignment import align
+from navfilter.compilation import show_compilation
 from navfilter.error_models import GaussMarkov
 from navfilter.filter.smoother import smooth_rows
 from navfilter.filter.tape import Tape
-from navfilter.learning.learned import LearnedArma
+from navfilter.learning.learned import LearnedArma, learning_part
 from navfilter.learning.listener import ChannelSeries
 from navfilter.learning.refit import change, learning_sensors, refitted
-from navfilter.mission import Mission
+from navfilter.mission import Mission, Stream
 from navfilter.navigator import Navigator
 from navfilter.start import Start
 from navfilter.state import euler_from_matrix, rotation_matrix
@@ -159,7 +160,7 @@ def drive_samples(vehicle: Vehicle, mission: Mission) -> tuple[Array, Array]:
     """
     wanted = [(name, 6 // len(vehicle.drive.streams)) for name in vehicle.drive.streams]
     for name, columns in wanted:
-        _require(mission, name, "the vehicle's drive needs it")
+        _require(mission, name, "the vehicle's drive needs it", "choose another [drive] in the vehicle.toml")
         if not len(mission.streams[name]):
             raise ValueError(f'stream "{name}" of this mission is empty; the vehicle\'s drive needs it.')
         if mission.streams[name].value.shape[1] < columns:
@@ -167,11 +168,12 @@ def drive_samples(vehicle: Vehicle, mission: Mission) -> tuple[Array, Array]:
     return vehicle.drive.samples(mission.streams)
 
 
-def _require(mission: Mission, name: str, why: str) -> None:
+def _require(mission: Mission, name: str, why: str, instead: str) -> None:
     if name not in mission.streams:
         have = ", ".join(mission.streams) or "none"
         raise ValueError(
-            f'"{name}" has no stream in this mission (streams: {have}); {why}. Add it, or drop the sensor with vehicle.without("{name}").'
+            f'"{name}" has no stream in this mission (streams: {have}); {why}. Add [streams.{name}] to the mission.toml, '
+            f"or {instead}."
         )
 
 
@@ -184,12 +186,14 @@ class _Events:
     row: NDArray[np.int64]
     names: tuple[str, ...]
     values: tuple[Array, ...]
+    sds: tuple[list[Array | None] | None, ...]
 
 
 def _events(vehicle: Vehicle, mission: Mission, begin_s: float) -> _Events:
     names = tuple(name for name, sensor in vehicle.sensors.items() if not sensor.from_drive)
     for name in names:
-        _require(mission, name, f'the vehicle has a sensor "{name}"')
+        leave_out = f"leave the sensor out: --without {name}, or take [sensors.{name}] out of the vehicle.toml"
+        _require(mission, name, f'the vehicle has a sensor "{name}"', leave_out)
         width, sensor = mission.streams[name].value.shape[1], vehicle.sensors[name]
         if width < sensor.reads:
             raise ValueError(f'stream "{name}" has {width} columns, but a {type(sensor).__name__} takes {sensor.reads}.')
@@ -199,7 +203,15 @@ def _events(vehicle: Vehicle, mission: Mission, begin_s: float) -> _Events:
     rows = np.concatenate([np.empty(0, int), *(np.arange(len(s)) for s in streams)])
     order = np.lexsort((rows, number, times))
     order = order[times[order] >= begin_s - 1e-9]
-    return _Events(times[order], number[order], rows[order], names, tuple(s.value for s in streams))
+    values, sds = tuple(s.value for s in streams), tuple(_sds(s) for s in streams)
+    return _Events(times[order], number[order], rows[order], names, values, sds)
+
+
+def _sds(stream: Stream) -> list[Array | None] | None:
+    """What `Navigator.correct` takes as the standard deviation of each reading; None where none has its own."""
+    if stream.sd is None or np.isnan(stream.sd).any(axis=1).all():
+        return None
+    return [None if np.isnan(row).any() else row for row in stream.sd]
 
 
 def _run(nav: Navigator, times: Array, values: Array, events: _Events, progress: bool) -> None:
@@ -213,7 +225,8 @@ def _run(nav: Navigator, times: Array, values: Array, events: _Events, progress:
         if end > done:
             nav.step_samples(_block(times, values, done, end))
             done = end
-        nav.correct(events.names[i], t, events.values[i][row])
+        sd = events.sds[i]
+        nav.correct(events.names[i], t, events.values[i][row], None if sd is None else sd[row])
         if bar is not None and k % 512 == 511:
             bar.update(512)
     for begin in range(done, len(times), 100_000):
@@ -354,17 +367,40 @@ def residual_series(
     return {name: nav.heard(name) for name in names}
 
 
-def warm_up() -> None:
-    """Compile every kernel of navigator, smoother and learners by running tiny missions (half a minute the first time, then cached)."""
+def _learns(vehicle: Vehicle) -> bool:
+    models = (*vehicle.drive.models, *(model for sensor in vehicle.sensors.values() for model in sensor.models))
+    return any(learning_part(model) is not None for model in models)
+
+
+def warm_up(vehicle: Vehicle | None = None, progress: bool = False) -> None:
+    """Compile the kernels of navigator, smoother and learners by running tiny missions: a minute once, then cached.
+
+    Parameters
+    ----------
+    vehicle : Vehicle, optional
+        Compile only what this vehicle's drive and sensors need, and leave the learners out if none of them learns: a
+        third of the time. Default: everything.
+    progress : bool
+        Show on standard error what is being compiled.
+
+    Notes
+    -----
+    On a vehicle compile everything: whatever comes, nothing is compiled under way.
+    """
     from navfilter.learning.drift import Drift
     from navfilter.learning.learner import Learner
-    from navfilter.simulation.simulate import tiny_missions
+    from navfilter.simulation.simulate import tiny_mission, tiny_missions
 
+    if progress:
+        show_compilation()
+    if vehicle is not None and not _learns(vehicle):
+        replay(*tiny_mission(vehicle), smooth=True)
+        return
     missions = list(tiny_missions())
-    for vehicle, mission in missions:
-        replay(vehicle, mission, smooth=True)
+    for tiny, mission in missions:
+        replay(tiny, mission, smooth=True)
     # a learner's first hop comes minutes into a dive: no place to compile
-    vehicle, mission = missions[0]
+    tiny, mission = missions[0]
     learned = LearnedArma(prior=GaussMarkov(sd=0.01, tau_s=10.0))
-    replay(vehicle.with_error(**{name: learned for name, sensor in vehicle.sensors.items() if sensor.open_loop}), mission)
+    replay(tiny.with_error(**{name: learned for name, sensor in tiny.sensors.items() if sensor.open_loop}), mission)
     Learner(learned.orders, 400, Drift((1e-3, 1e-5), 0.25)).hop(np.random.default_rng(1).normal(size=400))

@@ -170,14 +170,14 @@ def test_timing_findings():
 
     assert "200 readings from 0.00 to 199.00 s, 1 Hz" in one(t, noise)
     gappy = t + 50.0 * (t > 100)
-    assert "1 gaps, the longest 51 s at 100.00 s" in one(gappy, noise)
-    assert "1 readings have the time of the one before" in one(np.where(t == 7.0, 6.0, t), noise)
+    assert "1 gap, the longest 51 s at 100.00 s" in one(gappy, noise)
+    assert "1 reading with the time of the one before" in one(np.where(t == 7.0, 6.0, t), noise)
     assert "in bursts?" in one(np.floor(t / 5.0) * 5.0 + 1e-3 * (t % 5), noise)
     assert "repeat the one before" in one(t, np.repeat(noise[:20], 10))
     assert "no value ever changes" in one(t, np.ones(200))
     assert "no reading has a value" in one(t, np.full(200, np.nan))
     assert "12.5 % of the readings are invalid" in one(t, np.where(t % 8 == 0, np.nan, noise))
-    assert "only 1 readings" in one(t[:1], noise[:1])
+    assert "only 1 reading." in one(t[:1], noise[:1])
     assert "quantised in steps of 1" in one(t, np.round(0.6 * noise))
     assert "late or shuffled" in one(t, noise, ("depth (a.csv): 3 stamps go back, by up to 1 s",)).lower()
 

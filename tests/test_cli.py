@@ -7,7 +7,7 @@ import sys
 import numba
 import pytest
 
-from navfilter import cli, playback
+from navfilter import cli, compilation, playback
 from navfilter.cli import main
 from navfilter.io import read_mission, read_vehicle, write_vehicle
 
@@ -180,6 +180,7 @@ def test_compilation_is_announced_once(dive, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
     monkeypatch.setattr(numba.config, "DISABLE_JIT", 0)
     monkeypatch.setattr(playback, "warm_up", lambda: None)
+    monkeypatch.setattr(compilation, "show_compilation", lambda: None)
     assert main(["warmup"]) == 0
     assert "compiling" in capsys.readouterr().err
     for name in ("strapdown", "kalman", "measurement"):

@@ -5,8 +5,10 @@ import json
 
 import numpy as np
 import pytest
+from small_run import small_run
 
 from navfilter.cli import main
+from navfilter.commands import compare as compare_command
 from navfilter.commands.compare import learning_ends
 from navfilter.error_models import Arma, GaussMarkov, Sum, White
 from navfilter.io import read_mission, read_vehicle, write_vehicle
@@ -183,3 +185,18 @@ def test_the_demonstration_compares(tmp_path, capsys):
     said = capsys.readouterr().out
     words = ("smoothed", "position rms [m]", "NIS", "gm1-fitted", "compass: largest autocorrelation")
     assert [word for word in words if word not in said] == []
+
+
+@pytest.mark.parametrize(("ends_s", "begin_s"), [(100.0, 100.0), (130.0, 0.0)])
+def test_a_mission_of_which_little_would_be_left_is_scored_whole(monkeypatch, ends_s, begin_s):
+    """80 of the 600 s of the manual's example said little, and looked like the result."""
+    mission, tracks = small_run()
+    monkeypatch.setattr(compare_command, "learning_ends", lambda *_: ends_s)
+    found = compare_command.compare_tracks(tracks, mission, next(iter(tracks.values())).vehicle)
+    assert f"scored: {begin_s:g} to 150 s." in str(found)
+    said = [remark for remark in found.remarks if "all are scored" in remark]
+    assert [remark.split(", so")[0] for remark in said] == (
+        [] if begin_s else ["Only 20 of 150 s come after the first models were learnt"]
+    )
+    asked = compare_command.compare_tracks(tracks, mission, next(iter(tracks.values())).vehicle, begin_s=140.0)
+    assert "scored: 140 to 150 s." in str(asked)

@@ -11,7 +11,7 @@ import navfilter
 ROOT = Path(navfilter.__file__).parent
 #: From the ground up; a module may import from its own floor and those below.
 FLOORS = [
-    {"kernels", "constants", "filter.memory", "filter.health"},
+    {"kernels", "constants", "compilation", "filter.memory", "filter.health"},
     {"arma", "state", "mission", "diagnostics", "magnetic", "filter.layout", "filter.tape", "error_models", "learning.drift"},
     {"learning.low_frequency", "learning.limits", "learning.effort", "learning.likelihood", "learning.starts", "learning.fit",
      "learning.orders", "learning.learner", "learning.learned", "learning.bias", "start"},

@@ -380,6 +380,31 @@ def test_suggested_line_is_in_radians():
     assert "sd = 1.0" in error_lines(White(sd=1.0), "counts")[0]
 
 
+@pytest.mark.parametrize("unit", ["dps", "°/s", "deg/s"])
+def test_other_names_of_a_unit_are_turned_to_si(unit):
+    assert "sd = 0.0174533" in error_lines(White(sd=1.0), unit)[0]
+
+
+@pytest.mark.parametrize("how", [[], ["--online"]])
+def test_an_unknown_unit_is_refused_before_anything_is_written(tmp_path, capsys, how):
+    with pytest.raises(SystemExit) as stopped:
+        main(["identify", str(tmp_path / "a.csv"), "--unit", "degs/s", "--out", str(tmp_path / "out"), *how])
+    assert stopped.value.code == 2 and not (tmp_path / "out").exists()
+    said = capsys.readouterr().err
+    assert 'unknown unit "degs/s" (known: 1, s, ms' in said and "deg/s" in said and "dps" in said
+    with pytest.raises(ValueError, match='unknown unit "degs/s"'):
+        identify(np.zeros(100), 10.0, unit="degs/s")
+
+
+def test_a_mission_is_in_si_already(tmp_path, capsys):
+    turning = Stream(np.arange(400) / 8.0, np.random.default_rng(1).normal(size=400), ("heading_rad",))
+    Mission("turning", {"compass": turning}).save(tmp_path / "m.npz")
+    how = ["--order", "1,0", "--out", str(tmp_path / "out"), "--quiet"]
+    assert main(["identify", f"{tmp_path / 'm.npz'}:compass", "--unit", "deg", *how]) == 2
+    assert "in SI: leave --unit deg out" in capsys.readouterr().err
+    assert main(["identify", f"{tmp_path / 'm.npz'}:compass", "--unit", "rad", *how]) == 0
+
+
 @pytest.fixture(scope="module")
 def still(tmp_path_factory):
     """A text file with a walk in white noise, and the folder that identify wrote about it."""

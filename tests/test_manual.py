@@ -12,7 +12,7 @@ from navfilter.arma.model import ArmaModel
 from navfilter.error_models import Arma, GaussMarkov, RandomWalk, White
 from navfilter.io import mission_schema as schema
 from navfilter.io.contents import FORMS, TRUTH_ONLY, groups
-from navfilter.io.units import SUFFIXES, UNITS
+from navfilter.io.units import ALIASES, SUFFIXES, UNITS
 from navfilter.io.vehicle_keys import plain_key, times
 from navfilter.learning.learned import LearnedArma
 from navfilter.mechanisation import DeadReckoning, Imu, Mechanisation
@@ -59,7 +59,7 @@ def listed(value):
 OWN = [kind for base in (Mechanisation, Sensor) for kind in kinds_below(base) if kind.__module__.startswith("navfilter.")]
 READ = {c.group for kind in OWN for c in (*(column for must in kind.contents for column in must), *kind.beside)}
 READ |= {form.group for name, forms in FORMS.items() if name in READ for form in forms} | {c.group for c in TRUTH_ONLY}
-GROUP_NAMES = {*READ, "series"}
+GROUP_NAMES = {*READ, "series", "sd"}
 MISSION_TABLES = {
     "The mission": (schema.MissionSpec, set()),
     "Stream": (schema.StreamSpec, set()),
@@ -98,7 +98,7 @@ def test_every_group_of_mission_toml_and_its_keys_are_described():
     listed, own = section("mission-toml.md", "Groups").split("Short forms")
     assert set(re.findall(r"^\| `(\w+)` \[", listed, flags=re.MULTILINE)) == GROUP_NAMES
     for name, sizes in re.findall(r"^\| `(\w+)` \[([^]]+)\]", listed, flags=re.MULTILINE):
-        assert name == "series" or sizes.endswith(str(len(groups()[name].names))), name
+        assert name in ("series", "sd") or sizes.endswith(str(len(groups()[name].names))), name
     assert_states(dict(re.findall(r"^\| `(\w+)` \| (.*?) \|", own, flags=re.MULTILINE)), fields_of(schema.Group))
 
 
@@ -107,6 +107,8 @@ def test_every_unit_is_listed():
     assert {(unit, dimension) for dimension, units in rows for unit in re.findall(r"`([^`]+)`", units)} == {
         (name, unit.dimension) for name, unit in UNITS.items() if name
     }
+    others = section("mission-toml.md", "Units").split("Other names for the same:")[1].split("Anything else")[0]
+    assert re.findall(r"`([^`]+)`", others) == list(ALIASES)
     endings = section("vehicle-toml.md", "Units").split("These endings are known:")[1]
     assert re.findall(r"`([^`]+)`", endings) == list(SUFFIXES)
 

@@ -71,7 +71,7 @@ def test_readings_before_the_start_are_left_out_and_output_is_thinned():
 def test_missing_and_short_streams_are_said_in_one_line():
     vehicle, mission = simulate_scenario("lawnmower", 5, 30.0)
     without = dataclasses.replace(mission, streams={k: v for k, v in mission.streams.items() if k != "compass"})
-    with pytest.raises(ValueError, match=r'"compass" has no stream in this mission \(streams: .*vehicle.without\("compass"\)'):
+    with pytest.raises(ValueError, match=r'"compass" has no stream in this mission \(streams: .*--without compass, or'):
         nf.replay(vehicle, without)
     empty = mission.with_stream("gps", nf.Stream(np.empty(0), np.empty((0, 3))))
     assert nf.replay(vehicle, empty).residuals["gps"].count("used") == 0

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
+from navfilter.check.clocks import clock_findings
 from navfilter.check.finding import Finding, Severity
 from navfilter.check.motion import motion_findings
 from navfilter.check.streams import stream_findings
@@ -54,6 +55,7 @@ def check_mission(mission: Mission, vehicle: Vehicle | None = None) -> tuple[Fin
         found.append(Finding(graver, known, f"the reader notes: {note}.", cure))
     if vehicle is not None:
         found += _absent(mission, vehicle)
+    found += clock_findings(mission, vehicle)
     found += motion_findings(mission, vehicle)
     rank = {"error": 0, "warning": 1, "info": 2}
     return tuple(sorted(found, key=lambda finding: rank[finding.severity]))
@@ -81,7 +83,8 @@ def _absent(mission: Mission, vehicle: Vehicle) -> Iterator[Finding]:
     silent = {name for name, sensor in vehicle.sensors.items() if sensor.from_drive}
     wanted = {*vehicle.drive.streams, *vehicle.sensors} - silent
     for name in sorted(wanted - set(mission.streams)):
-        cure = f'Add the stream, or drop the sensor with vehicle.without("{name}").'
+        cure = f"Add [streams.{name}], or take [sensors.{name}] out of the vehicle.toml"
+        cure += f" (to replay without it: --without {name})."
         if name in vehicle.drive.streams:
             cure = "Nothing moves without what drives: add the stream, or choose another drive."
         yield Finding("error", name, "the vehicle has this sensor, the mission has no such stream.", cure)

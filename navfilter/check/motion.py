@@ -9,9 +9,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from navfilter.check.amounts import counted
 from navfilter.check.course import course_findings
+from navfilter.check.course_fit import POLAR
 from navfilter.check.finding import Finding
 from navfilter.check.series import MOST_WINDOWS, correlation, heading_of, integral, unwrapped, vector, window_edges
+from navfilter.check.vertical import depth_sign_findings, sideways_findings, vertical_findings
 from navfilter.constants import ROUND_GRAVITY
 from navfilter.mission import Array, Mission, Stream
 
@@ -34,16 +37,23 @@ def motion_findings(mission: Mission, vehicle: Vehicle | None) -> Iterator[Findi
         yield from _gravity(name, imu)
         yield from _gyro_range(name, imu)
         yield from _handedness(name, imu)
+    agrees = False
     for name, stream in mission.streams.items():
         yield from _angles(name, stream)
         yield from _field(name, stream, mission)
         yield from _positions(name, stream)
         yield from _pressure(name, stream)
+        yield from depth_sign_findings(name, stream)
         if imu is not None:
-            yield from _gyro_against_heading(name, stream, imu)
+            found = list(_gyro_against_heading(name, stream, imu))
+            agrees |= any("follows the gyro" in finding.text for finding in found)
+            yield from found
     for name, stream in mission.streams.items():
         if "v_x_m_s" in stream.columns:
-            yield from course_findings(name, stream, mission, vehicle)
+            yield from course_findings(name, stream, mission, vehicle, agrees)
+            yield from vertical_findings(name, mission, vehicle)
+            if vehicle is not None:
+                yield from sideways_findings(name, mission, vehicle)
 
 
 def _has_enough(stream: Stream) -> bool:
@@ -217,6 +227,10 @@ def _positions(name: str, stream: Stream) -> Iterator[Finding]:
     if float(np.nanmax(np.abs(latitude), initial=0.0)) > 0.5 * math.pi:
         yield Finding("error", name, "latitudes beyond 90 deg.", 'Degrees for radians (unit = "deg"), or swapped columns.')
         return
+    if abs(float(np.nanmedian(latitude))) > POLAR and abs(float(np.nanmedian(longitude))) < POLAR:
+        usual_deg = math.degrees(float(np.nanmedian(latitude)))
+        text = f"latitudes around {usual_deg:.0f} deg: are latitude and longitude exchanged?"
+        yield Finding("warning", name, text, f"If so, exchange the first two columns of position in [streams.{name}].")
     north = np.diff(latitude) * EARTH_RADIUS_M
     east = np.diff(longitude) * np.cos(latitude[1:]) * EARTH_RADIUS_M
     step = np.diff(stream.time_s)
@@ -224,7 +238,7 @@ def _positions(name: str, stream: Stream) -> Iterator[Finding]:
         speed = np.hypot(north, east) / np.where(step > 0.0, step, np.nan)
     jumps = int(np.count_nonzero((speed > 60.0) & (np.hypot(north, east) > 20.0)))
     if jumps:
-        text = f"{jumps} jumps faster than 60 m/s between fixes."
+        text = f"{counted(jumps, 'jump')} faster than 60 m/s between fixes."
         yield Finding("warning", name, text, "The gate will refuse outliers; make sure that the run starts on a good fix.")
 
 

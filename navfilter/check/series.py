@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from navfilter.mission import Array, Stream
 
@@ -44,6 +46,26 @@ def correlation(a: Array, b: Array) -> tuple[float, float]:
     if aa <= 0.0 or bb <= 0.0:
         return 0.0, 0.0
     return ab / math.sqrt(aa * bb), ab / aa
+
+
+def jackknife(estimate: Callable[[NDArray[np.int64]], Array], rows: int) -> tuple[Array, Array]:
+    """An estimate from all rows, and its standard deviations by leaving out each tenth in turn (Tukey, 1958).
+
+    Rows that follow each other may depend on each other; tenths hardly do.
+    """
+    every = np.arange(rows)
+    left_out = np.array([estimate(np.setdiff1d(every, part)) for part in np.array_split(every, 10)])
+    spread = np.sum((left_out - left_out.mean(axis=0)) ** 2, axis=0)
+    return estimate(every), np.sqrt(0.9 * spread)
+
+
+def factors(columns: Array, goal: Array) -> tuple[Array, Array]:
+    """Factors of some columns that give a series by least squares, and their standard deviations (`jackknife`)."""
+
+    def of(rows: NDArray[np.int64]) -> Array:
+        return np.asarray(np.linalg.lstsq(columns[rows], goal[rows], rcond=None)[0], dtype=np.float64)
+
+    return jackknife(of, goal.size)
 
 
 def heading_of(stream: Stream) -> Array | None:

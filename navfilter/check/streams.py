@@ -7,15 +7,19 @@ from typing import Any
 
 import numpy as np
 
+from navfilter.check.amounts import counted
 from navfilter.check.finding import Finding, Severity
 from navfilter.mission import Array, Mission, Stream
+
+#: Readings that were buffered come faster than this one after the other [s].
+_EMPTYING_S = 0.05
 
 
 def stream_findings(name: str, stream: Stream, mission: Mission) -> Iterator[Finding]:
     """Findings about one stream alone."""
     if len(stream) < 2:
         cure = "Check the file and the sentinels in the mission.toml."
-        yield Finding("error", name, f"only {len(stream)} readings.", cure)
+        yield Finding("error", name, f"only {counted(len(stream), 'reading')}.", cure)
         return
     yield from _timing(name, stream, mission)
     yield from _values(name, stream)
@@ -35,22 +39,31 @@ def _timing(name: str, stream: Stream, mission: Mission) -> Iterator[Finding]:
     repeated = int(np.count_nonzero(step == 0.0))
     if repeated:
         cure = "The navigator counts them as duplicates; drop them if the values are equal too."
-        yield Finding("warning", name, f"{repeated} readings have the time of the one before.", cure)
+        yield Finding("warning", name, f"{counted(repeated, 'reading')} with the time of the one before.", cure)
     gaps = step > 5.0 * usual
     if gaps.any():
         worst = int(np.argmax(step))
-        text = f"{int(gaps.sum())} gaps, the longest {step[worst]:.3g} s at {stream.time_s[worst]:.2f} s."
-        grave: Severity = "warning" if step[worst] > 20.0 * usual else "info"
+        text = f"{counted(int(gaps.sum()), 'gap')}, the longest {step[worst]:.3g} s at {stream.time_s[worst]:.2f} s."
+        # fixes are not to be had under water
+        grave: Severity = "warning" if step[worst] > 20.0 * usual and "latitude_rad" not in stream.columns else "info"
         yield Finding(grave, name, text, "The filter carries on without; check that nothing was lost on the way.")
     # Bursts: many steps far shorter and far longer than the mean step, as stamps of reception have.
     mean = span / (len(stream) - 1)
     bursty = float(np.mean((step < 0.3 * mean) | (step > 2.0 * mean)))
-    if bursty > 0.1:
+    if bursty > 0.1 and not _even(moving[moving <= mean]):
         text = f"{100 * bursty:.0f} % of the steps are far from the mean of {mean:.4g} s: stamps of reception, in bursts?"
         yield Finding("warning", name, text, "If the sensor has an even rate, set time.ends_only = true.")
     late = stream.time_s[0] - mission.begin_s
     if late > max(10.0 * usual, 5.0):
         yield Finding("info", name, f"starts {late:.1f} s after the first stream.")
+
+
+def _even(step: Array) -> bool:
+    """Whether steps within bursts are those of an even sensor with gaps between, not of a buffer that is emptied."""
+    if not step.size:
+        return False
+    low, usual, high = np.quantile(step, [0.1, 0.5, 0.9])
+    return bool(usual > _EMPTYING_S and high - low < 0.2 * usual)
 
 
 def _values(name: str, stream: Stream) -> Iterator[Finding]:

@@ -55,7 +55,8 @@ A mission does not say how its sensors really err: --oracle takes a second vehic
 vehicle_true.toml where the scenario errs otherwise than its vehicle.toml believes.
 
 When arma is among the models, nothing is scored before its first window is full: when the first models are there, the beginning is run
-again with them, so they know it already. --begin 0 scores everything.
+again with them, so they know it already. --begin 0 scores everything; so is a mission of which less than a quarter
+would be left.
 
 written to --out:
   report.html      table and figures side by side, one file that works offline
@@ -69,6 +70,8 @@ examples:
   navfilter compare swing/mission.npz --vehicle swing --models gm1-fitted,arma,oracle --oracle swing/vehicle_true.toml --out compared
 """
 DEFAULT = "white,gm1,gm1-fitted,arma"
+#: What is left of a mission after learning is scored alone from this share on; less says too little.
+LEAST_SCORED = 0.25
 #: What ratios refer to: the first of these that is among the models, else the first model.
 BASELINES = ("gm1-fitted", "gm1", "vehicle", "white")
 
@@ -194,14 +197,23 @@ def compare_tracks(
 ) -> Comparison:
     """Compare runs by name of the model, from the end of the first learning window on unless `begin_s` says otherwise.
 
-    Where nothing could be fitted or learnt, so that a run kept the model of the vehicle file after all, the result says so.
+    Where that leaves less than `LEAST_SCORED` of the mission, everything is scored. The result says so, and where nothing
+    could be fitted or learnt, so that a run kept the model of the vehicle file after all.
     """
     from navfilter.evaluation.comparison import compare
 
-    begin_s = learning_ends(tracks, mission) if begin_s is None else begin_s
+    remarks = _kept(tracks, vehicle, sensors)
+    if begin_s is None:
+        begin_s = learning_ends(tracks, mission)
+        first_s = min(float(track.time_s[0]) for track in tracks.values())
+        if mission.end_s - begin_s < LEAST_SCORED * (mission.end_s - first_s):
+            left, whole = mission.end_s - begin_s, mission.end_s - first_s
+            only = f"Only {left:.0f} of {whole:.0f} s come after the first models were learnt"
+            remarks += (f"{only}, so all are scored; arma knew the readings up to {begin_s:.0f} s.",)
+            begin_s = first_s
     baseline = next((name for name in BASELINES if name in tracks), next(iter(tracks)))
     result = compare(tracks, mission.truth, begin_s=begin_s, windows=mission.windows, baseline=baseline)
-    return dataclasses.replace(result, remarks=_kept(tracks, vehicle, sensors))
+    return dataclasses.replace(result, remarks=remarks)
 
 
 def _kept(tracks: Mapping[str, Track], vehicle: Vehicle, sensors: Sequence[str] | None) -> tuple[str, ...]:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from navfilter.mission import Mission
+    from navfilter.vehicle import Vehicle
 
 __all__ = [
     "add_force_argument",
@@ -164,17 +165,21 @@ def announce_compilation(say: Callable[[str], None]) -> bool:
     """Whether the navigator's kernels have yet to be compiled; says so."""
     cold = not _compiled()
     if cold:
-        say("compiling the kernels, once: about 30 s ...")
+        say("compiling the kernels, once: about a minute ...")
     return cold
 
 
-def compile_first(quiet: bool) -> None:
-    """Compile before a run, so that the run's processor time is its own."""
+def compile_first(quiet: bool, vehicle: Vehicle | None = None) -> None:
+    """Compile before a run, so that the run's processor time is its own; given a vehicle, only what that one needs."""
     say = (lambda text: None) if quiet else complain
+    if not quiet:
+        from navfilter.compilation import show_compilation
+
+        show_compilation()
     if announce_compilation(say):
         from navfilter.service.kernel_cache import compile_kernels
 
-        compile_kernels(say)
+        compile_kernels(say, vehicle)
 
 
 def _compiled() -> bool:

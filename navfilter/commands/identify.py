@@ -48,7 +48,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     data.add_argument("--rate-hz", type=_positive, metavar="R", help="samples per second; not needed with a time column")
     data.add_argument("--time-column", metavar="T", help="column with seconds: gives the rate, and gaps where samples are missing")
     data.add_argument(
-        "--unit", default="", metavar="U", help="unit of the series (deg, m/s, ...); known ones are turned to SI for the vehicle"
+        "--unit",
+        type=_unit,
+        default="",
+        metavar="U",
+        help="unit of the file (deg/s, m/s, counts, ...); the vehicle gets SI",
     )
     data.add_argument("--table", default="", metavar="NAME", help='array of an .npz or .mat file, with planes: "counts", "data[0]"')
     data.add_argument("--topic", default="", metavar="NAME", help="of a log (a ROS bag, NMEA, ...): which of its topics")
@@ -103,6 +107,16 @@ def _number(text: str, above: float, kind: Any, what: str) -> Any:
     return value
 
 
+def _unit(text: str) -> str:
+    from navfilter.io.units import unit
+
+    try:
+        unit(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+    return text
+
+
 def _order(text: str) -> tuple[int, int]:
     parts = text.strip("() ").split(",")
     if len(parts) != 2:
@@ -125,6 +139,7 @@ def run(options: argparse.Namespace) -> int:
 def _read(options: argparse.Namespace) -> Any:
     from navfilter.io.series import read_series
     from navfilter.io.tables import TableOptions
+    from navfilter.io.units import unit
 
     layout = TableOptions(
         table=options.table,
@@ -133,7 +148,7 @@ def _read(options: argparse.Namespace) -> Any:
         skip_rows=options.skip_rows,
         topic=options.topic,
     )
-    return read_series(
+    series = read_series(
         options.file,
         options.column,
         rate_hz=options.rate_hz,
@@ -141,6 +156,9 @@ def _read(options: argparse.Namespace) -> Any:
         options=layout,
         unpacked_bytes=unpacked_bytes(options),
     )
+    if series.source != options.file and unit(options.unit).factor != 1.0:
+        raise ValueError(f"{options.file} is a stream of a mission, in SI: leave --unit {options.unit} out.")
+    return series
 
 
 def _conditions(options: argparse.Namespace) -> dict[str, Any]:

@@ -168,7 +168,7 @@ def _identify(vehicle: Any, mission: Mission, rounds: int, quiet: bool) -> Any:
 def _replay_and_write(vehicle: Any, mission: Mission, folder: Path, quiet: bool, **how: Any) -> int:
     from navfilter.playback import replay as replay_mission
 
-    compile_first(quiet)
+    compile_first(quiet, vehicle)
     speaker(quiet)(f"replaying {mission.name} ({mission.duration_s / 60:.1f} min) ...")
     _write(replay_mission(vehicle, mission, progress=not quiet and sys.stderr.isatty(), **how), mission, folder, quiet)
     return 0

@@ -18,6 +18,7 @@ from navfilter.arma.order import OrderTable, cancels, select_order
 from navfilter.diagnostics import Whiteness, allan_deviation, whiteness
 from navfilter.identification.conditioning import Conditioned, bridged, condition, gap_free
 from navfilter.identification.reading import Reading, read_model
+from navfilter.io import units
 from navfilter.io.series import Series
 
 __all__ = ["Identification", "identify", "model_allan_deviation"]
@@ -99,7 +100,7 @@ def identify(
     detrend : bool
         Estimate a straight line along with the coefficients, not only a constant.
     unit : str
-        Unit of the series, for the text.
+        Unit of the series, as in `navfilter.io.units`.
     say : callable, optional
         Told in a few words what is being done.
     **conditions
@@ -112,7 +113,7 @@ def identify(
     Raises
     ------
     ValueError
-        For a series that is constant, empty, all NaN or too short, in one line.
+        For a series that is constant, empty, all NaN or too short, or an unknown unit, in one line.
 
     Examples
     --------
@@ -121,6 +122,7 @@ def identify(
     >>> result.reading.text
     "moving average from the device's own filtering; minimal order (0,1)"
     """
+    units.unit(unit)
     if not isinstance(series, Series):
         if rate_hz is None:
             raise ValueError("an array has no sampling rate: give rate_hz.")

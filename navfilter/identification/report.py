@@ -18,7 +18,7 @@ from navfilter.error_models import ErrorModel, Sum
 from navfilter.identification.figures import identification_figures
 from navfilter.identification.identify import Identification
 from navfilter.identification.reading import number
-from navfilter.io.units import UNITS
+from navfilter.io import units
 from navfilter.io.vehicle_toml import _plain as toml_value
 from navfilter.io.vehicle_toml import _toml as toml_text
 from navfilter.report.drawing import style, svg
@@ -166,7 +166,19 @@ def _level(found: Identification) -> float:
 
 
 def error_lines(error: ErrorModel, unit: str = "") -> tuple[str, str]:
-    """The model as a line of vehicle.toml and as Python, in SI and radians when the unit is a known one.
+    """The model as a line of vehicle.toml and as Python, in SI and radians.
+
+    Parameters
+    ----------
+    error : ErrorModel
+        In the unit of the series.
+    unit : str
+        As in `navfilter.io.units`.
+
+    Raises
+    ------
+    ValueError
+        For an unknown unit.
 
     Examples
     --------
@@ -174,8 +186,7 @@ def error_lines(error: ErrorModel, unit: str = "") -> tuple[str, str]:
     >>> error_lines(White(sd=180.0), "mm")
     ('error = {model = "white", sd = 0.18}', 'error=nf.White(sd=0.18)')
     """
-    factor = UNITS[unit].factor if unit in UNITS else 1.0
-    scaled = _scaled(error, factor)
+    scaled = _scaled(error, units.unit(unit).factor)
     parts = scaled.parts if isinstance(scaled, Sum) else (scaled,)
     python = " + ".join(_python(part) for part in parts)
     return f"error = {toml_text(toml_value(scaled, type(scaled), 'error'))}", f"error={python}"

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
-from navfilter.io.contents import SERIES, groups
+from navfilter.io.contents import SD, SERIES, groups
 from navfilter.io.geodesy import matrix_from_euler
 from navfilter.io.mission_schema import Clock, Component, Group, Reference
 from navfilter.io.tables import Table
@@ -123,7 +123,7 @@ def _oriented(values: Array, name: str, group: Group) -> Array:
             raise MissionError(f"{name}: mounting_deg needs three columns, found {values.shape[1]}.")
         roll, pitch, yaw = np.radians(np.array(group.mounting_deg)[:, np.newaxis])
         values = values @ matrix_from_euler(roll, pitch, yaw)[0].T
-    width = values.shape[1] if name == SERIES else len(groups()[name].names)
+    width = values.shape[1] if name in (SERIES, SD) else len(groups()[name].names)
     if values.shape[1] < width:
         values = np.column_stack([values, np.full((values.shape[0], width - values.shape[1]), np.nan)])
     return values
@@ -131,6 +131,8 @@ def _oriented(values: Array, name: str, group: Group) -> Array:
 
 def group_names(name: str, group: Group) -> tuple[str, ...]:
     """Names of the columns of a group in SI."""
+    if name == SD:
+        return (SD,) * len(group.columns)
     if name != SERIES:
         return groups()[name].names
     if group.names:

@@ -6,7 +6,7 @@ from navfilter.mechanisation import Mechanisation
 from navfilter.sensors import Sensor
 from navfilter.sensors.traits import Columns, kinds_below
 
-__all__ = ["FORMS", "SERIES", "TRUTH_ONLY", "contents", "driving", "groups"]
+__all__ = ["FORMS", "SD", "SERIES", "TRUTH_ONLY", "axes_of", "contents", "driving", "groups"]
 
 #: Forms of a group that are turned into it when they are read: ECEF or local coordinates into geodetic ones, a
 #: quaternion into angles.
@@ -24,6 +24,8 @@ TRUTH_ONLY = (
 )
 #: A group of any columns, for streams that no sensor reads.
 SERIES = "series"
+#: Standard deviations of the single readings, beside those of a sensor.
+SD = "sd"
 
 
 def contents() -> tuple[tuple[tuple[Columns, ...], tuple[Columns, ...]], ...]:
@@ -34,6 +36,16 @@ def contents() -> tuple[tuple[tuple[Columns, ...], tuple[Columns, ...]], ...]:
             forms = FORMS.get(must[0].group, ()) if len(must) == 1 else ()
             found += [(given, kind.beside) for given in (must, *((form,) for form in forms))]  # type: ignore[attr-defined]
     return tuple(dict.fromkeys(found))
+
+
+def axes_of(given: set[str]) -> tuple[int, str] | None:
+    """Number of axes and unit of the error of a sensor that reads these groups; None where only a drive does."""
+    for kind in kinds_below(Sensor):
+        for must in kind.contents:  # type: ignore[attr-defined]
+            forms = FORMS.get(must[0].group, ()) if len(must) == 1 else ()
+            if any({columns.group for columns in one} <= given for one in (must, *((form,) for form in forms))):
+                return kind.axes, kind.unit.replace("_", "/")  # type: ignore[attr-defined]
+    return None
 
 
 def driving() -> set[str]:

@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from navfilter.io.mission_schema import StartSpec
 from navfilter.io.trust import Place
@@ -60,6 +61,7 @@ BAD_KINDS = (
     "wrong-time",
     "wrong-start",
 )
+Array = npt.NDArray[np.float64]
 #: Later than this no clock counts in seconds: milliseconds since 1970 are beyond it [s].
 LATEST_S = 1e11
 #: A reading has at most so many components.
@@ -293,10 +295,15 @@ class _Column:
 
     def __init__(self, width: int) -> None:
         self.time_s, self.value, self.width = array("d"), array("d"), width
+        self._sd, self._sd_rows, self._sd_sizes = array("d"), array("q"), array("q")
 
-    def add(self, time_s: float, value: list[float]) -> None:
+    def add(self, time_s: float, value: list[float], sd: list[float] | None) -> None:
         if len(value) > self.width:
             self._widen(len(value))
+        if sd is not None:
+            self._sd.extend(sd)
+            self._sd_rows.append(len(self.time_s))
+            self._sd_sizes.append(len(sd))
         self.time_s.append(time_s)
         self.value.extend(value)
         self.value.extend([math.nan] * (self.width - len(value)))
@@ -305,6 +312,22 @@ class _Column:
         rows = np.full((len(self.time_s), width), np.nan)
         rows[:, : self.width] = np.frombuffer(self.value).reshape(-1, self.width) if len(rows) else 0.0
         self.value, self.width = array("d", rows.tobytes()), width
+
+    def sd(self) -> Array | None:
+        """Standard deviations of the readings, (n, m), as `Stream` has them; what no navigator takes is negative."""
+        if not self._sd_rows:
+            return None
+        rows, sizes, flat = np.array(self._sd_rows), np.array(self._sd_sizes), np.array(self._sd)
+        # one for all axes or one for each; how many axes there are, the log does not say
+        width = int(np.bincount(sizes[sizes > 1], minlength=2).argmax()) or 1
+        result = np.full((len(self.time_s), width), np.nan)
+        result[rows] = -1.0
+        first = np.cumsum(sizes) - sizes
+        for size in {1, width}:
+            own = sizes == size
+            given = flat[first[own, np.newaxis] + np.arange(size)]
+            result[rows[own]] = np.where(np.isnan(given).any(axis=1, keepdims=True), -1.0, given)
+        return result
 
 
 def streams_of(
@@ -329,17 +352,19 @@ def streams_of(
     for reading in readings:
         if reading.sensor not in gathered:
             gathered[reading.sensor] = _Column(len(reading.value))
-        gathered[reading.sensor].add(reading.time_s, reading.value)
+        gathered[reading.sensor].add(reading.time_s, reading.value, reading.sd)
     streams, notes = {}, []
     for name, column in gathered.items():
         time_s, value = np.array(column.time_s), np.array(column.value).reshape(-1, column.width)
+        sd = column.sd()
         late = int(np.count_nonzero(np.diff(time_s) < 0.0))
         if late:
             notes.append(f"{name}: {late} readings arrived out of order; sorted by time")
             order = np.argsort(time_s, kind="stable")
-            time_s, value = time_s[order], value[order]
+            time_s, value, sd = time_s[order], value[order], None if sd is None else sd[order]
         names = columns.get(name, ())
-        streams[name] = Stream(time_s, value, (*names, *(f"column_{k}" for k in range(len(names), column.width))))
+        names = (*names, *(f"column_{k}" for k in range(len(names), column.width)))
+        streams[name] = Stream(time_s, value, names, sd)
     return streams, notes
 
 
@@ -377,14 +402,13 @@ def read_log(place: Place, columns: Mapping[str, tuple[str, ...]]) -> tuple[dict
     """
     if not place.path.is_file():
         raise MissionError(f"{place.shown}: no such file.")
-    parser, counts = LineParser(notes=True), {"bad": 0, "lost": 0, "damaged": 0, "sd": 0}
+    parser, counts = LineParser(notes=True), {"bad": 0, "lost": 0, "damaged": 0}
     starts: list[Any] = []
 
     def readings() -> Iterator[Reading]:
         for line in log_lines(place.path):
             item = parser.parse(line)
             if isinstance(item, Reading):
-                counts["sd"] += item.sd is not None
                 yield item
             elif isinstance(item, BadLine):
                 counts["bad" if b'"event"' in line[:9] else "damaged"] += item.lines
@@ -398,7 +422,6 @@ def read_log(place: Place, columns: Mapping[str, tuple[str, ...]]) -> tuple[dict
         "bad": "lines were no readings when they arrived",
         "lost": "times readings could not be written (disk full?)",
         "damaged": "lines of the log are damaged",
-        "sd": "readings came with their own standard deviation, which a replay does not use",
     }
     notes += [f"{Path(place.shown).name}: {counts[key]} {words[key]}" for key in words if counts[key]]
     start = None

@@ -45,3 +45,10 @@ def block_mean(part: Array, length: int, circular: Bool) -> Array:
         whole[:, :, circular] = whole[:, :1, circular] + wrapped(whole[:, :, circular] - whole[:, :1, circular])
     blocks_mean: Array = whole.mean(axis=1)
     return blocks_mean
+
+
+def block_sd(sd: Array, length: int) -> Array:
+    """Standard deviations of the means of consecutive rows with white errors."""
+    mean_square = block_mean(np.square(sd), length, np.zeros(sd.shape[1], dtype=bool))
+    result: Array = np.sqrt(mean_square / length)
+    return result

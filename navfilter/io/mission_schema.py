@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, create_model, field_validator, model_validator
 
-from navfilter.io.contents import SERIES, contents, groups
+from navfilter.io.contents import SD, SERIES, axes_of, contents, groups
 from navfilter.io.units import UNITS, parse_quantity, unit
 from navfilter.io.validation import Strict
 from navfilter.io.where import Where
@@ -176,6 +176,7 @@ class Source(Strict):
     only_changes: bool | tuple[Reference, ...] = False
     max_gap_s: float | None = Field(default=None, gt=0)
     series: Group | None = None
+    sd: Group | None = None
 
     @field_validator("where", mode="before")
     @classmethod
@@ -194,28 +195,29 @@ class Source(Strict):
 
     def groups(self) -> dict[str, Group]:
         """The groups given, in the order of their definition."""
-        given = {name: getattr(self, name, None) for name in (*groups(), SERIES)}
+        given = {name: getattr(self, name, None) for name in (*groups(), SERIES, SD)}
         return {name: group for name, group in given.items() if group is not None}
 
     @model_validator(mode="after")
     def _sizes(self) -> Source:
-        if not self.groups():
+        if not set(self.groups()) - {SD}:
             raise ValueError(f"a source needs at least one group of columns (known: {', '.join(groups())}, {SERIES})")
         for name, group in self.groups().items():
-            if name == SERIES:
+            if name in (SERIES, SD):
                 continue
             dimensions = groups()[name].dimensions
             # A position without height is a fix in two dimensions.
             sizes = (2, 3) if name == "position" else (len(dimensions),)
             if len(group.columns) not in sizes:
                 raise ValueError(f"{name} has {len(group.columns)} columns, it needs {' or '.join(map(str, sizes))}")
-            self._check_dimensions(name, group, dimensions)
+            self.check_dimensions(name, group, dimensions)
             if name == "local" and group.origin is None:
                 raise ValueError("local coordinates need origin = {latitude_deg = .., longitude_deg = ..}")
         return self
 
     @staticmethod
-    def _check_dimensions(name: str, group: Group, dimensions: tuple[str, ...]) -> None:
+    def check_dimensions(name: str, group: Group, dimensions: tuple[str, ...]) -> None:
+        """Refuse units of the columns of a group that measure something else."""
         if not isinstance(group.unit, str) and len(group.unit) != len(group.columns):
             raise ValueError(f"{name} has {len(group.columns)} columns and {len(group.unit)} units")
         for k, part in enumerate(group.columns):
@@ -259,7 +261,7 @@ class StreamSpec(Strict):
     def groups(self) -> list[str]:
         """Names of the groups of all sources, each once, in the order of `groups`."""
         given = {name for source in self.sources for name in source.groups()}
-        return [name for name in (*groups(), SERIES) if name in given]
+        return [name for name in (*groups(), SERIES, SD) if name in given]
 
 
 class SensorStream(StreamSpec):
@@ -267,14 +269,32 @@ class SensorStream(StreamSpec):
 
     @model_validator(mode="after")
     def _contents(self) -> SensorStream:
-        given = set(self.groups())
+        given = set(self.groups()) - {SD}
         if self.lever_arm_b_m is not None:
             raise ValueError("the lever arm of a sensor belongs into vehicle.toml; here only [truth] has one")
         known = [([c.group for c in must], [c.group for c in may]) for must, may in contents()] + [([SERIES], [])]
         if not any(set(must) <= given <= {*must, *may} for must, may in known):
             allowed = "; ".join(" + ".join(must) + "".join(f" (+ {m})" for m in may) for must, may in known)
             raise ValueError(f"a stream cannot consist of {' + '.join(self.groups())} (allowed: {allowed})")
+        self._check_sd(given)
         return self
+
+    def _check_sd(self, given: set[str]) -> None:
+        own = [source.sd for source in self.sources if source.sd is not None]
+        if not own:
+            return
+        sensor = axes_of(given)
+        if sensor is None:
+            raise ValueError("sd belongs to a sensor that corrects; what drives takes none (see its errors in vehicle.toml)")
+        if len(own) > 1:
+            raise ValueError("only one of the sources of a stream can give sd")
+        sd, (axes, known) = own[0], sensor
+        if len(sd.columns) not in (1, axes):
+            raise ValueError(f"sd has {len(sd.columns)} columns, it needs 1, or one for each of the {axes} axes")
+        if sd.axes is not None or sd.mounting_deg is not None:
+            raise ValueError("sd takes no axes and no mounting_deg: give its columns in the order of the sensor's axes")
+        dimension = UNITS[known].dimension if known in UNITS else "number"
+        Source.check_dimensions(SD, sd, (dimension,) * len(sd.columns))
 
 
 class TruthStream(StreamSpec):

@@ -10,10 +10,10 @@ import numpy.typing as npt
 
 from navfilter.io import geodesy
 from navfilter.io.columns import Counts, clock_times, group_names, group_values
-from navfilter.io.contents import driving, groups
+from navfilter.io.contents import SD, driving, groups
 from navfilter.io.json_lines import read_log
 from navfilter.io.logs import Shelf
-from navfilter.io.merging import block_mean, mean, resampled
+from navfilter.io.merging import block_mean, block_sd, mean, resampled
 from navfilter.io.mission_schema import Clock, MissionSpec, Origin, Source, StreamSpec, TruthStream, mission_spec
 from navfilter.io.starting import start_of
 from navfilter.io.tables import Table, TableOptions, read_table
@@ -55,8 +55,8 @@ def read_mission_toml(path: Path, *, confine: bool = False, unpacked_bytes: int 
     truth = None if spec.truth is None else reader.truth(spec.truth)
     zero = _zero(spec.zero_s, streams, truth)
     if zero:
-        streams = {name: Stream(s.time_s - zero, s.value, s.columns) for name, s in streams.items()}
-        truth = None if truth is None else Stream(truth.time_s - zero, truth.value, truth.columns)
+        streams = {name: stream.later(-zero) for name, stream in streams.items()}
+        truth = None if truth is None else truth.later(-zero)
         if logged_start is not None:
             logged_start = replace(logged_start, time_s=logged_start.time_s - zero)
     for name, stream_spec in spec.streams.items():
@@ -113,6 +113,7 @@ class _Reader:
     def stream(self, name: str, spec: StreamSpec) -> Stream:
         """One sensor's stream."""
         time_s, parts, columns = self._merged(name, spec)
+        sd = parts.pop(SD, None)
         given = list(parts)
         if "ecef" in given:
             parts["ecef"], columns["ecef"] = geodesy.geodetic_from_ecef(parts["ecef"]), groups()["position"].names
@@ -120,7 +121,7 @@ class _Reader:
             parts["local"], columns["local"] = _from_local(parts["local"], spec), groups()["position"].names
         if "quaternion" in given:
             parts["quaternion"], columns["quaternion"] = _euler(parts["quaternion"], spec, None), groups()["attitude"].names
-        return _assembled(time_s, parts, columns)
+        return _assembled(time_s, parts, columns, sd)
 
     def truth(self, spec: TruthStream) -> Stream:
         """The reference trajectory with all of `TRUTH_COLUMNS`."""
@@ -173,7 +174,8 @@ class _Reader:
             time_s = even
         if spec.average > 1:
             circles = {group: _on_circle(columns[group]) for group in parts}
-            parts = {group: block_mean(part, spec.average, circles[group]) for group, part in parts.items()}
+            sd = {SD: block_sd(parts[SD], spec.average)} if SD in parts else {}
+            parts = {group: block_mean(part, spec.average, circles[group]) for group, part in parts.items()} | sd
             time_s = block_mean(time_s[:, np.newaxis], spec.average, np.zeros(1, dtype=bool))[:, 0]
         if spec.every > 1:
             time_s, parts = time_s[:: spec.every], {group: part[:: spec.every] for group, part in parts.items()}
@@ -211,7 +213,7 @@ class _Reader:
     def _changed(self, table: Table, source: Source, parts: dict[str, Array]) -> Bool:
         """Rows in which a value differs from the row before; nobody knows how old the first row is, so it is none."""
         if source.only_changes is True:
-            watched = np.column_stack(list(parts.values()))
+            watched = np.column_stack([part for group, part in parts.items() if group != SD])
         else:
             watched = np.column_stack([table.numbers(reference)[0] for reference in source.only_changes or ()])
         before, after = watched[:-1], watched[1:]
@@ -264,12 +266,14 @@ def _on_circle(names: tuple[str, ...]) -> Bool:
     return np.isin(names, [name for columns in groups().values() for name in columns.circular])
 
 
-def _assembled(time_s: Array, parts: dict[str, Array], columns: dict[str, tuple[str, ...]]) -> Stream:
+def _assembled(
+    time_s: Array, parts: dict[str, Array], columns: dict[str, tuple[str, ...]], sd: Array | None
+) -> Stream:
     names = tuple(name for group in parts for name in columns[group])
     value = np.column_stack(list(parts.values()))
     circular = _on_circle(names)
     value[:, circular] = geodesy.wrapped(value[:, circular])
-    return Stream(time_s, value, names)
+    return Stream(time_s, value, names, sd)
 
 
 def _from_local(ned: Array, spec: StreamSpec) -> Array:

@@ -77,14 +77,30 @@ UNITS: dict[str, Unit] = {
     "degF": Unit("temperature", 5.0 / 9.0, 32.0),
 }
 
-_ALIASES = {
+#: Other ways in which files and data sheets write them.
+ALIASES = {
+    "count": "1",
+    "counts": "1",
+    "LSB": "1",
+    "sec": "s",
+    "radian": "rad",
+    "radians": "rad",
     "degree": "deg",
     "degrees": "deg",
+    "rad/sec": "rad/s",
     "dps": "deg/s",
+    "deg/sec": "deg/s",
+    "mdps": "mdeg/s",
+    "dph": "deg/h",
+    "deg/hr": "deg/h",
+    "kt": "kn",
+    "kts": "kn",
     "knot": "kn",
     "knots": "kn",
     "m/s2": "m/s^2",
     "m/s/s": "m/s^2",
+    "m/s²": "m/s^2",
+    "m/s**2": "m/s^2",
     "G": "gauss",
     "Gauss": "gauss",
     "mG": "mgauss",
@@ -92,6 +108,7 @@ _ALIASES = {
     "µT": "uT",
     "°": "deg",
     "°/s": "deg/s",
+    "°/h": "deg/h",
     "C": "degC",
     "°C": "degC",
 }
@@ -103,16 +120,17 @@ def unit(name: str) -> Unit:
     Raises
     ------
     ValueError
-        For an unknown unit; the message lists the known ones.
+        For an unknown unit; the message lists the known ones and their other names.
 
     Examples
     --------
     >>> round(unit("deg/s").factor, 6)
     0.017453
     """
-    key = _ALIASES.get(name.strip(), name.strip())
+    key = ALIASES.get(name.strip(), name.strip())
     if key not in UNITS:
-        raise ValueError(f'unknown unit "{name}" (known: {", ".join(k for k in UNITS if k)})')
+        known, also = ", ".join(k for k in UNITS if k), ", ".join(ALIASES)
+        raise ValueError(f'unknown unit "{name}" (known: {known}; also: {also})')
     return UNITS[key]
 
 

@@ -162,7 +162,7 @@ class BodyVelocity(Sensor):
         v_b = np.einsum("nij,ni->nj", here.C_nb, here.velocity_n - truth.current_n) + np.cross(here.rate_eb_b, lever)
         mounting = Rotation.from_euler("ZYX", self.mounting_rad[::-1])
         v = truth.turned_and_scaled(mounting.inv().apply(v_b))
-        return v + truth.error, ("velocity_x_m_s", "velocity_y_m_s", "velocity_z_m_s")
+        return v + truth.error, self.stream_columns()
 
 
 @dataclass(frozen=True, kw_only=True)

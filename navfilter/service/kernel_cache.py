@@ -22,7 +22,10 @@ import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from navfilter.vehicle import Vehicle
 
 __all__ = ["LIST", "compile_kernels", "discard_damaged", "make_usable", "seal", "warm"]
 
@@ -68,19 +71,22 @@ def make_usable(say: Say) -> None:
     sys.modules.pop(_ANY, None)  # numba has chosen its folder when it was imported
 
 
-def compile_kernels(say: Say) -> None:
-    """Compile, or load what has been compiled; kernels that cannot be loaded are compiled again."""
+def compile_kernels(say: Say, vehicle: Vehicle | None = None) -> None:
+    """Compile, or load what has been compiled; kernels that cannot be loaded are compiled again.
+
+    Given a vehicle, only what that one needs.
+    """
     from navfilter.playback import warm_up
 
     folder = _folder()
     try:
-        warm_up()
+        warm_up(vehicle)
     except Exception as error:  # of numba, llvmlite or pickle, whatever a damaged file makes of them
         if folder is None or not _files(folder):
             raise
         say(f"the compiled kernels in {folder} cannot be used ({type(error).__name__}: {error}); compiling them again")
         _remove(_files(folder))
-        warm_up()
+        warm_up(vehicle)
     if folder is not None:
         seal(folder)
 

@@ -337,6 +337,15 @@ def tiny_missions() -> Iterator[tuple[Vehicle, Mission]]:
     yield _tiny(Vehicle(reckoning, {fix: sensors[fix]}, name="tiny-reckoning"))
 
 
+def tiny_mission(vehicle: Vehicle) -> tuple[Vehicle, Mission]:
+    """A mission of a few seconds for the drive and the sensors of a vehicle, each of which is heard in it."""
+    heard = {
+        name: dataclasses.replace(sensor, rate_hz=max(sensor.rate_hz, 1.0), error=White(sd=1.0))
+        for name, sensor in vehicle.sensors.items()
+    }
+    return _tiny(dataclasses.replace(vehicle, sensors=heard))
+
+
 def _tiny(vehicle: Vehicle) -> tuple[Vehicle, Mission]:
     """With a mission: what the simulator cannot read reads zeros."""
     silent = [name for name, sensor in vehicle.sensors.items() if type(sensor).simulated is Sensor.simulated and not sensor.from_drive]

@@ -1,0 +1,75 @@
+"""Times in another unit than they were read in: a stream that lasts, or ticks, a thousand times too long."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from navfilter.check.finding import Finding
+from navfilter.mission import Mission, Stream
+
+if TYPE_CHECKING:
+    from navfilter.vehicle import Vehicle
+
+#: Units of stamps that are mistaken for seconds: how many of them make one.
+_PER_SECOND = {"ms": 1e3, "us": 1e6, "ns": 1e9}
+#: Slower than this no inertial unit is sampled [s].
+_SLOWEST_IMU_S = 0.5
+
+
+def clock_findings(mission: Mission, vehicle: Vehicle | None) -> Iterator[Finding]:
+    """Streams whose times are in another unit: against the other streams, and against the rates of the vehicle."""
+    steps = {name: _usual_step_s(stream) for name, stream in mission.streams.items() if _lasts(stream)}
+    spans = {name: _span_s(mission.streams[name]) for name in steps}
+    rates = {} if vehicle is None else _rates_hz(vehicle)
+    for name, step_s in steps.items():
+        others = [span for other, span in spans.items() if other != name]
+        if mission.truth is not None and _lasts(mission.truth):
+            others.append(_span_s(mission.truth))
+        longer = spans[name] / float(np.median(others)) if others else 1.0
+        slower = step_s * rates.get(name, 1.0 / step_s)
+        where = f"time of [streams.{name}]"
+        for unit, count in _PER_SECOND.items():
+            if _about(longer, count):
+                text = f"its readings last {spans[name]:.4g} s, those of the others {spans[name] / longer:.4g} s."
+            elif _about(slower, count):
+                text = f"a reading every {step_s:.4g} s, where the vehicle has {rates[name]:.4g} in a second."
+            elif (
+                "force_x_m_s2" in mission.streams[name].columns
+                and 1e-4 < step_s / count < 0.1
+                and step_s > _SLOWEST_IMU_S
+            ):
+                text = f"an inertial unit with a sample every {step_s:.4g} s."
+            elif _about(1.0 / slower, count):
+                text = f"{1.0 / step_s:.4g} readings in a second, where the vehicle has {rates[name]:.4g}."
+                yield Finding("error", name, text, f'Are these seconds? Then unit = "s" in {where}, not "{unit}".')
+                break
+            else:
+                continue
+            yield Finding("error", name, text, f'Are these {unit}, read as seconds? Then unit = "{unit}" in {where}.')
+            break
+
+
+def _lasts(stream: Stream) -> bool:
+    return len(stream) > 1 and bool(stream.time_s[-1] > stream.time_s[0])
+
+
+def _span_s(stream: Stream) -> float:
+    return float(stream.time_s[-1] - stream.time_s[0])
+
+
+def _usual_step_s(stream: Stream) -> float:
+    step = np.diff(stream.time_s)
+    return float(np.median(step[step > 0.0]))
+
+
+def _rates_hz(vehicle: Vehicle) -> dict[str, float]:
+    return dict.fromkeys(vehicle.drive.streams, vehicle.drive.rate_hz) | {
+        name: sensor.rate_hz for name, sensor in vehicle.sensors.items()
+    }
+
+
+def _about(ratio: float, count: float) -> bool:
+    return 0.5 * count < ratio < 2.0 * count

@@ -1,0 +1,127 @@
+"""Compare depth and velocity: a depth that counts up, a velocity whose z axis points up or whose y axis points left."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from navfilter.check.course import SURE, mirrored_finding, mounting_of
+from navfilter.check.course_fit import WINDOW_S, without_gaps
+from navfilter.check.finding import Finding
+from navfilter.check.series import factors, integral, vector, window_edges
+from navfilter.constants import ROUND_GRAVITY
+from navfilter.mission import Array, Mission, Stream
+
+if TYPE_CHECKING:
+    from navfilter.vehicle import Vehicle
+
+#: A depth gauge may be off by so much at the surface, and waves go as high [m].
+_SURFACE_M = 2.0
+#: Depth changes of less than this in a window say nothing [m].
+_LITTLE_M = 0.1
+
+
+def depth_sign_findings(name: str, stream: Stream) -> Iterator[Finding]:
+    """A depth that is negative wherever the vehicle is under water."""
+    if "depth_m" not in stream.columns:
+        return
+    depth = stream.column("depth_m")
+    highest, lowest = float(np.nanmax(depth, initial=-math.inf)), float(np.nanmin(depth, initial=math.inf))
+    if lowest < -_SURFACE_M and -lowest > 3.0 * max(highest, 0.0):
+        text = f"the depth goes from {lowest:.3g} to {highest:.3g} m; it counts positive down."
+        yield Finding("error", name, text, f"Are these heights? Then set scale = -1 in depth of [streams.{name}].")
+
+
+def vertical_findings(name: str, mission: Mission, vehicle: Vehicle | None) -> Iterator[Finding]:
+    """Findings about the z axis of a velocity, against the depth."""
+    depth = next(((n, s) for n, s in mission.streams.items() if "depth_m" in s.columns), None)
+    if depth is None or any(True for _ in depth_sign_findings(*depth)):
+        return
+    stream = mission.streams[name]
+    v = vector(stream, "v_x_m_s") @ mounting_of(name, vehicle)[0].T
+    known = np.isfinite(v).all(axis=1)
+    time_s, v = stream.time_s[known], v[known]
+    sines = _tilt(time_s, v, mission)
+    below = np.isfinite(depth[1].column("depth_m"))
+    if sines is None or np.count_nonzero(below) < 10 or time_s.size < 10:
+        return
+    depth_time_s, depth_m = depth[1].time_s[below], depth[1].column("depth_m")[below]
+    begin, end = max(time_s[0], depth_time_s[0]), min(time_s[-1], depth_time_s[-1]) - WINDOW_S
+    edges = without_gaps(window_edges(begin, end, WINDOW_S / 4.0), time_s, depth_time_s)
+    if edges.size < 40:
+        return
+    roll, pitch = sines
+    level = np.sqrt(1.0 - pitch**2)
+    sunk = integral(time_s, np.column_stack([-pitch * v[:, 0], level * (v[:, 2] + roll * v[:, 1])]))
+    X = np.column_stack([_increments(edges, time_s, sunk[:, k]) for k in range(2)])
+    y = _increments(edges, depth_time_s, depth_m)
+    if float(np.std(y)) < _LITTLE_M:
+        return
+    best, sd = factors(X, y)
+    if best[0] < -0.5 and best[0] + SURE * sd[0] < 0.0:
+        text = "the depth grows where the vehicle moves up with its bow up, and falls where it dives."
+        yield Finding(
+            "error", depth[0], text, f"It counts positive down: set scale = -1 in depth of [streams.{depth[0]}]."
+        )
+    elif best[1] < -0.5 and best[1] + SURE * sd[1] < 0.0:
+        cure = f'z is down: set axes = "x,-y,-z" in velocity of [streams.{name}] for forward, left, up.'
+        yield Finding("error", name, f"the velocity says up where {depth[0]} says down: its z axis points up.", cure)
+
+
+def _tilt(time_s: Array, v: Array, mission: Mission) -> tuple[Array, Array] | None:
+    """Sines of roll and pitch at some times: of an attitude, else from the specific force without the acceleration."""
+    for stream in mission.streams.values():
+        if "pitch_rad" in stream.columns:
+            roll, pitch = (
+                np.sin(np.interp(time_s, stream.time_s, stream.column(f"{a}_rad"))) for a in ("roll", "pitch")
+            )
+            return roll, pitch
+    imu = next((s for s in mission.streams.values() if "force_x_m_s2" in s.columns), None)
+    if imu is None or time_s.size < 10:
+        return None
+    felt, turned = (integral(imu.time_s, vector(imu, column)) for column in ("force_x_m_s2", "rate_x_rad_s"))
+    half = max(0.5, float(np.median(np.diff(time_s))))
+
+    def mean(series: Array, k: int, times: Array) -> Array:
+        ahead, behind = (np.interp(time_s + side * half, times, series[:, k]) for side in (1, -1))
+        return (ahead - behind) / (2.0 * half)
+
+    speed_up = [mean(np.column_stack([v[:, k]]), 0, time_s) for k in range(2)]
+    forward = mean(felt, 0, imu.time_s) - speed_up[0]
+    side = mean(felt, 1, imu.time_s) - speed_up[1] - mean(turned, 2, imu.time_s) * v[:, 0]
+    return np.clip(-side / ROUND_GRAVITY, -0.9, 0.9), np.clip(forward / ROUND_GRAVITY, -0.9, 0.9)
+
+
+def _increments(edges: Array, time_s: Array, series: Array) -> Array:
+    increments: Array = np.interp(edges + WINDOW_S, time_s, series) - np.interp(edges, time_s, series)
+    return increments
+
+
+def sideways_findings(name: str, mission: Mission, vehicle: Vehicle) -> Iterator[Finding]:
+    """A velocity that swings to the wrong side where the vehicle turns: its lever arm says to which."""
+    imu = next((s for s in mission.streams.values() if "force_x_m_s2" in s.columns), None)
+    mounting, lever = mounting_of(name, vehicle)
+    if imu is None or abs(lever.real) < 0.1:
+        return
+    stream = mission.streams[name]
+    v = vector(stream, "v_x_m_s") @ mounting.T
+    known = np.isfinite(v).all(axis=1)
+    time_s, side = stream.time_s[known], v[known, 1]
+    if time_s.size < 200:
+        return
+    turned = integral(imu.time_s, vector(imu, "rate_x_rad_s"))
+    half = 0.5 * float(np.median(np.diff(time_s)))
+    ends = [[np.interp(time_s + to * half, imu.time_s, turned[:, k]) for k in (0, 2)] for to in (-1, 1)]
+    rates = (np.array(ends[1]) - np.array(ends[0])) / (2.0 * half)
+    # Slip comes and goes slowly, the swing of the lever arm with the turning itself.
+    X, y = np.diff(rates.T, axis=0), np.diff(side)
+    steady = np.diff(time_s) < 4.0 * half
+    X, y = X[steady], y[steady]
+    best, sd = factors(X, y)
+    arm, arm_sd = float(best[1]) / lever.real, float(sd[1]) / abs(lever.real)
+    if arm_sd < 0.2 and abs(arm + 1.0) < 0.3 + SURE * arm_sd and arm + SURE * arm_sd < 0.0:
+        why = f"in turns it swings as if it stood {lever.real * arm:+.2f} m along x, not {lever.real:+.2f} m (vehicle.toml)"
+        yield mirrored_finding(name, why)

@@ -1,0 +1,53 @@
+"""The first use of the kernels: what is compiled is shown, and it is no more than a vehicle needs."""
+
+import subprocess
+import sys
+
+import numba
+import numpy as np
+import pytest
+
+import navfilter as nf
+from navfilter.simulation.scenarios import simulate_scenario
+from navfilter.simulation.simulate import tiny_mission
+
+COMPILE = """
+import sys
+import navfilter.compilation as compilation
+import numba
+sys.stderr.isatty = lambda: {terminal}
+compilation._EVERY_S = 0.0
+compilation.show_compilation()
+compilation.show_compilation()
+def {name}(x):
+    return x + 1
+for name in ("{name}", "other"):
+    {name}.__module__ = "navfilter.kernels.example" if name == "{name}" else "elsewhere"
+    numba.njit({name})(1)
+"""
+
+
+@pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled without the JIT")
+@pytest.mark.parametrize("terminal", [True, False])
+def test_what_is_compiled_is_said(terminal):
+    run = subprocess.run(
+        [sys.executable, "-c", COMPILE.format(terminal=terminal, name="add")], capture_output=True, check=True
+    )
+    said = run.stderr.decode()
+    # once each, although it was asked for twice; other packages' functions are no news
+    assert said.count("now example.add ...") == 1 and "0 kernels done" in said
+    assert ("\r" in said) == terminal and (not terminal or "1 kernels done" in said)
+
+
+@pytest.mark.parametrize("scenario", ["lawnmower", "reckoning", "thesis", "water-track"])
+def test_a_vehicle_s_own_warm_up_hears_each_of_its_sensors(scenario):
+    vehicle, _ = simulate_scenario(scenario, 1, 60.0)
+    slow = next(iter(vehicle.sensors))
+    vehicle = vehicle.with_error(**{slow: nf.White(sd=1e-9)})
+    tiny, mission = tiny_mission(vehicle)
+    assert set(tiny.sensors) == set(vehicle.sensors) and type(tiny.drive) is type(vehicle.drive)
+    track = nf.replay(tiny, mission)
+    heard = {name for name, sensor in tiny.sensors.items() if sensor.from_drive or track.residuals[name].count("used")}
+    assert heard == set(vehicle.sensors)
+    assert np.isfinite(track.covariance).all()
+    nf.warm_up(vehicle)
