@@ -48,7 +48,9 @@ def labelled(track: Track) -> dict[str, Track]:
     return {**runs, track.label: track}
 
 
-def write_outputs(tracks: Mapping[str, Track], mission: Mission, folder: str | os.PathLike[str]) -> list[Path]:
+def write_outputs(
+    tracks: Mapping[str, Track], mission: Mission, folder: str | os.PathLike[str], more: Mapping[str, Any] | None = None
+) -> list[Path]:
     """Write every data file of a run; the last track is the result, the others only appear in the summary.
 
     Parameters
@@ -59,6 +61,8 @@ def write_outputs(tracks: Mapping[str, Track], mission: Mission, folder: str | o
         Whose replay they are.
     folder : path-like
         Made when missing; files of the same name are replaced.
+    more : dict, optional
+        Further entries of ``summary.json``.
 
     Returns
     -------
@@ -73,7 +77,7 @@ def write_outputs(tracks: Mapping[str, Track], mission: Mission, folder: str | o
         write_csv(result, folder / "track.csv"),
         *write_tum(result, folder, mission.truth),
         write_geojson(result, mission, folder / "track.geojson"),
-        write_summary(tracks, mission, folder / "summary.json"),
+        write_summary(tracks, mission, folder / "summary.json", more),
         *([] if learnt is None else [write_vehicle(learnt, folder / "vehicle_learned.toml")]),
     ]
 
@@ -125,9 +129,11 @@ def summarise(tracks: Mapping[str, Track], mission: Mission) -> dict[str, Any]:
     return _finite(summary)
 
 
-def write_summary(tracks: Mapping[str, Track], mission: Mission, path: str | os.PathLike[str]) -> Path:
-    """Write `summarise` as JSON with keys in a fixed order; what is not a finite number becomes null."""
-    return write_json(summarise(tracks, mission), path)
+def write_summary(
+    tracks: Mapping[str, Track], mission: Mission, path: str | os.PathLike[str], more: Mapping[str, Any] | None = None
+) -> Path:
+    """Write `summarise`, and `more` behind it, as JSON with keys in a fixed order; what is not a finite number becomes null."""
+    return write_json({**summarise(tracks, mission), **(more or {})}, path)
 
 
 def write_json(value: Any, path: str | os.PathLike[str]) -> Path:
