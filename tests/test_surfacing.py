@@ -22,7 +22,7 @@ REJECTED = OUTCOMES.index("rejected")
 
 @pytest.fixture(scope="module")
 def dive():
-    """Dead reckoning with fixes for the first 60 s and again from 200 s on, its vehicle, its forward and smoothed track."""
+    """Dead reckoning with fixes all the way and without those from 61 to 199 s; its vehicle, its smoothed track."""
     vehicle, mission = simulate_scenario("reckoning", seed=3, duration_s=240.0)
     # white: no part of a fix is predicted from the fixes before the outage
     vehicle = vehicle.with_error(gps=White(sd=1.0))
@@ -105,7 +105,7 @@ def test_withheld_fixes_are_scored_against_the_truth(dive):
 
 
 def test_the_lever_arm_of_a_withheld_fix_counts():
-    """Readings of the scenario's own antenna, without noise but for its own: the score does not hold the arm of 10 m."""
+    """Fixes of an antenna 10 m ahead, without noise: the score does not hold its arm."""
     vehicle, mission = simulate_scenario("reckoning", seed=3, duration_s=240.0)
     far = dataclasses.replace(vehicle.sensors["gps"], lever_arm_b_m=(10.0, 0.0, 0.0))
     vehicle = dataclasses.replace(vehicle, sensors={**vehicle.sensors, "gps": far})
@@ -113,7 +113,9 @@ def test_the_lever_arm_of_a_withheld_fix_counts():
     at = np.arange(1.0, 240.0)
     lat, lon, yaw = (np.interp(at, truth.time_s, np.unwrap(truth.value[:, c])) for c in (0, 1, 8))
     # a degree of latitude is 111.1 km; a centimetre of 10 m is asked for
-    places = np.column_stack([lat + np.cos(yaw) * 10 / 6.367e6, lon + np.sin(yaw) * 10 / 6.388e6 / np.cos(lat), np.full(at.size, np.nan)])
+    places = np.column_stack(
+        [lat + np.cos(yaw) * 10 / 6.367e6, lon + np.sin(yaw) * 10 / 6.388e6 / np.cos(lat), np.full(at.size, np.nan)]
+    )
     mission = mission.with_stream("gps", Stream(at, places, mission.streams["gps"].columns[:3]))
     kept, readings = withhold(mission, vehicle, "gps", [(100.0, 200.0)])
     found = score(replay(vehicle, kept), readings)

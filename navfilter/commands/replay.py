@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 __all__ = ["DEMO", "REPLAY", "add_demo_arguments", "add_replay_arguments", "demo", "replay", "save"]
 
+#: Exit code of a run whose track is not to be trusted.
+NOT_TRUSTED = 1
 #: What the command is about, in one line, and what stands below its help.
 DEMO = (
     "simulate a mission of one hour, replay it with a compass error that is learnt on the way, and compare",
@@ -54,6 +56,9 @@ written to --out:
   track.tum       the same for 'evo' (east, north, up), with truth.tum when there is a truth
   track.geojson   for a map
   vehicle_learned.toml   where a sensor's error was learnt: the vehicle with the models in force at the end
+
+exit codes: 0 the verdict finds nothing, or only what calls for care; 1 the track is not to be trusted (the files are written all the
+same); 2 wrong usage or input; 130 interrupted. The verdict stands at the end of the output, in summary.json and on top of the report.
 
 examples:
   navfilter replay dive_042 --vehicle vehicle.toml --smooth --out result
@@ -92,7 +97,7 @@ def demo(options: argparse.Namespace) -> int:
     errors = None if truth is None else compare_command.true_errors(vehicle, truth)
     plan = compare_command.Plan(_COMPARED, ("compass",), errors, smooth=("arma",))
     tracks = compare_command.replay_models(plan, vehicle, mission, options.quiet)
-    _write(tracks["arma"], mission, folder, options.quiet)
+    code = _write(tracks["arma"], mission, folder, options.quiet)
     forward = {name: track.forward or track for name, track in tracks.items()}
     comparison = compare_command.compare_tracks(forward, mission, vehicle, plan.sensors)
     if not options.quiet:
@@ -100,7 +105,7 @@ def demo(options: argparse.Namespace) -> int:
     below = output_folder(folder / "comparison")
     compare_command.write_results(comparison, forward, mission, below, options.quiet)
     say(f"Written to {below}{os.sep}: report.html (the models side by side), comparison.csv, summary.json")
-    return 0
+    return code
 
 
 def save(vehicle: Any, mission: Mission, mission_path: Path, vehicle_path: Path, truth: Any = None) -> None:
@@ -144,8 +149,7 @@ def replay(options: argparse.Namespace) -> int:
     if options.iterate:
         vehicle = _identify(vehicle, mission, options.iterate, options.quiet)
     track = _replayed(vehicle, mission, options.quiet, smooth=options.smooth, output_rate_hz=options.output_rate)
-    _write(track, mission, folder, options.quiet, withheld)
-    return 0
+    return _write(track, mission, folder, options.quiet, withheld)
 
 
 def _identify(vehicle: Any, mission: Mission, rounds: int, quiet: bool) -> Any:
@@ -171,8 +175,8 @@ def _replayed(vehicle: Any, mission: Mission, quiet: bool, **how: Any) -> Track:
     return replay_mission(vehicle, mission, progress=not quiet and sys.stderr.isatty(), **how)
 
 
-def _write(track: Track, mission: Mission, folder: Path, quiet: bool, withheld: Sequence[Withheld] = ()) -> None:
-    """Files, report and tables of one run."""
+def _write(track: Track, mission: Mission, folder: Path, quiet: bool, withheld: Sequence[Withheld] = ()) -> int:
+    """Files, report and tables of one run; the exit code."""
     from navfilter.evaluation.assessment import assess
     from navfilter.io.write import labelled, write_outputs
 
@@ -182,6 +186,7 @@ def _write(track: Track, mission: Mission, folder: Path, quiet: bool, withheld: 
     _write_report(tracks, mission, folder / "report.html", assessment, not quiet and sys.stderr.isatty())
     if not quiet:
         _print_result(tracks, mission, folder, assessment)
+    return 0 if assessment.verdict.trusted else NOT_TRUSTED
 
 
 def _write_report(tracks: dict[str, Track], mission: Mission, path: Path, assessment: Assessment, bars: bool) -> None:
@@ -202,5 +207,6 @@ def _print_result(tracks: dict[str, Track], mission: Mission, folder: Path, asse
     print(f"{sensor_table(result)}\n")
     for line in assessment.lines():
         print(line)
+    print(f"\n{assessment.verdict}")
     print(f"\n{result.distance_m:.0f} m travelled, {result.cpu_s:.1f} s of processor time. Written to {folder}{os.sep}:")
     print("  report.html (open this one), summary.json, track.csv, track.tum, track.geojson")

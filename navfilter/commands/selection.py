@@ -17,13 +17,15 @@ __all__ = ["SELECTION", "add_arguments", "select"]
 
 #: Stands below the help of the command.
 SELECTION = """\
-times are those of the mission clock, as in report.html and track.csv; with a plus they count from the recording's first reading (+300).
+times are those of the mission clock, as in report.html and track.csv; with a plus they count from the recording's
+first reading (+300).
   --withhold gps:300-900            no fix from 300 to 900 s; the track is scored against the fixes withheld
   --withhold gps:300-900,+2000-     and none after 2000 s of the recording
   --withhold gps:all-but-first-120  only those of its first 120 s
   --start latitude_deg=47.1,longitude_deg=8.2,heading_deg=90,heading_sd_deg=2
-                                    any of: time_s, latitude_deg, longitude_deg, height_m, roll_deg, pitch_deg, heading_deg,
-                                    position_sd_m, velocity_sd_m_s, tilt_sd_deg, heading_sd_deg; the others stay as they are
+                                    any of: time_s, latitude_deg, longitude_deg, height_m, roll_deg, pitch_deg,
+                                    heading_deg, position_sd_m, velocity_sd_m_s, tilt_sd_deg, heading_sd_deg;
+                                    the others stay as they are
   --start align                     not as the mission says, but by an alignment on the first readings
 """
 _TIME = r"\+?\d+(?:\.\d*)?(?:e\d+)?"
@@ -75,7 +77,9 @@ def select(options: argparse.Namespace, mission: Mission, vehicle: Vehicle) -> t
 
 def _time(text: str) -> str:
     if not re.fullmatch(_TIME, text):
-        raise argparse.ArgumentTypeError(f"must be a time in seconds, or +seconds from the first reading, found '{text}'")
+        raise argparse.ArgumentTypeError(
+            f"must be a time in seconds, or +seconds from the first reading, found '{text}'"
+        )
     return text
 
 
@@ -112,7 +116,8 @@ def _start(text: str, mission: Mission) -> Any:
             given[known[key.strip()].name] = float(value)
         except (KeyError, ValueError):
             raise ValueError(
-                f"--start: '{part}' is not KEY=NUMBER with one of {', '.join(known)}. Example: --start latitude_deg=47.1,longitude_deg=8.2."
+                f"--start: '{part}' is not KEY=NUMBER with one of {', '.join(known)}. "
+                "Example: --start latitude_deg=47.1,longitude_deg=8.2."
             ) from None
     if mission.start is not None:
         return dataclasses.replace(mission.start, **given)
@@ -137,7 +142,8 @@ def _intervals(text: str, sensor: str, times: str, mission: Mission, whole: Miss
         ends = re.fullmatch(rf"({_TIME})?-({_TIME})?", part)
         if not sensor or ends is None or part == "-":
             raise ValueError(
-                f"--withhold: '{text}' is not SENSOR:BEGIN-END in seconds. Examples: gps:300-900, gps:+600-, gps:all-but-first-120."
+                f"--withhold: '{text}' is not SENSOR:BEGIN-END in seconds. "
+                "Examples: gps:300-900, gps:+600-, gps:all-but-first-120."
             )
         found.append((_clock(ends[1], whole, -math.inf), _clock(ends[2], whole, math.inf)))
     return found

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from navfilter.evaluation.surfacing import Evidence, evidence
+from navfilter.evaluation.verdict import Verdict, judge
 from navfilter.evaluation.withheld import Score, Withheld, score
 from navfilter.mission import Mission
 from navfilter.track import Track
@@ -22,17 +23,21 @@ class Assessment:
     ----------
     evidence : Evidence
         By its fixes, its covariance and its smoothed track.
+    verdict : Verdict
+        What speaks against the track.
     scores : dict of str to tuple of Score
         Against the fixes withheld, by label of the run; empty where none were.
     """
 
     evidence: Evidence
+    verdict: Verdict
     scores: dict[str, tuple[Score, ...]] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:
         """The same as plain values, to be added to ``summary.json``."""
         scores = {label: {s.sensor: s.to_dict() for s in found} for label, found in self.scores.items()}
-        return {"without_truth": self.evidence.to_dict(), **({"withheld": scores} if scores else {})}
+        own = {"verdict": self.verdict.to_dict(), "without_truth": self.evidence.to_dict()}
+        return {**own, **({"withheld": scores} if scores else {})}
 
     def lines(self) -> Iterator[str]:
         """Evidence and scores in words, one line per fact."""
@@ -58,4 +63,6 @@ def assess(tracks: Mapping[str, Track], mission: Mission, withheld: Sequence[Wit
         found = tuple(s for s in (score(track, readings) for readings in withheld) if s is not None)
         if found:
             scores[label] = found
-    return Assessment(evidence(list(tracks.values())[-1]), scores)
+    result = list(tracks.values())[-1]
+    own = evidence(result)
+    return Assessment(own, judge(result, mission, own), scores)

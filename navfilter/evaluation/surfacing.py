@@ -1,4 +1,4 @@
-"""How good a track is where no truth is known: what the fixes say when they come back, and what the smoother changed."""
+"""How good a track is where no truth is known: what returning fixes say, and what the smoother changed."""
 
 from __future__ import annotations
 
@@ -64,8 +64,9 @@ class Surfacing:
         share = f", {self.percent:.2f} % of {self.distance_m:.0f} m" if math.isfinite(self.percent) else ""
         where = "inside the 95 % range" if self.inside else "outside the 95 % range"
         return (
-            f"{self.sensor} at {self.time_s:.0f} s, after {self.without_s:.0f} s without: {self.error_m:.2f} m off{share}; "
-            f"predicted sd {self.sd_m:.2f} m, {where}{'' if self.used else ', rejected'}"
+            f"{self.sensor} at {self.time_s:.0f} s, after {self.without_s:.0f} s without: "
+            f"{self.error_m:.2f} m off{share}; predicted sd {self.sd_m:.2f} m, {where}"
+            f"{'' if self.used else ', rejected'}"
         )
 
 
@@ -101,7 +102,7 @@ class Separation:
     sd_most_m : float
         Largest predicted rms of the smoothed horizontal position [m].
     predicted_m : float
-        Rms that the two covariances predict: the difference of an honest pair has the covariance P_forward - P_smoothed.
+        Rms that the covariances predict: the difference of an honest pair has the covariance P_forward - P_smoothed.
     """
 
     rms_m: float
@@ -224,7 +225,9 @@ def _heard(run: Track) -> list[tuple[float, str, int]]:
     for name, r in run.residuals.items():
         if name not in run.vehicle.sensors or run.vehicle.sensors[name].gives != "position" or not len(r.time_s):
             continue
-        judged = np.flatnonzero((r.used | (r.outcome == OUTCOMES.index("rejected"))) & np.isfinite(r.value[:, :2]).all(axis=1))
+        judged = np.flatnonzero(
+            (r.used | (r.outcome == OUTCOMES.index("rejected"))) & np.isfinite(r.value[:, :2]).all(axis=1)
+        )
         used = r.used[judged]
         outlier = ~used & np.append(used[1:], False)
         rows += [(float(r.time_s[i]), name, int(i)) for i in judged[~outlier]]

@@ -67,11 +67,13 @@ class Score:
     inside: float
 
     def __str__(self) -> str:
-        share = f" ({100 * self.end_m / self.distance_m:.2f} % of {self.distance_m:.0f} m)" if self.distance_m > 0 else ""
+        share = (
+            f" ({100 * self.end_m / self.distance_m:.2f} % of {self.distance_m:.0f} m)" if self.distance_m > 0 else ""
+        )
         return (
             f"{self.count} fixes of {self.sensor} withheld ({self.begin_s:.0f} to {self.end_s:.0f} s): "
-            f"rms {self.rms_m:.2f} m (predicted {self.sd_m:.2f} m), {self.most_m:.2f} m at most, {self.end_m:.2f} m at the last"
-            f"{share}; {100 * self.inside:.0f} % inside the 95 % ellipse"
+            f"rms {self.rms_m:.2f} m (predicted {self.sd_m:.2f} m), {self.most_m:.2f} m at most, "
+            f"{self.end_m:.2f} m at the last{share}; {100 * self.inside:.0f} % inside the 95 % ellipse"
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -100,7 +102,9 @@ def withhold(
     """
     if sensor not in vehicle.sensors or vehicle.sensors[sensor].from_drive:
         have = ", ".join(name for name, s in vehicle.sensors.items() if not s.from_drive) or "none"
-        raise ValueError(f'"{sensor}" cannot be withheld: it is no correcting sensor of this vehicle (these are: {have}).')
+        raise ValueError(
+            f'"{sensor}" cannot be withheld: it is no correcting sensor of this vehicle (these are: {have}).'
+        )
     stream = mission.stream(sensor)
     inside = np.zeros(len(stream), bool)
     for begin_s, end_s in intervals:

@@ -14,12 +14,13 @@ from matplotlib.figure import Figure
 
 from navfilter.evaluation.assessment import Assessment, assess
 from navfilter.evaluation.surfacing import Evidence
+from navfilter.evaluation.verdict import Verdict
 from navfilter.filter.tape import OUTCOMES
 from navfilter.io.write import summarise
 from navfilter.mission import Mission, Stream
 from navfilter.report import figures, state_figures
 from navfilter.report.drawing import style, svg
-from navfilter.report.page import figure_html, heading_html, list_html, page, table_html, table_text
+from navfilter.report.page import escape, figure_html, heading_html, list_html, page, table_html, table_text
 from navfilter.track import Track
 
 __all__ = ["headline_table", "render_report", "sensor_table", "write_report"]
@@ -96,7 +97,8 @@ def render_report(
     result = list(tracks.values())[-1]
     summary = summarise(tracks, mission)
     assessment = assessment or assess(tracks, mission)
-    body = [heading_html("Result"), table_html(*_headlines(tracks, mission)), f"<p>{_reading(mission)}</p>"]
+    body = [heading_html("Verdict"), *_verdict(assessment.verdict), heading_html("Result")]
+    body += [table_html(*_headlines(tracks, mission)), f"<p>{_reading(mission)}</p>"]
     body += [heading_html("What the readings say of the track"), list_html(assessment.lines())]
     if assessment.evidence.surfacings:
         body += [table_html(*_surfacings(assessment.evidence)), f"<p>{_SURFACING}</p>"]
@@ -200,6 +202,12 @@ def _sensors(track: Track) -> tuple[list[str], Rows]:
     nis = track.summary()["nis"]
     rows = [[name, *(str(r.count(o)) for o in present), _number(nis[name], "{:.2f}")] for name, r in track.residuals.items()]
     return ["sensor", *present, "NIS"], rows
+
+
+def _verdict(verdict: Verdict) -> list[str]:
+    """What was found, then how to look further."""
+    text = [f"<p><strong>{escape(verdict.headline)}</strong></p>", list_html(verdict.lines())]
+    return text + (["<p>How to look further:</p>", list_html(verdict.cures())] if verdict.cures() else [])
 
 
 def _surfacings(evidence: Evidence) -> tuple[list[str], Rows]:
