@@ -149,7 +149,7 @@ def replay(options: argparse.Namespace) -> int:
     if options.iterate:
         vehicle = _identify(vehicle, mission, options.iterate, options.quiet)
     track = _replayed(vehicle, mission, options.quiet, smooth=options.smooth, output_rate_hz=options.output_rate)
-    return _write(track, mission, folder, options.quiet, withheld)
+    return _write(track, mission, folder, options.quiet, withheld, options.vehicle)
 
 
 def _identify(vehicle: Any, mission: Mission, rounds: int, quiet: bool) -> Any:
@@ -175,14 +175,22 @@ def _replayed(vehicle: Any, mission: Mission, quiet: bool, **how: Any) -> Track:
     return replay_mission(vehicle, mission, progress=not quiet and sys.stderr.isatty(), **how)
 
 
-def _write(track: Track, mission: Mission, folder: Path, quiet: bool, withheld: Sequence[Withheld] = ()) -> int:
+def _write(
+    track: Track,
+    mission: Mission,
+    folder: Path,
+    quiet: bool,
+    withheld: Sequence[Withheld] = (),
+    vehicle_file: str | None = None,
+) -> int:
     """Files, report and tables of one run; the exit code."""
     from navfilter.evaluation.assessment import assess
     from navfilter.io.write import labelled, write_outputs
 
     tracks = labelled(track)
     assessment = assess(tracks, mission, withheld)
-    write_outputs(tracks, mission, folder, assessment.to_dict())
+    remarks = assessment.remarks(mission.name)
+    write_outputs(tracks, mission, folder, assessment.to_dict(), vehicle_file, remarks)
     _write_report(tracks, mission, folder / "report.html", assessment, not quiet and sys.stderr.isatty())
     if not quiet:
         _print_result(tracks, mission, folder, assessment)
@@ -207,6 +215,8 @@ def _print_result(tracks: dict[str, Track], mission: Mission, folder: Path, asse
     print(f"{sensor_table(result)}\n")
     for line in assessment.lines():
         print(line)
+    for learnt in assessment.learnt:
+        print(f"learnt: {learnt}")
     print(f"\n{assessment.verdict}")
     print(f"\n{result.distance_m:.0f} m travelled, {result.cpu_s:.1f} s of processor time. Written to {folder}{os.sep}:")
     print("  report.html (open this one), summary.json, track.csv, track.tum, track.geojson")

@@ -9,6 +9,7 @@ from typing import Any
 from navfilter.evaluation.surfacing import Evidence, evidence
 from navfilter.evaluation.verdict import Verdict, judge
 from navfilter.evaluation.withheld import Score, Withheld, score
+from navfilter.evaluation.wording import Learnt, learnt
 from navfilter.mission import Mission
 from navfilter.track import Track
 
@@ -25,19 +26,32 @@ class Assessment:
         By its fixes, its covariance and its smoothed track.
     verdict : Verdict
         What speaks against the track.
+    learnt : tuple of Learnt
+        What every axis has learnt.
     scores : dict of str to tuple of Score
         Against the fixes withheld, by label of the run; empty where none were.
     """
 
     evidence: Evidence
     verdict: Verdict
+    learnt: tuple[Learnt, ...] = ()
     scores: dict[str, tuple[Score, ...]] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:
         """The same as plain values, to be added to ``summary.json``."""
         scores = {label: {s.sensor: s.to_dict() for s in found} for label, found in self.scores.items()}
         own = {"verdict": self.verdict.to_dict(), "without_truth": self.evidence.to_dict()}
+        if self.learnt:
+            own["learnt"] = {found.title: found.to_dict() for found in self.learnt}
         return {**own, **({"withheld": scores} if scores else {})}
+
+    def remarks(self, mission: str) -> dict[str, str]:
+        """What was learnt as one line of plain text by sensor or part of the drive, for vehicle_learned.toml."""
+        found: dict[str, list[str]] = {}
+        for axis in self.learnt:
+            found.setdefault(axis.title.split(" ")[0], []).append(f"{axis.title}: {axis.words}")
+        where = " ".join(mission.split())
+        return {name: f"learnt on {where}: {'; '.join(words)}" for name, words in found.items()}
 
     def lines(self) -> Iterator[str]:
         """Evidence and scores in words, one line per fact."""
@@ -65,4 +79,4 @@ def assess(tracks: Mapping[str, Track], mission: Mission, withheld: Sequence[Wit
             scores[label] = found
     result = list(tracks.values())[-1]
     own = evidence(result)
-    return Assessment(own, judge(result, mission, own), scores)
+    return Assessment(own, judge(result, mission, own), learnt(result), scores)

@@ -81,12 +81,12 @@ class Learnt:
         }
 
     def spectrum(self, freq_hz: Array) -> tuple[Array, Array]:
-        """Density of the learnt part [unit^2/Hz, as shown] and the standard deviation of its logarithm, shape (n,) each.
+        """Density of the learnt part [unit^2/Hz, as shown] and the sd of its logarithm, shape (n,) each.
 
         Notes
         -----
         To first order ``ln S = 2 ln sd + 2 ln |C| - 2 ln |A|`` varies with the coefficients by ``2 Re(z^-k / C)`` and
-        ``-2 Re(z^-k / A)``, and with the variance by ``2 / n`` (see `navfilter.arma.model.log_s0_sd` for zero frequency).
+        ``-2 Re(z^-k / A)``, and with the variance by ``2 / n`` (at zero frequency: `log_s0_sd`).
         """
         model = self.models[-1]
         density = self.scale.factor**2 * model.spectrum(freq_hz, self.scale.rate_hz)
@@ -148,7 +148,7 @@ def _axes(track: Track, name: str) -> Iterator[tuple[str, ErrorModel, str, float
 
 def _before(model: ErrorModel) -> ErrorModel:
     """A model with the prior in place of what is learnt."""
-    parts = []
+    parts: list[ErrorModel] = []
     for part in _parts(model):
         if isinstance(part, LearnedArma):
             part = part.prior or LearnedArma(model=part.model)
@@ -164,7 +164,7 @@ def _parts(model: ErrorModel) -> tuple[ErrorModel, ...]:
 
 
 def error_words(model: ErrorModel, scale: Scale) -> str:
-    """An error model in words, with its sizes in the unit that is shown; a kind that is not known here as it prints itself.
+    """An error model in words, with its sizes in the unit that is shown; a kind not known here as it prints itself.
 
     Parameters
     ----------
@@ -208,7 +208,7 @@ def model_words(model: ArmaModel, scale: Scale) -> str:
 
 
 def _by_bands(model: ArmaModel, parts: list[Component], rate_hz: float) -> list[Component]:
-    """The parts of a model that is no sum of independent ones, each with the power of the frequencies nearest to its own."""
+    """The parts of a model that is no sum of independent ones, with the power of the frequencies nearest to each."""
     nyquist = 0.5 * rate_hz
     own = [p.freq_hz if p.freq_hz > 0.0 else 1.0 / (2.0 * math.pi * p.tau_s) for p in parts]
     edges = np.geomspace(1e-4 * min(min(own), nyquist), nyquist, 4000)

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from navfilter.io.geodesy import ecef_from_geodetic, matrix_from_euler, ned_axes
-from navfilter.io.vehicle_toml import write_vehicle
+from navfilter.io.learned_toml import write_learned
 from navfilter.learning.learned import learned_part
 from navfilter.mission import Mission, Stream
 from navfilter.track import Track
@@ -49,7 +49,12 @@ def labelled(track: Track) -> dict[str, Track]:
 
 
 def write_outputs(
-    tracks: Mapping[str, Track], mission: Mission, folder: str | os.PathLike[str], more: Mapping[str, Any] | None = None
+    tracks: Mapping[str, Track],
+    mission: Mission,
+    folder: str | os.PathLike[str],
+    more: Mapping[str, Any] | None = None,
+    vehicle_file: str | os.PathLike[str] | None = None,
+    remarks: Mapping[str, str] | None = None,
 ) -> list[Path]:
     """Write every data file of a run; the last track is the result, the others only appear in the summary.
 
@@ -63,6 +68,8 @@ def write_outputs(
         Made when missing; files of the same name are replaced.
     more : dict, optional
         Further entries of ``summary.json``.
+    vehicle_file, remarks : optional
+        For `navfilter.io.learned_toml.write_learned`: the file that the vehicle was read from, and comments.
 
     Returns
     -------
@@ -78,7 +85,7 @@ def write_outputs(
         *write_tum(result, folder, mission.truth),
         write_geojson(result, mission, folder / "track.geojson"),
         write_summary(tracks, mission, folder / "summary.json", more),
-        *([] if learnt is None else [write_vehicle(learnt, folder / "vehicle_learned.toml")]),
+        *([] if learnt is None else [write_learned(learnt, folder / "vehicle_learned.toml", vehicle_file, remarks)]),
     ]
 
 

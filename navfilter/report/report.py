@@ -6,6 +6,7 @@ import math
 import os
 from collections.abc import Callable, Iterator, Mapping
 from importlib import metadata
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +16,11 @@ from matplotlib.figure import Figure
 from navfilter.evaluation.assessment import Assessment, assess
 from navfilter.evaluation.surfacing import Evidence
 from navfilter.evaluation.verdict import Verdict
+from navfilter.evaluation.wording import Learnt
 from navfilter.filter.tape import OUTCOMES
 from navfilter.io.write import summarise
 from navfilter.mission import Mission, Stream
-from navfilter.report import figures, state_figures
+from navfilter.report import figures, learnt_figures, state_figures
 from navfilter.report.drawing import style, svg
 from navfilter.report.page import escape, figure_html, heading_html, list_html, page, table_html, table_text
 from navfilter.track import Track
@@ -102,7 +104,7 @@ def render_report(
     body += [heading_html("What the readings say of the track"), list_html(assessment.lines())]
     if assessment.evidence.surfacings:
         body += [table_html(*_surfacings(assessment.evidence)), f"<p>{_SURFACING}</p>"]
-    for title, caption, figure in _drawn(tracks, mission):
+    for title, caption, figure in chain(_drawn(tracks, mission), _learnt(tracks, assessment.learnt)):
         if title:
             body.append(heading_html(title))
         body.append(figure_html(svg(figure), caption))
@@ -144,6 +146,14 @@ def _drawn(tracks: Tracks, mission: Mission) -> Iterator[tuple[str, str, Figure]
                 caption = f"{name}{many}: measured minus predicted, {_count(track, name)}."
                 yield "" if number else f"Innovations{many}", caption, figures.innovation_figure(track, name)
         yield from _state_figures(tracks)
+
+
+def _learnt(tracks: Tracks, found: tuple[Learnt, ...]) -> Iterator[tuple[str, str, Figure]]:
+    title = "What was learnt"
+    with style():
+        for caption, figure in learnt_figures.learnt_figures(tracks, found):
+            yield title, caption, figure
+            title = ""
 
 
 def _filters(tracks: Tracks) -> dict[str, Track]:
