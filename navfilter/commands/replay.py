@@ -55,7 +55,8 @@ written to --out:
   track.csv       the track: degrees, metres, standard deviations, states
   track.tum       the same for 'evo' (east, north, up), with truth.tum when there is a truth
   track.geojson   for a map
-  vehicle_learned.toml   where a sensor's error was learnt: the vehicle with the models in force at the end
+  vehicle_learned.toml   where a sensor's error was learnt: your vehicle.toml, comments and units kept, with the models in force
+                  at the end put in as 'adopted'; the output says in words what was learnt, the report shows the spectra
 
 exit codes: 0 the verdict finds nothing, or only what calls for care; 1 the track is not to be trusted (the files are written all the
 same); 2 wrong usage or input; 130 interrupted. The verdict stands at the end of the output, in summary.json and on top of the report.
