@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ import pytest
 from navfilter.cli import main
 from navfilter.error_models import White
 from navfilter.evaluation.assessment import assess
+from navfilter.evaluation.doubts import LIMITS
 from navfilter.evaluation.surfacing import Surfacing, evidence
 from navfilter.evaluation.verdict import judge
 from navfilter.io import read_mission, read_vehicle, write_vehicle
@@ -169,6 +171,18 @@ def test_surfacings_are_judged_together(sound):
     )
 
 
+def test_the_manual_states_the_limits():
+    page = (Path(__file__).parent.parent / "docs" / "pages" / "replay.md").read_text(encoding="utf-8")
+    rows = [[cell.strip() for cell in row.split("|")[2:4]] for row in page.splitlines() if row.startswith("| ")]
+    low, high = LIMITS.rejected
+    assert [f"{100 * low:.0f} %", f"{100 * high:.0f} %"] in rows
+    assert [f"{value:.0f}" for value in LIMITS.nis] in rows
+    assert [f"{value:.0f} times" for value in LIMITS.rate] in rows
+    assert [f"{value:.0f} m/s" for value in LIMITS.speed_sd_m_s] in rows
+    assert LIMITS.gaps == LIMITS.repaired and [f"{100 * LIMITS.gaps:.0f} %", ""] in rows
+    assert f"below {LIMITS.modest} a remark" in page and f"speed above {LIMITS.speed_m_s:.0f} m/s" in page
+
+
 def test_the_exit_code_is_the_verdict(sound, tmp_path, capsys):
     vehicle, mission = MISTAKES["dvl in knots"][0](*sound)
     mission.save(tmp_path / "wrong.npz")
@@ -176,7 +190,8 @@ def test_the_exit_code_is_the_verdict(sound, tmp_path, capsys):
     assert (
         main(["replay", str(tmp_path / "wrong.npz"), "--vehicle", str(tmp_path), "--out", str(tmp_path / "out")]) == 1
     )
-    said = capsys.readouterr().out
+    said, complaint = capsys.readouterr()
+    assert complaint.startswith("navfilter: This track is not to be trusted. See ")
     assert "Verdict: This track is not to be trusted." in said and "navfilter check" in said
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())["verdict"]
     assert not summary["trusted"] and summary["findings"][0]["severity"] == "error"

@@ -195,7 +195,10 @@ def _write(
     _write_report(tracks, mission, folder / "report.html", assessment, not quiet and sys.stderr.isatty())
     if not quiet:
         _print_result(tracks, mission, folder, assessment)
-    return 0 if assessment.verdict.trusted else NOT_TRUSTED
+    if assessment.verdict.trusted:
+        return 0
+    print(f"navfilter: {assessment.verdict.headline} See {folder / 'report.html'}.", file=sys.stderr)
+    return NOT_TRUSTED
 
 
 def _write_report(tracks: dict[str, Track], mission: Mission, path: Path, assessment: Assessment, bars: bool) -> None:
