@@ -2,8 +2,9 @@
 vehicle | warmup``.
 
 Each sub-command is a function that adds its arguments and one that runs. Everything heavy is imported where it is used, so that
-``navfilter --help`` answers at once. Exit codes: 0 all is well, 1 `check` or `vehicle --check` found something wrong, 2 wrong usage or
-input, 130 interrupted, 141 whoever read the output has gone; `run` has its own (see its help).
+``navfilter --help`` answers at once. Exit codes: 0 all is well, 1 `check` or `vehicle --check` found something wrong, or
+a replayed track is not to be trusted, 2 wrong usage or input, 130 interrupted, 141 whoever read the output has gone;
+`run` has its own (see its help).
 """
 
 from __future__ import annotations
@@ -45,6 +46,9 @@ first steps:
   navfilter identify still.csv --column gyro_x --rate-hz 100 --out gyro_x
 
 'navfilter COMMAND --help' explains one command.
+
+exit codes: 0 all is well, 1 something is wrong with the mission, the vehicle or the track (check, vehicle --check, replay, demo),
+2 wrong usage or input, 130 interrupted.
 """
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -116,6 +116,27 @@ class Track:
         """Horizontal distance travelled [m], from the estimated velocity."""
         speed = np.hypot(self.velocity_n[:, 0], self.velocity_n[:, 1])
         return float(np.sum(0.5 * (speed[1:] + speed[:-1]) * np.diff(self.time_s)))
+
+    def travelled(self) -> Array:
+        """Horizontal distance travelled up to each row [m], shape (n,)."""
+        speed = np.hypot(self.velocity_n[:, 0], self.velocity_n[:, 1])
+        return np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(self.time_s))])
+
+    def at(self, time_s: Array) -> Track:
+        """The track at other times inside it [s], shape (m,): linear between its rows, angles through the shorter way."""
+        after = np.clip(np.searchsorted(self.time_s, time_s), 1, len(self) - 1)
+        step = self.time_s[after] - self.time_s[after - 1]
+        share = np.clip((time_s - self.time_s[after - 1]) / step, 0.0, 1.0)
+
+        def between(rows: Array) -> Array:
+            part = share.reshape(-1, *(1,) * (rows.ndim - 1))
+            return rows[after - 1] + part * (rows[after] - rows[after - 1])
+
+        names = ("height", "velocity_n", "covariance", "states", "states_sd")
+        moved: dict[str, Any] = {name: between(getattr(self, name)) for name in names}
+        for name in ("latitude", "longitude", "attitude"):
+            moved[name] = between(np.unwrap(getattr(self, name), axis=0))
+        return replace(self, time_s=np.asarray(time_s, dtype=float), forward=None, **moved)
 
     def local(self, latitude: float | None = None, longitude: float | None = None) -> Array:
         """Position north, east, down [m], shape (n, 3), from a reference point [rad] (default: the first position)."""

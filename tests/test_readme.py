@@ -96,6 +96,16 @@ def test_the_example_mission_works_when_copied(here, capsys):
     assert set(read_vehicle("dive_042").sensors) == {"compass", "dvl", "depth", "gps"}
 
 
+def test_parts_of_a_mission_are_replayed_when_copied(here, capsys):
+    for command in commands("replay.md"):
+        if "--withhold" in command or "--from" in command:
+            run(command, capsys)
+    summary = json.loads(Path("drift/summary.json").read_text())
+    assert summary["verdict"]["trusted"] and summary["withheld"]["smoothed"]["gps"]["begin_s"] >= 60.0
+    assert len(json.loads(Path("twice/summary.json").read_text())["without_truth"]["surfacings"]) == 2
+    assert 300.0 < json.loads(Path("part/summary.json").read_text())["duration_s"] <= 400.0
+
+
 def test_vehicle_commands_and_iterate_work_when_copied(here, capsys):
     for command in commands():
         if command[1] == "vehicle":

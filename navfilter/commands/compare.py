@@ -218,12 +218,9 @@ def compare_tracks(
 
 def _kept(tracks: Mapping[str, Track], vehicle: Vehicle, sensors: Sequence[str] | None) -> tuple[str, ...]:
     """One line on the axes for which a run was to have another model and had none, for want of readings."""
-    from navfilter.evaluation.consistency import shown_unit
-    from navfilter.report.comparison_figures import adopted
-
     kept: dict[str, list[str]] = {}
     for label in [name for name in tracks if name not in ("vehicle", "oracle")]:
-        learnt = {history.title for history in adopted(tracks[label], shown_unit)}
+        learnt = tracks[label].adopted()
         for name, sensor in vehicle.sensors.items():
             if not sensor.open_loop or (sensors is not None and name not in sensors):
                 continue

@@ -6,9 +6,11 @@ import argparse
 import math
 import os
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from navfilter.commands import selection
 from navfilter.commands.console import (
     add_force_argument,
     add_reading_arguments,
@@ -21,11 +23,15 @@ from navfilter.commands.console import (
 )
 
 if TYPE_CHECKING:
+    from navfilter.evaluation.assessment import Assessment
+    from navfilter.evaluation.withheld import Withheld
     from navfilter.mission import Mission
     from navfilter.track import Track
 
 __all__ = ["DEMO", "REPLAY", "add_demo_arguments", "add_replay_arguments", "demo", "replay", "save"]
 
+#: Exit code of a run whose track is not to be trusted.
+NOT_TRUSTED = 1
 #: What the command is about, in one line, and what stands below its help.
 DEMO = (
     "simulate a mission of one hour, replay it with a compass error that is learnt on the way, and compare",
@@ -47,20 +53,27 @@ examples:
 )
 REPLAY = (
     "run a recorded mission through the filter (and the smoother)",
-    """\
+    f"""\
 MISSION is a folder with a mission.toml, the .toml itself, or a .npz saved by navfilter; --vehicle describes what is on board.
 
+{selection.SELECTION}
 written to --out:
   report.html     tables and figures, one file that works offline
-  summary.json    errors, consistency (NEES, NIS), counts of every run, and every error model that was learnt
+  summary.json    errors, consistency (NEES, NIS), counts of every run, every error model that was learnt, and without a truth:
+                  surfacings, longest outage, predicted sd, how far the smoothed track lies from the forward one
   track.csv       the track: degrees, metres, standard deviations, states
   track.tum       the same for 'evo' (east, north, up), with truth.tum when there is a truth
   track.geojson   for a map
-  vehicle_learned.toml   where a sensor's error was learnt: the vehicle with the models in force at the end
+  vehicle_learned.toml   where a sensor's error was learnt: your vehicle.toml, comments and units kept, with the models in force
+                  at the end put in as 'adopted'; the output says in words what was learnt, the report shows the spectra
+
+exit codes: 0 the verdict finds nothing, or only what calls for care; 1 the track is not to be trusted (the files are written all the
+same); 2 wrong usage or input; 130 interrupted. The verdict stands at the end of the output, in summary.json and on top of the report.
 
 examples:
   navfilter replay dive_042 --vehicle vehicle.toml --smooth --out result
   navfilter replay dive_042 --vehicle vehicle.toml --without gps --out no-gps
+  navfilter replay dive_042 --vehicle vehicle.toml --withhold gps:all-but-first-120 --out drift     how far it drifts
   navfilter replay dive_042 --vehicle vehicle.toml --iterate 5 --smooth --out best      the best track that the recording gives
 """,
 )
@@ -95,7 +108,7 @@ def demo(options: argparse.Namespace) -> int:
     errors = None if truth is None else compare_command.true_errors(vehicle, truth)
     plan = compare_command.Plan(_COMPARED, ("compass",), errors, smooth=("arma",))
     tracks = compare_command.replay_models(plan, vehicle, mission, options.quiet)
-    _write(tracks["arma"], mission, folder, options.quiet)
+    code = _write(tracks["arma"], mission, folder, options.quiet)
     forward = {name: track.forward or track for name, track in tracks.items()}
     comparison = compare_command.compare_tracks(forward, mission, vehicle, plan.sensors)
     if not options.quiet:
@@ -103,7 +116,7 @@ def demo(options: argparse.Namespace) -> int:
     below = output_folder(folder / "comparison", options.force)
     compare_command.write_results(comparison, forward, mission, below, options.quiet)
     say(f"Written to {below}{os.sep}: report.html (the models side by side), comparison.csv, summary.json")
-    return 0
+    return code
 
 
 def save(vehicle: Any, mission: Mission, mission_path: Path, vehicle_path: Path, truth: Any = None) -> None:
@@ -132,6 +145,7 @@ def add_replay_arguments(parser: argparse.ArgumentParser) -> None:
         help="identify learnt errors on the whole mission first: replay and fit until the models settle, at most N times (5 is plenty)",
     )
     parser.add_argument("--without", action="append", default=[], metavar="SENSOR", help="leave a sensor out; may be repeated")
+    selection.add_arguments(parser)
     parser.add_argument(
         "--output-rate", type=positive, default=5.0, metavar="HZ", help="rows of the track per second (default: %(default)s)"
     )
@@ -143,11 +157,12 @@ def replay(options: argparse.Namespace) -> int:
     from navfilter.io import read_vehicle
 
     vehicle = read_vehicle(options.vehicle).without(*options.without)
-    mission = read(options)
+    mission, withheld = selection.select(options, read(options), vehicle)
     folder = output_folder(options.out, options.force)
     if options.iterate:
         vehicle = _identify(vehicle, mission, options.iterate, options.quiet)
-    return _replay_and_write(vehicle, mission, folder, options.quiet, smooth=options.smooth, output_rate_hz=options.output_rate)
+    track = _replayed(vehicle, mission, options.quiet, smooth=options.smooth, output_rate_hz=options.output_rate)
+    return _write(track, mission, folder, options.quiet, withheld, options.vehicle)
 
 
 def _identify(vehicle: Any, mission: Mission, rounds: int, quiet: bool) -> Any:
@@ -165,42 +180,59 @@ def _identify(vehicle: Any, mission: Mission, rounds: int, quiet: bool) -> Any:
     return identified(vehicle, mission, rounds, report=report)
 
 
-def _replay_and_write(vehicle: Any, mission: Mission, folder: Path, quiet: bool, **how: Any) -> int:
+def _replayed(vehicle: Any, mission: Mission, quiet: bool, **how: Any) -> Track:
     from navfilter.playback import replay as replay_mission
 
     compile_first(quiet, vehicle)
     speaker(quiet)(f"replaying {mission.name} ({mission.duration_s / 60:.1f} min) ...")
-    _write(replay_mission(vehicle, mission, progress=not quiet and sys.stderr.isatty(), **how), mission, folder, quiet)
-    return 0
+    return replay_mission(vehicle, mission, progress=not quiet and sys.stderr.isatty(), **how)
 
 
-def _write(track: Track, mission: Mission, folder: Path, quiet: bool) -> None:
-    """Files, report and tables of one run."""
+def _write(
+    track: Track,
+    mission: Mission,
+    folder: Path,
+    quiet: bool,
+    withheld: Sequence[Withheld] = (),
+    vehicle_file: str | None = None,
+) -> int:
+    """Files, report and tables of one run; the exit code."""
+    from navfilter.evaluation.assessment import assess
     from navfilter.io.write import labelled, write_outputs
 
     tracks = labelled(track)
-    write_outputs(tracks, mission, folder)
-    _write_report(tracks, mission, folder / "report.html", not quiet and sys.stderr.isatty())
+    assessment = assess(tracks, mission, withheld)
+    remarks = assessment.remarks(mission.name)
+    write_outputs(tracks, mission, folder, assessment.to_dict(), vehicle_file, remarks)
+    _write_report(tracks, mission, folder / "report.html", assessment, not quiet and sys.stderr.isatty())
     if not quiet:
-        _print_result(tracks, mission, folder)
+        _print_result(tracks, mission, folder, assessment)
+    if assessment.verdict.trusted:
+        return 0
+    print(f"navfilter: {assessment.verdict.headline} See {folder / 'report.html'}.", file=sys.stderr)
+    return NOT_TRUSTED
 
 
-def _write_report(tracks: dict[str, Track], mission: Mission, path: Path, bars: bool) -> None:
+def _write_report(tracks: dict[str, Track], mission: Mission, path: Path, assessment: Assessment, bars: bool) -> None:
     from tqdm import tqdm
 
     from navfilter.report.report import write_report
 
     with tqdm(desc="figures", unit="", leave=False, disable=not bars, bar_format="{desc}: {n_fmt} [{elapsed}]") as bar:
-        write_report(tracks, mission, path, bar.update)
+        write_report(tracks, mission, path, bar.update, assessment)
 
 
-def _print_result(tracks: dict[str, Track], mission: Mission, folder: Path) -> None:
+def _print_result(tracks: dict[str, Track], mission: Mission, folder: Path, assessment: Assessment) -> None:
     from navfilter.report.report import headline_table, sensor_table
 
     result = list(tracks.values())[-1]
-    print(headline_table(tracks, mission))
-    if mission.truth is None:
-        print("(no truth in this mission: only NIS can be judged; 1 is honest)")
-    print(f"\n{sensor_table(result)}\n")
-    print(f"{result.distance_m:.0f} m travelled, {result.cpu_s:.1f} s of processor time. Written to {folder}{os.sep}:")
+    if mission.truth is not None:
+        print(f"{headline_table(tracks, mission)}\n")
+    print(f"{sensor_table(result)}\n")
+    for line in assessment.lines():
+        print(line)
+    for learnt in assessment.learnt:
+        print(f"learnt: {learnt}")
+    print(f"\n{assessment.verdict}")
+    print(f"\n{result.distance_m:.0f} m travelled, {result.cpu_s:.1f} s of processor time. Written to {folder}{os.sep}:")
     print("  report.html (open this one), summary.json, track.csv, track.tum, track.geojson")

@@ -17,7 +17,7 @@ from navfilter.arma.model import ArmaModel
 from navfilter.arma.roots import cap_poles, has_unit_root, resolved_radius, root_sd, time_constant
 from navfilter.error_models import Arma, ErrorModel, GaussMarkov, RandomWalk, White
 
-__all__ = ["Component", "Reading", "number", "read_model"]
+__all__ = ["Component", "Reading", "number", "read_model", "stationary_parts"]
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -126,11 +126,11 @@ def _parts(model: ArmaModel, rate_hz: float, n: int, d: int) -> tuple[list[Compo
             return _inseparable(model, rate_hz, n, d)
         if rest.is_stable:
             bias = Component("random walk", walk)
-            others = _stationary_parts(rest, rate_hz) if rest.sd > 0.0 else []
+            others = stationary_parts(rest, rate_hz) if rest.sd > 0.0 else []
             error: ErrorModel = RandomWalk(density=_rounded(walk * math.sqrt(rate_hz)))
             return [bias, *others], error + _error_of(others, rest) if others else error
         return _inseparable(model, rate_hz, n, d)
-    parts = _stationary_parts(model, rate_hz)
+    parts = stationary_parts(model, rate_hz)
     return parts, _error_of(parts, model)
 
 
@@ -147,7 +147,20 @@ def _inseparable(model: ArmaModel, rate_hz: float, n: int, d: int) -> tuple[list
 # --- parts of a stationary model ---------------------------------------------------------------------------------------
 
 
-def _stationary_parts(model: ArmaModel, rate_hz: float) -> list[Component]:
+def stationary_parts(model: ArmaModel, rate_hz: float) -> list[Component]:
+    """The parts of a model that is taken for stationary, however near to 1 its poles are, the slowest first.
+
+    Parameters
+    ----------
+    model : ArmaModel
+    rate_hz : float
+        Sampling rate.
+
+    Returns
+    -------
+    list of Component
+        With the standard deviation of each where the model is such a sum of independent parts, else named by its poles alone.
+    """
     if not model.p:
         return [Component("moving average", math.sqrt(model.variance))] if model.q else [Component("white", model.sd)]
     poles = model.poles

@@ -113,6 +113,11 @@ def write_vehicle(vehicle: Vehicle, path: str | os.PathLike[str]) -> Path:
     return path
 
 
+def adopted_text(model: ArmaModel) -> str:
+    """An adopted model as the inline table that `read_vehicle` takes."""
+    return _toml(_adopted(model))
+
+
 # --- classes -> tables ------------------------------------------------------------------------------------------------
 
 

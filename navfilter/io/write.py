@@ -15,7 +15,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from navfilter.io.geodesy import ecef_from_geodetic, matrix_from_euler, ned_axes
-from navfilter.io.vehicle_toml import write_vehicle
+from navfilter.io.learned_toml import write_learned
 from navfilter.learning.learned import learned_part
 from navfilter.mission import Mission, Stream
 from navfilter.track import Track
@@ -48,7 +48,14 @@ def labelled(track: Track) -> dict[str, Track]:
     return {**runs, track.label: track}
 
 
-def write_outputs(tracks: Mapping[str, Track], mission: Mission, folder: str | os.PathLike[str]) -> list[Path]:
+def write_outputs(
+    tracks: Mapping[str, Track],
+    mission: Mission,
+    folder: str | os.PathLike[str],
+    more: Mapping[str, Any] | None = None,
+    vehicle_file: str | os.PathLike[str] | None = None,
+    remarks: Mapping[str, str] | None = None,
+) -> list[Path]:
     """Write every data file of a run; the last track is the result, the others only appear in the summary.
 
     Parameters
@@ -59,6 +66,10 @@ def write_outputs(tracks: Mapping[str, Track], mission: Mission, folder: str | o
         Whose replay they are.
     folder : path-like
         Made when missing; files of the same name are replaced.
+    more : dict, optional
+        Further entries of ``summary.json``.
+    vehicle_file, remarks : optional
+        For `navfilter.io.learned_toml.write_learned`: the file that the vehicle was read from, and comments.
 
     Returns
     -------
@@ -73,8 +84,8 @@ def write_outputs(tracks: Mapping[str, Track], mission: Mission, folder: str | o
         write_csv(result, folder / "track.csv"),
         *write_tum(result, folder, mission.truth),
         write_geojson(result, mission, folder / "track.geojson"),
-        write_summary(tracks, mission, folder / "summary.json"),
-        *([] if learnt is None else [write_vehicle(learnt, folder / "vehicle_learned.toml")]),
+        write_summary(tracks, mission, folder / "summary.json", more),
+        *([] if learnt is None else [write_learned(learnt, folder / "vehicle_learned.toml", vehicle_file, remarks)]),
     ]
 
 
@@ -125,9 +136,11 @@ def summarise(tracks: Mapping[str, Track], mission: Mission) -> dict[str, Any]:
     return _finite(summary)
 
 
-def write_summary(tracks: Mapping[str, Track], mission: Mission, path: str | os.PathLike[str]) -> Path:
-    """Write `summarise` as JSON with keys in a fixed order; what is not a finite number becomes null."""
-    return write_json(summarise(tracks, mission), path)
+def write_summary(
+    tracks: Mapping[str, Track], mission: Mission, path: str | os.PathLike[str], more: Mapping[str, Any] | None = None
+) -> Path:
+    """Write `summarise`, and `more` behind it, as JSON with keys in a fixed order; what is not a finite number becomes null."""
+    return write_json({**summarise(tracks, mission), **(more or {})}, path)
 
 
 def write_json(value: Any, path: str | os.PathLike[str]) -> Path:

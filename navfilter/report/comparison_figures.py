@@ -3,24 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from navfilter.arma.model import ArmaModel
 from navfilter.diagnostics import acf
-from navfilter.error_models import ErrorModel, Sum, per_axis
 from navfilter.evaluation.consistency import LAGS, innovation_series
 from navfilter.mission import Stream
 from navfilter.report.drawing import WIDTH_IN, band, colour, line, panels
 from navfilter.report.figures import clock_of
 from navfilter.track import Track
 
-__all__ = ["Adopted", "adopted", "adopted_figure", "correlation_figure", "heading_against_sigma", "position_against_sigma", "shade"]
+__all__ = ["correlation_figure", "heading_against_sigma", "position_against_sigma", "shade"]
 
 Array = NDArray[np.float64]
 Tracks = Mapping[str, Track]
@@ -118,121 +114,6 @@ def correlation_figure(tracks: Tracks, axes: list[tuple[str, int, str]]) -> Figu
     handles, labels = shown[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=min(len(labels), 5))
     return figure
-
-
-# --- learnt models ----------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Adopted:
-    """The models that one axis of a sensor has adopted, in the order of their time.
-
-    Attributes
-    ----------
-    title : str
-        Sensor and axis.
-    factor, unit : float, str
-        From SI to the unit in which the innovation sd is shown.
-    time_s : tuple of float
-    models : tuple of ArmaModel
-    """
-
-    title: str
-    factor: float
-    unit: str
-    time_s: tuple[float, ...]
-    models: tuple[ArmaModel, ...]
-
-
-def adopted(track: Track, unit_of: Any) -> list[Adopted]:
-    """What every axis has learnt; axes that have adopted nothing are left out.
-
-    Parameters
-    ----------
-    track : Track
-    unit_of : callable
-        Takes a sensor, returns unit and factor, see `navfilter.evaluation.consistency.shown_unit`.
-    """
-    found = []
-    for name, sensor in track.vehicle.sensors.items():
-        unit, factor = unit_of(sensor)
-        history = [(t, per_axis(error, sensor.axes, name)) for t, error in track.error_models.get(name, [])]
-        for i, axis in enumerate(sensor.axis_names):
-            steps = [(t, model) for t, models in history if (model := _arma_of(models[i])) is not None]
-            # What has not changed since the adoption before is the adoption of another axis.
-            steps = [step for k, step in enumerate(steps) if k == 0 or step[1] != steps[k - 1][1]]
-            if steps:
-                found.append(Adopted(f"{name} {axis}".strip(), factor, unit, *map(tuple, zip(*steps, strict=True))))
-    return found
-
-
-def _arma_of(error: ErrorModel) -> ArmaModel | None:
-    """The model that the learnt part of an error carries, if there is one."""
-    for part in error.parts if isinstance(error, Sum) else (error,):
-        model = getattr(part, "model", None)
-        if isinstance(model, ArmaModel):
-            return model
-    return None
-
-
-def adopted_figure(tracks: Tracks, history: Adopted, end_s: float) -> Figure:
-    """Coefficients, radii of the poles and innovation sd of the adopted models over time.
-
-    Parameters
-    ----------
-    tracks : dict of str to Track
-        For the time axis.
-    history : Adopted
-    end_s : float
-        Until when the last model is in force.
-    """
-    clock = clock_of(tracks)
-    order = max(m.p for m in history.models), max(m.q for m in history.models)
-    kinds = [(kind, count) for kind, count in zip(("ar", "ma"), order, strict=True) if count]
-    figure, axes = panels(len(kinds) + 1 + bool(order[0]), 1.25)
-    t = clock(np.array([*history.time_s, max(end_s, history.time_s[-1])]))
-    remaining = iter(axes)
-    for kind, count in kinds:
-        ax = next(remaining)
-        for k in range(count):
-            _steps(ax, t, [_at(getattr(m, kind), k) for m in history.models], k, f"{kind}[{k}]")
-        ax.set_ylabel(f"{'autoregressive' if kind == 'ar' else 'moving average'}\ncoefficients", fontsize=7.5)
-    if order[0]:
-        ax = next(remaining)
-        for k in range(order[0]):
-            _steps(ax, t, [_nines(_at(np.abs(m.poles), k)) for m in history.models], k, "largest" if k == 0 else f"{k + 1}.")
-        _nines_axis(ax)
-    ax = next(remaining)
-    _steps(ax, t, [history.factor * m.sd for m in history.models], 0, "innovation sd")
-    ax.set_ylim(0.0, 1.15 * ax.get_ylim()[1])
-    ax.set_ylabel(f"sd [{history.unit}]", fontsize=7.5)
-    for ax in axes:
-        ax.legend(loc="lower right", bbox_to_anchor=(1.0, 0.97), ncols=8, borderaxespad=0.1, fontsize=7.0)
-    clock.label(axes[-1])
-    return figure
-
-
-def _nines(radius: float) -> float:
-    """Radius of a pole on a scale that counts its nines: what happens near 1 is what matters."""
-    return -float(np.log10(max(1.0 - radius, 1e-6)))
-
-
-def _nines_axis(ax: Axes) -> None:
-    top = max(2.0, np.ceil(ax.get_ylim()[1]))
-    ticks = np.arange(top + 1.0)
-    ax.set_ylim(0.0, top)
-    ax.set_yticks(ticks, [f"{1.0 - 10.0**-tick:.{int(tick)}f}" for tick in ticks])
-    ax.set_ylabel("pole radius", fontsize=7.5)
-
-
-def _at(values: Array, k: int) -> float:
-    return float(values[k]) if k < len(values) else np.nan
-
-
-def _steps(ax: Axes, t: Array, values: list[float], number: int, label: str) -> None:
-    hue, dash = colour(number)
-    ax.step(t, [*values, values[-1]], where="post", color=hue, linestyle=dash, label=label)
-    ax.plot(t[:-1], values, ".", color=hue, markersize=3)
 
 
 def shade(figure: Figure, tracks: Tracks, begin_s: float) -> Figure:

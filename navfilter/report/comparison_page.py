@@ -11,9 +11,9 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from navfilter.evaluation.comparison import Comparison
-from navfilter.evaluation.consistency import shown_unit
+from navfilter.evaluation.wording import learnt
 from navfilter.mission import Mission
-from navfilter.report import comparison_figures, figures
+from navfilter.report import comparison_figures, figures, learnt_figures
 from navfilter.report.drawing import style, svg
 from navfilter.report.page import escape, figure_html, heading_html, page, table_html
 from navfilter.track import Track
@@ -120,14 +120,14 @@ def _tested_axes(comparison: Comparison, tracks: Tracks) -> list[tuple[str, int,
 def _learnt(tracks: Tracks) -> Iterator[tuple[str, str, Figure]]:
     title = "Models learnt under way"
     for label, track in tracks.items():
-        for history in comparison_figures.adopted(track, shown_unit):
+        for history in learnt(track):
             last = history.models[-1]
             radius = f", largest pole {abs(last.poles[0]):.4f}" if last.p else ""
             caption = (
                 f"{label}, {history.title}: {len(history.models)} models adopted, the last one of order ({last.p}, {last.q}){radius}. "
                 "A pole radius of 1 would be a random walk."
             )
-            yield title, caption, comparison_figures.adopted_figure(tracks, history, float(track.time_s[-1]))
+            yield title, caption, learnt_figures.adopted_figure(tracks, history, float(track.time_s[-1]))
             title = ""
 
 

@@ -112,7 +112,7 @@ def position_figure(tracks: Tracks, truth: Stream | None) -> Figure:
             band(axes[i], clock(track.time_s), sd[:, i], color=hue, alpha=0.25, label=rf"{label} $\pm 1\sigma$")
             if truth is not None:
                 line(axes[i], clock(track.time_s), error[:, i], color=hue, linestyle=dash, label=label)
-        far = _distance(track)
+        far = track.travelled()
         far[far < max(50.0, 0.02 * far[-1])] = np.nan
         if truth is not None:
             horizontal = np.hypot(error[:, 0], error[:, 1])
@@ -256,12 +256,6 @@ def moving_nis(track: Track, name: str) -> tuple[Array, Array, Array, Array]:
     middle, mean, low, high = middle[::step], mean[::step], low[::step], high[::step]
     time, mean = broken(middle, mean)
     return time, mean, broken(middle, low)[1], broken(middle, high)[1]
-
-
-def _distance(track: Track) -> Array:
-    """Distance travelled up to each row [m]."""
-    speed = np.hypot(track.velocity_n[:, 0], track.velocity_n[:, 1])
-    return np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(track.time_s))])
 
 
 def _ellipse(centre: Array, P: Array) -> Ellipse:

@@ -6,7 +6,7 @@ import base64
 import html
 from collections.abc import Iterable, Sequence
 
-__all__ = ["escape", "figure_html", "heading_html", "page", "table_html", "table_text"]
+__all__ = ["escape", "figure_html", "heading_html", "list_html", "page", "table_html", "table_text"]
 
 _CSS = """
 :root { color-scheme: light; }
@@ -53,6 +53,12 @@ def escape(text: str) -> str:
 def heading_html(text: str) -> str:
     """Heading of a section."""
     return f"<h2>{escape(text)}</h2>"
+
+
+def list_html(lines: Iterable[str]) -> str:
+    """A list of plain lines; nothing where there are none."""
+    items = "".join(f"<li>{escape(line)}</li>" for line in lines)
+    return f"<ul>{items}</ul>" if items else ""
 
 
 def figure_html(drawn: bytes, caption: str) -> str:

@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Iterator, Mapping
 from importlib import metadata
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
+from navfilter.evaluation.assessment import Assessment, assess
+from navfilter.evaluation.surfacing import Evidence
+from navfilter.evaluation.verdict import Verdict
+from navfilter.evaluation.wording import Learnt
 from navfilter.filter.tape import OUTCOMES
 from navfilter.io.write import summarise
 from navfilter.mission import Mission, Stream
-from navfilter.report import figures, state_figures
+from navfilter.report import figures, learnt_figures, state_figures
 from navfilter.report.drawing import style, svg
-from navfilter.report.page import escape, figure_html, heading_html, page, table_html, table_text
+from navfilter.report.page import escape, figure_html, heading_html, list_html, page, table_html, table_text
 from navfilter.track import Track
 
 __all__ = ["headline_table", "render_report", "sensor_table", "write_report"]
@@ -26,6 +32,11 @@ Rows = list[list[str]]
 
 #: A figure with more panels than this does not fit on a printed page.
 _PANELS = 6
+_SURFACING = (
+    "A surfacing is the first fix after a time without any: its horizontal distance from what was predicted for it, in metres and in "
+    "per cent of the distance travelled since the fix before, beside the rms that the filter predicted (error of the fix included). "
+    "Of honest ones 95 % lie inside."
+)
 #: Columns of the headline table: heading, key of ``summary.json``, format.
 HEADLINES = (
     ("position rms [m]", "position_rms_m", "{:.2f}"),
@@ -49,7 +60,13 @@ def sensor_table(track: Track) -> str:
     return table_text(*_sensors(track))
 
 
-def write_report(tracks: Tracks, mission: Mission, path: str | os.PathLike[str], progress: Callable[[], Any] | None = None) -> Path:
+def write_report(
+    tracks: Tracks,
+    mission: Mission,
+    path: str | os.PathLike[str],
+    progress: Callable[[], Any] | None = None,
+    assessment: Assessment | None = None,
+) -> Path:
     """Write `render_report` to a file.
 
     Parameters
@@ -61,21 +78,33 @@ def write_report(tracks: Tracks, mission: Mission, path: str | os.PathLike[str],
         Of the .html.
     progress : callable, optional
         Called after each figure.
+    assessment : Assessment, optional
+        Default: as `navfilter.evaluation.assessment.assess` makes it.
     """
     path = Path(path)
-    text = render_report(tracks, mission, progress)
+    text = render_report(tracks, mission, progress, assessment)
     part = path.with_name(path.name + ".part")
     part.write_text(text, encoding="utf-8")
     part.replace(path)
     return path
 
 
-def render_report(tracks: Tracks, mission: Mission, progress: Callable[[], Any] | None = None) -> str:
+def render_report(
+    tracks: Tracks,
+    mission: Mission,
+    progress: Callable[[], Any] | None = None,
+    assessment: Assessment | None = None,
+) -> str:
     """One HTML page with tables and figures; no scripts, no links, nothing to load."""
     result = list(tracks.values())[-1]
     summary = summarise(tracks, mission)
-    body = [heading_html("Result"), table_html(*_headlines(tracks, mission)), f"<p>{_reading(mission)}</p>"]
-    for title, caption, figure in _drawn(tracks, mission):
+    assessment = assessment or assess(tracks, mission)
+    body = [heading_html("Verdict"), *_verdict(assessment.verdict), heading_html("Result")]
+    body += [table_html(*_headlines(tracks, mission)), f"<p>{_reading(mission)}</p>"]
+    body += [heading_html("What the readings say of the track"), list_html(assessment.lines())]
+    if assessment.evidence.surfacings:
+        body += [table_html(*_surfacings(assessment.evidence)), f"<p>{_SURFACING}</p>"]
+    for title, caption, figure in chain(_drawn(tracks, mission), _learnt(tracks, assessment.learnt)):
         if title:
             body.append(heading_html(title))
         body.append(figure_html(svg(figure), caption))
@@ -117,6 +146,14 @@ def _drawn(tracks: Tracks, mission: Mission) -> Iterator[tuple[str, str, Figure]
                 caption = f"{name}{many}: measured minus predicted, {_count(track, name)}."
                 yield "" if number else f"Innovations{many}", caption, figures.innovation_figure(track, name)
         yield from _state_figures(tracks)
+
+
+def _learnt(tracks: Tracks, found: tuple[Learnt, ...]) -> Iterator[tuple[str, str, Figure]]:
+    title = "What was learnt"
+    with style():
+        for caption, figure in learnt_figures.learnt_figures(tracks, found):
+            yield title, caption, figure
+            title = ""
 
 
 def _filters(tracks: Tracks) -> dict[str, Track]:
@@ -177,6 +214,28 @@ def _sensors(track: Track) -> tuple[list[str], Rows]:
     return ["sensor", *present, "NIS"], rows
 
 
+def _verdict(verdict: Verdict) -> list[str]:
+    """What was found, then how to look further."""
+    text = [f"<p><strong>{escape(verdict.headline)}</strong></p>", list_html(verdict.lines())]
+    return text + (["<p>How to look further:</p>", list_html(verdict.cures())] if verdict.cures() else [])
+
+
+def _surfacings(evidence: Evidence) -> tuple[list[str], Rows]:
+    header = ["surfacing", "at [s]", "without [s]", "travelled [m]", "error [m]", "[% of it]", "predicted sd [m]", "95 %"]
+    rows = [
+        [
+            s.sensor,
+            *(f"{value:.0f}" for value in (s.time_s, s.without_s, s.distance_m)),
+            f"{s.error_m:.2f}",
+            _number(s.percent if math.isfinite(s.percent) else None, "{:.2f}"),
+            f"{s.sd_m:.2f}",
+            ("inside" if s.inside else "outside") + ("" if s.used else ", rejected"),
+        ]
+        for s in evidence.surfacings
+    ]
+    return header, rows
+
+
 def _models(track: Track) -> tuple[list[str], Rows]:
     """Error models of every channel; of a long history the first and the last ones."""
     drive = track.vehicle.drive
@@ -212,4 +271,4 @@ def _reading(mission: Mission) -> str:
 
 def _notes(track: Track, mission: Mission) -> str:
     lines = [f"drive: {count} {what}" for what, count in track.counts.items() if count] + list(mission.notes)
-    return "<ul>" + "".join(f"<li>{escape(text)}</li>" for text in lines) + "</ul>" if lines else ""
+    return list_html(lines)

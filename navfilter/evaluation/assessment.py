@@ -1,0 +1,82 @@
+"""All that is said of a run beside its figures against a truth, gathered once for console, summary and report."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from navfilter.evaluation.surfacing import Evidence, evidence
+from navfilter.evaluation.verdict import Verdict, judge
+from navfilter.evaluation.withheld import Score, Withheld, score
+from navfilter.evaluation.wording import Learnt, learnt
+from navfilter.mission import Mission
+from navfilter.track import Track
+
+__all__ = ["Assessment", "assess"]
+
+
+@dataclass(frozen=True)
+class Assessment:
+    """What a run says of itself.
+
+    Attributes
+    ----------
+    evidence : Evidence
+        By its fixes, its covariance and its smoothed track.
+    verdict : Verdict
+        What speaks against the track.
+    learnt : tuple of Learnt
+        What every axis has learnt.
+    scores : dict of str to tuple of Score
+        Against the fixes withheld, by label of the run; empty where none were.
+    """
+
+    evidence: Evidence
+    verdict: Verdict
+    learnt: tuple[Learnt, ...] = ()
+    scores: dict[str, tuple[Score, ...]] = field(default_factory=dict)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The same as plain values, to be added to ``summary.json``."""
+        scores = {label: {s.sensor: s.to_dict() for s in found} for label, found in self.scores.items()}
+        own = {"verdict": self.verdict.to_dict(), "without_truth": self.evidence.to_dict()}
+        if self.learnt:
+            own["learnt"] = {found.title: found.to_dict() for found in self.learnt}
+        return {**own, **({"withheld": scores} if scores else {})}
+
+    def remarks(self, mission: str) -> dict[str, str]:
+        """What was learnt as one line of plain text by sensor or part of the drive, for vehicle_learned.toml."""
+        found: dict[str, list[str]] = {}
+        for axis in self.learnt:
+            found.setdefault(axis.title.split(" ")[0], []).append(f"{axis.title}: {axis.words}")
+        where = " ".join(mission.split())
+        return {name: f"learnt on {where}: {'; '.join(words)}" for name, words in found.items()}
+
+    def lines(self) -> Iterator[str]:
+        """Evidence and scores in words, one line per fact."""
+        for label, found in self.scores.items():
+            yield from (f"{label}: {s}" for s in found)
+        yield from self.evidence.lines()
+
+
+def assess(tracks: Mapping[str, Track], mission: Mission, withheld: Sequence[Withheld] = ()) -> Assessment:
+    """Assess a run.
+
+    Parameters
+    ----------
+    tracks : dict of str to Track
+        By label, the result last, see `navfilter.io.write.labelled`.
+    mission : Mission
+        As it was replayed.
+    withheld : sequence of Withheld
+        Readings that the filter did not get, see `navfilter.evaluation.withheld.withhold`.
+    """
+    scores = {}
+    for label, track in tracks.items():
+        found = tuple(s for s in (score(track, readings) for readings in withheld) if s is not None)
+        if found:
+            scores[label] = found
+    result = list(tracks.values())[-1]
+    own = evidence(result)
+    return Assessment(own, judge(result, mission, own), learnt(result), scores)

@@ -1,0 +1,199 @@
+"""The verdict: provoked mistakes are noticed and named, sound missions raise no alarm."""
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from navfilter.cli import main
+from navfilter.error_models import White
+from navfilter.evaluation.assessment import assess
+from navfilter.evaluation.doubts import LIMITS
+from navfilter.evaluation.surfacing import Surfacing, evidence
+from navfilter.evaluation.verdict import judge
+from navfilter.io import read_mission, read_vehicle, write_vehicle
+from navfilter.io.write import labelled
+from navfilter.mission import Stream
+from navfilter.playback import replay
+from navfilter.simulation.scenarios import SCENARIOS, simulate_scenario
+
+
+def verdict_of(vehicle, mission):
+    tracks = labelled(replay(vehicle, mission, output_rate_hz=2.0))
+    return assess(tracks, mission).verdict
+
+
+def with_values(name, change, times=lambda t: t):
+    """A mistake in the readings of one stream."""
+
+    def mistake(vehicle, mission):
+        stream = mission.streams[name]
+        return vehicle, mission.with_stream(
+            name, Stream(times(stream.time_s), change(stream.value.copy()), stream.columns)
+        )
+
+    return mistake
+
+
+def as_it_is(value):
+    return value
+
+
+def stuck(value):
+    value[1000:] = value[1000]
+    return value
+
+
+#: What is wrong, whether the verdict must be "not to be trusted" (else "with care"), which sensor and words it names.
+MISTAKES = {
+    "heading mirrored": (with_values("compass", np.negative), True, "compass", "rejected"),
+    "heading in degrees": (with_values("compass", lambda x: np.degrees(x) % 360.0), True, "compass", "rejected"),
+    "compass turned by 90 deg": (with_values("compass", lambda x: x + np.pi / 2), True, "gps", "rejected"),
+    "compass turned by 10 deg": (with_values("compass", lambda x: x + np.radians(10)), False, "gps", "first fix after"),
+    "compass stuck": (with_values("compass", stuck), True, "compass", "rejected"),
+    "compass 3 s late": (with_values("compass", as_it_is, lambda t: t + 3.0), True, "compass", "rejected"),
+    "dvl in mm/s": (with_values("dvl", lambda x: 1e3 * x), True, "dvl", "rejected"),
+    "dvl in knots": (with_values("dvl", lambda x: 1.94 * x), True, "dvl", "rejected"),
+    "dvl backwards": (with_values("dvl", np.negative), True, "dvl", "rejected"),
+    "dvl axes exchanged": (with_values("dvl", lambda x: x[:, [1, 0, 2]]), True, "dvl", "rejected"),
+    "dvl mirrored": (with_values("dvl", lambda x: x * [1.0, -1.0, 1.0]), False, "dvl", "rejected"),
+    "dvl never valid": (
+        with_values("dvl", lambda x: np.nan * x),
+        True,
+        "dvl",
+        "not one of its 2401 readings was used (2401 invalid)",
+    ),
+    "dvl 5 s late": (with_values("dvl", as_it_is, lambda t: t + 5.0), False, "dvl", "rejected"),
+    "dvl 400 s late": (with_values("dvl", as_it_is, lambda t: t + 400.0), False, "dvl", "lie beside the run"),
+    "depth upside down": (with_values("depth", np.negative), True, "depth", "rejected"),
+    "depth in cm": (with_values("depth", lambda x: 1e2 * x), True, "depth", "rejected"),
+    "latitude for longitude": (with_values("gps", lambda x: x[:, [1, 0, 2]]), True, "gps", "not one of its"),
+    "gps on another clock": (with_values("gps", as_it_is, lambda t: t + 1e5), True, "gps", "the clocks do not overlap"),
+    "imu forward left up": (with_values("imu", lambda x: x * np.tile([1.0, -1.0, -1.0], 2)), True, "", "impossible"),
+    "imu in ms": (with_values("imu", as_it_is, lambda t: 1e3 * t), True, "imu", "its samples come every 10 s"),
+    "imu lost for minutes": (
+        lambda v, m: (v, m.hide("imu", (100.0, 350.0))),
+        True,
+        "imu",
+        "250 of 600 s have no samples",
+    ),
+    "nothing bounds the velocity": (lambda v, m: (v.without("dvl"), m), False, "", "nothing bounded it"),
+    "dvl believed too well": (lambda v, m: (v.with_error(dvl=White(sd=0.001)), m), True, "dvl", "times too well"),
+    "start a kilometre off": (
+        lambda v, m: (v, m.with_start(dataclasses.replace(m.start, latitude_deg=m.start.latitude_deg + 0.01))),
+        True,
+        "gps",
+        "rejected",
+    ),
+}
+
+
+@pytest.fixture(scope="module")
+def sound():
+    return simulate_scenario("lawnmower", 1, 600.0)
+
+
+@pytest.mark.parametrize("name", MISTAKES)
+def test_a_mistake_does_not_pass_unnoticed(sound, name):
+    mistake, grave, sensor, words = MISTAKES[name]
+    verdict = verdict_of(*mistake(*sound))
+    assert verdict.trusted != grave
+    doubts = [f for f in verdict.findings if f.severity != "info"]
+    assert any(f.stream == sensor and words in f.text for f in doubts), str(verdict)
+    assert all(f.cure for f in doubts)
+
+
+def doubted(verdict):
+    """Sensor of every finding that is more than a remark."""
+    return {finding.stream for finding in verdict.findings if finding.severity != "info"}
+
+
+@pytest.mark.parametrize("scenario", SCENARIOS)
+def test_no_alarm_on_a_simulated_mission(scenario):
+    vehicle, mission = simulate_scenario(scenario, 2, 600.0)
+    verdict = verdict_of(vehicle, mission)
+    # in this one the compass becomes worse half way, which vehicle.toml does not know
+    expected = {"compass"} if scenario == "changing" else set()
+    assert verdict.trusted and doubted(verdict) == expected, str(verdict)
+    assert verdict.headline.startswith("Nothing speaks against this track") != bool(expected)
+
+
+#: What is true of these recordings: one sample a second where the vehicle has ten, and 100 of 106 go back in time;
+#: one reading of the DVL in five is rejected; the DVL is in air.
+KNOWN = {
+    "auv-lake-sea-10hz/20220712_0_1": {"velocity", "gps"},
+    "sonia-auv-pool/20160123_HEADING": {"dvl"},
+    "sonia-auv-pool/20160305_OUTOFWATER": {"", "dvl"},
+}
+RECORDED = (
+    *(f"auv-lake-sea-10hz/{name}" for name in ("20220625_0_0", "20220712_0_1", "20220719_6_1")),
+    "comma2k19/segment40",
+    *(f"snapir-auv-1hz/{k:02d}" for k in (1, 2, 3, 5, 6, 7, 8, 10, 12)),
+    *(
+        f"sonia-auv-pool/{name}"
+        for name in ("20160123", "20160123_HEADING", "20160305_CIRCLE", "20160305_OUTOFWATER", "20160305_SQUARE")
+    ),
+    *(f"wid-car-rtk/{name}" for name in ("00", "02", "08", "10")),
+)
+
+
+@pytest.mark.parametrize("name", RECORDED)
+def test_no_false_alarm_on_a_recording(recording, name):
+    folder = recording(name)
+    verdict = verdict_of(read_vehicle(folder), read_mission(folder))
+    assert verdict.trusted and doubted(verdict) == KNOWN.get(name, set()), str(verdict)
+
+
+def test_a_sensor_believed_much_worse_than_it_is_is_remarked(sound):
+    vehicle, mission = sound
+    verdict = verdict_of(vehicle.with_error(depth=White(sd=3.0)), mission)
+    assert verdict.trusted and doubted(verdict) == set()
+    (remark,) = verdict.findings
+    assert remark.severity == "info" and remark.stream == "depth" and "remark: depth" in str(verdict)
+
+
+def test_surfacings_are_judged_together(sound):
+    """One of three outside the 95 % range happens; three of three do not."""
+    _, mission = sound
+    track = replay(*sound, output_rate_hz=2.0)
+    one = Surfacing("gps", 100.0, 60.0, 90.0, 9.0, 3.0, inside=False, used=True)
+    good = dataclasses.replace(one, inside=True)
+    for found, alarmed in (((one, good, good), False), ((one, one, one), True)):
+        texts = judge(track, mission, dataclasses.replace(evidence(track), surfacings=found)).lines()
+        assert any("3 of 3 surfacings lie outside" in text for text in texts) == alarmed
+    refused = dataclasses.replace(one, used=False)
+    (text,) = judge(track, mission, dataclasses.replace(evidence(track), surfacings=(good, refused))).lines()
+    assert (
+        "the first fix after 60 s without was rejected, 9.0 m off where 3.0 m were predicted (1 of 2 surfacings)"
+        in text
+    )
+
+
+def test_the_manual_states_the_limits():
+    page = (Path(__file__).parent.parent / "docs" / "pages" / "replay.md").read_text(encoding="utf-8")
+    rows = [[cell.strip() for cell in row.split("|")[2:4]] for row in page.splitlines() if row.startswith("| ")]
+    low, high = LIMITS.rejected
+    assert [f"{100 * low:.0f} %", f"{100 * high:.0f} %"] in rows
+    assert [f"{value:.0f}" for value in LIMITS.nis] in rows
+    assert [f"{value:.0f} times" for value in LIMITS.rate] in rows
+    assert [f"{value:.0f} m/s" for value in LIMITS.speed_sd_m_s] in rows
+    assert LIMITS.gaps == LIMITS.repaired and [f"{100 * LIMITS.gaps:.0f} %", ""] in rows
+    assert f"below {LIMITS.modest} a remark" in page and f"speed above {LIMITS.speed_m_s:.0f} m/s" in page
+
+
+def test_the_exit_code_is_the_verdict(sound, tmp_path, capsys):
+    vehicle, mission = MISTAKES["dvl in knots"][0](*sound)
+    mission.save(tmp_path / "wrong.npz")
+    write_vehicle(vehicle, tmp_path / "vehicle.toml")
+    assert (
+        main(["replay", str(tmp_path / "wrong.npz"), "--vehicle", str(tmp_path), "--out", str(tmp_path / "out")]) == 1
+    )
+    said, complaint = capsys.readouterr()
+    assert complaint.startswith("navfilter: This track is not to be trusted. See ")
+    assert "Verdict: This track is not to be trusted." in said and "navfilter check" in said
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())["verdict"]
+    assert not summary["trusted"] and summary["findings"][0]["severity"] == "error"
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert page.index("not to be trusted") < page.index("<h2>Result</h2>") and "How to look further" in page

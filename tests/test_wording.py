@@ -1,0 +1,133 @@
+"""What was learnt, in words and as spectra, from models whose parts are known."""
+
+import dataclasses
+import json
+import math
+
+import numpy as np
+import pytest
+
+import navfilter as nf
+from navfilter.arma.algebra import add_arma
+from navfilter.arma.model import ArmaModel
+from navfilter.cli import main
+from navfilter.error_models import Arma, ErrorModel, GaussMarkov, RandomWalk, White
+from navfilter.evaluation.wording import Scale, error_words, learnt, model_words
+from navfilter.identification.reading import stationary_parts
+from navfilter.learning.learned import LearnedArma
+from navfilter.playback import replay
+from navfilter.report.learnt_figures import spectrum_figure
+from navfilter.simulation.scenarios import simulate_scenario
+
+DEG = Scale("deg", 180.0 / math.pi, 8.0)
+RAD = math.pi / 180.0
+
+
+def swing(period_s, damping_s, sd, rate_hz=8.0):
+    """An AR(2) that rings with this period."""
+    radius, angle = math.exp(-1.0 / (damping_s * rate_hz)), 2.0 * math.pi / (period_s * rate_hz)
+    ar = np.array([-2.0 * radius * math.cos(angle), radius**2])
+    return ArmaModel(ar, [], sd / math.sqrt(ArmaModel(ar, [], 1.0).variance))
+
+
+def slow(tau_s, sd, rate_hz=8.0):
+    phi = math.exp(-1.0 / (tau_s * rate_hz))
+    return ArmaModel([-phi], [], sd * math.sqrt(1.0 - phi**2))
+
+
+def test_the_sum_of_three_parts_is_read_back():
+    """Slow, swinging and white errors of known size, added exactly."""
+    model = add_arma([slow(60.0, 0.34 * RAD), swing(6.1, 40.0, 0.35 * RAD), ArmaModel([], [], 0.1 * RAD)])
+    assert model_words(model, DEG) == "slow error 0.34 deg over 60 s, swings with 6.1 s by 0.35 deg, white 0.10 deg"
+
+
+def test_a_model_that_is_no_such_sum_has_its_power_by_frequency():
+    """A moving average that is no white noise beside the poles: the powers are those of the bands, and add up."""
+    both = add_arma([slow(60.0, 0.3 * RAD), swing(6.1, 40.0, 0.4 * RAD)])
+    model = ArmaModel(both.ar, [0.5, 0.3], both.sd)
+    assert not any(math.isfinite(part.sd) for part in stationary_parts(model, 8.0))
+    words = model_words(model, DEG)
+    sizes = [float(word.split(" deg")[0].split()[-1]) for word in words.split(", ")]
+    assert words.startswith("slow error") and "swings with 6.1 s" in words
+    # two digits of each size are printed
+    np.testing.assert_allclose(np.sum(np.square(sizes)), model.variance / RAD**2, rtol=0.08)
+
+
+@pytest.mark.parametrize(
+    ("model", "words"),
+    [
+        (White(sd=0.005), "white 0.29 deg"),
+        (White(density=0.01 * RAD), "white 0.028 deg"),
+        (GaussMarkov(sd=0.5 * RAD, tau_s=1.75), "slow error 0.50 deg over 1.8 s"),
+        (RandomWalk(density=1e-3 * RAD), "wanders by 0.060 deg in an hour"),
+        (White(sd=0.1 * RAD) + GaussMarkov(sd=1.0 * RAD, tau_s=300.0), "white 0.10 deg, slow error 1.0 deg over 300 s"),
+        (Arma(ar=[0.9], sd=0.1 * RAD), "alternates from reading to reading by 0.23 deg"),
+        (LearnedArma(model=slow(60.0, 1.0 * RAD)), "slow error 1.0 deg over 60 s"),
+    ],
+)
+def test_error_models_in_words(model, words):
+    assert error_words(model, DEG) == words
+
+
+@dataclasses.dataclass(frozen=True)
+class Own(ErrorModel):
+    """A user's own kind."""
+
+    def block(self, period_s):
+        return White(sd=1.0).block(period_s)
+
+
+def test_a_foreign_kind_prints_itself():
+    assert error_words(Own() + White(sd=1.0), Scale("m", 1.0, 1.0)) == "Own(), white 1.0 m"
+
+
+@pytest.fixture(scope="module")
+def dive():
+    """Ten minutes with a compass that learns, and believes wrongly."""
+    vehicle, mission = simulate_scenario("oscillating", 1, 600.0)
+    prior = GaussMarkov(sd=0.5 * RAD, tau_s=1.75)
+    learning = LearnedArma(prior=prior, window=2000, hop=1000)
+    return vehicle.with_error(compass=White(sd=0.01 * RAD) + learning), mission
+
+
+def test_a_run_says_what_it_learnt_and_believed(dive):
+    track = replay(*dive, output_rate_hz=1.0)
+    (found,) = learnt(track)
+    assert found.title == "compass" and len(found.models) == len(track.adopted()["compass"])
+    said = str(found)
+    assert said.startswith("compass: slow error") and "swings with 6." in said
+    assert said.endswith("white 0.010 deg; vehicle.toml believed white 0.010 deg, slow error 0.50 deg over 1.8 s")
+    assert found.to_dict()["history"][-1][1] == model_words(found.models[-1], found.scale)
+    assert learnt(replay(dive[0].with_error(compass=White(sd=0.01)), dive[1], output_rate_hz=1.0)) == ()
+
+
+def test_spectra_hold_the_variance_and_its_uncertainty(dive):
+    (found,) = learnt(replay(*dive, output_rate_hz=1.0))
+    freq_hz = np.linspace(0.0, 4.0, 40_001)[1:]
+    density, spread = found.spectrum(freq_hz)
+    unit = found.scale.factor**2
+    # sums of a smooth integrand over 40 000 steps; the believed one is 1/f^2 from 0.1 Hz on, and resolved
+    np.testing.assert_allclose(np.sum(density) * 1e-4, unit * found.models[-1].variance, rtol=2e-2)
+    believed = found.believed_spectrum(freq_hz)
+    np.testing.assert_allclose(np.sum(believed) * 1e-4, unit * ((0.5 * RAD) ** 2 + (0.01 * RAD) ** 2), rtol=2e-2)
+    _, at_zero = found.spectrum(np.array([1e-9]))
+    model = found.models[-1]
+    expected = nf.log_s0_sd(model.ar, model.ma, model.covariance, model.effective_window)
+    np.testing.assert_allclose(at_zero[0], expected, rtol=1e-6)
+    assert spread.min() >= math.sqrt(2.0 / model.effective_window)
+    labels = [text.get_text() for text in spectrum_figure(found).axes[0].get_legend().get_texts()]
+    assert labels == ["believed", "learnt", "95 %"]
+
+
+def test_console_summary_and_report_say_it(dive, tmp_path, capsys):
+    vehicle, mission = dive
+    mission.save(tmp_path / "m.npz")
+    from navfilter.io import write_vehicle
+
+    write_vehicle(vehicle, tmp_path / "vehicle.toml")
+    main(["replay", str(tmp_path / "m.npz"), "--vehicle", str(tmp_path), "--out", str(tmp_path / "out")])
+    said = capsys.readouterr().out
+    line = next(line for line in said.splitlines() if line.startswith("learnt: compass: "))
+    words = json.loads((tmp_path / "out" / "summary.json").read_text())["learnt"]["compass"]["words"]
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert words in line and words in page and "What was learnt" in page
