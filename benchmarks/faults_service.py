@@ -162,7 +162,9 @@ def noisy(lines: list[bytes], rng: np.random.Generator) -> list[bytes]:
 
 
 def broken_off(dive: Dive, folder: Path, rng: np.random.Generator, sent: int) -> None:
-    """One process of a schedule that is not the last; with a deleted log its snapshot goes too, for it may know more than the log."""
+    """One process of a schedule that is not the last; with a deleted log its snapshot goes too, for it may know more
+    than the log.
+    """
     arguments = [*dive.arguments, "--log", folder, "--resume", "--snapshot-every", "0.2", "--fsync", "0.1"]
     handle = stderr_of(rng)
     process = Process(*arguments, stderr=handle)
@@ -198,7 +200,9 @@ def schedule(dive: Dive, folder: Path, rng: np.random.Generator) -> Verdict:
     for _ in range(int(rng.integers(1, 4))):
         broken_off(dive, log, rng, sent)
         file, snapshot = log / LOG_FILE, log / "snapshot"
-        whole = [item.raw for item in log_items(file, dive.vehicle) if isinstance(item, Reading)] if file.exists() else []
+        whole = (
+            [item.raw for item in log_items(file, dive.vehicle) if isinstance(item, Reading)] if file.exists() else []
+        )
         lost += whole != dive.lines[: len(whole)]
         sent = len(whole)
         if not sent:  # deleted, or never begun: what is left beside it belongs to nothing

@@ -186,7 +186,8 @@ def read_large(path: Path) -> dict[str, float]:
 
 
 def large(options: Options) -> dict[str, Any]:
-    """Write a ROS 2 bag (images, an inertial unit, a velocity log), read two streams of it, and say what memory it took.
+    """Write a ROS 2 bag (images, an inertial unit, a velocity log), read two streams of it, and say what memory it
+    took.
 
     Reading has a process of its own: the peak of this one is that of writing.
     """
@@ -195,7 +196,9 @@ def large(options: Options) -> dict[str, Any]:
         write_large(bag, 20.0 if options.quick else options.megabytes)
         size = sum(file.stat().st_size for file in bag.iterdir()) / 1e6
         code = f"import json, logs, pathlib; print(json.dumps(logs.read_large(pathlib.Path({str(bag)!r}))))"
-        done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True, cwd=Path(__file__).parent)
+        done = subprocess.run(
+            [sys.executable, "-c", code], check=True, capture_output=True, text=True, cwd=Path(__file__).parent
+        )
     read = json.loads(done.stdout.splitlines()[-1])
     table = Table("megabytes>10.0f " + " ".join(f"{key}>12.2f" for key in read))
     table.add({"megabytes": size} | read)

@@ -20,11 +20,12 @@ Array = NDArray[np.float64]
 
 
 def align(vehicle: Vehicle, mission: Mission, window_s: float = 5.0) -> Start:
-    """Start a run from the first readings: level by the accelerometers, heading by the compass, velocity by the DVL, place by fixes.
+    """Start a run from the first readings: level by the accelerometers, heading by the compass, velocity by the DVL,
+    place by fixes.
 
-    Levelling works while the vehicle moves steadily (the specific force is gravity); the standard deviations grow with what the
-    inertial unit felt during the window. Without a compass the heading comes from the course between fixes, if the vehicle
-    travelled far enough.
+    Levelling works while the vehicle moves steadily (the specific force is gravity); the standard deviations grow with
+    what the inertial unit felt during the window. Without a compass the heading comes from the course between fixes, if
+    the vehicle travelled far enough.
 
     Parameters
     ----------
@@ -50,11 +51,15 @@ def align(vehicle: Vehicle, mission: Mission, window_s: float = 5.0) -> Start:
     begin = max(first_s, drive.time_s[0])
     rows = (drive.time_s >= begin) & (drive.time_s <= begin + window_s) & np.isfinite(drive.value).all(axis=1)
     if not rows.any():
-        raise ValueError(f"no valid reading of the drive within {window_s} s after {begin:.3f} s: nothing to align with.")
+        raise ValueError(
+            f"no valid reading of the drive within {window_s} s after {begin:.3f} s: nothing to align with."
+        )
     if not vehicle.drive.inertial:
         roll, pitch, heading = drive.value[rows][0, :3]
         lat, lon = np.degrees(place[:2])
-        heading += vehicle.drive.declination(Start(latitude_deg=float(lat), longitude_deg=float(lon), date=mission.date))
+        heading += vehicle.drive.declination(
+            Start(latitude_deg=float(lat), longitude_deg=float(lon), date=mission.date)
+        )
         tilt_sd, heading_sd = np.radians(1.0), np.radians(5.0)
     else:
         roll, pitch, tilt_sd = _level(drive.value[rows, 3:6], vehicle.drive)
@@ -104,7 +109,9 @@ def _first_fix(vehicle: Vehicle, mission: Mission) -> tuple[Array, Array, float]
             z, sd = z.copy(), sd.copy()
             z[2], sd[2] = _height(vehicle, mission)
         return z, np.maximum(sd, 1e-3), float(t)
-    raise ValueError("no start: none of the position readings is valid (latitude and longitude in radians? HDOP below the gate?).")
+    raise ValueError(
+        "no start: none of the position readings is valid (latitude and longitude in radians? HDOP below the gate?)."
+    )
 
 
 def _height(vehicle: Vehicle, mission: Mission) -> tuple[float, float]:
@@ -130,17 +137,21 @@ def _level(force: Array, drive: Mechanisation) -> tuple[float, float, float]:
         )
     if mean[2] > 0:
         raise ValueError(
-            f"cannot level: the specific force points down (z = {mean[2]:.2f} m/s^2; at rest it must be -9.8 in forward-right-down axes). "
+            f"cannot level: the specific force points down (z = {mean[2]:.2f} m/s^2; at rest it must be -9.8 in "
+            "forward-right-down axes). "
             "Change the sign or the axis order in mission.toml."
         )
     roll = float(np.arctan2(-mean[1], -mean[2]))
     pitch = float(np.arctan2(mean[0], np.hypot(mean[1], mean[2])))
-    # Slow manoeuvres lean the mean by their mean acceleration: a third of the scatter, not less than 0.05 m/s^2 of accelerometer bias.
+    # Slow manoeuvres lean the mean by their mean acceleration: a third of the scatter, not less than 0.05 m/s^2 of
+    # accelerometer bias.
     lean = max(0.05, excess, float(force[:, :2].std(axis=0).max()) / 3.0)
     return roll, pitch, lean / STANDARD_GRAVITY
 
 
-def _heading(vehicle: Vehicle, mission: Mission, begin: float, window_s: float, roll: float, pitch: float) -> tuple[float, float]:
+def _heading(
+    vehicle: Vehicle, mission: Mission, begin: float, window_s: float, roll: float, pitch: float
+) -> tuple[float, float]:
     found = _stream(vehicle, mission, "heading")
     if found is None:
         return _course(vehicle, mission, begin)
@@ -175,7 +186,8 @@ def _course(vehicle: Vehicle, mission: Mission, begin: float, within_s: float = 
         if len(far):
             return float(np.arctan2(east[far[0]], north[far[0]])), float(np.radians(15.0))
     raise ValueError(
-        "no heading to start with: the vehicle has no compass with readings, and the first fixes do not move 10 m. Give a start."
+        "no heading to start with: the vehicle has no compass with readings, and the first fixes do not move 10 m. "
+        "Give a start."
     )
 
 

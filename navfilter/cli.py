@@ -1,10 +1,10 @@
 """The command line: ``navfilter demo | replay | run | compare | montecarlo | identify | simulate | check | mission |
 vehicle | warmup``.
 
-Each sub-command is a function that adds its arguments and one that runs. Everything heavy is imported where it is used, so that
-``navfilter --help`` answers at once. Exit codes: 0 all is well, 1 `check` or `vehicle --check` found something wrong, or
-a replayed track is not to be trusted, 2 wrong usage or input, 130 interrupted, 141 whoever read the output has gone;
-`run` has its own (see its help).
+Each sub-command is a function that adds its arguments and one that runs. Everything heavy is imported where it is used,
+so that ``navfilter --help`` answers at once. Exit codes: 0 all is well, 1 `check` or `vehicle --check` found something
+wrong, or a replayed track is not to be trusted, 2 wrong usage or input, 130 interrupted, 141 whoever read the output
+has gone; `run` has its own (see its help).
 """
 
 from __future__ import annotations
@@ -97,7 +97,9 @@ def _fail(text: str, code: int) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = _Parser(prog="navfilter", description=_ABOUT, epilog=_FIRST_STEPS, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = _Parser(
+        prog="navfilter", description=_ABOUT, epilog=_FIRST_STEPS, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--version", action=_Version, nargs=0, help="show the version and stop")
     parser.set_defaults(run=None)
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", parser_class=_Parser)
@@ -128,7 +130,9 @@ class _Version(argparse.Action):
         parser.exit(OK)
 
 
-def _command(commands: Any, name: str, run: Callable[[argparse.Namespace], int], about: str, epilog: str) -> argparse.ArgumentParser:
+def _command(
+    commands: Any, name: str, run: Callable[[argparse.Namespace], int], about: str, epilog: str
+) -> argparse.ArgumentParser:
     parser: argparse.ArgumentParser = commands.add_parser(
         name,
         help=about,
@@ -157,7 +161,9 @@ def _add_replay(commands: Any) -> None:
 def _add_compare(commands: Any) -> None:
     from navfilter.commands import compare as compare_command
 
-    compare_command.add_arguments(_command(commands, "compare", compare_command.run, compare_command.ABOUT, compare_command.EPILOG))
+    compare_command.add_arguments(
+        _command(commands, "compare", compare_command.run, compare_command.ABOUT, compare_command.EPILOG)
+    )
 
 
 # --- run --------------------------------------------------------------------------------------------------------------
@@ -184,7 +190,9 @@ def _add_montecarlo(commands: Any) -> None:
 def _add_identify(commands: Any) -> None:
     from navfilter.commands import identify as identify_command
 
-    identify_command.add_arguments(_command(commands, "identify", identify_command.run, identify_command.ABOUT, identify_command.EPILOG))
+    identify_command.add_arguments(
+        _command(commands, "identify", identify_command.run, identify_command.ABOUT, identify_command.EPILOG)
+    )
 
 
 # --- simulate ---------------------------------------------------------------------------------------------------------
@@ -196,8 +204,10 @@ def _add_simulate(commands: Any) -> None:
         "simulate",
         _simulate,
         "simulate a mission with its truth",
-        "DIR gets mission.npz and vehicle.toml; a name that ends in .npz gets the mission, with the vehicle in a .toml beside it.\n"
-        "Where the sensors err otherwise than the vehicle believes, a second file, vehicle_true.toml, says how: it is the oracle of\n"
+        "DIR gets mission.npz and vehicle.toml; a name that ends in .npz gets the mission, with the vehicle in a .toml "
+        "beside it.\n"
+        "Where the sensors err otherwise than the vehicle believes, a second file, vehicle_true.toml, says how: it is "
+        "the oracle of\n"
         "'navfilter compare'.\n\n"
         "examples:\n"
         "  navfilter simulate --list\n"
@@ -207,8 +217,12 @@ def _add_simulate(commands: Any) -> None:
     parser.add_argument("--list", action="store_true", help="list the scenarios and stop")
     parser.add_argument("--out", metavar="PATH", help="folder, or file that ends in .npz")
     add_force_argument(parser)
-    parser.add_argument("--seed", type=seed, default=1, metavar="N", help="seed of everything random (default: %(default)s)")
-    parser.add_argument("--duration", type=positive, metavar="S", help="length in seconds (default: that of the scenario)")
+    parser.add_argument(
+        "--seed", type=seed, default=1, metavar="N", help="seed of everything random (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--duration", type=positive, metavar="S", help="length in seconds (default: that of the scenario)"
+    )
     parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
 
 
@@ -247,13 +261,16 @@ def _add_check(commands: Any) -> None:
         "check",
         _check,
         "look at a recording before it is replayed",
-        "Reports rates, gaps, repeats and quantisation of every stream, and looks for the usual mistakes: gravity upside down, axes\n"
-        "swapped, degrees for radians, gyro against heading, DVL against position. Exit code 1 when something would spoil a replay.\n\n"
+        "Reports rates, gaps, repeats and quantisation of every stream, and looks for the usual mistakes: gravity "
+        "upside down, axes\n"
+        "swapped, degrees for radians, gyro against heading, DVL against position. Exit code 1 when something would "
+        "spoil a replay.\n\n"
         "examples:\n"
         "  navfilter check dive_042\n"
         "  navfilter check dive.mcap                            a bare log: what is in it, and mapped as by\n"
         "                                                       'navfilter mission --init'\n"
-        "  navfilter check dive_042 --vehicle vehicle.toml      also: are all sensors there, with their mountings applied\n",
+        "  navfilter check dive_042 --vehicle vehicle.toml      also: are all sensors there, with their mountings "
+        "applied\n",
     )
     parser.add_argument("mission", metavar="MISSION", help="a mission, or a bare log")
     parser.add_argument("--vehicle", metavar="TOML", help="the vehicle.toml, or the folder that holds it")
@@ -307,7 +324,9 @@ def _add_mission(commands: Any) -> None:
 def _add_vehicle(commands: Any) -> None:
     from navfilter.commands import vehicle as vehicle_command
 
-    vehicle_command.add_arguments(_command(commands, "vehicle", vehicle_command.run, vehicle_command.ABOUT, vehicle_command.EPILOG))
+    vehicle_command.add_arguments(
+        _command(commands, "vehicle", vehicle_command.run, vehicle_command.ABOUT, vehicle_command.EPILOG)
+    )
 
 
 # --- warmup -----------------------------------------------------------------------------------------------------------

@@ -23,11 +23,23 @@ from navfilter.arma.roots import is_stable
 from navfilter.arma.stationary import stationary_covariance
 from navfilter.constants import ROOT_HOUR
 
-__all__ = ["Arma", "Block", "ErrorModel", "GaussMarkov", "Integrated", "RandomWalk", "Sum", "White", "block_level", "per_axis"]
+__all__ = [
+    "Arma",
+    "Block",
+    "ErrorModel",
+    "GaussMarkov",
+    "Integrated",
+    "RandomWalk",
+    "Sum",
+    "White",
+    "block_level",
+    "per_axis",
+]
 
 Array = NDArray[np.float64]
 
-#: beta * tau of an order-n Gauss-Markov process whose autocorrelation falls to 1/e at tau (thesis, after eq 2.42, corrected).
+#: beta * tau of an order-n Gauss-Markov process whose autocorrelation falls to 1/e at tau (thesis, after eq 2.42,
+#: corrected).
 CORRELATION_CONSTANTS = {1: 1.0, 2: 2.14619322062, 3: 2.90462997502, 4: 3.51264845273}
 #: A pole nearer to the unit circle than this has no stationary variance in floating point.
 UNIT_ROOT = 1e-12
@@ -107,8 +119,8 @@ class ErrorModel:
     def integrated(self, period_s: float) -> Integrated:
         """What this error looks like to an integral of the readings: white noise, and a bias that wanders.
 
-        Default: a stationary error is forgotten within the time of an integral, which then sees white noise of its S(0); one with a
-        unit root is a bias that wanders by its own driving noise.
+        Default: a stationary error is forgotten within the time of an integral, which then sees white noise of its
+        S(0); one with a unit root is a bias that wanders by its own driving noise.
 
         Parameters
         ----------
@@ -153,8 +165,8 @@ class White(ErrorModel):
     sd : float, optional
         Standard deviation of one sample [unit of the sensor].
     density : float, optional
-        Root power spectral density [unit/sqrt(Hz)]; the variance of a sample is ``density**2 * rate`` (Groves, 2013, sec. 14.2.6).
-        Give either `sd` or `density`.
+        Root power spectral density [unit/sqrt(Hz)]; the variance of a sample is ``density**2 * rate`` (Groves, 2013,
+        sec. 14.2.6). Give either `sd` or `density`.
 
     Examples
     --------
@@ -167,7 +179,9 @@ class White(ErrorModel):
 
     def __post_init__(self) -> None:
         if (self.sd is None) == (self.density is None):
-            raise ValueError(f"White needs exactly one of sd and density, found sd={self.sd!r}, density={self.density!r}.")
+            raise ValueError(
+                f"White needs exactly one of sd and density, found sd={self.sd!r}, density={self.density!r}."
+            )
         _check("White.density" if self.sd is None else "White.sd", self.density if self.sd is None else self.sd)  # type: ignore[arg-type]
 
     def block(self, period_s: float) -> Block:
@@ -183,7 +197,8 @@ class RandomWalk(ErrorModel):
     Parameters
     ----------
     density : float
-        Root PSD of the rate of change [unit/s/sqrt(Hz)]: the variance grows by ``density**2`` per second (Groves, 2013, sec. 14.2.6).
+        Root PSD of the rate of change [unit/s/sqrt(Hz)]: the variance grows by ``density**2`` per second (Groves, 2013,
+        sec. 14.2.6).
     start_sd : float, optional
         Standard deviation at the start [unit], such as a turn-on bias. Default: what the walk gathers in one hour,
         ``60 * density``.
@@ -210,14 +225,16 @@ class RandomWalk(ErrorModel):
 
 @dataclass(frozen=True)
 class GaussMarkov(ErrorModel):
-    """Stationary Gauss-Markov process of order 1 to 4: ``(d/dt + beta)^n x = w`` (thesis eq 2.41, corrected; Gelb, 1974, sec. 3.6).
+    """Stationary Gauss-Markov process of order 1 to 4: ``(d/dt + beta)^n x = w`` (thesis eq 2.41, corrected; Gelb,
+    1974, sec. 3.6).
 
     Parameters
     ----------
     sd : float
         Stationary standard deviation [unit].
     tau_s : float
-        Correlation time [s]: lag at which the autocorrelation is 1/e. ``beta = c_n / tau`` with c = 1, 2.1462, 2.9046, 3.5126.
+        Correlation time [s]: lag at which the autocorrelation is 1/e. ``beta = c_n / tau`` with c = 1, 2.1462, 2.9046,
+        3.5126.
     order : int
         1 to 4.
 
@@ -240,7 +257,9 @@ class GaussMarkov(ErrorModel):
         _check("GaussMarkov.sd", self.sd)
         _check("GaussMarkov.tau_s", self.tau_s, zero_ok=False)
         if self.order not in CORRELATION_CONSTANTS:
-            raise ValueError(f"GaussMarkov.order must be 1, 2, 3 or 4, found {self.order!r}. For other orders use Arma.")
+            raise ValueError(
+                f"GaussMarkov.order must be 1, 2, 3 or 4, found {self.order!r}. For other orders use Arma."
+            )
 
     @property
     def beta(self) -> float:
@@ -248,7 +267,9 @@ class GaussMarkov(ErrorModel):
         return CORRELATION_CONSTANTS[self.order] / self.tau_s
 
     def block(self, period_s: float) -> Block:
-        """Discretise: closed form for order 1, Van Loan's method (1978) above, the stationary covariance where much decays in a period."""
+        """Discretise: closed form for order 1, Van Loan's method (1978) above, the stationary covariance where much
+        decays in a period.
+        """
         n, step = self.order, self.beta * period_s
         if n == 1:
             phi = math.exp(-step)
@@ -260,16 +281,17 @@ class GaussMarkov(ErrorModel):
         F[-1] = [-math.comb(n, k) for k in range(n)]
         P0 = _stationary_gauss_markov(n) * self.sd**2
         if step > 2.0:
-            # Van Loan's matrix holds exp(+step), which swallows all digits of Q when much decays between two samples; what has
-            # decayed is what the stationary variance makes up for.
-            # F has the one eigenvalue -1, so that the series of exp((F + 1) step) ends; beyond 700 nothing is left of it.
+            # Van Loan's matrix holds exp(+step), which swallows all digits of Q when much decays between two samples;
+            # what has decayed is what the stationary variance makes up for. F has the one eigenvalue -1, so that the
+            # series of exp((F + 1) step) ends; beyond 700 nothing is left of it.
             step = min(step, 700.0)
             Phi = math.exp(-step) * np.sum(
                 [np.linalg.matrix_power(F + np.eye(n), k) * (step**k / math.factorial(k)) for k in range(n)], axis=0
             )
             Q = P0 - Phi @ P0 @ Phi.T
             return Block(_square(Phi, n), _square((Q + Q.T) / 2, n), np.eye(n)[0], 0.0, P0)
-        # White noise of spectral density s2 drives the last state; the process then has this variance (thesis eq 2.42, corrected).
+        # White noise of spectral density s2 drives the last state; the process then has this variance (thesis eq 2.42,
+        # corrected).
         s2 = self.sd**2 * 2.0 ** (2 * n - 1) * math.factorial(n - 1) ** 2 / math.factorial(2 * n - 2)
         G = np.zeros((n, 1))
         G[-1] = math.sqrt(s2)
@@ -277,12 +299,16 @@ class GaussMarkov(ErrorModel):
         return Block(_square(Phi, n), _square((Q + Q.T) / 2, n), np.eye(n)[0], 0.0, P0)
 
     def integrated(self, period_s: float) -> Integrated:
-        """As a walk: such a model states a bias that outlasts the integral, which sees the beginning of a walk from its variance."""
+        """As a walk: such a model states a bias that outlasts the integral, which sees the beginning of a walk from its
+        variance.
+        """
         return _as_walk(self.block(period_s))
 
 
 def _stationary_gauss_markov(n: int) -> Array:
-    """Stationary covariance of the scaled states for unit variance: E[x^(i) x^(j)] = (-1)^j R^(i+j)(0), odd derivatives vanish."""
+    """Stationary covariance of the scaled states for unit variance: E[x^(i) x^(j)] = (-1)^j R^(i+j)(0), odd derivatives
+    vanish.
+    """
     # Partial moments of the spectrum 1/(1 + w^2)^n: m_2k = integral of w^2k S(w), ratio by the beta function.
     moment = [math.gamma(k + 0.5) * math.gamma(n - k - 0.5) / (math.gamma(0.5) * math.gamma(n - 0.5)) for k in range(n)]
     P = np.zeros((n, n))
@@ -330,7 +356,8 @@ class Arma(ErrorModel):
         if not is_stable(np.array(self.ar)):
             radius = max(abs(np.roots([1.0, *self.ar])))
             raise ValueError(
-                f"Arma.ar has a pole of radius {radius:.6f}: the error would grow without bound. Use a pole inside the unit circle, "
+                f"Arma.ar has a pole of radius {radius:.6f}: the error would grow without bound. Use a pole inside the "
+                "unit circle, "
                 "or RandomWalk(...) + Arma(...) for a unit root."
             )
 
@@ -359,7 +386,9 @@ class Sum(ErrorModel):
             key: _square(block_diag(*(getattr(b, key) for b in blocks if b.size)), n) if n else np.zeros((0, 0))
             for key in ("Phi", "Q", "P0")
         }
-        return Block(stack["Phi"], stack["Q"], np.concatenate([b.C for b in blocks]), sum(b.r for b in blocks), stack["P0"])
+        return Block(
+            stack["Phi"], stack["Q"], np.concatenate([b.C for b in blocks]), sum(b.r for b in blocks), stack["P0"]
+        )
 
     def integrated(self, period_s: float) -> Integrated:
         """Part by part: the errors are independent, so that the variances add."""
@@ -381,6 +410,7 @@ def per_axis(error: ErrorModel | Sequence[ErrorModel], axes: int, owner: str) ->
     models = (error,) * axes if isinstance(error, ErrorModel) else tuple(error) if isinstance(error, Sequence) else ()
     if len(models) != axes or not all(isinstance(m, ErrorModel) for m in models):
         raise ValueError(
-            f"{owner} needs one error model, or a tuple of {axes}, found {error!r}. Example: White(sd=0.1) + RandomWalk(density=1e-4)."
+            f"{owner} needs one error model, or a tuple of {axes}, found {error!r}. Example: White(sd=0.1) + "
+            "RandomWalk(density=1e-4)."
         )
     return models

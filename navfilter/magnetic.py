@@ -35,7 +35,8 @@ def declination(latitude_deg: float, longitude_deg: float, height_m: float, date
     """
     if date is None:
         raise ValueError(
-            "the declination needs a date: set date in mission.toml or Start(date=...), or give the compass declination_rad=... "
+            "the declination needs a date: set date in mission.toml or Start(date=...), or give the compass "
+            "declination_rad=... "
             "(declination_deg in vehicle.toml), or magnetic=False if it reads true heading."
         )
     year = date.year + (date.timetuple().tm_yday - 1) / 365.25
@@ -44,15 +45,19 @@ def declination(latitude_deg: float, longitude_deg: float, height_m: float, date
     from pygeomag import GeoMag
 
     model = GeoMag(base_year=max(y for y in MODEL_YEARS if y <= year))
-    result = model.calculate(glat=latitude_deg, glon=(longitude_deg + 180.0) % 360.0 - 180.0, alt=height_m / 1000.0, time=year)
+    result = model.calculate(
+        glat=latitude_deg, glon=(longitude_deg + 180.0) % 360.0 - 180.0, alt=height_m / 1000.0, time=year
+    )
     return float(np.radians(result.d))
 
 
-def calibrate_magnetometer(field: ArrayLike, magnitude: float | None = None) -> tuple[tuple[float, ...], tuple[float, ...]]:
+def calibrate_magnetometer(
+    field: ArrayLike, magnitude: float | None = None
+) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Hard and soft iron of a magnetometer from readings taken while turning.
 
-    Readings that leave the plane of the turns get the full ellipsoid (soft iron included); readings confined to a plane, as on a car or a
-    vehicle that only yaws, get the offsets in that plane and the ratio of its axes.
+    Readings that leave the plane of the turns get the full ellipsoid (soft iron included); readings confined to a
+    plane, as on a car or a vehicle that only yaws, get the offsets in that plane and the ratio of its axes.
 
     Parameters
     ----------
@@ -79,7 +84,9 @@ def calibrate_magnetometer(field: ArrayLike, magnitude: float | None = None) -> 
     centre = m.mean(axis=0)
     _, spread, axes = np.linalg.svd(m - centre, full_matrices=False)
     if spread[1] < 0.15 * spread[0]:
-        raise ValueError("the readings lie on a short arc: turn the vehicle through at least half a circle for the calibration.")
+        raise ValueError(
+            "the readings lie on a short arc: turn the vehicle through at least half a circle for the calibration."
+        )
     dims = 3 if spread[2] > 0.25 * spread[0] else 2
     basis = axes[:dims]
     # Coordinates scaled to unit size, so that the fit of the quadric is well conditioned.
@@ -97,7 +104,9 @@ def calibrate_magnetometer(field: ArrayLike, magnitude: float | None = None) -> 
     A = A / (1.0 + middle @ A @ middle)
     value, vector = np.linalg.eigh(A)
     if np.any(value <= 0):
-        raise ValueError("the readings do not lie on an ellipsoid: turn through more directions, away from iron that moves along.")
+        raise ValueError(
+            "the readings do not lie on an ellipsoid: turn through more directions, away from iron that moves along."
+        )
     root = vector @ np.diag(np.sqrt(value)) @ vector.T
     soft = np.eye(3)
     size = 1.0 / np.sqrt(value).mean()

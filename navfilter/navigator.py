@@ -1,4 +1,6 @@
-"""The navigator: the only thing that runs and changes. `step` carries the state, `correct` takes a reading of any named sensor."""
+"""The navigator: the only thing that runs and changes. `step` carries the state, `correct` takes a reading of any named
+sensor.
+"""
 
 from __future__ import annotations
 
@@ -65,9 +67,9 @@ class Navigator:
     tape : Tape, optional
         Write down what smoother and track need. Without one, memory stays flat.
     history_s : float, optional
-        Readings may come so late [s]: the state goes back and takes them in their place. Default 2 without a tape; with one nothing may be
-        late, because what is on the tape stays there. Models are learnt
-        from readings older than that, and at least 2 s old.
+        Readings may come so late [s]: the state goes back and takes them in their place. Default 2 without a tape; with
+        one nothing may be late, because what is on the tape stays there. Models are learnt from readings older than
+        that, and at least 2 s old.
 
     Raises
     ------
@@ -79,8 +81,9 @@ class Navigator:
     `step` compounds the transition of the drive's samples and folds it into the covariance at every correction and at least once a second:
     the same covariance as folding every sample, without the cost. `state` gives it at any sample.
 
-    It composes what does the work: a `Filter` (`filter`) owns the state, a `LearningSchedule` listens to it and answers with error models
-    to adopt, a history lets late readings find their place, and a watch over each sensor says how it fares.
+    It composes what does the work: a `Filter` (`filter`) owns the state, a `LearningSchedule` listens to it and answers
+    with error models to adopt, a history lets late readings find their place, and a watch over each sensor says how it
+    fares.
 
     A correction between two samples holds the last sample until its time; the next sample then covers what is left.
 
@@ -97,14 +100,19 @@ class Navigator:
     #: Default length of the history [s].
     HISTORY_S = 2.0
 
-    def __init__(self, vehicle: Vehicle, start: Start, tape: Tape | None = None, history_s: float | None = None) -> None:
+    def __init__(
+        self, vehicle: Vehicle, start: Start, tape: Tape | None = None, history_s: float | None = None
+    ) -> None:
         self.vehicle, self.start = vehicle, start
         self.filter = Filter(vehicle, start, tape)
         length_s = (self.HISTORY_S if tape is None else 0.0) if history_s is None else float(history_s)
         if not (math.isfinite(length_s) and length_s >= 0.0):
             raise ValueError(f"history_s must be a finite number >= 0, found {history_s!r}.")
         if length_s and tape is not None:
-            raise ValueError("a run with a tape cannot go back: leave history_s out, and feed the readings in the order of their times.")
+            raise ValueError(
+                "a run with a tape cannot go back: leave history_s out, and feed the readings in the order of their "
+                "times."
+            )
         # a replay has no history, and learns what the same run learns on board with the default one
         self.learning = LearningSchedule(self.filter, max(length_s, self.HISTORY_S))
         self._room = None if self.learning.rest is None else self.learning.room
@@ -123,8 +131,8 @@ class Navigator:
         time_s : float or array_like, shape (n,)
             Time of the sample(s) [s].
         first, second : array_like, shape (3,) or (n, 3)
-            For an `Imu` angular rate [rad/s] and specific force [m/s^2] in b (or increments); for `DeadReckoning` roll, pitch, yaw [rad]
-            and velocity in instrument axes [m/s].
+            For an `Imu` angular rate [rad/s] and specific force [m/s^2] in b (or increments); for `DeadReckoning` roll,
+            pitch, yaw [rad] and velocity in instrument axes [m/s].
 
         Notes
         -----
@@ -160,8 +168,8 @@ class Navigator:
         name : str
             Key of the sensor in the vehicle.
         time_s : float
-            Time of validity [s]: at most `history_s` (without a history about one period of the drive) before the present, at most a second
-            after it.
+            Time of validity [s]: at most `history_s` (without a history about one period of the drive) before the
+            present, at most a second after it.
         value : float or array_like
             The reading in SI units and radians; NaN is a missing component.
         sd : float or array_like, optional
@@ -249,9 +257,11 @@ class Navigator:
 
     # ---------------------------------------------------------------- error models
     def adopt(self, name: str, error: Errors) -> None:
-        """Put other error models of one sensor in force, now; the states follow without a jump, and it goes on the tape.
+        """Put other error models of one sensor in force, now; the states follow without a jump, and it goes on the
+        tape.
 
-        Readings from before this moment are too late from now on, and the beginning is not done again for learnt models.
+        Readings from before this moment are too late from now on, and the beginning is not done again for learnt
+        models.
 
         Parameters
         ----------
@@ -271,7 +281,9 @@ class Navigator:
             self._history.begin()
 
     def listen(self, name: str, capacity: int | None = None) -> None:
-        """Note the open-loop residuals of a sensor, see `heard` and `navfilter.learning.schedule.LearningSchedule.listen`."""
+        """Note the open-loop residuals of a sensor, see `heard` and
+        `navfilter.learning.schedule.LearningSchedule.listen`.
+        """
         self.learning.listen(name, capacity)
 
     def heard(self, name: str) -> tuple[ChannelSeries, ...]:
@@ -327,7 +339,8 @@ class Navigator:
         Parameters
         ----------
         path : path-like, optional
-            Written to a temporary file beside it, synced to the disk and renamed: whatever happens there is one whole snapshot.
+            Written to a temporary file beside it, synced to the disk and renamed: whatever happens there is one whole
+            snapshot.
 
         Raises
         ------
@@ -340,7 +353,9 @@ class Navigator:
             raise ValueError("a run with a tape keeps no snapshot: make the navigator without one.")
         memory, inputs = (self.memory, []) if self._history is None else self._history.kept()
         beginning = memory.learning.beginning
-        learning = dataclasses.replace(memory.learning, beginning=None if beginning is None else beginning[: memory.learning.kept])
+        learning = dataclasses.replace(
+            memory.learning, beginning=None if beginning is None else beginning[: memory.learning.kept]
+        )
         length_s = 0.0 if self._history is None else self._history.length_s
         whole = NavigatorMemory(memory.filter, learning)
         saved = snapshots.Saved(self.start, length_s, whole, inputs, self._watches)
@@ -398,4 +413,3 @@ class Navigator:
         if self._history is None:
             raise ValueError("it has inputs without a history")
         self._history.feed(item)
-

@@ -59,8 +59,8 @@ def replay(
     progress : bool
         Show a progress bar on standard error.
     iterate : int
-        Identify on the whole mission first, see `identified`, in at most so many rounds. The models then are in force from the start, and
-        frozen. 0: the models are learnt under way, from what came before, as on the vehicle.
+        Identify on the whole mission first, see `identified`, in at most so many rounds. The models then are in force
+        from the start, and frozen. 0: the models are learnt under way, from what came before, as on the vehicle.
 
     Returns
     -------
@@ -69,7 +69,8 @@ def replay(
     Raises
     ------
     ValueError
-        When a stream is missing, empty, or the mission holds nothing after the start, and for `iterate` where no sensor learns.
+        When a stream is missing, empty, or the mission holds nothing after the start, and for `iterate` where no sensor
+        learns.
     """
     if iterate:
         start = _start(vehicle, mission, start)
@@ -93,10 +94,11 @@ def identified(
     start: Start | None = None,
     report: Callable[[int, float], None] | None = None,
 ) -> Vehicle:
-    """Error models identified on a whole mission: replay, fit every `LearnedArma` to all that was heard, replay with the fits, fit again.
+    """Error models identified on a whole mission: replay, fit every `LearnedArma` to all that was heard, replay with
+    the fits, fit again.
 
-    Ends when the models have settled: ln S(0) and the innovations' sd of every axis change by less than `SETTLED` of their own standard
-    deviation.
+    Ends when the models have settled: ln S(0) and the innovations' sd of every axis change by less than `SETTLED` of
+    their own standard deviation.
 
     Parameters
     ----------
@@ -107,8 +109,8 @@ def identified(
     start : Start, optional
         As in `replay`.
     report : callable, optional
-        Called after each round with its number and the change since the round before (`navfilter.learning.refit.change`; infinite in the
-        first).
+        Called after each round with its number and the change since the round before
+        (`navfilter.learning.refit.change`; infinite in the first).
 
     Returns
     -------
@@ -129,7 +131,10 @@ def identified(
     """
     names = learning_sensors(vehicle)
     if not names:
-        raise ValueError('no sensor of this vehicle learns its error: give one a LearnedArma (model = "learned-arma"), or do not iterate.')
+        raise ValueError(
+            'no sensor of this vehicle learns its error: give one a LearnedArma (model = "learned-arma"), or do not '
+            "iterate."
+        )
     if int(rounds) != rounds or rounds < 1:
         raise ValueError(f"rounds must be a whole number of at least 1, found {rounds!r}.")
     start = _start(vehicle, mission, start)
@@ -164,7 +169,9 @@ def drive_samples(vehicle: Vehicle, mission: Mission) -> tuple[Array, Array]:
         if not len(mission.streams[name]):
             raise ValueError(f'stream "{name}" of this mission is empty; the vehicle\'s drive needs it.')
         if mission.streams[name].value.shape[1] < columns:
-            raise ValueError(f'stream "{name}" has {mission.streams[name].value.shape[1]} columns, but its drive takes {columns}.')
+            raise ValueError(
+                f'stream "{name}" has {mission.streams[name].value.shape[1]} columns, but its drive takes {columns}.'
+            )
     return vehicle.drive.samples(mission.streams)
 
 
@@ -172,7 +179,8 @@ def _require(mission: Mission, name: str, why: str, instead: str) -> None:
     if name not in mission.streams:
         have = ", ".join(mission.streams) or "none"
         raise ValueError(
-            f'"{name}" has no stream in this mission (streams: {have}); {why}. Add [streams.{name}] to the mission.toml, '
+            f'"{name}" has no stream in this mission (streams: {have}); {why}. Add [streams.{name}] to the '
+            "mission.toml, "
             f"or {instead}."
         )
 
@@ -196,7 +204,9 @@ def _events(vehicle: Vehicle, mission: Mission, begin_s: float) -> _Events:
         _require(mission, name, f'the vehicle has a sensor "{name}"', leave_out)
         width, sensor = mission.streams[name].value.shape[1], vehicle.sensors[name]
         if width < sensor.reads:
-            raise ValueError(f'stream "{name}" has {width} columns, but a {type(sensor).__name__} takes {sensor.reads}.')
+            raise ValueError(
+                f'stream "{name}" has {width} columns, but a {type(sensor).__name__} takes {sensor.reads}.'
+            )
     streams = [mission.streams[name] for name in names]
     times = np.concatenate([np.empty(0), *(s.time_s for s in streams)])
     number = np.concatenate([np.empty(0, int), *(np.full(len(s), i) for i, s in enumerate(streams))])
@@ -217,7 +227,10 @@ def _sds(stream: Stream) -> list[Array | None] | None:
 def _run(nav: Navigator, times: Array, values: Array, events: _Events, progress: bool) -> None:
     done = int(np.searchsorted(times, nav.start.time_s - 1e-9))
     if done >= len(times):
-        raise ValueError(f"the drive's stream ends at {times[-1]:.3f} s, before the start at {nav.start.time_s:.3f} s. Check the clocks.")
+        raise ValueError(
+            f"the drive's stream ends at {times[-1]:.3f} s, before the start at {nav.start.time_s:.3f} s. Check the "
+            "clocks."
+        )
     bar = _bar(len(events.time_s), "filter", progress)
     ends = np.searchsorted(times, events.time_s + 1e-9, side="right").tolist()
     readings = zip(events.time_s.tolist(), events.sensor.tolist(), events.row.tolist(), ends, strict=True)
@@ -354,7 +367,8 @@ def residual_series(
     Returns
     -------
     dict of str to tuple of ChannelSeries
-        One series per axis: readings minus the prediction of an open loop, with the known noise of what else is in them.
+        One series per axis: readings minus the prediction of an open loop, with the known noise of what else is in
+        them.
     """
     drive = drive_samples(vehicle, mission)
     start = _start(vehicle, mission, start)

@@ -54,7 +54,9 @@ class Start:
             if not math.isfinite(getattr(self, name)):
                 raise ValueError(f"Start.{name} must be finite, found {getattr(self, name)!r}.")
         if abs(self.latitude_deg) > 89.9:
-            raise ValueError(f"Start.latitude_deg must lie within 89.9 degrees of the equator, found {self.latitude_deg!r}.")
+            raise ValueError(
+                f"Start.latitude_deg must lie within 89.9 degrees of the equator, found {self.latitude_deg!r}."
+            )
         for name in ("position_sd_m", "velocity_sd_m_s", "tilt_sd_deg", "heading_sd_deg"):
             if not np.all(np.isfinite(getattr(self, name))) or np.any(np.asarray(getattr(self, name)) < 0):
                 raise ValueError(f"Start.{name} must be >= 0, found {getattr(self, name)!r}.")

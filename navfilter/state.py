@@ -132,7 +132,9 @@ class NavState:
         )
 
     def minus(self, other: NavState) -> Array:
-        """The vector, shape (9,), that takes `other` to this state: ``other.plus(self.minus(other))`` is this state to first order."""
+        """The vector, shape (9,), that takes `other` to this state: ``other.plus(self.minus(other))`` is this state to
+        first order.
+        """
         meridian, prime = strapdown.radii(other.latitude)
         return np.concatenate(
             [
@@ -150,9 +152,19 @@ class NavState:
         """The state as the kernels hold it, shape (17,)."""
         meridian, prime = strapdown.radii(self.latitude)
         place = [self.latitude, self.longitude, self.height]
-        return np.concatenate([place, self.velocity_n, np.ravel(self.C_nb), [meridian + self.height, prime + self.height]])
+        return np.concatenate(
+            [place, self.velocity_n, np.ravel(self.C_nb), [meridian + self.height, prime + self.height]]
+        )
 
     @classmethod
     def unpack(cls, time_s: float, nav: Array, covariance: Array | None = None) -> NavState:
         """The inverse of `pack`; copies."""
-        return cls(time_s, float(nav[0]), float(nav[1]), float(nav[2]), nav[3:6].copy(), nav[6:15].reshape(3, 3).copy(), covariance)
+        return cls(
+            time_s,
+            float(nav[0]),
+            float(nav[1]),
+            float(nav[2]),
+            nav[3:6].copy(),
+            nav[6:15].reshape(3, 3).copy(),
+            covariance,
+        )

@@ -157,16 +157,18 @@ class Track:
         Returns
         -------
         dict of str to list of dict
-            "time_s" from when it was in force, "order" (p, q), "ar", "ma", "sd" (of the innovations), "s0" (spectral density at zero
-            frequency, ``sd^2 (C(1) / A(1))^2`` per sample), "sd_log_s0", "pole_radius" (the largest; 0 without poles), "flags", "frozen".
-            SI units and radians. Axes that have none are left out.
+            "time_s" from when it was in force, "order" (p, q), "ar", "ma", "sd" (of the innovations), "s0" (spectral
+            density at zero frequency, ``sd^2 (C(1) / A(1))^2`` per sample), "sd_log_s0", "pole_radius" (the largest; 0
+            without poles), "flags", "frozen". SI units and radians. Axes that have none are left out.
         """
         found: dict[str, list[dict[str, Any]]] = {}
         for name, history in self.error_models.items():
             last: dict[str, LearnedArma] = {}
             for time_s, error in history:
                 models = error if isinstance(error, tuple) else (error,)
-                axes = getattr(self.vehicle.sensors.get(name), "axis_names", ("x", "y", "z")) if len(models) > 1 else ("",)
+                axes = (
+                    getattr(self.vehicle.sensors.get(name), "axis_names", ("x", "y", "z")) if len(models) > 1 else ("",)
+                )
                 for axis, model in zip(axes, models, strict=True):
                     title, part = f"{name} {axis}".strip(), learned_part(model)
                     # what is no other than before is the adoption of another axis
@@ -199,11 +201,16 @@ class Track:
             unit = self.state_units[i] if self.state_units else "1"
             factor = 180.0 / math.pi if unit.startswith("rad") else 1.0
             unit = unit.replace("rad", "deg")
-            columns[f"{name}_{unit}"], columns[f"{name}_sd_{unit}"] = factor * self.states[:, i], factor * self.states_sd[:, i]
+            columns[f"{name}_{unit}"], columns[f"{name}_sd_{unit}"] = (
+                factor * self.states[:, i],
+                factor * self.states_sd[:, i],
+            )
         return pd.DataFrame(columns)
 
     def _attitude_sd(self) -> Array:
-        """Standard deviations of roll, pitch and heading [rad], shape (n, 3), from the covariance of the rotation vector in n."""
+        """Standard deviations of roll, pitch and heading [rad], shape (n, 3), from the covariance of the rotation
+        vector in n.
+        """
         _, pitch, heading = self.attitude.T
         c, s, t, z, o = np.cos(heading), np.sin(heading), np.tan(pitch), np.zeros(len(self)), np.ones(len(self))
         cp = np.cos(pitch)
@@ -212,7 +219,9 @@ class Track:
         return np.sqrt(np.maximum(np.diagonal(P, axis1=1, axis2=2), 0.0))
 
     def errors(self, truth: Stream) -> TrackErrors:
-        """Errors of the track, at its own times; the truth is interpolated (NaN outside it and across gaps in it longer than 5 s)."""
+        """Errors of the track, at its own times; the truth is interpolated (NaN outside it and across gaps in it longer
+        than 5 s).
+        """
         t = _interpolate(truth, self.time_s)
         lat, lon, h = t[:, 0], t[:, 1], t[:, 2]
         north_east_down = _metres(self.latitude, self.longitude, self.height, lat, lon, h)
@@ -220,10 +229,13 @@ class Track:
         attitude = np.full((len(self), 3), np.nan)
         known = np.isfinite(t[:, 6:9]).all(axis=1)
         attitude[known] = rotation_vector(C[known] @ np.swapaxes(C_true[known], 1, 2))
-        return TrackErrors(self.time_s, north_east_down, self.velocity_n - t[:, 3:6], attitude, wrap(self.attitude[:, 2] - t[:, 8]))
+        return TrackErrors(
+            self.time_s, north_east_down, self.velocity_n - t[:, 3:6], attitude, wrap(self.attitude[:, 2] - t[:, 8])
+        )
 
     def nees(self, errors: TrackErrors) -> dict[str, Array]:
-        """Normalised estimation error squared per degree of freedom over time: position, velocity, attitude, heading (NaN without truth).
+        """Normalised estimation error squared per degree of freedom over time: position, velocity, attitude, heading
+        (NaN without truth).
 
         Components without truth (a depth, a roll) are left out.
         """
@@ -246,7 +258,14 @@ class Track:
         windows : tuple of (float, float)
             Times [s] to be scored; default all.
         """
-        keys = ("position_rms_m", "position_max_m", "position_end_m", "position_end_pct", "heading_rms_deg", "velocity_rms_m_s")
+        keys = (
+            "position_rms_m",
+            "position_max_m",
+            "position_end_m",
+            "position_end_pct",
+            "heading_rms_deg",
+            "velocity_rms_m_s",
+        )
         result: dict[str, Any] = dict.fromkeys((*keys, "nees_position", "nees_heading"))
         if truth is not None and len(truth):
             errors = self.errors(truth)
@@ -262,12 +281,17 @@ class Track:
                 result["position_end_pct"] = float(100.0 * valid[-1] / self.distance_m) if self.distance_m > 0 else None
             result["heading_rms_deg"] = _rms(np.degrees(errors.heading[scored]))
             result["velocity_rms_m_s"] = _rms(np.linalg.norm(errors.velocity_n[scored], axis=1))
-            result["nees_position"], result["nees_heading"] = _mean(nees["position"][scored]), _mean(nees["heading"][scored])
+            result["nees_position"], result["nees_heading"] = (
+                _mean(nees["position"][scored]),
+                _mean(nees["heading"][scored]),
+            )
         r = self.residuals
         result["nis"] = {name: _mean(v.nis[v.used] / np.maximum(v.dof[v.used], 1)) for name, v in r.items()}
         for outcome in ("used", "rejected", "invalid"):
             result[outcome] = {name: v.count(outcome) for name, v in r.items()}
-        result["models"] = {name: [[round(t, 3), str(m)] for t, m in models] for name, models in self.error_models.items()}
+        result["models"] = {
+            name: [[round(t, 3), str(m)] for t, m in models] for name, models in self.error_models.items()
+        }
         result["adopted"] = self.adopted()
         result["cpu_s"] = self.cpu_s
         return result
@@ -320,7 +344,10 @@ def _metres(lat: Array, lon: Array, h: Array, lat0: Any, lon0: Any, h0: Any) -> 
     meridian = prime * (1.0 - strapdown.EARTH_E2) / (1.0 - strapdown.EARTH_E2 * s2)
     height = 0.5 * (h + h0)
     height = np.where(np.isfinite(height), height, 0.0)
-    return np.stack([(lat - lat0) * (meridian + height), wrap(lon - lon0) * (prime + height) * np.cos(mid), h0 - h + 0.0 * lat], axis=-1)
+    return np.stack(
+        [(lat - lat0) * (meridian + height), wrap(lon - lon0) * (prime + height) * np.cos(mid), h0 - h + 0.0 * lat],
+        axis=-1,
+    )
 
 
 def _interpolate(truth: Stream, time_s: Array, longest_gap_s: float = 5.0) -> Array:
@@ -336,6 +363,8 @@ def _interpolate(truth: Stream, time_s: Array, longest_gap_s: float = 5.0) -> Ar
             v = np.unwrap(v)
         after = np.clip(np.searchsorted(t, time_s, side="left"), 1, len(t) - 1)
         inside = (time_s >= t[0] - 1e-6) & (time_s <= t[-1] + 1e-6)
-        near = (t[after] - t[after - 1] <= longest_gap_s) | (np.minimum(np.abs(time_s - t[after]), np.abs(time_s - t[after - 1])) < 1e-6)
+        near = (t[after] - t[after - 1] <= longest_gap_s) | (
+            np.minimum(np.abs(time_s - t[after]), np.abs(time_s - t[after - 1])) < 1e-6
+        )
         result[:, c] = np.where(inside & near, np.interp(time_s, t, v), np.nan)
     return result

@@ -29,7 +29,8 @@ class Vehicle:
     drive : Imu or DeadReckoning
         What carries the state between corrections; ``imu=`` is short for it.
     sensors : dict of str to Sensor
-        The correcting sensors by name. The name is that of the mission's stream, the state block, the residuals and the output columns.
+        The correcting sensors by name. The name is that of the mission's stream, the state block, the residuals and the
+        output columns.
     name : str
         For reports.
 
@@ -62,7 +63,9 @@ class Vehicle:
             raise ValueError(f"Vehicle.drive must be an Imu or a DeadReckoning, found {chosen!r}.")
         for key, sensor in (sensors or {}).items():
             if not isinstance(sensor, Sensor):
-                raise ValueError(f'Vehicle.sensors["{key}"] must be a sensor such as Heading or Depth, found {sensor!r}.')
+                raise ValueError(
+                    f'Vehicle.sensors["{key}"] must be a sensor such as Heading or Depth, found {sensor!r}.'
+                )
             if key in RESERVED:
                 raise ValueError(f'"{key}" is reserved for the drive; give the sensor another name.')
         object.__setattr__(self, "drive", chosen)
@@ -73,7 +76,9 @@ class Vehicle:
         return Vehicle, (self.drive, dict(self.sensors), self.name)
 
     def with_error(self, **models: ErrorModel | tuple[ErrorModel, ...]) -> Vehicle:
-        """The same vehicle with other error models, by sensor name (``gyro``, ``accel``, ``attitude``, ``velocity`` for the drive)."""
+        """The same vehicle with other error models, by sensor name (``gyro``, ``accel``, ``attitude``, ``velocity`` for
+        the drive).
+        """
         drive, sensors = self.drive, dict(self.sensors)
         for key, model in models.items():
             if key in sensors:
@@ -83,7 +88,10 @@ class Vehicle:
                 new = dataclasses.replace(part, error=model) if isinstance(part, Sensor) else model
                 drive = dataclasses.replace(drive, **{key: new})  # type: ignore[arg-type]
             else:
-                raise ValueError(f'"{key}" is no sensor of this vehicle (sensors: {", ".join(sensors)}; drive: {type(drive).__name__}).')
+                raise ValueError(
+                    f'"{key}" is no sensor of this vehicle (sensors: {", ".join(sensors)}; drive: '
+                    f"{type(drive).__name__})."
+                )
         return Vehicle(drive, sensors, self.name)
 
     def without(self, *names: str) -> Vehicle:

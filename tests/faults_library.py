@@ -1,9 +1,9 @@
 """Faults as pure functions on what arrives: a list of events goes in, another one comes out.
 
-An `Event` (see `feeding`) is one reading on its way to the navigator, with the time it was measured (`true_s`), the stamp
-it carries (`time_s`) and when it is delivered (`arrival_s`); the list is in the order of delivery. A fault changes stamps,
-values, order or presence inside a window of time and nothing else. `KINDS` are all kinds by name, and `damaged` applies one.
-Runs of them: `faults_run`.
+An `Event` (see `feeding`) is one reading on its way to the navigator, with the time it was measured (`true_s`), the
+stamp it carries (`time_s`) and when it is delivered (`arrival_s`); the list is in the order of delivery. A fault
+changes stamps, values, order or presence inside a window of time and nothing else. `KINDS` are all kinds by name, and
+`damaged` applies one. Runs of them: `faults_run`.
 """
 
 from __future__ import annotations
@@ -121,12 +121,19 @@ def silent(events: Events, scene: Scene, role: str, seconds: float = 1e9) -> Eve
     return [e for e in events if not (e.sensor == scene.name(role) and _inside(e, window))]
 
 
-def late(events: Events, sensors: Sequence[str], window: tuple[float, float], delay: Callable[[Event], float]) -> Events:
+def late(
+    events: Events, sensors: Sequence[str], window: tuple[float, float], delay: Callable[[Event], float]
+) -> Events:
     """Delivered later, with the stamps that they had."""
-    return _delivered(e._replace(arrival_s=e.arrival_s + delay(e)) if e.sensor in sensors and _inside(e, window) else e for e in events)
+    return _delivered(
+        e._replace(arrival_s=e.arrival_s + delay(e)) if e.sensor in sensors and _inside(e, window) else e
+        for e in events
+    )
 
 
-def restamped(events: Events, sensors: Sequence[str], window: tuple[float, float], stamp: Callable[[Event], Any]) -> Events:
+def restamped(
+    events: Events, sensors: Sequence[str], window: tuple[float, float], stamp: Callable[[Event], Any]
+) -> Events:
     """Other stamps, delivered as before."""
     return [e._replace(time_s=stamp(e)) if e.sensor in sensors and _inside(e, window) else e for e in events]
 
@@ -151,10 +158,11 @@ class Kind:
     apply : callable
         (events, scene, rng) to events.
     counted : tuple of str
-        Any of these must have been counted more often than without the fault: "role:outcome", "drive:counter" or "role is condition" (of
-        the health); empty where nothing needs to be.
+        Any of these must have been counted more often than without the fault: "role:outcome", "drive:counter" or "role
+        is condition" (of the health); empty where nothing needs to be.
     unseen : bool
-        Nothing in the readings tells the fault from a motion or from honest noise, so that the state may be wrong while it lasts.
+        Nothing in the readings tells the fault from a motion or from honest noise, so that the state may be wrong while
+        it lasts.
     """
 
     apply: Fault
@@ -285,7 +293,9 @@ def _burst(events: Events, scene: Scene, rng: np.random.Generator) -> Events:
 
 @kind("bursts stamped on receipt")
 def _burst_received(events: Events, scene: Scene, rng: np.random.Generator) -> Events:
-    """As a serial line does it after the computer was busy for half a second: the readings of that time in one go, 0.2 ms apart."""
+    """As a serial line does it after the computer was busy for half a second: the readings of that time in one go, 0.2
+    ms apart.
+    """
     begin, end = scene.window
     held = late(events, _names(events), scene.window, lambda e: math.ceil(2.0 * e.true_s) / 2.0 - e.true_s)
     result, last = [], -math.inf
@@ -324,11 +334,17 @@ KINDS["clock leaps an hour ahead and returns"] = Kind(
     _clock(_names, 3600.0, for_good=False), ("drive:gap", "drive:backward", "drive:clock-set")
 )
 KINDS["corrections 2 s ahead of the drive"] = Kind(_clock(_corrections, 2.0, for_good=False), ("velocity:ahead",))
-KINDS["corrections 0.2 s behind"] = Kind(_clock(_corrections, -0.2, for_good=False), ("velocity:too-late", "velocity:late-replayed"))
-KINDS["corrections an hour behind"] = Kind(_clock(_corrections, -3600.0, for_good=False), ("velocity:duplicate", "velocity:too-late"))
+KINDS["corrections 0.2 s behind"] = Kind(
+    _clock(_corrections, -0.2, for_good=False), ("velocity:too-late", "velocity:late-replayed")
+)
+KINDS["corrections an hour behind"] = Kind(
+    _clock(_corrections, -3600.0, for_good=False), ("velocity:duplicate", "velocity:too-late")
+)
 
 
-def _single_stamps(names: Callable[[Events], Sequence[str]], stamp: Callable[[Event], Any], share: float = 0.02) -> Fault:
+def _single_stamps(
+    names: Callable[[Events], Sequence[str]], stamp: Callable[[Event], Any], share: float = 0.02
+) -> Fault:
     def fault(events: Events, scene: Scene, rng: np.random.Generator) -> Events:
         return restamped(events, names(events), scene.window, lambda e: stamp(e) if rng.random() < share else e.time_s)
 
@@ -336,16 +352,23 @@ def _single_stamps(names: Callable[[Events], Sequence[str]], stamp: Callable[[Ev
 
 
 KINDS["single stamps an hour ahead"] = Kind(_single_stamps(_names, lambda e: e.time_s + 3600.0), ("drive:backward",))
-KINDS["single stamps 5 s ahead"] = Kind(_single_stamps(_names, lambda e: e.time_s + 5.0, 0.002), ("drive:backward", "drive:gap"))
+KINDS["single stamps 5 s ahead"] = Kind(
+    _single_stamps(_names, lambda e: e.time_s + 5.0, 0.002), ("drive:backward", "drive:gap")
+)
 KINDS["single stamps zero"] = Kind(_single_stamps(_names, lambda e: 0.0), ("drive:backward",))
 KINDS["single stamps NaN"] = Kind(_single_stamps(_names, lambda e: math.nan), ("drive:backward", "velocity:invalid"))
-KINDS["single stamps infinite"] = Kind(_single_stamps(_names, lambda e: math.inf), ("drive:backward", "velocity:invalid"))
+KINDS["single stamps infinite"] = Kind(
+    _single_stamps(_names, lambda e: math.inf), ("drive:backward", "velocity:invalid")
+)
 KINDS["stamps in milliseconds"] = Kind(_single_stamps(_names, lambda e: 1000.0 * e.time_s, 0.01), ("drive:backward",))
 KINDS["drive stamped in steps of 0.1 s"] = Kind(
-    _single_stamps(lambda events: (DRIVE,), lambda e: math.floor(10.0 * e.time_s + 1e-6) / 10.0, 1.0), ("drive:backward",)
+    _single_stamps(lambda events: (DRIVE,), lambda e: math.floor(10.0 * e.time_s + 1e-6) / 10.0, 1.0),
+    ("drive:backward",),
 )
 KINDS["drive's stamps stand still for 5 s"] = Kind(
-    lambda events, scene, rng: restamped(events, (DRIVE,), (scene.window[0], scene.window[0] + 5.0), lambda e: scene.window[0]),
+    lambda events, scene, rng: restamped(
+        events, (DRIVE,), (scene.window[0], scene.window[0] + 5.0), lambda e: scene.window[0]
+    ),
     ("drive:backward",),
 )
 
@@ -359,7 +382,8 @@ for _word, _value in BAD.items():
         ("velocity:invalid", "velocity:rejected"),
     )
     KINDS[f"drive {_word}"] = Kind(
-        lambda events, scene, rng, bad=_value: _part_of_drive(events, scene, lambda v: v * 0.0 + bad, rng, 0.1), ("drive:bad-sample",)
+        lambda events, scene, rng, bad=_value: _part_of_drive(events, scene, lambda v: v * 0.0 + bad, rng, 0.1),
+        ("drive:bad-sample",),
     )
 
 
@@ -387,20 +411,27 @@ _each(
     "spikes",
     ROLES,
     lambda role: (
-        lambda events, scene, rng: changed(events, scene, role, lambda v: v + SPIKE[role] * rng.choice((-1.0, 1.0)), share=0.1, rng=rng)
+        lambda events, scene, rng: changed(
+            events, scene, role, lambda v: v + SPIKE[role] * rng.choice((-1.0, 1.0)), share=0.1, rng=rng
+        )
     ),
     "{}:rejected",
     "{}:invalid",
 )
 KINDS["spikes gyro, impossible"] = Kind(
-    lambda events, scene, rng: changed(events, scene, "gyro", lambda v: v + 300.0, share=0.01, rng=rng), ("drive:bad-sample",)
+    lambda events, scene, rng: changed(events, scene, "gyro", lambda v: v + 300.0, share=0.01, rng=rng),
+    ("drive:bad-sample",),
 )
 KINDS["spikes gyro, possible"] = Kind(
-    lambda events, scene, rng: changed(events, scene, "gyro", lambda v: v + rng.choice((-2.0, 2.0)), share=0.002, rng=rng),
+    lambda events, scene, rng: changed(
+        events, scene, "gyro", lambda v: v + rng.choice((-2.0, 2.0)), share=0.002, rng=rng
+    ),
     ("drive:bad-sample", "drive:spike"),
 )
 KINDS["spikes accel, possible"] = Kind(
-    lambda events, scene, rng: changed(events, scene, "accel", lambda v: v + rng.choice((-50.0, 50.0)), share=0.002, rng=rng),
+    lambda events, scene, rng: changed(
+        events, scene, "accel", lambda v: v + rng.choice((-50.0, 50.0)), share=0.002, rng=rng
+    ),
     ("drive:bad-sample", "drive:spike"),
 )
 
@@ -435,10 +466,12 @@ for _sentinel in (-32.768, -9999.0, 65535.0, 9.96921e36):
         ("velocity:invalid", "velocity:rejected"),
     )
 KINDS["bottom lock lost: zeros"] = Kind(
-    lambda events, scene, rng: changed(events, scene, "velocity", lambda v: v * 0.0), ("velocity:invalid", "drive:velocity-lost")
+    lambda events, scene, rng: changed(events, scene, "velocity", lambda v: v * 0.0),
+    ("velocity:invalid", "drive:velocity-lost"),
 )
 KINDS["bottom lock lost: sentinels"] = Kind(
-    lambda events, scene, rng: changed(events, scene, "velocity", lambda v: v * 0.0 - 32.768), ("velocity:invalid", "drive:velocity-lost")
+    lambda events, scene, rng: changed(events, scene, "velocity", lambda v: v * 0.0 - 32.768),
+    ("velocity:invalid", "drive:velocity-lost"),
 )
 KINDS["bottom lock lost: one component"] = Kind(
     lambda events, scene, rng: changed(events, scene, "velocity", lambda v: np.array([math.nan, v[1], v[2]]))
@@ -456,26 +489,33 @@ KINDS["compass next to iron, 25 deg"] = Kind(
     lambda events, scene, rng: changed(events, scene, "heading", lambda v: v + 25.0 * DEG), ("heading:rejected",)
 )
 KINDS["compass next to iron, 4 deg"] = Kind(
-    lambda events, scene, rng: changed(events, scene, "heading", lambda v: v + 4.0 * DEG), ("heading:rejected",), unseen=True
+    lambda events, scene, rng: changed(events, scene, "heading", lambda v: v + 4.0 * DEG),
+    ("heading:rejected",),
+    unseen=True,
 )
 KINDS["fixes 100 m off"] = Kind(
     lambda events, scene, rng: changed(events, scene, "position", lambda v: v + (100.0 / 6.37e6, 0.0, 0.0)[: len(v)]),
     ("position:rejected",),
 )
 KINDS["fixes at 0 N 0 E"] = Kind(
-    lambda events, scene, rng: changed(events, scene, "position", lambda v: v * 0.0), ("position:rejected", "position:invalid")
+    lambda events, scene, rng: changed(events, scene, "position", lambda v: v * 0.0),
+    ("position:rejected", "position:invalid"),
 )
-KINDS["depth jumps by 5 m"] = Kind(lambda events, scene, rng: changed(events, scene, "depth", lambda v: v + 5.0), ("depth:rejected",))
+KINDS["depth jumps by 5 m"] = Kind(
+    lambda events, scene, rng: changed(events, scene, "depth", lambda v: v + 5.0), ("depth:rejected",)
+)
 
 KINDS["heading in degrees"] = Kind(
-    lambda events, scene, rng: changed(events, scene, "heading", lambda v: v / DEG % 360.0), ("heading:rejected", "heading:invalid")
+    lambda events, scene, rng: changed(events, scene, "heading", lambda v: v / DEG % 360.0),
+    ("heading:rejected", "heading:invalid"),
 )
 KINDS["fixes in degrees"] = Kind(
     lambda events, scene, rng: changed(events, scene, "position", lambda v: np.array([v[0] / DEG, v[1] / DEG, *v[2:]])),
     ("position:rejected", "position:invalid"),
 )
 KINDS["velocity in mm/s"] = Kind(
-    lambda events, scene, rng: changed(events, scene, "velocity", lambda v: 1e3 * v), ("velocity:rejected", "velocity:invalid")
+    lambda events, scene, rng: changed(events, scene, "velocity", lambda v: 1e3 * v),
+    ("velocity:rejected", "velocity:invalid"),
 )
 KINDS["velocity in knots"] = Kind(
     lambda events, scene, rng: changed(events, scene, "velocity", lambda v: 1.944 * v), ("velocity:rejected",)
@@ -484,10 +524,12 @@ KINDS["velocity with the sign changed"] = Kind(
     lambda events, scene, rng: changed(events, scene, "velocity", lambda v: -v), ("velocity:rejected",)
 )
 KINDS["depth in Pa"] = Kind(
-    lambda events, scene, rng: changed(events, scene, "depth", lambda v: 1e4 * v + 101325.0), ("depth:rejected", "depth:invalid")
+    lambda events, scene, rng: changed(events, scene, "depth", lambda v: 1e4 * v + 101325.0),
+    ("depth:rejected", "depth:invalid"),
 )
 KINDS["gyro in deg/s for 10 s"] = Kind(
-    lambda events, scene, rng: changed(events, scene, "gyro", lambda v: v / DEG, first_s=10.0), ("drive:bad-sample", "heading:rejected")
+    lambda events, scene, rng: changed(events, scene, "gyro", lambda v: v / DEG, first_s=10.0),
+    ("drive:bad-sample", "heading:rejected"),
 )
 KINDS["accel in g for 10 s"] = Kind(
     lambda events, scene, rng: changed(events, scene, "accel", lambda v: v / 9.80665, first_s=10.0),
@@ -504,7 +546,10 @@ _each(
 )
 KINDS["noise x10 drive"] = Kind(
     lambda events, scene, rng: changed(
-        changed(events, scene, "gyro", lambda v: v + 0.01 * rng.normal(size=3)), scene, "accel", lambda v: v + 0.1 * rng.normal(size=3)
+        changed(events, scene, "gyro", lambda v: v + 0.01 * rng.normal(size=3)),
+        scene,
+        "accel",
+        lambda v: v + 0.1 * rng.normal(size=3),
     )
 )
 
@@ -550,10 +595,15 @@ def _rubbish_values(names: Callable[[Events], Sequence[str]], share: float) -> F
 
 
 KINDS["corrections that are no numbers"] = Kind(_rubbish_values(_corrections, 0.3), ("velocity:invalid",))
-KINDS["samples that are no numbers"] = Kind(_rubbish_values(lambda events: (DRIVE,), 0.02), ("drive:bad-sample", "drive:backward"))
+KINDS["samples that are no numbers"] = Kind(
+    _rubbish_values(lambda events: (DRIVE,), 0.02), ("drive:bad-sample", "drive:backward")
+)
 KINDS["stamps that are no numbers"] = Kind(
     lambda events, scene, rng: restamped(
-        events, _names(events), scene.window, lambda e: RUBBISH[rng.integers(len(RUBBISH))] if rng.random() < 0.02 else e.time_s
+        events,
+        _names(events),
+        scene.window,
+        lambda e: RUBBISH[rng.integers(len(RUBBISH))] if rng.random() < 0.02 else e.time_s,
     ),
     ("velocity:invalid", "drive:backward"),
 )
@@ -573,14 +623,23 @@ def _wrong_length(events: Events, scene: Scene, rng: np.random.Generator) -> Eve
 def _unknown(events: Events, scene: Scene, rng: np.random.Generator) -> Events:
     names = ("sonar", "", "imu", "gyro", None, 3, ("dvl",), [])
     return [
-        e._replace(sensor=names[rng.integers(len(names))]) if e.sensor != DRIVE and _inside(e, scene.window) and rng.random() < 0.2 else e
+        e._replace(sensor=names[rng.integers(len(names))])
+        if e.sensor != DRIVE and _inside(e, scene.window) and rng.random() < 0.2
+        else e
         for e in events
     ]
 
 
 @kind("everything at once", "velocity:invalid", "drive:bad-sample", "drive:backward")
 def _everything(events: Events, scene: Scene, rng: np.random.Generator) -> Events:
-    some = ("corrections NaN", "drive infinite", "reorder neighbours", "repeat half a second later", "sentinel -32.768", "drop a fifth")
+    some = (
+        "corrections NaN",
+        "drive infinite",
+        "reorder neighbours",
+        "repeat half a second later",
+        "sentinel -32.768",
+        "drop a fifth",
+    )
     for name in (*some, "single stamps NaN", "spikes velocity", "jitter of all stamps"):
         events = KINDS[name].apply(events, scene, rng)
     return events

@@ -1,4 +1,6 @@
-"""Runs with faults: the missions, what hands the events to a navigator as a driver would, and what it looks at meanwhile."""
+"""Runs with faults: the missions, what hands the events to a navigator as a driver would, and what it looks at
+meanwhile.
+"""
 
 from __future__ import annotations
 
@@ -23,8 +25,9 @@ from navfilter.simulation.simulate import simulate
 from navfilter.state import NavState, matrix_from_euler
 from navfilter.vehicle import Vehicle
 
-#: A smallest eigenvalue (of the covariance scaled to a unit diagonal) at or below this is not positive definite. Models without white noise
-#: make covariances that are singular for a moment after a reading; what an eigenvalue is rounded by is n^2 eps = 2e-13.
+#: A smallest eigenvalue (of the covariance scaled to a unit diagonal) at or below this is not positive definite. Models
+#: without white noise make covariances that are singular for a moment after a reading; what an eigenvalue is rounded by
+#: is n^2 eps = 2e-13.
 DEFINITE = -1e-12
 #: Of processor time is as much as a run of eight minutes may take [s]; without a fault it takes one or two.
 LONGEST_CPU_S = 20.0
@@ -35,17 +38,24 @@ LONGEST_CPU_S = 20.0
 def simulated(
     seed: int, duration_s: float = 480.0, fixes: tuple[tuple[float, float], ...] = ((0.0, 120.0), (270.0, 1e9))
 ) -> tuple[Vehicle, Mission]:
-    """A lawnmower by the survey vehicle, with position fixes in two stretches only: the faults of other sensors act in between.
+    """A lawnmower by the survey vehicle, with position fixes in two stretches only: the faults of other sensors act in
+    between.
 
     Compass and fixes have white noise beside their coloured error, so that no covariance has a reason to be singular.
     """
     plain = survey_vehicle()
     vehicle = plain.with_error(
-        compass=plain.sensors["compass"].error + nf.White(sd=0.1 * DEG), gps=plain.sensors["gps"].error + nf.White(sd=0.5)
+        compass=plain.sensors["compass"].error + nf.White(sd=0.1 * DEG),
+        gps=plain.sensors["gps"].error + nf.White(sd=0.5),
     )
     motion = lawnmower(duration_s)
     return vehicle, simulate(
-        vehicle, motion, seed=seed, duration_s=duration_s, faults={"gps": Faults(available=fixes)}, name=f"faults-{seed}"
+        vehicle,
+        motion,
+        seed=seed,
+        duration_s=duration_s,
+        faults={"gps": Faults(available=fixes)},
+        name=f"faults-{seed}",
     )
 
 
@@ -99,8 +109,8 @@ def watch(
 ) -> Outcome:
     """Hand all events to a navigator in the order of delivery, and look at it every `check_s` seconds.
 
-    Samples of the drive that arrive without a correction in between go in as one block, as a driver would read them (or one by one: it is
-    the same arithmetic). Exceptions are noted and the run goes on.
+    Samples of the drive that arrive without a correction in between go in as one block, as a driver would read them (or
+    one by one: it is the same arithmetic). Exceptions are noted and the run goes on.
     """
     outcome = Outcome()
     roles = {target.sensor: role for role, target in scene.targets.items() if target.sensor != DRIVE}
@@ -138,7 +148,12 @@ def watch(
 
 def _regular(event: Event) -> bool:
     value = event.value
-    return type(event.time_s) is float and isinstance(value, tuple) and len(value) == 6 and all(type(v) is float for v in value)
+    return (
+        type(event.time_s) is float
+        and isinstance(value, tuple)
+        and len(value) == 6
+        and all(type(v) is float for v in value)
+    )
 
 
 def _guard(outcome: Outcome, call: Callable[..., Any], *arguments: Any) -> Any:

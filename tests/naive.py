@@ -279,7 +279,11 @@ def _inertial_transition(C, p, v, g, lat, rn, re, dt, Cr):
     earth_by_p[:, 0] = -RATE / rn * np.array([np.sin(lat), 0.0, np.cos(lat)])
     rho, rho_by_v, rho_by_p = _transport(v, lat, rn, re)
     F, start = np.zeros((9 + k, 9 + k)), np.eye(3, 9 + k, 6)
-    F[6:9, :3], F[6:9, 3:6], F[6:9, 6:9] = -dt * (earth_by_p + rho_by_p), -dt * rho_by_v, np.eye(3) - dt * skew(earth + rho)
+    F[6:9, :3], F[6:9, 3:6], F[6:9, 6:9] = (
+        -dt * (earth_by_p + rho_by_p),
+        -dt * rho_by_v,
+        np.eye(3) - dt * skew(earth + rho),
+    )
     F[6:9, 9:], F[3:6, 9:] = -dt * C @ Cr[:3, :k], -dt * C @ Cr[3:, :k]
     F[3:6] -= skew(p) @ (0.5 * (F[6:9] + start))
     F[3:6, 3:6] += np.eye(3) - dt * skew(2 * earth + rho) + dt * skew(v) @ rho_by_v
@@ -553,7 +557,9 @@ def innovation(P, H, res, R, S, PH, out):
 
 
 def attitude_reset(turn, n):
-    """How a small error changes when the attitude it counts from is turned: left Jacobian of the rotation, to second order."""
+    """How a small error changes when the attitude it counts from is turned: left Jacobian of the rotation, to second
+    order.
+    """
     G = np.eye(n)
     G[6:9, 6:9] += skew(turn) / 2 + skew(turn) @ skew(turn) / 6
     return G
@@ -577,7 +583,19 @@ def correct(P, nav, x, res, S, PH, K, turn):
 
 def places(dims):
     a, n, m, b, _, _, par = dims
-    sizes = [m * m + b * b, a * n, a * n, a * a, a, 3, 2 * a * a, a * n, a * (9 + par), 3 + 2 * a, max(m, b, 1) * n + 4 * b * b]
+    sizes = [
+        m * m + b * b,
+        a * n,
+        a * n,
+        a * a,
+        a,
+        3,
+        2 * a * a,
+        a * n,
+        a * (9 + par),
+        3 + 2 * a,
+        max(m, b, 1) * n + 4 * b * b,
+    ]
     return tuple(np.cumsum(sizes))
 
 
@@ -647,9 +665,8 @@ def cholesky_solve(S, Y):
 def rts(records, P0):
     """Sample-by-sample Rauch-Tung-Striebel (1965), in extended precision because it inverts predicted covariances.
 
-    `records`: one (Phi, Q, H or None, R, residual, reset) per sample. Returns smoothed corrections to the forward state and their
-    covariances: at the start,
-    and after each sample.
+    `records`: one (Phi, Q, H or None, R, residual, reset) per sample. Returns smoothed corrections to the forward state
+    and their covariances: at the start, and after each sample.
     """
     wide, n = np.longdouble, len(P0)
     P, forward = np.asarray(P0, wide), []
@@ -763,7 +780,9 @@ def listen(undone, mem, dims, places, nav, C, x, kind, mount, ring, cursor, tick
     if kind:
         before = x[start - 9 : start - 9 + errors] - d[own]
         closed = mem[at[8] + 3 : at[8] + 3 + a] + C @ before
-        value = closed + {1: undone[[8]], 2: near[:, :3] @ undone[:3], 3: mount.reshape(3, 3) @ undone[m : m + 3]}[kind][:a]
+        value = (
+            closed + {1: undone[[8]], 2: near[:, :3] @ undone[:3], 3: mount.reshape(3, 3) @ undone[m : m + 3]}[kind][:a]
+        )
         for column in [*[np.full(a, np.nan)] * min(ticks - 1, capacity), value]:
             ring[:, cursor[0] % capacity] = column
             cursor[0] += 1

@@ -64,11 +64,15 @@ def test_stationary_register_has_the_autocovariance_of_the_model(order):
         P = block.Phi @ P
     np.testing.assert_allclose(ours, expected[: lags + 1], rtol=0, atol=1e-10 * expected[0])
     if block.size:
-        np.testing.assert_allclose(block.Phi @ block.P0 @ block.Phi.T + block.Q, block.P0, rtol=0, atol=1e-11 * block.P0.max())
+        np.testing.assert_allclose(
+            block.Phi @ block.P0 @ block.Phi.T + block.Q, block.P0, rtol=0, atol=1e-11 * block.P0.max()
+        )
 
 
 def test_register_reproduces_the_difference_equation_of_coefficients_that_jump():
-    """Same innovations: the register, its coefficients replaced on the way, against lfilter piece by piece with the true past."""
+    """Same innovations: the register, its coefficients replaced on the way, against lfilter piece by piece with the
+    true past.
+    """
     rng = np.random.default_rng(5)
     models = [random_model(rng, 4, 2), random_model(rng, 4, 2), random_model(rng, 4, 2)]
     e, k, q = rng.normal(size=90), 4, 2
@@ -83,14 +87,22 @@ def test_register_reproduces_the_difference_equation_of_coefficients_that_jump()
     y = np.zeros(90)
     for t in range(90):
         a, c = models[t // 30].ar, models[t // 30].ma
-        y[t] = e[t] + sum(c[j] * e[t - 1 - j] for j in range(q) if t > j) - sum(a[i] * y[t - 1 - i] for i in range(k) if t > i)
+        y[t] = (
+            e[t]
+            + sum(c[j] * e[t - 1 - j] for j in range(q) if t > j)
+            - sum(a[i] * y[t - 1 - i] for i in range(k) if t > i)
+        )
     np.testing.assert_allclose(out, y, rtol=0, atol=1e-12 * np.abs(y).max())
-    np.testing.assert_allclose(out[:30], lfilter(np.r_[1, models[0].ma], np.r_[1, models[0].ar], e[:30]), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(
+        out[:30], lfilter(np.r_[1, models[0].ma], np.r_[1, models[0].ar], e[:30]), rtol=0, atol=1e-12
+    )
 
 
 @pytest.mark.parametrize("order", [(0, 0), (1, 0), (2, 1), (0, 2), (4, 4)])
 def test_an_uncertain_s0_raises_the_spectrum_at_zero(order):
-    """By exp(share * sd ln S(0)), at most `LARGEST_SPREAD`: however it is done, that much has to come out at frequency zero."""
+    """By exp(share * sd ln S(0)), at most `LARGEST_SPREAD`: however it is done, that much has to come out at frequency
+    zero.
+    """
     plain = random_model(np.random.default_rng(9), *order)
 
     def s0(model):
@@ -109,7 +121,9 @@ def test_an_uncertain_s0_raises_the_spectrum_at_zero(order):
 
 
 def joint(old, new):
-    """Stationary covariance of the new register, and which elements it shares with the old one: what the change is to condition on."""
+    """Stationary covariance of the new register, and which elements it shares with the old one: what the change is to
+    condition on.
+    """
     labels, have = register_labels(new), register_labels(old)
     return register_block(new).P0, [i for i, label in enumerate(labels) if label in have]
 
@@ -118,7 +132,11 @@ def test_equal_models_keep_their_states_exactly():
     rng = np.random.default_rng(0)
     for order in ORDERS:
         model = learnt(random_model(rng, *order))
-        for error in (model, nf.RandomWalk(density=1.0) + model, nf.White(sd=0.1) + nf.GaussMarkov(sd=1.0, tau_s=3.0, order=2)):
+        for error in (
+            model,
+            nf.RandomWalk(density=1.0) + model,
+            nf.White(sd=0.1) + nf.GaussMarkov(sd=1.0, tau_s=3.0, order=2),
+        ):
             M, N = transfer(error, error, PERIOD_S)
             np.testing.assert_array_equal(M, np.eye(len(M)))
             np.testing.assert_array_equal(N, np.zeros_like(M))
@@ -134,7 +152,9 @@ def test_the_same_order_keeps_its_states_whatever_the_coefficients(order):
 
 @pytest.mark.parametrize(("before", "after"), PAIRS)
 def test_what_both_registers_hold_stays_and_the_rest_is_drawn_given_it(before, after):
-    """M and N are the conditional mean and covariance of the new model's stationary register, by a dense conditioning of its joint."""
+    """M and N are the conditional mean and covariance of the new model's stationary register, by a dense conditioning
+    of its joint.
+    """
     rng = np.random.default_rng(10 * sum(before) + sum(after))
     old, new = random_model(rng, *before), random_model(rng, *after, sd=1.7)
     M, N = transfer(learnt(old), learnt(new), PERIOD_S)
@@ -146,7 +166,9 @@ def test_what_both_registers_hold_stays_and_the_rest_is_drawn_given_it(before, a
         G = np.linalg.solve(P[np.ix_(shared, shared)], P[shared]).T
         scale = np.sqrt(np.diag(P))
         np.testing.assert_allclose(M, G @ picked, rtol=0, atol=1e-8 * scale.max())
-        np.testing.assert_allclose(N / np.outer(scale, scale), (P - G @ P[shared]) / np.outer(scale, scale), rtol=0, atol=1e-8)
+        np.testing.assert_allclose(
+            N / np.outer(scale, scale), (P - G @ P[shared]) / np.outer(scale, scale), rtol=0, atol=1e-8
+        )
         np.testing.assert_allclose(M[shared], picked, rtol=0, atol=1e-9)
         np.testing.assert_allclose(N[shared], 0.0, rtol=0, atol=1e-9 * P.max())
     else:
@@ -245,10 +267,13 @@ def test_state_change_leaves_everything_else_alone():
 
 
 def test_the_predicted_reading_does_not_jump():
-    """Adopting other coefficients in the middle of a run leaves the state as it is, and the estimated errors of equal order too."""
+    """Adopting other coefficients in the middle of a run leaves the state as it is, and the estimated errors of equal
+    order too.
+    """
     rng = np.random.default_rng(6)
     nav = nf.Navigator(
-        vehicle_with(learnt(random_model(rng, 2, 1, sd=0.01)), nf.White(sd=0.05)), nf.Start(latitude_deg=45.0, longitude_deg=0)
+        vehicle_with(learnt(random_model(rng, 2, 1, sd=0.01)), nf.White(sd=0.05)),
+        nf.Start(latitude_deg=45.0, longitude_deg=0),
     )
     for k in range(1, 401):
         nav.step(0.01 * k, [0.0, 0.0, 0.0], [0.0, 0.0, -9.8])
@@ -321,7 +346,13 @@ def test_a_prior_is_filled_in_only_where_there_is_neither_prior_nor_model():
     prior, own, white = nf.GaussMarkov(sd=1.0, tau_s=3.0), nf.White(sd=2.0), nf.White(sd=0.1)
     adopted = LearnedArma(model=ArmaModel([], [], 1.0))
     given = (white, LearnedArma(), LearnedArma(prior=own), adopted, white + LearnedArma(window=500))
-    expected = (white, LearnedArma(prior=prior), LearnedArma(prior=own), adopted, white + LearnedArma(prior=prior, window=500))
+    expected = (
+        white,
+        LearnedArma(prior=prior),
+        LearnedArma(prior=own),
+        adopted,
+        white + LearnedArma(prior=prior, window=500),
+    )
     assert resolve_prior(given, prior) == expected
     sensor = nf.Heading(rate_hz=8.0, error=LearnedArma())
     assert learned_part(sensor.models[0]).prior == nf.Heading.prior
@@ -330,7 +361,11 @@ def test_a_prior_is_filled_in_only_where_there_is_neither_prior_nor_model():
 
 
 def test_what_is_known_beside_the_learnt_part():
-    learned, white, walk = LearnedArma(), nf.White(sd=0.1) + nf.White(density=0.2), nf.RandomWalk(density=3.0) + nf.RandomWalk(density=4.0)
+    learned, white, walk = (
+        LearnedArma(),
+        nf.White(sd=0.1) + nf.White(density=0.2),
+        nf.RandomWalk(density=3.0) + nf.RandomWalk(density=4.0),
+    )
     assert known_white(white + learned, 0.25) == pytest.approx(0.01 + 0.16)
     assert known_white(white, 0.25) == 0.0  # a belief about the sensor, not knowledge
     assert known_walk(walk + learned) == pytest.approx(5.0)
@@ -342,7 +377,9 @@ def test_what_is_known_beside_the_learnt_part():
 
 @pytest.mark.parametrize("smooth", [False, True])
 def test_states_that_appear_and_vanish_are_nan_on_the_track(smooth):
-    """state_names is the union over time, each sensor's states together; a state that does not exist is NaN, never a stale number."""
+    """state_names is the union over time, each sensor's states together; a state that does not exist is NaN, never a
+    stale number.
+    """
     from navfilter.filter.tape import Tape
     from navfilter.playback import _smoothed, _track
 
@@ -373,9 +410,16 @@ def test_states_that_appear_and_vanish_are_nan_on_the_track(smooth):
     compass = [name for name in track.state_names if name.startswith("compass")]
     assert set(compass) == {f"compass[{i}]" for i in range(4)} | {"compass.bias", *(c for c in compass if "." in c)}
     places = [track.state_names.index(name) for name in compass]
-    assert places == list(range(places[0], places[0] + len(places)))  # side by side, though they came later than those of the depth
+    assert places == list(
+        range(places[0], places[0] + len(places))
+    )  # side by side, though they came later than those of the depth
     t = track.time_s
-    for name, begin, end in (("compass[0]", 5, 15), ("compass[1]", 5, 15), ("compass[2]", 10, 15), ("compass[3]", 10, 15)):
+    for name, begin, end in (
+        ("compass[0]", 5, 15),
+        ("compass[1]", 5, 15),
+        ("compass[2]", 10, 15),
+        ("compass[3]", 10, 15),
+    ):
         value, sd = track.state(name)
         exists = np.isfinite(value)
         np.testing.assert_array_equal(exists, np.isfinite(sd))

@@ -1,7 +1,9 @@
-"""Exactness under changes of the error models: filter and smoother are the Gaussian posterior of the time-varying model.
+"""Exactness under changes of the error models: filter and smoother are the Gaussian posterior of the time-varying
+model.
 
-A change is one more link of the chain, ``e' = M e + w, w ~ N(0, N)``, with M rectangular where an order changes. Whether M and N are the
-right ones is the business of `test_adoption`; here the chain with these links is conditioned in one piece.
+A change is one more link of the chain, ``e' = M e + w, w ~ N(0, N)``, with M rectangular where an order changes.
+Whether M and N are the right ones is the business of `test_adoption`; here the chain with these links is conditioned in
+one piece.
 """
 
 import numpy as np
@@ -99,7 +101,11 @@ CASES = {
     "imu": (inertial_vehicle, 4.8, IMU),
     "all": (inertial_vehicle, 3.8, sorted([*COMPASS, *OTHERS, *IMU], key=lambda change: change[0])),
     "water": (water_vehicle, 3.0, sorted([*COMPASS, *WATER], key=lambda change: change[0])),
-    "reckoning": (reckoning_vehicle, 9.0, sorted([*VELOCITY, *(c for c in OTHERS if c[1] in ("gps", "depth"))], key=lambda c: c[0])),
+    "reckoning": (
+        reckoning_vehicle,
+        9.0,
+        sorted([*VELOCITY, *(c for c in OTHERS if c[1] in ("gps", "depth"))], key=lambda c: c[0]),
+    ),
 }
 
 

@@ -26,7 +26,10 @@ def imu_mission(roll, pitch, heading, *, compass=True, fixes=None, scale=1.0, si
 
 
 def vehicle(**compass):
-    sensors = {"gps": nf.Position(error=nf.White(sd=2.0)), "compass": nf.Heading(rate_hz=10, error=nf.White(sd=0.01), **compass)}
+    sensors = {
+        "gps": nf.Position(error=nf.White(sd=2.0)),
+        "compass": nf.Heading(rate_hz=10, error=nf.White(sd=0.01), **compass),
+    }
     return nf.Vehicle(imu=nf.Imu(rate_hz=100), sensors=sensors)
 
 
@@ -35,7 +38,9 @@ def test_levels_and_takes_the_compass():
     start = nf.align(vehicle(), imu_mission(roll, pitch, heading))
     # no noise in this mission: only the rounding of a mean of 500 equal numbers
     assert np.allclose([start.roll_deg, start.pitch_deg], [5.0, -3.0], atol=1e-9)
-    assert (start.heading_deg - 200.0) % 360 == pytest.approx(0.0, abs=1e-9) or (start.heading_deg + 160.0) == pytest.approx(0.0, abs=1e-9)
+    assert (start.heading_deg - 200.0) % 360 == pytest.approx(0.0, abs=1e-9) or (
+        start.heading_deg + 160.0
+    ) == pytest.approx(0.0, abs=1e-9)
     assert start.tilt_sd_deg > 0.2 and start.heading_sd_deg >= 0.5
     assert start.position_sd_m == (2.0, 2.0, 2.0)
 
@@ -68,7 +73,9 @@ def test_alignment_of_a_simulated_mission_is_honest():
     row = np.searchsorted(mission.truth.time_s, start.time_s)
     truth = mission.truth.value[row]
     # 4 sigma of what the alignment itself claims
-    error = np.degrees(np.arctan2(np.sin(np.radians(start.heading_deg) - truth[8]), np.cos(np.radians(start.heading_deg) - truth[8])))
+    error = np.degrees(
+        np.arctan2(np.sin(np.radians(start.heading_deg) - truth[8]), np.cos(np.radians(start.heading_deg) - truth[8]))
+    )
     assert abs(error) < 4 * start.heading_sd_deg
     assert abs(start.roll_deg - np.degrees(truth[6])) < 4 * start.tilt_sd_deg
     assert abs(start.pitch_deg - np.degrees(truth[7])) < 4 * start.tilt_sd_deg
@@ -139,7 +146,9 @@ def test_magnetometer_and_heading_give_the_same_track():
     C = matrix_from_euler(0.0, 0.0, heading)
     field = C.T @ np.array([30.0, 0.0, 40.0])
     stream = nf.Stream(rest.streams["compass"].time_s, np.tile(field, (len(rest.streams["compass"]), 1)))
-    start = nf.Start(latitude_deg=40.1, longitude_deg=11.5, height_m=5.0, heading_deg=65.0, heading_sd_deg=10.0, tilt_sd_deg=0.01)
+    start = nf.Start(
+        latitude_deg=40.1, longitude_deg=11.5, height_m=5.0, heading_deg=65.0, heading_sd_deg=10.0, tilt_sd_deg=0.01
+    )
     one = nf.replay(vehicle(declination_rad=0.0), rest, start=start)
     two = nf.replay(vehicle(magnetometer=True, declination_rad=0.0), rest.with_stream("compass", stream), start=start)
     assert one.attitude[-1, 2] == pytest.approx(heading, abs=np.radians(0.5))  # 100 readings of 0.57 deg

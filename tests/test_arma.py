@@ -99,7 +99,9 @@ def roots_within(radius):
     """Stable coefficient vectors from random real roots and pairs."""
     pair = st.tuples(st.floats(0.0, radius), st.floats(0.0, np.pi))
     return st.tuples(st.lists(st.floats(-radius, radius), max_size=2), st.lists(pair, max_size=2)).map(
-        lambda parts: np.atleast_1d(np.poly([*parts[0], *(r * np.exp(s * 1j * w) for r, w in parts[1] for s in (1, -1))])).real[1:]
+        lambda parts: np.atleast_1d(
+            np.poly([*parts[0], *(r * np.exp(s * 1j * w) for r, w in parts[1] for s in (1, -1))])
+        ).real[1:]
     )
 
 
@@ -142,7 +144,9 @@ def factor_and_compare(model):
     found, found_sd = nf.spectral_factor(model.autocovariance(model.q))
     # Zeros on the circle are double zeros of the spectrum: half the digits.
     np.testing.assert_allclose(
-        nf.ArmaModel([], found, found_sd).autocovariance(model.q), model.autocovariance(model.q), atol=1e-9 * model.sd**2 * 64
+        nf.ArmaModel([], found, found_sd).autocovariance(model.q),
+        model.autocovariance(model.q),
+        atol=1e-9 * model.sd**2 * 64,
     )
     # A double zero on the circle is a fourfold one of the spectrum: a quarter of the digits.
     assert found_sd <= model.sd * (1.0 + 1e-3)

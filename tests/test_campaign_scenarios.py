@@ -1,4 +1,6 @@
-"""Scenarios of campaigns: what is true, what is believed, what goes wrong, and where the thesis's coefficients come from."""
+"""Scenarios of campaigns: what is true, what is believed, what goes wrong, and where the thesis's coefficients come
+from.
+"""
 
 import json
 from pathlib import Path
@@ -28,7 +30,11 @@ def compass_error(staged, mission):
 def test_every_scenario_gives_a_mission_that_its_vehicle_can_read(name):
     staged = stage(name, duration_s=90.0, imu_rate_hz=50.0)
     mission = staged.mission(1)
-    assert set(mission.streams) == {"imu", *staged.vehicle.sensors} and mission.truth is not None and mission.start is not None
+    assert (
+        set(mission.streams) == {"imu", *staged.vehicle.sensors}
+        and mission.truth is not None
+        and mission.start is not None
+    )
     assert staged.study.sensor in {*staged.vehicle.sensors, "gyro"} and staged.learnt in staged.vehicle.sensors
     assert staged.vehicle.sensors["compass"].error == campaigns.BELIEF
     assert (staged.truth is None) == (staged.study.kind == "changing")
@@ -81,7 +87,9 @@ def test_the_compass_errs_as_much_as_its_scenario_says(name, sd):
     assert np.sqrt(np.mean(errors**2)) == pytest.approx(sd, rel=0.26)
 
 
-@pytest.mark.parametrize(("name", "before", "after"), [("compass-triples", 0.5, 1.5), ("compass-recoloured", 0.5, 0.583)])
+@pytest.mark.parametrize(
+    ("name", "before", "after"), [("compass-triples", 0.5, 1.5), ("compass-recoloured", 0.5, 0.583)]
+)
 def test_changing_noise_changes_after_a_third(name, before, after):
     staged = stage(name, imu_rate_hz=10.0)
     time, error = compass_error(staged, staged.mission(2))
@@ -104,7 +112,10 @@ def test_the_compass_of_case_2_is_printed_and_stable():
     table = TABLES["Lab1 hdg WT"]
     assert list(campaigns.LAB1_AR) == table["a"] and list(campaigns.LAB1_MA) == table["b"]
     assert pytest.approx(table["sample_period_s"]) == 1.0 / campaigns.LAB1_RATE_HZ
-    assert abs(np.roots([1.0, *campaigns.LAB1_AR])).max() < 0.9992 and abs(np.roots([1.0, *campaigns.LAB1_MA])).max() < 0.9932
+    assert (
+        abs(np.roots([1.0, *campaigns.LAB1_AR])).max() < 0.9992
+        and abs(np.roots([1.0, *campaigns.LAB1_MA])).max() < 0.9932
+    )
 
 
 def test_the_comb_is_case_4_but_for_its_unit_root():

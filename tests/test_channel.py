@@ -80,7 +80,12 @@ def test_drift_per_tick_moves_like_the_drift():
 
 @pytest.mark.parametrize(
     ("density", "period_s", "match"),
-    [((1, 2, 3, 4, 5), 1.0, "at most 4"), ((-1.0,), 1.0, "not negative"), ((math.nan,), 1.0, "finite"), ((1.0,), 0.0, "period_s")],
+    [
+        ((1, 2, 3, 4, 5), 1.0, "at most 4"),
+        ((-1.0,), 1.0, "not negative"),
+        ((math.nan,), 1.0, "finite"),
+        ((1.0,), 0.0, "period_s"),
+    ],
 )
 def test_drift_refuses(density, period_s, match):
     with pytest.raises(ValueError, match=match):
@@ -141,13 +146,16 @@ def test_scores_are_their_twin(ar, ma, r):
         value = scores(y, theta, Q, np.array([r, 8.0, 1.5, 0.0, 0.0]), free, np.full(k, 1e-4), E, LNS, info, gradient)
         results.append((value, gradient, info))
     for one, other in zip(*results, strict=True):
-        # both take the same differences: what is left is rounding over the step, and with four integrators P spans ten decades
+        # both take the same differences: what is left is rounding over the step, and with four integrators P spans ten
+        # decades
         np.testing.assert_allclose(one, other, rtol=1e-6 if r < 4 else 1e-4, atol=1e-6 if r < 4 else 1e-4)
 
 
 @pytest.mark.parametrize(("ar", "ma", "r"), [([-1.5, 0.6], [0.3], 2), ([-0.99], [-0.9], 3), ([], [], 2)])
 def test_an_interpolated_gain_changes_next_to_nothing(ar, ma, r):
-    """Leaps with the tolerance against every tick: log-likelihood, innovations, gradient and information over 1500 ticks."""
+    """Leaps with the tolerance against every tick: log-likelihood, innovations, gradient and information over 1500
+    ticks.
+    """
     random = np.random.default_rng(31)
     drift = Drift((1e-2, 1e-4, 1e-6)[:r], 1.0)
     y = series([ArmaModel(ar, ma, 0.7)], drift, 1500, 31)
@@ -158,10 +166,13 @@ def test_an_interpolated_gain_changes_next_to_nothing(ar, ma, r):
     for scores, tolerance in ((kernels.channel_scores, EFFORT.gain_tolerance), (naive.channel_scores, 0.0)):
         k = len(free)
         E, LNS, info, gradient = np.empty((k + 1, 1500)), np.empty((k + 1, 1500)), np.empty((k, k)), np.empty(k)
-        value = scores(y, theta, Q, np.array([r, 8.0, 4.0, 0.04, tolerance]), free, np.full(k, 1e-6), E, LNS, info, gradient)
+        value = scores(
+            y, theta, Q, np.array([r, 8.0, 4.0, 0.04, tolerance]), free, np.full(k, 1e-6), E, LNS, info, gradient
+        )
         out.append((value, gradient, info, E[0], LNS[0]))
     scale = np.sqrt(np.diag(out[1][2]))
-    # orders are decided by 3 in log-likelihood, of which this is a hundredth; a shift of 1e-2 standard deviations is nothing
+    # orders are decided by 3 in log-likelihood, of which this is a hundredth; a shift of 1e-2 standard deviations is
+    # nothing
     assert out[0][0] == pytest.approx(out[1][0], abs=3e-2)
     np.testing.assert_allclose(out[0][1] / scale, out[1][1] / scale, atol=1e-2)
     # one per cent of information is half a per cent of a standard deviation
@@ -188,7 +199,9 @@ def test_scores_are_the_slope_of_the_filter():
         assert slope == pytest.approx((ends[0] - ends[1]) / 2e-5, rel=1e-4, abs=1e-3)
 
 
-@pytest.mark.parametrize(("a", "c"), [([-0.9], [0.0]), ([-1.5, 0.6], [0.3, 0.0]), ([-0.5, 0.2, 0.1, 0.05], [0.1, 0.2, 0.3, 0.0])])
+@pytest.mark.parametrize(
+    ("a", "c"), [([-0.9], [0.0]), ([-1.5, 0.6], [0.3, 0.0]), ([-0.5, 0.2, 0.1, 0.05], [0.1, 0.2, 0.3, 0.0])]
+)
 def test_stationary_is_its_twin(a, c):
     P, twin = np.empty((len(a), len(a))), np.empty((len(a), len(a)))
     assert kernels.stationary(np.array(a), np.array(c), P) and naive.stationary(np.array(a), np.array(c), twin)
@@ -201,7 +214,9 @@ def test_nothing_is_stationary_outside_the_circle():
 
 
 def dense(y, ar, ma, sd, white, Q, d):
-    """Minus the log of the marginal Gaussian density, the drift's start integrated out, less that of its first d samples."""
+    """Minus the log of the marginal Gaussian density, the drift's start integrated out, less that of its first d
+    samples.
+    """
     n, known, r = len(y), np.isfinite(y), Q.shape[1]
     lag, start, Q = np.abs(np.subtract.outer(np.arange(n), np.arange(n))), Q[-1], Q[:-1]
     V = wide(ArmaModel(ar, ma, sd).autocovariance(n)[lag] + white * np.eye(n))
@@ -247,7 +262,11 @@ def test_likelihood_is_the_dense_marginal_gaussian(ar, ma, r):
 
 def test_a_long_gap_starts_anew():
     random = np.random.default_rng(7)
-    y, Q, theta = np.cumsum(random.normal(size=120)), np.vstack([0.01 * np.eye(2), np.zeros((1, 2))]), packed([-0.8], [0.3], 0.5)
+    y, Q, theta = (
+        np.cumsum(random.normal(size=120)),
+        np.vstack([0.01 * np.eye(2), np.zeros((1, 2))]),
+        packed([-0.8], [0.3], 0.5),
+    )
     y[50:59] = np.nan
     whole = run(y, theta, Q, 2)[0]
     assert whole == pytest.approx(run(y[:50], theta, Q, 2)[0] + run(y[59:], theta, Q, 2)[0], rel=1e-12)
@@ -305,7 +324,9 @@ def test_white_noise_knows_its_level():
 def test_known_white_noise_is_taken_out():
     y = series([gauss_markov(1.0, 2.0), ArmaModel([], [], 0.5)], TACTICAL, 4000, 10)
     with_white = fit_channel(y, TACTICAL, 1, 0, white=0.25).model
-    assert with_white.ar[0] == pytest.approx(-math.exp(-PERIOD_S / 2.0), abs=4.0 * math.sqrt(with_white.covariance[0, 0]))
+    assert with_white.ar[0] == pytest.approx(
+        -math.exp(-PERIOD_S / 2.0), abs=4.0 * math.sqrt(with_white.covariance[0, 0])
+    )
     # what ignores the white noise finds a much quicker process
     assert fit_channel(y, TACTICAL, 1, 0).model.ar[0] > with_white.ar[0] + 0.05
 
@@ -325,7 +346,9 @@ def test_fit_scales_exactly_and_ignores_level_and_rate():
     y = series([gauss_markov(1.0, 2.0)], TACTICAL, 1000, 13)
     start = gauss_markov(1.0, 1.0)
     one = fit_channel(y, TACTICAL, 1, 0, start=start).model
-    big = fit_channel(1024.0 * y, Drift(tuple(1024.0 * d for d in TACTICAL.density), PERIOD_S), 1, 0, start=gauss_markov(1024.0, 1.0)).model
+    big = fit_channel(
+        1024.0 * y, Drift(tuple(1024.0 * d for d in TACTICAL.density), PERIOD_S), 1, 0, start=gauss_markov(1024.0, 1.0)
+    ).model
     assert big.ar[0] == one.ar[0] and big.sd == pytest.approx(1024.0 * one.sd, rel=1e-12)
     moved = fit_channel(y + 7.0 + 0.01 * np.arange(1000), TACTICAL, 1, 0, start=start).model
     assert moved.ar[0] == pytest.approx(one.ar[0], abs=1e-6)
@@ -408,7 +431,9 @@ def test_learner_has_an_outcome_for_everything(bad):
 
 
 def test_learner_says_coloured_then_stale():
-    """Two lines that no candidate can whiten: coloured from the start; after a good window, the good model while it serves."""
+    """Two lines that no candidate can whiten: coloured from the start; after a good window, the good model while it
+    serves.
+    """
     y = simulate_arma(np.poly(0.97 * np.exp(1j * np.array([1.0, -1.0, 2.0, -2.0]))).real[1:], [], 1.0, 2000, seed=18)
     assert "coloured" in Learner(((0, 0), (1, 0), (2, 0)), 2000, TACTICAL).hop(y).flags
     white = np.random.default_rng(19).standard_normal(2000)
@@ -435,7 +460,9 @@ def test_a_known_start_tells_more_of_a_short_series():
     truth = gauss_markov(0.6 * DEG, 30.0)
     for seed in range(12):
         y = series([truth], TACTICAL, 1600, 40 + seed)
-        off.append([log_s0(fit_channel(y, drift, 1, 0, start=truth).model) - log_s0(truth) for drift in (TACTICAL, known)])
+        off.append(
+            [log_s0(fit_channel(y, drift, 1, 0, start=truth).model) - log_s0(truth) for drift in (TACTICAL, known)]
+        )
     unknown_rms, known_rms = np.sqrt(np.mean(np.square(off), axis=0))
     assert known_rms < unknown_rms
 
@@ -491,7 +518,12 @@ def test_learner_continues_from_a_snapshot_to_the_last_bit():
 
 @pytest.mark.parametrize(
     ("arguments", "match"),
-    [(((), 1000), "orders"), ((((-1, 0),), 1000), "orders"), ((((1, 0),), 100), "window"), ((((1, 0),), 1000.5), "window")],
+    [
+        (((), 1000), "orders"),
+        ((((-1, 0),), 1000), "orders"),
+        ((((1, 0),), 100), "window"),
+        ((((1, 0),), 1000.5), "window"),
+    ],
 )
 def test_learner_refuses(arguments, match):
     with pytest.raises(ValueError, match=match):

@@ -107,7 +107,9 @@ def test_gyro_against_heading():
 
 def test_heading_in_degrees():
     slow = mission(heading=np.degrees(MOTION["yaw"]))
-    assert "Are these degrees?" in said(slow.with_stream("compass", slow.streams["compass"].keep(slice(None, None, 5))), "error")
+    assert "Are these degrees?" in said(
+        slow.with_stream("compass", slow.streams["compass"].keep(slice(None, None, 5))), "error"
+    )
     assert "the heading turns 57" in said(slow, "error")
 
 
@@ -166,7 +168,9 @@ def test_timing_findings():
     noise = rng.standard_normal(200)
 
     def one(time_s: np.ndarray, value: np.ndarray, notes: tuple[str, ...] = ()) -> str:
-        return said(Mission("x", {"depth": Stream(time_s, value, ("depth_m",))}, notes=notes), "error", "warning", "info")
+        return said(
+            Mission("x", {"depth": Stream(time_s, value, ("depth_m",))}, notes=notes), "error", "warning", "info"
+        )
 
     assert "200 readings from 0.00 to 199.00 s, 1 Hz" in one(t, noise)
     gappy = t + 50.0 * (t > 100)

@@ -139,7 +139,9 @@ def test_a_mirrored_velocity(dive):
 
 
 def test_a_velocity_mirrored_and_not_turned_is_known_by_the_positions():
-    assert "it fits the positions with its y axis reversed" in said(mission(velocity=MOTION["v_b"] * [1, -1, 1]), "error")
+    assert "it fits the positions with its y axis reversed" in said(
+        mission(velocity=MOTION["v_b"] * [1, -1, 1]), "error"
+    )
 
 
 def test_a_velocity_whose_z_axis_points_up(recording):

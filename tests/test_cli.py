@@ -54,7 +54,9 @@ def test_every_command_explains_itself(command, capsys):
 
 
 def test_the_module_is_the_command():
-    done = subprocess.run([sys.executable, "-m", "navfilter", "--version"], capture_output=True, text=True, timeout=HANGS_S)
+    done = subprocess.run(
+        [sys.executable, "-m", "navfilter", "--version"], capture_output=True, text=True, timeout=HANGS_S
+    )
     assert done.returncode == 0 and done.stdout.startswith("navfilter ") and done.stderr == ""
 
 
@@ -70,7 +72,22 @@ def test_simulate_writes_what_replay_reads(dive):
 
 
 def test_simulate_into_one_file(tmp_path):
-    assert main(["simulate", "transit", "--duration", "30", "--seed", "5", "--out", str(tmp_path / "deep" / "a.npz"), "--quiet"]) == 0
+    assert (
+        main(
+            [
+                "simulate",
+                "transit",
+                "--duration",
+                "30",
+                "--seed",
+                "5",
+                "--out",
+                str(tmp_path / "deep" / "a.npz"),
+                "--quiet",
+            ]
+        )
+        == 0
+    )
     assert {path.name for path in (tmp_path / "deep").iterdir()} == {"a.npz", "a.toml"}
 
 
@@ -82,7 +99,19 @@ def test_simulate_lists_the_scenarios(capsys):
 
 def test_the_seed_decides(tmp_path):
     for name, seed in (("a", "3"), ("b", "3"), ("c", "4")):
-        main(["simulate", "reckoning", "--duration", "20", "--seed", seed, "--out", str(tmp_path / f"{name}.npz"), "--quiet"])
+        main(
+            [
+                "simulate",
+                "reckoning",
+                "--duration",
+                "20",
+                "--seed",
+                seed,
+                "--out",
+                str(tmp_path / f"{name}.npz"),
+                "--quiet",
+            ]
+        )
     a, b, c = (read_mission(tmp_path / f"{name}.npz").streams["velocity"].value for name in "abc")
     assert (a == b).all() and (a != c).any()
 
@@ -197,5 +226,7 @@ def test_a_vehicle_survives_its_file(dive, tmp_path):
 
 def test_nobody_listens(dive):
     code = f"from navfilter.cli import main; import sys; sys.exit(main(['check', {str(dive / 'mission.npz')!r}]))"
-    done = subprocess.run(f'{sys.executable} -c "{code}" | true', shell=True, capture_output=True, text=True, timeout=HANGS_S)
+    done = subprocess.run(
+        f'{sys.executable} -c "{code}" | true', shell=True, capture_output=True, text=True, timeout=HANGS_S
+    )
     assert "Traceback" not in done.stderr and "Broken pipe" not in done.stderr

@@ -50,7 +50,9 @@ def test_it_writes_what_it_promises(compared):
         rows = list(csv.DictReader(file))
     assert [row["model"] for row in rows] == list(MODELS)
     summary = json.loads((compared / "summary.json").read_text())
-    assert list(summary["runs"]) == list(summary["whole_mission"]) == list(MODELS) and summary["baseline"] == "gm1-fitted"
+    assert (
+        list(summary["runs"]) == list(summary["whole_mission"]) == list(MODELS) and summary["baseline"] == "gm1-fitted"
+    )
     for row in rows:
         assert float(row["heading_rms_deg"]) == pytest.approx(summary["runs"][row["model"]]["heading_rms_deg"])
     page = (compared / "report.html").read_text()
@@ -61,13 +63,17 @@ def test_the_first_window_is_not_scored(compared):
     summary = json.loads((compared / "summary.json").read_text())
     # Readings are noted from 60 s on, and the window of 50 s is full at 110 s.
     assert summary["windows_s"][0][0] == pytest.approx(110.0)
-    assert summary["whole_mission"]["arma"]["sensors"]["compass"]["used"] > summary["runs"]["arma"]["sensors"]["compass"]["used"]
+    assert (
+        summary["whole_mission"]["arma"]["sensors"]["compass"]["used"]
+        > summary["runs"]["arma"]["sensors"]["compass"]["used"]
+    )
 
 
 def test_every_adoption_is_in_the_summary(compared):
     summary = json.loads((compared / "summary.json").read_text())
     steps = summary["adopted"]["arma"]["compass"]
-    # The beginning is run again with the first models, so those hold from the start; all others come after their window.
+    # The beginning is run again with the first models, so those hold from the start; all others come after their
+    # window.
     assert len(steps) >= 5 and (np.diff([step["time_s"] for step in steps]) > 0).all()
     assert steps[0]["time_s"] == 0.0 and steps[1]["time_s"] > 110.0
     assert all(0.0 <= step["pole_radius"] < 1.0 and step["sd"] > 0.0 for step in steps)
@@ -91,7 +97,10 @@ def test_smoothed_tracks_and_sensors_left_out(swing, tmp_path, capsys):
     run = json.loads((tmp_path / "summary.json").read_text())["runs"]["vehicle"]
     assert "gps" not in run["sensors"]
     forward = replay(read_vehicle(swing / "learning.toml").without("gps"), read_mission(swing / "mission.npz"))
-    smoothed_rms, forward_rms = run["heading_rms_deg"], forward.summary(read_mission(swing / "mission.npz").truth)["heading_rms_deg"]
+    smoothed_rms, forward_rms = (
+        run["heading_rms_deg"],
+        forward.summary(read_mission(swing / "mission.npz").truth)["heading_rms_deg"],
+    )
     assert smoothed_rms != pytest.approx(forward_rms, rel=1e-3)
 
 
@@ -100,7 +109,10 @@ def test_without_truth_it_still_compares(swing, tmp_path, capsys):
 
     mission = dataclasses.replace(read_mission(swing / "mission.npz"), truth=None)
     path = mission.save(tmp_path / "blind.npz")
-    assert main(["compare", str(path), "--vehicle", str(swing), "--models", "white,gm1", "--out", str(tmp_path / "out")]) == 0
+    assert (
+        main(["compare", str(path), "--vehicle", str(swing), "--models", "white,gm1", "--out", str(tmp_path / "out")])
+        == 0
+    )
     said = capsys.readouterr().out
     assert "no truth in this mission" in said and "heading rms" not in said and "compass: NIS" in said
 
@@ -176,7 +188,11 @@ def test_the_demonstration_compares(tmp_path, capsys):
     files = {"report.html", "summary.json", "track.csv", "track.tum", "truth.tum", "track.geojson"}
     written = {path.name for path in tmp_path.glob("[!.]*")}
     assert written == files | {"mission.npz", "vehicle.toml", "vehicle_true.toml", "comparison"}
-    assert {path.name for path in (tmp_path / "comparison").glob("[!.]*")} == {"report.html", "comparison.csv", "summary.json"}
+    assert {path.name for path in (tmp_path / "comparison").glob("[!.]*")} == {
+        "report.html",
+        "comparison.csv",
+        "summary.json",
+    }
     summary = json.loads((tmp_path / "comparison" / "summary.json").read_text())
     assert list(summary["runs"]) == ["white", "gm1-fitted", "arma", "oracle"]
     runs = json.loads((tmp_path / "summary.json").read_text())["runs"]

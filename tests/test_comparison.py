@@ -30,7 +30,9 @@ def readings(value, rejected=(), period_s=1.0, sd=1.0):
     outcome = np.zeros(len(value), np.uint8)
     outcome[list(rejected)] = REJECTED
     z = value / sd
-    return Residuals(period_s * np.arange(len(value)), value, np.full_like(value, sd), z[:, 0] ** 2, np.ones(len(value)), outcome)
+    return Residuals(
+        period_s * np.arange(len(value)), value, np.full_like(value, sd), z[:, 0] ** 2, np.ones(len(value)), outcome
+    )
 
 
 def coloured(phi, n, seed):
@@ -51,7 +53,14 @@ def test_figures_are_those_of_the_summary(runs):
     result = nf.compare(tracks, truth=mission.truth)
     for label, track in tracks.items():
         summary, run = track.summary(mission.truth), result.runs[label]
-        for key in ("position_rms_m", "position_max_m", "position_end_m", "position_end_pct", "heading_rms_deg", "velocity_rms_m_s"):
+        for key in (
+            "position_rms_m",
+            "position_max_m",
+            "position_end_m",
+            "position_end_pct",
+            "heading_rms_deg",
+            "velocity_rms_m_s",
+        ):
             assert run[key] == summary[key]
         # The mean over a slice and over all rows may differ in the last digit.
         assert run["nees"]["heading"]["mean"] == pytest.approx(summary["nees_heading"], rel=1e-12)
@@ -70,7 +79,8 @@ def test_prediction_errors_and_whiteness_are_those_of_the_innovations(runs):
     assert axis["ljung_box_p"] == pytest.approx(nf.whiteness(z, lags=20).ljung_box_p, rel=1e-9)
     assert abs(axis["largest_acf"]) == pytest.approx(np.abs(nf.acf(z, 20)[1:]).max(), rel=1e-9)
     assert (
-        nf.compare({"a": track}).runs["a"]["sensors"]["dvl"]["unit"] == "m/s" and shown_unit(track.vehicle.sensors["compass"])[0] == "deg"
+        nf.compare({"a": track}).runs["a"]["sensors"]["dvl"]["unit"] == "m/s"
+        and shown_unit(track.vehicle.sensors["compass"])[0] == "deg"
     )
 
 
@@ -92,10 +102,16 @@ def test_nothing_is_gained_by_rejecting(runs):
     value = coloured(0.0, 140, 3)
     value[::10] *= 8.0
     tolerant, strict = readings(value), readings(value, rejected=range(0, 140, 10))
-    result = nf.compare({"tolerant": with_residuals(track, depth=tolerant), "strict": with_residuals(track, depth=strict)})
+    result = nf.compare(
+        {"tolerant": with_residuals(track, depth=tolerant), "strict": with_residuals(track, depth=strict)}
+    )
     depth = {label: run["sensors"]["depth"] for label, run in result.runs.items()}
     assert depth["tolerant"]["axes"]["depth"]["prediction_rms"] == depth["strict"]["axes"]["depth"]["prediction_rms"]
-    assert depth["strict"]["rejected"] == 14 and depth["tolerant"]["rejected"] == 0 and depth["tolerant"]["compared"] == 126
+    assert (
+        depth["strict"]["rejected"] == 14
+        and depth["tolerant"]["rejected"] == 0
+        and depth["tolerant"]["compared"] == 126
+    )
     # The share beyond 3 sigma counts rejected readings too: hiding them is not honesty.
     assert depth["strict"]["outside_3_sigma"] == depth["tolerant"]["outside_3_sigma"] > 0.02
 
@@ -106,7 +122,9 @@ def test_the_score_begins_where_asked(runs):
     late = nf.compare({"a": track}, mission.truth, begin_s=60.0)
     errors = track.errors(mission.truth)
     after = track.time_s >= 60.0
-    assert late.runs["a"]["heading_rms_deg"] == pytest.approx(np.degrees(np.sqrt(np.mean(errors.heading[after] ** 2))), rel=1e-12)
+    assert late.runs["a"]["heading_rms_deg"] == pytest.approx(
+        np.degrees(np.sqrt(np.mean(errors.heading[after] ** 2))), rel=1e-12
+    )
     r = track.residuals["compass"]
     assert late.runs["a"]["sensors"]["compass"]["used"] == np.count_nonzero(r.used & (r.time_s >= 60.0))
     assert late.windows == ((60.0, track.time_s[-1]),) and "60 to" in str(late)
@@ -126,8 +144,8 @@ def test_a_gap_leaves_room_in_the_series():
 def test_correlated_errors_count_for_as_many_as_they_are_worth(phi):
     n = 20_000
     found = np.median([independent(coloured(phi, n, seed)) for seed in range(9)])
-    # Squares of an AR(1) correlate as phi^2k: n (1 - phi^2) / (1 + phi^2) independent ones. The estimate thins to 4000 and ends its sum at
-    # the first zero, so it is true to some 15 %.
+    # Squares of an AR(1) correlate as phi^2k: n (1 - phi^2) / (1 + phi^2) independent ones. The estimate thins to 4000
+    # and ends its sum at the first zero, so it is true to some 15 %.
     exact = n * (1.0 - phi**2) / (1.0 + phi**2)
     assert found == pytest.approx(min(exact, 20_000 / 5), rel=0.25)
 
@@ -151,7 +169,9 @@ def test_ratios_and_stars(runs):
     assert row.count("(1.00)") == 1 and "ratio to base" in text
     row = next(line for line in text.splitlines() if line.startswith("NEES position"))
     assert row.rstrip().endswith("*")
-    table = text.splitlines()[1 : text.splitlines().index(next(line for line in text.splitlines() if line.startswith("processor")))]
+    table = text.splitlines()[
+        1 : text.splitlines().index(next(line for line in text.splitlines() if line.startswith("processor")))
+    ]
     assert len({line.index(":") for line in table if line.startswith("dvl")}) == 1
 
 
@@ -166,14 +186,22 @@ def test_without_truth_only_the_readings_speak(runs):
     _, tracks = runs
     result = nf.compare(tracks)
     text = str(result)
-    assert "position rms" not in text and "NEES position" not in text and "compass: NIS" in text and "nan" not in text.lower()
+    assert (
+        "position rms" not in text
+        and "NEES position" not in text
+        and "compass: NIS" in text
+        and "nan" not in text.lower()
+    )
     assert result.runs["forward"]["heading_rms_deg"] is None
 
 
 def test_as_values_and_as_table(runs):
     mission, tracks = runs
     result = nf.compare(tracks, mission.truth, baseline="forward")
-    assert json.loads(json.dumps(result.to_dict()))["runs"]["forward"]["position_rms_m"] == result.runs["forward"]["position_rms_m"]
+    assert (
+        json.loads(json.dumps(result.to_dict()))["runs"]["forward"]["position_rms_m"]
+        == result.runs["forward"]["position_rms_m"]
+    )
     frame = result.to_frame()
     assert list(frame.index) == list(tracks)
     assert (
@@ -214,7 +242,9 @@ def test_the_history_of_what_was_learnt(runs):
     assert histories[0].time_s == (30.0, 60.0, 90.0) and [m.p for m in histories[0].models] == [1, 2, 2]
     plain = adopted_models({"arma": track, "gm1": tracks["forward"]})
     assert list(plain) == ["arma"]
-    assert plain["arma"]["compass"][0]["pole_radius"] == pytest.approx(0.9) and plain["arma"]["compass"][1]["ma"] == [0.3]
+    assert plain["arma"]["compass"][0]["pole_radius"] == pytest.approx(0.9) and plain["arma"]["compass"][1]["ma"] == [
+        0.3
+    ]
     assert plain["arma"]["compass"][1]["pole_radius"] == pytest.approx(np.sqrt(0.7))
 
 
@@ -246,6 +276,8 @@ def test_the_page_without_truth(runs):
 def test_panels_of_all_runs_share_one_scale(runs):
     mission, tracks = runs
     figure = next(
-        figure for title, _, figure in drawn(nf.compare(tracks, mission.truth), tracks, mission) if title == "Error against 1 sigma"
+        figure
+        for title, _, figure in drawn(nf.compare(tracks, mission.truth), tracks, mission)
+        if title == "Error against 1 sigma"
     )
     assert len({ax.get_ylim() for ax in figure.axes}) == 1 and len(figure.axes) == 2

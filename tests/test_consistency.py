@@ -1,12 +1,10 @@
 """Monte Carlo: what the filter and the smoother say about their errors is what their errors are.
 
-Errors of one run are correlated in time, so the normalised estimation error squared (NEES) is taken at a few fixed times and averaged
-over independent seeds:
-then it is chi-square with (seeds x components) degrees of freedom. Innovations of a matching model are white, so the NIS of a sensor
-counts over all its readings.
-With so many figures, one in twenty lies outside its 95 % band by chance: all must lie within the band that holds for the whole family
-with 95 %
-(Bonferroni), and at least 85 % within their own 95 % bands.
+Errors of one run are correlated in time, so the normalised estimation error squared (NEES) is taken at a few fixed
+times and averaged over independent seeds: then it is chi-square with (seeds x components) degrees of freedom.
+Innovations of a matching model are white, so the NIS of a sensor counts over all its readings. With so many figures,
+one in twenty lies outside its 95 % band by chance: all must lie within the band that holds for the whole family with 95
+% (Bonferroni), and at least 85 % within their own 95 % bands.
 """
 
 from dataclasses import dataclass, replace
@@ -63,7 +61,15 @@ def motion():
         Straight(duration_s=10.0), Turn(80.0), Dive(5.0), FigureEight(rate_deg_s=6.0), SpiralDive(8.0), ChangeSpeed(1.0, 8.0), Turn(-150.0),
         Straight(duration_s=200.0),
     )  # fmt: skip
-    return Motion(manoeuvres, latitude_deg=40.0, longitude_deg=-70.0, heading_deg=30.0, speed_m_s=1.5, depth_m=1.0, wander=Wander())
+    return Motion(
+        manoeuvres,
+        latitude_deg=40.0,
+        longitude_deg=-70.0,
+        heading_deg=30.0,
+        speed_m_s=1.5,
+        depth_m=1.0,
+        wander=Wander(),
+    )
 
 
 @dataclass(frozen=True)
@@ -76,12 +82,18 @@ class Figures:
 def campaign(drive, noise, seeds):
     # Gates off: a gate at 0.9999 shaves the NIS, here the whole distribution is wanted.
     described = vehicle(drive, noise)
-    described = nf.Vehicle(described.drive, {k: replace(s, gate_probability=1.0 - 1e-12) for k, s in described.sensors.items()})
+    described = nf.Vehicle(
+        described.drive, {k: replace(s, gate_probability=1.0 - 1e-12) for k, s in described.sensors.items()}
+    )
     nees = {(label, q): np.zeros((seeds, len(TIMES_S))) for label in ("forward", "smoothed") for q in QUANTITIES}
     nis = {name: np.zeros(2) for name in described.sensors}
     for seed in range(seeds):
         mission = simulate(
-            described, motion(), seed=1000 + seed, duration_s=DURATION_S, start=StartErrors(heading_sd_deg=2.0, velocity_sd_m_s=0.05)
+            described,
+            motion(),
+            seed=1000 + seed,
+            duration_s=DURATION_S,
+            start=StartErrors(heading_sd_deg=2.0, velocity_sd_m_s=0.05),
         )
         smoothed = nf.replay(described, mission, smooth=True, output_rate_hz=None)
         for track in (smoothed.forward, smoothed):
@@ -99,7 +111,10 @@ def judged(figures):
     """Rows of (name, mean per degree of freedom, degrees of freedom)."""
     rows = []
     for (label, quantity), values in figures.nees.items():
-        rows += [(f"{label} {quantity} at {t:.0f} s", column.mean(), 3 * len(column)) for t, column in zip(TIMES_S, values.T, strict=True)]
+        rows += [
+            (f"{label} {quantity} at {t:.0f} s", column.mean(), 3 * len(column))
+            for t, column in zip(TIMES_S, values.T, strict=True)
+        ]
     return rows + [(f"NIS {name}", total / dof, int(dof)) for name, (total, dof) in figures.nis.items()]
 
 

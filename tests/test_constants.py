@@ -17,8 +17,15 @@ ROOT = Path(navfilter.__file__).parent
 def constants(path):
     """Upper-case names that a module assigns at its top level."""
     for node in ast.parse(path.read_text()).body:
-        targets = node.targets if isinstance(node, ast.Assign) else [node.target] if isinstance(node, ast.AnnAssign) else []
-        yield from (name.id for target in targets for name in ast.walk(target) if isinstance(name, ast.Name) and name.id.isupper())
+        targets = (
+            node.targets if isinstance(node, ast.Assign) else [node.target] if isinstance(node, ast.AnnAssign) else []
+        )
+        yield from (
+            name.id
+            for target in targets
+            for name in ast.walk(target)
+            if isinstance(name, ast.Name) and name.id.isupper()
+        )
 
 
 def test_no_constant_of_the_learning_path_is_defined_twice():

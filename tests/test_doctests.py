@@ -9,7 +9,9 @@ import pytest
 
 import navfilter
 
-MODULES = sorted(m.name for m in pkgutil.walk_packages(navfilter.__path__, "navfilter.") if not m.name.endswith("__main__"))
+MODULES = sorted(
+    m.name for m in pkgutil.walk_packages(navfilter.__path__, "navfilter.") if not m.name.endswith("__main__")
+)
 
 
 @pytest.mark.parametrize("name", MODULES)

@@ -23,10 +23,15 @@ def autocovariance(block, lags):
 
 
 def gauss_markov(order, beta, t):
-    """Autocorrelation of an order-n Gauss-Markov process: thesis eq 2.42 with the factor Gamma(n + k) that the print lost."""
+    """Autocorrelation of an order-n Gauss-Markov process: thesis eq 2.42 with the factor Gamma(n + k) that the print
+    lost.
+    """
     n, b = order, beta * np.abs(t)
     terms = [
-        math.gamma(n) * math.gamma(n + k) * (2.0 * b) ** (n - k - 1) / (math.factorial(2 * n - 2) * math.factorial(k) * math.gamma(n - k))
+        math.gamma(n)
+        * math.gamma(n + k)
+        * (2.0 * b) ** (n - k - 1)
+        / (math.factorial(2 * n - 2) * math.factorial(k) * math.gamma(n - k))
         for k in range(n)
     ]
     return np.exp(-b) * sum(terms)
@@ -44,7 +49,9 @@ def test_gauss_markov_has_the_autocovariance_of_the_thesis(order, period_s):
 
 @pytest.mark.parametrize("order", [1, 2, 3, 4])
 def test_gauss_markov_falls_to_one_over_e_at_tau(order):
-    assert gauss_markov(order, nf.GaussMarkov(sd=1.0, tau_s=7.0, order=order).beta, 7.0) == pytest.approx(math.exp(-1.0), abs=1e-6)
+    assert gauss_markov(order, nf.GaussMarkov(sd=1.0, tau_s=7.0, order=order).beta, 7.0) == pytest.approx(
+        math.exp(-1.0), abs=1e-6
+    )
     root = brentq(lambda c: gauss_markov(order, c, 1.0) - math.exp(-1.0), 0.1, 10.0, xtol=1e-12)
     assert CORRELATION_CONSTANTS[order] == pytest.approx(root, abs=1e-6)
     block = nf.GaussMarkov(sd=2.0, tau_s=7.0, order=order).block(7.0)
@@ -65,11 +72,14 @@ def test_arma_has_the_autocovariance_of_statsmodels(ar, ma, sd):
     block = nf.Arma(ar=ar, ma=ma, sd=sd).block(0.25)
     assert block.size == max(len(ar), len(ma) + 1)
     expected = ArmaProcess([1.0, *ar], [1.0, *ma]).acovf(30) * sd**2
-    # statsmodels solves for the first lags and recurses: both round at 1e-14 of the variance, times the conditioning of a pole at 0.8
+    # statsmodels solves for the first lags and recurses: both round at 1e-14 of the variance, times the conditioning of
+    # a pole at 0.8
     np.testing.assert_allclose(autocovariance(block, 30), expected, rtol=0, atol=1e-11 * expected[0])
 
 
-STATIONARY = [nf.GaussMarkov(sd=0.6, tau_s=30.0, order=n) for n in (1, 2, 3, 4)] + [nf.Arma(ar=ar, ma=ma, sd=sd) for ar, ma, sd in ARMAS]
+STATIONARY = [nf.GaussMarkov(sd=0.6, tau_s=30.0, order=n) for n in (1, 2, 3, 4)] + [
+    nf.Arma(ar=ar, ma=ma, sd=sd) for ar, ma, sd in ARMAS
+]
 STATIONARY += [nf.GaussMarkov(sd=0.6, tau_s=30.0, order=2) + nf.White(sd=0.1) + nf.Arma(ar=(-0.9,), sd=0.2)]
 
 
@@ -77,7 +87,9 @@ STATIONARY += [nf.GaussMarkov(sd=0.6, tau_s=30.0, order=2) + nf.White(sd=0.1) + 
 @pytest.mark.parametrize("period_s", [0.01, 5.0])
 def test_stationary_blocks_start_stationary(model, period_s):
     block = model.block(period_s)
-    np.testing.assert_allclose(block.Phi @ block.P0 @ block.Phi.T + block.Q, block.P0, rtol=0, atol=1e-12 * np.abs(block.P0).max())
+    np.testing.assert_allclose(
+        block.Phi @ block.P0 @ block.Phi.T + block.Q, block.P0, rtol=0, atol=1e-12 * np.abs(block.P0).max()
+    )
     for M in (block.Q, block.P0):
         np.testing.assert_array_equal(M, M.T)
         assert np.linalg.eigvalsh(M).min() > -1e-14 * max(1e-300, np.abs(M).max())
@@ -93,7 +105,9 @@ def test_white_and_random_walk():
     assert (walk.Phi[0, 0], walk.P0[0, 0], walk.C[0], walk.r) == (1.0, 9.0, 1.0, 0.0)
     assert walk.Q[0, 0] == pytest.approx(0.04 * 0.5)
     # the same walk at any rate: what 100 s gather does not depend on the period
-    assert 200 * nf.RandomWalk(density=0.2).block(0.5).Q[0, 0] == pytest.approx(1000 * nf.RandomWalk(density=0.2).block(0.1).Q[0, 0])
+    assert 200 * nf.RandomWalk(density=0.2).block(0.5).Q[0, 0] == pytest.approx(
+        1000 * nf.RandomWalk(density=0.2).block(0.1).Q[0, 0]
+    )
     assert nf.RandomWalk(density=0.2).block(1.0).P0[0, 0] == pytest.approx((0.2 * 60.0) ** 2)
 
 
@@ -103,7 +117,9 @@ def test_a_sum_is_the_sum():
     assert total.parts == parts and (parts[0] + (parts[1] + parts[2])).parts == parts[:3]
     block = total.block(0.5)
     assert block.size == 3 and block.r == pytest.approx(0.05)
-    np.testing.assert_allclose(autocovariance(block, 20), sum(autocovariance(part.block(0.5), 20) for part in parts), atol=1e-14)
+    np.testing.assert_allclose(
+        autocovariance(block, 20), sum(autocovariance(part.block(0.5), 20) for part in parts), atol=1e-14
+    )
     assert total == nf.White(sd=0.1) + parts[1] + parts[2] + nf.White(sd=0.2) and hash(total) is not None
     assert str(total).count(" + ") == 3
     with pytest.raises(TypeError):
@@ -140,7 +156,10 @@ def test_simulated_errors_have_the_autocovariance(model):
         (lambda: nf.Arma(ar=(math.nan,), sd=1.0), "ar must be finite"),
         (lambda: nf.Arma(ar=(), ma=(math.inf,), sd=1.0), "ma must be finite"),
         (lambda: nf.Arma(ar=(), sd=-0.1), r"Arma\.sd"),
-        (lambda: per_axis((nf.White(sd=1.0),) * 2, 3, "dvl.error"), r"dvl\.error needs one error model, or a tuple of 3"),
+        (
+            lambda: per_axis((nf.White(sd=1.0),) * 2, 3, "dvl.error"),
+            r"dvl\.error needs one error model, or a tuple of 3",
+        ),
         (lambda: per_axis(0.1, 3, "dvl.error"), "found 0.1"),
     ],
 )
@@ -159,7 +178,9 @@ def test_layout_stacks_blocks_parameters_and_names():
         ),
         sensors={
             "depth": nf.Depth(error=nf.White(sd=0.1)),
-            "dvl": nf.BodyVelocity(rate_hz=4.0, error=nf.Arma(ar=(-0.8,), ma=(0.2, 0.1), sd=0.1), scale_sd=0.01, misalignment_sd_rad=0.02),
+            "dvl": nf.BodyVelocity(
+                rate_hz=4.0, error=nf.Arma(ar=(-0.8,), ma=(0.2, 0.1), sd=0.1), scale_sd=0.01, misalignment_sd_rad=0.02
+            ),
         },
     )
     layout = Layout.of(vehicle)
@@ -181,7 +202,9 @@ def test_layout_stacks_blocks_parameters_and_names():
 @pytest.mark.parametrize("order", [1, 2, 3, 4])
 @pytest.mark.parametrize("periods", [1e-3, 0.3, 1.0, 3.0, 10.0, 100.0, 1e9])
 def test_gauss_markov_stays_stationary_at_any_period(order, periods):
-    """Found by fuzzing: with 10 correlation times between two readings, Van Loan's Q lost all its digits, with 100 all was NaN."""
+    """Found by fuzzing: with 10 correlation times between two readings, Van Loan's Q lost all its digits, with 100 all
+    was NaN.
+    """
     block = nf.GaussMarkov(sd=2.0, tau_s=5.0, order=order).block(5.0 * periods)
     assert np.abs(np.linalg.eigvals(block.Phi)).max() < 1.0
     # Q of order 4 at a thousandth of tau is 1e-20 of P0: rounding of P0 may show as a negative eigenvalue of that size.

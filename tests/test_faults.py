@@ -1,4 +1,6 @@
-"""Every kind of fault once, in a short mission: nothing raises, no NaN, the covariance positive definite, every reading answered."""
+"""Every kind of fault once, in a short mission: nothing raises, no NaN, the covariance positive definite, every reading
+answered.
+"""
 
 import math
 
@@ -15,7 +17,8 @@ UNNOTICED = {
     "spikes gyro, possible": "a single sample within the limits of the drive is taken as a motion",
     "spikes accel, possible": "a single sample within the limits of the drive is taken as a motion",
     "stuck gyro and accel 5 s": "samples that repeat to the bit are taken as readings",
-    "one gyro dead for 20 s": "an axis that reads exactly zero is taken as a reading; here the vehicle hardly turns meanwhile",
+    "one gyro dead for 20 "
+    "s": "an axis that reads exactly zero is taken as a reading; here the vehicle hardly turns meanwhile",
 }
 WINDOW, FIXES, DURATION_S = (25.0, 45.0), (25.0, 45.0), 60.0
 
@@ -41,8 +44,14 @@ def sound(outcome):
 def test_without_a_fault_nothing_is_counted(dive):
     *_, mission, _, clean = dive
     sound(clean)
-    assert {name for name, n in clean.counts.items() if n and not name.endswith((":used", ":rejected", " is good", " is waiting"))} == set()
-    assert max(watched.nees(clean, mission.truth, 10.0).values()) < 3.0  # a mean over one minute of one run: its 3 to 9 components are few
+    assert {
+        name
+        for name, n in clean.counts.items()
+        if n and not name.endswith((":used", ":rejected", " is good", " is waiting"))
+    } == set()
+    assert (
+        max(watched.nees(clean, mission.truth, 10.0).values()) < 3.0
+    )  # a mean over one minute of one run: its 3 to 9 components are few
 
 
 @pytest.mark.parametrize("name", library.KINDS)
@@ -71,7 +80,9 @@ def test_a_fault_leaves_everything_outside_its_window_alone(dive):
         assert early == [e for e in events if e.true_s < WINDOW[0]], name
         again = library.damaged(name, events, scene, 1)
         assert len(again) == len(damaged), name
-        assert all(a == b or repr(a) == repr(b) for a, b in zip(again, damaged, strict=True)), name  # NaN is not equal to itself
+        assert all(a == b or repr(a) == repr(b) for a, b in zip(again, damaged, strict=True)), (
+            name
+        )  # NaN is not equal to itself
 
 
 def test_dead_reckoning_is_not_brought_down_either():

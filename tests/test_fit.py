@@ -26,9 +26,19 @@ TRUTH = {
     (4, 4): (np.poly([SLOW, SLOW.conjugate(), FAST, FAST.conjugate()]).real[1:], [0.5, -0.3, 0.2, 0.1]),
 }
 TEN = (
-    np.poly([r * np.exp(s * 1j * w) for r, w in zip((0.95, 0.9, 0.9, 0.9, 0.85), (0.3, 0.8, 1.3, 1.8, 2.4), strict=True) for s in (1, -1)]),
     np.poly(
-        [r * np.exp(s * 1j * w) for r, w in zip((0.8, 0.7, 0.8, 0.6, 0.8), (0.55, 1.05, 1.55, 2.1, 2.8), strict=True) for s in (1, -1)]
+        [
+            r * np.exp(s * 1j * w)
+            for r, w in zip((0.95, 0.9, 0.9, 0.9, 0.85), (0.3, 0.8, 1.3, 1.8, 2.4), strict=True)
+            for s in (1, -1)
+        ]
+    ),
+    np.poly(
+        [
+            r * np.exp(s * 1j * w)
+            for r, w in zip((0.8, 0.7, 0.8, 0.6, 0.8), (0.55, 1.05, 1.55, 2.1, 2.8), strict=True)
+            for s in (1, -1)
+        ]
     ),
 )
 TRUTH[10, 10] = (TEN[0].real[1:], TEN[1].real[1:])

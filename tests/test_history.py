@@ -34,7 +34,8 @@ def test_late_readings_equal_arrival_in_order(dive):
 
 @pytest.mark.parametrize(("history_s", "share"), [(2.0, 0.3), (10.0, 0.1), (30.0, 0.04)])
 def test_learning_is_the_same_whatever_comes_late(history_s, share):
-    """Compass and fixes late by up to the history's length, over the first adoption and hops of 25 s: models and state as in order.
+    """Compass and fixes late by up to the history's length, over the first adoption and hops of 25 s: models and state
+    as in order.
 
     1e-9 is rounding: samples come in other blocks.
     """

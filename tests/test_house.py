@@ -1,4 +1,6 @@
-"""The house stands: imports point down its layers, nothing goes in circles, and no module is called after nothing in particular."""
+"""The house stands: imports point down its layers, nothing goes in circles, and no module is called after nothing in
+particular.
+"""
 
 import ast
 from functools import cache
@@ -12,9 +14,30 @@ ROOT = Path(navfilter.__file__).parent
 #: From the ground up; a module may import from its own floor and those below.
 FLOORS = [
     {"kernels", "constants", "compilation", "filter.memory", "filter.health"},
-    {"arma", "state", "mission", "diagnostics", "magnetic", "filter.layout", "filter.tape", "error_models", "learning.drift"},
-    {"learning.low_frequency", "learning.limits", "learning.effort", "learning.likelihood", "learning.starts", "learning.fit",
-     "learning.orders", "learning.learner", "learning.learned", "learning.bias", "start"},
+    {
+        "arma",
+        "state",
+        "mission",
+        "diagnostics",
+        "magnetic",
+        "filter.layout",
+        "filter.tape",
+        "error_models",
+        "learning.drift",
+    },
+    {
+        "learning.low_frequency",
+        "learning.limits",
+        "learning.effort",
+        "learning.likelihood",
+        "learning.starts",
+        "learning.fit",
+        "learning.orders",
+        "learning.learner",
+        "learning.learned",
+        "learning.bias",
+        "start",
+    },
     {"sensors", "mechanisation", "vehicle", "track"},
     {"filter", "learning.listener", "learning.rest", "learning.refit"},
     {"learning.schedule", "navigator", "alignment"},
@@ -44,7 +67,9 @@ def tree_of(path):
 
 @cache
 def imports(path, *, lazy=True):
-    """Modules of the package that a file imports, as (name, whether only inside functions); `TYPE_CHECKING` blocks do not run."""
+    """Modules of the package that a file imports, as (name, whether only inside functions); `TYPE_CHECKING` blocks do
+    not run.
+    """
     found = set()
 
     def visit(node, inside):
@@ -58,7 +83,11 @@ def imports(path, *, lazy=True):
                 whole = ".".join(part for part in (below, alias.name) if part)
                 targets.append(whole if exists(whole) else below or "__init__")
         elif isinstance(node, ast.Import):
-            targets = [".".join(alias.name.split(".")[1:]) or "__init__" for alias in node.names if alias.name.split(".")[0] == "navfilter"]
+            targets = [
+                ".".join(alias.name.split(".")[1:]) or "__init__"
+                for alias in node.names
+                if alias.name.split(".")[0] == "navfilter"
+            ]
         found.update((target, inside) for target in targets)
         for child in ast.iter_child_nodes(node):
             visit(child, inside)
@@ -97,7 +126,9 @@ def test_every_module_stands_on_a_floor():
 def test_nothing_below_imports_the_face():
     """The package's __init__ is for users: a module that imports it would depend on everything."""
     assert [
-        name_of(path) for path in modules() if name_of(path) not in ("__init__", "__main__", "cli") and "__init__" in imports(path)
+        name_of(path)
+        for path in modules()
+        if name_of(path) not in ("__init__", "__main__", "cli") and "__init__" in imports(path)
     ] == []
 
 
@@ -105,7 +136,9 @@ def test_nothing_below_imports_the_face():
 def test_no_circles(lazy):
     """Neither at import time nor through imports inside functions."""
     arrows = {
-        name_of(path): imports(path, lazy=lazy) - {name_of(path)} for path in modules() if name_of(path) not in ("__init__", "__main__")
+        name_of(path): imports(path, lazy=lazy) - {name_of(path)}
+        for path in modules()
+        if name_of(path) not in ("__init__", "__main__")
     }
     done, path = set(), []
 
@@ -134,7 +167,11 @@ def test_no_module_is_a_drawer_for_everything():
 
 def test_files_stay_readable():
     """A signal, not a law: over 400 lines a file wants to be two."""
-    assert {name_of(p): n for p in modules() if (n := len(p.read_text().splitlines())) > LONGEST_FILE and p.parent.name != "kernels"} == {}
+    assert {
+        name_of(p): n
+        for p in modules()
+        if (n := len(p.read_text().splitlines())) > LONGEST_FILE and p.parent.name != "kernels"
+    } == {}
 
 
 def test_no_asserts_where_users_arrive():
@@ -142,7 +179,11 @@ def test_no_asserts_where_users_arrive():
     found = []
     for path in modules():
         for node in ast.walk(tree_of(path)):
-            if isinstance(node, ast.Assert) and "is not None" not in ast.unparse(node.test) and "isinstance" not in ast.unparse(node.test):
+            if (
+                isinstance(node, ast.Assert)
+                and "is not None" not in ast.unparse(node.test)
+                and "isinstance" not in ast.unparse(node.test)
+            ):
                 found.append(f"{name_of(path)}:{node.lineno} {ast.unparse(node)}")
     assert found == []
 
@@ -150,8 +191,18 @@ def test_no_asserts_where_users_arrive():
 @cache
 def kinds_of(base):
     """Names of all classes of the package below one, by the base classes as they are written."""
-    found, tree = {base}, [node for path in modules() for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.ClassDef)]
-    while new := {node.name for node in tree if found & {ast.unparse(b).rsplit(".", 1)[-1] for b in node.bases}} - found:
+    found, tree = (
+        {base},
+        [
+            node
+            for path in modules()
+            for node in ast.walk(ast.parse(path.read_text()))
+            if isinstance(node, ast.ClassDef)
+        ],
+    )
+    while (
+        new := {node.name for node in tree if found & {ast.unparse(b).rsplit(".", 1)[-1] for b in node.bases}} - found
+    ):
         found |= new
     return found - {base}
 
@@ -168,7 +219,9 @@ EXCEPTIONS = {("simulation.simulate", "Imu"), ("learning.rest", "Imu")}
 
 @pytest.mark.parametrize("base", HOMES)
 def test_kinds_speak_for_themselves(base):
-    """Whoever needs to know what kind of sensor or drive he has asks it: no isinstance, no type(...), no name of a class elsewhere."""
+    """Whoever needs to know what kind of sensor or drive he has asks it: no isinstance, no type(...), no name of a
+    class elsewhere.
+    """
     kinds = kinds_of(base)
     assert len(kinds) >= 2
     wrong = []
@@ -194,8 +247,19 @@ def test_there_is_no_list_of_kinds():
             if value is None or name.split(".")[0] in HOMES.values():
                 continue
             for part in ast.walk(value):
-                members = part.keys if isinstance(part, ast.Dict) else part.elts if isinstance(part, ast.Tuple | ast.List | ast.Set) else []
-                named = [kind for kind in kinds_of("Sensor") for member in members if member is not None and kind in names_in(member)]
+                members = (
+                    part.keys
+                    if isinstance(part, ast.Dict)
+                    else part.elts
+                    if isinstance(part, ast.Tuple | ast.List | ast.Set)
+                    else []
+                )
+                named = [
+                    kind
+                    for kind in kinds_of("Sensor")
+                    for member in members
+                    if member is not None and kind in names_in(member)
+                ]
                 if len(named) > 1:
                     wrong.append(f"{name}:{node.lineno}")
     assert wrong == []
@@ -218,14 +282,18 @@ OPEN = {"_replace", "_fields", "_asdict", "os._exit", "message._timestamp"}
 
 
 def test_nobody_reaches_into_the_privates_of_another():
-    """A private name is for its own class: of `self`, or of another object of the same class where a class method makes one."""
+    """A private name is for its own class: of `self`, or of another object of the same class where a class method makes
+    one.
+    """
     wrong = []
     for path in modules():
         tree = tree_of(path)
         own = {}
         for kind in ast.walk(tree):
             if isinstance(kind, ast.ClassDef):
-                names = {n.attr for n in ast.walk(kind) if isinstance(n, ast.Attribute) and ast.unparse(n.value) == "self"}
+                names = {
+                    n.attr for n in ast.walk(kind) if isinstance(n, ast.Attribute) and ast.unparse(n.value) == "self"
+                }
                 names |= {n.name for n in ast.walk(kind) if isinstance(n, ast.FunctionDef)}
                 own |= {id(n): names for n in ast.walk(kind)}
         for node in ast.walk(tree):

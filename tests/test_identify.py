@@ -1,4 +1,6 @@
-"""Identification of a recorded series: reading files, conditioning, choice of model, its reading in words, what is written."""
+"""Identification of a recorded series: reading files, conditioning, choice of model, its reading in words, what is
+written.
+"""
 
 import gzip
 import json
@@ -72,7 +74,9 @@ def test_finds_the_header_below_a_preamble_and_the_column_of_an_array(tmp_path):
     np.testing.assert_array_equal(series.value, -np.arange(60.0))
     assert series.notes == ("the header was found on line 2",)
     np.savez(tmp_path / "y.npz", counts=np.arange(120).reshape(60, 2), scale=np.ones(2))
-    np.testing.assert_array_equal(read_series(tmp_path / "y.npz", "counts[1]", rate_hz=1.0).value, np.arange(1.0, 120.0, 2.0))
+    np.testing.assert_array_equal(
+        read_series(tmp_path / "y.npz", "counts[1]", rate_hz=1.0).value, np.arange(1.0, 120.0, 2.0)
+    )
     (tmp_path / "broken.csv.gz").write_bytes(b"no gzip")
     with pytest.raises(MissionError, match="cannot be unpacked"):
         read_series(tmp_path / "broken.csv.gz", "b", rate_hz=1.0)
@@ -211,7 +215,11 @@ def sum_of(*models):
     [
         (sum_of(([], 2.0)), "white noise; minimal order (0,0)", White),
         (sum_of(([-0.99], 1.0)), "first-order Gauss-Markov, tau = 0.99 s; minimal order (1,0)", GaussMarkov),
-        (sum_of(([-0.99], 0.3), ([], 1.0)), "first-order Gauss-Markov, tau = 0.99 s + white noise; minimal order (1,1)", Sum),
+        (
+            sum_of(([-0.99], 0.3), ([], 1.0)),
+            "first-order Gauss-Markov, tau = 0.99 s + white noise; minimal order (1,1)",
+            Sum,
+        ),
         (sum_of(([-1.0], 0.1), ([], 1.0)), "random-walk bias + white noise; minimal order (1,1)", Sum),
         (
             sum_of(([-1.0], 0.01), ([], 1.0), ([1.95, 0.96], 0.05)),
@@ -223,10 +231,26 @@ def sum_of(*models):
             "first-order Gauss-Markov, tau = 5.0 s + a line at 4.77 Hz + white noise; minimal order (3,3)",
             Arma,
         ),
-        (nf.ArmaModel(np.array([]), np.array([0.17]), 1.0), "moving average from the device's own filtering; minimal order (0,1)", Arma),
-        (nf.ArmaModel(np.array([0.14]), np.array([]), 1.0), "short correlation from the device's own filtering; minimal order (1,0)", Arma),
-        (nf.ArmaModel(np.array([-1.839, 0.848]), np.array([]), 1.0), "second-order Gauss-Markov, tau = 0.26 s; minimal order (2,0)", Arma),
-        (nf.gauss_markov_arma(2, 1.0, 5.0, 100.0), "second-order Gauss-Markov, tau = 0.43 s; minimal order (2,1)", Arma),
+        (
+            nf.ArmaModel(np.array([]), np.array([0.17]), 1.0),
+            "moving average from the device's own filtering; minimal order (0,1)",
+            Arma,
+        ),
+        (
+            nf.ArmaModel(np.array([0.14]), np.array([]), 1.0),
+            "short correlation from the device's own filtering; minimal order (1,0)",
+            Arma,
+        ),
+        (
+            nf.ArmaModel(np.array([-1.839, 0.848]), np.array([]), 1.0),
+            "second-order Gauss-Markov, tau = 0.26 s; minimal order (2,0)",
+            Arma,
+        ),
+        (
+            nf.gauss_markov_arma(2, 1.0, 5.0, 100.0),
+            "second-order Gauss-Markov, tau = 0.43 s; minimal order (2,1)",
+            Arma,
+        ),
         (nf.ArmaModel(np.array([-1.5, 0.5]), np.array([]), 1.0), "random walk with correlated steps", Arma),
     ],
     ids=lambda value: value[:40] if isinstance(value, str) else "",
@@ -248,7 +272,9 @@ def test_parts_of_a_sum_are_recovered():
 
 
 def test_a_bias_far_below_the_noise_is_named():
-    """A hundredth of the sample's variance, but ten times its density at low frequency: it decides the navigation error."""
+    """A hundredth of the sample's variance, but ten times its density at low frequency: it decides the navigation
+    error.
+    """
     model = sum_of(([-0.999], 0.0045), ([], 1.0))
     reading = read_model(nf.ArmaModel(model.ar, model.ma, model.sd, np.eye(2) * 1e-10), 100.0, 50_000)
     assert reading.text.startswith("first-order Gauss-Markov, tau = 10 s") and "+ white noise" in reading.text
@@ -271,7 +297,13 @@ def test_suggested_walk_keeps_its_strength_at_another_rate():
 
 @pytest.mark.parametrize(
     "ar, ma, order",
-    [([], [], (0, 0)), ([-0.9], [], (1, 0)), ([], [-0.5], (0, 1)), ([-0.95], [-0.6], (1, 1)), ([-1.6, 0.8], [], (2, 0))],
+    [
+        ([], [], (0, 0)),
+        ([-0.9], [], (1, 0)),
+        ([], [-0.5], (0, 1)),
+        ([-0.95], [-0.6], (1, 1)),
+        ([-1.6, 0.8], [], (2, 0)),
+    ],
 )
 def test_simulated_orders_are_found(ar, ma, order):
     found = small(arma(ar, ma, 3000, seed=4))
@@ -307,7 +339,9 @@ def test_gaps_infinities_and_few_samples_are_handled_and_told():
     x[700] = np.inf
     found = small(x)
     assert (found.fit.p, found.fit.q) == (1, 0) and found.fit.n == 1495
-    assert any("infinite" in remark for remark in found.remarks) and any("missing" in remark for remark in found.remarks)
+    assert any("infinite" in remark for remark in found.remarks) and any(
+        "missing" in remark for remark in found.remarks
+    )
     short = identify(arma([-0.9], [], 130, seed=3), 10.0)
     assert any("130 samples carry no more" in remark for remark in short.remarks)
     assert short.table is not None and short.table.bic.shape == (3, 3)
@@ -333,7 +367,9 @@ def test_model_allan_deviation():
     counts = np.array([1, 3, 10, 100])
     walk = nf.ArmaModel(np.array([-1.0]), np.array([]), 2.0)
     # Closed form of a sampled random walk: q^2 (2 m^2 + 1) / (6 m).
-    np.testing.assert_allclose(model_allan_deviation(walk, counts), 2.0 * np.sqrt((2 * counts**2 + 1) / (6 * counts)), rtol=1e-9)
+    np.testing.assert_allclose(
+        model_allan_deviation(walk, counts), 2.0 * np.sqrt((2 * counts**2 + 1) / (6 * counts)), rtol=1e-9
+    )
     model = nf.ArmaModel(np.array([-1.6, 0.8]), np.array([0.4]), 1.0)
     _, sample = nf.allan_deviation(nf.simulate_arma(model.ar, model.ma, 1.0, 400_000, 1), 1.0, counts)
     # 4000 independent averages at the longest: a relative standard deviation of 1.1 %.
@@ -437,7 +473,9 @@ def test_numbers_say_everything(still):
     assert set(result["fit"]) >= {"ar", "ma", "sd", "covariance", "poles", "zeros"}
     assert np.shape(result["fit"]["covariance"]) == (2, 2) and np.shape(result["fit"]["poles"]) == (1, 2)
     assert np.shape(result["criteria"]["bic"]) == np.shape(result["criteria"]["wt"]) == (3, 3)
-    assert result["whiteness"]["is_white"] and result["reading"] == "random-walk bias + white noise; minimal order (1,1)"
+    assert (
+        result["whiteness"]["is_white"] and result["reading"] == "random-walk bias + white noise; minimal order (1,1)"
+    )
     assert result["error"]["toml"].startswith('error = [{model = "random-walk"')
     # 0.05 deg per sample at 8 Hz in rad/sqrt(s), known within the 12 % of two standard deviations of the zero.
     density = float(result["error"]["toml"].split("density = ")[1].split("}")[0])
@@ -455,7 +493,12 @@ def test_command_prints_the_reading(still, tmp_path, capsys):
 def test_command_tracks_online(still, tmp_path, capsys):
     how = ["--column", "heading", "--rate-hz", "8", "--online", "--window", "1000", "--out", str(tmp_path)]
     assert main(["identify", str(still / "still.csv"), *how]) == 0
-    assert {path.name for path in tmp_path.glob("[!.]*")} == {"identify.html", "identify.json", "tracks.csv", "tracks.svg"}
+    assert {path.name for path in tmp_path.glob("[!.]*")} == {
+        "identify.html",
+        "identify.json",
+        "tracks.csv",
+        "tracks.svg",
+    }
     assert "last model: random-walk bias + white noise; minimal order (1,1)" in capsys.readouterr().out
     rows = np.genfromtxt(tmp_path / "tracks.csv", delimiter=",", names=True)
     assert rows["time_s"][-1] == pytest.approx(500.0) and np.all(rows["sd"] > 0.0)
@@ -477,7 +520,9 @@ def test_command_fails_in_one_line(still, tmp_path, capsys, how, words):
     assert said.out == "" and said.err.count("\n") == 1 and words in said.err
 
 
-@pytest.mark.parametrize("x", [arma([], [], 200), np.round(arma([], [], 400)), arma([-1.6, 0.9], [], 400), 1e9 + arma([], [], 300)])
+@pytest.mark.parametrize(
+    "x", [arma([], [], 200), np.round(arma([], [], 400)), arma([-1.6, 0.9], [], 400), 1e9 + arma([], [], 300)]
+)
 def test_every_series_can_be_drawn(x):
     found = small(x)
     assert len(list(identification_figures(found))) >= 5

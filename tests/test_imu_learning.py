@@ -47,7 +47,9 @@ def at_rest(seconds, gyro=None, accel=None, seed=1):
     """Samples of a level unit that stands still: times, rates and forces."""
     n = round(seconds * RATE_HZ)
     models = [gyro or WALK + nf.White(sd=GYRO_SD)] * 3 + [accel or FORCE_WALK + nf.White(sd=FORCE_SD)] * 3
-    out = np.column_stack([np.arange(1, n + 1) * PERIOD_S, *(draw_error(m, PERIOD_S, n, seed, "imu", i) for i, m in enumerate(models))])
+    out = np.column_stack(
+        [np.arange(1, n + 1) * PERIOD_S, *(draw_error(m, PERIOD_S, n, seed, "imu", i) for i, m in enumerate(models))]
+    )
     out[:, 1] += 7.292e-5 * math.cos(math.radians(45.0))
     out[:, 3] -= 7.292e-5 * math.sin(math.radians(45.0))
     out[:, 6] -= GRAVITY
@@ -95,7 +97,9 @@ def test_whatever_is_learnt_a_bias_stands_beside_it(default):
     other = nf.RandomWalk(density=3e-6)
     assert resolved(nf.LearnedArma()) == walk + nf.LearnedArma(prior=white)
     assert resolved(other + nf.LearnedArma()) == other + nf.LearnedArma(prior=white)
-    assert resolved(nf.White(sd=0.1) + other + nf.LearnedArma()) == nf.White(sd=0.1) + other + nf.LearnedArma(prior=nf.White(sd=0.0))
+    assert resolved(nf.White(sd=0.1) + other + nf.LearnedArma()) == nf.White(sd=0.1) + other + nf.LearnedArma(
+        prior=nf.White(sd=0.0)
+    )
     assert resolved(nf.LearnedArma(prior=nf.White(sd=0.1) + other)) == other + nf.LearnedArma(prior=nf.White(sd=0.1))
     assert resolved(GYRO) == GYRO
     learnt = nf.LearnedArma(model=ArmaModel([-0.5], [], 1e-3))
@@ -117,7 +121,9 @@ COLOURED = {
 
 @pytest.mark.parametrize("name", COLOURED)
 def test_spectrum_of_a_coloured_gyro(name):
-    """Within a factor 1.5 in every band of 1 Hz: a band of the 40 s window holds 40 periodogram ordinates, 16 % by themselves."""
+    """Within a factor 1.5 in every band of 1 Hz: a band of the 40 s window holds 40 periodogram ordinates, 16 % by
+    themselves.
+    """
     nav = run(vehicle_of(), at_rest(65.0, COLOURED[name]))
     edges = np.linspace(1e-3, math.pi, 51)
     truth = band_power(COLOURED[name], edges)
@@ -137,13 +143,17 @@ def known(model):
 
 @pytest.mark.parametrize("gyro", ["tactical", "mems"])
 def test_gyro_of_the_thesis_at_rest_before_a_dive(gyro):
-    """ARMA(2,2), a line 0.01 Hz wide next to the Nyquist frequency: the line is found, and below it the spectrum is right.
+    """ARMA(2,2), a line 0.01 Hz wide next to the Nyquist frequency: the line is found, and below it the spectrum is
+    right.
 
-    The window holds the line's own correlation time (16 s) two and a half times: its power in the window is anything within a factor 3.
+    The window holds the line's own correlation time (16 s) two and a half times: its power in the window is anything
+    within a factor 3.
     """
     staged = stage("gyro-thesis", motion="transit", gyro=gyro, duration_s=220.0)
     models = staged.vehicle.drive.models
-    learnable = tuple(known(m) + nf.LearnedArma(prior=next(p for p in m.parts if not isinstance(p, RandomWalk))) for m in models)
+    learnable = tuple(
+        known(m) + nf.LearnedArma(prior=next(p for p in m.parts if not isinstance(p, RandomWalk))) for m in models
+    )
     track = nf.replay(staged.vehicle.with_error(gyro=learnable[:3], accel=learnable[3:]), staged.mission(1))
     edges = np.linspace(1e-3, math.pi, 51)
     times = [time_s for time_s, _ in track.error_models["gyro"]]
@@ -211,7 +221,9 @@ def test_a_pole_beyond_the_window_is_never_adopted_beside_a_bias():
     y = GYRO_SD * rng.normal(size=4000)
     found = add_arma([ArmaModel([-(1.0 - 3.0 / 4000)], [], 1e-5), ArmaModel([], [], GYRO_SD)])
     left, model = hand_over(found, GYRO, y, drift, 0.0)
-    assert left.p + left.q == 0 and known(model).density == pytest.approx(math.hypot(1e-6, 1e-5 / math.sqrt(PERIOD_S)), rel=1e-6)
+    assert left.p + left.q == 0 and known(model).density == pytest.approx(
+        math.hypot(1e-6, 1e-5 / math.sqrt(PERIOD_S)), rel=1e-6
+    )
 
 
 def test_a_time_constant_that_the_window_holds_often_stays():
@@ -253,11 +265,15 @@ def test_nothing_is_learnt_while_it_moves(gyro, aided):
     speed = np.linalg.norm(mission.truth.value[:, 3:6], axis=1)
     moving = mission.truth.time_s[speed > 0.1]
     vehicle = staged.vehicle if aided else staged.vehicle.without("dvl", "gps", "compass")
-    vehicle = vehicle.with_error(gyro=nf.LearnedArma(prior=vehicle.drive.models[0]), accel=nf.LearnedArma(prior=vehicle.drive.models[3]))
+    vehicle = vehicle.with_error(
+        gyro=nf.LearnedArma(prior=vehicle.drive.models[0]), accel=nf.LearnedArma(prior=vehicle.drive.models[3])
+    )
     nav, events = nf.Navigator(vehicle, mission.start, history_s=0.0), events_of(vehicle, mission)
     kept = []
     for begin, end in ((-1.0, moving[0] + 1.0), (moving[0] + 1.0, moving[-1])):
-        in_blocks(nav, [event for event in events if begin < event.time_s <= end], np.random.default_rng(0), LONGEST_BLOCK)
+        in_blocks(
+            nav, [event for event in events if begin < event.time_s <= end], np.random.default_rng(0), LONGEST_BLOCK
+        )
         kept.append(nav.learning.rest.memory.cursor)
     assert moving[-1] - moving[0] > 250.0 and (kept[0] > 10_000 or not aided)
     assert kept[1] == kept[0]
@@ -265,7 +281,9 @@ def test_nothing_is_learnt_while_it_moves(gyro, aided):
 
 @pytest.mark.parametrize(("speed", "speed_sd", "kept"), [(0.0, 0.02, 8), (1.0, 0.02, 0), (0.0, 0.5, 0), (1.0, 0.5, 0)])
 def test_calm_water_looks_like_rest_unless_the_velocity_is_known(speed, speed_sd, kept):
-    start = nf.Start(latitude_deg=45.0, longitude_deg=0.0, velocity_n=(speed, 0.0, 0.0), velocity_sd_m_s=speed_sd, tilt_sd_deg=0.02)
+    start = nf.Start(
+        latitude_deg=45.0, longitude_deg=0.0, velocity_n=(speed, 0.0, 0.0), velocity_sd_m_s=speed_sd, tilt_sd_deg=0.02
+    )
     assert run(vehicle_of().without("rest"), at_rest(10.0), start).learning.rest.memory.cursor == 100 * kept
 
 
@@ -405,11 +423,16 @@ def test_one_by_one_and_in_blocks_are_the_same_bits(survey):
 
 
 def test_the_beginning_is_done_again_with_what_was_learnt_at_rest(survey):
-    """The compass's first models come at 110 s; the unit's, learnt by then, are in force from the start of the second pass."""
+    """The compass's first models come at 110 s; the unit's, learnt by then, are in force from the start of the second
+    pass.
+    """
     _, vehicle, mission, events = survey
     tape = nf.Tape()
     nav = run_of(vehicle, mission, events, tape=tape)
-    assert tape.models["compass"][0][0] == mission.start.time_s and learned_part(tape.models["compass"][0][1][0]).model is not None
+    assert (
+        tape.models["compass"][0][0] == mission.start.time_s
+        and learned_part(tape.models["compass"][0][1][0]).model is not None
+    )
     first_s, first = tape.models["gyro"][0]
     assert first_s == mission.start.time_s
     assert all(learned_part(model).model is not None for model in first)
@@ -428,7 +451,9 @@ def test_snapshots_go_on_bit_for_bit(survey):
 
 
 def test_late_readings_change_nothing(survey):
-    """Of depth and compass three in ten come up to 1.9 s late, at rest as well: the run goes back over adoptions and samples at rest."""
+    """Of depth and compass three in ten come up to 1.9 s late, at rest as well: the run goes back over adoptions and
+    samples at rest.
+    """
     vehicle, _, mission, events = survey
     events = [event for event in events if event.time_s < 32.0]
     late = delayed(events, ("depth", "compass"), 1.9, seed=1, share=0.3)
@@ -453,7 +478,8 @@ def test_replay_with_smoothing_over_the_adoptions(survey):
     grown = [i for i, name in enumerate(track.state_names) if name == "gyro_x[2]"]
     for i in grown:
         assert (
-            np.isnan(track.states[track.time_s < adopted_s, i]).all() and np.isfinite(track.states[track.time_s > adopted_s + 0.1, i]).any()
+            np.isnan(track.states[track.time_s < adopted_s, i]).all()
+            and np.isfinite(track.states[track.time_s > adopted_s + 0.1, i]).any()
         )
     bias = track.state_names.index("gyro_x[0]")
     assert np.isfinite(track.states[:, bias]).all()
@@ -469,8 +495,10 @@ def recorded_run(rates, forces):
     vehicle = nf.Vehicle(
         imu=nf.Imu(
             rate_hz=RATE_HZ,
-            gyro=nf.RandomWalk(density=1e-6, start_sd=0.05) + nf.LearnedArma(prior=nf.White(sd=1.5 * rates.std(axis=0).mean())),
-            accel=nf.RandomWalk(density=1e-5, start_sd=0.05) + nf.LearnedArma(prior=nf.White(sd=1.5 * forces.std(axis=0).mean())),
+            gyro=nf.RandomWalk(density=1e-6, start_sd=0.05)
+            + nf.LearnedArma(prior=nf.White(sd=1.5 * rates.std(axis=0).mean())),
+            accel=nf.RandomWalk(density=1e-5, start_sd=0.05)
+            + nf.LearnedArma(prior=nf.White(sd=1.5 * forces.std(axis=0).mean())),
         ),
         sensors={"rest": nf.ZeroVelocity(gyro_sd_max=0.02, force_sd_max=0.2, gyro_mean_max=0.1)},
     )
@@ -499,7 +527,9 @@ def test_a_recorded_unit_that_is_nearly_white(data_file):
 
 
 def test_what_is_learnt_of_the_unit_drives_the_other_sensors_series_as_white_noise():
-    """A dive that begins with learnt gyros: heading and velocity wander by their S(0), not by the innovation of every sample."""
+    """A dive that begins with learnt gyros: heading and velocity wander by their S(0), not by the innovation of every
+    sample.
+    """
     white, sd = GYRO_SD * math.sqrt(PERIOD_S), 4e-4
     for model in (ArmaModel([], [], GYRO_SD), ArmaModel([-0.6], [], sd), ArmaModel([0.6], [0.3], sd)):
         learnt = WALK + nf.LearnedArma(model=model)
@@ -512,7 +542,9 @@ def test_what_is_learnt_of_the_unit_drives_the_other_sensors_series_as_white_noi
 
 def drifts(gyro):
     sensors = {"compass": nf.Heading(rate_hz=8), "dvl": nf.BodyVelocity(rate_hz=4), "gps": nf.Position(rate_hz=1)}
-    vehicle = nf.Vehicle(imu=nf.Imu(rate_hz=RATE_HZ, gyro=gyro, accel=FORCE_WALK + nf.White(sd=FORCE_SD)), sensors=sensors)
+    vehicle = nf.Vehicle(
+        imu=nf.Imu(rate_hz=RATE_HZ, gyro=gyro, accel=FORCE_WALK + nf.White(sd=FORCE_SD)), sensors=sensors
+    )
     return [sensor.drift(vehicle.drive, 0, 0.0) for sensor in sensors.values()]
 
 
@@ -530,5 +562,7 @@ def test_the_next_dive_begins_with_what_was_learnt(tmp_path):
         np.testing.assert_array_equal(one.block(PERIOD_S).Q, two.block(PERIOD_S).Q)
     nav = nf.Navigator(again, mission.start)
     assert nav.learning.rest is not None and all(model is not None for model in in_force(nav)[:3])
-    fixed = again.with_error(gyro=tuple(known(m) + dataclasses.replace(learned_part(m), frozen=True) for m in again.drive.models[:3]))
+    fixed = again.with_error(
+        gyro=tuple(known(m) + dataclasses.replace(learned_part(m), frozen=True) for m in again.drive.models[:3])
+    )
     assert nf.Navigator(fixed, mission.start).learning.rest is None

@@ -62,10 +62,14 @@ def test_a_frozen_model_is_kept_and_nothing_is_learnt():
 def test_a_frozen_model_is_the_model():
     """The filter takes it as it takes the same model that goes on learning."""
     going_on = dataclasses.replace(KEPT, frozen=False)
-    for one, other in zip(dataclasses.astuple(KEPT.block(PERIOD_S)), dataclasses.astuple(going_on.block(PERIOD_S)), strict=True):
+    for one, other in zip(
+        dataclasses.astuple(KEPT.block(PERIOD_S)), dataclasses.astuple(going_on.block(PERIOD_S)), strict=True
+    ):
         np.testing.assert_array_equal(one, other)
     assert (
-        learning_part(KEPT) is None and learning_part(nf.White(sd=0.1) + going_on) is going_on and str(KEPT) == "LearnedArma(1, 0, frozen)"
+        learning_part(KEPT) is None
+        and learning_part(nf.White(sd=0.1) + going_on) is going_on
+        and str(KEPT) == "LearnedArma(1, 0, frozen)"
     )
 
 
@@ -73,13 +77,21 @@ def test_frozen_and_learning_axes_of_one_sensor():
     vehicle = survey_vehicle()
     nav = nf.Navigator(vehicle.with_error(dvl=(KEPT, LEARNS, KEPT)), nf.Start(latitude_deg=45.0, longitude_deg=0.0))
     listener = nav.learning.listeners.get("dvl")
-    assert [learner is not None for learner in listener.learners] == [False, True, False] and listener.window == LEARNS.window
+    assert [learner is not None for learner in listener.learners] == [
+        False,
+        True,
+        False,
+    ] and listener.window == LEARNS.window
 
 
 def test_frozen_inertial_models_are_not_learnt_at_rest():
     start = nf.Start(latitude_deg=45.0, longitude_deg=0.0)
-    one, other = (nf.Navigator(nf.Vehicle(imu=nf.Imu(rate_hz=100.0, gyro=gyro)), start) for gyro in (KEPT, (LEARNS, KEPT, KEPT)))
-    assert one.learning.rest is None and [learner is not None for learner in other.learning.rest.learners] == [True] + 5 * [False]
+    one, other = (
+        nf.Navigator(nf.Vehicle(imu=nf.Imu(rate_hz=100.0, gyro=gyro)), start) for gyro in (KEPT, (LEARNS, KEPT, KEPT))
+    )
+    assert one.learning.rest is None and [learner is not None for learner in other.learning.rest.learners] == [
+        True
+    ] + 5 * [False]
 
 
 def test_frozen_needs_a_model():
@@ -97,7 +109,9 @@ def test_frozen_models_are_written_and_read(tmp_path):
 
 
 def test_rounds_end_when_the_models_have_settled():
-    """The open-loop series hardly depends on what is believed of the sensor, so the second round finds what the first one found."""
+    """The open-loop series hardly depends on what is believed of the sensor, so the second round finds what the first
+    one found.
+    """
     found, said = rounds()
     assert [number for number, _ in said] == list(range(1, len(said) + 1))
     assert said[0][1] == math.inf and said[-1][1] < SETTLED and all(apart >= SETTLED for _, apart in said[:-1])
@@ -112,7 +126,9 @@ def test_replay_iterated_is_a_replay_of_the_identified_vehicle():
     for name in ("latitude", "longitude", "attitude", "covariance", "states"):
         np.testing.assert_array_equal(getattr(track, name), getattr(again, name))
     assert track.label == "smoothed" and track.error_models == again.error_models
-    assert [error.frozen for _, error in track.error_models["compass"]] == [True] and track.error_models["compass"][0][0] == track.time_s[0]
+    assert [error.frozen for _, error in track.error_models["compass"]] == [True] and track.error_models["compass"][0][
+        0
+    ] == track.time_s[0]
 
 
 def test_a_single_round_fits_what_was_heard_while_learning():
@@ -181,8 +197,9 @@ def from_smoothed_residuals(seed, passes=2):
 def test_low_frequencies_are_kept_that_smoothed_residuals_lose(seed):
     """A gyro of a MEMS unit and a compass that errs with 30 s: the smoother takes the slow error for heading.
 
-    The 840 s heard hold 28 of its time constants, which leaves ln S(0) uncertain by about sqrt(4 / 28) = 0.4 even beside a perfect
-    gyro, and more beside this one: 1 is two standard deviations. Of the smoothed residuals a factor of 5 is asked, far beyond that.
+    The 840 s heard hold 28 of its time constants, which leaves ln S(0) uncertain by about sqrt(4 / 28) = 0.4 even
+    beside a perfect gyro, and more beside this one: 1 is two standard deviations. Of the smoothed residuals a factor of
+    5 is asked, far beyond that.
     """
     truth = block_level(TRUE.block(PERIOD_S))
     found = identified(*dive(True, 900.0, seed), 2)
@@ -203,7 +220,11 @@ def test_every_adoption_is_in_the_summary(tmp_path):
     learnt = [(t, part.model) for t, part in history if part.model is not None]
     assert list(steps) == ["compass"] and len(steps["compass"]) == len(learnt) > 1
     for step, (time_s, model) in zip(steps["compass"], learnt, strict=True):
-        assert step["time_s"] == pytest.approx(time_s, abs=1e-3) and step["order"] == [model.p, model.q] and not step["frozen"]
+        assert (
+            step["time_s"] == pytest.approx(time_s, abs=1e-3)
+            and step["order"] == [model.p, model.q]
+            and not step["frozen"]
+        )
         assert step["sd"] == model.sd and step["sd_log_s0"] == model.sd_log_s0 and step["flags"] == sorted(model.flags)
         assert step["ar"] == model.ar.tolist() and step["ma"] == model.ma.tolist()
         gain = (1.0 + sum(step["ma"])) / (1.0 + sum(step["ar"]))
@@ -215,7 +236,9 @@ def test_axes_are_told_apart_and_repetitions_left_out():
     """A change of one axis is no news of the others."""
     track = replay(*dive())
     a, b = LearnedArma(model=ArmaModel([-0.5], [], 0.1)), LearnedArma(model=ArmaModel([], [], 0.2), frozen=True)
-    told = dataclasses.replace(track, error_models={"dvl": [(0.0, (a, nf.White(sd=1.0), a)), (9.0, (a, b, b))], "gyro": [(3.0, (a, a, b))]})
+    told = dataclasses.replace(
+        track, error_models={"dvl": [(0.0, (a, nf.White(sd=1.0), a)), (9.0, (a, b, b))], "gyro": [(3.0, (a, a, b))]}
+    )
     steps = {title: [(s["time_s"], s["order"], s["frozen"]) for s in steps] for title, steps in told.adopted().items()}
     first, later = (0.0, [1, 0], False), (9.0, [0, 0], True)
     assert steps["dvl x"] == [first] and steps["dvl y"] == [later] and steps["dvl z"] == [first, later]
@@ -226,7 +249,16 @@ def test_the_command(tmp_path, capsys):
     vehicle, mission = dive()
     mission.save(tmp_path / "mission.npz")
     path = write_vehicle(vehicle, tmp_path / "vehicle.toml")
-    order = ["replay", str(tmp_path / "mission.npz"), "--vehicle", str(path), "--out", str(tmp_path / "out"), "--iterate", "3"]
+    order = [
+        "replay",
+        str(tmp_path / "mission.npz"),
+        "--vehicle",
+        str(path),
+        "--out",
+        str(tmp_path / "out"),
+        "--iterate",
+        "3",
+    ]
     assert main(order) == 0
     said = capsys.readouterr().out
     assert "round 1: first models" in said and "round 2" in said and "settled" in said

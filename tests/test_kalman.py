@@ -1,4 +1,6 @@
-"""Properties of the filter kernels that the twins do not show: definiteness, invariance, and one compiled signature each."""
+"""Properties of the filter kernels that the twins do not show: definiteness, invariance, and one compiled signature
+each.
+"""
 
 import numpy as np
 import pytest
@@ -42,10 +44,15 @@ def test_components_one_by_one_are_the_components_together():
         x, part, turn = correction(single, H[i : i + 1].copy(), R[i : i + 1, i : i + 1].copy(), before, n)
         total += part[0]
         moved += np.concatenate(
-            [[(n[0] - nav[0]) * nav[15], (n[1] - nav[1]) * nav[16] * np.cos(nav[0]), nav[2] - n[2]], n[3:6] - nav[3:6], turn, x]
+            [
+                [(n[0] - nav[0]) * nav[15], (n[1] - nav[1]) * nav[16] * np.cos(nav[0]), nav[2] - n[2]],
+                n[3:6] - nav[3:6],
+                turn,
+                x,
+            ]
         )
-    # residuals of 1e-6, so that the reset of the attitude (second order, 1e-6 relative) does not tell the two apart; metres from radians
-    # round at 1e-9
+    # residuals of 1e-6, so that the reset of the attitude (second order, 1e-6 relative) does not tell the two apart;
+    # metres from radians round at 1e-9
     np.testing.assert_allclose(single, together, atol=1e-5)
     assert total == pytest.approx(out[0], rel=2e-3)
 

@@ -1,8 +1,7 @@
 """Every public kernel against its readable twin in `naive`, on random input; and what a kernel file may import.
 
-Twins round in another order (matrix products, matrix exponential, inverse instead of cofactors): `assert_close` allows rounding relative
-to the
-largest element of each array, far below what any mistake would do.
+Twins round in another order (matrix products, matrix exponential, inverse instead of cofactors): `assert_close` allows
+rounding relative to the largest element of each array, far below what any mistake would do.
 """
 
 import ast
@@ -22,7 +21,9 @@ FILES = sorted(path.stem for path in FOLDER.glob("*.py") if path.stem != "__init
 
 
 def public_kernels(name):
-    """Names of the public njit functions that a kernel file defines (by their decorator, so that it works without the JIT too)."""
+    """Names of the public njit functions that a kernel file defines (by their decorator, so that it works without the
+    JIT too).
+    """
     tree = ast.parse((FOLDER / f"{name}.py").read_text())
     functions = [node for node in tree.body if isinstance(node, ast.FunctionDef) and not node.name.startswith("_")]
     return [f.name for f in functions if any("njit" in ast.unparse(d) for d in f.decorator_list)]
@@ -56,7 +57,9 @@ def test_kernels_are_cached_and_without_fastmath(name):
         if isinstance(node, ast.FunctionDef):
             decorators = " ".join(ast.unparse(d) for d in node.decorator_list)
             inlined = "inline='always'" in decorators  # compiled, and cached, within its callers
-            assert "cache=True" in decorators or inlined or (shared and "**OPTIONS" in decorators), f"{name}.{node.name}: {decorators}"
+            assert "cache=True" in decorators or inlined or (shared and "**OPTIONS" in decorators), (
+                f"{name}.{node.name}: {decorators}"
+            )
 
 
 def drive_result(args):
@@ -138,7 +141,16 @@ def test_stamps_to_steps():
     ours, twins = run_both(strapdown.stamps_to_steps, samples, 0.98, limits, 0.03, 5.0)
     assert_close(ours[:1], twins[:1])
     np.testing.assert_allclose(ours[0][:, 0], [0.02, 0.01, 0.49, 0.01], rtol=1e-12)
-    bad = [(2, 0, 1.01), (0, 0, 0.98), (3, 0, math.inf), (3, 0, 7.0), (1, 0, math.nan), (2, 3, math.nan), (2, 6, -math.inf), (2, 5, -2.1)]
+    bad = [
+        (2, 0, 1.01),
+        (0, 0, 0.98),
+        (3, 0, math.inf),
+        (3, 0, 7.0),
+        (1, 0, math.nan),
+        (2, 3, math.nan),
+        (2, 6, -math.inf),
+        (2, 5, -2.1),
+    ]
     for row, column, value in bad:
         spoilt = samples.copy()
         spoilt[row, column] = value
@@ -165,7 +177,9 @@ def test_measurement_kernels(seed):
 def test_a_vertical_field_has_no_azimuth():
     nav = random_nav(np.random.default_rng(0))
     res, field = np.zeros(1), nav[6:15].reshape(3, 3).T @ np.array([0.0, 0.0, 50.0])
-    measurement.magnetometer(np.array([*field, np.nan]), nav, np.zeros(3), np.zeros(0), np.zeros(2), np.zeros((1, 9)), res)
+    measurement.magnetometer(
+        np.array([*field, np.nan]), nav, np.zeros(3), np.zeros(0), np.zeros(2), np.zeros((1, 9)), res
+    )
     # Rounding leaves 1e-15 of 50 in the horizontal: the azimuth is either undefined or arbitrary, never an exception.
     assert math.isnan(res[0]) or abs(res[0]) <= math.pi
 
@@ -193,7 +207,9 @@ def test_power(count):
 
 def test_tick():
     rng = np.random.default_rng(3)
-    ours, twins = run_both(kalman.tick, spd(rng, 16), rng.normal(size=7), 11, rng.normal(size=(3, 3)), spd(rng, 3), np.zeros((3, 16)))
+    ours, twins = run_both(
+        kalman.tick, spd(rng, 16), rng.normal(size=7), 11, rng.normal(size=(3, 3)), spd(rng, 3), np.zeros((3, 16))
+    )
     assert_close(ours[:2], twins[:2], 1e-14)
     np.testing.assert_array_equal(ours[0], ours[0].T)
 
@@ -204,20 +220,34 @@ def test_innovation_and_correct(missing, white):
     rng = np.random.default_rng(4)
     n, nav, res = 15, random_nav(rng), 0.1 * rng.normal(size=3)
     res[list(missing)] = np.nan
-    args = 0.1 * spd(rng, n), rng.normal(size=(3, n)), res, white * spd(rng, 3), np.zeros((6, 3)), np.zeros((3, n)), np.zeros(2)
+    args = (
+        0.1 * spd(rng, n),
+        rng.normal(size=(3, n)),
+        res,
+        white * spd(rng, 3),
+        np.zeros((6, 3)),
+        np.zeros((3, n)),
+        np.zeros(2),
+    )
     ours, twins = run_both(kalman.innovation, *args)
     assert_close(ours[1:], twins[1:], 1e-11)
     P, _, res, _, S, PH, _ = twins
     args = P, nav, rng.normal(size=n - 9), res, S, PH, np.zeros((n, 3)), np.zeros(3)
     ours, twins = run_both(kalman.correct, *args)
-    assert_close([ours[0], ours[1][:6], ours[1][6:15], *ours[2:]], [twins[0], twins[1][:6], twins[1][6:15], *twins[2:]], 1e-11)
+    assert_close(
+        [ours[0], ours[1][:6], ours[1][6:15], *ours[2:]], [twins[0], twins[1][:6], twins[1][6:15], *twins[2:]], 1e-11
+    )
     np.testing.assert_array_equal(ours[0], ours[0].T)
     assert np.linalg.eigvalsh(ours[0]).min() > -1e-14
 
 
 def test_innovation_of_a_scalar():
     rng = np.random.default_rng(5)
-    for res, P in ((np.array([0.3]), spd(rng, 10)), (np.array([np.nan]), spd(rng, 10)), (np.array([0.3]), np.zeros((10, 10)))):
+    for res, P in (
+        (np.array([0.3]), spd(rng, 10)),
+        (np.array([np.nan]), spd(rng, 10)),
+        (np.array([0.3]), np.zeros((10, 10))),
+    ):
         args = P, rng.normal(size=(1, 10)), res, np.zeros((1, 1)), np.zeros((2, 1)), np.zeros((1, 10)), np.zeros(2)
         ours, twins = run_both(kalman.innovation, *args)
         assert_close(ours[1:], twins[1:], 1e-13)
@@ -235,7 +265,9 @@ def test_predict_and_update_work_through_the_channels_memory(count, verdict):
     acc = np.vstack([np.eye(m) + 0.1 * rng.normal(size=(m, m)), spd(rng, m), np.zeros((2 * m, m))])
     model = np.array([0.5 * rng.normal(size=(b, b)), spd(rng, b)])
     ours, twins = run_both(kalman.predict, P, nav, x, acc, model, mem, dims, count)
-    assert_close([ours[0], ours[1], ours[2], ours[5][: at[0]]], [twins[0], twins[1], twins[2], twins[5][: at[0]]], 1e-13)
+    assert_close(
+        [ours[0], ours[1], ours[2], ours[5][: at[0]]], [twins[0], twins[1], twins[2], twins[5][: at[0]]], 1e-13
+    )
     P, nav, x, _, _, mem, _, _ = twins
     mem[at[7] : at[8]] = rng.normal(size=a * (9 + par))
     mem[at[3] : at[4]] = 0.1, np.nan, -0.2
@@ -259,9 +291,17 @@ def test_smoother_kernels(a, b):
     n, m, start = 16, 11, 12
     parts = [np.eye(m) + 0.1 * rng.normal(size=(m, m)), rng.normal(size=(b, b))]
     if a:
-        parts += [rng.normal(size=(a, n)), 0.1 * rng.normal(size=(n, a)), spd(rng, a), rng.normal(size=a), 0.3 * rng.normal(size=3)]
+        parts += [
+            rng.normal(size=(a, n)),
+            0.1 * rng.normal(size=(n, a)),
+            spd(rng, a),
+            rng.normal(size=a),
+            0.3 * rng.normal(size=3),
+        ]
     record = np.concatenate([part.ravel() for part in parts])
-    ours, twins = run_both(kalman.smooth_record, spd(rng, n), rng.normal(size=n), record, a, m, b, start, np.zeros((n, n)))
+    ours, twins = run_both(
+        kalman.smooth_record, spd(rng, n), rng.normal(size=n), record, a, m, b, start, np.zeros((n, n))
+    )
     assert_close(ours[:2], twins[:2], 1e-13)
     np.testing.assert_allclose(ours[0], ours[0].T, rtol=0, atol=1e-13 * np.abs(ours[0]).max())
     P, L, lam = 0.1 * spd(rng, n), ours[0], ours[1]

@@ -1,8 +1,9 @@
-"""What is learnt while the vehicle moves and turns: is it the sensor's error, is the filter honest with it, and does it follow a change?
+"""What is learnt while the vehicle moves and turns: is it the sensor's error, is the filter honest with it, and does it
+follow a change?
 
-One kind of mission for most of it: a survey vehicle on a lawnmower, all its correcting sensors erring in colours that the half hour can
-show (their correlation times are short beside the time after which the inertial drift is larger than the error), all four learnt at once
-from beliefs of white noise or a wrong Gauss-Markov process.
+One kind of mission for most of it: a survey vehicle on a lawnmower, all its correcting sensors erring in colours that
+the half hour can show (their correlation times are short beside the time after which the inertial drift is larger than
+the error), all four learnt at once from beliefs of white noise or a wrong Gauss-Markov process.
 """
 
 import math
@@ -107,25 +108,26 @@ def run_of(gyro, seed):
     return Run(history, {k: v[0] for k, v in figures.items()}, {k: v[1] for k, v in figures.items()})
 
 
-SEEDS = pytest.mark.parametrize("seeds", [pytest.param(FEW, id="few"), pytest.param(ALL, id="all", marks=pytest.mark.slow)])
+SEEDS = pytest.mark.parametrize(
+    "seeds", [pytest.param(FEW, id="few"), pytest.param(ALL, id="all", marks=pytest.mark.slow)]
+)
 
 # ---------------------------------------------------------------- what is identified
 
-HIDDEN = (
-    "depth: what is left of the accelerometers' biases at the first dive is taken for a slow error, S(0) up to thousands of times too large"
-)
+HIDDEN = "depth: what is left of the accelerometers' biases at the first dive is taken for a slow error, S(0) up to thousands of times too large"
 
 
 @pytest.mark.parametrize(
-    "name", [*(n for n in TRUE if n != "depth"), pytest.param("depth", marks=pytest.mark.xfail(strict=True, reason=HIDDEN))]
+    "name",
+    [*(n for n in TRUE if n != "depth"), pytest.param("depth", marks=pytest.mark.xfail(strict=True, reason=HIDDEN))],
 )
 @pytest.mark.parametrize("gyro", GYROS)
 @SEEDS
 def test_the_power_at_zero_frequency_is_that_of_the_sensor(seeds, gyro, name):
     """Median over seeds and axes of S(0) of the last model in force over the true one, within the issue's bars.
 
-    A window of 4000 readings finds ln S(0) of these errors to about 0.4; the median of three is then good to 0.27 and that of six to 0.2,
-    and the bars are at 0.5.
+    A window of 4000 readings finds ln S(0) of these errors to about 0.4; the median of three is then good to 0.27 and
+    that of six to 0.2, and the bars are at 0.5.
     """
     level = block_level(TRUE[name].block(1.0 / described(gyro).sensors[name].rate_hz))
     last = [run_of(gyro, seed).history[name][-1][1] for seed in seeds]
@@ -152,7 +154,9 @@ def test_only_stable_invertible_models_that_pass_or_are_flagged_come_into_force(
 
 
 def independent_errors(seeds):
-    """Number of independent heading errors of all runs: they are correlated over two to three minutes (compass against gyro)."""
+    """Number of independent heading errors of all runs: they are correlated over two to three minutes (compass against
+    gyro).
+    """
     return len(seeds) * (DURATION_S - SCORED_S) / 300.0
 
 
@@ -170,8 +174,12 @@ def test_heading_is_honest_across_adoptions(seeds, gyro, label):
 @pytest.mark.parametrize("gyro", GYROS)
 @SEEDS
 def test_heading_is_nearly_that_of_the_filter_that_knows_the_truth(seeds, gyro):
-    """The issue asks for 5 % over fifty seeds; over three, the two rms differ by 14 % by chance (each follows other errors), so 1.25."""
-    ours, oracle = (math.sqrt(np.mean([run_of(gyro, seed).squared[label] for seed in seeds])) for label in ("forward", "oracle"))
+    """The issue asks for 5 % over fifty seeds; over three, the two rms differ by 14 % by chance (each follows other
+    errors), so 1.25.
+    """
+    ours, oracle = (
+        math.sqrt(np.mean([run_of(gyro, seed).squared[label] for seed in seeds])) for label in ("forward", "oracle")
+    )
     assert ours < 1.25 * oracle
 
 
@@ -181,7 +189,10 @@ def test_heading_is_nearly_that_of_the_filter_that_knows_the_truth(seeds, gyro):
 def short_run(end_s):
     mission = mission_of("tactical", 0)
     nav = nf.Navigator(learns(described("tactical")), mission.start)
-    one_by_one(nav, [event for event in events_of(described("tactical"), mission) if event.time_s <= mission.start.time_s + end_s])
+    one_by_one(
+        nav,
+        [event for event in events_of(described("tactical"), mission) if event.time_s <= mission.start.time_s + end_s],
+    )
     return nav
 
 
@@ -249,14 +260,18 @@ def test_fall_back_is_the_last_good_model_and_then_gauss_markov():
     # white noise has a superfluous pair in every (4, 4): what is left is Gauss-Markov, alone or on white noise
     fallback = Learner(((4, 4),), 2000, drift).hop(rng.normal(size=2000))
     assert "fallback" in fallback.flags and (fallback.p, fallback.q) in ((1, 0), (1, 1)) and fallback.is_stable
-    assert fallback.variance == pytest.approx(1.0, rel=0.2)  # 2000 samples: 3 %, and what Gauss-Markov makes of white noise
+    assert fallback.variance == pytest.approx(
+        1.0, rel=0.2
+    )  # 2000 samples: 3 %, and what Gauss-Markov makes of white noise
 
 
 # ---------------------------------------------------------------- the same bits
 
 
 def test_live_in_blocks_and_replayed_are_the_same_bits_while_all_sensors_are_learnt():
-    """Samples one by one, in blocks, and replayed, past the first adoption (with the beginning run again) and a later one."""
+    """Samples one by one, in blocks, and replayed, past the first adoption (with the beginning run again) and a later
+    one.
+    """
     vehicle = described("tactical").with_error(
         **{name: nf.LearnedArma(prior=BELIEF[name], window=400, hop=100, orders=((1, 0), (1, 1))) for name in TRUE}
     )
@@ -271,7 +286,9 @@ def test_live_in_blocks_and_replayed_are_the_same_bits_while_all_sensors_are_lea
     assert track.time_s[-1] == single.state.time_s
     np.testing.assert_array_equal(track.velocity_n[-1], single.state.velocity_n)
     np.testing.assert_array_equal(track.covariance[-1], single.filter.P[:9, :9])
-    last = dict(zip(track.state_names, track.states[-1], strict=True))  # its names are those of all times, sorted by sensor
+    last = dict(
+        zip(track.state_names, track.states[-1], strict=True)
+    )  # its names are those of all times, sorted by sensor
     np.testing.assert_array_equal([last[name] for name in single.filter.layout.names], single.filter.x)
 
 
@@ -282,22 +299,27 @@ CHANGE_S, WINDOW_S, CHANGED_S = 900.0, 500.0, 2700.0
 
 @cache
 def changing_run(gyro, seed):
-    """Heading NEES from two windows after the change on, and the standard deviations of the models in force, by time [deg]."""
+    """Heading NEES from two windows after the change on, and the standard deviations of the models in force, by time
+    [deg].
+    """
     staged = stage("compass-triples", gyro=gyro, imu_rate_hz=25.0)
     mission = staged.mission(seed)
     vehicle = staged.vehicle.with_error(compass=nf.LearnedArma(prior=BELIEF["compass"]))
     track = nf.replay(vehicle, mission, output_rate_hz=1.0)
-    sds = [(time_s, math.sqrt(model.variance) / DEG) for time_s, (model,) in adopted(track, "compass") if model is not None]
+    sds = [
+        (time_s, math.sqrt(model.variance) / DEG) for time_s, (model,) in adopted(track, "compass") if model is not None
+    ]
     return heading_figures(track, mission, CHANGE_S + 2.0 * WINDOW_S)[1], sds
 
 
 @pytest.mark.parametrize("gyro", ["tactical", pytest.param("mems", marks=pytest.mark.slow)])
 def test_a_compass_error_that_trebles_is_followed_within_two_windows(gyro):
-    """0.5 deg becomes 1.5 deg. A window holds 500 / 30 independent errors: an sd to 17 %, the median of three to 12 %; S(0) is the mean of
-    two windows, the older of which still holds some of the quiet time, so the lower limit is 1.5 - 30 %.
+    """0.5 deg becomes 1.5 deg. A window holds 500 / 30 independent errors: an sd to 17 %, the median of three to 12 %;
+    S(0) is the mean of two windows, the older of which still holds some of the quiet time, so the lower limit is 1.5 -
+    30 %.
 
-    NEES: 800 s are left, in which a heading error lasts for about 150 s each way: 8 independent ones in three seeds, whose mean is within
-    0.11 .. 3.3 with 99.9 %. A filter that stays with 0.5 deg would have 9.
+    NEES: 800 s are left, in which a heading error lasts for about 150 s each way: 8 independent ones in three seeds,
+    whose mean is within 0.11 .. 3.3 with 99.9 %. A filter that stays with 0.5 deg would have 9.
     """
     runs = [changing_run(gyro, seed) for seed in range(3)]
     before = [sds[0][1] for _, sds in runs]
@@ -352,11 +374,16 @@ def test_the_power_at_zero_frequency_in_every_scenario(gyro, scenario):
 @pytest.mark.slow
 @pytest.mark.parametrize("scenario", ["compass-gm2", "compass-rolling", "dvl-coloured"])
 def test_fifty_missions_are_honest(scenario):
-    """ANEES of position and heading, and NIS, within 0.8-1.25, forward and smoothed (tactical gyro, first window not scored)."""
+    """ANEES of position and heading, and NIS, within 0.8-1.25, forward and smoothed (tactical gyro, first window not
+    scored).
+    """
     campaign = Campaign(scenario, imu_rate_hz=50.0)
     scores = np.array([run_seed(campaign, seed, ("arma",))["arma"]["scores"] for seed in range(50)])
     mean = dict(zip(SCORES, np.nanmean(scores, axis=0).T, strict=True))
-    print(scenario, {key: np.round(mean[key], 3).tolist() for key in ("anees_position", "anees_heading", "nis_all", "nis_sensor")})
+    print(
+        scenario,
+        {key: np.round(mean[key], 3).tolist() for key in ("anees_position", "anees_heading", "nis_all", "nis_sensor")},
+    )
     for key in ("anees_position", "anees_heading"):
         assert np.all((mean[key] > 0.8) & (mean[key] < 1.25)), (key, mean[key])
     assert 0.8 < mean["nis_all"][0] < 1.25 and 0.8 < mean["nis_sensor"][0] < 1.25

@@ -1,4 +1,6 @@
-"""What error models are learnt from: the open-loop series holds the sensor's error whole, beside a drift that obeys its claim."""
+"""What error models are learnt from: the open-loop series holds the sensor's error whole, beside a drift that obeys its
+claim.
+"""
 
 import dataclasses
 import math
@@ -40,7 +42,15 @@ def test_listen(kind, gravity, used):
         mem = rng.normal(size=at[-1])
         mem[at[8] + 2] = used
         nav, mount = random_nav(rng), rng.normal(size=9)
-        args = (rng.normal(size=2 * m), mem, dims, np.array(at), nav, rng.normal(size=(a, errors)), rng.normal(size=n - 9))
+        args = (
+            rng.normal(size=2 * m),
+            mem,
+            dims,
+            np.array(at),
+            nav,
+            rng.normal(size=(a, errors)),
+            rng.normal(size=n - 9),
+        )
         args += (kind, mount, rng.normal(size=(a, 8)), np.array([cursor]), ticks, rng.normal(size=(6, m - 8)), gravity)
         ours, twins = run_both(listen.listen, *args)
         assert_close([ours[0][: m + 9]], [twins[0][: m + 9]], 1e-13)
@@ -67,7 +77,8 @@ SOME = [
     for (mems, motion), name in zip(CASES, NAMES, strict=True)
 ]
 SEED, DURATION_S = 3, 1200.0
-#: Where two series are compared little is a matter of statistics: twenty waves, and all turns and dives of the motion, are enough.
+#: Where two series are compared little is a matter of statistics: twenty waves, and all turns and dives of the motion,
+#: are enough.
 PART_S = 660.0
 
 
@@ -75,7 +86,9 @@ PART_S = 660.0
 def mission_of(mems, motion):
     """Vehicle and mission; fixes all the time, and gates wide open: beliefs may be as wrong as they like."""
     plain = survey_vehicle(mems=mems).with_error(**TRUE)
-    vehicle = nf.Vehicle(plain.drive, {name: dataclasses.replace(s, gate_probability=1 - 1e-15) for name, s in plain.sensors.items()})
+    vehicle = nf.Vehicle(
+        plain.drive, {name: dataclasses.replace(s, gate_probability=1 - 1e-15) for name, s in plain.sensors.items()}
+    )
     return vehicle, simulate(vehicle, MOTIONS[motion](DURATION_S), seed=SEED, duration_s=DURATION_S)
 
 
@@ -116,15 +129,22 @@ def claimed(channel, stride):
     return variance
 
 
-SPACINGS_S = {"compass": (0.125, 1.0, 4.0, 16.0), "dvl": (0.25, 1.0, 4.0, 16.0), "depth": (1.0, 4.0, 16.0), "gps": (1.0, 4.0, 16.0)}
+SPACINGS_S = {
+    "compass": (0.125, 1.0, 4.0, 16.0),
+    "dvl": (0.25, 1.0, 4.0, 16.0),
+    "depth": (1.0, 4.0, 16.0),
+    "gps": (1.0, 4.0, 16.0),
+}
 
 
 @pytest.mark.parametrize("name", TRUE)
 @pytest.mark.parametrize(("mems", "motion"), CASES, ids=NAMES)
 def test_beside_the_true_error_there_is_only_the_claimed_drift(mems, motion, name):
-    """r-th differences of series minus true error have the claimed variance within a factor of 2, from one tick to 16 s.
+    """r-th differences of series minus true error have the claimed variance within a factor of 2, from one tick to 16
+    s.
 
-    The longest spacing leaves 1200 / (3 * 16) = 25 independent differences: a variance known to 28 %, so a factor of 2 is 2.5 sd away.
+    The longest spacing leaves 1200 / (3 * 16) = 25 independent differences: a variance known to 28 %, so a factor of 2
+    is 2.5 sd away.
     """
     error = true_errors(mems, motion, name)
     for axis, channel in enumerate(series_of(mems, motion)[name]):
@@ -138,8 +158,9 @@ def test_beside_the_true_error_there_is_only_the_claimed_drift(mems, motion, nam
 
 AMPLITUDE = {"compass": 0.01, "dvl": 0.02, "depth": 0.05, "gps": 2.0}
 WAVE_S = 30.0
-#: The closed loop's own error turns and pitches with the vehicle, unlike what was fed back. The wave moves tilt and accelerometer biases a
-#: little; where the vehicle turns (DVL) or pitches (depth) that adds a wandering rest, out of which the wave is read to a tenth at worst.
+#: The closed loop's own error turns and pitches with the vehicle, unlike what was fed back. The wave moves tilt and
+#: accelerometer biases a little; where the vehicle turns (DVL) or pitches (depth) that adds a wandering rest, out of
+#: which the wave is read to a tenth at worst.
 SLACK = {"compass": 0.002, "dvl": 0.1, "depth": 0.1, "gps": 0.005}
 
 
@@ -152,7 +173,9 @@ def test_a_slow_wave_on_the_readings_comes_out_whole(mems, motion, name):
     stream = mission.streams[name]
     values = stream.value.copy()
     values[:, 0] += AMPLITUDE[name] * np.sin(2 * np.pi * stream.time_s / WAVE_S) / (6.34e6 if name == "gps" else 1.0)
-    moved = dataclasses.replace(mission, streams=dict(mission.streams) | {name: Stream(stream.time_s, values, stream.columns)})
+    moved = dataclasses.replace(
+        mission, streams=dict(mission.streams) | {name: Stream(stream.time_s, values, stream.columns)}
+    )
     values = residual_series(vehicle, moved, sensors=[name])[name][0].value
     change = values - series_of(mems, motion)[name][0].value[: len(values)]
     t, known = stream.time_s[-len(change) :], np.isfinite(change)
@@ -174,16 +197,23 @@ BELIEFS = {
 @pytest.mark.parametrize("name", TRUE)
 @pytest.mark.parametrize(("mems", "motion"), SOME)
 def test_the_series_does_not_depend_on_what_is_believed_of_the_sensor(mems, motion, name):
-    """Series of different beliefs differ, in r-th differences, by less than the drift that is claimed beside the error anyway.
+    """Series of different beliefs differ, in r-th differences, by less than the drift that is claimed beside the error
+    anyway.
 
-    They differ because the errors left in the closed loop do, and these (not what was fed back) are turned by the vehicle: e' = turn x e.
-    A belief ten times too good leaves e = 0.01 m/s in the velocity, which a turn of 0.1 rad/s makes 0.001 m/s^2, about the drift of a
-    tactical unit; so the bound is the claimed sd (times 1.5 for the DVL while turning). A heading also shows tilt errors by the tangent of
-    the pitch, 0.3 in a dive, and compasses of different beliefs leave tilts that differ by a milliradian: 3 % of its error are added.
+    They differ because the errors left in the closed loop do, and these (not what was fed back) are turned by the
+    vehicle: e' = turn x e. A belief ten times too good leaves e = 0.01 m/s in the velocity, which a turn of 0.1 rad/s
+    makes 0.001 m/s^2, about the drift of a tactical unit; so the bound is the claimed sd (times 1.5 for the DVL while
+    turning). A heading also shows tilt errors by the tangent of the pitch, 0.3 in a dive, and compasses of different
+    beliefs leave tilts that differ by a milliradian: 3 % of its error are added.
     """
     vehicle, mission = first_part(mems, motion)
-    reference, other = (residual_series(vehicle.with_error(**{name: belief}), mission, sensors=[name])[name] for belief in BELIEFS[name])
-    truth = [dataclasses.replace(channel, value=channel.value[: len(reference[0].value)]) for channel in series_of(mems, motion)[name]]
+    reference, other = (
+        residual_series(vehicle.with_error(**{name: belief}), mission, sensors=[name])[name] for belief in BELIEFS[name]
+    )
+    truth = [
+        dataclasses.replace(channel, value=channel.value[: len(reference[0].value)])
+        for channel in series_of(mems, motion)[name]
+    ]
     bound = 1.5 if name == "dvl" and motion == "turning" else 1.0
     for series in (other, truth):
         for axis, channel in enumerate(reference):
@@ -202,7 +232,8 @@ def test_a_reading_that_is_missing_or_a_spike_is_nan_in_the_series():
     values[300] += 50.0  # a spike
     keep[400:403] = False  # not there at all
     strict = nf.Vehicle(
-        vehicle.drive, dict(vehicle.sensors) | {"depth": dataclasses.replace(vehicle.sensors["depth"], gate_probability=0.999999)}
+        vehicle.drive,
+        dict(vehicle.sensors) | {"depth": dataclasses.replace(vehicle.sensors["depth"], gate_probability=0.999999)},
     )
     faulty = dataclasses.replace(
         mission, streams=dict(mission.streams) | {"depth": Stream(stream.time_s[keep], values[keep], stream.columns)}

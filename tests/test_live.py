@@ -46,14 +46,19 @@ def test_live_one_by_one_in_blocks_and_replayed_are_the_same_bits(dive):
 
 def test_a_replay_ends_where_the_vehicle_was(dive):
     vehicle, mission, events = dive
-    # a replay reads the whole mission before it starts: with models that are given it has nothing more to go by than the vehicle had
+    # a replay reads the whole mission before it starts: with models that are given it has nothing more to go by than
+    # the vehicle had
     vehicle = vehicle.with_error(compass=nf.GaussMarkov(sd=0.01, tau_s=30.0) + nf.White(sd=0.002))
     nav = nf.Navigator(vehicle, mission.start)
     one_by_one(nav, events)
     track = nf.replay(vehicle, mission, output_rate_hz=None)
     state = nav.state
     assert track.time_s[-1] == state.time_s
-    assert (track.latitude[-1], track.longitude[-1], track.height[-1]) == (state.latitude, state.longitude, state.height)
+    assert (track.latitude[-1], track.longitude[-1], track.height[-1]) == (
+        state.latitude,
+        state.longitude,
+        state.height,
+    )
     np.testing.assert_array_equal(track.velocity_n[-1], state.velocity_n)
     np.testing.assert_array_equal(track.covariance[-1], nav.filter.P[:9, :9])
     np.testing.assert_array_equal(track.states[-1], nav.filter.x)
@@ -126,13 +131,18 @@ print(json.dumps([warm, signatures()]))
 
 @pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled without the JIT")
 def test_nothing_is_compiled_under_way():
-    """Learning, late fixes, gaps, a snapshot, replays: what `warm_up` compiled is all that runs, and each kernel in one form only.
+    """Learning, late fixes, gaps, a snapshot, replays: what `warm_up` compiled is all that runs, and each kernel in one
+    form only.
 
     A second signature (a slice, a Fortran order, a read-only array) would be a pause of seconds on a vehicle.
     """
     run = RUN.format(tests=os.path.dirname(__file__))
     done = subprocess.run(
-        [sys.executable, "-c", run], capture_output=True, text=True, env={**os.environ, "NUMBA_DISABLE_JIT": "0"}, check=False
+        [sys.executable, "-c", run],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "NUMBA_DISABLE_JIT": "0"},
+        check=False,
     )
     assert done.returncode == 0, done.stderr[-3000:]
     warm, after = json.loads(done.stdout.splitlines()[-1])
@@ -149,7 +159,9 @@ def circling(steps, begin=0):
     rng = np.random.default_rng(begin)
     for k in range(begin + 1, begin + steps + 1):
         noise = rng.normal(size=6)
-        yield event(DRIVE, 0.01 * k, 1e-3 * noise[0], 1e-3 * noise[1], 0.05, 0.01 * noise[3], 0.075, -9.806 + 0.01 * noise[5])
+        yield event(
+            DRIVE, 0.01 * k, 1e-3 * noise[0], 1e-3 * noise[1], 0.05, 0.01 * noise[3], 0.075, -9.806 + 0.01 * noise[5]
+        )
         if k % 13 == 0:
             yield event("compass", 0.01 * k, 0.0005 * k + 0.01 * noise[0])
         if k % 25 == 0:
@@ -159,7 +171,9 @@ def circling(steps, begin=0):
 
 
 def grown(steps):
-    """Python and NumPy memory [bytes] that a navigator gathers over so many steps, after as many as its learner's window holds."""
+    """Python and NumPy memory [bytes] that a navigator gathers over so many steps, after as many as its learner's
+    window holds.
+    """
     vehicle = nf.Vehicle(
         imu=nf.Imu(rate_hz=100),
         sensors={
@@ -168,7 +182,9 @@ def grown(steps):
             "gps": nf.Position(rate_hz=1, error=nf.White(sd=50.0)),  # the circle of 30 m is not in the readings
         },
     )
-    nav = nf.Navigator(vehicle, nf.Start(latitude_deg=math.degrees(0.7), longitude_deg=math.degrees(-1.2), velocity_n=(1.5, 0.0, 0.0)))
+    nav = nf.Navigator(
+        vehicle, nf.Start(latitude_deg=math.degrees(0.7), longitude_deg=math.degrees(-1.2), velocity_n=(1.5, 0.0, 0.0))
+    )
 
     one_by_one(nav, circling(20_000))
     tracemalloc.start()
@@ -187,6 +203,6 @@ def grown(steps):
 def test_memory_does_not_grow(steps):
     size, nav = grown(steps)
     assert nav.health.sensors["gps"].outcomes["late-replayed"] > steps // 200 and nav.counts["adopted"] > 0
-    # The history holds 2 s: 20 checkpoints of some 15 kB, more when the learnt model has more states. That is the same whatever the number
-    # of steps; one float kept per step would be 0.7 MB.
+    # The history holds 2 s: 20 checkpoints of some 15 kB, more when the learnt model has more states. That is the same
+    # whatever the number of steps; one float kept per step would be 0.7 MB.
     assert size < 200_000

@@ -56,7 +56,9 @@ def listed(value):
 # --- keys of mission.toml ---------------------------------------------------------------------------------------------
 
 #: Groups of columns that the package's own kinds read; other tests define kinds of their own.
-OWN = [kind for base in (Mechanisation, Sensor) for kind in kinds_below(base) if kind.__module__.startswith("navfilter.")]
+OWN = [
+    kind for base in (Mechanisation, Sensor) for kind in kinds_below(base) if kind.__module__.startswith("navfilter.")
+]
 READ = {c.group for kind in OWN for c in (*(column for must in kind.contents for column in must), *kind.beside)}
 READ |= {form.group for name, forms in FORMS.items() if name in READ for form in forms} | {c.group for c in TRUTH_ONLY}
 GROUP_NAMES = {*READ, "series", "sd"}
@@ -164,7 +166,9 @@ def test_every_kind_of_vehicle_toml_is_described():
     from navfilter.io.vehicle_toml import _ADOPTED, _concrete, _kinds
     from navfilter.mechanisation import Mechanisation
 
-    own = lambda base: {kind for kind, cls in _concrete(base, _kinds()).items() if cls.__module__.startswith("navfilter")}  # noqa: E731
+    own = lambda base: {
+        kind for kind, cls in _concrete(base, _kinds()).items() if cls.__module__.startswith("navfilter")
+    }  # noqa: E731
     headings = set(re.findall(r"^### (\w+: [\w-]+)$", text_of("vehicle-toml.md"), flags=re.MULTILINE))
     kinds = {f"model: {kind}" for kind in own(navfilter.ErrorModel)} | {f"drive: {kind}" for kind in own(Mechanisation)}
     assert headings == kinds | {f"type: {kind}" for kind in own(Sensor)}

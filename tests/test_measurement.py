@@ -12,7 +12,9 @@ from navfilter.kernels import measurement
 from navfilter.sensors import Sensor
 from navfilter.state import NavState, matrix_from_euler
 
-STEPS = np.array([10.0] * 3 + [0.1] * 3 + [1e-3] * 3)  # see test_strapdown: 10 m against the rounding of radians times 6.4e6 m
+STEPS = np.array(
+    [10.0] * 3 + [0.1] * 3 + [1e-3] * 3
+)  # see test_strapdown: 10 m against the rounding of radians times 6.4e6 m
 
 
 def evaluate(kernel, z, state, rate, par, cfg, axes):
@@ -43,9 +45,9 @@ def test_jacobians_equal_finite_differences(seed):
                 # the reading is predicted plus residual: H is minus the slope of the residual
                 slope = -(ends[0] - ends[1]) / (2.0 * step)
                 seen = ~np.isnan(res)
-                # Rounding 1e-9 m over 10 m; second order of a rotation by 1e-3 rad, 1e-6 / 6; metres east on the mid parallel, 10 m / 6e6
-                # m. Per metre and
-                # rad of up to 3 m/s or 1 m lever arm. A nearly vertical field magnifies the second order.
+                # Rounding 1e-9 m over 10 m; second order of a rotation by 1e-3 rad, 1e-6 / 6; metres east on the mid
+                # parallel, 10 m / 6e6 m. Per metre and rad of up to 3 m/s or 1 m lever arm. A nearly vertical field
+                # magnifies the second order.
                 np.testing.assert_allclose(H[seen, j], slope[seen], rtol=2e-5, atol=6e-6)
 
 
@@ -62,33 +64,55 @@ def test_signs_of_the_residuals():
     np.testing.assert_allclose(res, [0.5, 0.0, 0.0], atol=1e-12)
     # a turn to the right moves an instrument in front of the reference point to the right
     ahead = np.concatenate([[2.0, 0.0, 0.0], np.eye(3).ravel()])
-    _, res = evaluate(measurement.body_velocity, np.array([2.0, 0.2, 0.0]), state, np.array([0.0, 0.0, 0.1]), none, ahead, 3)
+    _, res = evaluate(
+        measurement.body_velocity, np.array([2.0, 0.2, 0.0]), state, np.array([0.0, 0.0, 0.1]), none, ahead, 3
+    )
     np.testing.assert_allclose(res, 0.0, atol=1e-12)
     # an instrument whose forward axis points to starboard sees the vehicle go to its left
     turned = np.concatenate([np.zeros(3), matrix_from_euler(0.0, 0.0, math.pi / 2).ravel()])
     _, res = evaluate(measurement.body_velocity, np.array([0.0, -2.0, 0.0]), state, still, none, turned, 3)
     np.testing.assert_allclose(res, 0.0, atol=1e-12)
-    # water that flows east at 0.5 m/s carries a third of that speed: eastward, the log reads 1.5 m/s; a current north comes from port
+    # water that flows east at 0.5 m/s carries a third of that speed: eastward, the log reads 1.5 m/s; a current north
+    # comes from port
     flow = np.array([0.25, 0.5])
     _, res = evaluate(measurement.water_velocity, np.array([1.5, 0.25, 0.0]), state, still, flow, plain, 3)
     np.testing.assert_allclose(res, 0.0, atol=1e-12)
     # declination east: a magnetic compass reads less than the true heading
-    _, res = evaluate(measurement.heading, np.array([math.pi / 2 - 0.1, np.nan]), state, still, none, np.array([0.1, 20.0]), 1)
+    _, res = evaluate(
+        measurement.heading, np.array([math.pi / 2 - 0.1, np.nan]), state, still, none, np.array([0.1, 20.0]), 1
+    )
     np.testing.assert_allclose(res, 0.0, atol=1e-12)
     _, res = evaluate(
-        measurement.heading, np.array([math.pi / 2 - 0.1 + 6 * math.pi + 0.02, np.nan]), state, still, none, np.array([0.1, 20.0]), 1
+        measurement.heading,
+        np.array([math.pi / 2 - 0.1 + 6 * math.pi + 0.02, np.nan]),
+        state,
+        still,
+        none,
+        np.array([0.1, 20.0]),
+        1,
     )
     np.testing.assert_allclose(res, 0.02, atol=1e-12)
-    # the field points to magnetic north and down; turned by 0.02 rad too far to the left, the azimuth of magnetic north comes out too small
+    # the field points to magnetic north and down; turned by 0.02 rad too far to the left, the azimuth of magnetic north
+    # comes out too small
     field_n = matrix_from_euler(0.0, 0.0, 0.1) @ [20.0, 0.0, 40.0]
     field_b = matrix_from_euler(0.0, 0.0, math.pi / 2 + 0.02).T @ field_n
-    _, res = evaluate(measurement.magnetometer, np.array([*field_b, np.nan]), state, still, none, np.array([0.1, 20.0]), 1)
+    _, res = evaluate(
+        measurement.magnetometer, np.array([*field_b, np.nan]), state, still, none, np.array([0.1, 20.0]), 1
+    )
     np.testing.assert_allclose(res, 0.02, atol=1e-12)
     # 20 m below the ellipsoid, surface at +3 m, gauge 0.5 m above the reference point: depth 22.5 m
     _, res = evaluate(measurement.depth, np.array([22.6]), state, still, none, np.array([0.0, 0.0, -0.5, 3.0]), 1)
     np.testing.assert_allclose(res, 0.1, atol=1e-12)
     moved = state.plus([3.0, -2.0, 1.0, 0, 0, 0, 0, 0, 0])
-    _, res = evaluate(measurement.position, np.array([moved.latitude, moved.longitude, moved.height]), state, still, none, np.zeros(3), 3)
+    _, res = evaluate(
+        measurement.position,
+        np.array([moved.latitude, moved.longitude, moved.height]),
+        state,
+        still,
+        none,
+        np.zeros(3),
+        3,
+    )
     np.testing.assert_allclose(res, [3.0, -2.0, 1.0], atol=1e-5)
     _, res = evaluate(measurement.velocity, np.array([0.1, 2.0, 0.0]), state, still, none, np.zeros(1), 3)
     np.testing.assert_allclose(res, [0.1, 0.0, 0.0], atol=1e-12)
@@ -96,7 +120,9 @@ def test_signs_of_the_residuals():
 
 def test_position_across_the_date_line():
     state = NavState(0.0, 0.2, math.pi - 1e-7, 0.0, np.zeros(3), np.eye(3))
-    _, res = evaluate(measurement.position, np.array([0.2, -math.pi + 1e-7, 0.0]), state, np.zeros(3), np.zeros(0), np.zeros(3), 3)
+    _, res = evaluate(
+        measurement.position, np.array([0.2, -math.pi + 1e-7, 0.0]), state, np.zeros(3), np.zeros(0), np.zeros(3), 3
+    )
     assert res[1] == pytest.approx(2e-7 * 6378137.0 * math.cos(0.2), rel=1e-2)
 
 

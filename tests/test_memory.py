@@ -29,8 +29,13 @@ class Part:
 
 
 def part() -> Part:
-    model = (nf.White(sd=0.1) + nf.GaussMarkov(sd=2.0, tau_s=30.0), nf.LearnedArma(model=nf.ArmaModel([-0.5], [0.2], 0.3)))
-    return Part(np.arange(6.0).reshape(2, 3), 4, np.array([1.0, math.nan]), None, {"a": math.inf, "b": 0.1 + 0.2}, model)
+    model = (
+        nf.White(sd=0.1) + nf.GaussMarkov(sd=2.0, tau_s=30.0),
+        nf.LearnedArma(model=nf.ArmaModel([-0.5], [0.2], 0.3)),
+    )
+    return Part(
+        np.arange(6.0).reshape(2, 3), 4, np.array([1.0, math.nan]), None, {"a": math.inf, "b": 0.1 + 0.2}, model
+    )
 
 
 def test_a_copy_shares_nothing_but_what_cannot_change_and_what_is_append_only():

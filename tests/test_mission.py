@@ -63,7 +63,12 @@ def example() -> Mission:
 def test_native_round_trip_is_exact(tmp_path):
     mission = example()
     back = read_mission(mission.save(tmp_path / "dive.npz"))
-    assert (back.name, back.date, back.notes, back.windows) == (mission.name, mission.date, mission.notes, mission.windows)
+    assert (back.name, back.date, back.notes, back.windows) == (
+        mission.name,
+        mission.date,
+        mission.notes,
+        mission.windows,
+    )
     assert back.start == mission.start
     assert list(back.streams) == list(mission.streams)
     for name, stream in mission.streams.items():
@@ -269,7 +274,11 @@ def test_disorder_in_time_is_sorted_and_counted(tmp_path):
     # What drives cannot step by nothing: its repeated stamp is dropped.
     assert mission.streams["velocity"].time_s.tolist() == [0.0, 1.0, 2.0, 3.0]
     notes = " | ".join(mission.notes)
-    for words in ("depth (log.csv): 1 rows without a readable time dropped", "go back, by up to 1 s", "1 rows have the time"):
+    for words in (
+        "depth (log.csv): 1 rows without a readable time dropped",
+        "go back, by up to 1 s",
+        "1 rows have the time",
+    ):
         assert words in notes
     assert "velocity (log.csv): 1 rows with the time of the row before dropped" in notes
 
@@ -367,20 +376,41 @@ def test_environment_in_paths(monkeypatch, tmp_path):
         ("", ["there is no stream"]),
         ('[streams.d]\nfile = "a.csv"\ntime = {rate_hz = 1}\ndepht = "d"\n', ['did you mean "depth"', "streams.d"]),
         ('[streams.d]\nfile = "a.csv"\ndepth = "d"\n', ["time", "this key is missing"]),
-        ('[streams.d]\nfile = "a.csv"\ntime = {rate_hz = 1, column = 0}\ndepth = "d"\n', ["either the column of times or"]),
-        ('[streams.d]\nfile = "a.csv"\ntime = {rate_hz = 1}\ndepth = {column = "d", unit = "deg"}\n', ["no unit of length"]),
-        ('[streams.d]\nfile = "a.csv"\ntime = {rate_hz = 1}\ndepth = {column = "d", unit = "furlong"}\n', ["unknown unit"]),
+        (
+            '[streams.d]\nfile = "a.csv"\ntime = {rate_hz = 1, column = 0}\ndepth = "d"\n',
+            ["either the column of times or"],
+        ),
+        (
+            '[streams.d]\nfile = "a.csv"\ntime = {rate_hz = 1}\ndepth = {column = "d", unit = "deg"}\n',
+            ["no unit of length"],
+        ),
+        (
+            '[streams.d]\nfile = "a.csv"\ntime = {rate_hz = 1}\ndepth = {column = "d", unit = "furlong"}\n',
+            ["unknown unit"],
+        ),
         ('[streams.d]\nfile = "a.csv"\ntime = {rate_hz = 1}\nvelocity = ["a", "b"]\n', ["2 columns, it needs 3"]),
         (
-            '[streams.d]\nfile = "a.csv"\ntime = {rate_hz = -1}\ndepth = {column = "d", axes = "x,y"}\n[start]\nheading = 3\n',
-            ["3 mistakes", "streams.d.time.rate_hz: must be > 0; found -1", "names each of x, y, z once", 'did you mean "heading_deg"'],
+            '[streams.d]\nfile = "a.csv"\ntime = {rate_hz = -1}\ndepth = {column = "d", axes = '
+            '"x,y"}\n[start]\nheading = 3\n',
+            [
+                "3 mistakes",
+                "streams.d.time.rate_hz: must be > 0; found -1",
+                "names each of x, y, z once",
+                'did you mean "heading_deg"',
+            ],
         ),
-        ('[streams.d]\nfile = "a.csv"\ntime = {column = "d"}\ndepth = "nope"\n', ['no column "nope" (columns: "t", "d")']),
+        (
+            '[streams.d]\nfile = "a.csv"\ntime = {column = "d"}\ndepth = "nope"\n',
+            ['no column "nope" (columns: "t", "d")'],
+        ),
         ('[streams.d]\nfile = "a.csv"\ntime = {column = "t"}\ndepth = 7\n', ["no column 7, the file has 2"]),
         ('[streams.d]\nfile = "b.csv"\ntime = {column = "t"}\ndepth = "d"\n', ["no such file"]),
         ('[streams.d]\nfile = "a.csv"\ntime = {column = "w"}\ndepth = "d"\n', ["no row is left"]),
         ('start = "truth"\n[streams.d]\nfile = "a.csv"\ntime = {column = "t"}\ndepth = "d"\n', ["there is no [truth]"]),
-        ('[streams.d]\nfile = "a.csv"\ntime = {column = "t"}\ndepth = "d"\n[start]\ntime_s = 1\n', ["start lacks latitude_deg"]),
+        (
+            '[streams.d]\nfile = "a.csv"\ntime = {column = "t"}\ndepth = "d"\n[start]\ntime_s = 1\n',
+            ["start lacks latitude_deg"],
+        ),
         (
             '[streams.d]\nfile = "a.csv"\ntime = {column = "t"}\ndepth = {column = "d", mounting_deg = [1e300, 0, 0]}\n'
             "[start]\nposition_sd_m = [1, -1, 1]\nheight_m = 1e20\n",
@@ -422,7 +452,9 @@ def test_paths_that_are_no_mission(tmp_path):
 
 def test_geodetic_and_ecef_are_inverse_everywhere():
     rng = np.random.default_rng(1)
-    position = np.column_stack([rng.uniform(-np.pi / 2, np.pi / 2, 500), rng.uniform(-np.pi, np.pi, 500), rng.uniform(-1e4, 1e5, 500)])
+    position = np.column_stack(
+        [rng.uniform(-np.pi / 2, np.pi / 2, 500), rng.uniform(-np.pi, np.pi, 500), rng.uniform(-1e4, 1e5, 500)]
+    )
     position[:4, 0] = [np.pi / 2, -np.pi / 2, 0.0, 1e-9]
     back = geodesy.geodetic_from_ecef(geodesy.ecef_from_geodetic(position))
     # 1e-14 rad is 0.06 um; 1e-8 m is the rounding of coordinates of 6e6 m.

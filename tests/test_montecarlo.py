@@ -1,4 +1,6 @@
-"""Campaigns: the same numbers whatever runs them, continued where they were stopped, and figures that say what they should."""
+"""Campaigns: the same numbers whatever runs them, continued where they were stopped, and figures that say what they
+should.
+"""
 
 import contextlib
 import csv
@@ -21,7 +23,13 @@ from navfilter.evaluation.montecarlo import campaign as campaigns
 from navfilter.evaluation.montecarlo.campaign import Campaign, cluster, run_campaign, run_seed
 from navfilter.evaluation.montecarlo.figures import write_figures
 from navfilter.evaluation.montecarlo.scores import CURVES, SCORES
-from navfilter.evaluation.montecarlo.statistics import chi_square_band, mean_interval, ratio_interval, rms_interval, share_interval
+from navfilter.evaluation.montecarlo.statistics import (
+    chi_square_band,
+    mean_interval,
+    ratio_interval,
+    rms_interval,
+    share_interval,
+)
 from navfilter.evaluation.montecarlo.store import Store
 from navfilter.evaluation.montecarlo.tables import ratios, rows, table, write_tables
 
@@ -31,7 +39,9 @@ MODELS, SEEDS = ("vehicle", "gm1-fitted", "oracle"), (3, 4, 5)
 
 @pytest.fixture
 def in_process(monkeypatch):
-    """The command's runs in this process: what a pool does is tested elsewhere, and every worker takes seconds to start."""
+    """The command's runs in this process: what a pool does is tested elsewhere, and every worker takes seconds to
+    start.
+    """
     monkeypatch.setattr(campaigns, "process_pool", lambda workers: contextlib.nullcontext(Now()))
 
 
@@ -43,7 +53,10 @@ def small(tmp_path_factory):
 
 
 def same(one, other):
-    return all(np.array_equal(getattr(one, name), getattr(other, name), equal_nan=True) for name in ("scores", "curves", "time_s", "seeds"))
+    return all(
+        np.array_equal(getattr(one, name), getattr(other, name), equal_nan=True)
+        for name in ("scores", "curves", "time_s", "seeds")
+    )
 
 
 WAIT_S = 600.0  # far beyond what anything here takes; reached only when something hangs
@@ -78,7 +91,9 @@ def test_a_dask_cluster_gives_the_same_numbers(small, tmp_path):
         distributed.LocalCluster(n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None) as local,
         cluster(local.scheduler_address) as executor,
     ):
-        assert same(run_campaign(SMALL, SEEDS[:2], MODELS, tmp_path, executor), run_campaign(SMALL, SEEDS[:2], MODELS, small[0]))
+        assert same(
+            run_campaign(SMALL, SEEDS[:2], MODELS, tmp_path, executor), run_campaign(SMALL, SEEDS[:2], MODELS, small[0])
+        )
 
 
 def test_dask_is_asked_for_by_name_when_it_is_missing(monkeypatch):
@@ -135,7 +150,8 @@ def test_one_wrong_bit_is_noticed(small, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "change", [{"duration_s": 110.0}, {"gyro": "mems"}, {"motion": "transit"}, {"score_from_s": 41.0}, {"smooth": False}]
+    "change",
+    [{"duration_s": 110.0}, {"gyro": "mems"}, {"motion": "transit"}, {"score_from_s": 41.0}, {"smooth": False}],
 )
 def test_other_settings_are_refused_by_name(small, change):
     from dataclasses import replace
@@ -152,7 +168,8 @@ def test_a_changed_program_does_not_continue_an_old_campaign(small, monkeypatch)
 
 
 @pytest.mark.parametrize(
-    ("error", "kind", "says"), [(BrokenProcessPool("gone"), ChildProcessError, "worker"), (ValueError("no."), ValueError, "seed 3")]
+    ("error", "kind", "says"),
+    [(BrokenProcessPool("gone"), ChildProcessError, "worker"), (ValueError("no."), ValueError, "seed 3")],
 )
 def test_what_goes_wrong_in_a_worker_is_told(tmp_path, error, kind, says):
     class Broken(Executor):
@@ -190,9 +207,22 @@ def gone(group):
 @pytest.mark.parametrize("how", ["interrupted", "killed"])
 def test_a_campaign_that_ends_early_leaves_finished_runs_and_no_processes(tmp_path, how):
     """One worker: when a run is kept, every process has begun its work, however slow the machine."""
-    command = [sys.executable, "-m", "navfilter", "montecarlo", "--scenario", "compass-gm1", "--runs", "10000", "--models", "vehicle"]
+    command = [
+        sys.executable,
+        "-m",
+        "navfilter",
+        "montecarlo",
+        "--scenario",
+        "compass-gm1",
+        "--runs",
+        "10000",
+        "--models",
+        "vehicle",
+    ]
     command += ["--duration", "90", "--imu-rate", "20", "--no-smooth", "--workers", "1", "--out", str(tmp_path)]
-    running = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    running = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+    )
     first_run(tmp_path, running)
     if how == "interrupted":
         # as a terminal does: to the whole group, workers included
@@ -214,8 +244,11 @@ def test_the_table_has_its_columns_and_all_models(small):
     text = table(small[1])
     assert "3 runs (seeds 3 to 5), 100 s each, scored from 40 s" in text and SMALL.name in text
     for words in (
-        "heading rms [deg]", "position rms [m]", "end of dive [m]", "[% of way]", "ANEES position", "ANEES heading", "NIS of all sensors",
-        "white", "runs with adoptions", "before 40 s (not scored)", "divided by gm1-fitted", "divided by oracle", "smoothed",
+        "heading rms "
+        "[deg]", "position rms "
+                 "[m]", "end of dive [m]", "[% of way]", "ANEES position", "ANEES heading", "NIS of all sensors",
+        "white", "runs with "
+                 "adoptions", "before 40 s (not scored)", "divided by gm1-fitted", "divided by oracle", "smoothed",
     ):  # fmt: skip
         assert words in text, words
     assert all(text.count(f"\n{model} ") >= 5 for model in MODELS)
@@ -232,17 +265,28 @@ def test_files_say_the_same_as_the_results(small, tmp_path):
     q = SCORES.index("heading_rms_deg")
     wanted = np.sqrt(np.mean(results.scores[2, 1, :, q] ** 2))
     line = next(
-        v for v in lines if (v["model"], v["track"], v["quantity"], v["reference"]) == ("oracle", "smoothed", "heading_rms_deg", "")
+        v
+        for v in lines
+        if (v["model"], v["track"], v["quantity"], v["reference"]) == ("oracle", "smoothed", "heading_rms_deg", "")
     )
-    assert float(line["value"]) == wanted and int(line["runs"]) == 3 and float(line["low"]) <= wanted <= float(line["high"])
+    assert (
+        float(line["value"]) == wanted
+        and int(line["runs"]) == 3
+        and float(line["low"]) <= wanted <= float(line["high"])
+    )
     assert content["campaign"]["scenario"] == "compass-gm1-white" and content["seeds"] == list(SEEDS)
     with np.load(tmp_path / "runs.npz") as file:
-        assert np.array_equal(file["scores"], results.scores, equal_nan=True) and file["curve_names"].tolist() == list(CURVES)
+        assert np.array_equal(file["scores"], results.scores, equal_nan=True) and file["curve_names"].tolist() == list(
+            CURVES
+        )
     if "runs.parquet" in names:
         import pandas as pd
 
         frame = pd.read_parquet(tmp_path / "runs.parquet")
-        assert len(frame) == 3 * 2 * 3 and frame[frame.model == "oracle"].heading_rms_deg.iloc[3] == results.scores[2, 1, 0, q]
+        assert (
+            len(frame) == 3 * 2 * 3
+            and frame[frame.model == "oracle"].heading_rms_deg.iloc[3] == results.scores[2, 1, 0, q]
+        )
 
 
 def test_scores_are_those_of_the_track(small):
@@ -277,7 +321,9 @@ def test_without_the_smoother_there_is_one_track(tmp_path):
 
 
 def test_the_truth_is_honest_and_the_other_is_not(tmp_path):
-    """Sixteen missions: heading NEES of the oracle within the 99.9 % band at two times, NIS near one, innovations white."""
+    """Sixteen missions: heading NEES of the oracle within the 99.9 % band at two times, NIS near one, innovations
+    white.
+    """
     campaign = Campaign("compass-rolling", duration_s=100.0, score_from_s=30.0, imu_rate_hz=20.0, smooth=False)
     results = run_campaign(campaign, range(1, 17), ("vehicle", "oracle"), tmp_path)
     low, high = chi_square_band(16, 1, 0.999)
@@ -303,7 +349,9 @@ def test_mean_interval_is_students():
     assert np.isnan(mean_interval([])).all() and mean_interval([2.0])[0] == 2.0 and np.isnan(mean_interval([2.0])[1])
 
 
-@pytest.mark.parametrize(("held", "n", "low", "high"), [(8, 10, 0.490, 0.943), (0, 50, 0.0, 0.0713), (1, 1, 0.2065, 1.0)])
+@pytest.mark.parametrize(
+    ("held", "n", "low", "high"), [(8, 10, 0.490, 0.943), (0, 50, 0.0, 0.0713), (1, 1, 0.2065, 1.0)]
+)
 def test_share_interval_is_wilsons(held, n, low, high):
     """Newcombe (1998) gives such values; here by the quadratic that Wilson solves: (p - x)^2 = z^2 x (1 - x) / n."""
     value, found_low, found_high = share_interval([1.0] * held + [0.0] * (n - held))
@@ -346,7 +394,9 @@ def test_chi_square_band_is_that_of_the_mean():
     means = (rng.normal(size=(20_000, 10, 3)) ** 2).mean(axis=(1, 2))
     low, high = chi_square_band(10, 3)
     # sd of a share of 2.5 % in 20 000: 0.11 %
-    assert np.mean(means < low) == pytest.approx(0.025, abs=0.005) and np.mean(means > high) == pytest.approx(0.025, abs=0.005)
+    assert np.mean(means < low) == pytest.approx(0.025, abs=0.005) and np.mean(means > high) == pytest.approx(
+        0.025, abs=0.005
+    )
 
 
 # ------------------------------------------------------------------------------------- the command
@@ -362,7 +412,16 @@ def test_the_command_writes_everything_and_says_the_table(small, tmp_path, capsy
     assert main(arguments(tmp_path, "--workers", "2")) == 0
     said = capsys.readouterr().out
     written = {path.name for path in tmp_path.glob("[!.]*")}
-    assert written >= {"table.txt", "results.csv", "results.json", "runs.npz", "nees.png", "end-error.png", "campaign.json", "runs"}
+    assert written >= {
+        "table.txt",
+        "results.csv",
+        "results.json",
+        "runs.npz",
+        "nees.png",
+        "end-error.png",
+        "campaign.json",
+        "runs",
+    }
     assert (tmp_path / "table.txt").read_text().strip() in said
     with np.load(tmp_path / "runs.npz") as file:
         here = small[1].scores[np.ix_([MODELS.index("vehicle"), MODELS.index("oracle")], [0, 1], [0, 1])]

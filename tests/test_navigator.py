@@ -1,4 +1,6 @@
-"""What arrives has a defined outcome, is counted, and never leaves a NaN; blocks and single samples are the same arithmetic."""
+"""What arrives has a defined outcome, is counted, and never leaves a NaN; blocks and single samples are the same
+arithmetic.
+"""
 
 import dataclasses
 import math
@@ -14,17 +16,28 @@ from navfilter.filter.smoother import smooth_rows
 from navfilter.filter.tape import OUTCOMES
 
 DEG = np.pi / 180.0
-START = nf.Start(latitude_deg=40.0, longitude_deg=-70.0, heading_deg=30.0, velocity_n=(1.3, 0.75, 0.0), tilt_sd_deg=0.5, heading_sd_deg=3.0)
+START = nf.Start(
+    latitude_deg=40.0,
+    longitude_deg=-70.0,
+    heading_deg=30.0,
+    velocity_n=(1.3, 0.75, 0.0),
+    tilt_sd_deg=0.5,
+    heading_sd_deg=3.0,
+)
 LEVEL = ([0.0, 0.0, 0.01], [0.0, 0.0, -9.8])
 CRUISE = ([0.0, 0.0, 30.0 * DEG], [1.5, 0.0, 0.0])
 
 
 def sensors():
     return {
-        "compass": nf.Heading(rate_hz=4.0, error=nf.GaussMarkov(sd=1.0 * DEG, tau_s=20.0) + nf.White(sd=0.3 * DEG), bias_sd_rad=0.02),
+        "compass": nf.Heading(
+            rate_hz=4.0, error=nf.GaussMarkov(sd=1.0 * DEG, tau_s=20.0) + nf.White(sd=0.3 * DEG), bias_sd_rad=0.02
+        ),
         "dvl": nf.BodyVelocity(rate_hz=4.0, error=nf.White(sd=0.02), lever_arm_b_m=(0.5, 0.0, 0.1), scale_sd=0.01),
         "depth": nf.Depth(rate_hz=1.0, error=nf.Arma(ar=(-0.8,), ma=(0.3,), sd=0.05)),
-        "gps": nf.Position(rate_hz=1.0, error=nf.GaussMarkov(sd=2.0, tau_s=60.0) + nf.White(sd=1.0), gate_timeout_s=5.0),
+        "gps": nf.Position(
+            rate_hz=1.0, error=nf.GaussMarkov(sd=2.0, tau_s=60.0) + nf.White(sd=1.0), gate_timeout_s=5.0
+        ),
     }
 
 
@@ -39,7 +52,9 @@ def inertial():
 def reckoning():
     kept = {name: sensor for name, sensor in sensors().items() if name in ("depth", "gps")}
     attitude = nf.Heading(rate_hz=4.0, error=nf.GaussMarkov(sd=1.0 * DEG, tau_s=20.0), deviation_sd_rad=(0.02, 0.01))
-    return nf.Vehicle(nf.DeadReckoning(rate_hz=4.0, attitude=attitude, velocity=nf.BodyVelocity(rate_hz=4.0, scale_sd=0.01)), kept)
+    return nf.Vehicle(
+        nf.DeadReckoning(rate_hz=4.0, attitude=attitude, velocity=nf.BodyVelocity(rate_hz=4.0, scale_sd=0.01)), kept
+    )
 
 
 def inertial_drive(nav):
@@ -56,7 +71,8 @@ def sound(nav):
     np.testing.assert_allclose(state.C_nb @ state.C_nb.T, np.eye(3), atol=1e-9)
     np.testing.assert_array_equal(P, P.T)
     sd = np.sqrt(np.maximum(np.diag(P), 1e-300))
-    # Correlations: unit free, so that a metre and a radian count alike. Rounding of a product of ten thousand updates stays far below 1e-9.
+    # Correlations: unit free, so that a metre and a radian count alike. Rounding of a product of ten thousand updates
+    # stays far below 1e-9.
     assert (np.diag(P) >= 0).all()
     assert np.linalg.eigvalsh(P / np.outer(sd, sd)).min() > -1e-9
 
@@ -134,19 +150,24 @@ def test_a_reading_without_a_time_is_invalid(nav, time_s):
 def test_a_dvl_that_lost_the_bottom_is_not_a_reading():
     nav = nf.Navigator(inertial(), START, nf.Tape())
     run(nav, 1.0)
-    for k, value in enumerate(([0.0, 0.0, 0.0], [-32.768] * 3, [math.nan] * 3, [math.inf, 0.0, 0.0], [99.0, -99.0, 88.0])):
+    for k, value in enumerate(
+        ([0.0, 0.0, 0.0], [-32.768] * 3, [math.nan] * 3, [math.inf, 0.0, 0.0], [99.0, -99.0, 88.0])
+    ):
         assert nav.correct("dvl", 1.0 + 0.001 * k, value).status == "invalid"
     outcome = nav.correct("dvl", 1.1, [1.5, math.nan, -32.768])
     assert outcome.status == "used" and outcome.dof == 1
     residuals = nav.filter.tape.residuals()["dvl"]
-    assert np.isfinite(residuals.value[-1]).tolist() == [True, False, False] and np.isfinite(residuals.sd[-1]).tolist() == [
+    assert np.isfinite(residuals.value[-1]).tolist() == [True, False, False] and np.isfinite(
+        residuals.sd[-1]
+    ).tolist() == [
         True,
         False,
         False,
     ]
     wheels = nf.BodyVelocity(rate_hz=4.0, zero_is_invalid=False)
     nav = nf.Navigator(
-        nf.Vehicle(imu=nf.Imu(rate_hz=50.0), sensors={"wheels": wheels}), dataclasses.replace(START, velocity_n=(0.0, 0.0, 0.0))
+        nf.Vehicle(imu=nf.Imu(rate_hz=50.0), sensors={"wheels": wheels}),
+        dataclasses.replace(START, velocity_n=(0.0, 0.0, 0.0)),
     )
     run(nav, 0.1)
     assert nav.correct("wheels", 0.1, [0.0, 0.0, 0.0]).status == "used"
@@ -199,7 +220,9 @@ def test_bad_samples_of_the_drive_are_repaired_or_dropped_and_counted(nav):
     period = nav.vehicle.drive.period_s
     nav.step(2.0 + period, [math.nan, 0, 0], second)
     nav.step(2.0 + 2 * period, first, [0, math.inf, 0])
-    assert nav.counts["bad-sample"] == (2 if inertial_drive(nav) else 1)  # a lost velocity is no defect of dead reckoning
+    assert nav.counts["bad-sample"] == (
+        2 if inertial_drive(nav) else 1
+    )  # a lost velocity is no defect of dead reckoning
     nav.step(2.0 + 2 * period, first, second)  # duplicate
     nav.step(1.0, first, second)  # backward
     nav.step(math.nan, first, second)
@@ -266,7 +289,8 @@ def test_nothing_uncertain_is_no_division_by_zero():
     sure = dataclasses.replace(START, position_sd_m=0.0, velocity_sd_m_s=0.0, tilt_sd_deg=0.0, heading_sd_deg=0.0)
     exact = nf.White(sd=0.0)
     vehicle = nf.Vehicle(
-        imu=nf.Imu(rate_hz=50.0, gyro=exact, accel=exact), sensors={"depth": nf.Depth(error=exact), "gps": nf.Position(error=exact)}
+        imu=nf.Imu(rate_hz=50.0, gyro=exact, accel=exact),
+        sensors={"depth": nf.Depth(error=exact), "gps": nf.Position(error=exact)},
     )
     nav = nf.Navigator(vehicle, sure, nf.Tape())
     run(nav, 1.0)
@@ -285,7 +309,12 @@ def noisy_mission(nav, seconds, seed, defects=0.0):
     place = START.state
     for name, sensor in nav.vehicle.sensors.items():
         for k in range(1, int(seconds * sensor.rate_hz)):
-            value = {"compass": [0.52], "dvl": [1.5, 0.0, 0.0], "depth": [0.0], "gps": [place.latitude, place.longitude, 0.0]}[name]
+            value = {
+                "compass": [0.52],
+                "dvl": [1.5, 0.0, 0.0],
+                "depth": [0.0],
+                "gps": [place.latitude, place.longitude, 0.0],
+            }[name]
             size = {"compass": 0.01, "dvl": 0.02, "depth": 0.05, "gps": np.array([3e-7, 3e-7, 2.0])}[name]
             events.append((k / sensor.rate_hz + 0.003, name, np.array(value) + size * rng.normal(size=len(value))))
     events.sort(key=lambda event: event[0])
@@ -315,7 +344,9 @@ def test_rubbish_leaves_no_nan_anywhere(build, seed):
     residuals = nav.filter.tape.residuals()
     assert sum(len(r.time_s) for r in residuals.values()) == sum(event.sensor != DRIVE for event in events)
     smoothed = []
-    smooth_rows(nav.filter.tape, lambda i, row, mean, cov: smoothed.append(np.isfinite(mean).all() and np.isfinite(cov).all()))
+    smooth_rows(
+        nav.filter.tape, lambda i, row, mean, cov: smoothed.append(np.isfinite(mean).all() and np.isfinite(cov).all())
+    )
     assert smoothed and all(smoothed)
 
 
@@ -404,7 +435,8 @@ def test_rest_is_detected_and_counts_as_zero_velocity():
 def test_gaps_leave_the_uncertainty_that_they_should():
     for build, expected_m in ((inertial, 0.3 * 20.0**2 / 2), (reckoning, 0.05 * math.sqrt(20.0**3 / 12.0))):
         nav = nf.Navigator(
-            build(), dataclasses.replace(START, position_sd_m=0.1, velocity_sd_m_s=0.001, tilt_sd_deg=0.01, heading_sd_deg=0.01)
+            build(),
+            dataclasses.replace(START, position_sd_m=0.1, velocity_sd_m_s=0.001, tilt_sd_deg=0.01, heading_sd_deg=0.01),
         )
         run(nav, 1.0)
         before = nav.state.sd[0]

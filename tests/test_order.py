@@ -66,7 +66,9 @@ def test_gaps_and_differences_are_allowed():
     assert table.best == (1, 0) and table.fit.d == 1 and "gaps" in table.fit.flags
 
 
-@pytest.mark.parametrize(("series", "message"), [(np.ones(500), "constant"), (np.arange(10.0), "at least"), (np.full(100, np.nan), "NaN")])
+@pytest.mark.parametrize(
+    ("series", "message"), [(np.ones(500), "constant"), (np.arange(10.0), "at least"), (np.full(100, np.nan), "NaN")]
+)
 def test_bad_input_is_refused_clearly(series, message):
     with pytest.raises(ValueError, match=message):
         nf.select_order(series, 2, 2)

@@ -1,8 +1,8 @@
 """Exactness: filter and smoother are the Gaussian posterior of their own linearised model.
 
-Every run is captured as its chain ``e- = Phi e + w, res = H e- + v, e+ = G (e- - K res)`` of errors (true minus estimated), G the reset
-of the attitude.
-The whole chain is then one Gaussian vector, conditioned in one piece on all its residuals, or walked sample by sample.
+Every run is captured as its chain ``e- = Phi e + w, res = H e- + v, e+ = G (e- - K res)`` of errors (true minus
+estimated), G the reset of the attitude. The whole chain is then one Gaussian vector, conditioned in one piece on all
+its residuals, or walked sample by sample.
 """
 
 import types
@@ -10,7 +10,17 @@ import types
 import naive
 import numpy as np
 import pytest
-from dense_posterior import ARMA, Capture, Unknowns, assert_same, drive_through, inertial_vehicle, reckoning_vehicle, start, water_vehicle
+from dense_posterior import (
+    ARMA,
+    Capture,
+    Unknowns,
+    assert_same,
+    drive_through,
+    inertial_vehicle,
+    reckoning_vehicle,
+    start,
+    water_vehicle,
+)
 from filterpy.kalman import KalmanFilter
 
 import navfilter as nf
@@ -32,7 +42,9 @@ def test_filter_and_smoother_equal_the_dense_posterior(case, monkeypatch):
     rows, smoothed = capture.rows(), capture.smoothed()
     corrected = [k for k, step in enumerate(capture.steps, 1) if step.H is not None]
     assert len(corrected) > 12
-    assert max(np.abs(capture.steps[k - 1].G - np.eye(capture.n)).max() for k in corrected) > 0.01  # resets worth the name
+    assert (
+        max(np.abs(capture.steps[k - 1].G - np.eye(capture.n)).max() for k in corrected) > 0.01
+    )  # resets worth the name
     unknowns = Unknowns(capture.steps, capture.P0, dict(rows))
     dense = unknowns.posterior(dict(rows))
     for count, P in rows:
@@ -58,7 +70,11 @@ def test_smoother_equals_rauch_tung_striebel_at_every_sample(case, monkeypatch):
     record = next(records)
     for k, step in enumerate(chain, 1):
         compound = step.Phi @ compound
-        if record is not None and np.allclose(compound, record.Phi, rtol=0, atol=1e-12) and (step.H is None) == (record.H is None):
+        if (
+            record is not None
+            and np.allclose(compound, record.Phi, rtol=0, atol=1e-12)
+            and (step.H is None) == (record.H is None)
+        ):
             at += 1
             ends[at], compound, record = k, np.eye(capture.n), next(records, None)
     assert record is None
@@ -78,7 +94,8 @@ def test_filterpy_agrees_in_a_linear_case(monkeypatch):
             "gps": nf.Position(rate_hz=1.0, error=nf.Arma(**ARMA, sd=0.3) + nf.White(sd=0.5)),
         },
     )
-    # A frozen attitude: the Earth's rate and the curvature of its surface would tilt n under a moving vehicle by 1e-7 rad.
+    # A frozen attitude: the Earth's rate and the curvature of its surface would tilt n under a moving vehicle by 1e-7
+    # rad.
     capture = Capture(monkeypatch, vehicle, start(tilt_sd_deg=0.0, heading_sd_deg=0.0))
     capture.freeze_attitude()
     drive_through(capture.nav, 8.0, seed=3)
@@ -97,7 +114,9 @@ def test_filterpy_agrees_in_a_linear_case(monkeypatch):
         Fs.append(step.Phi)
         Qs.append(step.Q)
     # the method uses Fs[k + 1] and Qs[k + 1] for the step from k to k + 1
-    sxs, sPs, _, _ = kf.rts_smoother(np.array(xs), np.array(Ps), Fs=Fs, Qs=Qs, inv=lambda P: np.linalg.pinv(P, hermitian=True))
+    sxs, sPs, _, _ = kf.rts_smoother(
+        np.array(xs), np.array(Ps), Fs=Fs, Qs=Qs, inv=lambda P: np.linalg.pinv(P, hermitian=True)
+    )
     smoothed = capture.smoothed()
     for count, P in capture.rows():
         sd = np.sqrt(np.diag(P))
@@ -116,4 +135,6 @@ def test_the_capture_is_the_run_itself(monkeypatch):
     assert isinstance(capture.nav.state, nf.NavState) and not isinstance(engine.kalman, types.ModuleType)
     sd = nav.state.sd
     np.testing.assert_allclose(nav.state.minus(capture.nav.state) / sd, 0.0, atol=1e-10)
-    np.testing.assert_allclose(nav.state.covariance / np.outer(sd, sd), capture.nav.state.covariance / np.outer(sd, sd), atol=1e-10)
+    np.testing.assert_allclose(
+        nav.state.covariance / np.outer(sd, sd), capture.nav.state.covariance / np.outer(sd, sd), atol=1e-10
+    )

@@ -126,8 +126,14 @@ def mat_file(path: Path, **how: bool) -> bytes:
     """A .mat file of version 5 with one of everything that scipy can write."""
     numbers = np.arange(12.0).reshape(4, 3)
     cells = np.array([numbers, "text", 1.0], dtype=object)
-    scipy.io.savemat(path, {"x": numbers, "i": numbers.astype(np.int16), "z": numbers + 1j, "s": {"t": "abc", "n": {"k": cells}}}, **how)
-    scipy.io.savemat(path.with_suffix(".b.mat"), {"p": scipy.sparse.csc_array(numbers), "e": [], "b": numbers > 1.0}, **how)
+    scipy.io.savemat(
+        path,
+        {"x": numbers, "i": numbers.astype(np.int16), "z": numbers + 1j, "s": {"t": "abc", "n": {"k": cells}}},
+        **how,
+    )
+    scipy.io.savemat(
+        path.with_suffix(".b.mat"), {"p": scipy.sparse.csc_array(numbers), "e": [], "b": numbers > 1.0}, **how
+    )
     return path.read_bytes()
 
 
@@ -137,7 +143,9 @@ def test_every_kind_of_variable_in_a_mat_file_passes(tmp_path, packed):
     mat_file(tmp_path / "all.mat", do_compression=packed)
     check_mat5(tmp_path / "all.mat")
     check_mat5(tmp_path / "all.b.mat")
-    np.testing.assert_array_equal(read_table(tmp_path / "all.mat", TableOptions(table="x")).columns["2"], [2.0, 5.0, 8.0, 11.0])
+    np.testing.assert_array_equal(
+        read_table(tmp_path / "all.mat", TableOptions(table="x")).columns["2"], [2.0, 5.0, 8.0, 11.0]
+    )
 
 
 @QUICK
@@ -240,7 +248,9 @@ def test_a_flipped_byte_in_a_native_file(tmp_path, data):
     data=st.data(),
 )
 def test_native_round_trip(tmp_path, time_s, columns, name, data):
-    value = data.draw(hnp.arrays(np.float64, (time_s.size, columns), elements=st.one_of(FINITE, st.just(np.nan), st.just(-0.0))))
+    value = data.draw(
+        hnp.arrays(np.float64, (time_s.size, columns), elements=st.one_of(FINITE, st.just(np.nan), st.just(-0.0)))
+    )
     mission = Mission(name, {name: Stream(np.sort(time_s), value)})
     back = read_mission(mission.save(tmp_path / "any.npz"))
     assert back.name == name
@@ -249,10 +259,30 @@ def test_native_round_trip(tmp_path, time_s, columns, name, data):
 
 
 KEYS = st.sampled_from(
-    ["name", "date", "streams", "truth", "start", "file", "time", "depth", "velocity", "columns", "unit", "sources", "x"]
+    [
+        "name",
+        "date",
+        "streams",
+        "truth",
+        "start",
+        "file",
+        "time",
+        "depth",
+        "velocity",
+        "columns",
+        "unit",
+        "sources",
+        "x",
+    ]
 )
-LEAVES = st.one_of(st.integers(-5, 5), st.floats(allow_nan=False), st.booleans(), st.sampled_from(["a", "", "deg", "truth"]))
-TREES = st.recursive(LEAVES, lambda inner: st.one_of(st.lists(inner, max_size=3), st.dictionaries(KEYS, inner, max_size=4)), max_leaves=12)
+LEAVES = st.one_of(
+    st.integers(-5, 5), st.floats(allow_nan=False), st.booleans(), st.sampled_from(["a", "", "deg", "truth"])
+)
+TREES = st.recursive(
+    LEAVES,
+    lambda inner: st.one_of(st.lists(inner, max_size=3), st.dictionaries(KEYS, inner, max_size=4)),
+    max_leaves=12,
+)
 
 
 def toml(value: object) -> str:
@@ -275,9 +305,14 @@ def test_any_mission_toml_is_answered_in_words(tmp_path, table):
     assert "Traceback" not in str(caught.value) and "pydantic" not in str(caught.value)
 
 
-VEHICLE_KEYS = st.sampled_from(["type", "model", "rate_hz", "error", "sd", "sd_deg", "gyro", "lever_arm_b_m", "tau_s", "x"])
+VEHICLE_KEYS = st.sampled_from(
+    ["type", "model", "rate_hz", "error", "sd", "sd_deg", "gyro", "lever_arm_b_m", "tau_s", "x"]
+)
 VEHICLE_LEAVES = st.one_of(
-    st.integers(-5, 5), st.floats(allow_nan=False), st.booleans(), st.sampled_from(["imu", "depth", "white", "arma", "?"])
+    st.integers(-5, 5),
+    st.floats(allow_nan=False),
+    st.booleans(),
+    st.sampled_from(["imu", "depth", "white", "arma", "?"]),
 )
 VEHICLE_TREES = st.recursive(
     VEHICLE_LEAVES,

@@ -24,7 +24,12 @@ def test_every_tiny_mission_gives_finite_tracks(tiny):
             assert (np.linalg.eigvalsh(t.covariance) > -1e-12 * np.trace(t.covariance, axis1=1, axis2=2)[:, None]).all()
         assert set(track.residuals) == set(track.vehicle.sensors)
         summary = track.summary(mission.truth)
-        assert summary["used"].keys() == summary["rejected"].keys() == summary["invalid"].keys() == track.vehicle.sensors.keys()
+        assert (
+            summary["used"].keys()
+            == summary["rejected"].keys()
+            == summary["invalid"].keys()
+            == track.vehicle.sensors.keys()
+        )
 
 
 def test_columns_of_the_frame_name_their_units(tiny):
@@ -86,10 +91,14 @@ def test_missing_and_short_streams_are_said_in_one_line():
 def test_zero_velocity_holds_a_vehicle_that_stands():
     rng = np.random.default_rng(3)
     t = np.arange(0.0, 120.0, 0.02)
-    imu = np.column_stack([rng.normal(scale=1e-4, size=(len(t), 3)), rng.normal(loc=(0.02, 0.0, -9.8062), scale=5e-3, size=(len(t), 3))])
+    imu = np.column_stack(
+        [rng.normal(scale=1e-4, size=(len(t), 3)), rng.normal(loc=(0.02, 0.0, -9.8062), scale=5e-3, size=(len(t), 3))]
+    )
     start = nf.Start(latitude_deg=45.0, longitude_deg=5.0, heading_sd_deg=1.0, tilt_sd_deg=0.5, velocity_sd_m_s=0.01)
     drive = nf.Imu(
-        rate_hz=50, gyro=nf.White(sd=2e-4) + nf.RandomWalk(density=1e-6, start_sd=1e-4), accel=nf.White(sd=5e-3) + nf.RandomWalk(1e-5, 0.02)
+        rate_hz=50,
+        gyro=nf.White(sd=2e-4) + nf.RandomWalk(density=1e-6, start_sd=1e-4),
+        accel=nf.White(sd=5e-3) + nf.RandomWalk(1e-5, 0.02),
     )
     mission = nf.Mission("rest", {"imu": nf.Stream(t, imu)}, start=start)
     free = nf.replay(nf.Vehicle(imu=drive), mission)

@@ -85,7 +85,9 @@ def test_nis_bounds_hold_95_percent_of_honest_means():
     _, tracks = small_run()
     n = 40_000
     nis = chi2.rvs(2, size=n, random_state=3)
-    honest = Residuals(np.arange(float(n)), np.zeros((n, 2)), np.ones((n, 2)), nis, np.full(n, 2.0), np.zeros(n, np.uint8))
+    honest = Residuals(
+        np.arange(float(n)), np.zeros((n, 2)), np.ones((n, 2)), nis, np.full(n, 2.0), np.zeros(n, np.uint8)
+    )
     track = dataclasses.replace(tracks["forward"], residuals={"gps": honest})
     _, mean, low, high = figures.moving_nis(track, "gps")
     # 100 independent windows: the share inside is 0.95 with a standard deviation of 0.022 at most.
@@ -100,14 +102,18 @@ def test_ellipses_are_those_of_the_covariance():
     covariance = track.covariance.copy()
     covariance[:, :2, :2] = P
     with style():
-        figure = figures.track_figure({"forward": dataclasses.replace(track, covariance=covariance)}, mission, ellipses=3)
+        figure = figures.track_figure(
+            {"forward": dataclasses.replace(track, covariance=covariance)}, mission, ellipses=3
+        )
     ax = figure.axes[0]
     shapes = [patch for patch in ax.patches if isinstance(patch, Ellipse)]
     assert len(shapes) == 3
     outline = shapes[0].get_patch_transform().transform(shapes[0].get_path().vertices)
     corners = outline - np.array(shapes[0].get_center())
     # An ellipse drawn with Bezier curves is true to 0.03 %.
-    np.testing.assert_allclose(np.abs(corners).max(axis=0), np.sqrt(chi2.ppf(0.95, 2)) * np.array([1.0, 3.0]), rtol=1e-3)
+    np.testing.assert_allclose(
+        np.abs(corners).max(axis=0), np.sqrt(chi2.ppf(0.95, 2)) * np.array([1.0, 3.0]), rtol=1e-3
+    )
     assert ax.get_aspect() == 1.0
 
 
@@ -127,10 +133,14 @@ def test_shown_states_are_states_of_the_track(scenario):
     track = tracks["forward"]
     shown = shown_states(track.vehicle)
     assert {state.name for state in shown} <= set(track.state_names)
-    assert {state.owner for state in shown} == ({"drive", "gps"} if scenario == "reckoning" else {"gyro", "accel", "compass", "gps"})
+    assert {state.owner for state in shown} == (
+        {"drive", "gps"} if scenario == "reckoning" else {"gyro", "accel", "compass", "gps"}
+    )
     with style():
         axes = states_figure(tracks, shown).axes
-    assert len(axes) == len(shown) and all(ax.get_ylabel().endswith(f"[{state.unit}]") for ax, state in zip(axes, shown, strict=True))
+    assert len(axes) == len(shown) and all(
+        ax.get_ylabel().endswith(f"[{state.unit}]") for ax, state in zip(axes, shown, strict=True)
+    )
 
 
 class Page(HTMLParser):
@@ -193,7 +203,9 @@ def test_names_are_escaped():
 
 def test_several_models_stand_side_by_side():
     mission, tracks = small_run()
-    other = dataclasses.replace(tracks["forward"], residuals={"gps": tracks["forward"].residuals["gps"]}, state_names=())
+    other = dataclasses.replace(
+        tracks["forward"], residuals={"gps": tracks["forward"].residuals["gps"]}, state_names=()
+    )
     page = render_report({"GM1": tracks["forward"], "white": other}, mission)
     text = Page(page).text
     assert "Innovations (GM1)" in text and "Innovations (white)" in text

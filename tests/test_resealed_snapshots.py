@@ -1,4 +1,6 @@
-"""Snapshots that are whole by their checksum and wrong inside: every array is held against the layout before a kernel sees it."""
+"""Snapshots that are whole by their checksum and wrong inside: every array is held against the layout before a kernel
+sees it.
+"""
 
 from __future__ import annotations
 
@@ -91,9 +93,13 @@ CHANGES = {
     "no time": lambda saved, arrays: filter_of(saved).pop("time_s"),
     "models of an unknown sensor": lambda saved, arrays: filter_of(saved).update(models=pairs(["x", 1])),
     "a channel too few": lambda saved, arrays: filter_of(saved)["channels"]["items"].pop(),
-    "a class of another kind": lambda saved, arrays: saved["memory"]["fields"].update(filter={"": "Popen", "fields": {}}),
+    "a class of another kind": lambda saved, arrays: saved["memory"]["fields"].update(
+        filter={"": "Popen", "fields": {}}
+    ),
     "fewer inputs of the beginning": lambda saved, arrays: learning_of(saved)["beginning"].pop(),
-    "a ring of another shape": lambda saved, arrays: learning_of(saved)["listeners"]["items"][0][1]["fields"]["ring"].update(shape=[1, 7]),
+    "a ring of another shape": lambda saved, arrays: learning_of(saved)["listeners"]["items"][0][1]["fields"][
+        "ring"
+    ].update(shape=[1, 7]),
     "a block beyond its end": lambda saved, arrays: learning_of(saved)["rest"]["fields"].update(filled=10**6),
     "nothing at rest": lambda saved, arrays: learning_of(saved).update(rest=None),
     "an input with six columns": lambda saved, arrays: saved["inputs"].append({"": "floats", "at": 0, "shape": [2, 6]}),

@@ -79,12 +79,16 @@ def test_sensors_with_enough_readings(vehicle, mission):
     assert learnable(vehicle, mission) == ALL
     lost = mission.streams["compass"].value.copy()
     lost[: 4000 - LEAST + 1] = np.nan
-    assert learnable(vehicle, mission.with_stream("compass", Stream(mission.streams["compass"].time_s, lost))) == ("dvl",)
+    assert learnable(vehicle, mission.with_stream("compass", Stream(mission.streams["compass"].time_s, lost))) == (
+        "dvl",
+    )
 
 
 def test_each_axis_gets_its_own_model(vehicle, mission, series):
     series[0]["compass"] = (channel(gauss_markov(0.01, 20.0, 16_000, 1)),)
-    series[0]["dvl"] = tuple(channel(sd * np.random.default_rng(seed).standard_normal(4000)) for seed, sd in enumerate((0.01, 0.02, 0.04)))
+    series[0]["dvl"] = tuple(
+        channel(sd * np.random.default_rng(seed).standard_normal(4000)) for seed, sd in enumerate((0.01, 0.02, 0.04))
+    )
     found = rivals(("white", "gm1-fitted", "gm1"), vehicle, mission)
     assert series[1] == [ALL]
     dvl = found["white"].sensors["dvl"].error
@@ -92,16 +96,24 @@ def test_each_axis_gets_its_own_model(vehicle, mission, series):
     np.testing.assert_allclose([model.sd for model in dvl], (0.01, 0.02, 0.04), rtol=0.05)
     fitted = found["gm1-fitted"].sensors["compass"].error
     # 2000 s hold 100 correlation times: the estimated ln tau has an sd of some 14 %, the sd half of it.
-    assert fitted.tau_s == pytest.approx(20.0, rel=0.45) and fitted.sd == pytest.approx(0.01, rel=0.25) and fitted.order == 1
+    assert (
+        fitted.tau_s == pytest.approx(20.0, rel=0.45)
+        and fitted.sd == pytest.approx(0.01, rel=0.25)
+        and fitted.order == 1
+    )
     for name in ("gps", "rest"):
         assert all(other.sensors[name] == vehicle.sensors[name] for other in found.values())
     assert all(other.drive == vehicle.drive for other in found.values())
 
 
 def test_the_point_at_one_over_e(vehicle, mission, series):
-    """No drift to speak of: what is left of a straight line is the process, and its autocorrelation falls to 1/e at tau."""
+    """No drift to speak of: what is left of a straight line is the process, and its autocorrelation falls to 1/e at
+    tau.
+    """
     error = gauss_markov(0.01, 2.0, 16_000, 2)
-    series[0]["compass"] = (ChannelSeries(error + 5.0 + 1e-3 * np.arange(16_000), Drift((1e-9, 1e-9), PERIOD), PERIOD, 0.0),)
+    series[0]["compass"] = (
+        ChannelSeries(error + 5.0 + 1e-3 * np.arange(16_000), Drift((1e-9, 1e-9), PERIOD), PERIOD, 0.0),
+    )
     model = rival("gm1", vehicle, mission, sensors=["compass"]).sensors["compass"].error
     assert model == nf.GaussMarkov(sd=model.sd, tau_s=model.tau_s) and model.tau_s == pytest.approx(2.0, rel=0.2)
     assert model.sd == pytest.approx(0.01, rel=0.1)
@@ -124,7 +136,9 @@ def test_an_alternating_error_is_white_to_a_gauss_markov_fit(vehicle, mission, s
 
 
 def test_white_noise_beyond_the_sensor_is_not_charged_to_it(vehicle, mission, series):
-    """Of the known white variance, what stands beside a learnt part is fitted anew; the rest, a lever arm's, is taken off."""
+    """Of the known white variance, what stands beside a learnt part is fitted anew; the rest, a lever arm's, is taken
+    off.
+    """
     noise = np.hypot(0.03, 0.04) * np.random.default_rng(6).standard_normal(8000)
     series[0]["compass"] = (channel(noise, white=0.04**2 + 0.01**2),)
     with_white = vehicle.with_error(compass=nf.White(sd=0.01) + LearnedArma(prior=PRIOR))
@@ -166,7 +180,10 @@ def test_oracle_and_vehicle(vehicle, mission, series):
     truth = {"compass": nf.Arma([-0.9], [], 0.01), "gps": nf.White(sd=1.0), "usbl": nf.White(sd=1.0)}
     found = rivals(("oracle", "vehicle"), vehicle, mission, truth=truth)
     assert found["vehicle"] == vehicle and series[1] == []
-    assert found["oracle"].sensors["compass"].error == truth["compass"] and found["oracle"].sensors["gps"].error == truth["gps"]
+    assert (
+        found["oracle"].sensors["compass"].error == truth["compass"]
+        and found["oracle"].sensors["gps"].error == truth["gps"]
+    )
     assert found["oracle"].sensors["dvl"] == vehicle.sensors["dvl"]
 
 

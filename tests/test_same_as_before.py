@@ -1,7 +1,8 @@
-"""The rooms changed and no result did: tracks, smoothed tracks and adopted models are those of the tree before, bit for bit.
+"""The rooms changed and no result did: tracks, smoothed tracks and adopted models are those of the tree before, bit for
+bit.
 
-Where a processor or a library rounds otherwise than where the figures were made (the probe tells), they agree to a micrometre and to a
-millionth instead. This test goes when results change on purpose.
+Where a processor or a library rounds otherwise than where the figures were made (the probe tells), they agree to a
+micrometre and to a millionth instead. This test goes when results change on purpose.
 """
 
 from __future__ import annotations
@@ -90,7 +91,13 @@ def probe() -> str:
     rng = np.random.default_rng(0)
     A, total = rng.normal(size=(23, 23)), hashlib.sha256()
     stable = A / (1.1 * np.abs(np.linalg.eigvals(A)).max())
-    for value in (A @ A.T, np.linalg.eigh(A @ A.T)[1], np.linalg.pinv(A), solve_discrete_lyapunov(stable, np.eye(23)), np.exp(np.sin(A))):
+    for value in (
+        A @ A.T,
+        np.linalg.eigh(A @ A.T)[1],
+        np.linalg.pinv(A),
+        solve_discrete_lyapunov(stable, np.eye(23)),
+        np.exp(np.sin(A)),
+    ):
         total.update(np.ascontiguousarray(value).tobytes())
     P, acc, nav = A @ A.T, np.vstack([A[:9, :9], np.eye(9), np.zeros((18, 9))]), rng.normal(size=17)
     kalman.fold(P, acc, nav, np.zeros((9, 23)))

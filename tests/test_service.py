@@ -1,4 +1,6 @@
-"""The live loop: lines in, states out, a log that replays to the bit, kills, full disks, slow readers and every kind of bad line."""
+"""The live loop: lines in, states out, a log that replays to the bit, kills, full disks, slow readers and every kind of
+bad line.
+"""
 
 import contextlib
 import dataclasses
@@ -57,7 +59,14 @@ def value(sensor, t, value, **more):
 BAD = {
     "too-long": [b'{"sensor":"' + b"x" * 70000 + b'"}'],
     "not-utf8": [b'{"sensor":"\xff\xfe"}', b"\x80"],
-    "not-json": [b"hello", b'{"sensor":"imu",', b"{'sensor':1}", b"[" * 60000, b'{"time_s":' + b"1" * 5000 + b"}", b"\x00"],
+    "not-json": [
+        b"hello",
+        b'{"sensor":"imu",',
+        b"{'sensor':1}",
+        b"[" * 60000,
+        b'{"time_s":' + b"1" * 5000 + b"}",
+        b"\x00",
+    ],
     "not-an-object": [b"[1,2]", b"3", b"null", b'"imu"'],
     "unknown-sensor": [value("sonar", 1.0, 2.0), value("velocity", 1.0, [1, 2, 3]), b'{"sensor":"\\ud800"}'],
     "wrong-fields": [
@@ -136,11 +145,16 @@ JSON = st.recursive(
     max_leaves=12,
 )
 NAMES = st.sampled_from(["imu", "compass", "dvl", "gps", "depth", "start", "nobody"]) | JSON
-KEYS = st.sampled_from(["time_s", "value", "sd", "rate_b", "force_b", "latitude_deg", "longitude_deg", "heading_deg", "event", "kind"])
+KEYS = st.sampled_from(
+    ["time_s", "value", "sd", "rate_b", "force_b", "latitude_deg", "longitude_deg", "heading_deg", "event", "kind"]
+)
 
 
 @settings(max_examples=200)
-@given(st.binary(max_size=60) | st.builds(lambda n, d: json.dumps({"sensor": n, **d}).encode(), NAMES, st.dictionaries(KEYS, JSON)))
+@given(
+    st.binary(max_size=60)
+    | st.builds(lambda n, d: json.dumps({"sensor": n, **d}).encode(), NAMES, st.dictionaries(KEYS, JSON))
+)
 def test_no_line_raises(line):
     for notes in (False, True):
         item = LineParser(FUZZED, notes=notes).parse(line)
@@ -150,7 +164,8 @@ def test_no_line_raises(line):
 
 
 FUZZED = nf.Vehicle(
-    imu=nf.Imu(rate_hz=100), sensors={"compass": nf.Heading(), "dvl": nf.BodyVelocity(), "gps": nf.Position(), "depth": nf.Depth()}
+    imu=nf.Imu(rate_hz=100),
+    sensors={"compass": nf.Heading(), "dvl": nf.BodyVelocity(), "gps": nf.Position(), "depth": nf.Depth()},
 )
 FUZZ_START = {"time_s": 0.0, "latitude_deg": 45.0, "longitude_deg": -4.0}
 PLAUSIBLE = st.floats(-1e3, 1e3) | st.floats(allow_nan=False, allow_infinity=False) | st.none()
@@ -179,12 +194,17 @@ def test_lines_do_not_depend_on_blocks(size):
     for k in range(0, len(data), size):
         found += cutter.feed(data[k : k + size])
     found += cutter.end()
-    assert [line for line, cut in found if not cut] == [b"a", b"bb", b"", b"ccc\r", b"last"] and sum(cut for _, cut in found) == 1
+    assert [line for line, cut in found if not cut] == [b"a", b"bb", b"", b"ccc\r", b"last"] and sum(
+        cut for _, cut in found
+    ) == 1
 
 
 def test_numbers_come_back_as_they_were():
     numbers = [0.1, 1 / 3, 1e-300, 26.05001250877863, float("nan"), float("inf")]
-    assert json.loads(to_line({"x": numbers, "y": {"z": numbers[4]}})) == {"x": [*numbers[:4], None, None], "y": {"z": None}}
+    assert json.loads(to_line({"x": numbers, "y": {"z": numbers[4]}})) == {
+        "x": [*numbers[:4], None, None],
+        "y": {"z": None},
+    }
 
 
 # --- the session ------------------------------------------------------------------------------------------------------
@@ -206,7 +226,9 @@ def test_states_are_those_of_a_replay(dive, reckoning):
 
 
 def test_a_session_goes_on_from_its_snapshot(dive, reckoning):
-    """Taken anywhere, also while a velocity waits for its attitude or drive samples are being gathered; with bad lines on the way."""
+    """Taken anywhere, also while a velocity waits for its attitude or drive samples are being gathered; with bad lines
+    on the way.
+    """
     for case in (dive, reckoning):
         lines = [*case.lines]
         for k in range(50, len(lines), 211):
@@ -232,7 +254,9 @@ def test_a_session_goes_on_from_its_snapshot(dive, reckoning):
                 second.feed(parser.parse(line))
             second.stop()
             # the text of a bad line is told only for the first ones of a parser, which is no part of the session
-            assert [line for line in out if b"bad-line" not in line] == [line for line in whole if b"bad-line" not in line]
+            assert [line for line in out if b"bad-line" not in line] == [
+                line for line in whole if b"bad-line" not in line
+            ]
         assert waiting or case is reckoning
 
 
@@ -248,8 +272,13 @@ def test_the_start_may_be_a_line_or_found(dive):
     assert states(run_session(dive.vehicle, [line, *readings[:9], line], options))[1][1]["kind"] == "wrong-start"
 
     aligned = run_session(dive.vehicle, readings, options)
-    track = nf.replay(dive.vehicle, dataclasses.replace(dive.mission, start=None, date=dive.options.date), output_rate_hz=None).to_frame()
-    assert states(aligned)[1][0]["how"] == "aligned" and states(aligned)[0][-1]["latitude_deg"] == track["latitude_deg"].iloc[-1]
+    track = nf.replay(
+        dive.vehicle, dataclasses.replace(dive.mission, start=None, date=dive.options.date), output_rate_hz=None
+    ).to_frame()
+    assert (
+        states(aligned)[1][0]["how"] == "aligned"
+        and states(aligned)[0][-1]["latitude_deg"] == track["latitude_deg"].iloc[-1]
+    )
 
 
 def test_without_a_fix_it_waits_and_says_so(dive):
@@ -264,7 +293,12 @@ def test_lost_sensors_are_told_and_come_back(dive):
     lines = [line for line in dive.lines if not (b'"dvl"' in line and 20 < json.loads(line)["time_s"] < 50)]
     lines = [line for line in lines if not (b'"imu"' in line and 55 < json.loads(line)["time_s"] < 58)]
     events = [e for e in states(run_session(dive.vehicle, lines, dive.options))[1] if e["event"] == "condition"]
-    assert [(e["sensor"], e["condition"]) for e in events] == [("dvl", "silent"), ("dvl", "good"), ("imu", "silent"), ("imu", "good")]
+    assert [(e["sensor"], e["condition"]) for e in events] == [
+        ("dvl", "silent"),
+        ("dvl", "good"),
+        ("imu", "silent"),
+        ("imu", "good"),
+    ]
     assert 40 <= events[0]["time_s"] <= 42 and 50 <= events[1]["time_s"] <= 52
 
 
@@ -285,7 +319,9 @@ def test_a_state_that_is_lost_is_found_again(dive, reckoning):
         assert 21.0 <= events[1]["time_s"] <= events[2]["time_s"] <= 22.0
         times = [row["time_s"] for row in rows]
         assert times == sorted(times) and set(range(1, 61)) - {round(t) for t in times} <= {21, 22}
-        assert abs(rows[-1]["latitude_deg"] - states(case.output)[0][-1]["latitude_deg"]) < 5 * 3.0 / 111e3  # the fixes have 3 m
+        assert (
+            abs(rows[-1]["latitude_deg"] - states(case.output)[0][-1]["latitude_deg"]) < 5 * 3.0 / 111e3
+        )  # the fixes have 3 m
 
 
 @pytest.mark.parametrize("sd", [1e300, 1e160])
@@ -319,7 +355,9 @@ def reading(sensor, t, *value):
 
 
 def test_pairs_are_those_of_a_recording(reckoning):
-    """However the attitude arrives, early or late: within its patience the pairs are bit for bit those of the recording."""
+    """However the attitude arrives, early or late: within its patience the pairs are bit for bit those of the
+    recording.
+    """
     times, pairs = drive_samples(reckoning.vehicle, reckoning.mission)
     attitude, velocity = (reckoning.mission.streams[name] for name in ("attitude", "velocity"))
     turning = attitude.value.copy()
@@ -328,8 +366,14 @@ def test_pairs_are_those_of_a_recording(reckoning):
     mission = reckoning.mission.with_stream("attitude", nf.Stream(attitude.time_s, turning))
     times, pairs = drive_samples(reckoning.vehicle, mission)
     for delay_s in (0.0, 0.3, -0.3):
-        rows = [(t + delay_s, reading("attitude", t, *v)) for t, v in zip(attitude.time_s.tolist(), turning.tolist(), strict=True)]
-        rows += [(t + 0.02, reading("velocity", t, *v)) for t, v in zip(velocity.time_s.tolist(), velocity.value.tolist(), strict=True)]
+        rows = [
+            (t + delay_s, reading("attitude", t, *v))
+            for t, v in zip(attitude.time_s.tolist(), turning.tolist(), strict=True)
+        ]
+        rows += [
+            (t + 0.02, reading("velocity", t, *v))
+            for t, v in zip(velocity.time_s.tolist(), velocity.value.tolist(), strict=True)
+        ]
         pairing, found = Pairing(reckoning.vehicle.drive.period_s), []
         for _, item in sorted(rows, key=lambda row: row[0]):
             found += pairing.take(item)
@@ -342,12 +386,17 @@ def test_a_velocity_without_attitude_is_held_or_dropped_and_keeps_the_order():
     pairing = Pairing(0.25)
     assert list(pairing.take(reading("velocity", 0.0, 1, 0, 0))) == []
     assert list(pairing.take(reading("depth", 0.0, 5.0))) == []  # waits behind it
-    assert [(r.sensor, a) for r, a in pairing.take(reading("attitude", 0.1, 0, 0, 1.0))] == [("velocity", [0, 0, 1.0]), ("depth", None)]
+    assert [(r.sensor, a) for r, a in pairing.take(reading("attitude", 0.1, 0, 0, 1.0))] == [
+        ("velocity", [0, 0, 1.0]),
+        ("depth", None),
+    ]
     assert list(pairing.take(reading("velocity", 0.3, 1, 0, 0))) == []
     assert list(pairing.take(reading("velocity", 0.5, 1, 0, 0))) == []
     # the attitude is lost: the first holds it (0.2 s old, within a period), the second (0.4 s) is dropped
     held = list(pairing.take(reading("depth", 2.0, 5.0)))
-    assert [(r.sensor, r.time_s) for r, _ in held] == [("velocity", 0.3), ("depth", 2.0)] and pairing.counts["unpaired"] == 1
+    assert [(r.sensor, r.time_s) for r, _ in held] == [("velocity", 0.3), ("depth", 2.0)] and pairing.counts[
+        "unpaired"
+    ] == 1
     # nan is no attitude, a repeat neither; a clock set back starts afresh
     for t, angle in ((2.1, float("nan")), (0.1, 1.0), (-50.0, 1.0)):
         list(pairing.take(reading("attitude", t, 0, 0, angle)))
@@ -390,7 +439,9 @@ def test_a_slow_reader_loses_the_oldest_states_and_no_event():
 
 def test_a_full_disk_is_counted_and_left_behind(tmp_path, monkeypatch):
     notices, path, first, lost = [], tmp_path / "log", b"one 0\ntwo 0\n", b'{"event":"lost"}\n'
-    disk = Disk(path.open("ab", buffering=0), tmp_path / "state", 0.05, lambda what, **fields: notices.append((what, fields)))
+    disk = Disk(
+        path.open("ab", buffering=0), tmp_path / "state", 0.05, lambda what, **fields: notices.append((what, fields))
+    )
     write, full = disk._file.write, threading.Event()
 
     class Full:
@@ -462,7 +513,9 @@ def test_end_to_end(dive, logged):
     without = [{k: v for k, v in row.items() if k != "bad_lines"} for row in rows]
     assert without == [{k: v for k, v in row.items() if k != "bad_lines"} for row in states(dive.output)[0]]
     assert rows[-1]["bad_lines"] == {kind: len(of) for kind, of in BAD.items()}
-    assert [e["event"] for e in events] == ["start", *["bad-line"] * len(BAD), "stop"] and {e.get("kind") for e in events} >= set(BAD)
+    assert [e["event"] for e in events] == ["start", *["bad-line"] * len(BAD), "stop"] and {
+        e.get("kind") for e in events
+    } >= set(BAD)
     assert reproducible(output) == output
 
 
@@ -476,7 +529,9 @@ def test_the_log_gives_the_output_again(logged, capfdbinary):
 def test_the_log_is_a_mission(dive, logged, tmp_path):
     folder, output, _ = logged
     logged_lines = (folder / LOG_FILE).read_bytes().splitlines(keepends=True)
-    assert [line for line in logged_lines if not line.startswith(b'{"event"')] == dive.lines  # as they came, in their order
+    assert [
+        line for line in logged_lines if not line.startswith(b'{"event"')
+    ] == dive.lines  # as they came, in their order
     mission = nf.read_mission(folder)
     assert mission.start == dive.mission.start and mission.notes == (
         f"{LOG_FILE}: {sum(map(len, BAD.values()))} lines were no readings when they arrived",
@@ -519,7 +574,9 @@ def test_over_tcp_with_a_client_that_comes_back(dive):
 
 
 def test_killed_while_it_reads_it_goes_on(dive, tmp_path, capfdbinary):
-    """SIGKILL twice; the sender goes on with what the log does not have; the end is, bit for bit, that of an undisturbed run."""
+    """SIGKILL twice; the sender goes on with what the log does not have; the end is, bit for bit, that of an
+    undisturbed run.
+    """
     folder, rng, output, sent, under_way = tmp_path / "log", np.random.default_rng(5), [], 0, []
     arguments = [*dive.arguments, "--log", folder, "--resume", "--snapshot-every", "0.2", "--fsync", "0.1", "--quiet"]
     for kill_at_s in (7.0, 33.0):
@@ -549,7 +606,11 @@ def test_killed_while_it_reads_it_goes_on(dive, tmp_path, capfdbinary):
     assert process.code == 0 and process.errors == b""
     told = states(output)[1]
     resumed = [e for e in told if e["event"] == "resume"]
-    assert len(resumed) == 2 and all(e["snapshot"] for e in resumed) and not any(e.get("what") == "internal-error" for e in told)
+    assert (
+        len(resumed) == 2
+        and all(e["snapshot"] for e in resumed)
+        and not any(e.get("what") == "internal-error" for e in told)
+    )
     expected = [line for line in dive.output if b'"event"' not in line]
     got = [line for line in output if b'"event"' not in line]
     assert set(got) <= set(expected) and got[-1] == expected[-1]
@@ -576,7 +637,12 @@ def test_a_signal_ends_it_cleanly_and_a_damaged_snapshot_is_refused_where_asked(
     assert "another process" in capfd.readouterr().err
     output = process.end(signal.SIGTERM)
     rows, events = states(output)
-    assert process.code == 0 and events[-1]["event"] == "stop" and rows[-1]["time_s"] == pytest.approx(30.1) and len(rows) == 151
+    assert (
+        process.code == 0
+        and events[-1]["event"] == "stop"
+        and rows[-1]["time_s"] == pytest.approx(30.1)
+        and len(rows) == 151
+    )
     assert (folder / LOG_FILE).read_bytes().splitlines()[-1] == b'{"event":"stop"}'
     assert main(["run", *dive.arguments, "--log", str(folder)]) == 2  # there is a log already
     data = bytearray((folder / "snapshot").read_bytes())
@@ -587,7 +653,22 @@ def test_a_signal_ends_it_cleanly_and_a_damaged_snapshot_is_refused_where_asked(
     (folder / "snapshot").unlink()
     (tmp_path / "rest").write_bytes(b"".join(dive.lines[len(half) :]))
     capfd.readouterr()
-    assert main(["run", "--vehicle", str(dive.toml), "--log", str(folder), "--quiet", "--resume", "--input", str(tmp_path / "rest")]) == 0
+    assert (
+        main(
+            [
+                "run",
+                "--vehicle",
+                str(dive.toml),
+                "--log",
+                str(folder),
+                "--quiet",
+                "--resume",
+                "--input",
+                str(tmp_path / "rest"),
+            ]
+        )
+        == 0
+    )
     rows, events = states(capfd.readouterr().out.splitlines())
     assert events[0] == {
         "event": "resume",
@@ -614,7 +695,11 @@ def test_a_full_disk_does_not_stop_it(dive, tmp_path):
     logged = mission.streams["imu"]
     whole = dive.mission.streams["imu"]
     rows = np.searchsorted(whole.time_s, logged.time_s)
-    assert len(logged) > 500 and np.array_equal(logged.time_s, whole.time_s[rows]) and np.array_equal(logged.value, whole.value[rows])
+    assert (
+        len(logged) > 500
+        and np.array_equal(logged.time_s, whole.time_s[rows])
+        and np.array_equal(logged.value, whole.value[rows])
+    )
 
 
 def test_only_the_loopback_is_listened_on():
@@ -625,7 +710,15 @@ def test_only_the_loopback_is_listened_on():
     for url in ("tcp://0.0.0.0:4600", "tcp://192.168.1.2:4600", "tcp://[::]:4600"):
         with pytest.raises(ValueError, match="allow-remote"):
             listen_address(url, allow_remote=False)
-    for url in ("udp://127.0.0.1:1", "127.0.0.1:1", "tcp://127.0.0.1", "tcp://127.0.0.1:99999", "tcp://auv:1", "tcp://:1", "tcp://[::1:1"):
+    for url in (
+        "udp://127.0.0.1:1",
+        "127.0.0.1:1",
+        "tcp://127.0.0.1",
+        "tcp://127.0.0.1:99999",
+        "tcp://auv:1",
+        "tcp://:1",
+        "tcp://[::1:1",
+    ):
         with pytest.raises(ValueError, match="--listen"):
             listen_address(url, allow_remote=True)
 
@@ -650,7 +743,10 @@ def test_wrong_usage_is_one_line(arguments, why, dive, tmp_path, capsys):
     assert main(["run", *arguments]) == 2
     said = capsys.readouterr()
     assert (
-        said.out == "" and said.err.startswith("navfilter: ") and said.err.count("\n") == 1 and why.replace("V", str(dive.toml)) in said.err
+        said.out == ""
+        and said.err.startswith("navfilter: ")
+        and said.err.count("\n") == 1
+        and why.replace("V", str(dive.toml)) in said.err
     )
 
 

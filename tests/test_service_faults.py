@@ -1,4 +1,6 @@
-"""What must not stop a live run: readers of its outputs, its disk, terminal, cache and past, and whoever holds the line."""
+"""What must not stop a live run: readers of its outputs, its disk, terminal, cache and past, and whoever holds the
+line.
+"""
 
 import contextlib
 import datetime

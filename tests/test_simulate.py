@@ -16,7 +16,15 @@ from navfilter.sensors import BodyVelocity, Depth, Heading, Position
 from navfilter.simulation.faults import Changing, Faults, draw_error, draw_errors, generator, outliers, quantise, within
 from navfilter.simulation.manoeuvres import ChangeSpeed, Dive, FigureEight, Straight, Surface, Turn, Wait
 from navfilter.simulation.motion import Motion, Wander
-from navfilter.simulation.presets import crossbow_imu, mems_imu, motorola_gps, rdi_dvl, tactical_imu, tcm2_compass, tcm2_tilt
+from navfilter.simulation.presets import (
+    crossbow_imu,
+    mems_imu,
+    motorola_gps,
+    rdi_dvl,
+    tactical_imu,
+    tcm2_compass,
+    tcm2_tilt,
+)
 from navfilter.simulation.scenarios import SCENARIOS, demo_mission, simulate_scenario
 from navfilter.simulation.simulate import StartErrors, simulate, tiny_missions
 from navfilter.state import NavState
@@ -49,7 +57,9 @@ def silent_imu(**changes) -> Imu:
 def one_sensor(sensor, motion, fault=None, **options):
     """The stream of one sensor on a vehicle without other errors."""
     faults = {} if fault is None else {"it": fault}
-    return simulate(Vehicle(imu=silent_imu(), sensors={"it": sensor}), motion, seed=3, faults=faults, **options).streams["it"]
+    return simulate(
+        Vehicle(imu=silent_imu(), sensors={"it": sensor}), motion, seed=3, faults=faults, **options
+    ).streams["it"]
 
 
 # ---- the truth side and the filter's measurement models, written apart, agree
@@ -57,7 +67,9 @@ def one_sensor(sensor, motion, fault=None, **options):
 
 SENSORS = {
     # at rest without noise all components are exactly zero, which a DVL's reader takes for lost lock
-    "dvl": BodyVelocity(rate_hz=4.0, error=SILENT, lever_arm_b_m=(0.7, -0.2, 0.4), mounting_rad=(0.1, -0.2, 0.8), zero_is_invalid=False),
+    "dvl": BodyVelocity(
+        rate_hz=4.0, error=SILENT, lever_arm_b_m=(0.7, -0.2, 0.4), mounting_rad=(0.1, -0.2, 0.8), zero_is_invalid=False
+    ),
     "compass": Heading(rate_hz=8.0, error=SILENT),
     "magnetic": Heading(rate_hz=8.0, error=SILENT, magnetic=True, declination_rad=-0.25),
     "model": Heading(rate_hz=8.0, error=SILENT, magnetic=True),
@@ -151,7 +163,9 @@ def test_noise_has_the_covariance_of_its_model(name):
     n, runs, lags = 2000, 40, (0, 1, 2, 5, 10, 20)
     errors = np.stack([draw_error(model, period, n, seed, name) for seed in range(runs)])
     for lag in lags:
-        expected = block.C @ np.linalg.matrix_power(block.Phi, lag) @ block.P0 @ block.C + (block.r if lag == 0 else 0.0)
+        expected = block.C @ np.linalg.matrix_power(block.Phi, lag) @ block.P0 @ block.C + (
+            block.r if lag == 0 else 0.0
+        )
         each = np.mean(errors[:, lag:] * errors[:, : n - lag], axis=1)
         # five standard errors of the mean over the runs
         assert abs(each.mean() - expected) < 5.0 * each.std() / math.sqrt(runs), lag
@@ -186,7 +200,12 @@ def test_longer_noise_begins_with_the_shorter():
 
 def test_axes_streams_and_seeds_are_independent():
     n = 20_000
-    series = [draw_error(MODELS["gm1"], 10.0, n, seed, name, axis) for seed in (1, 2) for name in ("a", "b") for axis in (0, 1)]
+    series = [
+        draw_error(MODELS["gm1"], 10.0, n, seed, name, axis)
+        for seed in (1, 2)
+        for name in ("a", "b")
+        for axis in (0, 1)
+    ]
     correlation = np.corrcoef(series) - np.eye(8)
     # nearly white at this period (exp(-10 / 3) = 0.04): five standard errors
     assert np.abs(correlation).max() < 5.0 / math.sqrt(n)

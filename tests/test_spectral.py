@@ -56,7 +56,9 @@ def test_where_newton_converges_its_result_is_handed_out():
     """Simple zeros away from the circle need nothing else: not a bit may change."""
     rng = np.random.default_rng(4)
     for _ in range(100):
-        gamma = autocovariance(polynomial([*rng.uniform(-0.99, 0.99, 2), *pair(rng.uniform(0.0, np.pi), rng.uniform(0.1, 0.99))]))
+        gamma = autocovariance(
+            polynomial([*rng.uniform(-0.99, 0.99, 2), *pair(rng.uniform(0.0, np.pi), rng.uniform(0.1, 0.99))])
+        )
         alone = spectral._newton(gamma / gamma[0])
         ma, sd = nf.spectral_factor(gamma)
         np.testing.assert_array_equal(ma, alone[1:] / alone[0])

@@ -33,7 +33,9 @@ def motion():
         ChangeSpeed(2.5),
         Turn(-200.0),
     )
-    return Motion(lap * 6, latitude_deg=48.0, longitude_deg=-5.0, heading_deg=20.0, speed_m_s=2.0, depth_m=5.0, wander=Wander())
+    return Motion(
+        lap * 6, latitude_deg=48.0, longitude_deg=-5.0, heading_deg=20.0, speed_m_s=2.0, depth_m=5.0, wander=Wander()
+    )
 
 
 def truth_at(motion, times):
@@ -68,18 +70,24 @@ def test_strapdown_equals_python_ins_for_ten_minutes(motion, kind):
     times = np.arange(0.0, 600.0 + 1e-9, 1.0 / RATE_HZ)
     place, C = truth_at(motion, times)
     degrees = np.column_stack([np.degrees(place[:, :2]), place[:, 2]])
-    trajectory, imu = pyins.sim.generate_imu(times, degrees, np.degrees(euler_from_matrix(C)), place[:, 3:], sensor_type=kind)
+    trajectory, imu = pyins.sim.generate_imu(
+        times, degrees, np.degrees(euler_from_matrix(C)), place[:, 3:], sensor_type=kind
+    )
     theirs, C_theirs = python_ins(trajectory.iloc[0], imu, kind)
     readings = imu[["gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z"]].values
     nav = NavState(0.0, *place[0, :3], place[0, 3:], C[0]).pack()
     drv, out = nf.Imu(rate_hz=RATE_HZ, increments=kind == "increment").memory(0), np.zeros((len(times) - 1, 17))
-    drv[strapdown.PREVIOUS : strapdown.PREVIOUS + 6], drv[strapdown.STARTED] = readings[0], 1.0  # python-ins starts from the reading before
+    drv[strapdown.PREVIOUS : strapdown.PREVIOUS + 6], drv[strapdown.STARTED] = (
+        readings[0],
+        1.0,
+    )  # python-ins starts from the reading before
     strapdown.integrate(nav, drv, np.column_stack([np.diff(times), readings[1:]]), out)
     position, velocity, attitude = differences(out[::50], theirs[1::50], C_theirs[1::50])
     assert position < 1e-3
     assert velocity < 1e-5
     assert attitude < 1e-6
-    # Against the motion itself, both err alike: a third of a metre from rates that do not change linearly, 17 mm from increments.
+    # Against the motion itself, both err alike: a third of a metre from rates that do not change linearly, 17 mm from
+    # increments.
     ours, python = (
         differences(out[::50], place[1::50], C[1::50]),
         differences(np.hstack([theirs, C_theirs.reshape(-1, 9)])[1::50], place[1::50], C[1::50]),
@@ -90,8 +98,9 @@ def test_strapdown_equals_python_ins_for_ten_minutes(motion, kind):
 
 @pytest.mark.parametrize(("increments", "rate_hz", "position_m"), [(True, 500.0, 1e-3), (False, 1000.0, 6e-3)])
 def test_strapdown_converges_to_the_exact_motion(motion, increments, rate_hz, position_m):
-    """The error is of second order in the step, so fast samples show that nothing else is missing: 17 mm / 25; 0.34 m / 100, and
-    rounding."""
+    """The error is of second order in the step, so fast samples show that nothing else is missing: 17 mm / 25; 0.34 m /
+    100, and rounding.
+    """
     times, gyro, accel = motion.inertial(rate_hz, increments=increments, duration_s=600.0)
     checked = np.arange(0.0, 601.0, 60.0)
     place, C = truth_at(motion, checked)
@@ -109,7 +118,9 @@ def test_strapdown_converges_to_the_exact_motion(motion, increments, rate_hz, po
 
 @pytest.mark.parametrize("increments", [False, True])
 def test_holds_between_samples_change_when_not_what(motion, increments):
-    """Corrections between samples hold the state to their time: what comes after the next sample is nearly the same as without."""
+    """Corrections between samples hold the state to their time: what comes after the next sample is nearly the same as
+    without.
+    """
     times, gyro, accel = motion.inertial(RATE_HZ, increments=increments, duration_s=60.0)
     place, C = truth_at(motion, np.array([0.0]))
     samples = np.column_stack([np.diff(times, prepend=0.0), gyro, accel])
@@ -138,7 +149,9 @@ def test_dead_reckoning_follows_the_exact_motion(motion):
     samples = np.column_stack([np.diff(times, prepend=0.0), here.attitude, v_b @ matrix_from_euler(*mounting)])
     nav = NavState(0.0, here.latitude[0], here.longitude[0], here.height[0], here.velocity_n[0], here.C_nb[0]).pack()
     acc, Cr = np.vstack([np.eye(9), np.zeros((27, 9))]), np.zeros((6, 1))
-    strapdown.dead_reckoning_steps(nav, np.zeros(0), drive.memory(0), samples, np.zeros((0, 0)), np.zeros((0, 0)), Cr, acc)
+    strapdown.dead_reckoning_steps(
+        nav, np.zeros(0), drive.memory(0), samples, np.zeros((0, 0)), np.zeros((0, 0)), Cr, acc
+    )
     end = np.concatenate([[here.latitude[-1], here.longitude[-1], here.height[-1]], here.velocity_n[-1]])
     position, velocity, attitude = differences(nav[None], end[None], here.C_nb[-1:])
     assert position < 0.02  # of 600 m
@@ -161,7 +174,9 @@ def test_radii_against_closed_forms():
 def test_gravity_against_the_constants_of_wgs84():
     assert strapdown.gravity(0.0, 0.0) == pytest.approx(9.7803253359, abs=1e-12)
     assert strapdown.gravity(math.pi / 2, 0.0) == pytest.approx(9.8321849378, abs=1e-9)
-    assert strapdown.gravity(math.radians(45.0), 0.0) == pytest.approx(9.8061977, abs=1e-6)  # Groves (2013), fig. 2.22: 9.806
+    assert strapdown.gravity(math.radians(45.0), 0.0) == pytest.approx(
+        9.8061977, abs=1e-6
+    )  # Groves (2013), fig. 2.22: 9.806
     slope = (strapdown.gravity(0.7, 100.0) - strapdown.gravity(0.7, -100.0)) / 200.0
     assert slope == pytest.approx(-3.086e-6, rel=5e-3)  # free-air gradient
 
@@ -171,11 +186,16 @@ def test_plus_and_track_metres_against_geographiclib(latitude_deg):
     state = NavState(0.0, math.radians(latitude_deg), math.radians(179.9995), 0.0, np.zeros(3), np.eye(3))
     for north, east in ((300.0, 0.0), (0.0, 300.0), (-200.0, 150.0)):
         moved = state.plus([north, east, 0, 0, 0, 0, 0, 0, 0])
-        line = Geodesic.WGS84.Inverse(latitude_deg, 179.9995, math.degrees(moved.latitude), math.degrees(moved.longitude))
+        line = Geodesic.WGS84.Inverse(
+            latitude_deg, 179.9995, math.degrees(moved.latitude), math.degrees(moved.longitude)
+        )
         azimuth = math.radians(line["azi1"])
-        # a metre on the tangent plane against one on the ellipsoid: d^2 tan(latitude) / 2R, some 4 cm for 300 m at 80 degrees
+        # a metre on the tangent plane against one on the ellipsoid: d^2 tan(latitude) / 2R, some 4 cm for 300 m at 80
+        # degrees
         slack = 1e-3 + (north**2 + east**2) * (1.0 + abs(math.tan(state.latitude))) / 6.3e6
-        np.testing.assert_allclose([line["s12"] * math.cos(azimuth), line["s12"] * math.sin(azimuth)], [north, east], atol=slack)
+        np.testing.assert_allclose(
+            [line["s12"] * math.cos(azimuth), line["s12"] * math.sin(azimuth)], [north, east], atol=slack
+        )
         metres = _metres(moved.latitude, moved.longitude, 5.0, state.latitude, state.longitude, 0.0)
         middle = 0.5 * (line["azi1"] + line["azi2"])  # mid-latitude formulas: third order
         expected = [line["s12"] * math.cos(math.radians(middle)), line["s12"] * math.sin(math.radians(middle)), -5.0]
@@ -212,7 +232,9 @@ STEPS = np.array([10.0] * 3 + [0.1] * 3 + [1e-3] * 3)
 
 
 def numeric(run, nav, xd, drv, drive_steps):
-    """Derivative of the state and of the drive's states after `run` with respect to both before it; and the state after."""
+    """Derivative of the state and of the drive's states after `run` with respect to both before it; and the state
+    after.
+    """
     state = NavState.unpack(0.0, nav)
     m = 9 + len(xd)
     columns = []
@@ -239,7 +261,9 @@ def numeric(run, nav, xd, drv, drive_steps):
 def compare(analytic, difference, drive_scale, tolerance):
     """Elements in units of what errors amount to: 10 m, 1 m/s, 0.01 rad and the drive's own, so that all count alike."""
     scale = np.concatenate([[10.0] * 3, [1.0] * 3, [0.01] * 3, drive_scale])
-    np.testing.assert_allclose(analytic * scale / scale[:, None], difference * scale / scale[:, None], rtol=0, atol=tolerance)
+    np.testing.assert_allclose(
+        analytic * scale / scale[:, None], difference * scale / scale[:, None], rtol=0, atol=tolerance
+    )
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -263,9 +287,8 @@ def test_strapdown_transition_equals_finite_differences(kind, increments, seed):
     a = acc.copy()
     run(nav.copy(), xd.copy(), drv.copy(), a)
     drive_scale = np.full(6, 0.1)
-    # The transition is of second order in the step: 10 ms with 0.3 rad/s and 10 m/s^2 leave (0.003)^2 of 0.1 m/s, and the variation of
-    # gravity
-    # with latitude (1e-8 1/s^2) is left out on purpose.
+    # The transition is of second order in the step: 10 ms with 0.3 rad/s and 10 m/s^2 leave (0.003)^2 of 0.1 m/s, and
+    # the variation of gravity with latitude (1e-8 1/s^2) is left out on purpose.
     compare(a[:15], numeric(run, nav, xd, drv, drive_scale * 0.1), drive_scale, 3e-6)
 
 
@@ -336,14 +359,22 @@ def test_dead_reckoning_hold_equals_finite_differences():
 
     a = acc.copy()
     run(nav.copy(), xd.copy(), drv.copy(), a)
-    compare(a[:12], numeric(run, nav, xd, drv, np.full(3, 0.1)), np.full(3, 0.1), 1e-8)  # second order: (0.2 s x 5 m/s / 6e6 m) x 0.02
+    compare(
+        a[:12], numeric(run, nav, xd, drv, np.full(3, 0.1)), np.full(3, 0.1), 1e-8
+    )  # second order: (0.2 s x 5 m/s / 6e6 m) x 0.02
 
 
 def test_white_noise_of_the_drive_spreads_the_state_as_its_covariance_says():
-    """Monte Carlo over the samples' noise: the covariance that the kernels gather is that of the state (within what 1500 runs can tell)."""
+    """Monte Carlo over the samples' noise: the covariance that the kernels gather is that of the state (within what
+    1500 runs can tell).
+    """
     rng, runs, n = np.random.default_rng(9), 1500, 150
     for kernel, drive, sd in (
-        (strapdown.imu_steps, nf.Imu(rate_hz=20.0, gyro=nf.White(sd=0.01), accel=nf.White(sd=0.1)), [0.01] * 3 + [0.1] * 3),
+        (
+            strapdown.imu_steps,
+            nf.Imu(rate_hz=20.0, gyro=nf.White(sd=0.01), accel=nf.White(sd=0.1)),
+            [0.01] * 3 + [0.1] * 3,
+        ),
         (
             strapdown.dead_reckoning_steps,
             nf.DeadReckoning(
@@ -374,9 +405,8 @@ def test_white_noise_of_the_drive_spreads_the_state_as_its_covariance_says():
         Q = acc[9:18]
         unit = np.sqrt(np.diag(Q))
         spread = np.cov(errors.T) / np.outer(unit, unit)
-        # Correlations from 1500 runs have an sd of 0.026, relative variances 0.037; the first inertial sample stands for the one before
-        # it too, which
-        # adds 3 % to the variance of the position.
+        # Correlations from 1500 runs have an sd of 0.026, relative variances 0.037; the first inertial sample stands
+        # for the one before it too, which adds 3 % to the variance of the position.
         np.testing.assert_allclose(spread, Q / np.outer(unit, unit), atol=0.14)
 
 

@@ -355,7 +355,9 @@ def test_second_order_state_space_is_exact():
     F = np.array([[0.0, 1.0], [-b * b, -2.0 * b]])
     Phi = math.exp(-b * D) * np.array([[1.0 + b * D, D], [-b * b * D, 1.0 - b * D]])
     np.testing.assert_allclose(expm(F * D), Phi, atol=1e-12)
-    np.testing.assert_allclose(solve_continuous_lyapunov(F, -np.diag([0.0, 4.0 * b**3])), np.diag([1.0, b * b]), atol=1e-9)
+    np.testing.assert_allclose(
+        solve_continuous_lyapunov(F, -np.diag([0.0, 4.0 * b**3])), np.diag([1.0, b * b]), atol=1e-9
+    )
 
 
 def test_section_4_3_1_units():

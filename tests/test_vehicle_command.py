@@ -66,7 +66,9 @@ def test_the_template_is_what_it_says(tmp_path, drive):
 
 def test_the_templates_know_every_class_and_key():
     """A new sensor, drive, error model or field must appear in what people start from."""
-    kinds = tuple(kind for kind in _kinds() if kind.__module__.startswith("navfilter."))  # not those that other tests define
+    kinds = tuple(
+        kind for kind in _kinds() if kind.__module__.startswith("navfilter.")
+    )  # not those that other tests define
     both = vehicle_template("imu") + vehicle_template("dead-reckoning")
     keys = set(re.findall(r"^#? ?(\w+) = ", both, flags=re.MULTILINE))
     for cls in (*_concrete(Sensor, kinds).values(), Imu, DeadReckoning):
@@ -77,7 +79,9 @@ def test_the_templates_know_every_class_and_key():
     for name, cls in _concrete(ErrorModel, kinds).items():
         assert f'{{model = "{name}"' in both
         for field in dataclasses.fields(cls):
-            assert re.search(rf"\b{'adopted' if (name, field.name) == ('learned-arma', 'model') else field.name} = ", both), (name, field)
+            assert re.search(
+                rf"\b{'adopted' if (name, field.name) == ('learned-arma', 'model') else field.name} = ", both
+            ), (name, field)
 
 
 def test_every_key_of_the_template_is_explained():
@@ -143,7 +147,9 @@ def test_wrong_usage(arguments):
 def test_description_of_the_template(tmp_path):
     vehicle = written(tmp_path, vehicle_template())
     text = describe_vehicle(vehicle)
-    assert f"{Layout.of(vehicle).size} states (9 of navigation, 6 of the drive, 1 of compass, 3 of gps), 4 sensors" in text
+    assert (
+        f"{Layout.of(vehicle).size} states (9 of navigation, 6 of the drive, 1 of compass, 3 of gps), 4 sensors" in text
+    )
     for words in (
         'inertial unit at 100 Hz, rates and forces (stream "imu")',
         "0.3 deg/sqrt(h)",
@@ -166,7 +172,9 @@ def test_description_of_everything_else():
         sensors={
             "learning": Depth(rate_hz=2.0, error=learned, pressure=True),
             "learnt": Depth(error=LearnedArma(model=ArmaModel([-0.99], [-0.5], 0.1))),
-            "swinging": Position(error=(Arma([-1.6, 0.9], [], 0.1), White(sd=1.0), RandomWalk(density=0.0, start_sd=2.0))),
+            "swinging": Position(
+                error=(Arma([-1.6, 0.9], [], 0.1), White(sd=1.0), RandomWalk(density=0.0, start_sd=2.0))
+            ),
             "magnetometer": Heading(magnetometer=True),
             "still": ZeroVelocity(),
         },
@@ -177,9 +185,8 @@ def test_description_of_everything_else():
         "yaw.one_cycle_sin 2.86 deg, yaw.one_cycle_cos 2.86 deg, velocity.scale 1 %",
         "mounting     roll 0, pitch 0, yaw 45 deg",
         "learnt under way from the last 3.33 min, first after 25 s, orders (1,0), (2,1)",
-        "until then Gauss-Markov of first order: sd 10 cm, correlation time 10 s + white noise: sd 0.2 m of a reading".replace(
-            "10 cm", "0.1 m"
-        ),
+        "until then Gauss-Markov of first order: sd 10 cm, correlation time 10 s + white noise: sd 0.2 m of a "
+        "reading".replace("10 cm", "0.1 m"),
         "depth from absolute pressure",
         "learnt ARMA(1, 1)",
         "time constant 99.5 s",
@@ -250,7 +257,11 @@ def with_sensor(sensor):
 
 DEG = math.pi / 180.0
 SUSPICIOUS = {
-    "gyro in deg/sqrt(h)": (Vehicle(imu=imu(gyro=White(density=0.3))), "drive.gyro.density", "write density_deg_per_sqrt_h = 0.3."),
+    "gyro in deg/sqrt(h)": (
+        Vehicle(imu=imu(gyro=White(density=0.3))),
+        "drive.gyro.density",
+        "write density_deg_per_sqrt_h = 0.3.",
+    ),
     "gyro bias in deg/h": (
         Vehicle(imu=imu(gyro=White(density=1e-4) + RandomWalk(density=1e-7, start_sd=5.0))),
         "drive.gyro[1].start_sd",
@@ -258,31 +269,91 @@ SUSPICIOUS = {
     ),
     "gyro walk": (Vehicle(imu=imu(gyro=RandomWalk(density=1.0))), "drive.gyro.density", "(change in an hour) / 60"),
     "accel in mg": (Vehicle(imu=imu(accel=GaussMarkov(sd=4.0, tau_s=100.0))), "drive.accel.sd", "write sd_mg = 4."),
-    "accel density in mg": (Vehicle(imu=imu(accel=White(density=0.1))), "drive.accel.density", "write density_mg_per_sqrt_hz = 0.1."),
-    "one axis": (Vehicle(imu=imu(accel=(White(sd=0.1), White(sd=0.1), White(sd=9.0)))), "drive.accel.z.sd", "sd_mg = 9."),
+    "accel density in mg": (
+        Vehicle(imu=imu(accel=White(density=0.1))),
+        "drive.accel.density",
+        "write density_mg_per_sqrt_hz = 0.1.",
+    ),
+    "one axis": (
+        Vehicle(imu=imu(accel=(White(sd=0.1), White(sd=0.1), White(sd=9.0)))),
+        "drive.accel.z.sd",
+        "sd_mg = 9.",
+    ),
     "fast unit": (Vehicle(imu=imu(rate_hz=1000.0)), "drive.rate_hz", "Hz"),
     "slow unit": (Vehicle(imu=imu(rate_hz=1.0)), "drive.rate_hz", "Hz"),
     "dvl of 1 m/s": (with_sensor(BodyVelocity(error=White(sd=1.0))), "sensors.s.error.sd", "write sd_cm_per_s = 1."),
-    "dvl that never errs": (with_sensor(BodyVelocity(error=White(sd=0.0))), "sensors.s.error", "believes such a sensor blindly"),
+    "dvl that never errs": (
+        with_sensor(BodyVelocity(error=White(sd=0.0))),
+        "sensors.s.error",
+        "believes such a sensor blindly",
+    ),
     "compass in degrees": (with_sensor(Heading(error=White(sd=0.6))), "sensors.s.error.sd", "write sd_deg = 0.6."),
-    "compass by density": (with_sensor(Heading(rate_hz=4.0, error=White(density=0.5))), "sensors.s.error.density", "sd_deg"),
+    "compass by density": (
+        with_sensor(Heading(rate_hz=4.0, error=White(density=0.5))),
+        "sensors.s.error.density",
+        "sd_deg",
+    ),
     "bias in degrees": (with_sensor(Heading(bias_sd_rad=5.0)), "sensors.s.bias_sd_rad", "bias_sd_deg"),
-    "deviation in degrees": (with_sensor(Heading(deviation_sd_rad=(0.0, 2.0))), "sensors.s.deviation_sd_rad", "deviation_sd_deg"),
-    "declination in degrees": (with_sensor(Heading(declination_rad=-5.0)), "sensors.s.declination_rad", "declination_deg"),
-    "mounting in degrees": (with_sensor(BodyVelocity(mounting_rad=(0.0, 0.0, 45.0))), "sensors.s.mounting_rad", "mounting_deg"),
-    "current in cm/s": (with_sensor(WaterVelocity(current_sd_m_s=30.0)), "sensors.s.current_sd_m_s", "current_sd_cm_per_s"),
+    "deviation in degrees": (
+        with_sensor(Heading(deviation_sd_rad=(0.0, 2.0))),
+        "sensors.s.deviation_sd_rad",
+        "deviation_sd_deg",
+    ),
+    "declination in degrees": (
+        with_sensor(Heading(declination_rad=-5.0)),
+        "sensors.s.declination_rad",
+        "declination_deg",
+    ),
+    "mounting in degrees": (
+        with_sensor(BodyVelocity(mounting_rad=(0.0, 0.0, 45.0))),
+        "sensors.s.mounting_rad",
+        "mounting_deg",
+    ),
+    "current in cm/s": (
+        with_sensor(WaterVelocity(current_sd_m_s=30.0)),
+        "sensors.s.current_sd_m_s",
+        "current_sd_cm_per_s",
+    ),
     "current of seconds": (with_sensor(WaterVelocity(current_tau_s=5.0)), "sensors.s.current_tau_s", "in seconds"),
-    "misalignment": (with_sensor(BodyVelocity(misalignment_sd_rad=0.5)), "sensors.s.misalignment_sd_rad", "misalignment_sd_deg"),
+    "misalignment": (
+        with_sensor(BodyVelocity(misalignment_sd_rad=0.5)),
+        "sensors.s.misalignment_sd_rad",
+        "misalignment_sd_deg",
+    ),
     "scale in per cent": (with_sensor(BodyVelocity(scale_sd=1.0)), "sensors.s.scale_sd", "1 % is 0.01"),
     "gps in degrees": (with_sensor(Position(error=White(sd=3e-5))), "sensors.s.error", "in metres, not in degrees"),
-    "gps of kilometres": (with_sensor(Position(error=White(sd=3e4))), "sensors.s.error.sd", "in metres, not in degrees"),
+    "gps of kilometres": (
+        with_sensor(Position(error=White(sd=3e4))),
+        "sensors.s.error.sd",
+        "in metres, not in degrees",
+    ),
     "held readings": (with_sensor(Depth(rate_hz=1000.0)), "sensors.s.rate_hz", "held value"),
-    "lever arm of 100 m": (with_sensor(Depth(lever_arm_b_m=(100.0, 0.0, 0.0))), "sensors.s.lever_arm_b_m", "lever_arm_b_mm"),
+    "lever arm of 100 m": (
+        with_sensor(Depth(lever_arm_b_m=(100.0, 0.0, 0.0))),
+        "sensors.s.lever_arm_b_m",
+        "lever_arm_b_mm",
+    ),
     "narrow gate": (with_sensor(Depth(gate_probability=0.9)), "sensors.s.gate_probability", "0.9999"),
-    "memory shorter than a period": (with_sensor(Depth(error=GaussMarkov(sd=0.1, tau_s=0.5))), "sensors.s.error.tau_s", "use white"),
-    "memory of weeks": (with_sensor(Depth(error=GaussMarkov(sd=0.1, tau_s=1e6))), "sensors.s.error.tau_s", "use random-walk"),
-    "large arma": (with_sensor(Depth(error=White(sd=0.1) + Arma([-0.999], [], 10.0))), "sensors.s.error[1]", "innovations"),
-    "long window": (with_sensor(Position(error=LearnedArma(window=100_000))), "sensors.s.error.window", "A window of 1800"),
+    "memory shorter than a period": (
+        with_sensor(Depth(error=GaussMarkov(sd=0.1, tau_s=0.5))),
+        "sensors.s.error.tau_s",
+        "use white",
+    ),
+    "memory of weeks": (
+        with_sensor(Depth(error=GaussMarkov(sd=0.1, tau_s=1e6))),
+        "sensors.s.error.tau_s",
+        "use random-walk",
+    ),
+    "large arma": (
+        with_sensor(Depth(error=White(sd=0.1) + Arma([-0.999], [], 10.0))),
+        "sensors.s.error[1]",
+        "innovations",
+    ),
+    "long window": (
+        with_sensor(Position(error=LearnedArma(window=100_000))),
+        "sensors.s.error.window",
+        "A window of 1800",
+    ),
     "prior": (
         with_sensor(Heading(error=LearnedArma(prior=White(sd=0.01) + White(sd=2.0)))),
         "sensors.s.error.prior[1].sd",
@@ -301,14 +372,20 @@ SUSPICIOUS = {
         "drive.attitude.temperature_sd_rad_per_k",
         "Leave it out",
     ),
-    "attitude in degrees": (Vehicle(drive=DeadReckoning(rate_hz=4.0, attitude=White(sd=2.0))), "drive.attitude.sd", "sd_deg = 2."),
+    "attitude in degrees": (
+        Vehicle(drive=DeadReckoning(rate_hz=4.0, attitude=White(sd=2.0))),
+        "drive.attitude.sd",
+        "sd_deg = 2.",
+    ),
     "tilt in degrees": (
         Vehicle(drive=DeadReckoning(rate_hz=4.0, attitude=Heading(), tilt=White(sd=1.0))),
         "drive.tilt.sd",
         "sd_deg = 1.",
     ),
     "velocity of a drive": (
-        Vehicle(drive=DeadReckoning(rate_hz=4.0, velocity=BodyVelocity(error=White(sd=1.0), lever_arm_b_m=(99.0, 0.0, 0.0)))),
+        Vehicle(
+            drive=DeadReckoning(rate_hz=4.0, velocity=BodyVelocity(error=White(sd=1.0), lever_arm_b_m=(99.0, 0.0, 0.0)))
+        ),
         "drive.velocity.lever_arm_b_m",
         "metres",
     ),

@@ -1,4 +1,6 @@
-"""What a vehicle reads, property by property: vehicle.toml, mission.toml, JSON lines, snapshots. The millions: benchmarks/fuzz.py."""
+"""What a vehicle reads, property by property: vehicle.toml, mission.toml, JSON lines, snapshots. The millions:
+benchmarks/fuzz.py.
+"""
 
 from __future__ import annotations
 
@@ -55,7 +57,13 @@ def adopted(draw):
     covariance = draw(st.one_of(st.none(), st.just(np.diag(np.arange(1.0, n + 1.0)) - 0.1)))
     spread = draw(st.one_of(st.none(), sizes(), st.just(math.inf)))
     return ArmaModel(
-        ar, ma, draw(sizes()), covariance, spread, draw(st.one_of(st.none(), sizes())), draw(st.frozensets(st.text(max_size=3)))
+        ar,
+        ma,
+        draw(sizes()),
+        covariance,
+        spread,
+        draw(st.one_of(st.none(), sizes())),
+        draw(st.frozensets(st.text(max_size=3))),
     )
 
 
@@ -88,7 +96,13 @@ RATE = st.floats(0.01, 1000.0)
 SHARED = {"rate_hz": RATE, "gate_probability": st.floats(0.5, 0.999999), "gate_timeout_s": st.floats(0.1, 1e6)}
 SENSOR = st.one_of(
     st.builds(
-        BodyVelocity, error=THREE, lever_arm_b_m=VECTOR, mounting_rad=VECTOR, scale_sd=sizes(), zero_is_invalid=st.booleans(), **SHARED
+        BodyVelocity,
+        error=THREE,
+        lever_arm_b_m=VECTOR,
+        mounting_rad=VECTOR,
+        scale_sd=sizes(),
+        zero_is_invalid=st.booleans(),
+        **SHARED,
     ),
     st.builds(
         Heading,
@@ -105,7 +119,9 @@ SENSOR = st.one_of(
         scale_sd=sizes(),
         **SHARED,
     ),
-    st.builds(Depth, error=ERROR, latitude_deg=st.floats(-90.0, 90.0), pressure=st.booleans(), offset_sd_m=sizes(), **SHARED),
+    st.builds(
+        Depth, error=ERROR, latitude_deg=st.floats(-90.0, 90.0), pressure=st.booleans(), offset_sd_m=sizes(), **SHARED
+    ),
     st.builds(Position, error=THREE, lever_arm_b_m=VECTOR, max_hdop=st.floats(0.1, 100.0), **SHARED),
     st.builds(ZeroVelocity, error=THREE, gyro_mean_max=st.floats(1e-6, 10.0), **SHARED),
 )
@@ -181,7 +197,9 @@ def test_a_broken_vehicle_toml_is_a_vehicle_or_answered_in_words(tmp_path, drive
         first, *rest = str(error).split("\n")
         assert str(path) in first and "pydantic" not in str(error)
         # One line for each mistake, and each says where.
-        assert not rest or (first.endswith(f"{len(rest)} mistakes:") and all(re.match(r"  \S.*: .", line) for line in rest))
+        assert not rest or (
+            first.endswith(f"{len(rest)} mistakes:") and all(re.match(r"  \S.*: .", line) for line in rest)
+        )
         return
     assert read_vehicle(write_vehicle(vehicle, tmp_path / "again.toml")) == vehicle
     assert describe_vehicle(vehicle)
@@ -208,19 +226,26 @@ ON_BOARD = Vehicle(imu=Imu(rate_hz=10.0), sensors={"compass": Heading(), "gps": 
 JSON = st.recursive(
     st.one_of(st.none(), st.booleans(), st.integers(-(10**400), 10**400), st.floats(), st.text(max_size=5)),
     lambda inner: st.one_of(
-        st.lists(inner, max_size=4), st.dictionaries(st.sampled_from(["sensor", "time_s", "value", "x"]), inner, max_size=4)
+        st.lists(inner, max_size=4),
+        st.dictionaries(st.sampled_from(["sensor", "time_s", "value", "x"]), inner, max_size=4),
     ),
     max_leaves=8,
 )
 FIELDS = st.fixed_dictionaries(
     {"sensor": st.one_of(st.sampled_from(["imu", "compass", "gps", "start", "sonar"]), JSON)},
-    optional=dict.fromkeys(["time_s", "value", "sd", "rate_b", "force_b", "latitude_deg", "longitude_deg", "date", "event", "kind"], JSON),
+    optional=dict.fromkeys(
+        ["time_s", "value", "sd", "rate_b", "force_b", "latitude_deg", "longitude_deg", "date", "event", "kind"], JSON
+    ),
 )
 
 
 @pytest.mark.parametrize("notes", [False, True])
 @QUICK
-@given(line=st.one_of(st.binary(max_size=60), FIELDS.map(lambda f: json.dumps(f).encode()), JSON.map(lambda f: json.dumps(f).encode())))
+@given(
+    line=st.one_of(
+        st.binary(max_size=60), FIELDS.map(lambda f: json.dumps(f).encode()), JSON.map(lambda f: json.dumps(f).encode())
+    )
+)
 def test_any_line_is_a_reading_or_a_bad_line(notes, line):
     for parser in (LineParser(notes=notes), LineParser(ON_BOARD, notes=notes)):
         item = parser.parse(line)
@@ -234,7 +259,9 @@ def test_any_line_is_a_reading_or_a_bad_line(notes, line):
 @QUICK
 @given(
     time_s=st.floats(-1e10, 1e10),
-    value=st.lists(st.one_of(st.floats(allow_nan=False, allow_infinity=False), st.just(math.nan)), min_size=3, max_size=16),
+    value=st.lists(
+        st.one_of(st.floats(allow_nan=False, allow_infinity=False), st.just(math.nan)), min_size=3, max_size=16
+    ),
     data=st.data(),
 )
 def test_a_reading_survives_its_line_however_it_is_cut(time_s, value, data):
@@ -259,7 +286,9 @@ def test_a_reading_survives_its_line_however_it_is_cut(time_s, value, data):
 def taken():
     """A vehicle that learns, a navigator of it after five seconds, and its snapshot."""
     learned = LearnedArma(prior=GaussMarkov(sd=0.01, tau_s=30.0), window=200)
-    vehicle = Vehicle(imu=Imu(rate_hz=10.0), sensors={"compass": Heading(rate_hz=1.0, error=learned), "gps": Position()})
+    vehicle = Vehicle(
+        imu=Imu(rate_hz=10.0), sensors={"compass": Heading(rate_hz=1.0, error=learned), "gps": Position()}
+    )
     nav = Navigator(vehicle, Start(latitude_deg=45.0, longitude_deg=10.0))
     for k in range(1, 51):
         nav.step(0.1 * k, np.zeros(3), np.array([0.0, 0.0, -9.8]))

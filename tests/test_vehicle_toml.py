@@ -23,7 +23,9 @@ RECORDINGS = Path(__file__).parent / "recordings"
 INERTIAL = Vehicle(
     imu=Imu(rate_hz=100.0, gyro=White(density=1e-4) + RandomWalk(density=1e-6, start_sd=1e-5), accel=White(sd=0.03)),
     sensors={
-        "compass": Heading(rate_hz=8.0, error=Arma(ar=(-0.5, 0.1), ma=(0.2,), sd=0.01), magnetometer=True, bias_sd_rad=0.1),
+        "compass": Heading(
+            rate_hz=8.0, error=Arma(ar=(-0.5, 0.1), ma=(0.2,), sd=0.01), magnetometer=True, bias_sd_rad=0.1
+        ),
         "dvl": BodyVelocity(
             rate_hz=4.0,
             error=(White(sd=0.01), White(sd=0.02) + GaussMarkov(sd=0.1, tau_s=30.0, order=2), White(sd=0.03)),
@@ -31,7 +33,9 @@ INERTIAL = Vehicle(
         ),
         "depth": Depth(rate_hz=1.0, pressure=True),
         "gps": Position(error=GaussMarkov(sd=3.0, tau_s=60.0)),
-        "water": WaterVelocity(rate_hz=2.0, current_sd_m_s=0.5, current_tau_s=7200.0, mounting_rad=(0.0, 0.0, 0.7), scale_sd=0.01),
+        "water": WaterVelocity(
+            rate_hz=2.0, current_sd_m_s=0.5, current_tau_s=7200.0, mounting_rad=(0.0, 0.0, 0.7), scale_sd=0.01
+        ),
         "still": ZeroVelocity(),
     },
     name='made of everything, \U0001f6a2 \x7f "\\\n',
@@ -46,19 +50,26 @@ RECKONING = Vehicle(
     sensors={"a name": Position()},
 )
 SLOW = Vehicle(drive=DeadReckoning(rate_hz=5.0, attitude=Heading(rate_hz=1.0), velocity=BodyVelocity(rate_hz=1.0)))
-PLAIN = Vehicle(drive=DeadReckoning(rate_hz=1.0, attitude=(White(sd=0.1), White(sd=0.2), White(sd=0.3)), velocity=White(sd=0.1)))
-ADOPTED = ArmaModel([-1.2, 0.3], [0.1], 0.0123456789012345, np.diag([1e-4, 2e-4, 3e-4]) - 1e-5, 0.25, 3990.5, frozenset({"a", "b c"}))
+PLAIN = Vehicle(
+    drive=DeadReckoning(rate_hz=1.0, attitude=(White(sd=0.1), White(sd=0.2), White(sd=0.3)), velocity=White(sd=0.1))
+)
+ADOPTED = ArmaModel(
+    [-1.2, 0.3], [0.1], 0.0123456789012345, np.diag([1e-4, 2e-4, 3e-4]) - 1e-5, 0.25, 3990.5, frozenset({"a", "b c"})
+)
 LEARNING = Vehicle(
     imu=Imu(rate_hz=100.0),
     sensors={
         "plain": Heading(rate_hz=8.0, error=LearnedArma()),
         "prior": Heading(
-            rate_hz=8.0, error=LearnedArma(prior=GaussMarkov(sd=0.01, tau_s=30.0), orders=((1, 0), (4, 4)), window=2000, hop=7)
+            rate_hz=8.0,
+            error=LearnedArma(prior=GaussMarkov(sd=0.01, tau_s=30.0), orders=((1, 0), (4, 4)), window=2000, hop=7),
         ),
         "sum": Depth(error=White(sd=0.01) + LearnedArma(prior=White(sd=0.1) + RandomWalk(density=1e-3))),
         "adopted": Depth(error=LearnedArma(model=ADOPTED)),
         "white": Depth(error=LearnedArma(model=ArmaModel([], [], 0.5, np.zeros((0, 0)), 0.02))),
-        "axes": BodyVelocity(error=(LearnedArma(), White(sd=0.1), LearnedArma(model=ArmaModel([], [], 0.5, sd_log_s0=np.inf)))),
+        "axes": BodyVelocity(
+            error=(LearnedArma(), White(sd=0.1), LearnedArma(model=ArmaModel([], [], 0.5, sd_log_s0=np.inf)))
+        ),
     },
 )
 
@@ -84,7 +95,9 @@ def test_what_a_run_has_learnt_is_written_for_the_next_one(tmp_path):
     assert back.with_error(compass=learning.sensors["compass"].error) == learning
 
 
-@pytest.mark.parametrize("path", sorted(RECORDINGS.glob("*/*/vehicle.toml")), ids=lambda p: f"{p.parts[-3]}-{p.parts[-2]}")
+@pytest.mark.parametrize(
+    "path", sorted(RECORDINGS.glob("*/*/vehicle.toml")), ids=lambda p: f"{p.parts[-3]}-{p.parts[-2]}"
+)
 def test_vehicles_of_the_recordings(tmp_path, path):
     vehicle = read_vehicle(path)
     assert read_vehicle(write_vehicle(vehicle, tmp_path / "v.toml")) == vehicle
@@ -134,7 +147,8 @@ def test_units_in_keys(tmp_path):
             ["3 mistakes", 'drive.rate: unknown key; did you mean "rate_hz"?', "sensors.d.error.sd:", 'found "much"'],
         ),
         (
-            '[drive]\ntype = "imu"\nrate_hz = 9\n[sensors.d]\ntype = "body-velocity"\nerror = {x = {model = "white", sd = 1}}\n',
+            '[drive]\ntype = "imu"\nrate_hz = 9\n[sensors.d]\ntype = "body-velocity"\nerror = {x = {model = "white", '
+            "sd = 1}}\n",
             ["sensors.d.error.y: this key is missing", "sensors.d.error.z: this key is missing"],
         ),
         ('[drive]\ntype = "imu"\nrate_hz = 9\n[sensors.gyro]\ntype = "depth"\n', ['"gyro" is reserved']),
@@ -195,7 +209,8 @@ def test_every_mistake_at_once(tmp_path):
         "drive.rate_hz: must be >= 1e-06; found -5.",
         "drive.gyro[0].sd_deg: must be >= 0; found -1.",
         "drive.gyro[1].density: this key is missing; add it.",
-        'drive.gyro[1].density_deg_per_hour: unknown key; did you mean "density_deg_per_h"? known keys: density, model, start_sd.',
+        'drive.gyro[1].density_deg_per_hour: unknown key; did you mean "density_deg_per_h"? known keys: density, '
+        "model, start_sd.",
         "drive.accel: White needs exactly one of sd and density, found sd=None, density=None.",
         "drive.increments: must be true or false; found 3.",
         'sensors.compass.rate_hz: must be a number; found "8".',

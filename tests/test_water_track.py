@@ -1,4 +1,6 @@
-"""Water track: while the bottom is lost, what is known of the current carries the position, and the covariance says how far."""
+"""Water track: while the bottom is lost, what is known of the current carries the position, and the covariance says how
+far.
+"""
 
 from dataclasses import replace
 from functools import cache
@@ -40,20 +42,24 @@ def test_ten_minutes_without_the_bottom(seed):
     inside = (water.time_s > LOST_S) & (water.time_s < FOUND_S)
     gone = np.nanmax(water.errors(mission.truth).horizontal[inside])
     alone = np.nanmax(none.errors(mission.truth).horizontal[(none.time_s > LOST_S) & (none.time_s < FOUND_S)])
-    # The current changes by 0.1 sqrt(2 dt / 6 h) m/s in dt: over 600 s that alone is 0.1 sqrt(2 / 21600) sqrt(600^3 / 3) = 8.2 m per axis.
-    # Four sd of it in either axis: 33 m. The accelerometers' 1 mg would be 1.8 km if nothing of it were known.
+    # The current changes by 0.1 sqrt(2 dt / 6 h) m/s in dt: over 600 s that alone is 0.1 sqrt(2 / 21600) sqrt(600^3 /
+    # 3) = 8.2 m per axis. Four sd of it in either axis: 33 m. The accelerometers' 1 mg would be 1.8 km if nothing of it
+    # were known.
     assert gone < 33.0 and alone > 10.0 * gone
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_the_bottom_comes_back_smoothly(seed):
-    """No reading is rejected within the first minute: what the filter expects of the velocity is as uncertain as it says."""
+    """No reading is rejected within the first minute: what the filter expects of the velocity is as uncertain as it
+    says.
+    """
     mission, water, _ = runs(seed)
     residuals = water.residuals["dvl"]
     first = (residuals.time_s >= FOUND_S) & (residuals.time_s < FOUND_S + 60.0)
     assert np.count_nonzero(first) > 200 and residuals.used[first].all()
-    # The change of the current shows in the velocity now. A random walk and its integral are correlated by sqrt(3) / 2, so that half the sd
-    # of the position goes with it, a little less for what it was before; and the position moves by what was uncertain.
+    # The change of the current shows in the velocity now. A random walk and its integral are correlated by sqrt(3) / 2,
+    # so that half the sd of the position goes with it, a little less for what it was before; and the position moves by
+    # what was uncertain.
     before, after = at(water, FOUND_S - 1.0), at(water, FOUND_S + 10.0)
     sd = np.sqrt(np.diagonal(water.covariance, axis1=1, axis2=2)[:, :2])
     assert 0.45 * sd[before].mean() < sd[after].mean() < 0.65 * sd[before].mean()

@@ -1,4 +1,6 @@
-"""ARMA error models from series: the model value, batch fits and order selection, the online estimator and its bank of orders."""
+"""ARMA error models from series: the model value, batch fits and order selection, the online estimator and its bank of
+orders.
+"""
 
 from navfilter.arma.model import ArmaModel, forecast_arma, log_s0_sd, simulate_arma
 from navfilter.arma.roots import is_stable

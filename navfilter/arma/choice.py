@@ -1,4 +1,6 @@
-"""How one of several fitted orders is chosen: by which criterion, what rules an order out, and how far a challenger must lead."""
+"""How one of several fitted orders is chosen: by which criterion, what rules an order out, and how far a challenger
+must lead.
+"""
 
 from __future__ import annotations
 

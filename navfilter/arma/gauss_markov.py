@@ -115,7 +115,9 @@ class GaussMarkovFit:
     model: ArmaModel
 
 
-def fit_gauss_markov(series: ArrayLike, order: int, rate_hz: float, method: str = "likelihood", trend: str = "constant") -> GaussMarkovFit:
+def fit_gauss_markov(
+    series: ArrayLike, order: int, rate_hz: float, method: str = "likelihood", trend: str = "constant"
+) -> GaussMarkovFit:
     """Fit an order-n Gauss-Markov process.
 
     Parameters

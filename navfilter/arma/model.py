@@ -29,7 +29,9 @@ def _coefficients(values: ArrayLike | None, name: str) -> Array:
     """Copy of `values` as a read-only 1-D float64 array, refused when not finite."""
     array = np.array([] if values is None else values, dtype=np.float64, ndmin=1)
     if array.ndim != 1:
-        raise ValueError(f"{name} must be one-dimensional, found shape {array.shape}. Pass [c1, c2, ...] without the 1.")
+        raise ValueError(
+            f"{name} must be one-dimensional, found shape {array.shape}. Pass [c1, c2, ...] without the 1."
+        )
     if not np.all(np.isfinite(array)):
         raise ValueError(f"{name} must be finite, found {array.tolist()}.")
     array.setflags(write=False)
@@ -117,7 +119,9 @@ class ArmaModel:
             covariance = np.array(self.covariance, dtype=np.float64)
             n = self.p + self.q
             if covariance.shape != (n, n):
-                raise ValueError(f"covariance must be {n} x {n} for orders ({self.p}, {self.q}), found {covariance.shape}.")
+                raise ValueError(
+                    f"covariance must be {n} x {n} for orders ({self.p}, {self.q}), found {covariance.shape}."
+                )
             covariance.setflags(write=False)
             put(self, "covariance", covariance)
 
@@ -198,7 +202,9 @@ class ArmaModel:
             When the model is not stable: its autocovariance does not exist.
         """
         if not self.is_stable:
-            raise ValueError(f"the autocovariance of an unstable model does not exist (largest pole {np.abs(self.poles).max():.6f}).")
+            raise ValueError(
+                f"the autocovariance of an unstable model does not exist (largest pole {np.abs(self.poles).max():.6f})."
+            )
         step, drive, P = self.observer_form()
         variance = self.sd**2
         if not P.size:
@@ -220,7 +226,9 @@ class ArmaModel:
         return step, drive, settled(step, self.sd**2 * np.outer(drive, drive))
 
 
-def simulate_arma(ar: ArrayLike, ma: ArrayLike, sd: float, n: int, seed: int | np.random.Generator | None = None) -> Array:
+def simulate_arma(
+    ar: ArrayLike, ma: ArrayLike, sd: float, n: int, seed: int | np.random.Generator | None = None
+) -> Array:
     """Simulate `n` samples of a Gaussian ARMA process.
 
     A stable model starts in its stationary distribution, exactly (no burn-in). A model with poles on or outside the

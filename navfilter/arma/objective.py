@@ -60,11 +60,7 @@ class Objective(Protocol):
 
 def inside(theta: Array, p: int) -> bool:
     """Whether poles and zeros lie inside their radii, and all numbers are finite."""
-    return bool(
-        np.all(np.isfinite(theta))
-        and is_stable(theta[:p], POLE_RADIUS)
-        and is_stable(theta[p:], ZERO_RADIUS)
-    )
+    return bool(np.all(np.isfinite(theta)) and is_stable(theta[:p], POLE_RADIUS) and is_stable(theta[p:], ZERO_RADIUS))
 
 
 def split(theta: Array, p: int, q: int) -> tuple[Array, Array]:

@@ -94,7 +94,9 @@ def select_order(
             line.sort(key=lambda order: -min(order))
             for order, cell in zip(line, pool.map(lambda order: _fit_cell(problem, cells, *order), line), strict=True):
                 cells[order] = cell
-        fits = dict(zip(cells, pool.map(lambda cell: fitted(problem, cell[1], cell[0], cell[2]), cells.values()), strict=True))
+        fits = dict(
+            zip(cells, pool.map(lambda cell: fitted(problem, cell[1], cell[0], cell[2]), cells.values()), strict=True)
+        )
         tests = dict(zip(fits, pool.map(_whiteness, fits.values()), strict=True))
 
     def table(value: dict[tuple[int, int], float]) -> Array:
@@ -142,23 +144,30 @@ def _fit_cell(
     return objective, leader, done
 
 
-#: A lead below 2 is "not worth more than a bare mention" (Kass and Raftery, 1995). The gate is tried on many orders, so it is stricter here
-#: than for one series. Beyond a quarter of the circle's radius the first-order spread says nothing about cancellation.
+#: A lead below 2 is "not worth more than a bare mention" (Kass and Raftery, 1995). The gate is tried on many orders, so
+#: it is stricter here than for one series. Beyond a quarter of the circle's radius the first-order spread says nothing
+#: about cancellation.
 TABLE_CHOICE = Choice(lead=2.0, level=1e-3, farthest=0.25, nearest=False)
 
 
 def choose(fits: dict[tuple[int, int], ArmaFit], tests: dict[tuple[int, int], Whiteness]) -> tuple[int, int]:
     """The chosen order among fitted ones.
 
-    The smallest BIC among orders whose residuals pass the whiteness gate and none of whose pole-zero pairs cancels within
-    two standard deviations. Of orders with as many coefficients and nearly the same BIC, the one with fewest moving-average
-    coefficients: it forgets its start fastest and has no zeros to keep inside the circle.
+    The smallest BIC among orders whose residuals pass the whiteness gate and none of whose pole-zero pairs cancels
+    within two standard deviations. Of orders with as many coefficients and nearly the same BIC, the one with fewest
+    moving-average coefficients: it forgets its start fastest and has no zeros to keep inside the circle.
     """
     candidates = {k: f for k, f in fits.items() if not cancels(f)} or fits
-    white = {k: f for k, f in candidates.items() if min(tests[k].ljung_box_p, tests[k].periodogram_p) >= 0.5 * TABLE_CHOICE.level}
+    white = {
+        k: f
+        for k, f in candidates.items()
+        if min(tests[k].ljung_box_p, tests[k].periodogram_p) >= 0.5 * TABLE_CHOICE.level
+    }
     candidates = white or candidates
     lead = min(candidates, key=lambda k: candidates[k].bic)
-    close = [k for k, f in candidates.items() if sum(k) == sum(lead) and f.bic < candidates[lead].bic + TABLE_CHOICE.lead]
+    close = [
+        k for k, f in candidates.items() if sum(k) == sum(lead) and f.bic < candidates[lead].bic + TABLE_CHOICE.lead
+    ]
     return min(close, key=lambda k: k[1])
 
 

@@ -22,7 +22,9 @@ class Problem:
     Parameters are those of `fit_arma`; `p` and `q` are the largest orders that will be asked for.
     """
 
-    def __init__(self, series: ArrayLike, p: int, q: int, method: str, d: int, trend: str, regressors: ArrayLike | None) -> None:
+    def __init__(
+        self, series: ArrayLike, p: int, q: int, method: str, d: int, trend: str, regressors: ArrayLike | None
+    ) -> None:
         for name, order in (("p", p), ("q", q), ("d", d)):
             if order != int(order) or order < 0:
                 raise ValueError(f"{name} must be a whole number, at least 0, found {order}.")
@@ -39,7 +41,9 @@ class Problem:
         if _DEGREE[trend] >= 0 and d == 0:
             x -= self.shift
         elif abs(self.shift) > 1e6:
-            raise ValueError(f'the mean is {self.shift:.1e} times the sd: fit it along with trend="constant", or use d=1.')
+            raise ValueError(
+                f'the mean is {self.shift:.1e} times the sd: fit it along with trend="constant", or use d=1.'
+            )
         else:
             self.shift = 0.0
         self.y, self.known = x, np.isfinite(x)

@@ -125,7 +125,9 @@ def has_unit_root(ar: ArrayLike, covariance: ArrayLike, window: float, mean: boo
 
 
 def _gradient(coefficients: Array, root: complex, multiple: float = 0.0) -> Complex | None:
-    """Derivative of a root in the coefficients, ``-z^(n-j) / (derivative at z)``; None where that is no larger than `multiple`."""
+    """Derivative of a root in the coefficients, ``-z^(n-j) / (derivative at z)``; None where that is no larger than
+    `multiple`.
+    """
     slope = np.polyval(np.polyder(np.r_[1.0, coefficients]), root)
     if abs(slope) <= multiple:
         return None
@@ -220,7 +222,9 @@ def cap_poles(ar: ArrayLike, radius: float) -> Array:
 
 
 def pull_inside(coefficients: Array, radius: float = 0.995) -> Array:
-    """Coefficients with roots outside the unit circle reflected into it, and none beyond `radius`; unchanged if none is."""
+    """Coefficients with roots outside the unit circle reflected into it, and none beyond `radius`; unchanged if none
+    is.
+    """
     if not np.all(np.isfinite(coefficients)):
         return np.zeros_like(coefficients)
     if is_stable(coefficients, radius):

@@ -110,7 +110,9 @@ def _without_circle_zeros(gamma: Array) -> tuple[Array, Array]:
 
 
 def _multiple_zero(gamma: Array, degree: int) -> tuple[Array, Array] | None:
-    """One multiple zero on the circle, as a polynomial of this degree, and what is left without it; None if there is none."""
+    """One multiple zero on the circle, as a polynomial of this degree, and what is left without it; None if there is
+    none.
+    """
     if degree >= gamma.size:
         return None
     factors = [_power([1.0, -1.0], degree), _power([1.0, 1.0], degree)]

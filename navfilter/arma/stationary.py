@@ -25,7 +25,9 @@ def stationary_covariance(Phi: Array, Q: Array) -> Array:
 
 
 def settled(M: Array, Q: Array) -> Array:
-    """The same as a sum ``Q + M Q M' + ...`` by doubling: exact to rounding with poles however near to the circle, where solving is not."""
+    """The same as a sum ``Q + M Q M' + ...`` by doubling: exact to rounding with poles however near to the circle,
+    where solving is not.
+    """
     P, power = Q, M
     # after k rounds P holds 2^k terms; 60 rounds exceed any memory
     for _ in range(60):

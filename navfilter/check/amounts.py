@@ -37,7 +37,9 @@ def amount(value: float, unit: str) -> str:
     ('0.602 deg', '4.95 deg/h', '1.2 cm/s')
     """
     scales = _SCALES.get(unit, ((unit.replace("_per_", "/").replace("_", "/"), 1.0),))
-    name, size = next(((name, size) for name, size in scales if abs(value) >= 0.1 * size), scales[-1] if value else scales[0])
+    name, size = next(
+        ((name, size) for name, size in scales if abs(value) >= 0.1 * size), scales[-1] if value else scales[0]
+    )
     return f"{value / size:.3g} {name}"
 
 

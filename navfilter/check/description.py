@@ -44,9 +44,15 @@ def describe_vehicle(vehicle: Vehicle) -> str:
     Vehicle "vehicle": 15 states (9 of navigation, 6 of the drive), 1 sensor.
     """
     layout = Layout.of(vehicle)
-    counts = [f"9 of navigation, {layout.drive.size} of the drive"] + [f"{g.size} of {name}" for name, g in layout.groups.items() if g.size]
+    counts = [f"9 of navigation, {layout.drive.size} of the drive"] + [
+        f"{g.size} of {name}" for name, g in layout.groups.items() if g.size
+    ]
     number = len(vehicle.sensors)
-    lines = [f'Vehicle "{vehicle.name}": {layout.size} states ({", ".join(counts)}), {number} sensor{"" if number == 1 else "s"}.', ""]
+    lines = [
+        f'Vehicle "{vehicle.name}": {layout.size} states ({", ".join(counts)}), {number} '
+        f"sensor{'' if number == 1 else 's'}.",
+        "",
+    ]
     lines += _drive_lines(vehicle.drive)
     for name, sensor in vehicle.sensors.items():
         lines += ["", *_sensor_lines(name, sensor)]
@@ -65,7 +71,9 @@ def _drive_lines(drive: Mechanisation) -> Iterator[str]:
 
 def _sensor_lines(name: str, sensor: Sensor) -> Iterator[str]:
     yield f'Sensor "{name}": {sensor.words}, {sensor.rate_hz:g} Hz'
-    yield from _error_lines("error", sensor.models, sensor.axis_names, (sensor.unit,) * sensor.axes, 1.0 / sensor.rate_hz)
+    yield from _error_lines(
+        "error", sensor.models, sensor.axis_names, (sensor.unit,) * sensor.axes, 1.0 / sensor.rate_hz
+    )
     yield from _fitting_lines(sensor)
     wandering = sensor.wandering()
     yield from _parameter_lines(tuple(p for p in sensor.parameters() if p.name not in wandering))
@@ -73,7 +81,10 @@ def _sensor_lines(name: str, sensor: Sensor) -> Iterator[str]:
     for key, model in wandering.items():
         yield _line(key.replace("_", " "), f"estimated, {describe_error(model, units[key], 1.0 / sensor.rate_hz)[0]}")
     share = 1.0 - sensor.gate_probability
-    yield _line("gate", f"refuses one good reading in {1.0 / share:.0f}; widens after {duration(sensor.gate_timeout_s)} of refusals")
+    yield _line(
+        "gate",
+        f"refuses one good reading in {1.0 / share:.0f}; widens after {duration(sensor.gate_timeout_s)} of refusals",
+    )
 
 
 def _error_lines(
@@ -93,7 +104,10 @@ def _fitting_lines(sensor: Any) -> Iterator[str]:
         forward, right, down = lever
         yield _line("lever arm", f"{forward:g} m forward, {right:g} m right, {down:g} m down of the reference point")
     if mounting is not None and any(mounting):
-        yield _line("mounting", "roll {:g}, pitch {:g}, yaw {:g} deg".format(*(round(math.degrees(angle), 6) for angle in mounting)))
+        yield _line(
+            "mounting",
+            "roll {:g}, pitch {:g}, yaw {:g} deg".format(*(round(math.degrees(angle), 6) for angle in mounting)),
+        )
 
 
 def _parameter_lines(parameters: tuple[Parameter, ...]) -> Iterator[str]:
@@ -179,7 +193,10 @@ def _time_constants(block: Block, period_s: float) -> list[str]:
             continue
         decay = duration(-period_s / math.log(abs(pole))) if abs(pole) < 1.0 else "never"
         if abs(pole.imag) > 1e-9:
-            found.append(f"swings with a period of {duration(2.0 * math.pi * period_s / float(np.angle(pole)))}, decays in {decay}")
+            found.append(
+                f"swings with a period of {duration(2.0 * math.pi * period_s / float(np.angle(pole)))}, decays in "
+                f"{decay}"
+            )
         elif pole.real > 0.0:
             found.append(f"time constant {decay}")
     return found
@@ -188,7 +205,8 @@ def _time_constants(block: Block, period_s: float) -> list[str]:
 def zero_frequency(block: Block, period_s: float) -> float:
     """Root of the spectral density at zero frequency [unit/sqrt(Hz)]; infinite for a random walk.
 
-    The spectrum is two-sided, as that of `White.density`: the mean over a long time T then has the variance ``S(0) / T``.
+    The spectrum is two-sided, as that of `White.density`: the mean over a long time T then has the variance ``S(0) /
+    T``.
 
     Parameters
     ----------
@@ -219,5 +237,7 @@ def _low_frequencies(block: Block, unit: str, period_s: float) -> Iterator[str]:
     slowest = -period_s / math.log(max(float(np.abs(np.linalg.eigvals(block.Phi)).max()), 1e-12))
     # The mean obeys S(0)/T only over times that are long beside the slowest memory.
     over = next((T for T in (60.0, 600.0, 3600.0, 36000.0) if max(5.0 * slowest, 2.0 * period_s) <= T), None)
-    mean = "" if over is None else f": the mean of {duration(over)} still errs by {amount(root / math.sqrt(over), unit)}"
+    mean = (
+        "" if over is None else f": the mean of {duration(over)} still errs by {amount(root / math.sqrt(over), unit)}"
+    )
     yield f"  at low frequencies {root_density(root, unit)}, the root of S(0){mean}"

@@ -70,7 +70,11 @@ def _gravity(name: str, imu: Stream) -> Iterator[Finding]:
     mean = np.nanmean(vector(imu, "force_x_m_s2"), axis=0)
     size = float(np.linalg.norm(mean))
     if not 0.9 * ROUND_GRAVITY < size < 1.1 * ROUND_GRAVITY:
-        known = {1.0: 'the unit is "g"', 1000.0: 'the unit is "mg"', ROUND_GRAVITY**2: "the values are m/s^2 already, not g"}
+        known = {
+            1.0: 'the unit is "g"',
+            1000.0: 'the unit is "mg"',
+            ROUND_GRAVITY**2: "the values are m/s^2 already, not g",
+        }
         guess = [words for value, words in known.items() if 0.9 * value < size < 1.1 * value]
         cure = f"Perhaps {guess[0]}." if guess else "Raw specific force is needed, with gravity in it; check the unit."
         yield Finding("error", name, f"the mean specific force is {size:.3g} m/s^2, gravity is 9.8.", cure)
@@ -101,7 +105,10 @@ def _handedness(name: str, imu: Stream) -> Iterator[Finding]:
     half = 0.1
     smooth = integral(time_s, force)
     at = np.column_stack(
-        [np.interp(edges + half, time_s, smooth[:, k]) - np.interp(edges - half, time_s, smooth[:, k]) for k in range(3)]
+        [
+            np.interp(edges + half, time_s, smooth[:, k]) - np.interp(edges - half, time_s, smooth[:, k])
+            for k in range(3)
+        ]
     ) / (2.0 * half)
     turn = integral(time_s, -np.cross(rate, force))
     expected = np.column_stack([np.diff(np.interp(edges, time_s, turn[:, k])) for k in range(3)])
@@ -136,7 +143,9 @@ def _angles(name: str, stream: Stream) -> Iterator[Finding]:
             period = float(np.median(np.diff(stream.time_s))) if len(stream) > 1 else 1.0
             # Degrees read as radians and wrapped look random: the median step of random angles is a quarter turn.
             if np.nanmedian(step) > 0.5 and period <= 1.5:
-                text = f"the heading jumps by {math.degrees(float(np.nanmedian(step))):.0f} deg from reading to reading."
+                text = (
+                    f"the heading jumps by {math.degrees(float(np.nanmedian(step))):.0f} deg from reading to reading."
+                )
                 yield Finding("error", name, text, cure)
 
 
@@ -225,7 +234,9 @@ def _positions(name: str, stream: Stream) -> Iterator[Finding]:
         return
     latitude, longitude = stream.column("latitude_rad"), stream.column("longitude_rad")
     if float(np.nanmax(np.abs(latitude), initial=0.0)) > 0.5 * math.pi:
-        yield Finding("error", name, "latitudes beyond 90 deg.", 'Degrees for radians (unit = "deg"), or swapped columns.')
+        yield Finding(
+            "error", name, "latitudes beyond 90 deg.", 'Degrees for radians (unit = "deg"), or swapped columns.'
+        )
         return
     if abs(float(np.nanmedian(latitude))) > POLAR and abs(float(np.nanmedian(longitude))) < POLAR:
         usual_deg = math.degrees(float(np.nanmedian(latitude)))
@@ -239,7 +250,9 @@ def _positions(name: str, stream: Stream) -> Iterator[Finding]:
     jumps = int(np.count_nonzero((speed > 60.0) & (np.hypot(north, east) > 20.0)))
     if jumps:
         text = f"{counted(jumps, 'jump')} faster than 60 m/s between fixes."
-        yield Finding("warning", name, text, "The gate will refuse outliers; make sure that the run starts on a good fix.")
+        yield Finding(
+            "warning", name, text, "The gate will refuse outliers; make sure that the run starts on a good fix."
+        )
 
 
 def _pressure(name: str, stream: Stream) -> Iterator[Finding]:
@@ -247,4 +260,6 @@ def _pressure(name: str, stream: Stream) -> Iterator[Finding]:
         lowest = float(np.nanmin(stream.column("pressure_Pa")))
         if lowest < 5e4:
             text = f"an absolute pressure of {lowest:.4g} Pa is below any at sea level."
-            yield Finding("error", name, text, 'Check the unit ("hPa", "dbar", "bar"); gauge pressure needs offset = 101325.')
+            yield Finding(
+                "error", name, text, 'Check the unit ("hPa", "dbar", "bar"); gauge pressure needs offset = 101325.'
+            )

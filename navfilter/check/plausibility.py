@@ -1,4 +1,6 @@
-"""What looks wrong in a vehicle although it can be read: numbers in another unit than their key says, and what cannot work."""
+"""What looks wrong in a vehicle although it can be read: numbers in another unit than their key says, and what cannot
+work.
+"""
 
 from __future__ import annotations
 
@@ -42,7 +44,8 @@ def check_vehicle(vehicle: Vehicle) -> tuple[Finding, ...]:
     Returns
     -------
     tuple of Finding
-        `Finding.stream` is the place in the vehicle.toml. Severity "warning": probably a mistake; "info": worth knowing.
+        `Finding.stream` is the place in the vehicle.toml. Severity "warning": probably a mistake; "info": worth
+        knowing.
 
     Examples
     --------
@@ -70,7 +73,9 @@ def _drive_findings(drive: Mechanisation) -> Iterator[Finding]:
     yield from (_warn(f"drive.{doubt.field}", doubt.text, doubt.cure) for doubt in drive.doubts())
     for part in drive.described():
         axes = drive.models[part.axes]
-        yield from _errors(f"drive.{part.place}", part.given, axes, _Channel(drive.units[part.axes][0], part.plausible), drive.period_s)
+        yield from _errors(
+            f"drive.{part.place}", part.given, axes, _Channel(drive.units[part.axes][0], part.plausible), drive.period_s
+        )
         if drive.inertial and not any(model.block(drive.period_s).size for model in axes):
             cure = f'Add {{model = "random-walk", density = .., start_sd = ..}} to {part.place}, as a list.'
             text = "only white noise, no bias is estimated; every inertial unit has one."
@@ -83,14 +88,20 @@ def _sensor_findings(place: str, sensor: Sensor) -> Iterator[Finding]:
     if sensor.plausible is not None:
         if sensor.rate_hz > sensor.plausible.most_rate_hz:
             text = f"{sensor.rate_hz:g} Hz is unusual for this kind of sensor."
-            yield _warn(f"{place}.rate_hz", text, "It is in Hz, the readings per second; a held value that is repeated is no new reading.")
+            yield _warn(
+                f"{place}.rate_hz",
+                text,
+                "It is in Hz, the readings per second; a held value that is repeated is no new reading.",
+            )
         channel = _Channel(sensor.unit, sensor.plausible)
         yield from _errors(f"{place}.error", sensor.error, sensor.models, channel, 1.0 / sensor.rate_hz)
     yield from (_warn(f"{place}.{doubt.field}", doubt.text, doubt.cure) for doubt in sensor.doubts())
     yield from _lever_findings(place, sensor)
     if sensor.gate_probability < 0.95:
         share = 1.0 - sensor.gate_probability
-        yield _warn(f"{place}.gate_probability", f"refuses {100.0 * share:.3g} % of good readings.", "Usual: 0.999 or 0.9999.")
+        yield _warn(
+            f"{place}.gate_probability", f"refuses {100.0 * share:.3g} % of good readings.", "Usual: 0.999 or 0.9999."
+        )
 
 
 def _lever_findings(place: str, sensor: Sensor) -> Iterator[Finding]:
@@ -110,20 +121,31 @@ def _whole_findings(vehicle: Vehicle) -> Iterator[Finding]:
         yield Finding("info", "sensors", "no position fixes: the error of the position grows without bound.", "")
     if vehicle.drive.inertial:
         if not corrected & {"position", "velocity"}:
-            cure = "Add a sensor of type body-velocity or position: without one an inertial unit is lost within minutes."
+            cure = (
+                "Add a sensor of type body-velocity or position: without one an inertial unit is lost within minutes."
+            )
             yield _warn("sensors", "nothing corrects position or velocity.", cure)
         if "heading" not in corrected:
-            yield Finding("info", "sensors", "no compass: the heading is only seen through fixes while the vehicle accelerates.", "")
+            yield Finding(
+                "info",
+                "sensors",
+                "no compass: the heading is only seen through fixes while the vehicle accelerates.",
+                "",
+            )
         return
     for name, sensor in vehicle.sensors.items():
         if sensor.from_drive:
-            yield _warn(f"sensors.{name}", "rest is detected from an inertial unit; dead reckoning has none.", "Leave it out.")
+            yield _warn(
+                f"sensors.{name}", "rest is detected from an inertial unit; dead reckoning has none.", "Leave it out."
+            )
 
 
 # --- error models -----------------------------------------------------------------------------------------------------
 
 
-def _errors(place: str, given: Any, models: tuple[ErrorModel, ...], channel: _Channel, period_s: float) -> Iterator[Finding]:
+def _errors(
+    place: str, given: Any, models: tuple[ErrorModel, ...], channel: _Channel, period_s: float
+) -> Iterator[Finding]:
     """Findings on one error as given: a model for all axes, or one for each."""
     several = isinstance(given, tuple)
     for k, model in enumerate(models if several else models[:1]):
@@ -143,7 +165,9 @@ def _errors(place: str, given: Any, models: tuple[ErrorModel, ...], channel: _Ch
 def _part_findings(place: str, part: ErrorModel, channel: _Channel, period_s: float) -> Iterator[Finding]:
     if isinstance(part, White) and part.density is not None:
         if part.density > channel.usual.most_density:
-            yield _too_large(f"{place}.density", part.density, root_density(part.density, channel.unit), channel.usual.density_suffix)
+            yield _too_large(
+                f"{place}.density", part.density, root_density(part.density, channel.unit), channel.usual.density_suffix
+            )
         elif math.isinf(channel.usual.most_density):
             yield from _sd_findings(f"{place}.density", part.density / math.sqrt(period_s), channel)
     elif isinstance(part, White | GaussMarkov):
@@ -158,7 +182,11 @@ def _part_findings(place: str, part: ErrorModel, channel: _Channel, period_s: fl
     elif isinstance(part, LearnedArma) and part.model is None:
         if part.window * period_s > 7200.0:
             cure = f"A window of {max(int(1800.0 / period_s), 200)} readings takes half an hour or less; models of slow sensors need fewer."
-            yield _warn(f"{place}.window", f"{part.window} readings are {duration(part.window * period_s)} of this sensor.", cure)
+            yield _warn(
+                f"{place}.window",
+                f"{part.window} readings are {duration(part.window * period_s)} of this sensor.",
+                cure,
+            )
         for k, prior in enumerate(getattr(part.prior, "parts", (part.prior,))):
             if prior is not None:
                 inner = f"{place}.prior[{k}]" if isinstance(part.prior, Sum) else f"{place}.prior"
@@ -171,7 +199,11 @@ def _part_findings(place: str, part: ErrorModel, channel: _Channel, period_s: fl
             text = f"a correlation time of {duration(part.tau_s)} is shorter than the time between two readings, {duration(period_s)}."
             yield _warn(f"{place}.tau_s", text, "Between readings nothing is left of it: use white.")
         elif part.tau_s > 1e5:
-            yield _warn(f"{place}.tau_s", f"a correlation time of {duration(part.tau_s)}.", "It is in seconds. For a bias use random-walk.")
+            yield _warn(
+                f"{place}.tau_s",
+                f"a correlation time of {duration(part.tau_s)}.",
+                "It is in seconds. For a bias use random-walk.",
+            )
 
 
 def _sd_findings(place: str, sd: float, channel: _Channel) -> Iterator[Finding]:
@@ -185,7 +217,9 @@ def _too_large(place: str, value: float, shown: str, suffix: str, hint: str = ""
         key = "sd"  # what was judged is the sd of a reading
     unit = suffix.replace("_per_sqrt_", "/sqrt(").replace("_per_", "/")
     unit = f"{unit})" if "(" in unit else unit
-    cure = hint or f"If {value:.3g} {unit.replace('sqrt(hz)', 'sqrt(Hz)')} is meant, write {key}_{suffix} = {value:.3g}."
+    cure = (
+        hint or f"If {value:.3g} {unit.replace('sqrt(hz)', 'sqrt(Hz)')} is meant, write {key}_{suffix} = {value:.3g}."
+    )
     if not suffix and not hint:
         cure = "Numbers are in SI."
     if key == "error":

@@ -51,7 +51,9 @@ def _timing(name: str, stream: Stream, mission: Mission) -> Iterator[Finding]:
     mean = span / (len(stream) - 1)
     bursty = float(np.mean((step < 0.3 * mean) | (step > 2.0 * mean)))
     if bursty > 0.1 and not _even(moving[moving <= mean]):
-        text = f"{100 * bursty:.0f} % of the steps are far from the mean of {mean:.4g} s: stamps of reception, in bursts?"
+        text = (
+            f"{100 * bursty:.0f} % of the steps are far from the mean of {mean:.4g} s: stamps of reception, in bursts?"
+        )
         yield Finding("warning", name, text, "If the sensor has an even rate, set time.ends_only = true.")
     late = stream.time_s[0] - mission.begin_s
     if late > max(10.0 * usual, 5.0):

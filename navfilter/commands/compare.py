@@ -79,16 +79,35 @@ BASELINES = ("gm1-fitted", "gm1", "vehicle", "white")
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the sub-command."""
     parser.add_argument("mission", metavar="MISSION")
-    parser.add_argument("--vehicle", required=True, metavar="TOML", help="the vehicle.toml, or the folder that holds it")
-    parser.add_argument("--models", type=_names, default=_names(DEFAULT), metavar="A,B,..", help=f"see below (default: {DEFAULT})")
     parser.add_argument(
-        "--sensors", type=_names, metavar="A,B,..", help="sensors whose model is exchanged (default: all with enough readings)"
+        "--vehicle", required=True, metavar="TOML", help="the vehicle.toml, or the folder that holds it"
     )
-    parser.add_argument("--without", action="append", default=[], metavar="SENSOR", help="leave a sensor out; may be repeated")
-    parser.add_argument("--oracle", metavar="TOML", help="vehicle file with the true error models, for the model 'oracle'")
+    parser.add_argument(
+        "--models", type=_names, default=_names(DEFAULT), metavar="A,B,..", help=f"see below (default: {DEFAULT})"
+    )
+    parser.add_argument(
+        "--sensors",
+        type=_names,
+        metavar="A,B,..",
+        help="sensors whose model is exchanged (default: all with enough readings)",
+    )
+    parser.add_argument(
+        "--without", action="append", default=[], metavar="SENSOR", help="leave a sensor out; may be repeated"
+    )
+    parser.add_argument(
+        "--oracle", metavar="TOML", help="vehicle file with the true error models, for the model 'oracle'"
+    )
     parser.add_argument("--smooth", action="store_true", help="compare the smoothed tracks (Rauch-Tung-Striebel)")
-    parser.add_argument("--begin", type=float, metavar="S", help="score from this mission time on [s] (default: after the first window)")
-    parser.add_argument("--output-rate", type=positive, default=5.0, metavar="HZ", help="rows of a track per second (default: %(default)s)")
+    parser.add_argument(
+        "--begin", type=float, metavar="S", help="score from this mission time on [s] (default: after the first window)"
+    )
+    parser.add_argument(
+        "--output-rate",
+        type=positive,
+        default=5.0,
+        metavar="HZ",
+        help="rows of a track per second (default: %(default)s)",
+    )
     parser.add_argument("--out", metavar="DIR", help="folder to write to (default: only the table is printed)")
     add_force_argument(parser)
     add_reading_arguments(parser)
@@ -113,7 +132,10 @@ def run(options: argparse.Namespace) -> int:
     if options.oracle is not None and "oracle" not in options.models:
         raise ValueError("--oracle is only used by the model 'oracle': add it to --models.")
     if options.oracle is None and "oracle" in options.models:
-        raise ValueError("the model 'oracle' needs --oracle TOML: a vehicle file with the true error models. A mission does not hold them.")
+        raise ValueError(
+            "the model 'oracle' needs --oracle TOML: a vehicle file with the true error models. A mission does not "
+            "hold them."
+        )
     vehicle = read_vehicle(options.vehicle).without(*options.without)
     truth = None if options.oracle is None else true_errors(vehicle, read_vehicle(options.oracle))
     mission = read(options)
@@ -125,7 +147,9 @@ def run(options: argparse.Namespace) -> int:
         print_comparison(comparison, mission)
     if folder is not None:
         write_results(comparison, tracks, mission, folder, options.quiet)
-        speaker(options.quiet)(f"Written to {folder}{os.sep}: report.html (open this one), comparison.csv, summary.json")
+        speaker(options.quiet)(
+            f"Written to {folder}{os.sep}: report.html (open this one), comparison.csv, summary.json"
+        )
     return 0
 
 
@@ -188,17 +212,23 @@ def replay_models(plan: Plan, vehicle: Vehicle, mission: Mission, quiet: bool = 
     tracks = {}
     for number, (name, other) in enumerate(vehicles.items(), 1):
         say(f"replaying with {name} ({number} of {len(vehicles)}) ...")
-        tracks[name] = replay(other, mission, start=start, smooth=name in plan.smooth, output_rate_hz=plan.output_rate_hz, progress=bars)
+        tracks[name] = replay(
+            other, mission, start=start, smooth=name in plan.smooth, output_rate_hz=plan.output_rate_hz, progress=bars
+        )
     return tracks
 
 
 def compare_tracks(
-    tracks: Mapping[str, Track], mission: Mission, vehicle: Vehicle, sensors: Sequence[str] | None = None, begin_s: float | None = None
+    tracks: Mapping[str, Track],
+    mission: Mission,
+    vehicle: Vehicle,
+    sensors: Sequence[str] | None = None,
+    begin_s: float | None = None,
 ) -> Comparison:
     """Compare runs by name of the model, from the end of the first learning window on unless `begin_s` says otherwise.
 
-    Where that leaves less than `LEAST_SCORED` of the mission, everything is scored. The result says so, and where nothing
-    could be fitted or learnt, so that a run kept the model of the vehicle file after all.
+    Where that leaves less than `LEAST_SCORED` of the mission, everything is scored. The result says so, and where
+    nothing could be fitted or learnt, so that a run kept the model of the vehicle file after all.
     """
     from navfilter.evaluation.comparison import compare
 
@@ -236,10 +266,11 @@ def _kept(tracks: Mapping[str, Track], vehicle: Vehicle, sensors: Sequence[str] 
 
 
 def learning_ends(tracks: Mapping[str, Track], mission: Mission) -> float:
-    """Mission time [s] from which on a run that learns knows only the past, and the first window of all that learns is full.
+    """Mission time [s] from which on a run that learns knows only the past, and the first window of all that learns is
+    full.
 
-    When the first models are there, the navigator runs the beginning again with them: until then it knows what is still to come. A window
-    that is longer than half the mission is no reason to wait for it.
+    When the first models are there, the navigator runs the beginning again with them: until then it knows what is still
+    to come. A window that is longer than half the mission is no reason to wait for it.
     """
     from navfilter.learning.learned import learning_part
     from navfilter.learning.schedule import LearningSchedule
@@ -267,7 +298,9 @@ def print_comparison(comparison: Comparison, mission: Mission) -> None:
         print("(no truth in this mission: only what the readings themselves tell)")
 
 
-def write_results(comparison: Comparison, tracks: Mapping[str, Track], mission: Mission, folder: Path, quiet: bool) -> None:
+def write_results(
+    comparison: Comparison, tracks: Mapping[str, Track], mission: Mission, folder: Path, quiet: bool
+) -> None:
     """Write report.html, comparison.csv and summary.json."""
     from tqdm import tqdm
 

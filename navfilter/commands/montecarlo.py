@@ -40,19 +40,39 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of ``navfilter montecarlo``."""
     parser.add_argument("--scenario", metavar="NAME", help="see --list")
     parser.add_argument("--list", action="store_true", help="list the scenarios and stop")
-    parser.add_argument("--runs", type=_count, default=20, metavar="N", help="missions, with seeds from --seed on (default: %(default)s)")
-    parser.add_argument("--seed", type=seed, default=1, metavar="S", help="seed of the first mission (default: %(default)s)")
-    parser.add_argument("--models", default=_DEFAULT, metavar="NAMES", help="separated by commas (default: %(default)s)")
+    parser.add_argument(
+        "--runs",
+        type=_count,
+        default=20,
+        metavar="N",
+        help="missions, with seeds from --seed on (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--seed", type=seed, default=1, metavar="S", help="seed of the first mission (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--models", default=_DEFAULT, metavar="NAMES", help="separated by commas (default: %(default)s)"
+    )
     parser.add_argument("--motion", choices=("lawnmower", "transit"), default="lawnmower", help="default: %(default)s")
     parser.add_argument("--gyro", choices=("tactical", "mems"), default="tactical", help="default: %(default)s")
-    parser.add_argument("--duration", type=positive, metavar="S", help="length of a mission in seconds (default: that of the scenario)")
-    parser.add_argument("--score-start", type=float, metavar="S", help="score from this time on (default: one window of the learner)")
-    parser.add_argument("--imu-rate", type=positive, default=100.0, metavar="HZ", help="of the inertial unit (default: %(default)s)")
-    parser.add_argument("--smooth", action=argparse.BooleanOptionalAction, default=True, help="run the smoother too (default: yes)")
+    parser.add_argument(
+        "--duration", type=positive, metavar="S", help="length of a mission in seconds (default: that of the scenario)"
+    )
+    parser.add_argument(
+        "--score-start", type=float, metavar="S", help="score from this time on (default: one window of the learner)"
+    )
+    parser.add_argument(
+        "--imu-rate", type=positive, default=100.0, metavar="HZ", help="of the inertial unit (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--smooth", action=argparse.BooleanOptionalAction, default=True, help="run the smoother too (default: yes)"
+    )
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--workers", type=_count, metavar="K", help="processes (default: all cores)")
     where.add_argument("--dask", metavar="ADDRESS", help="scheduler of a Dask cluster, such as tcp://10.0.0.1:8786")
-    parser.add_argument("--out", metavar="DIR", help="folder to write to (default: one per scenario in navfilter-montecarlo)")
+    parser.add_argument(
+        "--out", metavar="DIR", help="folder to write to (default: one per scenario in navfilter-montecarlo)"
+    )
     add_force_argument(parser)
     parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
 
@@ -102,7 +122,9 @@ def _models(options: argparse.Namespace, campaign: Any) -> tuple[str, ...]:
         raise ValueError(f'--models: there is no "{(*unknown, options.models)[0]}". Models: {", ".join(MODELS)}.')
     if "oracle" in names and campaign.staged.truth is None:
         if names == ("oracle",):
-            raise ValueError(f'"oracle" needs one true model for the whole mission, but in {campaign.scenario} the noise changes.')
+            raise ValueError(
+                f'"oracle" needs one true model for the whole mission, but in {campaign.scenario} the noise changes.'
+            )
         speaker(options.quiet)("(no oracle: the noise of this scenario changes, no fixed model is the truth)")
         names = tuple(name for name in names if name != "oracle")
     return names

@@ -1,4 +1,6 @@
-"""``navfilter demo`` and ``navfilter replay``: their arguments and what they do. Everything heavy is imported where it is used."""
+"""``navfilter demo`` and ``navfilter replay``: their arguments and what they do. Everything heavy is imported where it
+is used.
+"""
 
 from __future__ import annotations
 
@@ -81,9 +83,15 @@ examples:
 
 def add_demo_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of ``navfilter demo``."""
-    parser.add_argument("--out", default="navfilter-demo", metavar="DIR", help="folder to write to (default: %(default)s)")
-    parser.add_argument("--seed", type=seed, default=1, metavar="N", help="seed of everything random (default: %(default)s)")
-    parser.add_argument("--duration", type=positive, metavar="S", help="length of the mission in seconds (default: one hour)")
+    parser.add_argument(
+        "--out", default="navfilter-demo", metavar="DIR", help="folder to write to (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--seed", type=seed, default=1, metavar="N", help="seed of everything random (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--duration", type=positive, metavar="S", help="length of the mission in seconds (default: one hour)"
+    )
     add_force_argument(parser)
     parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
 
@@ -120,7 +128,9 @@ def demo(options: argparse.Namespace) -> int:
 
 
 def save(vehicle: Any, mission: Mission, mission_path: Path, vehicle_path: Path, truth: Any = None) -> None:
-    """Write a simulated mission and its vehicle; where its sensors err otherwise than it believes, also the vehicle as it really is."""
+    """Write a simulated mission and its vehicle; where its sensors err otherwise than it believes, also the vehicle as
+    it really is.
+    """
     from navfilter.io import write_vehicle
 
     mission.save(mission_path)
@@ -132,22 +142,33 @@ def save(vehicle: Any, mission: Mission, mission_path: Path, vehicle_path: Path,
 def add_replay_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of ``navfilter replay``."""
     parser.add_argument("mission", metavar="MISSION")
-    parser.add_argument("--vehicle", required=True, metavar="TOML", help="the vehicle.toml, or the folder that holds it")
+    parser.add_argument(
+        "--vehicle", required=True, metavar="TOML", help="the vehicle.toml, or the folder that holds it"
+    )
     parser.add_argument("--out", required=True, metavar="DIR", help="folder to write to")
     add_force_argument(parser)
     add_reading_arguments(parser)
-    parser.add_argument("--smooth", action="store_true", help="smooth too (Rauch-Tung-Striebel); the files then hold the smoothed track")
+    parser.add_argument(
+        "--smooth", action="store_true", help="smooth too (Rauch-Tung-Striebel); the files then hold the smoothed track"
+    )
     parser.add_argument(
         "--iterate",
         type=seed,
         default=0,
         metavar="N",
-        help="identify learnt errors on the whole mission first: replay and fit until the models settle, at most N times (5 is plenty)",
+        help="identify learnt errors on the whole mission first: replay and fit until the models settle, at most N "
+        "times (5 is plenty)",
     )
-    parser.add_argument("--without", action="append", default=[], metavar="SENSOR", help="leave a sensor out; may be repeated")
+    parser.add_argument(
+        "--without", action="append", default=[], metavar="SENSOR", help="leave a sensor out; may be repeated"
+    )
     selection.add_arguments(parser)
     parser.add_argument(
-        "--output-rate", type=positive, default=5.0, metavar="HZ", help="rows of the track per second (default: %(default)s)"
+        "--output-rate",
+        type=positive,
+        default=5.0,
+        metavar="HZ",
+        help="rows of the track per second (default: %(default)s)",
     )
     parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
 
@@ -234,5 +255,7 @@ def _print_result(tracks: dict[str, Track], mission: Mission, folder: Path, asse
     for learnt in assessment.learnt:
         print(f"learnt: {learnt}")
     print(f"\n{assessment.verdict}")
-    print(f"\n{result.distance_m:.0f} m travelled, {result.cpu_s:.1f} s of processor time. Written to {folder}{os.sep}:")
+    print(
+        f"\n{result.distance_m:.0f} m travelled, {result.cpu_s:.1f} s of processor time. Written to {folder}{os.sep}:"
+    )
     print("  report.html (open this one), summary.json, track.csv, track.tum, track.geojson")

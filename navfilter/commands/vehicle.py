@@ -33,12 +33,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="PATH",
         help="file to write, or the folder to write vehicle.toml into (default: here)",
     )
-    what.add_argument("--check", metavar="TOML", help="the vehicle.toml to describe and to check, or the folder that holds it")
+    what.add_argument(
+        "--check", metavar="TOML", help="the vehicle.toml to describe and to check, or the folder that holds it"
+    )
     parser.add_argument(
-        "--drive", choices=("imu", "dead-reckoning"), default="imu", help="with --init: what carries the state (default: %(default)s)"
+        "--drive",
+        choices=("imu", "dead-reckoning"),
+        default="imu",
+        help="with --init: what carries the state (default: %(default)s)",
     )
     parser.add_argument("--force", action="store_true", help="with --init: replace a file that is there")
-    parser.add_argument("--quiet", action="store_true", help="print nothing but errors; of --check only the exit code counts")
+    parser.add_argument(
+        "--quiet", action="store_true", help="print nothing but errors; of --check only the exit code counts"
+    )
 
 
 def run(options: argparse.Namespace) -> int:

@@ -76,7 +76,9 @@ def compare(
     for the statistic; Bartlett, 1946, for the count), which for the position of a single mission is often hardly more than one.
     """
     if not tracks:
-        raise ValueError('compare needs at least one track, found none. Example: nf.compare({"GM1": track}, truth=mission.truth).')
+        raise ValueError(
+            'compare needs at least one track, found none. Example: nf.compare({"GM1": track}, truth=mission.truth).'
+        )
     if baseline is not None and baseline not in tracks:
         raise ValueError(f'the baseline "{baseline}" is none of the runs ({", ".join(tracks)}).')
     scored = _scored_windows(tracks, begin_s, windows)
@@ -92,7 +94,9 @@ def _scored_windows(tracks: Mapping[str, Track], begin_s: float | None, windows:
     start = first if begin_s is None else float(begin_s)
     scored = tuple((max(a, start), b) for a, b in windows or ((first, last),) if b > max(a, start))
     if not scored or not any(((t.time_s >= a) & (t.time_s <= b)).any() for t in tracks.values() for a, b in scored):
-        raise ValueError(f"nothing is left to be scored after {start:g} s: the runs end at {last:g} s. Give an earlier begin_s.")
+        raise ValueError(
+            f"nothing is left to be scored after {start:g} s: the runs end at {last:g} s. Give an earlier begin_s."
+        )
     return scored
 
 
@@ -193,23 +197,36 @@ class Comparison:
 
     def notes(self) -> list[str]:
         """How the table is to be read, one line each."""
-        when = ", ".join(f"{a:.0f} to {b:.0f} s" for a, b in self.windows[:4]) + (" ..." if len(self.windows) > 4 else "")
+        when = ", ".join(f"{a:.0f} to {b:.0f} s" for a, b in self.windows[:4]) + (
+            " ..." if len(self.windows) > 4 else ""
+        )
         lines = [f"scored: {when}."]
         if self.baseline is not None:
             lines.append(f"(...) is the ratio to {self.baseline}; below 1 is better.")
         lines.append(
-            "NEES and NIS are per degree of freedom, 1 is honest; * is outside the 95 % range. Autocorrelations of the innovations"
+            "NEES and NIS are per degree of freedom, 1 is honest; * is outside the 95 % range. Autocorrelations of the "
+            "innovations"
         )
-        lines.append('over 20 lags, the largest of the axes; "white" where every axis passes. 0.27 % of honest errors lie beyond 3 sigma.')
+        lines.append(
+            'over 20 lags, the largest of the axes; "white" where every axis passes. 0.27 % of honest errors lie '
+            "beyond 3 sigma."
+        )
         return [*lines, *self.remarks]
 
     def to_dict(self) -> dict[str, Any]:
         """Everything as plain values: "windows_s", "baseline", "remarks" and "runs"."""
         windows = [list(w) for w in self.windows]
-        return {"windows_s": windows, "baseline": self.baseline, "remarks": list(self.remarks), "runs": _plain(self.runs)}
+        return {
+            "windows_s": windows,
+            "baseline": self.baseline,
+            "remarks": list(self.remarks),
+            "runs": _plain(self.runs),
+        }
 
     def to_frame(self) -> pd.DataFrame:
-        """One row per run; a column per figure, nested keys joined by dots, such as ``sensors.dvl.axes.x.prediction_rms``."""
+        """One row per run; a column per figure, nested keys joined by dots, such as
+        ``sensors.dvl.axes.x.prediction_rms``.
+        """
         import pandas as pd
 
         return pd.DataFrame.from_dict({label: dict(_flat(run)) for label, run in self.runs.items()}, orient="index")

@@ -16,7 +16,16 @@ from navfilter.mission import Stream
 from navfilter.sensors import Sensor, traits
 from navfilter.track import Track
 
-__all__ = ["ERRORS", "LAGS", "chi_square_range", "figures_of", "independent", "innovation_series", "inside", "shown_unit"]
+__all__ = [
+    "ERRORS",
+    "LAGS",
+    "chi_square_range",
+    "figures_of",
+    "independent",
+    "innovation_series",
+    "inside",
+    "shown_unit",
+]
 
 Array = NDArray[np.float64]
 Windows = tuple[tuple[float, float], ...]
@@ -24,7 +33,14 @@ Windows = tuple[tuple[float, float], ...]
 #: Innovations are tested for whiteness over so many lags, and only where there are so many of them.
 LAGS, LEAST = 20, 100
 #: Figures that `Track.summary` gives where there is a truth.
-ERRORS = ("position_rms_m", "position_max_m", "position_end_m", "position_end_pct", "heading_rms_deg", "velocity_rms_m_s")
+ERRORS = (
+    "position_rms_m",
+    "position_max_m",
+    "position_end_m",
+    "position_end_pct",
+    "heading_rms_deg",
+    "velocity_rms_m_s",
+)
 
 
 def inside(time_s: Array, windows: Windows) -> NDArray[np.bool_]:
@@ -60,13 +76,18 @@ def figures_of(track: Track, truth: Stream | None, windows: Windows, common: Map
 
 
 def _consistency(track: Track, truth: Stream | None, windows: Windows) -> dict[str, dict[str, Any]]:
-    """Mean NEES of position and heading, its 95 % range with the number of independent errors, and the share beyond 3 sigma."""
+    """Mean NEES of position and heading, its 95 % range with the number of independent errors, and the share beyond 3
+    sigma.
+    """
     if truth is None or not len(truth):
         return {}
     errors, rows, result = track.errors(truth), inside(track.time_s, windows), {}
     nees = track.nees(errors)
     sd = np.sqrt(np.diagonal(track.covariance, axis1=1, axis2=2))
-    each = {"position": errors.position_n / sd[:, :3], "heading": np.sqrt(nees["heading"])[:, None] * np.sign(errors.heading)[:, None]}
+    each = {
+        "position": errors.position_n / sd[:, :3],
+        "heading": np.sqrt(nees["heading"])[:, None] * np.sign(errors.heading)[:, None],
+    }
     for name, z in each.items():
         z = z[rows][:, np.isfinite(z[rows]).any(axis=0)]
         value = nees[name][rows]
@@ -85,9 +106,9 @@ def _consistency(track: Track, truth: Stream | None, windows: Windows) -> dict[s
 def independent(z: Array, most: int = 4000) -> float:
     """How many independent errors a series of correlated ones is worth, for the mean of its square.
 
-    The squares of a Gaussian series correlate as the square of its autocorrelation r, so n errors are worth n / (1 + 2 sum r^2)
-    (Bartlett, 1946). The mean of an error is known to be zero and is not removed; the sum ends at the first zero of r, beyond which it
-    gathers nothing but noise.
+    The squares of a Gaussian series correlate as the square of its autocorrelation r, so n errors are worth n / (1 + 2
+    sum r^2) (Bartlett, 1946). The mean of an error is known to be zero and is not removed; the sum ends at the first
+    zero of r, beyond which it gathers nothing but noise.
     """
     z = np.where(np.isfinite(z), z, 0.0)[:: max(1, len(z) // most)]
     power = float(z @ z)
@@ -105,7 +126,8 @@ def chi_square_range(freedom: float) -> tuple[float, float]:
 
 
 def _sensor(name: str, sensor: Sensor, r: Residuals, common: Array) -> dict[str, Any]:
-    """What the innovations of one sensor say: NIS with its range, share beyond 3 sigma, prediction errors and whiteness per axis.
+    """What the innovations of one sensor say: NIS with its range, share beyond 3 sigma, prediction errors and whiteness
+    per axis.
 
     The only axis of a scalar sensor is called like the sensor.
     """
@@ -142,7 +164,8 @@ def shown_unit(sensor: Sensor) -> tuple[str, float]:
 
 
 def innovation_series(residuals: Residuals, axis: int, rows: NDArray[np.bool_] | None = None) -> Array:
-    """Innovations of one axis over their predicted sd, on the ticks of the sensor; NaN where a reading is missing or not among `rows`.
+    """Innovations of one axis over their predicted sd, on the ticks of the sensor; NaN where a reading is missing or
+    not among `rows`.
 
     Parameters
     ----------

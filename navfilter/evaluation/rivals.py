@@ -1,7 +1,7 @@
 """Rivals by name: the same vehicle with error models of one kind, fitted to the mission it is about to run.
 
-To be fair to the older models, those that are fitted here see the whole mission beforehand, while ``arma`` learns under way from what it
-has seen so far. None of them sees the truth but ``oracle``, whose very point that is.
+To be fair to the older models, those that are fitted here see the whole mission beforehand, while ``arma`` learns under
+way from what it has seen so far. None of them sees the truth but ``oracle``, whose very point that is.
 """
 
 from __future__ import annotations
@@ -47,9 +47,9 @@ def rival(
     ----------
     name : {"white", "gm1", "gm1-fitted", "arma", "oracle", "vehicle"}
         white: white noise, its sd by the likelihood of the channel (the slow navigation error estimated beside it).
-        gm1: first-order Gauss-Markov through the 1/e point of the autocorrelation of the detrended series (thesis, sec. 2.3).
-        gm1-fitted: first-order Gauss-Markov by that likelihood. arma: `LearnedArma`, which learns under way and begins with the model of
-        the vehicle file. oracle: `truth`. vehicle: as the file says.
+        gm1: first-order Gauss-Markov through the 1/e point of the autocorrelation of the detrended series (thesis, sec.
+        2.3). gm1-fitted: first-order Gauss-Markov by that likelihood. arma: `LearnedArma`, which learns under way and
+        begins with the model of the vehicle file. oracle: `truth`. vehicle: as the file says.
     vehicle : Vehicle
         As its operator describes it.
     mission : Mission
@@ -88,7 +88,9 @@ def rivals(
     chosen = learnable(vehicle, mission) if sensors is None else tuple(sensors)
     _check_sensors(vehicle, chosen)
     if "oracle" in names and not truth:
-        raise ValueError('"oracle" needs the true error models (truth=, --oracle): only a simulator knows them. Leave it out.')
+        raise ValueError(
+            '"oracle" needs the true error models (truth=, --oracle): only a simulator knows them. Leave it out.'
+        )
     series: Series = {}
     if chosen and set(names) & set(_FITS):
         series = residual_series(vehicle, mission, chosen, start)
@@ -110,10 +112,15 @@ def _check_sensors(vehicle: Vehicle, names: Sequence[str]) -> None:
     for name in names:
         if name not in vehicle.sensors or not vehicle.sensors[name].open_loop:
             have = ", ".join(key for key, sensor in vehicle.sensors.items() if sensor.open_loop) or "none"
-            raise ValueError(f'"{name}" is no sensor of this vehicle whose error could be modelled from its readings (there are: {have}).')
+            raise ValueError(
+                f'"{name}" is no sensor of this vehicle whose error could be modelled from its readings (there are: '
+                f"{have})."
+            )
 
 
-def _models(kind: str, vehicle: Vehicle, names: Sequence[str], series: Series, truth: Mapping[str, Errors]) -> dict[str, Errors]:
+def _models(
+    kind: str, vehicle: Vehicle, names: Sequence[str], series: Series, truth: Mapping[str, Errors]
+) -> dict[str, Errors]:
     if kind == "vehicle":
         return {}
     if kind == "oracle":
@@ -155,7 +162,8 @@ def _fitted(kind: str, channel: ChannelSeries, prior: ErrorModel) -> ErrorModel:
     known = channel.value[np.isfinite(channel.value)]
     if known.size < LEAST or np.ptp(known) == 0.0:
         return prior
-    # White noise that stands beside a learnt part is the sensor's and to be fitted; what is known to be white beyond it is not.
+    # White noise that stands beside a learnt part is the sensor's and to be fitted; what is known to be white beyond it
+    # is not.
     white = max(channel.white - known_white(prior, channel.period_s), 0.0)
     return _sum([*_split(prior)[0], _FITS[kind](channel, white)])
 
@@ -167,7 +175,9 @@ def _white(channel: ChannelSeries, white: float) -> ErrorModel:
 
 
 def _gm1_fitted(channel: ChannelSeries, white: float) -> ErrorModel:
-    """Order (1, 0) of the channel: ``x[t] = phi x[t-1] + e`` is the sampled Gauss-Markov process with ``phi = exp(-period/tau)``."""
+    """Order (1, 0) of the channel: ``x[t] = phi x[t-1] + e`` is the sampled Gauss-Markov process with ``phi =
+    exp(-period/tau)``.
+    """
     from navfilter.learning.fit import fit_channel
 
     model = fit_channel(channel.value, channel.drift, 1, 0, white=white).model
@@ -182,7 +192,8 @@ def _gm1_fitted(channel: ChannelSeries, white: float) -> ErrorModel:
 def _gm1(channel: ChannelSeries, white: float) -> ErrorModel:
     """The thesis's way: autocorrelation of the detrended series, and where it falls to 1/e.
 
-    The detrending polynomial has the degree that the slow navigation error would have without noise: it is a chain of integrators.
+    The detrending polynomial has the degree that the slow navigation error would have without noise: it is a chain of
+    integrators.
     """
     value = _longest_stretch(channel.value)
     at = np.linspace(-1.0, 1.0, value.size)
@@ -193,10 +204,16 @@ def _gm1(channel: ChannelSeries, white: float) -> ErrorModel:
 
 
 def _longest_stretch(value: Array, gap: int = 40, least: int = 50) -> Array:
-    """The stretch with most readings between gaps of more than `gap` missing ones; all of it where that leaves too little."""
+    """The stretch with most readings between gaps of more than `gap` missing ones; all of it where that leaves too
+    little.
+    """
     known = np.flatnonzero(np.isfinite(value))
     best = max(np.split(known, np.flatnonzero(np.diff(known) > gap) + 1), key=len)
     return value if best.size < least else value[best[0] : best[-1] + 1]
 
 
-_FITS: dict[str, Callable[[ChannelSeries, float], ErrorModel]] = {"white": _white, "gm1": _gm1, "gm1-fitted": _gm1_fitted}
+_FITS: dict[str, Callable[[ChannelSeries, float], ErrorModel]] = {
+    "white": _white,
+    "gm1": _gm1,
+    "gm1-fitted": _gm1_fitted,
+}

@@ -29,7 +29,8 @@ class Change(NamedTuple):
     error : ErrorModel or tuple of ErrorModel
         One for all axes, or one per axis.
     power_ratios : tuple of float
-        S(0) of the new model over that of the one in force, per axis; empty where P is to stay as it is. See `inflated`.
+        S(0) of the new model over that of the one in force, per axis; empty where P is to stay as it is. See
+        `inflated`.
     """
 
     sensor: str
@@ -57,7 +58,9 @@ def state_change(before: Layout, old: Vehicle, after: Layout, new: Vehicle) -> t
     M[range(9), range(9)] = 1.0
     groups = [(before.drive, after.drive, old.drive.models, new.drive.models, new.drive.period_s)]
     for name, sensor in new.sensors.items():
-        groups.append((before.groups[name], after.groups[name], old.sensors[name].models, sensor.models, 1.0 / sensor.rate_hz))
+        groups.append(
+            (before.groups[name], after.groups[name], old.sensors[name].models, sensor.models, 1.0 / sensor.rate_hz)
+        )
     for was, now, models_before, models, period_s in groups:
         row, column = now.start, was.start
         for model_before, model in zip(models_before, models, strict=True):
@@ -73,9 +76,9 @@ def state_change(before: Layout, old: Vehicle, after: Layout, new: Vehicle) -> t
 def transfer(old: ErrorModel, new: ErrorModel, period_s: float) -> tuple[Array, Array]:
     """How the states of one axis follow a change of its error model: ``x_new = M x_old + w``, ``w ~ N(0, N)``.
 
-    Parts that are equal in both keep their states. A learnt part keeps the values and innovations that both registers hold; what only
-    the new one holds is drawn from its stationary distribution given those (Gaussian conditioning). When the old part is no register (a
-    prior), its present error is what both have in common.
+    Parts that are equal in both keep their states. A learnt part keeps the values and innovations that both registers
+    hold; what only the new one holds is drawn from its stationary distribution given those (Gaussian conditioning).
+    When the old part is no register (a prior), its present error is what both have in common.
 
     Returns
     -------
@@ -102,7 +105,9 @@ def transfer(old: ErrorModel, new: ErrorModel, period_s: float) -> tuple[Array, 
 
 
 def _same_kind(old: ErrorModel, new: ErrorModel) -> bool:
-    walks = isinstance(old, RandomWalk) and isinstance(new, RandomWalk)  # the bias that there is wanders otherwise from now on
+    walks = isinstance(old, RandomWalk) and isinstance(
+        new, RandomWalk
+    )  # the bias that there is wanders otherwise from now on
     return old == new or walks or isinstance(new, LearnedArma) or isinstance(old, LearnedArma)
 
 
@@ -112,7 +117,12 @@ def _transfer_part(old: ErrorModel, new: ErrorModel, period_s: float) -> tuple[A
         return np.eye(after.size), np.zeros((after.size, after.size))
     left, white = np.zeros((0, before.size)), np.zeros(0)
     keep: list[int] = []
-    if isinstance(old, LearnedArma) and isinstance(new, LearnedArma) and old.model is not None and new.model is not None:
+    if (
+        isinstance(old, LearnedArma)
+        and isinstance(new, LearnedArma)
+        and old.model is not None
+        and new.model is not None
+    ):
         have = register_labels(old.model)
         both = [(have.index(label), i) for i, label in enumerate(register_labels(new.model)) if label in have]
         keep, left = [i for _, i in both], np.eye(before.size)[[i for i, _ in both]]
@@ -136,8 +146,8 @@ def _transfer_part(old: ErrorModel, new: ErrorModel, period_s: float) -> tuple[A
 def inflated(P: Array, row: Array, ratio: float) -> Array:
     """What to add to P where a sensor sees the state, when the model in force took too much for certain.
 
-    Information about a constant goes with 1 / S(0), so that P in the direction of what the sensor sees grows by the ratio of the powers at
-    zero frequency, with everything that hangs on it in proportion.
+    Information about a constant goes with 1 / S(0), so that P in the direction of what the sensor sees grows by the
+    ratio of the powers at zero frequency, with everything that hangs on it in proportion.
 
     Parameters
     ----------

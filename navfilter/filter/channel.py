@@ -1,4 +1,6 @@
-"""Working memory of one correcting sensor: one array shared with the kernels, and what is remembered from reading to reading."""
+"""Working memory of one correcting sensor: one array shared with the kernels, and what is remembered from reading to
+reading.
+"""
 
 from __future__ import annotations
 
@@ -125,6 +127,8 @@ def _limits(probability: float, axes: int) -> tuple[float, ...]:
 
 
 def usable(sd: ArrayLike, axes: int) -> bool:
-    """Whether standard deviations given with a reading can be used; the variance of one beyond 1e100 would not be finite."""
+    """Whether standard deviations given with a reading can be used; the variance of one beyond 1e100 would not be
+    finite.
+    """
     values = np.asarray(sd, dtype=np.float64)
     return values.size in (1, axes) and bool(np.all((values >= 0.0) & (values < 1e100)))

@@ -1,4 +1,6 @@
-"""What a filter tells of itself as it runs: propagated, passed, corrected, laid out anew. Those who learn from it listen to these."""
+"""What a filter tells of itself as it runs: propagated, passed, corrected, laid out anew. Those who learn from it
+listen to these.
+"""
 
 from __future__ import annotations
 
@@ -21,8 +23,8 @@ class Outcome(NamedTuple):
     Attributes
     ----------
     status : str
-        "used", "rejected" (by the gate), "invalid", "duplicate", "late-replayed" (used, in its place in time), "too-late", "ahead"
-        (no drive sample for too long) or "unknown-sensor".
+        "used", "rejected" (by the gate), "invalid", "duplicate", "late-replayed" (used, in its place in time),
+        "too-late", "ahead" (no drive sample for too long) or "unknown-sensor".
     nis : float
         Normalised innovation squared; NaN when it was not formed.
     dof : int
@@ -51,7 +53,8 @@ class Correction(NamedTuple):
     time_s : float
         Of the reading [s].
     channel : Channel or None
-        Its working memory holds transition, gain and residual of the update; None where the reading did not come so far.
+        Its working memory holds transition, gain and residual of the update; None where the reading did not come so
+        far.
     """
 
     outcome: Outcome

@@ -1,4 +1,6 @@
-"""The filter: the sole owner of the nominal state, its covariance and the error states. `navfilter.navigator` is what users see of it."""
+"""The filter: the sole owner of the nominal state, its covariance and the error states. `navfilter.navigator` is what
+users see of it.
+"""
 
 from __future__ import annotations
 
@@ -36,8 +38,8 @@ COUNTED = ("gap", "backward", "bad-sample", "clock-set", "widened", "opened", "a
 class Filter:
     """Error-state extended Kalman filter in closed loop, fed in the order of time.
 
-    `advance` carries the state over samples of the drive, `correct` takes a reading, `adopt` puts another error model in force, `recall`
-    goes back to an earlier `memory`. What it does, it tells as events (`navfilter.filter.events`).
+    `advance` carries the state over samples of the drive, `correct` takes a reading, `adopt` puts another error model
+    in force, `recall` goes back to an earlier `memory`. What it does, it tells as events (`navfilter.filter.events`).
 
     Parameters
     ----------
@@ -260,7 +262,9 @@ class Filter:
             self.tape.row(memory.time_s, memory.nav, memory.x, memory.P)
 
     def _felt(self, channel: Channel) -> Array | None:
-        """The reading that the drive's last samples make, such as a zero velocity when they were quiet; asked once a period."""
+        """The reading that the drive's last samples make, such as a zero velocity when they were quiet; asked once a
+        period.
+        """
         drv = self.memory.drv
         n = drv[strapdown.COUNT]
         if n < max(2, round(self.vehicle.drive.rate_hz * channel.period_s)):
@@ -273,7 +277,9 @@ class Filter:
         return channel.sensor.felt(mean, scatter)
 
     # ---------------------------------------------------------------- correction
-    def correct(self, name: str, time_s: float, value: ArrayLike, sd: ArrayLike | None = None, frozen: bool = False) -> Correction:
+    def correct(
+        self, name: str, time_s: float, value: ArrayLike, sd: ArrayLike | None = None, frozen: bool = False
+    ) -> Correction:
         """Correct the state with a reading that comes in order.
 
         Parameters
@@ -350,7 +356,8 @@ class Filter:
         return Correction(outcome, time_s, channel)
 
     def _rejected(self, channel: Channel, time_s: float, nis: float, dof: int, frozen: bool) -> bool:
-        """After a rejection: reset the state when all sensors contradict it, or widen the gate; True when the reading was let in after all.
+        """After a rejection: reset the state when all sensors contradict it, or widen the gate; True when the reading
+        was let in after all.
         """
         memory, kept = self.memory, channel.memory
         if math.isnan(kept.rejected_since_s):
@@ -389,7 +396,8 @@ class Filter:
 
     # ---------------------------------------------------------------- other error models
     def adopt(self, change: Change, tell: Listening) -> None:
-        """Put another error model of one sensor in force, now; the states follow without a jump (`navfilter.filter.adoption.transfer`).
+        """Put another error model of one sensor in force, now; the states follow without a jump
+        (`navfilter.filter.adoption.transfer`).
 
         Parameters
         ----------
@@ -404,7 +412,9 @@ class Filter:
         """
         memory = self.memory
         models = tuple((dict(memory.models) | {change.sensor: change.error}).items())
-        self.vehicle.with_error(**{change.sensor: change.error})  # refuses what cannot be adopted before anything has changed
+        self.vehicle.with_error(
+            **{change.sensor: change.error}
+        )  # refuses what cannot be adopted before anything has changed
         for axis, ratio in enumerate(change.power_ratios):
             if ratio > 1.0:
                 channel = self.channels[change.sensor]

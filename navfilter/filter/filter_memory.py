@@ -66,7 +66,8 @@ class FilterMemory:
         Parameters
         ----------
         fresh : FilterMemory
-            Of the same layout, at the start. Whether the forms agree is the business of `navfilter.filter.memory.misfit`.
+            Of the same layout, at the start. Whether the forms agree is the business of
+            `navfilter.filter.memory.misfit`.
         """
         P = self.P
         if not (np.isfinite(P).all() and np.allclose(P, P.T, rtol=1e-6, atol=0.0) and np.all(np.diag(P) >= 0.0)):

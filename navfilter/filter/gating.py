@@ -1,4 +1,5 @@
-"""What follows when readings are rejected for long: the gate widens, or, when all sensors contradict the state, the state is given up.
+"""What follows when readings are rejected for long: the gate widens, or, when all sensors contradict the state, the
+state is given up.
 
 Nothing here changes anything: each function returns what the filter has to add.
 """
@@ -27,7 +28,8 @@ HEARD_S, HEARD_PERIODS = 5.0, 3.0
 
 
 def state_contradicted(channels: Collection[Channel], time_s: float) -> bool:
-    """Whether the state is wrong: two sensors or more have been rejected for half their time-outs, and none was used since.
+    """Whether the state is wrong: two sensors or more have been rejected for half their time-outs, and none was used
+    since.
 
     Parameters
     ----------
@@ -84,7 +86,8 @@ class Widening(NamedTuple):
 
 
 def widening(P: Array, x: Array, channel: Channel, time_s: float, nis: float, dof: int) -> Widening | None:
-    """After a long series of rejections the gate doubles, and again: what that adds when it lets the reading in, else None.
+    """After a long series of rejections the gate doubles, and again: what that adds when it lets the reading in, else
+    None.
 
     Parameters
     ----------

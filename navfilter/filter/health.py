@@ -20,8 +20,9 @@ class SensorHealth:
     Attributes
     ----------
     condition : str
-        "good", "waiting" (nothing heard yet), "silent" (not heard for longer than its gate time-out), "rejected" (heard, but not used
-        for so long), "stuck" (the same value for too long) or "noisy" (residuals far larger than predicted).
+        "good", "waiting" (nothing heard yet), "silent" (not heard for longer than its gate time-out), "rejected"
+        (heard, but not used for so long), "stuck" (the same value for too long) or "noisy" (residuals far larger than
+        predicted).
     age_s : float
         Since the last reading that was used [s]; infinite before the first.
     outcomes : dict of str to int
@@ -44,8 +45,8 @@ class Health:
     ----------
     sensors : dict of str to SensorHealth
     drive : dict of str to int
-        Irregularities of the drive's samples so far: gaps, backward stamps, repaired samples, clock set back or right; gates widened,
-        models adopted.
+        Irregularities of the drive's samples so far: gaps, backward stamps, repaired samples, clock set back or right;
+        gates widened, models adopted.
     clock_offset_s : float
         By how much stamps are moved because the clock was set back [s].
     """

@@ -43,8 +43,8 @@ class Run(Protocol):
 class History:
     """Everything that went into a run during the last `length_s` seconds, with checkpoints.
 
-    A late reading takes the run back to the checkpoint before it, and all that came after is fed again, the reading in its place: the
-    result is what arrival in order would have given, at the cost of feeding at most `length_s` again.
+    A late reading takes the run back to the checkpoint before it, and all that came after is fed again, the reading in
+    its place: the result is what arrival in order would have given, at the cost of feeding at most `length_s` again.
 
     Parameters
     ----------
@@ -97,7 +97,8 @@ class History:
 
     def late(self, reading: Reading) -> Outcome | None:
         """Put a late reading in its place; None when the place lies before the history."""
-        # strictly before it, for readings of one time have an order; only the very first checkpoint stands before all readings of its time
+        # strictly before it, for readings of one time have an order; only the very first checkpoint stands before all
+        # readings of its time
         at = bisect_left(self._marks, reading.time_s, key=lambda mark: mark[0]) - 1
         if at < 0 and self._marks and self._marks[0][:2] == (reading.time_s, 0):
             at = 0
@@ -125,8 +126,12 @@ class History:
         return self._marks[0][2], list(self._log)
 
 
-def _in_place(items: list[Array | Reading], shifts: list[float], reading: Reading, order: list[str]) -> list[Array | Reading]:
-    """The inputs with a reading put where its time says, among those of the same time in the vehicle's order, as a replay has it."""
+def _in_place(
+    items: list[Array | Reading], shifts: list[float], reading: Reading, order: list[str]
+) -> list[Array | Reading]:
+    """The inputs with a reading put where its time says, among those of the same time in the vehicle's order, as a
+    replay has it.
+    """
     before: list[Array | Reading] = []
     after: list[Array | Reading] = []
     for item, offset_s in zip(items, shifts, strict=True):

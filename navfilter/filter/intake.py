@@ -65,9 +65,10 @@ class IntakeMemory:
 class Intake:
     """What is known of the drive's clock.
 
-    Stamps must rise. One that does not is dropped, and so is a stamp more than `DOUBT_S` ahead, unless the very next one confirms it. A
-    confirmed leap of more than `LONGEST_S`, or stamps that follow each other for a quarter of a second but lie before the last good one,
-    mean that the clock has been set: from then on all stamps are moved by `offset_s`, so that time goes on, and back when it is put right.
+    Stamps must rise. One that does not is dropped, and so is a stamp more than `DOUBT_S` ahead, unless the very next
+    one confirms it. A confirmed leap of more than `LONGEST_S`, or stamps that follow each other for a quarter of a
+    second but lie before the last good one, mean that the clock has been set: from then on all stamps are moved by
+    `offset_s`, so that time goes on, and back when it is put right.
 
     Parameters
     ----------
@@ -104,7 +105,9 @@ class Intake:
         return self.memory.back_count > 1
 
     def take(self, samples: Array, drv: Array, at_rest: Callable[[], Array], whole: bool) -> tuple[Array, Array]:
-        """Steps in place of stamps (first column), and the stamps: all of them, or only the last one if the block is taken `whole`."""
+        """Steps in place of stamps (first column), and the stamps: all of them, or only the last one if the block is
+        taken `whole`.
+        """
         memory = self.memory
         if memory.offset_s:
             samples[:, 0] += memory.offset_s
@@ -150,20 +153,26 @@ class Intake:
         return samples, stamps
 
     def _leap(self, stamp: float, before: float) -> float:
-        """What to add to a stamp far ahead: NaN while it is in doubt, 0 for a gap, else by how much the clock has been set."""
+        """What to add to a stamp far ahead: NaN while it is in doubt, 0 for a gap, else by how much the clock has been
+        set.
+        """
         confirmed = 0.0 < stamp - self.memory.doubtful_s <= self._doubt_s
         self.memory.doubtful_s = stamp
         if not confirmed:
             return math.nan
         self.memory.doubtful_s = -math.inf
-        righted = self.memory.offset_s > 0.0 and abs(stamp - before - self.memory.offset_s) < max(1.0, 0.01 * self.memory.offset_s)
+        righted = self.memory.offset_s > 0.0 and abs(stamp - before - self.memory.offset_s) < max(
+            1.0, 0.01 * self.memory.offset_s
+        )
         if stamp - before <= self.LONGEST_S and not righted:
             return 0.0
         self.counts["clock-set"] += 1
         return -self.memory.offset_s if righted else before + 2.0 * self._period_s - stamp
 
     def _set_back(self, stamp: float, before: float) -> float:
-        """What to add to a stamp that does not rise: NaN until a quarter of a second of them in order shows that the clock was set back."""
+        """What to add to a stamp that does not rise: NaN until a quarter of a second of them in order shows that the
+        clock was set back.
+        """
         follows = 0.0 < stamp - self.memory.back_s <= self._doubt_s
         self.memory.back_count = self.memory.back_count + 1 if follows else 1
         self.memory.back_s = stamp
@@ -174,7 +183,9 @@ class Intake:
         return before + self.memory.back_count * self._period_s - stamp
 
     def _repair(self, values: Array, bad: NDArray[np.bool_], drv: Array, at_rest: Callable[[], Array]) -> None:
-        """Replace samples with impossible values by the last good one; before the first sample by those of a vehicle that keeps still."""
+        """Replace samples with impossible values by the last good one; before the first sample by those of a vehicle
+        that keeps still.
+        """
         if not bad.any():
             return
         good = np.maximum.accumulate(np.where(bad, -1, np.arange(len(values))))

@@ -1,6 +1,7 @@
 """Where each block of the error state stands: the only place that adds offsets.
 
-``[ position 3 | velocity 3 | attitude 3 | drive's blocks | drive's parameters | per sensor: blocks of its axes, parameters ]``
+``[ position 3 | velocity 3 | attitude 3 | drive's blocks | drive's parameters | per sensor: blocks of its axes,
+parameters ]``
 """
 
 from __future__ import annotations
@@ -40,10 +41,17 @@ class Parameter(NamedTuple):
 def _checked(parameters: Iterable[Any], owner: str) -> tuple[Parameter, ...]:
     """The parameters of a kind that may be anybody's."""
     for given in parameters:
-        if not (isinstance(given, tuple) and len(given) == 3 and all(isinstance(given[i], str) and given[i] for i in (0, 2))):
-            raise ValueError(f'{owner}: a parameter is Parameter(name, sd, unit), such as Parameter("offset", 0.3, "m"); found {given!r}.')
+        if not (
+            isinstance(given, tuple) and len(given) == 3 and all(isinstance(given[i], str) and given[i] for i in (0, 2))
+        ):
+            raise ValueError(
+                f'{owner}: a parameter is Parameter(name, sd, unit), such as Parameter("offset", 0.3, "m"); found '
+                f"{given!r}."
+            )
         if not (isinstance(given[1], SupportsFloat) and 0.0 <= float(given[1]) < math.inf):
-            raise ValueError(f'{owner}: the sd of the parameter "{given[0]}" must be a finite number >= 0, found {given[1]!r}.')
+            raise ValueError(
+                f'{owner}: the sd of the parameter "{given[0]}" must be a finite number >= 0, found {given[1]!r}.'
+            )
     return tuple(Parameter(*given) for given in parameters)
 
 
@@ -97,7 +105,9 @@ class Group:
         prefix: str = "",
         wandering: Mapping[str, Any] | None = None,
     ) -> Group:
-        """Stack the blocks of the axes and the parameters; those that are not constant have a block of one state in `wandering`."""
+        """Stack the blocks of the axes and the parameters; those that are not constant have a block of one state in
+        `wandering`.
+        """
         parameters, wandering = _checked(tuple(parameters), prefix or "the drive"), wandering or {}
         k = len(parameters)
         errors = sum(b.size for b in blocks)
@@ -174,7 +184,9 @@ class Layout:
     def of(cls, vehicle: Any) -> Layout:
         """Lay out a vehicle's states."""
         drive = vehicle.drive
-        group = Group.build(9, [m.block(drive.period_s) for m in drive.models], drive.parameters(), drive.axis_names, drive.units)
+        group = Group.build(
+            9, [m.block(drive.period_s) for m in drive.models], drive.parameters(), drive.axis_names, drive.units
+        )
         start, groups = 9 + group.size, {}
         for name, sensor in vehicle.sensors.items():
             blocks = [m.block(1.0 / sensor.rate_hz) for m in sensor.models]

@@ -1,8 +1,10 @@
-"""State as values: what a part remembers is one dataclass of arrays and plain numbers, copied, compared and stored by the functions here.
+"""State as values: what a part remembers is one dataclass of arrays and plain numbers, copied, compared and stored by
+the functions here.
 
-Conventions. A class that is not frozen holds what changes; its arrays, lists and dicts are copied with it. What cannot change is shared
-between copies: numbers, strings, tuples, frozen dataclasses. Fields that a class names in `SHARED` are append-only storage that a cursor
-beside them bounds (a ring of samples, the inputs of the first minutes): copies share them, and going back moves the cursor only.
+Conventions. A class that is not frozen holds what changes; its arrays, lists and dicts are copied with it. What cannot
+change is shared between copies: numbers, strings, tuples, frozen dataclasses. Fields that a class names in `SHARED` are
+append-only storage that a cursor beside them bounds (a ring of samples, the inputs of the first minutes): copies share
+them, and going back moves the cursor only.
 """
 
 from __future__ import annotations
@@ -114,7 +116,11 @@ def differences(one: Any, other: Any, tolerance: float = 0.0, where: str = "") -
         same = one == other or abs(one - other) <= tolerance or (math.isnan(one) and math.isnan(other))
         return [] if same else [f"{where}: {one} and {other}"]
     if isinstance(one, list | tuple) and len(one) == len(other):
-        return [d for i, (a, b) in enumerate(zip(one, other, strict=True)) for d in differences(a, b, tolerance, f"{where}[{i}]")]
+        return [
+            d
+            for i, (a, b) in enumerate(zip(one, other, strict=True))
+            for d in differences(a, b, tolerance, f"{where}[{i}]")
+        ]
     if isinstance(one, dict) and one.keys() == other.keys():
         return [d for key, item in one.items() for d in differences(item, other[key], tolerance, f"{where}[{key!r}]")]
     if dataclasses.is_dataclass(one):
@@ -126,8 +132,8 @@ def differences(one: Any, other: Any, tolerance: float = 0.0, where: str = "") -
 def misfit(value: Any, like: Any, where: str = "state") -> str | None:
     """Where a value that came from outside has not the form of one made here, in words; None when it fits.
 
-    The form is the class and the shape of arrays: kernels read memory by it. Lists may have any length; None fits everything that is None
-    or a frozen value.
+    The form is the class and the shape of arrays: kernels read memory by it. Lists may have any length; None fits
+    everything that is None or a frozen value.
     """
     if isinstance(like, np.ndarray):
         if isinstance(value, np.ndarray) and value.shape == like.shape and value.dtype == like.dtype:
@@ -153,7 +159,9 @@ def misfit(value: Any, like: Any, where: str = "state") -> str | None:
 
 
 def to_arrays(value: Any) -> dict[str, NDArray[Any]]:
-    """A state as three arrays: "meta" (JSON as bytes), "floats" and "integers", which hold the elements of all its arrays."""
+    """A state as three arrays: "meta" (JSON as bytes), "floats" and "integers", which hold the elements of all its
+    arrays.
+    """
     elements: dict[str, list[NDArray[Any]]] = {"floats": [], "integers": []}
     sizes = {"floats": 0, "integers": 0}
 
@@ -178,12 +186,17 @@ def to_arrays(value: Any) -> dict[str, NDArray[Any]]:
         if dataclasses.is_dataclass(v):
             return {"": type(v).__name__, "fields": {f.name: plain(getattr(v, f.name)) for f in dataclasses.fields(v)}}
         if isinstance(v, tuple) and hasattr(v, "_fields"):
-            return {"": type(v).__name__, "fields": {name: plain(item) for name, item in zip(v._fields, v, strict=True)}}
+            return {
+                "": type(v).__name__,
+                "fields": {name: plain(item) for name, item in zip(v._fields, v, strict=True)},
+            }
         if isinstance(v, tuple):
             return {"": "tuple", "items": [plain(item) for item in v]}
         if isinstance(v, list):
             return [plain(item) for item in v]
-        raise ValueError(f"a {type(v).__name__} cannot be stored with the state: use a dataclass of numbers, arrays and texts.")
+        raise ValueError(
+            f"a {type(v).__name__} cannot be stored with the state: use a dataclass of numbers, arrays and texts."
+        )
 
     meta = json.dumps(plain(value)).encode()
     return {
@@ -236,7 +249,9 @@ def from_arrays(arrays: dict[str, NDArray[Any]], kinds: Iterable[type]) -> Any:
         if kind == "tuple":
             return tuple(value(item) for item in v["items"])
         if kind not in known:
-            raise ValueError(f'it holds a "{kind}", and no class of that name is known. Import the module that defines it first')
+            raise ValueError(
+                f'it holds a "{kind}", and no class of that name is known. Import the module that defines it first'
+            )
         return known[kind](**{name: value(item) for name, item in v["fields"].items()})
 
     return value(json.loads(arrays["meta"].tobytes()))

@@ -15,20 +15,22 @@ __all__ = ["smooth_rows"]
 Array = NDArray[np.float64]
 
 
-def smooth_rows(tape: Tape, store: Callable[[int, Array, Array, Array], None], progress: Callable[[int], None] | None = None) -> None:
+def smooth_rows(
+    tape: Tape, store: Callable[[int, Array, Array, Array], None], progress: Callable[[int], None] | None = None
+) -> None:
     """Rauch-Tung-Striebel solution at every row of the tape, latest first.
 
-    Computed in the modified Bryson-Frazier form (Bierman, 1973), which inverts only innovation covariances. Feedback needs no
-    bookkeeping: the smoothed error is expressed against the forward trajectory itself, and each attitude reset is part of its
-    record.
+    Computed in the modified Bryson-Frazier form (Bierman, 1973), which inverts only innovation covariances. Feedback
+    needs no bookkeeping: the smoothed error is expressed against the forward trajectory itself, and each attitude reset
+    is part of its record.
 
     Parameters
     ----------
     tape : Tape
         Of a run that wrote records (``smoothable=True``).
     store : callable(index, row, mean, covariance)
-        Called per row with the forward row (17 + (n - 9) + n^2 values for n error states), the smoothed correction to add to its
-        state and the covariance of what is left. The arrays are work space: copy what is to stay.
+        Called per row with the forward row (17 + (n - 9) + n^2 values for n error states), the smoothed correction to
+        add to its state and the covariance of what is left. The arrays are work space: copy what is to stay.
     progress : callable(n), optional
         Called now and then with the number of records done.
 
@@ -38,7 +40,9 @@ def smooth_rows(tape: Tape, store: Callable[[int, Array, Array, Array], None], p
         When the tape holds no records.
     """
     if not tape.smoothable:
-        raise ValueError("this tape was written with smoothable=False: it has no records to smooth. Replay with smooth=True.")
+        raise ValueError(
+            "this tape was written with smoothable=False: it has no records to smooth. Replay with smooth=True."
+        )
     size = tape.layouts[-1].size
     L, lam = np.zeros((size, size)), np.zeros(size)
     T, mean, covariance = np.zeros((size, size)), np.zeros(size), np.zeros((size, size))

@@ -1,8 +1,10 @@
-"""Snapshots: what a navigator needs to go on, as bytes and back, so that a vehicle goes on after a restart as if nothing had happened.
+"""Snapshots: what a navigator needs to go on, as bytes and back, so that a vehicle goes on after a restart as if
+nothing had happened.
 
-A snapshot is a line that says what it is, a line of JSON (format, fingerprint of the vehicle, checksum, size), and an npz archive
-without pickled objects, see `navfilter.filter.memory.to_arrays`. It holds the oldest checkpoint of the history and everything that was fed
-since: feeding it again gives the present state to the last bit, and late readings still find their place.
+A snapshot is a line that says what it is, a line of JSON (format, fingerprint of the vehicle, checksum, size), and an
+npz archive without pickled objects, see `navfilter.filter.memory.to_arrays`. It holds the oldest checkpoint of the
+history and everything that was fed since: feeding it again gives the present state to the last bit, and late readings
+still find their place.
 """
 
 from __future__ import annotations
@@ -128,7 +130,8 @@ def read(vehicle: Vehicle, source: bytes | str | PathLike[str], kinds: Iterable[
     payload = _checked(data, vehicle)
     try:
         with zipfile.ZipFile(io.BytesIO(payload)) as whole:
-            # numpy reads as much as the header of an array says; only a member read to its end is held against its checksum.
+            # numpy reads as much as the header of an array says; only a member read to its end is held against its
+            # checksum.
             if damaged := whole.testzip():
                 raise ValueError(f"{damaged} is damaged")
         with np.load(io.BytesIO(payload), allow_pickle=False) as archive:
@@ -150,13 +153,19 @@ def _checked(data: bytes, vehicle: Vehicle) -> bytes:
         header = json.loads(line)
         number, digest, size, whose = header["format"], header["sha256"], header["size"], header["vehicle"]
     except (ValueError, KeyError, TypeError) as error:
-        raise ValueError("the snapshot is damaged: its header cannot be read. Start afresh, or take an older one.") from error
+        raise ValueError(
+            "the snapshot is damaged: its header cannot be read. Start afresh, or take an older one."
+        ) from error
     if number != FORMAT:
         raise ValueError(f"the snapshot has format {number}, this version of navfilter reads {FORMAT}. Start afresh.")
     if len(payload) != size or hashlib.sha256(payload).hexdigest() != digest:
-        raise ValueError(f"the snapshot is damaged: {len(payload)} of {size} bytes, or changed ones. Start afresh, or take an older one.")
+        raise ValueError(
+            f"the snapshot is damaged: {len(payload)} of {size} bytes, or changed ones. Start afresh, or take an older "
+            "one."
+        )
     if whose != fingerprint(vehicle):
         raise ValueError(
-            f'the snapshot is of another vehicle ("{header.get("name")}", or one with other settings). Use the vehicle it was taken with.'
+            f'the snapshot is of another vehicle ("{header.get("name")}", or one with other settings). Use the vehicle '
+            "it was taken with."
         )
     return payload

@@ -1,7 +1,7 @@
 """What a run leaves behind: records for the smoother, rows for the track, residuals per sensor.
 
-Records and rows go to a spool that keeps a bounded amount in memory and the rest in a temporary file, so that a day-long mission needs no
-more memory than an hour.
+Records and rows go to a spool that keeps a bounded amount in memory and the rest in a temporary file, so that a
+day-long mission needs no more memory than an hour.
 """
 
 from __future__ import annotations
@@ -153,7 +153,12 @@ class _Column:
     def residuals(self) -> Residuals:
         r, a = self.rows[: self.used], self.axes
         return Residuals(
-            r[:, 0].copy(), r[:, 4 : 4 + a].copy(), np.sqrt(r[:, 4 + a :]), r[:, 1].copy(), r[:, 2].copy(), r[:, 3].astype(np.uint8)
+            r[:, 0].copy(),
+            r[:, 4 : 4 + a].copy(),
+            np.sqrt(r[:, 4 + a :]),
+            r[:, 1].copy(),
+            r[:, 2].copy(),
+            r[:, 3].astype(np.uint8),
         )
 
 
@@ -165,12 +170,15 @@ class Tape:
     output_rate_hz : float or None
         At most so many track rows per second of mission; None keeps one at every record.
     smoothable : bool
-        Keep the records that `navfilter.filter.smoother.smooth` needs; without them only the track and the residuals remain.
+        Keep the records that `navfilter.filter.smoother.smooth` needs; without them only the track and the residuals
+        remain.
     memory_bytes : int
         In memory at most, of records and of rows each; the rest is spooled to a temporary file.
     """
 
-    def __init__(self, output_rate_hz: float | None = None, smoothable: bool = True, memory_bytes: int = 32 << 20) -> None:
+    def __init__(
+        self, output_rate_hz: float | None = None, smoothable: bool = True, memory_bytes: int = 32 << 20
+    ) -> None:
         self.interval_s = 0.0 if output_rate_hz is None else 1.0 / output_rate_hz - 1e-9
         self.smoothable, self._memory_bytes = smoothable, memory_bytes
         self.begin(None)
@@ -188,7 +196,9 @@ class Tape:
         self.layouts: list[Any] = [layout]
 
     def record(self, record: Array, axes: int, dims: NDArray[np.int64]) -> None:
-        """Write one record: compound transition, block tick, and what the correction was (see ``kalman.smooth_record``)."""
+        """Write one record: compound transition, block tick, and what the correction was (see
+        ``kalman.smooth_record``).
+        """
         if self.smoothable:
             self.records.new(record.size)[:] = record
             self._heads.extend((axes, int(dims[2]), int(dims[3]), int(dims[4])))
@@ -200,12 +210,15 @@ class Tape:
             self._heads.extend((CHANGE, *M.shape, 0))
 
     def head(self, index: int) -> tuple[int, int, int, int]:
-        """Axes, size of the head, size and start of the ticked block of a record; or `CHANGE`, rows and columns of the matrix, 0."""
+        """Axes, size of the head, size and start of the ticked block of a record; or `CHANGE`, rows and columns of the
+        matrix, 0.
+        """
         a, m, b, start = self._heads[4 * index : 4 * index + 4]
         return a, m, b, start
 
     def row(self, time_s: float, nav: Array, x: Array, P: Array) -> None:
-        """Note the state at this time; the last note of a time stands, and times closer than the output interval are skipped.
+        """Note the state at this time; the last note of a time stands, and times closer than the output interval are
+        skipped.
 
         The whole covariance is kept only where the smoother needs it.
         """

@@ -18,7 +18,8 @@ MAX_SAMPLES = 50_000
 LEAST_SAMPLES = 50
 #: No noise lies so many robust standard deviations off; a transmission error does.
 GROSS = 50.0
-#: A share of repeated values above this, in a series that is not coarsely quantised, means a sensor slower than its logger.
+#: A share of repeated values above this, in a series that is not coarsely quantised, means a sensor slower than its
+#: logger.
 HELD_SHARE = 0.4
 
 
@@ -90,7 +91,9 @@ def condition(
     x, begin = _cut(series, from_s, to_s, notes)
     size = float(np.max(np.abs(x[np.isfinite(x)]), initial=0.0))
     if size and not 1e-100 < size < 1e100:
-        raise ValueError(f"{series.name} is of size {size:.1e}, beyond what can be squared. Is it the right column, the right unit?")
+        raise ValueError(
+            f"{series.name} is of size {size:.1e}, beyond what can be squared. Is it the right column, the right unit?"
+        )
     infinite = int(np.isinf(x).sum())
     if infinite:
         notes.append(f"{infinite} infinite samples count as missing")
@@ -107,7 +110,9 @@ def condition(
     if known.size < LEAST_SAMPLES:
         raise ValueError(f"{series.name} has {known.size} usable samples, at least {LEAST_SAMPLES} are needed.")
     if np.ptp(x[known]) == 0.0:
-        raise ValueError(f"{series.name} is constant ({x[known[0]]:g}): it has no error to model. Is it the right column?")
+        raise ValueError(
+            f"{series.name} is constant ({x[known[0]]:g}): it has no error to model. Is it the right column?"
+        )
     begin, x = begin + float(known[0]) / rate, x[known[0] : known[-1] + 1]
     missing = int(np.isnan(x).sum())
     if missing:
@@ -117,7 +122,8 @@ def condition(
         first = (x.size - max_samples) // 2
         x, begin = x[first : first + max_samples], begin + first / rate
         notes.append(
-            f"the model is fitted to the middle {max_samples} of {whole.size} samples ({begin:.6g} to {begin + x.size / rate:.6g} s); "
+            f"the model is fitted to the middle {max_samples} of {whole.size} samples ({begin:.6g} to "
+            f"{begin + x.size / rate:.6g} s); "
             "choose others with --from-s, --to-s, --decimate or --max-samples"
         )
     if seasonal_lag:
@@ -125,7 +131,9 @@ def condition(
             raise ValueError(f"a seasonal lag of {seasonal_lag} leaves too few of {x.size} samples.")
         x = x[seasonal_lag:] - x[:-seasonal_lag]
         notes.append(f"differences over {seasonal_lag} samples are modelled")
-    return Conditioned(series.name, series.source, np.ascontiguousarray(x), whole, rate, begin, step, seasonal_lag, tuple(notes))
+    return Conditioned(
+        series.name, series.source, np.ascontiguousarray(x), whole, rate, begin, step, seasonal_lag, tuple(notes)
+    )
 
 
 def _check(series: Series, decimate: int, seasonal_lag: int, max_samples: int) -> None:
@@ -152,7 +160,10 @@ def _cut(series: Series, from_s: float | None, to_s: float | None, notes: list[s
     first = int(np.ceil(max(low - series.begin_s, 0.0) * series.rate_hz - 1e-9))
     last = int(np.floor(min(high - series.begin_s, end - series.begin_s) * series.rate_hz + 1e-9)) + 1
     if last - first < 1:
-        raise ValueError(f"{series.name} has no samples from {low:g} to {high:g} s: it lasts from {series.begin_s:.6g} to {end:.6g} s.")
+        raise ValueError(
+            f"{series.name} has no samples from {low:g} to {high:g} s: it lasts from {series.begin_s:.6g} to {end:.6g} "
+            "s."
+        )
     return x[first:last], series.begin_s + first / series.rate_hz
 
 
@@ -163,7 +174,9 @@ def _without_impulses(x: Array, reject: float, notes: list[str]) -> Array:
     # More than half of the samples on one value: a coarse sensor, whose rare steps are no impulses.
     far = away > limit if limit > 0.0 else np.zeros(x.size, dtype=bool)
     if far.mean() > 0.2:
-        raise ValueError(f"--reject {reject:g} would reject {100 * far.mean():.0f} % of the samples. Take a larger number.")
+        raise ValueError(
+            f"--reject {reject:g} would reject {100 * far.mean():.0f} % of the samples. Take a larger number."
+        )
     if far.any():
         notes.append(f"{int(far.sum())} samples beyond {reject:g} robust standard deviations count as missing")
     return np.where(far, np.nan, x)
@@ -186,7 +199,8 @@ def _held(x: Array, step: float, notes: list[str]) -> int:
         notes.append(f"every value is repeated {length} times (sensor slower than its logger): one of each is kept")
         return length
     notes.append(
-        f"{100 * same.mean():.0f} % of the samples repeat the one before: a sensor slower than its logger, or stuck; see --decimate"
+        f"{100 * same.mean():.0f} % of the samples repeat the one before: a sensor slower than its logger, or stuck; "
+        "see --decimate"
     )
     return 1
 

@@ -1,4 +1,6 @@
-"""The figures of an identification: series, spectra, correlations, order surfaces, residuals, poles and zeros, Allan deviation."""
+"""The figures of an identification: series, spectra, correlations, order surfaces, residuals, poles and zeros, Allan
+deviation.
+"""
 
 from __future__ import annotations
 
@@ -45,14 +47,13 @@ def identification_figures(found: Identification, unit: str = "") -> Iterator[tu
     yield "correlation", "Correlation", caption, correlation_figure(x)
     if found.table is not None and found.table.bic.size > 1:
         caption = (
-            "Criteria over the order: AIC and BIC above their smallest value (squares), and the thesis's all-lag whiteness measure WT, "
+            "Criteria over the order: AIC and BIC above their smallest value (squares), and the thesis's all-lag "
+            "whiteness measure WT, "
             f"which is {WT_WHITE} on average for white noise. The chosen order carries a cross."
         )
         yield "orders", "Order", caption, order_figure(found)
     verdict = "white" if found.tests.is_white else "not white"
-    caption = (
-        f"Residuals of the model: {verdict} (Ljung-Box p = {found.tests.ljung_box_p:.2g}, periodogram p = {found.tests.periodogram_p:.2g})."
-    )
+    caption = f"Residuals of the model: {verdict} (Ljung-Box p = {found.tests.ljung_box_p:.2g}, periodogram p = {found.tests.periodogram_p:.2g})."
     yield "residuals", "Residuals", caption, residual_figure(found, unit)
     if found.fit.model.p + found.fit.model.q:
         caption = "Poles (crosses) and zeros (circles) with their ranges of two standard deviations."
@@ -64,7 +65,9 @@ def identification_figures(found: Identification, unit: str = "") -> Iterator[tu
 def _series_caption(found: Identification) -> str:
     data = found.data
     text = f"{data.whole.size} samples at {data.rate_hz:.6g} Hz"
-    return text + (f"; the model is fitted to the {data.value.size} shaded ones." if data.value.size < data.whole.size else ".")
+    return text + (
+        f"; the model is fitted to the {data.value.size} shaded ones." if data.value.size < data.whole.size else "."
+    )
 
 
 def _labelled(quantity: str, unit: str) -> str:
@@ -160,7 +163,10 @@ def _correlation(ax: Axes, x: Array, function: Any, name: str) -> None:
     ax.axhline(0.0, color="black", linewidth=0.6)
     ax.set_xlim(0.0, lags + 1.0)
     top = max(float(np.abs(r[1:]).max()), 2.0 * limit) * 1.1
-    ax.set_ylim(min(float(r[1:].min()) * 1.1, -1.5 * limit), top if r[1:].max() > 0.3 * top else max(r[1:].max() * 1.1, 1.5 * limit))
+    ax.set_ylim(
+        min(float(r[1:].min()) * 1.1, -1.5 * limit),
+        top if r[1:].max() > 0.3 * top else max(r[1:].max() * 1.1, 1.5 * limit),
+    )
     ax.set_xlabel("lag [samples]")
     ax.set_title(name)
 
@@ -179,8 +185,12 @@ def order_figure(found: Identification) -> Figure:
             image.set_clim(0.0, max(4.0, float(shown.max())))
         ax.grid(False)
         best = np.unravel_index(int(np.argmin(values) if above else np.argmax(values)), values.shape)
-        ax.plot(best[1], best[0], "s", markerfacecolor="none", markeredgecolor="white", markersize=9, markeredgewidth=3.0)
-        ax.plot(best[1], best[0], "s", markerfacecolor="none", markeredgecolor="black", markersize=9, markeredgewidth=1.2)
+        ax.plot(
+            best[1], best[0], "s", markerfacecolor="none", markeredgecolor="white", markersize=9, markeredgewidth=3.0
+        )
+        ax.plot(
+            best[1], best[0], "s", markerfacecolor="none", markeredgecolor="black", markersize=9, markeredgewidth=1.2
+        )
         for width, hue in ((3.0, "white"), (1.3, "black")):
             ax.plot(table.best[1], table.best[0], "x", color=hue, markersize=7, markeredgewidth=width)
         ax.set_xlabel("q")
@@ -235,7 +245,9 @@ def pole_figure(found: Identification) -> Figure:
         for roots, sds, mark, hue in (spread for spread in spreads if spread[0].size):
             for root, sd in zip(roots, sds, strict=True):
                 if sd < 0.5 and root.imag:
-                    ax.add_patch(Ellipse((root.real, root.imag), 4.0 * sd, 4.0 * sd, facecolor=hue, alpha=0.25, linewidth=0.0))
+                    ax.add_patch(
+                        Ellipse((root.real, root.imag), 4.0 * sd, 4.0 * sd, facecolor=hue, alpha=0.25, linewidth=0.0)
+                    )
                 elif sd < 0.5:
                     ends = [root.real - 2.0 * sd, root.real + 2.0 * sd]
                     ax.plot(ends, [0.0, 0.0], color=hue, alpha=0.35, linewidth=5.0, solid_capstyle="butt")
@@ -284,9 +296,18 @@ def allan_figure(found: Identification, unit: str) -> Figure:
         ax.loglog(tau, found.allan_model, color=MODEL, linestyle=(0, (5, 1.5)), linewidth=1.5, label=_order_text(found))
     if found.data.step / math.sqrt(12.0) > 0.5 * deviation[deviation > 0.0].min():
         ax.axhline(
-            found.data.step / math.sqrt(12.0), color=GREY, linewidth=0.8, linestyle=(0, (1, 1.5)), label="quantisation of one sample"
+            found.data.step / math.sqrt(12.0),
+            color=GREY,
+            linewidth=0.8,
+            linestyle=(0, (1, 1.5)),
+            label="quantisation of one sample",
         )
-    low = float(min(deviation[deviation > 0.0].min(), np.nanmin(found.allan_model) if np.isfinite(found.allan_model).any() else np.inf))
+    low = float(
+        min(
+            deviation[deviation > 0.0].min(),
+            np.nanmin(found.allan_model) if np.isfinite(found.allan_model).any() else np.inf,
+        )
+    )
     ax.set_ylim(0.5 * low, 2.0 * float(max(deviation.max(), np.nanmax(np.r_[found.allan_model, 0.0]))))
     ax.set_xlabel("averaging time [s]")
     ax.set_ylabel(_labelled("Allan deviation", unit))

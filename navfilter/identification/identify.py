@@ -104,7 +104,8 @@ def identify(
     say : callable, optional
         Told in a few words what is being done.
     **conditions
-        Of `navfilter.identification.conditioning.condition`: ``from_s, to_s, decimate, seasonal_lag, reject, max_samples``.
+        Of `navfilter.identification.conditioning.condition`: ``from_s, to_s, decimate, seasonal_lag, reject,
+        max_samples``.
 
     Returns
     -------
@@ -157,12 +158,16 @@ def _chosen(
     room = max((x.size - missing) // (2 * SAMPLES_PER_COEFFICIENT), 1)
     if missing > BRIDGED_SHARE * x.size and gap_free(x).size < 0.5 * x.size:
         room, short = min(room, GAPPY_ORDER), x[:GAPPY_SAMPLES]
-        remarks.append(f"{100 * missing / x.size:.0f} % of the samples are missing: orders compared on {short.size} samples")
+        remarks.append(
+            f"{100 * missing / x.size:.0f} % of the samples are missing: orders compared on {short.size} samples"
+        )
     else:
         short = gap_free(x) if gap_free(x).size >= 0.5 * x.size else bridged(x)
     p, q = min(max_p, room), min(max_q, room)
     if (p, q) != (max_p, max_q):
-        remarks.append(f"orders up to ({p},{q}) compared, not ({max_p},{max_q}): {x.size - missing} samples carry no more")
+        remarks.append(
+            f"orders up to ({p},{q}) compared, not ({max_p},{max_q}): {x.size - missing} samples carry no more"
+        )
     say(f"comparing {(p + 1) * (q + 1)} orders on {short.size} samples")
     table = select_order(short, p, q, d=d, trend=trend)
     fit = table.fit
@@ -178,7 +183,9 @@ def _without_pairs(fit: ArmaFit, x: Array, d: int, trend: str, remarks: list[str
         smaller = fit_arma(x, fit.p - 1, fit.q - 1, d=d, trend=trend)
         if smaller.bic > fit.bic + 10.0:
             break
-        remarks.append(f"order ({fit.p},{fit.q}) has a pole and a zero that cancel: ({smaller.p},{smaller.q}) says the same")
+        remarks.append(
+            f"order ({fit.p},{fit.q}) has a pole and a zero that cancel: ({smaller.p},{smaller.q}) says the same"
+        )
         fit = smaller
     return fit, remarks
 
@@ -230,31 +237,46 @@ def model_allan_deviation(model: ArmaModel, counts: ArrayLike) -> Array:
 # --- remarks ------------------------------------------------------------------------------------------------------------
 
 
-def _remarks(data: Conditioned, fit: ArmaFit, tests: Whiteness, curves: tuple[Array, Array, Array], table: OrderTable | None) -> list[str]:
+def _remarks(
+    data: Conditioned, fit: ArmaFit, tests: Whiteness, curves: tuple[Array, Array, Array], table: OrderTable | None
+) -> list[str]:
     remarks = []
     if not tests.is_white:
         remarks.append(
-            f"residuals are not white (Ljung-Box p = {tests.ljung_box_p:.2g}, periodogram p = {tests.periodogram_p:.2g})"
-            + (f", nor are those of any of the {table.bic.size} orders" if table is not None and not table.is_white.any() else "")
+            f"residuals are not white (Ljung-Box p = {tests.ljung_box_p:.2g}, periodogram p = "
+            f"{tests.periodogram_p:.2g})"
+            + (
+                f", nor are those of any of the {table.bic.size} orders"
+                if table is not None and not table.is_white.any()
+                else ""
+            )
         )
     e = fit.residuals[np.isfinite(fit.residuals)]
     robust = 1.4826 * float(np.median(np.abs(e - np.median(e))))
     far = int(np.sum(np.abs(e - np.median(e)) > 6.0 * robust)) if robust > 0.0 else 0
     if far:
-        remarks.append(f"{far} residuals lie beyond 6 robust standard deviations: impulses (see --reject) or heavy tails")
+        remarks.append(
+            f"{far} residuals lie beyond 6 robust standard deviations: impulses (see --reject) or heavy tails"
+        )
     if data.step > fit.sd:
         remarks.append(
-            f"the step {data.step:.4g} exceeds the innovation sd {fit.sd:.4g}: quantised too coarsely for trustworthy coefficients"
+            f"the step {data.step:.4g} exceeds the innovation sd {fit.sd:.4g}: quantised too coarsely for trustworthy "
+            "coefficients"
         )
     if "not converged" in fit.flags:
-        remarks.append("the likelihood is flat along some direction: coefficients are not unique, poles and spectrum are")
+        remarks.append(
+            "the likelihood is flat along some direction: coefficients are not unique, poles and spectrum are"
+        )
     straight = _straight(data.value)
     if straight > 0.9 and not fit.d and fit.trend.size < 2:
-        remarks.append(f"a straight line explains {100 * straight:.0f} % of the variance: see --detrend, or --difference 1")
+        remarks.append(
+            f"a straight line explains {100 * straight:.0f} % of the variance: see --detrend, or --difference 1"
+        )
     drift = _drift(*curves) if data.whole.size > 2 * data.value.size else None
     if drift is not None:
         remarks.append(
-            f"beyond {drift:.3g} s the whole record wanders more than the model (Allan deviation): a slow drift that the fitted "
+            f"beyond {drift:.3g} s the whole record wanders more than the model (Allan deviation): a slow drift that "
+            "the fitted "
             "samples do not show. Use --decimate, or add a RandomWalk"
         )
     return remarks

@@ -110,7 +110,9 @@ def track_online(
     data = condition(series, **conditions)
     x = np.diff(data.value, difference) if difference else data.value
     if window >= x.size:
-        raise ValueError(f"the window of {window} samples is no shorter than the series ({x.size}). Take a shorter window.")
+        raise ValueError(
+            f"the window of {window} samples is no shorter than the series ({x.size}). Take a shorter window."
+        )
     hop = max(window // LOOKS, 1)
     # A differenced series has no mean worth carrying.
     estimator: ArmaBank | RecursiveArma
@@ -208,13 +210,26 @@ def tracks_text(tracks: Tracks, unit: str = "") -> str:
     """Table for the terminal: a dozen looks, and the last model in words."""
     shown = np.unique(np.linspace(0, tracks.time_s.size - 1, 12).astype(int))
     per = f"{unit}/sqrt(s)" if unit else "1/sqrt(s)"
-    header = ["time [s]", "order", "ar", "ma", "sd" + (f" [{unit}]" if unit else ""), "largest pole", f"bias walk [{per}]", "white"]
+    header = [
+        "time [s]",
+        "order",
+        "ar",
+        "ma",
+        "sd" + (f" [{unit}]" if unit else ""),
+        "largest pole",
+        f"bias walk [{per}]",
+        "white",
+    ]
     rows = []
     for k in shown:
-        ar, ma = (" ".join(f"{c:.4f}" for c in values[np.isfinite(values)]) or "-" for values in (tracks.ar[k], tracks.ma[k]))
+        ar, ma = (
+            " ".join(f"{c:.4f}" for c in values[np.isfinite(values)]) or "-" for values in (tracks.ar[k], tracks.ma[k])
+        )
         walk = number(tracks.walk_sd[k] * math.sqrt(tracks.data.rate_hz), 3) if tracks.walk_sd[k] > 0.0 else "-"
         order, verdict = f"({tracks.order[k, 0]},{tracks.order[k, 1]})", "yes" if tracks.is_white[k] else "no"
-        rows.append([f"{tracks.time_s[k]:.1f}", order, ar, ma, number(tracks.sd[k]), f"{tracks.pole[k]:.4f}", walk, verdict])
+        rows.append(
+            [f"{tracks.time_s[k]:.1f}", order, ar, ma, number(tracks.sd[k]), f"{tracks.pole[k]:.4f}", walk, verdict]
+        )
     if not tracks.walk_sd.any():
         header, rows = header[:6] + header[7:], [row[:6] + row[7:] for row in rows]
     return "\n".join([table_text(header, rows), "", f"last model: {_last_reading(tracks)}"])
@@ -239,7 +254,8 @@ def write_tracks(tracks: Tracks, folder: Path, unit: str = "") -> list[Path]:
     columns |= {"sd": tracks.sd, "pole_radius": tracks.pole, "zero_radius": tracks.zero, "walk_sd": tracks.walk_sd}
     columns["is_white"] = tracks.is_white
     rows = [",".join(columns)] + [
-        ",".join("" if value != value else f"{value:.9g}" for value in row) for row in zip(*columns.values(), strict=True)
+        ",".join("" if value != value else f"{value:.9g}" for value in row)
+        for row in zip(*columns.values(), strict=True)
     ]
     (folder / "tracks.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
     data, model = tracks.data, tracks.model
@@ -251,14 +267,18 @@ def write_tracks(tracks: Tracks, folder: Path, unit: str = "") -> list[Path]:
         "window": tracks.window,
         "online": True,
         "tracks": columns,
-        "last": {"ar": model.ar, "ma": model.ma, "sd": model.sd, "covariance": model.covariance, "flags": sorted(model.flags)},
+        "last": {
+            "ar": model.ar,
+            "ma": model.ma,
+            "sd": model.sd,
+            "covariance": model.covariance,
+            "flags": sorted(model.flags),
+        },
         "reading": _last_reading(tracks),
         "remarks": list(data.notes),
     }
     (folder / "identify.json").write_text(json.dumps(plain(result), indent=1) + "\n", encoding="utf-8")
-    caption = (
-        f"Online estimates over windows of {tracks.window} samples ({tracks.window / data.rate_hz:.6g} s), with two standard deviations."
-    )
+    caption = f"Online estimates over windows of {tracks.window} samples ({tracks.window / data.rate_hz:.6g} s), with two standard deviations."
     with style():
         figures = [("tracks", "Coefficients over time", caption, tracks_figure(tracks, unit))]
         pages = write_page(folder, f"{data.name}: {_last_reading(tracks)}", data.source, [], figures)

@@ -1,4 +1,5 @@
-"""A fitted ARMA model in plain words: bias, Gauss-Markov, lines, device filtering, white noise; and the error model to use.
+"""A fitted ARMA model in plain words: bias, Gauss-Markov, lines, device filtering, white noise; and the error model to
+use.
 
 The spectrum is split into one term per pole (partial fractions) plus what is left, and each term is named by where its
 pole lies with its uncertainty. A model that is no such sum of independent noises is described by its poles alone.
@@ -43,7 +44,8 @@ class Component:
     Attributes
     ----------
     kind : str
-        "random walk", "correlated walk", "gauss-markov", "second order", "oscillation", "line", "short", "moving average" or "white".
+        "random walk", "correlated walk", "gauss-markov", "second order", "oscillation", "line", "short", "moving
+        average" or "white".
     sd : float
         Its standard deviation in the unit of the series (random walk: step per sample; NaN where it cannot be told).
     tau_s, tau_sd_s : float
@@ -159,7 +161,8 @@ def stationary_parts(model: ArmaModel, rate_hz: float) -> list[Component]:
     Returns
     -------
     list of Component
-        With the standard deviation of each where the model is such a sum of independent parts, else named by its poles alone.
+        With the standard deviation of each where the model is such a sum of independent parts, else named by its poles
+        alone.
     """
     if not model.p:
         return [Component("moving average", math.sqrt(model.variance))] if model.q else [Component("white", model.sd)]
@@ -271,14 +274,18 @@ def _name(part: Component, rate_hz: float) -> str:
 
 def _size(part: Component, rate_hz: float, unit: str) -> str:
     """The part's name with its strength."""
-    name = {"gauss-markov": "Gauss-Markov", "second order": "second order", "short": "short correlation"}.get(part.kind, part.kind)
+    name = {"gauss-markov": "Gauss-Markov", "second order": "second order", "short": "short correlation"}.get(
+        part.kind, part.kind
+    )
     if part.kind in ("random walk", "correlated walk"):
         per = f"{unit}/sqrt(s)" if unit else "per sqrt(s)"
         return f"{name} {number(part.sd * math.sqrt(rate_hz), 3)} {per}"
     if part.kind == "line":
         name += " near Nyquist" if part.freq_hz > 0.45 * rate_hz else f" at {number(part.freq_hz, 3)} Hz"
     size = f"sd {number(part.sd)}{' ' + unit if unit else ''}"
-    return f"{name} {size}" + (f", lasting {_time(part.tau_s)}" if part.kind in ("line", "oscillation", "short") else "")
+    return f"{name} {size}" + (
+        f", lasting {_time(part.tau_s)}" if part.kind in ("line", "oscillation", "short") else ""
+    )
 
 
 def number(value: float, digits: int = 4) -> str:

@@ -27,7 +27,9 @@ from navfilter.report.page import escape, figure_html, heading_html, page, table
 __all__ = ["as_dict", "error_lines", "summary_text", "write_identification", "write_page"]
 
 
-def write_identification(found: Identification, folder: Path, unit: str = "", progress: Callable[[], Any] | None = None) -> list[Path]:
+def write_identification(
+    found: Identification, folder: Path, unit: str = "", progress: Callable[[], Any] | None = None
+) -> list[Path]:
     """Write identify.json, one .svg per figure and identify.html.
 
     Parameters
@@ -49,7 +51,12 @@ def write_identification(found: Identification, folder: Path, unit: str = "", pr
         body.append("<ul>" + "".join(f"<li>{escape(remark)}</li>" for remark in found.remarks) + "</ul>")
     with style():
         figures = write_page(
-            folder, f"{found.data.name}: {found.reading.text}", found.data.source, body, identification_figures(found, unit), progress
+            folder,
+            f"{found.data.name}: {found.reading.text}",
+            found.data.source,
+            body,
+            identification_figures(found, unit),
+            progress,
         )
     return [_write(folder / "identify.json", json.dumps(as_dict(found, unit), indent=1) + "\n"), *figures]
 
@@ -96,7 +103,11 @@ def _summary(found: Identification, unit: str) -> list[list[str]]:
     rows = [
         ["reading", found.reading.text],
         ["sizes", found.reading.details],
-        ["samples", f"{fit.n} at {data.rate_hz:.6g} Hz ({data.value.size / data.rate_hz:.6g} s), level {number(_level(found))}{u}"],
+        [
+            "samples",
+            f"{fit.n} at {data.rate_hz:.6g} Hz ({data.value.size / data.rate_hz:.6g} s), level "
+            f"{number(_level(found))}{u}",
+        ],
         ["order", _order(found)],
         ["ar", _coefficients(fit.ar, sds[: fit.p])],
         ["ma", _coefficients(fit.ma, sds[fit.p :])],
@@ -105,7 +116,8 @@ def _summary(found: Identification, unit: str) -> list[list[str]]:
         ["zeros", _roots(fit.model.zeros)],
         [
             "residuals",
-            f"{'white' if tests.is_white else 'NOT white'}: Ljung-Box({tests.lags}) p = {tests.ljung_box_p:.2g}, cumulative periodogram "
+            f"{'white' if tests.is_white else 'NOT white'}: Ljung-Box({tests.lags}) p = {tests.ljung_box_p:.2g}, "
+            "cumulative periodogram "
             f"p = {tests.periodogram_p:.2g}, WT = {tests.wt:.2f} (white noise scores {tests.wt_white:.3f})",
         ],
     ]
@@ -114,12 +126,15 @@ def _summary(found: Identification, unit: str) -> list[list[str]]:
         rows.append(
             [
                 f"Gauss-Markov {process.order}",
-                f"sd {number(process.sd)}{u}, 1/e time {number(process.tau_s)} s" + against.format(process.loglik - fit.loglik),
+                f"sd {number(process.sd)}{u}, 1/e time {number(process.tau_s)} s"
+                + against.format(process.loglik - fit.loglik),
             ]
         )
     rows.append(["Allan deviation", _allan(found, u)])
     if data.step > 0.0:
-        rows.append(["quantisation", f"step {number(data.step)}{u}, rounding noise {number(data.step / math.sqrt(12.0))}{u}"])
+        rows.append(
+            ["quantisation", f"step {number(data.step)}{u}, rounding noise {number(data.step / math.sqrt(12.0))}{u}"]
+        )
     toml, python = error_lines(found.reading.error, unit)
     rows += [["vehicle.toml", toml], ["Python", python]]
     return [row for row in rows if row[1]]
@@ -143,14 +158,20 @@ def _coefficients(values: ArrayLike, sds: ArrayLike) -> str:
 
 def _roots(roots: ArrayLike) -> str:
     upper = [r for r in np.asarray(roots) if r.imag >= 0.0]
-    return "  ".join(f"{r.real:.5f}" if r.imag == 0.0 else f"{abs(r):.5f} at +-{np.degrees(np.angle(r)):.2f} deg" for r in upper)
+    return "  ".join(
+        f"{r.real:.5f}" if r.imag == 0.0 else f"{abs(r):.5f} at +-{np.degrees(np.angle(r)):.2f} deg" for r in upper
+    )
 
 
 def _allan(found: Identification, u: str) -> str:
     tau, deviation = found.allan_tau_s, found.allan
     # The longest averages rest on two or three independent ones.
     lowest = int(np.argmin(np.where(tau <= tau[-1] / 3.0, deviation, np.inf)))
-    shown = [f"{number(float(np.interp(t, tau, deviation)), 3)}{u} at {t:g} s" for t in (1.0, 10.0, 100.0) if tau[0] <= t <= tau[-1]]
+    shown = [
+        f"{number(float(np.interp(t, tau, deviation)), 3)}{u} at {t:g} s"
+        for t in (1.0, 10.0, 100.0)
+        if tau[0] <= t <= tau[-1]
+    ]
     least = f"least {number(float(deviation[lowest]), 3)}{u} at {number(float(tau[lowest]), 2)} s"
     return ", ".join([*shown, least])
 
@@ -195,7 +216,9 @@ def error_lines(error: ErrorModel, unit: str = "") -> tuple[str, str]:
 def _scaled(error: ErrorModel, factor: float) -> ErrorModel:
     if isinstance(error, Sum):
         return Sum(tuple(_scaled(part, factor) for part in error.parts))
-    sizes = {f.name: getattr(error, f.name) for f in dataclasses.fields(error) if f.name in ("sd", "density", "start_sd")}  # type: ignore[arg-type]
+    sizes = {
+        f.name: getattr(error, f.name) for f in dataclasses.fields(error) if f.name in ("sd", "density", "start_sd")
+    }  # type: ignore[arg-type]
     changed = {name: float(f"{value * factor:.6g}") for name, value in sizes.items() if value is not None}
     return dataclasses.replace(error, **changed)  # type: ignore[type-var]
 
@@ -251,7 +274,10 @@ def as_dict(found: Identification, unit: str = "") -> dict[str, Any]:
         "reading": found.reading.text,
         "components": [dataclasses.asdict(part) for part in found.reading.components],
         "minimal_order": list(found.reading.minimal),
-        "gauss_markov": [{"order": g.order, "sd": g.sd, "beta": g.beta, "tau_s": g.tau_s, "loglik": g.loglik} for g in found.gauss_markov],
+        "gauss_markov": [
+            {"order": g.order, "sd": g.sd, "beta": g.beta, "tau_s": g.tau_s, "loglik": g.loglik}
+            for g in found.gauss_markov
+        ],
         "allan": {"tau_s": found.allan_tau_s, "deviation": found.allan, "model": found.allan_model},
         "quantisation": {
             "step": data.step,

@@ -52,7 +52,8 @@ def read_mission(
 
         if known := format_of(path):
             raise MissionError(
-                f'{path} is {known.title}, not a mission: "navfilter mission --init {path} --out DIR" writes one for it.'
+                f'{path} is {known.title}, not a mission: "navfilter mission --init {path} --out DIR" writes one for '
+                "it."
             )
     if path.is_dir():
         if not (path / "mission.toml").exists():
@@ -68,4 +69,6 @@ def read_mission(
         from navfilter.io.native import read_mission_npz
 
         return read_mission_npz(path, unpacked_bytes)
-    raise MissionError(f'{path} is no mission: expected a folder with a mission.toml, a .toml or a .npz, found "{path.name}".')
+    raise MissionError(
+        f'{path} is no mission: expected a folder with a mission.toml, a .toml or a .npz, found "{path.name}".'
+    )

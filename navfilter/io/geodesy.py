@@ -85,7 +85,9 @@ def matrix_from_euler(roll: Array, pitch: Array, yaw: Array) -> Array:
 def euler_from_matrix(C_nb: Array) -> Array:
     """Roll, pitch, yaw (n, 3) of matrices C_nb (n, 3, 3)."""
     pitch = -np.arcsin(np.clip(C_nb[:, 2, 0], -1.0, 1.0))
-    return np.stack([np.arctan2(C_nb[:, 2, 1], C_nb[:, 2, 2]), pitch, np.arctan2(C_nb[:, 1, 0], C_nb[:, 0, 0])], axis=-1)
+    return np.stack(
+        [np.arctan2(C_nb[:, 2, 1], C_nb[:, 2, 2]), pitch, np.arctan2(C_nb[:, 1, 0], C_nb[:, 0, 0])], axis=-1
+    )
 
 
 def matrix_from_quaternion(wxyz: Array) -> Array:

@@ -7,8 +7,9 @@ One reading per line, in SI units and radians::
     {"sensor": "gps", "time_s": 12.0, "value": [0.785, -0.07, null], "sd": [2.0, 2.0, 5.0]}
     {"sensor": "start", "latitude_deg": 45.0, "longitude_deg": -4.0, "heading_deg": 90.0}
 
-``null`` is a missing component. Whatever else arrives is a `BadLine` of one of the `BAD_KINDS`, never an exception. A log holds the
-readings in the order of their arrival, byte for byte as they came, and between them notes, which have an ``"event"`` (see `Note`).
+``null`` is a missing component. Whatever else arrives is a `BadLine` of one of the `BAD_KINDS`, never an exception. A
+log holds the readings in the order of their arrival, byte for byte as they came, and between them notes, which have an
+``"event"`` (see `Note`).
 """
 
 from __future__ import annotations
@@ -72,7 +73,9 @@ _VALUE_FIELDS = frozenset({"sensor", "time_s", "value"})
 
 
 class Reading(NamedTuple):
-    """One reading: `value` in SI units and radians, NaN where a component is missing; an "imu" has rate_b, then force_b."""
+    """One reading: `value` in SI units and radians, NaN where a component is missing; an "imu" has rate_b, then
+    force_b.
+    """
 
     sensor: str
     time_s: float
@@ -82,14 +85,18 @@ class Reading(NamedTuple):
 
 
 class StartLine(NamedTuple):
-    """A start that arrived among the readings: keyword arguments of `Start`; without ``time_s`` it is the first reading of the drive."""
+    """A start that arrived among the readings: keyword arguments of `Start`; without ``time_s`` it is the first reading
+    of the drive.
+    """
 
     fields: dict[str, Any]
     raw: bytes
 
 
 class BadLine(NamedTuple):
-    """A line that is no reading, or several `lines`: one of the `BAD_KINDS`, and in words; `raw` is its note for the log."""
+    """A line that is no reading, or several `lines`: one of the `BAD_KINDS`, and in words; `raw` is its note for the
+    log.
+    """
 
     kind: str
     text: str
@@ -171,7 +178,11 @@ class LineParser:
         except (ValueError, RecursionError) as error:
             if isinstance(error, _Wrong):
                 raise
-            reason = str(error).splitlines()[0] if isinstance(error, json.JSONDecodeError) else "too deep, or a number too long"
+            reason = (
+                str(error).splitlines()[0]
+                if isinstance(error, json.JSONDecodeError)
+                else "too deep, or a number too long"
+            )
             raise _Wrong("not-json", reason) from None
         if type(fields) is not dict:
             raise _Wrong("not-an-object", f"a line is an object {{...}}, found {type(fields).__name__}")
@@ -369,7 +380,9 @@ def streams_of(
 
 
 def log_lines(path: Path, offset: int = 0) -> Iterator[bytes]:
-    """The whole lines of a log from a byte offset; what stands after the last line feed was being written when the power went."""
+    """The whole lines of a log from a byte offset; what stands after the last line feed was being written when the
+    power went.
+    """
     with path.open("rb") as file:
         file.seek(offset)
         while line := file.readline(4 * LONGEST_LINE):

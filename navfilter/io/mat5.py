@@ -1,7 +1,8 @@
 """Whether a .mat file of version 5 is what it says, before it is read.
 
-The reader of scipy trusts the sizes and types that such a file states, and a damaged one can end the whole process. This walk through
-the elements (MathWorks, "MAT-File Format", 2019) refuses every file whose sizes and types contradict each other.
+The reader of scipy trusts the sizes and types that such a file states, and a damaged one can end the whole process.
+This walk through the elements (MathWorks, "MAT-File Format", 2019) refuses every file whose sizes and types contradict
+each other.
 """
 
 from __future__ import annotations
@@ -159,7 +160,9 @@ def _nested(kind: int, count: int, elements: Iterator[tuple[int, memoryview]], o
     if kind == _OBJECT:
         _next(elements, {_INT8}, "class name")
     if kind in (_STRUCT, _OBJECT):
-        length = struct.unpack(f"{order}i", _next(elements, {_INT32}, "length of field names")[:4].tobytes().ljust(4, b"\0"))[0]
+        length = struct.unpack(
+            f"{order}i", _next(elements, {_INT32}, "length of field names")[:4].tobytes().ljust(4, b"\0")
+        )[0]
         names = _next(elements, {_INT8}, "field names")
         if length <= 0 or len(names) % length:
             raise _Damaged("the field names of a structure have no length")

@@ -285,7 +285,9 @@ class SensorStream(StreamSpec):
             return
         sensor = axes_of(given)
         if sensor is None:
-            raise ValueError("sd belongs to a sensor that corrects; what drives takes none (see its errors in vehicle.toml)")
+            raise ValueError(
+                "sd belongs to a sensor that corrects; what drives takes none (see its errors in vehicle.toml)"
+            )
         if len(own) > 1:
             raise ValueError("only one of the sources of a stream can give sd")
         sd, (axes, known) = own[0], sensor
@@ -304,7 +306,9 @@ class TruthStream(StreamSpec):
     def _contents(self) -> TruthStream:
         given = set(self.groups())
         if not given <= set(TRUTH_GROUPS):
-            raise ValueError(f"truth cannot have {', '.join(sorted(given - set(TRUTH_GROUPS)))} ({', '.join(TRUTH_GROUPS)})")
+            raise ValueError(
+                f"truth cannot have {', '.join(sorted(given - set(TRUTH_GROUPS)))} ({', '.join(TRUTH_GROUPS)})"
+            )
         for choice in (("position", "ecef", "local"), ("velocity_n", "velocity_ecef"), ("attitude", "quaternion")):
             if len(given & set(choice)) > 1:
                 raise ValueError(f"truth can have only one of {', '.join(choice)}")
@@ -335,7 +339,9 @@ class StartSpec(Strict):
 
 
 class LogSpec(Strict):
-    """The log of ``navfilter run``: readings of all streams in the order of their arrival, and the names of their columns."""
+    """The log of ``navfilter run``: readings of all streams in the order of their arrival, and the names of their
+    columns.
+    """
 
     file: str
     columns: dict[str, tuple[str, ...]] = Field(default_factory=dict)
@@ -377,7 +383,9 @@ def mission_spec() -> type[MissionSpec]:
 def _mission_spec(names: tuple[str, ...]) -> type[MissionSpec]:
     taken = set(names) & set(Source.model_fields)
     if taken:
-        raise ValueError(f'"{taken.pop()}" is a key of every source; a kind of sensor must call its group of columns otherwise.')
+        raise ValueError(
+            f'"{taken.pop()}" is a key of every source; a kind of sensor must call its group of columns otherwise.'
+        )
     given: Any = dict.fromkeys(names, (Group | None, None))
     source: Any = create_model("Source", __base__=Source, **given)
     sensor: Any = create_model("SensorStream", __base__=SensorStream, sources=(tuple[source, ...], ...))

@@ -120,7 +120,10 @@ class _Reader:
         if "local" in given:
             parts["local"], columns["local"] = _from_local(parts["local"], spec), groups()["position"].names
         if "quaternion" in given:
-            parts["quaternion"], columns["quaternion"] = _euler(parts["quaternion"], spec, None), groups()["attitude"].names
+            parts["quaternion"], columns["quaternion"] = (
+                _euler(parts["quaternion"], spec, None),
+                groups()["attitude"].names,
+            )
         return _assembled(time_s, parts, columns, sd)
 
     def truth(self, spec: TruthStream) -> Stream:
@@ -167,7 +170,10 @@ class _Reader:
             # Between slow readings of a turning vehicle, interpolated ones are nearer the truth than held ones.
             rows = (time_s[-1] - time_s[0]) * spec.resample_hz
             if rows > _MOST_ROWS:
-                raise MissionError(f"{name}: resample_hz would make {rows:.3g} rows; are the times in seconds, or is one of them far off?")
+                raise MissionError(
+                    f"{name}: resample_hz would make {rows:.3g} rows; are the times in seconds, or is one of them far "
+                    "off?"
+                )
             even = np.arange(time_s[0], time_s[-1], 1.0 / spec.resample_hz)
             for group, part in parts.items():
                 parts[group] = resampled(even, time_s, part, _on_circle(columns[group]), None)
@@ -266,9 +272,7 @@ def _on_circle(names: tuple[str, ...]) -> Bool:
     return np.isin(names, [name for columns in groups().values() for name in columns.circular])
 
 
-def _assembled(
-    time_s: Array, parts: dict[str, Array], columns: dict[str, tuple[str, ...]], sd: Array | None
-) -> Stream:
+def _assembled(time_s: Array, parts: dict[str, Array], columns: dict[str, tuple[str, ...]], sd: Array | None) -> Stream:
     names = tuple(name for group in parts for name in columns[group])
     value = np.column_stack(list(parts.values()))
     circular = _on_circle(names)
@@ -279,7 +283,9 @@ def _assembled(
 def _from_local(ned: Array, spec: StreamSpec) -> Array:
     origins: list[Origin | None] = [s.groups()["local"].origin for s in spec.sources if "local" in s.groups()]
     origin = next(o for o in origins if o is not None)
-    return geodesy.geodetic_from_local(ned, np.radians(origin.latitude_deg), np.radians(origin.longitude_deg), origin.height_m)
+    return geodesy.geodetic_from_local(
+        ned, np.radians(origin.latitude_deg), np.radians(origin.longitude_deg), origin.height_m
+    )
 
 
 def _euler(quaternion: Array, spec: StreamSpec, axes: Array | None) -> Array:
@@ -293,7 +299,9 @@ def _euler(quaternion: Array, spec: StreamSpec, axes: Array | None) -> Array:
         C = C[:, [1, 0, 2]] * np.array([[1.0], [1.0], [-1.0]])
     elif group.reference == "ecef":
         if axes is None:
-            raise MissionError('a quaternion with reference = "ecef" needs a position in the same stream (see [truth]).')
+            raise MissionError(
+                'a quaternion with reference = "ecef" needs a position in the same stream (see [truth]).'
+            )
         C = axes @ C
     return geodesy.euler_from_matrix(C)
 

@@ -37,12 +37,12 @@ def read_mission_npz(path: Path, unpacked_bytes: int = UNPACKED_BYTES) -> Missio
     try:
         meta: dict[str, Any] = json.loads(str(arrays["navfilter_mission"]))
         if meta["format"] != NPZ_FORMAT:
-            raise MissionError(f"{path} has format {meta['format']}, this version reads {NPZ_FORMAT}; update navfilter.")
+            raise MissionError(
+                f"{path} has format {meta['format']}, this version reads {NPZ_FORMAT}; update navfilter."
+            )
         names = list(meta["columns"])
         streams = {
-            name: Stream(
-                arrays[f"time_{k}"], arrays[f"value_{k}"], tuple(meta["columns"][name]), arrays.get(f"sd_{k}")
-            )
+            name: Stream(arrays[f"time_{k}"], arrays[f"value_{k}"], tuple(meta["columns"][name]), arrays.get(f"sd_{k}"))
             for k, name in enumerate(names)
         }
         truth = Stream(arrays["time_truth"], arrays["value_truth"], TRUTH_COLUMNS) if meta["truth"] else None

@@ -177,7 +177,9 @@ def _from_mission(path: str, reference: str, column: str | None, rate_hz: float 
     return on_a_grid(f"{name}.{found[0]}", stream.time_s, stream.column(found[0]), rate_hz, path, [])
 
 
-def on_a_grid(name: str, time_s: Array, value: Array, rate_hz: float | None, source: str = "", notes: list[str] | None = None) -> Series:
+def on_a_grid(
+    name: str, time_s: Array, value: Array, rate_hz: float | None, source: str = "", notes: list[str] | None = None
+) -> Series:
     """Lay time-stamped samples on an even grid.
 
     Samples follow one another; only a step of more than one and a half periods is a gap, filled with as many NaN as
@@ -201,7 +203,9 @@ def on_a_grid(name: str, time_s: Array, value: Array, rate_hz: float | None, sou
         raise MissionError(f"{source}: {name} has {time.size} samples with a time, too few.")
     fresh = np.r_[True, np.diff(time) > 0.0]
     if np.any(np.diff(time) < 0.0):
-        raise MissionError(f"{source}: the time of {name} goes back {int(np.sum(np.diff(time) < 0))} times. Sort the rows.")
+        raise MissionError(
+            f"{source}: the time of {name} goes back {int(np.sum(np.diff(time) < 0))} times. Sort the rows."
+        )
     if not fresh.all():
         notes.append(f"{int((~fresh).sum())} rows repeat a time and were dropped")
         time, x = time[fresh], x[fresh]

@@ -105,7 +105,9 @@ def read_table(file: Path | Place, options: TableOptions | None = None, shelf: S
     if path.stat().st_size == 0:
         raise MissionError(f"{place.shown} is empty (0 bytes).")
     if path.suffix.lower() in _LOGS:
-        raise MissionError(f'{place.shown} is a log: say which topic = "..." of it ("navfilter check {place.shown}" lists them).')
+        raise MissionError(
+            f'{place.shown} is a log: say which topic = "..." of it ("navfilter check {place.shown}" lists them).'
+        )
     if path.suffix.lower() in _BINARY:
         from navfilter.io.containers import read_arrays
 
@@ -204,7 +206,9 @@ def _columns_of(place: Place, arrays: dict[str, npt.NDArray[Any]], options: Tabl
                 raise MissionError(f"{place.shown}: {len(names)} names in header for {matrix.shape[1]} columns.")
             columns = {names[k] if names else str(k): matrix[:, k] for k in range(matrix.shape[1])}
     else:
-        columns = {name: array.ravel() for name, array in arrays.items() if max(array.shape, default=0) == array.size > 1}
+        columns = {
+            name: array.ravel() for name, array in arrays.items() if max(array.shape, default=0) == array.size > 1
+        }
         if not columns:
             tables = str({name: array.shape for name, array in arrays.items()}) if place.quoted else ""
             raise MissionError(f"{place.shown} holds several arrays {tables}: name one with table = ...")

@@ -170,7 +170,10 @@ def _sentences(model: type[BaseModel], data: Any, detail: Any) -> list[tuple[str
         return [(place, f"needs {size} values", _found(value))]
     place, value = _place(model, data, loc, kind)
     if kind == "inside":
-        return [(f"{place}{below}" if place != "the file" else below.lstrip(".") or place, text, "") for below, text in context["mistakes"]]
+        return [
+            (f"{place}{below}" if place != "the file" else below.lstrip(".") or place, text, "")
+            for below, text in context["mistakes"]
+        ]
     if kind == "extra_forbidden":
         return [(place, _unknown_key(str(loc[-1]), _models_at(model, loc[:-1])), "")]
     if kind == "missing":
@@ -179,7 +182,9 @@ def _sentences(model: type[BaseModel], data: Any, detail: Any) -> list[tuple[str
         return [(place, f"the key {context['discriminator']} is missing; it says which kind of table this is", "")]
     if kind == "union_tag_invalid":
         tag, known = str(context["tag"]), [word.strip(" '") for word in context["expected_tags"].split(",")]
-        return [(place, f'there is no kind "{_shortened(tag)}"; {_did_you_mean(tag, known)}known: {", ".join(known)}', "")]
+        return [
+            (place, f'there is no kind "{_shortened(tag)}"; {_did_you_mean(tag, known)}known: {", ".join(known)}', "")
+        ]
     if kind in _BOUNDS:
         limit = next(iter(context.values()))
         if value in (math.inf, -math.inf):
@@ -188,7 +193,11 @@ def _sentences(model: type[BaseModel], data: Any, detail: Any) -> list[tuple[str
         return [(place, f"must be {_BOUNDS[kind]} {limit:g}{si}", _found(value))]
     if kind == "literal_error":
         known = [word.strip(" '") for word in context["expected"].replace(" or ", ",").split(",")]
-        choice = f"{_did_you_mean(str(value), known)}must be one of {', '.join(known)}" if len(known) > 1 else f'must be "{known[0]}"'
+        choice = (
+            f"{_did_you_mean(str(value), known)}must be one of {', '.join(known)}"
+            if len(known) > 1
+            else f'must be "{known[0]}"'
+        )
         return [(place, choice, _found(value))]
     if kind == "too_long":
         return [(place, f"may have {context['max_length']} values, not {context['actual_length']}", _found(value))]
@@ -234,7 +243,9 @@ def _unknown_key(key: str, models: list[Any]) -> str:
 
 
 def _place(model: type[BaseModel], data: Any, loc: tuple[str | int, ...], kind: str) -> tuple[str, Any]:
-    """The path of a value as written in the file (without the names that the validator adds), and the value that stands there."""
+    """The path of a value as written in the file (without the names that the validator adds), and the value that stands
+    there.
+    """
     words: list[str] = []
     for depth, part in enumerate(loc):
         added = kind in ("extra_forbidden", "missing") and depth == len(loc) - 1

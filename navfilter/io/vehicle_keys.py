@@ -14,8 +14,8 @@ from navfilter.io.units import SUFFIXES
 
 __all__ = ["checked", "plain_key", "spellings", "times"]
 
-#: Bounds in SI by the name of the key, first match counts. The outer ones are far beyond anything real: they keep squares, inverses
-#: and exponentials of what a file says within the range of floating-point numbers.
+#: Bounds in SI by the name of the key, first match counts. The outer ones are far beyond anything real: they keep
+#: squares, inverses and exponentials of what a file says within the range of floating-point numbers.
 _BOUNDS: tuple[tuple[str, dict[str, Any]], ...] = (
     (r"rate_hz$", {"ge": 1e-6, "le": 1e6}),
     (r"tau_s$", {"ge": 1e-6, "le": 1e12}),
@@ -38,7 +38,8 @@ _LONGEST_FIRST = sorted(SUFFIXES, key=len, reverse=True)
 
 
 def checked(hint: Any, name: str) -> Any:
-    """The type of a field as a file must hold it: numbers are numbers (no text, no booleans), within the bounds of their name.
+    """The type of a field as a file must hold it: numbers are numbers (no text, no booleans), within the bounds of
+    their name.
 
     Parameters
     ----------

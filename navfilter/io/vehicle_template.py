@@ -93,7 +93,11 @@ def vehicle_template(drive: str = "imu") -> str:
     if drive not in DRIVES:
         raise ValueError(f'there is no drive "{drive}" (known: {", ".join(DRIVES)}).')
     suffixes = "\n".join(textwrap.wrap(", ".join(SUFFIXES), _WIDTH, initial_indent="#   ", subsequent_indent="#   "))
-    parts = [_HEAD.format(suffixes=suffixes), 'name = "example AUV"\n', *(_inertial() if drive == "imu" else _reckoning())]
+    parts = [
+        _HEAD.format(suffixes=suffixes),
+        'name = "example AUV"\n',
+        *(_inertial() if drive == "imu" else _reckoning()),
+    ]
     parts += [_correcting(kind) for kind in _shown(drive)]
     return "\n".join(parts)
 
@@ -106,7 +110,9 @@ def _shown(drive: str) -> list[Any]:
 
 def _correcting(kind: Any) -> str:
     example = kind.template
-    section = _section(f"sensors.{example.name}", kind, example.words, example.rate_hz, *example.lines, lever=example.lever_arm)
+    section = _section(
+        f"sensors.{example.name}", kind, example.words, example.rate_hz, *example.lines, lever=example.lever_arm
+    )
     return section if example.live else _unused(section)
 
 
@@ -123,12 +129,20 @@ def _unused(section: str) -> str:
 
 def _reckoning() -> Iterator[str]:
     words = 'What carries the state between corrections: attitude and body velocity (streams "attitude" and "velocity"), no inertial unit.'
-    yield _section("drive", DeadReckoning, words, 5, 'tilt = {model = "white", sd_deg = 0.3}', without={"attitude", "velocity"})
+    yield _section(
+        "drive", DeadReckoning, words, 5, 'tilt = {model = "white", sd_deg = 0.3}', without={"attitude", "velocity"}
+    )
     # What corrects nothing has no gate; a magnetometer cannot be levelled here, and a drift with temperature has no state.
     unused = {"rate_hz", "gate_probability", "gate_timeout_s"}
     iron = {"magnetometer", "hard_iron", "soft_iron", "temperature_sd_rad_per_k", "reference_temperature_c"}
     yield _section(
-        "drive.attitude", Heading, "The heading, with its error.", None, 'type = "heading"', COMPASS_ERROR, without=unused | iron
+        "drive.attitude",
+        Heading,
+        "The heading, with its error.",
+        None,
+        'type = "heading"',
+        COMPASS_ERROR,
+        without=unused | iron,
     )
     yield _section(
         "drive.velocity",
@@ -197,7 +211,9 @@ def _kind(cls: type) -> Literal["imu"] | str:
 
 
 def _wrapped(text: str) -> list[str]:
-    return textwrap.wrap(text.replace("False", "false").replace("True", "true"), _WIDTH, initial_indent="# ", subsequent_indent="# ")
+    return textwrap.wrap(
+        text.replace("False", "false").replace("True", "true"), _WIDTH, initial_indent="# ", subsequent_indent="# "
+    )
 
 
 def _parameters(cls: type) -> dict[str, tuple[str, str]]:

@@ -131,7 +131,9 @@ def _concrete(base: type, kinds: Kinds) -> dict[str, type]:
 
 
 def _kinds() -> Kinds:
-    """Every kind of error model, sensor and drive that there is now; those of a user's own come with the import of their module."""
+    """Every kind of error model, sensor and drive that there is now; those of a user's own come with the import of
+    their module.
+    """
     return tuple(cls for base in (ErrorModel, Sensor, Mechanisation) for cls in kinds_below(base) if cls is not Sum)
 
 
@@ -200,7 +202,9 @@ def _spec_of(cls: type, kinds: Kinds) -> type[_Spec]:
 
 @cache
 def _adopted_spec() -> type[_Spec]:
-    fields: dict[str, Any] = {name: (checked(hint, name), ... if name in ("ar", "ma", "sd") else None) for name, hint in _ADOPTED.items()}
+    fields: dict[str, Any] = {
+        name: (checked(hint, name), ... if name in ("ar", "ma", "sd") else None) for name, hint in _ADOPTED.items()
+    }
     spec = create_model("AdoptedTable", __base__=_Spec, **fields)
     spec.builds = ArmaModel
     return spec
@@ -230,7 +234,9 @@ def _type_of(hint: Any, name: str, owner: type, kinds: Kinds) -> Any:
         ]
         if not issubclass(owner, ErrorModel):
             axes: dict[str, Any] = dict.fromkeys(_axes_of(owner, name), (either, ...))
-            choices.append(Annotated[create_model(f"{owner.__name__}{name.title()}Axes", __base__=_Axes, **axes), Tag("<axes>")])
+            choices.append(
+                Annotated[create_model(f"{owner.__name__}{name.title()}Axes", __base__=_Axes, **axes), Tag("<axes>")]
+            )
     sensors = {_kebab(c): c for c in classes if issubclass(c, Sensor)}
     if sensors:
         choices.append(Annotated[_union("type", sensors, kinds), Tag("<sensor>")])
@@ -264,7 +270,12 @@ def _shape(value: Any) -> str:
         return "<sum>"
     if isinstance(value, dict) and "type" in value:
         return "<sensor>"
-    if isinstance(value, dict) and "model" not in value and value and all(isinstance(v, dict | list) for v in value.values()):
+    if (
+        isinstance(value, dict)
+        and "model" not in value
+        and value
+        and all(isinstance(v, dict | list) for v in value.values())
+    ):
         return "<axes>"
     return "<one>"
 
@@ -305,7 +316,9 @@ def _built(spec: Any, place: str, wrong: list[tuple[str, str]], defaults: dict[s
     if len(wrong) > before:
         return None
     if cls is ArmaModel and given.get("covariance") == ():
-        given["covariance"] = np.zeros((0, 0))  # of a model without coefficients: no list tells a matrix of 0 x 0 from an empty row
+        given["covariance"] = np.zeros(
+            (0, 0)
+        )  # of a model without coefficients: no list tells a matrix of 0 x 0 from an empty row
     try:
         item = cls(**given)
         _discretise(item)
@@ -316,7 +329,9 @@ def _built(spec: Any, place: str, wrong: list[tuple[str, str]], defaults: dict[s
 
 
 def _discretise(item: Any) -> None:
-    """Try the error models of a sensor or drive: what the filter could not use is refused here, not when the run begins."""
+    """Try the error models of a sensor or drive: what the filter could not use is refused here, not when the run
+    begins.
+    """
     if isinstance(item, Sensor | Mechanisation):
         for model in dict.fromkeys(item.models):
             model.block(1.0 / item.rate_hz)
@@ -330,7 +345,9 @@ def _object(value: Any, place: str, wrong: list[tuple[str, str]], inherited: dic
         parts = [part for part in parts if part is not None]
         return sum(parts[1:], start=parts[0]) if parts else None
     if isinstance(value, _Axes):
-        return tuple(_object(getattr(value, name), f"{place}.{name}", wrong, inherited) for name in type(value).model_fields)
+        return tuple(
+            _object(getattr(value, name), f"{place}.{name}", wrong, inherited) for name in type(value).model_fields
+        )
     return tuple(value) if isinstance(value, list) else value
 
 
@@ -353,7 +370,11 @@ def _table(item: Any) -> dict[str, Any]:
     table: dict[str, Any] = {key: _kebab(type(item))}
     for field in dataclasses.fields(item):
         value = getattr(item, field.name)
-        if field.init and value is not None and not (field.default is not dataclasses.MISSING and value == field.default):
+        if (
+            field.init
+            and value is not None
+            and not (field.default is not dataclasses.MISSING and value == field.default)
+        ):
             table[_IN_FILES.get((type(item), field.name), field.name)] = _plain(value, type(item), field.name)
     return table
 
@@ -362,7 +383,11 @@ def _adopted(model: ArmaModel) -> dict[str, Any]:
     """The table of an adopted model; what is not known is left out."""
     values = {name: getattr(model, name) for name in _ADOPTED}
     values["flags"] = sorted(model.flags) or None
-    return {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in values.items() if value is not None}
+    return {
+        name: value.tolist() if isinstance(value, np.ndarray) else value
+        for name, value in values.items()
+        if value is not None
+    }
 
 
 def _plain(value: Any, owner: type, field: str) -> Any:

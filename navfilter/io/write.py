@@ -1,4 +1,6 @@
-"""The files of a run: track.csv, track.tum, truth.tum, track.geojson, summary.json, and vehicle_learned.toml where it learnt."""
+"""The files of a run: track.csv, track.tum, truth.tum, track.geojson, summary.json, and vehicle_learned.toml where it
+learnt.
+"""
 
 from __future__ import annotations
 
@@ -105,7 +107,9 @@ def learned_vehicle(track: Track) -> Vehicle | None:
     for name, history in track.error_models.items():
         error = history[-1][1] if history else None
         models = error if isinstance(error, tuple) else (error,)
-        if any(learned is not None and learned.model is not None for learned in map(learned_part, filter(None, models))):
+        if any(
+            learned is not None and learned.model is not None for learned in map(learned_part, filter(None, models))
+        ):
             last[name] = models[0] if len(models) == 1 else models
     return track.vehicle.with_error(**last) if last else None
 
@@ -139,7 +143,9 @@ def summarise(tracks: Mapping[str, Track], mission: Mission) -> dict[str, Any]:
 def write_summary(
     tracks: Mapping[str, Track], mission: Mission, path: str | os.PathLike[str], more: Mapping[str, Any] | None = None
 ) -> Path:
-    """Write `summarise`, and `more` behind it, as JSON with keys in a fixed order; what is not a finite number becomes null."""
+    """Write `summarise`, and `more` behind it, as JSON with keys in a fixed order; what is not a finite number becomes
+    null.
+    """
     return write_json({**summarise(tracks, mission), **(more or {})}, path)
 
 
@@ -155,7 +161,13 @@ def write_csv(track: Track, path: str | os.PathLike[str]) -> Path:
     """Write `Track.to_frame`: one row per time, degrees and metres, the unit in the name of every column."""
     frame = track.to_frame()
     # 1e-10 degrees are 0.01 mm; seven digits are more than any other quantity has.
-    special = {"time_s": "%.6f", "latitude_deg": "%.10f", "longitude_deg": "%.10f", "height_m": "%.5f", "depth_m": "%.5f"}
+    special = {
+        "time_s": "%.6f",
+        "latitude_deg": "%.10f",
+        "longitude_deg": "%.10f",
+        "height_m": "%.5f",
+        "depth_m": "%.5f",
+    }
     with _replacing(path) as file:
         formats = [special.get(name, "%.7g") for name in frame.columns]
         np.savetxt(file, frame.to_numpy(), fmt=formats, delimiter=",", header=",".join(frame.columns), comments="")
@@ -192,13 +204,17 @@ def write_tum(track: Track, folder: str | os.PathLike[str], truth: Stream | None
         t, value = truth.time_s[known], truth.value[known]
         own = np.column_stack([track.height, np.unwrap(track.attitude, axis=0)])
         for column, from_track in zip((2, 6, 7, 8), own.T, strict=True):
-            value[:, column] = np.where(np.isfinite(value[:, column]), value[:, column], np.interp(t, track.time_s, from_track))
+            value[:, column] = np.where(
+                np.isfinite(value[:, column]), value[:, column], np.interp(t, track.time_s, from_track)
+            )
         written.append(_tum(Path(folder) / "truth.tum", t, value[:, :3], value[:, 6:9], origin))
     return written
 
 
 def local_enu(place: Array, origin: tuple[float, float, float]) -> Array:
-    """East, north, up [m], shape (n, 3), of latitude, longitude [rad], height [m], shape (n, 3), in the tangent plane at the origin."""
+    """East, north, up [m], shape (n, 3), of latitude, longitude [rad], height [m], shape (n, 3), in the tangent plane
+    at the origin.
+    """
     first = np.array([origin])
     axes = ned_axes(first[:, 0], first[:, 1])[0]
     return (ecef_from_geodetic(place) - ecef_from_geodetic(first)) @ axes.T @ _ENU.T
@@ -246,9 +262,17 @@ def write_geojson(track: Track, mission: Mission, path: str | os.PathLike[str]) 
             fixes = mission.streams[name].value[:, :3]
             fixes = _thinned(fixes[np.isfinite(fixes[:, :2]).all(axis=1)])
             shape = {"type": "MultiPoint", "coordinates": _coordinates(fixes)}
-            features.append({"type": "Feature", "properties": {"name": name, "mission": mission.name}, "geometry": shape})
+            features.append(
+                {"type": "Feature", "properties": {"name": name, "mission": mission.name}, "geometry": shape}
+            )
     with _replacing(path) as file:
-        json.dump({"type": "FeatureCollection", "features": features}, file, allow_nan=False, ensure_ascii=False, separators=(",", ":"))
+        json.dump(
+            {"type": "FeatureCollection", "features": features},
+            file,
+            allow_nan=False,
+            ensure_ascii=False,
+            separators=(",", ":"),
+        )
     return Path(path)
 
 
@@ -257,7 +281,11 @@ def _line(place: Array, properties: dict[str, Any]) -> dict[str, Any]:
     # A line across the antimeridian is cut there (RFC 7946, 3.1.9), or it would run round the Earth.
     cuts = np.flatnonzero(np.abs(np.diff(_wrapped(place[:, 1]))) > np.pi) + 1
     parts = [_coordinates(part) for part in np.split(place, cuts) if len(part) > 1]
-    shape = {"type": "LineString", "coordinates": parts[0]} if len(parts) == 1 else {"type": "MultiLineString", "coordinates": parts}
+    shape = (
+        {"type": "LineString", "coordinates": parts[0]}
+        if len(parts) == 1
+        else {"type": "MultiLineString", "coordinates": parts}
+    )
     return {"type": "Feature", "properties": properties, "geometry": shape}
 
 
@@ -271,7 +299,10 @@ def _wrapped(longitude: Array) -> Array:
 
 def _coordinates(place: Array) -> list[list[float]]:
     degrees = np.column_stack([np.degrees(_wrapped(place[:, 1])), np.degrees(place[:, 0])]).round(8).tolist()
-    return [[*pair, round(h, 3)] if math.isfinite(h) else pair for pair, h in zip(degrees, place[:, 2].tolist(), strict=True)]
+    return [
+        [*pair, round(h, 3)] if math.isfinite(h) else pair
+        for pair, h in zip(degrees, place[:, 2].tolist(), strict=True)
+    ]
 
 
 def _finite(value: Any) -> Any:

@@ -74,7 +74,9 @@ def _lag_block(normal, top, left, a, b, rows, cols, lo, hi):
         normal[top + i, left] = _dot(a, lo - 1 - i, b, lo - 1, hi - lo)
     for i in range(1, rows):
         for j in range(1, cols):
-            normal[top + i, left + j] = normal[top + i - 1, left + j - 1] + a[lo - 1 - i] * b[lo - 1 - j] - a[hi - 1 - i] * b[hi - 1 - j]
+            normal[top + i, left + j] = (
+                normal[top + i - 1, left + j - 1] + a[lo - 1 - i] * b[lo - 1 - j] - a[hi - 1 - i] * b[hi - 1 - j]
+            )
 
 
 @njit(cache=True, error_model="numpy")

@@ -6,7 +6,8 @@
 filter (predictor form, Anderson and Moore 1979, section 5.5) takes into account.
 
 Parameter vector ``theta = [a (m), c (m), ln sd]``, a and c padded with zeros to m = max(p, q, 1). ``rules`` holds
-[diffuse states, longest gap, clip, white variance, tolerance]. Only the upper triangle of P is kept; row and column n are zero.
+[diffuse states, longest gap, clip, white variance, tolerance]. Only the upper triangle of P is kept; row and column n
+are zero.
 """
 
 import math
@@ -275,7 +276,9 @@ def _alike(L, S, ahead, ahead_S, tolerance, r):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _glide(y, t, ticks, x, a, L, S, ahead, ahead_S, clip, e, lns, K, slope):
-    """`ticks` known samples from `t` on, the gain interpolated between both ends; returns what they add to minus the log-likelihood."""
+    """`ticks` known samples from `t` on, the gain interpolated between both ends; returns what they add to minus the
+    log-likelihood.
+    """
     m, n = a.size, x.size - 1
     r = n - m
     for i in range(n):
@@ -335,7 +338,8 @@ def _glide_small(y, t, ticks, x, a, clip, e, lns, K, slope, level, rise, root, t
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _reach(P, after, maps, made, level, far, L, S, ahead, a, g, var, noise, tolerance, work):
-    """Largest level from `level` down whose 2^level ticks stay within `far` and the tolerance; the covariance then is `after`.
+    """Largest level from `level` down whose 2^level ticks stay within `far` and the tolerance; the covariance then is
+    `after`.
 
     Returns the level (0: none), the variance of the innovation there, and how many maps there are now.
     """
@@ -392,7 +396,8 @@ def channel_filter(y, theta, Q, rules, e, lns):
     start. The first DIFFUSE states start diffuse: as many known samples of a segment fix them and do not count (their
     density does not depend on theta). A run of more than LONGEST_GAP missing samples ends a segment. Innovations beyond
     CLIP standard deviations enter the state clipped and the likelihood by Huber's function. `e` (N,) is NaN and `lns` 0
-    where nothing counts. Infinite if not stationary, or so nearly integrating that the start's covariance is only rounding.
+    where nothing counts. Infinite if not stationary, or so nearly integrating that the start's covariance is only
+    rounding.
 
     Where the gain changes by no more than the part TOLERANCE over 8 to 256 ticks, it is interpolated between both ends;
     the covariance at the far end is exact (by doubling). 0: every tick by itself.
@@ -402,11 +407,18 @@ def channel_filter(y, theta, Q, rules, e, lns):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _filter(y, theta, Q, rules, plan, follow, e, lns):
-    """`channel_filter`; where it leapt how far (2^level ticks) is noted in `plan` (N,), or done as noted there (`follow`)."""
+    """`channel_filter`; where it leapt how far (2^level ticks) is noted in `plan` (N,), or done as noted there
+    (`follow`).
+    """
     r, m = Q.shape[1], (theta.size - 1) // 2
     n, d = r + m, int(rules[DIFFUSE])
     a, c, var = theta[:m], theta[m : 2 * m], math.exp(2.0 * theta[2 * m])
-    noise, clip, longest, tolerance = var + rules[WHITE], rules[CLIP], int(rules[LONGEST_GAP]), -1.0 if follow else rules[TOLERANCE]
+    noise, clip, longest, tolerance = (
+        var + rules[WHITE],
+        rules[CLIP],
+        int(rules[LONGEST_GAP]),
+        -1.0 if follow else rules[TOLERANCE],
+    )
     g, start, P, after = c - a, np.zeros((m, m)), np.zeros((n + 1, n + 1)), np.zeros((n + 1, n + 1))
     rows = np.zeros((6, n + 1))
     x, L, ahead, column, save, slope = rows[0], rows[1], rows[2], rows[3], rows[4], rows[5]
@@ -436,7 +448,9 @@ def _filter(y, theta, Q, rules, plan, follow, e, lns):
                 while gap < t or (gap < y.size and gap < t + 2**LONGEST and not math.isnan(y[gap])):
                     gap = max(gap, t) + 1
                 wanted = plan[t] if follow else min(level + 1, LONGEST)
-                level, ahead_S, made = _reach(P, after, maps, made, wanted, gap - t, L, S, ahead, a, g, var, noise, tolerance, work)
+                level, ahead_S, made = _reach(
+                    P, after, maps, made, wanted, gap - t, L, S, ahead, a, g, var, noise, tolerance, work
+                )
                 if level > 0:
                     total += _glide(y, t, 2**level, x, a, L, S, ahead, ahead_S, clip, e, lns, save, slope)
                     P[:, :], plan[t], until = after, level, t + 2**level
@@ -481,10 +495,10 @@ def _dot(u, v):
 def channel_scores(y, theta, Q, rules, free, steps, E, LNS, info, gradient):
     """Minus the log-likelihood, its gradient and the Fisher information in the parameters ``theta[free]``.
 
-    Derivatives of innovations and ln S by differences of `steps`; with z the standardised innovation,
-    ``gradient = sum(psi(z) dz + dlnS / 2)`` and ``info = sum(dv dv'/S + dlnS dlnS'/2)``, ``dv/sqrt(S) = dz + z dlnS/2``
-    (Harvey 1989, eqs 3.4.69-70). `E` and `LNS` (k+1, N) receive innovations and ln S in row 0, derivatives in the others.
-    A step that leaves the stationary region gives an infinite derivative: the caller chooses steps that do not.
+    Derivatives of innovations and ln S by differences of `steps`; with z the standardised innovation, ``gradient =
+    sum(psi(z) dz + dlnS / 2)`` and ``info = sum(dv dv'/S + dlnS dlnS'/2)``, ``dv/sqrt(S) = dz + z dlnS/2`` (Harvey
+    1989, eqs 3.4.69-70). `E` and `LNS` (k+1, N) receive innovations and ln S in row 0, derivatives in the others. A
+    step that leaves the stationary region gives an infinite derivative: the caller chooses steps that do not.
     """
     k = free.size
     clip = rules[CLIP]

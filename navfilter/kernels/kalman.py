@@ -1,7 +1,7 @@
 """Kalman kernels: fold the drive's compound transition, tick a sensor's block, correct, and smooth backward.
 
-Symbols: P covariance, Phi transition, Q process noise, H measurement Jacobian, R measurement noise, S innovation covariance, K gain.
-Errors e here are *true minus estimated*, so a correction is +K (measured - predicted).
+Symbols: P covariance, Phi transition, Q process noise, H measurement Jacobian, R measurement noise, S innovation
+covariance, K gain. Errors e here are *true minus estimated*, so a correction is +K (measured - predicted).
 """
 
 import math
@@ -16,7 +16,8 @@ def fold(P, acc, nav, T):
 
     acc (4m rows) holds Phi and Q, m rows each, then work areas; it is reset to identity and zero.
 
-    C_nb in nav is made orthonormal again to first order (its rounding grows with the number of products). T: (m, n) work.
+    C_nb in nav is made orthonormal again to first order (its rounding grows with the number of products). T: (m, n)
+    work.
     """
     m, n = acc.shape[1], P.shape[0]
     np.dot(acc[:m], P[:m], T)
@@ -53,7 +54,9 @@ def fold(P, acc, nav, T):
 
 @njit(cache=True)
 def power(Phi, Q, count, W):
-    """Phi^count and the noise gathered in as many ticks, by doubling. W (4, b, b): result Phi, result Q, and the square and its noise."""
+    """Phi^count and the noise gathered in as many ticks, by doubling. W (4, b, b): result Phi, result Q, and the square
+    and its noise.
+    """
     b = Phi.shape[0]
     A, B, F, G = W[0], W[1], W[2], W[3]
     U = np.empty((b, b))
@@ -95,7 +98,9 @@ def power(Phi, Q, count, W):
 
 @njit(cache=True)
 def tick(P, x, start, A, B, T):
-    """Advance the block at `start` of the state (its own clock): x <- A x, P <- A P A' + B on its rows and columns. T: (b, n) work."""
+    """Advance the block at `start` of the state (its own clock): x <- A x, P <- A P A' + B on its rows and columns. T:
+    (b, n) work.
+    """
     b, n = A.shape[0], P.shape[0]
     for i in range(b):
         for j in range(n):
@@ -128,9 +133,9 @@ def tick(P, x, start, A, B, T):
 def innovation(P, H, res, R, S, PH, out):
     """Innovation covariance S = H P H' + R, its inverse, P H' and the normalised innovation squared (NIS).
 
-    A component whose residual is NaN is missing: zero residual, zero row of H, unit variance. A reading without white noise of its own
-    gets 1e-12 of its predicted variance, so that P stays definite. S: (2a, a) receives S, then its inverse; PH: (a, n), P H' transposed;
-    out: NIS, number of components used.
+    A component whose residual is NaN is missing: zero residual, zero row of H, unit variance. A reading without white
+    noise of its own gets 1e-12 of its predicted variance, so that P stays definite. S: (2a, a) receives S, then its
+    inverse; PH: (a, n), P H' transposed; out: NIS, number of components used.
     """
     a, n = H.shape
     used = 0
@@ -180,11 +185,12 @@ def innovation(P, H, res, R, S, PH, out):
 
 @njit(cache=True)
 def correct(P, nav, x, res, S, PH, K, turn):
-    """Closed-loop correction after `innovation`: gain, Joseph covariance, feedback into the nominal state, attitude reset.
+    """Closed-loop correction after `innovation`: gain, Joseph covariance, feedback into the nominal state, attitude
+    reset.
 
-    Joseph's form for the gain as rounded: P - K PH - (PH' - K S) K', which costs O(n^2 a) (Bierman, 1977, sec. V.2). The attitude error
-    left over is expressed at the corrected attitude: P <- G P G', G = I + [d x]/2 + [d x]^2/6 (left Jacobian; Markley, 2003).
-    K: (n, a) receives the gain, turn: (3,) the rotation d fed back.
+    Joseph's form for the gain as rounded: P - K PH - (PH' - K S) K', which costs O(n^2 a) (Bierman, 1977, sec. V.2).
+    The attitude error left over is expressed at the corrected attitude: P <- G P G', G = I + [d x]/2 + [d x]^2/6 (left
+    Jacobian; Markley, 2003). K: (n, a) receives the gain, turn: (3,) the rotation d fed back.
     """
     n, a = K.shape
     for i in range(n):
@@ -270,11 +276,12 @@ def _reset_rows_transposed(M, x, y, z, cols):
 
 @njit(cache=True)
 def places(dims):
-    """Where things stand in a channel's memory ``mem``: starts of H, K, inverse S, res, turn, then of S, PH, near, verdict, work, and the
-    end.
+    """Where things stand in a channel's memory ``mem``: starts of H, K, inverse S, res, turn, then of S, PH, near,
+    verdict, work, and the end.
 
-    dims: axes a, states n, head m, ticked block b, its start, states of its error models, parameters. Everything before S has the layout
-    of a tape record (see `smooth_record`), which starts with the head's transition (m x m) and the tick's (b x b).
+    dims: axes a, states n, head m, ticked block b, its start, states of its error models, parameters. Everything before
+    S has the layout of a tape record (see `smooth_record`), which starts with the head's transition (m x m) and the
+    tick's (b x b).
     """
     a, n, m, b = dims[0], dims[1], dims[2], dims[3]
     H = m * m + b * b
@@ -292,7 +299,9 @@ def places(dims):
 
 @njit(cache=True)
 def predict(P, nav, x, acc, model, mem, dims, count):
-    """Before a reading: note the transition in `mem`, fold it, and tick the sensor's block `count` times. model: (2, b, b), Phi and Q."""
+    """Before a reading: note the transition in `mem`, fold it, and tick the sensor's block `count` times. model: (2, b,
+    b), Phi and Q.
+    """
     n, m, b, start = dims[1], dims[2], dims[3], dims[4]
     work = places(dims)[9]
     mem[: m * m] = acc[:m].reshape(m * m)
@@ -316,10 +325,12 @@ def predict(P, nav, x, acc, model, mem, dims, count):
 
 @njit(cache=True)
 def update(P, nav, x, C, R, mem, dims, limits):
-    """A reading, after its sensor filled `near` and `res` in `mem`: take the coloured error off, form the NIS, correct if it passes.
+    """A reading, after its sensor filled `near` and `res` in `mem`: take the coloured error off, form the NIS, correct
+    if it passes.
 
-    C: (a, errors) output rows of the error models, R: (a, a) white covariance, limits: (a + 1,) gates by the number of components used.
-    Leaves the verdict: NIS, components used, 1 if the state was corrected, then residuals and their variances (NaN where missing).
+    C: (a, errors) output rows of the error models, R: (a, a) white covariance, limits: (a + 1,) gates by the number of
+    components used. Leaves the verdict: NIS, components used, 1 if the state was corrected, then residuals and their
+    variances (NaN where missing).
     """
     a, n, start, errors, par = dims[0], dims[1], dims[4], dims[5], dims[6]
     iH, iK, ii, ir, it, iS, iP, ine, iv, _, _ = places(dims)
@@ -356,13 +367,14 @@ def update(P, nav, x, C, R, mem, dims, limits):
 def smooth_record(L, lam, record, a, m, b, start, T):
     """Carry the adjoint (lam, L) backward over one tape record: reset, correction, tick, compound transition.
 
-    Modified Bryson-Frazier form of the fixed-interval (Rauch-Tung-Striebel) solution (Bierman, 1973): only S is inverted, so singular
-    predicted covariances do no harm. With D = G (I - K H): lam <- D' lam - H' S^-1 res, L <- D' L D + H' S^-1 H, then through the
-    transitions
-    lam <- Phi' lam, L <- Phi' L Phi. After it the smoothed error at the record before is -P lam with covariance P - P L P.
+    Modified Bryson-Frazier form of the fixed-interval (Rauch-Tung-Striebel) solution (Bierman, 1973): only S is
+    inverted, so singular predicted covariances do no harm. With D = G (I - K H): lam <- D' lam - H' S^-1 res, L <- D' L
+    D + H' S^-1 H, then through the transitions lam <- Phi' lam, L <- Phi' L Phi. After it the smoothed error at the
+    record before is -P lam with covariance P - P L P.
 
-    record: Phi (m x m), tick Phi (b x b), then if a > 0: H (a x n), K (n x a), inverse S (a x a), res (a), turn (3), each row by row.
-    `start` is the ticked block's place, b its size (0: none). L (n, n) and lam (n,) change; T (n, n) work.
+    record: Phi (m x m), tick Phi (b x b), then if a > 0: H (a x n), K (n x a), inverse S (a x a), res (a), turn (3),
+    each row by row. `start` is the ticked block's place, b its size (0: none). L (n, n) and lam (n,) change; T (n, n)
+    work.
     """
     n = len(lam)
     at = m * m + b * b

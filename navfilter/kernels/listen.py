@@ -1,12 +1,13 @@
 """Kernels that take the filter's own feedback off again, so that a sensor's error can be learnt from its readings.
 
-``undone`` holds the sum of what corrections fed back, carried along as an open loop would have carried it, but frozen at the time of the
-correction into chains of plain integrators: heading by the drive's states; position and velocity in n by the acceleration in n; velocity
-in b by the acceleration in b. An open loop would read higher residuals by H times that sum. What is left beside it is the error of the
-closed loop, which is small, so that Coriolis force, turns and a pitching accelerometer bias act on that small error only, not on the sum.
+``undone`` holds the sum of what corrections fed back, carried along as an open loop would have carried it, but frozen
+at the time of the correction into chains of plain integrators: heading by the drive's states; position and velocity in
+n by the acceleration in n; velocity in b by the acceleration in b. An open loop would read higher residuals by H times
+that sum. What is left beside it is the error of the closed loop, which is small, so that Coriolis force, turns and a
+pitching accelerometer bias act on that small error only, not on the sum.
 
-Places in ``undone`` (2m elements for m head states): position 0-2, velocity 3-5, heading 8, the drive's states 9 to m, then velocity in b,
-acceleration in n, acceleration in b (three each), and m - 9 of work space.
+Places in ``undone`` (2m elements for m head states): position 0-2, velocity 3-5, heading 8, the drive's states 9 to m,
+then velocity in b, acceleration in n, acceleration in b (three each), and m - 9 of work space.
 """
 
 import math
@@ -18,7 +19,9 @@ NOTHING, HEADING, POSITION, VELOCITY = 0, 1, 2, 3
 
 @njit(cache=True)
 def carry(undone, Phi):
-    """Carry the sum over a compound transition Phi (m x m), which says how long it took and how the drive's states turn the heading."""
+    """Carry the sum over a compound transition Phi (m x m), which says how long it took and how the drive's states turn
+    the heading.
+    """
     m = Phi.shape[0]
     dt = Phi[0, 3]
     for i in range(3):
@@ -40,10 +43,11 @@ def carry(undone, Phi):
 def listen(undone, mem, dims, places, nav, C, x, kind, mount, ring, cursor, ticks, Cr, gravity):
     """After a reading: note its open-loop residual in `ring` (kind != 0), then add what it fed back to `undone`.
 
-    mem, dims, places: the channel's memory as the correction left it (see ``kalman.places``). C (a, errors), x: output rows and means.
-    mount: (9,) body to instrument, row by row. ring: (a, capacity); cursor: (1,) ticks written so far; `ticks` of the sensor's clock have
-    passed since the reading before (those without a reading are noted as NaN). Cr: (6, drive's states + 1), the drive's output rows, forces
-    last; gravity: what a tilt turns into acceleration, 0 without an inertial unit, whose velocity is no integral.
+    mem, dims, places: the channel's memory as the correction left it (see ``kalman.places``). C (a, errors), x: output
+    rows and means. mount: (9,) body to instrument, row by row. ring: (a, capacity); cursor: (1,) ticks written so far;
+    `ticks` of the sensor's clock have passed since the reading before (those without a reading are noted as NaN). Cr:
+    (6, drive's states + 1), the drive's output rows, forces last; gravity: what a tilt turns into acceleration, 0
+    without an inertial unit, whose velocity is no integral.
     """
     a, m, start, errors = dims[0], dims[2], dims[4], dims[5]
     K, res, verdict = places[1], places[3], places[8]
@@ -58,8 +62,8 @@ def listen(undone, mem, dims, places, nav, C, x, kind, mount, ring, cursor, tick
         near = places[7]
         width = (places[8] - places[7]) // a
         for i in range(a):
-            # the residual as it was before the sensor's own coloured error was taken off; also of a reading that the gate rejected, or what
-            # is believed of the sensor would choose what is learnt of it
+            # the residual as it was before the sensor's own coloured error was taken off; also of a reading that the
+            # gate rejected, or what is believed of the sensor would choose what is learnt of it
             y = mem[verdict + 3 + i]
             for j in range(errors):
                 back = 0.0

@@ -1,9 +1,10 @@
 """Measurement kernels: residual and Jacobian of every kind of sensor.
 
-Each fills ``res`` (a,) = measured minus predicted, with NaN where a component is missing, and ``H`` (a, 9 + k): derivative of the
-reading with respect to position, velocity, attitude (rotation vector in n) and the k parameters of the sensor (scale, deviation ...).
-The coloured and white parts of the error are the filter's business. ``nav`` as in the strapdown kernels; ``rate`` (3,) is the
-angular rate of the body against the Earth, in b [rad/s]; ``par`` (k,) the parameters' estimates; ``cfg`` the sensor's constants.
+Each fills ``res`` (a,) = measured minus predicted, with NaN where a component is missing, and ``H`` (a, 9 + k):
+derivative of the reading with respect to position, velocity, attitude (rotation vector in n) and the k parameters of
+the sensor (scale, deviation ...). The coloured and white parts of the error are the filter's business. ``nav`` as in
+the strapdown kernels; ``rate`` (3,) is the angular rate of the body against the Earth, in b [rad/s]; ``par`` (k,) the
+parameters' estimates; ``cfg`` the sensor's constants.
 """
 
 import math
@@ -21,7 +22,9 @@ def _clear(H):
 
 @njit(cache=True)
 def _instrument_velocity(z, nav, v0, v1, v2, rate, par, first, cfg, H, res):
-    """Velocity v in n of the reference point, as seen by an instrument; scale and misalignment, if any, are `par` from `first` on."""
+    """Velocity v in n of the reference point, as seen by an instrument; scale and misalignment, if any, are `par` from
+    `first` on.
+    """
     _clear(H)
     x0 = rate[1] * cfg[2] - rate[2] * cfg[1]
     x1 = rate[2] * cfg[0] - rate[0] * cfg[2]
@@ -85,7 +88,9 @@ def _bearing(n0, n1, n2, H):
 
 @njit(cache=True)
 def _deviation(psi, par, H, temperature, cfg):
-    """Compass error that follows the heading: bias, one- and two-cycle deviation, temperature. Returns its value and slope."""
+    """Compass error that follows the heading: bias, one- and two-cycle deviation, temperature. Returns its value and
+    slope.
+    """
     s1, c1 = math.sin(psi), math.cos(psi)
     s2, c2 = 2.0 * s1 * c1, c1 * c1 - s1 * s1
     warm = 0.0 if math.isnan(temperature) else temperature - cfg[1]
@@ -98,8 +103,8 @@ def _deviation(psi, par, H, temperature, cfg):
 def heading(z, nav, rate, par, cfg, H, res):
     """Compass output: reading = true heading - declination + deviation(heading), wrapped to half a turn.
 
-    z: heading [rad], temperature (NaN if unknown). cfg: declination [rad], reference temperature. par: none, or bias, one-cycle (sin, cos),
-    two-cycle (sin, cos), temperature coefficient.
+    z: heading [rad], temperature (NaN if unknown). cfg: declination [rad], reference temperature. par: none, or bias,
+    one-cycle (sin, cos), two-cycle (sin, cos), temperature coefficient.
     """
     _clear(H)
     psi = _bearing(nav[6], nav[9], nav[12], H) - cfg[0]
@@ -115,7 +120,8 @@ def heading(z, nav, rate, par, cfg, H, res):
 
 @njit(cache=True)
 def magnetometer(z, nav, rate, par, cfg, H, res):
-    """Three-axis magnetometer levelled with the filter's own attitude; the residual is the error of the magnetic azimuth.
+    """Three-axis magnetometer levelled with the filter's own attitude; the residual is the error of the magnetic
+    azimuth.
 
     z: field in b (any unit), temperature. cfg: declination, reference temperature. par as for `heading`.
     """
@@ -123,7 +129,8 @@ def magnetometer(z, nav, rate, par, cfg, H, res):
     n0 = nav[6] * z[0] + nav[7] * z[1] + nav[8] * z[2]
     n1 = nav[9] * z[0] + nav[10] * z[1] + nav[11] * z[2]
     n2 = nav[12] * z[0] + nav[13] * z[1] + nav[14] * z[2]
-    # A compass that reads too high sees the field turned to the left: reading error = -(azimuth of the levelled field - declination).
+    # A compass that reads too high sees the field turned to the left: reading error = -(azimuth of the levelled field -
+    # declination).
     azimuth = _bearing(n0, n1, n2, H)
     predicted = 0.0
     if len(par) > 0:
@@ -155,7 +162,9 @@ def depth(z, nav, rate, par, cfg, H, res):
 
 @njit(cache=True)
 def position(z, nav, rate, par, cfg, H, res):
-    """Antenna position: latitude, longitude [rad], height [m] against the vehicle plus its lever arm, in metres in n. cfg: arm (3)."""
+    """Antenna position: latitude, longitude [rad], height [m] against the vehicle plus its lever arm, in metres in n.
+    cfg: arm (3).
+    """
     _clear(H)
     a0 = nav[6] * cfg[0] + nav[7] * cfg[1] + nav[8] * cfg[2]
     a1 = nav[9] * cfg[0] + nav[10] * cfg[1] + nav[11] * cfg[2]

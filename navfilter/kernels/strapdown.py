@@ -2,12 +2,13 @@
 
 Arrays shared with the navigator (all float64, C-contiguous):
 
-``nav`` (17,)   latitude, longitude [rad], height [m], velocity_n (3) [m/s], C_nb row by row (9), meridian and prime-vertical
+``nav`` (17,)   latitude, longitude [rad], height [m], velocity_n (3) [m/s], C_nb row by row (9), meridian and
+prime-vertical
                 radius plus height [m].
-``drv`` (65,)   memory and settings of the drive, see the index constants below.
-``samples`` (n, 7)  seconds since the previous sample, then the six values of the drive.
-``Cr`` (6, k+1) output rows C of the drive's error blocks, and in the last column the white variance of one sample.
-``acc`` (4m, m) compound transition Phi and noise Q since the last fold (m rows each), then two m-row work areas. m = 9 + k.
+``drv`` (65,)   memory and settings of the drive, see the index constants below. ``samples`` (n, 7)  seconds since the
+previous sample, then the six values of the drive. ``Cr`` (6, k+1) output rows C of the drive's error blocks, and in the
+last column the white variance of one sample. ``acc`` (4m, m) compound transition Phi and noise Q since the last fold (m
+rows each), then two m-row work areas. m = 9 + k.
 
 Signs: error = estimated minus true; attitude error is a rotation vector in n: ``C_est = exp([phi x]) C_true``.
 """
@@ -25,12 +26,21 @@ GRAVITY_POLE = 9.8321849378
 GRAVITY_SLOPE = 2.0 / EARTH_RADIUS  # relative decrease per metre of height
 SOMIGLIANA = math.sqrt(1.0 - EARTH_E2) * GRAVITY_POLE / GRAVITY_EQUATOR - 1.0
 
-# Places in drv. Memory: previous sample (6), increments consumed by holds since (6), their seconds, mean attitude of the last step,
-# sums and squares for the detection of rest. Settings: the rest.
+# Places in drv. Memory: previous sample (6), increments consumed by holds since (6), their seconds, mean attitude of
+# the last step, sums and squares for the detection of rest. Settings: the rest.
 PREVIOUS, CONSUMED, HELD_S, STARTED, MEAN_C, COUNT, SUMS, SQUARES = 0, 6, 12, 13, 14, 23, 24, 30
 GAP_TILT = 0.1  # rad
 PERIOD_S, INCREMENTS, GAP_RATE_SD, GAP_FORCE_SD = 36, 37, 38, 39
-HOLD_DENSITY, DEVIATION, SCALE, DECLINATION, LEVER, MOUNTING, LEVER_VELOCITY, PREVIOUS_RPY = 40, 41, 42, 43, 44, 47, 56, 59
+HOLD_DENSITY, DEVIATION, SCALE, DECLINATION, LEVER, MOUNTING, LEVER_VELOCITY, PREVIOUS_RPY = (
+    40,
+    41,
+    42,
+    43,
+    44,
+    47,
+    56,
+    59,
+)
 MAX_SPEED, ZERO_IS_VALID = 62, 63
 TURN_RATE = 64
 DRIVE_SIZE = 65
@@ -61,7 +71,9 @@ def _rodrigues(t2):
         t = math.sqrt(t2)
         return math.sin(t) / t, (1.0 - math.cos(t)) / t2
     # series: the first term left out is below 1e-17
-    return 1.0 - t2 / 6.0 * (1.0 - t2 / 20.0 * (1.0 - t2 / 42.0)), 0.5 - t2 / 24.0 * (1.0 - t2 / 30.0 * (1.0 - t2 / 56.0))
+    return 1.0 - t2 / 6.0 * (1.0 - t2 / 20.0 * (1.0 - t2 / 42.0)), 0.5 - t2 / 24.0 * (
+        1.0 - t2 / 30.0 * (1.0 - t2 / 56.0)
+    )
 
 
 @njit(cache=True, error_model="numpy", inline="always")
@@ -75,9 +87,8 @@ def _turned(a, b, x, y, z, u, v, w):
 def _compound(acc, m):
     """Phi <- F Phi, Q <- F Q F' with F in the third block of acc; the fourth is the work area.
 
-    Products of this size are three times faster in BLAS than in loops, even skipping the zeros of F, and BLAS with a transposed factor
-    three times
-    slower than without (measured at m = 15): Q F' is formed as (F Q)', Q being symmetric.
+    Products of this size are three times faster in BLAS than in loops, even skipping the zeros of F, and BLAS with a
+    transposed factor three times slower than without (measured at m = 15): Q F' is formed as (F Q)', Q being symmetric.
     """
     Phi, Q, F, T = acc[:m], acc[m : 2 * m], acc[2 * m : 3 * m], acc[3 * m :]
     np.dot(F, Phi, T)
@@ -92,10 +103,11 @@ def _compound(acc, m):
 
 @njit(cache=True, error_model="numpy")
 def stamps_to_steps(samples, last_s, limits, gap_s, longest_s):
-    """Replace the stamps of a block (first column) by seconds since the sample before; returns the number of gaps longer than `gap_s`.
+    """Replace the stamps of a block (first column) by seconds since the sample before; returns the number of gaps
+    longer than `gap_s`.
 
-    Returns -1, and changes nothing, when a stamp does not come after the one before or more than `longest_s` after it, or when one of the
-    first values is not within its limits.
+    Returns -1, and changes nothing, when a stamp does not come after the one before or more than `longest_s` after it,
+    or when one of the first values is not within its limits.
     """
     previous, gaps = last_s, 0
     for n in range(samples.shape[0]):
@@ -123,10 +135,14 @@ def _clear_transition(F, m):
 
 @njit(cache=True, error_model="numpy", inline="always")
 def _increments(samples, n, drv, inc):
-    """Angle and velocity increments of sample n from rates or increments: linear-rate coning and sculling (Savage, 1998)."""
+    """Angle and velocity increments of sample n from rates or increments: linear-rate coning and sculling (Savage,
+    1998).
+    """
     dt, whole = samples[n, 0], 1.0
     if drv[STARTED] == 0.0:
-        whole = min(max(dt / drv[PERIOD_S], 0.0), 1.0)  # what the first increments gathered before the start is not ours
+        whole = min(
+            max(dt / drv[PERIOD_S], 0.0), 1.0
+        )  # what the first increments gathered before the start is not ours
         for i in range(6):
             drv[PREVIOUS + i] = samples[n, 1 + i]
         drv[STARTED] = 1.0
@@ -153,8 +169,8 @@ def _increments(samples, n, drv, inc):
 def _mechanise(nav, inc, dt, C, mid):
     """One strapdown step from the corrected increments inc = (angle 3, velocity 3).
 
-    C (9,) receives the mean of C_nb over the step, mid (9,) what the transition needs: the velocity increment in n (3), the mean
-    velocity (3), gravity, and the two radii.
+    C (9,) receives the mean of C_nb over the step, mid (9,) what the transition needs: the velocity increment in n (3),
+    the mean velocity (3), gravity, and the two radii.
     """
     for i in range(9):
         C[i] = nav[6 + i]
@@ -212,7 +228,9 @@ def _mechanise(nav, inc, dt, C, mid):
 
 @njit(cache=True, error_model="numpy")
 def integrate(nav, drv, samples, out):
-    """Strapdown alone, without errors or covariance: the state after each sample goes to the rows of out (n, 17), if it has any."""
+    """Strapdown alone, without errors or covariance: the state after each sample goes to the rows of out (n, 17), if it
+    has any.
+    """
     inc, C, mid = np.empty(6), np.empty(9), np.empty(9)
     for n in range(samples.shape[0]):
         _increments(samples, n, drv, inc)
@@ -224,7 +242,9 @@ def integrate(nav, drv, samples, out):
 
 @njit(cache=True, error_model="numpy")
 def _inertial_advance(nav, xd, inc, dt, drv, Cr, acc):
-    """One strapdown step with the drive's errors taken off; leaves its transition, of second order in dt, in the third block of acc."""
+    """One strapdown step with the drive's errors taken off; leaves its transition, of second order in dt, in the third
+    block of acc.
+    """
     k = len(xd)
     m = 9 + k
     F, W = acc[2 * m : 3 * m], acc[3 * m :]
@@ -349,8 +369,8 @@ def _finish(xd, Phid, Qd, ticks, acc):
 def imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
     """Strapdown over a block of samples (rates or increments) with coning and sculling by the linear-rate assumption.
 
-    Increments already used by `imu_hold` since the previous sample are taken off, so that holds change when the state is known,
-    not what it becomes. Savage (1998), parts 1 and 2; Groves (2013), ch. 5.
+    Increments already used by `imu_hold` since the previous sample are taken off, so that holds change when the state
+    is known, not what it becomes. Savage (1998), parts 1 and 2; Groves (2013), ch. 5.
     """
     m = 9 + len(xd)
     inc = np.empty(6)
@@ -418,16 +438,24 @@ def _turn_arm(F, l0, per):
 def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
     """Attitude and body velocity carried forward: no inertial unit (Groves, 2013, sec. 6.2; the classical AUV filter).
 
-    A sample is seconds since the previous one, roll, pitch, yaw [rad] and the velocity in instrument axes [m/s]; a velocity that is NaN, or
-    not a reading by the sensor's own limits, is held in body axes with growing uncertainty. Position goes by the trapezoidal rule on the
-    velocity of the instrument's point, and the lever arm enters through the turn of the attitude itself, so that no angular rate is
-    needed for it.
+    A sample is seconds since the previous one, roll, pitch, yaw [rad] and the velocity in instrument axes [m/s]; a
+    velocity that is NaN, or not a reading by the sensor's own limits, is held in body axes with growing uncertainty.
+    Position goes by the trapezoidal rule on the velocity of the instrument's point, and the lever arm enters through
+    the turn of the attitude itself, so that no angular rate is needed for it.
     """
     k = len(xd)
     m = 9 + k
     F, Q = acc[2 * m : 3 * m], acc[m : 2 * m]
     J = np.empty((9, 6))
-    B, err, v, u, w, l0, l1 = (np.empty((3, 3)), np.empty(6), np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3))
+    B, err, v, u, w, l0, l1 = (
+        np.empty((3, 3)),
+        np.empty(6),
+        np.empty(3),
+        np.empty(3),
+        np.empty(3),
+        np.empty(3),
+        np.empty(3),
+    )
     C, M = np.empty((3, 3)), drv[MOUNTING : MOUNTING + 9]
     for n in range(samples.shape[0]):
         span, held = samples[n, 0], drv[HELD_S]
@@ -444,7 +472,14 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
         if dev >= 0:
             err[2] += s1 * xd[dev] + c1 * xd[dev + 1] + s2 * xd[dev + 2] + c2 * xd[dev + 3]
         roll, pitch, psi = samples[n, 1] - err[0], samples[n, 2] - err[1], yaw - err[2] + drv[DECLINATION]
-        cr, sr, cp, sp, cy, sy = math.cos(roll), math.sin(roll), math.cos(pitch), math.sin(pitch), math.cos(psi), math.sin(psi)
+        cr, sr, cp, sp, cy, sy = (
+            math.cos(roll),
+            math.sin(roll),
+            math.cos(pitch),
+            math.sin(pitch),
+            math.cos(psi),
+            math.sin(psi),
+        )
         C[0, 0], C[0, 1], C[0, 2] = cp * cy, sr * sp * cy - cr * sy, cr * sp * cy + sr * sy
         C[1, 0], C[1, 1], C[1, 2] = cp * sy, sr * sp * sy + cr * cy, cr * sp * sy - sr * cy
         C[2, 0], C[2, 1], C[2, 2] = -sp, sr * cp, cr * cp
@@ -510,7 +545,8 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
             v[i] = u[i] - w[i]
         half = 0.5 * span
         for j in range(6):
-            # an angle turns the velocity u and, later in time than l0, the arm; the velocity of the arm follows from its move
+            # an angle turns the velocity u and, later in time than l0, the arm; the velocity of the arm follows from
+            # its move
             a, b, c = J[6, j], J[7, j], J[8, j]
             y0, y1, y2 = b * l1[2] - c * l1[1], c * l1[0] - a * l1[2], a * l1[1] - b * l1[0]
             u0, u1, u2 = J[3, j] + b * u[2] - c * u[1], J[4, j] + c * u[0] - a * u[2], J[5, j] + a * u[1] - b * u[0]
@@ -593,7 +629,8 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
 def dead_reckoning_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc):
     """Carry the position `dt` seconds past the last sample with the last velocity; the blocks do not tick.
 
-    The attitude stays, and becomes less certain by the angle that the vehicle may have turned: what it turned by between the last samples.
+    The attitude stays, and becomes less certain by the angle that the vehicle may have turned: what it turned by
+    between the last samples.
     """
     m = 9 + len(xd)
     F, Q = acc[2 * m : 3 * m], acc[m : 2 * m]

@@ -1,4 +1,6 @@
-"""Learnt models made plainer: white noise where nothing else is shown, and a random walk for what cannot be told from a bias."""
+"""Learnt models made plainer: white noise where nothing else is shown, and a random walk for what cannot be told from a
+bias.
+"""
 
 from __future__ import annotations
 
@@ -15,16 +17,16 @@ __all__ = ["hand_over", "plainer"]
 
 Array = NDArray[np.float64]
 
-#: Poles nearer to 1 than these parts of the series are the bias, with what the learner's own limit is short of 3. Beyond `CYCLES` parts
-#: they may be.
+#: Poles nearer to 1 than these parts of the series are the bias, with what the learner's own limit is short of 3.
+#: Beyond `CYCLES` parts they may be.
 SAME = 3.03
 
 
 def plainer(found: ArmaModel, series: Array, drift: Drift, white: float) -> ArmaModel:
     """White noise in place of a learnt model that is no better by BIC.
 
-    States of an inertial axis cost at every sample. A learner takes a larger order where white noise fails a test of whiteness, which
-    one window in a hundred does by chance.
+    States of an inertial axis cost at every sample. A learner takes a larger order where white noise fails a test of
+    whiteness, which one window in a hundred does by chance.
 
     Parameters
     ----------
@@ -47,13 +49,15 @@ def plainer(found: ArmaModel, series: Array, drift: Drift, white: float) -> Arma
     return plain.model if plain.bic <= own.bic else found
 
 
-def hand_over(found: ArmaModel, model: ErrorModel, series: Array, drift: Drift, white: float) -> tuple[ArmaModel, ErrorModel]:
+def hand_over(
+    found: ArmaModel, model: ErrorModel, series: Array, drift: Drift, white: float
+) -> tuple[ArmaModel, ErrorModel]:
     """Give poles that the window cannot tell from a bias to the random walk beside the learnt part.
 
-    A pole nearer to 1 than three parts of the window and the bias of the same axis are one state: two would be adopted for what is one.
-    One that forgets more slowly than in a tenth of the window may be: then the likelihood decides, and BIC, which has less to pay for a
-    walk. The white noise that drives the pole's part of the process (partial fractions of the spectrum) is added to that of the random
-    walk, and what is left is fitted with one pole and one zero less.
+    A pole nearer to 1 than three parts of the window and the bias of the same axis are one state: two would be adopted
+    for what is one. One that forgets more slowly than in a tenth of the window may be: then the likelihood decides, and
+    BIC, which has less to pay for a walk. The white noise that drives the pole's part of the process (partial fractions
+    of the spectrum) is added to that of the random walk, and what is left is fitted with one pole and one zero less.
 
     Parameters
     ----------

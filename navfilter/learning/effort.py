@@ -38,13 +38,15 @@ class Effort:
     gain_tolerance : float
         Relative change of the gain over which it is interpolated. Measured: the log-likelihood changes by 1e-3 to 3e-2.
     converged : float
-        What is left to gain when an estimate counts as converged, in units of log-likelihood: far below its sampling error.
+        What is left to gain when an estimate counts as converged, in units of log-likelihood: far below its sampling
+        error.
     small_gain : float
         After a step that gains less, derivatives are not taken again.
     longest_step : float
         Largest change of ln sd in one step.
     differences : tuple of float
-        Difference steps, the first that stays stable is taken: poles that crowd near the circle leave it at a very small one.
+        Difference steps, the first that stays stable is taken: poles that crowd near the circle leave it at a very
+        small one.
     dampings : tuple of float
         Levenberg damping of a scoring step, relative to the information, until one gains.
     """

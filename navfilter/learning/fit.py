@@ -35,7 +35,6 @@ Array = NDArray[np.float64]
 CHANNEL_CHOICE = Choice()
 
 
-
 @dataclass(frozen=True, eq=False)
 class ChannelFit:
     """An ARMA error fitted by the channel likelihood.
@@ -158,7 +157,9 @@ def channel_fit(likelihood: Likelihood, point: Point) -> ChannelFit:
 
 
 def with_upward_spread(fit: ChannelFit, likelihood: Likelihood, point: Point) -> ChannelFit:
-    """The fit with the larger of both standard deviations of ln S(0): by the information, and upwards by the likelihood."""
+    """The fit with the larger of both standard deviations of ln S(0): by the information, and upwards by the
+    likelihood.
+    """
     spread = max(fit.model.sd_log_s0 or 0.0, upward_spread(likelihood, point))
     return replace(fit, model=replace(fit.model, sd_log_s0=spread))
 

@@ -55,15 +55,16 @@ class LearnedArma(ErrorModel):
     Raises
     ------
     ValueError
-        For a window below 200 samples, an empty or impossible list of orders, a model that is not stable, or `frozen` without a model.
+        For a window below 200 samples, an empty or impossible list of orders, a model that is not stable, or `frozen`
+        without a model.
 
     Notes
     -----
     Whatever else is known of the sensor is added: ``White(sd=0.01) + LearnedArma()``, ``RandomWalk(1e-5) + LearnedArma()``.
 
-    The states are a register of past values, ``[n(t) .. n(t-p+1), e(t) .. e(t-q+1)]``, so that new coefficients leave them as they are,
-    and a new order only appends or drops the oldest. What is not known of the
-    spectrum near zero frequency is what makes a filter overconfident: S(0) is raised by a share of its uncertainty, see `cautious`.
+    The states are a register of past values, ``[n(t) .. n(t-p+1), e(t) .. e(t-q+1)]``, so that new coefficients leave
+    them as they are, and a new order only appends or drops the oldest. What is not known of the spectrum near zero
+    frequency is what makes a filter overconfident: S(0) is raised by a share of its uncertainty, see `cautious`.
 
     Examples
     --------
@@ -82,21 +83,31 @@ class LearnedArma(ErrorModel):
     def __post_init__(self) -> None:
         orders = tuple(sorted({(int(p), int(q)) for p, q in self.orders}, key=lambda pq: (sum(pq), pq)))
         if not orders or any(min(pq) < 0 or max(pq) > 10 for pq in orders):
-            raise ValueError(f"LearnedArma.orders must be pairs (p, q) from 0 to 10, found {self.orders!r}. Example: ((1, 0), (2, 1)).")
+            raise ValueError(
+                f"LearnedArma.orders must be pairs (p, q) from 0 to 10, found {self.orders!r}. Example: ((1, 0), (2, "
+                "1))."
+            )
         object.__setattr__(self, "orders", orders)
         if int(self.window) < LEAST:
-            raise ValueError(f"LearnedArma.window must be at least {LEAST} samples, found {self.window!r}. Typical: 4000.")
+            raise ValueError(
+                f"LearnedArma.window must be at least {LEAST} samples, found {self.window!r}. Typical: 4000."
+            )
         if self.hop is not None and int(self.hop) < 1:
             raise ValueError(f"LearnedArma.hop must be at least 1 sample, found {self.hop!r}.")
         if self.prior is not None and (not isinstance(self.prior, ErrorModel) or learned_part(self.prior) is not None):
             raise ValueError(
-                f"LearnedArma.prior must be a fixed error model, found {self.prior!r}. Example: GaussMarkov(sd=0.01, tau_s=30)."
+                f"LearnedArma.prior must be a fixed error model, found {self.prior!r}. Example: GaussMarkov(sd=0.01, "
+                "tau_s=30)."
             )
         if self.model is not None and not self.model.is_stable:
-            raise ValueError(f"LearnedArma.model must be stable, found a pole of radius {abs(self.model.poles).max():.6f}.")
+            raise ValueError(
+                f"LearnedArma.model must be stable, found a pole of radius {abs(self.model.poles).max():.6f}."
+            )
 
         if self.frozen and self.model is None:
-            raise ValueError("LearnedArma(frozen=True) has no model to keep. Give it one, or leave frozen out and it learns one.")
+            raise ValueError(
+                "LearnedArma(frozen=True) has no model to keep. Give it one, or leave frozen out and it learns one."
+            )
 
     def block(self, period_s: float) -> Block:
         """Discretise: the model in force, else the prior.
@@ -114,7 +125,11 @@ class LearnedArma(ErrorModel):
 
     def integrated(self, period_s: float) -> Integrated:
         """That of the prior while nothing has been learnt."""
-        return self.prior.integrated(period_s) if self.model is None and self.prior is not None else super().integrated(period_s)
+        return (
+            self.prior.integrated(period_s)
+            if self.model is None and self.prior is not None
+            else super().integrated(period_s)
+        )
 
     @cached_property
     def _register(self) -> Block:
@@ -193,7 +208,9 @@ def resolve_prior(models: Sequence[ErrorModel], prior: ErrorModel) -> tuple[Erro
 
 
 def known_white(model: ErrorModel, period_s: float) -> float:
-    """White variance of what stands beside the learnt part; 0 without one: nothing of a fixed model is known to be right."""
+    """White variance of what stands beside the learnt part; 0 without one: nothing of a fixed model is known to be
+    right.
+    """
     if learned_part(model) is None:
         return 0.0
     parts = model.parts if isinstance(model, Sum) else (model,)

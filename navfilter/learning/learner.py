@@ -70,10 +70,10 @@ class Learner:
     and one in turn.
 
     Flags of the model: "starting" (too few samples: white noise of about the right size; or samples over less than ten
-    times the slowest time constant found, while the window fills: such a fit takes slow errors for drift), "coloured" (nothing passed the
-    gate: the best by BIC), "stale" (nothing passed, and the last good model still explains the window as well),
-    "fallback" (nothing usable but first-order Gauss-Markov, by likelihood), "capped" (a pole as near to 1 as the window
-    can tell), "constant" (the series does not change).
+    times the slowest time constant found, while the window fills: such a fit takes slow errors for drift), "coloured"
+    (nothing passed the gate: the best by BIC), "stale" (nothing passed, and the last good model still explains the
+    window as well), "fallback" (nothing usable but first-order Gauss-Markov, by likelihood), "capped" (a pole as near
+    to 1 as the window can tell), "constant" (the series does not change).
 
     Parameters
     ----------
@@ -178,7 +178,11 @@ class Learner:
         if challenger is not None and challenger in others:
             nearest = [challenger]
         own = sum(self._chosen)
-        near = [order for order in others if order not in nearest and self._near(order) and sum(order) <= own + EFFORT.hopeless_size]
+        near = [
+            order
+            for order in others
+            if order not in nearest and self._near(order) and sum(order) <= own + EFFORT.hopeless_size
+        ]
         out = [order for order in others if order not in nearest and order not in near]
         rest = out if out and (not near or self._turn % EFFORT.rare_turn == EFFORT.rare_turn - 1) else near
         turn = [rest[(self._turn // EFFORT.rare_turn if rest is out else self._turn) % len(rest)]] if rest else []
@@ -211,16 +215,28 @@ class Learner:
                 below = {k: c.point.theta for k, c in fits.items() if sum(k)}
                 some = likelihood.recent
                 starts = grown_starts(some, below, *order) if below else cold_starts(some, *order)
-                found = fit_candidate(likelihood, order, starts, EFFORT.first_passes if self._young else EFFORT.late_passes)
+                found = fit_candidate(
+                    likelihood, order, starts, EFFORT.first_passes if self._young else EFFORT.late_passes
+                )
             if found is not None:
                 fits[order] = found
                 self._thetas[order] = found.theta
         return fits
 
-    def _second_chance(self, likelihood: Likelihood, found: Candidate | None, fits: dict[Order, Candidate]) -> Candidate | None:
-        """A larger order that gains nothing over the one in use may sit in a local optimum: start it from there as well."""
+    def _second_chance(
+        self, likelihood: Likelihood, found: Candidate | None, fits: dict[Order, Candidate]
+    ) -> Candidate | None:
+        """A larger order that gains nothing over the one in use may sit in a local optimum: start it from there as
+        well.
+        """
         own = fits.get(self._chosen) if self._chosen is not None else None
-        if found is None or own is None or self._young or found.order == own.order or found.fit.loglik > own.fit.loglik + 1.0:
+        if (
+            found is None
+            or own is None
+            or self._young
+            or found.order == own.order
+            or found.fit.loglik > own.fit.loglik + 1.0
+        ):
             return found
         starts = slow_part_start(likelihood, own.point.theta, own.order[0], *found.order)
         again = fit_candidate(likelihood, found.order, starts, EFFORT.own_passes) if starts else None
@@ -239,7 +255,8 @@ class Learner:
         if best is None:
             return self._unsure(likelihood, fits)
         now = fits.get(self._chosen) if self._chosen is not None else None
-        # one window in a hundred fails the gate by chance: that alone, without a lead by BIC, is no reason for a larger order
+        # one window in a hundred fails the gate by chance: that alone, without a lead by BIC, is no reason for a larger
+        # order
         larger = now is not None and sum(best.order) > sum(now.order)
         held = now is not None and larger and now.fit.bic <= best.fit.bic + CHANNEL_CHOICE.lead
         stays = now is not None and (now.passes or (held and not now.cancels))
@@ -264,11 +281,17 @@ class Learner:
         tidy = [candidate for candidate in fits.values() if not candidate.cancels]
         if tidy:
             best = min(tidy, key=lambda candidate: candidate.fit.bic)
-            if self._good is not None and _bic(self._good, likelihood, best.fit.n) <= best.fit.bic + CHANNEL_CHOICE.lead:
+            if (
+                self._good is not None
+                and _bic(self._good, likelihood, best.fit.n) <= best.fit.bic + CHANNEL_CHOICE.lead
+            ):
                 return replace(self._good, flags=self._good.flags | {"stale"})
             self._settle(best, fits)
             return _flagged(best.model(likelihood), "coloured")
-        simple = [fit_candidate(likelihood, order, cold_starts(likelihood, *order), EFFORT.first_passes) for order in ((1, 0), (1, 1))]
+        simple = [
+            fit_candidate(likelihood, order, cold_starts(likelihood, *order), EFFORT.first_passes)
+            for order in ((1, 0), (1, 1))
+        ]
         found = [candidate for candidate in simple if candidate is not None]
         if not found:
             return self._without(likelihood.y / likelihood.unit, "fallback")
@@ -294,7 +317,9 @@ class Learner:
     def memory(self, memory: LearnerMemory) -> None:
         for order, theta in memory.thetas.items():
             if order not in self.orders or theta.shape != (sum(order) + 1,):
-                raise ValueError(f"a learner of orders {self.orders} cannot go on from {theta.size} coefficients of order {order}.")
+                raise ValueError(
+                    f"a learner of orders {self.orders} cannot go on from {theta.size} coefficients of order {order}."
+                )
         self._thetas, self._gaps = dict(memory.thetas), dict(memory.gaps)
         self._chosen, self._challenge, self._good = memory.chosen, memory.challenge, memory.good
         self._turn, self._coloured, self._young = memory.turn, memory.coloured, memory.young

@@ -107,7 +107,9 @@ class Likelihood:
         gradient = np.zeros(theta.size)
         for part, sign in ((slice(0, p), -2.0), (slice(p, theta.size - 1), 2.0)):
             at_zero, at_low = self._sums(theta[part])
-            gradient[part] = [sign * (1.0 / at_zero - (turn / at_low).real) for turn in self._turn[: part.stop - part.start]]
+            gradient[part] = [
+                sign * (1.0 / at_zero - (turn / at_low).real) for turn in self._turn[: part.stop - part.start]
+            ]
         return gradient
 
     @property
@@ -189,7 +191,9 @@ def _places(p: int, q: int) -> NDArray[np.int64]:
     return np.r_[np.arange(p), m + np.arange(q), 2 * m]
 
 
-def maximise(likelihood: Likelihood, starts: Sequence[Array], p: int, passes: int, race: Likelihood | None = None) -> Point:
+def maximise(
+    likelihood: Likelihood, starts: Sequence[Array], p: int, passes: int, race: Likelihood | None = None
+) -> Point:
     """Fisher scoring: a short race between the starts, then the leader alone.
 
     Parameters

@@ -55,7 +55,8 @@ class ListenerMemory:
     Attributes
     ----------
     ring : ndarray, shape (axes, capacity)
-        Open-loop residuals, one element per tick [unit of the sensor]; the tick with number k stands at ``k % capacity``.
+        Open-loop residuals, one element per tick [unit of the sensor]; the tick with number k stands at ``k %
+        capacity``.
     cursor : ndarray of int, shape (1,)
         Ticks noted so far.
     due : int
@@ -81,9 +82,9 @@ class ListenerMemory:
 class Listener:
     """Notes the open-loop residuals of one sensor, and learns its error models from them.
 
-    The series is the reading minus the prediction of an open loop (the filter's own, with everything fed back taken off again), so that
-    it holds the sensor's error whole, beside a navigation error that wanders by the known noise of the inertial unit. What the filter
-    believes of the sensor does not enter: no feedback can bias it.
+    The series is the reading minus the prediction of an open loop (the filter's own, with everything fed back taken off
+    again), so that it holds the sensor's error whole, beside a navigation error that wanders by the known noise of the
+    inertial unit. What the filter believes of the sensor does not enter: no feedback can bias it.
 
     Parameters
     ----------
@@ -93,7 +94,8 @@ class Listener:
     white : ndarray, shape (axes,)
         Known white variance beside the models: that of the lever arm.
     behind_s : float
-        Readings may come so late [s]. A model is learnt from readings older than that, and the filter may go back by as much.
+        Readings may come so late [s]. A model is learnt from readings older than that, and the filter may go back by as
+        much.
     capacity : int, optional
         Ticks to keep; default: the window of the learnt models, and what going back needs.
 
@@ -109,7 +111,8 @@ class Listener:
         self.kind = sensor.open_loop
         if self.kind == listen.NOTHING:
             raise ValueError(
-                f'"{name}": a {type(sensor).__name__} has no readings to learn its error from. Give it a fixed error model.'
+                f'"{name}": a {type(sensor).__name__} has no readings to learn its error from. Give it a fixed error '
+                "model."
             )
         self.name, self.period_s, self.behind_s = name, 1.0 / sensor.rate_hz, behind_s
         models = sensor.models
@@ -175,7 +178,9 @@ class Listener:
         return self.learn(age_s) if self.window and ticks >= LEAST else None
 
     def begin_again(self, age_s: float) -> None:
-        """Listen from the start again, without learning again from what was heard before; the last tick was `age_s` ago."""
+        """Listen from the start again, without learning again from what was heard before; the last tick was `age_s`
+        ago.
+        """
         memory = self._memory
         memory.due = self._ticks_by_now(age_s) + self.hop if self.window else NEVER
         memory.cursor[0] = 0
@@ -210,7 +215,8 @@ class Listener:
 
 
 def without_spikes(series: Array) -> Array:
-    """A copy with NaN where a sample stands out from the median of the five around it by more than `SPIKE` robust deviations.
+    """A copy with NaN where a sample stands out from the median of the five around it by more than `SPIKE` robust
+    deviations.
 
     The filter's gate cannot do this: it judges by what is believed of the sensor, which is what is to be learnt.
     """

@@ -1,4 +1,6 @@
-"""S(0), the power at zero frequency, which is what makes a filter overconfident: of models, of blocks, and what is not known of it."""
+"""S(0), the power at zero frequency, which is what makes a filter overconfident: of models, of blocks, and what is not
+known of it.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +43,8 @@ SHARE = 0.25
 NEAREST = 1e-5
 #: A real pole beyond this shapes the low frequencies: its spectrum falls to half within a tenth of the sampling rate.
 SLOW = 0.5
-#: A model whose S(0) is uncertain by more than this many powers of e is not adopted: the drift hides its low frequencies.
+#: A model whose S(0) is uncertain by more than this many powers of e is not adopted: the drift hides its low
+#: frequencies.
 UNOBSERVABLE = 3.0
 #: S(0) is averaged over so many hops: two windows.
 HOPS_REMEMBERED = 4
@@ -63,8 +66,8 @@ def slow_pole(model: ArmaModel) -> int | None:
 def with_zero_frequency(model: ArmaModel, factor: float) -> tuple[Array, float]:
     """AR coefficients and driving variance of the model with S(0) times `factor`.
 
-    Where the model has a real slow pole, that pole moves: only the low frequencies change, and the innovation keeps its size. Otherwise the
-    driving variance takes it, but it is never lowered.
+    Where the model has a real slow pole, that pole moves: only the low frequencies change, and the innovation keeps its
+    size. Otherwise the driving variance takes it, but it is never lowered.
     """
     poles, first = model.poles, slow_pole(model)
     if first is None:
@@ -86,8 +89,8 @@ def cautious(model: ArmaModel) -> tuple[Array, float]:
 def steadied(model: ArmaModel, levels: Sequence[float]) -> ArmaModel:
     """The model with S(0) at the mean of what the last windows found, and sd ln S(0) accordingly smaller.
 
-    One window holds few correlation times of a slow error: its S(0) swings by a factor, and the low ones claim to be sure. Windows
-    overlap by half, so n of them are worth (n + 1) / 2.
+    One window holds few correlation times of a slow error: its S(0) swings by a factor, and the low ones claim to be
+    sure. Windows overlap by half, so n of them are worth (n + 1) / 2.
     """
     if slow_pole(model) is None or not levels[-1] > 0.0:
         return model

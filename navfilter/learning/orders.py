@@ -23,7 +23,8 @@ Order = tuple[int, int]
 
 @dataclass(frozen=True)
 class Proof:
-    """BIC believes a parameter only on strong evidence; for power at zero frequency the burden of proof is the other way round.
+    """BIC believes a parameter only on strong evidence; for power at zero frequency the burden of proof is the other
+    way round.
 
     A larger candidate that passes the gate and finds far more of it is preferred unless it is ruled out.
 
@@ -91,7 +92,11 @@ def preferred(candidates: Iterable[Candidate]) -> Candidate | None:
         return None
     best = ranked[first]
     for other in ranked[first + 1 :]:
-        if other.fit.bic <= ranked[first].fit.bic + PROOF.ruled_out and finds_more_low_frequency_power(other, best) and other.passes:
+        if (
+            other.fit.bic <= ranked[first].fit.bic + PROOF.ruled_out
+            and finds_more_low_frequency_power(other, best)
+            and other.passes
+        ):
             best = other
     return best
 

@@ -30,8 +30,8 @@ def learning_sensors(vehicle: Vehicle) -> list[str]:
 def refitted(vehicle: Vehicle, series: Mapping[str, tuple[ChannelSeries, ...]]) -> Vehicle:
     """The vehicle with every learning axis fitted to a whole series and frozen there.
 
-    The order is chosen as under way, by BIC among the candidates of the axis that pass the gate; the window is the whole series. An axis
-    whose series says too little goes on learning under way.
+    The order is chosen as under way, by BIC among the candidates of the axis that pass the gate; the window is the
+    whole series. An axis whose series says too little goes on learning under way.
 
     Parameters
     ----------
@@ -46,7 +46,9 @@ def refitted(vehicle: Vehicle, series: Mapping[str, tuple[ChannelSeries, ...]]) 
     """
     found: dict[str, ErrorModel | tuple[ErrorModel, ...]] = {}
     for name, channels in series.items():
-        models = tuple(_fitted(model, channel) for model, channel in zip(vehicle.sensors[name].models, channels, strict=True))
+        models = tuple(
+            _fitted(model, channel) for model, channel in zip(vehicle.sensors[name].models, channels, strict=True)
+        )
         found[name] = models if len(models) > 1 else models[0]
     return vehicle.with_error(**found)
 
@@ -64,7 +66,8 @@ def _fitted(model: ErrorModel, channel: ChannelSeries) -> ErrorModel:
 
 
 def change(before: Vehicle, after: Vehicle) -> float:
-    """How far the models of two rounds are apart: the largest change of ln S(0) or of ln sd of any axis, in its own standard deviation.
+    """How far the models of two rounds are apart: the largest change of ln S(0) or of ln sd of any axis, in its own
+    standard deviation.
 
     Parameters
     ----------
@@ -74,11 +77,14 @@ def change(before: Vehicle, after: Vehicle) -> float:
     Returns
     -------
     float
-        Infinite where only one of them has a model of an axis. The sd of ln sd is ``1 / sqrt(2 n)`` for n samples behind a model.
+        Infinite where only one of them has a model of an axis. The sd of ln sd is ``1 / sqrt(2 n)`` for n samples
+        behind a model.
     """
     largest = 0.0
     for name, sensor in after.sensors.items():
-        for old, new in zip(map(learned_part, before.sensors[name].models), map(learned_part, sensor.models), strict=True):
+        for old, new in zip(
+            map(learned_part, before.sensors[name].models), map(learned_part, sensor.models), strict=True
+        ):
             largest = max(largest, _apart(old, new))
     return largest
 

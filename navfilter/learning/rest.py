@@ -31,8 +31,8 @@ SLOWEST, STEADIEST = 0.05, 0.02
 UNKNOWN = 0.2
 #: So many blocks at rest in a row count, but for the first and the last.
 RUN = 3
-#: Without a hop of its own a unit is looked at first when half a window is full, then whenever there is half as much again, and at least
-#: once in so many windows.
+#: Without a hop of its own a unit is looked at first when half a window is full, then whenever there is half as much
+#: again, and at least once in so many windows.
 LAZIEST = 10
 PARTS = {"gyro": slice(0, 3), "accel": slice(3, 6)}
 
@@ -48,7 +48,8 @@ class RestMemory:
     cursor, due, newest : int
         Ticks kept so far, how many make the next hop due, and how many came with the newest block.
     block, pending : ndarray, shape (length, 7)
-        The block that is being filled, and the one before it: seconds since the sample before, six values as they arrived.
+        The block that is being filled, and the one before it: seconds since the sample before, six values as they
+        arrived.
     filled, run : int
         Samples in the block, and blocks at rest in a row.
     is_open : bool
@@ -79,16 +80,18 @@ class RestMemory:
 class RestRecorder:
     """Gathers the samples of an inertial unit at rest, and learns the error models of its axes from them.
 
-    At rest a gyro reads the Earth's rate and its error, an accelerometer gravity and its error. Earth's rate and gravity are constant in
-    the axes of a vehicle that does not move, and disappear in the diffuse start of the bias. Nothing of the filter's state enters the
-    series, so no feedback can bias what is learnt. The filter's velocity only serves to refuse samples.
+    At rest a gyro reads the Earth's rate and its error, an accelerometer gravity and its error. Earth's rate and
+    gravity are constant in the axes of a vehicle that does not move, and disappear in the diffuse start of the bias.
+    Nothing of the filter's state enters the series, so no feedback can bias what is learnt. The filter's velocity only
+    serves to refuse samples.
 
-    Rest is judged by blocks of about one second: the velocity is known and not surely above `SLOWEST`, every axis scatters less than
-    `QUIET` believed standard deviations, its mean stays, and no mean rate (less the estimated gyro error) is surely above `STEADIEST`. A
-    block counts between two others that are at rest too. The velocity has to be known, by a DVL, fixes or `ZeroVelocity`, because an AUV
-    that glides through calm water cannot be told from one at rest by a micromechanical unit (simulated: its slow turns, taken for noise,
-    raise S(0) by factors of 40 to 2000). What remains possible: a vehicle that sways at its mooring by less than these limits. That makes
-    the model larger than the unit's own error, not smaller.
+    Rest is judged by blocks of about one second: the velocity is known and not surely above `SLOWEST`, every axis
+    scatters less than `QUIET` believed standard deviations, its mean stays, and no mean rate (less the estimated gyro
+    error) is surely above `STEADIEST`. A block counts between two others that are at rest too. The velocity has to be
+    known, by a DVL, fixes or `ZeroVelocity`, because an AUV that glides through calm water cannot be told from one at
+    rest by a micromechanical unit (simulated: its slow turns, taken for noise, raise S(0) by factors of 40 to 2000).
+    What remains possible: a vehicle that sways at its mooring by less than these limits. That makes the model larger
+    than the unit's own error, not smaller.
 
     Parameters
     ----------
@@ -232,7 +235,9 @@ class RestRecorder:
         """The last ticks at rest of one axis [rad/s or m/s^2], oldest first, without the newest; NaN between segments."""
         memory = self._memory
         n = min(memory.cursor, window + without, memory.ring.shape[1])
-        return np.ascontiguousarray(memory.ring[axis, np.arange(memory.cursor - n, memory.cursor - without) % memory.ring.shape[1]])
+        return np.ascontiguousarray(
+            memory.ring[axis, np.arange(memory.cursor - n, memory.cursor - without) % memory.ring.shape[1]]
+        )
 
     def learn(self) -> dict[str, tuple[ErrorModel, ...]]:
         """At a hop: the error models to adopt by name, ``gyro`` and ``accel``; only those that are new."""
@@ -261,7 +266,9 @@ class RestRecorder:
 
 
 def _limits(drive: Imu) -> Array:
-    """Largest standard deviations of the six axes in a block at rest; where nothing is said of an axis, those of `ZeroVelocity`."""
+    """Largest standard deviations of the six axes in a block at rest; where nothing is said of an axis, those of
+    `ZeroVelocity`.
+    """
     rest, limits = ZeroVelocity(), np.empty(6)
     given = [*_each(drive.gyro), *_each(drive.accel)]
     for axis, (model, said) in enumerate(zip(drive.models, given, strict=True)):

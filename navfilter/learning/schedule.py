@@ -140,7 +140,9 @@ class LearningSchedule:
             Where nothing has been listened to.
         """
         if name not in self.listeners:
-            raise ValueError(f'nothing is noted of "{name}": call listen("{name}") first, or give the sensor a LearnedArma.')
+            raise ValueError(
+                f'nothing is noted of "{name}": call listen("{name}") first, or give the sensor a LearnedArma.'
+            )
         return self.listeners[name].all_series()
 
     def room(self) -> int:
@@ -206,7 +208,9 @@ class LearningSchedule:
         return [Change(name, models) for name, models in rest.learn().items()]
 
     def _estimates(self) -> tuple[Array, Array]:
-        """Velocity and error of the gyros, each above its standard deviation, shape (2, 3), as of the last time the covariance moved."""
+        """Velocity and error of the gyros, each above its standard deviation, shape (2, 3), as of the last time the
+        covariance moved.
+        """
         filter, m = self.filter, self.filter.layout.head
         C, P = filter.drive_output[:3, :-1], filter.P
         spread = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", C, P[9:m, 9:m], C), 0.0))
@@ -224,7 +228,9 @@ class LearningSchedule:
         return self.beginning is not None and time_s >= self.first_s
 
     def first_models(self) -> dict[str, tuple[ErrorModel, ...]]:
-        """The first models by sensor; empty where too little has been heard. Where there are some, the filter is to begin again."""
+        """The first models by sensor; empty where too little has been heard. Where there are some, the filter is to
+        begin again.
+        """
         ages = {name: self.first_s - self.filter.channels[name].memory.ticked_s for name in self.listeners}
         learnt = {name: listener.learn_first(ages[name]) for name, listener in self.listeners.items()}
         found = {name: models for name, models in learnt.items() if models is not None}
@@ -234,7 +240,9 @@ class LearningSchedule:
         return found
 
     def begin_again(self) -> list[Any]:
-        """The filter stands at the start again: listen from there; returns the inputs of the beginning, which are not kept any longer."""
+        """The filter stands at the start again: listen from there; returns the inputs of the beginning, which are not
+        kept any longer.
+        """
         self._fed_back = np.zeros(2 * self.filter.layout.head)
         if self.rest is not None:
             self.rest.begin_again()

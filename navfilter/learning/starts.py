@@ -36,7 +36,11 @@ def cold_starts(likelihood: Likelihood, p: int, q: int) -> list[Array]:
     if p:
         taus = [tau for tau in TAUS if tau < likelihood.y.size / 3]
         best = min(
-            (_matched(likelihood, _gauss_markov(tau, share, q), 1) for tau in taus for share in (SHARES if q else SHARES[:1])),
+            (
+                _matched(likelihood, _gauss_markov(tau, share, q), 1)
+                for tau in taus
+                for share in (SHARES if q else SHARES[:1])
+            ),
             key=lambda start: likelihood.value(start, 1),
         )
         shapes.append(padded_start(best, 1, p, q))
@@ -75,7 +79,10 @@ def slow_part_start(likelihood: Likelihood, theta: Array, at: int, p: int, q: in
         for factor in SLOW_FACTORS:
             pole = 1.0 - 1.0 / tau
             zero = max(1.0 - math.sqrt(factor) / tau, 0.0)
-            ar, ma = np.convolve(np.r_[1.0, theta[:at]], [1.0, -pole])[1:], np.convolve(np.r_[1.0, theta[at:-1]], [1.0, -zero])[1:]
+            ar, ma = (
+                np.convolve(np.r_[1.0, theta[:at]], [1.0, -pole])[1:],
+                np.convolve(np.r_[1.0, theta[at:-1]], [1.0, -zero])[1:],
+            )
             out.append(likelihood.confine(padded_start(np.r_[ar, ma, theta[-1]], at + 1, p, q), p))
     return _best(likelihood, out, p)
 

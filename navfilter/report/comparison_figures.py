@@ -1,4 +1,6 @@
-"""Figures of a comparison: errors against what each run believes of itself, what is left in the innovations, the models learnt."""
+"""Figures of a comparison: errors against what each run believes of itself, what is left in the innovations, the models
+learnt.
+"""
 
 from __future__ import annotations
 
@@ -51,7 +53,15 @@ def position_against_sigma(tracks: Tracks, truth: Stream) -> Figure:
         hue, _ = colour(number)
         predicted = np.sqrt(np.maximum(track.covariance[:, 0, 0] + track.covariance[:, 1, 1], 0.0))
         error = track.errors(truth).horizontal
-        band(ax, clock(track.time_s), 0.5 * predicted, 0.5 * predicted, color=hue, alpha=0.3, label="up to the predicted rms")
+        band(
+            ax,
+            clock(track.time_s),
+            0.5 * predicted,
+            0.5 * predicted,
+            color=hue,
+            alpha=0.3,
+            label="up to the predicted rms",
+        )
         line(ax, clock(track.time_s), error, color=hue, linewidth=0.9, label="error")
         limit = max(limit, _scale(error), _scale(predicted))
         _named(ax, label, "horizontal [m]")
@@ -98,7 +108,15 @@ def correlation_figure(tracks: Tracks, axes: list[tuple[str, int, str]]) -> Figu
             if known.size <= LAGS or np.ptp(known) == 0.0:
                 continue
             hue, dash = colour(number)
-            ax.plot(range(1, LAGS + 1), acf(series, LAGS)[1:], color=hue, linestyle=dash, marker="o", markersize=2.2, label=label)
+            ax.plot(
+                range(1, LAGS + 1),
+                acf(series, LAGS)[1:],
+                color=hue,
+                linestyle=dash,
+                marker="o",
+                markersize=2.2,
+                label=label,
+            )
             count = max(count, known.size)
         limit = 1.96 / np.sqrt(max(count, 1))
         ax.axhspan(-limit, limit, color="#bbbbbb", alpha=0.5, linewidth=0, label="95 % of white noise", zorder=0)
@@ -122,6 +140,14 @@ def shade(figure: Figure, tracks: Tracks, begin_s: float) -> Figure:
     if begin_s > clock.begin_s + 1e-9:
         for ax in figure.axes:
             low, high = ax.get_xlim()
-            ax.axvspan(low, clock(np.array([begin_s]))[0], facecolor="none", edgecolor="#c8c8c8", hatch="///", linewidth=0, zorder=0)
+            ax.axvspan(
+                low,
+                clock(np.array([begin_s]))[0],
+                facecolor="none",
+                edgecolor="#c8c8c8",
+                hatch="///",
+                linewidth=0,
+                zorder=0,
+            )
             ax.set_xlim(low, high)
     return figure

@@ -26,7 +26,11 @@ _PANELS = 8
 
 
 def write_comparison(
-    comparison: Comparison, tracks: Tracks, mission: Mission, path: str | os.PathLike[str], progress: Callable[[], Any] | None = None
+    comparison: Comparison,
+    tracks: Tracks,
+    mission: Mission,
+    path: str | os.PathLike[str],
+    progress: Callable[[], Any] | None = None,
 ) -> Path:
     """Write `render_comparison` to a file.
 
@@ -49,7 +53,9 @@ def write_comparison(
     return path
 
 
-def render_comparison(comparison: Comparison, tracks: Tracks, mission: Mission, progress: Callable[[], Any] | None = None) -> str:
+def render_comparison(
+    comparison: Comparison, tracks: Tracks, mission: Mission, progress: Callable[[], Any] | None = None
+) -> str:
     """One HTML page with table and figures of all runs; no scripts, no links, nothing to load."""
     body = [heading_html("Result"), table_html(["", *comparison.runs], comparison.rows())]
     body.append(f"<p>{escape(' '.join(comparison.notes()))}</p>")
@@ -63,7 +69,12 @@ def render_comparison(comparison: Comparison, tracks: Tracks, mission: Mission, 
     body += [heading_html("Error models at the end"), table_html(*_models_table(tracks), text_columns=(1, 2))]
     first = next(iter(tracks.values()))
     subtitle = f"Vehicle {first.vehicle.name}. {mission.duration_s / 60:.1f} min, {first.distance_m:.0f} m travelled. "
-    return page(mission.name, f"{mission.name}: {', '.join(tracks)}", f"{subtitle}navfilter {metadata.version('navfilter')}.", body)
+    return page(
+        mission.name,
+        f"{mission.name}: {', '.join(tracks)}",
+        f"{subtitle}navfilter {metadata.version('navfilter')}.",
+        body,
+    )
 
 
 def drawn(comparison: Comparison, tracks: Tracks, mission: Mission) -> Iterator[tuple[str, str, Figure]]:
@@ -90,9 +101,7 @@ def drawn(comparison: Comparison, tracks: Tracks, mission: Mission) -> Iterator[
         filters = {label: track.forward or track for label, track in tracks.items()}
         nis = figures.nis_figure(filters)
         if nis is not None:
-            caption = (
-                "Squared innovation in units of its predicted variance, moving mean. Honest is 1; the grey range holds 95 % of such means."
-            )
+            caption = "Squared innovation in units of its predicted variance, moving mean. Honest is 1; the grey range holds 95 % of such means."
             yield "NIS per sensor", caption, shaded(nis)
         axes = _tested_axes(comparison, filters)
         for first in range(0, len(axes), _PANELS):
@@ -124,7 +133,8 @@ def _learnt(tracks: Tracks) -> Iterator[tuple[str, str, Figure]]:
             last = history.models[-1]
             radius = f", largest pole {abs(last.poles[0]):.4f}" if last.p else ""
             caption = (
-                f"{label}, {history.title}: {len(history.models)} models adopted, the last one of order ({last.p}, {last.q}){radius}. "
+                f"{label}, {history.title}: {len(history.models)} models adopted, the last one of order ({last.p}, "
+                f"{last.q}){radius}. "
                 "A pole radius of 1 would be a random walk."
             )
             yield title, caption, learnt_figures.adopted_figure(tracks, history, float(track.time_s[-1]))
@@ -144,7 +154,9 @@ def _axes_table(comparison: Comparison) -> tuple[list[str], list[list[str]]]:
                 where = name if axis == name else f"{name} {axis}"
                 p, r = value["ljung_box_p"], value["largest_acf"]
                 verdict = ["–"] * 3 if p is None else ["yes" if value["is_white"] else "no", f"{p:.2g}", f"{r:+.3f}"]
-                rows.append([label, where, f"{value['prediction_rms']:.4g} {about['unit']}", str(about["compared"]), *verdict])
+                rows.append(
+                    [label, where, f"{value['prediction_rms']:.4g} {about['unit']}", str(about["compared"]), *verdict]
+                )
     return ["run", "axis", "prediction error rms", "readings", "white", "Ljung-Box p", "largest autocorrelation"], rows
 
 

@@ -72,7 +72,9 @@ class Clock:
     def __init__(self, begin_s: float, end_s: float) -> None:
         length = end_s - begin_s
         self.begin_s, self.end_s = begin_s, end_s
-        self.unit, self.factor = ("h", 1 / 3600) if length > 3 * 3600 else ("min", 1 / 60) if length > 600 else ("s", 1.0)
+        self.unit, self.factor = (
+            ("h", 1 / 3600) if length > 3 * 3600 else ("min", 1 / 60) if length > 600 else ("s", 1.0)
+        )
 
     def __call__(self, time_s: Array) -> Array:
         return np.asarray(time_s) * self.factor
@@ -134,7 +136,10 @@ def envelope(time: Array, value: Array, stretches: int = STRETCHES) -> tuple[Arr
         return time, value
     low, high = _stretches(value, stretches, np.inf), _stretches(value, stretches, -np.inf)
     size = low.shape[1]
-    index = np.sort(np.stack([low.argmin(axis=1), high.argmax(axis=1)], axis=1), axis=1) + size * np.arange(stretches)[:, None]
+    index = (
+        np.sort(np.stack([low.argmin(axis=1), high.argmax(axis=1)], axis=1), axis=1)
+        + size * np.arange(stretches)[:, None]
+    )
     missing = ~np.isfinite(value)
     gaps = np.flatnonzero(missing & ~np.concatenate([[False], missing[:-1]]))[:stretches]
     index = np.unique(np.concatenate([np.minimum(index, n - 1).ravel(), gaps]))
@@ -172,5 +177,6 @@ def svg(figure: Figure) -> bytes:
     buffer = io.BytesIO()
     with style():
         FigureCanvasSVG(figure).print_svg(buffer, metadata={"Date": None, "Creator": None})
-    # Hundredths of a point are finer than any screen or printer; the six digits of matplotlib double the size of a report.
+    # Hundredths of a point are finer than any screen or printer; the six digits of matplotlib double the size of a
+    # report.
     return re.sub(rb' d="[^"]*"', lambda path: re.sub(rb"(\.\d\d)\d+", rb"\1", path.group()), buffer.getvalue())

@@ -19,7 +19,15 @@ from navfilter.report.drawing import WIDTH_IN, Clock, band, broken, colour, line
 from navfilter.sensors.traits import shown_unit
 from navfilter.track import Track
 
-__all__ = ["consistency_figure", "depth_figure", "heading_figure", "innovation_figure", "nis_figure", "position_figure", "track_figure"]
+__all__ = [
+    "consistency_figure",
+    "depth_figure",
+    "heading_figure",
+    "innovation_figure",
+    "nis_figure",
+    "position_figure",
+    "track_figure",
+]
 
 Array = NDArray[np.float64]
 Tracks = Mapping[str, Track]
@@ -61,11 +69,24 @@ def track_figure(tracks: Tracks, mission: Mission, ellipses: int = 16) -> Figure
         if sensor.gives == "position" and name in mission.streams:
             fixes = _used_fixes(first, mission.streams[name], name, origin)
             ax.plot(
-                *_capped(fixes)[:, 1::-1].T, "+", color="#888888", markersize=4, markeredgewidth=0.7, label=f"{name} fixes used", zorder=1.5
+                *_capped(fixes)[:, 1::-1].T,
+                "+",
+                color="#888888",
+                markersize=4,
+                markeredgewidth=0.7,
+                label=f"{name} fixes used",
+                zorder=1.5,
             )
     for number, (label, track) in enumerate(tracks.items()):
         hue, dash = colour(number)
-        ax.plot(*_thinned_path(plans[label])[:, 1::-1].T, color=hue, linestyle=dash, label=label, zorder=2.0 + number, linewidth=1.6)
+        ax.plot(
+            *_thinned_path(plans[label])[:, 1::-1].T,
+            color=hue,
+            linestyle=dash,
+            label=label,
+            zorder=2.0 + number,
+            linewidth=1.6,
+        )
         for k in np.unique(np.linspace(0, len(track) - 1, ellipses).astype(int)):
             shape = _ellipse(plans[label][k], track.covariance[k, :2, :2])
             shape.set(edgecolor=hue, facecolor="none", linewidth=0.8, linestyle=dash, zorder=2.0 + number)
@@ -73,7 +94,14 @@ def track_figure(tracks: Tracks, mission: Mission, ellipses: int = 16) -> Figure
     if mission.truth is not None:
         true = _local(mission.truth, origin, (first.time_s[0], first.time_s[-1]))
         if len(true):
-            ax.plot(*_thinned_path(true)[:, 1::-1].T, color="black", linestyle=(0, (1, 1.2)), linewidth=1.0, label="truth", zorder=9)
+            ax.plot(
+                *_thinned_path(true)[:, 1::-1].T,
+                color="black",
+                linestyle=(0, (1, 1.2)),
+                linewidth=1.0,
+                label="truth",
+                zorder=9,
+            )
     _mark_ends(ax, list(plans.values())[-1])
     ax.set_aspect("equal", adjustable="datalim")
     ax.set_xlabel("east [m]")
@@ -90,7 +118,14 @@ def depth_figure(tracks: Tracks, mission: Mission) -> Figure:
         hue, dash = colour(number)
         line(ax, clock(track.time_s), track.height, color=hue, linestyle=dash, label=label)
     if mission.truth is not None and np.isfinite(mission.truth.value[:, 2]).any():
-        line(ax, clock(mission.truth.time_s), mission.truth.value[:, 2], color="black", linestyle=(0, (1, 1.2)), label="truth")
+        line(
+            ax,
+            clock(mission.truth.time_s),
+            mission.truth.value[:, 2],
+            color="black",
+            linestyle=(0, (1, 1.2)),
+            label="truth",
+        )
     ax.set_ylabel("height [m]")
     clock.label(ax)
     _legend(ax)
@@ -118,7 +153,15 @@ def position_figure(tracks: Tracks, truth: Stream | None) -> Figure:
             horizontal = np.hypot(error[:, 0], error[:, 1])
             line(axes[3], clock(track.time_s), 100 * horizontal / far, color=hue, linestyle=dash, label=label)
         predicted = 100 * np.sqrt(sd[:, 0] ** 2 + sd[:, 1] ** 2) / far
-        line(axes[3], clock(track.time_s), predicted, color=hue, linestyle=(0, (1, 1.2)), linewidth=0.9, label=rf"{label}, predicted rms")
+        line(
+            axes[3],
+            clock(track.time_s),
+            predicted,
+            color=hue,
+            linestyle=(0, (1, 1.2)),
+            linewidth=0.9,
+            label=rf"{label}, predicted rms",
+        )
     for ax, name in zip(axes, ("north [m]", "east [m]", "down [m]", "horizontal\n[% of distance]"), strict=True):
         ax.set_ylabel(name)
     for ax in axes[:3]:
@@ -139,7 +182,9 @@ def heading_figure(tracks: Tracks, truth: Stream | None) -> Figure:
         sd = np.degrees(np.sqrt(track.covariance[:, 8, 8]))
         band(ax, clock(track.time_s), sd, color=hue, alpha=0.25, label=rf"{label} $\pm 1\sigma$")
         if truth is not None and np.isfinite(truth.value[:, 8]).any():
-            line(ax, clock(track.time_s), np.degrees(track.errors(truth).heading), color=hue, linestyle=dash, label=label)
+            line(
+                ax, clock(track.time_s), np.degrees(track.errors(truth).heading), color=hue, linestyle=dash, label=label
+            )
     ax.set_ylabel("heading error [deg]")
     _symmetric(ax)
     clock.label(ax)
@@ -148,7 +193,9 @@ def heading_figure(tracks: Tracks, truth: Stream | None) -> Figure:
 
 
 def consistency_figure(tracks: Tracks, truth: Stream) -> Figure | None:
-    """NEES of position and heading per degree of freedom over time, with the 95 % range of chi-square; None without truth of either."""
+    """NEES of position and heading per degree of freedom over time, with the 95 % range of chi-square; None without
+    truth of either.
+    """
     clock = clock_of(tracks)
     errors = {label: track.errors(truth) for label, track in tracks.items()}
     freedom = {
@@ -176,7 +223,9 @@ def consistency_figure(tracks: Tracks, truth: Stream) -> Figure | None:
 
 
 def innovation_figure(track: Track, name: str) -> Figure:
-    """Innovations of one sensor, each axis with its 3-sigma bounds; rejected readings are crossed, at the edge when off the scale."""
+    """Innovations of one sensor, each axis with its 3-sigma bounds; rejected readings are crossed, at the edge when off
+    the scale.
+    """
     residuals, sensor = track.residuals[name], track.vehicle.sensors[name]
     unit, factor = shown_unit(sensor.unit)
     clock = Clock(track.time_s[0], track.time_s[-1])
@@ -185,7 +234,11 @@ def innovation_figure(track: Track, name: str) -> Figure:
     rejected = residuals.outcome == OUTCOMES.index("rejected")
     for i, ax in zip(measured, axes, strict=True):
         seen = residuals.used & np.isfinite(residuals.value[:, i])
-        t, value, bound = clock(residuals.time_s[seen]), factor * residuals.value[seen, i], 3 * factor * residuals.sd[seen, i]
+        t, value, bound = (
+            clock(residuals.time_s[seen]),
+            factor * residuals.value[seen, i],
+            3 * factor * residuals.sd[seen, i],
+        )
         limit = 1.25 * max(_quantile(bound, 0.98), _quantile(np.abs(value), 0.998), 1e-12)
         if len(t) <= 1500:
             ax.plot(t, value, ".", color="#0072b2", markersize=2.5, label="used")
@@ -197,7 +250,10 @@ def innovation_figure(track: Track, name: str) -> Figure:
         out = out[np.isfinite(out[:, 1])]
         near = np.abs(out[:, 1]) <= limit
         edge = np.sign(out[~near, 1]) * 0.96 * limit
-        for x, y, marker, label in ((*out[near].T, "x", "rejected"), (out[~near, 0], edge, "D", "rejected, off the scale")):
+        for x, y, marker, label in (
+            (*out[near].T, "x", "rejected"),
+            (out[~near, 0], edge, "D", "rejected, off the scale"),
+        ):
             if len(x):
                 ax.plot(x, y, marker, color="#d55e00", markerfacecolor="none", markersize=4, label=label)
         ax.set_ylim(-limit, limit)
@@ -209,9 +265,13 @@ def innovation_figure(track: Track, name: str) -> Figure:
 
 
 def nis_figure(tracks: Tracks) -> Figure | None:
-    """Moving mean of NIS per degree of freedom, sensor by sensor, with the 95 % range of such means; None without readings."""
+    """Moving mean of NIS per degree of freedom, sensor by sensor, with the 95 % range of such means; None without
+    readings.
+    """
     clock = clock_of(tracks)
-    names = list(dict.fromkeys(name for track in tracks.values() for name, r in track.residuals.items() if r.used.sum() >= 5))
+    names = list(
+        dict.fromkeys(name for track in tracks.values() for name, r in track.residuals.items() if r.used.sum() >= 5)
+    )
     if not names:
         return None
     figure, axes = panels(len(names), 1.25)
@@ -224,7 +284,9 @@ def nis_figure(tracks: Tracks) -> Figure | None:
             t, mean, low, high = moving_nis(track, name)
             t = clock(t)
             if number == 0:
-                ax.fill_between(t, low, high, color="#bbbbbb", alpha=0.45, linewidth=0, label="95 % of chi-square", zorder=0)
+                ax.fill_between(
+                    t, low, high, color="#bbbbbb", alpha=0.45, linewidth=0, label="95 % of chi-square", zorder=0
+                )
             line(ax, t, mean, color=hue, linestyle=dash, label=label)
             top = max(top, 1.1 * _quantile(mean, 0.995), 1.05 * float(np.nanmax(high)))
         ax.axhline(1.0, color="black", linewidth=0.7)
@@ -312,6 +374,13 @@ def _legend(ax: Axes, *more: tuple[str, Any], above: bool = False, columns: int 
     if not named:
         return
     if above:
-        ax.legend(named.values(), named.keys(), loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=max(columns, 2), borderaxespad=0.1)
+        ax.legend(
+            named.values(),
+            named.keys(),
+            loc="lower right",
+            bbox_to_anchor=(1.0, 1.0),
+            ncols=max(columns, 2),
+            borderaxespad=0.1,
+        )
     else:
         ax.legend(named.values(), named.keys(), loc="best", frameon=True, framealpha=0.85, edgecolor="none")

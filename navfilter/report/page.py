@@ -64,9 +64,7 @@ def list_html(lines: Iterable[str]) -> str:
 def figure_html(drawn: bytes, caption: str) -> str:
     """A figure (SVG, see `navfilter.report.drawing.svg`) with its caption, inside the page."""
     data = base64.b64encode(drawn).decode("ascii")
-    return (
-        f'<figure><img alt="{escape(caption)}" src="data:image/svg+xml;base64,{data}"><figcaption>{escape(caption)}</figcaption></figure>'
-    )
+    return f'<figure><img alt="{escape(caption)}" src="data:image/svg+xml;base64,{data}"><figcaption>{escape(caption)}</figcaption></figure>'
 
 
 def table_html(header: Sequence[str], rows: Iterable[Sequence[str]], text_columns: Sequence[int] = ()) -> str:
@@ -74,7 +72,11 @@ def table_html(header: Sequence[str], rows: Iterable[Sequence[str]], text_column
 
     def line(cells: Sequence[str], tag: str) -> str:
         marks = [' class="text"' if i in text_columns else "" for i in range(len(cells))]
-        return "<tr>" + "".join(f"<{tag}{mark}>{escape(cell)}</{tag}>" for mark, cell in zip(marks, cells, strict=True)) + "</tr>"
+        return (
+            "<tr>"
+            + "".join(f"<{tag}{mark}>{escape(cell)}</{tag}>" for mark, cell in zip(marks, cells, strict=True))
+            + "</tr>"
+        )
 
     body = "".join(line(row, "td") for row in rows)
     return f'<div class="wide"><table><thead>{line(header, "th")}</thead><tbody>{body}</tbody></table></div>'
@@ -84,5 +86,8 @@ def table_text(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """The same as text, for a terminal."""
     lines = [header, *rows]
     widths = [max(len(row[i]) for row in lines) for i in range(len(header))]
-    aligned = [[cell.rjust(w) if i else cell.ljust(w) for i, (cell, w) in enumerate(zip(row, widths, strict=True))] for row in lines]
+    aligned = [
+        [cell.rjust(w) if i else cell.ljust(w) for i, (cell, w) in enumerate(zip(row, widths, strict=True))]
+        for row in lines
+    ]
     return "\n".join("  ".join(row).rstrip() for row in aligned)

@@ -33,8 +33,10 @@ Rows = list[list[str]]
 #: A figure with more panels than this does not fit on a printed page.
 _PANELS = 6
 _SURFACING = (
-    "A surfacing is the first fix after a time without any: its horizontal distance from what was predicted for it, in metres and in "
-    "per cent of the distance travelled since the fix before, beside the rms that the filter predicted (error of the fix included). "
+    "A surfacing is the first fix after a time without any: its horizontal distance from what was predicted for it, in "
+    "metres and in "
+    "per cent of the distance travelled since the fix before, beside the rms that the filter predicted (error of the "
+    "fix included). "
     "Of honest ones 95 % lie inside."
 )
 #: Columns of the headline table: heading, key of ``summary.json``, format.
@@ -142,7 +144,9 @@ def _drawn(tracks: Tracks, mission: Mission) -> Iterator[tuple[str, str, Figure]
             yield "NIS per sensor", caption, nis
         for label, track in filters.items():
             many = f" ({label})" if len(filters) > 1 else ""
-            for number, name in enumerate(n for n, r in track.residuals.items() if r.used.any() and n in track.vehicle.sensors):
+            for number, name in enumerate(
+                n for n, r in track.residuals.items() if r.used.any() and n in track.vehicle.sensors
+            ):
                 caption = f"{name}{many}: measured minus predicted, {_count(track, name)}."
                 yield "" if number else f"Innovations{many}", caption, figures.innovation_figure(track, name)
         yield from _state_figures(tracks)
@@ -197,7 +201,8 @@ def _count(track: Track, name: str) -> str:
 def _headlines(tracks: Tracks, mission: Mission) -> tuple[list[str], Rows]:
     runs = summarise(tracks, mission)["runs"]
     rows = [
-        [label, *(_number(run[key], form) for _, key, form in HEADLINES), _number(_mean_nis(run), "{:.2f}")] for label, run in runs.items()
+        [label, *(_number(run[key], form) for _, key, form in HEADLINES), _number(_mean_nis(run), "{:.2f}")]
+        for label, run in runs.items()
     ]
     return ["", *(name for name, _, _ in HEADLINES), "NIS"], rows
 
@@ -208,9 +213,13 @@ def _mean_nis(run: Mapping[str, Any]) -> float | None:
 
 
 def _sensors(track: Track) -> tuple[list[str], Rows]:
-    present = [o for o in OUTCOMES if any(r.count(o) for r in track.residuals.values()) or o in ("used", "rejected", "invalid")]
+    present = [
+        o for o in OUTCOMES if any(r.count(o) for r in track.residuals.values()) or o in ("used", "rejected", "invalid")
+    ]
     nis = track.summary()["nis"]
-    rows = [[name, *(str(r.count(o)) for o in present), _number(nis[name], "{:.2f}")] for name, r in track.residuals.items()]
+    rows = [
+        [name, *(str(r.count(o)) for o in present), _number(nis[name], "{:.2f}")] for name, r in track.residuals.items()
+    ]
     return ["sensor", *present, "NIS"], rows
 
 
@@ -221,7 +230,16 @@ def _verdict(verdict: Verdict) -> list[str]:
 
 
 def _surfacings(evidence: Evidence) -> tuple[list[str], Rows]:
-    header = ["surfacing", "at [s]", "without [s]", "travelled [m]", "error [m]", "[% of it]", "predicted sd [m]", "95 %"]
+    header = [
+        "surfacing",
+        "at [s]",
+        "without [s]",
+        "travelled [m]",
+        "error [m]",
+        "[% of it]",
+        "predicted sd [m]",
+        "95 %",
+    ]
     rows = [
         [
             s.sensor,
@@ -255,17 +273,23 @@ def _number(value: float | None, form: str) -> str:
 def _subtitle(track: Track, mission: Mission, summary: Mapping[str, Any]) -> str:
     when = f", {mission.date.isoformat()}" if mission.date is not None else ""
     return (
-        f"Vehicle {track.vehicle.name}{when}. {summary['duration_s'] / 60:.1f} min, {summary['distance_m']:.0f} m travelled, "
-        f"{len(track.state_names) + 9} error states, {track.cpu_s:.1f} s of processor time. navfilter {metadata.version('navfilter')}."
+        f"Vehicle {track.vehicle.name}{when}. {summary['duration_s'] / 60:.1f} min, {summary['distance_m']:.0f} m "
+        "travelled, "
+        f"{len(track.state_names) + 9} error states, {track.cpu_s:.1f} s of processor time. navfilter "
+        f"{metadata.version('navfilter')}."
     )
 
 
 def _reading(mission: Mission) -> str:
     if mission.truth is None:
-        return "There is no truth in this mission, so only NIS can be judged: the mean over all sensors should be near 1."
+        return (
+            "There is no truth in this mission, so only NIS can be judged: the mean over all sensors should be near 1."
+        )
     return (
-        "Position errors are horizontal. NEES and NIS are means per degree of freedom: 1 is honest, well above 1 means that the filter "
-        "believes itself too much, well below 1 too little. One run is one draw: NEES of a single mission scatters widely."
+        "Position errors are horizontal. NEES and NIS are means per degree of freedom: 1 is honest, well above 1 means "
+        "that the filter "
+        "believes itself too much, well below 1 too little. One run is one draw: NEES of a single mission scatters "
+        "widely."
     )
 
 

@@ -1,9 +1,9 @@
 """Dead reckoning live: which attitude belongs to a velocity, as far as is known when it must be decided.
 
-A velocity waits until an attitude of its own time or later has arrived, and then gets the attitude interpolated to its time: the same
-numbers as the replay of a recording. It waits `PATIENCE_S` at the most, by the stamps of whatever else arrives; then the newest attitude
-holds if it is at most one period of the drive older, else the velocity is dropped. What arrives behind a waiting velocity waits with it,
-so that the order of arrival stays.
+A velocity waits until an attitude of its own time or later has arrived, and then gets the attitude interpolated to its
+time: the same numbers as the replay of a recording. It waits `PATIENCE_S` at the most, by the stamps of whatever else
+arrives; then the newest attitude holds if it is at most one period of the drive older, else the velocity is dropped.
+What arrives behind a waiting velocity waits with it, so that the order of arrival stays.
 """
 
 from __future__ import annotations
@@ -130,7 +130,9 @@ class Pairing:
         self._time_s, self._angles = list(saved["time_s"]), list(saved["angles"])
         self._last, self._turns, self.counts = list(saved["last"]), list(saved["turns"]), dict(saved["counts"])
         # JSON has no NaN: null stands for a missing component, as in a line
-        self._waiting = deque(Reading(name, t, _missing(value), _missing(sd), b"") for name, t, value, sd in saved["waiting"])
+        self._waiting = deque(
+            Reading(name, t, _missing(value), _missing(sd), b"") for name, t, value, sd in saved["waiting"]
+        )
 
 
 def _missing(values: list[float | None] | None) -> Any:

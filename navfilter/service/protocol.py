@@ -1,6 +1,7 @@
 """Lines out of ``navfilter run``: states, events, and the bytes of the input cut into lines.
 
-Numbers are written with the fewest digits that read back as the same float64, so two outputs can be compared bit for bit.
+Numbers are written with the fewest digits that read back as the same float64, so two outputs can be compared bit for
+bit.
 """
 
 from __future__ import annotations
@@ -49,10 +50,11 @@ def state_fields(state: NavState) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``time_s``, ``latitude_deg``, ``longitude_deg``, ``depth_m`` (minus the height), ``velocity_n_m_s`` (north, east, down),
-        ``roll_deg``, ``pitch_deg``, ``heading_deg`` (0 to 360) and standard deviations ``position_sd_m``, ``velocity_sd_m_s`` (north, east,
-        down) and ``attitude_sd_deg`` (rotations about north, east, down; the last is that of the heading of a level vehicle); ``sensors``:
-        condition, age of the last good reading [s], mean NIS and what became of the readings, by name; ``clock_offset_s``.
+        ``time_s``, ``latitude_deg``, ``longitude_deg``, ``depth_m`` (minus the height), ``velocity_n_m_s`` (north,
+        east, down), ``roll_deg``, ``pitch_deg``, ``heading_deg`` (0 to 360) and standard deviations ``position_sd_m``,
+        ``velocity_sd_m_s`` (north, east, down) and ``attitude_sd_deg`` (rotations about north, east, down; the last is
+        that of the heading of a level vehicle); ``sensors``: condition, age of the last good reading [s], mean NIS and
+        what became of the readings, by name; ``clock_offset_s``.
     """
     health = state.health or Health({}, {})
     roll, pitch, heading = np.degrees(state.roll_pitch_heading).tolist()
@@ -70,7 +72,8 @@ def state_fields(state: NavState) -> dict[str, Any]:
         "velocity_sd_m_s": sd[3:6],
         "attitude_sd_deg": [math.degrees(s) for s in sd[6:]],
         "sensors": {
-            name: {"condition": s.condition, "age_s": s.age_s, "nis": s.nis, "outcomes": s.outcomes} for name, s in health.sensors.items()
+            name: {"condition": s.condition, "age_s": s.age_s, "nis": s.nis, "outcomes": s.outcomes}
+            for name, s in health.sensors.items()
         },
         "clock_offset_s": health.clock_offset_s,
     }

@@ -66,7 +66,9 @@ class Options:
         except (KeyError, TypeError, ValueError) as error:
             raise ValueError(f"the options of this run cannot be read: {error!r}.") from None
         if not (0.0 < options.rate_hz < math.inf and 0.0 < options.align_s < math.inf):
-            raise ValueError(f"the options of this run make no sense: rate_hz {options.rate_hz}, align_s {options.align_s}.")
+            raise ValueError(
+                f"the options of this run make no sense: rate_hz {options.rate_hz}, align_s {options.align_s}."
+            )
         return options
 
 
@@ -95,7 +97,11 @@ class Session:
     KEPT_S, KEPT = 65.0, 200_000
 
     def __init__(
-        self, vehicle: Vehicle, options: Options, emit: Callable[[bytes, bool], None], note: Callable[[bytes], None] | None = None
+        self,
+        vehicle: Vehicle,
+        options: Options,
+        emit: Callable[[bytes, bool], None],
+        note: Callable[[bytes], None] | None = None,
     ) -> None:
         self.vehicle, self.options, self._emit = vehicle, options, emit
         self._note = note or (lambda line: None)
@@ -223,14 +229,20 @@ class Session:
             self._begin(start, "aligned")
 
     def _begin(self, start: Start, how: str) -> None:
-        fields = {k: v.isoformat() if isinstance(v, datetime.date) else v for k, v in dataclasses.asdict(start).items() if v is not None}
+        fields = {
+            k: v.isoformat() if isinstance(v, datetime.date) else v
+            for k, v in dataclasses.asdict(start).items()
+            if v is not None
+        }
         self._note(to_line({"event": "start", "how": how, "start": fields}))
         self._tell("start", how=how, **fields)
         self.nav = Navigator(self.vehicle, start)
         self._next_tick()
         first = next((r.time_s for r in self._buffer if r.sensor in self.vehicle.drive.streams), start.time_s)
         if abs(first - start.time_s) > Intake.LONGEST_S:
-            self._tell("warning", text=f"the start is at {start.time_s} s, the readings at {first} s: is it the same clock?")
+            self._tell(
+                "warning", text=f"the start is at {start.time_s} s, the readings at {first} s: is it the same clock?"
+            )
         buffer, self._buffer = self._buffer, []
         for reading in buffer:
             if reading.time_s >= start.time_s - 1e-9 or reading.sensor == "attitude":
@@ -240,7 +252,9 @@ class Session:
         """When the readings made so little sense that there is no state any more, look for a start in those to come."""
         assert self.nav is not None
         self._tell(
-            "diverged", time_s=self.nav.time_s, text="the state is that of no vehicle any more; aligning again, or give a start line"
+            "diverged",
+            time_s=self.nav.time_s,
+            text="the state is that of no vehicle any more; aligning again, or give a start line",
         )
         self.nav, self._start, self._align_at_s, self._waited, self._offset_s = None, None, None, "", 0.0
         self._rows.clear()
@@ -316,7 +330,9 @@ class Session:
 
     # ---------------------------------------------------------------- snapshot
     def snapshot(self) -> tuple[bytes, bytes] | None:
-        """What a later process needs beside the log: this session as a line of JSON, and the navigator; None before the start."""
+        """What a later process needs beside the log: this session as a line of JSON, and the navigator; None before the
+        start.
+        """
         if self.nav is None:
             return None
         saved = {

@@ -1,11 +1,13 @@
 """Scenarios for Monte Carlo campaigns: one sensor errs in a known way, its operator believes something simpler.
 
-Every scenario comes on two motions (lawnmower and straight transit) and with two gyros (tactical and micromechanical), and
-all of them with three losses of the DVL, outliers of compass, DVL and GPS, fixes at the surface only, and a surfacing at the end.
+Every scenario comes on two motions (lawnmower and straight transit) and with two gyros (tactical and micromechanical),
+and all of them with three losses of the DVL, outliers of compass, DVL and GPS, fixes at the surface only, and a
+surfacing at the end.
 
-The models "of the thesis" are those of J. Ah-Chong, "Static error modeling of sensors applicable to ocean systems", Florida
-Atlantic University, 2003, Appendix A; the docstring of each says which table, and what had to be changed before a stationary
-process could be drawn from it. Most of the printed models hold a unit root or are unstable, see `_thesis_compass` and the others.
+The models "of the thesis" are those of J. Ah-Chong, "Static error modeling of sensors applicable to ocean systems",
+Florida Atlantic University, 2003, Appendix A; the docstring of each says which table, and what had to be changed before
+a stationary process could be drawn from it. Most of the printed models hold a unit root or are unstable, see
+`_thesis_compass` and the others.
 """
 
 from __future__ import annotations
@@ -49,8 +51,9 @@ class Study:
     sensor : str
         Name of the sensor, or "gyro".
     kind : "white", "gm1", "smooth", "oscillating" or "changing"
-        What may be expected of a model: whether white or Gauss-Markov noise is the truth, whether the error is coloured but
-        smooth (one hump at zero frequency, perhaps on white noise), whether it also swings, or whether no fixed model is the truth.
+        What may be expected of a model: whether white or Gauss-Markov noise is the truth, whether the error is coloured
+        but smooth (one hump at zero frequency, perhaps on white noise), whether it also swings, or whether no fixed
+        model is the truth.
     error : callable
         Takes the vehicle as described and the duration in s, returns the true error of the sensor.
     equip : callable, optional
@@ -119,7 +122,12 @@ class Staged:
 
 
 def stage(
-    name: str, *, motion: str = "lawnmower", gyro: str = "tactical", duration_s: float | None = None, imu_rate_hz: float = 100.0
+    name: str,
+    *,
+    motion: str = "lawnmower",
+    gyro: str = "tactical",
+    duration_s: float | None = None,
+    imu_rate_hz: float = 100.0,
 ) -> Staged:
     """Make a scenario ready.
 
@@ -183,7 +191,10 @@ def _faults(duration_s: float, sensor: str, error: Models | Changing) -> dict[st
     Longer losses would leave errors of position that drown those of the heading: 2 minutes on inertia cost 40 m.
     """
     short = min(1.0, duration_s / 1800.0)
-    lost = tuple((share * duration_s, share * duration_s + short * long_s) for share, long_s in ((0.3, 30.0), (0.5, 60.0), (0.7, 15.0)))
+    lost = tuple(
+        (share * duration_s, share * duration_s + short * long_s)
+        for share, long_s in ((0.3, 30.0), (0.5, 60.0), (0.7, 15.0))
+    )
     faults = {
         "gps": Faults(available="surface", outlier_probability=0.01, outlier_sd=50.0),
         "dvl": Faults(dropouts=lost, outlier_probability=0.005, outlier_sd=0.5),
@@ -235,44 +246,53 @@ def _mixed() -> Arma:
     return scaled(tuple(ar.tolist()), tuple(ma.tolist()), 0.63 * _DEG)
 
 
-# Appendix A, case 2 heading by the whiteness test: (10,0,8), stable as printed (largest pole 0.9991, largest zero 0.9931).
+# Appendix A, case 2 heading by the whiteness test: (10,0,8), stable as printed (largest pole 0.9991, largest zero
+# 0.9931).
 LAB1_AR = (-0.986, 0.580, -0.615, -0.652, 0.783, -0.355, 0.377, -0.018, 0.020, -0.133)
 LAB1_MA = (-0.931, 0.239, -0.518, -0.515, 0.849, -0.164, 0.191, -0.144)
 LAB1_RATE_HZ = 1.0 / 0.1551
-# Appendix A, case 4 heading by AIC: (10,0,9), a comb of ten samples. Its largest pole, 0.9999, is a unit root within the digits.
+# Appendix A, case 4 heading by AIC: (10,0,9), a comb of ten samples. Its largest pole, 0.9999, is a unit root within
+# the digits.
 LAB2_AR = (1.438, 1.145, 0.417, -0.466, -1.159, -1.419, -1.133, -0.420, 0.431, 0.168)
 LAB2_MA = (1.990, 2.403, 2.098, 1.202, 0.075, -0.870, -1.268, -0.988, -0.168)
 LAB2_RATE_HZ = 1.0 / 0.11
-# Section 4.3.2.2 finds AR(2) sufficient for the longitude but prints only the AR(10), stable (largest pole 0.943). The AR(2)
-# here has the autocorrelation of that AR(10) at lags 1 and 2 (Yule-Walker).
+# Section 4.3.2.2 finds AR(2) sufficient for the longitude but prints only the AR(10), stable (largest pole 0.943). The
+# AR(2) here has the autocorrelation of that AR(10) at lags 1 and 2 (Yule-Walker).
 GPS_AR = (-0.79427581, -0.17215590)
 GPS_RATE_HZ = 1.0 / 0.134
 
 
 def _thesis_compass() -> Arma:
-    """Case 2 as printed. The sd of the innovation is 0.384 deg: the text's variance 0.1473; the table's 0.4358 disagrees with its AIC."""
+    """Case 2 as printed. The sd of the innovation is 0.384 deg: the text's variance 0.1473; the table's 0.4358
+    disagrees with its AIC.
+    """
     return Arma(ar=LAB1_AR, ma=LAB1_MA, sd=math.sqrt(0.1473) * _DEG)
 
 
 def _comb() -> Arma:
-    """Case 4 with its unit root moved to a correlation time of a minute; 0.5 deg (the printed standard deviations disagree)."""
+    """Case 4 with its unit root moved to a correlation time of a minute; 0.5 deg (the printed standard deviations
+    disagree).
+    """
     poles = np.roots([1.0, *LAB2_AR])
     poles[np.argmin(np.abs(poles - 1.0))] = math.exp(-1.0 / (60.0 * LAB2_RATE_HZ))
     return scaled(tuple(np.poly(poles).real[1:].tolist()), LAB2_MA, 0.5 * _DEG)
 
 
 def _thesis_gps() -> tuple[ErrorModel, ...]:
-    """AR(2) of the longitude, 2.27 m per axis (the table's figure read as metres: its unit, minutes, cannot be) and 1.5 times that down."""
+    """AR(2) of the longitude, 2.27 m per axis (the table's figure read as metres: its unit, minutes, cannot be) and 1.5
+    times that down.
+    """
     level = scaled(GPS_AR, (), 2.27)
     return level, level, scaled(GPS_AR, (), 1.5 * 2.27)
 
 
 def _thesis_gyro(vehicle: Vehicle, duration_s: float) -> tuple[ErrorModel, ...]:
-    """The (2,2) part of the roll rate's (3,0,3), a line next to the Nyquist frequency; size and bias are those of the vehicle's gyro.
+    """The (2,2) part of the roll rate's (3,0,3), a line next to the Nyquist frequency; size and bias are those of the
+    vehicle's gyro.
 
-    The printed model is not stable (pole 1.0003). That pole and the zero 0.994 next to it are a bias that wanders under white
-    noise, which the vehicle's description has already; what is left is stable: poles 0.9994, zeros 0.9924, at 179 and 178 degrees.
-    Section 4.4.2 calls (2,2) sufficient for all three axes but prints no coefficients of that order.
+    The printed model is not stable (pole 1.0003). That pole and the zero 0.994 next to it are a bias that wanders under
+    white noise, which the vehicle's description has already; what is left is stable: poles 0.9994, zeros 0.9924, at 179
+    and 178 degrees. Section 4.4.2 calls (2,2) sufficient for all three axes but prints no coefficients of that order.
     """
     pole, zero = -0.99912509 + 0.02234216j, -0.99197650 + 0.03063750j
     ar, ma = (-2.0 * pole.real, abs(pole) ** 2), (-2.0 * zero.real, abs(zero) ** 2)
@@ -316,22 +336,28 @@ STUDIES: dict[str, Study] = {
     "compass-white": _compass("white, 0.5 deg", "white", White(sd=0.5 * _DEG)),
     "compass-gm1": _compass("first-order Gauss-Markov, 0.5 deg, 15 s", "gm1", _GM1),
     "compass-gm1-white": _compass("the same on white noise of 0.3 deg", "smooth", _GM1 + White(sd=0.3 * _DEG)),
-    "compass-gm2": _compass("second-order Gauss-Markov, 0.5 deg, 10 s", "smooth", GaussMarkov(sd=0.5 * _DEG, tau_s=10.0, order=2)),
+    "compass-gm2": _compass("second-order Gauss-Markov, 0.5 deg, 10 "
+                            "s", "smooth", GaussMarkov(sd=0.5 * _DEG, tau_s=10.0, order=2)),
     "compass-mixed": _compass("a hump, a wide peak at 1 Hz and white noise: ARMA(4,2), 0.63 deg", "smooth", _mixed()),
     "compass-swell": _compass("slow, and swings with a period of 6 s: ARMA(4,2), 0.5 deg", "oscillating",
                               _slow(0.35 * _DEG) + swing(0.35 * _DEG, 6.0, 0.99)),
     "compass-rolling": _compass("slow, and swings with a period of 1.5 s: ARMA(4,2), 0.5 deg", "oscillating",
                                 _slow(0.35 * _DEG) + swing(0.35 * _DEG, 1.5, 0.95)),
-    "compass-comb": _compass("thesis, case 4: slow, and a comb of ten samples: ARMA(10,9), 0.5 deg", "oscillating", _comb(), LAB2_RATE_HZ),
-    "compass-thesis": _compass("thesis, case 2 as printed: ARMA(10,8), 0.43 deg", "smooth", _thesis_compass(), LAB1_RATE_HZ),
+    "compass-comb": _compass("thesis, case 4: slow, and a comb of ten samples: ARMA(10,9), 0.5 "
+                             "deg", "oscillating", _comb(), LAB2_RATE_HZ),
+    "compass-thesis": _compass("thesis, case 2 as printed: ARMA(10,8), 0.43 "
+                               "deg", "smooth", _thesis_compass(), LAB1_RATE_HZ),
     "gps-thesis": Study("thesis, longitude: AR(2), 2.3 m; a third of the way at the surface", "gps", "smooth",
                         _always(_thesis_gps()), _rated("gps", GPS_RATE_HZ), 2700.0, fixes_s=1080.0),
-    "gyro-thesis": Study("thesis, roll rate: bias and ARMA(2,2) at the Nyquist frequency; long rest first", "gyro", "smooth",
+    "gyro-thesis": Study("thesis, roll rate: bias and ARMA(2,2) at the Nyquist frequency; long rest "
+                         "first", "gyro", "smooth",
                          _thesis_gyro, rest_s=180.0),
-    "dvl-coloured": Study("DVL slow and with the waves, ARMA(3,3), with scale and misalignment as states", "dvl", "oscillating",
+    "dvl-coloured": Study("DVL slow and with the waves, ARMA(3,3), with scale and misalignment as "
+                          "states", "dvl", "oscillating",
                           _waves, _calibrating, 2700.0),
     "compass-triples": Study("Gauss-Markov whose standard deviation trebles after a third", "compass", "changing",
                              _changes(_GM1, GaussMarkov(sd=1.5 * _DEG, tau_s=15.0)), duration_s=2700.0),
-    "compass-recoloured": Study("Gauss-Markov that becomes white noise and a swing of 1.5 s after a third", "compass", "changing",
+    "compass-recoloured": Study("Gauss-Markov that becomes white noise and a swing of 1.5 s after a "
+                                "third", "compass", "changing",
                                 _changes(_GM1, White(sd=0.3 * _DEG) + swing(0.5 * _DEG, 1.5, 0.95)), duration_s=2700.0),
 }  # fmt: skip

@@ -74,7 +74,8 @@ class Faults:
     temperature_rad_per_k : float, optional
         Compass: drift with temperature, rad/K.
     current_m_s : tuple of 2 floats, optional
-        Velocity through the water: a steady current, north and east, m/s. At None it is drawn as the description states it, and wanders.
+        Velocity through the water: a steady current, north and east, m/s. At None it is drawn as the description states
+        it, and wanders.
     available : "always", "surface" or tuple of (float, float)
         When there are readings: always, at the surface only, or within intervals of time, s.
     dropouts : tuple of (float, float)

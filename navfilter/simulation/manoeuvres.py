@@ -97,7 +97,9 @@ class Wait:
 
     def pieces(self, speed_m_s: float, depth_m: float) -> Iterator[Piece]:
         if speed_m_s != 0.0:
-            raise ValueError(f"Wait needs a vehicle at rest, but it moves at {speed_m_s} m/s. Put ChangeSpeed(0) first.")
+            raise ValueError(
+                f"Wait needs a vehicle at rest, but it moves at {speed_m_s} m/s. Put ChangeSpeed(0) first."
+            )
         yield Piece(self.duration_s, 0.0)
 
 

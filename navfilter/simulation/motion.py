@@ -162,7 +162,9 @@ class Motion:
         if not self.manoeuvres:
             raise ValueError("A motion needs at least one manoeuvre, found none.")
         if not abs(self.latitude_deg) < 89.0:
-            raise ValueError(f"latitude_deg must lie between -89 and 89 (no motion over the poles): {self.latitude_deg}.")
+            raise ValueError(
+                f"latitude_deg must lie between -89 and 89 (no motion over the poles): {self.latitude_deg}."
+            )
 
     @property
     def duration_s(self) -> float:
@@ -202,7 +204,9 @@ class Motion:
         force_b = _to_body(C_nb, force_n)
         return Kinematics(t, latitude, longitude, height, velocity_n, attitude, C_nb, rate_b, rate_eb_b, force_b)
 
-    def inertial(self, rate_hz: float, *, increments: bool = False, duration_s: float | None = None) -> tuple[Array, Array, Array]:
+    def inertial(
+        self, rate_hz: float, *, increments: bool = False, duration_s: float | None = None
+    ) -> tuple[Array, Array, Array]:
         """Samples of an ideal inertial unit at the body's origin.
 
         Parameters
@@ -279,7 +283,8 @@ class Motion:
         """Latitude, longitude, height relative to the origin, as quintics between the knots."""
         breaks = self._course.x
         knots = np.concatenate(
-            [np.linspace(a, b, max(1, math.ceil((b - a) / _KNOT_STEP_S)), endpoint=False) for a, b in pairwise(breaks)] + [breaks[-1:]]
+            [np.linspace(a, b, max(1, math.ceil((b - a) / _KNOT_STEP_S)), endpoint=False) for a, b in pairwise(breaks)]
+            + [breaks[-1:]]
         )
         return integrate_path(knots, self._motion_n, self._origin)
 
@@ -316,7 +321,9 @@ def _join(pieces: list[Piece], heading: float) -> PPoly:
     return PPoly(np.ascontiguousarray(np.moveaxis(c, 1, 0)), times)
 
 
-def _along_forward_axis(speed: Array, angles: Array, angle_rates: Array, acceleration: Array) -> tuple[Array, Array, Array]:
+def _along_forward_axis(
+    speed: Array, angles: Array, angle_rates: Array, acceleration: Array
+) -> tuple[Array, Array, Array]:
     """Velocity and its derivative in north-east-down axes (n, 3), and C_nb, for motion along the forward axis."""
     heading, pitch, roll = angles.T
     C_nb = rotation(roll, pitch, heading)

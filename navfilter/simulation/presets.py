@@ -18,7 +18,9 @@ _DEG = math.pi / 180.0
 _HOUR_S = 3600.0
 
 
-def gyro_error(random_walk_deg_per_root_hour: float, bias_deg_per_hour: float, bias_change_deg_per_hour: float) -> ErrorModel:
+def gyro_error(
+    random_walk_deg_per_root_hour: float, bias_deg_per_hour: float, bias_change_deg_per_hour: float
+) -> ErrorModel:
     """Error of a gyro from the three figures of a data sheet.
 
     Parameters
@@ -46,7 +48,9 @@ def gyro_error(random_walk_deg_per_root_hour: float, bias_deg_per_hour: float, b
     return white + RandomWalk(density=change / math.sqrt(_HOUR_S), start_sd=bias_deg_per_hour * _DEG / _HOUR_S)
 
 
-def accel_error(noise_milli_g_per_root_hz: float, bias_milli_g: float, bias_change_milli_g_per_hour: float) -> ErrorModel:
+def accel_error(
+    noise_milli_g_per_root_hz: float, bias_milli_g: float, bias_change_milli_g_per_hour: float
+) -> ErrorModel:
     """Error of an accelerometer, in m/s^2: white noise, bias left at the start, change of the bias in one hour."""
     white = White(density=noise_milli_g_per_root_hz * MILLI_G)
     change = bias_change_milli_g_per_hour * MILLI_G
@@ -55,12 +59,16 @@ def accel_error(noise_milli_g_per_root_hz: float, bias_milli_g: float, bias_chan
 
 def tactical_imu(rate_hz: float = 100.0, *, increments: bool = False) -> Imu:
     """Inertial unit of tactical grade (fibre-optic): 0.3 deg/sqrt(h), 5 deg/h, accelerometers 0.1 mg/sqrt(Hz), 1 mg."""
-    return Imu(rate_hz=rate_hz, gyro=gyro_error(0.3, 5.0, 1.0), accel=accel_error(0.1, 1.0, 0.05), increments=increments)
+    return Imu(
+        rate_hz=rate_hz, gyro=gyro_error(0.3, 5.0, 1.0), accel=accel_error(0.1, 1.0, 0.05), increments=increments
+    )
 
 
 def mems_imu(rate_hz: float = 100.0, *, increments: bool = False) -> Imu:
     """Inertial unit of micromechanical grade: 3 deg/sqrt(h), 60 deg/h, accelerometers 0.2 mg/sqrt(Hz), 4 mg."""
-    return Imu(rate_hz=rate_hz, gyro=gyro_error(3.0, 60.0, 20.0), accel=accel_error(0.2, 4.0, 0.3), increments=increments)
+    return Imu(
+        rate_hz=rate_hz, gyro=gyro_error(3.0, 60.0, 20.0), accel=accel_error(0.2, 4.0, 0.3), increments=increments
+    )
 
 
 def crossbow_imu(rate_hz: float = 100.0) -> Imu:
@@ -71,7 +79,9 @@ def crossbow_imu(rate_hz: float = 100.0) -> Imu:
     deviation of the bias at the start. Assumptions, for the table says nothing: a gyro bias of 100 deg/h left after
     warming up, and biases that change by 30 deg/h and 0.1 mg in an hour.
     """
-    return Imu(rate_hz=rate_hz, gyro=gyro_error(2.25, 100.0, 30.0), accel=accel_error(0.25 / math.sqrt(100.0), 0.5, 0.1))
+    return Imu(
+        rate_hz=rate_hz, gyro=gyro_error(2.25, 100.0, 30.0), accel=accel_error(0.25 / math.sqrt(100.0), 0.5, 0.1)
+    )
 
 
 def tcm2_compass(rate_hz: float = 8.0, *, calibrated: bool = True) -> Heading:
@@ -124,7 +134,9 @@ def motorola_gps(rate_hz: float = 1.0, *, differential: bool = True) -> Position
     """
     sd, tau_s = (2.5, 30.0) if differential else (12.5, 60.0)
     level = White(sd=0.2) + GaussMarkov(sd=sd, tau_s=tau_s, order=2)
-    return Position(rate_hz=rate_hz, error=(level, level, White(sd=0.3) + GaussMarkov(sd=1.5 * sd, tau_s=tau_s, order=2)))
+    return Position(
+        rate_hz=rate_hz, error=(level, level, White(sd=0.3) + GaussMarkov(sd=1.5 * sd, tau_s=tau_s, order=2))
+    )
 
 
 def pressure_depth(rate_hz: float = 1.0) -> Depth:

@@ -185,7 +185,9 @@ def turns_and_dives(duration_s: float) -> Motion:
     return _fill(duration_s, begin, lambda times: cycle * times, end)
 
 
-def dive(duration_s: float, pattern: _Pattern | None, surface_s: tuple[float, float], depth_m: float, rest_s: float = 20.0) -> Motion:
+def dive(
+    duration_s: float, pattern: _Pattern | None, surface_s: tuple[float, float], depth_m: float, rest_s: float = 20.0
+) -> Motion:
     """Rest, fixes at the surface, dive, the pattern as often as it fits (or straight on), surfacing, fixes, rest.
 
     Parameters
@@ -211,7 +213,9 @@ def dive(duration_s: float, pattern: _Pattern | None, surface_s: tuple[float, fl
     return _fill(duration_s, begin, pattern, end)
 
 
-def _fill(duration_s: float, begin: tuple[Manoeuvre, ...], pattern: _Pattern | None, end: tuple[Manoeuvre, ...]) -> Motion:
+def _fill(
+    duration_s: float, begin: tuple[Manoeuvre, ...], pattern: _Pattern | None, end: tuple[Manoeuvre, ...]
+) -> Motion:
     """A motion of this duration (or longer): as many repetitions of the pattern as fit, the rest straight on."""
 
     def build(repeats: int, straight_s: float = 0.0) -> Motion:
@@ -227,11 +231,15 @@ def _fill(duration_s: float, begin: tuple[Manoeuvre, ...], pattern: _Pattern | N
 
 
 def _survey_faults(duration_s: float) -> dict[str, Faults]:
-    lost = tuple((share * duration_s, share * duration_s + long_s) for share, long_s in ((0.3, 60.0), (0.5, 120.0), (0.7, 30.0)))
+    lost = tuple(
+        (share * duration_s, share * duration_s + long_s) for share, long_s in ((0.3, 60.0), (0.5, 120.0), (0.7, 30.0))
+    )
     return {
         "gps": Faults(available="surface", outlier_probability=0.01, outlier_sd=50.0),
         "dvl": Faults(dropouts=lost, outlier_probability=0.005, outlier_sd=0.5, quantisation=1e-3),
-        "compass": Faults(_swinging_compass(), quantisation=0.1 * _DEG, outlier_probability=0.002, outlier_sd=20.0 * _DEG),
+        "compass": Faults(
+            _swinging_compass(), quantisation=0.1 * _DEG, outlier_probability=0.002, outlier_sd=20.0 * _DEG
+        ),
         "depth": Faults(quantisation=0.01),
     }
 
@@ -262,7 +270,9 @@ def _oscillating_vehicle() -> Vehicle:
 
 
 def _demo_vehicle() -> Vehicle:
-    """Believes in a slow error of the compass, with a white part because it reads in steps of 0.1 deg; really the compass swings too."""
+    """Believes in a slow error of the compass, with a white part because it reads in steps of 0.1 deg; really the
+    compass swings too.
+    """
     return survey_vehicle().with_error(compass=COMPASS + White(sd=0.1 * _DEG))
 
 

@@ -182,7 +182,9 @@ class _Scene:
         return Truth(error, drawn, lambda: self.field_n, self.motion.surface_height_m, hdop, wandering)
 
     def wandering(self, name: str, sensor: Sensor, time_s: Array) -> dict[str, Array]:
-        """The parameters that are not constant, at these ticks: as given, or wandering as the description of the sensor states."""
+        """The parameters that are not constant, at these ticks: as given, or wandering as the description of the sensor
+        states.
+        """
         models = sensor.wandering()
         if not models:
             return {}
@@ -246,7 +248,9 @@ def _check_names(vehicle: Vehicle, faults: dict[str, Faults]) -> None:
     for name in ("gyro", "accel", "imu"):
         # each fault has one place: what is measured belongs to gyro and accel, when it is recorded to imu
         given, plain = faults.get(name, _NO_FAULTS), _NO_FAULTS
-        wrong = [key for key in (_ERRORS if name == "imu" else _RECORDING) if getattr(given, key) != getattr(plain, key)]
+        wrong = [
+            key for key in (_ERRORS if name == "imu" else _RECORDING) if getattr(given, key) != getattr(plain, key)
+        ]
         if wrong:
             right = '"gyro" and "accel"' if name == "imu" else '"imu"'
             raise ValueError(f'The fault {wrong[0]} of "{name}" has to be given for {right}.')
@@ -325,7 +329,9 @@ def _draw_start(here: Kinematics, known: StartErrors, seed: int, date: datetime.
 
 
 def tiny_missions() -> Iterator[tuple[Vehicle, Mission]]:
-    """Two missions of a few seconds that between them use every drive and every kind of sensor, for compiling ahead of time."""
+    """Two missions of a few seconds that between them use every drive and every kind of sensor, for compiling ahead of
+    time.
+    """
     sensors: dict[str, Sensor] = {}
     for kind in kinds_below(Sensor):
         for sensor in kind.examples():  # type: ignore[attr-defined]
@@ -348,7 +354,11 @@ def tiny_mission(vehicle: Vehicle) -> tuple[Vehicle, Mission]:
 
 def _tiny(vehicle: Vehicle) -> tuple[Vehicle, Mission]:
     """With a mission: what the simulator cannot read reads zeros."""
-    silent = [name for name, sensor in vehicle.sensors.items() if type(sensor).simulated is Sensor.simulated and not sensor.from_drive]
+    silent = [
+        name
+        for name, sensor in vehicle.sensors.items()
+        if type(sensor).simulated is Sensor.simulated and not sensor.from_drive
+    ]
     heard = vehicle.without(*silent)
     motion = Motion((Wait(3.0), ChangeSpeed(1.0, 2.0)), latitude_deg=30.0)
     late = Faults(hdop=1.0, time_offset_s=0.03)  # readings between the samples of the drive

@@ -25,9 +25,9 @@ def true_vehicle(name: str, duration_s: float | None = None) -> Vehicle | None:
     Returns
     -------
     Vehicle or None
-        With the true error models of the sensors, rounding as white noise of its step over sqrt(12) beside them (Widrow & Kollar, 2008,
-        sec. 1.2). None where the description is the truth. An error that changes during the mission is no model; such a sensor keeps
-        the description's.
+        With the true error models of the sensors, rounding as white noise of its step over sqrt(12) beside them (Widrow
+        & Kollar, 2008, sec. 1.2). None where the description is the truth. An error that changes during the mission is
+        no model; such a sensor keeps the description's.
 
     Raises
     ------

@@ -21,8 +21,8 @@ __all__ = ["ArmaBank", "moment_gm1"]
 Array = NDArray[np.float64]
 
 BANK_ORDERS = ((0, 0), (1, 0), (0, 1), (1, 1), (2, 0), (2, 1), (2, 2), (3, 2), (4, 2))
-#: A candidate this far behind by the criterion is followed by its recursion alone until the order in use no longer serves,
-#: the others are polished by so many passes at most.
+#: A candidate this far behind by the criterion is followed by its recursion alone until the order in use no longer
+#: serves, the others are polished by so many passes at most.
 HOPELESS, POLISHES = 30.0, 8
 
 
@@ -248,7 +248,9 @@ class ArmaBank:
         chosen = -1 if self._chosen is None else self._chosen
         model, n = self._model, self._model.p + self._model.q
         challenger = -1 if self._challenge.order is None else self.orders.index(self._challenge.order)
-        kept["choice"] = np.array([chosen, challenger, self._challenge.leads, self._stale, self._walk_sd], dtype=np.float64)
+        kept["choice"] = np.array(
+            [chosen, challenger, self._challenge.leads, self._stale, self._walk_sd], dtype=np.float64
+        )
         kept["model"] = np.r_[model.p, model.q, model.ar, model.ma, model.sd]
         kept["model_covariance"] = np.full((n, n), np.nan) if model.covariance is None else model.covariance.copy()
         optional = (model.sd_log_s0, model.effective_window)
@@ -299,4 +301,6 @@ def moment_gm1(series: ArrayLike, mean: bool = True) -> ArmaModel:
     rho = min(max(rho, -limit), limit)
     covariance = np.array([[(1.0 - rho * rho) / n]])
     sd = top * math.sqrt(variance * (1.0 - rho * rho))
-    return ArmaModel(np.array([-rho]), np.zeros(0), sd, covariance, log_s0_sd([-rho], [], covariance, n), float(n), flags)
+    return ArmaModel(
+        np.array([-rho]), np.zeros(0), sd, covariance, log_s0_sd([-rho], [], covariance, n), float(n), flags
+    )

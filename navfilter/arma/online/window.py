@@ -142,7 +142,9 @@ class WindowFit:
         # A young record leaves out the start of its filters; later they carry memory from before the window.
         lo = max(pos - self.window, min(pos // 8, self.hop))
         limits = np.array([head[kernel.RADIUS_A], head[kernel.RADIUS_C], passes])
-        used, settled = window_kernel.polish(theta, self.p, self.samples, (lo, pos), self.carry, self._work, self._normal, limits)
+        used, settled = window_kernel.polish(
+            theta, self.p, self.samples, (lo, pos), self.carry, self._work, self._normal, limits
+        )
         r = max(self.p, self.q)
         self.used = used
         self.residuals = self._work[4, r + lo : r + pos]

@@ -1,7 +1,9 @@
-"""A campaign: seeds -> missions -> one run per model -> results, on all cores or on a cluster, continued where it was stopped.
+"""A campaign: seeds -> missions -> one run per model -> results, on all cores or on a cluster, continued where it was
+stopped.
 
 A job is one seed: its mission is simulated once and replayed with every model, so that models are compared on the same
-missions. What a job returns depends on nothing but the settings, the seed and the model; which process does it does not matter.
+missions. What a job returns depends on nothing but the settings, the seed and the model; which process does it does not
+matter.
 """
 
 from __future__ import annotations
@@ -50,8 +52,8 @@ class Campaign:
     duration_s : float, optional
         Default: that of the scenario.
     score_from_s : float, optional
-        Time from which runs are scored. Default: one window of the learner (500 s at 8 Hz), a third of a mission that is not
-        even three windows long.
+        Time from which runs are scored. Default: one window of the learner (500 s at 8 Hz), a third of a mission that
+        is not even three windows long.
     smooth : bool
         Whether the smoother runs too.
     imu_rate_hz : float
@@ -66,13 +68,17 @@ class Campaign:
     imu_rate_hz: float = 100.0
 
     def __post_init__(self) -> None:
-        staged = stage(self.scenario, motion=self.motion, gyro=self.gyro, duration_s=self.duration_s, imu_rate_hz=self.imu_rate_hz)
+        staged = stage(
+            self.scenario, motion=self.motion, gyro=self.gyro, duration_s=self.duration_s, imu_rate_hz=self.imu_rate_hz
+        )
         scenario, motion, gyro = staged.name.split("/")
         score_from_s = self.score_from_s
         if score_from_s is None:
             score_from_s = min(staged.window_s, staged.duration_s / 3.0)
         if not 0.0 <= score_from_s < staged.duration_s:
-            raise ValueError(f"scoring must start within the mission of {staged.duration_s:g} s, found {score_from_s:g} s.")
+            raise ValueError(
+                f"scoring must start within the mission of {staged.duration_s:g} s, found {score_from_s:g} s."
+            )
         whole = {"scenario": scenario, "motion": motion, "gyro": gyro, "duration_s": staged.duration_s}
         for key, value in (whole | {"score_from_s": float(score_from_s)}).items():
             object.__setattr__(self, key, value)
@@ -106,9 +112,21 @@ def _staged(campaign: Campaign) -> Staged:
 
 @cache
 def program() -> str:
-    """Version, and a digest of the source that runs depend on: runs of a changed program must not be mixed with older ones."""
+    """Version, and a digest of the source that runs depend on: runs of a changed program must not be mixed with older
+    ones.
+    """
     root = Path(__file__).parents[1]
-    aside = {"commands", "report", "check", "io", "identification", "montecarlo", "cli.py", "__main__.py", "__init__.py"}
+    aside = {
+        "commands",
+        "report",
+        "check",
+        "io",
+        "identification",
+        "montecarlo",
+        "cli.py",
+        "__main__.py",
+        "__init__.py",
+    }
     digest = hashlib.sha256()
     for path in sorted(root.rglob("*.py")):
         place = path.relative_to(root)
@@ -142,11 +160,15 @@ def run_seed(campaign: Campaign, seed: int, models: Sequence[str]) -> dict[str, 
 
 
 def _vehicles(models: Sequence[str], staged: Staged, mission: Mission) -> dict[str, Vehicle]:
-    """The vehicle with each model on the sensor under study; everything else as described, which for everything else is the truth."""
+    """The vehicle with each model on the sensor under study; everything else as described, which for everything else is
+    the truth.
+    """
     fitted = rivals([m for m in models if m != "oracle"], staged.vehicle, mission, sensors=(staged.learnt,))
     if "oracle" in models:
         if staged.truth is None:
-            raise ValueError(f'"oracle" needs one true model for the whole mission, but {staged.name} changes. Leave it out.')
+            raise ValueError(
+                f'"oracle" needs one true model for the whole mission, but {staged.name} changes. Leave it out.'
+            )
         # the truth may be that of the gyro, which no rival replaces
         fitted["oracle"] = staged.vehicle.with_error(**staged.truth)  # type: ignore[arg-type]
     return {model: fitted[model] for model in models}
@@ -237,7 +259,9 @@ def _finished(campaign: Campaign, jobs: dict[int, list[str]], executor: Executor
     if executor is None:
         yield from ((seed, run_seed(campaign, seed, models)) for seed, models in jobs.items())
         return
-    futures: dict[Future[Any], int] = {executor.submit(run_seed, campaign, s, tuple(models)): s for s, models in jobs.items()}
+    futures: dict[Future[Any], int] = {
+        executor.submit(run_seed, campaign, s, tuple(models)): s for s, models in jobs.items()
+    }
     try:
         for future in as_completed(list(futures)):
             # popped, so that a finished job's curves do not stay in memory until the last one is done
@@ -253,7 +277,8 @@ def _result(future: Future[Any], seed: int) -> Any:
         return future.result()
     except BrokenProcessPool:
         raise ChildProcessError(
-            "a worker process died (was the memory used up?); finished runs are kept: run it again, perhaps with fewer workers"
+            "a worker process died (was the memory used up?); finished runs are kept: run it again, perhaps with fewer "
+            "workers"
         ) from None
     except ValueError as error:
         raise ValueError(f"the run of seed {seed} failed: {error}") from error
@@ -265,9 +290,13 @@ def collect(campaign: Campaign, seeds: Sequence[int], models: Sequence[str], sto
     for model in models:
         loaded = [store.load(seed, model) for seed in seeds]
         if any(record is None for record in loaded):
-            raise ValueError(f"{store.folder} has lost runs of {model} since they were finished. Run the campaign again.")
+            raise ValueError(
+                f"{store.folder} has lost runs of {model} since they were finished. Run the campaign again."
+            )
         records.append([record for record in loaded if record is not None])
-    stacked = {key: np.array([[record[key] for record in row] for row in records]) for key in ("scores", "curves", "cpu_s")}
+    stacked = {
+        key: np.array([[record[key] for record in row] for row in records]) for key in ("scores", "curves", "cpu_s")
+    }
     return Results(
         campaign,
         tuple(models),
@@ -332,7 +361,8 @@ def cluster(address: str) -> Iterator[Executor]:
         other = sorted({str(theirs) for theirs in client.run(program).values()} - {program()})
         if other:
             raise ValueError(
-                f"the cluster's workers run navfilter {', '.join(other)}, here it is {program()}. Install the same one on all."
+                f"the cluster's workers run navfilter {', '.join(other)}, here it is {program()}. Install the same one "
+                "on all."
             )
         # not pure: every seed is computed, none taken from a cache of results
         yield client.get_executor(pure=False)
@@ -347,7 +377,9 @@ def available_cores() -> int:
 
 
 def _prepare_worker() -> None:
-    """Ctrl-C reaches the workers too, but only the parent shall act on it; a worker whose parent is killed must not wait for ever."""
+    """Ctrl-C reaches the workers too, but only the parent shall act on it; a worker whose parent is killed must not
+    wait for ever.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = multiprocessing.parent_process()
     if parent is not None:

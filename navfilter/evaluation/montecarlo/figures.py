@@ -1,4 +1,6 @@
-"""Figures of a campaign: error envelope against predicted sigma, NEES over time with its band, distribution of the end error."""
+"""Figures of a campaign: error envelope against predicted sigma, NEES over time with its band, distribution of the end
+error.
+"""
 
 from __future__ import annotations
 
@@ -70,7 +72,9 @@ def nees_figure(results: Results) -> Figure:
         for t, track in enumerate(results.tracks):
             for ax, (key, dof) in zip(axes[:, t], _FREEDOM.items(), strict=True):
                 low, high = chi_square_band(runs, dof)
-                ax.axhspan(low, high, color="#bbbbbb", alpha=0.5, linewidth=0, label=f"95 % of honest filters, {runs} runs")
+                ax.axhspan(
+                    low, high, color="#bbbbbb", alpha=0.5, linewidth=0, label=f"95 % of honest filters, {runs} runs"
+                )
                 for m, model in enumerate(results.models):
                     tone, dashes = colour(m)
                     mean = _over_runs(np.nanmean, _curve(results, m, t, key))
@@ -100,7 +104,14 @@ def end_error_figure(results: Results) -> Figure:
                 values = values[np.isfinite(values)]
                 share = np.arange(values.size + 1) / max(values.size, 1)
                 tone, dashes = colour(m)
-                ax.plot(np.concatenate([[0.0], values]), share, drawstyle="steps-post", color=tone, linestyle=dashes, label=model)
+                ax.plot(
+                    np.concatenate([[0.0], values]),
+                    share,
+                    drawstyle="steps-post",
+                    color=tone,
+                    linestyle=dashes,
+                    label=model,
+                )
             ax.set_title(track)
             ax.set_xlabel("position error at the end of the dive [m]")
             ax.set_xlim(left=0.0)
@@ -113,7 +124,9 @@ def _envelope(ax: Axes, time: Array, error: Array, sd: Array, tone: str) -> None
     many = len(error) >= 20
     low, high = (_over_runs(np.nanquantile, error, q) for q in ((0.025, 0.975) if many else (0.0, 1.0)))
     predicted = 1.96 * np.sqrt(_over_runs(np.nanmean, sd**2))
-    ax.fill_between(time, low, high, color="#9a9a9a", alpha=0.55, linewidth=0, label="95 % of the runs" if many else "all runs")
+    ax.fill_between(
+        time, low, high, color="#9a9a9a", alpha=0.55, linewidth=0, label="95 % of the runs" if many else "all runs"
+    )
     ax.plot(time, predicted, color=tone if tone else "k", label="1.96 predicted sd (colour of the model)")
     ax.plot(time, -predicted, color=tone)
 
@@ -153,7 +166,12 @@ def _largest(values: Array) -> float:
 
 
 def _mark_score(ax: Axes, results: Results, clock: Clock) -> None:
-    ax.axvline(float(clock(np.array(float(results.campaign.score_from_s or 0.0)))), color="#444444", linewidth=0.8, linestyle=":")
+    ax.axvline(
+        float(clock(np.array(float(results.campaign.score_from_s or 0.0)))),
+        color="#444444",
+        linewidth=0.8,
+        linestyle=":",
+    )
 
 
 def _clock(results: Results) -> Clock:

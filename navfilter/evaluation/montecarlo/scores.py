@@ -17,14 +17,24 @@ __all__ = ["CURVES", "SCORES", "TRACKS", "curve_times", "run_record"]
 Array = NDArray[np.float64]
 
 TRACKS = ("forward", "smoothed")
-#: Of each track, over the scored part; `_first` over the part before it. What belongs to the run stands with its forward track.
+#: Of each track, over the scored part; `_first` over the part before it. What belongs to the run stands with its
+#: forward track.
 SCORES = (
     "heading_rms_deg", "position_rms_m", "end_m", "end_pct", "anees_position", "anees_heading",
     "heading_rms_deg_first", "position_rms_m_first", "anees_position_first", "anees_heading_first",
     "nis_sensor", "nis_all", "white", "ljung_box", "rejected_pct", "adopted", "adoptions",
 )  # fmt: skip
 #: Over time: errors [m, deg], their predicted standard deviations, NEES per degree of freedom.
-CURVES = ("north_m", "north_sd_m", "east_m", "east_sd_m", "heading_deg", "heading_sd_deg", "nees_position", "nees_heading")
+CURVES = (
+    "north_m",
+    "north_sd_m",
+    "east_m",
+    "east_sd_m",
+    "heading_deg",
+    "heading_sd_deg",
+    "nees_position",
+    "nees_heading",
+)
 
 
 def curve_times(duration_s: float) -> Array:
@@ -115,7 +125,9 @@ def _sensor_figures(track: Track, sensor: str, score_from_s: float) -> dict[str,
 
 
 def _whiteness(residuals: Residuals, score_from_s: float, period_s: float) -> tuple[float, float]:
-    """Whether the standardised innovations of all axes are white (1 % level, shared by them), and the largest Ljung-Box over its dof."""
+    """Whether the standardised innovations of all axes are white (1 % level, shared by them), and the largest Ljung-Box
+    over its dof.
+    """
     rows = residuals.used & (residuals.time_s >= score_from_s)
     if np.count_nonzero(rows) < 100:
         return math.nan, math.nan

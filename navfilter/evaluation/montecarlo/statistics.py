@@ -49,7 +49,9 @@ def mean_interval(values: ArrayLike, level: float = 0.95) -> Estimate:
 
 
 def rms_interval(values: ArrayLike, level: float = 0.95) -> Estimate:
-    """Root mean square over runs of their root mean squares, with its percentile bootstrap interval (Efron & Tibshirani, 1993, ch. 13)."""
+    """Root mean square over runs of their root mean squares, with its percentile bootstrap interval (Efron &
+    Tibshirani, 1993, ch. 13).
+    """
     x = _finite(values)
     if x.size == 0:
         return _NOTHING
@@ -66,7 +68,8 @@ def ratio_interval(values: ArrayLike, others: ArrayLike, level: float = 0.95) ->
     Parameters
     ----------
     values, others : array_like, shape (n,)
-        Of the model and of the one that it is compared with, run by run; a run that one of them lacks (NaN) is left out.
+        Of the model and of the one that it is compared with, run by run; a run that one of them lacks (NaN) is left
+        out.
     level : float
         Coverage.
 
@@ -114,7 +117,8 @@ def share_interval(values: ArrayLike, level: float = 0.95) -> Estimate:
 
 
 def chi_square_band(runs: int, dof: int, level: float = 0.95) -> tuple[float, float]:
-    """Band in which the mean over independent runs of an honest NEES per degree of freedom lies (Bar-Shalom et al., 2001, sec. 5.4).
+    """Band in which the mean over independent runs of an honest NEES per degree of freedom lies (Bar-Shalom et al.,
+    2001, sec. 5.4).
 
     Examples
     --------

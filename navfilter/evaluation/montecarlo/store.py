@@ -1,4 +1,6 @@
-"""The folder of a campaign: one small file per run and model, written whole or not at all, and told apart from other campaigns."""
+"""The folder of a campaign: one small file per run and model, written whole or not at all, and told apart from other
+campaigns.
+"""
 
 from __future__ import annotations
 
@@ -73,7 +75,9 @@ class Store:
         path = self.path(seed, model)
         path.parent.mkdir(exist_ok=True)
         buffer = io.BytesIO()
-        np.savez_compressed(buffer, **record, fingerprint=np.array(self.fingerprint), checksum=np.array(_checksum(record)))  # type: ignore[arg-type]
+        np.savez_compressed(
+            buffer, **record, fingerprint=np.array(self.fingerprint), checksum=np.array(_checksum(record))
+        )  # type: ignore[arg-type]
         write_whole(path, buffer.getvalue())
 
     def load(self, seed: int, model: str) -> Record | None:
@@ -101,8 +105,14 @@ def _compare(plan: Path, settings: Mapping[str, Any]) -> None:
         there = json.loads(plan.read_text())
         keys = sorted({*there, *settings})
     except (ValueError, TypeError):
-        raise ValueError(f"{plan} is damaged. Delete the folder {plan.parent}, or choose another one with --out.") from None
-    other = [f"{key} {there.get(key)!r} there, {settings.get(key)!r} here" for key in keys if there.get(key) != settings.get(key)]
+        raise ValueError(
+            f"{plan} is damaged. Delete the folder {plan.parent}, or choose another one with --out."
+        ) from None
+    other = [
+        f"{key} {there.get(key)!r} there, {settings.get(key)!r} here"
+        for key in keys
+        if there.get(key) != settings.get(key)
+    ]
     if other:
         raise ValueError(
             f"{plan.parent} holds the runs of a campaign with other settings ({'; '.join(other)}). "

@@ -1,4 +1,6 @@
-"""What a campaign says: figures with intervals over its runs, ratios between models, as text, CSV, JSON, npz and parquet."""
+"""What a campaign says: figures with intervals over its runs, ratios between models, as text, CSV, JSON, npz and
+parquet.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,13 @@ from numpy.typing import NDArray
 
 from navfilter.evaluation.montecarlo.campaign import Results
 from navfilter.evaluation.montecarlo.scores import CURVES, SCORES
-from navfilter.evaluation.montecarlo.statistics import Estimate, mean_interval, ratio_interval, rms_interval, share_interval
+from navfilter.evaluation.montecarlo.statistics import (
+    Estimate,
+    mean_interval,
+    ratio_interval,
+    rms_interval,
+    share_interval,
+)
 from navfilter.evaluation.montecarlo.store import write_whole
 from navfilter.report.page import table_text
 
@@ -36,7 +44,9 @@ _MAIN = {
     "anees_position": ("ANEES position", ".2f"),
     "anees_heading": ("ANEES heading", ".2f"),
 }
-_FIRST = {f"{key}_first": _MAIN[key] for key in ("heading_rms_deg", "position_rms_m", "anees_position", "anees_heading")}
+_FIRST = {
+    f"{key}_first": _MAIN[key] for key in ("heading_rms_deg", "position_rms_m", "anees_position", "anees_heading")
+}
 _INNOVATIONS = {
     "nis_sensor": ("NIS", ".3f"),
     "nis_all": ("NIS of all sensors", ".3f"),
@@ -119,7 +129,8 @@ def table(results: Results) -> str:
     study, learnt = campaign.staged.study, campaign.staged.learnt
     begin, end = float(campaign.score_from_s or 0.0), float(campaign.duration_s or 0.0)
     parts = [
-        f"{campaign.name}: {study.sensor} - {study.about}\n{len(results.seeds)} runs (seeds {results.seeds[0]} to {results.seeds[-1]}), "
+        f"{campaign.name}: {study.sensor} - {study.about}\n{len(results.seeds)} runs (seeds {results.seeds[0]} to "
+        f"{results.seeds[-1]}), "
         f"{end:g} s each, scored from {begin:g} s; 95 % intervals over the runs."
     ]
     for track in results.tracks:
@@ -134,8 +145,13 @@ def table(results: Results) -> str:
     return "\n\n".join(parts)
 
 
-def _block(models: Iterable[str], track: str, columns: dict[str, tuple[str, str]], found: dict[tuple[str, str, str], Row]) -> str:
-    lines = [[model, *(_cell(found.get((model, track, key)), form) for key, (_, form) in columns.items())] for model in models]
+def _block(
+    models: Iterable[str], track: str, columns: dict[str, tuple[str, str]], found: dict[tuple[str, str, str], Row]
+) -> str:
+    lines = [
+        [model, *(_cell(found.get((model, track, key)), form) for key, (_, form) in columns.items())]
+        for model in models
+    ]
     return table_text(["model", *(title for title, _ in columns.values())], lines)
 
 
@@ -143,7 +159,9 @@ def _ratio_block(results: Results, compared: list[Row], reference: str) -> str:
     found = {(r.model, r.track, r.quantity): r for r in compared if r.reference == reference}
     keys = [(quantity, track) for quantity in _RATIOS for track in results.tracks]
     header = ["model", *(f"{quantity.split('_')[0]} rms, {track}" for quantity, track in keys)]
-    lines = [[m, *(_cell(found.get((m, track, q)), ".3f") for q, track in keys)] for m in results.models if m != reference]
+    lines = [
+        [m, *(_cell(found.get((m, track, q)), ".3f") for q, track in keys)] for m in results.models if m != reference
+    ]
     return table_text(header, lines)
 
 
@@ -155,7 +173,9 @@ def _cell(row: Row | None, form: str) -> str:
 
 
 def write_tables(results: Results, folder: Path) -> list[str]:
-    """Write table.txt, results.csv, results.json, runs.npz, and runs.parquet where pyarrow is installed; returns the names."""
+    """Write table.txt, results.csv, results.json, runs.npz, and runs.parquet where pyarrow is installed; returns the
+    names.
+    """
     found = [*rows(results), *ratios(results)]
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
@@ -183,7 +203,10 @@ def _npz(results: Results) -> bytes:
     buffer = io.BytesIO()
     labels = {"models": results.models, "tracks": results.tracks, "score_names": SCORES, "curve_names": CURVES}
     n = len(results.tracks)
-    content = {name: np.array(value) for name, value in labels.items()} | {"time_s": results.time_s, "seeds": results.seeds}
+    content = {name: np.array(value) for name, value in labels.items()} | {
+        "time_s": results.time_s,
+        "seeds": results.seeds,
+    }
     content |= {"scores": results.scores[:, :n], "curves": results.curves[:, :n], "cpu_s": results.cpu_s}
     np.savez_compressed(buffer, **content)  # type: ignore[arg-type]
     return buffer.getvalue()
