@@ -21,7 +21,7 @@ from harness import Array, Options, Table, flag, in_turn, main, quick
 
 import navfilter as nf
 
-# --- batch ------------------------------------------------------------------------------------------------------------
+# --- batch -----------------------------------------------------------------------------------------------------------
 
 
 def batch(options: Options) -> list[dict[str, Any]]:
@@ -64,7 +64,7 @@ def fitted(name: str, n: int, with_statsmodels: bool) -> dict[str, Any]:
     return row | {"ratio": row["statsmodels_s"] / row["navfilter_s"]}
 
 
-# --- efficiency -------------------------------------------------------------------------------------------------------
+# --- efficiency -----------------------------------------------------------------------------------------------------
 
 
 def efficiency(options: Options) -> dict[str, Any]:
@@ -138,7 +138,7 @@ def online(y: Array, p: int, q: int, window: int, **settings: Any) -> nf.Recursi
     return arma
 
 
-# --- order ------------------------------------------------------------------------------------------------------------
+# --- order ----------------------------------------------------------------------------------------------------------
 
 LENGTH = 4000
 
@@ -182,7 +182,7 @@ def choose(name: str, runs: int) -> dict[str, Any]:
     return {"model": name, "n_true": ar.size + ma.size} | {key: float(np.mean(values)) for key, values in found.items()}
 
 
-# --- tracking ---------------------------------------------------------------------------------------------------------
+# --- tracking -------------------------------------------------------------------------------------------------------
 
 WINDOW, HOP, EVERY, DRIFT = 2000, 500, 100, 12
 #: a1, a2, c1 before and after.

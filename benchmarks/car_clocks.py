@@ -37,7 +37,7 @@ STILL_M_S, MARGIN_S = 0.02, 0.5
 EARTH_RAD_S = 7.292115e-5
 
 
-# --- the recording ----------------------------------------------------------------------------------------------------
+# --- the recording --------------------------------------------------------------------------------------------------
 
 
 def read_text(mission: str, vehicle: str) -> tuple[Mission, Vehicle]:
@@ -87,7 +87,7 @@ def on_box(trial: str, clocks: tuple[float, ...]) -> list[Array]:
     return [np.interp(t - clock, *wheel) for clock, wheel in zip(clocks, wheels, strict=True)]
 
 
-# --- estimates from the vehicle's own sensors -------------------------------------------------------------------------
+# --- estimates from the vehicle's own sensors -----------------------------------------------------------------------
 
 
 def delay(late: Array, early: Array, below_hz: float = 1.0, segment_s: float = 10.0) -> tuple[float, float]:
@@ -154,7 +154,7 @@ def clean(trial: str) -> tuple[Mission, Vehicle]:
     return variant(trial, clocks(trial)[0], gyro_offset(trial), lever_arm_b_m=f"[{-x:.3f}, {-y:.3f}, 0.5]")
 
 
-# --- what is compared -------------------------------------------------------------------------------------------------
+# --- what is compared -----------------------------------------------------------------------------------------------
 
 
 def mappings(trial: str) -> dict[str, tuple[Mission, Vehicle]]:

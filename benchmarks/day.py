@@ -170,7 +170,7 @@ def start_at(truth: NavState, rng: np.random.Generator) -> nf.Start:
     )
 
 
-# --- in the vehicle's own loop ----------------------------------------------------------------------------------------
+# --- in the vehicle's own loop --------------------------------------------------------------------------------------
 
 
 class Watched:
@@ -261,7 +261,7 @@ def live(options: Options) -> dict[str, Any]:
     return figures | {"columns": COLUMNS, "minutes": rows}
 
 
-# --- afterwards -------------------------------------------------------------------------------------------------------
+# --- afterwards -----------------------------------------------------------------------------------------------------
 
 
 def mission(laps: Laps, hours: float, rng: np.random.Generator) -> nf.Mission:

@@ -41,7 +41,7 @@ RATE_HZ = 8.0
 SAMPLES, WINDOW, HOP = 28_800, 7200, 2400
 
 
-# --- the world --------------------------------------------------------------------------------------------------------
+# --- the world ------------------------------------------------------------------------------------------------------
 
 
 def gyro(random_walk: float, bias: float, change: float) -> Gyro:
@@ -94,7 +94,7 @@ def simulate(noise: nf.ArmaModel, gyro: Gyro, seed: int) -> tuple[Array, Array]:
     return drift + nf.simulate_arma(noise.ar, noise.ma, noise.sd, SAMPLES, random), drift
 
 
-# --- beliefs ----------------------------------------------------------------------------------------------------------
+# --- beliefs --------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -170,7 +170,7 @@ def beliefs(noise: nf.ArmaModel, gyro: Gyro, without: frozenset[str]) -> dict[st
     return {name: make() for name, make in every.items() if name not in without}
 
 
-# --- scores -----------------------------------------------------------------------------------------------------------
+# --- scores ---------------------------------------------------------------------------------------------------------
 
 
 def power_at_zero(model: nf.ArmaModel) -> float:

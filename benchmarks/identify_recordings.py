@@ -36,7 +36,7 @@ class Case:
     order: tuple[int, int] | None = None
 
 
-# --- loading ----------------------------------------------------------------------------------------------------------
+# --- loading --------------------------------------------------------------------------------------------------------
 
 
 def table(file: str, column: str | int, rate_hz: float, **layout: object) -> Callable[[Path], Series]:
@@ -113,7 +113,7 @@ def _residuals(t: Array, reading: Array, truth: Array, shift: float) -> tuple[Ar
     return raw, raw - regressors @ np.linalg.lstsq(regressors, raw, rcond=None)[0]
 
 
-# --- what is expected -------------------------------------------------------------------------------------------------
+# --- what is expected -----------------------------------------------------------------------------------------------
 
 
 def orders(*wanted: tuple[int, int]) -> Callable[[Identification], bool]:
@@ -197,7 +197,7 @@ def moving() -> Iterator[Case]:
         yield Case(f"snapir {run} DVL forward, regressed", dvl_residual(run, True), "-", None)
 
 
-# --- running ----------------------------------------------------------------------------------------------------------
+# --- running --------------------------------------------------------------------------------------------------------
 
 
 def run(case: Case, root: Path, max_order: int) -> dict[str, Any]:

@@ -140,7 +140,7 @@ def _ours(path: Path, columns: dict[str, list[str]]) -> int:
     return sum(shelf.table(path, topic).raw("log_time").size for topic in columns)
 
 
-# --- a large bag ------------------------------------------------------------------------------------------------------
+# --- a large bag ----------------------------------------------------------------------------------------------------
 
 
 def write_large(path: Path, megabytes: float) -> None:

@@ -64,7 +64,7 @@ def way_of(truth: Stream) -> Array:
     return np.concatenate([[0.0], np.cumsum(np.abs(np.diff(plane(truth)[1])))])
 
 
-# --- protocols --------------------------------------------------------------------------------------------------------
+# --- protocols ------------------------------------------------------------------------------------------------------
 
 
 def without(mission: Mission, vehicle: Vehicle, reference: Stream, *gaps: tuple[float, float]) -> tuple[Track, Any]:
@@ -148,7 +148,7 @@ def rows_of(name: str) -> list[Row]:
     return [hidden(mission, vehicle, float(until), f"first {seconds:.0f} s")]
 
 
-# --- commands ---------------------------------------------------------------------------------------------------------
+# --- commands -------------------------------------------------------------------------------------------------------
 
 ENDS = "end_m>7.2f end_pct>7.3f rms_m>7.2f smoothed_rms_m>7.2f plain_end_m>7.2f beyond_3_sigma_pct>6.1f"
 

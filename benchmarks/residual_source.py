@@ -61,7 +61,7 @@ DEPTH_ERROR = nf.GaussMarkov(sd=0.05, tau_s=20.0) + nf.White(sd=0.02)
 CYCLES = 10.0
 
 
-# --- missions ---------------------------------------------------------------------------------------------------------
+# --- missions -------------------------------------------------------------------------------------------------------
 
 
 def staged(scenario: str, gyro: str) -> Staged:
@@ -86,7 +86,7 @@ def until(mission: Mission, end_s: float) -> Mission:
     return replace(mission, streams=cut)
 
 
-# --- series of the compass --------------------------------------------------------------------------------------------
+# --- series of the compass ------------------------------------------------------------------------------------------
 
 
 def on_grid(time_s: Array, value: Array, period_s: float) -> Array:
@@ -159,7 +159,7 @@ def compass_models(vehicle: nf.Vehicle, mission: Mission, order: tuple[int, int]
     return models
 
 
-# --- scores -----------------------------------------------------------------------------------------------------------
+# --- scores ---------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -223,7 +223,7 @@ def axes_run(job: tuple[str, str, int]) -> list[tuple[float, float]]:
     return figures
 
 
-# --- tables -----------------------------------------------------------------------------------------------------------
+# --- tables ---------------------------------------------------------------------------------------------------------
 
 
 BOTH, SPREAD = "scenario<16 gyro<8 runs>4d", "s0_median>9.3g s0_10>8.3g s0_90>8.3g"

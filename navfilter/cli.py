@@ -34,7 +34,10 @@ __all__ = ["main"]
 
 OK, FOUND, WRONG, INTERRUPTED, UNHEARD = 0, 1, 2, 130, 141
 
-_ABOUT = "Navigation filter for underwater (and other) vehicles: replay a recorded mission, smooth it, and see how honest the result is."
+_ABOUT = (
+    "Navigation filter for underwater (and other) vehicles: replay a recorded mission, smooth it, and see how "
+    "honest the result is."
+)
 _FIRST_STEPS = """\
 first steps:
   navfilter demo                                  a simulated mission of one hour, replayed and smoothed
@@ -47,8 +50,8 @@ first steps:
 
 'navfilter COMMAND --help' explains one command.
 
-exit codes: 0 all is well, 1 something is wrong with the mission, the vehicle or the track (check, vehicle --check, replay, demo),
-2 wrong usage or input, 130 interrupted.
+exit codes: 0 all is well, 1 something is wrong with the mission, the vehicle or the track (check, vehicle --check,
+replay, demo), 2 wrong usage or input, 130 interrupted.
 """
 
 
@@ -144,7 +147,7 @@ def _command(
     return parser
 
 
-# --- demo, replay -----------------------------------------------------------------------------------------------------
+# --- demo, replay ---------------------------------------------------------------------------------------------------
 
 
 def _add_demo(commands: Any) -> None:
@@ -155,7 +158,7 @@ def _add_replay(commands: Any) -> None:
     replay_command.add_replay_arguments(_command(commands, "replay", replay_command.replay, *replay_command.REPLAY))
 
 
-# --- compare ----------------------------------------------------------------------------------------------------------
+# --- compare --------------------------------------------------------------------------------------------------------
 
 
 def _add_compare(commands: Any) -> None:
@@ -166,7 +169,7 @@ def _add_compare(commands: Any) -> None:
     )
 
 
-# --- run --------------------------------------------------------------------------------------------------------------
+# --- run ------------------------------------------------------------------------------------------------------------
 
 
 def _add_run(commands: Any) -> None:
@@ -175,7 +178,7 @@ def _add_run(commands: Any) -> None:
     run_command.add_arguments(_command(commands, "run", run_command.run, run_command.ABOUT, run_command.EPILOG))
 
 
-# --- montecarlo -------------------------------------------------------------------------------------------------------
+# --- montecarlo -----------------------------------------------------------------------------------------------------
 
 
 def _add_montecarlo(commands: Any) -> None:
@@ -184,7 +187,7 @@ def _add_montecarlo(commands: Any) -> None:
     montecarlo.add_arguments(_command(commands, "montecarlo", montecarlo.run, montecarlo.ABOUT, montecarlo.EPILOG))
 
 
-# --- identify ---------------------------------------------------------------------------------------------------------
+# --- identify -------------------------------------------------------------------------------------------------------
 
 
 def _add_identify(commands: Any) -> None:
@@ -195,7 +198,7 @@ def _add_identify(commands: Any) -> None:
     )
 
 
-# --- simulate ---------------------------------------------------------------------------------------------------------
+# --- simulate -------------------------------------------------------------------------------------------------------
 
 
 def _add_simulate(commands: Any) -> None:
@@ -252,7 +255,7 @@ def _simulate(options: argparse.Namespace) -> int:
     return OK
 
 
-# --- check ------------------------------------------------------------------------------------------------------------
+# --- check ----------------------------------------------------------------------------------------------------------
 
 
 def _add_check(commands: Any) -> None:
@@ -309,7 +312,7 @@ def _of_a_log(path: Path, say: Callable[[str], None]) -> Any:
     return made.mission
 
 
-# --- mission ----------------------------------------------------------------------------------------------------------
+# --- mission --------------------------------------------------------------------------------------------------------
 
 
 def _add_mission(commands: Any) -> None:
@@ -318,7 +321,7 @@ def _add_mission(commands: Any) -> None:
     command.add_arguments(_command(commands, "mission", command.run, command.ABOUT, command.EPILOG))
 
 
-# --- vehicle ----------------------------------------------------------------------------------------------------------
+# --- vehicle --------------------------------------------------------------------------------------------------------
 
 
 def _add_vehicle(commands: Any) -> None:
@@ -329,7 +332,7 @@ def _add_vehicle(commands: Any) -> None:
     )
 
 
-# --- warmup -----------------------------------------------------------------------------------------------------------
+# --- warmup ---------------------------------------------------------------------------------------------------------
 
 
 def _add_warmup(commands: Any) -> None:

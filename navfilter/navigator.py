@@ -78,8 +78,8 @@ class Navigator:
 
     Notes
     -----
-    `step` compounds the transition of the drive's samples and folds it into the covariance at every correction and at least once a second:
-    the same covariance as folding every sample, without the cost. `state` gives it at any sample.
+    `step` compounds the transition of the drive's samples and folds it into the covariance at every correction and at
+    least once a second: the same covariance as folding every sample, without the cost. `state` gives it at any sample.
 
     It composes what does the work: a `Filter` (`filter`) owns the state, a `LearningSchedule` listens to it and answers
     with error models to adopt, a history lets late readings find their place, and a watch over each sensor says how it
@@ -136,9 +136,10 @@ class Navigator:
 
         Notes
         -----
-        Samples that do not come after the last one are dropped, and so is a single stamp far ahead (`navfilter.filter.intake.Intake`);
-        a sample with a NaN or an impossible value repeats the one before (an invalid DVL velocity is held, with growing uncertainty).
-        All are counted in `counts`, like gaps of more than three periods.
+        Samples that do not come after the last one are dropped, and so is a single stamp far ahead
+        (`navfilter.filter.intake.Intake`); a sample with a NaN or an impossible value repeats the one before (an
+        invalid DVL velocity is held, with growing uncertainty). All are counted in `counts`, like gaps of more than
+        three periods.
         """
         try:
             if isinstance(time_s, float) and len(first) == 3 == len(second):

@@ -124,10 +124,11 @@ def identified(
 
     Notes
     -----
-    What is fitted is the open-loop residual of `residual_series` beside the known noise of its drift, not the residual from the smoothed
-    track. A smoother gives the slow part of a sensor's error to the state, more of it at every pass, so that models fitted to its
-    residuals lose the low frequencies, and what is believed of them is what makes a filter overconfident. The open-loop residual holds the
-    error whole whatever is believed of it, so that this settles after the second round, but for what gates and linearisation depend on.
+    What is fitted is the open-loop residual of `residual_series` beside the known noise of its drift, not the residual
+    from the smoothed track. A smoother gives the slow part of a sensor's error to the state, more of it at every pass,
+    so that models fitted to its residuals lose the low frequencies, and what is believed of them is what makes a filter
+    overconfident. The open-loop residual holds the error whole whatever is believed of it, so that this settles after
+    the second round, but for what gates and linearisation depend on.
     """
     names = learning_sensors(vehicle)
     if not names:

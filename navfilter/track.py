@@ -123,7 +123,9 @@ class Track:
         return np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(self.time_s))])
 
     def at(self, time_s: Array) -> Track:
-        """The track at other times inside it [s], shape (m,): linear between its rows, angles through the shorter way."""
+        """The track at other times inside it [s], shape (m,): linear between its rows, angles through the shorter
+        way.
+        """
         after = np.clip(np.searchsorted(self.time_s, time_s), 1, len(self) - 1)
         step = self.time_s[after] - self.time_s[after - 1]
         share = np.clip((time_s - self.time_s[after - 1]) / step, 0.0, 1.0)

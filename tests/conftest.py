@@ -61,7 +61,9 @@ def recording() -> Callable[[str], Path]:
 
 @pytest.fixture
 def log_sample() -> Callable[[str], Path]:
-    """A small real log of another maker's format, as ``log_sample("px4/sample_log_small.ulg")``; skips as `recording`."""
+    """A small real log of another maker's format, as ``log_sample("px4/sample_log_small.ulg")``; skips as
+    `recording`.
+    """
 
     def file(name: str) -> Path:
         root = os.environ.get("NAVFILTER_DATA")

@@ -74,7 +74,7 @@ def scene_of(vehicle: Vehicle, window: tuple[float, float], fixes: tuple[float, 
     return Scene(targets, window, fixes, vehicle.drive.period_s)
 
 
-# --- what faults are made of ------------------------------------------------------------------------------------------
+# --- what faults are made of ----------------------------------------------------------------------------------------
 
 
 def _inside(event: Event, window: tuple[float, float]) -> bool:
@@ -196,7 +196,7 @@ def _each(name: str, roles: Sequence[str], make: Callable[[str], Fault], *counte
 
 ROLES = ("heading", "velocity", "depth", "position")
 
-# --- missing ----------------------------------------------------------------------------------------------------------
+# --- missing ---------------------------------------------------------------------------------------------------------
 
 
 @kind("drop a fifth")
@@ -238,7 +238,7 @@ def _suspended(events: Events, scene: Scene, rng: np.random.Generator) -> Events
     return [e for e in events if not begin <= e.true_s < begin + 20.0]
 
 
-# --- order ------------------------------------------------------------------------------------------------------------
+# --- order ----------------------------------------------------------------------------------------------------------
 
 
 @kind("repeat each", "velocity:duplicate", "drive:backward")
@@ -307,7 +307,7 @@ def _burst_received(events: Events, scene: Scene, rng: np.random.Generator) -> E
     return result
 
 
-# --- stamps -----------------------------------------------------------------------------------------------------------
+# --- stamps ---------------------------------------------------------------------------------------------------------
 
 
 @kind("jitter of all stamps")
@@ -373,7 +373,7 @@ KINDS["drive's stamps stand still for 5 s"] = Kind(
 )
 
 
-# --- values -----------------------------------------------------------------------------------------------------------
+# --- values ---------------------------------------------------------------------------------------------------------
 
 BAD = {"NaN": math.nan, "infinite": math.inf, "minus infinite": -math.inf, "huge": 1e300}
 for _word, _value in BAD.items():
@@ -561,7 +561,7 @@ def _noise(role: str, value: np.ndarray, rng: np.random.Generator) -> np.ndarray
     return size * rng.normal(size=len(value))
 
 
-# --- things that are no readings --------------------------------------------------------------------------------------
+# --- things that are no readings ------------------------------------------------------------------------------------
 
 RUBBISH = (
     None,

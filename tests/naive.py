@@ -180,7 +180,7 @@ def burg_recursion(x, ar):
     return v
 
 
-# ---------------------------------------------------------------- kernels/strapdown.py: errors are estimated minus true, vectors in n
+# --- kernels/strapdown.py: errors are estimated minus true, vectors in n
 
 RADIUS, E2, RATE = 6378137.0, 6.69437999014e-3, 7.292115e-5
 NORTH, EAST, DOWN = np.eye(3)
@@ -438,7 +438,7 @@ def dead_reckoning_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc):
     acc[m : 2 * m][range(6, 9), range(6, 9)] += (drv[64] * dt) ** 2
 
 
-# ---------------------------------------------------------------- kernels/measurement.py: residual, and derivative of the reading
+# --- kernels/measurement.py: residual, and derivative of the reading
 
 
 def _attitude_columns(A, v):
@@ -516,7 +516,7 @@ def velocity(z, nav, rate, par, cfg, H, res):
     H[:, 3:6], res[:] = np.eye(3), z[:3] - nav[3:6]
 
 
-# ---------------------------------------------------------------- kernels/kalman.py: errors here are true minus estimated
+# --- kernels/kalman.py: errors here are true minus estimated
 
 
 def fold(P, acc, nav, T):

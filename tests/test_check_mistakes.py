@@ -45,7 +45,7 @@ def exchanged(mission: Mission, name: str) -> Mission:
     return mission.with_stream(name, replace(stream, value=stream.value[:, [1, 0, 2]]))
 
 
-# --- no false alarm ---------------------------------------------------------------------------------------------------
+# --- no false alarm -------------------------------------------------------------------------------------------------
 
 
 def test_the_manual_s_own_example_is_sound(dive):
@@ -74,7 +74,7 @@ def test_fixes_at_the_surface_are_no_bursts_but_an_emptied_buffer_is():
         assert ("in bursts?" in said(Mission("x", {"depth": series}), "warning")) == bursts
 
 
-# --- each mistake -----------------------------------------------------------------------------------------------------
+# --- each mistake ---------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("with_vehicle", [True, False])

@@ -1,4 +1,6 @@
-"""Comparison of runs: the figures are those of the runs, the ranges hold what they promise, nobody gains by rejecting."""
+"""Comparison of runs: the figures are those of the runs, the ranges hold what they promise, nobody gains by
+rejecting.
+"""
 
 import dataclasses
 import json
@@ -221,7 +223,7 @@ def test_wrong_input_is_said(runs):
         nf.compare(tracks, mission.truth, begin_s=1e9)
 
 
-# --- the page ---------------------------------------------------------------------------------------------------------
+# --- the page -------------------------------------------------------------------------------------------------------
 
 
 def learnt(track):

@@ -21,7 +21,9 @@ def dive():
 
 
 def test_late_readings_equal_arrival_in_order(dive):
-    """The compass and the fixes arrive up to 1.9 s late, across an adoption too: same state as in order, to rounding."""
+    """The compass and the fixes arrive up to 1.9 s late, across an adoption too: same state as in order, to
+    rounding.
+    """
     vehicle, mission, events = dive
     late = delayed(events, ("gps", "compass"), 1.9, seed=1)
     one, two = nf.Navigator(vehicle, mission.start), nf.Navigator(vehicle, mission.start)

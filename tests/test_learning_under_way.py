@@ -114,7 +114,10 @@ SEEDS = pytest.mark.parametrize(
 
 # ---------------------------------------------------------------- what is identified
 
-HIDDEN = "depth: what is left of the accelerometers' biases at the first dive is taken for a slow error, S(0) up to thousands of times too large"
+HIDDEN = (
+    "depth: what is left of the accelerometers' biases at the first dive is taken for a slow error, S(0) up to "
+    "thousands of times too large"
+)
 
 
 @pytest.mark.parametrize(

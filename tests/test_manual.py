@@ -53,7 +53,7 @@ def listed(value):
     return list(value) if isinstance(value, tuple) else value
 
 
-# --- keys of mission.toml ---------------------------------------------------------------------------------------------
+# --- keys of mission.toml -------------------------------------------------------------------------------------------
 
 #: Groups of columns that the package's own kinds read; other tests define kinds of their own.
 OWN = [
@@ -115,7 +115,7 @@ def test_every_unit_is_listed():
     assert re.findall(r"`([^`]+)`", endings) == list(SUFFIXES)
 
 
-# --- keys of vehicle.toml ---------------------------------------------------------------------------------------------
+# --- keys of vehicle.toml -------------------------------------------------------------------------------------------
 
 VEHICLE_TABLES = {
     "model: white": White,
@@ -166,9 +166,10 @@ def test_every_kind_of_vehicle_toml_is_described():
     from navfilter.io.vehicle_toml import _ADOPTED, _concrete, _kinds
     from navfilter.mechanisation import Mechanisation
 
-    own = lambda base: {
-        kind for kind, cls in _concrete(base, _kinds()).items() if cls.__module__.startswith("navfilter")
-    }  # noqa: E731
+    def own(base):
+        found = _concrete(base, _kinds())
+        return {kind for kind, cls in found.items() if cls.__module__.startswith("navfilter")}
+
     headings = set(re.findall(r"^### (\w+: [\w-]+)$", text_of("vehicle-toml.md"), flags=re.MULTILINE))
     kinds = {f"model: {kind}" for kind in own(navfilter.ErrorModel)} | {f"drive: {kind}" for kind in own(Mechanisation)}
     assert headings == kinds | {f"type: {kind}" for kind in own(Sensor)}
@@ -176,7 +177,7 @@ def test_every_kind_of_vehicle_toml_is_described():
     assert set(keys("vehicle-toml.md", "The vehicle")) == {field.name for field in dataclasses.fields(Vehicle)}
 
 
-# --- how it is built --------------------------------------------------------------------------------------------------
+# --- how it is built ------------------------------------------------------------------------------------------------
 
 PACKAGE = ROOT / "navfilter"
 
@@ -241,7 +242,7 @@ def test_the_reference_has_every_public_name():
     assert set(navfilter.__all__) - shown == set()
 
 
-# --- pages ------------------------------------------------------------------------------------------------------------
+# --- pages ----------------------------------------------------------------------------------------------------------
 
 
 def anchors(page):

@@ -31,7 +31,7 @@ def write(folder: Path, toml: str, **files: str) -> Path:
     return folder
 
 
-# --- Stream and Mission -----------------------------------------------------------------------------------------------
+# --- Stream and Mission ---------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -106,7 +106,7 @@ def test_cutting_and_hiding():
     assert Mission("empty").duration_s == 0.0
 
 
-# --- tables -----------------------------------------------------------------------------------------------------------
+# --- tables ---------------------------------------------------------------------------------------------------------
 
 
 def test_text_tables_are_recognised(tmp_path):
@@ -181,7 +181,7 @@ def test_broken_files_are_one_line(tmp_path, name, content, message):
     assert "\n" not in str(caught.value)
 
 
-# --- mission.toml -----------------------------------------------------------------------------------------------------
+# --- mission.toml ---------------------------------------------------------------------------------------------------
 
 
 def test_units_axes_sentinels_and_clock(tmp_path):
@@ -447,7 +447,7 @@ def test_paths_that_are_no_mission(tmp_path):
         read_mission(tmp_path / "a.csv")
 
 
-# --- geodesy ----------------------------------------------------------------------------------------------------------
+# --- geodesy --------------------------------------------------------------------------------------------------------
 
 
 def test_geodetic_and_ecef_are_inverse_everywhere():
@@ -464,7 +464,7 @@ def test_geodetic_and_ecef_are_inverse_everywhere():
     np.testing.assert_allclose(back[away, 1], position[away, 1], atol=1e-12)
 
 
-# --- recordings -------------------------------------------------------------------------------------------------------
+# --- recordings -----------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", ALL_RECORDINGS)

@@ -1,4 +1,6 @@
-"""The report: figures that thin without hiding, tables that say what the summary says, a page that needs nothing else."""
+"""The report: figures that thin without hiding, tables that say what the summary says, a page that needs nothing
+else.
+"""
 
 import ast
 import base64

@@ -54,7 +54,7 @@ def value(sensor, t, value, **more):
     return json.dumps({"sensor": sensor, "time_s": t, "value": value, **more}).encode()
 
 
-# --- lines ------------------------------------------------------------------------------------------------------------
+# --- lines ----------------------------------------------------------------------------------------------------------
 
 BAD = {
     "too-long": [b'{"sensor":"' + b"x" * 70000 + b'"}'],
@@ -207,7 +207,7 @@ def test_numbers_come_back_as_they_were():
     }
 
 
-# --- the session ------------------------------------------------------------------------------------------------------
+# --- the session ----------------------------------------------------------------------------------------------------
 
 
 def test_states_are_those_of_a_replay(dive, reckoning):
@@ -347,7 +347,7 @@ def test_warnings_of_bad_lines_are_few(dive):
     assert rows[-1]["bad_lines"] == {"not-json": 3000}
 
 
-# --- dead reckoning ---------------------------------------------------------------------------------------------------
+# --- dead reckoning -------------------------------------------------------------------------------------------------
 
 
 def reading(sensor, t, *value):
@@ -406,7 +406,7 @@ def test_a_velocity_without_attitude_is_held_or_dropped_and_keeps_the_order():
     assert before.snapshot() == pairing.snapshot()
 
 
-# --- output and disk --------------------------------------------------------------------------------------------------
+# --- output and disk ------------------------------------------------------------------------------------------------
 
 
 def test_a_slow_reader_loses_the_oldest_states_and_no_event():
@@ -490,7 +490,7 @@ def test_damaged_snapshots_are_refused(tmp_path):
             StateFile.read(path)
 
 
-# --- the command ------------------------------------------------------------------------------------------------------
+# --- the command ----------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")

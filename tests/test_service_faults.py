@@ -60,7 +60,7 @@ def notices(output):
     return [event["what"] for event in states(output)[1] if event["event"] == "notice"]
 
 
-# --- outputs ----------------------------------------------------------------------------------------------------------
+# --- outputs --------------------------------------------------------------------------------------------------------
 
 
 def broken_pipe():
@@ -109,7 +109,9 @@ def test_a_reader_that_has_gone_stops_nothing(dive, tmp_path):
 
 
 def test_descriptors_that_are_closed_at_the_start_are_not_taken_by_the_log(dive, tmp_path):
-    """The log would get the number 2, and the messages for the operator with it; Python sends them to standard output."""
+    """The log would get the number 2, and the messages for the operator with it; Python sends them to standard
+    output.
+    """
     process = Process(*dive.arguments, "--log", tmp_path / "log", preexec_fn=lambda: os.close(2))
     rows, _ = states(process.end(lines=dive.lines[:2000]))  # and none of the messages is among the states
     parser = LineParser(dive.vehicle, notes=True)
@@ -154,7 +156,7 @@ def test_a_torn_line_is_ended_and_written_again():
         assert reader.read() == b"one\none\ntwo\n"
 
 
-# --- ends -------------------------------------------------------------------------------------------------------------
+# --- ends -----------------------------------------------------------------------------------------------------------
 
 
 def test_hanging_up_stops_nothing(dive):
@@ -192,7 +194,7 @@ def test_a_replayed_log_whose_reader_has_gone_is_no_success(dive, tmp_path):
     assert process.process.wait(PATIENCE_S) == 1
 
 
-# --- the log ----------------------------------------------------------------------------------------------------------
+# --- the log --------------------------------------------------------------------------------------------------------
 
 
 def test_a_deleted_log_is_written_anew(dive, tmp_path):
@@ -262,7 +264,7 @@ def test_many_bad_lines_are_one_note(dive):
     assert log.parse(b'{"event":"bad","kind":"not-json","lines":-3}').lines == 1
 
 
-# --- the past ---------------------------------------------------------------------------------------------------------
+# --- the past -------------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture
@@ -336,7 +338,7 @@ def test_a_restart_navigates_also_where_no_log_can_be_written(dive, tmp_path, ca
     assert process.code == 0 and states(output)[0] == states(dive.output)[0] and "disk-failed" in notices(output)
 
 
-# --- the line ---------------------------------------------------------------------------------------------------------
+# --- the line -------------------------------------------------------------------------------------------------------
 
 
 def test_a_silent_client_loses_its_place_to_one_that_comes(dive):
@@ -365,7 +367,7 @@ def test_a_silent_client_loses_its_place_to_one_that_comes(dive):
     assert bad == {"not-json": 11}
 
 
-# --- compiled kernels -------------------------------------------------------------------------------------------------
+# --- compiled kernels -----------------------------------------------------------------------------------------------
 
 
 @pytest.fixture
@@ -491,7 +493,7 @@ def test_a_computer_in_1970_does_not_keep_a_magnetic_compass_waiting():
     assert _believable(datetime.date(2026, 5, 4), pytest.fail) == datetime.date(2026, 5, 4)
 
 
-# --- supervision ------------------------------------------------------------------------------------------------------
+# --- supervision ----------------------------------------------------------------------------------------------------
 
 
 def test_the_health_file_says_how_the_run_is(dive, tmp_path):

@@ -225,9 +225,8 @@ def test_rotations():
 
 
 # ---------------------------------------------------------------- Jacobians by finite differences
-# Ten metres move a latitude by 1.6e-6 rad, which is rounded at 1e-16: 1e-9 m, or 1e-10 of the step. Smaller steps drown in that, larger
-# ones see the
-# curvature of the Earth (10 m over 6.4e6 m, squared in a central difference).
+# Ten metres move a latitude by 1.6e-6 rad, which is rounded at 1e-16: 1e-9 m, or 1e-10 of the step. Smaller steps drown
+# in that, larger ones see the curvature of the Earth (10 m over 6.4e6 m, squared in a central difference).
 STEPS = np.array([10.0] * 3 + [0.1] * 3 + [1e-3] * 3)
 
 
@@ -259,7 +258,9 @@ def numeric(run, nav, xd, drv, drive_steps):
 
 
 def compare(analytic, difference, drive_scale, tolerance):
-    """Elements in units of what errors amount to: 10 m, 1 m/s, 0.01 rad and the drive's own, so that all count alike."""
+    """Elements in units of what errors amount to: 10 m, 1 m/s, 0.01 rad and the drive's own, so that all count
+    alike.
+    """
     scale = np.concatenate([[10.0] * 3, [1.0] * 3, [0.01] * 3, drive_scale])
     np.testing.assert_allclose(
         analytic * scale / scale[:, None], difference * scale / scale[:, None], rtol=0, atol=tolerance
@@ -293,7 +294,9 @@ def test_strapdown_transition_equals_finite_differences(kind, increments, seed):
 
 
 def test_strapdown_transition_compounds(motion):
-    """Over ten seconds of turns the product of the transitions is still the derivative: the small terms are right too."""
+    """Over ten seconds of turns the product of the transitions is still the derivative: the small terms are right
+    too.
+    """
     times, gyro, accel = motion.inertial(RATE_HZ, duration_s=30.0)
     rng = np.random.default_rng(1)
     drv, xd, Phid, Qd, Cr, acc = random_drive(rng, 6)

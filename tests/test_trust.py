@@ -1,4 +1,6 @@
-"""Files from elsewhere: bombs, devices, missions that lead out of their folder, messages, folders that are somebody's."""
+"""Files from elsewhere: bombs, devices, missions that lead out of their folder, messages, folders that are
+somebody's.
+"""
 
 import bz2
 import gzip
@@ -111,7 +113,7 @@ def test_what_never_ends_is_not_read_to_its_end(tmp_path, capsys, arguments):
     assert "larger than 16 MiB" in capsys.readouterr().err
 
 
-# --- missions that lead elsewhere -------------------------------------------------------------------------------------
+# --- missions that lead elsewhere -----------------------------------------------------------------------------------
 
 
 @pytest.fixture
@@ -186,7 +188,7 @@ def test_the_log_of_a_confined_mission_is_confined_too(tmp_path):
         read_mission(folder, confine=True)
 
 
-# --- folders that are somebody's --------------------------------------------------------------------------------------
+# --- folders that are somebody's ------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")

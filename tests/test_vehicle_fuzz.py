@@ -32,7 +32,7 @@ from navfilter.vehicle import RESERVED, Vehicle
 QUICK = settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 
 
-# --- any vehicle ------------------------------------------------------------------------------------------------------
+# --- any vehicle ----------------------------------------------------------------------------------------------------
 
 
 def sizes(least=0.0, most=1e6):
@@ -148,7 +148,7 @@ def test_any_vehicle_comes_back_and_can_be_described(tmp_path, vehicle):
         assert finding.text and (finding.cure or finding.severity == "info")
 
 
-# --- broken text ------------------------------------------------------------------------------------------------------
+# --- broken text ----------------------------------------------------------------------------------------------------
 
 WORDS = """[ ] { } = , [] {} inf nan -1 0 1e400 true model sd sd_deg white learned-arma type depth columns time rate_hz unit adopted
     2026-06-01"""
@@ -220,7 +220,7 @@ def test_a_broken_mission_toml_is_a_mission_or_answered_in_words(tmp_path, text)
         assert np.isfinite(stream.time_s).all() and not np.isinf(stream.value).any()
 
 
-# --- JSON lines -------------------------------------------------------------------------------------------------------
+# --- JSON lines -----------------------------------------------------------------------------------------------------
 
 ON_BOARD = Vehicle(imu=Imu(rate_hz=10.0), sensors={"compass": Heading(), "gps": Position()})
 JSON = st.recursive(
@@ -279,7 +279,7 @@ def test_a_reading_survives_its_line_however_it_is_cut(time_s, value, data):
         np.testing.assert_array_equal(item.value, value)
 
 
-# --- snapshots --------------------------------------------------------------------------------------------------------
+# --- snapshots ------------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")

@@ -279,7 +279,10 @@ def test_what_a_class_refuses_stands_beside_mistakes_elsewhere(tmp_path):
 
 
 def test_what_no_filter_can_use_is_refused_when_it_is_read(tmp_path):
-    text = '[drive]\ntype = "dead-reckoning"\nrate_hz = 4\nattitude = {model = "learned-arma"}\n[sensors.x]\ntype = "depth"\nrate_hz = 0\n'
+    text = (
+        '[drive]\ntype = "dead-reckoning"\nrate_hz = 4\nattitude = {model = "learned-arma"}\n[sensors.x]\ntype = '
+        '"depth"\nrate_hz = 0\n'
+    )
     (tmp_path / "vehicle.toml").write_text(text)
     with pytest.raises(VehicleError, match=r"drive: LearnedArma needs a prior here(.|\n)*sensors\.x\.rate_hz"):
         read_vehicle(tmp_path)

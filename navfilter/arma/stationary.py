@@ -12,7 +12,9 @@ Array = NDArray[np.float64]
 
 
 def observer(a: Array, c: Array) -> tuple[Array, Array]:
-    """Transition M and input g of the observer form ``z+ = M z + g e``, ``y = z[0] + e``; a and c of the same length."""
+    """Transition M and input g of the observer form ``z+ = M z + g e``, ``y = z[0] + e``; a and c of the same
+    length.
+    """
     M = np.eye(a.size, k=1)
     M[:, :1] -= a[:, None]
     return M, c - a

@@ -40,7 +40,8 @@ def describe_vehicle(vehicle: Vehicle) -> str:
     Examples
     --------
     >>> from navfilter import Depth, Imu, Vehicle, White
-    >>> print(describe_vehicle(Vehicle(imu=Imu(rate_hz=100), sensors={"depth": Depth(error=White(sd=0.05))})).splitlines()[0])
+    >>> vehicle = Vehicle(imu=Imu(rate_hz=100), sensors={"depth": Depth(error=White(sd=0.05))})
+    >>> print(describe_vehicle(vehicle).splitlines()[0])
     Vehicle "vehicle": 15 states (9 of navigation, 6 of the drive), 1 sensor.
     """
     layout = Layout.of(vehicle)
@@ -155,14 +156,20 @@ def _part(model: ErrorModel, unit: str, period_s: float) -> str:
     if isinstance(model, White):
         if model.density is None:
             return f"white noise: sd {amount(float(model.sd or 0.0), unit)} of a reading"
-        return f"white noise: {root_density(model.density, unit)}, sd {amount(model.density / math.sqrt(period_s), unit)} of a reading"
+        return (
+            f"white noise: {root_density(model.density, unit)}, sd "
+            f"{amount(model.density / math.sqrt(period_s), unit)} of a reading"
+        )
     if isinstance(model, RandomWalk):
         start = ROOT_HOUR * model.density if model.start_sd is None else model.start_sd
         if not model.density:
             return f"constant bias: sd {amount(start, unit)}"
         return f"bias: sd {amount(start, unit)} at the start, wanders by {walk(model.density, unit)}"
     if isinstance(model, GaussMarkov):
-        return f"Gauss-Markov of {_ORDERS[model.order]} order: sd {amount(model.sd, unit)}, correlation time {duration(model.tau_s)}"
+        return (
+            f"Gauss-Markov of {_ORDERS[model.order]} order: sd {amount(model.sd, unit)}, correlation time "
+            f"{duration(model.tau_s)}"
+        )
     if isinstance(model, Arma):
         return _arma("ARMA", (len(model.ar), len(model.ma)), model, unit, period_s)
     if isinstance(model, LearnedArma):

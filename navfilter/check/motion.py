@@ -63,7 +63,7 @@ def _has_enough(stream: Stream) -> bool:
     return bool(np.count_nonzero(known) >= 10 and stream.time_s[known][-1] > stream.time_s[known][0])
 
 
-# --- inertial unit ----------------------------------------------------------------------------------------------------
+# --- inertial unit --------------------------------------------------------------------------------------------------
 
 
 def _gravity(name: str, imu: Stream) -> Iterator[Finding]:
@@ -126,7 +126,7 @@ def _handedness(name: str, imu: Stream) -> Iterator[Finding]:
         yield Finding("error", name, f"gravity turns the wrong way: {'; '.join(wrong)}.", cure)
 
 
-# --- angles and heading -----------------------------------------------------------------------------------------------
+# --- angles and heading ---------------------------------------------------------------------------------------------
 
 
 def _angles(name: str, stream: Stream) -> Iterator[Finding]:
@@ -205,7 +205,7 @@ def _gyro_against_heading(name: str, stream: Stream, imu: Stream) -> Iterator[Fi
         yield Finding("warning", name, text, f"Set time.offset_s = {-match.late_s:.2f} on top of what it is now.")
 
 
-# --- the rest ---------------------------------------------------------------------------------------------------------
+# --- the rest -------------------------------------------------------------------------------------------------------
 
 
 def _field(name: str, stream: Stream, mission: Mission) -> Iterator[Finding]:

@@ -66,7 +66,7 @@ def _warn(place: str, text: str, cure: str) -> Finding:
     return Finding("warning", place, text, cure)
 
 
-# --- drive and sensors ------------------------------------------------------------------------------------------------
+# --- drive and sensors ----------------------------------------------------------------------------------------------
 
 
 def _drive_findings(drive: Mechanisation) -> Iterator[Finding]:
@@ -140,7 +140,7 @@ def _whole_findings(vehicle: Vehicle) -> Iterator[Finding]:
             )
 
 
-# --- error models -----------------------------------------------------------------------------------------------------
+# --- error models ---------------------------------------------------------------------------------------------------
 
 
 def _errors(
@@ -181,7 +181,10 @@ def _part_findings(place: str, part: ErrorModel, channel: _Channel, period_s: fl
             yield _warn(f"{place}.density", f"a bias that wanders by {wander} in an hour.", cure)
     elif isinstance(part, LearnedArma) and part.model is None:
         if part.window * period_s > 7200.0:
-            cure = f"A window of {max(int(1800.0 / period_s), 200)} readings takes half an hour or less; models of slow sensors need fewer."
+            cure = (
+                f"A window of {max(int(1800.0 / period_s), 200)} readings takes half an hour or less; models of "
+                "slow sensors need fewer."
+            )
             yield _warn(
                 f"{place}.window",
                 f"{part.window} readings are {duration(part.window * period_s)} of this sensor.",
@@ -196,7 +199,10 @@ def _part_findings(place: str, part: ErrorModel, channel: _Channel, period_s: fl
         yield from _sd_findings(place, math.sqrt(float(block.C @ block.P0 @ block.C) + block.r), channel)
     if isinstance(part, GaussMarkov):
         if part.tau_s < period_s:
-            text = f"a correlation time of {duration(part.tau_s)} is shorter than the time between two readings, {duration(period_s)}."
+            text = (
+                f"a correlation time of {duration(part.tau_s)} is shorter than the time between two readings, "
+                f"{duration(period_s)}."
+            )
             yield _warn(f"{place}.tau_s", text, "Between readings nothing is left of it: use white.")
         elif part.tau_s > 1e5:
             yield _warn(

@@ -123,5 +123,8 @@ def sideways_findings(name: str, mission: Mission, vehicle: Vehicle) -> Iterator
     best, sd = factors(X, y)
     arm, arm_sd = float(best[1]) / lever.real, float(sd[1]) / abs(lever.real)
     if arm_sd < 0.2 and abs(arm + 1.0) < 0.3 + SURE * arm_sd and arm + SURE * arm_sd < 0.0:
-        why = f"in turns it swings as if it stood {lever.real * arm:+.2f} m along x, not {lever.real:+.2f} m (vehicle.toml)"
+        why = (
+            f"in turns it swings as if it stood {lever.real * arm:+.2f} m along x, not {lever.real:+.2f} m "
+            "(vehicle.toml)"
+        )
         yield mirrored_finding(name, why)

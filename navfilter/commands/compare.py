@@ -45,18 +45,18 @@ ABOUT = "run a mission with several kinds of error models and compare what they 
 EPILOG = """\
 the models, by name, for the sensors that correct:
   white        white noise                                  fitted to the whole mission by likelihood
-  gm1          first-order Gauss-Markov                     through the 1/e point of the autocorrelation (the thesis's way)
+  gm1          first-order Gauss-Markov                     through the 1/e point of the autocorrelation
   gm1-fitted   first-order Gauss-Markov                     fitted to the whole mission by likelihood: the fair baseline
   arma         learnt on the way, order and coefficients    begins with the model of vehicle.toml, sees only the past
   vehicle      as vehicle.toml says
   oracle       the true models, from --oracle               only where the mission is simulated
 
-A mission does not say how its sensors really err: --oracle takes a second vehicle file that does. 'navfilter simulate' writes it as
-vehicle_true.toml where the scenario errs otherwise than its vehicle.toml believes.
+A mission does not say how its sensors really err: --oracle takes a second vehicle file that does. 'navfilter simulate'
+writes it as vehicle_true.toml where the scenario errs otherwise than its vehicle.toml believes.
 
-When arma is among the models, nothing is scored before its first window is full: when the first models are there, the beginning is run
-again with them, so they know it already. --begin 0 scores everything; so is a mission of which less than a quarter
-would be left.
+When arma is among the models, nothing is scored before its first window is full: when the first models are there, the
+beginning is run again with them, so they know it already. --begin 0 scores everything; so is a mission of which less
+than a quarter would be left.
 
 written to --out:
   report.html      table and figures side by side, one file that works offline
@@ -67,7 +67,7 @@ examples:
   navfilter compare dive_042 --vehicle dive_042 --models white,gm1-fitted,arma
   navfilter compare dive_042 --vehicle vehicle.toml --sensors compass --smooth --out compared
   navfilter simulate oscillating --out swing
-  navfilter compare swing/mission.npz --vehicle swing --models gm1-fitted,arma,oracle --oracle swing/vehicle_true.toml --out compared
+  navfilter compare swing/mission.npz --vehicle swing --models arma,oracle --oracle swing/vehicle_true.toml --out best
 """
 DEFAULT = "white,gm1,gm1-fitted,arma"
 #: What is left of a mission after learning is scored alone from this share on; less says too little.
@@ -288,7 +288,7 @@ def learning_ends(tracks: Mapping[str, Track], mission: Mission) -> float:
     return begin_s + max([revised_s, *(span for span in spans if span <= 0.5 * duration_s)])
 
 
-# --- results ----------------------------------------------------------------------------------------------------------
+# --- results --------------------------------------------------------------------------------------------------------
 
 
 def print_comparison(comparison: Comparison, mission: Mission) -> None:

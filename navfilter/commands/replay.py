@@ -45,7 +45,7 @@ the mission:
 
 written to --out:
   report.html, track.*    the run that learns, filtered and smoothed, as from 'navfilter replay'
-  comparison/             the same mission with white noise, Gauss-Markov, the learnt model and the true one side by side
+  comparison/             the same mission with white noise, Gauss-Markov, the learnt model and the true one
   mission.npz, vehicle.toml, vehicle_true.toml
 
 examples:
@@ -56,27 +56,31 @@ examples:
 REPLAY = (
     "run a recorded mission through the filter (and the smoother)",
     f"""\
-MISSION is a folder with a mission.toml, the .toml itself, or a .npz saved by navfilter; --vehicle describes what is on board.
+MISSION is a folder with a mission.toml, the .toml itself, or a .npz saved by navfilter; --vehicle describes what is on
+board.
 
 {selection.SELECTION}
 written to --out:
   report.html     tables and figures, one file that works offline
-  summary.json    errors, consistency (NEES, NIS), counts of every run, every error model that was learnt, and without a truth:
-                  surfacings, longest outage, predicted sd, how far the smoothed track lies from the forward one
+  summary.json    errors, consistency (NEES, NIS), counts of every run, every error model that was learnt, and
+                  without a truth: surfacings, longest outage, predicted sd, how far the smoothed track lies
+                  from the forward one
   track.csv       the track: degrees, metres, standard deviations, states
   track.tum       the same for 'evo' (east, north, up), with truth.tum when there is a truth
   track.geojson   for a map
-  vehicle_learned.toml   where a sensor's error was learnt: your vehicle.toml, comments and units kept, with the models in force
-                  at the end put in as 'adopted'; the output says in words what was learnt, the report shows the spectra
+  vehicle_learned.toml   where a sensor's error was learnt: your vehicle.toml, comments and units kept, with the models
+                  in force at the end put in as 'adopted'; the output says in words what was learnt, the report
+                  shows the spectra
 
-exit codes: 0 the verdict finds nothing, or only what calls for care; 1 the track is not to be trusted (the files are written all the
-same); 2 wrong usage or input; 130 interrupted. The verdict stands at the end of the output, in summary.json and on top of the report.
+exit codes: 0 the verdict finds nothing, or only what calls for care; 1 the track is not to be trusted (the files are
+written all the same); 2 wrong usage or input; 130 interrupted. The verdict stands at the end of the output, in
+summary.json and on top of the report.
 
 examples:
   navfilter replay dive_042 --vehicle vehicle.toml --smooth --out result
   navfilter replay dive_042 --vehicle vehicle.toml --without gps --out no-gps
   navfilter replay dive_042 --vehicle vehicle.toml --withhold gps:all-but-first-120 --out drift     how far it drifts
-  navfilter replay dive_042 --vehicle vehicle.toml --iterate 5 --smooth --out best      the best track that the recording gives
+  navfilter replay dive_042 --vehicle vehicle.toml --iterate 5 --smooth --out best     the best that it gives
 """,
 )
 

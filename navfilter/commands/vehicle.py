@@ -13,8 +13,9 @@ OK, FOUND = 0, 1
 
 ABOUT = "write a commented vehicle.toml to start from, or say what one describes and whether it is plausible"
 EPILOG = """\
---check prints the drive, the sensors with their error models in plain words, the number of states, and warns of numbers that look
-like another unit than their key says. Exit code: 0 all is well, 1 something looks wrong, 2 the file cannot be read.
+--check prints the drive, the sensors with their error models in plain words, the number of states, and warns of numbers
+that look like another unit than their key says. Exit code: 0 all is well, 1 something looks wrong, 2 the file cannot be
+read.
 
 examples:
   navfilter vehicle --init                                  writes vehicle.toml here

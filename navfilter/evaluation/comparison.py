@@ -1,4 +1,6 @@
-"""Compare runs of one mission: errors, honesty of the covariance, what the innovations say; one table for all of them."""
+"""Compare runs of one mission: errors, honesty of the covariance, what the innovations say; one table for all of
+them.
+"""
 
 from __future__ import annotations
 
@@ -70,10 +72,11 @@ def compare(
 
     Notes
     -----
-    Prediction errors and whiteness are those of the readings that *every* run has used, so that a run gains nothing by rejecting more.
-    Innovations of an honest filter are independent, so the 95 % range of a mean NIS is that of chi-square. Navigation errors are not:
-    the range of a NEES counts as many independent errors as their autocorrelation leaves (Bar-Shalom, Li & Kirubarajan, 2001, sec. 5.4.2,
-    for the statistic; Bartlett, 1946, for the count), which for the position of a single mission is often hardly more than one.
+    Prediction errors and whiteness are those of the readings that *every* run has used, so that a run gains nothing by
+    rejecting more. Innovations of an honest filter are independent, so the 95 % range of a mean NIS is that of
+    chi-square. Navigation errors are not: the range of a NEES counts as many independent errors as their
+    autocorrelation leaves (Bar-Shalom, Li & Kirubarajan, 2001, sec. 5.4.2, for the statistic; Bartlett, 1946, for the
+    count), which for the position of a single mission is often hardly more than one.
     """
     if not tracks:
         raise ValueError(
@@ -119,7 +122,7 @@ def _common(tracks: Mapping[str, Track]) -> dict[str, Array]:
     return result
 
 
-# --- the result -------------------------------------------------------------------------------------------------------
+# --- the result -----------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)

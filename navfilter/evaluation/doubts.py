@@ -88,7 +88,7 @@ def doubts(run: Track, mission: Mission, evidence: Evidence, limits: Limits = LI
     yield from _given_up(run)
 
 
-# --- the track itself -------------------------------------------------------------------------------------------------
+# --- the track itself -----------------------------------------------------------------------------------------------
 
 
 def _state(run: Track, limits: Limits) -> Iterator[Finding]:
@@ -147,7 +147,7 @@ def _given_up(run: Track) -> Iterator[Finding]:
         yield Finding("error", "", text, "See in report.html, at the innovations, when, and which sensor was first.")
 
 
-# --- sensors ----------------------------------------------------------------------------------------------------------
+# --- sensors --------------------------------------------------------------------------------------------------------
 
 
 def _sensor(name: str, run: Track, mission: Mission, limits: Limits) -> Iterator[Finding]:
@@ -255,7 +255,7 @@ def _longest_rejection(r: Residuals) -> float:
     return max((float(t[b - 1] - t[a]) for a, b in zip(ends[::2], ends[1::2], strict=True)), default=0.0)
 
 
-# --- surfacings -------------------------------------------------------------------------------------------------------
+# --- surfacings -----------------------------------------------------------------------------------------------------
 
 
 def _surfaced(evidence: Evidence, limits: Limits) -> Iterator[Finding]:

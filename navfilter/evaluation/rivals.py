@@ -154,7 +154,7 @@ def _learning(prior: ErrorModel) -> ErrorModel:
     return _sum([*walks, LearnedArma(prior=_sum(rest) if rest else None)])
 
 
-# --- fits -------------------------------------------------------------------------------------------------------------
+# --- fits -----------------------------------------------------------------------------------------------------------
 
 
 def _fitted(kind: str, channel: ChannelSeries, prior: ErrorModel) -> ErrorModel:

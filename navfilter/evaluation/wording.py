@@ -160,7 +160,7 @@ def _parts(model: ErrorModel) -> tuple[ErrorModel, ...]:
     return model.parts if isinstance(model, Sum) else (model,)
 
 
-# --- words ------------------------------------------------------------------------------------------------------------
+# --- words ----------------------------------------------------------------------------------------------------------
 
 
 def error_words(model: ErrorModel, scale: Scale) -> str:

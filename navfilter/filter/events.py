@@ -63,7 +63,9 @@ class Correction(NamedTuple):
 
 
 class Propagated(NamedTuple):
-    """The compound transition of the drive's samples has been folded into the covariance: `transition`, shape (m, m)."""
+    """The compound transition of the drive's samples has been folded into the covariance: `transition`, shape (m,
+    m).
+    """
 
     transition: Array
 

@@ -104,8 +104,8 @@ def widening(P: Array, x: Array, channel: Channel, time_s: float, nis: float, do
 
     Notes
     -----
-    A sensor that is rejected for so long shows that the state is less certain than thought: P is widened where the sensor sees it. Only
-    there: along P H' a fix that is far off would throw the velocity after the position.
+    A sensor that is rejected for so long shows that the state is less certain than thought: P is widened where the
+    sensor sees it. Only there: along P H' a fix that is far off would throw the velocity after the position.
     """
     limit = channel.limits[dof]
     periods = math.floor((time_s - channel.memory.rejected_since_s) / channel.sensor.gate_timeout_s)

@@ -1,4 +1,6 @@
-"""The last seconds of a run: what arrived, and the state now and then, so that a late reading takes its place in time."""
+"""The last seconds of a run: what arrived, and the state now and then, so that a late reading takes its place in
+time.
+"""
 
 from __future__ import annotations
 

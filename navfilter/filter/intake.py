@@ -101,7 +101,9 @@ class Intake:
 
     @property
     def in_doubt(self) -> bool:
-        """Whether the last samples came with stamps that lie back: until that is settled, nobody can say what is late."""
+        """Whether the last samples came with stamps that lie back: until that is settled, nobody can say what is
+        late.
+        """
         return self.memory.back_count > 1
 
     def take(self, samples: Array, drv: Array, at_rest: Callable[[], Array], whole: bool) -> tuple[Array, Array]:

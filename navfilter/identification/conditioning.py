@@ -1,4 +1,6 @@
-"""What is done to a recorded series before a model is fitted to it: cut, thin, reject, difference; every step is noted."""
+"""What is done to a recorded series before a model is fitted to it: cut, thin, reject, difference; every step is
+noted.
+"""
 
 from __future__ import annotations
 

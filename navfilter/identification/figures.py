@@ -40,7 +40,10 @@ def identification_figures(found: Identification, unit: str = "") -> Iterator[tu
         Unit of the series.
     """
     yield "series", "Series", _series_caption(found), series_figure(found, unit)
-    caption = "Power spectral density of the samples (Welch) and of the fitted model; both one-sided, their integral is the variance."
+    caption = (
+        "Power spectral density of the samples (Welch) and of the fitted model; both one-sided, their integral "
+        "is the variance."
+    )
     yield "psd", "Spectrum", caption, spectrum_figure(found, unit)
     caption = "Autocorrelation and partial autocorrelation of what was modelled, with the 95 % limits of white noise."
     x = np.diff(found.data.value, found.fit.d) if found.fit.d else found.data.value
@@ -53,7 +56,10 @@ def identification_figures(found: Identification, unit: str = "") -> Iterator[tu
         )
         yield "orders", "Order", caption, order_figure(found)
     verdict = "white" if found.tests.is_white else "not white"
-    caption = f"Residuals of the model: {verdict} (Ljung-Box p = {found.tests.ljung_box_p:.2g}, periodogram p = {found.tests.periodogram_p:.2g})."
+    caption = (
+        f"Residuals of the model: {verdict} (Ljung-Box p = {found.tests.ljung_box_p:.2g}, periodogram p = "
+        f"{found.tests.periodogram_p:.2g})."
+    )
     yield "residuals", "Residuals", caption, residual_figure(found, unit)
     if found.fit.model.p + found.fit.model.q:
         caption = "Poles (crosses) and zeros (circles) with their ranges of two standard deviations."

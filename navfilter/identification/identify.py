@@ -1,4 +1,6 @@
-"""Identify a sensor's error model from a recorded series: order, coefficients, whiteness, and what it means in words."""
+"""Identify a sensor's error model from a recorded series: order, coefficients, whiteness, and what it means in
+words.
+"""
 
 from __future__ import annotations
 
@@ -143,7 +145,7 @@ def identify(
     return Identification(data, table, fit, tests, reading, processes, tau, allan, model, (*data.notes, *remarks))
 
 
-# --- order and coefficients ---------------------------------------------------------------------------------------------
+# --- order and coefficients -----------------------------------------------------------------------------------------
 
 
 def _chosen(
@@ -200,7 +202,7 @@ def _gauss_markov(data: Conditioned, trend: str) -> list[GaussMarkovFit]:
     return found
 
 
-# --- Allan deviation ----------------------------------------------------------------------------------------------------
+# --- Allan deviation ------------------------------------------------------------------------------------------------
 
 
 def _allan(data: Conditioned, model: ArmaModel) -> tuple[Array, Array, Array]:
@@ -234,7 +236,7 @@ def model_allan_deviation(model: ArmaModel, counts: ArrayLike) -> Array:
     return np.array(result)
 
 
-# --- remarks ------------------------------------------------------------------------------------------------------------
+# --- remarks --------------------------------------------------------------------------------------------------------
 
 
 def _remarks(

@@ -278,7 +278,10 @@ def write_tracks(tracks: Tracks, folder: Path, unit: str = "") -> list[Path]:
         "remarks": list(data.notes),
     }
     (folder / "identify.json").write_text(json.dumps(plain(result), indent=1) + "\n", encoding="utf-8")
-    caption = f"Online estimates over windows of {tracks.window} samples ({tracks.window / data.rate_hz:.6g} s), with two standard deviations."
+    caption = (
+        f"Online estimates over windows of {tracks.window} samples ({tracks.window / data.rate_hz:.6g} s), with "
+        "two standard deviations."
+    )
     with style():
         figures = [("tracks", "Coefficients over time", caption, tracks_figure(tracks, unit))]
         pages = write_page(folder, f"{data.name}: {_last_reading(tracks)}", data.source, [], figures)

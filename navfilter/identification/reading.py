@@ -146,7 +146,7 @@ def _inseparable(model: ArmaModel, rate_hz: float, n: int, d: int) -> tuple[list
     return [Component("correlated walk", size), *_by_poles(tail, rate_hz)], _arma(held)
 
 
-# --- parts of a stationary model ---------------------------------------------------------------------------------------
+# --- parts of a stationary model ------------------------------------------------------------------------------------
 
 
 def stationary_parts(model: ArmaModel, rate_hz: float) -> list[Component]:
@@ -190,7 +190,9 @@ _RANK = {"gauss-markov": 0, "second order": 1, "oscillation": 2, "line": 3, "sho
 
 
 def _shows(part: Component, innovation_sd: float, rate_hz: float) -> bool:
-    """Whether a part rises out of the spectrum: 2 tau samples gather its variance, a line's is spread over two sides."""
+    """Whether a part rises out of the spectrum: 2 tau samples gather its variance, a line's is spread over two
+    sides.
+    """
     gathered = max(2.0 * part.tau_s * rate_hz / (2.0 if part.kind == "line" else 1.0), 1.0)
     return part.sd**2 * gathered > INVISIBLE * innovation_sd**2
 
@@ -251,7 +253,7 @@ def _left_over(model: ArmaModel, poles: Complex, power: list[float]) -> float:
     return model.variance - own
 
 
-# --- words and numbers --------------------------------------------------------------------------------------------------
+# --- words and numbers ----------------------------------------------------------------------------------------------
 
 
 def _name(part: Component, rate_hz: float) -> str:

@@ -69,7 +69,9 @@ def write_page(
     figures: Iterable[tuple[str, str, str, Figure]],
     progress: Callable[[], Any] | None = None,
 ) -> list[Path]:
-    """Write each figure as .svg, and identify.html with all of them inside; stem, heading, caption and figure of each."""
+    """Write each figure as .svg, and identify.html with all of them inside; stem, heading, caption and figure of
+    each.
+    """
     written = []
     for stem, heading, caption, figure in figures:
         written.append(folder / f"{stem}.svg")
@@ -183,7 +185,7 @@ def _level(found: Identification) -> float:
     return float(found.fit.trend[0])
 
 
-# --- the suggested error model ------------------------------------------------------------------------------------------
+# --- the suggested error model --------------------------------------------------------------------------------------
 
 
 def error_lines(error: ErrorModel, unit: str = "") -> tuple[str, str]:
@@ -229,7 +231,7 @@ def _python(error: ErrorModel) -> str:
     return f"nf.{type(error).__name__}({text})"
 
 
-# --- JSON ---------------------------------------------------------------------------------------------------------------
+# --- JSON -----------------------------------------------------------------------------------------------------------
 
 
 def as_dict(found: Identification, unit: str = "") -> dict[str, Any]:

@@ -79,8 +79,8 @@ def read_npz(path: Path, allowance: Allowance | None = None) -> dict[str, npt.ND
 
     Notes
     -----
-    ``numpy.load`` reads as much of a member as the header of its array asks for. A damaged header that asks for less would give a
-    shorter array without a word: the checksum is only compared at the end of the member.
+    ``numpy.load`` reads as much of a member as the header of its array asks for. A damaged header that asks for less
+    would give a shorter array without a word: the checksum is only compared at the end of the member.
     """
     arrays = {}
     with zipfile.ZipFile(path) as archive:

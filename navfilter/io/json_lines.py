@@ -261,7 +261,7 @@ def _dump(fields: Mapping[str, Any]) -> bytes:
     return json.dumps(fields, separators=(",", ":"), allow_nan=False).encode() + b"\n"
 
 
-# --- the start --------------------------------------------------------------------------------------------------------
+# --- the start ------------------------------------------------------------------------------------------------------
 
 
 def start_from(data: Mapping[str, Any]) -> dict[str, Any]:
@@ -298,7 +298,7 @@ def _start_fields(fields: dict[str, Any]) -> dict[str, Any]:
         raise _Wrong("wrong-start", str(error)) from None
 
 
-# --- the log folder ---------------------------------------------------------------------------------------------------
+# --- the log folder -------------------------------------------------------------------------------------------------
 
 
 class _Column:

@@ -1,4 +1,6 @@
-"""One column of a recording as an evenly sampled series: from any table that `read_table` opens, or a mission's stream."""
+"""One column of a recording as an evenly sampled series: from any table that `read_table` opens, or a mission's
+stream.
+"""
 
 from __future__ import annotations
 

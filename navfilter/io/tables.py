@@ -139,7 +139,9 @@ def _chosen_rows(table: Table, conditions: tuple[Where, ...]) -> Table:
 
 
 def _read_long(place: Place, names: tuple[Where, ...], options: TableOptions) -> Table:
-    """Of a table that may be long only the head and the lines that hold the texts asked for, then the rows that are so."""
+    """Of a table that may be long only the head and the lines that hold the texts asked for, then the rows that are
+    so.
+    """
     from collections import Counter
 
     from navfilter.io.logs.lines import lines
@@ -182,7 +184,7 @@ def _unpack(place: Place) -> bytes:
         ) from None
 
 
-# --- arrays -----------------------------------------------------------------------------------------------------------
+# --- arrays ---------------------------------------------------------------------------------------------------------
 
 
 def _columns_of(place: Place, arrays: dict[str, npt.NDArray[Any]], options: TableOptions) -> Table:
@@ -231,7 +233,7 @@ def _pick(place: Place, arrays: dict[str, npt.NDArray[Any]], reference: str) -> 
     return np.asarray(array)
 
 
-# --- text -------------------------------------------------------------------------------------------------------------
+# --- text -----------------------------------------------------------------------------------------------------------
 
 
 def _read_text(place: Place, data: bytes, options: TableOptions) -> Table:

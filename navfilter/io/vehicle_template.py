@@ -1,7 +1,7 @@
 """A commented vehicle.toml to start from: every key with its unit and its default.
 
-A line that begins with ``#key`` states a default: taking the ``#`` away changes nothing. Lines that begin with ``# `` are words.
-The words and the defaults come from the classes themselves.
+A line that begins with ``#key`` states a default: taking the ``#`` away changes nothing. Lines that begin with ``# `` are
+words. The words and the defaults come from the classes themselves.
 """
 
 from __future__ import annotations

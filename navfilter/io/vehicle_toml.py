@@ -118,7 +118,7 @@ def adopted_text(model: ArmaModel) -> str:
     return _toml(_adopted(model))
 
 
-# --- classes -> tables ------------------------------------------------------------------------------------------------
+# --- classes -> tables ----------------------------------------------------------------------------------------------
 
 
 def _kebab(cls: type) -> str:
@@ -299,7 +299,7 @@ def _sensor_name(name: str) -> str:
     return name
 
 
-# --- tables -> objects ------------------------------------------------------------------------------------------------
+# --- tables -> objects ----------------------------------------------------------------------------------------------
 
 
 def _built(spec: Any, place: str, wrong: list[tuple[str, str]], defaults: dict[str, Any]) -> Any:
@@ -357,7 +357,7 @@ def _axes_of(owner: type, field: str) -> tuple[str, ...]:
     return tuple(getattr(owner, "axis_names", ("x", "y", "z")))
 
 
-# --- objects -> text --------------------------------------------------------------------------------------------------
+# --- objects -> text ------------------------------------------------------------------------------------------------
 
 
 def _lines(item: Any) -> list[str]:

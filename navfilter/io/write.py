@@ -190,8 +190,8 @@ def write_tum(track: Track, folder: str | os.PathLike[str], truth: Stream | None
 
     Notes
     -----
-    ``timestamp tx ty tz qx qy qz qw``: metres east, north, up in the plane tangent to the ellipsoid at the first position of the track,
-    and the rotation from the body (forward, right, down) to that plane.
+    ``timestamp tx ty tz qx qy qz qw``: metres east, north, up in the plane tangent to the ellipsoid at the first
+    position of the track, and the rotation from the body (forward, right, down) to that plane.
     """
     origin = (float(track.latitude[0]), float(track.longitude[0]), float(track.height[0]))
     place = np.column_stack([track.latitude, track.longitude, track.height])

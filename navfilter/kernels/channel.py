@@ -24,7 +24,9 @@ HALF_LOG_2PI = 0.9189385332046727
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def stationary(a, c, P):
-    """Stationary covariance of the observer state for unit innovations into `P`, by doubling; False if there is none."""
+    """Stationary covariance of the observer state for unit innovations into `P`, by doubling; False if there is
+    none.
+    """
     m = a.size
     A = np.zeros((m, m))
     T = np.zeros((m, m))

@@ -258,7 +258,7 @@ def _inertial_advance(nav, xd, inc, dt, drv, Cr, acc):
     pn, pe, pd, mn, me, md, g, rn, re = mid[0], mid[1], mid[2], mid[3], mid[4], mid[5], mid[6], mid[7], mid[8]
     wn, we, wd = EARTH_RATE * cl + me / re, -mn / rn, -EARTH_RATE * sl - me * tl / re
     on, oe, od = wn + EARTH_RATE * cl, we, wd - EARTH_RATE * sl
-    # ---- transition: attitude rows, then velocity with the mean attitude error, then position with the mean velocity error
+    # transition: attitude rows, then velocity with the mean attitude error, then position with the mean velocity error
     _clear_transition(F, m)
     F[6, 6] = F[7, 7] = F[8, 8] = 1.0
     F[6, 7], F[6, 8] = wd * dt, -we * dt

@@ -1,4 +1,6 @@
-"""How much the learner computes, in one place: passes, steps and tolerances of the maximisation, and whose turn it is."""
+"""How much the learner computes, in one place: passes, steps and tolerances of the maximisation, and whose turn it
+is.
+"""
 
 from __future__ import annotations
 

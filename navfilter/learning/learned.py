@@ -60,7 +60,8 @@ class LearnedArma(ErrorModel):
 
     Notes
     -----
-    Whatever else is known of the sensor is added: ``White(sd=0.01) + LearnedArma()``, ``RandomWalk(1e-5) + LearnedArma()``.
+    Whatever else is known of the sensor is added: ``White(sd=0.01) + LearnedArma()``, ``RandomWalk(1e-5) +
+    LearnedArma()``.
 
     The states are a register of past values, ``[n(t) .. n(t-p+1), e(t) .. e(t-q+1)]``, so that new coefficients leave
     them as they are, and a new order only appends or drops the oldest. What is not known of the spectrum near zero

@@ -169,7 +169,9 @@ class Learner:
     # ------------------------------------------------------------------ fits
 
     def _ration(self, able: list[Order]) -> list[Order]:
-        """The orders to fit at this hop: all while young, then the one in use, its nearest challenger and one in turn."""
+        """The orders to fit at this hop: all while young, then the one in use, its nearest challenger and one in
+        turn.
+        """
         if self._young or self._chosen is None or self._chosen not in able:
             return able
         others = [order for order in able if order != self._chosen]
@@ -243,7 +245,9 @@ class Learner:
         return again if again is not None and again.point.value < found.point.value else found
 
     def _superfluous(self, order: Order, fits: dict[Order, Candidate]) -> bool:
-        """Whether to put off an order that was never fitted: much larger than the best so far, which passes the gate."""
+        """Whether to put off an order that was never fitted: much larger than the best so far, which passes the
+        gate.
+        """
         if not self._young or not fits:
             return False
         best = min(fits.values(), key=lambda c: c.fit.bic)
@@ -277,7 +281,9 @@ class Learner:
             self._gaps[order] = candidate.fit.bic - best.fit.bic
 
     def _unsure(self, likelihood: Likelihood, fits: dict[Order, Candidate]) -> ArmaModel:
-        """Nothing passed: the last good model while it explains the window as well, else the best, else Gauss-Markov."""
+        """Nothing passed: the last good model while it explains the window as well, else the best, else
+        Gauss-Markov.
+        """
         tidy = [candidate for candidate in fits.values() if not candidate.cancels]
         if tidy:
             best = min(tidy, key=lambda candidate: candidate.fit.bic)

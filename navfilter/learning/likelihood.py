@@ -230,7 +230,9 @@ def _climb(likelihood: Likelihood, theta: Array, p: int, passes: int) -> Point:
 
 
 def _step(likelihood: Likelihood, point: Point) -> tuple[Array, float, float] | None:
-    """A Levenberg-damped scoring step that lowers the value: where, to what, and by how much; None if nothing is left."""
+    """A Levenberg-damped scoring step that lowers the value: where, to what, and by how much; None if nothing is
+    left.
+    """
     if not (np.all(np.isfinite(point.gradient)) and np.all(np.isfinite(point.info))):
         return None
     scale = np.maximum(np.diag(point.info), 1e-9)

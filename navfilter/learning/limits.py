@@ -1,4 +1,6 @@
-"""What a series must hold before something is believed of it. Each number stands here once, with its unit and reason."""
+"""What a series must hold before something is believed of it. Each number stands here once, with its unit and
+reason.
+"""
 
 __all__ = ["CLIP", "CYCLES", "LEAST", "LONGEST_GAP", "PER_PARAMETER"]
 

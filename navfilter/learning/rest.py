@@ -232,7 +232,9 @@ class RestRecorder:
         memory.cursor += len(values)
 
     def series(self, axis: int, window: int, without: int = 0) -> Array:
-        """The last ticks at rest of one axis [rad/s or m/s^2], oldest first, without the newest; NaN between segments."""
+        """The last ticks at rest of one axis [rad/s or m/s^2], oldest first, without the newest; NaN between
+        segments.
+        """
         memory = self._memory
         n = min(memory.cursor, window + without, memory.ring.shape[1])
         return np.ascontiguousarray(

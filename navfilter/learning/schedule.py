@@ -64,11 +64,12 @@ class LearningSchedule:
 
     Notes
     -----
-    The first models come at once for all sensors, at the age `FIRST_S` or when the longest window is full. Until then the priors were in
-    force. What they took for certain cannot be taken back from the covariance, so the beginning is done again as if the models had been
-    known: `beginning` holds its inputs. Later hops of a sensor come as its listener counts them. Models of the inertial unit at rest are
-    adopted when they are found, and the beginning is not done again for them: they stand for the noise of samples, and what the filter took
-    for certain by it in the first minute at rest is little.
+    The first models come at once for all sensors, at the age `FIRST_S` or when the longest window is full. Until then
+    the priors were in force. What they took for certain cannot be taken back from the covariance, so the beginning is
+    done again as if the models had been known: `beginning` holds its inputs. Later hops of a sensor come as its
+    listener counts them. Models of the inertial unit at rest are adopted when they are found, and the beginning is not
+    done again for them: they stand for the noise of samples, and what the filter took for certain by it in the first
+    minute at rest is little.
     """
 
     #: Nothing is learnt from readings before this age: the start's tilt has to settle [s].

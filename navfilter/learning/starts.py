@@ -109,7 +109,9 @@ def _matched(likelihood: Likelihood, start: Array, p: int) -> Array:
 
 
 def _rough(likelihood: Likelihood, p: int, q: int) -> list[Array]:
-    """Hannan-Rissanen on the detrended series, as it is and with one slow pole and zero more, which are then dropped."""
+    """Hannan-Rissanen on the detrended series, as it is and with one slow pole and zero more, which are then
+    dropped.
+    """
     x = _detrended(likelihood)
     out = []
     for extra in (0, 1):

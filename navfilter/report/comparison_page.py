@@ -96,16 +96,25 @@ def drawn(comparison: Comparison, tracks: Tracks, mission: Mission) -> Iterator[
             yield "", caption, shaded(comparison_figures.position_against_sigma(tracks, truth))
         nees = None if truth is None else figures.consistency_figure(tracks, truth)
         if nees is not None:
-            caption = "Squared error in units of its predicted variance. Above the grey range: too confident; below it: too modest."
+            caption = (
+                "Squared error in units of its predicted variance. Above the grey range: too confident; below "
+                "it: too modest."
+            )
             yield "Honesty of the covariance", caption, shaded(nees)
         filters = {label: track.forward or track for label, track in tracks.items()}
         nis = figures.nis_figure(filters)
         if nis is not None:
-            caption = "Squared innovation in units of its predicted variance, moving mean. Honest is 1; the grey range holds 95 % of such means."
+            caption = (
+                "Squared innovation in units of its predicted variance, moving mean. Honest is 1; the grey "
+                "range holds 95 % of such means."
+            )
             yield "NIS per sensor", caption, shaded(nis)
         axes = _tested_axes(comparison, filters)
         for first in range(0, len(axes), _PANELS):
-            caption = "Autocorrelation of the innovations over the whole run: a filter that knows how its sensors err leaves none."
+            caption = (
+                "Autocorrelation of the innovations over the whole run: a filter that knows how its sensors err "
+                "leaves none."
+            )
             yield (
                 "" if first else "What is left in the innovations",
                 caption,

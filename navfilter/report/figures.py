@@ -1,4 +1,6 @@
-"""The figures of a report. Each takes the runs as a dict of label to Track, so that several models stand side by side."""
+"""The figures of a report. Each takes the runs as a dict of label to Track, so that several models stand side by
+side.
+"""
 
 from __future__ import annotations
 

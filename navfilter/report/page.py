@@ -39,10 +39,16 @@ def page(title: str, heading: str, subtitle: str, body: Iterable[str]) -> str:
     body : iterable of str
         HTML, one part after the other.
     """
-    head = f'<meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1"><title>{escape(title)}</title>'
+    head = (
+        '<meta charset="utf-8"><meta name="viewport" content="width=device-width, '
+        f'initial-scale=1"><title>{escape(title)}</title>'
+    )
     top = f'<h1>{escape(heading)}</h1>\n<p class="sub">{escape(subtitle)}</p>\n'
     parts = "\n".join(body)
-    return f'<!doctype html>\n<html lang="en"><head>{head}<style>{_CSS}</style></head>\n<body>\n{top}{parts}\n</body></html>\n'
+    return (
+        "<!doctype html>\n<html "
+        f'lang="en"><head>{head}<style>{_CSS}</style></head>\n<body>\n{top}{parts}\n</body></html>\n'
+    )
 
 
 def escape(text: str) -> str:
@@ -64,7 +70,10 @@ def list_html(lines: Iterable[str]) -> str:
 def figure_html(drawn: bytes, caption: str) -> str:
     """A figure (SVG, see `navfilter.report.drawing.svg`) with its caption, inside the page."""
     data = base64.b64encode(drawn).decode("ascii")
-    return f'<figure><img alt="{escape(caption)}" src="data:image/svg+xml;base64,{data}"><figcaption>{escape(caption)}</figcaption></figure>'
+    return (
+        f'<figure><img alt="{escape(caption)}" '
+        f'src="data:image/svg+xml;base64,{data}"><figcaption>{escape(caption)}</figcaption></figure>'
+    )
 
 
 def table_html(header: Sequence[str], rows: Iterable[Sequence[str]], text_columns: Sequence[int] = ()) -> str:

@@ -117,7 +117,7 @@ def render_report(
     return page(mission.name, mission.name, _subtitle(result, mission, summary), body)
 
 
-# --- figures with their captions --------------------------------------------------------------------------------------
+# --- figures with their captions ------------------------------------------------------------------------------------
 
 
 def _drawn(tracks: Tracks, mission: Mission) -> Iterator[tuple[str, str, Figure]]:
@@ -125,7 +125,10 @@ def _drawn(tracks: Tracks, mission: Mission) -> Iterator[tuple[str, str, Figure]
     truth = mission.truth
     filters = _filters(tracks)
     with style():
-        caption = "Ellipses hold the vehicle with 95 % probability, if the filter is honest. Crosses are the fixes that were used."
+        caption = (
+            "Ellipses hold the vehicle with 95 % probability, if the filter is honest. Crosses are the fixes "
+            "that were used."
+        )
         yield "Track", caption, figures.track_figure(tracks, mission)
         yield "", "Height over time; under water it is minus the depth.", figures.depth_figure(tracks, mission)
         caption = f"{_band_caption(truth, slice(0, 2))} The lowest panel divides by the distance travelled so far."
@@ -133,7 +136,10 @@ def _drawn(tracks: Tracks, mission: Mission) -> Iterator[tuple[str, str, Figure]
         yield "Heading error", _band_caption(truth, slice(8, 9)), figures.heading_figure(tracks, truth)
         nees = None if truth is None else figures.consistency_figure(tracks, truth)
         if nees is not None:
-            caption = "Squared error in units of its predicted variance. Above the grey range: too confident; below it: too modest."
+            caption = (
+                "Squared error in units of its predicted variance. Above the grey range: too confident; below "
+                "it: too modest."
+            )
             yield "Honesty of the covariance", caption, nees
         nis = figures.nis_figure(filters)
         if nis is not None:
@@ -195,7 +201,7 @@ def _count(track: Track, name: str) -> str:
     return ", ".join(f"{r.count(outcome)} {outcome}" for outcome in OUTCOMES if r.count(outcome))
 
 
-# --- tables -----------------------------------------------------------------------------------------------------------
+# --- tables ---------------------------------------------------------------------------------------------------------
 
 
 def _headlines(tracks: Tracks, mission: Mission) -> tuple[list[str], Rows]:

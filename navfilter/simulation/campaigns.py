@@ -205,7 +205,7 @@ def _faults(duration_s: float, sensor: str, error: Models | Changing) -> dict[st
     return faults
 
 
-# --- the errors -------------------------------------------------------------------------------------------------------
+# --- the errors -----------------------------------------------------------------------------------------------------
 
 
 def _always(error: Models) -> Callable[[Vehicle, float], Models]:
