@@ -218,9 +218,8 @@ def error_lines(error: ErrorModel, unit: str = "") -> tuple[str, str]:
 def _scaled(error: ErrorModel, factor: float) -> ErrorModel:
     if isinstance(error, Sum):
         return Sum(tuple(_scaled(part, factor) for part in error.parts))
-    sizes = {
-        f.name: getattr(error, f.name) for f in dataclasses.fields(error) if f.name in ("sd", "density", "start_sd")
-    }  # type: ignore[arg-type]
+    own: Any = error
+    sizes = {f.name: getattr(own, f.name) for f in dataclasses.fields(own) if f.name in ("sd", "density", "start_sd")}
     changed = {name: float(f"{value * factor:.6g}") for name, value in sizes.items() if value is not None}
     return dataclasses.replace(error, **changed)  # type: ignore[type-var]
 

@@ -75,9 +75,8 @@ class Store:
         path = self.path(seed, model)
         path.parent.mkdir(exist_ok=True)
         buffer = io.BytesIO()
-        np.savez_compressed(
-            buffer, **record, fingerprint=np.array(self.fingerprint), checksum=np.array(_checksum(record))
-        )  # type: ignore[arg-type]
+        whole: Any = record | {"fingerprint": np.array(self.fingerprint), "checksum": np.array(_checksum(record))}
+        np.savez_compressed(buffer, **whole)
         write_whole(path, buffer.getvalue())
 
     def load(self, seed: int, model: str) -> Record | None:
