@@ -127,7 +127,8 @@ def seal(folder: Path) -> None:
 
 def _write(folder: Path, sums: dict[str, str]) -> None:
     part = folder / f"{LIST}.{os.getpid()}.part"
-    part.write_text(json.dumps(sums), encoding="utf-8")
+    kept = {name: [digest, _source(name)] for name, digest in sums.items()}
+    part.write_text(json.dumps(kept), encoding="utf-8")
     part.replace(folder / LIST)
 
 
@@ -152,12 +153,25 @@ def _room(folder: Path) -> bool:
 
 
 def _sums(folder: Path) -> dict[str, str]:
-    """The list of checksums by name; empty where there is none that can be read."""
+    """Checksums by name; empty where there is no list that can be read.
+
+    Those of a kernel whose source has changed say nothing: it has been, or will be, compiled anew.
+    """
     try:
-        sums = json.loads((folder / LIST).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        kept = json.loads((folder / LIST).read_text(encoding="utf-8"))
+        return {name: digest for name, (digest, source) in kept.items() if source == _source(name)}
+    except (OSError, ValueError, TypeError, AttributeError):
         return {}
-    return sums if isinstance(sums, dict) else {}
+
+
+def _source(name: str) -> list[int]:
+    """Time [ns] and size of the module that a file of compiled code belongs to; empty where there is none."""
+    module = Path(importlib.import_module("navfilter.kernels").__path__[0]) / f"{name.split('.')[0]}.py"
+    try:
+        stat = module.stat()
+    except OSError:
+        return []
+    return [stat.st_mtime_ns, stat.st_size]
 
 
 def _digest(path: Path) -> str:
