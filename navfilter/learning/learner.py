@@ -21,7 +21,7 @@ from navfilter.learning.low_frequency import slow_pole
 from navfilter.learning.orders import Candidate, finds_more_low_frequency_power, fit_candidate, preferred
 from navfilter.learning.starts import cold_starts, grown_starts, slow_part_start
 
-__all__ = ["Learner", "LearnerMemory"]
+__all__ = ["Learner", "LearnerMemory", "memories", "recall"]
 
 Array = NDArray[np.float64]
 Order = tuple[int, int]
@@ -329,6 +329,20 @@ class Learner:
         self._thetas, self._gaps = dict(memory.thetas), dict(memory.gaps)
         self._chosen, self._challenge, self._good = memory.chosen, memory.challenge, memory.good
         self._turn, self._coloured, self._young = memory.turn, memory.coloured, memory.young
+
+
+def memories(learners: Sequence[Learner | None]) -> tuple[LearnerMemory | None, ...]:
+    """What the learners of a sensor's axes know; None where nothing is learnt."""
+    return tuple(None if learner is None else learner.memory for learner in learners)
+
+
+def recall(
+    learners: Sequence[Learner | None], now: Sequence[LearnerMemory | None], then: Sequence[LearnerMemory | None]
+) -> None:
+    """Let learners that know `now` know `then`; those for which the two are one value stay as they are."""
+    for learner, present, other in zip(learners, now, then, strict=True):
+        if learner is not None and other is not None and other is not present:
+            learner.memory = other
 
 
 def _rescaled(theta: Array, likelihood: Likelihood) -> Array:

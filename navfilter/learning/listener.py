@@ -13,7 +13,7 @@ from navfilter.error_models import ErrorModel
 from navfilter.kernels import listen
 from navfilter.learning.drift import Drift
 from navfilter.learning.learned import known_walk, known_white, learned_part, learning_part, with_learned
-from navfilter.learning.learner import Learner, LearnerMemory
+from navfilter.learning.learner import Learner, LearnerMemory, memories, recall
 from navfilter.learning.limits import LEAST
 from navfilter.learning.low_frequency import HOPS_REMEMBERED, UNOBSERVABLE, steadied, zero_frequency
 from navfilter.sensors import Sensor
@@ -135,7 +135,7 @@ class Listener:
             due=0 if window else NEVER,
             models=models,
             levels=((),) * sensor.axes,
-            learners=self._known(),
+            learners=memories(self.learners),
         )
 
     @property
@@ -145,13 +145,8 @@ class Listener:
 
     @memory.setter
     def memory(self, memory: ListenerMemory) -> None:
-        for learner, now, then in zip(self.learners, self._memory.learners, memory.learners, strict=True):
-            if learner is not None and then is not None and then is not now:
-                learner.memory = then
+        recall(self.learners, self._memory.learners, memory.learners)
         self._memory = memory
-
-    def _known(self) -> tuple[LearnerMemory | None, ...]:
-        return tuple(None if learner is None else learner.memory for learner in self.learners)
 
     def series(self, axis: int, last: int | None = None, without: int = 0) -> Array:
         """The last ticks of one axis, oldest first, without the newest; isolated spikes are missing."""
@@ -207,7 +202,7 @@ class Listener:
                     found = steadied(found, levels[axis])
                     model = with_learned(model, replace(part, model=found))
             new.append(model)
-        memory.levels, memory.learners = tuple(levels), self._known()
+        memory.levels, memory.learners = tuple(levels), memories(self.learners)
         if tuple(new) == memory.models:
             return None
         memory.models = tuple(new)

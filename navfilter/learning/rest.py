@@ -13,7 +13,7 @@ from navfilter.error_models import ErrorModel, RandomWalk, Sum
 from navfilter.learning.bias import hand_over, plainer
 from navfilter.learning.drift import Drift
 from navfilter.learning.learned import known_walk, known_white, learned_part, learning_part, with_learned
-from navfilter.learning.learner import Learner, LearnerMemory
+from navfilter.learning.learner import Learner, LearnerMemory, memories, recall
 from navfilter.learning.limits import LONGEST_GAP
 from navfilter.learning.low_frequency import HOPS_REMEMBERED, steadied, zero_frequency
 from navfilter.mechanisation import Imu, Mechanisation
@@ -138,7 +138,7 @@ class RestRecorder:
             level=np.zeros(6),
             models=drive.models,
             levels=((),) * 6,
-            learners=self._known(),
+            learners=memories(self.learners),
         )
 
     @property
@@ -150,13 +150,8 @@ class RestRecorder:
     def memory(self, memory: RestMemory) -> None:
         if not 0 <= memory.filled <= self.length:
             raise ValueError(f"a block at rest holds 0 to {self.length} samples, found {memory.filled}.")
-        for learner, now, then in zip(self.learners, self._memory.learners, memory.learners, strict=True):
-            if learner is not None and then is not None and then is not now:
-                learner.memory = then
+        recall(self.learners, self._memory.learners, memory.learners)
         self._memory = memory
-
-    def _known(self) -> tuple[LearnerMemory | None, ...]:
-        return tuple(None if learner is None else learner.memory for learner in self.learners)
 
     def begin_again(self) -> None:
         """Gather everything again from the start; what has been learnt from is not due again."""
@@ -263,7 +258,7 @@ class RestRecorder:
             levels[axis] = (*levels[axis], zero_frequency(found))[-HOPS_REMEMBERED:]
             new[axis] = with_learned(model, replace(part, model=steadied(found, levels[axis])))
         before, memory.models, memory.levels = memory.models, tuple(new), tuple(levels)
-        memory.learners = self._known()
+        memory.learners = memories(self.learners)
         return {name: memory.models[axes] for name, axes in PARTS.items() if memory.models[axes] != before[axes]}
 
 
