@@ -170,8 +170,8 @@ class Tape:
     output_rate_hz : float or None
         At most so many track rows per second of mission; None keeps one at every record.
     smoothable : bool
-        Keep the records that `navfilter.filter.smoother.smooth` needs; without them only the track and the residuals
-        remain.
+        Keep the records that `navfilter.filter.smoother.smooth_rows` needs; without them only the track and the
+        residuals remain.
     memory_bytes : int
         In memory at most, of records and of rows each; the rest is spooled to a temporary file.
     """

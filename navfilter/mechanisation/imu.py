@@ -47,8 +47,8 @@ class Imu(Mechanisation):
         Sampling rate [Hz].
     gyro, accel : ErrorModel or tuple of three
         Errors of the angular rate [rad/s] and of the specific force [m/s^2]. A `LearnedArma` is learnt while the
-        vehicle stands still (`navfilter.learning.rest.Stillness`), beside a bias: a `RandomWalk`, that of the default
-        where none is given.
+        vehicle stands still (`navfilter.learning.rest.RestRecorder`), beside a bias: a `RandomWalk`, that of the
+        default where none is given.
     increments : bool
         Samples are angle and velocity increments [rad], [m/s] instead of rates.
     gap_rate_sd, gap_force_sd : float
