@@ -33,6 +33,7 @@ __all__ = [
     "Sum",
     "White",
     "block_level",
+    "joined_block",
     "per_axis",
 ]
 
@@ -380,15 +381,7 @@ class Sum(ErrorModel):
 
     def block(self, period_s: float) -> Block:
         """Discretise: the blocks of the parts side by side."""
-        blocks = [part.block(period_s) for part in self.parts]
-        n = sum(b.size for b in blocks)
-        stack = {
-            key: _square(block_diag(*(getattr(b, key) for b in blocks if b.size)), n) if n else np.zeros((0, 0))
-            for key in ("Phi", "Q", "P0")
-        }
-        return Block(
-            stack["Phi"], stack["Q"], np.concatenate([b.C for b in blocks]), sum(b.r for b in blocks), stack["P0"]
-        )
+        return joined_block([part.block(period_s) for part in self.parts])
 
     def integrated(self, period_s: float) -> Integrated:
         """Part by part: the errors are independent, so that the variances add."""
@@ -397,6 +390,16 @@ class Sum(ErrorModel):
 
     def __str__(self) -> str:
         return " + ".join(str(part) for part in self.parts)
+
+
+def joined_block(blocks: Sequence[Block]) -> Block:
+    """Blocks of independent errors side by side, as one that stands for their sum."""
+    n = sum(b.size for b in blocks)
+    stack = {
+        key: _square(block_diag(*(getattr(b, key) for b in blocks if b.size)), n) if n else np.zeros((0, 0))
+        for key in ("Phi", "Q", "P0")
+    }
+    return Block(stack["Phi"], stack["Q"], np.concatenate([b.C for b in blocks]), sum(b.r for b in blocks), stack["P0"])
 
 
 def per_axis(error: ErrorModel | Sequence[ErrorModel], axes: int, owner: str) -> tuple[ErrorModel, ...]:

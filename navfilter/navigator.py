@@ -222,8 +222,8 @@ class Navigator:
                 learning.keep(item)
             self.filter.advance(item, self._told, self._room)
             return None
-        if learning.is_first_due(item.time_s):
-            self._adopt_first()
+        if item.time_s >= learning.early_s:
+            self._adopt_early()
         learning.keep(item)
         correction = self.filter.correct(*item)
         self._told(correction)
@@ -234,14 +234,15 @@ class Navigator:
         for change in self.learning.heard(event):
             self.filter.adopt(change, self._told)
 
-    def _adopt_first(self) -> None:
-        """Adopt the first models, and run what there was so far again with them, see `LearningSchedule`."""
-        found = self.learning.first_models()
+    def _adopt_early(self) -> None:
+        """Adopt early models, and run what there was so far again with them, see `LearningSchedule`."""
+        now_s = self.learning.early_s
+        found = self.learning.early_models()
         if not found:
-            self.learning.beginning = None
             return
+        counted = self.filter.counts["adopted"] + len(found)
         self.filter.begin({**dict(self.filter.memory.models), **found})
-        self.filter.counts["adopted"] = len(found)
+        self.filter.counts["adopted"] = counted
         inputs = joined(self.learning.begin_again())
         if self._history is None:
             for item in inputs:
@@ -249,7 +250,7 @@ class Navigator:
             return
         # the last of it goes through the history, so that late readings find their place
         self._history.begin()
-        recent = self.learning.first_s - self._history.length_s
+        recent = now_s - self._history.length_s
         split = next((i for i, item in enumerate(inputs) if _when(item) > recent), len(inputs))
         for item in inputs[:split]:
             self.feed(item)

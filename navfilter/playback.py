@@ -404,6 +404,7 @@ def warm_up(vehicle: Vehicle | None = None, progress: bool = False) -> None:
     """
     from navfilter.learning.drift import Drift
     from navfilter.learning.learner import Learner
+    from navfilter.learning.slow import SlowPrior
     from navfilter.simulation.simulate import tiny_mission, tiny_missions
 
     if progress:
@@ -418,4 +419,5 @@ def warm_up(vehicle: Vehicle | None = None, progress: bool = False) -> None:
     tiny, mission = missions[0]
     learned = LearnedArma(prior=GaussMarkov(sd=0.01, tau_s=10.0))
     replay(tiny.with_error(**{name: learned for name, sensor in tiny.sensors.items() if sensor.open_loop}), mission)
-    Learner(learned.orders, 400, Drift((1e-3, 1e-5), 0.25)).hop(np.random.default_rng(1).normal(size=400))
+    prior = SlowPrior(0.01, 10.0, 100.0)
+    Learner(learned.orders, 400, Drift((1e-3, 1e-5), 0.25), prior=prior).hop(np.random.default_rng(1).normal(size=400))

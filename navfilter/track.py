@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from navfilter.filter.tape import Residuals
 from navfilter.kernels import strapdown
 from navfilter.learning.learned import LearnedArma, learned_part
-from navfilter.learning.low_frequency import zero_frequency
+from navfilter.error_models import block_level
 from navfilter.mission import Stream
 from navfilter.state import matrix_from_euler, rotation_vector, wrap
 
@@ -175,9 +175,14 @@ class Track:
                     title, part = f"{name} {axis}".strip(), learned_part(model)
                     # what is no other than before is the adoption of another axis
                     if part is not None and part.model is not None and last.get(title) != part:
-                        found.setdefault(title, []).append(_plain(time_s, part, part.model))
+                        found.setdefault(title, []).append(_plain(time_s, part, part.model, self._period_s(name)))
                         last[title] = part
         return found
+
+    def _period_s(self, name: str) -> float:
+        """Sampling period of a sensor, or of the drive's own [s]."""
+        sensor = self.vehicle.sensors.get(name)
+        return self.vehicle.drive.period_s if sensor is None else 1.0 / sensor.rate_hz
 
     def to_frame(self) -> pd.DataFrame:
         """Table with one row per time, in degrees and metres; every column names its unit."""
@@ -299,15 +304,16 @@ class Track:
         return result
 
 
-def _plain(time_s: float, part: LearnedArma, model: ArmaModel) -> dict[str, Any]:
+def _plain(time_s: float, part: LearnedArma, model: ArmaModel, period_s: float) -> dict[str, Any]:
     return {
         "time_s": round(time_s, 3),
         "order": [model.p, model.q],
         "ar": model.ar.tolist(),
         "ma": model.ma.tolist(),
         "sd": model.sd,
-        "s0": zero_frequency(model),
+        "s0": block_level(part.block(period_s)),
         "sd_log_s0": model.sd_log_s0,
+        "slow": [{"sd": p.sd, "tau_s": p.tau_s, "order": p.order} for p in part.slow_parts],
         "pole_radius": float(np.abs(model.poles).max(initial=0.0)),
         "flags": sorted(model.flags),
         "frozen": part.frozen,

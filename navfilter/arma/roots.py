@@ -18,6 +18,7 @@ __all__ = [
     "has_unit_root",
     "is_stable",
     "pull_inside",
+    "push_from_one",
     "resolved_radius",
     "root_sd",
     "roots_of",
@@ -233,3 +234,30 @@ def pull_inside(coefficients: Array, radius: float = 0.995) -> Array:
     size = np.abs(roots)
     reflected = np.where(size > 1.0, 1.0 / np.maximum(size, 1e-300), size)
     return _with_radii(roots, np.minimum(reflected, radius))
+
+
+def push_from_one(coefficients: Array, distance: float) -> Array:
+    """Coefficients with every root at least this far from 1: ``|ln z| >= distance``, its natural frequency per sample.
+
+    Parameters
+    ----------
+    coefficients : ndarray, shape (n,)
+    distance : float
+
+    Examples
+    --------
+    >>> push_from_one(np.array([-0.999]), 0.1).round(3)
+    array([-0.905])
+    """
+    if not coefficients.size:
+        return coefficients
+    roots = np.roots(np.r_[1.0, coefficients]).astype(np.complex128)
+    logs = np.log(np.where(np.abs(roots) < 1e-12, 1e-12, roots))
+    near = np.abs(logs) < distance
+    if not near.any():
+        return coefficients
+    size = np.maximum(np.abs(logs[near]), 1e-12)
+    # damped at the least: a root that was outside comes in
+    pushed = logs[near] * distance / size
+    logs[near] = np.where(pushed.real > -0.05 * distance, -0.05 * distance + 1j * pushed.imag, pushed)
+    return np.atleast_1d(np.poly(np.exp(logs))).real[1:]

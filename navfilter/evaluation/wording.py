@@ -189,7 +189,7 @@ def _part_words(part: ErrorModel, scale: Scale) -> str:
     if isinstance(part, Arma):
         return model_words(ArmaModel(np.array(part.ar), np.array(part.ma), part.sd), scale)
     if isinstance(part, LearnedArma) and part.model is not None:
-        return model_words(part.model, scale)
+        return ", ".join([*(_part_words(slow, scale) for slow in part.slow_parts), model_words(part.model, scale)])
     return str(part)
 
 

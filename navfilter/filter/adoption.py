@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.error_models import ErrorModel, RandomWalk, Sum
+from navfilter.arma.model import ArmaModel
+from navfilter.error_models import ErrorModel, RandomWalk, Sum, joined_block
 from navfilter.filter.layout import Layout
-from navfilter.learning.learned import LearnedArma, register_labels
+from navfilter.learning.learned import LearnedArma, register_block, register_labels
 from navfilter.vehicle import Vehicle
 
-__all__ = ["Change", "inflated", "state_change", "transfer"]
+__all__ = ["Change", "state_change", "transfer"]
 
 Array = NDArray[np.float64]
-#: At one adoption the variance in the direction of what a sensor sees grows by this factor at most.
-MOST_INFLATED = 4.0
 
 
 class Change(NamedTuple):
@@ -28,14 +28,10 @@ class Change(NamedTuple):
         A correcting sensor, or ``gyro`` / ``accel`` (``attitude`` / ``velocity``) of the drive.
     error : ErrorModel or tuple of ErrorModel
         One for all axes, or one per axis.
-    power_ratios : tuple of float
-        S(0) of the new model over that of the one in force, per axis; empty where P is to stay as it is. See
-        `inflated`.
     """
 
     sensor: str
     error: ErrorModel | tuple[ErrorModel, ...]
-    power_ratios: tuple[float, ...] = ()
 
 
 def state_change(before: Layout, old: Vehicle, after: Layout, new: Vehicle) -> tuple[Array, Array]:
@@ -77,8 +73,9 @@ def transfer(old: ErrorModel, new: ErrorModel, period_s: float) -> tuple[Array, 
     """How the states of one axis follow a change of its error model: ``x_new = M x_old + w``, ``w ~ N(0, N)``.
 
     Parts that are equal in both keep their states. A learnt part keeps the values and innovations that both registers
-    hold; what only the new one holds is drawn from its stationary distribution given those (Gaussian conditioning).
-    When the old part is no register (a prior), its present error is what both have in common.
+    hold; what only the new one holds is drawn from its stationary distribution given those (Gaussian conditioning). Its
+    slow parts stay, or share the sum of the old ones. When the old part is no learnt model (a prior), its present error
+    is what both have in common.
 
     Returns
     -------
@@ -115,55 +112,62 @@ def _transfer_part(old: ErrorModel, new: ErrorModel, period_s: float) -> tuple[A
     before, after = old.block(period_s), new.block(period_s)
     if old == new:
         return np.eye(after.size), np.zeros((after.size, after.size))
-    left, white = np.zeros((0, before.size)), np.zeros(0)
-    keep: list[int] = []
     if (
         isinstance(old, LearnedArma)
         and isinstance(new, LearnedArma)
         and old.model is not None
         and new.model is not None
     ):
-        have = register_labels(old.model)
-        both = [(have.index(label), i) for i, label in enumerate(register_labels(new.model)) if label in have]
-        keep, left = [i for _, i in both], np.eye(before.size)[[i for i, _ in both]]
-        white = np.zeros(len(keep))
-    elif before.size and after.size:
-        # both have a present error; what of the old one was white is not in its states
-        keep, left, white = [0], before.C[None, :], np.array([before.r])
-        if not np.array_equal(after.C, np.eye(after.size)[0]):
-            keep, left, white = [], np.zeros((0, before.size)), np.zeros(0)
-    if not keep:
+        fast = _registers(old.model, new.model)
+        slow = _slow_parts(old.slow_parts, new.slow_parts, period_s)
+        return _beside(fast[0], slow[0]), _beside(fast[1], slow[1])
+    if not (before.size and after.size):
         return np.zeros((after.size, before.size)), after.P0
+    # both have a present error; what of the old one was white is not in its states
+    seen = after.P0 @ after.C
+    G = seen / float(after.C @ seen)
+    N = after.P0 - np.outer(G, seen) + before.r * np.outer(G, G)
+    return np.outer(G, before.C), _positive(N)
+
+
+def _registers(old: ArmaModel, new: ArmaModel) -> tuple[Array, Array]:
+    """Values and innovations that both registers hold stay; what only the new one holds follows from them."""
+    have, size = register_labels(old), register_block(old).size
+    after = register_block(new)
+    both = [(have.index(label), i) for i, label in enumerate(register_labels(new)) if label in have]
+    keep, left = [i for _, i in both], np.eye(size)[[i for i, _ in both]]
+    if not keep:
+        return np.zeros((after.size, size)), after.P0
+    if len(keep) == after.size:
+        return np.eye(after.size)[:, np.argsort(np.argsort(keep))] @ left, np.zeros((after.size, after.size))
     G = after.P0[:, keep] @ np.linalg.pinv(after.P0[np.ix_(keep, keep)], hermitian=True)
-    N = after.P0 - G @ after.P0[keep] + G @ np.diag(white) @ G.T
+    return G @ left, _positive(after.P0 - G @ after.P0[keep])
+
+
+def _slow_parts(
+    olds: Sequence[ErrorModel], news: Sequence[ErrorModel], period_s: float
+) -> tuple[Array, Array]:
+    """Slow parts of the same orders stay; else their sum does, which the new ones share by their variances."""
+    before, after = joined_block([p.block(period_s) for p in olds]), joined_block([p.block(period_s) for p in news])
+    if [p.block(period_s).size for p in olds] == [p.block(period_s).size for p in news]:
+        return np.eye(after.size), np.zeros((after.size, after.size))
+    if not (before.size and after.size):
+        return np.zeros((after.size, before.size)), after.P0
+    seen = after.P0 @ after.C
+    G = seen / float(after.C @ seen)
+    return np.outer(G, before.C), _positive(after.P0 - np.outer(G, seen))
+
+
+def _beside(one: Array, other: Array) -> Array:
+    """A block matrix of two, either of which may be empty."""
+    out = np.zeros((one.shape[0] + other.shape[0], one.shape[1] + other.shape[1]))
+    out[: one.shape[0], : one.shape[1]] = one
+    out[one.shape[0] :, one.shape[1] :] = other
+    return out
+
+
+def _positive(N: Array) -> Array:
+    """The nearest covariance to what rounding has left of one."""
     values, vectors = np.linalg.eigh(0.5 * (N + N.T))
     N = (vectors * np.maximum(values, 0.0)) @ vectors.T
-    if len(keep) == after.size:
-        G, N = np.eye(after.size)[:, np.argsort(np.argsort(keep))], np.diag(white[np.argsort(keep)])
-    return G @ left, 0.5 * (N + N.T)
-
-
-def inflated(P: Array, row: Array, ratio: float) -> Array:
-    """What to add to P where a sensor sees the state, when the model in force took too much for certain.
-
-    Information about a constant goes with 1 / S(0), so that P in the direction of what the sensor sees grows by the
-    ratio of the powers at zero frequency, with everything that hangs on it in proportion.
-
-    Parameters
-    ----------
-    P : ndarray, shape (n, n)
-        Covariance.
-    row : ndarray, shape (n,)
-        What the sensor sees, without its own error.
-    ratio : float
-        S(0) of the new model over that of the old one; at most `MOST_INFLATED` of it counts.
-
-    Returns
-    -------
-    ndarray, shape (n, n)
-    """
-    along = P @ row
-    variance = float(row @ along)
-    if not (ratio > 1.0 and variance > 0.0):
-        return np.zeros_like(P)
-    return (min(ratio, MOST_INFLATED) - 1.0) / variance * np.outer(along, along)
+    return 0.5 * (N + N.T)

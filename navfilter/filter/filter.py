@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navfilter.filter import gating
-from navfilter.filter.adoption import Change, inflated, state_change
+from navfilter.filter.adoption import Change, state_change
 from navfilter.filter.channel import Channel, usable
 from navfilter.filter.events import Correction, Event, Outcome, Passed, Propagated, Relaid
 from navfilter.filter.filter_memory import Errors, FilterMemory
@@ -415,12 +415,6 @@ class Filter:
         self.vehicle.with_error(
             **{change.sensor: change.error}
         )  # refuses what cannot be adopted before anything has changed
-        for axis, ratio in enumerate(change.power_ratios):
-            if ratio > 1.0:
-                channel = self.channels[change.sensor]
-                row = channel.H[axis].copy()
-                row[channel.group.start : channel.group.start + channel.group.errors] = 0.0
-                memory.P += inflated(memory.P, row, ratio)
         if memory.unfolded:
             tell(self._fold())
         before, old = self.layout, self.in_force

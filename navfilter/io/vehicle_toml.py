@@ -36,6 +36,8 @@ from navfilter.vehicle import RESERVED, Vehicle
 Kinds = tuple[type, ...]
 #: Fields whose name in a file is another one: `model` is taken by the kind of the error.
 _IN_FILES: dict[tuple[type, str], str] = {(LearnedArma, "model"): "adopted"}
+#: Fields that do not stand in a file: what a report draws can be learnt again.
+_NOT_IN_FILES = {(LearnedArma, "spectrum")}
 #: What an adopted model consists of in a file: lists for arrays.
 _ADOPTED: dict[str, Any] = {
     "ar": tuple[float, ...],
@@ -190,7 +192,7 @@ def _spec_of(cls: type, kinds: Kinds) -> type[_Spec]:
     hints = typing.get_type_hints(cls)
     fields: dict[str, Any] = {key: (Literal[_kebab(cls)], ...)}
     for field in dataclasses.fields(cls):
-        if not field.init:
+        if not field.init or (cls, field.name) in _NOT_IN_FILES:
             continue
         required = field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
         name = _IN_FILES.get((cls, field.name), field.name)
@@ -372,6 +374,7 @@ def _table(item: Any) -> dict[str, Any]:
         value = getattr(item, field.name)
         if (
             field.init
+            and (type(item), field.name) not in _NOT_IN_FILES
             and value is not None
             and not (field.default is not dataclasses.MISSING and value == field.default)
         ):

@@ -1,13 +1,15 @@
-"""Gaussian likelihood of one channel: a slow drift with known noise, an ARMA error, and known white noise.
+"""Gaussian likelihood of one channel: a slow drift with known noise, slow errors, an ARMA error, known white noise.
 
-``y[t] = d[t] + n[t] + v[t]``: d is the first of r integrators in a chain, in units per tick, so that its transition is
-``exp`` of the shift matrix (``1/(j-i)!`` above the diagonal) whatever the period; n is the ARMA error in observer form,
-``z+ = M z + g e``, ``n = z[0] + e`` with ``g = c - a``; v is white. Process and measurement noise share e, which the
-filter (predictor form, Anderson and Moore 1979, section 5.5) takes into account.
+``y[t] = sees' d[t] + n[t] + v[t]``: d holds the navigation error's chain of integrators and the slow part of the
+sensor's error, side by side; n is the ARMA error in observer form, ``z+ = M z + g e``, ``n = z[0] + e`` with ``g = c -
+a``; v is white. Process and measurement noise share e, which the filter (predictor form, Anderson and Moore 1979,
+section 5.5) takes into account. A slow error and fast ones in one observer form would be ill-conditioned: several poles
+within 0.03 of the unit circle leave nothing but rounding of the start's covariance.
 
-Parameter vector ``theta = [a (m), c (m), ln sd]``, a and c padded with zeros to m = max(p, q, 1). ``rules`` holds
-[diffuse states, longest gap, clip, white variance, tolerance]. Only the upper triangle of P is kept; row and column n
-are zero.
+``chain`` (3, r, r) describes d: transition U over one tick (upper triangular), noise of one tick, covariance at the
+start (of the states after the diffuse ones, which come first). Parameter vector ``theta = [a (m), c (m), ln sd]``, a
+and c padded with zeros to m = max(p, q, 1). ``rules`` holds [diffuse states, longest gap, clip, white variance,
+tolerance]. Only the upper triangle of P is kept; row and column n are zero.
 """
 
 import math
@@ -16,7 +18,7 @@ import numpy as np
 from numba import njit
 
 DIFFUSE, LONGEST_GAP, CLIP, WHITE, TOLERANCE = 0, 1, 2, 3, 4
-TAYLOR = np.array([1.0, 1.0, 1.0 / 2.0, 1.0 / 6.0])  # 1/k!
+TRANSITION, NOISE, START = 0, 1, 2
 SHORTEST, LONGEST = 3, 8
 FIRST, AGAIN = 32, 8
 HALF_LOG_2PI = 0.9189385332046727
@@ -67,12 +69,12 @@ def _product(A, B, out, transposed):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _move(x, a, r, m):
+def _move(x, U, a, r, m):
     """``x = F x`` in place: the chain advances one tick, the observer state shifts."""
     for i in range(r):
-        s = x[i]
+        s = U[i, i] * x[i]
         for k in range(i + 1, r):
-            s += TAYLOR[k - i] * x[k]
+            s += U[i, k] * x[k]
         x[i] = s
     first = x[r]
     for i in range(m):
@@ -80,8 +82,9 @@ def _move(x, a, r, m):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _spread(P, L, scale, a, g, var, Q, save, r, m):
+def _spread(P, L, scale, a, g, var, chain, save, r, m):
     """``P = F P F' + noise - scale L L'`` in place on the upper triangle."""
+    U, Q = chain[TRANSITION], chain[NOISE]
     for j in range(m + 1):
         save[j] = P[r, r + j]
     for i in range(m):
@@ -95,9 +98,9 @@ def _spread(P, L, scale, a, g, var, Q, save, r, m):
     for i in range(r):
         li = scale * L[i]
         for j in range(m):
-            s = P[i, r + j + 1] - a[j] * save[i]
+            s = U[i, i] * (P[i, r + j + 1] - a[j] * save[i])
             for k in range(i + 1, r):
-                s += TAYLOR[k - i] * (P[k, r + j + 1] - a[j] * save[k])
+                s += U[i, k] * (P[k, r + j + 1] - a[j] * save[k])
             P[i, r + j] = s - li * L[r + j]
     # Row by row from the left, then column by column: elements still needed have not been overwritten.
     for i in range(r):
@@ -106,8 +109,8 @@ def _spread(P, L, scale, a, g, var, Q, save, r, m):
             for k in range(i, r):
                 row = 0.0
                 for n in range(j, r):
-                    row += TAYLOR[n - j] * (P[k, n] if k <= n else P[n, k])
-                s += TAYLOR[k - i] * row
+                    row += U[j, n] * (P[k, n] if k <= n else P[n, k])
+                s += U[i, k] * row
             P[i, j] = s + Q[i, j] - scale * L[i] * L[j]
 
 
@@ -146,14 +149,22 @@ def _collapse(X, w, A, x, P, n):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _gain(P, L, a, g, var, noise, r, m):
+def _gain(P, L, U, sees, a, g, var, noise, r, m):
     """Variance S of the innovation; ``L = F P h + covariance of process and measurement noise``, gain times S."""
     for i in range(r):
-        L[i] = P[0, i] + P[i, r]
+        L[i] = P[i, r]
     for i in range(m):
-        L[r + i] = P[0, r + i] + P[r, r + i]
-    S = L[0] + L[r] + noise
-    _move(L, a, r, m)
+        L[r + i] = P[r, r + i]
+    for k in range(r):
+        if sees[k] != 0.0:
+            for i in range(k):
+                L[i] += sees[k] * P[i, k]
+            for i in range(k, r + m):
+                L[i] += sees[k] * P[k, i]
+    S = L[r] + noise
+    for k in range(r):
+        S += sees[k] * L[k]
+    _move(L, U, a, r, m)
     for i in range(m):
         L[r + i] += var * g[i]
     return S
@@ -191,28 +202,28 @@ def _solve(M, B):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _first_map(maps, a, g, var, noise, Q, r, m):
+def _first_map(maps, a, g, var, noise, chain, sees, r, m):
     """One tick of the covariance recursion as ``P+ = H + A (P^-1 + G)^-1 A'``: ``maps[0]`` holds A, G, H."""
     maps[0, :, :, :] = 0.0
     A, G, H = maps[0, 0], maps[0, 1], maps[0, 2]
     for i in range(r):
         for j in range(i, r):
-            A[i, j] = TAYLOR[j - i]
-            H[i, j] = H[j, i] = Q[i, j]
+            A[i, j] = chain[TRANSITION, i, j]
+            H[i, j] = H[j, i] = chain[NOISE, i, j]
     for i in range(m):
         A[r + i, r] = -a[i]
         if i + 1 < m:
             A[r + i, r + i + 1] = 1.0
     # Process and measurement noise share e: taken apart first (Anderson and Moore 1979, section 5.5).
     for i in range(m):
-        if r > 0:
-            A[r + i, 0] -= var * g[i] / noise
+        for k in range(r):
+            A[r + i, k] -= sees[k] * var * g[i] / noise
         A[r + i, r] -= var * g[i] / noise
         for j in range(m):
             H[r + i, r + j] = var * g[i] * g[j] * (1.0 - var / noise)
-    for i in (0, r):
-        for j in (0, r):
-            G[i, j] = 1.0 / noise
+    for i in range(r + 1):
+        for j in range(r + 1):
+            G[i, j] = (sees[i] if i < r else 1.0) * (sees[j] if j < r else 1.0) / noise
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -265,19 +276,19 @@ def _leap(P, out, step, work):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _alike(L, S, ahead, ahead_S, tolerance, r):
+def _alike(L, S, ahead, ahead_S, tolerance, sees):
     """Whether two gains are so near to each other that all between them may be interpolated."""
     floor = 1e-6
     for i in range(ahead.size - 1):
         old, new = L[i] / S, ahead[i] / ahead_S
-        least = floor if i == 0 or i >= r else floor * 1e-3**i
+        least = floor if i >= sees.size or sees[i] != 0.0 else floor * 1e-3**i
         if not abs(new - old) <= tolerance * max(min(abs(old), abs(new)), least):
             return False
     return abs(ahead_S - S) <= tolerance * min(S, ahead_S)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _glide(y, t, ticks, x, a, L, S, ahead, ahead_S, clip, e, lns, K, slope):
+def _glide(y, t, ticks, x, U, sees, a, L, S, ahead, ahead_S, clip, e, lns, K, slope):
     """`ticks` known samples from `t` on, the gain interpolated between both ends; returns what they add to minus the
     log-likelihood.
     """
@@ -289,10 +300,13 @@ def _glide(y, t, ticks, x, a, L, S, ahead, ahead_S, clip, e, lns, K, slope):
     level, root = math.log(S), 1.0 / math.sqrt(S)
     rise, turn = (math.log(ahead_S) - level) / ticks, (1.0 / math.sqrt(ahead_S) - root) / ticks
     total = ticks * (HALF_LOG_2PI + 0.5 * (level + 0.5 * rise * (ticks - 1)))
-    if r == 2 and m <= 2:
-        return total + _glide_small(y, t, ticks, x, a, clip, e, lns, K, slope, level, rise, root, turn)
+    if m <= 2 and (r == 2 or r == 3) and U[0, 0] == 1.0 and U[0, 1] == 1.0 and sees[1] == 0.0:
+        if r == 2 or (U[0, 2] == 0.0 and U[1, 2] == 0.0 and sees[2] == 1.0):
+            return total + _glide_small(y, t, ticks, x, U, a, clip, e, lns, K, slope, level, rise, root, turn)
     for k in range(t, t + ticks):
-        residual = y[k] - x[0] - x[r]
+        residual = y[k] - x[r]
+        for i in range(r):
+            residual -= sees[i] * x[i]
         z = residual * root
         e[k], lns[k] = z, level
         size = abs(z)
@@ -301,7 +315,7 @@ def _glide(y, t, ticks, x, a, L, S, ahead, ahead_S, clip, e, lns, K, slope):
             residual *= clip / size
         else:
             total += 0.5 * z * z
-        _move(x, a, r, m)
+        _move(x, U, a, r, m)
         for i in range(n):
             x[i] += K[i] * residual
             K[i] += slope[i]
@@ -311,15 +325,19 @@ def _glide(y, t, ticks, x, a, L, S, ahead, ahead_S, clip, e, lns, K, slope):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _glide_small(y, t, ticks, x, a, clip, e, lns, K, slope, level, rise, root, turn):
-    """The loop of `_glide` for two integrators and at most two ARMA states, which then stay in registers."""
+def _glide_small(y, t, ticks, x, U, a, clip, e, lns, K, slope, level, rise, root, turn):
+    """The loop of `_glide` for two integrators, at most one slow state and two of the ARMA error, which then stay in
+    registers.
+    """
     m, total = a.size, 0.0
+    r = x.size - 1 - m
     a0, a1 = a[0], a[m - 1] if m == 2 else 0.0
-    d0, d1, n0, n1 = x[0], x[1], x[2], x[m + 1] if m == 2 else 0.0
-    K0, K1, K2, K3 = K[0], K[1], K[2], K[m + 1] if m == 2 else 0.0
-    s0, s1, s2, s3 = slope[0], slope[1], slope[2], slope[m + 1] if m == 2 else 0.0
+    phi, s, Ks, ss = (U[2, 2], x[2], K[2], slope[2]) if r == 3 else (0.0, 0.0, 0.0, 0.0)
+    d0, d1, n0, n1 = x[0], x[1], x[r], x[r + 1] if m == 2 else 0.0
+    K0, K1, K2, K3 = K[0], K[1], K[r], K[r + 1] if m == 2 else 0.0
+    s0, s1, s2, s3 = slope[0], slope[1], slope[r], slope[r + 1] if m == 2 else 0.0
     for k in range(t, t + ticks):
-        residual = y[k] - d0 - n0
+        residual = y[k] - d0 - s - n0
         z = residual * root
         e[k], lns[k] = z, level
         size = abs(z)
@@ -330,16 +348,19 @@ def _glide_small(y, t, ticks, x, a, clip, e, lns, K, slope, level, rise, root, t
             total += 0.5 * z * z
         d0, n0, n1 = d0 + d1 + K0 * residual, n1 - a0 * n0 + K2 * residual, K3 * residual - a1 * n0
         d1 += K1 * residual
-        K0, K1, K2, K3 = K0 + s0, K1 + s1, K2 + s2, K3 + s3
+        s = phi * s + Ks * residual
+        K0, K1, K2, K3, Ks = K0 + s0, K1 + s1, K2 + s2, K3 + s3, Ks + ss
         level, root = level + rise, root + turn
-    x[0], x[1], x[2] = d0, d1, n0
+    x[0], x[1], x[r] = d0, d1, n0
+    if r == 3:
+        x[2] = s
     if m == 2:
-        x[3] = n1
+        x[r + 1] = n1
     return total
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _reach(P, after, maps, made, level, far, L, S, ahead, a, g, var, noise, tolerance, work):
+def _reach(P, after, maps, made, level, far, L, S, ahead, U, sees, a, g, var, noise, tolerance, work):
     """Largest level from `level` down whose 2^level ticks stay within `far` and the tolerance; the covariance then is
     `after`.
 
@@ -353,17 +374,17 @@ def _reach(P, after, maps, made, level, far, L, S, ahead, a, g, var, noise, tole
                 _double(maps, k, work)
             made = max(made, level + 1)
             _leap(P, after, maps[level], work)
-            ahead_S = _gain(after, ahead, a, g, var, noise, r, m)
-            if tolerance < 0.0 or _alike(L, S, ahead, ahead_S, tolerance, r):
+            ahead_S = _gain(after, ahead, U, sees, a, g, var, noise, r, m)
+            if tolerance < 0.0 or _alike(L, S, ahead, ahead_S, tolerance, sees):
                 return level, ahead_S, made
         level -= 1
     return 0, S, made
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _segment(P, x, A, start, var, Q):
+def _segment(P, x, A, start, var, P0):
     """The state at the start of a segment: drift diffuse (columns of A) or as known, ARMA error stationary."""
-    d, r, m = A.shape[1], Q.shape[1], start.shape[0]
+    d, r, m = A.shape[1], P0.shape[0], start.shape[0]
     x[:], P[:, :], A[:, :] = 0.0, 0.0, 0.0
     for i in range(m):
         for j in range(m):
@@ -371,19 +392,22 @@ def _segment(P, x, A, start, var, Q):
     for i in range(d):
         A[i, i] = 1.0
     for i in range(d, r):
-        P[i, i] = Q[r, i]
+        for j in range(i, r):
+            P[i, j] = P0[i, j]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _carry(A, column, a, L, scale, X, row, root, r):
+def _carry(A, column, U, sees, a, L, scale, X, row, root, r):
     """One tick of the diffuse columns; what a known sample (`row` not below 0) says of them goes into that row of X."""
     m, n = a.size, A.shape[0]
     column[n] = 0.0
     for k in range(A.shape[1]):
         for i in range(n):
             column[i] = A[i, k]
-        weight = column[0] + column[r]
-        _move(column, a, r, m)
+        weight = column[r]
+        for i in range(r):
+            weight += sees[i] * column[i]
+        _move(column, U, a, r, m)
         for i in range(n):
             A[i, k] = column[i] - (weight * scale * L[i] if row >= 0 else 0.0)
         if row >= 0:
@@ -391,11 +415,10 @@ def _carry(A, column, a, L, scale, X, row, root, r):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def channel_filter(y, theta, Q, rules, e, lns):
+def channel_filter(y, theta, chain, sees, rules, e, lns):
     """Standardised innovations and ln S of a series with gaps; returns minus the log-likelihood.
 
-    y (N,) with NaN where a sample is missing; Q (r+1, r) noise of the chain per tick and, last, the variances of its
-    start. The first DIFFUSE states start diffuse: as many known samples of a segment fix them and do not count (their
+    y (N,) with NaN where a sample is missing; sees (r,) how the reading sees the chain. The first DIFFUSE states start diffuse: as many known samples of a segment fix them and do not count (their
     density does not depend on theta). A run of more than LONGEST_GAP missing samples ends a segment. Innovations beyond
     CLIP standard deviations enter the state clipped and the likelihood by Huber's function. `e` (N,) is NaN and `lns` 0
     where nothing counts. Infinite if not stationary, or so nearly integrating that the start's covariance is only
@@ -404,15 +427,16 @@ def channel_filter(y, theta, Q, rules, e, lns):
     Where the gain changes by no more than the part TOLERANCE over 8 to 256 ticks, it is interpolated between both ends;
     the covariance at the far end is exact (by doubling). 0: every tick by itself.
     """
-    return _filter(y, theta, Q, rules, np.zeros(y.size, np.int64), False, e, lns)
+    return _filter(y, theta, chain, sees, rules, np.zeros(y.size, np.int64), False, e, lns)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _filter(y, theta, Q, rules, plan, follow, e, lns):
+def _filter(y, theta, chain, sees, rules, plan, follow, e, lns):
     """`channel_filter`; where it leapt how far (2^level ticks) is noted in `plan` (N,), or done as noted there
     (`follow`).
     """
-    r, m = Q.shape[1], (theta.size - 1) // 2
+    r, m = sees.size, (theta.size - 1) // 2
+    U = chain[TRANSITION]
     n, d = r + m, int(rules[DIFFUSE])
     a, c, var = theta[:m], theta[m : 2 * m], math.exp(2.0 * theta[2 * m])
     noise, clip, longest, tolerance = (
@@ -428,7 +452,7 @@ def _filter(y, theta, Q, rules, plan, follow, e, lns):
     maps, made, level, wait, until, gap = np.empty((LONGEST + 1, 3, n, n)), 1, SHORTEST - 1, FIRST, 0, -1
     if not stationary(a, c, start):
         return math.inf
-    _first_map(maps, a, g, var, noise, Q, r, m)
+    _first_map(maps, a, g, var, noise, chain, sees, r, m)
     total, missing, known = 0.0, longest + 1, 0
     for t in range(y.size):
         if t < until:
@@ -441,24 +465,26 @@ def _filter(y, theta, Q, rules, plan, follow, e, lns):
                 continue
         elif missing > longest:
             known, wait = 0, FIRST
-            _segment(P, x, A, start, var, Q)
+            _segment(P, x, A, start, var, chain[START])
         scale, gain, root = 0.0, 0.0, 1.0
         if seen:
             missing, wait = 0, wait - 1
-            S = _gain(P, L, a, g, var, noise, r, m)
+            S = _gain(P, L, U, sees, a, g, var, noise, r, m)
             if known >= d and (plan[t] > 0 if follow else wait <= 0 and tolerance > 0.0):
                 while gap < t or (gap < y.size and gap < t + 2**LONGEST and not math.isnan(y[gap])):
                     gap = max(gap, t) + 1
                 wanted = plan[t] if follow else min(level + 1, LONGEST)
                 level, ahead_S, made = _reach(
-                    P, after, maps, made, wanted, gap - t, L, S, ahead, a, g, var, noise, tolerance, work
+                    P, after, maps, made, wanted, gap - t, L, S, ahead, U, sees, a, g, var, noise, tolerance, work
                 )
                 if level > 0:
-                    total += _glide(y, t, 2**level, x, a, L, S, ahead, ahead_S, clip, e, lns, save, slope)
+                    total += _glide(y, t, 2**level, x, U, sees, a, L, S, ahead, ahead_S, clip, e, lns, save, slope)
                     P[:, :], plan[t], until = after, level, t + 2**level
                     continue
                 level, wait = SHORTEST - 1, AGAIN
-            scale, residual, root = 1.0 / S, y[t] - x[0] - x[r], math.sqrt(S)
+            scale, residual, root = 1.0 / S, y[t] - x[r], math.sqrt(S)
+            for i in range(r):
+                residual -= sees[i] * x[i]
             gain = residual * scale
             if known >= d:
                 z, size = residual / root, abs(residual / root)
@@ -469,12 +495,12 @@ def _filter(y, theta, Q, rules, plan, follow, e, lns):
                     gain *= clip / size
                 else:
                     total += 0.5 * z * z
-        _move(x, a, r, m)
+        _move(x, U, a, r, m)
         for i in range(n):
             x[i] += gain * L[i]
-        _spread(P, L, scale, a, g, var, Q, save, r, m)
+        _spread(P, L, scale, a, g, var, chain, save, r, m)
         if known < d:
-            _carry(A, column, a, L, scale, X, known if seen else -1, root, r)
+            _carry(A, column, U, sees, a, L, scale, X, known if seen else -1, root, r)
             if seen:
                 w[known] = residual / root
                 if known == d - 1:
@@ -494,24 +520,22 @@ def _dot(u, v):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def channel_scores(y, theta, Q, rules, free, steps, E, LNS, info, gradient):
-    """Minus the log-likelihood, its gradient and the Fisher information in the parameters ``theta[free]``.
+def channel_scores(y, thetas, chains, sees, rules, steps, E, LNS, info, gradient):
+    """Minus the log-likelihood at ``thetas[0]`` and ``chains[0]``, its gradient and the Fisher information.
 
-    Derivatives of innovations and ln S by differences of `steps`; with z the standardised innovation, ``gradient =
-    sum(psi(z) dz + dlnS / 2)`` and ``info = sum(dv dv'/S + dlnS dlnS'/2)``, ``dv/sqrt(S) = dz + z dlnS/2`` (Harvey
-    1989, eqs 3.4.69-70). `E` and `LNS` (k+1, N) receive innovations and ln S in row 0, derivatives in the others. A
-    step that leaves the stationary region gives an infinite derivative: the caller chooses steps that do not.
+    The other rows of `thetas` (k+1, 2m+1) and `chains` (k+1, 3, r, r) are those of a model with one of its k parameters
+    moved by ``steps[i]``: derivatives of innovations and ln S are differences. With z the standardised innovation,
+    ``gradient = sum(psi(z) dz + dlnS / 2)`` and ``info = sum(dv dv'/S + dlnS dlnS'/2)``, ``dv/sqrt(S) = dz + z dlnS/2``
+    (Harvey 1989, eqs 3.4.69-70). `E` and `LNS` (k+1, N) receive innovations and ln S in row 0, derivatives in the
+    others. A step that leaves the stationary region gives an infinite value: the caller chooses steps that do not.
     """
-    k = free.size
+    k = steps.size
     clip = rules[CLIP]
     plan = np.zeros(y.size, np.int64)
-    value = _filter(y, theta, Q, rules, plan, False, E[0], LNS[0])
-    moved = theta.copy()
+    value = _filter(y, thetas[0], chains[0], sees, rules, plan, False, E[0], LNS[0])
     for i in range(k):
-        moved[free[i]] = theta[free[i]] + steps[i]
-        if not _filter(y, moved, Q, rules, plan, True, E[i + 1], LNS[i + 1]) < math.inf:
+        if not _filter(y, thetas[i + 1], chains[i + 1], sees, rules, plan, True, E[i + 1], LNS[i + 1]) < math.inf:
             return math.inf
-        moved[free[i]] = theta[free[i]]
     psi = np.empty(y.size)
     for t in range(y.size):
         z = E[0, t]

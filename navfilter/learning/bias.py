@@ -11,12 +11,13 @@ from navfilter.arma.model import ArmaModel
 from navfilter.error_models import ErrorModel, RandomWalk, Sum
 from navfilter.learning.fit import Drift, fit_channel
 from navfilter.learning.learned import known_walk
-from navfilter.learning.limits import CYCLES
 
 __all__ = ["hand_over", "plainer"]
 
 Array = NDArray[np.float64]
 
+#: A process that a series holds fewer times than this, by its time constant, may be its bias.
+CYCLES = 10.0
 #: Poles nearer to 1 than these parts of the series are the bias, with what the learner's own limit is short of 3.
 #: Beyond `CYCLES` parts they may be.
 SAME = 3.03

@@ -23,6 +23,8 @@ class Effort:
         Passes of the order in use, and of a challenger: from one hop to the next an estimate moves little.
     below_passes : int
         Passes of a lower order that only serves as a start.
+    windows_remembered : float
+        Evidence for the slow part is forgotten over so many windows.
     race_passes : int
         Passes of each of several starts before the leader goes on alone.
     hopeless_bic : float
@@ -49,6 +51,8 @@ class Effort:
     differences : tuple of float
         Difference steps, the first that stays stable is taken: poles that crowd near the circle leave it at a very
         small one.
+    slow_difference : float
+        The same for ln sd and ln tau of the slow part.
     dampings : tuple of float
         Levenberg damping of a scoring step, relative to the information, until one gains.
     """
@@ -58,6 +62,7 @@ class Effort:
     own_passes: int = 2
     other_passes: int = 1
     below_passes: int = 8
+    windows_remembered: float = 4.0
     race_passes: int = 2
     hopeless_bic: float = 100.0
     hopeless_size: int = 2
@@ -70,6 +75,7 @@ class Effort:
     small_gain: float = 0.05
     longest_step: float = 1.5
     differences: tuple[float, ...] = (1e-6, -1e-6, 1e-7, -1e-7, 1e-8, -1e-8, 1e-9, -1e-9, 1e-10, -1e-10)
+    slow_difference: float = 1e-5
     dampings: tuple[float, ...] = (1e-6, 1e-3, 1e-2, 1e-1, 1.0, 10.0, 1e3)
 
 

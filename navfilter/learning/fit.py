@@ -9,7 +9,7 @@ likelihood, and how well they can be told apart is in the covariance (Harvey 198
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -24,14 +24,14 @@ from navfilter.learning.drift import Drift
 from navfilter.learning.effort import EFFORT
 from navfilter.learning.likelihood import Likelihood, Point, maximise
 from navfilter.learning.limits import CLIP
-from navfilter.learning.low_frequency import log_s0_spread, upward_spread
+from navfilter.learning.low_frequency import log_s0_spread
 from navfilter.learning.starts import cold_starts, grown_starts, padded_start
 
-__all__ = ["ChannelFit", "fit_channel", "with_upward_spread"]
+__all__ = ["ChannelFit", "fit_channel"]
 
 Array = NDArray[np.float64]
 
-#: How the order of a channel is chosen: as in `ArmaBank`.
+#: What a channel's fit is judged by: as in `ArmaBank`.
 CHANNEL_CHOICE = Choice()
 
 
@@ -114,20 +114,20 @@ def fit_channel(
     if not (math.isfinite(white) and white >= 0.0):
         raise ValueError(f"white must be a variance (finite, not negative), found {white}.")
     y = tidy_series(series, 10 + 3 * (p + q) + drift.order, "fit_channel", gaps=True)
-    likelihood = Likelihood(y, drift.per_tick(), white)
+    likelihood = Likelihood(y, drift, white)
     if start is None:
         starts = cold_starts(likelihood, p, q)
         if p >= 2 and q >= 1:
             # A slow part that a lower order leaves out is found by adding one to its estimate, and hardly otherwise.
             below = min(p - 1, q), q - 1
             simple = maximise(likelihood, cold_starts(likelihood, *below), below[0], EFFORT.below_passes)
-            starts += grown_starts(likelihood, {below: simple.theta}, p, q)
+            starts += grown_starts(likelihood, {below: simple}, p, q)
     elif start.p > p or start.q > q:
         raise ValueError(f"start has orders ({start.p}, {start.q}), above ({p}, {q}).")
     else:
         starts = [padded_start(theta_of(start, likelihood), start.p, p, q)]
     point = maximise(likelihood, starts, p, passes)
-    return with_upward_spread(channel_fit(likelihood, point), likelihood, point)
+    return channel_fit(likelihood, point)
 
 
 def theta_of(model: ArmaModel, likelihood: Likelihood) -> Array:
@@ -154,14 +154,6 @@ def channel_fit(likelihood: Likelihood, point: Point) -> ChannelFit:
     )
     loglik = -value + n * math.log(likelihood.unit)
     return ChannelFit(model, loglik, CHANNEL_CHOICE.score(-2.0 * loglik, theta.size, n), z, n)
-
-
-def with_upward_spread(fit: ChannelFit, likelihood: Likelihood, point: Point) -> ChannelFit:
-    """The fit with the larger of both standard deviations of ln S(0): by the information, and upwards by the
-    likelihood.
-    """
-    spread = max(fit.model.sd_log_s0 or 0.0, upward_spread(likelihood, point))
-    return replace(fit, model=replace(fit.model, sd_log_s0=spread))
 
 
 def at_cap(likelihood: Likelihood, ar: Array) -> bool:

@@ -5,16 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.arma.model import ArmaModel
 from navfilter.arma.stationary import stationary_covariance
-from navfilter.error_models import Block, ErrorModel, Integrated, RandomWalk, Sum, White
+from navfilter.error_models import Block, ErrorModel, GaussMarkov, Integrated, RandomWalk, Sum, White, joined_block
 from navfilter.learning.limits import LEAST
-from navfilter.learning.low_frequency import cautious
+from navfilter.learning.spectrum import Spectrum
 
 __all__ = [
     "LearnedArma",
@@ -29,33 +29,44 @@ __all__ = [
 
 Array = NDArray[np.float64]
 
-#: Orders (p, q) tried by default: white, Gauss-Markov, Gauss-Markov and white, up to two oscillations with white noise.
-DEFAULT_ORDERS = ((0, 0), (1, 0), (1, 1), (2, 0), (2, 1), (2, 2), (3, 2), (3, 3), (4, 2), (4, 4))
+#: Orders (p, q) of the fast part tried by default: white, Gauss-Markov, both, up to two oscillations with white noise.
+DEFAULT_ORDERS = ((0, 0), (1, 0), (1, 1), (2, 0), (2, 1), (2, 2), (3, 2), (3, 3), (4, 2), (4, 3), (4, 4))
+#: The window counts as this long at most where slow and fast errors are told apart [s]: what a heading forgets.
+LONGEST_SPAN_S = 500.0
 
 
 @dataclass(frozen=True)
 class LearnedArma(ErrorModel):
     """ARMA error whose order and coefficients are learnt under way, on a sliding window of the sensor's own readings.
 
+    What is learnt is a posterior: a fast ARMA part, and a slow part of which the readings tell little, so that its prior
+    counts. The filter carries both, the slow part with the variance that its posterior has.
+
     Parameters
     ----------
     prior : ErrorModel, optional
-        In force until the first model has been learnt. Default: that of the sensor's kind.
+        What is believed beforehand, and in force until the first model has been learnt. The slow part's standard
+        deviation is believed within a factor of e, its time constant hardly (`navfilter.learning.slow.SlowPrior`);
+        white noise alone excludes slow errors. Default: that of the sensor's kind.
     orders : sequence of (p, q)
-        Candidates.
+        Candidates of the fast part.
     window : int
         Samples behind an estimate.
     hop : int, optional
         Samples between two adoptions, default half the window.
     model : ArmaModel, optional
-        The model in force; the navigator sets it when it adopts one.
+        The fast part in force; the navigator sets it when it adopts one.
+    slow : ErrorModel, optional
+        The slow part in force beside it: one or two Gauss-Markov processes.
     frozen : bool
         Keep `model` and learn nothing more: what one dive has taught, used on the next.
+    spectrum : Spectrum, optional
+        Of the whole error, with its uncertainty; for reports.
 
     Raises
     ------
     ValueError
-        For a window below 200 samples, an empty or impossible list of orders, a model that is not stable, or `frozen`
+        For a window below 100 samples, an empty or impossible list of orders, a model that is not stable, or `frozen`
         without a model.
 
     Notes
@@ -63,9 +74,8 @@ class LearnedArma(ErrorModel):
     Whatever else is known of the sensor is added: ``White(sd=0.01) + LearnedArma()``, ``RandomWalk(1e-5) +
     LearnedArma()``.
 
-    The states are a register of past values, ``[n(t) .. n(t-p+1), e(t) .. e(t-q+1)]``, so that new coefficients leave
-    them as they are, and a new order only appends or drops the oldest. What is not known of the spectrum near zero
-    frequency is what makes a filter overconfident: S(0) is raised by a share of its uncertainty, see `cautious`.
+    The states of the fast part are a register of past values, ``[n(t) .. n(t-p+1), e(t) .. e(t-q+1)]``, so that new
+    coefficients leave them as they are, and a new order only appends or drops the oldest; those of the slow part follow.
 
     Examples
     --------
@@ -79,7 +89,9 @@ class LearnedArma(ErrorModel):
     window: int = 4000
     hop: int | None = None
     model: ArmaModel | None = None
+    slow: ErrorModel | None = None
     frozen: bool = False
+    spectrum: Spectrum | None = None
 
     def __post_init__(self) -> None:
         orders = tuple(sorted({(int(p), int(q)) for p, q in self.orders}, key=lambda pq: (sum(pq), pq)))
@@ -105,6 +117,12 @@ class LearnedArma(ErrorModel):
                 f"LearnedArma.model must be stable, found a pole of radius {abs(self.model.poles).max():.6f}."
             )
 
+        parts = self.slow.parts if isinstance(self.slow, Sum) else () if self.slow is None else (self.slow,)
+        if any(not isinstance(part, GaussMarkov) for part in parts):
+            raise ValueError(
+                f"LearnedArma.slow must be Gauss-Markov processes, found {self.slow!r}. Example: GaussMarkov(sd=0.01, "
+                "tau_s=60)."
+            )
         if self.frozen and self.model is None:
             raise ValueError(
                 "LearnedArma(frozen=True) has no model to keep. Give it one, or leave frozen out and it learns one."
@@ -119,7 +137,7 @@ class LearnedArma(ErrorModel):
             When there is neither.
         """
         if self.model is not None:
-            return self._register
+            return _learnt_block(self.model, self.slow_parts, period_s)
         if self.prior is None:
             raise ValueError("LearnedArma needs a prior here: LearnedArma(prior=GaussMarkov(sd=..., tau_s=...)).")
         return self.prior.block(period_s)
@@ -132,21 +150,28 @@ class LearnedArma(ErrorModel):
             else super().integrated(period_s)
         )
 
-    @cached_property
-    def _register(self) -> Block:
-        # laying out the states asks for it some fifty times at each adoption
-        assert self.model is not None
-        return register_block(self.model)
+    @property
+    def slow_parts(self) -> tuple[GaussMarkov, ...]:
+        """The processes of the slow part."""
+        parts = self.slow.parts if isinstance(self.slow, Sum) else (self.slow,)
+        return tuple(part for part in parts if isinstance(part, GaussMarkov))
 
     def __str__(self) -> str:
         if self.model is None:
             return f"LearnedArma(prior={self.prior})"
-        return f"LearnedArma({self.model.p}, {self.model.q}{', frozen' if self.frozen else ''})"
+        slow = f" + {self.slow}" if self.slow is not None else ""
+        return f"LearnedArma({self.model.p}, {self.model.q}{slow}{', frozen' if self.frozen else ''})"
+
+
+@lru_cache(maxsize=64)
+def _learnt_block(model: ArmaModel, slow: tuple[ErrorModel, ...], period_s: float) -> Block:
+    # laying out the states asks for it some fifty times at each adoption
+    return joined_block([register_block(model), *(part.block(period_s) for part in slow)])
 
 
 def register_block(model: ArmaModel) -> Block:
-    """Block of an ARMA model as a register of past values and innovations, see `cautious`."""
-    ar, variance = cautious(model)
+    """Block of an ARMA model as a register of past values and innovations."""
+    ar, variance = model.ar, model.sd**2
     p, q = model.p, model.q
     if p + q == 0:
         return Block(np.zeros((0, 0)), np.zeros((0, 0)), np.zeros(0), variance, np.zeros((0, 0)))

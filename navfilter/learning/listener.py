@@ -12,10 +12,18 @@ from numpy.typing import NDArray
 from navfilter.error_models import ErrorModel
 from navfilter.kernels import listen
 from navfilter.learning.drift import Drift
-from navfilter.learning.learned import known_walk, known_white, learned_part, learning_part, with_learned
+from navfilter.learning.learned import (
+    LONGEST_SPAN_S,
+    LearnedArma,
+    known_walk,
+    known_white,
+    learned_part,
+    learning_part,
+    with_learned,
+)
 from navfilter.learning.learner import Learner, LearnerMemory, memories, recall
 from navfilter.learning.limits import LEAST
-from navfilter.learning.low_frequency import HOPS_REMEMBERED, UNOBSERVABLE, steadied, zero_frequency
+from navfilter.learning.slow import SlowPrior, slow_prior
 from navfilter.sensors import Sensor
 from navfilter.vehicle import Vehicle
 
@@ -61,10 +69,10 @@ class ListenerMemory:
         Ticks noted so far.
     due : int
         The next hop comes when so many have been noted.
+    heard : int
+        Ticks that have been learnt from.
     models : tuple of ErrorModel
         Of each axis, as learnt last.
-    levels : tuple of tuple of float
-        S(0) of each axis at the last hops.
     learners : tuple of LearnerMemory or None
         What the learner of each axis knows; None where nothing is learnt.
     """
@@ -74,8 +82,8 @@ class ListenerMemory:
     ring: Array
     cursor: NDArray[np.int64]
     due: int
+    heard: int
     models: tuple[ErrorModel, ...]
-    levels: tuple[tuple[float, ...], ...]
     learners: tuple[LearnerMemory | None, ...]
 
 
@@ -122,7 +130,7 @@ class Listener:
         self.drifts = tuple(sensor.drift(vehicle.drive, axis, known_walk(model)) for axis, model in enumerate(models))
         self.white = tuple(float(white[i]) + known_white(model, self.period_s) for i, model in enumerate(models))
         self.learners = tuple(
-            None if part is None else Learner(part.orders, part.window, drift, white=r)
+            None if part is None else Learner(part.orders, part.window, drift, white=r, prior=believed(part, self.period_s))
             for part, drift, r in zip(learned, self.drifts, self.white, strict=True)
         )
         self.window = window
@@ -132,9 +140,9 @@ class Listener:
         self._memory = ListenerMemory(
             ring=np.full((sensor.axes, capacity), np.nan),
             cursor=np.zeros(1, np.int64),
-            due=0 if window else NEVER,
+            due=LEAST if window else NEVER,
+            heard=0,
             models=models,
-            levels=((),) * sensor.axes,
             learners=memories(self.learners),
         )
 
@@ -167,17 +175,12 @@ class Listener:
         """Whether the next hop has come."""
         return bool(self._memory.cursor[0] >= self._memory.due)
 
-    def learn_first(self, age_s: float) -> tuple[ErrorModel, ...] | None:
-        """The first error models, or None where too little has been heard; the last tick was `age_s` ago."""
-        ticks = self._ticks_by_now(age_s)
-        return self.learn(age_s) if self.window and ticks >= LEAST else None
-
     def begin_again(self, age_s: float) -> None:
         """Listen from the start again, without learning again from what was heard before; the last tick was `age_s`
         ago.
         """
         memory = self._memory
-        memory.due = self._ticks_by_now(age_s) + self.hop if self.window else NEVER
+        memory.due = self._next(self._ticks_by_now(age_s)) if self.window else NEVER
         memory.cursor[0] = 0
 
     def _ticks_by_now(self, age_s: float) -> int:
@@ -185,28 +188,37 @@ class Listener:
         ticks = int(self._memory.cursor[0])
         return ticks + max(0, math.ceil(age_s / self.period_s - 1e-6) - 1) if ticks else 0
 
+    def _next(self, ticks: int) -> int:
+        """Ticks that make the next hop due: twice as many at first, a hop more then."""
+        return ticks + min(self.hop, ticks) if ticks >= LEAST else LEAST
+
     def learn(self, age_s: float = 0.0) -> tuple[ErrorModel, ...] | None:
         """At a hop: the error models to adopt, or None when there is nothing new; the last tick was `age_s` ago."""
         memory = self._memory
         written = int(memory.cursor[0])
         newest = min(max(0, round((self.behind_s - age_s) / self.period_s)), written)
-        memory.due = written + self.hop
-        new, levels = [], list(memory.levels)
+        memory.due = self._next(written)
+        fresh, memory.heard = written - newest - memory.heard, written - newest
+        new = []
         for axis, (model, learner) in enumerate(zip(memory.models, self.learners, strict=True)):
             part = learned_part(model)
             if part is not None and learner is not None:
-                found = learner.hop(self.series(axis, part.window + newest, newest))
-                known = "starting" not in found.flags and (found.sd_log_s0 or 0.0) <= UNOBSERVABLE
-                if known and found.is_stable and found.is_invertible:
-                    levels[axis] = (*levels[axis], zero_frequency(found))[-HOPS_REMEMBERED:]
-                    found = steadied(found, levels[axis])
-                    model = with_learned(model, replace(part, model=found))
+                found = learner.hop(self.series(axis, part.window + newest, newest), fresh)
+                if found is not None:
+                    slow = sum(found.slow[1:], start=found.slow[0]) if found.slow else None
+                    learnt = replace(part, model=found.model, slow=slow, spectrum=found.spectrum)
+                    model = with_learned(model, learnt)
             new.append(model)
-        memory.levels, memory.learners = tuple(levels), memories(self.learners)
+        memory.learners = memories(self.learners)
         if tuple(new) == memory.models:
             return None
         memory.models = tuple(new)
         return memory.models
+
+
+def believed(part: LearnedArma, period_s: float) -> SlowPrior | None:
+    """The prior of the slow error of a part that learns at this period."""
+    return slow_prior(part.prior or part, period_s, min(part.window * period_s, LONGEST_SPAN_S))
 
 
 def without_spikes(series: Array) -> Array:

@@ -8,11 +8,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from navfilter.error_models import ErrorModel
-from navfilter.learning.learned import LearnedArma, learned_part, learning_part, with_learned
+from navfilter.error_models import ErrorModel, block_level
+from navfilter.learning.learned import LONGEST_SPAN_S, LearnedArma, learned_part, learning_part, with_learned
 from navfilter.learning.limits import LEAST
 from navfilter.learning.listener import ChannelSeries
-from navfilter.learning.low_frequency import zero_frequency
+from navfilter.learning.slow import slow_prior
 from navfilter.vehicle import Vehicle
 
 __all__ = ["change", "learning_sensors", "refitted"]
@@ -30,8 +30,7 @@ def learning_sensors(vehicle: Vehicle) -> list[str]:
 def refitted(vehicle: Vehicle, series: Mapping[str, tuple[ChannelSeries, ...]]) -> Vehicle:
     """The vehicle with every learning axis fitted to a whole series and frozen there.
 
-    The order is chosen as under way, by BIC among the candidates of the axis that pass the gate; the window is the
-    whole series. An axis whose series says too little goes on learning under way.
+    The window is the whole series. An axis whose series says too little goes on learning under way.
 
     Parameters
     ----------
@@ -59,10 +58,13 @@ def _fitted(model: ErrorModel, channel: ChannelSeries) -> ErrorModel:
     part = learning_part(model)
     if part is None or np.count_nonzero(np.isfinite(channel.value)) < LEAST:
         return model
-    found = Learner(part.orders, channel.value.size, channel.drift, white=channel.white).hop(channel.value)
-    if "starting" in found.flags or not (found.is_stable and found.is_invertible):
+    n, period_s = channel.value.size, channel.period_s
+    prior = slow_prior(part.prior or part, period_s, min(n * period_s, LONGEST_SPAN_S))
+    found = Learner(part.orders, n, channel.drift, white=channel.white, prior=prior).hop(channel.value)
+    if found is None:
         return model
-    return with_learned(model, replace(part, model=found, frozen=True))
+    slow = sum(found.slow[1:], start=found.slow[0]) if found.slow else None
+    return with_learned(model, replace(part, model=found.model, slow=slow, spectrum=found.spectrum, frozen=True))
 
 
 def change(before: Vehicle, after: Vehicle) -> float:
@@ -85,15 +87,15 @@ def change(before: Vehicle, after: Vehicle) -> float:
         for old, new in zip(
             map(learned_part, before.sensors[name].models), map(learned_part, sensor.models), strict=True
         ):
-            largest = max(largest, _apart(old, new))
+            largest = max(largest, _apart(old, new, 1.0 / sensor.rate_hz))
     return largest
 
 
-def _apart(old: LearnedArma | None, new: LearnedArma | None) -> float:
+def _apart(old: LearnedArma | None, new: LearnedArma | None, period_s: float) -> float:
     one, other = (None if part is None else part.model for part in (old, new))
-    if one is None or other is None:
+    if old is None or new is None or one is None or other is None:
         return 0.0 if one is other else math.inf
-    if one == other:
+    if old == new:
         return 0.0
-    level = abs(math.log(zero_frequency(other) / zero_frequency(one))) / (other.sd_log_s0 or 1.0)
+    level = abs(math.log(block_level(new.block(period_s)) / block_level(old.block(period_s)))) / (other.sd_log_s0 or 1.0)
     return max(level, abs(math.log(other.sd / one.sd)) * math.sqrt(2.0 * max(other.effective_window or 1.0, 1.0)))

@@ -15,7 +15,7 @@ from navfilter.learning.drift import Drift
 from navfilter.learning.learned import known_walk, known_white, learned_part, learning_part, with_learned
 from navfilter.learning.learner import Learner, LearnerMemory, memories, recall
 from navfilter.learning.limits import LONGEST_GAP
-from navfilter.learning.low_frequency import HOPS_REMEMBERED, steadied, zero_frequency
+from navfilter.learning.listener import believed
 from navfilter.mechanisation import Imu, Mechanisation
 from navfilter.sensors import ZeroVelocity
 
@@ -56,7 +56,9 @@ class RestMemory:
         Whether the segment goes on.
     level : ndarray, shape (6,)
         Mean of the segment's first block [rad/s, m/s^2].
-    models, levels, learners
+    heard : int
+        Ticks that have been learnt from.
+    models, learners
         As in `navfilter.learning.listener.ListenerMemory`, for the six axes.
     """
 
@@ -72,8 +74,8 @@ class RestMemory:
     run: int
     is_open: bool
     level: Array
+    heard: int
     models: tuple[ErrorModel, ...]
-    levels: tuple[tuple[float, ...], ...]
     learners: tuple[LearnerMemory | None, ...]
 
 
@@ -120,7 +122,9 @@ class RestRecorder:
         self._white = tuple(known_white(model, self.period_s) for model in drive.models)
         self._described = drive.models
         self.learners = tuple(
-            None if part is None else Learner(part.orders, part.window, drift, white=white)
+            None
+            if part is None
+            else Learner(part.orders, part.window, drift, white=white, prior=believed(part, self.period_s))
             for part, drift, white in zip(parts, self._drifts, self._white, strict=True)
         )
         # beyond the window: what going back writes over, and a few blocks
@@ -136,8 +140,8 @@ class RestRecorder:
             run=0,
             is_open=False,
             level=np.zeros(6),
+            heard=0,
             models=drive.models,
-            levels=((),) * 6,
             learners=memories(self.learners),
         )
 
@@ -240,24 +244,27 @@ class RestRecorder:
         """At a hop: the error models to adopt by name, ``gyro`` and ``accel``; only those that are new."""
         memory = self._memory
         memory.due = memory.cursor + min(max(self.hop, memory.cursor // 2), self._longest_hop)
-        new, levels = list(memory.models), list(memory.levels)
+        # the newest block may still change by a reading that comes late
+        fresh, memory.heard = memory.cursor - memory.newest - memory.heard, memory.cursor - memory.newest
+        new = list(memory.models)
         for axis, learner in enumerate(self.learners):
             part = learning_part(memory.models[axis])
             if part is None or learner is None:
                 continue
-            # the newest block may still change by a reading that comes late
             y = self.series(axis, part.window, memory.newest)
-            found = learner.hop(y)
-            if "starting" in found.flags or not (found.is_stable and found.is_invertible):
+            found = learner.hop(y, fresh)
+            if found is None:
                 continue
             drift, white, model = self._drifts[axis], self._white[axis], self._described[axis]
-            found = plainer(found, y, drift, white)
-            if known_walk(model):
-                found, model = hand_over(found, model, y, drift, white)
-                found = plainer(found, y, replace(drift, density=(known_walk(model),)), white)
-            levels[axis] = (*levels[axis], zero_frequency(found))[-HOPS_REMEMBERED:]
-            new[axis] = with_learned(model, replace(part, model=steadied(found, levels[axis])))
-        before, memory.models, memory.levels = memory.models, tuple(new), tuple(levels)
+            fast, slow = found.model, found.slow
+            if not slow:
+                fast = plainer(fast, y, drift, white)
+                if known_walk(model):
+                    fast, model = hand_over(fast, model, y, drift, white)
+                    fast = plainer(fast, y, replace(drift, density=(known_walk(model),)), white)
+            joined = sum(slow[1:], start=slow[0]) if slow else None
+            new[axis] = with_learned(model, replace(part, model=fast, slow=joined, spectrum=found.spectrum))
+        before, memory.models = memory.models, tuple(new)
         memory.learners = memories(self.learners)
         return {name: memory.models[axes] for name, axes in PARTS.items() if memory.models[axes] != before[axes]}
 

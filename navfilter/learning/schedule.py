@@ -10,13 +10,13 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.error_models import ErrorModel, block_level
+from navfilter.error_models import ErrorModel
 from navfilter.filter.adoption import Change
 from navfilter.filter.channel import Channel
 from navfilter.filter.events import Correction, Event, Passed, Propagated, Relaid
 from navfilter.filter.filter import Filter
 from navfilter.kernels import listen
-from navfilter.learning.learned import learned_part, learning_part
+from navfilter.learning.learned import learning_part
 from navfilter.learning.listener import ChannelSeries, Listener, ListenerMemory
 from navfilter.learning.rest import RestMemory, RestRecorder
 
@@ -40,6 +40,8 @@ class LearningMemory:
         Inputs since the start, kept until the first models are adopted; None when that is over.
     kept : int
         How many of them there were.
+    stage : int
+        How many of the early hops there have been.
     """
 
     SHARED: ClassVar = ("beginning",)
@@ -49,6 +51,7 @@ class LearningMemory:
     rest: RestMemory | None
     beginning: list[Any] | None
     kept: int
+    stage: int
 
 
 class LearningSchedule:
@@ -64,34 +67,30 @@ class LearningSchedule:
 
     Notes
     -----
-    The first models come at once for all sensors, at the age `FIRST_S` or when the longest window is full. Until then
-    the priors were in force. What they took for certain cannot be taken back from the covariance, so the beginning is
-    done again as if the models had been known: `beginning` holds its inputs. Later hops of a sensor come as its
-    listener counts them. Models of the inertial unit at rest are adopted when they are found, and the beginning is not
+    The early models come at once for all sensors, at the ages `EARLY_S`. Until the first of them the priors were in
+    force. What a model took for certain cannot be taken back from the covariance, so the beginning is done again as if
+    the new models had been known: `beginning` holds its inputs. Later hops of a sensor come as its listener counts
+    them. Models of the inertial unit at rest are adopted when they are found, and the beginning is not
     done again for them: they stand for the noise of samples, and what the filter took for certain by it in the first
     minute at rest is little.
     """
 
-    #: Nothing is learnt from readings before this age: the start's tilt has to settle [s].
-    SETTLE_S = 60.0
-    #: The first models are adopted at this age, or when the longest window is full [s].
-    FIRST_S = 520.0
+    #: Models are adopted at these ages, and the beginning is done again [s]: as soon as readings say more than the prior,
+    #: and whenever there are twice as many.
+    EARLY_S = (30.0, 60.0, 120.0, 240.0, 500.0)
 
     def __init__(self, filter: Filter, behind_s: float) -> None:
         self.filter, self.behind_s = filter, behind_s
         self.listeners: dict[str, Listener] = {}
         vehicle, start_s = filter.vehicle, filter.time_s
-        self._from_s, self.first_s = start_s + self.SETTLE_S, math.inf
+        self._start_s, self._stage = start_s, 0
         self._fed_back = np.zeros(2 * filter.layout.head)
         learns = vehicle.drive.inertial and any(learning_part(model) is not None for model in vehicle.drive.models)
         self.rest = RestRecorder(vehicle.drive, behind_s) if learns else None
         for name, sensor in vehicle.sensors.items():
             if any(learning_part(model) is not None for model in sensor.models):
                 self.listen(name)
-        self.beginning: list[Any] | None = None
-        if self.listeners:
-            longest = max(listener.window * listener.period_s for listener in self.listeners.values())
-            self.beginning, self.first_s = [], start_s + min(self.FIRST_S, self.SETTLE_S + longest)
+        self.beginning: list[Any] | None = [] if self.listeners else None
 
     # ---------------------------------------------------------------- what changes
     @property
@@ -99,11 +98,11 @@ class LearningSchedule:
         """All that changes; setting one goes back (or on) to it."""
         listeners = {name: listener.memory for name, listener in self.listeners.items()}
         rest = None if self.rest is None else self.rest.memory
-        return LearningMemory(self._fed_back, listeners, rest, self.beginning, len(self.beginning or ()))
+        return LearningMemory(self._fed_back, listeners, rest, self.beginning, len(self.beginning or ()), self._stage)
 
     @memory.setter
     def memory(self, memory: LearningMemory) -> None:
-        self._fed_back, self.beginning = memory.fed_back, memory.beginning
+        self._fed_back, self.beginning, self._stage = memory.fed_back, memory.beginning, memory.stage
         for name, listener in self.listeners.items():
             listener.memory = memory.listeners[name]
         if self.rest is not None and memory.rest is not None:
@@ -168,7 +167,7 @@ class LearningSchedule:
     def _corrected(self, event: Correction, channel: Channel) -> Sequence[Change]:
         filter, listener = self.filter, self.listeners.get(channel.name)
         kind, ring, cursor, mount = listen.NOTHING, _NO_RING, _NO_CURSOR, _NO_MOUNT
-        if listener is not None and event.time_s >= self._from_s:
+        if listener is not None:
             kind, ring, cursor, mount = listener.kind, listener.memory.ring, listener.memory.cursor, listener.mount
         listen.carry(self._fed_back, channel.transition)
         listen.listen(
@@ -178,19 +177,7 @@ class LearningSchedule:
         if listener is None or not listener.is_due or self.beginning is not None or not event.outcome.accepted:
             return ()
         models = listener.learn()
-        return () if models is None else (Change(channel.name, models, self._power_ratios(channel, models)),)
-
-    def _power_ratios(self, channel: Channel, models: tuple[ErrorModel, ...]) -> tuple[float, ...]:
-        """S(0) of the learnt parts of new models over those in force, per axis; 1 where nothing is learnt."""
-        ratios = []
-        for old, new in zip(channel.sensor.models, models, strict=True):
-            before, after = learned_part(old), learned_part(new)
-            if before is None or after is None:
-                ratios.append(1.0)
-                continue
-            power, known = (block_level(part.block(channel.period_s)) for part in (after, before))
-            ratios.append(power / max(known, 1e-300))
-        return tuple(ratios)
+        return () if models is None else (Change(channel.name, models),)
 
     def _relaid(self, M: Array) -> None:
         before, after = len(self._fed_back) // 2, self.filter.layout.head
@@ -224,28 +211,32 @@ class LearningSchedule:
         if self.beginning is not None and len(item):
             self.beginning.append(item.copy() if isinstance(item, np.ndarray) else item)
 
-    def is_first_due(self, time_s: float) -> bool:
-        """Whether the first models are to be looked for before an input of this time."""
-        return self.beginning is not None and time_s >= self.first_s
+    @property
+    def early_s(self) -> float:
+        """Time of the next early hop [s]; infinite when they are over."""
+        return math.inf if self.beginning is None else self._start_s + self.EARLY_S[self._stage]
 
-    def first_models(self) -> dict[str, tuple[ErrorModel, ...]]:
-        """The first models by sensor; empty where too little has been heard. Where there are some, the filter is to
-        begin again.
+    def early_models(self) -> dict[str, tuple[ErrorModel, ...]]:
+        """At an early hop: models by sensor; empty where nothing new has been found. Where there are some, the filter is
+        to begin again.
         """
-        ages = {name: self.first_s - self.filter.channels[name].memory.ticked_s for name in self.listeners}
-        learnt = {name: listener.learn_first(ages[name]) for name, listener in self.listeners.items()}
+        ages = {name: self.early_s - self.filter.channels[name].memory.ticked_s for name in self.listeners}
+        learnt = {name: listener.learn(ages[name]) for name, listener in self.listeners.items() if listener.window}
         found = {name: models for name, models in learnt.items() if models is not None}
+        self._stage += 1
         if found:
             for name, listener in self.listeners.items():
                 listener.begin_again(ages[name])
+        elif self._stage == len(self.EARLY_S):
+            self.beginning = None
         return found
 
     def begin_again(self) -> list[Any]:
-        """The filter stands at the start again: listen from there; returns the inputs of the beginning, which are not
-        kept any longer.
+        """The filter stands at the start again: listen from there; returns the inputs of the beginning, which are kept
+        anew if there is another early hop to come.
         """
         self._fed_back = np.zeros(2 * self.filter.layout.head)
         if self.rest is not None:
             self.rest.begin_again()
-        beginning, self.beginning = self.beginning or [], None
+        beginning, self.beginning = self.beginning or [], [] if self._stage < len(self.EARLY_S) else None
         return beginning

@@ -1,4 +1,6 @@
-"""Where the channel likelihood's maximisation begins: Gauss-Markov grids, padded neighbours, Hannan-Rissanen."""
+"""Where the channel likelihood's maximisation begins: Gauss-Markov grids, padded neighbours, Hannan-Rissanen, and lower
+orders with a pole and a zero, or a pair of both, more.
+"""
 
 from __future__ import annotations
 
@@ -7,19 +9,27 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from collections.abc import Mapping
+
 from navfilter.arma.algebra import add_arma
 from navfilter.arma.model import ArmaModel
 from navfilter.arma.roots import pull_inside, slowest_real
 from navfilter.arma.starts import default_long_order, hannan_rissanen_start, long_residuals
-from navfilter.learning.likelihood import Likelihood
+from navfilter.learning.likelihood import Likelihood, Point
 
-__all__ = ["cold_starts", "grown_starts", "padded_start", "slow_part_start"]
+__all__ = ["cold_starts", "grown_starts", "padded_start", "with_slow_part"]
 
 Array = NDArray[np.float64]
+Order = tuple[int, int]
 
-# Time constants in ticks, factors by which a slow part raises S(0), and shares of white noise in the variance.
-SLOW_TAUS, SLOW_FACTORS = (60.0, 400.0), (10.0, 300.0)
+# Time constants in ticks, and shares of white noise in the variance.
 TAUS, SHARES = (2.0, 8.0, 30.0, 120.0, 500.0), (0.0, 0.5, 0.95)
+# A pole and a zero more: time constants in ticks, factors by which they raise S(0).
+BUMP_TAUS, BUMP_FACTORS = (1.5, 5.0, 16.0, 50.0), (4.0, 40.0)
+# A pair of each more: periods in ticks, cycles in which the oscillation decays, factors by which they raise its power.
+PERIODS, CYCLES, PEAKS = np.geomspace(2.5, 160.0, 13), (1.0, 4.0), (10.0, 200.0)
+# A slow part: of the prior's standard deviation, correlation times among its nodes.
+SLOW_SDS, SLOW_NODES = (0.08, 0.22, 0.5, 1.2), (0, 2, 4)
 
 
 def padded_start(theta: Array, p: int, up_p: int, up_q: int) -> Array:
@@ -47,44 +57,76 @@ def cold_starts(likelihood: Likelihood, p: int, q: int) -> list[Array]:
     return [_matched(likelihood, shape, p) for shape in shapes]
 
 
-def grown_starts(likelihood: Likelihood, below: dict[tuple[int, int], Array], p: int, q: int) -> list[Array]:
-    """Starts from estimates of lower orders: padded, with an independent slow part added, and Hannan-Rissanen's."""
-    lower = {k: theta for k, theta in below.items() if k[0] <= p and k[1] <= q}
-    if not lower:
-        return cold_starts(likelihood, p, q)
-    values = {k: likelihood.penalised(theta, k[0]) for k, theta in lower.items()}
-    order = sorted(values, key=lambda k: values[k])
-    rough = [_matched(likelihood, shape, p) for shape in _rough(likelihood, p, q)]
-    out = [padded_start(lower[order[0]], order[0][0], p, q), *_best(likelihood, rough, p)]
-    for k in order:
-        slow = slow_part_start(likelihood, lower[k], k[0], p, q)
-        if slow:
-            return [*out, *slow]
+def with_slow_part(likelihood: Likelihood, fast: Array, p: int) -> Array:
+    """``[ar, ma, ln sd]``, or a smaller sd, with the slow part of first order that serves best, of a few; needs a
+    prior.
+    """
+    prior = likelihood.prior
+    assert prior is not None
+    nodes = [
+        np.r_[fast[:-1], fast[-1] - less, math.log(share * prior.sd) + likelihood.log_unit, math.log(prior.taus_s[node])]
+        for less in (0.0, 1.5, 3.0)
+        for share in SLOW_SDS
+        for node in SLOW_NODES
+    ]
+    return min(nodes, key=lambda theta: likelihood.penalised(theta, p, 1))
+
+
+def grown_starts(likelihood: Likelihood, below: Mapping[Order, Point], p: int, q: int) -> list[Array]:
+    """Starts from estimates of lower orders: the best of them padded, the best with a pole and a zero more, and the best
+    with a pair of each.
+    """
+    out = []
+    for kind in (0, 1, 2):
+        lower = [k for k in below if k[0] + kind <= p and k[1] + kind <= q and (kind or k != (p, q))]
+        if not lower:
+            continue
+        best = min(lower, key=lambda k: below[k].value)
+        point = below[best]
+        fast, behind = likelihood.fast(point.theta, point.slow), point.theta[point.theta.size - 2 * bool(point.slow) :]
+        if kind:
+            shapes = _with_bump(fast, best[0]) if kind == 1 else _with_peak(fast, best[0])
+            at = best[0] + kind
+            tried = [_matched(likelihood, np.r_[shape, behind], at, point.slow, 1) for shape in shapes]
+            grown = min(tried, key=lambda theta: likelihood.value(theta, at, point.slow))
+            fast, behind = likelihood.fast(grown, point.slow), grown[grown.size - behind.size :]
+        out.append(np.r_[padded_start(fast, best[0] + kind, p, q), behind])
     return out
 
 
-def _best(likelihood: Likelihood, starts: list[Array], p: int) -> list[Array]:
-    return [min(starts, key=lambda start: likelihood.penalised(start, p))] if starts else []
-
-
-def slow_part_start(likelihood: Likelihood, theta: Array, at: int, p: int, q: int) -> list[Array]:
-    """A lower order (with `at` AR coefficients) with the slow part that serves best; empty where (p, q) has no room.
-
-    A pole of time constant tau and a zero below it raise S(0) by a factor and leave higher frequencies as they are.
-    """
-    if at + 1 > p or theta.size - at > q:
-        return []
+def _with_bump(fast: Array, p: int) -> list[Array]:
+    """A pole, and a zero below it, more: they raise S(0) and leave higher frequencies as they are."""
     out = []
-    for tau in SLOW_TAUS:
-        for factor in SLOW_FACTORS:
-            pole = 1.0 - 1.0 / tau
-            zero = max(1.0 - math.sqrt(factor) / tau, 0.0)
-            ar, ma = (
-                np.convolve(np.r_[1.0, theta[:at]], [1.0, -pole])[1:],
-                np.convolve(np.r_[1.0, theta[at:-1]], [1.0, -zero])[1:],
-            )
-            out.append(likelihood.confine(padded_start(np.r_[ar, ma, theta[-1]], at + 1, p, q), p))
-    return _best(likelihood, out, p)
+    for tau in BUMP_TAUS:
+        for factor in BUMP_FACTORS:
+            pole = math.exp(-1.0 / tau)
+            zero = max(1.0 - math.sqrt(factor) * (1.0 - pole), -0.5)
+            out.append(_times(fast, p, np.array([-pole]), np.array([-zero])))
+    return out
+
+
+def _with_peak(fast: Array, p: int) -> list[Array]:
+    """A pair of poles, and zeros inside of it, more: they raise the spectrum around one frequency."""
+    out = []
+    for period in PERIODS:
+        turn = 2.0 * math.cos(2.0 * math.pi / period)
+        for cycles in CYCLES:
+            radius = math.exp(-1.0 / (cycles * period))
+            for factor in PEAKS:
+                inner = max(1.0 - (1.0 - radius) * math.sqrt(factor), 0.2)
+                out.append(
+                    _times(fast, p, np.array([-turn * radius, radius**2]), np.array([-turn * inner, inner**2]))
+                )
+    return out
+
+
+def _times(fast: Array, p: int, ar: Array, ma: Array) -> Array:
+    """``[ar, ma, ln sd]`` times another pair of polynomials."""
+    return np.r_[
+        np.convolve(np.r_[1.0, fast[:p]], np.r_[1.0, ar])[1:],
+        np.convolve(np.r_[1.0, fast[p:-1]], np.r_[1.0, ma])[1:],
+        fast[-1],
+    ]
 
 
 def _gauss_markov(tau: float, share: float, q: int) -> Array:
@@ -96,15 +138,21 @@ def _gauss_markov(tau: float, share: float, q: int) -> Array:
     return np.r_[both.ar, both.ma, np.zeros(q - both.q), 0.0]
 
 
-def _matched(likelihood: Likelihood, start: Array, p: int) -> Array:
-    """The start with its ln sd such that the innovations have about unit variance."""
-    start = likelihood.confine(start, p)
-    for _ in range(2):
-        if not math.isfinite(likelihood.value(start, p)):
+def _matched(likelihood: Likelihood, start: Array, p: int, slow: int = 0, rounds: int = 2) -> Array:
+    """The start with its ln sd such that the innovations have about unit variance, where that is better."""
+    start = likelihood.confine(start, p, slow)
+    at = start.size - 1 - 2 * bool(slow)
+    for _ in range(rounds):
+        value = likelihood.value(start, p, slow)
+        if not math.isfinite(value):
             return start
         z = likelihood.innovations
         size = float(np.nanmedian(np.abs(z))) / 0.6745
-        start = np.r_[start[:-1], start[-1] + min(max(math.log(max(size, 1e-6)), -5.0), 5.0)]
+        moved = start.copy()
+        moved[at] += min(max(math.log(max(size, 1e-6)), -5.0), 5.0)
+        if slow and not likelihood.value(moved, p, slow) < value:
+            return start
+        start = moved
     return start
 
 
@@ -129,7 +177,7 @@ def _detrended(likelihood: Likelihood) -> Array:
     """The series less its polynomial trend, over its sd, zero where missing."""
     y = likelihood.y
     known = np.isfinite(y)
-    order = int(likelihood.rules[0])
+    order = likelihood.drift.order
     t = np.linspace(-1.0, 1.0, y.size)
     x = np.where(known, y, 0.0)
     if order:

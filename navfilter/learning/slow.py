@@ -1,0 +1,170 @@
+"""The slow part of a sensor's error: what is believed of it beforehand, and its states beside the drift.
+
+A window holds a slow error a few times or never, and the drift of the navigation explains it as well: what is not known
+of it has to be carried as variance. So it is always in the model, with a prior from the vehicle file, and never left to
+a fit.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navfilter.error_models import CORRELATION_CONSTANTS, ErrorModel, RandomWalk, Sum, block_level
+from navfilter.learning.drift import Drift
+
+__all__ = ["SlowNode", "SlowPrior", "chain", "slow_prior"]
+
+Array = NDArray[np.float64]
+
+#: The time constant of a data sheet is that of the whole error; its slow part is about twice as slow.
+SLOWER = 2.0
+
+
+class SlowNode(NamedTuple):
+    """A Gauss-Markov process of first or second order: its standard deviation [unit] and correlation time [s]."""
+
+    order: int
+    sd: float
+    tau_s: float
+
+
+@dataclass(frozen=True)
+class SlowPrior:
+    """What is believed of a slow error before any reading: ``ln sd ~ N(ln(median * sd), spread^2)``, ``ln tau ~ N(ln
+    tau_s, tau_spread^2)`` between two limits, of second order with a given probability.
+
+    Parameters
+    ----------
+    sd : float
+        Standard deviation of the coloured error in the vehicle file [unit].
+    tau_s : float
+        Its correlation time [s].
+    span_s : float
+        Time that the window holds [s]. Errors quicker than a sixtieth of it are the fast part's.
+
+    Attributes
+    ----------
+    median : float
+        A vehicle file states the whole of an error: its slow part is about half of that.
+    spread : float
+        Standard deviation of ln sd: a data sheet is believed within a factor of e.
+    tau_spread : float
+        Standard deviation of ln tau: time constants are believed within a factor of five.
+    second_order : float
+        Probability that it is smooth: of second order.
+    """
+
+    sd: float
+    tau_s: float
+    span_s: float
+    median: float = 0.45
+    spread: float = 1.0
+    tau_spread: float = 1.6
+    second_order: float = 0.3
+
+    @property
+    def quickest_s(self) -> float:
+        """The fast part's poles are at least this quick, by their natural frequency [s]."""
+        return self.span_s / 60.0
+
+    @property
+    def taus_s(self) -> Array:
+        """Nodes of the correlation time: a fiftieth of the span, and by twos up to two and a half times it [s]."""
+        return self.span_s / 50.0 * 2.0 ** np.arange(8.0)
+
+    @property
+    def sd_limits(self) -> tuple[float, float]:
+        """No slow error is smaller or larger than this [unit]."""
+        return 0.01 * self.sd, 30.0 * self.sd
+
+    def log_density(self, order: int, log_sd: float, log_tau: float) -> float:
+        """Of one node, but for a constant."""
+        off, off_tau = self.offsets(log_sd, log_tau)
+        share = self.second_order if order == 2 else 1.0 - self.second_order
+        return math.log(share) - 0.5 * (off * off + off_tau * off_tau)
+
+    def offsets(self, log_sd: float, log_tau: float) -> tuple[float, float]:
+        """How far ln sd and ln tau are from the prior's centre, in its standard deviations."""
+        return (
+            (log_sd - math.log(self.median * self.sd)) / self.spread,
+            (log_tau - math.log(self.tau_s)) / self.tau_spread,
+        )
+
+
+def slow_prior(model: ErrorModel, period_s: float, span_s: float) -> SlowPrior | None:
+    """The prior of the slow part from an error model of the vehicle file; None where it has white noise alone.
+
+    Parameters
+    ----------
+    model : ErrorModel
+        Of the vehicle file; random walks in it are the drift's.
+    period_s : float
+        Of the sensor [s].
+    span_s : float
+        Time that the window holds [s].
+    """
+    parts = model.parts if isinstance(model, Sum) else (model,)
+    blocks = [part.block(period_s) for part in parts if not isinstance(part, RandomWalk)]
+    variance = sum(float(block.C @ block.P0 @ block.C) for block in blocks)
+    if not variance > 0.0:
+        return None
+    # of a Gauss-Markov process S(0) is twice variance times correlation time
+    power = sum(block_level(block) - block.r for block in blocks) * period_s
+    return SlowPrior(math.sqrt(variance), max(SLOWER * power / (2.0 * variance), span_s / 50.0), span_s)
+
+
+def chain(drift: Drift, node: SlowNode | None, unit: float) -> tuple[Array, Array]:
+    """What the channel kernel wants to know of drift and slow part: states in units per tick, times `unit`.
+
+    Returns
+    -------
+    chain : ndarray, shape (3, r, r)
+        Transition over one tick, its noise, covariance of the start (0 where it is diffuse).
+    sees : ndarray, shape (r,)
+        How the reading sees them.
+    """
+    first = max(drift.order, 1)
+    extra = 0 if node is None else node.order
+    out, sees = np.zeros((3, first + extra, first + extra)), np.zeros(first + extra)
+    out[0, :first, :first] = np.eye(first)
+    sees[0] = 1.0
+    if drift.order:
+        per_tick = drift.per_tick() * unit**2
+        out[0, :first, :first] = Drift(drift.density, 1.0).transition()
+        out[1, :first, :first] = per_tick[:first]
+        out[2, range(first), range(first)] = np.where(np.isfinite(per_tick[first]), per_tick[first], 0.0)
+    if node is not None:
+        out[:, first:, first:] = _slow(node, drift.period_s)
+        out[1:, first:, first:] *= unit**2
+        sees[first] = 1.0
+    return out, sees
+
+
+def _slow(node: SlowNode, period_s: float) -> Array:
+    """Transition, noise and start of a Gauss-Markov process as a cascade of first-order ones (upper triangular)."""
+    step = CORRELATION_CONSTANTS[node.order] * period_s / node.tau_s
+    if node.order == 1:
+        P0 = np.array([[node.sd**2]])
+        phi = np.array([[math.exp(-step)]])
+        return np.stack([phi, -math.expm1(-2.0 * step) * P0, P0])
+    P0 = node.sd**2 * np.array([[1.0, 1.0], [1.0, 2.0]])
+    Phi = math.exp(-step) * np.array([[1.0, step], [0.0, 1.0]])
+    # the noise of the cascade, driven at its end by white noise of density 4 b sd^2, in closed form: P0 - Phi P0 Phi'
+    # would leave nothing but rounding at small steps
+    i0, i1, i2 = (_incomplete(k, 2.0 * step) for k in range(3))
+    scale = 4.0 * node.sd**2
+    Q = scale * np.array([[i2 / 8.0, i1 / 4.0], [i1 / 4.0, i0 / 2.0]])
+    return np.stack([Phi, Q, P0])
+
+
+def _incomplete(k: int, x: float) -> float:
+    """Integral of ``s^k exp(-s)`` from 0 to x; a series where the closed form cancels."""
+    if x < 0.1:
+        return float(sum((-1.0) ** n * x ** (n + k + 1) / (math.factorial(n) * (n + k + 1)) for n in range(12)))
+    rest = math.exp(-x) * sum(x**n / math.factorial(n) for n in range(k + 1))
+    return math.factorial(k) * (1.0 - rest)
