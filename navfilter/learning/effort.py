@@ -58,7 +58,7 @@ class Effort:
     """
 
     first_passes: int = 20
-    late_passes: int = 3
+    late_passes: int = 2
     own_passes: int = 2
     other_passes: int = 1
     below_passes: int = 8

@@ -60,12 +60,15 @@ class LearnerMemory:
         Evidence for the slow part.
     turn : int
         Turns of the orders that are not among the best.
+    heard : int
+        Samples that the evidence rests on.
     """
 
     thetas: dict[Order, Array]
     scores: dict[Order, float]
     lines: dict[tuple[int, int], Line]
     turn: int
+    heard: int
 
 
 class Learner:
@@ -119,7 +122,7 @@ class Learner:
         if not (math.isfinite(white) and white >= 0.0):
             raise ValueError(f"white must be a variance (finite, not negative), found {white}.")
         self.window, self.drift, self.white, self.prior = int(window), drift, float(white), prior
-        self._memory = LearnerMemory({}, {}, {}, 0)
+        self._memory = LearnerMemory({}, {}, {}, 0, 0)
 
     @property
     def memory(self) -> LearnerMemory:
@@ -168,8 +171,10 @@ class Learner:
             likelihood = Likelihood(y, self.drift, self.white, self.prior)
         except ValueError:
             return None
+        fresh = y.size if fresh is None else fresh
+        heard = fresh + self._memory.heard
         # until the window is full, all that was ever heard is in it
-        first = 0 if fresh is None or y.size < self.window else max(0, y.size - fresh)
+        first = 0 if heard <= y.size else max(0, y.size - fresh)
         fits = self._fits(likelihood, able, n)
         if not fits:
             return None
@@ -180,7 +185,7 @@ class Learner:
         if self.prior is not None:
             forgetting = math.exp(-(y.size - first) / (EFFORT.windows_remembered * self.window))
             posterior = follow(likelihood, point.theta, point.p, self._memory.lines, first, forgetting)
-        self._keep(likelihood, fits, scores, posterior)
+        self._keep(likelihood, fits, scores, posterior, heard)
         return _learnt(likelihood, point, posterior, n)
 
     def _score(self, point: Point, n: int) -> float:
@@ -244,6 +249,7 @@ class Learner:
         fits: dict[Order, Point],
         scores: dict[Order, float],
         posterior: SlowPosterior | None,
+        heard: int,
     ) -> None:
         memory, slow = self._memory, 0 if self.prior is None else 1
         thetas = dict(memory.thetas)
@@ -253,7 +259,8 @@ class Learner:
             thetas[order] = theta
         lowest = min(scores.values())
         gaps = {**memory.scores, **{order: score - lowest for order, score in scores.items()}}
-        self._memory = LearnerMemory(thetas, gaps, {} if posterior is None else posterior.lines, memory.turn + 1)
+        lines = {} if posterior is None else posterior.lines
+        self._memory = LearnerMemory(thetas, gaps, lines, memory.turn + 1, heard)
 
 
 def _learnt(likelihood: Likelihood, point: Point, posterior: SlowPosterior | None, n: int) -> Learnt:

@@ -15,7 +15,7 @@ from navfilter.kernels import channel as kernel
 from navfilter.learning.drift import Drift
 from navfilter.learning.effort import EFFORT
 from navfilter.learning.limits import CLIP, LONGEST_GAP
-from navfilter.learning.slow import SlowNode, SlowPrior, chain
+from navfilter.learning.slow import SlowNode, SlowPrior, drift_chain, with_slow
 
 __all__ = ["Likelihood", "Point", "maximise"]
 
@@ -67,6 +67,9 @@ class Likelihood:
         # A diffuse level takes up any constant: without it, arithmetic is with small numbers.
         self.y = np.ascontiguousarray(series - (known[0] if diffuse else 0.0)) * self.unit
         self.drift, self.prior = drift, prior
+        self._chain = drift_chain(drift, self.unit)
+        r = self._chain.shape[1]
+        self._sees = [np.eye(r + slow)[0] + (np.arange(r + slow) == r) for slow in range(3)]
         self.rules = np.array([diffuse, LONGEST_GAP, clip, white * self.unit**2, EFFORT.gain_tolerance])
         self.n = known.size - diffuse
         self.pole_radius = resolved_radius(max(known.size, 8))
@@ -76,11 +79,12 @@ class Likelihood:
         self._at: tuple[int, int, bytes] = (-1, 0, b"")
         self._last = math.inf
 
-    def node(self, theta: Array, slow: int) -> SlowNode | None:
-        """The slow part of a parameter vector, in the unit of the series."""
+    def _parts(self, theta: Array, slow: int) -> Array:
+        """Drift and slow part, as the kernel wants them."""
         if not slow:
-            return None
-        return SlowNode(slow, math.exp(theta[-2] - self.log_unit), math.exp(theta[-1]))
+            return self._chain
+        node = SlowNode(slow, math.exp(theta[-2] - self.log_unit), math.exp(theta[-1]))
+        return with_slow(self._chain, node, self.drift.period_s, self.unit)
 
     def fast(self, theta: Array, slow: int) -> Array:
         """``[ar, ma, ln sd]`` of a parameter vector."""
@@ -90,7 +94,7 @@ class Likelihood:
         """Minus the log-likelihood; the innovations stay in `innovations`."""
         at = (p, slow, theta.tobytes())
         if at != self._at:
-            parts, sees = chain(self.drift, self.node(theta, slow), self.unit)
+            parts, sees = self._parts(theta, slow), self._sees[slow]
             padded = _padded(self.fast(theta, slow), p)
             self._at = at
             self._last = float(
@@ -128,10 +132,10 @@ class Likelihood:
         fast = self.fast(theta, slow)
         steps[: fast.size] = self._steps(fast, p)
         moved = theta + np.vstack([np.zeros(k), np.diag(steps)])
-        parts, sees = chain(self.drift, self.node(theta, slow), self.unit)
+        parts, sees = self._parts(theta, slow), self._sees[slow]
         chains = np.tile(parts, (k + 1, 1, 1, 1))
         for i in range(fast.size, k):
-            chains[i + 1] = chain(self.drift, self.node(moved[i + 1], slow), self.unit)[0]
+            chains[i + 1] = self._parts(moved[i + 1], slow)
         thetas = np.array([_padded(self.fast(row, slow), p) for row in moved])
         info, gradient = np.empty((k, k)), np.empty(k)
         E, LNS = self._E[: k + 1], self._LNS[: k + 1]

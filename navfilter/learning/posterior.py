@@ -26,14 +26,17 @@ Array = NDArray[np.float64]
 #: A node of the prior: order, and number of the correlation time.
 Place = tuple[int, int]
 
-#: Places around the peak, in standard deviations: a spline through them holds the mass to 1e-3.
-AROUND = (-4.5, -3.0, -2.0, -1.0, 0.0, 1.0, 2.0, 3.0, 4.5)
-#: Evidence so far below the peak of its line is not kept: it would only bend the spline.
-DEEP = 80.0
+#: Places around the peak, in standard deviations of the line: sums over them are as good as integrals. The mean of sd^2
+#: sits two of them above the peak where a line is as wide as the prior.
+AROUND, WIDE = (-3, -2, -1, 0, 1, 2, 3, 4), (-3, -2, -1, 0, 1, 2, 3, 4, 5)
+#: A line wider than this in ln sd is wide.
+WIDTH = 0.4
 #: Curvature of the log-posterior in ln sd counts as at least this: flat lines are wide, not endless.
 FLATTEST = 0.5
-#: Places on which a line is summed, and steps between two nodes of ln tau.
-FINE, STEPS = 96, 5
+#: A line so far below the best is not followed until forgetting has brought it back.
+DEAD = 12.0
+#: Steps between two nodes of ln tau.
+STEPS = 5
 #: A part with less than this of the slow variance is left out.
 LEAST_SHARE = 1e-4
 
@@ -45,14 +48,14 @@ class Line(NamedTuple):
     ----------
     log_sd, evidence : ndarray, shape (k,)
         Places (unit of the series) and the log-likelihood there, but for a constant common to all lines.
-    peak, step : float
-        Where the posterior had its peak, and in what steps to look for it next time.
+    peak, sd : float
+        Where the posterior had its peak, and how wide it was.
     """
 
     log_sd: Array
     evidence: Array
     peak: float
-    step: float
+    sd: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,34 +140,52 @@ def follow(
     fast, here = theta[:-2], (float(theta[-2]) - likelihood.log_unit, float(theta[-1]))
     taus = prior.taus_s
     lines: dict[Place, Line] = {}
-    tops, masses, means, nodes = [], [], [], []
+    highest = -math.inf
     for order in (1, 2):
         for number, tau in enumerate(taus.tolist()):
-            place, old = (order, number), known.get((order, number))
+            old = known.get((order, number))
+            if first > 0 and old is not None and _mass(old, order, tau, prior)[0] < -DEAD:
+                continue
             # along the ridge of equal driving noise
-            guess = (here[0] + 0.5 * (math.log(tau) - here[1]), 0.3) if old is None else (old.peak, old.step)
+            guess = (here[0] + 0.5 * (math.log(tau) - here[1]), 0.3) if old is None else (old.peak, old.sd)
             search = _Search(likelihood, fast, p, order, tau, old if first > 0 else None, first, forgetting)
-            lines[place] = line = search.line(*guess)
-            at, log_mass = _summed(line, order, math.log(tau), prior)
-            top = float(log_mass.max())
-            mass = np.exp(log_mass - top)
-            tops.append(top + math.log(float(mass.sum())))
-            masses.append(mass / mass.sum())
-            means.append(math.log(float(mass @ np.exp(2.0 * at)) / float(mass.sum())))
-            nodes.append(at)
-    highest = max(tops)
+            lines[order, number] = line = search.line(*guess)
+            highest = max(highest, _mass(line, order, tau, prior)[0])
+    # those not followed stay as far behind as they were, but for what is forgotten
+    rest = {place: line for place, line in known.items() if place not in lines}
+    lines |= {place: line._replace(evidence=forgetting * line.evidence + highest) for place, line in rest.items()}
+    return _weighed(lines, prior)
+
+
+def _weighed(lines: dict[Place, Line], prior: SlowPrior) -> SlowPosterior:
+    taus = prior.taus_s
+    lines = {place: lines[place] for place in sorted(lines)}
+    masses = {place: _mass(line, place[0], float(taus[place[1]]), prior) for place, line in lines.items()}
+    highest = max(top for top, _ in masses.values())
     lines = {place: line._replace(evidence=line.evidence - highest) for place, line in lines.items()}
-    level = np.exp(np.maximum(np.array(tops) - highest, -700.0))
-    weight = np.concatenate([w * m for w, m in zip(level / level.sum(), masses, strict=True)])
-    orders = np.repeat([1.0, 2.0], taus.size)
+    level = {place: math.exp(max(top - highest, -700.0)) for place, (top, _) in masses.items()}
+    total = sum(level.values())
+    weight = np.concatenate([level[place] / total * masses[place][1] for place in lines])
+    means = [float(masses[place][1] @ np.exp(2.0 * line.log_sd)) for place, line in lines.items()]
+    sizes = [line.log_sd.size for line in lines.values()]
     return SlowPosterior(
         lines,
-        order=np.repeat(orders, FINE),
-        tau_s=np.repeat(np.tile(taus, 2), FINE),
-        log_sd=np.concatenate(nodes),
+        order=np.repeat([float(order) for order, _ in lines], sizes),
+        tau_s=np.repeat([float(taus[number]) for _, number in lines], sizes),
+        log_sd=np.concatenate([line.log_sd for line in lines.values()]),
         weight=weight,
-        moments=_between(taus, np.array(tops) - highest, np.array(means)),
+        moments=_between(taus, np.array([masses[place][0] - highest for place in lines]), np.log(means)),
     )
+
+
+def _mass(line: Line, order: int, tau_s: float, prior: SlowPrior) -> tuple[float, Array]:
+    """Log of the posterior's mass on a line, and how it is shared by its places."""
+    log_tau = math.log(tau_s)
+    log = line.evidence + np.array([prior.log_density(order, u, log_tau) for u in line.log_sd.tolist()])
+    top = float(log.max())
+    share = np.exp(log - top)
+    total = float(share.sum())
+    return top + math.log(total * line.sd), share / total
 
 
 def _between(taus: Array, tops: Array, means: Array) -> Array:
@@ -183,26 +204,23 @@ def _between(taus: Array, tops: Array, means: Array) -> Array:
     return out
 
 
-def _summed(line: Line, order: int, log_tau: float, believed: SlowPrior) -> tuple[Array, Array]:
-    """Places along a line, and the log of the posterior's mass at each."""
-    if line.log_sd.size == 1:
-        at = np.full(FINE, line.log_sd[0])
-        return at, np.full(FINE, float(line.evidence[0]) + believed.log_density(order, float(at[0]), log_tau) - math.log(FINE))
-    at = np.linspace(line.log_sd[0], line.log_sd[-1], FINE)
-    prior = np.array([believed.log_density(order, float(u), log_tau) for u in line.log_sd])
-    return at, _curve(line.log_sd, line.evidence + prior, at) + math.log(at[1] - at[0])
-
-
-def _curve(x: Array, y: Array, at: Array) -> Array:
-    """A smooth curve through evidence; beyond its ends it never rises."""
-    if x.size == 1:
-        return np.full(np.shape(at), y[0])
-    if x.size == 2:
-        return np.interp(at, x, y)
-    spline = CubicSpline(x, y, bc_type="natural")
-    low, high = np.minimum(at - x[0], 0.0), np.maximum(at - x[-1], 0.0)
-    ends = max(float(spline(x[0], 1)), 0.0) * low + min(float(spline(x[-1], 1)), 0.0) * high
-    return np.asarray(spline(np.clip(at, x[0], x[-1])) + ends)
+def _between_places(line: Line, log_sd: float) -> float:
+    """Evidence of a line between its places: a parabola through the nearest three; beyond its ends it never rises."""
+    x, y = line.log_sd, line.evidence
+    if x.size < 3:
+        return float(y[int(np.argmin(np.abs(x - log_sd)))])
+    at = min(max(int(np.searchsorted(x, log_sd)) - 1, 0), x.size - 3)
+    if 0 < at and log_sd - x[at] < x[at + 1] - log_sd:
+        at -= 1
+    a, b, c = x[at : at + 3].tolist()
+    fa, fb, fc = y[at : at + 3].tolist()
+    ab, bc = (fb - fa) / (b - a), (fc - fb) / (c - b)
+    bend = (bc - ab) / (c - a)
+    if log_sd < a:
+        return float(fa + (log_sd - a) * max(ab - bend * (b - a), 0.0) + min(bend, 0.0) * (log_sd - a) ** 2)
+    if log_sd > c:
+        return float(fc + (log_sd - c) * min(bc + bend * (c - b), 0.0) + min(bend, 0.0) * (log_sd - c) ** 2)
+    return float(fa + (log_sd - a) * (ab + bend * (log_sd - b)))
 
 
 class _Search:
@@ -236,37 +254,37 @@ class _Search:
             value = likelihood.value(theta, self.p, self.order)
             new = -likelihood.since(self.first) if math.isfinite(value) else -math.inf
             old = self.known
-            before = 0.0 if old is None else float(_curve(old.log_sd, old.evidence, np.array([key]))[0])
+            before = 0.0 if old is None else _between_places(old, key)
             self.evidence[key] = new + self.forgetting * before
         return self.evidence[key] + self.prior.log_density(self.order, key, self.log_tau)
 
-    def line(self, guess: float, step: float) -> Line:
-        """The line around its peak."""
-        u = min(max(guess, self.low), self.high)
-        value = self.at(u)
-        below = above = value
+    def line(self, guess: float, sd: float) -> Line:
+        """The line around its peak, which is looked for from a guess of place and width."""
+        u, step = min(max(guess, self.low), self.high), sd
+        value = below = above = self.at(u)
         for _ in range(16):
             below, above = self.at(u - step), self.at(u + step)
+            bend = (2.0 * value - below - above) / step**2
             if max(below, above) > value:
-                moved = u - step if below > above else u + step
+                away = math.copysign(2.0 * step, above - below)
+                jump = 0.5 * (above - below) / (step * bend) if bend > 0.0 and math.isfinite(bend) else away
+                moved = min(max(u + min(max(jump, -8.0 * step), 8.0 * step), self.low), self.high)
+                if moved == u or not self.at(moved) > max(below, above):
+                    moved = u - step if below > above else u + step
                 if not self.low <= moved <= self.high:
                     break
-                u, value, step = moved, max(below, above), min(1.6 * step, 1.5)
+                u, value, step = moved, self.at(moved), min(1.6 * step, 1.5)
                 continue
-            if 2.0 * value - below - above < 10.0:
+            if not bend * step**2 > 8.0:
                 break
             step /= 2.5
         bend = (2.0 * value - below - above) / step**2
-        curvature = max(bend, FLATTEST) if math.isfinite(bend) else FLATTEST
-        offset = (above - below) / (2.0 * step * curvature) if math.isfinite(above - below) else 0.0
-        peak, sd = u + min(max(offset, -step), step), 1.0 / math.sqrt(curvature)
-        for k in AROUND:
-            if self.low - 0.5 < peak + k * sd < self.high + 0.5:
-                self.at(peak + k * sd)
-        places = np.array(sorted(self.evidence))
-        evidence = np.array([self.evidence[float(k)] for k in places])
-        total = evidence + np.array([self.prior.log_density(self.order, float(k), self.log_tau) for k in places])
-        kept = np.flatnonzero(np.isfinite(total) & (total > np.max(total) - DEEP))
-        inside = slice(int(kept[0]), int(kept[-1]) + 1) if kept.size else slice(0, 1)
-        evidence = np.maximum(evidence, -1e300)
-        return Line(places[inside], evidence[inside], peak, min(max(1.5 * sd, 0.02), 0.7))
+        width = 1.0 / math.sqrt(max(bend, FLATTEST)) if math.isfinite(bend) else 1.0 / math.sqrt(FLATTEST)
+        offset = 0.5 * (above - below) / step * width**2 if math.isfinite(above - below) else 0.0
+        peak = u + min(max(offset, -step), step)
+        if abs(peak - u) < 0.5 * step and 0.7 < width / step < 1.4:
+            peak, width = u, step  # what has been measured already will do
+        places = [peak + k * width for k in (WIDE if width > WIDTH else AROUND)]
+        evidence = np.array([self.at(place) for place in places])
+        evidence -= np.array([self.prior.log_density(self.order, round(u, 6), self.log_tau) for u in places])
+        return Line(np.array(places), np.maximum(evidence, -1e300), peak, width)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from navfilter.error_models import CORRELATION_CONSTANTS, ErrorModel, RandomWalk, Sum, block_level
 from navfilter.learning.drift import Drift
 
-__all__ = ["SlowNode", "SlowPrior", "chain", "slow_prior"]
+__all__ = ["SlowNode", "SlowPrior", "drift_chain", "slow_prior", "with_slow"]
 
 Array = NDArray[np.float64]
 
@@ -118,31 +118,28 @@ def slow_prior(model: ErrorModel, period_s: float, span_s: float) -> SlowPrior |
     return SlowPrior(math.sqrt(variance), max(SLOWER * power / (2.0 * variance), span_s / 50.0), span_s)
 
 
-def chain(drift: Drift, node: SlowNode | None, unit: float) -> tuple[Array, Array]:
-    """What the channel kernel wants to know of drift and slow part: states in units per tick, times `unit`.
+def drift_chain(drift: Drift, unit: float) -> Array:
+    """What the channel kernel wants to know of the drift: states in units per tick, times `unit`; shape (3, r, r).
 
-    Returns
-    -------
-    chain : ndarray, shape (3, r, r)
-        Transition over one tick, its noise, covariance of the start (0 where it is diffuse).
-    sees : ndarray, shape (r,)
-        How the reading sees them.
+    Transition over one tick, its noise, covariance of the start (0 where it is diffuse); r is at least 1.
     """
-    first = max(drift.order, 1)
-    extra = 0 if node is None else node.order
-    out, sees = np.zeros((3, first + extra, first + extra)), np.zeros(first + extra)
-    out[0, :first, :first] = np.eye(first)
-    sees[0] = 1.0
+    r = max(drift.order, 1)
+    out = np.zeros((3, r, r))
+    out[0] = np.eye(r)
     if drift.order:
         per_tick = drift.per_tick() * unit**2
-        out[0, :first, :first] = Drift(drift.density, 1.0).transition()
-        out[1, :first, :first] = per_tick[:first]
-        out[2, range(first), range(first)] = np.where(np.isfinite(per_tick[first]), per_tick[first], 0.0)
-    if node is not None:
-        out[:, first:, first:] = _slow(node, drift.period_s)
-        out[1:, first:, first:] *= unit**2
-        sees[first] = 1.0
-    return out, sees
+        out[0], out[1] = Drift(drift.density, 1.0).transition(), per_tick[:r]
+        out[2, range(r), range(r)] = np.where(np.isfinite(per_tick[r]), per_tick[r], 0.0)
+    return out
+
+
+def with_slow(drift: Array, node: SlowNode, period_s: float, unit: float) -> Array:
+    """A drift's chain with a slow part beside it, shape (3, r + order, r + order)."""
+    r = drift.shape[1]
+    out = np.zeros((3, r + node.order, r + node.order))
+    out[:, :r, :r] = drift
+    out[:, r:, r:] = _slow(node._replace(sd=node.sd * unit), period_s)
+    return out
 
 
 def _slow(node: SlowNode, period_s: float) -> Array:
