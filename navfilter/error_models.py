@@ -399,7 +399,8 @@ def joined_block(blocks: Sequence[Block]) -> Block:
         key: _square(block_diag(*(getattr(b, key) for b in blocks if b.size)), n) if n else np.zeros((0, 0))
         for key in ("Phi", "Q", "P0")
     }
-    return Block(stack["Phi"], stack["Q"], np.concatenate([b.C for b in blocks]), sum(b.r for b in blocks), stack["P0"])
+    C = np.concatenate([np.zeros(0), *(b.C for b in blocks)])
+    return Block(stack["Phi"], stack["Q"], C, sum(b.r for b in blocks), stack["P0"])
 
 
 def per_axis(error: ErrorModel | Sequence[ErrorModel], axes: int, owner: str) -> tuple[ErrorModel, ...]:

@@ -196,10 +196,10 @@ class Point:
 
     @property
     def covariance(self) -> Array:
-        """Inverse Fisher information, with a trace of regularisation for directions the series says nothing about."""
-        scale = np.sqrt(np.maximum(np.diag(self.info), 1e-12))
-        correlation = self.info / np.outer(scale, scale) + 1e-10 * np.eye(scale.size)
-        return np.asarray(np.linalg.inv(correlation), dtype=np.float64) / np.outer(scale, scale)
+        """Inverse Fisher information and what is known beforehand: coefficients of a stable model, and logarithms of
+        sizes within reason, are of the order of one.
+        """
+        return np.asarray(np.linalg.inv(self.info + 0.1 * np.eye(self.theta.size)), dtype=np.float64)
 
 
 def _padded(theta: Array, p: int) -> Array:
