@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import time
 from collections.abc import Callable, Sequence
@@ -81,7 +82,7 @@ def replay(
     tape = Tape(output_rate_hz, smoothable=smooth)
     nav = Navigator(vehicle, start, tape)
     _run(nav, *drive, _events(vehicle, mission, start.time_s), progress)
-    forward = _track("forward", nav, tape, mission.name, time.process_time() - began)
+    forward = _forward(nav, tape, mission.name, time.process_time() - began)
     if not smooth:
         return forward
     return _smoothed(forward, nav, tape, began, progress)
@@ -266,22 +267,28 @@ def _bar(total: int, what: str, progress: bool) -> Any:
 class _Rows:
     """Arrays of a track while its rows are gathered: states that do not exist at a time are NaN."""
 
-    def __init__(self, tape: Tape) -> None:
-        n = len(tape.row_times)
+    def __init__(self, parts: Sequence[tuple[Tape, range]]) -> None:
+        n = sum(len(rows) for _, rows in parts)
         units: dict[str, str] = {}
-        for layout in tape.layouts:
-            units |= dict(zip(layout.names, layout.units, strict=True))
+        for tape, _ in parts:
+            for layout in tape.layouts:
+                units |= dict(zip(layout.names, layout.units, strict=True))
         order = {name: i for i, name in enumerate(units)}
-        groups = [*tape.layouts[-1].groups]
+        groups = [*parts[-1][0].layouts[-1].groups]
         self.names = tuple(sorted(units, key=lambda name: (_group(name, groups), order[name])))
         self.units = tuple(units[name] for name in self.names)
-        at = {name: i for i, name in enumerate(self.names)}
-        self.places = [np.array([at[name] for name in layout.names], dtype=int) for layout in tape.layouts]
-        self.tape, self.packed, self.P = tape, np.empty((n, 17)), np.empty((n, 9, 9))
+        self.at = {name: i for i, name in enumerate(self.names)}
+        self.time_s = np.array([tape.row_times[i] for tape, rows in parts for i in rows])
+        self.packed, self.P = np.empty((n, 17)), np.empty((n, 9, 9))
         self.x, self.variance = np.full((n, len(units)), np.nan), np.full((n, len(units)), np.nan)
 
-    def put(self, i: int, row: Array, P: Array, variance: Array, correction: Array | float = 0.0) -> None:
-        places = self.places[self.tape.row_layouts[i]]
+    def places(self, tape: Tape) -> list[NDArray[np.int64]]:
+        """Columns of the states of each layout of a tape."""
+        return [np.array([self.at[name] for name in layout.names], dtype=int) for layout in tape.layouts]
+
+    def put(
+        self, i: int, places: NDArray[np.int64], row: Array, P: Array, variance: Array, correction: Array | float = 0.0
+    ) -> None:
         self.packed[i], self.P[i] = row[:17], P
         self.x[i, places], self.variance[i, places] = row[17 : 17 + len(places)] + correction, variance
 
@@ -291,27 +298,41 @@ def _group(name: str, groups: list[str]) -> int:
     return next((i for i, group in enumerate(groups) if name.startswith((f"{group}_", f"{group}[", f"{group}."))), -1)
 
 
-def _track(label: str, nav: Navigator, tape: Tape, name: str, cpu_s: float) -> Track:
-    rows = _Rows(tape)
-    for i in range(len(tape.row_times)):
-        row = tape.rows[i]
-        k = len(rows.places[tape.row_layouts[i]])
-        rest = row[17 + k :]
-        if tape.smoothable:
-            covariance = rest.reshape(k + 9, k + 9)
-            rows.put(i, row, covariance[:9, :9], covariance.diagonal()[9:])
-        else:
-            rows.put(i, row, rest[:81].reshape(9, 9), rest[81:])
-    return _assemble(label, nav, rows, name, cpu_s, None)
+def _forward(nav: Navigator, tape: Tape, name: str, cpu_s: float) -> Track:
+    """The track as first given out, with what was made of it later where something was run again."""
+    first = _assemble("forward", nav, _gathered(tape.first_rows()), name, cpu_s)
+    if tape.given is None:
+        return first
+    revised = _assemble("revised", nav, _gathered([(tape, range(len(tape.row_times)))]), name, cpu_s)
+    residuals, models = tape.first_residuals(), tape.first_models()
+    return dataclasses.replace(first, residuals=residuals, error_models=models, revised=revised)
 
 
-def _assemble(label: str, nav: Navigator, rows: _Rows, name: str, cpu_s: float, forward: Track | None) -> Track:
-    tape, packed = rows.tape, rows.packed
+def _gathered(parts: Sequence[tuple[Tape, range]]) -> _Rows:
+    rows, done = _Rows(parts), 0
+    for tape, those in parts:
+        places = rows.places(tape)
+        for i in those:
+            row, columns = tape.rows[i], places[tape.row_layouts[i]]
+            k = len(columns)
+            rest = row[17 + k :]
+            if tape.smoothable:
+                covariance = rest.reshape(k + 9, k + 9)
+                rows.put(done, columns, row, covariance[:9, :9], covariance.diagonal()[9:])
+            else:
+                rows.put(done, columns, row, rest[:81].reshape(9, 9), rest[81:])
+            done += 1
+    return rows
+
+
+def _assemble(label: str, nav: Navigator, rows: _Rows, name: str, cpu_s: float, forward: Track | None = None) -> Track:
+    tape, packed = nav.filter.tape, rows.packed
+    assert tape is not None
     return Track(
         label=label,
         vehicle=nav.vehicle,
         mission_name=name,
-        time_s=np.array(tape.row_times),
+        time_s=rows.time_s,
         latitude=packed[:, 0],
         longitude=packed[:, 1],
         height=packed[:, 2],
@@ -331,12 +352,13 @@ def _assemble(label: str, nav: Navigator, rows: _Rows, name: str, cpu_s: float, 
 
 
 def _smoothed(forward: Track, nav: Navigator, tape: Tape, began: float, progress: bool) -> Track:
-    rows = _Rows(tape)
-    correction = np.empty((len(tape.row_times), 9))
+    rows = _Rows([(tape, range(len(tape.row_times)))])
+    places, correction = rows.places(tape), np.empty((len(tape.row_times), 9))
 
     def store(i: int, row: Array, mean: Array, covariance: Array) -> None:
         correction[i] = mean[:9]
-        rows.put(i, row, covariance[:9, :9], covariance.diagonal()[9:], mean[9:])
+        columns = places[tape.row_layouts[i]]
+        rows.put(i, columns, row, covariance[:9, :9], covariance.diagonal()[9:], mean[9:])
 
     bar = _bar(len(tape.records), "smoother", progress)
     smooth_rows(tape, store, None if bar is None else bar.update)
