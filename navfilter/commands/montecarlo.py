@@ -131,8 +131,9 @@ def _models(options: argparse.Namespace, campaign: Any) -> tuple[str, ...]:
 
 
 def _run(options: argparse.Namespace, campaign: Any, models: tuple[str, ...], folder: Path) -> int:
-    from navfilter.evaluation.montecarlo.campaign import available_cores, cluster, process_pool, run_campaign
+    from navfilter.evaluation.montecarlo.campaign import run_campaign
     from navfilter.evaluation.montecarlo.store import Store
+    from navfilter.evaluation.montecarlo.workers import available_cores, cluster, process_pool
 
     say = speaker(options.quiet)
     Store(folder, campaign.settings)  # refuses a folder of another campaign before any worker is started
