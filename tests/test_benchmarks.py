@@ -19,6 +19,7 @@ SCRIPTS = {
     "faults": ("without a fault", ("missions", "service")),
     "fuzz": ("no other software", ()),
     "heading_toy": ("Sage-Husa", ()),
+    "honest": ("Gauss-Markov", ()),
     "identify_recordings": ("statsmodels", ()),
     "logs": ("library underneath", ("samples", "large")),
     "recordings": ("plain dead reckoning", ("withheld", "car_clocks")),
@@ -76,6 +77,10 @@ def test_every_script_says_what_it_does_and_against_what(helped, name):
     "command, keys",
     [
         ("fuzz.py --inputs 300 --targets 'JSON lines' 'saved missions'", {"targets"}),
+        (
+            "honest.py --scenarios compass-white --gyros tactical --motions lawnmower --quick",
+            {"table", "cpu_s", "campaigns"},
+        ),
         (
             "replay_speed.py --minutes 1 --quick",
             {"table", "learning_adds", "states", "peak_mb", "strapdown_samples_per_s"},

@@ -119,8 +119,9 @@ def _estimate(quantity: str, values: Array) -> Estimate:
     if "rms" in quantity:
         return rms_interval(values)
     value, low, high = mean_interval(values)
-    # shares and squares are not negative; with few runs Student's interval does not know that
-    return value, max(low, 0.0) if math.isfinite(low) else low, high
+    # with few runs Student's interval does not know that squares are not negative, and no share is more than all
+    most = 1.0 if quantity.startswith("beyond") else math.inf
+    return value, max(low, 0.0) if math.isfinite(low) else low, min(high, most) if math.isfinite(high) else high
 
 
 def _ratio(quantity: str, values: Array, others: Array) -> Estimate:
