@@ -228,6 +228,15 @@ def test_wrong_descriptions_are_wrong_by_as_much_as_they_say(name, sd, tau):
         assert wrong == pytest.approx(factor) and right
 
 
+@pytest.mark.parametrize("name", ["compass-5min", "compass-10min"])
+def test_a_short_mission_turns_too(name):
+    for motion in MOTIONS:
+        staged = stage(name, motion=motion)
+        assert staged.duration_s in (300.0, 600.0)
+        course = np.unwrap(staged.motion.at(np.arange(0.0, staged.duration_s)).attitude[:, 2])
+        assert (np.ptp(course) / DEG > 150.0) == (motion == "lawnmower")
+
+
 def test_fixes_are_there_for_half_of_the_way():
     staged = stage("gps-slow", imu_rate_hz=10.0)
     dive = np.diff(staged.mission(1).streams["gps"].time_s).max()

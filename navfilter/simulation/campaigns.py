@@ -149,7 +149,7 @@ def stage(
 
 def _motion(name: str, duration_s: float, study: Study) -> Motion:
     """Shallow, with short legs: turns fill a third of the lawnmower."""
-    pattern = None if name == "transit" else lambda legs: (Lawnmower(legs, 60.0),)
+    pattern = None if name == "transit" else lambda legs: (Lawnmower(legs, study.leg_m),)
     return dive(duration_s, pattern, (study.fixes_s, 45.0), 10.0, study.rest_s)
 
 

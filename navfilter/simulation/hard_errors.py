@@ -34,7 +34,8 @@ def _wrong(sd: float, tau_s: float, what: str) -> Study:
 def _short(minutes: int) -> Study:
     error = _slow_deg(0.4, 120.0, 0.1) + swing(0.3 * _DEG, 6.0, 0.98)
     about = f"{minutes} minutes; slow, 0.4 deg, 2 min, a swing of 6 s and white noise"
-    return compass(about, "oscillating", error, duration_s=60.0 * minutes)
+    # little time at the surface and short legs, so that there are turns in five minutes
+    return compass(about, "oscillating", error, duration_s=60.0 * minutes, fixes_s=20.0, leg_m=20.0)
 
 
 def _deviating(vehicle: Vehicle) -> Vehicle:

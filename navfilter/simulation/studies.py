@@ -50,6 +50,8 @@ class Study:
         When nothing else is asked for, s.
     rest_s, fixes_s : float
         At rest before the start; under way at the surface, with fixes, before the dive, s.
+    leg_m : float
+        Length of the lawnmower's legs, m.
     faulty : dict of str to object
         Further faults of the sensor, as `navfilter.simulation.faults.Faults` takes them.
     told : error models, optional
@@ -69,6 +71,7 @@ class Study:
     duration_s: float = 1800.0
     rest_s: float = 20.0
     fixes_s: float = 45.0
+    leg_m: float = 60.0
     faulty: Mapping[str, Any] = field(default_factory=dict)
     told: Models | None = None
     really: Callable[[Vehicle], Vehicle] = lambda vehicle: vehicle
