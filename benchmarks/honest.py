@@ -33,7 +33,7 @@ from navfilter.evaluation.montecarlo.store import Store
 from navfilter.evaluation.montecarlo.workers import process_pool
 from navfilter.simulation.campaigns import GYROS, MOTIONS, STUDIES
 
-MODELS = (JUDGED, "oracle", "gm1-fitted", "vehicle")
+RIVALS = ("oracle", "gm1-fitted", "vehicle")
 #: Columns of the table: quantity and reference.
 FIGURES = {
     "heading": ("heading_rms_deg", ""),
@@ -64,7 +64,8 @@ def honest(options: Options) -> dict[str, Any]:
         kept = Path(options.keep or stack.enter_context(tempfile.TemporaryDirectory(prefix="honest-")))
         pool = stack.enter_context(process_pool(options.workers)) if options.workers > 1 else None
         for campaign in campaigns(options):
-            models = [m for m in options.rivals if m != "oracle" or campaign.staged.oracle is not None]
+            rivals = [m for m in options.rivals if m != "oracle" or campaign.staged.oracle is not None]
+            models = (JUDGED, *rivals)
             folder = kept / campaign.name.replace("/", "-")
             if options.references:
                 take(campaign, seeds, models, Path(options.references) / folder.name, folder)
@@ -144,7 +145,7 @@ if __name__ == "__main__":
         flag("--first-seed", type=int, default=1, metavar="S", help="default: %(default)s"),
         flag("--gyros", nargs="+", choices=GYROS, default=GYROS, help="default: both"),
         flag("--motions", nargs="+", choices=MOTIONS, default=MOTIONS, help="default: both"),
-        flag("--rivals", nargs="+", choices=MODELS, default=MODELS, help="default: all"),
+        flag("--rivals", nargs="*", choices=RIVALS, default=RIVALS, help="default: all"),
         flag("--smooth", action="store_true", help="score the smoothed track too"),
         flag("--duration", type=float, metavar="S", help="of a mission (default: that of the scenario)"),
         flag("--imu-rate", type=float, default=50.0, metavar="HZ", help="default: %(default)s"),
