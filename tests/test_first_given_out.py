@@ -4,6 +4,7 @@ its own label.
 
 import numpy as np
 import pytest
+from feeding import DRIVE, events_of
 
 import navfilter as nf
 from navfilter.filter.tape import Tape
@@ -41,6 +42,30 @@ def test_before_an_adoption_the_vehicle_had_what_its_file_says(missions, forward
         then = residuals.time_s < again_s(forward)
         assert np.array_equal(residuals.value[then], plain.residuals[name].value[then], equal_nan=True), name
         assert np.array_equal(residuals.time_s, plain.residuals[name].time_s), name
+
+
+def test_live_the_vehicle_had_every_row_of_it(missions, forward):
+    """Reading by reading, without a tape and with the history of the vehicle's own loop."""
+    _, learning, mission = missions
+    nav, had = nf.Navigator(learning, mission.start), {}
+    wanted = set(forward.time_s.tolist())
+    for event in events_of(learning, mission):
+        if event.sensor == DRIVE:
+            nav.step(event.time_s, event.value[:3], event.value[3:])
+            continue
+        nav.correct(event.sensor, event.time_s, event.value)
+        if event.time_s in wanted:
+            had[event.time_s] = nav.state
+    rows = [i for i, time_s in enumerate(forward.time_s.tolist()) if time_s in had]
+    assert len(rows) > 590
+    for i in rows:
+        state = had[forward.time_s[i]]
+        assert (state.latitude, state.longitude, state.height) == (
+            forward.latitude[i],
+            forward.longitude[i],
+            forward.height[i],
+        )
+        assert np.array_equal(state.covariance, forward.covariance[i])
 
 
 def test_after_it_the_track_is_the_one_that_was_run_again(forward):
