@@ -31,10 +31,12 @@ _BEYOND = 0.015
 _HEADING, _HEADING_LEARNT, _POSITION, _WHITE = 1.15, 1.06, 1.05, 1.03
 #: Over Gauss-Markov fitted to the whole mission beforehand.
 _FITTED = 1.02
+#: Than the vehicle's description.
+_BETTER = math.nextafter(1.0, 0.0)
 #: ANEES after a change.
 _CHANGED = (0.5, 2.0)
 _TITLES = {
-    "heading_rms_deg": "heading rms", "position_rms_m": "position rms",
+    "heading_rms_deg": "heading rms", "position_rms_m": "position rms", "down_rms_m": "down rms",
     "anees_heading": "ANEES heading", "anees_position": "ANEES position",
     "beyond_heading": "heading beyond 3 sigma", "beyond_position": "position beyond 3 sigma",
 }  # fmt: skip
@@ -125,12 +127,14 @@ def _accurate(campaign: Campaign, begin_s: float) -> Iterator[_Limit]:
     study, learnt = campaign.staged.study, begin_s >= _LEARNT_S
     white = study.kind == "white" and begin_s >= _EARLY_S
     yield "heading_rms_deg", "oracle", 0.0, _WHITE if white else _HEADING_LEARNT if learnt else _HEADING
-    yield "position_rms_m", "oracle", 0.0, _WHITE if white else _POSITION
+    place = ("position_rms_m", "down_rms_m") if study.sensor == "depth" else ("position_rms_m",)
+    for quantity in place:
+        yield quantity, "oracle", 0.0, _WHITE if white else _POSITION
     if learnt:
-        yield "heading_rms_deg", "gm1-fitted", 0.0, _FITTED
-        yield "position_rms_m", "gm1-fitted", 0.0, _FITTED
+        for quantity in ("heading_rms_deg", *place):
+            yield quantity, "gm1-fitted", 0.0, _FITTED
         if study.misled:
-            yield ("heading_rms_deg" if study.sensor == "compass" else "position_rms_m"), "vehicle", 0.0, 1.0
+            yield ("heading_rms_deg" if study.sensor == "compass" else place[-1]), "vehicle", 0.0, _BETTER
 
 
 def bar_table(found: Sequence[Bar], tracks: Sequence[str]) -> str:
@@ -154,7 +158,9 @@ def _title(bar: Bar) -> str:
 def _where(bar: Bar) -> str:
     form, factor, unit = (".1f", 100.0, " %") if bar.quantity.startswith("beyond") else ("g", 1.0, "")
     most = f"{factor * bar.most:{form}}{unit}"
-    return f"{bar.least:g} to {most}" if bar.least > 0.0 else f"<= {most}"
+    if bar.least > 0.0:
+        return f"{bar.least:g} to {most}"
+    return f"{'<' if bar.most == _BETTER else '<='} {most}"
 
 
 def _verdict(bar: Bar | None) -> str:

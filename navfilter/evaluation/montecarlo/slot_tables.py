@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.evaluation.montecarlo.campaign import Results
-from navfilter.evaluation.montecarlo.slots import SLOT_SCORES, Slots
+from navfilter.evaluation.montecarlo.slots import RMS, SLOT_SCORES, Slots
 from navfilter.evaluation.montecarlo.statistics import Estimate, mean_interval, ratio_interval, rms_interval
 from navfilter.report.page import table_text
 
@@ -22,9 +22,9 @@ Array = NDArray[np.float64]
 
 #: By reference: what is divided by its own.
 _RATIOS = {
-    "oracle": SLOT_SCORES[:4],
-    "gm1-fitted": ("heading_rms_deg", "position_rms_m"),
-    "vehicle": ("heading_rms_deg", "position_rms_m"),
+    "oracle": tuple(name for name in SLOT_SCORES if not name.startswith("beyond")),
+    "gm1-fitted": tuple(name for name in SLOT_SCORES if "_rms_" in name),
+    "vehicle": tuple(name for name in SLOT_SCORES if "_rms_" in name),
 }
 #: By figure: the columns of its table, as (quantity, reference, title, format, factor).
 _TABLES = {
@@ -98,7 +98,7 @@ def _with_all(results: Results) -> tuple[Slots, Array]:
     known = np.isfinite(power) * weights
     with np.errstate(divide="ignore", invalid="ignore"):
         together = np.nansum(power * weights, axis=-2) / known.sum(axis=-2)
-    together[..., :2] = np.sqrt(together[..., :2])
+    together[..., RMS] = np.sqrt(together[..., RMS])
     return (*cut, (cut[0][0], cut[-1][1])), np.concatenate([values, together[..., None, :]], axis=-2)
 
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from navfilter.track import Track, TrackErrors
 
-__all__ = ["SLOT_SCORES", "Slots", "slot_figures", "slots"]
+__all__ = ["RMS", "SLOT_SCORES", "Slots", "slot_figures", "slots"]
 
 Array = NDArray[np.float64]
 #: Begin and end of each [s].
@@ -19,10 +19,14 @@ Slots = tuple[tuple[float, float], ...]
 EDGES = (60.0, 120.0, 520.0, 1200.0, 1800.0)
 #: After a change of the error so much time [s] is a slot of its own, in which no filter can be honest.
 SURPRISED_S = 120.0
-#: Of a slot: errors [deg, m], NEES per degree of freedom, shares of errors beyond three predicted standard deviations.
+#: Of a slot: errors [deg; m horizontal, down], NEES per degree of freedom, shares of errors beyond three predicted
+#: standard deviations.
 SLOT_SCORES = (
-    "heading_rms_deg", "position_rms_m", "anees_heading", "anees_position", "beyond_heading", "beyond_position",
+    "heading_rms_deg", "position_rms_m", "down_rms_m",
+    "anees_heading", "anees_position", "beyond_heading", "beyond_position",
 )  # fmt: skip
+#: Which of them are root mean squares.
+RMS = np.array(["_rms_" in name for name in SLOT_SCORES])
 
 
 def slots(duration_s: float, changes_s: float | None = None) -> Slots:
@@ -68,6 +72,7 @@ def slot_figures(track: Track, errors: TrackErrors, nees: dict[str, Array], cut:
     series = (
         np.degrees(errors.heading) ** 2,
         errors.horizontal**2,
+        errors.position_n[:, 2] ** 2,
         nees["heading"],
         nees["position"],
         _beyond(np.sqrt(nees["heading"])),
@@ -80,7 +85,7 @@ def slot_figures(track: Track, errors: TrackErrors, nees: dict[str, Array], cut:
             known = values[rows][np.isfinite(values[rows])]
             if known.size:
                 result[i, k] = known.mean()
-    result[:, :2] = np.sqrt(result[:, :2])
+    result[:, RMS] = np.sqrt(result[:, RMS])
     return result
 
 
