@@ -6,15 +6,14 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.alignment import align
+from navfilter.assembly import bar, forward_track, smoothed_track
 from navfilter.compilation import show_compilation
 from navfilter.error_models import GaussMarkov
-from navfilter.filter.smoother import smooth_rows
 from navfilter.filter.tape import Tape
 from navfilter.learning.learned import LearnedArma, learning_part
 from navfilter.learning.listener import ChannelSeries
@@ -22,11 +21,10 @@ from navfilter.learning.refit import change, learning_sensors, refitted
 from navfilter.mission import Mission, Stream
 from navfilter.navigator import Navigator
 from navfilter.start import Start
-from navfilter.state import euler_from_matrix, rotation_matrix
 from navfilter.track import Track
 from navfilter.vehicle import Vehicle
 
-__all__ = ["drive_samples", "identified", "replay", "residual_series", "warm_up"]
+__all__ = ["drive_samples", "identified", "replay", "replay_heard", "residual_series", "warm_up"]
 
 Array = NDArray[np.float64]
 #: Models have settled when they change by less than so many of their own standard deviations.
@@ -75,16 +73,60 @@ def replay(
     if iterate:
         start = _start(vehicle, mission, start)
         vehicle = identified(vehicle, mission, iterate, start)
-    drive = drive_samples(vehicle, mission)
     start = _start(vehicle, mission, start)
+    return _replayed(vehicle, mission, start, Tape(output_rate_hz, smoothable=smooth), progress, ())[0]
+
+
+def replay_heard(
+    vehicle: Vehicle,
+    mission: Mission,
+    sensors: Sequence[str],
+    *,
+    start: Start | None = None,
+    smooth: bool = False,
+    output_rate_hz: float | None = 5.0,
+) -> tuple[Track, dict[str, tuple[ChannelSeries, ...]]]:
+    """A replay and, from the same run, the open-loop residuals of some of its sensors.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        That does not learn: what it listened to would be in the way.
+    mission : Mission
+    sensors : sequence of str
+    start, smooth, output_rate_hz
+        As in `replay`.
+
+    Returns
+    -------
+    track : Track
+    series : dict of str to tuple of ChannelSeries
+        As `residual_series` gives them.
+
+    Raises
+    ------
+    ValueError
+        As `replay`, and for a vehicle that learns.
+    """
+    if _learns(vehicle):
+        raise ValueError("this vehicle learns: replay it, and take the residuals by residual_series.")
+    start = _start(vehicle, mission, start)
+    track, nav = _replayed(vehicle, mission, start, Tape(output_rate_hz, smoothable=smooth), False, sensors)
+    return track, {name: nav.heard(name) for name in sensors}
+
+
+def _replayed(
+    vehicle: Vehicle, mission: Mission, start: Start, tape: Tape, progress: bool, heard: Sequence[str]
+) -> tuple[Track, Navigator]:
+    drive = drive_samples(vehicle, mission)
     began = time.process_time()
-    tape = Tape(output_rate_hz, smoothable=smooth)
     nav = Navigator(vehicle, start, tape)
+    _listen(nav, mission, heard)
     _run(nav, *drive, _events(vehicle, mission, start.time_s), progress)
-    forward = _track("forward", nav, tape, mission.name, time.process_time() - began)
-    if not smooth:
-        return forward
-    return _smoothed(forward, nav, tape, began, progress)
+    track = forward_track(nav, mission.name, time.process_time() - began)
+    if tape.smoothable:
+        track = smoothed_track(track, nav, began, progress)
+    return track, nav
 
 
 def identified(
@@ -232,7 +274,7 @@ def _run(nav: Navigator, times: Array, values: Array, events: _Events, progress:
             f"the drive's stream ends at {times[-1]:.3f} s, before the start at {nav.start.time_s:.3f} s. Check the "
             "clocks."
         )
-    bar = _bar(len(events.time_s), "filter", progress)
+    shown = bar(len(events.time_s), "filter", progress)
     ends = np.searchsorted(times, events.time_s + 1e-9, side="right").tolist()
     readings = zip(events.time_s.tolist(), events.sensor.tolist(), events.row.tolist(), ends, strict=True)
     for k, (t, i, row, end) in enumerate(readings):
@@ -241,114 +283,18 @@ def _run(nav: Navigator, times: Array, values: Array, events: _Events, progress:
             done = end
         sd = events.sds[i]
         nav.correct(events.names[i], t, events.values[i][row], None if sd is None else sd[row])
-        if bar is not None and k % 512 == 511:
-            bar.update(512)
+        if shown is not None and k % 512 == 511:
+            shown.update(512)
     for begin in range(done, len(times), 100_000):
         nav.step_samples(_block(times, values, begin, min(begin + 100_000, len(times))))
-    if bar is not None:
-        bar.close()
+    if shown is not None:
+        shown.close()
 
 
 def _block(times: Array, values: Array, begin: int, end: int) -> Array:
     block = np.empty((end - begin, 7))
     block[:, 0], block[:, 1:] = times[begin:end], values[begin:end]
     return block
-
-
-def _bar(total: int, what: str, progress: bool) -> Any:
-    if not progress:
-        return None
-    from tqdm import tqdm
-
-    return tqdm(total=total, desc=what, unit="", leave=False, mininterval=0.2)
-
-
-class _Rows:
-    """Arrays of a track while its rows are gathered: states that do not exist at a time are NaN."""
-
-    def __init__(self, tape: Tape) -> None:
-        n = len(tape.row_times)
-        units: dict[str, str] = {}
-        for layout in tape.layouts:
-            units |= dict(zip(layout.names, layout.units, strict=True))
-        order = {name: i for i, name in enumerate(units)}
-        groups = [*tape.layouts[-1].groups]
-        self.names = tuple(sorted(units, key=lambda name: (_group(name, groups), order[name])))
-        self.units = tuple(units[name] for name in self.names)
-        at = {name: i for i, name in enumerate(self.names)}
-        self.places = [np.array([at[name] for name in layout.names], dtype=int) for layout in tape.layouts]
-        self.tape, self.packed, self.P = tape, np.empty((n, 17)), np.empty((n, 9, 9))
-        self.x, self.variance = np.full((n, len(units)), np.nan), np.full((n, len(units)), np.nan)
-
-    def put(self, i: int, row: Array, P: Array, variance: Array, correction: Array | float = 0.0) -> None:
-        places = self.places[self.tape.row_layouts[i]]
-        self.packed[i], self.P[i] = row[:17], P
-        self.x[i, places], self.variance[i, places] = row[17 : 17 + len(places)] + correction, variance
-
-
-def _group(name: str, groups: list[str]) -> int:
-    """Place of a state's sensor in the vehicle; -1 for the drive's."""
-    return next((i for i, group in enumerate(groups) if name.startswith((f"{group}_", f"{group}[", f"{group}."))), -1)
-
-
-def _track(label: str, nav: Navigator, tape: Tape, name: str, cpu_s: float) -> Track:
-    rows = _Rows(tape)
-    for i in range(len(tape.row_times)):
-        row = tape.rows[i]
-        k = len(rows.places[tape.row_layouts[i]])
-        rest = row[17 + k :]
-        if tape.smoothable:
-            covariance = rest.reshape(k + 9, k + 9)
-            rows.put(i, row, covariance[:9, :9], covariance.diagonal()[9:])
-        else:
-            rows.put(i, row, rest[:81].reshape(9, 9), rest[81:])
-    return _assemble(label, nav, rows, name, cpu_s, None)
-
-
-def _assemble(label: str, nav: Navigator, rows: _Rows, name: str, cpu_s: float, forward: Track | None) -> Track:
-    tape, packed = rows.tape, rows.packed
-    return Track(
-        label=label,
-        vehicle=nav.vehicle,
-        mission_name=name,
-        time_s=np.array(tape.row_times),
-        latitude=packed[:, 0],
-        longitude=packed[:, 1],
-        height=packed[:, 2],
-        velocity_n=packed[:, 3:6],
-        attitude=euler_from_matrix(packed[:, 6:15].reshape(-1, 3, 3)),
-        covariance=rows.P,
-        states=rows.x,
-        states_sd=np.sqrt(np.maximum(rows.variance, 0.0)),
-        state_names=rows.names,
-        state_units=rows.units,
-        residuals=tape.residuals(),
-        error_models=tape.models,
-        counts=dict(nav.counts),
-        cpu_s=cpu_s,
-        forward=forward,
-    )
-
-
-def _smoothed(forward: Track, nav: Navigator, tape: Tape, began: float, progress: bool) -> Track:
-    rows = _Rows(tape)
-    correction = np.empty((len(tape.row_times), 9))
-
-    def store(i: int, row: Array, mean: Array, covariance: Array) -> None:
-        correction[i] = mean[:9]
-        rows.put(i, row, covariance[:9, :9], covariance.diagonal()[9:], mean[9:])
-
-    bar = _bar(len(tape.records), "smoother", progress)
-    smooth_rows(tape, store, None if bar is None else bar.update)
-    if bar is not None:
-        bar.close()
-    packed = rows.packed
-    packed[:, 6:15] = (rotation_matrix(correction[:, 6:]) @ packed[:, 6:15].reshape(-1, 3, 3)).reshape(-1, 9)
-    packed[:, 0] += correction[:, 0] / packed[:, 15]
-    packed[:, 1] += correction[:, 1] / (packed[:, 16] * np.cos(packed[:, 0]))
-    packed[:, 2] -= correction[:, 2]
-    packed[:, 3:6] += correction[:, 3:6]
-    return _assemble("smoothed", nav, rows, forward.mission_name, time.process_time() - began, forward)
 
 
 def residual_series(
@@ -373,13 +319,19 @@ def residual_series(
     """
     drive = drive_samples(vehicle, mission)
     start = _start(vehicle, mission, start)
-    nav = Navigator(vehicle, start)
+    # nothing is late: the same filter, without the history that lets late readings in
+    nav = Navigator(vehicle, start, history_s=0.0)
     names = [name for name, sensor in vehicle.sensors.items() if sensor.open_loop] if sensors is None else list(sensors)
-    for name in names:
-        span = mission.duration_s + 2.0 * nav.filter.AHEAD_S
-        nav.listen(name, max(1, int(span * vehicle.sensors[name].rate_hz * 1.2) + 16))
+    _listen(nav, mission, names)
     _run(nav, *drive, _events(vehicle, mission, start.time_s), False)
     return {name: nav.heard(name) for name in names}
+
+
+def _listen(nav: Navigator, mission: Mission, names: Sequence[str]) -> None:
+    """To these sensors over a whole mission."""
+    for name in names:
+        span = mission.duration_s + 2.0 * nav.filter.AHEAD_S
+        nav.listen(name, max(1, int(span * nav.vehicle.sensors[name].rate_hz * 1.2) + 16))
 
 
 def _learns(vehicle: Vehicle) -> bool:

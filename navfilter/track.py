@@ -61,7 +61,8 @@ class Track:
     Attributes
     ----------
     label : str
-        "forward" or "smoothed".
+        "forward": each state as the vehicle had it at its time, whatever was run again later. "revised": what the
+        run made of its past when it went back. "smoothed".
     vehicle : Vehicle
     mission_name : str
     time_s : ndarray, shape (n,)
@@ -86,6 +87,8 @@ class Track:
         Processor time of the run [s].
     forward : Track, optional
         Of a smoothed track: the forward one.
+    revised : Track, optional
+        Of a forward track: with hindsight, where the beginning was run again with models that were learnt from it.
     """
 
     label: str
@@ -107,6 +110,7 @@ class Track:
     cpu_s: float = 0.0
     forward: Track | None = None
     state_units: tuple[str, ...] = ()
+    revised: Track | None = None
 
     def __len__(self) -> int:
         return len(self.time_s)
@@ -138,7 +142,7 @@ class Track:
         moved: dict[str, Any] = {name: between(getattr(self, name)) for name in names}
         for name in ("latitude", "longitude", "attitude"):
             moved[name] = between(np.unwrap(getattr(self, name), axis=0))
-        return replace(self, time_s=np.asarray(time_s, dtype=float), forward=None, **moved)
+        return replace(self, time_s=np.asarray(time_s, dtype=float), forward=None, revised=None, **moved)
 
     def local(self, latitude: float | None = None, longitude: float | None = None) -> Array:
         """Position north, east, down [m], shape (n, 3), from a reference point [rad] (default: the first position)."""

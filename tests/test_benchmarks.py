@@ -8,6 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 BENCHMARKS = Path(__file__).parent.parent / "benchmarks"
@@ -19,6 +20,7 @@ SCRIPTS = {
     "faults": ("without a fault", ("missions", "service")),
     "fuzz": ("no other software", ()),
     "heading_toy": ("Sage-Husa", ()),
+    "honest": ("Gauss-Markov", ()),
     "identify_recordings": ("statsmodels", ()),
     "logs": ("library underneath", ("samples", "large")),
     "recordings": ("plain dead reckoning", ("withheld", "car_clocks")),
@@ -77,6 +79,10 @@ def test_every_script_says_what_it_does_and_against_what(helped, name):
     [
         ("fuzz.py --inputs 300 --targets 'JSON lines' 'saved missions'", {"targets"}),
         (
+            "honest.py --scenarios compass-white --gyros tactical --motions lawnmower --quick",
+            {"table", "cpu_s", "campaigns"},
+        ),
+        (
             "replay_speed.py --minutes 1 --quick",
             {"table", "learning_adds", "states", "peak_mb", "strapdown_samples_per_s"},
         ),
@@ -88,3 +94,25 @@ def test_figures_are_kept_as_json(command, keys, tmp_path):
     assert set(found) == {"benchmark", "arguments", "machine", "python", "versions", "figures"}
     assert found["benchmark"] == command.split(".")[0] and "numba" in found["versions"]
     assert keys <= set(found["figures"])
+
+
+def test_runs_that_do_not_learn_are_taken_from_an_earlier_program(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(BENCHMARKS)
+    import honest
+
+    from navfilter.evaluation.montecarlo.campaign import Campaign
+    from navfilter.evaluation.montecarlo.store import Store
+
+    campaign = Campaign("compass-white", duration_s=100.0, imu_rate_hz=20.0)
+    before = Store(tmp_path / "before", campaign.settings | {"program": "earlier"})
+    for model in ("arma", "oracle"):
+        before.save(1, model, {"scores": np.ones(2)})
+    honest.take(campaign, (1, 2), ("arma", "oracle", "vehicle"), tmp_path / "before", tmp_path / "now")
+    now = Store(tmp_path / "now", campaign.settings)
+    assert now.load(1, "oracle") is not None and now.load(1, "arma") is None and now.load(2, "oracle") is None
+    # nothing there, nothing taken; something else there, a word
+    honest.take(campaign, (1,), ("oracle",), tmp_path / "nowhere", tmp_path / "none")
+    assert not (tmp_path / "none").exists()
+    other = Campaign("compass-white", duration_s=110.0, imu_rate_hz=20.0)
+    with pytest.raises(SystemExit, match="other settings"):
+        honest.take(other, (1,), ("oracle",), tmp_path / "before", tmp_path / "other")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from navfilter.error_models import per_axis
-from navfilter.simulation import campaigns
+from navfilter.simulation import studies
 from navfilter.simulation.campaigns import GYROS, MOTIONS, STUDIES, stage
 from navfilter.simulation.faults import Changing
 from navfilter.state import wrap
@@ -36,7 +36,8 @@ def test_every_scenario_gives_a_mission_that_its_vehicle_can_read(name):
         and mission.start is not None
     )
     assert staged.study.sensor in {*staged.vehicle.sensors, "gyro"} and staged.learnt in staged.vehicle.sensors
-    assert staged.vehicle.sensors["compass"].error == campaigns.BELIEF
+    if not name.startswith(("compass-sd-", "compass-tau-")):
+        assert staged.vehicle.sensors["compass"].error == studies.BELIEF
     assert (staged.truth is None) == (staged.study.kind == "changing")
 
 
@@ -110,19 +111,18 @@ def test_oscillating_errors_are_of_order_four_and_two():
 
 def test_the_compass_of_case_2_is_printed_and_stable():
     table = TABLES["Lab1 hdg WT"]
-    assert list(campaigns.LAB1_AR) == table["a"] and list(campaigns.LAB1_MA) == table["b"]
-    assert pytest.approx(table["sample_period_s"]) == 1.0 / campaigns.LAB1_RATE_HZ
+    assert list(studies.LAB1_AR) == table["a"] and list(studies.LAB1_MA) == table["b"]
+    assert pytest.approx(table["sample_period_s"]) == 1.0 / studies.LAB1_RATE_HZ
     assert (
-        abs(np.roots([1.0, *campaigns.LAB1_AR])).max() < 0.9992
-        and abs(np.roots([1.0, *campaigns.LAB1_MA])).max() < 0.9932
+        abs(np.roots([1.0, *studies.LAB1_AR])).max() < 0.9992 and abs(np.roots([1.0, *studies.LAB1_MA])).max() < 0.9932
     )
 
 
 def test_the_comb_is_case_4_but_for_its_unit_root():
     table = TABLES["Lab2 hdg AIC"]
-    assert list(campaigns.LAB2_AR) == table["a"] and list(campaigns.LAB2_MA) == table["b"]
+    assert list(studies.LAB2_AR) == table["a"] and list(studies.LAB2_MA) == table["b"]
     model = stage("compass-comb").truth["compass"]
-    assert model.ma == campaigns.LAB2_MA
+    assert model.ma == studies.LAB2_MA
     printed, used = (np.sort_complex(np.roots([1.0, *ar])) for ar in (table["a"], model.ar))
     moved = np.abs(printed - used) > 1e-9
     assert moved.sum() == 1 and abs(printed[moved][0]) > 0.9998
@@ -133,12 +133,12 @@ def test_the_comb_is_case_4_but_for_its_unit_root():
 
 
 def test_the_gps_has_the_first_two_correlations_of_the_printed_tenth_order():
-    ten = campaigns.scaled(tuple(TABLES["GPS lon WT"]["a"]), (), 1.0).block(1.0)
-    two = campaigns.scaled(campaigns.GPS_AR, (), 1.0).block(1.0)
+    ten = studies.scaled(tuple(TABLES["GPS lon WT"]["a"]), (), 1.0).block(1.0)
+    two = studies.scaled(studies.GPS_AR, (), 1.0).block(1.0)
     for lag in (0, 1, 2):
         values = [float(b.C @ np.linalg.matrix_power(b.Phi, lag) @ b.P0 @ b.C) for b in (ten, two)]
         assert values[0] == pytest.approx(values[1], abs=1e-7)
-    assert TABLES["GPS lon WT"]["sample_period_s"] == pytest.approx(1.0 / campaigns.GPS_RATE_HZ)
+    assert TABLES["GPS lon WT"]["sample_period_s"] == pytest.approx(1.0 / studies.GPS_RATE_HZ)
 
 
 def test_the_gyro_is_what_is_left_of_the_roll_rate_without_its_unit_root():
@@ -172,3 +172,78 @@ def test_the_gyro_is_what_is_left_of_the_roll_rate_without_its_unit_root():
 def test_wrong_names_are_refused(name, how, says):
     with pytest.raises(ValueError, match=says):
         stage(name, **how)
+
+
+# ------------------------------------------------------------------------------------- hard ones
+
+
+@pytest.mark.parametrize("name", [name for name, study in STUDIES.items() if study.kind != "changing"])
+def test_the_oracle_is_told_the_truth_and_the_vehicle_is_not(name):
+    staged = stage(name)
+    assert staged.oracle is not None and staged.oracle != staged.vehicle and staged.changes_s is None
+    told, sensor = staged.truth[staged.study.sensor], staged.study.sensor
+    if sensor in staged.vehicle.sensors:
+        assert staged.oracle.sensors[sensor].error == told
+    assert (told == staged.faults[sensor].true_error) == (staged.study.told is None)
+
+
+@pytest.mark.parametrize("name", ["compass-coarse", "compass-tails"])
+def test_what_no_error_model_can_say_is_told_as_white_noise_of_its_size(name):
+    staged = stage(name, duration_s=900.0, imu_rate_hz=10.0)
+    error = np.concatenate([compass_error(staged, staged.mission(seed))[1] for seed in (1, 2)])
+    # differences leave the slow error out: 14 400 of them, and the white part counts twice
+    quick, white = np.diff(error), staged.truth["compass"].parts[1].sd / DEG
+    # tails of kurtosis 25: 2 % of one sigma; a rounding error changes little while the course is straight
+    within = 0.08 if name == "compass-tails" else 0.25
+    assert np.std(quick) / np.sqrt(2.0) == pytest.approx(white, rel=within)
+
+
+def test_a_coarse_compass_reads_whole_degrees():
+    readings = np.degrees(
+        stage("compass-coarse", duration_s=90.0, imu_rate_hz=10.0).mission(1).streams["compass"].value
+    )
+    assert np.abs(readings - np.round(readings)).max() < 1e-9
+
+
+def test_a_deviation_is_in_the_readings_and_in_nobodys_description():
+    staged = stage("compass-deviation", duration_s=300.0, imu_rate_hz=10.0)
+    assert staged.vehicle.sensors["compass"].deviation_sd_rad != staged.real.sensors["compass"].deviation_sd_rad
+    notes = [note for note in staged.mission(1).notes if "deviation" in note]
+    assert len(notes) == 1 and notes != [note for note in staged.mission(2).notes if "deviation" in note]
+
+
+@pytest.mark.parametrize(
+    ("name", "sd", "tau"),
+    [("over", 3.0, 10.0), ("under", 1.0 / 3.0, 0.1)],
+)
+def test_wrong_descriptions_are_wrong_by_as_much_as_they_say(name, sd, tau):
+    for what, factor in (("sd", sd), ("tau", tau)):
+        staged = stage(f"compass-{what}-{name}")
+        (slow, white), (true, noise) = (
+            m.parts for m in (staged.vehicle.sensors["compass"].error, staged.truth["compass"])
+        )
+        assert white == noise and staged.study.misled
+        wrong = slow.sd / true.sd if what == "sd" else slow.tau_s / true.tau_s
+        right = slow.tau_s == true.tau_s if what == "sd" else slow.sd == true.sd
+        assert wrong == pytest.approx(factor) and right
+
+
+@pytest.mark.parametrize("name", ["compass-5min", "compass-10min"])
+def test_a_short_mission_turns_too(name):
+    for motion in MOTIONS:
+        staged = stage(name, motion=motion)
+        assert staged.duration_s in (300.0, 600.0)
+        course = np.unwrap(staged.motion.at(np.arange(0.0, staged.duration_s)).attitude[:, 2])
+        assert (np.ptp(course) / DEG > 150.0) == (motion == "lawnmower")
+
+
+def test_fixes_are_there_for_half_of_the_way():
+    staged = stage("gps-slow", imu_rate_hz=10.0)
+    dive = np.diff(staged.mission(1).streams["gps"].time_s).max()
+    assert 600.0 < dive < 900.0
+
+
+@pytest.mark.parametrize(("name", "when"), [("compass-triples", 900.0), ("compass-recoloured", 900.0)])
+def test_a_changing_error_has_a_time_and_no_oracle(name, when):
+    staged = stage(name)
+    assert staged.changes_s == when and staged.oracle is None

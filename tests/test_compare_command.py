@@ -72,10 +72,9 @@ def test_the_first_window_is_not_scored(compared):
 def test_every_adoption_is_in_the_summary(compared):
     summary = json.loads((compared / "summary.json").read_text())
     steps = summary["adopted"]["arma"]["compass"]
-    # The beginning is run again with the first models, so those hold from the start; all others come after their
-    # window.
+    # As the filter had it: the first model comes after its window, whatever is then run again with it.
     assert len(steps) >= 5 and (np.diff([step["time_s"] for step in steps]) > 0).all()
-    assert steps[0]["time_s"] == 0.0 and steps[1]["time_s"] > 110.0
+    assert steps[0]["time_s"] >= 110.0
     assert all(0.0 <= step["pole_radius"] < 1.0 and step["sd"] > 0.0 for step in steps)
     assert "LearnedArma" in summary["models"]["arma"]["compass"][0][1] and len(summary["models"]["gm1"]["compass"]) == 1
 

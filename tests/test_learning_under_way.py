@@ -25,11 +25,12 @@ from navfilter.learning.learned import DEFAULT_ORDERS, learned_part
 from navfilter.learning.learner import Learner
 from navfilter.learning.low_frequency import block_level, zero_frequency
 from navfilter.learning.schedule import LearningSchedule
-from navfilter.simulation.campaigns import STUDIES, stage
+from navfilter.simulation.campaigns import stage
 from navfilter.simulation.faults import Faults
 from navfilter.simulation.manoeuvres import Lawnmower
 from navfilter.simulation.scenarios import dive, survey_vehicle
 from navfilter.simulation.simulate import simulate
+from navfilter.simulation.studies import USUAL
 
 DEG = np.pi / 180.0
 GYROS = ("tactical", "mems")
@@ -343,7 +344,7 @@ def test_heading_is_honest_again_two_windows_after_the_error_trebled(gyro):
 
 # ---------------------------------------------------------------- studies
 
-FIXED = [name for name, study in STUDIES.items() if study.kind != "changing" and study.sensor != "gyro"]
+FIXED = [name for name, study in USUAL.items() if study.kind != "changing" and study.sensor != "gyro"]
 
 
 def identified(scenario, gyro, seeds):

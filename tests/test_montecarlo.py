@@ -20,7 +20,8 @@ from scipy import stats
 
 from navfilter.cli import main
 from navfilter.evaluation.montecarlo import campaign as campaigns
-from navfilter.evaluation.montecarlo.campaign import Campaign, cluster, run_campaign, run_seed
+from navfilter.evaluation.montecarlo import workers
+from navfilter.evaluation.montecarlo.campaign import Campaign, run_campaign, run_seed
 from navfilter.evaluation.montecarlo.figures import write_figures
 from navfilter.evaluation.montecarlo.scores import CURVES, SCORES
 from navfilter.evaluation.montecarlo.statistics import (
@@ -32,6 +33,7 @@ from navfilter.evaluation.montecarlo.statistics import (
 )
 from navfilter.evaluation.montecarlo.store import Store
 from navfilter.evaluation.montecarlo.tables import ratios, rows, table, write_tables
+from navfilter.evaluation.montecarlo.workers import cluster
 
 SMALL = Campaign("compass-gm1-white", duration_s=100.0, score_from_s=40.0, imu_rate_hz=20.0)
 MODELS, SEEDS = ("vehicle", "gm1-fitted", "oracle"), (3, 4, 5)
@@ -42,7 +44,7 @@ def in_process(monkeypatch):
     """The command's runs in this process: what a pool does is tested elsewhere, and every worker takes seconds to
     start.
     """
-    monkeypatch.setattr(campaigns, "process_pool", lambda workers: contextlib.nullcontext(Now()))
+    monkeypatch.setattr(workers, "process_pool", lambda workers: contextlib.nullcontext(Now()))
 
 
 @pytest.fixture(scope="module")
@@ -55,7 +57,7 @@ def small(tmp_path_factory):
 def same(one, other):
     return all(
         np.array_equal(getattr(one, name), getattr(other, name), equal_nan=True)
-        for name in ("scores", "curves", "time_s", "seeds")
+        for name in ("scores", "slots", "curves", "time_s", "seeds")
     )
 
 
@@ -415,6 +417,7 @@ def test_the_command_writes_everything_and_says_the_table(small, tmp_path, capsy
     assert written >= {
         "table.txt",
         "results.csv",
+        "slots.csv",
         "results.json",
         "runs.npz",
         "nees.png",

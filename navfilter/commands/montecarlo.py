@@ -22,7 +22,8 @@ one mission is simulated per seed and replayed with every model, so that models 
   gm1-fitted   Gauss-Markov by likelihood, whole mission   vehicle    as the vehicle's description says
 
 written to --out:
-  table.txt, results.csv, results.json   figures with 95 % intervals, and ratios with paired intervals
+  table.txt, results.csv, results.json   figures with 95 % intervals, and ratios with paired intervals; the same by
+                                         slots of the mission (slots.csv), and the bars that arma has to keep to
   runs.npz (and runs.parquet)            every run
   envelope-*.png, nees.png, end-error.png
   runs/                                  finished runs: the same command continues a campaign that was stopped
@@ -30,6 +31,7 @@ written to --out:
 examples:
   navfilter montecarlo --list
   navfilter montecarlo --scenario compass-rolling --runs 50
+  navfilter montecarlo compass-slow-10min --seeds 50 --rivals arma,gm1-fitted,oracle,vehicle --no-smooth --no-figures
   navfilter montecarlo --scenario compass-gm2 --motion transit --gyro mems --runs 50 --models gm1-fitted,arma,oracle
   navfilter montecarlo --scenario dvl-coloured --runs 1000 --dask tcp://10.0.0.1:8786
 """
@@ -38,20 +40,27 @@ _DEFAULT = "white,gm1,gm1-fitted,arma,oracle"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of ``navfilter montecarlo``."""
-    parser.add_argument("--scenario", metavar="NAME", help="see --list")
+    parser.add_argument("name", nargs="?", metavar="SCENARIO", help="see --list")
+    parser.add_argument("--scenario", metavar="NAME", help="the same")
     parser.add_argument("--list", action="store_true", help="list the scenarios and stop")
     parser.add_argument(
         "--runs",
+        "--seeds",
         type=_count,
         default=20,
         metavar="N",
         help="missions, with seeds from --seed on (default: %(default)s)",
     )
     parser.add_argument(
-        "--seed", type=seed, default=1, metavar="S", help="seed of the first mission (default: %(default)s)"
+        "--seed",
+        "--first-seed",
+        type=seed,
+        default=1,
+        metavar="S",
+        help="seed of the first mission (default: %(default)s)",
     )
     parser.add_argument(
-        "--models", default=_DEFAULT, metavar="NAMES", help="separated by commas (default: %(default)s)"
+        "--models", "--rivals", default=_DEFAULT, metavar="NAMES", help="separated by commas (default: %(default)s)"
     )
     parser.add_argument("--motion", choices=("lawnmower", "transit"), default="lawnmower", help="default: %(default)s")
     parser.add_argument("--gyro", choices=("tactical", "mems"), default="tactical", help="default: %(default)s")
@@ -66,6 +75,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--smooth", action=argparse.BooleanOptionalAction, default=True, help="run the smoother too (default: yes)"
+    )
+    parser.add_argument(
+        "--figures", action=argparse.BooleanOptionalAction, default=True, help="draw them too (default: yes)"
     )
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--workers", type=_count, metavar="K", help="processes (default: all cores)")
@@ -92,12 +104,13 @@ def run(options: argparse.Namespace) -> int:
         for name, study in STUDIES.items():
             print(f"{name:{width}}  {study.duration_s / 60:3.0f} min  {study.about}")
         return 0
-    if options.scenario is None:
-        raise ValueError("montecarlo needs --scenario (scenarios: navfilter montecarlo --list).")
+    scenario = options.name or options.scenario
+    if scenario is None or (options.scenario or scenario) != scenario:
+        raise ValueError("montecarlo needs one scenario (scenarios: navfilter montecarlo --list).")
     from navfilter.evaluation.montecarlo.campaign import Campaign
 
     campaign = Campaign(
-        options.scenario,
+        scenario,
         motion=options.motion,
         gyro=options.gyro,
         duration_s=options.duration,
@@ -131,8 +144,9 @@ def _models(options: argparse.Namespace, campaign: Any) -> tuple[str, ...]:
 
 
 def _run(options: argparse.Namespace, campaign: Any, models: tuple[str, ...], folder: Path) -> int:
-    from navfilter.evaluation.montecarlo.campaign import available_cores, cluster, process_pool, run_campaign
+    from navfilter.evaluation.montecarlo.campaign import run_campaign
     from navfilter.evaluation.montecarlo.store import Store
+    from navfilter.evaluation.montecarlo.workers import available_cores, cluster, process_pool
 
     say = speaker(options.quiet)
     Store(folder, campaign.settings)  # refuses a folder of another campaign before any worker is started
@@ -147,10 +161,13 @@ def _run(options: argparse.Namespace, campaign: Any, models: tuple[str, ...], fo
             kept = len(list((folder / "runs").rglob("*.npz")))
             print(f"\nstopped; {kept} runs are kept in {folder}, the same command continues.", file=sys.stderr)
             raise
-    from navfilter.evaluation.montecarlo.figures import write_figures
     from navfilter.evaluation.montecarlo.tables import table, write_tables
 
-    names = [*write_tables(results, folder), *write_figures(results, folder)]
+    names = write_tables(results, folder)
+    if options.figures:
+        from navfilter.evaluation.montecarlo.figures import write_figures
+
+        names += write_figures(results, folder)
     say(f"\n{table(results)}\n\nWritten to {folder}{os.sep}: {', '.join(names)}")
     return 0
 

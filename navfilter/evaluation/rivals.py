@@ -22,7 +22,7 @@ from navfilter.playback import residual_series
 from navfilter.start import Start
 from navfilter.vehicle import Vehicle
 
-__all__ = ["LEAST", "MODELS", "learnable", "rival", "rivals"]
+__all__ = ["LEAST", "MODELS", "fitted_kinds", "learnable", "rival", "rivals"]
 
 Array = NDArray[np.float64]
 Errors = ErrorModel | tuple[ErrorModel, ...]
@@ -80,8 +80,11 @@ def rivals(
     sensors: Sequence[str] | None = None,
     truth: Mapping[str, Errors] | None = None,
     start: Start | None = None,
+    series: Series | None = None,
 ) -> dict[str, Vehicle]:
-    """Several rivals at once, see `rival`; the series that they are fitted to are made only once."""
+    """Several rivals at once, see `rival`; the series that they are fitted to are made only once, or not at all where
+    they are given (see `navfilter.playback.replay_heard`).
+    """
     unknown = [name for name in names if name not in MODELS]
     if unknown:
         raise ValueError(f'there is no model "{unknown[0]}". Models: {", ".join(MODELS)}.')
@@ -91,10 +94,14 @@ def rivals(
         raise ValueError(
             '"oracle" needs the true error models (truth=, --oracle): only a simulator knows them. Leave it out.'
         )
-    series: Series = {}
-    if chosen and set(names) & set(_FITS):
-        series = residual_series(vehicle, mission, chosen, start)
+    if series is None:
+        series = residual_series(vehicle, mission, chosen, start) if chosen and fitted_kinds(names) else {}
     return {name: vehicle.with_error(**_models(name, vehicle, chosen, series, truth or {})) for name in names}
+
+
+def fitted_kinds(names: Sequence[str]) -> tuple[str, ...]:
+    """Those of the models that are fitted to a whole mission beforehand."""
+    return tuple(name for name in names if name in _FITS)
 
 
 def learnable(vehicle: Vehicle, mission: Mission) -> tuple[str, ...]:

@@ -87,7 +87,7 @@ class Filter:
 
     def begin(self, models: dict[str, Errors] | None = None) -> None:
         """Stand at the start, with other error models than the described ones in force if `models` are given."""
-        state = self.start.state
+        state, ended_s = self.start.state, self.time_s if models is not None else 0.0
         assert state.covariance is not None
         counts = dict.fromkeys(COUNTED, 0)
         self.intake = Intake(self.vehicle.drive, state.time_s, counts)
@@ -112,7 +112,10 @@ class Filter:
             )
         )
         if self.tape is not None:
-            self.tape.begin(self.layout)
+            if models is None:
+                self.tape.begin(self.layout)
+            else:
+                self.tape.begin_again(self.layout, ended_s)
             for name, sensor in self.in_force.sensors.items():
                 self.tape.column(name, sensor.axes)
                 self.tape.models[name] = [(state.time_s, sensor.error)]

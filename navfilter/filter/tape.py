@@ -6,6 +6,9 @@ day-long mission needs no more memory than an hour.
 
 from __future__ import annotations
 
+import bisect
+import copy
+import math
 import tempfile
 from array import array
 from dataclasses import dataclass, field
@@ -150,6 +153,13 @@ class _Column:
         row[0], row[3] = time_s, code
         self.used += 1
 
+    def after(self, before: _Column) -> _Column:
+        """This column, its first rows those of the one before."""
+        joined = _Column(self.axes)
+        joined.rows = np.concatenate([before.rows[: before.used], self.rows[before.used : self.used]])
+        joined.used = len(joined.rows)
+        return joined
+
     def residuals(self) -> Residuals:
         r, a = self.rows[: self.used], self.axes
         return Residuals(
@@ -185,6 +195,22 @@ class Tape:
 
     def begin(self, layout: Any) -> None:
         """Start anew with a layout of the states; what was written before is forgotten."""
+        self.given: Tape | None = None
+        self.ended_s = math.inf
+        self._fresh(layout)
+
+    def begin_again(self, layout: Any, time_s: float) -> None:
+        """The run goes back to its start: what it has given out until this time [s] is kept beside what it now writes.
+
+        There the tape before is `given`, and that of an earlier time its `given`; their records are forgotten, for the
+        smoother works on what is written last.
+        """
+        before = copy.copy(self)
+        before.ended_s, before.records, before._heads = time_s, Spool(0), array("q")
+        self.given = before
+        self._fresh(layout)
+
+    def _fresh(self, layout: Any) -> None:
         self.records = Spool(self._memory_bytes)
         self._heads = array("q")  # a, m, b, start of each record
         self.rows = Spool(self._memory_bytes)
@@ -249,5 +275,41 @@ class Tape:
         return self.columns.setdefault(name, _Column(axes))
 
     def residuals(self) -> dict[str, Residuals]:
-        """Residuals of every sensor that was heard of."""
+        """Residuals of every sensor that was heard of, of the last time that the run began."""
         return {name: column.residuals() for name, column in self.columns.items()}
+
+    # ---------------------------------------------------------------- as first given out
+    def first_rows(self) -> list[tuple[Tape, range]]:
+        """Where the rows stand that were the first ones of their times, in order: a tape, and its rows."""
+        if self.given is None:
+            return [(self, range(len(self.row_times)))]
+        before = self.given
+        # a row of the moment itself was given out before, or it was not
+        after = bisect.bisect_right if before.row_times[-1] == before.ended_s else bisect.bisect_left
+        begin = after(self.row_times, before.ended_s)
+        return [*before.first_rows(), (self, range(begin, len(self.row_times)))]
+
+    def first_residuals(self) -> dict[str, Residuals]:
+        """Residuals of every sensor, those before the run began again as they were then.
+
+        A reading leaves one row whenever it is fed, so that as many rows are repeated as there were.
+        """
+        return {name: column.residuals() for name, column in self._first_columns().items()}
+
+    def _first_columns(self) -> dict[str, _Column]:
+        if self.given is None:
+            return self.columns
+        before = self.given._first_columns()
+        return {name: column.after(before[name]) if name in before else column for name, column in self.columns.items()}
+
+    def first_models(self) -> dict[str, list[tuple[float, Any]]]:
+        """Error models by sensor, and from when they were in force before anything was run again."""
+        if self.given is None:
+            return self.models
+        result, now_s = dict(self.given.first_models()), self.given.ended_s
+        for name, history in self.models.items():
+            before = result.get(name, [])
+            there = [model for time_s, model in history if time_s <= now_s][-1:]
+            adopted = [(now_s, model) for model in there if not before or model != before[-1][1]]
+            result[name] = [*before, *adopted, *((t, model) for t, model in history if t > now_s)]
+        return result

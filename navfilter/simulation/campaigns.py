@@ -3,28 +3,21 @@
 Every scenario comes on two motions (lawnmower and straight transit) and with two gyros (tactical and micromechanical),
 and all of them with three losses of the DVL, outliers of compass, DVL and GPS, fixes at the surface only, and a
 surfacing at the end.
-
-The models "of the thesis" are those of J. Ah-Chong, "Static error modeling of sensors applicable to ocean systems",
-Florida Atlantic University, 2003, Appendix A; the docstring of each says which table, and what had to be changed before
-a stationary process could be drawn from it. Most of the printed models hold a unit root or are unstable, see
-`_thesis_compass` and the others.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-import numpy as np
-
-from navfilter.error_models import Arma, ErrorModel, GaussMarkov, RandomWalk, White
 from navfilter.mission import Mission
 from navfilter.simulation.faults import Changing, Faults, Models
+from navfilter.simulation.hard_errors import HARD
 from navfilter.simulation.manoeuvres import Lawnmower
 from navfilter.simulation.motion import Motion
-from navfilter.simulation.scenarios import COMPASS, dive, survey_vehicle
+from navfilter.simulation.scenarios import dive, survey_vehicle
 from navfilter.simulation.simulate import StartErrors, simulate
+from navfilter.simulation.studies import BELIEF, USUAL, Study
 from navfilter.vehicle import Vehicle
 
 __all__ = ["GYROS", "MOTIONS", "STUDIES", "Staged", "Study", "stage"]
@@ -35,48 +28,8 @@ GYROS = ("tactical", "mems")
 WINDOW = 4000
 
 _DEG = math.pi / 180.0
-_RATE_HZ = 8.0
-#: What the operator says of the compass, whatever it really does.
-BELIEF = COMPASS + White(sd=0.1 * _DEG)
-
-
-@dataclass(frozen=True)
-class Study:
-    """How one sensor really errs in a campaign.
-
-    Parameters
-    ----------
-    about : str
-        One line for listings.
-    sensor : str
-        Name of the sensor, or "gyro".
-    kind : "white", "gm1", "smooth", "oscillating" or "changing"
-        What may be expected of a model: whether white or Gauss-Markov noise is the truth, whether the error is coloured
-        but smooth (one hump at zero frequency, perhaps on white noise), whether it also swings, or whether no fixed
-        model is the truth.
-    error : callable
-        Takes the vehicle as described and the duration in s, returns the true error of the sensor.
-    equip : callable, optional
-        Changes the vehicle before the mission: rate, belief, calibration states.
-    duration_s : float
-        When nothing else is asked for, s.
-    rest_s, fixes_s : float
-        At rest before the start; under way at the surface, with fixes, before the dive, s.
-    """
-
-    about: str
-    sensor: str
-    kind: str
-    error: Callable[[Vehicle, float], Models | Changing]
-    equip: Callable[[Vehicle], Vehicle] = lambda vehicle: vehicle
-    duration_s: float = 1800.0
-    rest_s: float = 20.0
-    fixes_s: float = 45.0
-
-    @property
-    def coloured(self) -> bool:
-        """Whether neither white nor first-order Gauss-Markov noise is the truth."""
-        return self.kind not in ("white", "gm1")
+#: The scenarios of campaigns by name.
+STUDIES: dict[str, Study] = USUAL | HARD
 
 
 @dataclass(frozen=True)
@@ -90,16 +43,20 @@ class Staged:
     study : Study
     vehicle : Vehicle
         As its operator describes it.
+    real : Vehicle
+        As it is, but for the errors in `faults`.
     motion : Motion
     faults : dict of str to Faults
     truth : dict of str to error models, or None
-        What is really the matter with the sensor under study; None where it changes during the mission.
+        What is really the matter with the sensor under study, as near as a model can say it; None where it changes
+        during the mission.
     duration_s : float
     """
 
     name: str
     study: Study
     vehicle: Vehicle
+    real: Vehicle
     motion: Motion
     faults: dict[str, Faults]
     truth: dict[str, Models] | None
@@ -115,10 +72,21 @@ class Staged:
         """Duration of the learner's first window [s]."""
         return WINDOW / self.vehicle.sensors[self.learnt].rate_hz
 
+    @property
+    def oracle(self) -> Vehicle | None:
+        """The vehicle whose operator knows the truth; None where it changes during the mission."""
+        return None if self.truth is None else self.real.with_error(**self.truth)  # type: ignore[arg-type]
+
+    @property
+    def changes_s(self) -> float | None:
+        """When the error changes [s]."""
+        error = self.faults[self.study.sensor].true_error
+        return error.steps[1][0] if isinstance(error, Changing) and len(error.steps) > 1 else None
+
     def mission(self, seed: int) -> Mission:
         """Simulate the mission of one seed, with its truth."""
         how = {"duration_s": self.duration_s, "faults": self.faults, "start": StartErrors(), "truth_rate_hz": 5.0}
-        return simulate(self.vehicle, self.motion, seed=seed, name=f"{self.name}/{seed}", **how)  # type: ignore[arg-type]
+        return simulate(self.real, self.motion, seed=seed, name=f"{self.name}/{seed}", **how)  # type: ignore[arg-type]
 
 
 def stage(
@@ -173,19 +141,19 @@ def stage(
     drive = replace(plain.drive, rate_hz=float(imu_rate_hz))
     vehicle = study.equip(Vehicle(drive, dict(plain.sensors), plain.name).with_error(compass=BELIEF))
     error = study.error(vehicle, duration)
-    faults = _faults(duration, study.sensor, error)
-    truth = None if isinstance(error, Changing) else {study.sensor: error}
-    course = _motion(motion, duration, study)
-    return Staged(f"{key}/{motion}/{gyro}", study, vehicle, course, faults, truth, duration)
+    faults = _faults(duration, study, error)
+    truth = None if isinstance(error, Changing) else {study.sensor: error if study.told is None else study.told}
+    course, real = _motion(motion, duration, study), study.really(vehicle)
+    return Staged(f"{key}/{motion}/{gyro}", study, vehicle, real, course, faults, truth, duration)
 
 
 def _motion(name: str, duration_s: float, study: Study) -> Motion:
     """Shallow, with short legs: turns fill a third of the lawnmower."""
-    pattern = None if name == "transit" else lambda legs: (Lawnmower(legs, 60.0),)
+    pattern = None if name == "transit" else lambda legs: (Lawnmower(legs, study.leg_m),)
     return dive(duration_s, pattern, (study.fixes_s, 45.0), 10.0, study.rest_s)
 
 
-def _faults(duration_s: float, sensor: str, error: Models | Changing) -> dict[str, Faults]:
+def _faults(duration_s: float, study: Study, error: Models | Changing) -> dict[str, Faults]:
     """DVL losses of 30, 60 and 15 s (less in a short mission), outliers, fixes at the surface only.
 
     Longer losses would leave errors of position that drown those of the heading: 2 minutes on inertia cost 40 m.
@@ -201,163 +169,6 @@ def _faults(duration_s: float, sensor: str, error: Models | Changing) -> dict[st
         "compass": Faults(outlier_probability=0.002, outlier_sd=20.0 * _DEG),
         "gyro": Faults(),
     }
-    faults[sensor] = replace(faults[sensor], true_error=error)
+    sensor = study.sensor
+    faults[sensor] = replace(faults.get(sensor, Faults()), true_error=error, **study.faulty)
     return faults
-
-
-# --- the errors -----------------------------------------------------------------------------------------------------
-
-
-def _always(error: Models) -> Callable[[Vehicle, float], Models]:
-    return lambda vehicle, duration_s: error
-
-
-def _rated(sensor: str, rate_hz: float) -> Callable[[Vehicle], Vehicle]:
-    """The vehicle with another rate of one sensor."""
-
-    def equip(vehicle: Vehicle) -> Vehicle:
-        sensors = dict(vehicle.sensors)
-        sensors[sensor] = replace(sensors[sensor], rate_hz=rate_hz)
-        return Vehicle(vehicle.drive, sensors, vehicle.name)
-
-    return equip
-
-
-def scaled(ar: tuple[float, ...], ma: tuple[float, ...], sd: float) -> Arma:
-    """An ARMA model whose series, not whose innovation, has this standard deviation."""
-    return Arma(ar=ar, ma=ma, sd=sd / math.sqrt(Arma(ar=ar, ma=ma, sd=1.0).block(1.0).P0[0, 0]))
-
-
-def swing(sd: float, period_s: float, radius: float, rate_hz: float = _RATE_HZ) -> Arma:
-    """An oscillation as an AR(2): a pair of poles of this radius."""
-    return scaled((-2.0 * radius * math.cos(2.0 * math.pi / (period_s * rate_hz)), radius**2), (), sd)
-
-
-def _slow(sd: float, tau_s: float = 60.0) -> Arma:
-    """A slow error that begins smoothly: AR(2) with the pole of `tau_s` at 8 Hz and one at 0.5."""
-    pole = math.exp(-1.0 / (tau_s * _RATE_HZ))
-    return scaled((-(pole + 0.5), 0.5 * pole), (), sd)
-
-
-def _mixed() -> Arma:
-    """The "compass-like" (4,2): poles 0.97, 0.5 and a pair of radius 0.9 at 0.8 rad; zeros 0.85 and -0.3."""
-    pair = 0.9 * np.exp(0.8j)
-    ar, ma = np.poly([0.97, 0.5, pair, pair.conjugate()]).real[1:], np.poly([0.85, -0.3])[1:]
-    return scaled(tuple(ar.tolist()), tuple(ma.tolist()), 0.63 * _DEG)
-
-
-# Appendix A, case 2 heading by the whiteness test: (10,0,8), stable as printed (largest pole 0.9991, largest zero
-# 0.9931).
-LAB1_AR = (-0.986, 0.580, -0.615, -0.652, 0.783, -0.355, 0.377, -0.018, 0.020, -0.133)
-LAB1_MA = (-0.931, 0.239, -0.518, -0.515, 0.849, -0.164, 0.191, -0.144)
-LAB1_RATE_HZ = 1.0 / 0.1551
-# Appendix A, case 4 heading by AIC: (10,0,9), a comb of ten samples. Its largest pole, 0.9999, is a unit root within
-# the digits.
-LAB2_AR = (1.438, 1.145, 0.417, -0.466, -1.159, -1.419, -1.133, -0.420, 0.431, 0.168)
-LAB2_MA = (1.990, 2.403, 2.098, 1.202, 0.075, -0.870, -1.268, -0.988, -0.168)
-LAB2_RATE_HZ = 1.0 / 0.11
-# Section 4.3.2.2 finds AR(2) sufficient for the longitude but prints only the AR(10), stable (largest pole 0.943). The
-# AR(2) here has the autocorrelation of that AR(10) at lags 1 and 2 (Yule-Walker).
-GPS_AR = (-0.79427581, -0.17215590)
-GPS_RATE_HZ = 1.0 / 0.134
-
-
-def _thesis_compass() -> Arma:
-    """Case 2 as printed. The sd of the innovation is 0.384 deg: the text's variance 0.1473; the table's 0.4358
-    disagrees with its AIC.
-    """
-    return Arma(ar=LAB1_AR, ma=LAB1_MA, sd=math.sqrt(0.1473) * _DEG)
-
-
-def _comb() -> Arma:
-    """Case 4 with its unit root moved to a correlation time of a minute; 0.5 deg (the printed standard deviations
-    disagree).
-    """
-    poles = np.roots([1.0, *LAB2_AR])
-    poles[np.argmin(np.abs(poles - 1.0))] = math.exp(-1.0 / (60.0 * LAB2_RATE_HZ))
-    return scaled(tuple(np.poly(poles).real[1:].tolist()), LAB2_MA, 0.5 * _DEG)
-
-
-def _thesis_gps() -> tuple[ErrorModel, ...]:
-    """AR(2) of the longitude, 2.27 m per axis (the table's figure read as metres: its unit, minutes, cannot be) and 1.5
-    times that down.
-    """
-    level = scaled(GPS_AR, (), 2.27)
-    return level, level, scaled(GPS_AR, (), 1.5 * 2.27)
-
-
-def _thesis_gyro(vehicle: Vehicle, duration_s: float) -> tuple[ErrorModel, ...]:
-    """The (2,2) part of the roll rate's (3,0,3), a line next to the Nyquist frequency; size and bias are those of the
-    vehicle's gyro.
-
-    The printed model is not stable (pole 1.0003). That pole and the zero 0.994 next to it are a bias that wanders under
-    white noise, which the vehicle's description has already; what is left is stable: poles 0.9994, zeros 0.9924, at 179
-    and 178 degrees. Section 4.4.2 calls (2,2) sufficient for all three axes but prints no coefficients of that order.
-    """
-    pole, zero = -0.99912509 + 0.02234216j, -0.99197650 + 0.03063750j
-    ar, ma = (-2.0 * pole.real, abs(pole) ** 2), (-2.0 * zero.real, abs(zero) ** 2)
-    imu = vehicle.drive
-    errors: list[ErrorModel] = []
-    for model in imu.models[:3]:
-        block = model.block(imu.period_s)
-        at_zero = (1.0 + sum(ma)) / (1.0 + sum(ar))
-        walk = next(part for part in getattr(model, "parts", (model,)) if isinstance(part, RandomWalk))
-        # the same density at low frequencies as the white noise that the operator believes in
-        errors.append(walk + Arma(ar=ar, ma=ma, sd=math.sqrt(block.r) / at_zero))
-    return tuple(errors)
-
-
-def _waves(vehicle: Vehicle, duration_s: float) -> tuple[ErrorModel, ...]:
-    """DVL: a slow error and one that swings with the waves, on white noise; the vertical axis is quiet."""
-    level = GaussMarkov(sd=0.008, tau_s=20.0) + swing(0.012, 7.0, 0.96, 4.0) + White(sd=0.006)
-    return level, level, GaussMarkov(sd=0.003, tau_s=20.0) + White(sd=0.006)
-
-
-def _calibrating(vehicle: Vehicle) -> Vehicle:
-    """The vehicle whose DVL has a scale error and a misalignment as states, 0.5 % and 0.3 deg."""
-    sensors = dict(vehicle.sensors)
-    sensors["dvl"] = replace(sensors["dvl"], scale_sd=0.005, misalignment_sd_rad=0.3 * _DEG)  # type: ignore[call-arg]
-    return Vehicle(vehicle.drive, sensors, vehicle.name)
-
-
-def _changes(before: ErrorModel, after: ErrorModel) -> Callable[[Vehicle, float], Changing]:
-    """After a third of the mission."""
-    return lambda vehicle, duration_s: Changing(((0.0, before), (duration_s / 3.0, after)))
-
-
-def _compass(about: str, kind: str, error: ErrorModel, rate_hz: float = _RATE_HZ) -> Study:
-    return Study(about, "compass", kind, _always(error), _rated("compass", rate_hz))
-
-
-_GM1 = GaussMarkov(sd=0.5 * _DEG, tau_s=15.0)
-
-#: The scenarios of campaigns by name.
-STUDIES: dict[str, Study] = {
-    "compass-white": _compass("white, 0.5 deg", "white", White(sd=0.5 * _DEG)),
-    "compass-gm1": _compass("first-order Gauss-Markov, 0.5 deg, 15 s", "gm1", _GM1),
-    "compass-gm1-white": _compass("the same on white noise of 0.3 deg", "smooth", _GM1 + White(sd=0.3 * _DEG)),
-    "compass-gm2": _compass("second-order Gauss-Markov, 0.5 deg, 10 "
-                            "s", "smooth", GaussMarkov(sd=0.5 * _DEG, tau_s=10.0, order=2)),
-    "compass-mixed": _compass("a hump, a wide peak at 1 Hz and white noise: ARMA(4,2), 0.63 deg", "smooth", _mixed()),
-    "compass-swell": _compass("slow, and swings with a period of 6 s: ARMA(4,2), 0.5 deg", "oscillating",
-                              _slow(0.35 * _DEG) + swing(0.35 * _DEG, 6.0, 0.99)),
-    "compass-rolling": _compass("slow, and swings with a period of 1.5 s: ARMA(4,2), 0.5 deg", "oscillating",
-                                _slow(0.35 * _DEG) + swing(0.35 * _DEG, 1.5, 0.95)),
-    "compass-comb": _compass("thesis, case 4: slow, and a comb of ten samples: ARMA(10,9), 0.5 "
-                             "deg", "oscillating", _comb(), LAB2_RATE_HZ),
-    "compass-thesis": _compass("thesis, case 2 as printed: ARMA(10,8), 0.43 "
-                               "deg", "smooth", _thesis_compass(), LAB1_RATE_HZ),
-    "gps-thesis": Study("thesis, longitude: AR(2), 2.3 m; a third of the way at the surface", "gps", "smooth",
-                        _always(_thesis_gps()), _rated("gps", GPS_RATE_HZ), 2700.0, fixes_s=1080.0),
-    "gyro-thesis": Study("thesis, roll rate: bias and ARMA(2,2) at the Nyquist frequency; long rest "
-                         "first", "gyro", "smooth",
-                         _thesis_gyro, rest_s=180.0),
-    "dvl-coloured": Study("DVL slow and with the waves, ARMA(3,3), with scale and misalignment as "
-                          "states", "dvl", "oscillating",
-                          _waves, _calibrating, 2700.0),
-    "compass-triples": Study("Gauss-Markov whose standard deviation trebles after a third", "compass", "changing",
-                             _changes(_GM1, GaussMarkov(sd=1.5 * _DEG, tau_s=15.0)), duration_s=2700.0),
-    "compass-recoloured": Study("Gauss-Markov that becomes white noise and a swing of 1.5 s after a "
-                                "third", "compass", "changing",
-                                _changes(_GM1, White(sd=0.3 * _DEG) + swing(0.5 * _DEG, 1.5, 0.95)), duration_s=2700.0),
-}  # fmt: skip

@@ -9,14 +9,9 @@ matter.
 from __future__ import annotations
 
 import hashlib
-import multiprocessing
-import os
-import signal
-import threading
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
+from concurrent.futures import Executor, Future, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from functools import cache
 from importlib.metadata import version
@@ -26,17 +21,15 @@ from typing import Any
 import numpy as np
 
 from navfilter.evaluation.montecarlo.scores import TRACKS, curve_times, run_record
+from navfilter.evaluation.montecarlo.slots import Slots, slots
 from navfilter.evaluation.montecarlo.store import Record, Store
-from navfilter.evaluation.rivals import rivals
+from navfilter.evaluation.rivals import fitted_kinds, rivals
 from navfilter.mission import Mission
-from navfilter.playback import replay
+from navfilter.playback import replay, replay_heard
 from navfilter.simulation.campaigns import Staged, stage
-from navfilter.vehicle import Vehicle
+from navfilter.track import Track
 
-__all__ = ["Campaign", "Results", "cluster", "collect", "process_pool", "run_campaign", "run_seed"]
-
-#: Threads inside a worker would only get into each other's way, and could change the last digit.
-_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+__all__ = ["Campaign", "Results", "collect", "program", "run_campaign", "run_seed"]
 
 
 @dataclass(frozen=True)
@@ -94,6 +87,11 @@ class Campaign:
         return _staged(self)
 
     @property
+    def slots(self) -> Slots:
+        """Parts of the mission that are scored apart."""
+        return slots(float(self.duration_s or 0.0), self.staged.changes_s)
+
+    @property
     def settings(self) -> dict[str, Any]:
         """As they stand in ``campaign.json``, the state of the program included."""
         return {**asdict(self), "program": program()}
@@ -130,7 +128,7 @@ def program() -> str:
     digest = hashlib.sha256()
     for path in sorted(root.rglob("*.py")):
         place = path.relative_to(root)
-        if place.parts[0] not in aside or place.name == "scores.py":
+        if place.parts[0] not in aside or place.name in ("scores.py", "slots.py"):
             digest.update(place.as_posix().encode() + b"\0" + path.read_bytes())
     return f"{version('navfilter')} {digest.hexdigest()[:12]}"
 
@@ -150,28 +148,33 @@ def run_seed(campaign: Campaign, seed: int, models: Sequence[str]) -> dict[str, 
     dict of str to dict of str to ndarray
         By model, see `navfilter.evaluation.montecarlo.scores.run_record`.
     """
-    staged = campaign.staged
+    staged, records = campaign.staged, {}
     mission = staged.mission(seed)
-    records = {}
-    for model, vehicle in _vehicles(models, staged, mission).items():
-        track = replay(vehicle, mission, smooth=campaign.smooth, output_rate_hz=1.0)
-        records[model] = run_record(track, mission, staged.learnt, float(campaign.score_from_s or 0.0))
-    return records
+    for model, track in _tracks(campaign, staged, mission, models):
+        records[model] = run_record(track, mission, staged.learnt, float(campaign.score_from_s or 0.0), campaign.slots)
+    return {model: records[model] for model in models}
 
 
-def _vehicles(models: Sequence[str], staged: Staged, mission: Mission) -> dict[str, Vehicle]:
-    """The vehicle with each model on the sensor under study; everything else as described, which for everything else is
-    the truth.
+def _tracks(campaign: Campaign, staged: Staged, mission: Mission, models: Sequence[str]) -> Iterator[tuple[str, Track]]:
+    """Runs with each model on the sensor under study; everything else as described, which for everything else is the
+    truth.
     """
-    fitted = rivals([m for m in models if m != "oracle"], staged.vehicle, mission, sensors=(staged.learnt,))
+    how: dict[str, Any] = {"smooth": campaign.smooth, "output_rate_hz": 1.0}
     if "oracle" in models:
-        if staged.truth is None:
+        if staged.oracle is None:
             raise ValueError(
                 f'"oracle" needs one true model for the whole mission, but {staged.name} changes. Leave it out.'
             )
-        # the truth may be that of the gyro, which no rival replaces
-        fitted["oracle"] = staged.vehicle.with_error(**staged.truth)  # type: ignore[arg-type]
-    return {model: fitted[model] for model in models}
+        # not a rival by sensors: the truth may be that of the gyro, or more than an error model
+        yield "oracle", replay(staged.oracle, mission, **how)
+    series, others = None, [model for model in models if model != "oracle"]
+    if "vehicle" in others and fitted_kinds(others):
+        # one run of the vehicle as described gives its track and the series that the others are fitted to
+        track, series = replay_heard(staged.vehicle, mission, (staged.learnt,), **how)
+        yield "vehicle", track
+        others.remove("vehicle")
+    vehicles = rivals(others, staged.vehicle, mission, sensors=(staged.learnt,), series=series)
+    yield from ((model, replay(vehicle, mission, **how)) for model, vehicle in vehicles.items())
 
 
 @dataclass(frozen=True)
@@ -185,6 +188,8 @@ class Results:
     seeds : ndarray, shape (n,)
     scores : ndarray, shape (models, 2, n, len(SCORES))
         By track: forward, smoothed (NaN when it was not run).
+    slots : ndarray, shape (models, 2, n, len(campaign.slots), len(SLOT_SCORES))
+        The same apart, see `navfilter.evaluation.montecarlo.slots`.
     curves : ndarray of float32, shape (models, 2, n, len(CURVES), m)
     time_s : ndarray, shape (m,)
         Of the curves.
@@ -196,6 +201,7 @@ class Results:
     models: tuple[str, ...]
     seeds: np.ndarray
     scores: np.ndarray
+    slots: np.ndarray
     curves: np.ndarray
     time_s: np.ndarray
     cpu_s: np.ndarray
@@ -226,7 +232,7 @@ def run_campaign(
     folder : path
         Finished runs are kept there as they come; a campaign that was stopped continues from them.
     executor : concurrent.futures.Executor, optional
-        See `process_pool` and `cluster`. Default: this process.
+        See `navfilter.evaluation.montecarlo.workers`. Default: this process.
     progress : callable, optional
         Called with the number of runs finished, those found in the folder included.
 
@@ -295,111 +301,16 @@ def collect(campaign: Campaign, seeds: Sequence[int], models: Sequence[str], sto
             )
         records.append([record for record in loaded if record is not None])
     stacked = {
-        key: np.array([[record[key] for record in row] for row in records]) for key in ("scores", "curves", "cpu_s")
+        key: np.array([[record[key] for record in row] for row in records])
+        for key in ("scores", "slots", "curves", "cpu_s")
     }
     return Results(
         campaign,
         tuple(models),
         np.array(seeds),
         np.swapaxes(stacked["scores"], 1, 2),
+        np.swapaxes(stacked["slots"], 1, 2),
         np.swapaxes(stacked["curves"], 1, 2),
         curve_times(float(campaign.duration_s or 0.0)),
         stacked["cpu_s"],
     )
-
-
-@contextmanager
-def process_pool(workers: int | None = None) -> Iterator[Executor]:
-    """Worker processes on this machine.
-
-    Parameters
-    ----------
-    workers : int, optional
-        Default: as many as there are processors for this process.
-    """
-    # Spawned, not forked: a fork of a process with threads can hang, and all systems behave alike.
-    context = multiprocessing.get_context("spawn")
-    before = set(multiprocessing.active_children())
-    with _single_threaded():
-        pool = ProcessPoolExecutor(workers or available_cores(), context, initializer=_prepare_worker)
-        try:
-            yield pool
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            ours = set(multiprocessing.active_children()) - before
-            for process in ours:
-                process.terminate()
-            for process in ours:
-                process.join(10.0)
-            raise
-        pool.shutdown()
-
-
-@contextmanager
-def cluster(address: str) -> Iterator[Executor]:
-    """The workers of a Dask cluster.
-
-    Parameters
-    ----------
-    address : str
-        Of its scheduler, such as "tcp://10.0.0.1:8786". The workers need navfilter in the same version.
-
-    Raises
-    ------
-    ValueError
-        Without the extra ``dask``, when nobody answers there, and when a worker runs another version of navfilter.
-    """
-    try:
-        from distributed import Client
-    except ImportError:
-        raise ValueError("--dask needs dask.distributed: pip install 'navfilter[dask]'.") from None
-    try:
-        client = Client(address, timeout="20s", set_as_default=False)
-    except (OSError, TimeoutError, ValueError) as error:
-        raise ValueError(f'no Dask scheduler answers at "{address}" ({error}).') from None
-    with client:
-        other = sorted({str(theirs) for theirs in client.run(program).values()} - {program()})
-        if other:
-            raise ValueError(
-                f"the cluster's workers run navfilter {', '.join(other)}, here it is {program()}. Install the same one "
-                "on all."
-            )
-        # not pure: every seed is computed, none taken from a cache of results
-        yield client.get_executor(pure=False)
-
-
-def available_cores() -> int:
-    """Processors that this process may use."""
-    try:
-        return len(os.sched_getaffinity(0))
-    except AttributeError:  # not on macOS and Windows
-        return os.cpu_count() or 1
-
-
-def _prepare_worker() -> None:
-    """Ctrl-C reaches the workers too, but only the parent shall act on it; a worker whose parent is killed must not
-    wait for ever.
-    """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
-
-
-def _end_with(parent: Any) -> None:
-    parent.join()
-    os._exit(1)
-
-
-@contextmanager
-def _single_threaded() -> Iterator[None]:
-    before = {name: os.environ.get(name) for name in _THREADS}
-    os.environ.update(dict.fromkeys(_THREADS, "1"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value

@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.diagnostics import whiteness
+from navfilter.evaluation.montecarlo.slots import SLOT_SCORES, Slots, slot_figures
 from navfilter.filter.tape import Residuals
 from navfilter.mission import Mission
-from navfilter.track import Track
+from navfilter.track import Track, TrackErrors
 
 __all__ = ["CURVES", "SCORES", "TRACKS", "curve_times", "run_record"]
 
@@ -42,7 +43,7 @@ def curve_times(duration_s: float) -> Array:
     return np.arange(0.0, duration_s + 1e-6, max(1.0, math.ceil(duration_s / 400.0)))
 
 
-def run_record(track: Track, mission: Mission, sensor: str, score_from_s: float) -> dict[str, Array]:
+def run_record(track: Track, mission: Mission, sensor: str, score_from_s: float, cut: Slots = ()) -> dict[str, Array]:
     """The figures and curves of one run.
 
     Parameters
@@ -55,28 +56,36 @@ def run_record(track: Track, mission: Mission, sensor: str, score_from_s: float)
         The correcting sensor that is studied.
     score_from_s : float
         Time [s] from which the run is scored.
+    cut : Slots
+        That are scored apart.
 
     Returns
     -------
     dict of str to ndarray
-        "scores" (2, len(SCORES)) and "curves" (2, len(CURVES), m) by track, NaN where there is none; "cpu_s" ().
+        "scores" (2, len(SCORES)), "slots" (2, len(cut), len(SLOT_SCORES)) and "curves" (2, len(CURVES), m) by track,
+        NaN where there is none; "cpu_s" ().
     """
     times = curve_times(mission.duration_s)
     scores, curves = np.full((2, len(SCORES)), np.nan), np.full((2, len(CURVES), times.size), np.nan)
+    apart = np.full((2, len(cut), len(SLOT_SCORES)), np.nan)
     forward = track.forward or track
     for i, one in enumerate((forward, track)[: 1 if track.forward is None else 2]):
-        figures, curves[i] = _track_figures(one, mission, score_from_s, times)
+        if mission.truth is None:
+            raise ValueError("A run can only be scored against a mission that holds the truth.")
+        errors = one.errors(mission.truth)
+        nees = one.nees(errors)
+        figures, curves[i] = _track_figures(one, mission, errors, nees, score_from_s, times)
+        apart[i] = slot_figures(one, errors, nees, cut)
         if i == 0:
             figures |= _sensor_figures(one, sensor, score_from_s)
         scores[i] = [figures.get(name, np.nan) for name in SCORES]
-    return {"scores": scores, "curves": curves.astype(np.float32), "cpu_s": np.array(track.cpu_s)}
+    record = {"scores": scores, "slots": apart, "curves": curves.astype(np.float32)}
+    return record | {"cpu_s": np.array(track.cpu_s)}
 
 
-def _track_figures(track: Track, mission: Mission, score_from_s: float, times: Array) -> tuple[dict[str, float], Array]:
-    if mission.truth is None:
-        raise ValueError("A run can only be scored against a mission that holds the truth.")
-    errors = track.errors(mission.truth)
-    nees = track.nees(errors)
+def _track_figures(
+    track: Track, mission: Mission, errors: TrackErrors, nees: dict[str, Array], score_from_s: float, times: Array
+) -> tuple[dict[str, float], Array]:
     series = {
         "heading_rms_deg": np.degrees(errors.heading) ** 2,
         "position_rms_m": errors.horizontal**2,

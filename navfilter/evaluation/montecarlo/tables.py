@@ -8,16 +8,19 @@ import csv
 import io
 import json
 import math
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from navfilter.evaluation.montecarlo.bars import JUDGED, Bar, bar_table, bars
 from navfilter.evaluation.montecarlo.campaign import Results
 from navfilter.evaluation.montecarlo.scores import CURVES, SCORES
+from navfilter.evaluation.montecarlo.slot_tables import SlotRow, slot_rows, slot_table
+from navfilter.evaluation.montecarlo.slots import SLOT_SCORES
 from navfilter.evaluation.montecarlo.statistics import (
     Estimate,
     mean_interval,
@@ -142,7 +145,19 @@ def table(results: Results) -> str:
     compared = ratios(results)
     for reference in dict.fromkeys(row.reference for row in compared):
         parts.append(f"divided by {reference} on the same missions\n{_ratio_block(results, compared, reference)}")
+    apart = slot_rows(results)
+    if apart:
+        parts.append(slot_table(results, apart))
+    if apart and JUDGED in results.models:
+        parts.append(_bar_block(results, bars(campaign, apart)))
     return "\n\n".join(parts)
+
+
+def _bar_block(results: Results, found: list[Bar]) -> str:
+    needed = ("oracle", "gm1-fitted", "vehicle") if results.campaign.staged.oracle else ("gm1-fitted",)
+    without = [name for name in needed if name not in results.models]
+    text = bar_table(found, results.tracks) if found else "no bars"
+    return text + (f"\nbars that need {', '.join(without)} are left out: run them too" if without else "")
 
 
 def _block(
@@ -173,26 +188,44 @@ def _cell(row: Row | None, form: str) -> str:
 
 
 def write_tables(results: Results, folder: Path) -> list[str]:
-    """Write table.txt, results.csv, results.json, runs.npz, and runs.parquet where pyarrow is installed; returns the
-    names.
+    """Write table.txt, results.csv, slots.csv, results.json, runs.npz, and runs.parquet where pyarrow is installed;
+    returns the names.
     """
-    found = [*rows(results), *ratios(results)]
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
     names = ("model", "track", "quantity", "reference", "value", "low", "high", "runs")
-    writer.writerow(names)
-    writer.writerows([_plain(getattr(row, name)) for name in names] for row in found)
+    found, apart = [_dict(row) for row in (*rows(results), *ratios(results))], slot_rows(results)
     content = {
         "campaign": results.campaign.settings,
         "models": list(results.models),
         "seeds": results.seeds.tolist(),
-        "results": [{name: _plain(getattr(row, name)) for name in names} for row in found],
+        "results": found,
+        "slots": [_dict(row) for row in apart],
+        "bars": [_dict(bar) | {"met": bar.met} for bar in bars(results.campaign, apart)],
     }
     write_whole(folder / "table.txt", (table(results) + "\n").encode())
-    write_whole(folder / "results.csv", text.getvalue().encode())
+    write_whole(folder / "results.csv", _csv(names, found))
+    write_whole(folder / "slots.csv", _csv([field.name for field in fields(SlotRow)], content["slots"]))
     write_whole(folder / "results.json", (json.dumps(content, indent=1) + "\n").encode())
     write_whole(folder / "runs.npz", _npz(results))
-    return ["table.txt", "results.csv", "results.json", "runs.npz", *_parquet(results, folder / "runs.parquet")]
+    return [
+        "table.txt",
+        "results.csv",
+        "slots.csv",
+        "results.json",
+        "runs.npz",
+        *_parquet(results, folder / "runs.parquet"),
+    ]
+
+
+def _dict(row: Row | SlotRow | Bar) -> dict[str, Any]:
+    return {field.name: _plain(getattr(row, field.name)) for field in fields(row)}
+
+
+def _csv(names: Sequence[str], found: Iterable[dict[str, Any]]) -> bytes:
+    text = io.StringIO()
+    writer = csv.DictWriter(text, names, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(found)
+    return text.getvalue().encode()
 
 
 def _plain(value: Any) -> Any:
@@ -200,15 +233,22 @@ def _plain(value: Any) -> Any:
 
 
 def _npz(results: Results) -> bytes:
-    buffer = io.BytesIO()
-    labels = {"models": results.models, "tracks": results.tracks, "score_names": SCORES, "curve_names": CURVES}
-    n = len(results.tracks)
-    content = {name: np.array(value) for name, value in labels.items()} | {
-        "time_s": results.time_s,
-        "seeds": results.seeds,
-    }
-    content |= {"scores": results.scores[:, :n], "curves": results.curves[:, :n], "cpu_s": results.cpu_s}
-    np.savez_compressed(buffer, **content)  # type: ignore[arg-type]
+    buffer, n = io.BytesIO(), len(results.tracks)
+    np.savez_compressed(
+        buffer,
+        models=np.array(results.models),
+        tracks=np.array(results.tracks),
+        score_names=np.array(SCORES),
+        slot_score_names=np.array(SLOT_SCORES),
+        curve_names=np.array(CURVES),
+        time_s=results.time_s,
+        slot_times_s=np.array(results.campaign.slots).reshape(-1, 2),
+        seeds=results.seeds,
+        scores=results.scores[:, :n],
+        slots=results.slots[:, :n],
+        curves=results.curves[:, :n],
+        cpu_s=results.cpu_s,
+    )
     return buffer.getvalue()
 
 

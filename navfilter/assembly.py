@@ -1,0 +1,147 @@
+"""From what a run has written down to its tracks: as first given out, run again, and smoothed."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navfilter.filter.smoother import smooth_rows
+from navfilter.filter.tape import Tape
+from navfilter.navigator import Navigator
+from navfilter.state import euler_from_matrix, rotation_matrix
+from navfilter.track import Track
+
+__all__ = ["bar", "forward_track", "smoothed_track"]
+
+Array = NDArray[np.float64]
+
+
+class _Rows:
+    """Arrays of a track while its rows are gathered: states that do not exist at a time are NaN."""
+
+    def __init__(self, parts: Sequence[tuple[Tape, range]]) -> None:
+        n = sum(len(rows) for _, rows in parts)
+        units: dict[str, str] = {}
+        for tape, _ in parts:
+            for layout in tape.layouts:
+                units |= dict(zip(layout.names, layout.units, strict=True))
+        order = {name: i for i, name in enumerate(units)}
+        groups = [*parts[-1][0].layouts[-1].groups]
+        self.names = tuple(sorted(units, key=lambda name: (_group(name, groups), order[name])))
+        self.units = tuple(units[name] for name in self.names)
+        self.at = {name: i for i, name in enumerate(self.names)}
+        self.time_s = np.array([tape.row_times[i] for tape, rows in parts for i in rows])
+        self.packed, self.P = np.empty((n, 17)), np.empty((n, 9, 9))
+        self.x, self.variance = np.full((n, len(units)), np.nan), np.full((n, len(units)), np.nan)
+
+    def places(self, tape: Tape) -> list[NDArray[np.int64]]:
+        """Columns of the states of each layout of a tape."""
+        return [np.array([self.at[name] for name in layout.names], dtype=int) for layout in tape.layouts]
+
+    def put(
+        self, i: int, places: NDArray[np.int64], row: Array, P: Array, variance: Array, correction: Array | float = 0.0
+    ) -> None:
+        self.packed[i], self.P[i] = row[:17], P
+        self.x[i, places], self.variance[i, places] = row[17 : 17 + len(places)] + correction, variance
+
+
+def _group(name: str, groups: list[str]) -> int:
+    """Place of a state's sensor in the vehicle; -1 for the drive's."""
+    return next((i for i, group in enumerate(groups) if name.startswith((f"{group}_", f"{group}[", f"{group}."))), -1)
+
+
+def forward_track(nav: Navigator, name: str, cpu_s: float) -> Track:
+    """The track as first given out, with what was made of it later where something was run again."""
+    tape = _tape(nav)
+    first = _assemble("forward", nav, _gathered(tape.first_rows()), name, cpu_s)
+    if tape.given is None:
+        return first
+    revised = _assemble("revised", nav, _gathered([(tape, range(len(tape.row_times)))]), name, cpu_s)
+    residuals, models = tape.first_residuals(), tape.first_models()
+    return dataclasses.replace(first, residuals=residuals, error_models=models, revised=revised)
+
+
+def _gathered(parts: Sequence[tuple[Tape, range]]) -> _Rows:
+    rows, done = _Rows(parts), 0
+    for tape, those in parts:
+        places = rows.places(tape)
+        for i in those:
+            row, columns = tape.rows[i], places[tape.row_layouts[i]]
+            k = len(columns)
+            rest = row[17 + k :]
+            if tape.smoothable:
+                covariance = rest.reshape(k + 9, k + 9)
+                rows.put(done, columns, row, covariance[:9, :9], covariance.diagonal()[9:])
+            else:
+                rows.put(done, columns, row, rest[:81].reshape(9, 9), rest[81:])
+            done += 1
+    return rows
+
+
+def _assemble(label: str, nav: Navigator, rows: _Rows, name: str, cpu_s: float, forward: Track | None = None) -> Track:
+    tape, packed = _tape(nav), rows.packed
+    return Track(
+        label=label,
+        vehicle=nav.vehicle,
+        mission_name=name,
+        time_s=rows.time_s,
+        latitude=packed[:, 0],
+        longitude=packed[:, 1],
+        height=packed[:, 2],
+        velocity_n=packed[:, 3:6],
+        attitude=euler_from_matrix(packed[:, 6:15].reshape(-1, 3, 3)),
+        covariance=rows.P,
+        states=rows.x,
+        states_sd=np.sqrt(np.maximum(rows.variance, 0.0)),
+        state_names=rows.names,
+        state_units=rows.units,
+        residuals=tape.residuals(),
+        error_models=tape.models,
+        counts=dict(nav.counts),
+        cpu_s=cpu_s,
+        forward=forward,
+    )
+
+
+def smoothed_track(forward: Track, nav: Navigator, began: float, progress: bool) -> Track:
+    """The smoother's track; the run began at this processor time [s]."""
+    tape = _tape(nav)
+    rows = _Rows([(tape, range(len(tape.row_times)))])
+    places, correction = rows.places(tape), np.empty((len(tape.row_times), 9))
+
+    def store(i: int, row: Array, mean: Array, covariance: Array) -> None:
+        correction[i] = mean[:9]
+        columns = places[tape.row_layouts[i]]
+        rows.put(i, columns, row, covariance[:9, :9], covariance.diagonal()[9:], mean[9:])
+
+    shown = bar(len(tape.records), "smoother", progress)
+    smooth_rows(tape, store, None if shown is None else shown.update)
+    if shown is not None:
+        shown.close()
+    packed = rows.packed
+    packed[:, 6:15] = (rotation_matrix(correction[:, 6:]) @ packed[:, 6:15].reshape(-1, 3, 3)).reshape(-1, 9)
+    packed[:, 0] += correction[:, 0] / packed[:, 15]
+    packed[:, 1] += correction[:, 1] / (packed[:, 16] * np.cos(packed[:, 0]))
+    packed[:, 2] -= correction[:, 2]
+    packed[:, 3:6] += correction[:, 3:6]
+    return _assemble("smoothed", nav, rows, forward.mission_name, time.process_time() - began, forward)
+
+
+def _tape(nav: Navigator) -> Tape:
+    tape = nav.filter.tape
+    assert tape is not None
+    return tape
+
+
+def bar(total: int, what: str, progress: bool) -> Any:
+    """A progress bar on standard error; None where none is wanted."""
+    if not progress:
+        return None
+    from tqdm import tqdm
+
+    return tqdm(total=total, desc=what, unit="", leave=False, mininterval=0.2)

@@ -1,0 +1,158 @@
+"""What a campaign says slot by slot: figures with intervals over its runs, and how they compare with those of the truth
+and of other models.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navfilter.evaluation.montecarlo.campaign import Results
+from navfilter.evaluation.montecarlo.slots import RMS, SLOT_SCORES, Slots
+from navfilter.evaluation.montecarlo.statistics import Estimate, mean_interval, ratio_interval, rms_interval
+from navfilter.report.page import table_text
+
+__all__ = ["SlotRow", "named", "slot_rows", "slot_table"]
+
+Array = NDArray[np.float64]
+
+#: By reference: what is divided by its own.
+_RATIOS = {
+    "oracle": tuple(name for name in SLOT_SCORES if not name.startswith("beyond")),
+    "gm1-fitted": tuple(name for name in SLOT_SCORES if "_rms_" in name),
+    "vehicle": tuple(name for name in SLOT_SCORES if "_rms_" in name),
+}
+#: By figure: the columns of its table, as (quantity, reference, title, format, factor).
+_TABLES = {
+    "heading": (
+        ("heading_rms_deg", "", "rms [deg]", ".4f", 1.0),
+        *(("heading_rms_deg", name, f"/ {name}", ".3f", 1.0) for name in _RATIOS),
+        ("anees_heading", "", "ANEES", ".2f", 1.0),
+        ("anees_heading", "oracle", "/ oracle's", ".2f", 1.0),
+        ("beyond_heading", "", "beyond 3 sigma [%]", ".2f", 100.0),
+    ),
+    "position": (
+        ("position_rms_m", "", "rms [m]", ".3f", 1.0),
+        *(("position_rms_m", name, f"/ {name}", ".3f", 1.0) for name in _RATIOS),
+        ("anees_position", "", "ANEES", ".2f", 1.0),
+        ("anees_position", "oracle", "/ oracle's", ".2f", 1.0),
+        ("beyond_position", "", "beyond 3 sigma [%]", ".2f", 100.0),
+    ),
+}
+
+
+@dataclass(frozen=True)
+class SlotRow:
+    """One figure of one model in one slot, with its 95 % interval over the runs.
+
+    Attributes
+    ----------
+    model, track : str
+    begin_s, end_s : float
+        The slot; the last one is all of them together.
+    quantity : str
+        One of `navfilter.evaluation.montecarlo.slots.SLOT_SCORES`.
+    reference : str
+        Of a ratio: the model that is divided by, on the same missions; else empty.
+    value, low, high : float
+        NaN where there is none.
+    runs : int
+        That it rests on.
+    """
+
+    model: str
+    track: str
+    begin_s: float
+    end_s: float
+    quantity: str
+    reference: str
+    value: float
+    low: float
+    high: float
+    runs: int
+
+
+def slot_rows(results: Results) -> list[SlotRow]:
+    """All figures of all models, tracks and slots, and those of all slots together."""
+    cut, values = _with_all(results)
+    found = []
+    for m, model in enumerate(results.models):
+        for t, track in enumerate(results.tracks):
+            for s, (begin, end) in enumerate(cut):
+                for quantity, reference, estimate, runs in _figures(results.models, values[:, t, :, s], m):
+                    found.append(SlotRow(model, track, begin, end, quantity, reference, *estimate, runs=runs))
+    return found
+
+
+def _with_all(results: Results) -> tuple[Slots, Array]:
+    """Slots and figures of the runs, all slots together as one more."""
+    cut, values = results.campaign.slots, results.slots
+    if not cut:
+        return cut, values
+    weights = np.diff(np.array(cut), axis=1)
+    power = values ** np.where(np.char.find(SLOT_SCORES, "rms") >= 0, 2.0, 1.0)
+    known = np.isfinite(power) * weights
+    with np.errstate(divide="ignore", invalid="ignore"):
+        together = np.nansum(power * weights, axis=-2) / known.sum(axis=-2)
+    together[..., RMS] = np.sqrt(together[..., RMS])
+    return (*cut, (cut[0][0], cut[-1][1])), np.concatenate([values, together[..., None, :]], axis=-2)
+
+
+def _figures(models: tuple[str, ...], values: Array, m: int) -> Iterator[tuple[str, str, Estimate, int]]:
+    """Of one model in one slot: quantity, reference, estimate and runs; values (models, runs, figures)."""
+    for q, quantity in enumerate(SLOT_SCORES):
+        own = values[m, :, q]
+        if not np.isfinite(own).any():
+            continue
+        yield quantity, "", _estimate(quantity, own), int(np.isfinite(own).sum())
+        for reference, compared in _RATIOS.items():
+            if quantity in compared and reference in models and reference != models[m]:
+                other = values[models.index(reference), :, q]
+                yield quantity, reference, _ratio(quantity, own, other), int(np.isfinite(own + other).sum())
+
+
+def _estimate(quantity: str, values: Array) -> Estimate:
+    if "rms" in quantity:
+        return rms_interval(values)
+    value, low, high = mean_interval(values)
+    # with few runs Student's interval does not know that squares are not negative, and no share is more than all
+    most = 1.0 if quantity.startswith("beyond") else math.inf
+    return value, max(low, 0.0) if math.isfinite(low) else low, min(high, most) if math.isfinite(high) else high
+
+
+def _ratio(quantity: str, values: Array, others: Array) -> Estimate:
+    """Of root mean squares, or of means."""
+    if "rms" in quantity:
+        return ratio_interval(values, others)
+    value, low, high = ratio_interval(np.sqrt(values), np.sqrt(others))
+    return value**2, low**2, high**2
+
+
+def named(begin_s: float, end_s: float) -> str:
+    """A slot as it stands in tables."""
+    return f"{begin_s:g}-{end_s:g} s"
+
+
+def slot_table(results: Results, found: Iterable[SlotRow]) -> str:
+    """Tables of heading and position by slots, for every track."""
+    by = {(r.track, r.begin_s, r.end_s, r.model, r.quantity, r.reference): r.value for r in found}
+    cut, parts = list(dict.fromkeys((r.begin_s, r.end_s) for r in found)), []
+    for track in results.tracks:
+        for what, columns in _TABLES.items():
+            there = [c for c in columns if not c[1] or (c[1] in results.models and len(results.models) > 1)]
+            lines = [
+                [named(*slot), model, *(_cell(by.get((track, *slot, model, c[0], c[1])), c[3], c[4]) for c in there)]
+                for slot in cut
+                for model in results.models
+            ]
+            header = ["slot", "model", *(title for _, _, title, _, _ in there)]
+            parts.append(f"{what} by slots, {track}\n{table_text(header, lines)}")
+    return "\n\n".join(parts)
+
+
+def _cell(value: float | None, form: str, factor: float) -> str:
+    return "-" if value is None or not math.isfinite(value) else format(factor * value, form)
