@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from navfilter.error_models import block_level
 from navfilter.filter.tape import Residuals
 from navfilter.kernels import strapdown
 from navfilter.learning.learned import LearnedArma, learned_part
-from navfilter.error_models import block_level
 from navfilter.mission import Stream
 from navfilter.state import matrix_from_euler, rotation_vector, wrap
 

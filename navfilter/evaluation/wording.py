@@ -21,8 +21,6 @@ __all__ = ["Learnt", "error_words", "learnt", "model_words"]
 
 Array = NDArray[np.float64]
 
-#: Samples behind a model that does not say so.
-WINDOW = 4000
 #: Of a pair of poles nearer to the negative axis than this the period means nothing: about two samples.
 SHORTEST_PERIOD = 2.5
 
@@ -51,8 +49,8 @@ class Learnt:
         What stands beside the learnt part and stays.
     time_s : tuple of float
         From when each model was in force [s].
-    models : tuple of ArmaModel
-        Those of the learnt part.
+    adopted : tuple of LearnedArma
+        Those of the learnt part, each with its model.
     """
 
     title: str
@@ -60,13 +58,17 @@ class Learnt:
     believed: ErrorModel
     beside: tuple[ErrorModel, ...]
     time_s: tuple[float, ...]
-    models: tuple[ArmaModel, ...]
+    adopted: tuple[LearnedArma, ...]
+
+    @property
+    def models(self) -> tuple[ArmaModel, ...]:
+        """Their fast parts."""
+        return tuple(part.model for part in self.adopted if part.model is not None)
 
     @property
     def words(self) -> str:
         """The model in force at the end."""
-        parts = [model_words(self.models[-1], self.scale), *(error_words(part, self.scale) for part in self.beside)]
-        return ", ".join(parts)
+        return ", ".join(error_words(part, self.scale) for part in (self.adopted[-1], *self.beside))
 
     def __str__(self) -> str:
         return f"{self.title}: {self.words}; vehicle.toml believed {error_words(self.believed, self.scale)}"
@@ -77,30 +79,20 @@ class Learnt:
             "unit": self.scale.unit,
             "words": self.words,
             "believed": error_words(self.believed, self.scale),
-            "history": [[t, model_words(model, self.scale)] for t, model in zip(self.time_s, self.models, strict=True)],
+            "history": [[t, error_words(part, self.scale)] for t, part in zip(self.time_s, self.adopted, strict=True)],
         }
 
-    def spectrum(self, freq_hz: Array) -> tuple[Array, Array]:
-        """Density of the learnt part [unit^2/Hz, as shown] and the sd of its logarithm, shape (n,) each.
-
-        Notes
-        -----
-        To first order ``ln S = 2 ln sd + 2 ln |C| - 2 ln |A|`` varies with the coefficients by ``2 Re(z^-k / C)`` and
-        ``-2 Re(z^-k / A)``, and with the variance by ``2 / n`` (at zero frequency: `log_s0_sd`).
+    @property
+    def spectrum(self) -> tuple[Array, Array, Array, Array]:
+        """Frequencies [Hz], and the density of the learnt part that its posterior is below with a probability of 5, 50
+        and 95 % [unit^2/Hz, as shown]; shape (n,) each. Empty for a model that was not learnt in this run.
         """
-        model = self.models[-1]
-        density = self.scale.factor**2 * model.spectrum(freq_hz, self.scale.rate_hz)
-        variance = np.full(len(freq_hz), 2.0 / (model.effective_window or WINDOW))
-        if model.covariance is not None and model.p + model.q:
-            z = np.exp(-2j * np.pi * freq_hz / self.scale.rate_hz)
-            by = [
-                sign * 2.0 * z**k / np.polynomial.polynomial.polyval(z, np.r_[1.0, coefficients])
-                for sign, coefficients in ((-1.0, model.ar), (1.0, model.ma))
-                for k in range(1, len(coefficients) + 1)
-            ]
-            gradient = np.real(np.array(by))
-            variance += np.einsum("in,ij,jn->n", gradient, model.covariance, gradient)
-        return density, np.sqrt(np.maximum(variance, 0.0))
+        spectrum = self.adopted[-1].spectrum
+        if spectrum is None:
+            return np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0)
+        square = self.scale.factor**2
+        low, median, high = (square * np.array(each) for each in (spectrum.low, spectrum.median, spectrum.high))
+        return np.array(spectrum.frequency_hz), low, median, high
 
     def believed_spectrum(self, freq_hz: Array) -> Array:
         """Density of what was believed [unit^2/Hz, as shown], shape (n,)."""
@@ -117,19 +109,19 @@ def learnt(track: Track) -> tuple[Learnt, ...]:
     found = []
     for name, history in track.error_models.items():
         for i, (axis, believed, unit, rate_hz) in enumerate(_axes(track, name)):
-            steps: list[tuple[float, ArmaModel]] = []
+            steps: list[tuple[float, LearnedArma]] = []
             beside: tuple[ErrorModel, ...] = ()
             for time_s, error in history:
                 model = error[i] if isinstance(error, tuple) else error
                 part = learned_part(model)
                 # what has not changed is the adoption of another axis
-                if part is not None and part.model is not None and (not steps or steps[-1][1] != part.model):
-                    steps.append((float(time_s), part.model))
+                if part is not None and part.model is not None and (not steps or steps[-1][1] != part):
+                    steps.append((float(time_s), part))
                     beside = tuple(p for p in _parts(model) if p is not part)
             if steps:
-                times, models = zip(*steps, strict=True)
+                times, parts = zip(*steps, strict=True)
                 scale = Scale(*shown_unit(unit), rate_hz)
-                found.append(Learnt(f"{name} {axis}".strip(), scale, _before(believed), beside, times, models))
+                found.append(Learnt(f"{name} {axis}".strip(), scale, _before(believed), beside, times, parts))
     return tuple(found)
 
 

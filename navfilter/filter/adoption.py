@@ -144,9 +144,7 @@ def _registers(old: ArmaModel, new: ArmaModel) -> tuple[Array, Array]:
     return G @ left, _positive(after.P0 - G @ after.P0[keep])
 
 
-def _slow_parts(
-    olds: Sequence[ErrorModel], news: Sequence[ErrorModel], period_s: float
-) -> tuple[Array, Array]:
+def _slow_parts(olds: Sequence[ErrorModel], news: Sequence[ErrorModel], period_s: float) -> tuple[Array, Array]:
     """Slow parts of the same orders stay; else their sum does, which the new ones share by their variances."""
     before, after = joined_block([p.block(period_s) for p in olds]), joined_block([p.block(period_s) for p in news])
     if [p.block(period_s).size for p in olds] == [p.block(period_s).size for p in news]:

@@ -97,9 +97,7 @@ class Likelihood:
             parts, sees = self._parts(theta, slow), self._sees[slow]
             padded = _padded(self.fast(theta, slow), p)
             self._at = at
-            self._last = float(
-                kernel.channel_filter(self.y, padded, parts, sees, self.rules, self._E[0], self._LNS[0])
-            )
+            self._last = float(kernel.channel_filter(self.y, padded, parts, sees, self.rules, self._E[0], self._LNS[0]))
         return self._last
 
     def since(self, first: int) -> float:

@@ -130,7 +130,9 @@ class Listener:
         self.drifts = tuple(sensor.drift(vehicle.drive, axis, known_walk(model)) for axis, model in enumerate(models))
         self.white = tuple(float(white[i]) + known_white(model, self.period_s) for i, model in enumerate(models))
         self.learners = tuple(
-            None if part is None else Learner(part.orders, part.window, drift, white=r, prior=believed(part, self.period_s))
+            None
+            if part is None
+            else Learner(part.orders, part.window, drift, white=r, prior=believed(part, self.period_s))
             for part, drift, r in zip(learned, self.drifts, self.white, strict=True)
         )
         self.window = window

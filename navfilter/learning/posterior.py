@@ -210,7 +210,7 @@ def _between_places(line: Line, log_sd: float) -> float:
     if x.size < 3:
         return float(y[int(np.argmin(np.abs(x - log_sd)))])
     at = min(max(int(np.searchsorted(x, log_sd)) - 1, 0), x.size - 3)
-    if 0 < at and log_sd - x[at] < x[at + 1] - log_sd:
+    if at > 0 and log_sd - x[at] < x[at + 1] - log_sd:
         at -= 1
     a, b, c = x[at : at + 3].tolist()
     fa, fb, fc = y[at : at + 3].tolist()

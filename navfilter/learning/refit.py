@@ -97,5 +97,7 @@ def _apart(old: LearnedArma | None, new: LearnedArma | None, period_s: float) ->
         return 0.0 if one is other else math.inf
     if old == new:
         return 0.0
-    level = abs(math.log(block_level(new.block(period_s)) / block_level(old.block(period_s)))) / (other.sd_log_s0 or 1.0)
+    level = abs(math.log(block_level(new.block(period_s)) / block_level(old.block(period_s)))) / (
+        other.sd_log_s0 or 1.0
+    )
     return max(level, abs(math.log(other.sd / one.sd)) * math.sqrt(2.0 * max(other.effective_window or 1.0, 1.0)))

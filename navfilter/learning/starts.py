@@ -5,11 +5,10 @@ orders with a pole and a zero, or a pair of both, more.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
-
-from collections.abc import Mapping
 
 from navfilter.arma.algebra import add_arma
 from navfilter.arma.model import ArmaModel
@@ -64,7 +63,9 @@ def with_slow_part(likelihood: Likelihood, fast: Array, p: int) -> Array:
     prior = likelihood.prior
     assert prior is not None
     nodes = [
-        np.r_[fast[:-1], fast[-1] - less, math.log(share * prior.sd) + likelihood.log_unit, math.log(prior.taus_s[node])]
+        np.r_[
+            fast[:-1], fast[-1] - less, math.log(share * prior.sd) + likelihood.log_unit, math.log(prior.taus_s[node])
+        ]
         for less in (0.0, 1.5, 3.0)
         for share in SLOW_SDS
         for node in SLOW_NODES
@@ -114,9 +115,7 @@ def _with_peak(fast: Array, p: int) -> list[Array]:
             radius = math.exp(-1.0 / (cycles * period))
             for factor in PEAKS:
                 inner = max(1.0 - (1.0 - radius) * math.sqrt(factor), 0.2)
-                out.append(
-                    _times(fast, p, np.array([-turn * radius, radius**2]), np.array([-turn * inner, inner**2]))
-                )
+                out.append(_times(fast, p, np.array([-turn * radius, radius**2]), np.array([-turn * inner, inner**2])))
     return out
 
 

@@ -19,9 +19,7 @@ __all__ = ["adopted_figure", "learnt_figures", "spectrum_figure"]
 Array = NDArray[np.float64]
 Tracks = Mapping[str, Track]
 
-#: The band about a learnt spectrum holds it with 95 % probability.
-SD_95 = 1.96
-#: Frequencies of a spectrum, from one period in so many samples up.
+#: Frequencies of a spectrum that nobody has learnt, from one period in so many samples up.
 FREQUENCIES, LONGEST = 400, 20000
 
 
@@ -36,7 +34,9 @@ def learnt_figures(tracks: Tracks, found: tuple[Learnt, ...]) -> Iterator[tuple[
     """
     end_s = max(float(track.time_s[-1]) for track in tracks.values())
     for history in found:
-        caption = "Spectrum at the end, with the 95 % range of what the window says of it, and that of vehicle.toml."
+        caption = (
+            "Spectrum at the end, with the range from 5 to 95 % that its posterior leaves, and that of vehicle.toml."
+        )
         yield f"{history}. {caption}", spectrum_figure(history)
         last = history.models[-1]
         text = f"{history.title}: {len(history.models)} models, the last one of order ({last.p}, {last.q})."
@@ -44,18 +44,21 @@ def learnt_figures(tracks: Tracks, found: tuple[Learnt, ...]) -> Iterator[tuple[
 
 
 def spectrum_figure(history: Learnt) -> Figure:
-    """Density of the learnt error with its 95 % range, and of what was believed, over frequency."""
-    nyquist = 0.5 * history.scale.rate_hz
-    freq_hz = np.geomspace(2.0 * nyquist / LONGEST, nyquist, FREQUENCIES)
-    density, spread = history.spectrum(freq_hz)
+    """Density of the learnt error, with the range that its posterior leaves, and of what was believed, over
+    frequency.
+    """
+    freq_hz, below, median, above = history.spectrum
+    if not freq_hz.size:
+        freq_hz = np.geomspace(history.scale.rate_hz / LONGEST, 0.5 * history.scale.rate_hz, FREQUENCIES)
     figure = Figure(figsize=(WIDTH_IN, 2.9), layout="constrained")
     ax = figure.subplots()
-    for number, (label, values) in enumerate((("believed", history.believed_spectrum(freq_hz)), ("learnt", density))):
-        hue, dash = colour(number)
-        ax.loglog(freq_hz, values, color=hue, linestyle=dash, label=label)
-    factor = np.exp(np.minimum(SD_95 * spread, 20.0))
+    hue, dash = colour(0)
+    ax.loglog(freq_hz, history.believed_spectrum(freq_hz), color=hue, linestyle=dash, label="believed")
+    if median.size:
+        hue, dash = colour(1)
+        ax.loglog(freq_hz, median, color=hue, linestyle=dash, label="learnt")
+        ax.fill_between(freq_hz, below, above, color=hue, alpha=0.25, linewidth=0.0, label="5 to 95 %")
     low, high = ax.get_ylim()
-    ax.fill_between(freq_hz, density / factor, density * factor, color=hue, alpha=0.25, linewidth=0.0, label="95 %")
     ax.set_ylim(0.3 * low, 3.0 * high)
     ax.set_xlabel("frequency [Hz]")
     ax.set_ylabel(f"{history.title}\n[({history.scale.unit})$^2$/Hz]")
