@@ -54,7 +54,7 @@ class SlowPrior:
     spread : float
         Standard deviation of ln sd: a data sheet is believed within a factor of e.
     tau_spread : float
-        Standard deviation of ln tau: time constants are believed within a factor of five.
+        Standard deviation of ln tau: time constants are hardly believed, within a factor of seven.
     second_order : float
         Probability that it is smooth: of second order.
     """
@@ -62,9 +62,9 @@ class SlowPrior:
     sd: float
     tau_s: float
     span_s: float
-    median: float = 0.45
+    median: float = 0.5
     spread: float = 1.0
-    tau_spread: float = 1.6
+    tau_spread: float = 2.0
     second_order: float = 0.3
 
     @property
