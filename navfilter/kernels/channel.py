@@ -276,12 +276,13 @@ def _leap(P, out, step, work):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _alike(L, S, ahead, ahead_S, tolerance, sees):
+def _alike(L, S, ahead, ahead_S, tolerance, U, sees):
     """Whether two gains are so near to each other that all between them may be interpolated."""
     floor = 1e-6
     for i in range(ahead.size - 1):
         old, new = L[i] / S, ahead[i] / ahead_S
-        least = floor if i >= sees.size or sees[i] != 0.0 else floor * 1e-3**i
+        integrated = i < sees.size and sees[i] == 0.0 and U[i, i] == 1.0
+        least = floor * 1e-3**i if integrated else floor
         if not abs(new - old) <= tolerance * max(min(abs(old), abs(new)), least):
             return False
     return abs(ahead_S - S) <= tolerance * min(S, ahead_S)
@@ -300,9 +301,8 @@ def _glide(y, t, ticks, x, U, sees, a, L, S, ahead, ahead_S, clip, e, lns, K, sl
     level, root = math.log(S), 1.0 / math.sqrt(S)
     rise, turn = (math.log(ahead_S) - level) / ticks, (1.0 / math.sqrt(ahead_S) - root) / ticks
     total = ticks * (HALF_LOG_2PI + 0.5 * (level + 0.5 * rise * (ticks - 1)))
-    if m <= 2 and (r == 2 or r == 3) and U[0, 0] == 1.0 and U[0, 1] == 1.0 and sees[1] == 0.0:
-        if r == 2 or (U[0, 2] == 0.0 and U[1, 2] == 0.0 and sees[2] == 1.0):
-            return total + _glide_small(y, t, ticks, x, U, a, clip, e, lns, K, slope, level, rise, root, turn)
+    if m <= 2 and _is_small(U, sees, r):
+        return total + _glide_small(y, t, ticks, x, U, a, clip, e, lns, K, slope, level, rise, root, turn)
     for k in range(t, t + ticks):
         residual = y[k] - x[r]
         for i in range(r):
@@ -325,14 +325,26 @@ def _glide(y, t, ticks, x, U, sees, a, L, S, ahead, ahead_S, clip, e, lns, K, sl
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _is_small(U, sees, r):
+    """Whether the chain is two integrators, alone or beside one slow part of first or second order."""
+    if r < 2 or r > 4 or U[0, 0] != 1.0 or U[0, 1] != 1.0 or U[1, 1] != 1.0 or sees[1] != 0.0:
+        return False
+    for k in range(2, r):
+        if U[0, k] != 0.0 or U[1, k] != 0.0 or sees[k] != (1.0 if k == 2 else 0.0):
+            return False
+    return True
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _glide_small(y, t, ticks, x, U, a, clip, e, lns, K, slope, level, rise, root, turn):
-    """The loop of `_glide` for two integrators, at most one slow state and two of the ARMA error, which then stay in
-    registers.
+    """The loop of `_glide` for two integrators, at most one slow part and two states of the ARMA error, which then stay
+    in registers.
     """
     m, total = a.size, 0.0
     r = x.size - 1 - m
     a0, a1 = a[0], a[m - 1] if m == 2 else 0.0
-    phi, s, Ks, ss = (U[2, 2], x[2], K[2], slope[2]) if r == 3 else (0.0, 0.0, 0.0, 0.0)
+    phi, s, Ks, ss = (U[2, 2], x[2], K[2], slope[2]) if r > 2 else (0.0, 0.0, 0.0, 0.0)
+    both, v, Kv, sv = (U[2, 3], x[3], K[3], slope[3]) if r > 3 else (0.0, 0.0, 0.0, 0.0)
     d0, d1, n0, n1 = x[0], x[1], x[r], x[r + 1] if m == 2 else 0.0
     K0, K1, K2, K3 = K[0], K[1], K[r], K[r + 1] if m == 2 else 0.0
     s0, s1, s2, s3 = slope[0], slope[1], slope[r], slope[r + 1] if m == 2 else 0.0
@@ -348,12 +360,14 @@ def _glide_small(y, t, ticks, x, U, a, clip, e, lns, K, slope, level, rise, root
             total += 0.5 * z * z
         d0, n0, n1 = d0 + d1 + K0 * residual, n1 - a0 * n0 + K2 * residual, K3 * residual - a1 * n0
         d1 += K1 * residual
-        s = phi * s + Ks * residual
-        K0, K1, K2, K3, Ks = K0 + s0, K1 + s1, K2 + s2, K3 + s3, Ks + ss
+        s, v = phi * s + both * v + Ks * residual, phi * v + Kv * residual
+        K0, K1, K2, K3, Ks, Kv = K0 + s0, K1 + s1, K2 + s2, K3 + s3, Ks + ss, Kv + sv
         level, root = level + rise, root + turn
     x[0], x[1], x[r] = d0, d1, n0
-    if r == 3:
+    if r > 2:
         x[2] = s
+    if r > 3:
+        x[3] = v
     if m == 2:
         x[r + 1] = n1
     return total
@@ -375,7 +389,7 @@ def _reach(P, after, maps, made, level, far, L, S, ahead, U, sees, a, g, var, no
             made = max(made, level + 1)
             _leap(P, after, maps[level], work)
             ahead_S = _gain(after, ahead, U, sees, a, g, var, noise, r, m)
-            if tolerance < 0.0 or _alike(L, S, ahead, ahead_S, tolerance, sees):
+            if tolerance < 0.0 or _alike(L, S, ahead, ahead_S, tolerance, U, sees):
                 return level, ahead_S, made
         level -= 1
     return 0, S, made
@@ -418,11 +432,11 @@ def _carry(A, column, U, sees, a, L, scale, X, row, root, r):
 def channel_filter(y, theta, chain, sees, rules, e, lns):
     """Standardised innovations and ln S of a series with gaps; returns minus the log-likelihood.
 
-    y (N,) with NaN where a sample is missing; sees (r,) how the reading sees the chain. The first DIFFUSE states start diffuse: as many known samples of a segment fix them and do not count (their
-    density does not depend on theta). A run of more than LONGEST_GAP missing samples ends a segment. Innovations beyond
-    CLIP standard deviations enter the state clipped and the likelihood by Huber's function. `e` (N,) is NaN and `lns` 0
-    where nothing counts. Infinite if not stationary, or so nearly integrating that the start's covariance is only
-    rounding.
+    y (N,) with NaN where a sample is missing; sees (r,) how the reading sees the chain. The first DIFFUSE states start
+    diffuse: as many known samples of a segment fix them and do not count (their density does not depend on theta). A
+    run of more than LONGEST_GAP missing samples ends a segment. Innovations beyond CLIP standard deviations enter the
+    state clipped and the likelihood by Huber's function. `e` (N,) is NaN and `lns` 0 where nothing counts. Infinite if
+    not stationary, or so nearly integrating that the start's covariance is only rounding.
 
     Where the gain changes by no more than the part TOLERANCE over 8 to 256 ticks, it is interpolated between both ends;
     the covariance at the far end is exact (by doubling). 0: every tick by itself.
