@@ -235,10 +235,12 @@ class Navigator:
             self.filter.adopt(change, self._told)
 
     def _adopt_early(self) -> None:
-        """Adopt early models, and run what there was so far again with them, see `LearningSchedule`."""
+        """Adopt early models; where they are others, run what there was so far again, see `LearningSchedule`."""
         now_s = self.learning.early_s
-        found = self.learning.early_models()
-        if not found:
+        found, again = self.learning.early()
+        if not again:
+            for name, models in found.items():
+                self.filter.adopt(Change(name, models), self._told)
             return
         counted = self.filter.counts["adopted"] + len(found)
         self.filter.begin({**dict(self.filter.memory.models), **found})

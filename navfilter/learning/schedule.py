@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.error_models import ErrorModel
+from navfilter.error_models import ErrorModel, block_level
 from navfilter.filter.adoption import Change
 from navfilter.filter.channel import Channel
 from navfilter.filter.events import Correction, Event, Passed, Propagated, Relaid
@@ -42,6 +42,8 @@ class LearningMemory:
         How many of them there were.
     stage : int
         How many of the early hops there have been.
+    levels : dict of str to tuple of float
+        S(0) of the learnt parts of each sensor's axes with which the beginning was done last.
     """
 
     SHARED: ClassVar = ("beginning",)
@@ -52,6 +54,7 @@ class LearningMemory:
     beginning: list[Any] | None
     kept: int
     stage: int
+    levels: dict[str, tuple[float, ...]]
 
 
 class LearningSchedule:
@@ -67,17 +70,22 @@ class LearningSchedule:
 
     Notes
     -----
-    The early models come at once for all sensors, at the ages `EARLY_S`. Until the first of them the priors were in
-    force. What a model took for certain cannot be taken back from the covariance, so the beginning is done again as if
-    the new models had been known: `beginning` holds its inputs. Later hops of a sensor come as its listener counts
-    them. Models of the inertial unit at rest are adopted when they are found, and the beginning is not
+    Models come at once for all sensors at the ages `EARLY_S`, later as each listener counts its ticks. What a model took
+    for certain cannot be taken back from the covariance: where the power at zero frequency of a new model is another
+    one by more than `ANOTHER`, the beginning is done again as if the new models had been known, at those ages and, for
+    the last time, at `REVISED_S`; `beginning` holds its inputs. Elsewhere the filter goes on with the new models.
+    Models of the inertial unit at rest are adopted when they are found, and the beginning is not
     done again for them: they stand for the noise of samples, and what the filter took for certain by it in the first
     minute at rest is little.
     """
 
-    #: Models are adopted at these ages, and the beginning is done again [s]: as soon as readings say more than the prior,
-    #: and whenever there are twice as many.
+    #: Models are adopted at these ages [s]: as soon as readings say more than the prior, and whenever there are twice as
+    #: many.
     EARLY_S = (30.0, 60.0, 120.0, 240.0, 500.0)
+    #: At this age the beginning is done again for the last time [s]: inputs are not kept for longer.
+    REVISED_S = 1000.0
+    #: ln S(0) that has changed by less is the same: the filter's sd has changed by a tenth.
+    ANOTHER = math.log(1.5)
 
     def __init__(self, filter: Filter, behind_s: float) -> None:
         self.filter, self.behind_s = filter, behind_s
@@ -91,6 +99,7 @@ class LearningSchedule:
             if any(learning_part(model) is not None for model in sensor.models):
                 self.listen(name)
         self.beginning: list[Any] | None = [] if self.listeners else None
+        self._levels = self._present_levels()
 
     # ---------------------------------------------------------------- what changes
     @property
@@ -98,11 +107,12 @@ class LearningSchedule:
         """All that changes; setting one goes back (or on) to it."""
         listeners = {name: listener.memory for name, listener in self.listeners.items()}
         rest = None if self.rest is None else self.rest.memory
-        return LearningMemory(self._fed_back, listeners, rest, self.beginning, len(self.beginning or ()), self._stage)
+        return LearningMemory(self._fed_back, listeners, rest, self.beginning, len(self.beginning or ()), self._stage, self._levels)
 
     @memory.setter
     def memory(self, memory: LearningMemory) -> None:
-        self._fed_back, self.beginning, self._stage = memory.fed_back, memory.beginning, memory.stage
+        self._fed_back, self.beginning = memory.fed_back, memory.beginning
+        self._stage, self._levels = memory.stage, memory.levels
         for name, listener in self.listeners.items():
             listener.memory = memory.listeners[name]
         if self.rest is not None and memory.rest is not None:
@@ -174,7 +184,8 @@ class LearningSchedule:
             *(self._fed_back, channel.mem, channel.dims, channel.places, filter.nav, channel.C, filter.x),
             *(kind, mount, ring, cursor, channel.count, filter.drive_output, filter.vehicle.drive.gravity),
         )
-        if listener is None or not listener.is_due or self.beginning is not None or not event.outcome.accepted:
+        early = self._stage < len(self.EARLY_S)
+        if listener is None or not listener.is_due or early or not event.outcome.accepted:
             return ()
         models = listener.learn()
         return () if models is None else (Change(channel.name, models),)
@@ -205,7 +216,7 @@ class LearningSchedule:
         speed = np.sqrt(np.maximum(P[range(3, 6), range(3, 6)], 0.0))
         return np.array([filter.nav[3:6], speed]), np.array([C @ filter.x[: m - 9], spread])
 
-    # ---------------------------------------------------------------- the first models
+    # ---------------------------------------------------------------- the beginning
     def keep(self, item: Any) -> None:
         """Keep an input of the beginning: samples, or a reading."""
         if self.beginning is not None and len(item):
@@ -213,30 +224,49 @@ class LearningSchedule:
 
     @property
     def early_s(self) -> float:
-        """Time of the next early hop [s]; infinite when they are over."""
-        return math.inf if self.beginning is None else self._start_s + self.EARLY_S[self._stage]
+        """When models are to be looked for, or the beginning done again, next [s]; infinite when that is over."""
+        if self.beginning is None:
+            return math.inf
+        return self._start_s + (*self.EARLY_S, self.REVISED_S)[self._stage]
 
-    def early_models(self) -> dict[str, tuple[ErrorModel, ...]]:
-        """At an early hop: models by sensor; empty where nothing new has been found. Where there are some, the filter is
-        to begin again.
-        """
+    def early(self) -> tuple[dict[str, tuple[ErrorModel, ...]], bool]:
+        """At such a time: models to adopt by sensor, and whether the filter is to begin again with them."""
         ages = {name: self.early_s - self.filter.channels[name].memory.ticked_s for name in self.listeners}
-        learnt = {name: listener.learn(ages[name]) for name, listener in self.listeners.items() if listener.window}
-        found = {name: models for name, models in learnt.items() if models is not None}
+        found: dict[str, tuple[ErrorModel, ...]] = {}
+        if self._stage < len(self.EARLY_S):
+            learnt = {name: listener.learn(ages[name]) for name, listener in self.listeners.items() if listener.window}
+            found = {name: models for name, models in learnt.items() if models is not None}
         self._stage += 1
-        if found:
+        levels = self._present_levels()
+        again = any(
+            abs(math.log(new / old)) > self.ANOTHER
+            for name in levels
+            for new, old in zip(levels[name], self._levels[name], strict=True)
+        )
+        if again:
+            self._levels = levels
             for name, listener in self.listeners.items():
                 listener.begin_again(ages[name])
-        elif self._stage == len(self.EARLY_S):
+            return {name: listener.memory.models for name, listener in self.listeners.items()}, True
+        if self._stage > len(self.EARLY_S):
             self.beginning = None
-        return found
+        return found, False
+
+    def _present_levels(self) -> dict[str, tuple[float, ...]]:
+        """S(0) of what is learnt, per axis; 1 where nothing is."""
+        levels: dict[str, tuple[float, ...]] = {}
+        for name, listener in self.listeners.items():
+            parts = [learning_part(model) for model in listener.memory.models]
+            blocks = [None if part is None else part.block(listener.period_s) for part in parts]
+            levels[name] = tuple(1.0 if block is None else max(block_level(block), 1e-300) for block in blocks)
+        return levels
 
     def begin_again(self) -> list[Any]:
         """The filter stands at the start again: listen from there; returns the inputs of the beginning, which are kept
-        anew if there is another early hop to come.
+        anew if it may be done once more.
         """
         self._fed_back = np.zeros(2 * self.filter.layout.head)
         if self.rest is not None:
             self.rest.begin_again()
-        beginning, self.beginning = self.beginning or [], [] if self._stage < len(self.EARLY_S) else None
+        beginning, self.beginning = self.beginning or [], [] if self._stage <= len(self.EARLY_S) else None
         return beginning
