@@ -249,9 +249,13 @@ def push_from_one(coefficients: Array, distance: float) -> Array:
     >>> push_from_one(np.array([-0.999]), 0.1).round(3)
     array([-0.905])
     """
-    if not coefficients.size:
+    n = coefficients.size
+    if not n:
         return coefficients
-    roots = np.roots(np.r_[1.0, coefficients]).astype(np.complex128)
+    if n == 1:
+        limit = math.exp(-distance)
+        return np.maximum(coefficients, -limit) if coefficients[0] < -limit else coefficients
+    roots = np.roots(np.concatenate([[1.0], coefficients])).astype(np.complex128)
     logs = np.log(np.where(np.abs(roots) < 1e-12, 1e-12, roots))
     near = np.abs(logs) < distance
     if not near.any():

@@ -25,6 +25,8 @@ class Effort:
         Passes of a lower order that only serves as a start.
     windows_remembered : float
         Evidence for the slow part is forgotten over so many windows.
+    smooth_passes : int
+        Passes of a fit with a slow part of second order.
     race_passes : int
         Passes of each of several starts before the leader goes on alone.
     hopeless_bic : float
@@ -57,12 +59,13 @@ class Effort:
         Levenberg damping of a scoring step, relative to the information, until one gains.
     """
 
-    first_passes: int = 20
+    first_passes: int = 10
     late_passes: int = 2
     own_passes: int = 2
     other_passes: int = 1
     below_passes: int = 8
     windows_remembered: float = 4.0
+    smooth_passes: int = 5
     race_passes: int = 2
     hopeless_bic: float = 100.0
     hopeless_size: int = 2

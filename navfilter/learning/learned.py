@@ -30,7 +30,7 @@ __all__ = [
 Array = NDArray[np.float64]
 
 #: Orders (p, q) of the fast part tried by default: white, Gauss-Markov, both, up to two oscillations with white noise.
-DEFAULT_ORDERS = ((0, 0), (1, 0), (1, 1), (2, 0), (2, 1), (2, 2), (3, 2), (3, 3), (4, 2), (4, 3), (4, 4))
+DEFAULT_ORDERS = ((0, 0), (1, 0), (1, 1), (2, 0), (2, 1), (2, 2), (3, 2), (4, 2), (4, 3))
 #: The window counts as this long at most where slow and fast errors are told apart [s]: what a heading forgets.
 LONGEST_SPAN_S = 500.0
 
@@ -53,7 +53,7 @@ class LearnedArma(ErrorModel):
     window : int
         Samples behind an estimate.
     hop : int, optional
-        Samples between two adoptions, default half the window.
+        Samples between two adoptions, default half the window; fewer while that fills.
     model : ArmaModel, optional
         The fast part in force; the navigator sets it when it adopts one.
     slow : ErrorModel, optional

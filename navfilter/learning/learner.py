@@ -17,10 +17,10 @@ from navfilter.learning.drift import Drift
 from navfilter.learning.effort import EFFORT
 from navfilter.learning.likelihood import Likelihood, Point, maximise
 from navfilter.learning.limits import LEAST, PER_PARAMETER
-from navfilter.learning.posterior import Line, SlowPosterior, follow, slow_psd
+from navfilter.learning.posterior import DEAD, Line, SlowPosterior, follow, slow_psd
 from navfilter.learning.slow import SlowPrior
 from navfilter.learning.spectrum import Spectrum
-from navfilter.learning.starts import cold_starts, grown_starts, with_slow_part
+from navfilter.learning.starts import cold_starts, grown_starts, padded_starts, with_slow_part
 
 __all__ = ["Learner", "LearnerMemory", "Learnt", "memories", "recall"]
 
@@ -198,31 +198,26 @@ class Learner:
         fits: dict[Order, Point] = {}
         for order in self._ration(able):
             known, (p, q) = memory.thetas.get(order), order
+            below = {k: point for k, point in fits.items() if k[0] <= p and k[1] <= q}
             if known is not None:
                 moved = known.copy()
                 moved[p + q : p + q + 1 + slow] += likelihood.log_unit
-                starts = [moved]
-                below = [k for k in fits if k[0] <= p and k[1] <= q]
-                if below:
-                    starts += grown_starts(likelihood, {k: fits[k] for k in below}, p, q)[:1]
-                point = maximise(likelihood, starts, p, EFFORT.late_passes, slow)
+                starts = [moved, *padded_starts(likelihood, below, p, q)]
+                point = maximise(likelihood, starts, p, EFFORT.late_passes, slow, race=1)
             else:
-                starts = grown_starts(likelihood, fits, p, q) if fits else []
-                if p + q <= 2:
+                starts = grown_starts(likelihood, below, p, q)
+                if p + q <= 2 or not starts:
                     cold = cold_starts(likelihood, p, q)
                     starts += [with_slow_part(likelihood, start, p) for start in cold] if slow else cold
-                if not starts:
-                    starts = cold_starts(likelihood, p, q)
-                    starts = [with_slow_part(likelihood, start, p) for start in starts] if slow else starts
                 point = maximise(likelihood, starts, p, EFFORT.first_passes, slow)
             if math.isfinite(point.value) and np.all(np.isfinite(point.info)):
                 fits[order] = point
         return fits
 
     def _ration(self, able: list[Order]) -> list[Order]:
-        """The orders to fit: all until each has been, then the two best, and one of the others in turn."""
+        """The orders to fit: all while the window fills, then the two best, and one of the others in turn."""
         memory = self._memory
-        if any(order not in memory.scores for order in able):
+        if memory.heard < self.window // 2 or any(order not in memory.scores for order in able):
             return able
         ranked = sorted(able, key=lambda order: (memory.scores[order], sum(order)))
         others = sorted(ranked[2:])
@@ -233,15 +228,16 @@ class Learner:
         self, likelihood: Likelihood, fits: dict[Order, Point], scores: dict[Order, float], best: Order, n: int
     ) -> Point:
         """The best point, with a slow part of second order where that serves better."""
-        found, lowest = fits[best], scores[best]
-        if self.prior is None:
+        found, lowest, lines = fits[best], scores[best], self._memory.lines
+        likely = not lines or max(float(line.evidence.max()) for (order, _), line in lines.items() if order == 2) > -DEAD
+        if self.prior is None or not likely:
             return found
-        for order in sorted(scores, key=lambda order: scores[order])[:2]:
-            point = maximise(likelihood, [fits[order].theta], order[0], EFFORT.late_passes, 2)
-            score = self._score(point, n)
-            if score < lowest:
-                found, lowest = point, score
-        return found
+        # beside a smooth slow part the fast one is often the smallest
+        starts = {k: with_slow_part(likelihood, likelihood.fast(fits[k].theta, 1), k[0], 2) for k in {best, min(fits)}}
+        values = {k: likelihood.penalised(start, k[0], 2) + 0.5 * sum(k) * math.log(n) for k, start in starts.items()}
+        order = min(values, key=lambda k: values[k])
+        point = maximise(likelihood, [starts[order]], order[0], EFFORT.smooth_passes, 2)
+        return point if self._score(point, n) < lowest else found
 
     def _keep(
         self,

@@ -216,8 +216,10 @@ def _places(p: int, q: int) -> NDArray[np.int64]:
     return np.r_[np.arange(p), m + np.arange(q), 2 * m]
 
 
-def maximise(likelihood: Likelihood, starts: Sequence[Array], p: int, passes: int, slow: int = 0) -> Point:
-    """Fisher scoring: a short race between the two best starts, then the leader alone.
+def maximise(
+    likelihood: Likelihood, starts: Sequence[Array], p: int, passes: int, slow: int = 0, race: int = 2
+) -> Point:
+    """Fisher scoring: a short race between the best starts, then the leader alone.
 
     Parameters
     ----------
@@ -230,11 +232,14 @@ def maximise(likelihood: Likelihood, starts: Sequence[Array], p: int, passes: in
         Most scoring passes of the leader.
     slow : int
         Order of the slow part, 0 without one.
+    race : int
+        How many of the starts run.
     """
     inside = [likelihood.confine(start, p, slow) for start in starts]
     if len(inside) > 1:
         inside.sort(key=lambda start: likelihood.penalised(start, p, slow))
-        runs = [_climb(likelihood, start, p, EFFORT.race_passes, slow) for start in inside[:2]]
+    if min(len(inside), race) > 1:
+        runs = [_climb(likelihood, start, p, EFFORT.race_passes, slow) for start in inside[:race]]
         inside = [min(runs, key=lambda point: point.value).theta]
     return _climb(likelihood, inside[0], p, passes, slow)
 

@@ -34,7 +34,7 @@ WIDTH = 0.4
 #: Curvature of the log-posterior in ln sd counts as at least this: flat lines are wide, not endless.
 FLATTEST = 0.5
 #: A line so far below the best is not followed until forgetting has brought it back.
-DEAD = 12.0
+DEAD = 9.0
 #: Steps between two nodes of ln tau.
 STEPS = 5
 #: A part with less than this of the slow variance is left out.
@@ -237,7 +237,8 @@ class _Search:
         first: int,
         forgetting: float,
     ) -> None:
-        self.likelihood, self.fast, self.p, self.order = likelihood, fast, p, order
+        self.likelihood, self.p, self.order = likelihood, p, order
+        self.theta = np.concatenate([fast, [0.0, math.log(tau_s)]])
         self.log_tau, self.known, self.first, self.forgetting = math.log(tau_s), known, first, forgetting
         self.evidence: dict[float, float] = {}
         assert likelihood.prior is not None
@@ -250,8 +251,8 @@ class _Search:
         key = round(log_sd, 6)
         if key not in self.evidence:
             likelihood = self.likelihood
-            theta = np.r_[self.fast, key + likelihood.log_unit, self.log_tau]
-            value = likelihood.value(theta, self.p, self.order)
+            self.theta[-2] = key + likelihood.log_unit
+            value = likelihood.value(self.theta, self.p, self.order)
             new = -likelihood.since(self.first) if math.isfinite(value) else -math.inf
             old = self.known
             before = 0.0 if old is None else _between_places(old, key)

@@ -84,8 +84,8 @@ class LearningSchedule:
     EARLY_S = (30.0, 60.0, 120.0, 240.0, 500.0)
     #: At this age the beginning is done again for the last time [s]: inputs are not kept for longer.
     REVISED_S = 1000.0
-    #: ln S(0) that has changed by less is the same: the filter's sd has changed by a tenth.
-    ANOTHER = math.log(1.5)
+    #: ln S(0) that has changed by less is the same: the sd of the heading goes with its fourth root.
+    ANOTHER = math.log(2.0)
 
     def __init__(self, filter: Filter, behind_s: float) -> None:
         self.filter, self.behind_s = filter, behind_s

@@ -16,7 +16,7 @@ from navfilter.arma.roots import pull_inside, slowest_real
 from navfilter.arma.starts import default_long_order, hannan_rissanen_start, long_residuals
 from navfilter.learning.likelihood import Likelihood, Point
 
-__all__ = ["cold_starts", "grown_starts", "padded_start", "with_slow_part"]
+__all__ = ["cold_starts", "grown_starts", "padded_start", "padded_starts", "with_slow_part"]
 
 Array = NDArray[np.float64]
 Order = tuple[int, int]
@@ -24,9 +24,9 @@ Order = tuple[int, int]
 # Time constants in ticks, and shares of white noise in the variance.
 TAUS, SHARES = (2.0, 8.0, 30.0, 120.0, 500.0), (0.0, 0.5, 0.95)
 # A pole and a zero more: time constants in ticks, factors by which they raise S(0).
-BUMP_TAUS, BUMP_FACTORS = (1.5, 5.0, 16.0, 50.0), (4.0, 40.0)
+BUMP_TAUS, BUMP_FACTORS = (1.5, 5.0, 16.0, 50.0), (12.0,)
 # A pair of each more: periods in ticks, cycles in which the oscillation decays, factors by which they raise its power.
-PERIODS, CYCLES, PEAKS = np.geomspace(2.5, 160.0, 13), (1.0, 4.0), (10.0, 200.0)
+PERIODS, CYCLES, PEAKS = np.geomspace(2.5, 160.0, 11), (1.0, 4.0), (40.0,)
 # A slow part: of the prior's standard deviation, correlation times among its nodes.
 SLOW_SDS, SLOW_NODES = (0.08, 0.22, 0.5, 1.2), (0, 2, 4)
 
@@ -56,43 +56,55 @@ def cold_starts(likelihood: Likelihood, p: int, q: int) -> list[Array]:
     return [_matched(likelihood, shape, p) for shape in shapes]
 
 
-def with_slow_part(likelihood: Likelihood, fast: Array, p: int) -> Array:
-    """``[ar, ma, ln sd]``, or a smaller sd, with the slow part of first order that serves best, of a few; needs a
-    prior.
-    """
+def with_slow_part(likelihood: Likelihood, fast: Array, p: int, slow: int = 1) -> Array:
+    """``[ar, ma, ln sd]``, or a smaller sd, with the slow part that serves best, of a few; needs a prior."""
     prior = likelihood.prior
     assert prior is not None
     nodes = [
         np.r_[
             fast[:-1], fast[-1] - less, math.log(share * prior.sd) + likelihood.log_unit, math.log(prior.taus_s[node])
         ]
-        for less in (0.0, 1.5, 3.0)
+        for less in ((0.0, 1.5, 3.0) if slow == 1 else (0.0,))
         for share in SLOW_SDS
         for node in SLOW_NODES
     ]
-    return min(nodes, key=lambda theta: likelihood.penalised(theta, p, 1))
+    return min(nodes, key=lambda theta: likelihood.penalised(theta, p, slow))
+
+
+def padded_starts(likelihood: Likelihood, below: Mapping[Order, Point], p: int, q: int) -> list[Array]:
+    """The best estimate of a lower order, padded; empty where there is none."""
+    lower = [k for k in below if k != (p, q)]
+    if not lower:
+        return []
+    best = min(lower, key=lambda k: below[k].value)
+    return [_padded(likelihood, below[best].theta, best[0], below[best].slow, p, q)]
 
 
 def grown_starts(likelihood: Likelihood, below: Mapping[Order, Point], p: int, q: int) -> list[Array]:
     """Starts from estimates of lower orders: the best of them padded, the best with a pole and a zero more, and the best
     with a pair of each.
     """
-    out = []
-    for kind in (0, 1, 2):
-        lower = [k for k in below if k[0] + kind <= p and k[1] + kind <= q and (kind or k != (p, q))]
+    out = padded_starts(likelihood, below, p, q)
+    for kind in (1, 2):
+        lower = [k for k in below if k[0] + kind <= p and k[1] + kind <= q]
         if not lower:
             continue
         best = min(lower, key=lambda k: below[k].value)
-        point = below[best]
-        fast, behind = likelihood.fast(point.theta, point.slow), point.theta[point.theta.size - 2 * bool(point.slow) :]
-        if kind:
-            shapes = _with_bump(fast, best[0]) if kind == 1 else _with_peak(fast, best[0])
-            at = best[0] + kind
-            tried = [_matched(likelihood, np.r_[shape, behind], at, point.slow, 1) for shape in shapes]
-            grown = min(tried, key=lambda theta: likelihood.value(theta, at, point.slow))
-            fast, behind = likelihood.fast(grown, point.slow), grown[grown.size - behind.size :]
-        out.append(np.r_[padded_start(fast, best[0] + kind, p, q), behind])
+        point, at = below[best], best[0] + kind
+        fast = likelihood.fast(point.theta, point.slow)
+        shapes = _with_bump(fast, best[0]) if kind == 1 else _with_peak(fast, best[0])
+        tried = [
+            likelihood.confine(np.concatenate([shape, point.theta[fast.size :]]), at, point.slow) for shape in shapes
+        ]
+        grown = min(tried, key=lambda theta: likelihood.value(theta, at, point.slow))
+        out.append(_padded(likelihood, _matched(likelihood, grown, at, point.slow), at, point.slow, p, q))
     return out
+
+
+def _padded(likelihood: Likelihood, theta: Array, at: int, slow: int, p: int, q: int) -> Array:
+    """A parameter vector of a lower order (with `at` AR coefficients) as one of a higher order."""
+    fast = likelihood.fast(theta, slow)
+    return np.concatenate([padded_start(fast, at, p, q), theta[fast.size :]])
 
 
 def _with_bump(fast: Array, p: int) -> list[Array]:
