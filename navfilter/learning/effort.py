@@ -23,6 +23,9 @@ class Effort:
         Passes of the order in use, and of a challenger: from one hop to the next an estimate moves little.
     below_passes : int
         Passes of a lower order that only serves as a start.
+    contradicted : float
+        Where earlier evidence makes a window less likely by so much (in log-likelihood), it is given up: the error has
+        changed, or an earlier fit was a poor one.
     windows_remembered : float
         Evidence for the slow part is forgotten over so many windows.
     smooth_passes : int
@@ -60,10 +63,11 @@ class Effort:
     """
 
     first_passes: int = 10
-    late_passes: int = 2
+    late_passes: int = 1
     own_passes: int = 2
     other_passes: int = 1
     below_passes: int = 8
+    contradicted: float = 20.0
     windows_remembered: float = 4.0
     smooth_passes: int = 5
     race_passes: int = 2

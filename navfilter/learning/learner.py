@@ -139,6 +139,10 @@ class Learner:
                 )
         self._memory = memory
 
+    def forget(self) -> None:
+        """The error has changed: what was found serves as a start, and is no evidence any longer."""
+        self._memory = LearnerMemory(self._memory.thetas, {}, {}, self._memory.turn, 0)
+
     def hop(self, series: ArrayLike, fresh: int | None = None) -> Learnt | None:
         """Learn from the last `window` samples (fewer at first).
 
@@ -185,8 +189,18 @@ class Learner:
         if self.prior is not None:
             forgetting = math.exp(-(y.size - first) / (EFFORT.windows_remembered * self.window))
             posterior = follow(likelihood, point.theta, point.p, self._memory.lines, first, forgetting)
+            if first > 0 and self._contradicted(likelihood, point, posterior):
+                posterior = follow(likelihood, point.theta, point.p, {}, 0, 1.0)
         self._keep(likelihood, fits, scores, posterior, heard)
         return _learnt(likelihood, point, posterior, n)
+
+    @staticmethod
+    def _contradicted(likelihood: Likelihood, point: Point, posterior: SlowPosterior) -> bool:
+        """Whether earlier evidence has led to a slow part with which this window is far less likely."""
+        node = posterior.mode
+        fast = likelihood.fast(point.theta, point.slow)
+        theta = np.concatenate([fast, [math.log(node.sd) + likelihood.log_unit, math.log(node.tau_s)]])
+        return likelihood.penalised(theta, point.p, node.order) > point.value + EFFORT.contradicted
 
     def _score(self, point: Point, n: int) -> float:
         """Half of BIC; the slow part is there for every order."""
@@ -229,7 +243,9 @@ class Learner:
     ) -> Point:
         """The best point, with a slow part of second order where that serves better."""
         found, lowest, lines = fits[best], scores[best], self._memory.lines
-        likely = not lines or max(float(line.evidence.max()) for (order, _), line in lines.items() if order == 2) > -DEAD
+        likely = (
+            not lines or max(float(line.evidence.max()) for (order, _), line in lines.items() if order == 2) > -DEAD
+        )
         if self.prior is None or not likely:
             return found
         # beside a smooth slow part the fast one is often the smallest

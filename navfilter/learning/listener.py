@@ -30,6 +30,13 @@ from navfilter.vehicle import Vehicle
 __all__ = ["ChannelSeries", "Listener", "ListenerMemory"]
 
 Array = NDArray[np.float64]
+#: A change is noticed when the mean NIS over `MEMORY_S` has left these limits, per degree of freedom [1]: it is the one-step
+#: likelihood of the model in force, and a variance that is wrong by two is beyond what a posterior leaves open.
+CALM = (0.4, 2.0)
+#: Time constant of that mean, and least age of a model that is judged by it [s]: at 8 Hz its sd is 0.06.
+MEMORY_S, PROBATION_S = 30.0, 90.0
+#: A single reading counts up to this NIS per degree of freedom: a spike is no change.
+MOST_NIS = 25.0
 #: A sample so many robust deviations from its neighbours is a spike.
 SPIKE = 8.0
 NEVER = int(np.iinfo(np.int64).max)
@@ -71,6 +78,12 @@ class ListenerMemory:
         The next hop comes when so many have been noted.
     heard : int
         Ticks that have been learnt from.
+    since : int
+        Ticks before the last change of the error: they are not learnt from.
+    nis : float
+        Mean NIS per degree of freedom of late.
+    judged : int
+        From this tick on the model in force is judged by it.
     models : tuple of ErrorModel
         Of each axis, as learnt last.
     learners : tuple of LearnerMemory or None
@@ -83,6 +96,9 @@ class ListenerMemory:
     cursor: NDArray[np.int64]
     due: int
     heard: int
+    since: int
+    nis: float
+    judged: int
     models: tuple[ErrorModel, ...]
     learners: tuple[LearnerMemory | None, ...]
 
@@ -144,6 +160,9 @@ class Listener:
             cursor=np.zeros(1, np.int64),
             due=LEAST if window else NEVER,
             heard=0,
+            since=0,
+            nis=1.0,
+            judged=round(PROBATION_S / self.period_s),
             models=models,
             learners=memories(self.learners),
         )
@@ -191,8 +210,29 @@ class Listener:
         return ticks + max(0, math.ceil(age_s / self.period_s - 1e-6) - 1) if ticks else 0
 
     def _next(self, ticks: int) -> int:
-        """Ticks that make the next hop due: twice as many at first, a hop more then."""
-        return ticks + min(self.hop, ticks) if ticks >= LEAST else LEAST
+        """Ticks that make the next hop due: twice as many since the last change at first, a hop more then."""
+        known = ticks - self._memory.since
+        return ticks + min(self.hop, known) if known >= LEAST else self._memory.since + LEAST
+
+    def notice(self, nis: float, dof: int) -> None:
+        """Take note of how a reading fared in the filter; after a change of the error only what came since is learnt
+        from.
+        """
+        memory = self._memory
+        if not dof or not math.isfinite(nis):
+            return
+        memory.nis += min(1.0, self.period_s / MEMORY_S) * (min(nis / dof, MOST_NIS) - memory.nis)
+        now = int(memory.cursor[0])
+        if now < memory.judged or CALM[0] < memory.nis < CALM[1]:
+            return
+        memory.nis, memory.judged = 1.0, now + round((MEMORY_S + PROBATION_S) / self.period_s)
+        # noticed within a time constant
+        memory.since = memory.heard = max(memory.since, now - round(MEMORY_S / self.period_s))
+        memory.due = now + round(MEMORY_S / self.period_s)
+        for learner in self.learners:
+            if learner is not None:
+                learner.forget()
+        memory.learners = memories(self.learners)
 
     def learn(self, age_s: float = 0.0) -> tuple[ErrorModel, ...] | None:
         """At a hop: the error models to adopt, or None when there is nothing new; the last tick was `age_s` ago."""
@@ -201,11 +241,12 @@ class Listener:
         newest = min(max(0, round((self.behind_s - age_s) / self.period_s)), written)
         memory.due = self._next(written)
         fresh, memory.heard = written - newest - memory.heard, written - newest
+        known = written - memory.since
         new = []
         for axis, (model, learner) in enumerate(zip(memory.models, self.learners, strict=True)):
             part = learned_part(model)
             if part is not None and learner is not None:
-                found = learner.hop(self.series(axis, part.window + newest, newest), fresh)
+                found = learner.hop(self.series(axis, min(part.window + newest, known), newest), fresh)
                 if found is not None:
                     slow = sum(found.slow[1:], start=found.slow[0]) if found.slow else None
                     learnt = replace(part, model=found.model, slow=slow, spectrum=found.spectrum)

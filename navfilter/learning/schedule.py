@@ -107,7 +107,9 @@ class LearningSchedule:
         """All that changes; setting one goes back (or on) to it."""
         listeners = {name: listener.memory for name, listener in self.listeners.items()}
         rest = None if self.rest is None else self.rest.memory
-        return LearningMemory(self._fed_back, listeners, rest, self.beginning, len(self.beginning or ()), self._stage, self._levels)
+        return LearningMemory(
+            self._fed_back, listeners, rest, self.beginning, len(self.beginning or ()), self._stage, self._levels
+        )
 
     @memory.setter
     def memory(self, memory: LearningMemory) -> None:
@@ -185,6 +187,8 @@ class LearningSchedule:
             *(kind, mount, ring, cursor, channel.count, filter.drive_output, filter.vehicle.drive.gravity),
         )
         early = self._stage < len(self.EARLY_S)
+        if listener is not None and listener.window and not early:
+            listener.notice(event.outcome.nis, event.outcome.dof)
         if listener is None or not listener.is_due or early or not event.outcome.accepted:
             return ()
         models = listener.learn()
