@@ -300,9 +300,10 @@ def _glide(y, t, ticks, x, U, sees, a, L, S, ahead, ahead_S, clip, e, lns, K, sl
     level, root = math.log(S), 1.0 / math.sqrt(S)
     rise, turn = (math.log(ahead_S) - level) / ticks, (1.0 / math.sqrt(ahead_S) - root) / ticks
     total = ticks * (HALF_LOG_2PI + 0.5 * (level + 0.5 * rise * (ticks - 1)))
-    if m <= 2 and (r == 2 or r == 3) and U[0, 0] == 1.0 and U[0, 1] == 1.0 and sees[1] == 0.0:
-        if r == 2 or (U[0, 2] == 0.0 and U[1, 2] == 0.0 and sees[2] == 1.0):
-            return total + _glide_small(y, t, ticks, x, U, a, clip, e, lns, K, slope, level, rise, root, turn)
+    integrators = r >= 2 and U[0, 0] == 1.0 and U[0, 1] == 1.0 and U[1, 1] == 1.0 and sees[0] == 1.0 and sees[1] == 0.0
+    beside = r == 2 or (r == 3 and U[0, 2] == 0.0 and U[1, 2] == 0.0 and sees[2] == 1.0)
+    if m <= 2 and integrators and beside:
+        return total + _glide_small(y, t, ticks, x, U, a, clip, e, lns, K, slope, level, rise, root, turn)
     for k in range(t, t + ticks):
         residual = y[k] - x[r]
         for i in range(r):
@@ -418,11 +419,11 @@ def _carry(A, column, U, sees, a, L, scale, X, row, root, r):
 def channel_filter(y, theta, chain, sees, rules, e, lns):
     """Standardised innovations and ln S of a series with gaps; returns minus the log-likelihood.
 
-    y (N,) with NaN where a sample is missing; sees (r,) how the reading sees the chain. The first DIFFUSE states start diffuse: as many known samples of a segment fix them and do not count (their
-    density does not depend on theta). A run of more than LONGEST_GAP missing samples ends a segment. Innovations beyond
-    CLIP standard deviations enter the state clipped and the likelihood by Huber's function. `e` (N,) is NaN and `lns` 0
-    where nothing counts. Infinite if not stationary, or so nearly integrating that the start's covariance is only
-    rounding.
+    y (N,) with NaN where a sample is missing; sees (r,) how the reading sees the chain. The first DIFFUSE states start
+    diffuse: as many known samples of a segment fix them and do not count (their density does not depend on theta). A
+    run of more than LONGEST_GAP missing samples ends a segment. Innovations beyond CLIP standard deviations enter the
+    state clipped and the likelihood by Huber's function. `e` (N,) is NaN and `lns` 0 where nothing counts. Infinite if
+    not stationary, or so nearly integrating that the start's covariance is only rounding.
 
     Where the gain changes by no more than the part TOLERANCE over 8 to 256 ticks, it is interpolated between both ends;
     the covariance at the far end is exact (by doubling). 0: every tick by itself.

@@ -39,8 +39,8 @@ LONGEST_SPAN_S = 500.0
 class LearnedArma(ErrorModel):
     """ARMA error whose order and coefficients are learnt under way, on a sliding window of the sensor's own readings.
 
-    What is learnt is a posterior: a fast ARMA part, and a slow part of which the readings tell little, so that its prior
-    counts. The filter carries both, the slow part with the variance that its posterior has.
+    What is learnt is a posterior: a fast ARMA part, and a slow part of which the readings tell little, so that its
+    prior counts. The filter carries both, the slow part with the variance that its posterior has.
 
     Parameters
     ----------
@@ -75,7 +75,8 @@ class LearnedArma(ErrorModel):
     LearnedArma()``.
 
     The states of the fast part are a register of past values, ``[n(t) .. n(t-p+1), e(t) .. e(t-q+1)]``, so that new
-    coefficients leave them as they are, and a new order only appends or drops the oldest; those of the slow part follow.
+    coefficients leave them as they are, and a new order only appends or drops the oldest; those of the slow part
+    follow.
 
     Examples
     --------

@@ -75,8 +75,8 @@ class LearningSchedule:
     minute at rest is little.
     """
 
-    #: Models are adopted at these ages, and the beginning is done again [s]: as soon as readings say more than the prior,
-    #: and whenever there are twice as many.
+    #: Models are adopted at these ages, and the beginning is done again [s]: as soon as readings say more than the
+    #: prior, and whenever there are twice as many.
     EARLY_S = (30.0, 60.0, 120.0, 240.0, 500.0)
 
     def __init__(self, filter: Filter, behind_s: float) -> None:
@@ -217,8 +217,8 @@ class LearningSchedule:
         return math.inf if self.beginning is None else self._start_s + self.EARLY_S[self._stage]
 
     def early_models(self) -> dict[str, tuple[ErrorModel, ...]]:
-        """At an early hop: models by sensor; empty where nothing new has been found. Where there are some, the filter is
-        to begin again.
+        """At an early hop: models by sensor; empty where nothing new has been found. Where there are some, the filter
+        is to begin again.
         """
         ages = {name: self.early_s - self.filter.channels[name].memory.ticked_s for name in self.listeners}
         learnt = {name: listener.learn(ages[name]) for name, listener in self.listeners.items() if listener.window}
