@@ -5,15 +5,11 @@ import json
 
 import numpy as np
 import pytest
-from small_run import small_run
 
 from navfilter.cli import main
-from navfilter.commands import compare as compare_command
-from navfilter.commands.compare import learning_ends
 from navfilter.error_models import Arma, GaussMarkov, Sum, White
 from navfilter.io import read_mission, read_vehicle, write_vehicle
 from navfilter.learning.learned import LearnedArma, learned_part
-from navfilter.learning.schedule import LearningSchedule
 from navfilter.playback import replay
 from navfilter.simulation.truth import true_vehicle
 
@@ -150,26 +146,6 @@ def test_help_teaches(capsys):
     assert all(f"\n  {name} " in said for name in MODELS) and "examples:" in said and "vehicle_true.toml" in said
 
 
-def test_until_when_nothing_is_scored(swing, monkeypatch):
-    vehicle, mission = read_vehicle(swing), read_mission(swing / "mission.npz")
-    prior = vehicle.sensors["compass"].error
-
-    def begin(**models):
-        return learning_ends({"a": replay(vehicle.with_error(**models), mission.between(0.0, 20.0))}, mission)
-
-    assert begin() == 0.0
-    assert begin(compass=LearnedArma(prior=prior, window=800)) == 160.0
-    # The beginning is run again once, when the longest window is full.
-    depth = LearnedArma(prior=White(sd=0.05), window=200)
-    assert begin(compass=LearnedArma(prior=prior, window=400), depth=depth) == 260.0
-    # A window longer than half the mission is not waited for, but what was run again is never scored.
-    monkeypatch.setattr(LearningSchedule, "FIRST_S", 100.0)
-    assert begin(compass=LearnedArma(prior=prior, window=1600)) == 100.0
-    monkeypatch.undo()
-    # Nothing is learnt in time: nothing is run again.
-    assert begin(compass=LearnedArma(prior=prior, window=2000)) == 0.0
-
-
 def test_what_an_oracle_is_told(swing):
     really, believed = read_vehicle(swing / "vehicle_true.toml"), read_vehicle(swing)
     error = really.sensors["compass"].error
@@ -200,18 +176,3 @@ def test_the_demonstration_compares(tmp_path, capsys):
     said = capsys.readouterr().out
     words = ("smoothed", "position rms [m]", "NIS", "gm1-fitted", "compass: largest autocorrelation")
     assert [word for word in words if word not in said] == []
-
-
-@pytest.mark.parametrize(("ends_s", "begin_s"), [(100.0, 100.0), (130.0, 0.0)])
-def test_a_mission_of_which_little_would_be_left_is_scored_whole(monkeypatch, ends_s, begin_s):
-    """80 of the 600 s of the manual's example said little, and looked like the result."""
-    mission, tracks = small_run()
-    monkeypatch.setattr(compare_command, "learning_ends", lambda *_: ends_s)
-    found = compare_command.compare_tracks(tracks, mission, next(iter(tracks.values())).vehicle)
-    assert f"scored: {begin_s:g} to 150 s." in str(found)
-    said = [remark for remark in found.remarks if "all are scored" in remark]
-    assert [remark.split(", so")[0] for remark in said] == (
-        [] if begin_s else ["Only 20 of 150 s come after the first models were learnt"]
-    )
-    asked = compare_command.compare_tracks(tracks, mission, next(iter(tracks.values())).vehicle, begin_s=140.0)
-    assert "scored: 140 to 150 s." in str(asked)
