@@ -13,7 +13,7 @@ from navfilter.learning.drift import Drift
 from navfilter.learning.likelihood import Likelihood, maximise
 from navfilter.learning.posterior import SlowPosterior, follow, slow_psd
 from navfilter.learning.slow import SlowNode, SlowPrior, _slow, slow_prior
-from navfilter.learning.spectrum import Spectrum
+from navfilter.learning.spectrum import Spectrum, log_spread
 
 PERIOD_S = 0.5
 DRIFT = Drift((0.01, 0.0), PERIOD_S)
@@ -282,8 +282,20 @@ def test_the_band_of_a_spectrum_holds_what_it_says():
     assert spectrum.sd_log_s0 == pytest.approx(0.7, rel=1e-3)
 
 
-def test_a_certain_spectrum_has_no_band():
-    spectrum = Spectrum.certain(np.array([0.01, 1.0]), np.array([2.0, 3.0]))
-    assert spectrum.low == spectrum.median == spectrum.high == (2.0, 3.0) and spectrum.sd_log_s0 == 0.0
+def test_a_spectrum_that_is_known_has_no_band():
     alone = Spectrum.weighted(np.array([0.01, 1.0]), np.array([[2.0, 3.0]]), np.ones(1))
-    assert alone == spectrum
+    assert alone.low == alone.median == alone.high == (2.0, 3.0) and alone.sd_log_s0 == 0.0
+
+
+def test_the_spread_of_a_spectrum_is_that_of_its_coefficients():
+    """Against 4000 draws; first order is enough for coefficients this well known."""
+    ar, ma = np.array([-1.2, 0.5]), np.array([0.3])
+    root = 0.01 * np.random.default_rng(1).normal(size=(4, 4))
+    turn = np.array([0.01, 0.5, 1.5, 3.0])
+    logs = []
+    for a1, a2, c1, log_sd in np.random.default_rng(2).normal(size=(4000, 4)) @ root.T:
+        logs.append(
+            np.log(ArmaModel(ar + np.array([a1, a2]), ma + c1, math.exp(log_sd)).spectrum(turn / (2.0 * np.pi), 1.0))
+        )
+    # 4000 draws know a standard deviation to 1.1 %
+    np.testing.assert_allclose(log_spread(ar, ma, root @ root.T, turn), np.std(logs, axis=0), rtol=0.05)
