@@ -12,7 +12,6 @@ from os import PathLike
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from navfilter.arma.choice import Challenge
 from navfilter.filter import snapshot as snapshots
 from navfilter.filter.adoption import Change
 from navfilter.filter.channel import ChannelMemory
@@ -26,8 +25,10 @@ from navfilter.filter.memory import misfit
 from navfilter.filter.tape import Tape
 from navfilter.learning.learner import LearnerMemory
 from navfilter.learning.listener import ChannelSeries, ListenerMemory
+from navfilter.learning.posterior import Line
 from navfilter.learning.rest import RestMemory
 from navfilter.learning.schedule import LearningMemory, LearningSchedule
+from navfilter.learning.spectrum import Spectrum
 from navfilter.start import Start
 from navfilter.state import NavState
 from navfilter.vehicle import Vehicle
@@ -47,7 +48,7 @@ class NavigatorMemory:
 
 MEMORY = (
     *(NavigatorMemory, FilterMemory, ChannelMemory, IntakeMemory),
-    *(LearningMemory, ListenerMemory, RestMemory, LearnerMemory, Challenge),
+    *(LearningMemory, ListenerMemory, RestMemory, LearnerMemory, Line, Spectrum),
 )
 
 

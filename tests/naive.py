@@ -703,18 +703,17 @@ def stationary(a, c, P):
     return True
 
 
-def channel_filter(y, theta, Q, rules, e, lns):
-    r, m = Q.shape[1], (len(theta) - 1) // 2
+def channel_filter(y, theta, chain, sees, rules, e, lns):
+    r, m = len(sees), (len(theta) - 1) // 2
     d, longest, clip, white = int(rules[0]), rules[1], rules[2], rules[3]
     a, c, var = theta[:m], theta[m:-1], np.exp(2 * theta[-1])
     F, W, start = np.zeros((r + m, r + m)), np.zeros((r + m, r + m)), np.zeros((r + m, r + m))
-    F[:r, :r] = [[1 / math.factorial(j - i) if j >= i else 0.0 for j in range(r)] for i in range(r)]
-    F[r:, r:] = np.eye(m, k=1)
+    F[:r, :r], F[r:, r:] = chain[0], np.eye(m, k=1)
     F[r:, r] -= a
     shared = np.r_[np.zeros(r), var * (c - a)]  # covariance of process and measurement noise
-    W[:r, :r], W[r:, r:] = Q[:r], np.outer(shared, shared)[r:, r:] / var
-    h = np.isin(np.arange(r + m), (0, r)).astype(float)
-    start[range(d, r), range(d, r)] = Q[r, d:]
+    W[:r, :r], W[r:, r:] = chain[1], np.outer(shared, shared)[r:, r:] / var
+    h = np.r_[sees, np.eye(m)[0]]
+    start[d:r, d:r] = chain[2][d:, d:]
     unit = np.zeros((m, m))
     if not stationary(a, c, unit):
         return math.inf
@@ -727,7 +726,7 @@ def channel_filter(y, theta, Q, rules, e, lns):
             if gap <= longest:
                 x, P, A = F @ x, F @ P @ F.T + W, F @ A
             continue
-        if gap > longest:  # a new segment: drift diffuse (columns A), ARMA error stationary
+        if gap > longest:  # a new segment: some states diffuse (columns A), ARMA error stationary
             x, P, A, rows = np.zeros(r + m), start, np.eye(r + m)[:, :d], []
         gap = 0
         v, S = y[t] - h @ x, h @ P @ h + var + white
@@ -746,12 +745,12 @@ def channel_filter(y, theta, Q, rules, e, lns):
     return total
 
 
-def channel_scores(y, theta, Q, rules, free, steps, E, LNS, info, gradient):
-    value = channel_filter(y, theta, Q, rules, E[0], LNS[0])
-    for i, (k, step) in enumerate(zip(free, steps, strict=True)):
-        channel_filter(y, theta + step * (np.arange(len(theta)) == k), Q, rules, E[i + 1], LNS[i + 1])
-        LNS[i + 1] = (LNS[i + 1] - LNS[0]) / step
-        E[i + 1] = (E[i + 1] - E[0]) / step + 0.5 * E[0] * LNS[i + 1]
+def channel_scores(y, thetas, chains, sees, rules, steps, E, LNS, info, gradient):
+    value = channel_filter(y, thetas[0], chains[0], sees, rules, E[0], LNS[0])
+    for i, step in enumerate(steps, start=1):
+        channel_filter(y, thetas[i], chains[i], sees, rules, E[i], LNS[i])
+        LNS[i] = (LNS[i] - LNS[0]) / step
+        E[i] = (E[i] - E[0]) / step + 0.5 * E[0] * LNS[i]
     known = np.isfinite(E[0])
     z, dv, ds = E[0, known], E[1:, known], LNS[1:, known]
     gradient[:] = (dv - 0.5 * z * ds) @ np.clip(z, -rules[2], rules[2]) + 0.5 * ds.sum(1)

@@ -1,7 +1,5 @@
 """How states follow a change of the error model: `transfer`, `state_change`, the register, and `LearnedArma` itself."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_lyapunov
@@ -9,8 +7,10 @@ from scipy.signal import lfilter
 
 import navfilter as nf
 from navfilter.arma.model import ArmaModel
+from navfilter.assembly import forward_track, smoothed_track
 from navfilter.filter.adoption import state_change, transfer
 from navfilter.filter.layout import Layout
+from navfilter.filter.tape import Tape
 from navfilter.learning.learned import (
     LearnedArma,
     known_walk,
@@ -21,7 +21,6 @@ from navfilter.learning.learned import (
     resolve_prior,
     with_learned,
 )
-from navfilter.learning.low_frequency import LARGEST_SPREAD, SHARE
 
 PERIOD_S = 0.25
 
@@ -42,12 +41,14 @@ def random_model(rng, p, q, sd=1.0, **more):
     return ArmaModel(coefficients(p), coefficients(q), sd, **more)
 
 
-def learnt(model):
-    return LearnedArma(model=model)
+def learnt(model, slow=None):
+    return LearnedArma(model=model, slow=slow)
 
 
 ORDERS = [(0, 0), (1, 0), (0, 1), (1, 1), (2, 1), (1, 3), (4, 2), (4, 4)]
 PAIRS = [(a, b) for a in ORDERS for b in ORDERS]
+SLOW, SMOOTH = nf.GaussMarkov(sd=0.5, tau_s=60.0), nf.GaussMarkov(sd=0.8, tau_s=300.0, order=2)
+SLOWS = (None, SLOW, SMOOTH, SLOW + SMOOTH)
 
 
 # ---------------------------------------------------------------- the register
@@ -98,23 +99,22 @@ def test_register_reproduces_the_difference_equation_of_coefficients_that_jump()
     )
 
 
-@pytest.mark.parametrize("order", [(0, 0), (1, 0), (2, 1), (0, 2), (4, 4)])
-def test_an_uncertain_s0_raises_the_spectrum_at_zero(order):
-    """By exp(share * sd ln S(0)), at most `LARGEST_SPREAD`: however it is done, that much has to come out at frequency
-    zero.
-    """
-    plain = random_model(np.random.default_rng(9), *order)
-
-    def s0(model):
-        block = register_block(model)
-        if not block.size:
-            return block.r
-        gain = block.C @ np.linalg.inv(np.eye(block.size) - block.Phi)
-        return gain @ block.Q @ gain
-
-    for spread, counted in ((0.0, 0.0), (0.3, 0.3), (9.0, LARGEST_SPREAD)):
-        raised = dataclasses.replace(plain, sd_log_s0=spread)
-        np.testing.assert_allclose(s0(raised) / s0(plain), np.exp(SHARE * counted), rtol=1e-9)
+@pytest.mark.parametrize("slow", [None, SLOW, SMOOTH, SLOW + SMOOTH])
+@pytest.mark.parametrize("order", ORDERS)
+def test_the_block_is_the_fast_part_beside_the_slow_ones(order, slow):
+    model = random_model(np.random.default_rng(9), *order, sd=0.7)
+    learned, fast, lags = learnt(model, slow), register_block(model), 12
+    block = learned.block(PERIOD_S)
+    assert block.size == fast.size + sum(part.order for part in learned.slow_parts)
+    expected = model.autocovariance(lags)[: lags + 1].copy()
+    for part in learned.slow_parts:
+        own = part.block(PERIOD_S)
+        expected += [own.C @ np.linalg.matrix_power(own.Phi, k) @ own.P0 @ own.C for k in range(lags + 1)]
+    P, ours = block.P0, []
+    for k in range(lags + 1):
+        ours.append(block.C @ P @ block.C + (block.r if k == 0 else 0.0))
+        P = block.Phi @ P
+    np.testing.assert_allclose(ours, expected, rtol=0, atol=1e-10 * expected[0])
 
 
 # ---------------------------------------------------------------- transfer of one axis
@@ -134,6 +134,7 @@ def test_equal_models_keep_their_states_exactly():
         model = learnt(random_model(rng, *order))
         for error in (
             model,
+            LearnedArma(model=model.model, slow=SLOW + SMOOTH),
             nf.RandomWalk(density=1.0) + model,
             nf.White(sd=0.1) + nf.GaussMarkov(sd=1.0, tau_s=3.0, order=2),
         ):
@@ -185,20 +186,65 @@ def test_the_present_error_neither_jumps_nor_loses_its_variance(before, after):
     assert abs(C_new @ N @ C_new) < 1e-9 * new.block(PERIOD_S).P0[0, 0]
 
 
+@pytest.mark.parametrize(("before", "after"), [((2, 1), (2, 1)), ((1, 0), (3, 2)), ((0, 0), (1, 1)), ((2, 0), (0, 0))])
+def test_slow_parts_of_the_same_orders_keep_their_states(before, after):
+    """Whatever their sizes and times; the registers follow as without them."""
+    rng = np.random.default_rng(17)
+    old, new = random_model(rng, *before), random_model(rng, *after)
+    other = nf.GaussMarkov(sd=2.0, tau_s=20.0) + nf.GaussMarkov(sd=0.1, tau_s=900.0, order=2)
+    M, N = transfer(learnt(old, SLOW + SMOOTH), learnt(new, other), PERIOD_S)
+    fast, noise = transfer(learnt(old), learnt(new), PERIOD_S)
+    r, c = fast.shape
+    np.testing.assert_array_equal(M[:r, :c], fast)
+    np.testing.assert_array_equal(N[:r, :r], noise)
+    np.testing.assert_array_equal(M[r:, c:], np.eye(3))
+    assert not M[:r, c:].any() and not M[r:, :c].any() and not N[r:].any() and not N[:, r:].any()
+
+
+@pytest.mark.parametrize(("before", "after"), [(a, b) for a in SLOWS for b in SLOWS if a is not b])
+def test_slow_parts_of_other_orders_share_the_sum_of_the_old_ones(before, after):
+    """Given their sum they are as their stationary distribution has it, by a dense conditioning; the fast part is left
+    alone.
+    """
+    model = random_model(np.random.default_rng(18), 2, 1)
+    M, N = transfer(learnt(model, before), learnt(model, after), PERIOD_S)
+    r = register_block(model).size
+    np.testing.assert_array_equal(M[:r, :r], np.eye(r))
+    assert not M[:r, r:].any() and not M[r:, :r].any() and not N[:r].any() and not N[:, :r].any()
+    new, old = learnt(model, after).block(PERIOD_S), learnt(model, before).block(PERIOD_S)
+    P, C = new.P0[r:, r:], new.C[r:]
+    if not (P.size and old.size > r):
+        np.testing.assert_allclose(N[r:, r:], P, rtol=1e-12)
+        assert not M[r:].any()
+        return
+    G = P @ C / (C @ P @ C)
+    np.testing.assert_allclose(M[r:, r:], np.outer(G, old.C[r:]), rtol=1e-12)
+    np.testing.assert_allclose(N[r:, r:], P - np.outer(G, C @ P), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(new.C @ M, old.C, rtol=0, atol=1e-12)
+    assert abs(new.C @ N @ new.C) < 1e-12
+
+
 @pytest.mark.parametrize("white", [0.0, 0.3])
-@pytest.mark.parametrize("order", [(1, 0), (2, 1), (4, 4)])
-def test_a_prior_hands_over_its_present_error(order, white):
-    """A fixed model's output becomes the register's value; the white part of it is not known."""
+@pytest.mark.parametrize("slow", [None, SLOW, SLOW + SMOOTH])
+@pytest.mark.parametrize("order", [(0, 0), (1, 0), (2, 1), (4, 4)])
+def test_a_prior_hands_over_its_present_error(order, slow, white):
+    """A fixed model's output becomes the present value of what is learnt, shared by the variances of its parts; the
+    white part of it is not known.
+    """
     coloured = nf.GaussMarkov(sd=1.3, tau_s=2.0, order=2)
     prior = coloured + nf.White(sd=white)
-    old, new = LearnedArma(prior=prior), LearnedArma(prior=prior, model=random_model(np.random.default_rng(3), *order))
+    model = random_model(np.random.default_rng(3), *order)
+    old, new = LearnedArma(prior=prior), LearnedArma(prior=prior, model=model, slow=slow)
     M, N = transfer(old, new, PERIOD_S)
-    C_old, C_new = old.block(PERIOD_S).C, new.block(PERIOD_S).C
-    np.testing.assert_allclose(C_new @ M, C_old, rtol=0, atol=1e-12)
-    assert C_new @ N @ C_new == pytest.approx(white**2, abs=1e-12)
-    P = new.block(PERIOD_S).P0
-    g = P[:, 0] / P[0, 0]
-    expected = P - np.outer(g, g) * P[0, 0] + white**2 * np.outer(g, g)
+    before, after = old.block(PERIOD_S), new.block(PERIOD_S)
+    if not after.size:
+        assert M.shape == (0, 2) and N.shape == (0, 0)
+        return
+    np.testing.assert_allclose(after.C @ M, before.C, rtol=0, atol=1e-12)
+    assert pytest.approx(white**2, abs=1e-12) == after.C @ N @ after.C
+    P = after.P0
+    g = P @ after.C / (after.C @ P @ after.C)
+    expected = P - np.outer(g, P @ after.C) + white**2 * np.outer(g, g)
     np.testing.assert_allclose(N, expected, rtol=0, atol=1e-9 * P.max())
 
 
@@ -302,13 +348,16 @@ def test_the_predicted_reading_does_not_jump():
         ({"orders": ()}, "orders"),
         ({"orders": ((1, -1),)}, "orders"),
         ({"orders": ((11, 0),)}, "orders"),
-        ({"window": 199}, "window"),
+        ({"window": 99}, "window"),
         ({"hop": 0}, "hop"),
         ({"prior": "white"}, "prior"),
         ({"prior": LearnedArma()}, "prior"),
         ({"prior": nf.White(sd=1.0) + LearnedArma()}, "prior"),
         ({"model": ArmaModel([-1.0], [], 1.0)}, "stable.*1.0000"),
         ({"model": ArmaModel([-2.0, 1.1], [], 1.0)}, "stable"),
+        ({"model": ArmaModel([], [], 1.0), "slow": nf.White(sd=1.0)}, "Gauss-Markov"),
+        ({"model": ArmaModel([], [], 1.0), "slow": SLOW + nf.RandomWalk(density=1.0)}, "Gauss-Markov"),
+        ({"slow": SLOW}, "slow.*model"),
     ],
 )
 def test_impossible_descriptions_are_refused(wrong, says):
@@ -327,7 +376,9 @@ def test_block_is_that_of_the_model_else_of_the_prior():
     assert LearnedArma(prior=prior, model=model).block(PERIOD_S).size == 3
     with pytest.raises(ValueError, match="prior"):
         LearnedArma().block(PERIOD_S)
+    assert LearnedArma(prior=prior, model=model, slow=SLOW + SMOOTH).block(PERIOD_S).size == 6
     assert str(LearnedArma(prior=prior, model=model)) == "LearnedArma(2, 1)"
+    assert "GaussMarkov(sd=0.5" in str(LearnedArma(prior=prior, model=model, slow=SLOW))
     assert "GaussMarkov" in str(LearnedArma(prior=prior))
 
 
@@ -380,9 +431,6 @@ def test_states_that_appear_and_vanish_are_nan_on_the_track(smooth):
     """state_names is the union over time, each sensor's states together; a state that does not exist is NaN, never a
     stale number.
     """
-    from navfilter.filter.tape import Tape
-    from navfilter.playback import _smoothed, _track
-
     vehicle = nf.Vehicle(
         imu=nf.Imu(rate_hz=20.0),
         sensors={
@@ -403,9 +451,9 @@ def test_states_that_appear_and_vanish_are_nan_on_the_track(smooth):
             nav.correct("depth", time_s, 0.05)
         if time_s in changes:
             nav.adopt("compass", changes[time_s])
-    track = _track("forward", nav, tape, "t", 0.0)
+    track = forward_track(nav, "t", 0.0)
     if smooth:
-        track = _smoothed(track, nav, tape, 0.0, False)
+        track = smoothed_track(track, nav, 0.0, False)
     assert len(set(track.state_names)) == len(track.state_names) == len(track.state_units)
     compass = [name for name in track.state_names if name.startswith("compass")]
     assert set(compass) == {f"compass[{i}]" for i in range(4)} | {"compass.bias", *(c for c in compass if "." in c)}
@@ -430,11 +478,11 @@ def test_states_that_appear_and_vanish_are_nan_on_the_track(smooth):
     assert np.isfinite(track.latitude).all() and np.isfinite(track.covariance).all()
 
 
-def test_cautious_models_stay_stable():
+def test_registers_are_stationary():
     rng = np.random.default_rng(11)
     for _ in range(100):
         p, q = rng.integers(0, 5, size=2)
-        block = register_block(random_model(rng, p, q, sd_log_s0=rng.uniform(0.0, 5.0)))
+        block = register_block(random_model(rng, p, q))
         if block.size:
             assert np.abs(np.linalg.eigvals(block.Phi)).max() < 1.0
             P = solve_discrete_lyapunov(block.Phi, block.Q)

@@ -43,6 +43,11 @@ def test_every_field_of_the_effort_is_explained():
     assert [name for name in Effort.__dataclass_fields__ if name not in described] == []
 
 
+def test_every_field_of_the_effort_is_used():
+    used = "".join(path.read_text() for path in (ROOT / "learning").glob("*.py"))
+    assert [name for name in Effort.__dataclass_fields__ if f"EFFORT.{name}" not in used] == []
+
+
 @pytest.mark.parametrize("name", CRITERIA)
 def test_a_parameter_that_gains_nothing_makes_every_criterion_worse(name):
     values = [criterion(name, 1000.0, k, 400) for k in range(6)]

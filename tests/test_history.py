@@ -9,6 +9,7 @@ from feeding import Event, delayed, events_of, one_by_one
 
 import navfilter as nf
 from navfilter.filter.memory import differences
+from navfilter.learning.schedule import LearningSchedule
 from navfilter.simulation.scenarios import simulate_scenario
 
 
@@ -35,12 +36,13 @@ def test_late_readings_equal_arrival_in_order(dive):
 
 
 @pytest.mark.parametrize(("history_s", "share"), [(2.0, 0.3), (10.0, 0.1), (30.0, 0.04)])
-def test_learning_is_the_same_whatever_comes_late(history_s, share):
-    """Compass and fixes late by up to the history's length, over the first adoption and hops of 25 s: models and state
+def test_learning_is_the_same_whatever_comes_late(history_s, share, monkeypatch):
+    """Compass and fixes late by up to the history's length, over the early adoptions and hops of 25 s: models and state
     as in order.
 
     1e-9 is rounding: samples come in other blocks.
     """
+    monkeypatch.setattr(LearningSchedule, "EARLY_S", (30.0, 60.0, 120.0))
     vehicle, mission = simulate_scenario("lawnmower", 3, 240.0)
     vehicle = vehicle.with_error(compass=nf.LearnedArma(prior=vehicle.sensors["compass"].error, window=400, hop=200))
     events = events_of(vehicle, mission)

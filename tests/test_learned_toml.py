@@ -6,13 +6,15 @@ import numpy as np
 import pytest
 
 from navfilter.arma.model import ArmaModel
-from navfilter.error_models import per_axis
+from navfilter.error_models import GaussMarkov, per_axis
 from navfilter.io import read_vehicle
 from navfilter.io.learned_toml import write_learned
 from navfilter.learning.learned import learned_part, with_learned
 
 MODEL = ArmaModel([-1.9, 0.95], [0.3], 0.001, 1e-4 * np.eye(3), 0.2, 3900.0, frozenset({"fallback"}))
 OTHER = ArmaModel([-0.5], [], 0.002)
+SLOW = GaussMarkov(sd=0.01, tau_s=60.0)
+TWO = SLOW + GaussMarkov(sd=0.02, tau_s=400.0, order=2)
 
 TEXT = """\
 # the boat of 2026
@@ -45,7 +47,7 @@ PLAIN = '{model = "white", sd = 0.01}'
 LEARNED = '{model = "learned-arma", prior = {model = "gauss-markov", sd_deg = 0.6, tau_s = 30}, window = 2000}'
 
 
-def written(tmp_path, compass=LEARNED, dvl=PLAIN, adopt=None, frozen=False, without=()):
+def written(tmp_path, compass=LEARNED, dvl=PLAIN, adopt=None, frozen=False, without=(), slow=None):
     """The vehicle as learnt, the text of the file written for it."""
     source = tmp_path / "vehicle.toml"
     source.write_text(TEXT.replace("COMPASS", compass).replace("DVL", dvl))
@@ -54,7 +56,7 @@ def written(tmp_path, compass=LEARNED, dvl=PLAIN, adopt=None, frozen=False, with
     for name, models in (adopt or {"compass": (MODEL,)}).items():
         before = per_axis(vehicle.sensors[name].error, vehicle.sensors[name].axes, name)
         after = tuple(
-            with_learned(b, dataclasses.replace(learned_part(b), model=m, frozen=frozen))
+            with_learned(b, dataclasses.replace(learned_part(b), model=m, frozen=frozen, slow=slow))
             for b, m in zip(before, models, strict=True)
         )
         errors[name] = after[0] if len(after) == 1 else after
@@ -67,9 +69,10 @@ def written(tmp_path, compass=LEARNED, dvl=PLAIN, adopt=None, frozen=False, with
     return learnt, path.read_text()
 
 
+@pytest.mark.parametrize("slow", [None, SLOW, TWO])
 @pytest.mark.parametrize("frozen", [False, True])
-def test_only_what_was_learnt_is_added(tmp_path, frozen):
-    _, text = written(tmp_path, frozen=frozen)
+def test_only_what_was_learnt_is_added(tmp_path, frozen, slow):
+    _, text = written(tmp_path, frozen=frozen, slow=slow)
     before = TEXT.replace("COMPASS", LEARNED).replace("DVL", PLAIN).splitlines()
     after = text.splitlines()
     changed = [line for line in after if line not in before]
@@ -78,6 +81,17 @@ def test_only_what_was_learnt_is_added(tmp_path, frozen):
         "  # keep an eye on it"
     )
     assert ("frozen = true" in changed[1]) == frozen
+    assert changed[1].count("slow = ") == (slow is not None)
+
+
+def test_what_was_learnt_before_is_replaced(tmp_path):
+    """A second dive: model and slow part of the first one go, and so does a slow part that is no longer there."""
+    _, text = written(tmp_path, slow=TWO)
+    line = next(line for line in text.splitlines() if line.startswith('error = {model = "learned-arma"'))
+    compass = line.removeprefix("error = ").removesuffix("  # keep an eye on it")
+    _, again = written(tmp_path, compass=compass, slow=SLOW)
+    assert again.count("slow = ") == 1 and again.count("adopted = ") == 1
+    assert written(tmp_path, compass=compass)[1].count("slow = ") == 0
 
 
 def test_a_second_dive_replaces_what_the_first_has_learnt(tmp_path):

@@ -66,6 +66,13 @@ LEARNING = Vehicle(
         ),
         "sum": Depth(error=White(sd=0.01) + LearnedArma(prior=White(sd=0.1) + RandomWalk(density=1e-3))),
         "adopted": Depth(error=LearnedArma(model=ADOPTED)),
+        "slow": Depth(error=LearnedArma(model=ADOPTED, slow=GaussMarkov(sd=0.1, tau_s=60.0))),
+        "two": Depth(
+            error=White(sd=0.1)
+            + LearnedArma(
+                model=ADOPTED, slow=GaussMarkov(sd=0.1, tau_s=60.0) + GaussMarkov(sd=0.2, tau_s=300.0, order=2)
+            )
+        ),
         "white": Depth(error=LearnedArma(model=ArmaModel([], [], 0.5, np.zeros((0, 0)), 0.02))),
         "axes": BodyVelocity(
             error=(LearnedArma(), White(sd=0.1), LearnedArma(model=ArmaModel([], [], 0.5, sd_log_s0=np.inf)))
@@ -192,7 +199,7 @@ lever_arm_b_m = 3
 error = {north = {model = "white", sd = 1}, up = {model = "white", sd = 1}, down = {model = "white", sd = -2}}
 [sensors.learning]
 type = "depth"
-error = {model = "learned-arma", orders = [[1, 11], [1]], window = 100, prior = {model = "learned-arma"}}
+error = {model = "learned-arma", orders = [[1, 11], [1]], window = 50, prior = {model = "learned-arma"}}
 [sensors.adopted]
 type = "depth"
 error = {model = "learned-arma", adopted = {ar = [-1.5], ma = [], sd = -1, covariance = [[1.0]], flag = 3}}
@@ -257,7 +264,7 @@ def test_what_a_class_refuses_stands_beside_mistakes_elsewhere(tmp_path):
         velocity = {type = "depth"}
         [sensors.a]
         type = "depth"
-        error = {model = "learned-arma", window = 100}
+        error = {model = "learned-arma", window = 50}
         [sensors."new\\nline"]
         type = "depth"
         error = [{model = "learned-arma"}, {model = "learned-arma"}]
@@ -270,7 +277,7 @@ def test_what_a_class_refuses_stands_beside_mistakes_elsewhere(tmp_path):
         read_vehicle(tmp_path)
     for message in (
         'drive.velocity.type: must be "body-velocity"; found "depth"',
-        "sensors.a.error: LearnedArma.window must be at least 200 samples, found 100",
+        "sensors.a.error: LearnedArma.window must be at least 100 samples, found 50",
         'sensors."new\\nline": a sensor needs a name of printable characters',
         "can hold one LearnedArma",
         "sensors.b.error.adopted: covariance must be 2 x 2",

@@ -54,9 +54,8 @@ the models, by name, for the sensors that correct:
 A mission does not say how its sensors really err: --oracle takes a second vehicle file that does. 'navfilter simulate'
 writes it as vehicle_true.toml where the scenario errs otherwise than its vehicle.toml believes.
 
-When arma is among the models, nothing is scored before its first window is full: when the first models are there, the
-beginning is run again with them, so they know it already. --begin 0 scores everything; so is a mission of which less
-than a quarter would be left.
+Tracks are scored as first given out: what running the beginning again with the first learnt models made of it is left
+out. --smooth compares what is known afterwards.
 
 written to --out:
   report.html      table and figures side by side, one file that works offline
@@ -70,8 +69,6 @@ examples:
   navfilter compare swing/mission.npz --vehicle swing --models arma,oracle --oracle swing/vehicle_true.toml --out best
 """
 DEFAULT = "white,gm1,gm1-fitted,arma"
-#: What is left of a mission after learning is scored alone from this share on; less says too little.
-LEAST_SCORED = 0.25
 #: What ratios refer to: the first of these that is among the models, else the first model.
 BASELINES = ("gm1-fitted", "gm1", "vehicle", "white")
 
@@ -98,9 +95,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--oracle", metavar="TOML", help="vehicle file with the true error models, for the model 'oracle'"
     )
     parser.add_argument("--smooth", action="store_true", help="compare the smoothed tracks (Rauch-Tung-Striebel)")
-    parser.add_argument(
-        "--begin", type=float, metavar="S", help="score from this mission time on [s] (default: after the first window)"
-    )
+    parser.add_argument("--begin", type=float, metavar="S", help="score from this mission time on [s] (default: all)")
     parser.add_argument(
         "--output-rate",
         type=positive,
@@ -225,22 +220,13 @@ def compare_tracks(
     sensors: Sequence[str] | None = None,
     begin_s: float | None = None,
 ) -> Comparison:
-    """Compare runs by name of the model, from the end of the first learning window on unless `begin_s` says otherwise.
+    """Compare runs by name of the model, from `begin_s` on if given.
 
-    Where that leaves less than `LEAST_SCORED` of the mission, everything is scored. The result says so, and where
-    nothing could be fitted or learnt, so that a run kept the model of the vehicle file after all.
+    The result says where nothing could be fitted or learnt, so that a run kept the model of the vehicle file after all.
     """
     from navfilter.evaluation.comparison import compare
 
     remarks = _kept(tracks, vehicle, sensors)
-    if begin_s is None:
-        begin_s = learning_ends(tracks, mission)
-        first_s = min(float(track.time_s[0]) for track in tracks.values())
-        if mission.end_s - begin_s < LEAST_SCORED * (mission.end_s - first_s):
-            left, whole = mission.end_s - begin_s, mission.end_s - first_s
-            only = f"Only {left:.0f} of {whole:.0f} s come after the first models were learnt"
-            remarks += (f"{only}, so all are scored; arma knew the readings up to {begin_s:.0f} s.",)
-            begin_s = first_s
     baseline = next((name for name in BASELINES if name in tracks), next(iter(tracks)))
     result = compare(tracks, mission.truth, begin_s=begin_s, windows=mission.windows, baseline=baseline)
     return dataclasses.replace(result, remarks=remarks)
@@ -263,29 +249,6 @@ def _kept(tracks: Mapping[str, Track], vehicle: Vehicle, sensors: Sequence[str] 
         return ()
     listed = "; ".join(f"{title} ({', '.join(labels)})" for title, labels in kept.items())
     return (f"Too few readings, so vehicle.toml stands: {listed}.",)
-
-
-def learning_ends(tracks: Mapping[str, Track], mission: Mission) -> float:
-    """Mission time [s] from which on a run that learns knows only the past, and the first window of all that learns is
-    full.
-
-    When the first models are there, the navigator runs the beginning again with them: until then it knows what is still
-    to come. A window that is longer than half the mission is no reason to wait for it.
-    """
-    from navfilter.learning.learned import learning_part
-    from navfilter.learning.schedule import LearningSchedule
-
-    begin_s = min(float(track.time_s[0]) for track in tracks.values())
-    spans = []
-    for track in tracks.values():
-        for sensor in track.vehicle.sensors.values():
-            parts = [part for model in sensor.models if (part := learning_part(model)) is not None]
-            spans += [part.window / sensor.rate_hz for part in parts]
-    duration_s = mission.end_s - begin_s
-    revised_s = min(LearningSchedule.FIRST_S, LearningSchedule.SETTLE_S + max(spans, default=0.0))
-    if not spans or revised_s >= duration_s:
-        return begin_s
-    return begin_s + max([revised_s, *(span for span in spans if span <= 0.5 * duration_s)])
 
 
 # --- results --------------------------------------------------------------------------------------------------------

@@ -8,8 +8,8 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from navfilter.error_models import ErrorModel
-from navfilter.io.vehicle_toml import VehicleError, adopted_text, read_vehicle, write_vehicle
-from navfilter.learning.learned import LearnedArma, learned_part
+from navfilter.io.vehicle_toml import VehicleError, learnt_keys, read_vehicle, write_vehicle
+from navfilter.learning.learned import learned_part
 from navfilter.vehicle import Vehicle
 
 __all__ = ["write_learned"]
@@ -36,7 +36,7 @@ def write_learned(
     path : path-like
     source : path-like, optional
         The vehicle.toml, or the folder that holds it. Only tables of ``model = "learned-arma"`` are changed, they get
-        ``adopted``; sensors that this run went without stay. Default: all is written anew, in SI units.
+        ``adopted`` and ``slow``; sensors that this run went without stay. Default: all is written anew, in SI units.
     remarks : dict of str to str, optional
         One line by sensor ("compass") or part of the drive ("gyro"), written above what has changed, as a comment.
 
@@ -112,13 +112,11 @@ def _with_adopted(value: str, model: ErrorModel) -> str:
     if part is None or table is None:
         raise _Unclear
     last = _closing(value, table.start()) - 1
-    inner = _without(_without(value[table.start() : last], "adopted"), "frozen").rstrip()
-    return value[: table.start()] + inner + _additions(part) + value[last:]
-
-
-def _additions(part: LearnedArma) -> str:
-    adopted = "" if part.model is None else f", adopted = {adopted_text(part.model)}"
-    return adopted + (", frozen = true" if part.frozen else "")
+    inner = value[table.start() : last]
+    for key in ("adopted", "slow", "frozen"):
+        inner = _without(inner, key)
+    added = "".join(f", {key} = {text}" for key, text in learnt_keys(part).items())
+    return value[: table.start()] + inner.rstrip() + added + value[last:]
 
 
 def _without(table: str, key: str) -> str:

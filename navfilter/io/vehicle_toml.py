@@ -5,7 +5,8 @@ keys are the fields of that class, ``model = "gauss-markov"`` is `GaussMarkov`. 
 change here. Every number may carry another unit in its key: ``mounting_deg`` for ``mounting_rad``, ``sd_deg`` or
 ``density_deg_per_sqrt_h`` for ``sd`` and ``density`` (see `navfilter.io.units.SUFFIXES`). An error is one table, a
 list of tables (their sum) or a table with one error per axis (``{x = .., y = .., z = ..}``). The model that a
-``learned-arma`` has adopted is a table of its own: ``adopted = {ar = [..], ma = [..], sd = ..}``.
+``learned-arma`` has adopted is a table of its own: ``adopted = {ar = [..], ma = [..], sd = ..}``, with its slow part as
+``slow = [{model = "gauss-markov", ..}, ..]`` beside it.
 """
 
 from __future__ import annotations
@@ -115,9 +116,10 @@ def write_vehicle(vehicle: Vehicle, path: str | os.PathLike[str]) -> Path:
     return path
 
 
-def adopted_text(model: ArmaModel) -> str:
-    """An adopted model as the inline table that `read_vehicle` takes."""
-    return _toml(_adopted(model))
+def learnt_keys(part: LearnedArma) -> dict[str, str]:
+    """What a learner has adopted, as `read_vehicle` takes it: values as text by the keys of the model's table."""
+    table = _table(part)
+    return {key: _toml(table[key]) for key in ("adopted", "slow", "frozen") if key in table}
 
 
 # --- classes -> tables ----------------------------------------------------------------------------------------------

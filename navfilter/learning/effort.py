@@ -19,8 +19,6 @@ class Effort:
         Scoring passes of an order that was never fitted, while the window fills.
     late_passes : int
         The same later, when its turn comes.
-    own_passes, other_passes : int
-        Passes of the order in use, and of a challenger: from one hop to the next an estimate moves little.
     below_passes : int
         Passes of a lower order that only serves as a start.
     contradicted : float
@@ -32,16 +30,6 @@ class Effort:
         Passes of a fit with a slow part of second order.
     race_passes : int
         Passes of each of several starts before the leader goes on alone.
-    hopeless_bic : float
-        A candidate this far behind has rarer turns,
-    hopeless_size : int
-        and so has one with so many parameters more than the order in use.
-    rare_turn : int
-        Every so many-th turn is for those: the error may have changed.
-    patience : int
-        While the window fills, an order with so many parameters more than a good one waits.
-    recent_samples : int
-        Starts are compared on the newer half of a series, if that holds so many samples.
     zero_radius : float
         Largest radius of a zero: one on the circle would never forget its start.
     gain_tolerance : float
@@ -64,18 +52,11 @@ class Effort:
 
     first_passes: int = 10
     late_passes: int = 1
-    own_passes: int = 2
-    other_passes: int = 1
     below_passes: int = 8
     contradicted: float = 20.0
     windows_remembered: float = 4.0
     smooth_passes: int = 5
     race_passes: int = 2
-    hopeless_bic: float = 100.0
-    hopeless_size: int = 2
-    rare_turn: int = 4
-    patience: int = 2
-    recent_samples: int = 500
     zero_radius: float = 0.9995
     gain_tolerance: float = 0.1
     converged: float = 1e-3

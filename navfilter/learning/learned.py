@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
 import numpy as np
@@ -39,8 +39,8 @@ LONGEST_SPAN_S = 500.0
 class LearnedArma(ErrorModel):
     """ARMA error whose order and coefficients are learnt under way, on a sliding window of the sensor's own readings.
 
-    What is learnt is a posterior: a fast ARMA part, and a slow part of which the readings tell little, so that its prior
-    counts. The filter carries both, the slow part with the variance that its posterior has.
+    What is learnt is a posterior: a fast ARMA part, and a slow part of which the readings tell little, so that its
+    prior counts. The filter carries both, the slow part with the variance that its posterior has.
 
     Parameters
     ----------
@@ -61,13 +61,13 @@ class LearnedArma(ErrorModel):
     frozen : bool
         Keep `model` and learn nothing more: what one dive has taught, used on the next.
     spectrum : Spectrum, optional
-        Of the whole error, with its uncertainty; for reports.
+        Of the whole error, with its uncertainty; for reports. It is not written to files, and not compared.
 
     Raises
     ------
     ValueError
-        For a window below 100 samples, an empty or impossible list of orders, a model that is not stable, or `frozen`
-        without a model.
+        For a window below 100 samples, an empty or impossible list of orders, a model that is not stable, a slow part
+        that is not Gauss-Markov, and `slow` or `frozen` without a model.
 
     Notes
     -----
@@ -75,7 +75,8 @@ class LearnedArma(ErrorModel):
     LearnedArma()``.
 
     The states of the fast part are a register of past values, ``[n(t) .. n(t-p+1), e(t) .. e(t-q+1)]``, so that new
-    coefficients leave them as they are, and a new order only appends or drops the oldest; those of the slow part follow.
+    coefficients leave them as they are, and a new order only appends or drops the oldest; those of the slow part
+    follow.
 
     Examples
     --------
@@ -91,7 +92,7 @@ class LearnedArma(ErrorModel):
     model: ArmaModel | None = None
     slow: ErrorModel | None = None
     frozen: bool = False
-    spectrum: Spectrum | None = None
+    spectrum: Spectrum | None = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
         orders = tuple(sorted({(int(p), int(q)) for p, q in self.orders}, key=lambda pq: (sum(pq), pq)))
@@ -116,12 +117,15 @@ class LearnedArma(ErrorModel):
             raise ValueError(
                 f"LearnedArma.model must be stable, found a pole of radius {abs(self.model.poles).max():.6f}."
             )
-
         parts = self.slow.parts if isinstance(self.slow, Sum) else () if self.slow is None else (self.slow,)
         if any(not isinstance(part, GaussMarkov) for part in parts):
             raise ValueError(
                 f"LearnedArma.slow must be Gauss-Markov processes, found {self.slow!r}. Example: GaussMarkov(sd=0.01, "
                 "tau_s=60)."
+            )
+        if parts and self.model is None:
+            raise ValueError(
+                "LearnedArma(slow=...) has no model beside it. Give it one: ArmaModel([], [], sd) is white."
             )
         if self.frozen and self.model is None:
             raise ValueError(

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.special import ndtri
 
 from navfilter.arma.choice import criterion
 from navfilter.arma.model import ArmaModel
@@ -19,13 +20,16 @@ from navfilter.learning.likelihood import Likelihood, Point, maximise
 from navfilter.learning.limits import LEAST, PER_PARAMETER
 from navfilter.learning.posterior import DEAD, Line, SlowPosterior, follow, slow_psd
 from navfilter.learning.slow import SlowPrior
-from navfilter.learning.spectrum import Spectrum
+from navfilter.learning.spectrum import Spectrum, log_spread
 from navfilter.learning.starts import cold_starts, grown_starts, padded_starts, with_slow_part
 
 __all__ = ["Learner", "LearnerMemory", "Learnt", "memories", "recall"]
 
 Array = NDArray[np.float64]
 Order = tuple[int, int]
+
+#: Middles of nine equally probable parts of a standard normal distribution: the outer ones are its 5 and 95 %.
+ALIKE = ndtri((np.arange(9) + 0.5) / 9.0)
 
 
 class Learnt(NamedTuple):
@@ -287,22 +291,28 @@ def _learnt(likelihood: Likelihood, point: Point, posterior: SlowPosterior | Non
         None,
         float(n),
     )
-    spectrum = _spectrum(model, posterior, likelihood.drift.period_s, n)
+    k = fast.size
+    given_slow = np.asarray(np.linalg.inv(point.info[:k, :k] + 0.1 * np.eye(k)), dtype=np.float64)
+    spectrum = _spectrum(model, given_slow, posterior, likelihood.drift.period_s, n)
     slow = () if posterior is None else posterior.parts()
     sd = spectrum.sd_log_s0
     return Learnt(ArmaModel(model.ar, model.ma, model.sd, model.covariance, sd, model.effective_window), slow, spectrum)
 
 
-def _spectrum(model: ArmaModel, posterior: SlowPosterior | None, period_s: float, n: int) -> Spectrum:
-    """Of the whole error: that of the fast part, and of the slow part over its posterior."""
+def _spectrum(
+    model: ArmaModel, covariance: Array, posterior: SlowPosterior | None, period_s: float, n: int
+) -> Spectrum:
+    """Of the whole error: the fast part as far as it is known given the slow one, and that over its posterior."""
     frequency = np.geomspace(0.5 / (n * period_s), 0.5 / period_s, Spectrum.POINTS)
-    fast = model.spectrum(frequency, 1.0 / period_s)
+    spread = log_spread(model.ar, model.ma, covariance, 2.0 * np.pi * frequency * period_s)
+    fast = model.spectrum(frequency, 1.0 / period_s) * np.exp(np.outer(ALIKE, spread))
     if posterior is None:
-        return Spectrum.certain(frequency, fast)
+        return Spectrum.weighted(frequency, fast, np.full(len(ALIKE), 1.0 / len(ALIKE)))
     kept = posterior.weight > 1e-6 * posterior.weight.max()
     weight = posterior.weight[kept] / posterior.weight[kept].sum()
     slow = slow_psd(posterior.order[kept], np.exp(posterior.log_sd[kept]), posterior.tau_s[kept], frequency)
-    return Spectrum.weighted(frequency, fast + slow, weight)
+    both = (fast[:, None] + slow[None]).reshape(-1, frequency.size)
+    return Spectrum.weighted(frequency, both, np.tile(weight, len(ALIKE)) / len(ALIKE))
 
 
 def memories(learners: Sequence[Learner | None]) -> tuple[LearnerMemory | None, ...]:

@@ -26,8 +26,8 @@ class Likelihood:
     """Likelihood of ``y = drift + slow part + ARMA error + white noise`` over a series with gaps, in scaled units.
 
     A parameter vector ``theta`` is ``[ar, ma, ln sd]``, and with a slow part ``[..., ln sd, ln tau]`` of that behind
-    it: standard deviations in the scaled unit, tau in seconds. The number p of AR coefficients and the order of the slow
-    part (0: none) are given beside it.
+    it: standard deviations in the scaled unit, tau in seconds. The number p of AR coefficients and the order of the
+    slow part (0: none) are given beside it.
 
     Parameters
     ----------

@@ -30,8 +30,8 @@ from navfilter.vehicle import Vehicle
 __all__ = ["ChannelSeries", "Listener", "ListenerMemory"]
 
 Array = NDArray[np.float64]
-#: A change is noticed when the mean NIS over `MEMORY_S` has left these limits, per degree of freedom [1]: it is the one-step
-#: likelihood of the model in force, and a variance that is wrong by two is beyond what a posterior leaves open.
+#: A change is noticed when the mean NIS over `MEMORY_S` has left these limits, per degree of freedom [1]: it is the
+#: one-step likelihood of the model in force, and a variance wrong by two is more than what a posterior leaves open.
 CALM = (0.4, 2.0)
 #: Time constant of that mean, and least age of a model that is judged by it [s]: at 8 Hz its sd is 0.06.
 MEMORY_S, PROBATION_S = 30.0, 90.0

@@ -70,17 +70,17 @@ class LearningSchedule:
 
     Notes
     -----
-    Models come at once for all sensors at the ages `EARLY_S`, later as each listener counts its ticks. What a model took
-    for certain cannot be taken back from the covariance: where the power at zero frequency of a new model is another
-    one by more than `ANOTHER`, the beginning is done again as if the new models had been known, at those ages and, for
-    the last time, at `REVISED_S`; `beginning` holds its inputs. Elsewhere the filter goes on with the new models.
-    Models of the inertial unit at rest are adopted when they are found, and the beginning is not
+    Models come at once for all sensors at the ages `EARLY_S`, later as each listener counts its ticks. What a model
+    took for certain cannot be taken back from the covariance: where the power at zero frequency of a new model is
+    another one by more than `ANOTHER`, the beginning is done again as if the new models had been known, at those ages
+    and, for the last time, at `REVISED_S`; `beginning` holds its inputs. Elsewhere the filter goes on with the new
+    models. Models of the inertial unit at rest are adopted when they are found, and the beginning is not
     done again for them: they stand for the noise of samples, and what the filter took for certain by it in the first
     minute at rest is little.
     """
 
-    #: Models are adopted at these ages [s]: as soon as readings say more than the prior, and whenever there are twice as
-    #: many.
+    #: Models are adopted at these ages [s]: as soon as readings say more than the prior, and whenever there are twice
+    #: as many.
     EARLY_S = (30.0, 60.0, 120.0, 240.0, 500.0)
     #: At this age the beginning is done again for the last time [s]: inputs are not kept for longer.
     REVISED_S = 1000.0

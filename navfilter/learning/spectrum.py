@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Spectrum"]
+__all__ = ["Spectrum", "log_spread"]
 
 Array = NDArray[np.float64]
 
@@ -36,12 +36,6 @@ class Spectrum:
     sd_log_s0: float
 
     @classmethod
-    def certain(cls, frequency_hz: Array, density: Array) -> Spectrum:
-        """One spectrum, known."""
-        values = tuple(density.tolist())
-        return cls(tuple(frequency_hz.tolist()), values, values, values, 0.0)
-
-    @classmethod
     def weighted(cls, frequency_hz: Array, density: Array, weight: Array) -> Spectrum:
         """Of spectra, shape (n, frequencies), with weights whose sum is one."""
         order = np.argsort(density, axis=0)
@@ -52,3 +46,29 @@ class Spectrum:
         log = np.log(np.maximum(density[:, 0], 1e-300))
         spread = float(np.sqrt(max(weight @ log**2 - float(weight @ log) ** 2, 0.0)))
         return cls(tuple(frequency_hz.tolist()), bands[0], bands[1], bands[2], spread)
+
+
+def log_spread(ar: Array, ma: Array, covariance: Array, turn: Array) -> Array:
+    """Standard deviation of the logarithm of an ARMA spectrum, shape (n,).
+
+    Parameters
+    ----------
+    ar, ma : ndarray, shapes (p,) and (q,)
+    covariance : ndarray, shape (p+q+1, p+q+1)
+        Of ``[ar, ma, ln sd]``.
+    turn : ndarray, shape (n,)
+        Angular frequencies [rad/sample].
+
+    Notes
+    -----
+    To first order: ``ln S = 2 ln sd + 2 ln |C| - 2 ln |A|`` varies with the coefficients by ``2 Re(z^-k / C)`` and ``-2
+    Re(z^-k / A)``.
+    """
+    z = np.exp(-1j * turn)
+    by = [
+        sign * 2.0 * np.real(z**k / np.polynomial.polynomial.polyval(z, np.r_[1.0, coefficients]))
+        for sign, coefficients in ((-1.0, ar), (1.0, ma))
+        for k in range(1, len(coefficients) + 1)
+    ]
+    gradient = np.array([*by, np.full(len(turn), 2.0)])
+    return np.asarray(np.sqrt(np.maximum(np.einsum("in,ij,jn->n", gradient, covariance, gradient), 0.0)))

@@ -26,7 +26,7 @@ TAUS, SHARES = (2.0, 8.0, 30.0, 120.0, 500.0), (0.0, 0.5, 0.95)
 # A pole and a zero more: time constants in ticks, factors by which they raise S(0).
 BUMP_TAUS, BUMP_FACTORS = (1.5, 5.0, 16.0, 50.0), (12.0,)
 # A pair of each more: periods in ticks, cycles in which the oscillation decays, factors by which they raise its power.
-PERIODS, CYCLES, PEAKS = np.geomspace(2.5, 160.0, 11), (1.0, 4.0), (40.0,)
+PERIODS, DECAYS, PEAKS = np.geomspace(2.5, 160.0, 11), (1.0, 4.0), (40.0,)
 # A slow part: of the prior's standard deviation, correlation times among its nodes.
 SLOW_SDS, SLOW_NODES = (0.08, 0.22, 0.5, 1.2), (0, 1, 3)
 
@@ -81,8 +81,8 @@ def padded_starts(likelihood: Likelihood, below: Mapping[Order, Point], p: int, 
 
 
 def grown_starts(likelihood: Likelihood, below: Mapping[Order, Point], p: int, q: int) -> list[Array]:
-    """Starts from estimates of lower orders: the best of them padded, the best with a pole and a zero more, and the best
-    with a pair of each.
+    """Starts from estimates of lower orders: the best of them padded, the best with a pole and a zero more, and the
+    best with a pair of each.
     """
     out = padded_starts(likelihood, below, p, q)
     for kind in (1, 2):
@@ -123,7 +123,7 @@ def _with_peak(fast: Array, p: int) -> list[Array]:
     out = []
     for period in PERIODS:
         turn = 2.0 * math.cos(2.0 * math.pi / period)
-        for cycles in CYCLES:
+        for cycles in DECAYS:
             radius = math.exp(-1.0 / (cycles * period))
             for factor in PEAKS:
                 inner = max(1.0 - (1.0 - radius) * math.sqrt(factor), 0.2)

@@ -1,0 +1,218 @@
+"""The learner of one channel from hop to hop: which orders it finds, what it hands out, and what it remembers."""
+
+import math
+
+import numpy as np
+import pytest
+
+from navfilter.arma.algebra import add_arma
+from navfilter.arma.model import ArmaModel, simulate_arma
+from navfilter.error_models import CORRELATION_CONSTANTS
+from navfilter.filter.memory import from_arrays, to_arrays
+from navfilter.learning.drift import Drift
+from navfilter.learning.learner import Learner, LearnerMemory
+from navfilter.learning.listener import without_spikes
+from navfilter.learning.posterior import Line, slow_psd
+from navfilter.learning.slow import SlowPrior
+
+DEG = math.pi / 180.0
+PERIOD_S = 0.125
+TACTICAL = Drift((0.3 * DEG / 60.0, 0.0), PERIOD_S)
+MEMS = Drift((3.0 * DEG / 60.0, 0.0), PERIOD_S)
+ORDERS = ((0, 0), (1, 0), (0, 1), (1, 1), (2, 0), (2, 1))
+
+
+def gauss_markov(sd, tau_s, period_s=PERIOD_S):
+    phi = math.exp(-period_s / tau_s)
+    return ArmaModel([-phi], [], sd * math.sqrt(1.0 - phi * phi))
+
+
+def series(parts, drift, n, seed):
+    """The sum of some errors and of a drift with a constant rate."""
+    random = np.random.default_rng(seed)
+    noise = sum(simulate_arma(part.ar, part.ma, part.sd, n, random) for part in parts)
+    step = drift.density[0] * math.sqrt(drift.period_s) if drift.order else 0.0
+    return noise + np.cumsum(step * random.standard_normal(n) + random.standard_normal() * 1e-5)
+
+
+def believing(sd, tau_s=60.0, span_s=500.0, **options):
+    return SlowPrior(sd, tau_s, span_s, **options)
+
+
+def density(learnt, frequency_hz):
+    """One-sided spectrum of what is handed out: fast and slow parts together."""
+    fast = learnt.model.spectrum(frequency_hz, 1.0 / PERIOD_S)
+    slow = [slow_psd([part.order], [part.sd], np.array([part.tau_s]), frequency_hz)[0] for part in learnt.slow]
+    return fast + sum(slow)
+
+
+def order_of(learnt):
+    return learnt.model.p, learnt.model.q
+
+
+def test_it_finds_the_order_and_is_stable():
+    truth = add_arma([gauss_markov(1.0, 2.0), ArmaModel([], [], 0.4)])
+    y = series([truth], TACTICAL, 3000, 16)
+    learner = Learner(ORDERS, 2000, TACTICAL)
+    assert learner.hop(y[:50]) is None  # too little
+    seen = 0
+    for end in (150, 500, 1000, 1500, 2000, 2500, 3000):
+        learnt = learner.hop(y[:end], end - seen)
+        seen = end
+        assert learnt.model.is_stable and learnt.model.is_invertible
+        assert learnt.slow == ()  # without a prior there is none
+    assert order_of(learnt) == (1, 1)
+    assert learnt.model.effective_window == 2000.0
+    error = np.r_[learnt.model.ar - truth.ar, learnt.model.ma - truth.ma]
+    # chi-square with two degrees of freedom at 99.9 %
+    assert error @ np.linalg.solve(learnt.model.covariance, error) < 13.8
+
+
+@pytest.mark.parametrize("prior", [None, believing(1.0)])
+@pytest.mark.parametrize("bad", [np.full(1000, np.nan), np.full(1000, 3.0), np.full(1000, np.inf), np.zeros(3), []])
+def test_nothing_is_learnt_from_nothing(bad, prior):
+    """Before and after a good window; what was known stays as it is."""
+    learner = Learner(ORDERS, 1000, TACTICAL, prior=prior)
+    assert learner.hop(bad) is None
+    good = learner.hop(series([gauss_markov(1.0, 2.0)], TACTICAL, 1000, 17))
+    kept = learner.memory
+    assert good.model.is_stable
+    assert learner.hop(bad, 0) is None
+    assert learner.memory is kept
+
+
+def test_without_a_prior_a_pole_stays_where_the_series_can_tell_it_from_a_walk():
+    walk = np.cumsum(np.random.default_rng(21).standard_normal(1000))
+    model = Learner(((1, 0),), 1000, Drift((), 1.0)).hop(walk).model
+    assert 0.9 < model.poles[0].real <= 1.0 - 3.0 / 1000
+
+
+def test_the_fast_part_leaves_slow_poles_to_the_slow_one():
+    prior = believing(0.6)
+    learnt = Learner(ORDERS, 4000, TACTICAL, prior=prior).hop(series([gauss_markov(0.6, 60.0)], TACTICAL, 4000, 3))
+    poles = learnt.model.poles
+    # of a pole z, the natural frequency is |ln z| over the period
+    assert all(abs(np.log(pole)) >= PERIOD_S / prior.quickest_s * (1.0 - 1e-9) for pole in poles if pole)
+    assert learnt.slow and sum(part.sd**2 for part in learnt.slow) > 0.1
+
+
+def test_the_order_follows_a_change():
+    truth = gauss_markov(1.0, 2.0)
+    later = add_arma([truth, ArmaModel([], [], 0.6)])
+    y = np.r_[series([truth], TACTICAL, 1200, 22), series([later], TACTICAL, 2400, 23)]
+    learner = Learner(((0, 0), (1, 0), (1, 1)), 1000, TACTICAL)
+    orders = [order_of(learner.hop(y[:end], 200)) for end in range(1000, 3601, 200)]
+    assert orders[0] == (1, 0) and orders[-1] == (1, 1)
+
+
+def test_evidence_for_the_slow_part_adds_up_and_fades():
+    """Ten hops of a steady slow error know its size better than one window; after it has gone they forget it."""
+    part, n = gauss_markov(0.5, 20.0), 8000
+    steady = series([part, ArmaModel([], [], 0.2)], TACTICAL, n, 26)
+    silent = series([ArmaModel([], [], 0.2)], TACTICAL, 6 * n, 27)
+    learner = Learner(((0, 0),), 2000, TACTICAL, prior=believing(0.5, span_s=250.0))
+    variances, spreads = [], []
+    for end in range(2000, n + 1, 1000):
+        learnt = learner.hop(steady[:end], 2000 if end == 2000 else 1000)
+        variances.append(sum(p.sd**2 for p in learnt.slow))
+        spreads.append(learnt.spectrum.sd_log_s0)
+    assert spreads[-1] < 0.8 * spreads[0]
+    assert 0.1 < variances[-1] < 0.6  # truth 0.25; the window holds it six times
+    y = np.r_[steady, silent - silent[0] + steady[-1]]
+    for end in range(n + 1000, y.size + 1, 1000):
+        learnt = learner.hop(y[:end], 1000)
+    assert sum(p.sd**2 for p in learnt.slow) < 0.1 * variances[-1]
+
+
+@pytest.mark.parametrize("prior", [None, believing(0.6, span_s=125.0)])
+def test_it_goes_on_from_a_snapshot_to_the_last_bit(prior):
+    y = series([gauss_markov(1.0, 2.0), ArmaModel([], [], 0.4)], TACTICAL, 2400, 24)
+    one = Learner(ORDERS, 1000, TACTICAL, prior=prior)
+    ends = list(range(400, 2401, 200))
+    fresh = [400] + [200] * (len(ends) - 1)
+    learnt = [one.hop(y[:end], new) for end, new in zip(ends, fresh, strict=True)]
+    for cut in (1, 4, 9):
+        first = Learner(ORDERS, 1000, TACTICAL, prior=prior)
+        for end, new in list(zip(ends, fresh, strict=True))[:cut]:
+            first.hop(y[:end], new)
+        other = Learner(ORDERS, 1000, TACTICAL, prior=prior)
+        other.memory = from_arrays(to_arrays(first.memory), [LearnerMemory, Line])
+        assert [other.hop(y[:end], new) for end, new in list(zip(ends, fresh, strict=True))[cut:]] == learnt[cut:]
+    assert len(set(map(order_of, learnt))) >= 1 and learnt[0] != learnt[-1]
+
+
+def test_a_memory_of_other_orders_is_refused():
+    one = Learner(ORDERS, 1000, TACTICAL)
+    one.hop(series([gauss_markov(1.0, 2.0)], TACTICAL, 1000, 17))
+    for other in (Learner(((3, 3),), 1000, TACTICAL), Learner(ORDERS, 1000, TACTICAL, prior=believing(1.0))):
+        with pytest.raises(ValueError, match="cannot go on"):
+            other.memory = one.memory
+
+
+@pytest.mark.parametrize(
+    ("arguments", "match"),
+    [
+        (((), 1000), "orders"),
+        ((((-1, 0),), 1000), "orders"),
+        ((((1, 0),), 99), "window"),
+        ((((1, 0),), 1000.5), "window"),
+    ],
+)
+def test_impossible_learners_are_refused(arguments, match):
+    with pytest.raises(ValueError, match=match):
+        Learner(*arguments, TACTICAL)
+    with pytest.raises(ValueError, match="one-dimensional"):
+        Learner(ORDERS, 1000, TACTICAL).hop(np.zeros((3, 3)))
+    with pytest.raises(ValueError, match="white"):
+        Learner(ORDERS, 1000, TACTICAL, white=-1.0)
+
+
+@pytest.mark.parametrize("prior", [None, believing(1.0, span_s=250.0)])
+def test_gaps_and_outliers_are_survived(prior):
+    truth = gauss_markov(1.0, 2.0)
+    y = series([truth], TACTICAL, 2000, 25)
+    random = np.random.default_rng(26)
+    y[random.random(2000) < 0.2] = np.nan
+    y[700:760] = np.nan
+    y[900:960] = np.inf
+    y[random.choice(2000, 10)] += 20.0
+    learnt = Learner(ORDERS, 2000, TACTICAL, prior=prior).hop(without_spikes(y))
+    frequency = np.array([0.03, 0.1, 0.5])
+    ratio = density(learnt, frequency) / truth.spectrum(frequency, 1.0 / PERIOD_S)
+    # 250 s hold some eight of the lowest: its level is known to a factor of 2, with what outliers add
+    assert np.all((ratio > 0.4) & (ratio < 2.5))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("drift", [TACTICAL, MEMS])
+def test_low_frequencies_are_honest(drift):
+    """A slow and an oscillating error over 16 windows: the truth is below the posterior's median about as often as
+    above, and inside its band nearly as often as that says.
+    """
+    swing = ArmaModel([-2.0 * 0.99 * math.cos(math.pi / 24.0), 0.99**2], [], 1.0)
+    parts = [gauss_markov(0.35 * DEG, 60.0), ArmaModel(swing.ar, [], 0.35 * DEG / math.sqrt(swing.variance))]
+    below, inside = [], []
+    for seed in range(16):
+        learner = Learner((*ORDERS, (2, 2), (3, 2)), 4000, drift, prior=believing(0.5 * DEG, 120.0))
+        spectrum = learner.hop(series(parts, drift, 4000, 300 + seed)).spectrum
+        # two cycles in the window
+        at = int(np.searchsorted(spectrum.frequency_hz, 2.0 / 500.0))
+        truth = sum(part.spectrum(np.array(spectrum.frequency_hz), 1.0 / PERIOD_S)[at] for part in parts)
+        below.append(truth < spectrum.median[at])
+        inside.append(spectrum.low[at] <= truth <= spectrum.high[at])
+    # 16 draws of one half, at 99.9 % each side; of 0.9 at least 10 with the same probability
+    assert 2 <= sum(below) <= 14
+    assert sum(inside) >= 10
+
+
+def test_the_prior_is_what_is_left_where_the_readings_say_nothing():
+    """Of white noise of 110 readings, the slow part keeps most of what was believed; of 4000, little: but it is
+    there.
+    """
+    prior = believing(1.0, span_s=500.0)
+    y = series([ArmaModel([], [], 1.0)], MEMS, 4000, 5)
+    few, many = (Learner(((0, 0),), 4000, MEMS, prior=prior).hop(y[:n]).slow for n in (110, 4000))
+    few_sd, many_sd = (math.sqrt(sum(part.sd**2 for part in parts)) for parts in (few, many))
+    assert 0.2 < few_sd < 2.0
+    assert 0.0 < many_sd < 0.3 * few_sd
+    assert set(CORRELATION_CONSTANTS) >= {part.order for part in (*few, *many)}

@@ -1,0 +1,301 @@
+"""The slow part: its prior, its states, its place in the likelihood, and its posterior against brute force."""
+
+import math
+
+import numpy as np
+import pytest
+from test_channel import dense, lags, walk_with_gaps, wide
+
+import navfilter as nf
+from navfilter.arma.model import ArmaModel, simulate_arma
+from navfilter.error_models import CORRELATION_CONSTANTS, GaussMarkov
+from navfilter.learning.drift import Drift
+from navfilter.learning.likelihood import Likelihood, maximise
+from navfilter.learning.posterior import SlowPosterior, follow, slow_psd
+from navfilter.learning.slow import SlowNode, SlowPrior, _slow, slow_prior
+from navfilter.learning.spectrum import Spectrum, log_spread
+
+PERIOD_S = 0.5
+DRIFT = Drift((0.01, 0.0), PERIOD_S)
+PRIOR = SlowPrior(0.5, 40.0, 300.0)
+
+
+# ---------------------------------------------------------------------- states
+
+
+@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("tau_s", [0.3, 5.0, 60.0, 4e3, 1e6])
+def test_the_slow_states_are_a_gauss_markov_process(order, tau_s):
+    """The covariance function is that of the block of the filter, and the start is stationary."""
+    Phi, Q, P0 = _slow(SlowNode(order, 0.7, tau_s), PERIOD_S)
+    block, moved = GaussMarkov(0.7, tau_s, order).block(PERIOD_S), np.eye(order)
+    other = np.eye(order)
+    for _ in range(40):
+        assert (moved @ P0)[0, 0] == pytest.approx(block.C @ other @ block.P0 @ block.C, rel=1e-10, abs=1e-12)
+        moved, other = Phi @ moved, block.Phi @ other
+    # with very long times Q is nine decades below P0: what the difference leaves of it is rounding
+    np.testing.assert_allclose(Q, P0 - Phi @ P0 @ Phi.T, rtol=1e-9, atol=4e-16 * P0.max())
+    assert np.array_equal(Phi, np.triu(Phi)) and np.array_equal(Q, Q.T)
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_noise_of_a_very_slow_part_is_no_rounding(order):
+    """Against the integral of the driving noise by quadrature."""
+    node = SlowNode(order, 1.0, 1e6)
+    beta = CORRELATION_CONSTANTS[order] / node.tau_s
+    at, weight = np.polynomial.legendre.leggauss(12)
+    s, weight = 0.5 * PERIOD_S * (at + 1.0), 0.5 * PERIOD_S * weight
+    way = np.exp(-beta * s) * (np.stack([beta * s, np.ones_like(s)]) if order == 2 else np.ones((1, s.size)))
+    density = 4.0 * beta if order == 2 else 2.0 * beta
+    np.testing.assert_allclose(_slow(node, PERIOD_S)[1], density * (way * weight) @ way.T, rtol=1e-12)
+
+
+def test_psd_is_the_transform_of_the_covariance():
+    frequency = np.array([0.0, 0.003, 0.02])
+    t = np.arange(0.0, 4000.0, 0.05)
+    for order in (1, 2):
+        beta = CORRELATION_CONSTANTS[order] / 30.0
+        acf = 0.7**2 * np.exp(-beta * t) * (1.0 + beta * t if order == 2 else 1.0)
+        expected = [4.0 * np.trapezoid(acf * np.cos(2.0 * np.pi * f * t), t) for f in frequency]
+        found = slow_psd(np.array([order]), np.array([0.7]), np.array([30.0]), frequency)[0]
+        np.testing.assert_allclose(found, expected, rtol=1e-4)
+
+
+# ---------------------------------------------------------------------- prior
+
+
+def test_the_prior_comes_from_the_vehicle_file():
+    prior = slow_prior(nf.GaussMarkov(sd=0.6, tau_s=30.0), 0.125, 500.0)
+    assert prior.sd == pytest.approx(0.6) and prior.span_s == 500.0
+    assert prior.tau_s == pytest.approx(60.0, rel=1e-3)  # twice as slow, but for sampling
+    with_white = slow_prior(nf.GaussMarkov(sd=0.6, tau_s=30.0) + nf.White(sd=3.0) + nf.RandomWalk(1.0), 0.125, 500.0)
+    assert with_white.sd == pytest.approx(0.6) and with_white.tau_s == pytest.approx(prior.tau_s)
+    assert slow_prior(nf.White(sd=1.0), 0.125, 500.0) is None
+    assert slow_prior(nf.White(sd=1.0) + nf.RandomWalk(density=1.0), 0.125, 500.0) is None
+    # an oscillation has variance and hardly any power at zero: the slow part's time is at least the first node's
+    swing = nf.Arma(ar=(-1.96, 0.98), ma=(), sd=0.01)
+    assert slow_prior(swing, 0.125, 500.0).tau_s == pytest.approx(500.0 / 50.0)
+
+
+def test_the_prior_density_is_a_lognormal_one():
+    """Differences in the logarithm: those of two normal densities, and of the two orders."""
+    at = PRIOR.log_density(1, math.log(PRIOR.median * PRIOR.sd), math.log(PRIOR.tau_s))
+    off = PRIOR.log_density(1, math.log(PRIOR.median * PRIOR.sd) + PRIOR.spread, math.log(PRIOR.tau_s))
+    slower = PRIOR.log_density(1, math.log(PRIOR.median * PRIOR.sd), math.log(PRIOR.tau_s) - 2.0 * PRIOR.tau_spread)
+    smooth = PRIOR.log_density(2, math.log(PRIOR.median * PRIOR.sd), math.log(PRIOR.tau_s))
+    assert off - at == pytest.approx(-0.5) and slower - at == pytest.approx(-2.0)
+    assert math.exp(smooth - at) == pytest.approx(PRIOR.second_order / (1.0 - PRIOR.second_order))
+
+
+# ---------------------------------------------------------------------- likelihood
+
+
+def covariance(node, n, period_s):
+    t = np.asarray(lags(n), float) * period_s * CORRELATION_CONSTANTS[node.order] / node.tau_s
+    return node.sd**2 * np.exp(-t) * (1.0 + t if node.order == 2 else 1.0)
+
+
+@pytest.mark.parametrize("node", [SlowNode(1, 0.8, 12.0), SlowNode(2, 0.8, 12.0), SlowNode(2, 0.05, 600.0)])
+@pytest.mark.parametrize(("ar", "ma"), [([], []), ([-0.7], [0.2]), ([-1.2, 0.5], [])])
+@pytest.mark.parametrize("drift", [Drift((), PERIOD_S), Drift((0.3, 0.05), PERIOD_S)])
+def test_a_likelihood_with_a_slow_part_is_the_dense_gaussian(node, ar, ma, drift):
+    random = np.random.default_rng(8)
+    y, n, d = walk_with_gaps(random), 70, drift.order
+    likelihood = Likelihood(y, drift, 0.04, PRIOR, clip=1e9)
+    likelihood.rules[-1] = 0.0  # every tick by itself
+    theta = np.r_[ar, ma, math.log(0.6) + likelihood.log_unit, math.log(node.sd) + likelihood.log_unit]
+    V = ArmaModel(ar, ma, 0.6).autocovariance(n)[lags(n)] + 0.04 * np.eye(n) + covariance(node, n, PERIOD_S)
+    if d:  # what enters at a tick reaches all from the next on, as level and as rate
+        level = [wide((np.arange(n) > t) * 1.0) for t in range(n)]
+        rate = [wide(np.maximum(np.arange(n) - t - 1, 0) * PERIOD_S) for t in range(n)]
+        Q = drift.noise()
+        for t in range(n):
+            ways = np.stack([level[t], rate[t]], axis=1)
+            V = V + ways @ Q @ ways.T
+    X = np.stack([np.ones(n), np.arange(n) * PERIOD_S], axis=1)[:, :d]
+    expected = dense(y, wide(V), wide(X))
+    counts = int(np.isfinite(y).sum()) - d
+    value = likelihood.value(np.r_[theta, math.log(node.tau_s)], len(ar), node.order)
+    assert value + counts * likelihood.log_unit == pytest.approx(expected, abs=1e-7)
+
+
+def test_point_is_the_slope_of_what_is_minimised():
+    y = noisy(800, 3)
+    likelihood = Likelihood(y, DRIFT, 0.0, PRIOR)
+    likelihood.rules[-1] = 0.0  # with interpolated gains, a step changes where they are interpolated
+    for slow in (1, 2):
+        theta = np.r_[-0.5, 0.1, -0.3, -0.7, math.log(50.0)]
+        point = likelihood.point(theta, 1, slow)
+        for k in range(5):
+            step = 1e-4 * np.eye(5)[k]
+            ends = [likelihood.penalised(theta + sign * step, 1, slow) for sign in (1.0, -1.0)]
+            assert point.gradient[k] == pytest.approx((ends[0] - ends[1]) / 2e-4, rel=1e-3, abs=2e-3)
+
+
+def test_parts_of_a_likelihood_add_up():
+    likelihood = Likelihood(noisy(500, 4), DRIFT, 0.0, PRIOR)
+    theta = np.r_[-0.5, 0.0, -0.7, math.log(50.0)]
+    whole = likelihood.value(theta, 1, 1)
+    z = likelihood.innovations
+    assert likelihood.since(0) == whole
+    first = likelihood.since(1)
+    assert first == pytest.approx(whole, rel=1e-12)  # the first does not count: it fixes the diffuse level
+    assert np.isfinite(z).sum() == likelihood.n
+    assert likelihood.since(500) == 0.0
+
+
+# ---------------------------------------------------------------------- posterior
+
+
+def noisy(n, seed, sd=0.4, tau_s=25.0):
+    random = np.random.default_rng(seed)
+    phi = math.exp(-PERIOD_S / tau_s)
+    slow = simulate_arma([-phi], [], sd * math.sqrt(1.0 - phi * phi), n, random)
+    walk = np.cumsum(DRIFT.density[0] * math.sqrt(PERIOD_S) * random.standard_normal(n))
+    return slow + 0.2 * random.standard_normal(n) + walk
+
+
+def brute_force(likelihood, fast, p):
+    """Posterior on a fine grid of order, ln tau and ln sd: rows of order, tau, sd, weight."""
+    prior, rows = likelihood.prior, []
+    taus = np.linspace(*np.log(prior.taus_s[[0, -1]]), 36)
+    sds = np.linspace(*np.log(prior.sd_limits), 90)
+    for order in (1, 2):
+        for log_tau in taus:
+            for log_sd in sds:
+                value = likelihood.value(np.r_[fast, log_sd + likelihood.log_unit, log_tau], p, order)
+                rows.append((order, log_tau, log_sd, -value + prior.log_density(order, log_sd, log_tau)))
+    out = np.array(rows)
+    out[:, 3] = np.exp(out[:, 3] - out[:, 3].max())
+    out[:, 3] /= out[:, 3].sum()
+    return out
+
+
+@pytest.fixture(scope="module")
+def fitted():
+    likelihood = Likelihood(noisy(600, 5), DRIFT, 0.0, PRIOR)
+    point = maximise(likelihood, [np.r_[0.0, math.log(0.3) + likelihood.log_unit, math.log(30.0)]], 0, 20, 1)
+    return likelihood, point
+
+
+@pytest.fixture(scope="module")
+def followed(fitted):
+    likelihood, point = fitted
+    return follow(likelihood, point.theta, 0, {}, 0, 1.0)
+
+
+def test_the_posterior_is_that_of_a_fine_grid(fitted, followed):
+    """Masses, E[sd^2], E[sd^2 tau] within a tenth: eight places a line and eight lines in place of 6480 points."""
+    likelihood, point = fitted
+    order, log_tau, log_sd, weight = brute_force(likelihood, point.theta[:-2], 0).T
+    kind, tau, mass, square = followed.moments.T
+    assert mass.sum() == pytest.approx(1.0)
+    assert mass[kind == 2].sum() == pytest.approx(weight[order == 2].sum(), abs=0.03)
+    expected = float(weight @ np.exp(2.0 * log_sd))
+    assert float(mass @ square) == pytest.approx(expected, rel=0.1)
+    level = float(weight @ (np.exp(2.0 * log_sd) * np.exp(log_tau)))
+    assert float((mass * square) @ tau) == pytest.approx(level, rel=0.15)
+    for part in (0.25, 0.5, 0.75):  # cumulated mass in ln tau, between the nodes
+        limit = np.log(PRIOR.taus_s[0]) + part * np.log(PRIOR.taus_s[-1] / PRIOR.taus_s[0])
+        assert mass[np.log(tau) <= limit].sum() == pytest.approx(weight[log_tau <= limit].sum(), abs=0.08)
+
+
+def test_parts_carry_the_mean_variance_and_the_mean_power(followed):
+    parts, (_, tau, mass, square) = followed.parts(), followed.moments.T
+    assert 1 <= len(parts) <= 2
+    assert sum(part.sd**2 for part in parts) == pytest.approx(float(mass @ square), rel=1e-3)
+    assert sum(part.sd**2 * part.tau_s for part in parts) == pytest.approx(float(mass @ (square * tau)), rel=1e-3)
+    assert parts == tuple(sorted(parts, key=lambda part: part.tau_s))
+
+
+@pytest.mark.parametrize(
+    ("moments", "expected"),
+    [
+        ([[1, 20.0, 1.0, 0.04]], (GaussMarkov(0.2, 20.0),)),
+        ([[2, 20.0, 1.0, 0.04]], (GaussMarkov(0.2, 20.0, 2),)),
+        ([[1, 20.0, 0.5, 0.08], [1, 500.0, 0.5, 0.18]], (GaussMarkov(0.2, 20.0), GaussMarkov(0.3, 500.0))),
+        ([[1, 20.0, 0.5, 0.08], [2, 500.0, 0.5, 0.18]], (GaussMarkov(0.2, 20.0), GaussMarkov(0.3, 500.0, 2))),
+        ([[1, 20.0, 1.0, 0.04], [1, 900.0, 1e-7, 0.04]], (GaussMarkov(0.2, 20.0),)),
+        ([[1, 20.0, 1.0, 0.0]], ()),
+    ],
+)
+def test_moments_become_one_or_two_processes(moments, expected):
+    nothing = np.zeros(0)
+    parts = SlowPosterior({}, nothing, nothing, nothing, nothing, np.array(moments, float)).parts()
+    assert [part.order for part in parts] == [part.order for part in expected]
+    for part, other in zip(parts, expected, strict=True):
+        assert (part.sd, part.tau_s) == pytest.approx((other.sd, other.tau_s), rel=1e-6)
+
+
+def test_evidence_of_two_hops_is_that_of_one_pass(fitted, followed):
+    """Half the series, then the other half with what the first one said, nothing forgotten."""
+    likelihood, point = fitted
+    y = noisy(600, 5)
+    first = Likelihood(y[:300], DRIFT, 0.0, PRIOR)
+    theta = point.theta.copy()
+    theta[[0, 1]] += first.log_unit - likelihood.log_unit
+    half = follow(first, theta, 0, {}, 0, 1.0)
+    both = follow(likelihood, point.theta, 0, half.lines, 300, 1.0)
+    (_, tau, mass, square), (_, tau2, mass2, square2) = followed.moments.T, both.moments.T
+    # evidence of the first half stands between its places as parabolas
+    assert float(mass2 @ square2) == pytest.approx(float(mass @ square), rel=0.05)
+    assert float((mass2 * square2) @ tau2) == pytest.approx(float((mass * square) @ tau), rel=0.1)
+    np.testing.assert_allclose(np.cumsum(mass2), np.cumsum(mass), atol=0.03)
+    # and the half alone knows less
+    _, tau1, mass1, square1 = half.moments.T
+    assert spread(mass1, square1 * tau1) > spread(mass, square * tau)
+
+
+def spread(mass, values):
+    log = np.log(values)
+    return math.sqrt(float(mass @ log**2) - float(mass @ log) ** 2)
+
+
+def test_without_evidence_the_posterior_is_the_prior(fitted):
+    likelihood, point = fitted
+    kind, tau, mass, square = follow(likelihood, point.theta, 0, {}, likelihood.y.size, 0.0).moments.T
+    prior = np.array(
+        [
+            math.exp(PRIOR.log_density(int(order), math.log(PRIOR.median * PRIOR.sd), math.log(t)))
+            for order, t in zip(kind, tau, strict=True)
+        ]
+    )
+    np.testing.assert_allclose(np.cumsum(mass), np.cumsum(prior / prior.sum()), atol=0.02)
+    # of a lognormal: median^2 exp(2 spread^2); the places end five standard deviations out
+    mean = (PRIOR.median * PRIOR.sd) ** 2 * math.exp(2.0 * PRIOR.spread**2)
+    assert float(mass @ square) == pytest.approx(mean, rel=0.1)
+
+
+# ---------------------------------------------------------------------- spectrum
+
+
+def test_the_band_of_a_spectrum_holds_what_it_says():
+    """Of lognormal weights: quantiles of a known distribution, at each frequency by itself."""
+    z = np.linspace(-4.0, 4.0, 2001)
+    weight = np.exp(-0.5 * z**2)
+    weight /= weight.sum()
+    density = np.exp(np.outer(z, [0.7, -0.2]))  # at the second frequency the order is the other way round
+    spectrum = Spectrum.weighted(np.array([0.01, 1.0]), density[::-1], weight)
+    np.testing.assert_allclose(np.log(spectrum.low), [-1.645 * 0.7, -1.645 * 0.2], atol=5e-3)
+    np.testing.assert_allclose(np.log(spectrum.median), 0.0, atol=5e-3)
+    np.testing.assert_allclose(np.log(spectrum.high), [1.645 * 0.7, 1.645 * 0.2], atol=5e-3)
+    assert spectrum.sd_log_s0 == pytest.approx(0.7, rel=1e-3)
+
+
+def test_a_spectrum_that_is_known_has_no_band():
+    alone = Spectrum.weighted(np.array([0.01, 1.0]), np.array([[2.0, 3.0]]), np.ones(1))
+    assert alone.low == alone.median == alone.high == (2.0, 3.0) and alone.sd_log_s0 == 0.0
+
+
+def test_the_spread_of_a_spectrum_is_that_of_its_coefficients():
+    """Against 4000 draws; first order is enough for coefficients this well known."""
+    ar, ma = np.array([-1.2, 0.5]), np.array([0.3])
+    root = 0.01 * np.random.default_rng(1).normal(size=(4, 4))
+    turn = np.array([0.01, 0.5, 1.5, 3.0])
+    logs = []
+    for a1, a2, c1, log_sd in np.random.default_rng(2).normal(size=(4000, 4)) @ root.T:
+        logs.append(
+            np.log(ArmaModel(ar + np.array([a1, a2]), ma + c1, math.exp(log_sd)).spectrum(turn / (2.0 * np.pi), 1.0))
+        )
+    # 4000 draws know a standard deviation to 1.1 %
+    np.testing.assert_allclose(log_spread(ar, ma, root @ root.T, turn), np.std(logs, axis=0), rtol=0.05)
