@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -37,7 +37,8 @@ def plot(track: Track) -> TrackFigure:
         raise ValueError("this track has no rows: there is nothing to plot.")
     figure = TrackFigure(figsize=(9.0, 6.0), layout="constrained")
     FigureCanvasAgg(figure)
-    left, right = figure.subfigures(1, 2, width_ratios=(1.1, 1.0))
+    halves: Any = figure.subfigures(1, 2, width_ratios=(1.1, 1.0))
+    left, right = halves
     _from_above(left.subplots(), track)
     _over_time(right.subplots(3, 1, sharex=True), track)
     figure.suptitle(f"{track.mission_name}, {track.label}")

@@ -17,6 +17,8 @@ _NS = 1_000_000_000
 _FROM_S, _TO_S = 1e9, 4102444800.0
 #: What 64 bits of nanoseconds hold [s].
 _MOST_S = 9.2e9
+#: Half of the last digit that is written [ns].
+_HALF = {"s": _NS // 2, "ms": 500_000, "us": 500}
 
 
 def counts_from_1970(first_s: float) -> bool:
@@ -68,8 +70,12 @@ def text(time_s: Array, epoch_utc_s: float, unit: str = "us") -> NDArray[np.str_
     --------
     >>> text(np.array([0.25]), 1.78e9, "ms").tolist()
     ['2026-05-28T20:26:40.250Z']
+    >>> text(np.array([0.0]), 1.78e9 + 0.1, "ms").tolist()
+    ['2026-05-28T20:26:40.100Z']
     """
-    return np.datetime_as_string(dates(time_s, epoch_utc_s).astype(f"datetime64[{unit}]"), timezone="UTC")
+    # a conversion cuts off: 0.1 s of a large float is a little less
+    rounded = nanoseconds(time_s, epoch_utc_s) + _HALF[unit]
+    return np.datetime_as_string(rounded.view("datetime64[ns]").astype(f"datetime64[{unit}]"), timezone="UTC")
 
 
 def date_text(time_s: float, epoch_utc_s: float | None) -> str | None:
