@@ -25,8 +25,8 @@ _STANDARD = {
     "longitude_deg": "longitude",
     "height_m": "height_above_reference_ellipsoid",
     "heading_deg": "platform_orientation",
-    "roll_deg": "platform_roll",
-    "pitch_deg": "platform_pitch",
+    "roll_deg": "platform_roll_starboard_down",
+    "pitch_deg": "platform_pitch_fore_up",
 }
 #: Ending of a column -> unit as UDUNITS has it, the longest first.
 _UNITS = {"_m_s": "m s-1", "_m2": "m2", "_deg": "degree", "_m": "m"}

@@ -10,10 +10,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TextIO
 
-__all__ = ["pieces", "replacing", "replacing_binary", "replacing_tree"]
+__all__ = ["ROWS", "pieces", "replacing", "replacing_binary", "replacing_tree"]
 
 #: Rows that are worked on at a time: a long track costs no second one in memory.
-ROWS = 20_000
+ROWS = 5_000
 
 
 @contextmanager

@@ -48,9 +48,7 @@ def write(track: Track, path: Path, mission: Mission | None = None) -> None:
             records[:, 1], records[:, 2] = track.latitude[rows], wrap(track.longitude[rows])
             records[:, 3] = track.height[rows]
             records[:, 4:7], records[:, 7:10] = track.velocity_n[rows], track.attitude[rows]
-            moving = _mean_motion(track, rows)
-            records[: len(moving), 11:] = moving
-            records[len(moving) :, 11:] = moving[-1:]
+            records[:, 11:] = _mean_motion(track, rows)
             file.write(records.tobytes())
 
 
@@ -73,14 +71,15 @@ def gps_seconds_of_week(track: Track) -> Array:
 
 
 def _mean_motion(track: Track, rows: slice) -> Array:
-    """Mean acceleration and angular rate in the body from each row to the next, (m, 6); zeros where there is none."""
-    after = slice(rows.start, min(rows.stop + 1, len(track)))
-    step = np.diff(track.time_s[after])[:, np.newaxis]
-    if not len(step):
+    """Mean acceleration and angular rate in the body from each row to the next, (m, 6); of the last one again those
+    before it, of a single one zeros.
+    """
+    if len(track) < 2:
         return np.zeros((1, 6))
-    C = matrix_from_euler(*track.attitude[after].T)
-    back = np.swapaxes(C[:-1], 1, 2)
-    change = np.einsum("nij,nj->ni", back, np.diff(track.velocity_n[after], axis=0))
-    turn = rotation_vector(back @ C[1:])
+    begin = np.minimum(np.arange(rows.start, rows.stop), len(track) - 2)
+    step = (track.time_s[begin + 1] - track.time_s[begin])[:, np.newaxis]
+    C, after = (matrix_from_euler(*track.attitude[row].T) for row in (begin, begin + 1))
+    back = np.swapaxes(C, 1, 2)
+    change = np.einsum("nij,nj->ni", back, track.velocity_n[begin + 1] - track.velocity_n[begin])
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(step > 0.0, np.column_stack([change, turn]) / step, 0.0)
+        return np.where(step > 0.0, np.column_stack([change, rotation_vector(back @ after)]) / step, 0.0)
