@@ -177,6 +177,11 @@ class Mission:
         return max((s.time_s[-1] for s in self.streams.values() if len(s)), default=float("nan"))
 
     @property
+    def begin_utc(self) -> str | None:
+        """Date of the first reading, ISO 8601; None where there is none, or UTC is unknown."""
+        return None if np.isnan(self.begin_s) else utc.date_text(self.begin_s, self.epoch_utc_s)
+
+    @property
     def duration_s(self) -> float:
         """From the first reading of any stream to the last [s]; 0 when there is none."""
         return 0.0 if np.isnan(self.begin_s) else float(self.end_s - self.begin_s)
@@ -184,7 +189,7 @@ class Mission:
     def _repr_html_(self) -> str:
         rows: dict[str, object] = {"date": self.date}
         if self.duration_s:
-            rows["begins"] = utc.date_text(self.begin_s, self.epoch_utc_s)
+            rows["begins"] = self.begin_utc
             rows["mission time"] = f"{self.begin_s:.1f} to {self.end_s:.1f} s"
         for name, stream in self.streams.items():
             span_s = float(stream.time_s[-1] - stream.time_s[0]) if len(stream) else 0.0

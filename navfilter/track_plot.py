@@ -78,8 +78,8 @@ def _over_time(axes: NDArray[np.object_], track: Track) -> None:
 def _axis(ax: Axes, track: Track) -> Array | NDArray[np.datetime64]:
     """The times as they are drawn: dates where they are known, else seconds."""
     if track.time_utc is None:
-        zero = track.time_s[0] if utc.counts_from_1970(float(track.time_s[0])) else 0.0
-        ax.set_xlabel("mission time [s]" if zero == 0.0 else f"mission time - {zero:.0f} s [s]")
+        zero, since = utc.axis_from(float(track.time_s[0]))
+        ax.set_xlabel(f"mission time{since} [s]")
         return track.time_s - zero
     locator = AutoDateLocator()
     ax.xaxis.set_major_locator(locator)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["counts_from_1970", "date_text", "dates", "nanoseconds", "text"]
+__all__ = ["axis_from", "counts_from_1970", "date_text", "dates", "nanoseconds", "text"]
 
 Array = NDArray[np.float64]
 _NS = 1_000_000_000
@@ -30,6 +30,20 @@ def counts_from_1970(first_s: float) -> bool:
     (True, False, False)
     """
     return _FROM_S <= first_s < _TO_S
+
+
+def axis_from(begin_s: float) -> tuple[float, str]:
+    """What an axis of times is drawn from, and what its label says of it: a clock that counts from 1970 would fill it
+    with digits that are all the same.
+
+    Examples
+    --------
+    >>> axis_from(12.5), axis_from(1.78e9 + 0.5)
+    ((0.0, ''), (1780000000.0, ' - 1780000000 s'))
+    """
+    if not counts_from_1970(begin_s):
+        return 0.0, ""
+    return float(np.floor(begin_s)), f" - {np.floor(begin_s):.0f} s"
 
 
 def nanoseconds(time_s: Array, epoch_utc_s: float | None) -> NDArray[np.int64]:

@@ -217,7 +217,8 @@ def _replayed(vehicle: Any, mission: Mission, quiet: bool, **how: Any) -> Track:
     from navfilter.playback import replay as replay_mission
 
     compile_first(quiet, vehicle)
-    speaker(quiet)(f"replaying {mission.name} ({mission.duration_s / 60:.1f} min) ...")
+    when = f" from {mission.begin_utc}" if mission.begin_utc else ""
+    speaker(quiet)(f"replaying {mission.name} ({mission.duration_s / 60:.1f} min{when}) ...")
     return replay_mission(vehicle, mission, progress=not quiet and sys.stderr.isatty(), **how)
 
 

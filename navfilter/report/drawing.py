@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import math
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -76,7 +75,7 @@ class Clock:
 
     def __init__(self, begin_s: float, end_s: float) -> None:
         length = end_s - begin_s
-        self.zero_s = math.floor(begin_s) if utc.counts_from_1970(begin_s) else 0.0
+        self.zero_s, self._from = utc.axis_from(begin_s)
         self.begin_s, self.end_s = begin_s, end_s
         self.unit, self.factor = (
             ("h", 1 / 3600) if length > 3 * 3600 else ("min", 1 / 60) if length > 600 else ("s", 1.0)
@@ -87,7 +86,7 @@ class Clock:
 
     def label(self, ax: Axes) -> None:
         """Name the axis and set its range."""
-        ax.set_xlabel(f"mission time{f' - {self.zero_s:.0f} s' if self.zero_s else ''} [{self.unit}]")
+        ax.set_xlabel(f"mission time{self._from} [{self.unit}]")
         margin = 0.01 * max(self.end_s - self.begin_s, 1e-3)
         ax.set_xlim(*self(np.array([self.begin_s - margin, self.end_s + margin])))
 
