@@ -4,6 +4,7 @@ import dataclasses
 import datetime
 import importlib.util
 import json
+import re
 import sqlite3
 import struct
 import tracemalloc
@@ -260,11 +261,34 @@ def test_netcdf_is_a_cf_trajectory(tmp_path):
         frame = track.to_frame().drop(columns=["time_s", "time_utc"])
         for name in frame:
             # float64 as they are; of longitudes a turn more or less
-            np.testing.assert_allclose(file[name][:], frame[name], rtol=1e-15, atol=1e-13)
+            variable = file[re.sub(r"[^A-Za-z0-9]+", "_", name)]
+            np.testing.assert_allclose(variable[:], frame[name], rtol=1e-15, atol=1e-13)
+            assert re.fullmatch(r"1|(m|degree(_north|_east)?|degrees_\w+|m2)( s-[12])?", variable.units), variable.units
         dates = netcdf.num2date(file["time"][:], file["time"].units, file["time"].calendar)
         seconds = [date._to_real_datetime().replace(tzinfo=datetime.UTC).timestamp() for date in dates]
         # dates in microseconds
         np.testing.assert_allclose(np.array(seconds) - EPOCH, track.time_s, rtol=0, atol=1e-5)
+
+
+def test_netcdf_names_and_units_of_states(tmp_path):
+    netcdf = pytest.importorskip("netCDF4")
+    _, track = run()
+    states = {"gyro_x[0]": "rad_s", "gyro_x_0": "rad_s", "accel x": "m_s2", "7.scale": "1"}
+    values = np.arange(4.0 * len(track)).reshape(-1, 4)
+    odd = dataclasses.replace(
+        track, states=values, states_sd=values, state_names=tuple(states), state_units=tuple(states.values())
+    )
+    with netcdf.Dataset(nf.write_track(odd, tmp_path / "track.nc")) as file:
+        named = [name for name in file.variables if re.match("gyro|accel|state_", name) and "_sd_" not in name]
+        units = {name: file[name].units for name in named}
+        assert units == {
+            "gyro_x_0_deg_s": "degree s-1",
+            "gyro_x_0_deg_s_": "degree s-1",
+            "accel_x_m_s2": "m s-2",
+            "state_7_scale_1": "1",
+        }
+        # degrees were made of radians
+        np.testing.assert_allclose(np.radians(file["gyro_x_0_deg_s_"][:]), values[:, 1], rtol=1e-15)
 
 
 def test_netcdf_opens_with_dates_in_xarray(tmp_path):

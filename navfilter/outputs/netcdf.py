@@ -1,11 +1,14 @@
 """track.nc: a trajectory by the CF conventions (1.8, discrete sampling geometry), as NetCDF with 64-bit offsets.
 
-Every column of track.csv is a variable of the dimension ``obs``. Where UTC is unknown, ``time`` counts seconds of the
+Every column of track.csv is a variable of the dimension ``obs``; its name has letters, digits and underscores only:
+``gyro_x[0]_deg_s`` is ``gyro_x_0_deg_s``. Where UTC is unknown, ``time`` counts seconds of the
 mission clock, and no reader takes it for a date.
 """
 
 from __future__ import annotations
 
+import re
+from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -28,8 +31,8 @@ _STANDARD = {
     "roll_deg": "platform_roll_starboard_down",
     "pitch_deg": "platform_pitch_fore_up",
 }
-#: Ending of a column -> unit as UDUNITS has it, the longest first.
-_UNITS = {"_m_s": "m s-1", "_m2": "m2", "_deg": "degree", "_m": "m"}
+#: Units of the columns before the states, the longest first.
+_UNITS = ("m_s", "m2", "deg", "m")
 _POSITION = {"latitude_deg": "degrees_north", "longitude_deg": "degrees_east"}
 
 
@@ -43,8 +46,9 @@ def write(track: Track, path: Path, mission: Mission | None = None) -> None:
         file.createDimension("obs", len(track))
         _trajectory(file, track.mission_name)
         _time(file, track)
-        columns = track.keep(slice(0, 1)).to_frame().columns.drop(["time_s", "time_utc"], errors="ignore")
-        variables = {name: _variable(file, name) for name in columns}
+        variables: dict[str, Any] = {}
+        for column, unit in _columns(track):
+            variables[column] = _variable(file, column, unit)
         for rows in pieces(len(track)):
             frame = track.keep(rows).to_frame()
             for name, variable in variables.items():
@@ -56,6 +60,7 @@ def _about(file: Any, track: Track) -> None:
     file.Conventions = "CF-1.8"
     file.featureType = "trajectory"
     file.title = f"{track.mission_name}, {track.label}"
+    file.history = "written by navfilter"
     file.source = f"navfilter, vehicle {track.vehicle.name}"
 
 
@@ -81,11 +86,20 @@ def _time(file: Any, track: Track) -> None:
     variable.standard_name, variable.units, variable.calendar = "time", f"seconds since {since}", "standard"
 
 
-def _variable(file: Any, column: str) -> Any:
-    variable = file.createVariable(column, "d", ("obs",))
-    ending = next((end for end in _UNITS if column.endswith(end)), "")
-    variable.units = _POSITION.get(column) or _UNITS.get(ending, "1")
-    variable.long_name = column.removesuffix(ending).replace("_", " ")
+def _columns(track: Track) -> Iterator[tuple[str, str]]:
+    """Columns of track.csv behind the times, with their units as the columns have them."""
+    columns = list(track.keep(slice(0, 1)).to_frame().columns.drop(["time_s", "time_utc"], errors="ignore"))
+    states = len(columns) - 2 * len(track.state_names)
+    for column in columns[:states]:
+        yield column, next(unit for unit in _UNITS if column.endswith(f"_{unit}"))
+    for column, unit in zip(columns[states:], np.repeat(track.state_units, 2).tolist(), strict=True):
+        yield column, unit.replace("rad", "deg")
+
+
+def _variable(file: Any, column: str, unit: str) -> Any:
+    variable = file.createVariable(_name(column, file.variables), "d", ("obs",))
+    variable.units = _POSITION.get(column) or _udunits(unit)
+    variable.long_name = column.removesuffix(f"_{unit}").replace("_", " ")
     if column in _STANDARD:
         variable.standard_name = _STANDARD[column]
     if column in _POSITION:
@@ -95,3 +109,17 @@ def _variable(file: Any, column: str) -> Any:
     if column == "height_m":
         variable.axis, variable.positive = "Z", "up"
     return variable
+
+
+def _name(column: str, taken: Collection[str]) -> str:
+    name = re.sub(r"[^A-Za-z0-9]+", "_", column)
+    name = name if name[0].isalpha() else f"state_{name}"
+    while name in taken:
+        name += "_"
+    return name
+
+
+def _udunits(unit: str) -> str:
+    """``m_s2`` -> ``m s-2``."""
+    first, *below = unit.replace("deg", "degree").split("_")
+    return " ".join([first, *(re.sub(r"^([a-z]+)(\d?)$", lambda m: f"{m[1]}-{m[2] or 1}", part) for part in below)])
