@@ -239,6 +239,29 @@ def test_mat_is_the_track(tmp_path, epoch):
         assert words == [OUTCOMES[code] for code in residuals.outcome]
 
 
+def test_mat_that_its_format_cannot_hold_is_refused(tmp_path, monkeypatch):
+    from navfilter.outputs import mat
+
+    _, track = run()
+    # its covariances alone, 9 x 9 float64 a row, and residuals of no reading
+    own = track.covariance.nbytes
+    for most, many in ((own, track), (2 * own, with_readings(track, 40_000))):
+        monkeypatch.setattr(mat, "_MOST_BYTES", most)
+        with pytest.raises(ValueError, match=r"holds 2 GiB, this track needs .*: lower --output-rate"):
+            nf.write_track(many, tmp_path / "track.mat")
+    assert list(tmp_path.iterdir()) == []
+
+
+def with_readings(track, count):
+    """The track with so many readings of each sensor."""
+    rows = np.zeros(count, dtype=int)
+    many = {
+        name: dataclasses.replace(r, **{field.name: getattr(r, field.name)[rows] for field in dataclasses.fields(r)})
+        for name, r in track.residuals.items()
+    }
+    return dataclasses.replace(track, residuals=many)
+
+
 def test_mat_without_sensors_and_states(tmp_path):
     _, track = run()
     bare = dataclasses.replace(

@@ -23,6 +23,8 @@ __all__ = ["write"]
 
 #: What one variable of the format can hold [bytes].
 _MOST_BYTES = 2**31 - 1
+#: Of `Residuals`.
+_FIELDS = ("time_s", "value", "sd", "nis", "dof", "outcome")
 
 
 def write(track: Track, path: Path, mission: Mission | None = None) -> None:
@@ -36,13 +38,14 @@ def write(track: Track, path: Path, mission: Mission | None = None) -> None:
     from scipy.io import savemat
 
     content = _content(track)
-    if (size := sum(np.asarray(cells).nbytes for cells in content.values())) > _MOST_BYTES:
+    readings = [getattr(r, field) for r in track.residuals.values() for field in _FIELDS]
+    if (size := sum(np.asarray(cells).nbytes for cells in (*content.values(), *readings))) > _MOST_BYTES:
         raise ValueError(
             f"{path}: a .mat of version 5 holds 2 GiB, this track needs {size / 2**30:.1f}: lower --output-rate, or"
             " take .nc, which MATLAB reads too."
         )
     with replacing_binary(path) as file:
-        savemat(file, {"track": content}, long_field_names=True, do_compression=True, oned_as="column")
+        savemat(file, {"track": content}, long_field_names=True, oned_as="column")
 
 
 def _content(track: Track) -> dict[str, Any]:
@@ -72,8 +75,7 @@ def _cells(texts: tuple[str, ...]) -> npt.NDArray[np.object_]:
 
 
 def _residuals(track: Track) -> npt.NDArray[np.void]:
-    fields = ("name", "time_s", "value", "sd", "nis", "dof", "outcome")
-    rows = np.empty(len(track.residuals), dtype=[(field, object) for field in fields])
+    rows = np.empty(len(track.residuals), dtype=[(field, object) for field in ("name", *_FIELDS)])
     for i, (name, r) in enumerate(track.residuals.items()):
         rows[i] = (name, r.time_s, r.value, r.sd, r.nis, r.dof, r.outcome.astype(float) + 1.0)
     return rows
