@@ -149,7 +149,7 @@ def standard_input(file):
 
 
 def test_the_live_loop_works_when_copied(here, capfdbinary):
-    live = [command for command in commands() if command[1] == "run" and "--listen" not in command]
+    live = [command for command in commands() if command[1] == "run" and not {"--listen", "--source"} & set(command)]
     assert [("--log" in command, "--replay-log" in command) for command in live] == [(True, False), (False, True)]
     states = []
     # two minutes of the readings are as good as ten
