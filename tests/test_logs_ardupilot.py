@@ -1,6 +1,7 @@
 """ArduPilot logs: DataFlash with the units that it states itself, telemetry with MAVLink's, velocity logs as deltas."""
 
 import datetime
+import random
 import struct
 import tracemalloc
 from collections import Counter
@@ -11,6 +12,7 @@ import pytest
 import navfilter as nf
 from navfilter.io.logs import Shelf
 from navfilter.io.logs.choosing import Wanted
+from navfilter.io.logs.survey import survey
 from navfilter.mission import MissionError
 
 mavutil = pytest.importorskip(
@@ -259,3 +261,23 @@ def test_logs_that_are_cut_short_or_none(log_sample, tmp_path):
     (tmp_path / "no.bin").write_bytes(b"")
     with pytest.raises(MissionError, match="cannot be read as an ArduPilot log"):
         Shelf().table(tmp_path / "no.bin", "IMU")
+
+
+@pytest.mark.parametrize("block", [1000, 4 << 20])
+def test_damage_is_read_over_or_refused(log_sample, tmp_path, monkeypatch, recwarn, block):
+    """Formats, lengths and units too, in blocks that cut everything in two; no warning of NumPy either."""
+    monkeypatch.setattr(dataflash, "_BLOCK", block)
+    whole, read = log_sample(BIN).read_bytes(), 0
+    for seed in range(25):
+        chance = random.Random(seed)
+        piece = bytearray(whole[: chance.randrange(1, 60_000)])
+        for _ in range(chance.choice([1, 30, 800])):
+            # the formats stand at the beginning
+            piece[chance.randrange(min(len(piece), chance.choice([len(piece), 20_000])))] = chance.randrange(256)
+        piece += bytes(chance.randrange(256) for _ in range(chance.choice([0, 3000])))
+        (tmp_path / "damaged.bin").write_bytes(piece)
+        try:
+            read += len(survey(tmp_path / "damaged.bin").topics) > 0
+        except MissionError as error:
+            assert "\n" not in str(error)
+    assert read > 10 and not recwarn.list

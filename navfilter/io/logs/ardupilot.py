@@ -89,12 +89,13 @@ def _with_velocity(name: str, message: Any) -> dict[str, Any]:
     """A message, or many as columns, with the velocity that its changes of position are."""
     interval, unit_s, changes = _DELTAS[name]
     record = dict(message) if isinstance(message, Mapping) else _elements(message)
-    seconds = unit_s * np.asarray(record[interval], dtype=float)
-    seconds = np.where(seconds > 0.0, seconds, np.nan)
-    for axis, change in zip("xyz", changes, strict=True):
-        velocity = record[change] / seconds
-        record[f"velocity_{axis}"] = velocity if velocity.ndim else float(velocity)
-    return record
+    try:
+        seconds = unit_s * np.asarray(record[interval], dtype=float)
+        seconds = np.where(seconds > 0.0, seconds, np.nan)
+        velocity = {f"velocity_{axis}": record[change] / seconds for axis, change in zip("xyz", changes, strict=True)}
+    except (KeyError, TypeError, ValueError):  # a damaged log gives the message other fields
+        return record
+    return record | {axis: part if part.ndim else float(part) for axis, part in velocity.items()}
 
 
 def _elements(message: Any) -> dict[str, Any]:

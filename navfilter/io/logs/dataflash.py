@@ -61,7 +61,7 @@ class _Log:
     formats: dict[int, Any] = field(default_factory=lambda: {_FMT: _of_formats()})
     lengths: list[int] = field(default_factory=lambda: [_FMT_LENGTH if kind == _FMT else 0 for kind in range(256)])
     counts: Counter[int] = field(default_factory=Counter)
-    begin_s: float = 0.0
+    begin_s: float | None = None
     epoch_s: float | None = None
 
 
@@ -81,8 +81,8 @@ def records(path: Path, wanted: Wanted, tally: Counter[str]) -> Iterator[tuple[s
     chosen = {kind for kind, form in named.items() if wanted.family(form.name)}
     for block, places in _blocks(path, list(log.lengths), Counter()):
         for kind, starts in places.items():
-            if kind in chosen:
-                yield from _topics(log, log.formats[kind], _bodies(block, starts, log.lengths[kind]), wanted)
+            if kind in chosen and len(bodies := _bodies(block, starts, log.formats[kind].len)):
+                yield from _topics(log, log.formats[kind], bodies, wanted)
 
 
 # --- the bytes ------------------------------------------------------------------------------------------------------
@@ -122,7 +122,7 @@ def _scan(block: bytes, lengths: list[int], left: int, tally: Counter[str]) -> t
             places[kind].append(at)
         else:
             places[kind] = [at]
-        if kind == _FMT and block[at + 4] >= 3:
+        if kind == _FMT and block[at + 3] != _FMT and block[at + 4] >= 3:
             lengths[block[at + 3]] = block[at + 4]
         at += length
     return places, at
@@ -130,7 +130,9 @@ def _scan(block: bytes, lengths: list[int], left: int, tally: Counter[str]) -> t
 
 def _bodies(block: bytes, starts: list[int], length: int) -> npt.NDArray[np.uint8]:
     """Bodies of messages of one type, (n, length - 3)."""
-    rows = np.array(starts)[:, np.newaxis] + np.arange(3, length)
+    begin = np.array(starts)
+    # where a damaged log states the length anew, what came before it may not fit
+    rows = begin[begin + length <= len(block), np.newaxis] + np.arange(3, length)
     return np.frombuffer(block, dtype=np.uint8)[rows]
 
 
@@ -148,21 +150,24 @@ def _described(path: Path, tally: Counter[str]) -> _Log:
             if form is None:
                 tally["messages of no known format left out"] += len(starts)
             elif form.name in units:
-                units[form.name] += [_unpacked(form, block, start) for start in starts]
-            elif not log.begin_s or (log.epoch_s is None and form.name == "GPS"):
-                _time(log, form, _bodies(block, starts, log.lengths[kind]))
+                bodies = _bodies(block, starts, form.len)
+                units[form.name] += [struct.unpack(form.msg_struct, body.tobytes()) for body in bodies]
+            elif log.begin_s is None or (log.epoch_s is None and form.name == "GPS"):
+                _time(log, form, _bodies(block, starts, form.len))
     if not sum(log.counts.values()):
         raise MissionError(f"{path} cannot be read as an ArduPilot log: it holds no messages.")
-    if not log.begin_s:
+    if log.begin_s is None:
         raise MissionError(f"{path}: no message of this log has TimeUS; logs of before 2015 are not read.")
     log.counts = Counter({kind: count for kind, count in log.counts.items() if kind in log.formats})
-    with contextlib.suppress(IndexError, AttributeError, TypeError):  # whatever is damaged states no units
-        _state_units(log, units)
+    with contextlib.suppress(IndexError, AttributeError, TypeError, ValueError, OverflowError):
+        _state_units(log, units)  # whatever is damaged states none
     return log
 
 
 def _format(log: _Log, body: bytes, tally: Counter[str]) -> None:
     kind, length, name, characters, columns = struct.unpack("<BB4s16s64s", body)
+    if kind == _FMT:
+        return
     try:
         with contextlib.redirect_stdout(io.StringIO()):  # it prints what it does not know
             form = DFFormat(
@@ -173,12 +178,9 @@ def _format(log: _Log, body: bytes, tally: Counter[str]) -> None:
         fits = False
     if fits:
         log.formats[kind] = form
-    elif log.formats.pop(kind, None) is None:
+    else:
+        log.formats.pop(kind, None)
         tally["formats that contradict themselves left out"] += 1
-
-
-def _unpacked(form: Any, block: bytes, start: int) -> tuple[Any, ...]:
-    return struct.unpack(form.msg_struct, block[start + 3 : start + form.len])
 
 
 def _state_units(log: _Log, found: dict[str, list[tuple[Any, ...]]]) -> None:
@@ -193,11 +195,11 @@ def _state_units(log: _Log, found: dict[str, list[tuple[Any, ...]]]) -> None:
 
 def _time(log: _Log, form: Any, bodies: npt.NDArray[np.uint8]) -> None:
     """The first stamp of the log, and UTC where its receiver knows it."""
-    if "TimeUS" not in form.columns:
+    if "TimeUS" not in form.columns or not len(bodies):
         return
     columns = _columns(form, bodies)
     seconds = 1e-6 * columns["TimeUS"]
-    log.begin_s = log.begin_s or float(seconds[0])
+    log.begin_s = float(seconds[0]) if log.begin_s is None else log.begin_s
     if form.name == "GPS" and {"GWk", "GMS"} <= columns.keys() and (known := columns["GWk"] > 0).any():
         row = int(np.argmax(known))
         gps_s = _GPS_EPOCH_S + _WEEK_S * columns["GWk"][row] + 1e-3 * columns["GMS"][row] - _LEAP_S
@@ -220,7 +222,8 @@ def _columns(form: Any, bodies: npt.NDArray[np.uint8]) -> dict[str, npt.NDArray[
         kind, divisor = _TYPES[character]
         size = np.dtype(kind).itemsize
         column = bodies[:, at : at + size].copy().view(kind if divisor == 0.0 else f"<{kind}")[:, 0]
-        columns[name] = column / divisor if divisor > 1.0 else column
+        with np.errstate(invalid="ignore"):  # a damaged number may be one that signals
+            columns[name] = column / divisor if divisor > 1.0 else column.astype(float) if "f" in kind else column
         at += size
     return columns
 
