@@ -179,7 +179,7 @@ def test_an_instrument_that_goes_and_comes_back(server, instrument):
             client.sendall(report(k) + b"\n" + report(k + 0.5)[:30])  # the last one is cut by the end
     taken(instrument, 3, "gone; connecting again")
     assert [item.time_s for item in parsed(instrument.readings)] == [0.0, 1.0, 2.0]
-    assert any("connected" in text for text in instrument.told)
+    assert sum("it speaks" in text for text in instrument.told) == 3
 
 
 def test_an_instrument_that_is_not_there_yet(server, instrument):
@@ -192,6 +192,18 @@ def test_an_instrument_that_is_not_there_yet(server, instrument):
         taken(instrument, 1)
     # tried a hundred times a second, told once
     assert sum("not connected" in text for text in instrument.told) == 1
+
+
+def test_an_instrument_that_hangs_up_at_once_is_told_of_once(server, instrument):
+    for _ in range(20):
+        server.accept().close()
+    with server.accept() as client:
+        client.sendall(report(1.0) + b"\n")
+        taken(instrument, 1, "it speaks")
+    assert [text.removeprefix(instrument.source.url) for text in instrument.told] == [
+        ": gone; connecting again",
+        ": it speaks",
+    ]
 
 
 def test_garbage_between_the_reports(server, instrument):
@@ -293,7 +305,7 @@ def test_a_run_with_a_dvl_of_its_own(server, tmp_path):
     assert sent > 40 and found[-1]["sensors"]["dvl"]["outcomes"]["late-replayed"] > 0
     assert sum(found[-1]["sensors"]["dvl"]["outcomes"].values()) == sent
     assert found[-1]["velocity_sd_m_s"][0] < 0.05
-    assert next(event["text"] for event in events if event.get("what") == "source").endswith("connected")
+    assert next(event["text"] for event in events if event.get("what") == "source").endswith("it speaks")
     again = Process("--replay-log", log.parent, stdin=None).end()
     kept = [line for line in output if json.loads(line).get("event") not in ("notice", "resume")]
     assert again == kept

@@ -68,7 +68,6 @@ class Instrument:
                     with contextlib.suppress(OSError):
                         keep_alive(connection)
                     connection.settimeout(self.LOOK_S)
-                    self._tell("connected")
                     self._tell(self._listen(connection))
             except OSError as error:
                 self._tell(f"not connected: {error.strerror or error}; trying again every {self.AGAIN_S:.0f} s")
@@ -104,6 +103,7 @@ class Instrument:
             if str(self._bad).strip("0") == "1":  # the first, the tenth, the hundredth ...
                 self._tell(f"{self._bad} lines that are no report", repeat=True)
             return False
+        self._tell("it speaks")
         if reading is not None:
             if len(self._readings) >= self.MOST:
                 self._readings.popleft()
