@@ -86,10 +86,11 @@ def replay(
     tape = Tape(output_rate_hz, smoothable=smooth)
     nav = Navigator(vehicle, start, tape)
     _run(nav, *drive, _events(vehicle, mission, start.time_s), progress)
-    forward = _track("forward", nav, tape, mission, time.process_time() - began)
+    forward = _track("forward", nav, tape, mission.name, time.process_time() - began)
+    forward = replace(forward, epoch_utc_s=mission.epoch_utc_s)
     if not smooth:
         return forward
-    return _smoothed(forward, nav, tape, began, progress)
+    return replace(_smoothed(forward, nav, tape, began, progress), epoch_utc_s=mission.epoch_utc_s)
 
 
 def _read(vehicle: Vehicle | _Path, mission: Mission | _Path) -> tuple[Vehicle, Mission]:
@@ -305,7 +306,7 @@ def _group(name: str, groups: list[str]) -> int:
     return next((i for i, group in enumerate(groups) if name.startswith((f"{group}_", f"{group}[", f"{group}."))), -1)
 
 
-def _track(label: str, nav: Navigator, tape: Tape, mission: Mission, cpu_s: float) -> Track:
+def _track(label: str, nav: Navigator, tape: Tape, name: str, cpu_s: float) -> Track:
     rows = _Rows(tape)
     for i in range(len(tape.row_times)):
         row = tape.rows[i]
@@ -316,8 +317,7 @@ def _track(label: str, nav: Navigator, tape: Tape, mission: Mission, cpu_s: floa
             rows.put(i, row, covariance[:9, :9], covariance.diagonal()[9:])
         else:
             rows.put(i, row, rest[:81].reshape(9, 9), rest[81:])
-    track = _assemble(label, nav, rows, mission.name, cpu_s, None)
-    return replace(track, epoch_utc_s=mission.epoch_utc_s)
+    return _assemble(label, nav, rows, name, cpu_s, None)
 
 
 def _assemble(label: str, nav: Navigator, rows: _Rows, name: str, cpu_s: float, forward: Track | None) -> Track:
@@ -363,8 +363,7 @@ def _smoothed(forward: Track, nav: Navigator, tape: Tape, began: float, progress
     packed[:, 1] += correction[:, 1] / (packed[:, 16] * np.cos(packed[:, 0]))
     packed[:, 2] -= correction[:, 2]
     packed[:, 3:6] += correction[:, 3:6]
-    track = _assemble("smoothed", nav, rows, forward.mission_name, time.process_time() - began, forward)
-    return replace(track, epoch_utc_s=forward.epoch_utc_s)
+    return _assemble("smoothed", nav, rows, forward.mission_name, time.process_time() - began, forward)
 
 
 def residual_series(
