@@ -94,12 +94,15 @@ def replay(
 
 
 def _read(vehicle: Vehicle | _Path, mission: Mission | _Path) -> tuple[Vehicle, Mission]:
-    from navfilter.io import read_mission, read_vehicle
+    if not isinstance(vehicle, Vehicle):
+        from navfilter.io import read_vehicle
 
-    return (
-        vehicle if isinstance(vehicle, Vehicle) else read_vehicle(vehicle),
-        mission if isinstance(mission, Mission) else read_mission(mission),
-    )
+        vehicle = read_vehicle(vehicle)
+    if not isinstance(mission, Mission):
+        from navfilter.io import read_mission
+
+        mission = read_mission(mission)
+    return vehicle, mission
 
 
 def identified(
