@@ -42,6 +42,13 @@ class Server:
         self.socket.settimeout(60.0)
         return self.socket.accept()[0]
 
+    def accept_nobody(self):
+        """Keep the port, so that no connection to it gets it for its own end, and do not listen."""
+        self.socket.close()
+        self.socket = socket.socket()
+        self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        self.socket.bind(("127.0.0.1", self.port))
+
     def close(self):
         self.socket.close()
 
@@ -184,9 +191,9 @@ def test_an_instrument_that_goes_and_comes_back(server, instrument):
 
 def test_an_instrument_that_is_not_there_yet(server, instrument):
     server.accept().close()
-    server.close()
+    server.accept_nobody()
     taken(instrument, told="not connected")
-    server.socket = socket.create_server(("127.0.0.1", server.port))
+    server.socket.listen()
     with server.accept() as client:
         client.sendall(report(1.0) + b"\n")
         taken(instrument, 1)
@@ -259,8 +266,8 @@ def test_what_nobody_takes_is_dropped_and_told(server, instrument, monkeypatch):
 
 
 def test_an_instrument_ends_while_it_is_trying(server, monkeypatch):
+    server.accept_nobody()
     monkeypatch.setattr(Instrument, "AGAIN_S", 0.01)
-    server.close()
     one = Instrument(waterlinked(server.url, VEHICLE), lambda: None)
     one.start()
     wait_for(lambda: one._told)
