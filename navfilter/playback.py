@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+import os
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,13 +28,14 @@ from navfilter.vehicle import Vehicle
 __all__ = ["drive_samples", "identified", "replay", "replay_heard", "residual_series", "warm_up"]
 
 Array = NDArray[np.float64]
+_Path = str | os.PathLike[str]
 #: Models have settled when they change by less than so many of their own standard deviations.
 SETTLED = 0.2
 
 
 def replay(
-    vehicle: Vehicle,
-    mission: Mission,
+    vehicle: Vehicle | _Path,
+    mission: Mission | _Path,
     *,
     start: Start | None = None,
     smooth: bool = False,
@@ -45,9 +47,11 @@ def replay(
 
     Parameters
     ----------
-    vehicle : Vehicle
-    mission : Mission
-        With a stream for the drive ("imu", or "attitude" and "velocity") and one per sensor of the vehicle.
+    vehicle : Vehicle or path-like
+        Or the vehicle.toml, or the folder that holds it.
+    mission : Mission or path-like
+        With a stream for the drive ("imu", or "attitude" and "velocity") and one per sensor of the vehicle; or what
+        `navfilter.read_mission` reads: a folder, a .toml or a .npz.
     start : Start, optional
         Default: the mission's own start, else an alignment on its first readings.
     smooth : bool
@@ -67,9 +71,10 @@ def replay(
     Raises
     ------
     ValueError
-        When a stream is missing, empty, or the mission holds nothing after the start, and for `iterate` where no sensor
-        learns.
+        When a stream is missing, empty, or the mission holds nothing after the start, for `iterate` where no sensor
+        learns, and for a path that cannot be read.
     """
+    vehicle, mission = _read(vehicle, mission)
     if iterate:
         start = _start(vehicle, mission, start)
         vehicle = identified(vehicle, mission, iterate, start)
@@ -124,9 +129,23 @@ def _replayed(
     _listen(nav, mission, heard)
     _run(nav, *drive, _events(vehicle, mission, start.time_s), progress)
     track = forward_track(nav, mission.name, time.process_time() - began)
+    revised = None if track.revised is None else replace(track.revised, epoch_utc_s=mission.epoch_utc_s)
+    track = replace(track, epoch_utc_s=mission.epoch_utc_s, revised=revised)
     if tape.smoothable:
-        track = smoothed_track(track, nav, began, progress)
+        track = replace(smoothed_track(track, nav, began, progress), epoch_utc_s=mission.epoch_utc_s)
     return track, nav
+
+
+def _read(vehicle: Vehicle | _Path, mission: Mission | _Path) -> tuple[Vehicle, Mission]:
+    if not isinstance(vehicle, Vehicle):
+        from navfilter.io import read_vehicle
+
+        vehicle = read_vehicle(vehicle)
+    if not isinstance(mission, Mission):
+        from navfilter.io import read_mission
+
+        mission = read_mission(mission)
+    return vehicle, mission
 
 
 def identified(

@@ -329,10 +329,10 @@ def _is_small(U, sees, r):
     """Whether the chain is two integrators, alone or beside one slow part of first or second order."""
     if r < 2 or r > 4 or U[0, 0] != 1.0 or U[0, 1] != 1.0 or U[1, 1] != 1.0 or sees[1] != 0.0:
         return False
+    apart = True
     for k in range(2, r):
-        if U[0, k] != 0.0 or U[1, k] != 0.0 or sees[k] != (1.0 if k == 2 else 0.0):
-            return False
-    return True
+        apart = apart and U[0, k] == 0.0 and U[1, k] == 0.0 and sees[k] == (1.0 if k == 2 else 0.0)
+    return apart
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

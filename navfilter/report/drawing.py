@@ -15,6 +15,8 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from navfilter import utc
+
 __all__ = ["Clock", "band", "broken", "colour", "envelope", "extremes", "line", "panels", "style", "svg"]
 
 Array = NDArray[np.float64]
@@ -67,23 +69,26 @@ def colour(number: int) -> tuple[str, Any]:
 
 
 class Clock:
-    """Time axis of a mission in the unit that suits its length."""
+    """Time axis of a mission in the unit that suits its length; a clock that counts from 1970 is drawn from the
+    beginning.
+    """
 
     def __init__(self, begin_s: float, end_s: float) -> None:
         length = end_s - begin_s
+        self.zero_s, self._from = utc.axis_from(begin_s)
         self.begin_s, self.end_s = begin_s, end_s
         self.unit, self.factor = (
             ("h", 1 / 3600) if length > 3 * 3600 else ("min", 1 / 60) if length > 600 else ("s", 1.0)
         )
 
     def __call__(self, time_s: Array) -> Array:
-        return np.asarray(time_s) * self.factor
+        return (np.asarray(time_s) - self.zero_s) * self.factor
 
     def label(self, ax: Axes) -> None:
         """Name the axis and set its range."""
-        ax.set_xlabel(f"mission time [{self.unit}]")
+        ax.set_xlabel(f"mission time{self._from} [{self.unit}]")
         margin = 0.01 * max(self.end_s - self.begin_s, 1e-3)
-        ax.set_xlim((self.begin_s - margin) * self.factor, (self.end_s + margin) * self.factor)
+        ax.set_xlim(*self(np.array([self.begin_s - margin, self.end_s + margin])))
 
 
 def panels(rows: int, height_in: float = 1.5, extra_in: float = 0.75) -> tuple[Figure, list[Axes]]:

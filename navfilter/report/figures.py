@@ -331,7 +331,7 @@ def _ellipse(centre: Array, P: Array) -> Ellipse:
 
 def _local(stream: Stream, origin: tuple[float, float], between: tuple[float, float]) -> Array:
     """North, east [m] of the known positions of a stream within a time."""
-    from navfilter.io.write import local_enu
+    from navfilter.outputs.local import local_enu
 
     known = np.isfinite(stream.value[:, :2]).all(axis=1) & (stream.time_s >= between[0]) & (stream.time_s <= between[1])
     place = np.column_stack([stream.value[known, :2], np.zeros(int(known.sum()))])
