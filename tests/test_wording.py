@@ -16,7 +16,8 @@ from navfilter.evaluation.wording import Scale, error_words, learnt, model_words
 from navfilter.identification.reading import stationary_parts
 from navfilter.learning.learned import LearnedArma
 from navfilter.playback import replay
-from navfilter.report.learnt_figures import spectrum_figure
+from navfilter.report.learnt_figures import SpectrumBand, spectrum_figure
+from navfilter.report.panels import legend_of
 from navfilter.simulation.scenarios import simulate_scenario
 
 DEG = Scale("deg", 180.0 / math.pi, 8.0)
@@ -115,8 +116,11 @@ def test_spectra_hold_the_variance_and_its_uncertainty(dive):
     expected = nf.log_s0_sd(model.ar, model.ma, model.covariance, model.effective_window)
     np.testing.assert_allclose(at_zero[0], expected, rtol=1e-6)
     assert spread.min() >= math.sqrt(2.0 / model.effective_window)
-    labels = [text.get_text() for text in spectrum_figure(found).axes[0].get_legend().get_texts()]
-    assert labels == ["believed", "learnt", "95 %"]
+    shown = spectrum_figure(found)
+    assert [part.label for part in legend_of(shown, 0)] == ["95 %", "believed", "learnt"]
+    given = SpectrumBand(freq_hz, density / 2.0, density, density * 3.0)
+    band, _, line = spectrum_figure(found, given).panels[0].parts
+    np.testing.assert_array_equal(band.high, 3.0 * line.y)
 
 
 def test_console_summary_and_report_say_it(dive, tmp_path, capsys):

@@ -71,7 +71,7 @@ class Clock:
         seconds = self.utc_s + self.zero_s + shown / self.factor
         return datetime.datetime(1970, 1, 1) + datetime.timedelta(seconds=seconds)
 
-    def tick(self, shown: float, _: int | None = None) -> str:
+    def tick(self, shown: float, _: float | None = None) -> str:
         """Label of one tick: the time, and UTC below it."""
         when = self.utc(shown)
         below = "" if when is None else f"\n{when:%H:%M:%S}" if when.second else f"\n{when:%H:%M}"
@@ -81,5 +81,5 @@ class Clock:
 def clock_of(tracks: Mapping[str, Track], mission: Mission | None = None) -> Clock:
     """The time axis that all tracks share; with UTC where the mission knows it."""
     begin_s, end_s = min(t.time_s[0] for t in tracks.values()), max(t.time_s[-1] for t in tracks.values())
-    utc_s = getattr(mission, "utc_s", None)
+    utc_s = getattr(mission, "epoch_utc_s", None)
     return Clock(float(begin_s), float(end_s), utc_s if utc_s is None or math.isfinite(utc_s) else None)

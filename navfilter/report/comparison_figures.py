@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from navfilter.diagnostics import acf
 from navfilter.evaluation.consistency import LAGS, innovation_series
 from navfilter.mission import Stream
-from navfilter.report.drawing import WIDTH_IN, colour
+from navfilter.report.drawing import WIDTH_IN, colour, no_formula
 from navfilter.report.figures import predicted_rms
 from navfilter.report.panels import Band, Line, Panel, Part, Stack
 from navfilter.track import Track
@@ -26,7 +26,8 @@ Tracks = Mapping[str, Track]
 
 def heading_against_sigma(tracks: Tracks, truth: Stream) -> Stack:
     """Heading error and its 1-sigma band, one panel per run, all on the same scale."""
-    found, limit = [], 0.0
+    limit = 0.0
+    found: list[tuple[str, tuple[Part, ...]]] = []
     for number, (label, track) in enumerate(tracks.items()):
         hue, _ = colour(number)
         sd = np.degrees(np.sqrt(track.covariance[:, 8, 8]))
@@ -42,7 +43,8 @@ def heading_against_sigma(tracks: Tracks, truth: Stream) -> Stack:
 
 def position_against_sigma(tracks: Tracks, truth: Stream) -> Stack:
     """Horizontal position error and its predicted rms, one panel per run, all on the same scale."""
-    found, limit = [], 0.0
+    limit = 0.0
+    found: list[tuple[str, tuple[Part, ...]]] = []
     for number, (label, track) in enumerate(tracks.items()):
         hue, _ = colour(number)
         predicted = predicted_rms(track)
@@ -99,7 +101,7 @@ def correlation_figure(tracks: Tracks, axes: list[tuple[str, int, str]]) -> Figu
                 linestyle=dash,
                 marker="o",
                 markersize=2.2,
-                label=label,
+                label=no_formula(label),
             )
             count = max(count, known.size)
         limit = 1.96 / np.sqrt(max(count, 1))
@@ -107,7 +109,7 @@ def correlation_figure(tracks: Tracks, axes: list[tuple[str, int, str]]) -> Figu
         ax.axhline(0.0, color="black", linewidth=0.6)
         low, high = ax.get_ylim()
         ax.set_ylim(min(low, -0.1), max(high, 0.1))
-        ax.set_title(title)
+        ax.set_title(no_formula(title))
     for ax in grid[:, 0]:
         ax.set_ylabel("autocorrelation")
     for ax in [grid[-1, 0], *([grid[-1 - len(axes) % 2, 1]] if columns == 2 else [])]:

@@ -110,7 +110,7 @@ def drawn(comparison: Comparison, tracks: Tracks, mission: Mission) -> Iterator[
         yield "NIS per sensor", figures.NIS, shaded(nis)
     axes = _tested_axes(comparison, runs)
     for first in range(0, len(axes), _PANELS):
-        caption = "Autocorrelation of the innovations over the whole run: a filter that knows how its sensors err leaves none."
+        caption = "Autocorrelation of the innovations over the whole run: a filter that knows its sensors leaves none."
         title = "" if first else "What is left in the innovations"
         with style():
             yield title, caption, comparison_figures.correlation_figure(runs, axes[first : first + _PANELS])

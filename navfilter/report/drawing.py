@@ -19,7 +19,7 @@ from navfilter.report.clock import Clock
 from navfilter.report.panels import Band, Mark, Panel, Part, Points, Stack, extent, legend_of
 from navfilter.report.thinning import broken, envelope, extremes
 
-__all__ = ["band", "colour", "draw", "line", "style", "svg", "time_axis"]
+__all__ = ["band", "colour", "draw", "line", "no_formula", "style", "svg", "time_axis"]
 
 Array = NDArray[np.float64]
 
@@ -75,9 +75,13 @@ def line(ax: Axes, time: Array, value: Array, **options: Any) -> None:
 
 def band(ax: Axes, time: Array, sd: Array, centre: Array | None = None, **options: Any) -> None:
     """Draw the band of one sd about a series (default: about zero), thinned."""
-    t, s = broken(time, sd)
-    c = np.zeros_like(s) if centre is None else broken(time, centre)[1]
+    t, s, c = broken(time, sd, np.zeros_like(sd) if centre is None else centre)
     ax.fill_between(*extremes(t, c - s, c + s), linewidth=0.0, **options)
+
+
+def no_formula(text: str) -> str:
+    """Text of people, which is no formula whatever signs are in it."""
+    return text.replace("$", r"\$")
 
 
 def draw(stack: Stack, clock: Clock) -> Figure:
@@ -94,7 +98,7 @@ def draw(stack: Stack, clock: Clock) -> Figure:
     axes = list(figure.subplots(rows, 1, sharex=True, squeeze=False)[:, 0])
     x = (lambda values: values) if stack.x_label else clock
     for row, (ax, panel) in enumerate(zip(axes, stack.panels, strict=True)):
-        handles = {part.label: _drawn(ax, part, x) for part in panel.parts}
+        handles = {part.label: _drawn(ax, part, x, not stack.x_label) for part in panel.parts}
         if panel.level is not None:
             low, high = panel.level.low, panel.level.high
             handles[panel.level.label] = ax.axhspan(low, high, color=LEVEL, alpha=0.4, linewidth=0, zorder=0)
@@ -102,7 +106,7 @@ def draw(stack: Stack, clock: Clock) -> Figure:
             ax.axhline(y, color="black", linewidth=0.6, zorder=1)
         handles |= {mark.label: _marked(ax, mark, clock) for mark in stack.marks}
         _scaled(ax, panel)
-        ax.set_ylabel(panel.label, fontsize=9.0 if len(panel.label) < 24 and rows < 4 else 7.5)
+        ax.set_ylabel(no_formula(panel.label), fontsize=9.0 if len(panel.label) < 24 and rows < 4 else 7.5)
         _legend(ax, [part.label for part in legend_of(stack, row)], handles, stack.marks if row == 0 else ())
     if stack.x_label:
         axes[-1].set_xlabel(stack.x_label)
@@ -116,17 +120,16 @@ def draw(stack: Stack, clock: Clock) -> Figure:
 LEVEL = "#bbbbbb"
 
 
-def _drawn(ax: Axes, part: Part, x: Any) -> Any:
+def _drawn(ax: Axes, part: Part, x: Any, over_time: bool) -> Any:
     """Draw one part; what the legend shows of it."""
     if isinstance(part, Band):
-        t, low = broken(part.x, part.low)
-        t, low, high = extremes(t, low, broken(part.x, part.high)[1])
+        t, low, high = extremes(*(broken(part.x, part.low, part.high) if over_time else (part.x, part.low, part.high)))
         return ax.fill_between(x(t), low, high, color=part.hue, alpha=part.alpha, linewidth=0.0)
     if isinstance(part, Points):
         filled = "none" if part.marker == "D" else part.hue
         size = {".": 2.5, "o": 3.0}.get(part.marker, 4.0)
         return ax.plot(x(part.x), part.y, part.marker, color=part.hue, markerfacecolor=filled, markersize=size)[0]
-    series = (part.x, part.y) if part.steps else envelope(*broken(part.x, part.y))
+    series = envelope(*broken(part.x, part.y)) if over_time and not part.steps else (part.x, part.y)
     how: dict[str, Any] = {"color": part.hue, "linestyle": part.dash, "linewidth": part.width}
     return ax.plot(x(series[0]), series[1], drawstyle="steps-post" if part.steps else "default", **how)[0]
 
@@ -151,8 +154,8 @@ def _scaled(ax: Axes, panel: Panel) -> None:
 def _legend(ax: Axes, labels: list[str], handles: dict[str, Any], marks: tuple[Mark, ...]) -> None:
     labels = list(dict.fromkeys([*labels, *(mark.label for mark in marks)]))
     if labels:
-        place: dict[str, Any] = {"loc": "lower right", "bbox_to_anchor": (1.0, 0.97), "borderaxespad": 0.1}
-        ax.legend([handles[label] for label in labels], labels, ncols=min(len(labels), 4), **place)
+        place: dict[str, Any] = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.1}
+        ax.legend([handles[label] for label in labels], map(no_formula, labels), ncols=min(len(labels), 4), **place)
 
 
 def time_axis(ax: Axes, clock: Clock) -> None:
@@ -174,7 +177,21 @@ def svg(figure: Figure) -> bytes:
 
 
 def _shortened(found: re.Match[bytes]) -> bytes:
-    """Coordinates with as many digits as a printer shows: tenths of a point, of small shapes hundredths."""
+    """Coordinates with as many digits as a printer shows: tenths of a point, of small shapes hundredths; those of long
+    lines as steps from point to point.
+    """
     text = found.group()
-    digits = rb"(\.\d\d)\d+" if len(text) < 400 else rb"(\.\d)\d+"
-    return re.sub(rb"(?<=[\d.]) ?([MLCQz]) ?(?=[-\d\"MLCQ])", rb"\1", re.sub(digits, rb"\1", text))
+    if len(text) < 400:
+        return re.sub(rb"(\.\d\d)\d+", rb"\1", text)
+    if not text.startswith(b' d="') or re.search(rb"[^-\d.MLdz=\" ]", text):
+        return re.sub(rb"(\.\d)\d+", rb"\1", text)
+    steps, x, y = [], 0, 0
+    for letter, right, down in re.findall(rb"([MLz]) ?(?:([-\d.]+) ([-\d.]+))?", text):
+        if letter == b"z":
+            steps.append("z")
+            continue
+        new_x, new_y = round(10.0 * float(right)), round(10.0 * float(down))
+        ahead = (new_x, new_y) if letter == b"M" else (new_x - x, new_y - y)
+        steps.append(f"{'M' if letter == b'M' else 'l'}{ahead[0] / 10:g} {ahead[1] / 10:g}")
+        x, y = new_x, new_y
+    return f' d="{"".join(steps)}"'.encode().replace(b" -", b"-")

@@ -4,8 +4,8 @@ by side.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Literal
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from scipy.stats import chi2
 from navfilter.filter.tape import OUTCOMES
 from navfilter.mission import Mission, Stream
 from navfilter.report.drawing import colour
-from navfilter.report.panels import Band, Level, Line, Panel, Part, Points, Stack
+from navfilter.report.panels import Band, Level, Line, Panel, Part, Points, Stack, short
 from navfilter.report.thinning import broken
 from navfilter.sensors.traits import shown_unit
 from navfilter.track import Track
@@ -39,12 +39,12 @@ Array = NDArray[np.float64]
 Tracks = Mapping[str, Track]
 
 #: How the truth is drawn.
-TRUTH = {"label": "truth", "hue": "#000000", "dash": (0, (1, 1.2))}
+TRUTH: dict[str, Any] = {"label": "truth", "hue": "#000000", "dash": (0, (1, 1.2))}
 #: Captions.
 NEES = "Squared error in units of its predicted variance. Above the grey range: too confident; below it: too modest."
 NIS = (
-    "Squared innovation in units of its predicted variance, mean over a moving window. Honest is 1; the grey range holds "
-    "95 % of such means."
+    "Squared innovation in units of its predicted variance, mean over a moving window. Honest is 1; the grey range "
+    "holds 95 % of such means."
 )
 USED, REJECTED = "#0072b2", "#d55e00"
 
@@ -65,22 +65,11 @@ def predicted_rms(track: Track) -> Array:
 def depth_figure(tracks: Tracks, mission: Mission) -> Stack:
     """Height (under water minus the depth) and horizontal speed over time."""
     truth = mission.truth
-    true = {} if truth is None else {"height": truth.value[:, 2], "speed": np.hypot(*truth.value[:, 3:5].T)}
-    shown = {
-        "height": [(track.height, np.sqrt(track.covariance[:, 2, 2])) for track in tracks.values()],
-        "speed": [(np.hypot(*track.velocity_n[:, :2].T), None) for track in tracks.values()],
-    }
-    panels = [
-        Panel(f"{name} [{unit}]", _states(tracks, shown[name], truth, true.get(name)), shape=shape)
-        for name, unit, shape in _DEPTH
-    ]
-    return Stack(tuple(panels))
-
-
-_DEPTH: tuple[tuple[str, str, Literal["free", "from zero"]], ...] = (
-    ("height", "m", "free"),
-    ("speed", "m/s", "from zero"),
-)
+    heights = [(track.height, np.sqrt(track.covariance[:, 2, 2])) for track in tracks.values()]
+    speeds = [(np.hypot(*track.velocity_n[:, :2].T), None) for track in tracks.values()]
+    true = (None, None) if truth is None else (truth.value[:, 2], np.hypot(*truth.value[:, 3:5].T))
+    speed = Panel("speed [m/s]", _states(tracks, speeds, truth, true[1]), shape="from zero")
+    return Stack((Panel("height [m]", _states(tracks, heights, truth, true[0])), speed))
 
 
 def attitude_figure(tracks: Tracks, mission: Mission) -> Stack:
@@ -103,7 +92,7 @@ def _unbroken(angle_deg: Array, turns: bool) -> Array:
 
 
 def _states(
-    tracks: Tracks, shown: list[tuple[Array, Array | None]], truth: Stream | None, true: Array | None
+    tracks: Tracks, shown: Sequence[tuple[Array, Array | None]], truth: Stream | None, true: Array | None
 ) -> tuple[Part, ...]:
     """Value and band of every run, and the truth where it is known."""
     parts: list[Part] = []
@@ -115,7 +104,7 @@ def _states(
     if truth is not None and true is not None and np.isfinite(true).any():
         begin_s, end_s = (f(t.time_s[i] for t in tracks.values()) for f, i in ((min, 0), (max, -1)))
         inside = (truth.time_s >= begin_s) & (truth.time_s <= end_s)
-        parts.append(Line(truth.time_s[inside], true[inside], **TRUTH))  # type: ignore[arg-type]
+        parts.append(Line(truth.time_s[inside], true[inside], **TRUTH))
     return tuple(parts)
 
 
@@ -206,12 +195,12 @@ def innovation_figure(track: Track, name: str) -> Stack:
         out = out[np.isfinite(out[:, 1])]
         near = np.abs(out[:, 1]) <= limit
         if near.any():
-            parts.append(Points(*out[near].T, "rejected", REJECTED, "x"))
+            parts.append(Points(out[near, 0], out[near, 1], "rejected", REJECTED, "x"))
         if not near.all():
             edge = np.sign(out[~near, 1]) * 0.96 * limit
             parts.append(Points(out[~near, 0], edge, "rejected, off the scale", REJECTED, "D"))
         axis = sensor.axis_names[i] if i < len(sensor.axis_names) else str(i)
-        panels.append(Panel(f"{name} {axis}".strip() + f"\n[{unit}]", tuple(parts), (-limit, limit)))
+        panels.append(Panel(f"{short(name)} {axis}".strip() + f"\n[{unit}]", tuple(parts), (-limit, limit)))
     return Stack(tuple(panels), 1.45)
 
 
@@ -222,7 +211,8 @@ def nis_figure(tracks: Tracks) -> Stack | None:
     names = dict.fromkeys(name for track in tracks.values() for name, r in track.residuals.items() if r.used.sum() >= 5)
     panels = []
     for name in names:
-        top, parts = 2.0, []
+        top = 2.0
+        parts: list[Part] = []
         for number, (label, track) in enumerate(tracks.items()):
             if name not in track.residuals or track.residuals[name].used.sum() < 5:
                 continue
@@ -231,7 +221,7 @@ def nis_figure(tracks: Tracks) -> Stack | None:
                 parts.append(Band(t, low, high, "95 % of chi-square", "#bbbbbb", 0.45))
             parts.append(Line(t, mean, label, *colour(number if len(tracks) > 1 else 1)))
             top = max(top, 1.1 * _quantile(mean, 0.995), 1.05 * float(np.nanmax(high)))
-        panels.append(Panel(f"{name}\nNIS per dof", tuple(parts), (0.0, min(top, 12.0)), lines_at=(1.0,)))
+        panels.append(Panel(f"{short(name)}\nNIS per dof", tuple(parts), (0.0, min(top, 12.0)), lines_at=(1.0,)))
     return Stack(tuple(panels), 1.25) if panels else None
 
 
@@ -254,8 +244,8 @@ def moving_nis(track: Track, name: str) -> tuple[Array, Array, Array, Array]:
     middle = t[window // 2 : window // 2 + len(mean)]
     step = max(1, len(mean) // 700)
     middle, mean, low, high = middle[::step], mean[::step], low[::step], high[::step]
-    time, mean = broken(middle, mean)
-    return time, mean, broken(middle, low)[1], broken(middle, high)[1]
+    time, mean, low, high = broken(middle, mean, low, high)
+    return time, mean, low, high
 
 
 def capped(points: Array, most: int = 1500) -> Array:

@@ -192,10 +192,12 @@
       if (section) { choose(section.dataset.sensor); section.scrollIntoView(); }
     };
     addEventListener("hashchange", asked);
+    for (const link of by("nav a")) link.addEventListener("click", () => setTimeout(asked));
     asked();
   }
 
   try {
+    if (matchMedia("(min-width: 1100px)").matches) for (const contents of by("nav details")) contents.open = true;
     menu();
     await new Promise((painted) => requestAnimationFrame(() => setTimeout(painted)));
     const [library, text] = await Promise.all([unpacked("library"), unpacked("figures")]);

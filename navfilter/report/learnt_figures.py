@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from navfilter.evaluation.wording import Learnt
 from navfilter.report.drawing import colour
-from navfilter.report.panels import Band, Line, Panel, Part, Points, Stack
+from navfilter.report.panels import Band, Line, Panel, Part, Points, Stack, short
 
 __all__ = ["SpectrumBand", "adopted_figure", "learnt_band", "learnt_figures", "spectrum_figure"]
 
@@ -78,7 +78,7 @@ def spectrum_figure(history: Learnt, band: SpectrumBand | None = None) -> Stack:
     )
     curves = np.concatenate([believed[believed > 0.0], band.median[band.median > 0.0]])
     limits = (0.3 * float(curves.min()), 3.0 * float(curves.max())) if curves.size else (0.1, 10.0)
-    label = f"{history.title}\n[({history.scale.unit})²/Hz]"
+    label = f"{short(history.title)}\n[({history.scale.unit})²/Hz]"
     return Stack((Panel(label, parts, limits, log=True),), 2.2, x_label="frequency [Hz]", log_x=True)
 
 

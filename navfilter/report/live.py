@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from navfilter.report.clock import Clock
 from navfilter.report.drawing import LEVEL
-from navfilter.report.panels import Band, Level, Line, Mark, Panel, Part, Points, Stack, extent, legend_of
+from navfilter.report.panels import Band, Level, Mark, Panel, Part, Points, Stack, extent, legend_of
 from navfilter.report.thinning import broken, envelope, extremes, straightened
 
 __all__ = ["Key", "Live", "live_stack", "plain", "toolbox"]
@@ -110,11 +110,12 @@ def live_stack(stack: Stack, clock: Clock) -> Live:
         toolbar_location="above",
         toolbar_options={"logo": None},
     )
-    return Live(json_item(grid), list(dict.fromkeys(keys)), sum(heights) + 40)  # type: ignore[arg-type]
+    return Live(json_item(grid), list(dict.fromkeys(keys)), sum(heights) + 40)
 
 
 def _height(stack: Stack, utc: bool, last: bool) -> int:
-    return int(stack.height_in * PIXELS_PER_INCH) + 45 * last + 30 * utc
+    alone = 60 * (len(stack.panels) == 1)
+    return int(stack.height_in * PIXELS_PER_INCH) + 45 * last + 55 * utc + alone
 
 
 def toolbox(dimensions: str) -> dict[str, Any]:
@@ -125,12 +126,11 @@ def toolbox(dimensions: str) -> dict[str, Any]:
 
 
 def _plot(stack: Stack, panel: Panel, x_range: Any, height: int) -> Any:
-    fixed = panel.limits is not None
     plot = figure(
         height=height,
         sizing_mode="stretch_width",
         x_range=x_range,
-        y_range=Range1d(*panel.limits) if fixed else DataRange1d(only_visible=True, range_padding=0.06),
+        y_range=_y_range(panel),
         x_axis_type="log" if stack.log_x else "linear",
         y_axis_type="log" if panel.log else "linear",
         y_axis_label=plain(panel.label),
@@ -141,13 +141,20 @@ def _plot(stack: Stack, panel: Panel, x_range: Any, height: int) -> Any:
         lod_threshold=None,
         **toolbox("both" if stack.x_label else "width"),
     )
-    if not fixed and not stack.x_label:
+    if panel.limits is None and not stack.x_label:
         plot.window_axis = "x"
     plot.outline_line_color = None
     plot.axis.axis_label_text_font_style = "normal"
     plot.yaxis.axis_label_text_font_size = "12px"
     plot.grid.grid_line_color = "#e3e3e3"
     return plot
+
+
+def _y_range(panel: Panel) -> Any:
+    """As the panel says, or that of what is in view."""
+    if panel.limits is None:
+        return DataRange1d(only_visible=True, range_padding=0.06)
+    return Range1d(start=panel.limits[0], end=panel.limits[1])
 
 
 def _utc_axis(plot: Any, clock: Clock) -> None:
@@ -171,42 +178,54 @@ def _scaled(plot: Any, panel: Panel) -> None:
         plot.add_layout(box)
     if panel.ticks:
         plot.yaxis.ticker = FixedTicker(ticks=[y for y, _ in panel.ticks])
-        plot.yaxis.major_label_overrides = {y: text for y, text in panel.ticks}
+        plot.yaxis.major_label_overrides = dict(panel.ticks)
 
 
 def _drawn(plot: Any, part: Part, panel: Panel, clock: Clock | None) -> None:
     """Draw one part, thinned to what a screen shows at some zoom."""
     common = {"name": part.label, "level": "glyph"}
+    step = STRAIGHT * _height_of(panel)
     if isinstance(part, Band):
-        x, low = broken(part.x, part.low)
-        x, low, high = extremes(x, low, broken(part.x, part.high)[1], STRETCHES // 2)
-        data = _source(x, clock, low=low, high=high)
+        x, low, high = part.x, part.low, part.high
+        if clock is not None:
+            x, low, high = broken(x, low, high)
+            x, low, high = extremes(x, low, high, STRETCHES // 2)
+        data = _source(x, clock, step, low=low, high=high)
         plot.varea(x="x", y1="low", y2="high", source=data, color=part.hue, alpha=part.alpha, **common)
     elif isinstance(part, Points):
-        data = _source(part.x, clock, y=part.y)
+        data = _source(part.x, clock, step, y=part.y)
         shape = {".": "circle", "o": "circle", "x": "x", "D": "diamond"}[part.marker]
         size, fill = {".": 3, "o": 5}.get(part.marker, 7), None if part.marker in "xD" else part.hue
         plot.scatter("x", "y", source=data, marker=shape, size=size, line_color=part.hue, fill_color=fill, **common)
     else:
-        x, y = (part.x, part.y) if part.steps else _thinned(part, panel)
-        draw = plot.step if part.steps else plot.line
-        how = {"mode": "after"} if part.steps else {}
+        x, y = part.x, part.y
+        if clock is not None and not part.steps:
+            x, y = broken(x, y)
+            x, y = straightened(*envelope(x, y, STRETCHES), step)
+        how: dict[str, Any] = {"mode": "after"} if part.steps else {}
         how |= {"line_dash": _dashes(part.dash, part.width), "line_width": 1.3 * part.width}
-        draw("x", "y", source=_source(x, clock, y=y), color=part.hue, **how, **common)
+        data = _source(x, clock, step, y=y)
+        (plot.step if part.steps else plot.line)("x", "y", source=data, color=part.hue, **how, **common)
 
 
-def _thinned(line: Line, panel: Panel) -> tuple[Array, Array]:
-    x, y = envelope(*broken(line.x, line.y), STRETCHES)
-    shown = extent(panel) or (np.nanmin(y, initial=0.0), np.nanmax(y, initial=0.0))
+def _height_of(panel: Panel) -> float:
+    """Range of y that a panel shows; 0 where it is logarithmic, so that nothing is left out."""
     if panel.log:
-        return x, y
-    return straightened(x, y, STRAIGHT * float(shown[1] - shown[0]))
+        return 0.0
+    shown = extent(panel)
+    if shown is None:
+        values = [v for part in panel.parts for v in ((part.low, part.high) if isinstance(part, Band) else (part.y,))]
+        finite = np.concatenate([v[np.isfinite(v)] for v in values]) if values else np.empty(0)
+        shown = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 0.0)
+    return shown[1] - shown[0]
 
 
-def _source(x: Array, clock: Clock | None, **columns: Array) -> ColumnDataSource:
-    """Columns in single precision: finer than any screen, and half the size."""
+def _source(x: Array, clock: Clock | None, step: float, **columns: Array) -> ColumnDataSource:
+    """Columns in single precision, y in steps of less than a quarter of what a line may be off: both pack well."""
     shown = x if clock is None else clock(x)
-    return ColumnDataSource({"x": shown.astype(np.float32), **{k: v.astype(np.float32) for k, v in columns.items()}})
+    fine = 2.0 ** np.floor(np.log2(0.25 * step)) if step > 0.0 else 0.0
+    rounded = {k: (np.round(v / fine) * fine if fine else v).astype(np.float32) for k, v in columns.items()}
+    return ColumnDataSource({"x": shown.astype(np.float32), **rounded})
 
 
 def _dashes(dash: Any, width: float) -> Any:

@@ -25,6 +25,7 @@ from navfilter.report.clock import Clock
 from navfilter.report.drawing import colour
 from navfilter.report.figures import TRUTH
 from navfilter.report.live import Key, Live, plain, toolbox
+from navfilter.report.panels import short
 from navfilter.report.plan_view import Plan, PlanRun
 
 __all__ = ["COLOURINGS", "live_plan"]
@@ -49,7 +50,7 @@ def live_plan(plan: Plan, clock: Clock) -> Live:
     plot = _plot(plan)
     keys = []
     for name, fixes in plan.fixes.items():
-        label = f"{name} fixes used"
+        label = f"{short(name)} fixes used"
         east, north = fixes.T.astype(np.float32)
         plot.scatter(east, north, marker="cross", size=6, color=FIX, line_width=0.9, name=label, level="underlay")
         keys.append(Key(label, FIX, "points"))
@@ -70,7 +71,7 @@ def live_plan(plan: Plan, clock: Clock) -> Live:
         keys.append(Key(name, END, "points"))
     here = ColumnDataSource({"x": [], "y": []})
     plot.scatter("x", "y", source=here, size=13, line_color="#d7191c", line_width=2.5, fill_color=None, name="here")
-    return Live(json_item(plot), [*keys, Key("95 % ellipse", "#555555", "line")], HEIGHT)  # type: ignore[arg-type]
+    return Live(json_item(plot), [*keys, Key("95 % ellipse", "#555555", "line")], HEIGHT)
 
 
 def _plot(plan: Plan) -> Any:
@@ -100,7 +101,11 @@ def _plot(plan: Plan) -> Any:
     plot.outline_line_color = None
     plot.add_layout(
         ScaleBar(
-            range=plot.x_range, unit="m", dimensional=Metric(base_unit="m"), location="bottom_left", bar_length=0.2
+            range=plot.x_range,
+            unit="m",
+            dimensional=Metric(base_unit="m", exclude=["dm", "dam", "hm"]),
+            location="bottom_left",
+            bar_length=0.2,
         )
     )
     return plot

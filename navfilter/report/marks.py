@@ -6,12 +6,14 @@ import numpy as np
 
 from navfilter.evaluation.surfacing import OUTAGE_S, OUTAGE_STEPS, Surfacing
 from navfilter.evaluation.wording import Learnt
-from navfilter.report.panels import Mark
+from navfilter.report.panels import Mark, short
 from navfilter.track import Track
 
 __all__ = ["adoptions", "marks", "outages"]
 
-OUTAGE, SURFACING, ADOPTION = "#8c6bb1", "#006d2c", "#d94801"
+SURFACING, ADOPTION = "#006d2c", "#d94801"
+#: Of the outages of one sensor after the other.
+OUTAGES = ("#8c6bb1", "#7fa8c9", "#c9a227", "#b0647a")
 #: Of more adoptions than this the figures over all sensors show every n-th.
 MOST = 60
 
@@ -44,12 +46,13 @@ def outages(track: Track, name: str) -> list[Mark]:
     run = track.forward or track
     if name not in run.vehicle.sensors or name not in run.residuals:
         return []
+    hue = OUTAGES[list(run.vehicle.sensors).index(name) % len(OUTAGES)]
     used = run.residuals[name].time_s[run.residuals[name].used]
     ends = np.concatenate([[run.time_s[0]], used, [run.time_s[-1]]])
     steps = np.diff(ends)
     least_s = max(OUTAGE_S, OUTAGE_STEPS * float(np.median(np.diff(used))) if len(used) > 1 else 0.0)
     return [
-        Mark(float(ends[k]), float(ends[k + 1]), f"no {name}", f"no {name} used for {steps[k]:.0f} s", OUTAGE)
+        Mark(float(ends[k]), float(ends[k + 1]), f"no {short(name)}", f"no {name} used for {steps[k]:.0f} s", hue)
         for k in np.flatnonzero(steps > least_s)
     ]
 

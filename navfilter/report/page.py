@@ -130,7 +130,7 @@ def _contents(sections: Sequence[Section]) -> str:
         elif sensors:
             lines.append(f"<li>Sensors<ul>{''.join(f'<li>{line}</li>' for line in sensors)}</ul></li>")
             sensors = []
-    return f"<nav><details open><summary>Contents</summary><ul>{''.join(lines)}</ul></details></nav>"
+    return f"<nav><details><summary>Contents</summary><ul>{''.join(lines)}</ul></details></nav>"
 
 
 def escape(text: str) -> str:

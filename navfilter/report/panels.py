@@ -12,7 +12,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Band", "Level", "Line", "Mark", "Panel", "Part", "Points", "Stack", "extent", "legend_of"]
+__all__ = ["Band", "Level", "Line", "Mark", "Panel", "Part", "Points", "Stack", "extent", "legend_of", "short"]
 
 Array = NDArray[np.float64]
 
@@ -169,6 +169,11 @@ def extent(panel: Panel) -> tuple[float, float] | None:
     return (-most if panel.shape == "symmetric" else 0.0), most
 
 
+def short(name: str, most: int = 24) -> str:
+    """A name of any length as it stands at an axis or in a legend."""
+    return name if len(name) <= most else f"{name[: most - 1]}…"
+
+
 def _heights(part: Part) -> tuple[Array, ...]:
     return (part.low, part.high) if isinstance(part, Band) else (part.y,)
 
@@ -176,7 +181,11 @@ def _heights(part: Part) -> tuple[Array, ...]:
 def legend_of(stack: Stack, row: int) -> list[Part | Level]:
     """What the legend of one panel lists: every label that no panel above has."""
     above = {part.label for panel in stack.panels[:row] for part in _labelled(panel)}
-    return list({part.label: part for part in _labelled(stack.panels[row]) if part.label not in above}.values())
+    found: dict[str, Part | Level] = {}
+    for part in _labelled(stack.panels[row]):
+        if part.label not in above:
+            found.setdefault(part.label, part)
+    return list(found.values())
 
 
 def _labelled(panel: Panel) -> list[Part | Level]:

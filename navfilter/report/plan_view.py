@@ -19,11 +19,12 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from navfilter.mission import Mission, Stream
-from navfilter.report.drawing import WIDTH_IN, colour
+from navfilter.report.drawing import WIDTH_IN, colour, no_formula
 from navfilter.report.figures import TRUTH, capped, predicted_rms
+from navfilter.report.panels import short
 from navfilter.track import Track
 
-__all__ = ["Plan", "PlanRun", "Shape", "draw_plan", "plan_view", "scale_bar"]
+__all__ = ["Plan", "PlanRun", "Shape", "draw_plan", "plan_view"]
 
 Array = NDArray[np.float64]
 
@@ -110,7 +111,8 @@ def plan_view(tracks: Mapping[str, Track], mission: Mission, ellipses: int = 16)
         tuple(_run(label, track, origin, ellipses) for label, track in tracks.items()),
         true[:: max(1, len(true) // POINTS)],
         fixes,
-        *np.degrees(origin),
+        latitude_deg=float(np.degrees(origin[0])),
+        longitude_deg=float(np.degrees(origin[1])),
         north_deg=float(np.degrees(1.0 / per_rad[1])),
         east_deg=float(np.degrees(1.0 / per_rad[0])),
     )
@@ -162,7 +164,7 @@ def draw_plan(plan: Plan) -> Figure:
     ax = figure.subplots()
     for name, fixes in plan.fixes.items():
         cross: dict[str, Any] = {"color": "#888888", "markersize": 4, "markeredgewidth": 0.7, "zorder": 1.5}
-        ax.plot(*fixes.T, "+", label=f"{name} fixes used", **cross)
+        ax.plot(*fixes.T, "+", label=f"{short(name)} fixes used", **cross)
     for number, run in enumerate(plan.runs):
         hue, dash = colour(number)
         ax.plot(run.east, run.north, color=hue, linestyle=dash, label=run.label, zorder=2.0 + number, linewidth=1.6)
@@ -171,7 +173,7 @@ def draw_plan(plan: Plan) -> Figure:
             shape.set(edgecolor=hue, facecolor="none", linewidth=0.8, linestyle=dash, zorder=2.0 + number)
             ax.add_patch(shape)
     if len(plan.truth):
-        ax.plot(*plan.truth.T, color=TRUTH["hue"], linestyle=TRUTH["dash"], linewidth=1.0, label="truth", zorder=9)  # type: ignore[arg-type]
+        ax.plot(*plan.truth.T, color=TRUTH["hue"], linestyle=TRUTH["dash"], linewidth=1.0, label="truth", zorder=9)
     last = plan.runs[-1]
     for k, marker, name in ((0, "o", "start"), (-1, "s", "end")):
         white: dict[str, Any] = {"color": "black", "markersize": 5, "markerfacecolor": "white", "zorder": 10}
@@ -183,26 +185,28 @@ def draw_plan(plan: Plan) -> Figure:
     _scale_bar(ax)
     handles, labels = ax.get_legend_handles_labels()
     handles.append(Line2D([], [], marker="o", linestyle="", markerfacecolor="none", color="#555555"))
-    ax.legend(handles, [*labels, "95 % ellipse"], loc="best", frameon=True, framealpha=0.85, edgecolor="none")
+    ax.legend(
+        handles, [*map(no_formula, labels), "95 % ellipse"], loc="best", frameon=True, framealpha=0.85, edgecolor="none"
+    )
     return figure
 
 
 def _degrees(ax: Axes, plan: Plan) -> None:
     """Longitude above and latitude on the right."""
-    for side, zero, per_m, name in (
-        ("top", plan.longitude_deg, plan.east_deg, "longitude [deg]"),
-        ("right", plan.latitude_deg, plan.north_deg, "latitude [deg]"),
-    ):
-        there = lambda m, zero=zero, per_m=per_m: zero + per_m * m  # noqa: E731
-        back = lambda deg, zero=zero, per_m=per_m: (deg - zero) / per_m  # noqa: E731
-        second = ax.secondary_xaxis if side == "top" else ax.secondary_yaxis
-        axis = second(side, functions=(there, back))
-        (axis.set_xlabel if side == "top" else axis.set_ylabel)(name)
-        (axis.xaxis if side == "top" else axis.yaxis).set_major_locator(MaxNLocator(5))
-        axis.tick_params(labelsize=7.0)
+
+    def both(zero: float, per_m: float) -> tuple[Any, Any]:
+        return lambda m: zero + per_m * m, lambda deg: (deg - zero) / per_m
+
+    above = ax.secondary_xaxis("top", functions=both(plan.longitude_deg, plan.east_deg))
+    right = ax.secondary_yaxis("right", functions=both(plan.latitude_deg, plan.north_deg))
+    above.set_xlabel("longitude [deg]")
+    right.set_ylabel("latitude [deg]")
+    for axis in (above.xaxis, right.yaxis):
+        axis.set_major_locator(MaxNLocator(5))
+        axis.set_tick_params(labelsize=7.0)
 
 
-def scale_bar(width_m: float) -> float:
+def _round_length(width_m: float) -> float:
     """A round length [m], about a fifth of a width."""
     fifth = 0.25 * width_m
     decade = 10.0 ** np.floor(np.log10(fifth))
@@ -211,7 +215,7 @@ def scale_bar(width_m: float) -> float:
 
 def _scale_bar(ax: Axes) -> None:
     low, high = ax.get_xlim()
-    length = scale_bar(high - low)
+    length = _round_length(high - low)
     text = f"{length / 1000:g} km" if length >= 1000 else f"{length:g} m"
     bar = AnchoredSizeBar(ax.transData, length, text, "lower left", frameon=False, size_vertical=0.0)
     ax.add_artist(bar)

@@ -15,6 +15,7 @@ import numpy as np
 from navfilter.evaluation.assessment import Assessment, assess
 from navfilter.evaluation.surfacing import Evidence
 from navfilter.evaluation.verdict import Verdict
+from navfilter.evaluation.wording import Learnt
 from navfilter.filter.tape import OUTCOMES
 from navfilter.io.write import summarise
 from navfilter.mission import Mission, Stream
@@ -113,6 +114,7 @@ def render_report(
         Section("Result", (table_html(*_headlines(tracks, mission)), f"<p>{_reading(mission)}</p>")),
         Section("What the readings say of the track", tuple(reading)),
         *_over_time(tracks, mission, instrument, assessment),
+        *_learnt(assessment.learnt),
         *sensor_sections(tracks, assessment.learnt, instrument),
         Section("Readings", (table_html(*_sensors(result)), _notes(result, mission))),
         Section("Error models", (table_html(*_models(result), text_columns=(1, 2)),)),
@@ -132,7 +134,7 @@ def _over_time(tracks: Tracks, mission: Mission, instrument: Instrument, assessm
     def drawn(stack: Stack, caption: str) -> str:
         return instrument.figure(replace(stack, marks=noted), caption)
 
-    caption = "Ellipses hold the vehicle with 95 % probability, if the filter is honest. Crosses are the fixes that were used."
+    caption = "Ellipses hold the vehicle with 95 % probability, if the filter is honest. Crosses: fixes that were used."
     yield Section("Track", (instrument.figure(plan_view(tracks, mission), caption),))
     caption = "Height over time, under water minus the depth, with its 1-sigma band; horizontal speed."
     turned = drawn(figures.attitude_figure(tracks, mission), "Attitude of the vehicle.")
@@ -153,6 +155,11 @@ def _band_caption(truth: Stream | None, columns: slice) -> str:
     if truth is None or not np.isfinite(truth.value[:, columns]).any():
         return "This mission has no truth of it: the bands show what the filter believes of itself."
     return "Estimated minus true. Two thirds of the errors should lie inside the 1-sigma band."
+
+
+def _learnt(found: tuple[Learnt, ...]) -> list[Section]:
+    """What every axis has learnt, in words; the spectra stand with the sensors."""
+    return [Section("What was learnt", (list_html(map(str, found)),))] if found else []
 
 
 # --- tables ---------------------------------------------------------------------------------------------------------

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from navfilter.error_models import ErrorModel, Sum
 from navfilter.report.drawing import colour
-from navfilter.report.panels import Band, Line, Panel, Part, Stack
+from navfilter.report.panels import Band, Line, Panel, Part, Stack, short
 from navfilter.sensors.traits import shown_unit
 from navfilter.track import Track
 from navfilter.vehicle import Vehicle
@@ -88,6 +88,6 @@ def states_figure(tracks: Mapping[str, Track], states: tuple[ShownState, ...]) -
             value, sd = (state.factor * part for part in track.state(state.name))
             parts.append(Band(track.time_s, value - sd, value + sd, f"{label} ±1σ", hue))
             parts.append(Line(track.time_s, value, label, hue, dash))
-        lines = textwrap.wrap(state.label.replace("_", " ").replace(".", " "), 16)
+        lines = textwrap.wrap(short(state.label, 48).replace("_", " ").replace(".", " "), 16)
         panels.append(Panel("\n".join([*lines, f"[{state.unit}]"]), tuple(parts), lines_at=(0.0,)))
     return Stack(tuple(panels), 1.2)
