@@ -21,6 +21,7 @@ from bokeh.models import (
     SaveTool,
     Span,
     WheelZoomTool,
+    glyphs,
 )
 from bokeh.plotting import figure
 from numpy.typing import NDArray
@@ -183,7 +184,6 @@ def _scaled(plot: Any, panel: Panel) -> None:
 
 def _drawn(plot: Any, part: Part, panel: Panel, clock: Clock | None) -> None:
     """Draw one part, thinned to what a screen shows at some zoom."""
-    common = {"name": part.label, "level": "glyph"}
     step = STRAIGHT * _height_of(panel)
     if isinstance(part, Band):
         x, low, high = part.x, part.low, part.high
@@ -191,21 +191,21 @@ def _drawn(plot: Any, part: Part, panel: Panel, clock: Clock | None) -> None:
             x, low, high = broken(x, low, high)
             x, low, high = extremes(x, low, high, STRETCHES // 2)
         data = _source(x, clock, step, low=low, high=high)
-        plot.varea(x="x", y1="low", y2="high", source=data, color=part.hue, alpha=part.alpha, **common)
+        glyph = glyphs.VArea(x="x", y1="low", y2="high", fill_color=part.hue, fill_alpha=part.alpha)
     elif isinstance(part, Points):
         data = _source(part.x, clock, step, y=part.y)
         shape = {".": "circle", "o": "circle", "x": "x", "D": "diamond"}[part.marker]
         size, fill = {".": 3, "o": 5}.get(part.marker, 7), None if part.marker in "xD" else part.hue
-        plot.scatter("x", "y", source=data, marker=shape, size=size, line_color=part.hue, fill_color=fill, **common)
+        glyph = glyphs.Scatter(x="x", y="y", marker=shape, size=size, line_color=part.hue, fill_color=fill)
     else:
         x, y = part.x, part.y
         if clock is not None and not part.steps:
             x, y = broken(x, y)
             x, y = straightened(*envelope(x, y, STRETCHES), step)
-        how: dict[str, Any] = {"mode": "after"} if part.steps else {}
-        how |= {"line_dash": _dashes(part.dash, part.width), "line_width": 1.3 * part.width}
         data = _source(x, clock, step, y=y)
-        (plot.step if part.steps else plot.line)("x", "y", source=data, color=part.hue, **how, **common)
+        glyph = glyphs.Step(x="x", y="y", mode="after") if part.steps else glyphs.Line(x="x", y="y")
+        glyph.update(line_color=part.hue, line_dash=_dashes(part.dash, part.width), line_width=1.3 * part.width)
+    plot.add_glyph(data, glyph, name=part.label)
 
 
 def _height_of(panel: Panel) -> float:
@@ -241,11 +241,10 @@ def _marked(plot: Any, marks: tuple[Mark, ...], clock: Clock) -> None:
         data = ColumnDataSource({"begin": begin, "end": end, "text": [m.text for m in kind]})
         hue = kind[0].hue
         if (end > begin).any():
-            glyph = plot.vstrip(x0="begin", x1="end", source=data, fill_color=hue, fill_alpha=0.13, line_color=None)
+            glyph = glyphs.VStrip(x0="begin", x1="end", fill_color=hue, fill_alpha=0.13, line_color=None)
         else:
-            glyph = plot.vspan(x="begin", source=data, line_color=hue, line_alpha=0.8, line_width=1.2)
-        glyph.update(name=label, level="underlay")
-        hovered.append(glyph)
+            glyph = glyphs.VSpan(x="begin", line_color=hue, line_alpha=0.8, line_width=1.2)
+        hovered.append(plot.add_glyph(data, glyph, name=label, level="underlay"))
     if hovered:
         plot.add_tools(HoverTool(renderers=hovered, tooltips=[("", "@text")], visible=False))
 
