@@ -14,6 +14,9 @@ from small_run import small_run
 
 from navfilter.evaluation.assessment import assess
 from navfilter.filter.tape import OUTCOMES
+from navfilter.io.write import labelled
+from navfilter.learning.learned import LearnedArma
+from navfilter.playback import replay
 from navfilter.report import figures
 from navfilter.report.clock import Clock, clock_of
 from navfilter.report.drawing import draw, style
@@ -23,6 +26,7 @@ from navfilter.report.marks import marks, outages
 from navfilter.report.page import Section, page
 from navfilter.report.panels import Band, Line, Mark, Panel, Stack, extent, legend_of
 from navfilter.report.report import render_report
+from navfilter.simulation.scenarios import simulate_scenario
 
 NOON_S = 1_767_268_800.0  # 2026-01-01 12:00 UTC
 
@@ -182,7 +186,26 @@ def test_a_mark_is_drawn_in_print_too():
     stack = dataclasses.replace(figures.heading_figure(tracks, mission.truth), marks=(mark,))
     with style():
         ax = draw(stack, clock_of(tracks)).axes[0]
-    assert [p.get_x() for p in ax.patches] == [50.0] and "no gps" in [t.get_text() for t in ax.get_legend().get_texts()]
+    shaded = [c.get_paths()[0].get_extents() for c in ax.collections if c.get_alpha() == 0.13]
+    assert [(box.x0, box.x1) for box in shaded] == [(50.0, 60.0)] and "no gps" in [
+        t.get_text() for t in ax.get_legend().get_texts()
+    ]
+
+
+def test_per_cents_of_no_distance_are_left_out():
+    mission, tracks = small_run()
+    track = tracks["forward"]
+    still = dataclasses.replace(track, velocity_n=0.0 * track.velocity_n)
+    assert len(figures.position_figure({"still": still}, mission.truth).panels) == 3
+    assert len(figures.position_figure({"moving": track}, mission.truth).panels) == 4
+
+
+def test_the_demonstration_hour_fits_three_megabytes():
+    vehicle, mission = simulate_scenario("demo", seed=1)
+    track = replay(vehicle.with_error(compass=LearnedArma()), mission, smooth=True)
+    text = render_report(labelled(track), mission)
+    assert len(text.encode()) < 3_000_000
+    assert "model adopted" in payload(text, "figures") and "What was learnt" in text
 
 
 def test_progress_is_told_after_each_figure():

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from navfilter.report.clock import Clock
-from navfilter.report.panels import Band, Mark, Panel, Part, Points, Stack, extent, legend_of
+from navfilter.report.panels import Band, Mark, Panel, Part, Points, Stack, by_label, extent, legend_of
 from navfilter.report.thinning import broken, envelope, extremes
 
 __all__ = ["band", "colour", "draw", "line", "no_formula", "style", "svg", "time_axis"]
@@ -104,7 +104,7 @@ def draw(stack: Stack, clock: Clock) -> Figure:
             handles[panel.level.label] = ax.axhspan(low, high, color=LEVEL, alpha=0.4, linewidth=0, zorder=0)
         for y in panel.lines_at:
             ax.axhline(y, color="black", linewidth=0.6, zorder=1)
-        handles |= {mark.label: _marked(ax, mark, clock) for mark in stack.marks}
+        handles |= {label: _marked(ax, found, clock) for label, found in by_label(stack.marks).items()}
         _scaled(ax, panel)
         ax.set_ylabel(no_formula(panel.label), fontsize=9.0 if len(panel.label) < 24 and rows < 4 else 7.5)
         _legend(ax, [part.label for part in legend_of(stack, row)], handles, stack.marks if row == 0 else ())
@@ -134,11 +134,14 @@ def _drawn(ax: Axes, part: Part, x: Any, over_time: bool) -> Any:
     return ax.plot(x(series[0]), series[1], drawstyle="steps-post" if part.steps else "default", **how)[0]
 
 
-def _marked(ax: Axes, mark: Mark, clock: Clock) -> Any:
-    begin, end = clock(np.array([mark.begin_s, mark.end_s]))
-    if end > begin:
-        return ax.axvspan(begin, end, color=mark.hue, alpha=0.13, linewidth=0, zorder=0)
-    return ax.axvline(begin, color=mark.hue, linewidth=0.7, alpha=0.8, zorder=1)
+def _marked(ax: Axes, marks: list[Mark], clock: Clock) -> Any:
+    """All marks of one label at once: there may be thousands."""
+    begin, end = clock(np.array([[mark.begin_s, mark.end_s] for mark in marks])).T
+    over: dict[str, Any] = {"transform": ax.get_xaxis_transform(), "color": marks[0].hue}
+    if (end > begin).any():
+        spans = list(zip(begin, end - begin, strict=True))
+        return ax.broken_barh(spans, (0.0, 1.0), alpha=0.13, linewidth=0, zorder=0, **over)
+    return ax.vlines(begin, 0.0, 1.0, linewidth=0.7, alpha=0.8, zorder=1, **over)
 
 
 def _scaled(ax: Axes, panel: Panel) -> None:

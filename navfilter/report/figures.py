@@ -130,7 +130,9 @@ def position_figure(tracks: Tracks, truth: Stream | None) -> Stack:
         parts[3].append(Line(t, predicted, f"{label}, predicted rms", hue, (0, (1, 1.2)), 0.9))
     names = ("north [m]", "east [m]", "down [m]")
     panels = [Panel(name, tuple(parts[i]), shape="symmetric", lines_at=(0.0,)) for i, name in enumerate(names)]
-    return Stack((*panels, Panel("horizontal\n[% of distance]", tuple(parts[3]), shape="from zero")))
+    if any(np.isfinite(part.y).any() for part in parts[3] if isinstance(part, Line)):  # far enough for per cents
+        panels.append(Panel("horizontal\n[% of distance]", tuple(parts[3]), shape="from zero"))
+    return Stack(tuple(panels))
 
 
 def heading_figure(tracks: Tracks, truth: Stream | None) -> Stack:

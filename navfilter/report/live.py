@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from navfilter.report.clock import Clock
 from navfilter.report.drawing import LEVEL
-from navfilter.report.panels import Band, Level, Mark, Panel, Part, Points, Stack, extent, legend_of
+from navfilter.report.panels import Band, Level, Mark, Panel, Part, Points, Stack, by_label, extent, legend_of
 from navfilter.report.thinning import broken, envelope, extremes, straightened
 
 __all__ = ["Key", "Live", "live_stack", "plain", "toolbox"]
@@ -235,8 +235,7 @@ def _dashes(dash: Any, width: float) -> Any:
 def _marked(plot: Any, marks: tuple[Mark, ...], clock: Clock) -> None:
     """One glyph for each kind of mark, so that the legend hides it; its text appears below the pointer."""
     hovered = []
-    for label in dict.fromkeys(mark.label for mark in marks):
-        kind = [mark for mark in marks if mark.label == label]
+    for label, kind in by_label(marks).items():
         begin, end = clock(np.array([[m.begin_s, m.end_s] for m in kind])).T
         data = ColumnDataSource({"begin": begin, "end": end, "text": [m.text for m in kind]})
         hue = kind[0].hue

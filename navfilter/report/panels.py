@@ -12,7 +12,20 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Band", "Level", "Line", "Mark", "Panel", "Part", "Points", "Stack", "extent", "legend_of", "short"]
+__all__ = [
+    "Band",
+    "Level",
+    "Line",
+    "Mark",
+    "Panel",
+    "Part",
+    "Points",
+    "Stack",
+    "by_label",
+    "extent",
+    "legend_of",
+    "short",
+]
 
 Array = NDArray[np.float64]
 
@@ -167,6 +180,14 @@ def extent(panel: Panel) -> tuple[float, float] | None:
     values = [np.abs(v[np.isfinite(v)]) for part in panel.parts for v in _heights(part)]
     most = 1.05 * max((float(v.max()) for v in values if v.size), default=0.0) or 1.0
     return (-most if panel.shape == "symmetric" else 0.0), most
+
+
+def by_label(marks: tuple[Mark, ...]) -> dict[str, list[Mark]]:
+    """Marks of the same kind together."""
+    found: dict[str, list[Mark]] = {}
+    for mark in marks:
+        found.setdefault(mark.label, []).append(mark)
+    return found
 
 
 def short(name: str, most: int = 24) -> str:
