@@ -6,13 +6,14 @@ import math
 
 import numpy as np
 import pytest
+from small_run import small_run
 
 import navfilter as nf
 from navfilter.arma.algebra import add_arma
 from navfilter.arma.model import ArmaModel
 from navfilter.cli import main
 from navfilter.error_models import Arma, ErrorModel, GaussMarkov, RandomWalk, White
-from navfilter.evaluation.wording import Scale, error_words, learnt, model_words
+from navfilter.evaluation.wording import Scale, error_words, in_force, learnt, model_words
 from navfilter.identification.reading import stationary_parts
 from navfilter.learning.learned import LearnedArma
 from navfilter.playback import replay
@@ -34,6 +35,19 @@ def swing(period_s, damping_s, sd, rate_hz=8.0):
 def slow(tau_s, sd, rate_hz=8.0):
     phi = math.exp(-1.0 / (tau_s * rate_hz))
     return ArmaModel([-phi], [], sd * math.sqrt(1.0 - phi**2))
+
+
+def test_models_in_force_axis_by_axis():
+    track = small_run()[1]["forward"]
+    near, far = White(sd=0.5), GaussMarkov(sd=3.0, tau_s=60.0)
+    assert in_force(track, "gps", (near, near, near)) == in_force(track, "gps", near) == "white 0.50 m"
+    assert in_force(track, "gps", (near, far, near)) == "north, down: white 0.50 m; east: slow error 3.0 m over 60 s"
+    waits = "to be learnt, until then white 0.50 m"
+    assert (
+        in_force(track, "gps", LearnedArma(prior=near)) == waits
+        and in_force(track, "depth", LearnedArma()) == "to be learnt"
+    )
+    assert in_force(track, "nobody", (near, far)) == f"{near}; {far}"
 
 
 def test_the_sum_of_three_parts_is_read_back():

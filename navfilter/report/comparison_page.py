@@ -12,7 +12,7 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from navfilter.evaluation.comparison import Comparison
-from navfilter.evaluation.wording import learnt
+from navfilter.evaluation.wording import in_force, learnt
 from navfilter.mission import Mission
 from navfilter.report import comparison_figures, figures, learnt_figures
 from navfilter.report.clock import clock_of
@@ -167,7 +167,5 @@ def _models_table(tracks: Tracks) -> tuple[list[str], list[list[str]]]:
     rows = []
     for label, track in tracks.items():
         for name, history in track.error_models.items():
-            error = history[-1][1]
-            shown = "; ".join(map(str, error)) if isinstance(error, tuple) else str(error)
-            rows.append([label, name, shown])
-    return ["run", "sensor", "model (SI units, radians)"], rows
+            rows.append([label, name, in_force(track, name, history[-1][1])])
+    return ["run", "sensor", "model"], rows

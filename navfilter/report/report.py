@@ -15,7 +15,7 @@ import numpy as np
 from navfilter.evaluation.assessment import Assessment, assess
 from navfilter.evaluation.surfacing import Evidence
 from navfilter.evaluation.verdict import Verdict
-from navfilter.evaluation.wording import Learnt
+from navfilter.evaluation.wording import Learnt, Scale, error_words, in_force
 from navfilter.filter.tape import OUTCOMES
 from navfilter.io.write import summarise
 from navfilter.mission import Mission, Stream
@@ -27,6 +27,7 @@ from navfilter.report.page import Section, escape, list_html, page, table_html, 
 from navfilter.report.panels import Stack
 from navfilter.report.plan_view import plan_view
 from navfilter.report.sensor_sections import sensor_sections
+from navfilter.sensors.traits import shown_unit
 from navfilter.track import Track
 
 __all__ = ["headline_table", "render_report", "sensor_table", "write_report"]
@@ -227,13 +228,18 @@ def _surfacings(evidence: Evidence) -> tuple[list[str], Rows]:
 def _models(track: Track) -> tuple[list[str], Rows]:
     """Error models of every channel; of a long history the first and the last ones."""
     drive = track.vehicle.drive
-    rows = [[axis, "", str(model)] for axis, model in zip(drive.axis_names, drive.models, strict=True)]
+    rows = []
+    for axis, model, unit in zip(drive.axis_names, drive.models, drive.units, strict=True):
+        rows.append([axis, "", error_words(model, Scale(*shown_unit(unit), 1.0 / drive.period_s))])
     for name, history in track.error_models.items():
-        shown = history if len(history) <= 6 else [*history[:2], *history[-3:]]
-        rows += [[name, f"{time_s:.1f}", str(model)] for time_s, model in shown]
-        if len(history) > len(shown):
-            rows.append([name, "", f"... {len(history) - len(shown)} more in between"])
-    return ["channel", "from [s]", "model (SI units, radians)"], rows
+        whole = len(history) <= 6
+        shown = [
+            [name, f"{t:.1f}", in_force(track, name, history[k][1])]
+            for k, (t, _) in enumerate(history)
+            if whole or k < 2 or k >= len(history) - 3
+        ]
+        rows += shown if whole else [*shown[:2], [name, "", f"... {len(history) - 5} more"], *shown[2:]]
+    return ["channel", "from [s]", "model"], rows
 
 
 def _number(value: float | None, form: str) -> str:
