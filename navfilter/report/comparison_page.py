@@ -80,7 +80,7 @@ def render_comparison(
         f"Vehicle {first.vehicle.name}. {mission.duration_s / 60:.1f} min, {first.distance_m:.0f} m travelled. "
         f"navfilter {metadata.version('navfilter')}.",
         body,
-        **instrument.page_arguments(),
+        instrument.scripts(),
     )
 
 

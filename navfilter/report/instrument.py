@@ -18,7 +18,7 @@ from navfilter.report.drawing import draw, style, svg
 from navfilter.report.figures import predicted_rms
 from navfilter.report.live import Live, live_stack
 from navfilter.report.live_plan import COLOURINGS, live_plan
-from navfilter.report.page import escape, figure_html, resource
+from navfilter.report.page import Scripts, escape, figure_html, resource
 from navfilter.report.panels import Stack
 from navfilter.report.plan_view import Plan, draw_plan
 from navfilter.track import Track
@@ -73,14 +73,14 @@ class Instrument:
             f'<div class="live" id="live-{number}" data-figure="{number}" style="min-height:{live.height_px}px"></div>'
         )
 
-    def page_arguments(self) -> dict[str, Any]:
-        """What `navfilter.report.page.page` needs for the figures to be live."""
+    def scripts(self) -> Scripts:
+        """What makes the figures of the page live."""
         clock = self.clock
         utc = None if clock.utc_s is None else 1000.0 * (clock.utc_s + clock.zero_s)
         about = {"unit": clock.unit, "factor": clock.factor, "range": clock.range, "utc": utc}
         figures = json.dumps({"figures": self._figures, "rows": self._rows, "clock": about}, separators=(",", ":"))
         data = f'{_packed("library", library())}{_packed("figures", figures)}<output id="readout"></output>'
-        return {"scripts": [resource("instrument.js")], "library": library(), "data": data}
+        return Scripts((resource("instrument.js"),), library(), data)
 
 
 @cache

@@ -10,8 +10,10 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
+from typing import NamedTuple
 
 __all__ = [
+    "Scripts",
     "Section",
     "escape",
     "figure_html",
@@ -61,6 +63,24 @@ class Section:
         return f'<section id="{escape(self.anchor)}"{of}{mood}>{heading_html(self.title)}\n{inside}</section>'
 
 
+class Scripts(NamedTuple):
+    """What a page runs: it forbids the browser to run any other script, and to load anything.
+
+    Attributes
+    ----------
+    run : tuple of str
+        At the end of the page, one after the other.
+    library : str
+        What these may insert.
+    data : str
+        HTML without scripts that runs nothing, before them.
+    """
+
+    run: tuple[str, ...]
+    library: str
+    data: str
+
+
 @cache
 def resource(name: str) -> str:
     """Text of a file that lies beside this module."""
@@ -72,9 +92,7 @@ def page(
     heading: str,
     subtitle: str,
     body: Iterable[str | Section],
-    scripts: Sequence[str] = (),
-    library: str = "",
-    data: str = "",
+    scripts: Scripts | None = None,
 ) -> str:
     """A page that needs nothing but itself, readable on a phone and in print.
 
@@ -86,18 +104,15 @@ def page(
         Plain text at the top.
     body : iterable of str or Section
         HTML, one part after the other. With sections the page has a table of contents.
-    scripts : sequence of str
-        Run at the end of the page. The page forbids the browser to run any other script, and to load anything.
-    library : str
-        A script that these scripts may insert.
-    data : str
-        HTML without scripts that runs nothing, before them.
+    scripts : Scripts, optional
+        Default none: nothing runs.
     """
+    scripts = Scripts((), "", "") if scripts is None else scripts
     body = list(body)
     sections = [part for part in body if isinstance(part, Section)]
-    run = (_SCRIPTED, *scripts) if scripts else ()
+    run = (_SCRIPTED, *scripts.run) if scripts.run else ()
     policy = "default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; base-uri 'none'; form-action 'none'"
-    policy += _allowed((*run, library))
+    policy += _allowed((*run, scripts.library))
     head = (
         f'<meta charset="utf-8"><meta http-equiv="Content-Security-Policy" content="{policy}">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
@@ -106,10 +121,10 @@ def page(
     top = f'<h1>{escape(heading)}</h1>\n<p class="sub">{escape(subtitle)}</p>\n'
     main = top + "\n".join(map(str, body))
     inside = f"{_contents(sections)}\n<main>\n{main}\n</main>" if sections else main
-    ends = "".join(f"<script>{script}</script>" for script in scripts)
+    ends = "".join(f"<script>{script}</script>" for script in scripts.run)
     return (
         f'<!doctype html>\n<html lang="en"><head>{head}</head>\n<body{" class=contents" if sections else ""}>\n'
-        f"{inside}\n{data}{ends}</body></html>\n"
+        f"{inside}\n{scripts.data}{ends}</body></html>\n"
     )
 
 

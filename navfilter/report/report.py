@@ -121,7 +121,7 @@ def render_report(
         Section("Error models", (table_html(*_models(result), text_columns=(1, 2)),)),
     ]
     subtitle = _subtitle(result, mission, summary)
-    return page(mission.name, mission.name, subtitle, body, **instrument.page_arguments())
+    return page(mission.name, mission.name, subtitle, body, instrument.scripts())
 
 
 # --- figures with their captions ------------------------------------------------------------------------------------
