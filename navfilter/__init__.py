@@ -47,6 +47,7 @@ _FACE = {
     "mechanisation": "DeadReckoning Imu",
     "mission": "Mission Stream",
     "navigator": "Navigator Outcome",
+    "outputs.formats": "write_track",
     "playback": "replay warm_up",
     "evaluation.rivals": "rival",
     "sensors": "BodyVelocity Depth Heading Position WaterVelocity ZeroVelocity",

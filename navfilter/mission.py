@@ -14,6 +14,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from navfilter import utc
+from navfilter.notebook import card
+
 Array = npt.NDArray[np.float64]
 
 TRUTH_COLUMNS = (
@@ -137,6 +140,8 @@ class Mission:
         What the reader had to do: rows dropped, sorted, marked invalid, each with its count.
     windows : tuple of (float, float)
         Stretches of the mission clock that are worth evaluating; empty means all of it.
+    epoch_utc_s : float or None
+        UTC of mission time zero [s since 1970]: what gives tracks and their files dates. None: nobody knows.
     """
 
     name: str
@@ -147,6 +152,7 @@ class Mission:
     date: datetime.date | None = None
     notes: tuple[str, ...] = ()
     windows: tuple[tuple[float, float], ...] = ()
+    epoch_utc_s: float | None = None
 
     def __post_init__(self) -> None:
         if self.truth is not None and self.truth.columns != TRUTH_COLUMNS:
@@ -154,6 +160,8 @@ class Mission:
         for name, stream in self.streams.items():
             if not isinstance(stream, Stream):
                 raise ValueError(f'stream "{name}" must be a Stream, found {type(stream).__name__}.')
+        if self.epoch_utc_s is not None and not np.isfinite(self.epoch_utc_s):
+            raise ValueError(f"epoch_utc_s must be seconds since 1970, or None, found {self.epoch_utc_s!r}.")
         object.__setattr__(self, "streams", dict(self.streams))
         object.__setattr__(self, "notes", tuple(self.notes))
         object.__setattr__(self, "windows", tuple((float(a), float(b)) for a, b in self.windows))
@@ -169,9 +177,27 @@ class Mission:
         return max((s.time_s[-1] for s in self.streams.values() if len(s)), default=float("nan"))
 
     @property
+    def begin_utc(self) -> str | None:
+        """Date of the first reading, ISO 8601; None where there is none, or UTC is unknown."""
+        return None if np.isnan(self.begin_s) else utc.date_text(self.begin_s, self.epoch_utc_s)
+
+    @property
     def duration_s(self) -> float:
         """From the first reading of any stream to the last [s]; 0 when there is none."""
         return 0.0 if np.isnan(self.begin_s) else float(self.end_s - self.begin_s)
+
+    def _repr_html_(self) -> str:
+        rows: dict[str, object] = {"date": self.date}
+        if self.duration_s:
+            rows["begins"] = self.begin_utc
+            rows["mission time"] = f"{self.begin_s:.1f} to {self.end_s:.1f} s"
+        for name, stream in self.streams.items():
+            span_s = float(stream.time_s[-1] - stream.time_s[0]) if len(stream) else 0.0
+            rate = f", {(len(stream) - 1) / span_s:.3g} Hz" if span_s > 0.0 else ""
+            rows[name] = f"{len(stream)} readings{rate}: {', '.join(stream.columns)}"
+        rows["truth"] = None if self.truth is None else f"{len(self.truth)} rows"
+        rows["notes"] = "; ".join(self.notes) or None
+        return card(f"Mission {self.name}", rows)
 
     def stream(self, name: str) -> Stream:
         """One stream by its name. Raises ValueError naming the streams there are."""
@@ -248,6 +274,7 @@ class Mission:
             "date": None if self.date is None else self.date.isoformat(),
             "notes": self.notes,
             "windows": self.windows,
+            "epoch_utc_s": self.epoch_utc_s,
         }
         arrays: dict[str, Any] = {"navfilter_mission": np.array(json.dumps(meta, default=_plain))}
         for number, stream in enumerate(self.streams.values()):

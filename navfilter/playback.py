@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+import os
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -29,13 +30,14 @@ from navfilter.vehicle import Vehicle
 __all__ = ["drive_samples", "identified", "replay", "residual_series", "warm_up"]
 
 Array = NDArray[np.float64]
+_Path = str | os.PathLike[str]
 #: Models have settled when they change by less than so many of their own standard deviations.
 SETTLED = 0.2
 
 
 def replay(
-    vehicle: Vehicle,
-    mission: Mission,
+    vehicle: Vehicle | _Path,
+    mission: Mission | _Path,
     *,
     start: Start | None = None,
     smooth: bool = False,
@@ -47,9 +49,11 @@ def replay(
 
     Parameters
     ----------
-    vehicle : Vehicle
-    mission : Mission
-        With a stream for the drive ("imu", or "attitude" and "velocity") and one per sensor of the vehicle.
+    vehicle : Vehicle or path-like
+        Or the vehicle.toml, or the folder that holds it.
+    mission : Mission or path-like
+        With a stream for the drive ("imu", or "attitude" and "velocity") and one per sensor of the vehicle; or what
+        `navfilter.read_mission` reads: a folder, a .toml or a .npz.
     start : Start, optional
         Default: the mission's own start, else an alignment on its first readings.
     smooth : bool
@@ -69,9 +73,10 @@ def replay(
     Raises
     ------
     ValueError
-        When a stream is missing, empty, or the mission holds nothing after the start, and for `iterate` where no sensor
-        learns.
+        When a stream is missing, empty, or the mission holds nothing after the start, for `iterate` where no sensor
+        learns, and for a path that cannot be read.
     """
+    vehicle, mission = _read(vehicle, mission)
     if iterate:
         start = _start(vehicle, mission, start)
         vehicle = identified(vehicle, mission, iterate, start)
@@ -81,10 +86,19 @@ def replay(
     tape = Tape(output_rate_hz, smoothable=smooth)
     nav = Navigator(vehicle, start, tape)
     _run(nav, *drive, _events(vehicle, mission, start.time_s), progress)
-    forward = _track("forward", nav, tape, mission.name, time.process_time() - began)
+    forward = _track("forward", nav, tape, mission, time.process_time() - began)
     if not smooth:
         return forward
     return _smoothed(forward, nav, tape, began, progress)
+
+
+def _read(vehicle: Vehicle | _Path, mission: Mission | _Path) -> tuple[Vehicle, Mission]:
+    from navfilter.io import read_mission, read_vehicle
+
+    return (
+        vehicle if isinstance(vehicle, Vehicle) else read_vehicle(vehicle),
+        mission if isinstance(mission, Mission) else read_mission(mission),
+    )
 
 
 def identified(
@@ -291,7 +305,7 @@ def _group(name: str, groups: list[str]) -> int:
     return next((i for i, group in enumerate(groups) if name.startswith((f"{group}_", f"{group}[", f"{group}."))), -1)
 
 
-def _track(label: str, nav: Navigator, tape: Tape, name: str, cpu_s: float) -> Track:
+def _track(label: str, nav: Navigator, tape: Tape, mission: Mission, cpu_s: float) -> Track:
     rows = _Rows(tape)
     for i in range(len(tape.row_times)):
         row = tape.rows[i]
@@ -302,7 +316,8 @@ def _track(label: str, nav: Navigator, tape: Tape, name: str, cpu_s: float) -> T
             rows.put(i, row, covariance[:9, :9], covariance.diagonal()[9:])
         else:
             rows.put(i, row, rest[:81].reshape(9, 9), rest[81:])
-    return _assemble(label, nav, rows, name, cpu_s, None)
+    track = _assemble(label, nav, rows, mission.name, cpu_s, None)
+    return replace(track, epoch_utc_s=mission.epoch_utc_s)
 
 
 def _assemble(label: str, nav: Navigator, rows: _Rows, name: str, cpu_s: float, forward: Track | None) -> Track:
@@ -348,7 +363,8 @@ def _smoothed(forward: Track, nav: Navigator, tape: Tape, began: float, progress
     packed[:, 1] += correction[:, 1] / (packed[:, 16] * np.cos(packed[:, 0]))
     packed[:, 2] -= correction[:, 2]
     packed[:, 3:6] += correction[:, 3:6]
-    return _assemble("smoothed", nav, rows, forward.mission_name, time.process_time() - began, forward)
+    track = _assemble("smoothed", nav, rows, forward.mission_name, time.process_time() - began, forward)
+    return replace(track, epoch_utc_s=forward.epoch_utc_s)
 
 
 def residual_series(

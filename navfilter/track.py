@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from navfilter import track_views as views
+from navfilter import utc
 from navfilter.filter.tape import Residuals
 from navfilter.kernels import strapdown
 from navfilter.learning.learned import LearnedArma, learned_part
@@ -18,6 +20,7 @@ from navfilter.state import matrix_from_euler, rotation_vector, wrap
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.figure import Figure
 
     from navfilter.arma.model import ArmaModel
     from navfilter.vehicle import Vehicle
@@ -25,6 +28,18 @@ if TYPE_CHECKING:
 __all__ = ["Track", "TrackErrors"]
 
 Array = NDArray[np.float64]
+#: Fields with one row per time.
+_BY_ROW = (
+    "time_s",
+    "latitude",
+    "longitude",
+    "height",
+    "velocity_n",
+    "attitude",
+    "covariance",
+    "states",
+    "states_sd",
+)
 
 
 @dataclass(frozen=True)
@@ -86,6 +101,8 @@ class Track:
         Processor time of the run [s].
     forward : Track, optional
         Of a smoothed track: the forward one.
+    epoch_utc_s : float or None
+        UTC of mission time zero [s since 1970]; None where the mission does not know it.
     """
 
     label: str
@@ -107,6 +124,7 @@ class Track:
     cpu_s: float = 0.0
     forward: Track | None = None
     state_units: tuple[str, ...] = ()
+    epoch_utc_s: float | None = None
 
     def __len__(self) -> int:
         return len(self.time_s)
@@ -121,6 +139,15 @@ class Track:
         """Horizontal distance travelled up to each row [m], shape (n,)."""
         speed = np.hypot(self.velocity_n[:, 0], self.velocity_n[:, 1])
         return np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(self.time_s))])
+
+    @property
+    def time_utc(self) -> NDArray[np.datetime64] | None:
+        """Its times as dates, datetime64[ns], shape (n,), UTC; None where the mission does not know UTC."""
+        return None if self.epoch_utc_s is None else utc.dates(self.time_s, self.epoch_utc_s)
+
+    def keep(self, rows: Any) -> Track:
+        """Only the given rows (a mask, a slice or indices); residuals and models stay whole."""
+        return replace(self, forward=None, **{name: getattr(self, name)[rows] for name in _BY_ROW})
 
     def at(self, time_s: Array) -> Track:
         """The track at other times inside it [s], shape (m,): linear between its rows, angles through the shorter
@@ -180,36 +207,32 @@ class Track:
         return found
 
     def to_frame(self) -> pd.DataFrame:
-        """Table with one row per time, in degrees and metres; every column names its unit."""
-        import pandas as pd
+        """Table with one row per time, in degrees and metres; every column names its unit. ``time_utc`` is there where
+        the mission knows UTC.
+        """
+        return views.frame(self)
 
-        sd = np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2))
-        rpy, rpy_sd = np.degrees(self.attitude), np.degrees(self._attitude_sd())
-        columns: dict[str, Array] = {
-            "time_s": self.time_s,
-            "latitude_deg": np.degrees(self.latitude),
-            "longitude_deg": np.degrees(self.longitude),
-            "height_m": self.height,
-            "depth_m": -self.height,
-        }
-        axes = ("north", "east", "down")
-        columns |= {f"velocity_{a}_m_s": self.velocity_n[:, i] for i, a in enumerate(axes)}
-        columns |= {"roll_deg": rpy[:, 0], "pitch_deg": rpy[:, 1], "heading_deg": rpy[:, 2] % 360.0}
-        columns |= {f"position_{a}_sd_m": sd[:, i] for i, a in enumerate(axes)}
-        columns["position_north_east_cov_m2"] = self.covariance[:, 0, 1]
-        columns |= {f"velocity_{a}_sd_m_s": sd[:, 3 + i] for i, a in enumerate(axes)}
-        columns |= {f"{a}_sd_deg": rpy_sd[:, i] for i, a in enumerate(("roll", "pitch", "heading"))}
-        for i, name in enumerate(self.state_names):
-            unit = self.state_units[i] if self.state_units else "1"
-            factor = 180.0 / math.pi if unit.startswith("rad") else 1.0
-            unit = unit.replace("rad", "deg")
-            columns[f"{name}_{unit}"], columns[f"{name}_sd_{unit}"] = (
-                factor * self.states[:, i],
-                factor * self.states_sd[:, i],
-            )
-        return pd.DataFrame(columns)
+    def plot(self) -> Figure:
+        """A figure of the track: seen from above, its depth and heading, and how well the position is known.
 
-    def _attitude_sd(self) -> Array:
+        Returns
+        -------
+        matplotlib.figure.Figure
+            A notebook shows it; ``track.plot().savefig("track.png")`` keeps it.
+
+        Raises
+        ------
+        ValueError
+            For a track without rows.
+        """
+        from navfilter.track_plot import plot
+
+        return plot(self)
+
+    def _repr_html_(self) -> str:
+        return views.html(self)
+
+    def attitude_sd(self) -> Array:
         """Standard deviations of roll, pitch and heading [rad], shape (n, 3), from the covariance of the rotation
         vector in n.
         """
@@ -248,7 +271,7 @@ class Track:
             "attitude": _nees(errors.attitude, P[:, 6:9, 6:9]),
         }
         with np.errstate(divide="ignore", invalid="ignore"):
-            result["heading"] = errors.heading**2 / self._attitude_sd()[:, 2] ** 2
+            result["heading"] = errors.heading**2 / self.attitude_sd()[:, 2] ** 2
         return result
 
     def summary(self, truth: Stream | None = None, windows: tuple[tuple[float, float], ...] = ()) -> dict[str, Any]:

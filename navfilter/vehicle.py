@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from navfilter.error_models import ErrorModel
 from navfilter.mechanisation import Imu, Mechanisation
+from navfilter.notebook import card
 from navfilter.sensors import Sensor
 
 __all__ = ["Vehicle"]
@@ -75,6 +76,10 @@ class Vehicle:
     def __reduce__(self) -> tuple[type[Vehicle], tuple[Mechanisation, dict[str, Sensor], str]]:
         return Vehicle, (self.drive, dict(self.sensors), self.name)
 
+    def _repr_html_(self) -> str:
+        parts = {"drive": self.drive, **self.sensors}
+        return card(f"Vehicle {self.name}", {name: _in_short(part) for name, part in parts.items()})
+
     def with_error(self, **models: ErrorModel | tuple[ErrorModel, ...]) -> Vehicle:
         """The same vehicle with other error models, by sensor name (``gyro``, ``accel``, ``attitude``, ``velocity`` for
         the drive).
@@ -100,3 +105,12 @@ class Vehicle:
             if key not in self.sensors:
                 raise ValueError(f'"{key}" is no sensor of this vehicle (sensors: {", ".join(self.sensors)}).')
         return Vehicle(self.drive, {k: s for k, s in self.sensors.items() if k not in names}, self.name)
+
+
+def _in_short(value: object) -> str:
+    """A description with those of its fields that are not at their defaults."""
+    if not dataclasses.is_dataclass(value):
+        return f"{value:g}" if isinstance(value, float) else str(value)
+    fields = [field for field in dataclasses.fields(value) if getattr(value, field.name) != field.default]
+    given = ", ".join(f"{field.name}={_in_short(getattr(value, field.name))}" for field in fields)
+    return f"{type(value).__name__}({given})"

@@ -13,7 +13,7 @@ import navfilter
 ROOT = Path(navfilter.__file__).parent
 #: From the ground up; a module may import from its own floor and those below.
 FLOORS = [
-    {"kernels", "constants", "compilation", "filter.memory", "filter.health"},
+    {"kernels", "constants", "compilation", "notebook", "utc", "filter.memory", "filter.health"},
     {
         "arma",
         "state",
@@ -38,10 +38,10 @@ FLOORS = [
         "learning.bias",
         "start",
     },
-    {"sensors", "mechanisation", "vehicle", "track"},
+    {"sensors", "mechanisation", "vehicle", "track", "track_plot", "track_views"},
     {"filter", "learning.listener", "learning.rest", "learning.refit"},
     {"learning.schedule", "navigator", "alignment"},
-    {"playback", "simulation", "io", "check"},
+    {"playback", "simulation", "io", "outputs", "check"},
     {"evaluation", "report", "identification"},
     {"service", "cli", "commands", "__init__", "__main__"},
 ]

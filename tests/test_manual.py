@@ -16,6 +16,7 @@ from navfilter.io.units import ALIASES, SUFFIXES, UNITS
 from navfilter.io.vehicle_keys import plain_key, times
 from navfilter.learning.learned import LearnedArma
 from navfilter.mechanisation import DeadReckoning, Imu, Mechanisation
+from navfilter.outputs.formats import FORMATS
 from navfilter.sensors import BodyVelocity, Depth, Heading, Position, Sensor, WaterVelocity, ZeroVelocity
 from navfilter.sensors.traits import kinds_below
 from navfilter.vehicle import Vehicle
@@ -175,6 +176,22 @@ def test_every_kind_of_vehicle_toml_is_described():
     assert headings == kinds | {f"type: {kind}" for kind in own(Sensor)}
     assert set(keys("vehicle-toml.md", "adopted")) == set(_ADOPTED) <= set(ArmaModel.__dataclass_fields__)
     assert set(keys("vehicle-toml.md", "The vehicle")) == {field.name for field in dataclasses.fields(Vehicle)}
+
+
+# --- formats of tracks ----------------------------------------------------------------------------------------------
+
+
+def test_the_table_of_formats_is_that_of_the_program():
+    rows = re.findall(
+        r"^\| `track(\.\w+)` \| (\S+) \|.*\| ([^|]*?) ?\| ([^|]*?) ?\|$", text_of("outputs.md"), flags=re.M
+    )
+    assert len(rows) == len(FORMATS)
+    for form, (suffix, option, without_utc, needs) in zip(FORMATS, rows, strict=True):
+        assert suffix == form.suffix
+        assert option == ("always" if form.always else f"`--{form.name}`")
+        assert (without_utc == "refused") == form.utc == ("UTC" in needs)
+        assert ("a place" in needs) == form.place
+        assert re.findall(r"navfilter\[(\w+)\]", needs) == [form.extra] * bool(form.extra)
 
 
 # --- how it is built ------------------------------------------------------------------------------------------------

@@ -10,7 +10,9 @@ from geographiclib.geodesic import Geodesic
 from scipy.spatial.transform import Rotation
 from small_run import small_run
 
-from navfilter.io.write import labelled, summarise, write_csv, write_geojson, write_outputs, write_summary, write_tum
+from navfilter.io.write import labelled, summarise, write_outputs, write_summary
+from navfilter.outputs.formats import write_track
+from navfilter.outputs.tum import write_truth
 
 RUN_KEYS = [
     "position_rms_m",
@@ -40,6 +42,12 @@ def strict(path):
     return json.loads(path.read_text(encoding="utf-8"), parse_constant=refuse)
 
 
+def both_tum(track, truth, folder):
+    """Rows of track.tum and truth.tum."""
+    assert write_truth(track, folder / "truth.tum", truth)
+    return np.loadtxt(write_track(track, folder / "track.tum")), np.loadtxt(folder / "truth.tum")
+
+
 def test_every_file_is_written_and_nothing_else(tmp_path):
     mission, tracks = small_run()
     written = write_outputs(tracks, mission, tmp_path / "new" / "folder")
@@ -51,7 +59,7 @@ def test_every_file_is_written_and_nothing_else(tmp_path):
 def test_csv_is_the_frame(tmp_path):
     _, tracks = small_run()
     frame = tracks["smoothed"].to_frame()
-    read = pd.read_csv(write_csv(tracks["smoothed"], tmp_path / "track.csv"))
+    read = pd.read_csv(write_track(tracks["smoothed"], tmp_path / "track.csv"))
     assert list(read.columns) == list(frame.columns)
     # Ten decimals of a degree and seven digits of everything else are what the file promises.
     np.testing.assert_allclose(read["latitude_deg"], frame["latitude_deg"], rtol=0, atol=1e-10)
@@ -61,7 +69,7 @@ def test_csv_is_the_frame(tmp_path):
 def test_tum_is_the_track_in_east_north_up(tmp_path):
     _, tracks = small_run()
     track = tracks["smoothed"]
-    rows = np.loadtxt(write_tum(track, tmp_path)[0])
+    rows = np.loadtxt(write_track(track, tmp_path / "track.tum"))
     assert rows.shape == (len(track), 8)
     np.testing.assert_allclose(np.linalg.norm(rows[:, 4:], axis=1), 1.0, atol=1e-8)
     lat, lon = np.degrees(track.latitude), np.degrees(track.longitude)
@@ -81,7 +89,7 @@ def test_tum_is_the_track_in_east_north_up(tmp_path):
 def test_tum_of_track_and_truth_differ_by_the_error(tmp_path):
     mission, tracks = small_run()
     track = tracks["forward"]
-    own, true = (np.loadtxt(path) for path in write_tum(track, tmp_path, mission.truth))
+    own, true = both_tum(track, mission.truth, tmp_path)
     errors = track.errors(mission.truth)
     difference = own[:, 1:4] - np.column_stack([np.interp(track.time_s, true[:, 0], true[:, i]) for i in (1, 2, 3)])
     # Truth at 20 Hz, interpolated on both sides; what is left is the rounding of the file.
@@ -94,7 +102,7 @@ def test_what_the_truth_does_not_know_counts_as_no_error(tmp_path):
     value = mission.truth.value.copy()
     value[:, [2, 6, 7, 8]] = np.nan
     truth = dataclasses.replace(mission.truth, value=value)
-    own, true = (np.loadtxt(path) for path in write_tum(tracks["forward"], tmp_path, truth))
+    own, true = both_tum(tracks["forward"], truth, tmp_path)
     assert np.isfinite(true).all()
     np.testing.assert_allclose(true[-1, 3], own[-1, 3], atol=0.02)
 
@@ -102,7 +110,7 @@ def test_what_the_truth_does_not_know_counts_as_no_error(tmp_path):
 def test_geojson_has_longitude_first(tmp_path):
     mission, tracks = small_run()
     track = tracks["smoothed"]
-    content = strict(write_geojson(track, mission, tmp_path / "track.geojson"))
+    content = strict(write_track(track, tmp_path / "track.geojson", mission))
     assert content["type"] == "FeatureCollection"
     names = [feature["properties"]["name"] for feature in content["features"]]
     assert names == ["smoothed", "truth", "gps"]
@@ -117,7 +125,7 @@ def test_geojson_is_cut_at_the_antimeridian(tmp_path):
     mission, tracks = small_run()
     track = tracks["forward"]
     moved = dataclasses.replace(track, longitude=track.longitude - track.longitude[len(track) // 2] + np.pi)
-    content = strict(write_geojson(moved, dataclasses.replace(mission, truth=None), tmp_path / "track.geojson"))
+    content = strict(write_track(moved, tmp_path / "track.geojson", dataclasses.replace(mission, truth=None)))
     shape = content["features"][0]["geometry"]
     assert shape["type"] == "MultiLineString"
     for part in shape["coordinates"]:
@@ -127,7 +135,7 @@ def test_geojson_is_cut_at_the_antimeridian(tmp_path):
 def test_summary_has_the_promised_keys(tmp_path):
     mission, tracks = small_run()
     content = strict(write_summary(tracks, mission, tmp_path / "summary.json"))
-    assert list(content) == ["mission", "vehicle", "duration_s", "distance_m", "runs"]
+    assert list(content) == ["mission", "vehicle", "begin_utc", "duration_s", "distance_m", "runs"]
     assert list(content["runs"]) == ["forward", "smoothed"]
     for run in content["runs"].values():
         assert list(run) == RUN_KEYS
@@ -169,7 +177,7 @@ def test_an_interrupted_write_leaves_the_old_file(tmp_path, monkeypatch):
 
     monkeypatch.setattr(np, "savetxt", full)
     with pytest.raises(OSError, match="No space"):
-        write_csv(tracks["forward"], path)
+        write_track(tracks["forward"], path)
     assert path.read_text() == "old" and [p.name for p in tmp_path.iterdir()] == ["track.csv"]
 
 

@@ -106,6 +106,16 @@ def test_parts_of_a_mission_are_replayed_when_copied(here, capsys):
     assert 300.0 < json.loads(Path("part/summary.json").read_text())["duration_s"] <= 400.0
 
 
+def test_files_for_other_programs_are_written_when_copied(here, capsys):
+    pytest.importorskip("rosbags", reason='rosbags is not installed: pip install "navfilter[ros]"')
+    for command in commands("outputs.md"):
+        run(command, capsys)
+    named = set(re.findall(r"^\| `(track\.\w+)` \|", PAGES["outputs.md"], flags=re.MULTILINE))
+    assert {path.name for path in Path("result").glob("track.*")} == named
+    exec(the_block("outputs.md"), {})
+    assert {path.suffix for path in Path(".").glob("dive.*")} == {".kml", ".geojson", ".png"}
+
+
 def test_vehicle_commands_and_iterate_work_when_copied(here, capsys):
     for command in commands():
         if command[1] == "vehicle":
@@ -139,7 +149,7 @@ def standard_input(file):
 
 
 def test_the_live_loop_works_when_copied(here, capfdbinary):
-    live = [command for command in commands() if command[1] == "run" and "--listen" not in command]
+    live = [command for command in commands() if command[1] == "run" and not {"--listen", "--source"} & set(command)]
     assert [("--log" in command, "--replay-log" in command) for command in live] == [(True, False), (False, True)]
     states = []
     # two minutes of the readings are as good as ten

@@ -35,8 +35,9 @@ def report(tmp_path_factory):
         vehicle, sensors={SENSOR if name == "gps" else name: sensor for name, sensor in vehicle.sensors.items()}
     )
     streams = {SENSOR if name == "gps" else name: stream for name, stream in mission.streams.items()}
-    mission = dataclasses.replace(mission, name=f"dive {NASTY}", streams=streams, notes=(f"gps: {NASTY}",))
-    object.__setattr__(mission, "epoch_utc_s", NOON_S)
+    mission = dataclasses.replace(
+        mission, name=f"dive {NASTY}", streams=streams, notes=(f"gps: {NASTY}",), epoch_utc_s=NOON_S
+    )
     tracks = labelled(replay(vehicle, mission, smooth=True))
     return write_report(tracks, mission, tmp_path_factory.mktemp("report") / "report.html")
 

@@ -63,7 +63,9 @@ def check_mission(mission: Mission, vehicle: Vehicle | None = None) -> tuple[Fin
 
 def report_text(mission: Mission, findings: tuple[Finding, ...]) -> str:
     """The findings as text: one paragraph per severity, one line per finding, its cure below it."""
-    lines = [f"Mission {mission.name}: {mission.duration_s:.1f} s, streams {', '.join(mission.streams) or 'none'}."]
+    when = f" from {mission.begin_utc}" if mission.begin_utc else ""
+    streams = ", ".join(mission.streams) or "none"
+    lines = [f"Mission {mission.name}: {mission.duration_s:.1f} s{when}, streams {streams}."]
     headings = {"error": "Wrong, to be put right first", "warning": "Worth a look", "info": "What is there"}
     for severity, heading in headings.items():
         of_kind = [finding for finding in findings if finding.severity == severity]

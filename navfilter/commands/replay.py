@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from navfilter.commands import selection
+from navfilter.commands import formats, selection
 from navfilter.commands.console import (
     add_force_argument,
     add_reading_arguments,
@@ -65,12 +65,15 @@ written to --out:
   summary.json    errors, consistency (NEES, NIS), counts of every run, every error model that was learnt, and
                   without a truth: surfacings, longest outage, predicted sd, how far the smoothed track lies
                   from the forward one
-  track.csv       the track: degrees, metres, standard deviations, states
-  track.tum       the same for 'evo' (east, north, up), with truth.tum when there is a truth
-  track.geojson   for a map
+{formats.FILES}
+  truth.tum       the truth, where there is one, beside track.tum
   vehicle_learned.toml   where a sensor's error was learnt: your vehicle.toml, comments and units kept, with the models
                   in force at the end put in as 'adopted'; the output says in words what was learnt, the report
                   shows the spectra
+
+UTC: stamps in seconds since 1970, dates with time, and most logs bring it; else 'epoch' in the mission.toml says at
+what UTC the stamps read zero. track.csv then has a column time_utc, and the other files have dates. Without it they
+have times of the mission clock (KML and GPX none), and --sbet is refused.
 
 exit codes: 0 the verdict finds nothing, or only what calls for care; 1 the track is not to be trusted (the files are
 written all the same); 2 wrong usage or input; 130 interrupted. The verdict stands at the end of the output, in
@@ -81,6 +84,7 @@ examples:
   navfilter replay dive_042 --vehicle vehicle.toml --without gps --out no-gps
   navfilter replay dive_042 --vehicle vehicle.toml --withhold gps:all-but-first-120 --out drift     how far it drifts
   navfilter replay dive_042 --vehicle vehicle.toml --iterate 5 --smooth --out best     the best that it gives
+  navfilter replay dive_042 --vehicle vehicle.toml --smooth --out result --kml --mcap   for Google Earth and Foxglove
 """,
 )
 
@@ -98,6 +102,7 @@ def add_demo_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_force_argument(parser)
     parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
+    formats.add_arguments(parser)
 
 
 #: What the demonstration compares; the third is the result.
@@ -115,12 +120,13 @@ def demo(options: argparse.Namespace) -> int:
     from navfilter.simulation.truth import true_vehicle
 
     vehicle, mission = simulate_scenario("demo", options.seed, options.duration)
+    formats.check(options, mission)
     truth = true_vehicle("demo", options.duration)
     save(vehicle, mission, folder / "mission.npz", folder / "vehicle.toml", truth)
     errors = None if truth is None else compare_command.true_errors(vehicle, truth)
     plan = compare_command.Plan(_COMPARED, ("compass",), errors, smooth=("arma",))
     tracks = compare_command.replay_models(plan, vehicle, mission, options.quiet)
-    code = _write(tracks["arma"], mission, folder, options.quiet)
+    code = _write(tracks["arma"], mission, folder, options)
     forward = {name: track.forward or track for name, track in tracks.items()}
     comparison = compare_command.compare_tracks(forward, mission, vehicle, plan.sensors)
     if not options.quiet:
@@ -175,6 +181,7 @@ def add_replay_arguments(parser: argparse.ArgumentParser) -> None:
         help="rows of the track per second (default: %(default)s)",
     )
     parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
+    formats.add_arguments(parser)
 
 
 def replay(options: argparse.Namespace) -> int:
@@ -183,11 +190,12 @@ def replay(options: argparse.Namespace) -> int:
 
     vehicle = read_vehicle(options.vehicle).without(*options.without)
     mission, withheld = selection.select(options, read(options), vehicle)
+    formats.check(options, mission)
     folder = output_folder(options.out, options.force)
     if options.iterate:
         vehicle = _identify(vehicle, mission, options.iterate, options.quiet)
     track = _replayed(vehicle, mission, options.quiet, smooth=options.smooth, output_rate_hz=options.output_rate)
-    return _write(track, mission, folder, options.quiet, withheld, options.vehicle)
+    return _write(track, mission, folder, options, withheld, options.vehicle)
 
 
 def _identify(vehicle: Any, mission: Mission, rounds: int, quiet: bool) -> Any:
@@ -209,7 +217,8 @@ def _replayed(vehicle: Any, mission: Mission, quiet: bool, **how: Any) -> Track:
     from navfilter.playback import replay as replay_mission
 
     compile_first(quiet, vehicle)
-    speaker(quiet)(f"replaying {mission.name} ({mission.duration_s / 60:.1f} min) ...")
+    when = f" from {mission.begin_utc}" if mission.begin_utc else ""
+    speaker(quiet)(f"replaying {mission.name} ({mission.duration_s / 60:.1f} min{when}) ...")
     return replay_mission(vehicle, mission, progress=not quiet and sys.stderr.isatty(), **how)
 
 
@@ -217,7 +226,7 @@ def _write(
     track: Track,
     mission: Mission,
     folder: Path,
-    quiet: bool,
+    options: argparse.Namespace,
     withheld: Sequence[Withheld] = (),
     vehicle_file: str | None = None,
 ) -> int:
@@ -228,10 +237,12 @@ def _write(
     tracks = labelled(track)
     assessment = assess(tracks, mission, withheld)
     remarks = assessment.remarks(mission.name)
-    write_outputs(tracks, mission, folder, assessment.to_dict(), vehicle_file, remarks)
-    _write_report(tracks, mission, folder / "report.html", assessment, not quiet and sys.stderr.isatty())
-    if not quiet:
-        _print_result(tracks, mission, folder, assessment)
+    written = write_outputs(tracks, mission, folder, assessment.to_dict(), vehicle_file, remarks, options.formats)
+    _write_report(tracks, mission, folder / "report.html", assessment, not options.quiet and sys.stderr.isatty())
+    if not options.quiet:
+        _print_result(tracks, mission, assessment)
+        print(f"Written to {folder}{os.sep}:")
+        print(f"  report.html (open this one), {', '.join(path.name for path in written)}")
     if assessment.verdict.trusted:
         return 0
     print(f"navfilter: {assessment.verdict.headline} See {folder / 'report.html'}.", file=sys.stderr)
@@ -247,7 +258,7 @@ def _write_report(tracks: dict[str, Track], mission: Mission, path: Path, assess
         write_report(tracks, mission, path, bar.update, assessment)
 
 
-def _print_result(tracks: dict[str, Track], mission: Mission, folder: Path, assessment: Assessment) -> None:
+def _print_result(tracks: dict[str, Track], mission: Mission, assessment: Assessment) -> None:
     from navfilter.report.report import headline_table, sensor_table
 
     result = list(tracks.values())[-1]
@@ -259,7 +270,4 @@ def _print_result(tracks: dict[str, Track], mission: Mission, folder: Path, asse
     for learnt in assessment.learnt:
         print(f"learnt: {learnt}")
     print(f"\n{assessment.verdict}")
-    print(
-        f"\n{result.distance_m:.0f} m travelled, {result.cpu_s:.1f} s of processor time. Written to {folder}{os.sep}:"
-    )
-    print("  report.html (open this one), summary.json, track.csv, track.tum, track.geojson")
+    print(f"\n{result.distance_m:.0f} m travelled, {result.cpu_s:.1f} s of processor time.")

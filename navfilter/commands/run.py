@@ -22,6 +22,14 @@ readings, one per line, in SI units and radians; null is a missing component:
 A vehicle without an inertial unit is driven by "attitude" (roll, pitch, yaw) and "velocity". "sd" is optional: the
 white standard deviation of this one reading. A line that is no reading is counted and told, and never stops the run.
 
+sources: instruments that navfilter itself connects to, and again when they go. A Water Linked DVL:
+  --source waterlinked://192.168.194.95             its velocity is the sensor "dvl"; port 16171
+  --source 'waterlinked://192.168.194.95?velocity=velocity&position_local=attitude'
+                                                    reports velocity, velocity_water, position_local -> names of sensors
+  Stamps are those of this computer [s since 1970], less the time that the instrument says it took; with
+  clock=instrument its own. All other readings must come with the same clock. With --source and without --input or
+  --listen nothing else is read.
+
 the start: --start, or a line {"sensor": "start", "latitude_deg": 45.0, "longitude_deg": -4.0, "heading_deg": 90.0}, or
   else an alignment on the first seconds (level by the accelerometers, heading by the compass, place by a fix);
   "waiting" events tell what it lacks.
@@ -51,6 +59,7 @@ examples:
   driver | navfilter run --vehicle auv.toml --start start.toml | publisher
   navfilter run --vehicle auv.toml --listen tcp://127.0.0.1:4600 --log dive_042 --rate-hz 10
   navfilter run --vehicle auv.toml --listen tcp://127.0.0.1:4600 --log dive_042 --resume
+  driver | navfilter run --vehicle auv.toml --input - --source waterlinked://192.168.194.95
   navfilter run --replay-log dive_042 > states.jsonl
 """
 
@@ -60,7 +69,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--vehicle", metavar="TOML", help="the vehicle.toml, or the folder that holds it")
     source = parser.add_mutually_exclusive_group()
     source.add_argument(
-        "--input", default="-", metavar="FILE", help="file or pipe to read; - is standard input (default)"
+        "--input", metavar="FILE", help="file or pipe to read; - is standard input (default without --source)"
     )
     source.add_argument(
         "--listen",
@@ -68,6 +77,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="wait for one client at a time, such as tcp://127.0.0.1:4600; states go back to it",
     )
     source.add_argument("--replay-log", metavar="DIR", help="feed the log of an earlier run again")
+    parser.add_argument(
+        "--source",
+        action="append",
+        default=[],
+        metavar="URL",
+        help="connect to an instrument, beside the input; may be repeated; see below",
+    )
     parser.add_argument(
         "--allow-remote",
         action="store_true",
@@ -166,6 +182,7 @@ def _run(options: argparse.Namespace, say: Callable[[str], None]) -> int:
     from navfilter.service.loop import run as run_loop
     from navfilter.service.session import Options
     from navfilter.service.setup import Service
+    from navfilter.service.waterlinked import waterlinked
 
     _check(options)
     vehicle = read_vehicle(options.vehicle or options.replay_log)
@@ -178,6 +195,7 @@ def _run(options: argparse.Namespace, say: Callable[[str], None]) -> int:
     state = log / "snapshot" if options.state is None and log is not None else options.state
     service = Service(
         input=_input(options),
+        sources=tuple(waterlinked(url, vehicle) for url in options.source),
         silent_s=options.client_timeout,
         log=log,
         fsync_s=options.fsync,
@@ -207,19 +225,22 @@ def _check(options: argparse.Namespace) -> None:
         raise ValueError("run needs --vehicle (only --replay-log has one in its folder).")
     if options.resume and options.log is None and options.state is None:
         raise ValueError("--resume needs --log or --state: there is nothing to go on from.")
-    if options.replay_log is not None and (options.log or options.state or options.start or options.resume):
-        raise ValueError("--replay-log feeds a log as it is: leave out --log, --state, --start and --resume.")
+    others = (options.log, options.state, options.start, options.resume, options.source)
+    if options.replay_log is not None and any(others):
+        raise ValueError("--replay-log feeds a log as it is: leave out --log, --state, --start, --resume and --source.")
     for name, path in (("--state", options.state), ("--health-file", options.health_file)):
         if path is not None and os.path.exists(path) and not os.path.isfile(path):
             raise ValueError(f"{name} {path} is no file: it would be replaced. Give another name.")
 
 
-def _input(options: argparse.Namespace) -> int | tuple[str, int]:
+def _input(options: argparse.Namespace) -> int | tuple[str, int] | None:
     if options.listen is not None:
         from navfilter.service.sources import listen_address
 
         return listen_address(options.listen, allow_remote=options.allow_remote)
-    return 0 if options.input == "-" else os.open(options.input, os.O_RDONLY)
+    if options.input is None and options.source:
+        return None
+    return 0 if options.input in (None, "-") else os.open(options.input, os.O_RDONLY)
 
 
 def _start(path: str | None) -> dict[str, Any] | None:

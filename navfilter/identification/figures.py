@@ -16,6 +16,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 from scipy.signal import welch
 
+from navfilter import utc
 from navfilter.arma.roots import root_sd
 from navfilter.diagnostics import WT_WHITE, acf, pacf
 from navfilter.identification.conditioning import bridged
@@ -92,11 +93,12 @@ def series_figure(found: Identification, unit: str) -> Figure:
     name, factor = _seconds(data.whole.size / data.rate_hz)
     shown = data.value.size + data.seasonal_lag
     first = (data.whole.size - shown) // 2
-    time = (data.begin_s + (np.arange(data.whole.size) - first) / data.rate_hz) * factor
+    zero, since = utc.axis_from(data.begin_s)
+    time = (data.begin_s - zero + (np.arange(data.whole.size) - first) / data.rate_hz) * factor
     line(ax, time, data.whole, color=SAMPLE, linewidth=0.7)
     if shown < data.whole.size:
         ax.axvspan(time[first], time[first + shown - 1], color="#999999", alpha=0.25, linewidth=0.0)
-    ax.set_xlabel(f"time [{name}]")
+    ax.set_xlabel(f"time{since} [{name}]")
     ax.set_ylabel(_labelled(data.name, unit))
     ax.margins(x=0.01)
     return figure
@@ -219,11 +221,12 @@ def residual_figure(found: Identification, unit: str) -> Figure:
     grid = figure.add_gridspec(2, 2)
     top = figure.add_subplot(grid[0, :])
     name, factor = _seconds(e.size / data.rate_hz)
-    time = (data.begin_s + (np.arange(e.size) + found.fit.d + data.seasonal_lag) / data.rate_hz) * factor
+    zero, since = utc.axis_from(data.begin_s)
+    time = (data.begin_s - zero + (np.arange(e.size) + found.fit.d + data.seasonal_lag) / data.rate_hz) * factor
     line(top, time, e, color=SAMPLE, linewidth=0.6)
     for side in (-1.96, 1.96):
         top.axhline(side * found.fit.sd, color=GREY, linewidth=0.8, linestyle=(0, (4, 2)))
-    top.set_xlabel(f"time [{name}]")
+    top.set_xlabel(f"time{since} [{name}]")
     top.set_ylabel(_labelled("residual", unit))
     top.margins(x=0.01)
     _correlation(figure.add_subplot(grid[1, 0]), e, acf, "autocorrelation of residuals")

@@ -13,6 +13,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from navfilter import utc
 from navfilter.arma.model import ArmaModel
 from navfilter.arma.online.bank import ArmaBank
 from navfilter.arma.online.recursive import RecursiveArma
@@ -170,7 +171,8 @@ def tracks_figure(tracks: Tracks, unit: str = "") -> Figure:
     count = len(rows) + 1 + bool(rows) + tracks.is_bank + walks
     figure = Figure(figsize=(WIDTH_IN, 1.45 * count + 0.5), layout="constrained")
     axes = list(figure.subplots(count, 1, sharex=True, squeeze=False)[:, 0])
-    time = tracks.time_s
+    zero, since = utc.axis_from(float(tracks.time_s[0]))
+    time = tracks.time_s - zero
     for name, value, sd in rows:
         ax = axes.pop(0)
         for i in range(value.shape[1]):
@@ -202,7 +204,7 @@ def tracks_figure(tracks: Tracks, unit: str = "") -> Figure:
         ax.yaxis.get_major_locator().set_params(integer=True)
         ax.legend(loc="best")
         figure.align_ylabels()
-    figure.axes[-1].set_xlabel("time [s]")
+    figure.axes[-1].set_xlabel(f"time{since} [s]")
     return figure
 
 

@@ -353,11 +353,19 @@ class MissionSpec(Strict):
     name: str | None = None
     date: datetime.date | None = None
     zero_s: float | Literal["first"] = 0.0
+    epoch: datetime.datetime | Literal["unknown"] | None = None
     windows: tuple[tuple[float, float], ...] = ()
     start: StartSpec | None = None
     truth: TruthStream | None = None
     log: LogSpec | None = None
     streams: dict[str, SensorStream] = Field(default_factory=dict)
+
+    @field_validator("epoch", mode="before")
+    @classmethod
+    def _with_zone(cls, value: Any) -> Any:
+        if value == "unknown" or (isinstance(value, datetime.datetime) and value.tzinfo is not None):
+            return value
+        raise ValueError('must be the UTC at which the stamps read zero, such as 2026-06-01T08:30:00Z, or "unknown"')
 
     @model_validator(mode="after")
     def _something(self) -> MissionSpec:

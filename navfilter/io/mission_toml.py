@@ -11,6 +11,7 @@ import numpy.typing as npt
 from navfilter.io import geodesy
 from navfilter.io.columns import Counts, clock_times, group_names, group_values
 from navfilter.io.contents import SD, driving, groups
+from navfilter.io.epoch import epoch_of
 from navfilter.io.json_lines import read_log
 from navfilter.io.logs import Shelf
 from navfilter.io.merging import block_mean, block_sd, mean, resampled
@@ -53,6 +54,8 @@ def read_mission_toml(path: Path, *, confine: bool = False, unpacked_bytes: int 
     for name, stream_spec in spec.streams.items():
         streams[name] = reader.stream(name, stream_spec)
     truth = None if spec.truth is None else reader.truth(spec.truth)
+    epoch_utc_s, doubts = epoch_of(spec, (*streams.values(), truth))
+    reader.notes += doubts
     zero = _zero(spec.zero_s, streams, truth)
     if zero:
         streams = {name: stream.later(-zero) for name, stream in streams.items()}
@@ -71,6 +74,7 @@ def read_mission_toml(path: Path, *, confine: bool = False, unpacked_bytes: int 
         date=spec.date,
         notes=tuple(reader.notes),
         windows=spec.windows,
+        epoch_utc_s=None if epoch_utc_s is None else epoch_utc_s + zero,
     )
 
 

@@ -54,6 +54,7 @@ def read_mission_npz(path: Path, unpacked_bytes: int = UNPACKED_BYTES) -> Missio
             date=None if meta["date"] is None else datetime.date.fromisoformat(meta["date"]),
             notes=tuple(meta["notes"]),
             windows=tuple((a, b) for a, b in meta["windows"]),
+            epoch_utc_s=meta.get("epoch_utc_s"),
         )
     except MissionError:
         raise

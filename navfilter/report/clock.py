@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import datetime
-import math
 from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
+from navfilter import utc
 from navfilter.mission import Mission
 from navfilter.track import Track
 
 __all__ = ["Clock", "clock_of"]
 
 Array = NDArray[np.float64]
-
-#: A mission clock beyond this [s] counts from 1970, as loggers do, and is UTC itself.
-UNIX_S = 1e9
 
 
 class Clock:
@@ -36,7 +33,7 @@ class Clock:
     factor : float
         From seconds to the unit.
     zero_s : float
-        Mission time [s] at which the axis begins to count: 0, or the begin where the clock counts from 1970.
+        Mission time [s] at which the axis begins to count, see `navfilter.utc.axis_from`.
     """
 
     def __init__(self, begin_s: float, end_s: float, utc_s: float | None = None) -> None:
@@ -45,9 +42,9 @@ class Clock:
         self.unit, self.factor = (
             ("h", 1 / 3600) if length > 3 * 3600 else ("min", 1 / 60) if length > 600 else ("s", 1.0)
         )
-        since_1970 = begin_s > UNIX_S
-        self.zero_s = begin_s if since_1970 else 0.0
-        self.utc_s = 0.0 if since_1970 and utc_s is None else utc_s
+        self.zero_s, self._from = utc.axis_from(begin_s)
+        # a clock that counts from 1970, as loggers' do, is UTC itself
+        self.utc_s = 0.0 if utc_s is None and utc.counts_from_1970(begin_s) else utc_s
 
     def __call__(self, time_s: Array) -> Array:
         return (np.asarray(time_s) - self.zero_s) * self.factor
@@ -62,7 +59,7 @@ class Clock:
     @property
     def label(self) -> str:
         """Name of the axis."""
-        return f"{'time since the start' if self.zero_s else 'mission time'} [{self.unit}]"
+        return f"mission time{self._from} [{self.unit}]"
 
     def utc(self, shown: float) -> datetime.datetime | None:
         """UTC at a time in the unit of the axis; None where the mission does not know it."""
@@ -81,5 +78,4 @@ class Clock:
 def clock_of(tracks: Mapping[str, Track], mission: Mission | None = None) -> Clock:
     """The time axis that all tracks share; with UTC where the mission knows it."""
     begin_s, end_s = min(t.time_s[0] for t in tracks.values()), max(t.time_s[-1] for t in tracks.values())
-    utc_s = getattr(mission, "epoch_utc_s", None)
-    return Clock(float(begin_s), float(end_s), utc_s if utc_s is None or math.isfinite(utc_s) else None)
+    return Clock(float(begin_s), float(end_s), None if mission is None else mission.epoch_utc_s)

@@ -13,6 +13,7 @@ from typing import Any, BinaryIO
 
 from navfilter.io.json_lines import Item, LineParser, Note, Reading
 from navfilter.service.disk import Disk
+from navfilter.service.instruments import Instrument
 from navfilter.service.kernel_cache import warm
 from navfilter.service.log import LOG_FILE, log_items, prepare_log, remade_log, run_note
 from navfilter.service.outlet import Outlet
@@ -20,7 +21,7 @@ from navfilter.service.protocol import Lines, event_line
 from navfilter.service.resuming import earlier_run
 from navfilter.service.session import Options, Session
 from navfilter.service.setup import Service
-from navfilter.service.sources import Client, FileSource, Stopped, StopSignal, TcpSource
+from navfilter.service.sources import Client, FileSource, NoSource, Stopped, StopSignal, TcpSource
 from navfilter.service.supervision import Supervision
 from navfilter.service.tally import Tally
 from navfilter.vehicle import Vehicle
@@ -96,7 +97,8 @@ class _Run:
         if resumed is not None:
             self._session.feed(Note("run", options.to_json(), b""))
             self._tell("resume", time_s=self._session.nav and self._session.nav.time_s, **resumed)
-        self._source: FileSource | TcpSource
+        self._source: FileSource | TcpSource | NoSource
+        self._instruments = [Instrument(source, stop.wake) for source in service.sources]
 
     def open(self) -> None:
         """Begin to listen, or to read."""
@@ -105,7 +107,9 @@ class _Run:
             self._source = TcpSource(service.input, self._stop, self._client_changed, service.silent_s)
             service.say(f"listening on {self._source.url}")
         else:
-            self._source = FileSource(service.input, self._stop)
+            self._source = NoSource(self._stop) if service.input is None else FileSource(service.input, self._stop)
+        for instrument in self._instruments:
+            instrument.start()
         self._supervision.ready()
 
     # ---------------------------------------------------------------- what goes out
@@ -218,8 +222,10 @@ class _Run:
             if data is None:
                 self._take(self._lines.end())
                 return ORDERED if self._read_anything() else UNASKED
-            if data:
-                self._take(self._lines.feed(data))
+            spoken = self._hear_instruments()
+            if data and self._take(self._lines.feed(data)):
+                self._source.heard()
+            if data or spoken:
                 self._heard, silent = now, False
             elif now - self._heard > self.SILENT_S and not silent:
                 silent = True
@@ -235,8 +241,18 @@ class _Run:
         self._notice("input-empty", text="the input ended before its first line")
         return False
 
-    def _take(self, lines: Iterable[tuple[bytes, bool]]) -> None:
-        """Log a block of lines, then navigate with them."""
+    def _hear_instruments(self) -> bool:
+        """Take what the instruments have sent; whether there was anything."""
+        spoken = False
+        for instrument in self._instruments:
+            readings, told = instrument.take()
+            for text in told:
+                self._notice("source", text=text)
+            spoken = self._take((line.rstrip(b"\n"), False) for line in readings) or spoken
+        return spoken
+
+    def _take(self, lines: Iterable[tuple[bytes, bool]]) -> bool:
+        """Log a block of lines, then navigate with them; whether there was a reading among them."""
         parsed = (self._parser.too_long(line) if cut_off else self._parser.parse(line) for line, cut_off in lines)
         items = list(self._tally.take(item for item in parsed if item is not None))
         self._disk.append(b"".join(item.raw for item in items))
@@ -244,8 +260,7 @@ class _Run:
         for item in items:
             self._readings += isinstance(item, Reading)
             self._guarded(item)
-        if self._readings > before:
-            self._source.heard()
+        return self._readings > before
 
     def _guarded(self, item: Item) -> None:
         """A mistake in this program must not end the navigation under way: it is told, and the next line is taken."""
@@ -310,4 +325,6 @@ class _Run:
             self._notice("disk-failed", text="the disk does not come to an end")
         if not self._outlet.close():
             self._service.say("the reader of the output has gone or stopped reading; its last lines are lost")
+        for instrument in self._instruments:
+            instrument.close()
         self._source.close()

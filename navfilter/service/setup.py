@@ -6,6 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from navfilter.service.waterlinked import WaterLinked
+
 __all__ = ["Service"]
 
 
@@ -15,8 +17,10 @@ class Service:
 
     Parameters
     ----------
-    input : int or (str, int)
-        File descriptor, or host and port to listen on.
+    input : int or (str, int) or None
+        File descriptor, or host and port to listen on; None: only the sources.
+    sources : tuple of WaterLinked
+        Instruments to connect to.
     silent_s : float
         A client without a reading for so long [s] loses its place to one that comes.
     log : Path, optional
@@ -35,7 +39,8 @@ class Service:
         Takes a line for the operator; must neither wait nor raise.
     """
 
-    input: int | tuple[str, int]
+    input: int | tuple[str, int] | None
+    sources: tuple[WaterLinked, ...] = ()
     silent_s: float = 10.0
     log: Path | None = None
     fsync_s: float = 1.0

@@ -14,7 +14,7 @@ from types import FrameType
 from typing import Any
 from urllib.parse import urlsplit
 
-__all__ = ["Client", "FileSource", "StopSignal", "Stopped", "TcpSource", "listen_address"]
+__all__ = ["Client", "FileSource", "NoSource", "StopSignal", "Stopped", "TcpSource", "keep_alive", "listen_address"]
 
 BLOCK = 65536
 
@@ -68,6 +68,11 @@ class StopSignal:
                 self._wake.recv(BLOCK)
         return ready
 
+    def wake(self) -> None:
+        """Let `ready` return early; for other threads."""
+        with contextlib.suppress(OSError):  # full: it will wake all the same
+            self._send.send(b"\0")
+
     def restore(self) -> None:
         """Leave the process's signals as they were."""
         signal.set_wakeup_fd(-1)
@@ -75,6 +80,29 @@ class StopSignal:
             signal.signal(number, handler)
         self._wake.close()
         self._send.close()
+
+
+class NoSource:
+    """No input but that of instruments.
+
+    Parameters
+    ----------
+    stop : StopSignal
+    """
+
+    def __init__(self, stop: StopSignal) -> None:
+        self._stop = stop
+
+    def read(self, timeout_s: float) -> bytes | None:
+        """Nothing, after some time or when somebody wakes it."""
+        self._stop.ready([], timeout_s)
+        return b""
+
+    def heard(self) -> None:
+        """There was a reading: nothing follows from that here."""
+
+    def close(self) -> None:
+        """Nothing is open."""
 
 
 class FileSource:
@@ -217,7 +245,7 @@ class TcpSource:
             self._drop(f"put out: no reading for {silent_s:.1f} s, and {name} has come")
             end = b"\n"
         with contextlib.suppress(OSError):  # it may have gone already
-            _keep_alive(connection)
+            keep_alive(connection)
         self._client = Client(connection, name)
         self._changed(self._client, f"{name} connected")
         return end
@@ -237,7 +265,7 @@ class TcpSource:
         self._server.close()
 
 
-def _keep_alive(connection: socket.socket) -> None:
+def keep_alive(connection: socket.socket) -> None:
     """A peer whose power failed must not hold the place for hours."""
     for option, value in (("TCP_KEEPIDLE", 5), ("TCP_KEEPINTVL", 2), ("TCP_KEEPCNT", 3)):
         if hasattr(socket, option):

@@ -1,4 +1,4 @@
-"""ArduPilot logs, read with pymavlink: DataFlash (.bin) and telemetry (.tlog).
+"""ArduPilot logs: DataFlash (.bin, see `dataflash`) and telemetry (.tlog), read with pymavlink.
 
 DataFlash: a topic is a message (``ATT``), with ``[0]``, ``[1]`` where the log says that it has instances (``IMU[0]``).
 Its units are those that the log itself states (UNIT, MULT). Telemetry: a topic is a MAVLink message and who sent it
@@ -10,27 +10,24 @@ since the autopilot started.
 
 from __future__ import annotations
 
-import contextlib
-import io
-import os
 import re
-import sys
-import tempfile
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from pymavlink import DFReader, mavutil
+import numpy as np
+import numpy.typing as npt
+from pymavlink import mavutil
 
-from navfilter.io.logs.choosing import Wanted
-from navfilter.io.logs.progress import bar
+from navfilter.io.logs import dataflash
+from navfilter.io.logs.choosing import Wanted, without_instance
 from navfilter.mission import MissionError
 
 __all__ = ["records"]
 
-#: Number of its descriptor, by POSIX and in Windows' runtime.
-_STANDARD_ERROR = 2
+Array = npt.NDArray[np.float64]
+
 #: Units as these logs write them -> as a mission.toml does.
 _UNITS = {
     "degheading": "deg",
@@ -50,49 +47,22 @@ _DELTAS: dict[str, tuple[str, float, tuple[str, str, str]]] = {
 }
 
 
-#: Messages that describe the log itself.
-_DESCRIPTIONS = ("FMT", "FMTU", "UNIT", "MULT")
-
-
-def records(path: Path, wanted: Wanted, tally: Counter[str]) -> Iterator[tuple[str, float, Any]]:
+def records(path: Path, wanted: Wanted, tally: Counter[str]) -> Iterator[tuple[str, float | Array, Any]]:
     """See `navfilter.io.logs`."""
-    telemetry = path.suffix.lower() == ".tlog"
-    messages = _telemetry(path, tally) if telemetry else _dataflash(path, wanted, tally)
-    for topic, message in messages:
-        if not wanted(topic):
-            continue
-        if topic not in wanted.units:
-            stated = (
-                message.fieldunits_by_name
-                if telemetry
-                else dict(zip(_fields(message), message.fmt.units or (), strict=False))
-            )
+    source = _telemetry if path.suffix.lower() == ".tlog" else dataflash.records
+    translated = set()
+    for topic, time_s, record in source(path, wanted, tally):
+        if topic not in translated:
+            translated.add(topic)
+            stated = wanted.units.get(topic, {})
             wanted.units[topic] = {
                 field: _UNITS.get(unit, unit) for field, unit in stated.items() if unit not in ("", "instance")
             }
-        name = message.get_type()
-        yield topic, message._timestamp, _with_velocity(name, message) if name in _DELTAS else message
+        name = without_instance(topic)
+        yield topic, time_s, _with_velocity(name, record) if name in _DELTAS else record
 
 
-def _dataflash(path: Path, wanted: Wanted, tally: Counter[str]) -> Iterator[tuple[str, Any]]:
-    try:
-        with _native_messages(tally):
-            log = _quietly(lambda: DFReader.DFReader_binary(str(path)), Counter())
-    except Exception as error:  # struct's, mmap's and its own plain Exception on broken files
-        raise _unreadable(path, error) from None
-    # Others are skipped without being decoded; a clock without GPS needs none of them.
-    names = [name for name in log.name_to_id if name not in _DESCRIPTIONS and wanted.family(name)]
-    total = sum(log.counts[log.name_to_id[name]] for name in names)
-    for message in bar(
-        iter(lambda: _quietly(lambda: log.recv_match(type=names), tally), None), path, total, "messages"
-    ):
-        kind = message.fmt
-        instance = kind.instance_field
-        yield kind.name if instance is None else f"{kind.name}[{getattr(message, instance)}]", message
-    log.close()
-
-
-def _telemetry(path: Path, tally: Counter[str]) -> Iterator[tuple[str, Any]]:
+def _telemetry(path: Path, wanted: Wanted, tally: Counter[str]) -> Iterator[tuple[str, float, Any]]:
     try:
         log = mavutil.mavlogfile(str(path), notimestamps=False)
     except OSError as error:
@@ -108,50 +78,30 @@ def _telemetry(path: Path, tally: Counter[str]) -> Iterator[tuple[str, Any]]:
         if message.get_type() == "BAD_DATA":
             tally["messages with a wrong checksum or of an unknown kind left out"] += 1
             continue
-        yield f"{message.get_type()}[{message.get_srcSystem()}.{message.get_srcComponent()}]", message
+        topic = f"{message.get_type()}[{message.get_srcSystem()}.{message.get_srcComponent()}]"
+        if wanted(topic):
+            wanted.units.setdefault(topic, dict(message.fieldunits_by_name))
+            yield topic, message._timestamp, message
     log.close()
 
 
-def _quietly(call: Callable[[], Any], tally: Counter[str]) -> Any:
-    """Call the library, which prints what is wrong with a log: counted instead."""
-    said = io.StringIO()
-    with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
-        found = call()
-    if said.tell():
-        tally["places with damaged messages left out"] += said.getvalue().count("\n")
-    return found
-
-
-@contextlib.contextmanager
-def _native_messages(tally: Counter[str]) -> Iterator[None]:
-    """What the compiled part of the library writes straight to the standard error stream: counted instead of shown."""
-    sys.stderr.flush()
-    with tempfile.TemporaryFile() as said:
-        shown = os.dup(_STANDARD_ERROR)
-        os.dup2(said.fileno(), _STANDARD_ERROR)
-        try:
-            yield
-        finally:
-            os.dup2(shown, _STANDARD_ERROR)
-            os.close(shown)
-        said.seek(0)
-        tally["bytes between messages skipped"] += sum(b"bad header" in line for line in said)
-
-
-def _fields(message: Any) -> list[str]:
-    fields: list[str] = message.get_fieldnames()
-    return fields
-
-
 def _with_velocity(name: str, message: Any) -> dict[str, Any]:
+    """A message, or many as columns, with the velocity that its changes of position are."""
     interval, unit_s, changes = _DELTAS[name]
+    record = dict(message) if isinstance(message, Mapping) else _elements(message)
+    seconds = unit_s * np.asarray(record[interval], dtype=float)
+    seconds = np.where(seconds > 0.0, seconds, np.nan)
+    for axis, change in zip("xyz", changes, strict=True):
+        velocity = record[change] / seconds
+        record[f"velocity_{axis}"] = velocity if velocity.ndim else float(velocity)
+    return record
+
+
+def _elements(message: Any) -> dict[str, Any]:
     record: dict[str, Any] = {}
-    for field in _fields(message):
+    for field in message.get_fieldnames():
         value = getattr(message, field)
         record |= {f"{field}[{k}]": one for k, one in enumerate(value)} if isinstance(value, list) else {field: value}
-    seconds = unit_s * record[interval]
-    for axis, change in zip("xyz", changes, strict=True):
-        record[f"velocity_{axis}"] = record[change] / seconds if seconds > 0 else None
     return record
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from navfilter import utc
 from navfilter.alignment import align
 from navfilter.io.logs.draft_streams import Drafted, chosen_streams, still
 from navfilter.io.logs.draft_vehicle import usual_kind, vehicle_text
@@ -127,12 +128,17 @@ def _clock(streams: list[Drafted]) -> str:
     return "header.stamp" if lags and max(lags) - min(lags) < _STEADY_S else "log_time"
 
 
-def _utc_s(found: Survey) -> float | None:
-    """When the log begins [s since 1970], by its own times or by those of a receiver in it."""
+def _epoch_utc_s(found: Survey) -> float | None:
+    """UTC at which the log's times read zero [s since 1970], by themselves or by a receiver in it; None: unknown."""
     if found.is_utc:
-        return found.begin_s
-    told = [topic.columns["time_utc_usec"] for topic in found.topics if topic.has("time_utc_usec")]
-    return 1e-6 * float(told[0].max()) if told and told[0].max() > 1e15 else None
+        return 0.0
+    for topic in found.topics:
+        if topic.has("time_utc_usec"):
+            told = topic.columns["time_utc_usec"]
+            known = told > 1e15
+            if known.any():
+                return float(np.median(1e-6 * told[known] - topic.time_s[: told.size][known]))
+    return None
 
 
 def _named(path: Path, folder: Path) -> str:
@@ -150,8 +156,10 @@ def _mission_text(found: Survey, streams: list[Drafted], file: str, begin: str) 
         "",
         f"name = {json.dumps(found.path.name.split('.')[0])}",
     ]
-    if (utc_s := _utc_s(found)) is not None:
-        lines.append(f"date = {datetime.datetime.fromtimestamp(utc_s, datetime.UTC).date()}")
+    if (epoch_s := _epoch_utc_s(found)) is not None:
+        lines.append(f"date = {datetime.datetime.fromtimestamp(epoch_s + found.begin_s, datetime.UTC).date()}")
+    if epoch_s:
+        lines.append(f"epoch = {utc.date_text(0.0, epoch_s)}  # by the satellite receiver in the log")
     lines += ['zero_s = "first"', "", begin.rstrip("\n")] if begin else ['zero_s = "first"', ""]
     if begin:
         lines.append("")

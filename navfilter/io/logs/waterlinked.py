@@ -8,37 +8,53 @@ between them.
 from __future__ import annotations
 
 import json
+import math
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from navfilter.io.logs.choosing import Wanted
 from navfilter.io.logs.lines import lines
 
-__all__ = ["records"]
+__all__ = ["number", "records", "report_in", "valid_s"]
 
 
 def records(path: Path, wanted: Wanted, tally: Counter[str]) -> Iterator[tuple[str, float, Any]]:
     """See `navfilter.io.logs`."""
     elapsed_s = 0.0
     for line in lines(path, tally):
-        begin = line.find(b"{")
-        if begin < 0:
+        if b"{" not in line:
             tally["lines without a report"] += bool(line.strip())
             continue
-        try:
-            report = json.loads(line[begin:])
-            topic = str(report["type"])
-        except (ValueError, KeyError, TypeError):
+        report = report_in(line)
+        if report is None:
             tally["reports cut short or without a type left out"] += 1
             continue
-        elapsed_s += 1e-3 * float(report.get("time") or 0.0)
-        if wanted(topic):
-            yield topic, _time_s(report, elapsed_s), report
+        since_s = 1e-3 * number(report.get("time"))
+        elapsed_s += since_s if math.isfinite(since_s) else 0.0
+        if wanted(report["type"]):
+            time_s = valid_s(report)
+            yield report["type"], elapsed_s if math.isnan(time_s) else time_s, report
 
 
-def _time_s(report: dict[str, Any], elapsed_s: float) -> float:
-    if "time_of_validity" in report:
-        return 1e-6 * float(report["time_of_validity"])
-    return float(report["ts"]) if "ts" in report else elapsed_s
+def report_in(line: bytes) -> dict[str, Any] | None:
+    """The report in a line, behind any prefix; None where it is cut short, none at all, or without a type."""
+    try:
+        report = json.loads(line[line.index(b"{") :])
+    except (ValueError, RecursionError):
+        return None
+    return report if isinstance(report, dict) and isinstance(report.get("type"), str) else None
+
+
+def valid_s(report: Mapping[str, Any]) -> float:
+    """When a report was valid [s since 1970, by the instrument's clock]; NaN where it does not say."""
+    return 1e-6 * number(report["time_of_validity"]) if "time_of_validity" in report else number(report.get("ts"))
+
+
+def number(value: Any) -> float:
+    """A finite number of a report; NaN for anything else."""
+    try:
+        return float(value) if isinstance(value, int | float) and math.isfinite(value) else math.nan
+    except OverflowError:
+        return math.nan

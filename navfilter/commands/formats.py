@@ -1,0 +1,49 @@
+"""Which further files of the track a command writes: an option for each format, from their one table."""
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING
+
+from navfilter.outputs.formats import FORMATS, is_nowhere
+
+if TYPE_CHECKING:
+    from navfilter.mission import Mission
+
+__all__ = ["FILES", "add_arguments", "check"]
+
+#: What every replay writes of a track, for the text of a help.
+FILES = "\n".join(f"  {'track' + form.suffix:15} {form.about}" for form in FORMATS if form.always)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments."""
+    group = parser.add_argument_group(
+        "further files of the track, for other programs (in Python: nf.write_track(track, 'dive.kml'))"
+    )
+    for form in FORMATS:
+        if not form.always:
+            needs = [f'pip install "navfilter[{form.extra}]"'] * bool(form.extra) + ["needs UTC"] * form.utc
+            group.add_argument(
+                f"--{form.name}",
+                dest="formats",
+                action="append_const",
+                const=form.name,
+                default=[],
+                help=f"track{form.suffix}, {form.about}" + (f" ({'; '.join(needs)})" if needs else ""),
+            )
+
+
+def check(options: argparse.Namespace, mission: Mission) -> None:
+    """Refuse before the run what could not be written after it.
+
+    Raises
+    ------
+    ValueError
+        See `navfilter.outputs.formats.TrackFormat.check`.
+    """
+    start = mission.start
+    nowhere = start is not None and is_nowhere(start.latitude_deg, start.longitude_deg)
+    for form in FORMATS:
+        if form.name in options.formats:
+            form.check(mission, nowhere)

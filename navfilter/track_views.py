@@ -1,0 +1,70 @@
+"""A track as a table of pandas, and in a notebook."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navfilter import utc
+from navfilter.notebook import card
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from navfilter.track import Track
+
+__all__ = ["frame", "html"]
+
+Array = NDArray[np.float64]
+
+
+def frame(track: Track) -> pd.DataFrame:
+    """See `Track.to_frame`."""
+    import pandas as pd
+
+    sd = np.sqrt(np.diagonal(track.covariance, axis1=1, axis2=2))
+    rpy, rpy_sd = np.degrees(track.attitude), np.degrees(track.attitude_sd())
+    columns: dict[str, Array | pd.DatetimeIndex] = {"time_s": track.time_s}
+    if track.time_utc is not None:
+        columns["time_utc"] = pd.DatetimeIndex(track.time_utc, tz="UTC")
+    columns |= {
+        "latitude_deg": np.degrees(track.latitude),
+        "longitude_deg": np.degrees(track.longitude),
+        "height_m": track.height,
+        "depth_m": -track.height,
+    }
+    axes = ("north", "east", "down")
+    columns |= {f"velocity_{a}_m_s": track.velocity_n[:, i] for i, a in enumerate(axes)}
+    columns |= {"roll_deg": rpy[:, 0], "pitch_deg": rpy[:, 1], "heading_deg": rpy[:, 2] % 360.0}
+    columns |= {f"position_{a}_sd_m": sd[:, i] for i, a in enumerate(axes)}
+    columns["position_north_east_cov_m2"] = track.covariance[:, 0, 1]
+    columns |= {f"velocity_{a}_sd_m_s": sd[:, 3 + i] for i, a in enumerate(axes)}
+    columns |= {f"{a}_sd_deg": rpy_sd[:, i] for i, a in enumerate(("roll", "pitch", "heading"))}
+    for i, name in enumerate(track.state_names):
+        unit = track.state_units[i] if track.state_units else "1"
+        factor = 180.0 / math.pi if unit.startswith("rad") else 1.0
+        unit = unit.replace("rad", "deg")
+        columns[f"{name}_{unit}"] = factor * track.states[:, i]
+        columns[f"{name}_sd_{unit}"] = factor * track.states_sd[:, i]
+    return pd.DataFrame(columns)
+
+
+def html(track: Track) -> str:
+    """The table of a track in a notebook."""
+    rows: dict[str, object] = {"mission": track.mission_name, "vehicle": track.vehicle.name, "rows": len(track)}
+    if len(track):
+        sd = np.sqrt(np.trace(track.covariance[-1, :2, :2]))
+        rows |= {
+            "begins": utc.date_text(track.time_s[0], track.epoch_utc_s),
+            "mission time": f"{track.time_s[0]:.1f} to {track.time_s[-1]:.1f} s",
+            "travelled": f"{track.distance_m:.0f} m",
+            "ends at": f"{math.degrees(track.latitude[-1]):.6f}, {math.degrees(track.longitude[-1]):.6f} deg",
+            "sd of position at the end": f"{sd:.2f} m",
+        }
+    for name, residuals in track.residuals.items():
+        rows[name] = f"{residuals.count('used')} used, {residuals.count('rejected')} rejected"
+    rows["learnt"] = ", ".join(track.adopted()) or None
+    return card(f"Track, {track.label}", rows)
