@@ -8,6 +8,7 @@ import numpy as np
 from bokeh.embed import json_item
 from bokeh.models import (
     BasicTicker,
+    BasicTickFormatter,
     ColorBar,
     ColumnDataSource,
     DataRange1d,
@@ -93,9 +94,9 @@ def _plot(plan: Plan) -> Any:
     # Kept by the script at offset + factor x those of east and north.
     plot.extra_x_ranges = {"deg": Range1d(0, 1, name="longitude", tags=[plan.longitude_deg, plan.east_deg])}
     plot.extra_y_ranges = {"deg": Range1d(0, 1, name="latitude", tags=[plan.latitude_deg, plan.north_deg])}
-    few = BasicTicker(desired_num_ticks=4)
-    plot.add_layout(LinearAxis(x_range_name="deg", axis_label="longitude [deg]", ticker=few), "above")
-    plot.add_layout(LinearAxis(y_range_name="deg", axis_label="latitude [deg]", ticker=few), "right")
+    how = {"ticker": BasicTicker(desired_num_ticks=4), "formatter": BasicTickFormatter(use_scientific=False)}
+    plot.add_layout(LinearAxis(x_range_name="deg", axis_label="longitude [deg]", **how), "above")
+    plot.add_layout(LinearAxis(y_range_name="deg", axis_label="latitude [deg]", **how), "right")
     plot.axis.axis_label_text_font_style = "normal"
     plot.grid.grid_line_color = "#e3e3e3"
     plot.outline_line_color = None

@@ -140,8 +140,10 @@ def _over_time(tracks: Tracks, mission: Mission, instrument: Instrument, assessm
     caption = "Height over time, under water minus the depth, with its 1-sigma band; horizontal speed."
     turned = drawn(figures.attitude_figure(tracks, mission), "Attitude of the vehicle.")
     yield Section("Depth, speed, attitude", (drawn(figures.depth_figure(tracks, mission), caption), turned))
-    caption = f"{_band_caption(truth, slice(0, 2))} The lowest panel divides by the distance travelled so far."
-    yield Section("Position error", (drawn(figures.position_figure(tracks, truth), caption),))
+    errors = figures.position_figure(tracks, truth)
+    divided = " The lowest panel divides by the distance travelled so far." if len(errors.panels) > 3 else ""
+    caption = f"{_band_caption(truth, slice(0, 2))}{divided}"
+    yield Section("Position error", (drawn(errors, caption),))
     caption = _band_caption(truth, slice(8, 9))
     yield Section("Heading error", (drawn(figures.heading_figure(tracks, truth), caption),))
     nees = None if truth is None else figures.consistency_figure(tracks, truth)
