@@ -264,7 +264,7 @@ def test_the_page_shows_every_run(runs):
         "Models learnt",
     ):
         assert heading in page
-    assert "<script" not in page and page.count("<figcaption>") == len(steps) >= 8
+    assert page.count("<figcaption>") == len(steps) >= 8
     assert "the last one of order (2, 1)" in page and "heading rms [deg]" in page
 
 
@@ -282,4 +282,4 @@ def test_panels_of_all_runs_share_one_scale(runs):
         for title, _, figure in drawn(nf.compare(tracks, mission.truth), tracks, mission)
         if title == "Error against 1 sigma"
     )
-    assert len({ax.get_ylim() for ax in figure.axes}) == 1 and len(figure.axes) == 2
+    assert len({panel.limits for panel in figure.panels}) == 1 and len(figure.panels) == 2

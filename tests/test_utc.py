@@ -160,12 +160,13 @@ def test_a_plot_has_dates_or_mission_times_and_never_seconds_since_1970():
 def test_figures_of_the_report_count_from_the_beginning_where_the_clock_counts_from_1970():
     from matplotlib.figure import Figure
 
-    from navfilter.report.drawing import Clock
+    from navfilter.report.clock import Clock
+    from navfilter.report.drawing import time_axis
 
     clock = Clock(UNIX, UNIX + 100.0)
     ax = Figure().subplots()
-    clock.label(ax)
-    assert ax.get_xlabel() == "mission time - 1700000000 s [s]"
+    time_axis(ax, clock)
+    assert ax.get_xlabel() == "mission time - 1700000000 s [s], UTC"
     np.testing.assert_array_equal(clock(np.array([UNIX + 1.0])), [1.0])
     assert max(ax.get_xlim()) < 200.0
     np.testing.assert_array_equal(Clock(5.0, 100.0)(np.array([7.0])), [7.0])

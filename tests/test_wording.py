@@ -6,16 +6,18 @@ import math
 
 import numpy as np
 import pytest
+from small_run import small_run
 
 from navfilter.arma.algebra import add_arma
 from navfilter.arma.model import ArmaModel
 from navfilter.cli import main
 from navfilter.error_models import Arma, ErrorModel, GaussMarkov, RandomWalk, White
-from navfilter.evaluation.wording import Scale, error_words, learnt, model_words
+from navfilter.evaluation.wording import Scale, error_words, in_force, learnt, model_words
 from navfilter.identification.reading import stationary_parts
 from navfilter.learning.learned import LearnedArma
 from navfilter.playback import replay
-from navfilter.report.learnt_figures import spectrum_figure
+from navfilter.report.learnt_figures import SpectrumBand, spectrum_figure
+from navfilter.report.panels import legend_of
 from navfilter.simulation.scenarios import simulate_scenario
 
 DEG = Scale("deg", 180.0 / math.pi, 8.0)
@@ -32,6 +34,19 @@ def swing(period_s, damping_s, sd, rate_hz=8.0):
 def slow(tau_s, sd, rate_hz=8.0):
     phi = math.exp(-1.0 / (tau_s * rate_hz))
     return ArmaModel([-phi], [], sd * math.sqrt(1.0 - phi**2))
+
+
+def test_models_in_force_axis_by_axis():
+    track = small_run()[1]["forward"]
+    near, far = White(sd=0.5), GaussMarkov(sd=3.0, tau_s=60.0)
+    assert in_force(track, "gps", (near, near, near)) == in_force(track, "gps", near) == "white 0.50 m"
+    assert in_force(track, "gps", (near, far, near)) == "north, down: white 0.50 m; east: slow error 3.0 m over 60 s"
+    waits = "to be learnt, until then white 0.50 m"
+    assert (
+        in_force(track, "gps", LearnedArma(prior=near)) == waits
+        and in_force(track, "depth", LearnedArma()) == "to be learnt"
+    )
+    assert in_force(track, "nobody", (near, far)) == f"{near}; {far}"
 
 
 def test_the_sum_of_three_parts_is_read_back():
@@ -115,11 +130,13 @@ def test_spectra_show_what_was_believed_and_the_posterior(dive):
     swing = (at > 0.12) & (at < 0.2)
     np.testing.assert_allclose(median[swing], unit * spectrum[swing], rtol=0.1)
     assert np.all(high[swing] / low[swing] < 3.0) and high[0] / low[0] > 3.0
-    labels = [text.get_text() for text in spectrum_figure(found).axes[0].get_legend().get_texts()]
-    assert labels == ["believed", "learnt", "5 to 95 %"]
+    assert [part.label for part in legend_of(spectrum_figure(found), 0)] == ["5 to 95 %", "believed", "learnt"]
     # a model that came from a file has no posterior: what was believed is still shown
     kept = dataclasses.replace(found, adopted=(dataclasses.replace(found.adopted[-1], spectrum=None),))
-    assert [text.get_text() for text in spectrum_figure(kept).axes[0].get_legend().get_texts()] == ["believed"]
+    assert [part.label for part in legend_of(spectrum_figure(kept), 0)] == ["believed"]
+    given = SpectrumBand(at, low, median, 3.0 * median)
+    band, _, line = spectrum_figure(found, given).panels[0].parts
+    np.testing.assert_array_equal(band.high, 3.0 * line.y)
 
 
 def test_console_summary_and_report_say_it(dive, tmp_path, capsys):

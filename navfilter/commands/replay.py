@@ -61,7 +61,7 @@ board.
 
 {selection.SELECTION}
 written to --out:
-  report.html     tables and figures, one file that works offline
+  report.html     verdict, tables and figures that can be zoomed, one file that works offline
   summary.json    errors, consistency (NEES, NIS), counts of every run, every error model that was learnt, and
                   without a truth: surfacings, longest outage, predicted sd, how far the smoothed track lies
                   from the forward one

@@ -17,7 +17,7 @@ from navfilter.learning.learned import LearnedArma, learned_part
 from navfilter.sensors.traits import shown_unit
 from navfilter.track import Track
 
-__all__ = ["Learnt", "error_words", "learnt", "model_words"]
+__all__ = ["Learnt", "Scale", "error_words", "in_force", "learnt", "model_words"]
 
 Array = NDArray[np.float64]
 
@@ -182,7 +182,32 @@ def _part_words(part: ErrorModel, scale: Scale) -> str:
         return model_words(ArmaModel(np.array(part.ar), np.array(part.ma), part.sd), scale)
     if isinstance(part, LearnedArma) and part.model is not None:
         return ", ".join([*(_part_words(slow, scale) for slow in part.slow_parts), model_words(part.model, scale)])
+    if isinstance(part, LearnedArma):
+        return f"to be learnt{'' if part.prior is None else f', until then {error_words(part.prior, scale)}'}"
     return str(part)
+
+
+def in_force(track: Track, name: str, error: ErrorModel | tuple[ErrorModel, ...]) -> str:
+    """The error models of all axes of a sensor, or of a part of the drive, in words; axes with the same words together.
+
+    Parameters
+    ----------
+    track : Track
+    name : str
+        As in `Track.error_models`.
+    error : ErrorModel or tuple of ErrorModel
+        One for all axes, or one for each.
+    """
+    models = error if isinstance(error, tuple) else (error,)
+    axes = list(_axes(track, name))
+    if len(models) not in (1, len(axes)) or not axes:
+        return "; ".join(map(str, models))
+    together: dict[str, list[str]] = {}
+    for model, (axis, _, unit, rate_hz) in zip(models, axes, strict=False):
+        together.setdefault(error_words(model, Scale(*shown_unit(unit), rate_hz)), []).append(axis)
+    if len(together) == 1:
+        return next(iter(together))
+    return "; ".join(f"{', '.join(which)}: {words}" for words, which in together.items())
 
 
 def model_words(model: ArmaModel, scale: Scale) -> str:

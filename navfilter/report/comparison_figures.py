@@ -7,78 +7,64 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from navfilter.diagnostics import acf
 from navfilter.evaluation.consistency import LAGS, innovation_series
 from navfilter.mission import Stream
-from navfilter.report.drawing import WIDTH_IN, band, colour, line, panels
-from navfilter.report.figures import clock_of
+from navfilter.report.drawing import WIDTH_IN, colour, no_formula
+from navfilter.report.figures import predicted_rms
+from navfilter.report.panels import Band, Line, Panel, Part, Stack
 from navfilter.track import Track
 
-__all__ = ["correlation_figure", "heading_against_sigma", "position_against_sigma", "shade"]
+__all__ = ["correlation_figure", "heading_against_sigma", "position_against_sigma"]
 
 Array = NDArray[np.float64]
 Tracks = Mapping[str, Track]
 
 
-def heading_against_sigma(tracks: Tracks, truth: Stream) -> Figure:
+def heading_against_sigma(tracks: Tracks, truth: Stream) -> Stack:
     """Heading error and its 1-sigma band, one panel per run, all on the same scale."""
-    clock = clock_of(tracks)
-    figure, axes = panels(len(tracks), 1.2)
     limit = 0.0
-    for number, (ax, (label, track)) in enumerate(zip(axes, tracks.items(), strict=True)):
+    found: list[tuple[str, tuple[Part, ...]]] = []
+    for number, (label, track) in enumerate(tracks.items()):
         hue, _ = colour(number)
         sd = np.degrees(np.sqrt(track.covariance[:, 8, 8]))
         error = np.degrees(track.errors(truth).heading)
-        band(ax, clock(track.time_s), sd, color=hue, alpha=0.3, label=r"$\pm 1\sigma$")
-        line(ax, clock(track.time_s), error, color=hue, linewidth=0.9, label="error")
-        limit = max(limit, _scale(error), 1.1 * _scale(sd, 0.9))
-        _named(ax, label, "heading [deg]")
-    for ax in axes:
-        ax.set_ylim(-limit, limit)
-        ax.axhline(0.0, color="black", linewidth=0.6, zorder=1)
-    clock.label(axes[-1])
-    return figure
-
-
-def position_against_sigma(tracks: Tracks, truth: Stream) -> Figure:
-    """Horizontal position error and its predicted rms, one panel per run, all on the same scale."""
-    clock = clock_of(tracks)
-    figure, axes = panels(len(tracks), 1.2)
-    limit = 0.0
-    for number, (ax, (label, track)) in enumerate(zip(axes, tracks.items(), strict=True)):
-        hue, _ = colour(number)
-        predicted = np.sqrt(np.maximum(track.covariance[:, 0, 0] + track.covariance[:, 1, 1], 0.0))
-        error = track.errors(truth).horizontal
-        band(
-            ax,
-            clock(track.time_s),
-            0.5 * predicted,
-            0.5 * predicted,
-            color=hue,
-            alpha=0.3,
-            label="up to the predicted rms",
+        parts = (
+            Band(track.time_s, -sd, sd, f"{label}: ±1σ", hue, 0.3),
+            Line(track.time_s, error, f"{label}: error", hue, width=0.9),
         )
-        line(ax, clock(track.time_s), error, color=hue, linewidth=0.9, label="error")
+        limit = max(limit, _scale(error), 1.1 * _scale(sd, 0.9))
+        found.append((f"{label}\nheading [deg]", parts))
+    return _on_one_scale(found, (-limit, limit))
+
+
+def position_against_sigma(tracks: Tracks, truth: Stream) -> Stack:
+    """Horizontal position error and its predicted rms, one panel per run, all on the same scale."""
+    limit = 0.0
+    found: list[tuple[str, tuple[Part, ...]]] = []
+    for number, (label, track) in enumerate(tracks.items()):
+        hue, _ = colour(number)
+        predicted = predicted_rms(track)
+        error = track.errors(truth).horizontal
+        parts = (
+            Band(track.time_s, np.zeros(len(track)), predicted, f"{label}: up to the predicted rms", hue, 0.3),
+            Line(track.time_s, error, f"{label}: error", hue, width=0.9),
+        )
         limit = max(limit, _scale(error), _scale(predicted))
-        _named(ax, label, "horizontal [m]")
-    for ax in axes:
-        ax.set_ylim(0.0, limit)
-    clock.label(axes[-1])
-    return figure
+        found.append((f"{label}\nhorizontal [m]", parts))
+    return _on_one_scale(found, (0.0, limit))
+
+
+def _on_one_scale(found: list[tuple[str, tuple[Part, ...]]], limits: tuple[float, float]) -> Stack:
+    return Stack(tuple(Panel(label, parts, limits, lines_at=(0.0,)) for label, parts in found), 1.2)
 
 
 def _scale(values: Array, p: float = 0.998) -> float:
     finite = np.abs(values[np.isfinite(values)])
     return 1.1 * float(np.quantile(finite, p)) if finite.size else 0.0
-
-
-def _named(ax: Axes, label: str, quantity: str) -> None:
-    ax.set_ylabel(f"{label}\n{quantity}", fontsize=7.5)
-    ax.legend(loc="lower right", bbox_to_anchor=(1.0, 0.97), ncols=2, borderaxespad=0.1, fontsize=7.0)
 
 
 def correlation_figure(tracks: Tracks, axes: list[tuple[str, int, str]]) -> Figure:
@@ -115,7 +101,7 @@ def correlation_figure(tracks: Tracks, axes: list[tuple[str, int, str]]) -> Figu
                 linestyle=dash,
                 marker="o",
                 markersize=2.2,
-                label=label,
+                label=no_formula(label),
             )
             count = max(count, known.size)
         limit = 1.96 / np.sqrt(max(count, 1))
@@ -123,7 +109,7 @@ def correlation_figure(tracks: Tracks, axes: list[tuple[str, int, str]]) -> Figu
         ax.axhline(0.0, color="black", linewidth=0.6)
         low, high = ax.get_ylim()
         ax.set_ylim(min(low, -0.1), max(high, 0.1))
-        ax.set_title(title)
+        ax.set_title(no_formula(title))
     for ax in grid[:, 0]:
         ax.set_ylabel("autocorrelation")
     for ax in [grid[-1, 0], *([grid[-1 - len(axes) % 2, 1]] if columns == 2 else [])]:
@@ -131,23 +117,4 @@ def correlation_figure(tracks: Tracks, axes: list[tuple[str, int, str]]) -> Figu
         ax.tick_params(labelbottom=True)
     handles, labels = shown[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=min(len(labels), 5))
-    return figure
-
-
-def shade(figure: Figure, tracks: Tracks, begin_s: float) -> Figure:
-    """Shade what is not scored, before `begin_s`, in every panel over time."""
-    clock = clock_of(tracks)
-    if begin_s > clock.begin_s + 1e-9:
-        for ax in figure.axes:
-            low, high = ax.get_xlim()
-            ax.axvspan(
-                low,
-                clock(np.array([begin_s]))[0],
-                facecolor="none",
-                edgecolor="#c8c8c8",
-                hatch="///",
-                linewidth=0,
-                zorder=0,
-            )
-            ax.set_xlim(low, high)
     return figure

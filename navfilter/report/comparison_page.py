@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -11,11 +12,15 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from navfilter.evaluation.comparison import Comparison
-from navfilter.evaluation.wording import learnt
+from navfilter.evaluation.wording import in_force, learnt
 from navfilter.mission import Mission
 from navfilter.report import comparison_figures, figures, learnt_figures
-from navfilter.report.drawing import style, svg
-from navfilter.report.page import escape, figure_html, heading_html, page, table_html
+from navfilter.report.clock import clock_of
+from navfilter.report.drawing import style
+from navfilter.report.instrument import Instrument
+from navfilter.report.page import Section, escape, page, table_html
+from navfilter.report.panels import Mark, Stack
+from navfilter.report.plan_view import Plan, plan_view
 from navfilter.track import Track
 
 __all__ = ["adopted_models", "drawn", "render_comparison", "write_comparison"]
@@ -56,71 +61,60 @@ def write_comparison(
 def render_comparison(
     comparison: Comparison, tracks: Tracks, mission: Mission, progress: Callable[[], Any] | None = None
 ) -> str:
-    """One HTML page with table and figures of all runs; no scripts, no links, nothing to load."""
-    body = [heading_html("Result"), table_html(["", *comparison.runs], comparison.rows())]
-    body.append(f"<p>{escape(' '.join(comparison.notes()))}</p>")
-    for title, caption, figure in drawn(comparison, tracks, mission):
-        if title:
-            body.append(heading_html(title))
-        body.append(figure_html(svg(figure), caption))
-        if progress is not None:
-            progress()
-    body += [heading_html("Innovations, axis by axis"), table_html(*_axes_table(comparison), text_columns=(1,))]
-    body += [heading_html("Error models at the end"), table_html(*_models_table(tracks), text_columns=(1, 2))]
+    """One HTML page with table and figures of all runs. It loads nothing, see `navfilter.report.report`."""
     first = next(iter(tracks.values()))
-    subtitle = f"Vehicle {first.vehicle.name}. {mission.duration_s / 60:.1f} min, {first.distance_m:.0f} m travelled. "
+    instrument = Instrument(clock_of(tracks, mission), first, first, progress)
+    notes = f"<p>{escape(' '.join(comparison.notes()))}</p>"
+    body = [Section("Result", (table_html(["", *comparison.runs], comparison.rows()), notes))]
+    for title, caption, what in drawn(comparison, tracks, mission):
+        figure = instrument.figure(what, caption)
+        if title:
+            body.append(Section(title, (figure,)))
+        else:
+            body[-1] = replace(body[-1], parts=(*body[-1].parts, figure))
+    body.append(Section("Innovations, axis by axis", (table_html(*_axes_table(comparison), text_columns=(1,)),)))
+    body.append(Section("Error models at the end", (table_html(*_models_table(tracks), text_columns=(1, 2)),)))
     return page(
         mission.name,
         f"{mission.name}: {', '.join(tracks)}",
-        f"{subtitle}navfilter {metadata.version('navfilter')}.",
+        f"Vehicle {first.vehicle.name}. {mission.duration_s / 60:.1f} min, {first.distance_m:.0f} m travelled. "
+        f"navfilter {metadata.version('navfilter')}.",
         body,
+        instrument.scripts(),
     )
 
 
-def drawn(comparison: Comparison, tracks: Tracks, mission: Mission) -> Iterator[tuple[str, str, Figure]]:
-    """Heading of a new section (or nothing), caption and figure, one after the other."""
+def drawn(comparison: Comparison, tracks: Tracks, mission: Mission) -> Iterator[tuple[str, str, Stack | Plan | Figure]]:
+    """Heading of a new section (or nothing), caption and what is to be drawn, one after the other."""
     truth = mission.truth
-    begin_s = comparison.windows[0][0]
+    begin_s, first_s = comparison.windows[0][0], min(float(track.time_s[0]) for track in tracks.values())
+    unscored = (Mark(first_s, begin_s, "not scored", f"not scored before {begin_s:.0f} s", "#555555"),)
 
-    def shaded(figure: Figure) -> Figure:
-        return comparison_figures.shade(figure, tracks, begin_s)
+    def shaded(stack: Stack) -> Stack:
+        return replace(stack, marks=unscored if begin_s > first_s + 1e-9 else ())
 
-    with style():
-        caption = "Ellipses hold the vehicle with 95 % probability, if the run is honest."
-        yield "Track", caption, figures.track_figure(tracks, mission, ellipses=8)
-        if truth is not None and any("heading" in run["nees"] for run in comparison.runs.values()):
-            caption = "Two thirds of the errors should lie inside the band; what is shaded is not scored."
-            yield "Error against 1 sigma", caption, shaded(comparison_figures.heading_against_sigma(tracks, truth))
-        if truth is not None and any("position" in run["nees"] for run in comparison.runs.values()):
-            caption = "Where the error keeps above the coloured area, the run believes itself too much."
-            yield "", caption, shaded(comparison_figures.position_against_sigma(tracks, truth))
-        nees = None if truth is None else figures.consistency_figure(tracks, truth)
-        if nees is not None:
-            caption = (
-                "Squared error in units of its predicted variance. Above the grey range: too confident; below "
-                "it: too modest."
-            )
-            yield "Honesty of the covariance", caption, shaded(nees)
-        filters = {label: track.forward or track for label, track in tracks.items()}
-        nis = figures.nis_figure(filters)
-        if nis is not None:
-            caption = (
-                "Squared innovation in units of its predicted variance, moving mean. Honest is 1; the grey "
-                "range holds 95 % of such means."
-            )
-            yield "NIS per sensor", caption, shaded(nis)
-        axes = _tested_axes(comparison, filters)
-        for first in range(0, len(axes), _PANELS):
-            caption = (
-                "Autocorrelation of the innovations over the whole run: a filter that knows how its sensors err "
-                "leaves none."
-            )
-            yield (
-                "" if first else "What is left in the innovations",
-                caption,
-                comparison_figures.correlation_figure(filters, axes[first : first + _PANELS]),
-            )
-        yield from _learnt(filters)
+    caption = "Ellipses hold the vehicle with 95 % probability, if the run is honest."
+    yield "Track", caption, plan_view(tracks, mission, ellipses=8)
+    if truth is not None and any("heading" in run["nees"] for run in comparison.runs.values()):
+        caption = "Two thirds of the errors should lie inside the band; what is shaded is not scored."
+        yield "Error against 1 sigma", caption, shaded(comparison_figures.heading_against_sigma(tracks, truth))
+    if truth is not None and any("position" in run["nees"] for run in comparison.runs.values()):
+        caption = "Where the error keeps above the coloured area, the run believes itself too much."
+        yield "", caption, shaded(comparison_figures.position_against_sigma(tracks, truth))
+    nees = None if truth is None else figures.consistency_figure(tracks, truth)
+    if nees is not None:
+        yield "Honesty of the covariance", figures.NEES, shaded(nees)
+    runs = {label: track.forward or track for label, track in tracks.items()}
+    nis = figures.nis_figure(runs)
+    if nis is not None:
+        yield "NIS per sensor", figures.NIS, shaded(nis)
+    axes = _tested_axes(comparison, runs)
+    for first in range(0, len(axes), _PANELS):
+        caption = "Autocorrelation of the innovations over the whole run: a filter that knows its sensors leaves none."
+        title = "" if first else "What is left in the innovations"
+        with style():
+            yield title, caption, comparison_figures.correlation_figure(runs, axes[first : first + _PANELS])
+    yield from _learnt(runs)
 
 
 def _tested_axes(comparison: Comparison, tracks: Tracks) -> list[tuple[str, int, str]]:
@@ -135,7 +129,7 @@ def _tested_axes(comparison: Comparison, tracks: Tracks) -> list[tuple[str, int,
     return [(name, i, title) for (name, i), title in found.items()]
 
 
-def _learnt(tracks: Tracks) -> Iterator[tuple[str, str, Figure]]:
+def _learnt(tracks: Tracks) -> Iterator[tuple[str, str, Stack]]:
     title = "Models learnt under way"
     for label, track in tracks.items():
         for history in learnt(track):
@@ -146,7 +140,7 @@ def _learnt(tracks: Tracks) -> Iterator[tuple[str, str, Figure]]:
                 f"{last.q}){radius}. "
                 "A pole radius of 1 would be a random walk."
             )
-            yield title, caption, learnt_figures.adopted_figure(tracks, history, float(track.time_s[-1]))
+            yield title, caption, learnt_figures.adopted_figure(history, float(track.time_s[-1]))
             title = ""
 
 
@@ -173,7 +167,5 @@ def _models_table(tracks: Tracks) -> tuple[list[str], list[list[str]]]:
     rows = []
     for label, track in tracks.items():
         for name, history in track.error_models.items():
-            error = history[-1][1]
-            shown = "; ".join(map(str, error)) if isinstance(error, tuple) else str(error)
-            rows.append([label, name, shown])
-    return ["run", "sensor", "model (SI units, radians)"], rows
+            rows.append([label, name, in_force(track, name, history[-1][1])])
+    return ["run", "sensor", "model"], rows

@@ -15,9 +15,11 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from navfilter import utc
+from navfilter.report.clock import Clock
+from navfilter.report.panels import Band, Mark, Panel, Part, Points, Stack, by_label, extent, legend_of
+from navfilter.report.thinning import broken, envelope, extremes
 
-__all__ = ["Clock", "band", "broken", "colour", "envelope", "extremes", "line", "panels", "style", "svg"]
+__all__ = ["band", "colour", "draw", "line", "no_formula", "style", "svg", "time_axis"]
 
 Array = NDArray[np.float64]
 
@@ -25,8 +27,6 @@ Array = NDArray[np.float64]
 COLOURS = ("#e69f00", "#0072b2", "#009e73", "#cc79a7", "#56b4e9", "#d55e00")
 DASHES: tuple[Any, ...] = ("-", "-", (0, (5, 1.5)), (0, (3, 1, 1, 1)), (0, (1, 1)), (0, (8, 2)))
 WIDTH_IN = 6.2
-#: A line gets two points, lowest and highest, for each of so many stretches: about one stretch per pixel.
-STRETCHES = 400
 
 _STYLE: dict[str, Any] = {
     "font.family": "DejaVu Sans",
@@ -68,103 +68,6 @@ def colour(number: int) -> tuple[str, Any]:
     return COLOURS[number % len(COLOURS)], DASHES[number % len(DASHES)]
 
 
-class Clock:
-    """Time axis of a mission in the unit that suits its length; a clock that counts from 1970 is drawn from the
-    beginning.
-    """
-
-    def __init__(self, begin_s: float, end_s: float) -> None:
-        length = end_s - begin_s
-        self.zero_s, self._from = utc.axis_from(begin_s)
-        self.begin_s, self.end_s = begin_s, end_s
-        self.unit, self.factor = (
-            ("h", 1 / 3600) if length > 3 * 3600 else ("min", 1 / 60) if length > 600 else ("s", 1.0)
-        )
-
-    def __call__(self, time_s: Array) -> Array:
-        return (np.asarray(time_s) - self.zero_s) * self.factor
-
-    def label(self, ax: Axes) -> None:
-        """Name the axis and set its range."""
-        ax.set_xlabel(f"mission time{self._from} [{self.unit}]")
-        margin = 0.01 * max(self.end_s - self.begin_s, 1e-3)
-        ax.set_xlim(*self(np.array([self.begin_s - margin, self.end_s + margin])))
-
-
-def panels(rows: int, height_in: float = 1.5, extra_in: float = 0.75) -> tuple[Figure, list[Axes]]:
-    """A figure with panels one above the other that share the time axis."""
-    figure = Figure(figsize=(WIDTH_IN, rows * height_in + extra_in), layout="constrained")
-    axes = figure.subplots(rows, 1, sharex=True, squeeze=False)
-    return figure, list(axes[:, 0])
-
-
-def broken(time_s: Array, value: Array) -> tuple[Array, Array]:
-    """Insert a NaN in every long gap, so that no line is drawn across it."""
-    if len(time_s) < 3:
-        return time_s, value
-    step = np.diff(time_s)
-    gap = np.flatnonzero(step > max(8.0 * float(np.median(step)), 0.004 * (time_s[-1] - time_s[0])))
-    middle = 0.5 * (time_s[gap] + time_s[gap + 1])
-    return np.insert(time_s, gap + 1, middle), np.insert(value, gap + 1, np.nan)
-
-
-def _stretches(value: Array, stretches: int, fill: float) -> Array:
-    size = -(-len(value) // stretches)
-    padded = np.full(stretches * size, fill)
-    padded[: len(value)] = np.where(np.isfinite(value), value, fill)
-    return padded.reshape(stretches, size)
-
-
-def envelope(time: Array, value: Array, stretches: int = STRETCHES) -> tuple[Array, Array]:
-    """Thin a series to the lowest and the highest point of every stretch; what is drawn looks the same.
-
-    Parameters
-    ----------
-    time, value : ndarray, shape (n,)
-    stretches : int
-        Stretches of equal numbers of points.
-
-    Returns
-    -------
-    time, value : ndarray, shape (m,)
-        m <= 4 stretches; the first NaN of every gap is kept, so that gaps stay gaps.
-
-    Examples
-    --------
-    >>> t = np.arange(10_000.0)
-    >>> thin_t, thin = envelope(t, np.where(t == 5000, 9.0, 0.0), stretches=100)
-    >>> len(thin) <= 400, float(thin.max())
-    (True, 9.0)
-    """
-    n = len(time)
-    if n <= 4 * stretches:
-        return time, value
-    low, high = _stretches(value, stretches, np.inf), _stretches(value, stretches, -np.inf)
-    size = low.shape[1]
-    index = (
-        np.sort(np.stack([low.argmin(axis=1), high.argmax(axis=1)], axis=1), axis=1)
-        + size * np.arange(stretches)[:, None]
-    )
-    missing = ~np.isfinite(value)
-    gaps = np.flatnonzero(missing & ~np.concatenate([[False], missing[:-1]]))[:stretches]
-    index = np.unique(np.concatenate([np.minimum(index, n - 1).ravel(), gaps]))
-    return time[index], value[index]
-
-
-def extremes(time: Array, low: Array, high: Array, stretches: int = STRETCHES) -> tuple[Array, Array, Array]:
-    """Thin a band to the outermost edges of every stretch."""
-    n = len(time)
-    if n <= 2 * stretches:
-        return time, low, high
-    bottom, top = _stretches(low, stretches, np.inf).min(axis=1), _stretches(high, stretches, -np.inf).max(axis=1)
-    size = -(-n // stretches)
-    middle = np.minimum(np.arange(stretches) * size + size // 2, n - 1)
-    gone = ~(np.isfinite(bottom) & np.isfinite(top))
-    bottom[gone] = top[gone] = np.nan
-    inside = np.arange(stretches) * size < n
-    return time[middle][inside], bottom[inside], top[inside]
-
-
 def line(ax: Axes, time: Array, value: Array, **options: Any) -> None:
     """Draw a series, thinned, with its gaps left open."""
     ax.plot(*envelope(*broken(time, value)), **options)
@@ -172,9 +75,97 @@ def line(ax: Axes, time: Array, value: Array, **options: Any) -> None:
 
 def band(ax: Axes, time: Array, sd: Array, centre: Array | None = None, **options: Any) -> None:
     """Draw the band of one sd about a series (default: about zero), thinned."""
-    t, s = broken(time, sd)
-    c = np.zeros_like(s) if centre is None else broken(time, centre)[1]
+    t, s, c = broken(time, sd, np.zeros_like(sd) if centre is None else centre)
     ax.fill_between(*extremes(t, c - s, c + s), linewidth=0.0, **options)
+
+
+def no_formula(text: str) -> str:
+    """Text of people, which is no formula whatever signs are in it."""
+    return text.replace("$", r"\$")
+
+
+def draw(stack: Stack, clock: Clock) -> Figure:
+    """Draw panels one above the other.
+
+    Parameters
+    ----------
+    stack : Stack
+    clock : Clock
+        Of the time axis; not used where x is something else.
+    """
+    rows = len(stack.panels)
+    figure = Figure(figsize=(WIDTH_IN, rows * stack.height_in + 0.75), layout="constrained")
+    axes = list(figure.subplots(rows, 1, sharex=True, squeeze=False)[:, 0])
+    x = (lambda values: values) if stack.x_label else clock
+    for row, (ax, panel) in enumerate(zip(axes, stack.panels, strict=True)):
+        handles = {part.label: _drawn(ax, part, x, not stack.x_label) for part in panel.parts}
+        if panel.level is not None:
+            low, high = panel.level.low, panel.level.high
+            handles[panel.level.label] = ax.axhspan(low, high, color=LEVEL, alpha=0.4, linewidth=0, zorder=0)
+        for y in panel.lines_at:
+            ax.axhline(y, color="black", linewidth=0.6, zorder=1)
+        handles |= {label: _marked(ax, found, clock) for label, found in by_label(stack.marks).items()}
+        _scaled(ax, panel)
+        ax.set_ylabel(no_formula(panel.label), fontsize=9.0 if len(panel.label) < 24 and rows < 4 else 7.5)
+        _legend(ax, [part.label for part in legend_of(stack, row)], handles, stack.marks if row == 0 else ())
+    if stack.x_label:
+        axes[-1].set_xlabel(stack.x_label)
+        axes[-1].set_xscale("log" if stack.log_x else "linear")
+    else:
+        time_axis(axes[-1], clock)
+    return figure
+
+
+#: Of the range that something should keep to.
+LEVEL = "#bbbbbb"
+
+
+def _drawn(ax: Axes, part: Part, x: Any, over_time: bool) -> Any:
+    """Draw one part; what the legend shows of it."""
+    if isinstance(part, Band):
+        t, low, high = extremes(*(broken(part.x, part.low, part.high) if over_time else (part.x, part.low, part.high)))
+        return ax.fill_between(x(t), low, high, color=part.hue, alpha=part.alpha, linewidth=0.0)
+    if isinstance(part, Points):
+        filled = "none" if part.marker == "D" else part.hue
+        size = {".": 2.5, "o": 3.0}.get(part.marker, 4.0)
+        return ax.plot(x(part.x), part.y, part.marker, color=part.hue, markerfacecolor=filled, markersize=size)[0]
+    series = envelope(*broken(part.x, part.y)) if over_time and not part.steps else (part.x, part.y)
+    how: dict[str, Any] = {"color": part.hue, "linestyle": part.dash, "linewidth": part.width}
+    return ax.plot(x(series[0]), series[1], drawstyle="steps-post" if part.steps else "default", **how)[0]
+
+
+def _marked(ax: Axes, marks: list[Mark], clock: Clock) -> Any:
+    """All marks of one label at once: there may be thousands."""
+    begin, end = clock(np.array([[mark.begin_s, mark.end_s] for mark in marks])).T
+    over: dict[str, Any] = {"transform": ax.get_xaxis_transform(), "color": marks[0].hue}
+    if (end > begin).any():
+        spans = list(zip(begin, end - begin, strict=True))
+        return ax.broken_barh(spans, (0.0, 1.0), alpha=0.13, linewidth=0, zorder=0, **over)
+    return ax.vlines(begin, 0.0, 1.0, linewidth=0.7, alpha=0.8, zorder=1, **over)
+
+
+def _scaled(ax: Axes, panel: Panel) -> None:
+    if panel.log:
+        ax.set_yscale("log")
+    limits = extent(panel)
+    if limits is not None:
+        ax.set_ylim(*limits)
+    if panel.ticks:
+        ax.set_yticks(*zip(*panel.ticks, strict=True))
+
+
+def _legend(ax: Axes, labels: list[str], handles: dict[str, Any], marks: tuple[Mark, ...]) -> None:
+    labels = list(dict.fromkeys([*labels, *(mark.label for mark in marks)]))
+    if labels:
+        place: dict[str, Any] = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.1}
+        ax.legend([handles[label] for label in labels], map(no_formula, labels), ncols=min(len(labels), 4), **place)
+
+
+def time_axis(ax: Axes, clock: Clock) -> None:
+    """Name the time axis, and set its range and its ticks."""
+    ax.set_xlabel(clock.label if clock.utc_s is None else f"{clock.label}, UTC")
+    ax.set_xlim(*clock.range)
+    ax.xaxis.set_major_formatter(clock.tick)
 
 
 def svg(figure: Figure) -> bytes:
@@ -182,6 +173,28 @@ def svg(figure: Figure) -> bytes:
     buffer = io.BytesIO()
     with style():
         FigureCanvasSVG(figure).print_svg(buffer, metadata={"Date": None, "Creator": None})
-    # Hundredths of a point are finer than any screen or printer; the six digits of matplotlib double the size of a
-    # report.
-    return re.sub(rb' d="[^"]*"', lambda path: re.sub(rb"(\.\d\d)\d+", rb"\1", path.group()), buffer.getvalue())
+    # matplotlib writes six digits, a line for each point, and the indentation of a book: half the size of a report.
+    text = re.sub(rb"<!--.*?-->|<metadata>.*?</metadata>", b"", buffer.getvalue(), flags=re.DOTALL)
+    text = re.sub(rb"\s+", b" ", text).replace(b"> <", b"><")
+    return re.sub(rb' (?:d|x|y)="[^"]*"', _shortened, text)
+
+
+def _shortened(found: re.Match[bytes]) -> bytes:
+    """Coordinates with as many digits as a printer shows: tenths of a point, of small shapes hundredths; those of long
+    lines as steps from point to point.
+    """
+    text = found.group()
+    if len(text) < 400:
+        return re.sub(rb"(\.\d\d)\d+", rb"\1", text)
+    if not text.startswith(b' d="') or re.search(rb"[^-\d.MLdz=\" ]", text):
+        return re.sub(rb"(\.\d)\d+", rb"\1", text)
+    steps, x, y = [], 0, 0
+    for letter, right, down in re.findall(rb"([MLz]) ?(?:([-\d.]+) ([-\d.]+))?", text):
+        if letter == b"z":
+            steps.append("z")
+            continue
+        new_x, new_y = round(10.0 * float(right)), round(10.0 * float(down))
+        ahead = (new_x, new_y) if letter == b"M" else (new_x - x, new_y - y)
+        steps.append(f"{'M' if letter == b'M' else 'l'}{ahead[0] / 10:g} {ahead[1] / 10:g}")
+        x, y = new_x, new_y
+    return f' d="{"".join(steps)}"'.encode().replace(b" -", b"-")

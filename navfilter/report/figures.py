@@ -1,302 +1,230 @@
-"""The figures of a report. Each takes the runs as a dict of label to Track, so that several models stand side by
-side.
+"""The figures of a report over time. Each takes the runs as a dict of label to Track, so that several models stand side
+by side.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.patches import Ellipse
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from navfilter.filter.tape import OUTCOMES
 from navfilter.mission import Mission, Stream
-from navfilter.report.drawing import WIDTH_IN, Clock, band, broken, colour, line, panels
+from navfilter.report.drawing import colour
+from navfilter.report.panels import Band, Level, Line, Panel, Part, Points, Stack, short
+from navfilter.report.thinning import broken
 from navfilter.sensors.traits import shown_unit
 from navfilter.track import Track
 
 __all__ = [
+    "NEES",
+    "NIS",
+    "TRUTH",
+    "attitude_figure",
+    "capped",
     "consistency_figure",
     "depth_figure",
+    "filters",
     "heading_figure",
     "innovation_figure",
     "nis_figure",
     "position_figure",
-    "track_figure",
+    "predicted_rms",
 ]
 
 Array = NDArray[np.float64]
 Tracks = Mapping[str, Track]
 
-GREY = "#555555"
-#: Half axes of an ellipse that holds 95 % of a plane Gaussian, in standard deviations.
-ELLIPSE_95 = float(np.sqrt(chi2.ppf(0.95, 2)))
+#: How the truth is drawn.
+TRUTH: dict[str, Any] = {"label": "truth", "hue": "#000000", "dash": (0, (1, 1.2))}
+#: Captions.
+NEES = "Squared error in units of its predicted variance. Above the grey range: too confident; below it: too modest."
+NIS = (
+    "Squared innovation in units of its predicted variance, mean over a moving window. Honest is 1; the grey range "
+    "holds 95 % of such means."
+)
+USED, REJECTED = "#0072b2", "#d55e00"
 
 
-def clock_of(tracks: Tracks) -> Clock:
-    """The time axis that all tracks share."""
-    return Clock(min(t.time_s[0] for t in tracks.values()), max(t.time_s[-1] for t in tracks.values()))
+def filters(tracks: Tracks) -> dict[str, Track]:
+    """One run per set of residuals: a smoothed track has those of its forward track."""
+    first: dict[int, tuple[str, Track]] = {}
+    for label, track in tracks.items():
+        first.setdefault(id(track.forward or track), (label, track))
+    return dict(first.values())
 
 
-def track_figure(tracks: Tracks, mission: Mission, ellipses: int = 16) -> Figure:
-    """Plan view, north over east with equal axes: runs with 95 % ellipses, truth, position fixes.
+def predicted_rms(track: Track) -> Array:
+    """Predicted rms of the horizontal position error [m], shape (n,)."""
+    return np.sqrt(np.maximum(track.covariance[:, 0, 0] + track.covariance[:, 1, 1], 0.0))
 
-    Parameters
-    ----------
-    tracks : dict of str to Track
-    mission : Mission
-        For truth and fixes.
-    ellipses : int
-        About so many per run, at equal steps of time.
 
-    Returns
-    -------
-    matplotlib.figure.Figure
-    """
-    first = next(iter(tracks.values()))
-    origin = (float(first.latitude[0]), float(first.longitude[0]))
-    plans = {label: track.local(*origin) for label, track in tracks.items()}
-    plan = np.concatenate([p[:, :2] for p in plans.values()])
-    north, east = np.ptp(plan, axis=0) + 1.0
-    height = float(np.clip(WIDTH_IN * 0.9 * north / east, 3.2, 7.0)) + 0.5
-    figure = Figure(figsize=(WIDTH_IN, height), layout="constrained")
-    ax = figure.subplots()
-    for name, sensor in first.vehicle.sensors.items():
-        if sensor.gives == "position" and name in mission.streams:
-            fixes = _used_fixes(first, mission.streams[name], name, origin)
-            ax.plot(
-                *_capped(fixes)[:, 1::-1].T,
-                "+",
-                color="#888888",
-                markersize=4,
-                markeredgewidth=0.7,
-                label=f"{name} fixes used",
-                zorder=1.5,
-            )
-    for number, (label, track) in enumerate(tracks.items()):
+def depth_figure(tracks: Tracks, mission: Mission) -> Stack:
+    """Height (under water minus the depth) and horizontal speed over time."""
+    truth = mission.truth
+    heights = [(track.height, np.sqrt(track.covariance[:, 2, 2])) for track in tracks.values()]
+    speeds = [(np.hypot(*track.velocity_n[:, :2].T), None) for track in tracks.values()]
+    true = (None, None) if truth is None else (truth.value[:, 2], np.hypot(*truth.value[:, 3:5].T))
+    speed = Panel("speed [m/s]", _states(tracks, speeds, truth, true[1]), shape="from zero")
+    return Stack((Panel("height [m]", _states(tracks, heights, truth, true[0])), speed))
+
+
+def attitude_figure(tracks: Tracks, mission: Mission) -> Stack:
+    """Roll, pitch and heading over time."""
+    truth, panels = mission.truth, []
+    for i, name in enumerate(("roll", "pitch", "heading")):
+        true = None if truth is None else _unbroken(np.degrees(truth.value[:, 6 + i]), i == 2)
+        shown = [(_unbroken(np.degrees(track.attitude[:, i]), i == 2), None) for track in tracks.values()]
+        panels.append(Panel(f"{name} [deg]", _states(tracks, shown, truth, true)))
+    return Stack(tuple(panels))
+
+
+def _unbroken(angle_deg: Array, turns: bool) -> Array:
+    """A heading within 0 and 360 deg, with a NaN where it passes north."""
+    if not turns:
+        return angle_deg
+    angle_deg = angle_deg % 360.0
+    angle_deg[1:][np.abs(np.diff(angle_deg)) > 180.0] = np.nan
+    return angle_deg
+
+
+def _states(
+    tracks: Tracks, shown: Sequence[tuple[Array, Array | None]], truth: Stream | None, true: Array | None
+) -> tuple[Part, ...]:
+    """Value and band of every run, and the truth where it is known."""
+    parts: list[Part] = []
+    for number, ((label, track), (value, sd)) in enumerate(zip(tracks.items(), shown, strict=True)):
         hue, dash = colour(number)
-        ax.plot(
-            *_thinned_path(plans[label])[:, 1::-1].T,
-            color=hue,
-            linestyle=dash,
-            label=label,
-            zorder=2.0 + number,
-            linewidth=1.6,
-        )
-        for k in np.unique(np.linspace(0, len(track) - 1, ellipses).astype(int)):
-            shape = _ellipse(plans[label][k], track.covariance[k, :2, :2])
-            shape.set(edgecolor=hue, facecolor="none", linewidth=0.8, linestyle=dash, zorder=2.0 + number)
-            ax.add_patch(shape)
-    if mission.truth is not None:
-        true = _local(mission.truth, origin, (first.time_s[0], first.time_s[-1]))
-        if len(true):
-            ax.plot(
-                *_thinned_path(true)[:, 1::-1].T,
-                color="black",
-                linestyle=(0, (1, 1.2)),
-                linewidth=1.0,
-                label="truth",
-                zorder=9,
-            )
-    _mark_ends(ax, list(plans.values())[-1])
-    ax.set_aspect("equal", adjustable="datalim")
-    ax.set_xlabel("east [m]")
-    ax.set_ylabel("north [m]")
-    _legend(ax, ("95 % ellipse", Line2D([], [], marker="o", linestyle="", markerfacecolor="none", color=GREY)))
-    return figure
+        if sd is not None:
+            parts.append(Band(track.time_s, value - sd, value + sd, f"{label} ±1σ", hue))
+        parts.append(Line(track.time_s, value, label, hue, dash))
+    if truth is not None and true is not None and np.isfinite(true).any():
+        begin_s, end_s = (f(t.time_s[i] for t in tracks.values()) for f, i in ((min, 0), (max, -1)))
+        inside = (truth.time_s >= begin_s) & (truth.time_s <= end_s)
+        parts.append(Line(truth.time_s[inside], true[inside], **TRUTH))
+    return tuple(parts)
 
 
-def depth_figure(tracks: Tracks, mission: Mission) -> Figure:
-    """Height above the start (depth downwards) over time."""
-    clock = clock_of(tracks)
-    figure, (ax,) = panels(1, 1.6)
-    for number, (label, track) in enumerate(tracks.items()):
-        hue, dash = colour(number)
-        line(ax, clock(track.time_s), track.height, color=hue, linestyle=dash, label=label)
-    if mission.truth is not None and np.isfinite(mission.truth.value[:, 2]).any():
-        line(
-            ax,
-            clock(mission.truth.time_s),
-            mission.truth.value[:, 2],
-            color="black",
-            linestyle=(0, (1, 1.2)),
-            label="truth",
-        )
-    ax.set_ylabel("height [m]")
-    clock.label(ax)
-    _legend(ax)
-    return figure
-
-
-def position_figure(tracks: Tracks, truth: Stream | None) -> Figure:
+def position_figure(tracks: Tracks, truth: Stream | None) -> Stack:
     """Position error north, east, down with its 1-sigma band, and in per cent of the distance travelled.
 
     Without truth the bands alone are drawn: what the filter believes.
     """
-    clock = clock_of(tracks)
-    figure, axes = panels(4)
+    parts: list[list[Part]] = [[], [], [], []]
     for number, (label, track) in enumerate(tracks.items()):
         hue, dash = colour(number)
-        sd = np.sqrt(np.diagonal(track.covariance, axis1=1, axis2=2))
+        t, sd = track.time_s, np.sqrt(np.diagonal(track.covariance, axis1=1, axis2=2))
         error = np.full((len(track), 3), np.nan) if truth is None else track.errors(truth).position_n
         for i in range(3):
-            band(axes[i], clock(track.time_s), sd[:, i], color=hue, alpha=0.25, label=rf"{label} $\pm 1\sigma$")
+            parts[i].append(Band(t, -sd[:, i], sd[:, i], f"{label} ±1σ", hue))
             if truth is not None:
-                line(axes[i], clock(track.time_s), error[:, i], color=hue, linestyle=dash, label=label)
+                parts[i].append(Line(t, error[:, i], label, hue, dash))
         far = track.travelled()
         far[far < max(50.0, 0.02 * far[-1])] = np.nan
         if truth is not None:
-            horizontal = np.hypot(error[:, 0], error[:, 1])
-            line(axes[3], clock(track.time_s), 100 * horizontal / far, color=hue, linestyle=dash, label=label)
-        predicted = 100 * np.sqrt(sd[:, 0] ** 2 + sd[:, 1] ** 2) / far
-        line(
-            axes[3],
-            clock(track.time_s),
-            predicted,
-            color=hue,
-            linestyle=(0, (1, 1.2)),
-            linewidth=0.9,
-            label=rf"{label}, predicted rms",
-        )
-    for ax, name in zip(axes, ("north [m]", "east [m]", "down [m]", "horizontal\n[% of distance]"), strict=True):
-        ax.set_ylabel(name)
-    for ax in axes[:3]:
-        _symmetric(ax)
-    axes[3].set_ylim(bottom=0.0)
-    clock.label(axes[-1])
-    _legend(axes[0], above=True, columns=len(tracks))
-    _legend(axes[3], above=True, columns=2)
-    return figure
+            parts[3].append(Line(t, 100 * np.hypot(error[:, 0], error[:, 1]) / far, label, hue, dash))
+        predicted = 100 * predicted_rms(track) / far
+        parts[3].append(Line(t, predicted, f"{label}, predicted rms", hue, (0, (1, 1.2)), 0.9))
+    names = ("north [m]", "east [m]", "down [m]")
+    panels = [Panel(name, tuple(parts[i]), shape="symmetric", lines_at=(0.0,)) for i, name in enumerate(names)]
+    if any(np.isfinite(part.y).any() for part in parts[3] if isinstance(part, Line)):  # far enough for per cents
+        panels.append(Panel("horizontal\n[% of distance]", tuple(parts[3]), shape="from zero"))
+    return Stack(tuple(panels))
 
 
-def heading_figure(tracks: Tracks, truth: Stream | None) -> Figure:
+def heading_figure(tracks: Tracks, truth: Stream | None) -> Stack:
     """Heading error with its 1-sigma band."""
-    clock = clock_of(tracks)
-    figure, (ax,) = panels(1, 2.2)
+    parts: list[Part] = []
     for number, (label, track) in enumerate(tracks.items()):
         hue, dash = colour(number)
         sd = np.degrees(np.sqrt(track.covariance[:, 8, 8]))
-        band(ax, clock(track.time_s), sd, color=hue, alpha=0.25, label=rf"{label} $\pm 1\sigma$")
+        parts.append(Band(track.time_s, -sd, sd, f"{label} ±1σ", hue))
         if truth is not None and np.isfinite(truth.value[:, 8]).any():
-            line(
-                ax, clock(track.time_s), np.degrees(track.errors(truth).heading), color=hue, linestyle=dash, label=label
-            )
-    ax.set_ylabel("heading error [deg]")
-    _symmetric(ax)
-    clock.label(ax)
-    _legend(ax, above=True, columns=len(tracks))
-    return figure
+            parts.append(Line(track.time_s, np.degrees(track.errors(truth).heading), label, hue, dash))
+    return Stack((Panel("heading error [deg]", tuple(parts), shape="symmetric", lines_at=(0.0,)),), 2.2)
 
 
-def consistency_figure(tracks: Tracks, truth: Stream) -> Figure | None:
+def consistency_figure(tracks: Tracks, truth: Stream) -> Stack | None:
     """NEES of position and heading per degree of freedom over time, with the 95 % range of chi-square; None without
     truth of either.
     """
-    clock = clock_of(tracks)
     errors = {label: track.errors(truth) for label, track in tracks.items()}
     freedom = {
         "position": max(int(np.isfinite(e.position_n).any(axis=0).sum()) for e in errors.values()),
         "heading": int(any(np.isfinite(e.heading).any() for e in errors.values())),
     }
-    freedom = {name: dof for name, dof in freedom.items() if dof}
-    if not freedom:
-        return None
-    figure, axes = panels(len(freedom), 1.6)
-    for ax, (name, dof) in zip(axes, freedom.items(), strict=True):
+    panels = []
+    for name, dof in freedom.items():
+        if not dof:
+            continue
+        parts, top = [], 10.0
         for number, (label, track) in enumerate(tracks.items()):
-            hue, dash = colour(number)
             nees = np.maximum(track.nees(errors[label])[name], 1e-3)
-            line(ax, clock(track.time_s), nees, color=hue, linestyle=dash, label=label)
+            parts.append(Line(track.time_s, nees, label, *colour(number)))
+            top = max(top, 1.3 * _quantile(nees, 1.0))
         low, high = chi2.ppf([0.025, 0.975], dof) / dof
-        ax.axhspan(max(low, 1e-3), high, color="#bbbbbb", alpha=0.35, linewidth=0, label="95 % of chi-square", zorder=0)
-        ax.axhline(1.0, color="black", linewidth=0.7)
-        ax.set_yscale("log")
-        ax.set_ylim(1e-2, max(10.0, ax.get_ylim()[1]))
-        ax.set_ylabel(f"{name}\nNEES per dof")
-    clock.label(axes[-1])
-    _legend(axes[0], above=True, columns=3)
-    return figure
+        level = Level(max(low, 1e-3), high, "95 % of chi-square")
+        limits = (1e-2, top)
+        panels.append(Panel(f"{name}\nNEES per dof", tuple(parts), limits, log=True, lines_at=(1.0,), level=level))
+    return Stack(tuple(panels), 1.6) if panels else None
 
 
-def innovation_figure(track: Track, name: str) -> Figure:
+def innovation_figure(track: Track, name: str) -> Stack:
     """Innovations of one sensor, each axis with its 3-sigma bounds; rejected readings are crossed, at the edge when off
     the scale.
     """
     residuals, sensor = track.residuals[name], track.vehicle.sensors[name]
     unit, factor = shown_unit(sensor.unit)
-    clock = Clock(track.time_s[0], track.time_s[-1])
     measured = np.flatnonzero(np.isfinite(residuals.value).any(axis=0)).tolist() or [0]
-    figure, axes = panels(len(measured), 1.45)
     rejected = residuals.outcome == OUTCOMES.index("rejected")
-    for i, ax in zip(measured, axes, strict=True):
+    panels = []
+    for i in measured:
         seen = residuals.used & np.isfinite(residuals.value[:, i])
         t, value, bound = (
-            clock(residuals.time_s[seen]),
+            residuals.time_s[seen],
             factor * residuals.value[seen, i],
             3 * factor * residuals.sd[seen, i],
         )
         limit = 1.25 * max(_quantile(bound, 0.98), _quantile(np.abs(value), 0.998), 1e-12)
-        if len(t) <= 1500:
-            ax.plot(t, value, ".", color="#0072b2", markersize=2.5, label="used")
-        else:
-            line(ax, t, value, color="#0072b2", linewidth=0.5, label="used")
-        for sign in (-1, 1):
-            line(ax, t, sign * bound, color="black", linewidth=0.8, label=r"$\pm 3\sigma$" if sign > 0 else None)
-        out = _capped(np.column_stack([clock(residuals.time_s[rejected]), factor * residuals.value[rejected, i]]))
+        parts: list[Part] = [
+            Points(t, value, "used", USED) if len(t) <= 1500 else Line(t, value, "used", USED, width=0.5)
+        ]
+        parts += [Line(t, sign * bound, "±3σ", "#000000", width=0.8) for sign in (-1, 1)]
+        out = capped(np.column_stack([residuals.time_s[rejected], factor * residuals.value[rejected, i]]))
         out = out[np.isfinite(out[:, 1])]
         near = np.abs(out[:, 1]) <= limit
-        edge = np.sign(out[~near, 1]) * 0.96 * limit
-        for x, y, marker, label in (
-            (*out[near].T, "x", "rejected"),
-            (out[~near, 0], edge, "D", "rejected, off the scale"),
-        ):
-            if len(x):
-                ax.plot(x, y, marker, color="#d55e00", markerfacecolor="none", markersize=4, label=label)
-        ax.set_ylim(-limit, limit)
+        if near.any():
+            parts.append(Points(out[near, 0], out[near, 1], "rejected", REJECTED, "x"))
+        if not near.all():
+            edge = np.sign(out[~near, 1]) * 0.96 * limit
+            parts.append(Points(out[~near, 0], edge, "rejected, off the scale", REJECTED, "D"))
         axis = sensor.axis_names[i] if i < len(sensor.axis_names) else str(i)
-        ax.set_ylabel(f"{name} {axis}".strip() + f"\n[{unit}]")
-    clock.label(axes[-1])
-    _legend(axes[0], above=True, columns=4)
-    return figure
+        panels.append(Panel(f"{short(name)} {axis}".strip() + f"\n[{unit}]", tuple(parts), (-limit, limit)))
+    return Stack(tuple(panels), 1.45)
 
 
-def nis_figure(tracks: Tracks) -> Figure | None:
+def nis_figure(tracks: Tracks) -> Stack | None:
     """Moving mean of NIS per degree of freedom, sensor by sensor, with the 95 % range of such means; None without
     readings.
     """
-    clock = clock_of(tracks)
-    names = list(
-        dict.fromkeys(name for track in tracks.values() for name, r in track.residuals.items() if r.used.sum() >= 5)
-    )
-    if not names:
-        return None
-    figure, axes = panels(len(names), 1.25)
-    for ax, name in zip(axes, names, strict=True):
+    names = dict.fromkeys(name for track in tracks.values() for name, r in track.residuals.items() if r.used.sum() >= 5)
+    panels = []
+    for name in names:
         top = 2.0
+        parts: list[Part] = []
         for number, (label, track) in enumerate(tracks.items()):
             if name not in track.residuals or track.residuals[name].used.sum() < 5:
                 continue
-            hue, dash = colour(number if len(tracks) > 1 else 1)
             t, mean, low, high = moving_nis(track, name)
-            t = clock(t)
             if number == 0:
-                ax.fill_between(
-                    t, low, high, color="#bbbbbb", alpha=0.45, linewidth=0, label="95 % of chi-square", zorder=0
-                )
-            line(ax, t, mean, color=hue, linestyle=dash, label=label)
+                parts.append(Band(t, low, high, "95 % of chi-square", "#bbbbbb", 0.45))
+            parts.append(Line(t, mean, label, *colour(number if len(tracks) > 1 else 1)))
             top = max(top, 1.1 * _quantile(mean, 0.995), 1.05 * float(np.nanmax(high)))
-        ax.axhline(1.0, color="black", linewidth=0.7)
-        ax.set_ylim(0.0, min(top, 12.0))
-        ax.set_ylabel(f"{name}\nNIS per dof")
-    clock.label(axes[-1])
-    _legend(axes[0], above=True, columns=3)
-    return figure
+        panels.append(Panel(f"{short(name)}\nNIS per dof", tuple(parts), (0.0, min(top, 12.0)), lines_at=(1.0,)))
+    return Stack(tuple(panels), 1.25) if panels else None
 
 
 def moving_nis(track: Track, name: str) -> tuple[Array, Array, Array, Array]:
@@ -318,71 +246,15 @@ def moving_nis(track: Track, name: str) -> tuple[Array, Array, Array, Array]:
     middle = t[window // 2 : window // 2 + len(mean)]
     step = max(1, len(mean) // 700)
     middle, mean, low, high = middle[::step], mean[::step], low[::step], high[::step]
-    time, mean = broken(middle, mean)
-    return time, mean, broken(middle, low)[1], broken(middle, high)[1]
+    time, mean, low, high = broken(middle, mean, low, high)
+    return time, mean, low, high
 
 
-def _ellipse(centre: Array, P: Array) -> Ellipse:
-    variance, axes = np.linalg.eigh(P[::-1, ::-1])  # east, north
-    width, height = 2 * ELLIPSE_95 * np.sqrt(np.maximum(variance, 0.0))
-    angle = float(np.degrees(np.arctan2(axes[1, 0], axes[0, 0])))
-    return Ellipse((centre[1], centre[0]), width, height, angle=angle)
-
-
-def _local(stream: Stream, origin: tuple[float, float], between: tuple[float, float]) -> Array:
-    """North, east [m] of the known positions of a stream within a time."""
-    from navfilter.outputs.local import local_enu
-
-    known = np.isfinite(stream.value[:, :2]).all(axis=1) & (stream.time_s >= between[0]) & (stream.time_s <= between[1])
-    place = np.column_stack([stream.value[known, :2], np.zeros(int(known.sum()))])
-    return local_enu(place, (*origin, 0.0))[:, 1::-1]
-
-
-def _used_fixes(track: Track, stream: Stream, name: str, origin: tuple[float, float]) -> Array:
-    used = stream
-    if name in track.residuals:
-        r = track.residuals[name]
-        used = stream.keep(np.isin(stream.time_s, r.time_s[r.used]))
-    return _local(used, origin, (track.time_s[0], track.time_s[-1]))
-
-
-def _thinned_path(plan: Array, most: int = 4000) -> Array:
-    return plan[:: max(1, len(plan) // most)]
-
-
-def _capped(points: Array, most: int = 1500) -> Array:
+def capped(points: Array, most: int = 1500) -> Array:
+    """Of many points some, evenly."""
     return points if len(points) <= most else points[np.linspace(0, len(points) - 1, most).astype(int)]
-
-
-def _mark_ends(ax: Axes, plan: Array) -> None:
-    for row, marker, name in ((plan[0], "o", "start"), (plan[-1], "s", "end")):
-        ax.plot(row[1], row[0], marker, color="black", markersize=5, markerfacecolor="white", zorder=10, label=name)
 
 
 def _quantile(values: Array, p: float) -> float:
     finite = values[np.isfinite(values)]
     return float(np.quantile(finite, p)) if finite.size else 0.0
-
-
-def _symmetric(ax: Axes) -> None:
-    limit = max(abs(v) for v in ax.get_ylim())
-    ax.set_ylim(-limit, limit)
-    ax.axhline(0.0, color="black", linewidth=0.6, zorder=1)
-
-
-def _legend(ax: Axes, *more: tuple[str, Any], above: bool = False, columns: int = 1) -> None:
-    handles, labels = ax.get_legend_handles_labels()
-    named = dict(zip(labels, handles, strict=True)) | dict(more)
-    if not named:
-        return
-    if above:
-        ax.legend(
-            named.values(),
-            named.keys(),
-            loc="lower right",
-            bbox_to_anchor=(1.0, 1.0),
-            ncols=max(columns, 2),
-            borderaxespad=0.1,
-        )
-    else:
-        ax.legend(named.values(), named.keys(), loc="best", frameon=True, framealpha=0.85, edgecolor="none")

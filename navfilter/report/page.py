@@ -3,31 +3,97 @@
 from __future__ import annotations
 
 import base64
+import hashlib
 import html
+import re
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from typing import NamedTuple
 
-__all__ = ["escape", "figure_html", "heading_html", "list_html", "page", "table_html", "table_text"]
+__all__ = [
+    "Scripts",
+    "Section",
+    "escape",
+    "figure_html",
+    "heading_html",
+    "image_html",
+    "list_html",
+    "page",
+    "resource",
+    "table_html",
+    "table_text",
+]
 
-_CSS = """
-:root { color-scheme: light; }
-body { font: 16px/1.5 system-ui, -apple-system, "Segoe UI", Roboto, sans-serif; color: #1b1b1b; background: #fff;
-       max-width: 820px; margin: 0 auto; padding: 1rem; }
-h1 { font-size: 1.5rem; margin: .5rem 0 .2rem; } h2 { font-size: 1.15rem; margin: 2rem 0 .5rem; border-bottom: 1px solid #ccc; }
-p.sub { color: #555; margin: 0 0 1rem; }
-.wide { overflow-x: auto; }
-table { border-collapse: collapse; font-size: .85rem; font-variant-numeric: tabular-nums; width: 100%; }
-th, td { padding: .3rem .5rem; text-align: right; border-bottom: 1px solid #e2e2e2; }
-th { font-weight: 600; vertical-align: bottom; } th:first-child, td:first-child, td.text, th.text { text-align: left; }
-figure { margin: 1rem 0; break-inside: avoid; page-break-inside: avoid; }
-figure img { width: 100%; height: auto; display: block; }
-figcaption { font-size: .85rem; color: #444; margin-top: .3rem; }
-ul { padding-left: 1.2rem; } li, td.text { overflow-wrap: anywhere; }
-@media print { body { max-width: none; font-size: 10pt; padding: 0; } .wide { overflow: visible; }
-  h2 { break-after: avoid; page-break-after: avoid; } }
-"""
+#: Says, before anything is painted, that scripts run: the page then waits with what they will draw.
+_SCRIPTED = 'document.documentElement.classList.add("scripted");'
 
 
-def page(title: str, heading: str, subtitle: str, body: Iterable[str]) -> str:
+@dataclass(frozen=True)
+class Section:
+    """A part of a page that its table of contents names.
+
+    Attributes
+    ----------
+    title : str
+    parts : tuple of str
+        HTML, one part after the other.
+    sensor : str
+        Where scripts run, only one of the sections with a sensor is shown at a time.
+    mood : str
+        Of a verdict: "good", "care" or "bad".
+    """
+
+    title: str
+    parts: tuple[str, ...]
+    sensor: str = ""
+    mood: str = ""
+
+    @property
+    def anchor(self) -> str:
+        """What links to the section name."""
+        plain = re.sub("[^A-Za-z0-9 ]", lambda sign: f"_{ord(sign.group()):x}", self.title)
+        return f"{'sensor-' if self.sensor else ''}{plain.replace(' ', '-')}"
+
+    def __str__(self) -> str:
+        of = f' data-sensor="{escape(self.sensor)}"' if self.sensor else ""
+        mood = f' class="verdict {self.mood}"' if self.mood else ""
+        inside = "\n".join(self.parts)
+        return f'<section id="{escape(self.anchor)}"{of}{mood}>{heading_html(self.title)}\n{inside}</section>'
+
+
+class Scripts(NamedTuple):
+    """What a page runs: it forbids the browser to run any other script, and to load anything.
+
+    Attributes
+    ----------
+    run : tuple of str
+        At the end of the page, one after the other.
+    library : str
+        What these may insert.
+    data : str
+        HTML without scripts that runs nothing, before them.
+    """
+
+    run: tuple[str, ...]
+    library: str
+    data: str
+
+
+@cache
+def resource(name: str) -> str:
+    """Text of a file that lies beside this module."""
+    return (files("navfilter.report") / name).read_text(encoding="utf-8")
+
+
+def page(
+    title: str,
+    heading: str,
+    subtitle: str,
+    body: Iterable[str | Section],
+    scripts: Scripts | None = None,
+) -> str:
     """A page that needs nothing but itself, readable on a phone and in print.
 
     Parameters
@@ -36,19 +102,50 @@ def page(title: str, heading: str, subtitle: str, body: Iterable[str]) -> str:
         Of the window.
     heading, subtitle : str
         Plain text at the top.
-    body : iterable of str
-        HTML, one part after the other.
+    body : iterable of str or Section
+        HTML, one part after the other. With sections the page has a table of contents.
+    scripts : Scripts, optional
+        Default none: nothing runs.
     """
+    scripts = Scripts((), "", "") if scripts is None else scripts
+    body = list(body)
+    sections = [part for part in body if isinstance(part, Section)]
+    run = (_SCRIPTED, *scripts.run) if scripts.run else ()
+    policy = "default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; base-uri 'none'; form-action 'none'"
+    policy += _allowed((*run, scripts.library))
     head = (
-        '<meta charset="utf-8"><meta name="viewport" content="width=device-width, '
-        f'initial-scale=1"><title>{escape(title)}</title>'
+        f'<meta charset="utf-8"><meta http-equiv="Content-Security-Policy" content="{policy}">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f"<title>{escape(title)}</title>{f'<script>{_SCRIPTED}</script>' if run else ''}<style>{resource('page.css')}</style>"
     )
     top = f'<h1>{escape(heading)}</h1>\n<p class="sub">{escape(subtitle)}</p>\n'
-    parts = "\n".join(body)
+    main = top + "\n".join(map(str, body))
+    inside = f"{_contents(sections)}\n<main>\n{main}\n</main>" if sections else main
+    ends = "".join(f"<script>{script}</script>" for script in scripts.run)
     return (
-        "<!doctype html>\n<html "
-        f'lang="en"><head>{head}<style>{_CSS}</style></head>\n<body>\n{top}{parts}\n</body></html>\n'
+        f'<!doctype html>\n<html lang="en"><head>{head}</head>\n<body{" class=contents" if sections else ""}>\n'
+        f"{inside}\n{scripts.data}{ends}</body></html>\n"
     )
+
+
+def _allowed(scripts: Iterable[str]) -> str:
+    """What lets exactly these scripts run."""
+    digests = [base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() for text in scripts if text]
+    return "; script-src " + " ".join(f"'sha256-{digest}'" for digest in digests) if digests else ""
+
+
+def _contents(sections: Sequence[Section]) -> str:
+    def entry(section: Section) -> str:
+        return f'<a href="#{escape(section.anchor)}">{escape(section.title)}</a>'
+
+    lines, sensors = [], [entry(section) for section in sections if section.sensor]
+    for section in sections:
+        if not section.sensor:
+            lines.append(f"<li>{entry(section)}</li>")
+        elif sensors:
+            lines.append(f"<li>Sensors<ul>{''.join(f'<li>{line}</li>' for line in sensors)}</ul></li>")
+            sensors = []
+    return f"<nav><details><summary>Contents</summary><ul>{''.join(lines)}</ul></details></nav>"
 
 
 def escape(text: str) -> str:
@@ -67,13 +164,26 @@ def list_html(lines: Iterable[str]) -> str:
     return f"<ul>{items}</ul>" if items else ""
 
 
-def figure_html(drawn: bytes, caption: str) -> str:
-    """A figure (SVG, see `navfilter.report.drawing.svg`) with its caption, inside the page."""
-    data = base64.b64encode(drawn).decode("ascii")
-    return (
-        f'<figure><img alt="{escape(caption)}" '
-        f'src="data:image/svg+xml;base64,{data}"><figcaption>{escape(caption)}</figcaption></figure>'
-    )
+def image_html(drawn: bytes, caption: str) -> str:
+    """A picture (SVG, see `navfilter.report.drawing.svg`) inside the page."""
+    text = drawn.decode("utf-8").replace("%", "%25").replace("#", "%23").replace("<", "%3C").replace(">", "%3E")
+    quoted = text.replace("'", "%27").replace('"', "'").replace("&", "&amp;")
+    return f'<img alt="{escape(caption)}" src="data:image/svg+xml,{quoted}">'
+
+
+def figure_html(drawn: bytes, caption: str, live: str = "") -> str:
+    """A figure with its caption.
+
+    Parameters
+    ----------
+    drawn : bytes
+        For print, and for readers without scripts: SVG, see `navfilter.report.drawing.svg`.
+    caption : str
+    live : str
+        HTML of the place where a script draws the same.
+    """
+    linked = ' class="linked"' if live else ""
+    return f"<figure{linked}>{live}{image_html(drawn, caption)}<figcaption>{escape(caption)}</figcaption></figure>"
 
 
 def table_html(header: Sequence[str], rows: Iterable[Sequence[str]], text_columns: Sequence[int] = ()) -> str:

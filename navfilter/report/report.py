@@ -5,24 +5,29 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from importlib import metadata
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from navfilter.evaluation.assessment import Assessment, assess
 from navfilter.evaluation.surfacing import Evidence
 from navfilter.evaluation.verdict import Verdict
-from navfilter.evaluation.wording import Learnt
+from navfilter.evaluation.wording import Learnt, Scale, error_words, in_force
 from navfilter.filter.tape import OUTCOMES
 from navfilter.io.write import summarise
 from navfilter.mission import Mission, Stream
-from navfilter.report import figures, learnt_figures, state_figures
-from navfilter.report.drawing import style, svg
-from navfilter.report.page import escape, figure_html, heading_html, list_html, page, table_html, table_text
+from navfilter.report import figures
+from navfilter.report.clock import clock_of
+from navfilter.report.instrument import Instrument
+from navfilter.report.marks import marks
+from navfilter.report.page import Section, escape, list_html, page, table_html, table_text
+from navfilter.report.panels import Stack
+from navfilter.report.plan_view import plan_view
+from navfilter.report.sensor_sections import sensor_sections
+from navfilter.sensors.traits import shown_unit
 from navfilter.track import Track
 
 __all__ = ["headline_table", "render_report", "sensor_table", "write_report"]
@@ -30,8 +35,6 @@ __all__ = ["headline_table", "render_report", "sensor_table", "write_report"]
 Tracks = Mapping[str, Track]
 Rows = list[list[str]]
 
-#: A figure with more panels than this does not fit on a printed page.
-_PANELS = 6
 _SURFACING = (
     "A surfacing is the first fix after a time without any: its horizontal distance from what was predicted for it, in "
     "metres and in "
@@ -97,81 +100,58 @@ def render_report(
     progress: Callable[[], Any] | None = None,
     assessment: Assessment | None = None,
 ) -> str:
-    """One HTML page with tables and figures; no scripts, no links, nothing to load."""
-    result = list(tracks.values())[-1]
+    """One HTML page with tables and figures. It loads nothing: what makes the figures live is inside, and without
+    scripts they are there all the same.
+    """
+    result, first = list(tracks.values())[-1], next(iter(tracks.values()))
     summary = summarise(tracks, mission)
     assessment = assessment or assess(tracks, mission)
-    body = [heading_html("Verdict"), *_verdict(assessment.verdict), heading_html("Result")]
-    body += [table_html(*_headlines(tracks, mission)), f"<p>{_reading(mission)}</p>"]
-    body += [heading_html("What the readings say of the track"), list_html(assessment.lines())]
+    instrument = Instrument(clock_of(tracks, mission), result, first, progress)
+    reading = [list_html(assessment.lines())]
     if assessment.evidence.surfacings:
-        body += [table_html(*_surfacings(assessment.evidence)), f"<p>{_SURFACING}</p>"]
-    for title, caption, figure in chain(_drawn(tracks, mission), _learnt(tracks, assessment.learnt)):
-        if title:
-            body.append(heading_html(title))
-        body.append(figure_html(svg(figure), caption))
-        if progress is not None:
-            progress()
-    body += [heading_html("Readings"), table_html(*_sensors(result)), _notes(result, mission)]
-    body += [heading_html("Error models"), table_html(*_models(result), text_columns=(1, 2))]
-    return page(mission.name, mission.name, _subtitle(result, mission, summary), body)
+        reading += [table_html(*_surfacings(assessment.evidence)), f"<p>{_SURFACING}</p>"]
+    body = [
+        _verdict(assessment.verdict),
+        Section("Result", (table_html(*_headlines(tracks, mission)), f"<p>{_reading(mission)}</p>")),
+        Section("What the readings say of the track", tuple(reading)),
+        *_over_time(tracks, mission, instrument, assessment),
+        *_learnt(assessment.learnt),
+        *sensor_sections(tracks, assessment.learnt, instrument),
+        Section("Readings", (table_html(*_sensors(result)), _notes(result, mission))),
+        Section("Error models", (table_html(*_models(result), text_columns=(1, 2)),)),
+    ]
+    subtitle = _subtitle(result, mission, summary)
+    return page(mission.name, mission.name, subtitle, body, instrument.scripts())
 
 
 # --- figures with their captions ------------------------------------------------------------------------------------
 
 
-def _drawn(tracks: Tracks, mission: Mission) -> Iterator[tuple[str, str, Figure]]:
-    """Heading of a new section (or nothing), caption and figure, one after the other."""
+def _over_time(tracks: Tracks, mission: Mission, instrument: Instrument, assessment: Assessment) -> Iterator[Section]:
+    """The sections with the figures of the whole run."""
     truth = mission.truth
-    filters = _filters(tracks)
-    with style():
-        caption = (
-            "Ellipses hold the vehicle with 95 % probability, if the filter is honest. Crosses are the fixes "
-            "that were used."
-        )
-        yield "Track", caption, figures.track_figure(tracks, mission)
-        yield "", "Height over time; under water it is minus the depth.", figures.depth_figure(tracks, mission)
-        caption = f"{_band_caption(truth, slice(0, 2))} The lowest panel divides by the distance travelled so far."
-        yield "Position error", caption, figures.position_figure(tracks, truth)
-        yield "Heading error", _band_caption(truth, slice(8, 9)), figures.heading_figure(tracks, truth)
-        nees = None if truth is None else figures.consistency_figure(tracks, truth)
-        if nees is not None:
-            caption = (
-                "Squared error in units of its predicted variance. Above the grey range: too confident; below "
-                "it: too modest."
-            )
-            yield "Honesty of the covariance", caption, nees
-        nis = figures.nis_figure(filters)
-        if nis is not None:
-            caption = (
-                "Squared innovation in units of its predicted variance, mean over a moving window. Honest is 1; "
-                "the grey range holds 95 % of such means."
-            )
-            yield "NIS per sensor", caption, nis
-        for label, track in filters.items():
-            many = f" ({label})" if len(filters) > 1 else ""
-            for number, name in enumerate(
-                n for n, r in track.residuals.items() if r.used.any() and n in track.vehicle.sensors
-            ):
-                caption = f"{name}{many}: measured minus predicted, {_count(track, name)}."
-                yield "" if number else f"Innovations{many}", caption, figures.innovation_figure(track, name)
-        yield from _state_figures(tracks)
+    noted = marks(list(tracks.values())[-1], assessment.evidence.surfacings, assessment.learnt)
 
+    def drawn(stack: Stack, caption: str) -> str:
+        return instrument.figure(replace(stack, marks=noted), caption)
 
-def _learnt(tracks: Tracks, found: tuple[Learnt, ...]) -> Iterator[tuple[str, str, Figure]]:
-    title = "What was learnt"
-    with style():
-        for caption, figure in learnt_figures.learnt_figures(tracks, found):
-            yield title, caption, figure
-            title = ""
-
-
-def _filters(tracks: Tracks) -> dict[str, Track]:
-    """One run per set of residuals: a smoothed track has those of its forward track."""
-    first: dict[int, tuple[str, Track]] = {}
-    for label, track in tracks.items():
-        first.setdefault(id(track.forward or track), (label, track))
-    return dict(first.values())
+    caption = "Ellipses hold the vehicle with 95 % probability, if the filter is honest. Crosses: fixes that were used."
+    yield Section("Track", (instrument.figure(plan_view(tracks, mission), caption),))
+    caption = "Height over time, under water minus the depth, with its 1-sigma band; horizontal speed."
+    turned = drawn(figures.attitude_figure(tracks, mission), "Attitude of the vehicle.")
+    yield Section("Depth, speed, attitude", (drawn(figures.depth_figure(tracks, mission), caption), turned))
+    errors = figures.position_figure(tracks, truth)
+    divided = " The lowest panel divides by the distance travelled so far." if len(errors.panels) > 3 else ""
+    caption = f"{_band_caption(truth, slice(0, 2))}{divided}"
+    yield Section("Position error", (drawn(errors, caption),))
+    caption = _band_caption(truth, slice(8, 9))
+    yield Section("Heading error", (drawn(figures.heading_figure(tracks, truth), caption),))
+    nees = None if truth is None else figures.consistency_figure(tracks, truth)
+    if nees is not None:
+        yield Section("Honesty of the covariance", (drawn(nees, figures.NEES),))
+    nis = figures.nis_figure(figures.filters(tracks))
+    if nis is not None:
+        yield Section("NIS per sensor", (drawn(nis, figures.NIS),))
 
 
 def _band_caption(truth: Stream | None, columns: slice) -> str:
@@ -180,25 +160,9 @@ def _band_caption(truth: Stream | None, columns: slice) -> str:
     return "Estimated minus true. Two thirds of the errors should lie inside the 1-sigma band."
 
 
-def _state_figures(tracks: Tracks) -> Iterator[tuple[str, str, Figure]]:
-    by_owner: dict[str, dict[str, state_figures.ShownState]] = {}
-    for track in tracks.values():
-        for state in state_figures.shown_states(track.vehicle):
-            # A state that nothing excites, such as a temperature term without temperatures, has nothing to show.
-            if state.name in track.state_names and track.state(state.name)[1].any():
-                by_owner.setdefault(state.owner, {})[state.name] = state
-    title = "Sensor errors and parameters"
-    for owner, found in by_owner.items():
-        states = tuple(found.values())
-        for first in range(0, len(states), _PANELS):
-            figure = state_figures.states_figure(tracks, states[first : first + _PANELS])
-            yield title, f"{owner}: estimated error, with its 1-sigma band.", figure
-            title = ""
-
-
-def _count(track: Track, name: str) -> str:
-    r = track.residuals[name]
-    return ", ".join(f"{r.count(outcome)} {outcome}" for outcome in OUTCOMES if r.count(outcome))
+def _learnt(found: tuple[Learnt, ...]) -> list[Section]:
+    """What every axis has learnt, in words; the spectra stand with the sensors."""
+    return [Section("What was learnt", (list_html(map(str, found)),))] if found else []
 
 
 # --- tables ---------------------------------------------------------------------------------------------------------
@@ -229,10 +193,13 @@ def _sensors(track: Track) -> tuple[list[str], Rows]:
     return ["sensor", *present, "NIS"], rows
 
 
-def _verdict(verdict: Verdict) -> list[str]:
+def _verdict(verdict: Verdict) -> Section:
     """What was found, then how to look further."""
     text = [f"<p><strong>{escape(verdict.headline)}</strong></p>", list_html(verdict.lines())]
-    return text + (["<p>How to look further:</p>", list_html(verdict.cures())] if verdict.cures() else [])
+    text += ["<p>How to look further:</p>", list_html(verdict.cures())] if verdict.cures() else []
+    doubted = any(finding.severity == "warning" for finding in verdict.findings)
+    mood = "bad" if not verdict.trusted else "care" if doubted else "good"
+    return Section("Verdict", tuple(text), mood=mood)
 
 
 def _surfacings(evidence: Evidence) -> tuple[list[str], Rows]:
@@ -263,13 +230,18 @@ def _surfacings(evidence: Evidence) -> tuple[list[str], Rows]:
 def _models(track: Track) -> tuple[list[str], Rows]:
     """Error models of every channel; of a long history the first and the last ones."""
     drive = track.vehicle.drive
-    rows = [[axis, "", str(model)] for axis, model in zip(drive.axis_names, drive.models, strict=True)]
+    rows = []
+    for axis, model, unit in zip(drive.axis_names, drive.models, drive.units, strict=True):
+        rows.append([axis, "", error_words(model, Scale(*shown_unit(unit), 1.0 / drive.period_s))])
     for name, history in track.error_models.items():
-        shown = history if len(history) <= 6 else [*history[:2], *history[-3:]]
-        rows += [[name, f"{time_s:.1f}", str(model)] for time_s, model in shown]
-        if len(history) > len(shown):
-            rows.append([name, "", f"... {len(history) - len(shown)} more in between"])
-    return ["channel", "from [s]", "model (SI units, radians)"], rows
+        whole = len(history) <= 6
+        shown = [
+            [name, f"{t:.1f}", in_force(track, name, history[k][1])]
+            for k, (t, _) in enumerate(history)
+            if whole or k < 2 or k >= len(history) - 3
+        ]
+        rows += shown if whole else [*shown[:2], [name, "", f"... {len(history) - 5} more"], *shown[2:]]
+    return ["channel", "from [s]", "model"], rows
 
 
 def _number(value: float | None, form: str) -> str:

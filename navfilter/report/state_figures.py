@@ -6,11 +6,9 @@ import textwrap
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from matplotlib.figure import Figure
-
 from navfilter.error_models import ErrorModel, Sum
-from navfilter.report.drawing import band, colour, line, panels
-from navfilter.report.figures import clock_of
+from navfilter.report.drawing import colour
+from navfilter.report.panels import Band, Line, Panel, Part, Stack, short
 from navfilter.sensors.traits import shown_unit
 from navfilter.track import Track
 from navfilter.vehicle import Vehicle
@@ -71,7 +69,7 @@ def _parts(owner: str, axis: str, model: ErrorModel, period_s: float, unit: str)
     return found
 
 
-def states_figure(tracks: Mapping[str, Track], states: tuple[ShownState, ...]) -> Figure:
+def states_figure(tracks: Mapping[str, Track], states: tuple[ShownState, ...]) -> Stack:
     """Estimates over time with their 1-sigma bands, one panel per state.
 
     Parameters
@@ -80,20 +78,16 @@ def states_figure(tracks: Mapping[str, Track], states: tuple[ShownState, ...]) -
     states : tuple of ShownState
         Of one owner, see `shown_states`; a run that has no such state is left out of its panel.
     """
-    clock = clock_of(tracks)
-    figure, axes = panels(len(states), 1.2)
-    for ax, state in zip(axes, states, strict=True):
+    panels = []
+    for state in states:
+        parts: list[Part] = []
         for number, (label, track) in enumerate(tracks.items()):
             if state.name not in track.state_names:
                 continue
             hue, dash = colour(number)
             value, sd = (state.factor * part for part in track.state(state.name))
-            band(ax, clock(track.time_s), sd, value, color=hue, alpha=0.25, label=rf"{label} $\pm 1\sigma$")
-            line(ax, clock(track.time_s), value, color=hue, linestyle=dash, label=label)
-        ax.axhline(0.0, color="black", linewidth=0.6, zorder=1)
-        lines = textwrap.wrap(state.label.replace("_", " ").replace(".", " "), 16)
-        ax.set_ylabel("\n".join([*lines, f"[{state.unit}]"]), fontsize=7.5)
-    clock.label(axes[-1])
-    handles, labels = axes[0].get_legend_handles_labels()
-    axes[0].legend(handles, labels, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4, borderaxespad=0.1)
-    return figure
+            parts.append(Band(track.time_s, value - sd, value + sd, f"{label} ±1σ", hue))
+            parts.append(Line(track.time_s, value, label, hue, dash))
+        lines = textwrap.wrap(short(state.label, 48).replace("_", " ").replace(".", " "), 16)
+        panels.append(Panel("\n".join([*lines, f"[{state.unit}]"]), tuple(parts), lines_at=(0.0,)))
+    return Stack(tuple(panels), 1.2)

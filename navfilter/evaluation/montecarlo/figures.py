@@ -20,7 +20,8 @@ from navfilter.evaluation.montecarlo.campaign import Results
 from navfilter.evaluation.montecarlo.scores import CURVES, SCORES
 from navfilter.evaluation.montecarlo.statistics import chi_square_band
 from navfilter.evaluation.montecarlo.store import write_whole
-from navfilter.report.drawing import WIDTH_IN, Clock, colour, style
+from navfilter.report.clock import Clock
+from navfilter.report.drawing import WIDTH_IN, colour, style, time_axis
 
 __all__ = ["end_error_figure", "envelope_figure", "nees_figure", "write_figures"]
 
@@ -55,7 +56,7 @@ def envelope_figure(results: Results, track: str) -> Figure:
                 ax.set_ylabel(f"{model}\n{what} error [{unit}]" if what == "heading" else f"{what} error [{unit}]")
         _limit(axes, results, t)
         for ax in axes[-1]:
-            clock.label(ax)
+            time_axis(ax, clock)
         handles, labels = axes[0][0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside upper center", ncols=3)
         axes[0][0].set_title(f"{results.campaign.name}, {track}", loc="left")
@@ -86,7 +87,7 @@ def nees_figure(results: Results) -> Figure:
         for ax in axes[:, 0]:
             ax.set_ylabel("NEES / dof, mean of runs")
         for ax in axes[-1]:
-            clock.label(ax)
+            time_axis(ax, clock)
         handles, labels = axes[1][0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside upper center", ncols=4)
     return figure

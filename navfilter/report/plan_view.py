@@ -1,0 +1,221 @@
+"""The track from above: runs, truth, fixes, ends and 95 % ellipses in metres from the first position, and the figure
+for print.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Ellipse
+from matplotlib.ticker import MaxNLocator
+from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from navfilter.mission import Mission, Stream
+from navfilter.report.drawing import WIDTH_IN, colour, no_formula
+from navfilter.report.figures import TRUTH, capped, predicted_rms
+from navfilter.report.panels import short
+from navfilter.track import Track
+
+__all__ = ["Plan", "PlanRun", "Shape", "draw_plan", "plan_view"]
+
+Array = NDArray[np.float64]
+
+#: Half axes of an ellipse that holds 95 % of a plane Gaussian, in standard deviations.
+ELLIPSE_95 = float(np.sqrt(chi2.ppf(0.95, 2)))
+#: So many points of a path are drawn.
+POINTS = 4000
+
+
+@dataclass(frozen=True)
+class Shape:
+    """An ellipse: centre and full axes [m], and its turn from east to north [rad]."""
+
+    east: float
+    north: float
+    width: float
+    height: float
+    angle: float
+
+
+@dataclass(frozen=True, eq=False)
+class PlanRun:
+    """One run from above: time [s], east and north [m] and predicted rms [m], shape (n,), and ellipses."""
+
+    label: str
+    time_s: Array
+    east: Array
+    north: Array
+    rms: Array
+    ellipses: tuple[Shape, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """What the plan view shows.
+
+    Attributes
+    ----------
+    runs : tuple of PlanRun
+        The result last.
+    truth : ndarray, shape (n, 2)
+        East, north [m]; of no rows where there is none.
+    fixes : dict of str to ndarray, shape (n, 2)
+        Those that were used, by sensor.
+    latitude_deg, longitude_deg : float
+        Of the zero point.
+    north_deg, east_deg : float
+        Degrees of latitude and longitude per metre there.
+    """
+
+    runs: tuple[PlanRun, ...]
+    truth: Array
+    fixes: dict[str, Array]
+    latitude_deg: float
+    longitude_deg: float
+    north_deg: float
+    east_deg: float
+
+
+def plan_view(tracks: Mapping[str, Track], mission: Mission, ellipses: int = 16) -> Plan:
+    """Collect what the plan view shows.
+
+    Parameters
+    ----------
+    tracks : dict of str to Track
+    mission : Mission
+        For truth and fixes.
+    ellipses : int
+        About so many per run, at equal steps of time.
+    """
+    first = next(iter(tracks.values()))
+    origin = (float(first.latitude[0]), float(first.longitude[0]))
+    fixes = {
+        name: capped(_used_fixes(first, mission.streams[name], name, origin))
+        for name, sensor in first.vehicle.sensors.items()
+        if sensor.gives == "position" and name in mission.streams
+    }
+    true = np.empty((0, 2))
+    if mission.truth is not None:
+        true = _local(mission.truth, origin, (first.time_s[0], first.time_s[-1]))
+    step = 1e-5
+    per_rad = _metres(np.array([[origin[0] + step, origin[1] + step]]), origin)[0] / step
+    return Plan(
+        tuple(_run(label, track, origin, ellipses) for label, track in tracks.items()),
+        true[:: max(1, len(true) // POINTS)],
+        fixes,
+        latitude_deg=float(np.degrees(origin[0])),
+        longitude_deg=float(np.degrees(origin[1])),
+        north_deg=float(np.degrees(1.0 / per_rad[1])),
+        east_deg=float(np.degrees(1.0 / per_rad[0])),
+    )
+
+
+def _run(label: str, track: Track, origin: tuple[float, float], ellipses: int) -> PlanRun:
+    north, east = track.local(*origin)[:, :2].T
+    rows = np.unique(np.linspace(0, len(track) - 1, ellipses).astype(int))
+    shapes = tuple(_ellipse(east[k], north[k], track.covariance[k, :2, :2]) for k in rows)
+    thin = slice(None, None, max(1, len(track) // POINTS))
+    return PlanRun(label, track.time_s[thin], east[thin], north[thin], predicted_rms(track)[thin], shapes)
+
+
+def _ellipse(east: float, north: float, P: Array) -> Shape:
+    variance, axes = np.linalg.eigh(P[::-1, ::-1])  # east, north
+    width, height = 2 * ELLIPSE_95 * np.sqrt(np.maximum(variance, 0.0))
+    return Shape(float(east), float(north), float(width), float(height), float(np.arctan2(axes[1, 0], axes[0, 0])))
+
+
+def _metres(place: Array, origin: tuple[float, float]) -> Array:
+    """East, north [m] of latitudes and longitudes [rad], shape (n, 2)."""
+    from navfilter.outputs.local import local_enu
+
+    return local_enu(np.column_stack([place, np.zeros(len(place))]), (*origin, 0.0))[:, :2]
+
+
+def _local(stream: Stream, origin: tuple[float, float], between: tuple[float, float]) -> Array:
+    """East, north [m] of the known positions of a stream within a time."""
+    known = np.isfinite(stream.value[:, :2]).all(axis=1) & (stream.time_s >= between[0]) & (stream.time_s <= between[1])
+    return _metres(stream.value[known, :2], origin)
+
+
+def _used_fixes(track: Track, stream: Stream, name: str, origin: tuple[float, float]) -> Array:
+    used = stream
+    if name in track.residuals:
+        r = track.residuals[name]
+        used = stream.keep(np.isin(stream.time_s, r.time_s[r.used]))
+    return _local(used, origin, (track.time_s[0], track.time_s[-1]))
+
+
+# --- for print ------------------------------------------------------------------------------------------------------
+
+
+def draw_plan(plan: Plan) -> Figure:
+    """Plan view, north over east with equal axes, with degrees and a scale bar."""
+    east, north = (np.ptp(np.concatenate([getattr(r, axis) for r in plan.runs])) + 1.0 for axis in ("east", "north"))
+    height = float(np.clip(WIDTH_IN * 0.9 * north / east, 3.2, 7.0)) + 0.7
+    figure = Figure(figsize=(WIDTH_IN, height), layout="constrained")
+    ax = figure.subplots()
+    for name, fixes in plan.fixes.items():
+        cross: dict[str, Any] = {"color": "#888888", "markersize": 4, "markeredgewidth": 0.7, "zorder": 1.5}
+        ax.plot(*fixes.T, "+", label=f"{short(name)} fixes used", **cross)
+    for number, run in enumerate(plan.runs):
+        hue, dash = colour(number)
+        ax.plot(run.east, run.north, color=hue, linestyle=dash, label=run.label, zorder=2.0 + number, linewidth=1.6)
+        for s in run.ellipses:
+            shape = Ellipse((s.east, s.north), s.width, s.height, angle=float(np.degrees(s.angle)))
+            shape.set(edgecolor=hue, facecolor="none", linewidth=0.8, linestyle=dash, zorder=2.0 + number)
+            ax.add_patch(shape)
+    if len(plan.truth):
+        ax.plot(*plan.truth.T, color=TRUTH["hue"], linestyle=TRUTH["dash"], linewidth=1.0, label="truth", zorder=9)
+    last = plan.runs[-1]
+    for k, marker, name in ((0, "o", "start"), (-1, "s", "end")):
+        white: dict[str, Any] = {"color": "black", "markersize": 5, "markerfacecolor": "white", "zorder": 10}
+        ax.plot(last.east[k], last.north[k], marker, label=name, **white)
+    ax.set_aspect("equal", adjustable="datalim")
+    ax.set_xlabel("east [m]")
+    ax.set_ylabel("north [m]")
+    _degrees(ax, plan)
+    _scale_bar(ax)
+    handles, labels = ax.get_legend_handles_labels()
+    handles.append(Line2D([], [], marker="o", linestyle="", markerfacecolor="none", color="#555555"))
+    ax.legend(
+        handles, [*map(no_formula, labels), "95 % ellipse"], loc="best", frameon=True, framealpha=0.85, edgecolor="none"
+    )
+    return figure
+
+
+def _degrees(ax: Axes, plan: Plan) -> None:
+    """Longitude above and latitude on the right."""
+
+    def both(zero: float, per_m: float) -> tuple[Any, Any]:
+        return lambda m: zero + per_m * m, lambda deg: (deg - zero) / per_m
+
+    above = ax.secondary_xaxis("top", functions=both(plan.longitude_deg, plan.east_deg))
+    right = ax.secondary_yaxis("right", functions=both(plan.latitude_deg, plan.north_deg))
+    above.set_xlabel("longitude [deg]")
+    right.set_ylabel("latitude [deg]")
+    for axis in (above.xaxis, right.yaxis):
+        axis.set_major_locator(MaxNLocator(5))
+        axis.set_tick_params(labelsize=7.0)
+
+
+def _round_length(width_m: float) -> float:
+    """A round length [m], about a fifth of a width."""
+    fifth = 0.25 * width_m
+    decade = 10.0 ** np.floor(np.log10(fifth))
+    return float(decade * max(step for step in (1.0, 2.0, 5.0) if step * decade <= fifth))
+
+
+def _scale_bar(ax: Axes) -> None:
+    low, high = ax.get_xlim()
+    length = _round_length(high - low)
+    text = f"{length / 1000:g} km" if length >= 1000 else f"{length:g} m"
+    bar = AnchoredSizeBar(ax.transData, length, text, "lower left", frameon=False, size_vertical=0.0)
+    ax.add_artist(bar)
