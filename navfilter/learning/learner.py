@@ -66,6 +66,8 @@ class LearnerMemory:
         Turns of the orders that are not among the best.
     heard : int
         Samples that the evidence rests on.
+    smooth : dict of (p, q) to ndarray
+        As `thetas`, with a slow part of second order: of the order that it was tried with last.
     """
 
     thetas: dict[Order, Array]
@@ -73,6 +75,7 @@ class LearnerMemory:
     lines: dict[tuple[int, int], Line]
     turn: int
     heard: int
+    smooth: dict[Order, Array]
 
 
 class Learner:
@@ -126,7 +129,7 @@ class Learner:
         if not (math.isfinite(white) and white >= 0.0):
             raise ValueError(f"white must be a variance (finite, not negative), found {white}.")
         self.window, self.drift, self.white, self.prior = int(window), drift, float(white), prior
-        self._memory = LearnerMemory({}, {}, {}, 0, 0)
+        self._memory = LearnerMemory({}, {}, {}, 0, 0, {})
 
     @property
     def memory(self) -> LearnerMemory:
@@ -145,7 +148,7 @@ class Learner:
 
     def forget(self) -> None:
         """The error has changed: what was found serves as a start, and is no evidence any longer."""
-        self._memory = LearnerMemory(self._memory.thetas, {}, {}, self._memory.turn, 0)
+        self._memory = LearnerMemory(self._memory.thetas, {}, {}, self._memory.turn, 0, {})
 
     def hop(self, series: ArrayLike, fresh: int | None = None) -> Learnt | None:
         """Learn from the last `window` samples (fewer at first).
@@ -188,14 +191,14 @@ class Learner:
             return None
         scores = {order: self._score(point, n) for order, point in fits.items()}
         best = min(scores, key=lambda order: scores[order])
-        point = self._smooth(likelihood, fits, scores, best, n)
+        point, tried = self._smooth(likelihood, fits, scores, best, n)
         posterior = None
         if self.prior is not None:
             forgetting = math.exp(-(y.size - first) / (EFFORT.windows_remembered * self.window))
             posterior = follow(likelihood, point.theta, point.p, self._memory.lines, first, forgetting)
             if first > 0 and self._contradicted(likelihood, point, posterior):
                 posterior = follow(likelihood, point.theta, point.p, {}, 0, 1.0)
-        self._keep(likelihood, fits, scores, posterior, heard)
+        self._keep(likelihood, fits, scores, posterior, heard, tried)
         return _learnt(likelihood, point, posterior, n)
 
     @staticmethod
@@ -244,20 +247,28 @@ class Learner:
 
     def _smooth(
         self, likelihood: Likelihood, fits: dict[Order, Point], scores: dict[Order, float], best: Order, n: int
-    ) -> Point:
-        """The best point, with a slow part of second order where that serves better."""
+    ) -> tuple[Point, tuple[Order, Point] | None]:
+        """The best point, with a slow part of second order where that serves better; and what was tried for that."""
         found, lowest, lines = fits[best], scores[best], self._memory.lines
         likely = (
             not lines or max(float(line.evidence.max()) for (order, _), line in lines.items() if order == 2) > -DEAD
         )
         if self.prior is None or not likely:
-            return found
+            return found, None
+        starts, passes = {}, EFFORT.smooth_passes
+        if self._memory.heard >= self.window // 2:
+            for order, known in self._memory.smooth.items():
+                starts[order], passes = known.copy(), EFFORT.late_passes
+                starts[order][sum(order) : sum(order) + 2] += likelihood.log_unit
         # beside a smooth slow part the fast one is often the smallest
-        starts = {k: with_slow_part(likelihood, likelihood.fast(fits[k].theta, 1), k[0], 2) for k in {best, min(fits)}}
+        for order in () if starts else {best, min(fits)}:
+            starts[order] = with_slow_part(likelihood, likelihood.fast(fits[order].theta, 1), order[0], 2)
         values = {k: likelihood.penalised(start, k[0], 2) + 0.5 * sum(k) * math.log(n) for k, start in starts.items()}
         order = min(values, key=lambda k: values[k])
-        point = maximise(likelihood, [starts[order]], order[0], EFFORT.smooth_passes, 2)
-        return point if self._score(point, n) < lowest else found
+        point = maximise(likelihood, [starts[order]], order[0], passes, 2)
+        if not math.isfinite(point.value):
+            return found, None
+        return (point if self._score(point, n) < lowest else found), (order, point)
 
     def _keep(
         self,
@@ -266,17 +277,21 @@ class Learner:
         scores: dict[Order, float],
         posterior: SlowPosterior | None,
         heard: int,
+        tried: tuple[Order, Point] | None,
     ) -> None:
         memory, slow = self._memory, 0 if self.prior is None else 1
-        thetas = dict(memory.thetas)
-        for order, point in fits.items():
+
+        def kept(order: Order, point: Point) -> Array:
             theta = point.theta.copy()
             theta[sum(order) : sum(order) + 1 + slow] -= likelihood.log_unit
-            thetas[order] = theta
+            return theta
+
+        thetas = {**memory.thetas, **{order: kept(order, point) for order, point in fits.items()}}
+        smooth = {} if tried is None else {tried[0]: kept(*tried)}
         lowest = min(scores.values())
         gaps = {**memory.scores, **{order: score - lowest for order, score in scores.items()}}
         lines = {} if posterior is None else posterior.lines
-        self._memory = LearnerMemory(thetas, gaps, lines, memory.turn + 1, heard)
+        self._memory = LearnerMemory(thetas, gaps, lines, memory.turn + 1, heard, smooth)
 
 
 def _learnt(likelihood: Likelihood, point: Point, posterior: SlowPosterior | None, n: int) -> Learnt:
