@@ -2,12 +2,11 @@
 
 Every model gets the same mapping, the same readings and the same other sensors; only the error models of the
 correcting sensors differ. "gm1" (1/e point), "white" and "gm1-fitted" (by likelihood) are fitted beforehand to the
-readings of the whole mission, as the filter would have them, positions withheld, and so is "arma-fitted", order
-chosen and S(0) raised as in `LearnedArma`: beside "gm1-fitted" it tells what the noise deserves, on the same
-information. "vehicle" is what the vehicle file says, set by hand; "arma" learns under way and begins with that: the
-difference between those two is what learning has done. As it comes, it adopts nothing before 500 s unless its windows
-are shorter; "arma-hurried" has windows of a third of the mission. None sees what is withheld, and nothing is scored
-before positions are withheld.
+readings of the whole mission, as the filter would have them, positions withheld, and so is "arma-fitted", with the
+model of the vehicle file as prior: beside "gm1-fitted" it tells what the noise deserves, on the same information.
+"vehicle" is what the vehicle file says, set by hand; "arma" learns under way and begins with that: the difference
+between those two is what learning has done. "arma-hurried" has windows of a third of the mission. None sees what is
+withheld, and nothing is scored before positions are withheld.
 
 | kind | mission | scored against |
 |---|---|---|
@@ -51,9 +50,8 @@ from scipy.spatial.transform import Rotation, RotationSpline
 import navfilter as nf
 from navfilter.evaluation.comparison import compare
 from navfilter.evaluation.rivals import learnable, rivals
-from navfilter.learning.learned import LearnedArma, known_white
-from navfilter.learning.learner import Learner
-from navfilter.learning.low_frequency import cautious
+from navfilter.learning.learned import LearnedArma
+from navfilter.learning.refit import refitted
 from navfilter.mission import Mission, Stream
 from navfilter.playback import replay, residual_series
 from navfilter.simulation.earth import frame_rates, gravity
@@ -217,30 +215,19 @@ def adopted(track: Track) -> str:
 
 
 def orders(vehicle: Vehicle, sensors: list[str]) -> str:
-    """Orders of the ARMA models of a vehicle's sensors."""
-    return "; ".join(
-        f"{name} {'/'.join(f'({len(m.ar)},{len(m.ma)})' for m in vehicle.sensors[name].models)}" for name in sensors
-    )
+    """Error models of a vehicle's sensors."""
+    return "; ".join(f"{name} {' / '.join(str(m) for m in vehicle.sensors[name].models)}" for name in sensors)
 
 
 def fitted_arma(case: Case, sensors: list[str]) -> Vehicle:
-    """The vehicle with ARMA models fitted to the whole mission's readings, by the likelihood that gm1-fitted uses."""
-    series = residual_series(case.vehicle, case.mission, sensors)
-    models: dict[str, tuple[nf.ErrorModel, ...]] = {}
-    for name, channels in series.items():
-        axes = []
-        for channel, prior in zip(channels, case.vehicle.sensors[name].models, strict=True):
-            known = int(np.isfinite(channel.value).sum())
-            white = max(channel.white - known_white(prior, channel.period_s), 0.0)
-            found = Learner(LearnedArma().orders, max(known, 200), channel.drift, white=white).hop(channel.value)
-            ar, variance = cautious(found)
-            axes.append(nf.Arma(tuple(ar), tuple(found.ma), math.sqrt(variance)))
-        models[name] = tuple(axes)
-    return case.vehicle.with_error(**{name: axes if len(axes) > 1 else axes[0] for name, axes in models.items()})
+    """The vehicle with what `replay --iterate` makes of the whole mission's readings in one round, kept."""
+    models = {name: tuple(LearnedArma(prior=p) for p in case.vehicle.sensors[name].models) for name in sensors}
+    learns = case.vehicle.with_error(**{name: axes if len(axes) > 1 else axes[0] for name, axes in models.items()})
+    return refitted(learns, residual_series(learns, case.mission, sensors))
 
 
 def hurried(case: Case, sensors: list[str]) -> Vehicle:
-    """The vehicle with `LearnedArma` whose windows are a third of the mission: a short one is learnt from at all."""
+    """The vehicle with `LearnedArma` whose windows are a third of the mission: it forgets sooner."""
     models: dict[str, tuple[nf.ErrorModel, ...]] = {}
     for name in sensors:
         sensor = case.vehicle.sensors[name]

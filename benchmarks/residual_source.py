@@ -14,9 +14,9 @@ that model fixed; the second half is scored.
 | joint | reading minus open-loop prediction, fitted beside drift states of known noise: what navfilter does |
 | oracle | (the true model) |
 
-The driving variance of all fitted models is raised alike by what is not known of S(0), as the filter does
-(`navfilter.learning.low_frequency.cautious`); the S(0) printed is that before.
- Printed: power at zero frequency identified over true, median and 10-90 % of the seeds; rms of the
+All are maxima of a likelihood without a slow part: what is compared is the series, not what a prior adds.
+
+Printed: power at zero frequency identified over true, median and 10-90 % of the seeds; rms of the
 heading error; NEES of the heading (1 is honest).
 
 The second table is for the other sensors, by the joint way only: S(0), and the largest factor, over all frequencies
@@ -39,11 +39,11 @@ from harness import Array, Options, Table, flag, main, quick
 
 import navfilter as nf
 from navfilter.arma.model import ArmaModel
-from navfilter.error_models import ErrorModel
+from navfilter.error_models import ErrorModel, block_level
 from navfilter.learning.drift import Drift
 from navfilter.learning.fit import fit_channel
 from navfilter.learning.listener import ChannelSeries
-from navfilter.learning.low_frequency import block_level, cautious, zero_frequency
+from navfilter.learning.low_frequency import zero_frequency
 from navfilter.mission import Mission, Stream
 from navfilter.playback import residual_series
 from navfilter.simulation.campaigns import Staged, stage
@@ -137,9 +137,8 @@ def plain_fit(series: Array, order: tuple[int, int], period_s: float) -> ArmaMod
 
 
 def in_force(vehicle: nf.Vehicle, model: ArmaModel) -> nf.Vehicle:
-    """The vehicle with this model of its compass, fixed; S(0) raised as the filter does."""
-    ar, variance = cautious(model)
-    return vehicle.with_error(compass=nf.Arma(ar=tuple(ar), ma=tuple(model.ma), sd=math.sqrt(variance)))
+    """The vehicle with this model of its compass, fixed."""
+    return vehicle.with_error(compass=nf.Arma(ar=tuple(model.ar), ma=tuple(model.ma), sd=model.sd))
 
 
 def compass_models(vehicle: nf.Vehicle, mission: Mission, order: tuple[int, int]) -> dict[str, ArmaModel]:

@@ -11,12 +11,13 @@ import pytest
 import navfilter as nf
 from navfilter.arma.model import ArmaModel
 from navfilter.cli import main
+from navfilter.error_models import block_level
 from navfilter.io import read_vehicle, write_vehicle
 from navfilter.io.write import labelled, write_outputs
 from navfilter.learning.drift import Drift
 from navfilter.learning.learned import LearnedArma, learned_part, learning_part
 from navfilter.learning.learner import Learner
-from navfilter.learning.low_frequency import block_level, zero_frequency
+from navfilter.learning.low_frequency import zero_frequency
 from navfilter.learning.refit import change
 from navfilter.playback import SETTLED, identified, replay
 from navfilter.simulation.scenarios import survey_vehicle, transit
@@ -131,16 +132,30 @@ def test_replay_iterated_is_a_replay_of_the_identified_vehicle():
     ] == track.time_s[0]
 
 
+def test_a_slow_part_is_identified_and_frozen_with_the_fast_one():
+    """With a prior that allows for one; the round's change counts what the filter takes, slow parts included."""
+    vehicle, mission = dive()
+    learns = LearnedArma(prior=nf.GaussMarkov(sd=0.02, tau_s=60.0), orders=ORDERS, window=2000)
+    found = identified(vehicle.with_error(compass=learns), mission, 2)
+    part = compass(found)
+    assert part.frozen and part.slow_parts and part.spectrum is not None
+    wider = dataclasses.replace(part, slow=nf.GaussMarkov(sd=0.1, tau_s=60.0))
+    before, after = (dive()[0].with_error(compass=each) for each in (part, wider))
+    assert change(found, found) == 0.0
+    levels = [block_level(each.block(PERIOD_S)) for each in (part, wider)]
+    assert change(before, after) == pytest.approx(math.log(levels[1] / levels[0]) / part.model.sd_log_s0)
+
+
 def test_a_single_round_fits_what_was_heard_while_learning():
     found, said = identified(*dive(), 1, report=lambda *what: None), rounds()[1]
     assert compass(found).frozen and change(found, rounds()[0]) == said[1][1]
 
 
 def test_an_axis_that_says_too_little_goes_on_learning():
-    """One minute beyond the first one at 1 Hz is less than any fit needs."""
+    """A minute and a half at 1 Hz is less than any fit needs."""
     vehicle, mission = dive()
     vehicle = survey_vehicle().with_error(compass=LEARNS, depth=LEARNS)
-    few = nf.Mission("few", {**mission.streams, "depth": _first(mission.streams["depth"], 120)}, start=mission.start)
+    few = nf.Mission("few", {**mission.streams, "depth": _first(mission.streams["depth"], 90)}, start=mission.start)
     found = identified(vehicle, few, 3)
     assert found.sensors["depth"].error == LEARNS and compass(found).frozen
 
@@ -188,7 +203,7 @@ def from_smoothed_residuals(seed, passes=2):
         keep = stream.time_s > 60.0  # as of the open-loop series
         heading = np.interp(stream.time_s[keep], track.time_s, np.unwrap(track.attitude[:, 2]))
         residual = wrap(stream.value[keep, 0] - heading)
-        fit = Learner(ORDERS, residual.size, Drift((), PERIOD_S)).hop(residual - residual.mean())
+        fit = Learner(ORDERS, residual.size, Drift((), PERIOD_S)).hop(residual - residual.mean()).model
         now = LearnedArma(model=fit, frozen=True)
     return zero_frequency(fit)
 

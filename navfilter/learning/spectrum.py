@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 __all__ = ["Spectrum", "log_spread"]
 
 Array = NDArray[np.float64]
+#: A logarithm that is known no better than this is not known: at a notch first order says anything.
+LARGEST_SPREAD = 10.0
 
 
 @dataclass(frozen=True)
@@ -71,4 +73,5 @@ def log_spread(ar: Array, ma: Array, covariance: Array, turn: Array) -> Array:
         for k in range(1, len(coefficients) + 1)
     ]
     gradient = np.array([*by, np.full(len(turn), 2.0)])
-    return np.asarray(np.sqrt(np.maximum(np.einsum("in,ij,jn->n", gradient, covariance, gradient), 0.0)))
+    variance = np.einsum("in,ij,jn->n", gradient, covariance, gradient)
+    return np.asarray(np.sqrt(np.clip(variance, 0.0, LARGEST_SPREAD**2)))
