@@ -290,7 +290,7 @@ def allan_edf(
     Examples
     --------
     >>> allan_edf([1, 100], 1000).round(1)
-    array([666.3,  14. ])
+    array([666.2,  12.8])
     """
     counts = np.atleast_1d(np.asarray(averaging, dtype=np.int64))
     if counts.size == 0 or counts.min() < 1 or 2 * counts.max() > n:

@@ -77,6 +77,9 @@ def _values(name: str, stream: Stream) -> Iterator[Finding]:
     if missing and not whole.any():
         yield Finding("info", name, f"{100 * missing:.1f} % of the readings are invalid or incomplete.")
     measured = [k for k in range(stream.value.shape[1]) if not whole[k] and np.nanstd(stream.value[:, k]) > 0.0]
+    if not measured and not stream.value.any():
+        yield Finding("info", name, "every value is 0: a stand-in for what was not measured, or a sensor that is dead.")
+        return
     if not measured:
         yield Finding("warning", name, "no value ever changes.", "A sensor that is stuck, or the wrong columns.")
         return

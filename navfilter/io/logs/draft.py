@@ -227,6 +227,8 @@ def _start_text(start: Start, assumed: tuple[str, ...], reasons: list[str]) -> s
         f"heading_sd_deg = {30.0 if 'heading' in assumed else 5.0}",
         "velocity_sd_m_s = 0.5",
     ]
+    if "position" in assumed:
+        lines.append("position_sd_m = 0.1                  # north and east count from here")
     return "\n".join(lines) + "\n"
 
 

@@ -126,14 +126,16 @@ def _north(topic: Topic, use: Use) -> Drafted:
 
 
 def still(attitude: Drafted) -> Drafted:
-    """A velocity of zero at the times of the attitude, for a log without any."""
+    """A velocity of zero at the times of all records with the attitude, also of those that lack it, for a log without
+    any.
+    """
     line = (
         'velocity = {columns = [{column = "log_time", scale = 0.0}, {constant = 0.0}, {constant = 0.0}], unit = "m/s"}'
     )
     words = (
         "there is no velocity in this log: the vehicle is taken to stand still, give or take the error in vehicle.toml"
     )
-    return Drafted("velocity", "none", attitude.topic, (line,), attitude.where, words)
+    return Drafted("velocity", "none", attitude.topic, (line,), "", words)
 
 
 def _correcting(uses: list[tuple[Topic, Use]], drive: str) -> list[Drafted]:
