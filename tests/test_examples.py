@@ -11,11 +11,8 @@ import pytest
 
 from navfilter.cli import main
 
-for package, extra in (("rosbags", "ros"), ("pynmeagps", "nmea"), ("pymavlink", "ardupilot")):
-    pytest.importorskip(package, reason=f'{package} is not installed: pip install "navfilter[{extra}]"')
-
 FOLDER = Path(__file__).parent.parent / "docs" / "pages" / "examples"
-PAGES = sorted(FOLDER.glob("*.md"))
+PAGES = sorted(page for page in FOLDER.glob("*.md") if page.stem != "notebook")
 #: Page -> recording (may be a pattern), and what the page calls it where that is another name.
 RAW = {
     "bluerov": ("logs/ardupilot/ardusub_small.tlog", ""),
@@ -26,6 +23,8 @@ RAW = {
 }
 #: Numbers agree with those of the page to this; processor times are another machine's.
 RELATIVE, DIGIT = 0.02, 1.01
+#: Page -> what the raw file is read with, and the extra of navfilter that brings it.
+READERS = {"bluerov": ("pymavlink", "ardupilot"), "ros2-dvl": ("rosbags", "ros"), "yacht": ("pynmeagps", "nmea")}
 NUMBER = re.compile(r"[-+]?\d+\.?\d*(?:e[-+]?\d+)?")
 #: A sample in place of a raw file or a folder of its own is written by the test.
 MADE = {"ros2-dvl"}
@@ -43,6 +42,9 @@ def commands(page):
 
 def place(page, data_file, recording):
     """The raw file, in the current folder under the name that the page calls it by."""
+    if page.stem in READERS:
+        package, extra = READERS[page.stem]
+        pytest.importorskip(package, reason=f'{package} is not installed: pip install "navfilter[{extra}]"')
     name, called = RAW[page.stem]
     if page.stem in MADE:
         from pool_bag import write_bag
@@ -96,3 +98,23 @@ def test_two_lines_agree_by_their_words_and_numbers():
     assert agrees(line.replace("633.30", "633.31").replace("0.4 s", "9.9 s"), line)
     assert not agrees(line.replace("633.30", "733.30"), line) and not agrees(line.replace("off", "on"), line)
     assert agrees("a   b  2e-07", "a b 2.01e-07") and not agrees("a 12", "a 14")
+
+
+# --- the notebook ---------------------------------------------------------------------------------------------------
+
+
+def test_the_notebook_runs_and_is_kept_without_output(tmp_path):
+    nbformat = pytest.importorskip("nbformat", reason='nbformat is not installed: pip install "navfilter[test]"')
+    nbclient = pytest.importorskip("nbclient", reason='nbclient is not installed: pip install "navfilter[test]"')
+    pytest.importorskip("ipykernel", reason='ipykernel is not installed: pip install "navfilter[test]"')
+    notebook = nbformat.read(FOLDER / "dive.ipynb", 4)
+    code = [cell for cell in notebook.cells if cell.cell_type == "code"]
+    assert all(cell.outputs == [] and cell.execution_count is None for cell in code)
+    resources = {"metadata": {"path": str(tmp_path)}}
+    nbclient.NotebookClient(notebook, timeout=600, kernel_name="python3", resources=resources).execute()
+    outputs = [output for cell in code for output in cell.outputs]
+    assert sum("image/png" in output.get("data", {}) for output in outputs) == 2
+    said = "".join(output.get("text", "") for output in outputs)
+    described, white = (float(cell) for cell in re.findall(r"NEES heading +([\d.]+) +([\d.]+)", said)[0])
+    # what the last cell says: white noise of the same size is far too sure of the heading
+    assert described < 3.0 and white > 30.0
