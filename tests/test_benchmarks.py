@@ -21,6 +21,7 @@ SCRIPTS = {
     "heading_toy": ("Sage-Husa", ()),
     "identify_recordings": ("statsmodels", ()),
     "logs": ("library underneath", ("samples", "large")),
+    "mistakes": ("No other software", ()),
     "recordings": ("plain dead reckoning", ("withheld", "car_clocks")),
     "replay_speed": ("python-ins", ()),
     "residual_source": ("oracle", ()),
