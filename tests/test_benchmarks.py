@@ -22,6 +22,7 @@ SCRIPTS = {
     "identify_recordings": ("statsmodels", ()),
     "logs": ("library underneath", ("samples", "large")),
     "mistakes": ("No other software", ()),
+    "noise_sheet": ("No other software", ("simulated", "recordings")),
     "recordings": ("plain dead reckoning", ("withheld", "car_clocks")),
     "replay_speed": ("python-ins", ()),
     "residual_source": ("oracle", ()),

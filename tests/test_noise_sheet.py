@@ -4,9 +4,9 @@ import json
 import re
 from xml.etree import ElementTree
 
+import inertial_noise
 import numpy as np
 import pytest
-from scipy.signal import fftconvolve
 
 import navfilter as nf
 from navfilter.cli import main
@@ -30,18 +30,8 @@ RATE = 50.0
 WHITE, FLICKER, WALK = 0.3 * DEG / 60.0, 6.0 * DEG / HOUR, 60.0 * DEG / HOUR / 60.0
 
 
-def flicker(n, rng):
-    """1/f noise of B = 1 by fractional integration of white noise (Kasdin, 1995)."""
-    k = np.arange(1, n)
-    return fftconvolve(rng.standard_normal(2 * n), np.cumprod(np.r_[1.0, (k - 0.5) / k]))[n : 2 * n]
-
-
-def noise(n, seed, white=WHITE, b=0.0, walk=0.0, angle=0.0, rate=RATE):
-    """Terms of IEEE 952: N, B, K, and Q of rounded angles."""
-    rng = np.random.default_rng(seed)
-    x = white * np.sqrt(rate) * rng.standard_normal(n)
-    x += walk / np.sqrt(rate) * np.cumsum(rng.standard_normal(n))
-    return x + b * flicker(n, rng) + angle * rate * np.diff(rng.standard_normal(n + 1))
+def noise(n, seed, white=WHITE, rate=RATE, **terms):
+    return inertial_noise.noise(n, seed, rate, white, **terms)
 
 
 def unit_at_rest(seconds=600, seed=1, rate=RATE):
@@ -189,6 +179,14 @@ def test_error_bars_hold_the_truth_two_times_in_three():
         inside.append(((curve.low < true) & (true < curve.high))[::6])
     # 40 records with about 5 points of their own: a share of 0.68 scatters by 0.033
     assert 0.58 < np.mean(inside) < 0.78
+
+
+def test_the_curve_of_the_terms_goes_through_the_points():
+    x = noise(200_000, 3, b=4 * FLICKER, walk=8 * WALK, angle=2e-5)
+    curve = allan_curve([x], RATE, fit_terms(bands_of([x], RATE), ("flicker", "walk")))
+    # up to 20 s the points are known to 2 % and better
+    near = curve.tau_s < 20.0
+    np.testing.assert_allclose(curve.model[near], curve.deviation[near], rtol=0.08)
 
 
 # --- lines ----------------------------------------------------------------------------------------------------------

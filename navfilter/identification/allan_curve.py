@@ -34,7 +34,7 @@ class AllanCurve:
     tau_s, deviation, low, high, edf : ndarray, shape (m,)
         Averaging time, deviation and its bounds [unit], equivalent degrees of freedom.
     model : ndarray, shape (m,)
-        Deviation of the fitted terms.
+        Deviation of the fitted terms; NaN at times shorter than the frequencies that were fitted.
     """
 
     tau_s: Array
@@ -93,4 +93,5 @@ def _model_allan(fit: NoiseFit, counts: NDArray[np.int64], rate_hz: float) -> Ar
         variance = variance + walk.size**2 * (2.0 * counts**2 + 1.0) / (6.0 * counts) * period
     if flicker := fit.term("flicker"):
         variance = variance + flicker.size**2 * 2.0 * math.log(2.0) / math.pi
-    return np.sqrt(np.maximum(variance, 0.0))
+    fitted = tau >= 0.45 / fit.highest_hz
+    return np.where(fitted, np.sqrt(np.maximum(variance, 0.0)), np.nan)

@@ -48,7 +48,11 @@ def write_sheet(
     for axes in groups(sheet):
         header = ["", *(axis.name.replace("_", " ") for axis in axes)]
         body.append(table_html(header, [*rows(axes), *allan_rows(axes)]))
-    body += [heading_html("vehicle.toml"), f"<pre>{escape(drive_toml(sheet))}</pre>", list_html(sheet.remarks)]
+    body += [
+        heading_html("vehicle.toml"),
+        f'<div class="wide"><pre>{escape(drive_toml(sheet))}</pre></div>',
+        list_html(sheet.remarks),
+    ]
     texts = {"identify.json": json.dumps(as_dict(sheet), indent=1) + "\n", "drive.toml": drive_toml(sheet)}
     for name, text in texts.items():
         (folder / name).write_text(text, encoding="utf-8")

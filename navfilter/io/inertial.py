@@ -232,7 +232,7 @@ def _of_table(table: Table, columns: ImuColumns) -> ImuRecord:
     if not axes:
         raise MissionError(
             f"{table.path}: no columns look like gyros or accelerometers: say which with --gyro X,Y,Z and --accel X,Y,Z"
-            f" (columns: {', '.join(table.columns)})."
+            f" (columns: {', '.join(table.columns)}); an array of several columns is named with --table."
         )
     clock = columns.time_column or ("log_time" if columns.rate_hz is None and "log_time" in table.columns else "")
     if clock:
