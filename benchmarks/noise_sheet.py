@@ -62,12 +62,14 @@ def simulated(options: Options) -> list[dict[str, Any]]:
                 gather(
                     axis, term, true, scores.setdefault((axis.name, term), []), limits.setdefault((axis.name, term), [])
                 )
-    table = Table("axis<8 term<13 shown>6d mean>6.2f sd>6.2f limits>7d held>6.2f")
+    table = Table("axis<8 term<13 shown>6d false>6d mean>6.2f sd>6.2f limits>7d held>6.2f")
     for (name, term), found in scores.items():
         held = limits[name, term]
         if found or held:
-            row = {"axis": name, "term": term, "shown": len(found), "limits": len(held)}
-            mean, sd = (float(np.mean(found)), float(np.std(found))) if found else (math.nan, math.nan)
+            known = np.array([score for score in found if math.isfinite(score)])
+            row = {"axis": name, "term": term, "shown": known.size, "false": len(found) - known.size}
+            row |= {"limits": len(held)}
+            mean, sd = (float(known.mean()), float(known.std())) if known.size else (math.nan, math.nan)
             table.add(row | {"mean": mean, "sd": sd, "held": float(np.mean(held)) if held else math.nan})
     print(f"processor time {time.process_time() - began:.0f} s")
     return table.rows

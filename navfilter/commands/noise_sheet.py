@@ -7,9 +7,12 @@ import json
 import os
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from navfilter.commands.console import complain, unpacked_bytes
+
+if TYPE_CHECKING:
+    from navfilter.io.inertial import ImuRecord
 
 __all__ = ["EPILOG", "add_arguments", "run"]
 
@@ -65,27 +68,9 @@ def run(options: argparse.Namespace, folder: Path | None, say: Callable[[str], A
     """Read, find the noise, write, print."""
     from navfilter.identification.noise_sheet import NotAtRest, noise_sheet
     from navfilter.identification.sheet_words import as_dict, sheet_text
-    from navfilter.io.inertial import ImuColumns, read_imu
-    from navfilter.io.tables import TableOptions
 
     say("reading")
-    columns = ImuColumns(
-        options.gyro,
-        options.accel,
-        options.gyro_unit,
-        options.accel_unit,
-        options.time_column or "",
-        options.time_unit,
-        options.rate_hz,
-    )
-    layout = TableOptions(
-        table=options.table,
-        transpose=options.transpose,
-        skip_lines=options.skip_lines,
-        skip_rows=options.skip_rows,
-        topic=options.topic,
-    )
-    record = read_imu(options.file, columns, layout, unpacked_bytes(options)).part(options.from_s, options.to_s)
+    record = _record(options)
     try:
         sheet = noise_sheet(record, say)
     except NotAtRest as error:
@@ -103,10 +88,32 @@ def run(options: argparse.Namespace, folder: Path | None, say: Callable[[str], A
     elif not options.quiet:
         print(sheet_text(sheet))
         if folder is not None:
-            print(
-                f"Written to {folder}{os.sep}: identify.html (open this one), identify.json, drive.toml, figures (.svg)"
-            )
+            files = "identify.html (open this one), identify.json, drive.toml, figures (.svg)"
+            print(f"Written to {folder}{os.sep}: {files}")
     if sheet.moving:
         complain(f"navfilter: {sheet.verdict}")
         return FOUND
     return OK
+
+
+def _record(options: argparse.Namespace) -> ImuRecord:
+    from navfilter.io.inertial import ImuColumns, read_imu
+    from navfilter.io.tables import TableOptions
+
+    columns = ImuColumns(
+        options.gyro,
+        options.accel,
+        options.gyro_unit,
+        options.accel_unit,
+        options.time_column or "",
+        options.time_unit,
+        options.rate_hz,
+    )
+    layout = TableOptions(
+        table=options.table,
+        transpose=options.transpose,
+        skip_lines=options.skip_lines,
+        skip_rows=options.skip_rows,
+        topic=options.topic,
+    )
+    return read_imu(options.file, columns, layout, unpacked_bytes(options)).part(options.from_s, options.to_s)

@@ -27,8 +27,9 @@ SHARES, DEPARTURE = (1.0, 0.5, 0.25, 0.125, 0.0625), 0.05
 LEAST_BANDS = 15
 #: How the upper limit of a logarithm is looked for.
 STEP, FAR = 1.0, 30.0
-#: A bias that fades faster is for a filter as good as white noise [s].
-FASTEST_S = 10.0
+#: A bias that fades faster is no state of a filter [s]: what integrates the drive over minutes, as the learner does,
+#: would take it for a walk (`GaussMarkov.integrated`).
+FASTEST_S = 100.0
 
 
 def usable(bands: Bands) -> Bands:
