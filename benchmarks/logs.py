@@ -9,6 +9,7 @@ import subprocess
 import sys
 import tempfile
 import time
+import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -109,10 +110,11 @@ def _pynmeagps(path: Path) -> None:
 def samples(options: Options) -> list[dict[str, Any]]:
     """The samples below NAVFILTER_DATA/logs, for what a mission wants of them and with the library alone.
 
-    The library decodes every record and keeps nothing. The best of alternating runs of each reader, processor time.
+    The library decodes every record and keeps nothing. The best of alternating runs of each reader, processor time; the
+    memory is the most that reading holds at one time, the result included.
     """
     root = data_root() / "logs"
-    table = Table("log<36 records>9d readings>9d seconds>9.3f library_s>10.3f ratio>7.2f left_out<60")
+    table = Table("log<36 records>9d readings>9d seconds>9.3f library_s>10.3f ratio>7.2f peak_mb>8.1f left_out<60")
     for name, columns in [*SAMPLES.items()][: 2 if options.quick else None]:
         path = root / name
         alone = library_alone(path)
@@ -129,6 +131,7 @@ def samples(options: Options) -> list[dict[str, Any]]:
                 "seconds": best["ours"],
                 "library_s": library,
                 "ratio": best["ours"] / library,
+                "peak_mb": peak_mb(path, columns),
                 "left_out": "; ".join(found.notes) or "-",
             }
         )
@@ -138,6 +141,24 @@ def samples(options: Options) -> list[dict[str, Any]]:
 def _ours(path: Path, columns: dict[str, list[str]]) -> int:
     shelf = Shelf({path: columns})
     return sum(shelf.table(path, topic).raw("log_time").size for topic in columns)
+
+
+def peak_mb(path: Path, columns: dict[str, list[str]]) -> float:
+    """Most memory that reading holds at one time [MB], the result included."""
+    tracemalloc.start()
+    _ours(path, columns)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    return peak / 1e6
+
+
+def _apart(call: str) -> Any:
+    """What a call of this module returns in a process of its own."""
+    code = f"import json, logs, pathlib; print(json.dumps({call}))"
+    done = subprocess.run(
+        [sys.executable, "-c", code], check=True, capture_output=True, text=True, cwd=Path(__file__).parent
+    )
+    return json.loads(done.stdout.splitlines()[-1])
 
 
 # --- a large bag ----------------------------------------------------------------------------------------------------
@@ -195,11 +216,7 @@ def large(options: Options) -> dict[str, Any]:
         bag = Path(folder) / "bag"
         write_large(bag, 20.0 if options.quick else options.megabytes)
         size = sum(file.stat().st_size for file in bag.iterdir()) / 1e6
-        code = f"import json, logs, pathlib; print(json.dumps(logs.read_large(pathlib.Path({str(bag)!r}))))"
-        done = subprocess.run(
-            [sys.executable, "-c", code], check=True, capture_output=True, text=True, cwd=Path(__file__).parent
-        )
-    read = json.loads(done.stdout.splitlines()[-1])
+        read = _apart(f"logs.read_large(pathlib.Path({str(bag)!r}))")
     table = Table("megabytes>10.0f " + " ".join(f"{key}>12.2f" for key in read))
     table.add({"megabytes": size} | read)
     return table.rows[0]

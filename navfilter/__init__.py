@@ -39,7 +39,7 @@ _FACE = {
     "arma.spectral": "spectral_factor",
     "arma.starts": "burg hannan_rissanen yule_walker",
     "evaluation.comparison": "Comparison compare",
-    "diagnostics": "Whiteness acf allan_deviation cross_correlation pacf whiteness",
+    "diagnostics": "Whiteness acf allan_deviation allan_edf cross_correlation pacf whiteness",
     "error_models": "Arma ErrorModel GaussMarkov RandomWalk White",
     "io": "read_mission read_vehicle",
     "learning.learned": "LearnedArma",

@@ -47,6 +47,7 @@ first steps:
   navfilter replay dive/mission.npz --vehicle dive/vehicle.toml --smooth --out result
   navfilter compare dive/mission.npz --vehicle dive/vehicle.toml --out compared
   navfilter identify still.csv --column gyro_x --rate-hz 100 --out gyro_x
+  navfilter identify still.mcap --imu --out sheet  the noise sheet of an inertial unit
 
 'navfilter COMMAND --help' explains one command.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +13,7 @@ from scipy import fft, stats
 from navfilter.arma.starts import tidy_series
 from navfilter.kernels import fit as kernels
 
-__all__ = ["WT_WHITE", "Whiteness", "acf", "allan_deviation", "cross_correlation", "pacf", "whiteness"]
+__all__ = ["WT_WHITE", "Whiteness", "acf", "allan_deviation", "allan_edf", "cross_correlation", "pacf", "whiteness"]
 
 Array = NDArray[np.float64]
 
@@ -256,3 +257,59 @@ def allan_deviation(series: ArrayLike, rate_hz: float, averaging: ArrayLike | No
         difference = total[2 * m :] - 2.0 * total[m:-m] + total[: -2 * m]
         out[i] = math.sqrt(float(difference @ difference) / (2.0 * difference.size)) / m
     return counts / rate_hz, out
+
+
+#: Averages are looked at in so many steps each: finer ones hold nothing new.
+_STEPS = 16
+#: Lags, in averages, beyond which second differences of averages no longer correlate.
+_REACH = 64
+
+
+def allan_edf(
+    averaging: ArrayLike, n: int, density: Callable[[Array], Array] | None = None, rate_hz: float = 1.0
+) -> Array:
+    """Equivalent degrees of freedom of `allan_deviation`: ``edf * variance / true variance`` is about chi-square.
+
+    Parameters
+    ----------
+    averaging : array_like of int
+        Samples per average.
+    n : int
+        Samples of the series.
+    density : callable, optional
+        Two-sided power spectral density of the noise at frequencies [Hz], up to a factor. Default: white.
+    rate_hz : float
+        Sampling rate [Hz].
+
+    Returns
+    -------
+    ndarray
+        ``2 mean^2 / variance`` of the estimated Allan variance, for Gaussian noise of this spectrum, whatever mixture
+        it is. Tables and formulas in use hold for one power law each (Greenhall and Riley, 2003).
+
+    Examples
+    --------
+    >>> allan_edf([1, 100], 1000).round(1)
+    array([666.2,  12.8])
+    """
+    counts = np.atleast_1d(np.asarray(averaging, dtype=np.int64))
+    if counts.size == 0 or counts.min() < 1 or 2 * counts.max() > n:
+        raise ValueError(f"averages must span 1 to {n // 2} samples, found {counts.tolist()}.")
+    return np.array([_edf(int(m), n, density, rate_hz) for m in counts])
+
+
+def _edf(m: int, n: int, density: Callable[[Array], Array] | None, rate_hz: float) -> float:
+    """By the covariance of the differences of averages: their variance scatters by 2/M sum (1 - k/M) rho_k^2."""
+    steps = min(m, _STEPS)
+    stride = m / steps
+    pairs = n / stride - 2 * steps + 1.0
+    size = fft.next_fast_len(int(2 * (min(pairs, _REACH * steps) + 4 * steps)), real=False)
+    # half-way between the usual frequencies: 0, where a walk has no density, is not among them
+    cycles = (np.arange(size) + 0.5) / size
+    cycles = np.minimum(cycles, 1.0 - cycles)
+    gain = np.sin(np.pi * cycles * steps) ** 4 / np.sin(np.pi * cycles) ** 2
+    power = gain if density is None else gain * density(cycles * rate_hz / stride)
+    lags = np.arange(math.ceil(min(pairs, size // 2)))
+    covariance = (np.exp(1j * np.pi * lags / size) * fft.ifft(power)[: lags.size]).real
+    share = np.square(covariance / covariance[0]) * (1.0 - lags / pairs)
+    return max(float(pairs / (2.0 * share.sum() - share[0])), 1.0)

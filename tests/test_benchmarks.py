@@ -23,6 +23,8 @@ SCRIPTS = {
     "honest": ("Gauss-Markov", ()),
     "identify_recordings": ("statsmodels", ()),
     "logs": ("library underneath", ("samples", "large")),
+    "mistakes": ("No other software", ()),
+    "noise_sheet": ("No other software", ("simulated", "recordings")),
     "recordings": ("plain dead reckoning", ("withheld", "car_clocks")),
     "replay_speed": ("python-ins", ()),
     "residual_source": ("oracle", ()),

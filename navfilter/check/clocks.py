@@ -1,4 +1,6 @@
-"""Times in another unit than they were read in: a stream that lasts, or ticks, a thousand times too long."""
+"""Times in another unit than they were read in: a stream that lasts, or ticks, a thousand times too long; times of
+another clock.
+"""
 
 from __future__ import annotations
 
@@ -17,6 +19,8 @@ if TYPE_CHECKING:
 _PER_SECOND = {"ms": 1e3, "us": 1e6, "ns": 1e9}
 #: Slower than this no inertial unit is sampled [s].
 _SLOWEST_IMU_S = 0.5
+#: Nobody switches a sensor off and another one on so long afterwards [s].
+_BESIDE_S = 300.0
 
 
 def clock_findings(mission: Mission, vehicle: Vehicle | None) -> Iterator[Finding]:
@@ -24,6 +28,7 @@ def clock_findings(mission: Mission, vehicle: Vehicle | None) -> Iterator[Findin
     steps = {name: _usual_step_s(stream) for name, stream in mission.streams.items() if _lasts(stream)}
     spans = {name: _span_s(mission.streams[name]) for name in steps}
     rates = {} if vehicle is None else _rates_hz(vehicle)
+    yield from _apart(mission, list(steps))
     for name, step_s in steps.items():
         others = [span for other, span in spans.items() if other != name]
         if mission.truth is not None and _lasts(mission.truth):
@@ -50,6 +55,22 @@ def clock_findings(mission: Mission, vehicle: Vehicle | None) -> Iterator[Findin
                 continue
             yield Finding("error", name, text, f'Are these {unit}, read as seconds? Then unit = "{unit}" in {where}.')
             break
+
+
+def _apart(mission: Mission, names: list[str]) -> Iterator[Finding]:
+    """A stream whose readings lie beside those of all others."""
+    if len(names) < 3:
+        return
+    ends = {name: (mission.streams[name].time_s[0], mission.streams[name].time_s[-1]) for name in names}
+    for name, (begin, end) in ends.items():
+        others = [other for key, other in ends.items() if key != name]
+        together = max(b for b, _ in others) < min(e for _, e in others)
+        first, last = min(b for b, _ in others), max(e for _, e in others)
+        if together and (begin > last + _BESIDE_S or end < first - _BESIDE_S):
+            text = f"its readings lie from {begin:.6g} to {end:.6g} s,"
+            text += f" those of the others from {first:.6g} to {last:.6g} s."
+            cure = f"Another time zone, epoch or unit? Set offset_s in time of [streams.{name}]."
+            yield Finding("error", name, text, cure)
 
 
 def _lasts(stream: Stream) -> bool:

@@ -13,6 +13,8 @@ from navfilter.mission import Array, Mission, Stream
 
 #: Readings that were buffered come faster than this one after the other [s].
 _EMPTYING_S = 0.05
+#: A number that stands for no reading comes so often, and lies so many times farther out than all readings.
+_SENTINELS, _FAR = 5, 5.0
 
 
 def stream_findings(name: str, stream: Stream, mission: Mission) -> Iterator[Finding]:
@@ -77,6 +79,9 @@ def _values(name: str, stream: Stream) -> Iterator[Finding]:
     if missing and not whole.any():
         yield Finding("info", name, f"{100 * missing:.1f} % of the readings are invalid or incomplete.")
     measured = [k for k in range(stream.value.shape[1]) if not whole[k] and np.nanstd(stream.value[:, k]) > 0.0]
+    if not measured and not stream.value.any():
+        yield Finding("info", name, "every value is 0: a stand-in for what was not measured, or a sensor that is dead.")
+        return
     if not measured:
         yield Finding("warning", name, "no value ever changes.", "A sensor that is stuck, or the wrong columns.")
         return
@@ -85,8 +90,22 @@ def _values(name: str, stream: Stream) -> Iterator[Finding]:
     if held > 0.5:
         text = f"{100 * held:.0f} % of the readings repeat the one before: a slower sensor, held?"
         yield Finding("warning", name, text, "If so, set only_changes = true, or the filter takes old news for new.")
+    yield from _sentinel(name, values)
     for k in measured:
         yield from _quantisation(name, stream.columns[k], stream.value[:, k])
+
+
+def _sentinel(name: str, values: Any) -> Iterator[Finding]:
+    """One number that readings without a value have in all columns, far from all others."""
+    known = values[np.isfinite(values).all(axis=1)]
+    if known.shape[0] < _SENTINELS:
+        return
+    rows = (known == known[np.argmax(np.abs(known).sum(axis=1))]).all(axis=1)
+    mark, others = known[rows][0], np.abs(known[~rows])
+    if rows.sum() < _SENTINELS or not len(others) or not np.all(np.abs(mark) > _FAR * others.max()):
+        return
+    text = f"{int(rows.sum())} readings are exactly {mark[0]:.6g}, far from all others: a mark for no reading?"
+    yield Finding("warning", name, text, "If so, name it in invalid = [...] of its columns, in the unit of the file.")
 
 
 def _quantisation(name: str, column: str, values: Array) -> Iterator[Finding]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 import math
 import os
 import sys
@@ -12,12 +13,13 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from navfilter.commands import noise_sheet
 from navfilter.commands.console import add_force_argument, add_unpacking_argument, output_folder, unpacked_bytes
 
 __all__ = ["ABOUT", "EPILOG", "add_arguments", "run"]
 
-ABOUT = "identify a sensor's error model from a recording at rest"
-EPILOG = """\
+ABOUT = "identify a sensor's error model, or the noise of an inertial unit, from a recording at rest"
+EPILOG = f"""\
 FILE is a table (.csv, .txt, .dat, also .gz, .xz, .bz2), .npz, .npy or .mat, or one stream of a mission:
   dive_042:depth, dive_042:imu.rate_x
 
@@ -25,11 +27,15 @@ written to --out:
   identify.html   everything on one page that works offline
   identify.json   order criteria, coefficients with covariance, poles, zeros, whiteness, Allan deviation, reading
   *.svg           the figures
+  drive.toml      with --imu: the [drive] table for a vehicle.toml
 
+{noise_sheet.EPILOG}
 examples:
   navfilter identify still.csv --column gyro_x --rate-hz 100 --unit deg/s --out gyro_x
   navfilter identify gps.dat.gz --column 3 --time-column 1 --decimate 10 --out north
   navfilter identify still.csv --column heading --rate-hz 8 --online --window 4000 --out tracks
+  navfilter identify still.mcap --imu --out sheet
+  navfilter identify still.csv --imu --rate-hz 200 --gyro wx,wy,wz --gyro-unit deg/s --out sheet
 """
 
 
@@ -40,9 +46,14 @@ LONG = 100_000
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the sub-command."""
     parser.add_argument("file", metavar="FILE")
-    parser.add_argument("--out", required=True, metavar="DIR", help="folder to write to")
+    parser.add_argument(
+        "--out",
+        metavar="DIR",
+        help="folder to write to; with --imu or --json it may be left out, and nothing is written",
+    )
     add_force_argument(parser)
     add_unpacking_argument(parser)
+    noise_sheet.add_arguments(parser)
     data = parser.add_argument_group("the series")
     data.add_argument(
         "--column", metavar="C", help='name of the column, or its position from 0; of an array "counts[0]"'
@@ -52,6 +63,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     data.add_argument(
         "--time-column", metavar="T", help="column with seconds: gives the rate, and gaps where samples are missing"
+    )
+    data.add_argument(
+        "--time-unit", type=_unit, default="s", metavar="U", help="unit of that column (default: %(default)s)"
     )
     data.add_argument(
         "--unit",
@@ -108,6 +122,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     model.add_argument(
         "--window", type=_least_one, default=4000, metavar="W", help="its window in samples (default: %(default)s)"
     )
+    parser.add_argument("--json", action="store_true", help="print the numbers of identify.json instead of the table")
     parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
 
 
@@ -156,10 +171,18 @@ def run(options: argparse.Namespace) -> int:
         raise ValueError(f"--difference must be 0, 1 or 2, found {options.difference}.")
     if not options.reject >= 0.0:
         raise ValueError(f"--reject must be a number >= 0, found {options.reject}.")
-    folder = output_folder(options.out, options.force)
-    with _busy(options.quiet) as say:
+    if options.online and (options.imu or options.json):
+        raise ValueError("--online writes its own files: leave --imu and --json out.")
+    if options.out is None and not (options.imu or options.json):
+        raise ValueError("--out DIR is needed: the folder to write to.")
+    folder = None if options.out is None else output_folder(options.out, options.force)
+    with _busy(options.quiet or options.json) as say:
+        if options.imu:
+            return noise_sheet.run(options, folder, say)
         series = _read(options)
-        return (_online if options.online else _batch)(options, series, folder, say)
+        if options.online and folder is not None:
+            return _online(options, series, folder, say)
+        return _batch(options, series, folder, say)
 
 
 def _read(options: argparse.Namespace) -> Any:
@@ -179,6 +202,7 @@ def _read(options: argparse.Namespace) -> Any:
         options.column,
         rate_hz=options.rate_hz,
         time_column=options.time_column,
+        time_unit=options.time_unit,
         options=layout,
         unpacked_bytes=unpacked_bytes(options),
     )
@@ -192,19 +216,23 @@ def _conditions(options: argparse.Namespace) -> dict[str, Any]:
     return chosen | ({} if options.max_samples is None else {"max_samples": options.max_samples})
 
 
-def _batch(options: argparse.Namespace, series: Any, folder: Path, say: Any) -> int:
+def _batch(options: argparse.Namespace, series: Any, folder: Path | None, say: Any) -> int:
     from navfilter.identification.identify import identify
-    from navfilter.identification.report import summary_text, write_identification
+    from navfilter.identification.report import as_dict, summary_text, write_identification
 
     how = {name: getattr(options, name) for name in ("max_p", "max_q", "order", "difference", "detrend", "unit")}
     found = identify(series, say=say, **how, **_conditions(options))
-    say("drawing")
-    write_identification(found, folder, options.unit)
+    if folder is not None:
+        say("drawing")
+        write_identification(found, folder, options.unit)
     say("")
-    if not options.quiet:
+    if options.json:
+        print(json.dumps(as_dict(found, options.unit), indent=1))
+    elif not options.quiet:
         print(f"{series.name} of {series.source}")
         print(summary_text(found, options.unit))
-        print(f"Written to {folder}{os.sep}: identify.html (open this one), identify.json, figures (.svg)")
+        if folder is not None:
+            print(f"Written to {folder}{os.sep}: identify.html (open this one), identify.json, figures (.svg)")
     return 0
 
 

@@ -61,7 +61,8 @@ class Surfacing:
         return 100.0 * self.error_m / self.distance_m if self.distance_m > 0.0 else math.nan
 
     def __str__(self) -> str:
-        share = f", {self.percent:.2f} % of {self.distance_m:.0f} m" if math.isfinite(self.percent) else ""
+        # of less than it is off, a share says nothing
+        share = f", {self.percent:.2f} % of {self.distance_m:.0f} m" if self.percent < 100.0 else ""
         where = "inside the 95 % range" if self.inside else "outside the 95 % range"
         return (
             f"{self.sensor} at {self.time_s:.0f} s, after {self.without_s:.0f} s without: "

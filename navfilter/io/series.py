@@ -20,11 +20,18 @@ import numpy.typing as npt
 from navfilter.io import read_mission
 from navfilter.io.tables import Table, TableOptions, read_table
 from navfilter.io.trust import UNPACKED_BYTES, Allowance, Place
+from navfilter.io.units import unit
 from navfilter.mission import MissionError
 
 __all__ = ["Series", "on_a_grid", "read_series"]
 
 Array = npt.NDArray[np.float64]
+
+#: Steps of a clock that stamps bursts: the median lies below this share of the mean, and either fewer than this share
+#: of the steps are multiples of it, as they are where samples are missing, or it lies so far below.
+BURSTY, MULTIPLES, FAR_BELOW = 0.7, 0.8, 0.3
+#: A step of so many mean ones is a gap also between bursts.
+LONG_STEP = 60.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +68,7 @@ def read_series(
     *,
     rate_hz: float | None = None,
     time_column: str | None = None,
+    time_unit: str = "s",
     options: TableOptions | None = None,
     unpacked_bytes: int = UNPACKED_BYTES,
 ) -> Series:
@@ -77,7 +85,9 @@ def read_series(
     rate_hz : float, optional
         Sampling rate. Not needed with a time column or a mission.
     time_column : str, optional
-        Column with the time in seconds: gives the rate, and tells where samples are missing.
+        Column with the time: gives the rate, and tells where samples are missing.
+    time_unit : str
+        Its unit, where the file does not say it.
     options : TableOptions, optional
         Layout of the file.
     unpacked_bytes : int
@@ -111,7 +121,8 @@ def read_series(
         if rate_hz is None:
             raise MissionError(f"{text}: give the sampling rate with --rate-hz, or the time with --time-column.")
         return Series(name, value, float(rate_hz), text, 0.0, tuple(notes))
-    time, _ = table.numbers(_reference(table, time_column))
+    reference = _reference(table, time_column)
+    time = table.numbers(reference)[0] * unit(table.units.get(reference, time_unit)).factor
     if time.shape != value.shape:
         raise MissionError(f'{text}: "{time_column}" has {time.size} values and "{name}" has {value.size}.')
     return on_a_grid(name, time, value, rate_hz, text, notes)
@@ -185,7 +196,8 @@ def on_a_grid(
     """Lay time-stamped samples on an even grid.
 
     Samples follow one another; only a step of more than one and a half periods is a gap, filled with as many NaN as
-    fit. So a clock that jitters, or runs at 99.3 Hz instead of 100, costs nothing.
+    fit. So a clock that jitters, or runs at 99.3 Hz instead of 100, costs nothing. Where samples were stamped when a
+    buffer was emptied, only their number counts between longer gaps.
 
     Parameters
     ----------
@@ -212,6 +224,10 @@ def on_a_grid(
         notes.append(f"{int((~fresh).sum())} rows repeat a time and were dropped")
         time, x = time[fresh], x[fresh]
     step = np.diff(time)
+    if (even := _even_step(step)) is not None:
+        notes.append(f"the stamps come in bursts; samples are taken to be evenly spaced, {1.0 / even:.6g} Hz")
+        step = np.where(step > LONG_STEP * even, step, even)
+        rate_hz = 1.0 / even
     period = 1.0 / rate_hz if rate_hz else float(np.median(step))
     places = np.maximum(np.round(step / period - 0.001), 1.0)
     if places.sum() > 10 * time.size:
@@ -225,3 +241,12 @@ def on_a_grid(
     if grid.size > time.size:
         notes.append(f"{grid.size - time.size} samples are missing in {int(np.sum(places > 1))} gaps")
     return Series(name, grid, 1.0 / period, source, float(time[0]), tuple(notes))
+
+
+def _even_step(step: Array) -> float | None:
+    """Mean step of samples that were stamped in bursts; None where the stamps are those of the samples."""
+    usual = step[step <= LONG_STEP * float(step.mean())]
+    median, mean = float(np.median(usual)), float(usual.mean())
+    multiples = float(np.mean(np.abs(usual / median - np.round(usual / median)) < 0.2))
+    bursts = median < BURSTY * mean and (multiples < MULTIPLES or median < FAR_BELOW * mean)
+    return mean if bursts else None

@@ -13,10 +13,10 @@ import numpy as np
 
 from navfilter import utc
 from navfilter.alignment import align
-from navfilter.io.logs.draft_streams import Drafted, chosen_streams, still
+from navfilter.io.logs.draft_streams import Drafted, chosen_streams, inertial, still
 from navfilter.io.logs.draft_vehicle import usual_kind, vehicle_text
-from navfilter.io.logs.known import READINGS
-from navfilter.io.logs.survey import Survey
+from navfilter.io.logs.known import READINGS, Use
+from navfilter.io.logs.survey import Survey, Topic
 from navfilter.io.mission_toml import read_mission_toml
 from navfilter.io.vehicle_toml import read_vehicle
 from navfilter.mission import Mission, MissionError, Stream
@@ -24,7 +24,7 @@ from navfilter.sensors import Heading, Position
 from navfilter.start import Start
 from navfilter.vehicle import Vehicle
 
-__all__ = ["Draft", "draft"]
+__all__ = ["Draft", "draft", "read_inertial"]
 
 GUESS = "# GUESSED: "
 #: Instruments' own stamps are used where they keep step with the recorder's to this [s].
@@ -76,6 +76,11 @@ def draft(found: Survey, folder: Path, like: str = "") -> Draft:
     texts = (mission_toml + vehicle_toml).splitlines()
     guesses = tuple(dict.fromkeys(line.removeprefix(GUESS) for line in texts if line.startswith(GUESS)))
     return Draft(mission_toml, vehicle_toml, mission, guesses)
+
+
+def read_inertial(found: Survey, topic: Topic, use: Use) -> Mission:
+    """The inertial unit of a log alone, as stream ``imu`` of a mission."""
+    return _read(_mission_text(found, [inertial(topic, use)], str(found.path.resolve()), ""))
 
 
 def _readable(found: Survey, driving: list[Drafted], others: list[Drafted]) -> tuple[list[Drafted], list[str], Mission]:
@@ -230,6 +235,8 @@ def _start_text(start: Start, assumed: tuple[str, ...], reasons: list[str]) -> s
         f"heading_sd_deg = {30.0 if 'heading' in assumed else 5.0}",
         "velocity_sd_m_s = 0.5",
     ]
+    if "position" in assumed:
+        lines.append("position_sd_m = 0.1                  # north and east count from here")
     return "\n".join(lines) + "\n"
 
 

@@ -11,7 +11,7 @@ from navfilter.io.logs.known import READINGS, Use, uses_of
 from navfilter.io.logs.survey import Survey, Topic
 from navfilter.mission import MissionError
 
-__all__ = ["Drafted", "chosen_streams", "still"]
+__all__ = ["Drafted", "chosen_streams", "inertial", "still"]
 
 #: A slower inertial unit cannot carry the state between its samples [Hz].
 _SLOWEST_IMU_HZ = 20.0
@@ -81,7 +81,7 @@ def _driving(found: Survey, uses: list[tuple[Topic, Use]], like: str) -> tuple[l
     attitude = _first(uses, _ATTITUDES)
     aided = _first(uses, _AIDS) is not None or attitude is None
     if imu and aided and (not like or LIKE[like].drive == "imu"):
-        return [_upright(_stream("imu", *imu[0]))], "imu"
+        return [inertial(*imu[0])], "imu"
     fixes = _first(uses, ("position",))
     if attitude is None and fixes is not None:
         north = _north(*fixes)
@@ -95,6 +95,11 @@ def _driving(found: Survey, uses: list[tuple[Topic, Use]], like: str) -> tuple[l
     level = _as_attitude(_stream("attitude", *attitude))
     velocity = _first(uses, _VELOCITIES)
     return [level, still(level) if velocity is None else _stream("velocity", *velocity)], "dead-reckoning"
+
+
+def inertial(topic: Topic, use: Use) -> Drafted:
+    """The stream of an inertial unit."""
+    return _upright(_stream("imu", topic, use))
 
 
 def _upright(imu: Drafted) -> Drafted:
@@ -121,14 +126,16 @@ def _north(topic: Topic, use: Use) -> Drafted:
 
 
 def still(attitude: Drafted) -> Drafted:
-    """A velocity of zero at the times of the attitude, for a log without any."""
+    """A velocity of zero at the times of all records with the attitude, also of those that lack it, for a log without
+    any.
+    """
     line = (
         'velocity = {columns = [{column = "log_time", scale = 0.0}, {constant = 0.0}, {constant = 0.0}], unit = "m/s"}'
     )
     words = (
         "there is no velocity in this log: the vehicle is taken to stand still, give or take the error in vehicle.toml"
     )
-    return Drafted("velocity", "none", attitude.topic, (line,), attitude.where, words)
+    return Drafted("velocity", "none", attitude.topic, (line,), "", words)
 
 
 def _correcting(uses: list[tuple[Topic, Use]], drive: str) -> list[Drafted]:

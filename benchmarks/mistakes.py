@@ -1,0 +1,48 @@
+"""Mistakes of a mapping or a vehicle.toml, in the manual's own example: what `check` and the verdict of a replay say.
+
+No other software is known that looks for them; the row without a mistake is the reference.
+"""
+
+from __future__ import annotations
+
+import sys
+from typing import Any
+
+from harness import ROOT, Options, Table, main, quick
+
+sys.path.insert(0, str(ROOT / "tests"))
+import mistakes_library as library
+
+from navfilter.check.finding import Finding
+
+
+def mistakes(options: Options) -> list[dict[str, Any]]:
+    """Each mistake, what check says first, and the verdict of the replay with its exit code."""
+    table = Table("mistake<46 check<110 exit>4d verdict<110")
+    vehicle, mission = library.sound()
+    cases: dict[str, library.Mistake] = {"none": lambda *both: both} | library.MISTAKES
+    for name, spoil in [*cases.items()][: 3 if options.quick else None]:
+        told = library.told(*spoil(vehicle, mission))
+        table.add({"mistake": name, "check": first(told.check), "exit": told.code, "verdict": said(told)})
+    return table.rows
+
+
+def first(findings: tuple[Finding, ...]) -> str:
+    """The gravest finding, and how many more there are."""
+    if not findings:
+        return "-"
+    more = f" (+{len(findings) - 1})" if findings[1:] else ""
+    where = f"{findings[0].stream}: " if findings[0].stream else ""
+    return f"{where}{findings[0].text}{more}"
+
+
+def said(told: library.Told) -> str:
+    """What the replay ends with."""
+    if isinstance(told.verdict, str):
+        return f"refused: {told.verdict}"
+    grave = tuple(f for f in told.verdict.findings if f.severity != "info")
+    return first(grave)
+
+
+if __name__ == "__main__":
+    main(__doc__, {mistakes: [quick("two mistakes")]})

@@ -1,0 +1,119 @@
+"""``navfilter identify --imu``: its own arguments and what it does."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from navfilter.commands.console import complain, unpacked_bytes
+
+if TYPE_CHECKING:
+    from navfilter.io.inertial import ImuRecord
+
+__all__ = ["EPILOG", "add_arguments", "run"]
+
+OK, FOUND = 0, 1
+
+EPILOG = """\
+--imu takes all axes of an inertial unit at once, from a mission, a log (ROS bag, PX4, ArduPilot) or a table, uses what
+of the record is at rest, and makes a noise sheet: angle and velocity random walk, bias instability, rate random walk,
+quantisation, lines, Allan deviations, in the units of data sheets and with uncertainties, and the [drive] table of a
+vehicle.toml. Exit code 1 when the record is not at rest.
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of a noise sheet."""
+    unit = parser.add_argument_group("an inertial unit")
+    unit.add_argument("--imu", action="store_true", help="a noise sheet of all axes, from a record at rest")
+    for name, example in (("gyro", "deg/s"), ("accel", "g")):
+        unit.add_argument(
+            f"--{name}",
+            type=_three,
+            default=(),
+            metavar="X,Y,Z",
+            help="its columns of a table (default: found by their names)",
+        )
+        unit.add_argument(
+            f"--{name}-unit",
+            type=_quantity,
+            default="",
+            metavar="U",
+            help=f'their unit; of raw counts with its factor, "0.05 {example}"',
+        )
+
+
+def _three(text: str) -> tuple[str, ...]:
+    parts = tuple(part.strip() for part in text.split(","))
+    if len(parts) != 3 or not all(parts):
+        raise argparse.ArgumentTypeError(f"must be three columns X,Y,Z, found '{text}'")
+    return parts
+
+
+def _quantity(text: str) -> str:
+    from navfilter.io.inertial import size_of
+
+    try:
+        size_of(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+    return text
+
+
+def run(options: argparse.Namespace, folder: Path | None, say: Callable[[str], Any]) -> int:
+    """Read, find the noise, write, print."""
+    from navfilter.identification.noise_sheet import NotAtRest, noise_sheet
+    from navfilter.identification.sheet_words import as_dict, sheet_text
+
+    say("reading")
+    record = _record(options)
+    try:
+        sheet = noise_sheet(record, say)
+    except NotAtRest as error:
+        say("")
+        complain(f"navfilter: {error}")
+        return FOUND
+    if folder is not None:
+        from navfilter.identification.sheet_page import write_sheet
+
+        say("drawing")
+        write_sheet(sheet, record, folder)
+    say("")
+    if options.json:
+        print(json.dumps(as_dict(sheet), indent=1))
+    elif not options.quiet:
+        print(sheet_text(sheet))
+        if folder is not None:
+            files = "identify.html (open this one), identify.json, drive.toml, figures (.svg)"
+            print(f"Written to {folder}{os.sep}: {files}")
+    if sheet.moving:
+        complain(f"navfilter: {sheet.verdict}")
+        return FOUND
+    return OK
+
+
+def _record(options: argparse.Namespace) -> ImuRecord:
+    from navfilter.io.inertial import ImuColumns, read_imu
+    from navfilter.io.tables import TableOptions
+
+    columns = ImuColumns(
+        options.gyro,
+        options.accel,
+        options.gyro_unit,
+        options.accel_unit,
+        options.time_column or "",
+        options.time_unit,
+        options.rate_hz,
+    )
+    layout = TableOptions(
+        table=options.table,
+        transpose=options.transpose,
+        skip_lines=options.skip_lines,
+        skip_rows=options.skip_rows,
+        topic=options.topic,
+    )
+    return read_imu(options.file, columns, layout, unpacked_bytes(options)).part(options.from_s, options.to_s)

@@ -1,0 +1,323 @@
+"""The six axes of an inertial unit from whatever holds them: a mission, a log, or any table."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from navfilter.io import read_mission
+from navfilter.io.series import on_a_grid
+from navfilter.io.table import Table
+from navfilter.io.tables import TableOptions, read_table
+from navfilter.io.trust import UNPACKED_BYTES, Allowance, Place
+from navfilter.io.units import Unit, parse_quantity, unit
+from navfilter.mission import MissionError, Stream
+
+__all__ = ["ImuColumns", "ImuRecord", "read_imu", "size_of"]
+
+Array = npt.NDArray[np.float64]
+
+#: Names of columns, without their units, in lower case; the last character is the axis.
+_NAMES = {
+    "gyro": r"(?:.*[._ ])?(?:gyros?|gyroscope|gyr|omega|angular_?velocity|angular_?rate|ang_?vel|rate|w|g)[._ \[]?",
+    "accel": r"(?:.*[._ ])?(?:acc|accels?|accelerometer|acceleration|linear_?acceleration|(?:specific_?)?force|f|a)"
+    r"[._ \[]?",
+}
+_AXES = (("x", "y", "z"), ("0", "1", "2"), ("1", "2", "3"))
+_DIMENSIONS = {"gyro": "angular rate", "accel": "acceleration"}
+#: Endings of names that are units.
+_ENDINGS = {
+    "rad_s": "rad/s", "rad/s": "rad/s", "rads": "rad/s", "deg_s": "deg/s", "deg/s": "deg/s", "dps": "deg/s",
+    "deg_h": "deg/h", "m_s2": "m/s^2", "m/s2": "m/s^2", "m/s^2": "m/s^2", "ms2": "m/s^2", "g": "g", "mg": "mg",
+}  # fmt: skip
+#: What the size of a resting accelerometer says of its unit.
+_SIZES = (("m/s^2", 9.80665), ("g", 1.0), ("mg", 1000.0))
+_SIZE_TOLERANCE = 0.25
+
+
+@dataclass(frozen=True)
+class ImuColumns:
+    """Where the axes stand in a table, as far as it has to be said.
+
+    Parameters
+    ----------
+    gyro, accel : tuple of str
+        Names or positions of the columns x, y, z; empty: found by their names.
+    gyro_unit, accel_unit : str
+        Such as ``"deg/s"``, or with a factor for raw counts, ``"0.05 deg/s"``; empty: told by the file, or by gravity.
+    time_column, time_unit : str
+    rate_hz : float, optional
+    """
+
+    gyro: tuple[str, ...] = ()
+    accel: tuple[str, ...] = ()
+    gyro_unit: str = ""
+    accel_unit: str = ""
+    time_column: str = ""
+    time_unit: str = "s"
+    rate_hz: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class ImuRecord:
+    """Samples of an inertial unit at a constant rate, NaN where one is missing.
+
+    Parameters
+    ----------
+    source : str
+    rate_hz, begin_s : float
+        Rate, and time of the first sample on the file's clock.
+    names : tuple of str
+        Axes that are there: ``gyro_x`` ... ``accel_z``.
+    value : ndarray, shape (n, k)
+        rad/s and m/s^2.
+    notes : tuple of str
+        What was found out, mended or left out while reading.
+    """
+
+    source: str
+    rate_hz: float
+    begin_s: float
+    names: tuple[str, ...]
+    value: Array
+    notes: tuple[str, ...]
+
+    def part(self, from_s: float | None, to_s: float | None) -> ImuRecord:
+        """The samples between two times of the file's clock.
+
+        Raises
+        ------
+        MissionError
+            Where there are none.
+        """
+        time = self.begin_s + np.arange(len(self.value)) / self.rate_hz
+        low, high = -np.inf if from_s is None else from_s, np.inf if to_s is None else to_s
+        half = 0.5 / self.rate_hz
+        inside = np.flatnonzero((time >= low - half) & (time <= high + half))
+        if inside.size == 0:
+            raise MissionError(
+                f"{self.source} has no samples from {low:g} to {high:g} s:"
+                f" it lasts from {time[0]:.6g} to {time[-1]:.6g} s."
+            )
+        return replace(self, begin_s=float(time[inside[0]]), value=self.value[inside])
+
+
+def read_imu(
+    source: str | os.PathLike[str],
+    columns: ImuColumns | None = None,
+    options: TableOptions | None = None,
+    unpacked_bytes: int = UNPACKED_BYTES,
+) -> ImuRecord:
+    """Read the axes of an inertial unit.
+
+    Parameters
+    ----------
+    source : path-like
+        A mission (its stream ``imu``, or ``"dive_042:other"``), a log with a topic of a known kind, or a table.
+    columns : ImuColumns, optional
+    options : TableOptions, optional
+        Layout of a table; of a log the topic.
+    unpacked_bytes : int
+        What it may unpack to.
+
+    Raises
+    ------
+    MissionError
+        Where the axes or their units cannot be told; says what to give.
+    """
+    columns, options = columns or ImuColumns(), options or TableOptions()
+    text = os.fspath(source)
+    path, _, stream = text.rpartition(":")
+    if path and not Path(text).exists() and Path(path).exists():
+        return _of_mission(path, stream, unpacked_bytes)
+    if _is_mission(Path(text)):
+        return _of_mission(text, "imu", unpacked_bytes)
+    if not (columns.gyro or columns.accel) and (found := _of_log(Path(text), options.topic)) is not None:
+        return found
+    table = read_table(Place(Path(text), text, True, Allowance(unpacked_bytes)), options)
+    return _of_table(table, columns)
+
+
+# --- missions and logs ----------------------------------------------------------------------------------------------
+
+
+def _is_mission(path: Path) -> bool:
+    if path.suffix == ".toml" or (path / "mission.toml").exists():
+        return True
+    if path.suffix != ".npz" or not path.is_file():
+        return False
+    try:
+        with np.load(path) as arrays:
+            return "navfilter_mission" in arrays.files
+    except (OSError, ValueError, EOFError):
+        return False
+
+
+def _of_mission(path: str, stream: str, unpacked_bytes: int) -> ImuRecord:
+    mission = read_mission(path, unpacked_bytes=unpacked_bytes)
+    return _of_stream(path, mission.stream(stream), mission.notes)
+
+
+def _of_stream(source: str, stream: Stream, notes: Sequence[str]) -> ImuRecord:
+    axes: dict[str, Array] = {}
+    step = float(np.median(np.diff(stream.time_s))) if stream.time_s.size > 2 else np.nan
+    for group, stems in (
+        ("gyro", (("rate", 1.0), ("rotation", step))),
+        ("accel", (("force", 1.0), ("velocity_gain", step))),
+    ):
+        for stem, divisor in stems:
+            for name, values in zip(stream.columns, stream.value.T, strict=True):
+                if match := re.match(rf"{stem}_([xyz])_", name):
+                    axes[f"{group}_{match[1]}"] = values / divisor
+    if not axes:
+        raise MissionError(f"{source}: this stream is no inertial unit (columns: {', '.join(stream.columns)}).")
+    return _on_a_grid(source, stream.time_s, axes, None, list(notes))
+
+
+def _of_log(path: Path, topic: str) -> ImuRecord | None:
+    """The first inertial unit of a log; None where it is none, or where its columns have to be found like those of any
+    table.
+    """
+    from navfilter.io.logs import format_of
+    from navfilter.io.logs.draft import read_inertial
+    from navfilter.io.logs.known import uses_of
+    from navfilter.io.logs.survey import survey
+
+    if not (path.is_dir() or "*" in path.name or (path.is_file() and format_of(path))):
+        return None
+    found = survey(path)
+    units = [(t, use) for t, use in uses_of(found) if use.reading == "imu" and (not topic or topic in (t.name, t.kind))]
+    if not units:
+        if topic:
+            return None
+        names = ", ".join(t.name for t in found.topics)
+        raise MissionError(
+            f"{path}: no topic is known to be an inertial unit; say which with --topic (topics: {names})."
+        )
+    unit_topic, use = units[0]
+    mission = read_inertial(found, unit_topic, use)
+    others = [t.name for t, _ in units[1:] if t.name != unit_topic.name]
+    notes = [
+        f"{unit_topic.name} is taken",
+        *([f"other inertial units: {', '.join(others)} (--topic)"] if others else []),
+    ]
+    return _of_stream(str(path), mission.streams["imu"], [*notes, *mission.notes])
+
+
+# --- tables ---------------------------------------------------------------------------------------------------------
+
+
+def _of_table(table: Table, columns: ImuColumns) -> ImuRecord:
+    notes = list(table.notes)
+    axes: dict[str, Array] = {}
+    for group in ("gyro", "accel"):
+        names = getattr(columns, group) or _found(table, group)
+        if not names:
+            continue
+        if len(names) != 3:
+            raise MissionError(
+                f"{table.path}: --{group} takes three columns x,y,z, found {len(names)}: {','.join(names)}."
+            )
+        references = [_reference(table, name) for name in names]
+        values = [table.numbers(name)[0] for name in references]
+        factor = _factor(table, group, getattr(columns, f"{group}_unit"), references, values, notes)
+        notes.append(f"{group}: {', '.join(references)}")
+        axes |= {f"{group}_{axis}": factor * value for axis, value in zip("xyz", values, strict=True)}
+    if not axes:
+        raise MissionError(
+            f"{table.path}: no columns look like gyros or accelerometers: say which with --gyro X,Y,Z and --accel X,Y,Z"
+            f" (columns: {', '.join(table.columns)}); an array of several columns is named with --table."
+        )
+    clock = columns.time_column or ("log_time" if columns.rate_hz is None and "log_time" in table.columns else "")
+    if clock:
+        reference = _reference(table, clock)
+        told = unit(table.units.get(reference, columns.time_unit))
+        time = table.numbers(reference)[0] * told.factor
+    elif columns.rate_hz is not None:
+        time = np.arange(next(iter(axes.values())).size) / columns.rate_hz
+    else:
+        names = ", ".join(table.columns)
+        raise MissionError(
+            f"{table.path}: give the sampling rate with --rate-hz, or the time with --time-column ({names})."
+        )
+    return _on_a_grid(table.path, time, axes, columns.rate_hz, notes)
+
+
+def _bare(name: str) -> tuple[str, str]:
+    """A column's name in lower case without its unit, and that unit."""
+    text = name.strip().lower()
+    if match := re.fullmatch(r"(.+?)\s*[\[(]\s*([^\])0-9][^\])]*)[\])]", text):
+        return match[1].strip(), match[2].strip()
+    for ending, meant in _ENDINGS.items():
+        if text.endswith(f"_{ending}"):
+            return text.removesuffix(f"_{ending}"), meant
+    return text, ""
+
+
+def _found(table: Table, group: str) -> tuple[str, ...]:
+    bare = {name: _bare(name)[0] for name in table.columns}
+    for axes in _AXES:
+        for pattern in (rf"{_NAMES[group]}({{}})\]?", rf"({{}})_?{_NAMES[group]}"):
+            found = [[n for n, text in bare.items() if re.fullmatch(pattern.format(axis), text)] for axis in axes]
+            if all(found):
+                return tuple(names[0] for names in found)
+    return ()
+
+
+def _reference(table: Table, column: str) -> str:
+    if column not in table.columns and column.lstrip("-").isdecimal():
+        table.raw(int(column))
+        return list(table.columns)[int(column)]
+    table.raw(column)
+    return column
+
+
+def _factor(
+    table: Table, group: str, given: str, names: Sequence[str], values: Sequence[Array], notes: list[str]
+) -> float:
+    """From the file's unit to SI: as given, as the file says, as the names say, or by the size of gravity."""
+    told = given or table.units.get(names[0], "") or _bare(names[0])[1]
+    if told:
+        size, found = size_of(told)
+        if found.dimension != _DIMENSIONS[group]:
+            raise MissionError(f'{table.path}: "{told}" is no unit of an {_DIMENSIONS[group]} (--{group}-unit).')
+        return size * found.factor
+    if group == "accel":
+        length = float(np.sqrt(sum(float(np.nanmedian(value)) ** 2 for value in values)))
+        for name, gravity in _SIZES:
+            if abs(length / gravity - 1.0) < _SIZE_TOLERANCE:
+                notes.append(f"accel is taken to be in {name}, because gravity reads {length:.4g}")
+                return unit(name).factor
+    example = "deg/s, or 0.05 deg/s for counts of that size" if group == "gyro" else "g, or 0.001 g for such counts"
+    raise MissionError(f"{table.path}: say in which unit {', '.join(names)} are: --{group}-unit U ({example}).")
+
+
+def size_of(text: str) -> tuple[float, Unit]:
+    """A unit, or one with a factor: ``"deg/s"``, ``"0.05 deg/s"``.
+
+    Raises
+    ------
+    ValueError
+        For another text.
+    """
+    return parse_quantity(text) if re.match(r"[-+.\d]", text) else (1.0, unit(text))
+
+
+def _on_a_grid(
+    source: str, time_s: Array, axes: dict[str, Array], rate_hz: float | None, notes: list[str]
+) -> ImuRecord:
+    """All axes on one even grid."""
+    for name, value in axes.items():
+        if value.shape != time_s.shape:
+            raise MissionError(f"{source}: {name} has {value.size} values, and there are {time_s.size} times.")
+    rows = on_a_grid("the inertial unit", time_s, np.arange(time_s.size, dtype=np.float64), rate_hz, source, notes)
+    row = np.where(np.isnan(rows.value), 0.0, rows.value).astype(np.int64)
+    value = np.column_stack([np.where(np.isnan(rows.value), np.nan, x[row]) for x in axes.values()])
+    value[~np.isfinite(value)] = np.nan
+    return ImuRecord(source, rows.rate_hz, rows.begin_s, tuple(axes), np.ascontiguousarray(value), rows.notes)
