@@ -49,7 +49,7 @@ _FACE = {
     "navigator": "Navigator Outcome",
     "playback": "replay warm_up",
     "evaluation.rivals": "rival",
-    "sensors": "BodyVelocity Depth Heading Position WaterVelocity ZeroVelocity",
+    "sensors": "BodyVelocity Depth DvlBeams Heading Position WaterVelocity ZeroVelocity",
     "state": "NavState",
     "filter.tape": "Tape",
     "track": "Track",

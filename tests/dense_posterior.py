@@ -246,6 +246,23 @@ def water_vehicle(arma=True, white=False):
     return nf.Vehicle(plain.drive, {**plain.sensors, "dvl": water})
 
 
+def beams_vehicle(arma=True):
+    """The velocity is that of four beams, over ground and through water; scale and misalignment serve both."""
+    plain = inertial_vehicle(arma)
+    beams = nf.DvlBeams(
+        rate_hz=4.0,
+        error=plain.sensors["dvl"].error,
+        lever_arm_b_m=(0.5, 0.1, 0.2),
+        mounting_rad=(0.1, 0.0, 0.7),
+        scale_sd=0.01,
+        misalignment_sd_rad=0.02,
+        current_sd_m_s=0.4,
+        current_tau_s=3.0,
+        water_error=nf.GaussMarkov(sd=0.1, tau_s=1.0) + nf.White(sd=0.05),
+    )
+    return nf.Vehicle(plain.drive, {**plain.sensors, "dvl": beams})
+
+
 def reckoning_vehicle(arma=True):
     shaped = nf.Arma(**ARMA, sd=0.8 * DEG) if arma else nf.GaussMarkov(sd=2.0 * DEG, tau_s=5.0) + nf.White(sd=1.0 * DEG)
     return nf.Vehicle(
@@ -309,6 +326,7 @@ def drive_through(nav, seconds, seed, readings=("compass", "dvl", "depth", "gps"
         outlier = name == "gps" and 2.0 < time_s < 3.0
         value = {
             "compass": lambda heading=heading: [heading + 0.1 * rng.normal()],
+            "beams": lambda: np.where(rng.random(8) < 0.3, np.nan, 0.5 + 0.2 * rng.normal(size=8)),
             "dvl": lambda: [1.4, 0.1 * rng.normal(), np.nan if rng.random() < 0.3 else 0.1 * rng.normal()],
             "depth": lambda: [1.0 + 0.3 * rng.normal()],
             "gps": lambda time_s=time_s, outlier=outlier: [
@@ -316,6 +334,6 @@ def drive_through(nav, seconds, seed, readings=("compass", "dvl", "depth", "gps"
                 begin.longitude + (time_s + 2.0 * rng.normal()) / 5.2e6,
                 np.nan if rng.random() < 0.3 else 3.0 * rng.normal(),
             ],
-        }[name]()
+        }["beams" if isinstance(vehicle.sensors[name], nf.DvlBeams) else name]()
         outcome = nav.correct(name, time_s, value)
         assert outcome.status == ("rejected" if outlier else "used"), (name, time_s, outcome)

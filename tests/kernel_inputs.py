@@ -71,10 +71,13 @@ def imu_samples(rng, n, increments=False):
 def readings(rng, nav):
     """One reading per measurement kernel: kernel, reading, constants, numbers of parameters, axes."""
     mounted = np.concatenate([[0.5, -0.2, 0.3], matrix_from_euler(0.1, -0.2, 0.7).ravel()])
+    directions = rng.normal(size=(4, 3))
+    beams = np.concatenate([mounted, (directions / np.linalg.norm(directions, axis=1, keepdims=True)).ravel()])
     place = np.array([nav[0] + 2e-6, nav[1] - 3e-6, nav[2] + 4.0])
     return [
         (measurement.body_velocity, rng.normal(size=3), mounted, (0, 4), 3),
         (measurement.water_velocity, rng.normal(size=3), mounted, (2, 6), 3),
+        (measurement.beam_velocity, rng.normal(size=8), beams, (0, 2, 4, 6), 8),
         (measurement.heading, np.array([2.5, 11.0]), np.array([0.1, 20.0]), (0, 6), 1),
         (measurement.heading, np.array([-2.5, np.nan]), np.array([0.1, 20.0]), (6,), 1),
         (measurement.magnetometer, np.array([24.0, 7.0, 30.0, 25.0]), np.array([0.1, 20.0]), (0, 6), 1),

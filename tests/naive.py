@@ -623,9 +623,31 @@ def update(P, nav, x, C, R, mem, dims, limits):
     innovation(P, H, res, R, S, PH, out)
     out[3 + a :] = np.where(np.isnan(out[3 : 3 + a]), np.nan, np.diag(S[:a]))
     out[2] = float(out[1] > 0 and out[0] <= limits[int(out[1])])
+    if out[1] and not out[2] and np.isfinite(limits[0]):
+        out[2] = fits_without_some(P, H.copy(), res.copy(), np.isnan(out[3 : 3 + a]), H, R, S, PH, res, out, limits)
     if out[2]:
         correct(P, nav, x, res, S, PH, K, mem[at[4] : at[5]])
         mem[at[2] : at[3]] = S[a:].ravel()
+
+
+def fits_without_some(P, whole, given, missing, H, R, S, PH, res, out, limits):
+    """Leave out the component without which the NIS is least, and the next, as long as more than a share remains."""
+
+    def form(left):
+        H[:], res[:] = whole, np.where(missing | left, np.nan, given)
+        innovation(P, H, res, R, S, PH, out)
+        return out[0]
+
+    left, least = np.zeros(len(given), bool), limits[0] * np.sum(~missing)
+    while np.sum(~missing & ~left) - 1 > least:
+        rest = np.flatnonzero(~missing & ~left)
+        nis = [form(left | (np.arange(len(given)) == i)) for i in rest]
+        left[rest[np.argmin(nis)]] = True
+        if form(left) <= limits[int(out[1])]:
+            out[3 + len(left) :][left] = np.nan
+            return 1.0
+    form(np.zeros(len(given), bool))
+    return 0.0
 
 
 def smooth_record(L, lam, record, a, m, b, start, T):
@@ -807,3 +829,18 @@ def water_velocity(z, nav, rate, par, cfg, H, res):
     relative[3:6] -= current
     body_velocity(z, relative, rate, par[2:], cfg, plain, res)
     H[:, :9], H[:, 9:11], H[:, 11:] = plain[:, :9], -plain[:, 3:5], plain[:, 9:]
+
+
+# ---------------------------------------------------------------- kernels/measurement.py: beams of a DVL
+
+
+def beam_velocity(z, nav, rate, par, cfg, H, res):
+    first, D = len(par) % 4, cfg[12:24].reshape(4, 3)
+    current, still = np.zeros(2), np.zeros(3)
+    current[:first] = par[:first]
+    over, through, gap = np.zeros((3, 9 + len(par) - first)), np.zeros((3, 11 + len(par) - first)), np.zeros((2, 3))
+    body_velocity(still, nav, rate, par[first:], cfg, over, gap[0])
+    water_velocity(still, nav, rate, np.concatenate([current, par[first:]]), cfg, through, gap[1])
+    H[:4] = D @ np.insert(over, [9] * first, 0.0, axis=1)
+    H[4:] = D @ np.delete(through, [9, 10][: 2 - first], axis=1)
+    res[:] = z + np.concatenate([D @ gap[0], D @ gap[1]])

@@ -16,7 +16,7 @@ from navfilter.io.units import ALIASES, SUFFIXES, UNITS
 from navfilter.io.vehicle_keys import plain_key, times
 from navfilter.learning.learned import LearnedArma
 from navfilter.mechanisation import DeadReckoning, Imu, Mechanisation
-from navfilter.sensors import BodyVelocity, Depth, Heading, Position, Sensor, WaterVelocity, ZeroVelocity
+from navfilter.sensors import BodyVelocity, Depth, DvlBeams, Heading, Position, Sensor, WaterVelocity, ZeroVelocity
 from navfilter.sensors.traits import kinds_below
 from navfilter.vehicle import Vehicle
 
@@ -128,6 +128,7 @@ VEHICLE_TABLES = {
     "All sensors": Sensor,
     "type: body-velocity": BodyVelocity,
     "type: water-velocity": WaterVelocity,
+    "type: dvl-beams": DvlBeams,
     "type: heading": Heading,
     "type: depth": Depth,
     "type: position": Position,

@@ -15,6 +15,7 @@ from dense_posterior import (
     Capture,
     Unknowns,
     assert_same,
+    beams_vehicle,
     drive_through,
     inertial_vehicle,
     reckoning_vehicle,
@@ -30,6 +31,7 @@ CASES = {
     "inertial": (inertial_vehicle, 6.0),
     "reckoning": (reckoning_vehicle, 9.0),
     "water": (water_vehicle, 3.0),
+    "beams": (beams_vehicle, 3.0),
     "water, white": (lambda arma=True: water_vehicle(arma, white=True), 3.0),
 }
 

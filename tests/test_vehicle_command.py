@@ -24,7 +24,7 @@ from navfilter.io.vehicle_template import DRIVES, vehicle_template
 from navfilter.io.vehicle_toml import _concrete, _kebab, _kinds
 from navfilter.learning.learned import LearnedArma
 from navfilter.mechanisation import DeadReckoning, Imu
-from navfilter.sensors import BodyVelocity, Depth, Heading, Position, Sensor, WaterVelocity, ZeroVelocity
+from navfilter.sensors import BodyVelocity, Depth, DvlBeams, Heading, Position, Sensor, WaterVelocity, ZeroVelocity
 from navfilter.simulation.scenarios import SCENARIOS, simulate_scenario
 from navfilter.vehicle import Vehicle
 
@@ -47,10 +47,14 @@ def test_defaults_in_the_template_are_the_defaults(tmp_path, drive):
     as_written = written(tmp_path, text)
     uncommented = written(tmp_path, re.sub(r"^#(?=[^ #\n])", "", text, flags=re.MULTILINE))
     if drive == "imu":
-        assert uncommented.sensors["still"] == ZeroVelocity()
-        plain = WaterVelocity(rate_hz=4.0, lever_arm_b_m=(0.5, 0.0, 0.1))
-        assert uncommented.sensors["water"] == plain
-        uncommented = uncommented.without("still").without("water")
+        arm = (0.5, 0.0, 0.1)
+        unused = {
+            "still": ZeroVelocity(),
+            "water": WaterVelocity(rate_hz=4.0, lever_arm_b_m=arm),
+            "beams": DvlBeams(rate_hz=4.0, lever_arm_b_m=arm),
+        }
+        assert {name: uncommented.sensors[name] for name in unused} == unused
+        uncommented = uncommented.without(*unused)
     assert dataclasses.replace(uncommented.drive) == as_written.drive
     assert list(uncommented.sensors) != [] and dict(uncommented.sensors) == dict(as_written.sensors)
 

@@ -79,6 +79,30 @@ def water_velocity(z, nav, rate, par, cfg, H, res):
 
 
 @njit(cache=True)
+def beam_velocity(z, nav, rate, par, cfg, H, res):
+    """Velocities along four beams over ground, then along the same through water: reading = d (1 + s)(y + m x y), y as
+    for `body_velocity`.
+
+    cfg: lever arm (3), mounting (9), unit vectors d of the beams in instrument axes (12). par: none, or scale and
+    misalignment (4); before them, or alone, current north, east.
+    """
+    first = len(par) % 4
+    part, Y = np.zeros(3), np.zeros((3, H.shape[1]))
+    zero = np.zeros(3)
+    _clear(H)
+    for track in range(2):
+        north, east = (par[0], par[1]) if track and first else (0.0, 0.0)
+        _instrument_velocity(zero, nav, nav[3] - north, nav[4] - east, nav[5], rate, par, first, cfg, Y, part)
+        for i in range(4):
+            k, d = 4 * track + i, cfg[12 + 3 * i : 15 + 3 * i]
+            res[k] = z[k] + d[0] * part[0] + d[1] * part[1] + d[2] * part[2]
+            for j in range(H.shape[1]):
+                H[k, j] = d[0] * Y[0, j] + d[1] * Y[1, j] + d[2] * Y[2, j]
+            if track and first:
+                H[k, 9], H[k, 10] = -H[k, 3], -H[k, 4]
+
+
+@njit(cache=True)
 def _bearing(n0, n1, n2, H):
     """Azimuth of a vector given in n, and its derivative with respect to a rotation vector in n."""
     h2 = n0 * n0 + n1 * n1

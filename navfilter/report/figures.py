@@ -229,12 +229,12 @@ def innovation_figure(track: Track, name: str) -> Figure:
     the scale.
     """
     residuals, sensor = track.residuals[name], track.vehicle.sensors[name]
-    unit, factor = shown_unit(sensor.unit)
     clock = Clock(track.time_s[0], track.time_s[-1])
     measured = np.flatnonzero(np.isfinite(residuals.value).any(axis=0)).tolist() or [0]
     figure, axes = panels(len(measured), 1.45)
     rejected = residuals.outcome == OUTCOMES.index("rejected")
     for i, ax in zip(measured, axes, strict=True):
+        unit, factor = shown_unit(sensor.units[i]) if i < sensor.axes else ("", 1.0)
         seen = residuals.used & np.isfinite(residuals.value[:, i])
         t, value, bound = (
             clock(residuals.time_s[seen]),

@@ -5,9 +5,10 @@ A reading is a vector of float64 in SI units and radians; NaN is a missing compo
 Jacobian.
 """
 
+from navfilter.sensors.beams import DvlBeams
 from navfilter.sensors.heading import Heading
 from navfilter.sensors.position import Depth, Position
 from navfilter.sensors.sensor import Sensor
 from navfilter.sensors.velocity import BodyVelocity, WaterVelocity, ZeroVelocity
 
-__all__ = ["BodyVelocity", "Depth", "Heading", "Position", "Sensor", "WaterVelocity", "ZeroVelocity"]
+__all__ = ["BodyVelocity", "Depth", "DvlBeams", "Heading", "Position", "Sensor", "WaterVelocity", "ZeroVelocity"]
