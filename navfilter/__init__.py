@@ -27,6 +27,7 @@ __version__ = "0.1.0"
 _FACE = {
     "alignment": "align",
     "arma.algebra": "BiasPlusWhite add_arma bias_plus_white resample_arma split_bias",
+    "beacons": "locate_beacons",
     "arma.online.bank": "ArmaBank",
     "arma.fit": "ArmaFit fit_arma",
     "arma.online.front_end": "FrontEnd",
@@ -49,7 +50,7 @@ _FACE = {
     "navigator": "Navigator Outcome",
     "playback": "replay warm_up",
     "evaluation.rivals": "rival",
-    "sensors": "BodyVelocity Depth DvlBeams Heading Position WaterVelocity ZeroVelocity",
+    "sensors": "BodyVelocity Depth DvlBeams Heading Position Range WaterVelocity ZeroVelocity",
     "state": "NavState",
     "filter.tape": "Tape",
     "track": "Track",

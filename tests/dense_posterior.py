@@ -17,6 +17,8 @@ from navfilter.filter.smoother import smooth_rows
 from navfilter.kernels import kalman
 
 DEG = np.pi / 180.0
+#: Kinds that stand in for others, and what their readings look like below.
+LIKE = {nf.DvlBeams: "beams", nf.Range: "range"}
 ARMA = {"ar": (-1.6, 0.7), "ma": (0.4, 0.1)}
 
 
@@ -263,6 +265,21 @@ def beams_vehicle(arma=True):
     return nf.Vehicle(plain.drive, {**plain.sensors, "dvl": beams})
 
 
+def ranging_vehicle(arma=True):
+    """Ranges to two beacons of uncertain place, with scale and offsets, in place of fixes."""
+    plain = inertial_vehicle(arma)
+    ranges = nf.Range(
+        rate_hz=2.0,
+        beacons=((35.0003, 20.0004, -30.0), (35.0002, 19.9996, -30.0)),
+        error=nf.GaussMarkov(sd=1.0, tau_s=3.0) + nf.White(sd=0.5),
+        lever_arm_b_m=(0.5, 0.1, 0.2),
+        beacon_sd_m=(2.0, 2.0, 1.0),
+        scale_sd=0.01,
+        offset_sd_m=0.5,
+    )
+    return nf.Vehicle(plain.drive, {**plain.sensors, "gps": ranges})
+
+
 def reckoning_vehicle(arma=True):
     shaped = nf.Arma(**ARMA, sd=0.8 * DEG) if arma else nf.GaussMarkov(sd=2.0 * DEG, tau_s=5.0) + nf.White(sd=1.0 * DEG)
     return nf.Vehicle(
@@ -323,9 +340,11 @@ def drive_through(nav, seconds, seed, readings=("compass", "dvl", "depth", "gps"
                 )
             continue
         heading = 1.0 + turn
-        outlier = name == "gps" and 2.0 < time_s < 3.0
+        kind = LIKE.get(type(vehicle.sensors[name]), name)
+        outlier = kind == "gps" and 2.0 < time_s < 3.0
         value = {
             "compass": lambda heading=heading: [heading + 0.1 * rng.normal()],
+            "range": lambda: [53.0 + 2.0 * rng.normal(), float(rng.integers(2))],
             "beams": lambda: np.where(rng.random(8) < 0.3, np.nan, 0.5 + 0.2 * rng.normal(size=8)),
             "dvl": lambda: [1.4, 0.1 * rng.normal(), np.nan if rng.random() < 0.3 else 0.1 * rng.normal()],
             "depth": lambda: [1.0 + 0.3 * rng.normal()],
@@ -334,6 +353,6 @@ def drive_through(nav, seconds, seed, readings=("compass", "dvl", "depth", "gps"
                 begin.longitude + (time_s + 2.0 * rng.normal()) / 5.2e6,
                 np.nan if rng.random() < 0.3 else 3.0 * rng.normal(),
             ],
-        }["beams" if isinstance(vehicle.sensors[name], nf.DvlBeams) else name]()
+        }[kind]()
         outcome = nav.correct(name, time_s, value)
         assert outcome.status == ("rejected" if outlier else "used"), (name, time_s, outcome)

@@ -6,6 +6,11 @@ import numpy as np
 from navfilter.kernels import measurement, strapdown
 from navfilter.state import matrix_from_euler
 
+#: Radius [m] and squared eccentricity of WGS-84.
+EARTH = (6378137.0, 6.69437999014e-3)
+#: Two beacons: number of parameters -> where scale, offsets and places of the beacons begin.
+RANGED = {0: (-1, -1, -1), 1: (0, -1, -1), 8: (-1, 0, 2), 9: (0, 1, 3)}
+
 
 def assert_close(actual, expected, rtol=1e-11):
     for a, b in zip(actual, expected, strict=True):
@@ -74,7 +79,11 @@ def readings(rng, nav):
     directions = rng.normal(size=(4, 3))
     beams = np.concatenate([mounted, (directions / np.linalg.norm(directions, axis=1, keepdims=True)).ravel()])
     place = np.array([nav[0] + 2e-6, nav[1] - 3e-6, nav[2] + 4.0])
+    axes, point = naive.earth_axes(*nav[:3], *EARTH)
+    around = np.concatenate([point + axes.T @ (2e4 * rng.normal(size=3)) for _ in range(2)])
+    ranged = {size: np.concatenate([EARTH, mounted[:3], at, around]) for size, at in RANGED.items()}
     return [
+        *((measurement.slant_range, np.array([400.0, 1.0]), cfg, (size,), 1) for size, cfg in ranged.items()),
         (measurement.body_velocity, rng.normal(size=3), mounted, (0, 4), 3),
         (measurement.water_velocity, rng.normal(size=3), mounted, (2, 6), 3),
         (measurement.beam_velocity, rng.normal(size=8), beams, (0, 2, 4, 6), 8),

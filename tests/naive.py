@@ -844,3 +844,34 @@ def beam_velocity(z, nav, rate, par, cfg, H, res):
     H[:4] = D @ np.insert(over, [9] * first, 0.0, axis=1)
     H[4:] = D @ np.delete(through, [9, 10][: 2 - first], axis=1)
     res[:] = z + np.concatenate([D @ gap[0], D @ gap[1]])
+
+
+# ---------------------------------------------------------------- kernels/measurement.py: acoustic positioning
+
+
+def earth_axes(latitude, longitude, height, radius, e2):
+    """Rows north, east and down in the Earth's axes, and the point there."""
+    north = np.array([-np.sin(latitude) * np.cos(longitude), -np.sin(latitude) * np.sin(longitude), np.cos(latitude)])
+    east = np.array([-np.sin(longitude), np.cos(longitude), 0.0])
+    down = np.cross(north, east)
+    across = radius / np.sqrt(1.0 - e2 * np.sin(latitude) ** 2)
+    return np.array([north, east, down]), -(across + height) * down - [0.0, 0.0, e2 * across * np.sin(latitude)]
+
+
+def slant_range(z, nav, rate, par, cfg, H, res):
+    k, (scale, offset, place) = int(z[1]), cfg[5:8].astype(int)
+    A, p = earth_axes(*nav[:3], *cfg[:2])
+    arm = nav[6:15].reshape(3, 3) @ cfg[2:5]
+    here = slice(place + 3 * k, place + 3 * k + 3)
+    d = A @ (cfg[8 + 3 * k : 11 + 3 * k] - p) + (par[here] if place >= 0 else 0.0) - arm
+    distance = np.linalg.norm(d)
+    u, g = d / distance, 1.0 + (par[scale] if scale >= 0 else 0.0)
+    H[:] = 0.0
+    H[0, :3], H[0, 6:9] = -g * u, -g * np.cross(arm, u)
+    if scale >= 0:
+        H[0, 9 + scale] = distance
+    if offset >= 0:
+        H[0, 9 + offset + k] = 1.0
+    if place >= 0:
+        H[0, 9:][here] = g * u
+    res[0] = z[0] - g * distance - (par[offset + k] if offset >= 0 else 0.0)

@@ -41,7 +41,7 @@ FLOORS = [
     {"sensors", "mechanisation", "vehicle", "track"},
     {"filter", "learning.listener", "learning.rest", "learning.refit"},
     {"learning.schedule", "navigator", "alignment"},
-    {"playback", "simulation", "io", "check"},
+    {"playback", "beacons", "simulation", "io", "check"},
     {"evaluation", "report", "identification"},
     {"service", "cli", "commands", "__init__", "__main__"},
 ]

@@ -16,7 +16,17 @@ from navfilter.io.units import ALIASES, SUFFIXES, UNITS
 from navfilter.io.vehicle_keys import plain_key, times
 from navfilter.learning.learned import LearnedArma
 from navfilter.mechanisation import DeadReckoning, Imu, Mechanisation
-from navfilter.sensors import BodyVelocity, Depth, DvlBeams, Heading, Position, Sensor, WaterVelocity, ZeroVelocity
+from navfilter.sensors import (
+    BodyVelocity,
+    Depth,
+    DvlBeams,
+    Heading,
+    Position,
+    Range,
+    Sensor,
+    WaterVelocity,
+    ZeroVelocity,
+)
 from navfilter.sensors.traits import kinds_below
 from navfilter.vehicle import Vehicle
 
@@ -132,6 +142,7 @@ VEHICLE_TABLES = {
     "type: heading": Heading,
     "type: depth": Depth,
     "type: position": Position,
+    "type: range": Range,
     "type: zero-velocity": ZeroVelocity,
 }
 

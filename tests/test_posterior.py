@@ -18,6 +18,7 @@ from dense_posterior import (
     beams_vehicle,
     drive_through,
     inertial_vehicle,
+    ranging_vehicle,
     reckoning_vehicle,
     start,
     water_vehicle,
@@ -32,6 +33,7 @@ CASES = {
     "reckoning": (reckoning_vehicle, 9.0),
     "water": (water_vehicle, 3.0),
     "beams": (beams_vehicle, 3.0),
+    "ranges": (ranging_vehicle, 3.0),
     "water, white": (lambda arma=True: water_vehicle(arma, white=True), 3.0),
 }
 

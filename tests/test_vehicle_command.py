@@ -24,7 +24,17 @@ from navfilter.io.vehicle_template import DRIVES, vehicle_template
 from navfilter.io.vehicle_toml import _concrete, _kebab, _kinds
 from navfilter.learning.learned import LearnedArma
 from navfilter.mechanisation import DeadReckoning, Imu
-from navfilter.sensors import BodyVelocity, Depth, DvlBeams, Heading, Position, Sensor, WaterVelocity, ZeroVelocity
+from navfilter.sensors import (
+    BodyVelocity,
+    Depth,
+    DvlBeams,
+    Heading,
+    Position,
+    Range,
+    Sensor,
+    WaterVelocity,
+    ZeroVelocity,
+)
 from navfilter.simulation.scenarios import SCENARIOS, simulate_scenario
 from navfilter.vehicle import Vehicle
 
@@ -46,15 +56,15 @@ def test_defaults_in_the_template_are_the_defaults(tmp_path, drive):
     text = vehicle_template(drive)
     as_written = written(tmp_path, text)
     uncommented = written(tmp_path, re.sub(r"^#(?=[^ #\n])", "", text, flags=re.MULTILINE))
+    arm, unused = (0.5, 0.0, 0.1), {"ranges": Range(beacons=((26.0, -80.0, -50.0),), lever_arm_b_m=(0.0, 0.0, -0.3))}
     if drive == "imu":
-        arm = (0.5, 0.0, 0.1)
-        unused = {
+        unused |= {
             "still": ZeroVelocity(),
             "water": WaterVelocity(rate_hz=4.0, lever_arm_b_m=arm),
             "beams": DvlBeams(rate_hz=4.0, lever_arm_b_m=arm),
         }
-        assert {name: uncommented.sensors[name] for name in unused} == unused
-        uncommented = uncommented.without(*unused)
+    assert {name: uncommented.sensors[name] for name in unused} == unused
+    uncommented = uncommented.without(*unused)
     assert dataclasses.replace(uncommented.drive) == as_written.drive
     assert list(uncommented.sensors) != [] and dict(uncommented.sensors) == dict(as_written.sensors)
 

@@ -208,6 +208,58 @@ def position(z, nav, rate, par, cfg, H, res):
 
 
 @njit(cache=True)
+def _earth_axes(latitude, longitude, height, radius, e2, A, p):
+    """Rows of A: north, east and down in the Earth's axes; p: the point itself there [m]."""
+    s, c, so, co = math.sin(latitude), math.cos(latitude), math.sin(longitude), math.cos(longitude)
+    across = radius / math.sqrt(1.0 - e2 * s * s)
+    p[0], p[1], p[2] = (across + height) * c * co, (across + height) * c * so, (across * (1.0 - e2) + height) * s
+    A[0, 0], A[0, 1], A[0, 2] = -s * co, -s * so, c
+    A[1, 0], A[1, 1], A[1, 2] = -so, co, 0.0
+    A[2, 0], A[2, 1], A[2, 2] = -c * co, -c * so, -s
+
+
+@njit(cache=True)
+def slant_range(z, nav, rate, par, cfg, H, res):
+    """Distance from a lever arm to a beacon: reading = (1 + s) |beacon + its error - vehicle - C_nb arm| + offset.
+
+    z: distance [m], number of the beacon from 0. cfg: the Earth's radius [m] and squared eccentricity, lever arm (3),
+    where in par scale, offsets (one a beacon) and errors of the beacons north, east, down (three each) begin, -1 for
+    none; then the beacons in the Earth's axes [m].
+    """
+    _clear(H)
+    A, p, d, a = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(3)
+    _earth_axes(nav[0], nav[1], nav[2], cfg[0], cfg[1], A, p)
+    beacon, scale, offset, place = int(z[1]), int(cfg[5]), int(cfg[6]), int(cfg[7])
+    at = 8 + 3 * beacon
+    distance = 0.0
+    for i in range(3):
+        a[i] = nav[6 + 3 * i] * cfg[2] + nav[7 + 3 * i] * cfg[3] + nav[8 + 3 * i] * cfg[4]
+        d[i] = -a[i]
+        for j in range(3):
+            d[i] += A[i, j] * (cfg[at + j] - p[j])
+        if place >= 0:
+            d[i] += par[place + 3 * beacon + i]
+        distance += d[i] * d[i]
+    distance = math.sqrt(distance)
+    if distance < 1e-6:
+        res[0] = math.nan  # at the beacon itself there is no direction
+        return
+    g = 1.0 + par[scale] if scale >= 0 else 1.0
+    res[0] = z[0] - g * distance
+    for i in range(3):
+        d[i] *= g / distance
+        H[0, i] = -d[i]
+        if place >= 0:
+            H[0, 9 + place + 3 * beacon + i] = d[i]
+    H[0, 6], H[0, 7], H[0, 8] = a[2] * d[1] - a[1] * d[2], a[0] * d[2] - a[2] * d[0], a[1] * d[0] - a[0] * d[1]
+    if scale >= 0:
+        H[0, 9 + scale] = distance
+    if offset >= 0:
+        res[0] -= par[offset + beacon]
+        H[0, 9 + offset + beacon] = 1.0
+
+
+@njit(cache=True)
 def velocity(z, nav, rate, par, cfg, H, res):
     """Velocity over ground in n [m/s] (zero when the vehicle stands still)."""
     _clear(H)

@@ -8,7 +8,18 @@ Jacobian.
 from navfilter.sensors.beams import DvlBeams
 from navfilter.sensors.heading import Heading
 from navfilter.sensors.position import Depth, Position
+from navfilter.sensors.ranges import Range
 from navfilter.sensors.sensor import Sensor
 from navfilter.sensors.velocity import BodyVelocity, WaterVelocity, ZeroVelocity
 
-__all__ = ["BodyVelocity", "Depth", "DvlBeams", "Heading", "Position", "Sensor", "WaterVelocity", "ZeroVelocity"]
+__all__ = [
+    "BodyVelocity",
+    "Depth",
+    "DvlBeams",
+    "Heading",
+    "Position",
+    "Range",
+    "Sensor",
+    "WaterVelocity",
+    "ZeroVelocity",
+]
