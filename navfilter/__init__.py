@@ -50,7 +50,7 @@ _FACE = {
     "navigator": "Navigator Outcome",
     "playback": "replay warm_up",
     "evaluation.rivals": "rival",
-    "sensors": "BodyVelocity Depth DvlBeams Heading Position Range WaterVelocity ZeroVelocity",
+    "sensors": "BodyVelocity Depth DvlBeams Heading Position Range Usbl WaterVelocity ZeroVelocity",
     "state": "NavState",
     "filter.tape": "Tape",
     "track": "Track",

@@ -18,7 +18,7 @@ from navfilter.kernels import kalman
 
 DEG = np.pi / 180.0
 #: Kinds that stand in for others, and what their readings look like below.
-LIKE = {nf.DvlBeams: "beams", nf.Range: "range"}
+LIKE = {nf.DvlBeams: "beams", nf.Range: "range", nf.Usbl: "usbl"}
 ARMA = {"ar": (-1.6, 0.7), "ma": (0.4, 0.1)}
 
 
@@ -280,6 +280,23 @@ def ranging_vehicle(arma=True):
     return nf.Vehicle(plain.drive, {**plain.sensors, "gps": ranges})
 
 
+def usbl_vehicle(arma=True):
+    """A ship hears the vehicle, with errors of hers, in place of fixes."""
+    plain = inertial_vehicle(arma)
+    angle = nf.GaussMarkov(sd=0.05, tau_s=3.0) + nf.White(sd=0.02)
+    usbl = nf.Usbl(
+        rate_hz=2.0,
+        error=(nf.White(sd=0.5), angle, angle),
+        lever_arm_b_m=(0.5, 0.1, 0.2),
+        transceiver_mounting_rad=(0.1, 0.0, 0.7),
+        misalignment_sd_rad=0.02,
+        scale_sd=0.01,
+        ship_sd_m=(1.0, 1.0, 0.5),
+        ship_tau_s=3.0,
+    )
+    return nf.Vehicle(plain.drive, {**plain.sensors, "gps": usbl})
+
+
 def reckoning_vehicle(arma=True):
     shaped = nf.Arma(**ARMA, sd=0.8 * DEG) if arma else nf.GaussMarkov(sd=2.0 * DEG, tau_s=5.0) + nf.White(sd=1.0 * DEG)
     return nf.Vehicle(
@@ -345,6 +362,12 @@ def drive_through(nav, seconds, seed, readings=("compass", "dvl", "depth", "gps"
         value = {
             "compass": lambda heading=heading: [heading + 0.1 * rng.normal()],
             "range": lambda: [53.0 + 2.0 * rng.normal(), float(rng.integers(2))],
+            "usbl": lambda: [
+                50.0 + rng.normal(),
+                0.1 + 0.1 * rng.normal(),
+                np.nan if rng.random() < 0.3 else 0.1 * rng.normal(),
+                *(begin.latitude - 4.8e-6, begin.longitude - 6.2e-6, 0.0, 0.05, 0.0, 0.1),
+            ],
             "beams": lambda: np.where(rng.random(8) < 0.3, np.nan, 0.5 + 0.2 * rng.normal(size=8)),
             "dvl": lambda: [1.4, 0.1 * rng.normal(), np.nan if rng.random() < 0.3 else 0.1 * rng.normal()],
             "depth": lambda: [1.0 + 0.3 * rng.normal()],

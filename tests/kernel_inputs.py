@@ -8,6 +8,8 @@ from navfilter.state import matrix_from_euler
 
 #: Radius [m] and squared eccentricity of WGS-84.
 EARTH = (6378137.0, 6.69437999014e-3)
+#: A transceiver: number of parameters -> where scale, misalignment and error of the ship's place begin.
+HEARD = {0: (-1, -1, -1), 1: (0, -1, -1), 6: (-1, 0, 3), 7: (0, 1, 4)}
 #: Two beacons: number of parameters -> where scale, offsets and places of the beacons begin.
 RANGED = {0: (-1, -1, -1), 1: (0, -1, -1), 8: (-1, 0, 2), 9: (0, 1, 3)}
 
@@ -76,17 +78,10 @@ def imu_samples(rng, n, increments=False):
 def readings(rng, nav):
     """One reading per measurement kernel: kernel, reading, constants, numbers of parameters, axes."""
     mounted = np.concatenate([[0.5, -0.2, 0.3], matrix_from_euler(0.1, -0.2, 0.7).ravel()])
-    directions = rng.normal(size=(4, 3))
-    beams = np.concatenate([mounted, (directions / np.linalg.norm(directions, axis=1, keepdims=True)).ravel()])
     place = np.array([nav[0] + 2e-6, nav[1] - 3e-6, nav[2] + 4.0])
-    axes, point = naive.earth_axes(*nav[:3], *EARTH)
-    around = np.concatenate([point + axes.T @ (2e4 * rng.normal(size=3)) for _ in range(2)])
-    ranged = {size: np.concatenate([EARTH, mounted[:3], at, around]) for size, at in RANGED.items()}
     return [
-        *((measurement.slant_range, np.array([400.0, 1.0]), cfg, (size,), 1) for size, cfg in ranged.items()),
         (measurement.body_velocity, rng.normal(size=3), mounted, (0, 4), 3),
         (measurement.water_velocity, rng.normal(size=3), mounted, (2, 6), 3),
-        (measurement.beam_velocity, rng.normal(size=8), beams, (0, 2, 4, 6), 8),
         (measurement.heading, np.array([2.5, 11.0]), np.array([0.1, 20.0]), (0, 6), 1),
         (measurement.heading, np.array([-2.5, np.nan]), np.array([0.1, 20.0]), (6,), 1),
         (measurement.magnetometer, np.array([24.0, 7.0, 30.0, 25.0]), np.array([0.1, 20.0]), (0, 6), 1),
@@ -94,4 +89,25 @@ def readings(rng, nav):
         (measurement.position, place, np.array([0.5, -0.2, 0.3]), (0,), 3),
         (measurement.position, np.array([nav[0], nav[1] + 2 * np.pi, np.nan]), np.array([0.5, -0.2, 0.3]), (0,), 3),
         (measurement.velocity, rng.normal(size=3), np.zeros(1), (0,), 3),
+        *_acoustics(mounted, nav, np.random.default_rng(rng.integers(1000))),
+    ]
+
+
+def _acoustics(mounted, nav, rng):
+    """The same of beams, ranges and USBL."""
+    directions = rng.normal(size=(4, 3))
+    beams = np.concatenate([mounted, (directions / np.linalg.norm(directions, axis=1, keepdims=True)).ravel()])
+    axes, point = naive.earth_axes(*nav[:3], *EARTH)
+    around = np.concatenate([point + axes.T @ (2e4 * rng.normal(size=3)) for _ in range(2)])
+    turn = matrix_from_euler(0.1, -0.3, 2.0)
+    sight = turn @ (point - around[:3])
+    bearing, elevation = np.arctan2(sight[1], sight[0]) + 0.1, np.arctan2(sight[2], np.hypot(*sight[:2])) - 0.05
+    seen = np.concatenate([[1e4, bearing, elevation], around[:3], turn.ravel()])
+    heard = {size: np.concatenate([EARTH, mounted[:3], at]) for size, at in HEARD.items()}
+    ranged = {size: np.concatenate([EARTH, mounted[:3], at, around]) for size, at in RANGED.items()}
+    return [
+        (measurement.beam_velocity, rng.normal(size=8), beams, (0, 2, 4, 6), 8),
+        *((measurement.slant_range, np.array([400.0, 1.0]), cfg, (size,), 1) for size, cfg in ranged.items()),
+        *((measurement.usbl, seen, cfg, (size,), 3) for size, cfg in heard.items()),
+        (measurement.usbl, np.where(np.arange(15) == 2, np.nan, seen), heard[7], (7,), 3),
     ]

@@ -875,3 +875,32 @@ def slant_range(z, nav, rate, par, cfg, H, res):
     if place >= 0:
         H[0, 9:][here] = g * u
     res[0] = z[0] - g * distance - (par[offset + k] if offset >= 0 else 0.0)
+
+
+def usbl(z, nav, rate, par, cfg, H, res):
+    scale, turned, ship = cfg[5:8].astype(int)
+    A, p = earth_axes(*nav[:3], *cfg[:2])
+    T, arm = z[6:15].reshape(3, 3), nav[6:15].reshape(3, 3) @ cfg[2:5]
+    astray = par[ship : ship + 3] if ship >= 0 else np.zeros(3)
+    mis = np.eye(3) + (skew(par[turned : turned + 3]) if turned >= 0 else 0.0)
+    d = T @ (p - z[3:6] + A.T @ (arm + astray))
+    e = mis @ d
+    r, g = np.linalg.norm(e), 1.0 + (par[scale] if scale >= 0 else 0.0)
+    bearing, elevation = np.nan_to_num(z[1:3])
+    across = np.array([-np.sin(bearing), np.cos(bearing), 0.0])
+    sight = np.array([np.cos(elevation) * np.cos(bearing), np.cos(elevation) * np.sin(bearing), np.sin(elevation)])
+    flat = (np.eye(3) - np.outer(e, e) / r**2) / r
+    J = np.array([g * e / r, across @ flat, np.cross(sight, across) @ flat])
+    res[:] = z[0] - g * r, -across @ e / r, -np.cross(sight, across) @ e / r
+    if sight @ e < 0.0:
+        res[1:] = np.pi
+    res[1:][np.isnan(z[1:3]) | np.isnan(z[1])] = np.nan
+    H[:] = 0.0
+    H[:, :3] = J @ mis @ T @ A.T
+    H[:, 6:9] = -H[:, :3] @ skew(arm)
+    if scale >= 0:
+        H[0, 9 + scale] = r
+    if turned >= 0:
+        H[:, 9 + turned : 12 + turned] = -J @ skew(d)
+    if ship >= 0:
+        H[:, 9 + ship : 12 + ship] = H[:, :3]

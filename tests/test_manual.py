@@ -24,6 +24,7 @@ from navfilter.sensors import (
     Position,
     Range,
     Sensor,
+    Usbl,
     WaterVelocity,
     ZeroVelocity,
 )
@@ -143,6 +144,7 @@ VEHICLE_TABLES = {
     "type: depth": Depth,
     "type: position": Position,
     "type: range": Range,
+    "type: usbl": Usbl,
     "type: zero-velocity": ZeroVelocity,
 }
 

@@ -21,6 +21,7 @@ from dense_posterior import (
     ranging_vehicle,
     reckoning_vehicle,
     start,
+    usbl_vehicle,
     water_vehicle,
 )
 from filterpy.kalman import KalmanFilter
@@ -34,6 +35,7 @@ CASES = {
     "water": (water_vehicle, 3.0),
     "beams": (beams_vehicle, 3.0),
     "ranges": (ranging_vehicle, 3.0),
+    "usbl": (usbl_vehicle, 3.0),
     "water, white": (lambda arma=True: water_vehicle(arma, white=True), 3.0),
 }
 

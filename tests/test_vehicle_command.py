@@ -32,6 +32,7 @@ from navfilter.sensors import (
     Position,
     Range,
     Sensor,
+    Usbl,
     WaterVelocity,
     ZeroVelocity,
 )
@@ -56,7 +57,11 @@ def test_defaults_in_the_template_are_the_defaults(tmp_path, drive):
     text = vehicle_template(drive)
     as_written = written(tmp_path, text)
     uncommented = written(tmp_path, re.sub(r"^#(?=[^ #\n])", "", text, flags=re.MULTILINE))
-    arm, unused = (0.5, 0.0, 0.1), {"ranges": Range(beacons=((26.0, -80.0, -50.0),), lever_arm_b_m=(0.0, 0.0, -0.3))}
+    arm, below, half = (0.5, 0.0, 0.1), (0.0, 0.0, -0.3), White(sd=math.radians(0.5))
+    unused = {
+        "ranges": Range(beacons=((26.0, -80.0, -50.0),), lever_arm_b_m=below),
+        "usbl": Usbl(rate_hz=0.2, error=(White(sd=1.0), half, half), lever_arm_b_m=below),
+    }
     if drive == "imu":
         unused |= {
             "still": ZeroVelocity(),

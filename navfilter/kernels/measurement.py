@@ -260,6 +260,68 @@ def slant_range(z, nav, rate, par, cfg, H, res):
 
 
 @njit(cache=True)
+def usbl(z, nav, rate, par, cfg, H, res):
+    """Where a transponder stands as seen by a transceiver: its range, and the direction across and below the line of
+    sight that was measured.
+
+    z: range [m], bearing from the transceiver's first axis to its second and elevation towards its third [rad]; the
+    transceiver in the Earth's axes [m] (3), and the rotation from these into its own (9). cfg: the Earth's radius [m]
+    and squared eccentricity, lever arm (3), where in par scale of the range, misalignment (3) and error of the ship's
+    place north, east, down (3) begin, -1 for none.
+    """
+    _clear(H)
+    A, D, p = np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
+    a, d, e, J = np.empty(3), np.empty(3), np.zeros(3), np.zeros((3, 3))
+    _earth_axes(nav[0], nav[1], nav[2], cfg[0], cfg[1], A, p)
+    scale, turned, ship = int(cfg[5]), int(cfg[6]), int(cfg[7])
+    for i in range(3):
+        a[i] = nav[6 + 3 * i] * cfg[2] + nav[7 + 3 * i] * cfg[3] + nav[8 + 3 * i] * cfg[4]
+    for i in range(3):
+        d[i] = 0.0
+        for j in range(3):
+            t = z[6 + 3 * i : 9 + 3 * i]
+            D[i, j] = t[0] * A[j, 0] + t[1] * A[j, 1] + t[2] * A[j, 2]  # n to transceiver
+            d[i] += t[j] * (p[j] - z[3 + j]) + D[i, j] * (a[j] + (par[ship + j] if ship >= 0 else 0.0))
+    m0, m1, m2 = (par[turned], par[turned + 1], par[turned + 2]) if turned >= 0 else (0.0, 0.0, 0.0)
+    e[0], e[1], e[2] = d[0] + m1 * d[2] - m2 * d[1], d[1] + m2 * d[0] - m0 * d[2], d[2] + m0 * d[1] - m1 * d[0]
+    r = math.sqrt(e[0] * e[0] + e[1] * e[1] + e[2] * e[2])
+    if r < 1e-6:
+        res[0], res[1], res[2] = math.nan, math.nan, math.nan
+        return
+    g = 1.0 + par[scale] if scale >= 0 else 1.0
+    res[0] = z[0] - g * r
+    if scale >= 0:
+        H[0, 9 + scale] = r
+    bearing, elevation = 0.0 if math.isnan(z[1]) else z[1], 0.0 if math.isnan(z[2]) else z[2]
+    sb, cb, se, ce = math.sin(bearing), math.cos(bearing), math.sin(elevation), math.cos(elevation)
+    J[0, 0], J[0, 1], J[0, 2] = g * e[0] / r, g * e[1] / r, g * e[2] / r
+    J[1, 0], J[1, 1] = -sb, cb
+    J[2, 0], J[2, 1], J[2, 2] = -se * cb, -se * sb, ce
+    ahead = ce * cb * e[0] + ce * sb * e[1] + se * e[2]
+    for k in range(1, 3):
+        along = (J[k, 0] * e[0] + J[k, 1] * e[1] + J[k, 2] * e[2]) / r
+        res[k] = -along if ahead > 0.0 else math.pi  # what lies behind is no small angle
+        if math.isnan(z[1]) or math.isnan(z[k]):
+            res[k] = math.nan
+        for i in range(3):
+            J[k, i] = (J[k, i] - along * e[i] / r) / r
+    for k in range(3):
+        q0, q1, q2 = J[k, 0], J[k, 1], J[k, 2]
+        if turned >= 0:
+            H[k, 9 + turned] = d[1] * q2 - d[2] * q1
+            H[k, 10 + turned] = d[2] * q0 - d[0] * q2
+            H[k, 11 + turned] = d[0] * q1 - d[1] * q0
+        # (I + [m x])' q
+        q0, q1, q2 = q0 + q1 * m2 - q2 * m1, q1 + q2 * m0 - q0 * m2, q2 + q0 * m1 - q1 * m0
+        for j in range(3):
+            H[k, j] = q0 * D[0, j] + q1 * D[1, j] + q2 * D[2, j]
+            if ship >= 0:
+                H[k, 9 + ship + j] = H[k, j]
+        h0, h1, h2 = H[k, 0], H[k, 1], H[k, 2]
+        H[k, 6], H[k, 7], H[k, 8] = a[1] * h2 - a[2] * h1, a[2] * h0 - a[0] * h2, a[0] * h1 - a[1] * h0
+
+
+@njit(cache=True)
 def velocity(z, nav, rate, par, cfg, H, res):
     """Velocity over ground in n [m/s] (zero when the vehicle stands still)."""
     _clear(H)

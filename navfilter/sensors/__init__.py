@@ -10,6 +10,7 @@ from navfilter.sensors.heading import Heading
 from navfilter.sensors.position import Depth, Position
 from navfilter.sensors.ranges import Range
 from navfilter.sensors.sensor import Sensor
+from navfilter.sensors.usbl import Usbl
 from navfilter.sensors.velocity import BodyVelocity, WaterVelocity, ZeroVelocity
 
 __all__ = [
@@ -20,6 +21,7 @@ __all__ = [
     "Position",
     "Range",
     "Sensor",
+    "Usbl",
     "WaterVelocity",
     "ZeroVelocity",
 ]
