@@ -50,7 +50,8 @@ _FACE = {
     "navigator": "Navigator Outcome",
     "playback": "replay warm_up",
     "evaluation.rivals": "rival",
-    "sensors": "BodyVelocity Depth DvlBeams Heading Position Range Usbl WaterVelocity ZeroVelocity",
+    "sensors": "Attitude BodyVelocity Course Depth DvlBeams Heading Odometer Position Range Usbl "
+    "WaterVelocity ZeroVelocity",
     "state": "NavState",
     "filter.tape": "Tape",
     "track": "Track",

@@ -18,7 +18,10 @@ from navfilter.kernels import kalman
 
 DEG = np.pi / 180.0
 #: Kinds that stand in for others, and what their readings look like below.
-LIKE = {nf.DvlBeams: "beams", nf.Range: "range", nf.Usbl: "usbl"}
+LIKE = {
+    **{nf.DvlBeams: "beams", nf.Range: "range", nf.Usbl: "usbl", nf.Attitude: "ahrs"},
+    **{nf.Odometer: "wheels", nf.Course: "course"},
+}
 ARMA = {"ar": (-1.6, 0.7), "ma": (0.4, 0.1)}
 
 
@@ -297,6 +300,33 @@ def usbl_vehicle(arma=True):
     return nf.Vehicle(plain.drive, {**plain.sensors, "gps": usbl})
 
 
+def ahrs_vehicle(arma=True):
+    """An AHRS whose mounting is uncertain in place of the compass."""
+    plain = inertial_vehicle(arma)
+    slow = plain.sensors["compass"].error
+    ahrs = nf.Attitude(
+        rate_hz=5.0,
+        error=(nf.GaussMarkov(sd=0.05, tau_s=3.0) + nf.White(sd=0.01), nf.White(sd=0.02), slow),
+        mounting_rad=(0.1, -0.2, 0.7),
+        misalignment_sd_rad=0.02,
+    )
+    return nf.Vehicle(plain.drive, {**plain.sensors, "compass": ahrs})
+
+
+def wheeled_vehicle(arma=True):
+    """Wheels that cannot slip, and a receiver's course, in place of DVL and depth."""
+    plain = inertial_vehicle(arma)
+    wheels = nf.Odometer(
+        rate_hz=4.0,
+        error=(nf.GaussMarkov(sd=0.1, tau_s=2.0) + nf.White(sd=0.02), nf.White(sd=0.05), nf.White(sd=0.1)),
+        lever_arm_b_m=(-0.5, 0.1, 0.2),
+        scale_sd=0.02,
+        misalignment_sd_rad=0.02,
+    )
+    course = nf.Course(rate_hz=1.0, error=nf.GaussMarkov(sd=0.1, tau_s=2.0), lever_arm_b_m=(0.5, 0.1, 0.2))
+    return nf.Vehicle(plain.drive, {**plain.sensors, "dvl": wheels, "depth": course})
+
+
 def reckoning_vehicle(arma=True):
     shaped = nf.Arma(**ARMA, sd=0.8 * DEG) if arma else nf.GaussMarkov(sd=2.0 * DEG, tau_s=5.0) + nf.White(sd=1.0 * DEG)
     return nf.Vehicle(
@@ -368,6 +398,9 @@ def drive_through(nav, seconds, seed, readings=("compass", "dvl", "depth", "gps"
                 np.nan if rng.random() < 0.3 else 0.1 * rng.normal(),
                 *(begin.latitude - 4.8e-6, begin.longitude - 6.2e-6, 0.0, 0.05, 0.0, 0.1),
             ],
+            "ahrs": lambda heading=heading: [0.2, np.nan if rng.random() < 0.3 else -0.1, heading + 0.1 * rng.normal()],
+            "wheels": lambda: [1.4 + 0.1 * rng.normal()],
+            "course": lambda heading=heading: [1.4 + 0.1 * rng.normal(), heading],
             "beams": lambda: np.where(rng.random(8) < 0.3, np.nan, 0.5 + 0.2 * rng.normal(size=8)),
             "dvl": lambda: [1.4, 0.1 * rng.normal(), np.nan if rng.random() < 0.3 else 0.1 * rng.normal()],
             "depth": lambda: [1.0 + 0.3 * rng.normal()],

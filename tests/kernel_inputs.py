@@ -4,7 +4,7 @@ import naive
 import numpy as np
 
 from navfilter.kernels import measurement, strapdown
-from navfilter.state import matrix_from_euler
+from navfilter.state import euler_from_matrix, matrix_from_euler
 
 #: Radius [m] and squared eccentricity of WGS-84.
 EARTH = (6378137.0, 6.69437999014e-3)
@@ -97,6 +97,7 @@ def _acoustics(mounted, nav, rng):
     """The same of beams, ranges and USBL."""
     directions = rng.normal(size=(4, 3))
     beams = np.concatenate([mounted, (directions / np.linalg.norm(directions, axis=1, keepdims=True)).ravel()])
+    tilted = euler_from_matrix(nav[6:15].reshape(3, 3) @ mounted[3:].reshape(3, 3))
     axes, point = naive.earth_axes(*nav[:3], *EARTH)
     around = np.concatenate([point + axes.T @ (2e4 * rng.normal(size=3)) for _ in range(2)])
     turn = matrix_from_euler(0.1, -0.3, 2.0)
@@ -106,6 +107,8 @@ def _acoustics(mounted, nav, rng):
     heard = {size: np.concatenate([EARTH, mounted[:3], at]) for size, at in HEARD.items()}
     ranged = {size: np.concatenate([EARTH, mounted[:3], at, around]) for size, at in RANGED.items()}
     return [
+        (measurement.ground_velocity, rng.normal(size=3), mounted[:3], (0,), 3),
+        (measurement.attitude, tilted + 0.2, np.append(0.1, mounted[3:]), (0, 3), 3),
         (measurement.beam_velocity, rng.normal(size=8), beams, (0, 2, 4, 6), 8),
         *((measurement.slant_range, np.array([400.0, 1.0]), cfg, (size,), 1) for size, cfg in ranged.items()),
         *((measurement.usbl, seen, cfg, (size,), 3) for size, cfg in heard.items()),

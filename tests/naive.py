@@ -904,3 +904,32 @@ def usbl(z, nav, rate, par, cfg, H, res):
         H[:, 9 + turned : 12 + turned] = -J @ skew(d)
     if ship >= 0:
         H[:, 9 + ship : 12 + ship] = H[:, :3]
+
+
+# ---------------------------------------------------------------- kernels/measurement.py: AHRS, a receiver's velocity
+
+
+def _angles(C):
+    return np.array([np.arctan2(C[2, 1], C[2, 2]), -np.arctan2(C[2, 0], np.hypot(*C[:2, 0])), np.arctan2(*C[1::-1, 0])])
+
+
+def attitude(z, nav, rate, par, cfg, H, res):
+    plain = nav[6:15].reshape(3, 3) @ cfg[1:10].reshape(3, 3)
+    C = plain @ (np.eye(3) - (skew(par) if len(par) else 0.0))
+    res[:] = z - _angles(C) + [0.0, 0.0, cfg[0]]
+    res[[0, 2]] = _half_turn(res[[0, 2]])
+    H[:] = 0.0
+    changes = [skew(axis) @ C for axis in np.eye(3)] + [-plain @ skew(axis) for axis in np.eye(3)][: len(par)]
+    for j, D in enumerate(changes):
+        tilt = C[:, 0] + 1e-20j * D[:, 0]  # an imaginary step: the derivative is exact to rounding
+        H[:, 6 + j] = [
+            (C[2, 2] * D[2, 1] - C[2, 1] * D[2, 2]) / (C[2, 1:] @ C[2, 1:]),
+            -np.imag(np.arctan(tilt[2] / np.sqrt(tilt[0] ** 2 + tilt[1] ** 2))) / 1e-20,
+            (C[0, 0] * D[1, 0] - C[1, 0] * D[0, 0]) / (C[:2, 0] @ C[:2, 0]),
+        ]
+
+
+def ground_velocity(z, nav, rate, par, cfg, H, res):
+    w = nav[6:15].reshape(3, 3) @ np.cross(rate, cfg)
+    H[:] = 0.0
+    H[:, 3:6], H[:, 6:9], res[:] = np.eye(3), -skew(w), z - nav[3:6] - w

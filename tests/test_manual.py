@@ -17,10 +17,13 @@ from navfilter.io.vehicle_keys import plain_key, times
 from navfilter.learning.learned import LearnedArma
 from navfilter.mechanisation import DeadReckoning, Imu, Mechanisation
 from navfilter.sensors import (
+    Attitude,
     BodyVelocity,
+    Course,
     Depth,
     DvlBeams,
     Heading,
+    Odometer,
     Position,
     Range,
     Sensor,
@@ -138,9 +141,12 @@ VEHICLE_TABLES = {
     "drive: dead-reckoning": DeadReckoning,
     "All sensors": Sensor,
     "type: body-velocity": BodyVelocity,
+    "type: odometer": Odometer,
+    "type: course": Course,
     "type: water-velocity": WaterVelocity,
     "type: dvl-beams": DvlBeams,
     "type: heading": Heading,
+    "type: attitude": Attitude,
     "type: depth": Depth,
     "type: position": Position,
     "type: range": Range,

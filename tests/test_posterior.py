@@ -14,6 +14,7 @@ from dense_posterior import (
     ARMA,
     Capture,
     Unknowns,
+    ahrs_vehicle,
     assert_same,
     beams_vehicle,
     drive_through,
@@ -23,6 +24,7 @@ from dense_posterior import (
     start,
     usbl_vehicle,
     water_vehicle,
+    wheeled_vehicle,
 )
 from filterpy.kalman import KalmanFilter
 
@@ -36,6 +38,8 @@ CASES = {
     "beams": (beams_vehicle, 3.0),
     "ranges": (ranging_vehicle, 3.0),
     "usbl": (usbl_vehicle, 3.0),
+    "ahrs": (ahrs_vehicle, 2.5),
+    "wheels": (wheeled_vehicle, 3.0),
     "water, white": (lambda arma=True: water_vehicle(arma, white=True), 3.0),
 }
 

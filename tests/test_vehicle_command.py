@@ -25,10 +25,13 @@ from navfilter.io.vehicle_toml import _concrete, _kebab, _kinds
 from navfilter.learning.learned import LearnedArma
 from navfilter.mechanisation import DeadReckoning, Imu
 from navfilter.sensors import (
+    Attitude,
     BodyVelocity,
+    Course,
     Depth,
     DvlBeams,
     Heading,
+    Odometer,
     Position,
     Range,
     Sensor,
@@ -67,6 +70,11 @@ def test_defaults_in_the_template_are_the_defaults(tmp_path, drive):
             "still": ZeroVelocity(),
             "water": WaterVelocity(rate_hz=4.0, lever_arm_b_m=arm),
             "beams": DvlBeams(rate_hz=4.0, lever_arm_b_m=arm),
+            "odometer": Odometer(rate_hz=10.0, lever_arm_b_m=(-1.0, 0.0, 0.4)),
+            "course": Course(lever_arm_b_m=(-0.4, 0.0, -0.2)),
+            "ahrs": Attitude(
+                rate_hz=5.0, error=(GaussMarkov(math.radians(0.5), 30),) * 2 + (GaussMarkov(math.radians(1.0), 60),)
+            ),
         }
     assert {name: uncommented.sensors[name] for name in unused} == unused
     uncommented = uncommented.without(*unused)

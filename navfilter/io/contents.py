@@ -20,10 +20,7 @@ FORMS: dict[str, tuple[Columns, ...]] = {
     "attitude": (Columns("quaternion", ("q_w", "q_x", "q_y", "q_z"), ("number",) * 4),),
 }
 #: What only the truth has.
-TRUTH_ONLY = (
-    Columns("velocity_n", ("v_north_m_s", "v_east_m_s", "v_down_m_s"), ("speed",) * 3),
-    Columns("velocity_ecef", ("v_ecef_x_m_s", "v_ecef_y_m_s", "v_ecef_z_m_s"), ("speed",) * 3),
-)
+TRUTH_ONLY = (Columns("velocity_ecef", ("v_ecef_x_m_s", "v_ecef_y_m_s", "v_ecef_z_m_s"), ("speed",) * 3),)
 #: A group of any columns, for streams that no sensor reads.
 SERIES = "series"
 #: Standard deviations of the single readings, beside those of a sensor.

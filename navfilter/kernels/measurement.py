@@ -322,6 +322,73 @@ def usbl(z, nav, rate, par, cfg, H, res):
 
 
 @njit(cache=True)
+def _angle_slopes(C, D, H, column):
+    """How roll, pitch and yaw of C change when C changes by D."""
+    level2 = C[0, 0] * C[0, 0] + C[1, 0] * C[1, 0]
+    along = C[0, 0] * D[0, 0] + C[1, 0] * D[1, 0]
+    H[0, column] = (C[2, 2] * D[2, 1] - C[2, 1] * D[2, 2]) / (C[2, 1] * C[2, 1] + C[2, 2] * C[2, 2])
+    H[1, column] = (C[2, 0] * along / level2 - D[2, 0]) * math.sqrt(level2) / (level2 + C[2, 0] * C[2, 0])
+    H[2, column] = (C[0, 0] * D[1, 0] - C[1, 0] * D[0, 0]) / level2
+
+
+@njit(cache=True)
+def attitude(z, nav, rate, par, cfg, H, res):
+    """Roll, pitch and yaw of an instrument's own axes, C_nb M (I - [m x]), roll and yaw wrapped to half a turn.
+
+    z: the three angles [rad]. cfg: declination [rad], mounting matrix M instrument-to-body (9). par: none or
+    misalignment m (3).
+    """
+    _clear(H)
+    C, B = np.empty((3, 3)), np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            B[i, j] = nav[6 + 3 * i] * cfg[1 + j] + nav[7 + 3 * i] * cfg[4 + j] + nav[8 + 3 * i] * cfg[7 + j]
+            C[i, j] = B[i, j]
+        if len(par) > 0:
+            C[i, 0] -= B[i, 1] * par[2] - B[i, 2] * par[1]
+            C[i, 1] -= B[i, 2] * par[0] - B[i, 0] * par[2]
+            C[i, 2] -= B[i, 0] * par[1] - B[i, 1] * par[0]
+    level = math.sqrt(C[0, 0] * C[0, 0] + C[1, 0] * C[1, 0])
+    upright = C[2, 1] * C[2, 1] + C[2, 2] * C[2, 2]
+    if level < 1e-6 or upright < 1e-12:
+        res[0], res[1], res[2] = math.nan, math.nan, math.nan
+        return
+    res[0] = z[0] - math.atan2(C[2, 1], C[2, 2])
+    res[1] = z[1] + math.atan2(C[2, 0], level)
+    res[2] = z[2] - math.atan2(C[1, 0], C[0, 0]) + cfg[0]
+    for i in (0, 2):
+        res[i] -= 2.0 * math.pi * math.floor(res[i] / (2.0 * math.pi) + 0.5)
+    D = np.empty((3, 3))
+    for j in range(3):
+        k, m = (j + 1) % 3, (j + 2) % 3
+        for i in range(3):
+            D[j, i], D[k, i], D[m, i] = 0.0, -C[m, i], C[k, i]  # a rotation about axis j of n
+        _angle_slopes(C, D, H, 6 + j)
+        if len(par) > 0:
+            for i in range(3):
+                D[i, j], D[i, k], D[i, m] = 0.0, -B[i, m], B[i, k]  # against one about axis j of the instrument
+            _angle_slopes(C, D, H, 9 + j)
+
+
+@njit(cache=True)
+def ground_velocity(z, nav, rate, par, cfg, H, res):
+    """Velocity over ground in n [m/s] at a lever arm: v_n + C_nb (rate x arm). cfg: lever arm (3)."""
+    _clear(H)
+    x0 = rate[1] * cfg[2] - rate[2] * cfg[1]
+    x1 = rate[2] * cfg[0] - rate[0] * cfg[2]
+    x2 = rate[0] * cfg[1] - rate[1] * cfg[0]
+    w0 = nav[6] * x0 + nav[7] * x1 + nav[8] * x2
+    w1 = nav[9] * x0 + nav[10] * x1 + nav[11] * x2
+    w2 = nav[12] * x0 + nav[13] * x1 + nav[14] * x2
+    res[0], res[1], res[2] = z[0] - nav[3] - w0, z[1] - nav[4] - w1, z[2] - nav[5] - w2
+    for i in range(3):
+        H[i, 3 + i] = 1.0
+    H[0, 7], H[0, 8] = w2, -w1
+    H[1, 6], H[1, 8] = -w2, w0
+    H[2, 6], H[2, 7] = w1, -w0
+
+
+@njit(cache=True)
 def velocity(z, nav, rate, par, cfg, H, res):
     """Velocity over ground in n [m/s] (zero when the vehicle stands still)."""
     _clear(H)
