@@ -50,7 +50,7 @@ _FACE = {
     "navigator": "Navigator Outcome",
     "playback": "replay warm_up",
     "evaluation.rivals": "rival",
-    "sensors": "Attitude BodyVelocity Course Depth DvlBeams Heading Odometer Position Range Usbl "
+    "sensors": "Altitude Attitude BodyVelocity Course Depth DvlBeams Heading Odometer Position Range Usbl "
     "WaterVelocity ZeroVelocity",
     "state": "NavState",
     "filter.tape": "Tape",

@@ -20,7 +20,7 @@ DEG = np.pi / 180.0
 #: Kinds that stand in for others, and what their readings look like below.
 LIKE = {
     **{nf.DvlBeams: "beams", nf.Range: "range", nf.Usbl: "usbl", nf.Attitude: "ahrs"},
-    **{nf.Odometer: "wheels", nf.Course: "course"},
+    **{nf.Odometer: "wheels", nf.Course: "course", nf.Altitude: "altitude"},
 }
 ARMA = {"ar": (-1.6, 0.7), "ma": (0.4, 0.1)}
 
@@ -314,7 +314,7 @@ def ahrs_vehicle(arma=True):
 
 
 def wheeled_vehicle(arma=True):
-    """Wheels that cannot slip, and a receiver's course, in place of DVL and depth."""
+    """Wheels that cannot slip, a receiver's course and a bottom that wanders, in place of DVL, depth and compass."""
     plain = inertial_vehicle(arma)
     wheels = nf.Odometer(
         rate_hz=4.0,
@@ -324,7 +324,8 @@ def wheeled_vehicle(arma=True):
         misalignment_sd_rad=0.02,
     )
     course = nf.Course(rate_hz=1.0, error=nf.GaussMarkov(sd=0.1, tau_s=2.0), lever_arm_b_m=(0.5, 0.1, 0.2))
-    return nf.Vehicle(plain.drive, {**plain.sensors, "dvl": wheels, "depth": course})
+    bottom = nf.Altitude(rate_hz=5.0, lever_arm_b_m=(0.5, 0.1, 0.2), bottom_sd_m=0.5, bottom_tau_s=2.0)
+    return nf.Vehicle(plain.drive, {**plain.sensors, "dvl": wheels, "depth": course, "compass": bottom})
 
 
 def reckoning_vehicle(arma=True):
@@ -400,6 +401,7 @@ def drive_through(nav, seconds, seed, readings=("compass", "dvl", "depth", "gps"
             ],
             "ahrs": lambda heading=heading: [0.2, np.nan if rng.random() < 0.3 else -0.1, heading + 0.1 * rng.normal()],
             "wheels": lambda: [1.4 + 0.1 * rng.normal()],
+            "altitude": lambda: [100.0 + 0.3 * rng.normal()],
             "course": lambda heading=heading: [1.4 + 0.1 * rng.normal(), heading],
             "beams": lambda: np.where(rng.random(8) < 0.3, np.nan, 0.5 + 0.2 * rng.normal(size=8)),
             "dvl": lambda: [1.4, 0.1 * rng.normal(), np.nan if rng.random() < 0.3 else 0.1 * rng.normal()],

@@ -107,6 +107,7 @@ def _acoustics(mounted, nav, rng):
     heard = {size: np.concatenate([EARTH, mounted[:3], at]) for size, at in HEARD.items()}
     ranged = {size: np.concatenate([EARTH, mounted[:3], at, around]) for size, at in RANGED.items()}
     return [
+        (measurement.altitude, np.array([12.0]), np.append(mounted[:3], -2.0), (0, 1), 1),
         (measurement.ground_velocity, rng.normal(size=3), mounted[:3], (0,), 3),
         (measurement.attitude, tilted + 0.2, np.append(0.1, mounted[3:]), (0, 3), 3),
         (measurement.beam_velocity, rng.normal(size=8), beams, (0, 2, 4, 6), 8),

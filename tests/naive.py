@@ -933,3 +933,10 @@ def ground_velocity(z, nav, rate, par, cfg, H, res):
     w = nav[6:15].reshape(3, 3) @ np.cross(rate, cfg)
     H[:] = 0.0
     H[:, 3:6], H[:, 6:9], res[:] = np.eye(3), -skew(w), z - nav[3:6] - w
+
+
+def altitude(z, nav, rate, par, cfg, H, res):
+    arm = nav[6:15].reshape(3, 3) @ cfg[:3]
+    H[:] = 0.0
+    H[0, 2], H[0, 6:9], H[0, 9:] = -1.0, skew(arm)[2], -1.0
+    res[0] = z[0] - (nav[2] - arm[2] - cfg[3] - par.sum())

@@ -17,6 +17,7 @@ from navfilter.io.vehicle_keys import plain_key, times
 from navfilter.learning.learned import LearnedArma
 from navfilter.mechanisation import DeadReckoning, Imu, Mechanisation
 from navfilter.sensors import (
+    Altitude,
     Attitude,
     BodyVelocity,
     Course,
@@ -148,6 +149,7 @@ VEHICLE_TABLES = {
     "type: heading": Heading,
     "type: attitude": Attitude,
     "type: depth": Depth,
+    "type: altitude": Altitude,
     "type: position": Position,
     "type: range": Range,
     "type: usbl": Usbl,

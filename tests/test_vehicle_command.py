@@ -25,6 +25,7 @@ from navfilter.io.vehicle_toml import _concrete, _kebab, _kinds
 from navfilter.learning.learned import LearnedArma
 from navfilter.mechanisation import DeadReckoning, Imu
 from navfilter.sensors import (
+    Altitude,
     Attitude,
     BodyVelocity,
     Course,
@@ -62,6 +63,7 @@ def test_defaults_in_the_template_are_the_defaults(tmp_path, drive):
     uncommented = written(tmp_path, re.sub(r"^#(?=[^ #\n])", "", text, flags=re.MULTILINE))
     arm, below, half = (0.5, 0.0, 0.1), (0.0, 0.0, -0.3), White(sd=math.radians(0.5))
     unused = {
+        "altitude": Altitude(rate_hz=4.0, lever_arm_b_m=arm),
         "ranges": Range(beacons=((26.0, -80.0, -50.0),), lever_arm_b_m=below),
         "usbl": Usbl(rate_hz=0.2, error=(White(sd=1.0), half, half), lever_arm_b_m=below),
     }

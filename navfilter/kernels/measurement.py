@@ -187,6 +187,23 @@ def depth(z, nav, rate, par, cfg, H, res):
 
 
 @njit(cache=True)
+def altitude(z, nav, rate, par, cfg, H, res):
+    """Height of a lever arm above the bottom: reading = height - down component of C_nb arm - height of the bottom.
+
+    cfg: lever arm (3), described height of the bottom [m]. par: none, or how much higher the bottom is [m].
+    """
+    _clear(H)
+    a0 = nav[6] * cfg[0] + nav[7] * cfg[1] + nav[8] * cfg[2]
+    a1 = nav[9] * cfg[0] + nav[10] * cfg[1] + nav[11] * cfg[2]
+    a2 = nav[12] * cfg[0] + nav[13] * cfg[1] + nav[14] * cfg[2]
+    res[0] = z[0] - (nav[2] - a2 - cfg[3])
+    H[0, 2], H[0, 6], H[0, 7] = -1.0, -a1, a0
+    if len(par) > 0:
+        res[0] += par[0]
+        H[0, 9] = -1.0
+
+
+@njit(cache=True)
 def position(z, nav, rate, par, cfg, H, res):
     """Antenna position: latitude, longitude [rad], height [m] against the vehicle plus its lever arm, in metres in n.
     cfg: arm (3).

@@ -5,6 +5,7 @@ A reading is a vector of float64 in SI units and radians; NaN is a missing compo
 Jacobian.
 """
 
+from navfilter.sensors.altitude import Altitude
 from navfilter.sensors.attitude import Attitude
 from navfilter.sensors.beams import DvlBeams
 from navfilter.sensors.course import Course
@@ -17,6 +18,7 @@ from navfilter.sensors.usbl import Usbl
 from navfilter.sensors.velocity import BodyVelocity, WaterVelocity, ZeroVelocity
 
 __all__ = [
+    "Altitude",
     "Attitude",
     "BodyVelocity",
     "Course",
