@@ -271,3 +271,12 @@ def test_straight_on_a_beam_reads_its_share_of_the_speed():
     mission = simulate(nf.Vehicle(imu=nf.Imu(rate_hz=20), sensors={"dvl": dvl}), motion, seed=1, duration_s=5.0)
     share = 2.0 * math.sin(math.radians(30.0)) * math.cos(math.radians(45.0))
     np.testing.assert_allclose(mission.streams["dvl"].value[2], [share, -share, -share, share], atol=1e-3)
+
+
+def test_simulated_tracks_err_as_described():
+    """Water track by its own model: the NIS of both together is honest."""
+    vehicle = vehicle_with(current_sd_m_s=0.2, water_error=nf.White(sd=0.1))
+    mission = simulated(vehicle, 7)
+    residuals = nf.replay(vehicle, mission).residuals["dvl"]
+    assert np.all(residuals.dof == 8.0)
+    assert 0.95 < float(np.mean(residuals.nis)) / 8.0 < 1.05  # 1200 readings of eight: sd 0.014

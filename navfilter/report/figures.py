@@ -235,7 +235,7 @@ def innovation_figure(track: Track, name: str) -> Figure:
     rejected = residuals.outcome == OUTCOMES.index("rejected")
     for i, ax in zip(measured, axes, strict=True):
         unit, factor = shown_unit(sensor.units[i]) if i < sensor.axes else ("", 1.0)
-        seen = residuals.used & np.isfinite(residuals.value[:, i])
+        seen = residuals.used & np.isfinite(residuals.sd[:, i])
         t, value, bound = (
             clock(residuals.time_s[seen]),
             factor * residuals.value[seen, i],
@@ -248,7 +248,8 @@ def innovation_figure(track: Track, name: str) -> Figure:
             line(ax, t, value, color="#0072b2", linewidth=0.5, label="used")
         for sign in (-1, 1):
             line(ax, t, sign * bound, color="black", linewidth=0.8, label=r"$\pm 3\sigma$" if sign > 0 else None)
-        out = _capped(np.column_stack([clock(residuals.time_s[rejected]), factor * residuals.value[rejected, i]]))
+        against = rejected | (residuals.used & ~seen)  # also what was left out alone
+        out = _capped(np.column_stack([clock(residuals.time_s[against]), factor * residuals.value[against, i]]))
         out = out[np.isfinite(out[:, 1])]
         near = np.abs(out[:, 1]) <= limit
         edge = np.sign(out[~near, 1]) * 0.96 * limit
