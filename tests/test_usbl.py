@@ -85,11 +85,11 @@ def test_relative_positions_are_the_same_readings():
 
 
 def test_readings_seconds_late_are_in_order():
-    """Acoustics and the ship's radio take up to 4 s."""
+    """Acoustics and the ship's radio take up to 4 s; the navigator knows that a USBL is late."""
     vehicle = vehicle_with(**UNCERTAIN)
     mission = simulated(vehicle, 5, 60.0)
     events = events_of(vehicle, mission)
-    ordered, late = (nf.Navigator(vehicle, mission.start, history_s=6.0) for _ in range(2))
+    ordered, late = (nf.Navigator(vehicle, mission.start) for _ in range(2))
     one_by_one(ordered, events)
     outcomes = [outcome.status for outcome in one_by_one(late, delayed(events, ("usbl",), 4.0, seed=1))]
     assert outcomes.count("late-replayed") > 20
@@ -188,6 +188,7 @@ def test_a_mission_file_with_the_ship_beside_it(tmp_path):
         ({"scale_sd": math.nan}, "scale_sd"),
         ({"ship_sd_m": (1.0, -1.0, 1.0)}, "ship_sd_m must not be negative"),
         ({"ship_tau_s": 0.0}, "ship_tau_s"),
+        ({"late_s": 1e4}, "late_s must lie between 0 and 60"),
     ],
 )
 def test_wrong_ones_are_refused(wrong, message):

@@ -69,6 +69,8 @@ class Sensor:
         A component that contradicts the others is left out alone, as long as more than half of them remain.
     tracks : int
         The axes are so many equal sets: a reading's own sd may be given for one of them.
+    late_s : float
+        Its readings may come so late [s]: a navigator keeps as much of the past.
     confirms_state : bool
         Readings that fit say that the state is right, whatever the others read.
     open_loop : int
@@ -105,6 +107,7 @@ class Sensor:
     sees_velocity: ClassVar[bool] = False
     single_gates: ClassVar[bool] = False
     tracks: ClassVar[int] = 1
+    late_s: ClassVar[float] = 0.0
     confirms_state: ClassVar[bool] = True
     open_loop: ClassVar[int] = listen.NOTHING
     gives: ClassVar[str] = ""

@@ -46,6 +46,8 @@ SHIP_ATTITUDE = Columns(
     ("angle",) * 3,
     circular=("ship_heading_rad",),
 )
+#: A navigator keeps no more of the past than this [s].
+LATEST_S = 60.0
 _WANDERING = ("ship_north", "ship_east", "ship_down")
 
 
@@ -75,6 +77,8 @@ class Usbl(Sensor):
         Correlation time of that error [s].
     max_range_m : float
         A reading above it is no reading.
+    late_s : float
+        Readings may come so late [s].
 
     Notes
     -----
@@ -83,7 +87,7 @@ class Usbl(Sensor):
     pitch and heading [rad]. Without these, or where the heading is NaN, bearings count from true north and the
     horizontal, and relative positions are north, east, down. The errors are those of the range [m] and of the
     direction, across the line of sight and along the elevation [rad]. The time of a reading is when the vehicle was
-    heard. It may come seconds late: see ``history_s`` of `Navigator`.
+    heard; when it comes late, the navigator goes back and takes it in its place.
     """
 
     error: Errors = (White(sd=1.0), White(sd=0.01), White(sd=0.01))
@@ -96,6 +100,7 @@ class Usbl(Sensor):
     ship_sd_m: Vector = (0.0, 0.0, 0.0)
     ship_tau_s: float = 60.0
     max_range_m: float = 20000.0
+    late_s: float = 5.0  # type: ignore[misc]
 
     unit: ClassVar[str] = "rad"
     axes: ClassVar[int] = 3
@@ -130,6 +135,10 @@ class Usbl(Sensor):
             raise ValueError(
                 f"Usbl.ship_sd_m must not be negative and ship_tau_s a finite number > 0, found {self.ship_sd_m!r} and "
                 f"{self.ship_tau_s!r}. Usual: (1, 1, 2) m, 60 s."
+            )
+        if not 0.0 <= self.late_s <= LATEST_S:
+            raise ValueError(
+                f"Usbl.late_s must lie between 0 and {LATEST_S:g}, found {self.late_s!r}: so much of the past is kept."
             )
 
     def parameters(self) -> tuple[Parameter, ...]:
