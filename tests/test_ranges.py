@@ -13,7 +13,7 @@ from navfilter.check.description import describe_vehicle
 from navfilter.check.plausibility import check_vehicle
 from navfilter.io import write_vehicle
 from navfilter.io.geodesy import ecef_from_geodetic
-from navfilter.sensors.ranges import earth_fixed
+from navfilter.sensors.ranges import earth_fixed, sagitta
 from navfilter.simulation.manoeuvres import ChangeSpeed, Lawnmower, Wait
 from navfilter.simulation.motion import Motion
 from navfilter.simulation.simulate import StartErrors, simulate
@@ -87,6 +87,32 @@ def test_scale_offsets_and_places_come_out():
     assert 0.5 < float(np.mean(np.square(z))) < 1.7
     value, sd = runs("uncertain")[0][1].state("lbl.scale")
     assert sd[-1] < 0.9 * sd[0]
+
+
+def test_a_start_that_is_hardly_known():
+    """20 m of 100 m: a range is no plane, and the filter knows."""
+    vehicle, nis, squares = vehicle_with(), [], 0.0
+    for seed in range(8):
+        mission = simulate(vehicle, MOTION, seed=seed, duration_s=60.0, start=StartErrors((20.0, 20.0, 1.0)))
+        track = nf.replay(vehicle, mission)
+        nis += track.residuals["lbl"].nis[:10].tolist()
+        squares += 3.0 * track.nees(track.errors(mission.truth))["position"][-1]
+    low, high = chi2.ppf([0.001, 0.999], 24)
+    assert low < squares < high
+    assert 0.5 < float(np.mean(nis)) < 1.5  # 80 readings: sd 0.16; taken as planes they gave 13
+
+
+def test_what_bends_is_no_plane():
+    """Against the moments of drawn distances: mean and variance beyond those of the plane."""
+    rng = np.random.default_rng(3)
+    P = np.array([[9.0, 2.0, 0.0], [2.0, 4.0, 0.0], [0.0, 0.0, 1.0]])
+    apart = np.array([30.0, 40.0, 0.0])
+    drawn = np.linalg.norm(apart + rng.multivariate_normal(np.zeros(3), P, 200_000), axis=1)
+    sight = apart / 50.0
+    # what the plane leaves is uncorrelated with it: the mean square about the plane's mean is the sum of both
+    assert float(np.mean((drawn - 50.0) ** 2)) - sight @ P @ sight == pytest.approx(
+        sagitta(sight, 50.0, P), abs=0.06
+    )  # 200000 draws of a variance of 8: 0.025
 
 
 def test_one_beacon_and_an_own_way():

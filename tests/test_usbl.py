@@ -71,6 +71,19 @@ def test_the_covariance_is_honest(kind):
     assert 0.9 < float(np.mean(nis)) / 3.0 < 1.1  # 1500 readings: sd 0.021
 
 
+def test_a_start_that_is_hardly_known():
+    """20 m off, 50 m from the ship: the direction is no small angle, and the filter knows."""
+    vehicle, nis, squares = vehicle_with(), [], 0.0
+    for seed in range(8):
+        mission = simulate(vehicle, MOTION, seed=seed, duration_s=40.0, start=StartErrors((20.0, 20.0, 1.0)))
+        track = nf.replay(vehicle, mission)
+        nis += (track.residuals["usbl"].nis[:10] / 3.0).tolist()
+        squares += 3.0 * track.nees(track.errors(mission.truth))["position"][-1]
+    low, high = chi2.ppf([0.001, 0.999], 24)
+    assert low < squares < high
+    assert 0.6 < float(np.mean(nis)) < 1.4  # 80 readings of three: sd 0.09; taken as planes they gave 96
+
+
 def test_it_bounds_the_position():
     """0.3 m of range, 0.3 degrees at 100 m: half a metre a reading; without it the scale of the DVL counts."""
     for mission, track in runs("known")[:3]:

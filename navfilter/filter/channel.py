@@ -96,6 +96,7 @@ class Channel:
         self.model, self.C, self.R = np.array([group.Phi[:b, :b], group.Q[:b, :b]]), group.C, np.diag(group.r)
         self.lever = sensor.lever_arm_covariance(rate_variance)
         self.white = self.R + self.lever
+        self.seen = np.r_[0:9, group.start + group.errors : group.start + group.size]
         first = group.start - 9
         self.parameters = slice(first + group.errors, first + group.size)
         self._last = mem[at[7] : at[9]]

@@ -336,6 +336,8 @@ class Filter:
         if channel.moves and P[8, 8] > UNSURE_HEADING:
             # second-order term of a velocity seen from a heading that is hardly known (Gelb, 1974, sec. 6.1)
             channel.R[range(channel.axes), range(channel.axes)] += 0.5 * (nav[3] ** 2 + nav[4] ** 2) * P[8, 8] ** 2
+        if channel.sensor.curved:
+            channel.R += channel.sensor.second_order(z, channel.near, P[np.ix_(channel.seen, channel.seen)])
         kalman.update(P, nav, x, channel.C, channel.R, channel.mem, channel.dims, channel.limits)
         nis, dof, used = channel.verdict.tolist()
         widened = False
