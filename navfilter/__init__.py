@@ -27,6 +27,7 @@ __version__ = "0.1.0"
 _FACE = {
     "alignment": "align",
     "arma.algebra": "BiasPlusWhite add_arma bias_plus_white resample_arma split_bias",
+    "beacons": "locate_beacons",
     "arma.online.bank": "ArmaBank",
     "arma.fit": "ArmaFit fit_arma",
     "arma.online.front_end": "FrontEnd",
@@ -50,7 +51,8 @@ _FACE = {
     "outputs.formats": "write_track",
     "playback": "replay warm_up",
     "evaluation.rivals": "rival",
-    "sensors": "BodyVelocity Depth Heading Position WaterVelocity ZeroVelocity",
+    "sensors": "Altitude Attitude BodyVelocity Course Depth DvlBeams Heading Odometer Position Range Usbl "
+    "WaterVelocity ZeroVelocity",
     "state": "NavState",
     "filter.tape": "Tape",
     "track": "Track",

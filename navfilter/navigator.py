@@ -68,9 +68,9 @@ class Navigator:
     tape : Tape, optional
         Write down what smoother and track need. Without one, memory stays flat.
     history_s : float, optional
-        Readings may come so late [s]: the state goes back and takes them in their place. Default 2 without a tape; with
-        one nothing may be late, because what is on the tape stays there. Models are learnt from readings older than
-        that, and at least 2 s old.
+        Readings may come so late [s]: the state goes back and takes them in their place. Default 2 without a tape, or
+        what a sensor of the vehicle needs (`Usbl.late_s`); with one nothing may be late, because what is on the tape
+        stays there. Models are learnt from readings older than that, and at least 2 s old.
 
     Raises
     ------
@@ -106,7 +106,8 @@ class Navigator:
     ) -> None:
         self.vehicle, self.start = vehicle, start
         self.filter = Filter(vehicle, start, tape)
-        length_s = (self.HISTORY_S if tape is None else 0.0) if history_s is None else float(history_s)
+        usual_s = max([self.HISTORY_S, *(sensor.late_s for sensor in vehicle.sensors.values())])
+        length_s = (usual_s if tape is None else 0.0) if history_s is None else float(history_s)
         if not (math.isfinite(length_s) and length_s >= 0.0):
             raise ValueError(f"history_s must be a finite number >= 0, found {history_s!r}.")
         if length_s and tape is not None:
@@ -115,7 +116,7 @@ class Navigator:
                 "times."
             )
         # a replay has no history, and learns what the same run learns on board with the default one
-        self.learning = LearningSchedule(self.filter, max(length_s, self.HISTORY_S))
+        self.learning = LearningSchedule(self.filter, max(length_s, usual_s))
         self._room = None if self.learning.rest is None else self.learning.room
         names = list(vehicle.sensors)
         self._history = History(self, length_s, names) if length_s else None

@@ -17,6 +17,11 @@ from navfilter.filter.smoother import smooth_rows
 from navfilter.kernels import kalman
 
 DEG = np.pi / 180.0
+#: Kinds that stand in for others, and what their readings look like below.
+LIKE = {
+    **{nf.DvlBeams: "beams", nf.Range: "range", nf.Usbl: "usbl", nf.Attitude: "ahrs"},
+    **{nf.Odometer: "wheels", nf.Course: "course", nf.Altitude: "altitude"},
+}
 ARMA = {"ar": (-1.6, 0.7), "ma": (0.4, 0.1)}
 
 
@@ -246,6 +251,83 @@ def water_vehicle(arma=True, white=False):
     return nf.Vehicle(plain.drive, {**plain.sensors, "dvl": water})
 
 
+def beams_vehicle(arma=True):
+    """The velocity is that of four beams, over ground and through water; scale and misalignment serve both."""
+    plain = inertial_vehicle(arma)
+    beams = nf.DvlBeams(
+        rate_hz=4.0,
+        error=plain.sensors["dvl"].error,
+        lever_arm_b_m=(0.5, 0.1, 0.2),
+        mounting_rad=(0.1, 0.0, 0.7),
+        scale_sd=0.01,
+        misalignment_sd_rad=0.02,
+        current_sd_m_s=0.4,
+        current_tau_s=3.0,
+        water_error=nf.GaussMarkov(sd=0.1, tau_s=1.0) + nf.White(sd=0.05),
+    )
+    return nf.Vehicle(plain.drive, {**plain.sensors, "dvl": beams})
+
+
+def ranging_vehicle(arma=True):
+    """Ranges to two beacons of uncertain place, with scale and offsets, in place of fixes."""
+    plain = inertial_vehicle(arma)
+    ranges = nf.Range(
+        rate_hz=2.0,
+        beacons=((35.0003, 20.0004, -30.0), (35.0002, 19.9996, -30.0)),
+        error=nf.GaussMarkov(sd=1.0, tau_s=3.0) + nf.White(sd=0.5),
+        lever_arm_b_m=(0.5, 0.1, 0.2),
+        beacon_sd_m=(2.0, 2.0, 1.0),
+        scale_sd=0.01,
+        offset_sd_m=0.5,
+    )
+    return nf.Vehicle(plain.drive, {**plain.sensors, "gps": ranges})
+
+
+def usbl_vehicle(arma=True):
+    """A ship hears the vehicle, with errors of hers, in place of fixes."""
+    plain = inertial_vehicle(arma)
+    angle = nf.GaussMarkov(sd=0.05, tau_s=3.0) + nf.White(sd=0.02)
+    usbl = nf.Usbl(
+        rate_hz=2.0,
+        error=(nf.White(sd=0.5), angle, angle),
+        lever_arm_b_m=(0.5, 0.1, 0.2),
+        transceiver_mounting_rad=(0.1, 0.0, 0.7),
+        misalignment_sd_rad=0.02,
+        scale_sd=0.01,
+        ship_sd_m=(1.0, 1.0, 0.5),
+        ship_tau_s=3.0,
+    )
+    return nf.Vehicle(plain.drive, {**plain.sensors, "gps": usbl})
+
+
+def ahrs_vehicle(arma=True):
+    """An AHRS whose mounting is uncertain in place of the compass."""
+    plain = inertial_vehicle(arma)
+    slow = plain.sensors["compass"].error
+    ahrs = nf.Attitude(
+        rate_hz=5.0,
+        error=(nf.GaussMarkov(sd=0.05, tau_s=3.0) + nf.White(sd=0.01), nf.White(sd=0.02), slow),
+        mounting_rad=(0.1, -0.2, 0.7),
+        misalignment_sd_rad=0.02,
+    )
+    return nf.Vehicle(plain.drive, {**plain.sensors, "compass": ahrs})
+
+
+def wheeled_vehicle(arma=True):
+    """Wheels that cannot slip, a receiver's course and a bottom that wanders, in place of DVL, depth and compass."""
+    plain = inertial_vehicle(arma)
+    wheels = nf.Odometer(
+        rate_hz=4.0,
+        error=(nf.GaussMarkov(sd=0.1, tau_s=2.0) + nf.White(sd=0.02), nf.White(sd=0.05), nf.White(sd=0.1)),
+        lever_arm_b_m=(-0.5, 0.1, 0.2),
+        scale_sd=0.02,
+        misalignment_sd_rad=0.02,
+    )
+    course = nf.Course(rate_hz=1.0, error=nf.GaussMarkov(sd=0.1, tau_s=2.0), lever_arm_b_m=(0.5, 0.1, 0.2))
+    bottom = nf.Altitude(rate_hz=5.0, lever_arm_b_m=(0.5, 0.1, 0.2), bottom_sd_m=0.5, bottom_tau_s=2.0)
+    return nf.Vehicle(plain.drive, {**plain.sensors, "dvl": wheels, "depth": course, "compass": bottom})
+
+
 def reckoning_vehicle(arma=True):
     shaped = nf.Arma(**ARMA, sd=0.8 * DEG) if arma else nf.GaussMarkov(sd=2.0 * DEG, tau_s=5.0) + nf.White(sd=1.0 * DEG)
     return nf.Vehicle(
@@ -306,9 +388,22 @@ def drive_through(nav, seconds, seed, readings=("compass", "dvl", "depth", "gps"
                 )
             continue
         heading = 1.0 + turn
-        outlier = name == "gps" and 2.0 < time_s < 3.0
+        kind = LIKE.get(type(vehicle.sensors[name]), name)
+        outlier = kind == "gps" and 2.0 < time_s < 3.0
         value = {
             "compass": lambda heading=heading: [heading + 0.1 * rng.normal()],
+            "range": lambda: [53.0 + 2.0 * rng.normal(), float(rng.integers(2))],
+            "usbl": lambda: [
+                50.0 + rng.normal(),
+                0.1 + 0.1 * rng.normal(),
+                np.nan if rng.random() < 0.3 else 0.1 * rng.normal(),
+                *(begin.latitude - 4.8e-6, begin.longitude - 6.2e-6, 0.0, 0.05, 0.0, 0.1),
+            ],
+            "ahrs": lambda heading=heading: [0.2, np.nan if rng.random() < 0.3 else -0.1, heading + 0.1 * rng.normal()],
+            "wheels": lambda: [1.4 + 0.1 * rng.normal()],
+            "altitude": lambda: [100.0 + 0.3 * rng.normal()],
+            "course": lambda heading=heading: [1.4 + 0.1 * rng.normal(), heading],
+            "beams": lambda: np.where(rng.random(8) < 0.3, np.nan, 0.5 + 0.2 * rng.normal(size=8)),
             "dvl": lambda: [1.4, 0.1 * rng.normal(), np.nan if rng.random() < 0.3 else 0.1 * rng.normal()],
             "depth": lambda: [1.0 + 0.3 * rng.normal()],
             "gps": lambda time_s=time_s, outlier=outlier: [
@@ -316,6 +411,6 @@ def drive_through(nav, seconds, seed, readings=("compass", "dvl", "depth", "gps"
                 begin.longitude + (time_s + 2.0 * rng.normal()) / 5.2e6,
                 np.nan if rng.random() < 0.3 else 3.0 * rng.normal(),
             ],
-        }[name]()
+        }[kind]()
         outcome = nav.correct(name, time_s, value)
         assert outcome.status == ("rejected" if outlier else "used"), (name, time_s, outcome)

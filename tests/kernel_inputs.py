@@ -4,7 +4,14 @@ import naive
 import numpy as np
 
 from navfilter.kernels import measurement, strapdown
-from navfilter.state import matrix_from_euler
+from navfilter.state import euler_from_matrix, matrix_from_euler
+
+#: Radius [m] and squared eccentricity of WGS-84.
+EARTH = (6378137.0, 6.69437999014e-3)
+#: A transceiver: number of parameters -> where scale, misalignment and error of the ship's place begin.
+HEARD = {0: (-1, -1, -1), 1: (0, -1, -1), 6: (-1, 0, 3), 7: (0, 1, 4)}
+#: Two beacons: number of parameters -> where scale, offsets and places of the beacons begin.
+RANGED = {0: (-1, -1, -1), 1: (0, -1, -1), 8: (-1, 0, 2), 9: (0, 1, 3)}
 
 
 def assert_close(actual, expected, rtol=1e-11):
@@ -82,4 +89,29 @@ def readings(rng, nav):
         (measurement.position, place, np.array([0.5, -0.2, 0.3]), (0,), 3),
         (measurement.position, np.array([nav[0], nav[1] + 2 * np.pi, np.nan]), np.array([0.5, -0.2, 0.3]), (0,), 3),
         (measurement.velocity, rng.normal(size=3), np.zeros(1), (0,), 3),
+        *_acoustics(mounted, nav, np.random.default_rng(rng.integers(1000))),
+    ]
+
+
+def _acoustics(mounted, nav, rng):
+    """The same of beams, ranges and USBL."""
+    directions = rng.normal(size=(4, 3))
+    beams = np.concatenate([mounted, (directions / np.linalg.norm(directions, axis=1, keepdims=True)).ravel()])
+    tilted = euler_from_matrix(nav[6:15].reshape(3, 3) @ mounted[3:].reshape(3, 3))
+    axes, point = naive.earth_axes(*nav[:3], *EARTH)
+    around = np.concatenate([point + axes.T @ (2e4 * rng.normal(size=3)) for _ in range(2)])
+    turn = matrix_from_euler(0.1, -0.3, 2.0)
+    sight = turn @ (point - around[:3])
+    bearing, elevation = np.arctan2(sight[1], sight[0]) + 0.1, np.arctan2(sight[2], np.hypot(*sight[:2])) - 0.05
+    seen = np.concatenate([[1e4, bearing, elevation], around[:3], turn.ravel()])
+    heard = {size: np.concatenate([EARTH, mounted[:3], at]) for size, at in HEARD.items()}
+    ranged = {size: np.concatenate([EARTH, mounted[:3], at, around]) for size, at in RANGED.items()}
+    return [
+        (measurement.altitude, np.array([12.0]), np.append(mounted[:3], -2.0), (0, 1), 1),
+        (measurement.ground_velocity, rng.normal(size=3), mounted[:3], (0,), 3),
+        (measurement.attitude, tilted + 0.2, np.append(0.1, mounted[3:]), (0, 3), 3),
+        (measurement.beam_velocity, rng.normal(size=8), beams, (0, 2, 4, 6), 8),
+        *((measurement.slant_range, np.array([400.0, 1.0]), cfg, (size,), 1) for size, cfg in ranged.items()),
+        *((measurement.usbl, seen, cfg, (size,), 3) for size, cfg in heard.items()),
+        (measurement.usbl, np.where(np.arange(15) == 2, np.nan, seen), heard[7], (7,), 3),
     ]

@@ -623,9 +623,31 @@ def update(P, nav, x, C, R, mem, dims, limits):
     innovation(P, H, res, R, S, PH, out)
     out[3 + a :] = np.where(np.isnan(out[3 : 3 + a]), np.nan, np.diag(S[:a]))
     out[2] = float(out[1] > 0 and out[0] <= limits[int(out[1])])
+    if out[1] and not out[2] and np.isfinite(limits[0]):
+        out[2] = fits_without_some(P, H.copy(), res.copy(), np.isnan(out[3 : 3 + a]), H, R, S, PH, res, out, limits)
     if out[2]:
         correct(P, nav, x, res, S, PH, K, mem[at[4] : at[5]])
         mem[at[2] : at[3]] = S[a:].ravel()
+
+
+def fits_without_some(P, whole, given, missing, H, R, S, PH, res, out, limits):
+    """Leave out the component without which the NIS is least, and the next, as long as more than a share remains."""
+
+    def form(left):
+        H[:], res[:] = whole, np.where(missing | left, np.nan, given)
+        innovation(P, H, res, R, S, PH, out)
+        return out[0]
+
+    left, least = np.zeros(len(given), bool), limits[0] * np.sum(~missing)
+    while np.sum(~missing & ~left) - 1 > least:
+        rest = np.flatnonzero(~missing & ~left)
+        nis = [form(left | (np.arange(len(given)) == i)) for i in rest]
+        left[rest[np.argmin(nis)]] = True
+        if form(left) <= limits[int(out[1])]:
+            out[3 + len(left) :][left] = np.nan
+            return 1.0
+    form(np.zeros(len(given), bool))
+    return 0.0
 
 
 def smooth_record(L, lam, record, a, m, b, start, T):
@@ -806,3 +828,114 @@ def water_velocity(z, nav, rate, par, cfg, H, res):
     relative[3:6] -= current
     body_velocity(z, relative, rate, par[2:], cfg, plain, res)
     H[:, :9], H[:, 9:11], H[:, 11:] = plain[:, :9], -plain[:, 3:5], plain[:, 9:]
+
+
+# ---------------------------------------------------------------- kernels/measurement.py: beams of a DVL
+
+
+def beam_velocity(z, nav, rate, par, cfg, H, res):
+    first, D = len(par) % 4, cfg[12:24].reshape(4, 3)
+    current, still = np.zeros(2), np.zeros(3)
+    current[:first] = par[:first]
+    over, through, gap = np.zeros((3, 9 + len(par) - first)), np.zeros((3, 11 + len(par) - first)), np.zeros((2, 3))
+    body_velocity(still, nav, rate, par[first:], cfg, over, gap[0])
+    water_velocity(still, nav, rate, np.concatenate([current, par[first:]]), cfg, through, gap[1])
+    H[:4] = D @ np.insert(over, [9] * first, 0.0, axis=1)
+    H[4:] = D @ np.delete(through, [9, 10][: 2 - first], axis=1)
+    res[:] = z + np.concatenate([D @ gap[0], D @ gap[1]])
+
+
+# ---------------------------------------------------------------- kernels/measurement.py: acoustic positioning
+
+
+def earth_axes(latitude, longitude, height, radius, e2):
+    """Rows north, east and down in the Earth's axes, and the point there."""
+    north = np.array([-np.sin(latitude) * np.cos(longitude), -np.sin(latitude) * np.sin(longitude), np.cos(latitude)])
+    east = np.array([-np.sin(longitude), np.cos(longitude), 0.0])
+    down = np.cross(north, east)
+    across = radius / np.sqrt(1.0 - e2 * np.sin(latitude) ** 2)
+    return np.array([north, east, down]), -(across + height) * down - [0.0, 0.0, e2 * across * np.sin(latitude)]
+
+
+def slant_range(z, nav, rate, par, cfg, H, res):
+    k, (scale, offset, place) = int(z[1]), cfg[5:8].astype(int)
+    A, p = earth_axes(*nav[:3], *cfg[:2])
+    arm = nav[6:15].reshape(3, 3) @ cfg[2:5]
+    here = slice(place + 3 * k, place + 3 * k + 3)
+    d = A @ (cfg[8 + 3 * k : 11 + 3 * k] - p) + (par[here] if place >= 0 else 0.0) - arm
+    distance = np.linalg.norm(d)
+    u, g = d / distance, 1.0 + (par[scale] if scale >= 0 else 0.0)
+    H[:] = 0.0
+    H[0, :3], H[0, 6:9] = -g * u, -g * np.cross(arm, u)
+    if scale >= 0:
+        H[0, 9 + scale] = distance
+    if offset >= 0:
+        H[0, 9 + offset + k] = 1.0
+    if place >= 0:
+        H[0, 9:][here] = g * u
+    res[0] = z[0] - g * distance - (par[offset + k] if offset >= 0 else 0.0)
+
+
+def usbl(z, nav, rate, par, cfg, H, res):
+    scale, turned, ship = cfg[5:8].astype(int)
+    A, p = earth_axes(*nav[:3], *cfg[:2])
+    T, arm = z[6:15].reshape(3, 3), nav[6:15].reshape(3, 3) @ cfg[2:5]
+    astray = par[ship : ship + 3] if ship >= 0 else np.zeros(3)
+    mis = np.eye(3) + (skew(par[turned : turned + 3]) if turned >= 0 else 0.0)
+    d = T @ (p - z[3:6] + A.T @ (arm + astray))
+    e = mis @ d
+    r, g = np.linalg.norm(e), 1.0 + (par[scale] if scale >= 0 else 0.0)
+    bearing, elevation = np.nan_to_num(z[1:3])
+    across = np.array([-np.sin(bearing), np.cos(bearing), 0.0])
+    sight = np.array([np.cos(elevation) * np.cos(bearing), np.cos(elevation) * np.sin(bearing), np.sin(elevation)])
+    flat = (np.eye(3) - np.outer(e, e) / r**2) / r
+    J = np.array([g * e / r, across @ flat, np.cross(sight, across) @ flat])
+    res[:] = z[0] - g * r, -across @ e / r, -np.cross(sight, across) @ e / r
+    if sight @ e < 0.0:
+        res[1:] = np.pi
+    res[1:][np.isnan(z[1:3]) | np.isnan(z[1])] = np.nan
+    H[:] = 0.0
+    H[:, :3] = J @ mis @ T @ A.T
+    H[:, 6:9] = -H[:, :3] @ skew(arm)
+    if scale >= 0:
+        H[0, 9 + scale] = r
+    if turned >= 0:
+        H[:, 9 + turned : 12 + turned] = -J @ skew(d)
+    if ship >= 0:
+        H[:, 9 + ship : 12 + ship] = H[:, :3]
+
+
+# ---------------------------------------------------------------- kernels/measurement.py: AHRS, a receiver's velocity
+
+
+def _angles(C):
+    return np.array([np.arctan2(C[2, 1], C[2, 2]), -np.arctan2(C[2, 0], np.hypot(*C[:2, 0])), np.arctan2(*C[1::-1, 0])])
+
+
+def attitude(z, nav, rate, par, cfg, H, res):
+    plain = nav[6:15].reshape(3, 3) @ cfg[1:10].reshape(3, 3)
+    C = plain @ (np.eye(3) - (skew(par) if len(par) else 0.0))
+    res[:] = z - _angles(C) + [0.0, 0.0, cfg[0]]
+    res[[0, 2]] = _half_turn(res[[0, 2]])
+    H[:] = 0.0
+    changes = [skew(axis) @ C for axis in np.eye(3)] + [-plain @ skew(axis) for axis in np.eye(3)][: len(par)]
+    for j, D in enumerate(changes):
+        tilt = C[:, 0] + 1e-20j * D[:, 0]  # an imaginary step: the derivative is exact to rounding
+        H[:, 6 + j] = [
+            (C[2, 2] * D[2, 1] - C[2, 1] * D[2, 2]) / (C[2, 1:] @ C[2, 1:]),
+            -np.imag(np.arctan(tilt[2] / np.sqrt(tilt[0] ** 2 + tilt[1] ** 2))) / 1e-20,
+            (C[0, 0] * D[1, 0] - C[1, 0] * D[0, 0]) / (C[:2, 0] @ C[:2, 0]),
+        ]
+
+
+def ground_velocity(z, nav, rate, par, cfg, H, res):
+    w = nav[6:15].reshape(3, 3) @ np.cross(rate, cfg)
+    H[:] = 0.0
+    H[:, 3:6], H[:, 6:9], res[:] = np.eye(3), -skew(w), z - nav[3:6] - w
+
+
+def altitude(z, nav, rate, par, cfg, H, res):
+    arm = nav[6:15].reshape(3, 3) @ cfg[:3]
+    H[:] = 0.0
+    H[0, 2], H[0, 6:9], H[0, 9:] = -1.0, skew(arm)[2], -1.0
+    res[0] = z[0] - (nav[2] - arm[2] - cfg[3] - par.sum())

@@ -169,7 +169,10 @@ def test_measurement_kernels(seed):
             rate = rng.normal(size=3)
             args = z, nav, rate, par, cfg, np.full((axes, 9 + size), 7.0), np.full(axes, 7.0)
             ours, twins = run_both(kernel, *args)
-            assert_close([ours[5]], [twins[5]], rtol=1e-13)
+            # so does a distance in the Earth's axes, over kilometres
+            assert_close(
+                [ours[5]], [twins[5]], rtol=1e-12 if kernel in (measurement.slant_range, measurement.usbl) else 1e-13
+            )
             # A difference of latitudes times the Earth's radius rounds to 1e-9 m.
             np.testing.assert_allclose(ours[6], twins[6], rtol=0, atol=1e-8)
 
@@ -241,6 +244,47 @@ def test_innovation_and_correct(missing, white):
     assert np.linalg.eigvalsh(ours[0]).min() > -1e-14
 
 
+@pytest.mark.parametrize("a", [2, 4, 8])
+@pytest.mark.parametrize("missing", [(), (1,), (0, 1)])
+def test_innovation_of_other_numbers_of_axes(a, missing):
+    """Beams come in fours and eights, a speed over ground in two."""
+    rng = np.random.default_rng(8)
+    n, res = 15, 0.1 * rng.normal(size=a)
+    res[list(missing)] = np.nan
+    work = np.zeros((2 * a, a)), np.zeros((a, n)), np.zeros(2)
+    ours, twins = run_both(kalman.innovation, 0.1 * spd(rng, n), rng.normal(size=(a, n)), res, spd(rng, a, 0.3), *work)
+    assert_close(ours[1:], twins[1:], 1e-11)
+
+
+@pytest.mark.parametrize(("wrong", "verdict"), [((), 4), ((2,), 3), ((1, 2), 0), ((0, 3), 0)])
+@pytest.mark.parametrize("missing", [(), (3,)])
+def test_one_component_that_contradicts_the_others_is_left_out(wrong, missing, verdict):
+    """As long as more than half remain: of three readings of a plane one, of two none."""
+    rng = np.random.default_rng(9)
+    dims = np.array([4, 12, 9, 0, 9, 1, 2])
+    at, a, n = kalman.places(dims), 4, 12
+    P, mem, C = 1e-4 * spd(rng, n), np.zeros(at[-1]), np.full((a, 1), 0.1)
+    mem[at[7] : at[8]] = rng.normal(size=at[8] - at[7])
+    res = 0.03 * rng.normal(size=a)
+    res[list(wrong)] += 5.0 * np.array([1.0, -1.0])[: len(wrong)]
+    res[list(missing)] = np.nan
+    mem[at[3] : at[4]] = res
+    limits = np.array([0.5, 15.1, 18.4, 21.1, 23.5])
+    args = P, random_nav(rng), np.zeros(n - 9), C, 1e-3 * np.eye(a), mem, dims, limits
+    ours, twins = run_both(kalman.update, *args)
+    seen = set(range(4)) - set(missing)
+    left = seen & set(wrong)
+    expected = 0 if verdict == 0 and len(left) > 1 else len(seen) - len(left)
+    out = ours[5][at[8] : at[9]]
+    assert out[2] == float(expected > 0) and (not expected or out[1] == expected)
+    if expected:
+        assert set(np.flatnonzero(np.isnan(out[3 + a :]))) == left | set(missing)
+    parts = (0, 2, 3) if expected else (0, 3)
+    for part in parts:
+        assert_close([ours[5][at[part] : at[part + 1]]], [twins[5][at[part] : at[part + 1]]], 1e-10)
+    assert_close([ours[0], np.nan_to_num(out)], [twins[0], np.nan_to_num(twins[5][at[8] : at[9]])], 1e-10)
+
+
 def test_innovation_of_a_scalar():
     rng = np.random.default_rng(5)
     for res, P in (
@@ -285,7 +329,7 @@ def test_predict_and_update_work_through_the_channels_memory(count, verdict):
     )
 
 
-@pytest.mark.parametrize(("a", "b"), [(0, 0), (0, 4), (1, 0), (3, 4)])
+@pytest.mark.parametrize(("a", "b"), [(0, 0), (0, 4), (1, 0), (3, 4), (4, 0), (8, 4)])
 def test_smoother_kernels(a, b):
     rng = np.random.default_rng(7)
     n, m, start = 16, 11, 12
@@ -300,7 +344,7 @@ def test_smoother_kernels(a, b):
         ]
     record = np.concatenate([part.ravel() for part in parts])
     ours, twins = run_both(
-        kalman.smooth_record, spd(rng, n), rng.normal(size=n), record, a, m, b, start, np.zeros((n, n))
+        kalman.smooth_record, spd(rng, n), rng.normal(size=n), record, a, m, b, start, np.zeros((3 * n, n))
     )
     assert_close(ours[:2], twins[:2], 1e-13)
     np.testing.assert_allclose(ours[0], ours[0].T, rtol=0, atol=1e-13 * np.abs(ours[0]).max())

@@ -17,7 +17,22 @@ from navfilter.io.vehicle_keys import plain_key, times
 from navfilter.learning.learned import LearnedArma
 from navfilter.mechanisation import DeadReckoning, Imu, Mechanisation
 from navfilter.outputs.formats import FORMATS
-from navfilter.sensors import BodyVelocity, Depth, Heading, Position, Sensor, WaterVelocity, ZeroVelocity
+from navfilter.sensors import (
+    Altitude,
+    Attitude,
+    BodyVelocity,
+    Course,
+    Depth,
+    DvlBeams,
+    Heading,
+    Odometer,
+    Position,
+    Range,
+    Sensor,
+    Usbl,
+    WaterVelocity,
+    ZeroVelocity,
+)
 from navfilter.sensors.traits import kinds_below
 from navfilter.vehicle import Vehicle
 
@@ -128,10 +143,17 @@ VEHICLE_TABLES = {
     "drive: dead-reckoning": DeadReckoning,
     "All sensors": Sensor,
     "type: body-velocity": BodyVelocity,
+    "type: odometer": Odometer,
+    "type: course": Course,
     "type: water-velocity": WaterVelocity,
+    "type: dvl-beams": DvlBeams,
     "type: heading": Heading,
+    "type: attitude": Attitude,
     "type: depth": Depth,
+    "type: altitude": Altitude,
     "type: position": Position,
+    "type: range": Range,
+    "type: usbl": Usbl,
     "type: zero-velocity": ZeroVelocity,
 }
 

@@ -14,12 +14,17 @@ from dense_posterior import (
     ARMA,
     Capture,
     Unknowns,
+    ahrs_vehicle,
     assert_same,
+    beams_vehicle,
     drive_through,
     inertial_vehicle,
+    ranging_vehicle,
     reckoning_vehicle,
     start,
+    usbl_vehicle,
     water_vehicle,
+    wheeled_vehicle,
 )
 from filterpy.kalman import KalmanFilter
 
@@ -30,6 +35,11 @@ CASES = {
     "inertial": (inertial_vehicle, 6.0),
     "reckoning": (reckoning_vehicle, 9.0),
     "water": (water_vehicle, 3.0),
+    "beams": (beams_vehicle, 3.0),
+    "ranges": (ranging_vehicle, 3.0),
+    "usbl": (usbl_vehicle, 3.0),
+    "ahrs": (ahrs_vehicle, 2.5),
+    "wheels": (wheeled_vehicle, 3.0),
     "water, white": (lambda arma=True: water_vehicle(arma, white=True), 3.0),
 }
 

@@ -24,7 +24,22 @@ from navfilter.io.vehicle_template import DRIVES, vehicle_template
 from navfilter.io.vehicle_toml import _concrete, _kebab, _kinds
 from navfilter.learning.learned import LearnedArma
 from navfilter.mechanisation import DeadReckoning, Imu
-from navfilter.sensors import BodyVelocity, Depth, Heading, Position, Sensor, WaterVelocity, ZeroVelocity
+from navfilter.sensors import (
+    Altitude,
+    Attitude,
+    BodyVelocity,
+    Course,
+    Depth,
+    DvlBeams,
+    Heading,
+    Odometer,
+    Position,
+    Range,
+    Sensor,
+    Usbl,
+    WaterVelocity,
+    ZeroVelocity,
+)
 from navfilter.simulation.scenarios import SCENARIOS, simulate_scenario
 from navfilter.vehicle import Vehicle
 
@@ -46,11 +61,25 @@ def test_defaults_in_the_template_are_the_defaults(tmp_path, drive):
     text = vehicle_template(drive)
     as_written = written(tmp_path, text)
     uncommented = written(tmp_path, re.sub(r"^#(?=[^ #\n])", "", text, flags=re.MULTILINE))
+    arm, below, half = (0.5, 0.0, 0.1), (0.0, 0.0, -0.3), White(sd=math.radians(0.5))
+    unused = {
+        "altitude": Altitude(rate_hz=4.0, lever_arm_b_m=arm),
+        "ranges": Range(beacons=((26.0, -80.0, -50.0),), lever_arm_b_m=below),
+        "usbl": Usbl(rate_hz=0.2, error=(White(sd=1.0), half, half), lever_arm_b_m=below),
+    }
     if drive == "imu":
-        assert uncommented.sensors["still"] == ZeroVelocity()
-        plain = WaterVelocity(rate_hz=4.0, lever_arm_b_m=(0.5, 0.0, 0.1))
-        assert uncommented.sensors["water"] == plain
-        uncommented = uncommented.without("still").without("water")
+        unused |= {
+            "still": ZeroVelocity(),
+            "water": WaterVelocity(rate_hz=4.0, lever_arm_b_m=arm),
+            "beams": DvlBeams(rate_hz=4.0, lever_arm_b_m=arm),
+            "odometer": Odometer(rate_hz=10.0, lever_arm_b_m=(-1.0, 0.0, 0.4)),
+            "course": Course(lever_arm_b_m=(-0.4, 0.0, -0.2)),
+            "ahrs": Attitude(
+                rate_hz=5.0, error=(GaussMarkov(math.radians(0.5), 30),) * 2 + (GaussMarkov(math.radians(1.0), 60),)
+            ),
+        }
+    assert {name: uncommented.sensors[name] for name in unused} == unused
+    uncommented = uncommented.without(*unused)
     assert dataclasses.replace(uncommented.drive) == as_written.drive
     assert list(uncommented.sensors) != [] and dict(uncommented.sensors) == dict(as_written.sensors)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -72,9 +73,7 @@ def _drive_lines(drive: Mechanisation) -> Iterator[str]:
 
 def _sensor_lines(name: str, sensor: Sensor) -> Iterator[str]:
     yield f'Sensor "{name}": {sensor.words}, {sensor.rate_hz:g} Hz'
-    yield from _error_lines(
-        "error", sensor.models, sensor.axis_names, (sensor.unit,) * sensor.axes, 1.0 / sensor.rate_hz
-    )
+    yield from _error_lines("error", sensor.models, sensor.axis_names, sensor.units, 1.0 / sensor.rate_hz)
     yield from _fitting_lines(sensor)
     wandering = sensor.wandering()
     yield from _parameter_lines(tuple(p for p in sensor.parameters() if p.name not in wandering))
@@ -91,10 +90,11 @@ def _sensor_lines(name: str, sensor: Sensor) -> Iterator[str]:
 def _error_lines(
     name: str, models: tuple[ErrorModel, ...], axis_names: tuple[str, ...], units: tuple[str, ...], period_s: float
 ) -> Iterator[str]:
-    """One paragraph for axes that err alike, else one for each."""
-    alike = all(model == models[0] for model in models)
-    for model, axis, unit in list(zip(models, axis_names, units, strict=True))[: 1 if alike else None]:
-        label = name if alike or not axis else f"error {axis}" if name == "error" else axis
+    """One paragraph for neighbouring axes that err alike."""
+    for (model, unit), group in groupby(zip(models, units, axis_names, strict=True), key=lambda axis: axis[:2]):
+        axes = [axis for *_, axis in group]
+        some = f"{axes[0]} to {axes[-1]}" if len(axes) > 2 else " and ".join(axes)
+        label = name if len(axes) == len(models) or not some else f"error {some}" if name == "error" else some
         for k, text in enumerate(describe_error(model, unit, period_s)):
             yield _line(label if k == 0 else "", text)
 

@@ -32,6 +32,7 @@ class _Channel(NamedTuple):
 
     unit: str
     usual: Plausible
+    axes: tuple[str, ...] = ("x", "y", "z")
 
 
 def check_vehicle(vehicle: Vehicle) -> tuple[Finding, ...]:
@@ -93,7 +94,7 @@ def _sensor_findings(place: str, sensor: Sensor) -> Iterator[Finding]:
                 text,
                 "It is in Hz, the readings per second; a held value that is repeated is no new reading.",
             )
-        channel = _Channel(sensor.unit, sensor.plausible)
+        channel = _Channel(sensor.unit, sensor.plausible, sensor.axis_names)
         yield from _errors(f"{place}.error", sensor.error, sensor.models, channel, 1.0 / sensor.rate_hz)
     yield from (_warn(f"{place}.{doubt.field}", doubt.text, doubt.cure) for doubt in sensor.doubts())
     yield from _lever_findings(place, sensor)
@@ -149,7 +150,7 @@ def _errors(
     """Findings on one error as given: a model for all axes, or one for each."""
     several = isinstance(given, tuple)
     for k, model in enumerate(models if several else models[:1]):
-        here = f"{place}.{'xyz'[k]}" if several else place
+        here = f"{place}.{channel.axes[k]}" if several else place
         parts = model.parts if isinstance(model, Sum) else (model,)
         for j, part in enumerate(parts):
             yield from _part_findings(f"{here}[{j}]" if len(parts) > 1 else here, part, channel, period_s)

@@ -140,6 +140,7 @@ def _sensor(name: str, sensor: Sensor, r: Residuals, common: Array) -> dict[str,
     axes = {}
     for i, axis in enumerate(sensor.axis_names):
         value = r.value[together, i] if i < r.value.shape[1] else np.empty(0)
+        value = value[np.isfinite(r.sd[together, i])] if len(value) else value  # not what was left out alone
         if not np.isfinite(value).any():
             continue
         test, largest = _colour(innovation_series(r, i, together))

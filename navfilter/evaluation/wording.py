@@ -129,8 +129,8 @@ def _axes(track: Track, name: str) -> Iterator[tuple[str, ErrorModel, str, float
     """Name, model, unit and rate of every axis of a sensor, or of a part of the drive ("gyro")."""
     sensor, drive = track.vehicle.sensors.get(name), track.vehicle.drive
     if sensor is not None:
-        for axis, model in zip(sensor.axis_names, sensor.models, strict=True):
-            yield axis, model, sensor.unit, sensor.rate_hz
+        for axis, model, unit in zip(sensor.axis_names, sensor.models, sensor.units, strict=True):
+            yield axis, model, unit, sensor.rate_hz
         return
     for axis, model, unit in zip(drive.axis_names, drive.models, drive.units, strict=True):
         owner, _, short = axis.rpartition("_")

@@ -20,6 +20,8 @@ from navfilter.start import Start
 __all__ = ["Channel", "ChannelMemory", "usable"]
 
 Array = NDArray[np.float64]
+#: More than this share of a reading's components must agree, or it is rejected whole.
+MAJORITY = 0.5
 
 
 @dataclass
@@ -56,7 +58,7 @@ class Channel:
         self.name, self._start = name, start
         self.kernel, self.constants = sensor.kernel, sensor.constants(start)
         self.period_s = 1.0 / sensor.rate_hz
-        self.limits = np.array(_limits(sensor.gate_probability, sensor.axes))
+        self.limits = np.array(_limits(sensor.gate_probability, sensor.axes, sensor.single_gates))
         self.moves, self.turns = sensor.sees_velocity, sensor.needs_rate
         self.forget()
 
@@ -94,6 +96,7 @@ class Channel:
         self.model, self.C, self.R = np.array([group.Phi[:b, :b], group.Q[:b, :b]]), group.C, np.diag(group.r)
         self.lever = sensor.lever_arm_covariance(rate_variance)
         self.white = self.R + self.lever
+        self.seen = np.r_[0:9, group.start + group.errors : group.start + group.size]
         first = group.start - 9
         self.parameters = slice(first + group.errors, first + group.size)
         self._last = mem[at[7] : at[9]]
@@ -121,14 +124,15 @@ class Channel:
 
 
 @cache
-def _limits(probability: float, axes: int) -> tuple[float, ...]:
-    """Chi-square limits of the gate for 0 (never), 1, ... axes."""
-    return (math.inf, *chi2.ppf(probability, np.arange(1, axes + 1)).tolist())
+def _limits(probability: float, axes: int, single: bool) -> tuple[float, ...]:
+    """Chi-square limits of the gate for 1, 2, ... axes; first the share that must remain, see ``kalman.update``."""
+    return (MAJORITY if single else math.inf, *chi2.ppf(probability, np.arange(1, axes + 1)).tolist())
 
 
-def usable(sd: ArrayLike, axes: int) -> bool:
+def usable(sd: ArrayLike, sensor: Sensor) -> bool:
     """Whether standard deviations given with a reading can be used; the variance of one beyond 1e100 would not be
     finite.
     """
     values = np.asarray(sd, dtype=np.float64)
-    return values.size in (1, axes) and bool(np.all((values >= 0.0) & (values < 1e100)))
+    sizes = 1, sensor.axes, sensor.axes // sensor.tracks
+    return values.size in sizes and bool(np.all((values >= 0.0) & (values < 1e100)))

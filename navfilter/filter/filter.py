@@ -303,7 +303,7 @@ class Filter:
         if z.ndim != 1:
             z = z.reshape(-1)
         early = time_s - memory.time_s
-        if not math.isfinite(time_s) or len(z) < channel.sensor.reads or not (sd is None or usable(sd, channel.axes)):
+        if not math.isfinite(time_s) or len(z) < channel.sensor.reads or not (sd is None or usable(sd, channel.sensor)):
             return self._refused(channel, time_s, "invalid")
         if time_s <= channel.memory.last_s:
             return self._refused(channel, time_s, "duplicate")
@@ -333,10 +333,14 @@ class Filter:
         if channel.turns:
             self._body_rate()
         channel.kernel(z, nav, self._rate, x[channel.parameters], channel.constants, channel.near, channel.res)
-        channel.R[:] = channel.white if sd is None else channel.lever + np.eye(channel.axes) * np.square(np.ravel(sd))
+        channel.R[:] = channel.white
+        if sd is not None:
+            channel.R[:] = channel.lever + np.eye(channel.axes) * np.resize(np.square(np.ravel(sd)), channel.axes)
         if channel.moves and P[8, 8] > UNSURE_HEADING:
             # second-order term of a velocity seen from a heading that is hardly known (Gelb, 1974, sec. 6.1)
-            channel.R[range(3), range(3)] += 0.5 * (nav[3] ** 2 + nav[4] ** 2) * P[8, 8] ** 2
+            channel.R[range(channel.axes), range(channel.axes)] += 0.5 * (nav[3] ** 2 + nav[4] ** 2) * P[8, 8] ** 2
+        if channel.sensor.curved:
+            channel.R += channel.sensor.second_order(z, channel.near, P[np.ix_(channel.seen, channel.seen)])
         kalman.update(P, nav, x, channel.C, channel.R, channel.mem, channel.dims, channel.limits)
         nis, dof, used = channel.verdict.tolist()
         widened = False

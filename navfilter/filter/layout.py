@@ -191,8 +191,8 @@ class Layout:
         for name, sensor in vehicle.sensors.items():
             blocks = [m.block(1.0 / sensor.rate_hz) for m in sensor.models]
             wandering = {key: model.block(1.0 / sensor.rate_hz) for key, model in sensor.wandering().items()}
-            units = (sensor.unit,) * sensor.axes
-            groups[name] = Group.build(start, blocks, sensor.parameters(), sensor.axis_names, units, name, wandering)
+            axes = sensor.axis_names, sensor.units
+            groups[name] = Group.build(start, blocks, sensor.parameters(), *axes, name, wandering)
             start += groups[name].size
         return cls(group, groups)
 

@@ -45,7 +45,8 @@ def smooth_rows(
         )
     size = tape.layouts[-1].size
     L, lam = np.zeros((size, size)), np.zeros(size)
-    T, mean, covariance = np.zeros((size, size)), np.zeros(size), np.zeros((size, size))
+    most = 3 * max((column.axes for column in tape.columns.values()), default=0)
+    T, mean, covariance = np.zeros((max(size, most), size)), np.zeros(size), np.zeros((size, size))
     row = len(tape.row_times) - 1
     for index in range(len(tape.records), -1, -1):
         while row >= 0 and tape.row_records[row] == index:
@@ -59,7 +60,7 @@ def smooth_rows(
             if a == CHANGE:
                 M = tape.records[index - 1].reshape(m, b)
                 L, lam, size = np.ascontiguousarray(M.T @ L @ M), M.T @ lam, b
-                T, mean, covariance = np.zeros((size, size)), np.zeros(size), np.zeros((size, size))
+                T, mean, covariance = np.zeros((max(size, most), size)), np.zeros(size), np.zeros((size, size))
                 continue
             kalman.smooth_record(L, lam, tape.records[index - 1], a, m, b, start, T)
             if progress is not None and index % 1000 == 0:

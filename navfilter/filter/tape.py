@@ -104,7 +104,7 @@ class Residuals:
     value : ndarray, shape (n, a)
         Measured minus predicted; NaN where missing.
     sd : ndarray, shape (n, a)
-        Predicted standard deviation of the residual.
+        Predicted standard deviation of the residual; NaN also where a component was left out alone.
     nis : ndarray, shape (n,)
         Normalised innovation squared.
     dof : ndarray, shape (n,)

@@ -54,7 +54,8 @@ def group_values(table: Table, name: str, group: Group, rows: int, counts: Count
         outside = (values < low) | (values > high)
         counts.sentinel += int(np.count_nonzero(outside.any(axis=1)))
         values[outside] = np.nan
-    if group.invalid_together:
+    known = groups()
+    if group.invalid_together and not (name in known and known[name].independent):
         values[np.isnan(values[:, measured]).any(axis=1)] = np.nan
     return _oriented(values, name, group)
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from navfilter.mechanisation import Mechanisation
 from navfilter.sensors import Sensor
 from navfilter.sensors.traits import Columns, kinds_below
 
-__all__ = ["FORMS", "SD", "SERIES", "TRUTH_ONLY", "axes_of", "contents", "driving", "groups"]
+__all__ = ["FORMS", "SD", "SERIES", "TRUTH_ONLY", "contents", "driving", "groups", "kind_of"]
 
 #: Forms of a group that are turned into it when they are read: ECEF or local coordinates into geodetic ones, a
 #: quaternion into angles.
@@ -18,10 +20,7 @@ FORMS: dict[str, tuple[Columns, ...]] = {
     "attitude": (Columns("quaternion", ("q_w", "q_x", "q_y", "q_z"), ("number",) * 4),),
 }
 #: What only the truth has.
-TRUTH_ONLY = (
-    Columns("velocity_n", ("v_north_m_s", "v_east_m_s", "v_down_m_s"), ("speed",) * 3),
-    Columns("velocity_ecef", ("v_ecef_x_m_s", "v_ecef_y_m_s", "v_ecef_z_m_s"), ("speed",) * 3),
-)
+TRUTH_ONLY = (Columns("velocity_ecef", ("v_ecef_x_m_s", "v_ecef_y_m_s", "v_ecef_z_m_s"), ("speed",) * 3),)
 #: A group of any columns, for streams that no sensor reads.
 SERIES = "series"
 #: Standard deviations of the single readings, beside those of a sensor.
@@ -38,13 +37,13 @@ def contents() -> tuple[tuple[tuple[Columns, ...], tuple[Columns, ...]], ...]:
     return tuple(dict.fromkeys(found))
 
 
-def axes_of(given: set[str]) -> tuple[int, str] | None:
-    """Number of axes and unit of the error of a sensor that reads these groups; None where only a drive does."""
+def kind_of(given: set[str]) -> Any:
+    """The kind of sensor that reads these groups; None where only a drive does."""
     for kind in kinds_below(Sensor):
         for must in kind.contents:  # type: ignore[attr-defined]
             forms = FORMS.get(must[0].group, ()) if len(must) == 1 else ()
             if any({columns.group for columns in one} <= given for one in (must, *((form,) for form in forms))):
-                return kind.axes, kind.unit.replace("_", "/")  # type: ignore[attr-defined]
+                return kind
     return None
 
 

@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, create_model, field_validator, model_validator
 
-from navfilter.io.contents import SD, SERIES, axes_of, contents, groups
+from navfilter.io.contents import SD, SERIES, contents, groups, kind_of
 from navfilter.io.units import UNITS, parse_quantity, unit
 from navfilter.io.validation import Strict
 from navfilter.io.where import Where
@@ -206,8 +206,7 @@ class Source(Strict):
             if name in (SERIES, SD):
                 continue
             dimensions = groups()[name].dimensions
-            # A position without height is a fix in two dimensions.
-            sizes = (2, 3) if name == "position" else (len(dimensions),)
+            sizes = range(groups()[name].least or len(dimensions), len(dimensions) + 1)
             if len(group.columns) not in sizes:
                 raise ValueError(f"{name} has {len(group.columns)} columns, it needs {' or '.join(map(str, sizes))}")
             self.check_dimensions(name, group, dimensions)
@@ -283,20 +282,22 @@ class SensorStream(StreamSpec):
         own = [source.sd for source in self.sources if source.sd is not None]
         if not own:
             return
-        sensor = axes_of(given)
-        if sensor is None:
+        kind = kind_of(given)
+        if kind is None:
             raise ValueError(
                 "sd belongs to a sensor that corrects; what drives takes none (see its errors in vehicle.toml)"
             )
         if len(own) > 1:
             raise ValueError("only one of the sources of a stream can give sd")
-        sd, (axes, known) = own[0], sensor
-        if len(sd.columns) not in (1, axes):
-            raise ValueError(f"sd has {len(sd.columns)} columns, it needs 1, or one for each of the {axes} axes")
+        sd, axes, one = own[0], kind.axes, kind.axes // kind.tracks
+        if len(sd.columns) not in (1, one, axes):
+            each = f"{axes}" if one == axes else f"{one} (or {axes})"
+            raise ValueError(f"sd has {len(sd.columns)} columns, it needs 1, or one for each of the {each} axes")
         if sd.axes is not None or sd.mounting_deg is not None:
             raise ValueError("sd takes no axes and no mounting_deg: give its columns in the order of the sensor's axes")
-        dimension = UNITS[known].dimension if known in UNITS else "number"
-        Source.check_dimensions(SD, sd, (dimension,) * len(sd.columns))
+        known = [name.replace("_", "/") for name in (kind.axis_units or (kind.unit,) * axes)]
+        dimensions = [UNITS[name].dimension if name in UNITS else "number" for name in known]
+        Source.check_dimensions(SD, sd, tuple(dimensions[: len(sd.columns)]))
 
 
 class TruthStream(StreamSpec):

@@ -196,8 +196,13 @@ def _default(field: Any) -> str:
         return f"# {re.sub(r'_rad(?=_|$)', '_deg', key)} = 0.0"
     if re.search(r"_rad(?=_|$)", key):
         key = re.sub(r"_rad(?=_|$)", "_deg", key)
-        value = tuple(map(math.degrees, value)) if isinstance(value, tuple) else math.degrees(value)
+        value = tuple(map(_degrees, value)) if isinstance(value, tuple) else _degrees(value)
     return f"#{key} = {_text(value)}"
+
+
+def _degrees(value: float) -> float:
+    """As it was written before it became radians."""
+    return round(math.degrees(value), 9)
 
 
 def _text(value: Any) -> str:

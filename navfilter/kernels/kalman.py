@@ -130,6 +130,31 @@ def tick(P, x, start, A, B, T):
 
 
 @njit(cache=True)
+def _invert(S):
+    """The inverse of the upper half of S (2a, a), definite and symmetric, into its lower half (Gauss and Jordan)."""
+    a = S.shape[1]
+    for i in range(a):
+        for j in range(a):
+            S[a + i, j] = S[i, j]
+    for k in range(a):
+        p = 1.0 / S[a + k, k]
+        S[a + k, k] = 1.0
+        for j in range(a):
+            S[a + k, j] *= p
+        for i in range(a):
+            if i != k:
+                f = S[a + i, k]
+                S[a + i, k] = 0.0
+                for j in range(a):
+                    S[a + i, j] -= f * S[a + k, j]
+    for i in range(a):
+        for j in range(i):
+            s = 0.5 * (S[a + i, j] + S[a + j, i])
+            S[a + i, j] = s
+            S[a + j, i] = s
+
+
+@njit(cache=True)
 def innovation(P, H, res, R, S, PH, out):
     """Innovation covariance S = H P H' + R, its inverse, P H' and the normalised innovation squared (NIS).
 
@@ -170,6 +195,11 @@ def innovation(P, H, res, R, S, PH, out):
     if a == 1:
         S[1, 0] = 1.0 / S[0, 0]
         nis = res[0] * res[0] / S[0, 0]
+    elif a != 3:
+        _invert(S)
+        for i in range(a):
+            for j in range(a):
+                nis += res[i] * S[a + i, j] * res[j]
     else:
         b, c, d, e, f, g = S[0, 0], S[0, 1], S[0, 2], S[1, 1], S[1, 2], S[2, 2]
         m0, m1, m2 = e * g - f * f, d * f - c * g, c * f - d * e
@@ -329,22 +359,17 @@ def update(P, nav, x, C, R, mem, dims, limits):
     if it passes.
 
     C: (a, errors) output rows of the error models, R: (a, a) white covariance, limits: (a + 1,) gates by the number of
-    components used. Leaves the verdict: NIS, components used, 1 if the state was corrected, then residuals and their
-    variances (NaN where missing).
+    components used; the first says more than which share of the components has to remain when single ones that
+    contradict the others are left out, infinite: none ever is. Leaves the verdict: NIS, components used, 1 if the state
+    was corrected, then residuals (NaN where missing) and their variances (NaN also where left out).
     """
     a, n, start, errors, par = dims[0], dims[1], dims[4], dims[5], dims[6]
     iH, iK, ii, ir, it, iS, iP, ine, iv, _, _ = places(dims)
     H, near, res = mem[iH : iH + a * n].reshape((a, n)), mem[ine:iv].reshape((a, 9 + par)), mem[ir : ir + a]
     for i in range(a):
-        for j in range(n):
-            H[i, j] = 0.0
-        for j in range(9):
-            H[i, j] = near[i, j]
         for j in range(errors):
-            H[i, start + j] = C[i, j]
             res[i] -= C[i, j] * x[start - 9 + j]
-        for j in range(par):
-            H[i, start + errors + j] = near[i, 9 + j]
+    _whole_jacobian(H, near, C, start)
     S, PH, out = mem[iS:iP].reshape((2 * a, a)), mem[iP:ine].reshape((a, n)), mem[iv : iv + 3 + 2 * a]
     missing = 0
     for i in range(a):
@@ -354,13 +379,73 @@ def update(P, nav, x, C, R, mem, dims, limits):
     out[2] = 0.0
     for i in range(a):
         out[3 + a + i] = math.nan if math.isnan(out[3 + i]) else S[i, i]
-    if missing == a or not out[0] <= limits[int(out[1])]:
+    if missing == a:
+        return
+    fits = out[0] <= limits[int(out[1])]
+    if not fits and math.isfinite(limits[0]):
+        fits = _fits_without_some(P, H, near, C, R, S, PH, res, out, limits, start)
+    if not fits:
         return
     out[2] = 1.0
     correct(P, nav, x, res, S, PH, mem[iK:ii].reshape((n, a)), mem[it : it + 3])
     for i in range(a):
         for j in range(a):
             mem[ii + i * a + j] = S[a + i, j]
+
+
+@njit(cache=True)
+def _whole_jacobian(H, near, C, start):
+    """H (a, n) from the sensor's own near (a, 9 + parameters) and the output rows C of its error models."""
+    a, errors = C.shape
+    for i in range(a):
+        for j in range(H.shape[1]):
+            H[i, j] = 0.0
+        for j in range(9):
+            H[i, j] = near[i, j]
+        for j in range(errors):
+            H[i, start + j] = C[i, j]
+        for j in range(9, near.shape[1]):
+            H[i, start + errors + j - 9] = near[i, j]
+
+
+@njit(cache=True)
+def _fits_without_some(P, H, near, C, R, S, PH, res, out, limits, start):
+    """Whether the reading passes its gate when the components that contradict the others most are left out, one by one.
+
+    Without component i the NIS is smaller by (S^-1 res)_i^2 / (S^-1)_ii. Leaves the innovation of what remains, or of
+    the whole reading where that does not fit.
+    """
+    a = len(res)
+    left = np.zeros(a)
+    remaining = int(out[1])
+    least = limits[0] * remaining
+    while remaining - 1 > least:
+        worst, most = -1, -1.0
+        for i in range(a):
+            if not math.isnan(out[3 + i]) and left[i] == 0.0:
+                s = 0.0
+                for j in range(a):
+                    s += S[a + i, j] * res[j]
+                if s * s / S[a + i, i] > most:
+                    worst, most = i, s * s / S[a + i, i]
+        if worst < 0:
+            break  # nothing can be compared: the NIS is no number
+        left[worst] = 1.0
+        remaining -= 1
+        _whole_jacobian(H, near, C, start)
+        for i in range(a):
+            res[i] = out[3 + i] if left[i] == 0.0 else math.nan
+        innovation(P, H, res, R, S, PH, out)
+        if out[0] <= limits[remaining]:
+            for i in range(a):
+                if left[i] != 0.0:
+                    out[3 + a + i] = math.nan
+            return True
+    _whole_jacobian(H, near, C, start)
+    for i in range(a):
+        res[i] = out[3 + i]
+    innovation(P, H, res, R, S, PH, out)
+    return False
 
 
 @njit(cache=True)
@@ -373,8 +458,8 @@ def smooth_record(L, lam, record, a, m, b, start, T):
     record before is -P lam with covariance P - P L P.
 
     record: Phi (m x m), tick Phi (b x b), then if a > 0: H (a x n), K (n x a), inverse S (a x a), res (a), turn (3),
-    each row by row. `start` is the ticked block's place, b its size (0: none). L (n, n) and lam (n,) change; T (n, n)
-    work.
+    each row by row. `start` is the ticked block's place, b its size (0: none). L (n, n) and lam (n,) change; T work, n
+    columns and as many rows, at least 3a.
     """
     n = len(lam)
     at = m * m + b * b
@@ -420,22 +505,22 @@ def smooth_record(L, lam, record, a, m, b, start, T):
                 s = Sinv[c, r]
                 for i in range(n):
                     s += K[i, c] * T[r, i]
-                T[3 + c, r] = s
-            T[3 + c, a] = f
+                T[a + c, r] = s
+            T[a + c, a] = f
         for c in range(a):
             for i in range(n):
-                lam[i] -= H[c, i] * T[3 + c, a]
+                lam[i] -= H[c, i] * T[a + c, a]
         for c in range(a):
             for i in range(n):
                 s = -T[c, i]
                 for r in range(a):
-                    s += 0.5 * T[3 + c, r] * H[r, i]
-                T[6 + c, i] = s
+                    s += 0.5 * T[a + c, r] * H[r, i]
+                T[2 * a + c, i] = s
         for c in range(a):
             for i in range(n):
-                h, t = H[c, i], T[6 + c, i]
+                h, t = H[c, i], T[2 * a + c, i]
                 for j in range(n):
-                    L[i, j] += h * T[6 + c, j] + t * H[c, j]
+                    L[i, j] += h * T[2 * a + c, j] + t * H[c, j]
     if b > 0:
         _transition_transposed(L, lam, record[m * m : m * m + b * b].reshape((b, b)), start, b, T)
     _transition_transposed(L, lam, record[: m * m].reshape((m, m)), 0, m, T)

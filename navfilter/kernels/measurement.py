@@ -79,6 +79,30 @@ def water_velocity(z, nav, rate, par, cfg, H, res):
 
 
 @njit(cache=True)
+def beam_velocity(z, nav, rate, par, cfg, H, res):
+    """Velocities along four beams over ground, then along the same through water: reading = d (1 + s)(y + m x y), y as
+    for `body_velocity`.
+
+    cfg: lever arm (3), mounting (9), unit vectors d of the beams in instrument axes (12). par: none, or scale and
+    misalignment (4); before them, or alone, current north, east.
+    """
+    first = len(par) % 4
+    part, Y = np.zeros(3), np.zeros((3, H.shape[1]))
+    zero = np.zeros(3)
+    _clear(H)
+    for track in range(2):
+        north, east = (par[0], par[1]) if track and first else (0.0, 0.0)
+        _instrument_velocity(zero, nav, nav[3] - north, nav[4] - east, nav[5], rate, par, first, cfg, Y, part)
+        for i in range(4):
+            k, d = 4 * track + i, cfg[12 + 3 * i : 15 + 3 * i]
+            res[k] = z[k] + d[0] * part[0] + d[1] * part[1] + d[2] * part[2]
+            for j in range(H.shape[1]):
+                H[k, j] = d[0] * Y[0, j] + d[1] * Y[1, j] + d[2] * Y[2, j]
+            if track and first:
+                H[k, 9], H[k, 10] = -H[k, 3], -H[k, 4]
+
+
+@njit(cache=True)
 def _bearing(n0, n1, n2, H):
     """Azimuth of a vector given in n, and its derivative with respect to a rotation vector in n."""
     h2 = n0 * n0 + n1 * n1
@@ -163,6 +187,23 @@ def depth(z, nav, rate, par, cfg, H, res):
 
 
 @njit(cache=True)
+def altitude(z, nav, rate, par, cfg, H, res):
+    """Height of a lever arm above the bottom: reading = height - down component of C_nb arm - height of the bottom.
+
+    cfg: lever arm (3), described height of the bottom [m]. par: none, or how much higher the bottom is [m].
+    """
+    _clear(H)
+    a0 = nav[6] * cfg[0] + nav[7] * cfg[1] + nav[8] * cfg[2]
+    a1 = nav[9] * cfg[0] + nav[10] * cfg[1] + nav[11] * cfg[2]
+    a2 = nav[12] * cfg[0] + nav[13] * cfg[1] + nav[14] * cfg[2]
+    res[0] = z[0] - (nav[2] - a2 - cfg[3])
+    H[0, 2], H[0, 6], H[0, 7] = -1.0, -a1, a0
+    if len(par) > 0:
+        res[0] += par[0]
+        H[0, 9] = -1.0
+
+
+@njit(cache=True)
 def position(z, nav, rate, par, cfg, H, res):
     """Antenna position: latitude, longitude [rad], height [m] against the vehicle plus its lever arm, in metres in n.
     cfg: arm (3).
@@ -181,6 +222,187 @@ def position(z, nav, rate, par, cfg, H, res):
     H[0, 7], H[0, 8] = a2, -a1
     H[1, 6], H[1, 8] = -a2, a0
     H[2, 6], H[2, 7] = a1, -a0
+
+
+@njit(cache=True)
+def _earth_axes(latitude, longitude, height, radius, e2, A, p):
+    """Rows of A: north, east and down in the Earth's axes; p: the point itself there [m]."""
+    s, c, so, co = math.sin(latitude), math.cos(latitude), math.sin(longitude), math.cos(longitude)
+    across = radius / math.sqrt(1.0 - e2 * s * s)
+    p[0], p[1], p[2] = (across + height) * c * co, (across + height) * c * so, (across * (1.0 - e2) + height) * s
+    A[0, 0], A[0, 1], A[0, 2] = -s * co, -s * so, c
+    A[1, 0], A[1, 1], A[1, 2] = -so, co, 0.0
+    A[2, 0], A[2, 1], A[2, 2] = -c * co, -c * so, -s
+
+
+@njit(cache=True)
+def slant_range(z, nav, rate, par, cfg, H, res):
+    """Distance from a lever arm to a beacon: reading = (1 + s) |beacon + its error - vehicle - C_nb arm| + offset.
+
+    z: distance [m], number of the beacon from 0. cfg: the Earth's radius [m] and squared eccentricity, lever arm (3),
+    where in par scale, offsets (one a beacon) and errors of the beacons north, east, down (three each) begin, -1 for
+    none; then the beacons in the Earth's axes [m].
+    """
+    _clear(H)
+    A, p, d, a = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(3)
+    _earth_axes(nav[0], nav[1], nav[2], cfg[0], cfg[1], A, p)
+    beacon, scale, offset, place = int(z[1]), int(cfg[5]), int(cfg[6]), int(cfg[7])
+    at = 8 + 3 * beacon
+    distance = 0.0
+    for i in range(3):
+        a[i] = nav[6 + 3 * i] * cfg[2] + nav[7 + 3 * i] * cfg[3] + nav[8 + 3 * i] * cfg[4]
+        d[i] = -a[i]
+        for j in range(3):
+            d[i] += A[i, j] * (cfg[at + j] - p[j])
+        if place >= 0:
+            d[i] += par[place + 3 * beacon + i]
+        distance += d[i] * d[i]
+    distance = math.sqrt(distance)
+    if distance < 1e-6:
+        res[0] = math.nan  # at the beacon itself there is no direction
+        return
+    g = 1.0 + par[scale] if scale >= 0 else 1.0
+    res[0] = z[0] - g * distance
+    for i in range(3):
+        d[i] *= g / distance
+        H[0, i] = -d[i]
+        if place >= 0:
+            H[0, 9 + place + 3 * beacon + i] = d[i]
+    H[0, 6], H[0, 7], H[0, 8] = a[2] * d[1] - a[1] * d[2], a[0] * d[2] - a[2] * d[0], a[1] * d[0] - a[0] * d[1]
+    if scale >= 0:
+        H[0, 9 + scale] = distance
+    if offset >= 0:
+        res[0] -= par[offset + beacon]
+        H[0, 9 + offset + beacon] = 1.0
+
+
+@njit(cache=True)
+def usbl(z, nav, rate, par, cfg, H, res):
+    """Where a transponder stands as seen by a transceiver: its range, and the direction across and below the line of
+    sight that was measured.
+
+    z: range [m], bearing from the transceiver's first axis to its second and elevation towards its third [rad]; the
+    transceiver in the Earth's axes [m] (3), and the rotation from these into its own (9). cfg: the Earth's radius [m]
+    and squared eccentricity, lever arm (3), where in par scale of the range, misalignment (3) and error of the ship's
+    place north, east, down (3) begin, -1 for none.
+    """
+    _clear(H)
+    A, D, p = np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
+    a, d, e, J = np.empty(3), np.empty(3), np.zeros(3), np.zeros((3, 3))
+    _earth_axes(nav[0], nav[1], nav[2], cfg[0], cfg[1], A, p)
+    scale, turned, ship = int(cfg[5]), int(cfg[6]), int(cfg[7])
+    for i in range(3):
+        a[i] = nav[6 + 3 * i] * cfg[2] + nav[7 + 3 * i] * cfg[3] + nav[8 + 3 * i] * cfg[4]
+    for i in range(3):
+        d[i] = 0.0
+        for j in range(3):
+            t = z[6 + 3 * i : 9 + 3 * i]
+            D[i, j] = t[0] * A[j, 0] + t[1] * A[j, 1] + t[2] * A[j, 2]  # n to transceiver
+            d[i] += t[j] * (p[j] - z[3 + j]) + D[i, j] * (a[j] + (par[ship + j] if ship >= 0 else 0.0))
+    m0, m1, m2 = (par[turned], par[turned + 1], par[turned + 2]) if turned >= 0 else (0.0, 0.0, 0.0)
+    e[0], e[1], e[2] = d[0] + m1 * d[2] - m2 * d[1], d[1] + m2 * d[0] - m0 * d[2], d[2] + m0 * d[1] - m1 * d[0]
+    r = math.sqrt(e[0] * e[0] + e[1] * e[1] + e[2] * e[2])
+    if r < 1e-6:
+        res[0], res[1], res[2] = math.nan, math.nan, math.nan
+        return
+    g = 1.0 + par[scale] if scale >= 0 else 1.0
+    res[0] = z[0] - g * r
+    if scale >= 0:
+        H[0, 9 + scale] = r
+    bearing, elevation = 0.0 if math.isnan(z[1]) else z[1], 0.0 if math.isnan(z[2]) else z[2]
+    sb, cb, se, ce = math.sin(bearing), math.cos(bearing), math.sin(elevation), math.cos(elevation)
+    J[0, 0], J[0, 1], J[0, 2] = g * e[0] / r, g * e[1] / r, g * e[2] / r
+    J[1, 0], J[1, 1] = -sb, cb
+    J[2, 0], J[2, 1], J[2, 2] = -se * cb, -se * sb, ce
+    ahead = ce * cb * e[0] + ce * sb * e[1] + se * e[2]
+    for k in range(1, 3):
+        along = (J[k, 0] * e[0] + J[k, 1] * e[1] + J[k, 2] * e[2]) / r
+        res[k] = -along if ahead > 0.0 else math.pi  # what lies behind is no small angle
+        if math.isnan(z[1]) or math.isnan(z[k]):
+            res[k] = math.nan
+        for i in range(3):
+            J[k, i] = (J[k, i] - along * e[i] / r) / r
+    for k in range(3):
+        q0, q1, q2 = J[k, 0], J[k, 1], J[k, 2]
+        if turned >= 0:
+            H[k, 9 + turned] = d[1] * q2 - d[2] * q1
+            H[k, 10 + turned] = d[2] * q0 - d[0] * q2
+            H[k, 11 + turned] = d[0] * q1 - d[1] * q0
+        # (I + [m x])' q
+        q0, q1, q2 = q0 + q1 * m2 - q2 * m1, q1 + q2 * m0 - q0 * m2, q2 + q0 * m1 - q1 * m0
+        for j in range(3):
+            H[k, j] = q0 * D[0, j] + q1 * D[1, j] + q2 * D[2, j]
+            if ship >= 0:
+                H[k, 9 + ship + j] = H[k, j]
+        h0, h1, h2 = H[k, 0], H[k, 1], H[k, 2]
+        H[k, 6], H[k, 7], H[k, 8] = a[1] * h2 - a[2] * h1, a[2] * h0 - a[0] * h2, a[0] * h1 - a[1] * h0
+
+
+@njit(cache=True)
+def _angle_slopes(C, D, H, column):
+    """How roll, pitch and yaw of C change when C changes by D."""
+    level2 = C[0, 0] * C[0, 0] + C[1, 0] * C[1, 0]
+    along = C[0, 0] * D[0, 0] + C[1, 0] * D[1, 0]
+    H[0, column] = (C[2, 2] * D[2, 1] - C[2, 1] * D[2, 2]) / (C[2, 1] * C[2, 1] + C[2, 2] * C[2, 2])
+    H[1, column] = (C[2, 0] * along / level2 - D[2, 0]) * math.sqrt(level2) / (level2 + C[2, 0] * C[2, 0])
+    H[2, column] = (C[0, 0] * D[1, 0] - C[1, 0] * D[0, 0]) / level2
+
+
+@njit(cache=True)
+def attitude(z, nav, rate, par, cfg, H, res):
+    """Roll, pitch and yaw of an instrument's own axes, C_nb M (I - [m x]), roll and yaw wrapped to half a turn.
+
+    z: the three angles [rad]. cfg: declination [rad], mounting matrix M instrument-to-body (9). par: none or
+    misalignment m (3).
+    """
+    _clear(H)
+    C, B = np.empty((3, 3)), np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            B[i, j] = nav[6 + 3 * i] * cfg[1 + j] + nav[7 + 3 * i] * cfg[4 + j] + nav[8 + 3 * i] * cfg[7 + j]
+            C[i, j] = B[i, j]
+        if len(par) > 0:
+            C[i, 0] -= B[i, 1] * par[2] - B[i, 2] * par[1]
+            C[i, 1] -= B[i, 2] * par[0] - B[i, 0] * par[2]
+            C[i, 2] -= B[i, 0] * par[1] - B[i, 1] * par[0]
+    level = math.sqrt(C[0, 0] * C[0, 0] + C[1, 0] * C[1, 0])
+    upright = C[2, 1] * C[2, 1] + C[2, 2] * C[2, 2]
+    if level < 1e-6 or upright < 1e-12:
+        res[0], res[1], res[2] = math.nan, math.nan, math.nan
+        return
+    res[0] = z[0] - math.atan2(C[2, 1], C[2, 2])
+    res[1] = z[1] + math.atan2(C[2, 0], level)
+    res[2] = z[2] - math.atan2(C[1, 0], C[0, 0]) + cfg[0]
+    for i in (0, 2):
+        res[i] -= 2.0 * math.pi * math.floor(res[i] / (2.0 * math.pi) + 0.5)
+    D = np.empty((3, 3))
+    for j in range(3):
+        k, m = (j + 1) % 3, (j + 2) % 3
+        for i in range(3):
+            D[j, i], D[k, i], D[m, i] = 0.0, -C[m, i], C[k, i]  # a rotation about axis j of n
+        _angle_slopes(C, D, H, 6 + j)
+        if len(par) > 0:
+            for i in range(3):
+                D[i, j], D[i, k], D[i, m] = 0.0, -B[i, m], B[i, k]  # against one about axis j of the instrument
+            _angle_slopes(C, D, H, 9 + j)
+
+
+@njit(cache=True)
+def ground_velocity(z, nav, rate, par, cfg, H, res):
+    """Velocity over ground in n [m/s] at a lever arm: v_n + C_nb (rate x arm). cfg: lever arm (3)."""
+    _clear(H)
+    x0 = rate[1] * cfg[2] - rate[2] * cfg[1]
+    x1 = rate[2] * cfg[0] - rate[0] * cfg[2]
+    x2 = rate[0] * cfg[1] - rate[1] * cfg[0]
+    w0 = nav[6] * x0 + nav[7] * x1 + nav[8] * x2
+    w1 = nav[9] * x0 + nav[10] * x1 + nav[11] * x2
+    w2 = nav[12] * x0 + nav[13] * x1 + nav[14] * x2
+    res[0], res[1], res[2] = z[0] - nav[3] - w0, z[1] - nav[4] - w1, z[2] - nav[5] - w2
+    for i in range(3):
+        H[i, 3 + i] = 1.0
+    H[0, 7], H[0, 8] = w2, -w1
+    H[1, 6], H[1, 8] = -w2, w0
+    H[2, 6], H[2, 7] = w1, -w0
 
 
 @njit(cache=True)

@@ -17,6 +17,7 @@ from navfilter.learning.drift import Drift
 from navfilter.mechanisation.mechanisation import Mechanisation, Triple
 from navfilter.mission import Stream
 from navfilter.sensors import BodyVelocity, Heading, Sensor
+from navfilter.sensors.attitude import ATTITUDE
 from navfilter.sensors.heading import USUAL as HEADING_USUAL
 from navfilter.sensors.traits import Columns, Doubt, Plausible
 from navfilter.sensors.velocity import USUAL as VELOCITY_USUAL
@@ -26,7 +27,6 @@ from navfilter.start import Start
 __all__ = ["DeadReckoning"]
 
 Array = NDArray[np.float64]
-ATTITUDE = Columns("attitude", ("roll_rad", "pitch_rad", "yaw_rad"), ("angle",) * 3, circular=("roll_rad", "yaw_rad"))
 #: Generous: beyond the worst and the best of instruments on the market.
 TILT_USUAL = Plausible(1e-7, math.radians(15.0), "deg", most_rate_hz=1000.0)
 

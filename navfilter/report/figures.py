@@ -177,12 +177,12 @@ def innovation_figure(track: Track, name: str) -> Stack:
     the scale.
     """
     residuals, sensor = track.residuals[name], track.vehicle.sensors[name]
-    unit, factor = shown_unit(sensor.unit)
     measured = np.flatnonzero(np.isfinite(residuals.value).any(axis=0)).tolist() or [0]
     rejected = residuals.outcome == OUTCOMES.index("rejected")
     panels = []
     for i in measured:
-        seen = residuals.used & np.isfinite(residuals.value[:, i])
+        unit, factor = shown_unit(sensor.units[i]) if i < sensor.axes else ("", 1.0)
+        seen = residuals.used & np.isfinite(residuals.sd[:, i])
         t, value, bound = (
             residuals.time_s[seen],
             factor * residuals.value[seen, i],
@@ -193,7 +193,8 @@ def innovation_figure(track: Track, name: str) -> Stack:
             Points(t, value, "used", USED) if len(t) <= 1500 else Line(t, value, "used", USED, width=0.5)
         ]
         parts += [Line(t, sign * bound, "±3σ", "#000000", width=0.8) for sign in (-1, 1)]
-        out = capped(np.column_stack([residuals.time_s[rejected], factor * residuals.value[rejected, i]]))
+        against = rejected | (residuals.used & ~seen)  # also what was left out alone
+        out = capped(np.column_stack([residuals.time_s[against], factor * residuals.value[against, i]]))
         out = out[np.isfinite(out[:, 1])]
         near = np.abs(out[:, 1]) <= limit
         if near.any():

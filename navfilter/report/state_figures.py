@@ -48,10 +48,9 @@ def shown_states(vehicle: Vehicle) -> tuple[ShownState, ...]:
         found += _parts(owner, axis, model, drive.period_s, unit)
     found += [ShownState("drive", p.name, p.name, *shown_unit(p.unit)) for p in drive.parameters()]
     for key, sensor in vehicle.sensors.items():
-        for axis, model in zip(sensor.axis_names, sensor.models, strict=True):
-            found += _parts(
-                key, "_".join(part for part in (key, axis) if part), model, 1.0 / sensor.rate_hz, sensor.unit
-            )
+        for axis, model, unit in zip(sensor.axis_names, sensor.models, sensor.units, strict=True):
+            label = "_".join(part for part in (key, axis) if part)
+            found += _parts(key, label, model, 1.0 / sensor.rate_hz, unit)
         found += [ShownState(key, f"{key}.{p.name}", p.name, *shown_unit(p.unit)) for p in sensor.parameters()]
     return tuple(found)
 

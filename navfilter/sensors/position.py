@@ -29,7 +29,11 @@ Array = NDArray[np.float64]
 DEPTH = Columns("depth", ("depth_m",), ("length",))
 PRESSURE = Columns("pressure", ("pressure_Pa",), ("pressure",))
 POSITION = Columns(
-    "position", ("latitude_rad", "longitude_rad", "height_m"), ("angle", "angle", "length"), circular=("longitude_rad",)
+    "position",
+    ("latitude_rad", "longitude_rad", "height_m"),
+    ("angle", "angle", "length"),
+    circular=("longitude_rad",),
+    least=2,
 )
 HDOP = Columns("hdop", ("hdop",), ("number",))
 

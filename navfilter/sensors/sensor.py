@@ -54,6 +54,8 @@ class Sensor:
         Of a `LearnedArma` that brings none.
     unit, axes, axis_names
         Of the error: unit, number and names of its axes.
+    axis_units : tuple of str
+        Unit of each axis, where they are not all that of `unit`; see `units`.
     reads : int
         Number of elements of a reading that must be there.
     kernel : callable
@@ -63,6 +65,14 @@ class Sensor:
     sees_velocity : bool
         Reads the three components of the velocity in the body's axes, through the heading: taken with its second-order
         term while the heading is hardly known.
+    single_gates : bool
+        A component that contradicts the others is left out alone, as long as more than half of them remain.
+    tracks : int
+        The axes are so many equal sets: a reading's own sd may be given for one of them.
+    curved : bool
+        Its equation bends where it stands near what it measures: see `second_order`.
+    late_s : float
+        Its readings may come so late [s]: a navigator keeps as much of the past.
     confirms_state : bool
         Readings that fit say that the state is right, whatever the others read.
     open_loop : int
@@ -91,11 +101,16 @@ class Sensor:
     prior: ClassVar[ErrorModel] = White(sd=1.0)
     unit: ClassVar[str] = "m"
     axes: ClassVar[int] = 1
+    axis_units: ClassVar[tuple[str, ...]] = ()
     reads: ClassVar[int] = 1
     axis_names: ClassVar[tuple[str, ...]] = ("",)
     kernel: ClassVar[Callable[..., None]]
     from_drive: ClassVar[bool] = False
     sees_velocity: ClassVar[bool] = False
+    single_gates: ClassVar[bool] = False
+    tracks: ClassVar[int] = 1
+    curved: ClassVar[bool] = False
+    late_s: ClassVar[float] = 0.0
     confirms_state: ClassVar[bool] = True
     open_loop: ClassVar[int] = listen.NOTHING
     gives: ClassVar[str] = ""
@@ -121,6 +136,11 @@ class Sensor:
     def models(self) -> tuple[ErrorModel, ...]:
         """The error model of each axis; a `LearnedArma` that brings no prior gets that of the sensor's kind."""
         return resolve_prior(per_axis(self.error, self.axes, f"{type(self).__name__}.error"), self.prior)
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Unit of the error of each axis."""
+        return self.axis_units or (self.unit,) * self.axes
 
     def parameters(self) -> tuple[Parameter, ...]:
         """States beside the error model; constant, but for those of `wandering`."""
@@ -164,9 +184,27 @@ class Sensor:
         """
         return np.zeros((self.axes, self.axes))
 
+    def second_order(self, z: Array, near: Array, P: Array) -> Array:
+        """What the linear equation leaves out, as a covariance of the reading, shape (axes, axes); of kinds that are
+        `curved`.
+
+        Parameters
+        ----------
+        z : ndarray
+            The reading as the kernel takes it.
+        near : ndarray, shape (axes, 9 + k)
+            The kernel's Jacobian.
+        P : ndarray, shape (9 + k, 9 + k)
+            Covariance of the same states.
+        """
+        return np.zeros((self.axes, self.axes))
+
     # ---------------------------------------------------------------- what learning asks
     def instrument_axes(self) -> Array:
-        """Rotation from the body's axes to the instrument's, shape (3, 3)."""
+        """Rotation from the body's axes to the instrument's, shape (3, 3).
+
+        Of a velocity along other directions than three axes: those directions in the body, shape (axes, 3).
+        """
         return np.eye(3)
 
     def drift(self, drive: Mechanisation, axis: int, walk: float) -> Drift:

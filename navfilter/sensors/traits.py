@@ -58,12 +58,18 @@ class Columns(NamedTuple):
         What each of them measures, as in `navfilter.io.units`: "length", "speed", "angle", "pressure", ...
     circular : tuple of str
         Those of the names that are angles on a whole circle: interpolated through the shorter way.
+    least : int
+        So many of them, from the first, must be given; 0: all.
+    independent : bool
+        Each is a reading of its own: an invalid one leaves the others valid.
     """
 
     group: str
     names: tuple[str, ...]
     dimensions: tuple[str, ...]
     circular: tuple[str, ...] = ()
+    least: int = 0
+    independent: bool = False
 
 
 class Plausible(NamedTuple):

@@ -203,7 +203,7 @@ class _Scene:
     def record(self, name: str, sensor: Sensor, rate_hz: float) -> Stream:
         """The stream of one sensor, read at this rate."""
         time_s = self.ticks(rate_hz)
-        error = self.error(name, sensor.error, rate_hz, time_s, sensor.axes)
+        error = self.error(name, sensor.models, rate_hz, time_s, sensor.axes)
         truth = self.truth(name, sensor, error, time_s)
         try:
             return self.stamp(name, time_s, *sensor.simulated(self.motion.at(time_s), truth))
