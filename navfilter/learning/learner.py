@@ -320,7 +320,8 @@ def _spectrum(
     """Of the whole error: the fast part as far as it is known given the slow one, and that over its posterior."""
     frequency = np.geomspace(0.5 / (n * period_s), 0.5 / period_s, Spectrum.POINTS)
     spread = log_spread(model.ar, model.ma, covariance, 2.0 * np.pi * frequency * period_s)
-    fast = model.spectrum(frequency, 1.0 / period_s) * np.exp(np.outer(ALIKE, spread))
+    # beyond twenty powers of e nothing is known
+    fast = model.spectrum(frequency, 1.0 / period_s) * np.exp(np.clip(np.outer(ALIKE, spread), -20.0, 20.0))
     if posterior is None:
         return Spectrum.weighted(frequency, fast, np.full(len(ALIKE), 1.0 / len(ALIKE)))
     kept = posterior.weight > 1e-6 * posterior.weight.max()
