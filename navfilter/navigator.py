@@ -169,8 +169,8 @@ class Navigator:
         name : str
             Key of the sensor in the vehicle.
         time_s : float
-            Time of validity [s]: at most `history_s` (without a history about one period of the drive) before the
-            present, at most a second after it.
+            Its stamp [s], from which the sensor's `time_offset_s` is taken off: at most `history_s` (without a history
+            about one period of the drive) before the present, at most a second after it.
         value : float or array_like
             The reading in SI units and radians; NaN is a missing component.
         sd : float or array_like, optional
@@ -186,7 +186,7 @@ class Navigator:
             return Outcome("unknown-sensor")
         try:
             z = np.array(value, dtype=np.float64).reshape(-1)
-            time_s = float(time_s) + self.offset_s
+            time_s = float(time_s) + self.offset_s - self.vehicle.sensors[name].time_offset_s
         except (TypeError, ValueError):
             z, time_s = np.full(1, np.nan), math.nan
         outcome = self._taken(Reading(name, time_s, z, sd, watch.sees(time_s, z)))

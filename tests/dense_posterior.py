@@ -5,7 +5,7 @@ estimated), G the reset of the attitude.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import naive
 import numpy as np
@@ -244,6 +244,24 @@ def water_vehicle(arma=True, white=False):
         **calibration,
     )
     return nf.Vehicle(plain.drive, {**plain.sensors, "dvl": water})
+
+
+def uncalibrated(build):
+    """A vehicle that knows neither the clocks of its sensors nor exactly where they are."""
+
+    def built(arma=True):
+        vehicle = build(arma)
+        sensors = {
+            name: replace(
+                sensor,
+                time_offset_sd_s=0.3,
+                lever_arm_sd_m=(0.2, 0.1, 0.0) if sensor.has_lever_arm else (0.0,) * 3,
+            )
+            for name, sensor in vehicle.sensors.items()
+        }
+        return replace(vehicle, sensors=sensors)
+
+    return built
 
 
 def reckoning_vehicle(arma=True):

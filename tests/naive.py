@@ -807,3 +807,46 @@ def water_velocity(z, nav, rate, par, cfg, H, res):
     relative[3:6] -= current
     body_velocity(z, relative, rate, par[2:], cfg, plain, res)
     H[:, :9], H[:, 9:11], H[:, 11:] = plain[:, :9], -plain[:, 3:5], plain[:, 9:]
+
+
+def _mean_motion(motion, begin, end):
+    ends = np.cumsum(motion[:, 0])
+    inside = np.clip(np.minimum(ends, end) - np.maximum(ends - motion[:, 0], begin), 0.0, None)
+    if inside.any():
+        return inside @ motion[:, 1:] / inside.sum()
+    known = motion[motion[:, 0] > 0, 1:]
+    return known[-1] if len(known) else np.zeros(6)
+
+
+def earlier(nav, motion, gravity, late_s, window_s, then, turn, slope, B):
+    centre, half = max(late_s, 0.5 * window_s), 0.5 * window_s
+    older, newer = _mean_motion(motion, centre, centre + half), _mean_motion(motion, centre - half, centre)
+    mean, down, spin = 0.5 * (older + newer), gravity * DOWN, (newer - older)[:3] / half
+    ahead = np.concatenate([mean[:3] + (centre - 0.5 * late_s) * spin, mean[3:]])
+    rate = mean[:3] + (centre - late_s) * spin
+    begins = np.cumsum(motion[:, 0]) - motion[:, 0]
+    pieces = [(min(s, late_s - begin), m) for s, begin, m in zip(motion[:, 0], begins, motion[:, 1:], strict=True)]
+    pieces = [(dt, m) for dt, m in pieces if dt > 0]
+    pieces.append((late_s - sum(dt for dt, _ in pieces), mean if late_s >= 0 else ahead))
+    counts = [int(np.ceil(abs(dt) / 0.02)) for dt, _ in pieces]
+    pieces = [(dt / n, m) for (dt, m), n in zip(pieces, counts, strict=True) for _ in range(n)]
+    C, v, way, once, twice = nav[6:15].reshape(3, 3), nav[3:6], np.zeros(3), np.zeros(3), np.zeros(3)
+    for dt, m in pieces:
+        force = C @ rotation(-0.5 * dt * m[:3]) @ m[3:]
+        way, twice = way + dt * v - 0.5 * dt**2 * (force + down), twice + dt * once + 0.5 * dt**2 * force
+        C, v, once = C @ rotation(-dt * m[:3]), v - dt * (force + down), once + dt * force
+    then[:] = nav
+    _displace(then, -way)
+    then[3:6], then[6:15] = v, C.ravel()
+    turn[:] = np.concatenate([rate, spin])
+    slope[:] = np.concatenate([v, C @ mean[3:] + down, C @ rate])
+    B[:] = np.eye(9)
+    B[:3, 3:6], B[:3, 6:], B[3:6, 6:] = -late_s * np.eye(3), -skew(twice), skew(once)
+
+
+def _displace(nav, d):
+    """Move by metres in n, radii growing with the height alone."""
+    nav[1] += d[1] / (nav[16] * np.cos(nav[0] + 0.5 * d[0] / nav[15]))
+    nav[0] += d[0] / nav[15]
+    nav[2] -= d[2]
+    nav[15:17] -= d[2]

@@ -19,6 +19,7 @@ from dense_posterior import (
     inertial_vehicle,
     reckoning_vehicle,
     start,
+    uncalibrated,
     water_vehicle,
 )
 from filterpy.kalman import KalmanFilter
@@ -29,6 +30,8 @@ from navfilter.filter import filter as engine
 CASES = {
     "inertial": (inertial_vehicle, 6.0),
     "reckoning": (reckoning_vehicle, 9.0),
+    "inertial, uncalibrated": (uncalibrated(inertial_vehicle), 3.0),
+    "reckoning, uncalibrated": (uncalibrated(reckoning_vehicle), 9.0),
     "water": (water_vehicle, 3.0),
     "water, white": (lambda arma=True: water_vehicle(arma, white=True), 3.0),
 }
@@ -58,7 +61,7 @@ def test_filter_and_smoother_equal_the_dense_posterior(case, monkeypatch):
 def test_smoother_equals_rauch_tung_striebel_at_every_sample(case, monkeypatch):
     build, seconds = CASES[case]
     capture = Capture(monkeypatch, build(arma=False), start())
-    drive_through(capture.nav, seconds if case == "reckoning" else 2.0, seed=2)
+    drive_through(capture.nav, seconds if case.startswith("reckoning") else 2.0, seed=2)
     chain = capture.samples
     ends, at = {0: 0}, 0
     means, covariances = naive.rts(

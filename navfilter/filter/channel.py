@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.stats import chi2
 
 from navfilter.filter.layout import Group, Layout
+from navfilter.filter.sight import Sight
 from navfilter.kernels import kalman
 from navfilter.sensors import Sensor
 from navfilter.start import Start
@@ -57,7 +58,8 @@ class Channel:
         self.kernel, self.constants = sensor.kernel, sensor.constants(start)
         self.period_s = 1.0 / sensor.rate_hz
         self.limits = np.array(_limits(sensor.gate_probability, sensor.axes))
-        self.moves, self.turns = sensor.sees_velocity, sensor.needs_rate
+        self.sight = Sight(sensor, start) if sensor.place_and_clock() else None
+        self.moves, self.turns = sensor.sees_velocity, sensor.needs_rate or any(sensor.lever_arm_sd_m)
         self.forget()
 
     def forget(self) -> None:

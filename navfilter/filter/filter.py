@@ -31,6 +31,8 @@ Array = NDArray[np.float64]
 Listening = Callable[[Event], None]
 #: Beyond this variance of the heading [rad^2] a body velocity is taken with its second-order term.
 UNSURE_HEADING = 0.01
+#: The past is kept for a time offset of up to so many standard deviations.
+CLOCK_SDS = 4.0
 CODES = {name: code for code, name in enumerate(OUTCOMES)}
 COUNTED = ("gap", "backward", "bad-sample", "clock-set", "widened", "opened", "adopted")
 
@@ -82,6 +84,8 @@ class Filter:
         self.inertial = drive.inertial
         self._rate = np.zeros(3)
         self.channels = {name: Channel(name, sensor, start) for name, sensor in vehicle.sensors.items()}
+        doubtful_s = max((s.time_offset_sd_s for s in vehicle.sensors.values()), default=0.0)
+        self._recent = (drive.remembered(CLOCK_SDS * doubtful_s) if doubtful_s else 0, 7)
         self._rest = [self.channels[name] for name, s in vehicle.sensors.items() if s.from_drive and self.inertial]
         self.begin()
 
@@ -105,6 +109,7 @@ class Filter:
                 P=self.layout.start_covariance(state.covariance),
                 acc=self._identity(),
                 drv=self.in_force.drive.memory(self.layout.drive.errors, self.start),
+                recent=np.zeros(self._recent),
                 intake=self.intake.memory,
                 channels={name: channel.memory for name, channel in self.channels.items()},
                 models=adopted,
@@ -215,6 +220,8 @@ class Filter:
             end = total if whole else min(total, begin + self._room(room))
             block = samples[begin:end]
             self.steps(memory.nav, self._xd, memory.drv, block, self._Phid, self._Qd, self.drive_output, memory.acc)
+            if memory.recent.size:
+                memory.recent = np.concatenate([block[::-1], memory.recent])[: len(memory.recent)]
             memory.unfolded += end - begin
             memory.time_s = memory.sample_s = memory.intake.before_s = float(stamps[-1 if whole else end - 1])
             if memory.unfolded >= self._fold_every:
@@ -329,7 +336,11 @@ class Filter:
         channel.memory.last_s = time_s
         if channel.turns:
             self._body_rate()
-        channel.kernel(z, nav, self._rate, x[channel.parameters], channel.constants, channel.near, channel.res)
+        if channel.sight is None:
+            channel.kernel(z, nav, self._rate, x[channel.parameters], channel.constants, channel.near, channel.res)
+        else:
+            moved = self._moved() if channel.sight.clock else None
+            channel.sight.look(z, nav, self._rate, x[channel.parameters], moved, channel.near, channel.res)
         channel.R[:] = channel.white if sd is None else channel.lever + np.eye(channel.axes) * np.square(np.ravel(sd))
         if channel.moves and P[8, 8] > UNSURE_HEADING:
             # second-order term of a velocity seen from a heading that is hardly known (Gelb, 1974, sec. 6.1)
@@ -385,6 +396,13 @@ class Filter:
         kalman.update(P, memory.nav, memory.x, channel.C, channel.R, channel.mem, channel.dims, no_limits)
         memory.counts["widened"] += 1
         return True
+
+    def _moved(self) -> tuple[Array, float]:
+        """How the vehicle has moved of late, and gravity."""
+        memory, drive = self.memory, self.vehicle.drive
+        errors = self.drive_output[:, :-1] @ self._xd
+        gravity = strapdown.gravity(memory.nav[0], memory.nav[2]) if self.inertial else 0.0
+        return drive.motion(memory.recent, memory.nav, memory.drv, errors), gravity
 
     def _body_rate(self) -> None:
         """Angular rate in b [rad/s] for lever arms; the Earth's own rate (1e-4 rad/s) is left in."""

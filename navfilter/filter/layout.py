@@ -192,7 +192,9 @@ class Layout:
             blocks = [m.block(1.0 / sensor.rate_hz) for m in sensor.models]
             wandering = {key: model.block(1.0 / sensor.rate_hz) for key, model in sensor.wandering().items()}
             units = (sensor.unit,) * sensor.axes
-            groups[name] = Group.build(start, blocks, sensor.parameters(), sensor.axis_names, units, name, wandering)
+            groups[name] = Group.build(
+                start, blocks, sensor.all_parameters(), sensor.axis_names, units, name, wandering
+            )
             start += groups[name].size
         return cls(group, groups)
 

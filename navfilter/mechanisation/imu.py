@@ -118,6 +118,20 @@ class Imu(Mechanisation):
         drv[strapdown.GAP_FORCE_SD] = self.gap_force_sd
         return drv
 
+    def motion(self, recent: Array, nav: Array, drv: Array, errors: Array) -> Array:
+        """Rates and forces by the trapezoidal rule; the last sample holds since."""
+        seconds, values = recent[:, :1], recent[:, 1:]
+        if self.increments:
+            mean = values / np.where(seconds > 0.0, seconds, 1.0)
+        else:
+            mean = values.copy()
+            mean[:-1] = np.where(seconds[1:] > 0.0, 0.5 * (values[:-1] + values[1:]), values[:-1])
+        last = drv[strapdown.PREVIOUS : strapdown.PREVIOUS + 6] / (self.period_s if self.increments else 1.0)
+        rows = np.empty((len(recent) + 1, 7))
+        rows[0, 0], rows[0, 1:] = drv[strapdown.HELD_S], last - errors
+        rows[1:, :1], rows[1:, 1:] = seconds, mean - errors
+        return rows
+
     def samples(self, streams: Mapping[str, Stream]) -> tuple[Array, Array]:
         """The stream as it is."""
         return streams["imu"].time_s, streams["imu"].value[:, :6]

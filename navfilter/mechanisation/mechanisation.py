@@ -24,6 +24,8 @@ from navfilter.start import Start
 __all__ = ["DriveNoise", "Mechanisation", "Triple"]
 
 Array = NDArray[np.float64]
+#: Motion is a mean over so long: what is faster vibrates [s].
+WINDOW_S = 0.5
 
 
 class DriveNoise(NamedTuple):
@@ -173,6 +175,31 @@ class Mechanisation:
         drv = np.zeros(strapdown.DRIVE_SIZE)
         drv[strapdown.PERIOD_S] = self.period_s
         return drv
+
+    # ---------------------------------------------------------------- what sensors with a doubtful clock ask
+    def remembered(self, past_s: float) -> int:
+        """How many of the last samples tell how the vehicle has moved for `past_s` seconds; at least two."""
+        return max(2, math.ceil((past_s + WINDOW_S) * self.rate_hz) + 1)
+
+    def motion(self, recent: Array, nav: Array, drv: Array, errors: Array) -> Array:
+        """How the vehicle has moved of late.
+
+        Parameters
+        ----------
+        recent : ndarray, shape (k, 7)
+            The last samples, the newest first: seconds since the one before (0: none), six values.
+        nav, drv : ndarray
+            State and memory of the drive's kernels.
+        errors : ndarray, shape (6,)
+            Those of the six values now, as estimated.
+
+        Returns
+        -------
+        ndarray, shape (j, 7)
+            Intervals, the newest first: seconds, angular rate [rad/s] and specific force [m/s^2] in b. Without an
+            inertial unit the force is the acceleration: no gravity is in it.
+        """
+        raise NotImplementedError
 
     # ---------------------------------------------------------------- what files and checks ask
     def samples(self, streams: Mapping[str, Stream]) -> tuple[Array, Array]:

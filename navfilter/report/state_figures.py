@@ -54,7 +54,7 @@ def shown_states(vehicle: Vehicle) -> tuple[ShownState, ...]:
             found += _parts(
                 key, "_".join(part for part in (key, axis) if part), model, 1.0 / sensor.rate_hz, sensor.unit
             )
-        found += [ShownState(key, f"{key}.{p.name}", p.name, *shown_unit(p.unit)) for p in sensor.parameters()]
+        found += [ShownState(key, f"{key}.{p.name}", p.name, *shown_unit(p.unit)) for p in sensor.all_parameters()]
     return tuple(found)
 
 

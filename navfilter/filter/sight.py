@@ -1,0 +1,105 @@
+"""Readings of a sensor whose place or clock is not known for certain: lever arm and time offset as states."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navfilter.kernels import measurement
+from navfilter.sensors import Sensor
+from navfilter.start import Start
+
+__all__ = ["WINDOW_S", "Sight"]
+
+Array = NDArray[np.float64]
+#: Rates and forces are means over this time: what vibrates faster is no motion [s].
+WINDOW_S = 0.2
+#: Step of the difference quotients over lever arm [m] and time [s]; a reading is nearly linear in both.
+STEP = 0.01
+
+
+class Sight:
+    """Predicts the readings of a sensor of any kind through its own kernel, with a lever arm and a clock that are
+    states (`Sensor.place_and_clock`).
+
+    A time offset moves the state at which the kernel is asked: to that of `time_offset` earlier. So the derivative with
+    respect to it is minus that of the reading with time, as the drive felt it then.
+
+    Parameters
+    ----------
+    sensor : Sensor
+    start : Start
+
+    Attributes
+    ----------
+    clock : bool
+        Whether it needs to know how the vehicle has moved.
+    """
+
+    def __init__(self, sensor: Sensor, start: Start) -> None:
+        self.kernel, self.axes = sensor.kernel, sensor.axes
+        self.clock, self._arm = sensor.time_offset_sd_s > 0.0, any(sensor.lever_arm_sd_m)
+        self._constants = sensor.constants(start)
+        self._turns = sensor.needs_rate or self._arm
+        self._by_arm = np.zeros((self._constants.size, 3))
+        if self._arm:
+            self._by_arm[:] = np.column_stack(
+                [self._constants_at(sensor, start, e) - self._constants for e in np.eye(3)]
+            )
+
+    @staticmethod
+    def _constants_at(sensor: Any, start: Start, off: Array) -> Array:
+        """The kernel's constants of a sensor that stands `off` from where it is."""
+        arm = tuple(float(a + e) for a, e in zip(sensor.lever_arm_b_m, off, strict=True))
+        return np.asarray(replace(sensor, lever_arm_b_m=arm).constants(start))
+
+    def look(
+        self,
+        z: Array,
+        nav: Array,
+        rate: Array,
+        par: Array,
+        moved: tuple[Array, float] | None,
+        near: Array,
+        res: Array,
+    ) -> None:
+        """Fill residual and Jacobian as the kernels do, see `navfilter.kernels.measurement`.
+
+        Parameters
+        ----------
+        z, nav, rate, par : ndarray
+            As for a kernel; `par` ends with the states of lever arm and clock.
+        moved : (ndarray, float) or None
+            How the vehicle has moved, and gravity, as ``measurement.earlier`` takes them; not asked without a clock.
+        near : ndarray, shape (axes, 9 + states)
+        res : ndarray, shape (axes,)
+        """
+        own = par.size - 3 * self._arm - self.clock
+        constants = self._constants + self._by_arm @ par[own : own + 3] if self._arm else self._constants
+        inner, kind = np.zeros((self.axes, 9 + own)), par[:own]
+        turn, slope, B = np.zeros(6), np.zeros(9), np.empty((9, 9))
+        if self.clock:
+            assert moved is not None
+            then = np.empty(17)
+            measurement.earlier(nav, *moved, float(par[-1]), WINDOW_S, then, turn, slope, B)
+            nav, rate = then, turn[:3].copy()
+        self.kernel(z, nav, rate, kind, constants, inner, res)
+        near[:, : 9 + own] = inner
+        if self._arm:
+            for i in range(3):
+                ends = [self._residual(z, nav, rate, kind, constants + s * STEP * self._by_arm[:, i]) for s in (-1, 1)]
+                near[:, 9 + own + i] = (ends[0] - ends[1]) / (2.0 * STEP)
+        if self.clock:
+            near[:, :9] = inner[:, :9] @ B
+            near[:, -1] = -(inner[:, :9] @ slope)
+            if self._turns:
+                ends = [self._residual(z, nav, rate + s * STEP * turn[3:], kind, constants) for s in (-1, 1)]
+                near[:, -1] -= (ends[0] - ends[1]) / (2.0 * STEP)
+
+    def _residual(self, z: Array, nav: Array, rate: Array, par: Array, constants: Array) -> Array:
+        res = np.empty(self.axes)
+        self.kernel(z, nav, rate, par, constants, np.zeros((self.axes, 9 + par.size)), res)
+        return res
