@@ -259,7 +259,12 @@ def uncalibrated(build):
             )
             for name, sensor in vehicle.sensors.items()
         }
-        return replace(vehicle, sensors=sensors)
+        drive = vehicle.drive
+        if not drive.inertial:
+            velocity = replace(drive.velocity, time_offset_sd_s=0.3, lever_arm_sd_m=(0.3, 0.2, 0.1))
+            attitude = replace(drive.attitude, time_offset_sd_s=0.2)
+            drive = replace(drive, velocity=velocity, attitude=attitude)
+        return replace(vehicle, drive=drive, sensors=sensors)
 
     return built
 

@@ -374,6 +374,10 @@ def _dead_reckoning_step(nav, xd, drv, sample, Phid, Qd, Cr, acc):
     k, m = len(xd), len(xd) + 9
     span, held, started, half = sample[0], drv[12], drv[13] != 0, 0.5 * sample[0]
     dev, par, arm, M = int(drv[41]), int(drv[42]), drv[44:47], drv[47:56].reshape(3, 3)
+    late_a, late_v, lever, turn0 = int(drv[65]), int(drv[66]), int(drv[67]), drv[78:87].reshape(3, 3).copy()
+    if lever >= 0:
+        arm = arm + xd[lever : lever + 3]
+        drv[56:59] = turn0 @ arm
     v0, w0, C0 = nav[3:6].copy(), drv[56:59].copy(), nav[6:15].reshape(3, 3).copy()
     missing = not (np.abs(sample[4:7]) <= drv[62]).all() or not (sample[4:7].any() or drv[63])
     # what the readings' errors are thought to be, and how they follow from the drive's states
@@ -381,6 +385,12 @@ def _dead_reckoning_step(nav, xd, drv, sample, Phid, Qd, Cr, acc):
     if dev >= 0:
         y = sample[3]
         E[2, dev : dev + 4] = np.sin(y), np.cos(y), np.sin(2 * y), np.cos(2 * y)
+    if late_a >= 0 or late_v >= 0:
+        _change(drv, sample, missing)
+    if late_a >= 0:
+        E[:3, late_a] -= drv[68:71]
+    if late_v >= 0:
+        E[3:, late_v] -= drv[71:74]
     err = E @ xd
     roll, pitch, yaw = sample[1:4] - err[:3]
     yaw += drv[43]  # declination
@@ -414,6 +424,11 @@ def _dead_reckoning_step(nav, xd, drv, sample, Phid, Qd, Cr, acc):
     F[:3, 6:9] -= skew(half * w0 + l0)
     F[3:6, 6:9] -= per * skew(l0)
     F[:9, 9:] -= J @ E + J[:, 3:] @ E_par
+    if lever >= 0:
+        here, held_turn = slice(9 + lever, 12 + lever), C @ C0.T @ turn0 if missing else np.zeros((3, 3))
+        F[3:6, here] += held_turn - per * (C - C0)
+        F[:3, here] += half * (held_turn + turn0) - started * (C - C0)
+        drv[78:87] = per * (C - C0).ravel()
     F[:3, :3] += (span - held) * _curvature(v0, nav[0], *nav[15:17])
     _move(nav, (half - held) * v0 + half * (w0 + u) - l1 + l0)
     nav[3:6], nav[6:15], drv[56:59], drv[59:62], drv[12:14] = u - w, C.ravel(), w, sample[1:4], (0.0, 1.0)
@@ -425,6 +440,18 @@ def _dead_reckoning_step(nav, xd, drv, sample, Phid, Qd, Cr, acc):
         Q[:6, :6] += G @ walk @ G.T
     elif span > 3 * drv[36]:
         Q[:3, :3] += walk * span**2 / 12.0
+
+
+def _change(drv, sample, missing):
+    span = sample[0]
+    near, share = drv[13] != 0 and 0 < span <= 3 * drv[36], span / (span + 0.1)
+    turned = (sample[1:4] - drv[59:62] + np.pi) % (2 * np.pi) - np.pi
+    drv[68:71] = (1 - share) * drv[68:71] + share * turned / span if near else 0.0
+    known = near and not missing and drv[77]
+    drv[71:74] = (1 - share) * drv[71:74] + share * (sample[4:7] - drv[74:77]) / span if known else 0.0
+    if not missing:
+        drv[74:77] = sample[4:7]
+    drv[77] = not missing
 
 
 def dead_reckoning_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc):

@@ -451,7 +451,8 @@ class Filter:
         memory.P, memory.x = np.ascontiguousarray(0.5 * (P + P.T)), np.ascontiguousarray(x)
         memory.acc, self._xd = self._identity(), memory.x[: self.layout.drive.size]
         fresh = new.drive.memory(self.layout.drive.errors, self.start)
-        memory.drv[[strapdown.DEVIATION, strapdown.SCALE]] = fresh[[strapdown.DEVIATION, strapdown.SCALE]]
+        places = list(strapdown.PLACES)
+        memory.drv[places] = fresh[places]
         memory.models = models
         memory.counts["adopted"] += 1
         if self.tape is not None:

@@ -85,7 +85,7 @@ class FilterMemory:
         if not (self.recent[:, 0] >= 0.0).all():
             return "the last samples do not follow each other"
         # kernels use these as places of states
-        places = [strapdown.DEVIATION, strapdown.SCALE, strapdown.INCREMENTS]
+        places = [*strapdown.PLACES, strapdown.INCREMENTS]
         if not np.array_equal(self.drv[places], fresh.drv[places]):
             return "the drive's memory is not laid out as this vehicle's"
         return None

@@ -158,6 +158,11 @@ class Mechanisation:
         """The sensor that gives its velocity, if it has one."""
         return None
 
+    @property
+    def late_s(self) -> tuple[float, float]:
+        """How late the stamps of its two streams are, as described [s]."""
+        return 0.0, 0.0
+
     def declination(self, start: Start) -> float:
         """From its heading to the true one [rad]."""
         return 0.0 if self.compass is None else self.compass.declination(start)
