@@ -248,6 +248,7 @@ def _run(nav: Navigator, times: Array, values: Array, events: _Events, progress:
             bar.update(512)
     for begin in range(done, len(times), 100_000):
         nav.step_samples(_block(times, values, begin, min(begin + 100_000, len(times))))
+    nav.finish()
     if bar is not None:
         bar.close()
 

@@ -59,6 +59,7 @@ class Channel:
         self.period_s = 1.0 / sensor.rate_hz
         self.limits = np.array(_limits(sensor.gate_probability, sensor.axes))
         self.sight = Sight(sensor, start) if sensor.place_and_clock() else None
+        self.lead_s = sensor.lead_s
         self.moves, self.turns = sensor.sees_velocity, sensor.needs_rate or any(sensor.lever_arm_sd_m)
         self.forget()
 

@@ -84,8 +84,8 @@ class Filter:
         self.inertial = drive.inertial
         self._rate = np.zeros(3)
         self.channels = {name: Channel(name, sensor, start) for name, sensor in vehicle.sensors.items()}
-        doubtful_s = max((s.time_offset_sd_s for s in vehicle.sensors.values()), default=0.0)
-        self._recent = (drive.remembered(CLOCK_SDS * doubtful_s) if doubtful_s else 0, 7)
+        past_s = max((s.lead_s + CLOCK_SDS * s.time_offset_sd_s for s in vehicle.sensors.values()), default=0.0)
+        self._recent = (drive.remembered(past_s) if past_s else 0, 7)
         self._rest = [self.channels[name] for name, s in vehicle.sensors.items() if s.from_drive and self.inertial]
         self.begin()
 
@@ -294,7 +294,8 @@ class Filter:
         name : str
             Of a sensor of the vehicle.
         time_s : float
-            At most a period of the drive before the present [s].
+            When it is to be taken (its stamp, and `Sensor.lead_s`): at most a period of the drive before the present
+            [s].
         value : array_like
             SI units and radians; NaN is a missing component.
         sd : array_like, optional
@@ -313,19 +314,21 @@ class Filter:
             return self._refused(channel, time_s, "duplicate")
         if early < -1.001 * self._period_s:
             return self._refused(channel, time_s, "too-late")
-        if time_s - memory.sample_s > self._ahead_s:
+        if time_s - channel.lead_s - memory.sample_s > self._ahead_s:
             return self._refused(channel, time_s, "ahead")
         reading = channel.sensor.read(z)
         if reading is None:
             return self._refused(channel, time_s, "invalid")
-        if early > 1e-7 and memory.drv[strapdown.STARTED]:
+        # one that could have waited is taken as it is at the end of a run: what comes then is not to be guessed
+        holds = early <= 1.001 * self._period_s or not channel.lead_s
+        if early > 1e-7 and memory.drv[strapdown.STARTED] and holds:
             self.hold(memory.nav, self._xd, memory.drv, early, self._Phid, self._Qd, self.drive_output, memory.acc)
             memory.time_s = time_s
         return self._update(channel, time_s, reading, sd, frozen)
 
     def _refused(self, channel: Channel, time_s: float, status: str) -> Correction:
         if self.tape is not None:
-            self.tape.columns[channel.name].append(time_s, CODES[status], None)
+            self.tape.columns[channel.name].append(time_s - channel.lead_s, CODES[status], None)
         return Correction(Outcome(status), time_s, None)
 
     def _update(self, channel: Channel, time_s: float, z: Array, sd: ArrayLike | None, frozen: bool) -> Correction:
@@ -339,7 +342,7 @@ class Filter:
         if channel.sight is None:
             channel.kernel(z, nav, self._rate, x[channel.parameters], channel.constants, channel.near, channel.res)
         else:
-            moved = self._moved() if channel.sight.clock else None
+            moved = (*self._moved(), channel.lead_s + memory.time_s - time_s) if channel.sight.clock else None
             channel.sight.look(z, nav, self._rate, x[channel.parameters], moved, channel.near, channel.res)
         channel.R[:] = channel.white if sd is None else channel.lever + np.eye(channel.axes) * np.square(np.ravel(sd))
         if channel.moves and P[8, 8] > UNSURE_HEADING:
@@ -362,7 +365,8 @@ class Filter:
             if self.tape is not None:
                 self.tape.record(channel.moved, 0, channel.dims)
         if self.tape is not None:
-            self.tape.columns[channel.name].append(time_s, CODES[status], None if status == "invalid" else channel.note)
+            note = None if status == "invalid" else channel.note
+            self.tape.columns[channel.name].append(time_s - channel.lead_s, CODES[status], note)
         outcome = Outcome(status) if status == "invalid" else Outcome(status, nis, int(dof), widened)
         return Correction(outcome, time_s, channel)
 

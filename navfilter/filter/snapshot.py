@@ -35,7 +35,7 @@ from navfilter.vehicle import Vehicle
 __all__ = ["Saved", "fingerprint", "read", "write"]
 
 MAGIC = b"navfilter snapshot\n"
-FORMAT = 2
+FORMAT = 3
 
 
 @dataclass

@@ -14,7 +14,7 @@ from navfilter.error_models import ErrorModel, RandomWalk, White, per_axis
 from navfilter.filter.layout import Parameter
 from navfilter.kernels import strapdown
 from navfilter.learning.drift import Drift
-from navfilter.mechanisation.mechanisation import WINDOW_S, Mechanisation, Triple
+from navfilter.mechanisation.mechanisation import Mechanisation, Triple
 from navfilter.mission import Stream
 from navfilter.sensors import BodyVelocity, Heading, Sensor
 from navfilter.sensors.heading import USUAL as HEADING_USUAL
@@ -26,8 +26,6 @@ from navfilter.start import Start
 __all__ = ["DeadReckoning"]
 
 Array = NDArray[np.float64]
-#: A motion that goes on as it is [s].
-ENDLESS_S = 1e6
 ATTITUDE = Columns("attitude", ("roll_rad", "pitch_rad", "yaw_rad"), ("angle",) * 3, circular=("roll_rad", "yaw_rad"))
 #: Where the kernels look for states that a drive may have, and the first of each.
 FIRST_PARAMETERS = {
@@ -174,19 +172,22 @@ class DeadReckoning(Mechanisation):
         return drv
 
     def motion(self, recent: Array, nav: Array, drv: Array, errors: Array) -> Array:
-        """A steady turn at constant speed, as the attitudes of the last half second say."""
-        until = np.cumsum(recent[:, 0])
-        back = min(
-            int(np.searchsorted(until, WINDOW_S - 1e-6)), int(np.count_nonzero(recent[:, 0])) - 1, len(recent) - 2
-        )
-        if back < 0 or not recent[back + 1, 0] > 0.0:
+        """Turns and changes of the velocity from reading to reading; before them, and since, the newest goes on."""
+        count = int(np.count_nonzero(recent[:, 0]))
+        if count < 2:
             return np.zeros((1, 7))
-        roll, pitch, yaw = np.remainder(recent[0, 1:4] - recent[back + 1, 1:4] + math.pi, 2.0 * math.pi) - math.pi
-        (sr, sp), (cr, cp) = np.sin(recent[0, 1:3]), np.cos(recent[0, 1:3])
-        turned = np.array([roll - yaw * sp, pitch * cr + yaw * sr * cp, yaw * cr * cp - pitch * sr])
-        rate = turned / until[back]
+        seconds, angles, velocity = recent[: count - 1, :1], recent[:count, 1:4], recent[:count, 4:7]
+        roll, pitch, yaw = (np.remainder(angles[:-1] - angles[1:] + math.pi, 2.0 * math.pi) - math.pi).T
+        sr, cr = np.sin(angles[:-1, 0]), np.cos(angles[:-1, 0])
+        sp, cp = np.sin(angles[:-1, 1]), np.cos(angles[:-1, 1])
+        turned = np.column_stack([roll - yaw * sp, pitch * cr + yaw * sr * cp, yaw * cr * cp - pitch * sr])
         velocity_b = nav[6:15].reshape(3, 3).T @ nav[3:6]
-        return np.concatenate([[ENDLESS_S], rate, np.cross(rate, velocity_b)])[None, :]
+        gained = (velocity[:-1] - velocity[1:]) @ self.velocity_sensor.instrument_axes()
+        gained[~np.isfinite(gained) | (np.abs(gained) > self.velocity_sensor.max_speed_m_s)] = 0.0
+        rate = turned / seconds
+        rows = np.column_stack([seconds, rate, np.cross(rate, velocity_b) + gained / seconds])
+        held = np.concatenate([drv[strapdown.HELD_S : strapdown.HELD_S + 1], rows[0, 1:4], np.zeros(3)])
+        return np.concatenate([held[None, :], rows])
 
     def samples(self, streams: Mapping[str, Stream]) -> tuple[Array, Array]:
         """Attitude, interpolated to the times of the velocity, and velocity."""

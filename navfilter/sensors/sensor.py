@@ -30,6 +30,10 @@ Array = NDArray[np.float64]
 Vector = tuple[float, float, float]
 Errors = ErrorModel | tuple[ErrorModel, ...]
 Reading = tuple[Array, tuple[str, ...]]
+#: A stamp that is early by more standard deviations of the time offset is not waited for.
+EARLY_SDS = 2.5
+#: What is seen of the motion after a reading, at least [s].
+SEEN_S = 0.2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -163,6 +167,11 @@ class Sensor:
         arm = tuple(Parameter(f"lever_arm_{a}", sd, "m") for a, sd in zip("xyz", self.lever_arm_sd_m, strict=True))
         clock = (Parameter("time_offset", self.time_offset_sd_s, "s"),)
         return (arm if any(self.lever_arm_sd_m) else ()) + (clock if self.time_offset_sd_s else ())
+
+    @property
+    def lead_s(self) -> float:
+        """How long its readings wait, so that even one whose stamp is early has been taken by then [s]."""
+        return EARLY_SDS * self.time_offset_sd_s + SEEN_S if self.time_offset_sd_s else 0.0
 
     def all_parameters(self) -> tuple[Parameter, ...]:
         """All states beside the error model, in their order."""

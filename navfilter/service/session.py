@@ -163,6 +163,8 @@ class Session:
                 if self.nav is not None:
                     self._take(reading, attitude)
             self._flush()
+        if self.nav is not None:
+            self.nav.finish()
         if self.nav is not None and self._makes_sense(self.nav.state):
             self._state()
         self._tell("stop", time_s=None if self.nav is None else self.nav.time_s, bad_lines=self.bad)
