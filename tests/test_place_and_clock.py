@@ -120,7 +120,7 @@ def test_jacobians_of_every_kind_equal_finite_differences(kind, clock):
 
     def look(state, par):
         near, res = np.zeros((sensor.axes, 9 + par.size)), np.zeros(sensor.axes)
-        sight.look(z, state.pack(), rate, par, (felt, 9.8, 0.05), near, res)
+        sight.look(z, state.pack(), rate, par, (felt, 9.8), 0.05, near, res)
         return near, res
 
     near, _ = look(state, par)
@@ -146,7 +146,7 @@ def test_a_rotating_arm_feels_the_angular_acceleration():
     near, res = np.zeros((3, 10)), np.zeros(3)
     nav = random_nav(np.random.default_rng(0))
     nav[3:6] = 0.0
-    Sight(sensor, START).look(np.zeros(3), nav, np.zeros(3), np.zeros(1), (felt, 0.0, 0.0), near, res)
+    Sight(sensor, START).look(np.zeros(3), nav, np.zeros(3), np.zeros(1), (felt, 0.0), 0.0, near, res)
     np.testing.assert_allclose(near[1, 9], -5.0, rtol=0.02)  # the mean over the window
 
 
@@ -187,7 +187,7 @@ def test_any_kind_with_a_lever_arm_has_its_states_for_nothing():
     for kind in (nf.Position, Foreign):
         near, res = np.zeros((3, 12)), np.zeros(3)
         sight = Sight(kind(lever_arm_b_m=arm, lever_arm_sd_m=(1.0,) * 3), START)
-        sight.look(z, nav, np.zeros(3), par, None, near, res)
+        sight.look(z, nav, np.zeros(3), par, (np.zeros((1, 7)), 0.0), 0.0, near, res)
         found.append((near, res))
     assert_close(found[0], found[1])
     C = nav[6:15].reshape(3, 3)

@@ -202,7 +202,8 @@ def _gyro_against_heading(name: str, stream: Stream, imu: Stream) -> Iterator[Fi
         yield Finding("error", name, f"the heading turns {match.slope:.3g} times as far as the gyro.", cure)
     elif 0.3 < abs(match.late_s) < MOST_DELAY_S and match.correlation > 0.9:
         text = f"the heading is {abs(match.late_s):.2f} s {'late' if match.late_s > 0 else 'early'} against the gyro."
-        yield Finding("warning", name, text, f"Set time.offset_s = {-match.late_s:.2f} on top of what it is now.")
+        cure = f"Set time.offset_s = {-match.late_s:.2f} on top of what it is now; or let the filter find it: "
+        yield Finding("warning", name, text, f"{cure}time_offset_sd_s = 0.3 in vehicle.toml.")
 
 
 # --- the rest -------------------------------------------------------------------------------------------------------

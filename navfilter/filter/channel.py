@@ -21,6 +21,8 @@ from navfilter.start import Start
 __all__ = ["Channel", "ChannelMemory", "usable"]
 
 Array = NDArray[np.float64]
+#: The past is kept for a time offset of up to so many standard deviations.
+CLOCK_SDS = 4.0
 
 
 @dataclass
@@ -59,7 +61,7 @@ class Channel:
         self.period_s = 1.0 / sensor.rate_hz
         self.limits = np.array(_limits(sensor.gate_probability, sensor.axes))
         self.sight = Sight(sensor, start) if sensor.place_and_clock() else None
-        self.lead_s = sensor.lead_s
+        self.lead_s, self.past_s = sensor.lead_s, sensor.lead_s + CLOCK_SDS * sensor.time_offset_sd_s
         self.moves, self.turns = sensor.sees_velocity, sensor.needs_rate or any(sensor.lever_arm_sd_m)
         self.forget()
 

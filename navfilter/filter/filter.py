@@ -31,8 +31,7 @@ Array = NDArray[np.float64]
 Listening = Callable[[Event], None]
 #: Beyond this variance of the heading [rad^2] a body velocity is taken with its second-order term.
 UNSURE_HEADING = 0.01
-#: The past is kept for a time offset of up to so many standard deviations.
-CLOCK_SDS = 4.0
+PLACES = list(strapdown.PLACES)
 CODES = {name: code for code, name in enumerate(OUTCOMES)}
 COUNTED = ("gap", "backward", "bad-sample", "clock-set", "widened", "opened", "adopted")
 
@@ -84,8 +83,8 @@ class Filter:
         self.inertial = drive.inertial
         self._rate = np.zeros(3)
         self.channels = {name: Channel(name, sensor, start) for name, sensor in vehicle.sensors.items()}
-        past_s = max((s.lead_s + CLOCK_SDS * s.time_offset_sd_s for s in vehicle.sensors.values()), default=0.0)
-        self._recent = (drive.remembered(past_s) if past_s else 0, 7)
+        past_s = max((channel.past_s for channel in self.channels.values()), default=0.0)
+        self._remembered = drive.remembered(past_s) if past_s else 0
         self._rest = [self.channels[name] for name, s in vehicle.sensors.items() if s.from_drive and self.inertial]
         self.begin()
 
@@ -109,7 +108,7 @@ class Filter:
                 P=self.layout.start_covariance(state.covariance),
                 acc=self._identity(),
                 drv=self.in_force.drive.memory(self.layout.drive.errors, self.start),
-                recent=np.zeros(self._recent),
+                recent=np.zeros((self._remembered, 7)),
                 intake=self.intake.memory,
                 channels={name: channel.memory for name, channel in self.channels.items()},
                 models=adopted,
@@ -294,8 +293,7 @@ class Filter:
         name : str
             Of a sensor of the vehicle.
         time_s : float
-            When it is to be taken (its stamp, and `Sensor.lead_s`): at most a period of the drive before the present
-            [s].
+            To be taken then (stamp plus `Sensor.lead_s`), at most a period of the drive before the present [s].
         value : array_like
             SI units and radians; NaN is a missing component.
         sd : array_like, optional
@@ -338,12 +336,14 @@ class Filter:
         memory.unfolded = 0
         channel.memory.last_s = time_s
         if channel.turns:
-            self._body_rate()
+            self._rate[:] = self.vehicle.drive.body_rate(memory.drv, self.drive_output[:3, :-1] @ self._xd)
         if channel.sight is None:
             channel.kernel(z, nav, self._rate, x[channel.parameters], channel.constants, channel.near, channel.res)
         else:
-            moved = (*self._moved(), channel.lead_s + memory.time_s - time_s) if channel.sight.clock else None
-            channel.sight.look(z, nav, self._rate, x[channel.parameters], moved, channel.near, channel.res)
+            errors = self.drive_output[:, :-1] @ self._xd
+            moved = self.vehicle.drive.motion(memory.recent, nav, memory.drv, errors)
+            since_s = channel.lead_s + memory.time_s - time_s
+            channel.sight.look(z, nav, self._rate, x[channel.parameters], moved, since_s, channel.near, channel.res)
         channel.R[:] = channel.white if sd is None else channel.lever + np.eye(channel.axes) * np.square(np.ravel(sd))
         if channel.moves and P[8, 8] > UNSURE_HEADING:
             # second-order term of a velocity seen from a heading that is hardly known (Gelb, 1974, sec. 6.1)
@@ -401,21 +401,6 @@ class Filter:
         memory.counts["widened"] += 1
         return True
 
-    def _moved(self) -> tuple[Array, float]:
-        """How the vehicle has moved of late, and gravity."""
-        memory, drive = self.memory, self.vehicle.drive
-        errors = self.drive_output[:, :-1] @ self._xd
-        gravity = strapdown.gravity(memory.nav[0], memory.nav[2]) if self.inertial else 0.0
-        return drive.motion(memory.recent, memory.nav, memory.drv, errors), gravity
-
-    def _body_rate(self) -> None:
-        """Angular rate in b [rad/s] for lever arms; the Earth's own rate (1e-4 rad/s) is left in."""
-        if not self.inertial:
-            return
-        drv = self.memory.drv
-        rate = drv[strapdown.PREVIOUS : strapdown.PREVIOUS + 3] - self.drive_output[:3, :-1] @ self._xd
-        self._rate[:] = rate / self._period_s if drv[strapdown.INCREMENTS] else rate
-
     # ---------------------------------------------------------------- other error models
     def adopt(self, change: Change, tell: Listening) -> None:
         """Put another error model of one sensor in force, now; the states follow without a jump
@@ -455,8 +440,7 @@ class Filter:
         memory.P, memory.x = np.ascontiguousarray(0.5 * (P + P.T)), np.ascontiguousarray(x)
         memory.acc, self._xd = self._identity(), memory.x[: self.layout.drive.size]
         fresh = new.drive.memory(self.layout.drive.errors, self.start)
-        places = list(strapdown.PLACES)
-        memory.drv[places] = fresh[places]
+        memory.drv[PLACES] = fresh[PLACES]
         memory.models = models
         memory.counts["adopted"] += 1
         if self.tape is not None:

@@ -62,7 +62,8 @@ class Sight:
         nav: Array,
         rate: Array,
         par: Array,
-        moved: tuple[Array, float, float] | None,
+        moved: tuple[Array, float],
+        since_s: float,
         near: Array,
         res: Array,
     ) -> None:
@@ -72,9 +73,10 @@ class Sight:
         ----------
         z, nav, rate, par : ndarray
             As for a kernel; `par` ends with the states of lever arm and clock.
-        moved : (ndarray, float, float) or None
-            How the vehicle has moved, and gravity, as ``measurement.earlier`` takes them; how much later than the stamp
-            it is now [s]. Not asked without a clock.
+        moved : (ndarray, float)
+            How the vehicle has moved of late, and gravity, see `Mechanisation.motion`.
+        since_s : float
+            How much later than the stamp it is now [s].
         near : ndarray, shape (axes, 9 + states)
         res : ndarray, shape (axes,)
         """
@@ -83,10 +85,8 @@ class Sight:
         inner, kind = np.zeros((self.axes, 9 + own)), par[:own]
         turn, slope, B = np.zeros(6), np.zeros(9), np.empty((9, 9))
         if self.clock:
-            assert moved is not None
-            felt, gravity, since_s = moved
             then = np.empty(17)
-            measurement.earlier(nav, felt, gravity, since_s + float(par[-1]), WINDOW_S, then, turn, slope, B)
+            measurement.earlier(nav, *moved, since_s + float(par[-1]), WINDOW_S, then, turn, slope, B)
             nav, rate = then, turn[:3].copy()
         self.kernel(z, nav, rate, kind, constants, inner, res)
         near[:, : 9 + own] = inner

@@ -171,11 +171,11 @@ class DeadReckoning(Mechanisation):
         drv[strapdown.ZERO_IS_VALID] = float(not sensor.zero_is_invalid)
         return drv
 
-    def motion(self, recent: Array, nav: Array, drv: Array, errors: Array) -> Array:
+    def motion(self, recent: Array, nav: Array, drv: Array, errors: Array) -> tuple[Array, float]:
         """Turns and changes of the velocity from reading to reading; before them, and since, the newest goes on."""
         count = int(np.count_nonzero(recent[:, 0]))
         if count < 2:
-            return np.zeros((1, 7))
+            return np.zeros((1, 7)), 0.0
         seconds, angles, velocity = recent[: count - 1, :1], recent[:count, 1:4], recent[:count, 4:7]
         roll, pitch, yaw = (np.remainder(angles[:-1] - angles[1:] + math.pi, 2.0 * math.pi) - math.pi).T
         sr, cr = np.sin(angles[:-1, 0]), np.cos(angles[:-1, 0])
@@ -187,7 +187,7 @@ class DeadReckoning(Mechanisation):
         rate = turned / seconds
         rows = np.column_stack([seconds, rate, np.cross(rate, velocity_b) + gained / seconds])
         held = np.concatenate([drv[strapdown.HELD_S : strapdown.HELD_S + 1], rows[0, 1:4], np.zeros(3)])
-        return np.concatenate([held[None, :], rows])
+        return np.concatenate([held[None, :], rows]), 0.0
 
     def samples(self, streams: Mapping[str, Stream]) -> tuple[Array, Array]:
         """Attitude, interpolated to the times of the velocity, and velocity."""

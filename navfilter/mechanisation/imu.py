@@ -118,7 +118,7 @@ class Imu(Mechanisation):
         drv[strapdown.GAP_FORCE_SD] = self.gap_force_sd
         return drv
 
-    def motion(self, recent: Array, nav: Array, drv: Array, errors: Array) -> Array:
+    def motion(self, recent: Array, nav: Array, drv: Array, errors: Array) -> tuple[Array, float]:
         """Rates and forces by the trapezoidal rule; the last sample holds since."""
         seconds, values = recent[:, :1], recent[:, 1:]
         if self.increments:
@@ -130,7 +130,12 @@ class Imu(Mechanisation):
         rows = np.empty((len(recent) + 1, 7))
         rows[0, 0], rows[0, 1:] = drv[strapdown.HELD_S], last - errors
         rows[1:, :1], rows[1:, 1:] = seconds, mean - errors
-        return rows
+        return rows, strapdown.gravity(nav[0], nav[2])
+
+    def body_rate(self, drv: Array, errors: Array) -> Array | float:
+        """That of the last sample."""
+        rate: Array = drv[strapdown.PREVIOUS : strapdown.PREVIOUS + 3] - errors
+        return rate / self.period_s if self.increments else rate
 
     def samples(self, streams: Mapping[str, Stream]) -> tuple[Array, Array]:
         """The stream as it is."""

@@ -24,8 +24,8 @@ from navfilter.start import Start
 __all__ = ["DriveNoise", "Mechanisation", "Triple"]
 
 Array = NDArray[np.float64]
-#: Motion is a mean over so long: what is faster vibrates [s].
-WINDOW_S = 0.5
+#: So much more of the past is remembered than the clocks may be off: to tell motion from what vibrates [s].
+MORE_S = 0.5
 
 
 class DriveNoise(NamedTuple):
@@ -184,9 +184,9 @@ class Mechanisation:
     # ---------------------------------------------------------------- what sensors with a doubtful clock ask
     def remembered(self, past_s: float) -> int:
         """How many of the last samples tell how the vehicle has moved for `past_s` seconds; at least two."""
-        return max(2, math.ceil((past_s + WINDOW_S) * self.rate_hz) + 1)
+        return max(2, math.ceil((past_s + MORE_S) * self.rate_hz) + 1)
 
-    def motion(self, recent: Array, nav: Array, drv: Array, errors: Array) -> Array:
+    def motion(self, recent: Array, nav: Array, drv: Array, errors: Array) -> tuple[Array, float]:
         """How the vehicle has moved of late.
 
         Parameters
@@ -200,11 +200,24 @@ class Mechanisation:
 
         Returns
         -------
-        ndarray, shape (j, 7)
-            Intervals, the newest first: seconds, angular rate [rad/s] and specific force [m/s^2] in b. Without an
-            inertial unit the force is the acceleration: no gravity is in it.
+        motion : ndarray, shape (j, 7)
+            Intervals, the newest first: seconds, angular rate [rad/s] and specific force [m/s^2] in b.
+        gravity : float
+            [m/s^2]; 0 where the forces are accelerations.
         """
         raise NotImplementedError
+
+    def body_rate(self, drv: Array, errors: Array) -> Array | float:
+        """Angular rate in b [rad/s] for lever arms, the Earth's own (1e-4 rad/s) left in; 0 where it is not known.
+
+        Parameters
+        ----------
+        drv : ndarray
+            Memory of the drive's kernels.
+        errors : ndarray, shape (3,)
+            Those of its first three values now.
+        """
+        return 0.0
 
     # ---------------------------------------------------------------- what files and checks ask
     def samples(self, streams: Mapping[str, Stream]) -> tuple[Array, Array]:
