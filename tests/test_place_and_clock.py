@@ -9,8 +9,11 @@ import pytest
 from kernel_inputs import assert_close, random_nav, run_both
 
 import navfilter as nf
+from navfilter.check.description import describe_vehicle
 from navfilter.filter.sight import WINDOW_S, Sight
+from navfilter.io import write_vehicle
 from navfilter.kernels import measurement
+from navfilter.simulation.faults import Faults
 from navfilter.simulation.manoeuvres import ChangeSpeed, Straight, Turn
 from navfilter.simulation.motion import Motion
 from navfilter.simulation.simulate import StartErrors, simulate
@@ -308,3 +311,68 @@ def test_a_vehicle_that_resumes_remembers_how_it_moved():
     rest = run(nf.Navigator.restore(vehicle, half.snapshot()), 20.0, 40.0)
     np.testing.assert_array_equal(whole.filter.nav, rest.filter.nav)
     np.testing.assert_array_equal(whole.filter.P, rest.filter.P)
+
+
+def test_clocks_and_arm_of_dead_reckoning_are_found_with_an_honest_sd():
+    """Both clocks and the arm of the drive against fixes, 40 seeds, prior drawn as it is described."""
+    heading = nf.GaussMarkov(sd=0.3 * DEG, tau_s=60.0) + nf.White(sd=0.1 * DEG)
+    velocity = nf.BodyVelocity(
+        error=nf.White(sd=0.02), lever_arm_b_m=(-1.8, 0.0, 0.0), lever_arm_sd_m=(0.5, 0.5, 0.0), time_offset_sd_s=0.3
+    )
+    drive = nf.DeadReckoning(
+        rate_hz=5.0,
+        attitude=nf.Heading(error=heading, time_offset_s=-0.2, time_offset_sd_s=0.3),
+        velocity=velocity,
+        tilt=nf.White(sd=0.1 * DEG),
+    )
+    names = ("velocity.lever_arm_x", "velocity.lever_arm_y", "velocity.time_offset", "attitude.time_offset")
+    assert tuple(p.name for p in drive.parameters() if p.sd) == names
+    vehicle = nf.Vehicle(drive, {"gps": nf.Position(rate_hz=1.0, error=nf.White(sd=0.3))})
+    way, square, gained = survey()[1], [], []
+    for seed in range(40):
+        mission = simulate(vehicle, way, seed=seed, start=StartErrors(heading_sd_deg=1.0))
+        track = nf.replay(vehicle, mission)
+        at = [track.state_names.index(name) for name in names]
+        sd = track.states_sd[-1, at]
+        square.append(((track.states[-1, at] - [drawn(mission, name) for name in names]) / sd) ** 2)
+        gained.append(sd / track.states_sd[0, at])
+    # chi-square of 40: 0.54 to 1.6 holds 99 %
+    assert np.all((np.mean(square, axis=0) > 0.45) & (np.mean(square, axis=0) < 1.8)), np.mean(square, axis=0)
+    assert np.all(np.median(gained, axis=0) < [0.5, 0.3, 0.3, 0.5]), np.median(gained, axis=0)
+
+
+def test_keys_of_a_vehicle_toml(tmp_path):
+    text = """
+    [drive]
+    type = "dead-reckoning"
+    rate_hz = 4
+    attitude = {type = "heading", error = {model = "white", sd_deg = 1}, time_offset_sd_s = 0.3}
+    [drive.velocity]
+    type = "body-velocity"
+    time_offset_s = 1.5
+    lever_arm_sd_cm = [10, 20, 30]
+    [sensors.gps]
+    type = "position"
+    time_offset_s = -0.2
+    time_offset_sd_s = 0.1
+    """
+    (tmp_path / "vehicle.toml").write_text(text)
+    vehicle = nf.read_vehicle(tmp_path)
+    assert vehicle.drive.velocity.lever_arm_sd_m == (0.1, 0.2, 0.3) and vehicle.drive.late_s == (0.0, 1.5)
+    assert vehicle.sensors["gps"].place_and_clock() == (("time_offset", 0.1, "s"),)
+    described = describe_vehicle(vehicle)
+    assert "its stamps are 0.2 s early" in described and "attitude.time_offset 0.3 s" in described
+    assert nf.read_vehicle(write_vehicle(vehicle, tmp_path / "again.toml")).sensors == vehicle.sensors
+    (tmp_path / "vehicle.toml").write_text(text.replace("time_offset_sd_s = 0.1", "time_offset_sd_s = -0.1"))
+    with pytest.raises(ValueError, match=r"gps\.time_offset_sd_s: must be >= 0"):
+        nf.read_vehicle(tmp_path)
+
+
+def test_a_fault_moves_a_sensor_and_what_has_no_arm_is_not_moved():
+    vehicle, way = survey()
+    plain = simulate(vehicle, way, seed=1, duration_s=30.0)
+    moved = simulate(vehicle, way, seed=1, duration_s=30.0, faults={"gps": Faults(lever_arm_m=(0.0, 0.0, 2.0))})
+    heights = [m.streams["gps"].value[:, 2] for m in (plain, moved)]
+    np.testing.assert_allclose(heights[0] - heights[1], 2.0, atol=0.01)  # of two metres, tilted by 4 deg
+    with pytest.raises(ValueError, match="has no lever arm"):
+        simulate(vehicle, way, seed=1, duration_s=30.0, faults={"compass": Faults(lever_arm_m=(0.0, 0.0, 2.0))})
