@@ -201,6 +201,8 @@ class Navigator:
             z, time_s = np.full(1, np.nan), math.nan
         reading = Reading(name, time_s + self.filter.channels[name].lead_s, z, sd, watch.sees(time_s, z))
         self._release(time_s)
+        if reading.time_s > time_s and time_s < self.start.time_s - 1e-9:
+            return Outcome("too-late")
         if reading.time_s > max(time_s, self.time_s):
             self._waiting.put(reading)
             return Outcome("waiting")
