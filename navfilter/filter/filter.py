@@ -340,10 +340,10 @@ class Filter:
         if channel.sight is None:
             channel.kernel(z, nav, self._rate, x[channel.parameters], channel.constants, channel.near, channel.res)
         else:
-            errors = self.drive_output[:, :-1] @ self._xd
-            moved = self.vehicle.drive.motion(memory.recent, nav, memory.drv, errors)
-            since_s = channel.lead_s + memory.time_s - time_s
-            channel.sight.look(z, nav, self._rate, x[channel.parameters], moved, since_s, channel.near, channel.res)
+            par, since_s = x[channel.parameters], channel.lead_s + memory.time_s - time_s
+            recent = memory.recent[: self.vehicle.drive.remembered(since_s + abs(float(par[-1])))]
+            moved = self.vehicle.drive.motion(recent, nav, memory.drv, self.drive_output[:, :-1] @ self._xd)
+            channel.sight.look(z, nav, self._rate, par, moved, since_s, channel.near, channel.res)
         channel.R[:] = channel.white if sd is None else channel.lever + np.eye(channel.axes) * np.square(np.ravel(sd))
         if channel.moves and P[8, 8] > UNSURE_HEADING:
             # second-order term of a velocity seen from a heading that is hardly known (Gelb, 1974, sec. 6.1)

@@ -17,8 +17,8 @@ __all__ = ["WINDOW_S", "Sight"]
 Array = NDArray[np.float64]
 #: Rates and forces are means over this time: what vibrates faster is no motion [s].
 WINDOW_S = 0.2
-#: Step of the difference quotients over lever arm [m] and time [s]; a reading is nearly linear in both.
-STEP = 0.01
+#: Step of the difference quotients over lever arm [m] and time [s]; a reading is linear in both, or nearly so.
+STEP = 1e-3
 
 
 class Sight:
@@ -45,10 +45,12 @@ class Sight:
         self._constants = sensor.constants(start)
         self._turns = sensor.needs_rate or self._arm
         self._by_arm = np.zeros((self._constants.size, 3))
+        self._inner, self._ends = np.zeros((self.axes, 9 + len(sensor.parameters()))), np.zeros(self.axes)
+        self._then, self._turn, self._slope, self._B = np.empty(17), np.empty(6), np.empty(9), np.empty((9, 9))
         if self._arm:
-            self._by_arm[:] = np.column_stack(
-                [self._constants_at(sensor, start, e) - self._constants for e in np.eye(3)]
-            )
+            for i, e in enumerate(np.eye(3)):
+                self._by_arm[:, i] = self._constants_at(sensor, start, e) - self._constants
+        self._steps = STEP * np.ascontiguousarray(self._by_arm.T)
 
     @staticmethod
     def _constants_at(sensor: Any, start: Start, off: Array) -> Array:
@@ -82,26 +84,21 @@ class Sight:
         """
         own = par.size - 3 * self._arm - self.clock
         constants = self._constants + self._by_arm @ par[own : own + 3] if self._arm else self._constants
-        inner, kind = np.zeros((self.axes, 9 + own)), par[:own]
-        turn, slope, B = np.zeros(6), np.zeros(9), np.empty((9, 9))
+        inner, kind = self._inner, par[:own]
         if self.clock:
-            then = np.empty(17)
-            measurement.earlier(nav, *moved, since_s + float(par[-1]), WINDOW_S, then, turn, slope, B)
-            nav, rate = then, turn[:3].copy()
+            late_s = since_s + float(par[-1])
+            measurement.earlier(nav, *moved, late_s, WINDOW_S, self._then, self._turn, self._slope, self._B)
+            nav, rate = self._then, self._turn[:3]
         self.kernel(z, nav, rate, kind, constants, inner, res)
         near[:, : 9 + own] = inner
+        if self.clock:
+            near[:, :9] = inner[:, :9] @ self._B
+            near[:, -1] = -(inner[:, :9] @ self._slope)
+        ends = self._ends
         if self._arm:
             for i in range(3):
-                ends = [self._residual(z, nav, rate, kind, constants + s * STEP * self._by_arm[:, i]) for s in (-1, 1)]
-                near[:, 9 + own + i] = (ends[0] - ends[1]) / (2.0 * STEP)
-        if self.clock:
-            near[:, :9] = inner[:, :9] @ B
-            near[:, -1] = -(inner[:, :9] @ slope)
-            if self._turns:
-                ends = [self._residual(z, nav, rate + s * STEP * turn[3:], kind, constants) for s in (-1, 1)]
-                near[:, -1] -= (ends[0] - ends[1]) / (2.0 * STEP)
-
-    def _residual(self, z: Array, nav: Array, rate: Array, par: Array, constants: Array) -> Array:
-        res = np.empty(self.axes)
-        self.kernel(z, nav, rate, par, constants, np.zeros((self.axes, 9 + par.size)), res)
-        return res
+                self.kernel(z, nav, rate, kind, constants + self._steps[i], inner, ends)
+                near[:, 9 + own + i] = (res - ends) / STEP
+        if self.clock and self._turns:
+            self.kernel(z, nav, rate + STEP * self._turn[3:], kind, constants, inner, ends)
+            near[:, -1] -= (res - ends) / STEP

@@ -246,6 +246,8 @@ def _mean_motion(motion, begin, end, mean):
                     mean[i] += inside * motion[k, 1 + i]
             age += motion[k, 0]
             last = k
+            if age >= end:
+                break
     for i in range(6):
         if known > 0.0:
             mean[i] /= known
@@ -282,6 +284,8 @@ def earlier(nav, motion, gravity, late_s, window_s, then, turn, slope, B):
     left = late_s
     for k in range(motion.shape[0]):
         dt = min(motion[k, 0], left)
+        if left <= 0.0:
+            break
         if dt > 0.0:
             _stepped_back(C, v, by, motion[k], 1, gravity, dt)
             left -= dt

@@ -120,16 +120,17 @@ class Imu(Mechanisation):
 
     def motion(self, recent: Array, nav: Array, drv: Array, errors: Array) -> tuple[Array, float]:
         """Rates and forces by the trapezoidal rule; the last sample holds since."""
-        seconds, values = recent[:, :1], recent[:, 1:]
-        if self.increments:
-            mean = values / np.where(seconds > 0.0, seconds, 1.0)
-        else:
-            mean = values.copy()
-            mean[:-1] = np.where(seconds[1:] > 0.0, 0.5 * (values[:-1] + values[1:]), values[:-1])
-        last = drv[strapdown.PREVIOUS : strapdown.PREVIOUS + 6] / (self.period_s if self.increments else 1.0)
         rows = np.empty((len(recent) + 1, 7))
-        rows[0, 0], rows[0, 1:] = drv[strapdown.HELD_S], last - errors
-        rows[1:, :1], rows[1:, 1:] = seconds, mean - errors
+        rows[0, 0], rows[0, 1:] = drv[strapdown.HELD_S], drv[strapdown.PREVIOUS : strapdown.PREVIOUS + 6]
+        rows[1:] = recent
+        if self.increments:
+            rows[0, 1:] /= self.period_s
+            rows[1:, 1:] /= np.where(recent[:, :1] > 0.0, recent[:, :1], 1.0)
+        else:
+            known = len(recent) if not len(recent) or recent[-1, 0] > 0.0 else int(np.count_nonzero(recent[:, 0]))
+            rows[1:known, 1:] += recent[1:known, 1:]
+            rows[1:known, 1:] *= 0.5
+        rows[:, 1:] -= errors
         return rows, strapdown.gravity(nav[0], nav[2])
 
     def body_rate(self, drv: Array, errors: Array) -> Array | float:
