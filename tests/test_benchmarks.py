@@ -21,7 +21,7 @@ SCRIPTS = {
     "heading_toy": ("Sage-Husa", ()),
     "identify_recordings": ("statsmodels", ()),
     "logs": ("library underneath", ("samples", "large")),
-    "recordings": ("plain dead reckoning", ("withheld", "car_clocks")),
+    "recordings": ("plain dead reckoning", ("withheld", "car_clocks", "clocks")),
     "replay_speed": ("python-ins", ()),
     "residual_source": ("oracle", ()),
     "step_latency": ("filterpy", ()),
