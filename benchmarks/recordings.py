@@ -207,7 +207,7 @@ def car_clocks(options: Options) -> dict[str, Any]:
 
 
 def clocks(options: Options) -> list[dict[str, Any]]:
-    """Clocks as states: AUV, DVL on its own clock, described in four ways, 100 s of positions; car, wheels, RTK for 25 m.
+    """Clocks as states: AUV, DVL on its own clock, described four ways, 100 s of positions; car, wheels, RTK for 25 m.
 
     Without and with a standard deviation of the described offset. Offsets are those in all, late positive; NEES of the
     horizontal position after the last fix.

@@ -638,12 +638,13 @@ def predict(P, nav, x, acc, model, mem, dims, count):
 
 
 def update(P, nav, x, C, R, mem, dims, limits):
-    a, n, _, _, start, errors, par = dims
+    a, n, m, _, start, errors, par = dims
     at = places(dims)
     H, K = mem[at[0] : at[1]].reshape(a, n), mem[at[1] : at[2]].reshape(n, a)
     S, PH = mem[at[5] : at[6]].reshape(2 * a, a), mem[at[6] : at[7]].reshape(a, n)
     near, res = mem[at[7] : at[8]].reshape(a, 9 + par), mem[at[3] : at[4]]
-    H[:] = np.hstack([near[:, :9], np.zeros((a, start - 9)), C, near[:, 9:], np.zeros((a, n - start - errors - par))])
+    others = np.zeros((a, start - m)), np.zeros((a, n - start - errors - par))
+    H[:] = np.hstack([near[:, :9], H[:, 9:m], others[0], C, near[:, 9:], others[1]])
     res -= C @ x[start - 9 : start - 9 + errors]
     out = mem[at[8] : at[9]]
     out[3 : 3 + a] = res

@@ -10,7 +10,7 @@ from kernel_inputs import assert_close, random_nav, run_both
 
 import navfilter as nf
 from navfilter.check.description import describe_vehicle
-from navfilter.filter.sight import WINDOW_S, Sight
+from navfilter.filter.sight import WINDOW_S, Sight, by_drive
 from navfilter.io import write_vehicle
 from navfilter.kernels import measurement
 from navfilter.simulation.faults import Faults
@@ -20,6 +20,7 @@ from navfilter.simulation.simulate import StartErrors, simulate
 from navfilter.state import NavState
 
 STEPS = np.array([10.0] * 3 + [0.1] * 3 + [1e-3] * 3)
+NONE = np.zeros((6, 0))
 START = nf.Start(latitude_deg=50.0, longitude_deg=5.0)
 
 
@@ -91,6 +92,26 @@ def test_derivatives_of_earlier_equal_finite_differences(late_s, gravity):
     np.testing.assert_allclose(slope, change, atol=1e-3)  # the force of the middle of 20 ms: 1e-4 of it
 
 
+def test_biases_bend_the_way_back_as_their_derivative_says():
+    rng = np.random.default_rng(8)
+    nav, late_s = random_nav(rng), 0.5
+    felt, rows = motion(rng, nav), rng.normal(size=(6, 4)) * [[0.01], [0.01], [0.01], [0.1], [0.1], [0.1]]
+    ends = []
+    for sign in (1.0, -1.0):
+        for column in rows.T:
+            given = outputs()
+            measurement.earlier(nav, felt - sign * np.concatenate([[0.0], column]), 9.8, late_s, WINDOW_S, *given)
+            ends.append(NavState.unpack(0.0, given[0]))
+    change = np.column_stack([0.5 * ends[k].minus(ends[4 + k]) for k in range(4)])
+    given = outputs()
+    measurement.earlier(nav, felt, 9.8, late_s, WINDOW_S, *given)
+    found = by_drive(nav, given[0], given[3], late_s, rows)
+    # the attitude of the middle, and no third power of the time: a hundredth of 5 cm/s and 1 cm, in a turn by 0.15 rad
+    np.testing.assert_allclose(found[6:], change[6:], atol=2e-4)
+    np.testing.assert_allclose(found[3:6], change[3:6], atol=2e-3)
+    np.testing.assert_allclose(found[:3], change[:3], atol=3e-3)
+
+
 VELOCITY = nf.BodyVelocity(lever_arm_b_m=(0.5, -0.2, 0.3), mounting_rad=(0.1, -0.2, 0.7), scale_sd=0.02)
 KINDS = {
     "velocity": (VELOCITY, [1.0, -0.4, 0.2]),
@@ -123,7 +144,7 @@ def test_jacobians_of_every_kind_equal_finite_differences(kind, clock):
 
     def look(state, par):
         near, res = np.zeros((sensor.axes, 9 + par.size)), np.zeros(sensor.axes)
-        sight.look(z, state.pack(), rate, par, (felt, 9.8), 0.05, near, res)
+        sight.look(z, state.pack(), rate, par, (felt, 9.8), 0.05, NONE, (np.zeros((sensor.axes, 0)), near, res))
         return near, res
 
     near, _ = look(state, par)
@@ -149,7 +170,9 @@ def test_a_rotating_arm_feels_the_angular_acceleration():
     near, res = np.zeros((3, 10)), np.zeros(3)
     nav = random_nav(np.random.default_rng(0))
     nav[3:6] = 0.0
-    Sight(sensor, START).look(np.zeros(3), nav, np.zeros(3), np.zeros(1), (felt, 0.0), 0.0, near, res)
+    Sight(sensor, START).look(
+        np.zeros(3), nav, np.zeros(3), np.zeros(1), (felt, 0.0), 0.0, NONE, (np.zeros((3, 0)), near, res)
+    )
     np.testing.assert_allclose(near[1, 9], -5.0, rtol=0.02)  # the mean over the window
 
 
@@ -190,7 +213,7 @@ def test_any_kind_with_a_lever_arm_has_its_states_for_nothing():
     for kind in (nf.Position, Foreign):
         near, res = np.zeros((3, 12)), np.zeros(3)
         sight = Sight(kind(lever_arm_b_m=arm, lever_arm_sd_m=(1.0,) * 3), START)
-        sight.look(z, nav, np.zeros(3), par, (np.zeros((1, 7)), 0.0), 0.0, near, res)
+        sight.look(z, nav, np.zeros(3), par, (np.zeros((1, 7)), 0.0), 0.0, NONE, (np.zeros((3, 0)), near, res))
         found.append((near, res))
     assert_close(found[0], found[1])
     C = nav[6:15].reshape(3, 3)

@@ -92,6 +92,7 @@ class Channel:
         self.mem = mem = np.zeros(at[-1])
         self.res, self.near = mem[at[3] : at[3] + a], mem[at[7] : at[8]].reshape(a, 9 + parameters)
         self.H, self.PH = mem[at[0] : at[1]].reshape(a, n), mem[at[6] : at[7]].reshape(a, n)
+        self.into = self.H[:, 9:m], self.near, self.res  # a reading of the past depends on the drive's states, too
         self.S = mem[at[5] : at[6]].reshape(2 * a, a)
         self.verdict, self.note = mem[at[8] : at[8] + 3], mem[at[8] : at[9]]
         self.record, self.moved = mem[: at[5]], mem[: at[0]]

@@ -31,7 +31,6 @@ Array = NDArray[np.float64]
 Listening = Callable[[Event], None]
 #: Beyond this variance of the heading [rad^2] a body velocity is taken with its second-order term.
 UNSURE_HEADING = 0.01
-PLACES = list(strapdown.PLACES)
 CODES = {name: code for code, name in enumerate(OUTCOMES)}
 COUNTED = ("gap", "backward", "bad-sample", "clock-set", "widened", "opened", "adopted")
 
@@ -342,8 +341,9 @@ class Filter:
         else:
             par, since_s = x[channel.parameters], channel.lead_s + memory.time_s - time_s
             recent = memory.recent[: self.vehicle.drive.remembered(since_s + abs(float(par[-1])))]
-            moved = self.vehicle.drive.motion(recent, nav, memory.drv, self.drive_output[:, :-1] @ self._xd)
-            channel.sight.look(z, nav, self._rate, par, moved, since_s, channel.near, channel.res)
+            outputs = self.drive_output[:, :-1]
+            moved = self.vehicle.drive.motion(recent, nav, memory.drv, outputs @ self._xd)
+            channel.sight.look(z, nav, self._rate, par, moved, since_s, outputs, channel.into)
         channel.R[:] = channel.white if sd is None else channel.lever + np.eye(channel.axes) * np.square(np.ravel(sd))
         if channel.moves and P[8, 8] > UNSURE_HEADING:
             # second-order term of a velocity seen from a heading that is hardly known (Gelb, 1974, sec. 6.1)
@@ -440,7 +440,7 @@ class Filter:
         memory.P, memory.x = np.ascontiguousarray(0.5 * (P + P.T)), np.ascontiguousarray(x)
         memory.acc, self._xd = self._identity(), memory.x[: self.layout.drive.size]
         fresh = new.drive.memory(self.layout.drive.errors, self.start)
-        memory.drv[PLACES] = fresh[PLACES]
+        memory.drv[strapdown.PLACES] = fresh[strapdown.PLACES]
         memory.models = models
         memory.counts["adopted"] += 1
         if self.tape is not None:

@@ -66,8 +66,8 @@ class Sight:
         par: Array,
         moved: tuple[Array, float],
         since_s: float,
-        near: Array,
-        res: Array,
+        outputs: Array,
+        into: tuple[Array, Array, Array],
     ) -> None:
         """Fill residual and Jacobian as the kernels do, see `navfilter.kernels.measurement`.
 
@@ -79,14 +79,18 @@ class Sight:
             How the vehicle has moved of late, and gravity, see `Mechanisation.motion`.
         since_s : float
             How much later than the stamp it is now [s].
-        near : ndarray, shape (axes, 9 + states)
-        res : ndarray, shape (axes,)
+        outputs : ndarray, shape (6, k)
+            Rows by which the drive's states make the errors of its six values.
+        into : tuple of ndarray, shapes (axes, k), (axes, 9 + states), (axes,)
+            Receive the derivatives with respect to the drive's states (a bias bends the way back), those of the kernel,
+            and the residual.
         """
+        H, near, res = into
         own = par.size - 3 * self._arm - self.clock
         constants = self._constants + self._by_arm @ par[own : own + 3] if self._arm else self._constants
         inner, kind = self._inner, par[:own]
         if self.clock:
-            late_s = since_s + float(par[-1])
+            late_s, now = since_s + float(par[-1]), nav
             measurement.earlier(nav, *moved, late_s, WINDOW_S, self._then, self._turn, self._slope, self._B)
             nav, rate = self._then, self._turn[:3]
         self.kernel(z, nav, rate, kind, constants, inner, res)
@@ -94,6 +98,8 @@ class Sight:
         if self.clock:
             near[:, :9] = inner[:, :9] @ self._B
             near[:, -1] = -(inner[:, :9] @ self._slope)
+            if moved[1]:
+                H[:] = inner[:, :9] @ by_drive(now, nav, self._B, late_s, outputs)
         ends = self._ends
         if self._arm:
             for i in range(3):
@@ -102,3 +108,24 @@ class Sight:
         if self.clock and self._turns:
             self.kernel(z, nav, rate + STEP * self._turn[3:], kind, constants, inner, ends)
             near[:, -1] -= (res - ends) / STEP
+
+
+def by_drive(now: Array, then: Array, B: Array, late_s: float, outputs: Array) -> Array:
+    """What errors of rates and forces do to a state that is carried back by them, shape (9, k).
+
+    Parameters
+    ----------
+    now, then : ndarray, shape (17,)
+    B : ndarray, shape (9, 9)
+        As ``measurement.earlier`` fills it; it holds what the forces have gathered.
+    late_s : float
+    outputs : ndarray, shape (6, k)
+    """
+    middle = 0.5 * (now[6:15] + then[6:15]).reshape(3, 3)
+    rates, forces = middle @ outputs[:3], middle @ outputs[3:]
+    by = np.empty((9, outputs.shape[1]))
+    # a tilt that grows on the way back turns the forces: half of what the whole of it would do, a third to the place
+    turned = B[3:6, 6:] @ rates
+    by[:3] = -0.5 * late_s**2 * (forces + turned / 3.0)
+    by[3:6], by[6:] = late_s * (forces + 0.5 * turned), late_s * rates
+    return by

@@ -328,7 +328,8 @@ def update(P, nav, x, C, R, mem, dims, limits):
     """A reading, after its sensor filled `near` and `res` in `mem`: take the coloured error off, form the NIS, correct
     if it passes.
 
-    C: (a, errors) output rows of the error models, R: (a, a) white covariance, limits: (a + 1,) gates by the number of
+    H of the drive's states is what the caller has left there (0 but for readings of the past). C: (a, errors) output
+    rows of the error models, R: (a, a) white covariance, limits: (a + 1,) gates by the number of
     components used. Leaves the verdict: NIS, components used, 1 if the state was corrected, then residuals and their
     variances (NaN where missing).
     """
@@ -336,7 +337,7 @@ def update(P, nav, x, C, R, mem, dims, limits):
     iH, iK, ii, ir, it, iS, iP, ine, iv, _, _ = places(dims)
     H, near, res = mem[iH : iH + a * n].reshape((a, n)), mem[ine:iv].reshape((a, 9 + par)), mem[ir : ir + a]
     for i in range(a):
-        for j in range(n):
+        for j in range(dims[2], n):
             H[i, j] = 0.0
         for j in range(9):
             H[i, j] = near[i, j]

@@ -47,7 +47,7 @@ TURN_RATE = 64
 # six readings change (6), the last velocity that was one and whether there is one (4), and what the last turn did to a
 # lever arm, per second (9).
 ATTITUDE_CLOCK, VELOCITY_CLOCK, ARM, CHANGE, PREVIOUS_VELOCITY, KNOWN_VELOCITY, ARM_TURN = 65, 66, 67, 68, 74, 77, 78
-PLACES = (DEVIATION, SCALE, ARM, ATTITUDE_CLOCK, VELOCITY_CLOCK)
+PLACES = [DEVIATION, SCALE, ARM, ATTITUDE_CLOCK, VELOCITY_CLOCK]
 DRIVE_SIZE = 87
 CHANGE_S = 0.1  # what changes is a mean over so long, for readings that come faster are noisy
 MOST_TICKS = 10000.0  # of the drive's blocks in one step
