@@ -13,6 +13,7 @@ from typing import Any
 
 import car_clocks as car
 import numpy as np
+from clock_states import cases
 from dead_reckoning import EARTH_RADIUS_M, plain_end_error, plain_path, plane, velocity_of
 from harness import MAPPINGS, Array, Options, Table, data_root, fixes_of, flag, main, quick, recorded
 
@@ -205,6 +206,39 @@ def car_clocks(options: Options) -> dict[str, Any]:
     return {"lever_arm_m": (x, y), "trials": found, "table": table.rows}
 
 
+def clocks(options: Options) -> list[dict[str, Any]]:
+    """Clocks as states: AUV, DVL on its own clock, described four ways, 100 s of positions; car, wheels, RTK for 25 m.
+
+    Without and with a standard deviation of the described offset. Offsets are those in all, late positive; NEES of the
+    horizontal position after the last fix.
+    """
+    data_root()
+    table = Table("case<32 recording<16 found_s>7.3f sd_s>6.3f end_m>6.2f end_pct>6.3f plain_end_m>6.2f nees>7.2f")
+    for kind, label, state, mission, vehicle in cases(options.quick):
+        until = known_until(mission) if kind == "car" else float(mission.streams["usbl"].time_s[0] + 100.0)
+        track, errors = without(mission, vehicle, mission.truth, (until + 1e-6, math.inf))
+        row = hidden(mission, vehicle, until, label)
+        nees = float(np.mean(np.einsum("ni,nij,nj->n", errors[0], np.linalg.inv(errors[1]), errors[0])) / 2.0)
+        sensor = vehicle.sensors["odometer"] if kind == "car" else vehicle.drive.velocity_sensor
+        found, sd = sensor.time_offset_s, 0.0
+        if state in track.state_names:
+            at = track.state_names.index(state)
+            found, sd = found + float(track.states[-1, at]), float(track.states_sd[-1, at])
+        table.add({"case": f"{kind}, {label}", "found_s": found, "sd_s": sd, "nees": nees} | asdict(row))
+    for case in dict.fromkeys(row["case"] for row in table.rows):
+        rows = [row for row in table.rows if row["case"] == case]
+        ends, nees = ([row[key] for row in rows] for key in ("end_pct", "nees"))
+        print(f"{case}: median end error {np.median(ends):.3f} %, median NEES {np.median(nees):.2f}")
+    return table.rows
+
+
 if __name__ == "__main__":
     only = flag("--only", default="", help="only recordings whose name contains this")
-    main(__doc__, {withheld: [only, quick("one recording of each kind")], car_clocks: [quick("the first trial")]})
+    main(
+        __doc__,
+        {
+            withheld: [only, quick("one recording of each kind")],
+            car_clocks: [quick("the first trial")],
+            clocks: [quick("one recording of each kind")],
+        },
+    )

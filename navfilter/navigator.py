@@ -23,6 +23,7 @@ from navfilter.filter.history import History, Reading
 from navfilter.filter.intake import IntakeMemory, joined
 from navfilter.filter.memory import misfit
 from navfilter.filter.tape import Tape
+from navfilter.filter.waiting import Waiting
 from navfilter.learning.learner import LearnerMemory
 from navfilter.learning.listener import ChannelSeries, ListenerMemory
 from navfilter.learning.posterior import Line
@@ -121,6 +122,7 @@ class Navigator:
         names = list(vehicle.sensors)
         self._history = History(self, length_s, names) if length_s else None
         self._watches = {name: Watch(sensor.gate_timeout_s) for name, sensor in vehicle.sensors.items()}
+        self._waiting = Waiting()
         self._behind = {name: names[i + 1 :] for i, name in enumerate(names)}
         self._row = np.empty((1, 7))
 
@@ -158,6 +160,14 @@ class Navigator:
 
     def step_samples(self, samples: Array) -> None:
         """As `step`, for rows of time and the six values; the array is used as work space."""
+        while len(samples) and samples[-1, 0] + self.offset_s > self._waiting.next_s + 1e-9:
+            here = int(np.argmax(samples[:, 0] + self.offset_s > self._waiting.next_s + 1e-9))
+            self._carry(samples[:here])
+            self._release(self._waiting.next_s)
+            samples = samples[here:]
+        self._carry(samples)
+
+    def _carry(self, samples: Array) -> None:
         if self._history is None:
             self.feed(samples)
         elif len(samples):
@@ -171,8 +181,8 @@ class Navigator:
         name : str
             Key of the sensor in the vehicle.
         time_s : float
-            Time of validity [s]: at most `history_s` (without a history about one period of the drive) before the
-            present, at most a second after it.
+            Its stamp [s], from which the sensor's `time_offset_s` is taken off: at most `history_s` (without a history
+            about one period of the drive) before the present, at most a second after it.
         value : float or array_like
             The reading in SI units and radians; NaN is a missing component.
         sd : float or array_like, optional
@@ -188,11 +198,29 @@ class Navigator:
             return Outcome("unknown-sensor")
         try:
             z = np.array(value, dtype=np.float64).reshape(-1)
-            time_s = float(time_s) + self.offset_s
+            time_s = float(time_s) + self.offset_s - self.vehicle.sensors[name].time_offset_s
         except (TypeError, ValueError):
             z, time_s = np.full(1, np.nan), math.nan
-        outcome = self._taken(Reading(name, time_s, z, sd, watch.sees(time_s, z)))
-        watch.note(outcome.status, time_s, outcome.nis, outcome.dof)
+        reading = Reading(name, time_s + self.filter.channels[name].lead_s, z, sd, watch.sees(time_s, z))
+        self._release(time_s)
+        if reading.time_s > time_s and time_s < self.start.time_s - 1e-9:
+            return Outcome("too-late")
+        if reading.time_s > max(time_s, self.time_s):
+            self._waiting.put(reading)
+            return Outcome("waiting")
+        return self._noted(reading)
+
+    def finish(self) -> None:
+        """Take the readings that still wait (`Outcome`): no more samples come."""
+        self._release(math.inf)
+
+    def _release(self, time_s: float) -> None:
+        for reading in self._waiting.due(time_s):
+            self._noted(reading)
+
+    def _noted(self, reading: Reading) -> Outcome:
+        outcome = self._taken(reading)
+        self._watches[reading.name].note(outcome.status, reading.time_s, outcome.nis, outcome.dof)
         return outcome
 
     def _taken(self, reading: Reading) -> Outcome:
@@ -358,6 +386,7 @@ class Navigator:
         if self.filter.tape is not None:
             raise ValueError("a run with a tape keeps no snapshot: make the navigator without one.")
         memory, inputs = (self.memory, []) if self._history is None else self._history.kept()
+        inputs = [*inputs, *self._waiting.readings]
         beginning = memory.learning.beginning
         learning = dataclasses.replace(
             memory.learning, beginning=None if beginning is None else beginning[: memory.learning.kept]
@@ -416,6 +445,9 @@ class Navigator:
         """An input of a snapshot, again."""
         if isinstance(item, np.ndarray) and (item.ndim != 2 or item.shape[1] != 7):
             raise ValueError(f"inputs must be rows of seven numbers, found shape {item.shape}")
+        if not isinstance(item, np.ndarray) and self.filter.channels[item.name].lead_s and item.time_s > self.time_s:
+            self._waiting.put(item)
+            return
         if self._history is None:
             raise ValueError("it has inputs without a history")
         self._history.feed(item)

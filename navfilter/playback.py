@@ -249,9 +249,10 @@ def _require(mission: Mission, name: str, why: str, instead: str) -> None:
 
 @dataclass(frozen=True)
 class _Events:
-    """All readings of the correcting sensors in time order."""
+    """All readings of the correcting sensors in the order of the times at which they were taken."""
 
     time_s: Array
+    stamp_s: Array
     sensor: NDArray[np.int64]
     row: NDArray[np.int64]
     names: tuple[str, ...]
@@ -270,13 +271,15 @@ def _events(vehicle: Vehicle, mission: Mission, begin_s: float) -> _Events:
                 f'stream "{name}" has {width} columns, but a {type(sensor).__name__} takes {sensor.reads}.'
             )
     streams = [mission.streams[name] for name in names]
-    times = np.concatenate([np.empty(0), *(s.time_s for s in streams)])
+    stamps = np.concatenate([np.empty(0), *(s.time_s for s in streams)])
+    late_s = [np.full(len(s), vehicle.sensors[name].time_offset_s) for name, s in zip(names, streams, strict=True)]
+    times = stamps - np.concatenate([np.empty(0), *late_s])
     number = np.concatenate([np.empty(0, int), *(np.full(len(s), i) for i, s in enumerate(streams))])
     rows = np.concatenate([np.empty(0, int), *(np.arange(len(s)) for s in streams)])
     order = np.lexsort((rows, number, times))
     order = order[times[order] >= begin_s - 1e-9]
     values, sds = tuple(s.value for s in streams), tuple(_sds(s) for s in streams)
-    return _Events(times[order], number[order], rows[order], names, values, sds)
+    return _Events(times[order], stamps[order], number[order], rows[order], names, values, sds)
 
 
 def _sds(stream: Stream) -> list[Array | None] | None:
@@ -295,7 +298,7 @@ def _run(nav: Navigator, times: Array, values: Array, events: _Events, progress:
         )
     shown = bar(len(events.time_s), "filter", progress)
     ends = np.searchsorted(times, events.time_s + 1e-9, side="right").tolist()
-    readings = zip(events.time_s.tolist(), events.sensor.tolist(), events.row.tolist(), ends, strict=True)
+    readings = zip(events.stamp_s.tolist(), events.sensor.tolist(), events.row.tolist(), ends, strict=True)
     for k, (t, i, row, end) in enumerate(readings):
         if end > done:
             nav.step_samples(_block(times, values, done, end))
@@ -306,6 +309,7 @@ def _run(nav: Navigator, times: Array, values: Array, events: _Events, progress:
             shown.update(512)
     for begin in range(done, len(times), 100_000):
         nav.step_samples(_block(times, values, begin, min(begin + 100_000, len(times))))
+    nav.finish()
     if shown is not None:
         shown.close()
 

@@ -5,7 +5,7 @@ estimated), G the reset of the attitude.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import naive
 import numpy as np
@@ -328,6 +328,29 @@ def wheeled_vehicle(arma=True):
     return nf.Vehicle(plain.drive, {**plain.sensors, "dvl": wheels, "depth": course, "compass": bottom})
 
 
+def uncalibrated(build):
+    """A vehicle that knows neither the clocks of its sensors nor exactly where they are."""
+
+    def built(arma=True):
+        vehicle = build(arma)
+        sensors = {
+            name: replace(
+                sensor,
+                time_offset_sd_s=0.3,
+                lever_arm_sd_m=(0.2, 0.1, 0.0) if sensor.has_lever_arm else (0.0,) * 3,
+            )
+            for name, sensor in vehicle.sensors.items()
+        }
+        drive = vehicle.drive
+        if not drive.inertial:
+            velocity = replace(drive.velocity, time_offset_sd_s=0.3, lever_arm_sd_m=(0.3, 0.2, 0.1))
+            attitude = replace(drive.attitude, time_offset_sd_s=0.2)
+            drive = replace(drive, velocity=velocity, attitude=attitude)
+        return replace(vehicle, drive=drive, sensors=sensors)
+
+    return built
+
+
 def reckoning_vehicle(arma=True):
     shaped = nf.Arma(**ARMA, sd=0.8 * DEG) if arma else nf.GaussMarkov(sd=2.0 * DEG, tau_s=5.0) + nf.White(sd=1.0 * DEG)
     return nf.Vehicle(
@@ -413,4 +436,6 @@ def drive_through(nav, seconds, seed, readings=("compass", "dvl", "depth", "gps"
             ],
         }[kind]()
         outcome = nav.correct(name, time_s, value)
-        assert outcome.status == ("rejected" if outlier else "used"), (name, time_s, outcome)
+        due = "waiting" if nav.vehicle.sensors[name].lead_s else "rejected" if outlier else "used"
+        assert outcome.status == due, (name, time_s, outcome)
+    nav.finish()

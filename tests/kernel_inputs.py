@@ -52,7 +52,7 @@ def random_drive(rng, k, **settings):
     drv = np.zeros(strapdown.DRIVE_SIZE)
     drv[strapdown.PERIOD_S], drv[strapdown.HOLD_DENSITY] = 0.01, 0.1
     drv[strapdown.GAP_RATE_SD], drv[strapdown.GAP_FORCE_SD] = 0.05, 0.3
-    drv[strapdown.DEVIATION] = drv[strapdown.SCALE] = -1
+    drv[list(strapdown.PLACES)] = -1
     drv[strapdown.MOUNTING : strapdown.MOUNTING + 9] = matrix_from_euler(0.1, -0.2, 0.7).ravel()
     drv[strapdown.MAX_SPEED], drv[strapdown.ZERO_IS_VALID] = 20.0, 0.0
     for name, value in settings.items():

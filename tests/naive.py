@@ -374,6 +374,10 @@ def _dead_reckoning_step(nav, xd, drv, sample, Phid, Qd, Cr, acc):
     k, m = len(xd), len(xd) + 9
     span, held, started, half = sample[0], drv[12], drv[13] != 0, 0.5 * sample[0]
     dev, par, arm, M = int(drv[41]), int(drv[42]), drv[44:47], drv[47:56].reshape(3, 3)
+    late_a, late_v, lever, turn0 = int(drv[65]), int(drv[66]), int(drv[67]), drv[78:87].reshape(3, 3).copy()
+    if lever >= 0:
+        arm = arm + xd[lever : lever + 3]
+        drv[56:59] = turn0 @ arm
     v0, w0, C0 = nav[3:6].copy(), drv[56:59].copy(), nav[6:15].reshape(3, 3).copy()
     missing = not (np.abs(sample[4:7]) <= drv[62]).all() or not (sample[4:7].any() or drv[63])
     # what the readings' errors are thought to be, and how they follow from the drive's states
@@ -381,6 +385,12 @@ def _dead_reckoning_step(nav, xd, drv, sample, Phid, Qd, Cr, acc):
     if dev >= 0:
         y = sample[3]
         E[2, dev : dev + 4] = np.sin(y), np.cos(y), np.sin(2 * y), np.cos(2 * y)
+    if late_a >= 0 or late_v >= 0:
+        _change(drv, sample, missing)
+    if late_a >= 0:
+        E[:3, late_a] -= drv[68:71]
+    if late_v >= 0:
+        E[3:, late_v] -= drv[71:74]
     err = E @ xd
     roll, pitch, yaw = sample[1:4] - err[:3]
     yaw += drv[43]  # declination
@@ -414,6 +424,11 @@ def _dead_reckoning_step(nav, xd, drv, sample, Phid, Qd, Cr, acc):
     F[:3, 6:9] -= skew(half * w0 + l0)
     F[3:6, 6:9] -= per * skew(l0)
     F[:9, 9:] -= J @ E + J[:, 3:] @ E_par
+    if lever >= 0:
+        here, held_turn = slice(9 + lever, 12 + lever), C @ C0.T @ turn0 if missing else np.zeros((3, 3))
+        F[3:6, here] += held_turn - per * (C - C0)
+        F[:3, here] += half * (held_turn + turn0) - started * (C - C0)
+        drv[78:87] = per * (C - C0).ravel()
     F[:3, :3] += (span - held) * _curvature(v0, nav[0], *nav[15:17])
     _move(nav, (half - held) * v0 + half * (w0 + u) - l1 + l0)
     nav[3:6], nav[6:15], drv[56:59], drv[59:62], drv[12:14] = u - w, C.ravel(), w, sample[1:4], (0.0, 1.0)
@@ -425,6 +440,18 @@ def _dead_reckoning_step(nav, xd, drv, sample, Phid, Qd, Cr, acc):
         Q[:6, :6] += G @ walk @ G.T
     elif span > 3 * drv[36]:
         Q[:3, :3] += walk * span**2 / 12.0
+
+
+def _change(drv, sample, missing):
+    span = sample[0]
+    near, share = drv[13] != 0 and 0 < span <= 3 * drv[36], span / (span + 0.1)
+    turned = (sample[1:4] - drv[59:62] + np.pi) % (2 * np.pi) - np.pi
+    drv[68:71] = (1 - share) * drv[68:71] + share * turned / span if near else 0.0
+    known = near and not missing and drv[77]
+    drv[71:74] = (1 - share) * drv[71:74] + share * (sample[4:7] - drv[74:77]) / span if known else 0.0
+    if not missing:
+        drv[74:77] = sample[4:7]
+    drv[77] = not missing
 
 
 def dead_reckoning_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc):
@@ -611,12 +638,13 @@ def predict(P, nav, x, acc, model, mem, dims, count):
 
 
 def update(P, nav, x, C, R, mem, dims, limits):
-    a, n, _, _, start, errors, par = dims
+    a, n, m, _, start, errors, par = dims
     at = places(dims)
     H, K = mem[at[0] : at[1]].reshape(a, n), mem[at[1] : at[2]].reshape(n, a)
     S, PH = mem[at[5] : at[6]].reshape(2 * a, a), mem[at[6] : at[7]].reshape(a, n)
     near, res = mem[at[7] : at[8]].reshape(a, 9 + par), mem[at[3] : at[4]]
-    H[:] = np.hstack([near[:, :9], np.zeros((a, start - 9)), C, near[:, 9:], np.zeros((a, n - start - errors - par))])
+    others = np.zeros((a, start - m)), np.zeros((a, n - start - errors - par))
+    H[:] = np.hstack([near[:, :9], H[:, 9:m], others[0], C, near[:, 9:], others[1]])
     res -= C @ x[start - 9 : start - 9 + errors]
     out = mem[at[8] : at[9]]
     out[3 : 3 + a] = res
@@ -939,3 +967,46 @@ def altitude(z, nav, rate, par, cfg, H, res):
     H[:] = 0.0
     H[0, 2], H[0, 6:9], H[0, 9:] = -1.0, skew(arm)[2], -1.0
     res[0] = z[0] - (nav[2] - arm[2] - cfg[3] - par.sum())
+
+
+def _mean_motion(motion, begin, end):
+    ends = np.cumsum(motion[:, 0])
+    inside = np.clip(np.minimum(ends, end) - np.maximum(ends - motion[:, 0], begin), 0.0, None)
+    if inside.any():
+        return inside @ motion[:, 1:] / inside.sum()
+    known = motion[motion[:, 0] > 0, 1:]
+    return known[-1] if len(known) else np.zeros(6)
+
+
+def earlier(nav, motion, gravity, late_s, window_s, then, turn, slope, B):
+    centre, half = max(late_s, 0.5 * window_s), 0.5 * window_s
+    older, newer = _mean_motion(motion, centre, centre + half), _mean_motion(motion, centre - half, centre)
+    mean, down, spin = 0.5 * (older + newer), gravity * DOWN, (newer - older)[:3] / half
+    ahead = np.concatenate([mean[:3] + (centre - 0.5 * late_s) * spin, mean[3:]])
+    rate = mean[:3] + (centre - late_s) * spin
+    begins = np.cumsum(motion[:, 0]) - motion[:, 0]
+    pieces = [(min(s, late_s - begin), m) for s, begin, m in zip(motion[:, 0], begins, motion[:, 1:], strict=True)]
+    pieces = [(dt, m) for dt, m in pieces if dt > 0]
+    pieces.append((late_s - sum(dt for dt, _ in pieces), mean if late_s >= 0 else ahead))
+    counts = [int(np.ceil(abs(dt) / 0.02)) for dt, _ in pieces]
+    pieces = [(dt / n, m) for (dt, m), n in zip(pieces, counts, strict=True) for _ in range(n)]
+    C, v, way, once, twice = nav[6:15].reshape(3, 3), nav[3:6], np.zeros(3), np.zeros(3), np.zeros(3)
+    for dt, m in pieces:
+        force = C @ rotation(-0.5 * dt * m[:3]) @ m[3:]
+        way, twice = way + dt * v - 0.5 * dt**2 * (force + down), twice + dt * once + 0.5 * dt**2 * force
+        C, v, once = C @ rotation(-dt * m[:3]), v - dt * (force + down), once + dt * force
+    then[:] = nav
+    _displace(then, -way)
+    then[3:6], then[6:15] = v, C.ravel()
+    turn[:] = np.concatenate([rate, spin])
+    slope[:] = np.concatenate([v, C @ mean[3:] + down, C @ rate])
+    B[:] = np.eye(9)
+    B[:3, 3:6], B[:3, 6:], B[3:6, 6:] = -late_s * np.eye(3), -skew(twice), skew(once)
+
+
+def _displace(nav, d):
+    """Move by metres in n, radii growing with the height alone."""
+    nav[1] += d[1] / (nav[16] * np.cos(nav[0] + 0.5 * d[0] / nav[15]))
+    nav[0] += d[0] / nav[15]
+    nav[2] -= d[2]
+    nav[15:17] -= d[2]

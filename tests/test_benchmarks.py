@@ -25,7 +25,7 @@ SCRIPTS = {
     "logs": ("library underneath", ("samples", "large")),
     "mistakes": ("No other software", ()),
     "noise_sheet": ("No other software", ("simulated", "recordings")),
-    "recordings": ("plain dead reckoning", ("withheld", "car_clocks")),
+    "recordings": ("plain dead reckoning", ("withheld", "car_clocks", "clocks")),
     "replay_speed": ("python-ins", ()),
     "residual_source": ("oracle", ()),
     "step_latency": ("filterpy", ()),

@@ -7,7 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import navfilter as nf
 from navfilter.check import check_mission, report_text
+from navfilter.check.motion import motion_findings
 from navfilter.io import geodesy, read_mission, read_vehicle
 from navfilter.mission import TRUTH_COLUMNS, Mission, Stream
 
@@ -265,3 +267,11 @@ def test_any_mission_is_judged_without_a_word_of_python(kinds, rows, missing, si
         streams[kind] = Stream(np.cumsum(rng.choice([0.0, 0.1, gap_s], n)), value, KINDS[kind])
     judged = Mission("any", streams)
     assert "Mission any" in report_text(judged, check_mission(judged))
+
+
+def test_a_clock_that_the_vehicle_describes_is_no_finding():
+    late = mission(compass_delay_s=1.0)
+    compass = nf.Heading(rate_hz=8.0, time_offset_s=1.0)
+    vehicle = nf.Vehicle(imu=nf.Imu(rate_hz=100.0), sensors={"compass": compass})
+    texts = [f.text for f in motion_findings(late, vehicle) if f.stream == "compass"]
+    assert not [text for text in texts if "late against" in text] and any("follows the gyro" in text for text in texts)

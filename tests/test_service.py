@@ -382,6 +382,24 @@ def test_pairs_are_those_of_a_recording(reckoning):
         assert np.array_equal([a + r.value for r, a in found], pairs, equal_nan=True)
 
 
+def test_described_clocks_are_taken_off_as_in_a_replay():
+    """Attitude 0.5 s late, velocity 1.25 s early: pairs as in a replay, though the velocity comes long before."""
+    sensors = {"attitude": nf.Heading(time_offset_s=0.5), "velocity": nf.BodyVelocity(time_offset_s=-1.25)}
+    drive = nf.DeadReckoning(rate_hz=4.0, **sensors)
+    t = np.arange(0.0, 8.0, 0.25)
+    angles, velocity = np.column_stack([0.0 * t, 0.0 * t, 0.1 * t]), np.column_stack([1.0 + t, 0.0 * t, 0.0 * t])
+    streams = {"attitude": nf.Stream(t, angles, ("a",) * 3), "velocity": nf.Stream(t, velocity, ("v",) * 3)}
+    times, pairs = drive.samples(streams)
+    pairing, found = Pairing(drive.period_s, drive.late_s), []
+    for k, time_s in enumerate(t.tolist()):
+        found += pairing.take(reading("attitude", time_s, *angles[k]))
+        found += pairing.take(reading("velocity", time_s, *velocity[k]))
+    found += pairing.end()
+    assert pairing.counts["unpaired"] == len(t) - len(times) > 0  # after the last attitude
+    assert [r.time_s for r, _ in found] == times.tolist()
+    np.testing.assert_array_equal([a + r.value for r, a in found], pairs)
+
+
 def test_a_velocity_without_attitude_is_held_or_dropped_and_keeps_the_order():
     pairing = Pairing(0.25)
     assert list(pairing.take(reading("velocity", 0.0, 1, 0, 0))) == []

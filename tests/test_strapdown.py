@@ -245,8 +245,9 @@ def numeric(run, nav, xd, drv, drive_steps):
                 error = np.zeros(9)
                 error[j] = sign * STEPS[j]
                 moved = state.plus(error)
-                # the velocity of the lever arm, remembered in n, turns with the attitude
-                memory[56:59] = rotation_matrix(error[6:9]) @ memory[56:59]
+                # the velocity of the lever arm, remembered in n, turns with the attitude; so does what it comes from
+                turn = rotation_matrix(error[6:9])
+                memory[56:59], memory[78:87] = turn @ memory[56:59], (turn @ memory[78:87].reshape(3, 3)).ravel()
             else:
                 x[j - 9] += sign * drive_steps[j - 9]
             ends.append(run(moved.pack(), x, memory))
@@ -322,6 +323,8 @@ DEAD_RECKONING = {
     "deviation": ({"LEVER": (0.8, -0.3, 0.4), "DEVIATION": 6}, 10),
     "calibration": ({"SCALE": 6}, 10),
     "all": ({"LEVER": (0.8, -0.3, 0.4), "DEVIATION": 6, "SCALE": 10}, 14),
+    "clocks": ({"LEVER": (0.8, -0.3, 0.4), "SCALE": 6, "ATTITUDE_CLOCK": 10, "VELOCITY_CLOCK": 11}, 12),
+    "uncertain arm": ({"LEVER": (0.8, -0.3, 0.4), "ARM": 6, "VELOCITY_CLOCK": 9, "ATTITUDE_CLOCK": 10}, 11),
 }
 
 
@@ -335,7 +338,10 @@ def test_dead_reckoning_transition_equals_finite_differences(case, lost):
     Cr[:, :6] = np.eye(6)
     nav = random_nav(rng)
     samples = np.column_stack([np.full(2, 0.25), [[0.1, -0.2, 1.0], [0.13, -0.17, 1.08]], [[1.5, 0.2, -0.1]] * 2])
-    strapdown.dead_reckoning_steps(nav, xd, drv, samples[:1], Phid, Qd, Cr, acc.copy())
+    before = samples[:1].copy()
+    before[0, 1:] += [0.02, -0.01, -0.03, -0.1, 0.05, 0.02]
+    strapdown.dead_reckoning_steps(nav, xd, drv, before, Phid, Qd, Cr, acc.copy())
+    strapdown.dead_reckoning_steps(nav, xd, drv, samples[:1].copy(), Phid, Qd, Cr, acc.copy())
     strapdown.dead_reckoning_hold(nav, xd, drv, 0.1, Phid, Qd, Cr, acc.copy())
     if lost:
         samples[1, 4:] = np.nan

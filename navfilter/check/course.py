@@ -134,7 +134,8 @@ def _delay_finding(name: str, fit: CourseFit) -> Finding:
     word = "late" if fit.late_s > 0 else "early"
     text = f"the velocity is about {abs(fit.late_s):.1f} s {word} against the position."
     cure = f"Set time.offset_s = {-fit.late_s:+.1f} on top of what it is now; "
-    cure += f"or it is a lever arm of {-fit.speed_m_s * fit.late_s:+.1f} m along x, which looks much the same."
+    cure += f"or it is a lever arm of {-fit.speed_m_s * fit.late_s:+.1f} m along x, which looks much the same. "
+    cure += "Or let the filter find it: time_offset_sd_s = 0.3 in vehicle.toml."
     return Finding("warning", name, text, cure)
 
 

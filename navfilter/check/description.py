@@ -75,8 +75,9 @@ def _sensor_lines(name: str, sensor: Sensor) -> Iterator[str]:
     yield f'Sensor "{name}": {sensor.words}, {sensor.rate_hz:g} Hz'
     yield from _error_lines("error", sensor.models, sensor.axis_names, sensor.units, 1.0 / sensor.rate_hz)
     yield from _fitting_lines(sensor)
+    yield from _clock_lines(sensor)
     wandering = sensor.wandering()
-    yield from _parameter_lines(tuple(p for p in sensor.parameters() if p.name not in wandering))
+    yield from _parameter_lines(tuple(p for p in sensor.all_parameters() if p.name not in wandering))
     units = {p.name: p.unit for p in sensor.parameters()}
     for key, model in wandering.items():
         yield _line(key.replace("_", " "), f"estimated, {describe_error(model, units[key], 1.0 / sensor.rate_hz)[0]}")
@@ -108,6 +109,13 @@ def _fitting_lines(sensor: Any) -> Iterator[str]:
         yield _line(
             "mounting",
             "roll {:g}, pitch {:g}, yaw {:g} deg".format(*(round(math.degrees(angle), 6) for angle in mounting)),
+        )
+
+
+def _clock_lines(sensor: Sensor) -> Iterator[str]:
+    if sensor.time_offset_s:
+        yield _line(
+            "clock", f"its stamps are {abs(sensor.time_offset_s):g} s {'late' if sensor.time_offset_s > 0 else 'early'}"
         )
 
 

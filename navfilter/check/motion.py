@@ -30,7 +30,9 @@ MOST_DELAY_S = 2.5
 
 def motion_findings(mission: Mission, vehicle: Vehicle | None) -> Iterator[Finding]:
     """Findings that need more than one column: gravity, handedness, heading, course, field, depth."""
-    mission = replace(mission, streams={name: s for name, s in mission.streams.items() if _has_enough(s)})
+    late = {} if vehicle is None else _described_late_s(vehicle)
+    streams = {name: s.later(-late.get(name, 0.0)) for name, s in mission.streams.items() if _has_enough(s)}
+    mission = replace(mission, streams=streams)
     imu = next((s for s in mission.streams.values() if "force_x_m_s2" in s.columns), None)
     if imu is not None:
         name = next(n for n, s in mission.streams.items() if s is imu)
@@ -54,6 +56,12 @@ def motion_findings(mission: Mission, vehicle: Vehicle | None) -> Iterator[Findi
             yield from vertical_findings(name, mission, vehicle)
             if vehicle is not None:
                 yield from sideways_findings(name, mission, vehicle)
+
+
+def _described_late_s(vehicle: Vehicle) -> dict[str, float]:
+    """How late the stamps of each stream are by the vehicle's own description [s]."""
+    drive = dict(zip(vehicle.drive.streams, vehicle.drive.late_s, strict=False))
+    return drive | {name: sensor.time_offset_s for name, sensor in vehicle.sensors.items()}
 
 
 def _has_enough(stream: Stream) -> bool:
@@ -202,7 +210,8 @@ def _gyro_against_heading(name: str, stream: Stream, imu: Stream) -> Iterator[Fi
         yield Finding("error", name, f"the heading turns {match.slope:.3g} times as far as the gyro.", cure)
     elif 0.3 < abs(match.late_s) < MOST_DELAY_S and match.correlation > 0.9:
         text = f"the heading is {abs(match.late_s):.2f} s {'late' if match.late_s > 0 else 'early'} against the gyro."
-        yield Finding("warning", name, text, f"Set time.offset_s = {-match.late_s:.2f} on top of what it is now.")
+        cure = f"Set time.offset_s = {-match.late_s:.2f} on top of what it is now; or let the filter find it: "
+        yield Finding("warning", name, text, f"{cure}time_offset_sd_s = 0.3 in vehicle.toml.")
 
 
 # --- the rest -------------------------------------------------------------------------------------------------------

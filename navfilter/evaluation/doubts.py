@@ -10,6 +10,7 @@ import numpy as np
 from scipy.stats import binom
 
 from navfilter.check.finding import Finding, Severity
+from navfilter.evaluation.constants import constant_doubts
 from navfilter.evaluation.surfacing import Evidence
 from navfilter.filter.tape import OUTCOMES, Residuals
 from navfilter.mission import Mission
@@ -45,6 +46,10 @@ class Limits:
         Share of the drive's samples that were impossible or out of order.
     chance : float
         Surfacings as bad as these by chance.
+    far : float
+        A constant so many of its sd from what vehicle.toml says is not what it says.
+    untold : float
+        Share of its sd that is left of a constant which the mission does not tell.
     least : int
         Readings below which a share says nothing.
     """
@@ -60,6 +65,8 @@ class Limits:
     gaps: float = 0.05
     repaired: float = 0.05
     chance: float = 1e-3
+    far: float = 2.5
+    untold: float = 0.8
     least: int = 5
 
 
@@ -85,6 +92,7 @@ def doubts(run: Track, mission: Mission, evidence: Evidence, limits: Limits = LI
         if not sensor.from_drive:
             yield from _sensor(name, run, mission, limits)
     yield from _surfaced(evidence, limits)
+    yield from constant_doubts(run, limits.far, limits.untold)
     yield from _given_up(run)
 
 

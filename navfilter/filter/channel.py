@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.stats import chi2
 
 from navfilter.filter.layout import Group, Layout
+from navfilter.filter.sight import Sight
 from navfilter.kernels import kalman
 from navfilter.sensors import Sensor
 from navfilter.start import Start
@@ -22,6 +23,8 @@ __all__ = ["Channel", "ChannelMemory", "usable"]
 Array = NDArray[np.float64]
 #: More than this share of a reading's components must agree, or it is rejected whole.
 MAJORITY = 0.5
+#: The past is kept for a time offset of up to so many standard deviations.
+CLOCK_SDS = 4.0
 
 
 @dataclass
@@ -59,7 +62,9 @@ class Channel:
         self.kernel, self.constants = sensor.kernel, sensor.constants(start)
         self.period_s = 1.0 / sensor.rate_hz
         self.limits = np.array(_limits(sensor.gate_probability, sensor.axes, sensor.single_gates))
-        self.moves, self.turns = sensor.sees_velocity, sensor.needs_rate
+        self.sight = Sight(sensor, start) if sensor.place_and_clock() else None
+        self.lead_s, self.past_s = sensor.lead_s, sensor.lead_s + CLOCK_SDS * sensor.time_offset_sd_s
+        self.moves, self.turns = sensor.sees_velocity, sensor.needs_rate or any(sensor.lever_arm_sd_m)
         self.forget()
 
     def forget(self) -> None:
@@ -89,6 +94,7 @@ class Channel:
         self.mem = mem = np.zeros(at[-1])
         self.res, self.near = mem[at[3] : at[3] + a], mem[at[7] : at[8]].reshape(a, 9 + parameters)
         self.H, self.PH = mem[at[0] : at[1]].reshape(a, n), mem[at[6] : at[7]].reshape(a, n)
+        self.into = self.H[:, 9:m], self.near, self.res  # a reading of the past depends on the drive's states, too
         self.S = mem[at[5] : at[6]].reshape(2 * a, a)
         self.verdict, self.note = mem[at[8] : at[8] + 3], mem[at[8] : at[9]]
         self.record, self.moved = mem[: at[5]], mem[: at[0]]

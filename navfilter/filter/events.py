@@ -24,7 +24,8 @@ class Outcome(NamedTuple):
     ----------
     status : str
         "used", "rejected" (by the gate), "invalid", "duplicate", "late-replayed" (used, in its place in time),
-        "too-late", "ahead" (no drive sample for too long) or "unknown-sensor".
+        "too-late", "ahead" (no drive sample for too long), "waiting" (its clock is in doubt: it is taken
+        `Sensor.lead_s` later) or "unknown-sensor".
     nis : float
         Normalised innovation squared; NaN when it was not formed.
     dof : int

@@ -82,6 +82,8 @@ class Filter:
         self.inertial = drive.inertial
         self._rate = np.zeros(3)
         self.channels = {name: Channel(name, sensor, start) for name, sensor in vehicle.sensors.items()}
+        past_s = max((channel.past_s for channel in self.channels.values()), default=0.0)
+        self._remembered = drive.remembered(past_s) if past_s else 0
         self._rest = [self.channels[name] for name, s in vehicle.sensors.items() if s.from_drive and self.inertial]
         self.begin()
 
@@ -105,6 +107,7 @@ class Filter:
                 P=self.layout.start_covariance(state.covariance),
                 acc=self._identity(),
                 drv=self.in_force.drive.memory(self.layout.drive.errors, self.start),
+                recent=np.zeros((self._remembered, 7)),
                 intake=self.intake.memory,
                 channels={name: channel.memory for name, channel in self.channels.items()},
                 models=adopted,
@@ -218,6 +221,8 @@ class Filter:
             end = total if whole else min(total, begin + self._room(room))
             block = samples[begin:end]
             self.steps(memory.nav, self._xd, memory.drv, block, self._Phid, self._Qd, self.drive_output, memory.acc)
+            if memory.recent.size:
+                memory.recent = np.concatenate([block[::-1], memory.recent])[: len(memory.recent)]
             memory.unfolded += end - begin
             memory.time_s = memory.sample_s = memory.intake.before_s = float(stamps[-1 if whole else end - 1])
             if memory.unfolded >= self._fold_every:
@@ -290,7 +295,7 @@ class Filter:
         name : str
             Of a sensor of the vehicle.
         time_s : float
-            At most a period of the drive before the present [s].
+            To be taken then (stamp plus `Sensor.lead_s`), at most a period of the drive before the present [s].
         value : array_like
             SI units and radians; NaN is a missing component.
         sd : array_like, optional
@@ -309,19 +314,21 @@ class Filter:
             return self._refused(channel, time_s, "duplicate")
         if early < -1.001 * self._period_s:
             return self._refused(channel, time_s, "too-late")
-        if time_s - memory.sample_s > self._ahead_s:
+        if time_s - channel.lead_s - memory.sample_s > self._ahead_s:
             return self._refused(channel, time_s, "ahead")
         reading = channel.sensor.read(z)
         if reading is None:
             return self._refused(channel, time_s, "invalid")
-        if early > 1e-7 and memory.drv[strapdown.STARTED]:
+        # one that could have waited is taken as it is at the end of a run: what comes then is not to be guessed
+        holds = early <= 1.001 * self._period_s or not channel.lead_s
+        if early > 1e-7 and memory.drv[strapdown.STARTED] and holds:
             self.hold(memory.nav, self._xd, memory.drv, early, self._Phid, self._Qd, self.drive_output, memory.acc)
             memory.time_s = time_s
         return self._update(channel, time_s, reading, sd, frozen)
 
     def _refused(self, channel: Channel, time_s: float, status: str) -> Correction:
         if self.tape is not None:
-            self.tape.columns[channel.name].append(time_s, CODES[status], None)
+            self.tape.columns[channel.name].append(time_s - channel.lead_s, CODES[status], None)
         return Correction(Outcome(status), time_s, None)
 
     def _update(self, channel: Channel, time_s: float, z: Array, sd: ArrayLike | None, frozen: bool) -> Correction:
@@ -331,8 +338,15 @@ class Filter:
         memory.unfolded = 0
         channel.memory.last_s = time_s
         if channel.turns:
-            self._body_rate()
-        channel.kernel(z, nav, self._rate, x[channel.parameters], channel.constants, channel.near, channel.res)
+            self._rate[:] = self.vehicle.drive.body_rate(memory.drv, self.drive_output[:3, :-1] @ self._xd)
+        if channel.sight is None:
+            channel.kernel(z, nav, self._rate, x[channel.parameters], channel.constants, channel.near, channel.res)
+        else:
+            par, since_s = x[channel.parameters], channel.lead_s + memory.time_s - time_s
+            recent = memory.recent[: self.vehicle.drive.remembered(since_s + abs(float(par[-1])))]
+            outputs = self.drive_output[:, :-1]
+            moved = self.vehicle.drive.motion(recent, nav, memory.drv, outputs @ self._xd)
+            channel.sight.look(z, nav, self._rate, par, moved, since_s, outputs, channel.into)
         channel.R[:] = channel.white
         if sd is not None:
             channel.R[:] = channel.lever + np.eye(channel.axes) * np.resize(np.square(np.ravel(sd)), channel.axes)
@@ -358,7 +372,8 @@ class Filter:
             if self.tape is not None:
                 self.tape.record(channel.moved, 0, channel.dims)
         if self.tape is not None:
-            self.tape.columns[channel.name].append(time_s, CODES[status], None if status == "invalid" else channel.note)
+            note = None if status == "invalid" else channel.note
+            self.tape.columns[channel.name].append(time_s - channel.lead_s, CODES[status], note)
         outcome = Outcome(status) if status == "invalid" else Outcome(status, nis, int(dof), widened)
         return Correction(outcome, time_s, channel)
 
@@ -393,14 +408,6 @@ class Filter:
         memory.counts["widened"] += 1
         return True
 
-    def _body_rate(self) -> None:
-        """Angular rate in b [rad/s] for lever arms; the Earth's own rate (1e-4 rad/s) is left in."""
-        if not self.inertial:
-            return
-        drv = self.memory.drv
-        rate = drv[strapdown.PREVIOUS : strapdown.PREVIOUS + 3] - self.drive_output[:3, :-1] @ self._xd
-        self._rate[:] = rate / self._period_s if drv[strapdown.INCREMENTS] else rate
-
     # ---------------------------------------------------------------- other error models
     def adopt(self, change: Change, tell: Listening) -> None:
         """Put another error model of one sensor in force, now; the states follow without a jump
@@ -434,7 +441,7 @@ class Filter:
         memory.P, memory.x = np.ascontiguousarray(0.5 * (P + P.T)), np.ascontiguousarray(x)
         memory.acc, self._xd = self._identity(), memory.x[: self.layout.drive.size]
         fresh = new.drive.memory(self.layout.drive.errors, self.start)
-        memory.drv[[strapdown.DEVIATION, strapdown.SCALE]] = fresh[[strapdown.DEVIATION, strapdown.SCALE]]
+        memory.drv[strapdown.PLACES] = fresh[strapdown.PLACES]
         memory.models = models
         memory.counts["adopted"] += 1
         if self.tape is not None:

@@ -40,6 +40,9 @@ class FilterMemory:
         Compound transition and noise of the samples since then.
     drv : ndarray
         Memory of the drive's kernels.
+    recent : ndarray, shape (k, 7)
+        The last samples of the drive, the newest first: seconds since the one before (0: no sample yet), six values.
+        None are kept where the clock of no sensor is in doubt.
     intake : IntakeMemory
     channels : dict of str to ChannelMemory
     models : tuple of (str, error)
@@ -55,6 +58,7 @@ class FilterMemory:
     P: Array
     acc: Array
     drv: Array
+    recent: Array
     intake: IntakeMemory
     channels: dict[str, ChannelMemory]
     models: tuple[tuple[str, Errors], ...]
@@ -78,8 +82,10 @@ class FilterMemory:
             return "the covariance is not positive semidefinite"
         if not (np.isfinite(self.nav).all() and np.isfinite(self.x).all() and np.isfinite(self.acc).all()):
             return "the state is not finite"
+        if not (self.recent[:, 0] >= 0.0).all():
+            return "the last samples do not follow each other"
         # kernels use these as places of states
-        places = [strapdown.DEVIATION, strapdown.SCALE, strapdown.INCREMENTS]
+        places = [*strapdown.PLACES, strapdown.INCREMENTS]
         if not np.array_equal(self.drv[places], fresh.drv[places]):
             return "the drive's memory is not laid out as this vehicle's"
         return None

@@ -192,7 +192,7 @@ class Layout:
             blocks = [m.block(1.0 / sensor.rate_hz) for m in sensor.models]
             wandering = {key: model.block(1.0 / sensor.rate_hz) for key, model in sensor.wandering().items()}
             axes = sensor.axis_names, sensor.units
-            groups[name] = Group.build(start, blocks, sensor.parameters(), *axes, name, wandering)
+            groups[name] = Group.build(start, blocks, sensor.all_parameters(), *axes, name, wandering)
             start += groups[name].size
         return cls(group, groups)
 

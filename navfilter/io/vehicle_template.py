@@ -176,8 +176,11 @@ def _section(
     if lever is not None:
         lines += [*_wrapped(texts["lever_arm_b_m"][1]), f"lever_arm_b_m = {list(lever)}"]
         given.add("lever_arm_b_m")
+    given |= _not_for(cls)
     # What all sensors share is explained once, with the first of them; a kind of another sensor shares all of that.
     said = set() if cls in (Imu, DeadReckoning, Heading) else {group for group, _ in _parameters(cls.__base__).values()}
+    if cls.__base__ is Sensor:
+        said.discard(texts["lever_arm_sd_m"][0])  # the first of them has none
     for field in dataclasses.fields(cls):
         if field.name in given or not field.init:
             continue
@@ -187,6 +190,14 @@ def _section(
             lines += _wrapped(text)
         lines.append(_default(field))
     return "\n".join(lines) + "\n"
+
+
+def _not_for(cls: Any) -> set[str]:
+    """What all sensors share, but those without a lever arm or a clock of their own cannot use."""
+    if not issubclass(cls, Sensor):
+        return set()
+    arm = set() if "lever_arm_b_m" in {field.name for field in dataclasses.fields(cls)} else {"lever_arm_sd_m"}
+    return arm | ({"time_offset_s", "time_offset_sd_s"} if cls.from_drive else set())
 
 
 def _default(field: Any) -> str:

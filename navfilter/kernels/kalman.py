@@ -358,10 +358,11 @@ def update(P, nav, x, C, R, mem, dims, limits):
     """A reading, after its sensor filled `near` and `res` in `mem`: take the coloured error off, form the NIS, correct
     if it passes.
 
-    C: (a, errors) output rows of the error models, R: (a, a) white covariance, limits: (a + 1,) gates by the number of
-    components used; the first says more than which share of the components has to remain when single ones that
-    contradict the others are left out, infinite: none ever is. Leaves the verdict: NIS, components used, 1 if the state
-    was corrected, then residuals (NaN where missing) and their variances (NaN also where left out).
+    H of the drive's states is what the caller has left there (0 but for readings of the past). C: (a, errors) output
+    rows of the error models, R: (a, a) white covariance, limits: (a + 1,) gates by the number of components used; the
+    first says more than which share of the components has to remain when single ones that contradict the others are
+    left out, infinite: none ever is. Leaves the verdict: NIS, components used, 1 if the state was corrected, then
+    residuals (NaN where missing) and their variances (NaN also where left out).
     """
     a, n, start, errors, par = dims[0], dims[1], dims[4], dims[5], dims[6]
     iH, iK, ii, ir, it, iS, iP, ine, iv, _, _ = places(dims)
@@ -369,7 +370,7 @@ def update(P, nav, x, C, R, mem, dims, limits):
     for i in range(a):
         for j in range(errors):
             res[i] -= C[i, j] * x[start - 9 + j]
-    _whole_jacobian(H, near, C, start)
+    _whole_jacobian(H, near, C, start, dims[2])
     S, PH, out = mem[iS:iP].reshape((2 * a, a)), mem[iP:ine].reshape((a, n)), mem[iv : iv + 3 + 2 * a]
     missing = 0
     for i in range(a):
@@ -383,7 +384,7 @@ def update(P, nav, x, C, R, mem, dims, limits):
         return
     fits = out[0] <= limits[int(out[1])]
     if not fits and math.isfinite(limits[0]):
-        fits = _fits_without_some(P, H, near, C, R, S, PH, res, out, limits, start)
+        fits = _fits_without_some(P, H, near, C, R, S, PH, res, out, limits, start, dims[2])
     if not fits:
         return
     out[2] = 1.0
@@ -394,11 +395,13 @@ def update(P, nav, x, C, R, mem, dims, limits):
 
 
 @njit(cache=True)
-def _whole_jacobian(H, near, C, start):
-    """H (a, n) from the sensor's own near (a, 9 + parameters) and the output rows C of its error models."""
+def _whole_jacobian(H, near, C, start, head):
+    """H (a, n) from the sensor's own near (a, 9 + parameters) and the output rows C of its error models; that of the
+    drive's states (9 to `head`) stays.
+    """
     a, errors = C.shape
     for i in range(a):
-        for j in range(H.shape[1]):
+        for j in range(head, H.shape[1]):
             H[i, j] = 0.0
         for j in range(9):
             H[i, j] = near[i, j]
@@ -409,7 +412,7 @@ def _whole_jacobian(H, near, C, start):
 
 
 @njit(cache=True)
-def _fits_without_some(P, H, near, C, R, S, PH, res, out, limits, start):
+def _fits_without_some(P, H, near, C, R, S, PH, res, out, limits, start, head):
     """Whether the reading passes its gate when the components that contradict the others most are left out, one by one.
 
     Without component i the NIS is smaller by (S^-1 res)_i^2 / (S^-1)_ii. Leaves the innovation of what remains, or of
@@ -432,7 +435,7 @@ def _fits_without_some(P, H, near, C, R, S, PH, res, out, limits, start):
             break  # nothing can be compared: the NIS is no number
         left[worst] = 1.0
         remaining -= 1
-        _whole_jacobian(H, near, C, start)
+        _whole_jacobian(H, near, C, start, head)
         for i in range(a):
             res[i] = out[3 + i] if left[i] == 0.0 else math.nan
         innovation(P, H, res, R, S, PH, out)
@@ -441,7 +444,7 @@ def _fits_without_some(P, H, near, C, R, S, PH, res, out, limits, start):
                 if left[i] != 0.0:
                     out[3 + a + i] = math.nan
             return True
-    _whole_jacobian(H, near, C, start)
+    _whole_jacobian(H, near, C, start, head)
     for i in range(a):
         res[i] = out[3 + i]
     innovation(P, H, res, R, S, PH, out)

@@ -5,7 +5,7 @@ Arrays shared with the navigator (all float64, C-contiguous):
 ``nav`` (17,)   latitude, longitude [rad], height [m], velocity_n (3) [m/s], C_nb row by row (9), meridian and
 prime-vertical
                 radius plus height [m].
-``drv`` (65,)   memory and settings of the drive, see the index constants below. ``samples`` (n, 7)  seconds since the
+``drv`` (87,)   memory and settings of the drive, see the index constants below. ``samples`` (n, 7)  seconds since the
 previous sample, then the six values of the drive. ``Cr`` (6, k+1) output rows C of the drive's error blocks, and in the
 last column the white variance of one sample. ``acc`` (4m, m) compound transition Phi and noise Q since the last fold (m
 rows each), then two m-row work areas. m = 9 + k.
@@ -43,7 +43,13 @@ HOLD_DENSITY, DEVIATION, SCALE, DECLINATION, LEVER, MOUNTING, LEVER_VELOCITY, PR
 )
 MAX_SPEED, ZERO_IS_VALID = 62, 63
 TURN_RATE = 64
-DRIVE_SIZE = 65
+# Dead reckoning whose clocks or lever arm are states: their places among the drive's states (-1: none); how fast the
+# six readings change (6), the last velocity that was one and whether there is one (4), and what the last turn did to a
+# lever arm, per second (9).
+ATTITUDE_CLOCK, VELOCITY_CLOCK, ARM, CHANGE, PREVIOUS_VELOCITY, KNOWN_VELOCITY, ARM_TURN = 65, 66, 67, 68, 74, 77, 78
+PLACES = [DEVIATION, SCALE, ARM, ATTITUDE_CLOCK, VELOCITY_CLOCK]
+DRIVE_SIZE = 87
+CHANGE_S = 0.1  # what changes is a mean over so long, for readings that come faster are noisy
 MOST_TICKS = 10000.0  # of the drive's blocks in one step
 GAP_PERIODS = 3.0  # a silence of more than this many periods is a gap: what the vehicle did in it is unknown
 
@@ -435,6 +441,49 @@ def _turn_arm(F, l0, per):
 
 
 @njit(cache=True, error_model="numpy")
+def _arm_columns(F, drv, nav, C, B, missing, per, half, arm):
+    """What an error of the lever arm does to velocity and position of a step, and in drv the turn for the next one.
+
+    A velocity that is missing was that of the last step, which its turn had moved by the arm (B turns it on).
+    """
+    for j in range(3):
+        for i in range(3):
+            before = 0.0
+            if missing:
+                for r in range(3):
+                    before += B[i, r] * drv[ARM_TURN + 3 * r + j]
+            turned = C[i, j] - nav[6 + 3 * i + j]
+            F[3 + i, 9 + arm + j] += before - per * turned
+            F[i, 9 + arm + j] += half * (before + drv[ARM_TURN + 3 * i + j]) - (turned if drv[STARTED] != 0.0 else 0.0)
+    for i in range(3):
+        for j in range(3):
+            drv[ARM_TURN + 3 * i + j] = per * (C[i, j] - nav[6 + 3 * i + j])
+
+
+@njit(cache=True, error_model="numpy")
+def _change(drv, samples, n, missing):
+    """How fast the readings change [unit/s], in drv: the difference from the last ones, a little smoothed; 0 over gaps
+    and while the velocity is lost.
+    """
+    span = samples[n, 0]
+    near = drv[STARTED] != 0.0 and 0.0 < span <= GAP_PERIODS * drv[PERIOD_S]
+    share = span / (span + CHANGE_S)
+    for i in range(3):
+        angle = samples[n, 1 + i] - drv[PREVIOUS_RPY + i]
+        angle -= 2.0 * math.pi * math.floor(angle / (2.0 * math.pi) + 0.5)
+        drv[CHANGE + i] = drv[CHANGE + i] + share * (angle / span - drv[CHANGE + i]) if near else 0.0
+        known = near and not missing and drv[KNOWN_VELOCITY] != 0.0
+        if known:
+            step = samples[n, 4 + i] - drv[PREVIOUS_VELOCITY + i]
+            drv[CHANGE + 3 + i] += share * (step / span - drv[CHANGE + 3 + i])
+        else:
+            drv[CHANGE + 3 + i] = 0.0
+        if not missing:
+            drv[PREVIOUS_VELOCITY + i] = samples[n, 4 + i]
+    drv[KNOWN_VELOCITY] = 0.0 if missing else 1.0
+
+
+@njit(cache=True, error_model="numpy")
 def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
     """Attitude and body velocity carried forward: no inertial unit (Groves, 2013, sec. 6.2; the classical AUV filter).
 
@@ -462,10 +511,23 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
         drv[HELD_S] = 0.0
         # -- the sensors' own errors
         dev, par = int(drv[DEVIATION]), int(drv[SCALE])
+        late_a, late_v, arm = int(drv[ATTITUDE_CLOCK]), int(drv[VELOCITY_CLOCK]), int(drv[ARM])
         for i in range(6):
             err[i] = 0.0
             for s in range(k):
                 err[i] += Cr[i, s] * xd[s]
+        missing, moving = False, drv[ZERO_IS_VALID] != 0.0
+        for i in range(4, 7):
+            missing = missing or not abs(samples[n, i]) <= drv[MAX_SPEED]
+            moving = moving or samples[n, i] != 0.0
+        missing = missing or not moving
+        if late_a >= 0 or late_v >= 0:
+            _change(drv, samples, n, missing)
+        for i in range(3):
+            if late_a >= 0:
+                err[i] -= xd[late_a] * drv[CHANGE + i]
+            if late_v >= 0:
+                err[3 + i] -= xd[late_v] * drv[CHANGE + 3 + i]
         yaw = samples[n, 3]
         s1, c1 = math.sin(yaw), math.cos(yaw)
         s2, c2 = 2.0 * s1 * c1, c1 * c1 - s1 * s1
@@ -490,6 +552,11 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
             drv[PREVIOUS_RPY + i] = samples[n, 1 + i]
         # -- lever arm before and after, and its velocity: what the turn of the attitude moved it by
         e0, e1, e2 = drv[LEVER], drv[LEVER + 1], drv[LEVER + 2]
+        if arm >= 0:
+            e0, e1, e2 = e0 + xd[arm], e1 + xd[arm + 1], e2 + xd[arm + 2]
+            for i in range(3):
+                row = ARM_TURN + 3 * i
+                drv[LEVER_VELOCITY + i] = drv[row] * e0 + drv[row + 1] * e1 + drv[row + 2] * e2
         per = 1.0 / span if drv[STARTED] != 0.0 and span > 0.0 else 0.0
         drv[TURN_RATE] = per * math.sqrt(turned)
         for i in range(3):
@@ -498,11 +565,6 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
             w[i] = per * (l1[i] - l0[i])
             if drv[STARTED] == 0.0:
                 l0[i] = l1[i] = 0.0  # the start's velocity is that of the reference point
-        missing, moving = False, drv[ZERO_IS_VALID] != 0.0
-        for i in range(4, 7):
-            missing = missing or not abs(samples[n, i]) <= drv[MAX_SPEED]
-            moving = moving or samples[n, i] != 0.0
-        missing = missing or not moving
         _clear_transition(F, m)
         for i in range(9):
             for j in range(6):
@@ -580,6 +642,14 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
                 F[i, 10 + dev] -= J[i, 2] * c1
                 F[i, 11 + dev] -= J[i, 2] * s2
                 F[i, 12 + dev] -= J[i, 2] * c2
+        for i in range(9):
+            for a in range(3):
+                if late_a >= 0:
+                    F[i, 9 + late_a] += J[i, a] * drv[CHANGE + a]
+                if late_v >= 0:
+                    F[i, 9 + late_v] += J[i, 3 + a] * drv[CHANGE + 3 + a]
+        if arm >= 0:
+            _arm_columns(F, drv, nav, C, B, missing, per, half, arm)
         if par >= 0 and not missing:
             # reading = (1 + s)(y + m x y): y is the true velocity in instrument axes
             for i in range(3):

@@ -27,6 +27,14 @@ from navfilter.start import Start
 __all__ = ["DeadReckoning"]
 
 Array = NDArray[np.float64]
+#: Where the kernels look for states that a drive may have, and the first of each.
+FIRST_PARAMETERS = {
+    strapdown.DEVIATION: "yaw.one_cycle_sin",
+    strapdown.SCALE: "velocity.scale",
+    strapdown.ARM: "velocity.lever_arm_x",
+    strapdown.VELOCITY_CLOCK: "velocity.time_offset",
+    strapdown.ATTITUDE_CLOCK: "attitude.time_offset",
+}
 #: Generous: beyond the worst and the best of instruments on the market.
 TILT_USUAL = Plausible(1e-7, math.radians(15.0), "deg", most_rate_hz=1000.0)
 
@@ -111,6 +119,11 @@ class DeadReckoning(Mechanisation):
             return self.velocity
         return BodyVelocity(rate_hz=self.rate_hz, error=self.velocity, zero_is_invalid=False)
 
+    @property
+    def late_s(self) -> tuple[float, float]:
+        """How late the stamps of attitude and velocity are, as described [s]."""
+        return (self.compass.time_offset_s if self.compass else 0.0), self.velocity_sensor.time_offset_s
+
     def _deviation(self) -> tuple[Parameter, ...]:
         if self.compass is None or not any(self.compass.deviation_sd_rad):
             return ()
@@ -135,17 +148,21 @@ class DeadReckoning(Mechanisation):
         return np.full(3, 1e6)
 
     def parameters(self) -> tuple[Parameter, ...]:
-        """Deviation of the heading, scale and misalignment of the velocity."""
-        velocity = tuple(p._replace(name=f"velocity.{p.name}") for p in self.velocity_sensor.parameters())
-        return self._deviation() + velocity
+        """Deviation of the heading, scale and misalignment of the velocity; its lever arm, and the clocks of both."""
+        velocity = (p._replace(name=f"velocity.{p.name}") for p in self.velocity_sensor.all_parameters())
+        return (*self._deviation(), *velocity, *self._attitude_clock())
+
+    def _attitude_clock(self) -> tuple[Parameter, ...]:
+        sd = self.compass.time_offset_sd_s if self.compass else 0.0
+        return (Parameter("attitude.time_offset", sd, "s"),) if sd else ()
 
     def memory(self, first_parameter: int, start: Start | None = None) -> Array:
         """The kernels' ``drv`` at the start."""
         drv = super().memory(first_parameter, start)
-        deviation, total = len(self._deviation()), len(self.parameters())
         drv[strapdown.HOLD_DENSITY] = self.hold_density
-        drv[strapdown.DEVIATION] = first_parameter if deviation else -1
-        drv[strapdown.SCALE] = first_parameter + deviation if total > deviation else -1
+        names = [p.name for p in self.parameters()]
+        for place, name in FIRST_PARAMETERS.items():
+            drv[place] = first_parameter + names.index(name) if name in names else -1
         sensor = self.velocity_sensor
         drv[strapdown.LEVER : strapdown.LEVER + 12] = sensor.constants(start)  # type: ignore[arg-type]  # the same for any start
         if start is not None:
@@ -154,9 +171,29 @@ class DeadReckoning(Mechanisation):
         drv[strapdown.ZERO_IS_VALID] = float(not sensor.zero_is_invalid)
         return drv
 
+    def motion(self, recent: Array, nav: Array, drv: Array, errors: Array) -> tuple[Array, float]:
+        """Turns and changes of the velocity from reading to reading; before them, and since, the newest goes on."""
+        count = int(np.count_nonzero(recent[:, 0]))
+        if count < 2:
+            return np.zeros((1, 7)), 0.0
+        seconds, angles, velocity = recent[: count - 1, :1], recent[:count, 1:4], recent[:count, 4:7]
+        roll, pitch, yaw = (np.remainder(angles[:-1] - angles[1:] + math.pi, 2.0 * math.pi) - math.pi).T
+        sr, cr = np.sin(angles[:-1, 0]), np.cos(angles[:-1, 0])
+        sp, cp = np.sin(angles[:-1, 1]), np.cos(angles[:-1, 1])
+        turned = np.column_stack([roll - yaw * sp, pitch * cr + yaw * sr * cp, yaw * cr * cp - pitch * sr])
+        velocity_b = nav[6:15].reshape(3, 3).T @ nav[3:6]
+        gained = (velocity[:-1] - velocity[1:]) @ self.velocity_sensor.instrument_axes()
+        gained[~np.isfinite(gained) | (np.abs(gained) > self.velocity_sensor.max_speed_m_s)] = 0.0
+        rate = turned / seconds
+        rows = np.column_stack([seconds, rate, np.cross(rate, velocity_b) + gained / seconds])
+        held = np.concatenate([drv[strapdown.HELD_S : strapdown.HELD_S + 1], rows[0, 1:4], np.zeros(3)])
+        return np.concatenate([held[None, :], rows]), 0.0
+
     def samples(self, streams: Mapping[str, Stream]) -> tuple[Array, Array]:
         """Attitude, interpolated to the times of the velocity, and velocity."""
-        attitude, velocity = streams["attitude"], streams["velocity"]
+        attitude, velocity = (
+            streams[name].later(-late_s) for name, late_s in zip(self.streams, self.late_s, strict=True)
+        )
         good = np.isfinite(attitude.value[:, :3]).all(axis=1)
         if good.sum() < 2:
             raise ValueError('stream "attitude" has fewer than two valid readings.')

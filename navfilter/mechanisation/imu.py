@@ -118,6 +118,26 @@ class Imu(Mechanisation):
         drv[strapdown.GAP_FORCE_SD] = self.gap_force_sd
         return drv
 
+    def motion(self, recent: Array, nav: Array, drv: Array, errors: Array) -> tuple[Array, float]:
+        """Rates and forces by the trapezoidal rule; the last sample holds since."""
+        rows = np.empty((len(recent) + 1, 7))
+        rows[0, 0], rows[0, 1:] = drv[strapdown.HELD_S], drv[strapdown.PREVIOUS : strapdown.PREVIOUS + 6]
+        rows[1:] = recent
+        if self.increments:
+            rows[0, 1:] /= self.period_s
+            rows[1:, 1:] /= np.where(recent[:, :1] > 0.0, recent[:, :1], 1.0)
+        else:
+            known = len(recent) if not len(recent) or recent[-1, 0] > 0.0 else int(np.count_nonzero(recent[:, 0]))
+            rows[1:known, 1:] += recent[1:known, 1:]
+            rows[1:known, 1:] *= 0.5
+        rows[:, 1:] -= errors
+        return rows, strapdown.gravity(nav[0], nav[2])
+
+    def body_rate(self, drv: Array, errors: Array) -> Array | float:
+        """That of the last sample."""
+        rate: Array = drv[strapdown.PREVIOUS : strapdown.PREVIOUS + 3] - errors
+        return rate / self.period_s if self.increments else rate
+
     def samples(self, streams: Mapping[str, Stream]) -> tuple[Array, Array]:
         """The stream as it is."""
         return streams["imu"].time_s, streams["imu"].value[:, :6]

@@ -24,6 +24,8 @@ from navfilter.start import Start
 __all__ = ["DriveNoise", "Mechanisation", "Triple"]
 
 Array = NDArray[np.float64]
+#: So much more of the past is remembered than the clocks may be off: to tell motion from what vibrates [s].
+MORE_S = 0.5
 
 
 class DriveNoise(NamedTuple):
@@ -156,6 +158,11 @@ class Mechanisation:
         """The sensor that gives its velocity, if it has one."""
         return None
 
+    @property
+    def late_s(self) -> tuple[float, float]:
+        """How late the stamps of its two streams are, as described [s]."""
+        return 0.0, 0.0
+
     def declination(self, start: Start) -> float:
         """From its heading to the true one [rad]."""
         return 0.0 if self.compass is None else self.compass.declination(start)
@@ -173,6 +180,44 @@ class Mechanisation:
         drv = np.zeros(strapdown.DRIVE_SIZE)
         drv[strapdown.PERIOD_S] = self.period_s
         return drv
+
+    # ---------------------------------------------------------------- what sensors with a doubtful clock ask
+    def remembered(self, past_s: float) -> int:
+        """How many of the last samples tell how the vehicle has moved for `past_s` seconds; at least two."""
+        return max(2, math.ceil((past_s + MORE_S) * self.rate_hz) + 1)
+
+    def motion(self, recent: Array, nav: Array, drv: Array, errors: Array) -> tuple[Array, float]:
+        """How the vehicle has moved of late.
+
+        Parameters
+        ----------
+        recent : ndarray, shape (k, 7)
+            The last samples, the newest first: seconds since the one before (0: none), six values.
+        nav, drv : ndarray
+            State and memory of the drive's kernels.
+        errors : ndarray, shape (6,)
+            Those of the six values now, as estimated.
+
+        Returns
+        -------
+        motion : ndarray, shape (j, 7)
+            Intervals, the newest first: seconds, angular rate [rad/s] and specific force [m/s^2] in b.
+        gravity : float
+            [m/s^2]; 0 where the forces are accelerations.
+        """
+        raise NotImplementedError
+
+    def body_rate(self, drv: Array, errors: Array) -> Array | float:
+        """Angular rate in b [rad/s] for lever arms, the Earth's own (1e-4 rad/s) left in; 0 where it is not known.
+
+        Parameters
+        ----------
+        drv : ndarray
+            Memory of the drive's kernels.
+        errors : ndarray, shape (3,)
+            Those of its first three values now.
+        """
+        return 0.0
 
     # ---------------------------------------------------------------- what files and checks ask
     def samples(self, streams: Mapping[str, Stream]) -> tuple[Array, Array]:

@@ -51,7 +51,7 @@ def shown_states(vehicle: Vehicle) -> tuple[ShownState, ...]:
         for axis, model, unit in zip(sensor.axis_names, sensor.models, sensor.units, strict=True):
             label = "_".join(part for part in (key, axis) if part)
             found += _parts(key, label, model, 1.0 / sensor.rate_hz, unit)
-        found += [ShownState(key, f"{key}.{p.name}", p.name, *shown_unit(p.unit)) for p in sensor.parameters()]
+        found += [ShownState(key, f"{key}.{p.name}", p.name, *shown_unit(p.unit)) for p in sensor.all_parameters()]
     return tuple(found)
 
 

@@ -30,6 +30,10 @@ Array = NDArray[np.float64]
 Vector = tuple[float, float, float]
 Errors = ErrorModel | tuple[ErrorModel, ...]
 Reading = tuple[Array, tuple[str, ...]]
+#: A stamp that is early by more standard deviations of the time offset is not waited for.
+EARLY_SDS = 2.5
+#: What is seen of the motion after a reading, at least [s].
+SEEN_S = 0.2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,6 +51,13 @@ class Sensor:
     gate_timeout_s : float
         After rejecting every reading for so long the gate doubles (and again), so that a good sensor is never locked
         out.
+    time_offset_s : float
+        How late its stamps are [s]: a reading stamped t was taken at ``t - time_offset_s``.
+    time_offset_sd_s : float
+        Standard deviation of what is left of that offset [s], a constant state; 0 leaves the state out. Unknown clocks:
+        0.3.
+    lever_arm_sd_m : (3,) float
+        Standard deviation of each component of `lever_arm_b_m` [m], three constant states; all zero: no such states.
 
     Attributes
     ----------
@@ -97,6 +108,9 @@ class Sensor:
     error: Errors = White(sd=1.0)
     gate_probability: float = 0.9999
     gate_timeout_s: float = 20.0
+    time_offset_s: float = 0.0
+    time_offset_sd_s: float = 0.0
+    lever_arm_sd_m: Vector = (0.0, 0.0, 0.0)
 
     prior: ClassVar[ErrorModel] = White(sd=1.0)
     unit: ClassVar[str] = "m"
@@ -130,7 +144,24 @@ class Sensor:
             )
         if not self.gate_timeout_s > 0:
             raise ValueError(f"{name}.gate_timeout_s must be > 0, found {self.gate_timeout_s!r}.")
+        self._check_place_and_clock(name)
         _ = self.models
+
+    def _check_place_and_clock(self, name: str) -> None:
+        """Refuse what no kind can use."""
+        if not math.isfinite(self.time_offset_s):
+            raise ValueError(f"{name}.time_offset_s must be a finite number, found {self.time_offset_s!r}.")
+        if not 0.0 <= self.time_offset_sd_s < math.inf:
+            raise ValueError(f"{name}.time_offset_sd_s must be a finite number >= 0, found {self.time_offset_sd_s!r}.")
+        if self.from_drive and (self.time_offset_s or self.time_offset_sd_s):
+            raise ValueError(
+                f"{name} has no clock of its own: it is made from the drive's samples. Leave the time_offset out."
+            )
+        checked_vector(f"{name}.lever_arm_sd_m", self.lever_arm_sd_m)
+        if min(self.lever_arm_sd_m) < 0.0:
+            raise ValueError(f"{name}.lever_arm_sd_m must be three numbers >= 0, found {self.lever_arm_sd_m!r}.")
+        if any(self.lever_arm_sd_m) and not self.has_lever_arm:
+            raise ValueError(f"{name} has no lever arm that could be uncertain: leave lever_arm_sd_m out.")
 
     @property
     def models(self) -> tuple[ErrorModel, ...]:
@@ -142,9 +173,29 @@ class Sensor:
         """Unit of the error of each axis."""
         return self.axis_units or (self.unit,) * self.axes
 
+    @property
+    def has_lever_arm(self) -> bool:
+        """Whether its kind has a field `lever_arm_b_m`."""
+        return hasattr(self, "lever_arm_b_m")
+
     def parameters(self) -> tuple[Parameter, ...]:
-        """States beside the error model; constant, but for those of `wandering`."""
+        """States of its kind beside the error model; constant, but for those of `wandering`."""
         return ()
+
+    def place_and_clock(self) -> tuple[Parameter, ...]:
+        """Constant states that any kind may have: lever arm, then time offset."""
+        arm = tuple(Parameter(f"lever_arm_{a}", sd, "m") for a, sd in zip("xyz", self.lever_arm_sd_m, strict=True))
+        clock = (Parameter("time_offset", self.time_offset_sd_s, "s"),)
+        return (arm if any(self.lever_arm_sd_m) else ()) + (clock if self.time_offset_sd_s else ())
+
+    @property
+    def lead_s(self) -> float:
+        """How long its readings wait, so that even one whose stamp is early has been taken by then [s]."""
+        return EARLY_SDS * self.time_offset_sd_s + SEEN_S if self.time_offset_sd_s else 0.0
+
+    def all_parameters(self) -> tuple[Parameter, ...]:
+        """All states beside the error model, in their order."""
+        return self.parameters() + self.place_and_clock()
 
     def wandering(self) -> dict[str, ErrorModel]:
         """Those of the parameters that are not constant: how they wander, by name (a model of one state)."""

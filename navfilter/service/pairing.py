@@ -28,6 +28,8 @@ class Pairing:
     ----------
     period_s : float
         Nominal period of the drive [s].
+    late_s : (2,) float
+        How late the stamps of attitude and velocity are [s]; it is taken off.
     """
 
     #: A velocity waits so long for its attitude [s].
@@ -39,8 +41,8 @@ class Pairing:
     #: More than this never waits.
     LONGEST_QUEUE = 1000
 
-    def __init__(self, period_s: float) -> None:
-        self._period_s = period_s
+    def __init__(self, period_s: float, late_s: tuple[float, float] = (0.0, 0.0)) -> None:
+        self._period_s, self._late_s = period_s, dict(zip(("attitude", "velocity"), late_s, strict=True))
         self._time_s: list[float] = []
         self._angles: list[list[float]] = []
         self._last: list[float] = []
@@ -50,6 +52,8 @@ class Pairing:
 
     def take(self, reading: Reading) -> Iterator[tuple[Reading, list[float] | None]]:
         """What a new reading lets go, in order: a velocity with its attitude, or any other reading with None."""
+        latest = reading.time_s if math.isfinite(reading.time_s) else -math.inf
+        reading = reading._replace(time_s=reading.time_s - self._late_s.get(reading.sensor, 0.0))
         if reading.sensor == "attitude":
             self._attitude(reading)
         elif reading.sensor == "velocity" or self._waiting:
@@ -57,7 +61,6 @@ class Pairing:
         else:
             yield reading, None
             return
-        latest = reading.time_s if math.isfinite(reading.time_s) else -math.inf
         yield from self._released(latest)
 
     def end(self) -> Iterator[tuple[Reading, list[float] | None]]:
@@ -71,7 +74,8 @@ class Pairing:
                 yield self._waiting.popleft(), None
                 continue
             covered = bool(self._time_s) and self._time_s[-1] >= first.time_s
-            if not covered and latest_s - first.time_s <= self.PATIENCE_S and len(self._waiting) < self.LONGEST_QUEUE:
+            patience_s = self.PATIENCE_S + self._late_s["attitude"]  # `latest_s` is a stamp, the other a time
+            if not covered and latest_s - first.time_s <= patience_s and len(self._waiting) < self.LONGEST_QUEUE:
                 return
             attitude = self._at(self._waiting.popleft().time_s)
             if attitude is None:

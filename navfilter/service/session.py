@@ -110,7 +110,7 @@ class Session:
         self._buffer: list[Reading] = []
         self._align_at_s: float | None = None
         self._waited = ""
-        self._pairing = None if "imu" in vehicle.drive.streams else Pairing(vehicle.drive.period_s)
+        self._pairing = self._new_pairing()
         self._rows: list[list[float]] = []
         self._tick = self._second = -math.inf
         self._due_s = -math.inf
@@ -119,6 +119,10 @@ class Session:
         self.bad: dict[str, int] = {}
         self._warned: dict[str, list[float]] = {}
         self._conditions: dict[str, str] = {}
+
+    def _new_pairing(self) -> Pairing | None:
+        drive = self.vehicle.drive
+        return None if "imu" in drive.streams else Pairing(drive.period_s, drive.late_s)
 
     # ---------------------------------------------------------------- in
     def feed(self, item: Item) -> None:
@@ -159,6 +163,8 @@ class Session:
                 if self.nav is not None:
                     self._take(reading, attitude)
             self._flush()
+        if self.nav is not None:
+            self.nav.finish()
         if self.nav is not None and self._makes_sense(self.nav.state):
             self._state()
         self._tell("stop", time_s=None if self.nav is None else self.nav.time_s, bad_lines=self.bad)
@@ -260,7 +266,7 @@ class Session:
         self._rows.clear()
         self._conditions.clear()
         if self._pairing is not None:
-            self._pairing = Pairing(self.vehicle.drive.period_s)
+            self._pairing = self._new_pairing()
 
     def _start_line(self, item: StartLine) -> None:
         if self.nav is not None:

@@ -69,6 +69,8 @@ class Faults:
         Scale error: the reading is (1 + scale) times what it should be.
     misalignment_rad : tuple of 3 floats, optional
         Rotation vector of the measured vector relative to what it should be, rad.
+    lever_arm_m : tuple of 3 floats, optional
+        By how much the sensor is elsewhere than its description says, m.
     deviation_rad : tuple of 5 floats, optional
         Compass: bias, sine and cosine of the heading, sine and cosine of twice the heading, rad.
     temperature_rad_per_k : float, optional
@@ -96,6 +98,7 @@ class Faults:
     bias: float | tuple[float, ...] = 0.0
     scale: float | None = None
     misalignment_rad: tuple[float, float, float] | None = None
+    lever_arm_m: tuple[float, float, float] | None = None
     deviation_rad: tuple[float, float, float, float, float] | None = None
     temperature_rad_per_k: float | None = None
     current_m_s: tuple[float, float] | None = None

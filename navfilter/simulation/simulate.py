@@ -205,12 +205,30 @@ class _Scene:
         time_s = self.ticks(rate_hz)
         error = self.error(name, sensor.models, rate_hz, time_s, sensor.axes)
         truth = self.truth(name, sensor, error, time_s)
+        late_s = self.lateness(name, sensor)
         try:
-            return self.stamp(name, time_s, *sensor.simulated(self.motion.at(time_s), truth))
+            return self.stamp(name, time_s, *self.placed(name, sensor).simulated(self.motion.at(time_s), truth), late_s)
         except ValueError as reason:
             raise ValueError(f'"{name}": {reason}') from None
 
-    def stamp(self, name: str, time_s: Array, value: Array, columns: tuple[str, ...]) -> Stream:
+    def placed(self, name: str, sensor: Sensor) -> Sensor:
+        """The sensor where it really is."""
+        off = self.calibration(name, "lever arm", self.fault(name).lever_arm_m, sensor.lever_arm_sd_m, 3)
+        if not np.any(off):
+            return sensor
+        if not sensor.has_lever_arm:
+            raise ValueError(f"a {type(sensor).__name__} has no lever arm.")
+        arm = np.asarray(sensor.lever_arm_b_m, dtype=np.float64) + off  # type: ignore[attr-defined]
+        return dataclasses.replace(sensor, lever_arm_b_m=tuple(arm.tolist()))  # type: ignore[call-arg]
+
+    def lateness(self, name: str, sensor: Sensor | None) -> float:
+        """By how much the stamps of a sensor are late [s], as its description states it."""
+        if sensor is None:
+            return 0.0
+        off = self.calibration(name, "time offset", None, sensor.time_offset_sd_s, 1)
+        return sensor.time_offset_s + float(off[0])
+
+    def stamp(self, name: str, time_s: Array, value: Array, columns: tuple[str, ...], late_s: float = 0.0) -> Stream:
         """Round, leave out what the sensor could not read, and put the time stamps on."""
         fault = self.fault(name)
         value = quantise(value, fault.quantisation)
@@ -225,7 +243,7 @@ class _Scene:
             keep &= ~lost
         else:
             value = np.where(lost[:, None], math.nan if fault.dropout_reading == "nan" else 0.0, value)
-        stamps = time_s + fault.time_offset_s
+        stamps = time_s + (fault.time_offset_s + late_s)
         if fault.time_jitter_sd_s > 0.0:
             stamps += fault.time_jitter_sd_s * generator(self.seed, name, "jitter").normal(size=stamps.size)
         order = np.argsort(stamps[keep], kind="stable")
@@ -277,7 +295,7 @@ def _drive_streams(scene: _Scene, drive: Mechanisation) -> dict[str, Stream]:
     plain = dataclasses.replace(drive.compass, bias_sd_rad=0.0) if drive.compass else None
     truth = scene.truth("attitude", plain, error, time_s)
     return {
-        "attitude": scene.stamp("attitude", time_s, *attitude(here, truth)),
+        "attitude": scene.stamp("attitude", time_s, *attitude(here, truth), scene.lateness("attitude", drive.compass)),
         "velocity": scene.record("velocity", drive.velocity_sensor, drive.rate_hz),
     }
 
