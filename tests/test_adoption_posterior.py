@@ -46,29 +46,33 @@ class Changing(Capture):
         monkeypatch.setattr(running, "state_change", change)
 
 
-def learnt(ar=(), ma=(), sd=1.0, spread=None):
-    return LearnedArma(model=ArmaModel(ar, ma, sd, sd_log_s0=spread))
+def learnt(ar=(), ma=(), sd=1.0, slow=None):
+    return LearnedArma(model=ArmaModel(ar, ma, sd), slow=slow)
 
 
 FAST, SLOW = ((-1.6, 0.7), (0.4,)), ((-1.2, 0.3), (-0.5,))
 LONG = ((-1.6, 0.9, -0.3, 0.1), (0.4, 0.1, -0.2, 0.05))
+ROUGH, SMOOTH = nf.GaussMarkov(sd=0.3 * DEG, tau_s=8.0), nf.GaussMarkov(sd=0.5 * DEG, tau_s=20.0, order=2)
+OTHER = nf.GaussMarkov(sd=0.6 * DEG, tau_s=4.0) + nf.GaussMarkov(sd=0.2 * DEG, tau_s=60.0, order=2)
+METRES = nf.GaussMarkov(sd=0.5, tau_s=10.0)
 COMPASS = [
-    (0.7, "compass", learnt((-0.9,), (), 0.5 * DEG)),  # from a fixed model to a register
-    (1.3, "compass", learnt((-0.7,), (), 0.8 * DEG, spread=0.4)),  # the coefficients alone
-    (1.9, "compass", learnt(*FAST, 0.4 * DEG)),
-    (2.4, "compass", learnt(*SLOW, 0.4 * DEG)),
-    (2.9, "compass", learnt(*LONG, 0.4 * DEG)),
+    (0.7, "compass", learnt((-0.9,), (), 0.5 * DEG, ROUGH + SMOOTH)),  # from a fixed model to a register and slow parts
+    (1.3, "compass", learnt((-0.7,), (), 0.8 * DEG, OTHER)),  # the coefficients and sizes alone
+    (1.9, "compass", learnt(*FAST, 0.4 * DEG, SMOOTH + ROUGH)),  # slow parts of other orders
+    (2.4, "compass", learnt(*SLOW, 0.4 * DEG, ROUGH)),
+    (2.9, "compass", learnt(*LONG, 0.4 * DEG)),  # no slow part any more
     (3.4, "compass", learnt((-0.9,), (), 0.5 * DEG)),
     (4.0, "compass", learnt(sd=1.0 * DEG)),  # white: no state at all
-    (4.6, "compass", learnt(*FAST, 0.4 * DEG)),
+    (4.3, "compass", learnt(sd=1.0 * DEG, slow=SMOOTH)),  # nothing but a slow part
+    (4.6, "compass", learnt(*FAST, 0.4 * DEG, OTHER)),
     (5.2, "compass", nf.GaussMarkov(sd=1.0 * DEG, tau_s=5.0) + nf.White(sd=0.2 * DEG)),
 ]
 WALK, WHITE = nf.RandomWalk(density=0.1, start_sd=0.5), nf.White(sd=0.05)
 OTHERS = [
     (0.9, "dvl", (learnt((-0.9,), (), 0.1), learnt(sd=0.1), learnt(*FAST, 0.05))),
-    (1.1, "depth", WALK + learnt((-0.5,), (0.2,), 0.2)),
-    (1.6, "gps", learnt((-1.2, 0.4), (), 1.0)),
-    (2.6, "depth", WALK + learnt((-0.5, 0.2), (), 0.2)),
+    (1.1, "depth", WALK + learnt((-0.5,), (0.2,), 0.2, METRES)),
+    (1.6, "gps", learnt((-1.2, 0.4), (), 1.0, METRES + METRES)),
+    (2.6, "depth", WALK + learnt((-0.5, 0.2), (), 0.2, METRES)),
     (2.7, "dvl", (WHITE + learnt(*LONG, 0.05), learnt((-0.9,), (), 0.1), learnt(*SLOW, 0.05))),
     (3.7, "gps", (learnt((), (0.5, 0.2), 1.0), nf.GaussMarkov(sd=2.0, tau_s=20.0), learnt((-0.9,), (), 1.0))),
     (4.3, "dvl", nf.GaussMarkov(sd=0.1, tau_s=2.0) + nf.White(sd=0.05)),
