@@ -140,10 +140,9 @@ class Navigator:
 
         Notes
         -----
-        Samples that do not come after the last one are dropped, and so is a single stamp far ahead
-        (`navfilter.filter.intake.Intake`); a sample with a NaN or an impossible value repeats the one before (an
-        invalid DVL velocity is held, with growing uncertainty). All are counted in `counts`, like gaps of more than
-        three periods.
+        Samples that do not come after the last one are dropped, and so is a single stamp far ahead (`Intake`); one with
+        a NaN or an impossible value repeats the one before (an invalid DVL velocity is held, with growing uncertainty).
+        All are counted in `counts`, like gaps of more than three periods.
         """
         try:
             if isinstance(time_s, float) and len(first) == 3 == len(second):
@@ -248,8 +247,7 @@ class Navigator:
         """Give samples or a reading, in order, to filter and learning; users call `step` and `correct`."""
         learning = self.learning
         if isinstance(item, np.ndarray):
-            if learning.beginning is not None:
-                learning.keep(item)
+            learning.keep(item)
             self.filter.advance(item, self._told, self._room)
             return None
         if item.time_s >= learning.early_s:

@@ -426,9 +426,8 @@ class Filter:
         """
         memory = self.memory
         models = tuple((dict(memory.models) | {change.sensor: change.error}).items())
-        self.vehicle.with_error(
-            **{change.sensor: change.error}
-        )  # refuses what cannot be adopted before anything has changed
+        # refuses what cannot be adopted before anything has changed
+        self.vehicle.with_error(**{change.sensor: change.error})
         if memory.unfolded:
             tell(self._fold())
         before, old = self.layout, self.in_force
