@@ -26,8 +26,8 @@ class Effort:
         changed, or an earlier fit was a poor one.
     windows_remembered : float
         Evidence for the slow part is forgotten over so many windows.
-    smooth_passes : int
-        Passes of a fit with a slow part of second order.
+    smooth_passes, late_smooth_passes : int
+        Passes of a fit with a slow part of second order, while the window fills and later.
     race_passes : int
         Passes of each of several starts before the leader goes on alone.
     zero_radius : float
@@ -56,6 +56,7 @@ class Effort:
     contradicted: float = 20.0
     windows_remembered: float = 4.0
     smooth_passes: int = 5
+    late_smooth_passes: int = 3
     race_passes: int = 2
     zero_radius: float = 0.9995
     gain_tolerance: float = 0.1

@@ -255,17 +255,19 @@ class Learner:
         )
         if self.prior is None or not likely:
             return found, None
-        starts, passes = {}, EFFORT.smooth_passes
-        if self._memory.heard >= self.window // 2:
-            for order, known in self._memory.smooth.items():
-                starts[order], passes = known.copy(), EFFORT.late_passes
-                starts[order][sum(order) : sum(order) + 2] += likelihood.log_unit
-        # beside a smooth slow part the fast one is often the smallest
-        for order in () if starts else {best, min(fits)}:
-            starts[order] = with_slow_part(likelihood, likelihood.fast(fits[order].theta, 1), order[0], 2)
-        values = {k: likelihood.penalised(start, k[0], 2) + 0.5 * sum(k) * math.log(n) for k, start in starts.items()}
-        order = min(values, key=lambda k: values[k])
-        point = maximise(likelihood, [starts[order]], order[0], passes, 2)
+        # beside a smooth slow part the fast one is often the smallest; an earlier estimate may be in the wrong optimum
+        young = self._memory.heard < self.window // 2
+        starts = [
+            (order, with_slow_part(likelihood, likelihood.fast(fits[order].theta, 1), order[0], 2))
+            for order in ({best, min(fits)} if young or not self._memory.smooth else {min(fits)})
+        ]
+        for order, known in self._memory.smooth.items():
+            moved = known.copy()
+            moved[sum(order) : sum(order) + 2] += likelihood.log_unit
+            starts.append((order, moved))
+        values = [likelihood.penalised(start, k[0], 2) + 0.5 * sum(k) * math.log(n) for k, start in starts]
+        order, start = starts[int(np.argmin(values))]
+        point = maximise(likelihood, [start], order[0], EFFORT.smooth_passes if young else EFFORT.late_smooth_passes, 2)
         if not math.isfinite(point.value):
             return found, None
         return (point if self._score(point, n) < lowest else found), (order, point)
