@@ -167,10 +167,8 @@ class Navigator:
         self._carry(samples)
 
     def _carry(self, samples: Array) -> None:
-        if self._history is None:
-            self.feed(samples)
-        elif len(samples):
-            self._history.feed(samples)
+        if len(samples):
+            (self if self._history is None else self._history).feed(samples)
 
     def correct(self, name: str, time_s: float, value: ArrayLike, sd: ArrayLike | None = None) -> Outcome:
         """Correct the state with a reading of a named sensor.
@@ -211,9 +209,9 @@ class Navigator:
 
     def finish(self) -> None:
         """Take the readings that still wait (`Outcome`): no more samples come."""
-        self._release(math.inf)
+        self._release()
 
-    def _release(self, time_s: float) -> None:
+    def _release(self, time_s: float = math.inf) -> None:
         for reading in self._waiting.due(time_s):
             self._noted(reading)
 

@@ -295,7 +295,7 @@ def test_command_writes_a_sheet_and_a_drive_that_a_vehicle_takes(still, tmp_path
     for name in figures:
         ElementTree.parse(tmp_path / "sheet" / name)
     page = (tmp_path / "sheet" / "identify.html").read_text()
-    assert page.count("data:image/svg+xml;base64,") == len(figures) and 'src="http' not in page
+    assert page.count("data:image/svg+xml,") == len(figures) and 'src="http' not in page
     (tmp_path / "vehicle.toml").write_text(
         (tmp_path / "sheet" / "drive.toml").read_text() + '\n[sensors.depth]\ntype = "depth"\n'
     )

@@ -108,7 +108,7 @@ def test_what_cannot_be_is_refused(tmp_path, more, message):
 
 def test_what_drives_takes_none(tmp_path):
     with pytest.raises(MissionError, match="what drives takes none"):
-        stream_of(tmp_path, 'sd = "sd_x"', stream="attitude", group='attitude = ["d", "d", "d"]')
+        stream_of(tmp_path, 'sd = "sd_x"', stream="imu", group='rate = ["d", "d", "d"]\nforce = ["d", "d", "d"]')
 
 
 def test_it_stays_with_its_reading(tmp_path):

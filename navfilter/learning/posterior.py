@@ -36,7 +36,7 @@ FLATTEST = 0.5
 #: A line so far below the best is not followed until forgetting has brought it back.
 DEAD = 9.0
 #: Steps between two nodes of ln tau.
-STEPS = 7
+STEPS = 5
 #: A part with less than this of the slow variance is left out.
 LEAST_SHARE = 1e-4
 

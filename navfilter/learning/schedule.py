@@ -244,7 +244,7 @@ class LearningSchedule:
         levels = self._present_levels()
         again = any(
             abs(math.log(new / old)) > self.ANOTHER
-            for name in levels
+            for name in self._levels
             for new, old in zip(levels[name], self._levels[name], strict=True)
         )
         if again:

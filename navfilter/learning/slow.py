@@ -74,8 +74,8 @@ class SlowPrior:
 
     @property
     def taus_s(self) -> Array:
-        """Nodes of the correlation time: a fiftieth of the span, and so on up to two and a half times it [s]."""
-        return self.span_s * np.geomspace(0.02, 2.5, 6)
+        """Nodes of the correlation time: a fiftieth of the span, and by twos up to two and a half times it [s]."""
+        return self.span_s / 50.0 * 2.0 ** np.arange(8.0)
 
     @property
     def sd_limits(self) -> tuple[float, float]:

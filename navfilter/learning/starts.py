@@ -28,7 +28,7 @@ BUMP_TAUS, BUMP_FACTORS = (1.5, 5.0, 16.0, 50.0), (12.0,)
 # A pair of each more: periods in ticks, cycles in which the oscillation decays, factors by which they raise its power.
 PERIODS, DECAYS, PEAKS = np.geomspace(2.5, 160.0, 11), (1.0, 4.0), (40.0,)
 # A slow part: of the prior's standard deviation, correlation times among its nodes.
-SLOW_SDS, SLOW_NODES = (0.08, 0.22, 0.5, 1.2), (0, 1, 3)
+SLOW_SDS, SLOW_NODES = (0.08, 0.22, 0.5, 1.2), (0, 2, 4)
 
 
 def padded_start(theta: Array, p: int, up_p: int, up_q: int) -> Array:
