@@ -158,8 +158,8 @@ def identified(
     """Error models identified on a whole mission: replay, fit every `LearnedArma` to all that was heard, replay with
     the fits, fit again.
 
-    Ends when the models have settled: ln S(0) and the innovations' sd of every axis change by less than `SETTLED` of
-    their own standard deviation.
+    Ends when the models have settled: the spectrum of every axis changes by less than `SETTLED` of its own standard
+    deviation.
 
     Parameters
     ----------

@@ -19,6 +19,7 @@ from navfilter.learning.learned import LearnedArma, learned_part, learning_part
 from navfilter.learning.learner import Learner
 from navfilter.learning.low_frequency import zero_frequency
 from navfilter.learning.refit import change
+from navfilter.learning.spectrum import Spectrum
 from navfilter.playback import SETTLED, identified, replay
 from navfilter.simulation.scenarios import survey_vehicle, transit
 from navfilter.simulation.simulate import simulate
@@ -133,17 +134,13 @@ def test_replay_iterated_is_a_replay_of_the_identified_vehicle():
 
 
 def test_a_slow_part_is_identified_and_frozen_with_the_fast_one():
-    """With a prior that allows for one; the round's change counts what the filter takes, slow parts included."""
+    """With a prior that allows for one."""
     vehicle, mission = dive()
     learns = LearnedArma(prior=nf.GaussMarkov(sd=0.02, tau_s=60.0), orders=ORDERS, window=2000)
     found = identified(vehicle.with_error(compass=learns), mission, 2)
     part = compass(found)
     assert part.frozen and part.slow_parts and part.spectrum is not None
-    wider = dataclasses.replace(part, slow=nf.GaussMarkov(sd=0.1, tau_s=60.0))
-    before, after = (dive()[0].with_error(compass=each) for each in (part, wider))
     assert change(found, found) == 0.0
-    levels = [block_level(each.block(PERIOD_S)) for each in (part, wider)]
-    assert change(before, after) == pytest.approx(math.log(levels[1] / levels[0]) / part.model.sd_log_s0)
 
 
 def test_a_single_round_fits_what_was_heard_while_learning():
@@ -165,17 +162,20 @@ def _first(stream, count):
 
 
 def test_change_counts_in_standard_deviations():
-    """S(0) in its own, the innovations in 1 / sqrt(2 n)."""
-    model = ArmaModel([-0.9], [], 0.1, sd_log_s0=0.5, effective_window=5000.0)
+    """Of the logarithm of the spectrum, from the width of its band; a tenth of the power is not told apart."""
+    at = (0.01, 0.1, 1.0)
+    wide = Spectrum(at, (0.5, 0.5, 0.95), (1.0, 1.0, 1.0), (2.0, 2.0, 1.05), 0.4)
 
-    def vehicle(model):
-        return dive()[0].with_error(compass=dataclasses.replace(LEARNS, model=model))
+    def vehicle(spectrum):
+        model = None if spectrum is None else ArmaModel([-0.9], [], 0.1)
+        return dive()[0].with_error(compass=dataclasses.replace(LEARNS, model=model, spectrum=spectrum))
 
-    pole = dataclasses.replace(model, ar=np.array([-0.8]))
-    assert change(vehicle(model), vehicle(pole)) == pytest.approx(2.0 * math.log(2.0) / 0.5)
-    larger = dataclasses.replace(model, sd=0.1 * math.exp(0.03), sd_log_s0=10.0)
-    assert change(vehicle(model), vehicle(larger)) == pytest.approx(3.0)
-    assert change(vehicle(model), vehicle(model)) == 0.0 and change(vehicle(None), vehicle(model)) == math.inf
+    def moved(*factors):
+        return dataclasses.replace(wide, median=factors)
+
+    assert change(vehicle(moved(1.0, 2.0, 1.0)), vehicle(wide)) == pytest.approx(3.29 / 2.0)  # ln 4 is 3.29 sd
+    assert change(vehicle(moved(1.0, 1.0, math.exp(0.03))), vehicle(wide)) == pytest.approx(0.3)
+    assert change(vehicle(wide), vehicle(wide)) == 0.0 and change(vehicle(None), vehicle(wide)) == math.inf
     assert change(vehicle(None), vehicle(None)) == 0.0
 
 

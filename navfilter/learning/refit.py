@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from navfilter.error_models import ErrorModel, block_level
+from navfilter.error_models import ErrorModel
 from navfilter.learning.learned import LONGEST_SPAN_S, LearnedArma, learned_part, learning_part, with_learned
 from navfilter.learning.limits import LEAST
 from navfilter.learning.listener import ChannelSeries
@@ -68,8 +68,8 @@ def _fitted(model: ErrorModel, channel: ChannelSeries) -> ErrorModel:
 
 
 def change(before: Vehicle, after: Vehicle) -> float:
-    """How far the models of two rounds are apart: the largest change of ln S(0) or of ln sd of any axis, in its own
-    standard deviation.
+    """How far the models of two rounds are apart: the largest change of the logarithm of any axis's spectrum, in its
+    own standard deviation.
 
     Parameters
     ----------
@@ -79,25 +79,26 @@ def change(before: Vehicle, after: Vehicle) -> float:
     Returns
     -------
     float
-        Infinite where only one of them has a model of an axis. The sd of ln sd is ``1 / sqrt(2 n)`` for n samples
-        behind a model.
+        Infinite where only one of them has a model of an axis. The median of the posterior is compared at each of its
+        frequencies; a tenth of the power is not told apart.
     """
     largest = 0.0
     for name, sensor in after.sensors.items():
-        for old, new in zip(
-            map(learned_part, before.sensors[name].models), map(learned_part, sensor.models), strict=True
-        ):
-            largest = max(largest, _apart(old, new, 1.0 / sensor.rate_hz))
+        pairs = zip(map(learned_part, before.sensors[name].models), map(learned_part, sensor.models), strict=True)
+        largest = max([largest, *(_apart(old, new) for old, new in pairs)])
     return largest
 
 
-def _apart(old: LearnedArma | None, new: LearnedArma | None, period_s: float) -> float:
-    one, other = (None if part is None else part.model for part in (old, new))
-    if old is None or new is None or one is None or other is None:
+#: What is not told apart, in the logarithm of the power.
+INDISTINCT = 0.1
+
+
+def _apart(old: LearnedArma | None, new: LearnedArma | None) -> float:
+    one, other = (None if part is None else part.spectrum for part in (old, new))
+    if one is None or other is None:
         return 0.0 if one is other else math.inf
-    if old == new:
-        return 0.0
-    level = abs(math.log(block_level(new.block(period_s)) / block_level(old.block(period_s)))) / (
-        other.sd_log_s0 or 1.0
-    )
-    return max(level, abs(math.log(other.sd / one.sd)) * math.sqrt(2.0 * max(other.effective_window or 1.0, 1.0)))
+    at = np.log(other.frequency_hz)
+    before = np.interp(at, np.log(one.frequency_hz), np.log(one.median))
+    # half the width of the band from 5 to 95 % is 1.64 standard deviations
+    sd = np.maximum(np.log(np.divide(other.high, other.low)) / 3.29, INDISTINCT)
+    return float(np.max(np.abs(np.log(other.median) - before) / sd))
