@@ -85,24 +85,34 @@ class SlowPosterior:
         return SlowNode(int(self.order[best]), float(np.exp(self.log_sd[best])), float(self.tau_s[best]))
 
     def parts(self) -> tuple[GaussMarkov, ...]:
-        """At most two processes whose sum has the mean variance and zero-frequency power of the posterior.
+        """At most two processes whose sum has the mean variance of the posterior, its zero-frequency power and, where
+        they are of first order, its driving noise.
 
         The mean covariance function is a sum over all nodes: what is quicker than its mean ln tau goes into one
-        process, what is slower into another, so that a few long correlation times do not make all of it slow.
+        process, what is slower into another, so that a few long correlation times do not make all of it slow. The
+        quicker one takes the driving noise, which is what the next reading shows; the slower one what is left of S(0).
         """
         order, tau, variance = self.moments[:, 0], self.moments[:, 1], self.moments[:, 2] * self.moments[:, 3]
         total = float(variance.sum())
         if not total > 0.0:
             return ()
         quick = np.log(tau) <= float(variance @ np.log(tau)) / total
-        out = []
-        for half in (quick, ~quick):
-            part = float(variance[half].sum())
-            if part > LEAST_SHARE * total:
-                second = float(variance[half & (order == 2)].sum()) > 0.5 * part
-                mean = float(variance[half] @ tau[half]) / part
-                out.append(GaussMarkov(sd=math.sqrt(part), tau_s=mean, order=2 if second else 1))
-        return tuple(out)
+        halves = [half for half in (quick, ~quick) if float(variance[half].sum()) > LEAST_SHARE * total]
+        sizes = [float(variance[half].sum()) for half in halves]
+        means = [float(variance[half] @ tau[half]) / size for half, size in zip(halves, sizes, strict=True)]
+        orders = [
+            2 if float(variance[half & (order == 2)].sum()) > 0.5 * size else 1
+            for half, size in zip(halves, sizes, strict=True)
+        ]
+        if orders == [1, 1]:
+            power = sizes[0] * means[0] + sizes[1] * means[1]
+            driving = float((variance / tau)[order == 1].sum()) - sizes[1] / means[1]
+            means[0] = min(means[0], max(sizes[0] / max(driving, 1e-300), float(tau.min())))
+            means[1] = (power - sizes[0] * means[0]) / sizes[1]
+        return tuple(
+            GaussMarkov(sd=math.sqrt(size), tau_s=mean, order=n)
+            for size, mean, n in zip(sizes, means, orders, strict=True)
+        )
 
 
 def slow_psd(order: Array, sd: Array, tau_s: Array, frequency_hz: Array) -> Array:
