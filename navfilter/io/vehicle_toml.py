@@ -27,7 +27,7 @@ from pydantic import AfterValidator, Discriminator, Field, Tag, create_model, mo
 from navfilter.arma.model import ArmaModel
 from navfilter.error_models import ErrorModel, Sum
 from navfilter.io.validation import Strict, inside, listed, read_toml, validate
-from navfilter.io.vehicle_keys import checked, plain_key, spellings, times
+from navfilter.io.vehicle_keys import checked, constants, plain_key, spellings, times
 from navfilter.learning.learned import LearnedArma
 from navfilter.mechanisation import Mechanisation
 from navfilter.sensors import Sensor
@@ -216,6 +216,9 @@ def _adopted_spec() -> type[_Spec]:
 
 def _type_of(hint: Any, name: str, owner: type, kinds: Kinds) -> Any:
     """What a field may hold in a file: numbers as they are, errors and nested sensors as tables."""
+    if name == "calibrated":
+        pair: Any = tuple[checked(float, ""), checked(float, "sd")]  # type: ignore[misc]
+        return Annotated[dict[str, pair], AfterValidator(constants)]
     members = _members(hint)
     if ArmaModel in members:
         return _adopted_spec() | None
@@ -405,6 +408,8 @@ def _plain(value: Any, owner: type, field: str) -> Any:
         return _table(value)
     if isinstance(value, ArmaModel):
         return _adopted(value)
+    if field == "calibrated":
+        return {name: (found, sd) for name, found, sd in value}
     if isinstance(value, tuple) and value and isinstance(value[0], ErrorModel):
         return {name: _plain(part, owner, field) for name, part in zip(_axes_of(owner, field), value, strict=True)}
     return value
