@@ -5,7 +5,7 @@ Arrays shared with the navigator (all float64, C-contiguous):
 ``nav`` (17,)   latitude, longitude [rad], height [m], velocity_n (3) [m/s], C_nb row by row (9), meridian and
 prime-vertical
                 radius plus height [m].
-``drv`` (87,)   memory and settings of the drive, see the index constants below. ``samples`` (n, 7)  seconds since the
+``drv`` (88,)   memory and settings of the drive, see the index constants below. ``samples`` (n, 7)  seconds since the
 previous sample, then the six values of the drive. ``Cr`` (6, k+1) output rows C of the drive's error blocks, and in the
 last column the white variance of one sample. ``acc`` (4m, m) compound transition Phi and noise Q since the last fold (m
 rows each), then two m-row work areas. m = 9 + k.
@@ -47,8 +47,10 @@ TURN_RATE = 64
 # six readings change (6), the last velocity that was one and whether there is one (4), and what the last turn did to a
 # lever arm, per second (9).
 ATTITUDE_CLOCK, VELOCITY_CLOCK, ARM, CHANGE, PREVIOUS_VELOCITY, KNOWN_VELOCITY, ARM_TURN = 65, 66, 67, 68, 74, 77, 78
+# 1: dead reckoning has a scale of the velocity for each axis, 0: one for all.
+SCALE_STEP = 87
 PLACES = [DEVIATION, SCALE, ARM, ATTITUDE_CLOCK, VELOCITY_CLOCK]
-DRIVE_SIZE = 87
+DRIVE_SIZE = 88
 CHANGE_S = 0.1  # what changes is a mean over so long, for readings that come faster are noisy
 MOST_TICKS = 10000.0  # of the drive's blocks in one step
 GAP_PERIODS = 3.0  # a silence of more than this many periods is a gap: what the vehicle did in it is unknown
@@ -510,7 +512,7 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
         span, held = samples[n, 0], drv[HELD_S]
         drv[HELD_S] = 0.0
         # -- the sensors' own errors
-        dev, par = int(drv[DEVIATION]), int(drv[SCALE])
+        dev, par, step = int(drv[DEVIATION]), int(drv[SCALE]), int(drv[SCALE_STEP])
         late_a, late_v, arm = int(drv[ATTITUDE_CLOCK]), int(drv[VELOCITY_CLOCK]), int(drv[ARM])
         for i in range(6):
             err[i] = 0.0
@@ -586,20 +588,21 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
                 F[3 + i, 7] = B[i, 2] * nav[3] - B[i, 0] * nav[5]
                 F[3 + i, 8] = B[i, 0] * nav[4] - B[i, 1] * nav[3]
         else:
-            g, a, b, c = 1.0, 0.0, 0.0, 0.0
+            g0, g1, g2, a, b, c = 1.0, 1.0, 1.0, 0.0, 0.0, 0.0
             if par >= 0:
-                g += xd[par]
-                a, b, c = xd[par + 1], xd[par + 2], xd[par + 3]
-            h = 1.0 / (g * (1.0 + a * a + b * b + c * c))
+                g0, g1, g2 = 1.0 + xd[par], 1.0 + xd[par + step], 1.0 + xd[par + 2 * step]
+                a, b, c = xd[par + 2 * step + 1], xd[par + 2 * step + 2], xd[par + 2 * step + 3]
+            h = 1.0 + a * a + b * b + c * c
+            h0, h1, h2 = 1.0 / (g0 * h), 1.0 / (g1 * h), 1.0 / (g2 * h)
             for i in range(3):
                 # row i of C M, then times the inverse of (1 + scale)(I + [misalignment x])
                 r0 = C[i, 0] * M[0] + C[i, 1] * M[3] + C[i, 2] * M[6]
                 r1 = C[i, 0] * M[1] + C[i, 1] * M[4] + C[i, 2] * M[7]
                 r2 = C[i, 0] * M[2] + C[i, 1] * M[5] + C[i, 2] * M[8]
                 d = r0 * a + r1 * b + r2 * c
-                J[3 + i, 3] = h * (r0 + d * a - r1 * c + r2 * b)
-                J[3 + i, 4] = h * (r1 + d * b + r0 * c - r2 * a)
-                J[3 + i, 5] = h * (r2 + d * c - r0 * b + r1 * a)
+                J[3 + i, 3] = h0 * (r0 + d * a - r1 * c + r2 * b)
+                J[3 + i, 4] = h1 * (r1 + d * b + r0 * c - r2 * a)
+                J[3 + i, 5] = h2 * (r2 + d * c - r0 * b + r1 * a)
             z0, z1, z2 = samples[n, 4] - err[3], samples[n, 5] - err[4], samples[n, 6] - err[5]
             for i in range(3):
                 u[i] = J[3 + i, 3] * z0 + J[3 + i, 4] * z1 + J[3 + i, 5] * z2
@@ -656,15 +659,24 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
                 err[i] = 0.0
                 for j in range(3):
                     err[i] += (C[j, 0] * M[i] + C[j, 1] * M[3 + i] + C[j, 2] * M[6 + i]) * u[j]
+            turned = par + 2 * step + 1
             g = 1.0 + xd[par]
-            a, b, c = xd[par + 1], xd[par + 2], xd[par + 3]
+            a, b, c = xd[turned], xd[turned + 1], xd[turned + 2]
+            r1, r2 = (1.0 + xd[par + step]) / g, (1.0 + xd[par + 2 * step]) / g
             y0, y1, y2 = err[0], err[1], err[2]
             for i in range(9):
                 j0, j1, j2 = J[i, 3], J[i, 4], J[i, 5]
-                F[i, 9 + par] -= j0 * (y0 + b * y2 - c * y1) + j1 * (y1 + c * y0 - a * y2) + j2 * (y2 + a * y1 - b * y0)
-                F[i, 10 + par] -= g * (j2 * y1 - j1 * y2)
-                F[i, 11 + par] -= g * (j0 * y2 - j2 * y0)
-                F[i, 12 + par] -= g * (j1 * y0 - j0 * y1)
+                t0, t1, t2 = j0 * (y0 + b * y2 - c * y1), j1 * (y1 + c * y0 - a * y2), j2 * (y2 + a * y1 - b * y0)
+                if step == 0:
+                    F[i, 9 + par] -= t0 + t1 + t2
+                else:
+                    F[i, 9 + par] -= t0
+                    F[i, 10 + par] -= t1
+                    F[i, 11 + par] -= t2
+                j1, j2 = r1 * j1, r2 * j2  # by the scales of the other axes
+                F[i, 9 + turned] -= g * (j2 * y1 - j1 * y2)
+                F[i, 10 + turned] -= g * (j0 * y2 - j2 * y0)
+                F[i, 11 + turned] -= g * (j1 * y0 - j0 * y1)
         _position_rows(nav, F, span - held, m)
         _move(
             nav,
