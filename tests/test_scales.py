@@ -67,7 +67,7 @@ def test_scales_and_misalignment_are_found_with_an_honest_sd(build):
     assert len(constants(track)) == 6
     # chi-square of 20: 0.37 to 2.0 holds 99 %, one of six states 0.28 to 2.3
     assert np.all((np.mean(square, axis=0) > 0.28) & (np.mean(square, axis=0) < 2.3)), np.mean(square, axis=0)
-    # what the speed along one axis looks like across it is told best; of the axis that sees speed in dives alone hardly anything
+    # what the speed along one axis looks like across it is told best, the axis that sees speed in dives alone hardly
     gained = np.median(gained, axis=0)
     assert np.all(gained < [0.6, 0.8, 1.0, 0.9, 0.6, 0.6]) and gained[2] > 0.8, gained
 
