@@ -344,7 +344,15 @@ def uncalibrated(build):
             for name, sensor in vehicle.sensors.items()
         }
         drive = vehicle.drive
-        if not drive.inertial:
+        if drive.inertial:
+            drive = replace(
+                drive,
+                gyro_scale_sd=0.02,
+                gyro_misalignment_sd_rad=0.01,
+                accel_scale_sd=(0.01, 0.02, 0.003),
+                accel_misalignment_sd_rad=0.01,
+            )
+        else:
             velocity = replace(drive.velocity, time_offset_sd_s=0.3, lever_arm_sd_m=(0.3, 0.2, 0.1), **each)
             attitude = replace(drive.attitude, time_offset_sd_s=0.2)
             drive = replace(drive, velocity=velocity, attitude=attitude)

@@ -64,6 +64,19 @@ def random_drive(rng, k, **settings):
     return drv, 0.02 * rng.normal(size=k), Phid, Qd, Cr, acc
 
 
+def uncalibrated_drive(rng, k, elements, **settings):
+    """As `random_drive` of k states, with elements of M (3 * channel + axis) behind them, which are constants."""
+    count, whole = len(elements), k + len(elements)
+    drv, xd, Phid, Qd, Cr, acc = random_drive(rng, whole, **settings)
+    drv[strapdown.CALIBRATED] = count
+    drv[strapdown.ELEMENTS : strapdown.ELEMENTS + count] = elements
+    constant = np.arange(whole) >= k
+    Phid[constant], Phid[:, constant], Cr[:, :whole][:, constant] = 0.0, 0.0, 0.0
+    Phid[constant, constant] = 1.0
+    Qd[constant], Qd[:, constant] = 0.0, 0.0
+    return drv, xd, Phid, Qd, Cr, acc
+
+
 def imu_samples(rng, n, increments=False):
     samples = np.column_stack(
         [np.full(n, 0.01), 0.3 * rng.normal(size=(n, 3)), rng.normal(loc=(0.0, 0.0, -9.8), size=(n, 3))]

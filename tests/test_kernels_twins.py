@@ -12,7 +12,16 @@ from pathlib import Path
 import naive
 import numpy as np
 import pytest
-from kernel_inputs import assert_close, imu_samples, random_drive, random_nav, readings, run_both, spd
+from kernel_inputs import (
+    assert_close,
+    imu_samples,
+    random_drive,
+    random_nav,
+    readings,
+    run_both,
+    spd,
+    uncalibrated_drive,
+)
 
 from navfilter.kernels import kalman, measurement, strapdown
 
@@ -113,11 +122,12 @@ def drive_result(args):
     return nav[:3], nav[3:6], nav[6:15], nav[15:], xd, drv, acc[:m], acc[m : 2 * m]
 
 
+@pytest.mark.parametrize("elements", [(), (0, 4, 8), (1, 2, 3, 5, 6, 7), tuple(range(18))], ids=len)
 @pytest.mark.parametrize("k", [0, 6])
 @pytest.mark.parametrize("increments", [False, True])
-def test_imu_kernels(k, increments):
+def test_imu_kernels(k, increments, elements):
     rng = np.random.default_rng(k)
-    drv, xd, Phid, Qd, Cr, acc = random_drive(rng, k, INCREMENTS=float(increments))
+    drv, xd, Phid, Qd, Cr, acc = uncalibrated_drive(rng, k, elements, INCREMENTS=float(increments))
     nav, n = random_nav(rng), 12
     for block in range(3):
         args = nav, xd, drv, imu_samples(rng, n, increments), Phid, Qd, Cr, acc

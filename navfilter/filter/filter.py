@@ -346,6 +346,7 @@ class Filter:
             recent = memory.recent[: self.vehicle.drive.remembered(since_s + abs(float(par[-1])))]
             outputs = self.drive_output[:, :-1]
             moved = self.vehicle.drive.motion(recent, nav, memory.drv, outputs @ self._xd)
+            outputs = self.vehicle.drive.outputs(outputs, memory.drv, self._xd)
             channel.sight.look(z, nav, self._rate, par, moved, since_s, outputs, channel.into)
         channel.R[:] = channel.white
         if sd is not None:

@@ -5,7 +5,7 @@ Arrays shared with the navigator (all float64, C-contiguous):
 ``nav`` (17,)   latitude, longitude [rad], height [m], velocity_n (3) [m/s], C_nb row by row (9), meridian and
 prime-vertical
                 radius plus height [m].
-``drv`` (88,)   memory and settings of the drive, see the index constants below. ``samples`` (n, 7)  seconds since the
+``drv`` (125,)  memory and settings of the drive, see the index constants below. ``samples`` (n, 7)  seconds since the
 previous sample, then the six values of the drive. ``Cr`` (6, k+1) output rows C of the drive's error blocks, and in the
 last column the white variance of one sample. ``acc`` (4m, m) compound transition Phi and noise Q since the last fold (m
 rows each), then two m-row work areas. m = 9 + k.
@@ -49,8 +49,11 @@ TURN_RATE = 64
 ATTITUDE_CLOCK, VELOCITY_CLOCK, ARM, CHANGE, PREVIOUS_VELOCITY, KNOWN_VELOCITY, ARM_TURN = 65, 66, 67, 68, 74, 77, 78
 # 1: dead reckoning has a scale of the velocity for each axis, 0: one for all.
 SCALE_STEP = 87
+# An inertial unit that is not calibrated: how many elements of M are states, which (3 * channel + axis each), and the
+# inverses of I + M of gyros and accelerometers, row by row.
+CALIBRATED, ELEMENTS, CALIBRATION = 88, 89, 107
 PLACES = [DEVIATION, SCALE, ARM, ATTITUDE_CLOCK, VELOCITY_CLOCK]
-DRIVE_SIZE = 88
+DRIVE_SIZE = 125
 CHANGE_S = 0.1  # what changes is a mean over so long, for readings that come faster are noisy
 MOST_TICKS = 10000.0  # of the drive's blocks in one step
 GAP_PERIODS = 3.0  # a silence of more than this many periods is a gap: what the vehicle did in it is unknown
@@ -378,12 +381,144 @@ def _finish(xd, Phid, Qd, ticks, acc):
 
 
 @njit(cache=True, error_model="numpy")
+def _inverse_calibration(x, drv):
+    """The inverses of I + M, in drv, from the elements x of M (cofactors)."""
+    A = np.empty(9)
+    for part in range(2):
+        for i in range(9):
+            A[i] = 1.0 if i % 4 == 0 else 0.0
+        for q in range(len(x)):
+            place = int(drv[ELEMENTS + q]) - 9 * part
+            if 0 <= place < 9:
+                A[place] += x[q]
+        at = CALIBRATION + 9 * part
+        for i in range(3):
+            for j in range(3):
+                a, b, c, d = 3 * ((j + 1) % 3), 3 * ((j + 2) % 3), (i + 1) % 3, (i + 2) % 3
+                drv[at + 3 * i + j] = A[a + c] * A[b + d] - A[a + d] * A[b + c]
+        whole = A[0] * drv[at] + A[1] * drv[at + 3] + A[2] * drv[at + 6]
+        for i in range(9):
+            drv[at + i] /= whole
+
+
+@njit(cache=True, error_model="numpy")
+def _calibrated(v, drv):
+    """Rates and forces, or what they gather, (6,) as a calibrated unit reads them: (I + M)^-1 v."""
+    for part in range(0, 6, 3):
+        at, a, b, c = CALIBRATION + 3 * part, v[part], v[part + 1], v[part + 2]
+        for i in range(3):
+            v[part + i] = drv[at + 3 * i] * a + drv[at + 3 * i + 1] * b + drv[at + 3 * i + 2] * c
+
+
+@njit(cache=True, error_model="numpy")
+def _calibration_columns(B, N, inc, dt, drv, F, pn, pe, pd):
+    """B <- F B + what the elements of M do in one step to position, velocity and attitude (9, N).
+
+    A reading is ``(I + M) u + error``, so that u errs by ``-(I + M)^-1 (element's axis of u)``; then as the drive's
+    other states, see `_inertial_advance`. They are constants: that is all of their transition.
+    """
+    C, T = drv[MEAN_C : MEAN_C + 9], np.zeros((9, N))
+    for i in range(9):
+        for j in range(9):
+            f = F[i, j]
+            if f != 0.0:
+                for q in range(N):
+                    T[i, q] += f * B[j, q]
+    for q in range(N):
+        code = int(drv[ELEMENTS + q])
+        channel, axis = code // 3, code % 3
+        part, at = 3 * (channel // 3), CALIBRATION + 9 * (channel // 3) + channel % 3
+        x, y, z = drv[at] * inc[part + axis], drv[at + 3] * inc[part + axis], drv[at + 6] * inc[part + axis]
+        a, b, c = -_row(C, 0, x, y, z), -_row(C, 3, x, y, z), -_row(C, 6, x, y, z)
+        u, v, w = a, b, c
+        if part == 0:
+            u, v, w = 0.5 * (b * pd - c * pe), 0.5 * (c * pn - a * pd), 0.5 * (a * pe - b * pn)
+            T[6, q] += a
+            T[7, q] += b
+            T[8, q] += c
+        T[3, q] += u
+        T[4, q] += v
+        T[5, q] += w
+        T[0, q] += 0.5 * dt * u
+        T[1, q] += 0.5 * dt * v
+        T[2, q] += 0.5 * dt * w
+    for i in range(9):
+        for q in range(N):
+            B[i, q] = T[i, q]
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _row(C, at, x, y, z):
+    return C[at] * x + C[at + 1] * y + C[at + 2] * z
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _copy(source, row, column, target, to_row, to_column, rows, columns):
+    """A part of one matrix into another."""
+    for i in range(rows):
+        for j in range(columns):
+            target[to_row + i, to_column + j] = source[row + i, column + j]
+
+
+@njit(cache=True, error_model="numpy")
+def _calibrated_run(nav, xd, drv, samples, held, Phid, Qd, Cr, acc):
+    """As `imu_steps`, or `imu_hold` for `held` seconds where that is not negative, of a unit with N elements of M among
+    its states, the last of them. Constants need no products of matrices: what they do is carried beside the rest.
+    """
+    N, m = int(drv[CALIBRATED]), 9 + len(xd)
+    c = m - N
+    k = c - 9
+    x, inner, B, inc = xd[:k], np.zeros((4 * c, c)), np.empty((9, N)), np.empty(6)
+    Phix, Qx, Cx = np.empty((k, k)), np.empty((k, k)), np.empty((6, k + 1))
+    _copy(acc, 0, 0, inner, 0, 0, c, c)
+    _copy(acc, m, 0, inner, c, 0, c, c)
+    _copy(acc, 0, c, B, 0, 0, 9, N)
+    _copy(Phid, 0, 0, Phix, 0, 0, k, k)
+    _copy(Qd, 0, 0, Qx, 0, 0, k, k)
+    _copy(Cr, 0, m - 9, Cx, 0, k, 6, 1)
+    _inverse_calibration(xd[k:], drv)
+    for s in range(k):
+        for i in range(6):
+            inc[i] = Cr[i, s]
+        _calibrated(inc, drv)
+        for i in range(6):
+            Cx[i, s] = inc[i]
+    for n in range(max(samples.shape[0], 1)):
+        if held < 0.0:
+            _increments(samples, n, drv, inc)
+            drv[COUNT] += 1.0
+            for i in range(6):
+                drv[SUMS + i] += samples[n, 1 + i]
+                drv[SQUARES + i] += samples[n, 1 + i] * samples[n, 1 + i]
+            dt, ticks = samples[n, 0] - drv[HELD_S], _ticks(samples[n, 0], drv)
+            drv[HELD_S] = 0.0
+        else:
+            dt, ticks = held, int(0)
+            for i in range(6):
+                inc[i] = drv[PREVIOUS + i] * (dt / drv[PERIOD_S] if drv[INCREMENTS] != 0.0 else dt)
+                drv[CONSUMED + i] += inc[i]
+            drv[HELD_S] += dt
+        _calibrated(inc, drv)
+        _inertial_advance(nav, x, inc, dt, drv, Cx, inner)
+        pn, pe, pd = inner[3 * c + 3, 0], inner[3 * c + 3, 1], inner[3 * c + 3, 2]
+        _calibration_columns(B, N, inc, dt, drv, inner[2 * c : 3 * c], pn, pe, pd)
+        _finish(x, Phix, Qx, ticks, inner)
+        _inertial_noise(dt, drv, Cx, inner, c)
+    _copy(inner, 0, 0, acc, 0, 0, c, c)
+    _copy(inner, c, 0, acc, m, 0, c, c)
+    _copy(B, 0, 0, acc, 0, c, 9, N)
+
+
+@njit(cache=True, error_model="numpy")
 def imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
     """Strapdown over a block of samples (rates or increments) with coning and sculling by the linear-rate assumption.
 
     Increments already used by `imu_hold` since the previous sample are taken off, so that holds change when the state
     is known, not what it becomes. Savage (1998), parts 1 and 2; Groves (2013), ch. 5.
     """
+    if drv[CALIBRATED] != 0.0:
+        _calibrated_run(nav, xd, drv, samples, -1.0, Phid, Qd, Cr, acc)
+        return
     m = 9 + len(xd)
     inc = np.empty(6)
     for n in range(samples.shape[0]):
@@ -402,6 +537,9 @@ def imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
 @njit(cache=True, error_model="numpy")
 def imu_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc):
     """Carry the state `dt` seconds past the last sample with that sample's rates; the blocks do not tick."""
+    if drv[CALIBRATED] != 0.0:
+        _calibrated_run(nav, xd, drv, np.empty((0, 7)), dt, Phid, Qd, Cr, acc)
+        return
     inc = np.empty(6)
     scale = dt / drv[PERIOD_S] if drv[INCREMENTS] != 0.0 else dt
     for i in range(6):
