@@ -99,13 +99,17 @@ def _compound(acc, m):
     """
     Phi, Q, F, T = acc[:m], acc[m : 2 * m], acc[2 * m : 3 * m], acc[3 * m :]
     np.dot(F, Phi, T)
-    Phi[:] = T
+    for i in range(m):
+        for j in range(m):
+            Phi[i, j] = T[i, j]
     np.dot(F, Q, T)
     for i in range(m):
         for j in range(m):
             Q[i, j] = T[j, i]
     np.dot(F, Q, T)
-    Q[:] = T
+    for i in range(m):
+        for j in range(m):
+            Q[i, j] = T[i, j]
 
 
 @njit(cache=True, error_model="numpy")
@@ -587,7 +591,7 @@ def imu_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc):
     drv[HELD_S] += dt
     _inertial_advance(nav, xd, inc, dt, drv, Cr, f)
     C = drv[MEAN_C : MEAN_C + 9]
-    _inertial_compound(xd, Phid, Qd, diagonal, 0, C, f, seen, gain[:count], plain, E, T, Phi, Q)
+    _inertial_compound(xd, Phid, Qd, diagonal, int(0), C, f, seen, gain[:count], plain, E, T, Phi, Q)
     _inertial_noise(dt, drv, Cr, Q, k)
     _from_panels(Phi, acc[:m])
     _from_panels(Q, acc[m : 2 * m])
@@ -898,6 +902,6 @@ def dead_reckoning_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc):
     _position_rows(nav, F, dt, m)
     _move(nav, dt * nav[3], dt * nav[4], dt * nav[5])
     drv[HELD_S] += dt
-    _finish(xd, Phid, Qd, 0, acc)
+    _finish(xd, Phid, Qd, int(0), acc)
     for i in range(6, 9):
         Q[i, i] += (drv[TURN_RATE] * dt) ** 2
