@@ -316,30 +316,21 @@ def _tick_drive(acc, F, xd, Phid, Qd, ticks):
         xd[:] = Phid @ xd
 
 
-def _calibrated(xd, drv, inc, dt, Cr):
-    """Increments (I + M)^-1 (inc - errors), and output rows that make errors of these: of M times what is true."""
+def _uncalibrated(xd, drv, inc, dt, Cr):
+    """Output rows that make errors of the readings: of M times what they are."""
     count = int(drv[88])
-    M, Cr = np.zeros((6, 6)), Cr.copy()
-    places = [(code // 3, 3 * (code // 9) + code % 3) for code in drv[89 : 89 + count].astype(int)]
-    for element, place in zip(xd[len(xd) - count :], places, strict=True):
-        M[place] += element
-    inverse = np.linalg.inv(np.eye(6) + M)
-    drv[107:125] = inverse[:3, :3].ravel().tolist() + inverse[3:, 3:].ravel().tolist()
-    first = len(xd) - count
-    Cr[:, :first] = inverse @ Cr[:, :first]
-    true = inverse @ inc - dt * Cr[:, :first] @ xd[:first]
-    for q, (channel, axis) in enumerate(places):
-        Cr[:, first + q] = inverse[:, channel] * true[axis] / dt
-    return true, Cr
+    Cr, first = Cr.copy(), len(xd) - count
+    for q, code in enumerate(drv[89 : 89 + count].astype(int)):
+        Cr[code // 3, first + q] = inc[3 * (code // 9) + code % 3] / dt
+    drv[107 : 107 + count] = xd[first:]
+    return Cr
 
 
 def _inertial_step(nav, xd, inc, dt, drv, Phid, Qd, Cr, acc, ticks):
     m = acc.shape[1]
     if drv[88]:
-        inc, Cr = _calibrated(xd, drv, inc, dt, Cr)
-    else:
-        inc = inc - dt * Cr[:, :-1] @ xd
-    parts = _mechanise(nav, inc, dt)
+        Cr = _uncalibrated(xd, drv, inc, dt, Cr)
+    parts = _mechanise(nav, inc - dt * Cr[:, :-1] @ xd, dt)
     _tick_drive(acc, _inertial_transition(*parts, dt, Cr), xd, Phid, Qd, ticks)
     drv[14:23] = parts[0].ravel()
     Q, C, gap = acc[m : 2 * m], parts[0], dt > 3 * drv[36]

@@ -45,9 +45,9 @@ def vehicle_of(imu=IMU):
 
 def drawn(mission, triple):
     found = {}
-    for what, names in (("scale", "xyz"), ("axes", [f"{'xyz'[i]}{'xyz'[j]}" for i, j in CROSSED[triple]])):
+    for what, names in (("scales", "xyz"), ("axes", [f"{'xyz'[i]}{'xyz'[j]}" for i, j in CROSSED[triple]])):
         note = next(note for note in mission.notes if note.startswith(f"{triple}: {what} error"))
-        label = "scale" if what == "scale" else "misalignment"
+        label = "scale" if what == "scales" else "misalignment"
         values = note.split("error ")[1].split()
         found |= {f"{triple}.{label}_{n}": float(v) for n, v in zip(names, values, strict=True)}
     return found
@@ -98,29 +98,20 @@ def test_without_the_keys_nothing_changes_and_with_them_live_is_replay(tmp_path)
     assert nf.Imu(rate_hz=20.0).memory(6)[strapdown.CALIBRATED] == 0.0
 
 
-def test_rates_for_lever_arms_are_those_of_a_calibrated_unit():
-    drive = IMU
-    drv = drive.memory(6)
+def test_rates_for_lever_arms_and_for_the_past_are_those_of_a_calibrated_unit():
+    drv, x = IMU.memory(6), 0.01 * np.random.default_rng(0).normal(size=21)
+    recent = np.column_stack([np.full(5, 0.05), np.random.default_rng(1).normal(size=(5, 6))])
+    drv[strapdown.PREVIOUS : strapdown.PREVIOUS + 6] = reading = recent[0, 1:].copy()
+    drv[strapdown.CALIBRATION : strapdown.CALIBRATION + 15] = x[6:]
     M = np.zeros((6, 6))
-    x = 0.01 * np.random.default_rng(0).normal(size=21)
-    for q, (channel, axis, _) in enumerate(drive._elements()):
+    for q, (channel, axis, _) in enumerate(IMU._elements()):
         M[channel, 3 * (channel // 3) + axis] = x[6 + q]
-    inverse = np.linalg.inv(np.eye(6) + M)
-    drv[strapdown.CALIBRATION : strapdown.CALIBRATION + 18] = [*inverse[:3, :3].ravel(), *inverse[3:, 3:].ravel()]
-    reading = np.array([0.1, -0.2, 0.3, 0.5, 0.2, -9.7])
-    drv[strapdown.PREVIOUS : strapdown.PREVIOUS + 6] = reading
-    np.testing.assert_allclose(drive.body_rate(drv, x[:3]), (inverse @ (reading - x[:6]))[:3])
-    rows = np.hstack([np.eye(6), np.zeros((6, 15))])
-    outputs = drive.outputs(rows, drv, x)
-    for j in range(21):  # what is true changes by minus that
-        ends = []
-        for sign in (1.0, -1.0):
-            moved, N = x.copy(), np.zeros((6, 6))
-            moved[j] += 1e-6 * sign
-            for q, (channel, axis, _) in enumerate(drive._elements()):
-                N[channel, 3 * (channel // 3) + axis] = moved[6 + q]
-            ends.append(np.linalg.solve(np.eye(6) + N, reading - moved[:6]))
-        np.testing.assert_allclose(outputs[:, j], -(ends[0] - ends[1]) / 2e-6, atol=1e-8)
+    outputs = IMU.outputs(np.hstack([np.eye(6), np.zeros((6, 15))]), drv)
+    true = reading - M @ reading - x[:6]
+    np.testing.assert_allclose(IMU.body_rate(drv, outputs[:3] @ x), true[:3], atol=1e-14)
+    plain, _ = nf.Imu(rate_hz=20.0).motion(recent, np.zeros(17), nf.Imu(rate_hz=20.0).memory(6) + drv, np.zeros(6))
+    moved, _ = IMU.motion(recent, np.zeros(17), drv, outputs @ x)
+    np.testing.assert_allclose(moved[:, 1:], plain[:, 1:] - plain[:, 1:] @ M.T - x[:6], atol=1e-14)
 
 
 @pytest.mark.parametrize(

@@ -72,7 +72,8 @@ class Imu(Mechanisation):
     Notes
     -----
     Mission stream "imu": rate_b (3), then force_b (3); at rest and level the specific force is (0, 0, -9.8).
-    ``reading = (I + M) true + error``, with the scales on the diagonal of M (Groves, 2013, eqs 4.15-4.18).
+    ``true = reading - M reading - error``, with the scales on the diagonal of M (Groves, 2013, eqs 4.15-4.18, solved
+    for what is true).
     """
 
     gyro: ErrorModel | tuple[ErrorModel, ...] = GYRO_PRIOR
@@ -116,8 +117,8 @@ class Imu(Mechanisation):
         """The elements of M that are states: channel, axis, and what is known of them."""
         for first, name in zip((0, 3), self.triples, strict=True):
             sds = self.draws(name)
-            if any(sds["scale"]):
-                for i, sd in enumerate(sds["scale"]):
+            if any(sds["scales"]):
+                for i, sd in enumerate(sds["scales"]):
                     yield first + i, i, Parameter(f"{name}.scale_{'xyz'[i]}", sd, "1")
             if any(sds["axes"]):
                 for (i, j), sd in zip(CROSSED[name], sds["axes"], strict=True):
@@ -131,7 +132,7 @@ class Imu(Mechanisation):
         """Scale of each axis, and angles between the axes."""
         scales = checked_sds("scale_sd", getattr(self, f"{triple}_scale_sd"))
         angles = (getattr(self, f"{triple}_misalignment_sd_rad"),) * len(CROSSED[triple])
-        return {"scale": scales if len(scales) == 3 else scales * 3, "axes": angles}
+        return {"scales": scales if len(scales) == 3 else scales * 3, "axes": angles}
 
     def heading_drift(self, walk: float, period_s: float) -> Drift:
         """Angle random walk, then the walk of the gyro's bias."""
@@ -164,22 +165,17 @@ class Imu(Mechanisation):
         drv[strapdown.GAP_FORCE_SD] = self.gap_force_sd
         codes = [3 * channel + axis for channel, axis, _ in self._elements()]
         drv[strapdown.CALIBRATED], drv[strapdown.ELEMENTS : strapdown.ELEMENTS + len(codes)] = len(codes), codes
-        drv[strapdown.CALIBRATION : strapdown.CALIBRATION + 18] = np.tile(np.eye(3).ravel(), 2)
         return drv
 
-    def outputs(self, rows: Array, drv: Array, xd: Array) -> Array:
-        """Scale and misalignment act on the last sample: a reading errs by M times what is true."""
-        count = int(drv[strapdown.CALIBRATED])
-        if not count:
+    def outputs(self, rows: Array, drv: Array) -> Array:
+        """Scale and misalignment act on the last sample, as if it were without errors."""
+        if not drv[strapdown.CALIBRATED]:
             return rows
-        first, rows = rows.shape[1] - count, rows.copy()
-        true = (
-            drv[strapdown.PREVIOUS : strapdown.PREVIOUS + 6] / (self.period_s if self.increments else 1.0) - rows @ xd
-        )
-        inverse = _inverse(drv)
-        true, rows[:, :first] = inverse @ true, inverse @ rows[:, :first]
-        for q, (channel, axis, _) in enumerate(self._elements()):
-            rows[:, first + q] = inverse[:, channel] * true[3 * (channel // 3) + axis]
+        elements = list(self._elements())
+        reading = drv[strapdown.PREVIOUS : strapdown.PREVIOUS + 6] / (self.period_s if self.increments else 1.0)
+        rows, first = rows.copy(), rows.shape[1] - len(elements)
+        for q, (channel, axis, _) in enumerate(elements):
+            rows[channel, first + q] = reading[3 * (channel // 3) + axis]
         return rows
 
     def motion(self, recent: Array, nav: Array, drv: Array, errors: Array) -> tuple[Array, float]:
@@ -194,16 +190,22 @@ class Imu(Mechanisation):
             known = len(recent) if not len(recent) or recent[-1, 0] > 0.0 else int(np.count_nonzero(recent[:, 0]))
             rows[1:known, 1:] += recent[1:known, 1:]
             rows[1:known, 1:] *= 0.5
-        rows[:, 1:] -= errors
-        if drv[strapdown.CALIBRATED]:
-            rows[:, 1:] = rows[:, 1:] @ _inverse(drv).T
+        rows[:, 1:] -= self._other_errors(rows[:, 1:], drv) + errors
         return rows, strapdown.gravity(nav[0], nav[2])
+
+    def _other_errors(self, readings: Array, drv: Array) -> Array | float:
+        """By how much other readings than the last (the first row) err otherwise, as it is not calibrated."""
+        if not drv[strapdown.CALIBRATED]:
+            return 0.0
+        M = np.zeros((6, 6))
+        for q, (channel, axis, _) in enumerate(self._elements()):
+            M[channel, 3 * (channel // 3) + axis] = drv[strapdown.CALIBRATION + q]
+        other: Array = (readings - readings[0]) @ M.T
+        return other
 
     def body_rate(self, drv: Array, errors: Array) -> Array | float:
         """That of the last sample."""
         rate: Array = drv[strapdown.PREVIOUS : strapdown.PREVIOUS + 3] - errors
-        if drv[strapdown.CALIBRATED]:
-            rate = _inverse(drv)[:3, :3] @ rate
         return rate / self.period_s if self.increments else rate
 
     def samples(self, streams: Mapping[str, Stream]) -> tuple[Array, Array]:
@@ -232,19 +234,11 @@ class Imu(Mechanisation):
             yield Doubt("rate_hz", f"an inertial unit at {self.rate_hz:g} Hz is unusual.", cure)
         for name in self.triples:
             sds = self.draws(name)
-            if max(sds["scale"]) > 0.1:
-                text = f"a scale error of {100.0 * max(sds['scale']):.4g} % is unusual."
+            if max(sds["scales"]) > 0.1:
+                text = f"a scale error of {100.0 * max(sds['scales']):.4g} % is unusual."
                 yield Doubt(f"{name}_scale_sd", text, "It is a pure number: 1 % is 0.01.")
             if max(sds["axes"]) > math.radians(5.0):
                 yield angle_doubt(f"{name}_misalignment_sd_rad", max(sds["axes"]))
-
-
-def _inverse(drv: Array) -> Array:
-    """From readings to what is true, of rates and forces, shape (6, 6)."""
-    inverse = np.zeros((6, 6))
-    gyro, accel = drv[strapdown.CALIBRATION : strapdown.CALIBRATION + 18].reshape(2, 3, 3)
-    inverse[:3, :3], inverse[3:, 3:] = gyro, accel
-    return inverse
 
 
 def _with_bias(models: Sequence[ErrorModel], default: Sum) -> tuple[ErrorModel, ...]:

@@ -186,7 +186,7 @@ class Mechanisation:
         return {}
 
     # ---------------------------------------------------------------- what sensors with a doubtful clock ask
-    def outputs(self, rows: Array, drv: Array, xd: Array) -> Array:
+    def outputs(self, rows: Array, drv: Array) -> Array:
         """Rows by which its states make the errors of its six values now, shape (6, k): those of its error models as
         given, and what its constants do to its last sample.
         """

@@ -316,9 +316,11 @@ def _inertial(scene: _Scene, drive: Imu) -> Stream:
         error = scene.error(name, models, drive.rate_hz, time_s, 3)
         truth = scene.truth(name, None, error, time_s, drive.draws(name))
         measured = truth.turned_and_scaled(vector)
-        for (i, j), angle in zip(CROSSED[name], truth.drawn["axes"], strict=True):
-            measured[:, i] += angle * vector[:, j]
         measured += error / drive.rate_hz if drive.increments else error
+        M = np.diag(truth.drawn["scales"])
+        M[tuple(zip(*CROSSED[name], strict=True))] = truth.drawn["axes"]
+        if M.any():  # true = reading - M reading - error
+            measured[:] = np.linalg.solve(np.eye(3) - M, measured.T).T
         parts.append(quantise(measured, scene.fault(name).quantisation))
     columns = _INCREMENTS if drive.increments else _RATES
     return scene.stamp("imu", time_s, np.hstack(parts), columns)
