@@ -360,7 +360,8 @@ class Navigator:
     def health(self) -> Health:
         """What the sensors are worth at present."""
         sensors = {name: watch.health(self.time_s) for name, watch in self._watches.items()}
-        return Health(sensors, dict(self.counts), self.offset_s)
+        axes = self.filter.watch.conditions(self.filter.memory.watch)
+        return Health(sensors, dict(self.counts), self.offset_s, axes)
 
     # ---------------------------------------------------------------- keep and bring back
     def snapshot(self, path: str | PathLike[str] | None = None) -> bytes:

@@ -22,6 +22,7 @@ from navfilter.sensors.heading import TEMPERATURE
 from navfilter.sensors.sensor import Vector, checked_sds
 from navfilter.sensors.traits import Columns, Doubt, Plausible, angle_doubt
 from navfilter.start import Start
+from navfilter.state import NavState
 
 __all__ = ["ACCEL_PRIOR", "GYRO_PRIOR", "Imu"]
 
@@ -202,6 +203,11 @@ class Imu(Mechanisation):
             M[channel, 3 * (channel // 3) + axis] = drv[strapdown.CALIBRATION + q]
         other: Array = (readings - readings[0]) @ M.T
         return other
+
+    def at_rest(self, state: NavState, drv: Array) -> Array:
+        """No rate, and the force that carries it."""
+        force = -state.C_nb[2] * strapdown.gravity(state.latitude, state.height)
+        return np.concatenate([np.zeros(3), force]) * (self.period_s if self.increments else 1.0)
 
     def body_rate(self, drv: Array, errors: Array) -> Array | float:
         """That of the last sample."""
