@@ -55,7 +55,7 @@ def with_offsets(models: tuple[ErrorModel, ...], sds: tuple[float, ...]) -> tupl
     --------
     >>> from navfilter import White
     >>> str(with_offsets((White(sd=0.1),), (5.0,))[0])
-    'White(sd=0.1) + Offset(density=0.0, start_sd=5.0)'
+    'White(sd=0.1, density=None) + Offset(density=0.0, start_sd=5.0)'
     """
     plain = tuple(_plain(model) for model in models)
     return plain if not sds else tuple(model + Offset(start_sd=sd) for model, sd in zip(plain, sds, strict=True))
