@@ -361,7 +361,7 @@ class Navigator:
     def health(self) -> Health:
         """What the sensors are worth at present."""
         sensors = {name: w.health(self.time_s, self.filter.channels[name].offset) for name, w in self._watches.items()}
-        return Health(sensors, dict(self.counts), self.offset_s)
+        return Health(sensors, dict(self.counts), self.offset_s, self.filter.watch.conditions(self.filter.memory.watch))
 
     # ---------------------------------------------------------------- keep and bring back
     def snapshot(self, path: str | PathLike[str] | None = None) -> bytes:

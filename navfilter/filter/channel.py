@@ -117,8 +117,8 @@ class Channel:
         self.transition = mem[: m * m].reshape(m, m)
         self.model, self.C, self.R = np.array([group.Phi[:b, :b], group.Q[:b, :b]]), group.C, np.diag(group.r)
         self.offset = bool(offset_states(sensor.models, self.period_s).size)
-        self.lever = sensor.lever_arm_covariance(rate_variance)
-        self.white = self.R + self.lever
+        self.white = self.R.copy()
+        self.turns_by(rate_variance)
         self.seen = np.r_[0:9, group.start + group.errors : group.start + group.size]
         first = group.start - 9
         self.parameters = slice(first + group.errors, first + group.size)
@@ -126,6 +126,11 @@ class Channel:
         if self._memory.last.size == self._last.size:
             self._last[:] = self._memory.last
         self._memory.last = self._last
+
+    def turns_by(self, rate_variance: Array) -> None:
+        """How well the angular rate is known that its lever arm turns with; shape (3,) [rad^2/s^2]."""
+        self.lever = self.sensor.lever_arm_covariance(rate_variance)
+        self.white = np.diag(self.group.r) + self.lever
 
     @property
     def memory(self) -> ChannelMemory:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navfilter.error_models import per_axis
-from navfilter.filter import refused
+from navfilter.filter import drive_watch, refused
 from navfilter.filter.adoption import Change, state_change
 from navfilter.filter.channel import Channel, usable
 from navfilter.filter.events import Correction, Event, Outcome, Passed, Propagated, Relaid
@@ -34,7 +34,10 @@ Listening = Callable[[Event], None]
 #: Beyond this variance of the heading [rad^2] a body velocity is taken with its second-order term.
 UNSURE_HEADING = 0.01
 CODES = {name: code for code, name in enumerate(OUTCOMES)}
-COUNTED = ("gap", "backward", "bad-sample", "clock-set", "widened", "reset", "jumped", "opened", "adopted")
+COUNTED = (
+    *("gap", "backward", "bad-sample", "clock-set", "widened", "reset", "jumped", "opened", "adopted"),
+    *drive_watch.COUNTED,
+)
 
 
 class Filter:
@@ -83,7 +86,7 @@ class Filter:
         self._period_s = drive.period_s
         self._ahead_s = max(self.AHEAD_S, 3.0 * self._period_s)
         self._fold_every = max(1, round(drive.rate_hz))
-        self.inertial = drive.inertial
+        self.inertial, self.watch = drive.inertial, drive_watch.DriveWatch(drive)
         self._rate = np.zeros(3)
         self.channels = {name: Channel(name, sensor, start) for name, sensor in vehicle.sensors.items()}
         past_s = max((channel.past_s for channel in self.channels.values()), default=0.0)
@@ -113,12 +116,14 @@ class Filter:
                 acc=self._identity(),
                 drv=self.in_force.drive.memory(self.layout.drive.errors, self.start),
                 recent=np.zeros((self._remembered, 7)),
+                watch=self.watch.fresh(),
                 intake=self.intake.memory,
                 channels={name: channel.memory for name, channel in self.channels.items()},
                 models=adopted,
                 counts=counts,
             )
         )
+        self.watch.refer(self.memory.watch, self.memory.nav, self.memory.P)
         if self.tape is not None:
             if models is None:
                 self.tape.begin(self.layout)
@@ -144,12 +149,19 @@ class Filter:
         g, m = layout.drive, layout.head
         self._Phid, self._Qd = g.Phi, g.Q
         self.drive_output = np.zeros((6, g.size + 1))
-        self.drive_output[:, : g.errors], self.drive_output[:, -1] = g.C, g.r
         self._work = np.zeros((m, layout.size))
         self._dims = np.array([0, layout.size, m, 0, 0, 0, 0])
-        variance = g.r[:3] if self.inertial else np.zeros(3)
+        variance = g.r[:3] if self.inertial else np.zeros(3)  # until `weigh` says otherwise
         for name, channel in self.channels.items():
             channel.arrange(in_force.sensors[name], layout.groups[name], layout, variance)
+
+    def weigh(self) -> None:
+        """Believe the drive's axes as far as the watch over them says."""
+        g, w = self.layout.drive, self.memory.watch
+        self.watch.weigh(w, g.C, g.r, self.drive_output)
+        if self.inertial:
+            for channel in self.channels.values():
+                channel.turns_by(self.watch.rate_variance(w, g.r))
 
     def _identity(self) -> Array:
         m = self.layout.head
@@ -161,6 +173,7 @@ class Filter:
         if memory.models is not self._laid_out:
             self._arrange(memory.models)
         self.memory = memory
+        self.weigh()
         self._xd = memory.x[: self.layout.drive.size]
         self.intake.memory, self.intake.counts = memory.intake, memory.counts
         for name, channel in self.channels.items():
@@ -220,16 +233,19 @@ class Filter:
             return
         memory = self.memory
         whole = len(samples) <= self._fold_every - memory.unfolded and not (self._rest or room)
-        samples, stamps = self.intake.take(samples, memory.drv, self._at_rest, whole)
+        still = lambda: self.vehicle.drive.at_rest(self.state, memory.drv)  # noqa: E731
+        samples, stamps = self.intake.take(samples, memory.drv, still)
         begin, total = 0, len(samples)
         while begin < total:
             end = total if whole else min(total, begin + self._room(room))
+            if self.inertial:
+                end = begin + self.watch.look(samples[begin:end], memory.watch, self.layout.drive.r)
             block = samples[begin:end]
             self.steps(memory.nav, self._xd, memory.drv, block, self._Phid, self._Qd, self.drive_output, memory.acc)
             if memory.recent.size:
                 memory.recent = np.concatenate([block[::-1], memory.recent])[: len(memory.recent)]
             memory.unfolded += end - begin
-            memory.time_s = memory.sample_s = memory.intake.before_s = float(stamps[-1 if whole else end - 1])
+            memory.time_s = memory.sample_s = memory.intake.before_s = float(stamps[end - 1])
             if memory.unfolded >= self._fold_every:
                 tell(self._fold())
             for channel in self._rest:
@@ -238,6 +254,8 @@ class Filter:
                     tell(self._update(channel, memory.time_s, reading, None, False))
             if room is not None:
                 tell(Passed(block))
+            if self.watch.news(memory.watch):
+                self.watch.heed(self, lambda: tell(self._fold()))
             begin = end
 
     def _room(self, asked: Callable[[], int] | None) -> int:
@@ -249,14 +267,6 @@ class Filter:
         if self._rest:
             room = max(1, room)
         return room if asked is None else min(room, asked())
-
-    def _at_rest(self) -> Array:
-        """What the drive would read if the vehicle kept still as it started."""
-        state, drv = self.state, self.memory.drv
-        if not self.inertial:
-            return state.roll_pitch_heading - np.array([0.0, 0.0, drv[strapdown.DECLINATION]])
-        level = np.concatenate([np.zeros(3), -state.C_nb[2] * strapdown.gravity(self.nav[0], self.nav[2])])
-        return level * self._period_s if drv[strapdown.INCREMENTS] else level
 
     def _fold(self) -> Propagated:
         """Fold the compound transition into P."""
@@ -278,16 +288,8 @@ class Filter:
         """The reading that the drive's last samples make, such as a zero velocity when they were quiet; asked once a
         period.
         """
-        drv = self.memory.drv
-        n = drv[strapdown.COUNT]
-        if n < max(2, round(self.vehicle.drive.rate_hz * channel.period_s)):
-            return None
-        mean = drv[strapdown.SUMS : strapdown.SUMS + 6] / n
-        scatter = np.sqrt(np.maximum(drv[strapdown.SQUARES : strapdown.SQUARES + 6] / n - mean**2, 0.0))
-        if drv[strapdown.INCREMENTS]:
-            mean, scatter = mean / self._period_s, scatter / self._period_s
-        drv[strapdown.COUNT : strapdown.SQUARES + 6] = 0.0
-        return channel.sensor.felt(mean, scatter)
+        felt = self.vehicle.drive.felt(self.memory.drv, channel.period_s)
+        return None if felt is None or self.watch.lost(self.memory.watch) else channel.sensor.felt(*felt)
 
     # ---------------------------------------------------------------- correction
     def correct(
@@ -432,6 +434,7 @@ class Filter:
         P, x = M @ memory.P @ M.T + N, M[9:, 9:] @ memory.x
         memory.P, memory.x = np.ascontiguousarray(0.5 * (P + P.T)), np.ascontiguousarray(x)
         memory.acc, self._xd = self._identity(), memory.x[: self.layout.drive.size]
+        self.weigh()
         fresh = new.drive.memory(self.layout.drive.errors, self.start)
         memory.drv[strapdown.PLACES] = fresh[strapdown.PLACES]
         memory.models = models

@@ -51,16 +51,22 @@ class Health:
         models adopted.
     clock_offset_s : float
         By how much stamps are moved because the clock was set back [s].
+    axes : dict of str to str
+        Condition of each axis of an inertial unit: "good", "noisy", "stuck", "dead" (stuck at zero), "saturated",
+        "erratic" (nothing but noise), "wrong-unit", "gravity" (feels it where it is not), "swapped" (the same, of the
+        right size) or "free-fall".
     """
 
     sensors: dict[str, SensorHealth]
     drive: dict[str, int]
     clock_offset_s: float = 0.0
+    axes: dict[str, str] = field(default_factory=dict)
 
     @property
     def degraded(self) -> tuple[str, ...]:
-        """Names of the sensors that do not help at present."""
-        return tuple(name for name, s in self.sensors.items() if s.condition not in ("good", "waiting"))
+        """Names of the sensors, and of the drive's axes, that do not help at present."""
+        sensors = [name for name, s in self.sensors.items() if s.condition not in ("good", "waiting")]
+        return (*sensors, *(name for name, condition in self.axes.items() if condition != "good"))
 
 
 @dataclass
