@@ -10,13 +10,15 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from navfilter.filter import drive_watch, gating
+from navfilter.error_models import per_axis
+from navfilter.filter import drive_watch, refused
 from navfilter.filter.adoption import Change, state_change
 from navfilter.filter.channel import Channel, usable
 from navfilter.filter.events import Correction, Event, Outcome, Passed, Propagated, Relaid
 from navfilter.filter.filter_memory import Errors, FilterMemory
 from navfilter.filter.intake import Intake
 from navfilter.filter.layout import Layout
+from navfilter.filter.offsets import with_offsets, with_the_same_offsets
 from navfilter.filter.tape import OUTCOMES, Tape
 from navfilter.kernels import kalman, strapdown
 from navfilter.learning.learned import learning_part
@@ -32,7 +34,10 @@ Listening = Callable[[Event], None]
 #: Beyond this variance of the heading [rad^2] a body velocity is taken with its second-order term.
 UNSURE_HEADING = 0.01
 CODES = {name: code for code, name in enumerate(OUTCOMES)}
-COUNTED = ("gap", "backward", "bad-sample", "clock-set", "widened", "opened", "adopted", *drive_watch.COUNTED)
+COUNTED = (
+    *("gap", "backward", "bad-sample", "clock-set", "widened", "reset", "jumped", "opened", "adopted"),
+    *drive_watch.COUNTED,
+)
 
 
 class Filter:
@@ -60,6 +65,8 @@ class Filter:
     channels : dict of str to Channel
     drive_output : ndarray, shape (6, states of the drive + 1)
         Rows of C of the drive's error models, and the white variance of a sample.
+    jumped : list of Change
+        Constants for sensors that have jumped, to be adopted before the next input.
 
     Raises
     ------
@@ -84,6 +91,7 @@ class Filter:
         self.channels = {name: Channel(name, sensor, start) for name, sensor in vehicle.sensors.items()}
         past_s = max((channel.past_s for channel in self.channels.values()), default=0.0)
         self._remembered = drive.remembered(past_s) if past_s else 0
+        self.jumped: list[Change] = []
         self._rest = [self.channels[name] for name, s in vehicle.sensors.items() if s.from_drive and self.inertial]
         self.begin()
 
@@ -346,6 +354,8 @@ class Filter:
             recent = memory.recent[: self.vehicle.drive.remembered(since_s + abs(float(par[-1])))]
             moved = self.vehicle.drive.motion(recent, nav, memory.drv, outputs @ self._xd)
             channel.sight.look(z, nav, self._rate, par, moved, since_s, outputs, channel.into)
+        if channel.offset:
+            channel.unwrap(x)
         channel.R[:] = channel.white
         if sd is not None:
             channel.R[:] = channel.lever + np.eye(channel.axes) * np.resize(np.square(np.ravel(sd)), channel.axes)
@@ -358,9 +368,9 @@ class Filter:
         nis, dof, used = channel.verdict.tolist()
         widened = False
         if used:
-            channel.memory.rejected_since_s = math.nan
+            channel.memory.use(time_s)
         elif dof and math.isfinite(nis):
-            widened = self._rejected(channel, time_s, nis, int(dof), frozen)
+            widened = refused.let_in(self, channel, time_s, nis, int(dof), frozen)
         if used or widened:
             status = "used"
             if self.tape is not None:
@@ -376,38 +386,21 @@ class Filter:
         outcome = Outcome(status) if status == "invalid" else Outcome(status, nis, int(dof), widened)
         return Correction(outcome, time_s, channel)
 
-    def _rejected(self, channel: Channel, time_s: float, nis: float, dof: int, frozen: bool) -> bool:
-        """After a rejection: reset the state when all sensors contradict it, or widen the gate; True when the reading
-        was let in after all.
-        """
-        memory, kept = self.memory, channel.memory
-        if math.isnan(kept.rejected_since_s):
-            kept.rejected_since_s = time_s
-        if frozen:
-            return False
-        P = memory.P
-        if gating.state_contradicted(self.channels.values(), time_s):
-            P[range(9), range(9)] += gating.reset_variance(self.channels.values())
-            drive = self.layout.drive
-            P[drive.slice, drive.slice] += drive.P0
-            for other in self.channels.values():
-                other.memory.rejected_since_s = math.nan
-            memory.counts["opened"] += 1
-            return False
-        added = gating.widening(P, memory.x, channel, time_s, nis, dof)
-        if added is None:
-            return False
-        P[:9, :9] += added.covariance
-        P[:] = 0.5 * (P + P.T)
-        channel.res[:] = added.residual
-        channel.R *= added.white_factor
-        kept.rejected_since_s = math.nan
-        no_limits = np.full(channel.axes + 1, np.inf)
-        kalman.update(P, memory.nav, memory.x, channel.C, channel.R, channel.mem, channel.dims, no_limits)
-        memory.counts["widened"] += 1
-        return True
-
     # ---------------------------------------------------------------- other error models
+    def take_up(self, tell: Listening) -> None:
+        """Adopt the constants of sensors that have just jumped, see `jumped` and `adopt`."""
+        while self.jumped:
+            self.adopt(self.jumped.pop(0), tell)
+
+    @property
+    def described_models(self) -> dict[str, Errors]:
+        """Error models put in force since the start, without the constants of sensors that have jumped."""
+        axes = {name: channel.axes for name, channel in self.channels.items()}
+        return {
+            name: with_offsets(per_axis(error, axes[name], name), ()) if name in axes else error
+            for name, error in self.memory.models
+        }
+
     def adopt(self, change: Change, tell: Listening) -> None:
         """Put another error model of one sensor in force, now; the states follow without a jump
         (`navfilter.filter.adoption.transfer`).
@@ -423,10 +416,13 @@ class Filter:
         ValueError
             For an unknown sensor, or something that is no error model.
         """
-        memory = self.memory
-        models = tuple((dict(memory.models) | {change.sensor: change.error}).items())
+        memory, channel, error = self.memory, self.channels.get(change.sensor), change.error
+        if channel is not None and channel.offset and not change.offsets:
+            axes = channel.axes, f"{change.sensor}.error"
+            error = with_the_same_offsets(per_axis(error, *axes), channel.sensor.models)
         # refuses what cannot be adopted before anything has changed
-        self.vehicle.with_error(**{change.sensor: change.error})
+        self.vehicle.with_error(**{change.sensor: error})
+        models = tuple((dict(memory.models) | {change.sensor: error}).items())
         if memory.unfolded:
             tell(self._fold())
         before, old = self.layout, self.in_force
@@ -445,6 +441,6 @@ class Filter:
         memory.counts["adopted"] += 1
         if self.tape is not None:
             self.tape.layouts.append(self.layout)
-            self.tape.models.setdefault(change.sensor, []).append((memory.time_s, change.error))
+            self.tape.models.setdefault(change.sensor, []).append((memory.time_s, error))
             self._row()
         tell(Relaid(M))
