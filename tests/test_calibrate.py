@@ -315,6 +315,17 @@ def test_calibrated_constants_of_a_file_are_checked(tmp_path):
             nf.read_vehicle(path)
 
 
+def test_constants_of_an_inertial_unit_stand_with_the_drive(tmp_path):
+    drive = nf.Imu(rate_hz=50, gyro_scale_sd=0.002, accel_misalignment_sd_rad=0.001)
+    vehicle = nf.Vehicle(imu=drive, sensors={"gps": nf.Position()})
+    write_vehicle(vehicle, tmp_path / "vehicle.toml")
+    new = [one._replace(value=0.5 * one.sd, sd=0.1 * one.sd) for one in constants_of(vehicle)]
+    changed = described(vehicle, new)
+    assert {p.mean for p in changed.drive.all_parameters()} == {0.001, 0.0005}
+    assert write_calibrated(changed, vehicle, tmp_path / "out.toml", tmp_path / "vehicle.toml")
+    assert '"gyro.scale_x" = [0.001, 0.0002]' in (tmp_path / "out.toml").read_text()
+
+
 def test_a_calibrated_mean_is_where_the_state_begins():
     vehicle = reckoning(scale_sd=0.02, calibrated=(("scale", 0.02, 0.0005),))
     track = nf.replay(vehicle, dive(1))

@@ -13,7 +13,7 @@ import numpy as np
 
 from navfilter.io.learned_toml import closing
 from navfilter.io.vehicle_keys import spellings
-from navfilter.io.vehicle_toml import VehicleError, read_vehicle, write_vehicle
+from navfilter.io.vehicle_toml import VehicleError, quoted_key, read_vehicle, write_vehicle
 from navfilter.vehicle import Vehicle
 
 __all__ = ["write_calibrated"]
@@ -107,7 +107,8 @@ def _keys(new: Any, old: Any) -> dict[str, str]:
         each = []
         for name, value, sd in calibrated:
             angle = units.get(name) == "rad"
-            each.append(f"{name}{'_deg' if angle else ''} = {_text((value, sd), angle)}")
+            key = f"{name}{'_deg' if angle else ''}"
+            each.append(f"{quoted_key(key)} = {_text((value, sd), angle)}")
         keys["calibrated"] = f"calibrated = {{{', '.join(each)}}}"
     return keys
 
