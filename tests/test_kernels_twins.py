@@ -48,6 +48,51 @@ def test_kernel_files_import_only_math_numpy_numba(name):
     assert imported <= {"math", "numpy", "numba"}
 
 
+def functions(name):
+    tree = ast.parse((FOLDER / f"{name}.py").read_text())
+    return [node for node in tree.body if isinstance(node, ast.FunctionDef)]
+
+
+def pairs(assignment):
+    """Each target of an assignment with its value."""
+    target, value = assignment.targets[0], assignment.value
+    if isinstance(target, ast.Tuple) and isinstance(value, ast.Tuple):
+        return list(zip(target.elts, value.elts, strict=True))
+    return [(target, value) for target in assignment.targets]
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_no_array_is_assigned_to_a_slice(name):
+    # numba compiles the text of the error for shapes that differ: four seconds once, half a second for each kernel
+    found = [
+        f"{name}.{function.name}, line {node.lineno}"
+        for function in functions(name)
+        for node in ast.walk(function)
+        if isinstance(node, ast.Assign)
+        for target, value in pairs(node)
+        if isinstance(target, ast.Subscript)
+        and any(isinstance(part, ast.Slice) for part in ast.walk(target.slice))
+        and not isinstance(value, ast.Constant)
+    ]
+    assert found == [], "copy it element by element"
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_no_literal_is_passed_to_a_kernel(name):
+    # for each literal numba compiles the callee, and all that it calls, another time
+    inlined = {f.name for f in functions(name) if any("inline=" in ast.unparse(d) for d in f.decorator_list)}
+    own = {f.name for f in functions(name)} - inlined
+    found = [
+        f"{name}.{function.name}, line {node.lineno}"
+        for function in functions(name)
+        for node in ast.walk(function)
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in own
+        for value in node.args
+        if isinstance(value, ast.Constant) and isinstance(value.value, int)
+    ]
+    assert found == [], "write int(0) for 0, or make two kernels of a flag"
+
+
 @pytest.mark.parametrize("name", FILES)
 def test_kernels_are_cached_and_without_fastmath(name):
     text = (FOLDER / f"{name}.py").read_text()

@@ -44,8 +44,8 @@ def stationary(a, c, P):
     for _ in range(60):
         worst = 0.0
         top = 0.0
-        _product(A, P, T, False)
-        _product(T, A, B, True)
+        _product(A, P, T)
+        _product_transposed(T, A, B)
         for i in range(m):
             for j in range(m):
                 if not abs(B[i, j]) < 1e300:
@@ -55,18 +55,31 @@ def stationary(a, c, P):
                 top = max(top, abs(P[i, j]))
         if not worst > 1e-17 * top:
             return True
-        _product(A, A, T, False)
-        A[:, :] = T
+        _product(A, A, T)
+        for i in range(m):
+            for j in range(m):
+                A[i, j] = T[i, j]
     return False
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _product(A, B, out, transposed):
+def _product(A, B, out):
     for i in range(A.shape[0]):
         for j in range(A.shape[0]):
             s = 0.0
             for k in range(A.shape[0]):
-                s += A[i, k] * (B[j, k] if transposed else B[k, j])
+                s += A[i, k] * B[k, j]
+            out[i, j] = s
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _product_transposed(A, B, out):
+    """``A B'``."""
+    for i in range(A.shape[0]):
+        for j in range(A.shape[0]):
+            s = 0.0
+            for k in range(A.shape[0]):
+                s += A[i, k] * B[j, k]
             out[i, j] = s
 
 
@@ -242,10 +255,10 @@ def _double(maps, k, work):
             M[i, j] = s
             B[i, j], B[i, n + j] = A[i, j], H[i, j]
     _solve(M, B)
-    _product(A, B[:, :n], maps[k, 0], False)
-    _product(A, B[:, n:], T, False)
-    _product(T, A, maps[k, 2], True)
-    _product(G, B[:, :n], T, False)
+    _product(A, B[:, :n], maps[k, 0])
+    _product(A, B[:, n:], T)
+    _product_transposed(T, A, maps[k, 2])
+    _product(G, B[:, :n], T)
     for i in range(n):
         for j in range(n):
             s = G[i, j]
@@ -264,11 +277,11 @@ def _leap(P, out, step, work):
     for i in range(n):
         for j in range(i, n):
             B[i, j] = B[j, i] = P[i, j]
-    _product(B, G, M, False)
+    _product(B, G, M)
     for i in range(n):
         M[i, i] += 1.0
     _solve(M, B)
-    _product(A, B, T, False)
+    _product(A, B, T)
     for i in range(n):
         for j in range(i, n):
             s = H[i, j]
@@ -448,29 +461,25 @@ def channel_filter(y, theta, chain, sees, rules, e, lns):
     Where the gain changes by no more than the part TOLERANCE over 8 to 256 ticks, it is interpolated between both ends;
     the covariance at the far end is exact (by doubling). 0: every tick by itself.
     """
-    return _filter(y, theta, chain, sees, rules, np.zeros(y.size, np.int64), False, e, lns)
+    return _filter(y, theta, chain, sees, rules, np.zeros(y.size, np.int64), rules[TOLERANCE], e, lns)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _filter(y, theta, chain, sees, rules, plan, follow, e, lns):
-    """`channel_filter`; where it leapt how far (2^level ticks) is noted in `plan` (N,), or done as noted there
-    (`follow`).
+def _filter(y, theta, chain, sees, rules, plan, tolerance, e, lns):
+    """`channel_filter`; where it leapt how far (2^level ticks) is noted in `plan` (N,), or done as noted there (a
+    `tolerance` below 0).
     """
     r, m = sees.size, (theta.size - 1) // 2
     U = chain[TRANSITION]
     n, d = r + m, int(rules[DIFFUSE])
     a, c, var = theta[:m], theta[m : 2 * m], math.exp(2.0 * theta[2 * m])
-    noise, clip, longest, tolerance = (
-        var + rules[WHITE],
-        rules[CLIP],
-        int(rules[LONGEST_GAP]),
-        -1.0 if follow else rules[TOLERANCE],
-    )
+    noise, clip, longest, follow = var + rules[WHITE], rules[CLIP], int(rules[LONGEST_GAP]), tolerance < 0.0
     g, start, P, after = c - a, np.zeros((m, m)), np.zeros((n + 1, n + 1)), np.zeros((n + 1, n + 1))
     rows = np.zeros((6, n + 1))
     x, L, ahead, column, save, slope = rows[0], rows[1], rows[2], rows[3], rows[4], rows[5]
     A, X, w, work = np.zeros((n, d)), np.zeros((d, d)), np.zeros(d), np.zeros((3 * n, 2 * n))
-    maps, made, level, wait, until, gap = np.empty((LONGEST + 1, 3, n, n)), 1, SHORTEST - 1, FIRST, 0, -1
+    maps, level, wait, until, gap = np.empty((LONGEST + 1, 3, n, n)), SHORTEST - 1, FIRST, 0, -1
+    made = int(1)  # a literal would compile a `_reach` of its own
     if not stationary(a, c, start):
         return math.inf
     _first_map(maps, a, g, var, noise, chain, sees, r, m)
@@ -500,7 +509,10 @@ def _filter(y, theta, chain, sees, rules, plan, follow, e, lns):
                 )
                 if level > 0:
                     total += _glide(y, t, 2**level, x, U, sees, a, L, S, ahead, ahead_S, clip, e, lns, save, slope)
-                    P[:, :], plan[t], until = after, level, t + 2**level
+                    plan[t], until = level, t + 2**level
+                    for i in range(n):
+                        for j in range(i, n):
+                            P[i, j] = after[i, j]
                     continue
                 level, wait = SHORTEST - 1, AGAIN
             scale, residual, root = 1.0 / S, y[t] - x[r], math.sqrt(S)
@@ -581,9 +593,13 @@ def channel_scores(y, thetas, chains, sees, rules, steps, E, LNS, info, gradient
     k = steps.size
     clip = rules[CLIP]
     plan = np.zeros(y.size, np.int64)
-    value = _filter(y, thetas[0], chains[0], sees, rules, plan, False, E[0], LNS[0])
-    for i in range(k):
-        if not _filter(y, thetas[i + 1], chains[i + 1], sees, rules, plan, True, E[i + 1], LNS[i + 1]) < math.inf:
+    value = 0.0
+    for i in range(k + 1):
+        tolerance = rules[TOLERANCE] if i == 0 else -1.0
+        found = _filter(y, thetas[i], chains[i], sees, rules, plan, tolerance, E[i], LNS[i])
+        if i == 0:
+            value = found
+        elif not found < math.inf:
             return math.inf
     psi = np.empty(y.size)
     for t in range(y.size):

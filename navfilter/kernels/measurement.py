@@ -67,7 +67,7 @@ def body_velocity(z, nav, rate, par, cfg, H, res):
 
     cfg: lever arm (3), mounting matrix M instrument-to-body (9). par: none, or scale s and misalignment m (3).
     """
-    _instrument_velocity(z, nav, nav[3], nav[4], nav[5], rate, par, 0, cfg, H, res)
+    _instrument_velocity(z, nav, nav[3], nav[4], nav[5], rate, par, int(0), cfg, H, res)
 
 
 @njit(cache=True)
@@ -75,7 +75,7 @@ def water_velocity(z, nav, rate, par, cfg, H, res):
     """As `body_velocity`, but through water that moves: v_n less the current. par: current north, east, then as
     there.
     """
-    _instrument_velocity(z, nav, nav[3] - par[0], nav[4] - par[1], nav[5], rate, par, 2, cfg, H, res)
+    _instrument_velocity(z, nav, nav[3] - par[0], nav[4] - par[1], nav[5], rate, par, int(2), cfg, H, res)
     for i in range(3):
         H[i, 9], H[i, 10] = -H[i, 3], -H[i, 4]
 
@@ -493,7 +493,10 @@ def earlier(nav, motion, gravity, late_s, window_s, then, turn, slope, B):
     C, v, by, mean, newer = np.empty(9), np.empty(3), np.zeros(9), np.empty(6), np.empty(6)
     for i in range(17):
         then[i] = nav[i]
-    C[:], v[:] = nav[6:15], nav[3:6]
+    for i in range(9):
+        C[i] = nav[6 + i]
+    for i in range(3):
+        v[i] = nav[3 + i]
     centre = max(late_s, 0.5 * window_s)
     _mean_motion(motion, centre, centre + 0.5 * window_s, mean)
     _mean_motion(motion, centre - 0.5 * window_s, centre, newer)
@@ -509,13 +512,13 @@ def earlier(nav, motion, gravity, late_s, window_s, then, turn, slope, B):
         if left <= 0.0:
             break
         if dt > 0.0:
-            _stepped_back(C, v, by, motion[k], 1, gravity, dt)
+            _stepped_back(C, v, by, motion[k], int(1), gravity, dt)
             left -= dt
     ahead = centre - 0.5 * late_s if late_s < 0.0 else 0.0  # from the middle of the window to that of what is to come
     for i in range(3):
         newer[i], newer[3 + i] = mean[i] + ahead * turn[3 + i], mean[3 + i]
     if left != 0.0:
-        _stepped_back(C, v, by, newer, 0, gravity, left)
+        _stepped_back(C, v, by, newer, int(0), gravity, left)
     latitude = nav[0] - by[0] / nav[15]
     then[0], then[2] = latitude, nav[2] + by[2]
     then[1] = nav[1] - by[1] / (nav[16] * math.cos(0.5 * (latitude + nav[0])))

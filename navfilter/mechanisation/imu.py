@@ -20,6 +20,7 @@ from navfilter.mission import Stream
 from navfilter.sensors.heading import TEMPERATURE
 from navfilter.sensors.traits import Columns, Doubt, Plausible
 from navfilter.start import Start
+from navfilter.state import NavState
 
 __all__ = ["ACCEL_PRIOR", "GYRO_PRIOR", "Imu"]
 
@@ -132,6 +133,11 @@ class Imu(Mechanisation):
             rows[1:known, 1:] *= 0.5
         rows[:, 1:] -= errors
         return rows, strapdown.gravity(nav[0], nav[2])
+
+    def at_rest(self, state: NavState, drv: Array) -> Array:
+        """No rate, and the force that carries it."""
+        force = -state.C_nb[2] * strapdown.gravity(state.latitude, state.height)
+        return np.concatenate([np.zeros(3), force]) * (self.period_s if self.increments else 1.0)
 
     def body_rate(self, drv: Array, errors: Array) -> Array | float:
         """That of the last sample."""

@@ -20,6 +20,7 @@ from navfilter.sensors import BodyVelocity, Heading
 from navfilter.sensors.sensor import Errors
 from navfilter.sensors.traits import Columns, Doubt, Plausible
 from navfilter.start import Start
+from navfilter.state import NavState
 
 __all__ = ["DriveNoise", "Mechanisation", "Triple"]
 
@@ -206,6 +207,21 @@ class Mechanisation:
             [m/s^2]; 0 where the forces are accelerations.
         """
         raise NotImplementedError
+
+    def at_rest(self, state: NavState, drv: Array) -> Array:
+        """What it would read if the vehicle kept still in this state; shape (6,), or (3,) for an attitude alone."""
+        raise NotImplementedError
+
+    def felt(self, drv: Array, span_s: float) -> tuple[Array, Array] | None:
+        """Mean and scatter of the samples since this was last asked; None before there are as many as that span has."""
+        n = drv[strapdown.COUNT]
+        if n < max(2, round(self.rate_hz * span_s)):
+            return None
+        mean = drv[strapdown.SUMS : strapdown.SUMS + 6] / n
+        scatter = np.sqrt(np.maximum(drv[strapdown.SQUARES : strapdown.SQUARES + 6] / n - mean**2, 0.0))
+        per = self.period_s if drv[strapdown.INCREMENTS] else 1.0
+        drv[strapdown.COUNT : strapdown.SQUARES + 6] = 0.0
+        return mean / per, scatter / per
 
     def body_rate(self, drv: Array, errors: Array) -> Array | float:
         """Angular rate in b [rad/s] for lever arms, the Earth's own (1e-4 rad/s) left in; 0 where it is not known.
