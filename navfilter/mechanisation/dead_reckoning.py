@@ -164,6 +164,8 @@ class DeadReckoning(Mechanisation):
         names = [p.name for p in self.parameters()]
         for place, name in FIRST_PARAMETERS.items():
             drv[place] = first_parameter + names.index(name) if name in names else -1
+        if "velocity.scale_x" in names:
+            drv[strapdown.SCALE], drv[strapdown.SCALE_STEP] = first_parameter + names.index("velocity.scale_x"), 1.0
         sensor = self.velocity_sensor
         drv[strapdown.LEVER : strapdown.LEVER + 12] = sensor.constants(start)  # type: ignore[arg-type]  # the same for any start
         if start is not None:

@@ -182,7 +182,17 @@ class Mechanisation:
         drv[strapdown.PERIOD_S] = self.period_s
         return drv
 
+    def draws(self, triple: str) -> dict[str, tuple[float, ...]]:
+        """Calibration errors that are drawn for a simulated mission of one of its `triples`, see `Sensor.draws`."""
+        return {}
+
     # ---------------------------------------------------------------- what sensors with a doubtful clock ask
+    def outputs(self, rows: Array, drv: Array) -> Array:
+        """Rows by which its states make the errors of its six values now, shape (6, k): those of its error models as
+        given, and what its constants do to its last sample.
+        """
+        return rows
+
     def remembered(self, past_s: float) -> int:
         """How many of the last samples tell how the vehicle has moved for `past_s` seconds; at least two."""
         return max(2, math.ceil((past_s + MORE_S) * self.rate_hz) + 1)
