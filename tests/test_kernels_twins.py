@@ -12,7 +12,16 @@ from pathlib import Path
 import naive
 import numpy as np
 import pytest
-from kernel_inputs import assert_close, imu_samples, random_drive, random_nav, readings, run_both, spd
+from kernel_inputs import (
+    assert_close,
+    imu_samples,
+    random_drive,
+    random_nav,
+    readings,
+    run_both,
+    spd,
+    uncalibrated_drive,
+)
 
 from navfilter.kernels import kalman, measurement, strapdown
 
@@ -48,6 +57,51 @@ def test_kernel_files_import_only_math_numpy_numba(name):
     assert imported <= {"math", "numpy", "numba"}
 
 
+def functions(name):
+    tree = ast.parse((FOLDER / f"{name}.py").read_text())
+    return [node for node in tree.body if isinstance(node, ast.FunctionDef)]
+
+
+def pairs(assignment):
+    """Each target of an assignment with its value."""
+    target, value = assignment.targets[0], assignment.value
+    if isinstance(target, ast.Tuple) and isinstance(value, ast.Tuple):
+        return list(zip(target.elts, value.elts, strict=True))
+    return [(target, value) for target in assignment.targets]
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_no_array_is_assigned_to_a_slice(name):
+    # numba compiles the text of the error for shapes that differ: four seconds once, half a second for each kernel
+    found = [
+        f"{name}.{function.name}, line {node.lineno}"
+        for function in functions(name)
+        for node in ast.walk(function)
+        if isinstance(node, ast.Assign)
+        for target, value in pairs(node)
+        if isinstance(target, ast.Subscript)
+        and any(isinstance(part, ast.Slice) for part in ast.walk(target.slice))
+        and not isinstance(value, ast.Constant)
+    ]
+    assert found == [], "copy it element by element"
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_no_literal_is_passed_to_a_kernel(name):
+    # for each literal numba compiles the callee, and all that it calls, another time
+    inlined = {f.name for f in functions(name) if any("inline=" in ast.unparse(d) for d in f.decorator_list)}
+    own = {f.name for f in functions(name)} - inlined
+    found = [
+        f"{name}.{function.name}, line {node.lineno}"
+        for function in functions(name)
+        for node in ast.walk(function)
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in own
+        for value in node.args
+        if isinstance(value, ast.Constant) and isinstance(value.value, int)
+    ]
+    assert found == [], "write int(0) for 0, or make two kernels of a flag"
+
+
 @pytest.mark.parametrize("name", FILES)
 def test_kernels_are_cached_and_without_fastmath(name):
     text = (FOLDER / f"{name}.py").read_text()
@@ -68,11 +122,12 @@ def drive_result(args):
     return nav[:3], nav[3:6], nav[6:15], nav[15:], xd, drv, acc[:m], acc[m : 2 * m]
 
 
+@pytest.mark.parametrize("elements", [(), (0, 4, 8), (1, 2, 3, 5, 6, 7), tuple(range(18))], ids=len)
 @pytest.mark.parametrize("k", [0, 6])
 @pytest.mark.parametrize("increments", [False, True])
-def test_imu_kernels(k, increments):
+def test_imu_kernels(k, increments, elements):
     rng = np.random.default_rng(k)
-    drv, xd, Phid, Qd, Cr, acc = random_drive(rng, k, INCREMENTS=float(increments))
+    drv, xd, Phid, Qd, Cr, acc = uncalibrated_drive(rng, k, elements, INCREMENTS=float(increments))
     nav, n = random_nav(rng), 12
     for block in range(3):
         args = nav, xd, drv, imu_samples(rng, n, increments), Phid, Qd, Cr, acc
@@ -101,6 +156,7 @@ DEAD_RECKONING = {
     "arm": {"LEVER": (0.8, -0.3, 0.4), "DECLINATION": -0.2},
     "parameters": {"LEVER": (0.8, -0.3, 0.4), "DEVIATION": 4, "SCALE": 8},
     "scale": {"SCALE": 4},
+    "scales": {"SCALE": 4, "SCALE_STEP": 1.0, "ATTITUDE_CLOCK": 10, "VELOCITY_CLOCK": 11},
     "clocks": {"LEVER": (0.8, -0.3, 0.4), "SCALE": 4, "ATTITUDE_CLOCK": 8, "VELOCITY_CLOCK": 9},
     "velocity's clock": {"VELOCITY_CLOCK": 4},
     "uncertain arm": {"LEVER": (0.8, -0.3, 0.4), "ARM": 5, "ATTITUDE_CLOCK": 8},
@@ -110,7 +166,7 @@ DEAD_RECKONING = {
 @pytest.mark.parametrize("settings", DEAD_RECKONING.values(), ids=DEAD_RECKONING.keys())
 def test_dead_reckoning_kernels(settings):
     rng = np.random.default_rng(3)
-    k = 12 if "DEVIATION" in settings else 10 if "ATTITUDE_CLOCK" in settings else 8
+    k = 12 if {"DEVIATION", "SCALE_STEP"} & set(settings) else 10 if "ATTITUDE_CLOCK" in settings else 8
     drv, xd, Phid, Qd, Cr, acc = random_drive(rng, k, PERIOD_S=0.25, **settings)
     Cr[:, 4:k] = 0.0  # parameters act through the readings, not through C
     nav = random_nav(rng)

@@ -204,11 +204,11 @@ def window_pass(theta, p, buf, span, carry, work, normal):
     first = r + lo
     size = count - lo
     if p > 0:
-        _lag_block(normal, 0, 0, work[2], work[2], p, p, first, first + size)
+        _lag_block(normal, int(0), int(0), work[2], work[2], p, p, first, first + size)
     if q > 0:
         _lag_block(normal, p, p, work[3], work[3], q, q, first, first + size)
     if p > 0 and q > 0:
-        _lag_block(normal, 0, p, work[2], work[3], p, q, first, first + size)
+        _lag_block(normal, int(0), p, work[2], work[3], p, q, first, first + size)
     for j in range(m):
         u = work[5 + j]
         for i in range(p):
@@ -301,7 +301,7 @@ def polish(theta, p, buf, span, carry, work, normal, limits):
         for _ in range(30):
             for i in range(n):
                 trial[i] = theta[i] + share * step[i]
-            if _within(trial, 0, p, limits[0], scratch) and _within(trial, p, q, limits[1], scratch):
+            if _within(trial, int(0), p, limits[0], scratch) and _within(trial, p, q, limits[1], scratch):
                 break
             share *= 0.6
         else:
@@ -309,9 +309,12 @@ def polish(theta, p, buf, span, carry, work, normal, limits):
         window_pass(trial, p, buf, span, carry, work, other)
         if other[n, n] < normal[n, n]:
             stale = False
-            theta[:] = trial
+            for i in range(theta.size):
+                theta[i] = trial[i]
             fell = normal[n, n] - other[n, n]
-            normal[:, :] = other
+            for i in range(normal.shape[0]):
+                for j in range(normal.shape[1]):
+                    normal[i, j] = other[i, j]
             damping = max(0.1 * damping, 1e-9)
             if share < 1.0 and fell < 1e-3 * normal[n, n] / used:
                 done = 1

@@ -19,8 +19,10 @@ from numba import njit
 
 DIFFUSE, LONGEST_GAP, CLIP, WHITE, TOLERANCE = 0, 1, 2, 3, 4
 TRANSITION, NOISE, START = 0, 1, 2
-SHORTEST, LONGEST = 3, 8
+SHORTEST, LONGEST = 3, 10
 FIRST, AGAIN = 32, 8
+# Of states that are seen side by side, a gain below this part of the largest one counts as that large.
+SMALL_PART = 0.3
 HALF_LOG_2PI = 0.9189385332046727
 
 
@@ -42,8 +44,8 @@ def stationary(a, c, P):
     for _ in range(60):
         worst = 0.0
         top = 0.0
-        _product(A, P, T, False)
-        _product(T, A, B, True)
+        _product(A, P, T)
+        _product_transposed(T, A, B)
         for i in range(m):
             for j in range(m):
                 if not abs(B[i, j]) < 1e300:
@@ -53,18 +55,31 @@ def stationary(a, c, P):
                 top = max(top, abs(P[i, j]))
         if not worst > 1e-17 * top:
             return True
-        _product(A, A, T, False)
-        A[:, :] = T
+        _product(A, A, T)
+        for i in range(m):
+            for j in range(m):
+                A[i, j] = T[i, j]
     return False
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _product(A, B, out, transposed):
+def _product(A, B, out):
     for i in range(A.shape[0]):
         for j in range(A.shape[0]):
             s = 0.0
             for k in range(A.shape[0]):
-                s += A[i, k] * (B[j, k] if transposed else B[k, j])
+                s += A[i, k] * B[k, j]
+            out[i, j] = s
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _product_transposed(A, B, out):
+    """``A B'``."""
+    for i in range(A.shape[0]):
+        for j in range(A.shape[0]):
+            s = 0.0
+            for k in range(A.shape[0]):
+                s += A[i, k] * B[j, k]
             out[i, j] = s
 
 
@@ -240,10 +255,10 @@ def _double(maps, k, work):
             M[i, j] = s
             B[i, j], B[i, n + j] = A[i, j], H[i, j]
     _solve(M, B)
-    _product(A, B[:, :n], maps[k, 0], False)
-    _product(A, B[:, n:], T, False)
-    _product(T, A, maps[k, 2], True)
-    _product(G, B[:, :n], T, False)
+    _product(A, B[:, :n], maps[k, 0])
+    _product(A, B[:, n:], T)
+    _product_transposed(T, A, maps[k, 2])
+    _product(G, B[:, :n], T)
     for i in range(n):
         for j in range(n):
             s = G[i, j]
@@ -262,11 +277,11 @@ def _leap(P, out, step, work):
     for i in range(n):
         for j in range(i, n):
             B[i, j] = B[j, i] = P[i, j]
-    _product(B, G, M, False)
+    _product(B, G, M)
     for i in range(n):
         M[i, i] += 1.0
     _solve(M, B)
-    _product(A, B, T, False)
+    _product(A, B, T)
     for i in range(n):
         for j in range(i, n):
             s = H[i, j]
@@ -278,11 +293,16 @@ def _leap(P, out, step, work):
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _alike(L, S, ahead, ahead_S, tolerance, U, sees):
     """Whether two gains are so near to each other that all between them may be interpolated."""
-    floor = 1e-6
+    # of states that are seen side by side only the sum is: the gain of one may cross zero
+    floor, together = 1e-6, 0.0
+    for i in range(sees.size):
+        if sees[i] != 0.0 or U[i, i] != 1.0:
+            together = max(together, SMALL_PART * min(abs(L[i]) / S, abs(ahead[i]) / ahead_S))
     for i in range(ahead.size - 1):
         old, new = L[i] / S, ahead[i] / ahead_S
-        integrated = i < sees.size and sees[i] == 0.0 and U[i, i] == 1.0
-        least = floor * 1e-3**i if integrated else floor
+        least = max(floor, together) if i < sees.size else floor
+        if i < sees.size and sees[i] == 0.0 and U[i, i] == 1.0:
+            least = floor * 1e-3**i
         if not abs(new - old) <= tolerance * max(min(abs(old), abs(new)), least):
             return False
     return abs(ahead_S - S) <= tolerance * min(S, ahead_S)
@@ -441,29 +461,25 @@ def channel_filter(y, theta, chain, sees, rules, e, lns):
     Where the gain changes by no more than the part TOLERANCE over 8 to 256 ticks, it is interpolated between both ends;
     the covariance at the far end is exact (by doubling). 0: every tick by itself.
     """
-    return _filter(y, theta, chain, sees, rules, np.zeros(y.size, np.int64), False, e, lns)
+    return _filter(y, theta, chain, sees, rules, np.zeros(y.size, np.int64), rules[TOLERANCE], e, lns)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _filter(y, theta, chain, sees, rules, plan, follow, e, lns):
-    """`channel_filter`; where it leapt how far (2^level ticks) is noted in `plan` (N,), or done as noted there
-    (`follow`).
+def _filter(y, theta, chain, sees, rules, plan, tolerance, e, lns):
+    """`channel_filter`; where it leapt how far (2^level ticks) is noted in `plan` (N,), or done as noted there (a
+    `tolerance` below 0).
     """
     r, m = sees.size, (theta.size - 1) // 2
     U = chain[TRANSITION]
     n, d = r + m, int(rules[DIFFUSE])
     a, c, var = theta[:m], theta[m : 2 * m], math.exp(2.0 * theta[2 * m])
-    noise, clip, longest, tolerance = (
-        var + rules[WHITE],
-        rules[CLIP],
-        int(rules[LONGEST_GAP]),
-        -1.0 if follow else rules[TOLERANCE],
-    )
+    noise, clip, longest, follow = var + rules[WHITE], rules[CLIP], int(rules[LONGEST_GAP]), tolerance < 0.0
     g, start, P, after = c - a, np.zeros((m, m)), np.zeros((n + 1, n + 1)), np.zeros((n + 1, n + 1))
     rows = np.zeros((6, n + 1))
     x, L, ahead, column, save, slope = rows[0], rows[1], rows[2], rows[3], rows[4], rows[5]
     A, X, w, work = np.zeros((n, d)), np.zeros((d, d)), np.zeros(d), np.zeros((3 * n, 2 * n))
-    maps, made, level, wait, until, gap = np.empty((LONGEST + 1, 3, n, n)), 1, SHORTEST - 1, FIRST, 0, -1
+    maps, level, wait, until, gap = np.empty((LONGEST + 1, 3, n, n)), SHORTEST - 1, FIRST, 0, -1
+    made = int(1)  # a literal would compile a `_reach` of its own
     if not stationary(a, c, start):
         return math.inf
     _first_map(maps, a, g, var, noise, chain, sees, r, m)
@@ -493,7 +509,10 @@ def _filter(y, theta, chain, sees, rules, plan, follow, e, lns):
                 )
                 if level > 0:
                     total += _glide(y, t, 2**level, x, U, sees, a, L, S, ahead, ahead_S, clip, e, lns, save, slope)
-                    P[:, :], plan[t], until = after, level, t + 2**level
+                    plan[t], until = level, t + 2**level
+                    for i in range(n):
+                        for j in range(i, n):
+                            P[i, j] = after[i, j]
                     continue
                 level, wait = SHORTEST - 1, AGAIN
             scale, residual, root = 1.0 / S, y[t] - x[r], math.sqrt(S)
@@ -524,6 +543,34 @@ def _filter(y, theta, chain, sees, rules, plan, follow, e, lns):
     return total if total < math.inf else math.inf
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def _contribution(z, lns, clip):
+    """What standardised innovations and ln S of a stretch add to minus the log-likelihood; NaN does not count."""
+    total = 0.0
+    for t in range(z.size):
+        if not math.isnan(z[t]):
+            size = abs(z[t])
+            total += HALF_LOG_2PI + 0.5 * lns[t]
+            total += clip * (size - 0.5 * clip) if size > clip else 0.5 * size * size
+    return total
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def channel_line(y, theta, chain, sees, rules, integrators, sizes, first, e, lns, values):
+    """Minus the log-likelihood of the samples from `first` on, given those before, into `values` (k,): for states after
+    the first `integrators` with noise and start of `chain` times each of the variances `sizes` (k,).
+    """
+    r = sees.size
+    parts = chain.copy()
+    for k in range(sizes.size):
+        for part in (NOISE, START):
+            for i in range(integrators, r):
+                for j in range(integrators, r):
+                    parts[part, i, j] = sizes[k] * chain[part, i, j]
+        whole = _filter(y, theta, parts, sees, rules, np.zeros(y.size, np.int64), False, e, lns)
+        values[k] = _contribution(e[first:], lns[first:], rules[CLIP]) if whole < math.inf else math.inf
+
+
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract"})
 def _dot(u, v):
     """Sum of products; in any order, so that several are added at a time."""
@@ -546,9 +593,13 @@ def channel_scores(y, thetas, chains, sees, rules, steps, E, LNS, info, gradient
     k = steps.size
     clip = rules[CLIP]
     plan = np.zeros(y.size, np.int64)
-    value = _filter(y, thetas[0], chains[0], sees, rules, plan, False, E[0], LNS[0])
-    for i in range(k):
-        if not _filter(y, thetas[i + 1], chains[i + 1], sees, rules, plan, True, E[i + 1], LNS[i + 1]) < math.inf:
+    value = 0.0
+    for i in range(k + 1):
+        tolerance = rules[TOLERANCE] if i == 0 else -1.0
+        found = _filter(y, thetas[i], chains[i], sees, rules, plan, tolerance, E[i], LNS[i])
+        if i == 0:
+            value = found
+        elif not found < math.inf:
             return math.inf
     psi = np.empty(y.size)
     for t in range(y.size):

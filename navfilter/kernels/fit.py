@@ -85,7 +85,8 @@ def inner_products(X, G):
 @njit(cache=True, nogil=True)
 def without_inputs(y, R, b, out):
     """``out = y - R' b``, the series without its fitted inputs (rows of R)."""
-    out[:] = y
+    for t in range(y.size):
+        out[t] = y[t]
     for i in range(b.size):
         f = b[i]
         for t in range(y.size):
@@ -124,7 +125,9 @@ def lyapunov(M, Q, rounds, P):
     A = M.copy()
     T = np.empty((n, n))
     B = np.empty((n, n))
-    P[:] = Q
+    for i in range(n):
+        for j in range(n):
+            P[i, j] = Q[i, j]
     for _ in range(rounds):
         _matmul(A, P, T)
         worst = 0.0
@@ -143,7 +146,9 @@ def lyapunov(M, Q, rounds, P):
         if not worst > 1e-17 * top:
             break
         _matmul(A, A, T)
-        A[:] = T
+        for i in range(n):
+            for j in range(n):
+                A[i, j] = T[i, j]
 
 
 @njit(cache=True, nogil=True)

@@ -334,18 +334,24 @@ def predict(P, nav, x, acc, model, mem, dims, count):
     """
     n, m, b, start = dims[1], dims[2], dims[3], dims[4]
     work = places(dims)[9]
-    mem[: m * m] = acc[:m].reshape(m * m)
+    for i in range(m):
+        for j in range(m):
+            mem[i * m + j] = acc[i, j]
     fold(P, acc, nav, mem[work : work + m * n].reshape((m, n)))
     if b == 0:
         return
     A = mem[m * m : m * m + b * b].reshape((b, b))
     if count == 1:
-        A[:] = model[0]
+        for i in range(b):
+            for j in range(b):
+                A[i, j] = model[0, i, j]
         tick(P, x, start, A, model[1], mem[work : work + b * n].reshape((b, n)))
     elif count > 1:
         W = mem[work + max(m, b) * n : work + max(m, b) * n + 4 * b * b].reshape((4, b, b))
         power(model[0], model[1], count, W)
-        A[:] = W[0]
+        for i in range(b):
+            for j in range(b):
+                A[i, j] = W[0, i, j]
         tick(P, x, start, A, W[1], mem[work : work + b * n].reshape((b, n)))
     else:
         for i in range(b):
@@ -526,7 +532,8 @@ def smooth_record(L, lam, record, a, m, b, start, T):
                     L[i, j] += h * T[2 * a + c, j] + t * H[c, j]
     if b > 0:
         _transition_transposed(L, lam, record[m * m : m * m + b * b].reshape((b, b)), start, b, T)
-    _transition_transposed(L, lam, record[: m * m].reshape((m, m)), 0, m, T)
+    # int(): a literal would compile a version of its own
+    _transition_transposed(L, lam, record[: m * m].reshape((m, m)), int(0), m, T)
 
 
 @njit(cache=True)
