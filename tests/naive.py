@@ -317,8 +317,20 @@ def _tick_drive(acc, F, xd, Phid, Qd, ticks):
         xd[:] = Phid @ xd
 
 
+def _uncalibrated(xd, drv, inc, dt, Cr):
+    """Output rows that make errors of the readings: of M times what they are."""
+    count = int(drv[88])
+    Cr, first = Cr.copy(), len(xd) - count
+    for q, code in enumerate(drv[89 : 89 + count].astype(int)):
+        Cr[code // 3, first + q] = inc[3 * (code // 9) + code % 3] / dt
+    drv[107 : 107 + count] = xd[first:]
+    return Cr
+
+
 def _inertial_step(nav, xd, inc, dt, drv, Phid, Qd, Cr, acc, ticks):
     m = acc.shape[1]
+    if drv[88]:
+        Cr = _uncalibrated(xd, drv, inc, dt, Cr)
     parts = _mechanise(nav, inc - dt * Cr[:, :-1] @ xd, dt)
     _tick_drive(acc, _inertial_transition(*parts, dt, Cr), xd, Phid, Qd, ticks)
     drv[14:23] = parts[0].ravel()
@@ -408,13 +420,13 @@ def _dead_reckoning_step(nav, xd, drv, sample, Phid, Qd, Cr, acc):
         u = B @ (v0 + w0)
         F[3:6, 3:6], F[3:6, 6:9] = B, B @ skew(v0)
     else:
-        scale, mis = (1.0 + xd[par], xd[par + 1 : par + 4]) if par >= 0 else (1.0, np.zeros(3))
-        D = scale * (np.eye(3) + skew(mis))
+        scale, mis = _scale_and_turn(xd[par : par + 4 + 2 * int(drv[87])] if par >= 0 else np.zeros(0))
+        D = scale @ (np.eye(3) + skew(mis))
         y = np.linalg.solve(D, sample[4:7] - err[3:])
         u = C @ M @ y
         J[3:6, 3:6] = C @ M @ np.linalg.inv(D)
         if par >= 0:
-            E_par[:, par], E_par[:, par + 1 : par + 4] = y + np.cross(mis, y), -scale * skew(y)
+            E_par[:, par : par + 4 + 2 * int(drv[87])] = _by_scale_and_turn(scale, mis, y, drv[87])
     for j in range(3):
         a = axes[:, j]
         moved, du = np.cross(a, l1), np.cross(a, u)
@@ -441,6 +453,19 @@ def _dead_reckoning_step(nav, xd, drv, sample, Phid, Qd, Cr, acc):
         Q[:6, :6] += G @ walk @ G.T
     elif span > 3 * drv[36]:
         Q[:3, :3] += walk * span**2 / 12.0
+
+
+def _scale_and_turn(par):
+    """Diagonal matrix of the scales and vector of the misalignment: none, one scale, or three."""
+    if not len(par):
+        return np.eye(3), np.zeros(3)
+    return np.diag(1.0 + par[:-3] * np.ones(3)), par[-3:]
+
+
+def _by_scale_and_turn(scale, mis, y, each):
+    """Derivative of scale (I + [mis x]) y."""
+    by_scale = np.diag(y + np.cross(mis, y))
+    return np.column_stack([by_scale if each else by_scale.sum(axis=1), -scale @ skew(y)])
 
 
 def _change(drv, sample, missing):
@@ -478,12 +503,12 @@ def body_velocity(z, nav, rate, par, cfg, H, res):
     arm, A = cfg[:3], cfg[3:12].reshape(3, 3).T
     C_bn = nav[6:15].reshape(3, 3).T
     y = A @ (C_bn @ nav[3:6] + np.cross(rate, arm))
-    g, mis = (1.0 + par[0], par[1:4]) if len(par) else (1.0, np.zeros(3))
-    D = g * (np.eye(3) + skew(mis))
+    scale, mis = _scale_and_turn(par)
+    D = scale @ (np.eye(3) + skew(mis))
     res[:], H[:] = z[:3] - D @ y, 0.0
     H[:, 3:6], H[:, 6:9] = D @ A @ C_bn, _attitude_columns(D @ A @ C_bn, nav[3:6])
     if len(par):
-        H[:, 9], H[:, 10:13] = D @ y / g, -g * skew(y)
+        H[:, 9:] = _by_scale_and_turn(scale, mis, y, len(par) == 6)
 
 
 def _bearing(n):
@@ -796,6 +821,15 @@ def channel_filter(y, theta, chain, sees, rules, e, lns):
     return total
 
 
+def channel_line(y, theta, chain, sees, rules, integrators, sizes, first, e, lns, values):
+    for k, size in enumerate(sizes):
+        parts = chain.copy()
+        parts[1:, integrators:, integrators:] *= size
+        values[k] = channel_filter(y, theta, parts, sees, rules, e, lns)
+        before = channel_filter(y[:first], theta, parts, sees, rules, e[:first], lns[:first])
+        values[k] -= before
+
+
 def channel_scores(y, thetas, chains, sees, rules, steps, E, LNS, info, gradient):
     value = channel_filter(y, thetas[0], chains[0], sees, rules, E[0], LNS[0])
     for i, step in enumerate(steps, start=1):
@@ -863,7 +897,7 @@ def water_velocity(z, nav, rate, par, cfg, H, res):
 
 
 def beam_velocity(z, nav, rate, par, cfg, H, res):
-    first, D = len(par) % 4, cfg[12:24].reshape(4, 3)
+    first, D = int(cfg[24]), cfg[12:24].reshape(4, 3)
     current, still = np.zeros(2), np.zeros(3)
     current[:first] = par[:first]
     over, through, gap = np.zeros((3, 9 + len(par) - first)), np.zeros((3, 11 + len(par) - first)), np.zeros((2, 3))

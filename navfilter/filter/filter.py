@@ -111,7 +111,7 @@ class Filter:
                 sample_s=state.time_s,
                 unfolded=0,
                 nav=state.pack(),
-                x=np.zeros(self.layout.size - 9),
+                x=self.layout.start_states(),
                 P=self.layout.start_covariance(state.covariance),
                 acc=self._identity(),
                 drv=self.in_force.drive.memory(self.layout.drive.errors, self.start),
@@ -344,14 +344,14 @@ class Filter:
         kalman.predict(P, nav, x, memory.acc, channel.model, channel.mem, channel.dims, channel.ticks(time_s))
         memory.unfolded = 0
         channel.memory.last_s, channel.stuck = time_s, frozen
+        outputs = self.vehicle.drive.outputs(self.drive_output[:, :-1], memory.drv)
         if channel.turns:
-            self._rate[:] = self.vehicle.drive.body_rate(memory.drv, self.drive_output[:3, :-1] @ self._xd)
+            self._rate[:] = self.vehicle.drive.body_rate(memory.drv, outputs[:3] @ self._xd)
         if channel.sight is None:
             channel.kernel(z, nav, self._rate, x[channel.parameters], channel.constants, channel.near, channel.res)
         else:
             par, since_s = x[channel.parameters], channel.lead_s + memory.time_s - time_s
             recent = memory.recent[: self.vehicle.drive.remembered(since_s + abs(float(par[-1])))]
-            outputs = self.drive_output[:, :-1]
             moved = self.vehicle.drive.motion(recent, nav, memory.drv, outputs @ self._xd)
             channel.sight.look(z, nav, self._rate, par, moved, since_s, outputs, channel.into)
         if channel.offset:
