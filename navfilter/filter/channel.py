@@ -13,12 +13,14 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.stats import chi2
 
 from navfilter.filter.layout import Group, Layout
+from navfilter.filter.offsets import offset_states
+from navfilter.filter.refusals import Refusals
 from navfilter.filter.sight import Sight
-from navfilter.kernels import kalman
+from navfilter.kernels import kalman, listen
 from navfilter.sensors import Sensor
 from navfilter.start import Start
 
-__all__ = ["Channel", "ChannelMemory", "usable"]
+__all__ = ["Channel", "ChannelMemory", "Refusals", "usable"]
 
 Array = NDArray[np.float64]
 #: More than this share of a reading's components must agree, or it is rejected whole.
@@ -37,6 +39,11 @@ class ChannelMemory:
         Times of the last reading and of the last tick of its clock [s].
     rejected_since_s : float
         Since when its readings have been rejected without one that was used [s]; NaN when they have not.
+    used_s, agreed_s : float
+        When it was used last, and since when it has agreed with the state: NaN before, and after the state was reset
+        to it [s].
+    refused : Refusals or None
+        What the readings that have been refused since say together.
     last : ndarray
         Jacobian, verdict and residual of the last reading (``kalman.places`` 7 to 9).
     """
@@ -44,7 +51,16 @@ class ChannelMemory:
     last_s: float = -math.inf
     ticked_s: float = -math.inf
     rejected_since_s: float = math.nan
+    used_s: float = -math.inf
+    agreed_s: float = math.nan
+    refused: Refusals | None = None
     last: Array = field(default_factory=lambda: np.zeros(0))
+
+    def use(self, time_s: float) -> None:
+        """Note that a reading of this time has been used."""
+        self.rejected_since_s, self.used_s, self.refused = math.nan, time_s, None
+        if math.isnan(self.agreed_s):
+            self.agreed_s = time_s
 
 
 class Channel:
@@ -100,8 +116,9 @@ class Channel:
         self.record, self.moved = mem[: at[5]], mem[: at[0]]
         self.transition = mem[: m * m].reshape(m, m)
         self.model, self.C, self.R = np.array([group.Phi[:b, :b], group.Q[:b, :b]]), group.C, np.diag(group.r)
-        self.lever = sensor.lever_arm_covariance(rate_variance)
-        self.white = self.R + self.lever
+        self.offset = bool(offset_states(sensor.models, self.period_s).size)
+        self.white = self.R.copy()
+        self.turns_by(rate_variance)
         self.seen = np.r_[0:9, group.start + group.errors : group.start + group.size]
         first = group.start - 9
         self.parameters = slice(first + group.errors, first + group.size)
@@ -109,6 +126,11 @@ class Channel:
         if self._memory.last.size == self._last.size:
             self._last[:] = self._memory.last
         self._memory.last = self._last
+
+    def turns_by(self, rate_variance: Array) -> None:
+        """How well the angular rate is known that its lever arm turns with; shape (3,) [rad^2/s^2]."""
+        self.lever = self.sensor.lever_arm_covariance(rate_variance)
+        self.white = np.diag(self.group.r) + self.lever
 
     @property
     def memory(self) -> ChannelMemory:
@@ -120,6 +142,13 @@ class Channel:
         self._last[:] = memory.last
         memory.last = self._last
         self._memory = memory
+
+    def unwrap(self, x: Array) -> None:
+        """Bring the residual of a heading that has jumped within half a turn of its error, before that is taken off."""
+        if self.sensor.open_loop == listen.HEADING:
+            first = self.group.start - 9
+            error = self.C @ x[first : first + self.group.errors]
+            self.res[:] = (self.res - error + np.pi) % (2.0 * np.pi) - np.pi + error
 
     def ticks(self, time_s: float) -> int:
         """Periods of the sensor since it was last heard; 0 at the first reading."""

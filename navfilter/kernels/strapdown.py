@@ -5,7 +5,7 @@ Arrays shared with the navigator (all float64, C-contiguous):
 ``nav`` (17,)   latitude, longitude [rad], height [m], velocity_n (3) [m/s], C_nb row by row (9), meridian and
 prime-vertical
                 radius plus height [m].
-``drv`` (87,)   memory and settings of the drive, see the index constants below. ``samples`` (n, 7)  seconds since the
+``drv`` (125,)  memory and settings of the drive, see the index constants below. ``samples`` (n, 7)  seconds since the
 previous sample, then the six values of the drive. ``Cr`` (6, k+1) output rows C of the drive's error blocks, and in the
 last column the white variance of one sample. ``acc`` (4m, m) compound transition Phi and noise Q since the last fold (m
 rows each), then two m-row work areas. m = 9 + k.
@@ -47,10 +47,16 @@ TURN_RATE = 64
 # six readings change (6), the last velocity that was one and whether there is one (4), and what the last turn did to a
 # lever arm, per second (9).
 ATTITUDE_CLOCK, VELOCITY_CLOCK, ARM, CHANGE, PREVIOUS_VELOCITY, KNOWN_VELOCITY, ARM_TURN = 65, 66, 67, 68, 74, 77, 78
+# 1: dead reckoning has a scale of the velocity for each axis, 0: one for all.
+SCALE_STEP = 87
+# An inertial unit that is not calibrated, true = reading - M reading - errors: how many elements of M are states, the
+# last of the drive's; which they are (3 * channel + axis each); and what they are thought to be.
+CALIBRATED, ELEMENTS, CALIBRATION = 88, 89, 107
 PLACES = [DEVIATION, SCALE, ARM, ATTITUDE_CLOCK, VELOCITY_CLOCK]
-DRIVE_SIZE = 87
+DRIVE_SIZE = 125
 CHANGE_S = 0.1  # what changes is a mean over so long, for readings that come faster are noisy
 MOST_TICKS = 10000.0  # of the drive's blocks in one step
+WIDE = 16  # columns of a panel: rows of so many stay in registers
 GAP_PERIODS = 3.0  # a silence of more than this many periods is a gap: what the vehicle did in it is unknown
 
 
@@ -251,75 +257,180 @@ def integrate(nav, drv, samples, out):
 
 
 @njit(cache=True, error_model="numpy")
-def _inertial_advance(nav, xd, inc, dt, drv, Cr, acc):
-    """One strapdown step with the drive's errors taken off; leaves its transition, of second order in dt, in the third
-    block of acc.
+def _inertial_advance(nav, xd, inc, dt, drv, Cr, f):
+    """One strapdown step with the drive's errors taken off; leaves the elements of its transition, of second order in
+    dt, in f (34,) for `_inertial_carry`.
     """
-    k = len(xd)
-    m = 9 + k
-    F, W = acc[2 * m : 3 * m], acc[3 * m :]
-    C, mid = drv[MEAN_C : MEAN_C + 9], W[3]
+    k, C, mid = len(xd), drv[MEAN_C : MEAN_C + 9], f[:9]
     for i in range(6):
         for s in range(k):
             inc[i] -= dt * Cr[i, s] * xd[s]
-    sl, cl = math.sin(nav[0]), math.cos(nav[0])
-    tl = sl / cl
+    sl = math.sin(nav[0])
+    cl = math.sqrt(1.0 - sl * sl)
     _mechanise(nav, inc, dt, C, mid)
-    pn, pe, pd, mn, me, md, g, rn, re = mid[0], mid[1], mid[2], mid[3], mid[4], mid[5], mid[6], mid[7], mid[8]
-    wn, we, wd = EARTH_RATE * cl + me / re, -mn / rn, -EARTH_RATE * sl - me * tl / re
+    pn, pe, pd, mn, me, md, g = mid[0], mid[1], mid[2], mid[3], mid[4], mid[5], mid[6]
+    by_rn, by_re, by_cl = 1.0 / mid[7], 1.0 / mid[8], 1.0 / cl
+    tl = sl * by_cl
+    north, east, down = mn * by_rn, me * by_re, md * by_re  # the same as angles
+    wn, we, wd = EARTH_RATE * cl + east, -north, -EARTH_RATE * sl - east * tl
     on, oe, od = wn + EARTH_RATE * cl, we, wd - EARTH_RATE * sl
-    # transition: attitude rows, then velocity with the mean attitude error, then position with the mean velocity error
-    _clear_transition(F, m)
-    F[6, 6] = F[7, 7] = F[8, 8] = 1.0
-    F[6, 7], F[6, 8] = wd * dt, -we * dt
-    F[7, 6], F[7, 8] = -wd * dt, wn * dt
-    F[8, 6], F[8, 7] = we * dt, -wn * dt
-    F[6, 4], F[7, 3], F[8, 4] = -dt / re, dt / rn, dt * tl / re
-    F[6, 0] = dt * EARTH_RATE * sl / rn
-    F[8, 0] = dt * (EARTH_RATE * cl + me / (re * cl * cl)) / rn
-    F[6, 2], F[7, 2], F[8, 2] = -dt * me / (re * re), dt * mn / (rn * rn), dt * me * tl / (re * re)
-    for s in range(k):
-        for i in range(3):
-            F[6 + i, 9 + s] = -dt * (C[3 * i] * Cr[0, s] + C[3 * i + 1] * Cr[1, s] + C[3 * i + 2] * Cr[2, s])
-            F[3 + i, 9 + s] = -dt * (C[3 * i] * Cr[3, s] + C[3 * i + 1] * Cr[4, s] + C[3 * i + 2] * Cr[5, s])
-    for j in range(m):
-        a = 0.5 * (F[6, j] + (1.0 if j == 6 else 0.0))
-        b = 0.5 * (F[7, j] + (1.0 if j == 7 else 0.0))
-        c = 0.5 * (F[8, j] + (1.0 if j == 8 else 0.0))
-        F[3, j] += b * pd - c * pe
-        F[4, j] += c * pn - a * pd
-        F[5, j] += a * pe - b * pn
-    F[3, 3] += 1.0 + dt * md / rn
-    F[3, 4] += dt * (od - me * tl / re)
-    F[3, 5] -= dt * oe
-    F[4, 3] -= dt * od
-    F[4, 4] += 1.0 + dt * (md + mn * tl) / re
-    F[4, 5] += dt * on
-    F[5, 3] += dt * (oe - mn / rn)
-    F[5, 4] -= dt * (on + me / re)
-    F[5, 5] += 1.0
-    F[3, 0] -= dt * me * (2.0 * EARTH_RATE * cl + me / (re * cl * cl)) / rn
-    F[4, 0] += dt * (2.0 * EARTH_RATE * (mn * cl - md * sl) + mn * me / (re * cl * cl)) / rn
-    F[5, 0] += dt * 2.0 * EARTH_RATE * sl * me / rn
-    F[3, 2] += dt * (mn * md / (rn * rn) - me * me * tl / (re * re))
-    F[4, 2] += dt * (mn * me * tl + me * md) / (re * re)
-    F[5, 2] += dt * (2.0 * g / EARTH_RADIUS - mn * mn / (rn * rn) - me * me / (re * re))
-    for i in range(3):
-        for j in range(m):
-            F[i, j] += 0.5 * dt * F[3 + i, j]
-        F[i, i] += 1.0
-        F[i, 3 + i] += 0.5 * dt
-    F[0, 0] -= dt * md / rn
-    F[0, 2] += dt * mn / rn
-    F[1, 0] += dt * me * tl / rn
-    F[1, 1] -= dt * (md / re + tl * mn / rn)
-    F[1, 2] += dt * me / re
+    bend = EARTH_RATE * cl + east * by_cl * by_cl  # how the turn over ground changes with latitude
+    f[0], f[1], f[2], f[3], f[4], f[5], f[6] = dt, wn * dt, we * dt, wd * dt, pn, pe, pd
+    # attitude by velocity and position
+    f[7], f[8], f[9] = -dt * by_re, dt * by_rn, dt * tl * by_re
+    f[10], f[11] = dt * EARTH_RATE * sl * by_rn, dt * bend * by_rn
+    f[12], f[13], f[14] = -dt * east * by_re, dt * north * by_rn, dt * east * tl * by_re
+    # velocity by velocity and position
+    f[15], f[16], f[17] = 1.0 + dt * md * by_rn, dt * (od - east * tl), -dt * oe
+    f[18], f[19], f[20] = -dt * od, 1.0 + dt * (down + mn * by_re * tl), dt * on
+    f[21], f[22] = dt * (oe - north), -dt * (on + east)
+    f[23] = -dt * me * (EARTH_RATE * cl + bend) * by_rn
+    f[24] = dt * (2.0 * EARTH_RATE * (mn * cl - md * sl) * by_rn + north * east * by_cl * by_cl)
+    f[25] = dt * 2.0 * EARTH_RATE * sl * me * by_rn
+    f[26] = dt * (north * md * by_rn - east * east * tl)
+    f[27] = dt * east * (mn * by_re * tl + down)
+    f[28] = dt * (2.0 * g / EARTH_RADIUS - north * north - east * east)
+    # position by position
+    f[29], f[30], f[31] = 1.0 - dt * md * by_rn, dt * north, dt * me * tl * by_rn
+    f[32], f[33] = 1.0 - dt * (down + tl * north), dt * east
 
 
 @njit(cache=True, error_model="numpy")
-def _inertial_noise(dt, drv, Cr, acc, m):
-    """White noise of one step: variance r per sample means an angle (velocity) variance r * period per second."""
-    Q, C, k = acc[m : 2 * m], drv[MEAN_C : MEAN_C + 9], m - 9
+def _inertial_carry(X, f, C, seen, gain, plain, E, m):
+    """Rows 0 to 8 of X (panels of an (m, m) matrix) from the left by the transition of one step: attitude, then
+    velocity with the mean attitude error, then position with the mean velocity error.
+
+    Only its nonzero elements, in registers: ten times as quick as a product of whole matrices. seen, gain, plain: as
+    `_which_errors` has it; E (6 * WIDE,): work, rows of readings that no state enters are zero.
+    """
+    dt, tn, te, td, pn, pe, pd = f[0], f[1], f[2], f[3], f[4], f[5], f[6]
+    c0, c1, c2, c3, c4, c5, c6, c7, c8 = C[0], C[1], C[2], C[3], C[4], C[5], C[6], C[7], C[8]
+    f7, f8, f9, f10, f11, f12, f13, f14, f15, f16 = f[7], f[8], f[9], f[10], f[11], f[12], f[13], f[14], f[15], f[16]
+    f17, f18, f19, f20, f21, f22, f23, f24, f25 = f[17], f[18], f[19], f[20], f[21], f[22], f[23], f[24], f[25]
+    f26, f27, f28, f29, f30, f31, f32, f33 = f[26], f[27], f[28], f[29], f[30], f[31], f[32], f[33]
+    half = 0.5 * dt
+    for begin in range(0, X.size, m * WIDE):
+        Z = X[begin : begin + m * WIDE]
+        if plain:
+            for j in range(6 * WIDE):
+                E[j] = dt * Z[9 * WIDE + j]
+        else:
+            for p in range(gain.size):
+                row, of, c = WIDE * seen[0, p], WIDE * (9 + seen[1, p]), dt * gain[p]
+                if p == 0 or seen[0, p] != seen[0, p - 1]:
+                    for j in range(WIDE):
+                        E[row + j] = c * Z[of + j]
+                else:
+                    for j in range(WIDE):
+                        E[row + j] += c * Z[of + j]
+        for j in range(WIDE):
+            x0, x1, x2 = Z[j], Z[WIDE + j], Z[2 * WIDE + j]
+            x3, x4, x5 = Z[3 * WIDE + j], Z[4 * WIDE + j], Z[5 * WIDE + j]
+            x6, x7, x8 = Z[6 * WIDE + j], Z[7 * WIDE + j], Z[8 * WIDE + j]
+            e0, e1, e2 = E[j], E[WIDE + j], E[2 * WIDE + j]
+            e3, e4, e5 = E[3 * WIDE + j], E[4 * WIDE + j], E[5 * WIDE + j]
+            y6 = x6 + td * x7 - te * x8 + f7 * x4 + f10 * x0 + f12 * x2 - (c0 * e0 + c1 * e1 + c2 * e2)
+            y7 = x7 - td * x6 + tn * x8 + f8 * x3 + f13 * x2 - (c3 * e0 + c4 * e1 + c5 * e2)
+            y8 = x8 + te * x6 - tn * x7 + f9 * x4 + f11 * x0 + f14 * x2 - (c6 * e0 + c7 * e1 + c8 * e2)
+            a, b, c = 0.5 * (y6 + x6), 0.5 * (y7 + x7), 0.5 * (y8 + x8)
+            y3 = f15 * x3 + f16 * x4 + f17 * x5 + f23 * x0 + f26 * x2
+            y3 += b * pd - c * pe - (c0 * e3 + c1 * e4 + c2 * e5)
+            y4 = f18 * x3 + f19 * x4 + f20 * x5 + f24 * x0 + f27 * x2
+            y4 += c * pn - a * pd - (c3 * e3 + c4 * e4 + c5 * e5)
+            y5 = f21 * x3 + f22 * x4 + x5 + f25 * x0 + f28 * x2
+            y5 += a * pe - b * pn - (c6 * e3 + c7 * e4 + c8 * e5)
+            Z[j] = f29 * x0 + f30 * x2 + half * (y3 + x3)
+            Z[WIDE + j] = f31 * x0 + f32 * x1 + f33 * x2 + half * (y4 + x4)
+            Z[2 * WIDE + j] = x2 + half * (y5 + x5)
+            Z[3 * WIDE + j], Z[4 * WIDE + j], Z[5 * WIDE + j] = y3, y4, y5
+            Z[6 * WIDE + j], Z[7 * WIDE + j], Z[8 * WIDE + j] = y6, y7, y8
+
+
+@njit(cache=True, error_model="numpy")
+def _tick_rows(X, Phid, diagonal, T, m):
+    """Rows from 9 on of X (panels) from the left by the transition of the drive's blocks; T (k * WIDE,): work."""
+    k = m - 9
+    for begin in range(0, X.size, m * WIDE):
+        Z = X[begin + 9 * WIDE : begin + m * WIDE]
+        if diagonal:
+            for i in range(k):
+                c = Phid[i, i]
+                if c != 1.0:
+                    for j in range(WIDE):
+                        Z[i * WIDE + j] *= c
+            continue
+        for i in range(k):
+            for j in range(WIDE):
+                T[i * WIDE + j] = 0.0
+            for s in range(k):
+                c = Phid[i, s]
+                if c != 0.0:
+                    for j in range(WIDE):
+                        T[i * WIDE + j] += c * Z[s * WIDE + j]
+        for j in range(k * WIDE):
+            Z[j] = T[j]
+
+
+@njit(cache=True, error_model="numpy")
+def _transpose(X, m):
+    """Of a matrix in panels, in place."""
+    for i in range(min(m, X.size // m)):
+        for begin in range(0, i, WIDE):
+            row, column = (begin // WIDE * m + i) * WIDE, (i // WIDE * m + begin) * WIDE + i % WIDE
+            for j in range(min(WIDE, i - begin)):
+                X[row + j], X[column + j * WIDE] = X[column + j * WIDE], X[row + j]
+
+
+@njit(cache=True, error_model="numpy")
+def _tick_drive(xd, Phid, Qd, diagonal, T, Q, m):
+    """A tick of the drive's blocks: their mean, and their noise into Q (panels)."""
+    k = m - 9
+    if diagonal:
+        for i in range(k):
+            xd[i] *= Phid[i, i]
+            if Qd[i, i] != 0.0:
+                Q[((9 + i) // WIDE * m + 9 + i) * WIDE + (9 + i) % WIDE] += Qd[i, i]
+        return
+    for i in range(k):
+        T[i] = 0.0
+        for j in range(k):
+            T[i] += Phid[i, j] * xd[j]
+            if Qd[i, j] != 0.0:
+                Q[((9 + j) // WIDE * m + 9 + i) * WIDE + (9 + j) % WIDE] += Qd[i, j]
+    for i in range(k):
+        xd[i] = T[i]
+
+
+@njit(cache=True, error_model="numpy")
+def _inertial_compound(xd, Phid, Qd, diagonal, ticks, C, f, seen, gain, plain, E, T, Phi, Q):
+    """Compound Phi <- F Phi, Q <- F Q F' (panels) with the step that `_inertial_advance` left in f; the drive's blocks
+    tick, and their mean too.
+
+    Q F' is formed as (F Q)', Q being symmetric.
+    """
+    m = 9 + len(xd)
+    _inertial_carry(Phi, f, C, seen, gain, plain, E, m)
+    _inertial_carry(Q, f, C, seen, gain, plain, E, m)
+    if ticks > 0:
+        _tick_rows(Phi, Phid, diagonal, T, m)
+        _tick_rows(Q, Phid, diagonal, T, m)
+    _transpose(Q, m)
+    _inertial_carry(Q, f, C, seen, gain, plain, E, m)
+    for count in range(ticks):
+        if count > 0:
+            _tick_rows(Phi, Phid, diagonal, T, m)
+            _tick_rows(Q, Phid, diagonal, T, m)
+            _transpose(Q, m)
+        _tick_rows(Q, Phid, diagonal, T, m)
+        _tick_drive(xd, Phid, Qd, diagonal, T, Q, m)
+
+
+@njit(cache=True, error_model="numpy")
+def _inertial_noise(dt, drv, Cr, Q, k):
+    """White noise of one step, into the panels of Q: variance r per sample means an angle (velocity) variance r *
+    period per second.
+    """
+    C = drv[MEAN_C : MEAN_C + 9]
     span = max(dt, 0.0)
     gap = dt > GAP_PERIODS * drv[PERIOD_S]
     for a in range(3):
@@ -332,12 +443,80 @@ def _inertial_noise(dt, drv, Cr, acc, m):
         for i in range(3):
             for j in range(3):
                 cc = C[3 * i + a] * C[3 * j + a]
-                Q[6 + i, 6 + j] += cc * angle
-                Q[3 + i, 3 + j] += cc * speed
+                Q[(6 + i) * WIDE + 6 + j] += cc * angle
+                Q[(3 + i) * WIDE + 3 + j] += cc * speed
                 if gap:
-                    Q[i, j] += cc * speed * 0.25 * dt * dt
-                    Q[i, 3 + j] += cc * speed * 0.5 * dt
-                    Q[3 + i, j] += cc * speed * 0.5 * dt
+                    Q[i * WIDE + j] += cc * speed * 0.25 * dt * dt
+                    Q[i * WIDE + 3 + j] += cc * speed * 0.5 * dt
+                    Q[(3 + i) * WIDE + j] += cc * speed * 0.5 * dt
+
+
+@njit(cache=True, error_model="numpy")
+def _uncalibrated(inc, dt, xd, drv, work, seen, gain):
+    """Take the calibration errors off the increments, and note by how much (gain) each element of M enters: as the
+    reading of its axis. Over no time at all that is no number, and nothing to speak of.
+    """
+    first = len(xd) - int(drv[CALIBRATED])
+    for i in range(6):
+        work[i] = inc[i]
+    for p in range(gain.size):
+        q = seen[1, p] - first
+        if q >= 0:
+            reading = work[3 * (seen[0, p] // 3) + int(drv[ELEMENTS + q]) % 3]
+            inc[seen[0, p]] -= xd[first + q] * reading
+            gain[p] = reading / dt if dt > 0.0 else 0.0
+            drv[CALIBRATION + q] = xd[first + q]
+
+
+@njit(cache=True, error_model="numpy")
+def _which_errors(Cr, drv, seen, gain):
+    """Which of the six readings (row 0 of seen) which of the drive's states (row 1) enters, and by how much (gain).
+
+    Returns how many such pairs there are, and whether it is plain: one state a reading, in their order, as it is.
+    """
+    elements = int(drv[CALIBRATED])
+    count, plain = 0, True
+    for i in range(6):
+        for s in range(Cr.shape[1] - 1):
+            if Cr[i, s] != 0.0:
+                seen[0, count], seen[1, count], gain[count] = i, s, Cr[i, s]
+                plain = plain and i == s == count and gain[count] == 1.0
+                count += 1
+        for q in range(elements):
+            if int(drv[ELEMENTS + q]) // 3 == i:
+                seen[0, count], seen[1, count], gain[count] = i, Cr.shape[1] - 1 - elements + q, 0.0
+                plain = False
+                count += 1
+    return count, plain and count == 6
+
+
+@njit(cache=True, error_model="numpy")
+def _is_diagonal(A):
+    for i in range(A.shape[0]):
+        for j in range(A.shape[0]):
+            if i != j and A[i, j] != 0.0:
+                return False
+    return True
+
+
+@njit(cache=True, error_model="numpy")
+def _to_panels(M, X):
+    m = M.shape[0]
+    for i in range(m):
+        for begin in range(0, m, WIDE):
+            at = (begin // WIDE * m + i) * WIDE
+            for j in range(min(WIDE, m - begin)):
+                X[at + j] = M[i, begin + j]
+
+
+@njit(cache=True, error_model="numpy")
+def _from_panels(X, M):
+    m = M.shape[0]
+    for i in range(m):
+        for begin in range(0, m, WIDE):
+            at = (begin // WIDE * m + i) * WIDE
+            for j in range(min(WIDE, m - begin)):
+                M[i, begin + j] = X[at + j]
 
 
 @njit(cache=True, error_model="numpy")
@@ -376,14 +555,44 @@ def _finish(xd, Phid, Qd, ticks, acc):
 
 
 @njit(cache=True, error_model="numpy")
+def _panels(m):
+    """How many hold m columns."""
+    return (m + WIDE - 1) // WIDE
+
+
+@njit(cache=True, error_model="numpy")
+def _room(m):
+    """Elements of the work space of the inertial kernels for a head of m states."""
+    return 40 + 6 * (m - 9) + (m - 3) * WIDE + 2 * ((m + WIDE - 1) // WIDE * m * WIDE)
+
+
+@njit(cache=True, error_model="numpy")
+def _workspace(floats, m):
+    """Its parts: increments, elements of the transition, gains, rows of errors and of blocks, panels of Phi and Q."""
+    k, size = m - 9, (m + WIDE - 1) // WIDE * m * WIDE
+    E = 40 + 6 * k
+    T = E + 6 * WIDE
+    Phi = T + k * WIDE
+    Q = Phi + size
+    return floats[:6], floats[6:40], floats[40:E], floats[E:T], floats[T:Phi], floats[Phi:Q], floats[Q : Q + size]
+
+
+@njit(cache=True, error_model="numpy")
 def imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
     """Strapdown over a block of samples (rates or increments) with coning and sculling by the linear-rate assumption.
 
     Increments already used by `imu_hold` since the previous sample are taken off, so that holds change when the state
     is known, not what it becomes. Savage (1998), parts 1 and 2; Groves (2013), ch. 5.
     """
-    m = 9 + len(xd)
-    inc = np.empty(6)
+    k = len(xd)
+    m = 9 + k
+    floats, seen = np.zeros(_room(m)), np.empty((2, 6 * k), np.int64)
+    inc, f, gain, E, T, Phi, Q = _workspace(floats, m)
+    count, plain = _which_errors(Cr, drv, seen, gain)
+    diagonal = _is_diagonal(Phid) and _is_diagonal(Qd)
+    _to_panels(acc[:m], Phi)
+    _to_panels(acc[m : 2 * m], Q)
+    moved = Q[: _panels(m - int(drv[CALIBRATED])) * m * WIDE]  # constants gather no noise
     for n in range(samples.shape[0]):
         _increments(samples, n, drv, inc)
         drv[COUNT] += 1.0
@@ -392,23 +601,42 @@ def imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
             drv[SQUARES + i] += samples[n, 1 + i] * samples[n, 1 + i]
         dt = samples[n, 0] - drv[HELD_S]
         drv[HELD_S] = 0.0
-        _inertial_advance(nav, xd, inc, dt, drv, Cr, acc)
-        _finish(xd, Phid, Qd, _ticks(samples[n, 0], drv), acc)
-        _inertial_noise(dt, drv, Cr, acc, m)
+        C = drv[MEAN_C : MEAN_C + 9]
+        if drv[CALIBRATED] != 0.0:
+            _uncalibrated(inc, dt, xd, drv, f, seen, gain[:count])
+        _inertial_advance(nav, xd, inc, dt, drv, Cr, f)
+        ticks = _ticks(samples[n, 0], drv)
+        _inertial_compound(xd, Phid, Qd, diagonal, ticks, C, f, seen, gain[:count], plain, E, T, Phi, moved)
+        _inertial_noise(dt, drv, Cr, Q, k)
+    _from_panels(Phi, acc[:m])
+    _from_panels(Q, acc[m : 2 * m])
 
 
 @njit(cache=True, error_model="numpy")
 def imu_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc):
     """Carry the state `dt` seconds past the last sample with that sample's rates; the blocks do not tick."""
-    inc = np.empty(6)
+    k = len(xd)
+    m = 9 + k
+    floats, seen = np.zeros(_room(m)), np.empty((2, 6 * k), np.int64)
+    inc, f, gain, E, T, Phi, Q = _workspace(floats, m)
+    count, plain = _which_errors(Cr, drv, seen, gain)
+    diagonal = _is_diagonal(Phid) and _is_diagonal(Qd)
+    _to_panels(acc[:m], Phi)
+    _to_panels(acc[m : 2 * m], Q)
+    moved = Q[: _panels(m - int(drv[CALIBRATED])) * m * WIDE]  # constants gather no noise
     scale = dt / drv[PERIOD_S] if drv[INCREMENTS] != 0.0 else dt
     for i in range(6):
         inc[i] = drv[PREVIOUS + i] * scale
         drv[CONSUMED + i] += inc[i]
     drv[HELD_S] += dt
-    _inertial_advance(nav, xd, inc, dt, drv, Cr, acc)
-    _finish(xd, Phid, Qd, int(0), acc)
-    _inertial_noise(dt, drv, Cr, acc, 9 + len(xd))
+    if drv[CALIBRATED] != 0.0:
+        _uncalibrated(inc, dt, xd, drv, f, seen, gain[:count])
+    _inertial_advance(nav, xd, inc, dt, drv, Cr, f)
+    C = drv[MEAN_C : MEAN_C + 9]
+    _inertial_compound(xd, Phid, Qd, diagonal, int(0), C, f, seen, gain[:count], plain, E, T, Phi, moved)
+    _inertial_noise(dt, drv, Cr, Q, k)
+    _from_panels(Phi, acc[:m])
+    _from_panels(Q, acc[m : 2 * m])
 
 
 @njit(cache=True, error_model="numpy")
@@ -514,7 +742,7 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
         span, held = samples[n, 0], drv[HELD_S]
         drv[HELD_S] = 0.0
         # -- the sensors' own errors
-        dev, par = int(drv[DEVIATION]), int(drv[SCALE])
+        dev, par, step = int(drv[DEVIATION]), int(drv[SCALE]), int(drv[SCALE_STEP])
         late_a, late_v, arm = int(drv[ATTITUDE_CLOCK]), int(drv[VELOCITY_CLOCK]), int(drv[ARM])
         for i in range(6):
             err[i] = 0.0
@@ -590,20 +818,21 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
                 F[3 + i, 7] = B[i, 2] * nav[3] - B[i, 0] * nav[5]
                 F[3 + i, 8] = B[i, 0] * nav[4] - B[i, 1] * nav[3]
         else:
-            g, a, b, c = 1.0, 0.0, 0.0, 0.0
+            g0, g1, g2, a, b, c = 1.0, 1.0, 1.0, 0.0, 0.0, 0.0
             if par >= 0:
-                g += xd[par]
-                a, b, c = xd[par + 1], xd[par + 2], xd[par + 3]
-            h = 1.0 / (g * (1.0 + a * a + b * b + c * c))
+                g0, g1, g2 = 1.0 + xd[par], 1.0 + xd[par + step], 1.0 + xd[par + 2 * step]
+                a, b, c = xd[par + 2 * step + 1], xd[par + 2 * step + 2], xd[par + 2 * step + 3]
+            h = 1.0 + a * a + b * b + c * c
+            h0, h1, h2 = 1.0 / (g0 * h), 1.0 / (g1 * h), 1.0 / (g2 * h)
             for i in range(3):
                 # row i of C M, then times the inverse of (1 + scale)(I + [misalignment x])
                 r0 = C[i, 0] * M[0] + C[i, 1] * M[3] + C[i, 2] * M[6]
                 r1 = C[i, 0] * M[1] + C[i, 1] * M[4] + C[i, 2] * M[7]
                 r2 = C[i, 0] * M[2] + C[i, 1] * M[5] + C[i, 2] * M[8]
                 d = r0 * a + r1 * b + r2 * c
-                J[3 + i, 3] = h * (r0 + d * a - r1 * c + r2 * b)
-                J[3 + i, 4] = h * (r1 + d * b + r0 * c - r2 * a)
-                J[3 + i, 5] = h * (r2 + d * c - r0 * b + r1 * a)
+                J[3 + i, 3] = h0 * (r0 + d * a - r1 * c + r2 * b)
+                J[3 + i, 4] = h1 * (r1 + d * b + r0 * c - r2 * a)
+                J[3 + i, 5] = h2 * (r2 + d * c - r0 * b + r1 * a)
             z0, z1, z2 = samples[n, 4] - err[3], samples[n, 5] - err[4], samples[n, 6] - err[5]
             for i in range(3):
                 u[i] = J[3 + i, 3] * z0 + J[3 + i, 4] * z1 + J[3 + i, 5] * z2
@@ -660,15 +889,24 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
                 err[i] = 0.0
                 for j in range(3):
                     err[i] += (C[j, 0] * M[i] + C[j, 1] * M[3 + i] + C[j, 2] * M[6 + i]) * u[j]
+            turned = par + 2 * step + 1
             g = 1.0 + xd[par]
-            a, b, c = xd[par + 1], xd[par + 2], xd[par + 3]
+            a, b, c = xd[turned], xd[turned + 1], xd[turned + 2]
+            r1, r2 = (1.0 + xd[par + step]) / g, (1.0 + xd[par + 2 * step]) / g
             y0, y1, y2 = err[0], err[1], err[2]
             for i in range(9):
                 j0, j1, j2 = J[i, 3], J[i, 4], J[i, 5]
-                F[i, 9 + par] -= j0 * (y0 + b * y2 - c * y1) + j1 * (y1 + c * y0 - a * y2) + j2 * (y2 + a * y1 - b * y0)
-                F[i, 10 + par] -= g * (j2 * y1 - j1 * y2)
-                F[i, 11 + par] -= g * (j0 * y2 - j2 * y0)
-                F[i, 12 + par] -= g * (j1 * y0 - j0 * y1)
+                t0, t1, t2 = j0 * (y0 + b * y2 - c * y1), j1 * (y1 + c * y0 - a * y2), j2 * (y2 + a * y1 - b * y0)
+                if step == 0:
+                    F[i, 9 + par] -= t0 + t1 + t2
+                else:
+                    F[i, 9 + par] -= t0
+                    F[i, 10 + par] -= t1
+                    F[i, 11 + par] -= t2
+                j1, j2 = r1 * j1, r2 * j2  # by the scales of the other axes
+                F[i, 9 + turned] -= g * (j2 * y1 - j1 * y2)
+                F[i, 10 + turned] -= g * (j0 * y2 - j2 * y0)
+                F[i, 11 + turned] -= g * (j1 * y0 - j0 * y1)
         _position_rows(nav, F, span - held, m)
         _move(
             nav,

@@ -23,6 +23,7 @@ from navfilter.sensors.traits import Columns, Doubt, Plausible
 from navfilter.sensors.velocity import USUAL as VELOCITY_USUAL
 from navfilter.sensors.velocity import VELOCITY
 from navfilter.start import Start
+from navfilter.state import NavState
 
 __all__ = ["DeadReckoning"]
 
@@ -87,6 +88,11 @@ class DeadReckoning(Mechanisation):
                 "DeadReckoning.attitude must give a heading, found a magnetometer: dead reckoning has no attitude of "
                 "its own to level it with. Use the compass's heading output."
             )
+        if self.compass is not None and {"bias", "temperature"} & {name for name, *_ in self.compass.calibrated}:
+            raise ValueError(
+                "DeadReckoning.attitude: bias and temperature drift of its compass cannot be calibrated here; of its "
+                "constants only the deviation can. A bias turns the track as a mounting of the velocity does."
+            )
         if isinstance(self.velocity, Sensor) and self.velocity.gives != "velocity":
             raise ValueError(
                 f"DeadReckoning.velocity must be over ground, found a {type(self.velocity).__name__}: dead reckoning "
@@ -128,8 +134,8 @@ class DeadReckoning(Mechanisation):
         if self.compass is None or not any(self.compass.deviation_sd_rad):
             return ()
         names = ("one_cycle_sin", "one_cycle_cos", "two_cycle_sin", "two_cycle_cos")
-        one, two = self.compass.deviation_sd_rad
-        return tuple(Parameter(f"yaw.{name}", sd, "rad") for name, sd in zip(names, (one, one, two, two), strict=True))
+        found = {p.name: p for p in self.compass.all_parameters()}
+        return tuple(found[name]._replace(name=f"yaw.{name}") for name in names)
 
     def heading_drift(self, walk: float, period_s: float) -> Drift:
         """There is no heading but that of the drive's own compass: only the sensor's walk is known."""
@@ -163,6 +169,8 @@ class DeadReckoning(Mechanisation):
         names = [p.name for p in self.parameters()]
         for place, name in FIRST_PARAMETERS.items():
             drv[place] = first_parameter + names.index(name) if name in names else -1
+        if "velocity.scale_x" in names:
+            drv[strapdown.SCALE], drv[strapdown.SCALE_STEP] = first_parameter + names.index("velocity.scale_x"), 1.0
         sensor = self.velocity_sensor
         drv[strapdown.LEVER : strapdown.LEVER + 12] = sensor.constants(start)  # type: ignore[arg-type]  # the same for any start
         if start is not None:
@@ -188,6 +196,10 @@ class DeadReckoning(Mechanisation):
         rows = np.column_stack([seconds, rate, np.cross(rate, velocity_b) + gained / seconds])
         held = np.concatenate([drv[strapdown.HELD_S : strapdown.HELD_S + 1], rows[0, 1:4], np.zeros(3)])
         return np.concatenate([held[None, :], rows]), 0.0
+
+    def at_rest(self, state: NavState, drv: Array) -> Array:
+        """Its attitude, by the compass as it is."""
+        return state.roll_pitch_heading - np.array([0.0, 0.0, drv[strapdown.DECLINATION]])
 
     def samples(self, streams: Mapping[str, Stream]) -> tuple[Array, Array]:
         """Attitude, interpolated to the times of the velocity, and velocity."""
