@@ -829,6 +829,15 @@ def channel_filter(y, theta, chain, sees, rules, e, lns):
     return total
 
 
+def channel_line(y, theta, chain, sees, rules, integrators, sizes, first, e, lns, values):
+    for k, size in enumerate(sizes):
+        parts = chain.copy()
+        parts[1:, integrators:, integrators:] *= size
+        values[k] = channel_filter(y, theta, parts, sees, rules, e, lns)
+        before = channel_filter(y[:first], theta, parts, sees, rules, e[:first], lns[:first])
+        values[k] -= before
+
+
 def channel_scores(y, thetas, chains, sees, rules, steps, E, LNS, info, gradient):
     value = channel_filter(y, thetas[0], chains[0], sees, rules, E[0], LNS[0])
     for i, step in enumerate(steps, start=1):

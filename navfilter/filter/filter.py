@@ -115,7 +115,7 @@ class Filter:
                 sample_s=state.time_s,
                 unfolded=0,
                 nav=state.pack(),
-                x=np.zeros(self.layout.size - 9),
+                x=self.layout.start_states(),
                 P=self.layout.start_covariance(state.covariance),
                 acc=self._identity(),
                 drv=self.in_force.drive.memory(self.layout.drive.errors, self.start),
