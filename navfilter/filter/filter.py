@@ -263,8 +263,7 @@ class Filter:
     def _room(self, asked: Callable[[], int] | None) -> int:
         """Samples until something is due: the fold, the detection of rest, or what was asked for."""
         room = self._fold_every - self.memory.unfolded
-        if self._rest:
-            room = max(1, min(room, self._resting - int(self.memory.drv[strapdown.COUNT])))
+        room = max(1, min(room, self._resting - int(self.memory.drv[strapdown.COUNT]))) if self._rest else room
         return room if asked is None else min(room, asked())
 
     def _fold(self) -> Propagated:
@@ -284,9 +283,7 @@ class Filter:
             self.tape.row(memory.time_s, memory.nav, memory.x, memory.P)
 
     def _felt(self) -> Iterator[tuple[Channel, Array]]:
-        """The readings that the drive's last samples make, such as a zero velocity when they were quiet; once a period,
-        the shortest of all such sensors.
-        """
+        """The readings that the drive's last samples make, once in the shortest period of all such sensors."""
         felt = self.vehicle.drive.felt(self.memory.drv, self._resting * self._period_s) if self._rest else None
         if felt is None or self.watch.lost(self.memory.watch):
             return
