@@ -87,7 +87,7 @@ class Channel:
     def forget(self) -> None:
         """Remember nothing, as at the start."""
         self._memory = ChannelMemory()
-        self.count = 0
+        self.count, self.stuck = 0, False
 
     def arrange(self, sensor: Sensor, group: Group, layout: Layout, rate_variance: Array) -> None:
         """Lay out its working memory for other states; what is remembered stays.

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navfilter.error_models import per_axis
-from navfilter.filter import drive_watch, refused
+from navfilter.filter import agreement, drive_watch, refused
 from navfilter.filter.adoption import Change, state_change
 from navfilter.filter.channel import Channel, usable
 from navfilter.filter.events import Correction, Event, Outcome, Passed, Propagated, Relaid
@@ -344,7 +344,7 @@ class Filter:
         nav, P, x = memory.nav, memory.P, memory.x
         kalman.predict(P, nav, x, memory.acc, channel.model, channel.mem, channel.dims, channel.ticks(time_s))
         memory.unfolded = 0
-        channel.memory.last_s = time_s
+        channel.memory.last_s, channel.stuck = time_s, frozen
         outputs = self.vehicle.drive.outputs(self.drive_output[:, :-1], memory.drv)
         if channel.sensor.reads_rate:
             z = z - outputs[:3] @ self._xd
@@ -368,7 +368,8 @@ class Filter:
             channel.R[range(channel.axes), range(channel.axes)] += 0.5 * (nav[3] ** 2 + nav[4] ** 2) * P[8, 8] ** 2
         if channel.sensor.curved:
             channel.R += channel.sensor.second_order(z, channel.near, P[np.ix_(channel.seen, channel.seen)])
-        kalman.update(P, nav, x, channel.C, channel.R, channel.mem, channel.dims, channel.limits)
+        limits = channel.limits if channel.memory.refused is None else agreement.limits(channel)
+        kalman.update(P, nav, x, channel.C, channel.R, channel.mem, channel.dims, limits)
         nis, dof, used = channel.verdict.tolist()
         widened = False
         if used:
@@ -394,6 +395,7 @@ class Filter:
     def take_up(self, tell: Listening) -> None:
         """Adopt the constants of sensors that have just jumped, see `jumped` and `adopt`."""
         while self.jumped:
+            self.channels[self.jumped[0].sensor].memory.refused = None
             self.adopt(self.jumped.pop(0), tell)
 
     @property
