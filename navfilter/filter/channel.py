@@ -133,6 +133,11 @@ class Channel:
         self.lever = self.sensor.lever_arm_covariance(rate_variance / self.samples)
         self.white = np.diag(self.group.r) + self.lever
 
+    def without_errors(self, z: Array, outputs: Array, xd: Array) -> Array:
+        """A reading of the drive's first three values without the drive's errors, of whose states it depends."""
+        self.into[0][:] = outputs[:3]
+        return z - outputs[:3] @ xd
+
     @property
     def memory(self) -> ChannelMemory:
         """What it remembers; its arrays are views of the working memory."""

@@ -93,8 +93,7 @@ class Filter:
         self._remembered = drive.remembered(past_s) if past_s else 0
         self.jumped: list[Change] = []
         self._rest = [self.channels[name] for name, s in vehicle.sensors.items() if s.from_drive and self.inertial]
-        period_s = min((channel.period_s for channel in self._rest), default=1.0)
-        self._resting = max(2, round(drive.rate_hz * period_s))
+        self._resting = max(2, round(drive.rate_hz * min((channel.period_s for channel in self._rest), default=1.0)))
         for channel in self._rest:
             channel.samples = self._resting
         self.begin()
@@ -346,9 +345,7 @@ class Filter:
         memory.unfolded = 0
         channel.memory.last_s, channel.stuck = time_s, frozen
         outputs = self.vehicle.drive.outputs(self.drive_output[:, :-1], memory.drv)
-        if channel.sensor.reads_rate:
-            z = z - outputs[:3] @ self._xd
-            channel.into[0][:] = outputs[:3]
+        z = channel.without_errors(z, outputs, self._xd) if channel.sensor.reads_rate else z
         if channel.turns:
             self._rate[:] = self.vehicle.drive.body_rate(memory.drv, outputs[:3] @ self._xd)
         if channel.sight is None:
