@@ -53,7 +53,7 @@ _FACE = {
     "playback": "replay",
     "evaluation.rivals": "rival",
     "sensors": "Altitude Attitude BodyVelocity Course Depth DvlBeams Heading Odometer Position Range Usbl "
-    "WaterVelocity ZeroVelocity",
+    "WaterVelocity ZeroRate ZeroVelocity",
     "state": "NavState",
     "filter.tape": "Tape",
     "track": "Track",
