@@ -81,6 +81,7 @@ class Channel:
         self.sight = Sight(sensor, start) if sensor.place_and_clock() else None
         self.lead_s, self.past_s = sensor.lead_s, sensor.lead_s + CLOCK_SDS * sensor.time_offset_sd_s
         self.moves, self.turns = sensor.sees_velocity, sensor.needs_rate or any(sensor.lever_arm_sd_m)
+        self.samples = 1  # of the drive, of which a reading is the mean
         self.forget()
 
     def forget(self) -> None:
@@ -129,8 +130,13 @@ class Channel:
 
     def turns_by(self, rate_variance: Array) -> None:
         """How well the angular rate is known that its lever arm turns with; shape (3,) [rad^2/s^2]."""
-        self.lever = self.sensor.lever_arm_covariance(rate_variance)
+        self.lever = self.sensor.lever_arm_covariance(rate_variance / self.samples)
         self.white = np.diag(self.group.r) + self.lever
+
+    def without_errors(self, z: Array, outputs: Array, xd: Array) -> Array:
+        """A reading of the drive's first three values without the drive's errors, of whose states it depends."""
+        self.into[0][:] = outputs[:3]
+        return z - outputs[:3] @ xd
 
     @property
     def memory(self) -> ChannelMemory:
