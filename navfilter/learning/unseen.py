@@ -25,7 +25,7 @@ __all__ = ["WhiteDescription", "white_description"]
 
 Array = NDArray[np.float64]
 #: A part with a smaller probability is none.
-LEAST = 1e-3
+IMPROBABLE = 1e-3
 #: The slow part that stands for none, in its standard deviation.
 NOTHING = 1e-4
 
@@ -81,7 +81,7 @@ class WhiteDescription:
         there = np.exp(np.clip(np.where(np.isfinite(gain), gain, -700.0), -700.0, 700.0)) / taus.size
         share = there / (1.0 + float(there.sum()))
         mean = float(share @ variance)
-        if not float(share.sum()) > LEAST:
+        if not float(share.sum()) > IMPROBABLE:
             return ()
         return (GaussMarkov(sd=math.sqrt(mean), tau_s=float(share @ (variance * taus)) / mean),)
 
