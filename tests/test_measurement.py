@@ -171,7 +171,7 @@ def test_parameters_appear_only_where_they_are_uncertain():
         (lambda: nf.WaterVelocity(current_sd_m_s=0.0), r"WaterVelocity\.current_sd_m_s"),
         (lambda: nf.WaterVelocity(current_tau_s=math.inf), r"WaterVelocity\.current_tau_s"),
         (lambda: nf.WaterVelocity(error=nf.LearnedArma()), "the current hides in it"),
-        (lambda: nf.DeadReckoning(rate_hz=4.0, velocity=nf.WaterVelocity()), "no states for the current"),
+        (lambda: nf.DeadReckoning(rate_hz=4.0, velocity=nf.Course()), "must be a BodyVelocity, a WaterVelocity or"),
     ],
 )
 def test_wrong_sensors_are_refused(build, message):
