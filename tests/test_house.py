@@ -32,6 +32,7 @@ FLOORS = [
         "learning.slow",
         "learning.effort",
         "learning.likelihood",
+        "learning.unseen",
         "learning.starts",
         "learning.fit",
         "learning.posterior",
@@ -43,7 +44,7 @@ FLOORS = [
     {"sensors", "mechanisation", "vehicle", "track", "track_plot", "track_views"},
     {"filter", "learning.listener", "learning.rest", "learning.refit"},
     {"learning.schedule", "navigator", "alignment"},
-    {"assembly", "playback", "beacons", "simulation", "io", "outputs", "check"},
+    {"assembly", "playback", "beacons", "warming", "simulation", "io", "outputs", "check"},
     {"evaluation", "report", "identification", "calibration"},
     {"service", "cli", "commands", "__init__", "__main__"},
 ]
