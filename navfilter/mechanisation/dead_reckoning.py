@@ -95,8 +95,8 @@ class DeadReckoning(Mechanisation):
                 "DeadReckoning.attitude: bias and temperature drift of its compass cannot be calibrated here; of its "
                 "constants only the deviation can. A bias turns the track as a mounting of the velocity does."
             )
-        measured = isinstance(self.velocity, WaterVelocity) or not isinstance(self.velocity, Sensor)
-        if not measured and self.velocity.gives != "velocity":  # type: ignore[union-attr]
+        sensor = self.velocity_sensor
+        if sensor.gives != "velocity" and not ("current_north" in sensor.wandering() and sensor.axes == 3):
             raise ValueError(
                 "DeadReckoning.velocity must be a BodyVelocity, a WaterVelocity or error models, found a "
                 f"{type(self.velocity).__name__}."
