@@ -12,13 +12,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from navfilter.filter import gating
 from navfilter.filter.adoption import Change, state_change
+from navfilter.filter.asking import asked, shared
 from navfilter.filter.channel import Channel, usable
 from navfilter.filter.events import Correction, Event, Outcome, Passed, Propagated, Relaid
 from navfilter.filter.filter_memory import Errors, FilterMemory
 from navfilter.filter.intake import Intake
 from navfilter.filter.layout import Layout
 from navfilter.filter.tape import OUTCOMES, Tape
-from navfilter.kernels import kalman, strapdown
+from navfilter.kernels import kalman, strapdown, stretch
 from navfilter.learning.learned import learning_part
 from navfilter.start import Start
 from navfilter.state import NavState
@@ -29,9 +30,8 @@ __all__ = ["Filter"]
 Array = NDArray[np.float64]
 #: One that is told what the filter does.
 Listening = Callable[[Event], None]
-#: Beyond this variance of the heading [rad^2] a body velocity is taken with its second-order term.
-UNSURE_HEADING = 0.01
 CODES = {name: code for code, name in enumerate(OUTCOMES)}
+NO_SD = np.zeros(0)
 COUNTED = ("gap", "backward", "bad-sample", "clock-set", "widened", "opened", "adopted")
 
 
@@ -76,14 +76,14 @@ class Filter:
         self.vehicle, self.start, self.tape = vehicle, start, tape
         drive = vehicle.drive
         self.steps, self.hold = drive.steps, drive.hold
-        self._period_s = drive.period_s
-        self._ahead_s = max(self.AHEAD_S, 3.0 * self._period_s)
-        self._fold_every = max(1, round(drive.rate_hz))
+        self.period_s = drive.period_s
+        self.ahead_s = max(self.AHEAD_S, 3.0 * self.period_s)
+        self.fold_every = max(1, round(drive.rate_hz))
         self.inertial = drive.inertial
-        self._rate = np.zeros(3)
+        self._native = drive.steps in (strapdown.imu_steps, strapdown.dead_reckoning_steps)
         self.channels = {name: Channel(name, sensor, start) for name, sensor in vehicle.sensors.items()}
         past_s = max((channel.past_s for channel in self.channels.values()), default=0.0)
-        self._remembered = drive.remembered(past_s) if past_s else 0
+        self.remembered = drive.remembered(past_s) if past_s else 0
         self._rest = [self.channels[name] for name, s in vehicle.sensors.items() if s.from_drive and self.inertial]
         self.begin()
 
@@ -107,7 +107,7 @@ class Filter:
                 P=self.layout.start_covariance(state.covariance),
                 acc=self._identity(),
                 drv=self.in_force.drive.memory(self.layout.drive.errors, self.start),
-                recent=np.zeros((self._remembered, 7)),
+                recent=np.zeros((self.remembered, 7)),
                 intake=self.intake.memory,
                 channels={name: channel.memory for name, channel in self.channels.items()},
                 models=adopted,
@@ -137,7 +137,7 @@ class Filter:
         self._laid_out = models
         self.layout = layout = Layout.of(in_force)
         g, m = layout.drive, layout.head
-        self._Phid, self._Qd = g.Phi, g.Q
+        self.Phid, self.Qd = g.Phi, g.Q
         self.drive_output = np.zeros((6, g.size + 1))
         self.drive_output[:, : g.errors], self.drive_output[:, -1] = g.C, g.r
         self._work = np.zeros((m, layout.size))
@@ -145,6 +145,13 @@ class Filter:
         variance = g.r[:3] if self.inertial else np.zeros(3)
         for name, channel in self.channels.items():
             channel.arrange(in_force.sensors[name], layout.groups[name], layout, variance)
+        self._share()
+
+    def _share(self) -> None:
+        """Let all channels work in one array, see `navfilter.kernels.stretch`."""
+        self.bench, self.plan = shared(list(self.channels.values()), self._dims)
+        if not self.inertial:
+            self.plan[:, stretch.TURNS] = 0
 
     def _identity(self) -> Array:
         m = self.layout.head
@@ -214,18 +221,18 @@ class Filter:
         if not len(samples):
             return
         memory = self.memory
-        whole = len(samples) <= self._fold_every - memory.unfolded and not (self._rest or room)
+        whole = len(samples) <= self.fold_every - memory.unfolded and not (self._rest or room)
         samples, stamps = self.intake.take(samples, memory.drv, self._at_rest, whole)
         begin, total = 0, len(samples)
         while begin < total:
             end = total if whole else min(total, begin + self._room(room))
             block = samples[begin:end]
-            self.steps(memory.nav, self._xd, memory.drv, block, self._Phid, self._Qd, self.drive_output, memory.acc)
+            self.steps(memory.nav, self._xd, memory.drv, block, self.Phid, self.Qd, self.drive_output, memory.acc)
             if memory.recent.size:
                 memory.recent = np.concatenate([block[::-1], memory.recent])[: len(memory.recent)]
             memory.unfolded += end - begin
             memory.time_s = memory.sample_s = memory.intake.before_s = float(stamps[-1 if whole else end - 1])
-            if memory.unfolded >= self._fold_every:
+            if memory.unfolded >= self.fold_every:
                 tell(self._fold())
             for channel in self._rest:
                 reading = self._felt(channel)
@@ -237,7 +244,7 @@ class Filter:
 
     def _room(self, asked: Callable[[], int] | None) -> int:
         """Samples until something is due: the fold, the detection of rest, or what was asked for."""
-        room = self._fold_every - self.memory.unfolded
+        room = self.fold_every - self.memory.unfolded
         for channel in self._rest:
             window = max(2, round(self.vehicle.drive.rate_hz * channel.period_s))
             room = min(room, max(1, window - int(self.memory.drv[strapdown.COUNT])))
@@ -251,7 +258,7 @@ class Filter:
         if not self.inertial:
             return state.roll_pitch_heading - np.array([0.0, 0.0, drv[strapdown.DECLINATION]])
         level = np.concatenate([np.zeros(3), -state.C_nb[2] * strapdown.gravity(self.nav[0], self.nav[2])])
-        return level * self._period_s if drv[strapdown.INCREMENTS] else level
+        return level * self.period_s if drv[strapdown.INCREMENTS] else level
 
     def _fold(self) -> Propagated:
         """Fold the compound transition into P."""
@@ -280,7 +287,7 @@ class Filter:
         mean = drv[strapdown.SUMS : strapdown.SUMS + 6] / n
         scatter = np.sqrt(np.maximum(drv[strapdown.SQUARES : strapdown.SQUARES + 6] / n - mean**2, 0.0))
         if drv[strapdown.INCREMENTS]:
-            mean, scatter = mean / self._period_s, scatter / self._period_s
+            mean, scatter = mean / self.period_s, scatter / self.period_s
         drv[strapdown.COUNT : strapdown.SQUARES + 6] = 0.0
         return channel.sensor.felt(mean, scatter)
 
@@ -312,17 +319,17 @@ class Filter:
             return self._refused(channel, time_s, "invalid")
         if time_s <= channel.memory.last_s:
             return self._refused(channel, time_s, "duplicate")
-        if early < -1.001 * self._period_s:
+        if early < -1.001 * self.period_s:
             return self._refused(channel, time_s, "too-late")
-        if time_s - channel.lead_s - memory.sample_s > self._ahead_s:
+        if time_s - channel.lead_s - memory.sample_s > self.ahead_s:
             return self._refused(channel, time_s, "ahead")
         reading = channel.sensor.read(z)
         if reading is None:
             return self._refused(channel, time_s, "invalid")
         # one that could have waited is taken as it is at the end of a run: what comes then is not to be guessed
-        holds = early <= 1.001 * self._period_s or not channel.lead_s
+        holds = early <= 1.001 * self.period_s or not channel.lead_s
         if early > 1e-7 and memory.drv[strapdown.STARTED] and holds:
-            self.hold(memory.nav, self._xd, memory.drv, early, self._Phid, self._Qd, self.drive_output, memory.acc)
+            self.hold(memory.nav, self._xd, memory.drv, early, self.Phid, self.Qd, self.drive_output, memory.acc)
             memory.time_s = time_s
         return self._update(channel, time_s, reading, sd, frozen)
 
@@ -333,29 +340,20 @@ class Filter:
 
     def _update(self, channel: Channel, time_s: float, z: Array, sd: ArrayLike | None, frozen: bool) -> Correction:
         memory = self.memory
-        nav, P, x = memory.nav, memory.P, memory.x
-        kalman.predict(P, nav, x, memory.acc, channel.model, channel.mem, channel.dims, channel.ticks(time_s))
+        own = NO_SD if sd is None else np.resize(np.square(np.ravel(sd)), channel.axes)
+        if channel.kind >= 0 and self._native:
+            stretch.correction(
+                *(self.bench, channel.spot, memory.P, memory.nav, memory.x, memory.acc, memory.drv, self.drive_output),
+                *(z, own, channel.ticks(time_s)),
+            )
+        else:
+            asked(channel, memory, self.vehicle.drive, self.drive_output, (z, own), time_s)
         memory.unfolded = 0
         channel.memory.last_s = time_s
-        if channel.turns:
-            self._rate[:] = self.vehicle.drive.body_rate(memory.drv, self.drive_output[:3, :-1] @ self._xd)
-        if channel.sight is None:
-            channel.kernel(z, nav, self._rate, x[channel.parameters], channel.constants, channel.near, channel.res)
-        else:
-            par, since_s = x[channel.parameters], channel.lead_s + memory.time_s - time_s
-            recent = memory.recent[: self.vehicle.drive.remembered(since_s + abs(float(par[-1])))]
-            outputs = self.drive_output[:, :-1]
-            moved = self.vehicle.drive.motion(recent, nav, memory.drv, outputs @ self._xd)
-            channel.sight.look(z, nav, self._rate, par, moved, since_s, outputs, channel.into)
-        channel.R[:] = channel.white
-        if sd is not None:
-            channel.R[:] = channel.lever + np.eye(channel.axes) * np.resize(np.square(np.ravel(sd)), channel.axes)
-        if channel.moves and P[8, 8] > UNSURE_HEADING:
-            # second-order term of a velocity seen from a heading that is hardly known (Gelb, 1974, sec. 6.1)
-            channel.R[range(channel.axes), range(channel.axes)] += 0.5 * (nav[3] ** 2 + nav[4] ** 2) * P[8, 8] ** 2
-        if channel.sensor.curved:
-            channel.R += channel.sensor.second_order(z, channel.near, P[np.ix_(channel.seen, channel.seen)])
-        kalman.update(P, nav, x, channel.C, channel.R, channel.mem, channel.dims, channel.limits)
+        return self.concluded(channel, time_s, frozen)
+
+    def concluded(self, channel: Channel, time_s: float, frozen: bool) -> Correction:
+        """What follows from the verdict on a reading, which stands in its channel."""
         nis, dof, used = channel.verdict.tolist()
         widened = False
         if used:
