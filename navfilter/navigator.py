@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from navfilter.filter import snapshot as snapshots
 from navfilter.filter.adoption import Change
-from navfilter.filter.channel import ChannelMemory
+from navfilter.filter.channel import ChannelMemory, Refusals
 from navfilter.filter.events import Event, Outcome
 from navfilter.filter.filter import Filter
 from navfilter.filter.filter_memory import Errors, FilterMemory
@@ -48,7 +48,7 @@ class NavigatorMemory:
 
 
 MEMORY = (
-    *(NavigatorMemory, FilterMemory, ChannelMemory, IntakeMemory),
+    *(NavigatorMemory, FilterMemory, ChannelMemory, Refusals, IntakeMemory),
     *(LearningMemory, ListenerMemory, RestMemory, LearnerMemory, Line, Spectrum),
 )
 
@@ -253,6 +253,7 @@ class Navigator:
         learning.keep(item)
         correction = self.filter.correct(*item)
         self.told(correction)
+        self.filter.take_up(self.told)
         return correction.outcome
 
     def told(self, event: Event) -> None:
@@ -269,7 +270,7 @@ class Navigator:
                 self.filter.adopt(Change(name, models), self.told)
             return
         counted = self.filter.counts["adopted"] + len(found)
-        self.filter.begin({**dict(self.filter.memory.models), **found})
+        self.filter.begin({**self.filter.described_models, **found})
         self.filter.counts["adopted"] = counted
         inputs = joined(self.learning.begin_again())
         if self._history is None:
@@ -359,8 +360,8 @@ class Navigator:
     @property
     def health(self) -> Health:
         """What the sensors are worth at present."""
-        sensors = {name: watch.health(self.time_s) for name, watch in self.watches.items()}
-        return Health(sensors, dict(self.counts), self.offset_s)
+        sensors = {name: w.health(self.time_s, self.filter.channels[name].offset) for name, w in self.watches.items()}
+        return Health(sensors, dict(self.counts), self.offset_s, self.filter.watch.conditions(self.filter.memory.watch))
 
     # ---------------------------------------------------------------- keep and bring back
     def snapshot(self, path: str | PathLike[str] | None = None) -> bytes:

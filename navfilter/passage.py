@@ -129,6 +129,7 @@ class Passage:
         nav, watch = self.nav, self.nav.watches[name]
         correction = nav.filter.concluded(nav.filter.channels[name], time_s, watch.stuck)
         nav.told(correction)
+        nav.filter.take_up(nav.told)
         watch.note(correction.outcome.status, time_s, correction.outcome.nis, correction.outcome.dof)
 
     def _block(self, begin: int, end: int) -> Array:
@@ -142,7 +143,7 @@ class Passage:
         given, at = self._readings, self.at
         last = int(np.searchsorted(self._ends, self.done + SAMPLES, side="right"))
         end = min(max(last, at + 1), at + READINGS)
-        self._begin, self._end, self._first = at, end, self.done
+        self._begin, self._end, self._first, self._stepped = at, end, self.done, 0
         self._samples = self._block(self.done, max(self.done, int(self._ends[end - 1])))
         which, rows = given.sensor[at:end], given.row[at:end]
         self._good, own = np.zeros(end - at, bool), any(sds is not None for sds in given.sds)
@@ -165,10 +166,12 @@ class Passage:
     def _advance(self) -> int:
         """As far as the kernel comes; why it ended."""
         why = kernels.FULL
-        while why in (kernels.FULL, kernels.DONE) and self.at < len(self._ends):
+        while why in (kernels.FULL, kernels.DONE, kernels.HEED) and self.at < len(self._ends):
             if not self._begin <= self.at < self._end:
                 self._lay_out()
             why = self._call()
+            if why == kernels.HEED:
+                self.nav.filter.heed(self.nav.told)
         return why
 
     def _call(self) -> int:
@@ -177,7 +180,7 @@ class Passage:
         memory, intake = filter.memory, filter.memory.intake
         tape = filter.tape
         now = np.array([memory.time_s, memory.sample_s, intake.before_s, _last(tape)])
-        cursor = np.array([self.at - self._begin, self.done - self._first, memory.unfolded, 0, 0, 0, 0])
+        cursor = np.array([self.at - self._begin, self.done - self._first, memory.unfolded, 0, 0, 0, 0, self._stepped])
         heard = np.array([(*channel.times, channel.period_s) for channel in self._channels])
         watched = np.array([(w.same, w.since_s, w.heard_s, w.used_s, w.nis, 0.0) for w in self._watches])
         out = self._output()
@@ -192,7 +195,10 @@ class Passage:
                 heard,
                 watched,
                 (memory.nav, memory.x, memory.P, memory.acc),
-                (memory.drv, filter.Phid, filter.Qd, filter.drive_output),
+                (
+                    *(memory.drv, filter.Phid, filter.Qd, filter.drive_output),
+                    *(memory.watch, np.sqrt(filter.layout.drive.r), filter.watch.limits),
+                ),
                 self._samples,
                 self._times[self._first : self._first + len(self._samples)],
                 filter.intake.limits,
@@ -211,8 +217,9 @@ class Passage:
         filter = self.nav.filter
         gap_s, doubt_s = filter.intake.spans
         interval_s = math.inf if filter.tape is None else filter.tape.interval_s
-        until_s = self.nav.learning.early_s
-        return np.array([filter.period_s, filter.ahead_s, filter.fold_every, gap_s, doubt_s, until_s, interval_s])
+        until_s, steps = self.nav.learning.early_s, filter.memory.drv[strapdown.INCREMENTS]
+        spans = filter.period_s, filter.ahead_s, filter.fold_every, gap_s, doubt_s, until_s, interval_s
+        return np.array([*spans, steps])
 
     def _output(self) -> Output:
         """Room for rows, when they hold, records and what each is."""
@@ -238,9 +245,10 @@ class Passage:
         self.at, self.done = self._begin + used.stop, self._first + int(cursor[kernels.SAMPLE])
         if cursor[kernels.SAMPLE] > first[1]:
             filter.intake.taken(int(cursor[kernels.GAPS]))
+        self._stepped = int(cursor[kernels.STEPPED])
         seen = used.stop + (why == kernels.JUDGED)
         for i, (channel, watch) in enumerate(zip(self._channels, self._watches, strict=True)):
-            channel.times = tuple(heard[i, :3].tolist())
+            channel.times = tuple(heard[i, :2].tolist())
             mine = np.flatnonzero(given.sensor[self._begin : self._begin + seen] == i)
             mine = mine[mine >= first[0]]
             if not len(mine):
@@ -248,6 +256,9 @@ class Passage:
             values = given.values[i][given.row[self._begin + mine[-1]]]
             watch.caught_up(watched[i], values.tobytes())
             mine = mine[mine < used.stop]
+            if len(mine):
+                channel.memory.use(float(given.time_s[self._begin + mine[0]]))
+                channel.memory.use(float(given.time_s[self._begin + mine[-1]]))
             if tape is not None and len(mine):
                 times = given.time_s[self._begin + mine]
                 tape.columns[channel.name].extend(times, self._notes[mine, : 3 + 2 * channel.axes])

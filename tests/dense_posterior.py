@@ -329,7 +329,8 @@ def wheeled_vehicle(arma=True):
 
 
 def uncalibrated(build):
-    """A vehicle that knows neither the clocks of its sensors nor exactly where they are."""
+    """A vehicle that knows neither the clocks of its sensors nor exactly where they are, nor the scale of any axis."""
+    each = {"scale_sd": (0.02, 0.03, 0.01), "misalignment_sd_rad": (0.01, 0.02, 0.03)}
 
     def built(arma=True):
         vehicle = build(arma)
@@ -338,12 +339,21 @@ def uncalibrated(build):
                 sensor,
                 time_offset_sd_s=0.3,
                 lever_arm_sd_m=(0.2, 0.1, 0.0) if sensor.has_lever_arm else (0.0,) * 3,
+                **(each if isinstance(sensor, nf.BodyVelocity) else {}),
             )
             for name, sensor in vehicle.sensors.items()
         }
         drive = vehicle.drive
-        if not drive.inertial:
-            velocity = replace(drive.velocity, time_offset_sd_s=0.3, lever_arm_sd_m=(0.3, 0.2, 0.1))
+        if drive.inertial:
+            drive = replace(
+                drive,
+                gyro_scale_sd=0.02,
+                gyro_misalignment_sd_rad=0.01,
+                accel_scale_sd=(0.01, 0.02, 0.003),
+                accel_misalignment_sd_rad=0.01,
+            )
+        else:
+            velocity = replace(drive.velocity, time_offset_sd_s=0.3, lever_arm_sd_m=(0.3, 0.2, 0.1), **each)
             attitude = replace(drive.attitude, time_offset_sd_s=0.2)
             drive = replace(drive, velocity=velocity, attitude=attitude)
         return replace(vehicle, drive=drive, sensors=sensors)

@@ -426,13 +426,13 @@ KINDS["spikes gyro, possible"] = Kind(
     lambda events, scene, rng: changed(
         events, scene, "gyro", lambda v: v + rng.choice((-2.0, 2.0)), share=0.002, rng=rng
     ),
-    ("drive:bad-sample", "drive:spike"),
+    ("drive:spike",),
 )
 KINDS["spikes accel, possible"] = Kind(
     lambda events, scene, rng: changed(
         events, scene, "accel", lambda v: v + rng.choice((-50.0, 50.0)), share=0.002, rng=rng
     ),
-    ("drive:bad-sample", "drive:spike"),
+    ("drive:spike",),
 )
 
 
@@ -453,11 +453,11 @@ def _stuck(role: str, seconds: float = 1e9) -> Fault:
 _each("stuck", ROLES, _stuck, "{} is stuck")
 KINDS["stuck gyro and accel 5 s"] = Kind(
     lambda events, scene, rng: _stuck("accel", 5.0)(_stuck("gyro", 5.0)(events, scene, rng), scene, rng),
-    ("drive:stuck", "drive:bad-sample", "drive:frozen"),
+    ("drive:stuck",),
 )
 KINDS["one gyro dead for 20 s"] = Kind(
     lambda events, scene, rng: changed(events, scene, "gyro", lambda v: v * (1.0, 1.0, 0.0), first_s=20.0),
-    ("drive:stuck", "drive:frozen", "heading:rejected"),
+    ("drive:dead",),
 )
 
 for _sentinel in (-32.768, -9999.0, 65535.0, 9.96921e36):
@@ -529,11 +529,11 @@ KINDS["depth in Pa"] = Kind(
 )
 KINDS["gyro in deg/s for 10 s"] = Kind(
     lambda events, scene, rng: changed(events, scene, "gyro", lambda v: v / DEG, first_s=10.0),
-    ("drive:bad-sample", "heading:rejected"),
+    ("drive:wrong-unit",),
 )
 KINDS["accel in g for 10 s"] = Kind(
     lambda events, scene, rng: changed(events, scene, "accel", lambda v: v / 9.80665, first_s=10.0),
-    ("drive:bad-sample", "velocity:rejected"),
+    ("drive:wrong-unit",),
 )
 
 NOISE = {"heading": 6.0 * DEG, "velocity": 0.1, "depth": 0.5, "position": 4.7e-6}
@@ -550,7 +550,8 @@ KINDS["noise x10 drive"] = Kind(
         scene,
         "accel",
         lambda v: v + 0.1 * rng.normal(size=3),
-    )
+    ),
+    ("drive:noisy",),
 )
 
 

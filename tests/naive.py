@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+from scipy import special
 from scipy.linalg import block_diag, expm
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
@@ -316,8 +317,20 @@ def _tick_drive(acc, F, xd, Phid, Qd, ticks):
         xd[:] = Phid @ xd
 
 
+def _uncalibrated(xd, drv, inc, dt, Cr):
+    """Output rows that make errors of the readings: of M times what they are."""
+    count = int(drv[88])
+    Cr, first = Cr.copy(), len(xd) - count
+    for q, code in enumerate(drv[89 : 89 + count].astype(int)):
+        Cr[code // 3, first + q] = inc[3 * (code // 9) + code % 3] / dt
+    drv[107 : 107 + count] = xd[first:]
+    return Cr
+
+
 def _inertial_step(nav, xd, inc, dt, drv, Phid, Qd, Cr, acc, ticks):
     m = acc.shape[1]
+    if drv[88]:
+        Cr = _uncalibrated(xd, drv, inc, dt, Cr)
     parts = _mechanise(nav, inc - dt * Cr[:, :-1] @ xd, dt)
     _tick_drive(acc, _inertial_transition(*parts, dt, Cr), xd, Phid, Qd, ticks)
     drv[14:23] = parts[0].ravel()
@@ -407,13 +420,13 @@ def _dead_reckoning_step(nav, xd, drv, sample, Phid, Qd, Cr, acc):
         u = B @ (v0 + w0)
         F[3:6, 3:6], F[3:6, 6:9] = B, B @ skew(v0)
     else:
-        scale, mis = (1.0 + xd[par], xd[par + 1 : par + 4]) if par >= 0 else (1.0, np.zeros(3))
-        D = scale * (np.eye(3) + skew(mis))
+        scale, mis = _scale_and_turn(xd[par : par + 4 + 2 * int(drv[87])] if par >= 0 else np.zeros(0))
+        D = scale @ (np.eye(3) + skew(mis))
         y = np.linalg.solve(D, sample[4:7] - err[3:])
         u = C @ M @ y
         J[3:6, 3:6] = C @ M @ np.linalg.inv(D)
         if par >= 0:
-            E_par[:, par], E_par[:, par + 1 : par + 4] = y + np.cross(mis, y), -scale * skew(y)
+            E_par[:, par : par + 4 + 2 * int(drv[87])] = _by_scale_and_turn(scale, mis, y, drv[87])
     for j in range(3):
         a = axes[:, j]
         moved, du = np.cross(a, l1), np.cross(a, u)
@@ -440,6 +453,19 @@ def _dead_reckoning_step(nav, xd, drv, sample, Phid, Qd, Cr, acc):
         Q[:6, :6] += G @ walk @ G.T
     elif span > 3 * drv[36]:
         Q[:3, :3] += walk * span**2 / 12.0
+
+
+def _scale_and_turn(par):
+    """Diagonal matrix of the scales and vector of the misalignment: none, one scale, or three."""
+    if not len(par):
+        return np.eye(3), np.zeros(3)
+    return np.diag(1.0 + par[:-3] * np.ones(3)), par[-3:]
+
+
+def _by_scale_and_turn(scale, mis, y, each):
+    """Derivative of scale (I + [mis x]) y."""
+    by_scale = np.diag(y + np.cross(mis, y))
+    return np.column_stack([by_scale if each else by_scale.sum(axis=1), -scale @ skew(y)])
 
 
 def _change(drv, sample, missing):
@@ -477,12 +503,12 @@ def body_velocity(z, nav, rate, par, cfg, H, res):
     arm, A = cfg[:3], cfg[3:12].reshape(3, 3).T
     C_bn = nav[6:15].reshape(3, 3).T
     y = A @ (C_bn @ nav[3:6] + np.cross(rate, arm))
-    g, mis = (1.0 + par[0], par[1:4]) if len(par) else (1.0, np.zeros(3))
-    D = g * (np.eye(3) + skew(mis))
+    scale, mis = _scale_and_turn(par)
+    D = scale @ (np.eye(3) + skew(mis))
     res[:], H[:] = z[:3] - D @ y, 0.0
     H[:, 3:6], H[:, 6:9] = D @ A @ C_bn, _attitude_columns(D @ A @ C_bn, nav[3:6])
     if len(par):
-        H[:, 9], H[:, 10:13] = D @ y / g, -g * skew(y)
+        H[:, 9:] = _by_scale_and_turn(scale, mis, y, len(par) == 6)
 
 
 def _bearing(n):
@@ -795,6 +821,15 @@ def channel_filter(y, theta, chain, sees, rules, e, lns):
     return total
 
 
+def channel_line(y, theta, chain, sees, rules, integrators, sizes, first, e, lns, values):
+    for k, size in enumerate(sizes):
+        parts = chain.copy()
+        parts[1:, integrators:, integrators:] *= size
+        values[k] = channel_filter(y, theta, parts, sees, rules, e, lns)
+        before = channel_filter(y[:first], theta, parts, sees, rules, e[:first], lns[:first])
+        values[k] -= before
+
+
 def channel_scores(y, thetas, chains, sees, rules, steps, E, LNS, info, gradient):
     value = channel_filter(y, thetas[0], chains[0], sees, rules, E[0], LNS[0])
     for i, step in enumerate(steps, start=1):
@@ -862,7 +897,7 @@ def water_velocity(z, nav, rate, par, cfg, H, res):
 
 
 def beam_velocity(z, nav, rate, par, cfg, H, res):
-    first, D = len(par) % 4, cfg[12:24].reshape(4, 3)
+    first, D = int(cfg[24]), cfg[12:24].reshape(4, 3)
     current, still = np.zeros(2), np.zeros(3)
     current[:first] = par[:first]
     over, through, gap = np.zeros((3, 9 + len(par) - first)), np.zeros((3, 11 + len(par) - first)), np.zeros((2, 3))
@@ -1012,17 +1047,109 @@ def _displace(nav, d):
     nav[15:17] -= d[2]
 
 
+def look(samples, w, sd, limits, period_s, increments):
+    unit = w[6]
+    unit[1] = 0.0
+    for n, (dt, *values) in enumerate(samples):
+        gap, dt_or_1 = not 0.2 * period_s < dt < 3.0 * period_s, dt if increments else 1.0
+        for a, raw, s, limit in zip(w[:6], values, sd, limits, strict=True):
+            _look_at_axis(a, unit, raw, raw / dt_or_1, s, limit, dt, gap, period_s, period_s if increments else 1.0)
+        _look_at_gravity(w, unit, dt)
+        rest = np.concatenate([np.zeros(3), unit[5:8] * dt_or_1])
+        samples[n, 1:] = np.where(w[:6, 0] > 1, rest, values)
+        unit[5:8] += np.cross(unit[5:8], samples[n, 1:4] / dt_or_1 * dt)
+        unit[0] += 1.0
+        if unit[0] * period_s >= 1.0:
+            unit[1] = 1.0
+        if unit[1]:
+            return n + 1
+    return len(samples)
+
+
+def _look_at_axis(a, unit, raw, x, sd, limit, dt, gap, period_s, per):
+    white, seen = 6.0 * sd**2, a[12]
+    same = raw == a[3] and seen > 0
+    if seen > 0 and abs(raw - a[3]) > 1e-9 * abs(raw):
+        a[6] = min(a[6], abs(raw - a[3]))
+    a[4], a[5], a[3] = a[4] + 1 if same else 1.0, a[5] + (same - a[5]) / 2000.0, raw
+    level = max(a[10], white)
+    if seen >= 2 and not gap:
+        off = a[7] - 0.5 * (x + a[8])
+        lonely = off**2 > 144.0 * level / 6.0 and abs(x - a[8]) < 0.5 * abs(off)
+        if lonely and seen * period_s > 10.0 and a[0] == 0:
+            a[14], a[15], unit[1] = a[14] + 1, off, 1.0
+        square = min(4.0 * off**2, 16.0 * level)
+        a[10] += (square - a[10]) * min(1.0, max(period_s / 0.5, 1.0 / seen))
+        if a[4] < 3 and a[0] <= 1:
+            bound = 16.0 * max(a[11], white) if seen * period_s > 10.0 else np.inf
+            a[11] += (min(square, bound) - a[11]) * max(period_s / 600.0, 1.0 / seen if a[0] == 0 else 0.0)
+    a[12] = seen = seen + 1
+    a[7], a[8] = x, x if gap else a[7]
+    a[13] += (x - a[13]) * min(1.0, max(dt / 0.1, 1.0 / seen))
+    found, since_s = _found(a, raw, x, sd, limit, white, seen, period_s, per)
+    if a[4] == 1:
+        a[9] = max(a[9], abs(x))
+    usual = max(a[11], white)
+    if found == 0 and seen * period_s > 10.0 and usual > 0:
+        ratio = a[10] / usual
+        if ratio > (9.0 if a[0] in (1, 5, 6) else 25.0):
+            grave = ratio > 900.0 or a[0] in (5, 6)
+            found, since_s = (6 if 2025.0 < ratio < 4900.0 else 5) if grave else 1, 0.1
+    if found:
+        a[2] = 0.0
+        if a[0] < found and a[0] in (0, 1, 5):
+            a[0], a[1], unit[1] = found, since_s, 1.0
+    elif 0 < a[0] < 7:
+        a[2] += dt
+        if a[2] >= 1.0:
+            a[0], unit[1] = 0.0, 1.0
+
+
+def _found(a, raw, x, sd, limit, white, seen, period_s, per):
+    run, since_s = a[4], a[4] * period_s
+    if run >= 3 and abs(x) >= limit:
+        return 4, since_s
+    if run < 10 or since_s < 0.1 or a[11] <= 0.04 * white:
+        return 0, 0.0
+    by_noise = special.erf(a[6] / (sd * per * np.sqrt(8.0))) ** 2 if sd > 0 else 0.0
+    repeats = max(a[5], by_noise, 1e-300)
+    if repeats >= 1.0 or run * np.log(repeats) >= np.log(1e-12):
+        return 0, 0.0
+    return (3 if raw == 0 else 4 if abs(x) >= a[9] else 2), since_s
+
+
+def _look_at_gravity(w, unit, dt):
+    accel, g = w[3:6], unit[8]
+    apart = np.abs(accel[:, 13] - unit[5:8])
+    off = np.any((accel[:, 0] <= 1) & (apart > 0.7 * g)) and unit[4]
+    unit[2] = unit[2] + dt if off else 0.0
+    unit[3] = unit[3] + dt if np.all(apart < 0.35 * g) else 0.0
+    if unit[2] >= 0.3:
+        size = np.linalg.norm(accel[:, 13])
+        found = 8 if size < 0.05 * g else 10 if abs(size - 1) < 0.2 else 9 if abs(size - g) < 0.2 * g else 7
+        accel[accel[:, 0] <= 1, :2] = found, 0.4
+        unit[2], unit[1] = 0.0, 1.0
+    elif unit[3] >= 1.0 and np.any(accel[:, 0] >= 7):
+        accel[accel[:, 0] >= 7, 0] = 0.0
+        unit[1] = 1.0
+
+
 # ---------------------------------------------------------------- stretch
 KINDS = (heading, magnetometer, depth, altitude, position, body_velocity, water_velocity, ground_velocity)
 
 
 def correction(bench, spot, P, nav, x, acc, drv, Cr, z, variance, count):
-    a, _, _, b, start, errors, par = dims = spot[:7]
+    a, _, m, b, start, errors, par = dims = spot[:7]
     kind, moves, turns, at, cfg, cfg_size, rate, model, output, white, lever, noise, limits = spot[7:20]
     mem, places_ = bench[at:cfg], places(dims)
     predict(P, nav, x, acc, bench[model : model + 2 * b * b].reshape(2, b, b), mem, dims, count)
     if turns:
-        bench[rate : rate + 3] = (drv[:3] - Cr[:3, :-1] @ x[: Cr.shape[1] - 1]) / (drv[36] if drv[37] else 1.0)
+        read, elements = drv[:3] / (drv[36] if drv[37] else 1.0), int(drv[88])
+        M = np.zeros(9)
+        M[drv[89 : 89 + elements].astype(int)[drv[89 : 89 + elements] < 9]] = x[m - 9 - elements : m - 9][
+            drv[89 : 89 + elements] < 9
+        ]
+        bench[rate : rate + 3] = read - Cr[:3, :-1] @ x[: m - 9] - M.reshape(3, 3) @ read
     near, res = mem[places_[7] : places_[8]].reshape(a, 9 + par), mem[places_[3] : places_[4]]
     own = x[start - 9 + errors : start - 9 + errors + par]
     KINDS[kind](z, nav, bench[rate : rate + 3], own, bench[cfg : cfg + cfg_size], near, res)
@@ -1035,9 +1162,11 @@ def correction(bench, spot, P, nav, x, acc, drv, Cr, z, variance, count):
 
 
 def stretch(now, cursor, settings, bench, plan, heard, watched, state, drive, samples, stamps, limits, given, out):
-    """One reading after the other; 0: all done, 1 and 2: the next one is Python's, 3: it was not used, 4: no room."""
-    (nav, x, P, acc), (drv, Phid, Qd, Cr), m = state, drive, state[3].shape[1]
-    period, ahead, every, gap, doubt, until, interval = settings
+    """One reading after the other. 0: all done, 1 and 2: the next one is Python's, 3: it was not used, 4: no room, 5:
+    the watch over the drive has found something.
+    """
+    (nav, x, P, acc), (drv, Phid, Qd, Cr, w, sd, ends), m = state, drive, state[3].shape[1]
+    period, ahead, every, gap, doubt, until, interval, increments = settings
     rows, info, records, heads = out
 
     def record(values, *head):
@@ -1066,20 +1195,27 @@ def stretch(now, cursor, settings, bench, plan, heard, watched, state, drive, sa
             return 4
         if records.size and cursor[6] + more * plan[-1, 21] > records.size:
             return 4
-        if end > cursor[1]:
+        if end > cursor[1] >= cursor[7]:
             found = stamps_to_steps(samples[cursor[1] : end], now[2], limits, gap, doubt)
             if found < 0:
                 return 1
             cursor[3] += found
+            cursor[7] = end
         for k in range(cursor[1], end):
+            look(samples[k : k + 1], w, sd, ends, period, increments)
             imu_steps(nav, x[: m - 9], drv, samples[k : k + 1], Phid, Qd, Cr, acc)
-            now[:3], cursor[2] = stamps[k], cursor[2] + 1
+            now[:3], cursor[1], cursor[2] = stamps[k], k + 1, cursor[2] + 1
             if cursor[2] == every:
                 record(acc[:m].ravel(), 0, m, 0, 0)
                 cursor[2] = 0
                 fold(P, acc, nav, None)
                 row()
-        cursor[1] = end
+            if w[6, 1]:
+                if w[:6, [0, 15, 16]].any():
+                    return 5
+                if w[6, 0] * period >= 1.0:
+                    g = gravity(nav[0], nav[2])
+                    w[6, 0], w[6, 4], w[6, 5:8], w[6, 8] = 0.0, P[6, 6] + P[7, 7] < 0.01, -g * nav[12:15], g
         early = t - now[0]
         if t <= heard[i, 0] or early < -1.001 * period or t - now[1] > ahead:
             return 2
@@ -1088,7 +1224,7 @@ def stretch(now, cursor, settings, bench, plan, heard, watched, state, drive, sa
             imu_hold(nav, x[: m - 9], drv, early, Phid, Qd, Cr, acc)
             now[0] = t
         elapsed = t - heard[i, 1]
-        count = 0 if np.isinf(elapsed) else max(1, round(elapsed / heard[i, 3]))
+        count = 0 if np.isinf(elapsed) else max(1, round(elapsed / heard[i, 2]))
         spot, variances = plan[i], given[6]
         correction(bench, spot, P, nav, x, acc, drv, Cr, given[5][e], variances[min(e, len(variances) - 1)], count)
         cursor[2], heard[i, :2] = 0, t
@@ -1096,7 +1232,6 @@ def stretch(now, cursor, settings, bench, plan, heard, watched, state, drive, sa
         note[:] = bench[spot[10] + spot[20] :][: len(note)]
         if not note[2]:
             return 3
-        heard[i, 2] = np.nan
         record(bench[spot[10] : spot[10] + spot[21]], spot[0], *spot[2:5])
         row()
         watched[i, 2:4] = np.maximum(watched[i, 2:4], t)

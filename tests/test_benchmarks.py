@@ -16,6 +16,7 @@ BENCHMARKS = Path(__file__).parent.parent / "benchmarks"
 SCRIPTS = {
     "arma": ("statsmodels", ("speed", "batch", "efficiency", "tracking", "order")),
     "arma_vs_gm1": ("Gauss-Markov", ()),
+    "between_hops": ("resting model", ()),
     "day": ("filterpy", ("live", "replay")),
     "faults": ("without a fault", ("missions", "service")),
     "fuzz": ("no other software", ()),

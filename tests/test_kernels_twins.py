@@ -13,7 +13,16 @@ from pathlib import Path
 import naive
 import numpy as np
 import pytest
-from kernel_inputs import assert_close, imu_samples, random_drive, random_nav, readings, run_both, spd
+from kernel_inputs import (
+    assert_close,
+    imu_samples,
+    random_drive,
+    random_nav,
+    readings,
+    run_both,
+    spd,
+    uncalibrated_drive,
+)
 
 from navfilter.kernels import checksum, kalman, measurement, strapdown
 
@@ -152,11 +161,12 @@ def drive_result(args):
     return nav[:3], nav[3:6], nav[6:15], nav[15:], xd, drv, acc[:m], acc[m : 2 * m]
 
 
+@pytest.mark.parametrize("elements", [(), (0, 4, 8), (1, 2, 3, 5, 6, 7), tuple(range(18))], ids=len)
 @pytest.mark.parametrize("k", [0, 6])
 @pytest.mark.parametrize("increments", [False, True])
-def test_imu_kernels(k, increments):
+def test_imu_kernels(k, increments, elements):
     rng = np.random.default_rng(k)
-    drv, xd, Phid, Qd, Cr, acc = random_drive(rng, k, INCREMENTS=float(increments))
+    drv, xd, Phid, Qd, Cr, acc = uncalibrated_drive(rng, k, elements, INCREMENTS=float(increments))
     nav, n = random_nav(rng), 12
     for block in range(3):
         args = nav, xd, drv, imu_samples(rng, n, increments), Phid, Qd, Cr, acc
@@ -185,6 +195,7 @@ DEAD_RECKONING = {
     "arm": {"LEVER": (0.8, -0.3, 0.4), "DECLINATION": -0.2},
     "parameters": {"LEVER": (0.8, -0.3, 0.4), "DEVIATION": 4, "SCALE": 8},
     "scale": {"SCALE": 4},
+    "scales": {"SCALE": 4, "SCALE_STEP": 1.0, "ATTITUDE_CLOCK": 10, "VELOCITY_CLOCK": 11},
     "clocks": {"LEVER": (0.8, -0.3, 0.4), "SCALE": 4, "ATTITUDE_CLOCK": 8, "VELOCITY_CLOCK": 9},
     "velocity's clock": {"VELOCITY_CLOCK": 4},
     "uncertain arm": {"LEVER": (0.8, -0.3, 0.4), "ARM": 5, "ATTITUDE_CLOCK": 8},
@@ -194,7 +205,7 @@ DEAD_RECKONING = {
 @pytest.mark.parametrize("settings", DEAD_RECKONING.values(), ids=DEAD_RECKONING.keys())
 def test_dead_reckoning_kernels(settings):
     rng = np.random.default_rng(3)
-    k = 12 if "DEVIATION" in settings else 10 if "ATTITUDE_CLOCK" in settings else 8
+    k = 12 if {"DEVIATION", "SCALE_STEP"} & set(settings) else 10 if "ATTITUDE_CLOCK" in settings else 8
     drv, xd, Phid, Qd, Cr, acc = random_drive(rng, k, PERIOD_S=0.25, **settings)
     Cr[:, 4:k] = 0.0  # parameters act through the readings, not through C
     nav = random_nav(rng)

@@ -34,7 +34,7 @@ def changed(mission, name, **fields):
 
 def with_defects(mission):
     """Outliers in a row, a reading repeated for long, one that is none, a stamp twice, samples missing and impossible,
-    standard deviations of single readings.
+    an axis that sticks, standard deviations of single readings.
     """
     dvl, depth, imu = mission.streams["dvl"], mission.streams["depth"], mission.streams["imu"]
     speed = dvl.value.copy()
@@ -52,6 +52,7 @@ def with_defects(mission):
     keep[2000:2010] = False
     values = imu.value[keep].copy()
     values[3000, 2] = 1e6
+    values[4500:4600, 4] = values[4500, 4]
     return changed(mission, "imu", time_s=imu.time_s[keep], value=values)
 
 
@@ -91,7 +92,9 @@ def test_in_stretches_as_one_by_one(smooth, defects, monkeypatch):
     call = passage.Passage._call
     monkeypatch.setattr(passage.Passage, "_call", lambda self: reasons.append(call(self)) or reasons[-1])
     assert_same(together, nf.replay(vehicle, mission, smooth=smooth))
-    expected = {kernels.DONE, kernels.FULL} | ({kernels.NEXT, kernels.REFUSED, kernels.JUDGED} if defects else set())
+    expected = {kernels.DONE, kernels.FULL} | (
+        {kernels.NEXT, kernels.REFUSED, kernels.JUDGED, kernels.HEED} if defects else set()
+    )
     assert set(reasons) >= expected and len(reasons) < 100
     one_by_one(monkeypatch)
     assert_same(together, nf.replay(vehicle, mission, smooth=smooth))

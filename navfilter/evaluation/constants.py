@@ -99,4 +99,6 @@ def _cure(one: Constant, vehicle: Any) -> str:
         axis = "xyz".index(what[-1])
         metres = sensor.lever_arm_b_m[axis] + one.value
         return f"Set the {what[-1]} of lever_arm_b_m to {metres:.3g} m in {table} of vehicle.toml, or widen its sd."
+    if sensor is None:
+        table, what = "[drive]", one.name
     return f"In {table} of vehicle.toml, widen the sd of {what}; or correct the description by what was found."

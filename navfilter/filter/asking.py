@@ -71,8 +71,8 @@ def asked(
         When it is taken [s].
     """
     (z, own), nav, P, x = reading, memory.nav, memory.P, memory.x
-    outputs, xd = drive_output[:, :-1], x[: drive_output.shape[1] - 1]
     kalman.predict(P, nav, x, memory.acc, channel.model, channel.mem, channel.dims, channel.ticks(time_s))
+    outputs, xd = drive.outputs(drive_output[:, :-1], memory.drv), x[: drive_output.shape[1] - 1]
     if channel.turns:
         channel.rate[:] = drive.body_rate(memory.drv, outputs[:3] @ xd)
     if channel.sight is None:
@@ -82,6 +82,8 @@ def asked(
         recent = memory.recent[: drive.remembered(since_s + abs(float(par[-1])))]
         moved = drive.motion(recent, nav, memory.drv, outputs @ xd)
         channel.sight.look(z, nav, channel.rate, par, moved, since_s, outputs, channel.into)
+    if channel.offset:
+        channel.unwrap(x)
     channel.R[:] = channel.white
     if own.size:
         channel.R[:] = channel.lever + np.diag(own)

@@ -13,12 +13,14 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.stats import chi2
 
 from navfilter.filter.layout import Group, Layout
+from navfilter.filter.offsets import offset_states
+from navfilter.filter.refusals import Refusals
 from navfilter.filter.sight import Sight
-from navfilter.kernels import kalman, stretch
+from navfilter.kernels import kalman, listen, stretch
 from navfilter.sensors import Sensor
 from navfilter.start import Start
 
-__all__ = ["Channel", "ChannelMemory", "usable"]
+__all__ = ["Channel", "ChannelMemory", "Refusals", "usable"]
 
 Array = NDArray[np.float64]
 #: More than this share of a reading's components must agree, or it is rejected whole.
@@ -37,6 +39,11 @@ class ChannelMemory:
         Times of the last reading and of the last tick of its clock [s].
     rejected_since_s : float
         Since when its readings have been rejected without one that was used [s]; NaN when they have not.
+    used_s, agreed_s : float
+        When it was used last, and since when it has agreed with the state: NaN before, and after the state was reset
+        to it [s].
+    refused : Refusals or None
+        What the readings that have been refused since say together.
     last : ndarray
         Jacobian, verdict and residual of the last reading (``kalman.places`` 7 to 9).
     """
@@ -44,7 +51,16 @@ class ChannelMemory:
     last_s: float = -math.inf
     ticked_s: float = -math.inf
     rejected_since_s: float = math.nan
+    used_s: float = -math.inf
+    agreed_s: float = math.nan
+    refused: Refusals | None = None
     last: Array = field(default_factory=lambda: np.zeros(0))
+
+    def use(self, time_s: float) -> None:
+        """Note that a reading of this time has been used."""
+        self.rejected_since_s, self.used_s, self.refused = math.nan, time_s, None
+        if math.isnan(self.agreed_s):
+            self.agreed_s = time_s
 
 
 class Channel:
@@ -93,10 +109,11 @@ class Channel:
         self.dims = np.array([a, n, m, b, group.start, group.errors, parameters])
         at = kalman.places(self.dims)
         self.places = np.array(at)
-        self.lever, R = sensor.lever_arm_covariance(rate_variance), np.diag(group.r)
+        self.offset = bool(offset_states(sensor.models, self.period_s).size)
+        lever, R = sensor.lever_arm_covariance(rate_variance), np.diag(group.r)
         model = np.array([group.Phi[:b, :b], group.Q[:b, :b]])
         constants = self.constants if self.kind >= 0 else np.zeros(0)
-        parts = np.zeros(at[-1]), constants, np.zeros(3), model, group.C, R + self.lever, self.lever, R, self.limits
+        parts = np.zeros(at[-1]), constants, np.zeros(3), model, group.C, R + lever, lever, R, self.limits
         self._ends = np.cumsum([part.size for part in parts])
         self.settle(np.concatenate([part.ravel() for part in parts]), 0)
 
@@ -128,6 +145,7 @@ class Channel:
         self.rate = bench[ends[1] : ends[2]]
         self.model = bench[ends[2] : ends[3]].reshape(2, b, b)
         self.C, self.white = bench[ends[3] : ends[4]].reshape(a, errors), bench[ends[4] : ends[5]].reshape(a, a)
+        self.lever = bench[ends[5] : ends[6]].reshape(a, a)
         self.R = bench[ends[6] : ends[7]].reshape(a, a)
         self.seen = np.r_[0:9, first + errors : first + errors + parameters]
         self.parameters = slice(first - 9 + errors, first - 9 + errors + parameters)
@@ -135,9 +153,15 @@ class Channel:
         if self._memory.last.size == self._last.size:
             self._last[:] = self._memory.last
         self._memory.last = self._last
+        kind = -1 if self.offset else self.kind
         starts = begin, ends[0], self.constants.size, *ends[1:8]
-        self.spot = np.array([*self.dims, self.kind, self.moves, self.turns, *starts, at[8], at[5]])
+        self.spot = np.array([*self.dims, kind, self.moves, self.turns, *starts, at[8], at[5]])
         return self.spot
+
+    def turns_by(self, rate_variance: Array) -> None:
+        """How well the angular rate is known that its lever arm turns with; shape (3,) [rad^2/s^2]."""
+        self.lever[:] = self.sensor.lever_arm_covariance(rate_variance)
+        self.white[:] = np.diag(self.group.r) + self.lever
 
     @property
     def memory(self) -> ChannelMemory:
@@ -151,15 +175,20 @@ class Channel:
         self._memory = memory
 
     @property
-    def times(self) -> tuple[float, float, float]:
-        """Of the last reading and the last tick, and since when readings have been rejected [s]."""
-        memory = self._memory
-        return memory.last_s, memory.ticked_s, memory.rejected_since_s
+    def times(self) -> tuple[float, float]:
+        """Of the last reading and the last tick [s]."""
+        return self._memory.last_s, self._memory.ticked_s
 
     @times.setter
-    def times(self, times: tuple[float, float, float]) -> None:
-        memory = self._memory
-        memory.last_s, memory.ticked_s, memory.rejected_since_s = times
+    def times(self, times: tuple[float, float]) -> None:
+        self._memory.last_s, self._memory.ticked_s = times
+
+    def unwrap(self, x: Array) -> None:
+        """Bring the residual of a heading that has jumped within half a turn of its error, before that is taken off."""
+        if self.sensor.open_loop == listen.HEADING:
+            first = self.group.start - 9
+            error = self.C @ x[first : first + self.group.errors]
+            self.res[:] = (self.res - error + np.pi) % (2.0 * np.pi) - np.pi + error
 
     def ticks(self, time_s: float) -> int:
         """Periods of the sensor since it was last heard; 0 at the first reading."""

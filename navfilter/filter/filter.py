@@ -10,7 +10,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from navfilter.filter import gating
+from navfilter.error_models import per_axis
+from navfilter.filter import drive_watch, refused
 from navfilter.filter.adoption import Change, state_change
 from navfilter.filter.asking import asked, shared
 from navfilter.filter.channel import Channel, usable
@@ -18,6 +19,7 @@ from navfilter.filter.events import Correction, Event, Outcome, Passed, Propagat
 from navfilter.filter.filter_memory import Errors, FilterMemory
 from navfilter.filter.intake import Intake
 from navfilter.filter.layout import Layout
+from navfilter.filter.offsets import with_offsets, with_the_same_offsets
 from navfilter.filter.tape import OUTCOMES, Tape
 from navfilter.kernels import kalman, strapdown, stretch
 from navfilter.learning.learned import learning_part
@@ -32,7 +34,10 @@ Array = NDArray[np.float64]
 Listening = Callable[[Event], None]
 CODES = {name: code for code, name in enumerate(OUTCOMES)}
 NO_SD = np.zeros(0)
-COUNTED = ("gap", "backward", "bad-sample", "clock-set", "widened", "opened", "adopted")
+COUNTED = (
+    *("gap", "backward", "bad-sample", "clock-set", "widened", "reset", "jumped", "opened", "adopted"),
+    *drive_watch.COUNTED,
+)
 
 
 class Filter:
@@ -60,6 +65,8 @@ class Filter:
     channels : dict of str to Channel
     drive_output : ndarray, shape (6, states of the drive + 1)
         Rows of C of the drive's error models, and the white variance of a sample.
+    jumped : list of Change
+        Constants for sensors that have jumped, to be adopted before the next input.
 
     Raises
     ------
@@ -79,11 +86,12 @@ class Filter:
         self.period_s = drive.period_s
         self.ahead_s = max(self.AHEAD_S, 3.0 * self.period_s)
         self.fold_every = max(1, round(drive.rate_hz))
-        self.inertial = drive.inertial
+        self.inertial, self.watch = drive.inertial, drive_watch.DriveWatch(drive)
         self._native = drive.steps in (strapdown.imu_steps, strapdown.dead_reckoning_steps)
         self.channels = {name: Channel(name, sensor, start) for name, sensor in vehicle.sensors.items()}
         past_s = max((channel.past_s for channel in self.channels.values()), default=0.0)
         self.remembered = drive.remembered(past_s) if past_s else 0
+        self.jumped: list[Change] = []
         self._rest = [self.channels[name] for name, s in vehicle.sensors.items() if s.from_drive and self.inertial]
         self.begin()
 
@@ -108,12 +116,14 @@ class Filter:
                 acc=self._identity(),
                 drv=self.in_force.drive.memory(self.layout.drive.errors, self.start),
                 recent=np.zeros((self.remembered, 7)),
+                watch=self.watch.fresh(),
                 intake=self.intake.memory,
                 channels={name: channel.memory for name, channel in self.channels.items()},
                 models=adopted,
                 counts=counts,
             )
         )
+        self.watch.refer(self.memory.watch, self.memory.nav, self.memory.P)
         if self.tape is not None:
             if models is None:
                 self.tape.begin(self.layout)
@@ -139,10 +149,9 @@ class Filter:
         g, m = layout.drive, layout.head
         self.Phid, self.Qd = g.Phi, g.Q
         self.drive_output = np.zeros((6, g.size + 1))
-        self.drive_output[:, : g.errors], self.drive_output[:, -1] = g.C, g.r
         self._work = np.zeros((m, layout.size))
         self._dims = np.array([0, layout.size, m, 0, 0, 0, 0])
-        variance = g.r[:3] if self.inertial else np.zeros(3)
+        variance = g.r[:3] if self.inertial else np.zeros(3)  # until `weigh` says otherwise
         for name, channel in self.channels.items():
             channel.arrange(in_force.sensors[name], layout.groups[name], layout, variance)
         self._share()
@@ -152,6 +161,14 @@ class Filter:
         self.bench, self.plan = shared(list(self.channels.values()), self._dims)
         if not self.inertial:
             self.plan[:, stretch.TURNS] = 0
+
+    def weigh(self) -> None:
+        """Believe the drive's axes as far as the watch over them says."""
+        g, w = self.layout.drive, self.memory.watch
+        self.watch.weigh(w, g.C, g.r, self.drive_output)
+        if self.inertial:
+            for channel in self.channels.values():
+                channel.turns_by(self.watch.rate_variance(w, g.r))
 
     def _identity(self) -> Array:
         m = self.layout.head
@@ -163,6 +180,7 @@ class Filter:
         if memory.models is not self._laid_out:
             self._arrange(memory.models)
         self.memory = memory
+        self.weigh()
         self._xd = memory.x[: self.layout.drive.size]
         self.intake.memory, self.intake.counts = memory.intake, memory.counts
         for name, channel in self.channels.items():
@@ -222,16 +240,19 @@ class Filter:
             return
         memory = self.memory
         whole = len(samples) <= self.fold_every - memory.unfolded and not (self._rest or room)
-        samples, stamps = self.intake.take(samples, memory.drv, self._at_rest, whole)
+        still = lambda: self.vehicle.drive.at_rest(self.state, memory.drv)  # noqa: E731
+        samples, stamps = self.intake.take(samples, memory.drv, still)
         begin, total = 0, len(samples)
         while begin < total:
             end = total if whole else min(total, begin + self._room(room))
+            if self.inertial:
+                end = begin + self.watch.look(samples[begin:end], memory.watch, self.layout.drive.r)
             block = samples[begin:end]
             self.steps(memory.nav, self._xd, memory.drv, block, self.Phid, self.Qd, self.drive_output, memory.acc)
             if memory.recent.size:
                 memory.recent = np.concatenate([block[::-1], memory.recent])[: len(memory.recent)]
             memory.unfolded += end - begin
-            memory.time_s = memory.sample_s = memory.intake.before_s = float(stamps[-1 if whole else end - 1])
+            memory.time_s = memory.sample_s = memory.intake.before_s = float(stamps[end - 1])
             if memory.unfolded >= self.fold_every:
                 tell(self._fold())
             for channel in self._rest:
@@ -240,7 +261,13 @@ class Filter:
                     tell(self._update(channel, memory.time_s, reading, None, False))
             if room is not None:
                 tell(Passed(block))
+            if self.watch.news(memory.watch):
+                self.heed(tell)
             begin = end
+
+    def heed(self, tell: Listening) -> None:
+        """Act on what the watch over the drive has found."""
+        self.watch.heed(self, lambda: tell(self._fold()))
 
     def _room(self, asked: Callable[[], int] | None) -> int:
         """Samples until something is due: the fold, the detection of rest, or what was asked for."""
@@ -251,14 +278,6 @@ class Filter:
         if self._rest:
             room = max(1, room)
         return room if asked is None else min(room, asked())
-
-    def _at_rest(self) -> Array:
-        """What the drive would read if the vehicle kept still as it started."""
-        state, drv = self.state, self.memory.drv
-        if not self.inertial:
-            return state.roll_pitch_heading - np.array([0.0, 0.0, drv[strapdown.DECLINATION]])
-        level = np.concatenate([np.zeros(3), -state.C_nb[2] * strapdown.gravity(self.nav[0], self.nav[2])])
-        return level * self.period_s if drv[strapdown.INCREMENTS] else level
 
     def _fold(self) -> Propagated:
         """Fold the compound transition into P."""
@@ -280,16 +299,8 @@ class Filter:
         """The reading that the drive's last samples make, such as a zero velocity when they were quiet; asked once a
         period.
         """
-        drv = self.memory.drv
-        n = drv[strapdown.COUNT]
-        if n < max(2, round(self.vehicle.drive.rate_hz * channel.period_s)):
-            return None
-        mean = drv[strapdown.SUMS : strapdown.SUMS + 6] / n
-        scatter = np.sqrt(np.maximum(drv[strapdown.SQUARES : strapdown.SQUARES + 6] / n - mean**2, 0.0))
-        if drv[strapdown.INCREMENTS]:
-            mean, scatter = mean / self.period_s, scatter / self.period_s
-        drv[strapdown.COUNT : strapdown.SQUARES + 6] = 0.0
-        return channel.sensor.felt(mean, scatter)
+        felt = self.vehicle.drive.felt(self.memory.drv, channel.period_s)
+        return None if felt is None or self.watch.lost(self.memory.watch) else channel.sensor.felt(*felt)
 
     # ---------------------------------------------------------------- correction
     def correct(
@@ -341,7 +352,7 @@ class Filter:
     def _update(self, channel: Channel, time_s: float, z: Array, sd: ArrayLike | None, frozen: bool) -> Correction:
         memory = self.memory
         own = NO_SD if sd is None else np.resize(np.square(np.ravel(sd)), channel.axes)
-        if channel.kind >= 0 and self._native:
+        if channel.spot[stretch.KIND] >= 0 and self._native:
             stretch.correction(
                 *(self.bench, channel.spot, memory.P, memory.nav, memory.x, memory.acc, memory.drv, self.drive_output),
                 *(z, own, channel.ticks(time_s)),
@@ -357,9 +368,9 @@ class Filter:
         nis, dof, used = channel.verdict.tolist()
         widened = False
         if used:
-            channel.memory.rejected_since_s = math.nan
+            channel.memory.use(time_s)
         elif dof and math.isfinite(nis):
-            widened = self._rejected(channel, time_s, nis, int(dof), frozen)
+            widened = refused.let_in(self, channel, time_s, nis, int(dof), frozen)
         if used or widened:
             status = "used"
             if self.tape is not None:
@@ -375,38 +386,21 @@ class Filter:
         outcome = Outcome(status) if status == "invalid" else Outcome(status, nis, int(dof), widened)
         return Correction(outcome, time_s, channel)
 
-    def _rejected(self, channel: Channel, time_s: float, nis: float, dof: int, frozen: bool) -> bool:
-        """After a rejection: reset the state when all sensors contradict it, or widen the gate; True when the reading
-        was let in after all.
-        """
-        memory, kept = self.memory, channel.memory
-        if math.isnan(kept.rejected_since_s):
-            kept.rejected_since_s = time_s
-        if frozen:
-            return False
-        P = memory.P
-        if gating.state_contradicted(self.channels.values(), time_s):
-            P[range(9), range(9)] += gating.reset_variance(self.channels.values())
-            drive = self.layout.drive
-            P[drive.slice, drive.slice] += drive.P0
-            for other in self.channels.values():
-                other.memory.rejected_since_s = math.nan
-            memory.counts["opened"] += 1
-            return False
-        added = gating.widening(P, memory.x, channel, time_s, nis, dof)
-        if added is None:
-            return False
-        P[:9, :9] += added.covariance
-        P[:] = 0.5 * (P + P.T)
-        channel.res[:] = added.residual
-        channel.R *= added.white_factor
-        kept.rejected_since_s = math.nan
-        no_limits = np.full(channel.axes + 1, np.inf)
-        kalman.update(P, memory.nav, memory.x, channel.C, channel.R, channel.mem, channel.dims, no_limits)
-        memory.counts["widened"] += 1
-        return True
-
     # ---------------------------------------------------------------- other error models
+    def take_up(self, tell: Listening) -> None:
+        """Adopt the constants of sensors that have just jumped, see `jumped` and `adopt`."""
+        while self.jumped:
+            self.adopt(self.jumped.pop(0), tell)
+
+    @property
+    def described_models(self) -> dict[str, Errors]:
+        """Error models put in force since the start, without the constants of sensors that have jumped."""
+        axes = {name: channel.axes for name, channel in self.channels.items()}
+        return {
+            name: with_offsets(per_axis(error, axes[name], name), ()) if name in axes else error
+            for name, error in self.memory.models
+        }
+
     def adopt(self, change: Change, tell: Listening) -> None:
         """Put another error model of one sensor in force, now; the states follow without a jump
         (`navfilter.filter.adoption.transfer`).
@@ -422,10 +416,13 @@ class Filter:
         ValueError
             For an unknown sensor, or something that is no error model.
         """
-        memory = self.memory
-        models = tuple((dict(memory.models) | {change.sensor: change.error}).items())
+        memory, channel, error = self.memory, self.channels.get(change.sensor), change.error
+        if channel is not None and channel.offset and not change.offsets:
+            axes = channel.axes, f"{change.sensor}.error"
+            error = with_the_same_offsets(per_axis(error, *axes), channel.sensor.models)
         # refuses what cannot be adopted before anything has changed
-        self.vehicle.with_error(**{change.sensor: change.error})
+        self.vehicle.with_error(**{change.sensor: error})
+        models = tuple((dict(memory.models) | {change.sensor: error}).items())
         if memory.unfolded:
             tell(self._fold())
         before, old = self.layout, self.in_force
@@ -437,12 +434,13 @@ class Filter:
         P, x = M @ memory.P @ M.T + N, M[9:, 9:] @ memory.x
         memory.P, memory.x = np.ascontiguousarray(0.5 * (P + P.T)), np.ascontiguousarray(x)
         memory.acc, self._xd = self._identity(), memory.x[: self.layout.drive.size]
+        self.weigh()
         fresh = new.drive.memory(self.layout.drive.errors, self.start)
         memory.drv[strapdown.PLACES] = fresh[strapdown.PLACES]
         memory.models = models
         memory.counts["adopted"] += 1
         if self.tape is not None:
             self.tape.layouts.append(self.layout)
-            self.tape.models.setdefault(change.sensor, []).append((memory.time_s, change.error))
+            self.tape.models.setdefault(change.sensor, []).append((memory.time_s, error))
             self._row()
         tell(Relaid(M))

@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from navfilter.error_models import ErrorModel
 from navfilter.filter.channel import ChannelMemory
+from navfilter.filter.drive_watch import CONDITIONS
 from navfilter.filter.intake import IntakeMemory
-from navfilter.kernels import strapdown
+from navfilter.kernels import drive_watch, strapdown
 
 __all__ = ["Errors", "FilterMemory"]
 
@@ -43,6 +44,8 @@ class FilterMemory:
     recent : ndarray, shape (k, 7)
         The last samples of the drive, the newest first: seconds since the one before (0: no sample yet), six values.
         None are kept where the clock of no sensor is in doubt.
+    watch : ndarray, shape (7, 18) or (0, 18)
+        What the watch over the drive's axes remembers, see ``navfilter.kernels.drive_watch``.
     intake : IntakeMemory
     channels : dict of str to ChannelMemory
     models : tuple of (str, error)
@@ -59,6 +62,7 @@ class FilterMemory:
     acc: Array
     drv: Array
     recent: Array
+    watch: Array
     intake: IntakeMemory
     channels: dict[str, ChannelMemory]
     models: tuple[tuple[str, Errors], ...]
@@ -84,6 +88,9 @@ class FilterMemory:
             return "the state is not finite"
         if not (self.recent[:, 0] >= 0.0).all():
             return "the last samples do not follow each other"
+        codes = self.watch[:6, [drive_watch.CODE, drive_watch.HEEDED]]
+        if not np.isin(codes, range(len(CONDITIONS))).all():
+            return "the drive's axes are in conditions that do not exist"
         # kernels use these as places of states
         places = [*strapdown.PLACES, strapdown.INCREMENTS]
         if not np.array_equal(self.drv[places], fresh.drv[places]):

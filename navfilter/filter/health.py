@@ -21,7 +21,8 @@ class SensorHealth:
     ----------
     condition : str
         "good", "waiting" (nothing heard yet), "silent" (not heard for longer than its gate time-out), "rejected"
-        (heard, but not used for so long), "stuck" (the same value for too long) or "noisy" (residuals far larger than
+        (heard, but not used for so long), "stuck" (the same value for too long), "jumped" (off by a constant from one
+        reading to the next, and used for changes only until it is back) or "noisy" (residuals far larger than
         predicted).
     age_s : float
         Since the last reading that was used [s]; infinite before the first.
@@ -45,20 +46,27 @@ class Health:
     ----------
     sensors : dict of str to SensorHealth
     drive : dict of str to int
-        Irregularities of the drive's samples so far: gaps, backward stamps, repaired samples, clock set back or right;
-        gates widened, models adopted.
+        Irregularities so far: of the drive's samples gaps, backward stamps, repaired samples, clock set back or right;
+        then gates widened, resets of the state to sensors that agree against it, jumps of sensors, states given up,
+        models adopted.
     clock_offset_s : float
         By how much stamps are moved because the clock was set back [s].
+    axes : dict of str to str
+        Condition of each axis of an inertial unit: "good", "noisy", "stuck", "dead" (stuck at zero), "saturated",
+        "erratic" (nothing but noise), "wrong-unit", "gravity" (feels it where it is not), "swapped" (the same, of the
+        right size) or "free-fall".
     """
 
     sensors: dict[str, SensorHealth]
     drive: dict[str, int]
     clock_offset_s: float = 0.0
+    axes: dict[str, str] = field(default_factory=dict)
 
     @property
     def degraded(self) -> tuple[str, ...]:
-        """Names of the sensors that do not help at present."""
-        return tuple(name for name, s in self.sensors.items() if s.condition not in ("good", "waiting"))
+        """Names of the sensors, and of the drive's axes, that do not help at present."""
+        sensors = [name for name, s in self.sensors.items() if s.condition not in ("good", "waiting")]
+        return (*sensors, *(name for name, condition in self.axes.items() if condition != "good"))
 
 
 @dataclass
@@ -119,8 +127,8 @@ class Watch:
         if used:
             self.outcomes["used"] = self.outcomes.get("used", 0) + int(used)
 
-    def health(self, now_s: float) -> SensorHealth:
-        """The figures at a time."""
+    def health(self, now_s: float, jumped: bool = False) -> SensorHealth:
+        """The figures at a time, of a sensor that is off by a constant where it has `jumped`."""
         age_s = now_s - self.used_s
         if not self.outcomes:
             condition = "waiting"
@@ -130,6 +138,8 @@ class Watch:
             condition = "stuck"
         elif age_s > self.timeout_s:
             condition = "rejected"
+        elif jumped:
+            condition = "jumped"
         elif self.nis > self.NOISY:
             condition = "noisy"
         else:

@@ -112,14 +112,12 @@ class Intake:
         """
         return self.memory.back_count > 1
 
-    def take(self, samples: Array, drv: Array, at_rest: Callable[[], Array], whole: bool) -> tuple[Array, Array]:
-        """Steps in place of stamps (first column), and the stamps: all of them, or only the last one if the block is
-        taken `whole`.
-        """
+    def take(self, samples: Array, drv: Array, at_rest: Callable[[], Array]) -> tuple[Array, Array]:
+        """Steps in place of stamps (first column), and the stamps."""
         memory = self.memory
         if memory.offset_s:
             samples[:, 0] += memory.offset_s
-        stamps = samples[-1:, 0].copy() if whole else samples[:, 0].copy()
+        stamps = samples[:, 0].copy()
         gaps = strapdown.stamps_to_steps(samples, memory.before_s, self._limits, self._gap_s, self._doubt_s)
         if gaps < 0:
             return self._mend(samples, drv, at_rest)

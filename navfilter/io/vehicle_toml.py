@@ -26,6 +26,7 @@ from pydantic import AfterValidator, Discriminator, Field, Tag, create_model, mo
 
 from navfilter.arma.model import ArmaModel
 from navfilter.error_models import ErrorModel, Sum
+from navfilter.filter.offsets import Offset
 from navfilter.io.validation import Strict, inside, listed, read_toml, validate
 from navfilter.io.vehicle_keys import checked, plain_key, spellings, times
 from navfilter.learning.learned import LearnedArma
@@ -136,9 +137,10 @@ def _concrete(base: type, kinds: Kinds) -> dict[str, type]:
 
 def _kinds() -> Kinds:
     """Every kind of error model, sensor and drive that there is now; those of a user's own come with the import of
-    their module.
+    their module, and those that only a run makes are none.
     """
-    return tuple(cls for base in (ErrorModel, Sensor, Mechanisation) for cls in kinds_below(base) if cls is not Sum)
+    bases = ErrorModel, Sensor, Mechanisation
+    return tuple(cls for base in bases for cls in kinds_below(base) if cls not in (Sum, Offset))
 
 
 def _base_of(cls: type) -> tuple[str, type]:

@@ -9,9 +9,9 @@ import math
 
 from numba import njit
 
-from navfilter.kernels import checksum, kalman, measurement, strapdown
+from navfilter.kernels import checksum, drive_watch, kalman, measurement, strapdown
 
-SOURCES = checksum(kalman, measurement, strapdown)
+SOURCES = checksum(drive_watch, kalman, measurement, strapdown)
 
 
 def _keyed(make):
@@ -46,20 +46,21 @@ VERDICT, RECORD, PLAN = 20, 21, 22
 # Elements of `now`: time of the state and of the last sample, stamp of the last sample, time of the last row written.
 TIME_S, SAMPLE_S, BEFORE_S, ROW_S = range(4)
 # Elements of `cursor`: reading, sample, samples whose transition is not in P yet, gaps, rows written, records written,
-# elements of them.
-READING, SAMPLE, UNFOLDED, GAPS, ROWS, RECORDS, WRITTEN = range(7)
+# elements of them; samples that are steps already.
+READING, SAMPLE, UNFOLDED, GAPS, ROWS, RECORDS, WRITTEN, STEPPED = range(8)
 # Elements of `settings`: period of the drive, how far ahead a reading may be, samples between folds, silence that is a
-# gap, silence that is in doubt, when something is due, interval of the rows.
-PERIOD_S, AHEAD_S, FOLD_EVERY, GAP_S, DOUBT_S, UNTIL_S, INTERVAL_S = range(7)
-# Columns of `heard`, a row a channel: last reading, last tick, rejected since, period.
-LAST_S, TICKED_S, REJECTED_S, CHANNEL_PERIOD_S = range(4)
+# gap, silence that is in doubt, when something is due, interval of the rows; whether samples are increments.
+PERIOD_S, AHEAD_S, FOLD_EVERY, GAP_S, DOUBT_S, UNTIL_S, INTERVAL_S, INCREMENTS = range(8)
+# Columns of `heard`, a row a channel: last reading, last tick, period.
+LAST_S, TICKED_S, CHANNEL_PERIOD_S = range(3)
 # Columns of `watched`, a row a channel: equal values in a row, since when, heard last, used last, running NIS, used.
 SAME, SINCE_S, HEARD_S, USED_S, NIS, USED = range(6)
 NIS_MEMORY, NIS_MOST = 50.0, 100.0  # readings; a single one counts up to this NIS per component
 
 # Why a stretch has ended: all is done; the next reading, or the samples before it, are for Python; its samples are
-# taken, the reading is for Python; it was not used: Python says what follows; no room is left in the output.
-DONE, NEXT, REFUSED, JUDGED, FULL = range(5)
+# taken, the reading is for Python; it was not used: Python says what follows; no room is left in the output; the watch
+# over the drive has found something that Python has to heed.
+DONE, NEXT, REFUSED, JUDGED, FULL, HEED = range(6)
 
 
 @_keyed
@@ -105,11 +106,16 @@ def correction(sources):
         kalman.predict(P, nav, x, acc, model, mem, dims, count)
         rate = bench[spot[RATE] : spot[RATE] + 3]
         if spot[TURNS]:
+            per = 1.0 / drv[strapdown.PERIOD_S] if drv[strapdown.INCREMENTS] != 0.0 else 1.0
+            elements = int(drv[strapdown.CALIBRATED])
             for i in range(3):
-                s = drv[strapdown.PREVIOUS + i]
+                rate[i] = drv[strapdown.PREVIOUS + i] * per
                 for j in range(m - 9):
-                    s -= Cr[i, j] * x[j]
-                rate[i] = s / drv[strapdown.PERIOD_S] if drv[strapdown.INCREMENTS] != 0.0 else s
+                    rate[i] -= Cr[i, j] * x[j]
+            for q in range(elements):
+                element = int(drv[strapdown.ELEMENTS + q])
+                if element < 9:
+                    rate[element // 3] -= drv[strapdown.PREVIOUS + element % 3] * per * x[m - 9 - elements + q]
         places = kalman.places(dims)
         near = mem[places[7] : places[8]].reshape((a, 9 + parameters))
         constants = bench[spot[CONSTANTS] : spot[CONSTANTS] + spot[CONSTANTS_SIZE]]
@@ -197,24 +203,53 @@ def _note_record(sources):
 
 
 @_keyed
+def _heeded(sources):
+    @njit(cache=True)
+    def _heeded(w, nav, P, period_s):
+        """While all axes are good, `navfilter.filter.drive_watch.DriveWatch.heed`: the reference of gravity is due."""
+        _ = sources
+        for i in range(6):
+            a = w[i]
+            good = a[drive_watch.CODE] == drive_watch.GOOD and a[drive_watch.HEEDED] == drive_watch.GOOD
+            if not good or a[drive_watch.SIZE] != 0.0:
+                return False
+        unit = w[drive_watch.UNIT]
+        if unit[drive_watch.TICK] * period_s >= drive_watch.JUDGED_S:
+            unit[drive_watch.TICK] = 0.0
+            g = strapdown.gravity(nav[0], nav[2])
+            for i in range(3):
+                unit[drive_watch.REFERENCE + i] = -g * nav[12 + i]
+            unit[drive_watch.GRAVITY] = g
+            unit[drive_watch.SURE] = 1.0 if P[6, 6] + P[7, 7] < drive_watch.LEVEL_SD**2 else 0.0
+        return True
+
+    return _heeded
+
+
+@_keyed
 def _carried(sources):
     @njit(cache=True)
     def _carried(now, cursor, settings, spot, P, nav, x, acc, drive, samples, stamps, out, work):
-        """Carry the state over a block of steps (see `strapdown.stamps_to_steps`), folding as often as is due.
+        """Carry the state over a block of steps (see `strapdown.stamps_to_steps`), folding as often as is due; False
+        where Python has to heed what the watch over the drive has found.
 
-        stamps: of the same samples; spot: last row of `plan`; drive: memory, Phi, Q and output rows of the drive; out:
-        rows, their info, records and their heads; work: a transition (m * m,), then (m, n) for the fold.
+        stamps: of the same samples; spot: last row of `plan`; drive: memory, Phi, Q and output rows of the drive, then
+        what the watch remembers, and its standard deviations and limits; out: rows, their info, records and their
+        heads; work: a transition (m * m,), then (m, n) for the fold.
         """
         _ = sources
         m, n = acc.shape[1], P.shape[0]
-        drv, Phid, Qd, Cr = drive
+        drv, Phid, Qd, Cr, w, sd, ends = drive
         rows, info, records, heads = out
         every, begin, total = int(settings[FOLD_EVERY]), 0, samples.shape[0]
         head = work[: m * m]
         while begin < total:
             end = min(total, begin + every - cursor[UNFOLDED])
+            looked = drive_watch.look(samples[begin:end], w, sd, ends, settings[PERIOD_S], settings[INCREMENTS] > 0.0)
+            end = begin + looked
             strapdown.imu_steps(nav, x[: m - 9], drv, samples[begin:end], Phid, Qd, Cr, acc)
             cursor[UNFOLDED] += end - begin
+            cursor[SAMPLE] += end - begin
             now[TIME_S] = now[SAMPLE_S] = now[BEFORE_S] = stamps[end - 1]
             if cursor[UNFOLDED] >= every:
                 for i in range(m):
@@ -225,6 +260,9 @@ def _carried(sources):
                 _note_record(head, int(0), spot, cursor, records, heads)
                 _note_row(now, cursor, settings[INTERVAL_S], nav, x, P, rows, info)
             begin = end
+            if w[drive_watch.UNIT, drive_watch.NEWS] != 0.0 and not _heeded(w, nav, P, settings[PERIOD_S]):
+                return False
+        return True
 
     return _carried
 
@@ -273,7 +311,7 @@ def stretch(sources):
         """
         _ = sources
         nav, x, P, acc = state
-        drv, Phid, Qd, Cr = drive
+        drv, Cr, Phid, Qd = drive[0], drive[3], drive[1], drive[2]
         times, which, ends, good, same, values, variances, notes = given
         rows, info, records, heads = out
         m, n = acc.shape[1], P.shape[0]
@@ -290,13 +328,15 @@ def stretch(sources):
             if records.size > 0 and cursor[WRITTEN] + more * spot[RECORD] > records.size:
                 return FULL
             if end > begin:
-                block = samples[begin:end]
-                gaps = strapdown.stamps_to_steps(block, now[BEFORE_S], limits, settings[GAP_S], settings[DOUBT_S])
-                if gaps < 0:
-                    return NEXT
-                cursor[GAPS] += gaps
-                _carried(now, cursor, settings, spot, P, nav, x, acc, drive, block, stamps[begin:end], out, work)
-                cursor[SAMPLE] = end
+                block, taken = samples[begin:end], stamps[begin:end]
+                if begin >= cursor[STEPPED]:
+                    gaps = strapdown.stamps_to_steps(block, now[BEFORE_S], limits, settings[GAP_S], settings[DOUBT_S])
+                    if gaps < 0:
+                        return NEXT
+                    cursor[GAPS] += gaps
+                    cursor[STEPPED] = end
+                if not _carried(now, cursor, settings, spot, P, nav, x, acc, drive, block, taken, out, work):
+                    return HEED
             early_s, mine = t - now[TIME_S], heard[i]
             if t <= mine[LAST_S] or early_s < -1.001 * period_s or t - now[SAMPLE_S] > settings[AHEAD_S]:
                 return REFUSED
@@ -315,7 +355,6 @@ def stretch(sources):
                 notes[e, j] = bench[verdict + j]
             if notes[e, 2] == 0.0:
                 return JUDGED
-            mine[REJECTED_S] = math.nan
             _note_record(bench[own[MEM] : own[MEM] + own[RECORD]], a, own, cursor, records, heads)
             _note_row(now, cursor, settings[INTERVAL_S], nav, x, P, rows, info)
             _fared(watched[i], t, notes[e, 0], notes[e, 1])

@@ -229,7 +229,8 @@ class Learner:
                 starts = grown_starts(likelihood, below, p, q)
                 if p + q <= 2 or not starts:
                     cold = cold_starts(likelihood, p, q)
-                    starts += [with_slow_part(likelihood, start, p) for start in cold] if slow else cold
+                    like = min(below.values(), key=lambda point: point.value).theta if below else None
+                    starts += [with_slow_part(likelihood, start, p, 1, like) for start in cold] if slow else cold
                 point = maximise(likelihood, starts, p, EFFORT.first_passes, slow)
             if math.isfinite(point.value) and np.all(np.isfinite(point.info)):
                 fits[order] = point

@@ -23,6 +23,7 @@ from navfilter.sensors.traits import Columns, Doubt, Plausible
 from navfilter.sensors.velocity import USUAL as VELOCITY_USUAL
 from navfilter.sensors.velocity import VELOCITY
 from navfilter.start import Start
+from navfilter.state import NavState
 
 __all__ = ["DeadReckoning"]
 
@@ -163,6 +164,8 @@ class DeadReckoning(Mechanisation):
         names = [p.name for p in self.parameters()]
         for place, name in FIRST_PARAMETERS.items():
             drv[place] = first_parameter + names.index(name) if name in names else -1
+        if "velocity.scale_x" in names:
+            drv[strapdown.SCALE], drv[strapdown.SCALE_STEP] = first_parameter + names.index("velocity.scale_x"), 1.0
         sensor = self.velocity_sensor
         drv[strapdown.LEVER : strapdown.LEVER + 12] = sensor.constants(start)  # type: ignore[arg-type]  # the same for any start
         if start is not None:
@@ -188,6 +191,10 @@ class DeadReckoning(Mechanisation):
         rows = np.column_stack([seconds, rate, np.cross(rate, velocity_b) + gained / seconds])
         held = np.concatenate([drv[strapdown.HELD_S : strapdown.HELD_S + 1], rows[0, 1:4], np.zeros(3)])
         return np.concatenate([held[None, :], rows]), 0.0
+
+    def at_rest(self, state: NavState, drv: Array) -> Array:
+        """Its attitude, by the compass as it is."""
+        return state.roll_pitch_heading - np.array([0.0, 0.0, drv[strapdown.DECLINATION]])
 
     def samples(self, streams: Mapping[str, Stream]) -> tuple[Array, Array]:
         """Attitude, interpolated to the times of the velocity, and velocity."""

@@ -20,6 +20,7 @@ from navfilter.sensors import BodyVelocity, Heading
 from navfilter.sensors.sensor import Errors
 from navfilter.sensors.traits import Columns, Doubt, Plausible
 from navfilter.start import Start
+from navfilter.state import NavState
 
 __all__ = ["DriveNoise", "Mechanisation", "Triple"]
 
@@ -181,7 +182,17 @@ class Mechanisation:
         drv[strapdown.PERIOD_S] = self.period_s
         return drv
 
+    def draws(self, triple: str) -> dict[str, tuple[float, ...]]:
+        """Calibration errors that are drawn for a simulated mission of one of its `triples`, see `Sensor.draws`."""
+        return {}
+
     # ---------------------------------------------------------------- what sensors with a doubtful clock ask
+    def outputs(self, rows: Array, drv: Array) -> Array:
+        """Rows by which its states make the errors of its six values now, shape (6, k): those of its error models as
+        given, and what its constants do to its last sample.
+        """
+        return rows
+
     def remembered(self, past_s: float) -> int:
         """How many of the last samples tell how the vehicle has moved for `past_s` seconds; at least two."""
         return max(2, math.ceil((past_s + MORE_S) * self.rate_hz) + 1)
@@ -206,6 +217,21 @@ class Mechanisation:
             [m/s^2]; 0 where the forces are accelerations.
         """
         raise NotImplementedError
+
+    def at_rest(self, state: NavState, drv: Array) -> Array:
+        """What it would read if the vehicle kept still in this state; shape (6,), or (3,) for an attitude alone."""
+        raise NotImplementedError
+
+    def felt(self, drv: Array, span_s: float) -> tuple[Array, Array] | None:
+        """Mean and scatter of the samples since this was last asked; None before there are as many as that span has."""
+        n = drv[strapdown.COUNT]
+        if n < max(2, round(self.rate_hz * span_s)):
+            return None
+        mean = drv[strapdown.SUMS : strapdown.SUMS + 6] / n
+        scatter = np.sqrt(np.maximum(drv[strapdown.SQUARES : strapdown.SQUARES + 6] / n - mean**2, 0.0))
+        per = self.period_s if drv[strapdown.INCREMENTS] else 1.0
+        drv[strapdown.COUNT : strapdown.SQUARES + 6] = 0.0
+        return mean / per, scatter / per
 
     def body_rate(self, drv: Array, errors: Array) -> Array | float:
         """Angular rate in b [rad/s] for lever arms, the Earth's own (1e-4 rad/s) left in; 0 where it is not known.

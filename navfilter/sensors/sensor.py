@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from navfilter.simulation.motion import Kinematics
     from navfilter.simulation.sensors import Truth
 
-__all__ = ["Errors", "Reading", "Sensor", "Vector", "checked_vector"]
+__all__ = ["Errors", "Reading", "Sensor", "Vector", "checked_sds", "checked_vector"]
 
 Array = NDArray[np.float64]
 Vector = tuple[float, float, float]
@@ -339,3 +339,11 @@ def checked_vector(owner: str, value: ArrayLike, size: int = 3) -> tuple[float, 
     if v.shape != (size,) or not np.isfinite(v).all():
         raise ValueError(f"{owner} must be {size} finite numbers, found {value!r}.")
     return tuple(float(c) for c in v)
+
+
+def checked_sds(owner: str, value: float | Vector) -> tuple[float, ...]:
+    """One standard deviation for all axes, or three, as a tuple of floats; the error names its `owner`."""
+    v = np.atleast_1d(np.asarray(value, dtype=float))
+    if v.shape not in ((1,), (3,)) or not np.all((v >= 0.0) & np.isfinite(v)):
+        raise ValueError(f"{owner} must be a finite number >= 0, or three of them (x, y, z), found {value!r}.")
+    return tuple(v.tolist())

@@ -299,8 +299,9 @@ class Session:
             self._start_again()
             return
         if self._second != second:
-            for name, health in self.nav.health.sensors.items():
-                self._condition(name, health.condition)
+            health = self.nav.health
+            for name, condition in [*((n, s.condition) for n, s in health.sensors.items()), *health.axes.items()]:
+                self._condition(name, condition)
         if self._tick > tick:
             self._state()
 

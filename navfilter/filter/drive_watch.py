@@ -1,0 +1,175 @@
+"""A watch over the samples of an inertial unit, axis by axis, and what follows for the filter.
+
+The kernel `navfilter.kernels.drive_watch.look` finds what the samples say of themselves. An axis that is worth nothing
+is left out: what is known without it takes its place, with the noise that the vehicle's description gives to what is
+unknown (``gap_rate_sd``, ``gap_force_sd``), and the covariance takes what the wrong samples may have done since they
+began. Attitude then comes from the compass, and from gravity where the accelerometers still work; velocity from the
+DVL. That is dead reckoning, by the same filter.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navfilter.kernels import drive_watch as kernel
+from navfilter.kernels import strapdown
+
+if TYPE_CHECKING:
+    from navfilter.filter.filter import Filter
+    from navfilter.mechanisation import Mechanisation
+
+__all__ = ["CONDITIONS", "COUNTED", "DriveWatch"]
+
+Array = NDArray[np.float64]
+#: In words, by the kernel's codes.
+CONDITIONS = (
+    *("good", "noisy", "stuck", "dead", "saturated", "erratic", "wrong-unit"),
+    *("gravity", "free-fall", "swapped", "wrong-unit"),
+)
+#: Counters: conditions that began, by axis, and spikes.
+COUNTED = (*dict.fromkeys(CONDITIONS[1:]), "spike")
+#: What a vehicle does unseen goes on for about so long [s].
+UNSEEN_S = 1.0
+#: What it tilts by unseen is bounded (``strapdown.GAP_TILT``): a random walk gets there in so long [s].
+TILT_S = 30.0
+#: A reading at the end of the range, short of it by rounding.
+RANGE_END = 0.999
+
+
+class DriveWatch:
+    """Knows an inertial unit's description; all that it remembers stands in `FilterMemory.watch`.
+
+    Parameters
+    ----------
+    drive : Mechanisation
+        Another than an inertial one is not watched here: its samples are those of sensors.
+    """
+
+    def __init__(self, drive: Mechanisation) -> None:
+        self.active, self.axes = drive.inertial, drive.axis_names
+        self._period_s, self._increments = drive.period_s, bool(getattr(drive, "increments", False))
+        if not self.active:
+            return
+        rate_sd, force_sd = drive.gap_rate_sd, drive.gap_force_sd  # type: ignore[attr-defined]
+        self._unseen = np.repeat([rate_sd, force_sd], 3)
+        per = self._period_s if self._increments else 1.0
+        self.limits = RANGE_END * drive.limits() / per
+
+    def fresh(self) -> Array:
+        """What it remembers before the first sample."""
+        w = np.zeros((7, 18))
+        w[:6, kernel.REPEATS], w[:6, kernel.QUANTUM] = 1.0, np.inf
+        return w if self.active else np.zeros((0, 18))
+
+    def look(self, samples: Array, w: Array, r: Array) -> int:
+        """How many samples may be taken before something has to be heeded; bad axes are replaced in them.
+
+        Parameters
+        ----------
+        samples : ndarray, shape (n, 7)
+            Seconds since the one before, six values.
+        w : ndarray
+            What is remembered.
+        r : ndarray, shape (6,)
+            White variances of one sample by the description.
+        """
+        return kernel.look(samples, w, np.sqrt(r), self.limits, self._period_s, self._increments)
+
+    def weigh(self, w: Array, C: Array, r: Array, output: Array) -> None:
+        """Error models of the axes as they are believed now: `output` (6, k + 1) from C (6, errors) and r (6,).
+
+        A value that stands for nothing read has no bias, but all the noise of the unknown.
+        """
+        output[:, : C.shape[1]], output[:, -1] = C, r
+        for i, code in enumerate(w[: kernel.UNIT, kernel.HEEDED]):
+            if code > kernel.NOISY:
+                density = self._unseen[i] ** 2 * UNSEEN_S
+                if i > 2:
+                    # the force at rest stands there, by the attitude as it is believed: its tilt is not felt
+                    density += (w[kernel.UNIT, kernel.GRAVITY] * strapdown.GAP_TILT) ** 2 * UNSEEN_S
+                elif i < 2:
+                    # velocities show a tilt only where forces are felt
+                    felt = not (w[3:6, kernel.HEEDED] > kernel.NOISY).any()
+                    density = strapdown.GAP_TILT**2 / (UNSEEN_S if felt else TILT_S)
+                output[i, :-1], output[i, -1] = 0.0, density / self._period_s
+            elif code == kernel.NOISY:
+                output[i, -1] = max(r[i], w[i, kernel.WHITE])
+
+    def rate_variance(self, w: Array, r: Array) -> Array:
+        """Variance of the angular rate as it is used for lever arms, shape (3,) [rad^2/s^2]."""
+        lost = w[:3, kernel.HEEDED] > kernel.NOISY
+        return np.where(lost, self._unseen[:3] ** 2, r[:3]) if lost.any() else r[:3]
+
+    def news(self, w: Array) -> bool:
+        """Whether something is to be heeded."""
+        return self.active and w[kernel.UNIT, kernel.NEWS] != 0.0
+
+    def heed(self, filter: Filter, fold: object) -> None:
+        """Look at what the kernel has found, at the sample where it found it.
+
+        Parameters
+        ----------
+        filter : Filter
+        fold : callable
+            Takes what is pending into the covariance.
+        """
+        memory = filter.memory
+        w, unit = memory.watch, memory.watch[kernel.UNIT]
+        opened: list[Array] = []
+        for i in range(6):
+            axis = w[i]
+            code, heeded = axis[kernel.CODE], axis[kernel.HEEDED]
+            if axis[kernel.SIZE]:
+                memory.counts["spike"] += 1
+                opened.append(self._done(i, axis[kernel.SIZE], self._period_s, memory.nav))
+                axis[kernel.SIZE] = 0.0
+            if code != heeded:
+                if code != kernel.GOOD:
+                    memory.counts[CONDITIONS[int(code)]] += 1
+                if code > kernel.NOISY >= heeded:
+                    expected = 0.0 if i < 3 else unit[kernel.REFERENCE + i - 3]
+                    most = max(self._unseen[i], abs(axis[kernel.MEAN] - expected))
+                    opened.append(self._done(i, most, axis[kernel.BEGAN_S], memory.nav))
+                axis[kernel.HEEDED] = code
+            if code == kernel.NOISY:
+                axis[kernel.WHITE] = axis[kernel.NOISE] / 6.0
+        filter.weigh()
+        if opened:
+            if memory.unfolded:
+                fold()  # type: ignore[operator]
+            for done in opened:
+                memory.P[:9, :9] += np.outer(done, done)
+        if unit[kernel.TICK] * self._period_s >= kernel.JUDGED_S:
+            unit[kernel.TICK] = 0.0
+            self.refer(w, memory.nav, memory.P)
+
+    def refer(self, w: Array, nav: Array, P: Array) -> None:
+        """Take the reference of gravity from the attitude as it is now."""
+        if self.active:
+            unit, g = w[kernel.UNIT], strapdown.gravity(nav[0], nav[2])
+            unit[kernel.REFERENCE : kernel.REFERENCE + 3] = -g * nav[12:15]
+            unit[kernel.GRAVITY], unit[kernel.SURE] = g, float(P[6, 6] + P[7, 7] < kernel.LEVEL_SD**2)
+
+    def _done(self, axis: int, error: float, seconds: float, nav: Array) -> Array:
+        """What an error [rad/s, m/s^2] of an axis that lasted so long does to the nine navigation states."""
+        along, result = nav[6:15].reshape(3, 3)[:, axis % 3] * error * seconds, np.zeros(9)
+        if axis < 3:
+            g = strapdown.gravity(nav[0], nav[2])
+            result[6:] = along
+            result[3:5] = 0.5 * seconds * g * np.array([-along[1], along[0]])
+            result[:3] = result[3:6] * seconds / 3.0
+        else:
+            result[3:6] = along
+            result[:3] = 0.5 * seconds * along
+        return result
+
+    def lost(self, w: Array) -> bool:
+        """Whether something else stands in place of what an axis says."""
+        return self.active and bool((w[: kernel.UNIT, kernel.HEEDED] > kernel.NOISY).any())
+
+    def conditions(self, w: Array) -> dict[str, str]:
+        """Condition of every axis in words; none where nothing is watched."""
+        return {name: CONDITIONS[int(w[i, kernel.CODE])] for i, name in enumerate(self.axes)} if self.active else {}
