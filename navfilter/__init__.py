@@ -28,6 +28,7 @@ _FACE = {
     "alignment": "align",
     "arma.algebra": "BiasPlusWhite add_arma bias_plus_white resample_arma split_bias",
     "beacons": "locate_beacons",
+    "calibration.calibrate": "Calibration calibrate",
     "arma.online.bank": "ArmaBank",
     "arma.fit": "ArmaFit fit_arma",
     "arma.online.front_end": "FrontEnd",

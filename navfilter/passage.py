@@ -177,11 +177,14 @@ class Passage:
     def _call(self) -> int:
         filter, given = self.nav.filter, self._readings
         part = slice(self._begin, self._end)
-        memory, intake = filter.memory, filter.memory.intake
-        tape = filter.tape
+        memory, intake, tape = filter.memory, filter.memory.intake, filter.tape
+        for channel in self._channels:
+            channel.gate[:] = channel.limits
         now = np.array([memory.time_s, memory.sample_s, intake.before_s, _last(tape)])
         cursor = np.array([self.at - self._begin, self.done - self._first, memory.unfolded, 0, 0, 0, 0, self._stepped])
-        heard = np.array([(*channel.times, channel.period_s) for channel in self._channels])
+        heard = np.array(
+            [(*c.times, c.period_s, c.memory.refused is not None) for c in self._channels], dtype=np.float64
+        )
         watched = np.array([(w.same, w.since_s, w.heard_s, w.used_s, w.nis, 0.0) for w in self._watches])
         out = self._output()
         first = cursor[kernels.READING], cursor[kernels.SAMPLE]

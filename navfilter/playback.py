@@ -320,6 +320,23 @@ def residual_series(
     return {name: nav.heard(name) for name in names}
 
 
+def at_the_end(vehicle: Vehicle, mission: Mission, start: Start | None = None) -> Navigator:
+    """The navigator at the end of a mission: its constant states are then what a smoother gives for all of it.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    mission : Mission
+    start : Start, optional
+        As in `replay`.
+    """
+    drive = drive_samples(vehicle, mission)
+    start = _start(vehicle, mission, start)
+    nav = Navigator(vehicle, start, history_s=0.0)
+    _run(nav, *drive, _events(vehicle, mission, start.time_s), False)
+    return nav
+
+
 def _listen(nav: Navigator, mission: Mission, names: Sequence[str]) -> None:
     """To these sensors over a whole mission."""
     for name in names:

@@ -1188,7 +1188,7 @@ def stretch(now, cursor, settings, bench, plan, heard, watched, state, drive, sa
         if e < cursor[0]:
             continue
         cursor[0] = e
-        if t >= until or not good:
+        if t >= until or not good or heard[i, 3]:
             return 1
         more = 2 + (end - cursor[1]) // int(every)
         if cursor[4] + more > len(rows) or cursor[5] + more > len(heads):

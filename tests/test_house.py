@@ -44,7 +44,7 @@ FLOORS = [
     {"filter", "learning.listener", "learning.rest", "learning.refit"},
     {"learning.schedule", "navigator", "passage", "alignment"},
     {"assembly", "playback", "beacons", "simulation", "io", "outputs", "check"},
-    {"evaluation", "report", "identification"},
+    {"evaluation", "report", "identification", "calibration"},
     {"service", "cli", "commands", "__init__", "__main__"},
 ]
 #: Folders whose modules stand on different floors.

@@ -92,4 +92,4 @@ def asked(
         channel.R[range(channel.axes), range(channel.axes)] += 0.5 * (nav[3] ** 2 + nav[4] ** 2) * P[8, 8] ** 2
     if channel.sensor.curved:
         channel.R += channel.sensor.second_order(z, channel.near, P[np.ix_(channel.seen, channel.seen)])
-    kalman.update(P, nav, x, channel.C, channel.R, channel.mem, channel.dims, channel.limits)
+    kalman.update(P, nav, x, channel.C, channel.R, channel.mem, channel.dims, channel.gate)

@@ -88,7 +88,7 @@ class Channel:
     def forget(self) -> None:
         """Remember nothing, as at the start."""
         self._memory = ChannelMemory()
-        self.count = 0
+        self.count, self.stuck = 0, False
 
     def arrange(self, sensor: Sensor, group: Group, layout: Layout, rate_variance: Array) -> None:
         """Lay out its working memory for other states; what is remembered stays.
@@ -147,6 +147,7 @@ class Channel:
         self.C, self.white = bench[ends[3] : ends[4]].reshape(a, errors), bench[ends[4] : ends[5]].reshape(a, a)
         self.lever = bench[ends[5] : ends[6]].reshape(a, a)
         self.R = bench[ends[6] : ends[7]].reshape(a, a)
+        self.gate = bench[ends[7] : ends[8]]
         self.seen = np.r_[0:9, first + errors : first + errors + parameters]
         self.parameters = slice(first - 9 + errors, first - 9 + errors + parameters)
         self._last = mem[at[7] : at[9]]

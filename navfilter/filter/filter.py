@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navfilter.error_models import per_axis
-from navfilter.filter import drive_watch, refused
+from navfilter.filter import agreement, drive_watch, refused
 from navfilter.filter.adoption import Change, state_change
 from navfilter.filter.asking import asked, shared
 from navfilter.filter.channel import Channel, usable
@@ -111,7 +111,7 @@ class Filter:
                 sample_s=state.time_s,
                 unfolded=0,
                 nav=state.pack(),
-                x=np.zeros(self.layout.size - 9),
+                x=self.layout.start_states(),
                 P=self.layout.start_covariance(state.covariance),
                 acc=self._identity(),
                 drv=self.in_force.drive.memory(self.layout.drive.errors, self.start),
@@ -352,6 +352,7 @@ class Filter:
     def _update(self, channel: Channel, time_s: float, z: Array, sd: ArrayLike | None, frozen: bool) -> Correction:
         memory = self.memory
         own = NO_SD if sd is None else np.resize(np.square(np.ravel(sd)), channel.axes)
+        channel.gate[:] = channel.limits if channel.memory.refused is None else agreement.limits(channel)
         if channel.spot[stretch.KIND] >= 0 and self._native:
             stretch.correction(
                 *(self.bench, channel.spot, memory.P, memory.nav, memory.x, memory.acc, memory.drv, self.drive_output),
@@ -365,6 +366,7 @@ class Filter:
 
     def concluded(self, channel: Channel, time_s: float, frozen: bool) -> Correction:
         """What follows from the verdict on a reading, which stands in its channel."""
+        channel.stuck = frozen
         nis, dof, used = channel.verdict.tolist()
         widened = False
         if used:
@@ -390,6 +392,7 @@ class Filter:
     def take_up(self, tell: Listening) -> None:
         """Adopt the constants of sensors that have just jumped, see `jumped` and `adopt`."""
         while self.jumped:
+            self.channels[self.jumped[0].sensor].memory.refused = None
             self.adopt(self.jumped.pop(0), tell)
 
     @property

@@ -203,6 +203,8 @@ def _not_for(cls: Any) -> set[str]:
 
 def _default(field: Any) -> str:
     key, value = field.name, field.default
+    if key == "calibrated":
+        return f"#{key} = {{}}"
     if value is None:
         # It has no default that could be written: an example, in words.
         return f"# {re.sub(r'_rad(?=_|$)', '_deg', key)} = 0.0"

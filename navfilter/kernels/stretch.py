@@ -51,8 +51,8 @@ READING, SAMPLE, UNFOLDED, GAPS, ROWS, RECORDS, WRITTEN, STEPPED = range(8)
 # Elements of `settings`: period of the drive, how far ahead a reading may be, samples between folds, silence that is a
 # gap, silence that is in doubt, when something is due, interval of the rows; whether samples are increments.
 PERIOD_S, AHEAD_S, FOLD_EVERY, GAP_S, DOUBT_S, UNTIL_S, INTERVAL_S, INCREMENTS = range(8)
-# Columns of `heard`, a row a channel: last reading, last tick, period.
-LAST_S, TICKED_S, CHANNEL_PERIOD_S = range(3)
+# Columns of `heard`, a row a channel: last reading, last tick, period, whether readings before have been refused.
+LAST_S, TICKED_S, CHANNEL_PERIOD_S, DOUBTED = range(4)
 # Columns of `watched`, a row a channel: equal values in a row, since when, heard last, used last, running NIS, used.
 SAME, SINCE_S, HEARD_S, USED_S, NIS, USED = range(6)
 NIS_MEMORY, NIS_MOST = 50.0, 100.0  # readings; a single one counts up to this NIS per component
@@ -320,7 +320,7 @@ def stretch(sources):
         for e in range(cursor[READING], times.size):
             cursor[READING] = e
             i, t, begin, end = which[e], times[e], cursor[SAMPLE], ends[e]
-            if t >= settings[UNTIL_S] or not good[e]:
+            if t >= settings[UNTIL_S] or not good[e] or heard[i, DOUBTED] != 0.0:
                 return NEXT
             more = 2 + (end - begin) // limit
             if cursor[ROWS] + more > rows.shape[0] or cursor[RECORDS] + more > heads.shape[0]:

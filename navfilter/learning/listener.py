@@ -39,6 +39,8 @@ MEMORY_S, PROBATION_S = 30.0, 90.0
 MOST_NIS = 25.0
 #: A sample so many robust deviations from its neighbours is a spike.
 SPIKE = 8.0
+#: So many stretches that are left out are remembered: a window of an hour with one every four minutes.
+LEFT_OUT = 16
 NEVER = int(np.iinfo(np.int64).max)
 
 
@@ -74,6 +76,8 @@ class ListenerMemory:
         capacity``.
     cursor : ndarray of int, shape (1,)
         Ticks noted so far.
+    left_out : ndarray of int, shape (LEFT_OUT, 2)
+        Stretches of ticks, first and end, that nothing is learnt from: the newest last.
     due : int
         The next hop comes when so many have been noted.
     heard : int
@@ -94,6 +98,7 @@ class ListenerMemory:
 
     ring: Array
     cursor: NDArray[np.int64]
+    left_out: NDArray[np.int64]
     due: int
     heard: int
     since: int
@@ -158,6 +163,7 @@ class Listener:
         self._memory = ListenerMemory(
             ring=np.full((sensor.axes, capacity), np.nan),
             cursor=np.zeros(1, np.int64),
+            left_out=np.zeros((LEFT_OUT, 2), np.int64),
             due=LEAST if window else NEVER,
             heard=0,
             since=0,
@@ -181,8 +187,22 @@ class Listener:
         """The last ticks of one axis, oldest first, without the newest; isolated spikes are missing."""
         ring = self._memory.ring
         written, capacity = int(self._memory.cursor[0]), ring.shape[1]
-        n = min(written, capacity if last is None else last, capacity)
-        return without_spikes(np.take(ring[axis], np.arange(written - n, written - without) % capacity))
+        first = written - min(written, capacity if last is None else last, capacity)
+        series = np.take(ring[axis], np.arange(first, written - without) % capacity)
+        for begin, end in self._memory.left_out:
+            if end > first:
+                series[max(begin - first, 0) : end - first] = np.nan
+        return without_spikes(series)
+
+    def leave_out(self, ticks: int) -> None:
+        """Learn nothing from the last so many ticks."""
+        rows, end = self._memory.left_out, int(self._memory.cursor[0])
+        begin = max(0, end - ticks)
+        if rows[-1, 1] >= begin and end:
+            rows[-1] = min(rows[-1, 0], begin), end
+        else:
+            rows[:-1] = rows[1:]
+            rows[-1] = begin, end
 
     def all_series(self) -> tuple[ChannelSeries, ...]:
         """All that was heard, axis by axis."""
@@ -203,6 +223,7 @@ class Listener:
         memory = self._memory
         memory.due = self._next(self._ticks_by_now(age_s)) if self.window else NEVER
         memory.cursor[0] = 0
+        memory.left_out[:] = 0
 
     def _ticks_by_now(self, age_s: float) -> int:
         """Ticks noted so far, and those that should have come since: their readings may be on their way."""
@@ -225,9 +246,15 @@ class Listener:
         now = int(memory.cursor[0])
         if now < memory.judged or CALM[0] < memory.nis < CALM[1]:
             return
-        memory.nis, memory.judged = 1.0, now + round((MEMORY_S + PROBATION_S) / self.period_s)
         # noticed within a time constant
-        memory.since = memory.heard = max(memory.since, now - round(MEMORY_S / self.period_s))
+        self.learn_anew(round(MEMORY_S / self.period_s))
+
+    def learn_anew(self, ticks: int = 0) -> None:
+        """From now on learn only from the last so many ticks, and from what comes."""
+        memory = self._memory
+        now = int(memory.cursor[0])
+        memory.nis, memory.judged = 1.0, now + round((MEMORY_S + PROBATION_S) / self.period_s)
+        memory.since = memory.heard = max(memory.since, now - ticks)
         memory.due = now + round(MEMORY_S / self.period_s)
         for learner in self.learners:
             if learner is not None:

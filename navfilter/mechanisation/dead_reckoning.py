@@ -88,6 +88,11 @@ class DeadReckoning(Mechanisation):
                 "DeadReckoning.attitude must give a heading, found a magnetometer: dead reckoning has no attitude of "
                 "its own to level it with. Use the compass's heading output."
             )
+        if self.compass is not None and {"bias", "temperature"} & {name for name, *_ in self.compass.calibrated}:
+            raise ValueError(
+                "DeadReckoning.attitude: bias and temperature drift of its compass cannot be calibrated here; of its "
+                "constants only the deviation can. A bias turns the track as a mounting of the velocity does."
+            )
         if isinstance(self.velocity, Sensor) and self.velocity.gives != "velocity":
             raise ValueError(
                 f"DeadReckoning.velocity must be over ground, found a {type(self.velocity).__name__}: dead reckoning "
@@ -129,8 +134,8 @@ class DeadReckoning(Mechanisation):
         if self.compass is None or not any(self.compass.deviation_sd_rad):
             return ()
         names = ("one_cycle_sin", "one_cycle_cos", "two_cycle_sin", "two_cycle_cos")
-        one, two = self.compass.deviation_sd_rad
-        return tuple(Parameter(f"yaw.{name}", sd, "rad") for name, sd in zip(names, (one, one, two, two), strict=True))
+        found = {p.name: p for p in self.compass.all_parameters()}
+        return tuple(found[name]._replace(name=f"yaw.{name}") for name in names)
 
     def heading_drift(self, walk: float, period_s: float) -> Drift:
         """There is no heading but that of the drive's own compass: only the sensor's walk is known."""
