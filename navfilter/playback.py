@@ -13,10 +13,8 @@ from numpy.typing import NDArray
 
 from navfilter.alignment import align
 from navfilter.assembly import bar, forward_track, smoothed_track
-from navfilter.compilation import show_compilation
-from navfilter.error_models import GaussMarkov
 from navfilter.filter.tape import Tape
-from navfilter.learning.learned import LearnedArma, learning_part
+from navfilter.learning.learned import learning_part
 from navfilter.learning.listener import ChannelSeries
 from navfilter.learning.refit import change, learning_sensors, refitted
 from navfilter.mission import Mission, Stream
@@ -26,7 +24,7 @@ from navfilter.start import Start
 from navfilter.track import Track
 from navfilter.vehicle import Vehicle
 
-__all__ = ["drive_samples", "identified", "replay", "replay_heard", "residual_series", "warm_up"]
+__all__ = ["drive_samples", "identified", "learns", "replay", "replay_heard", "residual_series"]
 
 Array = NDArray[np.float64]
 _Path = str | os.PathLike[str]
@@ -114,7 +112,7 @@ def replay_heard(
     ValueError
         As `replay`, and for a vehicle that learns.
     """
-    if _learns(vehicle):
+    if learns(vehicle):
         raise ValueError("this vehicle learns: replay it, and take the residuals by residual_series.")
     start = _start(vehicle, mission, start)
     track, nav = _replayed(vehicle, mission, start, Tape(output_rate_hz, smoothable=smooth), False, sensors)
@@ -344,42 +342,7 @@ def _listen(nav: Navigator, mission: Mission, names: Sequence[str]) -> None:
         nav.listen(name, max(1, int(span * nav.vehicle.sensors[name].rate_hz * 1.2) + 16))
 
 
-def _learns(vehicle: Vehicle) -> bool:
+def learns(vehicle: Vehicle) -> bool:
+    """Whether the error of the drive or of any sensor is learnt."""
     models = (*vehicle.drive.models, *(model for sensor in vehicle.sensors.values() for model in sensor.models))
     return any(learning_part(model) is not None for model in models)
-
-
-def warm_up(vehicle: Vehicle | None = None, progress: bool = False) -> None:
-    """Compile the kernels of navigator, smoother and learners by running tiny missions: a minute once, then cached.
-
-    Parameters
-    ----------
-    vehicle : Vehicle, optional
-        Compile only what this vehicle's drive and sensors need, and leave the learners out if none of them learns: a
-        third of the time. Default: everything.
-    progress : bool
-        Show on standard error what is being compiled.
-
-    Notes
-    -----
-    On a vehicle compile everything: whatever comes, nothing is compiled under way.
-    """
-    from navfilter.learning.drift import Drift
-    from navfilter.learning.learner import Learner
-    from navfilter.learning.slow import SlowPrior
-    from navfilter.simulation.simulate import tiny_mission, tiny_missions
-
-    if progress:
-        show_compilation()
-    if vehicle is not None and not _learns(vehicle):
-        replay(*tiny_mission(vehicle), smooth=True)
-        return
-    missions = list(tiny_missions())
-    for tiny, mission in missions:
-        replay(tiny, mission, smooth=True)
-    # a learner's first hop comes minutes into a dive: no place to compile
-    tiny, mission = missions[0]
-    learned = LearnedArma(prior=GaussMarkov(sd=0.01, tau_s=10.0))
-    replay(tiny.with_error(**{name: learned for name, sensor in tiny.sensors.items() if sensor.open_loop}), mission)
-    prior = SlowPrior(0.01, 10.0, 100.0)
-    Learner(learned.orders, 400, Drift((1e-3, 1e-5), 0.25), prior=prior).hop(np.random.default_rng(1).normal(size=400))

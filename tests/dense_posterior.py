@@ -361,6 +361,15 @@ def uncalibrated(build):
     return built
 
 
+def resting_vehicle(arma=True):
+    """What the gyros read in every quarter of a second is taken for that of a vehicle at rest."""
+    plain = inertial_vehicle(arma)
+    limits = {"gyro_sd_max": 1e3, "force_sd_max": 1e3, "gyro_mean_max": 1e3}
+    resting = nf.ZeroRate(rate_hz=4.0, error=nf.GaussMarkov(sd=0.1, tau_s=1.0) + nf.White(sd=0.05), **limits)
+    drive = replace(plain.drive, gyro_scale_sd=0.02)
+    return nf.Vehicle(drive, {"turning": resting, "compass": plain.sensors["compass"], "gps": plain.sensors["gps"]})
+
+
 def reckoning_vehicle(arma=True):
     shaped = nf.Arma(**ARMA, sd=0.8 * DEG) if arma else nf.GaussMarkov(sd=2.0 * DEG, tau_s=5.0) + nf.White(sd=1.0 * DEG)
     return nf.Vehicle(

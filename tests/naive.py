@@ -564,6 +564,14 @@ def position(z, nav, rate, par, cfg, H, res):
     res[:] = np.array([(z[0] - nav[0]) * nav[15], east, nav[2] - z[2]]) - arm
 
 
+def earth_rate(z, nav, rate, par, cfg, H, res):
+    C_bn, lat = nav[6:15].reshape(3, 3).T, nav[0]
+    w = cfg[0] * np.array([np.cos(lat), 0.0, -np.sin(lat)])
+    res[:], H[:] = z - C_bn @ w, 0.0
+    H[:, 0] = C_bn @ (cfg[0] * np.array([-np.sin(lat), 0.0, -np.cos(lat)])) / nav[15]
+    H[:, 6:9] = _attitude_columns(C_bn, w)
+
+
 def velocity(z, nav, rate, par, cfg, H, res):
     H[:] = 0.0
     H[:, 3:6], res[:] = np.eye(3), z[:3] - nav[3:6]

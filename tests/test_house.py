@@ -43,7 +43,7 @@ FLOORS = [
     {"sensors", "mechanisation", "vehicle", "track", "track_plot", "track_views"},
     {"filter", "learning.listener", "learning.rest", "learning.refit"},
     {"learning.schedule", "navigator", "passage", "alignment"},
-    {"assembly", "playback", "beacons", "simulation", "io", "outputs", "check"},
+    {"assembly", "playback", "beacons", "warming", "simulation", "io", "outputs", "check"},
     {"evaluation", "report", "identification", "calibration"},
     {"service", "cli", "commands", "__init__", "__main__"},
 ]

@@ -21,6 +21,7 @@ from dense_posterior import (
     inertial_vehicle,
     ranging_vehicle,
     reckoning_vehicle,
+    resting_vehicle,
     start,
     uncalibrated,
     usbl_vehicle,
@@ -43,6 +44,7 @@ CASES = {
     "usbl": (usbl_vehicle, 3.0),
     "ahrs": (ahrs_vehicle, 2.5),
     "wheels": (wheeled_vehicle, 3.0),
+    "at rest": (resting_vehicle, 3.0),
     "water, white": (lambda arma=True: water_vehicle(arma, white=True), 3.0),
 }
 

@@ -73,6 +73,7 @@ def asked(
     (z, own), nav, P, x = reading, memory.nav, memory.P, memory.x
     kalman.predict(P, nav, x, memory.acc, channel.model, channel.mem, channel.dims, channel.ticks(time_s))
     outputs, xd = drive.outputs(drive_output[:, :-1], memory.drv), x[: drive_output.shape[1] - 1]
+    z = channel.without_errors(z, outputs, xd) if channel.sensor.reads_rate else z
     if channel.turns:
         channel.rate[:] = drive.body_rate(memory.drv, outputs[:3] @ xd)
     if channel.sight is None:

@@ -83,6 +83,7 @@ class Channel:
         known = self.sight is None and not sensor.curved and self.constants.shape == (self.constants.size,)
         self.kind = stretch.KINDS.get(self.kernel, -1) if known else -1
         self.moves, self.turns = sensor.sees_velocity, sensor.needs_rate or any(sensor.lever_arm_sd_m)
+        self.samples = 1  # of the drive, of which a reading is the mean
         self.forget()
 
     def forget(self) -> None:
@@ -161,8 +162,13 @@ class Channel:
 
     def turns_by(self, rate_variance: Array) -> None:
         """How well the angular rate is known that its lever arm turns with; shape (3,) [rad^2/s^2]."""
-        self.lever[:] = self.sensor.lever_arm_covariance(rate_variance)
+        self.lever[:] = self.sensor.lever_arm_covariance(rate_variance / self.samples)
         self.white[:] = np.diag(self.group.r) + self.lever
+
+    def without_errors(self, z: Array, outputs: Array, xd: Array) -> Array:
+        """A reading of the drive's first three values without the drive's errors, of whose states it depends."""
+        self.into[0][:] = outputs[:3]
+        return z - outputs[:3] @ xd
 
     @property
     def memory(self) -> ChannelMemory:

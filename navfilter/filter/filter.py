@@ -5,7 +5,7 @@ users see of it.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -93,6 +93,9 @@ class Filter:
         self.remembered = drive.remembered(past_s) if past_s else 0
         self.jumped: list[Change] = []
         self._rest = [self.channels[name] for name, s in vehicle.sensors.items() if s.from_drive and self.inertial]
+        self._resting = max(2, round(drive.rate_hz * min((channel.period_s for channel in self._rest), default=1.0)))
+        for channel in self._rest:
+            channel.samples = self._resting
         self.begin()
 
     def begin(self, models: dict[str, Errors] | None = None) -> None:
@@ -255,10 +258,8 @@ class Filter:
             memory.time_s = memory.sample_s = memory.intake.before_s = float(stamps[end - 1])
             if memory.unfolded >= self.fold_every:
                 tell(self._fold())
-            for channel in self._rest:
-                reading = self._felt(channel)
-                if reading is not None:
-                    tell(self._update(channel, memory.time_s, reading, None, False))
+            for channel, reading in self._felt():
+                tell(self._update(channel, memory.time_s, reading, None, False))
             if room is not None:
                 tell(Passed(block))
             if self.watch.news(memory.watch):
@@ -272,11 +273,7 @@ class Filter:
     def _room(self, asked: Callable[[], int] | None) -> int:
         """Samples until something is due: the fold, the detection of rest, or what was asked for."""
         room = self.fold_every - self.memory.unfolded
-        for channel in self._rest:
-            window = max(2, round(self.vehicle.drive.rate_hz * channel.period_s))
-            room = min(room, max(1, window - int(self.memory.drv[strapdown.COUNT])))
-        if self._rest:
-            room = max(1, room)
+        room = max(1, min(room, self._resting - int(self.memory.drv[strapdown.COUNT]))) if self._rest else room
         return room if asked is None else min(room, asked())
 
     def _fold(self) -> Propagated:
@@ -295,12 +292,15 @@ class Filter:
             memory = self.memory
             self.tape.row(memory.time_s, memory.nav, memory.x, memory.P)
 
-    def _felt(self, channel: Channel) -> Array | None:
-        """The reading that the drive's last samples make, such as a zero velocity when they were quiet; asked once a
-        period.
-        """
-        felt = self.vehicle.drive.felt(self.memory.drv, channel.period_s)
-        return None if felt is None or self.watch.lost(self.memory.watch) else channel.sensor.felt(*felt)
+    def _felt(self) -> Iterator[tuple[Channel, Array]]:
+        """The readings that the drive's last samples make, once in the shortest period of all such sensors."""
+        felt = self.vehicle.drive.felt(self.memory.drv, self._resting * self.period_s) if self._rest else None
+        if felt is None or self.watch.lost(self.memory.watch):
+            return
+        for channel in self._rest:
+            reading = channel.sensor.felt(*felt)
+            if reading is not None:
+                yield channel, reading
 
     # ---------------------------------------------------------------- correction
     def correct(
