@@ -32,6 +32,7 @@ FLOORS = [
         "learning.slow",
         "learning.effort",
         "learning.likelihood",
+        "learning.unseen",
         "learning.starts",
         "learning.fit",
         "learning.posterior",
