@@ -9,9 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import binom
 
+from navfilter.check.amounts import counted
 from navfilter.check.finding import Finding, Severity
 from navfilter.evaluation.constants import constant_doubts
 from navfilter.evaluation.surfacing import Evidence
+from navfilter.filter.drive_watch import COUNTED
 from navfilter.filter.tape import OUTCOMES, Residuals
 from navfilter.mission import Mission
 from navfilter.track import Track
@@ -71,6 +73,8 @@ class Limits:
 
 
 LIMITS = Limits()
+#: Faults of a drive's axes that no unit has for a moment: the description of its file is wrong.
+DESCRIBED_WRONGLY = frozenset({"wrong-unit", "gravity", "swapped"})
 _CHECK = "Run 'navfilter check MISSION --vehicle VEHICLE': it looks for wrong units, signs, axes and clocks."
 
 
@@ -93,6 +97,7 @@ def doubts(run: Track, mission: Mission, evidence: Evidence, limits: Limits = LI
             yield from _sensor(name, run, mission, limits)
     yield from _surfaced(evidence, limits)
     yield from constant_doubts(run, limits.far, limits.untold)
+    yield from _mended(run)
     yield from _given_up(run)
 
 
@@ -147,6 +152,28 @@ def _drive(run: Track, mission: Mission, limits: Limits) -> Iterator[Finding]:
     if odd > limits.repaired * len(time_s):
         text = f"{odd} of {len(time_s)} samples are impossible or go back in time."
         yield Finding("warning", name, text, "Check unit, sentinels (invalid = ...) and the time column.")
+
+
+def _mended(run: Track) -> Iterator[Finding]:
+    """What contradicted everything else, and was left out or set anew for that."""
+    where = "See in report.html, at the innovations, when and against which sensor; is the start right?"
+    if count := run.counts.get("reset", 0):
+        text = f"{counted(count, 'time')} readings that agree with each other set the state anew: it had been wrong."
+        yield Finding("warning", "", text, where)
+    if count := run.counts.get("jumped", 0):
+        text = f"{counted(count, 'time')} a sensor jumped by a constant, which is estimated since: see its health."
+        yield Finding("warning", "", text, where)
+    name = run.vehicle.drive.streams[-1]
+    found = {fault: run.counts[fault] for fault in COUNTED if run.counts.get(fault, 0)}
+    if count := found.pop("noisy", 0):
+        text = f"{counted(count, 'time')} an axis was noisier than vehicle.toml says: believed less meanwhile."
+        yield Finding("info", name, text)
+    found.pop("spike", 0)
+    if found:
+        text = "axes were found " + ", ".join(f"{fault} ({counted(n, 'time')})" for fault, n in found.items())
+        grade: Severity = "error" if found.keys() & DESCRIBED_WRONGLY else "warning"
+        cure = "Check axes, units and signs in mission.toml; where these are right, the unit is broken."
+        yield Finding(grade, name, f"{text}, and left out.", cure)
 
 
 def _given_up(run: Track) -> Iterator[Finding]:

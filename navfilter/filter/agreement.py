@@ -38,6 +38,9 @@ AT_ONCE = 1.5
 #: While a jump is looked at, a reading must fit by this much better than the gate to end that [1]: what accelerometers
 #: and tilt gather meanwhile must not let in what they do not know.
 HELD = 0.25
+#: Fixes further off than this are of another coordinate system, not of another start [m]: what is a metre north of the
+#: state is no longer a metre north of them.
+REACH_M = 1e5
 #: Beyond so many standard deviations an offset is none that has come back to zero.
 BACK_SDS = 4.0
 GRAVITY = 9.81  # of a tilt, as an acceleration [m/s^2]; to a percent
@@ -156,6 +159,8 @@ def decided(channel: Channel) -> Literal["state", "sensor"] | None:
     if refused.from_the_first():
         # a fix that is off by a constant says nothing more: it is refused
         return None if fixes else "sensor"
+    if kind == listen.POSITION and math.hypot(*np.nan_to_num(refused.offset)) > REACH_M:
+        return None
     unconfirmed = not memory.used_s - memory.agreed_s >= CONFIRMED_S
     # after a dive fixes beat what was reckoned meanwhile
     return "state" if unconfirmed or (fixes and not refused.confirmed) else None

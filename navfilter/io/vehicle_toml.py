@@ -430,6 +430,7 @@ def _toml(value: Any) -> str:
 
 
 def quoted_key(name: str) -> str:
+    """A key as TOML has it: bare where that is allowed, else quoted."""
     return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else _quoted(name)
 
 
