@@ -13,7 +13,7 @@ import navfilter
 ROOT = Path(navfilter.__file__).parent
 #: From the ground up; a module may import from its own floor and those below.
 FLOORS = [
-    {"kernels", "constants", "compilation", "notebook", "utc", "filter.memory", "filter.health"},
+    {"kernels", "constants", "compilation", "notebook", "utc", "filter.memory", "filter.health", "filter.integrity"},
     {
         "arma",
         "state",
@@ -22,6 +22,7 @@ FLOORS = [
         "magnetic",
         "filter.layout",
         "filter.tape",
+        "filter.offsets",
         "error_models",
         "learning.drift",
     },
@@ -43,7 +44,7 @@ FLOORS = [
     {"sensors", "mechanisation", "vehicle", "track", "track_plot", "track_views"},
     {"filter", "learning.listener", "learning.rest", "learning.refit"},
     {"learning.schedule", "navigator", "alignment"},
-    {"assembly", "playback", "beacons", "simulation", "io", "outputs", "check"},
+    {"assembly", "track_bounds", "playback", "beacons", "simulation", "io", "outputs", "check"},
     {"evaluation", "report", "identification", "calibration"},
     {"service", "cli", "commands", "__init__", "__main__"},
 ]

@@ -11,7 +11,7 @@ from feeding import DRIVE, events_of
 from test_agreement import DIVE_S, FAULT_S, RADIUS_M, altered, dive, fly, turned
 
 import navfilter as nf
-from navfilter.filter.integrity import IN_LINE, IN_PLANE, Fixed, Trust, Witness, bounds, trust
+from navfilter.filter.integrity import IN_LINE, IN_PLANE, Trust, bounds, trust, whole_offset
 from navfilter.io import read_vehicle, write_vehicle
 from navfilter.service.protocol import state_fields, to_line
 from navfilter.simulation.scenarios import simulate_scenario
@@ -33,21 +33,23 @@ def test_noise_alone_is_exceeded_once_in_a_thousand():
     turned_P = np.array([[5.0, 3.0], [3.0, 5.0]])
     tilted = P.copy()
     tilted[:2, :2] = turned_P
-    assert bounds(tilted, Fixed(0.0, 0.0), []).horizontal_m == pytest.approx(IN_PLANE * math.sqrt(8.0))
+    assert bounds(tilted, 0.0, 0.0, {})[0] == pytest.approx(IN_PLANE * math.sqrt(8.0))
 
 
 def test_a_fault_does_what_its_sensor_does():
-    here, gone = Fixed(1.0, 0.0), Fixed(600.0, 500.0)
     noise = IN_PLANE * 2.0
-    assert bounds(P, here, [Witness("velocity", 0.1), Witness("heading", 0.05)]).horizontal_m == pytest.approx(noise)
-    assert bounds(P, gone, [Witness("velocity", 0.1)]).horizontal_m == pytest.approx(noise + 60.0)
-    assert bounds(P, gone, [Witness("heading", math.pi)]).horizontal_m == pytest.approx(noise + 1000.0)
-    assert bounds(P, gone, [Witness("position", 90.0), Witness("velocity", 0.1)]).horizontal_m == pytest.approx(
-        noise + 90.0
-    )  # one fault at a time
-    assert bounds(P, here, [Witness("heading", 0.05)]).heading_rad == pytest.approx(0.05 + IN_LINE * 0.01)
-    assert bounds(P, Fixed(600.0, 500.0, held=False), []).horizontal_m == math.inf
-    assert bounds(P, Fixed(1.0, 0.0, held=False), []).horizontal_m == pytest.approx(noise)
+    assert bounds(P, 1.0, 0.0, {"velocity": 0.1, "heading": 0.05})[0] == pytest.approx(noise)
+    assert bounds(P, 600.0, 500.0, {"velocity": 0.1})[0] == pytest.approx(noise + 60.0)
+    assert bounds(P, 600.0, 500.0, {"heading": math.pi})[0] == pytest.approx(noise + 1000.0)
+    # one fault at a time
+    assert bounds(P, 600.0, 500.0, {"position": 90.0, "velocity": 0.1})[0] == pytest.approx(noise + 90.0)
+    assert bounds(P, 1.0, 0.0, {"heading": 0.05})[1] == pytest.approx(0.05 + IN_LINE * 0.01)
+    assert bounds(P, 600.0, 500.0, {}, held=False)[0] == math.inf
+    assert bounds(P, 1.0, 0.0, {}, held=False)[0] == pytest.approx(noise)
+    many = bounds(np.stack([P, P]), np.array([1.0, 600.0]), np.array([0.0, 500.0]), {"velocity": np.array([0.1, 0.1])})
+    np.testing.assert_allclose(many[0], [noise, noise + 60.0])
+    assert whole_offset("position", np.array([3.0, 4.0, 90.0])) == 5.0
+    assert whole_offset("velocity", np.array([[0.1, -0.4, math.nan]])) == [0.4]
 
 
 def test_trust_says_why():

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.stats import chi2
 
 from navfilter.filter.layout import Group, Layout
-from navfilter.filter.offsets import offset_states
+from navfilter.filter.offsets import has_offset
 from navfilter.filter.refusals import Refusals
 from navfilter.filter.sight import Sight
 from navfilter.kernels import kalman, listen
@@ -116,7 +116,7 @@ class Channel:
         self.record, self.moved = mem[: at[5]], mem[: at[0]]
         self.transition = mem[: m * m].reshape(m, m)
         self.model, self.C, self.R = np.array([group.Phi[:b, :b], group.Q[:b, :b]]), group.C, np.diag(group.r)
-        self.offset = bool(offset_states(sensor.models, self.period_s).size)
+        self.offset = has_offset(sensor.models)
         self.white = self.R.copy()
         self.turns_by(rate_variance)
         self.seen = np.r_[0:9, group.start + group.errors : group.start + group.size]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 from navfilter.filter import integrity
 from navfilter.filter.channel import Channel
 from navfilter.filter.filter import Filter
-from navfilter.filter.health import Health, SensorHealth, Watch
-from navfilter.sensors import Sensor
+from navfilter.filter.health import Health, Watch
 
-__all__ = ["health_of", "whole_offset"]
+__all__ = ["health_of"]
 
 Array = NDArray[np.float64]
 
@@ -33,7 +32,12 @@ def health_of(filter: Filter, watches: Mapping[str, Watch]) -> Health:
     assert P is not None
     sensors = {name: watch.health(now_s, channels[name].offset) for name, watch in watches.items()}
     axes = filter.watch.conditions(memory.watch)
-    witnesses = [w for name, watch in watches.items() for w in _witness(channels[name], watch, sensors[name])]
+    off: dict[str, float] = {}
+    for name, watch in watches.items():
+        sees = channels[name].sensor.corrects
+        off[sees] = max(off.get(sees, 0.0), _off(channels[name], watch))
+    age_s, moved_m = _since_fix(filter, watches)
+    radius_m, heading_rad = integrity.bounds(P, age_s, moved_m, off, filter.inertial)
     drive = filter.vehicle.drive
     rate = drive.body_rate(
         memory.drv, drive.outputs(filter.drive_output[:, :-1], memory.drv)[:3] @ memory.x[: filter.layout.drive.size]
@@ -51,13 +55,13 @@ def health_of(filter: Filter, watches: Mapping[str, Watch]) -> Health:
         dict(memory.counts),
         memory.intake.offset_s,
         axes,
-        integrity.bounds(P, _fixed(filter, watches), witnesses),
+        integrity.Bounds(float(radius_m), float(heading_rad)),
         integrity.trust(P, speed, turn, (drive.max_speed_m_s, drive.max_turn_rad_s), doubts),
     )
 
 
-def _fixed(filter: Filter, watches: Mapping[str, Watch]) -> integrity.Fixed:
-    """Since the last fix that was used, or the start."""
+def _since_fix(filter: Filter, watches: Mapping[str, Watch]) -> tuple[float, float]:
+    """Time since the last fix that was used, or since the start [s], and distance from there [m]."""
     memory, start = filter.memory, filter.start.state
     time_s, latitude, longitude = start.time_s, start.latitude, start.longitude
     for name, channel in filter.channels.items():
@@ -66,27 +70,22 @@ def _fixed(filter: Filter, watches: Mapping[str, Watch]) -> integrity.Fixed:
             time_s, latitude, longitude = watch.used_s, watch.latitude, watch.longitude
     north = (float(memory.nav[0]) - latitude) * memory.nav[15]
     east = (float(memory.nav[1]) - longitude) * memory.nav[16] * math.cos(latitude)
-    return integrity.Fixed(memory.time_s - time_s, math.hypot(north, east), filter.inertial)
+    return memory.time_s - time_s, math.hypot(north, east)
 
 
-def _witness(channel: Channel, watch: Watch, health: SensorHealth) -> Iterator[integrity.Witness]:
-    """What a sensor may be off by, if it sees anything that the bounds are about and has not been found out."""
-    sensor, a = channel.sensor, channel.axes
-    if channel.offset or sensor.corrects not in ("position", "velocity", "heading"):
-        return
+def _off(channel: Channel, watch: Watch) -> float:
+    """What a sensor may be off by; 0 for one that has not been heard, or has been found to be off."""
+    sensor, kept, a = channel.sensor, channel.memory, channel.axes
+    if channel.offset or not sensor.corrects:
+        return 0.0
     residual, variance = channel.note[3 : 3 + a], channel.note[3 + a :]
-    kept = channel.memory
+    # one that is refused alone is an outlier, unless the sensor has confirmed nothing yet
     confirmed = kept.used_s - kept.agreed_s >= integrity.CONFIRMED_S
     again = kept.last_s - kept.rejected_since_s > 0.5 * channel.period_s
     if again or (not confirmed and not math.isnan(kept.rejected_since_s)):
-        yield integrity.Witness(sensor.corrects, whole_offset(sensor, residual))
-    elif math.isfinite(watch.used_s):
-        e, C = channel.group.errors, channel.C
-        largest = float(np.nanmax(variance + np.diag(C @ channel.group.P0[:e, :e] @ C.T), initial=0.0))
-        yield integrity.Witness(sensor.corrects, math.sqrt(float(channel.limits[a]) * largest))
-
-
-def whole_offset(sensor: Sensor, residual: Array) -> float:
-    """Size of a residual of refused readings: of fixes the horizontal one."""
-    known = np.nan_to_num(np.abs(residual))
-    return math.hypot(*known[:2]) if sensor.corrects == "position" and known.size > 1 else float(known.max())
+        return float(integrity.whole_offset(sensor.corrects, residual))
+    if not math.isfinite(watch.used_s):
+        return 0.0
+    e, C = channel.group.errors, channel.C
+    slow = np.diag(C @ channel.group.P0[:e, :e] @ C.T)
+    return math.sqrt(float(channel.limits[a]) * float(np.nanmax(variance + slow, initial=0.0)))

@@ -17,13 +17,14 @@ Faults do not come together: the largest of these counts, beside the noise of th
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Bounds", "Fixed", "Trust", "Witness", "bounds", "trust"]
+__all__ = ["Bounds", "Trust", "bounds", "trust", "whole_offset"]
 
 Array = NDArray[np.float64]
 
@@ -39,43 +40,6 @@ MARGIN = 1.2
 LOST_VELOCITY, LOST_HEADING = 1.0, math.radians(30.0)
 #: Fixes are there while the last one is so old at most [s].
 PRESENT_S = 5.0
-
-
-@dataclass(frozen=True)
-class Witness:
-    """What one sensor may be wrong by at a time.
-
-    Attributes
-    ----------
-    sees : str
-        "position", "velocity" or "heading".
-    off : float
-        The largest constant that its gate would let pass, or by how much its readings, which are refused, contradict
-        the state [m, m/s or rad].
-    """
-
-    sees: str
-    off: float
-
-
-@dataclass(frozen=True)
-class Fixed:
-    """When and where the place was known last: by a fix that was used, or by the start.
-
-    Attributes
-    ----------
-    age_s : float
-        Since then [s].
-    moved_m : float
-        Distance from there [m].
-    held : bool
-        Whether anything holds the velocity and the heading of the drive against others meanwhile. Dead reckoning
-        without an inertial unit has nothing: between fixes its radius is infinite.
-    """
-
-    age_s: float
-    moved_m: float
-    held: bool = True
 
 
 @dataclass(frozen=True)
@@ -109,35 +73,43 @@ class Trust:
     reasons: tuple[str, ...] = ()
 
 
-def bounds(P: Array, fixed: Fixed, witnesses: Iterable[Witness]) -> Bounds:
-    """Bounds of position and heading.
+def bounds(P: Array, age_s: Any, moved_m: Any, off: Mapping[str, Any], held: bool = True) -> tuple[Any, Any]:
+    """Protection radius [m] and bound of the heading [rad] at one time, or at many.
 
     Parameters
     ----------
-    P : ndarray, shape (9, 9)
+    P : ndarray, shape (..., 9, 9)
         Covariance of position, velocity and attitude in n.
-    fixed : Fixed
-    witnesses : iterable of Witness
-        The sensors that are heard, but for those that have been found to be off.
+    age_s, moved_m : float or ndarray, shape (...)
+        Time since the last fix that was used, or since the start [s], and distance from there [m].
+    off : dict of str to float or ndarray
+        What the sensors of "position", "velocity" and "heading" may be off by [m, m/s, rad].
+    held : bool
+        Whether anything holds the velocity and the heading of the drive against others. Dead reckoning without an
+        inertial unit has nothing: between fixes its radius is infinite.
 
     Examples
     --------
     >>> P = np.diag([4.0, 4.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1e-4])
-    >>> witnesses = [Witness("velocity", 0.05), Witness("heading", 0.04)]
-    >>> round(bounds(P, Fixed(age_s=600.0, moved_m=500.0), witnesses).horizontal_m, 1)
+    >>> radius_m, heading_rad = bounds(P, 600.0, 500.0, {"velocity": 0.05, "heading": 0.04})
+    >>> round(float(radius_m), 1)
     37.4
     """
-    largest = {"position": 0.0, "velocity": 0.0, "heading": 0.0}
-    for witness in witnesses:
-        largest[witness.sees] = max(largest[witness.sees], witness.off)
-    age_s = fixed.age_s if fixed.age_s > PRESENT_S else 0.0
-    turned = 2.0 * math.sin(0.5 * min(largest["heading"], math.pi))
-    faults = largest["position"], age_s * largest["velocity"], turned * fixed.moved_m if age_s else 0.0
-    half, off = 0.5 * (P[0, 0] + P[1, 1]), math.hypot(0.5 * (P[0, 0] - P[1, 1]), P[0, 1])
-    return Bounds(
-        IN_PLANE * math.sqrt(half + off) + (max(faults) if fixed.held or not age_s else math.inf),
-        min(IN_LINE * math.sqrt(P[8, 8]) + largest["heading"], math.pi),
-    )
+    away = np.asarray(age_s) > PRESENT_S
+    heading = off.get("heading", 0.0)
+    by_heading = 2.0 * np.sin(0.5 * np.minimum(heading, math.pi)) * moved_m
+    by_motion = np.maximum(by_heading, np.multiply(age_s, off.get("velocity", 0.0))) if held else math.inf
+    fault = np.maximum(off.get("position", 0.0), np.where(away, by_motion, 0.0))
+    half = 0.5 * (P[..., 0, 0] + P[..., 1, 1])
+    longest = half + np.hypot(0.5 * (P[..., 0, 0] - P[..., 1, 1]), P[..., 0, 1])
+    return IN_PLANE * np.sqrt(longest) + fault, np.minimum(IN_LINE * np.sqrt(P[..., 8, 8]) + heading, math.pi)
+
+
+def whole_offset(sees: str, residual: Array) -> Array:
+    """Size of residuals (..., axes) of refused readings: of fixes that of the horizontal part."""
+    known = np.nan_to_num(np.abs(residual))
+    several = sees == "position" and known.shape[-1] > 1
+    return np.asarray(np.hypot(known[..., 0], known[..., 1]) if several else known.max(axis=-1))
 
 
 def trust(
