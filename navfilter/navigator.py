@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from navfilter.filter import snapshot as snapshots
 from navfilter.filter.adoption import Change
 from navfilter.filter.channel import ChannelMemory, Refusals
+from navfilter.filter.condition import health_of
 from navfilter.filter.events import Event, Outcome
 from navfilter.filter.filter import Filter
 from navfilter.filter.filter_memory import Errors, FilterMemory
@@ -212,7 +213,7 @@ class Navigator:
 
     def _noted(self, reading: Reading) -> Outcome:
         outcome = self._taken(reading)
-        self.watches[reading.name].note(outcome.status, reading.time_s, outcome.nis, outcome.dof)
+        self.watches[reading.name].note(outcome.status, reading.time_s, outcome.nis, outcome.dof, self.filter.nav)
         return outcome
 
     def _taken(self, reading: Reading) -> Outcome:
@@ -360,8 +361,7 @@ class Navigator:
     @property
     def health(self) -> Health:
         """What the sensors are worth at present."""
-        sensors = {name: w.health(self.time_s, self.filter.channels[name].offset) for name, w in self.watches.items()}
-        return Health(sensors, dict(self.counts), self.offset_s, self.filter.watch.conditions(self.filter.memory.watch))
+        return health_of(self.filter, self.watches)
 
     # ---------------------------------------------------------------- keep and bring back
     def snapshot(self, path: str | PathLike[str] | None = None) -> bytes:
