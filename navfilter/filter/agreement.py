@@ -18,19 +18,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.filter.channel import Channel
+from navfilter.filter.integrity import CONFIRMED_S
 from navfilter.filter.offsets import offset_states
 from navfilter.filter.refusals import Refusals
 from navfilter.kernels import listen
 
-__all__ = ["decided", "heard", "limits", "opened_state", "resumed"]
+__all__ = ["decided", "heard", "is_back", "limits", "offset_places", "opened_state"]
 
 Array = NDArray[np.float64]
 
 #: Over so long a time refused readings must agree [s]: echoes and passing iron are shorter. A velocity that is not
 #: heard is lost sooner, for what accelerometers and tilt gather in seconds lets the gate in.
 SPAN_S, VELOCITY_SPAN_S = 8.0, 2.0
-#: A state is confirmed by a sensor once that has been used over so long a time since the state was given or reset [s].
-CONFIRMED_S = 30.0
 #: A sensor has jumped if its last used reading came at most so long before the first refused one [s], or three periods.
 BEFORE_S = 2.0
 #: The NIS of the first refused reading of a jump is beyond its limit by this factor [1].
@@ -41,8 +40,6 @@ HELD = 0.25
 #: Fixes further off than this are of another coordinate system, not of another start [m]: what is a metre north of the
 #: state is no longer a metre north of them.
 REACH_M = 1e5
-#: Beyond so many standard deviations an offset is none that has come back to zero.
-BACK_SDS = 4.0
 GRAVITY = 9.81  # of a tilt, as an acceleration [m/s^2]; to a percent
 
 
@@ -118,10 +115,13 @@ def _begun(run: Refusals, residual: Array, white: Array, seen: Array, time_s: fl
     return Refusals(run.confirmed, run.jumped, run.first, offset, variance, state, time_s, time_s)
 
 
-def _wander(channel: Channel, dt: float) -> Array:
+def _wander(channel: Channel, dt: float, with_offset: bool = True) -> Array:
     """Variance by which the sensor's coloured error may have changed in a time, per axis."""
     e = channel.group.errors
     C, P0, off = channel.C, channel.group.P0[:e, :e], channel.group.Phi[:e, :e] - np.eye(e)
+    if not with_offset:
+        C = C.copy()
+        C[:, offset_states(channel.sensor.models, channel.period_s)] = 0.0
     tick = C @ (off @ P0 @ off.T + channel.group.Q[:e, :e]) @ C.T
     ticks = min(dt / channel.period_s, 1e9)
     return np.asarray(np.minimum(np.diag(tick) * ticks, 2.0 * np.diag(C @ P0 @ C.T)))
@@ -204,21 +204,25 @@ def opened_state(channel: Channel, refused: Refusals, nav: Array, moved_m: float
 
 
 # ---------------------------------------------------------------- the sensor was wrong
-def resumed(channel: Channel, refused: Refusals, x: Array, P: Array) -> tuple[float, ...]:
-    """Standard deviations of the constants with which a sensor that has jumped is used from now on, one per axis; empty
-    where it has come back to what it was, and needs none.
+def offset_places(channel: Channel) -> NDArray[np.int64]:
+    """Where the constants of a sensor that has jumped stand in the error state; empty where it has none."""
+    return channel.group.start + offset_states(channel.sensor.models, channel.period_s)
+
+
+def is_back(channel: Channel, x: Array, P: Array) -> bool:
+    """Whether a reading that is refused beside the constants of its sensor agrees with the state without them.
 
     Parameters
     ----------
     channel : Channel
-    refused : Refusals
+        As its refused reading left it.
     x, P : ndarray
-        Error states and covariance: they know the constants that it may have already.
+        Error states and covariance.
     """
-    offset = np.nan_to_num(refused.offset)
-    places = channel.group.start + offset_states(channel.sensor.models, channel.period_s)
-    if len(places):
-        variance = P[places, places] + np.array(refused.variance) + _wander(channel, math.inf)
-        if (np.abs(x[places - 9] + offset) <= BACK_SDS * np.sqrt(variance)).all():
-            return ()
-    return (float(np.max(np.abs(offset))),) * channel.axes
+    plain, near = channel.res + x[offset_places(channel) - 9], channel.near[:, :9]
+    if channel.sensor.open_loop == listen.HEADING:
+        plain = (plain + np.pi) % (2.0 * np.pi) - np.pi
+    seen = np.einsum("ij,jk,ik->i", near, P[:9, :9], near)
+    squares = plain**2 / (seen + np.diag(channel.R) + _wander(channel, math.inf, with_offset=False))
+    dof = int(np.count_nonzero(np.isfinite(squares)))
+    return dof > 0 and float(np.nansum(squares)) <= float(channel.limits[dof])
