@@ -251,12 +251,12 @@ class Navigator:
         if item.time_s >= learning.early_s:
             self._adopt_early()
         learning.keep(item)
-        correction = self.filter.correct(*item)
-        self._told(correction)
+        self._told(correction := self.filter.correct(*item), item.value)
         return correction.outcome
 
-    def _told(self, event: Event) -> None:
-        """Show learning what the filter does, and give the filter the error models that it answers with."""
+    def _told(self, event: Event, value: Array | None = None) -> None:
+        """Show its watch and learning what the filter does, and give it the error models that learning answers with."""
+        self.filter.jumps.heard(event, self.filter, value)
         for change in self.learning.heard(event):
             self.filter.adopt(change, self._told)
 
@@ -360,8 +360,8 @@ class Navigator:
     def health(self) -> Health:
         """What the sensors are worth at present."""
         sensors = {name: watch.health(self.time_s) for name, watch in self._watches.items()}
-        axes = self.filter.watch.conditions(self.filter.memory.watch)
-        return Health(sensors, dict(self.counts), self.offset_s, axes)
+        watch, w = self.filter.watch, self.filter.memory.watch
+        return Health(sensors, dict(self.counts), self.offset_s, watch.conditions(w), watch.lane(w))
 
     # ---------------------------------------------------------------- keep and bring back
     def snapshot(self, path: str | PathLike[str] | None = None) -> bytes:

@@ -100,6 +100,11 @@ class NavState:
     health: Health | None = None
 
     @property
+    def lane(self) -> str:
+        """What carries a navigator's state: "inertial" or "dead-reckoning", see `Health.lane`; empty without health."""
+        return "" if self.health is None else self.health.lane
+
+    @property
     def roll_pitch_heading(self) -> Array:
         """Roll, pitch, heading [rad]."""
         return euler_from_matrix(self.C_nb)

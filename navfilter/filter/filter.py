@@ -16,6 +16,7 @@ from navfilter.filter.channel import Channel, usable
 from navfilter.filter.events import Correction, Event, Outcome, Passed, Propagated, Relaid
 from navfilter.filter.filter_memory import Errors, FilterMemory
 from navfilter.filter.intake import Intake
+from navfilter.filter.jumps import JumpWatch
 from navfilter.filter.layout import Layout
 from navfilter.filter.tape import OUTCOMES, Tape
 from navfilter.kernels import kalman, strapdown
@@ -79,7 +80,7 @@ class Filter:
         self._period_s = drive.period_s
         self._ahead_s = max(self.AHEAD_S, 3.0 * self._period_s)
         self._fold_every = max(1, round(drive.rate_hz))
-        self.inertial, self.watch = drive.inertial, drive_watch.DriveWatch(drive)
+        self.inertial, self.watch, self.jumps = drive.inertial, drive_watch.DriveWatch(drive), JumpWatch(drive.inertial)
         self._rate = np.zeros(3)
         self.channels = {name: Channel(name, sensor, start) for name, sensor in vehicle.sensors.items()}
         past_s = max((channel.past_s for channel in self.channels.values()), default=0.0)
@@ -109,6 +110,7 @@ class Filter:
                 drv=self.in_force.drive.memory(self.layout.drive.errors, self.start),
                 recent=np.zeros((self._remembered, 7)),
                 watch=self.watch.fresh(),
+                jumps=self.jumps.fresh(self.layout, self.channels, state.time_s),
                 intake=self.intake.memory,
                 channels={name: channel.memory for name, channel in self.channels.items()},
                 models=adopted,
@@ -151,9 +153,8 @@ class Filter:
         """Believe the drive's axes as far as the watch over them says."""
         g, w = self.layout.drive, self.memory.watch
         self.watch.weigh(w, g.C, g.r, self.drive_output)
-        if self.inertial:
-            for channel in self.channels.values():
-                channel.turns_by(self.watch.rate_variance(w, g.r))
+        for channel in self.channels.values() if self.inertial else ():
+            channel.turns_by(self.watch.rate_variance(w, g.r))
 
     def _identity(self) -> Array:
         m = self.layout.head
@@ -225,8 +226,7 @@ class Filter:
             return
         memory = self.memory
         whole = len(samples) <= self._fold_every - memory.unfolded and not (self._rest or room)
-        still = lambda: self.vehicle.drive.at_rest(self.state, memory.drv)  # noqa: E731
-        samples, stamps = self.intake.take(samples, memory.drv, still)
+        samples, stamps = self.intake.take(samples, memory.drv, lambda d: d.at_rest(self.state, memory.drv))
         begin, total = 0, len(samples)
         while begin < total:
             end = total if whole else min(total, begin + self._room(room))

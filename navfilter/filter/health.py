@@ -52,13 +52,17 @@ class Health:
     axes : dict of str to str
         Condition of each axis of an inertial unit: "good", "noisy", "stuck", "dead" (stuck at zero), "saturated",
         "erratic" (nothing but noise), "wrong-unit", "gravity" (feels it where it is not), "swapped" (the same, of the
-        right size) or "free-fall".
+        right size), "free-fall" or "contradicted" (by compass and DVL).
+    lane : str
+        What carries the state between corrections: "inertial", or "dead-reckoning" without an inertial unit, and while
+        an axis of it is left out.
     """
 
     sensors: dict[str, SensorHealth]
     drive: dict[str, int]
     clock_offset_s: float = 0.0
     axes: dict[str, str] = field(default_factory=dict)
+    lane: str = ""
 
     @property
     def degraded(self) -> tuple[str, ...]:
