@@ -22,7 +22,7 @@ AXES = 6
 @njit(cache=True, error_model="numpy")
 def carry_jumps(bank, Phi):
     """Carry the errors over a compound transition (m, m) of the drive."""
-    _carry(bank, Phi, 0, Phi.shape[0])
+    _carry(bank, Phi, int(0), Phi.shape[0])
 
 
 @njit(cache=True, error_model="numpy")
@@ -35,7 +35,7 @@ def hear_jumps(bank, mem, dims, places, offset, says):
     says, and believed accordingly.
     """
     a, n, m, b, start = dims[0], dims[1], dims[2], dims[3], dims[4]
-    _carry(bank, mem[: m * m].reshape((m, m)), 0, m)
+    _carry(bank, mem[: m * m].reshape((m, m)), int(0), m)
     if b > 0:
         _carry(bank, mem[m * m : m * m + b * b].reshape((b, b)), start, b)
     iH, iK, iS, iv = places[0], places[1], places[5], places[8]
