@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from navfilter.filter import snapshot as snapshots
 from navfilter.filter.adoption import Change
-from navfilter.filter.channel import ChannelMemory
+from navfilter.filter.channel import ChannelMemory, Refusals
 from navfilter.filter.events import Event, Outcome
 from navfilter.filter.filter import Filter
 from navfilter.filter.filter_memory import Errors, FilterMemory
@@ -48,7 +48,7 @@ class NavigatorMemory:
 
 
 MEMORY = (
-    *(NavigatorMemory, FilterMemory, ChannelMemory, IntakeMemory),
+    *(NavigatorMemory, FilterMemory, ChannelMemory, Refusals, IntakeMemory),
     *(LearningMemory, ListenerMemory, RestMemory, LearnerMemory, Line, Spectrum),
 )
 
@@ -121,7 +121,7 @@ class Navigator:
         self._room = None if self.learning.rest is None else self.learning.room
         names = list(vehicle.sensors)
         self._history = History(self, length_s, names) if length_s else None
-        self._watches = {name: Watch(sensor.gate_timeout_s) for name, sensor in vehicle.sensors.items()}
+        self.watches = {name: Watch(sensor.gate_timeout_s) for name, sensor in vehicle.sensors.items()}
         self._waiting = Waiting()
         self._behind = {name: names[i + 1 :] for i, name in enumerate(names)}
         self._row = np.empty((1, 7))
@@ -190,7 +190,7 @@ class Navigator:
         Outcome
             Never an exception: whatever arrives has a defined outcome.
         """
-        watch = self._watches.get(name) if isinstance(name, str) else None
+        watch = self.watches.get(name) if isinstance(name, str) else None
         if watch is None:
             return Outcome("unknown-sensor")
         try:
@@ -217,7 +217,7 @@ class Navigator:
 
     def _noted(self, reading: Reading) -> Outcome:
         outcome = self._taken(reading)
-        self._watches[reading.name].note(outcome.status, reading.time_s, outcome.nis, outcome.dof)
+        self.watches[reading.name].note(outcome.status, reading.time_s, outcome.nis, outcome.dof)
         return outcome
 
     def _taken(self, reading: Reading) -> Outcome:
@@ -246,19 +246,20 @@ class Navigator:
         learning = self.learning
         if isinstance(item, np.ndarray):
             learning.keep(item)
-            self.filter.advance(item, self._told, self._room)
+            self.filter.advance(item, self.told, self._room)
             return None
         if item.time_s >= learning.early_s:
             self._adopt_early()
         learning.keep(item)
-        self._told(correction := self.filter.correct(*item), item.value)
+        self.told(correction := self.filter.correct(*item), item.value)
+        self.filter.take_up(self.told)
         return correction.outcome
 
-    def _told(self, event: Event, value: Array | None = None) -> None:
+    def told(self, event: Event, value: Array | None = None) -> None:
         """Show its watch and learning what the filter does, and give it the error models that learning answers with."""
         self.filter.jumps.heard(event, self.filter, value)
         for change in self.learning.heard(event):
-            self.filter.adopt(change, self._told)
+            self.filter.adopt(change, self.told)
 
     def _adopt_early(self) -> None:
         """Adopt early models; where they are others, run what there was so far again, see `LearningSchedule`."""
@@ -266,10 +267,10 @@ class Navigator:
         found, again = self.learning.early()
         if not again:
             for name, models in found.items():
-                self.filter.adopt(Change(name, models), self._told)
+                self.filter.adopt(Change(name, models), self.told)
             return
         counted = self.filter.counts["adopted"] + len(found)
-        self.filter.begin({**dict(self.filter.memory.models), **found})
+        self.filter.begin({**self.filter.described_models, **found})
         self.filter.counts["adopted"] = counted
         inputs = joined(self.learning.begin_again())
         if self._history is None:
@@ -305,7 +306,7 @@ class Navigator:
         ValueError
             For an unknown sensor, or something that is no error model.
         """
-        self.filter.adopt(Change(name, error), self._told)
+        self.filter.adopt(Change(name, error), self.told)
         self.learning.beginning = None
         if self._history is not None:
             self._history.begin()
@@ -359,9 +360,8 @@ class Navigator:
     @property
     def health(self) -> Health:
         """What the sensors are worth at present."""
-        sensors = {name: watch.health(self.time_s) for name, watch in self._watches.items()}
-        watch, w = self.filter.watch, self.filter.memory.watch
-        return Health(sensors, dict(self.counts), self.offset_s, watch.conditions(w), watch.lane(w))
+        sensors = {name: w.health(self.time_s, self.filter.channels[name].offset) for name, w in self.watches.items()}
+        return Health(sensors, dict(self.counts), self.offset_s, *self.filter.watch.told(self.filter.memory.watch))
 
     # ---------------------------------------------------------------- keep and bring back
     def snapshot(self, path: str | PathLike[str] | None = None) -> bytes:
@@ -390,7 +390,7 @@ class Navigator:
         )
         length_s = 0.0 if self._history is None else self._history.length_s
         whole = NavigatorMemory(memory.filter, learning)
-        saved = snapshots.Saved(self.start, length_s, whole, inputs, self._watches)
+        saved = snapshots.Saved(self.start, length_s, whole, inputs, self.watches)
         return snapshots.write(saved, self.vehicle, self.time_s, path)
 
     @classmethod
@@ -433,9 +433,9 @@ class Navigator:
         nav.memory = memory
         for item in saved.inputs:
             nav._given(item)
-        if set(saved.watches) != set(nav._watches):
-            raise ValueError(f"watches must be kept of {', '.join(nav._watches)}, found {', '.join(saved.watches)}")
-        nav._watches = saved.watches
+        if set(saved.watches) != set(nav.watches):
+            raise ValueError(f"watches must be kept of {', '.join(nav.watches)}, found {', '.join(saved.watches)}")
+        nav.watches = saved.watches
         return nav
 
     def _given(self, item: Array | Reading) -> None:

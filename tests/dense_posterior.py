@@ -329,7 +329,8 @@ def wheeled_vehicle(arma=True):
 
 
 def uncalibrated(build):
-    """A vehicle that knows neither the clocks of its sensors nor exactly where they are."""
+    """A vehicle that knows neither the clocks of its sensors nor exactly where they are, nor the scale of any axis."""
+    each = {"scale_sd": (0.02, 0.03, 0.01), "misalignment_sd_rad": (0.01, 0.02, 0.03)}
 
     def built(arma=True):
         vehicle = build(arma)
@@ -338,17 +339,35 @@ def uncalibrated(build):
                 sensor,
                 time_offset_sd_s=0.3,
                 lever_arm_sd_m=(0.2, 0.1, 0.0) if sensor.has_lever_arm else (0.0,) * 3,
+                **(each if isinstance(sensor, nf.BodyVelocity) else {}),
             )
             for name, sensor in vehicle.sensors.items()
         }
         drive = vehicle.drive
-        if not drive.inertial:
-            velocity = replace(drive.velocity, time_offset_sd_s=0.3, lever_arm_sd_m=(0.3, 0.2, 0.1))
+        if drive.inertial:
+            drive = replace(
+                drive,
+                gyro_scale_sd=0.02,
+                gyro_misalignment_sd_rad=0.01,
+                accel_scale_sd=(0.01, 0.02, 0.003),
+                accel_misalignment_sd_rad=0.01,
+            )
+        else:
+            velocity = replace(drive.velocity, time_offset_sd_s=0.3, lever_arm_sd_m=(0.3, 0.2, 0.1), **each)
             attitude = replace(drive.attitude, time_offset_sd_s=0.2)
             drive = replace(drive, velocity=velocity, attitude=attitude)
         return replace(vehicle, drive=drive, sensors=sensors)
 
     return built
+
+
+def resting_vehicle(arma=True):
+    """What the gyros read in every quarter of a second is taken for that of a vehicle at rest."""
+    plain = inertial_vehicle(arma)
+    limits = {"gyro_sd_max": 1e3, "force_sd_max": 1e3, "gyro_mean_max": 1e3}
+    resting = nf.ZeroRate(rate_hz=4.0, error=nf.GaussMarkov(sd=0.1, tau_s=1.0) + nf.White(sd=0.05), **limits)
+    drive = replace(plain.drive, gyro_scale_sd=0.02)
+    return nf.Vehicle(drive, {"turning": resting, "compass": plain.sensors["compass"], "gps": plain.sensors["gps"]})
 
 
 def reckoning_vehicle(arma=True):
@@ -371,6 +390,20 @@ def reckoning_vehicle(arma=True):
             "gps": nf.Position(rate_hz=1.0, error=nf.Arma(**ARMA, sd=0.2)),
         },
     )
+
+
+def drifting_vehicle(arma=True):
+    """Dead reckoning through water whose current wanders within seconds."""
+    plain = reckoning_vehicle(arma)
+    log = nf.WaterVelocity(
+        rate_hz=4.0,
+        error=nf.White(sd=0.05),
+        lever_arm_b_m=(0.5, 0.1, 0.2),
+        scale_sd=0.02,
+        current_sd_m_s=0.4,
+        current_tau_s=3.0,
+    )
+    return replace(plain, drive=replace(plain.drive, velocity=log))
 
 
 def open_gates(nav):

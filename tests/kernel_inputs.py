@@ -64,6 +64,19 @@ def random_drive(rng, k, **settings):
     return drv, 0.02 * rng.normal(size=k), Phid, Qd, Cr, acc
 
 
+def uncalibrated_drive(rng, k, elements, **settings):
+    """As `random_drive` of k states, with elements of M (3 * channel + axis) behind them, which are constants."""
+    count, whole = len(elements), k + len(elements)
+    drv, xd, Phid, Qd, Cr, acc = random_drive(rng, whole, **settings)
+    drv[strapdown.CALIBRATED] = count
+    drv[strapdown.ELEMENTS : strapdown.ELEMENTS + count] = elements
+    constant = np.arange(whole) >= k
+    Phid[constant], Phid[:, constant], Cr[:, :whole][:, constant] = 0.0, 0.0, 0.0
+    Phid[constant, constant] = 1.0
+    Qd[constant], Qd[:, constant] = 0.0, 0.0
+    return drv, xd, Phid, Qd, Cr, acc
+
+
 def imu_samples(rng, n, increments=False):
     samples = np.column_stack(
         [np.full(n, 0.01), 0.3 * rng.normal(size=(n, 3)), rng.normal(loc=(0.0, 0.0, -9.8), size=(n, 3))]
@@ -80,14 +93,15 @@ def readings(rng, nav):
     mounted = np.concatenate([[0.5, -0.2, 0.3], matrix_from_euler(0.1, -0.2, 0.7).ravel()])
     place = np.array([nav[0] + 2e-6, nav[1] - 3e-6, nav[2] + 4.0])
     return [
-        (measurement.body_velocity, rng.normal(size=3), mounted, (0, 4), 3),
-        (measurement.water_velocity, rng.normal(size=3), mounted, (2, 6), 3),
+        (measurement.body_velocity, rng.normal(size=3), mounted, (0, 4, 6), 3),
+        (measurement.water_velocity, rng.normal(size=3), mounted, (2, 6, 8), 3),
         (measurement.heading, np.array([2.5, 11.0]), np.array([0.1, 20.0]), (0, 6), 1),
         (measurement.heading, np.array([-2.5, np.nan]), np.array([0.1, 20.0]), (6,), 1),
         (measurement.magnetometer, np.array([24.0, 7.0, 30.0, 25.0]), np.array([0.1, 20.0]), (0, 6), 1),
         (measurement.depth, np.array([12.0]), np.array([0.5, -0.2, 0.3, 2.0]), (0, 1), 1),
         (measurement.position, place, np.array([0.5, -0.2, 0.3]), (0,), 3),
         (measurement.position, np.array([nav[0], nav[1] + 2 * np.pi, np.nan]), np.array([0.5, -0.2, 0.3]), (0,), 3),
+        (measurement.earth_rate, 1e-4 * rng.normal(size=3), np.array([7.292115e-5]), (0,), 3),
         (measurement.velocity, rng.normal(size=3), np.zeros(1), (0,), 3),
         *_acoustics(mounted, nav, np.random.default_rng(rng.integers(1000))),
     ]
@@ -96,7 +110,8 @@ def readings(rng, nav):
 def _acoustics(mounted, nav, rng):
     """The same of beams, ranges and USBL."""
     directions = rng.normal(size=(4, 3))
-    beams = np.concatenate([mounted, (directions / np.linalg.norm(directions, axis=1, keepdims=True)).ravel()])
+    beams = np.concatenate([mounted, (directions / np.linalg.norm(directions, axis=1, keepdims=True)).ravel(), [0.0]])
+    current = beams + 2.0 * (np.arange(25) == 24)
     tilted = euler_from_matrix(nav[6:15].reshape(3, 3) @ mounted[3:].reshape(3, 3))
     axes, point = naive.earth_axes(*nav[:3], *EARTH)
     around = np.concatenate([point + axes.T @ (2e4 * rng.normal(size=3)) for _ in range(2)])
@@ -110,7 +125,8 @@ def _acoustics(mounted, nav, rng):
         (measurement.altitude, np.array([12.0]), np.append(mounted[:3], -2.0), (0, 1), 1),
         (measurement.ground_velocity, rng.normal(size=3), mounted[:3], (0,), 3),
         (measurement.attitude, tilted + 0.2, np.append(0.1, mounted[3:]), (0, 3), 3),
-        (measurement.beam_velocity, rng.normal(size=8), beams, (0, 2, 4, 6), 8),
+        (measurement.beam_velocity, rng.normal(size=8), beams, (0, 4, 6), 8),
+        (measurement.beam_velocity, rng.normal(size=8), current, (2, 6, 8), 8),
         *((measurement.slant_range, np.array([400.0, 1.0]), cfg, (size,), 1) for size, cfg in ranged.items()),
         *((measurement.usbl, seen, cfg, (size,), 3) for size, cfg in heard.items()),
         (measurement.usbl, np.where(np.arange(15) == 2, np.nan, seen), heard[7], (7,), 3),

@@ -317,8 +317,20 @@ def _tick_drive(acc, F, xd, Phid, Qd, ticks):
         xd[:] = Phid @ xd
 
 
+def _uncalibrated(xd, drv, inc, dt, Cr):
+    """Output rows that make errors of the readings: of M times what they are."""
+    count = int(drv[88])
+    Cr, first = Cr.copy(), len(xd) - count
+    for q, code in enumerate(drv[89 : 89 + count].astype(int)):
+        Cr[code // 3, first + q] = inc[3 * (code // 9) + code % 3] / dt
+    drv[107 : 107 + count] = xd[first:]
+    return Cr
+
+
 def _inertial_step(nav, xd, inc, dt, drv, Phid, Qd, Cr, acc, ticks):
     m = acc.shape[1]
+    if drv[88]:
+        Cr = _uncalibrated(xd, drv, inc, dt, Cr)
     parts = _mechanise(nav, inc - dt * Cr[:, :-1] @ xd, dt)
     _tick_drive(acc, _inertial_transition(*parts, dt, Cr), xd, Phid, Qd, ticks)
     drv[14:23] = parts[0].ravel()
@@ -380,6 +392,8 @@ def _dead_reckoning_step(nav, xd, drv, sample, Phid, Qd, Cr, acc):
         arm = arm + xd[lever : lever + 3]
         drv[56:59] = turn0 @ arm
     v0, w0, C0 = nav[3:6].copy(), drv[56:59].copy(), nav[6:15].reshape(3, 3).copy()
+    current, flow = np.zeros(3), int(drv[125])
+    current[:2] = xd[flow : flow + 2] if flow >= 0 else 0.0
     missing = not (np.abs(sample[4:7]) <= drv[62]).all() or not (sample[4:7].any() or drv[63])
     # what the readings' errors are thought to be, and how they follow from the drive's states
     E = Cr[:, :k].copy()
@@ -405,21 +419,24 @@ def _dead_reckoning_step(nav, xd, drv, sample, Phid, Qd, Cr, acc):
     F, J, E_par = np.zeros((m, m)), np.zeros((9, 6)), np.zeros((3, k))
     if missing:
         B = C @ C0.T
-        u = B @ (v0 + w0)
-        F[3:6, 3:6], F[3:6, 6:9] = B, B @ skew(v0)
+        u = B @ (v0 - current + w0)
+        F[3:6, 3:6], F[3:6, 6:9] = B, B @ skew(v0 - current)
     else:
-        scale, mis = (1.0 + xd[par], xd[par + 1 : par + 4]) if par >= 0 else (1.0, np.zeros(3))
-        D = scale * (np.eye(3) + skew(mis))
+        scale, mis = _scale_and_turn(xd[par : par + 4 + 2 * int(drv[87])] if par >= 0 else np.zeros(0))
+        D = scale @ (np.eye(3) + skew(mis))
         y = np.linalg.solve(D, sample[4:7] - err[3:])
         u = C @ M @ y
         J[3:6, 3:6] = C @ M @ np.linalg.inv(D)
         if par >= 0:
-            E_par[:, par], E_par[:, par + 1 : par + 4] = y + np.cross(mis, y), -scale * skew(y)
+            E_par[:, par : par + 4 + 2 * int(drv[87])] = _by_scale_and_turn(scale, mis, y, drv[87])
     for j in range(3):
         a = axes[:, j]
         moved, du = np.cross(a, l1), np.cross(a, u)
         J[:3, j], J[3:6, j], J[6:9, j] = half * du - moved, du - per * moved, a
+    u = u + current
     J[:3, 3:] = half * J[3:6, 3:]
+    if flow >= 0:
+        F[3:6, 9 + flow : 11 + flow] = (np.eye(3) - (B if missing else 0.0))[:, :2]
     F[:3] = half * F[3:6] + np.eye(3, m)
     F[:3, 3:6] += (half - held) * np.eye(3)
     F[:3, 6:9] -= skew(half * w0 + l0)
@@ -441,6 +458,19 @@ def _dead_reckoning_step(nav, xd, drv, sample, Phid, Qd, Cr, acc):
         Q[:6, :6] += G @ walk @ G.T
     elif span > 3 * drv[36]:
         Q[:3, :3] += walk * span**2 / 12.0
+
+
+def _scale_and_turn(par):
+    """Diagonal matrix of the scales and vector of the misalignment: none, one scale, or three."""
+    if not len(par):
+        return np.eye(3), np.zeros(3)
+    return np.diag(1.0 + par[:-3] * np.ones(3)), par[-3:]
+
+
+def _by_scale_and_turn(scale, mis, y, each):
+    """Derivative of scale (I + [mis x]) y."""
+    by_scale = np.diag(y + np.cross(mis, y))
+    return np.column_stack([by_scale if each else by_scale.sum(axis=1), -scale @ skew(y)])
 
 
 def _change(drv, sample, missing):
@@ -478,12 +508,12 @@ def body_velocity(z, nav, rate, par, cfg, H, res):
     arm, A = cfg[:3], cfg[3:12].reshape(3, 3).T
     C_bn = nav[6:15].reshape(3, 3).T
     y = A @ (C_bn @ nav[3:6] + np.cross(rate, arm))
-    g, mis = (1.0 + par[0], par[1:4]) if len(par) else (1.0, np.zeros(3))
-    D = g * (np.eye(3) + skew(mis))
+    scale, mis = _scale_and_turn(par)
+    D = scale @ (np.eye(3) + skew(mis))
     res[:], H[:] = z[:3] - D @ y, 0.0
     H[:, 3:6], H[:, 6:9] = D @ A @ C_bn, _attitude_columns(D @ A @ C_bn, nav[3:6])
     if len(par):
-        H[:, 9], H[:, 10:13] = D @ y / g, -g * skew(y)
+        H[:, 9:] = _by_scale_and_turn(scale, mis, y, len(par) == 6)
 
 
 def _bearing(n):
@@ -537,6 +567,14 @@ def position(z, nav, rate, par, cfg, H, res):
     H[:, :3], H[:, 6:9] = np.eye(3), -skew(arm)
     east = _half_turn(z[1] - nav[1]) * nav[16] * np.cos(0.5 * (z[0] + nav[0]))
     res[:] = np.array([(z[0] - nav[0]) * nav[15], east, nav[2] - z[2]]) - arm
+
+
+def earth_rate(z, nav, rate, par, cfg, H, res):
+    C_bn, lat = nav[6:15].reshape(3, 3).T, nav[0]
+    w = cfg[0] * np.array([np.cos(lat), 0.0, -np.sin(lat)])
+    res[:], H[:] = z - C_bn @ w, 0.0
+    H[:, 0] = C_bn @ (cfg[0] * np.array([-np.sin(lat), 0.0, -np.cos(lat)])) / nav[15]
+    H[:, 6:9] = _attitude_columns(C_bn, w)
 
 
 def velocity(z, nav, rate, par, cfg, H, res):
@@ -796,6 +834,15 @@ def channel_filter(y, theta, chain, sees, rules, e, lns):
     return total
 
 
+def channel_line(y, theta, chain, sees, rules, integrators, sizes, first, e, lns, values):
+    for k, size in enumerate(sizes):
+        parts = chain.copy()
+        parts[1:, integrators:, integrators:] *= size
+        values[k] = channel_filter(y, theta, parts, sees, rules, e, lns)
+        before = channel_filter(y[:first], theta, parts, sees, rules, e[:first], lns[:first])
+        values[k] -= before
+
+
 def channel_scores(y, thetas, chains, sees, rules, steps, E, LNS, info, gradient):
     value = channel_filter(y, thetas[0], chains[0], sees, rules, E[0], LNS[0])
     for i, step in enumerate(steps, start=1):
@@ -863,7 +910,7 @@ def water_velocity(z, nav, rate, par, cfg, H, res):
 
 
 def beam_velocity(z, nav, rate, par, cfg, H, res):
-    first, D = len(par) % 4, cfg[12:24].reshape(4, 3)
+    first, D = int(cfg[24]), cfg[12:24].reshape(4, 3)
     current, still = np.zeros(2), np.zeros(3)
     current[:first] = par[:first]
     over, through, gap = np.zeros((3, 9 + len(par) - first)), np.zeros((3, 11 + len(par) - first)), np.zeros((2, 3))
@@ -1130,3 +1177,111 @@ def hear_jumps(bank, mem, dims, at, offset, says):
         f -= y @ K.T
     ratios = d[:6] ** 2 / np.where(c[:6] > 0, c[:6], np.inf)
     return max(0.0, ratios.max())
+
+
+# ---------------------------------------------------------------- stretch
+KINDS = (heading, magnetometer, depth, altitude, position, body_velocity, water_velocity, ground_velocity)
+
+
+def correction(bench, spot, P, nav, x, acc, drv, Cr, z, variance, count):
+    a, _, m, b, start, errors, par = dims = spot[:7]
+    kind, moves, turns, at, cfg, cfg_size, rate, model, output, white, lever, noise, limits = spot[7:20]
+    mem, places_ = bench[at:cfg], places(dims)
+    predict(P, nav, x, acc, bench[model : model + 2 * b * b].reshape(2, b, b), mem, dims, count)
+    if turns:
+        read, elements = drv[:3] / (drv[36] if drv[37] else 1.0), int(drv[88])
+        M = np.zeros(9)
+        M[drv[89 : 89 + elements].astype(int)[drv[89 : 89 + elements] < 9]] = x[m - 9 - elements : m - 9][
+            drv[89 : 89 + elements] < 9
+        ]
+        bench[rate : rate + 3] = read - Cr[:3, :-1] @ x[: m - 9] - M.reshape(3, 3) @ read
+    near, res = mem[places_[7] : places_[8]].reshape(a, 9 + par), mem[places_[3] : places_[4]]
+    own = x[start - 9 + errors : start - 9 + errors + par]
+    KINDS[kind](z, nav, bench[rate : rate + 3], own, bench[cfg : cfg + cfg_size], near, res)
+    given = len(variance) and not np.isnan(variance[0])
+    R = bench[noise : noise + a * a].reshape(a, a)
+    R[:] = bench[(lever if given else white) :][: a * a].reshape(a, a) + (np.diag(variance[:a]) if given else 0.0)
+    if moves and P[8, 8] > 0.01:
+        R += np.eye(a) * 0.5 * (nav[3] ** 2 + nav[4] ** 2) * P[8, 8] ** 2
+    update(P, nav, x, bench[output : output + a * errors].reshape(a, errors), R, mem, dims, bench[limits:][: a + 1])
+
+
+def stretch(now, cursor, settings, bench, plan, heard, watched, state, drive, samples, stamps, limits, given, out):
+    """One reading after the other. 0: all done, 1 and 2: the next one is Python's, 3: it was not used, 4: no room, 5:
+    the watch over the drive has found something.
+    """
+    (nav, x, P, acc), (drv, Phid, Qd, Cr, w, sd, ends), m = state, drive, state[3].shape[1]
+    period, ahead, every, gap, doubt, until, interval, increments = settings
+    rows, info, records, heads = out
+
+    def record(values, *head):
+        if records.size:
+            records[cursor[6] : cursor[6] + len(values)], heads[cursor[5]] = values, (len(values), *head)
+            cursor[5:7] += 1, len(values)
+
+    def row():
+        if now[0] == now[3]:
+            cursor[4] = max(cursor[4] - 1, 0)
+        elif now[0] - now[3] < interval:
+            return
+        whole = rows.shape[1] == 17 + x.size + P.size
+        covariance = P.ravel() if whole else np.concatenate([P[:9, :9].ravel(), np.diag(P)[9:]])
+        rows[cursor[4]], info[cursor[4]] = np.concatenate([nav, x, covariance]), (now[0], cursor[5])
+        now[3], cursor[4] = now[0], cursor[4] + 1
+
+    for e, (t, i, end, good, same) in enumerate(zip(*given[:5], strict=True)):
+        if e < cursor[0]:
+            continue
+        cursor[0] = e
+        if t >= until or not good or heard[i, 3]:
+            return 1
+        more = 2 + (end - cursor[1]) // int(every)
+        if cursor[4] + more > len(rows) or cursor[5] + more > len(heads):
+            return 4
+        if records.size and cursor[6] + more * plan[-1, 21] > records.size:
+            return 4
+        if end > cursor[1] >= cursor[7]:
+            found = stamps_to_steps(samples[cursor[1] : end], now[2], limits, gap, doubt)
+            if found < 0:
+                return 1
+            cursor[3] += found
+            cursor[7] = end
+        for k in range(cursor[1], end):
+            look(samples[k : k + 1], w, sd, ends, period, increments)
+            imu_steps(nav, x[: m - 9], drv, samples[k : k + 1], Phid, Qd, Cr, acc)
+            now[:3], cursor[1], cursor[2] = stamps[k], k + 1, cursor[2] + 1
+            if cursor[2] == every:
+                record(acc[:m].ravel(), 0, m, 0, 0)
+                cursor[2] = 0
+                fold(P, acc, nav, None)
+                row()
+            if w[6, 1]:
+                if w[:6, [0, 15, 16]].any():
+                    return 5
+                if w[6, 0] * period >= 1.0:
+                    g = gravity(nav[0], nav[2])
+                    w[6, 0], w[6, 4], w[6, 5:8], w[6, 8] = 0.0, P[6, 6] + P[7, 7] < 0.01, -g * nav[12:15], g
+        early = t - now[0]
+        if t <= heard[i, 0] or early < -1.001 * period or t - now[1] > ahead:
+            return 2
+        watched[i, :2] = (watched[i, 0] + 1.0, watched[i, 1]) if same else (1.0, t)
+        if early > 1e-7 and drv[13]:
+            imu_hold(nav, x[: m - 9], drv, early, Phid, Qd, Cr, acc)
+            now[0] = t
+        elapsed = t - heard[i, 1]
+        count = 0 if np.isinf(elapsed) else max(1, round(elapsed / heard[i, 2]))
+        spot, variances = plan[i], given[6]
+        correction(bench, spot, P, nav, x, acc, drv, Cr, given[5][e], variances[min(e, len(variances) - 1)], count)
+        cursor[2], heard[i, :2] = 0, t
+        note = given[7][e, : 3 + 2 * spot[0]]
+        note[:] = bench[spot[10] + spot[20] :][: len(note)]
+        if not note[2]:
+            return 3
+        record(bench[spot[10] : spot[10] + spot[21]], spot[0], *spot[2:5])
+        row()
+        watched[i, 2:4] = np.maximum(watched[i, 2:4], t)
+        watched[i, 5] += 1.0
+        share = min(note[0] / note[1], 100.0)
+        watched[i, 4] = share if np.isnan(watched[i, 4]) else watched[i, 4] + (share - watched[i, 4]) / 50.0
+    cursor[0] = len(given[0])
+    return 0

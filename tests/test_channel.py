@@ -160,6 +160,20 @@ def test_filter_is_its_twin(ar, ma, d, beside, clip):
     assert np.isfinite(out[0]).sum() == np.isfinite(y).sum() - 2 * d
 
 
+@pytest.mark.parametrize(("ar", "ma", "d", "beside"), [case for case in CASES if case[3]])
+@pytest.mark.parametrize("first", [0, 33, 70])
+def test_a_line_is_its_twin(ar, ma, d, beside, first):
+    random = np.random.default_rng(6)
+    y, theta, (chain, sees) = walk_with_gaps(random), packed(ar, ma, 0.7), chain_of(d, beside, random)
+    rules, sizes = np.array([d, 8.0, 1.5, 0.04, 0.0]), np.array([0.1, 1.0, 7.0])
+    chain[1:, :d, d:] = chain[1:, d:, :d] = 0.0  # what is beside the integrators is a noise of its own
+    out = np.empty((2, 3))
+    for line, values in zip((kernels.channel_line, naive.channel_line), out, strict=True):
+        line(y, theta, chain, sees, rules, d, sizes, first, np.empty(len(y)), np.empty(len(y)), values)
+    np.testing.assert_allclose(out[0], out[1], rtol=1e-10, atol=1e-9)
+    assert first == 70 or np.ptp(out[0]) > 0.01
+
+
 @pytest.mark.parametrize(("ar", "ma", "d", "beside"), CASES)
 def test_scores_are_their_twin(ar, ma, d, beside):
     random = np.random.default_rng(4)

@@ -9,7 +9,7 @@ import pyins.sim
 import pyins.strapdown
 import pytest
 from geographiclib.geodesic import Geodesic
-from kernel_inputs import imu_samples, random_drive, random_nav
+from kernel_inputs import imu_samples, random_drive, random_nav, uncalibrated_drive
 
 import navfilter as nf
 from navfilter.kernels import strapdown
@@ -271,9 +271,10 @@ def compare(analytic, difference, drive_scale, tolerance):
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("increments", [False, True])
 @pytest.mark.parametrize("kind", ["step", "hold"])
-def test_strapdown_transition_equals_finite_differences(kind, increments, seed):
+@pytest.mark.parametrize("elements", [(), tuple(range(18))], ids=["errors", "calibration"])
+def test_strapdown_transition_equals_finite_differences(kind, increments, seed, elements):
     rng = np.random.default_rng(seed)
-    drv, xd, Phid, Qd, Cr, acc = random_drive(rng, 6, INCREMENTS=float(increments))
+    drv, xd, Phid, Qd, Cr, acc = uncalibrated_drive(rng, 6, elements, INCREMENTS=float(increments))
     Cr[:3] *= 0.01
     nav, samples = random_nav(rng), imu_samples(rng, 2, increments)
     strapdown.imu_steps(nav, xd, drv, samples[:1], Phid, Qd, Cr, acc.copy())
@@ -288,10 +289,10 @@ def test_strapdown_transition_equals_finite_differences(kind, increments, seed):
 
     a = acc.copy()
     run(nav.copy(), xd.copy(), drv.copy(), a)
-    drive_scale = np.full(6, 0.1)
+    drive_scale = np.array([0.1] * 6 + [0.01] * len(elements))
     # The transition is of second order in the step: 10 ms with 0.3 rad/s and 10 m/s^2 leave (0.003)^2 of 0.1 m/s, and
     # the variation of gravity with latitude (1e-8 1/s^2) is left out on purpose.
-    compare(a[:15], numeric(run, nav, xd, drv, drive_scale * 0.1), drive_scale, 3e-6)
+    compare(a[: 15 + len(elements)], numeric(run, nav, xd, drv, drive_scale * 0.1), drive_scale, 3e-6)
 
 
 def test_strapdown_transition_compounds(motion):
@@ -324,6 +325,7 @@ DEAD_RECKONING = {
     "calibration": ({"SCALE": 6}, 10),
     "all": ({"LEVER": (0.8, -0.3, 0.4), "DEVIATION": 6, "SCALE": 10}, 14),
     "clocks": ({"LEVER": (0.8, -0.3, 0.4), "SCALE": 6, "ATTITUDE_CLOCK": 10, "VELOCITY_CLOCK": 11}, 12),
+    "current": ({"LEVER": (0.8, -0.3, 0.4), "SCALE": 6, "CURRENT": 10}, 12),
     "uncertain arm": ({"LEVER": (0.8, -0.3, 0.4), "ARM": 6, "VELOCITY_CLOCK": 9, "ATTITUDE_CLOCK": 10}, 11),
 }
 

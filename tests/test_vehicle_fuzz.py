@@ -126,7 +126,15 @@ SENSOR = st.one_of(
     st.builds(ZeroVelocity, error=THREE, gyro_mean_max=st.floats(1e-6, 10.0), **SHARED),
 )
 DRIVE = st.one_of(
-    st.builds(Imu, rate_hz=RATE, gyro=THREE, accel=THREE, increments=st.booleans()),
+    st.builds(
+        Imu,
+        rate_hz=RATE,
+        gyro=THREE,
+        accel=THREE,
+        increments=st.booleans(),
+        gyro_scale_sd=st.one_of(sizes(), st.tuples(sizes(), sizes(), sizes())),
+        accel_misalignment_sd_rad=sizes(),
+    ),
     st.builds(
         DeadReckoning,
         rate_hz=RATE,

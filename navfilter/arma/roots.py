@@ -5,6 +5,7 @@ Coefficients are given without the leading 1, as everywhere; a root is one of ``
 
 from __future__ import annotations
 
+import cmath
 import math
 
 import numpy as np
@@ -236,6 +237,12 @@ def pull_inside(coefficients: Array, radius: float = 0.995) -> Array:
     return _with_radii(roots, np.minimum(reflected, radius))
 
 
+def _far_from_one(a1: float, a2: float, distance: float) -> bool:
+    """Whether both roots of ``1 + a1 q^-1 + a2 q^-2`` are far from 1, as `push_from_one` wants them."""
+    root = cmath.sqrt(0.25 * a1 * a1 - a2)
+    return all(abs(cmath.log(z if abs(z) > 1e-12 else 1e-12)) >= distance for z in (-0.5 * a1 + root, -0.5 * a1 - root))
+
+
 def push_from_one(coefficients: Array, distance: float) -> Array:
     """Coefficients with every root at least this far from 1: ``|ln z| >= distance``, its natural frequency per sample.
 
@@ -255,6 +262,8 @@ def push_from_one(coefficients: Array, distance: float) -> Array:
     if n == 1:
         limit = math.exp(-distance)
         return np.maximum(coefficients, -limit) if coefficients[0] < -limit else coefficients
+    if n == 2 and _far_from_one(float(coefficients[0]), float(coefficients[1]), distance):
+        return coefficients
     roots = np.roots(np.concatenate([[1.0], coefficients])).astype(np.complex128)
     logs = np.log(np.where(np.abs(roots) < 1e-12, 1e-12, roots))
     near = np.abs(logs) < distance

@@ -28,10 +28,13 @@ class Change(NamedTuple):
         A correcting sensor, or ``gyro`` / ``accel`` (``attitude`` / ``velocity``) of the drive.
     error : ErrorModel or tuple of ErrorModel
         One for all axes, or one per axis.
+    offsets : bool
+        It is about the constants of a sensor that has jumped (`navfilter.filter.offsets`); other changes keep them.
     """
 
     sensor: str
     error: ErrorModel | tuple[ErrorModel, ...]
+    offsets: bool = False
 
 
 def state_change(before: Layout, old: Vehicle, after: Layout, new: Vehicle) -> tuple[Array, Array]:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from navfilter.filter.channel import Channel
 
-__all__ = ["Widening", "reset_variance", "state_contradicted", "widening"]
+__all__ = ["Widening", "reset_variance", "state_contradicted", "whole_residual", "widening"]
 
 Array = NDArray[np.float64]
 
@@ -74,18 +74,15 @@ class Widening(NamedTuple):
     ----------
     covariance : ndarray, shape (9, 9)
         For the navigation states.
-    residual : ndarray, shape (a,)
-        The reading's residual, NaN on axes that see no state.
     white_factor : float
         By which the reading's white noise is larger: let in, but not believed more than the gate would have.
     """
 
     covariance: Array
-    residual: Array
     white_factor: float
 
 
-def widening(P: Array, x: Array, channel: Channel, time_s: float, nis: float, dof: int) -> Widening | None:
+def widening(P: Array, channel: Channel, time_s: float, nis: float, dof: int) -> Widening | None:
     """After a long series of rejections the gate doubles, and again: what that adds when it lets the reading in, else
     None.
 
@@ -93,8 +90,6 @@ def widening(P: Array, x: Array, channel: Channel, time_s: float, nis: float, do
     ----------
     P : ndarray, shape (n, n)
         Covariance.
-    x : ndarray, shape (n - 9,)
-        Error states.
     channel : Channel
         As the rejected update left it.
     time_s, nis : float
@@ -116,8 +111,20 @@ def widening(P: Array, x: Array, channel: Channel, time_s: float, nis: float, do
     grow = nis / limit * max(1.0, float(np.trace(channel.S[:a]) / max(np.trace(seen), 1e-300)))
     spread = np.diag(P)[:9, None] * H[:, :9].T
     inverse = np.linalg.pinv(H[:, :9] @ spread, hermitian=True)
+    return Widening(grow * spread @ inverse @ seen @ inverse @ spread.T, max(1.0, nis / limit))
+
+
+def whole_residual(channel: Channel, x: Array) -> Array:
+    """Residual of a rejected reading as the update wants it, which takes the coloured error off again; NaN on axes that
+    see no state.
+
+    Parameters
+    ----------
+    channel : Channel
+    x : ndarray, shape (n - 9,)
+        Error states.
+    """
     first = channel.group.start - 9
-    # the update takes the coloured error off again
     residual = channel.res + channel.C @ x[first : first + channel.group.errors]
-    residual[~H.any(axis=1)] = np.nan
-    return Widening(grow * spread @ inverse @ seen @ inverse @ spread.T, residual, max(1.0, nis / limit))
+    residual[~channel.H.any(axis=1)] = np.nan
+    return np.asarray(residual)

@@ -21,7 +21,8 @@ class SensorHealth:
     ----------
     condition : str
         "good", "waiting" (nothing heard yet), "silent" (not heard for longer than its gate time-out), "rejected"
-        (heard, but not used for so long), "stuck" (the same value for too long) or "noisy" (residuals far larger than
+        (heard, but not used for so long), "stuck" (the same value for too long), "jumped" (off by a constant from one
+        reading to the next, and used for changes only until it is back) or "noisy" (residuals far larger than
         predicted).
     age_s : float
         Since the last reading that was used [s]; infinite before the first.
@@ -45,8 +46,9 @@ class Health:
     ----------
     sensors : dict of str to SensorHealth
     drive : dict of str to int
-        Irregularities of the drive's samples so far: gaps, backward stamps, repaired samples, clock set back or right;
-        gates widened, models adopted.
+        Irregularities so far: of the drive's samples gaps, backward stamps, repaired samples, clock set back or right;
+        then gates widened, resets of the state to sensors that agree against it, jumps of sensors, states given up,
+        models adopted.
     clock_offset_s : float
         By how much stamps are moved because the clock was set back [s].
     axes : dict of str to str
@@ -122,8 +124,15 @@ class Watch:
             share = min(nis / dof, 100.0)
             self.nis = share if math.isnan(self.nis) else self.nis + (share - self.nis) / self.MEMORY
 
-    def health(self, now_s: float) -> SensorHealth:
-        """The figures at a time."""
+    def caught_up(self, figures: Array, value: bytes) -> None:
+        """Take over what `navfilter.kernels.stretch` has counted; `value` arrived last."""
+        same, self.since_s, self.heard_s, self.used_s, self.nis, used = figures.tolist()
+        self.same, self.value = int(same), value
+        if used:
+            self.outcomes["used"] = self.outcomes.get("used", 0) + int(used)
+
+    def health(self, now_s: float, jumped: bool = False) -> SensorHealth:
+        """The figures at a time, of a sensor that is off by a constant where it has `jumped`."""
         age_s = now_s - self.used_s
         if not self.outcomes:
             condition = "waiting"
@@ -133,6 +142,8 @@ class Watch:
             condition = "stuck"
         elif age_s > self.timeout_s:
             condition = "rejected"
+        elif jumped:
+            condition = "jumped"
         elif self.nis > self.NOISY:
             condition = "noisy"
         else:

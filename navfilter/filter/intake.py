@@ -87,7 +87,7 @@ class Intake:
 
     def __init__(self, drive: Mechanisation, start_s: float, counts: dict[str, int]) -> None:
         self.counts, self._period_s, self._limits = counts, drive.period_s, drive.limits()
-        self._drive = drive
+        self.limits = np.ascontiguousarray(self._limits, dtype=np.float64)
         self._gap_s = strapdown.GAP_PERIODS * self._period_s
         self._doubt_s = max(self.DOUBT_S, 10.0 * self._period_s)
         self._confirm = max(5, round(0.25 * drive.rate_hz))
@@ -101,13 +101,18 @@ class Intake:
         return self.memory.offset_s
 
     @property
+    def spans(self) -> tuple[float, float]:
+        """Silence that is a gap, and silence after which a stamp is in doubt [s]."""
+        return self._gap_s, self._doubt_s
+
+    @property
     def in_doubt(self) -> bool:
         """Whether the last samples came with stamps that lie back: until that is settled, nobody can say what is
         late.
         """
         return self.memory.back_count > 1
 
-    def take(self, samples: Array, drv: Array, at_rest: Callable[[Mechanisation], Array]) -> tuple[Array, Array]:
+    def take(self, samples: Array, drv: Array, at_rest: Callable[[], Array]) -> tuple[Array, Array]:
         """Steps in place of stamps (first column), and the stamps."""
         memory = self.memory
         if memory.offset_s:
@@ -116,11 +121,15 @@ class Intake:
         gaps = strapdown.stamps_to_steps(samples, memory.before_s, self._limits, self._gap_s, self._doubt_s)
         if gaps < 0:
             return self._mend(samples, drv, at_rest)
-        self.counts["gap"] += gaps
-        memory.doubtful_s, memory.back_count, memory.bad = -math.inf, 0, 0
+        self.taken(gaps)
         return samples, stamps
 
-    def _mend(self, samples: Array, drv: Array, at_rest: Callable[[Mechanisation], Array]) -> tuple[Array, Array]:
+    def taken(self, gaps: int) -> None:
+        """Note that samples were all right, but for so many gaps between them."""
+        self.counts["gap"] += gaps
+        self.memory.doubtful_s, self.memory.back_count, self.memory.bad = -math.inf, 0, 0
+
+    def _mend(self, samples: Array, drv: Array, at_rest: Callable[[], Array]) -> tuple[Array, Array]:
         """Drop samples whose stamps cannot be, repair values that cannot be; returns steps and stamps."""
         possible: NDArray[np.bool_] = np.all(np.abs(samples[:, 1 : 1 + len(self._limits)]) <= self._limits, axis=1)
         keep, before, shift = np.zeros(len(samples), bool), self.memory.before_s, 0.0
@@ -183,16 +192,12 @@ class Intake:
         # what was dropped until here took its time: it counts as a gap
         return before + self.memory.back_count * self._period_s - stamp
 
-    def _repair(
-        self, values: Array, bad: NDArray[np.bool_], drv: Array, at_rest: Callable[[Mechanisation], Array]
-    ) -> None:
+    def _repair(self, values: Array, bad: NDArray[np.bool_], drv: Array, at_rest: Callable[[], Array]) -> None:
         """Replace samples with impossible values by the last good one; before the first sample by those of a vehicle
         that keeps still.
         """
         if not bad.any():
             return
         good = np.maximum.accumulate(np.where(bad, -1, np.arange(len(values))))
-        last = (
-            drv[self._previous : self._previous + len(self._limits)] if drv[strapdown.STARTED] else at_rest(self._drive)
-        )
+        last = drv[self._previous : self._previous + len(self._limits)] if drv[strapdown.STARTED] else at_rest()
         values[bad] = np.where(good[bad, None] >= 0, values[good[bad]], last)

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from navfilter.filter.filter import Filter
     from navfilter.filter.filter_memory import FilterMemory
     from navfilter.filter.layout import Group, Layout
+    from navfilter.mechanisation import Mechanisation
 
 __all__ = ["JumpWatch"]
 
@@ -55,12 +56,12 @@ class JumpWatch:
 
     Parameters
     ----------
-    active : bool
-        Whether the drive is an inertial unit.
+    drive : Mechanisation
+        An `Imu` with ``cross_check`` is watched.
     """
 
-    def __init__(self, active: bool) -> None:
-        self.active = active
+    def __init__(self, drive: Mechanisation) -> None:
+        self.active = bool(getattr(drive, "cross_check", False))
         self._rows: dict[str, int] = {}
 
     def fresh(self, layout: Layout, channels: dict[str, Channel], time_s: float) -> Array:

@@ -19,8 +19,10 @@ from numba import njit
 
 DIFFUSE, LONGEST_GAP, CLIP, WHITE, TOLERANCE = 0, 1, 2, 3, 4
 TRANSITION, NOISE, START = 0, 1, 2
-SHORTEST, LONGEST = 3, 8
+SHORTEST, LONGEST = 3, 10
 FIRST, AGAIN = 32, 8
+# Of states that are seen side by side, a gain below this part of the largest one counts as that large.
+SMALL_PART = 0.3
 HALF_LOG_2PI = 0.9189385332046727
 
 
@@ -291,11 +293,16 @@ def _leap(P, out, step, work):
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _alike(L, S, ahead, ahead_S, tolerance, U, sees):
     """Whether two gains are so near to each other that all between them may be interpolated."""
-    floor = 1e-6
+    # of states that are seen side by side only the sum is: the gain of one may cross zero
+    floor, together = 1e-6, 0.0
+    for i in range(sees.size):
+        if sees[i] != 0.0 or U[i, i] != 1.0:
+            together = max(together, SMALL_PART * min(abs(L[i]) / S, abs(ahead[i]) / ahead_S))
     for i in range(ahead.size - 1):
         old, new = L[i] / S, ahead[i] / ahead_S
-        integrated = i < sees.size and sees[i] == 0.0 and U[i, i] == 1.0
-        least = floor * 1e-3**i if integrated else floor
+        least = max(floor, together) if i < sees.size else floor
+        if i < sees.size and sees[i] == 0.0 and U[i, i] == 1.0:
+            least = floor * 1e-3**i
         if not abs(new - old) <= tolerance * max(min(abs(old), abs(new)), least):
             return False
     return abs(ahead_S - S) <= tolerance * min(S, ahead_S)
@@ -534,6 +541,34 @@ def _filter(y, theta, chain, sees, rules, plan, tolerance, e, lns):
         if seen:
             known += 1
     return total if total < math.inf else math.inf
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _contribution(z, lns, clip):
+    """What standardised innovations and ln S of a stretch add to minus the log-likelihood; NaN does not count."""
+    total = 0.0
+    for t in range(z.size):
+        if not math.isnan(z[t]):
+            size = abs(z[t])
+            total += HALF_LOG_2PI + 0.5 * lns[t]
+            total += clip * (size - 0.5 * clip) if size > clip else 0.5 * size * size
+    return total
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def channel_line(y, theta, chain, sees, rules, integrators, sizes, first, e, lns, values):
+    """Minus the log-likelihood of the samples from `first` on, given those before, into `values` (k,): for states after
+    the first `integrators` with noise and start of `chain` times each of the variances `sizes` (k,).
+    """
+    r = sees.size
+    parts = chain.copy()
+    for k in range(sizes.size):
+        for part in (NOISE, START):
+            for i in range(integrators, r):
+                for j in range(integrators, r):
+                    parts[part, i, j] = sizes[k] * chain[part, i, j]
+        whole = _filter(y, theta, parts, sees, rules, np.zeros(y.size, np.int64), rules[TOLERANCE], e, lns)
+        values[k] = _contribution(e[first:], lns[first:], rules[CLIP]) if whole < math.inf else math.inf
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract"})

@@ -24,8 +24,8 @@ def _clear(H):
 
 @njit(cache=True)
 def _instrument_velocity(z, nav, v0, v1, v2, rate, par, first, cfg, H, res):
-    """Velocity v in n of the reference point, as seen by an instrument; scale and misalignment, if any, are `par` from
-    `first` on.
+    """Velocity v in n of the reference point, as seen by an instrument; scale (one, or one an axis) and misalignment,
+    if any, are `par` from `first` on.
     """
     _clear(H)
     x0 = rate[1] * cfg[2] - rate[2] * cfg[1]
@@ -37,16 +37,19 @@ def _instrument_velocity(z, nav, v0, v1, v2, rate, par, first, cfg, H, res):
         for j in range(3):
             A[i, j] = cfg[3 + i] * nav[6 + 3 * j] + cfg[6 + i] * nav[7 + 3 * j] + cfg[9 + i] * nav[8 + 3 * j]
         y[i] = A[i, 0] * v0 + A[i, 1] * v1 + A[i, 2] * v2 + cfg[3 + i] * x0 + cfg[6 + i] * x1 + cfg[9 + i] * x2
-    g, a, b, c = 1.0, 0.0, 0.0, 0.0
+    g0, g1, g2, a, b, c = 1.0, 1.0, 1.0, 0.0, 0.0, 0.0
+    step = 1 if len(par) - first == 6 else 0  # from one scale to the next
+    turned = first + 1 + 2 * step
     if len(par) > first:
-        g, a, b, c = 1.0 + par[first], par[first + 1], par[first + 2], par[first + 3]
+        g0, g1, g2 = 1.0 + par[first], 1.0 + par[first + step], 1.0 + par[first + 2 * step]
+        a, b, c = par[turned], par[turned + 1], par[turned + 2]
     t0, t1, t2 = y[0] + b * y[2] - c * y[1], y[1] + c * y[0] - a * y[2], y[2] + a * y[1] - b * y[0]
-    res[0], res[1], res[2] = z[0] - g * t0, z[1] - g * t1, z[2] - g * t2
+    res[0], res[1], res[2] = z[0] - g0 * t0, z[1] - g1 * t1, z[2] - g2 * t2
     for j in range(3):
         a0, a1, a2 = A[0, j], A[1, j], A[2, j]
-        H[0, 3 + j] = g * (a0 + b * a2 - c * a1)
-        H[1, 3 + j] = g * (a1 + c * a0 - a * a2)
-        H[2, 3 + j] = g * (a2 + a * a1 - b * a0)
+        H[0, 3 + j] = g0 * (a0 + b * a2 - c * a1)
+        H[1, 3 + j] = g1 * (a1 + c * a0 - a * a2)
+        H[2, 3 + j] = g2 * (a2 + a * a1 - b * a0)
     for i in range(3):
         # C_nb' turns by -phi: d(C' v) = -C' (phi x v) = C' (v x phi)
         h0, h1, h2 = H[i, 3], H[i, 4], H[i, 5]
@@ -54,18 +57,19 @@ def _instrument_velocity(z, nav, v0, v1, v2, rate, par, first, cfg, H, res):
         H[i, 7] = h2 * v0 - h0 * v2
         H[i, 8] = h0 * v1 - h1 * v0
     if len(par) > first:
-        s = 9 + first
-        H[0, s], H[1, s], H[2, s] = t0, t1, t2
-        H[0, s + 2], H[0, s + 3] = g * y[2], -g * y[1]
-        H[1, s + 1], H[1, s + 3] = -g * y[2], g * y[0]
-        H[2, s + 1], H[2, s + 2] = g * y[1], -g * y[0]
+        s, m = 9 + first, 9 + turned
+        H[0, s], H[1, s + step], H[2, s + 2 * step] = t0, t1, t2
+        H[0, m + 1], H[0, m + 2] = g0 * y[2], -g0 * y[1]
+        H[1, m], H[1, m + 2] = -g1 * y[2], g1 * y[0]
+        H[2, m], H[2, m + 1] = g2 * y[1], -g2 * y[0]
 
 
 @njit(cache=True)
 def body_velocity(z, nav, rate, par, cfg, H, res):
     """Velocity at a lever arm in instrument axes: reading = (1 + s)(y + m x y), y = M' (C_nb' v_n + rate x arm).
 
-    cfg: lever arm (3), mounting matrix M instrument-to-body (9). par: none, or scale s and misalignment m (3).
+    cfg: lever arm (3), mounting matrix M instrument-to-body (9). par: none, or scale s (1, or 3: diagonal) and
+    misalignment m (3).
     """
     _instrument_velocity(z, nav, nav[3], nav[4], nav[5], rate, par, int(0), cfg, H, res)
 
@@ -85,10 +89,10 @@ def beam_velocity(z, nav, rate, par, cfg, H, res):
     """Velocities along four beams over ground, then along the same through water: reading = d (1 + s)(y + m x y), y as
     for `body_velocity`.
 
-    cfg: lever arm (3), mounting (9), unit vectors d of the beams in instrument axes (12). par: none, or scale and
-    misalignment (4); before them, or alone, current north, east.
+    cfg: lever arm (3), mounting (9), unit vectors d of the beams in instrument axes (12), states of the current (0, 2).
+    par: current north, east, if any; scale and misalignment, if any, as there.
     """
-    first = len(par) % 4
+    first = int(cfg[24])
     part, Y = np.zeros(3), np.zeros((3, H.shape[1]))
     zero = np.zeros(3)
     _clear(H)
@@ -414,6 +418,22 @@ def velocity(z, nav, rate, par, cfg, H, res):
     for i in range(3):
         res[i] = z[i] - nav[3 + i]
         H[i, 3 + i] = 1.0
+
+
+@njit(cache=True)
+def earth_rate(z, nav, rate, par, cfg, H, res):
+    """Rate in b [rad/s] of a body that does not turn on the Earth: the Earth's own, ``C_nb' (cos, 0, -sin latitude)``.
+
+    cfg: the Earth's rate [rad/s].
+    """
+    _clear(H)
+    north, down = cfg[0] * math.cos(nav[0]), -cfg[0] * math.sin(nav[0])
+    for i in range(3):
+        a, b, c = nav[6 + i], nav[9 + i], nav[12 + i]
+        res[i] = z[i] - a * north - c * down
+        H[i, 0] = (a * down - c * north) / nav[15]
+        # C_nb' turns by -phi: C' (w x phi)
+        H[i, 6], H[i, 7], H[i, 8] = b * down, c * north - a * down, -b * north
 
 
 @njit(cache=True)

@@ -5,7 +5,7 @@ Arrays shared with the navigator (all float64, C-contiguous):
 ``nav`` (17,)   latitude, longitude [rad], height [m], velocity_n (3) [m/s], C_nb row by row (9), meridian and
 prime-vertical
                 radius plus height [m].
-``drv`` (87,)   memory and settings of the drive, see the index constants below. ``samples`` (n, 7)  seconds since the
+``drv`` (126,)  memory and settings of the drive, see the index constants below. ``samples`` (n, 7)  seconds since the
 previous sample, then the six values of the drive. ``Cr`` (6, k+1) output rows C of the drive's error blocks, and in the
 last column the white variance of one sample. ``acc`` (4m, m) compound transition Phi and noise Q since the last fold (m
 rows each), then two m-row work areas. m = 9 + k.
@@ -47,8 +47,15 @@ TURN_RATE = 64
 # six readings change (6), the last velocity that was one and whether there is one (4), and what the last turn did to a
 # lever arm, per second (9).
 ATTITUDE_CLOCK, VELOCITY_CLOCK, ARM, CHANGE, PREVIOUS_VELOCITY, KNOWN_VELOCITY, ARM_TURN = 65, 66, 67, 68, 74, 77, 78
-PLACES = [DEVIATION, SCALE, ARM, ATTITUDE_CLOCK, VELOCITY_CLOCK]
-DRIVE_SIZE = 87
+# 1: dead reckoning has a scale of the velocity for each axis, 0: one for all.
+SCALE_STEP = 87
+# An inertial unit that is not calibrated, true = reading - M reading - errors: how many elements of M are states, the
+# last of the drive's; which they are (3 * channel + axis each); and what they are thought to be.
+CALIBRATED, ELEMENTS, CALIBRATION = 88, 89, 107
+# Dead reckoning through water: place of the current, north and east, among the drive's states (-1: over ground).
+CURRENT = 125
+PLACES = [DEVIATION, SCALE, ARM, ATTITUDE_CLOCK, VELOCITY_CLOCK, CURRENT]
+DRIVE_SIZE = 126
 CHANGE_S = 0.1  # what changes is a mean over so long, for readings that come faster are noisy
 MOST_TICKS = 10000.0  # of the drive's blocks in one step
 WIDE = 16  # columns of a panel: rows of so many stay in registers
@@ -369,7 +376,7 @@ def _tick_rows(X, Phid, diagonal, T, m):
 @njit(cache=True, error_model="numpy")
 def _transpose(X, m):
     """Of a matrix in panels, in place."""
-    for i in range(m):
+    for i in range(min(m, X.size // m)):
         for begin in range(0, i, WIDE):
             row, column = (begin // WIDE * m + i) * WIDE, (i // WIDE * m + begin) * WIDE + i % WIDE
             for j in range(min(WIDE, i - begin)):
@@ -383,13 +390,15 @@ def _tick_drive(xd, Phid, Qd, diagonal, T, Q, m):
     if diagonal:
         for i in range(k):
             xd[i] *= Phid[i, i]
-            Q[((9 + i) // WIDE * m + 9 + i) * WIDE + (9 + i) % WIDE] += Qd[i, i]
+            if Qd[i, i] != 0.0:
+                Q[((9 + i) // WIDE * m + 9 + i) * WIDE + (9 + i) % WIDE] += Qd[i, i]
         return
     for i in range(k):
         T[i] = 0.0
         for j in range(k):
             T[i] += Phid[i, j] * xd[j]
-            Q[((9 + j) // WIDE * m + 9 + i) * WIDE + (9 + j) % WIDE] += Qd[i, j]
+            if Qd[i, j] != 0.0:
+                Q[((9 + j) // WIDE * m + 9 + i) * WIDE + (9 + j) % WIDE] += Qd[i, j]
     for i in range(k):
         xd[i] = T[i]
 
@@ -445,17 +454,40 @@ def _inertial_noise(dt, drv, Cr, Q, k):
 
 
 @njit(cache=True, error_model="numpy")
-def _which_errors(Cr, seen, gain):
+def _uncalibrated(inc, dt, xd, drv, work, seen, gain):
+    """Take the calibration errors off the increments, and note by how much (gain) each element of M enters: as the
+    reading of its axis. Over no time at all that is no number, and nothing to speak of.
+    """
+    first = len(xd) - int(drv[CALIBRATED])
+    for i in range(6):
+        work[i] = inc[i]
+    for p in range(gain.size):
+        q = seen[1, p] - first
+        if q >= 0:
+            reading = work[3 * (seen[0, p] // 3) + int(drv[ELEMENTS + q]) % 3]
+            inc[seen[0, p]] -= xd[first + q] * reading
+            gain[p] = reading / dt if dt > 0.0 else 0.0
+            drv[CALIBRATION + q] = xd[first + q]
+
+
+@njit(cache=True, error_model="numpy")
+def _which_errors(Cr, drv, seen, gain):
     """Which of the six readings (row 0 of seen) which of the drive's states (row 1) enters, and by how much (gain).
 
     Returns how many such pairs there are, and whether it is plain: one state a reading, in their order, as it is.
     """
+    elements = int(drv[CALIBRATED])
     count, plain = 0, True
     for i in range(6):
         for s in range(Cr.shape[1] - 1):
             if Cr[i, s] != 0.0:
                 seen[0, count], seen[1, count], gain[count] = i, s, Cr[i, s]
                 plain = plain and i == s == count and gain[count] == 1.0
+                count += 1
+        for q in range(elements):
+            if int(drv[ELEMENTS + q]) // 3 == i:
+                seen[0, count], seen[1, count], gain[count] = i, Cr.shape[1] - 1 - elements + q, 0.0
+                plain = False
                 count += 1
     return count, plain and count == 6
 
@@ -525,6 +557,12 @@ def _finish(xd, Phid, Qd, ticks, acc):
 
 
 @njit(cache=True, error_model="numpy")
+def _panels(m):
+    """How many hold m columns."""
+    return (m + WIDE - 1) // WIDE
+
+
+@njit(cache=True, error_model="numpy")
 def _room(m):
     """Elements of the work space of the inertial kernels for a head of m states."""
     return 40 + 6 * (m - 9) + (m - 3) * WIDE + 2 * ((m + WIDE - 1) // WIDE * m * WIDE)
@@ -552,10 +590,11 @@ def imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
     m = 9 + k
     floats, seen = np.zeros(_room(m)), np.empty((2, 6 * k), np.int64)
     inc, f, gain, E, T, Phi, Q = _workspace(floats, m)
-    count, plain = _which_errors(Cr, seen, gain)
+    count, plain = _which_errors(Cr, drv, seen, gain)
     diagonal = _is_diagonal(Phid) and _is_diagonal(Qd)
     _to_panels(acc[:m], Phi)
     _to_panels(acc[m : 2 * m], Q)
+    moved = Q[: _panels(m - int(drv[CALIBRATED])) * m * WIDE]  # constants gather no noise
     for n in range(samples.shape[0]):
         _increments(samples, n, drv, inc)
         drv[COUNT] += 1.0
@@ -565,9 +604,11 @@ def imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
         dt = samples[n, 0] - drv[HELD_S]
         drv[HELD_S] = 0.0
         C = drv[MEAN_C : MEAN_C + 9]
+        if drv[CALIBRATED] != 0.0:
+            _uncalibrated(inc, dt, xd, drv, f, seen, gain[:count])
         _inertial_advance(nav, xd, inc, dt, drv, Cr, f)
         ticks = _ticks(samples[n, 0], drv)
-        _inertial_compound(xd, Phid, Qd, diagonal, ticks, C, f, seen, gain[:count], plain, E, T, Phi, Q)
+        _inertial_compound(xd, Phid, Qd, diagonal, ticks, C, f, seen, gain[:count], plain, E, T, Phi, moved)
         _inertial_noise(dt, drv, Cr, Q, k)
     _from_panels(Phi, acc[:m])
     _from_panels(Q, acc[m : 2 * m])
@@ -580,18 +621,21 @@ def imu_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc):
     m = 9 + k
     floats, seen = np.zeros(_room(m)), np.empty((2, 6 * k), np.int64)
     inc, f, gain, E, T, Phi, Q = _workspace(floats, m)
-    count, plain = _which_errors(Cr, seen, gain)
+    count, plain = _which_errors(Cr, drv, seen, gain)
     diagonal = _is_diagonal(Phid) and _is_diagonal(Qd)
     _to_panels(acc[:m], Phi)
     _to_panels(acc[m : 2 * m], Q)
+    moved = Q[: _panels(m - int(drv[CALIBRATED])) * m * WIDE]  # constants gather no noise
     scale = dt / drv[PERIOD_S] if drv[INCREMENTS] != 0.0 else dt
     for i in range(6):
         inc[i] = drv[PREVIOUS + i] * scale
         drv[CONSUMED + i] += inc[i]
     drv[HELD_S] += dt
+    if drv[CALIBRATED] != 0.0:
+        _uncalibrated(inc, dt, xd, drv, f, seen, gain[:count])
     _inertial_advance(nav, xd, inc, dt, drv, Cr, f)
     C = drv[MEAN_C : MEAN_C + 9]
-    _inertial_compound(xd, Phid, Qd, diagonal, int(0), C, f, seen, gain[:count], plain, E, T, Phi, Q)
+    _inertial_compound(xd, Phid, Qd, diagonal, int(0), C, f, seen, gain[:count], plain, E, T, Phi, moved)
     _inertial_noise(dt, drv, Cr, Q, k)
     _from_panels(Phi, acc[:m])
     _from_panels(Q, acc[m : 2 * m])
@@ -700,8 +744,10 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
         span, held = samples[n, 0], drv[HELD_S]
         drv[HELD_S] = 0.0
         # -- the sensors' own errors
-        dev, par = int(drv[DEVIATION]), int(drv[SCALE])
+        dev, par, step = int(drv[DEVIATION]), int(drv[SCALE]), int(drv[SCALE_STEP])
         late_a, late_v, arm = int(drv[ATTITUDE_CLOCK]), int(drv[VELOCITY_CLOCK]), int(drv[ARM])
+        flow = int(drv[CURRENT])
+        north, east = (xd[flow], xd[flow + 1]) if flow >= 0 else (0.0, 0.0)
         for i in range(6):
             err[i] = 0.0
             for s in range(k):
@@ -767,34 +813,35 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
             for i in range(3):
                 for j in range(3):
                     B[i, j] = C[i, 0] * nav[6 + 3 * j] + C[i, 1] * nav[7 + 3 * j] + C[i, 2] * nav[8 + 3 * j]
+            # what is held is the velocity through the water, if it is water
+            v[0], v[1], v[2] = nav[3] - north, nav[4] - east, nav[5]
             for i in range(3):
                 u[i] = 0.0
                 for j in range(3):
-                    u[i] += B[i, j] * (nav[3 + j] + drv[LEVER_VELOCITY + j])
+                    u[i] += B[i, j] * (v[j] + drv[LEVER_VELOCITY + j])
                     F[3 + i, 3 + j] = B[i, j]
-                F[3 + i, 6] = B[i, 1] * nav[5] - B[i, 2] * nav[4]
-                F[3 + i, 7] = B[i, 2] * nav[3] - B[i, 0] * nav[5]
-                F[3 + i, 8] = B[i, 0] * nav[4] - B[i, 1] * nav[3]
+                F[3 + i, 6] = B[i, 1] * v[2] - B[i, 2] * v[1]
+                F[3 + i, 7] = B[i, 2] * v[0] - B[i, 0] * v[2]
+                F[3 + i, 8] = B[i, 0] * v[1] - B[i, 1] * v[0]
         else:
-            g, a, b, c = 1.0, 0.0, 0.0, 0.0
+            g0, g1, g2, a, b, c = 1.0, 1.0, 1.0, 0.0, 0.0, 0.0
             if par >= 0:
-                g += xd[par]
-                a, b, c = xd[par + 1], xd[par + 2], xd[par + 3]
-            h = 1.0 / (g * (1.0 + a * a + b * b + c * c))
+                g0, g1, g2 = 1.0 + xd[par], 1.0 + xd[par + step], 1.0 + xd[par + 2 * step]
+                a, b, c = xd[par + 2 * step + 1], xd[par + 2 * step + 2], xd[par + 2 * step + 3]
+            h = 1.0 + a * a + b * b + c * c
+            h0, h1, h2 = 1.0 / (g0 * h), 1.0 / (g1 * h), 1.0 / (g2 * h)
             for i in range(3):
                 # row i of C M, then times the inverse of (1 + scale)(I + [misalignment x])
                 r0 = C[i, 0] * M[0] + C[i, 1] * M[3] + C[i, 2] * M[6]
                 r1 = C[i, 0] * M[1] + C[i, 1] * M[4] + C[i, 2] * M[7]
                 r2 = C[i, 0] * M[2] + C[i, 1] * M[5] + C[i, 2] * M[8]
                 d = r0 * a + r1 * b + r2 * c
-                J[3 + i, 3] = h * (r0 + d * a - r1 * c + r2 * b)
-                J[3 + i, 4] = h * (r1 + d * b + r0 * c - r2 * a)
-                J[3 + i, 5] = h * (r2 + d * c - r0 * b + r1 * a)
+                J[3 + i, 3] = h0 * (r0 + d * a - r1 * c + r2 * b)
+                J[3 + i, 4] = h1 * (r1 + d * b + r0 * c - r2 * a)
+                J[3 + i, 5] = h2 * (r2 + d * c - r0 * b + r1 * a)
             z0, z1, z2 = samples[n, 4] - err[3], samples[n, 5] - err[4], samples[n, 6] - err[5]
             for i in range(3):
                 u[i] = J[3 + i, 3] * z0 + J[3 + i, 4] * z1 + J[3 + i, 5] * z2
-        for i in range(3):
-            v[i] = u[i] - w[i]
         half = 0.5 * span
         for j in range(6):
             # an angle turns the velocity u and, later in time than l0, the arm; the velocity of the arm follows from
@@ -804,6 +851,10 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
             u0, u1, u2 = J[3, j] + b * u[2] - c * u[1], J[4, j] + c * u[0] - a * u[2], J[5, j] + a * u[1] - b * u[0]
             J[0, j], J[1, j], J[2, j] = half * u0 - y0, half * u1 - y1, half * u2 - y2
             J[3, j], J[4, j], J[5, j] = u0 - per * y0, u1 - per * y1, u2 - per * y2
+        through0, through1, through2 = u[0], u[1], u[2]  # against what it is measured
+        u[0], u[1] = u[0] + north, u[1] + east
+        for i in range(3):
+            v[i] = u[i] - w[i]
         # -- transition
         lead = half - held
         for i in range(3):
@@ -840,21 +891,37 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
                     F[i, 9 + late_v] += J[i, 3 + a] * drv[CHANGE + 3 + a]
         if arm >= 0:
             _arm_columns(F, drv, nav, C, B, missing, per, half, arm)
+        if flow >= 0:
+            for i in range(3):
+                for j in range(2):
+                    a = (1.0 if i == j else 0.0) - (B[i, j] if missing else 0.0)
+                    F[3 + i, 9 + flow + j] += a
+                    F[i, 9 + flow + j] += half * a
         if par >= 0 and not missing:
             # reading = (1 + s)(y + m x y): y is the true velocity in instrument axes
             for i in range(3):
                 err[i] = 0.0
                 for j in range(3):
-                    err[i] += (C[j, 0] * M[i] + C[j, 1] * M[3 + i] + C[j, 2] * M[6 + i]) * u[j]
+                    through = through0 if j == 0 else through1 if j == 1 else through2
+                    err[i] += (C[j, 0] * M[i] + C[j, 1] * M[3 + i] + C[j, 2] * M[6 + i]) * through
+            turned = par + 2 * step + 1
             g = 1.0 + xd[par]
-            a, b, c = xd[par + 1], xd[par + 2], xd[par + 3]
+            a, b, c = xd[turned], xd[turned + 1], xd[turned + 2]
+            r1, r2 = (1.0 + xd[par + step]) / g, (1.0 + xd[par + 2 * step]) / g
             y0, y1, y2 = err[0], err[1], err[2]
             for i in range(9):
                 j0, j1, j2 = J[i, 3], J[i, 4], J[i, 5]
-                F[i, 9 + par] -= j0 * (y0 + b * y2 - c * y1) + j1 * (y1 + c * y0 - a * y2) + j2 * (y2 + a * y1 - b * y0)
-                F[i, 10 + par] -= g * (j2 * y1 - j1 * y2)
-                F[i, 11 + par] -= g * (j0 * y2 - j2 * y0)
-                F[i, 12 + par] -= g * (j1 * y0 - j0 * y1)
+                t0, t1, t2 = j0 * (y0 + b * y2 - c * y1), j1 * (y1 + c * y0 - a * y2), j2 * (y2 + a * y1 - b * y0)
+                if step == 0:
+                    F[i, 9 + par] -= t0 + t1 + t2
+                else:
+                    F[i, 9 + par] -= t0
+                    F[i, 10 + par] -= t1
+                    F[i, 11 + par] -= t2
+                j1, j2 = r1 * j1, r2 * j2  # by the scales of the other axes
+                F[i, 9 + turned] -= g * (j2 * y1 - j1 * y2)
+                F[i, 10 + turned] -= g * (j0 * y2 - j2 * y0)
+                F[i, 11 + turned] -= g * (j1 * y0 - j0 * y1)
         _position_rows(nav, F, span - held, m)
         _move(
             nav,

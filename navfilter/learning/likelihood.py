@@ -74,7 +74,12 @@ class Likelihood:
         self.n = known.size - diffuse
         self.pole_radius = resolved_radius(max(known.size, 8))
         self.nearest = 0.0 if prior is None else drift.period_s / prior.quickest_s
+        if prior is not None:
+            self._sd_limits = (np.log(prior.sd_limits) + self.log_unit).tolist()
+            self._tau_limits = np.log(prior.taus_s[[0, -1]]).tolist()
         self._E, self._LNS = np.empty((2, self.y.size)), np.empty((2, self.y.size))
+        # Drift and slow part of unit size, by order and ln tau.
+        self._shapes: dict[tuple[int, float], Array] = {}
         # Where the likelihood was evaluated last, and what it was there.
         self._at: tuple[int, int, bytes] = (-1, 0, b"")
         self._last = math.inf
@@ -83,8 +88,17 @@ class Likelihood:
         """Drift and slow part, as the kernel wants them."""
         if not slow:
             return self._chain
-        node = SlowNode(slow, math.exp(theta[-2] - self.log_unit), math.exp(theta[-1]))
-        return with_slow(self._chain, node, self.drift.period_s, self.unit)
+        parts, r = self._shape(slow, float(theta[-1])).copy(), self._chain.shape[1]
+        parts[1:, r:, r:] *= math.exp(2.0 * theta[-2])
+        return parts
+
+    def _shape(self, slow: int, log_tau: float) -> Array:
+        """Drift and a slow part of unit size."""
+        at = (slow, log_tau)
+        if at not in self._shapes:
+            node = SlowNode(slow, 1.0 / self.unit, math.exp(log_tau))
+            self._shapes[at] = with_slow(self._chain, node, self.drift.period_s, self.unit)
+        return self._shapes[at]
 
     def fast(self, theta: Array, slow: int) -> Array:
         """``[ar, ma, ln sd]`` of a parameter vector."""
@@ -100,15 +114,17 @@ class Likelihood:
             self._last = float(kernel.channel_filter(self.y, padded, parts, sees, self.rules, self._E[0], self._LNS[0]))
         return self._last
 
-    def since(self, first: int) -> float:
-        """The part of the last `value` that the samples from `first` on contribute, given those before."""
-        if first <= 0 or not math.isfinite(self._last):
-            return self._last
-        z, lns = self._E[0][first:], self._LNS[0][first:]
-        counts = np.isfinite(z)
-        size, clip = np.abs(z[counts]), self.rules[kernel.CLIP]
-        huber = np.where(size > clip, clip * (size - 0.5 * clip), 0.5 * size * size)
-        return float(np.sum(huber + 0.5 * lns[counts]) + kernel.HALF_LOG_2PI * size.size)
+    def line(self, fast: Array, p: int, slow: int, log_tau: float, log_sd: Array, first: int) -> Array:
+        """Minus the log-likelihood of the samples from `first` on, given those before, for several sizes of the slow
+        part: `log_sd` in the unit of the series, shape (k,).
+        """
+        values, sizes = np.empty(log_sd.size), np.exp(2.0 * (log_sd + self.log_unit))
+        self._at = (-1, 0, b"")
+        kernel.channel_line(
+            *(self.y, _padded(fast, p), self._shape(slow, log_tau), self._sees[slow], self.rules),
+            *(self._chain.shape[1], sizes, first, self._E[0], self._LNS[0], values),
+        )
+        return values
 
     def penalised(self, theta: Array, p: int, slow: int = 0) -> float:
         """What is minimised: `value` less the log-density of the slow part's prior."""
@@ -166,18 +182,17 @@ class Likelihood:
         """`theta` with poles and zeros pulled inside their radii, fast poles away from 1, and sizes within reason."""
         out = theta.copy()
         q = self.fast(theta, slow).size - 1 - p
-        if self.nearest:
+        if self.nearest and p:
             out[:p] = push_from_one(out[:p], self.nearest)
-        if not is_stable(out[:p], self.pole_radius):
+        if p and not is_stable(out[:p], self.pole_radius):
             out[:p] = cap_poles(out[:p], self.pole_radius - 1e-12)
-        if not is_stable(out[p : p + q], EFFORT.zero_radius):
+        if q and not is_stable(out[p : p + q], EFFORT.zero_radius):
             out[p : p + q] = pull_inside(out[p : p + q], EFFORT.zero_radius - 1e-12)
         out[p + q] = min(max(out[p + q], -14.0), 40.0)
         if slow and self.prior is not None:
-            low, high = np.log(self.prior.sd_limits) + self.log_unit
+            (low, high), (quickest, slowest) = self._sd_limits, self._tau_limits
             out[-2] = min(max(out[-2], low), high)
-            taus = np.log(self.prior.taus_s[[0, -1]])
-            out[-1] = min(max(out[-1], taus[0]), taus[1])
+            out[-1] = min(max(out[-1], quickest), slowest)
         return out
 
 

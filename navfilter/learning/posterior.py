@@ -8,6 +8,7 @@ how sure the spectrum is.
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -25,10 +26,18 @@ __all__ = ["Line", "SlowPosterior", "follow", "slow_psd"]
 Array = NDArray[np.float64]
 #: A node of the prior: order, and number of the correlation time.
 Place = tuple[int, int]
+#: No slow part at all.
+ABSENT: Place = (0, 0)
 
-#: Places around the peak, in standard deviations of the line: sums over them are as good as integrals. The mean of sd^2
-#: sits two of them above the peak where a line is as wide as the prior.
-AROUND, WIDE = (-3, -2, -1, 0, 1, 2, 3, 4), (-3, -2, -1, 0, 1, 2, 3, 4, 5)
+#: Distance of two places on a line, in its standard deviations: of a Gaussian the sum over such places is the integral
+#: to 3e-4.
+SPACING = 1.5
+#: Places around the peak: from 3 standard deviations below to 4.5 or 6 above. The mean of sd^2 sits two above the peak
+#: where a line is as wide as the prior.
+AROUND, WIDE = (-2, -1, 0, 1, 2, 3), (-2, -1, 0, 1, 2, 3, 4)
+#: A line stays where it is while its places hold the posterior: the log-density falls by at most the one from the peak
+#: to its neighbours, and by at least the other to both ends.
+STEEPEST, SHALLOWEST = 3.0, 3.0
 #: A line wider than this in ln sd is wide.
 WIDTH = 0.4
 #: Curvature of the log-posterior in ln sd counts as at least this: flat lines are wide, not endless.
@@ -158,13 +167,22 @@ def follow(
                 continue
             # along the ridge of equal driving noise
             guess = (here[0] + 0.5 * (math.log(tau) - here[1]), 0.3) if old is None else (old.peak, old.sd)
-            search = _Search(likelihood, fast, p, order, tau, old if first > 0 else None, first, forgetting)
+            search = _Search(likelihood, fast, p, order, tau, old, first, forgetting if first > 0 else 0.0)
             lines[order, number] = line = search.line(*guess)
             highest = max(highest, _mass(line, order, tau, prior)[0])
+    lines[ABSENT] = _absent(likelihood, fast, p, known.get(ABSENT) if first > 0 else None, first, forgetting)
     # those not followed stay as far behind as they were, but for what is forgotten
     rest = {place: line for place, line in known.items() if place not in lines}
     lines |= {place: line._replace(evidence=forgetting * line.evidence + highest) for place, line in rest.items()}
     return _weighed(lines, prior)
+
+
+def _absent(likelihood: Likelihood, fast: Array, p: int, known: Line | None, first: int, forgetting: float) -> Line:
+    """Evidence that there is no slow part: that of one too small to matter."""
+    prior = likelihood.prior
+    assert prior is not None
+    search = _Search(likelihood, fast, p, 1, prior.tau_s, known, first, forgetting if known is not None else 0.0)
+    return Line(np.array([search.low]), np.maximum(search.along([search.low]), -1e300), search.low, 1.0)
 
 
 def _weighed(lines: dict[Place, Line], prior: SlowPrior) -> SlowPosterior:
@@ -175,31 +193,36 @@ def _weighed(lines: dict[Place, Line], prior: SlowPrior) -> SlowPosterior:
     lines = {place: line._replace(evidence=line.evidence - highest) for place, line in lines.items()}
     level = {place: math.exp(max(top - highest, -700.0)) for place, (top, _) in masses.items()}
     total = sum(level.values())
+    tops = {place: top - highest for place, (top, _) in masses.items()}
+    present = 1.0 - level.get(ABSENT, 0.0) / total
     weight = np.concatenate([level[place] / total * masses[place][1] for place in lines])
-    means = [float(masses[place][1] @ np.exp(2.0 * line.log_sd)) for place, line in lines.items()]
+    means = [float(masses[place][1] @ np.exp(2.0 * line.log_sd)) for place, line in lines.items() if place != ABSENT]
     sizes = [line.log_sd.size for line in lines.values()]
     return SlowPosterior(
         lines,
-        order=np.repeat([float(order) for order, _ in lines], sizes),
+        order=np.repeat([float(max(order, 1)) for order, _ in lines], sizes),
         tau_s=np.repeat([float(taus[number]) for _, number in lines], sizes),
         log_sd=np.concatenate([line.log_sd for line in lines.values()]),
         weight=weight,
-        moments=_between(taus, np.array([masses[place][0] - highest for place in lines]), np.log(means)),
+        moments=_between(taus, np.array([tops[place] for place in lines if place != ABSENT]), np.log(means), present),
     )
 
 
 def _mass(line: Line, order: int, tau_s: float, prior: SlowPrior) -> tuple[float, Array]:
     """Log of the posterior's mass on a line, and how it is shared by its places."""
+    if order == 0:
+        odds = prior.absent / (1.0 - prior.absent)
+        return float(line.evidence[0]) + prior.log_mass() + math.log(max(odds, 1e-300)), np.ones(1)
     log_tau = math.log(tau_s)
     log = line.evidence + np.array([prior.log_density(order, u, log_tau) for u in line.log_sd.tolist()])
     top = float(log.max())
     share = np.exp(log - top)
     total = float(share.sum())
-    return top + math.log(total * line.sd), share / total
+    return top + math.log(total * SPACING * line.sd), share / total
 
 
-def _between(taus: Array, tops: Array, means: Array) -> Array:
-    """Weights and means of sd^2 between the nodes of ln tau, see `SlowPosterior.moments`."""
+def _between(taus: Array, tops: Array, means: Array, present: float) -> Array:
+    """Weights and means of sd^2 between the nodes of ln tau, see `SlowPosterior.moments`; their sum is `present`."""
     nodes = np.log(taus)
     fine = np.linspace(nodes[0], nodes[-1], STEPS * (nodes.size - 1) + 1)
     rows = []
@@ -210,27 +233,29 @@ def _between(taus: Array, tops: Array, means: Array) -> Array:
         squares = np.exp(np.interp(fine, nodes, means[part]))
         rows.append(np.column_stack([np.full(fine.size, float(order)), np.exp(fine), np.exp(curve), squares]))
     out = np.vstack(rows)
-    out[:, 2] /= out[:, 2].sum()
+    out[:, 2] *= present / out[:, 2].sum()
     return out
 
 
 def _between_places(line: Line, log_sd: float) -> float:
-    """Evidence of a line between its places: a parabola through the nearest three; beyond its ends it never rises."""
-    x, y = line.log_sd, line.evidence
-    if x.size < 3:
-        return float(y[int(np.argmin(np.abs(x - log_sd)))])
-    at = min(max(int(np.searchsorted(x, log_sd)) - 1, 0), x.size - 3)
-    if at > 0 and log_sd - x[at] < x[at + 1] - log_sd:
-        at -= 1
-    a, b, c = x[at : at + 3].tolist()
-    fa, fb, fc = y[at : at + 3].tolist()
-    ab, bc = (fb - fa) / (b - a), (fc - fb) / (c - b)
-    bend = (bc - ab) / (c - a)
-    if log_sd < a:
-        return float(fa + (log_sd - a) * max(ab - bend * (b - a), 0.0) + min(bend, 0.0) * (log_sd - a) ** 2)
-    if log_sd > c:
-        return float(fc + (log_sd - c) * min(bc + bend * (c - b), 0.0) + min(bend, 0.0) * (log_sd - c) ** 2)
-    return float(fa + (log_sd - a) * (ab + bend * (log_sd - b)))
+    """Evidence of a line between its places: a cubic through the nearest four; beyond its ends a parabola that never
+    rises.
+    """
+    x, y = line.log_sd.tolist(), line.evidence.tolist()
+    if len(x) < 4:
+        return y[min(range(len(x)), key=lambda i: abs(x[i] - log_sd))]
+    if log_sd < x[0] or log_sd > x[-1]:
+        ends = slice(None, 3) if log_sd < x[0] else slice(None, -4, -1)
+        (a, b, c), (fa, fb, fc) = x[ends], y[ends]
+        ab, bc = (fb - fa) / (b - a), (fc - fb) / (c - b)
+        bend, away = (bc - ab) / (c - a), log_sd - a
+        slope = ab - bend * (b - a)
+        return fa + away * (max(slope, 0.0) if away < 0.0 else min(slope, 0.0)) + min(bend, 0.0) * away**2
+    at = min(max(bisect_right(x, log_sd) - 2, 0), len(x) - 4)
+    (a, b, c, d), f = x[at : at + 4], y[at : at + 4]
+    ab, bc, cd = (f[1] - f[0]) / (b - a), (f[2] - f[1]) / (c - b), (f[3] - f[2]) / (d - c)
+    abc, bcd = (bc - ab) / (c - a), (cd - bc) / (d - b)
+    return f[0] + (log_sd - a) * (ab + (log_sd - b) * (abc + (log_sd - c) * (bcd - abc) / (d - a)))
 
 
 class _Search:
@@ -247,8 +272,7 @@ class _Search:
         first: int,
         forgetting: float,
     ) -> None:
-        self.likelihood, self.p, self.order = likelihood, p, order
-        self.theta = np.concatenate([fast, [0.0, math.log(tau_s)]])
+        self.likelihood, self.fast, self.p, self.order = likelihood, fast, p, order
         self.log_tau, self.known, self.first, self.forgetting = math.log(tau_s), known, first, forgetting
         self.evidence: dict[float, float] = {}
         assert likelihood.prior is not None
@@ -256,46 +280,64 @@ class _Search:
         low, high = np.log(self.prior.sd_limits).tolist()
         self.low, self.high = low, high
 
-    def at(self, log_sd: float) -> float:
-        """The log-posterior at one place."""
-        key = round(log_sd, 6)
-        if key not in self.evidence:
-            likelihood = self.likelihood
-            self.theta[-2] = key + likelihood.log_unit
-            value = likelihood.value(self.theta, self.p, self.order)
-            new = -likelihood.since(self.first) if math.isfinite(value) else -math.inf
-            old = self.known
-            before = 0.0 if old is None else _between_places(old, key)
-            self.evidence[key] = new + self.forgetting * before
-        return self.evidence[key] + self.prior.log_density(self.order, key, self.log_tau)
+    def along(self, places: list[float]) -> list[float]:
+        """The evidence at these places; what is not yet known is measured together."""
+        keys = [round(place, 6) for place in places]
+        new = [key for key in keys if key not in self.evidence]
+        if new:
+            values = self.likelihood.line(self.fast, self.p, self.order, self.log_tau, np.array(new), self.first)
+            for key, value in zip(new, values.tolist(), strict=True):
+                old = self.known
+                before = _between_places(old, key) if old is not None and self.forgetting else 0.0
+                self.evidence[key] = self.forgetting * before - value
+        return [self.evidence[key] for key in keys]
+
+    def at(self, *places: float) -> list[float]:
+        """The log-posterior at these places."""
+        return [
+            evidence + self.prior.log_density(self.order, place, self.log_tau)
+            for evidence, place in zip(self.along(list(places)), places, strict=True)
+        ]
 
     def line(self, guess: float, sd: float) -> Line:
         """The line around its peak, which is looked for from a guess of place and width."""
-        u, step = min(max(guess, self.low), self.high), sd
-        value = below = above = self.at(u)
+        if self.known is not None and self.forgetting:
+            same = self._same_places(self.known)
+            if same is not None:
+                return same
+        u, step = min(max(guess, self.low), self.high), SPACING * sd
+        value = below = above = 0.0
         for _ in range(16):
-            below, above = self.at(u - step), self.at(u + step)
+            below, value, above = self.at(u - step, u, u + step)
             bend = (2.0 * value - below - above) / step**2
             if max(below, above) > value:
                 away = math.copysign(2.0 * step, above - below)
                 jump = 0.5 * (above - below) / (step * bend) if bend > 0.0 and math.isfinite(bend) else away
                 moved = min(max(u + min(max(jump, -8.0 * step), 8.0 * step), self.low), self.high)
-                if moved == u or not self.at(moved) > max(below, above):
+                if moved == u or not self.at(moved)[0] > max(below, above):
                     moved = u - step if below > above else u + step
                 if not self.low <= moved <= self.high:
                     break
-                u, value, step = moved, self.at(moved), min(1.6 * step, 1.5)
+                u, step = moved, min(1.6 * step, 1.5)
                 continue
-            if not bend * step**2 > 8.0:
+            if not bend * step**2 > 12.0:
                 break
             step /= 2.5
         bend = (2.0 * value - below - above) / step**2
         width = 1.0 / math.sqrt(max(bend, FLATTEST)) if math.isfinite(bend) else 1.0 / math.sqrt(FLATTEST)
         offset = 0.5 * (above - below) / step * width**2 if math.isfinite(above - below) else 0.0
         peak = u + min(max(offset, -step), step)
-        if abs(peak - u) < 0.5 * step and 0.7 < width / step < 1.4:
-            peak, width = u, step  # what has been measured already will do
-        places = [peak + k * width for k in (WIDE if width > WIDTH else AROUND)]
-        evidence = np.array([self.at(place) for place in places])
-        evidence -= np.array([self.prior.log_density(self.order, round(u, 6), self.log_tau) for u in places])
-        return Line(np.array(places), np.maximum(evidence, -1e300), peak, width)
+        if abs(peak - u) < 0.5 * step and 0.75 < SPACING * width / step < 1.25:
+            peak, width = u, step / SPACING  # what has been measured already will do
+        places = [peak + k * SPACING * width for k in (WIDE if width > WIDTH else AROUND)]
+        return Line(np.array(places), np.maximum(self.along(places), -1e300), peak, width)
+
+    def _same_places(self, line: Line) -> Line | None:
+        """The line at its old places, where nothing has to be interpolated; None where these do no longer do."""
+        log = np.array(self.at(*line.log_sd.tolist()))
+        top = int(np.argmax(log))
+        around = np.abs(np.diff(log)[max(top - 1, 0) : top + 1])
+        # the sum over places stands for the integral while the curve bends by less than this from one to the next
+        if not (0 < top < log.size - 1 and around.max() < STEEPEST and log[top] - log[[0, -1]].max() > SHALLOWEST):
+            return None
+        return line._replace(evidence=np.maximum(self.along(line.log_sd.tolist()), -1e300))

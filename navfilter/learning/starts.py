@@ -56,17 +56,24 @@ def cold_starts(likelihood: Likelihood, p: int, q: int) -> list[Array]:
     return [_matched(likelihood, shape, p) for shape in shapes]
 
 
-def with_slow_part(likelihood: Likelihood, fast: Array, p: int, slow: int = 1) -> Array:
-    """``[ar, ma, ln sd]``, or a smaller sd, with the slow part that serves best, of a few; needs a prior."""
+def with_slow_part(likelihood: Likelihood, fast: Array, p: int, slow: int = 1, like: Array | None = None) -> Array:
+    """``[ar, ma, ln sd]``, or a smaller sd, with the slow part that serves best, of a few; needs a prior.
+
+    With the estimate `like` of another order, its slow part is tried, as large and half as large.
+    """
     prior = likelihood.prior
     assert prior is not None
-    nodes = [
-        np.r_[
-            fast[:-1], fast[-1] - less, math.log(share * prior.sd) + likelihood.log_unit, math.log(prior.taus_s[node])
-        ]
-        for less in ((0.0, 1.5, 3.0) if slow == 1 else (0.0,))
+    parts = [
+        (math.log(share * prior.sd) + likelihood.log_unit, math.log(prior.taus_s[node]))
         for share in SLOW_SDS
         for node in SLOW_NODES
+    ]
+    if like is not None:
+        parts = [(like[-2] - less, like[-1]) for less in (0.0, math.log(2.0))]
+    nodes = [
+        np.array([*fast[:-1], fast[-1] - less, *part])
+        for less in ((0.0, 1.5, 3.0) if slow == 1 else (0.0,))
+        for part in parts
     ]
     return min(nodes, key=lambda theta: likelihood.penalised(theta, p, slow))
 

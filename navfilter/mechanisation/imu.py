@@ -12,13 +12,15 @@ from numpy.typing import NDArray
 
 from navfilter.constants import ROUND_GRAVITY
 from navfilter.error_models import ErrorModel, RandomWalk, Sum, White, per_axis
+from navfilter.filter.layout import Parameter
 from navfilter.kernels import strapdown
 from navfilter.learning.drift import Drift
 from navfilter.learning.learned import learned_part
 from navfilter.mechanisation.mechanisation import Mechanisation, Triple
 from navfilter.mission import Stream
 from navfilter.sensors.heading import TEMPERATURE
-from navfilter.sensors.traits import Columns, Doubt, Plausible
+from navfilter.sensors.sensor import Vector, checked_sds
+from navfilter.sensors.traits import Columns, Doubt, Plausible, angle_doubt
 from navfilter.start import Start
 from navfilter.state import NavState
 
@@ -35,6 +37,11 @@ VELOCITY_GAIN = Columns(
 GYRO_USUAL = Plausible(1e-8, 0.09, "deg_per_h", 6e-3, "deg_per_sqrt_h")  # 5 deg/s; 20 deg/sqrt(h)
 ACCEL_USUAL = Plausible(1e-7, 0.5, "mg", 0.05, "mg_per_sqrt_hz")  # 50 mg; 5 mg/sqrt(Hz)
 GYRO_PRIOR: Sum = White(density=1e-4) + RandomWalk(density=1e-6)
+#: Which axis reads how much of which other one; the accelerometers' axes are the body's, as far as three can be.
+CROSSED = {
+    "gyro": ((0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1)),
+    "accel": ((1, 0), (2, 0), (2, 1)),
+}
 ACCEL_PRIOR: Sum = White(density=1e-3) + RandomWalk(density=1e-5)
 
 
@@ -50,6 +57,11 @@ class Imu(Mechanisation):
         Errors of the angular rate [rad/s] and of the specific force [m/s^2]. A `LearnedArma` is learnt while the
         vehicle stands still (`navfilter.learning.rest.RestRecorder`), beside a bias: a `RandomWalk`, that of the
         default where none is given.
+    gyro_scale_sd, accel_scale_sd : float or (3,) float
+        Standard deviation of an unknown constant scale error of each axis; 0: no such states.
+    gyro_misalignment_sd_rad, accel_misalignment_sd_rad : float
+        Standard deviation of each unknown small angle between axes [rad]; 0: no such states. Six of the gyros; three of
+        the accelerometers, whose first axis, and the plane of the first two, are the body's.
     increments : bool
         Samples are angle and velocity increments [rad], [m/s] instead of rates.
     gap_rate_sd, gap_force_sd : float
@@ -57,19 +69,28 @@ class Imu(Mechanisation):
         [m/s^2].
     max_rate, max_force : float
         A sample beyond them is a defect of the recording, not a motion [rad/s], [m/s^2].
+    cross_check : bool
+        Compass and DVL together may contradict it: it is then left out for a while (`navfilter.filter.jumps`).
 
     Notes
     -----
     Mission stream "imu": rate_b (3), then force_b (3); at rest and level the specific force is (0, 0, -9.8).
+    ``true = reading - M reading - error``, with the scales on the diagonal of M (Groves, 2013, eqs 4.15-4.18, solved
+    for what is true).
     """
 
     gyro: ErrorModel | tuple[ErrorModel, ...] = GYRO_PRIOR
     accel: ErrorModel | tuple[ErrorModel, ...] = ACCEL_PRIOR
+    gyro_scale_sd: float | Vector = 0.0
+    gyro_misalignment_sd_rad: float = 0.0
+    accel_scale_sd: float | Vector = 0.0
+    accel_misalignment_sd_rad: float = 0.0
     increments: bool = False
     gap_rate_sd: float = 0.2
     gap_force_sd: float = 0.3
     max_rate: float = 50.0
     max_force: float = 1000.0
+    cross_check: bool = False
 
     streams: ClassVar[tuple[str, ...]] = ("imu",)
     triples: ClassVar[tuple[str, str]] = ("gyro", "accel")
@@ -82,11 +103,40 @@ class Imu(Mechanisation):
     steps: ClassVar[Callable[..., None]] = staticmethod(strapdown.imu_steps)
     hold: ClassVar[Callable[..., None]] = staticmethod(strapdown.imu_hold)
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in self.triples:
+            checked_sds(f"Imu.{name}_scale_sd", getattr(self, f"{name}_scale_sd"))
+            sd = getattr(self, f"{name}_misalignment_sd_rad")
+            if not 0.0 <= sd < math.inf:
+                raise ValueError(f"Imu.{name}_misalignment_sd_rad must be a finite number >= 0, found {sd!r}.")
+
     @property
     def models(self) -> tuple[ErrorModel, ...]:
         """Gyro x, y, z, accelerometer x, y, z."""
         gyro, accel = per_axis(self.gyro, 3, "Imu.gyro"), per_axis(self.accel, 3, "Imu.accel")
         return _with_bias(gyro, GYRO_PRIOR) + _with_bias(accel, ACCEL_PRIOR)
+
+    def _elements(self) -> Iterator[tuple[int, int, Parameter]]:
+        """The elements of M that are states: channel, axis, and what is known of them."""
+        for first, name in zip((0, 3), self.triples, strict=True):
+            sds = self.draws(name)
+            if any(sds["scales"]):
+                for i, sd in enumerate(sds["scales"]):
+                    yield first + i, i, Parameter(f"{name}.scale_{'xyz'[i]}", sd, "1")
+            if any(sds["axes"]):
+                for (i, j), sd in zip(CROSSED[name], sds["axes"], strict=True):
+                    yield first + i, j, Parameter(f"{name}.misalignment_{'xyz'[i]}{'xyz'[j]}", sd, "rad")
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Scale and misalignment of gyros and accelerometers."""
+        return tuple(parameter for _, _, parameter in self._elements())
+
+    def draws(self, triple: str) -> dict[str, tuple[float, ...]]:
+        """Scale of each axis, and angles between the axes."""
+        scales = checked_sds("scale_sd", getattr(self, f"{triple}_scale_sd"))
+        angles = (getattr(self, f"{triple}_misalignment_sd_rad"),) * len(CROSSED[triple])
+        return {"scales": scales if len(scales) == 3 else scales * 3, "axes": angles}
 
     def heading_drift(self, walk: float, period_s: float) -> Drift:
         """Angle random walk, then the walk of the gyro's bias."""
@@ -117,7 +167,20 @@ class Imu(Mechanisation):
         drv[strapdown.INCREMENTS] = float(self.increments)
         drv[strapdown.GAP_RATE_SD] = self.gap_rate_sd
         drv[strapdown.GAP_FORCE_SD] = self.gap_force_sd
+        codes = [3 * channel + axis for channel, axis, _ in self._elements()]
+        drv[strapdown.CALIBRATED], drv[strapdown.ELEMENTS : strapdown.ELEMENTS + len(codes)] = len(codes), codes
         return drv
+
+    def outputs(self, rows: Array, drv: Array) -> Array:
+        """Scale and misalignment act on the last sample, as if it were without errors."""
+        if not drv[strapdown.CALIBRATED]:
+            return rows
+        elements = list(self._elements())
+        reading = drv[strapdown.PREVIOUS : strapdown.PREVIOUS + 6] / (self.period_s if self.increments else 1.0)
+        rows, first = rows.copy(), rows.shape[1] - len(elements)
+        for q, (channel, axis, _) in enumerate(elements):
+            rows[channel, first + q] = reading[3 * (channel // 3) + axis]
+        return rows
 
     def motion(self, recent: Array, nav: Array, drv: Array, errors: Array) -> tuple[Array, float]:
         """Rates and forces by the trapezoidal rule; the last sample holds since."""
@@ -131,8 +194,18 @@ class Imu(Mechanisation):
             known = len(recent) if not len(recent) or recent[-1, 0] > 0.0 else int(np.count_nonzero(recent[:, 0]))
             rows[1:known, 1:] += recent[1:known, 1:]
             rows[1:known, 1:] *= 0.5
-        rows[:, 1:] -= errors
+        rows[:, 1:] -= self._other_errors(rows[:, 1:], drv) + errors
         return rows, strapdown.gravity(nav[0], nav[2])
+
+    def _other_errors(self, readings: Array, drv: Array) -> Array | float:
+        """By how much other readings than the last (the first row) err otherwise, as it is not calibrated."""
+        if not drv[strapdown.CALIBRATED]:
+            return 0.0
+        M = np.zeros((6, 6))
+        for q, (channel, axis, _) in enumerate(self._elements()):
+            M[channel, 3 * (channel // 3) + axis] = drv[strapdown.CALIBRATION + q]
+        other: Array = (readings - readings[0]) @ M.T
+        return other
 
     def at_rest(self, state: NavState, drv: Array) -> Array:
         """No rate, and the force that carries it."""
@@ -141,8 +214,8 @@ class Imu(Mechanisation):
 
     def body_rate(self, drv: Array, errors: Array) -> Array | float:
         """That of the last sample."""
-        rate: Array = drv[strapdown.PREVIOUS : strapdown.PREVIOUS + 3] - errors
-        return rate / self.period_s if self.increments else rate
+        rate: Array = drv[strapdown.PREVIOUS : strapdown.PREVIOUS + 3] / (self.period_s if self.increments else 1.0)
+        return rate - errors
 
     def samples(self, streams: Mapping[str, Stream]) -> tuple[Array, Array]:
         """The stream as it is."""
@@ -168,6 +241,13 @@ class Imu(Mechanisation):
             cure = "It is in Hz: the samples per second of the stream."
             cure += " Below 10 Hz turns are lost; average what is faster than 1 kHz."
             yield Doubt("rate_hz", f"an inertial unit at {self.rate_hz:g} Hz is unusual.", cure)
+        for name in self.triples:
+            sds = self.draws(name)
+            if max(sds["scales"]) > 0.1:
+                text = f"a scale error of {100.0 * max(sds['scales']):.4g} % is unusual."
+                yield Doubt(f"{name}_scale_sd", text, "It is a pure number: 1 % is 0.01.")
+            if max(sds["axes"]) > math.radians(5.0):
+                yield angle_doubt(f"{name}_misalignment_sd_rad", max(sds["axes"]))
 
 
 def _with_bias(models: Sequence[ErrorModel], default: Sum) -> tuple[ErrorModel, ...]:

@@ -50,7 +50,7 @@ _FLU = np.diag([1.0, -1.0, -1.0])
 _UNKNOWN = 1e6
 _NS = 10**9
 #: Condition of a sensor -> level of a DiagnosticStatus: OK, WARN, ERROR, STALE.
-_LEVELS = {"good": 0, "noisy": 1, "rejected": 2, "waiting": 3, "silent": 3}
+_LEVELS = {"good": 0, "noisy": 1, "jumped": 1, "rejected": 2, "waiting": 3, "silent": 3}
 _STORE = get_typestore(Stores.LATEST)
 
 

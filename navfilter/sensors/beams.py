@@ -126,10 +126,7 @@ class DvlBeams(BodyVelocity):
         """Current north and east, then scale and misalignment, where they are uncertain."""
         sd = self.current_sd_m_s
         current = tuple(Parameter(f"current_{axis}", sd, "m_s") for axis in ("north", "east")) if sd else ()
-        if self.scale_sd == 0 and self.misalignment_sd_rad == 0:
-            return current
-        mounting = (Parameter(f"misalignment_{axis}", self.misalignment_sd_rad, "rad") for axis in "xyz")
-        return (*current, Parameter("scale", self.scale_sd, "1"), *mounting)
+        return current + self.calibration()
 
     def wandering(self) -> dict[str, ErrorModel]:
         """The current."""
@@ -149,8 +146,9 @@ class DvlBeams(BodyVelocity):
         return beams
 
     def constants(self, start: Start) -> Array:
-        """Lever arm, mounting matrix, beams."""
-        return np.concatenate([super().constants(start), self.beams().ravel()])
+        """Lever arm, mounting matrix, beams, number of the states of the current."""
+        current = 2.0 if self.current_sd_m_s else 0.0
+        return np.concatenate([super().constants(start), self.beams().ravel(), [current]])
 
     def read(self, value: Array) -> Array | None:
         """Eight beams, NaN for those that are lost; None when none is left."""

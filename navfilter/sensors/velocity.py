@@ -15,7 +15,7 @@ from navfilter.filter.layout import Parameter
 from navfilter.kernels import listen, measurement
 from navfilter.learning.drift import Drift
 from navfilter.learning.learned import learning_part
-from navfilter.sensors.sensor import Errors, Reading, Sensor, Vector, checked_vector
+from navfilter.sensors.sensor import Errors, Reading, Sensor, Vector, checked_sds, checked_vector
 from navfilter.sensors.traits import Columns, Doubt, Example, Plausible, angle_doubt
 from navfilter.start import Start
 from navfilter.state import matrix_from_euler
@@ -45,11 +45,11 @@ class BodyVelocity(Sensor):
         From the reference point (the inertial unit) to the instrument, in b [m].
     mounting_rad : (3,) float
         Roll, pitch, yaw of the instrument's axes in b [rad]: ``v_b = C(mounting) v_instrument``.
-    scale_sd : float
-        Standard deviation of an unknown constant scale error; 0 leaves the scale and misalignment states out unless
-        `misalignment_sd_rad` is set.
-    misalignment_sd_rad : float
-        Standard deviation of the unknown constant mounting error about each axis [rad].
+    scale_sd : float or (3,) float
+        Standard deviation of an unknown constant scale error: one number, one scale for all axes; three numbers, one
+        for each. 0 leaves the scale and misalignment states out unless `misalignment_sd_rad` is set.
+    misalignment_sd_rad : float or (3,) float
+        Standard deviation of the unknown constant mounting error, about all axes or about each [rad].
     zero_is_invalid : bool
         Exactly zero on all axes is what instruments print when they have lost the bottom; set False for wheels.
     max_speed_m_s : float
@@ -58,14 +58,15 @@ class BodyVelocity(Sensor):
     Notes
     -----
     ``reading = (1 + s)(y + m x y) + error`` with ``y`` the velocity of the instrument in its own axes, lever arm
-    included. Scale and misalignment can only be told from the vehicle's motion by position fixes.
+    included, and ``1 + s`` a number or a diagonal matrix. Scale and misalignment can only be told from the vehicle's
+    motion by position fixes.
     """
 
     error: Errors = White(sd=0.01)
     lever_arm_b_m: Vector = (0.0, 0.0, 0.0)
     mounting_rad: Vector = (0.0, 0.0, 0.0)
-    scale_sd: float = 0.0
-    misalignment_sd_rad: float = 0.0
+    scale_sd: float | Vector = 0.0
+    misalignment_sd_rad: float | Vector = 0.0
     zero_is_invalid: bool = True
     max_speed_m_s: float = 20.0
 
@@ -89,15 +90,23 @@ class BodyVelocity(Sensor):
         super().__post_init__()
         checked_vector("BodyVelocity.lever_arm_b_m", self.lever_arm_b_m)
         checked_vector("BodyVelocity.mounting_rad", self.mounting_rad)
+        for name in ("scale_sd", "misalignment_sd_rad"):
+            checked_sds(f"{type(self).__name__}.{name}", getattr(self, name))
 
     def parameters(self) -> tuple[Parameter, ...]:
-        """Scale and three misalignments, or none."""
-        if self.scale_sd == 0 and self.misalignment_sd_rad == 0:
+        """Scale (or one an axis) and three misalignments, or none."""
+        return self.calibration()
+
+    def calibration(self) -> tuple[Parameter, ...]:
+        """Those of the instrument itself, where they are uncertain."""
+        scales = checked_sds("scale_sd", self.scale_sd)
+        angles = checked_sds("misalignment_sd_rad", self.misalignment_sd_rad)
+        if not any(scales + angles):
             return ()
-        angle = self.misalignment_sd_rad
+        each = [f"scale_{axis}" for axis in "xyz"] if len(scales) == 3 else ["scale"]
         return (
-            Parameter("scale", self.scale_sd, "1"),
-            *(Parameter(f"misalignment_{axis}", angle, "rad") for axis in self.axis_names),
+            *(Parameter(name, sd, "1") for name, sd in zip(each, scales, strict=True)),
+            *(Parameter(f"misalignment_{'xyz'[i]}", angles[i % len(angles)], "rad") for i in range(3)),
         )
 
     def constants(self, start: Start) -> Array:
@@ -141,18 +150,21 @@ class BodyVelocity(Sensor):
         """Of mounting, misalignment and scale."""
         if max(map(abs, self.mounting_rad)) > 2.0 * math.pi:
             yield angle_doubt("mounting_rad", max(self.mounting_rad, key=abs))
-        if self.misalignment_sd_rad > math.radians(20.0):
-            yield angle_doubt("misalignment_sd_rad", self.misalignment_sd_rad)
-        if self.scale_sd > 0.2:
+        most = max(checked_sds("misalignment_sd_rad", self.misalignment_sd_rad))
+        if most > math.radians(20.0):
+            yield angle_doubt("misalignment_sd_rad", most)
+        most = max(checked_sds("scale_sd", self.scale_sd))
+        if most > 0.2:
             yield Doubt(
                 "scale_sd",
-                f"a scale error of {100.0 * self.scale_sd:.4g} % is unusual.",
+                f"a scale error of {100.0 * most:.4g} % is unusual.",
                 "It is a pure number: 1 % is 0.01.",
             )
 
     def draws(self) -> dict[str, tuple[float, ...]]:
         """Scale, and the rotation vector of the misalignment."""
-        return {"scale": (self.scale_sd,), "misalignment": (self.misalignment_sd_rad,) * 3}
+        angles = np.resize(checked_sds("misalignment_sd_rad", self.misalignment_sd_rad), 3)
+        return {"scale": checked_sds("scale_sd", self.scale_sd), "misalignment": tuple(angles.tolist())}
 
     def simulated(self, here: Kinematics, truth: Truth) -> Reading:
         """Velocity of the instrument in its own axes, over ground or through water that moves."""
@@ -260,7 +272,7 @@ class ZeroVelocity(Sensor):
     Notes
     -----
     For vehicles that really stand still (on deck, on the bottom, on wheels). An AUV gliding in calm water looks the
-    same to its inertial unit: do not use it there.
+    same to its inertial unit: do not use it there. The mean rate at rest tells the bias of the gyros: `ZeroRate`.
     """
 
     error: Errors = White(sd=0.02)
@@ -285,6 +297,11 @@ class ZeroVelocity(Sensor):
         live=False,
     )
 
+    def quiet(self, mean: Array, scatter: Array) -> bool:
+        """Whether a period was one of rest, see `felt`."""
+        still = scatter[:3].max() < self.gyro_sd_max and scatter[3:].max() < self.force_sd_max
+        return bool(still and np.abs(mean[:3]).max() < self.gyro_mean_max)
+
     @property
     def words(self) -> str:
         """What it measures."""
@@ -292,5 +309,4 @@ class ZeroVelocity(Sensor):
 
     def felt(self, mean: Array, scatter: Array) -> Array | None:
         """Zeros when the period was quiet."""
-        quiet = scatter[:3].max() < self.gyro_sd_max and scatter[3:].max() < self.force_sd_max
-        return np.zeros(3) if quiet and np.abs(mean[:3]).max() < self.gyro_mean_max else None
+        return np.zeros(3) if self.quiet(mean, scatter) else None

@@ -65,8 +65,8 @@ class Faults:
         What the sensor really does, where it differs from what the vehicle believes.
     bias : float or tuple of float
         Constant added to the error.
-    scale : float, optional
-        Scale error: the reading is (1 + scale) times what it should be.
+    scale : float or tuple of float, optional
+        Scale error: the reading is (1 + scale) times what it should be; of each axis where the sensor has one for each.
     misalignment_rad : tuple of 3 floats, optional
         Rotation vector of the measured vector relative to what it should be, rad.
     lever_arm_m : tuple of 3 floats, optional
@@ -96,7 +96,7 @@ class Faults:
 
     true_error: Models | Changing | None = None
     bias: float | tuple[float, ...] = 0.0
-    scale: float | None = None
+    scale: float | tuple[float, ...] | None = None
     misalignment_rad: tuple[float, float, float] | None = None
     lever_arm_m: tuple[float, float, float] | None = None
     deviation_rad: tuple[float, float, float, float, float] | None = None

@@ -57,8 +57,8 @@ class Truth:
         )
 
     def turned_and_scaled(self, vector: Array) -> Array:
-        """Vectors (n, 3) as a sensor with this misalignment and scale measures them, without noise."""
-        return (1.0 + float(self.drawn["scale"][0])) * Rotation.from_rotvec(self.drawn["misalignment"]).apply(vector)
+        """Vectors (n, 3) as a sensor with this misalignment and scale (or scales) measures them, without noise."""
+        return (1.0 + self.drawn["scale"]) * Rotation.from_rotvec(self.drawn["misalignment"]).apply(vector)
 
     def deviation(self, angle: Array) -> Array:
         """Compass error that follows the heading, rad, (n,)."""

@@ -11,6 +11,7 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,6 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from navfilter.error_models import White
 from navfilter.mechanisation import DeadReckoning, Imu, Mechanisation
+from navfilter.mechanisation.imu import CROSSED
 from navfilter.mission import TRUTH_COLUMNS, Mission, Stream
 from navfilter.sensors import BodyVelocity, Heading, Sensor
 from navfilter.sensors.traits import kinds_below, shown_unit
@@ -166,8 +168,15 @@ class _Scene:
             self.notes.append(f"{name}: {what} error {' '.join(f'{v:.4g}' for v in drawn)}")
         return drawn
 
-    def truth(self, name: str, sensor: Sensor | None, error: Array, time_s: Array) -> Truth:
-        """How the sensor really is; without one, a triple of a drive."""
+    def truth(
+        self,
+        name: str,
+        sensor: Sensor | None,
+        error: Array,
+        time_s: Array,
+        own: Mapping[str, tuple[float, ...]] = MappingProxyType({}),
+    ) -> Truth:
+        """How the sensor really is; without one, a triple of a drive with calibration errors of its `own`."""
         fault = self.fault(name)
         given = {
             "scale": fault.scale,
@@ -175,7 +184,7 @@ class _Scene:
             "deviation": fault.deviation_rad,
             "temperature": fault.temperature_rad_per_k,
         }
-        draws = _PLAIN if sensor is None else sensor.draws()
+        draws = _PLAIN | dict(own) if sensor is None else sensor.draws()
         drawn = {what: self.calibration(name, what, given.get(what), sd, len(sd)) for what, sd in draws.items()}
         hdop = None if fault.hdop is None else _steps(fault.hdop, time_s)
         wandering = {} if sensor is None else self.wandering(name, sensor, time_s)
@@ -296,7 +305,9 @@ def _drive_streams(scene: _Scene, drive: Mechanisation) -> dict[str, Stream]:
     truth = scene.truth("attitude", plain, error, time_s)
     return {
         "attitude": scene.stamp("attitude", time_s, *attitude(here, truth), scene.lateness("attitude", drive.compass)),
-        "velocity": scene.record("velocity", drive.velocity_sensor, drive.rate_hz),
+        "velocity": scene.record(
+            "velocity", dataclasses.replace(drive.velocity_sensor, rate_hz=drive.rate_hz), drive.rate_hz
+        ),
     }
 
 
@@ -305,8 +316,13 @@ def _inertial(scene: _Scene, drive: Imu) -> Stream:
     parts = []
     for name, vector, models in zip(("gyro", "accel"), ideal, (drive.models[:3], drive.models[3:]), strict=True):
         error = scene.error(name, models, drive.rate_hz, time_s, 3)
-        measured = scene.truth(name, None, error, time_s).turned_and_scaled(vector)
+        truth = scene.truth(name, None, error, time_s, drive.draws(name))
+        measured = truth.turned_and_scaled(vector)
         measured += error / drive.rate_hz if drive.increments else error
+        M = np.diag(truth.drawn["scales"])
+        M[tuple(zip(*CROSSED[name], strict=True))] = truth.drawn["axes"]
+        if M.any():  # true = reading - M reading - error
+            measured[:] = np.linalg.solve(np.eye(3) - M, measured.T).T
         parts.append(quantise(measured, scene.fault(name).quantisation))
     columns = _INCREMENTS if drive.increments else _RATES
     return scene.stamp("imu", time_s, np.hstack(parts), columns)

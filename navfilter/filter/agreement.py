@@ -1,0 +1,219 @@
+"""Agreement: what several refused readings say together that one of them must not.
+
+A single reading beyond its gate proves nothing. Several on end, refused by one constant offset that dead reckoning
+confirms between them, prove that either the state or the sensor is off by it. Which of them is decided by what came
+before: a sensor that had agreed with the state for long and left it from one reading to the next has jumped, for no
+vehicle can; a state that nobody had confirmed was told wrongly, or has gone astray while nobody looked.
+
+Nothing here changes anything: each function returns what the filter has to add.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navfilter.filter.channel import Channel
+from navfilter.filter.offsets import offset_states
+from navfilter.filter.refusals import Refusals
+from navfilter.kernels import listen
+
+__all__ = ["decided", "heard", "limits", "opened_state", "resumed"]
+
+Array = NDArray[np.float64]
+
+#: Over so long a time refused readings must agree [s]: echoes and passing iron are shorter. A velocity that is not
+#: heard is lost sooner, for what accelerometers and tilt gather in seconds lets the gate in.
+SPAN_S, VELOCITY_SPAN_S = 8.0, 2.0
+#: A state is confirmed by a sensor once that has been used over so long a time since the state was given or reset [s].
+CONFIRMED_S = 30.0
+#: A sensor has jumped if its last used reading came at most so long before the first refused one [s], or three periods.
+BEFORE_S = 2.0
+#: The NIS of the first refused reading of a jump is beyond its limit by this factor [1].
+AT_ONCE = 1.5
+#: While a jump is looked at, a reading must fit by this much better than the gate to end that [1]: what accelerometers
+#: and tilt gather meanwhile must not let in what they do not know.
+HELD = 0.25
+#: Beyond so many standard deviations an offset is none that has come back to zero.
+BACK_SDS = 4.0
+GRAVITY = 9.81  # of a tilt, as an acceleration [m/s^2]; to a percent
+
+
+# ---------------------------------------------------------------- hearing refused readings
+def heard(channel: Channel, P: Array, speed: float, time_s: float, drive_output: Array, period_s: float) -> Refusals:
+    """The refusals of a channel with the reading that its kernel has just refused.
+
+    Parameters
+    ----------
+    channel : Channel
+    P : ndarray, shape (n, n)
+        Covariance now.
+    speed : float
+        Of the vehicle [m/s].
+    time_s : float
+        Of the reading [s].
+    drive_output, period_s : ndarray, float
+        Rows of C of the drive's error models with the white variance of a sample, and its period [s].
+
+    Notes
+    -----
+    The offset is followed by a scalar Kalman filter per axis. What the sensor's coloured error and dead reckoning may
+    have changed since the reading before is its process noise, the white error its measurement noise: the sum of the
+    normalised innovations is then the chi-square test of the residuals about their weighted mean.
+    """
+    memory, a = channel.memory, channel.axes
+    residual = np.array(channel.res[:a])
+    white = np.maximum(np.diag(channel.R), 1e-300)
+    seen = np.einsum("ij,jk,ik->i", channel.near[:, :9], P[:9, :9], channel.near[:, :9])
+    before = memory.refused
+    if before is None:
+        near = time_s - memory.used_s <= max(BEFORE_S, 3.0 * channel.period_s)
+        confirmed = near and memory.used_s - memory.agreed_s >= CONFIRMED_S
+        # an error that grows reaches the gate just so; one that jumps is beyond it at once
+        at_once = channel.verdict[0] > AT_ONCE * channel.limits[int(channel.verdict[1])]
+        first = tuple(residual.tolist())
+        new = Refusals(confirmed, bool(confirmed and at_once), first, first, (), (), time_s, time_s)
+        return _begun(new, residual, white, seen, time_s)
+    dt = max(time_s - before.last_s, 0.0)
+    # what other sensors have corrected meanwhile is what the variance has lost
+    corrected = np.maximum(np.array(before.seen) - seen, 0.0)
+    slack = corrected + _wander(channel, dt) + _reckoned(channel.sensor.open_loop, P, speed, dt, drive_output, period_s)
+    offset, variance = np.array(before.offset), np.array(before.variance) + slack
+    nu, S = residual - offset, variance + white
+    if channel.sensor.open_loop == listen.HEADING:
+        nu = (nu + np.pi) % (2.0 * np.pi) - np.pi
+    squares = nu**2 / S
+    dof = int(np.count_nonzero(np.isfinite(squares)))
+    nis = float(np.nansum(squares))
+    if not before.scatters and dof and nis <= channel.limits[dof]:
+        return replace(_joined(before, nu, variance, S, nis, time_s), seen=tuple(seen.tolist()))
+    # one that does not agree is passed over; after two on end it is the later one that counts
+    return _begun(before, residual, white, seen, time_s) if before.odd else replace(before, odd=True)
+
+
+def _joined(before: Refusals, nu: Array, variance: Array, S: Array, nis: float, time_s: float) -> Refusals:
+    gain = np.where(np.isfinite(nu), variance / S, 0.0)
+    return replace(
+        before,
+        offset=tuple((np.array(before.offset) + gain * np.nan_to_num(nu)).tolist()),
+        variance=tuple(((1.0 - gain) * variance).tolist()),
+        last_s=time_s,
+        count=before.count + 1,
+        misfit=before.misfit + nis,
+        dof=before.dof + int(np.count_nonzero(gain)),
+        odd=False,
+    )
+
+
+def _begun(run: Refusals, residual: Array, white: Array, seen: Array, time_s: float) -> Refusals:
+    """A run of refusals that agree with its latest one only."""
+    offset, variance, state = (tuple(values.tolist()) for values in (residual, white, seen))
+    return Refusals(run.confirmed, run.jumped, run.first, offset, variance, state, time_s, time_s)
+
+
+def _wander(channel: Channel, dt: float) -> Array:
+    """Variance by which the sensor's coloured error may have changed in a time, per axis."""
+    e = channel.group.errors
+    C, P0, off = channel.C, channel.group.P0[:e, :e], channel.group.Phi[:e, :e] - np.eye(e)
+    tick = C @ (off @ P0 @ off.T + channel.group.Q[:e, :e]) @ C.T
+    ticks = min(dt / channel.period_s, 1e9)
+    return np.asarray(np.minimum(np.diag(tick) * ticks, 2.0 * np.diag(C @ P0 @ C.T)))
+
+
+def _reckoned(kind: int, P: Array, speed: float, dt: float, drive_output: Array, period_s: float) -> float:
+    """Variance by which dead reckoning may err in a time, in the units of a kind of sensor."""
+    C, white = drive_output[:, :-1], drive_output[:, -1]
+    m = 9 + C.shape[1]
+    bias = np.einsum("ij,jk,ik->i", C, P[9:m, 9:m], C)
+    if kind == listen.HEADING:
+        return float(bias[:3].max() * dt**2 + white[:3].max() * period_s * dt)
+    if kind == listen.VELOCITY:
+        tilt = GRAVITY**2 * max(P[6, 6], P[7, 7])
+        return float((bias[3:].max() + tilt) * dt**2 + white[3:].max() * period_s * dt)
+    return float((np.diag(P)[3:6].max() + speed**2 * P[8, 8]) * dt**2)
+
+
+def limits(channel: Channel) -> Array:
+    """The gate's limits for the next reading: closer while it is looked at whether the sensor has jumped."""
+    refused = channel.memory.refused
+    held = refused is not None and refused.jumped and refused.count > 1 and not refused.scatters
+    return channel.limits * np.r_[1.0, np.full(channel.axes, HELD)] if held else channel.limits
+
+
+def decided(channel: Channel) -> Literal["state", "sensor"] | None:
+    """What is wrong, when the refused readings of a channel agree: the state where it was not confirmed, the sensor
+    where it had confirmed the state and left it at once. None: they do not agree, or nobody can say.
+    """
+    memory, kind = channel.memory, channel.sensor.open_loop
+    refused = memory.refused
+    if refused is None or not refused.agree(VELOCITY_SPAN_S if kind == listen.VELOCITY else SPAN_S):
+        return None
+    fixes = kind == listen.POSITION and channel.axes == 3
+    if refused.from_the_first():
+        # a fix that is off by a constant says nothing more: it is refused
+        return None if fixes else "sensor"
+    unconfirmed = not memory.used_s - memory.agreed_s >= CONFIRMED_S
+    # after a dive fixes beat what was reckoned meanwhile
+    return "state" if unconfirmed or (fixes and not refused.confirmed) else None
+
+
+# ---------------------------------------------------------------- the state was wrong
+def opened_state(channel: Channel, refused: Refusals, nav: Array, moved_m: float) -> Array:
+    """Variance to add to the navigation states, shape (9, 9), when a sensor's readings together beat them.
+
+    The component that the sensor sees may be wrong by the offset that they agree on, and nothing else is: so the
+    correlations stay what they are, and become small beside the new variance. What the wrong component has done since
+    the start follows it.
+
+    Parameters
+    ----------
+    channel : Channel
+        As its refused reading left it.
+    refused : Refusals
+    nav : ndarray, shape (17,)
+        Nominal state.
+    moved_m : float
+        Distance from the start [m].
+    """
+    V = np.zeros((9, 9))
+    offset, seen = np.nan_to_num(refused.offset), np.isfinite(channel.res[: channel.axes])
+    size = np.where(seen, offset**2 + np.array(refused.variance), 0.0)
+    kind = channel.sensor.open_loop
+    if kind == listen.HEADING:
+        V[8, 8] = size[0]
+        # a velocity that was turned into n by it, and the way made good, may be turned by as much
+        turned = (2.0 * math.sin(0.5 * min(abs(float(offset[0])), math.pi))) ** 2
+        V[range(3, 5), range(3, 5)] = turned * (nav[3] ** 2 + nav[4] ** 2)
+        V[range(2), range(2)] = turned * moved_m**2
+        return V
+    first = 0 if kind == listen.POSITION else 3
+    N = channel.near[:, first : first + 3]
+    V[first : first + 3, first : first + 3] = N.T @ (size[:, None] * N)
+    if kind == listen.VELOCITY:
+        V[:3, :3] = V[3:6, 3:6] * (refused.last_s - refused.began_s) ** 2
+    return V
+
+
+# ---------------------------------------------------------------- the sensor was wrong
+def resumed(channel: Channel, refused: Refusals, x: Array, P: Array) -> tuple[float, ...]:
+    """Standard deviations of the constants with which a sensor that has jumped is used from now on, one per axis; empty
+    where it has come back to what it was, and needs none.
+
+    Parameters
+    ----------
+    channel : Channel
+    refused : Refusals
+    x, P : ndarray
+        Error states and covariance: they know the constants that it may have already.
+    """
+    offset = np.nan_to_num(refused.offset)
+    places = channel.group.start + offset_states(channel.sensor.models, channel.period_s)
+    if len(places):
+        variance = P[places, places] + np.array(refused.variance) + _wander(channel, math.inf)
+        if (np.abs(x[places - 9] + offset) <= BACK_SDS * np.sqrt(variance)).all():
+            return ()
+    return (float(np.max(np.abs(offset))),) * channel.axes

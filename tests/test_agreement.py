@@ -1,0 +1,259 @@
+"""Several refused readings that agree beat a state that nobody confirmed; a sensor that jumps is set aside."""
+
+import dataclasses
+import functools
+import math
+
+import faults_run as watched
+import numpy as np
+import pytest
+from feeding import DRIVE, events_of
+
+import navfilter as nf
+from navfilter.filter import agreement, refused
+from navfilter.filter.channel import Refusals
+from navfilter.filter.memory import differences
+from navfilter.filter.offsets import Offset, offset_states, with_offsets, with_the_same_offsets
+from navfilter.simulation.faults import Faults
+from navfilter.simulation.scenarios import simulate_scenario, survey, survey_vehicle
+from navfilter.simulation.simulate import simulate
+from navfilter.state import wrap
+
+DEG = math.pi / 180.0
+RADIUS_M = 6.37e6
+DURATION_S, DIVE_S, FAULT_S = 260.0, 120.0, 130.0
+
+
+@functools.cache
+def dive(mems=False):
+    """Fixes for two minutes, then none: 20 s at rest, straight on, a dive, turns."""
+    plain = survey_vehicle(mems=mems)
+    vehicle = plain.with_error(
+        compass=plain.sensors["compass"].error + nf.White(sd=0.1 * DEG),
+        gps=plain.sensors["gps"].error + nf.White(sd=0.5),
+    )
+    fixes = {"gps": Faults(available=((0.0, DIVE_S),))}
+    return vehicle, simulate(vehicle, survey(DURATION_S), seed=3, duration_s=DURATION_S, faults=fixes)
+
+
+def altered(mission, name, change, begin_s, end_s=math.inf):
+    """The mission with other readings of a sensor between two times."""
+    stream = mission.streams[name]
+    inside = (stream.time_s >= begin_s) & (stream.time_s < end_s)
+    value = np.where(inside[:, None], change(stream.value), stream.value)
+    return mission.with_stream(name, nf.Stream(stream.time_s, value, stream.columns))
+
+
+def fly(vehicle, mission, until_s=math.inf, **start):
+    """A navigator after the mission, and how far it was off once a second: horizontal, down, heading [deg], with sd."""
+    nav = nf.Navigator(vehicle, dataclasses.replace(mission.start, **start))
+    return nav, feed(nav, vehicle, mission, until_s)
+
+
+def feed(nav, vehicle, mission, until_s=math.inf, after_s=-math.inf):
+    off, due = [], 0.0
+    for event in events_of(vehicle, mission):
+        if not after_s < event.time_s <= until_s:
+            continue
+        if event.sensor == DRIVE:
+            nav.step(event.time_s, event.value[:3], event.value[3:])
+        else:
+            nav.correct(event.sensor, event.time_s, event.value)
+        if event.time_s >= due:
+            state, due = nav.state, event.time_s + 1.0
+            e = state.minus(watched.truth_at(mission.truth, state.time_s))
+            off.append([state.time_s, math.hypot(e[0], e[1]), abs(e[2]), abs(e[8]) / DEG, *state.sd[[0, 2, 8]]])
+    return np.array(off)
+
+
+def after(off, time_s):
+    return off[off[:, 0] > time_s]
+
+
+def turned(value):
+    return wrap(value + math.pi)
+
+
+# --- the state was told wrongly ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("mems", [False, True])
+def test_a_start_that_is_2_km_off_is_corrected_by_the_first_fixes(mems):
+    vehicle, mission = dive(mems)
+    nav, off = fly(vehicle, mission, latitude_deg=mission.start.latitude_deg + 2000.0 / RADIUS_M / DEG)
+    assert off[3, 1] > 1900.0
+    late = after(off, mission.start.time_s + 16.0)  # 15 fixes
+    # fixes err by 3 m and slowly: four of their sd hold what is left, at once and in the dive
+    assert late[:, 1].max() < 14.0 and (late[:, 1] < 4.5 * math.sqrt(2.0) * late[:, 4]).all()
+    assert nav.counts["reset"] == 1 and nav.counts["jumped"] == 0
+    assert after(off, 40.0)[:, 3].max() < 3.0  # the fixes moved the place, not the heading
+
+
+def test_a_start_heading_that_is_turned_round_follows_the_compass():
+    vehicle, mission = dive()
+    heading = mission.start.heading_deg
+    nav, off = fly(vehicle, mission, heading_deg=heading + 180.0, heading_sd_deg=5.0)
+    late = after(off, mission.start.time_s + 10.0)
+    assert off[3, 3] > 170.0 and late[:, 3].max() < 3.0  # five sd of the compass
+    assert late[:, 1].max() < 15.0
+    assert nav.counts["reset"] == 1 and nav.counts["jumped"] == 0
+
+
+def test_a_reset_leaves_the_smoother_right():
+    vehicle, mission = dive()
+    start = dataclasses.replace(mission.start, latitude_deg=mission.start.latitude_deg + 2000.0 / RADIUS_M / DEG)
+    track = nf.replay(vehicle, mission, start=start, smooth=True)
+    right = nf.replay(vehicle, mission, smooth=True)
+    late = track.time_s > mission.start.time_s + 12.0
+    gap = track.local(right.latitude[0], right.longitude[0]) - right.local(right.latitude[0], right.longitude[0])
+    # the same fixes but the first ten: within what those say of the place
+    assert np.abs(gap[late, :2]).max() < 4.0
+    assert np.linalg.eigvalsh(track.covariance[late, :2, :2]).min() > 0.0
+    assert track.counts["reset"] == 1 and right.counts["reset"] == 0
+
+
+# --- a sensor jumps -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("mems", [False, True])
+def test_a_compass_turned_for_good_is_used_as_a_change_of_heading(mems):
+    vehicle, mission = dive(mems)
+    broken = altered(mission, "compass", turned, FAULT_S)
+    nav, off = fly(vehicle, broken)
+    assert after(off, FAULT_S)[:, 3].max() < (3.0 if not mems else 4.0)
+    assert nav.counts["jumped"] == 1 and nav.counts["reset"] == 0
+    assert nav.health.sensors["compass"].condition == "jumped" and "compass" in nav.health.degraded
+    assert nav.health.sensors["compass"].age_s < 1.0  # it helps all the same
+    assert abs(abs(sum(nav.errors[f"compass[{i}]"] for i in range(2))) - math.pi) < 0.1
+
+
+def test_a_compass_that_comes_back_is_taken_back():
+    vehicle, mission = dive()
+    nav, off = fly(vehicle, altered(mission, "compass", turned, FAULT_S, FAULT_S + 60.0))
+    assert after(off, FAULT_S)[:, 3].max() < 3.0
+    assert nav.counts["jumped"] == 2
+    assert nav.health.sensors["compass"].condition == "good"
+    assert not offset_states(nav.filter.channels["compass"].sensor.models, 0.125).size
+    clean, _ = fly(vehicle, mission)
+    assert abs(nav.state.sd[8] - clean.state.sd[8]) < 0.1 * clean.state.sd[8]
+
+
+def test_a_depth_that_jumps_does_not_take_the_vehicle_with_it():
+    vehicle, mission = dive()
+    nav, off = fly(vehicle, altered(mission, "depth", lambda z: z + 5.0, FAULT_S))
+    assert after(off, FAULT_S)[:, 2].max() < 0.5
+    assert nav.counts["jumped"] == 1
+    assert abs(nav.errors["depth[0]"] - 5.0) < 0.3
+
+
+def test_a_dvl_whose_scale_jumps_leaves_the_velocity_alone():
+    vehicle, mission = dive()
+    _, off = fly(vehicle, altered(mission, "dvl", lambda v: 1.05 * v, FAULT_S))
+    # 5 % of 1.5 m/s would be 9 m by now
+    late = after(off, FAULT_S)
+    assert late[:, 1].max() < 5.0 * late[-1, 4]
+    assert late[-1, 1] < 4.0
+
+
+@pytest.mark.parametrize("window", [(70.0, 110.0), (DIVE_S - 25.0, DIVE_S + 1.0)])
+def test_a_jump_of_the_fixes_is_not_followed(window):
+    vehicle, mission = dive()
+    broken = altered(mission, "gps", lambda p: p + np.array([100.0 / RADIUS_M, 0.0, 0.0]), *window)
+    nav, off = fly(vehicle, broken)
+    assert after(off, window[0])[:, 1].max() < 8.0
+    assert nav.counts["reset"] == 0
+
+
+# --- nothing else changes --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("scenario", ["lawnmower", "reckoning", "thesis"])
+def test_without_a_fault_nothing_fires_and_nothing_changes(monkeypatch, scenario):
+    vehicle, mission = simulate_scenario(scenario, 11, 150.0)
+    with_agreement = nf.replay(vehicle, mission)
+    assert with_agreement.counts["reset"] == with_agreement.counts["jumped"] == 0
+    monkeypatch.setattr(refused, "_agreed", lambda *_: False)
+    assert with_agreement.to_frame().equals(nf.replay(vehicle, mission).to_frame())
+
+
+def test_live_is_the_replay_and_a_snapshot_goes_on_bit_for_bit():
+    vehicle, mission = dive()
+    broken = altered(mission, "compass", turned, FAULT_S, FAULT_S + 60.0)
+    whole, _ = fly(vehicle, broken)
+    track = nf.replay(vehicle, broken, output_rate_hz=None)
+    np.testing.assert_array_equal(track.attitude[-1], whole.state.roll_pitch_heading)
+    # in the middle of the refusals, with the constant in force, and when it is refused again
+    for at in (FAULT_S + 4.0, FAULT_S + 30.0, FAULT_S + 64.0):
+        nav, _ = fly(vehicle, broken, until_s=at)
+        again = nf.Navigator.restore(vehicle, nav.snapshot())
+        assert not differences(again.memory.filter, nav.memory.filter)
+        feed(again, vehicle, broken, after_s=at)
+        assert not differences(again.memory.filter, whole.memory.filter), at
+
+
+def test_a_model_that_is_learnt_keeps_the_constant():
+    vehicle, mission = dive()
+    nav, _ = fly(vehicle, altered(mission, "compass", turned, FAULT_S), until_s=FAULT_S + 30.0)
+    before = sum(nav.errors[f"compass[{i}]"] for i in range(2))
+    nav.adopt("compass", nf.GaussMarkov(sd=0.012, tau_s=25.0) + nf.White(sd=0.002))
+    assert nav.filter.channels["compass"].offset
+    assert abs(nav.errors["compass[1]"] - before) < 0.05
+    assert not any("Offset" in str(model) for model in nav.filter.described_models["compass"])
+
+
+# --- the parts -------------------------------------------------------------------------------------------------------
+
+
+def refusals_of(residual, jumped=False):
+    """What a fix sensor's refused readings say together, one a second; the state's velocity is known to 0.05 m/s."""
+    vehicle, mission = dive()
+    nav = nf.Navigator(vehicle, mission.start)
+    channel, filter = nav.filter.channels["gps"], nav.filter
+    P = filter.P.copy()
+    P[range(3, 6), range(3, 6)] = 0.05**2
+    if jumped:
+        channel.memory.agreed_s, channel.memory.used_s = 0.0, 99.0
+        channel.verdict[:2] = 1e4, 3.0
+    for k, row in enumerate(residual):
+        channel.res[:] = row
+        arguments = channel, P, 1.5, 100.0 + k, filter.drive_output, 0.01
+        channel.memory.refused = agreement.heard(*arguments)
+    return channel
+
+
+def test_agreement_is_a_constant_within_the_noise():
+    rng = np.random.default_rng(1)
+    noise = 0.5 * rng.normal(size=(20, 3))
+    steady = noise + np.array([300.0, -40.0, 0.0])
+    channel = refusals_of(steady)
+    assert channel.memory.refused.agree(8.0) and agreement.decided(channel) == "state"
+    np.testing.assert_allclose(channel.memory.refused.offset[:2], [300.0, -40.0], atol=1.5)
+    # a straight line, as a wrong heading makes, is none; nor are fixes all over the place
+    ramp = noise + np.arange(20)[:, None] * np.array([6.0, 0.0, 0.0]) + 100.0
+    assert not refusals_of(ramp).memory.refused.agree(8.0)
+    assert not refusals_of(60.0 * noise).memory.refused.agree(8.0)
+    # one odd reading among them is passed over
+    odd = steady.copy()
+    odd[7] += 500.0
+    assert refusals_of(odd).memory.refused.count == 19
+
+
+def test_who_has_jumped_is_a_matter_of_what_came_before():
+    steady = 0.5 * np.random.default_rng(2).normal(size=(12, 3)) + np.array([300.0, -40.0, 0.0])
+    assert agreement.decided(refusals_of(steady, jumped=True)) is None  # of fixes: nothing is done
+    assert refusals_of(steady, jumped=True).memory.refused.from_the_first()
+    slow = np.concatenate([np.linspace(0.1, 1.0, 12)[:, None] * steady.mean(axis=0), steady])
+    assert not refusals_of(slow, jumped=True).memory.refused.from_the_first()
+
+
+def test_offsets_stand_beside_error_models():
+    models = (nf.White(sd=0.1), nf.GaussMarkov(sd=1.0, tau_s=5.0) + nf.White(sd=0.1))
+    opened = with_offsets(models, (2.0, 3.0))
+    assert offset_states(opened, 1.0).tolist() == [0, 2]
+    assert [model.parts[-1] for model in opened] == [Offset(start_sd=2.0), Offset(start_sd=3.0)]
+    assert with_offsets(opened, ()) == models and not offset_states(models, 1.0).size
+    assert with_offsets(opened, (4.0, 4.0))[0] == nf.White(sd=0.1) + Offset(start_sd=4.0)
+    other = (nf.White(sd=0.3), nf.White(sd=0.4))
+    assert with_the_same_offsets(other, opened) == with_offsets(other, (2.0, 3.0))
+    assert with_the_same_offsets(other, models) == other
+    assert Refusals(True, True, (1.0,), (1.0,), (0.1,), (0.1,), 0.0, 1.0).from_the_first()
