@@ -122,6 +122,7 @@ class DriveWatch:
         memory = filter.memory
         w, unit = memory.watch, memory.watch[kernel.UNIT]
         opened: list[Array] = []
+        calm = not w[: kernel.UNIT, (kernel.CODE, kernel.HEEDED)].any()
         for i in range(6):
             axis = w[i]
             code, heeded = axis[kernel.CODE], axis[kernel.HEEDED]
@@ -150,7 +151,8 @@ class DriveWatch:
                 if memory.time_s > w[first, kernel.UNTIL_S]:
                     filter.jumps.take_back(w[first : first + 3], first, filter)
             self.refer(w, memory.nav, memory.P)
-        filter.weigh()  # last: from the same memory it comes out the same, whenever it is recalled
+        if not calm:
+            filter.weigh()  # last: from the same memory it comes out the same, whenever it is recalled
 
     def refer(self, w: Array, nav: Array, P: Array) -> None:
         """Take the reference of gravity from the attitude as it is now."""
