@@ -182,10 +182,6 @@ class DriveWatch:
         """What carries the state: "inertial", or "dead-reckoning" while an axis is left out or there is none."""
         return "inertial" if self.active and not self.lost(w) else "dead-reckoning"
 
-    def told(self, w: Array) -> tuple[dict[str, str], str]:
-        """Conditions and lane."""
-        return self.conditions(w), self.lane(w)
-
     def busy(self, w: Array) -> bool:
         """Whether an axis is left out, or soon will be."""
         return self.active and (w[kernel.UNIT, kernel.OFF_S] > 0.0 or self.lost(w))
