@@ -120,7 +120,8 @@ def test_no_alarm_on_a_simulated_mission(scenario):
     assert verdict.headline.startswith("Nothing speaks against this track") != bool(expected)
 
 
-#: What is true of these recordings: the fixes follow the heading sideways, as if the mounting changed; one sample a second where the vehicle has ten, and 100 of 106 go back in time;
+#: What is true of these recordings: the fixes follow the heading sideways, as if the mounting changed;
+#: one sample a second where the vehicle has ten, and 100 of 106 go back in time;
 #: one reading of the DVL in five is rejected; the DVL is in air.
 KNOWN = {
     "snapir-auv-1hz/05": {"usbl"},
