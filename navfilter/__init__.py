@@ -50,15 +50,16 @@ _FACE = {
     "mission": "Mission Stream",
     "navigator": "Navigator Outcome",
     "outputs.formats": "write_track",
-    "playback": "replay warm_up",
+    "playback": "replay",
     "evaluation.rivals": "rival",
     "sensors": "Altitude Attitude BodyVelocity Course Depth DvlBeams Heading Odometer Position Range Usbl "
-    "WaterVelocity ZeroVelocity",
+    "WaterVelocity ZeroRate ZeroVelocity",
     "state": "NavState",
     "filter.tape": "Tape",
     "track": "Track",
     "start": "Start",
     "vehicle": "Vehicle",
+    "warming": "warm_up",
 }
 _HOME = {name: module for module, names in _FACE.items() for name in names.split()}
 __all__ = sorted(_HOME)

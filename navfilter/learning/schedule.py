@@ -15,6 +15,7 @@ from navfilter.filter.adoption import Change
 from navfilter.filter.channel import Channel
 from navfilter.filter.events import Correction, Event, Passed, Propagated, Relaid
 from navfilter.filter.filter import Filter
+from navfilter.filter.health import Watch
 from navfilter.kernels import listen
 from navfilter.learning.learned import learning_part
 from navfilter.learning.listener import ChannelSeries, Listener, ListenerMemory
@@ -23,6 +24,8 @@ from navfilter.learning.rest import RestMemory, RestRecorder
 __all__ = ["LearningMemory", "LearningSchedule"]
 
 Array = NDArray[np.float64]
+#: So many refused readings on end, all off by the same at once, are no outliers any more.
+JUMPED = 3
 _NO_RING, _NO_CURSOR, _NO_MOUNT = np.zeros((1, 1)), np.zeros(1, np.int64), np.zeros(9)
 
 
@@ -55,6 +58,18 @@ class LearningMemory:
     kept: int
     stage: int
     levels: dict[str, tuple[float, ...]]
+
+
+def doubtful_ticks(channel: Channel, time_s: float) -> int:
+    """How many ticks of a sensor, up to its reading of a time [s], show no error to be learnt: those of one that is
+    stuck or has jumped. What a gate refuses for another reason is learnt from: it shows an error larger than believed.
+    """
+    memory, refused = channel.memory, channel.memory.refused
+    if channel.stuck:
+        return round(Watch.STUCK_S / channel.period_s) + 1
+    if refused is not None and refused.jumped and refused.count >= JUMPED:
+        return round((time_s - memory.rejected_since_s) / channel.period_s) + 1
+    return int(channel.offset)
 
 
 class LearningSchedule:
@@ -186,13 +201,26 @@ class LearningSchedule:
             *(self._fed_back, channel.mem, channel.dims, channel.places, filter.nav, channel.C, filter.x),
             *(kind, mount, ring, cursor, channel.count, filter.drive_output, filter.vehicle.drive.gravity),
         )
-        early = self._stage < len(self.EARLY_S)
-        if listener is not None and listener.window and not early:
+        if event.outcome.widened and channel.memory.agreed_s == event.time_s:
+            self._state_reset(channel.sensor.open_loop)
+        early, doubtful = self._stage < len(self.EARLY_S), doubtful_ticks(channel, event.time_s)
+        if listener is not None and doubtful:
+            listener.leave_out(doubtful)
+        elif listener is not None and listener.window and not early:
             listener.notice(event.outcome.nis, event.outcome.dof)
         if listener is None or not listener.is_due or early or not event.outcome.accepted:
             return ()
         models = listener.learn()
         return () if models is None else (Change(channel.name, models),)
+
+    def _state_reset(self, kind: int) -> None:
+        """The state has been reset to what sensors of a kind say: an open loop knows nothing of that step, nor of what
+        the integrals of it do.
+        """
+        chain = (listen.HEADING, listen.VELOCITY, listen.POSITION)
+        for listener in self.listeners.values():
+            if listener.kind in chain[chain.index(kind) :]:
+                listener.learn_anew()
 
     def _relaid(self, M: Array) -> None:
         before, after = len(self._fed_back) // 2, self.filter.layout.head

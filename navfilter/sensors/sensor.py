@@ -75,6 +75,8 @@ class Sensor:
         Residual and Jacobian, with the arguments of `navfilter.kernels.measurement`.
     from_drive : bool
         Made from the drive's own samples: there is no stream, and there are no readings.
+    reads_rate : bool
+        Its three values are the drive's own first ones, and err as those do.
     sees_velocity : bool
         Reads the three components of the velocity in the body's axes, through the heading: taken with its second-order
         term while the heading is hardly known.
@@ -123,6 +125,7 @@ class Sensor:
     axis_names: ClassVar[tuple[str, ...]] = ("",)
     kernel: ClassVar[Callable[..., None]]
     from_drive: ClassVar[bool] = False
+    reads_rate: ClassVar[bool] = False
     sees_velocity: ClassVar[bool] = False
     single_gates: ClassVar[bool] = False
     tracks: ClassVar[int] = 1
