@@ -24,12 +24,17 @@ __all__ = ["Correlation", "correlation", "correlation_doubts", "correlations"]
 Array = NDArray[np.float64]
 #: A mission without any cause says a false word once in so many.
 FALSE_ALARMS = 1e-4
-#: A correlation below this explains less than half a hundredth of the residuals' variance, whatever its significance.
-LEAST = 0.07
+#: A correlation below this explains less than two hundredths of the residuals' variance: so much does noise of a poor
+#: inertial unit, which is in residuals and motion alike.
+LEAST = 0.15
+#: A run begins with what is not known yet [s].
+BEGINNING_S = 60.0
 #: Fewer readings say nothing.
 READINGS = 50
 #: Motion is a mean over this time: what vibrates faster is none [s].
 SMOOTH_S = 1.0
+#: Motion is looked at so much later than a reading [s]: noise of the drive before it is in its residual too.
+AFTER_S = 0.55
 #: The heading of the drive's own turns is held to that of the track over this time [s].
 LEVEL_S = 60.0
 #: Share of a series over which its autocorrelation is summed.
@@ -145,6 +150,7 @@ def correlations(run: Track, mission: Mission) -> tuple[Correlation, ...]:
         if r is None or sensor.from_drive or r.count("used") < READINGS:
             continue
         known = r.used & np.isfinite(r.value).all(axis=1) & np.isfinite(r.sd).all(axis=1)
+        known &= r.time_s > run.time_s[0] + BEGINNING_S
         if known.sum() < READINGS:
             continue
         whitened = r.value[known] / r.sd[known]
@@ -187,16 +193,18 @@ def _moved(run: Track, mission: Mission, time_s: Array) -> _Motion:
     values = np.where(np.isfinite(values), values, 0.0)
     if drive.inertial:
         per = drive.period_s if getattr(drive, "increments", False) else 1.0
-        rates, forces = (_mean_about(time_s, t, values[:, part] / per) for part in (slice(0, 3), slice(3, 6)))
+        rates, forces = (
+            _mean_about(time_s + AFTER_S, t, values[:, part] / per, SMOOTH_S) for part in (slice(0, 3), slice(3, 6))
+        )
         down = matrix_from_euler(roll, pitch, 0.0 * roll)[:, 2, :]
         turn = np.einsum("ni,ni->n", down, rates)
         ahead = forces[:, 0] + down[:, 0] * gravity(float(run.latitude[0]), float(run.height[0]))
         heading = _between(time_s, turn, heading)
     else:
         yaw = np.unwrap(values[:, 2])
-        turn = _slope_about(time_s, t, yaw)
+        turn = _slope_after(time_s, t, yaw)
         axes = run.vehicle.drive.velocity_sensor.instrument_axes()  # type: ignore[union-attr]
-        ahead = _slope_about(time_s, t, (values[:, 3:6] @ axes)[:, 0])
+        ahead = _slope_after(time_s, t, (values[:, 3:6] @ axes)[:, 0])
     return _Motion(time_s, turn, ahead, heading)
 
 
@@ -207,7 +215,7 @@ def _between(time_s: Array, turn: Array, heading: Array) -> Array:
     return np.asarray(own + off[:, 0])
 
 
-def _mean_about(time_s: Array, t: Array, values: Array, span_s: float = SMOOTH_S) -> Array:
+def _mean_about(time_s: Array, t: Array, values: Array, span_s: float) -> Array:
     """Means of the columns over a span around some times."""
     total = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
     first = np.searchsorted(t, time_s - 0.5 * span_s)
@@ -217,9 +225,9 @@ def _mean_about(time_s: Array, t: Array, values: Array, span_s: float = SMOOTH_S
     return np.asarray((total[last] - total[first]) / (last - first)[:, None])
 
 
-def _slope_about(time_s: Array, t: Array, values: Array) -> Array:
-    """Slope across `SMOOTH_S` around some times."""
-    ends = [np.interp(time_s + side * SMOOTH_S, t, values) for side in (-0.5, 0.5)]
+def _slope_after(time_s: Array, t: Array, values: Array) -> Array:
+    """Slope across `SMOOTH_S` behind some times."""
+    ends = [np.interp(time_s + AFTER_S + side * SMOOTH_S, t, values) for side in (-0.5, 0.5)]
     return np.asarray((ends[1] - ends[0]) / SMOOTH_S)
 
 
