@@ -12,6 +12,7 @@ from scipy.stats import binom
 from navfilter.check.amounts import counted
 from navfilter.check.finding import Finding, Severity
 from navfilter.evaluation.constants import constant_doubts
+from navfilter.evaluation.correlations import correlation_doubts
 from navfilter.evaluation.surfacing import Evidence
 from navfilter.filter.drive_watch import COUNTED
 from navfilter.filter.tape import OUTCOMES, Residuals
@@ -98,6 +99,7 @@ def doubts(run: Track, mission: Mission, evidence: Evidence, limits: Limits = LI
     yield from _surfaced(evidence, limits)
     yield from constant_doubts(run, limits.far, limits.untold)
     yield from _mended(run)
+    yield from correlation_doubts(run, mission)
     yield from _given_up(run)
 
 
