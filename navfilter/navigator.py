@@ -121,7 +121,7 @@ class Navigator:
         self._room = None if self.learning.rest is None else self.learning.room
         names = list(vehicle.sensors)
         self._history = History(self, length_s, names) if length_s else None
-        self._watches = {name: Watch(sensor.gate_timeout_s) for name, sensor in vehicle.sensors.items()}
+        self.watches = {name: Watch(sensor.gate_timeout_s) for name, sensor in vehicle.sensors.items()}
         self._waiting = Waiting()
         self._behind = {name: names[i + 1 :] for i, name in enumerate(names)}
         self._row = np.empty((1, 7))
@@ -190,7 +190,7 @@ class Navigator:
         Outcome
             Never an exception: whatever arrives has a defined outcome.
         """
-        watch = self._watches.get(name) if isinstance(name, str) else None
+        watch = self.watches.get(name) if isinstance(name, str) else None
         if watch is None:
             return Outcome("unknown-sensor")
         try:
@@ -217,7 +217,7 @@ class Navigator:
 
     def _noted(self, reading: Reading) -> Outcome:
         outcome = self._taken(reading)
-        self._watches[reading.name].note(outcome.status, reading.time_s, outcome.nis, outcome.dof)
+        self.watches[reading.name].note(outcome.status, reading.time_s, outcome.nis, outcome.dof)
         return outcome
 
     def _taken(self, reading: Reading) -> Outcome:
@@ -246,20 +246,20 @@ class Navigator:
         learning = self.learning
         if isinstance(item, np.ndarray):
             learning.keep(item)
-            self.filter.advance(item, self._told, self._room)
+            self.filter.advance(item, self.told, self._room)
             return None
         if item.time_s >= learning.early_s:
             self._adopt_early()
         learning.keep(item)
         correction = self.filter.correct(*item)
-        self._told(correction)
-        self.filter.take_up(self._told)
+        self.told(correction)
+        self.filter.take_up(self.told)
         return correction.outcome
 
-    def _told(self, event: Event) -> None:
+    def told(self, event: Event) -> None:
         """Show learning what the filter does, and give the filter the error models that it answers with."""
         for change in self.learning.heard(event):
-            self.filter.adopt(change, self._told)
+            self.filter.adopt(change, self.told)
 
     def _adopt_early(self) -> None:
         """Adopt early models; where they are others, run what there was so far again, see `LearningSchedule`."""
@@ -267,7 +267,7 @@ class Navigator:
         found, again = self.learning.early()
         if not again:
             for name, models in found.items():
-                self.filter.adopt(Change(name, models), self._told)
+                self.filter.adopt(Change(name, models), self.told)
             return
         counted = self.filter.counts["adopted"] + len(found)
         self.filter.begin({**self.filter.described_models, **found})
@@ -306,7 +306,7 @@ class Navigator:
         ValueError
             For an unknown sensor, or something that is no error model.
         """
-        self.filter.adopt(Change(name, error), self._told)
+        self.filter.adopt(Change(name, error), self.told)
         self.learning.beginning = None
         if self._history is not None:
             self._history.begin()
@@ -360,7 +360,7 @@ class Navigator:
     @property
     def health(self) -> Health:
         """What the sensors are worth at present."""
-        sensors = {name: w.health(self.time_s, self.filter.channels[name].offset) for name, w in self._watches.items()}
+        sensors = {name: w.health(self.time_s, self.filter.channels[name].offset) for name, w in self.watches.items()}
         return Health(sensors, dict(self.counts), self.offset_s, self.filter.watch.conditions(self.filter.memory.watch))
 
     # ---------------------------------------------------------------- keep and bring back
@@ -390,7 +390,7 @@ class Navigator:
         )
         length_s = 0.0 if self._history is None else self._history.length_s
         whole = NavigatorMemory(memory.filter, learning)
-        saved = snapshots.Saved(self.start, length_s, whole, inputs, self._watches)
+        saved = snapshots.Saved(self.start, length_s, whole, inputs, self.watches)
         return snapshots.write(saved, self.vehicle, self.time_s, path)
 
     @classmethod
@@ -433,9 +433,9 @@ class Navigator:
         nav.memory = memory
         for item in saved.inputs:
             nav._given(item)
-        if set(saved.watches) != set(nav._watches):
-            raise ValueError(f"watches must be kept of {', '.join(nav._watches)}, found {', '.join(saved.watches)}")
-        nav._watches = saved.watches
+        if set(saved.watches) != set(nav.watches):
+            raise ValueError(f"watches must be kept of {', '.join(nav.watches)}, found {', '.join(saved.watches)}")
+        nav.watches = saved.watches
         return nav
 
     def _given(self, item: Array | Reading) -> None:

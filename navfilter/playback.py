@@ -6,7 +6,7 @@ import math
 import os
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ from navfilter.learning.listener import ChannelSeries
 from navfilter.learning.refit import change, learning_sensors, refitted
 from navfilter.mission import Mission, Stream
 from navfilter.navigator import Navigator
+from navfilter.passage import Passage, Readings
 from navfilter.start import Start
 from navfilter.track import Track
 from navfilter.vehicle import Vehicle
@@ -245,20 +246,7 @@ def _require(mission: Mission, name: str, why: str, instead: str) -> None:
         )
 
 
-@dataclass(frozen=True)
-class _Events:
-    """All readings of the correcting sensors in the order of the times at which they were taken."""
-
-    time_s: Array
-    stamp_s: Array
-    sensor: NDArray[np.int64]
-    row: NDArray[np.int64]
-    names: tuple[str, ...]
-    values: tuple[Array, ...]
-    sds: tuple[list[Array | None] | None, ...]
-
-
-def _events(vehicle: Vehicle, mission: Mission, begin_s: float) -> _Events:
+def _events(vehicle: Vehicle, mission: Mission, begin_s: float) -> Readings:
     names = tuple(name for name, sensor in vehicle.sensors.items() if not sensor.from_drive)
     for name in names:
         leave_out = f"leave the sensor out: --without {name}, or take [sensors.{name}] out of the vehicle.toml"
@@ -277,7 +265,7 @@ def _events(vehicle: Vehicle, mission: Mission, begin_s: float) -> _Events:
     order = np.lexsort((rows, number, times))
     order = order[times[order] >= begin_s - 1e-9]
     values, sds = tuple(s.value for s in streams), tuple(_sds(s) for s in streams)
-    return _Events(times[order], stamps[order], number[order], rows[order], names, values, sds)
+    return Readings(times[order], stamps[order], number[order], rows[order], names, values, sds)
 
 
 def _sds(stream: Stream) -> list[Array | None] | None:
@@ -287,7 +275,7 @@ def _sds(stream: Stream) -> list[Array | None] | None:
     return [None if np.isnan(row).any() else row for row in stream.sd]
 
 
-def _run(nav: Navigator, times: Array, values: Array, events: _Events, progress: bool) -> None:
+def _run(nav: Navigator, times: Array, values: Array, events: Readings, progress: bool) -> None:
     done = int(np.searchsorted(times, nav.start.time_s - 1e-9))
     if done >= len(times):
         raise ValueError(
@@ -295,27 +283,9 @@ def _run(nav: Navigator, times: Array, values: Array, events: _Events, progress:
             "clocks."
         )
     shown = bar(len(events.time_s), "filter", progress)
-    ends = np.searchsorted(times, events.time_s + 1e-9, side="right").tolist()
-    readings = zip(events.stamp_s.tolist(), events.sensor.tolist(), events.row.tolist(), ends, strict=True)
-    for k, (t, i, row, end) in enumerate(readings):
-        if end > done:
-            nav.step_samples(_block(times, values, done, end))
-            done = end
-        sd = events.sds[i]
-        nav.correct(events.names[i], t, events.values[i][row], None if sd is None else sd[row])
-        if shown is not None and k % 512 == 511:
-            shown.update(512)
-    for begin in range(done, len(times), 100_000):
-        nav.step_samples(_block(times, values, begin, min(begin + 100_000, len(times))))
-    nav.finish()
+    Passage(nav, times, values, events, done).run(None if shown is None else shown.update)
     if shown is not None:
         shown.close()
-
-
-def _block(times: Array, values: Array, begin: int, end: int) -> Array:
-    block = np.empty((end - begin, 7))
-    block[:, 0], block[:, 1:] = times[begin:end], values[begin:end]
-    return block
 
 
 def residual_series(

@@ -24,6 +24,7 @@ from navfilter.learning.learned import (
 from navfilter.learning.learner import Learner, LearnerMemory, memories, recall
 from navfilter.learning.limits import LEAST
 from navfilter.learning.slow import SlowPrior, slow_prior
+from navfilter.learning.unseen import white_description
 from navfilter.sensors import Sensor
 from navfilter.vehicle import Vehicle
 
@@ -153,7 +154,12 @@ class Listener:
         self.learners = tuple(
             None
             if part is None
-            else Learner(part.orders, part.window, drift, white=r, prior=believed(part, self.period_s))
+            else Learner(
+                *(part.orders, part.window, drift),
+                white=r,
+                prior=believed(part, self.period_s),
+                described=white_description(part.prior or part, self.period_s, span_s(part, self.period_s)),
+            )
             for part, drift, r in zip(learned, self.drifts, self.white, strict=True)
         )
         self.window = window
@@ -288,7 +294,12 @@ class Listener:
 
 def believed(part: LearnedArma, period_s: float) -> SlowPrior | None:
     """The prior of the slow error of a part that learns at this period."""
-    return slow_prior(part.prior or part, period_s, min(part.window * period_s, LONGEST_SPAN_S))
+    return slow_prior(part.prior or part, period_s, span_s(part, period_s))
+
+
+def span_s(part: LearnedArma, period_s: float) -> float:
+    """Time that the window of a learnt part holds, as far as it counts [s]."""
+    return min(part.window * period_s, LONGEST_SPAN_S)
 
 
 def without_spikes(series: Array) -> Array:
