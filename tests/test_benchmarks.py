@@ -17,6 +17,7 @@ SCRIPTS = {
     "arma": ("statsmodels", ("speed", "batch", "efficiency", "tracking", "order")),
     "arma_vs_gm1": ("Gauss-Markov", ()),
     "between_hops": ("resting model", ()),
+    "campaign_scaling": ("no other software", ()),
     "cold_start": ("no other software", ()),
     "day": ("filterpy", ("live", "replay")),
     "faults": ("without a fault", ("missions", "service")),
