@@ -392,6 +392,20 @@ def reckoning_vehicle(arma=True):
     )
 
 
+def drifting_vehicle(arma=True):
+    """Dead reckoning through water whose current wanders within seconds."""
+    plain = reckoning_vehicle(arma)
+    log = nf.WaterVelocity(
+        rate_hz=4.0,
+        error=nf.White(sd=0.05),
+        lever_arm_b_m=(0.5, 0.1, 0.2),
+        scale_sd=0.02,
+        current_sd_m_s=0.4,
+        current_tau_s=3.0,
+    )
+    return replace(plain, drive=replace(plain.drive, velocity=log))
+
+
 def open_gates(nav):
     for name in nav.vehicle.sensors:
         nav.filter.channels[name].limits[1:] = 1e4

@@ -392,6 +392,8 @@ def _dead_reckoning_step(nav, xd, drv, sample, Phid, Qd, Cr, acc):
         arm = arm + xd[lever : lever + 3]
         drv[56:59] = turn0 @ arm
     v0, w0, C0 = nav[3:6].copy(), drv[56:59].copy(), nav[6:15].reshape(3, 3).copy()
+    current, flow = np.zeros(3), int(drv[125])
+    current[:2] = xd[flow : flow + 2] if flow >= 0 else 0.0
     missing = not (np.abs(sample[4:7]) <= drv[62]).all() or not (sample[4:7].any() or drv[63])
     # what the readings' errors are thought to be, and how they follow from the drive's states
     E = Cr[:, :k].copy()
@@ -417,8 +419,8 @@ def _dead_reckoning_step(nav, xd, drv, sample, Phid, Qd, Cr, acc):
     F, J, E_par = np.zeros((m, m)), np.zeros((9, 6)), np.zeros((3, k))
     if missing:
         B = C @ C0.T
-        u = B @ (v0 + w0)
-        F[3:6, 3:6], F[3:6, 6:9] = B, B @ skew(v0)
+        u = B @ (v0 - current + w0)
+        F[3:6, 3:6], F[3:6, 6:9] = B, B @ skew(v0 - current)
     else:
         scale, mis = _scale_and_turn(xd[par : par + 4 + 2 * int(drv[87])] if par >= 0 else np.zeros(0))
         D = scale @ (np.eye(3) + skew(mis))
@@ -431,7 +433,10 @@ def _dead_reckoning_step(nav, xd, drv, sample, Phid, Qd, Cr, acc):
         a = axes[:, j]
         moved, du = np.cross(a, l1), np.cross(a, u)
         J[:3, j], J[3:6, j], J[6:9, j] = half * du - moved, du - per * moved, a
+    u = u + current
     J[:3, 3:] = half * J[3:6, 3:]
+    if flow >= 0:
+        F[3:6, 9 + flow : 11 + flow] = (np.eye(3) - (B if missing else 0.0))[:, :2]
     F[:3] = half * F[3:6] + np.eye(3, m)
     F[:3, 3:6] += (half - held) * np.eye(3)
     F[:3, 6:9] -= skew(half * w0 + l0)

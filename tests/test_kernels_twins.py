@@ -197,6 +197,7 @@ DEAD_RECKONING = {
     "scale": {"SCALE": 4},
     "scales": {"SCALE": 4, "SCALE_STEP": 1.0, "ATTITUDE_CLOCK": 10, "VELOCITY_CLOCK": 11},
     "clocks": {"LEVER": (0.8, -0.3, 0.4), "SCALE": 4, "ATTITUDE_CLOCK": 8, "VELOCITY_CLOCK": 9},
+    "current": {"LEVER": (0.8, -0.3, 0.4), "SCALE": 4, "CURRENT": 8},
     "velocity's clock": {"VELOCITY_CLOCK": 4},
     "uncertain arm": {"LEVER": (0.8, -0.3, 0.4), "ARM": 5, "ATTITUDE_CLOCK": 8},
 }
@@ -205,7 +206,13 @@ DEAD_RECKONING = {
 @pytest.mark.parametrize("settings", DEAD_RECKONING.values(), ids=DEAD_RECKONING.keys())
 def test_dead_reckoning_kernels(settings):
     rng = np.random.default_rng(3)
-    k = 12 if {"DEVIATION", "SCALE_STEP"} & set(settings) else 10 if "ATTITUDE_CLOCK" in settings else 8
+    k = (
+        12
+        if {"DEVIATION", "SCALE_STEP"} & set(settings)
+        else 10
+        if {"ATTITUDE_CLOCK", "CURRENT"} & set(settings)
+        else 8
+    )
     drv, xd, Phid, Qd, Cr, acc = random_drive(rng, k, PERIOD_S=0.25, **settings)
     Cr[:, 4:k] = 0.0  # parameters act through the readings, not through C
     nav = random_nav(rng)

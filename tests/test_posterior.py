@@ -17,6 +17,7 @@ from dense_posterior import (
     ahrs_vehicle,
     assert_same,
     beams_vehicle,
+    drifting_vehicle,
     drive_through,
     inertial_vehicle,
     ranging_vehicle,
@@ -36,6 +37,7 @@ from navfilter.filter import filter as engine
 CASES = {
     "inertial": (inertial_vehicle, 6.0),
     "reckoning": (reckoning_vehicle, 9.0),
+    "drifting": (drifting_vehicle, 9.0),
     "inertial, uncalibrated": (uncalibrated(inertial_vehicle), 3.0),
     "reckoning, uncalibrated": (uncalibrated(reckoning_vehicle), 9.0),
     "water": (water_vehicle, 3.0),

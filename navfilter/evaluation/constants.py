@@ -47,7 +47,9 @@ def constants(track: Track) -> tuple[Constant, ...]:
     track : Track
     """
     vehicle = track.vehicle
-    given: list[tuple[str, str, Parameter]] = [("", p.name, p) for p in vehicle.drive.all_parameters()]
+    drive = vehicle.drive
+    constant = (p for p in drive.all_parameters() if p.name not in drive.wandering())
+    given: list[tuple[str, str, Parameter]] = [("", p.name, p) for p in constant]
     for name, sensor in vehicle.sensors.items():
         wandering = sensor.wandering()
         given += [(name, f"{name}.{p.name}", p) for p in sensor.all_parameters() if p.name not in wandering]

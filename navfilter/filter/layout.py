@@ -233,9 +233,10 @@ class Layout:
     def of(cls, vehicle: Any) -> Layout:
         """Lay out a vehicle's states."""
         drive = vehicle.drive
-        group = Group.build(
-            9, [m.block(drive.period_s) for m in drive.models], drive.all_parameters(), drive.axis_names, drive.units
-        )
+        wandering = {key: model.block(drive.period_s) for key, model in drive.wandering().items()}
+        blocks = [m.block(drive.period_s) for m in drive.models]
+        axes = drive.axis_names, drive.units
+        group = Group.build(9, blocks, drive.all_parameters(), *axes, "", wandering)
         start, groups = 9 + group.size, {}
         for name, sensor in vehicle.sensors.items():
             blocks = [m.block(1.0 / sensor.rate_hz) for m in sensor.models]

@@ -187,6 +187,10 @@ class Mechanisation:
         """The same with what a calibration found of them."""
         return with_calibrated(self.parameters(), self.calibrated)
 
+    def wandering(self) -> dict[str, ErrorModel]:
+        """Those of the parameters that are not constant, see `navfilter.sensors.Sensor.wandering`."""
+        return {}
+
     def limits(self) -> Array:
         """Largest magnitude of the values of a sample that must be there; beyond it the sample is a defect."""
         raise NotImplementedError
