@@ -47,7 +47,7 @@ def spent(package: Path, kernels: Path, folder: Path, arguments: tuple[str, ...]
 
 def cold_start(options: Options) -> dict[str, Any]:
     """Every command of every checkout, in turn."""
-    checkouts = {"this": ROOT} | ({} if options.against is None else {"against": options.against.resolve()})
+    checkouts = {"this": ROOT} | ({} if options.against is None else {"against": Path(options.against).resolve()})
     names = options.commands.split(",")
     found: dict[tuple[str, str], list[tuple[float, ...]]] = {}
     table = Table(COLUMNS)
@@ -75,7 +75,7 @@ def cold_start(options: Options) -> dict[str, Any]:
 
 if __name__ == "__main__":
     flags = [
-        flag("--against", type=Path, metavar="FOLDER", help="another checkout of navfilter"),
+        flag("--against", metavar="FOLDER", help="another checkout of navfilter"),
         flag("--turns", type=int, default=3),
         flag("--commands", default=",".join(COMMANDS), help="of them, by commas (default: %(default)s)"),
         quick("the first command once"),

@@ -32,6 +32,7 @@ SCRIPTS = {
     "replay_speed": ("python-ins", ()),
     "residual_source": ("oracle", ()),
     "step_latency": ("filterpy", ()),
+    "where_time_goes": ("no other software", ()),
 }
 
 
