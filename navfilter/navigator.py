@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from navfilter.filter import snapshot as snapshots
 from navfilter.filter.adoption import Change
 from navfilter.filter.channel import ChannelMemory, Refusals
+from navfilter.filter.condition import health_of
 from navfilter.filter.events import Event, Outcome
 from navfilter.filter.filter import Filter
 from navfilter.filter.filter_memory import Errors, FilterMemory
@@ -31,7 +32,7 @@ from navfilter.learning.rest import RestMemory
 from navfilter.learning.schedule import LearningMemory, LearningSchedule
 from navfilter.learning.spectrum import Spectrum
 from navfilter.start import Start
-from navfilter.state import NavState
+from navfilter.state import NavState, Pose
 from navfilter.vehicle import Vehicle
 
 __all__ = ["Navigator", "Outcome"]
@@ -82,10 +83,6 @@ class Navigator:
     -----
     `step` compounds the transition of the drive's samples and folds it into the covariance at every correction and at
     least once a second: the same covariance as folding every sample, without the cost. `state` gives it at any sample.
-
-    It composes what does the work: a `Filter` (`filter`) owns the state, a `LearningSchedule` listens to it and answers
-    with error models to adopt, a history lets late readings find their place, and a watch over each sensor says how it
-    fares.
 
     A correction between two samples holds the last sample until its time; the next sample then covers what is left.
 
@@ -141,8 +138,7 @@ class Navigator:
         Notes
         -----
         Samples that do not come after the last one are dropped, and so is a single stamp far ahead (`Intake`); one with
-        a NaN or an impossible value repeats the one before (an invalid DVL velocity is held, with growing uncertainty).
-        All are counted in `counts`, like gaps of more than three periods.
+        a NaN or an impossible value repeats the one before. All are counted in `counts`, like long gaps.
         """
         try:
             if isinstance(time_s, float) and len(first) == 3 == len(second):
@@ -217,7 +213,7 @@ class Navigator:
 
     def _noted(self, reading: Reading) -> Outcome:
         outcome = self._taken(reading)
-        self.watches[reading.name].note(outcome.status, reading.time_s, outcome.nis, outcome.dof)
+        self.watches[reading.name].note(outcome.status, reading.time_s, outcome.nis, outcome.dof, self.filter.nav)
         return outcome
 
     def _taken(self, reading: Reading) -> Outcome:
@@ -353,6 +349,11 @@ class Navigator:
         return self.filter.errors
 
     @property
+    def pose(self) -> Pose:
+        """Where it is, how it moves and points, now, in plain numbers: for every sample."""
+        return Pose.unpack(self.filter.memory.time_s, self.filter.memory.nav)
+
+    @property
     def state(self) -> NavState:
         """The state with its covariance and the health of the sensors, now; a copy."""
         return dataclasses.replace(self.filter.state, health=self.health)
@@ -360,8 +361,7 @@ class Navigator:
     @property
     def health(self) -> Health:
         """What the sensors are worth at present."""
-        sensors = {name: w.health(self.time_s, self.filter.channels[name].offset) for name, w in self.watches.items()}
-        return Health(sensors, dict(self.counts), self.offset_s, self.filter.watch.conditions(self.filter.memory.watch))
+        return health_of(self.filter, self.watches)
 
     # ---------------------------------------------------------------- keep and bring back
     def snapshot(self, path: str | PathLike[str] | None = None) -> bytes:
