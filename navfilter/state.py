@@ -71,7 +71,7 @@ def rotation_vector(matrix: ArrayLike) -> Array:
 
 
 class Pose(NamedTuple):
-    """Where the vehicle is, how it moves and points: plain numbers, a fortieth of the time that a `NavState` takes.
+    """Where the vehicle is, how it moves and points: plain numbers, in a hundredth of the time that a `NavState` takes.
 
     Attributes
     ----------
@@ -148,6 +148,11 @@ class NavState:
     C_nb: Array
     covariance: Array | None = None
     health: Health | None = None
+
+    @property
+    def lane(self) -> str:
+        """What carries a navigator's state: "inertial" or "dead-reckoning", see `Health.lane`; empty without health."""
+        return "" if self.health is None else self.health.lane
 
     @property
     def trust(self) -> Trust | None:
