@@ -13,11 +13,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import block_diag
 
 from navfilter.arma.roots import is_stable
 from navfilter.arma.stationary import stationary_covariance
@@ -271,6 +271,9 @@ class GaussMarkov(ErrorModel):
         """Discretise: closed form for order 1, Van Loan's method (1978) above, the stationary covariance where much
         decays in a period.
         """
+        return _gauss_markov_block(self, period_s)
+
+    def _block(self, period_s: float) -> Block:
         n, step = self.order, self.beta * period_s
         if n == 1:
             phi = math.exp(-step)
@@ -373,6 +376,12 @@ class Arma(ErrorModel):
         return Block(F, Q, np.eye(n)[0], 0.0, stationary_covariance(F, Q))
 
 
+@lru_cache(maxsize=256)
+def _gauss_markov_block(model: GaussMarkov, period_s: float) -> Block:
+    # asked for at each change of the layout, by everything that stands in it
+    return model._block(period_s)
+
+
 @dataclass(frozen=True)
 class Sum(ErrorModel):
     """Sum of independent errors; made by ``a + b``."""
@@ -392,11 +401,21 @@ class Sum(ErrorModel):
         return " + ".join(str(part) for part in self.parts)
 
 
+def block_diagonal(matrices: Sequence[Array]) -> Array:
+    """Square matrices along the diagonal of one (that of scipy takes a millisecond for a handful of small ones)."""
+    n = sum(len(matrix) for matrix in matrices)
+    out, at = np.zeros((n, n)), 0
+    for matrix in matrices:
+        out[at : at + len(matrix), at : at + len(matrix)] = matrix
+        at += len(matrix)
+    return out
+
+
 def joined_block(blocks: Sequence[Block]) -> Block:
     """Blocks of independent errors side by side, as one that stands for their sum."""
     n = sum(b.size for b in blocks)
     stack = {
-        key: _square(block_diag(*(getattr(b, key) for b in blocks if b.size)), n) if n else np.zeros((0, 0))
+        key: _square(block_diagonal([getattr(b, key) for b in blocks]), n) if n else np.zeros((0, 0))
         for key in ("Phi", "Q", "P0")
     }
     C = np.concatenate([np.zeros(0), *(b.C for b in blocks)])

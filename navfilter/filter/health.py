@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Health", "SensorHealth", "Watch"]
+__all__ = ["Health", "LearningHealth", "SensorHealth", "Watch"]
 
 Array = NDArray[np.float64]
 
@@ -39,6 +39,22 @@ class SensorHealth:
 
 
 @dataclass(frozen=True)
+class LearningHealth:
+    """Whether learning keeps pace.
+
+    Attributes
+    ----------
+    late : int
+        Answers that were not there at the reading at which they are taken: the call waited for them.
+    waited_s : float
+        For how long, in all [s].
+    """
+
+    late: int = 0
+    waited_s: float = 0.0
+
+
+@dataclass(frozen=True)
 class Health:
     """Condition of the whole.
 
@@ -55,12 +71,15 @@ class Health:
         Condition of each axis of an inertial unit: "good", "noisy", "stuck", "dead" (stuck at zero), "saturated",
         "erratic" (nothing but noise), "wrong-unit", "gravity" (feels it where it is not), "swapped" (the same, of the
         right size) or "free-fall".
+    learning : LearningHealth
+        Depends on the speed of the machine, as nothing else does.
     """
 
     sensors: dict[str, SensorHealth]
     drive: dict[str, int]
     clock_offset_s: float = 0.0
     axes: dict[str, str] = field(default_factory=dict)
+    learning: LearningHealth = LearningHealth()
 
     @property
     def degraded(self) -> tuple[str, ...]:
