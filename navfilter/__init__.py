@@ -28,6 +28,7 @@ _FACE = {
     "alignment": "align",
     "arma.algebra": "BiasPlusWhite add_arma bias_plus_white resample_arma split_bias",
     "beacons": "locate_beacons",
+    "calibration.calibrate": "Calibration calibrate",
     "arma.online.bank": "ArmaBank",
     "arma.fit": "ArmaFit fit_arma",
     "arma.online.front_end": "FrontEnd",
@@ -49,15 +50,16 @@ _FACE = {
     "mission": "Mission Stream",
     "navigator": "Navigator Outcome",
     "outputs.formats": "write_track",
-    "playback": "replay warm_up",
+    "playback": "replay",
     "evaluation.rivals": "rival",
     "sensors": "Altitude Attitude BodyVelocity Course Depth DvlBeams Heading Odometer Position Range Usbl "
-    "WaterVelocity ZeroVelocity",
+    "WaterVelocity ZeroRate ZeroVelocity",
     "state": "NavState",
     "filter.tape": "Tape",
     "track": "Track",
     "start": "Start",
     "vehicle": "Vehicle",
+    "warming": "warm_up",
 }
 _HOME = {name: module for module, names in _FACE.items() for name in names.split()}
 __all__ = sorted(_HOME)

@@ -271,36 +271,7 @@ class GaussMarkov(ErrorModel):
         """Discretise: closed form for order 1, Van Loan's method (1978) above, the stationary covariance where much
         decays in a period.
         """
-        return _gauss_markov_block(self, period_s)
-
-    def _block(self, period_s: float) -> Block:
-        n, step = self.order, self.beta * period_s
-        if n == 1:
-            phi = math.exp(-step)
-            q = -math.expm1(-2.0 * step) * self.sd**2
-            return Block(_square(phi, 1), _square(q, 1), np.ones(1), 0.0, _square(self.sd**2, 1))
-        from filterpy.common import van_loan_discretization  # costs half a second to import
-
-        F = np.diag(np.ones(n - 1), 1)
-        F[-1] = [-math.comb(n, k) for k in range(n)]
-        P0 = _stationary_gauss_markov(n) * self.sd**2
-        if step > 2.0:
-            # Van Loan's matrix holds exp(+step), which swallows all digits of Q when much decays between two samples;
-            # what has decayed is what the stationary variance makes up for. F has the one eigenvalue -1, so that the
-            # series of exp((F + 1) step) ends; beyond 700 nothing is left of it.
-            step = min(step, 700.0)
-            Phi = math.exp(-step) * np.sum(
-                [np.linalg.matrix_power(F + np.eye(n), k) * (step**k / math.factorial(k)) for k in range(n)], axis=0
-            )
-            Q = P0 - Phi @ P0 @ Phi.T
-            return Block(_square(Phi, n), _square((Q + Q.T) / 2, n), np.eye(n)[0], 0.0, P0)
-        # White noise of spectral density s2 drives the last state; the process then has this variance (thesis eq 2.42,
-        # corrected).
-        s2 = self.sd**2 * 2.0 ** (2 * n - 1) * math.factorial(n - 1) ** 2 / math.factorial(2 * n - 2)
-        G = np.zeros((n, 1))
-        G[-1] = math.sqrt(s2)
-        Phi, Q = van_loan_discretization(F, G, step)
-        return Block(_square(Phi, n), _square((Q + Q.T) / 2, n), np.eye(n)[0], 0.0, P0)
+        return _gauss_markov_block(self.order, self.sd, self.beta * period_s)
 
     def integrated(self, period_s: float) -> Integrated:
         """As a walk: such a model states a bias that outlasts the integral, which sees the beginning of a walk from its
@@ -377,9 +348,34 @@ class Arma(ErrorModel):
 
 
 @lru_cache(maxsize=256)
-def _gauss_markov_block(model: GaussMarkov, period_s: float) -> Block:
-    # asked for at each change of the layout, by everything that stands in it
-    return model._block(period_s)
+def _gauss_markov_block(n: int, sd: float, step: float) -> Block:
+    """That of order n and a period of `step` inverse time constants; asked for at each change of the layout."""
+    if n == 1:
+        phi = math.exp(-step)
+        q = -math.expm1(-2.0 * step) * sd**2
+        return Block(_square(phi, 1), _square(q, 1), np.ones(1), 0.0, _square(sd**2, 1))
+    from filterpy.common import van_loan_discretization  # costs half a second to import
+
+    F = np.diag(np.ones(n - 1), 1)
+    F[-1] = [-math.comb(n, k) for k in range(n)]
+    P0 = _stationary_gauss_markov(n) * sd**2
+    if step > 2.0:
+        # Van Loan's matrix holds exp(+step), which swallows all digits of Q when much decays between two samples;
+        # what has decayed is what the stationary variance makes up for. F has the one eigenvalue -1, so that the
+        # series of exp((F + 1) step) ends; beyond 700 nothing is left of it.
+        step = min(step, 700.0)
+        Phi = math.exp(-step) * np.sum(
+            [np.linalg.matrix_power(F + np.eye(n), k) * (step**k / math.factorial(k)) for k in range(n)], axis=0
+        )
+        Q = P0 - Phi @ P0 @ Phi.T
+        return Block(_square(Phi, n), _square((Q + Q.T) / 2, n), np.eye(n)[0], 0.0, P0)
+    # White noise of spectral density s2 drives the last state; the process then has this variance (thesis eq 2.42,
+    # corrected).
+    s2 = sd**2 * 2.0 ** (2 * n - 1) * math.factorial(n - 1) ** 2 / math.factorial(2 * n - 2)
+    G = np.zeros((n, 1))
+    G[-1] = math.sqrt(s2)
+    Phi, Q = van_loan_discretization(F, G, step)
+    return Block(_square(Phi, n), _square((Q + Q.T) / 2, n), np.eye(n)[0], 0.0, P0)
 
 
 @dataclass(frozen=True)

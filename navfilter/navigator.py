@@ -19,7 +19,7 @@ from navfilter.filter.channel import ChannelMemory, Refusals
 from navfilter.filter.events import Event, Outcome
 from navfilter.filter.filter import Filter
 from navfilter.filter.filter_memory import Errors, FilterMemory
-from navfilter.filter.health import Health, LearningHealth, Watch
+from navfilter.filter.health import Health, Watch
 from navfilter.filter.history import History, Reading
 from navfilter.filter.intake import IntakeMemory
 from navfilter.filter.memory import misfit
@@ -124,13 +124,12 @@ class Navigator:
                 "times."
             )
         # a replay has no history, and learns what the same run learns on board with the default one
-        self._worker = Worker(threads and tape is None)
-        self.learning = LearningSchedule(self.filter, max(length_s, usual_s), self._worker)
-        self._beginning = Beginning(self, self._worker)
+        self.learning = LearningSchedule(self.filter, max(length_s, usual_s), Worker(threads and tape is None))
+        self._beginning = Beginning(self, self.learning.worker)
         self._room = None if self.learning.rest is None else self.learning.room
         names = list(vehicle.sensors)
         self.history = History(self, length_s, names) if length_s else None
-        self._watches = {name: Watch(sensor.gate_timeout_s) for name, sensor in vehicle.sensors.items()}
+        self.watches = {name: Watch(sensor.gate_timeout_s) for name, sensor in vehicle.sensors.items()}
         self._waiting = Waiting()
         self._behind = {name: names[i + 1 :] for i, name in enumerate(names)}
         self._row = np.empty((1, 7))
@@ -200,7 +199,7 @@ class Navigator:
         Outcome
             Never an exception: whatever arrives has a defined outcome.
         """
-        watch = self._watches.get(name) if isinstance(name, str) else None
+        watch = self.watches.get(name) if isinstance(name, str) else None
         if watch is None:
             return Outcome("unknown-sensor")
         try:
@@ -227,7 +226,7 @@ class Navigator:
 
     def _noted(self, reading: Reading) -> Outcome:
         outcome = self._taken(reading)
-        self._watches[reading.name].note(outcome.status, reading.time_s, outcome.nis, outcome.dof)
+        self.watches[reading.name].note(outcome.status, reading.time_s, outcome.nis, outcome.dof)
         return outcome
 
     def _taken(self, reading: Reading) -> Outcome:
@@ -270,20 +269,20 @@ class Navigator:
         learning = self.learning
         if isinstance(item, np.ndarray):
             learning.keep(item)
-            self.filter.advance(item, self._told, self._room)
+            self.filter.advance(item, self.told, self._room)
             return None
         while item.time_s >= learning.early_s:
             self._beginning.early()
         learning.keep(item)
         correction = self.filter.correct(*item)
-        self._told(correction)
-        self.filter.take_up(self._told)
+        self.told(correction)
+        self.filter.take_up(self.told)
         return correction.outcome
 
-    def _told(self, event: Event) -> None:
+    def told(self, event: Event) -> None:
         """Show learning what the filter does, and give the filter the error models that it answers with."""
         for change in self.learning.heard(event):
-            self.filter.adopt(change, self._told)
+            self.filter.adopt(change, self.told)
 
     # ---------------------------------------------------------------- error models
     def adopt(self, name: str, error: Errors) -> None:
@@ -305,7 +304,7 @@ class Navigator:
         ValueError
             For an unknown sensor, or something that is no error model.
         """
-        self.filter.adopt(Change(name, error), self._told)
+        self.filter.adopt(Change(name, error), self.told)
         self.learning.adopted_by_hand()
         if self.history is not None:
             self.history.begin()
@@ -359,10 +358,9 @@ class Navigator:
     @property
     def health(self) -> Health:
         """What the sensors are worth at present."""
-        sensors = {name: w.health(self.time_s, self.filter.channels[name].offset) for name, w in self._watches.items()}
-        axes, worker = self.filter.watch.conditions(self.filter.memory.watch), self._worker
-        learning = LearningHealth(worker.late, worker.waited_s)
-        return Health(sensors, dict(self.counts), self.offset_s, axes, learning)
+        sensors = {name: w.health(self.time_s, self.filter.channels[name].offset) for name, w in self.watches.items()}
+        axes = self.filter.watch.conditions(self.filter.memory.watch)
+        return Health(sensors, dict(self.counts), self.offset_s, axes, self.learning.worker.health)
 
     # ---------------------------------------------------------------- keep and bring back
     def snapshot(self, path: str | PathLike[str] | None = None) -> bytes:
@@ -391,7 +389,7 @@ class Navigator:
         )
         length_s = 0.0 if self.history is None else self.history.length_s
         whole = NavigatorMemory(memory.filter, learning)
-        saved = snapshots.Saved(self.start, length_s, whole, inputs, self._watches)
+        saved = snapshots.Saved(self.start, length_s, whole, inputs, self.watches)
         return snapshots.write(saved, self.vehicle, self.time_s, path)
 
     @classmethod
@@ -434,9 +432,9 @@ class Navigator:
         nav.memory = memory
         for item in saved.inputs:
             nav._given(item)
-        if set(saved.watches) != set(nav._watches):
-            raise ValueError(f"watches must be kept of {', '.join(nav._watches)}, found {', '.join(saved.watches)}")
-        nav._watches = saved.watches
+        if set(saved.watches) != set(nav.watches):
+            raise ValueError(f"watches must be kept of {', '.join(nav.watches)}, found {', '.join(saved.watches)}")
+        nav.watches = saved.watches
         return nav
 
     def _given(self, item: Array | Reading) -> None:
@@ -448,8 +446,5 @@ class Navigator:
             return
         if self.history is None:
             raise ValueError("it has inputs without a history")
-        if isinstance(item, np.ndarray):
-            self._beginning.give(item)
-        self.history.feed(item)
-        if not isinstance(item, np.ndarray):
-            self._beginning.give(item)
+        for take in (self._beginning.give, self.history.feed)[:: 1 if isinstance(item, np.ndarray) else -1]:
+            take(item)

@@ -6,26 +6,25 @@ import math
 import os
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.alignment import align
 from navfilter.assembly import bar, forward_track, smoothed_track
-from navfilter.compilation import show_compilation
-from navfilter.error_models import GaussMarkov
 from navfilter.filter.tape import Tape
-from navfilter.learning.learned import LearnedArma, learning_part
+from navfilter.learning.learned import learning_part
 from navfilter.learning.listener import ChannelSeries
 from navfilter.learning.refit import change, learning_sensors, refitted
 from navfilter.mission import Mission, Stream
 from navfilter.navigator import Navigator
+from navfilter.passage import Passage, Readings
 from navfilter.start import Start
 from navfilter.track import Track
 from navfilter.vehicle import Vehicle
 
-__all__ = ["drive_samples", "identified", "replay", "replay_heard", "residual_series", "warm_up"]
+__all__ = ["drive_samples", "identified", "learns", "replay", "replay_heard", "residual_series"]
 
 Array = NDArray[np.float64]
 _Path = str | os.PathLike[str]
@@ -113,7 +112,7 @@ def replay_heard(
     ValueError
         As `replay`, and for a vehicle that learns.
     """
-    if _learns(vehicle):
+    if learns(vehicle):
         raise ValueError("this vehicle learns: replay it, and take the residuals by residual_series.")
     start = _start(vehicle, mission, start)
     track, nav = _replayed(vehicle, mission, start, Tape(output_rate_hz, smoothable=smooth), False, sensors)
@@ -247,20 +246,7 @@ def _require(mission: Mission, name: str, why: str, instead: str) -> None:
         )
 
 
-@dataclass(frozen=True)
-class _Events:
-    """All readings of the correcting sensors in the order of the times at which they were taken."""
-
-    time_s: Array
-    stamp_s: Array
-    sensor: NDArray[np.int64]
-    row: NDArray[np.int64]
-    names: tuple[str, ...]
-    values: tuple[Array, ...]
-    sds: tuple[list[Array | None] | None, ...]
-
-
-def _events(vehicle: Vehicle, mission: Mission, begin_s: float) -> _Events:
+def _events(vehicle: Vehicle, mission: Mission, begin_s: float) -> Readings:
     names = tuple(name for name, sensor in vehicle.sensors.items() if not sensor.from_drive)
     for name in names:
         leave_out = f"leave the sensor out: --without {name}, or take [sensors.{name}] out of the vehicle.toml"
@@ -279,7 +265,7 @@ def _events(vehicle: Vehicle, mission: Mission, begin_s: float) -> _Events:
     order = np.lexsort((rows, number, times))
     order = order[times[order] >= begin_s - 1e-9]
     values, sds = tuple(s.value for s in streams), tuple(_sds(s) for s in streams)
-    return _Events(times[order], stamps[order], number[order], rows[order], names, values, sds)
+    return Readings(times[order], stamps[order], number[order], rows[order], names, values, sds)
 
 
 def _sds(stream: Stream) -> list[Array | None] | None:
@@ -289,7 +275,7 @@ def _sds(stream: Stream) -> list[Array | None] | None:
     return [None if np.isnan(row).any() else row for row in stream.sd]
 
 
-def _run(nav: Navigator, times: Array, values: Array, events: _Events, progress: bool) -> None:
+def _run(nav: Navigator, times: Array, values: Array, events: Readings, progress: bool) -> None:
     done = int(np.searchsorted(times, nav.start.time_s - 1e-9))
     if done >= len(times):
         raise ValueError(
@@ -297,27 +283,9 @@ def _run(nav: Navigator, times: Array, values: Array, events: _Events, progress:
             "clocks."
         )
     shown = bar(len(events.time_s), "filter", progress)
-    ends = np.searchsorted(times, events.time_s + 1e-9, side="right").tolist()
-    readings = zip(events.stamp_s.tolist(), events.sensor.tolist(), events.row.tolist(), ends, strict=True)
-    for k, (t, i, row, end) in enumerate(readings):
-        if end > done:
-            nav.step_samples(_block(times, values, done, end))
-            done = end
-        sd = events.sds[i]
-        nav.correct(events.names[i], t, events.values[i][row], None if sd is None else sd[row])
-        if shown is not None and k % 512 == 511:
-            shown.update(512)
-    for begin in range(done, len(times), 100_000):
-        nav.step_samples(_block(times, values, begin, min(begin + 100_000, len(times))))
-    nav.finish()
+    Passage(nav, times, values, events, done).run(None if shown is None else shown.update)
     if shown is not None:
         shown.close()
-
-
-def _block(times: Array, values: Array, begin: int, end: int) -> Array:
-    block = np.empty((end - begin, 7))
-    block[:, 0], block[:, 1:] = times[begin:end], values[begin:end]
-    return block
 
 
 def residual_series(
@@ -350,6 +318,23 @@ def residual_series(
     return {name: nav.heard(name) for name in names}
 
 
+def at_the_end(vehicle: Vehicle, mission: Mission, start: Start | None = None) -> Navigator:
+    """The navigator at the end of a mission: its constant states are then what a smoother gives for all of it.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    mission : Mission
+    start : Start, optional
+        As in `replay`.
+    """
+    drive = drive_samples(vehicle, mission)
+    start = _start(vehicle, mission, start)
+    nav = Navigator(vehicle, start, history_s=0.0)
+    _run(nav, *drive, _events(vehicle, mission, start.time_s), False)
+    return nav
+
+
 def _listen(nav: Navigator, mission: Mission, names: Sequence[str]) -> None:
     """To these sensors over a whole mission."""
     for name in names:
@@ -357,42 +342,7 @@ def _listen(nav: Navigator, mission: Mission, names: Sequence[str]) -> None:
         nav.listen(name, max(1, int(span * nav.vehicle.sensors[name].rate_hz * 1.2) + 16))
 
 
-def _learns(vehicle: Vehicle) -> bool:
+def learns(vehicle: Vehicle) -> bool:
+    """Whether the error of the drive or of any sensor is learnt."""
     models = (*vehicle.drive.models, *(model for sensor in vehicle.sensors.values() for model in sensor.models))
     return any(learning_part(model) is not None for model in models)
-
-
-def warm_up(vehicle: Vehicle | None = None, progress: bool = False) -> None:
-    """Compile the kernels of navigator, smoother and learners by running tiny missions: a minute once, then cached.
-
-    Parameters
-    ----------
-    vehicle : Vehicle, optional
-        Compile only what this vehicle's drive and sensors need, and leave the learners out if none of them learns: a
-        third of the time. Default: everything.
-    progress : bool
-        Show on standard error what is being compiled.
-
-    Notes
-    -----
-    On a vehicle compile everything: whatever comes, nothing is compiled under way.
-    """
-    from navfilter.learning.drift import Drift
-    from navfilter.learning.learner import Learner
-    from navfilter.learning.slow import SlowPrior
-    from navfilter.simulation.simulate import tiny_mission, tiny_missions
-
-    if progress:
-        show_compilation()
-    if vehicle is not None and not _learns(vehicle):
-        replay(*tiny_mission(vehicle), smooth=True)
-        return
-    missions = list(tiny_missions())
-    for tiny, mission in missions:
-        replay(tiny, mission, smooth=True)
-    # a learner's first hop comes minutes into a dive: no place to compile
-    tiny, mission = missions[0]
-    learned = LearnedArma(prior=GaussMarkov(sd=0.01, tau_s=10.0))
-    replay(tiny.with_error(**{name: learned for name, sensor in tiny.sensors.items() if sensor.open_loop}), mission)
-    prior = SlowPrior(0.01, 10.0, 100.0)
-    Learner(learned.orders, 400, Drift((1e-3, 1e-5), 0.25), prior=prior).hop(np.random.default_rng(1).normal(size=400))

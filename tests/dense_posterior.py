@@ -361,6 +361,15 @@ def uncalibrated(build):
     return built
 
 
+def resting_vehicle(arma=True):
+    """What the gyros read in every quarter of a second is taken for that of a vehicle at rest."""
+    plain = inertial_vehicle(arma)
+    limits = {"gyro_sd_max": 1e3, "force_sd_max": 1e3, "gyro_mean_max": 1e3}
+    resting = nf.ZeroRate(rate_hz=4.0, error=nf.GaussMarkov(sd=0.1, tau_s=1.0) + nf.White(sd=0.05), **limits)
+    drive = replace(plain.drive, gyro_scale_sd=0.02)
+    return nf.Vehicle(drive, {"turning": resting, "compass": plain.sensors["compass"], "gps": plain.sensors["gps"]})
+
+
 def reckoning_vehicle(arma=True):
     shaped = nf.Arma(**ARMA, sd=0.8 * DEG) if arma else nf.GaussMarkov(sd=2.0 * DEG, tau_s=5.0) + nf.White(sd=1.0 * DEG)
     return nf.Vehicle(
@@ -381,6 +390,20 @@ def reckoning_vehicle(arma=True):
             "gps": nf.Position(rate_hz=1.0, error=nf.Arma(**ARMA, sd=0.2)),
         },
     )
+
+
+def drifting_vehicle(arma=True):
+    """Dead reckoning through water whose current wanders within seconds."""
+    plain = reckoning_vehicle(arma)
+    log = nf.WaterVelocity(
+        rate_hz=4.0,
+        error=nf.White(sd=0.05),
+        lever_arm_b_m=(0.5, 0.1, 0.2),
+        scale_sd=0.02,
+        current_sd_m_s=0.4,
+        current_tau_s=3.0,
+    )
+    return replace(plain, drive=replace(plain.drive, velocity=log))
 
 
 def open_gates(nav):

@@ -101,6 +101,7 @@ def readings(rng, nav):
         (measurement.depth, np.array([12.0]), np.array([0.5, -0.2, 0.3, 2.0]), (0, 1), 1),
         (measurement.position, place, np.array([0.5, -0.2, 0.3]), (0,), 3),
         (measurement.position, np.array([nav[0], nav[1] + 2 * np.pi, np.nan]), np.array([0.5, -0.2, 0.3]), (0,), 3),
+        (measurement.earth_rate, 1e-4 * rng.normal(size=3), np.array([7.292115e-5]), (0,), 3),
         (measurement.velocity, rng.normal(size=3), np.zeros(1), (0,), 3),
         *_acoustics(mounted, nav, np.random.default_rng(rng.integers(1000))),
     ]

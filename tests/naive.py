@@ -392,6 +392,8 @@ def _dead_reckoning_step(nav, xd, drv, sample, Phid, Qd, Cr, acc):
         arm = arm + xd[lever : lever + 3]
         drv[56:59] = turn0 @ arm
     v0, w0, C0 = nav[3:6].copy(), drv[56:59].copy(), nav[6:15].reshape(3, 3).copy()
+    current, flow = np.zeros(3), int(drv[125])
+    current[:2] = xd[flow : flow + 2] if flow >= 0 else 0.0
     missing = not (np.abs(sample[4:7]) <= drv[62]).all() or not (sample[4:7].any() or drv[63])
     # what the readings' errors are thought to be, and how they follow from the drive's states
     E = Cr[:, :k].copy()
@@ -417,8 +419,8 @@ def _dead_reckoning_step(nav, xd, drv, sample, Phid, Qd, Cr, acc):
     F, J, E_par = np.zeros((m, m)), np.zeros((9, 6)), np.zeros((3, k))
     if missing:
         B = C @ C0.T
-        u = B @ (v0 + w0)
-        F[3:6, 3:6], F[3:6, 6:9] = B, B @ skew(v0)
+        u = B @ (v0 - current + w0)
+        F[3:6, 3:6], F[3:6, 6:9] = B, B @ skew(v0 - current)
     else:
         scale, mis = _scale_and_turn(xd[par : par + 4 + 2 * int(drv[87])] if par >= 0 else np.zeros(0))
         D = scale @ (np.eye(3) + skew(mis))
@@ -431,7 +433,10 @@ def _dead_reckoning_step(nav, xd, drv, sample, Phid, Qd, Cr, acc):
         a = axes[:, j]
         moved, du = np.cross(a, l1), np.cross(a, u)
         J[:3, j], J[3:6, j], J[6:9, j] = half * du - moved, du - per * moved, a
+    u = u + current
     J[:3, 3:] = half * J[3:6, 3:]
+    if flow >= 0:
+        F[3:6, 9 + flow : 11 + flow] = (np.eye(3) - (B if missing else 0.0))[:, :2]
     F[:3] = half * F[3:6] + np.eye(3, m)
     F[:3, 3:6] += (half - held) * np.eye(3)
     F[:3, 6:9] -= skew(half * w0 + l0)
@@ -562,6 +567,14 @@ def position(z, nav, rate, par, cfg, H, res):
     H[:, :3], H[:, 6:9] = np.eye(3), -skew(arm)
     east = _half_turn(z[1] - nav[1]) * nav[16] * np.cos(0.5 * (z[0] + nav[0]))
     res[:] = np.array([(z[0] - nav[0]) * nav[15], east, nav[2] - z[2]]) - arm
+
+
+def earth_rate(z, nav, rate, par, cfg, H, res):
+    C_bn, lat = nav[6:15].reshape(3, 3).T, nav[0]
+    w = cfg[0] * np.array([np.cos(lat), 0.0, -np.sin(lat)])
+    res[:], H[:] = z - C_bn @ w, 0.0
+    H[:, 0] = C_bn @ (cfg[0] * np.array([-np.sin(lat), 0.0, -np.cos(lat)])) / nav[15]
+    H[:, 6:9] = _attitude_columns(C_bn, w)
 
 
 def velocity(z, nav, rate, par, cfg, H, res):
@@ -1132,3 +1145,111 @@ def _look_at_gravity(w, unit, dt):
     elif unit[3] >= 1.0 and np.any(accel[:, 0] >= 7):
         accel[accel[:, 0] >= 7, 0] = 0.0
         unit[1] = 1.0
+
+
+# ---------------------------------------------------------------- stretch
+KINDS = (heading, magnetometer, depth, altitude, position, body_velocity, water_velocity, ground_velocity)
+
+
+def correction(bench, spot, P, nav, x, acc, drv, Cr, z, variance, count):
+    a, _, m, b, start, errors, par = dims = spot[:7]
+    kind, moves, turns, at, cfg, cfg_size, rate, model, output, white, lever, noise, limits = spot[7:20]
+    mem, places_ = bench[at:cfg], places(dims)
+    predict(P, nav, x, acc, bench[model : model + 2 * b * b].reshape(2, b, b), mem, dims, count)
+    if turns:
+        read, elements = drv[:3] / (drv[36] if drv[37] else 1.0), int(drv[88])
+        M = np.zeros(9)
+        M[drv[89 : 89 + elements].astype(int)[drv[89 : 89 + elements] < 9]] = x[m - 9 - elements : m - 9][
+            drv[89 : 89 + elements] < 9
+        ]
+        bench[rate : rate + 3] = read - Cr[:3, :-1] @ x[: m - 9] - M.reshape(3, 3) @ read
+    near, res = mem[places_[7] : places_[8]].reshape(a, 9 + par), mem[places_[3] : places_[4]]
+    own = x[start - 9 + errors : start - 9 + errors + par]
+    KINDS[kind](z, nav, bench[rate : rate + 3], own, bench[cfg : cfg + cfg_size], near, res)
+    given = len(variance) and not np.isnan(variance[0])
+    R = bench[noise : noise + a * a].reshape(a, a)
+    R[:] = bench[(lever if given else white) :][: a * a].reshape(a, a) + (np.diag(variance[:a]) if given else 0.0)
+    if moves and P[8, 8] > 0.01:
+        R += np.eye(a) * 0.5 * (nav[3] ** 2 + nav[4] ** 2) * P[8, 8] ** 2
+    update(P, nav, x, bench[output : output + a * errors].reshape(a, errors), R, mem, dims, bench[limits:][: a + 1])
+
+
+def stretch(now, cursor, settings, bench, plan, heard, watched, state, drive, samples, stamps, limits, given, out):
+    """One reading after the other. 0: all done, 1 and 2: the next one is Python's, 3: it was not used, 4: no room, 5:
+    the watch over the drive has found something.
+    """
+    (nav, x, P, acc), (drv, Phid, Qd, Cr, w, sd, ends), m = state, drive, state[3].shape[1]
+    period, ahead, every, gap, doubt, until, interval, increments = settings
+    rows, info, records, heads = out
+
+    def record(values, *head):
+        if records.size:
+            records[cursor[6] : cursor[6] + len(values)], heads[cursor[5]] = values, (len(values), *head)
+            cursor[5:7] += 1, len(values)
+
+    def row():
+        if now[0] == now[3]:
+            cursor[4] = max(cursor[4] - 1, 0)
+        elif now[0] - now[3] < interval:
+            return
+        whole = rows.shape[1] == 17 + x.size + P.size
+        covariance = P.ravel() if whole else np.concatenate([P[:9, :9].ravel(), np.diag(P)[9:]])
+        rows[cursor[4]], info[cursor[4]] = np.concatenate([nav, x, covariance]), (now[0], cursor[5])
+        now[3], cursor[4] = now[0], cursor[4] + 1
+
+    for e, (t, i, end, good, same) in enumerate(zip(*given[:5], strict=True)):
+        if e < cursor[0]:
+            continue
+        cursor[0] = e
+        if t >= until or not good or heard[i, 3]:
+            return 1
+        more = 2 + (end - cursor[1]) // int(every)
+        if cursor[4] + more > len(rows) or cursor[5] + more > len(heads):
+            return 4
+        if records.size and cursor[6] + more * plan[-1, 21] > records.size:
+            return 4
+        if end > cursor[1] >= cursor[7]:
+            found = stamps_to_steps(samples[cursor[1] : end], now[2], limits, gap, doubt)
+            if found < 0:
+                return 1
+            cursor[3] += found
+            cursor[7] = end
+        for k in range(cursor[1], end):
+            look(samples[k : k + 1], w, sd, ends, period, increments)
+            imu_steps(nav, x[: m - 9], drv, samples[k : k + 1], Phid, Qd, Cr, acc)
+            now[:3], cursor[1], cursor[2] = stamps[k], k + 1, cursor[2] + 1
+            if cursor[2] == every:
+                record(acc[:m].ravel(), 0, m, 0, 0)
+                cursor[2] = 0
+                fold(P, acc, nav, None)
+                row()
+            if w[6, 1]:
+                if w[:6, [0, 15, 16]].any():
+                    return 5
+                if w[6, 0] * period >= 1.0:
+                    g = gravity(nav[0], nav[2])
+                    w[6, 0], w[6, 4], w[6, 5:8], w[6, 8] = 0.0, P[6, 6] + P[7, 7] < 0.01, -g * nav[12:15], g
+        early = t - now[0]
+        if t <= heard[i, 0] or early < -1.001 * period or t - now[1] > ahead:
+            return 2
+        watched[i, :2] = (watched[i, 0] + 1.0, watched[i, 1]) if same else (1.0, t)
+        if early > 1e-7 and drv[13]:
+            imu_hold(nav, x[: m - 9], drv, early, Phid, Qd, Cr, acc)
+            now[0] = t
+        elapsed = t - heard[i, 1]
+        count = 0 if np.isinf(elapsed) else max(1, round(elapsed / heard[i, 2]))
+        spot, variances = plan[i], given[6]
+        correction(bench, spot, P, nav, x, acc, drv, Cr, given[5][e], variances[min(e, len(variances) - 1)], count)
+        cursor[2], heard[i, :2] = 0, t
+        note = given[7][e, : 3 + 2 * spot[0]]
+        note[:] = bench[spot[10] + spot[20] :][: len(note)]
+        if not note[2]:
+            return 3
+        record(bench[spot[10] : spot[10] + spot[21]], spot[0], *spot[2:5])
+        row()
+        watched[i, 2:4] = np.maximum(watched[i, 2:4], t)
+        watched[i, 5] += 1.0
+        share = min(note[0] / note[1], 100.0)
+        watched[i, 4] = share if np.isnan(watched[i, 4]) else watched[i, 4] + (share - watched[i, 4]) / 50.0
+    cursor[0] = len(given[0])
+    return 0

@@ -213,6 +213,7 @@ def refusals_of(residual, jumped=False):
     P[range(3, 6), range(3, 6)] = 0.05**2
     if jumped:
         channel.memory.agreed_s, channel.memory.used_s = 0.0, 99.0
+        channel.verdict[:2] = 1e4, 3.0
     for k, row in enumerate(residual):
         channel.res[:] = row
         arguments = channel, P, 1.5, 100.0 + k, filter.drive_output, 0.01
@@ -255,4 +256,4 @@ def test_offsets_stand_beside_error_models():
     other = (nf.White(sd=0.3), nf.White(sd=0.4))
     assert with_the_same_offsets(other, opened) == with_offsets(other, (2.0, 3.0))
     assert with_the_same_offsets(other, models) == other
-    assert Refusals(True, (1.0,), (1.0,), (0.1,), (0.1,), 0.0, 1.0).from_the_first()
+    assert Refusals(True, True, (1.0,), (1.0,), (0.1,), (0.1,), 0.0, 1.0).from_the_first()

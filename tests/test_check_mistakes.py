@@ -55,7 +55,7 @@ def test_the_manual_s_own_example_is_sound(dive):
         assert any(f.text.startswith("1 gap, the longest 434 s") for f in found)
 
 
-@pytest.mark.parametrize("name", SCENARIOS)
+@pytest.mark.parametrize("name", [name for name in SCENARIOS if name != "miscalibrated"])  # that one is not meant to be
 def test_a_simulated_mission_is_sound(name):
     vehicle, mission = simulate_scenario(name, 1, min(SCENARIOS[name].duration_s, 600.0))
     assert graver(check_mission(mission, vehicle)) == []

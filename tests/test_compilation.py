@@ -1,5 +1,6 @@
 """The first use of the kernels: what is compiled is shown, and it is no more than a vehicle needs."""
 
+import os
 import subprocess
 import sys
 
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 
 import navfilter as nf
+from navfilter import compilation
 from navfilter.simulation.scenarios import simulate_scenario
 from navfilter.simulation.simulate import tiny_mission
 
@@ -51,3 +53,29 @@ def test_a_vehicle_s_own_warm_up_hears_each_of_its_sensors(scenario):
     assert heard == set(vehicle.sensors)
     assert np.isfinite(track.covariance).all()
     nf.warm_up(vehicle)
+
+
+HELPED = """
+import pathlib, sys
+import navfilter as nf
+from navfilter import compilation, warming
+warming._cores = lambda: 2
+warming._warm_filter = lambda *_: None  # what the second process does is enough
+nf.warm_up(nf.Vehicle(imu=nf.Imu(rate_hz=10.0), sensors={"depth": nf.Depth(error=nf.LearnedArma())}), progress=True)
+from navfilter.kernels import channel
+print(compilation.show_compilation().done, sum(channel.channel_scores.stats.cache_hits.values()))
+"""
+
+
+@pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled without the JIT")
+def test_a_second_process_compiles_for_the_first(tmp_path):
+    """What learns is compiled there, counted here, and loaded from the cache."""
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    run = subprocess.run([sys.executable, "-c", HELPED], capture_output=True, check=True, env=environment)
+    done, loaded = map(int, run.stdout.split())
+    assert done >= 15 and loaded == 1
+
+
+def test_kernels_are_counted_but_for_those_that_are_parts_of_others():
+    if not numba.config.DISABLE_JIT:
+        assert compilation.kernel_count("listen") == 2

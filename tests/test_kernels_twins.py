@@ -5,6 +5,7 @@ rounding relative to the largest element of each array, far below what any mista
 """
 
 import ast
+import importlib
 import math
 import re
 from pathlib import Path
@@ -23,19 +24,23 @@ from kernel_inputs import (
     uncalibrated_drive,
 )
 
-from navfilter.kernels import kalman, measurement, strapdown
+from navfilter.kernels import checksum, kalman, measurement, strapdown
 
 FOLDER = Path(strapdown.__file__).parent
 FILES = sorted(path.stem for path in FOLDER.glob("*.py") if path.stem != "__init__")
+#: Whose kernels call those of other files.
+CALLING = ["stretch"]
 
 
 def public_kernels(name):
     """Names of the public njit functions that a kernel file defines (by their decorator, so that it works without the
     JIT too).
     """
-    tree = ast.parse((FOLDER / f"{name}.py").read_text())
-    functions = [node for node in tree.body if isinstance(node, ast.FunctionDef) and not node.name.startswith("_")]
-    return [f.name for f in functions if any("njit" in ast.unparse(d) for d in f.decorator_list)]
+    found = [
+        node for node in ast.walk(ast.parse((FOLDER / f"{name}.py").read_text())) if isinstance(node, ast.FunctionDef)
+    ]
+    compiled = [f.name for f in found if any("njit" in ast.unparse(d) for d in f.decorator_list)]
+    return [kernel for kernel in compiled if not kernel.startswith("_")]
 
 
 @pytest.mark.parametrize("name", FILES)
@@ -47,14 +52,46 @@ def test_every_public_kernel_has_a_twin(name):
 
 @pytest.mark.parametrize("name", FILES)
 def test_kernel_files_import_only_math_numpy_numba(name):
-    # A kernel that called one of another file would be cached with the old callee (numba does not look there).
-    imported = set()
+    # A kernel that called one of another file would be cached with the old callee (numba does not look there), unless
+    # it encloses the checksum of that file.
+    imported, allowed = set(), {"math", "numpy", "numba"} | ({"navfilter.kernels"} if name in CALLING else set())
     for node in ast.walk(ast.parse((FOLDER / f"{name}.py").read_text())):
         if isinstance(node, ast.Import):
             imported |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
             imported.add(node.module)
-    assert imported <= {"math", "numpy", "numba"}
+    assert imported <= allowed
+
+
+@pytest.mark.parametrize("name", CALLING)
+def test_kernels_that_call_other_files_enclose_their_checksum(name):
+    tree = ast.parse((FOLDER / f"{name}.py").read_text())
+    named = {
+        n.id for node in tree.body if isinstance(node, ast.Assign) for n in ast.walk(node) if isinstance(n, ast.Name)
+    }
+    called = {
+        alias.name
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ImportFrom) and node.module == "navfilter.kernels"
+        for alias in node.names
+    } - {"checksum"}
+    module = importlib.import_module(f"navfilter.kernels.{name}")
+    assert called <= named and checksum(*(getattr(module, other) for other in called)) != checksum()
+    makers = [node for node in tree.body if isinstance(node, ast.FunctionDef) and node.name != "_keyed"]
+    for maker in makers:
+        kernel = getattr(module, maker.name)
+        function = getattr(kernel, "py_func", kernel)
+        enclosed = [cell.cell_contents for cell in function.__closure__ or ()]
+        assert enclosed == [module.SOURCES], maker.name
+
+
+def test_a_checksum_changes_with_the_source(tmp_path):
+    module = type(ast)("some_kernels")
+    module.__file__ = str(tmp_path / "some_kernels.py")
+    (tmp_path / "some_kernels.py").write_text("x = 1\n")
+    before = checksum(module)
+    (tmp_path / "some_kernels.py").write_text("x = 2\n")
+    assert checksum(module) != before
 
 
 def functions(name):
@@ -107,9 +144,11 @@ def test_kernels_are_cached_and_without_fastmath(name):
     text = (FOLDER / f"{name}.py").read_text()
     assert "fastmath=True" not in text and '"fastmath": True' not in text
     shared = re.search(r"^OPTIONS\b.*[\"{(]cache\W+True", text, re.M)
-    for node in ast.parse(text).body:
+    for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.FunctionDef):
             decorators = " ".join(ast.unparse(d) for d in node.decorator_list)
+            if name in CALLING and (decorators == "_keyed" or node.name == "_keyed"):
+                continue  # makes a kernel
             inlined = "inline='always'" in decorators  # compiled, and cached, within its callers
             assert "cache=True" in decorators or inlined or (shared and "**OPTIONS" in decorators), (
                 f"{name}.{node.name}: {decorators}"
@@ -158,6 +197,7 @@ DEAD_RECKONING = {
     "scale": {"SCALE": 4},
     "scales": {"SCALE": 4, "SCALE_STEP": 1.0, "ATTITUDE_CLOCK": 10, "VELOCITY_CLOCK": 11},
     "clocks": {"LEVER": (0.8, -0.3, 0.4), "SCALE": 4, "ATTITUDE_CLOCK": 8, "VELOCITY_CLOCK": 9},
+    "current": {"LEVER": (0.8, -0.3, 0.4), "SCALE": 4, "CURRENT": 8},
     "velocity's clock": {"VELOCITY_CLOCK": 4},
     "uncertain arm": {"LEVER": (0.8, -0.3, 0.4), "ARM": 5, "ATTITUDE_CLOCK": 8},
 }
@@ -166,7 +206,13 @@ DEAD_RECKONING = {
 @pytest.mark.parametrize("settings", DEAD_RECKONING.values(), ids=DEAD_RECKONING.keys())
 def test_dead_reckoning_kernels(settings):
     rng = np.random.default_rng(3)
-    k = 12 if {"DEVIATION", "SCALE_STEP"} & set(settings) else 10 if "ATTITUDE_CLOCK" in settings else 8
+    k = (
+        12
+        if {"DEVIATION", "SCALE_STEP"} & set(settings)
+        else 10
+        if {"ATTITUDE_CLOCK", "CURRENT"} & set(settings)
+        else 8
+    )
     drv, xd, Phid, Qd, Cr, acc = random_drive(rng, k, PERIOD_S=0.25, **settings)
     Cr[:, 4:k] = 0.0  # parameters act through the readings, not through C
     nav = random_nav(rng)

@@ -383,7 +383,7 @@ def test_keys_of_a_vehicle_toml(tmp_path):
     (tmp_path / "vehicle.toml").write_text(text)
     vehicle = nf.read_vehicle(tmp_path)
     assert vehicle.drive.velocity.lever_arm_sd_m == (0.1, 0.2, 0.3) and vehicle.drive.late_s == (0.0, 1.5)
-    assert vehicle.sensors["gps"].place_and_clock() == (("time_offset", 0.1, "s"),)
+    assert vehicle.sensors["gps"].place_and_clock() == (("time_offset", 0.1, "s", 0.0),)
     described = describe_vehicle(vehicle)
     assert "its stamps are 0.2 s early" in described and "attitude.time_offset 0.3 s" in described
     assert nf.read_vehicle(write_vehicle(vehicle, tmp_path / "again.toml")).sensors == vehicle.sensors

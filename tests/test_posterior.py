@@ -17,10 +17,12 @@ from dense_posterior import (
     ahrs_vehicle,
     assert_same,
     beams_vehicle,
+    drifting_vehicle,
     drive_through,
     inertial_vehicle,
     ranging_vehicle,
     reckoning_vehicle,
+    resting_vehicle,
     start,
     uncalibrated,
     usbl_vehicle,
@@ -35,6 +37,7 @@ from navfilter.filter import filter as engine
 CASES = {
     "inertial": (inertial_vehicle, 6.0),
     "reckoning": (reckoning_vehicle, 9.0),
+    "drifting": (drifting_vehicle, 9.0),
     "inertial, uncalibrated": (uncalibrated(inertial_vehicle), 3.0),
     "reckoning, uncalibrated": (uncalibrated(reckoning_vehicle), 9.0),
     "water": (water_vehicle, 3.0),
@@ -43,6 +46,7 @@ CASES = {
     "usbl": (usbl_vehicle, 3.0),
     "ahrs": (ahrs_vehicle, 2.5),
     "wheels": (wheeled_vehicle, 3.0),
+    "at rest": (resting_vehicle, 3.0),
     "water, white": (lambda arma=True: water_vehicle(arma, white=True), 3.0),
 }
 

@@ -130,6 +130,23 @@ def test_vehicle_commands_and_iterate_work_when_copied(here, capsys):
     assert read_vehicle("best/vehicle_learned.toml").sensors["compass"].error.frozen
 
 
+def test_calibrating_works_when_copied(here, capsys):
+    for command in commands("calibrate.md"):
+        run(command, capsys)
+    table = re.search(r"^constant .*?(?=\n\n)", PAGES["calibrate.md"], flags=re.MULTILINE | re.DOTALL).group(0)
+    printed = capsys.readouterr().out
+    assert [line.split()[0] for line in table.splitlines()] == [
+        line.split()[0] for line in printed[printed.index("constant ") :].split("\n\n")[0].splitlines()
+    ]
+    clock = next(
+        one for one in json.loads(Path("calibrated.json").read_text())["constants"] if one["name"] == "dvl.time_offset"
+    )
+    assert abs(clock["value"] - 0.3) < 3.0 * clock["sd"] and clock["sd"] < 0.02
+    names = {}
+    exec(the_block("calibrate.md"), names)
+    assert names["result"].kept
+
+
 def test_comparing_works_when_copied(here, capsys):
     run(next(command for command in commands() if command[1:3] == ["compare", "dive_042"]), capsys)
     assert "gm1-fitted" in capsys.readouterr().out and Path("compared/report.html").exists()

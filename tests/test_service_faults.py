@@ -460,7 +460,7 @@ def test_kernels_that_cannot_be_loaded_are_compiled_again(tmp_path, monkeypatch)
             raise AttributeError("no such name")
         (tmp_path / "a.1.nbc").write_bytes(b"new")
 
-    monkeypatch.setattr("navfilter.playback.warm_up", warm_up)
+    monkeypatch.setattr("navfilter.warming.warm_up", warm_up)
     monkeypatch.setattr(kernel_cache, "_folder", lambda: tmp_path)
     kernel_cache.compile_kernels(said.append)
     assert calls == [["a.nbi"], []] and len(said) == 1 and "no such name" in said[0]

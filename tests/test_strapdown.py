@@ -325,6 +325,7 @@ DEAD_RECKONING = {
     "calibration": ({"SCALE": 6}, 10),
     "all": ({"LEVER": (0.8, -0.3, 0.4), "DEVIATION": 6, "SCALE": 10}, 14),
     "clocks": ({"LEVER": (0.8, -0.3, 0.4), "SCALE": 6, "ATTITUDE_CLOCK": 10, "VELOCITY_CLOCK": 11}, 12),
+    "current": ({"LEVER": (0.8, -0.3, 0.4), "SCALE": 6, "CURRENT": 10}, 12),
     "uncertain arm": ({"LEVER": (0.8, -0.3, 0.4), "ARM": 6, "VELOCITY_CLOCK": 9, "ATTITUDE_CLOCK": 10}, 11),
 }
 

@@ -38,6 +38,7 @@ from navfilter.sensors import (
     Sensor,
     Usbl,
     WaterVelocity,
+    ZeroRate,
     ZeroVelocity,
 )
 from navfilter.simulation.scenarios import SCENARIOS, simulate_scenario
@@ -70,6 +71,7 @@ def test_defaults_in_the_template_are_the_defaults(tmp_path, drive):
     if drive == "imu":
         unused |= {
             "still": ZeroVelocity(),
+            "turning": ZeroRate(),
             "water": WaterVelocity(rate_hz=4.0, lever_arm_b_m=arm),
             "beams": DvlBeams(rate_hz=4.0, lever_arm_b_m=arm),
             "odometer": Odometer(rate_hz=10.0, lever_arm_b_m=(-1.0, 0.0, 0.4)),

@@ -68,7 +68,7 @@ def _drive_lines(drive: Mechanisation) -> Iterator[str]:
         yield from _error_lines(name, drive.models[part], drive.axis_names[part], drive.units[part], drive.period_s)
     if drive.velocity_sensor is not None:
         yield from _fitting_lines(drive.velocity_sensor)
-    yield from _parameter_lines(drive.parameters())
+    yield from _parameter_lines(drive.all_parameters())
 
 
 def _sensor_lines(name: str, sensor: Sensor) -> Iterator[str]:

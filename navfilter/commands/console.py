@@ -9,7 +9,7 @@ import select
 import sys
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from navfilter.mission import Mission
@@ -163,9 +163,11 @@ def complain(text: str) -> None:
 
 def announce_compilation(say: Callable[[str], None]) -> bool:
     """Whether the navigator's kernels have yet to be compiled; says so."""
-    cold = not _compiled()
+    from navfilter.compilation import is_compiled
+
+    cold = not is_compiled("strapdown", "kalman", "measurement")
     if cold:
-        say("compiling the kernels, once: about a minute ...")
+        say("compiling the kernels, once: about half a minute ...")
     return cold
 
 
@@ -180,20 +182,3 @@ def compile_first(quiet: bool, vehicle: Vehicle | None = None) -> None:
         from navfilter.service.kernel_cache import compile_kernels
 
         compile_kernels(say, vehicle)
-
-
-def _compiled() -> bool:
-    """Whether numba has kept every kernel file of the navigator since it was last changed."""
-    from numba import config
-
-    settings: Any = config
-    sources = [Path(__file__).parents[1] / "kernels" / f"{name}.py" for name in ("strapdown", "kalman", "measurement")]
-    if settings.DISABLE_JIT:
-        return True
-    elsewhere = settings.CACHE_DIR
-    folders = [Path(elsewhere)] if elsewhere else [sources[0].parent / "__pycache__", Path.home() / ".cache" / "numba"]
-    tag = f".py{sys.version_info.major}{sys.version_info.minor}."
-    kept = [index for folder in folders if folder.is_dir() for index in folder.rglob("*.nbi") if tag in index.name]
-    return all(
-        any(i.name.startswith(f"{s.stem}.") and i.stat().st_mtime >= s.stat().st_mtime for i in kept) for s in sources
-    )

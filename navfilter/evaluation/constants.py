@@ -24,8 +24,8 @@ class Constant(NamedTuple):
     name : str
         Of the state.
     unit : str
-    given_sd : float
-        As described: zero, with this standard deviation.
+    given, given_sd : float
+        As described: the value, mostly zero, and its standard deviation.
     value, sd : float
         As found.
     """
@@ -33,6 +33,7 @@ class Constant(NamedTuple):
     owner: str
     name: str
     unit: str
+    given: float
     given_sd: float
     value: float
     sd: float
@@ -46,13 +47,15 @@ def constants(track: Track) -> tuple[Constant, ...]:
     track : Track
     """
     vehicle = track.vehicle
-    given: list[tuple[str, str, Parameter]] = [("", p.name, p) for p in vehicle.drive.parameters()]
+    drive = vehicle.drive
+    constant = (p for p in drive.all_parameters() if p.name not in drive.wandering())
+    given: list[tuple[str, str, Parameter]] = [("", p.name, p) for p in constant]
     for name, sensor in vehicle.sensors.items():
         wandering = sensor.wandering()
         given += [(name, f"{name}.{p.name}", p) for p in sensor.all_parameters() if p.name not in wandering]
     at = {name: i for i, name in enumerate(track.state_names)}
     return tuple(
-        Constant(owner, name, p.unit, p.sd, float(track.states[-1, at[name]]), float(track.states_sd[-1, at[name]]))
+        Constant(owner, name, p.unit, p.mean, p.sd, *(float(x[-1, at[name]]) for x in (track.states, track.states_sd)))
         for owner, name, p in given
         if p.sd and name in at and math.isfinite(track.states_sd[-1, at[name]])
     )
@@ -71,9 +74,9 @@ def constant_doubts(run: Track, far: float, untold: float) -> Iterator[Finding]:
     """
     found = constants(run)
     for one in found:
-        if abs(one.value) > far * one.given_sd:
+        if abs(one.value - one.given) > far * one.given_sd:
             off = f"{amount(one.value, one.unit)} (sd {amount(one.sd, one.unit)})"
-            far_off = f"{abs(one.value) / one.given_sd:.1f} sd from what vehicle.toml says"
+            far_off = f"{abs(one.value - one.given) / one.given_sd:.1f} sd from what vehicle.toml says"
             name = one.name.removeprefix(f"{one.owner}.")
             yield Finding("warning", one.owner, f"{name} is {off}, {far_off}.", _cure(one, run.vehicle))
     names = [f"{one.name} (sd {amount(one.sd, one.unit)})" for one in found if one.sd > untold * one.given_sd]

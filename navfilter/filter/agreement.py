@@ -22,7 +22,7 @@ from navfilter.filter.offsets import offset_states
 from navfilter.filter.refusals import Refusals
 from navfilter.kernels import listen
 
-__all__ = ["decided", "heard", "opened_state", "resumed"]
+__all__ = ["decided", "heard", "limits", "opened_state", "resumed"]
 
 Array = NDArray[np.float64]
 
@@ -33,6 +33,11 @@ SPAN_S, VELOCITY_SPAN_S = 8.0, 2.0
 CONFIRMED_S = 30.0
 #: A sensor has jumped if its last used reading came at most so long before the first refused one [s], or three periods.
 BEFORE_S = 2.0
+#: The NIS of the first refused reading of a jump is beyond its limit by this factor [1].
+AT_ONCE = 1.5
+#: While a jump is looked at, a reading must fit by this much better than the gate to end that [1]: what accelerometers
+#: and tilt gather meanwhile must not let in what they do not know.
+HELD = 0.25
 #: Beyond so many standard deviations an offset is none that has come back to zero.
 BACK_SDS = 4.0
 GRAVITY = 9.81  # of a tilt, as an acceleration [m/s^2]; to a percent
@@ -67,8 +72,12 @@ def heard(channel: Channel, P: Array, speed: float, time_s: float, drive_output:
     before = memory.refused
     if before is None:
         near = time_s - memory.used_s <= max(BEFORE_S, 3.0 * channel.period_s)
-        jumped = near and memory.used_s - memory.agreed_s >= CONFIRMED_S
-        return _begun(jumped, None, residual, white, seen, time_s)
+        confirmed = near and memory.used_s - memory.agreed_s >= CONFIRMED_S
+        # an error that grows reaches the gate just so; one that jumps is beyond it at once
+        at_once = channel.verdict[0] > AT_ONCE * channel.limits[int(channel.verdict[1])]
+        first = tuple(residual.tolist())
+        new = Refusals(confirmed, bool(confirmed and at_once), first, first, (), (), time_s, time_s)
+        return _begun(new, residual, white, seen, time_s)
     dt = max(time_s - before.last_s, 0.0)
     # what other sensors have corrected meanwhile is what the variance has lost
     corrected = np.maximum(np.array(before.seen) - seen, 0.0)
@@ -83,9 +92,7 @@ def heard(channel: Channel, P: Array, speed: float, time_s: float, drive_output:
     if not before.scatters and dof and nis <= channel.limits[dof]:
         return replace(_joined(before, nu, variance, S, nis, time_s), seen=tuple(seen.tolist()))
     # one that does not agree is passed over; after two on end it is the later one that counts
-    return (
-        _begun(before.jumped, before.first, residual, white, seen, time_s) if before.odd else replace(before, odd=True)
-    )
+    return _begun(before, residual, white, seen, time_s) if before.odd else replace(before, odd=True)
 
 
 def _joined(before: Refusals, nu: Array, variance: Array, S: Array, nis: float, time_s: float) -> Refusals:
@@ -102,20 +109,19 @@ def _joined(before: Refusals, nu: Array, variance: Array, S: Array, nis: float, 
     )
 
 
-def _begun(
-    jumped: bool, first: tuple[float, ...] | None, residual: Array, white: Array, seen: Array, time_s: float
-) -> Refusals:
-    offset, variance = tuple(residual.tolist()), tuple(white.tolist())
-    return Refusals(jumped, first or offset, offset, variance, tuple(seen.tolist()), time_s, time_s)
+def _begun(run: Refusals, residual: Array, white: Array, seen: Array, time_s: float) -> Refusals:
+    """A run of refusals that agree with its latest one only."""
+    offset, variance, state = (tuple(values.tolist()) for values in (residual, white, seen))
+    return Refusals(run.confirmed, run.jumped, run.first, offset, variance, state, time_s, time_s)
 
 
 def _wander(channel: Channel, dt: float) -> Array:
     """Variance by which the sensor's coloured error may have changed in a time, per axis."""
     e = channel.group.errors
-    C, Q = channel.C, channel.group.Q[:e, :e]
-    stationary = np.diag(C @ channel.group.P0[:e, :e] @ C.T)
+    C, P0, off = channel.C, channel.group.P0[:e, :e], channel.group.Phi[:e, :e] - np.eye(e)
+    tick = C @ (off @ P0 @ off.T + channel.group.Q[:e, :e]) @ C.T
     ticks = min(dt / channel.period_s, 1e9)
-    return np.asarray(np.minimum(np.diag(C @ Q @ C.T) * ticks, 2.0 * stationary))
+    return np.asarray(np.minimum(np.diag(tick) * ticks, 2.0 * np.diag(C @ P0 @ C.T)))
 
 
 def _reckoned(kind: int, P: Array, speed: float, dt: float, drive_output: Array, period_s: float) -> float:
@@ -129,6 +135,13 @@ def _reckoned(kind: int, P: Array, speed: float, dt: float, drive_output: Array,
         tilt = GRAVITY**2 * max(P[6, 6], P[7, 7])
         return float((bias[3:].max() + tilt) * dt**2 + white[3:].max() * period_s * dt)
     return float((np.diag(P)[3:6].max() + speed**2 * P[8, 8]) * dt**2)
+
+
+def limits(channel: Channel) -> Array:
+    """The gate's limits for the next reading: closer while it is looked at whether the sensor has jumped."""
+    refused = channel.memory.refused
+    held = refused is not None and refused.jumped and refused.count > 1 and not refused.scatters
+    return channel.limits * np.r_[1.0, np.full(channel.axes, HELD)] if held else channel.limits
 
 
 def decided(channel: Channel) -> Literal["state", "sensor"] | None:
@@ -145,7 +158,7 @@ def decided(channel: Channel) -> Literal["state", "sensor"] | None:
         return None if fixes else "sensor"
     unconfirmed = not memory.used_s - memory.agreed_s >= CONFIRMED_S
     # after a dive fixes beat what was reckoned meanwhile
-    return "state" if unconfirmed or (fixes and not refused.jumped) else None
+    return "state" if unconfirmed or (fixes and not refused.confirmed) else None
 
 
 # ---------------------------------------------------------------- the state was wrong

@@ -16,7 +16,7 @@ from navfilter.filter.layout import Group, Layout
 from navfilter.filter.offsets import offset_states
 from navfilter.filter.refusals import Refusals
 from navfilter.filter.sight import Sight
-from navfilter.kernels import kalman, listen
+from navfilter.kernels import kalman, listen, stretch
 from navfilter.sensors import Sensor
 from navfilter.start import Start
 
@@ -80,13 +80,16 @@ class Channel:
         self.limits = np.array(_limits(sensor.gate_probability, sensor.axes, sensor.single_gates))
         self.sight = Sight(sensor, start) if sensor.place_and_clock() else None
         self.lead_s, self.past_s = sensor.lead_s, sensor.lead_s + CLOCK_SDS * sensor.time_offset_sd_s
+        known = self.sight is None and not sensor.curved and self.constants.shape == (self.constants.size,)
+        self.kind = stretch.KINDS.get(self.kernel, -1) if known else -1
         self.moves, self.turns = sensor.sees_velocity, sensor.needs_rate or any(sensor.lever_arm_sd_m)
+        self.samples = 1  # of the drive, of which a reading is the mean
         self.forget()
 
     def forget(self) -> None:
         """Remember nothing, as at the start."""
         self._memory = ChannelMemory()
-        self.count = 0
+        self.count, self.stuck = 0, False
 
     def arrange(self, sensor: Sensor, group: Group, layout: Layout, rate_variance: Array) -> None:
         """Lay out its working memory for other states; what is remembered stays.
@@ -101,13 +104,38 @@ class Channel:
         rate_variance : ndarray, shape (3,)
             White variance of the gyros as rates [rad^2/s^2].
         """
-        a, n, m, parameters = sensor.axes, layout.size, layout.head, group.size - group.errors
-        b = group.size if group.ticks else 0
+        a, parameters = sensor.axes, group.size - group.errors
+        n, m, b = layout.size, layout.head, group.size if group.ticks else 0
         self.sensor, self.group, self.axes = sensor, group, a
         self.dims = np.array([a, n, m, b, group.start, group.errors, parameters])
         at = kalman.places(self.dims)
         self.places = np.array(at)
-        self.mem = mem = np.zeros(at[-1])
+        self.offset = bool(offset_states(sensor.models, self.period_s).size)
+        lever, R = sensor.lever_arm_covariance(rate_variance), np.diag(group.r)
+        model = np.array([group.Phi[:b, :b], group.Q[:b, :b]])
+        constants = self.constants if self.kind >= 0 else np.zeros(0)
+        parts = np.zeros(at[-1]), constants, np.zeros(3), model, group.C, R + lever, lever, R, self.limits
+        self._ends = np.cumsum([part.size for part in parts])
+        self.settle(np.concatenate([part.ravel() for part in parts]), 0)
+
+    def settle(self, bench: Array, begin: int) -> NDArray[np.int64]:
+        """Work from now on in a part of an array that all channels share, where the content of its own stands already.
+
+        Parameters
+        ----------
+        bench : ndarray
+        begin : int
+            Of its part.
+
+        Returns
+        -------
+        ndarray of int
+            Its row of the plan, see `navfilter.kernels.stretch`.
+        """
+        a, n, m, b, first, errors, parameters = self.dims.tolist()
+        ends = begin + self._ends
+        self.bench, at = bench[begin : ends[-1]], self.places
+        self.mem = mem = bench[begin : ends[0]]
         self.res, self.near = mem[at[3] : at[3] + a], mem[at[7] : at[8]].reshape(a, 9 + parameters)
         self.H, self.PH = mem[at[0] : at[1]].reshape(a, n), mem[at[6] : at[7]].reshape(a, n)
         self.into = self.H[:, 9:m], self.near, self.res  # a reading of the past depends on the drive's states, too
@@ -115,22 +143,32 @@ class Channel:
         self.verdict, self.note = mem[at[8] : at[8] + 3], mem[at[8] : at[9]]
         self.record, self.moved = mem[: at[5]], mem[: at[0]]
         self.transition = mem[: m * m].reshape(m, m)
-        self.model, self.C, self.R = np.array([group.Phi[:b, :b], group.Q[:b, :b]]), group.C, np.diag(group.r)
-        self.offset = bool(offset_states(sensor.models, self.period_s).size)
-        self.white = self.R.copy()
-        self.turns_by(rate_variance)
-        self.seen = np.r_[0:9, group.start + group.errors : group.start + group.size]
-        first = group.start - 9
-        self.parameters = slice(first + group.errors, first + group.size)
+        self.rate = bench[ends[1] : ends[2]]
+        self.model = bench[ends[2] : ends[3]].reshape(2, b, b)
+        self.C, self.white = bench[ends[3] : ends[4]].reshape(a, errors), bench[ends[4] : ends[5]].reshape(a, a)
+        self.lever = bench[ends[5] : ends[6]].reshape(a, a)
+        self.R = bench[ends[6] : ends[7]].reshape(a, a)
+        self.gate = bench[ends[7] : ends[8]]
+        self.seen = np.r_[0:9, first + errors : first + errors + parameters]
+        self.parameters = slice(first - 9 + errors, first - 9 + errors + parameters)
         self._last = mem[at[7] : at[9]]
         if self._memory.last.size == self._last.size:
             self._last[:] = self._memory.last
         self._memory.last = self._last
+        kind = -1 if self.offset else self.kind
+        starts = begin, ends[0], self.constants.size, *ends[1:8]
+        self.spot = np.array([*self.dims, kind, self.moves, self.turns, *starts, at[8], at[5]])
+        return self.spot
 
     def turns_by(self, rate_variance: Array) -> None:
         """How well the angular rate is known that its lever arm turns with; shape (3,) [rad^2/s^2]."""
-        self.lever = self.sensor.lever_arm_covariance(rate_variance)
-        self.white = np.diag(self.group.r) + self.lever
+        self.lever[:] = self.sensor.lever_arm_covariance(rate_variance / self.samples)
+        self.white[:] = np.diag(self.group.r) + self.lever
+
+    def without_errors(self, z: Array, outputs: Array, xd: Array) -> Array:
+        """A reading of the drive's first three values without the drive's errors, of whose states it depends."""
+        self.into[0][:] = outputs[:3]
+        return z - outputs[:3] @ xd
 
     @property
     def memory(self) -> ChannelMemory:
@@ -142,6 +180,15 @@ class Channel:
         self._last[:] = memory.last
         memory.last = self._last
         self._memory = memory
+
+    @property
+    def times(self) -> tuple[float, float]:
+        """Of the last reading and the last tick [s]."""
+        return self._memory.last_s, self._memory.ticked_s
+
+    @times.setter
+    def times(self, times: tuple[float, float]) -> None:
+        self._memory.last_s, self._memory.ticked_s = times
 
     def unwrap(self, x: Array) -> None:
         """Bring the residual of a heading that has jumped within half a turn of its error, before that is taken off."""

@@ -35,8 +35,6 @@ COUNTED = (*dict.fromkeys(CONDITIONS[1:]), "spike")
 UNSEEN_S = 1.0
 #: What it tilts by unseen is bounded (``strapdown.GAP_TILT``): a random walk gets there in so long [s].
 TILT_S = 30.0
-#: Gravity is held against accelerometers while roll and pitch are known to this [rad].
-LEVEL_SD = 0.1
 #: A reading at the end of the range, short of it by rounding.
 RANGE_END = 0.999
 
@@ -58,7 +56,7 @@ class DriveWatch:
         rate_sd, force_sd = drive.gap_rate_sd, drive.gap_force_sd  # type: ignore[attr-defined]
         self._unseen = np.repeat([rate_sd, force_sd], 3)
         per = self._period_s if self._increments else 1.0
-        self._limits = RANGE_END * drive.limits() / per
+        self.limits = RANGE_END * drive.limits() / per
 
     def fresh(self) -> Array:
         """What it remembers before the first sample."""
@@ -78,7 +76,7 @@ class DriveWatch:
         r : ndarray, shape (6,)
             White variances of one sample by the description.
         """
-        return kernel.look(samples, w, np.sqrt(r), self._limits, self._period_s, self._increments)
+        return kernel.look(samples, w, np.sqrt(r), self.limits, self._period_s, self._increments)
 
     def weigh(self, w: Array, C: Array, r: Array, output: Array) -> None:
         """Error models of the axes as they are believed now: `output` (6, k + 1) from C (6, errors) and r (6,).
@@ -153,7 +151,7 @@ class DriveWatch:
         if self.active:
             unit, g = w[kernel.UNIT], strapdown.gravity(nav[0], nav[2])
             unit[kernel.REFERENCE : kernel.REFERENCE + 3] = -g * nav[12:15]
-            unit[kernel.GRAVITY], unit[kernel.SURE] = g, float(P[6, 6] + P[7, 7] < LEVEL_SD**2)
+            unit[kernel.GRAVITY], unit[kernel.SURE] = g, float(P[6, 6] + P[7, 7] < kernel.LEVEL_SD**2)
 
     def _done(self, axis: int, error: float, seconds: float, nav: Array) -> Array:
         """What an error [rad/s, m/s^2] of an axis that lasted so long does to the nine navigation states."""

@@ -5,14 +5,15 @@ users see of it.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navfilter.error_models import per_axis
-from navfilter.filter import drive_watch, refused
+from navfilter.filter import agreement, drive_watch, refused
 from navfilter.filter.adoption import Change, state_change
+from navfilter.filter.asking import asked, shared
 from navfilter.filter.channel import Channel, usable
 from navfilter.filter.events import Correction, Event, Outcome, Passed, Propagated, Relaid
 from navfilter.filter.filter_memory import Errors, FilterMemory
@@ -20,7 +21,7 @@ from navfilter.filter.intake import Intake
 from navfilter.filter.layout import Layout
 from navfilter.filter.offsets import with_offsets, with_the_same_offsets
 from navfilter.filter.tape import OUTCOMES, Tape
-from navfilter.kernels import kalman, strapdown
+from navfilter.kernels import kalman, strapdown, stretch
 from navfilter.learning.learned import learning_part
 from navfilter.start import Start
 from navfilter.state import NavState
@@ -31,9 +32,8 @@ __all__ = ["Filter"]
 Array = NDArray[np.float64]
 #: One that is told what the filter does.
 Listening = Callable[[Event], None]
-#: Beyond this variance of the heading [rad^2] a body velocity is taken with its second-order term.
-UNSURE_HEADING = 0.01
 CODES = {name: code for code, name in enumerate(OUTCOMES)}
+NO_SD = np.zeros(0)
 COUNTED = (
     *("gap", "backward", "bad-sample", "clock-set", "widened", "reset", "jumped", "opened", "adopted"),
     *drive_watch.COUNTED,
@@ -83,16 +83,19 @@ class Filter:
         self.vehicle, self.start, self.tape = vehicle, start, tape
         drive = vehicle.drive
         self.steps, self.hold = drive.steps, drive.hold
-        self._period_s = drive.period_s
-        self._ahead_s = max(self.AHEAD_S, 3.0 * self._period_s)
-        self._fold_every = max(1, round(drive.rate_hz))
+        self.period_s = drive.period_s
+        self.ahead_s = max(self.AHEAD_S, 3.0 * self.period_s)
+        self.fold_every = max(1, round(drive.rate_hz))
         self.inertial, self.watch = drive.inertial, drive_watch.DriveWatch(drive)
-        self._rate = np.zeros(3)
+        self._native = drive.steps in (strapdown.imu_steps, strapdown.dead_reckoning_steps)
         self.channels = {name: Channel(name, sensor, start) for name, sensor in vehicle.sensors.items()}
         past_s = max((channel.past_s for channel in self.channels.values()), default=0.0)
-        self._remembered = drive.remembered(past_s) if past_s else 0
+        self.remembered = drive.remembered(past_s) if past_s else 0
         self.jumped: list[Change] = []
         self._rest = [self.channels[name] for name, s in vehicle.sensors.items() if s.from_drive and self.inertial]
+        self._resting = max(2, round(drive.rate_hz * min((channel.period_s for channel in self._rest), default=1.0)))
+        for channel in self._rest:
+            channel.samples = self._resting
         self.begin()
 
     def begin(self, models: dict[str, Errors] | None = None) -> None:
@@ -111,11 +114,11 @@ class Filter:
                 sample_s=state.time_s,
                 unfolded=0,
                 nav=state.pack(),
-                x=np.zeros(self.layout.size - 9),
+                x=self.layout.start_states(),
                 P=self.layout.start_covariance(state.covariance),
                 acc=self._identity(),
                 drv=self.in_force.drive.memory(self.layout.drive.errors, self.start),
-                recent=np.zeros((self._remembered, 7)),
+                recent=np.zeros((self.remembered, 7)),
                 watch=self.watch.fresh(),
                 intake=self.intake.memory,
                 channels={name: channel.memory for name, channel in self.channels.items()},
@@ -147,13 +150,20 @@ class Filter:
         self._laid_out = models
         self.layout = layout = Layout.of(in_force)
         g, m = layout.drive, layout.head
-        self._Phid, self._Qd = g.Phi, g.Q
+        self.Phid, self.Qd = g.Phi, g.Q
         self.drive_output = np.zeros((6, g.size + 1))
         self._work = np.zeros((m, layout.size))
         self._dims = np.array([0, layout.size, m, 0, 0, 0, 0])
         variance = g.r[:3] if self.inertial else np.zeros(3)  # until `weigh` says otherwise
         for name, channel in self.channels.items():
             channel.arrange(in_force.sensors[name], layout.groups[name], layout, variance)
+        self._share()
+
+    def _share(self) -> None:
+        """Let all channels work in one array, see `navfilter.kernels.stretch`."""
+        self.bench, self.plan = shared(list(self.channels.values()), self._dims)
+        if not self.inertial:
+            self.plan[:, stretch.TURNS] = 0
 
     def weigh(self) -> None:
         """Believe the drive's axes as far as the watch over them says."""
@@ -232,7 +242,7 @@ class Filter:
         if not len(samples):
             return
         memory = self.memory
-        whole = len(samples) <= self._fold_every - memory.unfolded and not (self._rest or room)
+        whole = len(samples) <= self.fold_every - memory.unfolded and not (self._rest or room)
         still = lambda: self.vehicle.drive.at_rest(self.state, memory.drv)  # noqa: E731
         samples, stamps = self.intake.take(samples, memory.drv, still)
         begin, total = 0, len(samples)
@@ -241,31 +251,29 @@ class Filter:
             if self.inertial:
                 end = begin + self.watch.look(samples[begin:end], memory.watch, self.layout.drive.r)
             block = samples[begin:end]
-            self.steps(memory.nav, self._xd, memory.drv, block, self._Phid, self._Qd, self.drive_output, memory.acc)
+            self.steps(memory.nav, self._xd, memory.drv, block, self.Phid, self.Qd, self.drive_output, memory.acc)
             if memory.recent.size:
                 memory.recent = np.concatenate([block[::-1], memory.recent])[: len(memory.recent)]
             memory.unfolded += end - begin
             memory.time_s = memory.sample_s = memory.intake.before_s = float(stamps[end - 1])
-            if memory.unfolded >= self._fold_every:
+            if memory.unfolded >= self.fold_every:
                 tell(self._fold())
-            for channel in self._rest:
-                reading = self._felt(channel)
-                if reading is not None:
-                    tell(self._update(channel, memory.time_s, reading, None, False))
+            for channel, reading in self._felt():
+                tell(self._update(channel, memory.time_s, reading, None, False))
             if room is not None:
                 tell(Passed(block))
             if self.watch.news(memory.watch):
-                self.watch.heed(self, lambda: tell(self._fold()))
+                self.heed(tell)
             begin = end
+
+    def heed(self, tell: Listening) -> None:
+        """Act on what the watch over the drive has found."""
+        self.watch.heed(self, lambda: tell(self._fold()))
 
     def _room(self, asked: Callable[[], int] | None) -> int:
         """Samples until something is due: the fold, the detection of rest, or what was asked for."""
-        room = self._fold_every - self.memory.unfolded
-        for channel in self._rest:
-            window = max(2, round(self.vehicle.drive.rate_hz * channel.period_s))
-            room = min(room, max(1, window - int(self.memory.drv[strapdown.COUNT])))
-        if self._rest:
-            room = max(1, room)
+        room = self.fold_every - self.memory.unfolded
+        room = max(1, min(room, self._resting - int(self.memory.drv[strapdown.COUNT]))) if self._rest else room
         return room if asked is None else min(room, asked())
 
     def _fold(self) -> Propagated:
@@ -284,12 +292,15 @@ class Filter:
             memory = self.memory
             self.tape.row(memory.time_s, memory.nav, memory.x, memory.P)
 
-    def _felt(self, channel: Channel) -> Array | None:
-        """The reading that the drive's last samples make, such as a zero velocity when they were quiet; asked once a
-        period.
-        """
-        felt = self.vehicle.drive.felt(self.memory.drv, channel.period_s)
-        return None if felt is None or self.watch.lost(self.memory.watch) else channel.sensor.felt(*felt)
+    def _felt(self) -> Iterator[tuple[Channel, Array]]:
+        """The readings that the drive's last samples make, once in the shortest period of all such sensors."""
+        felt = self.vehicle.drive.felt(self.memory.drv, self._resting * self.period_s) if self._rest else None
+        if felt is None or self.watch.lost(self.memory.watch):
+            return
+        for channel in self._rest:
+            reading = channel.sensor.felt(*felt)
+            if reading is not None:
+                yield channel, reading
 
     # ---------------------------------------------------------------- correction
     def correct(
@@ -319,17 +330,17 @@ class Filter:
             return self._refused(channel, time_s, "invalid")
         if time_s <= channel.memory.last_s:
             return self._refused(channel, time_s, "duplicate")
-        if early < -1.001 * self._period_s:
+        if early < -1.001 * self.period_s:
             return self._refused(channel, time_s, "too-late")
-        if time_s - channel.lead_s - memory.sample_s > self._ahead_s:
+        if time_s - channel.lead_s - memory.sample_s > self.ahead_s:
             return self._refused(channel, time_s, "ahead")
         reading = channel.sensor.read(z)
         if reading is None:
             return self._refused(channel, time_s, "invalid")
         # one that could have waited is taken as it is at the end of a run: what comes then is not to be guessed
-        holds = early <= 1.001 * self._period_s or not channel.lead_s
+        holds = early <= 1.001 * self.period_s or not channel.lead_s
         if early > 1e-7 and memory.drv[strapdown.STARTED] and holds:
-            self.hold(memory.nav, self._xd, memory.drv, early, self._Phid, self._Qd, self.drive_output, memory.acc)
+            self.hold(memory.nav, self._xd, memory.drv, early, self.Phid, self.Qd, self.drive_output, memory.acc)
             memory.time_s = time_s
         return self._update(channel, time_s, reading, sd, frozen)
 
@@ -340,31 +351,22 @@ class Filter:
 
     def _update(self, channel: Channel, time_s: float, z: Array, sd: ArrayLike | None, frozen: bool) -> Correction:
         memory = self.memory
-        nav, P, x = memory.nav, memory.P, memory.x
-        kalman.predict(P, nav, x, memory.acc, channel.model, channel.mem, channel.dims, channel.ticks(time_s))
+        own = NO_SD if sd is None else np.resize(np.square(np.ravel(sd)), channel.axes)
+        channel.gate[:] = channel.limits if channel.memory.refused is None else agreement.limits(channel)
+        if channel.spot[stretch.KIND] >= 0 and self._native:
+            stretch.correction(
+                *(self.bench, channel.spot, memory.P, memory.nav, memory.x, memory.acc, memory.drv, self.drive_output),
+                *(z, own, channel.ticks(time_s)),
+            )
+        else:
+            asked(channel, memory, self.vehicle.drive, self.drive_output, (z, own), time_s)
         memory.unfolded = 0
         channel.memory.last_s = time_s
-        outputs = self.vehicle.drive.outputs(self.drive_output[:, :-1], memory.drv)
-        if channel.turns:
-            self._rate[:] = self.vehicle.drive.body_rate(memory.drv, outputs[:3] @ self._xd)
-        if channel.sight is None:
-            channel.kernel(z, nav, self._rate, x[channel.parameters], channel.constants, channel.near, channel.res)
-        else:
-            par, since_s = x[channel.parameters], channel.lead_s + memory.time_s - time_s
-            recent = memory.recent[: self.vehicle.drive.remembered(since_s + abs(float(par[-1])))]
-            moved = self.vehicle.drive.motion(recent, nav, memory.drv, outputs @ self._xd)
-            channel.sight.look(z, nav, self._rate, par, moved, since_s, outputs, channel.into)
-        if channel.offset:
-            channel.unwrap(x)
-        channel.R[:] = channel.white
-        if sd is not None:
-            channel.R[:] = channel.lever + np.eye(channel.axes) * np.resize(np.square(np.ravel(sd)), channel.axes)
-        if channel.moves and P[8, 8] > UNSURE_HEADING:
-            # second-order term of a velocity seen from a heading that is hardly known (Gelb, 1974, sec. 6.1)
-            channel.R[range(channel.axes), range(channel.axes)] += 0.5 * (nav[3] ** 2 + nav[4] ** 2) * P[8, 8] ** 2
-        if channel.sensor.curved:
-            channel.R += channel.sensor.second_order(z, channel.near, P[np.ix_(channel.seen, channel.seen)])
-        kalman.update(P, nav, x, channel.C, channel.R, channel.mem, channel.dims, channel.limits)
+        return self.concluded(channel, time_s, frozen)
+
+    def concluded(self, channel: Channel, time_s: float, frozen: bool) -> Correction:
+        """What follows from the verdict on a reading, which stands in its channel."""
+        channel.stuck = frozen
         nis, dof, used = channel.verdict.tolist()
         widened = False
         if used:
@@ -390,6 +392,7 @@ class Filter:
     def take_up(self, tell: Listening) -> None:
         """Adopt the constants of sensors that have just jumped, see `jumped` and `adopt`."""
         while self.jumped:
+            self.channels[self.jumped[0].sensor].memory.refused = None
             self.adopt(self.jumped.pop(0), tell)
 
     @property

@@ -139,6 +139,13 @@ class Watch:
             share = min(nis / dof, 100.0)
             self.nis = share if math.isnan(self.nis) else self.nis + (share - self.nis) / self.MEMORY
 
+    def caught_up(self, figures: Array, value: bytes) -> None:
+        """Take over what `navfilter.kernels.stretch` has counted; `value` arrived last."""
+        same, self.since_s, self.heard_s, self.used_s, self.nis, used = figures.tolist()
+        self.same, self.value = int(same), value
+        if used:
+            self.outcomes["used"] = self.outcomes.get("used", 0) + int(used)
+
     def health(self, now_s: float, jumped: bool = False) -> SensorHealth:
         """The figures at a time, of a sensor that is off by a constant where it has `jumped`."""
         age_s = now_s - self.used_s

@@ -87,6 +87,7 @@ class Intake:
 
     def __init__(self, drive: Mechanisation, start_s: float, counts: dict[str, int]) -> None:
         self.counts, self._period_s, self._limits = counts, drive.period_s, drive.limits()
+        self.limits = np.ascontiguousarray(self._limits, dtype=np.float64)
         self._gap_s = strapdown.GAP_PERIODS * self._period_s
         self._doubt_s = max(self.DOUBT_S, 10.0 * self._period_s)
         self._confirm = max(5, round(0.25 * drive.rate_hz))
@@ -98,6 +99,11 @@ class Intake:
     def offset_s(self) -> float:
         """What is added to all stamps since the clock was set [s]."""
         return self.memory.offset_s
+
+    @property
+    def spans(self) -> tuple[float, float]:
+        """Silence that is a gap, and silence after which a stamp is in doubt [s]."""
+        return self._gap_s, self._doubt_s
 
     @property
     def in_doubt(self) -> bool:
@@ -115,9 +121,13 @@ class Intake:
         gaps = strapdown.stamps_to_steps(samples, memory.before_s, self._limits, self._gap_s, self._doubt_s)
         if gaps < 0:
             return self._mend(samples, drv, at_rest)
-        self.counts["gap"] += gaps
-        memory.doubtful_s, memory.back_count, memory.bad = -math.inf, 0, 0
+        self.taken(gaps)
         return samples, stamps
+
+    def taken(self, gaps: int) -> None:
+        """Note that samples were all right, but for so many gaps between them."""
+        self.counts["gap"] += gaps
+        self.memory.doubtful_s, self.memory.back_count, self.memory.bad = -math.inf, 0, 0
 
     def _mend(self, samples: Array, drv: Array, at_rest: Callable[[], Array]) -> tuple[Array, Array]:
         """Drop samples whose stamps cannot be, repair values that cannot be; returns steps and stamps."""

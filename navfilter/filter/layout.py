@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from navfilter.error_models import block_diagonal
 
-__all__ = ["Group", "Layout", "Parameter"]
+__all__ = ["Calibrated", "Group", "Layout", "Parameter", "check_calibrated", "with_calibrated"]
 
 Array = NDArray[np.float64]
 
@@ -32,18 +32,63 @@ class Parameter(NamedTuple):
         Standard deviation at the start, not negative [unit]; 0 for one that is known to be zero.
     unit : str
         As in the names of columns: "m", "m_s", "rad", "rad_per_k"; "1" is a pure number.
+    mean : float
+        What it is believed to be at the start [unit].
     """
 
     name: str
     sd: float
     unit: str
+    mean: float = 0.0
+
+
+#: Of some parameters: name, value and standard deviation, as a calibration found them.
+Calibrated = tuple[tuple[str, float, float], ...]
+
+
+def with_calibrated(parameters: Iterable[Parameter], calibrated: Calibrated) -> tuple[Parameter, ...]:
+    """The parameters with value and standard deviation of a calibration in the place of zero and the prior's."""
+    if not calibrated:
+        return tuple(parameters)
+    found = {name: (value, sd) for name, value, sd in calibrated}
+    return tuple(p._replace(mean=found[p.name][0], sd=found[p.name][1]) if p.name in found else p for p in parameters)
+
+
+def check_calibrated(owner: str, calibrated: Calibrated, known: Sequence[str]) -> None:
+    """Refuse what no calibration can have found.
+
+    Parameters
+    ----------
+    owner : str
+        For the message.
+    calibrated : tuple of (str, float, float)
+    known : sequence of str
+        Constant states that may be calibrated so.
+
+    Raises
+    ------
+    ValueError
+    """
+    for name, value, sd in calibrated:
+        if name not in known:
+            have = ", ".join(known) or "none: it is unsure of no constant but lever arm and clock"
+            raise ValueError(
+                f'{owner}.calibrated: "{name}" is no constant state of it (these are: {have}). A lever arm and a clock '
+                "are calibrated by lever_arm_b_m and time_offset_s; a constant needs its key of an sd above 0."
+            )
+        if not (math.isfinite(value) and 0.0 <= sd < math.inf):
+            raise ValueError(f'{owner}.calibrated: "{name}" must be [value, sd >= 0], found [{value!r}, {sd!r}].')
+    if len({name for name, *_ in calibrated}) < len(calibrated):
+        raise ValueError(f"{owner}.calibrated names a constant twice.")
 
 
 def _checked(parameters: Iterable[Any], owner: str) -> tuple[Parameter, ...]:
     """The parameters of a kind that may be anybody's."""
     for given in parameters:
         if not (
-            isinstance(given, tuple) and len(given) == 3 and all(isinstance(given[i], str) and given[i] for i in (0, 2))
+            isinstance(given, tuple)
+            and len(given) in (3, 4)
+            and all(isinstance(given[i], str) and given[i] for i in (0, 2))
         ):
             raise ValueError(
                 f'{owner}: a parameter is Parameter(name, sd, unit), such as Parameter("offset", 0.3, "m"); found '
@@ -72,6 +117,8 @@ class Group:
         White variance of one sample.
     names, units : tuple of str
         Of each state.
+    x0 : ndarray, shape (size,)
+        Means at the start: zero, but for parameters that a calibration has found.
     """
 
     start: int
@@ -84,6 +131,7 @@ class Group:
     r: Array
     names: tuple[str, ...]
     units: tuple[str, ...]
+    x0: Array
 
     @property
     def slice(self) -> slice:
@@ -126,11 +174,11 @@ class Group:
             names += [f"{label}[{j}]" for j in range(b.size)]
             units += [axis_units[i]] * b.size
         dot = f"{prefix}." if prefix else ""
-        names += [f"{dot}{name}" for name, _, _ in parameters]
-        units += [unit for _, _, unit in parameters]
-        variances = np.diag([sd**2 for _, sd, _ in parameters]) if k else np.zeros((0, 0))
-        keep = np.diag([float(wandering[name].Phi[0, 0]) if name in wandering else 1.0 for name, _, _ in parameters])
-        noise = np.diag([float(wandering[name].Q[0, 0]) if name in wandering else 0.0 for name, _, _ in parameters])
+        names += [f"{dot}{p.name}" for p in parameters]
+        units += [p.unit for p in parameters]
+        variances = np.diag([p.sd**2 for p in parameters]) if k else np.zeros((0, 0))
+        keep = np.diag([float(wandering[p.name].Phi[0, 0]) if p.name in wandering else 1.0 for p in parameters])
+        noise = np.diag([float(wandering[p.name].Q[0, 0]) if p.name in wandering else 0.0 for p in parameters])
         r = np.array([b.r for b in blocks])
         return cls(
             start,
@@ -143,6 +191,7 @@ class Group:
             r,
             tuple(names),
             tuple(units),
+            np.concatenate([np.zeros(errors), [p.mean for p in parameters]]),
         )
 
 
@@ -185,9 +234,10 @@ class Layout:
     def of(cls, vehicle: Any) -> Layout:
         """Lay out a vehicle's states."""
         drive = vehicle.drive
-        group = Group.build(
-            9, [m.block(drive.period_s) for m in drive.models], drive.parameters(), drive.axis_names, drive.units
-        )
+        wandering = {key: model.block(drive.period_s) for key, model in drive.wandering().items()}
+        blocks = [m.block(drive.period_s) for m in drive.models]
+        axes = drive.axis_names, drive.units
+        group = Group.build(9, blocks, drive.all_parameters(), *axes, "", wandering)
         start, groups = 9 + group.size, {}
         for name, sensor in vehicle.sensors.items():
             blocks = [m.block(1.0 / sensor.rate_hz) for m in sensor.models]
@@ -196,6 +246,10 @@ class Layout:
             groups[name] = Group.build(start, blocks, sensor.all_parameters(), *axes, name, wandering)
             start += groups[name].size
         return cls(group, groups)
+
+    def start_states(self) -> Array:
+        """Means at the start of all states behind the nine of navigation."""
+        return np.concatenate([g.x0 for g in (self.drive, *self.groups.values())])
 
     def start_covariance(self, navigation: Array) -> Array:
         """Covariance at the start from that of the nine navigation errors."""

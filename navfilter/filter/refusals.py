@@ -22,8 +22,10 @@ class Refusals:
 
     Attributes
     ----------
-    jumped : bool
+    confirmed : bool
         The sensor had confirmed the state for long, until right before.
+    jumped : bool
+        It had, and was far beyond its gate at once.
     first, offset, variance : tuple of float
         Residual of the first of them; by how much they are off, and the variance of that, per axis; NaN where missing.
     seen : tuple of float
@@ -40,6 +42,7 @@ class Refusals:
         The last reading did not agree.
     """
 
+    confirmed: bool
     jumped: bool
     first: tuple[float, ...]
     offset: tuple[float, ...]

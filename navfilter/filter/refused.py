@@ -76,7 +76,7 @@ def _agreed(filter: Filter, channel: Channel, time_s: float) -> bool:
     if wrong == "sensor":
         sds = agreement.resumed(channel, refused, memory.x, memory.P)
         filter.jumped.append(Change(channel.name, with_offsets(channel.sensor.models, sds), offsets=True))
-        kept.rejected_since_s, kept.refused = time_s, None
+        kept.rejected_since_s = time_s
         memory.counts["jumped"] += 1
     if wrong != "state":
         return False

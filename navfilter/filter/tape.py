@@ -64,6 +64,27 @@ class Spool:
         self._end += size
         return self[-1]
 
+    def extend(self, flat: Array, sizes: NDArray[np.int64]) -> None:
+        """Append vectors of these sizes that stand one behind the other in `flat`."""
+        ends = np.cumsum(sizes)
+        done = 0
+        while done < len(sizes):
+            begin = int(ends[done] - sizes[done])
+            room = 0 if not self._chunks else len(self._chunks[-1]) - self._end  # type: ignore[arg-type]
+            last = int(np.searchsorted(ends, begin + room, side="right"))
+            if last == done:
+                self.new(int(sizes[done]))[:] = flat[begin : int(ends[done])]
+                done += 1
+                continue
+            chunk, at, size = self._chunks[-1], self._end, int(ends[last - 1]) - begin
+            assert chunk is not None
+            chunk[at : at + size] = flat[begin : begin + size]
+            places = np.empty((last - done, 3), np.int64)
+            places[:, 0], places[:, 2] = len(self._chunks) - 1, at + ends[done:last] - begin
+            places[:, 1] = places[:, 2] - sizes[done:last]
+            self._places.frombytes(places.tobytes())
+            self._end, done = at + size, last
+
     def drop(self) -> None:
         """Forget the last vector."""
         del self._places[-3:]
@@ -152,6 +173,17 @@ class _Column:
             row[1:] = note
         row[0], row[3] = time_s, code
         self.used += 1
+
+    def extend(self, times: Array, notes: Array) -> None:
+        """Append readings that were used."""
+        needed = self.used + len(times)
+        if needed > len(self.rows):
+            spare = np.empty((max(needed, 2 * len(self.rows)) - len(self.rows), self.rows.shape[1]))
+            self.rows = np.concatenate([self.rows, spare])
+        rows = self.rows[self.used : needed]
+        rows[:, 1:] = notes
+        rows[:, 0], rows[:, 3] = times, 0.0
+        self.used = needed
 
     def after(self, before: _Column) -> _Column:
         """This column, its first rows those of the one before."""
@@ -269,6 +301,33 @@ class Tape:
         else:
             out[17 + x.size : 98 + x.size] = P[:9, :9].reshape(-1)
             out[98 + x.size :] = P.diagonal()[9:]
+
+    def extend(
+        self, given: tuple[Array, Array, Array, NDArray[np.int64]], count: int, records: int, elements: int
+    ) -> None:
+        """As many calls of `record` and `row`, in this order of time, by what `navfilter.kernels.stretch` has written.
+
+        Parameters
+        ----------
+        given : tuple of ndarray
+            Rows; when each of them holds and after how many of the records; records; their sizes and heads.
+        count, records, elements : int
+            How many there are of rows and records, and of the elements of these.
+        """
+        rows, info, flat, heads = given
+        before = len(self.records)
+        if records:
+            self.records.extend(flat[:elements], heads[:records, 0])
+            self._heads.frombytes(heads[:records, 1:].tobytes())
+        if count and self.row_times and info[0, 0] == self.row_times[-1]:
+            self.rows.drop()
+            for ended in (self.row_times, self.row_records, self.row_layouts):
+                ended.pop()
+        if count:
+            self.rows.extend(rows[:count].reshape(-1), np.full(count, rows.shape[1]))
+            self.row_times.frombytes(info[:count, 0].tobytes())
+            self.row_records.frombytes((before + info[:count, 1].astype(np.int64)).tobytes())
+            self.row_layouts.extend([len(self.layouts) - 1] * count)
 
     def column(self, name: str, axes: int) -> _Column:
         """The residual table of a sensor."""

@@ -93,7 +93,7 @@ def _with_models(
     found = re.compile(rf"^[ \t]*{key}[ \t]*=[ \t]*", flags=re.MULTILINE).search(text, header.end(), end)
     if found is None:
         raise _Unclear
-    first, last = found.end(), _closing(text, found.end())
+    first, last = found.end(), closing(text, found.end())
     value = text[first:last]
     if len(models) == 1:
         new = _with_adopted(value, models[0])
@@ -111,7 +111,7 @@ def _with_adopted(value: str, model: ErrorModel) -> str:
     part, table = learned_part(model), _LEARNED.search(value)
     if part is None or table is None:
         raise _Unclear
-    last = _closing(value, table.start()) - 1
+    last = closing(value, table.start()) - 1
     inner = value[table.start() : last]
     for key in ("adopted", "slow", "frozen"):
         inner = _without(inner, key)
@@ -124,11 +124,11 @@ def _without(table: str, key: str) -> str:
     found = re.search(rf",?\s*\b{key}\s*=\s*", table)
     if found is None:
         return table
-    last = _closing(table, found.end())
+    last = closing(table, found.end())
     return table[: found.start()] + table[last:]
 
 
-def _closing(text: str, start: int) -> int:
+def closing(text: str, start: int) -> int:
     """End of the value that starts here: behind the bracket that closes it, or at the comma, comment or line's end."""
     depth, i = 0, start
     while i < len(text):

@@ -12,7 +12,7 @@ from pydantic import Field
 
 from navfilter.io.units import SUFFIXES
 
-__all__ = ["checked", "plain_key", "spellings", "times"]
+__all__ = ["checked", "constants", "plain_key", "spellings", "times"]
 
 #: Bounds in SI by the name of the key, first match counts. The outer ones are far beyond anything real: they keep
 #: squares, inverses and exponentials of what a file says within the range of floating-point numbers.
@@ -95,6 +95,22 @@ def plain_key(key: str, fields: Iterable[str]) -> tuple[str, float | None]:
         if name != key and name in fields:
             return name, SUFFIXES[suffix]
     return key, None
+
+
+def constants(table: dict[str, tuple[float, float]]) -> tuple[tuple[str, float, float], ...]:
+    """Calibrated constants of a file, ``{name = [value, sd]}``, as names, values and sds in SI.
+
+    Examples
+    --------
+    >>> constants({"scale": (0.01, 0.001), "misalignment_z_deg": (180.0, 0.0)})
+    (('scale', 0.01, 0.001), ('misalignment_z', 3.141592653589793, 0.0))
+    """
+    found = []
+    for key, (value, sd) in table.items():
+        suffix = next((s for s in _LONGEST_FIRST if key.endswith(f"_{s}")), None)
+        factor = 1.0 if suffix is None else SUFFIXES[suffix]
+        found.append((key if suffix is None else key.removesuffix(f"_{suffix}"), factor * value, factor * sd))
+    return tuple(found)
 
 
 def spellings(field: str) -> list[str]:

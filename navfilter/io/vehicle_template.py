@@ -106,7 +106,8 @@ def vehicle_template(drive: str = "imu") -> str:
 def _shown(drive: str) -> list[Any]:
     """The kinds of correcting sensors to show: those that bring a template, but for what dead reckoning is made of."""
     kinds: list[Any] = [kind for kind in kinds_below(Sensor) if "template" in vars(kind)]
-    return [kind for kind in kinds if drive == "imu" or kind.corrects not in ("heading", "velocity")]
+    others = [kind for kind in kinds if kind.corrects not in ("heading", "velocity") and not kind.from_drive]
+    return kinds if drive == "imu" else others
 
 
 def _correcting(kind: Any) -> str:
@@ -203,6 +204,8 @@ def _not_for(cls: Any) -> set[str]:
 
 def _default(field: Any) -> str:
     key, value = field.name, field.default
+    if key == "calibrated":
+        return f"#{key} = {{}}"
     if value is None:
         # It has no default that could be written: an example, in words.
         return f"# {re.sub(r'_rad(?=_|$)', '_deg', key)} = 0.0"

@@ -28,7 +28,7 @@ from navfilter.arma.model import ArmaModel
 from navfilter.error_models import ErrorModel, Sum
 from navfilter.filter.offsets import Offset
 from navfilter.io.validation import Strict, inside, listed, read_toml, validate
-from navfilter.io.vehicle_keys import checked, plain_key, spellings, times
+from navfilter.io.vehicle_keys import checked, constants, plain_key, spellings, times
 from navfilter.learning.learned import LearnedArma
 from navfilter.mechanisation import Mechanisation
 from navfilter.sensors import Sensor
@@ -111,7 +111,7 @@ def write_vehicle(vehicle: Vehicle, path: str | os.PathLike[str]) -> Path:
     """Write a vehicle as a .toml that `read_vehicle` reads back as an equal vehicle (SI and radians throughout)."""
     lines = [f"name = {_toml(vehicle.name)}", "", "[drive]", *_lines(vehicle.drive)]
     for name, sensor in vehicle.sensors.items():
-        lines += ["", f"[sensors.{_key(name)}]", *_lines(sensor)]
+        lines += ["", f"[sensors.{quoted_key(name)}]", *_lines(sensor)]
     path = Path(path)
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     return path
@@ -218,6 +218,9 @@ def _adopted_spec() -> type[_Spec]:
 
 def _type_of(hint: Any, name: str, owner: type, kinds: Kinds) -> Any:
     """What a field may hold in a file: numbers as they are, errors and nested sensors as tables."""
+    if name == "calibrated":
+        pair: Any = tuple[checked(float, ""), checked(float, "sd")]  # type: ignore[misc]
+        return Annotated[dict[str, pair], AfterValidator(constants)]
     members = _members(hint)
     if ArmaModel in members:
         return _adopted_spec() | None
@@ -407,6 +410,8 @@ def _plain(value: Any, owner: type, field: str) -> Any:
         return _table(value)
     if isinstance(value, ArmaModel):
         return _adopted(value)
+    if field == "calibrated":
+        return {name: (found, sd) for name, found, sd in value}
     if isinstance(value, tuple) and value and isinstance(value[0], ErrorModel):
         return {name: _plain(part, owner, field) for name, part in zip(_axes_of(owner, field), value, strict=True)}
     return value
@@ -418,13 +423,13 @@ def _toml(value: Any) -> str:
     if isinstance(value, str):
         return _quoted(value)
     if isinstance(value, dict):
-        return "{" + ", ".join(f"{_key(key)} = {_toml(part)}" for key, part in value.items()) + "}"
+        return "{" + ", ".join(f"{quoted_key(key)} = {_toml(part)}" for key, part in value.items()) + "}"
     if isinstance(value, list | tuple):
         return "[" + ", ".join(_toml(part) for part in value) + "]"
     return repr(value) if isinstance(value, int) else repr(float(value))
 
 
-def _key(name: str) -> str:
+def quoted_key(name: str) -> str:
     return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else _quoted(name)
 
 

@@ -567,7 +567,7 @@ def channel_line(y, theta, chain, sees, rules, integrators, sizes, first, e, lns
             for i in range(integrators, r):
                 for j in range(integrators, r):
                     parts[part, i, j] = sizes[k] * chain[part, i, j]
-        whole = _filter(y, theta, parts, sees, rules, np.zeros(y.size, np.int64), False, e, lns)
+        whole = _filter(y, theta, parts, sees, rules, np.zeros(y.size, np.int64), rules[TOLERANCE], e, lns)
         values[k] = _contribution(e[first:], lns[first:], rules[CLIP]) if whole < math.inf else math.inf
 
 

@@ -40,6 +40,7 @@ SPIKE = 12.0  # standard deviations of a single sample off both its neighbours (
 MEAN_S = 0.1
 OFF, NEAR = 0.7, 0.35  # of gravity: no vehicle that swims accelerates so for `OFF_FOR_S`
 OFF_FOR_S, RECOVERS_S = 0.3, 1.0
+LEVEL_SD = 0.1  # gravity is held against accelerometers while roll and pitch are known to this [rad]
 JUDGED_S = 1.0  # how often the attitude is asked for: between, the reference turns with the gyros
 
 

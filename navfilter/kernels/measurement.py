@@ -421,6 +421,22 @@ def velocity(z, nav, rate, par, cfg, H, res):
 
 
 @njit(cache=True)
+def earth_rate(z, nav, rate, par, cfg, H, res):
+    """Rate in b [rad/s] of a body that does not turn on the Earth: the Earth's own, ``C_nb' (cos, 0, -sin latitude)``.
+
+    cfg: the Earth's rate [rad/s].
+    """
+    _clear(H)
+    north, down = cfg[0] * math.cos(nav[0]), -cfg[0] * math.sin(nav[0])
+    for i in range(3):
+        a, b, c = nav[6 + i], nav[9 + i], nav[12 + i]
+        res[i] = z[i] - a * north - c * down
+        H[i, 0] = (a * down - c * north) / nav[15]
+        # C_nb' turns by -phi: C' (w x phi)
+        H[i, 6], H[i, 7], H[i, 8] = b * down, c * north - a * down, -b * north
+
+
+@njit(cache=True)
 def _turned_rows(C, x, y, z):
     """C exp([-(x, y, z) x]): every row turned by (x, y, z) (Rodrigues)."""
     t2 = x * x + y * y + z * z

@@ -5,7 +5,7 @@ Arrays shared with the navigator (all float64, C-contiguous):
 ``nav`` (17,)   latitude, longitude [rad], height [m], velocity_n (3) [m/s], C_nb row by row (9), meridian and
 prime-vertical
                 radius plus height [m].
-``drv`` (125,)  memory and settings of the drive, see the index constants below. ``samples`` (n, 7)  seconds since the
+``drv`` (126,)  memory and settings of the drive, see the index constants below. ``samples`` (n, 7)  seconds since the
 previous sample, then the six values of the drive. ``Cr`` (6, k+1) output rows C of the drive's error blocks, and in the
 last column the white variance of one sample. ``acc`` (4m, m) compound transition Phi and noise Q since the last fold (m
 rows each), then two m-row work areas. m = 9 + k.
@@ -52,8 +52,10 @@ SCALE_STEP = 87
 # An inertial unit that is not calibrated, true = reading - M reading - errors: how many elements of M are states, the
 # last of the drive's; which they are (3 * channel + axis each); and what they are thought to be.
 CALIBRATED, ELEMENTS, CALIBRATION = 88, 89, 107
-PLACES = [DEVIATION, SCALE, ARM, ATTITUDE_CLOCK, VELOCITY_CLOCK]
-DRIVE_SIZE = 125
+# Dead reckoning through water: place of the current, north and east, among the drive's states (-1: over ground).
+CURRENT = 125
+PLACES = [DEVIATION, SCALE, ARM, ATTITUDE_CLOCK, VELOCITY_CLOCK, CURRENT]
+DRIVE_SIZE = 126
 CHANGE_S = 0.1  # what changes is a mean over so long, for readings that come faster are noisy
 MOST_TICKS = 10000.0  # of the drive's blocks in one step
 WIDE = 16  # columns of a panel: rows of so many stay in registers
@@ -744,6 +746,8 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
         # -- the sensors' own errors
         dev, par, step = int(drv[DEVIATION]), int(drv[SCALE]), int(drv[SCALE_STEP])
         late_a, late_v, arm = int(drv[ATTITUDE_CLOCK]), int(drv[VELOCITY_CLOCK]), int(drv[ARM])
+        flow = int(drv[CURRENT])
+        north, east = (xd[flow], xd[flow + 1]) if flow >= 0 else (0.0, 0.0)
         for i in range(6):
             err[i] = 0.0
             for s in range(k):
@@ -809,14 +813,16 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
             for i in range(3):
                 for j in range(3):
                     B[i, j] = C[i, 0] * nav[6 + 3 * j] + C[i, 1] * nav[7 + 3 * j] + C[i, 2] * nav[8 + 3 * j]
+            # what is held is the velocity through the water, if it is water
+            v[0], v[1], v[2] = nav[3] - north, nav[4] - east, nav[5]
             for i in range(3):
                 u[i] = 0.0
                 for j in range(3):
-                    u[i] += B[i, j] * (nav[3 + j] + drv[LEVER_VELOCITY + j])
+                    u[i] += B[i, j] * (v[j] + drv[LEVER_VELOCITY + j])
                     F[3 + i, 3 + j] = B[i, j]
-                F[3 + i, 6] = B[i, 1] * nav[5] - B[i, 2] * nav[4]
-                F[3 + i, 7] = B[i, 2] * nav[3] - B[i, 0] * nav[5]
-                F[3 + i, 8] = B[i, 0] * nav[4] - B[i, 1] * nav[3]
+                F[3 + i, 6] = B[i, 1] * v[2] - B[i, 2] * v[1]
+                F[3 + i, 7] = B[i, 2] * v[0] - B[i, 0] * v[2]
+                F[3 + i, 8] = B[i, 0] * v[1] - B[i, 1] * v[0]
         else:
             g0, g1, g2, a, b, c = 1.0, 1.0, 1.0, 0.0, 0.0, 0.0
             if par >= 0:
@@ -836,8 +842,6 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
             z0, z1, z2 = samples[n, 4] - err[3], samples[n, 5] - err[4], samples[n, 6] - err[5]
             for i in range(3):
                 u[i] = J[3 + i, 3] * z0 + J[3 + i, 4] * z1 + J[3 + i, 5] * z2
-        for i in range(3):
-            v[i] = u[i] - w[i]
         half = 0.5 * span
         for j in range(6):
             # an angle turns the velocity u and, later in time than l0, the arm; the velocity of the arm follows from
@@ -847,6 +851,10 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
             u0, u1, u2 = J[3, j] + b * u[2] - c * u[1], J[4, j] + c * u[0] - a * u[2], J[5, j] + a * u[1] - b * u[0]
             J[0, j], J[1, j], J[2, j] = half * u0 - y0, half * u1 - y1, half * u2 - y2
             J[3, j], J[4, j], J[5, j] = u0 - per * y0, u1 - per * y1, u2 - per * y2
+        through0, through1, through2 = u[0], u[1], u[2]  # against what it is measured
+        u[0], u[1] = u[0] + north, u[1] + east
+        for i in range(3):
+            v[i] = u[i] - w[i]
         # -- transition
         lead = half - held
         for i in range(3):
@@ -883,12 +891,19 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
                     F[i, 9 + late_v] += J[i, 3 + a] * drv[CHANGE + 3 + a]
         if arm >= 0:
             _arm_columns(F, drv, nav, C, B, missing, per, half, arm)
+        if flow >= 0:
+            for i in range(3):
+                for j in range(2):
+                    a = (1.0 if i == j else 0.0) - (B[i, j] if missing else 0.0)
+                    F[3 + i, 9 + flow + j] += a
+                    F[i, 9 + flow + j] += half * a
         if par >= 0 and not missing:
             # reading = (1 + s)(y + m x y): y is the true velocity in instrument axes
             for i in range(3):
                 err[i] = 0.0
                 for j in range(3):
-                    err[i] += (C[j, 0] * M[i] + C[j, 1] * M[3 + i] + C[j, 2] * M[6 + i]) * u[j]
+                    through = through0 if j == 0 else through1 if j == 1 else through2
+                    err[i] += (C[j, 0] * M[i] + C[j, 1] * M[3 + i] + C[j, 2] * M[6 + i]) * through
             turned = par + 2 * step + 1
             g = 1.0 + xd[par]
             a, b, c = xd[turned], xd[turned + 1], xd[turned + 2]

@@ -22,6 +22,7 @@ from navfilter.learning.posterior import DEAD, Line, SlowPosterior, follow, slow
 from navfilter.learning.slow import SlowPrior
 from navfilter.learning.spectrum import Spectrum, log_spread
 from navfilter.learning.starts import cold_starts, grown_starts, padded_starts, with_slow_part
+from navfilter.learning.unseen import WhiteDescription
 
 __all__ = ["Learner", "LearnerMemory", "Learnt", "memories", "recall"]
 
@@ -97,6 +98,8 @@ class Learner:
         Variance of known white noise in the series.
     prior : SlowPrior, optional
         Of the slow part; without one the error has none.
+    described : WhiteDescription, optional
+        Where there is no such prior: what stays believed of low frequencies.
 
     Raises
     ------
@@ -120,6 +123,7 @@ class Learner:
         *,
         white: float = 0.0,
         prior: SlowPrior | None = None,
+        described: WhiteDescription | None = None,
     ) -> None:
         self.orders = tuple(sorted({(int(p), int(q)) for p, q in orders}, key=lambda pq: (sum(pq), pq)))
         if not self.orders or min(min(order) for order in self.orders) < 0:
@@ -129,6 +133,7 @@ class Learner:
         if not (math.isfinite(white) and white >= 0.0):
             raise ValueError(f"white must be a variance (finite, not negative), found {white}.")
         self.window, self.drift, self.white, self.prior = int(window), drift, float(white), prior
+        self.described = described if prior is None else None
         self._memory = LearnerMemory({}, {}, {}, 0, 0, {})
 
     @property
@@ -199,7 +204,10 @@ class Learner:
             if first > 0 and self._contradicted(likelihood, point, posterior):
                 posterior = follow(likelihood, point.theta, point.p, {}, 0, 1.0)
         self._keep(likelihood, fits, scores, posterior, heard, tried)
-        return _learnt(likelihood, point, posterior, n)
+        learnt = _learnt(likelihood, point, posterior, n)
+        if self.described is None:
+            return learnt
+        return learnt._replace(slow=self.described.unseen(learnt.model, y, self.drift, self.white))
 
     @staticmethod
     def _contradicted(likelihood: Likelihood, point: Point, posterior: SlowPosterior) -> bool:

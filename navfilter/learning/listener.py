@@ -27,6 +27,7 @@ from navfilter.learning.learned import (
 from navfilter.learning.learner import Learner, LearnerMemory, Learnt, memories, recall
 from navfilter.learning.limits import LEAST
 from navfilter.learning.slow import SlowPrior, slow_prior
+from navfilter.learning.unseen import white_description
 from navfilter.learning.worker import Task, Worker
 from navfilter.sensors import Sensor
 from navfilter.vehicle import Vehicle
@@ -46,6 +47,8 @@ MOST_NIS = 25.0
 TAKEN_AFTER_S = 2.0
 #: A sample so many robust deviations from its neighbours is a spike.
 SPIKE = 8.0
+#: So many stretches that are left out are remembered: a window of an hour with one every four minutes.
+LEFT_OUT = 16
 NEVER = int(np.iinfo(np.int64).max)
 
 
@@ -107,6 +110,8 @@ class ListenerMemory:
         capacity``.
     cursor : ndarray of int, shape (1,)
         Ticks noted so far.
+    left_out : ndarray of int, shape (LEFT_OUT, 2)
+        Stretches of ticks, first and end, that nothing is learnt from: the newest last.
     due : int
         The next hop comes when so many have been noted.
     heard : int
@@ -129,6 +134,7 @@ class ListenerMemory:
 
     ring: Array
     cursor: NDArray[np.int64]
+    left_out: NDArray[np.int64]
     due: int
     heard: int
     since: int
@@ -196,7 +202,12 @@ class Listener:
         self.learners = tuple(
             None
             if part is None
-            else Learner(part.orders, part.window, drift, white=r, prior=believed(part, self.period_s))
+            else Learner(
+                *(part.orders, part.window, drift),
+                white=r,
+                prior=believed(part, self.period_s),
+                described=white_description(part.prior or part, self.period_s, span_s(part, self.period_s)),
+            )
             for part, drift, r in zip(learned, self.drifts, self.white, strict=True)
         )
         self.window = window
@@ -206,6 +217,7 @@ class Listener:
         self._memory = ListenerMemory(
             ring=np.full((sensor.axes, capacity), np.nan),
             cursor=np.zeros(1, np.int64),
+            left_out=np.zeros((LEFT_OUT, 2), np.int64),
             due=LEAST if window else NEVER,
             heard=0,
             since=0,
@@ -234,8 +246,22 @@ class Listener:
         """The last ticks of one axis, oldest first, without the newest."""
         ring = self._memory.ring
         written, capacity = int(self._memory.cursor[0]), ring.shape[1]
-        n = min(written, last, capacity)
-        return np.take(ring[axis], np.arange(written - n, written - without) % capacity)
+        first = written - min(written, last, capacity)
+        series = np.take(ring[axis], np.arange(first, written - without) % capacity)
+        for begin, end in self._memory.left_out:
+            if end > first:
+                series[max(begin - first, 0) : end - first] = np.nan
+        return series
+
+    def leave_out(self, ticks: int) -> None:
+        """Learn nothing from the last so many ticks."""
+        rows, end = self._memory.left_out, int(self._memory.cursor[0])
+        begin = max(0, end - ticks)
+        if rows[-1, 1] >= begin and end:
+            rows[-1] = min(rows[-1, 0], begin), end
+        else:
+            rows[:-1] = rows[1:]
+            rows[-1] = begin, end
 
     def all_series(self) -> tuple[ChannelSeries, ...]:
         """All that was heard, axis by axis."""
@@ -264,6 +290,7 @@ class Listener:
     def begin_again(self) -> None:
         """Listen from the start again."""
         self._memory.cursor[0] = 0
+        self._memory.left_out[:] = 0
 
     def _ticks_by_now(self, age_s: float) -> int:
         """Ticks noted so far, and those that should have come since: their readings may be on their way."""
@@ -286,9 +313,15 @@ class Listener:
         now = int(memory.cursor[0])
         if now < memory.judged or CALM[0] < memory.nis < CALM[1]:
             return
-        memory.nis, memory.judged = 1.0, now + round((MEMORY_S + PROBATION_S) / self.period_s)
         # noticed within a time constant
-        memory.since = memory.heard = max(memory.since, now - round(MEMORY_S / self.period_s))
+        self.learn_anew(round(MEMORY_S / self.period_s))
+
+    def learn_anew(self, ticks: int = 0) -> None:
+        """From now on learn only from the last so many ticks, and from what comes."""
+        memory = self._memory
+        now = int(memory.cursor[0])
+        memory.nis, memory.judged = 1.0, now + round((MEMORY_S + PROBATION_S) / self.period_s)
+        memory.since = memory.heard = max(memory.since, now - ticks)
         memory.due = now + round(MEMORY_S / self.period_s)
         for learner in self.learners:
             if learner is not None:
@@ -330,7 +363,8 @@ class Listener:
     def learnt(self) -> tuple[ErrorModel, ...] | None:
         """Take the answer of the hop: the error models to adopt, or None when there is nothing new."""
         memory = self._memory
-        assert memory.hop is not None
+        if memory.hop is None:  # what it was learnt from does not count any longer
+            return None
         models, knows = self._task(memory.hop).answer()
         recall(self.learners, memory.learners, knows)
         memory.learners, memory.hop = knows, None
@@ -369,7 +403,12 @@ def _with_learnt(model: ErrorModel, found: Learnt | None) -> ErrorModel:
 
 def believed(part: LearnedArma, period_s: float) -> SlowPrior | None:
     """The prior of the slow error of a part that learns at this period."""
-    return slow_prior(part.prior or part, period_s, min(part.window * period_s, LONGEST_SPAN_S))
+    return slow_prior(part.prior or part, period_s, span_s(part, period_s))
+
+
+def span_s(part: LearnedArma, period_s: float) -> float:
+    """Time that the window of a learnt part holds, as far as it counts [s]."""
+    return min(part.window * period_s, LONGEST_SPAN_S)
 
 
 def without_spikes(series: Array) -> Array:

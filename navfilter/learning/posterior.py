@@ -26,6 +26,8 @@ __all__ = ["Line", "SlowPosterior", "follow", "slow_psd"]
 Array = NDArray[np.float64]
 #: A node of the prior: order, and number of the correlation time.
 Place = tuple[int, int]
+#: No slow part at all.
+ABSENT: Place = (0, 0)
 
 #: Distance of two places on a line, in its standard deviations: of a Gaussian the sum over such places is the integral
 #: to 3e-4.
@@ -168,10 +170,19 @@ def follow(
             search = _Search(likelihood, fast, p, order, tau, old, first, forgetting if first > 0 else 0.0)
             lines[order, number] = line = search.line(*guess)
             highest = max(highest, _mass(line, order, tau, prior)[0])
+    lines[ABSENT] = _absent(likelihood, fast, p, known.get(ABSENT) if first > 0 else None, first, forgetting)
     # those not followed stay as far behind as they were, but for what is forgotten
     rest = {place: line for place, line in known.items() if place not in lines}
     lines |= {place: line._replace(evidence=forgetting * line.evidence + highest) for place, line in rest.items()}
     return _weighed(lines, prior)
+
+
+def _absent(likelihood: Likelihood, fast: Array, p: int, known: Line | None, first: int, forgetting: float) -> Line:
+    """Evidence that there is no slow part: that of one too small to matter."""
+    prior = likelihood.prior
+    assert prior is not None
+    search = _Search(likelihood, fast, p, 1, prior.tau_s, known, first, forgetting if known is not None else 0.0)
+    return Line(np.array([search.low]), np.maximum(search.along([search.low]), -1e300), search.low, 1.0)
 
 
 def _weighed(lines: dict[Place, Line], prior: SlowPrior) -> SlowPosterior:
@@ -182,31 +193,36 @@ def _weighed(lines: dict[Place, Line], prior: SlowPrior) -> SlowPosterior:
     lines = {place: line._replace(evidence=line.evidence - highest) for place, line in lines.items()}
     level = {place: math.exp(max(top - highest, -700.0)) for place, (top, _) in masses.items()}
     total = sum(level.values())
+    tops = {place: top - highest for place, (top, _) in masses.items()}
+    present = 1.0 - level.get(ABSENT, 0.0) / total
     weight = np.concatenate([level[place] / total * masses[place][1] for place in lines])
-    means = [float(masses[place][1] @ np.exp(2.0 * line.log_sd)) for place, line in lines.items()]
+    means = [float(masses[place][1] @ np.exp(2.0 * line.log_sd)) for place, line in lines.items() if place != ABSENT]
     sizes = [line.log_sd.size for line in lines.values()]
     return SlowPosterior(
         lines,
-        order=np.repeat([float(order) for order, _ in lines], sizes),
+        order=np.repeat([float(max(order, 1)) for order, _ in lines], sizes),
         tau_s=np.repeat([float(taus[number]) for _, number in lines], sizes),
         log_sd=np.concatenate([line.log_sd for line in lines.values()]),
         weight=weight,
-        moments=_between(taus, np.array([masses[place][0] - highest for place in lines]), np.log(means)),
+        moments=_between(taus, np.array([tops[place] for place in lines if place != ABSENT]), np.log(means), present),
     )
 
 
 def _mass(line: Line, order: int, tau_s: float, prior: SlowPrior) -> tuple[float, Array]:
     """Log of the posterior's mass on a line, and how it is shared by its places."""
+    if order == 0:
+        odds = prior.absent / (1.0 - prior.absent)
+        return float(line.evidence[0]) + prior.log_mass() + math.log(max(odds, 1e-300)), np.ones(1)
     log_tau = math.log(tau_s)
     log = line.evidence + np.array([prior.log_density(order, u, log_tau) for u in line.log_sd.tolist()])
     top = float(log.max())
     share = np.exp(log - top)
     total = float(share.sum())
-    return top + math.log(total * line.sd), share / total
+    return top + math.log(total * SPACING * line.sd), share / total
 
 
-def _between(taus: Array, tops: Array, means: Array) -> Array:
-    """Weights and means of sd^2 between the nodes of ln tau, see `SlowPosterior.moments`."""
+def _between(taus: Array, tops: Array, means: Array, present: float) -> Array:
+    """Weights and means of sd^2 between the nodes of ln tau, see `SlowPosterior.moments`; their sum is `present`."""
     nodes = np.log(taus)
     fine = np.linspace(nodes[0], nodes[-1], STEPS * (nodes.size - 1) + 1)
     rows = []
@@ -217,7 +233,7 @@ def _between(taus: Array, tops: Array, means: Array) -> Array:
         squares = np.exp(np.interp(fine, nodes, means[part]))
         rows.append(np.column_stack([np.full(fine.size, float(order)), np.exp(fine), np.exp(curve), squares]))
     out = np.vstack(rows)
-    out[:, 2] /= out[:, 2].sum()
+    out[:, 2] *= present / out[:, 2].sum()
     return out
 
 

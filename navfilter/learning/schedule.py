@@ -15,6 +15,7 @@ from navfilter.filter.adoption import Change
 from navfilter.filter.channel import Channel
 from navfilter.filter.events import Correction, Event, Passed, Propagated, Relaid
 from navfilter.filter.filter import Filter
+from navfilter.filter.health import Watch
 from navfilter.kernels import listen
 from navfilter.learning.learned import learning_part
 from navfilter.learning.listener import NEVER, TAKEN_AFTER_S, ChannelSeries, Listener, ListenerMemory
@@ -24,6 +25,8 @@ from navfilter.learning.worker import Worker
 __all__ = ["Again", "LearningMemory", "LearningSchedule"]
 
 Array = NDArray[np.float64]
+#: So many refused readings on end, all off by the same at once, are no outliers any more.
+JUMPED = 3
 _NO_RING, _NO_CURSOR, _NO_MOUNT = np.zeros((1, 1)), np.zeros(1, np.int64), np.zeros(9)
 
 
@@ -84,6 +87,18 @@ class LearningMemory:
     quiet_s: float
     waiting: tuple[Change, ...]
     levels: dict[str, tuple[float, ...]]
+
+
+def doubtful_ticks(channel: Channel, time_s: float) -> int:
+    """How many ticks of a sensor, up to its reading of a time [s], show no error to be learnt: those of one that is
+    stuck or has jumped. What a gate refuses for another reason is learnt from: it shows an error larger than believed.
+    """
+    memory, refused = channel.memory, channel.memory.refused
+    if channel.stuck:
+        return round(Watch.STUCK_S / channel.period_s) + 1
+    if refused is not None and refused.jumped and refused.count >= JUMPED:
+        return round((time_s - memory.rejected_since_s) / channel.period_s) + 1
+    return int(channel.offset)
 
 
 class LearningSchedule:
@@ -236,19 +251,33 @@ class LearningSchedule:
             *(self._fed_back, channel.mem, channel.dims, channel.places, filter.nav, channel.C, filter.x),
             *(kind, mount, ring, cursor, channel.count, filter.drive_output, filter.vehicle.drive.gravity),
         )
+        if event.outcome.widened and channel.memory.agreed_s == event.time_s:
+            self._state_reset(channel.sensor.open_loop)
+        doubtful = doubtful_ticks(channel, event.time_s)
+        if listener is not None and doubtful:
+            listener.leave_out(doubtful)
         if self._waiting:
             first, *rest = self._waiting
             self._waiting = tuple(rest)
             return (first,)
         early = self._stage < len(self.EARLY_S) or self.again is not None
-        if listener is None or early or self.filter.time_s < self._quiet_s:
+        if listener is None or early or event.time_s < self._quiet_s:
             return ()
-        if listener.window:
+        if listener.window and not doubtful:
             listener.notice(event.outcome.nis, event.outcome.dof)
         models = listener.learnt() if listener.is_answered else None
         if listener.is_due and event.outcome.accepted:
             listener.begin_hop()
         return () if models is None else (Change(channel.name, models),)
+
+    def _state_reset(self, kind: int) -> None:
+        """The state has been reset to what sensors of a kind say: an open loop knows nothing of that step, nor of what
+        the integrals of it do.
+        """
+        chain = (listen.HEADING, listen.VELOCITY, listen.POSITION)
+        for listener in self.listeners.values():
+            if listener.kind in chain[chain.index(kind) :]:
+                listener.learn_anew()
 
     def _relaid(self, M: Array) -> None:
         before, after = len(self._fed_back) // 2, self.filter.layout.head

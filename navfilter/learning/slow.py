@@ -36,7 +36,7 @@ class SlowNode(NamedTuple):
 @dataclass(frozen=True)
 class SlowPrior:
     """What is believed of a slow error before any reading: ``ln sd ~ N(ln(median * sd), spread^2)``, ``ln tau ~ N(ln
-    tau_s, tau_spread^2)`` between two limits, of second order with a given probability.
+    tau_s, tau_spread^2)`` between two limits, of second order with a given probability; with another one there is none.
 
     Parameters
     ----------
@@ -57,6 +57,8 @@ class SlowPrior:
         Standard deviation of ln tau: time constants are hardly believed, within a factor of seven.
     second_order : float
         Probability that it is smooth: of second order.
+    absent : float
+        Probability that there is none.
     """
 
     sd: float
@@ -66,6 +68,7 @@ class SlowPrior:
     spread: float = 1.0
     tau_spread: float = 2.0
     second_order: float = 0.3
+    absent: float = 0.2
 
     @property
     def quickest_s(self) -> float:
@@ -87,6 +90,11 @@ class SlowPrior:
         off, off_tau = self.offsets(log_sd, log_tau)
         share = self.second_order if order == 2 else 1.0 - self.second_order
         return math.log(share) - 0.5 * (off * off + off_tau * off_tau)
+
+    def log_mass(self) -> float:
+        """Of all nodes, with the constant that `log_density` is without."""
+        off = (np.log(self.taus_s) - math.log(self.tau_s)) / self.tau_spread
+        return math.log(math.sqrt(2.0 * math.pi) * self.spread * float(np.exp(-0.5 * off**2).sum()))
 
     def offsets(self, log_sd: float, log_tau: float) -> tuple[float, float]:
         """How far ln sd and ln tau are from the prior's centre, in its standard deviations."""

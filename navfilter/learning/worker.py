@@ -11,6 +11,8 @@ from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
+from navfilter.filter.health import LearningHealth
+
 __all__ = ["Task", "Worker"]
 
 
@@ -72,15 +74,13 @@ class Worker:
 
     Attributes
     ----------
-    late : int
+    health : LearningHealth
         Answers that had to be waited for: the machine is too slow for what it learns, or is fed faster than real time.
-    waited_s : float
-        For how long in all [s].
     """
 
     def __init__(self, threads: bool) -> None:
         self.threads = threads
-        self.late, self.waited_s = 0, 0.0
+        self.health = LearningHealth()
         self._pool: ThreadPoolExecutor | None = None
 
     def begin(self, work: Callable[[], None]) -> Future[Any] | None:
@@ -97,5 +97,4 @@ class Worker:
 
     def note(self, waited_s: float) -> None:
         """An answer was late."""
-        self.late += 1
-        self.waited_s += waited_s
+        self.health = LearningHealth(self.health.late + 1, self.health.waited_s + waited_s)

@@ -16,7 +16,7 @@ from navfilter.kernels import strapdown
 from navfilter.learning.drift import Drift
 from navfilter.mechanisation.mechanisation import Mechanisation, Triple
 from navfilter.mission import Stream
-from navfilter.sensors import BodyVelocity, Heading, Sensor
+from navfilter.sensors import BodyVelocity, Heading, Sensor, WaterVelocity
 from navfilter.sensors.attitude import ATTITUDE
 from navfilter.sensors.heading import USUAL as HEADING_USUAL
 from navfilter.sensors.traits import Columns, Doubt, Plausible
@@ -33,6 +33,7 @@ FIRST_PARAMETERS = {
     strapdown.DEVIATION: "yaw.one_cycle_sin",
     strapdown.SCALE: "velocity.scale",
     strapdown.ARM: "velocity.lever_arm_x",
+    strapdown.CURRENT: "velocity.current_north",
     strapdown.VELOCITY_CLOCK: "velocity.time_offset",
     strapdown.ATTITUDE_CLOCK: "attitude.time_offset",
 }
@@ -52,9 +53,10 @@ class DeadReckoning(Mechanisation):
         A `Heading` gives the error of the yaw (with bias and deviation states) and `tilt` that of roll and pitch; an
         error model, or a tuple
         for roll, pitch and yaw, gives them directly [rad].
-    velocity : BodyVelocity, ErrorModel or tuple of three
-        A `BodyVelocity` brings its lever arm, mounting, scale and misalignment states; an error model stands for a
-        plain one [m/s].
+    velocity : BodyVelocity, WaterVelocity, ErrorModel or tuple of three
+        A `BodyVelocity` brings its lever arm, mounting, scale and misalignment states, a `WaterVelocity` (a log) those
+        of the current too: two states that fixes tell and that carry the position until the next; an error model stands
+        for a plain velocity over ground [m/s]. Leeway is an error of the second axis, such as a `GaussMarkov`.
     tilt : ErrorModel
         Error of roll and pitch when `attitude` is a `Heading` [rad].
     hold_density : float
@@ -66,7 +68,7 @@ class DeadReckoning(Mechanisation):
     """
 
     attitude: Heading | ErrorModel | tuple[ErrorModel, ...] = White(sd=0.01)
-    velocity: BodyVelocity | ErrorModel | tuple[ErrorModel, ...] = White(sd=0.02)
+    velocity: BodyVelocity | WaterVelocity | ErrorModel | tuple[ErrorModel, ...] = White(sd=0.02)
     tilt: ErrorModel = White(sd=0.005)
     hold_density: float = 0.05
 
@@ -88,11 +90,16 @@ class DeadReckoning(Mechanisation):
                 "DeadReckoning.attitude must give a heading, found a magnetometer: dead reckoning has no attitude of "
                 "its own to level it with. Use the compass's heading output."
             )
-        if isinstance(self.velocity, Sensor) and self.velocity.gives != "velocity":
+        if self.compass is not None and {"bias", "temperature"} & {name for name, *_ in self.compass.calibrated}:
             raise ValueError(
-                f"DeadReckoning.velocity must be over ground, found a {type(self.velocity).__name__}: dead reckoning "
-                "has no states for the current. Use a "
-                "BodyVelocity whose error says how fast the water may move, such as GaussMarkov(sd=0.3, tau_s=3600)."
+                "DeadReckoning.attitude: bias and temperature drift of its compass cannot be calibrated here; of its "
+                "constants only the deviation can. A bias turns the track as a mounting of the velocity does."
+            )
+        sensor = self.velocity_sensor
+        if sensor.gives != "velocity" and not ("current_north" in sensor.wandering() and sensor.axes == 3):
+            raise ValueError(
+                "DeadReckoning.velocity must be a BodyVelocity, a WaterVelocity or error models, found a "
+                f"{type(self.velocity).__name__}."
             )
         super().__post_init__()
 
@@ -129,8 +136,8 @@ class DeadReckoning(Mechanisation):
         if self.compass is None or not any(self.compass.deviation_sd_rad):
             return ()
         names = ("one_cycle_sin", "one_cycle_cos", "two_cycle_sin", "two_cycle_cos")
-        one, two = self.compass.deviation_sd_rad
-        return tuple(Parameter(f"yaw.{name}", sd, "rad") for name, sd in zip(names, (one, one, two, two), strict=True))
+        found = {p.name: p for p in self.compass.all_parameters()}
+        return tuple(found[name]._replace(name=f"yaw.{name}") for name in names)
 
     def heading_drift(self, walk: float, period_s: float) -> Drift:
         """There is no heading but that of the drive's own compass: only the sensor's walk is known."""
@@ -152,6 +159,10 @@ class DeadReckoning(Mechanisation):
         """Deviation of the heading, scale and misalignment of the velocity; its lever arm, and the clocks of both."""
         velocity = (p._replace(name=f"velocity.{p.name}") for p in self.velocity_sensor.all_parameters())
         return (*self._deviation(), *velocity, *self._attitude_clock())
+
+    def wandering(self) -> dict[str, ErrorModel]:
+        """The current, where the velocity is that through the water."""
+        return {f"velocity.{name}": model for name, model in self.velocity_sensor.wandering().items()}
 
     def _attitude_clock(self) -> tuple[Parameter, ...]:
         sd = self.compass.time_offset_sd_s if self.compass else 0.0

@@ -211,8 +211,8 @@ class Imu(Mechanisation):
 
     def body_rate(self, drv: Array, errors: Array) -> Array | float:
         """That of the last sample."""
-        rate: Array = drv[strapdown.PREVIOUS : strapdown.PREVIOUS + 3] - errors
-        return rate / self.period_s if self.increments else rate
+        rate: Array = drv[strapdown.PREVIOUS : strapdown.PREVIOUS + 3] / (self.period_s if self.increments else 1.0)
+        return rate - errors
 
     def samples(self, streams: Mapping[str, Stream]) -> tuple[Array, Array]:
         """The stream as it is."""

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.error_models import ErrorModel
-from navfilter.filter.layout import Parameter
+from navfilter.filter.layout import Calibrated, Parameter, check_calibrated, with_calibrated
 from navfilter.kernels import strapdown
 from navfilter.learning.drift import Drift
 from navfilter.mission import Stream
@@ -79,6 +79,12 @@ class Triple(NamedTuple):
 class Mechanisation:
     """What both drives share: six channels whose errors enter the propagation.
 
+    Parameters
+    ----------
+    rate_hz : float
+    calibrated : tuple of (str, float, float)
+        What a calibration found of its constant states: name, value and remaining standard deviation.
+
     Attributes
     ----------
     streams : tuple of str
@@ -97,6 +103,7 @@ class Mechanisation:
     """
 
     rate_hz: float
+    calibrated: Calibrated = ()
 
     streams: ClassVar[tuple[str, ...]] = ()
     inertial: ClassVar[bool] = False
@@ -112,6 +119,10 @@ class Mechanisation:
     def __post_init__(self) -> None:
         if not (math.isfinite(self.rate_hz) and self.rate_hz > 0):
             raise ValueError(f"{type(self).__name__}.rate_hz must be a finite number > 0, found {self.rate_hz!r}.")
+        own = [p.name for p in self.parameters()] if self.calibrated else []
+        # what belongs to one of its two sensors stands there
+        own = [name for name in own if not name.startswith(("velocity.", "attitude.", "yaw."))]
+        check_calibrated(type(self).__name__, self.calibrated, own)
         _ = self.models
 
     @property
@@ -171,6 +182,14 @@ class Mechanisation:
     def parameters(self) -> tuple[Parameter, ...]:
         """Constant states of the drive beside its error models."""
         return ()
+
+    def all_parameters(self) -> tuple[Parameter, ...]:
+        """The same with what a calibration found of them."""
+        return with_calibrated(self.parameters(), self.calibrated)
+
+    def wandering(self) -> dict[str, ErrorModel]:
+        """Those of the parameters that are not constant, see `navfilter.sensors.Sensor.wandering`."""
+        return {}
 
     def limits(self) -> Array:
         """Largest magnitude of the values of a sample that must be there; beyond it the sample is a defect."""

@@ -46,7 +46,7 @@ def shown_states(vehicle: Vehicle) -> tuple[ShownState, ...]:
     for axis, model, unit in zip(drive.axis_names, drive.models, drive.units, strict=True):
         owner = axis.rsplit("_", 1)[0] if drive.inertial else "drive"
         found += _parts(owner, axis, model, drive.period_s, unit)
-    found += [ShownState("drive", p.name, p.name, *shown_unit(p.unit)) for p in drive.parameters()]
+    found += [ShownState("drive", p.name, p.name, *shown_unit(p.unit)) for p in drive.all_parameters()]
     for key, sensor in vehicle.sensors.items():
         for axis, model, unit in zip(sensor.axis_names, sensor.models, sensor.units, strict=True):
             label = "_".join(part for part in (key, axis) if part)

@@ -14,6 +14,7 @@ from navfilter.sensors.odometer import Odometer
 from navfilter.sensors.position import Depth, Position
 from navfilter.sensors.ranges import Range
 from navfilter.sensors.sensor import Sensor
+from navfilter.sensors.turning import ZeroRate
 from navfilter.sensors.usbl import Usbl
 from navfilter.sensors.velocity import BodyVelocity, WaterVelocity, ZeroVelocity
 
@@ -31,5 +32,6 @@ __all__ = [
     "Sensor",
     "Usbl",
     "WaterVelocity",
+    "ZeroRate",
     "ZeroVelocity",
 ]

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navfilter.error_models import ErrorModel, White, per_axis
-from navfilter.filter.layout import Parameter
+from navfilter.filter.layout import Calibrated, Parameter, check_calibrated, with_calibrated
 from navfilter.kernels import listen
 from navfilter.learning.drift import Drift
 from navfilter.learning.learned import resolve_prior
@@ -58,6 +58,8 @@ class Sensor:
         0.3.
     lever_arm_sd_m : (3,) float
         Standard deviation of each component of `lever_arm_b_m` [m], three constant states; all zero: no such states.
+    calibrated : tuple of (str, float, float)
+        What a calibration found of the constant states of its kind: name, value and remaining standard deviation.
 
     Attributes
     ----------
@@ -73,6 +75,8 @@ class Sensor:
         Residual and Jacobian, with the arguments of `navfilter.kernels.measurement`.
     from_drive : bool
         Made from the drive's own samples: there is no stream, and there are no readings.
+    reads_rate : bool
+        Its three values are the drive's own first ones, and err as those do.
     sees_velocity : bool
         Reads the three components of the velocity in the body's axes, through the heading: taken with its second-order
         term while the heading is hardly known.
@@ -111,6 +115,7 @@ class Sensor:
     time_offset_s: float = 0.0
     time_offset_sd_s: float = 0.0
     lever_arm_sd_m: Vector = (0.0, 0.0, 0.0)
+    calibrated: Calibrated = ()
 
     prior: ClassVar[ErrorModel] = White(sd=1.0)
     unit: ClassVar[str] = "m"
@@ -120,6 +125,7 @@ class Sensor:
     axis_names: ClassVar[tuple[str, ...]] = ("",)
     kernel: ClassVar[Callable[..., None]]
     from_drive: ClassVar[bool] = False
+    reads_rate: ClassVar[bool] = False
     sees_velocity: ClassVar[bool] = False
     single_gates: ClassVar[bool] = False
     tracks: ClassVar[int] = 1
@@ -145,6 +151,7 @@ class Sensor:
         if not self.gate_timeout_s > 0:
             raise ValueError(f"{name}.gate_timeout_s must be > 0, found {self.gate_timeout_s!r}.")
         self._check_place_and_clock(name)
+        self._check_calibrated(name)
         _ = self.models
 
     def _check_place_and_clock(self, name: str) -> None:
@@ -162,6 +169,11 @@ class Sensor:
             raise ValueError(f"{name}.lever_arm_sd_m must be three numbers >= 0, found {self.lever_arm_sd_m!r}.")
         if any(self.lever_arm_sd_m) and not self.has_lever_arm:
             raise ValueError(f"{name} has no lever arm that could be uncertain: leave lever_arm_sd_m out.")
+
+    def _check_calibrated(self, owner: str) -> None:
+        """Refuse constants that this sensor does not have."""
+        known = [p.name for p in self.parameters() if p.name not in self.wandering()] if self.calibrated else []
+        check_calibrated(owner, self.calibrated, known)
 
     @property
     def models(self) -> tuple[ErrorModel, ...]:
@@ -195,7 +207,7 @@ class Sensor:
 
     def all_parameters(self) -> tuple[Parameter, ...]:
         """All states beside the error model, in their order."""
-        return self.parameters() + self.place_and_clock()
+        return with_calibrated(self.parameters(), self.calibrated) + self.place_and_clock()
 
     def wandering(self) -> dict[str, ErrorModel]:
         """Those of the parameters that are not constant: how they wander, by name (a model of one state)."""

@@ -272,7 +272,7 @@ class ZeroVelocity(Sensor):
     Notes
     -----
     For vehicles that really stand still (on deck, on the bottom, on wheels). An AUV gliding in calm water looks the
-    same to its inertial unit: do not use it there.
+    same to its inertial unit: do not use it there. The mean rate at rest tells the bias of the gyros: `ZeroRate`.
     """
 
     error: Errors = White(sd=0.02)
@@ -297,6 +297,11 @@ class ZeroVelocity(Sensor):
         live=False,
     )
 
+    def quiet(self, mean: Array, scatter: Array) -> bool:
+        """Whether a period was one of rest, see `felt`."""
+        still = scatter[:3].max() < self.gyro_sd_max and scatter[3:].max() < self.force_sd_max
+        return bool(still and np.abs(mean[:3]).max() < self.gyro_mean_max)
+
     @property
     def words(self) -> str:
         """What it measures."""
@@ -304,5 +309,4 @@ class ZeroVelocity(Sensor):
 
     def felt(self, mean: Array, scatter: Array) -> Array | None:
         """Zeros when the period was quiet."""
-        quiet = scatter[:3].max() < self.gyro_sd_max and scatter[3:].max() < self.force_sd_max
-        return np.zeros(3) if quiet and np.abs(mean[:3]).max() < self.gyro_mean_max else None
+        return np.zeros(3) if self.quiet(mean, scatter) else None

@@ -76,7 +76,7 @@ def compile_kernels(say: Say, vehicle: Vehicle | None = None) -> None:
 
     Given a vehicle, only what that one needs.
     """
-    from navfilter.playback import warm_up
+    from navfilter.warming import warm_up
 
     folder = _folder()
     try:
@@ -91,11 +91,11 @@ def compile_kernels(say: Say, vehicle: Vehicle | None = None) -> None:
         seal(folder)
 
 
-def warm(say: Say) -> None:
-    """Make everything ready for a live run."""
+def warm(say: Say, vehicle: Vehicle) -> None:
+    """Make everything ready for a live run of a vehicle."""
     say("warming up ...")
     began = time.perf_counter()
-    compile_kernels(say)
+    compile_kernels(say, vehicle)
     # What is here now stays: the collector need not look at it again and again.
     gc.collect()
     gc.freeze()

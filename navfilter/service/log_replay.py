@@ -41,7 +41,7 @@ def replay_log(vehicle: Vehicle, folder: Path, *, rate_hz: float | None, say: Ca
     outlet = Outlet(_STDOUT, wait=True)
     try:
         with stop.at_once():
-            warm(say)
+            warm(say, vehicle)
             session, last = Session(vehicle, options, outlet.put), None
             for last in log_items(path, vehicle):
                 if rate_hz is not None and isinstance(last, Note) and last.event == "run":

@@ -90,7 +90,7 @@ class _Run:
         self._outlet = Outlet(None if isinstance(service.input, tuple) else _STDOUT)
         self._parser, self._lines, self._tally = LineParser(vehicle), Lines(), Tally()
         log = self._open_log()
-        warm(service.say)
+        warm(service.say, vehicle)
         resumed = self._resume(None if log is None or service.log is None else service.log / LOG_FILE)
         self._disk = Disk(log, service.state, service.fsync_s, self._notice, self._remade)
         self._disk.append(run_note(options, **({"resumed": True} if resumed else {})))

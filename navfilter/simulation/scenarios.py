@@ -290,6 +290,24 @@ def _changing(duration_s: float) -> dict[str, Faults]:
     }
 
 
+def _miscalibrated_vehicle() -> Vehicle:
+    """The survey's AUV with transponder fixes all along, and sure of its constants."""
+    plain = survey_vehicle()
+    usbl = Position(rate_hz=1.0, error=GaussMarkov(sd=0.4, tau_s=10.0) + White(sd=0.2), lever_arm_b_m=(-0.4, 0.0, -0.2))
+    kept = {name: sensor for name, sensor in plain.sensors.items() if name != "gps"}
+    return Vehicle(plain.drive, {**kept, "usbl": usbl}, name="miscalibrated")
+
+
+def _miscalibrated(duration_s: float) -> dict[str, Faults]:
+    """By 0.3 s, 0.5 m, 2 % and 3 deg; its compass deviates by 2 deg."""
+    return {
+        "dvl": Faults(
+            scale=0.02, misalignment_rad=(0.0, 0.0, 3.0 * _DEG), lever_arm_m=(0.5, 0.0, 0.0), time_offset_s=0.3
+        ),
+        "compass": Faults(deviation_rad=(0.0, 2.0 * _DEG, 0.0, 0.0, 0.0)),
+    }
+
+
 #: The scenarios by name.
 SCENARIOS: dict[str, Scenario] = {
     "demo": Scenario(
@@ -309,4 +327,6 @@ SCENARIOS: dict[str, Scenario] = {
                          survey_vehicle, lawnmower, _changing, 1800.0),
     "water-track": Scenario("survey; the DVL loses the bottom for its middle third, but tracks the water",
                             water_track_vehicle, survey, _bottom_lost, 1800.0),
+    "miscalibrated": Scenario("turns and dives with fixes; DVL off by 0.3 s, 0.5 m, 2 % and 3 deg, compass by 2 deg",
+                              _miscalibrated_vehicle, turns_and_dives, _miscalibrated),
 }  # fmt: skip

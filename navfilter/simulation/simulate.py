@@ -305,7 +305,9 @@ def _drive_streams(scene: _Scene, drive: Mechanisation) -> dict[str, Stream]:
     truth = scene.truth("attitude", plain, error, time_s)
     return {
         "attitude": scene.stamp("attitude", time_s, *attitude(here, truth), scene.lateness("attitude", drive.compass)),
-        "velocity": scene.record("velocity", drive.velocity_sensor, drive.rate_hz),
+        "velocity": scene.record(
+            "velocity", dataclasses.replace(drive.velocity_sensor, rate_hz=drive.rate_hz), drive.rate_hz
+        ),
     }
 
 

@@ -1,0 +1,1 @@
+"""Constants of a vehicle from missions: clocks, lever arms, scales, mountings, deviation."""

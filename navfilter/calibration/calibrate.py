@@ -1,0 +1,320 @@
+"""`calibrate`: the constants of a vehicle from missions, kept only when they predict what they have not seen."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navfilter.calibration.estimate import AROUND, Estimate, estimate
+from navfilter.calibration.parts import KINDS, Constant, closed, constants_of, described, opened
+from navfilter.calibration.validation import FOLDS, Prediction, Stretches, predicted, stretches_of, together
+from navfilter.error_models import White
+from navfilter.mission import Mission, Stream
+from navfilter.sensors import Position
+from navfilter.vehicle import Vehicle
+
+__all__ = ["UNTOLD", "Calibration", "Found", "calibrate", "with_reference"]
+
+Array = NDArray[np.float64]
+#: A mission that leaves more of the prior's sd than this share has not told a constant.
+UNTOLD = 0.8
+#: Rounds of an estimate that begins at that from everything.
+FEW = 3
+#: The parts scatter more than the likelihood says by so much in variance: the missions are given less weight.
+TOO_MUCH = 3.0
+#: At least this share of the parts must be predicted better.
+MOST = 0.75
+REFERENCE = "reference"
+
+
+@dataclass(frozen=True)
+class Found:
+    """What became of one constant.
+
+    Attributes
+    ----------
+    name, unit : str
+        Of its state.
+    part : tuple of str
+        Its table in vehicle.toml.
+    before, before_sd : float
+        As described.
+    value, sd : float
+        As found; the sd is the larger of that of the likelihood and that of the scatter between the parts.
+    scatter : float
+        By leaving out a part at a time (jackknife).
+    told : bool
+        Whether the missions say anything of it.
+    """
+
+    name: str
+    unit: str
+    part: tuple[str, ...]
+    before: float
+    before_sd: float
+    value: float
+    sd: float
+    scatter: float
+    told: bool
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Result of `calibrate`.
+
+    Attributes
+    ----------
+    found : tuple of Found
+    vehicle : Vehicle
+        With the constants found; as it was before where they are not kept.
+    kept : bool
+        Whether the constants found are kept: they predict better what was withheld.
+    before, after : Prediction or None
+        Of what was withheld, by the vehicle as it was and with the constants found without it.
+    factor : float
+        Variance of the constants by the scatter of the parts over that of the likelihood; 1 is honest.
+    settled : bool
+    rounds : int
+    constants : tuple of Constant
+        With the values and sds found, as they go into a file.
+    """
+
+    found: tuple[Found, ...]
+    vehicle: Vehicle
+    kept: bool
+    before: Prediction | None
+    after: Prediction | None
+    factor: float
+    settled: bool
+    rounds: int
+    constants: tuple[Constant, ...]
+
+    @property
+    def why(self) -> str:
+        """Why they are kept, or not."""
+        if not any(one.told for one in self.found):
+            return "these missions tell none of the constants"
+        if self.before is None or self.after is None:
+            return "nothing that was withheld could be compared"
+        what = "the withheld fixes are" if not math.isnan(self.after.rms_m) else "withheld readings are"
+        return f"{what} predicted {'better' if self.kept else 'no better'} than before"
+
+
+def with_reference(vehicle: Vehicle, mission: Mission, sd_m: float) -> tuple[Vehicle, Mission]:
+    """The truth of a mission as fixes.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    mission : Mission
+    sd_m : float
+        Standard deviation of each of its components [m].
+
+    Raises
+    ------
+    ValueError
+        When the mission has no truth.
+    """
+    if mission.truth is None:
+        raise ValueError(f'mission "{mission.name}" has no truth: describe it in mission.toml, or calibrate by fixes.')
+    known = np.isfinite(mission.truth.value[:, :2]).all(axis=1)
+    time_s = mission.truth.time_s[known]
+    rows = np.flatnonzero(known)[np.unique(np.searchsorted(time_s, np.arange(time_s[0], time_s[-1], 1.0)))]
+    stream = Stream(mission.truth.time_s[rows], mission.truth.value[rows, :3], mission.truth.columns[:3])
+    sensors = {**vehicle.sensors, REFERENCE: Position(rate_hz=1.0, error=White(sd=sd_m))}
+    return Vehicle(vehicle.drive, sensors, vehicle.name), mission.with_stream(REFERENCE, stream)
+
+
+def calibrate(
+    vehicle: Vehicle,
+    missions: Sequence[Mission],
+    *,
+    kinds: Sequence[str] | None = None,
+    report: Callable[[str], None] | None = None,
+) -> Calibration:
+    """Estimate the constants that a vehicle is unsure of, from one or several missions, and test what they are worth.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        Its values and standard deviations are the prior.
+    missions : sequence of Mission
+        Of the same vehicle, with the same sensors and constants.
+    kinds : sequence of str, optional
+        Kinds of constants (`navfilter.calibration.parts.KINDS`) to open where the vehicle says nothing of them.
+        Default: none where it is unsure of any constant, else all.
+    report : callable, optional
+        Told before each run what is done.
+
+    Returns
+    -------
+    Calibration
+
+    Raises
+    ------
+    ValueError
+        For no mission, an unknown kind, nothing to calibrate, a mission too short, and as `navfilter.replay`.
+
+    Notes
+    -----
+    Each mission is cut into stretches of up to a minute, and these are dealt out to four parts. The constants are
+    estimated from everything, and four times without the fixes of one part (without any fixes: without all readings of
+    it), which are then predicted by the filter, with the vehicle as it was and with those constants. The scatter of
+    the four estimates bounds the standard deviations from below (jackknife; Efron, 1982); where it is far more than the
+    likelihood says, all that the missions say counts less by that factor (the variance of unit weight of geodesy), and
+    the prior more.
+    """
+    if not missions:
+        raise ValueError("calibrate needs at least one mission.")
+    if kinds is None:
+        kinds = () if constants_of(vehicle) else tuple(KINDS)
+    unknown = [kind for kind in kinds if kind not in KINDS]
+    if unknown:
+        raise ValueError(f'no kind of constants is called "{unknown[0]}"; known: {", ".join(KINDS)}.')
+    tell = report or (lambda text: None)
+    cut = [stretches_of(vehicle, mission) for mission in missions]
+    wide = opened(vehicle, kinds)
+    whole, first, wide = _whole(wide, vehicle, missions, tell)
+    told = whole.told(UNTOLD)
+    if not told.any():
+        return _result(vehicle, wide, whole, first, _Folds(np.zeros(len(told))), 1.0)
+    folds = _folds(vehicle, wide, missions, cut, whole, 1.0, tell)
+    factor = float(np.mean((folds.scatter / whole.sd)[told] ** 2))
+    if factor > TOO_MUCH:
+        tell("again, with less weight")
+        whole = estimate(wide, missions, whole.value, 2.0 * AROUND * whole.sd, FEW, 1.0 / factor)
+        folds = _folds(vehicle, wide, missions, cut, whole, 1.0 / factor, tell)
+    return _result(vehicle, wide, whole, first, folds, factor)
+
+
+@dataclass(frozen=True)
+class _Folds:
+    """The parts, each withheld once: scatter of the constants, and predictions by what they were and are."""
+
+    scatter: Array
+    before: tuple[Prediction, ...] = ()
+    after: tuple[Prediction, ...] = ()
+
+    @property
+    def better(self) -> bool:
+        """Whether the new constants predict better, altogether and most of the parts."""
+        before, after = together(self.before), together(self.after)
+        if before is None or after is None:
+            return False
+        parts = sum(one.loss < other.loss for one, other in zip(self.after, self.before, strict=True))
+        return after.loss < before.loss and parts >= MOST * len(self.after)
+
+
+def _folds(
+    vehicle: Vehicle,
+    wide: Vehicle,
+    missions: Sequence[Mission],
+    cut: Sequence[Stretches],
+    whole: Estimate,
+    weight: float,
+    tell: Callable[[str], None],
+) -> _Folds:
+    values: list[Array] = []
+    before: list[Prediction] = []
+    after: list[Prediction] = []
+    for part in range(FOLDS):
+        tell(f"without part {part + 1} of {FOLDS}")
+        rest = [s.without(mission, part) for s, mission in zip(cut, missions, strict=True)]
+        fold = estimate(wide, rest, whole.value, 2.0 * AROUND * whole.sd, FEW, weight)
+        values.append(fold.value)
+        of_fold = described(wide, _with_values(fold.constants, fold.value, fold.sd))
+        pairs = [
+            [predicted(v, mission, s, part) for v in (vehicle, of_fold)]
+            for mission, s in zip(missions, cut, strict=True)
+        ]
+        for all_of, found in zip((before, after), zip(*pairs, strict=True), strict=True):
+            one = together([prediction for prediction in found if prediction is not None])
+            if one is not None:
+                all_of.append(one)
+    scatter = np.sqrt((FOLDS - 1) / FOLDS * np.sum((np.array(values) - np.mean(values, axis=0)) ** 2, axis=0))
+    return _Folds(scatter, tuple(before), tuple(after)) if len(before) == len(after) else _Folds(scatter)
+
+
+def _whole(
+    wide: Vehicle, before: Vehicle, missions: Sequence[Mission], tell: Callable[[str], None]
+) -> tuple[Estimate, Estimate, Vehicle]:
+    """The estimate from everything, without the constants that were opened in vain; the one with them; the vehicle."""
+    count = len(missions)
+    first = estimate(wide, missions, report=lambda run: tell(f"all of it, step {run // count + 1}"))
+    told = first.told(UNTOLD)
+    narrow = closed(wide, before, [one for one, is_told in zip(first.constants, told, strict=True) if not is_told])
+    left = [one.name for one in constants_of(narrow)]
+    if len(left) == len(first.constants) or not left:
+        return first, first, wide
+    rows = [i for i, one in enumerate(first.constants) if one.name in left]
+    tell("again, without what these missions do not tell")
+    return estimate(narrow, missions, first.value[rows], AROUND * first.sd[rows]), first, narrow
+
+
+def _with_values(constants: Sequence[Constant], value: Array, sd: Array) -> tuple[Constant, ...]:
+    return tuple(one._replace(value=float(v), sd=float(s)) for one, v, s in zip(constants, value, sd, strict=True))
+
+
+def _result(
+    vehicle: Vehicle,
+    wide: Vehicle,
+    whole: Estimate,
+    first: Estimate,
+    folds: _Folds,
+    factor: float,
+) -> Calibration:
+    scatter, told = folds.scatter, whole.told(UNTOLD)
+    sd = np.where(told, np.minimum(np.maximum(whole.sd, scatter), [one.sd for one in whole.constants]), whole.sd)
+    found = _listed(whole, sd, scatter, told)
+    for name, one in _listed(first, first.sd, np.zeros(len(first.sd)), np.zeros(len(first.sd), bool)).items():
+        found.setdefault(name, one)
+    constants = _with_values(whole.constants, whole.value, sd)
+    kept = bool(told.any()) and folds.better
+    new = described(wide, constants) if kept else vehicle
+    order = {one.name: i for i, one in enumerate(first.constants)}
+    listed = tuple(sorted(found.values(), key=lambda one: order[one.name]))
+    predictions = together(folds.before), together(folds.after)
+    return Calibration(listed, new, kept, *predictions, factor, whole.settled, whole.rounds, constants)
+
+
+def _listed(of: Estimate, sd: Array, scatter: Array, told: NDArray[np.bool_]) -> dict[str, Found]:
+    return {
+        one.name: Found(
+            one.name,
+            one.unit,
+            one.part,
+            one.value,
+            one.sd,
+            float(of.value[i]),
+            float(sd[i]),
+            float(scatter[i]),
+            bool(t),
+        )
+        for i, (one, t) in enumerate(zip(of.constants, told, strict=True))
+    }
+
+
+def to_dict(result: Calibration) -> dict[str, Any]:
+    """The same as plain values, for a JSON file."""
+
+    def plain(prediction: Prediction | None) -> dict[str, Any] | None:
+        if prediction is None:
+            return None
+        values = asdict(prediction)
+        return {key: None if isinstance(v, float) and math.isnan(v) else v for key, v in values.items()}
+
+    return {
+        "kept": result.kept,
+        "why": result.why,
+        "settled": result.settled,
+        "rounds": result.rounds,
+        "variance_factor": result.factor,
+        "before": plain(result.before),
+        "after": plain(result.after),
+        "constants": [asdict(one) | {"part": ".".join(one.part)} for one in result.found],
+    }

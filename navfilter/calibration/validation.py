@@ -1,0 +1,168 @@
+"""What a calibration is worth: it must predict what it has not seen, stretch by stretch."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navfilter.evaluation.withheld import Withheld, score
+from navfilter.mission import Mission
+from navfilter.playback import replay
+from navfilter.track import Track
+from navfilter.vehicle import Vehicle
+
+__all__ = ["FOLDS", "Prediction", "Stretches", "predicted", "stretches_of"]
+
+Array = NDArray[np.float64]
+Interval = tuple[float, float]
+#: The stretches of a mission are dealt out to so many parts; each is withheld once.
+FOLDS = 4
+#: A stretch is so long [s]: with fixes, and without any, when all sensors are withheld.
+FIXES_S, ALL_S = 60.0, 30.0
+#: At least so many stretches are cut.
+LEAST = 2 * FOLDS
+#: Fixes farther apart than this lie in different spells [s].
+SPELL_S = 10.0
+#: What one reading may cost at most: an outlier tells nothing of the constants.
+MOST_NIS = 30.0
+
+
+@dataclass(frozen=True)
+class Stretches:
+    """What is withheld of a mission, part by part.
+
+    Attributes
+    ----------
+    sensors : tuple of str
+        Whose readings are withheld: those that give fixes, or without fixes all that correct.
+    fixes : bool
+    parts : tuple of tuples of (float, float)
+        Intervals on the mission clock [s] of each part.
+    """
+
+    sensors: tuple[str, ...]
+    fixes: bool
+    parts: tuple[tuple[Interval, ...], ...]
+
+    def without(self, mission: Mission, part: int) -> Mission:
+        """The mission without what this part withholds."""
+        for name in self.sensors:
+            mission = mission.hide(name, *self.parts[part])
+        return mission
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """How well readings that were withheld are predicted.
+
+    Attributes
+    ----------
+    count : int
+        Readings.
+    rms_m : float
+        Horizontal error at the fixes; NaN without fixes.
+    sd_m : float
+        The same as predicted.
+    inside : float
+        Share of the fixes inside the 95 % ellipse; NaN without fixes.
+    cost : float
+        Minus the mean log-likelihood of a reading, up to a constant.
+    """
+
+    count: int
+    rms_m: float
+    sd_m: float
+    inside: float
+    cost: float
+
+    @property
+    def loss(self) -> float:
+        """What is compared: the error at fixes, or the cost where there are none."""
+        return self.cost if math.isnan(self.rms_m) else self.rms_m
+
+
+def stretches_of(vehicle: Vehicle, mission: Mission) -> Stretches:
+    """Cut a mission into stretches, and deal them out; what it begins with is never withheld.
+
+    Raises
+    ------
+    ValueError
+        When it is too short to be cut.
+    """
+    correcting = [
+        name for name, sensor in vehicle.sensors.items() if not sensor.from_drive and len(mission.stream(name))
+    ]
+    fixes = tuple(name for name in correcting if vehicle.sensors[name].gives == "position")
+    names = fixes or tuple(correcting)
+    time_s = np.unique(np.concatenate([np.empty(0), *(_valid_times(mission, name) for name in names)]))
+    if len(time_s) < 2 * LEAST:
+        raise ValueError(
+            f'mission "{mission.name}" holds {len(time_s)} readings of {", ".join(names) or "no correcting sensor"}: '
+            "too few to calibrate by, and to see what that is worth."
+        )
+    steps = np.diff(time_s)
+    length = min(FIXES_S if fixes else ALL_S, float(steps[steps < SPELL_S].sum()) / LEAST)
+    number = np.unique(np.floor((time_s - time_s[0]) / max(length, 1e-3)))[1:]
+    begins = time_s[0] + number * length
+    parts = tuple(
+        tuple((float(begin), float(np.nextafter(begin + length, -math.inf))) for begin in begins[k::FOLDS])
+        for k in range(FOLDS)
+    )
+    return Stretches(names, bool(fixes), parts)
+
+
+def _valid_times(mission: Mission, name: str) -> Array:
+    stream = mission.stream(name)
+    return stream.time_s[np.isfinite(stream.value).any(axis=1)]
+
+
+def predicted(vehicle: Vehicle, mission: Mission, stretches: Stretches, part: int) -> Prediction | None:
+    """How a vehicle predicts what one part withholds; None where nothing of it can be compared."""
+    if stretches.fixes:
+        track = replay(vehicle, stretches.without(mission, part))
+        return _at_fixes(track, mission, stretches, part)
+    return _by_innovations(replay(vehicle, mission, output_rate_hz=1.0), stretches, part)
+
+
+def _at_fixes(track: Track, mission: Mission, stretches: Stretches, part: int) -> Prediction | None:
+    found = []
+    for name in stretches.sensors:
+        stream = mission.stream(name)
+        scored = score(track, Withheld(name, stream.keep(_inside(stream.time_s, stretches.parts[part]))))
+        if scored is not None:
+            found.append(Prediction(scored.count, scored.rms_m, scored.sd_m, scored.inside, math.nan))
+    return together(found)
+
+
+def _by_innovations(track: Track, stretches: Stretches, part: int) -> Prediction | None:
+    cost, count = 0.0, 0
+    for name in stretches.sensors:
+        r = track.residuals[name]
+        rows = _inside(r.time_s, stretches.parts[part]) & np.isfinite(r.nis) & (r.dof > 0)
+        spread = np.log(np.where(np.isfinite(r.sd[rows]), np.maximum(r.sd[rows], 1e-12), 1.0)).sum()
+        cost += float(0.5 * np.minimum(r.nis[rows], MOST_NIS).sum() + spread)
+        count += int(rows.sum())
+    return Prediction(count, math.nan, math.nan, math.nan, cost / count) if count else None
+
+
+def _inside(time_s: Array, intervals: Sequence[Interval]) -> NDArray[np.bool_]:
+    inside = np.zeros(len(time_s), dtype=bool)
+    for begin_s, end_s in intervals:
+        inside |= (time_s >= begin_s) & (time_s <= end_s)
+    return inside
+
+
+def together(found: Sequence[Prediction]) -> Prediction | None:
+    """Several predictions as one."""
+    if not found:
+        return None
+    weight = np.array([one.count for one in found], dtype=float)
+    square, sd, inside, cost = (
+        float(np.average(values, weights=weight))
+        for values in zip(*((one.rms_m**2, one.sd_m**2, one.inside, one.cost) for one in found), strict=True)
+    )
+    return Prediction(int(weight.sum()), math.sqrt(square), math.sqrt(sd), inside, cost)

@@ -1,0 +1,117 @@
+"""``navfilter calibrate``: the constants of a vehicle from its missions, and the vehicle.toml with them."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+
+from navfilter.commands.console import (
+    add_force_argument,
+    add_reading_arguments,
+    compile_first,
+    new_files,
+    positive,
+    speaker,
+    unpacked_bytes,
+)
+
+__all__ = ["ABOUT", "EPILOG", "add_arguments", "run"]
+
+OK, AS_IT_WAS = 0, 1
+
+ABOUT = "estimate clocks, lever arms, scales, mountings and compass deviation from missions, into a vehicle.toml"
+EPILOG = """\
+Estimated is what vehicle.toml is unsure of: constants with an sd above zero (time_offset_sd_s, lever_arm_sd_m,
+scale_sd, misalignment_sd_deg, deviation_sd_deg, ..). Where it is sure of everything, all kinds are opened: 0.3 s,
+0.3 m, 2 %, 3 deg, a deviation of 5 deg. --open opens some kinds beside those that the file gives.
+
+The constants are states of the filter; each step runs all missions, and the next one is linearised around what was
+found. The missions are then cut into stretches of up to a minute, dealt out to four parts. Without each part in turn
+the constants are estimated again, and the filter predicts the fixes of that part, with the old and with the new
+constants. Only when the new ones predict them better are they kept. Without any fixes, all readings of stretches of
+30 s are withheld and judged by their likelihood.
+
+"not told" means that the missions leave more than 80 % of the sd that was described: turn more, vary the speed, or
+give fixes. A constant is only known against the others: the inertial unit's clock and place are the reference; of dead
+reckoning the attitude's clock is, and the antenna of the fixes.
+
+written to --out: your vehicle.toml, comments kept: clocks and lever arms in their keys, a misalignment turned into the
+mounting, scale and deviation as 'calibrated = {scale = [value, sd], ..}', each with its remaining sd.
+
+exit codes: 0 the new constants are kept; 1 they are not, the file written is the old one; 2 wrong usage or input;
+130 interrupted.
+
+examples:
+  navfilter calibrate dive_042 --vehicle vehicle.toml --out calibrated.toml
+  navfilter calibrate dive_0* --vehicle vehicle.toml --out calibrated.toml --json calibrated.json
+  navfilter calibrate dive_042 --vehicle vehicle.toml --out calibrated.toml --open clock,mounting
+  navfilter calibrate dive_042 --vehicle vehicle.toml --out calibrated.toml --truth 0.05    a reference as fixes
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the sub-command."""
+    parser.add_argument("mission", nargs="+", metavar="MISSION", help="one or several missions of the same vehicle")
+    parser.add_argument(
+        "--vehicle", required=True, metavar="TOML", help="the vehicle.toml, or the folder that holds it"
+    )
+    parser.add_argument("--out", required=True, metavar="TOML", help="the vehicle.toml to write")
+    parser.add_argument(
+        "--open",
+        metavar="KINDS",
+        help="constants to estimate although vehicle.toml is sure of them: clock, lever-arm, scale, mounting, "
+        "deviation, several with commas, or all",
+    )
+    parser.add_argument(
+        "--truth",
+        nargs="?",
+        type=positive,
+        const=0.1,
+        metavar="SD_M",
+        help="take the mission's truth as fixes with this sd in metres (default: %(const)s)",
+    )
+    parser.add_argument("--json", metavar="PATH", help="write the table as JSON too")
+    add_force_argument(parser)
+    add_reading_arguments(parser)
+    parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run ``navfilter calibrate``."""
+    from navfilter.calibration.calibrate import calibrate, to_dict, with_reference
+    from navfilter.calibration.parts import KINDS
+    from navfilter.calibration.words import calibration_text
+    from navfilter.io import read_mission, read_vehicle
+    from navfilter.io.calibrated_toml import write_calibrated
+
+    out = Path(options.out)
+    new_files([out, *([Path(options.json)] if options.json else [])], options.force)
+    vehicle = read_vehicle(options.vehicle)
+    limits = {"confine": options.confine, "unpacked_bytes": unpacked_bytes(options)}
+    missions = [read_mission(path, **limits) for path in options.mission]
+    known = vehicle
+    for k, mission in enumerate(missions if options.truth else ()):
+        known, missions[k] = with_reference(vehicle, mission, options.truth)
+    kinds = None if options.open is None else list(KINDS) if options.open == "all" else options.open.split(",")
+    compile_first(options.quiet, known)
+    result = calibrate(known, missions, kinds=kinds, report=None if options.quiet else _progress)
+    say = speaker(options.quiet)
+    if not options.quiet:
+        _progress("")
+    say(calibration_text(result))
+    found = type(vehicle)(result.vehicle.drive, {n: result.vehicle.sensors[n] for n in vehicle.sensors}, vehicle.name)
+    names = ", ".join(mission.name for mission in missions)
+    copied = write_calibrated(found, vehicle, out, options.vehicle, f"found by navfilter calibrate: {names}")
+    if options.json:
+        Path(options.json).write_text(json.dumps(to_dict(result), indent=2) + "\n", encoding="utf-8")
+    how = "" if copied else " (laid out anew, in SI units: your file could not be edited)"
+    say(f"{out} written: {'with the constants found' if result.kept else 'as it was'}{how}.")
+    return OK if result.kept else AS_IT_WAS
+
+
+def _progress(text: str) -> None:
+    """One line on standard error that is written over, where somebody looks at it."""
+    if sys.stderr is not None and sys.stderr.isatty():
+        print(f"\r\033[K{text}", end="", file=sys.stderr, flush=True)

@@ -1,0 +1,96 @@
+"""Readings of kinds and drives that `navfilter.kernels.stretch` does not know, and what it needs of those it knows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navfilter.filter.channel import Channel
+from navfilter.filter.filter_memory import FilterMemory
+from navfilter.kernels import kalman, stretch
+
+if TYPE_CHECKING:
+    from navfilter.mechanisation import Mechanisation
+
+__all__ = ["asked", "shared"]
+
+Array = NDArray[np.float64]
+
+
+def shared(channels: Sequence[Channel], folds: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64]]:
+    """Let all channels work in one array.
+
+    Parameters
+    ----------
+    channels : sequence of Channel
+        As they have been laid out.
+    folds : ndarray of int, shape (7,)
+        Dimensions of a fold between readings, see ``kalman.places``.
+
+    Returns
+    -------
+    bench : ndarray
+    plan : ndarray of int, shape (channels + 1, PLAN)
+        What stands where, see `navfilter.kernels.stretch`.
+    """
+    n, m = folds[1], folds[2]
+    own = [channel.bench for channel in channels]
+    begins = np.cumsum([0, *(part.size for part in own)])
+    bench = np.concatenate([*own, np.zeros(m * m + m * n)])
+    last = np.zeros(stretch.PLAN, np.int64)
+    last[: len(folds)], last[stretch.MEM] = folds, begins[-1]
+    last[stretch.RECORD] = max([m * m, *(channel.record.size for channel in channels)])
+    rows = [channel.settle(bench, int(begin)) for channel, begin in zip(channels, begins, strict=False)]
+    return bench, np.array([*rows, last])
+
+
+def asked(
+    channel: Channel,
+    memory: FilterMemory,
+    drive: Mechanisation,
+    drive_output: Array,
+    reading: tuple[Array, Array],
+    time_s: float,
+) -> None:
+    """`navfilter.kernels.stretch.correction`, sensor and drive being asked for what they know.
+
+    Parameters
+    ----------
+    channel : Channel
+    memory : FilterMemory
+        Is corrected.
+    drive : Mechanisation
+    drive_output : ndarray, shape (6, k + 1)
+        Output rows of its errors, and its white variances.
+    reading : (ndarray, ndarray)
+        As the sensor's kernel takes it, and its own white variances; none: those of the error model.
+    time_s : float
+        When it is taken [s].
+    """
+    (z, own), nav, P, x = reading, memory.nav, memory.P, memory.x
+    kalman.predict(P, nav, x, memory.acc, channel.model, channel.mem, channel.dims, channel.ticks(time_s))
+    outputs, xd = drive.outputs(drive_output[:, :-1], memory.drv), x[: drive_output.shape[1] - 1]
+    z = channel.without_errors(z, outputs, xd) if channel.sensor.reads_rate else z
+    if channel.turns:
+        channel.rate[:] = drive.body_rate(memory.drv, outputs[:3] @ xd)
+    if channel.sight is None:
+        channel.kernel(z, nav, channel.rate, x[channel.parameters], channel.constants, channel.near, channel.res)
+    else:
+        par, since_s = x[channel.parameters], channel.lead_s + memory.time_s - time_s
+        recent = memory.recent[: drive.remembered(since_s + abs(float(par[-1])))]
+        moved = drive.motion(recent, nav, memory.drv, outputs @ xd)
+        channel.sight.look(z, nav, channel.rate, par, moved, since_s, outputs, channel.into)
+    if channel.offset:
+        channel.unwrap(x)
+    channel.R[:] = channel.white
+    if own.size:
+        channel.R[:] = channel.lever + np.diag(own)
+    if channel.moves and P[8, 8] > stretch.UNSURE_HEADING:
+        # second-order term of a velocity seen from a heading that is hardly known (Gelb, 1974, sec. 6.1)
+        channel.R[range(channel.axes), range(channel.axes)] += 0.5 * (nav[3] ** 2 + nav[4] ** 2) * P[8, 8] ** 2
+    if channel.sensor.curved:
+        channel.R += channel.sensor.second_order(z, channel.near, P[np.ix_(channel.seen, channel.seen)])
+    kalman.update(P, nav, x, channel.C, channel.R, channel.mem, channel.dims, channel.gate)

@@ -1,0 +1,364 @@
+"""Kernels that go through many readings at once: what `Filter` does reading by reading, in the same order, by the same
+kernels, so that both come to the same bits.
+
+They call kernels of other files, whose changes numba's cache would not see. So each of them encloses `SOURCES`, a
+checksum of those files: what a function encloses is part of numba's key.
+"""
+
+import math
+
+from numba import njit
+
+from navfilter.kernels import checksum, drive_watch, kalman, measurement, strapdown
+
+SOURCES = checksum(drive_watch, kalman, measurement, strapdown)
+
+
+def _keyed(make):
+    """The kernel that `make` makes when it is handed the checksum."""
+    return make(SOURCES)
+
+
+# Kinds of sensors that are reached from here, by number; all others are asked by Python.
+HEADING, MAGNETOMETER, DEPTH, ALTITUDE, POSITION, BODY_VELOCITY, WATER_VELOCITY, GROUND_VELOCITY = range(8)
+KINDS: dict = {
+    measurement.heading: HEADING,
+    measurement.magnetometer: MAGNETOMETER,
+    measurement.depth: DEPTH,
+    measurement.altitude: ALTITUDE,
+    measurement.position: POSITION,
+    measurement.body_velocity: BODY_VELOCITY,
+    measurement.water_velocity: WATER_VELOCITY,
+    measurement.ground_velocity: GROUND_VELOCITY,
+}
+# Beyond this variance of the heading [rad^2] a body velocity is taken with its second-order term.
+UNSURE_HEADING = 0.01
+
+# Columns of `plan`, a row a channel: the seven of `kalman.places`, kind, whether it moves and turns, then where in
+# `bench` its parts stand: working memory, constants and how many, rate, model, C, white, lever, R, limits; in the
+# working memory the verdict, and how long the record for the smoother is. One more row is for the folds between
+# readings: dimensions, in MEM its work space, in RECORD the longest record of all.
+KIND, MOVES, TURNS, MEM, CONSTANTS, CONSTANTS_SIZE, RATE, MODEL, OUTPUT, WHITE, LEVER_NOISE, NOISE, LIMITS = range(
+    7, 20
+)
+VERDICT, RECORD, PLAN = 20, 21, 22
+
+# Elements of `now`: time of the state and of the last sample, stamp of the last sample, time of the last row written.
+TIME_S, SAMPLE_S, BEFORE_S, ROW_S = range(4)
+# Elements of `cursor`: reading, sample, samples whose transition is not in P yet, gaps, rows written, records written,
+# elements of them; samples that are steps already.
+READING, SAMPLE, UNFOLDED, GAPS, ROWS, RECORDS, WRITTEN, STEPPED = range(8)
+# Elements of `settings`: period of the drive, how far ahead a reading may be, samples between folds, silence that is a
+# gap, silence that is in doubt, when something is due, interval of the rows; whether samples are increments.
+PERIOD_S, AHEAD_S, FOLD_EVERY, GAP_S, DOUBT_S, UNTIL_S, INTERVAL_S, INCREMENTS = range(8)
+# Columns of `heard`, a row a channel: last reading, last tick, period, whether readings before have been refused.
+LAST_S, TICKED_S, CHANNEL_PERIOD_S, DOUBTED = range(4)
+# Columns of `watched`, a row a channel: equal values in a row, since when, heard last, used last, running NIS, used.
+SAME, SINCE_S, HEARD_S, USED_S, NIS, USED = range(6)
+NIS_MEMORY, NIS_MOST = 50.0, 100.0  # readings; a single one counts up to this NIS per component
+
+# Why a stretch has ended: all is done; the next reading, or the samples before it, are for Python; its samples are
+# taken, the reading is for Python; it was not used: Python says what follows; no room is left in the output; the watch
+# over the drive has found something that Python has to heed.
+DONE, NEXT, REFUSED, JUDGED, FULL, HEED = range(6)
+
+
+@_keyed
+def _observe(sources):
+    @njit(cache=True)
+    def _observe(kind, z, nav, rate, par, cfg, H, res):
+        """Residual and Jacobian of a reading by the kernel of its kind, see `navfilter.kernels.measurement`."""
+        _ = sources
+        if kind == HEADING:
+            measurement.heading(z, nav, rate, par, cfg, H, res)
+        elif kind == MAGNETOMETER:
+            measurement.magnetometer(z, nav, rate, par, cfg, H, res)
+        elif kind == DEPTH:
+            measurement.depth(z, nav, rate, par, cfg, H, res)
+        elif kind == ALTITUDE:
+            measurement.altitude(z, nav, rate, par, cfg, H, res)
+        elif kind == POSITION:
+            measurement.position(z, nav, rate, par, cfg, H, res)
+        elif kind == BODY_VELOCITY:
+            measurement.body_velocity(z, nav, rate, par, cfg, H, res)
+        elif kind == WATER_VELOCITY:
+            measurement.water_velocity(z, nav, rate, par, cfg, H, res)
+        else:
+            measurement.ground_velocity(z, nav, rate, par, cfg, H, res)
+
+    return _observe
+
+
+@_keyed
+def correction(sources):
+    @njit(cache=True)
+    def correction(bench, spot, P, nav, x, acc, drv, Cr, z, variance, count):
+        """A reading, from the fold before it to the verdict: `kalman.predict`, the kernel of its kind, `kalman.update`.
+
+        bench: working memory of all channels; spot: this one's row of `plan`; z: the reading as its kernel takes it;
+        variance (a,) of its white error, empty or NaN for what the error model says; count: ticks of its clock.
+        """
+        _ = sources
+        dims = spot[:7]
+        a, m, b, start, errors, parameters = dims[0], dims[2], dims[3], dims[4], dims[5], dims[6]
+        mem = bench[spot[MEM] : spot[CONSTANTS]]
+        model = bench[spot[MODEL] : spot[MODEL] + 2 * b * b].reshape((2, b, b))
+        kalman.predict(P, nav, x, acc, model, mem, dims, count)
+        rate = bench[spot[RATE] : spot[RATE] + 3]
+        if spot[TURNS]:
+            per = 1.0 / drv[strapdown.PERIOD_S] if drv[strapdown.INCREMENTS] != 0.0 else 1.0
+            elements = int(drv[strapdown.CALIBRATED])
+            for i in range(3):
+                rate[i] = drv[strapdown.PREVIOUS + i] * per
+                for j in range(m - 9):
+                    rate[i] -= Cr[i, j] * x[j]
+            for q in range(elements):
+                element = int(drv[strapdown.ELEMENTS + q])
+                if element < 9:
+                    rate[element // 3] -= drv[strapdown.PREVIOUS + element % 3] * per * x[m - 9 - elements + q]
+        places = kalman.places(dims)
+        near = mem[places[7] : places[8]].reshape((a, 9 + parameters))
+        constants = bench[spot[CONSTANTS] : spot[CONSTANTS] + spot[CONSTANTS_SIZE]]
+        first = start - 9 + errors
+        _observe(
+            spot[KIND], z, nav, rate, x[first : first + parameters], constants, near, mem[places[3] : places[3] + a]
+        )
+        R = bench[spot[NOISE] : spot[NOISE] + a * a].reshape((a, a))
+        own = variance.size > 0 and not math.isnan(variance[0])
+        for i in range(a):
+            for j in range(a):
+                at = i * a + j
+                R[i, j] = bench[spot[LEVER_NOISE] + at] if own else bench[spot[WHITE] + at]
+            if own:
+                R[i, i] += variance[i]
+            if spot[MOVES] and P[8, 8] > UNSURE_HEADING:
+                # second-order term of a velocity seen from a heading that is hardly known (Gelb, 1974, sec. 6.1)
+                R[i, i] += 0.5 * (nav[3] ** 2 + nav[4] ** 2) * P[8, 8] ** 2
+        C = bench[spot[OUTPUT] : spot[OUTPUT] + a * errors].reshape((a, errors))
+        kalman.update(P, nav, x, C, R, mem, dims, bench[spot[LIMITS] : spot[LIMITS] + a + 1])
+
+    return correction
+
+
+@_keyed
+def _note_row(sources):
+    @njit(cache=True)
+    def _note_row(now, cursor, interval_s, nav, x, P, rows, info):
+        """Write the state down as a row: the last note of a time stands, those closer than the interval are skipped.
+
+        rows (r, w): nav, x, then the whole of P or its first nine rows and columns and the rest of its diagonal. info
+        (r, 2): time, and after how many records.
+        """
+        _ = sources
+        at, n = cursor[ROWS], P.shape[0]
+        if now[TIME_S] == now[ROW_S] and at > 0:
+            at -= 1
+        elif now[TIME_S] != now[ROW_S] and now[TIME_S] - now[ROW_S] < interval_s:
+            return
+        row = rows[at]
+        for i in range(17):
+            row[i] = nav[i]
+        for i in range(n - 9):
+            row[17 + i] = x[i]
+        if row.size == n + 8 + n * n:
+            for i in range(n):
+                for j in range(n):
+                    row[n + 8 + i * n + j] = P[i, j]
+        else:
+            for i in range(9):
+                for j in range(9):
+                    row[n + 8 + 9 * i + j] = P[i, j]
+            for i in range(9, n):
+                row[n + 80 + i] = P[i, i]
+        info[at, 0], info[at, 1] = now[TIME_S], cursor[RECORDS]
+        now[ROW_S] = now[TIME_S]
+        cursor[ROWS] = at + 1
+
+    return _note_row
+
+
+@_keyed
+def _note_record(sources):
+    @njit(cache=True)
+    def _note_record(record, axes, dims, cursor, records, heads):
+        """Write a record for the smoother: nothing where `records` is empty. heads (r, 5): size, axes, head, size and
+        start of the ticked block.
+        """
+        _ = sources
+        if records.size == 0:
+            return
+        at, begin = cursor[RECORDS], cursor[WRITTEN]
+        for i in range(record.size):
+            records[begin + i] = record[i]
+        heads[at, 0], heads[at, 1], heads[at, 2], heads[at, 3], heads[at, 4] = (
+            record.size,
+            axes,
+            dims[2],
+            dims[3],
+            dims[4],
+        )
+        cursor[RECORDS], cursor[WRITTEN] = at + 1, begin + record.size
+
+    return _note_record
+
+
+@_keyed
+def _heeded(sources):
+    @njit(cache=True)
+    def _heeded(w, nav, P, period_s):
+        """While all axes are good, `navfilter.filter.drive_watch.DriveWatch.heed`: the reference of gravity is due."""
+        _ = sources
+        for i in range(6):
+            a = w[i]
+            good = a[drive_watch.CODE] == drive_watch.GOOD and a[drive_watch.HEEDED] == drive_watch.GOOD
+            if not good or a[drive_watch.SIZE] != 0.0:
+                return False
+        unit = w[drive_watch.UNIT]
+        if unit[drive_watch.TICK] * period_s >= drive_watch.JUDGED_S:
+            unit[drive_watch.TICK] = 0.0
+            g = strapdown.gravity(nav[0], nav[2])
+            for i in range(3):
+                unit[drive_watch.REFERENCE + i] = -g * nav[12 + i]
+            unit[drive_watch.GRAVITY] = g
+            unit[drive_watch.SURE] = 1.0 if P[6, 6] + P[7, 7] < drive_watch.LEVEL_SD**2 else 0.0
+        return True
+
+    return _heeded
+
+
+@_keyed
+def _carried(sources):
+    @njit(cache=True)
+    def _carried(now, cursor, settings, spot, P, nav, x, acc, drive, samples, stamps, out, work):
+        """Carry the state over a block of steps (see `strapdown.stamps_to_steps`), folding as often as is due; False
+        where Python has to heed what the watch over the drive has found.
+
+        stamps: of the same samples; spot: last row of `plan`; drive: memory, Phi, Q and output rows of the drive, then
+        what the watch remembers, and its standard deviations and limits; out: rows, their info, records and their
+        heads; work: a transition (m * m,), then (m, n) for the fold.
+        """
+        _ = sources
+        m, n = acc.shape[1], P.shape[0]
+        drv, Phid, Qd, Cr, w, sd, ends = drive
+        rows, info, records, heads = out
+        every, begin, total = int(settings[FOLD_EVERY]), 0, samples.shape[0]
+        head = work[: m * m]
+        while begin < total:
+            end = min(total, begin + every - cursor[UNFOLDED])
+            looked = drive_watch.look(samples[begin:end], w, sd, ends, settings[PERIOD_S], settings[INCREMENTS] > 0.0)
+            end = begin + looked
+            strapdown.imu_steps(nav, x[: m - 9], drv, samples[begin:end], Phid, Qd, Cr, acc)
+            cursor[UNFOLDED] += end - begin
+            cursor[SAMPLE] += end - begin
+            now[TIME_S] = now[SAMPLE_S] = now[BEFORE_S] = stamps[end - 1]
+            if cursor[UNFOLDED] >= every:
+                for i in range(m):
+                    for j in range(m):
+                        head[i * m + j] = acc[i, j]
+                kalman.fold(P, acc, nav, work[m * m : m * m + m * n].reshape((m, n)))
+                cursor[UNFOLDED] = 0
+                _note_record(head, int(0), spot, cursor, records, heads)
+                _note_row(now, cursor, settings[INTERVAL_S], nav, x, P, rows, info)
+            begin = end
+            if w[drive_watch.UNIT, drive_watch.NEWS] != 0.0 and not _heeded(w, nav, P, settings[PERIOD_S]):
+                return False
+        return True
+
+    return _carried
+
+
+@_keyed
+def _seen(sources):
+    @njit(cache=True)
+    def _seen(watch, time_s, same):
+        """Note that a reading arrives, as `navfilter.filter.health.Watch.sees` does; same: with the value before."""
+        _ = sources
+        if same:
+            watch[SAME] += 1.0
+        else:
+            watch[SAME], watch[SINCE_S] = 1.0, time_s
+
+    return _seen
+
+
+@_keyed
+def _fared(sources):
+    @njit(cache=True)
+    def _fared(watch, time_s, nis, dof):
+        """Note that a reading was used, as `navfilter.filter.health.Watch.note` does."""
+        _ = sources
+        watch[USED] += 1.0
+        watch[HEARD_S], watch[USED_S] = max(watch[HEARD_S], time_s), max(watch[USED_S], time_s)
+        if dof > 0.0 and math.isfinite(nis):
+            share = min(nis / dof, NIS_MOST)
+            watch[NIS] = share if math.isnan(watch[NIS]) else watch[NIS] + (share - watch[NIS]) / NIS_MEMORY
+
+    return _fared
+
+
+@_keyed
+def stretch(sources):
+    @njit(cache=True)
+    def stretch(now, cursor, settings, bench, plan, heard, watched, state, drive, samples, stamps, limits, given, out):
+        """Samples and readings in the order of their times, until all are done or something is Python's; says why it
+        ended.
+
+        now, cursor, settings, plan, heard, watched, bench: as described at the head of this file; they, and `state`
+        (nav, x, P, acc), are left as they are then. samples (s, 7): work space, their stamps first; stamps (s,);
+        limits: of their values. given, of readings: when taken (r,), channel, samples before it, whether Python has
+        found nothing wrong with it, whether its value is that of the one before; values (r, w), and own variances (r,
+        a), or one row of NaN; notes (r, 3 + 2a), which receive the verdicts. out: as in `_carried`.
+        """
+        _ = sources
+        nav, x, P, acc = state
+        drv, Cr, Phid, Qd = drive[0], drive[3], drive[1], drive[2]
+        times, which, ends, good, same, values, variances, notes = given
+        rows, info, records, heads = out
+        m, n = acc.shape[1], P.shape[0]
+        period_s, spot = settings[PERIOD_S], plan[plan.shape[0] - 1]
+        work, limit = bench[spot[MEM] : spot[MEM] + m * m + m * n], int(settings[FOLD_EVERY])
+        for e in range(cursor[READING], times.size):
+            cursor[READING] = e
+            i, t, begin, end = which[e], times[e], cursor[SAMPLE], ends[e]
+            if t >= settings[UNTIL_S] or not good[e] or heard[i, DOUBTED] != 0.0:
+                return NEXT
+            more = 2 + (end - begin) // limit
+            if cursor[ROWS] + more > rows.shape[0] or cursor[RECORDS] + more > heads.shape[0]:
+                return FULL
+            if records.size > 0 and cursor[WRITTEN] + more * spot[RECORD] > records.size:
+                return FULL
+            if end > begin:
+                block, taken = samples[begin:end], stamps[begin:end]
+                if begin >= cursor[STEPPED]:
+                    gaps = strapdown.stamps_to_steps(block, now[BEFORE_S], limits, settings[GAP_S], settings[DOUBT_S])
+                    if gaps < 0:
+                        return NEXT
+                    cursor[GAPS] += gaps
+                    cursor[STEPPED] = end
+                if not _carried(now, cursor, settings, spot, P, nav, x, acc, drive, block, taken, out, work):
+                    return HEED
+            early_s, mine = t - now[TIME_S], heard[i]
+            if t <= mine[LAST_S] or early_s < -1.001 * period_s or t - now[SAMPLE_S] > settings[AHEAD_S]:
+                return REFUSED
+            _seen(watched[i], t, same[e])
+            if early_s > 1e-7 and drv[strapdown.STARTED] != 0.0:
+                strapdown.imu_hold(nav, x[: m - 9], drv, early_s, Phid, Qd, Cr, acc)
+                now[TIME_S] = t
+            elapsed, mine[TICKED_S] = t - mine[TICKED_S], t
+            count = 0 if math.isinf(elapsed) else int(max(1, round(elapsed / mine[CHANNEL_PERIOD_S])))
+            own = plan[i]
+            correction(bench, own, P, nav, x, acc, drv, Cr, values[e], variances[min(e, variances.shape[0] - 1)], count)
+            cursor[UNFOLDED] = 0
+            mine[LAST_S] = t
+            verdict, a = own[MEM] + own[VERDICT], own[0]
+            for j in range(3 + 2 * a):
+                notes[e, j] = bench[verdict + j]
+            if notes[e, 2] == 0.0:
+                return JUDGED
+            _note_record(bench[own[MEM] : own[MEM] + own[RECORD]], a, own, cursor, records, heads)
+            _note_row(now, cursor, settings[INTERVAL_S], nav, x, P, rows, info)
+            _fared(watched[i], t, notes[e, 0], notes[e, 1])
+        cursor[READING] = times.size
+        return DONE
+
+    return stretch

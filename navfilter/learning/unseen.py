@@ -1,0 +1,105 @@
+"""What a white description says of low frequencies and the readings cannot: it stays believed.
+
+A vehicle file that states white noise states its power at zero frequency too, and with it how fast many readings make a
+mean sure. Readings show the power of the frequencies at which the drift of the navigation does not hide it. Where they
+scatter by much less than was described, what is missing may be slower than they can tell: constants that change with
+the motion, such as scale and delay, are described like this.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navfilter.arma.model import ArmaModel
+from navfilter.error_models import ErrorModel, GaussMarkov, RandomWalk, Sum, block_level
+from navfilter.learning.drift import Drift
+from navfilter.learning.likelihood import Likelihood
+from navfilter.learning.low_frequency import zero_frequency
+from navfilter.learning.slow import SlowPrior, slow_prior
+
+__all__ = ["WhiteDescription", "white_description"]
+
+Array = NDArray[np.float64]
+#: A part with a smaller probability is none.
+IMPROBABLE = 1e-3
+#: The slow part that stands for none, in its standard deviation.
+NOTHING = 1e-4
+
+
+@dataclass(frozen=True)
+class WhiteDescription:
+    """White noise as it stands in a vehicle file.
+
+    Parameters
+    ----------
+    level : float
+        Its power at zero frequency, per sample [unit^2].
+    span_s : float
+        Time that the window holds [s].
+    """
+
+    level: float
+    span_s: float
+
+    def unseen(self, found: ArmaModel, series: Array, drift: Drift, white: float) -> tuple[GaussMarkov, ...]:
+        """The slow part that stays believed: none where the readings have the power that was described, within a
+        factor of two, or exclude it.
+
+        It has what is missing at zero frequency, with any of the correlation times of a slow part. Whether it is there
+        or the description was too careful is even beforehand; the likelihood of the window decides, and one process
+        with the mean variance and the mean power at zero frequency is handed out.
+
+        Parameters
+        ----------
+        found : ArmaModel
+            What was learnt.
+        series : ndarray, shape (n,)
+            What it was learnt from.
+        drift : Drift
+        white : float
+            Known white variance in the series.
+        """
+        has = zero_frequency(found)
+        missing = self.level - has
+        if not missing > has:
+            return ()
+        taus = SlowPrior(1.0, self.span_s, self.span_s).taus_s
+        variance = missing * drift.period_s / (2.0 * taus)
+        likelihood = Likelihood(series, drift, white, SlowPrior(math.sqrt(self.level), self.span_s, self.span_s))
+        fast = np.concatenate([found.ar, found.ma, [math.log(found.sd) + likelihood.log_unit]])
+
+        def value(sd: float, tau_s: float) -> float:
+            slow = [math.log(sd) + likelihood.log_unit, math.log(tau_s)]
+            return likelihood.value(np.concatenate([fast, slow]), found.p, 1)
+
+        none = value(NOTHING * math.sqrt(float(variance[-1])), float(taus[-1]))
+        gain = np.array([none - value(math.sqrt(v), t) for v, t in zip(variance.tolist(), taus.tolist(), strict=True)])
+        there = np.exp(np.clip(np.where(np.isfinite(gain), gain, -700.0), -700.0, 700.0)) / taus.size
+        share = there / (1.0 + float(there.sum()))
+        mean = float(share @ variance)
+        if not float(share.sum()) > IMPROBABLE:
+            return ()
+        return (GaussMarkov(sd=math.sqrt(mean), tau_s=float(share @ (variance * taus)) / mean),)
+
+
+def white_description(model: ErrorModel, period_s: float, span_s: float) -> WhiteDescription | None:
+    """What a description without coloured noise says; None where it has some, or says nothing.
+
+    Parameters
+    ----------
+    model : ErrorModel
+        Of the vehicle file.
+    period_s : float
+        Of the sensor [s].
+    span_s : float
+        Time that the window holds [s].
+    """
+    if slow_prior(model, period_s, span_s) is not None:
+        return None
+    parts = model.parts if isinstance(model, Sum) else (model,)
+    level = sum(block_level(part.block(period_s)) for part in parts if not isinstance(part, RandomWalk))
+    return WhiteDescription(level, span_s) if level > 0.0 else None

@@ -1,0 +1,284 @@
+"""A recorded mission in stretches: one call of a kernel takes samples and readings until something is Python's."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navfilter.filter.channel import usable
+from navfilter.filter.tape import Tape
+from navfilter.kernels import strapdown
+from navfilter.kernels import stretch as kernels
+from navfilter.navigator import Navigator
+
+__all__ = ["Passage", "Readings"]
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Output = tuple[Array, Array, Array, Ints]
+#: So many readings and samples are laid out at a time: 4 MB.
+READINGS, SAMPLES = 4096, 1 << 16
+#: Progress is told after so many readings.
+SHOWN = 512
+#: Elements of the longest reading that a kernel takes: a field and a temperature.
+WIDEST = 4
+#: Rows and elements of records that are gathered before the tape gets them.
+ROWS, ELEMENTS = 512, 1 << 18
+
+
+@dataclass(frozen=True)
+class Readings:
+    """All readings of the correcting sensors in the order of the times at which they were taken.
+
+    Attributes
+    ----------
+    time_s, stamp_s : ndarray, shape (n,)
+    sensor, row : ndarray of int, shape (n,)
+        Which of `names`, and which row of its values.
+    names : tuple of str
+    values : tuple of ndarray
+        Per sensor.
+    sds : tuple of list or None
+        Per sensor what `Navigator.correct` takes as the standard deviation of each reading; None where none has its
+        own.
+    """
+
+    time_s: Array
+    stamp_s: Array
+    sensor: Ints
+    row: Ints
+    names: tuple[str, ...]
+    values: tuple[Array, ...]
+    sds: tuple[list[Array | None] | None, ...]
+
+    def sd(self, index: int) -> Array | None:
+        """Standard deviation of a reading, where it has its own."""
+        sds = self.sds[self.sensor[index]]
+        return None if sds is None else sds[self.row[index]]
+
+
+class Passage:
+    """Takes a navigator through a mission, as `Navigator.step_samples` and `Navigator.correct` would, to the last bit.
+
+    Parameters
+    ----------
+    nav : Navigator
+        Without a history.
+    times, values : ndarray, shapes (n,) and (n, 6)
+        Samples of the drive.
+    readings : Readings
+    done : int
+        Samples before the start: they are not taken.
+    """
+
+    def __init__(self, nav: Navigator, times: Array, values: Array, readings: Readings, done: int) -> None:
+        self.nav, self._times, self._values, self._readings = nav, times, values, readings
+        self._ends = np.searchsorted(times, readings.time_s + 1e-9, side="right").astype(np.int64)
+        self._channels = [nav.filter.channels[name] for name in readings.names]
+        self._watches = [nav.watches[name] for name in readings.names]
+        most = max([1, *(channel.axes for channel in self._channels)])
+        self._notes = np.empty((READINGS, 3 + 2 * most))
+        self._same = _repeated(readings)
+        felt = any(sensor.from_drive for sensor in nav.vehicle.sensors.values())
+        quiet = nav.learning.rest is None and not nav.learning.listeners
+        strapped = nav.vehicle.drive.steps is strapdown.imu_steps
+        self._steady = strapped and quiet and not felt and not nav.filter.remembered
+        self.at, self.done = 0, done
+        self._begin = self._end = 0
+        self._out: Output | None = None
+
+    def run(self, progress: Callable[[int], object] | None = None) -> None:
+        """Take all readings, then the samples behind the last; `progress` is told how many readings, now and then."""
+        shown = 0
+        while self.at < len(self._ends):
+            if progress is not None and self.at - shown >= SHOWN:
+                progress(self.at - shown)
+                shown = self.at
+            why = self._advance() if self.possible else kernels.NEXT
+            if self.at == len(self._ends):
+                break
+            self._one(why)
+        for begin in range(self.done, len(self._times), 100_000):
+            self.nav.step_samples(self._block(begin, min(begin + 100_000, len(self._times))))
+        self.nav.finish()
+
+    @property
+    def possible(self) -> bool:
+        """Whether the kernel can take anything: nobody has to be asked between samples or after each reading."""
+        return self._steady and not self.nav.filter.memory.intake.offset_s
+
+    # ---------------------------------------------------------------- one reading, by Python
+    def _one(self, why: int) -> None:
+        """The next reading, from where the kernel left it."""
+        given, nav, at = self._readings, self.nav, self.at
+        end, name = int(self._ends[at]), given.names[given.sensor[at]]
+        if end > self.done:
+            nav.step_samples(self._block(self.done, end))
+        if why == kernels.JUDGED:
+            self._conclude(name, float(given.time_s[at]))
+        else:
+            nav.correct(name, float(given.stamp_s[at]), given.values[given.sensor[at]][given.row[at]], given.sd(at))
+        self.at, self.done = at + 1, max(self.done, end)
+
+    def _conclude(self, name: str, time_s: float) -> None:
+        """What follows from a verdict by which the reading was not used."""
+        nav, watch = self.nav, self.nav.watches[name]
+        correction = nav.filter.concluded(nav.filter.channels[name], time_s, watch.stuck)
+        nav.told(correction)
+        nav.filter.take_up(nav.told)
+        watch.note(correction.outcome.status, time_s, correction.outcome.nis, correction.outcome.dof)
+
+    def _block(self, begin: int, end: int) -> Array:
+        block = np.empty((end - begin, 7))
+        block[:, 0], block[:, 1:] = self._times[begin:end], self._values[begin:end]
+        return block
+
+    # ---------------------------------------------------------------- many, by the kernel
+    def _lay_out(self) -> None:
+        """The next readings and samples, as the kernel takes them."""
+        given, at = self._readings, self.at
+        last = int(np.searchsorted(self._ends, self.done + SAMPLES, side="right"))
+        end = min(max(last, at + 1), at + READINGS)
+        self._begin, self._end, self._first, self._stepped = at, end, self.done, 0
+        self._samples = self._block(self.done, max(self.done, int(self._ends[end - 1])))
+        which, rows = given.sensor[at:end], given.row[at:end]
+        self._good, own = np.zeros(end - at, bool), any(sds is not None for sds in given.sds)
+        self._z = np.full((end - at, WIDEST), np.nan)
+        self._variances = np.full((end - at if own else 1, self._notes.shape[1] // 2), np.nan)
+        for i, channel in enumerate(self._channels):
+            if channel.kind < 0:
+                continue
+            values, sds, read = given.values[i], given.sds[i], channel.sensor.read
+            for k in np.flatnonzero(which == i).tolist():
+                z = read(np.array(values[rows[k]], dtype=np.float64))
+                sd = None if sds is None else sds[rows[k]]
+                if z is None or not (sd is None or usable(sd, channel.sensor)):
+                    continue
+                self._good[k] = True
+                self._z[k, : len(z)] = z
+                if sd is not None:
+                    self._variances[k, : channel.axes] = np.resize(np.square(np.ravel(sd)), channel.axes)
+
+    def _advance(self) -> int:
+        """As far as the kernel comes; why it ended."""
+        why = kernels.FULL
+        while why in (kernels.FULL, kernels.DONE, kernels.HEED) and self.at < len(self._ends):
+            if not self._begin <= self.at < self._end:
+                self._lay_out()
+            why = self._call()
+            if why == kernels.HEED:
+                self.nav.filter.heed(self.nav.told)
+        return why
+
+    def _call(self) -> int:
+        filter, given = self.nav.filter, self._readings
+        part = slice(self._begin, self._end)
+        memory, intake, tape = filter.memory, filter.memory.intake, filter.tape
+        for channel in self._channels:
+            channel.gate[:] = channel.limits
+        now = np.array([memory.time_s, memory.sample_s, intake.before_s, _last(tape)])
+        cursor = np.array([self.at - self._begin, self.done - self._first, memory.unfolded, 0, 0, 0, 0, self._stepped])
+        heard = np.array(
+            [(*c.times, c.period_s, c.memory.refused is not None) for c in self._channels], dtype=np.float64
+        )
+        watched = np.array([(w.same, w.since_s, w.heard_s, w.used_s, w.nis, 0.0) for w in self._watches])
+        out = self._output()
+        first = cursor[kernels.READING], cursor[kernels.SAMPLE]
+        why = int(
+            kernels.stretch(
+                now,
+                cursor,
+                self._settings(),
+                filter.bench,
+                filter.plan,
+                heard,
+                watched,
+                (memory.nav, memory.x, memory.P, memory.acc),
+                (
+                    *(memory.drv, filter.Phid, filter.Qd, filter.drive_output),
+                    *(memory.watch, np.sqrt(filter.layout.drive.r), filter.watch.limits),
+                ),
+                self._samples,
+                self._times[self._first : self._first + len(self._samples)],
+                filter.intake.limits,
+                (
+                    *(given.time_s[part], given.sensor[part], self._ends[part] - self._first, self._good),
+                    *(self._same[part], self._z, self._variances, self._notes),
+                ),
+                out,
+            )
+        )
+        self._written(now, cursor, heard, watched, first, why, out)
+        return why
+
+    def _settings(self) -> Array:
+        """Limits and periods, see `navfilter.kernels.stretch`."""
+        filter = self.nav.filter
+        gap_s, doubt_s = filter.intake.spans
+        interval_s = math.inf if filter.tape is None else filter.tape.interval_s
+        until_s, steps = self.nav.learning.early_s, filter.memory.drv[strapdown.INCREMENTS]
+        spans = filter.period_s, filter.ahead_s, filter.fold_every, gap_s, doubt_s, until_s, interval_s
+        return np.array([*spans, steps])
+
+    def _output(self) -> Output:
+        """Room for rows, when they hold, records and what each is."""
+        filter = self.nav.filter
+        n = filter.layout.size
+        smoothable = filter.tape is not None and filter.tape.smoothable
+        width = n + 8 + (n * n if smoothable else 72 + n)
+        elements = max(ELEMENTS, 8 * int(filter.plan[-1, kernels.RECORD])) if smoothable else 0
+        if self._out is None or self._out[0].shape[1] != width or self._out[2].size != elements:
+            rows = 1 if filter.tape is None else ROWS
+            self._out = np.empty((rows, width)), np.empty((rows, 2)), np.empty(elements), np.empty((ROWS, 5), np.int64)
+        return self._out
+
+    def _written(
+        self, now: Array, cursor: Ints, heard: Array, watched: Array, first: tuple[int, int], why: int, out: Output
+    ) -> None:
+        """Put what the kernel left into the memory of the run, and on its tape."""
+        filter, given = self.nav.filter, self._readings
+        memory, intake, tape = filter.memory, filter.memory.intake, filter.tape
+        memory.time_s, memory.sample_s, intake.before_s = now[:3].tolist()
+        memory.unfolded = int(cursor[kernels.UNFOLDED])
+        used = slice(first[0], int(cursor[kernels.READING]))
+        self.at, self.done = self._begin + used.stop, self._first + int(cursor[kernels.SAMPLE])
+        if cursor[kernels.SAMPLE] > first[1]:
+            filter.intake.taken(int(cursor[kernels.GAPS]))
+        self._stepped = int(cursor[kernels.STEPPED])
+        seen = used.stop + (why == kernels.JUDGED)
+        for i, (channel, watch) in enumerate(zip(self._channels, self._watches, strict=True)):
+            channel.times = tuple(heard[i, :2].tolist())
+            mine = np.flatnonzero(given.sensor[self._begin : self._begin + seen] == i)
+            mine = mine[mine >= first[0]]
+            if not len(mine):
+                continue
+            values = given.values[i][given.row[self._begin + mine[-1]]]
+            watch.caught_up(watched[i], values.tobytes())
+            mine = mine[mine < used.stop]
+            if len(mine):
+                channel.memory.use(float(given.time_s[self._begin + mine[0]]))
+                channel.memory.use(float(given.time_s[self._begin + mine[-1]]))
+            if tape is not None and len(mine):
+                times = given.time_s[self._begin + mine]
+                tape.columns[channel.name].extend(times, self._notes[mine, : 3 + 2 * channel.axes])
+        if tape is not None:
+            tape.extend(out, *cursor[[kernels.ROWS, kernels.RECORDS, kernels.WRITTEN]].tolist())
+
+
+def _last(tape: Tape | None) -> float:
+    """When the last row was written; NaN for none."""
+    return tape.row_times[-1] if tape is not None and tape.row_times else math.nan
+
+
+def _repeated(readings: Readings) -> NDArray[np.bool_]:
+    """Whether the value of a reading is, bit for bit, that of the one of its sensor before."""
+    same = np.zeros(len(readings.time_s), bool)
+    for i, values in enumerate(readings.values):
+        mine = np.flatnonzero(readings.sensor == i)
+        bits = np.ascontiguousarray(values).view(np.int64)[readings.row[mine]]
+        same[mine[1:]] = (bits[1:] == bits[:-1]).all(axis=1)
+    return same

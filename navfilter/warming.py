@@ -1,0 +1,164 @@
+"""Kernels compiled ahead, by running tiny missions: what a vehicle needs, on two cores where there are two."""
+
+from __future__ import annotations
+
+import gc
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+
+from navfilter.compilation import announce_each, count_announced, is_compiled, kernel_count, show_compilation
+from navfilter.error_models import GaussMarkov
+from navfilter.learning.learned import LearnedArma
+from navfilter.playback import learns, replay
+from navfilter.simulation.simulate import tiny_mission, tiny_missions
+from navfilter.vehicle import Vehicle
+
+__all__ = ["help_warming", "warm_up"]
+
+#: Files of kernels for the filter and for what learns: parts that have none in common are compiled side by side.
+FILTER, LEARNER = ("strapdown", "kalman", "measurement"), ("listen", "channel", "fit")
+
+
+def warm_up(vehicle: Vehicle | None = None, progress: bool = False) -> None:
+    """Compile the kernels of navigator, smoother and learners by running tiny missions: once, then they are cached.
+
+    Where nothing has been compiled yet and there is a second core, a second process compiles the learners meanwhile.
+
+    Parameters
+    ----------
+    vehicle : Vehicle, optional
+        Compile only what this vehicle's drive and sensors need, and leave the learners out if none of them learns.
+        Default: everything.
+    progress : bool
+        Show on standard error what is being compiled.
+
+    Notes
+    -----
+    After it nothing is compiled under way: live, in a replay or by the smoother, late readings and gaps included.
+    """
+    if progress:
+        show_compilation()
+    learning = vehicle is None or learns(vehicle)
+    helper = _Helper(vehicle is None) if learning and not is_compiled(*FILTER) and not is_compiled("channel") else None
+    with _no_collector():
+        try:
+            _warm_filter(vehicle, learning)
+            if helper is not None:
+                helper.wait()
+        finally:
+            if helper is not None:
+                helper.end()
+        if vehicle is None:
+            _warm_reckoning()
+        if learning:
+            _warm_learner()
+
+
+def help_warming(everything: bool) -> None:
+    """What the second process of `warm_up` does."""
+    announce_each()
+    with _no_collector():
+        _warm_learner()
+        if everything:
+            _warm_reckoning()
+
+
+@contextmanager
+def _no_collector() -> Iterator[None]:
+    """numba makes millions of objects that all live until the end: looking for garbage takes a seventh of its time."""
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()
+
+
+def _warm_filter(vehicle: Vehicle | None, learning: bool) -> None:
+    tiny, mission = next(tiny_missions()) if vehicle is None else tiny_mission(vehicle)
+    replay(tiny, mission, smooth=True)
+    replay(
+        tiny.without(*(name for name, sensor in tiny.sensors.items() if not sensor.from_drive)), mission
+    )  # a silence
+    if learning:
+        learned = LearnedArma(prior=GaussMarkov(sd=0.01, tau_s=10.0))
+        heard = {name: learned for name, sensor in tiny.sensors.items() if sensor.open_loop}
+        replay(tiny.with_error(**heard), mission)
+
+
+def _warm_reckoning() -> None:
+    _, (tiny, mission) = tiny_missions()
+    replay(tiny, mission, smooth=True)
+
+
+def _warm_learner() -> None:
+    """A learner's first hop comes minutes into a dive: no place to compile."""
+    from navfilter.learning.drift import Drift
+    from navfilter.learning.learner import Learner
+    from navfilter.learning.slow import SlowPrior
+
+    learner = Learner(LearnedArma().orders, 400, Drift((1e-3, 1e-5), 0.25), prior=SlowPrior(0.01, 10.0, 100.0))
+    learner.hop(np.random.default_rng(1).normal(size=400))
+
+
+class _Helper:
+    """A second process that compiles into the same cache. Whatever becomes of it, the first one compiles the rest."""
+
+    def __init__(self, everything: bool) -> None:
+        self._process: subprocess.Popen[str] | None = None
+        if not (sys.executable and _kept() and _cores() > 1):
+            return
+        from numba import config
+
+        settings: Any = config
+        program = f"from navfilter.warming import help_warming; help_warming({everything})"
+        paths = {"PYTHONPATH": os.pathsep.join(path or os.getcwd() for path in sys.path)}
+        if settings.CACHE_DIR:
+            paths["NUMBA_CACHE_DIR"] = settings.CACHE_DIR
+        try:
+            self._process = subprocess.Popen(
+                [sys.executable, "-c", program],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
+                text=True,
+                env={**os.environ, **paths},
+            )
+        except OSError:  # no process to be had: compiled here, one after the other
+            return
+        most = kernel_count(*FILTER, *LEARNER)
+        self._counter = threading.Thread(target=count_announced, args=(self._process.stdout, most), daemon=True)
+        self._counter.start()
+
+    def wait(self) -> None:
+        if self._process is not None:
+            self._process.wait()
+            self._counter.join()
+
+    def end(self) -> None:
+        if self._process is not None and self._process.poll() is None:
+            self._process.kill()
+            self._process.wait()
+
+
+def _kept() -> bool:
+    """Whether what another process compiles can be found by this one."""
+    from navfilter.kernels import measurement
+
+    folder = measurement.heading.stats.cache_path if hasattr(measurement.heading, "stats") else None
+    return folder is not None and os.access(folder if os.path.isdir(folder) else os.path.dirname(folder), os.W_OK)
+
+
+def _cores() -> int:
+    try:
+        return len(os.sched_getaffinity(0))
+    except AttributeError:  # not on macOS and Windows
+        return os.cpu_count() or 1

@@ -1,0 +1,78 @@
+"""What is learnt after a fault of a minute is what would have been learnt without it."""
+
+import math
+from functools import cache
+
+import numpy as np
+import pytest
+
+import navfilter as nf
+from navfilter.learning.learned import learned_part
+from navfilter.simulation.scenarios import survey, survey_vehicle
+from navfilter.simulation.simulate import simulate
+from navfilter.state import wrap
+
+DEG = math.pi / 180.0
+TRUE = nf.GaussMarkov(sd=0.5 * DEG, tau_s=10.0, order=2) + nf.White(sd=0.05 * DEG)
+BELIEF = nf.GaussMarkov(sd=0.6 * DEG, tau_s=30.0) + nf.White(sd=0.1 * DEG)
+DURATION_S, FAULT_S = 1400.0, 600.0
+
+
+@cache
+def dive():
+    plain = survey_vehicle()
+    sensors = {name: plain.sensors[name] for name in ("compass", "dvl", "depth")}
+    vehicle = nf.Vehicle(nf.Imu(rate_hz=25.0, gyro=plain.drive.gyro, accel=plain.drive.accel), sensors)
+    vehicle = vehicle.with_error(compass=TRUE)
+    return vehicle, simulate(vehicle, survey(DURATION_S), seed=4, duration_s=DURATION_S)
+
+
+def held(value):
+    return np.broadcast_to(value[:1], value.shape)
+
+
+FAULTS = {
+    "iron": lambda value: wrap(value + 25.0 * DEG),
+    "turned": lambda value: wrap(value + math.pi),
+    "stuck": held,
+}
+
+
+def learnt(fault=None):
+    """The compass's model at the end, and the counters."""
+    vehicle, mission = dive()
+    if fault is not None:
+        stream = mission.streams["compass"]
+        inside = (stream.time_s >= FAULT_S) & (stream.time_s < FAULT_S + 60.0)
+        value = stream.value.copy()
+        value[inside] = FAULTS[fault](value[inside])
+        mission = mission.with_stream("compass", nf.Stream(stream.time_s, value, stream.columns))
+    vehicle = vehicle.with_error(compass=nf.LearnedArma(prior=BELIEF))
+    track = nf.replay(vehicle, mission, output_rate_hz=1.0)
+    models = [m[0] if isinstance(m, tuple) else m for t, m in track.error_models["compass"]]
+    return models[-1], track
+
+
+def spectrum(model, frequency_hz):
+    """[rad^2/Hz]"""
+    block = model.block(0.125)
+    z = np.exp(2j * np.pi * frequency_hz * 0.125)
+    gain = block.C @ np.linalg.inv(z * np.eye(block.size) - block.Phi)
+    return 0.25 * float(np.real(gain @ block.Q @ gain.conj()) + block.r)
+
+
+@cache
+def undisturbed():
+    return learnt()[0]
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_ten_minutes_after_a_minute_of_wrong_headings_the_model_is_that_without_them(fault):
+    model, track = learnt(fault)
+    assert learned_part(model).model is not None and not any("Offset" in part for part in str(model).split(" + "))
+    # a minute less of an hour's window: what is believed of the spectrum is good to a factor of 1.3 (sd)
+    for frequency_hz in (0.003, 0.01, 0.03, 0.1, 0.5):
+        ratio = spectrum(model, frequency_hz) / spectrum(undisturbed(), frequency_hz)
+        assert 0.7 < ratio < 1.4, (frequency_hz, ratio)
+    changes = [t for t, _ in track.error_models["compass"] if FAULT_S < t < FAULT_S + 120.0]
+    assert (fault == "stuck") or len(changes) >= 2  # the constant came and went

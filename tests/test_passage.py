@@ -1,0 +1,168 @@
+"""A mission in stretches is, bit for bit, the mission reading by reading; and the kernels of it against their twins."""
+
+from dataclasses import replace
+
+import naive
+import numpy as np
+import pytest
+from kernel_inputs import assert_close
+
+import navfilter as nf
+from navfilter import passage
+from navfilter.kernels import stretch as kernels
+from navfilter.simulation.scenarios import simulate_scenario
+
+DEG = np.pi / 180.0
+
+
+def survey(seconds=60.0):
+    """Coloured errors, scale and misalignment, a lever arm, fixes with gaps of the clock between the others."""
+    base, mission = simulate_scenario("lawnmower", 3, seconds)
+    slow = nf.GaussMarkov(sd=0.01, tau_s=10.0) + nf.White(sd=0.01)
+    sensors = {
+        "compass": nf.Heading(rate_hz=8, error=nf.GaussMarkov(sd=0.6 * DEG, tau_s=30.0) + nf.White(sd=0.1 * DEG)),
+        "dvl": nf.BodyVelocity(rate_hz=4, error=slow, scale_sd=0.003, lever_arm_b_m=(0.5, 0.0, 0.1)),
+        "depth": nf.Depth(rate_hz=1, error=nf.White(sd=0.05), offset_sd_m=0.2),
+        "gps": base.sensors["gps"],
+    }
+    return nf.Vehicle(base.drive, sensors), mission
+
+
+def changed(mission, name, **fields):
+    return replace(mission, streams={**mission.streams, name: replace(mission.streams[name], **fields)})
+
+
+def with_defects(mission):
+    """Outliers in a row, a reading repeated for long, one that is none, a stamp twice, samples missing and impossible,
+    an axis that sticks, standard deviations of single readings.
+    """
+    dvl, depth, imu = mission.streams["dvl"], mission.streams["depth"], mission.streams["imu"]
+    speed = dvl.value.copy()
+    speed[20:24] += 3.0
+    speed[40] = np.nan
+    stamps = dvl.time_s.copy()
+    stamps[60] = stamps[59]
+    mission = changed(mission, "dvl", value=speed, time_s=stamps)
+    level = depth.value.copy()
+    level[20:45] = level[20]
+    sd = np.full((len(level), 1), np.nan)
+    sd[10:15] = 0.2
+    mission = changed(mission, "depth", value=level, sd=sd)
+    keep = np.ones(len(imu.time_s), bool)
+    keep[2000:2010] = False
+    values = imu.value[keep].copy()
+    values[3000, 2] = 1e6
+    values[4500:4600, 4] = values[4500, 4]
+    return changed(mission, "imu", time_s=imu.time_s[keep], value=values)
+
+
+def one_by_one(monkeypatch):
+    monkeypatch.setattr(passage.Passage, "possible", property(lambda self: False))
+
+
+def assert_same(one, other):
+    for name in (
+        "time_s",
+        "latitude",
+        "longitude",
+        "height",
+        "velocity_n",
+        "attitude",
+        "covariance",
+        "states",
+        "states_sd",
+    ):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
+    assert one.counts == other.counts and one.residuals.keys() == other.residuals.keys()
+    for sensor, residuals in one.residuals.items():
+        for name in ("time_s", "value", "sd", "nis", "dof", "outcome"):
+            np.testing.assert_array_equal(getattr(residuals, name), getattr(other.residuals[sensor], name))
+
+
+@pytest.mark.parametrize("smooth", [False, True])
+@pytest.mark.parametrize("defects", [False, True])
+def test_in_stretches_as_one_by_one(smooth, defects, monkeypatch):
+    vehicle, mission = survey()
+    if defects:
+        mission = with_defects(mission)
+    monkeypatch.setattr(passage, "READINGS", 300)
+    monkeypatch.setattr(passage, "ROWS", 40)
+    together = nf.replay(vehicle, mission, smooth=smooth)
+    reasons = []
+    call = passage.Passage._call
+    monkeypatch.setattr(passage.Passage, "_call", lambda self: reasons.append(call(self)) or reasons[-1])
+    assert_same(together, nf.replay(vehicle, mission, smooth=smooth))
+    expected = {kernels.DONE, kernels.FULL} | (
+        {kernels.NEXT, kernels.REFUSED, kernels.JUDGED, kernels.HEED} if defects else set()
+    )
+    assert set(reasons) >= expected and len(reasons) < 100
+    one_by_one(monkeypatch)
+    assert_same(together, nf.replay(vehicle, mission, smooth=smooth))
+    assert not defects or together.residuals["dvl"].count("rejected") >= 4
+
+
+def test_what_python_has_to_be_asked_about_goes_one_by_one(monkeypatch):
+    vehicle, mission = survey(20.0)
+    calls = []
+    call = passage.Passage._call
+    monkeypatch.setattr(passage.Passage, "_call", lambda self: calls.append(self.at) or call(self))
+    nf.replay(replace(vehicle, sensors=vehicle.sensors | {"still": nf.ZeroVelocity()}), mission)
+    nf.replay(vehicle.with_error(compass=nf.LearnedArma()), mission)
+    assert not calls
+
+
+def test_stretch_is_its_twin(monkeypatch):
+    vehicle, mission = survey(20.0)
+    monkeypatch.setattr(passage, "READINGS", 150)
+    ours, compared = kernels.stretch, []
+
+    def both(*args):
+        copies = [a.copy() if isinstance(a, np.ndarray) else tuple(part.copy() for part in a) for a in args]
+        why, twins = ours(*args), naive.stretch(*copies)
+        assert why == twins
+        rows, records = args[1][4], args[1][6]
+        head = 2 * args[7][3].shape[1]  # the rest of acc is work space
+        for one, other in zip((args[7], args[8][:1]), (copies[7], copies[8][:1]), strict=True):
+            assert_close([part[:head] for part in one], [part[:head] for part in other], 1e-8)
+        assert_close(args[:3], copies[:3], 0.0)
+        assert_close(args[5:7], copies[5:7], 1e-9)
+        assert_close([args[-1][0][:rows]], [copies[-1][0][:rows]], 1e-9)
+        assert_close([args[-1][2][:records]], [copies[-1][2][:records]], 1e-8)
+        compared.append(rows)
+        return why
+
+    monkeypatch.setattr(kernels, "stretch", both)
+    nf.replay(vehicle, mission, smooth=True)
+    assert len(compared) > 1
+
+
+def test_correction_is_its_twin_for_every_kind(monkeypatch):
+    ours, kinds = kernels.correction, set()
+
+    def both(*args):
+        copies = [a.copy() if isinstance(a, np.ndarray) else a for a in args]
+        ours(*args)
+        naive.correction(*copies)
+        assert_close([args[i] for i in (2, 3, 4)], [copies[i] for i in (2, 3, 4)], 1e-9)
+        kinds.add(int(args[1][kernels.KIND]))
+
+    monkeypatch.setattr(kernels, "correction", both)
+    error = nf.White(sd=0.05) + nf.GaussMarkov(sd=0.1, tau_s=20.0)
+    sensors = {
+        "compass": (nf.Heading(error=error), 0.3),
+        "field": (nf.Heading(magnetometer=True, error=error, declination_rad=0.0), (0.2, -0.05, 0.4)),
+        "depth": (nf.Depth(error=error, lever_arm_b_m=(0.1, 0.2, 0.3)), 1.0),
+        "height": (nf.Altitude(error=error), 20.0),
+        "gps": (nf.Position(lever_arm_b_m=(0.1, 0.2, 0.3)), (0.7854, -0.0698, 0.0)),
+        "dvl": (nf.BodyVelocity(error=error, lever_arm_b_m=(0.5, 0.0, 0.1), scale_sd=0.01), (0.5, 0.1, 0.0)),
+        "water": (nf.WaterVelocity(), (0.4, 0.0, 0.0)),
+        "course": (nf.Course(), (0.5, 0.2)),
+    }
+    vehicle = nf.Vehicle(imu=nf.Imu(rate_hz=100), sensors={name: sensor for name, (sensor, _) in sensors.items()})
+    nav = nf.Navigator(vehicle, nf.Start(latitude_deg=45.0, longitude_deg=-4.0, heading_sd_deg=20.0))
+    for k in range(1, 31):
+        nav.step(0.01 * k, (0.0, 0.0, 0.1), (0.1, 0.0, -9.806))
+        if k % 10 == 0:
+            for name, (_, value) in sensors.items():
+                nav.correct(name, 0.01 * k, value, sd=0.3 if k == 20 else None)
+    assert kinds == set(kernels.KINDS.values())
