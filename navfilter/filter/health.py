@@ -72,14 +72,14 @@ class Health:
         "erratic" (nothing but noise), "wrong-unit", "gravity" (feels it where it is not), "swapped" (the same, of the
         right size) or "free-fall".
     learning : LearningHealth
-        Depends on the speed of the machine, as nothing else does.
+        Depends on the speed of the machine, as nothing else does; not compared.
     """
 
     sensors: dict[str, SensorHealth]
     drive: dict[str, int]
     clock_offset_s: float = 0.0
     axes: dict[str, str] = field(default_factory=dict)
-    learning: LearningHealth = LearningHealth()
+    learning: LearningHealth = field(default=LearningHealth(), compare=False)
 
     @property
     def degraded(self) -> tuple[str, ...]:
