@@ -15,6 +15,7 @@ from navfilter.filter.tape import Tape
 from navfilter.navigator import Navigator
 from navfilter.state import euler_from_matrix, rotation_matrix
 from navfilter.track import Track
+from navfilter.track_bounds import bounds_along
 
 __all__ = ["bar", "forward_track", "smoothed_track"]
 
@@ -60,10 +61,11 @@ def forward_track(nav: Navigator, name: str, cpu_s: float) -> Track:
     tape = _tape(nav)
     first = _assemble("forward", nav, _gathered(tape.first_rows()), name, cpu_s)
     if tape.given is None:
-        return first
+        return dataclasses.replace(first, bounds=bounds_along(first))
     revised = _assemble("revised", nav, _gathered([(tape, range(len(tape.row_times)))]), name, cpu_s)
     residuals, models = tape.first_residuals(), tape.first_models()
-    return dataclasses.replace(first, residuals=residuals, error_models=models, revised=revised)
+    first = dataclasses.replace(first, residuals=residuals, error_models=models, revised=revised)
+    return dataclasses.replace(first, bounds=bounds_along(first))
 
 
 def _gathered(parts: Sequence[tuple[Tape, range]]) -> _Rows:

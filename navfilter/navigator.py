@@ -16,6 +16,7 @@ from navfilter.beginning import Beginning
 from navfilter.filter import snapshot as snapshots
 from navfilter.filter.adoption import Change
 from navfilter.filter.channel import ChannelMemory, Refusals
+from navfilter.filter.condition import health_of
 from navfilter.filter.events import Event, Outcome
 from navfilter.filter.filter import Filter
 from navfilter.filter.filter_memory import Errors, FilterMemory
@@ -226,7 +227,7 @@ class Navigator:
 
     def _noted(self, reading: Reading) -> Outcome:
         outcome = self._taken(reading)
-        self.watches[reading.name].note(outcome.status, reading.time_s, outcome.nis, outcome.dof)
+        self.watches[reading.name].note(outcome.status, reading.time_s, outcome.nis, outcome.dof, self.filter.nav)
         return outcome
 
     def _taken(self, reading: Reading) -> Outcome:
@@ -358,9 +359,7 @@ class Navigator:
     @property
     def health(self) -> Health:
         """What the sensors are worth at present."""
-        sensors = {name: w.health(self.time_s, self.filter.channels[name].offset) for name, w in self.watches.items()}
-        axes = self.filter.watch.conditions(self.filter.memory.watch)
-        return Health(sensors, dict(self.counts), self.offset_s, axes, self.learning.worker.health)
+        return dataclasses.replace(health_of(self.filter, self.watches), learning=self.learning.worker.health)
 
     # ---------------------------------------------------------------- keep and bring back
     def snapshot(self, path: str | PathLike[str] | None = None) -> bytes:

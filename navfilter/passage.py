@@ -183,7 +183,7 @@ class Passage:
         now = np.array([memory.time_s, memory.sample_s, intake.before_s, _last(tape)])
         cursor = np.array([self.at - self._begin, self.done - self._first, memory.unfolded, 0, 0, 0, 0, self._stepped])
         heard = np.array(
-            [(*c.times, c.period_s, c.memory.refused is not None) for c in self._channels], dtype=np.float64
+            [(*c.times, c.period_s, c.memory.refused is not None or c.offset) for c in self._channels], dtype=np.float64
         )
         watched = np.array([(w.same, w.since_s, w.heard_s, w.used_s, w.nis, 0.0) for w in self._watches])
         out = self._output()

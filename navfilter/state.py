@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navfilter.filter.health import Health
+from navfilter.filter.integrity import Bounds, Trust
 from navfilter.kernels import strapdown
 
 __all__ = ["NavState", "euler_from_matrix", "matrix_from_euler", "rotation_matrix", "rotation_vector", "wrap"]
@@ -98,6 +99,18 @@ class NavState:
     C_nb: Array
     covariance: Array | None = None
     health: Health | None = None
+
+    @property
+    def trust(self) -> Trust | None:
+        """Of a navigator's state: "good", "degraded" or "lost", with the reasons."""
+        return None if self.health is None else self.health.trust
+
+    @property
+    def bounds(self) -> Bounds | None:
+        """Of a navigator's state: radius of the position [m] and bound of the heading [rad] that hold the truth under
+        any single fault that has not been found.
+        """
+        return None if self.health is None else self.health.bounds
 
     @property
     def roll_pitch_heading(self) -> Array:

@@ -106,6 +106,8 @@ class Track:
         Of a forward track: with hindsight, where the beginning was run again with models that were learnt from it.
     epoch_utc_s : float or None
         UTC of mission time zero [s since 1970]; None where the mission does not know it.
+    bounds : ndarray, shape (n, 2), or None
+        Of a forward track: protection radius [m] and bound of the heading [rad], see `navfilter.filter.integrity`.
     """
 
     label: str
@@ -129,6 +131,7 @@ class Track:
     state_units: tuple[str, ...] = ()
     revised: Track | None = None
     epoch_utc_s: float | None = None
+    bounds: Array | None = None
 
     def __len__(self) -> int:
         return len(self.time_s)
@@ -151,7 +154,9 @@ class Track:
 
     def keep(self, rows: Any) -> Track:
         """Only the given rows (a mask, a slice or indices); residuals and models stay whole."""
-        return replace(self, forward=None, **{name: getattr(self, name)[rows] for name in _BY_ROW})
+        kept: dict[str, Any] = {name: getattr(self, name)[rows] for name in _BY_ROW}
+        bounds = None if self.bounds is None else self.bounds[rows]
+        return replace(self, forward=None, bounds=bounds, **kept)
 
     def at(self, time_s: Array) -> Track:
         """The track at other times inside it [s], shape (m,): linear between its rows, angles through the shorter
@@ -169,7 +174,7 @@ class Track:
         moved: dict[str, Any] = {name: between(getattr(self, name)) for name in names}
         for name in ("latitude", "longitude", "attitude"):
             moved[name] = between(np.unwrap(getattr(self, name), axis=0))
-        return replace(self, time_s=np.asarray(time_s, dtype=float), forward=None, revised=None, **moved)
+        return replace(self, time_s=np.asarray(time_s, dtype=float), forward=None, revised=None, bounds=None, **moved)
 
     def local(self, latitude: float | None = None, longitude: float | None = None) -> Array:
         """Position north, east, down [m], shape (n, 3), from a reference point [rad] (default: the first position)."""

@@ -43,6 +43,8 @@ def frame(track: Track) -> pd.DataFrame:
     columns["position_north_east_cov_m2"] = track.covariance[:, 0, 1]
     columns |= {f"velocity_{a}_sd_m_s": sd[:, 3 + i] for i, a in enumerate(axes)}
     columns |= {f"{a}_sd_deg": rpy_sd[:, i] for i, a in enumerate(("roll", "pitch", "heading"))}
+    if track.bounds is not None:
+        columns |= {"protection_radius_m": track.bounds[:, 0], "heading_bound_deg": np.degrees(track.bounds[:, 1])}
     for i, name in enumerate(track.state_names):
         unit = track.state_units[i] if track.state_units else "1"
         factor = 180.0 / math.pi if unit.startswith("rad") else 1.0

@@ -26,6 +26,7 @@ SCRIPTS = {
     "logs": ("library underneath", ("samples", "large")),
     "mistakes": ("No other software", ()),
     "noise_sheet": ("No other software", ("simulated", "recordings")),
+    "over_water": ("plain dead reckoning", ()),
     "recordings": ("plain dead reckoning", ("withheld", "car_clocks", "clocks")),
     "replay_speed": ("python-ins", ()),
     "residual_source": ("oracle", ()),

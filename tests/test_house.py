@@ -13,7 +13,7 @@ import navfilter
 ROOT = Path(navfilter.__file__).parent
 #: From the ground up; a module may import from its own floor and those below.
 FLOORS = [
-    {"kernels", "constants", "compilation", "notebook", "utc", "filter.memory", "filter.health"},
+    {"kernels", "constants", "compilation", "notebook", "utc", "filter.memory", "filter.health", "filter.integrity"},
     {
         "arma",
         "state",
@@ -22,6 +22,7 @@ FLOORS = [
         "magnetic",
         "filter.layout",
         "filter.tape",
+        "filter.offsets",
         "error_models",
         "learning.drift",
     },
@@ -44,7 +45,7 @@ FLOORS = [
     {"sensors", "mechanisation", "vehicle", "track", "track_plot", "track_views"},
     {"filter", "learning.worker", "learning.listener", "learning.rest", "learning.refit"},
     {"learning.schedule", "beginning", "navigator", "passage", "alignment"},
-    {"assembly", "playback", "beacons", "warming", "simulation", "io", "outputs", "check"},
+    {"assembly", "track_bounds", "playback", "beacons", "warming", "simulation", "io", "outputs", "check"},
     {"evaluation", "report", "identification", "calibration"},
     {"service", "cli", "commands", "__init__", "__main__"},
 ]

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.filter.channel import Channel
+from navfilter.filter.integrity import CONFIRMED_S
 from navfilter.filter.offsets import offset_states
 from navfilter.filter.refusals import Refusals
 from navfilter.kernels import listen
@@ -29,8 +30,6 @@ Array = NDArray[np.float64]
 #: Over so long a time refused readings must agree [s]: echoes and passing iron are shorter. A velocity that is not
 #: heard is lost sooner, for what accelerometers and tilt gather in seconds lets the gate in.
 SPAN_S, VELOCITY_SPAN_S = 8.0, 2.0
-#: A state is confirmed by a sensor once that has been used over so long a time since the state was given or reset [s].
-CONFIRMED_S = 30.0
 #: A sensor has jumped if its last used reading came at most so long before the first refused one [s], or three periods.
 BEFORE_S = 2.0
 #: The NIS of the first refused reading of a jump is beyond its limit by this factor [1].

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.stats import chi2
 
 from navfilter.filter.layout import Group, Layout
-from navfilter.filter.offsets import offset_states
+from navfilter.filter.offsets import has_offset
 from navfilter.filter.refusals import Refusals
 from navfilter.filter.sight import Sight
 from navfilter.kernels import kalman, listen, stretch
@@ -110,7 +110,7 @@ class Channel:
         self.dims = np.array([a, n, m, b, group.start, group.errors, parameters])
         at = kalman.places(self.dims)
         self.places = np.array(at)
-        self.offset = bool(offset_states(sensor.models, self.period_s).size)
+        self.offset = has_offset(sensor.models)
         lever, R = sensor.lever_arm_covariance(rate_variance), np.diag(group.r)
         model = np.array([group.Phi[:b, :b], group.Q[:b, :b]])
         constants = self.constants if self.kind >= 0 else np.zeros(0)

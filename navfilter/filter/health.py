@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from navfilter.filter.integrity import Bounds, Trust
+
 __all__ = ["Health", "LearningHealth", "SensorHealth", "Watch"]
 
 Array = NDArray[np.float64]
@@ -71,6 +73,10 @@ class Health:
         Condition of each axis of an inertial unit: "good", "noisy", "stuck", "dead" (stuck at zero), "saturated",
         "erratic" (nothing but noise), "wrong-unit", "gravity" (feels it where it is not), "swapped" (the same, of the
         right size) or "free-fall".
+    bounds : Bounds or None
+        How far the truth may be from the state under any single fault that has not been found.
+    trust : Trust or None
+        Whether the state is to be trusted.
     learning : LearningHealth
         Depends on the speed of the machine, as nothing else does; not compared.
     """
@@ -79,6 +85,8 @@ class Health:
     drive: dict[str, int]
     clock_offset_s: float = 0.0
     axes: dict[str, str] = field(default_factory=dict)
+    bounds: Bounds | None = None
+    trust: Trust | None = None
     learning: LearningHealth = field(default=LearningHealth(), compare=False)
 
     @property
@@ -106,6 +114,8 @@ class Watch:
     value: bytes = b""
     same: int = 0
     since_s: float = math.nan
+    latitude: float = math.nan
+    longitude: float = math.nan
 
     #: The same value for so long, and at least so many times in a row, is stuck: a live sensor has noise.
     STUCK_S = 10.0
@@ -128,13 +138,15 @@ class Watch:
         """Whether the value has not changed for suspiciously long."""
         return self.same >= self.STUCK_READINGS and self.heard_s - self.since_s >= self.STUCK_S
 
-    def note(self, status: str, time_s: float, nis: float, dof: int) -> None:
-        """Note what became of it."""
+    def note(self, status: str, time_s: float, nis: float, dof: int, nav: Array | None = None) -> None:
+        """Note what became of it, and where; nav: (17,) nominal state."""
         self.outcomes[status] = self.outcomes.get(status, 0) + 1
         if status not in ("ahead", "invalid"):  # a wild stamp is not the time at which it was heard
             self.heard_s = max(self.heard_s, time_s)
         if status in ("used", "late-replayed"):
             self.used_s = max(self.used_s, time_s)
+            if nav is not None:
+                self.latitude, self.longitude = float(nav[0]), float(nav[1])
         if dof and math.isfinite(nis):
             share = min(nis / dof, 100.0)
             self.nis = share if math.isnan(self.nis) else self.nis + (share - self.nis) / self.MEMORY

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from navfilter.error_models import ErrorModel, RandomWalk, Sum
 
-__all__ = ["Offset", "offset_states", "with_offsets", "with_the_same_offsets"]
+__all__ = ["Offset", "has_offset", "offset_states", "with_offsets", "with_the_same_offsets"]
 
 
 @dataclass(frozen=True)
@@ -35,6 +35,12 @@ def _parts(model: ErrorModel) -> tuple[ErrorModel, ...]:
 def _plain(model: ErrorModel) -> ErrorModel:
     rest = [part for part in _parts(model) if not isinstance(part, Offset)]
     return sum(rest[1:], start=rest[0])
+
+
+def has_offset(models: ErrorModel | tuple[ErrorModel, ...]) -> bool:
+    """Whether the error models of a sensor, one for all axes or one per axis, have an `Offset`."""
+    each = models if isinstance(models, tuple) else (models,)
+    return any(isinstance(part, Offset) for model in each for part in _parts(model))
 
 
 def offset_states(models: tuple[ErrorModel, ...], period_s: float) -> NDArray[np.int64]:

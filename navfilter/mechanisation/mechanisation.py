@@ -84,6 +84,8 @@ class Mechanisation:
     rate_hz : float
     calibrated : tuple of (str, float, float)
         What a calibration found of its constant states: name, value and remaining standard deviation.
+    max_speed_m_s, max_turn_rad_s : float, optional
+        What the vehicle can do at most [m/s], [rad/s]: beyond it a state is a fault, see `NavState.trust`.
 
     Attributes
     ----------
@@ -104,6 +106,8 @@ class Mechanisation:
 
     rate_hz: float
     calibrated: Calibrated = ()
+    max_speed_m_s: float | None = None
+    max_turn_rad_s: float | None = None
 
     streams: ClassVar[tuple[str, ...]] = ()
     inertial: ClassVar[bool] = False
@@ -119,6 +123,9 @@ class Mechanisation:
     def __post_init__(self) -> None:
         if not (math.isfinite(self.rate_hz) and self.rate_hz > 0):
             raise ValueError(f"{type(self).__name__}.rate_hz must be a finite number > 0, found {self.rate_hz!r}.")
+        for key in ("max_speed_m_s", "max_turn_rad_s"):
+            if getattr(self, key) is not None and not getattr(self, key) > 0.0:
+                raise ValueError(f"{type(self).__name__}.{key} must be > 0, found {getattr(self, key)!r}.")
         own = [p.name for p in self.parameters()] if self.calibrated else []
         # what belongs to one of its two sensors stands there
         own = [name for name in own if not name.startswith(("velocity.", "attitude.", "yaw."))]

@@ -55,7 +55,7 @@ def state_fields(state: NavState) -> dict[str, Any]:
         ``velocity_sd_m_s`` (north, east, down) and ``attitude_sd_deg`` (rotations about north, east, down; the last is
         that of the heading of a level vehicle); ``sensors``: condition, age of the last good reading [s], mean NIS and
         what became of the readings, by name; ``axes``: conditions of those axes of the inertial unit that are not good;
-        ``clock_offset_s``.
+        ``clock_offset_s``; and `integrity_fields`.
     """
     health = state.health or Health({}, {})
     roll, pitch, heading = np.degrees(state.roll_pitch_heading).tolist()
@@ -78,6 +78,20 @@ def state_fields(state: NavState) -> dict[str, Any]:
         },
         "axes": {name: condition for name, condition in health.axes.items() if condition != "good"},
         "clock_offset_s": health.clock_offset_s,
+        **integrity_fields(health),
+    }
+
+
+def integrity_fields(health: Health) -> dict[str, Any]:
+    """``trust`` with its ``reasons``, ``protection_radius_m`` and ``heading_bound_deg`` (null: there is no bound)."""
+    if health.trust is None or health.bounds is None:
+        return {}
+    radius = health.bounds.horizontal_m
+    return {
+        "trust": health.trust.level,
+        "reasons": list(health.trust.reasons),
+        "protection_radius_m": radius if math.isfinite(radius) else None,
+        "heading_bound_deg": math.degrees(health.bounds.heading_rad),
     }
 
 

@@ -1,0 +1,91 @@
+"""The condition of a run, from what its filter and its watches remember: health, bounds and trust."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navfilter.filter import integrity
+from navfilter.filter.channel import Channel
+from navfilter.filter.filter import Filter
+from navfilter.filter.health import Health, Watch
+
+__all__ = ["health_of"]
+
+Array = NDArray[np.float64]
+
+
+def health_of(filter: Filter, watches: Mapping[str, Watch]) -> Health:
+    """What the sensors are worth at present, how far the truth may be, and whether the state is to be trusted.
+
+    Parameters
+    ----------
+    filter : Filter
+    watches : dict of str to Watch
+        By sensor.
+    """
+    memory, state, channels = filter.memory, filter.state, filter.channels
+    now_s, P = memory.time_s, state.covariance
+    assert P is not None
+    sensors = {name: watch.health(now_s, channels[name].offset) for name, watch in watches.items()}
+    axes = filter.watch.conditions(memory.watch)
+    off: dict[str, float] = {}
+    for name, watch in watches.items():
+        sees = channels[name].sensor.corrects
+        off[sees] = max(off.get(sees, 0.0), _off(channels[name], watch))
+    age_s, moved_m = _since_fix(filter, watches)
+    radius_m, heading_rad = integrity.bounds(P, age_s, moved_m, off, filter.inertial)
+    drive = filter.vehicle.drive
+    rate = drive.body_rate(
+        memory.drv, drive.outputs(filter.drive_output[:, :-1], memory.drv)[:3] @ memory.x[: filter.layout.drive.size]
+    )
+    speed, turn = math.sqrt(float(state.velocity_n @ state.velocity_n)), float(np.abs(rate).max())
+    # fixes are not there under water: what that costs is in the bounds
+    calm = {
+        name: ("good", "waiting", "silent") if channel.sensor.corrects == "position" else ("good", "waiting")
+        for name, channel in channels.items()
+    }
+    doubts = [f"{name} is {s.condition}" for name, s in sensors.items() if s.condition not in calm[name]]
+    doubts += [f"{name} is {condition}" for name, condition in axes.items() if condition != "good"]
+    return Health(
+        sensors,
+        dict(memory.counts),
+        memory.intake.offset_s,
+        axes,
+        integrity.Bounds(float(radius_m), float(heading_rad)),
+        integrity.trust(P, speed, turn, (drive.max_speed_m_s, drive.max_turn_rad_s), doubts),
+    )
+
+
+def _since_fix(filter: Filter, watches: Mapping[str, Watch]) -> tuple[float, float]:
+    """Time since the last fix that was used, or since the start [s], and distance from there [m]."""
+    memory, start = filter.memory, filter.start.state
+    time_s, latitude, longitude = start.time_s, start.latitude, start.longitude
+    for name, channel in filter.channels.items():
+        watch = watches[name]
+        if channel.sensor.corrects == "position" and watch.used_s > time_s:
+            time_s, latitude, longitude = watch.used_s, watch.latitude, watch.longitude
+    north = (float(memory.nav[0]) - latitude) * memory.nav[15]
+    east = (float(memory.nav[1]) - longitude) * memory.nav[16] * math.cos(latitude)
+    return memory.time_s - time_s, math.hypot(north, east)
+
+
+def _off(channel: Channel, watch: Watch) -> float:
+    """What a sensor may be off by; 0 for one that has not been heard, or has been found to be off."""
+    sensor, kept, a = channel.sensor, channel.memory, channel.axes
+    if channel.offset or not sensor.corrects:
+        return 0.0
+    residual, variance = channel.note[3 : 3 + a], channel.note[3 + a :]
+    # one that is refused alone is an outlier, unless the sensor has confirmed nothing yet
+    confirmed = kept.used_s - kept.agreed_s >= integrity.CONFIRMED_S
+    again = kept.last_s - kept.rejected_since_s > 0.5 * channel.period_s
+    if again or (not confirmed and not math.isnan(kept.rejected_since_s)):
+        return float(integrity.whole_offset(sensor.corrects, residual))
+    if not math.isfinite(watch.used_s):
+        return 0.0
+    e, C = channel.group.errors, channel.C
+    slow = np.diag(C @ channel.group.P0[:e, :e] @ C.T)
+    return math.sqrt(float(channel.limits[a]) * float(np.nanmax(variance + slow, initial=0.0)))

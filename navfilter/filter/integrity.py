@@ -1,0 +1,140 @@
+"""Integrity: how far the truth may be from the state although nothing has been said, and whether it is to be trusted.
+
+The protection radius is that of fault-free noise and of every single fault that the gates would have let pass (solution
+separation in its cheap form: Blanch et al., 2015; the smallest fault that is detected is Baarda's, 1968; Groves, 2013,
+ch. 17). A sensor whose readings are used may be off by a constant of up to the square root of its gate's limit times
+the sd of its readings, slow error and all; one whose readings are refused by the residual itself, for it may be the
+one that is right.
+What such a constant does to the position:
+
+- of fixes: it is the error;
+- of a velocity: it has been integrated since the last fix;
+- of a heading: it turns the way made since the last fix.
+
+Faults do not come together: the largest of these counts, beside the noise of the state itself.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Bounds", "Trust", "bounds", "trust", "whole_offset"]
+
+Array = NDArray[np.float64]
+
+#: Share of the time that the truth may lie beyond a bound without any fault [1].
+RISK = 1e-3
+#: The distance in a plane, and the size of an angle, that noise of unit sd exceeds in that share of the time.
+IN_PLANE, IN_LINE = math.sqrt(-2.0 * math.log(RISK)), 3.2905
+#: A state is confirmed by a sensor once that has been used over so long a time since the state was given or reset [s].
+CONFIRMED_S = 30.0
+#: A state that exceeds what the vehicle can do by this factor is none [1]: noise and waves are less.
+MARGIN = 1.2
+#: Beyond this sd of the velocity [m/s] or of the heading [rad] there is no dead reckoning.
+LOST_VELOCITY, LOST_HEADING = 1.0, math.radians(30.0)
+#: Fixes are there while the last one is so old at most [s].
+PRESENT_S = 5.0
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """Protection radius of the position and bound of the heading.
+
+    Attributes
+    ----------
+    horizontal_m, heading_rad : float
+        The truth lies within them 99.9 % of the time, under any single fault of a sensor that has not been found.
+    """
+
+    horizontal_m: float
+    heading_rad: float
+
+
+@dataclass(frozen=True)
+class Trust:
+    """Whether the state is to be trusted.
+
+    Attributes
+    ----------
+    level : str
+        "good", "degraded" (something does not help, the bounds say what that costs) or "lost" (the state is that of no
+        vehicle, or nothing bounds it any more).
+    reasons : tuple of str
+        In words.
+    """
+
+    level: str
+    reasons: tuple[str, ...] = ()
+
+
+def bounds(P: Array, age_s: Any, moved_m: Any, off: Mapping[str, Any], held: bool = True) -> tuple[Any, Any]:
+    """Protection radius [m] and bound of the heading [rad] at one time, or at many.
+
+    Parameters
+    ----------
+    P : ndarray, shape (..., 9, 9)
+        Covariance of position, velocity and attitude in n.
+    age_s, moved_m : float or ndarray, shape (...)
+        Time since the last fix that was used, or since the start [s], and distance from there [m].
+    off : dict of str to float or ndarray
+        What the sensors of "position", "velocity" and "heading" may be off by [m, m/s, rad].
+    held : bool
+        Whether anything holds the velocity and the heading of the drive against others. Dead reckoning without an
+        inertial unit has nothing: between fixes its radius is infinite.
+
+    Examples
+    --------
+    >>> P = np.diag([4.0, 4.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1e-4])
+    >>> radius_m, heading_rad = bounds(P, 600.0, 500.0, {"velocity": 0.05, "heading": 0.04})
+    >>> round(float(radius_m), 1)
+    37.4
+    """
+    away = np.asarray(age_s) > PRESENT_S
+    heading = off.get("heading", 0.0)
+    by_heading = 2.0 * np.sin(0.5 * np.minimum(heading, math.pi)) * moved_m
+    by_motion = np.maximum(by_heading, np.multiply(age_s, off.get("velocity", 0.0))) if held else math.inf
+    fault = np.maximum(off.get("position", 0.0), np.where(away, by_motion, 0.0))
+    half = 0.5 * (P[..., 0, 0] + P[..., 1, 1])
+    longest = half + np.hypot(0.5 * (P[..., 0, 0] - P[..., 1, 1]), P[..., 0, 1])
+    return IN_PLANE * np.sqrt(longest) + fault, np.minimum(IN_LINE * np.sqrt(P[..., 8, 8]) + heading, math.pi)
+
+
+def whole_offset(sees: str, residual: Array) -> Array:
+    """Size of residuals (..., axes) of refused readings: of fixes that of the horizontal part."""
+    known = np.nan_to_num(np.abs(residual))
+    several = sees == "position" and known.shape[-1] > 1
+    return np.asarray(np.hypot(known[..., 0], known[..., 1]) if several else known.max(axis=-1))
+
+
+def trust(
+    P: Array, speed: float, turn: float, limits: tuple[float | None, float | None], doubts: Iterable[str]
+) -> Trust:
+    """Whether a state is to be trusted, and why not.
+
+    Parameters
+    ----------
+    P : ndarray, shape (9, 9)
+    speed, turn : float
+        Of the vehicle [m/s], [rad/s].
+    limits : (2,) float or None
+        What the vehicle can do at most.
+    doubts : iterable of str
+        What does not help at present, in words.
+    """
+    velocity_sd, heading_sd = math.sqrt(P[range(3, 6), range(3, 6)].max()), math.sqrt(P[8, 8])
+    lost = []
+    for what, value, most, unit in zip(("speed", "turn"), (speed, turn), limits, ("m/s", "rad/s"), strict=True):
+        if most is not None and value > most * MARGIN:
+            lost.append(f"a {what} of {value:.3g} {unit}, the vehicle's greatest is {most:g} {unit}")
+    if not velocity_sd <= LOST_VELOCITY:
+        lost.append(f"the velocity is only known to {velocity_sd:.2g} m/s")
+    if not heading_sd <= LOST_HEADING:
+        lost.append(f"the heading is only known to {math.degrees(heading_sd):.0f} deg")
+    reasons = (*lost, *doubts)
+    return Trust("lost" if lost else "degraded" if reasons else "good", reasons)
