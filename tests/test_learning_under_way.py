@@ -254,7 +254,7 @@ class Says:
     def hop(self, series, fresh):
         return self.found.pop(0)
 
-    memory = None
+    memory, window = None, 4000
 
 
 def test_where_nothing_is_learnt_the_last_model_stays():
