@@ -34,7 +34,7 @@ from navfilter.learning.schedule import Again, LearningMemory, LearningSchedule
 from navfilter.learning.spectrum import Spectrum
 from navfilter.learning.worker import Worker
 from navfilter.start import Start
-from navfilter.state import NavState
+from navfilter.state import NavState, Pose
 from navfilter.vehicle import Vehicle
 
 __all__ = ["Navigator", "Outcome"]
@@ -84,10 +84,6 @@ class Navigator:
     -----
     `step` compounds the transition of the drive's samples and folds it into the covariance at every correction and at
     least once a second: the same covariance as folding every sample, without the cost. `state` gives it at any sample.
-
-    It composes what does the work: a `Filter` (`filter`) owns the state, a `LearningSchedule` listens to it and answers
-    with error models to adopt, a history lets late readings find their place, and a watch over each sensor says how it
-    fares.
 
     A correction between two samples holds the last sample until its time; the next sample then covers what is left.
 
@@ -150,8 +146,7 @@ class Navigator:
         Notes
         -----
         Samples that do not come after the last one are dropped, and so is a single stamp far ahead (`Intake`); one with
-        a NaN or an impossible value repeats the one before (an invalid DVL velocity is held, with growing uncertainty).
-        All are counted in `counts`, like gaps of more than three periods.
+        a NaN or an impossible value repeats the one before. All are counted in `counts`, like long gaps.
         """
         try:
             if isinstance(time_s, float) and len(first) == 3 == len(second):
@@ -350,6 +345,11 @@ class Navigator:
     def errors(self) -> dict[str, float]:
         """Estimates of all error states and parameters by name."""
         return self.filter.errors
+
+    @property
+    def pose(self) -> Pose:
+        """Where it is, how it moves and points, now, in plain numbers: for every sample."""
+        return Pose.unpack(self.filter.memory.time_s, self.filter.memory.nav)
 
     @property
     def state(self) -> NavState:

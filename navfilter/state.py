@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,7 +13,7 @@ from navfilter.filter.health import Health
 from navfilter.filter.integrity import Bounds, Trust
 from navfilter.kernels import strapdown
 
-__all__ = ["NavState", "euler_from_matrix", "matrix_from_euler", "rotation_matrix", "rotation_vector", "wrap"]
+__all__ = ["NavState", "Pose", "euler_from_matrix", "matrix_from_euler", "rotation_matrix", "rotation_vector", "wrap"]
 
 Array = NDArray[np.float64]
 
@@ -69,6 +70,54 @@ def rotation_vector(matrix: ArrayLike) -> Array:
     return axis * np.asarray(scale)[..., None]
 
 
+class Pose(NamedTuple):
+    """Where the vehicle is, how it moves and points: plain numbers, a fortieth of the time that a `NavState` takes.
+
+    Attributes
+    ----------
+    time_s : float
+        Mission time [s].
+    latitude, longitude : float
+        WGS-84 [rad].
+    height : float
+        Above the ellipsoid [m].
+    velocity_n : (3,) float
+        Velocity over ground, north-east-down [m/s].
+    C_nb : (9,) float
+        Body to nav, row by row.
+
+    Examples
+    --------
+    >>> pose = NavState(0.0, 0.8, -0.1, 5.0, np.array([1.0, 0.0, 0.0]), np.eye(3)).pose
+    >>> pose.height, pose.velocity_n, pose.heading
+    (5.0, (1.0, 0.0, 0.0), 0.0)
+    """
+
+    time_s: float
+    latitude: float
+    longitude: float
+    height: float
+    velocity_n: tuple[float, float, float]
+    C_nb: tuple[float, ...]
+
+    @classmethod
+    def unpack(cls, time_s: float, nav: Array) -> Pose:
+        """From the vector of the kernels, see `NavState.pack`."""
+        v = nav.tolist()
+        return cls(time_s, v[0], v[1], v[2], (v[3], v[4], v[5]), tuple(v[6:15]))
+
+    @property
+    def heading(self) -> float:
+        """True heading, clockwise from north [rad], in [-pi, pi)."""
+        return math.atan2(self.C_nb[3], self.C_nb[0])
+
+    @property
+    def roll_pitch(self) -> tuple[float, float]:
+        """Roll and pitch [rad]."""
+        C = self.C_nb
+        return math.atan2(C[7], C[8]), -math.asin(min(1.0, max(-1.0, C[6])))
+
+
 @dataclass(frozen=True)
 class NavState:
     """Where the vehicle is, how it moves and points, and how well that is known.
@@ -121,6 +170,11 @@ class NavState:
     def heading(self) -> float:
         """True heading, clockwise from north [rad], in [-pi, pi)."""
         return math.atan2(self.C_nb[1, 0], self.C_nb[0, 0])
+
+    @property
+    def pose(self) -> Pose:
+        """The same in plain numbers, without the covariance."""
+        return Pose.unpack(self.time_s, self.pack())
 
     @property
     def sd(self) -> Array:

@@ -462,3 +462,18 @@ def test_dead_reckoning_by_a_magnetic_compass_applies_the_declination():
 def test_a_vehicle_survives_pickling():
     again = pickle.loads(pickle.dumps(inertial()))
     assert again.sensors["gps"] == inertial().sensors["gps"] and again.drive == inertial().drive
+
+
+def test_the_pose_is_the_state_in_plain_numbers():
+    vehicle = nf.Vehicle(imu=nf.Imu(rate_hz=100), sensors={"depth": nf.Depth(rate_hz=1)})
+    nav = nf.Navigator(vehicle, nf.Start(latitude_deg=45.0, longitude_deg=-4.0, roll_deg=3.0, heading_deg=250.0))
+    for k in range(1, 40):
+        nav.step(0.01 * k, (0.1, -0.2, 0.3), (0.5, 0.1, -9.806))
+    pose, state = nav.pose, nav.state
+    assert pose == state.pose and pose.time_s == state.time_s == 0.39
+    assert (pose.latitude, pose.longitude, pose.height) == (state.latitude, state.longitude, state.height)
+    np.testing.assert_array_equal(pose.velocity_n, state.velocity_n)
+    np.testing.assert_array_equal(np.reshape(pose.C_nb, (3, 3)), state.C_nb)
+    np.testing.assert_allclose([*pose.roll_pitch, pose.heading], state.roll_pitch_heading, rtol=0, atol=1e-15)
+    nav.step(0.4, (0.1, -0.2, 0.3), (0.5, 0.1, -9.806))
+    assert nav.pose != pose  # the one before stays what it was

@@ -119,6 +119,7 @@ class DriveWatch:
         memory = filter.memory
         w, unit = memory.watch, memory.watch[kernel.UNIT]
         opened: list[Array] = []
+        calm = not w[: kernel.UNIT, (kernel.CODE, kernel.HEEDED)].any()
         for i in range(6):
             axis = w[i]
             code, heeded = axis[kernel.CODE], axis[kernel.HEEDED]
@@ -136,7 +137,8 @@ class DriveWatch:
                 axis[kernel.HEEDED] = code
             if code == kernel.NOISY:
                 axis[kernel.WHITE] = axis[kernel.NOISE] / 6.0
-        filter.weigh()
+        if not calm:
+            filter.weigh()
         if opened:
             if memory.unfolded:
                 fold()  # type: ignore[operator]
