@@ -1,6 +1,7 @@
 """Faults put into missions and around the filter, against the same run without a fault.
 
 missions  every kind of fault in `tests/faults_library.py`, in a simulated mission and in real recordings
+outcomes  how far each fault takes the state, what the filter says of it, and whether its bounds hold the truth
 service   killed processes, full disks, cut logs, damaged snapshots, garbage on the line
 """
 
@@ -20,6 +21,7 @@ from harness import ROOT, Options, Table, fixes_of, flag, main, quick, recorded
 sys.path.insert(0, str(ROOT / "tests"))
 import faults_library as library
 import faults_run as watched
+from faults_outcomes import outcomes
 from faults_service import service
 
 import navfilter as nf
@@ -185,4 +187,7 @@ if __name__ == "__main__":
         flag("--one-by-one", action="store_true", help="samples of the drive one at a time"),
         quick("one seed"),
     ]
-    main(__doc__, {missions: flags, service: [seeds, quick("one seed")]})
+    shown = flag("--shown", action="store_true", help="the faults of the manual's page, and its table")
+    mems = flag("--mems", action="store_true", help="a micromechanical inertial unit")
+    commands = {missions: flags, outcomes: [seeds, flags[1], shown, mems, quick("one seed")]}
+    main(__doc__, commands | {service: [seeds, quick("one seed")]})

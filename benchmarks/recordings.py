@@ -184,10 +184,9 @@ def withheld(options: Options) -> list[dict[str, Any]]:
 def car_clocks(options: Options) -> dict[str, Any]:
     """The car's wheel clocks, gyro offset and lever arm without RTK, and what that makes of its dead reckoning.
 
-    Per trial: errors with RTK for the first 25 m, with the mapping as it is (clocks fitted to all of the RTK), with
-    the lags published with the recordings (no gyro offset, its sd at the start 0.01 deg/s), and with the numbers
-    found by the car's own accelerometers and wheels (how: module `car_clocks`); and plain dead reckoning on the same
-    mapping.
+    Per trial: errors with RTK for the first 25 m, with the mapping as it is (published clocks, the rest a state; gyro
+    offset from before the first motion), and with the numbers found by the car's own accelerometers and wheels (how:
+    module `car_clocks`); and plain dead reckoning on the same mapping.
     """
     data_root()
     x, y = car.lever_arm()

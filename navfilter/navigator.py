@@ -270,13 +270,13 @@ class Navigator:
         while item.time_s >= learning.early_s:
             self._beginning.early()
         learning.keep(item)
-        correction = self.filter.correct(*item)
-        self.told(correction)
+        self.told(correction := self.filter.correct(*item), item.value)
         self.filter.take_up(self.told)
         return correction.outcome
 
-    def told(self, event: Event) -> None:
-        """Show learning what the filter does, and give the filter the error models that it answers with."""
+    def told(self, event: Event, value: Array | None = None) -> None:
+        """Show its watch and learning what the filter does, and give it the error models that learning answers with."""
+        self.filter.jumps.heard(event, self.filter, value)
         for change in self.learning.heard(event):
             self.filter.adopt(change, self.told)
 

@@ -86,7 +86,8 @@ class Passage:
         felt = any(sensor.from_drive for sensor in nav.vehicle.sensors.values())
         quiet = nav.learning.rest is None and not nav.learning.listeners
         strapped = nav.vehicle.drive.steps is strapdown.imu_steps
-        self._steady = strapped and quiet and not felt and not nav.filter.remembered
+        asked = felt or nav.filter.remembered or nav.filter.jumps.active
+        self._steady = strapped and quiet and not asked
         self.at, self.done = 0, done
         self._begin = self._end = 0
         self._out: Output | None = None

@@ -150,6 +150,11 @@ class NavState:
     health: Health | None = None
 
     @property
+    def lane(self) -> str:
+        """What carries a navigator's state: "inertial" or "dead-reckoning", see `Health.lane`; empty without health."""
+        return "" if self.health is None else self.health.lane
+
+    @property
     def trust(self) -> Trust | None:
         """Of a navigator's state: "good", "degraded" or "lost", with the reasons."""
         return None if self.health is None else self.health.trust

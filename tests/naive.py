@@ -1142,9 +1142,41 @@ def _look_at_gravity(w, unit, dt):
         found = 8 if size < 0.05 * g else 10 if abs(size - 1) < 0.2 else 9 if abs(size - g) < 0.2 * g else 7
         accel[accel[:, 0] <= 1, :2] = found, 0.4
         unit[2], unit[1] = 0.0, 1.0
-    elif unit[3] >= 1.0 and np.any(accel[:, 0] >= 7):
-        accel[accel[:, 0] >= 7, 0] = 0.0
+    elif unit[3] >= 1.0 and np.any((accel[:, 0] >= 7) & (accel[:, 0] <= 10)):
+        accel[(accel[:, 0] >= 7) & (accel[:, 0] <= 10), 0] = 0.0
         unit[1] = 1.0
+
+
+def carry_jumps(bank, Phi):
+    m = len(Phi)
+    bank[:-2, :m] = bank[:-2, :m] @ Phi.T
+
+
+def hear_jumps(bank, mem, dims, at, offset, says):
+    a, n, m, b, start = dims[:5]
+    f, d, c = bank[:-2, :n], bank[:-2, n], bank[:-2, n + 1]
+    carry_jumps(bank, mem[: m * m].reshape(m, m))
+    f[:, start : start + b] = f[:, start : start + b] @ mem[m * m : m * m + b * b].reshape(b, b).T
+    H, K = mem[at[0] : at[0] + a * n].reshape(a, n), mem[at[1] : at[1] + a * n].reshape(n, a)
+    inverse = mem[at[5] + a * a : at[5] + 2 * a * a].reshape(a, a)
+    nis, dof, used = mem[at[8] : at[8] + 3]
+    res, there = mem[at[8] + 3 : at[8] + 3 + a], np.isfinite(mem[at[8] + 3 + a : at[8] + 3 + 2 * a])
+    if not (dof > 0 and nis < np.inf):
+        return 0.0
+    believed = max(1.0, bank[offset, n + 2])
+    bank[offset, n + 2] += (min(nis / dof, 9.0) - bank[offset, n + 2]) / 200.0
+    y = f @ H.T
+    y[offset : offset + a] += np.eye(a)
+    y[:, ~there] = 0.0
+    if says:
+        bank[-1, n + 2] += nis / believed
+        z = y @ inverse.T / believed
+        d += z[:, there] @ res[there]
+        c += np.sum(z[:, there] * y[:, there], axis=1)
+    if used:
+        f -= y @ K.T
+    ratios = d[:6] ** 2 / np.where(c[:6] > 0, c[:6], np.inf)
+    return max(0.0, ratios.max())
 
 
 # ---------------------------------------------------------------- stretch

@@ -257,3 +257,11 @@ def test_offsets_stand_beside_error_models():
     assert with_the_same_offsets(other, opened) == with_offsets(other, (2.0, 3.0))
     assert with_the_same_offsets(other, models) == other
     assert Refusals(True, True, (1.0,), (1.0,), (0.1,), (0.1,), 0.0, 1.0).from_the_first()
+
+
+def test_a_dvl_whose_sign_changes_for_a_minute_of_turns_is_taken_back():
+    """What comes back in a turn is off by no constant: it agrees with the state as if it had not jumped."""
+    vehicle, mission = dive()
+    nav, off = fly(vehicle, altered(mission, "dvl", lambda v: -v, FAULT_S, FAULT_S + 60.0))
+    assert after(off, FAULT_S)[:, 1].max() < 30.0
+    assert nav.health.sensors["dvl"].condition == "good"

@@ -18,7 +18,7 @@ SCRIPTS = {
     "arma_vs_gm1": ("Gauss-Markov", ()),
     "between_hops": ("resting model", ()),
     "day": ("filterpy", ("live", "replay")),
-    "faults": ("without a fault", ("missions", "service")),
+    "faults": ("without a fault", ("missions", "outcomes", "service")),
     "fuzz": ("no other software", ()),
     "heading_toy": ("Sage-Husa", ()),
     "honest": ("Gauss-Markov", ()),
@@ -120,3 +120,14 @@ def test_runs_that_do_not_learn_are_taken_from_an_earlier_program(tmp_path, monk
     other = Campaign("compass-white", duration_s=110.0, imu_rate_hz=20.0)
     with pytest.raises(SystemExit, match="other settings"):
         honest.take(other, (1,), ("oracle",), tmp_path / "before", tmp_path / "other")
+
+
+def test_the_page_of_faults_has_the_faults_of_the_benchmark():
+    page = (BENCHMARKS.parent / "docs" / "pages" / "faults.md").read_text("utf-8")
+    sys.path[:0] = [str(BENCHMARKS)]
+    try:
+        import faults_outcomes
+    finally:
+        del sys.path[0]
+    rows = [line.split(" | ")[0].strip("| ") for line in page.splitlines() if line.startswith("| ")][1:]
+    assert set(rows) == {*faults_outcomes.SITUATIONS, *faults_outcomes.SHOWN}

@@ -269,6 +269,7 @@ def test_where_nothing_is_learnt_the_last_model_stays():
     listener.learners = (Says(None, good, None, good),)
 
     def learn():
+        listener.memory.cursor[0] += 1  # another hop
         listener.begin_hop()
         return listener.learnt()
 

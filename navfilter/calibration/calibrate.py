@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -135,6 +135,7 @@ def calibrate(
     missions: Sequence[Mission],
     *,
     kinds: Sequence[str] | None = None,
+    each: Collection[str] = (),
     report: Callable[[str], None] | None = None,
 ) -> Calibration:
     """Estimate the constants that a vehicle is unsure of, from one or several missions, and test what they are worth.
@@ -148,6 +149,9 @@ def calibrate(
     kinds : sequence of str, optional
         Kinds of constants (`navfilter.calibration.parts.KINDS`) to open where the vehicle says nothing of them.
         Default: none where it is unsure of any constant, else all.
+    each : collection of str
+        Kinds, or names of constants, that are others in each mission, such as clocks that are set by hand. They are
+        estimated in each run, and stay as described.
     report : callable, optional
         Told before each run what is done.
 
@@ -179,16 +183,16 @@ def calibrate(
     tell = report or (lambda text: None)
     cut = [stretches_of(vehicle, mission) for mission in missions]
     wide = opened(vehicle, kinds)
-    whole, first, wide = _whole(wide, vehicle, missions, tell)
+    whole, first, wide = _whole(wide, vehicle, missions, each, tell)
     told = whole.told(UNTOLD)
     if not told.any():
         return _result(vehicle, wide, whole, first, _Folds(np.zeros(len(told))), 1.0)
-    folds = _folds(vehicle, wide, missions, cut, whole, 1.0, tell)
+    folds = _folds(vehicle, wide, missions, cut, whole, 1.0, each, tell)
     factor = float(np.mean((folds.scatter / whole.sd)[told] ** 2))
     if factor > TOO_MUCH:
         tell("again, with less weight")
-        whole = estimate(wide, missions, whole.value, 2.0 * AROUND * whole.sd, FEW, 1.0 / factor)
-        folds = _folds(vehicle, wide, missions, cut, whole, 1.0 / factor, tell)
+        whole = estimate(wide, missions, whole.value, 2.0 * AROUND * whole.sd, FEW, 1.0 / factor, each)
+        folds = _folds(vehicle, wide, missions, cut, whole, 1.0 / factor, each, tell)
     return _result(vehicle, wide, whole, first, folds, factor)
 
 
@@ -217,6 +221,7 @@ def _folds(
     cut: Sequence[Stretches],
     whole: Estimate,
     weight: float,
+    each: Collection[str],
     tell: Callable[[str], None],
 ) -> _Folds:
     values: list[Array] = []
@@ -225,7 +230,7 @@ def _folds(
     for part in range(FOLDS):
         tell(f"without part {part + 1} of {FOLDS}")
         rest = [s.without(mission, part) for s, mission in zip(cut, missions, strict=True)]
-        fold = estimate(wide, rest, whole.value, 2.0 * AROUND * whole.sd, FEW, weight)
+        fold = estimate(wide, rest, whole.value, 2.0 * AROUND * whole.sd, FEW, weight, each)
         values.append(fold.value)
         of_fold = described(wide, _with_values(fold.constants, fold.value, fold.sd))
         pairs = [
@@ -241,19 +246,23 @@ def _folds(
 
 
 def _whole(
-    wide: Vehicle, before: Vehicle, missions: Sequence[Mission], tell: Callable[[str], None]
+    wide: Vehicle,
+    before: Vehicle,
+    missions: Sequence[Mission],
+    each: Collection[str],
+    tell: Callable[[str], None],
 ) -> tuple[Estimate, Estimate, Vehicle]:
     """The estimate from everything, without the constants that were opened in vain; the one with them; the vehicle."""
     count = len(missions)
-    first = estimate(wide, missions, report=lambda run: tell(f"all of it, step {run // count + 1}"))
+    first = estimate(wide, missions, each=each, report=lambda run: tell(f"all of it, step {run // count + 1}"))
     told = first.told(UNTOLD)
     narrow = closed(wide, before, [one for one, is_told in zip(first.constants, told, strict=True) if not is_told])
-    left = [one.name for one in constants_of(narrow)]
+    left = [one.name for one in constants_of(narrow, each)]
     if len(left) == len(first.constants) or not left:
         return first, first, wide
     rows = [i for i, one in enumerate(first.constants) if one.name in left]
     tell("again, without what these missions do not tell")
-    return estimate(narrow, missions, first.value[rows], AROUND * first.sd[rows]), first, narrow
+    return estimate(narrow, missions, first.value[rows], AROUND * first.sd[rows], each=each), first, narrow
 
 
 def _with_values(constants: Sequence[Constant], value: Array, sd: Array) -> tuple[Constant, ...]:

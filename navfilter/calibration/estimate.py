@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -64,6 +64,7 @@ def estimate(
     spread: Array | None = None,
     rounds: int = ROUNDS,
     weight: float = 1.0,
+    each: Collection[str] = (),
     report: Callable[[int], None] | None = None,
 ) -> Estimate:
     """The constants that a vehicle is unsure of, from one or several missions.
@@ -79,6 +80,9 @@ def estimate(
         Steps at most.
     weight : float
         Of what the missions say, where their readings scatter more than described.
+    each : collection of str
+        Kinds, or names, of constants that are others in each mission: states with the prior of the vehicle in each,
+        and not estimated together.
     report : callable, optional
         Told before each run how many runs have been done.
 
@@ -99,7 +103,7 @@ def estimate(
     missions adds to that of the prior. The next step is taken around what this one found (Gauss-Newton; Kay, 1993,
     sec. 7.7), with a smaller ``s``, so that the filter stays where it is linear.
     """
-    constants = constants_of(vehicle)
+    constants = constants_of(vehicle, each)
     if not constants:
         raise ValueError(
             "this vehicle is sure of all its constants: give those in doubt a standard deviation (time_offset_sd_s, "

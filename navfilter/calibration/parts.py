@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -66,12 +66,14 @@ class Constant(NamedTuple):
     folded: bool
 
 
-def constants_of(vehicle: Vehicle) -> tuple[Constant, ...]:
+def constants_of(vehicle: Vehicle, each: Collection[str] = ()) -> tuple[Constant, ...]:
     """All constants that a vehicle is unsure of, in the order of its states.
 
     Parameters
     ----------
     vehicle : Vehicle
+    each : collection of str
+        Kinds, or names, of those that are left out.
     """
     drive = vehicle.drive
     found = [_constant(p, *_in_drive(vehicle, p.name)) for p in drive.all_parameters() if p.sd]
@@ -81,7 +83,12 @@ def constants_of(vehicle: Vehicle) -> tuple[Constant, ...]:
             if p.sd and p.name not in wandering:
                 place = ("sensors", name), sensor, p.name
                 found.append(_constant(p._replace(name=f"{name}.{p.name}"), *place))
-    return tuple(found)
+    return tuple(one for one in found if one.name not in each and _kind(one.own) not in each)
+
+
+def _kind(own: str) -> str:
+    """The kind of a constant, of `KINDS`; its own name for one of none."""
+    return next((kind for kind, keys in KINDS.items() for key in keys if own.startswith(_MADE_BY[key])), own)
 
 
 def _in_drive(vehicle: Vehicle, name: str) -> tuple[tuple[str, ...], Any, str]:

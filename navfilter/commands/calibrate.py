@@ -65,6 +65,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "deviation, several with commas, or all",
     )
     parser.add_argument(
+        "--each",
+        metavar="KINDS",
+        default="",
+        help="constants that are others in each mission (kinds or names, with commas), such as clocks that are set by "
+        "hand: estimated in each run, and left as described",
+    )
+    parser.add_argument(
         "--truth",
         nargs="?",
         type=positive,
@@ -96,7 +103,9 @@ def run(options: argparse.Namespace) -> int:
         known, missions[k] = with_reference(vehicle, mission, options.truth)
     kinds = None if options.open is None else list(KINDS) if options.open == "all" else options.open.split(",")
     compile_first(options.quiet, known)
-    result = calibrate(known, missions, kinds=kinds, report=None if options.quiet else _progress)
+    result = calibrate(
+        known, missions, kinds=kinds, each=options.each.split(","), report=None if options.quiet else _progress
+    )
     say = speaker(options.quiet)
     if not options.quiet:
         _progress("")

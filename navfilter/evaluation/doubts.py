@@ -11,6 +11,7 @@ from scipy.stats import binom
 
 from navfilter.check.finding import Finding, Severity
 from navfilter.evaluation.constants import constant_doubts
+from navfilter.evaluation.correlations import correlation_doubts
 from navfilter.evaluation.surfacing import Evidence
 from navfilter.filter.tape import OUTCOMES, Residuals
 from navfilter.mission import Mission
@@ -93,6 +94,7 @@ def doubts(run: Track, mission: Mission, evidence: Evidence, limits: Limits = LI
             yield from _sensor(name, run, mission, limits)
     yield from _surfaced(evidence, limits)
     yield from constant_doubts(run, limits.far, limits.untold)
+    yield from correlation_doubts(run, mission)
     yield from _given_up(run)
 
 

@@ -23,7 +23,7 @@ from navfilter.filter.offsets import offset_states
 from navfilter.filter.refusals import Refusals
 from navfilter.kernels import listen
 
-__all__ = ["decided", "heard", "limits", "opened_state", "resumed"]
+__all__ = ["decided", "heard", "is_back", "limits", "offset_places", "opened_state"]
 
 Array = NDArray[np.float64]
 
@@ -37,8 +37,6 @@ AT_ONCE = 1.5
 #: While a jump is looked at, a reading must fit by this much better than the gate to end that [1]: what accelerometers
 #: and tilt gather meanwhile must not let in what they do not know.
 HELD = 0.25
-#: Beyond so many standard deviations an offset is none that has come back to zero.
-BACK_SDS = 4.0
 GRAVITY = 9.81  # of a tilt, as an acceleration [m/s^2]; to a percent
 
 
@@ -114,10 +112,13 @@ def _begun(run: Refusals, residual: Array, white: Array, seen: Array, time_s: fl
     return Refusals(run.confirmed, run.jumped, run.first, offset, variance, state, time_s, time_s)
 
 
-def _wander(channel: Channel, dt: float) -> Array:
+def _wander(channel: Channel, dt: float, with_offset: bool = True) -> Array:
     """Variance by which the sensor's coloured error may have changed in a time, per axis."""
     e = channel.group.errors
     C, P0, off = channel.C, channel.group.P0[:e, :e], channel.group.Phi[:e, :e] - np.eye(e)
+    if not with_offset:
+        C = C.copy()
+        C[:, offset_states(channel.sensor.models, channel.period_s)] = 0.0
     tick = C @ (off @ P0 @ off.T + channel.group.Q[:e, :e]) @ C.T
     ticks = min(dt / channel.period_s, 1e9)
     return np.asarray(np.minimum(np.diag(tick) * ticks, 2.0 * np.diag(C @ P0 @ C.T)))
@@ -198,21 +199,25 @@ def opened_state(channel: Channel, refused: Refusals, nav: Array, moved_m: float
 
 
 # ---------------------------------------------------------------- the sensor was wrong
-def resumed(channel: Channel, refused: Refusals, x: Array, P: Array) -> tuple[float, ...]:
-    """Standard deviations of the constants with which a sensor that has jumped is used from now on, one per axis; empty
-    where it has come back to what it was, and needs none.
+def offset_places(channel: Channel) -> NDArray[np.int64]:
+    """Where the constants of a sensor that has jumped stand in the error state; empty where it has none."""
+    return channel.group.start + offset_states(channel.sensor.models, channel.period_s)
+
+
+def is_back(channel: Channel, x: Array, P: Array) -> bool:
+    """Whether a reading that is refused beside the constants of its sensor agrees with the state without them.
 
     Parameters
     ----------
     channel : Channel
-    refused : Refusals
+        As its refused reading left it.
     x, P : ndarray
-        Error states and covariance: they know the constants that it may have already.
+        Error states and covariance.
     """
-    offset = np.nan_to_num(refused.offset)
-    places = channel.group.start + offset_states(channel.sensor.models, channel.period_s)
-    if len(places):
-        variance = P[places, places] + np.array(refused.variance) + _wander(channel, math.inf)
-        if (np.abs(x[places - 9] + offset) <= BACK_SDS * np.sqrt(variance)).all():
-            return ()
-    return (float(np.max(np.abs(offset))),) * channel.axes
+    plain, near = channel.res + x[offset_places(channel) - 9], channel.near[:, :9]
+    if channel.sensor.open_loop == listen.HEADING:
+        plain = (plain + np.pi) % (2.0 * np.pi) - np.pi
+    seen = np.einsum("ij,jk,ik->i", near, P[:9, :9], near)
+    squares = plain**2 / (seen + np.diag(channel.R) + _wander(channel, math.inf, with_offset=False))
+    dof = int(np.count_nonzero(np.isfinite(squares)))
+    return dof > 0 and float(np.nansum(squares)) <= float(channel.limits[dof])

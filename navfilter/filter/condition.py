@@ -57,6 +57,7 @@ def health_of(filter: Filter, watches: Mapping[str, Watch]) -> Health:
         axes,
         integrity.Bounds(float(radius_m), float(heading_rad)),
         integrity.trust(P, speed, turn, (drive.max_speed_m_s, drive.max_turn_rad_s), doubts),
+        filter.watch.lane(memory.watch),
     )
 
 

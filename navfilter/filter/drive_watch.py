@@ -27,12 +27,14 @@ Array = NDArray[np.float64]
 #: In words, by the kernel's codes.
 CONDITIONS = (
     *("good", "noisy", "stuck", "dead", "saturated", "erratic", "wrong-unit"),
-    *("gravity", "free-fall", "swapped", "wrong-unit"),
+    *("gravity", "free-fall", "swapped", "wrong-unit", "contradicted"),
 )
 #: Counters: conditions that began, by axis, and spikes.
 COUNTED = (*dict.fromkeys(CONDITIONS[1:]), "spike")
 #: What a vehicle does unseen goes on for about so long [s].
 UNSEEN_S = 1.0
+#: A turn goes on for longer; what it would tilt a vehicle by that felt its forces must not pass for a tilt [s].
+TURN_S = 3.0
 #: What it tilts by unseen is bounded (``strapdown.GAP_TILT``): a random walk gets there in so long [s].
 TILT_S = 30.0
 #: A reading at the end of the range, short of it by rounding.
@@ -60,9 +62,10 @@ class DriveWatch:
 
     def fresh(self) -> Array:
         """What it remembers before the first sample."""
-        w = np.zeros((7, 18))
+        w = np.zeros((kernel.UNIT + 1, kernel.UNTIL_S + 1))
         w[:6, kernel.REPEATS], w[:6, kernel.QUANTUM] = 1.0, np.inf
-        return w if self.active else np.zeros((0, 18))
+        w[:6, kernel.UNTIL_S] = -np.inf
+        return w if self.active else w[:0]
 
     def look(self, samples: Array, w: Array, r: Array) -> int:
         """How many samples may be taken before something has to be heeded; bad axes are replaced in them.
@@ -89,7 +92,7 @@ class DriveWatch:
                 density = self._unseen[i] ** 2 * UNSEEN_S
                 if i > 2:
                     # the force at rest stands there, by the attitude as it is believed: its tilt is not felt
-                    density += (w[kernel.UNIT, kernel.GRAVITY] * strapdown.GAP_TILT) ** 2 * UNSEEN_S
+                    density += (w[kernel.UNIT, kernel.GRAVITY] * strapdown.GAP_TILT) ** 2 * TURN_S
                 elif i < 2:
                     # velocities show a tilt only where forces are felt
                     felt = not (w[3:6, kernel.HEEDED] > kernel.NOISY).any()
@@ -137,8 +140,6 @@ class DriveWatch:
                 axis[kernel.HEEDED] = code
             if code == kernel.NOISY:
                 axis[kernel.WHITE] = axis[kernel.NOISE] / 6.0
-        if not calm:
-            filter.weigh()
         if opened:
             if memory.unfolded:
                 fold()  # type: ignore[operator]
@@ -146,7 +147,12 @@ class DriveWatch:
                 memory.P[:9, :9] += np.outer(done, done)
         if unit[kernel.TICK] * self._period_s >= kernel.JUDGED_S:
             unit[kernel.TICK] = 0.0
+            for first in (0, 3):
+                if memory.time_s > w[first, kernel.UNTIL_S]:
+                    filter.jumps.take_back(w[first : first + 3], first, filter)
             self.refer(w, memory.nav, memory.P)
+        if not calm:
+            filter.weigh()  # last: from the same memory it comes out the same, whenever it is recalled
 
     def refer(self, w: Array, nav: Array, P: Array) -> None:
         """Take the reference of gravity from the attitude as it is now."""
@@ -171,6 +177,14 @@ class DriveWatch:
     def lost(self, w: Array) -> bool:
         """Whether something else stands in place of what an axis says."""
         return self.active and bool((w[: kernel.UNIT, kernel.HEEDED] > kernel.NOISY).any())
+
+    def lane(self, w: Array) -> str:
+        """What carries the state: "inertial", or "dead-reckoning" while an axis is left out or there is none."""
+        return "inertial" if self.active and not self.lost(w) else "dead-reckoning"
+
+    def busy(self, w: Array) -> bool:
+        """Whether an axis is left out, or soon will be."""
+        return self.active and (w[kernel.UNIT, kernel.OFF_S] > 0.0 or self.lost(w))
 
     def conditions(self, w: Array) -> dict[str, str]:
         """Condition of every axis in words; none where nothing is watched."""

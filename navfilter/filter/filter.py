@@ -18,6 +18,7 @@ from navfilter.filter.channel import Channel, usable
 from navfilter.filter.events import Correction, Event, Outcome, Passed, Propagated, Relaid
 from navfilter.filter.filter_memory import Errors, FilterMemory
 from navfilter.filter.intake import Intake
+from navfilter.filter.jumps import JumpWatch
 from navfilter.filter.layout import Layout
 from navfilter.filter.offsets import with_offsets, with_the_same_offsets
 from navfilter.filter.tape import OUTCOMES, Tape
@@ -83,10 +84,9 @@ class Filter:
         self.vehicle, self.start, self.tape = vehicle, start, tape
         drive = vehicle.drive
         self.steps, self.hold = drive.steps, drive.hold
-        self.period_s = drive.period_s
+        self.period_s, self.fold_every = drive.period_s, max(1, round(drive.rate_hz))
         self.ahead_s = max(self.AHEAD_S, 3.0 * self.period_s)
-        self.fold_every = max(1, round(drive.rate_hz))
-        self.inertial, self.watch = drive.inertial, drive_watch.DriveWatch(drive)
+        self.inertial, self.watch, self.jumps = drive.inertial, drive_watch.DriveWatch(drive), JumpWatch(drive)
         self._native = drive.steps in (strapdown.imu_steps, strapdown.dead_reckoning_steps)
         self.channels = {name: Channel(name, sensor, start) for name, sensor in vehicle.sensors.items()}
         past_s = max((channel.past_s for channel in self.channels.values()), default=0.0)
@@ -120,6 +120,7 @@ class Filter:
                 drv=self.in_force.drive.memory(self.layout.drive.errors, self.start),
                 recent=np.zeros((self.remembered, 7)),
                 watch=self.watch.fresh(),
+                jumps=self.jumps.fresh(self.layout, self.channels, state.time_s),
                 intake=self.intake.memory,
                 channels={name: channel.memory for name, channel in self.channels.items()},
                 models=adopted,

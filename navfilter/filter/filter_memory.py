@@ -44,8 +44,10 @@ class FilterMemory:
     recent : ndarray, shape (k, 7)
         The last samples of the drive, the newest first: seconds since the one before (0: no sample yet), six values.
         None are kept where the clock of no sensor is in doubt.
-    watch : ndarray, shape (7, 18) or (0, 18)
+    watch : ndarray, shape (7, 21) or (0, 21)
         What the watch over the drive's axes remembers, see ``navfilter.kernels.drive_watch``.
+    jumps : ndarray, shape (4, J + 2, n + 3) or (0, J + 2, n + 3)
+        What is known of jumps of its biases, see ``navfilter.kernels.jumps``.
     intake : IntakeMemory
     channels : dict of str to ChannelMemory
     models : tuple of (str, error)
@@ -63,6 +65,7 @@ class FilterMemory:
     drv: Array
     recent: Array
     watch: Array
+    jumps: Array
     intake: IntakeMemory
     channels: dict[str, ChannelMemory]
     models: tuple[tuple[str, Errors], ...]

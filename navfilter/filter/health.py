@@ -72,7 +72,10 @@ class Health:
     axes : dict of str to str
         Condition of each axis of an inertial unit: "good", "noisy", "stuck", "dead" (stuck at zero), "saturated",
         "erratic" (nothing but noise), "wrong-unit", "gravity" (feels it where it is not), "swapped" (the same, of the
-        right size) or "free-fall".
+        right size), "free-fall" or "contradicted" (by compass and DVL).
+    lane : str
+        What carries the state between corrections: "inertial", or "dead-reckoning" without an inertial unit, and while
+        an axis of it is left out.
     bounds : Bounds or None
         How far the truth may be from the state under any single fault that has not been found.
     trust : Trust or None
@@ -87,6 +90,7 @@ class Health:
     axes: dict[str, str] = field(default_factory=dict)
     bounds: Bounds | None = None
     trust: Trust | None = None
+    lane: str = ""
     learning: LearningHealth = field(default=LearningHealth(), compare=False)
 
     @property

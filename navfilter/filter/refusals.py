@@ -40,6 +40,8 @@ class Refusals:
         Components in that sum.
     odd : bool
         The last reading did not agree.
+    back : int
+        Of a sensor that has jumped: so many of the last ones on end agree with the state as if it had not.
     """
 
     confirmed: bool
@@ -54,6 +56,7 @@ class Refusals:
     misfit: float = 0.0
     dof: int = 0
     odd: bool = False
+    back: int = 0
 
     @property
     def scatters(self) -> bool:

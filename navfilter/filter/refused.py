@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,6 +13,7 @@ from navfilter.filter import agreement, gating
 from navfilter.filter.adoption import Change
 from navfilter.filter.channel import Channel
 from navfilter.filter.offsets import with_offsets
+from navfilter.filter.refusals import LEAST
 from navfilter.kernels import kalman, listen
 from navfilter.state import NavState
 
@@ -56,6 +58,10 @@ def let_in(filter: Filter, channel: Channel, time_s: float, nis: float, dof: int
             other.memory.rejected_since_s, other.memory.agreed_s, other.memory.refused = math.nan, math.nan, None
         memory.counts["opened"] += 1
         return False
+    if channel.offset:
+        if time_s - kept.rejected_since_s >= channel.sensor.gate_timeout_s:
+            _jumped(filter, channel, time_s)
+        return False
     added = gating.widening(P, channel, time_s, nis, dof)
     if added is None:
         return False
@@ -72,13 +78,14 @@ def _agreed(filter: Filter, channel: Channel, time_s: float) -> bool:
     speed = math.sqrt(float(memory.nav[3:6] @ memory.nav[3:6]))
     drive = filter.drive_output, filter.vehicle.drive.period_s
     kept.refused = refused = agreement.heard(channel, memory.P, speed, time_s, *drive)
+    if channel.offset:
+        back = refused.back + 1 if agreement.is_back(channel, memory.x, memory.P) else 0
+        kept.refused = refused = replace(refused, back=back)
     wrong = agreement.decided(channel)
-    if wrong == "sensor":
-        sds = agreement.resumed(channel, refused, memory.x, memory.P)
-        filter.jumped.append(Change(channel.name, with_offsets(channel.sensor.models, sds), offsets=True))
-        kept.rejected_since_s = time_s
-        memory.counts["jumped"] += 1
-    if wrong != "state":
+    if wrong == "sensor" or refused.back >= LEAST:
+        _jumped(filter, channel, time_s)
+        return False
+    if wrong != "state" or channel.offset:
         return False
     moved_m = float(np.linalg.norm(NavState.unpack(time_s, memory.nav).minus(filter.start.state)[:2]))
     for other in filter.channels.values():
@@ -87,6 +94,23 @@ def _agreed(filter: Filter, channel: Channel, time_s: float) -> bool:
     _update(filter, channel, time_s, agreement.opened_state(channel, refused, memory.nav, moved_m))
     memory.counts["reset"] += 1
     return True
+
+
+def _jumped(filter: Filter, channel: Channel, time_s: float) -> None:
+    """Give a sensor constants of the size of its jump; open those that it has, or take them where it is back."""
+    memory, kept = filter.memory, channel.memory
+    refused = kept.refused
+    assert refused is not None
+    size = float(np.nanmax(np.abs(refused.offset), initial=0.0))
+    models, places = channel.sensor.models, agreement.offset_places(channel)
+    if refused.back >= LEAST or not len(places):
+        sds = () if len(places) else (size,) * channel.axes
+        filter.jumped.append(Change(channel.name, with_offsets(models, sds), offsets=True))
+    else:
+        memory.P[places, places] += size**2
+        kept.refused = None
+    kept.rejected_since_s = time_s
+    memory.counts["jumped"] += 1
 
 
 def _update(filter: Filter, channel: Channel, time_s: float, covariance: Array) -> None:

@@ -1,7 +1,7 @@
 """What the samples of an inertial unit say about themselves: axes that stick, are dead, clip, become noisy, or feel
 gravity where it is not.
 
-``w`` (7, 18) is all that is remembered. Rows 0 to 5 are the axes (three gyros, three accelerometers), with the columns
+``w`` (7, 21) is all that is remembered. Rows 0 to 5 are the axes (three gyros, three accelerometers), with the columns
 below; row 6 belongs to the unit as a whole. Values are compared as they come (a sample that repeats does so to the
 bit); everything else is in rates and forces.
 """
@@ -13,18 +13,20 @@ from numba import njit
 # Columns of an axis: its condition, how long that had lasted when it was found [s] and how long nothing has spoken for
 # it [s]; the last value as it came, times it came in a row, share of values that repeat, smallest change; the last two
 # as rates, largest magnitude; variance of second differences now and usually, samples seen; mean over 0.1 s; spikes so
-# far and the size of the last. The last two columns belong to the filter: the condition that it has heeded, and the
-# white variance that it believes in (0: that of the description).
+# far and the size of the last. The last columns belong to the filter: the condition that it has heeded, the white
+# variance that it believes in (0: that of the description), how far its bias is to be opened; and for each three of a
+# kind how long and until when they are left out for it [s].
 CODE, BEGAN_S, CLEAN_S, RAW, RUN, REPEATS, QUANTUM, LAST, BEFORE, EXTREME = range(10)
-NOISE, USUAL, SEEN, MEAN, SPIKES, SIZE, HEEDED, WHITE = range(10, 18)
+NOISE, USUAL, SEEN, MEAN, SPIKES, SIZE, HEEDED, WHITE, JUMP, OUT_S, UNTIL_S = range(10, 21)
 # Places in the row of the unit: samples since its attitude was asked for, whether something is to be looked at, how
 # long gravity has been off, and been close [s]; whether the reference may be judged by; the reference: specific force
 # at rest in b (3) [m/s^2]; and gravity [m/s^2].
 UNIT = 6
 TICK, NEWS, OFF_S, CLOSE_S, SURE, REFERENCE, GRAVITY = 0, 1, 2, 3, 4, 5, 8
 
-# Conditions. Beyond `NOISY` nothing of an axis is used; from `MISPLACED` on it is gravity that says so.
-GOOD, NOISY, STUCK, DEAD, SATURATED, ERRATIC, WRONG_UNIT, MISPLACED, FREE_FALL, SWAPPED, IN_G = range(11)
+# Conditions. Beyond `NOISY` nothing of an axis is used; from `MISPLACED` to `IN_G` it is gravity that says so. The last
+# one is set, and ended, by others.
+GOOD, NOISY, STUCK, DEAD, SATURATED, ERRATIC, WRONG_UNIT, MISPLACED, FREE_FALL, SWAPPED, IN_G, CONTRADICTED = range(12)
 
 FALSE_ALARM = math.log(1e-12)  # of a run of equal values, per sample and axis: one in 80 years at 100 Hz
 LEAST_RUN, LEAST_S = 10.0, 0.1  # a bus repeats a few samples when it stumbles
@@ -159,7 +161,7 @@ def _weigh(w, dt):
         apart = abs(a[MEAN] - unit[REFERENCE + i])
         off = off or (a[CODE] <= NOISY and apart > OFF * g)
         close = close and apart < NEAR * g
-        bad = bad or a[CODE] >= MISPLACED
+        bad = bad or MISPLACED <= a[CODE] <= IN_G
         size += a[MEAN] * a[MEAN]
     unit[OFF_S] = unit[OFF_S] + dt if off and unit[SURE] != 0.0 else 0.0
     unit[CLOSE_S] = unit[CLOSE_S] + dt if close else 0.0
@@ -179,6 +181,6 @@ def _weigh(w, dt):
         unit[NEWS] = 1.0
     elif bad and unit[CLOSE_S] >= RECOVERS_S:
         for i in range(3):
-            if w[3 + i, CODE] >= MISPLACED:
+            if MISPLACED <= w[3 + i, CODE] <= IN_G:
                 w[3 + i, CODE] = GOOD
         unit[NEWS] = 1.0

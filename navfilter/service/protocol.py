@@ -54,8 +54,8 @@ def state_fields(state: NavState) -> dict[str, Any]:
         east, down), ``roll_deg``, ``pitch_deg``, ``heading_deg`` (0 to 360) and standard deviations ``position_sd_m``,
         ``velocity_sd_m_s`` (north, east, down) and ``attitude_sd_deg`` (rotations about north, east, down; the last is
         that of the heading of a level vehicle); ``sensors``: condition, age of the last good reading [s], mean NIS and
-        what became of the readings, by name; ``axes``: conditions of those axes of the inertial unit that are not good;
-        ``clock_offset_s``; and `integrity_fields`.
+        what became of the readings, by name; ``lane`` (see `Health`) and ``axes``: conditions of those axes of the
+        inertial unit that are not good; ``clock_offset_s``; and `integrity_fields`.
     """
     health = state.health or Health({}, {})
     roll, pitch, heading = np.degrees(state.roll_pitch_heading).tolist()
@@ -76,6 +76,7 @@ def state_fields(state: NavState) -> dict[str, Any]:
             name: {"condition": s.condition, "age_s": s.age_s, "nis": s.nis, "outcomes": s.outcomes}
             for name, s in health.sensors.items()
         },
+        "lane": health.lane,
         "axes": {name: condition for name, condition in health.axes.items() if condition != "good"},
         "clock_offset_s": health.clock_offset_s,
         **integrity_fields(health),

@@ -302,6 +302,7 @@ class Session:
             health = self.nav.health
             for name, condition in [*((n, s.condition) for n, s in health.sensors.items()), *health.axes.items()]:
                 self._condition(name, condition)
+            self._lane(health.lane)
         if self._tick > tick:
             self._state()
 
@@ -327,6 +328,14 @@ class Session:
             if (was, condition) != ("waiting", "good"):
                 assert self.nav is not None
                 self._tell("condition", sensor=name, condition=condition, was=was, time_s=self.nav.time_s)
+
+    def _lane(self, lane: str) -> None:
+        """Tell when something else carries the state."""
+        was = self._conditions.setdefault("lane", lane)
+        if lane != was:
+            assert self.nav is not None
+            self._conditions["lane"] = lane
+            self._tell("lane", lane=lane, was=was, time_s=self.nav.time_s)
 
     def _bad(self, item: BadLine) -> None:
         count = self.bad[item.kind] = self.bad.get(item.kind, 0) + item.lines

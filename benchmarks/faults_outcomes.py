@@ -1,0 +1,258 @@
+"""What happens when ...: one row a fault, in a survey with fixes at both ends, as the manual's page shows it."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+import sys
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from harness import DEG, ROOT, Options, Table
+
+sys.path.insert(0, str(ROOT / "tests"))
+import faults_library as library
+import faults_run as watched
+from feeding import Events, events_of
+
+import navfilter as nf
+from navfilter.simulation.faults import Faults
+from navfilter.simulation.scenarios import survey, survey_vehicle
+from navfilter.simulation.simulate import simulate
+from navfilter.start import Start
+from navfilter.state import wrap
+
+END_S, DIVE_S, BACK_S, FAULT_S, MINUTE_S, JUDGED_S = 700.0, 140.0, 500.0, 250.0, 60.0, 620.0
+RADIUS_M = 6.371e6
+WORST_NEES = 2.0
+COLUMNS = "fault<46 worst_m>8.1f sd_m>8.1f clean_m>8.1f held>7.2f named_s>7.1f after_m>8.1f nees>8.1f verdict<14"
+
+
+class Case(NamedTuple):
+    """A fault: what it does to the start and to the events, and when it begins."""
+
+    start: Callable[[Start], Start] = lambda start: start
+    events: Callable[[Events], Events] = lambda events: events
+    begin_s: float = FAULT_S
+
+
+def values(sensor: str, change: Callable[..., Any], begin_s: float = FAULT_S, end_s: float = math.inf) -> Case:
+    """Other readings of a sensor for a time; `change` takes a value and its age since the begin [s]."""
+
+    def altered(events: Events) -> Events:
+        return [
+            e._replace(value=tuple(np.asarray(change(np.array(e.value), e.true_s - begin_s)).tolist()))
+            if e.sensor == sensor and begin_s <= e.true_s < end_s
+            else e
+            for e in events
+        ]
+
+    return Case(events=altered, begin_s=begin_s)
+
+
+def moved(**changes: Any) -> Case:
+    """A start that was told wrongly."""
+
+    def start(given: Start) -> Start:
+        new = {name: change(getattr(given, name)) for name, change in changes.items()}
+        return dataclasses.replace(given, **new)
+
+    return Case(start=start, begin_s=0.0)
+
+
+def north(metres: Callable[[float], float]) -> Callable[..., Any]:
+    """Fixes moved north, by as much as their age says."""
+    return lambda v, age_s: v + np.array([metres(age_s) / RADIUS_M, 0.0, 0.0])[: len(v)]
+
+
+def turned(heading: Any, age_s: float) -> Any:
+    """The other way round."""
+    return wrap(heading + math.pi)
+
+
+SITUATIONS: dict[str, Case] = {
+    "no fault": Case(),
+    "start told 2 km off, 140 good fixes": moved(latitude_deg=lambda x: x + 2000.0 / RADIUS_M / DEG),
+    "start heading told 180 deg off, sd 5 deg": moved(heading_deg=lambda x: x + 180.0, heading_sd_deg=lambda x: 5.0),
+    "compass turned by 180 deg for good": values("compass", turned),
+    "compass 25 deg off for a minute": values(
+        "compass", lambda v, age_s: wrap(v + 25.0 * DEG), end_s=FAULT_S + MINUTE_S
+    ),
+    "compass turned by 180 deg from the start": values("compass", turned, 0.0),
+    "DVL scale +5 % for good": values("dvl", lambda v, age_s: 1.05 * v),
+    "depth +5 m for good": values("depth", lambda v, age_s: v + 5.0),
+    "depth +5 m for a minute": values("depth", lambda v, age_s: v + 5.0, end_s=FAULT_S + MINUTE_S),
+    "fixes jump by 100 m for 40 s": values("gps", north(lambda age_s: 100.0), 80.0, 120.0),
+    "fixes drawn off at 0.5 m/s, 50 m": values("gps", north(lambda age_s: 0.5 * age_s), 40.0, DIVE_S),
+    "fixes 100 m off for 40 s after the dive": values("gps", north(lambda age_s: 100.0), 560.0, 600.0),
+}
+
+
+#: Of the library, what the manual's page shows beside them.
+SHOWN = (
+    "stuck gyro and accel 5 s",
+    "one gyro dead for 20 s",
+    "drive NaN for 10 s",
+    "gyro in deg/s for 10 s",
+    "accel in g for 10 s",
+    "silence drive 30 s",
+    "process suspended for 20 s",
+    "clock jumps forward 5 s",
+    "DVL tracks the water (current of 0.3 m/s)",
+    "velocity with the sign changed",
+    "bottom lock lost: zeros",
+    "compass next to iron, 4 deg",
+    "stuck heading",
+    "stuck position",
+)
+
+
+@functools.cache
+def mission_of(seed: int, mems: bool) -> tuple[nf.Vehicle, nf.Mission]:
+    """The survey: fixes until 140 s and from 500 s on."""
+    plain = survey_vehicle(mems=mems)
+    vehicle = plain.with_error(
+        compass=plain.sensors["compass"].error + nf.White(sd=0.1 * DEG),
+        gps=plain.sensors["gps"].error + nf.White(sd=0.5),
+    )
+    fixes = {"gps": Faults(available=((0.0, DIVE_S), (BACK_S, 1e9)))}
+    motion = survey(END_S, surface_s=110.0)
+    return vehicle, simulate(vehicle, motion, seed=seed, duration_s=END_S, faults=fixes)
+
+
+def cases(vehicle: nf.Vehicle) -> dict[str, Case]:
+    """Those above, and every kind of the library for a minute (of fixes: after the dive)."""
+    scene = library.scene_of(vehicle, (FAULT_S, FAULT_S + MINUTE_S), (540.0, 580.0))
+
+    def kind(name: str) -> Case:
+        begin_s = 540.0 if "position" in name or "fixes" in name else FAULT_S
+        return Case(events=lambda events: library.damaged(name, events, scene, 1), begin_s=begin_s)
+
+    return SITUATIONS | {name: kind(name) for name in library.KINDS}
+
+
+def outcomes(options: Options) -> list[dict[str, Any]]:
+    """What every fault does: how far it takes the state until the fixes are back, beside what the filter says of it.
+
+    A survey of 700 s with fixes until 140 s and from 500 s on; the faults act for a minute from 250 s on, or as their
+    names say. worst_m: greatest horizontal error of the dive, and sd_m what the filter said its sd was then; clean_m:
+    the greatest without the fault. held: share of all seconds in which the truth lay within the protection radius and
+    the bound of the heading. named_s: when something was said of it (a condition, a counter, an outcome that the run
+    without it does not have). after_m, nees: greatest error, and worst NEES of position, velocity and attitude, from
+    two minutes of fixes on. Figures are the worst of the seeds.
+    """
+    rows = Table(COLUMNS)
+    seeds = [1] if options.quick else list(range(1, options.seeds + 1))
+    nf.warm_up()
+    vehicle, _ = mission_of(1, options.mems)
+    for name, case in cases(vehicle).items():
+        shown = name in SITUATIONS or name in SHOWN or not options.shown
+        if options.only in name and shown:
+            rows.add(row_of(name, case, seeds, options.mems))
+    if options.shown:
+        print("\n".join(markdown(rows.rows)))
+    return rows.rows
+
+
+def row_of(name: str, case: Case, seeds: list[int], mems: bool) -> dict[str, Any]:
+    """The worst of the seeds."""
+    runs = [run(case, seed, mems) for seed in seeds]
+    row: dict[str, Any] = {key: max(one[key] for one in runs) for key in runs[0] if key not in ("held", "named_s")}
+    row["held"] = min(one["held"] for one in runs)
+    named = [one["named_s"] for one in runs]
+    row["named_s"] = None if None in named else max(named)
+    failures = ["crash"] * bool(row["crashes"]) + ["NEES"] * (not row["nees"] < max(WORST_NEES, 2.0 * row["usual"]))
+    failures += ["bounds"] * (row["held"] < 99.9)
+    return {"fault": name, **row, "verdict": ", ".join(failures) or "ok"}
+
+
+@functools.cache
+def clean(seed: int, mems: bool) -> tuple[dict[int, Any], float, float]:
+    """By the second what a run without a fault says, its greatest error in the dive, and its worst NEES at the end."""
+    outcome, off = fly(Case(), seed, mems)
+    said_s = {round(t): said(state) for t, state in outcome.states}
+    nees = watched.nees(outcome, mission_of(seed, mems)[1].truth, JUDGED_S)
+    return said_s, float(off[dived(off), 1].max()), max(nees.values())
+
+
+def run(case: Case, seed: int, mems: bool) -> dict[str, Any]:
+    """The figures of one run."""
+    outcome, off = fly(case, seed, mems)
+    usual, clean_m, clean_nees = clean(seed, mems)
+    after = off[off[:, 0] > JUDGED_S]
+    dive = off[dived(off)]
+    worst = dive[np.argmax(dive[:, 1])] if len(dive) else np.full(5, np.nan)
+    news = (t for t, s in outcome.states if t >= case.begin_s and differs(said(s), usual.get(round(t), said(s))))
+    begun = next(news, None)
+    nees = watched.nees(outcome, mission_of(seed, mems)[1].truth, JUDGED_S)
+    return {
+        "worst_m": float(worst[1]),
+        "sd_m": float(worst[2]),
+        "clean_m": clean_m,
+        "held": 100.0 * float(np.mean(off[:, 3])),
+        "named_s": None if begun is None else max(0.0, begun - case.begin_s),
+        "after_m": float(after[:, 1].max()) if len(after) else math.nan,
+        "nees": max(nees.values()),
+        "usual": clean_nees,
+        "crashes": outcome.crashes.total() + (outcome.nan_s is not None) + (outcome.not_definite_s is not None),
+    }
+
+
+def dived(off: np.ndarray) -> np.ndarray:
+    """The rows between the fixes."""
+    return (off[:, 0] > DIVE_S + 10.0) & (off[:, 0] < BACK_S)
+
+
+def fly(case: Case, seed: int, mems: bool) -> tuple[watched.Outcome, np.ndarray]:
+    """The run, and once a second: time, horizontal error, its sd, whether the bounds hold."""
+    vehicle, mission = mission_of(seed, mems)
+    assert mission.start is not None and mission.truth is not None
+    start = case.start(mission.start)
+    events = case.events([e for e in events_of(vehicle, mission) if e.true_s >= start.time_s - 1e-9])
+    scene = library.scene_of(vehicle, (0.0, 1.0), (0.0, 1.0))
+    outcome = watched.watch(nf.Navigator(vehicle, start), events, scene, longest_cpu_s=120.0)
+    rows = []
+    for time_s, state in outcome.states:
+        if time_s <= mission.truth.time_s[-1] and state.bounds is not None:
+            error = state.minus(watched.truth_at(mission.truth, time_s))
+            far, bounds = math.hypot(error[0], error[1]), state.bounds
+            held = far <= bounds.horizontal_m and abs(error[8]) <= bounds.heading_rad
+            rows.append((time_s, far, math.hypot(state.sd[0], state.sd[1]), float(held)))
+    return outcome, np.array(rows)
+
+
+def said(state: nf.NavState) -> dict[str, Any]:
+    """What a state says of the run: conditions, counters, outcomes."""
+    health = state.health
+    assert health is not None
+    # a good reading is refused now and then
+    unused = {
+        f"{name}:{status}": n // 3 if status == "rejected" else n
+        for name, sensor in health.sensors.items()
+        for status, n in sensor.outcomes.items()
+        if status != "used"
+    }
+    conditions = {name: sensor.condition for name, sensor in health.sensors.items()} | dict(health.axes)
+    return {**conditions, **health.drive, **unused}
+
+
+def differs(now: dict[str, Any], usual: dict[str, Any]) -> bool:
+    """Whether something is said that is not said without the fault."""
+    return any(
+        value != usual.get(key, 0) and value not in ("good", "waiting") for key, value in now.items() if value != 0
+    )
+
+
+def markdown(rows: list[dict[str, Any]]) -> list[str]:
+    """The table of the manual."""
+    lines = [
+        "| fault | greatest error in the dive [m] | sd said [m] | held [%] | named within [s] | after, NEES | |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for row in rows:
+        named = "-" if row["named_s"] is None else f"{row['named_s']:.0f}"
+        figures = f"{row['worst_m']:.1f} | {row['sd_m']:.1f} | {row['held']:.1f} | {named} | {row['nees']:.1f}"
+        lines.append(f"| {row['fault']} | {figures} | {row['verdict']} |")
+    return lines

@@ -1,0 +1,288 @@
+"""Residuals that follow the motion: a clock, a lever arm or a deviation that nobody has described."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+from scipy.stats import norm
+
+from navfilter.check.finding import Finding
+from navfilter.kernels.strapdown import gravity
+from navfilter.mission import Mission
+from navfilter.sensors import Sensor
+from navfilter.state import matrix_from_euler
+from navfilter.track import Track
+
+__all__ = ["Correlation", "correlation", "correlation_doubts", "correlations"]
+
+Array = NDArray[np.float64]
+#: A mission without any cause says a false word once in so many.
+FALSE_ALARMS = 1e-4
+#: A correlation below this explains less than two hundredths of the residuals' variance: so much does noise of a poor
+#: inertial unit, which is in residuals and motion alike.
+LEAST = 0.15
+#: A run begins with what is not known yet [s].
+BEGINNING_S = 60.0
+#: Fewer readings say nothing.
+READINGS = 50
+#: Motion is a mean over this time: what vibrates faster is none [s].
+SMOOTH_S = 1.0
+#: Motion is looked at so much later than a reading [s]: noise of the drive before it is in its residual too.
+AFTER_S = 0.55
+#: The heading of the drive's own turns is held to that of the track over this time [s].
+LEVEL_S = 60.0
+#: Share of a series over which its autocorrelation is summed.
+LAGS = 0.1
+
+
+class Correlation(NamedTuple):
+    """Residuals of one axis against one quantity of the motion.
+
+    Attributes
+    ----------
+    sensor, axis, motion, cause : str
+        Whose residuals, along what, with what they were compared, and what would make them follow.
+    key : str
+        What to add to vehicle.toml.
+    r : float
+        Correlation coefficient.
+    effective : float
+        Independent pairs that are worth as much as the readings.
+    chance : float
+        That independent series correlate so much.
+    """
+
+    sensor: str
+    axis: str
+    motion: str
+    cause: str
+    key: str
+    r: float
+    effective: float
+    chance: float
+
+
+@dataclass(frozen=True)
+class _Motion:
+    """How the vehicle moved at the times of some readings: by its drive and its track.
+
+    Forces and rates come from the drive's own samples, not from the track: a correction moves the track, and would
+    correlate with its own residual.
+    """
+
+    time_s: Array
+    turn_rate: Array
+    acceleration: Array
+    heading: Array
+
+    @property
+    def gained(self) -> Array:
+        """What the accelerations have added to the velocity north and east, shape (n, 2)."""
+        along = np.column_stack([np.cos(self.heading), np.sin(self.heading)]) * self.acceleration[:, None]
+        steps = 0.5 * (along[1:] + along[:-1]) * np.diff(self.time_s)[:, None]
+        return np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
+
+
+def correlation(x: Array, y: Array) -> tuple[float, float]:
+    """Correlation coefficient of two series, and its effective number of pairs.
+
+    Parameters
+    ----------
+    x, y : ndarray, shape (n,)
+
+    Returns
+    -------
+    r, effective : float
+        For independent series ``r * sqrt(effective)`` is standard normal: the variance of r is the sum over all lags of
+        the product of both autocorrelations, over n (Bartlett, 1946); that of x is taken of what y does not explain.
+
+    Examples
+    --------
+    >>> x, y = np.random.default_rng(1).normal(size=(2, 4000))
+    >>> r, effective = correlation(x + 0.2 * y, y)
+    >>> round(r, 1), 3000 < effective <= 4000
+    (0.2, True)
+    """
+    n = len(x)
+    x, y = x - x.mean(), y - y.mean()
+    power = math.sqrt(float(x @ x) * float(y @ y))
+    if power == 0.0:
+        return 0.0, 0.0
+    lags, r = max(1, int(LAGS * n)), float(x @ y) / power
+    # what y explains is no noise of x
+    a, b = (_autocorrelation(v, lags) for v in (x - float(x @ y) / float(y @ y) * y, y))
+    spread = 1.0 + 2.0 * float(np.sum((1.0 - np.arange(1, lags + 1) / n) * a * b))
+    return r, n / max(spread, 1.0)
+
+
+def _autocorrelation(x: Array, lags: int) -> Array:
+    """Lags 1 ... `lags`."""
+    size = 1 << (2 * len(x) - 1).bit_length()
+    power = np.abs(np.fft.rfft(x, size)) ** 2
+    products = np.fft.irfft(power, size)[: lags + 1]
+    return np.asarray(products[1:] / products[0])
+
+
+def correlations(run: Track, mission: Mission) -> tuple[Correlation, ...]:
+    """All that is compared: whitened residuals of each sensor with what would betray a constant nobody has described.
+
+    Parameters
+    ----------
+    run : Track
+        Forward.
+    mission : Mission
+        As it was replayed.
+
+    Notes
+    -----
+    A state follows an error of its sensor, so that residuals hold only what it has not followed yet. The motion goes
+    through the same filter: a reading's share ``k = 1 - R / S`` is taken into the state.
+    """
+    found: list[Correlation] = []
+    for name, sensor in run.vehicle.sensors.items():
+        r = run.residuals.get(name)
+        if r is None or sensor.from_drive or r.count("used") < READINGS:
+            continue
+        known = r.used & np.isfinite(r.value).all(axis=1) & np.isfinite(r.sd).all(axis=1)
+        known &= r.time_s > run.time_s[0] + BEGINNING_S
+        if known.sum() < READINGS:
+            continue
+        whitened = r.value[known] / r.sd[known]
+        motion = _moved(run, mission, r.time_s[known] - sensor.time_offset_s)
+        follows = _followed(sensor, r.sd[known])
+        if sensor.sees_velocity and sensor.axes == 3:
+            whitened = whitened @ sensor.instrument_axes()
+        for pair in _pairs(name, run.vehicle, motion):
+            value = np.concatenate([whitened[:, column] for column in pair.columns])
+            against = np.concatenate([_unfollowed(part, follows) for part in pair.motions])
+            if np.std(against) == 0.0:
+                continue
+            coefficient, effective = correlation(value, against)
+            chance = 2.0 * float(norm.sf(abs(coefficient) * math.sqrt(effective)))
+            found.append(Correlation(name, pair.axis, pair.words, pair.cause, pair.key, coefficient, effective, chance))
+    return tuple(found)
+
+
+def correlation_doubts(run: Track, mission: Mission) -> Iterator[Finding]:
+    """Residuals that follow the motion more than chance and more than nothing, with the key that is missing.
+
+    The threshold is `FALSE_ALARMS` for all that is compared together (Bonferroni).
+    """
+    compared = correlations(run, mission)
+    said: set[tuple[str, str]] = set()
+    for one in sorted(compared, key=lambda one: -abs(one.r)):
+        if one.chance * len(compared) > FALSE_ALARMS or abs(one.r) < LEAST or (one.sensor, one.cause) in said:
+            continue
+        said.add((one.sensor, one.cause))
+        along = f" {one.axis}" if one.axis else ""
+        text = f"its residuals{along} follow the {one.motion} (correlation {one.r:+.2f}): {one.cause}."
+        yield Finding("warning", one.sensor, text, f"{one.key}; 'navfilter calibrate' then finds it.")
+
+
+def _moved(run: Track, mission: Mission, time_s: Array) -> _Motion:
+    roll, pitch = (np.interp(time_s, run.time_s, run.attitude[:, k]) for k in range(2))
+    heading = np.interp(time_s, run.time_s, np.unwrap(run.attitude[:, 2]))
+    drive = run.vehicle.drive
+    t, values = drive.samples(mission.streams)
+    values = np.where(np.isfinite(values), values, 0.0)
+    if drive.inertial:
+        per = drive.period_s if getattr(drive, "increments", False) else 1.0
+        rates, forces = (
+            _mean_about(time_s + AFTER_S, t, values[:, part] / per, SMOOTH_S) for part in (slice(0, 3), slice(3, 6))
+        )
+        down = matrix_from_euler(roll, pitch, 0.0 * roll)[:, 2, :]
+        turn = np.einsum("ni,ni->n", down, rates)
+        ahead = forces[:, 0] + down[:, 0] * gravity(float(run.latitude[0]), float(run.height[0]))
+        heading = _between(time_s, turn, heading)
+    else:
+        yaw = np.unwrap(values[:, 2])
+        turn = _slope_after(time_s, t, yaw)
+        axes = run.vehicle.drive.velocity_sensor.instrument_axes()  # type: ignore[union-attr]
+        ahead = _slope_after(time_s, t, (values[:, 3:6] @ axes)[:, 0])
+    return _Motion(time_s, turn, ahead, heading)
+
+
+def _between(time_s: Array, turn: Array, heading: Array) -> Array:
+    """The turns of the drive, on the level of the track's heading: what corrects the heading now is not in it."""
+    own = np.concatenate([[0.0], np.cumsum(0.5 * (turn[1:] + turn[:-1]) * np.diff(time_s))])
+    off = _mean_about(time_s, time_s, (heading - own)[:, None], LEVEL_S)
+    return np.asarray(own + off[:, 0])
+
+
+def _mean_about(time_s: Array, t: Array, values: Array, span_s: float) -> Array:
+    """Means of the columns over a span around some times."""
+    total = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
+    first = np.searchsorted(t, time_s - 0.5 * span_s)
+    last = np.maximum(np.searchsorted(t, time_s + 0.5 * span_s), first + 1)
+    last = np.minimum(last, len(t))
+    first = np.minimum(first, last - 1)
+    return np.asarray((total[last] - total[first]) / (last - first)[:, None])
+
+
+def _slope_after(time_s: Array, t: Array, values: Array) -> Array:
+    """Slope across `SMOOTH_S` behind some times."""
+    ends = [np.interp(time_s + AFTER_S + side * SMOOTH_S, t, values) for side in (-0.5, 0.5)]
+    return np.asarray((ends[1] - ends[0]) / SMOOTH_S)
+
+
+class _Pair(NamedTuple):
+    """What is compared: columns of the residuals, one after the other, with as many motions; in words."""
+
+    axis: str
+    columns: tuple[int, ...]
+    words: str
+    motions: tuple[Array, ...]
+    cause: str
+    key: str
+
+
+def _followed(sensor: Sensor, sd: Array) -> float:
+    """How much of a residual the state follows at each reading: one minus white variance over predicted variance."""
+    white = float(np.mean([model.block(1.0 / sensor.rate_hz).r for model in sensor.models]))
+    return float(np.clip(1.0 - white / np.median(sd**2), 0.02, 1.0))
+
+
+def _unfollowed(signal: Array, gain: float) -> Array:
+    """What is left of a signal in the readings once the state follows it: residuals of a filter with this gain."""
+    return np.asarray(lfilter([1.0, -1.0], [1.0, gain - 1.0], signal - signal[0]))
+
+
+def _pairs(name: str, vehicle: Any, motion: _Motion) -> Iterator[_Pair]:
+    """What is compared of one sensor: only what the vehicle does not describe already."""
+    sensor = vehicle.sensors[name]
+    table = f"[sensors.{name}] of vehicle.toml"
+    late, clock = not sensor.time_offset_sd_s, f"Add time_offset_sd_s = 0.3 to {table}"
+    arm = f"Add lever_arm_sd_m = [0.5, 0.5, 0.5] to {table}"
+    fixed = sensor.has_lever_arm and not any(sensor.lever_arm_sd_m)
+    c, s = np.cos(motion.heading), np.sin(motion.heading)
+    if sensor.gives == "heading":
+        if late:
+            yield _Pair("", (0,), "turn rate", (motion.turn_rate,), "its clock is off", clock)
+        if not any(sensor.deviation_sd_rad):
+            key = f"Add bias_sd_deg = 5.0 and deviation_sd_deg = [5.0, 2.0] to {table}"
+            for wave in (s, c, 2.0 * s * c, c**2 - s**2):
+                yield _Pair("", (0,), "heading", (wave,), "it deviates with the heading", key)
+    elif sensor.sees_velocity and sensor.axes == 3:
+        if late:
+            yield _Pair("forward", (0,), "acceleration", (motion.acceleration,), "its clock is off", clock)
+        if fixed:
+            for axis, column in (("forward", 0), ("sideways", 1)):
+                yield _Pair(axis, (column,), "turn rate", (motion.turn_rate,), "its lever arm is off", arm)
+    elif sensor.gives == "position" and fixed and late:
+        cause, key = "its lever arm or its clock is off", f"{arm}, or time_offset_sd_s = 0.3"
+        velocity = [other for other, kind in vehicle.sensors.items() if kind.sees_velocity]
+        if velocity or not vehicle.drive.inertial:
+            cause = "its lever arm or its clock is off, or that of the velocity"
+            key += f"; or the same to {f'[sensors.{velocity[0]}]' if velocity else '[drive.velocity]'}"
+        for axis, waves in (("along the vehicle", (c, s)), ("across it", (-s, c))):
+            yield _Pair(axis, (0, 1), "heading", waves, cause, key)
+    drive = vehicle.drive
+    if sensor.gives == "position" and not drive.inertial and not drive.velocity_sensor.time_offset_sd_s:
+        cause, key = "the clock of the drive's velocity is off", "Add time_offset_sd_s = 0.3 to [drive.velocity]"
+        yield _Pair("", (0, 1), "acceleration", (motion.gained[:, 0], motion.gained[:, 1]), cause, key)
