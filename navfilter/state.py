@@ -71,7 +71,7 @@ def rotation_vector(matrix: ArrayLike) -> Array:
 
 
 class Pose(NamedTuple):
-    """Where the vehicle is, how it moves and points: plain numbers, a fortieth of the time that a `NavState` takes.
+    """Where the vehicle is, how it moves and points: plain numbers, in a hundredth of the time that a `NavState` takes.
 
     Attributes
     ----------
