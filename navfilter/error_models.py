@@ -13,11 +13,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import block_diag
 
 from navfilter.arma.roots import is_stable
 from navfilter.arma.stationary import stationary_covariance
@@ -271,33 +271,7 @@ class GaussMarkov(ErrorModel):
         """Discretise: closed form for order 1, Van Loan's method (1978) above, the stationary covariance where much
         decays in a period.
         """
-        n, step = self.order, self.beta * period_s
-        if n == 1:
-            phi = math.exp(-step)
-            q = -math.expm1(-2.0 * step) * self.sd**2
-            return Block(_square(phi, 1), _square(q, 1), np.ones(1), 0.0, _square(self.sd**2, 1))
-        from filterpy.common import van_loan_discretization  # costs half a second to import
-
-        F = np.diag(np.ones(n - 1), 1)
-        F[-1] = [-math.comb(n, k) for k in range(n)]
-        P0 = _stationary_gauss_markov(n) * self.sd**2
-        if step > 2.0:
-            # Van Loan's matrix holds exp(+step), which swallows all digits of Q when much decays between two samples;
-            # what has decayed is what the stationary variance makes up for. F has the one eigenvalue -1, so that the
-            # series of exp((F + 1) step) ends; beyond 700 nothing is left of it.
-            step = min(step, 700.0)
-            Phi = math.exp(-step) * np.sum(
-                [np.linalg.matrix_power(F + np.eye(n), k) * (step**k / math.factorial(k)) for k in range(n)], axis=0
-            )
-            Q = P0 - Phi @ P0 @ Phi.T
-            return Block(_square(Phi, n), _square((Q + Q.T) / 2, n), np.eye(n)[0], 0.0, P0)
-        # White noise of spectral density s2 drives the last state; the process then has this variance (thesis eq 2.42,
-        # corrected).
-        s2 = self.sd**2 * 2.0 ** (2 * n - 1) * math.factorial(n - 1) ** 2 / math.factorial(2 * n - 2)
-        G = np.zeros((n, 1))
-        G[-1] = math.sqrt(s2)
-        Phi, Q = van_loan_discretization(F, G, step)
-        return Block(_square(Phi, n), _square((Q + Q.T) / 2, n), np.eye(n)[0], 0.0, P0)
+        return _gauss_markov_block(self.order, self.sd, self.beta * period_s)
 
     def integrated(self, period_s: float) -> Integrated:
         """As a walk: such a model states a bias that outlasts the integral, which sees the beginning of a walk from its
@@ -373,6 +347,37 @@ class Arma(ErrorModel):
         return Block(F, Q, np.eye(n)[0], 0.0, stationary_covariance(F, Q))
 
 
+@lru_cache(maxsize=256)
+def _gauss_markov_block(n: int, sd: float, step: float) -> Block:
+    """That of order n and a period of `step` inverse time constants; asked for at each change of the layout."""
+    if n == 1:
+        phi = math.exp(-step)
+        q = -math.expm1(-2.0 * step) * sd**2
+        return Block(_square(phi, 1), _square(q, 1), np.ones(1), 0.0, _square(sd**2, 1))
+    from filterpy.common import van_loan_discretization  # costs half a second to import
+
+    F = np.diag(np.ones(n - 1), 1)
+    F[-1] = [-math.comb(n, k) for k in range(n)]
+    P0 = _stationary_gauss_markov(n) * sd**2
+    if step > 2.0:
+        # Van Loan's matrix holds exp(+step), which swallows all digits of Q when much decays between two samples;
+        # what has decayed is what the stationary variance makes up for. F has the one eigenvalue -1, so that the
+        # series of exp((F + 1) step) ends; beyond 700 nothing is left of it.
+        step = min(step, 700.0)
+        Phi = math.exp(-step) * np.sum(
+            [np.linalg.matrix_power(F + np.eye(n), k) * (step**k / math.factorial(k)) for k in range(n)], axis=0
+        )
+        Q = P0 - Phi @ P0 @ Phi.T
+        return Block(_square(Phi, n), _square((Q + Q.T) / 2, n), np.eye(n)[0], 0.0, P0)
+    # White noise of spectral density s2 drives the last state; the process then has this variance (thesis eq 2.42,
+    # corrected).
+    s2 = sd**2 * 2.0 ** (2 * n - 1) * math.factorial(n - 1) ** 2 / math.factorial(2 * n - 2)
+    G = np.zeros((n, 1))
+    G[-1] = math.sqrt(s2)
+    Phi, Q = van_loan_discretization(F, G, step)
+    return Block(_square(Phi, n), _square((Q + Q.T) / 2, n), np.eye(n)[0], 0.0, P0)
+
+
 @dataclass(frozen=True)
 class Sum(ErrorModel):
     """Sum of independent errors; made by ``a + b``."""
@@ -392,11 +397,21 @@ class Sum(ErrorModel):
         return " + ".join(str(part) for part in self.parts)
 
 
+def block_diagonal(matrices: Sequence[Array]) -> Array:
+    """Square matrices along the diagonal of one (that of scipy takes a millisecond for a handful of small ones)."""
+    n = sum(len(matrix) for matrix in matrices)
+    out, at = np.zeros((n, n)), 0
+    for matrix in matrices:
+        out[at : at + len(matrix), at : at + len(matrix)] = matrix
+        at += len(matrix)
+    return out
+
+
 def joined_block(blocks: Sequence[Block]) -> Block:
     """Blocks of independent errors side by side, as one that stands for their sum."""
     n = sum(b.size for b in blocks)
     stack = {
-        key: _square(block_diag(*(getattr(b, key) for b in blocks if b.size)), n) if n else np.zeros((0, 0))
+        key: _square(block_diagonal([getattr(b, key) for b in blocks]), n) if n else np.zeros((0, 0))
         for key in ("Phi", "Q", "P0")
     }
     C = np.concatenate([np.zeros(0), *(b.C for b in blocks)])

@@ -12,6 +12,7 @@ from os import PathLike
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from navfilter.beginning import Beginning
 from navfilter.filter import snapshot as snapshots
 from navfilter.filter.adoption import Change
 from navfilter.filter.channel import ChannelMemory, Refusals
@@ -21,16 +22,17 @@ from navfilter.filter.filter import Filter
 from navfilter.filter.filter_memory import Errors, FilterMemory
 from navfilter.filter.health import Health, Watch
 from navfilter.filter.history import History, Reading
-from navfilter.filter.intake import IntakeMemory, joined
+from navfilter.filter.intake import IntakeMemory
 from navfilter.filter.memory import misfit
 from navfilter.filter.tape import Tape
 from navfilter.filter.waiting import Waiting
 from navfilter.learning.learner import LearnerMemory
-from navfilter.learning.listener import ChannelSeries, ListenerMemory
+from navfilter.learning.listener import ChannelSeries, Hop, ListenerMemory
 from navfilter.learning.posterior import Line
 from navfilter.learning.rest import RestMemory
-from navfilter.learning.schedule import LearningMemory, LearningSchedule
+from navfilter.learning.schedule import Again, LearningMemory, LearningSchedule
 from navfilter.learning.spectrum import Spectrum
+from navfilter.learning.worker import Worker
 from navfilter.start import Start
 from navfilter.state import NavState, Pose
 from navfilter.vehicle import Vehicle
@@ -50,13 +52,8 @@ class NavigatorMemory:
 
 MEMORY = (
     *(NavigatorMemory, FilterMemory, ChannelMemory, Refusals, IntakeMemory),
-    *(LearningMemory, ListenerMemory, RestMemory, LearnerMemory, Line, Spectrum),
+    *(LearningMemory, Again, Change, ListenerMemory, Hop, RestMemory, LearnerMemory, Line, Spectrum),
 )
-
-
-def _when(item: Array | Reading) -> float:
-    """Time of an input: of its last sample, or of the reading."""
-    return float(item[-1, 0]) if isinstance(item, np.ndarray) else item.time_s
 
 
 class Navigator:
@@ -73,6 +70,10 @@ class Navigator:
         Readings may come so late [s]: the state goes back and takes them in their place. Default 2 without a tape, or
         what a sensor of the vehicle needs (`Usbl.late_s`); with one nothing may be late, because what is on the tape
         stays there. Models are learnt from readings older than that, and at least 2 s old.
+
+    threads : bool
+        Learn on a thread of its own, so that no call waits for it. Without, and with a tape, what was learnt is worked
+        out when it is taken; the results are the same to the last bit.
 
     Raises
     ------
@@ -100,7 +101,13 @@ class Navigator:
     HISTORY_S = 2.0
 
     def __init__(
-        self, vehicle: Vehicle, start: Start, tape: Tape | None = None, history_s: float | None = None
+        self,
+        vehicle: Vehicle,
+        start: Start,
+        tape: Tape | None = None,
+        history_s: float | None = None,
+        *,
+        threads: bool = True,
     ) -> None:
         self.vehicle, self.start = vehicle, start
         self.filter = Filter(vehicle, start, tape)
@@ -114,10 +121,11 @@ class Navigator:
                 "times."
             )
         # a replay has no history, and learns what the same run learns on board with the default one
-        self.learning = LearningSchedule(self.filter, max(length_s, usual_s))
+        self.learning = LearningSchedule(self.filter, max(length_s, usual_s), Worker(threads and tape is None))
+        self._beginning = Beginning(self, self.learning.worker)
         self._room = None if self.learning.rest is None else self.learning.room
         names = list(vehicle.sensors)
-        self._history = History(self, length_s, names) if length_s else None
+        self.history = History(self, length_s, names) if length_s else None
         self.watches = {name: Watch(sensor.gate_timeout_s) for name, sensor in vehicle.sensors.items()}
         self._waiting = Waiting()
         self._behind = {name: names[i + 1 :] for i, name in enumerate(names)}
@@ -164,7 +172,8 @@ class Navigator:
 
     def _carry(self, samples: Array) -> None:
         if len(samples):
-            (self if self._history is None else self._history).feed(samples)
+            self._beginning.give(samples)
+            (self if self.history is None else self.history).feed(samples)
 
     def correct(self, name: str, time_s: float, value: ArrayLike, sd: ArrayLike | None = None) -> Outcome:
         """Correct the state with a reading of a named sensor.
@@ -217,7 +226,20 @@ class Navigator:
         return outcome
 
     def _taken(self, reading: Reading) -> Outcome:
-        history, filter = self._history, self.filter
+        outcome = self.placed(reading)
+        self._beginning.give(reading)
+        return outcome
+
+    def given(self, item: Array | Reading) -> None:
+        """Take an input as another run has: samples, or a reading in its place."""
+        if isinstance(item, np.ndarray):
+            self._carry(item)
+        else:
+            self.placed(item)
+
+    def placed(self, reading: Reading) -> Outcome:
+        """Take a reading where its time says."""
+        history, filter = self.history, self.filter
         if history is None:
             outcome = self.feed(reading)
             assert outcome is not None
@@ -229,7 +251,8 @@ class Navigator:
         elif filter.intake.in_doubt:
             return Outcome("too-late")
         else:
-            outcome = history.late(reading)
+            with self._beginning.going_back():
+                outcome = history.late(reading)
             if outcome is None:
                 return Outcome("too-late")
             if outcome.status == "used":
@@ -244,8 +267,8 @@ class Navigator:
             learning.keep(item)
             self.filter.advance(item, self.told, self._room)
             return None
-        if item.time_s >= learning.early_s:
-            self._adopt_early()
+        while item.time_s >= learning.early_s:
+            self._beginning.early()
         learning.keep(item)
         self.told(correction := self.filter.correct(*item), item.value)
         self.filter.take_up(self.told)
@@ -256,31 +279,6 @@ class Navigator:
         self.filter.jumps.heard(event, self.filter, value)
         for change in self.learning.heard(event):
             self.filter.adopt(change, self.told)
-
-    def _adopt_early(self) -> None:
-        """Adopt early models; where they are others, run what there was so far again, see `LearningSchedule`."""
-        now_s = self.learning.early_s
-        found, again = self.learning.early()
-        if not again:
-            for name, models in found.items():
-                self.filter.adopt(Change(name, models), self.told)
-            return
-        counted = self.filter.counts["adopted"] + len(found)
-        self.filter.begin({**self.filter.described_models, **found})
-        self.filter.counts["adopted"] = counted
-        inputs = joined(self.learning.begin_again())
-        if self._history is None:
-            for item in inputs:
-                self.feed(item)
-            return
-        # the last of it goes through the history, so that late readings find their place
-        self._history.begin()
-        recent = now_s - self._history.length_s
-        split = next((i for i, item in enumerate(inputs) if _when(item) > recent), len(inputs))
-        for item in inputs[:split]:
-            self.feed(item)
-        for item in inputs[split:]:
-            self._history.feed(item)
 
     # ---------------------------------------------------------------- error models
     def adopt(self, name: str, error: Errors) -> None:
@@ -303,9 +301,9 @@ class Navigator:
             For an unknown sensor, or something that is no error model.
         """
         self.filter.adopt(Change(name, error), self.told)
-        self.learning.beginning = None
-        if self._history is not None:
-            self._history.begin()
+        self.learning.adopted_by_hand()
+        if self.history is not None:
+            self.history.begin()
 
     def listen(self, name: str, capacity: int | None = None) -> None:
         """Note the open-loop residuals of a sensor, see `heard` and
@@ -361,7 +359,7 @@ class Navigator:
     @property
     def health(self) -> Health:
         """What the sensors are worth at present."""
-        return health_of(self.filter, self.watches)
+        return dataclasses.replace(health_of(self.filter, self.watches), learning=self.learning.worker.health)
 
     # ---------------------------------------------------------------- keep and bring back
     def snapshot(self, path: str | PathLike[str] | None = None) -> bytes:
@@ -382,13 +380,13 @@ class Navigator:
         """
         if self.filter.tape is not None:
             raise ValueError("a run with a tape keeps no snapshot: make the navigator without one.")
-        memory, inputs = (self.memory, []) if self._history is None else self._history.kept()
+        memory, inputs = (self.memory, []) if self.history is None else self.history.kept()
         inputs = [*inputs, *self._waiting.readings]
         beginning = memory.learning.beginning
         learning = dataclasses.replace(
             memory.learning, beginning=None if beginning is None else beginning[: memory.learning.kept]
         )
-        length_s = 0.0 if self._history is None else self._history.length_s
+        length_s = 0.0 if self.history is None else self.history.length_s
         whole = NavigatorMemory(memory.filter, learning)
         saved = snapshots.Saved(self.start, length_s, whole, inputs, self.watches)
         return snapshots.write(saved, self.vehicle, self.time_s, path)
@@ -424,7 +422,7 @@ class Navigator:
             if name not in nav.learning.listeners:
                 nav.listen(name, listener.ring.shape[1])
         nav.filter.begin(dict(memory.filter.models))
-        nav.learning.begin_again()
+        nav.learning.begin_again(-math.inf)
         problem = misfit(memory, nav.memory, "memory") or memory.filter.problem(nav.filter.memory)
         if problem:
             raise ValueError(problem)
@@ -445,6 +443,7 @@ class Navigator:
         if not isinstance(item, np.ndarray) and self.filter.channels[item.name].lead_s and item.time_s > self.time_s:
             self._waiting.put(item)
             return
-        if self._history is None:
+        if self.history is None:
             raise ValueError("it has inputs without a history")
-        self._history.feed(item)
+        for take in (self._beginning.give, self.history.feed)[:: 1 if isinstance(item, np.ndarray) else -1]:
+            take(item)

@@ -15,6 +15,7 @@ from navfilter.evaluation.constants import constant_doubts
 from navfilter.evaluation.correlations import correlation_doubts
 from navfilter.evaluation.surfacing import Evidence
 from navfilter.filter.drive_watch import COUNTED
+from navfilter.filter.offsets import has_offset
 from navfilter.filter.tape import OUTCOMES, Residuals
 from navfilter.mission import Mission
 from navfilter.track import Track
@@ -76,6 +77,8 @@ class Limits:
 LIMITS = Limits()
 #: Faults of a drive's axes that no unit has for a moment: the description of its file is wrong.
 DESCRIBED_WRONGLY = frozenset({"wrong-unit", "gravity", "swapped"})
+#: Beyond this share of a run a sensor whose changes alone are used is wrong, not disturbed [1].
+LONG_JUMPED = 0.1
 _CHECK = "Run 'navfilter check MISSION --vehicle VEHICLE': it looks for wrong units, signs, axes and clocks."
 
 
@@ -162,9 +165,6 @@ def _mended(run: Track) -> Iterator[Finding]:
     if count := run.counts.get("reset", 0):
         text = f"{counted(count, 'time')} readings that agree with each other set the state anew: it had been wrong."
         yield Finding("warning", "", text, where)
-    if count := run.counts.get("jumped", 0):
-        text = f"{counted(count, 'time')} a sensor jumped by a constant, which is estimated since: see its health."
-        yield Finding("warning", "", text, where)
     name = run.vehicle.drive.streams[-1]
     found = {fault: run.counts[fault] for fault in COUNTED if run.counts.get(fault, 0)}
     if count := found.pop("noisy", 0):
@@ -202,9 +202,22 @@ def _sensor(name: str, run: Track, mission: Mission, limits: Limits) -> Iterator
         what = ", ".join(f"{r.count(outcome)} {outcome}" for outcome in OUTCOMES if r.count(outcome))
         yield Finding("error", name, f"not one of its {len(r.time_s)} readings was used ({what}).", _CHECK)
         return
+    yield from _jumped(name, run)
     yield from _lost(name, r, limits)
     yield from _refused(name, run, r, limits)
     yield from _honesty(name, run, r, limits)
+
+
+def _jumped(name: str, run: Track) -> Iterator[Finding]:
+    """A sensor that was off by a constant from one reading to the next."""
+    history = run.error_models.get(name, [])
+    ends = [*(time_s for time_s, _ in history[1:]), float(run.time_s[-1])]
+    spans = [end - begin for (begin, models), end in zip(history, ends, strict=True) if has_offset(models)]
+    if spans:
+        share = sum(spans) / max(float(run.time_s[-1] - run.time_s[0]), 1e-9)
+        text = f"jumped by a constant {len(spans)} times; for {sum(spans):.0f} s only its changes were used."
+        cure = f"Is it fixed to the vehicle, and its mounting right? Replay with --without {name}."
+        yield Finding("error" if share > LONG_JUMPED else "warning", name, text, cure)
 
 
 def _refused(name: str, run: Track, r: Residuals, limits: Limits) -> Iterator[Finding]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from navfilter.filter.integrity import Bounds, Trust
 
-__all__ = ["Health", "SensorHealth", "Watch"]
+__all__ = ["Health", "LearningHealth", "SensorHealth", "Watch"]
 
 Array = NDArray[np.float64]
 
@@ -41,6 +41,22 @@ class SensorHealth:
 
 
 @dataclass(frozen=True)
+class LearningHealth:
+    """Whether learning keeps pace.
+
+    Attributes
+    ----------
+    late : int
+        Answers that were not there at the reading at which they are taken: the call waited for them.
+    waited_s : float
+        For how long, in all [s].
+    """
+
+    late: int = 0
+    waited_s: float = 0.0
+
+
+@dataclass(frozen=True)
 class Health:
     """Condition of the whole.
 
@@ -64,6 +80,8 @@ class Health:
         How far the truth may be from the state under any single fault that has not been found.
     trust : Trust or None
         Whether the state is to be trusted.
+    learning : LearningHealth
+        Depends on the speed of the machine, as nothing else does; not compared.
     """
 
     sensors: dict[str, SensorHealth]
@@ -73,6 +91,7 @@ class Health:
     bounds: Bounds | None = None
     trust: Trust | None = None
     lane: str = ""
+    learning: LearningHealth = field(default=LearningHealth(), compare=False)
 
     @property
     def degraded(self) -> tuple[str, ...]:

@@ -72,6 +72,11 @@ class History:
         self._first = 0  # number of the first input in the log
         self._marked_s = -math.inf
 
+    def take_over(self, other: History) -> None:
+        """Have the past of another run over the same inputs."""
+        self._marks, self._log, self._shifts = other._marks, other._log, other._shifts
+        self._first, self._marked_s = other._first, other._marked_s
+
     def feed(self, item: Array | Reading) -> Outcome | None:
         """Give samples (rows of time and six values) or a reading to the run, and keep them."""
         filter_memory = self.run.filter.memory

@@ -13,7 +13,8 @@ from typing import Any, NamedTuple, SupportsFloat
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag
+
+from navfilter.error_models import block_diagonal
 
 __all__ = ["Calibrated", "Group", "Layout", "Parameter", "check_calibrated", "with_calibrated"]
 
@@ -162,7 +163,7 @@ class Group:
 
         def stack(key: str, tail: Array) -> Array:
             parts = [getattr(b, key) for b in blocks if b.size] + ([tail] if k else [])
-            return np.ascontiguousarray(block_diag(*parts)) if parts else np.zeros((0, 0))
+            return block_diagonal(parts)
 
         C = np.zeros((len(blocks), errors))
         names: list[str] = []

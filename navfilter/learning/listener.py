@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import ClassVar
 
 import numpy as np
@@ -21,14 +24,15 @@ from navfilter.learning.learned import (
     learning_part,
     with_learned,
 )
-from navfilter.learning.learner import Learner, LearnerMemory, memories, recall
+from navfilter.learning.learner import Learner, LearnerMemory, Learnt, memories, recall
 from navfilter.learning.limits import LEAST
 from navfilter.learning.slow import SlowPrior, slow_prior
 from navfilter.learning.unseen import white_description
+from navfilter.learning.worker import Task, Worker
 from navfilter.sensors import Sensor
 from navfilter.vehicle import Vehicle
 
-__all__ = ["ChannelSeries", "Listener", "ListenerMemory"]
+__all__ = ["ChannelSeries", "Hop", "Listener", "ListenerMemory"]
 
 Array = NDArray[np.float64]
 #: A change is noticed when the mean NIS over `MEMORY_S` has left these limits, per degree of freedom [1]: it is the
@@ -38,6 +42,9 @@ CALM = (0.4, 2.0)
 MEMORY_S, PROBATION_S = 30.0, 90.0
 #: A single reading counts up to this NIS per degree of freedom: a spike is no change.
 MOST_NIS = 25.0
+#: The answer of a hop is taken so much later [s]: what learning may take on a slow machine, and little against the
+#: half minute that is the least a hop learns from.
+TAKEN_AFTER_S = 2.0
 #: A sample so many robust deviations from its neighbours is a spike.
 SPIKE = 8.0
 #: So many stretches that are left out are remembered: a window of an hour with one every four minutes.
@@ -64,6 +71,32 @@ class ChannelSeries:
     drift: Drift
     period_s: float
     white: float
+
+
+@dataclass(frozen=True, eq=False)
+class Hop:
+    """What a hop learns from, fixed when it begins.
+
+    Attributes
+    ----------
+    series : tuple of ndarray or None
+        Of each axis that learns, spikes and all [unit of the sensor].
+    fresh : int
+        Ticks that came since the hop before.
+    taken : int
+        Its answer is taken when so many ticks have been noted.
+    """
+
+    series: tuple[Array | None, ...]
+    fresh: int
+    taken: int
+
+    def is_same(self, other: Hop) -> bool:
+        """Whether another hop has the same answer."""
+        return (self.fresh, self.taken) == (other.fresh, other.taken) and all(
+            one is two or (one is not None and two is not None and np.array_equal(one, two, equal_nan=True))
+            for one, two in zip(self.series, other.series, strict=True)
+        )
 
 
 @dataclass
@@ -93,6 +126,8 @@ class ListenerMemory:
         Of each axis, as learnt last.
     learners : tuple of LearnerMemory or None
         What the learner of each axis knows; None where nothing is learnt.
+    hop : Hop or None
+        The hop whose answer has not been taken yet.
     """
 
     SHARED: ClassVar = ("ring",)
@@ -107,6 +142,7 @@ class ListenerMemory:
     judged: int
     models: tuple[ErrorModel, ...]
     learners: tuple[LearnerMemory | None, ...]
+    hop: Hop | None
 
 
 class Listener:
@@ -126,6 +162,8 @@ class Listener:
     behind_s : float
         Readings may come so late [s]. A model is learnt from readings older than that, and the filter may go back by as
         much.
+    worker : Worker
+        Works on the hops.
     capacity : int, optional
         Ticks to keep; default: the window of the learnt models, and what going back needs.
 
@@ -136,7 +174,14 @@ class Listener:
     """
 
     def __init__(
-        self, name: str, sensor: Sensor, vehicle: Vehicle, white: Array, behind_s: float, capacity: int | None = None
+        self,
+        name: str,
+        sensor: Sensor,
+        vehicle: Vehicle,
+        white: Array,
+        behind_s: float,
+        worker: Worker,
+        capacity: int | None = None,
     ) -> None:
         self.kind = sensor.open_loop
         if self.kind == listen.NOTHING:
@@ -145,6 +190,9 @@ class Listener:
                 "model."
             )
         self.name, self.period_s, self.behind_s = name, 1.0 / sensor.rate_hz, behind_s
+        self.worker = worker
+        # the hop that was begun last, what the learners knew then, and the work on it
+        self._begun: tuple[Hop, tuple[LearnerMemory | None, ...], Task] | None = None
         models = sensor.models
         learned = [learning_part(model) for model in models]
         window = max((part.window for part in learned if part is not None), default=0)
@@ -177,6 +225,7 @@ class Listener:
             judged=round(PROBATION_S / self.period_s),
             models=models,
             learners=memories(self.learners),
+            hop=None,
         )
 
     @property
@@ -189,16 +238,20 @@ class Listener:
         recall(self.learners, self._memory.learners, memory.learners)
         self._memory = memory
 
-    def series(self, axis: int, last: int | None = None, without: int = 0) -> Array:
-        """The last ticks of one axis, oldest first, without the newest; isolated spikes are missing."""
+    def series(self, axis: int) -> Array:
+        """All ticks of one axis, oldest first; isolated spikes are missing."""
+        return without_spikes(self._noted(axis, self._memory.ring.shape[1]))
+
+    def _noted(self, axis: int, last: int, without: int = 0) -> Array:
+        """The last ticks of one axis, oldest first, without the newest."""
         ring = self._memory.ring
         written, capacity = int(self._memory.cursor[0]), ring.shape[1]
-        first = written - min(written, capacity if last is None else last, capacity)
+        first = written - min(written, last, capacity)
         series = np.take(ring[axis], np.arange(first, written - without) % capacity)
         for begin, end in self._memory.left_out:
             if end > first:
                 series[max(begin - first, 0) : end - first] = np.nan
-        return without_spikes(series)
+        return series
 
     def leave_out(self, ticks: int) -> None:
         """Learn nothing from the last so many ticks."""
@@ -220,16 +273,24 @@ class Listener:
     @property
     def is_due(self) -> bool:
         """Whether the next hop has come."""
-        return bool(self._memory.cursor[0] >= self._memory.due)
+        return self._memory.hop is None and bool(self._memory.cursor[0] >= self._memory.due)
 
-    def begin_again(self, age_s: float) -> None:
-        """Listen from the start again, without learning again from what was heard before; the last tick was `age_s`
-        ago.
+    @property
+    def is_answered(self) -> bool:
+        """Whether the answer of a hop is to be taken."""
+        hop = self._memory.hop
+        return hop is not None and bool(self._memory.cursor[0] >= hop.taken)
+
+    def settle(self, age_s: float) -> None:
+        """The beginning will be done again: nothing is learnt again from what was heard before now; the last tick was
+        `age_s` ago.
         """
-        memory = self._memory
-        memory.due = self._next(self._ticks_by_now(age_s)) if self.window else NEVER
-        memory.cursor[0] = 0
-        memory.left_out[:] = 0
+        self._memory.due = self._next(self._ticks_by_now(age_s)) if self.window else NEVER
+
+    def begin_again(self) -> None:
+        """Listen from the start again."""
+        self._memory.cursor[0] = 0
+        self._memory.left_out[:] = 0
 
     def _ticks_by_now(self, age_s: float) -> int:
         """Ticks noted so far, and those that should have come since: their readings may be on their way."""
@@ -265,31 +326,79 @@ class Listener:
         for learner in self.learners:
             if learner is not None:
                 learner.forget()
-        memory.learners = memories(self.learners)
+        memory.learners, memory.hop = memories(self.learners), None
 
-    def learn(self, age_s: float = 0.0) -> tuple[ErrorModel, ...] | None:
-        """At a hop: the error models to adopt, or None when there is nothing new; the last tick was `age_s` ago."""
+    def begin_hop(self, age_s: float = 0.0, taken: int | None = None) -> None:
+        """Begin to learn from what was noted so far; the last tick was `age_s` ago. The answer is taken `TAKEN_AFTER_S`
+        later, or at tick `taken`.
+        """
         memory = self._memory
         written = int(memory.cursor[0])
         newest = min(max(0, round((self.behind_s - age_s) / self.period_s)), written)
         memory.due = self._next(written)
         fresh, memory.heard = written - newest - memory.heard, written - newest
         known = written - memory.since
-        new = []
-        for axis, (model, learner) in enumerate(zip(memory.models, self.learners, strict=True)):
-            part = learned_part(model)
-            if part is not None and learner is not None:
-                found = learner.hop(self.series(axis, min(part.window + newest, known), newest), fresh)
-                if found is not None:
-                    slow = sum(found.slow[1:], start=found.slow[0]) if found.slow else None
-                    learnt = replace(part, model=found.model, slow=slow, spectrum=found.spectrum)
-                    model = with_learned(model, learnt)
-            new.append(model)
-        memory.learners = memories(self.learners)
-        if tuple(new) == memory.models:
+        series = tuple(
+            None if learner is None else self._noted(axis, min(learner.window + newest, known), newest)
+            for axis, learner in enumerate(self.learners)
+        )
+        after = math.ceil(TAKEN_AFTER_S / self.period_s)
+        memory.hop = Hop(series, fresh, written + after if taken is None else taken)
+        self._task(memory.hop)
+
+    def _task(self, hop: Hop) -> Task:
+        """The work on a hop. A late reading that goes back over its beginning asks for the same once more."""
+        knew = self._memory.learners
+        if self._begun is None or not (
+            (self._begun[0] is hop or self._begun[0].is_same(hop))
+            and all(one is two for one, two in zip(self._begun[1], knew, strict=True))
+        ):
+            self._begun = (
+                hop,
+                knew,
+                Task(self.worker, partial(_answered, self.learners, knew, hop, self._memory.models, self.period_s)),
+            )
+        return self._begun[2]
+
+    def learnt(self) -> tuple[ErrorModel, ...] | None:
+        """Take the answer of the hop: the error models to adopt, or None when there is nothing new."""
+        memory = self._memory
+        if memory.hop is None:  # what it was learnt from does not count any longer
             return None
-        memory.models = tuple(new)
-        return memory.models
+        models, knows = self._task(memory.hop).answer()
+        recall(self.learners, memory.learners, knows)
+        memory.learners, memory.hop = knows, None
+        if models == memory.models:
+            return None
+        memory.models = models
+        return models
+
+
+def _answered(
+    learners: Sequence[Learner | None],
+    knew: Sequence[LearnerMemory | None],
+    hop: Hop,
+    models: Sequence[ErrorModel],
+    period_s: float,
+) -> tuple[tuple[ErrorModel, ...], tuple[LearnerMemory | None, ...]]:
+    """Error models that the learners of all axes have found, and what they know then; they themselves do not change."""
+    own = [copy(learner) for learner in learners]
+    recall(own, memories(own), knew)
+    found = []
+    for model, learner, series in zip(models, own, hop.series, strict=True):
+        learnt = None if learner is None or series is None else learner.hop(without_spikes(series), hop.fresh)
+        found.append(_with_learnt(model, learnt))
+        if learnt is not None:
+            found[-1].block(period_s)  # remembered for the adoption
+    return tuple(found), memories(own)
+
+
+def _with_learnt(model: ErrorModel, found: Learnt | None) -> ErrorModel:
+    part = learned_part(model)
+    if part is None or found is None:
+        return model
+    slow = sum(found.slow[1:], start=found.slow[0]) if found.slow else None
+    return with_learned(model, replace(part, model=found.model, slow=slow, spectrum=found.spectrum))
 
 
 def believed(part: LearnedArma, period_s: float) -> SlowPrior | None:

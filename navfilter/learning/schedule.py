@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.error_models import ErrorModel, block_level
+from navfilter.error_models import block_level
 from navfilter.filter.adoption import Change
 from navfilter.filter.channel import Channel
 from navfilter.filter.events import Correction, Event, Passed, Propagated, Relaid
@@ -18,15 +18,32 @@ from navfilter.filter.filter import Filter
 from navfilter.filter.health import Watch
 from navfilter.kernels import listen
 from navfilter.learning.learned import learning_part
-from navfilter.learning.listener import ChannelSeries, Listener, ListenerMemory
+from navfilter.learning.listener import NEVER, TAKEN_AFTER_S, ChannelSeries, Listener, ListenerMemory
 from navfilter.learning.rest import RestMemory, RestRecorder
+from navfilter.learning.worker import Worker
 
-__all__ = ["LearningMemory", "LearningSchedule"]
+__all__ = ["Again", "LearningMemory", "LearningSchedule"]
 
 Array = NDArray[np.float64]
 #: So many refused readings on end, all off by the same at once, are no outliers any more.
 JUMPED = 3
 _NO_RING, _NO_CURSOR, _NO_MOUNT = np.zeros((1, 1)), np.zeros(1, np.int64), np.zeros(9)
+
+
+@dataclass(frozen=True)
+class Again:
+    """How the beginning is done again.
+
+    Attributes
+    ----------
+    models : tuple of (str, error models)
+        In force from the start.
+    adopted : int
+        How many have been adopted by then.
+    """
+
+    models: tuple[tuple[str, Any], ...]
+    adopted: int
 
 
 @dataclass
@@ -44,7 +61,15 @@ class LearningMemory:
     kept : int
         How many of them there were.
     stage : int
-        How many of the early hops there have been.
+        How many of the early hops are over.
+    hopping : bool
+        Whether the next one has begun.
+    again : Again or None
+        The beginning will be done again so.
+    quiet_s : float
+        Nothing is learnt before this time [s]: it is the beginning, done again.
+    waiting : tuple of Change
+        Models that are adopted one a reading: each costs about a millisecond.
     levels : dict of str to tuple of float
         S(0) of the learnt parts of each sensor's axes with which the beginning was done last.
     """
@@ -57,6 +82,10 @@ class LearningMemory:
     beginning: list[Any] | None
     kept: int
     stage: int
+    hopping: bool
+    again: Again | None
+    quiet_s: float
+    waiting: tuple[Change, ...]
     levels: dict[str, tuple[float, ...]]
 
 
@@ -82,6 +111,8 @@ class LearningSchedule:
     filter : Filter
     behind_s : float
         Readings may come so late [s]: nothing newer is learnt from, and going back by as much is possible.
+    worker : Worker, optional
+        Works on what is learnt, see `navfilter.learning.worker`; default: without threads.
 
     Notes
     -----
@@ -89,7 +120,8 @@ class LearningSchedule:
     took for certain cannot be taken back from the covariance: where the power at zero frequency of a new model is
     another one by more than `ANOTHER`, the beginning is done again as if the new models had been known, at those ages
     and, for the last time, at `REVISED_S`; `beginning` holds its inputs. Elsewhere the filter goes on with the new
-    models. Models of the inertial unit at rest are adopted when they are found, and the beginning is not
+    models. The beginning is done again `AGAIN_AFTER` of the age later: until then another filter may have come that
+    far. Models of the inertial unit at rest are adopted when they are found, and the beginning is not
     done again for them: they stand for the noise of samples, and what the filter took for certain by it in the first
     minute at rest is little.
     """
@@ -102,11 +134,17 @@ class LearningSchedule:
     #: ln S(0) that has changed by less is the same: the sd of the heading goes with its fourth root.
     ANOTHER = math.log(2.0)
 
-    def __init__(self, filter: Filter, behind_s: float) -> None:
-        self.filter, self.behind_s = filter, behind_s
+    #: The beginning is done again so much later, of the age [1]: a machine must be 50 times as fast as the mission.
+    AGAIN_AFTER = 0.02
+
+    def __init__(self, filter: Filter, behind_s: float, worker: Worker | None = None) -> None:
+        self.filter, self.behind_s, self.worker = filter, behind_s, worker or Worker(threads=False)
         self.listeners: dict[str, Listener] = {}
         vehicle, start_s = filter.vehicle, filter.time_s
-        self._start_s, self._stage = start_s, 0
+        self._start_s, self._stage, self._hopping = start_s, 0, False
+        self._quiet_s = -math.inf
+        self._waiting: tuple[Change, ...] = ()
+        self.again: Again | None = None
         self._fed_back = np.zeros(2 * filter.layout.head)
         learns = vehicle.drive.inertial and any(learning_part(model) is not None for model in vehicle.drive.models)
         self.rest = RestRecorder(vehicle.drive, behind_s) if learns else None
@@ -123,13 +161,24 @@ class LearningSchedule:
         listeners = {name: listener.memory for name, listener in self.listeners.items()}
         rest = None if self.rest is None else self.rest.memory
         return LearningMemory(
-            self._fed_back, listeners, rest, self.beginning, len(self.beginning or ()), self._stage, self._levels
+            self._fed_back,
+            listeners,
+            rest,
+            self.beginning,
+            len(self.beginning or ()),
+            self._stage,
+            self._hopping,
+            self.again,
+            self._quiet_s,
+            self._waiting,
+            self._levels,
         )
 
     @memory.setter
     def memory(self, memory: LearningMemory) -> None:
         self._fed_back, self.beginning = memory.fed_back, memory.beginning
-        self._stage, self._levels = memory.stage, memory.levels
+        self._stage, self._hopping, self.again = memory.stage, memory.hopping, memory.again
+        self._quiet_s, self._waiting, self._levels = memory.quiet_s, memory.waiting, memory.levels
         for name, listener in self.listeners.items():
             listener.memory = memory.listeners[name]
         if self.rest is not None and memory.rest is not None:
@@ -156,7 +205,8 @@ class LearningSchedule:
         if name not in channels:
             raise ValueError(f'"{name}" is no sensor of this vehicle (sensors: {", ".join(channels)}).')
         sensor, lever = channels[name].sensor, np.diag(channels[name].lever)
-        self.listeners[name] = Listener(name, sensor, self.filter.vehicle, lever, self.behind_s, capacity)
+        vehicle = self.filter.vehicle
+        self.listeners[name] = Listener(name, sensor, vehicle, lever, self.behind_s, self.worker, capacity)
 
     def series(self, name: str) -> tuple[ChannelSeries, ...]:
         """Open-loop residuals of a sensor that is listened to, one series per axis.
@@ -203,14 +253,21 @@ class LearningSchedule:
         )
         if event.outcome.widened and channel.memory.agreed_s == event.time_s:
             self._state_reset(channel.sensor.open_loop)
-        early, doubtful = self._stage < len(self.EARLY_S), doubtful_ticks(channel, event.time_s)
+        doubtful = doubtful_ticks(channel, event.time_s)
         if listener is not None and doubtful:
             listener.leave_out(doubtful)
-        elif listener is not None and listener.window and not early:
-            listener.notice(event.outcome.nis, event.outcome.dof)
-        if listener is None or not listener.is_due or early or not event.outcome.accepted:
+        if self._waiting:
+            first, *rest = self._waiting
+            self._waiting = tuple(rest)
+            return (first,)
+        early = self._stage < len(self.EARLY_S) or self.again is not None
+        if listener is None or early or event.time_s < self._quiet_s:
             return ()
-        models = listener.learn()
+        if listener.window and not doubtful:
+            listener.notice(event.outcome.nis, event.outcome.dof)
+        models = listener.learnt() if listener.is_answered else None
+        if listener.is_due and event.outcome.accepted:
+            listener.begin_hop()
         return () if models is None else (Change(channel.name, models),)
 
     def _state_reset(self, kind: int) -> None:
@@ -256,33 +313,53 @@ class LearningSchedule:
 
     @property
     def early_s(self) -> float:
-        """When models are to be looked for, or the beginning done again, next [s]; infinite when that is over."""
+        """When models are to be looked for or adopted, or the beginning done again, next [s]; infinite when that is
+        over.
+        """
         if self.beginning is None:
             return math.inf
-        return self._start_s + (*self.EARLY_S, self.REVISED_S)[self._stage]
+        age_s = (*self.EARLY_S, self.REVISED_S)[self._stage]
+        taken_s = TAKEN_AFTER_S * self._hopping
+        return self._start_s + age_s + taken_s + (self.AGAIN_AFTER * age_s if self.again else 0.0)
 
-    def early(self) -> tuple[dict[str, tuple[ErrorModel, ...]], bool]:
-        """At such a time: models to adopt by sensor, and whether the filter is to begin again with them."""
+    def early(self) -> None:
+        """At such a time: have models looked for, or have them adopted. Where another power makes it worth it, `again`
+        says instead how the beginning is to be done again, at the next such time.
+        """
         ages = {name: self.early_s - self.filter.channels[name].memory.ticked_s for name in self.listeners}
-        found: dict[str, tuple[ErrorModel, ...]] = {}
-        if self._stage < len(self.EARLY_S):
-            learnt = {name: listener.learn(ages[name]) for name, listener in self.listeners.items() if listener.window}
-            found = {name: models for name, models in learnt.items() if models is not None}
-        self._stage += 1
+        hops = [name for name, listener in self.listeners.items() if listener.window]
+        hops = hops if self._stage < len(self.EARLY_S) else []
+        if not self._hopping:
+            self._hopping = True
+            for name in hops:
+                self.listeners[name].begin_hop(ages[name], NEVER)
+            return
+        found = {name: models for name in hops if (models := self.listeners[name].learnt()) is not None}
         levels = self._present_levels()
-        again = any(
+        if any(
             abs(math.log(new / old)) > self.ANOTHER
             for name in self._levels
             for new, old in zip(levels[name], self._levels[name], strict=True)
-        )
-        if again:
+        ):
             self._levels = levels
             for name, listener in self.listeners.items():
-                listener.begin_again(ages[name])
-            return {name: listener.memory.models for name, listener in self.listeners.items()}, True
+                listener.settle(ages[name])
+            learnt = {name: listener.memory.models for name, listener in self.listeners.items()}
+            in_force = {**self.filter.described_models, **learnt}
+            self.again = Again(tuple(in_force.items()), self.filter.counts["adopted"] + len(learnt))
+            return
+        self._go_on()
+        self._waiting = tuple(Change(name, models) for name, models in found.items())
+
+    def _go_on(self) -> None:
+        """This early hop is over."""
+        self._stage, self._hopping, self.again = self._stage + 1, False, None
         if self._stage > len(self.EARLY_S):
             self.beginning = None
-        return found, False
+
+    def adopted_by_hand(self) -> None:
+        """The user has put a model in force: the beginning is not done again."""
+        self.beginning = self.again = None
 
     def _present_levels(self) -> dict[str, tuple[float, ...]]:
         """S(0) of what is learnt, per axis; 1 where nothing is."""
@@ -293,12 +370,17 @@ class LearningSchedule:
             levels[name] = tuple(1.0 if block is None else max(block_level(block), 1e-300) for block in blocks)
         return levels
 
-    def begin_again(self) -> list[Any]:
-        """The filter stands at the start again: listen from there; returns the inputs of the beginning, which are kept
-        anew if it may be done once more.
+    def begin_again(self, until_s: float) -> list[Any]:
+        """The filter stands at the start again: listen from there, and learn nothing before `until_s`; returns the
+        inputs of the beginning, which are kept anew if it may be done once more.
         """
+        for listener in self.listeners.values():
+            listener.begin_again()
         self._fed_back = np.zeros(2 * self.filter.layout.head)
         if self.rest is not None:
             self.rest.begin_again()
-        beginning, self.beginning = self.beginning or [], [] if self._stage <= len(self.EARLY_S) else None
+        beginning, self.beginning = self.beginning or [], []
+        self._quiet_s = until_s
+        self._waiting = ()
+        self._go_on()
         return beginning

@@ -1,0 +1,164 @@
+"""The beginning done again with models that were learnt from it: by the run itself, or by a twin of it on the learning
+thread, whose place the run then takes.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator
+from concurrent.futures import Future
+from contextlib import contextmanager
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navfilter.filter.history import Reading
+from navfilter.filter.intake import joined
+from navfilter.filter.memory import copied
+from navfilter.learning.schedule import Again, LearningMemory
+from navfilter.learning.worker import Task, Worker
+
+if TYPE_CHECKING:
+    from navfilter.navigator import Navigator
+
+__all__ = ["Beginning"]
+
+Array = NDArray[np.float64]
+
+
+class Beginning:
+    """Adopts the early models of a run, and does its beginning again where they are others.
+
+    Parameters
+    ----------
+    nav : Navigator
+    worker : Worker
+        With threads a twin does it; the results are the same to the last bit.
+    """
+
+    def __init__(self, nav: Navigator, worker: Worker) -> None:
+        self._nav, self._worker = nav, worker
+        self._twin: Twin | None = None
+        self._goes_back = False
+
+    @contextmanager
+    def going_back(self) -> Iterator[None]:
+        """While a late reading is put in its place."""
+        self._goes_back = True
+        try:
+            yield
+        finally:
+            self._goes_back = False
+
+    def give(self, item: Array | Reading) -> None:
+        """An input of the run, before samples are taken and after a reading has been."""
+        if self._nav.learning.again is None:
+            self._twin = None
+        elif self._twin is not None:
+            self._twin.give(item.copy() if isinstance(item, np.ndarray) else item)
+
+    def early(self) -> None:
+        """At `LearningSchedule.early_s`: adopt what was found, or do the beginning again."""
+        nav, learning = self._nav, self._nav.learning
+        if learning.again is None:
+            learning.early()
+            # what a late reading has fed again would not reach a twin that was made on the way
+            if learning.again is not None and self._worker.threads and not self._goes_back:
+                self._twin = Twin(nav, learning.again, self._worker)
+            return
+        twin, self._twin = self._twin, None
+        if twin is None or twin.again != learning.again:
+            _begin_again(nav, learning.again, learning.early_s, learning.early_s)
+            return
+        other = twin.arrived()
+        if nav.history is not None and other.history is not None:
+            nav.history.take_over(other.history)
+        nav.filter.recall(other.filter.memory)
+        learning.memory = other.learning.memory
+
+
+class Twin:
+    """Another run over the same inputs as `nav`, from the start with other models.
+
+    It is given what `nav` is given, in the order in which it arrives, and works that off on the learning thread.
+
+    Parameters
+    ----------
+    nav : Navigator
+        Whose beginning is to be done again; it must have kept its inputs.
+    again : Again
+    worker : Worker
+    """
+
+    #: Inputs that are worked off together: each time costs a hand-over between threads.
+    TOGETHER = 16
+
+    def __init__(self, nav: Navigator, again: Again, worker: Worker) -> None:
+        self.again = again
+        self._until_s: float = nav.learning.early_s
+        self._now_s: float = nav.time_s
+        self._worker: Worker = worker
+        self._inputs: deque[Array | Reading] = deque()
+        learning = copied(nav.learning.memory)
+        learning.beginning = list(learning.beginning or ())
+        for memory in learning.listeners.values():
+            memory.ring = np.full_like(memory.ring, np.nan)
+        self._task: Task = Task(worker, partial(self._begun, type(nav), nav, learning))
+        self._drained: Future[Any] | None = None
+
+    def _begun(self, run: type[Navigator], of: Navigator, learning: LearningMemory) -> Navigator:
+        history_s = 0.0 if of.history is None else of.history.length_s
+        twin = run(of.vehicle, of.start, history_s=history_s, threads=False)
+        for name, memory in learning.listeners.items():
+            if name not in twin.learning.listeners:
+                twin.listen(name, memory.ring.shape[1])
+        twin.learning.memory = learning
+        _begin_again(twin, self.again, self._until_s, self._now_s)
+        return twin
+
+    def give(self, item: Array | Reading) -> None:
+        """The next input."""
+        self._inputs.append(item)
+        if len(self._inputs) >= self.TOGETHER and (self._drained is None or self._drained.done()):
+            self._drained = self._worker.begin(self._drain)
+
+    def _drain(self) -> None:
+        twin = self._task.answer()
+        while self._inputs:
+            twin.given(self._inputs.popleft())
+
+    def arrived(self) -> Navigator:
+        """The run, when it has come as far as the one it is a twin of."""
+        self._task.answer()
+        if self._drained is not None:
+            self._drained.result()
+        self._drain()
+        twin: Navigator = self._task.answer()
+        return twin
+
+
+def _begin_again(nav: Navigator, again: Again, until_s: float, now_s: float) -> None:
+    """Run what there was so far again, with other models; nothing is learnt from it before `until_s`."""
+    nav.filter.begin(dict(again.models))
+    nav.filter.counts["adopted"] = again.adopted
+    inputs = joined(nav.learning.begin_again(until_s))
+    history = nav.history
+    if history is None:
+        for item in inputs:
+            nav.feed(item)
+        return
+    # the last of it goes through the history, so that late readings find their place
+    history.begin()
+    recent = now_s - history.length_s
+    split = next((i for i, item in enumerate(inputs) if _when(item) > recent), len(inputs))
+    for item in inputs[:split]:
+        nav.feed(item)
+    for item in inputs[split:]:
+        history.feed(item)
+
+
+def _when(item: Array | Reading) -> float:
+    """Time of an input: of its last sample, or of the reading."""
+    return float(item[-1, 0]) if isinstance(item, np.ndarray) else item.time_s

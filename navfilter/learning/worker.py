@@ -1,0 +1,100 @@
+"""Learning beside the navigation: what a hop learns from is fixed when it begins, its answer is taken at a reading
+fixed in advance, and between the two a thread of its own works on it. So the result is the same at any speed.
+"""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Any
+
+from navfilter.filter.health import LearningHealth
+
+__all__ = ["Task", "Worker"]
+
+
+class _ShortTurns:
+    """While it is entered, Python threads take turns after `TURN_S`, so that nobody waits long for this one."""
+
+    #: A fifth of what the vehicle's loop may take [s]; Python's own turns are 5 ms.
+    TURN_S = 0.0002
+
+    def __init__(self) -> None:
+        self._lock, self._inside, self._usual_s = threading.Lock(), 0, 0.0
+
+    def __enter__(self) -> None:
+        with self._lock:
+            if not self._inside:
+                self._usual_s = sys.getswitchinterval()
+                sys.setswitchinterval(min(self._usual_s, self.TURN_S))
+            self._inside += 1
+
+    def __exit__(self, *_: object) -> None:
+        with self._lock:
+            self._inside -= 1
+            if not self._inside:
+                sys.setswitchinterval(self._usual_s)
+
+
+_short_turns = _ShortTurns()
+
+
+class Task:
+    """A piece of work, and its answer: the same one however often it is asked for."""
+
+    def __init__(self, worker: Worker, work: Callable[[], Any]) -> None:
+        self._worker, self._work = worker, work
+        self._answer: list[Any] = []
+        self._future: Future[Any] | None = worker.begin(self._done)
+
+    def _done(self) -> None:
+        self._answer.append(self._work())
+
+    def answer(self) -> Any:
+        """What came out; waits for it where it is late."""
+        if self._future is None:
+            if not self._answer:
+                self._done()
+        elif not self._answer:
+            began = time.perf_counter()
+            self._future.result()
+            self._worker.note(time.perf_counter() - began)
+        return self._answer[0]
+
+
+class Worker:
+    """One thread that works on what it is given, in order; without threads the work is done when its answer is taken.
+
+    Parameters
+    ----------
+    threads : bool
+
+    Attributes
+    ----------
+    health : LearningHealth
+        Answers that had to be waited for: the machine is too slow for what it learns, or is fed faster than real time.
+    """
+
+    def __init__(self, threads: bool) -> None:
+        self.threads = threads
+        self.health = LearningHealth()
+        self._pool: ThreadPoolExecutor | None = None
+
+    def begin(self, work: Callable[[], None]) -> Future[Any] | None:
+        """Have the thread do it; None without threads."""
+        if not self.threads:
+            return None
+        if self._pool is None:
+            self._pool = ThreadPoolExecutor(max_workers=1, thread_name_prefix="navfilter-learning")
+        return self._pool.submit(self._run, work)
+
+    def _run(self, work: Callable[[], None]) -> None:
+        with _short_turns:
+            work()
+
+    def note(self, waited_s: float) -> None:
+        """An answer was late."""
+        self.health = LearningHealth(self.health.late + 1, self.health.waited_s + waited_s)

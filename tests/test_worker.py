@@ -1,0 +1,147 @@
+"""Learning on a thread of its own: the same bits at any speed of the machine, with late readings and snapshots between
+the beginning of a hop and its answer.
+"""
+
+import time
+from concurrent.futures import Future, ThreadPoolExecutor
+
+import numpy as np
+import pytest
+from feeding import DRIVE, events_of
+
+import navfilter as nf
+from navfilter import beginning
+from navfilter.filter.memory import differences
+from navfilter.learning.schedule import LearningSchedule
+from navfilter.learning.worker import Task, Worker
+from navfilter.simulation.campaigns import stage
+
+EARLY_S = (16.0, 25.0)
+#: Answers of the first hop are taken at 18 s, and the beginning is done again at 18.32 s.
+PENDING_S, AGAIN_S = 17.0, 18.2
+
+
+@pytest.fixture(autouse=True)
+def few_hops(monkeypatch):
+    monkeypatch.setattr(LearningSchedule, "EARLY_S", EARLY_S)
+    monkeypatch.setattr(LearningSchedule, "REVISED_S", 30.0)
+
+
+@pytest.fixture(scope="module")
+def mission():
+    staged = stage("compass-rolling", duration_s=33.0, imu_rate_hz=20.0)
+    prior = nf.LearnedArma(prior=staged.vehicle.sensors["compass"].error, orders=((0, 0), (1, 0), (2, 0)), hop=30)
+    vehicle = staged.vehicle.with_error(compass=prior)
+    return vehicle, staged.mission(1), events_of(vehicle, staged.mission(1))
+
+
+def fed(nav, events):
+    rows = []
+    for event in events:
+        if event.sensor == DRIVE:
+            nav.step(event.time_s, event.value[:3], event.value[3:])
+        else:
+            nav.correct(event.sensor, event.time_s, event.value)
+            rows.append(nav.filter.nav.copy())
+    return np.array(rows)
+
+
+@pytest.fixture
+def alone(mission, few_hops):
+    """Without threads."""
+    vehicle, recorded, events = mission
+    nav = nf.Navigator(vehicle, recorded.start, threads=False)
+    return fed(nav, events), nav
+
+
+def slow(self, work):
+    if not self.threads:
+        return None
+
+    def later():
+        time.sleep(0.05)
+        work()
+
+    self.pool = getattr(self, "pool", None) or ThreadPoolExecutor(1)
+    return self.pool.submit(later)
+
+
+def instantaneous(self, work):
+    if not self.threads:
+        return None
+    work()
+    done = Future()
+    done.set_result(None)
+    return done
+
+
+@pytest.mark.parametrize("begin", [Worker.begin, slow, instantaneous])
+def test_the_same_bits_at_any_speed(mission, alone, begin, monkeypatch):
+    vehicle, recorded, events = mission
+    arrived, taken = [], beginning.Twin.arrived
+    monkeypatch.setattr(beginning.Twin, "arrived", lambda twin: arrived.append(twin) or taken(twin))
+    monkeypatch.setattr(Worker, "begin", begin)
+    nav = nf.Navigator(vehicle, recorded.start)
+    rows = fed(nav, events)
+    assert np.array_equal(rows, alone[0])
+    assert differences(nav.memory.filter, alone[1].memory.filter) == []
+    # hops, and the beginning done again by a twin, did take place
+    assert nav.counts["adopted"] >= 2 and arrived
+    learnt = nav.health.learning
+    assert (learnt.late > 0) == (begin is slow) or begin is Worker.begin
+    assert (learnt.waited_s > 0.0) == (learnt.late > 0)
+    assert alone[1].health.learning.late == 0
+
+
+def test_a_replay_is_the_same(mission, alone):
+    vehicle, recorded, _ = mission
+    track = nf.replay(vehicle, recorded)
+    assert np.array_equal(track.covariance[-1], alone[1].state.covariance)
+    assert track.latitude[-1] == alone[1].state.latitude
+
+
+@pytest.mark.parametrize("until_s", [PENDING_S, AGAIN_S])
+def test_a_snapshot_between_a_hop_and_its_answer(mission, alone, until_s):
+    vehicle, recorded, events = mission
+    nav = nf.Navigator(vehicle, recorded.start)
+    number = next(i for i, event in enumerate(events) if event.time_s > until_s)
+    fed(nav, events[:number])
+    listener = nav.learning.memory.listeners["compass"]
+    assert (listener.hop is not None) == (until_s == PENDING_S)
+    assert (nav.learning.again is not None) == (until_s == AGAIN_S)
+    restored = nf.Navigator.restore(vehicle, nav.snapshot())
+    rows = fed(restored, events[number:])
+    assert np.array_equal(rows, alone[0][-len(rows) :])
+    assert differences(restored.memory.filter, alone[1].memory.filter) == []
+
+
+@pytest.mark.parametrize("at_s", [15.9, 16.5, 17.9, 18.25])
+def test_late_readings_over_a_hop_find_their_place(mission, alone, at_s):
+    """A reading 1.5 s late goes back over the beginning of a hop, its answer, or the beginning done again."""
+    vehicle, recorded, events = mission
+    number = next(i for i, e in enumerate(events) if e.time_s > at_s and e.sensor == "compass")
+    behind = next(i for i, e in enumerate(events) if e.time_s > at_s + 1.5)
+    late = [*events[:number], *events[number + 1 : behind], events[number], *events[behind:]]
+    nav = nf.Navigator(vehicle, recorded.start)
+    fed(nav, late)
+    np.testing.assert_allclose(nav.filter.nav, alone[1].filter.nav, rtol=0.0, atol=1e-12)
+    assert differences(nav.memory.filter, alone[1].memory.filter, tolerance=1e-9) == []
+
+
+def test_a_model_by_hand_ends_it(mission):
+    vehicle, recorded, events = mission
+    nav = nf.Navigator(vehicle, recorded.start)
+    number = next(i for i, event in enumerate(events) if event.time_s > AGAIN_S)
+    fed(nav, events[:number])
+    assert nav.learning.again is not None
+    nav.adopt("compass", nf.White(sd=0.01))
+    assert nav.learning.again is None
+    fed(nav, events[number : number + 200])
+    assert isinstance(nav.filter.in_force.sensors["compass"].error, nf.White)
+
+
+def test_a_task_that_fails_says_so_when_it_is_asked():
+    for threads in (True, False):
+        task = Task(Worker(threads), lambda: 1 // 0)
+        with pytest.raises(ZeroDivisionError):
+            task.answer()
