@@ -16,7 +16,9 @@ import numpy as np
 from navfilter.compilation import announce_each, count_announced, is_compiled, kernel_count, show_compilation
 from navfilter.error_models import GaussMarkov
 from navfilter.learning.learned import LearnedArma
+from navfilter.mechanisation import Imu
 from navfilter.playback import learns, replay
+from navfilter.sensors import Depth
 from navfilter.simulation.simulate import tiny_mission, tiny_missions
 from navfilter.vehicle import Vehicle
 
@@ -24,6 +26,8 @@ __all__ = ["help_warming", "warm_up"]
 
 #: Files of kernels for the filter and for what learns: parts that have none in common are compiled side by side.
 FILTER, LEARNER = ("strapdown", "kalman", "measurement"), ("listen", "channel", "fit")
+#: What only a vehicle with an inertial unit needs.
+STRETCH = ("stretch", "drive_watch")
 
 
 def warm_up(vehicle: Vehicle | None = None, progress: bool = False) -> None:
@@ -83,6 +87,9 @@ def _no_collector() -> Iterator[None]:
 
 
 def _warm_filter(vehicle: Vehicle | None, learning: bool) -> None:
+    if vehicle is None:  # where some kinds are on board a replay goes reading by reading, else in stretches
+        plain = Vehicle(imu=Imu(rate_hz=20.0), sensors={"depth": Depth(rate_hz=2.0)})
+        replay(*tiny_mission(plain), smooth=True)
     tiny, mission = next(tiny_missions()) if vehicle is None else tiny_mission(vehicle)
     replay(tiny, mission, smooth=True)
     replay(
@@ -134,7 +141,7 @@ class _Helper:
             )
         except OSError:  # no process to be had: compiled here, one after the other
             return
-        most = kernel_count(*FILTER, *LEARNER)
+        most = kernel_count(*FILTER, *STRETCH, *LEARNER)
         self._counter = threading.Thread(target=count_announced, args=(self._process.stdout, most), daemon=True)
         self._counter.start()
 

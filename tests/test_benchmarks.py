@@ -17,6 +17,8 @@ SCRIPTS = {
     "arma": ("statsmodels", ("speed", "batch", "efficiency", "tracking", "order")),
     "arma_vs_gm1": ("Gauss-Markov", ()),
     "between_hops": ("resting model", ()),
+    "campaign_scaling": ("no other software", ()),
+    "cold_start": ("no other software", ()),
     "day": ("filterpy", ("live", "replay")),
     "faults": ("without a fault", ("missions", "outcomes", "service")),
     "fuzz": ("no other software", ()),
@@ -31,6 +33,7 @@ SCRIPTS = {
     "replay_speed": ("python-ins", ()),
     "residual_source": ("oracle", ()),
     "step_latency": ("filterpy", ()),
+    "where_time_goes": ("no other software", ()),
 }
 
 

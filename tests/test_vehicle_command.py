@@ -445,3 +445,11 @@ def test_simulated_vehicles_are_plausible(name):
 def test_what_is_worth_knowing_is_no_warning():
     found = check_vehicle(Vehicle(imu=imu(gyro=White(density=1e-4)), sensors={"dvl": BodyVelocity()}))
     assert {(finding.severity, finding.stream) for finding in found} == {("info", "drive.gyro"), ("info", "sensors")}
+
+
+def test_a_drive_that_cannot_learn_is_said():
+    """Dead reckoning by an error to be learnt: nothing would ever learn it."""
+    velocity = BodyVelocity(rate_hz=4.0, error=LearnedArma(prior=GaussMarkov(sd=0.02, tau_s=5.0)))
+    drive = DeadReckoning(rate_hz=4.0, attitude=White(sd=0.01), velocity=velocity)
+    found = [f for f in check_vehicle(Vehicle(drive=drive)) if f.severity != "info"]
+    assert [(f.stream, "never learnt" in f.text) for f in found] == [("drive.velocity.error", True)]

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from navfilter.mission import Mission
     from navfilter.track import Track
 
-__all__ = ["DEMO", "REPLAY", "add_demo_arguments", "add_replay_arguments", "demo", "replay", "save"]
+__all__ = ["DEMO", "REPLAY", "add_demo_arguments", "add_replay_arguments", "demo", "replay", "replay_one", "save"]
 
 #: Exit code of a run whose track is not to be trusted.
 NOT_TRUSTED = 1
@@ -57,7 +57,8 @@ REPLAY = (
     "run a recorded mission through the filter (and the smoother)",
     f"""\
 MISSION is a folder with a mission.toml, the .toml itself, or a .npz saved by navfilter; --vehicle describes what is on
-board.
+board. Several MISSIONs are replayed side by side, each into a folder of its own below --out; recordings.csv and
+recordings.json there hold a line for each. One that cannot be read stops none of the others.
 
 {selection.SELECTION}
 written to --out:
@@ -77,11 +78,12 @@ have times of the mission clock (KML and GPX none), and --sbet is refused.
 
 exit codes: 0 the verdict finds nothing, or only what calls for care; 1 the track is not to be trusted (the files are
 written all the same); 2 wrong usage or input; 130 interrupted. The verdict stands at the end of the output, in
-summary.json and on top of the report.
+summary.json and on top of the report. Of several MISSIONs: the worst of their codes.
 
 examples:
   navfilter replay dive_042 --vehicle vehicle.toml --smooth --out result
   navfilter replay dive_042 --vehicle vehicle.toml --without gps --out no-gps
+  navfilter replay dives/* --vehicle vehicle.toml --smooth --out season --workers 4     each to a folder of its own
   navfilter replay dive_042 --vehicle vehicle.toml --withhold gps:all-but-first-120 --out drift     how far it drifts
   navfilter replay dive_042 --vehicle vehicle.toml --iterate 5 --smooth --out best     the best that it gives
   navfilter replay dive_042 --vehicle vehicle.toml --smooth --out result --kml --mcap   for Google Earth and Foxglove
@@ -151,7 +153,7 @@ def save(vehicle: Any, mission: Mission, mission_path: Path, vehicle_path: Path,
 
 def add_replay_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of ``navfilter replay``."""
-    parser.add_argument("mission", metavar="MISSION")
+    parser.add_argument("mission", metavar="MISSION", nargs="+")
     parser.add_argument(
         "--vehicle", required=True, metavar="TOML", help="the vehicle.toml, or the folder that holds it"
     )
@@ -180,12 +182,31 @@ def add_replay_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="HZ",
         help="rows of the track per second (default: %(default)s)",
     )
+    parser.add_argument(
+        "--workers",
+        type=seed,
+        metavar="N",
+        help="processes for several MISSIONs (default: as many as there are processors)",
+    )
     parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
     formats.add_arguments(parser)
 
 
 def replay(options: argparse.Namespace) -> int:
     """Run ``navfilter replay``."""
+    from navfilter.io import read_vehicle
+
+    if len(options.mission) == 1:
+        options.mission = options.mission[0]
+        return replay_one(options)
+    from navfilter.commands.recordings import replay_all
+
+    vehicle = read_vehicle(options.vehicle).without(*options.without)
+    return replay_all(options, replay_one, lambda: compile_first(options.quiet, vehicle))
+
+
+def replay_one(options: argparse.Namespace) -> int:
+    """Replay the one mission of the options, and write what came of it; the exit code."""
     from navfilter.io import read_vehicle
 
     vehicle = read_vehicle(options.vehicle).without(*options.without)

@@ -13,6 +13,7 @@ from navfilter.check.finding import Finding, Severity
 from navfilter.evaluation.constants import constant_doubts
 from navfilter.evaluation.correlations import correlation_doubts
 from navfilter.evaluation.surfacing import Evidence
+from navfilter.filter.offsets import has_offset
 from navfilter.filter.tape import OUTCOMES, Residuals
 from navfilter.mission import Mission
 from navfilter.track import Track
@@ -72,6 +73,8 @@ class Limits:
 
 
 LIMITS = Limits()
+#: Beyond this share of a run a sensor whose changes alone are used is wrong, not disturbed [1].
+LONG_JUMPED = 0.1
 _CHECK = "Run 'navfilter check MISSION --vehicle VEHICLE': it looks for wrong units, signs, axes and clocks."
 
 
@@ -175,9 +178,22 @@ def _sensor(name: str, run: Track, mission: Mission, limits: Limits) -> Iterator
         what = ", ".join(f"{r.count(outcome)} {outcome}" for outcome in OUTCOMES if r.count(outcome))
         yield Finding("error", name, f"not one of its {len(r.time_s)} readings was used ({what}).", _CHECK)
         return
+    yield from _jumped(name, run)
     yield from _lost(name, r, limits)
     yield from _refused(name, run, r, limits)
     yield from _honesty(name, run, r, limits)
+
+
+def _jumped(name: str, run: Track) -> Iterator[Finding]:
+    """A sensor that was off by a constant from one reading to the next."""
+    history = run.error_models.get(name, [])
+    ends = [*(time_s for time_s, _ in history[1:]), float(run.time_s[-1])]
+    spans = [end - begin for (begin, models), end in zip(history, ends, strict=True) if has_offset(models)]
+    if spans:
+        share = sum(spans) / max(float(run.time_s[-1] - run.time_s[0]), 1e-9)
+        text = f"jumped by a constant {len(spans)} times; for {sum(spans):.0f} s only its changes were used."
+        cure = f"Is it fixed to the vehicle, and its mounting right? Replay with --without {name}."
+        yield Finding("error" if share > LONG_JUMPED else "warning", name, text, cure)
 
 
 def _refused(name: str, run: Track, r: Residuals, limits: Limits) -> Iterator[Finding]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -87,13 +86,15 @@ def read_npz(path: Path, allowance: Allowance | None = None) -> dict[str, npt.ND
         # No member gives more than it says of itself: zipfile stops reading there.
         (allowance or Allowance()).take(sum(entry.file_size for entry in archive.infolist()))
         for entry in archive.namelist():
-            member = io.BytesIO(archive.read(entry))
-            if member.read(len(_NPY_MAGIC)) != _NPY_MAGIC:
-                continue
-            member.seek(0)
-            arrays[entry.removesuffix(".npy")] = np.lib.format.read_array(member, allow_pickle=False)
-            if member.read(1):
-                raise ValueError(f"{entry} is longer than it says")
+            with archive.open(entry) as member:
+                if member.read(len(_NPY_MAGIC)) != _NPY_MAGIC:
+                    continue
+            # piece by piece: a day of inertial samples is in memory once. Opened anew, for after a seek nothing is
+            # held against the checksum
+            with archive.open(entry) as member:
+                arrays[entry.removesuffix(".npy")] = np.lib.format.read_array(member, allow_pickle=False)
+                if member.read(1):  # to the end, where the checksum is compared
+                    raise ValueError(f"{entry} is longer than it says")
     return arrays
 
 

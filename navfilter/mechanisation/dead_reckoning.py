@@ -14,6 +14,7 @@ from navfilter.error_models import ErrorModel, RandomWalk, White, per_axis
 from navfilter.filter.layout import Parameter
 from navfilter.kernels import strapdown
 from navfilter.learning.drift import Drift
+from navfilter.learning.learned import learning_part
 from navfilter.mechanisation.mechanisation import Mechanisation, Triple
 from navfilter.mission import Stream
 from navfilter.sensors import BodyVelocity, Heading, Sensor, WaterVelocity
@@ -257,3 +258,10 @@ class DeadReckoning(Mechanisation):
                     "Leave it out.",
                 )
         yield from (doubt._replace(field=f"velocity.{doubt.field}") for doubt in self.velocity_sensor.doubts())
+        for part in self.described():
+            models = part.given if isinstance(part.given, tuple) else (part.given,)
+            if any(learning_part(model) is not None for model in models):
+                text = "the errors of what drives are never learnt: nothing measures them by themselves."
+                yield Doubt(
+                    part.place, text, "Give it a fixed model, such as the prior; only its prior is in force now."
+                )

@@ -1,0 +1,171 @@
+"""``navfilter replay A B C``: many recordings side by side in processes, each into a folder of its own."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import csv
+import io
+import json
+import math
+from collections.abc import Callable
+from concurrent.futures import as_completed
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from navfilter.commands.console import complain, output_folder, speaker
+
+__all__ = ["Replayed", "labels", "replay_all"]
+
+#: Files of the whole: the same figures as a table and for programs.
+TABLE, SUMMARY = "recordings.csv", "recordings.json"
+
+
+@dataclass(frozen=True)
+class Replayed:
+    """What came of one recording.
+
+    Attributes
+    ----------
+    recording : str
+        Its label, and the name of its folder.
+    exit_code : int
+        As `navfilter replay` of it alone.
+    duration_s, distance_m : float
+    position_rms_m : float
+        Against the truth; NaN where there is none.
+    sd_end_m : float
+        Predicted standard deviation of the position at the end.
+    cpu_s : float
+        Processor time of filter and smoother [s].
+    verdict : str
+        The headline; or what was wrong, where nothing was written.
+    """
+
+    recording: str
+    exit_code: int
+    duration_s: float = math.nan
+    distance_m: float = math.nan
+    position_rms_m: float = math.nan
+    sd_end_m: float = math.nan
+    cpu_s: float = math.nan
+    verdict: str = ""
+
+
+def labels(missions: list[str]) -> list[str]:
+    """Names for recordings, each once: the folder's or the file's, with that of the folder above where two are alike.
+
+    Raises
+    ------
+    ValueError
+        When the same recording is named twice.
+    """
+    paths = [Path(mission).resolve() for mission in missions]
+    if len(set(paths)) < len(paths):
+        raise ValueError(f"{next(p for p in paths if paths.count(p) > 1)} is named twice; name each recording once.")
+    # of a folder with a mission.toml that file says nothing
+    parts = [path.parent.parts if path.name == "mission.toml" else (*path.parent.parts, path.stem) for path in paths]
+    for depth in range(1, max(map(len, parts)) + 1):
+        found = ["-".join(part[-depth:]).strip("/\\") for part in parts]
+        if len(set(found)) == len(found):
+            return found
+    raise ValueError("these recordings cannot be told apart by their names; rename one of: " + ", ".join(missions))
+
+
+def replay_all(
+    options: argparse.Namespace, replay: Callable[[argparse.Namespace], int], compile_first: Callable[[], None]
+) -> int:
+    """Replay every recording of the command line; a table of all, and the worst of their exit codes.
+
+    Parameters
+    ----------
+    options : Namespace
+        Of ``navfilter replay``, with several missions.
+    replay : callable
+        Replays the one mission of its options; importable by a worker.
+    compile_first : callable
+        Called once before the workers are started, so that they find the kernels compiled.
+    """
+    from navfilter.evaluation.montecarlo.workers import available_cores, process_pool
+
+    folder, say = output_folder(options.out, options.force), speaker(options.quiet)
+    names = labels(options.mission)
+    jobs = {
+        name: argparse.Namespace(**{**vars(options), "mission": mission, "out": str(folder / name), "quiet": True})
+        for name, mission in zip(names, options.mission, strict=True)
+    }
+    compile_first()
+    workers = min(options.workers or available_cores(), len(jobs))
+    say(f"replaying {len(jobs)} recordings on {workers} processes ...")
+    done: dict[str, Replayed] = {}
+    with process_pool(workers) as pool:
+        waiting = {pool.submit(_replayed, name, job, replay): name for name, job in jobs.items()}
+        for future in as_completed(waiting):
+            name = waiting[future]
+            try:
+                done[name] = future.result()
+            except BrokenProcessPool:
+                done[name] = Replayed(name, 2, verdict="its process was ended, perhaps for want of memory")
+            if not options.quiet:
+                complain(f"{len(done)} of {len(jobs)}: {name}: {done[name].verdict}")
+    rows = [done[name] for name in names]
+    _write(rows, folder)
+    say(_table(rows))
+    say(f"Written to {folder}: {TABLE}, {SUMMARY}, and a folder for each recording.")
+    for row in rows:
+        if row.exit_code == 2:
+            complain(f"navfilter: {row.recording}: {row.verdict}")
+    return max(row.exit_code for row in rows)
+
+
+def _replayed(name: str, options: argparse.Namespace, replay: Callable[[argparse.Namespace], int]) -> Replayed:
+    """In a worker: one recording, and its figures from its summary.json."""
+    try:
+        with contextlib.redirect_stderr(io.StringIO()), contextlib.redirect_stdout(io.StringIO()):
+            code = replay(options)
+    except OSError as error:
+        return Replayed(name, 2, verdict=f"{error.filename or name}: {error.strerror or error}.")
+    except (ValueError, LookupError, MemoryError) as error:
+        return Replayed(name, 2, verdict=str(error.args[0]) if error.args else type(error).__name__)
+    found = json.loads((Path(options.out) / "summary.json").read_text(encoding="utf-8"))
+    run = list(found["runs"].values())[-1]
+
+    def number(value: Any) -> float:
+        return math.nan if value is None else float(value)
+
+    return Replayed(
+        recording=name,
+        exit_code=code,
+        duration_s=number(found["duration_s"]),
+        distance_m=number(found["distance_m"]),
+        position_rms_m=number(run.get("position_rms_m")),
+        sd_end_m=number(found["without_truth"]["sd_end_m"]),
+        cpu_s=number(run["cpu_s"]),
+        verdict=found["verdict"]["headline"],
+    )
+
+
+def _write(rows: list[Replayed], folder: Path) -> None:
+    plain = [{key: None if value != value else value for key, value in vars(row).items()} for row in rows]
+    (folder / SUMMARY).write_text(json.dumps(plain, indent=1) + "\n", encoding="utf-8")
+    with (folder / TABLE).open("w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, list(plain[0]))
+        writer.writeheader()
+        writer.writerows(plain)
+
+
+def _table(rows: list[Replayed]) -> str:
+    def cell(value: float, form: str) -> str:
+        return "-" if math.isnan(value) else format(value, form)
+
+    wide = max(len("recording"), *(len(row.recording) for row in rows))
+    lines = [f"{'recording':{wide}}  {'min':>7}  {'distance m':>10}  {'rms m':>7}  {'sd end m':>8}  {'cpu s':>6}  exit"]
+    for row in rows:
+        minutes, distance = cell(row.duration_s / 60.0, ".1f"), cell(row.distance_m, ".0f")
+        rms, sd, cpu = cell(row.position_rms_m, ".2f"), cell(row.sd_end_m, ".2f"), cell(row.cpu_s, ".1f")
+        lines.append(
+            f"{row.recording:{wide}}  {minutes:>7}  {distance:>10}  {rms:>7}  {sd:>8}  {cpu:>6}  {row.exit_code:>4}"
+        )
+    return "\n".join(lines)
