@@ -63,8 +63,8 @@ def health_of(filter: Filter, watches: Mapping[str, Watch]) -> Health:
 
 def _since_fix(filter: Filter, watches: Mapping[str, Watch]) -> tuple[float, float]:
     """Time since the last fix that was used, or since the start [s], and distance from there [m]."""
-    memory, start = filter.memory, filter.start.state
-    time_s, latitude, longitude = start.time_s, start.latitude, start.longitude
+    memory, start = filter.memory, filter.start
+    time_s, latitude, longitude = start.time_s, math.radians(start.latitude_deg), math.radians(start.longitude_deg)
     for name, channel in filter.channels.items():
         watch = watches[name]
         if channel.sensor.corrects == "position" and watch.used_s > time_s:
