@@ -112,7 +112,8 @@ def recorded(only: str) -> Iterator[Sailed]:
 def vehicle() -> Vehicle:
     """One description for all yachts: a current that turns within half an hour, and a log and a leeway that are rough.
 
-    Of some eight descriptions this one is among the two nearest to the plain learner, and the more honest of them.
+    Fifteen descriptions were tried on these same recordings: median ratio to the better of the other two 0.99 to 1.29,
+    inside the ellipse 87 to 98 %. This one was taken because it is honest; three are nearer to the better rival.
     """
     rough = GaussMarkov(sd=0.05, tau_s=100.0) + White(sd=1.0)
     log = WaterVelocity(

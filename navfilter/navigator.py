@@ -267,7 +267,8 @@ class Navigator:
             learning.keep(item)
             self.filter.advance(item, self.told, self._room)
             return None
-        while item.time_s >= learning.early_s:
+        ahead_s = item.time_s - self.filter.channels[item.name].lead_s - self.filter.memory.sample_s
+        while learning.early_s <= item.time_s < math.inf and not ahead_s > self.filter.ahead_s:
             self._beginning.early()
         learning.keep(item)
         self.told(correction := self.filter.correct(*item), item.value)
