@@ -1,8 +1,8 @@
 """Where the time of a replay goes: kernel by kernel, what is left to Python, and the floor by arithmetic.
 
-The standard hour, or a part of it, forward and smoothed, as it is and with a compass that is learnt. There is no other
-software to compare with: the rival is the floor, the products and sums that the equations cost at least, at the rate
-at which this machine multiplies matrices of 256 rows. Kernels called by other kernels are in their callers.
+The standard hour, or a part of it, forward and smoothed, as it is and with a compass that is learnt. There is
+no other software to compare with: the rival is the floor, the products and sums that the equations cost at least, at
+the rate at which this machine multiplies matrices of 256 rows. Kernels called by other kernels are in their callers.
 """
 
 from __future__ import annotations

@@ -1103,7 +1103,7 @@ def _look_at_axis(a, unit, raw, x, sd, limit, dt, gap, period_s, per):
     if a[4] == 1:
         a[9] = max(a[9], abs(x))
     usual = max(a[11], white)
-    if found == 0 and seen * period_s > 10.0 and usual > 0:
+    if found == 0 and seen * period_s > 10.0 and usual > 0 and period_s <= 0.025:
         ratio = a[10] / usual
         if ratio > (9.0 if a[0] in (1, 5, 6) else 25.0):
             grave = ratio > 900.0 or a[0] in (5, 6)

@@ -276,7 +276,7 @@ def test_what_a_class_refuses_stands_beside_mistakes_elsewhere(tmp_path):
     with pytest.raises(VehicleError) as caught:
         read_vehicle(tmp_path)
     for message in (
-        'drive.velocity.type: must be "body-velocity"; found "depth"',
+        'drive.velocity: there is no kind "depth"; known: body-velocity, water-velocity.',
         "sensors.a.error: LearnedArma.window must be at least 100 samples, found 50",
         'sensors."new\\nline": a sensor needs a name of printable characters',
         "can hold one LearnedArma",

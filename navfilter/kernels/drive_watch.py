@@ -34,6 +34,7 @@ REPEATS_SAMPLES = 2000.0  # memory of the share of repeats: 20 s at 100 Hz
 ALIVE = 0.2  # an axis that has never shown so much of its noise is no sensor: a simulation without errors
 NOISE_S, USUAL_S = 0.5, 600.0  # memories of the noise: a fault shows at once, a thruster becomes usual in a minute
 KNOWN_S = 10.0  # before that nobody knows what is usual
+QUICK_S = 0.025  # with longer periods second differences are motion
 NOISIER, QUIETER = 25.0, 9.0  # times the usual variance: 5 standard deviations begin, 3 end it
 WILD = 900.0  # times the usual variance, 30 standard deviations: nothing of it can be used
 DEGREES = 2025.0, 4900.0  # times the usual variance (45 to 70 standard deviations): degrees for radians are 57.3
@@ -115,7 +116,7 @@ def look(samples, w, sd, limits, period_s, increments):
                 a[EXTREME] = max(a[EXTREME], abs(x))
             usual = max(a[USUAL], white)
             again = a[CODE] == NOISY or a[CODE] == ERRATIC or a[CODE] == WRONG_UNIT
-            if found == GOOD and a[SEEN] * period_s > KNOWN_S and usual > 0.0:
+            if found == GOOD and a[SEEN] * period_s > KNOWN_S and usual > 0.0 and period_s <= QUICK_S:
                 ratio = a[NOISE] / usual
                 if ratio > (QUIETER if again else NOISIER):
                     found, since_s = NOISY, 0.2 * NOISE_S
