@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.filter.channel import usable
+from navfilter.filter.history import Reading
 from navfilter.filter.tape import Tape
 from navfilter.kernels import strapdown
 from navfilter.kernels import stretch as kernels
@@ -24,8 +25,6 @@ Output = tuple[Array, Array, Array, Ints]
 READINGS, SAMPLES = 4096, 1 << 16
 #: Progress is told after so many readings.
 SHOWN = 512
-#: Elements of the longest reading that a kernel takes: a field and a temperature.
-WIDEST = 4
 #: Rows and elements of records that are gathered before the tape gets them.
 ROWS, ELEMENTS = 512, 1 << 18
 
@@ -76,18 +75,20 @@ class Passage:
     """
 
     def __init__(self, nav: Navigator, times: Array, values: Array, readings: Readings, done: int) -> None:
-        self.nav, self._times, self._values, self._readings = nav, times, values, readings
+        self.nav, self._times, self._values = nav, times, values
+        self._lead_s = np.array([nav.filter.channels[name].lead_s for name in readings.names])
+        self._readings = readings = _in_order(readings, self._lead_s[readings.sensor], np.arange(len(readings.row)))
+        self._waits = bool(self._lead_s.any())
         self._ends = np.searchsorted(times, readings.time_s + 1e-9, side="right").astype(np.int64)
         self._channels = [nav.filter.channels[name] for name in readings.names]
+        # sensors that the drive's own samples make have no readings
+        self._rows = np.array([*(list(nav.filter.channels).index(name) for name in readings.names), -1])
         self._watches = [nav.watches[name] for name in readings.names]
         most = max([1, *(channel.axes for channel in self._channels)])
         self._notes = np.empty((READINGS, 3 + 2 * most))
         self._same = _repeated(readings)
-        felt = any(sensor.from_drive for sensor in nav.vehicle.sensors.values())
         quiet = nav.learning.rest is None and not nav.learning.listeners
-        strapped = nav.vehicle.drive.steps is strapdown.imu_steps
-        asked = felt or nav.filter.remembered or nav.filter.jumps.active
-        self._steady = strapped and quiet and not asked
+        self._steady = quiet and bool(nav.filter.plan[-1, kernels.STEPS]) and not nav.filter.jumps.active
         self.at, self.done = 0, done
         self._begin = self._end = 0
         self._out: Output | None = None
@@ -103,6 +104,8 @@ class Passage:
             if self.at == len(self._ends):
                 break
             self._one(why)
+            if self._waits and self.nav.offset_s:
+                self._hand_over()
         for begin in range(self.done, len(self._times), 100_000):
             self.nav.step_samples(self._block(begin, min(begin + 100_000, len(self._times))))
         self.nav.finish()
@@ -122,8 +125,35 @@ class Passage:
         if why == kernels.JUDGED:
             self._conclude(name, float(given.time_s[at]))
         else:
-            nav.correct(name, float(given.stamp_s[at]), given.values[given.sensor[at]][given.row[at]], given.sd(at))
+            self._take(at)
         self.at, self.done = at + 1, max(self.done, end)
+
+    def _take(self, at: int) -> None:
+        given, nav = self._readings, self.nav
+        which = given.sensor[at]
+        name, value = given.names[which], given.values[which][given.row[at]]
+        if self._waits and self._lead_s[which]:
+            nav.take(self._reading(at))
+        else:
+            nav.correct(name, float(given.stamp_s[at]), value, given.sd(at))
+
+    def _reading(self, at: int) -> Reading:
+        given = self._readings
+        which = given.sensor[at]
+        z = np.array(given.values[which][given.row[at]], dtype=np.float64)
+        return Reading(given.names[which], float(given.time_s[at]), z, given.sd(at))
+
+    def _hand_over(self) -> None:
+        """The clock has been set: stamps mean another time from now on, but not those of readings that wait already."""
+        given, at = self._readings, self.at
+        lead_s = self._lead_s[given.sensor]
+        arrived = (lead_s > 0.0) & (given.time_s - lead_s <= given.time_s[at - 1]) & (np.arange(len(lead_s)) >= at)
+        for k in np.flatnonzero(arrived).tolist():
+            self.nav.wait(self._reading(k))
+        rest = at + np.flatnonzero(~arrived[at:])
+        self._readings = _in_order(given, -lead_s, rest)
+        self._ends = np.searchsorted(self._times, self._readings.time_s + 1e-9, side="right").astype(np.int64)
+        self.at, self._waits, self._steady = 0, False, False
 
     def _conclude(self, name: str, time_s: float) -> None:
         """What follows from a verdict by which the reading was not used."""
@@ -148,21 +178,25 @@ class Passage:
         self._samples = self._block(self.done, max(self.done, int(self._ends[end - 1])))
         which, rows = given.sensor[at:end], given.row[at:end]
         self._good, own = np.zeros(end - at, bool), any(sds is not None for sds in given.sds)
-        self._z = np.full((end - at, WIDEST), np.nan)
+        read: dict[int, Array] = {}
         self._variances = np.full((end - at if own else 1, self._notes.shape[1] // 2), np.nan)
         for i, channel in enumerate(self._channels):
-            if channel.kind < 0:
+            if not channel.spot[kernels.EQUATION]:
                 continue
-            values, sds, read = given.values[i], given.sds[i], channel.sensor.read
+            values, sds = given.values[i], given.sds[i]
             for k in np.flatnonzero(which == i).tolist():
-                z = read(np.array(values[rows[k]], dtype=np.float64))
+                z = channel.sensor.read(np.array(values[rows[k]], dtype=np.float64))
                 sd = None if sds is None else sds[rows[k]]
                 if z is None or not (sd is None or usable(sd, channel.sensor)):
                     continue
-                self._good[k] = True
-                self._z[k, : len(z)] = z
+                read[k] = z
                 if sd is not None:
                     self._variances[k, : channel.axes] = np.resize(np.square(np.ravel(sd)), channel.axes)
+
+        self._z = np.full((end - at, max(map(len, read.values()), default=1)), np.nan)
+        for k, z in read.items():
+            self._good[k] = True
+            self._z[k, : len(z)] = z
 
     def _advance(self) -> int:
         """As far as the kernel comes; why it ended."""
@@ -172,8 +206,15 @@ class Passage:
                 self._lay_out()
             why = self._call()
             if why == kernels.HEED:
-                self.nav.filter.heed(self.nav.told)
+                self._heed()
         return why
+
+    def _heed(self) -> None:
+        """Act on what the kernel has come upon in the samples."""
+        filter, told = self.nav.filter, self.nav.told
+        filter.feel(told)
+        if filter.watch.news(filter.memory.watch):
+            filter.heed(told)
 
     def _call(self) -> int:
         filter, given = self.nav.filter, self._readings
@@ -184,7 +225,7 @@ class Passage:
         now = np.array([memory.time_s, memory.sample_s, intake.before_s, _last(tape)])
         cursor = np.array([self.at - self._begin, self.done - self._first, memory.unfolded, 0, 0, 0, 0, self._stepped])
         heard = np.array(
-            [(*c.times, c.period_s, c.memory.refused is not None or c.offset) for c in self._channels], dtype=np.float64
+            [(*c.times, c.period_s, c.memory.refused is not None, c.lead_s) for c in self._channels], dtype=np.float64
         )
         watched = np.array([(w.same, w.since_s, w.heard_s, w.used_s, w.nis, 0.0) for w in self._watches])
         out = self._output()
@@ -195,12 +236,12 @@ class Passage:
                 cursor,
                 self._settings(),
                 filter.bench,
-                filter.plan,
+                filter.plan[self._rows],
                 heard,
                 watched,
                 (memory.nav, memory.x, memory.P, memory.acc),
                 (
-                    *(memory.drv, filter.Phid, filter.Qd, filter.drive_output),
+                    *(memory.drv, filter.Phid, filter.Qd, filter.drive_output, memory.recent),
                     *(memory.watch, np.sqrt(filter.layout.drive.r), filter.watch.limits),
                 ),
                 self._samples,
@@ -223,7 +264,7 @@ class Passage:
         interval_s = math.inf if filter.tape is None else filter.tape.interval_s
         until_s, steps = self.nav.learning.early_s, filter.memory.drv[strapdown.INCREMENTS]
         spans = filter.period_s, filter.ahead_s, filter.fold_every, gap_s, doubt_s, until_s, interval_s
-        return np.array([*spans, steps])
+        return np.array([*spans, steps, filter.feels_after])
 
     def _output(self) -> Output:
         """Room for rows, when they hold, records and what each is."""
@@ -233,8 +274,7 @@ class Passage:
         width = n + 8 + (n * n if smoothable else 72 + n)
         elements = max(ELEMENTS, 8 * int(filter.plan[-1, kernels.RECORD])) if smoothable else 0
         if self._out is None or self._out[0].shape[1] != width or self._out[2].size != elements:
-            rows = 1 if filter.tape is None else ROWS
-            self._out = np.empty((rows, width)), np.empty((rows, 2)), np.empty(elements), np.empty((ROWS, 5), np.int64)
+            self._out = np.empty((ROWS, width)), np.empty((ROWS, 2)), np.empty(elements), np.empty((ROWS, 5), np.int64)
         return self._out
 
     def _written(
@@ -264,10 +304,18 @@ class Passage:
                 channel.memory.use(float(given.time_s[self._begin + mine[0]]))
                 channel.memory.use(float(given.time_s[self._begin + mine[-1]]))
             if tape is not None and len(mine):
-                times = given.time_s[self._begin + mine]
+                times = given.time_s[self._begin + mine] - channel.lead_s
                 tape.columns[channel.name].extend(times, self._notes[mine, : 3 + 2 * channel.axes])
         if tape is not None:
             tape.extend(out, *cursor[[kernels.ROWS, kernels.RECORDS, kernels.WRITTEN]].tolist())
+
+
+def _in_order(readings: Readings, later_s: Array, which: Ints) -> Readings:
+    """Some of them by times that are later by so much; of equal times those first that have waited."""
+    time_s = (readings.time_s + later_s)[which]
+    order = np.lexsort((later_s[which] <= 0.0, time_s))
+    kept = {name: getattr(readings, name)[which][order] for name in ("stamp_s", "sensor", "row")}
+    return replace(readings, time_s=time_s[order], **kept)
 
 
 def _last(tape: Tape | None) -> float:
