@@ -355,12 +355,13 @@ class Navigator:
     @property
     def state(self) -> NavState:
         """The state with its covariance and the health of the sensors, now; a copy."""
-        return dataclasses.replace(self.filter.state, health=self.health)
+        state = self.filter.state
+        return dataclasses.replace(state, health=health_of(self.filter, self.watches, self.learning.worker.health, state))
 
     @property
     def health(self) -> Health:
         """What the sensors are worth at present."""
-        return dataclasses.replace(health_of(self.filter, self.watches), learning=self.learning.worker.health)
+        return health_of(self.filter, self.watches, self.learning.worker.health, self.filter.state)
 
     # ---------------------------------------------------------------- keep and bring back
     def snapshot(self, path: str | PathLike[str] | None = None) -> bytes:
