@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +15,15 @@ from navfilter.filter.filter import Filter
 from navfilter.filter.health import Health, LearningHealth, Watch
 from navfilter.state import NavState
 
-__all__ = ["health_of"]
+__all__ = ["health_of", "state_of"]
 
 Array = NDArray[np.float64]
+
+
+def state_of(filter: Filter, watches: Mapping[str, Watch], learning: LearningHealth) -> NavState:
+    """The state with its covariance and health, now; a copy."""
+    state = filter.state
+    return replace(state, health=health_of(filter, watches, learning, state))
 
 
 def health_of(filter: Filter, watches: Mapping[str, Watch], learning: LearningHealth, state: NavState) -> Health:
@@ -46,7 +53,7 @@ def health_of(filter: Filter, watches: Mapping[str, Watch], learning: LearningHe
     rate = drive.body_rate(
         memory.drv, drive.outputs(filter.drive_output[:, :-1], memory.drv)[:3] @ memory.x[: filter.layout.drive.size]
     )
-    speed, turn = math.hypot(*memory.nav[3:6].tolist()), max(map(abs, np.asarray(rate).tolist()))
+    speed, turn = math.hypot(*memory.nav[3:6].tolist()), max(map(abs, np.atleast_1d(rate).tolist()))
     # fixes are not there under water: what that costs is in the bounds
     calm = {
         name: ("good", "waiting", "silent") if channel.sensor.corrects == "position" else ("good", "waiting")
