@@ -27,6 +27,7 @@ from navfilter.learning.learned import (
 from navfilter.learning.learner import Learner, LearnerMemory, Learnt, memories, recall
 from navfilter.learning.limits import LEAST
 from navfilter.learning.slow import SlowPrior, slow_prior
+from navfilter.learning.spikes import without_spikes
 from navfilter.learning.unseen import white_description
 from navfilter.learning.worker import Task, Worker
 from navfilter.sensors import Sensor
@@ -41,8 +42,6 @@ MEMORY_S, PROBATION_S = 30.0, 90.0
 #: The answer of a hop is taken so much later [s]: what learning may take on a slow machine, and little against the
 #: half minute that is the least a hop learns from.
 TAKEN_AFTER_S = 2.0
-#: A sample so many robust deviations from its neighbours is a spike.
-SPIKE = 8.0
 #: So many stretches that are left out are remembered: a window of an hour with one every four minutes.
 LEFT_OUT = 16
 NEVER = int(np.iinfo(np.int64).max)
@@ -429,26 +428,3 @@ def believed(part: LearnedArma, period_s: float) -> SlowPrior | None:
 def span_s(part: LearnedArma, period_s: float) -> float:
     """Time that the window of a learnt part holds, as far as it counts [s]."""
     return min(part.window * period_s, LONGEST_SPAN_S)
-
-
-def without_spikes(series: Array) -> Array:
-    """A copy with NaN where a sample stands out from the median of the five around it by more than `SPIKE` robust
-    deviations.
-
-    The filter's gate cannot do this: it judges by what is believed of the sensor, which is what is to be learnt.
-    """
-    result = np.array(series, dtype=np.float64)
-    known = np.flatnonzero(np.isfinite(result))
-    if known.size < 5:
-        return result
-    # the drift may run away by metres per tick: most of it is a low polynomial
-    place = known / max(float(known[-1]), 1.0) * 2.0 - 1.0
-    y = result[known]
-    y = y - np.polynomial.chebyshev.chebval(place, np.polynomial.chebyshev.chebfit(place, y, 5))
-    padded = np.concatenate([y[[2, 1]], y, y[[-2, -3]]])
-    off = y - np.median(np.lib.stride_tricks.sliding_window_view(padded, 5), axis=1)
-    size = np.abs(off)
-    # where most samples equal their median (quantised readings), the mean of the others says how much is ordinary
-    scale = max(float(np.median(size)) * 1.4826, float(np.mean(np.minimum(size, np.quantile(size, 0.99)))))
-    result[known[size > SPIKE * scale]] = np.nan
-    return result
