@@ -1,30 +1,37 @@
-"""A recorded mission in stretches: one call of a kernel takes samples and readings until something is Python's."""
+"""Many samples and readings in stretches: one call of a kernel takes them until something is Python's."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.filter.channel import usable
+from navfilter.filter.health import Watch
 from navfilter.filter.history import Reading
 from navfilter.filter.tape import Tape
-from navfilter.kernels import strapdown
+from navfilter.kernels import listen, strapdown
 from navfilter.kernels import stretch as kernels
-from navfilter.navigator import Navigator
+
+if TYPE_CHECKING:
+    from navfilter.navigator import Navigator
 
 __all__ = ["Passage", "Readings"]
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Output = tuple[Array, Array, Array, Ints]
+Hearing = tuple[Array, Array, Ints, Array]
 #: So many readings and samples are laid out at a time: 4 MB.
 READINGS, SAMPLES = 4096, 1 << 16
 #: Progress is told after so many readings.
 SHOWN = 512
+#: After these the kernel is called again, once Python has done what is due.
+GOES_ON = kernels.FULL, kernels.DONE, kernels.HEED, kernels.LEARN
 #: Rows and elements of records that are gathered before the tape gets them.
 ROWS, ELEMENTS = 512, 1 << 18
 
@@ -39,7 +46,7 @@ class Readings:
     sensor, row : ndarray of int, shape (n,)
         Which of `names`, and which row of its values.
     names : tuple of str
-    values : tuple of ndarray
+    values : tuple of ndarray, or of list of ndarray
         Per sensor.
     sds : tuple of list or None
         Per sensor what `Navigator.correct` takes as the standard deviation of each reading; None where none has its
@@ -51,47 +58,84 @@ class Readings:
     sensor: Ints
     row: Ints
     names: tuple[str, ...]
-    values: tuple[Array, ...]
-    sds: tuple[list[Array | None] | None, ...]
+    values: tuple[Array | list[Array], ...]
+    sds: tuple[Sequence[Array | None] | None, ...]
 
     def sd(self, index: int) -> Array | None:
         """Standard deviation of a reading, where it has its own."""
         sds = self.sds[self.sensor[index]]
         return None if sds is None else sds[self.row[index]]
 
+    def value(self, index: int) -> Array:
+        """What was read."""
+        return self.values[self.sensor[index]][self.row[index]]
+
+    def later(self, by_s: Array, which: Ints | slice = slice(None)) -> Readings:
+        """Some of them by times that are later by so much; of equal times those first that have waited."""
+        time_s = (self.time_s + by_s)[which]
+        order = np.lexsort((by_s[which] <= 0.0, time_s))
+        kept = {name: getattr(self, name)[which][order] for name in ("stamp_s", "sensor", "row")}
+        return replace(self, time_s=time_s[order], **kept)
+
 
 class Passage:
-    """Takes a navigator through a mission, as `Navigator.step_samples` and `Navigator.correct` would, to the last bit.
+    """Takes a navigator through many inputs, as `Navigator.step_samples` and `Navigator.correct` would, to the last
+    bit.
 
     Parameters
     ----------
     nav : Navigator
-        Without a history.
+        Without a history, and without threads.
     times, values : ndarray, shapes (n,) and (n, 6)
         Samples of the drive.
     readings : Readings
     done : int
         Samples before the start: they are not taken.
+    before : ndarray of int, optional
+        Samples that come before each reading; default: by their times.
     """
 
-    def __init__(self, nav: Navigator, times: Array, values: Array, readings: Readings, done: int) -> None:
-        self.nav, self._times, self._values = nav, times, values
+    def __init__(
+        self,
+        nav: Navigator,
+        times: Array,
+        values: Array,
+        readings: Readings,
+        done: int = 0,
+        before: Ints | None = None,
+    ) -> None:
+        self.nav, self._times, self._values, self._readings = nav, times, values, readings
         self._lead_s = np.array([nav.filter.channels[name].lead_s for name in readings.names])
-        self._readings = readings = _in_order(readings, self._lead_s[readings.sensor], np.arange(len(readings.row)))
-        self._waits = bool(self._lead_s.any())
-        self._ends = np.searchsorted(times, readings.time_s + 1e-9, side="right").astype(np.int64)
+        self._waits = before is None and bool(self._lead_s.any())
+        if self._waits:
+            self._readings = readings = readings.later(self._lead_s[readings.sensor])
+        self._ends = self._samples_before() if before is None else before.astype(np.int64)
         self._channels = [nav.filter.channels[name] for name in readings.names]
         # sensors that the drive's own samples make have no readings
         self._rows = np.array([*(list(nav.filter.channels).index(name) for name in readings.names), -1])
-        self._watches = [nav.watches[name] for name in readings.names]
+        self._watches = self._watched()
         most = max([1, *(channel.axes for channel in self._channels)])
         self._notes = np.empty((READINGS, 3 + 2 * most))
-        self._same = _repeated(readings)
-        quiet = nav.learning.rest is None and not nav.learning.listeners
-        self._steady = quiet and bool(nav.filter.plan[-1, kernels.STEPS]) and not nav.filter.jumps.active
-        self.at, self.done = 0, done
+        self._opened = np.empty((READINGS, 1 + most))
+        self._same = self._repeated()
+        driven = bool(nav.filter.plan[-1, kernels.STEPS]) and not nav.filter.jumps.active
+        self._steady = driven and nav.learning.rest is None
+        self.at, self.done, self._kept = 0, done, done
         self._begin = self._end = 0
         self._out: Output | None = None
+
+    def _watched(self) -> list[Watch]:
+        return [self.nav.watches[name] for name in self._readings.names]
+
+    def _repeated(self) -> NDArray[np.bool_]:
+        """Whether the value of a reading is, bit for bit, that of the one of its sensor before."""
+        readings = self._readings
+        same = np.zeros(len(readings.time_s), bool)
+        for i, values in enumerate(readings.values):
+            mine = np.flatnonzero(readings.sensor == i)
+            bits = np.ascontiguousarray(values).view(np.int64)[readings.row[mine]]
+            same[mine[1:]] = (bits[1:] == bits[:-1]).all(axis=1)
+        return same
 
     def run(self, progress: Callable[[int], object] | None = None) -> None:
         """Take all readings, then the samples behind the last; `progress` is told how many readings, now and then."""
@@ -106,58 +150,76 @@ class Passage:
             self._one(why)
             if self._waits and self.nav.offset_s:
                 self._hand_over()
+        self._keep_samples(self.done)
         for begin in range(self.done, len(self._times), 100_000):
-            self.nav.step_samples(self._block(begin, min(begin + 100_000, len(self._times))))
-        self.nav.finish()
+            self._feed(self._block(begin, min(begin + 100_000, len(self._times))))
+        self.done = len(self._times)
+        self._finish()
 
     @property
     def possible(self) -> bool:
         """Whether the kernel can take anything: nobody has to be asked between samples or after each reading."""
-        return self._steady and not self.nav.filter.memory.intake.offset_s
+        return self._steady and not self.nav.filter.memory.intake.offset_s and not self.nav.learning.is_waiting
+
+    def _feed(self, samples: Array) -> None:
+        self.nav.step_samples(samples)
+
+    def _finish(self) -> None:
+        self.nav.finish()
 
     # ---------------------------------------------------------------- one reading, by Python
     def _one(self, why: int) -> None:
         """The next reading, from where the kernel left it."""
-        given, nav, at = self._readings, self.nav, self.at
-        end, name = int(self._ends[at]), given.names[given.sensor[at]]
+        at = self.at
+        end = int(self._ends[at])
+        self._keep_samples(self.done)
         if end > self.done:
-            nav.step_samples(self._block(self.done, end))
+            self._feed(self._block(self.done, end))
+        self.done = self._kept = max(self.done, end)
         if why == kernels.JUDGED:
-            self._conclude(name, float(given.time_s[at]))
+            self.nav.learning.keep(self._reading(at, self._watches[self._readings.sensor[at]].stuck))
+            self._conclude(int(self._readings.sensor[at]), float(self._readings.time_s[at]))
         else:
-            self._take(at)
-        self.at, self.done = at + 1, max(self.done, end)
+            self._correct(at)
+        self.at = at + 1
 
-    def _take(self, at: int) -> None:
-        given, nav = self._readings, self.nav
-        which = given.sensor[at]
-        name, value = given.names[which], given.values[which][given.row[at]]
-        if self._waits and self._lead_s[which]:
-            nav.take(self._reading(at))
-        else:
-            nav.correct(name, float(given.stamp_s[at]), value, given.sd(at))
-
-    def _reading(self, at: int) -> Reading:
+    def _correct(self, at: int) -> None:
         given = self._readings
-        which = given.sensor[at]
-        z = np.array(given.values[which][given.row[at]], dtype=np.float64)
-        return Reading(given.names[which], float(given.time_s[at]), z, given.sd(at))
+        if self._waits and self._lead_s[given.sensor[at]]:
+            self.nav.take(self._reading(at))
+        else:
+            self.nav.correct(given.names[given.sensor[at]], float(given.stamp_s[at]), given.value(at), given.sd(at))
+
+    def _samples_before(self) -> Ints:
+        return np.searchsorted(self._times, self._readings.time_s + 1e-9, side="right").astype(np.int64)
 
     def _hand_over(self) -> None:
         """The clock has been set: stamps mean another time from now on, but not those of readings that wait already."""
         given, at = self._readings, self.at
         lead_s = self._lead_s[given.sensor]
-        arrived = (lead_s > 0.0) & (given.time_s - lead_s <= given.time_s[at - 1]) & (np.arange(len(lead_s)) >= at)
-        for k in np.flatnonzero(arrived).tolist():
-            self.nav.wait(self._reading(k))
-        rest = at + np.flatnonzero(~arrived[at:])
-        self._readings = _in_order(given, -lead_s, rest)
-        self._ends = np.searchsorted(self._times, self._readings.time_s + 1e-9, side="right").astype(np.int64)
+        arrived = (lead_s > 0.0) & (given.time_s - lead_s <= given.time_s[at - 1])
+        for k in at + np.flatnonzero(arrived[at:]):
+            self.nav.wait(self._reading(int(k)))
+        self._readings = given.later(-lead_s, at + np.flatnonzero(~arrived[at:]))
+        self._ends = self._samples_before()
         self.at, self._waits, self._steady = 0, False, False
 
-    def _conclude(self, name: str, time_s: float) -> None:
+    def _reading(self, at: int, frozen: bool = False) -> Reading:
+        """One that the kernel has taken, as the run would have had it."""
+        given = self._readings
+        value = np.array(given.value(at), dtype=np.float64).reshape(-1)
+        return Reading(given.names[given.sensor[at]], float(given.time_s[at]), value, given.sd(at), frozen)
+
+    def _keep_samples(self, end: int) -> None:
+        """Let learning keep those that the kernel has taken."""
+        if end > self._kept:
+            if self.nav.learning.beginning is not None:
+                self.nav.learning.keep(self._block(self._kept, end))
+            self._kept = end
+
+    def _conclude(self, sensor: int, time_s: float) -> None:
         """What follows from a verdict by which the reading was not used."""
-        nav, watch = self.nav, self.nav.watches[name]
+        nav, watch, name = self.nav, self._watches[sensor], self._readings.names[sensor]
         correction = nav.filter.concluded(nav.filter.channels[name], time_s, watch.stuck)
         nav.told(correction)
         nav.filter.take_up(nav.told)
@@ -185,7 +247,8 @@ class Passage:
                 continue
             values, sds = given.values[i], given.sds[i]
             for k in np.flatnonzero(which == i).tolist():
-                z = channel.sensor.read(np.array(values[rows[k]], dtype=np.float64))
+                raw = np.array(values[rows[k]], dtype=np.float64)
+                z = channel.sensor.read(raw) if len(raw) >= channel.sensor.reads else None
                 sd = None if sds is None else sds[rows[k]]
                 if z is None or not (sd is None or usable(sd, channel.sensor)):
                     continue
@@ -201,13 +264,26 @@ class Passage:
     def _advance(self) -> int:
         """As far as the kernel comes; why it ended."""
         why = kernels.FULL
-        while why in (kernels.FULL, kernels.DONE, kernels.HEED) and self.at < len(self._ends):
+        while why in GOES_ON and self.at < len(self._ends) and self.possible:
             if not self._begin <= self.at < self._end:
                 self._lay_out()
             why = self._call()
             if why == kernels.HEED:
                 self._heed()
-        return why
+            elif why == kernels.LEARN:
+                name = self._readings.names[self._readings.sensor[self.at - 1]]
+                for change in self.nav.learning.learn(name):
+                    self.nav.filter.adopt(change, self.nav.told)
+        return kernels.NEXT if why in GOES_ON else why
+
+    def _hearing(self) -> Hearing:
+        """What is listened with; the first is empty where nobody does."""
+        learning = self.nav.learning
+        ears = np.zeros((len(self._channels), listen.EAR))
+        for i, channel in enumerate(self._channels):
+            if channel.name in learning.listeners:
+                ears[i] = learning.listeners[channel.name].ear
+        return learning.fed_back, ears, np.array([channel.places for channel in self._channels]), self._opened
 
     def _heed(self) -> None:
         """Act on what the kernel has come upon in the samples."""
@@ -223,12 +299,15 @@ class Passage:
         for channel in self._channels:
             channel.gate[:] = channel.limits
         now = np.array([memory.time_s, memory.sample_s, intake.before_s, _last(tape)])
-        cursor = np.array([self.at - self._begin, self.done - self._first, memory.unfolded, 0, 0, 0, 0, self._stepped])
+        cursor = np.zeros(kernels.SPARE + 1, np.int64)
+        cursor[: kernels.GAPS] = self.at - self._begin, self.done - self._first, memory.unfolded
+        cursor[kernels.STEPPED] = self._stepped
         heard = np.array(
-            [(*c.times, c.period_s, c.memory.refused is not None, c.lead_s) for c in self._channels], dtype=np.float64
+            [(*c.times, c.period_s, c.memory.refused is not None, c.count, c.lead_s) for c in self._channels],
+            dtype=np.float64,
         )
         watched = np.array([(w.same, w.since_s, w.heard_s, w.used_s, w.nis, 0.0) for w in self._watches])
-        out = self._output()
+        out, hearing = self._output(), self._hearing()
         first = cursor[kernels.READING], cursor[kernels.SAMPLE]
         why = int(
             kernels.stretch(
@@ -247,6 +326,7 @@ class Passage:
                 self._samples,
                 self._times[self._first : self._first + len(self._samples)],
                 filter.intake.limits,
+                hearing,
                 (
                     *(given.time_s[part], given.sensor[part], self._ends[part] - self._first, self._good),
                     *(self._same[part], self._z, self._variances, self._notes),
@@ -255,6 +335,7 @@ class Passage:
             )
         )
         self._written(now, cursor, heard, watched, first, why, out)
+        self._overheard(hearing[1], int(first[0]))
         return why
 
     def _settings(self) -> Array:
@@ -262,9 +343,9 @@ class Passage:
         filter = self.nav.filter
         gap_s, doubt_s = filter.intake.spans
         interval_s = math.inf if filter.tape is None else filter.tape.interval_s
-        until_s, steps = self.nav.learning.early_s, filter.memory.drv[strapdown.INCREMENTS]
-        spans = filter.period_s, filter.ahead_s, filter.fold_every, gap_s, doubt_s, until_s, interval_s
-        return np.array([*spans, steps, filter.feels_after])
+        learning, steps = self.nav.learning, filter.memory.drv[strapdown.INCREMENTS]
+        spans = filter.period_s, filter.ahead_s, filter.fold_every, gap_s, doubt_s, learning.early_s, interval_s
+        return np.array([*spans, steps, learning.learning_s, filter.vehicle.drive.gravity, filter.feels_after])
 
     def _output(self) -> Output:
         """Room for rows, when they hold, records and what each is."""
@@ -292,13 +373,12 @@ class Passage:
         self._stepped = int(cursor[kernels.STEPPED])
         seen = used.stop + (why == kernels.JUDGED)
         for i, (channel, watch) in enumerate(zip(self._channels, self._watches, strict=True)):
-            channel.times = tuple(heard[i, :2].tolist())
+            channel.times, channel.count = tuple(heard[i, :2].tolist()), int(heard[i, kernels.TICKS])
             mine = np.flatnonzero(given.sensor[self._begin : self._begin + seen] == i)
             mine = mine[mine >= first[0]]
             if not len(mine):
                 continue
-            values = given.values[i][given.row[self._begin + mine[-1]]]
-            watch.caught_up(watched[i], values.tobytes())
+            watch.caught_up(watched[i], given.value(self._begin + mine[-1]).tobytes())
             mine = mine[mine < used.stop]
             if len(mine):
                 channel.memory.use(float(given.time_s[self._begin + mine[0]]))
@@ -308,26 +388,24 @@ class Passage:
                 tape.columns[channel.name].extend(times, self._notes[mine, : 3 + 2 * channel.axes])
         if tape is not None:
             tape.extend(out, *cursor[[kernels.ROWS, kernels.RECORDS, kernels.WRITTEN]].tolist())
+        if self.nav.learning.beginning is not None:
+            for at in range(self._begin + used.start, self.at):  # none is frozen: the kernel leaves those to Python
+                self._keep_samples(int(self._ends[at]))
+                self.nav.learning.keep(self._reading(at))
+        else:
+            self._kept = self.done
 
-
-def _in_order(readings: Readings, later_s: Array, which: Ints) -> Readings:
-    """Some of them by times that are later by so much; of equal times those first that have waited."""
-    time_s = (readings.time_s + later_s)[which]
-    order = np.lexsort((later_s[which] <= 0.0, time_s))
-    kept = {name: getattr(readings, name)[which][order] for name in ("stamp_s", "sensor", "row")}
-    return replace(readings, time_s=time_s[order], **kept)
+    def _overheard(self, ears: Array, first: int) -> None:
+        """What was heard of the readings that were used, from `first` on."""
+        which = self._readings.sensor[self._begin : self.at]
+        for i, channel in enumerate(self._channels):
+            listener = self.nav.learning.listeners.get(channel.name)
+            mine = np.flatnonzero(which[first:] == i) + first if listener is not None else ()
+            if listener is not None and len(mine):
+                heard = self._opened[mine, : 1 + channel.axes]
+                listener.caught_up(ears[i], heard[:, 0], heard[:, 1:])
 
 
 def _last(tape: Tape | None) -> float:
     """When the last row was written; NaN for none."""
     return tape.row_times[-1] if tape is not None and tape.row_times else math.nan
-
-
-def _repeated(readings: Readings) -> NDArray[np.bool_]:
-    """Whether the value of a reading is, bit for bit, that of the one of its sensor before."""
-    same = np.zeros(len(readings.time_s), bool)
-    for i, values in enumerate(readings.values):
-        mine = np.flatnonzero(readings.sensor == i)
-        bits = np.ascontiguousarray(values).view(np.int64)[readings.row[mine]]
-        same[mine[1:]] = (bits[1:] == bits[:-1]).all(axis=1)
-    return same

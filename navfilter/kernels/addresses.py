@@ -71,8 +71,8 @@ def _caller(signature: tuple[Any, ...]) -> Any:
         return lambda at, given: _KNOWN[int(at)](*given)
 
     @intrinsic
-    def call(context, at, given):  # type: ignore[no-untyped-def]
-        def generate(context, builder, _, values):  # type: ignore[no-untyped-def]
+    def call(context, at, given):
+        def generate(context, builder, _, values):
             function = context.call_conv.get_function_type(types.none, signature)
             pointer = builder.inttoptr(values[0], function.as_pointer())
             given = cgutils.unpack_tuple(builder, values[1])
