@@ -127,7 +127,7 @@ class Navigator:
         names = list(vehicle.sensors)
         self.history = History(self, length_s, names) if length_s else None
         self.watches = {name: Watch(sensor.gate_timeout_s) for name, sensor in vehicle.sensors.items()}
-        self._waiting = Waiting()
+        self.waiting = Waiting()
         self._behind = {name: names[i + 1 :] for i, name in enumerate(names)}
         self._row = np.empty((1, 7))
 
@@ -163,10 +163,10 @@ class Navigator:
 
     def step_samples(self, samples: Array) -> None:
         """As `step`, for rows of time and the six values; the array is used as work space."""
-        while len(samples) and samples[-1, 0] + self.offset_s > self._waiting.next_s + 1e-9:
-            here = int(np.argmax(samples[:, 0] + self.offset_s > self._waiting.next_s + 1e-9))
+        while len(samples) and samples[-1, 0] + self.offset_s > self.waiting.next_s + 1e-9:
+            here = int(np.argmax(samples[:, 0] + self.offset_s > self.waiting.next_s + 1e-9))
             self._carry(samples[:here])
-            self._release(self._waiting.next_s)
+            self._release(self.waiting.next_s)
             samples = samples[here:]
         self._carry(samples)
 
@@ -208,20 +208,16 @@ class Navigator:
         if reading.time_s > time_s and time_s < self.start.time_s - 1e-9:
             return Outcome("too-late")
         if reading.time_s > max(time_s, self.time_s):
-            self.wait(reading)
+            self.waiting.put(reading)
             return Outcome("waiting")
         return self.take(reading)
-
-    def wait(self, reading: Reading) -> None:
-        """Let a reading wait until its time; users call `correct`."""
-        self._waiting.put(reading)
 
     def finish(self) -> None:
         """Take the readings that still wait (`Outcome`): no more samples come."""
         self._release()
 
     def _release(self, time_s: float = math.inf) -> None:
-        for reading in self._waiting.due(time_s):
+        for reading in self.waiting.due(time_s):
             self.take(reading)
 
     def take(self, reading: Reading) -> Outcome:
@@ -385,7 +381,7 @@ class Navigator:
         if self.filter.tape is not None:
             raise ValueError("a run with a tape keeps no snapshot: make the navigator without one.")
         memory, inputs = (self.memory, []) if self.history is None else self.history.kept()
-        inputs = [*inputs, *self._waiting.readings]
+        inputs = [*inputs, *self.waiting.readings]
         beginning = memory.learning.beginning
         learning = dataclasses.replace(
             memory.learning, beginning=None if beginning is None else beginning[: memory.learning.kept]
@@ -445,7 +441,7 @@ class Navigator:
         if isinstance(item, np.ndarray) and (item.ndim != 2 or item.shape[1] != 7):
             raise ValueError(f"inputs must be rows of seven numbers, found shape {item.shape}")
         if not isinstance(item, np.ndarray) and self.filter.channels[item.name].lead_s and item.time_s > self.time_s:
-            self._waiting.put(item)
+            self.waiting.put(item)
             return
         if self.history is None:
             raise ValueError("it has inputs without a history")

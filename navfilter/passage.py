@@ -199,7 +199,7 @@ class Passage:
         lead_s = self._lead_s[given.sensor]
         arrived = (lead_s > 0.0) & (given.time_s - lead_s <= given.time_s[at - 1])
         for k in at + np.flatnonzero(arrived[at:]):
-            self.nav.wait(self._reading(int(k)))
+            self.nav.waiting.put(self._reading(int(k)))
         self._readings = given.later(-lead_s, at + np.flatnonzero(~arrived[at:]))
         self._ends = self._samples_before()
         self.at, self._waits, self._steady = 0, False, False

@@ -5,7 +5,7 @@ users see of it.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -66,6 +66,8 @@ class Filter:
     channels : dict of str to Channel
     drive_output : ndarray, shape (6, states of the drive + 1)
         Rows of C of the drive's error models, and the white variance of a sample.
+    feels_after : int
+        Samples of the drive after which it is felt whether the vehicle rests; 0: never.
     jumped : list of Change
         Constants for sensors that have jumped, to be adopted before the next input.
 
@@ -92,9 +94,10 @@ class Filter:
         self.remembered = drive.remembered(past_s) if past_s else 0
         self.jumped: list[Change] = []
         self._rest = [self.channels[name] for name, s in vehicle.sensors.items() if s.from_drive and self.inertial]
-        self._resting = max(2, round(drive.rate_hz * min((channel.period_s for channel in self._rest), default=1.0)))
+        shortest_s = min((channel.period_s for channel in self._rest), default=0.0)
+        self.feels_after = max(2, round(drive.rate_hz * shortest_s)) if self._rest else 0
         for channel in self._rest:
-            channel.samples = self._resting
+            channel.samples = self.feels_after
         self.begin()
 
     def begin(self, models: dict[str, Errors] | None = None) -> None:
@@ -269,18 +272,18 @@ class Filter:
 
     def feel(self, tell: Listening) -> None:
         """Take the readings that the drive's last samples make, once in the shortest period of all such sensors."""
-        for channel, reading in self._felt():
-            tell(self._update(channel, self.memory.time_s, reading, None, False))
-
-    @property
-    def feels_after(self) -> int:
-        """Samples after which readings are made of them; 0: never."""
-        return self._resting if self._rest else 0
+        felt = self.vehicle.drive.felt(self.memory.drv, self.feels_after * self.period_s) if self._rest else None
+        if felt is None or self.watch.lost(self.memory.watch):
+            return
+        for channel in self._rest:
+            reading = channel.sensor.felt(*felt)
+            if reading is not None:
+                tell(self._update(channel, self.memory.time_s, reading, None, False))
 
     def _room(self, asked: Callable[[], int] | None) -> int:
         """Samples until something is due: the fold, the detection of rest, or what was asked for."""
         room = self.fold_every - self.memory.unfolded
-        room = max(1, min(room, self._resting - int(self.memory.drv[strapdown.COUNT]))) if self._rest else room
+        room = max(1, min(room, self.feels_after - int(self.memory.drv[strapdown.COUNT]))) if self._rest else room
         return room if asked is None else min(room, asked())
 
     def _fold(self) -> Propagated:
@@ -298,15 +301,6 @@ class Filter:
         if self.tape is not None:
             memory = self.memory
             self.tape.row(memory.time_s, memory.nav, memory.x, memory.P)
-
-    def _felt(self) -> Iterator[tuple[Channel, Array]]:
-        felt = self.vehicle.drive.felt(self.memory.drv, self._resting * self.period_s) if self._rest else None
-        if felt is None or self.watch.lost(self.memory.watch):
-            return
-        for channel in self._rest:
-            reading = channel.sensor.felt(*felt)
-            if reading is not None:
-                yield channel, reading
 
     # ---------------------------------------------------------------- correction
     def correct(
