@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.filter.channel import usable
+from navfilter.filter.channel import Channel, usable
 from navfilter.filter.health import Watch
 from navfilter.filter.history import Reading
 from navfilter.filter.tape import Tape
@@ -303,8 +303,7 @@ class Passage:
         cursor[: kernels.GAPS] = self.at - self._begin, self.done - self._first, memory.unfolded
         cursor[kernels.STEPPED] = self._stepped
         heard = np.array(
-            [(*c.times, c.period_s, c.memory.refused is not None, c.count, c.lead_s) for c in self._channels],
-            dtype=np.float64,
+            [(*c.times, c.period_s, _doubted(c), c.count, c.lead_s) for c in self._channels], dtype=np.float64
         )
         watched = np.array([(w.same, w.since_s, w.heard_s, w.used_s, w.nis, 0.0) for w in self._watches])
         out, hearing = self._output(), self._hearing()
@@ -404,6 +403,11 @@ class Passage:
             if listener is not None and len(mine):
                 heard = self._opened[mine, : 1 + channel.axes]
                 listener.caught_up(ears[i], heard[:, 0], heard[:, 1:])
+
+
+def _doubted(channel: Channel) -> bool:
+    """Whether its next reading is for Python: those before have been refused, or its errors are of another kind now."""
+    return channel.memory.refused is not None or not channel.spot[kernels.EQUATION]
 
 
 def _last(tape: Tape | None) -> float:

@@ -1301,8 +1301,8 @@ def usbl_bend(z, near, P, first, cfg, R):
 # ---------------------------------------------------------------- stretch
 def correction(bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count, since_s):
     a, n, m, b, start, errors, par = dims = spot[:7]
-    equation, seen, motion, bend, moves, turns, reads_rate, unwraps = spot[7:15]
-    begin, cfg, cfg_size, rate, model, output, white, lever, noise, limits, facts = spot[15:26]
+    equation, seen, motion, bend, moves, turns, reads_rate = spot[7:14]
+    begin, cfg, cfg_size, rate, model, output, white, lever, noise, limits, facts = spot[14:25]
     mem, places_, xd = bench[begin:cfg], places(dims), x[: m - 9]
     predict(P, nav, x, acc, bench[model : model + 2 * b * b].reshape(2, b, b), mem, dims, count)
     outputs, off = np.zeros((6, m - 9)), np.zeros(6)
@@ -1327,11 +1327,7 @@ def correction(bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count,
         R += np.eye(a) * 0.5 * (nav[3] ** 2 + nav[4] ** 2) * P[8, 8] ** 2
     if bend:
         at(bend)(z, near, P, start + errors, here[-1], R)
-    C = bench[output : output + a * errors].reshape(a, errors)
-    if unwraps:
-        error = C @ x[start - 9 : start - 9 + errors]
-        res[:] = (res - error + np.pi) % (2 * np.pi) - np.pi + error
-    update(P, nav, x, C, R, mem, dims, bench[limits:][: a + 1])
+    update(P, nav, x, bench[output : output + a * errors].reshape(a, errors), R, mem, dims, bench[limits:][: a + 1])
 
 
 def stretch(
@@ -1371,7 +1367,7 @@ def stretch(
         more = 2 + (end - cursor[1]) // int(every)
         if cursor[4] + more > len(rows) or cursor[5] + more > len(heads):
             return 4
-        if records.size and cursor[6] + more * plan[-1, 27] > records.size:
+        if records.size and cursor[6] + more * plan[-1, 26] > records.size:
             return 4
         if end > cursor[1] >= cursor[7]:
             found = stamps_to_steps(samples[cursor[1] : end], now[2], limits, gap, doubt)
@@ -1414,10 +1410,10 @@ def stretch(
         correction(bench, spot, P, nav, x, acc, drv, Cr, recent, *reading)
         cursor[2], heard[i, :2], heard[i, 4] = 0, t, count
         note = given[7][e, : 3 + 2 * spot[0]]
-        note[:] = bench[spot[15] + spot[26] :][: len(note)]
+        note[:] = bench[spot[14] + spot[25] :][: len(note)]
         if not note[2]:
             return 3
-        record(bench[spot[15] : spot[15] + spot[27]], spot[0], *spot[2:5])
+        record(bench[spot[14] : spot[14] + spot[26]], spot[0], *spot[2:5])
         row()
         watched[i, 2:4] = np.maximum(watched[i, 2:4], t)
         watched[i, 5] += 1.0
@@ -1425,9 +1421,9 @@ def stretch(
         watched[i, 4] = share if np.isnan(watched[i, 4]) else watched[i, 4] + (share - watched[i, 4]) / 50.0
         if not undone.size:
             continue
-        a, mem, once = spot[0], bench[spot[15] : spot[16]], np.zeros(1, int)
+        a, mem, once = spot[0], bench[spot[14] : spot[15]], np.zeros(1, int)
         carry(undone, mem[: m * m].reshape(m, m))
-        C, value = bench[spot[20] :][: a * spot[5]].reshape(a, spot[5]), np.zeros((a, 1))
+        C, value = bench[spot[19] :][: a * spot[5]].reshape(a, spot[5]), np.zeros((a, 1))
         listen(undone, mem, spot[:7], where[i], nav, C, x, ears[i, 0], ears[i, 8:17], value, once, 1, Cr, float(g))
         opened[e, 0], cursor[8] = count, once[0]
         if ears[i, 0]:

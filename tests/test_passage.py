@@ -9,7 +9,6 @@ from kernel_inputs import assert_close
 
 import navfilter as nf
 from navfilter import passage, passage_again, playback
-from navfilter.filter import offsets
 from navfilter.filter.memory import differences
 from navfilter.filter.tape import Tape
 from navfilter.kernels import measurement
@@ -204,11 +203,9 @@ def test_correction_is_its_twin_for_every_kind(monkeypatch):
 
     error = nf.White(sd=0.05) + nf.GaussMarkov(sd=0.1, tau_s=20.0)
     arm, clock = {"lever_arm_b_m": (0.1, 0.2, 0.3), "lever_arm_sd_m": (0.1, 0.1, 0.1)}, {"time_offset_sd_s": 0.01}
-    off = offsets.with_offsets(nf.Heading(error=error).models, (0.1,))
     ship = 0.7854, -0.0698, 0.0, 0.0, 0.0, 0.3
     sensors = {
         "compass": (nf.Heading(error=error), 0.3),
-        "jumped": (nf.Heading(error=off), 0.5),
         "field": (nf.Heading(magnetometer=True, error=error, declination_rad=0.0), (0.2, -0.05, 0.4)),
         "ahrs": (nf.Attitude(error=error, misalignment_sd_rad=0.1, **clock), (0.0, 0.0, 0.3)),
         "depth": (nf.Depth(error=error, **arm, **clock), 1.0),

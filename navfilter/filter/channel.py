@@ -160,14 +160,13 @@ class Channel:
             self._last[:] = self._memory.last
         self._memory.last = self._last
         starts = begin, ends[0], self.constants.size, *ends[1:9]
-        unwraps = self.offset and self.sensor.open_loop == listen.HEADING
-        is_so = self.moves, self.turns, self.sensor.reads_rate, unwraps
+        is_so = self.moves, self.turns, self.sensor.reads_rate
         self.spot = np.array([*self.dims, *self._addresses(), *is_so, *starts, at[8], at[5]], dtype=np.int64)
         return self.spot
 
     def _addresses(self) -> tuple[int, int, int, int]:
-        """Of its kernel and what goes with it; the drive's motion is that of the drive."""
-        if not self.known:
+        """Of its kernel and what goes with it, the drive's motion left out; zeros where Python has to be asked."""
+        if not self.known or self.offset:
             return 0, 0, 0, 0
         sight = 0 if self.sight is None else address(past.sight, addresses.SIGHT)
         bend = self.sensor.bend

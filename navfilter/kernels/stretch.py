@@ -25,15 +25,14 @@ UNSURE_HEADING = 0.01
 
 # Columns of `plan`, a row a channel: the seven of `kalman.places`; addresses of its kernel (0: it is asked by Python),
 # of `past.sight` where its place or clock is a state, of the drive's motion for that, and of what its equation bends by
-# (0: none); whether it moves, turns, reads the drive's own rates, and whether the residual is brought within half a
-# turn of its error; then where in `bench` its parts stand: working memory, constants and how many, rate, model, C,
-# white, lever, R, limits, facts; in the working memory the verdict, and how long the record for the smoother is. One
-# more row is for the drive: dimensions of a fold, addresses of its steps, its hold and `correction` in the first three,
-# in MEM its work space, in RECORD the longest record of all.
-EQUATION, SIGHT, MOTION, BEND, MOVES, TURNS, READS_RATE, UNWRAPS = range(7, 15)
+# (0: none); whether it moves, turns, and reads the drive's own rates; then where in `bench` its parts stand: working
+# memory, constants and how many, rate, model, C, white, lever, R, limits, facts; in the working memory the verdict, and
+# how long the record for the smoother is. One more row is for the drive: dimensions of a fold, addresses of its steps,
+# its hold and `correction` in the first three, in MEM its work space, in RECORD the longest record of all.
+EQUATION, SIGHT, MOTION, BEND, MOVES, TURNS, READS_RATE = range(7, 14)
 STEPS, HOLD, CORRECTION = EQUATION, SIGHT, MOTION
-MEM, CONSTANTS, CONSTANTS_SIZE, RATE, MODEL, OUTPUT, WHITE, LEVER_NOISE, NOISE, LIMITS, FACTS = range(15, 26)
-VERDICT, RECORD, PLAN = 26, 27, 28
+MEM, CONSTANTS, CONSTANTS_SIZE, RATE, MODEL, OUTPUT, WHITE, LEVER_NOISE, NOISE, LIMITS, FACTS = range(14, 25)
+VERDICT, RECORD, PLAN = 25, 26, 27
 
 # Elements of `now`: time of the state and of the last sample, stamp of the last sample, time of the last row written.
 TIME_S, SAMPLE_S, BEFORE_S, ROW_S = range(4)
@@ -63,7 +62,7 @@ DONE, NEXT, REFUSED, JUDGED, FULL, HEED, LEARN = range(7)
 @_keyed
 def _bent(sources):
     @njit(cache=True)
-    def _bent(bench, spot, P, nav, x, near, res, z, variance, R):
+    def _bent(bench, spot, P, nav, near, z, variance, R):
         """The white covariance of a reading, with what its equation leaves out."""
         _ = sources
         a = R.shape[0]
@@ -80,14 +79,6 @@ def _bent(sources):
         if spot[BEND]:
             constants = bench[spot[CONSTANTS] : spot[CONSTANTS] + spot[CONSTANTS_SIZE]]
             addresses.at_bend(spot[BEND], (z, near, P, spot[4] + spot[5], constants, R))
-        if spot[UNWRAPS]:
-            # a heading that has jumped, within half a turn of its error, before that is taken off
-            for i in range(a):
-                error = 0.0
-                for j in range(spot[5]):
-                    error += bench[spot[OUTPUT] + i * spot[5] + j] * x[spot[4] - 9 + j]
-                turn = res[i] - error + math.pi
-                res[i] = turn - 2.0 * math.pi * math.floor(turn / (2.0 * math.pi)) - math.pi + error
 
     return _bent
 
@@ -134,7 +125,7 @@ def correction(sources):
         else:
             addresses.at_equation(spot[EQUATION], (z, nav, rate, par, constants, near, res))
         R = bench[spot[NOISE] : spot[NOISE] + a * a].reshape((a, a))
-        _bent(bench, spot, P, nav, x, near, res, z, variance, R)
+        _bent(bench, spot, P, nav, near, z, variance, R)
         C = bench[spot[OUTPUT] : spot[OUTPUT] + a * errors].reshape((a, errors))
         kalman.update(P, nav, x, C, R, mem, dims, bench[spot[LIMITS] : spot[LIMITS] + a + 1])
 
