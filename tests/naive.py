@@ -575,7 +575,7 @@ def position(z, nav, rate, par, cfg, H, res):
 def earth_rate(z, nav, rate, par, cfg, H, res):
     C_bn, lat = nav[6:15].reshape(3, 3).T, nav[0]
     w = cfg[0] * np.array([np.cos(lat), 0.0, -np.sin(lat)])
-    res[:], H[:] = z - C_bn @ w, 0.0
+    res[:], H[:] = z[:3] - C_bn @ w, 0.0
     H[:, 0] = C_bn @ (cfg[0] * np.array([-np.sin(lat), 0.0, -np.cos(lat)])) / nav[15]
     H[:, 6:9] = _attitude_columns(C_bn, w)
 
@@ -923,7 +923,7 @@ def beam_velocity(z, nav, rate, par, cfg, H, res):
     water_velocity(still, nav, rate, np.concatenate([current, par[first:]]), cfg, through, gap[1])
     H[:4] = D @ np.insert(over, [9] * first, 0.0, axis=1)
     H[4:] = D @ np.delete(through, [9, 10][: 2 - first], axis=1)
-    res[:] = z + np.concatenate([D @ gap[0], D @ gap[1]])
+    res[:] = z[:8] + np.concatenate([D @ gap[0], D @ gap[1]])
 
 
 # ---------------------------------------------------------------- kernels/measurement.py: acoustic positioning
@@ -996,7 +996,7 @@ def _angles(C):
 def attitude(z, nav, rate, par, cfg, H, res):
     plain = nav[6:15].reshape(3, 3) @ cfg[1:10].reshape(3, 3)
     C = plain @ (np.eye(3) - (skew(par) if len(par) else 0.0))
-    res[:] = z - _angles(C) + [0.0, 0.0, cfg[0]]
+    res[:] = z[:3] - _angles(C) + [0.0, 0.0, cfg[0]]
     res[[0, 2]] = _half_turn(res[[0, 2]])
     H[:] = 0.0
     changes = [skew(axis) @ C for axis in np.eye(3)] + [-plain @ skew(axis) for axis in np.eye(3)][: len(par)]
@@ -1012,7 +1012,7 @@ def attitude(z, nav, rate, par, cfg, H, res):
 def ground_velocity(z, nav, rate, par, cfg, H, res):
     w = nav[6:15].reshape(3, 3) @ np.cross(rate, cfg)
     H[:] = 0.0
-    H[:, 3:6], H[:, 6:9], res[:] = np.eye(3), -skew(w), z - nav[3:6] - w
+    H[:, 3:6], H[:, 6:9], res[:] = np.eye(3), -skew(w), z[:3] - nav[3:6] - w
 
 
 def altitude(z, nav, rate, par, cfg, H, res):
@@ -1311,7 +1311,7 @@ def correction(bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count,
         bench[rate : rate + 3] = drv[:3] / (drv[36] if drv[37] else 1.0) - off[:3]
     H = mem[: places_[1]][places_[0] :].reshape(a, n)
     if reads_rate:
-        z, H[:, 9:m] = z - off[:3], outputs[:3]
+        z, H[:, 9:m] = z[:3] - off[:3], outputs[:3]
     near, res = mem[places_[7] : places_[8]].reshape(a, 9 + par), mem[places_[3] : places_[4]]
     own = x[start - 9 + errors : start - 9 + errors + par]
     here = z, nav, bench[rate : rate + 3], own, bench[cfg : cfg + cfg_size]

@@ -174,7 +174,7 @@ def compare_stretches(monkeypatch, vehicle, mission):
         compared.append(rows)
         return why
 
-    monkeypatch.setattr(passage, "READINGS", 150)
+    monkeypatch.setattr(passage, "READINGS", 20)
     monkeypatch.setattr(kernels, "stretch", both)
     nf.replay(vehicle, mission, smooth=True)
     assert len(compared) > 1
