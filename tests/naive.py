@@ -802,7 +802,7 @@ def stationary(a, c, P):
     return True
 
 
-def channel_filter(y, theta, chain, sees, rules, e, lns):
+def channel_filter(y, theta, chain, sees, rules, plan, tolerance, e, lns):
     r, m = len(sees), (len(theta) - 1) // 2
     d, longest, clip, white = int(rules[0]), rules[1], rules[2], rules[3]
     a, c, var = theta[:m], theta[m:-1], np.exp(2 * theta[-1])
@@ -844,26 +844,19 @@ def channel_filter(y, theta, chain, sees, rules, e, lns):
     return total
 
 
-def channel_line(y, theta, chain, sees, rules, integrators, sizes, first, e, lns, values):
-    for k, size in enumerate(sizes):
-        parts = chain.copy()
-        parts[1:, integrators:, integrators:] *= size
-        values[k] = channel_filter(y, theta, parts, sees, rules, e, lns)
-        before = channel_filter(y[:first], theta, parts, sees, rules, e[:first], lns[:first])
-        values[k] -= before
+def contribution(z, lns, clip):
+    z, lns, size = z[np.isfinite(z)], lns[np.isfinite(z)], np.abs(z[np.isfinite(z)])
+    return float(np.sum(0.5 * (np.log(2 * np.pi) + lns) + np.where(size > clip, clip * size - clip**2 / 2, z * z / 2)))
 
 
-def channel_scores(y, thetas, chains, sees, rules, steps, E, LNS, info, gradient):
-    value = channel_filter(y, thetas[0], chains[0], sees, rules, E[0], LNS[0])
+def channel_scores(E, LNS, steps, clip, info, gradient):
     for i, step in enumerate(steps, start=1):
-        channel_filter(y, thetas[i], chains[i], sees, rules, E[i], LNS[i])
         LNS[i] = (LNS[i] - LNS[0]) / step
         E[i] = (E[i] - E[0]) / step + 0.5 * E[0] * LNS[i]
     known = np.isfinite(E[0])
     z, dv, ds = E[0, known], E[1:, known], LNS[1:, known]
-    gradient[:] = (dv - 0.5 * z * ds) @ np.clip(z, -rules[2], rules[2]) + 0.5 * ds.sum(1)
+    gradient[:] = (dv - 0.5 * z * ds) @ np.clip(z, -clip, clip) + 0.5 * ds.sum(1)
     info[:] = dv @ dv.T + 0.5 * ds @ ds.T
-    return value
 
 
 # ---------------------------------------------------------------- kernels/listen.py: what an open loop would have read
