@@ -376,11 +376,19 @@ def _tick_rows(X, Phid, diagonal, T, m):
 @njit(cache=True, error_model="numpy")
 def _transpose(X, m):
     """Of a matrix in panels, in place."""
-    for i in range(min(m, X.size // m)):
-        for begin in range(0, i, WIDE):
-            row, column = (begin // WIDE * m + i) * WIDE, (i // WIDE * m + begin) * WIDE + i % WIDE
-            for j in range(min(WIDE, i - begin)):
-                X[row + j], X[column + j * WIDE] = X[column + j * WIDE], X[row + j]
+    Z = X.reshape((X.size // WIDE, WIDE))
+    panels = X.size // (m * WIDE)
+    for p in range(panels):
+        lower = p * WIDE
+        for q in range(p + 1):
+            left = q * WIDE
+            # the elements below the diagonal stand in the rows of one panel, their mirror images in those of the other
+            A, B = Z[q * m + lower : q * m + min(m, lower + WIDE)], Z[p * m + left : p * m + min(m, left + WIDE)]
+            for i in range(A.shape[0]):
+                for j in range(i if p == q else WIDE):
+                    s = A[i, j]
+                    A[i, j] = B[j, i]
+                    B[j, i] = s
 
 
 @njit(cache=True, error_model="numpy")
@@ -504,21 +512,25 @@ def _is_diagonal(A):
 @njit(cache=True, error_model="numpy")
 def _to_panels(M, X):
     m = M.shape[0]
-    for i in range(m):
-        for begin in range(0, m, WIDE):
-            at = (begin // WIDE * m + i) * WIDE
-            for j in range(min(WIDE, m - begin)):
-                X[at + j] = M[i, begin + j]
+    Z = X.reshape((X.size // WIDE, WIDE))
+    for p in range(Z.shape[0] // m):
+        A, first = Z[p * m : (p + 1) * m], p * WIDE
+        B = M[:, first : min(m, first + WIDE)]
+        for i in range(m):
+            for j in range(B.shape[1]):
+                A[i, j] = B[i, j]
 
 
 @njit(cache=True, error_model="numpy")
 def _from_panels(X, M):
     m = M.shape[0]
-    for i in range(m):
-        for begin in range(0, m, WIDE):
-            at = (begin // WIDE * m + i) * WIDE
-            for j in range(min(WIDE, m - begin)):
-                M[i, begin + j] = X[at + j]
+    Z = X.reshape((X.size // WIDE, WIDE))
+    for p in range(Z.shape[0] // m):
+        A, first = Z[p * m : (p + 1) * m], p * WIDE
+        B = M[:, first : min(m, first + WIDE)]
+        for i in range(m):
+            for j in range(B.shape[1]):
+                B[i, j] = A[i, j]
 
 
 @njit(cache=True, error_model="numpy")

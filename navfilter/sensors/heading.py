@@ -137,6 +137,14 @@ class Heading(Sensor):
             return z if z[:3].any() else None
         return z
 
+    def read_all(self, values: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """Headings at once; fields one by one."""
+        if self.magnetometer or type(self).read is not Heading.read:
+            return super().read_all(values)
+        z = np.full((len(values), 2), math.nan)
+        z[:, : values.shape[1]] = values[:, :2]
+        return z, np.isfinite(z[:, 0])
+
     def drift(self, drive: Mechanisation, axis: int, walk: float) -> Drift:
         """As a heading."""
         return drive.heading_drift(walk, 1.0 / self.rate_hz)

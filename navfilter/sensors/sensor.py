@@ -221,6 +221,26 @@ class Sensor:
         """Turn what arrives into what the kernel takes; None when it is not a reading (lost lock, out of range)."""
         return value if np.isfinite(value).any() else None
 
+    def read_all(self, values: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """`read` of many readings: what it makes of each, NaN beyond, and which of them are readings.
+
+        Parameters
+        ----------
+        values : ndarray, shape (n, w)
+
+        Returns
+        -------
+        z : ndarray, shape (n, most that one of them gives)
+        good : ndarray of bool, shape (n,)
+        """
+        found = [self.read(np.array(value, dtype=np.float64)) for value in values]
+        good = np.array([z is not None for z in found], dtype=bool)
+        z = np.full((len(found), max((len(z) for z in found if z is not None), default=0)), np.nan)
+        for row, one in zip(z, found, strict=True):
+            if one is not None:
+                row[: len(one)] = one
+        return z, good
+
     # ---------------------------------------------------------------- what the filter asks
     def felt(self, mean: Array, scatter: Array) -> Array | None:
         """The reading that the drive's own samples of one period make, for kinds that are `from_drive`; None for none.

@@ -128,6 +128,16 @@ class BodyVelocity(Sensor):
             return None
         return value[:3] if clean else np.array([c if -top <= c <= top else math.nan for c in components])
 
+    def read_all(self, values: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """The same of many."""
+        if type(self).read is not BodyVelocity.read:
+            return super().read_all(values)
+        z = np.array(values[:, :3], dtype=np.float64)
+        valid = np.abs(z) <= self.max_speed_m_s
+        z[~valid] = math.nan
+        told = valid & (z != 0.0) if self.zero_is_invalid else valid
+        return z, np.asarray(told.any(axis=1), dtype=bool)
+
     @property
     def needs_rate(self) -> bool:
         """With a lever arm."""
