@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
@@ -137,9 +137,10 @@ class Heading(Sensor):
             return z if z[:3].any() else None
         return z
 
-    def read_all(self, values: Array) -> tuple[Array, NDArray[np.bool_]]:
+    def read_all(self, values: Array | Sequence[Array]) -> tuple[Array, NDArray[np.bool_]]:
         """Headings at once; fields one by one."""
-        if self.magnetometer or type(self).read is not Heading.read:
+        otherwise = self.magnetometer or type(self).read is not Heading.read
+        if otherwise or not isinstance(values, np.ndarray) or values.shape[1] < self.reads:
             return super().read_all(values)
         z = np.full((len(values), 2), math.nan)
         z[:, : values.shape[1]] = values[:, :2]
