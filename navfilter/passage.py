@@ -240,26 +240,26 @@ class Passage:
         self._samples = self._block(self.done, max(self.done, int(self._ends[end - 1])))
         which, rows = given.sensor[at:end], given.row[at:end]
         self._good, own = np.zeros(end - at, bool), any(sds is not None for sds in given.sds)
-        read: dict[int, Array] = {}
+        read: list[tuple[Ints, Array]] = []
         self._variances = np.full((end - at if own else 1, self._notes.shape[1] // 2), np.nan)
         for i, channel in enumerate(self._channels):
             if not channel.spot[kernels.EQUATION]:
                 continue
-            values, sds = given.values[i], given.sds[i]
-            for k in np.flatnonzero(which == i).tolist():
-                raw = np.array(values[rows[k]], dtype=np.float64)
-                z = channel.sensor.read(raw) if len(raw) >= channel.sensor.reads else None
+            mine, sds, values = np.flatnonzero(which == i), given.sds[i], given.values[i]
+            some = values[rows[mine]] if isinstance(values, np.ndarray) else [values[row] for row in rows[mine]]
+            z, good = channel.sensor.read_all(some)
+            self._good[mine] = good
+            read.append((mine, z))
+            for k in mine[good].tolist() if own else ():
                 sd = None if sds is None else sds[rows[k]]
-                if z is None or not (sd is None or usable(sd, channel.sensor)):
-                    continue
-                read[k] = z
                 if sd is not None:
-                    self._variances[k, : channel.axes] = np.resize(np.square(np.ravel(sd)), channel.axes)
+                    self._good[k] = usable(sd, channel.sensor)
+                    if self._good[k]:
+                        self._variances[k, : channel.axes] = np.resize(np.square(np.ravel(sd)), channel.axes)
 
-        self._z = np.full((end - at, max(map(len, read.values()), default=1)), np.nan)
-        for k, z in read.items():
-            self._good[k] = True
-            self._z[k, : len(z)] = z
+        self._z = np.full((end - at, max((z.shape[1] for _, z in read), default=1)), np.nan)
+        for mine, z in read:
+            self._z[mine, : z.shape[1]] = z
 
     def _advance(self) -> int:
         """As far as the kernel comes; why it ended."""
