@@ -14,11 +14,13 @@ import os
 import resource
 import shutil
 import signal
+import tempfile
 import threading
 import time
 from collections import Counter
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
+from itertools import chain
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -202,6 +204,7 @@ def broken_off(dive: Dive, lines: list[bytes], folder: Path, rng: np.random.Gene
     With a deleted log its snapshot goes too, for it may know more than the log.
     """
     arguments = [*dive.arguments, "--log", folder, "--resume", "--snapshot-every", "0.1", "--fsync", "0.05"]
+    before = (folder / LOG_FILE).stat().st_size if (folder / LOG_FILE).exists() else 0
     handle, behind = stderr_of(rng)
     reader = ("quick", "slow", "none", "gone")[int(rng.integers(4))]
     process = Forked(arguments, handle, reader)
@@ -209,7 +212,8 @@ def broken_off(dive: Dive, lines: list[bytes], folder: Path, rng: np.random.Gene
     sending = threading.Thread(target=process.send, args=(noisy(lines[sent:end], rng),))
     sending.start()
     time.sleep(rng.uniform(0.0, 0.8))
-    if deleted := rng.random() < 0.2:
+    # what is deleted before it is opened is another case: nothing was there
+    if deleted := rng.random() < 0.2 and opened(folder / LOG_FILE, before):
         shutil.rmtree(folder, ignore_errors=True)
     if rng.random() < 0.3:
         with contextlib.suppress(ProcessLookupError):
@@ -226,6 +230,17 @@ def broken_off(dive: Dive, lines: list[bytes], folder: Path, rng: np.random.Gene
     if deleted:
         (folder / "snapshot").unlink(missing_ok=True)
     return None if deleted else process
+
+
+def opened(file: Path, before: int, patience_s: float = 5.0) -> bool:
+    """Wait until a process has begun to write its log."""
+    until = time.monotonic() + patience_s
+    while time.monotonic() < until:
+        with contextlib.suppress(OSError):
+            if file.stat().st_size > before:
+                return True
+        time.sleep(0.005)
+    return False
 
 
 def unlogged(process: Forked, lines: list[bytes], whole: int, ended_s: float) -> int:
@@ -284,9 +299,7 @@ def schedules(seeds: Sequence[int], workers: int = 1) -> list[dict[str, Any]]:
     if workers > 1:
         parts = [list(seeds[k::workers]) for k in range(workers)]
         with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
-            return sorted(sum(pool.map(schedules, parts), []), key=lambda row: row["seed"])
-    import tempfile
-
+            return sorted(chain.from_iterable(pool.map(schedules, parts)), key=lambda row: row["seed"])
     loop.warm = lambda say, vehicle: say("compiled in the process that was forked")
     rows = []
     with tempfile.TemporaryDirectory(dir="/dev/shm" if os.path.isdir("/dev/shm") else None) as name:

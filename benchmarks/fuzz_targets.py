@@ -142,7 +142,7 @@ flags = ["x"]}}
         copied = write_calibrated(found, vehicle, back, path, "found by a test")
         demand(not copied or read_vehicle(back) == found, "constants written into a copy do not come back")
 
-    return Target("vehicle.toml", examples, run, 0.06)
+    return Target("vehicle.toml", examples, run, 0.02)
 
 
 def sound(mission: nf.Mission) -> None:
@@ -220,7 +220,7 @@ def mission_target(folder: Path) -> Target:
         path.write_bytes(data)
         sound(refusing((MissionError,), lambda: read_mission(path)))
 
-    return Target("mission.toml", examples, run, 0.06)
+    return Target("mission.toml", examples, run, 0.04)
 
 
 def table_target(folder: Path) -> Target:
@@ -350,7 +350,7 @@ def lines_target(folder: Path) -> Target:
 
     examples = [bytes([k]) + line for k in range(3) for line in LINES + NOTES]
     examples += [b"\x00" + b"\n".join(LINES), b"\x02" + b"\n".join(LINES + NOTES)]
-    return Target("JSON lines", examples, run, 0.70)
+    return Target("JSON lines", examples, run, 0.78)
 
 
 def log_target(folder: Path) -> Target:
