@@ -17,6 +17,7 @@ from navfilter.kernels import strapdown
 from navfilter.learning.learned import LearnedArma, learned_part
 from navfilter.mission import Stream
 from navfilter.state import matrix_from_euler, rotation_vector, wrap
+from navfilter.track_trust import integrity_figures
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -108,6 +109,8 @@ class Track:
         UTC of mission time zero [s since 1970]; None where the mission does not know it.
     bounds : ndarray, shape (n, 2), or None
         Of a forward track: protection radius [m] and bound of the heading [rad], see `navfilter.filter.integrity`.
+    axes : tuple of (time_s, axis, condition)
+        When the condition of an axis of the inertial unit changed, as `Health.axes` names it.
     """
 
     label: str
@@ -132,6 +135,7 @@ class Track:
     revised: Track | None = None
     epoch_utc_s: float | None = None
     bounds: Array | None = None
+    axes: tuple[tuple[float, str, str], ...] = ()
 
     def __len__(self) -> int:
         return len(self.time_s)
@@ -332,6 +336,7 @@ class Track:
             name: [[round(t, 3), str(m)] for t, m in models] for name, models in self.error_models.items()
         }
         result["adopted"] = self.adopted()
+        result["integrity"] = integrity_figures(self, truth)
         result["cpu_s"] = self.cpu_s
         return result
 

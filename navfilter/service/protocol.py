@@ -17,7 +17,7 @@ from navfilter.filter.health import Health
 from navfilter.io.json_lines import LONGEST_LINE
 from navfilter.state import NavState
 
-__all__ = ["Lines", "event_line", "state_fields", "to_line"]
+__all__ = ["Lines", "event_line", "integrity_fields", "state_fields", "to_line"]
 
 
 def to_line(fields: Mapping[str, Any]) -> bytes:

@@ -16,13 +16,14 @@ from typing import Any
 import numpy as np
 
 from navfilter.alignment import align
+from navfilter.filter.health import Health
 from navfilter.filter.intake import Intake
 from navfilter.io.json_lines import BadLine, Item, Note, Reading, StartLine, start_from, streams_of
 from navfilter.magnetic import believable
 from navfilter.mission import Mission
 from navfilter.navigator import Navigator
 from navfilter.service.pairing import Pairing
-from navfilter.service.protocol import event_line, state_fields, to_line
+from navfilter.service.protocol import event_line, integrity_fields, state_fields, to_line
 from navfilter.start import Start
 from navfilter.state import NavState
 from navfilter.vehicle import Vehicle
@@ -319,6 +320,7 @@ class Session:
                 self._condition(name, condition)
             self._lane(health.lane)
             self._drive_clock(health.drive_clock_offset_s)
+            self._trust(health)
         if self._tick > tick:
             self._state()
 
@@ -352,6 +354,14 @@ class Session:
             assert self.nav is not None
             self._conditions["lane"] = lane
             self._tell("lane", lane=lane, was=was, time_s=self.nav.time_s)
+
+    def _trust(self, health: Health) -> None:
+        """Tell when the state is to be trusted more, or less, than before, and why."""
+        assert health.trust is not None and self.nav is not None
+        was, now = self._conditions.setdefault("trust", "good"), health.trust.level
+        if now != was:
+            self._conditions["trust"] = now
+            self._tell("trust", was=was, time_s=self.nav.time_s, **integrity_fields(health))
 
     def _drive_clock(self, offset_s: float) -> None:
         """Tell when the clock of the drive alone was set."""
