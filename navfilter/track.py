@@ -17,7 +17,6 @@ from navfilter.kernels import strapdown
 from navfilter.learning.learned import LearnedArma, learned_part
 from navfilter.mission import Stream
 from navfilter.state import matrix_from_euler, rotation_vector, wrap
-from navfilter.track_trust import integrity_figures
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -336,7 +335,6 @@ class Track:
             name: [[round(t, 3), str(m)] for t, m in models] for name, models in self.error_models.items()
         }
         result["adopted"] = self.adopted()
-        result["integrity"] = integrity_figures(self, truth)
         result["cpu_s"] = self.cpu_s
         return result
 

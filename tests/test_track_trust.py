@@ -14,7 +14,7 @@ from navfilter.io.write import labelled, write_summary
 from navfilter.report.report import render_report
 from navfilter.report.trust_figures import spell_rows, trust_figure
 from navfilter.simulation.scenarios import simulate_scenario
-from navfilter.track_trust import Spell, spells
+from navfilter.track_trust import Spell, integrity_figures, spells
 
 STUCK, TURNED, SILENT = (60.0, 80.0), (100.0, 120.0), (150.0, 175.0)
 
@@ -112,4 +112,4 @@ def test_where_nothing_bounds_a_run_there_is_a_gap():
     stack, _ = trust_figure(labelled(track), mission.truth)
     line = stack.panels[0].parts[0]
     assert np.isnan(line.y).any() and np.isfinite(stack.panels[0].limits).all()
-    assert 0.0 < track.summary(mission.truth)["integrity"]["without_bound"] < 1.0
+    assert 0.0 < integrity_figures(track, mission.truth)["without_bound"] < 1.0
