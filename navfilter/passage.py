@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.filter.channel import Channel, usable
+from navfilter.filter.drive_clock import DriveClock
 from navfilter.filter.health import Watch
 from navfilter.filter.history import Reading
 from navfilter.filter.tape import Tape
@@ -107,6 +108,8 @@ class Passage:
         self.nav, self._times, self._values, self._readings = nav, times, values, readings
         self._lead_s = np.array([nav.filter.channels[name].lead_s for name in readings.names])
         self._waits = before is None and bool(self._lead_s.any())
+        if before is None:
+            nav.clock = DriveClock(nav.filter.period_s, live=False)  # a recording is in the order of its stamps
         if self._waits:
             self._readings = readings = readings.later(self._lead_s[readings.sensor])
         self._ends = self._samples_before() if before is None else before.astype(np.int64)
