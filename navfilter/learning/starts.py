@@ -141,8 +141,8 @@ def _with_peak(fast: Array, p: int) -> list[Array]:
 def _times(fast: Array, p: int, ar: Array, ma: Array) -> Array:
     """``[ar, ma, ln sd]`` times another pair of polynomials."""
     one = np.ones(1)
-    whole = [np.concatenate([one, c]) for c in (fast[:p], ar, fast[p:-1], ma)]
-    return np.concatenate([np.convolve(*whole[:2])[1:], np.convolve(*whole[2:])[1:], fast[-1:]])
+    a, b, c, d = (np.concatenate([one, part]) for part in (fast[:p], ar, fast[p:-1], ma))
+    return np.concatenate([np.convolve(a, b)[1:], np.convolve(c, d)[1:], fast[-1:]])
 
 
 def _gauss_markov(tau: float, share: float, q: int) -> Array:
