@@ -65,22 +65,26 @@ def readings(vehicle: nf.Vehicle, mission: nf.Mission) -> list[Event]:
 
 
 def timed(nav: nf.Navigator, events: list[Event], clock: Callable[[], int]) -> dict[str, Array]:
-    """Seconds of every call, by what was called."""
+    """Seconds of every call, by what was called; those of readings for which the state went back are apart: of
+    readings with the same time, those of the sensors named first come first, whatever the order of arrival.
+    """
     n = sum(not name for name, *_ in events)
-    steps, corrections = np.empty(n), np.empty(len(events) - n)
+    steps, corrections, back = np.empty(n), np.empty(len(events) - n), np.zeros(len(events) - n, bool)
     i = j = 0
     for name, time_s, first, second in events:
         if name:
             began = clock()
-            nav.correct(name, time_s, first)
+            outcome = nav.correct(name, time_s, first)
             corrections[j] = clock() - began
+            back[j] = outcome.status == "late-replayed"
             j += 1
         else:
             began = clock()
             nav.step(time_s, first, second)
             steps[i] = clock() - began
             i += 1
-    return {"step": 1e-9 * steps, "correct": 1e-9 * corrections}
+    spent = {"step": steps, "correct": corrections[~back], "correct, back": corrections[back]}
+    return {call: 1e-9 * seconds for call, seconds in spent.items() if seconds.size}
 
 
 def percentiles(call: str, clock: str, seconds: Array) -> dict[str, Any]:

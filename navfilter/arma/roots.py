@@ -243,6 +243,21 @@ def _far_from_one(a1: float, a2: float, distance: float) -> bool:
     return all(abs(cmath.log(z if abs(z) > 1e-12 else 1e-12)) >= distance for z in (-0.5 * a1 + root, -0.5 * a1 - root))
 
 
+def _none_near_one(coefficients: Array, distance: float) -> bool:
+    """Whether the polynomial certainly has no root near 1, as `push_from_one` has it: its value at 1 outweighs all that
+    its other Taylor terms can be in the disc that holds every such root (Rouche). Far cheaper than the roots.
+    """
+    terms = [1.0, *coefficients.tolist()]
+    rest, radius, power = 0.0, math.expm1(distance), 1.0
+    for last in range(len(terms) - 1, 0, -1):  # synthetic division by z - 1 leaves the Taylor terms, from the first on
+        for i in range(1, last + 1):
+            terms[i] += terms[i - 1]
+        if last < len(terms) - 1:
+            power *= radius
+            rest += abs(terms[last]) * power
+    return abs(terms[-1]) > 1.001 * (rest + power * radius)
+
+
 def push_from_one(coefficients: Array, distance: float) -> Array:
     """Coefficients with every root at least this far from 1: ``|ln z| >= distance``, its natural frequency per sample.
 
@@ -263,6 +278,8 @@ def push_from_one(coefficients: Array, distance: float) -> Array:
         limit = math.exp(-distance)
         return np.maximum(coefficients, -limit) if coefficients[0] < -limit else coefficients
     if n == 2 and _far_from_one(float(coefficients[0]), float(coefficients[1]), distance):
+        return coefficients
+    if n > 2 and _none_near_one(coefficients, distance):
         return coefficients
     roots = np.roots(np.concatenate([[1.0], coefficients])).astype(np.complex128)
     logs = np.log(np.where(np.abs(roots) < 1e-12, 1e-12, roots))

@@ -34,7 +34,7 @@ SLOW_SDS, SLOW_NODES = (0.08, 0.22, 0.5, 1.2), (0, 2, 4)
 def padded_start(theta: Array, p: int, up_p: int, up_q: int) -> Array:
     """``[ar, ma, ln sd]`` of a lower order as a start for a higher one."""
     q = theta.size - 1 - p
-    return np.r_[theta[:p], np.zeros(up_p - p), theta[p:-1], np.zeros(up_q - q), theta[-1]]
+    return np.concatenate([theta[:p], np.zeros(up_p - p), theta[p:-1], np.zeros(up_q - q), theta[-1:]])
 
 
 def cold_starts(likelihood: Likelihood, p: int, q: int) -> list[Array]:
@@ -140,11 +140,9 @@ def _with_peak(fast: Array, p: int) -> list[Array]:
 
 def _times(fast: Array, p: int, ar: Array, ma: Array) -> Array:
     """``[ar, ma, ln sd]`` times another pair of polynomials."""
-    return np.r_[
-        np.convolve(np.r_[1.0, fast[:p]], np.r_[1.0, ar])[1:],
-        np.convolve(np.r_[1.0, fast[p:-1]], np.r_[1.0, ma])[1:],
-        fast[-1],
-    ]
+    one = np.ones(1)
+    a, b, c, d = (np.concatenate([one, part]) for part in (fast[:p], ar, fast[p:-1], ma))
+    return np.concatenate([np.convolve(a, b)[1:], np.convolve(c, d)[1:], fast[-1:]])
 
 
 def _gauss_markov(tau: float, share: float, q: int) -> Array:
