@@ -271,6 +271,7 @@ class Navigator:
         while learning.early_s <= item.time_s < math.inf and not ahead_s > self.filter.ahead_s:
             self._beginning.early()
         learning.keep(item)
+        self.filter.carry_on(item.name, item.time_s, self.told)
         self.told(correction := self.filter.correct(*item), item.value)
         self.filter.take_up(self.told)
         return correction.outcome

@@ -78,9 +78,10 @@ class Passed(NamedTuple):
 
 
 class Relaid(NamedTuple):
-    """The error state became `M` times what it was; shape (n_after, n_before)."""
+    """The error state became `M` times what it was; shape (n_after, n_before). `anew`: what it lacks was set anew."""
 
     M: Array
+    anew: bool = False
 
 
 Event = Correction | Propagated | Passed | Relaid

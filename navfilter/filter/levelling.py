@@ -1,0 +1,170 @@
+"""Attitude and velocity set anew under way, by what the instruments say: a coarse alignment (Groves, 2013, sec. 5.6).
+
+After a time without the drive, or one in which it was worth nothing, roll and pitch may be wrong by more than a linear
+filter bears, and more than its covariance says: the vehicle has manoeuvred unseen. Gravity, turned by such a tilt, then
+drives the velocity away from a DVL that is right. What knows better is at hand: the mean force of the accelerometers
+shows where down is, but for what the vehicle accelerates; the DVL shows the velocity. They replace roll, pitch and
+velocity, with the variance of their own errors, and nothing is left of what the old ones had in common with other
+states. The heading stays: compass readings correct it as large as its error may be.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navfilter.kernels import drive_watch as kernel
+from navfilter.kernels import strapdown
+
+if TYPE_CHECKING:
+    from navfilter.filter.channel import Channel
+    from navfilter.filter.events import Listening
+    from navfilter.filter.filter import Filter
+
+__all__ = ["after_fault", "astray", "set_anew"]
+
+Array = NDArray[np.float64]
+#: A tilt with a larger sd is beyond what linearisation bears: its square turns 1 % of a velocity, or 0.02 m/s^2 of
+#: gravity, into an error that no covariance has [rad].
+SURE_SD = 0.05
+#: The level contradicts the state beyond this NIS, of two components: 3e-7 of the good ones do.
+LIMIT = 30.0
+#: A force that differs from gravity by more is no level [m/s^2]: `navfilter.alignment` refuses it, too.
+EXCESS = 1.5
+#: A velocity that has been refused for so long contradicts the state [s].
+REFUSED_S = 1.0
+#: A refused reading says what the velocity is if it is so old at most [s], to so much [m/s].
+HEARD_S, VELOCITY_SD = 1.0, 0.1
+
+
+class Level(NamedTuple):
+    """Where down is.
+
+    Attributes
+    ----------
+    turn : ndarray, shape (3,)
+        Rotation vector in n from the attitude as it is to the one that the accelerometers show [rad].
+    variance : float
+        Of its two horizontal components [rad^2].
+    doubt : float
+        NIS of the state's tilt against it.
+    sd : float
+        Larger one of the two that the state has for its tilt [rad].
+    """
+
+    turn: Array
+    variance: float
+    doubt: float
+    sd: float
+
+
+def after_fault(filter: Filter, tell: Listening) -> None:
+    """While axes of the drive are left out, and when they are used again: set attitude and velocity anew where the
+    tilt is not known, or not what the accelerometers say.
+
+    Parameters
+    ----------
+    filter : Filter
+    tell : callable
+        Is told of it.
+    """
+    level = _level(filter)
+    if level is not None and (level.sd > SURE_SD or level.doubt > LIMIT):
+        set_anew(filter, tell)
+
+
+def astray(filter: Filter, channel: Channel, time_s: float) -> bool:
+    """Whether a velocity that has been refused for `REFUSED_S` shows that the attitude is wrong: the accelerometers
+    contradict it, or it is not known.
+
+    Parameters
+    ----------
+    filter : Filter
+    channel : Channel
+        Whose reading has just been refused.
+    time_s : float
+    """
+    if not channel.moves or not time_s - channel.memory.rejected_since_s >= REFUSED_S:
+        return False
+    level = _level(filter)
+    return level is not None and (level.sd > SURE_SD or level.doubt > LIMIT)
+
+
+def set_anew(filter: Filter, tell: Listening) -> None:
+    """Roll, pitch and velocity by accelerometers and DVL."""
+    level, memory, state = _level(filter), filter.memory, filter.state
+    if level is None:
+        return
+    n, turned = filter.layout.size, float(level.turn @ level.turn)
+    M, N = np.eye(n), np.zeros((n, n))
+    M[6, 6] = M[7, 7] = 0.0
+    N[6, 6] = N[7, 7] = level.variance
+    # what turned it about two axes may have turned it about the third
+    N[8, 8] = 0.5 * turned
+    velocity, refused = state.velocity_n.copy(), _refused_velocity(filter)
+    if refused is not None:
+        off, since_s = refused
+        velocity = velocity + off
+        M[range(3, 6), range(3, 6)] = 0.0
+        attitude = level.variance + N[8, 8] + memory.P[8, 8]
+        N[range(3, 6), range(3, 6)] = VELOCITY_SD**2 + float(velocity @ velocity) * min(attitude, 1.0)
+        N[:3, :3] = np.outer(off, off) * since_s**2
+        for channel in filter.channels.values():
+            if channel.moves:
+                channel.memory.rejected_since_s, channel.memory.refused = math.nan, None
+    memory.drv[strapdown.COUNT : strapdown.SQUARES + 6] = 0.0  # a mean over what was replaced shows no rest
+    memory.counts["realigned"] += 1
+    filter.put(velocity, _rotation(level.turn) @ state.C_nb, M, N, tell)
+    filter.watch.refer(memory.watch, memory.nav, memory.P)
+
+
+def _level(filter: Filter) -> Level | None:
+    """What the accelerometers show; None where they are not used, or feel more than gravity."""
+    memory, watch = filter.memory, filter.memory.watch
+    if not filter.watch.active or (watch[3:6, kernel.HEEDED] > kernel.NOISY).any() or not watch[3, kernel.SEEN]:
+        return None
+    g, state = filter.layout.drive, filter.state
+    C = g.C[3:6]
+    k = C.shape[1]
+    force = watch[3:6, kernel.MEAN] - C @ memory.x[:k]
+    gravity, size = strapdown.gravity(memory.nav[0], memory.nav[2]), float(np.linalg.norm(force))
+    if not abs(size - gravity) < EXCESS:
+        return None
+    down = state.C_nb @ (-force / size)
+    angle, across = math.atan2(math.hypot(down[0], down[1]), down[2]), math.hypot(down[0], down[1])
+    turn = np.array([down[1], -down[0], 0.0]) * (angle / across if across > 0.0 else 1.0)
+    drive = filter.vehicle.drive
+    shaken = watch[3:6, kernel.NOISE].max() / 6.0 * drive.period_s / kernel.MEAN_S
+    bias = np.einsum("ij,jk,ik->i", C, memory.P[9 : 9 + k, 9 : 9 + k], C).max()
+    variance = float(drive.gap_force_sd**2 + shaken + bias) / gravity**2  # type: ignore[attr-defined]
+    assert state.covariance is not None
+    tilt = state.covariance[6:8, 6:8]
+    doubt = float(turn[:2] @ np.linalg.solve(tilt + variance * np.eye(2), turn[:2]))
+    return Level(turn, variance, doubt, math.sqrt(float(np.linalg.eigvalsh(tilt)[-1])))
+
+
+def _refused_velocity(filter: Filter) -> tuple[Array, float] | None:
+    """By how much the velocity in n is off, as a sensor says whose readings are refused, and for how long [s]."""
+    for channel in filter.channels.values():
+        memory, now_s = channel.memory, filter.memory.time_s
+        if channel.moves and now_s - memory.last_s < HEARD_S and not math.isnan(memory.rejected_since_s):
+            residual = channel.note[3 : 3 + channel.axes]
+            seen = np.isfinite(residual)
+            N = channel.near[seen, 3:6]
+            if np.linalg.matrix_rank(N) >= 2:
+                since_s = now_s - memory.used_s if math.isfinite(memory.used_s) else now_s - memory.rejected_since_s
+                return np.linalg.pinv(N) @ residual[seen], since_s
+    return None
+
+
+def _rotation(turn: Array) -> Array:
+    """The matrix that turns by a rotation vector."""
+    angle = float(np.linalg.norm(turn))
+    x, y, z = turn
+    skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    if angle < 1e-12:
+        return np.eye(3) + skew
+    return np.eye(3) + math.sin(angle) / angle * skew + (1.0 - math.cos(angle)) / angle**2 * skew @ skew
