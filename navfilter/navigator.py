@@ -70,7 +70,6 @@ class Navigator:
         Readings may come so late [s]: the state goes back and takes them in their place. Default 2 without a tape, or
         what a sensor of the vehicle needs (`Usbl.late_s`); with one nothing may be late, because what is on the tape
         stays there. Models are learnt from readings older than that, and at least 2 s old.
-
     threads : bool
         Learn on a thread of its own, so that no call waits for it. Without, and with a tape, what was learnt is worked
         out when it is taken; the results are the same to the last bit.

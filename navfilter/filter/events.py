@@ -5,6 +5,7 @@ listen to these.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 
 from navfilter.filter.channel import Channel
 
-__all__ = ["Correction", "Event", "Outcome", "Passed", "Propagated", "Relaid"]
+__all__ = ["Correction", "Event", "Listening", "Outcome", "Passed", "Propagated", "Relaid"]
 
 Array = NDArray[np.float64]
 
@@ -85,3 +86,5 @@ class Relaid(NamedTuple):
 
 
 Event = Correction | Propagated | Passed | Relaid
+#: One that is told what the filter does.
+Listening = Callable[[Event], None]

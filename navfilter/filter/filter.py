@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navfilter.error_models import per_axis
-from navfilter.filter import agreement, drive_watch, levelling, refused
+from navfilter.filter import agreement, drive_watch, realignment, refused
 from navfilter.filter.adoption import Change, state_change
 from navfilter.filter.asking import asked, shared
 from navfilter.filter.channel import Channel, usable
 from navfilter.filter.estimate import Estimate
-from navfilter.filter.events import Correction, Event, Outcome, Passed, Propagated, Relaid
-from navfilter.filter.filter_memory import Errors, FilterMemory
+from navfilter.filter.events import Correction, Listening, Outcome, Passed, Propagated, Relaid
+from navfilter.filter.filter_memory import COUNTED, Errors, FilterMemory
 from navfilter.filter.intake import Intake
 from navfilter.filter.jumps import JumpWatch
 from navfilter.filter.layout import Layout
@@ -31,14 +31,8 @@ from navfilter.vehicle import Vehicle
 __all__ = ["Filter"]
 
 Array = NDArray[np.float64]
-#: One that is told what the filter does.
-Listening = Callable[[Event], None]
 CODES = {name: code for code, name in enumerate(OUTCOMES)}
 NO_SD = np.zeros(0)
-COUNTED = (
-    *("gap", "backward", "bad-sample", "clock-set", "widened", "reset", "jumped", "opened", "realigned", "adopted"),
-    *drive_watch.COUNTED,
-)
 
 
 class Filter(Estimate):
@@ -223,6 +217,7 @@ class Filter(Estimate):
         memory, begin, total = self.memory, 0, len(samples)
         whole = total <= self.fold_every - memory.unfolded and not (self._rest or room)
         missing = self.inertial and total > 0 and math.isnan(samples[0, 1])
+        before_s, position = memory.time_s, np.diag(memory.P)[:3].copy()
         while begin < total:
             end = total if whole else min(total, begin + self._room(room))
             if missing:
@@ -245,13 +240,15 @@ class Filter(Estimate):
             if self.watch.news(memory.watch):
                 self.heed(tell)
             begin = end
+        if missing:
+            realignment.bound(self, position, memory.time_s - before_s, tell)
 
     def heed(self, tell: Listening) -> None:
         """Act on what the watch over the drive has found."""
         before = self.watch.lost(self.memory.watch)
         self.watch.heed(self, lambda: tell(self._fold()))
         if before or self.watch.lost(self.memory.watch):
-            levelling.after_fault(self, tell)
+            realignment.after_fault(self, tell)
 
     def _room(self, asked: Callable[[], int] | None) -> int:
         """Samples until something is due: the fold, the detection of rest, or what was asked for."""
@@ -376,7 +373,7 @@ class Filter(Estimate):
         """Do what the last reading asks for, see `astray` and `jumped`."""
         if self.astray:
             self.astray = False
-            levelling.set_anew(self, tell)
+            realignment.set_anew(self, tell)
         while self.jumped:
             self.channels[self.jumped[0].sensor].memory.refused = None
             self.adopt(self.jumped.pop(0), tell)

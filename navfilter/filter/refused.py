@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.filter import agreement, gating, levelling
+from navfilter.filter import agreement, gating, realignment
 from navfilter.filter.adoption import Change
 from navfilter.filter.channel import Channel
 from navfilter.filter.offsets import with_offsets
@@ -48,7 +48,7 @@ def let_in(filter: Filter, channel: Channel, time_s: float, nis: float, dof: int
     if frozen:
         kept.refused = None
         return False
-    if levelling.astray(filter, channel, time_s):
+    if realignment.astray(filter, channel, time_s):
         filter.astray = True
         return False
     if channel.sensor.open_loop != listen.NOTHING and _agreed(filter, channel, time_s):

@@ -6,6 +6,8 @@ drives the velocity away from a DVL that is right. What knows better is at hand:
 shows where down is, but for what the vehicle accelerates; the DVL shows the velocity. They replace roll, pitch and
 velocity, with the variance of their own errors, and nothing is left of what the old ones had in common with other
 states. The heading stays: compass readings correct it as large as its error may be.
+
+Where nothing was heard for long, neither drive nor sensors, no vehicle has gone further than it can.
 """
 
 from __future__ import annotations
@@ -18,13 +20,14 @@ from numpy.typing import NDArray
 
 from navfilter.kernels import drive_watch as kernel
 from navfilter.kernels import strapdown
+from navfilter.state import rotation_matrix
 
 if TYPE_CHECKING:
     from navfilter.filter.channel import Channel
     from navfilter.filter.events import Listening
     from navfilter.filter.filter import Filter
 
-__all__ = ["after_fault", "astray", "set_anew"]
+__all__ = ["after_fault", "astray", "bound", "set_anew"]
 
 Array = NDArray[np.float64]
 #: A tilt with a larger sd is beyond what linearisation bears: its square turns 1 % of a velocity, or 0.02 m/s^2 of
@@ -38,6 +41,8 @@ EXCESS = 1.5
 REFUSED_S = 1.0
 #: A refused reading says what the velocity is if it is so old at most [s], to so much [m/s].
 HEARD_S, VELOCITY_SD = 1.0, 0.1
+#: What a vehicle can do at most that does not say so [m/s]: few that swim are faster; others, twice what they do now.
+MOST_SPEED, FASTER = 3.0, 2.0
 
 
 class Level(NamedTuple):
@@ -117,8 +122,35 @@ def set_anew(filter: Filter, tell: Listening) -> None:
                 channel.memory.rejected_since_s, channel.memory.refused = math.nan, None
     memory.drv[strapdown.COUNT : strapdown.SQUARES + 6] = 0.0  # a mean over what was replaced shows no rest
     memory.counts["realigned"] += 1
-    filter.put(velocity, _rotation(level.turn) @ state.C_nb, M, N, tell)
+    filter.put(velocity, rotation_matrix(level.turn) @ state.C_nb, M, N, tell)
     filter.watch.refer(memory.watch, memory.nav, memory.P)
+
+
+def bound(filter: Filter, position: Array, seconds: float, tell: Listening) -> None:
+    """After a time in which nothing was heard: no more variance of velocity and position than the vehicle's speed gives
+    them. The velocity that it had may have been that of any direction since.
+
+    Parameters
+    ----------
+    filter : Filter
+    position : ndarray, shape (3,)
+        Variance of the position before [m^2].
+    seconds : float
+        How long it was.
+    tell : callable
+        Is told of it.
+    """
+    memory, state = filter.memory, filter.state
+    assert state.covariance is not None
+    speed = float(np.linalg.norm(state.velocity_n))
+    most = filter.vehicle.drive.max_speed_m_s or max(MOST_SPEED, FASTER * speed)
+    velocity = (0.5 * (most + speed)) ** 2
+    most_variance = np.concatenate([position + velocity * seconds**2, np.full(3, velocity)])
+    shrink = np.sqrt(np.minimum(1.0, most_variance / np.diag(state.covariance)[:6]))
+    if (shrink < 1.0).any():
+        M = np.eye(len(memory.P))
+        M[range(6), range(6)] = shrink
+        filter.put(state.velocity_n, state.C_nb, M, np.zeros_like(M), tell)
 
 
 def _level(filter: Filter) -> Level | None:
@@ -158,13 +190,3 @@ def _refused_velocity(filter: Filter) -> tuple[Array, float] | None:
                 since_s = now_s - memory.used_s if math.isfinite(memory.used_s) else now_s - memory.rejected_since_s
                 return np.linalg.pinv(N) @ residual[seen], since_s
     return None
-
-
-def _rotation(turn: Array) -> Array:
-    """The matrix that turns by a rotation vector."""
-    angle = float(np.linalg.norm(turn))
-    x, y, z = turn
-    skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    if angle < 1e-12:
-        return np.eye(3) + skew
-    return np.eye(3) + math.sin(angle) / angle * skew + (1.0 - math.cos(angle)) / angle**2 * skew @ skew
