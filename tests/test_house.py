@@ -24,6 +24,7 @@ FLOORS = [
         "filter.tape",
         "filter.offsets",
         "error_models",
+        "cycle",
         "learning.drift",
     },
     {
