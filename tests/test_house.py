@@ -30,6 +30,7 @@ FLOORS = [
     {
         "learning.low_frequency",
         "learning.limits",
+        "learning.spikes",
         "learning.spectrum",
         "learning.slow",
         "learning.effort",
