@@ -84,6 +84,7 @@ def asked(
         moved = drive.motion(recent, nav, memory.drv, outputs @ xd)
         channel.sight.look(z, nav, channel.rate, par, moved, since_s, outputs, channel.into)
     if channel.offset:
+        channel.in_proportion(z, x)
         channel.unwrap(x)
     channel.R[:] = channel.white
     if own.size:

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.stats import chi2
 
 from navfilter.filter.layout import Group, Layout
-from navfilter.filter.offsets import has_offset
+from navfilter.filter.offsets import has_offset, proportions
 from navfilter.filter.refusals import Refusals
 from navfilter.filter.sight import Sight
 from navfilter.kernels import kalman, listen, stretch
@@ -111,6 +111,7 @@ class Channel:
         at = kalman.places(self.dims)
         self.places = np.array(at)
         self.offset = has_offset(sensor.models)
+        self._proportions = proportions(sensor.models, self.period_s)
         slow = group.C @ group.P0[: group.errors, : group.errors] @ group.C.T
         self.slow: list[float] = slow.diagonal().tolist()  # variance by axis of what its error states begin with
         lever, R = sensor.lever_arm_covariance(rate_variance), np.diag(group.r)
@@ -191,6 +192,13 @@ class Channel:
     @times.setter
     def times(self, times: tuple[float, float]) -> None:
         self._memory.last_s, self._memory.ticked_s = times
+
+    def in_proportion(self, z: Array, x: Array) -> None:
+        """Let the errors in proportion to the speed be those of a reading as predicted."""
+        (axis, state), at_m_s = self._proportions
+        if len(axis):
+            self.C[axis, state] = np.nan_to_num(z - self.res)[axis] / at_m_s
+            self.near[axis, :9] *= 1.0 + (x[self.group.start - 9 + state] / at_m_s)[:, None]
 
     def unwrap(self, x: Array) -> None:
         """Bring the residual of a heading that has jumped within half a turn of its error, before that is taken off."""

@@ -383,7 +383,7 @@ class Filter(Estimate):
         """Error models put in force since the start, without the constants of sensors that have jumped."""
         axes = {name: channel.axes for name, channel in self.channels.items()}
         return {
-            name: with_offsets(per_axis(error, axes[name], name), ()) if name in axes else error
+            name: with_offsets(per_axis(error, axes[name], name)) if name in axes else error
             for name, error in self.memory.models
         }
 
