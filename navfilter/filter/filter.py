@@ -62,8 +62,8 @@ class Filter(Estimate):
         Rows of C of the drive's error models, and the white variance of a sample.
     jumped : list of Change
         Constants for sensors that have jumped, to be adopted before the next input.
-    astray : bool
-        Attitude and velocity are to be set anew before the next input.
+    astray : float or None
+        Attitude and velocity are to be set anew before the next input, see `realignment.astray`.
 
     Raises
     ------
@@ -88,7 +88,7 @@ class Filter(Estimate):
         past_s = max((channel.past_s for channel in self.channels.values()), default=0.0)
         self.remembered = drive.remembered(past_s) if past_s else 0
         self.jumped: list[Change] = []
-        self.astray = False
+        self.astray: float | None = None
         self._rest = [self.channels[name] for name, s in vehicle.sensors.items() if s.from_drive and self.inertial]
         self._resting = max(2, round(drive.rate_hz * min((channel.period_s for channel in self._rest), default=1.0)))
         for channel in self._rest:
@@ -371,9 +371,9 @@ class Filter(Estimate):
     # ---------------------------------------------------------------- other error models
     def take_up(self, tell: Listening) -> None:
         """Do what the last reading asks for, see `astray` and `jumped`."""
-        if self.astray:
-            self.astray = False
-            realignment.set_anew(self, tell)
+        if self.astray is not None:
+            ramp, self.astray = self.astray, None
+            realignment.set_anew(self, tell, ramp)
         while self.jumped:
             self.channels[self.jumped[0].sensor].memory.refused = None
             self.adopt(self.jumped.pop(0), tell)
