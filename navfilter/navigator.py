@@ -51,7 +51,6 @@ class Navigator:
         Readings may come so late [s]: the state goes back and takes them in their place. Default 2 without a tape, or
         what a sensor of the vehicle needs (`Usbl.late_s`); with one nothing may be late, because what is on the tape
         stays there. Models are learnt from readings older than that, and at least 2 s old.
-
     threads : bool
         Learn on a thread of its own, so that no call waits for it. Without, and with a tape, what was learnt is worked
         out when it is taken; the results are the same to the last bit.
@@ -267,6 +266,7 @@ class Navigator:
         while learning.early_s <= item.time_s < math.inf and not ahead_s > self.filter.ahead_s:
             self._beginning.early()
         learning.keep(item)
+        self.filter.carry_on(item.name, item.time_s, self.told)
         self.told(correction := self.filter.correct(*item), item.value)
         self.filter.take_up(self.told)
         return correction.outcome

@@ -116,6 +116,7 @@ def watch(
     roles = {target.sensor: role for role, target in scene.targets.items() if target.sensor != DRIVE}
     block: list[tuple[float, ...]] = []
     last: Event | None = None
+    reading: Event | None = None
     due, began = -math.inf, time.process_time()
     for event in events:
         if event.sensor == DRIVE:
@@ -129,18 +130,19 @@ def watch(
         else:
             _flush(nav, block, outcome)
             _correct(nav, event, roles, outcome)
+            reading = event
         if event.arrival_s >= due and last is not None:
             _flush(nav, block, outcome)
             due = event.arrival_s + check_s
             if time.process_time() - began > longest_cpu_s:
                 outcome.stopped = True
                 break
-            _look(nav, last, outcome)
+            _look(nav, last, reading, outcome)
             for name, sensor in nav.health.sensors.items():
                 outcome.counts[f"{roles[name]} is {sensor.condition}"] += 1
     _flush(nav, block, outcome)
     if last is not None:
-        _look(nav, last, outcome)
+        _look(nav, last, reading, outcome)
     outcome.cpu_s = time.process_time() - began
     outcome.counts.update({f"drive:{name}": n for name, n in nav.counts.items()})
     return outcome
@@ -184,8 +186,10 @@ def _correct(nav: Navigator, event: Event, roles: dict[str, str], outcome: Outco
     outcome.counts[f"{role}:{result.status}"] += 1
 
 
-def _look(nav: Navigator, last: Event, outcome: Outcome) -> None:
-    """Note NaN, a covariance that is not positive definite, and the state at the instant at which it truly holds."""
+def _look(nav: Navigator, last: Event, reading: Event | None, outcome: Outcome) -> None:
+    """Note NaN, a covariance that is not positive definite, and the state at the instant at which it truly holds: by
+    the last sample of the drive, or, where that is silent, by the last reading.
+    """
     state = _guard(outcome, lambda: nav.state)
     P = nav.filter.P
     finite = all(np.isfinite(array).all() for array in (P, nav.filter.nav, nav.filter.x))
@@ -200,10 +204,13 @@ def _look(nav: Navigator, last: Event, outcome: Outcome) -> None:
     outcome.smallest = min(outcome.smallest, smallest)
     if smallest <= DEFINITE and outcome.not_definite_s is None:
         outcome.not_definite_s = last.true_s
-    stamp = last.time_s if isinstance(last.time_s, float) else math.nan
-    # a clock that was set moves the stamps, not the instant
-    ahead = state.time_s - nav.offset_s - stamp
-    outcome.states.append((last.true_s + (ahead if abs(ahead) < 2.0 else 0.0), state))
+    for event in (last, reading, last):
+        # a clock that was set moves the stamps, not the instant
+        stamp = event.time_s if event is not None and isinstance(event.time_s, float) else math.nan
+        ahead = state.time_s - nav.offset_s - stamp
+        if event is not None and abs(ahead) < 2.0:
+            break
+    outcome.states.append((event.true_s + (ahead if abs(ahead) < 2.0 else 0.0), state))
 
 
 def truth_at(truth: Stream, time_s: float) -> NavState:

@@ -1123,11 +1123,11 @@ def _look_at_axis(a, unit, raw, x, sd, limit, dt, gap, period_s, per):
         if ratio > (9.0 if a[0] in (1, 5, 6) else 25.0):
             grave = ratio > 900.0 or a[0] in (5, 6)
             found, since_s = (6 if 2025.0 < ratio < 4900.0 else 5) if grave else 1, 0.1
-    if found:
+    if found > 1 or (found and a[0] != 12):
         a[2] = 0.0
         if a[0] < found and a[0] in (0, 1, 5):
             a[0], a[1], unit[1] = found, since_s, 1.0
-    elif 0 < a[0] < 7:
+    elif 0 < a[0] < 7 or a[0] == 12:
         a[2] += dt
         if a[2] >= 1.0:
             a[0], unit[1] = 0.0, 1.0

@@ -171,6 +171,12 @@ def _mended(run: Track) -> Iterator[Finding]:
         text = f"{counted(count, 'time')} an axis was noisier than vehicle.toml says: believed less meanwhile."
         yield Finding("info", name, text)
     found.pop("spike", 0)
+    if found.pop("silent", 0):
+        text = "it said nothing for a while, or nothing that can be: compass and DVL carried the state as far as heard."
+        yield Finding("warning", name, text, "Was the log cut, or did the unit or its driver fail?")
+    if count := run.counts.get("realigned", 0):
+        text = f"{counted(count, 'time')} roll and pitch were set anew by the accelerometers, the velocity by the DVL."
+        yield Finding("info", name, text, where)
     if found:
         text = "axes were found " + ", ".join(f"{fault} ({counted(n, 'time')})" for fault, n in found.items())
         grade: Severity = "error" if found.keys() & DESCRIBED_WRONGLY else "warning"

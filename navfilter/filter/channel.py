@@ -45,6 +45,8 @@ class ChannelMemory:
         to it [s].
     refused : Refusals or None
         What the readings that have been refused since say together.
+    ramp : tuple of float
+        Sums of the straight line through the residuals of a velocity that have been refused since.
     last : ndarray
         Jacobian, verdict and residual of the last reading (``kalman.places`` 7 to 9).
     """
@@ -55,6 +57,7 @@ class ChannelMemory:
     used_s: float = -math.inf
     agreed_s: float = math.nan
     refused: Refusals | None = None
+    ramp: tuple[float, ...] = ()
     last: Array = field(default_factory=lambda: np.zeros(0))
 
     def use(self, time_s: float) -> None:

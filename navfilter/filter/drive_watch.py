@@ -19,6 +19,7 @@ from navfilter.kernels import strapdown
 
 if TYPE_CHECKING:
     from navfilter.filter.filter import Filter
+    from navfilter.filter.filter_memory import FilterMemory
     from navfilter.mechanisation import Mechanisation
 
 __all__ = ["CONDITIONS", "COUNTED", "DriveWatch"]
@@ -27,7 +28,7 @@ Array = NDArray[np.float64]
 #: In words, by the kernel's codes.
 CONDITIONS = (
     *("good", "noisy", "stuck", "dead", "saturated", "erratic", "wrong-unit"),
-    *("gravity", "free-fall", "swapped", "wrong-unit", "contradicted"),
+    *("gravity", "free-fall", "swapped", "wrong-unit", "contradicted", "silent"),
 )
 #: Counters: conditions that began, by axis, and spikes.
 COUNTED = (*dict.fromkeys(CONDITIONS[1:]), "spike")
@@ -81,6 +82,27 @@ class DriveWatch:
             White variances of one sample by the description.
         """
         return kernel.look(samples, w, np.sqrt(r), self.limits, self._period_s, self._increments)
+
+    def stand_in(self, samples: Array, memory: FilterMemory) -> None:
+        """Values for samples that are missing: no rate, and the force at rest. No axis is good until it has been heard
+        again for ``RECOVERS_S``.
+
+        Parameters
+        ----------
+        samples : ndarray, shape (n, 7)
+            Seconds since the one before; the values are written.
+        memory : FilterMemory
+        """
+        w, unit = memory.watch, memory.watch[kernel.UNIT]
+        self.refer(w, memory.nav, memory.P)
+        for axis in w[: kernel.UNIT]:
+            if axis[kernel.CODE] not in (kernel.SILENT, kernel.CONTRADICTED):
+                memory.counts["silent"] += 1
+                axis[kernel.CODE] = axis[kernel.HEEDED] = kernel.SILENT
+            axis[kernel.CLEAN_S] = 0.0
+        samples[:, 1:4], samples[:, 4:] = 0.0, unit[kernel.REFERENCE : kernel.REFERENCE + 3]
+        if self._increments:
+            samples[:, 4:] *= samples[:, :1]
 
     def weigh(self, w: Array, C: Array, r: Array, output: Array) -> None:
         """Error models of the axes as they are believed now: `output` (6, k + 1) from C (6, errors) and r (6,).

@@ -5,6 +5,7 @@ listen to these.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 
 from navfilter.filter.channel import Channel
 
-__all__ = ["Correction", "Event", "Outcome", "Passed", "Propagated", "Relaid"]
+__all__ = ["Correction", "Event", "Listening", "Outcome", "Passed", "Propagated", "Relaid"]
 
 Array = NDArray[np.float64]
 
@@ -78,9 +79,12 @@ class Passed(NamedTuple):
 
 
 class Relaid(NamedTuple):
-    """The error state became `M` times what it was; shape (n_after, n_before)."""
+    """The error state became `M` times what it was; shape (n_after, n_before). `anew`: what it lacks was set anew."""
 
     M: Array
+    anew: bool = False
 
 
 Event = Correction | Propagated | Passed | Relaid
+#: One that is told what the filter does.
+Listening = Callable[[Event], None]

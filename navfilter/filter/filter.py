@@ -11,12 +11,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navfilter.error_models import per_axis
-from navfilter.filter import agreement, drive_watch, refused
+from navfilter.filter import agreement, drive_watch, realignment, refused
 from navfilter.filter.adoption import Change, state_change
 from navfilter.filter.asking import asked, shared
 from navfilter.filter.channel import Channel, usable
-from navfilter.filter.events import Correction, Event, Outcome, Passed, Propagated, Relaid
-from navfilter.filter.filter_memory import Errors, FilterMemory
+from navfilter.filter.estimate import Estimate
+from navfilter.filter.events import Correction, Listening, Outcome, Passed, Propagated, Relaid
+from navfilter.filter.filter_memory import COUNTED, Errors, FilterMemory
 from navfilter.filter.intake import Intake
 from navfilter.filter.jumps import JumpWatch
 from navfilter.filter.layout import Layout
@@ -25,23 +26,16 @@ from navfilter.filter.tape import OUTCOMES, Tape
 from navfilter.kernels import kalman, strapdown, stretch
 from navfilter.learning.learned import learning_part
 from navfilter.start import Start
-from navfilter.state import NavState
 from navfilter.vehicle import Vehicle
 
 __all__ = ["Filter"]
 
 Array = NDArray[np.float64]
-#: One that is told what the filter does.
-Listening = Callable[[Event], None]
 CODES = {name: code for code, name in enumerate(OUTCOMES)}
 NO_SD = np.zeros(0)
-COUNTED = (
-    *("gap", "backward", "bad-sample", "clock-set", "widened", "reset", "jumped", "opened", "adopted"),
-    *drive_watch.COUNTED,
-)
 
 
-class Filter:
+class Filter(Estimate):
     """Error-state extended Kalman filter in closed loop, fed in the order of time.
 
     `advance` carries the state over samples of the drive, `correct` takes a reading, `adopt` puts another error model
@@ -70,6 +64,8 @@ class Filter:
         Samples of the drive after which it is felt whether the vehicle rests; 0: never.
     jumped : list of Change
         Constants for sensors that have jumped, to be adopted before the next input.
+    astray : float or None
+        Attitude and velocity are to be set anew before the next input, see `realignment.astray`.
 
     Raises
     ------
@@ -93,6 +89,7 @@ class Filter:
         past_s = max((channel.past_s for channel in self.channels.values()), default=0.0)
         self.remembered = drive.remembered(past_s) if past_s else 0
         self.jumped: list[Change] = []
+        self.astray: float | None = None
         self._like: tuple[Vehicle, Layout] | None = None
         self._rest = [self.channels[name] for name, s in vehicle.sensors.items() if s.from_drive and self.inertial]
         shortest_s = min((channel.period_s for channel in self._rest), default=0.0)
@@ -191,44 +188,6 @@ class Filter:
         for name, channel in self.channels.items():
             channel.memory = memory.channels[name]
 
-    @property
-    def time_s(self) -> float:
-        """Mission time of the state [s]."""
-        return self.memory.time_s
-
-    @property
-    def nav(self) -> Array:
-        """Nominal state, see `NavState.pack`; shape (17,)."""
-        return self.memory.nav
-
-    @property
-    def x(self) -> Array:
-        """Estimated error states behind the nine of navigation, shape (n - 9,)."""
-        return self.memory.x
-
-    @property
-    def P(self) -> Array:
-        """Covariance of all error states as of the last fold, shape (n, n)."""
-        return self.memory.P
-
-    @property
-    def counts(self) -> dict[str, int]:
-        """Irregularities so far."""
-        return self.memory.counts
-
-    @property
-    def state(self) -> NavState:
-        """The state with its covariance, now; a copy."""
-        memory, m = self.memory, self.layout.head
-        P, Phi, Q = memory.P[:m, :m], memory.acc[:9], memory.acc[m : m + 9, :9]
-        covariance = Phi @ P @ Phi.T + Q
-        return NavState.unpack(memory.time_s, memory.nav, 0.5 * (covariance + covariance.T))
-
-    @property
-    def errors(self) -> dict[str, float]:
-        """Estimates of all error states and parameters by name."""
-        return dict(zip(self.layout.names, self.memory.x.tolist(), strict=True))
-
     # ---------------------------------------------------------------- propagation
     def advance(self, samples: Array, tell: Listening, room: Callable[[], int] | None = None) -> None:
         """Carry the state over a block of samples: rows of time and six values; the array is used as work space.
@@ -241,16 +200,31 @@ class Filter:
         room : callable, optional
             Says after how many samples somebody wants to see them at the latest: they are then told as `Passed`.
         """
-        if not len(samples):
-            return
-        memory = self.memory
-        whole = len(samples) <= self.fold_every - memory.unfolded and not (self._rest or room)
-        still = lambda: self.vehicle.drive.at_rest(self.state, memory.drv)  # noqa: E731
-        samples, stamps = self.intake.take(samples, memory.drv, still)
-        begin, total = 0, len(samples)
+        if len(samples):
+            still = lambda: self.vehicle.drive.at_rest(self.state, self.memory.drv)  # noqa: E731
+            for part, stamps in self.intake.take(samples, self.memory.drv, still):
+                self._carry(part, stamps, tell, room)
+
+    def carry_on(self, name: str, time_s: float, tell: Listening) -> None:
+        """Carry the state to a reading that comes ahead of the drive, where that is silent; `tell` as in `advance`."""
+        until_s = time_s - self.channels[name].lead_s
+        if until_s - self.memory.sample_s > self.ahead_s:
+            missing = self.intake.missing(until_s, self.memory.time_s)
+            if missing is not None:
+                self._carry(*missing, tell, None)
+
+    def _carry(self, samples: Array, stamps: Array, tell: Listening, room: Callable[[], int] | None) -> None:
+        """Carry the state over samples, or over rows that stand in for those that are missing."""
+        memory, begin, total = self.memory, 0, len(samples)
+        whole = total <= self.fold_every - memory.unfolded and not (self._rest or room)
+        missing = self.inertial and total > 0 and math.isnan(samples[0, 1])
+        before_s, position = memory.time_s, np.diag(memory.P)[:3].copy()
         while begin < total:
             end = total if whole else min(total, begin + self._room(room))
-            if self.inertial:
+            if missing:
+                self.watch.stand_in(samples[begin:end], memory)
+                self.weigh()
+            elif self.inertial:
                 end = begin + self.watch.look(samples[begin:end], memory.watch, self.layout.drive.r)
             block = samples[begin:end]
             self.steps(memory.nav, self._xd, memory.drv, block, self.Phid, self.Qd, self.drive_output, memory.acc)
@@ -262,14 +236,19 @@ class Filter:
                 tell(self._fold())
             self.feel(tell)
             if room is not None:
-                tell(Passed(block))
+                tell(Passed(block[:1] if missing else block))
             if self.watch.news(memory.watch):
                 self.heed(tell)
             begin = end
+        if missing:
+            realignment.bound(self, position, memory.time_s - before_s, tell)
 
     def heed(self, tell: Listening) -> None:
         """Act on what the watch over the drive has found."""
+        before = self.watch.lost(self.memory.watch)
         self.watch.heed(self, lambda: tell(self._fold()))
+        if before or self.watch.lost(self.memory.watch):
+            realignment.after_fault(self, tell)
 
     def feel(self, tell: Listening) -> None:
         """Take the readings that the drive's last samples make, once in the shortest period of all such sensors."""
@@ -391,7 +370,10 @@ class Filter:
 
     # ---------------------------------------------------------------- other error models
     def take_up(self, tell: Listening) -> None:
-        """Adopt the constants of sensors that have just jumped, see `jumped` and `adopt`."""
+        """Do what the last reading asks for, see `astray` and `jumped`."""
+        if self.astray is not None:
+            ramp, self.astray = self.astray, None
+            realignment.set_anew(self, tell, ramp)
         while self.jumped:
             self.channels[self.jumped[0].sensor].memory.refused = None
             self.adopt(self.jumped.pop(0), tell)
@@ -432,10 +414,8 @@ class Filter:
         before, old = self.layout, self.in_force
         self._arrange(models, new)
         M, N = state_change(before, old, self.layout, new)
-        if self.tape is not None:
-            self.tape.change(M)
-        P, x = M @ memory.P @ M.T + N, M[9:, 9:] @ memory.x
-        memory.P, memory.x = np.ascontiguousarray(0.5 * (P + P.T)), np.ascontiguousarray(x)
+        self._change(M, N)
+        memory.x = np.ascontiguousarray(M[9:, 9:] @ memory.x)
         memory.acc, self._xd = self._identity(), memory.x[: self.layout.drive.size]
         self.weigh()
         fresh = new.drive.memory(self.layout.drive.errors, self.start)
@@ -447,3 +427,21 @@ class Filter:
             self.tape.models.setdefault(change.sensor, []).append((memory.time_s, error))
             self._row()
         tell(Relaid(M))
+
+    def _change(self, M: Array, N: Array) -> None:
+        """Let the error state become ``M x + w``, ``w ~ N(0, N)``."""
+        if self.tape is not None:
+            self.tape.change(M)
+        P = M @ self.memory.P @ M.T + N
+        self.memory.P = np.ascontiguousarray(0.5 * (P + P.T))
+
+    def put(self, velocity_n: Array, C_nb: Array, M: Array, N: Array, tell: Listening) -> None:
+        """Put another velocity (3,) and attitude (3, 3) in place: of the error state ``M x + w``, ``w ~ N(0, N)``,
+        is left.
+        """
+        if self.memory.unfolded:
+            tell(self._fold())
+        self.memory.nav[3:6], self.memory.nav[6:15] = velocity_n, C_nb.reshape(-1)
+        self._change(M, N)
+        self._row()
+        tell(Relaid(M, anew=True))

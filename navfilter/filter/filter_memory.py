@@ -10,13 +10,19 @@ from numpy.typing import NDArray
 from navfilter.error_models import ErrorModel
 from navfilter.filter.channel import ChannelMemory
 from navfilter.filter.drive_watch import CONDITIONS
+from navfilter.filter.drive_watch import COUNTED as DRIVE_COUNTED
 from navfilter.filter.intake import IntakeMemory
 from navfilter.kernels import drive_watch, strapdown
 
-__all__ = ["Errors", "FilterMemory"]
+__all__ = ["COUNTED", "Errors", "FilterMemory"]
 
 Array = NDArray[np.float64]
 Errors = ErrorModel | tuple[ErrorModel, ...]
+#: What is counted.
+COUNTED = (
+    *("gap", "backward", "bad-sample", "clock-set", "widened", "reset", "jumped", "opened", "realigned", "adopted"),
+    *DRIVE_COUNTED,
+)
 #: Rounding leaves no eigenvalue of the correlations below this.
 INDEFINITE = -1e-6
 

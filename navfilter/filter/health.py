@@ -66,7 +66,7 @@ class Health:
     drive : dict of str to int
         Irregularities so far: of the drive's samples gaps, backward stamps, repaired samples, clock set back or right;
         then gates widened, resets of the state to sensors that agree against it, jumps of sensors, states given up,
-        models adopted.
+        attitudes set anew by the level, models adopted.
     clock_offset_s : float
         By how much stamps are moved because the clock was set back [s].
     drive_clock_offset_s : float
@@ -75,7 +75,7 @@ class Health:
     axes : dict of str to str
         Condition of each axis of an inertial unit: "good", "noisy", "stuck", "dead" (stuck at zero), "saturated",
         "erratic" (nothing but noise), "wrong-unit", "gravity" (feels it where it is not), "swapped" (the same, of the
-        right size), "free-fall" or "contradicted" (by compass and DVL).
+        right size), "free-fall", "contradicted" (by compass and DVL) or "silent" (no samples, or none that can be).
     lane : str
         What carries the state between corrections: "inertial", or "dead-reckoning" without an inertial unit, and while
         an axis of it is left out.

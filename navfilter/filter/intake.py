@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -52,6 +53,12 @@ class IntakeMemory:
         What is added to all stamps [s].
     bad : int
         Impossible samples in a row.
+    heard_s : float
+        Stamp of the last sample there was, while others stand in for those that do not come; else NaN [s].
+    ahead_s, recent_s : float
+        Times of the first and the latest reading that came ahead of a drive that says nothing; NaN while it speaks [s].
+    ahead : int
+        How many such readings have come.
     """
 
     before_s: float
@@ -60,6 +67,10 @@ class IntakeMemory:
     back_count: int = 0
     offset_s: float = 0.0
     bad: int = 0
+    heard_s: float = math.nan
+    ahead_s: float = math.nan
+    recent_s: float = math.nan
+    ahead: int = 0
 
 
 class Intake:
@@ -69,6 +80,9 @@ class Intake:
     one confirms it. A confirmed leap of more than `LONGEST_S`, and of as many periods as that has seconds, or stamps
     that follow each other for a quarter of a second but lie before the last good one, mean that the clock has been set:
     from then on all stamps are moved by `offset_s`, so that time goes on, and back when it is put right.
+
+    Where samples of an inertial unit are missing for longer than `DOUBT_S`, or impossible for longer than `BAD_S`,
+    others stand in for them: rows without values, one a period. Samples that come after all are then too late.
 
     Parameters
     ----------
@@ -84,12 +98,20 @@ class Intake:
     LONGEST_S = 600.0
     #: Bad samples in a row that are replaced by the last good one; what comes after is missing.
     REPEATED = 3
+    #: Bad samples for so long are the unit's, not the line's [s].
+    BAD_S = 0.25
+    #: A drive is silent once readings have come so far ahead of it [s]: a driver that is busy takes less.
+    SILENT_S = 4.0
+    #: So many of them, over so long a time, each at most so long after the one before [s]: wild stamps do not agree.
+    AGREE, SPAN_S, APART_S = 4, 0.5, 2.0
 
     def __init__(self, drive: Mechanisation, start_s: float, counts: dict[str, int]) -> None:
         self.counts, self._period_s, self._limits = counts, drive.period_s, drive.limits()
         self.limits = np.ascontiguousarray(self._limits, dtype=np.float64)
         self._gap_s = strapdown.GAP_PERIODS * self._period_s
         self._doubt_s = max(self.DOUBT_S, 10.0 * self._period_s)
+        self._stands_in = drive.inertial
+        self._most_bad = round(self.BAD_S * drive.rate_hz) if drive.inertial else sys.maxsize
         self._longest_s = self.LONGEST_S * max(1.0, self._period_s)  # what speaks seldom may be silent for long
         self._confirm = max(5, round(0.25 * drive.rate_hz))
         self._previous = strapdown.PREVIOUS if drive.inertial else strapdown.PREVIOUS_RPY
@@ -113,8 +135,10 @@ class Intake:
         """
         return self.memory.back_count > 1
 
-    def take(self, samples: Array, drv: Array, at_rest: Callable[[], Array]) -> tuple[Array, Array]:
-        """Steps in place of stamps (first column), and the stamps."""
+    def take(self, samples: Array, drv: Array, at_rest: Callable[[], Array]) -> list[tuple[Array, Array]]:
+        """Steps in place of stamps (first column), and the stamps: one block, or several, each of samples or of rows
+        without values that stand in for some.
+        """
         memory = self.memory
         if memory.offset_s:
             samples[:, 0] += memory.offset_s
@@ -123,20 +147,82 @@ class Intake:
         if gaps < 0:
             return self._mend(samples, drv, at_rest)
         self.taken(gaps)
-        return samples, stamps
+        return [(samples, stamps)]
 
     def taken(self, gaps: int) -> None:
         """Note that samples were all right, but for so many gaps between them."""
+        memory = self.memory
         self.counts["gap"] += gaps
-        self.memory.doubtful_s, self.memory.back_count, self.memory.bad = -math.inf, 0, 0
+        memory.doubtful_s, memory.back_count, memory.bad = -math.inf, 0, 0
+        if memory.ahead:
+            self._speaks()
 
-    def _mend(self, samples: Array, drv: Array, at_rest: Callable[[], Array]) -> tuple[Array, Array]:
+    def _speaks(self) -> None:
+        """The drive is not silent."""
+        memory = self.memory
+        memory.heard_s = memory.ahead_s = memory.recent_s = math.nan
+        memory.ahead = 0
+
+    def missing(self, time_s: float, state_s: float) -> tuple[Array, Array] | None:
+        """What stands in for a drive that is silent: steps and stamps, up to a reading that came ahead of it; None
+        while it may still speak.
+
+        Parameters
+        ----------
+        time_s, state_s : float
+            Of the reading and of the state [s].
+        """
+        memory = self.memory
+        if not self._stands_in or not math.isfinite(time_s):
+            return None
+        near = abs(time_s - memory.recent_s) <= self.APART_S
+        memory.ahead, memory.recent_s = memory.ahead + 1, time_s
+        # of two that do not agree the earlier is the likelier
+        memory.ahead_s = min(memory.ahead_s, time_s) if memory.ahead > 1 else time_s
+        if math.isnan(memory.heard_s):
+            silent_s, agree = time_s - memory.before_s, memory.ahead >= self.AGREE
+            if not (agree and time_s - memory.ahead_s >= self.SPAN_S and self.SILENT_S <= silent_s <= self._longest_s):
+                return None
+        if not near:
+            return None
+        stamps = self._stamps(max(state_s, memory.before_s), time_s)
+        if not len(stamps):
+            return None
+        if math.isnan(memory.heard_s):
+            memory.heard_s = memory.before_s
+            self.counts["gap"] += 1
+        rows = np.full((len(stamps), 7), np.nan)
+        rows[:, 0] = np.diff(stamps, prepend=memory.before_s)
+        return rows, stamps
+
+    def _stamps(self, before_s: float, end_s: float) -> Array:
+        """Stamps of samples that are missing between two instants."""
+        count = int((end_s - before_s) / self._period_s + 1e-6)
+        return before_s + self._period_s * np.arange(1.0, count + 1.0)
+
+    def _filled(self, samples: Array) -> Array:
+        """With rows where samples have been missing for long; the first column holds stamps."""
+        steps = np.diff(samples[:, 0], prepend=self.memory.before_s)
+        if not self._stands_in or not (steps > self._doubt_s).any():
+            return samples
+        parts: list[Array] = []
+        for row, step in zip(samples, steps.tolist(), strict=True):
+            if step > self._doubt_s:
+                stamps = self._stamps(row[0] - step, row[0] - 0.5 * self._period_s)
+                parts.append(np.column_stack([stamps, np.full((len(stamps), 6), np.nan)]))
+            parts.append(row[None, :])
+        return np.ascontiguousarray(np.concatenate(parts))
+
+    def _mend(self, samples: Array, drv: Array, at_rest: Callable[[], Array]) -> list[tuple[Array, Array]]:
         """Drop samples whose stamps cannot be, repair values that cannot be; returns steps and stamps."""
         possible: NDArray[np.bool_] = np.all(np.abs(samples[:, 1 : 1 + len(self._limits)]) <= self._limits, axis=1)
-        keep, before, shift = np.zeros(len(samples), bool), self.memory.before_s, 0.0
+        keep, absent = np.zeros((2, len(samples)), bool)
+        before, shift = self.memory.before_s, 0.0
         for i, stamp in enumerate(samples[:, 0].tolist()):
             stamp += shift
-            if not (math.isfinite(stamp) and stamp > before):
+            if self.memory.heard_s < stamp <= before:
+                moved = math.nan  # another stood in for it
+            elif not (math.isfinite(stamp) and stamp > before):
                 moved = self._set_back(stamp, before)
             elif stamp - before > self._doubt_s:
                 moved = self._leap(stamp, before)
@@ -151,17 +237,22 @@ class Intake:
             self.memory.bad = 0 if possible[i] else self.memory.bad + 1
             if not possible[i]:
                 self.counts["bad-sample"] += 1
-            if self.memory.bad > self.REPEATED:
+            self._speaks()
+            if self.REPEATED < self.memory.bad <= self._most_bad:
                 continue
             samples[i, 0] = stamp
             keep[i], before = True, stamp
-        samples = np.ascontiguousarray(samples[keep])
-        self._repair(samples[:, 1 : 1 + len(self._limits)], ~possible[keep], drv, at_rest)
-        stamps = samples[:, 0].copy()
-        steps = np.diff(stamps, prepend=self.memory.before_s)
+            absent[i] = self.memory.bad > self._most_bad
+        samples[absent, 1:] = np.nan
+        samples, bad = np.ascontiguousarray(samples[keep]), ~possible[keep] & ~absent[keep]
+        self._repair(samples[:, 1 : 1 + len(self._limits)], bad, drv, at_rest)
+        steps = np.diff(samples[:, 0], prepend=self.memory.before_s)
         self.counts["gap"] += int(np.count_nonzero(steps > self._gap_s))
-        samples[:, 0] = steps
-        return samples, stamps
+        samples = self._filled(samples)
+        stamps = samples[:, 0].copy()
+        samples[:, 0] = np.diff(stamps, prepend=self.memory.before_s)
+        ends = np.flatnonzero(np.diff(np.isnan(samples[:, 1]))) + 1
+        return list(zip(np.split(samples, ends), np.split(stamps, ends), strict=True))
 
     def _leap(self, stamp: float, before: float) -> float:
         """What to add to a stamp far ahead: NaN while it is in doubt, 0 for a gap, else by how much the clock has been

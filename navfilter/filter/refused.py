@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.filter import agreement, gating
+from navfilter.filter import agreement, gating, realignment
 from navfilter.filter.adoption import Change
 from navfilter.filter.channel import Channel
 from navfilter.filter.offsets import with_offsets
@@ -46,10 +46,17 @@ def let_in(filter: Filter, channel: Channel, time_s: float, nis: float, dof: int
     """
     memory, kept, P = filter.memory, channel.memory, filter.memory.P
     if math.isnan(kept.rejected_since_s):
-        kept.rejected_since_s = time_s
+        kept.rejected_since_s, kept.ramp = time_s, ()
     if frozen:
         kept.refused = None
         return False
+    if channel.moves:
+        kept.ramp = realignment.with_refused(
+            kept.ramp, time_s - kept.rejected_since_s, channel.note[3 : 3 + channel.axes]
+        )
+        filter.astray = realignment.astray(filter, channel, time_s)
+        if filter.astray is not None:
+            return False
     if channel.sensor.open_loop != listen.NOTHING and _agreed(filter, channel, time_s):
         return True
     if gating.state_contradicted(filter.channels.values(), time_s):

@@ -25,8 +25,9 @@ UNIT = 6
 TICK, NEWS, OFF_S, CLOSE_S, SURE, REFERENCE, GRAVITY = 0, 1, 2, 3, 4, 5, 8
 
 # Conditions. Beyond `NOISY` nothing of an axis is used; from `MISPLACED` to `IN_G` it is gravity that says so. The last
-# one is set, and ended, by others.
-GOOD, NOISY, STUCK, DEAD, SATURATED, ERRATIC, WRONG_UNIT, MISPLACED, FREE_FALL, SWAPPED, IN_G, CONTRADICTED = range(12)
+# two are set by others, and `CONTRADICTED` is ended by them, too.
+GOOD, NOISY, STUCK, DEAD, SATURATED, ERRATIC, WRONG_UNIT = range(7)
+MISPLACED, FREE_FALL, SWAPPED, IN_G, CONTRADICTED, SILENT = range(7, 13)
 
 FALSE_ALARM = math.log(1e-12)  # of a run of equal values, per sample and axis: one in 80 years at 100 Hz
 LEAST_RUN, LEAST_S = 10.0, 0.1  # a bus repeats a few samples when it stumbles
@@ -122,13 +123,13 @@ def look(samples, w, sd, limits, period_s, increments):
                     found, since_s = NOISY, 0.2 * NOISE_S
                     if ratio > WILD or a[CODE] == ERRATIC or a[CODE] == WRONG_UNIT:
                         found = WRONG_UNIT if DEGREES[0] < ratio < DEGREES[1] else ERRATIC
-            if found != GOOD:
+            if found > NOISY or (found == NOISY and a[CODE] != SILENT):
                 a[CLEAN_S] = 0.0
                 # a worse one, or the same with a better name
                 if a[CODE] < found and (a[CODE] <= NOISY or a[CODE] == ERRATIC):
                     a[CODE], a[BEGAN_S] = found, since_s
                     unit[NEWS] = 1.0
-            elif a[CODE] != GOOD and a[CODE] < MISPLACED:
+            elif a[CODE] != GOOD and (a[CODE] < MISPLACED or a[CODE] == SILENT):
                 a[CLEAN_S] += dt
                 if a[CLEAN_S] >= RECOVERS_S:
                     a[CODE] = GOOD

@@ -239,6 +239,8 @@ class LearningSchedule:
             listen.carry(self._fed_back, event.transition)
         elif isinstance(event, Relaid):
             self._relaid(event.M)
+            if event.anew:
+                self._state_reset(listen.HEADING)
         return ()
 
     def _corrected(self, event: Correction, channel: Channel) -> Sequence[Change]:

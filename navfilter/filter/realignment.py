@@ -1,0 +1,259 @@
+"""Attitude and velocity set anew under way, by what the instruments say: a coarse alignment (Groves, 2013, sec. 5.6).
+
+After a time without the drive, or one in which it was worth nothing, roll and pitch may be wrong by more than a linear
+filter bears, and more than its covariance says: the vehicle has manoeuvred unseen. Gravity, turned by such a tilt, then
+drives the velocity away from a DVL that is right. What knows better is at hand: the mean force of the accelerometers
+shows where down is, but for what the vehicle accelerates; the DVL shows the velocity. They replace roll, pitch and
+velocity, with the variance of their own errors, and nothing is left of what the old ones had in common with other
+states. The heading stays: compass readings correct it as large as its error may be.
+
+A smaller tilt, or a bias that has jumped, shows in no level. It shows as a ramp: a velocity whose residuals grow from
+nothing, along a line. No DVL fails so. The ramp is then laid to tilt, accelerometers and gyros alike: their variances
+are opened by as much, and the DVL is believed.
+
+Where nothing was heard for long, neither drive nor sensors, no vehicle has gone further than it can.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navfilter.kernels import drive_watch as kernel
+from navfilter.kernels import strapdown
+from navfilter.state import rotation_matrix
+
+if TYPE_CHECKING:
+    from navfilter.filter.channel import Channel
+    from navfilter.filter.events import Listening
+    from navfilter.filter.filter import Filter
+
+__all__ = ["after_fault", "astray", "bound", "ramp_of", "set_anew", "with_refused"]
+
+Array = NDArray[np.float64]
+#: A tilt with a larger sd is beyond what linearisation bears: its square turns 1 % of a velocity, or 0.02 m/s^2 of
+#: gravity, into an error that no covariance has [rad].
+SURE_SD = 0.05
+#: The level contradicts the state beyond this NIS, of two components: 3e-7 of the good ones do.
+LIMIT = 30.0
+#: A force that differs from gravity by more is no level [m/s^2]: `navfilter.alignment` refuses it, too.
+EXCESS = 1.5
+#: A velocity that has been refused for so long contradicts the state [s].
+REFUSED_S = 1.0
+#: A refused reading says what the velocity is if it is so old at most [s], to so much [m/s].
+HEARD_S, VELOCITY_SD = 1.0, 0.1
+#: A ramp is told by so many refused readings at the earliest, over so long a time [s], by a slope of so many standard
+#: deviations (of Student's t with six degrees of freedom 2e-4 are beyond), and if it began at less than this share of
+#: what it has come to [1]: what fails at once is no ramp.
+READINGS, RAMP_S, SLOPE_SDS, BEGAN = 8, 1.5, 8.0, 0.5
+#: What a vehicle can do at most that does not say so [m/s]: few that swim are faster; others, twice what they do now.
+MOST_SPEED, FASTER = 3.0, 2.0
+
+
+class Level(NamedTuple):
+    """Where down is.
+
+    Attributes
+    ----------
+    turn : ndarray, shape (3,)
+        Rotation vector in n from the attitude as it is to the one that the accelerometers show [rad].
+    variance : float
+        Of its two horizontal components [rad^2].
+    doubt : float
+        NIS of the state's tilt against it.
+    sd : float
+        Larger one of the two that the state has for its tilt [rad].
+    """
+
+    turn: Array
+    variance: float
+    doubt: float
+    sd: float
+
+
+def after_fault(filter: Filter, tell: Listening) -> None:
+    """While axes of the drive are left out, and when they are used again: set attitude and velocity anew where the
+    tilt is not known, or not what the accelerometers say.
+
+    Parameters
+    ----------
+    filter : Filter
+    tell : callable
+        Is told of it.
+    """
+    level = _level(filter)
+    if level is not None and (level.sd > SURE_SD or level.doubt > LIMIT):
+        set_anew(filter, tell)
+
+
+def astray(filter: Filter, channel: Channel, time_s: float) -> float | None:
+    """Whether a velocity that has been refused for `REFUSED_S` shows that the attitude is wrong: the accelerometers
+    contradict it, or it is not known (0), or the residuals grow along a ramp (its slope [m/s^2]); else None.
+
+    Parameters
+    ----------
+    filter : Filter
+    channel : Channel
+        Whose reading has just been refused.
+    time_s : float
+    """
+    kept = channel.memory
+    if not channel.moves or not filter.inertial:
+        return None
+    if time_s - kept.rejected_since_s >= REFUSED_S:
+        level = _level(filter)
+        if level is not None and (level.sd > SURE_SD or level.doubt > LIMIT):
+            return 0.0
+    # a velocity through water may change with the water, slowly, too
+    if not kept.ramp or channel.sensor.gives != "velocity":
+        return None
+    return ramp_of(kept.ramp, np.diag(channel.R)[: channel.axes])
+
+
+def with_refused(ramp: tuple[float, ...], age_s: float, residual: Array) -> tuple[float, ...]:
+    """The sums of a straight line through residuals with another one: their number, of ages and squared ages, and axis
+    by axis of residuals, of their products with the ages, and of their squares; empty before the first whole one.
+    """
+    if not np.isfinite(residual).all():
+        return ramp
+    new = np.concatenate([[1.0, age_s, age_s**2], residual, age_s * residual, residual**2])
+    return tuple((new if not ramp else np.array(ramp) + new).tolist())
+
+
+def ramp_of(ramp: tuple[float, ...], white: Array) -> float | None:
+    """Slope of a ramp that began at nothing [m/s^2], from the sums of `with_refused`; None where there is none.
+
+    Parameters
+    ----------
+    ramp : tuple of float
+    white : ndarray, shape (axes,)
+        Variance of a residual by the sensor's noise alone.
+
+    Examples
+    --------
+    >>> ramp = ()
+    >>> for k in range(9):
+    ...     ramp = with_refused(ramp, 0.25 * k, np.array([0.05 * k, 0.001 * (-1) ** k]))
+    >>> round(ramp_of(ramp, np.full(2, 1e-4)), 2)
+    0.2
+    """
+    n, t, tt = ramp[:3]
+    r, rt, rr = np.array(ramp[3:]).reshape(3, -1)
+    spread = tt - t * t / n
+    # of evenly spaced readings from age 0 on the last has twice the mean age
+    last_s = 2.0 * t / n
+    if n < READINGS or last_s < RAMP_S:
+        return None
+    slope = (rt - t * r / n) / spread
+    left = np.maximum(rr - r * r / n - slope * (rt - t * r / n), 0.0) / (n - 2.0)
+    sds = math.sqrt(float(np.sum(slope**2 * spread / np.maximum(left, white))))
+    began = r / n - slope * t / n
+    grown = float(np.linalg.norm(began)) < BEGAN * float(np.linalg.norm(began + slope * last_s))
+    return float(np.linalg.norm(slope)) if sds > SLOPE_SDS and grown else None
+
+
+def set_anew(filter: Filter, tell: Listening, ramp: float = 0.0) -> None:
+    """Roll, pitch and velocity by accelerometers and DVL; after a `ramp` [m/s^2] of its residuals the attitude stays,
+    with the variance that the ramp gives to it and to the biases.
+    """
+    level, memory, state = None if ramp else _level(filter), filter.memory, filter.state
+    velocity, refused = state.velocity_n.copy(), _refused_velocity(filter)
+    if level is None and (not ramp or refused is None):
+        return
+    n, C = filter.layout.size, state.C_nb
+    M, N = np.eye(n), np.zeros((n, n))
+    if level is not None:
+        C = rotation_matrix(level.turn) @ C
+        M[6, 6] = M[7, 7] = 0.0
+        N[6, 6] = N[7, 7] = level.variance
+        # what turned it about two axes may have turned it about the third
+        N[8, 8] = 0.5 * float(level.turn @ level.turn)
+    if refused is not None:
+        off, since_s = refused
+        velocity = velocity + off
+        M[range(3, 6), range(3, 6)] = 0.0
+        if ramp:
+            tilt, g = ramp / strapdown.gravity(memory.nav[0], memory.nav[2]), filter.layout.drive
+            N[6, 6] = N[7, 7] = tilt**2
+            biases = np.flatnonzero(np.diag(g.Phi)[: g.errors] == 1.0)
+            turns = g.C[:3, biases].any(axis=0)
+            N[g.start + biases, g.start + biases] = np.where(turns, tilt / since_s, ramp) ** 2
+        attitude = N[6, 6] + N[8, 8] + memory.P[8, 8]
+        N[range(3, 6), range(3, 6)] = VELOCITY_SD**2 + float(velocity @ velocity) * min(attitude, 1.0)
+        N[:3, :3] = np.outer(off, off) * since_s**2
+        for channel in filter.channels.values():
+            if channel.moves:
+                channel.memory.rejected_since_s, channel.memory.refused = math.nan, None
+    memory.drv[strapdown.COUNT : strapdown.SQUARES + 6] = 0.0  # a mean over what was replaced shows no rest
+    memory.counts["realigned"] += 1
+    filter.put(velocity, C, M, N, tell)
+    filter.watch.refer(memory.watch, memory.nav, memory.P)
+
+
+def bound(filter: Filter, position: Array, seconds: float, tell: Listening) -> None:
+    """After a time in which nothing was heard: no more variance of velocity and position than the vehicle's speed gives
+    them. The velocity that it had may have been that of any direction since.
+
+    Parameters
+    ----------
+    filter : Filter
+    position : ndarray, shape (3,)
+        Variance of the position before [m^2].
+    seconds : float
+        How long it was.
+    tell : callable
+        Is told of it.
+    """
+    memory, state = filter.memory, filter.state
+    assert state.covariance is not None
+    speed = float(np.linalg.norm(state.velocity_n))
+    most = filter.vehicle.drive.max_speed_m_s or max(MOST_SPEED, FASTER * speed)
+    velocity = (0.5 * (most + speed)) ** 2
+    most_variance = np.concatenate([position + velocity * seconds**2, np.full(3, velocity)])
+    shrink = np.sqrt(np.minimum(1.0, most_variance / np.diag(state.covariance)[:6]))
+    if (shrink < 1.0).any():
+        M = np.eye(len(memory.P))
+        M[range(6), range(6)] = shrink
+        filter.put(state.velocity_n, state.C_nb, M, np.zeros_like(M), tell)
+
+
+def _level(filter: Filter) -> Level | None:
+    """What the accelerometers show; None where they are not used, or feel more than gravity."""
+    memory, watch = filter.memory, filter.memory.watch
+    if not filter.watch.active or (watch[3:6, kernel.HEEDED] > kernel.NOISY).any() or not watch[3, kernel.SEEN]:
+        return None
+    g, state = filter.layout.drive, filter.state
+    C = g.C[3:6]
+    k = C.shape[1]
+    force = watch[3:6, kernel.MEAN] - C @ memory.x[:k]
+    gravity, size = strapdown.gravity(memory.nav[0], memory.nav[2]), float(np.linalg.norm(force))
+    if not abs(size - gravity) < EXCESS:
+        return None
+    down = state.C_nb @ (-force / size)
+    angle, across = math.atan2(math.hypot(down[0], down[1]), down[2]), math.hypot(down[0], down[1])
+    turn = np.array([down[1], -down[0], 0.0]) * (angle / across if across > 0.0 else 1.0)
+    drive = filter.vehicle.drive
+    shaken = watch[3:6, kernel.NOISE].max() / 6.0 * drive.period_s / kernel.MEAN_S
+    bias = np.einsum("ij,jk,ik->i", C, memory.P[9 : 9 + k, 9 : 9 + k], C).max()
+    variance = float(drive.gap_force_sd**2 + shaken + bias) / gravity**2  # type: ignore[attr-defined]
+    assert state.covariance is not None
+    tilt = state.covariance[6:8, 6:8]
+    doubt = float(turn[:2] @ np.linalg.solve(tilt + variance * np.eye(2), turn[:2]))
+    return Level(turn, variance, doubt, math.sqrt(float(np.linalg.eigvalsh(tilt)[-1])))
+
+
+def _refused_velocity(filter: Filter) -> tuple[Array, float] | None:
+    """By how much the velocity in n is off, as a sensor says whose readings are refused, and for how long [s]."""
+    for channel in filter.channels.values():
+        memory, now_s = channel.memory, filter.memory.time_s
+        if channel.moves and now_s - memory.last_s < HEARD_S and not math.isnan(memory.rejected_since_s):
+            residual = channel.note[3 : 3 + channel.axes]
+            seen = np.isfinite(residual)
+            N = channel.near[seen, 3:6]
+            if np.linalg.matrix_rank(N) >= 2:
+                since_s = now_s - memory.used_s if math.isfinite(memory.used_s) else now_s - memory.rejected_since_s
+                return np.linalg.pinv(N) @ residual[seen], since_s
+    return None
