@@ -37,7 +37,7 @@ def health_of(filter: Filter, watches: Mapping[str, Watch]) -> Health:
         sees = channels[name].sensor.corrects
         off[sees] = max(off.get(sees, 0.0), _off(channels[name], watch))
     age_s, moved_m = _since_fix(filter, watches)
-    radius_m, heading_rad = integrity.bounds(P, age_s, moved_m, off, filter.inertial)
+    radius_m, heading_rad = integrity.bounds(P, age_s, moved_m, off, filter.inertial and filter.vehicle.drive.feels)
     drive = filter.vehicle.drive
     rate = drive.body_rate(
         memory.drv, drive.outputs(filter.drive_output[:, :-1], memory.drv)[:3] @ memory.x[: filter.layout.drive.size]

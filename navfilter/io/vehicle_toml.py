@@ -30,7 +30,7 @@ from navfilter.filter.offsets import Offset
 from navfilter.io.validation import Strict, inside, listed, read_toml, validate
 from navfilter.io.vehicle_keys import checked, constants, plain_key, spellings, times
 from navfilter.learning.learned import LearnedArma
-from navfilter.mechanisation import Mechanisation
+from navfilter.mechanisation import Coasting, Imu, Mechanisation
 from navfilter.sensors import Sensor
 from navfilter.sensors.traits import kinds_below
 from navfilter.vehicle import RESERVED, Vehicle
@@ -140,7 +140,7 @@ def _kinds() -> Kinds:
     their module, and those that only a run makes are none.
     """
     bases = ErrorModel, Sensor, Mechanisation
-    return tuple(cls for base in bases for cls in kinds_below(base) if cls not in (Sum, Offset))
+    return tuple(cls for base in bases for cls in kinds_below(base) if cls not in (Sum, Offset, Coasting))
 
 
 def _base_of(cls: type) -> tuple[str, type]:
