@@ -32,7 +32,7 @@ from navfilter.start import Start
 from navfilter.state import NavState, Pose
 from navfilter.vehicle import DEAD_RECKONING, LEVEL, LEVEL_PERIOD_S, Vehicle
 
-__all__ = ["LaneNavigator", "begin_anew", "choice_of", "coasting_times", "edge_after", "level_times"]
+__all__ = ["LaneNavigator", "begin_anew", "choice_of", "coasting_times", "edge_after", "level_times", "to_begin_anew"]
 
 Array = NDArray[np.float64]
 #: Lanes that are doubted begin anew at multiples of so many seconds of mission time: a replay runs them so far apart.
@@ -105,6 +105,11 @@ def level_times(start: Start, first: int, until_s: float) -> Array:
     return times[times < until_s]
 
 
+def to_begin_anew(choice: Choice, believed: Navigator) -> list[int]:
+    """Lanes that are doubted, and may begin anew from the one in force: not while that may do its own beginning again."""
+    return [] if believed.learning.beginning is not None else choice.to_begin_anew()
+
+
 def begin_anew(nav: Navigator, source: Navigator) -> Transplant:
     """Begin a lane anew from the state of another; what it knows of its own unit's samples stays."""
     new = transplant(source.filter, nav.filter)
@@ -171,7 +176,6 @@ class LaneNavigator:
         self._sensors = {name: i for i, name in enumerate(self.choice.names)}
         self._ticks = self._levels = 1
         self._ahead_s = -math.inf
-        self._edge_s = edge_after(start.time_s)
         names = list(vehicle.sensors)
         self._behind = {name: names[i + 1 :] for i, name in enumerate(names)}
         self.history = History(self, length_s, names) if length_s else None
@@ -275,12 +279,11 @@ class LaneNavigator:
         """
         if not time_s <= self.time_s + AHEAD_S:
             return False
-        while self._edge_s < time_s:
-            self.choice.decide_until(self._edge_s, behind=True)
-            for lane in self.choice.to_begin_anew():
+        while (edge_s := self._edge_s) < time_s:
+            self.choice.decide_until(edge_s, behind=True)
+            for lane in to_begin_anew(self.choice, self.believed):
                 begin_anew(self._runs[lane], self.believed)
                 self.choice.begun_anew(lane)
-            self._edge_s = max(self._edge_s + ANEW_S, edge_after(time_s) - ANEW_S)
         self.choice.decide_until(time_s)
         return True
 
@@ -345,7 +348,11 @@ class LaneNavigator:
             run.memory, run.watches, run.waiting.readings = lane.run, lane.watches, lane.waiting
         self.choice.memory = memory.choice
         self._ticks, self._levels, self._ahead_s = memory.ticks, memory.levels, memory.ahead_s
-        self._edge_s = edge_after(self.time_s)
+
+    @property
+    def _edge_s(self) -> float:
+        """When lanes may begin anew next [s]."""
+        return edge_after(self.choice.compared_s)
 
     @property
     def time_s(self) -> float:
@@ -377,13 +384,18 @@ class LaneNavigator:
     @property
     def state(self) -> NavState:
         """The state of the lane in force with its covariance and the health of the sensors; a copy."""
-        return dataclasses.replace(self.believed.filter.state, health=self.health)
+        state = self.believed.filter.state
+        return dataclasses.replace(state, health=self._health_of(state))
 
     @property
     def health(self) -> Health:
         """What sensors and lanes are worth at present."""
+        return self._health_of(self.believed.filter.state)
+
+    def _health_of(self, state: NavState) -> Health:
         run, name = self.believed, self._names[self.choice.memory.lane]
-        health = health_of(run.filter, {key: watch for key, watch in run.watches.items() if key != LEVEL})
+        watches = {key: watch for key, watch in run.watches.items() if key != LEVEL}
+        health = health_of(run.filter, watches, run.learning.worker.health, state)
         lanes = dict(self._lane_health())
         trust = health.trust
         doubts = [f"the lane of {key} is {lane.condition}" for key, lane in lanes.items() if lane.condition == "doubted"]
@@ -427,7 +439,7 @@ class LaneNavigator:
         nav = cls(vehicle, saved.start, history_s=saved.history_s)
         memory: LanesMemory = saved.memory
         for name, run in nav.lanes.items():
-            run.prepare(memory.lanes[name].run)
+            run.revive(memory.lanes[name].run)
         problem = misfit(memory, nav.memory, "memory")
         if problem or not 0 <= memory.choice.lane < len(nav.lanes):
             raise ValueError(problem or "memory.choice.lane is none")

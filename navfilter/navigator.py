@@ -49,6 +49,12 @@ class NavigatorMemory:
     filter: FilterMemory
     learning: LearningMemory
 
+    def whole(self) -> NavigatorMemory:
+        """The same with as many inputs of the beginning as belong to it, for they are shared and go on."""
+        beginning = self.learning.beginning
+        kept = None if beginning is None else beginning[: self.learning.kept]
+        return NavigatorMemory(self.filter, dataclasses.replace(self.learning, beginning=kept))
+
 
 MEMORY = (
     *(NavigatorMemory, FilterMemory, ChannelMemory, Refusals, IntakeMemory),
@@ -109,6 +115,8 @@ class Navigator:
         *,
         threads: bool = True,
     ) -> None:
+        if isinstance(vehicle, Vehicle) and vehicle.lanes():
+            raise ValueError("this vehicle has lanes: use LaneNavigator, or one of them, as vehicle.lanes() has them.")
         self.vehicle, self.start = vehicle, start
         self.filter = Filter(vehicle, start, tape)
         usual_s = max([self.HISTORY_S, *(sensor.late_s for sensor in vehicle.sensors.values())])
@@ -127,7 +135,7 @@ class Navigator:
         names = list(vehicle.sensors)
         self.history = History(self, length_s, names) if length_s else None
         self.watches = {name: Watch(sensor.gate_timeout_s) for name, sensor in vehicle.sensors.items()}
-        self._waiting = Waiting()
+        self.waiting = Waiting()
         self._behind = {name: names[i + 1 :] for i, name in enumerate(names)}
         self._row = np.empty((1, 7))
 
@@ -163,10 +171,10 @@ class Navigator:
 
     def step_samples(self, samples: Array) -> None:
         """As `step`, for rows of time and the six values; the array is used as work space."""
-        while len(samples) and samples[-1, 0] + self.offset_s > self._waiting.next_s + 1e-9:
-            here = int(np.argmax(samples[:, 0] + self.offset_s > self._waiting.next_s + 1e-9))
+        while len(samples) and samples[-1, 0] + self.offset_s > self.waiting.next_s + 1e-9:
+            here = int(np.argmax(samples[:, 0] + self.offset_s > self.waiting.next_s + 1e-9))
             self._carry(samples[:here])
-            self._release(self._waiting.next_s)
+            self._release(self.waiting.next_s)
             samples = samples[here:]
         self._carry(samples)
 
@@ -208,7 +216,7 @@ class Navigator:
         if reading.time_s > time_s and time_s < self.start.time_s - 1e-9:
             return Outcome("too-late")
         if reading.time_s > max(time_s, self.time_s):
-            self._waiting.put(reading)
+            self.waiting.put(reading)
             return Outcome("waiting")
         return self._noted(reading)
 
@@ -217,7 +225,7 @@ class Navigator:
         self._release()
 
     def _release(self, time_s: float = math.inf) -> None:
-        for reading in self._waiting.due(time_s):
+        for reading in self.waiting.due(time_s):
             self._noted(reading)
 
     def _noted(self, reading: Reading) -> Outcome:
@@ -382,14 +390,9 @@ class Navigator:
         if self.filter.tape is not None:
             raise ValueError("a run with a tape keeps no snapshot: make the navigator without one.")
         memory, inputs = (self.memory, []) if self.history is None else self.history.kept()
-        inputs = [*inputs, *self._waiting.readings]
-        beginning = memory.learning.beginning
-        learning = dataclasses.replace(
-            memory.learning, beginning=None if beginning is None else beginning[: memory.learning.kept]
-        )
+        inputs = [*inputs, *self.waiting.readings]
         length_s = 0.0 if self.history is None else self.history.length_s
-        whole = NavigatorMemory(memory.filter, learning)
-        saved = snapshots.Saved(self.start, length_s, whole, inputs, self.watches)
+        saved = snapshots.Saved(self.start, length_s, memory.whole(), inputs, self.watches)
         return snapshots.write(saved, self.vehicle, self.time_s, path)
 
     @classmethod
@@ -418,18 +421,7 @@ class Navigator:
     @classmethod
     def _revived(cls, vehicle: Vehicle, saved: snapshots.Saved) -> Navigator:
         nav = cls(vehicle, saved.start, history_s=saved.history_s)
-        memory: NavigatorMemory = saved.memory
-        for name, listener in memory.learning.listeners.items():
-            if name not in nav.learning.listeners:
-                nav.listen(name, listener.ring.shape[1])
-        nav.filter.begin(dict(memory.filter.models))
-        nav.learning.begin_again(-math.inf)
-        problem = misfit(memory, nav.memory, "memory") or memory.filter.problem(nav.filter.memory)
-        if problem:
-            raise ValueError(problem)
-        if len(memory.learning.beginning or ()) != memory.learning.kept:
-            raise ValueError("memory.learning.beginning has not as many inputs as were kept")
-        nav.memory = memory
+        nav.revive(saved.memory)
         for item in saved.inputs:
             nav._given(item)
         if set(saved.watches) != set(nav.watches):
@@ -437,12 +429,26 @@ class Navigator:
         nav.watches = saved.watches
         return nav
 
+    def revive(self, memory: NavigatorMemory) -> None:
+        """Go on from a memory that came from outside; raises ValueError for one that is not of this vehicle."""
+        for name, listener in memory.learning.listeners.items():
+            if name not in self.learning.listeners:
+                self.listen(name, listener.ring.shape[1])
+        self.filter.begin(dict(memory.filter.models))
+        self.learning.begin_again(-math.inf)
+        problem = misfit(memory, self.memory, "memory") or memory.filter.problem(self.filter.memory)
+        if problem:
+            raise ValueError(problem)
+        if len(memory.learning.beginning or ()) != memory.learning.kept:
+            raise ValueError("memory.learning.beginning has not as many inputs as were kept")
+        self.memory = memory
+
     def _given(self, item: Array | Reading) -> None:
         """An input of a snapshot, again."""
         if isinstance(item, np.ndarray) and (item.ndim != 2 or item.shape[1] != 7):
             raise ValueError(f"inputs must be rows of seven numbers, found shape {item.shape}")
         if not isinstance(item, np.ndarray) and self.filter.channels[item.name].lead_s and item.time_s > self.time_s:
-            self._waiting.put(item)
+            self.waiting.put(item)
             return
         if self.history is None:
             raise ValueError("it has inputs without a history")

@@ -88,24 +88,29 @@ class Passage:
         strapped = nav.vehicle.drive.steps is strapdown.imu_steps
         asked = felt or nav.filter.remembered or nav.filter.jumps.active
         self._steady = strapped and quiet and not asked
-        self.at, self.done = 0, done
+        self.at, self.done, self._until = 0, done, len(self._ends)
         self._begin = self._end = 0
         self._out: Output | None = None
 
     def run(self, progress: Callable[[int], object] | None = None) -> None:
         """Take all readings, then the samples behind the last; `progress` is told how many readings, now and then."""
-        shown = 0
-        while self.at < len(self._ends):
+        self.run_until(len(self._ends), len(self._times), progress)
+        self.nav.finish()
+
+    def run_until(self, readings: int, samples: int, progress: Callable[[int], object] | None = None) -> None:
+        """As `run`, up to a number of readings, and then of samples; those may be taken that come before the next."""
+        shown, self._until = self.at, readings
+        while self.at < readings:
             if progress is not None and self.at - shown >= SHOWN:
                 progress(self.at - shown)
                 shown = self.at
             why = self._advance() if self.possible else kernels.NEXT
-            if self.at == len(self._ends):
+            if self.at == readings:
                 break
             self._one(why)
-        for begin in range(self.done, len(self._times), 100_000):
-            self.nav.step_samples(self._block(begin, min(begin + 100_000, len(self._times))))
-        self.nav.finish()
+        for begin in range(self.done, samples, 100_000):
+            self.nav.step_samples(self._block(begin, min(begin + 100_000, samples)))
+        self.done = max(self.done, samples)
 
     @property
     def possible(self) -> bool:
@@ -143,7 +148,7 @@ class Passage:
         """The next readings and samples, as the kernel takes them."""
         given, at = self._readings, self.at
         last = int(np.searchsorted(self._ends, self.done + SAMPLES, side="right"))
-        end = min(max(last, at + 1), at + READINGS)
+        end = min(max(last, at + 1), at + READINGS, self._until)
         self._begin, self._end, self._first, self._stepped = at, end, self.done, 0
         self._samples = self._block(self.done, max(self.done, int(self._ends[end - 1])))
         which, rows = given.sensor[at:end], given.row[at:end]
@@ -167,7 +172,7 @@ class Passage:
     def _advance(self) -> int:
         """As far as the kernel comes; why it ended."""
         why = kernels.FULL
-        while why in (kernels.FULL, kernels.DONE, kernels.HEED) and self.at < len(self._ends):
+        while why in (kernels.FULL, kernels.DONE, kernels.HEED) and self.at < self._until:
             if not self._begin <= self.at < self._end:
                 self._lay_out()
             why = self._call()

@@ -45,7 +45,7 @@ FLOORS = [
     {"sensors", "mechanisation", "vehicle", "track", "track_plot", "track_views"},
     {"filter", "learning.worker", "learning.listener", "learning.rest", "learning.refit"},
     {"learning.schedule", "beginning", "navigator", "passage", "alignment"},
-    {"assembly", "track_bounds", "playback", "beacons", "warming", "simulation", "io", "outputs", "check"},
+    {"assembly", "track_bounds", "recorded", "lanes", "lane_replay", "lane_tracks", "playback", "beacons", "warming", "simulation", "io", "outputs", "check"},
     {"evaluation", "report", "identification", "calibration"},
     {"service", "cli", "commands", "__init__", "__main__"},
 ]

@@ -100,9 +100,9 @@ class Choice:
         )
 
     @property
-    def next_s(self) -> float:
-        """Time of the next comparison [s]: what was read until then takes part in it."""
-        return (self.memory.step + 1) * STEP_S
+    def compared_s(self) -> float:
+        """Time of the last comparison [s]: what was read until then took part in it."""
+        return self.memory.step * STEP_S
 
     def hear(self, lane: int, sensor: int, residual: Sequence[float], variance: Sequence[float]) -> None:
         """What a lane foretold of a reading: measured minus foretold, and variance of that, by component."""
@@ -115,8 +115,20 @@ class Choice:
                 into[SHORT] += math.log1p(level * math.exp(-0.5)) - gain
                 into[JUDGED] += 1.0
 
-    def decide(self) -> bool:
-        """Compare the lanes, at `next_s`; whether another one is in force from then on."""
+    def decide_until(self, until_s: float, *, behind: bool = False) -> list[tuple[float, int]]:
+        """Compare the lanes as often as is due before a time, or up to it (`behind`); from when [s] which is in force."""
+        last = math.floor(until_s / STEP_S)
+        last -= not behind and last * STEP_S == until_s
+        changes = []
+        while self.memory.step < last:
+            if self._decide():
+                changes.append((self.compared_s, self.memory.lane))
+            # a silence: what is forgotten need not be forgotten step by step
+            self.memory.step = max(self.memory.step, last - STEPS)
+        return changes
+
+    def _decide(self) -> bool:
+        """Compare the lanes; whether another one is in force from then on."""
         memory = self.memory
         memory.step += 1
         memory.ring[memory.step % STEPS] = memory.gathered
