@@ -4,8 +4,8 @@ A lane says what a reading should be, and how surely: a normal density. Its gain
 logarithm of that density over the one that an outlier has, whatever its size: ``log(1 + k p / flat)``. This is the
 logarithmic score of a density that is `OUTLIERS` flat, less a constant that all lanes share. So a lane cannot win by
 saying little (with a large covariance), nor lose by one outlier that nobody foretold; one that says nothing at all
-(silent, or no number) gains nothing. Sums over the last minute are compared: their difference is the logarithm of the
-ratio of likelihoods (Gneiting and Raftery, 2007; Wald, 1945).
+(silent, or no number) gains nothing. Sums over the last minute, or over any later part of it, are compared: their
+difference is the logarithm of the ratio of likelihoods (Gneiting and Raftery, 2007; Page, 1954).
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ FULL = math.log1p(RATIO)
 #: minute, a frozen one loses 100 in a second.
 MARGIN = 50.0
 #: The lane without an inertial unit follows whatever sensor errs, while units contradict it. So it is taken only where
-#: so much [nat] of what it gains does not come from the one sensor that speaks most for it.
+#: two sensors speak for it, each by so much [nat]: odds of 20,000.
 SECOND = 10.0
 #: A lane that has begun anew is not taken before so many seconds [s]: what was wrong shows within the window.
 PROBATION_S = WINDOW_S
@@ -133,16 +133,20 @@ class Choice:
         memory.step += 1
         memory.ring[memory.step % STEPS] = memory.gathered
         memory.gathered[:] = 0.0
-        gain, short = self.sums()
         now = memory.lane
+        _, short = self.sums()
         memory.doubted[self._inertial & (short - short[now] > MARGIN)] = 1.0
-        total = gain.sum(axis=1)
+        newest_first = (memory.step - np.arange(STEPS)) % STEPS
+        gains = np.cumsum(memory.ring[newest_first, :, :, GAIN], axis=0)
+        more = gains.sum(axis=2)
+        more -= more[:, now : now + 1]
         ready = self._inertial & (memory.doubted == 0.0) & (memory.step - memory.begun >= PROBATION_S / STEP_S)
-        ready[now] = True
-        best = max(np.flatnonzero(ready).tolist(), key=lambda lane: (total[lane] - MARGIN * (lane != now), lane == now))
+        ready &= (more > MARGIN).any(axis=0)
+        best = now if not ready.any() else int(np.argmax(np.where(ready, more.max(axis=0), -math.inf)))
         for lane in np.flatnonzero(~self._inertial).tolist():
-            more = gain[lane] - gain[best]
-            if lane != best and more.sum() > MARGIN and more.sum() - more.max() > SECOND:
+            each = gains[:, lane] - gains[:, best]
+            whole = each.sum(axis=1)
+            if ((whole > MARGIN) & ((each > SECOND).sum(axis=1) > 1)).any():
                 best = lane
         if best == now:
             return False
