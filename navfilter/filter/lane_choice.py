@@ -35,9 +35,12 @@ FULL = math.log1p(RATIO)
 #: Another lane is taken when it has gained so much more [nat]: two sound units of one kind differ by less than 10 in a
 #: minute, a frozen one loses 100 in a second.
 MARGIN = 50.0
-#: The lane without an inertial unit follows whatever sensor errs, while units contradict it. So it is taken only where
-#: two sensors speak for it, each by so much [nat]: odds of 20,000.
+#: The lane without an inertial unit follows whatever sensor errs, while units contradict it. So two sensors must speak
+#: for it, each by so much [nat]: odds of 20,000.
 SECOND = 10.0
+#: Or a velocity goes on to contradict a unit: more has not been foretold than this [nat], and this share of all [1].
+#: One that is off by a constant is found to be within seconds; a unit that is off is pulled back again and again.
+ALONE, SHARE = 900.0, 0.3
 #: A lane that has begun anew is not taken before so many seconds [s]: what was wrong shows within the window.
 PROBATION_S = WINDOW_S
 #: Columns of what is gathered: gain, what was to be gained more, components judged.
@@ -88,6 +91,7 @@ class Choice:
     def __init__(self, inertial: Sequence[bool], sensors: dict[str, Sensor], start_s: float) -> None:
         self._inertial = np.array(inertial)
         self.names = [name for name, sensor in sensors.items() if not sensor.from_drive]
+        self._velocity = [i for i, name in enumerate(self.names) if sensors[name].corrects == "velocity"]
         self._sd = [_sds(sensors[name]) for name in self.names]
         shape = len(inertial), len(self.names), 3
         self.memory = ChoiceMemory(
@@ -146,13 +150,21 @@ class Choice:
         for lane in np.flatnonzero(~self._inertial).tolist():
             each = gains[:, lane] - gains[:, best]
             whole = each.sum(axis=1)
-            if ((whole > MARGIN) & ((each > SECOND).sum(axis=1) > 1)).any():
+            if ((whole > MARGIN) & ((each > SECOND).sum(axis=1) > 1)).any() or self._carried_off(best, lane):
                 best = lane
         if best == now:
             return False
         memory.doubted[now] = float(self._inertial[now])
         memory.lane = best
         return True
+
+    def _carried_off(self, lane: int, other: int) -> bool:
+        """Whether a velocity contradicts a lane, and not another one, for longer than one that errs itself would."""
+        whole = self.memory.ring[:, :, self._velocity].sum(axis=0)
+        most = whole[:, :, JUDGED].max(axis=0)
+        short = whole[:, :, SHORT] + FULL * (most - whole[:, :, JUDGED])
+        more = short[lane] - short[other]
+        return bool(((more > ALONE) & (more > SHARE * FULL * most)).any())
 
     def sums(self) -> tuple[Array, Array]:
         """Of the last minute: gain by lane and sensor, and by lane what was to be gained more."""
