@@ -12,15 +12,8 @@ from numpy.typing import NDArray
 from navfilter.alignment import align
 from navfilter.filter.lane_choice import Choice
 from navfilter.filter.tape import Tape
-from navfilter.lanes import (
-    UPRIGHT,
-    begin_anew,
-    choice_of,
-    coasting_times,
-    edge_after,
-    level_times,
-    to_begin_anew,
-)
+from navfilter.lane_clock import UPRIGHT, coasting_times, edge_after, level_times
+from navfilter.lanes import begin_anew, choice_of, to_begin_anew
 from navfilter.mission import Mission, Stream
 from navfilter.navigator import Navigator
 from navfilter.passage import Passage
@@ -82,7 +75,7 @@ def lane_mission(vehicle: Vehicle, mission: Mission, name: str, start: Start | N
     return mission.with_stream("imu", mission.streams[name])
 
 
-def align_lanes(vehicle: Vehicle, mission: Mission) -> Start:
+def align_lanes(vehicle: Vehicle, mission: Mission, window_s: float = 5.0) -> Start:
     """A start from a mission's first readings, by the first inertial unit that allows one.
 
     Raises
@@ -93,7 +86,7 @@ def align_lanes(vehicle: Vehicle, mission: Mission) -> Start:
     reasons = []
     for name in vehicle.units:
         try:
-            return align(vehicle.lanes()[name], lane_mission(vehicle, mission, name))
+            return align(vehicle.lanes()[name], lane_mission(vehicle, mission, name), window_s)
         except ValueError as error:
             reasons.append(f"{name}: {error}")
     raise ValueError(" ".join(dict.fromkeys(reasons)))

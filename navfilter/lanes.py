@@ -26,21 +26,19 @@ from navfilter.filter.integrity import Trust
 from navfilter.filter.lane_choice import JUDGED, Choice, ChoiceMemory
 from navfilter.filter.memory import misfit
 from navfilter.filter.transplant import Transplant, transplant
+from navfilter.lane_clock import UPRIGHT, coasting_times, edge_after, level_times
 from navfilter.learning.schedule import LearningSchedule
-from navfilter.navigator import MEMORY, Navigator, NavigatorMemory
+from navfilter.navigator import Navigator
+from navfilter.navigator_memory import MEMORY, NavigatorMemory
 from navfilter.start import Start
 from navfilter.state import NavState, Pose
-from navfilter.vehicle import DEAD_RECKONING, LEVEL, LEVEL_PERIOD_S, Vehicle
+from navfilter.vehicle import DEAD_RECKONING, LEVEL, Vehicle
 
-__all__ = ["LaneNavigator", "begin_anew", "choice_of", "coasting_times", "edge_after", "level_times", "to_begin_anew"]
+__all__ = ["LaneNavigator", "begin_anew", "choice_of", "to_begin_anew"]
 
 Array = NDArray[np.float64]
-#: Lanes that are doubted begin anew at multiples of so many seconds of mission time: a replay runs them so far apart.
-ANEW_S = 30.0
 #: Readings come at most so long after the last sample of the drive; so much is no leap of the clock either [s].
 AHEAD_S = 1.0
-#: What a vehicle that is level reads; nobody knows the yaw.
-UPRIGHT = np.array([0.0, 0.0, math.nan])
 
 
 @dataclass
@@ -86,27 +84,8 @@ def choice_of(vehicle: Vehicle, start_s: float) -> Choice:
     return Choice([name != DEAD_RECKONING for name in vehicle.lanes()], sensors, start_s)
 
 
-def edge_after(time_s: float) -> float:
-    """The next time at which lanes may begin anew [s]."""
-    return (math.floor(time_s / ANEW_S) + 1) * ANEW_S
-
-
-def coasting_times(start: Start, rate_hz: float, first: int, until_s: float) -> Array:
-    """Times of the samples of the lane without a unit, from a number on, up to a time [s]."""
-    last = max(first, math.floor((until_s - start.time_s) * rate_hz) + 2)
-    times = start.time_s + np.arange(first, last) / rate_hz
-    return times[times <= until_s + 1e-9]
-
-
-def level_times(start: Start, first: int, until_s: float) -> Array:
-    """When that lane is told that the vehicle is level, from a number on, before a time [s]."""
-    last = max(first, math.floor((until_s - start.time_s) / LEVEL_PERIOD_S) + 2)
-    times = start.time_s + LEVEL_PERIOD_S * np.arange(first, last)
-    return times[times < until_s]
-
-
 def to_begin_anew(choice: Choice, believed: Navigator) -> list[int]:
-    """Lanes that are doubted, and may begin anew from the one in force: not while that may do its own beginning again."""
+    """Lanes to begin anew from the one in force: none while that may do its own beginning again."""
     return [] if believed.learning.beginning is not None else choice.to_begin_anew()
 
 
@@ -398,7 +377,9 @@ class LaneNavigator:
         health = health_of(run.filter, watches, run.learning.worker.health, state)
         lanes = dict(self._lane_health())
         trust = health.trust
-        doubts = [f"the lane of {key} is {lane.condition}" for key, lane in lanes.items() if lane.condition == "doubted"]
+        doubts = [
+            f"the lane of {key} is {lane.condition}" for key, lane in lanes.items() if lane.condition == "doubted"
+        ]
         doubts += ["no inertial unit is in force"] if run is self._coasting else []
         if trust is not None and doubts:
             trust = Trust("lost" if trust.level == "lost" else "degraded", (*trust.reasons, *doubts))

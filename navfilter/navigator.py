@@ -4,9 +4,7 @@ sensor.
 
 from __future__ import annotations
 
-import dataclasses
 import math
-from dataclasses import dataclass
 from os import PathLike
 
 import numpy as np
@@ -15,24 +13,19 @@ from numpy.typing import ArrayLike, NDArray
 from navfilter.beginning import Beginning
 from navfilter.filter import snapshot as snapshots
 from navfilter.filter.adoption import Change
-from navfilter.filter.channel import ChannelMemory, Refusals
 from navfilter.filter.condition import health_of, state_of
 from navfilter.filter.events import Event, Outcome
 from navfilter.filter.filter import Filter
-from navfilter.filter.filter_memory import Errors, FilterMemory
+from navfilter.filter.filter_memory import Errors
 from navfilter.filter.health import Health, Watch
 from navfilter.filter.history import History, Reading
-from navfilter.filter.intake import IntakeMemory
 from navfilter.filter.memory import misfit
 from navfilter.filter.tape import Tape
 from navfilter.filter.waiting import Waiting
-from navfilter.learning.learner import LearnerMemory
-from navfilter.learning.listener import ChannelSeries, Hop, ListenerMemory
-from navfilter.learning.posterior import Line
-from navfilter.learning.rest import RestMemory
-from navfilter.learning.schedule import Again, LearningMemory, LearningSchedule
-from navfilter.learning.spectrum import Spectrum
+from navfilter.learning.listener import ChannelSeries
+from navfilter.learning.schedule import LearningSchedule
 from navfilter.learning.worker import Worker
+from navfilter.navigator_memory import MEMORY, NavigatorMemory
 from navfilter.start import Start
 from navfilter.state import NavState, Pose
 from navfilter.vehicle import Vehicle
@@ -40,26 +33,6 @@ from navfilter.vehicle import Vehicle
 __all__ = ["Navigator", "Outcome"]
 
 Array = NDArray[np.float64]
-
-
-@dataclass
-class NavigatorMemory:
-    """Everything that changes in order: what late readings and snapshots go back to."""
-
-    filter: FilterMemory
-    learning: LearningMemory
-
-    def whole(self) -> NavigatorMemory:
-        """The same with as many inputs of the beginning as belong to it, for they are shared and go on."""
-        beginning = self.learning.beginning
-        kept = None if beginning is None else beginning[: self.learning.kept]
-        return NavigatorMemory(self.filter, dataclasses.replace(self.learning, beginning=kept))
-
-
-MEMORY = (
-    *(NavigatorMemory, FilterMemory, ChannelMemory, Refusals, IntakeMemory),
-    *(LearningMemory, Again, Change, ListenerMemory, Hop, RestMemory, LearnerMemory, Line, Spectrum),
-)
 
 
 class Navigator:
@@ -116,7 +89,7 @@ class Navigator:
         threads: bool = True,
     ) -> None:
         if isinstance(vehicle, Vehicle) and vehicle.lanes():
-            raise ValueError("this vehicle has lanes: use LaneNavigator, or one of them, as vehicle.lanes() has them.")
+            raise ValueError("this vehicle has lanes: use LaneNavigator, or one of vehicle.lanes().")
         self.vehicle, self.start = vehicle, start
         self.filter = Filter(vehicle, start, tape)
         usual_s = max([self.HISTORY_S, *(sensor.late_s for sensor in vehicle.sensors.values())])

@@ -219,7 +219,7 @@ def _start(vehicle: Vehicle, mission: Mission, start: Start | None) -> Start:
     if start is not None:
         return start
     if mission.start is not None:
-        return mission.start  # type: ignore[no-any-return]
+        return mission.start
     return align_lanes(vehicle, mission) if vehicle.lanes() else align(vehicle, mission)
 
 

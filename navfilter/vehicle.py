@@ -109,7 +109,7 @@ class Vehicle:
         """Its inertial units by the names of their streams."""
         if self.imus:
             return dict(self.imus)
-        return {"imu": self.drive} if isinstance(self.drive, Imu) else {}
+        return {"imu": self.drive} if self.drive.inertial else {}  # type: ignore[dict-item]
 
     def lanes(self) -> dict[str, Vehicle]:
         """What is run side by side: a vehicle with a single drive for each inertial unit, and one without any; empty
@@ -120,10 +120,10 @@ class Vehicle:
         ValueError
             When a dead-reckoning lane is asked for that has nothing to go by.
         """
-        if not (len(self.imus) > 1 or self.dead_reckoning_lane):
+        if not (self.imus or self.dead_reckoning_lane):
             return {}
         lanes = {name: Vehicle(unit, self.sensors, self.name) for name, unit in self.units.items()}
-        if self.dead_reckoning_lane is False:
+        if not self.dead_reckoning_lane and (self.dead_reckoning_lane is False or len(lanes) < 2):
             return lanes
         seen = {sensor.corrects for sensor in self.sensors.values()}
         lacks = [what for what in ("heading", "velocity") if what not in seen]
@@ -153,14 +153,16 @@ class Vehicle:
         return Vehicle(drive, {**self.sensors, LEVEL: level}, self.name)
 
     def _repr_html_(self) -> str:
-        parts = {**(self.imus or {"drive": self.drive}), **self.sensors}
+        drives: Mapping[str, Mechanisation] = self.imus or {"drive": self.drive}
+        parts = {**drives, **self.sensors}
         return card(f"Vehicle {self.name}", {name: _in_short(part) for name, part in parts.items()})
 
     def with_error(self, **models: ErrorModel | tuple[ErrorModel, ...]) -> Vehicle:
         """The same vehicle with other error models, by sensor name (``gyro``, ``accel``, ``attitude``, ``velocity`` for
         the drive; of several units, for each).
         """
-        drives, sensors = dict(self.imus) or {"": self.drive}, dict(self.sensors)
+        drives: dict[str, Any] = dict(self.imus) or {"": self.drive}
+        sensors = dict(self.sensors)
         for key, model in models.items():
             if key in sensors:
                 sensors[key] = dataclasses.replace(sensors[key], error=model)
@@ -168,7 +170,7 @@ class Vehicle:
                 for name, drive in drives.items():
                     part = getattr(drive, key)
                     new = dataclasses.replace(part, error=model) if isinstance(part, Sensor) else model
-                    drives[name] = dataclasses.replace(drive, **{key: new})  # type: ignore[arg-type]
+                    drives[name] = dataclasses.replace(drive, **{key: new})
             else:
                 raise ValueError(
                     f'"{key}" is no sensor of this vehicle (sensors: {", ".join(sensors)}; drive: '
@@ -178,7 +180,8 @@ class Vehicle:
 
     def _with(self, drives: Mapping[str, Any], sensors: dict[str, Sensor]) -> Vehicle:
         """The same with other drives (by name where there are several units) and sensors."""
-        return _again(next(iter(drives.values())), sensors, self.name, drives if self.imus else {}, self.dead_reckoning_lane)
+        imus = drives if self.imus else {}
+        return _again(next(iter(drives.values())), sensors, self.name, imus, self.dead_reckoning_lane)
 
     def without(self, *names: str) -> Vehicle:
         """The same vehicle without some of its sensors."""
@@ -198,7 +201,7 @@ def _again(
 def _checked_units(imus: Mapping[str, Imu], sensors: Mapping[str, Sensor]) -> dict[str, Imu]:
     """Inertial units by names that nothing else has."""
     for key, unit in imus.items():
-        if not isinstance(unit, Imu):
+        if not getattr(unit, "inertial", False):
             raise ValueError(f'Vehicle.imus["{key}"] must be an Imu, found {unit!r}.')
         if key in sensors or key == DEAD_RECKONING or (key in RESERVED and key != "imu"):
             raise ValueError(f'"{key}" has another meaning in this vehicle; give the inertial unit another name.')

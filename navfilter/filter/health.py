@@ -115,8 +115,8 @@ class Health:
     bounds: Bounds | None = None
     trust: Trust | None = None
     lane: str = ""
-    lanes: dict[str, LaneHealth] = field(default_factory=dict)
     learning: LearningHealth = field(default=LearningHealth(), compare=False)
+    lanes: dict[str, LaneHealth] = field(default_factory=dict)
 
     @property
     def degraded(self) -> tuple[str, ...]:

@@ -120,7 +120,7 @@ class Choice:
                 into[JUDGED] += 1.0
 
     def decide_until(self, until_s: float, *, behind: bool = False) -> list[tuple[float, int]]:
-        """Compare the lanes as often as is due before a time, or up to it (`behind`); from when [s] which is in force."""
+        """Compare the lanes as often as is due before a time, or up to it (`behind`): from when [s] which is chosen."""
         last = math.floor(until_s / STEP_S)
         last -= not behind and last * STEP_S == until_s
         changes = []

@@ -66,7 +66,9 @@ def transplant(source: Filter, target: Filter) -> Transplant:
             N[group.slice, group.slice] = group.P0
         else:
             M[group.slice, before.slice] = np.eye(group.size)
-            x[group.start - 9 : group.start - 9 + group.size] = given.x[before.start - 9 : before.start - 9 + group.size]
+            x[group.start - 9 : group.start - 9 + group.size] = given.x[
+                before.start - 9 : before.start - 9 + group.size
+            ]
     P = M @ P @ M.T + N
     channels = {name: given.channels.get(name, own.channels[name]) for name in own.channels}
     memory = FilterMemory(

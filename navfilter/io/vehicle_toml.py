@@ -97,19 +97,28 @@ def read_vehicle(path: str | os.PathLike[str]) -> Vehicle:
         path = path / "vehicle.toml"
     spec: Any = validate(_vehicle_spec(_kinds()), read_toml(path, VehicleError), path, VehicleError)
     wrong: list[tuple[str, str]] = []
-    drive = _built(spec.drive, "drive", wrong, {})
+    drive = None if spec.drive is None else _built(spec.drive, "drive", wrong, {})
+    imus = {name: _built(unit, f"imus.{name}", wrong, {}) for name, unit in spec.imus.items()}
+    if (drive is None) == (not imus) and not wrong:
+        wrong.append(("drive", "a vehicle has a [drive], or inertial units as [imus.a], [imus.b]: one of the two"))
     sensors = {name: _built(sensor, f"sensors.{name}", wrong, {}) for name, sensor in spec.sensors.items()}
     if wrong:
         raise listed(path, [f"{place}: {text}" for place, text in wrong], VehicleError)
     try:
-        return Vehicle(drive=drive, sensors=sensors, name=spec.name or path.resolve().parent.name)
+        name = spec.name or path.resolve().parent.name
+        return Vehicle(drive, sensors, name, imus=imus, dead_reckoning_lane=spec.dead_reckoning_lane)
     except ValueError as error:
         raise VehicleError(f"{path}: {error}") from None
 
 
 def write_vehicle(vehicle: Vehicle, path: str | os.PathLike[str]) -> Path:
     """Write a vehicle as a .toml that `read_vehicle` reads back as an equal vehicle (SI and radians throughout)."""
-    lines = [f"name = {_toml(vehicle.name)}", "", "[drive]", *_lines(vehicle.drive)]
+    lines = [f"name = {_toml(vehicle.name)}"]
+    if vehicle.dead_reckoning_lane is not None:
+        lines.append(f"dead_reckoning_lane = {_toml(vehicle.dead_reckoning_lane)}")
+    units = [(f"imus.{quoted_key(name)}", unit) for name, unit in vehicle.imus.items()]
+    for place, drive in units or [("drive", vehicle.drive)]:
+        lines += ["", f"[{place}]", *_lines(drive)]
     for name, sensor in vehicle.sensors.items():
         lines += ["", f"[sensors.{quoted_key(name)}]", *_lines(sensor)]
     path = Path(path)
@@ -294,7 +303,9 @@ def _vehicle_spec(kinds: Kinds) -> type[Strict]:
     sensors: Any = _union("type", _concrete(Sensor, kinds), kinds)
     fields: dict[str, Any] = {
         "name": (str | None, None),
-        "drive": (_union("type", _concrete(Mechanisation, kinds), kinds), ...),
+        "drive": (_union("type", _concrete(Mechanisation, kinds), kinds) | None, None),
+        "imus": (dict[str, _spec_of(Imu, kinds)], Field(default_factory=dict)),  # type: ignore[misc]
+        "dead_reckoning_lane": (Annotated[bool, Field(strict=True)] | None, None),
         "sensors": (dict[Annotated[str, AfterValidator(_sensor_name)], sensors], Field(default_factory=dict)),
     }
     return create_model("VehicleTable", __base__=Strict, **fields)

@@ -276,7 +276,8 @@ def _check_names(vehicle: Vehicle, faults: dict[str, Faults]) -> None:
     if unknown:
         known = ", ".join(sorted(set(vehicle.sensors) | drive))
         raise ValueError(f'The vehicle has no sensor "{unknown[0]}" that could have faults. It has: {known}.')
-    for unit, name in [(unit, name) for unit in vehicle.units for name in ("gyro", "accel", unit)]:
+    names = [(unit, name) for unit in vehicle.units or ["imu"] for name in ("gyro", "accel", unit)]
+    for unit, name in names:
         # each fault has one place: what is measured belongs to gyro and accel, when it is recorded to imu
         before = f"{unit}." if vehicle.imus else ""
         given, plain = faults.get(name if name == unit else before + name, _NO_FAULTS), _NO_FAULTS

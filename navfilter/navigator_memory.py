@@ -1,0 +1,40 @@
+"""What changes in a navigator, as a value."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+from navfilter.filter.adoption import Change
+from navfilter.filter.channel import ChannelMemory, Refusals
+from navfilter.filter.filter_memory import FilterMemory
+from navfilter.filter.intake import IntakeMemory
+from navfilter.learning.learner import LearnerMemory
+from navfilter.learning.listener import Hop, ListenerMemory
+from navfilter.learning.posterior import Line
+from navfilter.learning.rest import RestMemory
+from navfilter.learning.schedule import Again, LearningMemory
+from navfilter.learning.spectrum import Spectrum
+
+__all__ = ["MEMORY", "NavigatorMemory"]
+
+
+@dataclass
+class NavigatorMemory:
+    """Everything that changes in order: what late readings and snapshots go back to."""
+
+    filter: FilterMemory
+    learning: LearningMemory
+
+    def whole(self) -> NavigatorMemory:
+        """The same with as many inputs of the beginning as belong to it, for they are shared and go on."""
+        beginning = self.learning.beginning
+        kept = None if beginning is None else beginning[: self.learning.kept]
+        return NavigatorMemory(self.filter, dataclasses.replace(self.learning, beginning=kept))
+
+
+#: Classes that it consists of, beside error models.
+MEMORY = (
+    *(NavigatorMemory, FilterMemory, ChannelMemory, Refusals, IntakeMemory),
+    *(LearningMemory, Again, Change, ListenerMemory, Hop, RestMemory, LearnerMemory, Line, Spectrum),
+)
