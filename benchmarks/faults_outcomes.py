@@ -81,6 +81,7 @@ SITUATIONS: dict[str, Case] = {
         "compass", lambda v, age_s: wrap(v + 25.0 * DEG), end_s=FAULT_S + MINUTE_S
     ),
     "compass turned by 180 deg from the start": values("compass", turned, 0.0),
+    "compass 25 deg off from the start": values("compass", lambda v, age_s: wrap(v + 25.0 * DEG), 0.0),
     "DVL scale +5 % for good": values("dvl", lambda v, age_s: 1.05 * v),
     "depth +5 m for good": values("depth", lambda v, age_s: v + 5.0),
     "depth +5 m for a minute": values("depth", lambda v, age_s: v + 5.0, end_s=FAULT_S + MINUTE_S),

@@ -13,7 +13,14 @@ import navfilter as nf
 from navfilter.filter import agreement, refused
 from navfilter.filter.channel import Refusals
 from navfilter.filter.memory import differences
-from navfilter.filter.offsets import Offset, offset_states, with_offsets, with_the_same_offsets
+from navfilter.filter.offsets import (
+    Offset,
+    Proportion,
+    offset_states,
+    proportions,
+    with_offsets,
+    with_the_same_offsets,
+)
 from navfilter.simulation.faults import Faults
 from navfilter.simulation.scenarios import simulate_scenario, survey, survey_vehicle
 from navfilter.simulation.simulate import simulate
@@ -148,11 +155,34 @@ def test_a_depth_that_jumps_does_not_take_the_vehicle_with_it():
 
 def test_a_dvl_whose_scale_jumps_leaves_the_velocity_alone():
     vehicle, mission = dive()
-    _, off = fly(vehicle, altered(mission, "dvl", lambda v: 1.05 * v, FAULT_S))
+    nav, off = fly(vehicle, altered(mission, "dvl", lambda v: 1.05 * v, FAULT_S))
     # 5 % of 1.5 m/s would be 9 m by now
     late = after(off, FAULT_S)
     assert late[:, 1].max() < 5.0 * late[-1, 4]
     assert late[-1, 1] < 4.0
+    # it stands still now, where a scale is nothing and a constant would be 0.075 m/s
+    state = nav.state
+    velocity = state.minus(watched.truth_at(mission.truth, state.time_s))[3:5]
+    assert (np.abs(velocity) < 4.0 * state.sd[3:5]).all() and np.abs(velocity).max() < 0.04
+    assert nav.health.sensors["dvl"].condition == "jumped"
+
+
+def test_what_is_in_proportion_to_the_speed_vanishes_at_rest():
+    opened = with_offsets((nf.White(sd=0.01),) * 3, 0.1, at_m_s=2.0)
+    assert opened[0] == nf.White(sd=0.01) + Offset(start_sd=0.1) + Proportion(start_sd=0.1, at_m_s=2.0)
+    (axis, state), at_m_s = proportions(opened, 0.25)
+    assert axis.tolist() == [0, 1, 2] and state.tolist() == [1, 3, 5] and at_m_s.tolist() == [2.0] * 3
+    vehicle, mission = dive()
+    channel = nf.Navigator(vehicle.with_error(dvl=opened[0]), mission.start).filter.channels["dvl"]
+    x = np.zeros(channel.group.start - 9 + channel.group.size)
+    x[channel.group.start - 9 + state] = [0.1, 0.0, 0.0]
+    channel.near[:], channel.res[:] = 1.0, 0.0
+    channel.in_proportion(np.array([1.0, 0.5, 0.0]), x)
+    # 5 % at any speed: half of 0.1 m/s at 1 m/s
+    np.testing.assert_allclose(channel.C @ x[channel.group.start - 9 :][:6], [0.05, 0.0, 0.0], atol=1e-15)
+    np.testing.assert_allclose(channel.near[:, 3], [1.05, 1.0, 1.0], atol=1e-15)
+    channel.in_proportion(np.zeros(3), x)
+    assert not (channel.C @ x[channel.group.start - 9 :][:6]).any()
 
 
 @pytest.mark.parametrize("window", [(70.0, 110.0), (DIVE_S - 25.0, DIVE_S + 1.0)])
@@ -248,13 +278,13 @@ def test_who_has_jumped_is_a_matter_of_what_came_before():
 
 def test_offsets_stand_beside_error_models():
     models = (nf.White(sd=0.1), nf.GaussMarkov(sd=1.0, tau_s=5.0) + nf.White(sd=0.1))
-    opened = with_offsets(models, (2.0, 3.0))
+    opened = with_offsets(models, 2.0)
     assert offset_states(opened, 1.0).tolist() == [0, 2]
-    assert [model.parts[-1] for model in opened] == [Offset(start_sd=2.0), Offset(start_sd=3.0)]
-    assert with_offsets(opened, ()) == models and not offset_states(models, 1.0).size
-    assert with_offsets(opened, (4.0, 4.0))[0] == nf.White(sd=0.1) + Offset(start_sd=4.0)
+    assert [model.parts[-1] for model in opened] == [Offset(start_sd=2.0)] * 2
+    assert with_offsets(opened) == models and not offset_states(models, 1.0).size
+    assert with_offsets(opened, 4.0)[0] == nf.White(sd=0.1) + Offset(start_sd=4.0)
     other = (nf.White(sd=0.3), nf.White(sd=0.4))
-    assert with_the_same_offsets(other, opened) == with_offsets(other, (2.0, 3.0))
+    assert with_the_same_offsets(other, opened) == with_offsets(other, 2.0)
     assert with_the_same_offsets(other, models) == other
     assert Refusals(True, True, (1.0,), (1.0,), (0.1,), (0.1,), 0.0, 1.0).from_the_first()
 

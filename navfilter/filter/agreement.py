@@ -40,6 +40,8 @@ HELD = 0.25
 #: Fixes further off than this are of another coordinate system, not of another start [m]: what is a metre north of the
 #: state is no longer a metre north of them.
 REACH_M = 1e5
+#: What a state is led astray by a jump that a constant described badly, as a share of the jump [1].
+AGAIN = 0.02
 GRAVITY = 9.81  # of a tilt, as an acceleration [m/s^2]; to a percent
 
 
@@ -219,10 +221,13 @@ def is_back(channel: Channel, x: Array, P: Array) -> bool:
     x, P : ndarray
         Error states and covariance.
     """
-    plain, near = channel.res + x[offset_places(channel) - 9], channel.near[:, :9]
+    states, near = offset_states(channel.sensor.models, channel.period_s), channel.near[:, :9]
+    constant = channel.C[:, states] @ x[channel.group.start - 9 + states]
+    plain = channel.res + constant
     if channel.sensor.open_loop == listen.HEADING:
         plain = (plain + np.pi) % (2.0 * np.pi) - np.pi
     seen = np.einsum("ij,jk,ik->i", near, P[:9, :9], near)
-    squares = plain**2 / (seen + np.diag(channel.R) + _wander(channel, math.inf, with_offset=False))
+    meanwhile = (AGAIN * constant) ** 2
+    squares = plain**2 / (seen + np.diag(channel.R) + _wander(channel, math.inf, with_offset=False) + meanwhile)
     dof = int(np.count_nonzero(np.isfinite(squares)))
     return dof > 0 and float(np.nansum(squares)) <= float(channel.limits[dof])

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.stats import chi2
 
 from navfilter.filter.layout import Group, Layout
-from navfilter.filter.offsets import has_offset
+from navfilter.filter.offsets import has_offset, proportions
 from navfilter.filter.refusals import Refusals
 from navfilter.filter.sight import Sight
 from navfilter.kernels import kalman, listen, stretch
@@ -92,7 +92,7 @@ class Channel:
         self.count, self.stuck = 0, False
 
     def arrange(self, sensor: Sensor, group: Group, layout: Layout, rate_variance: Array) -> None:
-        """Lay out its working memory for other states; what is remembered stays.
+        """Lay out its working memory for other states; what is remembered stays. It has to `settle` then.
 
         Parameters
         ----------
@@ -109,16 +109,17 @@ class Channel:
         self.sensor, self.group, self.axes = sensor, group, a
         self.dims = np.array([a, n, m, b, group.start, group.errors, parameters])
         at = kalman.places(self.dims)
-        self.places = np.array(at)
+        self.places, self.record_size = np.array(at), at[5]
         self.offset = has_offset(sensor.models)
+        self._proportions = proportions(sensor.models, self.period_s)
         slow = group.C @ group.P0[: group.errors, : group.errors] @ group.C.T
         self.slow: list[float] = slow.diagonal().tolist()  # variance by axis of what its error states begin with
-        lever, R = sensor.lever_arm_covariance(rate_variance), np.diag(group.r)
+        lever, R = sensor.lever_arm_covariance(rate_variance / self.samples), np.diag(group.r)
         model = np.array([group.Phi[:b, :b], group.Q[:b, :b]])
         constants = self.constants if self.kind >= 0 else np.zeros(0)
         parts = np.zeros(at[-1]), constants, np.zeros(3), model, group.C, R + lever, lever, R, self.limits
-        self._ends = np.cumsum([part.size for part in parts])
-        self.settle(np.concatenate([part.ravel() for part in parts]), 0)
+        self._ends, self._turned = np.cumsum([part.size for part in parts]), rate_variance / self.samples
+        self.bench = np.concatenate([part.ravel() for part in parts])
 
     def settle(self, bench: Array, begin: int) -> NDArray[np.int64]:
         """Work from now on in a part of an array that all channels share, where the content of its own stands already.
@@ -164,8 +165,11 @@ class Channel:
 
     def turns_by(self, rate_variance: Array) -> None:
         """How well the angular rate is known that its lever arm turns with; shape (3,) [rad^2/s^2]."""
-        self.lever[:] = self.sensor.lever_arm_covariance(rate_variance / self.samples)
-        self.white[:] = np.diag(self.group.r) + self.lever
+        variance = rate_variance / self.samples
+        if not np.array_equal(variance, self._turned):
+            self._turned = variance
+            self.lever[:] = self.sensor.lever_arm_covariance(variance)
+            self.white[:] = np.diag(self.group.r) + self.lever
 
     def without_errors(self, z: Array, outputs: Array, xd: Array) -> Array:
         """A reading of the drive's first three values without the drive's errors, of whose states it depends."""
@@ -191,6 +195,13 @@ class Channel:
     @times.setter
     def times(self, times: tuple[float, float]) -> None:
         self._memory.last_s, self._memory.ticked_s = times
+
+    def in_proportion(self, z: Array, x: Array) -> None:
+        """Let the errors in proportion to the speed be those of a reading as predicted."""
+        (axis, state), at_m_s = self._proportions
+        if len(axis):
+            self.C[axis, state] = np.nan_to_num(z - self.res)[axis] / at_m_s
+            self.near[axis, :9] *= 1.0 + (x[self.group.start - 9 + state] / at_m_s)[:, None]
 
     def unwrap(self, x: Array) -> None:
         """Bring the residual of a heading that has jumped within half a turn of its error, before that is taken off."""

@@ -92,6 +92,7 @@ class Filter:
         past_s = max((channel.past_s for channel in self.channels.values()), default=0.0)
         self.remembered = drive.remembered(past_s) if past_s else 0
         self.jumped: list[Change] = []
+        self._like: tuple[Vehicle, Layout] | None = None
         self._rest = [self.channels[name] for name, s in vehicle.sensors.items() if s.from_drive and self.inertial]
         self._resting = max(2, round(drive.rate_hz * min((channel.period_s for channel in self._rest), default=1.0)))
         for channel in self._rest:
@@ -144,11 +145,11 @@ class Filter:
         if self.tape is not None and self.inertial and any(learning_part(model) is not None for model in drive.models):
             self.tape.models |= {name: [(self.time_s, getattr(drive, name))] for name in ("gyro", "accel")}
 
-    def _arrange(self, models: tuple[tuple[str, Errors], ...]) -> None:
-        """Lay out the states with these models in force, and the working memory that depends on it."""
-        self.in_force = in_force = self.vehicle.with_error(**dict(models))
-        self._laid_out = models
-        self.layout = layout = Layout.of(in_force)
+    def _arrange(self, models: tuple[tuple[str, Errors], ...], in_force: Vehicle | None = None) -> None:
+        """Lay out the states with these models `in_force`, and the working memory that depends on it."""
+        in_force, like = in_force or self.vehicle.with_error(**dict(models)), self._like
+        self.layout = layout = Layout.of(in_force, like)
+        self.in_force, self._like, self._laid_out = in_force, (in_force, layout), models
         g, m = layout.drive, layout.head
         self.Phid, self.Qd = g.Phi, g.Q
         self.drive_output = np.zeros((6, g.size + 1))
@@ -400,7 +401,7 @@ class Filter:
         """Error models put in force since the start, without the constants of sensors that have jumped."""
         axes = {name: channel.axes for name, channel in self.channels.items()}
         return {
-            name: with_offsets(per_axis(error, axes[name], name), ()) if name in axes else error
+            name: with_offsets(per_axis(error, axes[name], name)) if name in axes else error
             for name, error in self.memory.models
         }
 
@@ -424,13 +425,12 @@ class Filter:
             axes = channel.axes, f"{change.sensor}.error"
             error = with_the_same_offsets(per_axis(error, *axes), channel.sensor.models)
         # refuses what cannot be adopted before anything has changed
-        self.vehicle.with_error(**{change.sensor: error})
+        new = self.in_force.with_error(**{change.sensor: error})
         models = tuple((dict(memory.models) | {change.sensor: error}).items())
         if memory.unfolded:
             tell(self._fold())
         before, old = self.layout, self.in_force
-        self._arrange(models)
-        new = self.in_force
+        self._arrange(models, new)
         M, N = state_change(before, old, self.layout, new)
         if self.tape is not None:
             self.tape.change(M)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,7 +10,15 @@ from numpy.typing import NDArray
 
 from navfilter.error_models import ErrorModel, RandomWalk, Sum
 
-__all__ = ["Offset", "has_offset", "offset_states", "with_offsets", "with_the_same_offsets"]
+__all__ = [
+    "Offset",
+    "Proportion",
+    "has_offset",
+    "offset_states",
+    "proportions",
+    "with_offsets",
+    "with_the_same_offsets",
+]
 
 
 @dataclass(frozen=True)
@@ -28,6 +37,20 @@ class Offset(RandomWalk):
     start_sd: float | None = 0.0
 
 
+@dataclass(frozen=True)
+class Proportion(Offset):
+    """What a velocity sensor was found to be off by, as far as that is in proportion to the speed: a scale that has
+    jumped looks like a constant until the vehicle changes its speed.
+
+    Parameters
+    ----------
+    at_m_s : float
+        The state is the error at this speed [m/s].
+    """
+
+    at_m_s: float = 1.0
+
+
 def _parts(model: ErrorModel) -> tuple[ErrorModel, ...]:
     return model.parts if isinstance(model, Sum) else (model,)
 
@@ -44,32 +67,46 @@ def has_offset(models: ErrorModel | tuple[ErrorModel, ...]) -> bool:
 
 
 def offset_states(models: tuple[ErrorModel, ...], period_s: float) -> NDArray[np.int64]:
-    """Which states of the error models of a sensor are its offsets, shape (axes,); empty where it has none."""
-    places, at = [], 0
-    for model in models:
+    """Which states of the error models of a sensor are its offsets, axis by axis; empty where it has none."""
+    return np.array([at for _, at, part in _places(models, period_s) if isinstance(part, Offset)], dtype=np.int64)
+
+
+def proportions(models: tuple[ErrorModel, ...], period_s: float) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Axes and states of each `Proportion`, shape (2, k), and the speed at which it is the error [m/s], shape (k,)."""
+    found = [(axis, at, part.at_m_s) for axis, at, part in _places(models, period_s) if isinstance(part, Proportion)]
+    table = np.array(found, dtype=np.float64).reshape(-1, 3)
+    return table[:, :2].T.astype(np.int64), table[:, 2]
+
+
+def _places(models: tuple[ErrorModel, ...], period_s: float) -> Iterator[tuple[int, int, ErrorModel]]:
+    """The parts of all models: axis, first state, part."""
+    at = 0
+    for axis, model in enumerate(models):
         for part in _parts(model):
-            if isinstance(part, Offset):
-                places.append(at)
+            yield axis, at, part
             at += part.block(period_s).size
-    return np.array(places, dtype=np.int64)
 
 
-def with_offsets(models: tuple[ErrorModel, ...], sds: tuple[float, ...]) -> tuple[ErrorModel, ...]:
-    """Error models with an `Offset` of these standard deviations each; without any where there are none.
+def with_offsets(models: tuple[ErrorModel, ...], size: float = 0.0, at_m_s: float = 0.0) -> tuple[ErrorModel, ...]:
+    """Error models with an `Offset` of this standard deviation each, and beside it a `Proportion` at a speed; without
+    any where the size is 0.
 
     Examples
     --------
     >>> from navfilter import White
-    >>> str(with_offsets((White(sd=0.1),), (5.0,))[0])
+    >>> str(with_offsets((White(sd=0.1),), 5.0)[0])
     'White(sd=0.1, density=None) + Offset(density=0.0, start_sd=5.0)'
     """
     plain = tuple(_plain(model) for model in models)
-    return plain if not sds else tuple(model + Offset(start_sd=sd) for model, sd in zip(plain, sds, strict=True))
+    if not size:
+        return plain
+    opened = tuple(model + Offset(start_sd=size) for model in plain)
+    return tuple(model + Proportion(start_sd=size, at_m_s=at_m_s) for model in opened) if at_m_s else opened
 
 
 def with_the_same_offsets(new: tuple[ErrorModel, ...], old: tuple[ErrorModel, ...]) -> tuple[ErrorModel, ...]:
     """New error models with the offsets that the old ones have: who learns them knows nothing of offsets."""
-    offsets = [next((part for part in _parts(model) if isinstance(part, Offset)), None) for model in old]
+    pairs = zip(new, old, strict=True)
     return tuple(
-        _plain(model) if part is None else _plain(model) + part for model, part in zip(new, offsets, strict=True)
+        sum((part for part in _parts(was) if isinstance(part, Offset)), start=_plain(model)) for model, was in pairs
     )

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 __all__ = ["let_in"]
 
 Array = NDArray[np.float64]
+#: Below this speed a velocity that is off says nothing of its scale [m/s].
+SLOW = 0.1
 
 
 def let_in(filter: Filter, channel: Channel, time_s: float, nis: float, dof: int, frozen: bool) -> bool:
@@ -104,8 +106,10 @@ def _jumped(filter: Filter, channel: Channel, time_s: float) -> None:
     size = float(np.nanmax(np.abs(refused.offset), initial=0.0))
     models, places = channel.sensor.models, agreement.offset_places(channel)
     if refused.back >= LEAST or not len(places):
-        sds = () if len(places) else (size,) * channel.axes
-        filter.jumped.append(Change(channel.name, with_offsets(models, sds), offsets=True))
+        back, speed = len(places) > 0, math.hypot(*memory.nav[3:6].tolist())
+        moving = channel.sensor.open_loop == listen.VELOCITY and speed > SLOW
+        opened = with_offsets(models, 0.0 if back else size, speed if moving else 0.0)
+        filter.jumped.append(Change(channel.name, opened, offsets=True))
     else:
         memory.P[places, places] += size**2
         kept.refused = None

@@ -24,6 +24,7 @@ from typing import Annotated, Any, ClassVar, Literal, Union
 import numpy as np
 from pydantic import AfterValidator, Discriminator, Field, Tag, create_model, model_validator
 
+import navfilter.cycle  # noqa: F401 - kinds are those whose module has been imported
 from navfilter.arma.model import ArmaModel
 from navfilter.error_models import ErrorModel, Sum
 from navfilter.filter.offsets import Offset
@@ -149,7 +150,8 @@ def _kinds() -> Kinds:
     their module, and those that only a run makes are none.
     """
     bases = ErrorModel, Sensor, Mechanisation
-    return tuple(cls for base in bases for cls in kinds_below(base) if cls not in (Sum, Offset, Coasting))
+    made = Sum, Offset, Coasting
+    return tuple(cls for base in bases for cls in kinds_below(base) if not issubclass(cls, made))
 
 
 def _base_of(cls: type) -> tuple[str, type]:
