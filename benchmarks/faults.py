@@ -190,4 +190,12 @@ if __name__ == "__main__":
     shown = flag("--shown", action="store_true", help="the faults of the manual's page, and its table")
     mems = flag("--mems", action="store_true", help="a micromechanical inertial unit")
     commands = {missions: flags, outcomes: [seeds, flags[1], shown, mems, quick("one seed")]}
-    main(__doc__, commands | {service: [seeds, quick("one seed")]})
+    around = [
+        seeds,
+        flag("--only", default="", help="only kinds whose name contains this"),
+        flag("--schedules", type=int, default=1000, help="how many (default: %(default)s)"),
+        flag("--first", type=int, default=1, help="seed of the first schedule"),
+        flag("--workers", type=int, default=1, help="processes for the schedules"),
+        quick("one seed, ten schedules"),
+    ]
+    main(__doc__, commands | {service: around})

@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from navfilter.filter import snapshot as snapshots
 from navfilter.filter.condition import health_of
+from navfilter.filter.drive_clock import DriveClock
 from navfilter.filter.events import Outcome
 from navfilter.filter.health import Health, LaneHealth, Watch
 from navfilter.filter.history import History, Reading
@@ -148,6 +149,9 @@ class LaneNavigator:
         if not 0.0 <= length_s <= usual_s:
             raise ValueError(f"history_s of a vehicle with lanes must be 0 to {usual_s:g}, found {history_s!r}.")
         self.lanes = {name: Navigator(lane, start, history_s=0.0, threads=False) for name, lane in described.items()}
+        for run in self.lanes.values():
+            # a unit whose clock goes wrong is left for another
+            run.clock = DriveClock(run.vehicle.drive.period_s, live=False)
         self.choice = choice_of(vehicle, start.time_s)
         self._names, self._runs = tuple(self.lanes), tuple(self.lanes.values())
         self._units = {name: i for i, name in enumerate(vehicle.units)}
@@ -374,7 +378,7 @@ class LaneNavigator:
     def _health_of(self, state: NavState) -> Health:
         run, name = self.believed, self._names[self.choice.memory.lane]
         watches = {key: watch for key, watch in run.watches.items() if key != LEVEL}
-        health = health_of(run.filter, watches, run.learning.worker.health, state)
+        health = health_of(run.filter, watches, run.clock, run.learning.worker.health, state)
         lanes = dict(self._lane_health())
         trust = health.trust
         doubts = [
@@ -403,7 +407,7 @@ class LaneNavigator:
         for lane in memory.lanes.values():
             lane.run = lane.run.whole()
         length_s = 0.0 if self.history is None else self.history.length_s
-        saved = snapshots.Saved(self.start, length_s, memory, inputs, {})
+        saved = snapshots.Saved(self.start, length_s, memory, inputs, {}, self.believed.clock.memory)
         return snapshots.write(saved, self.vehicle, self.time_s, path)
 
     @classmethod

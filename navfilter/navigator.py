@@ -14,6 +14,7 @@ from navfilter.beginning import Beginning
 from navfilter.filter import snapshot as snapshots
 from navfilter.filter.adoption import Change
 from navfilter.filter.condition import health_of, state_of
+from navfilter.filter.drive_clock import Arrived, DriveClock
 from navfilter.filter.events import Event, Outcome
 from navfilter.filter.filter import Filter
 from navfilter.filter.filter_memory import Errors
@@ -108,6 +109,8 @@ class Navigator:
         names = list(vehicle.sensors)
         self.history = History(self, length_s, names) if length_s else None
         self.watches = {name: Watch(sensor.gate_timeout_s) for name, sensor in vehicle.sensors.items()}
+        # a recording is in the order of its stamps: there is nothing to be seen of how it arrived
+        self.clock = DriveClock(vehicle.drive.period_s, live=tape is None)
         self.waiting = Waiting()
         self._behind = {name: names[i + 1 :] for i, name in enumerate(names)}
         self._row = np.empty((1, 7))
@@ -144,6 +147,16 @@ class Navigator:
 
     def step_samples(self, samples: Array) -> None:
         """As `step`, for rows of time and the six values; the array is used as work space."""
+        for item in self.clock.take(samples):
+            self._go_on(item)
+
+    def _go_on(self, item: Array | Arrived) -> Outcome | None:
+        if isinstance(item, np.ndarray):
+            self._pass_on(item)
+            return None
+        return self.correct(*item)
+
+    def _pass_on(self, samples: Array) -> None:
         while len(samples) and samples[-1, 0] + self.offset_s > self.waiting.next_s + 1e-9:
             here = int(np.argmax(samples[:, 0] + self.offset_s > self.waiting.next_s + 1e-9))
             self._carry(samples[:here])
@@ -180,10 +193,12 @@ class Navigator:
         if watch is None:
             return Outcome("unknown-sensor")
         try:
-            z = np.array(value, dtype=np.float64).reshape(-1)
-            time_s = float(time_s) + self.offset_s - self.vehicle.sensors[name].time_offset_s
+            z, time_s = np.array(value, dtype=np.float64).reshape(-1), float(time_s)
         except (TypeError, ValueError):
             z, time_s = np.full(1, np.nan), math.nan
+        if (held := self.clock.hear(Arrived(name, time_s, z, sd))) is not None:
+            return [Outcome("waiting"), *(self._go_on(item) for item in held)][-1] or Outcome("waiting")
+        time_s += self.offset_s - self.vehicle.sensors[name].time_offset_s
         reading = Reading(name, time_s + self.filter.channels[name].lead_s, z, sd, watch.sees(time_s, z))
         self._release(time_s)
         if reading.time_s > time_s and time_s < self.start.time_s - 1e-9:
@@ -195,6 +210,8 @@ class Navigator:
 
     def finish(self) -> None:
         """Take the readings that still wait (`Outcome`): no more samples come."""
+        for item in self.clock.rest():
+            self._go_on(item)
         self._release()
 
     def _release(self, time_s: float = math.inf) -> None:
@@ -336,12 +353,12 @@ class Navigator:
     @property
     def state(self) -> NavState:
         """The state with its covariance and the health of the sensors, now; a copy."""
-        return state_of(self.filter, self.watches, self.learning.worker.health)
+        return state_of(self.filter, self.watches, self.clock, self.learning.worker.health)
 
     @property
     def health(self) -> Health:
         """What the sensors are worth at present."""
-        return health_of(self.filter, self.watches, self.learning.worker.health, self.filter.state)
+        return health_of(self.filter, self.watches, self.clock, self.learning.worker.health, self.filter.state)
 
     # ---------------------------------------------------------------- keep and bring back
     def snapshot(self, path: str | PathLike[str] | None = None) -> bytes:
@@ -365,7 +382,7 @@ class Navigator:
         memory, inputs = (self.memory, []) if self.history is None else self.history.kept()
         inputs = [*inputs, *self.waiting.readings]
         length_s = 0.0 if self.history is None else self.history.length_s
-        saved = snapshots.Saved(self.start, length_s, memory.whole(), inputs, self.watches)
+        saved = snapshots.Saved(self.start, length_s, memory.whole(), inputs, self.watches, self.clock.memory)
         return snapshots.write(saved, self.vehicle, self.time_s, path)
 
     @classmethod
@@ -400,6 +417,7 @@ class Navigator:
         if set(saved.watches) != set(nav.watches):
             raise ValueError(f"watches must be kept of {', '.join(nav.watches)}, found {', '.join(saved.watches)}")
         nav.watches = saved.watches
+        nav.clock.go_on(saved.clock)
         return nav
 
     def revive(self, memory: NavigatorMemory) -> None:

@@ -1,4 +1,4 @@
-"""What changes in a navigator, as a value."""
+"""Everything of a navigator that changes in order, and the classes that it consists of."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from navfilter.filter.adoption import Change
 from navfilter.filter.channel import ChannelMemory, Refusals
+from navfilter.filter.drive_clock import Arrived, DriveClockMemory
 from navfilter.filter.filter_memory import FilterMemory
 from navfilter.filter.intake import IntakeMemory
 from navfilter.learning.learner import LearnerMemory
@@ -33,8 +34,8 @@ class NavigatorMemory:
         return NavigatorMemory(self.filter, dataclasses.replace(self.learning, beginning=kept))
 
 
-#: Classes that it consists of, beside error models.
+#: Classes that a snapshot is made of, beside error models.
 MEMORY = (
-    *(NavigatorMemory, FilterMemory, ChannelMemory, Refusals, IntakeMemory),
+    *(NavigatorMemory, FilterMemory, ChannelMemory, Refusals, IntakeMemory, DriveClockMemory, Arrived),
     *(LearningMemory, Again, Change, ListenerMemory, Hop, RestMemory, LearnerMemory, Line, Spectrum),
 )

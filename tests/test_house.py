@@ -46,10 +46,11 @@ FLOORS = [
     },
     {"sensors", "mechanisation", "vehicle", "track", "track_plot", "track_views"},
     {"filter", "learning.worker", "learning.listener", "learning.rest", "learning.refit"},
-    {"learning.schedule", "beginning", "navigator", "navigator_memory", "passage", "alignment"},
+    {"learning.schedule", "navigator_memory", "beginning", "navigator", "passage", "alignment"},
     {
         "assembly",
         "track_bounds",
+        "track_trust",
         "recorded",
         "lane_clock",
         "lanes",

@@ -17,7 +17,7 @@ from navfilter.filter.health import Health
 from navfilter.io.json_lines import LONGEST_LINE
 from navfilter.state import NavState
 
-__all__ = ["Lines", "event_line", "state_fields", "to_line"]
+__all__ = ["Lines", "event_line", "integrity_fields", "state_fields", "to_line"]
 
 
 def to_line(fields: Mapping[str, Any]) -> bytes:
@@ -56,7 +56,7 @@ def state_fields(state: NavState) -> dict[str, Any]:
         that of the heading of a level vehicle); ``sensors``: condition, age of the last good reading [s], mean NIS and
         what became of the readings, by name; ``lane`` (see `Health`) and ``axes``: conditions of those axes of the
         inertial unit that are not good; ``lanes``, where there are several: condition and gain (`LaneHealth`) by name;
-        ``clock_offset_s``; and `integrity_fields`.
+        ``clock_offset_s`` and ``drive_clock_offset_s``; and `integrity_fields`.
     """
     health = state.health or Health({}, {})
     lanes = {name: {"condition": lane.condition, "gain": lane.gain} for name, lane in health.lanes.items()}
@@ -82,6 +82,7 @@ def state_fields(state: NavState) -> dict[str, Any]:
         "axes": {name: condition for name, condition in health.axes.items() if condition != "good"},
         **({"lanes": lanes} if lanes else {}),
         "clock_offset_s": health.clock_offset_s,
+        "drive_clock_offset_s": health.drive_clock_offset_s,
         **integrity_fields(health),
     }
 
