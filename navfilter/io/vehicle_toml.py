@@ -106,18 +106,17 @@ def read_vehicle(path: str | os.PathLike[str]) -> Vehicle:
     if wrong:
         raise listed(path, [f"{place}: {text}" for place, text in wrong], VehicleError)
     try:
-        name = spec.name or path.resolve().parent.name
-        return Vehicle(drive, sensors, name, imus=imus, dead_reckoning_lane=spec.dead_reckoning_lane)
+        parts = drive, sensors, spec.name or path.resolve().parent.name
+        return Vehicle(*parts, imus=imus, dead_reckoning_lane=spec.dead_reckoning_lane)
     except ValueError as error:
         raise VehicleError(f"{path}: {error}") from None
 
 
 def write_vehicle(vehicle: Vehicle, path: str | os.PathLike[str]) -> Path:
     """Write a vehicle as a .toml that `read_vehicle` reads back as an equal vehicle (SI and radians throughout)."""
-    lines = [f"name = {_toml(vehicle.name)}"]
-    if vehicle.dead_reckoning_lane is not None:
-        lines.append(f"dead_reckoning_lane = {_toml(vehicle.dead_reckoning_lane)}")
-    units = [(f"imus.{quoted_key(name)}", unit) for name, unit in vehicle.imus.items()]
+    given = {"name": vehicle.name, "dead_reckoning_lane": vehicle.dead_reckoning_lane}
+    lines = [f"{key} = {_toml(value)}" for key, value in given.items() if value is not None]
+    units: list[Any] = [(f"imus.{quoted_key(name)}", unit) for name, unit in vehicle.imus.items()]
     for place, drive in units or [("drive", vehicle.drive)]:
         lines += ["", f"[{place}]", *_lines(drive)]
     for name, sensor in vehicle.sensors.items():
@@ -150,8 +149,7 @@ def _kinds() -> Kinds:
     their module, and those that only a run makes are none.
     """
     bases = ErrorModel, Sensor, Mechanisation
-    made = Sum, Offset, Coasting
-    return tuple(cls for base in bases for cls in kinds_below(base) if not issubclass(cls, made))
+    return tuple(c for base in bases for c in kinds_below(base) if not issubclass(c, Sum | Offset | Coasting))
 
 
 def _base_of(cls: type) -> tuple[str, type]:
