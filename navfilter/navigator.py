@@ -199,14 +199,14 @@ class Navigator:
         if (held := self.clock.hear(Arrived(name, time_s, z, sd))) is not None:
             return [Outcome("waiting"), *(self._go_on(item) for item in held)][-1] or Outcome("waiting")
         time_s += self.offset_s - self.vehicle.sensors[name].time_offset_s
-        reading = Reading(name, time_s + self.filter.channels[name].lead_s, z, sd, watch.sees(time_s, z))
+        reading = Reading(name, time_s + self.filter.channels[name].lead_s, z, sd)
         self._release(time_s)
         if reading.time_s > time_s and time_s < self.start.time_s - 1e-9:
             return Outcome("too-late")
         if reading.time_s > max(time_s, self.time_s):
             self.waiting.put(reading)
             return Outcome("waiting")
-        return self._noted(reading)
+        return self.take(reading)
 
     def finish(self) -> None:
         """Take the readings that still wait (`Outcome`): no more samples come."""
@@ -216,16 +216,15 @@ class Navigator:
 
     def _release(self, time_s: float = math.inf) -> None:
         for reading in self.waiting.due(time_s):
-            self._noted(reading)
+            self.take(reading)
 
-    def _noted(self, reading: Reading) -> Outcome:
-        outcome = self._taken(reading)
-        self.watches[reading.name].note(outcome.status, reading.time_s, outcome.nis, outcome.dof, self.filter.nav)
-        return outcome
-
-    def _taken(self, reading: Reading) -> Outcome:
+    def take(self, reading: Reading) -> Outcome:
+        """Take a reading now, even one that would wait; users call `correct`."""
+        watch = self.watches[reading.name]
+        reading = reading._replace(frozen=watch.sees(reading.time_s, reading.value))
         outcome = self.placed(reading)
         self._beginning.give(reading)
+        watch.note(outcome.status, reading.time_s, outcome.nis, outcome.dof, self.filter.nav)
         return outcome
 
     def given(self, item: Array | Reading) -> None:

@@ -54,7 +54,7 @@ def warm_up(vehicle: Vehicle | None = None, progress: bool = False) -> None:
     with _no_collector():
         try:
             # units differ by numbers only, and the lane without one has a sensor of its own
-            lanes = [] if vehicle is None else list(vehicle.lanes().values())
+            lanes: list[Vehicle | None] = [] if vehicle is None else list(vehicle.lanes().values())
             for single in [*lanes[:1], *lanes[1:][-1:]] or [vehicle]:
                 _warm_filter(single, learning)
             if helper is not None:
