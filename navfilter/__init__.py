@@ -48,6 +48,7 @@ _FACE = {
     "learning.learned": "LearnedArma",
     "magnetic": "calibrate_magnetometer declination",
     "mechanisation": "DeadReckoning Imu",
+    "lanes": "LaneNavigator",
     "mission": "Mission Stream",
     "navigator": "Navigator Outcome",
     "outputs.formats": "write_track",

@@ -17,7 +17,7 @@ from navfilter.state import euler_from_matrix, rotation_matrix
 from navfilter.track import Track
 from navfilter.track_bounds import bounds_along
 
-__all__ = ["bar", "forward_track", "smoothed_track"]
+__all__ = ["assembled", "bar", "forward_track", "gathered", "smoothed_track"]
 
 Array = NDArray[np.float64]
 
@@ -69,16 +69,17 @@ def _group(name: str, groups: list[str]) -> int:
 def forward_track(nav: Navigator, name: str, cpu_s: float) -> Track:
     """The track as first given out, with what was made of it later where something was run again."""
     tape = _tape(nav)
-    first = _assemble("forward", nav, _gathered(tape.first_rows()), name, cpu_s)
+    first = assembled("forward", nav, gathered(tape.first_rows()), name, cpu_s)
     if tape.given is None:
         return dataclasses.replace(first, bounds=bounds_along(first))
-    revised = _assemble("revised", nav, _gathered([(tape, range(len(tape.row_times)))]), name, cpu_s)
+    revised = assembled("revised", nav, gathered([(tape, range(len(tape.row_times)))]), name, cpu_s)
     residuals, models = tape.first_residuals(), tape.first_models()
     first = dataclasses.replace(first, residuals=residuals, error_models=models, revised=revised)
     return dataclasses.replace(first, bounds=bounds_along(first))
 
 
-def _gathered(parts: Sequence[tuple[Tape, range]]) -> _Rows:
+def gathered(parts: Sequence[tuple[Tape, range]]) -> _Rows:
+    """Rows of several tapes, one behind the other."""
     rows, done = _Rows(parts), 0
     for tape, those in parts:
         places, layouts, last = rows.places(tape), np.array(tape.row_layouts), those.stop
@@ -100,7 +101,8 @@ def _gathered(parts: Sequence[tuple[Tape, range]]) -> _Rows:
     return rows
 
 
-def _assemble(label: str, nav: Navigator, rows: _Rows, name: str, cpu_s: float, forward: Track | None = None) -> Track:
+def assembled(label: str, nav: Navigator, rows: _Rows, name: str, cpu_s: float, forward: Track | None = None) -> Track:
+    """A track of rows; the rest is that of the run, or of the forward track."""
     tape, packed = _tape(nav), rows.packed
     return Track(
         label=label,
@@ -148,7 +150,7 @@ def smoothed_track(forward: Track, nav: Navigator, began: float, progress: bool)
     packed[:, 1] += correction[:, 1] / (packed[:, 16] * np.cos(packed[:, 0]))
     packed[:, 2] -= correction[:, 2]
     packed[:, 3:6] += correction[:, 3:6]
-    return _assemble("smoothed", nav, rows, forward.mission_name, time.process_time() - began, forward)
+    return assembled("smoothed", nav, rows, forward.mission_name, time.process_time() - began, forward)
 
 
 def _tape(nav: Navigator) -> Tape:

@@ -4,7 +4,6 @@ sensor.
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from os import PathLike
 
@@ -89,6 +88,8 @@ class Navigator:
         *,
         threads: bool = True,
     ) -> None:
+        if isinstance(vehicle, Vehicle) and vehicle.lanes():
+            raise ValueError("this vehicle has lanes: use LaneNavigator, or one of vehicle.lanes().")
         self.vehicle, self.start = vehicle, start
         self.filter = Filter(vehicle, start, tape)
         usual_s = max([self.HISTORY_S, *(sensor.late_s for sensor in vehicle.sensors.values())])
@@ -379,13 +380,8 @@ class Navigator:
             raise ValueError("a run with a tape keeps no snapshot: make the navigator without one.")
         memory, inputs = (self.memory, []) if self.history is None else self.history.kept()
         inputs = [*inputs, *self.waiting.readings]
-        beginning = memory.learning.beginning
-        learning = dataclasses.replace(
-            memory.learning, beginning=None if beginning is None else beginning[: memory.learning.kept]
-        )
         length_s = 0.0 if self.history is None else self.history.length_s
-        whole = NavigatorMemory(memory.filter, learning)
-        saved = snapshots.Saved(self.start, length_s, whole, inputs, self.watches, self.clock.memory)
+        saved = snapshots.Saved(self.start, length_s, memory.whole(), inputs, self.watches, self.clock.memory)
         return snapshots.write(saved, self.vehicle, self.time_s, path)
 
     @classmethod
@@ -414,18 +410,7 @@ class Navigator:
     @classmethod
     def _revived(cls, vehicle: Vehicle, saved: snapshots.Saved) -> Navigator:
         nav = cls(vehicle, saved.start, history_s=saved.history_s)
-        memory: NavigatorMemory = saved.memory
-        for name, listener in memory.learning.listeners.items():
-            if name not in nav.learning.listeners:
-                nav.listen(name, listener.ring.shape[1])
-        nav.filter.begin(dict(memory.filter.models))
-        nav.learning.begin_again(-math.inf)
-        problem = misfit(memory, nav.memory, "memory") or memory.filter.problem(nav.filter.memory)
-        if problem:
-            raise ValueError(problem)
-        if len(memory.learning.beginning or ()) != memory.learning.kept:
-            raise ValueError("memory.learning.beginning has not as many inputs as were kept")
-        nav.memory = memory
+        nav.revive(saved.memory)
         for item in saved.inputs:
             nav._given(item)
         if set(saved.watches) != set(nav.watches):
@@ -433,6 +418,20 @@ class Navigator:
         nav.watches = saved.watches
         nav.clock.go_on(saved.clock)
         return nav
+
+    def revive(self, memory: NavigatorMemory) -> None:
+        """Go on from a memory that came from outside; raises ValueError for one that is not of this vehicle."""
+        for name, listener in memory.learning.listeners.items():
+            if name not in self.learning.listeners:
+                self.listen(name, listener.ring.shape[1])
+        self.filter.begin(dict(memory.filter.models))
+        self.learning.begin_again(-math.inf)
+        problem = misfit(memory, self.memory, "memory") or memory.filter.problem(self.filter.memory)
+        if problem:
+            raise ValueError(problem)
+        if len(memory.learning.beginning or ()) != memory.learning.kept:
+            raise ValueError("memory.learning.beginning has not as many inputs as were kept")
+        self.memory = memory
 
     def _given(self, item: Array | Reading) -> None:
         """An input of a snapshot, again."""

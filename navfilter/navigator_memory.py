@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 
 from navfilter.filter.adoption import Change
@@ -25,6 +26,12 @@ class NavigatorMemory:
 
     filter: FilterMemory
     learning: LearningMemory
+
+    def whole(self) -> NavigatorMemory:
+        """The same with as many inputs of the beginning as belong to it, for they are shared and go on."""
+        beginning = self.learning.beginning
+        kept = None if beginning is None else beginning[: self.learning.kept]
+        return NavigatorMemory(self.filter, dataclasses.replace(self.learning, beginning=kept))
 
 
 #: Classes that a snapshot is made of, beside error models.

@@ -125,7 +125,7 @@ class Passage:
         # beams have more directions than an ear of the kernel holds
         heard = all(listener.ear.size == listen.EAR for listener in nav.learning.listeners.values())
         self._steady = driven and heard and nav.learning.rest is None
-        self.at, self.done, self._kept = 0, done, done
+        self.at, self.done, self._kept, self._until = 0, done, done, len(self._ends)
         self._begin = self._end = 0
         self._out: Output | None = None
 
@@ -144,22 +144,26 @@ class Passage:
 
     def run(self, progress: Callable[[int], object] | None = None) -> None:
         """Take all readings, then the samples behind the last; `progress` is told how many readings, now and then."""
-        shown = 0
-        while self.at < len(self._ends):
+        self.run_until(len(self._ends), len(self._times), progress)
+        self._finish()
+
+    def run_until(self, readings: int, samples: int, progress: Callable[[int], object] | None = None) -> None:
+        """As `run`, up to a number of readings, and then of samples; those may be taken that come before the next."""
+        shown, self._until = self.at, readings
+        while self.at < self._until:
             if progress is not None and self.at - shown >= SHOWN:
                 progress(self.at - shown)
                 shown = self.at
             why = self._advance() if self.possible else kernels.NEXT
-            if self.at == len(self._ends):
+            if self.at == self._until:
                 break
             self._one(why)
             if self._waits and self.nav.offset_s:
                 self._hand_over()
         self._keep_samples(self.done)
-        for begin in range(self.done, len(self._times), 100_000):
-            self._feed(self._block(begin, min(begin + 100_000, len(self._times))))
-        self.done = len(self._times)
-        self._finish()
+        for begin in range(self.done, samples, 100_000):
+            self._feed(self._block(begin, min(begin + 100_000, samples)))
+        self.done = self._kept = max(self.done, samples)
 
     @property
     def possible(self) -> bool:
@@ -203,6 +207,7 @@ class Passage:
         given, at = self._readings, self.at
         lead_s = self._lead_s[given.sensor]
         arrived = (lead_s > 0.0) & (given.time_s - lead_s <= given.time_s[at - 1])
+        self._until -= at + int(np.count_nonzero(arrived[at : self._until]))
         for k in at + np.flatnonzero(arrived[at:]):
             self.nav.waiting.put(self._reading(int(k)))
         self._readings = given.later(-lead_s, at + np.flatnonzero(~arrived[at:]))
@@ -240,7 +245,7 @@ class Passage:
         """The next readings and samples, as the kernel takes them."""
         given, at = self._readings, self.at
         last = int(np.searchsorted(self._ends, self.done + SAMPLES, side="right"))
-        end = min(max(last, at + 1), at + READINGS)
+        end = min(max(last, at + 1), at + READINGS, self._until)
         self._begin, self._end, self._first, self._stepped = at, end, self.done, 0
         self._samples = self._block(self.done, max(self.done, int(self._ends[end - 1])))
         which, rows = given.sensor[at:end], given.row[at:end]
@@ -269,7 +274,7 @@ class Passage:
     def _advance(self) -> int:
         """As far as the kernel comes; why it ended."""
         why = kernels.FULL
-        while why in GOES_ON and self.at < len(self._ends) and self.possible:
+        while why in GOES_ON and self.at < self._until and self.possible:
             if not self._begin <= self.at < self._end:
                 self._lay_out()
             why = self._call()

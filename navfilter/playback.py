@@ -14,12 +14,15 @@ from numpy.typing import NDArray
 from navfilter.alignment import align
 from navfilter.assembly import bar, forward_track, smoothed_track
 from navfilter.filter.tape import Tape
+from navfilter.lane_replay import align_lanes
+from navfilter.lane_tracks import replayed_lanes
 from navfilter.learning.learned import learning_part
 from navfilter.learning.listener import ChannelSeries
 from navfilter.learning.refit import change, learning_sensors, refitted
-from navfilter.mission import Mission, Stream
+from navfilter.mission import Mission
 from navfilter.navigator import Navigator
 from navfilter.passage import Passage, Readings
+from navfilter.recorded import drive_samples, readings_of
 from navfilter.start import Start
 from navfilter.track import Track
 from navfilter.vehicle import Vehicle
@@ -78,6 +81,8 @@ def replay(
         start = _start(vehicle, mission, start)
         vehicle = identified(vehicle, mission, iterate, start)
     start = _start(vehicle, mission, start)
+    if vehicle.lanes():
+        return replayed_lanes(vehicle, mission, start, output_rate_hz, smooth=smooth, progress=progress)
     return _replayed(vehicle, mission, start, Tape(output_rate_hz, smoothable=smooth), progress, ())[0]
 
 
@@ -126,7 +131,7 @@ def _replayed(
     began = time.process_time()
     nav = Navigator(vehicle, start, tape)
     _listen(nav, mission, heard)
-    _run(nav, *drive, _events(vehicle, mission, start.time_s), progress)
+    _run(nav, *drive, readings_of(vehicle, mission, start.time_s), progress)
     track = forward_track(nav, mission.name, time.process_time() - began)
     revised = None if track.revised is None else replace(track.revised, epoch_utc_s=mission.epoch_utc_s)
     track = replace(track, epoch_utc_s=mission.epoch_utc_s, revised=revised)
@@ -213,66 +218,9 @@ def identified(
 def _start(vehicle: Vehicle, mission: Mission, start: Start | None) -> Start:
     if start is not None:
         return start
-    return mission.start if mission.start is not None else align(vehicle, mission)
-
-
-def drive_samples(vehicle: Vehicle, mission: Mission) -> tuple[Array, Array]:
-    """Samples of the drive: times (n,) and six values (n, 6); attitude is interpolated to the times of the velocity.
-
-    Raises
-    ------
-    ValueError
-        When a stream is missing, empty or has the wrong number of columns.
-    """
-    wanted = [(name, 6 // len(vehicle.drive.streams)) for name in vehicle.drive.streams]
-    for name, columns in wanted:
-        _require(mission, name, "the vehicle's drive needs it", "choose another [drive] in the vehicle.toml")
-        if not len(mission.streams[name]):
-            raise ValueError(f'stream "{name}" of this mission is empty; the vehicle\'s drive needs it.')
-        if mission.streams[name].value.shape[1] < columns:
-            raise ValueError(
-                f'stream "{name}" has {mission.streams[name].value.shape[1]} columns, but its drive takes {columns}.'
-            )
-    return vehicle.drive.samples(mission.streams)
-
-
-def _require(mission: Mission, name: str, why: str, instead: str) -> None:
-    if name not in mission.streams:
-        have = ", ".join(mission.streams) or "none"
-        raise ValueError(
-            f'"{name}" has no stream in this mission (streams: {have}); {why}. Add [streams.{name}] to the '
-            "mission.toml, "
-            f"or {instead}."
-        )
-
-
-def _events(vehicle: Vehicle, mission: Mission, begin_s: float) -> Readings:
-    names = tuple(name for name, sensor in vehicle.sensors.items() if not sensor.from_drive)
-    for name in names:
-        leave_out = f"leave the sensor out: --without {name}, or take [sensors.{name}] out of the vehicle.toml"
-        _require(mission, name, f'the vehicle has a sensor "{name}"', leave_out)
-        width, sensor = mission.streams[name].value.shape[1], vehicle.sensors[name]
-        if width < sensor.reads:
-            raise ValueError(
-                f'stream "{name}" has {width} columns, but a {type(sensor).__name__} takes {sensor.reads}.'
-            )
-    streams = [mission.streams[name] for name in names]
-    stamps = np.concatenate([np.empty(0), *(s.time_s for s in streams)])
-    late_s = [np.full(len(s), vehicle.sensors[name].time_offset_s) for name, s in zip(names, streams, strict=True)]
-    times = stamps - np.concatenate([np.empty(0), *late_s])
-    number = np.concatenate([np.empty(0, int), *(np.full(len(s), i) for i, s in enumerate(streams))])
-    rows = np.concatenate([np.empty(0, int), *(np.arange(len(s)) for s in streams)])
-    order = np.lexsort((rows, number, times))
-    order = order[times[order] >= begin_s - 1e-9]
-    values, sds = tuple(s.value for s in streams), tuple(_sds(s) for s in streams)
-    return Readings(times[order], stamps[order], number[order], rows[order], names, values, sds)
-
-
-def _sds(stream: Stream) -> list[Array | None] | None:
-    """What `Navigator.correct` takes as the standard deviation of each reading; None where none has its own."""
-    if stream.sd is None or np.isnan(stream.sd).any(axis=1).all():
-        return None
-    return [None if np.isnan(row).any() else row for row in stream.sd]
+    if mission.start is not None:
+        return mission.start
+    return align_lanes(vehicle, mission) if vehicle.lanes() else align(vehicle, mission)
 
 
 def _run(nav: Navigator, times: Array, values: Array, events: Readings, progress: bool) -> None:
@@ -314,7 +262,7 @@ def residual_series(
     nav = Navigator(vehicle, start, history_s=0.0, threads=False)
     names = [name for name, sensor in vehicle.sensors.items() if sensor.open_loop] if sensors is None else list(sensors)
     _listen(nav, mission, names)
-    _run(nav, *drive, _events(vehicle, mission, start.time_s), False)
+    _run(nav, *drive, readings_of(vehicle, mission, start.time_s), False)
     return {name: nav.heard(name) for name in names}
 
 
@@ -331,7 +279,7 @@ def at_the_end(vehicle: Vehicle, mission: Mission, start: Start | None = None) -
     drive = drive_samples(vehicle, mission)
     start = _start(vehicle, mission, start)
     nav = Navigator(vehicle, start, history_s=0.0, threads=False)
-    _run(nav, *drive, _events(vehicle, mission, start.time_s), False)
+    _run(nav, *drive, readings_of(vehicle, mission, start.time_s), False)
     return nav
 
 

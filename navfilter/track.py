@@ -110,6 +110,8 @@ class Track:
         Of a forward track: protection radius [m] and bound of the heading [rad], see `navfilter.filter.integrity`.
     axes : tuple of (time_s, axis, condition)
         When the condition of an axis of the inertial unit changed, as `Health.axes` names it.
+    lanes : tuple of (float, str)
+        Of a vehicle with lanes: from when [s] which was in force.
     """
 
     label: str
@@ -135,6 +137,7 @@ class Track:
     epoch_utc_s: float | None = None
     bounds: Array | None = None
     axes: tuple[tuple[float, str, str], ...] = ()
+    lanes: tuple[tuple[float, str], ...] = ()
 
     def __len__(self) -> int:
         return len(self.time_s)

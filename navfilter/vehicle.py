@@ -4,21 +4,29 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.error_models import ErrorModel
-from navfilter.mechanisation import Imu, Mechanisation
+from navfilter.error_models import ErrorModel, GaussMarkov, White
+from navfilter.mechanisation import Coasting, Imu, Mechanisation
 from navfilter.notebook import card
-from navfilter.sensors import Sensor
+from navfilter.sensors import Attitude, Sensor
 
 __all__ = ["Vehicle"]
 
 Array = NDArray[np.float64]
 RESERVED = ("imu", "gyro", "accel", "attitude", "velocity", "truth")
+#: Name of the lane without an inertial unit, and of the sensor that only this lane has.
+DEAD_RECKONING, LEVEL = "dead-reckoning", "level"
+#: A vehicle that nobody feels is level within so much [rad], and comes back to it in so long [s]: dives of 20 deg last
+#: a minute.
+LEVEL_SD, LEVEL_TAU_S = 0.2, 60.0
+#: That it is level is said once in so long [s]: often enough for its correlation.
+LEVEL_PERIOD_S = 10.0
 
 
 @dataclass(frozen=True, init=False)
@@ -34,6 +42,13 @@ class Vehicle:
         output columns.
     name : str
         For reports.
+    imus : dict of str to Imu
+        Several inertial units by name, in place of `drive`: each has a lane of its own, see `lanes`. The name is that
+        of the mission's stream.
+    dead_reckoning_lane : bool, optional
+        A lane without an inertial unit beside the others. Default: where there are several units, and sensors for
+        it (a heading and a velocity). Beside a single unit it is there only when it is asked for, because it costs as
+        much as another filter, and most of what a single unit does wrong is found from its own samples.
 
     Examples
     --------
@@ -48,6 +63,8 @@ class Vehicle:
     drive: Mechanisation
     sensors: Mapping[str, Sensor]
     name: str = "vehicle"
+    imus: Mapping[str, Imu] = field(default_factory=dict)
+    dead_reckoning_lane: bool | None = None
 
     def __init__(
         self,
@@ -56,10 +73,17 @@ class Vehicle:
         name: str = "vehicle",
         *,
         imu: Imu | None = None,
+        imus: Mapping[str, Imu] | None = None,
+        dead_reckoning_lane: bool | None = None,
     ) -> None:
-        if (drive is None) == (imu is None):
-            raise ValueError("Vehicle needs exactly one of drive= and imu= (imu=Imu(...) is short for drive=Imu(...)).")
-        chosen = imu if drive is None else drive
+        if imus and drive == next(iter(imus.values())):
+            drive = None  # as `dataclasses.replace` gives it again
+        if [drive is None, imu is None, not imus].count(False) != 1:
+            raise ValueError(
+                "Vehicle needs exactly one of drive=, imu= and imus= (imu=Imu(...) is short for drive=Imu(...))."
+            )
+        units = _checked_units(imus or {}, sensors or {})
+        chosen = next(iter(units.values())) if units else imu if drive is None else drive
         if not isinstance(chosen, Mechanisation):
             raise ValueError(f"Vehicle.drive must be an Imu or a DeadReckoning, found {chosen!r}.")
         for key, sensor in (sensors or {}).items():
@@ -72,39 +96,116 @@ class Vehicle:
         object.__setattr__(self, "drive", chosen)
         object.__setattr__(self, "sensors", MappingProxyType(dict(sensors or {})))
         object.__setattr__(self, "name", name)
+        object.__setattr__(self, "imus", MappingProxyType(units))
+        object.__setattr__(self, "dead_reckoning_lane", dead_reckoning_lane)
+        if dead_reckoning_lane:
+            _ = self.lanes()
 
-    def __reduce__(self) -> tuple[type[Vehicle], tuple[Mechanisation, dict[str, Sensor], str]]:
-        return Vehicle, (self.drive, dict(self.sensors), self.name)
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _again, (self.drive, dict(self.sensors), self.name, dict(self.imus), self.dead_reckoning_lane)
+
+    @property
+    def units(self) -> dict[str, Imu]:
+        """Its inertial units by the names of their streams."""
+        if self.imus:
+            return dict(self.imus)
+        return {"imu": self.drive} if self.drive.inertial else {}  # type: ignore[dict-item]
+
+    def lanes(self) -> dict[str, Vehicle]:
+        """What is run side by side: a vehicle with a single drive for each inertial unit, and one without any; empty
+        for a vehicle with one drive and no lane beside it.
+
+        Raises
+        ------
+        ValueError
+            When a dead-reckoning lane is asked for that has nothing to go by.
+        """
+        if not (self.imus or self.dead_reckoning_lane):
+            return {}
+        lanes = {name: Vehicle(unit, self.sensors, self.name) for name, unit in self.units.items()}
+        if not self.dead_reckoning_lane and (self.dead_reckoning_lane is False or len(lanes) < 2):
+            return lanes
+        seen = {sensor.corrects for sensor in self.sensors.values()}
+        lacks = [what for what in ("heading", "velocity") if what not in seen]
+        lacks += [] if lanes else ["inertial unit beside it (a DeadReckoning is one already)"]
+        if LEVEL in self.sensors:
+            lacks.append(f'free name "{LEVEL}": a sensor of the vehicle has it')
+        if not lacks:
+            lanes[DEAD_RECKONING] = self._reckoning()
+        elif self.dead_reckoning_lane:
+            raise ValueError(
+                f"the dead-reckoning lane has no {' and no '.join(lacks)}. Add what it lacks, or leave "
+                "dead_reckoning_lane out."
+            )
+        return lanes
+
+    def _reckoning(self) -> Vehicle:
+        """The lane without an inertial unit: as if the one there were dead."""
+        unit = next(iter(self.units.values()))
+        drive = Coasting(
+            gap_rate_sd=unit.gap_rate_sd,
+            gap_force_sd=unit.gap_force_sd,
+            max_speed_m_s=unit.max_speed_m_s,
+            max_turn_rad_s=unit.max_turn_rad_s,
+        )
+        tilt = GaussMarkov(sd=LEVEL_SD, tau_s=LEVEL_TAU_S)
+        level = Attitude(rate_hz=1.0 / LEVEL_PERIOD_S, error=(tilt, tilt, White(sd=1.0)))
+        return Vehicle(drive, {**self.sensors, LEVEL: level}, self.name)
 
     def _repr_html_(self) -> str:
-        parts = {"drive": self.drive, **self.sensors}
+        drives: Mapping[str, Mechanisation] = self.imus or {"drive": self.drive}
+        parts = {**drives, **self.sensors}
         return card(f"Vehicle {self.name}", {name: _in_short(part) for name, part in parts.items()})
 
     def with_error(self, **models: ErrorModel | tuple[ErrorModel, ...]) -> Vehicle:
         """The same vehicle with other error models, by sensor name (``gyro``, ``accel``, ``attitude``, ``velocity`` for
-        the drive).
+        the drive; of several units, for each).
         """
-        drive, sensors = self.drive, dict(self.sensors)
+        drives: dict[str, Any] = dict(self.imus) or {"": self.drive}
+        sensors = dict(self.sensors)
         for key, model in models.items():
             if key in sensors:
                 sensors[key] = dataclasses.replace(sensors[key], error=model)
-            elif hasattr(drive, key) and key in RESERVED:
-                part = getattr(drive, key)
-                new = dataclasses.replace(part, error=model) if isinstance(part, Sensor) else model
-                drive = dataclasses.replace(drive, **{key: new})  # type: ignore[arg-type]
+            elif hasattr(self.drive, key) and key in RESERVED:
+                for name, drive in drives.items():
+                    part = getattr(drive, key)
+                    new = dataclasses.replace(part, error=model) if isinstance(part, Sensor) else model
+                    drives[name] = dataclasses.replace(drive, **{key: new})
             else:
                 raise ValueError(
                     f'"{key}" is no sensor of this vehicle (sensors: {", ".join(sensors)}; drive: '
-                    f"{type(drive).__name__})."
+                    f"{type(self.drive).__name__})."
                 )
-        return Vehicle(drive, sensors, self.name)
+        return self._with(drives, sensors)
+
+    def _with(self, drives: Mapping[str, Any], sensors: dict[str, Sensor]) -> Vehicle:
+        """The same with other drives (by name where there are several units) and sensors."""
+        imus = drives if self.imus else {}
+        return _again(next(iter(drives.values())), sensors, self.name, imus, self.dead_reckoning_lane)
 
     def without(self, *names: str) -> Vehicle:
         """The same vehicle without some of its sensors."""
         for key in names:
             if key not in self.sensors:
                 raise ValueError(f'"{key}" is no sensor of this vehicle (sensors: {", ".join(self.sensors)}).')
-        return Vehicle(self.drive, {k: s for k, s in self.sensors.items() if k not in names}, self.name)
+        return self._with(self.imus or {"": self.drive}, {k: s for k, s in self.sensors.items() if k not in names})
+
+
+def _again(
+    drive: Mechanisation, sensors: dict[str, Sensor], name: str, imus: Mapping[str, Imu], lane: bool | None
+) -> Vehicle:
+    """A vehicle from its parts; with several units the drive is one of them."""
+    return Vehicle(None if imus else drive, sensors, name, imus=imus, dead_reckoning_lane=lane)
+
+
+def _checked_units(imus: Mapping[str, Imu], sensors: Mapping[str, Sensor]) -> dict[str, Imu]:
+    """Inertial units by names that nothing else has."""
+    for key, unit in imus.items():
+        if not getattr(unit, "inertial", False):
+            raise ValueError(f'Vehicle.imus["{key}"] must be an Imu, found {unit!r}.')
+        if key in sensors or key == DEAD_RECKONING or (key in RESERVED and key != "imu"):
+            raise ValueError(f'"{key}" has another meaning in this vehicle; give the inertial unit another name.')
+    return dict(imus)
 
 
 def _in_short(value: object) -> str:

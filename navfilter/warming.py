@@ -53,7 +53,10 @@ def warm_up(vehicle: Vehicle | None = None, progress: bool = False) -> None:
     helper = _Helper(vehicle is None) if learning and not is_compiled(*FILTER) and not is_compiled("channel") else None
     with _no_collector():
         try:
-            _warm_filter(vehicle, learning)
+            # units differ by numbers only, and the lane without one has a sensor of its own
+            lanes: list[Vehicle | None] = [] if vehicle is None else list(vehicle.lanes().values())
+            for single in [*lanes[:1], *lanes[1:][-1:]] or [vehicle]:
+                _warm_filter(single, learning)
             if helper is not None:
                 helper.wait()
         finally:

@@ -52,7 +52,7 @@ def health_of(
         sees = channels[name].sensor.corrects
         off[sees] = max(off.get(sees, 0.0), _off(channels[name], watch))
     age_s, moved_m = _since_fix(filter, watches)
-    radius_m, heading_rad = integrity.bounds(P, age_s, moved_m, off, filter.inertial)
+    radius_m, heading_rad = integrity.bounds(P, age_s, moved_m, off, filter.inertial and filter.vehicle.drive.feels)
     drive = filter.vehicle.drive
     _, errors = drive.outputs(filter.drive_output, memory.drv, memory.x[: filter.layout.drive.size])
     rate = drive.body_rate(memory.drv, errors[:3])
@@ -81,8 +81,8 @@ def _since_fix(filter: Filter, watches: Mapping[str, Watch]) -> tuple[float, flo
     """Time since the last fix that was used, or since the start [s], and distance from there [m]."""
     memory, start = filter.memory, filter.start
     time_s, latitude, longitude = start.time_s, math.radians(start.latitude_deg), math.radians(start.longitude_deg)
-    for name, channel in filter.channels.items():
-        watch = watches[name]
+    for name, watch in watches.items():
+        channel = filter.channels[name]
         if channel.sensor.corrects == "position" and watch.used_s > time_s:
             time_s, latitude, longitude = watch.used_s, watch.latitude, watch.longitude
     north = (float(memory.nav[0]) - latitude) * memory.nav[15]

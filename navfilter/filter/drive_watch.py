@@ -52,7 +52,7 @@ class DriveWatch:
     """
 
     def __init__(self, drive: Mechanisation) -> None:
-        self.active, self.axes = drive.inertial, drive.axis_names
+        self.active, self.axes, self._feels = drive.inertial, drive.axis_names, drive.feels
         self._period_s, self._increments = drive.period_s, bool(getattr(drive, "increments", False))
         self.limits = np.zeros(0)
         if not self.active:
@@ -67,6 +67,8 @@ class DriveWatch:
         w = np.zeros((kernel.UNIT + 1, kernel.UNTIL_S + 1))
         w[:6, kernel.REPEATS], w[:6, kernel.QUANTUM] = 1.0, np.inf
         w[:6, kernel.UNTIL_S] = -np.inf
+        if not self._feels:
+            w[:6, [kernel.CODE, kernel.HEEDED]] = kernel.SATURATED
         return w if self.active else w[:0]
 
     def look(self, samples: Array, w: Array, r: Array) -> int:
@@ -213,4 +215,6 @@ class DriveWatch:
 
     def conditions(self, w: Array) -> dict[str, str]:
         """Condition of every axis in words; none where nothing is watched."""
-        return {name: CONDITIONS[int(w[i, kernel.CODE])] for i, name in enumerate(self.axes)} if self.active else {}
+        if not (self.active and self._feels):
+            return {}
+        return {name: CONDITIONS[int(w[i, kernel.CODE])] for i, name in enumerate(self.axes)}

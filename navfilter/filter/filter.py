@@ -108,26 +108,25 @@ class Filter(Estimate):
             channel.forget()
         adopted = tuple((models or {}).items())
         self._arrange(adopted)
-        self.recall(
-            FilterMemory(
-                time_s=state.time_s,
-                sample_s=state.time_s,
-                unfolded=0,
-                nav=state.pack(),
-                x=self.layout.start_states(),
-                P=self.layout.start_covariance(state.covariance),
-                acc=self._identity(),
-                drv=self.in_force.drive.memory(self.layout.drive.errors, self.start),
-                recent=np.zeros((self.remembered, 7)),
-                watch=self.watch.fresh(),
-                jumps=self.jumps.fresh(self.layout, self.channels, state.time_s),
-                intake=self.intake.memory,
-                channels={name: channel.memory for name, channel in self.channels.items()},
-                models=adopted,
-                counts=counts,
-            )
+        memory = FilterMemory(
+            time_s=state.time_s,
+            sample_s=state.time_s,
+            unfolded=0,
+            nav=state.pack(),
+            x=self.layout.start_states(),
+            P=self.layout.start_covariance(state.covariance),
+            acc=self._identity(),
+            drv=self.in_force.drive.memory(self.layout.drive.errors, self.start),
+            recent=np.zeros((self.remembered, 7)),
+            watch=self.watch.fresh(),
+            jumps=self.jumps.fresh(self.layout, self.channels, state.time_s),
+            intake=self.intake.memory,
+            channels={name: channel.memory for name, channel in self.channels.items()},
+            models=adopted,
+            counts=counts,
         )
-        self.watch.refer(self.memory.watch, self.memory.nav, self.memory.P)
+        self.watch.refer(memory.watch, memory.nav, memory.P)  # what is unknown weighs by it
+        self.recall(memory)
         if self.tape is not None:
             if models is None:
                 self.tape.begin(self.layout)

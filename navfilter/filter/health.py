@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from navfilter.filter.integrity import Bounds, Trust
 
-__all__ = ["Health", "LearningHealth", "SensorHealth", "Watch"]
+__all__ = ["Health", "LaneHealth", "LearningHealth", "SensorHealth", "Watch"]
 
 Array = NDArray[np.float64]
 
@@ -57,6 +57,27 @@ class LearningHealth:
 
 
 @dataclass(frozen=True)
+class LaneHealth:
+    """Condition of one lane of a vehicle with several.
+
+    Attributes
+    ----------
+    condition : str
+        "in-force", "ready", "doubted" (it has foretold readings badly, and will begin anew) or "silent" (its unit does
+        not speak).
+    gain : float
+        How well it has foretold the readings of the last minute: mean by component, 8.3 at most
+        (`navfilter.filter.lane_choice`); NaN before the first.
+    axes : dict of str to str
+        Condition of each axis of its inertial unit.
+    """
+
+    condition: str
+    gain: float
+    axes: dict[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
 class Health:
     """Condition of the whole.
 
@@ -78,7 +99,10 @@ class Health:
         right size), "free-fall", "contradicted" (by compass and DVL) or "silent" (no samples, or none that can be).
     lane : str
         What carries the state between corrections: "inertial", or "dead-reckoning" without an inertial unit, and while
-        an axis of it is left out.
+        an axis of it is left out. Of a vehicle with lanes the name of the one in force: that of its inertial unit, or
+        "dead-reckoning".
+    lanes : dict of str to LaneHealth
+        Of a vehicle with lanes, by name.
     bounds : Bounds or None
         How far the truth may be from the state under any single fault that has not been found.
     trust : Trust or None
@@ -96,6 +120,7 @@ class Health:
     lane: str = ""
     drive_clock_offset_s: float = 0.0
     learning: LearningHealth = field(default=LearningHealth(), compare=False)
+    lanes: dict[str, LaneHealth] = field(default_factory=dict)
 
     @property
     def degraded(self) -> tuple[str, ...]:

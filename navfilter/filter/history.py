@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.filter.events import Outcome
-from navfilter.filter.filter import Filter
 from navfilter.filter.intake import joined
 from navfilter.filter.memory import copied
 
@@ -35,8 +34,15 @@ class Reading(NamedTuple):
 class Run(Protocol):
     """What has a history: it is fed in order, and can go back."""
 
-    filter: Filter
     memory: Any
+
+    @property
+    def time_s(self) -> float:
+        """Mission time of the state [s]."""
+
+    @property
+    def offset_s(self) -> float:
+        """By how much stamps are moved since the clock was set [s]."""
 
     def feed(self, item: Array | Reading) -> Outcome | None:
         """Take samples (rows of time and six values) or a reading, in order."""
@@ -79,8 +85,7 @@ class History:
 
     def feed(self, item: Array | Reading) -> Outcome | None:
         """Give samples (rows of time and six values) or a reading to the run, and keep them."""
-        filter_memory = self.run.filter.memory
-        now, shift = filter_memory.time_s, filter_memory.intake.offset_s
+        now, shift = self.run.time_s, self.run.offset_s
         if now - self._marked_s >= self.SPACING_S:
             self._mark(now)
         kept = item.copy() if isinstance(item, np.ndarray) else item
@@ -115,7 +120,7 @@ class History:
             return Outcome("duplicate")
         marked_s, number, memory = self._marks[at]
         again, shifts = self._log[number - self._first :], self._shifts[number - self._first :]
-        self.replayed_s += self.run.filter.memory.time_s - marked_s
+        self.replayed_s += self.run.time_s - marked_s
         del self._log[number - self._first :], self._shifts[number - self._first :], self._marks[at:]
         self._marked_s = self._marks[-1][0] if self._marks else -math.inf
         self.run.memory = memory

@@ -66,7 +66,11 @@ class Saved:
 
 def fingerprint(vehicle: Vehicle) -> str:
     """Hexadecimal digest of everything that describes a vehicle."""
-    return hashlib.sha256(repr((vehicle.name, vehicle.drive, dict(vehicle.sensors))).encode()).hexdigest()
+    parts = vehicle.name, vehicle.drive, dict(vehicle.sensors)
+    lanes = vehicle.lanes()
+    if lanes:
+        parts += ({name: lane.drive for name, lane in lanes.items()},)  # type: ignore[assignment]
+    return hashlib.sha256(repr(parts).encode()).hexdigest()
 
 
 def write(saved: Saved, vehicle: Vehicle, time_s: float, path: str | PathLike[str] | None) -> bytes:

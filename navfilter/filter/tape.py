@@ -352,7 +352,36 @@ class Tape:
         """Residuals of every sensor that was heard of, of the last time that the run began."""
         return {name: column.residuals() for name, column in self.columns.items()}
 
+    def append(self, other: Tape, records: int | None = None, rows: int | None = None) -> None:
+        """Everything that another tape holds for the smoother, or the first of its records and rows."""
+        before, layouts = len(self.records), len(self.layouts)
+        records = len(other.records) if records is None else records
+        rows = len(other.row_times) if rows is None else rows
+        for i in range(records):
+            record = other.records[i]
+            self.records.new(record.size)[:] = record
+        self._heads.extend(other._heads[: 4 * records])
+        for i in range(rows):
+            row = other.rows[i]
+            self.rows.new(row.size)[:] = row
+        self.row_times.extend(other.row_times[:rows])
+        self.row_records.extend(array("q", [before + number for number in other.row_records[:rows]]))
+        self.row_layouts.extend(array("q", [layouts + number for number in other.row_layouts[:rows]]))
+        self.layouts += other.layouts
+        self.columns |= other.columns
+
     # ---------------------------------------------------------------- as first given out
+    def first_notes(self, name: str, first: int) -> Array:
+        """What was noted of the readings of a sensor, from a number on: rows of time, NIS, components used, outcome,
+        residuals and their variances.
+        """
+        column = self.columns[name]
+        if self.given is None:
+            return column.rows[first : column.used]
+        then = self.given.columns[name].used
+        after = column.rows[max(first, then) : column.used]
+        return np.concatenate([self.given.first_notes(name, first), after]) if first < then else after
+
     def first_rows(self) -> list[tuple[Tape, range]]:
         """Where the rows stand that were the first ones of their times, in order: a tape, and its rows."""
         if self.given is None:

@@ -7,6 +7,7 @@ One reading per line, in SI units and radians::
     {"sensor": "gps", "time_s": 12.0, "value": [0.785, -0.07, null], "sd": [2.0, 2.0, 5.0]}
     {"sensor": "start", "latitude_deg": 45.0, "longitude_deg": -4.0, "heading_deg": 90.0}
 
+A vehicle with several inertial units has a line for each by its name in place of "imu".
 ``null`` is a missing component. Whatever else arrives is a `BadLine` of one of the `BAD_KINDS`, never an exception. A
 log holds the readings in the order of their arrival, byte for byte as they came, and between them notes, which have an
 ``"event"`` (see `Note`).
@@ -144,8 +145,9 @@ class LineParser:
         self._decode = json.JSONDecoder(parse_constant=_constant).decode
         self._notes = notes
         self._reads: dict[str, int] | None = None
+        self._units = {"imu"} if vehicle is None else set(vehicle.units)
         if vehicle is not None:
-            drive = dict.fromkeys(vehicle.drive.streams, 3)
+            drive = dict.fromkeys(vehicle.imus or vehicle.drive.streams, 3)
             self._reads = drive | {name: sensor.reads for name, sensor in vehicle.sensors.items()}
         self._quoted: dict[str, int] = {}
 
@@ -199,7 +201,7 @@ class LineParser:
 
     def _reading(self, sensor: str, fields: dict[str, Any], raw: bytes) -> Reading:
         sd = None
-        if sensor == "imu":
+        if sensor in self._units or (self._reads is None and "rate_b" in fields):
             if fields.keys() != _IMU_FIELDS:
                 raise _wrong_fields(fields, _IMU_FIELDS)
             value = _vector("rate_b", fields["rate_b"], 3) + _vector("force_b", fields["force_b"], 3)

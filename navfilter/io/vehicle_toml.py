@@ -31,7 +31,7 @@ from navfilter.filter.offsets import Offset
 from navfilter.io.validation import Strict, inside, listed, read_toml, validate
 from navfilter.io.vehicle_keys import checked, constants, plain_key, spellings, times
 from navfilter.learning.learned import LearnedArma
-from navfilter.mechanisation import Mechanisation
+from navfilter.mechanisation import Coasting, Imu, Mechanisation
 from navfilter.sensors import Sensor
 from navfilter.sensors.traits import kinds_below
 from navfilter.vehicle import RESERVED, Vehicle
@@ -98,19 +98,27 @@ def read_vehicle(path: str | os.PathLike[str]) -> Vehicle:
         path = path / "vehicle.toml"
     spec: Any = validate(_vehicle_spec(_kinds()), read_toml(path, VehicleError), path, VehicleError)
     wrong: list[tuple[str, str]] = []
-    drive = _built(spec.drive, "drive", wrong, {})
+    drive = None if spec.drive is None else _built(spec.drive, "drive", wrong, {})
+    imus = {name: _built(unit, f"imus.{name}", wrong, {}) for name, unit in spec.imus.items()}
+    if (drive is None) == (not imus) and not wrong:
+        wrong.append(("drive", "a vehicle has a [drive], or inertial units as [imus.a], [imus.b]: one of the two"))
     sensors = {name: _built(sensor, f"sensors.{name}", wrong, {}) for name, sensor in spec.sensors.items()}
     if wrong:
         raise listed(path, [f"{place}: {text}" for place, text in wrong], VehicleError)
     try:
-        return Vehicle(drive=drive, sensors=sensors, name=spec.name or path.resolve().parent.name)
+        parts = drive, sensors, spec.name or path.resolve().parent.name
+        return Vehicle(*parts, imus=imus, dead_reckoning_lane=spec.dead_reckoning_lane)
     except ValueError as error:
         raise VehicleError(f"{path}: {error}") from None
 
 
 def write_vehicle(vehicle: Vehicle, path: str | os.PathLike[str]) -> Path:
     """Write a vehicle as a .toml that `read_vehicle` reads back as an equal vehicle (SI and radians throughout)."""
-    lines = [f"name = {_toml(vehicle.name)}", "", "[drive]", *_lines(vehicle.drive)]
+    given = {"name": vehicle.name, "dead_reckoning_lane": vehicle.dead_reckoning_lane}
+    lines = [f"{key} = {_toml(value)}" for key, value in given.items() if value is not None]
+    units: list[Any] = [(f"imus.{quoted_key(name)}", unit) for name, unit in vehicle.imus.items()]
+    for place, drive in units or [("drive", vehicle.drive)]:
+        lines += ["", f"[{place}]", *_lines(drive)]
     for name, sensor in vehicle.sensors.items():
         lines += ["", f"[sensors.{quoted_key(name)}]", *_lines(sensor)]
     path = Path(path)
@@ -141,7 +149,7 @@ def _kinds() -> Kinds:
     their module, and those that only a run makes are none.
     """
     bases = ErrorModel, Sensor, Mechanisation
-    return tuple(cls for base in bases for cls in kinds_below(base) if cls is not Sum and not issubclass(cls, Offset))
+    return tuple(c for base in bases for c in kinds_below(base) if not issubclass(c, Sum | Offset | Coasting))
 
 
 def _base_of(cls: type) -> tuple[str, type]:
@@ -295,7 +303,9 @@ def _vehicle_spec(kinds: Kinds) -> type[Strict]:
     sensors: Any = _union("type", _concrete(Sensor, kinds), kinds)
     fields: dict[str, Any] = {
         "name": (str | None, None),
-        "drive": (_union("type", _concrete(Mechanisation, kinds), kinds), ...),
+        "drive": (_union("type", _concrete(Mechanisation, kinds), kinds) | None, None),
+        "imus": (dict[str, _spec_of(Imu, kinds)], Field(default_factory=dict)),  # type: ignore[misc]
+        "dead_reckoning_lane": (Annotated[bool, Field(strict=True)] | None, None),
         "sensors": (dict[Annotated[str, AfterValidator(_sensor_name)], sensors], Field(default_factory=dict)),
     }
     return create_model("VehicleTable", __base__=Strict, **fields)

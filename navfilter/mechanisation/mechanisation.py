@@ -94,6 +94,8 @@ class Mechanisation:
     inertial : bool
         The channels are three rates and three forces: what the vehicle does between two samples is felt, rest can be
         told.
+    feels : bool
+        Its samples say something; those of `Coasting` do not.
     gravity : float
         What a tilt turns into acceleration [m/s^2]; 0 where the velocity is no integral.
     triples : (2,) str
@@ -109,6 +111,7 @@ class Mechanisation:
 
     streams: ClassVar[tuple[str, ...]] = ()
     inertial: ClassVar[bool] = False
+    feels: ClassVar[bool] = True
     gravity: ClassVar[float] = 0.0
     triples: ClassVar[tuple[str, str]]
     contents: ClassVar[tuple[tuple[Columns, ...], ...]] = ()

@@ -138,7 +138,8 @@ def _difference(folder: Path, vehicle: Vehicle) -> str:
         return "the vehicle.toml of this log cannot be read"
     if fingerprint(logged) == fingerprint(vehicle):
         return ""
-    drive = ["the drive"] * (repr(logged.drive) != repr(vehicle.drive))
+    drives = [(vehicle.drive, vehicle.imus, vehicle.dead_reckoning_lane) for vehicle in (logged, vehicle)]
+    drive = ["the drive"] * (repr(drives[0]) != repr(drives[1]))
     every = {**logged.sensors, **vehicle.sensors}
     names = [name for name in every if repr(logged.sensors.get(name)) != repr(vehicle.sensors.get(name))]
     return f"this log is of another vehicle ({', '.join(drive + names) or 'its name'} differs)"
@@ -187,7 +188,8 @@ def _mission_toml(folder: Path, vehicle: Vehicle, date: datetime.date | None) ->
 def _columns(vehicle: Vehicle) -> dict[str, tuple[str, ...]]:
     """Names of the columns of every stream that the vehicle listens to."""
     corrections = {name: sensor.stream_columns() for name, sensor in vehicle.sensors.items() if not sensor.from_drive}
-    return vehicle.drive.stream_columns() | corrections
+    units = {name: unit.stream_columns()["imu"] for name, unit in vehicle.imus.items()}
+    return (units or vehicle.drive.stream_columns()) | corrections
 
 
 def run_note(options: Options, **more: Any) -> bytes:

@@ -19,6 +19,8 @@ from navfilter.alignment import align
 from navfilter.filter.health import Health
 from navfilter.filter.intake import Intake
 from navfilter.io.json_lines import BadLine, Item, Note, Reading, StartLine, start_from, streams_of
+from navfilter.lane_replay import align_lanes
+from navfilter.lanes import LaneNavigator
 from navfilter.magnetic import believable
 from navfilter.mission import Mission
 from navfilter.navigator import Navigator
@@ -107,7 +109,9 @@ class Session:
     ) -> None:
         self.vehicle, self.options, self._emit = vehicle, options, emit
         self._note = note or (lambda line: None)
-        self.nav: Navigator | None = None
+        self.nav: Navigator | LaneNavigator | None = None
+        self._lanes = bool(vehicle.lanes())
+        self._units = {name: [float(i)] if self._lanes else [] for i, name in enumerate(vehicle.units)}
         self._start = options.start
         self._buffer: list[Reading] = []
         self._align_at_s: float | None = None
@@ -182,8 +186,8 @@ class Session:
 
     def _take(self, reading: Reading, attitude: list[float] | None) -> None:
         name, time_s = reading.sensor, reading.time_s
-        if name == "imu":
-            self._rows.append([time_s, *reading.value[:6]])
+        if name in self._units:
+            self._rows.append([time_s, *reading.value[:6], *self._units[name]])
         elif attitude is not None:
             self._rows.append([time_s, *attitude, *reading.value[:3]])
         else:
@@ -210,7 +214,7 @@ class Session:
         if len(self._buffer) >= self.KEPT:
             del self._buffer[: self.KEPT // 2]
         self._buffer.append(reading)
-        if reading.sensor not in self.vehicle.drive.streams[:1]:
+        if reading.sensor not in (self._units or self.vehicle.drive.streams[:1]):
             return
         if self._start is not None:
             self._begin(Start(**{"time_s": reading.time_s, "date": self.options.date, **self._start}), "given")
@@ -224,7 +228,7 @@ class Session:
         streams, _ = streams_of(self._buffer)
         mission = Mission("live", streams, date=self._date(self.options.date))
         try:
-            start = align(self.vehicle, mission, self.options.align_s)
+            start = (align_lanes if self._lanes else align)(self.vehicle, mission, self.options.align_s)
         except ValueError as error:
             if str(error) != self._waited:
                 self._waited = str(error)
@@ -258,9 +262,10 @@ class Session:
         }
         self._note(to_line({"event": "start", "how": how, "start": fields}))
         self._tell("start", how=how, **fields)
-        self.nav = Navigator(self.vehicle, start)
+        self.nav = (LaneNavigator if self._lanes else Navigator)(self.vehicle, start)
         self._next_tick()
-        first = next((r.time_s for r in self._buffer if r.sensor in self.vehicle.drive.streams), start.time_s)
+        drive = self._units or self.vehicle.drive.streams
+        first = next((r.time_s for r in self._buffer if r.sensor in drive), start.time_s)
         if abs(first - start.time_s) > Intake.LONGEST_S:
             self._tell(
                 "warning", text=f"the start is at {start.time_s} s, the readings at {first} s: is it the same clock?"
@@ -316,7 +321,15 @@ class Session:
             return
         if self._second != second:
             health = self.nav.health
-            for name, condition in [*((n, s.condition) for n, s in health.sensors.items()), *health.axes.items()]:
+            lanes = [
+                (f"lane of {n}", "good" if s.condition == "in-force" else s.condition) for n, s in health.lanes.items()
+            ]
+            lanes = [(name, "good" if condition == "ready" else condition) for name, condition in lanes]
+            for name, condition in [
+                *((n, s.condition) for n, s in health.sensors.items()),
+                *health.axes.items(),
+                *lanes,
+            ]:
                 self._condition(name, condition)
             self._lane(health.lane)
             self._drive_clock(health.drive_clock_offset_s)
@@ -413,13 +426,13 @@ class Session:
         ValueError
             When the snapshot is damaged, of another version or of another vehicle.
         """
-        restored = Navigator.restore(self.vehicle, nav)
+        restored = (LaneNavigator if self._lanes else Navigator).restore(self.vehicle, nav)
         try:
             self._restore(json.loads(session), restored)
         except (KeyError, TypeError, IndexError, AttributeError) as error:
             raise ValueError(f"the snapshot cannot be read ({error!r}). Move it away to start afresh.") from None
 
-    def _restore(self, saved: dict[str, Any], nav: Navigator) -> None:
+    def _restore(self, saved: dict[str, Any], nav: Navigator | LaneNavigator) -> None:
         self.nav = nav
         self.options, self._offset_s = Options.from_json(saved["options"]), self.nav.offset_s
         self._next_tick()

@@ -81,7 +81,8 @@ def simulate(
     duration_s : float, optional
         Stop after this time, s; default the whole motion.
     faults : dict of str to Faults, optional
-        By name of the sensor; "gyro" and "accel" for the error and calibration of an inertial unit, "imu" for its
+        By name of the sensor; "gyro" and "accel" for the error and calibration of an inertial unit (of one of several
+        "a.gyro"), "imu" for its
         dropouts and time stamps; "attitude" and "velocity" for dead reckoning.
     start : StartErrors, optional
         How well the start is known.
@@ -115,7 +116,8 @@ def simulate(
     if not 0.0 < duration <= motion.duration_s + 1e-9:
         raise ValueError(f"duration_s must lie between 0 and the motion's {motion.duration_s:.1f} s, found {duration}.")
     scene = _Scene(motion, duration, seed, faults, date, [])
-    streams = _drive_streams(scene, vehicle.drive)
+    streams = {name: _inertial(scene, unit, name, f"{name}.") for name, unit in vehicle.imus.items()}
+    streams = streams or _drive_streams(scene, vehicle.drive)
     for key, sensor in vehicle.sensors.items():
         if not sensor.from_drive:
             streams[key] = scene.record(key, sensor, sensor.rate_hz)
@@ -268,18 +270,21 @@ _ERRORS = ("true_error", "bias", "scale", "misalignment_rad", "outlier_probabili
 
 def _check_names(vehicle: Vehicle, faults: dict[str, Faults]) -> None:
     drive = {*vehicle.drive.triples, *vehicle.drive.streams}
+    if vehicle.imus:
+        drive = {key for name in vehicle.imus for key in (name, f"{name}.gyro", f"{name}.accel")}
     unknown = sorted(set(faults) - set(vehicle.sensors) - drive)
     if unknown:
         known = ", ".join(sorted(set(vehicle.sensors) | drive))
         raise ValueError(f'The vehicle has no sensor "{unknown[0]}" that could have faults. It has: {known}.')
-    for name in ("gyro", "accel", "imu"):
+    names = [(unit, name) for unit in vehicle.units or ["imu"] for name in ("gyro", "accel", unit)]
+    for unit, name in names:
         # each fault has one place: what is measured belongs to gyro and accel, when it is recorded to imu
-        given, plain = faults.get(name, _NO_FAULTS), _NO_FAULTS
-        wrong = [
-            key for key in (_ERRORS if name == "imu" else _RECORDING) if getattr(given, key) != getattr(plain, key)
-        ]
+        before = f"{unit}." if vehicle.imus else ""
+        given, plain = faults.get(name if name == unit else before + name, _NO_FAULTS), _NO_FAULTS
+        keys = _ERRORS if name == unit else _RECORDING
+        wrong = [key for key in keys if getattr(given, key) != getattr(plain, key)]
         if wrong:
-            right = '"gyro" and "accel"' if name == "imu" else '"imu"'
+            right = f'"{before}gyro" and "{before}accel"' if name == unit else f'"{unit}"'
             raise ValueError(f'The fault {wrong[0]} of "{name}" has to be given for {right}.')
 
 
@@ -311,21 +316,22 @@ def _drive_streams(scene: _Scene, drive: Mechanisation) -> dict[str, Stream]:
     }
 
 
-def _inertial(scene: _Scene, drive: Imu) -> Stream:
+def _inertial(scene: _Scene, drive: Imu, stream: str = "imu", before: str = "") -> Stream:
+    """What an inertial unit reads; names of its parts begin with `before`."""
     time_s, *ideal = scene.motion.inertial(drive.rate_hz, increments=drive.increments, duration_s=scene.duration_s)
     parts = []
     for name, vector, models in zip(("gyro", "accel"), ideal, (drive.models[:3], drive.models[3:]), strict=True):
-        error = scene.error(name, models, drive.rate_hz, time_s, 3)
-        truth = scene.truth(name, None, error, time_s, drive.draws(name))
+        error = scene.error(before + name, models, drive.rate_hz, time_s, 3)
+        truth = scene.truth(before + name, None, error, time_s, drive.draws(name))
         measured = truth.turned_and_scaled(vector)
         measured += error / drive.rate_hz if drive.increments else error
         M = np.diag(truth.drawn["scales"])
         M[tuple(zip(*CROSSED[name], strict=True))] = truth.drawn["axes"]
         if M.any():  # true = reading - M reading - error
             measured[:] = np.linalg.solve(np.eye(3) - M, measured.T).T
-        parts.append(quantise(measured, scene.fault(name).quantisation))
+        parts.append(quantise(measured, scene.fault(before + name).quantisation))
     columns = _INCREMENTS if drive.increments else _RATES
-    return scene.stamp("imu", time_s, np.hstack(parts), columns)
+    return scene.stamp(stream, time_s, np.hstack(parts), columns)
 
 
 _RATES = ("rate_x_rad_s", "rate_y_rad_s", "rate_z_rad_s", "force_x_m_s2", "force_y_m_s2", "force_z_m_s2")

@@ -1,0 +1,246 @@
+"""Replay of a vehicle with lanes: each lane goes through the mission in stretches, and they are compared in between."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navfilter.alignment import align
+from navfilter.filter.lane_choice import Choice
+from navfilter.filter.tape import Tape
+from navfilter.lane_clock import UPRIGHT, coasting_times, edge_after, level_times
+from navfilter.lanes import begin_anew, choice_of, to_begin_anew
+from navfilter.mission import Mission, Stream
+from navfilter.navigator import Navigator
+from navfilter.passage import Passage
+from navfilter.recorded import drive_samples, readings_of
+from navfilter.start import Start
+from navfilter.vehicle import DEAD_RECKONING, LEVEL, Vehicle
+
+__all__ = ["LaneReplay", "Piece", "align_lanes", "lane_mission"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass
+class Piece:
+    """What a lane has written down since it began, or began anew.
+
+    Attributes
+    ----------
+    tape : Tape
+    begin_s : float
+        Mission time [s].
+    before : Piece or None
+        Of the lane that it has begun anew from,
+    records, rows : int
+        what stood on that tape then,
+    transition, M : ndarray
+        and how the states came from there, see `navfilter.filter.transplant.Transplant`.
+    """
+
+    tape: Tape
+    begin_s: float
+    before: Piece | None = None
+    records: int = 0
+    rows: int = 0
+    transition: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    M: Array = field(default_factory=lambda: np.zeros((0, 0)))
+
+
+def lane_mission(vehicle: Vehicle, mission: Mission, name: str, start: Start | None = None) -> Mission:
+    """A mission as one lane reads it: its unit as "imu"; without a unit, a clock, and that the vehicle is level.
+
+    Raises
+    ------
+    ValueError
+        When the unit has no stream.
+    """
+    if name == DEAD_RECKONING:
+        assert start is not None
+        times = coasting_times(start, vehicle.lanes()[name].drive.rate_hz, 1, mission.end_s)
+        level = level_times(start, 1, mission.end_s)
+        mission = mission.with_stream("imu", Stream(times, np.zeros((len(times), 6))))
+        return mission.with_stream(LEVEL, Stream(level, np.tile(UPRIGHT, (len(level), 1))))
+    if name not in mission.streams:
+        have = ", ".join(mission.streams) or "none"
+        raise ValueError(
+            f'"{name}" has no stream in this mission (streams: {have}); it is an inertial unit of the vehicle. Add '
+            f"[streams.{name}] to the mission.toml, or take [imus.{name}] out of the vehicle.toml."
+        )
+    return mission.with_stream("imu", mission.streams[name])
+
+
+def align_lanes(vehicle: Vehicle, mission: Mission, window_s: float = 5.0) -> Start:
+    """A start from a mission's first readings, by the first inertial unit that allows one.
+
+    Raises
+    ------
+    ValueError
+        When none of them does.
+    """
+    reasons = []
+    for name in vehicle.units:
+        try:
+            return align(vehicle.lanes()[name], lane_mission(vehicle, mission, name), window_s)
+        except ValueError as error:
+            reasons.append(f"{name}: {error}")
+    raise ValueError(" ".join(dict.fromkeys(reasons)))
+
+
+class LaneReplay:
+    """A run of all lanes over a mission.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        With lanes.
+    mission : Mission
+    start : Start
+    output_rate_hz, smooth
+        As of `navfilter.replay`.
+
+    Attributes
+    ----------
+    changes : list of (float, str)
+        From when [s] which lane was in force.
+
+    Raises
+    ------
+    ValueError
+        When a stream is missing, or no inertial unit speaks and there is no lane without one.
+    """
+
+    def __init__(
+        self, vehicle: Vehicle, mission: Mission, start: Start, output_rate_hz: float | None, smooth: bool
+    ) -> None:
+        self.vehicle, self.start, self._end_s = vehicle, start, mission.end_s
+        self._rate_hz, self._smooth = output_rate_hz, smooth
+        described = vehicle.lanes()
+        missions = {name: lane_mission(vehicle, mission, name, start) for name in described}
+        if not any(len(missions[name].streams["imu"]) for name in described):
+            raise ValueError(f"none of the inertial units ({', '.join(vehicle.units)}) has a single sample.")
+        self.choice: Choice = choice_of(vehicle, start.time_s)
+        self.lanes = [
+            _Lane(name, lane, missions[name], start, Tape(output_rate_hz, smoothable=smooth))
+            for name, lane in described.items()
+        ]
+        self.changes = [(-math.inf, self.lanes[0].name)]
+
+    @property
+    def readings(self) -> int:
+        """How many readings all lanes take, for a progress bar."""
+        return sum(lane.readings for lane in self.lanes)
+
+    @property
+    def believed(self) -> _Lane:
+        """The lane in force."""
+        return self.lanes[self.choice.memory.lane]
+
+    def run(self, progress: Callable[[int], object] | None = None) -> None:
+        """Go through the mission."""
+        now_s = self.start.time_s
+        while now_s < self._end_s:
+            now_s = edge_after(now_s)
+            for lane in self.lanes:
+                lane.run_until(now_s, progress)
+            self._compare(now_s)
+            if now_s < self._end_s:
+                for number in to_begin_anew(self.choice, self.believed.nav):
+                    self.lanes[number].begin_anew(self.believed, Tape(self._rate_hz, smoothable=self._smooth))
+                    self.choice.begun_anew(number)
+        for lane in self.lanes:
+            lane.nav.finish()
+
+    def _compare(self, until_s: float) -> None:
+        """Take what the lanes foretold since this was last called, in the order of time."""
+        heard = [
+            (time_s, number, sensor, residual, variance)
+            for number, lane in enumerate(self.lanes)
+            for sensor, name in enumerate(self.choice.names)
+            for time_s, residual, variance in lane.foretold(name)
+        ]
+        heard.sort(key=lambda item: item[:3])
+        changes = []
+        for time_s, number, sensor, residual, variance in heard:
+            changes += self.choice.decide_until(time_s)
+            self.choice.hear(number, sensor, residual, variance)
+        if until_s < self._end_s:
+            changes += self.choice.decide_until(until_s, behind=True)
+        self.changes += [(time_s, self.lanes[number].name) for time_s, number in changes]
+
+
+class _Lane:
+    """One lane on its way through a mission."""
+
+    def __init__(self, name: str, vehicle: Vehicle, mission: Mission, start: Start, tape: Tape) -> None:
+        self.name = name
+        self.nav = Navigator(vehicle, start, tape)
+        silent = not len(mission.streams["imu"])
+        self._times, values = (np.empty(0), np.empty((0, 6))) if silent else drive_samples(vehicle, mission)
+        self._readings = readings_of(vehicle, mission, start.time_s)
+        done = int(np.searchsorted(self._times, start.time_s - 1e-9))
+        self._passage = Passage(self.nav, self._times, values, self._readings, done)
+        self._told: dict[str, int] = {}
+        self.pieces = [Piece(tape, start.time_s)]
+
+    @property
+    def readings(self) -> int:
+        """How many it takes."""
+        return len(self._readings.time_s)
+
+    def run_until(self, time_s: float, progress: Callable[[int], object] | None) -> None:
+        """Everything up to a time."""
+        readings = int(np.searchsorted(self._readings.time_s, time_s, side="right"))
+        samples = int(np.searchsorted(self._times, time_s, side="right"))
+        before = self._passage.at
+        self._passage.run_until(readings, samples)
+        if progress is not None:
+            progress(self._passage.at - before)
+
+    def foretold(self, name: str) -> Iterator[tuple[float, list[float], list[float]]]:
+        """Readings of a sensor since this was last asked: time, residuals, their variances."""
+        first = self._told.get(name, 0)
+        rows = self.pieces[-1].tape.first_notes(name, first)
+        self._told[name] = first + len(rows)
+        axes = (rows.shape[1] - 4) // 2
+        for row in rows[rows[:, 2] > 0.0].tolist():
+            yield row[0], row[4 : 4 + axes], row[4 + axes :]
+
+    def begin_anew(self, source: _Lane, tape: Tape) -> None:
+        """From the state of another lane, on another tape."""
+        filter, written = self.nav.filter, source.pieces[-1]
+        now_s, records, rows = source.nav.time_s, len(written.tape.records), len(written.tape.row_times)
+        filter.tape = None
+        new = begin_anew(self.nav, source.nav)
+        tape.begin(filter.layout)
+        for name, sensor in filter.in_force.sensors.items():
+            tape.column(name, sensor.axes)
+            tape.models[name] = [(now_s, sensor.error)]
+        filter.tape, self._told = tape, {}
+        self.pieces.append(Piece(tape, now_s, written, records, rows, new.transition, new.M))
+
+
+def piece_at(pieces: list[Piece], time_s: float) -> Piece:
+    """The one that was being written at a time [s]."""
+    return next((piece for piece in reversed(pieces) if piece.begin_s <= time_s), pieces[0])
+
+
+def smoothable(piece: Piece) -> Tape:
+    """The tape of a lane, and before it those of the lanes that it has begun anew from: one run from the start."""
+    chain = [piece]
+    while chain[0].before is not None:
+        chain.insert(0, chain[0].before)
+    whole = Tape(smoothable=True)
+    whole.layouts.clear()
+    for one, then in zip(chain, [*chain[1:], None], strict=True):
+        whole.append(one.tape, *(() if then is None else (then.records, then.rows)))
+        if then is not None:
+            m = len(then.transition)
+            whole.record(then.transition.reshape(-1), 0, np.array([0, then.M.shape[1], m, 0, 0, 0, 0]))
+            whole.change(then.M)
+    return whole

@@ -1,0 +1,80 @@
+"""What a mission holds for a vehicle: the samples of its drive, and the readings of its sensors in their order."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navfilter.mission import Mission, Stream
+from navfilter.passage import Readings
+from navfilter.vehicle import Vehicle
+
+__all__ = ["drive_samples", "readings_of"]
+
+Array = NDArray[np.float64]
+
+
+def drive_samples(vehicle: Vehicle, mission: Mission) -> tuple[Array, Array]:
+    """Samples of the drive: times (n,) and six values (n, 6); attitude is interpolated to the times of the velocity.
+
+    Raises
+    ------
+    ValueError
+        When a stream is missing, empty or has the wrong number of columns.
+    """
+    wanted = [(name, 6 // len(vehicle.drive.streams)) for name in vehicle.drive.streams]
+    for name, columns in wanted:
+        _require(mission, name, "the vehicle's drive needs it", "choose another [drive] in the vehicle.toml")
+        if not len(mission.streams[name]):
+            raise ValueError(f'stream "{name}" of this mission is empty; the vehicle\'s drive needs it.')
+        if mission.streams[name].value.shape[1] < columns:
+            raise ValueError(
+                f'stream "{name}" has {mission.streams[name].value.shape[1]} columns, but its drive takes {columns}.'
+            )
+    return vehicle.drive.samples(mission.streams)
+
+
+def _require(mission: Mission, name: str, why: str, instead: str) -> None:
+    if name not in mission.streams:
+        have = ", ".join(mission.streams) or "none"
+        raise ValueError(
+            f'"{name}" has no stream in this mission (streams: {have}); {why}. Add [streams.{name}] to the '
+            "mission.toml, "
+            f"or {instead}."
+        )
+
+
+def readings_of(vehicle: Vehicle, mission: Mission, begin_s: float) -> Readings:
+    """All readings of the correcting sensors from a time on [s], in the order in which they were taken.
+
+    Raises
+    ------
+    ValueError
+        When a stream is missing or has too few columns.
+    """
+    names = tuple(name for name, sensor in vehicle.sensors.items() if not sensor.from_drive)
+    for name in names:
+        leave_out = f"leave the sensor out: --without {name}, or take [sensors.{name}] out of the vehicle.toml"
+        _require(mission, name, f'the vehicle has a sensor "{name}"', leave_out)
+        width, sensor = mission.streams[name].value.shape[1], vehicle.sensors[name]
+        if width < sensor.reads:
+            raise ValueError(
+                f'stream "{name}" has {width} columns, but a {type(sensor).__name__} takes {sensor.reads}.'
+            )
+    streams = [mission.streams[name] for name in names]
+    stamps = np.concatenate([np.empty(0), *(s.time_s for s in streams)])
+    late_s = [np.full(len(s), vehicle.sensors[name].time_offset_s) for name, s in zip(names, streams, strict=True)]
+    times = stamps - np.concatenate([np.empty(0), *late_s])
+    number = np.concatenate([np.empty(0, int), *(np.full(len(s), i) for i, s in enumerate(streams))])
+    rows = np.concatenate([np.empty(0, int), *(np.arange(len(s)) for s in streams)])
+    order = np.lexsort((rows, number, times))
+    order = order[times[order] >= begin_s - 1e-9]
+    values, sds = tuple(s.value for s in streams), tuple(_sds(s) for s in streams)
+    return Readings(times[order], stamps[order], number[order], rows[order], names, values, sds)
+
+
+def _sds(stream: Stream) -> list[Array | None] | None:
+    """What `Navigator.correct` takes as the standard deviation of each reading; None where none has its own."""
+    if stream.sd is None or np.isnan(stream.sd).any(axis=1).all():
+        return None
+    return [None if np.isnan(row).any() else row for row in stream.sd]

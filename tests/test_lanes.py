@@ -1,0 +1,339 @@
+"""Lanes: several filters side by side, and which of them is believed."""
+
+import dataclasses
+import json
+import math
+
+import numpy as np
+import pytest
+
+import navfilter as nf
+from navfilter.filter.lane_choice import FULL, MARGIN, STEP_S, Choice
+from navfilter.filter.memory import differences
+from navfilter.io import write_vehicle
+from navfilter.io.json_lines import LineParser
+from navfilter.mission import Stream
+from navfilter.service.session import Options, Session
+from navfilter.simulation.faults import Faults
+from navfilter.simulation.scenarios import survey, survey_vehicle
+from navfilter.simulation.simulate import simulate
+
+DEG = math.pi / 180.0
+FAULT_S, END_S = 65.0, 130.0
+
+
+def vehicle_of(*units, lane=None):
+    plain = survey_vehicle()
+    described = plain.with_error(
+        compass=plain.sensors["compass"].error + nf.White(sd=0.1 * DEG),
+        gps=plain.sensors["gps"].error + nf.White(sd=0.5),
+    )
+    sensors = dict(described.sensors)
+    if len(units) == 1:
+        return nf.Vehicle(imu=described.drive, sensors=sensors, dead_reckoning_lane=lane)
+    return nf.Vehicle(imus=dict.fromkeys(units, described.drive), sensors=sensors, dead_reckoning_lane=lane)
+
+
+def mission_of(vehicle, seed):
+    fixes = {"gps": Faults(available=((0.0, 50.0),))}
+    return simulate(vehicle, survey(END_S, surface_s=20.0), seed=seed, duration_s=END_S, faults=fixes)
+
+
+@pytest.fixture(scope="module")
+def two():
+    vehicle = vehicle_of("a", "b")
+    return vehicle, mission_of(vehicle, 31)
+
+
+@pytest.fixture(scope="module")
+def one():
+    vehicle = vehicle_of("imu", lane=True)
+    return vehicle, mission_of(vehicle, 32)
+
+
+def changed(mission, unit, change, begin_s=FAULT_S, end_s=FAULT_S + 30.0):
+    stream = mission.streams[unit]
+    on, value = (stream.time_s >= begin_s) & (stream.time_s < end_s), stream.value.copy()
+    value[on] = change(value[on])
+    return mission.with_stream(unit, Stream(stream.time_s, value, stream.columns))
+
+
+def swapped(rows):
+    return rows[:, [1, 0, 2, 3, 4, 5]]
+
+
+def alone(vehicle, mission, unit):
+    lane = nf.Vehicle(imu=vehicle.units[unit], sensors=dict(vehicle.sensors))
+    return nf.replay(lane, mission.with_stream("imu", mission.streams[unit]), smooth=True)
+
+
+def farthest(track, mission):
+    dive = track.time_s > 50.0
+    return track.errors(mission.truth).horizontal[dive].max()
+
+
+def fed(nav, vehicle, mission, until_s=math.inf, after_s=-math.inf):
+    """Samples and readings between two times, in the order of theirs, one by one; yields after each."""
+    units, events = list(vehicle.units), []
+    for rank, name in enumerate([*units, *vehicle.sensors]):
+        stream = mission.streams[name]
+        events += [(t, rank, name, i) for i, t in enumerate(stream.time_s.tolist())]
+    for time_s, rank, name, i in sorted(events):
+        if time_s > until_s:
+            return
+        if time_s <= after_s:
+            continue
+        value = mission.streams[name].value[i]
+        if rank < len(units):
+            nav.step(time_s, value[:3], value[3:6], name)
+        else:
+            nav.correct(name, time_s, value)
+        yield time_s
+
+
+# ---------------------------------------------------------------- the choice
+def choice_with(gains, seconds=5.0):
+    """A choice after readings that the lanes (two inertial ones, one without) foretold with these errors [sd]."""
+    sensors = {"compass": nf.Heading(error=nf.White(sd=0.01)), "depth": nf.Depth(error=nf.White(sd=0.1))}
+    choice = Choice([True, True, False], sensors, 0.0)
+    for second in range(round(seconds / STEP_S)):
+        choice.decide_until((second + 0.5) * STEP_S)
+        for lane, errors in enumerate(gains):
+            for sensor, (error, wider) in enumerate(errors):
+                sd = (0.01, 0.1)[sensor] * wider
+                choice.hear(lane, sensor, [error * sd], [sd**2])
+    choice.decide_until(seconds)
+    return choice
+
+
+def test_a_lane_that_foretells_badly_is_left_for_one_that_does_not():
+    assert choice_with([[(20.0, 1.0)] * 2, [(0.0, 1.0)] * 2, [(0.0, 5.0)] * 2]).memory.lane == 1
+
+
+def test_a_large_covariance_does_not_win_by_saying_little():
+    sure, vague = [(1.0, 1.0)] * 2, [(0.0, 30.0)] * 2
+    assert choice_with([sure, vague, vague]).memory.lane == 0
+    assert choice_with([vague, sure, vague]).memory.lane == 1
+
+
+def test_lanes_that_are_as_good_stay():
+    assert choice_with([[(1.03, 1.0)] * 2, [(1.0, 1.0)] * 2, [(0.0, 3.0)] * 2], 60.0).memory.lane == 0
+
+
+def test_one_sensor_does_not_put_the_lane_without_a_unit_in_force():
+    # a compass that has jumped: both units contradict it, dead reckoning follows it
+    jumped = [(20.0, 1.0), (0.0, 1.0)]
+    assert choice_with([jumped, jumped, [(0.0, 5.0), (0.0, 3.0)]], 20.0).memory.lane == 0
+    both = [(20.0, 1.0), (20.0, 1.0)]
+    assert choice_with([both, both, [(0.0, 5.0), (0.0, 3.0)]], 20.0).memory.lane == 2
+
+
+def test_an_outlier_that_nobody_foretold_counts_for_nobody():
+    choice = choice_with([[(0.0, 1.0)] * 2] * 3)
+    before = choice.memory.gathered.copy()
+    for lane in range(3):
+        choice.hear(lane, 0, [1e6], [1e-4 * (lane + 1)])
+    assert np.abs((choice.memory.gathered - before)[:, :, 0]).max() < 1e-9
+
+
+def test_a_lane_that_says_nothing_is_short_of_all_that_was_foretold():
+    sensors = {"depth": nf.Depth(error=nf.White(sd=0.1))}
+    choice = Choice([True, True], sensors, 0.0)
+    for k in range(round(2.0 * MARGIN / FULL)):
+        choice.hear(1, 0, [0.0], [0.01])
+        choice.decide_until((k + 1.5) * STEP_S)
+    assert choice.memory.lane == 1 and choice.to_begin_anew() == [0]
+
+
+# ---------------------------------------------------------------- vehicles
+def test_a_vehicle_with_one_unit_has_no_lanes_unless_it_asks_for_them():
+    assert survey_vehicle().lanes() == {}
+    assert list(vehicle_of("imu", lane=True).lanes()) == ["imu", "dead-reckoning"]
+    assert list(vehicle_of("a", "b").lanes()) == ["a", "b", "dead-reckoning"]
+    assert list(vehicle_of("a", "b", lane=False).lanes()) == ["a", "b"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        ({"imu": nf.Imu(rate_hz=10), "dead_reckoning_lane": True}, "no heading and no velocity"),
+        ({"imus": {"gyro": nf.Imu(rate_hz=10)}}, "another meaning"),
+        ({"imus": {"a": nf.Depth()}}, "must be an Imu"),
+        ({}, "exactly one"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_words(arguments, says):
+    with pytest.raises(ValueError, match=says):
+        nf.Vehicle(**arguments)
+
+
+def test_files_hold_the_units(tmp_path):
+    vehicle = vehicle_of("a", "b", lane=True)
+    assert nf.read_vehicle(write_vehicle(vehicle, tmp_path / "vehicle.toml")) == dataclasses.replace(
+        vehicle, name="vehicle"
+    )
+    (tmp_path / "vehicle.toml").write_text(
+        '[imus.a]\ntype = "imu"\nrate_hz = 100\n[drive]\ntype = "imu"\nrate_hz = 9\n'
+    )
+    with pytest.raises(ValueError, match="one of the two"):
+        nf.read_vehicle(tmp_path)
+
+
+def test_units_that_do_not_speak_are_said(two):
+    vehicle, mission = two
+    with pytest.raises(ValueError, match=r'"b" has no stream.*\[imus.b\]'):
+        nf.replay(vehicle, mission.without_stream("b"))
+    with pytest.raises(ValueError, match="use LaneNavigator"):
+        nf.Navigator(vehicle, mission.start)
+    with pytest.raises(ValueError, match="no inertial unit"):
+        nf.LaneNavigator(vehicle, mission.start).step(0.0, (0, 0, 0), (0, 0, 0), "c")
+    never = mission.with_stream("a", mission.streams["a"].keep(slice(0, 0)))
+    track = nf.replay(vehicle, never)
+    assert track.lanes[1][1] == "b" and track.lanes[1][0] < 3.0
+    neither = never.with_stream("b", never.streams["a"])
+    assert nf.replay(vehicle, neither).lanes[-1][1] == "dead-reckoning"
+
+
+# ---------------------------------------------------------------- runs
+def test_a_unit_whose_axes_are_swapped_is_left_and_leaves_no_trace(two):
+    vehicle, mission = two
+    track = nf.replay(vehicle, changed(mission, "a", swapped), smooth=True)
+    (_, first), (switched_s, second) = track.lanes
+    assert (first, second) == ("a", "b") and switched_s < FAULT_S + 10.0
+    sound = alone(vehicle, mission, "b")
+    # the lane in force is what the sound unit alone is, to the last bit
+    after = track.forward.time_s > switched_s
+    at = np.searchsorted(sound.forward.time_s, track.forward.time_s[after])
+    assert np.array_equal(track.forward.latitude[after], sound.forward.latitude[at])
+    assert np.array_equal(track.forward.covariance[after], sound.forward.covariance[at])
+    assert farthest(track.forward, mission) < 1.5 * farthest(sound.forward, mission)
+    # and the smoother goes along it alone
+    assert np.array_equal(track.latitude, sound.latitude) and np.array_equal(track.covariance, sound.covariance)
+
+
+def test_without_a_fault_nothing_is_switched(two):
+    vehicle, mission = two
+    track = nf.replay(vehicle, mission)
+    assert [name for _, name in track.lanes] == ["a"]
+    sound = alone(vehicle, mission, "a").forward
+    assert np.array_equal(track.latitude, sound.latitude) and np.array_equal(track.covariance, sound.covariance)
+    assert np.array_equal(track.residuals["dvl"].value, sound.residuals["dvl"].value)
+
+
+def test_dead_reckoning_takes_over_from_a_single_unit_and_gives_back(one):
+    vehicle, mission = one
+    silent = mission.hide("imu", (FAULT_S, FAULT_S + 15.0))
+    track = nf.replay(vehicle, silent, smooth=True)
+    assert [name for _, name in track.lanes] == ["imu", "dead-reckoning"]
+    assert track.lanes[1][0] < FAULT_S + 3.0
+    assert farthest(track.forward, mission) < 10.0 < farthest(alone(vehicle, silent, "imu").forward, mission)
+    error, sd = track.errors(mission.truth).position_n[:, :2], np.sqrt(track.covariance[:, [0, 1], [0, 1]])
+    assert np.abs(error / sd).max() < 4.0 and np.all(np.diff(track.time_s) > 0.0)
+
+
+@pytest.mark.slow
+def test_a_unit_that_has_come_back_is_used_again_from_where_dead_reckoning_is():
+    vehicle = vehicle_of("imu", lane=True)
+    mission = simulate(vehicle, survey(260.0, surface_s=20.0), seed=33, duration_s=260.0)
+    mission = mission.hide("gps", (50.0, 400.0)).hide("imu", (65.0, 80.0))
+    track = nf.replay(vehicle, mission, smooth=True)
+    assert [name for _, name in track.lanes] == ["imu", "dead-reckoning", "imu"]
+    assert track.forward.errors(mission.truth).horizontal.max() < 12.0
+    jump = np.hypot(*np.diff(track.forward.local()[:, :2], axis=0).T)[track.forward.time_s[1:] > 82.0]
+    assert jump.max() < 2.0
+
+
+# ---------------------------------------------------------------- live
+def test_live_is_the_replay_to_the_last_bit(one):
+    vehicle, mission = one
+    mission = changed(mission, "imu", swapped, end_s=80.0)
+    track = nf.replay(vehicle, mission, output_rate_hz=None)
+    nav = nf.LaneNavigator(vehicle, mission.start)
+    states, lanes = {}, set()
+    for _ in fed(nav, vehicle, mission):
+        states[nav.pose.time_s] = nav.pose
+        lanes.add(nav.health.lane)
+    assert lanes == {"imu", "dead-reckoning"}
+    switches = [time_s for time_s, _ in track.lanes]
+    compared = 0
+    for i, time_s in enumerate(track.time_s.tolist()):
+        if time_s in states and time_s not in switches and time_s > 1.0:
+            pose, compared = states[time_s], compared + 1
+            assert (pose.latitude, pose.longitude, pose.height) == (
+                *(track.latitude[i], track.longitude[i]),
+                track.height[i],
+            )
+    assert compared > 500
+
+
+def test_late_readings_and_restarts_change_nothing(two):
+    vehicle, mission = two
+    mission = changed(mission, "a", swapped).between(0.0, 75.0).with_start(mission.start)
+    timely, late = (nf.LaneNavigator(vehicle, mission.start) for _ in range(2))
+    for _ in fed(timely, vehicle, mission):
+        pass
+    held = []
+    for time_s in fed(_Late(late, held), vehicle, mission):
+        if held and time_s > held[0][1] + 0.3:
+            assert late.correct(*held.pop(0)).status in ("late-replayed", "rejected")
+        if 50.0 < time_s < 50.005:
+            late_again = nf.LaneNavigator.restore(vehicle, late.snapshot())
+            assert differences(late_again.memory.choice, late.memory.choice) == []
+    for reading in held:
+        late.correct(*reading)
+    assert timely.state.lane == late.state.lane == "b"
+    assert differences(timely.believed.memory.filter, late.believed.memory.filter) == []
+    assert differences(timely.memory.choice, late.memory.choice) == []
+
+
+class _Late:
+    """Hands everything on, but the depths."""
+
+    def __init__(self, nav, held):
+        self.nav, self.held, self.step = nav, held, nav.step
+
+    def correct(self, name, time_s, value):
+        if name == "depth":
+            self.held.append((name, time_s, value))
+        else:
+            self.nav.correct(name, time_s, value)
+
+
+def test_a_snapshot_goes_on_to_the_last_bit(two):
+    vehicle, mission = two
+    nav = nf.LaneNavigator(vehicle, mission.start)
+    for _ in fed(nav, vehicle, mission, 8.0):
+        pass
+    again = nf.LaneNavigator.restore(vehicle, nav.snapshot())
+    for one in (nav, again):
+        for _ in fed(one, vehicle, mission, 12.0, 8.0):
+            pass
+    assert nav.time_s == again.time_s == 12.0
+    assert differences(nav.memory, again.memory) == []
+    with pytest.raises(ValueError, match="another vehicle"):
+        nf.LaneNavigator.restore(vehicle.without("depth"), nav.snapshot())
+
+
+def test_lines_name_the_unit(two):
+    vehicle, mission = two
+    lines, out = [], []
+    for name in (*vehicle.units, *vehicle.sensors):
+        stream = mission.streams[name]
+        for time_s, value in zip(stream.time_s.tolist(), stream.value.tolist(), strict=True):
+            if time_s > 5.0:
+                break
+            fields = {"rate_b": value[:3], "force_b": value[3:]} if name in vehicle.units else {"value": value}
+            lines.append((time_s, json.dumps({"sensor": name, "time_s": time_s, **fields}).encode()))
+    start = {k: v for k, v in dataclasses.asdict(mission.start).items() if k not in ("date", "time_s")}
+    session = Session(vehicle, Options(start=start), lambda line, state: out.append(json.loads(line)))
+    parser = LineParser(vehicle)
+    for _, line in sorted(lines, key=lambda item: item[0]):
+        session.feed(parser.parse(line))
+    states = [line for line in out if "latitude_deg" in line]
+    assert states[-1]["lane"] == "a" and set(states[-1]["lanes"]) == {"a", "b", "dead-reckoning"}
+    assert states[-1]["bad_lines"] == {}
+    assert session.snapshot() is not None
+    assert (
+        parser.parse(b'{"sensor": "imu", "time_s": 1.0, "rate_b": [0,0,0], "force_b": [0,0,0]}').kind
+        == "unknown-sensor"
+    )
