@@ -30,7 +30,7 @@ SCRIPTS = {
     "mistakes": ("No other software", ()),
     "noise_sheet": ("No other software", ("simulated", "recordings")),
     "over_water": ("plain dead reckoning", ()),
-    "recordings": ("plain dead reckoning", ("withheld", "car_clocks", "clocks")),
+    "recordings": ("plain dead reckoning", ("withheld", "car_clocks", "clocks", "wrong")),
     "replay_speed": ("python-ins", ()),
     "residual_source": ("oracle", ()),
     "step_latency": ("filterpy", ()),

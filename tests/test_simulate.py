@@ -356,6 +356,31 @@ def test_drawn_calibration_is_noted_and_as_large_as_stated(motion):
     assert np.std(scales) == pytest.approx(0.02, rel=0.2)
 
 
+def test_what_is_calibrated_is_drawn_about_its_value():
+    calibrated = (("scale", 0.05, 0.002), ("misalignment_z", 0.03, 0.0))
+    dvl = BodyVelocity(
+        rate_hz=1.0, error=SILENT, scale_sd=0.02, misalignment_sd_rad=(0.0, 0.0, 0.1), calibrated=calibrated
+    )
+    compass = Heading(rate_hz=1.0, error=SILENT, bias_sd_rad=0.1, calibrated=(("bias", -0.2, 0.0),))
+    imu = dataclasses.replace(silent_imu(), gyro_scale_sd=0.01, calibrated=(("gyro.scale_z", 0.25, 0.0),))
+    vehicle = Vehicle(imu=imu, sensors={"dvl": dvl, "compass": compass})
+    turning = Motion((ChangeSpeed(1.0, 1.0), Turn(90.0, 6.0)))
+    scales = []
+    for seed in range(30):
+        mission = simulate(vehicle, turning, seed=seed)
+        # straight ahead at first: what shows across is the misalignment
+        forward, right, _ = mission.streams["dvl"].value[1]
+        assert math.atan2(right, forward) == pytest.approx(0.03, abs=1e-9)
+        scales.append(math.hypot(forward, right) - 1.0)
+    # 30 draws: 0.0004
+    assert np.mean(scales) == pytest.approx(0.05, abs=0.0016) and np.std(scales) == pytest.approx(0.002, rel=0.5)
+    ahead = mission.truth.column("yaw_rad")[0]
+    assert mission.streams["compass"].value[0, 0] - ahead == pytest.approx(-0.2, abs=1e-12)
+    rate = turning.inertial(100.0)[1]
+    # true = reading - M reading
+    np.testing.assert_allclose(mission.streams["imu"].value[:, 2] * (1.0 - 0.25), rate[:, 2], atol=1e-12)
+
+
 # ---- mission, start, dead reckoning
 
 

@@ -121,23 +121,28 @@ class Imu(Mechanisation):
     def _elements(self) -> Iterator[tuple[int, int, Parameter]]:
         """The elements of M that are states: channel, axis, and what is known of them."""
         for first, name in zip((0, 3), self.triples, strict=True):
-            sds = self.draws(name)
-            if any(sds["scales"]):
-                for i, sd in enumerate(sds["scales"]):
-                    yield first + i, i, Parameter(f"{name}.scale_{'xyz'[i]}", sd, "1")
-            if any(sds["axes"]):
-                for (i, j), sd in zip(CROSSED[name], sds["axes"], strict=True):
-                    yield first + i, j, Parameter(f"{name}.misalignment_{'xyz'[i]}{'xyz'[j]}", sd, "rad")
+            scales, angles = self.draws(name).values()
+            if any(p.sd for p in scales):
+                for i, p in enumerate(scales):
+                    yield first + i, i, p
+            if any(p.sd for p in angles):
+                for (i, j), p in zip(CROSSED[name], angles, strict=True):
+                    yield first + i, j, p
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Scale and misalignment of gyros and accelerometers."""
         return tuple(parameter for _, _, parameter in self._elements())
 
-    def draws(self, triple: str) -> dict[str, tuple[float, ...]]:
+    def draws(self, triple: str) -> dict[str, tuple[Parameter, ...]]:
         """Scale of each axis, and angles between the axes."""
         scales = checked_sds("scale_sd", getattr(self, f"{triple}_scale_sd"))
-        angles = (getattr(self, f"{triple}_misalignment_sd_rad"),) * len(CROSSED[triple])
-        return {"scales": scales if len(scales) == 3 else scales * 3, "axes": angles}
+        angle = getattr(self, f"{triple}_misalignment_sd_rad")
+        return {
+            "scales": tuple(Parameter(f"{triple}.scale_{'xyz'[i]}", scales[i % len(scales)], "1") for i in range(3)),
+            "axes": tuple(
+                Parameter(f"{triple}.misalignment_{'xyz'[i]}{'xyz'[j]}", angle, "rad") for i, j in CROSSED[triple]
+            ),
+        }
 
     def heading_drift(self, walk: float, period_s: float) -> Drift:
         """Angle random walk, then the walk of the gyro's bias."""
@@ -207,12 +212,12 @@ class Imu(Mechanisation):
             cure += " Below 10 Hz turns are lost; average what is faster than 1 kHz."
             yield Doubt("rate_hz", f"an inertial unit at {self.rate_hz:g} Hz is unusual.", cure)
         for name in self.triples:
-            sds = self.draws(name)
-            if max(sds["scales"]) > 0.1:
-                text = f"a scale error of {100.0 * max(sds['scales']):.4g} % is unusual."
+            scale, angle = (max(p.sd for p in constants) for constants in self.draws(name).values())
+            if scale > 0.1:
+                text = f"a scale error of {100.0 * scale:.4g} % is unusual."
                 yield Doubt(f"{name}_scale_sd", text, "It is a pure number: 1 % is 0.01.")
-            if max(sds["axes"]) > math.radians(5.0):
-                yield angle_doubt(f"{name}_misalignment_sd_rad", max(sds["axes"]))
+            if angle > math.radians(5.0):
+                yield angle_doubt(f"{name}_misalignment_sd_rad", angle)
 
 
 def _with_bias(models: Sequence[ErrorModel], default: Sum) -> tuple[ErrorModel, ...]:

@@ -210,7 +210,7 @@ class Mechanisation:
         drv[strapdown.PERIOD_S] = self.period_s
         return drv
 
-    def draws(self, triple: str) -> dict[str, tuple[float, ...]]:
+    def draws(self, triple: str) -> dict[str, tuple[Parameter, ...]]:
         """Calibration errors that are drawn for a simulated mission of one of its `triples`, see `Sensor.draws`."""
         return {}
 

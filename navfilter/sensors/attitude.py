@@ -108,9 +108,10 @@ class Attitude(Sensor):
         if self.declination_rad is not None and abs(self.declination_rad) > math.pi:
             yield angle_doubt("declination_rad", self.declination_rad)
 
-    def draws(self) -> dict[str, tuple[float, ...]]:
+    def draws(self) -> dict[str, tuple[Parameter, ...]]:
         """The rotation vector of the misalignment."""
-        return {"misalignment": (self.misalignment_sd_rad,) * 3}
+        angles = (Parameter(f"misalignment_{axis}", self.misalignment_sd_rad, "rad") for axis in "xyz")
+        return {"misalignment": tuple(angles)}
 
     def simulated(self, here: Kinematics, truth: Truth) -> Reading:
         """Angles of the instrument's axes, which are turned against what is believed."""

@@ -100,9 +100,11 @@ class Heading(Sensor):
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Bias, deviation and temperature states, or none."""
+        constants = self._constants()
+        return constants if any(p.sd for p in constants) else ()
+
+    def _constants(self) -> tuple[Parameter, ...]:
         one, two = self.deviation_sd_rad
-        if not any((self.bias_sd_rad, one, two, self.temperature_sd_rad_per_k)):
-            return ()
         return (
             Parameter("bias", self.bias_sd_rad, "rad"),
             Parameter("one_cycle_sin", one, "rad"),
@@ -167,10 +169,10 @@ class Heading(Sensor):
         if self.declination_rad is not None and abs(self.declination_rad) > math.pi:
             yield angle_doubt("declination_rad", self.declination_rad)
 
-    def draws(self) -> dict[str, tuple[float, ...]]:
+    def draws(self) -> dict[str, tuple[Parameter, ...]]:
         """Deviation (bias, sine and cosine of the heading and of its double), and the drift with temperature."""
-        one, two = self.deviation_sd_rad
-        return {"deviation": (self.bias_sd_rad, one, one, two, two), "temperature": (self.temperature_sd_rad_per_k,)}
+        *deviation, temperature = self._constants()
+        return {"deviation": tuple(deviation), "temperature": (temperature,)}
 
     def simulated(self, here: Kinematics, truth: Truth) -> Reading:
         """Heading, or the magnetic field in body axes; the temperature too if the compass has a temperature term."""

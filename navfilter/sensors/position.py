@@ -109,9 +109,9 @@ class Depth(Sensor):
         """Depth or pressure."""
         return PRESSURE.names if self.pressure else DEPTH.names
 
-    def draws(self) -> dict[str, tuple[float, ...]]:
+    def draws(self) -> dict[str, tuple[Parameter, ...]]:
         """The offset."""
-        return {"offset": (self.offset_sd_m,)}
+        return {"offset": (Parameter("offset", self.offset_sd_m, "m"),)}
 
     def simulated(self, here: Kinematics, truth: Truth) -> Reading:
         """Depth of the instrument below the surface, or the absolute pressure there."""

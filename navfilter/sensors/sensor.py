@@ -308,13 +308,12 @@ class Sensor:
         yield from ()
 
     # ---------------------------------------------------------------- what the simulator and the warm-up ask
-    def draws(self) -> dict[str, tuple[float, ...]]:
-        """Calibration errors that are drawn for a simulated mission: by name, the standard deviations of the
-        components.
+    def draws(self) -> dict[str, tuple[Parameter, ...]]:
+        """Calibration errors that are drawn for a simulated mission: by name, the constants that are the components.
 
-        Default: each of the parameters that is constant.
+        Default: each of the parameters that is constant. What is `calibrated` is drawn about its value.
         """
-        return {p.name: (p.sd,) for p in constant_parameters(self.parameters(), self.wandering())}
+        return {p.name: (p,) for p in constant_parameters(self.parameters(), self.wandering())}
 
     def simulated(self, here: Kinematics, truth: Truth) -> Reading:
         """What it reads along a motion: the truth side of the measurement equation, written from the definition, not

@@ -217,9 +217,12 @@ class Usbl(Sensor):
             text = f"a scale error of {100.0 * self.scale_sd:.4g} % is unusual."
             yield Doubt("scale_sd", text, "It is a pure number: 1 % is 0.01. The speed of sound is known to 3 %.")
 
-    def draws(self) -> dict[str, tuple[float, ...]]:
+    def draws(self) -> dict[str, tuple[Parameter, ...]]:
         """Scale, and the rotation vector of the misalignment."""
-        return {"scale": (self.scale_sd,), "misalignment": (self.misalignment_sd_rad,) * 3}
+        return {
+            "scale": (Parameter("scale", self.scale_sd, "1"),),
+            "misalignment": tuple(Parameter(f"misalignment_{axis}", self.misalignment_sd_rad, "rad") for axis in "xyz"),
+        }
 
     def simulated(self, here: Kinematics, truth: Truth) -> Reading:
         """From a ship that follows at a knot and yaws, 50 m off the vehicle's first place."""

@@ -99,14 +99,16 @@ class BodyVelocity(Sensor):
 
     def calibration(self) -> tuple[Parameter, ...]:
         """Those of the instrument itself, where they are uncertain."""
+        scales, angles = self._scales_and_angles()
+        return scales + angles if any(p.sd for p in scales + angles) else ()
+
+    def _scales_and_angles(self) -> tuple[tuple[Parameter, ...], tuple[Parameter, ...]]:
         scales = checked_sds("scale_sd", self.scale_sd)
         angles = checked_sds("misalignment_sd_rad", self.misalignment_sd_rad)
-        if not any(scales + angles):
-            return ()
         each = [f"scale_{axis}" for axis in "xyz"] if len(scales) == 3 else ["scale"]
         return (
-            *(Parameter(name, sd, "1") for name, sd in zip(each, scales, strict=True)),
-            *(Parameter(f"misalignment_{'xyz'[i]}", angles[i % len(angles)], "rad") for i in range(3)),
+            tuple(Parameter(name, sd, "1") for name, sd in zip(each, scales, strict=True)),
+            tuple(Parameter(f"misalignment_{'xyz'[i]}", angles[i % len(angles)], "rad") for i in range(3)),
         )
 
     def constants(self, start: Start) -> Array:
@@ -172,10 +174,10 @@ class BodyVelocity(Sensor):
                 "It is a pure number: 1 % is 0.01.",
             )
 
-    def draws(self) -> dict[str, tuple[float, ...]]:
+    def draws(self) -> dict[str, tuple[Parameter, ...]]:
         """Scale, and the rotation vector of the misalignment."""
-        angles = np.resize(checked_sds("misalignment_sd_rad", self.misalignment_sd_rad), 3)
-        return {"scale": checked_sds("scale_sd", self.scale_sd), "misalignment": tuple(angles.tolist())}
+        scales, angles = self._scales_and_angles()
+        return {"scale": scales, "misalignment": angles}
 
     def simulated(self, here: Kinematics, truth: Truth) -> Reading:
         """Velocity of the instrument in its own axes, over ground or through water that moves."""

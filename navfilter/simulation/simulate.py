@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from navfilter.error_models import White
+from navfilter.filter.layout import Calibrated, Parameter, with_calibrated
 from navfilter.mechanisation import DeadReckoning, Imu, Mechanisation
 from navfilter.mechanisation.imu import CROSSED
 from navfilter.mission import TRUTH_COLUMNS, Mission, Stream
@@ -160,12 +161,16 @@ class _Scene:
         error = draw_errors(really, 1.0 / rate_hz, time_s, axes, self.seed, name)
         return error + outliers(fault, time_s.size, axes, self.seed, name) + np.asarray(fault.bias)
 
-    def calibration(self, name: str, what: str, given: ArrayLike | None, sd: ArrayLike, size: int) -> Array:
-        """A calibration error (size,): as given, or drawn with the standard deviation that the description states."""
+    def calibration(
+        self, name: str, what: str, given: ArrayLike | None, sd: ArrayLike, size: int, mean: ArrayLike = 0.0
+    ) -> Array:
+        """A calibration error (size,): as given, or drawn with the mean and the standard deviation that the description
+        states.
+        """
         if given is not None:
             return np.array(np.broadcast_to(given, (size,)), dtype=np.float64)
         drawn = np.broadcast_to(np.asarray(sd, dtype=np.float64), (size,))
-        drawn = drawn * generator(self.seed, name, what).normal(size=size)
+        drawn = np.asarray(mean) + drawn * generator(self.seed, name, what).normal(size=size)
         if np.any(drawn):
             self.notes.append(f"{name}: {what} error {' '.join(f'{v:.4g}' for v in drawn)}")
         return drawn
@@ -176,7 +181,7 @@ class _Scene:
         sensor: Sensor | None,
         error: Array,
         time_s: Array,
-        own: Mapping[str, tuple[float, ...]] = MappingProxyType({}),
+        own: Mapping[str, tuple[Parameter, ...]] = MappingProxyType({}),
     ) -> Truth:
         """How the sensor really is; without one, a triple of a drive with calibration errors of its `own`."""
         fault = self.fault(name)
@@ -186,8 +191,11 @@ class _Scene:
             "deviation": fault.deviation_rad,
             "temperature": fault.temperature_rad_per_k,
         }
-        draws = _PLAIN | dict(own) if sensor is None else sensor.draws()
-        drawn = {what: self.calibration(name, what, given.get(what), sd, len(sd)) for what, sd in draws.items()}
+        draws = _PLAIN | dict(own) if sensor is None else _believed(sensor.draws(), sensor.calibrated)
+        drawn = {
+            what: self.calibration(name, what, given.get(what), [p.sd for p in of], len(of), [p.mean for p in of])
+            for what, of in draws.items()
+        }
         hdop = None if fault.hdop is None else _steps(fault.hdop, time_s)
         wandering = {} if sensor is None else self.wandering(name, sensor, time_s)
         return Truth(error, drawn, lambda: self.field_n, self.motion.surface_height_m, hdop, wandering)
@@ -263,7 +271,8 @@ class _Scene:
 
 _NO_FAULTS = Faults()
 #: Calibration errors of a triple of a drive: none is drawn, but faults may give them.
-_PLAIN = {"scale": (0.0,), "misalignment": (0.0,) * 3, "deviation": (0.0,) * 5}
+_ZERO = Parameter("", 0.0, "1")
+_PLAIN = {"scale": (_ZERO,), "misalignment": (_ZERO,) * 3, "deviation": (_ZERO,) * 5}
 _RECORDING = ("available", "dropouts", "time_offset_s", "time_jitter_sd_s")
 _ERRORS = ("true_error", "bias", "scale", "misalignment_rad", "outlier_probability", "quantisation")
 
@@ -296,6 +305,11 @@ def _steps(value: float | tuple[tuple[float, float], ...], time_s: Array) -> Arr
     return values[np.maximum(np.searchsorted(times, time_s, side="right") - 1, 0)]
 
 
+def _believed(draws: Mapping[str, tuple[Parameter, ...]], calibrated: Calibrated) -> dict[str, tuple[Parameter, ...]]:
+    """Constants with what a calibration found of them."""
+    return {what: with_calibrated(constants, calibrated) for what, constants in draws.items()}
+
+
 def _drive_streams(scene: _Scene, drive: Mechanisation) -> dict[str, Stream]:
     if isinstance(drive, Imu):
         return {"imu": _inertial(scene, drive)}
@@ -322,7 +336,7 @@ def _inertial(scene: _Scene, drive: Imu, stream: str = "imu", before: str = "") 
     parts = []
     for name, vector, models in zip(("gyro", "accel"), ideal, (drive.models[:3], drive.models[3:]), strict=True):
         error = scene.error(before + name, models, drive.rate_hz, time_s, 3)
-        truth = scene.truth(before + name, None, error, time_s, drive.draws(name))
+        truth = scene.truth(before + name, None, error, time_s, _believed(drive.draws(name), drive.calibrated))
         measured = truth.turned_and_scaled(vector)
         measured += error / drive.rate_hz if drive.increments else error
         M = np.diag(truth.drawn["scales"])
