@@ -203,7 +203,8 @@ class Navigator:
             time_s = float(time_s) + self.offset_s - self.vehicle.sensors[name].time_offset_s
         except (TypeError, ValueError):
             z, time_s = np.full(1, np.nan), math.nan
-        reading = Reading(name, time_s + self.filter.channels[name].lead_s, z, sd, watch.sees(time_s, z))
+        frozen = watch.sees(time_s, z)
+        reading = Reading(name, time_s + self.filter.channels[name].lead_s, z, sd, frozen, watch.same > 1)
         self._release(time_s)
         if reading.time_s > time_s and time_s < self.start.time_s - 1e-9:
             return Outcome("too-late")

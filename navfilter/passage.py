@@ -146,7 +146,7 @@ class Passage:
         end = min(max(last, at + 1), at + READINGS)
         self._begin, self._end, self._first, self._stepped = at, end, self.done, 0
         self._samples = self._block(self.done, max(self.done, int(self._ends[end - 1])))
-        which, rows = given.sensor[at:end], given.row[at:end]
+        which, rows, same = given.sensor[at:end], given.row[at:end], self._same[at:end]
         self._good, own = np.zeros(end - at, bool), any(sds is not None for sds in given.sds)
         self._z = np.full((end - at, WIDEST), np.nan)
         self._variances = np.full((end - at if own else 1, self._notes.shape[1] // 2), np.nan)
@@ -157,7 +157,8 @@ class Passage:
             for k in np.flatnonzero(which == i).tolist():
                 z = read(np.array(values[rows[k]], dtype=np.float64))
                 sd = None if sds is None else sds[rows[k]]
-                if z is None or not (sd is None or usable(sd, channel.sensor)):
+                again = same[k] and channel.sensor.corrects == "position"
+                if z is None or again or not (sd is None or usable(sd, channel.sensor)):
                     continue
                 self._good[k] = True
                 self._z[k, : len(z)] = z
@@ -184,7 +185,7 @@ class Passage:
         now = np.array([memory.time_s, memory.sample_s, intake.before_s, _last(tape)])
         cursor = np.array([self.at - self._begin, self.done - self._first, memory.unfolded, 0, 0, 0, 0, self._stepped])
         heard = np.array(
-            [(*c.times, c.period_s, c.memory.refused is not None or c.offset) for c in self._channels], dtype=np.float64
+            [(*c.times, c.period_s, c.doubted) for c in self._channels], dtype=np.float64
         )
         watched = np.array([(w.same, w.since_s, w.heard_s, w.used_s, w.nis, 0.0) for w in self._watches])
         out = self._output()

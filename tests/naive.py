@@ -1203,7 +1203,10 @@ def correction(bench, spot, P, nav, x, acc, drv, Cr, z, variance, count):
     R[:] = bench[(lever if given else white) :][: a * a].reshape(a, a) + (np.diag(variance[:a]) if given else 0.0)
     if moves and P[8, 8] > 0.01:
         R += np.eye(a) * 0.5 * (nav[3] ** 2 + nav[4] ** 2) * P[8, 8] ** 2
-    update(P, nav, x, bench[output : output + a * errors].reshape(a, errors), R, mem, dims, bench[limits:][: a + 1])
+    C, gate = bench[output : output + a * errors].reshape(a, errors), bench[limits : limits + a + 1]
+    believed = bench[limits + a + 1 : limits + 2 * a + 1]
+    beyond = np.any((C @ x[start - 9 : start - 9 + errors]) ** 2 > believed)
+    update(P, nav, x, C, R, mem, dims, np.r_[np.inf, np.full(a, -1.0)] if beyond else gate)
 
 
 def stretch(now, cursor, settings, bench, plan, heard, watched, state, drive, samples, stamps, limits, given, out):

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from navfilter.filter.belief import beyond_belief
 from navfilter.filter.channel import Channel
 from navfilter.filter.filter_memory import FilterMemory
 from navfilter.kernels import kalman, stretch
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
 __all__ = ["asked", "shared"]
 
 Array = NDArray[np.float64]
+#: Limits of a gate that lets nothing in; so many components has no reading.
+SHUT = np.r_[np.inf, np.full(64, -1.0)]
 
 
 def shared(channels: Sequence[Channel], folds: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64]]:
@@ -94,4 +97,5 @@ def asked(
         channel.R[range(channel.axes), range(channel.axes)] += 0.5 * (nav[3] ** 2 + nav[4] ** 2) * P[8, 8] ** 2
     if channel.sensor.curved:
         channel.R += channel.sensor.second_order(z, channel.near, P[np.ix_(channel.seen, channel.seen)])
-    kalman.update(P, nav, x, channel.C, channel.R, channel.mem, channel.dims, channel.gate)
+    gate = SHUT[: channel.axes + 1] if beyond_belief(channel, x) else channel.gate
+    kalman.update(P, nav, x, channel.C, channel.R, channel.mem, channel.dims, gate)

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.stats import chi2
 
+from navfilter.filter.belief import believed
 from navfilter.filter.layout import Group, Layout
 from navfilter.filter.offsets import has_offset, proportions
 from navfilter.filter.refusals import Refusals
@@ -27,6 +28,8 @@ Array = NDArray[np.float64]
 MAJORITY = 0.5
 #: The past is kept for a time offset of up to so many standard deviations.
 CLOCK_SDS = 4.0
+#: A vehicle that has moved by more than so many standard deviations has moved [1].
+STILL_SDS = 3.0
 
 
 @dataclass
@@ -44,6 +47,16 @@ class ChannelMemory:
         to it [s].
     refused : Refusals or None
         What the readings that have been refused since say together.
+    refusals : tuple of tuple of float
+        Times and residuals of the last readings that were refused, whatever came between.
+    noise : tuple of float
+        Variance that its noise has beyond that of its error model, per axis; empty: none.
+    astray : bool
+        Its slow error came to be beyond belief, and no reading has agreed with the state since.
+    alone : bool
+        The heading was set to it against what was believed before, and nothing else has confirmed that.
+    same_s, again_s : float
+        Since when its value has been the same, and when it came again last [s].
     last : ndarray
         Jacobian, verdict and residual of the last reading (``kalman.places`` 7 to 9).
     """
@@ -54,11 +67,17 @@ class ChannelMemory:
     used_s: float = -math.inf
     agreed_s: float = math.nan
     refused: Refusals | None = None
+    refusals: tuple[tuple[float, ...], ...] = ()
+    noise: tuple[float, ...] = ()
+    astray: bool = False
+    alone: bool = False
+    same_s: float = math.nan
+    again_s: float = math.nan
     last: Array = field(default_factory=lambda: np.zeros(0))
 
     def use(self, time_s: float) -> None:
         """Note that a reading of this time has been used."""
-        self.rejected_since_s, self.used_s, self.refused = math.nan, time_s, None
+        self.rejected_since_s, self.used_s, self.refused, self.astray = math.nan, time_s, None, False
         if math.isnan(self.agreed_s):
             self.agreed_s = time_s
 
@@ -77,7 +96,7 @@ class Channel:
         self.name, self._start = name, start
         self.kernel, self.constants = sensor.kernel, sensor.constants(start)
         self.period_s = 1.0 / sensor.rate_hz
-        self.limits = np.array(_limits(sensor.gate_probability, sensor.axes, sensor.single_gates))
+        self._gates = np.array(_limits(sensor.gate_probability, sensor.axes, sensor.single_gates))
         self.sight = Sight(sensor, start) if sensor.place_and_clock() else None
         self.lead_s, self.past_s = sensor.lead_s, sensor.lead_s + CLOCK_SDS * sensor.time_offset_sd_s
         known = self.sight is None and not sensor.curved and self.constants.shape == (self.constants.size,)
@@ -112,6 +131,7 @@ class Channel:
         self.places = np.array(at)
         self.offset = has_offset(sensor.models)
         self._proportions = proportions(sensor.models, self.period_s)
+        self.limits = np.concatenate([self._gates, believed(sensor, group)])
         lever, R = sensor.lever_arm_covariance(rate_variance), np.diag(group.r)
         model = np.array([group.Phi[:b, :b], group.Q[:b, :b]])
         constants = self.constants if self.kind >= 0 else np.zeros(0)
@@ -190,6 +210,29 @@ class Channel:
     @times.setter
     def times(self, times: tuple[float, float]) -> None:
         self._memory.last_s, self._memory.ticked_s = times
+
+    @property
+    def doubted(self) -> bool:
+        """Whether its next reading is Python's to judge."""
+        memory = self._memory
+        return memory.refused is not None or self.offset or memory.astray or bool(memory.noise)
+
+    @property
+    def condition(self) -> str:
+        """What has been found of its errors; empty for nothing."""
+        memory = self._memory
+        return "astray" if memory.astray else "jumped" if self.offset else "noisy" if memory.noise else ""
+
+    def moved_on(self, time_s: float, nav: Array, P: Array) -> bool:
+        """Note that a fix of this time has the value of the one before; whether the vehicle has moved on since, by more
+        than its noise and the velocity's could hide: then it is that of a receiver that is stuck, or no new one.
+        """
+        memory = self._memory
+        if memory.again_s != memory.last_s:
+            memory.same_s = memory.last_s
+        memory.again_s = time_s
+        slow = math.hypot(nav[3], nav[4]) - STILL_SDS * math.sqrt(max(P[3, 3], P[4, 4]))
+        return slow * (time_s - memory.same_s) > STILL_SDS * math.sqrt(max(self.white[0, 0], self.white[1, 1]))
 
     def in_proportion(self, z: Array, x: Array) -> None:
         """Let the errors in proportion to the speed be those of a reading as predicted."""

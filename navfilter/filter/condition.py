@@ -30,7 +30,7 @@ def health_of(filter: Filter, watches: Mapping[str, Watch]) -> Health:
     memory, state, channels = filter.memory, filter.state, filter.channels
     now_s, P = memory.time_s, state.covariance
     assert P is not None
-    sensors = {name: watch.health(now_s, channels[name].offset) for name, watch in watches.items()}
+    sensors = {name: watch.health(now_s, channels[name].condition) for name, watch in watches.items()}
     axes = filter.watch.conditions(memory.watch)
     off: dict[str, float] = {}
     for name, watch in watches.items():
@@ -85,6 +85,9 @@ def _off(channel: Channel, watch: Watch) -> float:
     again = kept.last_s - kept.rejected_since_s > 0.5 * channel.period_s
     if again or (not confirmed and not math.isnan(kept.rejected_since_s)):
         return float(integrity.whole_offset(sensor.corrects, residual))
+    if kept.astray:
+        # it may have been off by what was still believed of its error
+        return MOST_SDS * math.sqrt(2.0 * float(np.max(channel.slow)))
     if not math.isfinite(watch.used_s):
         return 0.0
     e, C = channel.group.errors, channel.C

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navfilter.error_models import per_axis
-from navfilter.filter import agreement, drive_watch, refused
+from navfilter.filter import agreement, drive_watch, refused, scatter
 from navfilter.filter.adoption import Change, state_change
 from navfilter.filter.asking import asked, shared
 from navfilter.filter.channel import Channel, usable
@@ -36,7 +36,7 @@ Listening = Callable[[Event], None]
 CODES = {name: code for code, name in enumerate(OUTCOMES)}
 NO_SD = np.zeros(0)
 COUNTED = (
-    *("gap", "backward", "bad-sample", "clock-set", "widened", "reset", "jumped", "opened", "adopted"),
+    *("gap", "backward", "bad-sample", "clock-set", "widened", "reset", "jumped", "astray", "opened", "adopted"),
     *drive_watch.COUNTED,
 )
 
@@ -67,7 +67,7 @@ class Filter:
     drive_output : ndarray, shape (6, states of the drive + 1)
         Rows of C of the drive's error models, and the white variance of a sample.
     jumped : list of Change
-        Constants for sensors that have jumped, to be adopted before the next input.
+        Error models of sensors that have jumped or gone astray, to be adopted before the next input.
 
     Raises
     ------
@@ -305,7 +305,13 @@ class Filter:
 
     # ---------------------------------------------------------------- correction
     def correct(
-        self, name: str, time_s: float, value: ArrayLike, sd: ArrayLike | None = None, frozen: bool = False
+        self,
+        name: str,
+        time_s: float,
+        value: ArrayLike,
+        sd: ArrayLike | None = None,
+        frozen: bool = False,
+        same: bool = False,
     ) -> Correction:
         """Correct the state with a reading that comes in order.
 
@@ -321,6 +327,8 @@ class Filter:
             White standard deviation of this one reading.
         frozen : bool
             The value has not changed for suspiciously long: it never widens the gate.
+        same : bool
+            It is that of the reading before.
         """
         channel, memory = self.channels[name], self.memory
         z = np.array(value, dtype=np.float64)  # a copy: kernels want it contiguous and writable
@@ -343,17 +351,21 @@ class Filter:
         if early > 1e-7 and memory.drv[strapdown.STARTED] and holds:
             self.hold(memory.nav, self._xd, memory.drv, early, self.Phid, self.Qd, self.drive_output, memory.acc)
             memory.time_s = time_s
-        return self._update(channel, time_s, reading, sd, frozen)
+        stale = same and channel.sensor.corrects == "position" and channel.moved_on(time_s, memory.nav, memory.P)
+        return self._update(channel, time_s, reading, sd, frozen, stale)
 
     def _refused(self, channel: Channel, time_s: float, status: str) -> Correction:
         if self.tape is not None:
             self.tape.columns[channel.name].append(time_s - channel.lead_s, CODES[status], None)
         return Correction(Outcome(status), time_s, None)
 
-    def _update(self, channel: Channel, time_s: float, z: Array, sd: ArrayLike | None, frozen: bool) -> Correction:
+    def _update(
+        self, channel: Channel, time_s: float, z: Array, sd: ArrayLike | None, frozen: bool, stale: bool = False
+    ) -> Correction:
         memory = self.memory
         own = NO_SD if sd is None else np.resize(np.square(np.ravel(sd)), channel.axes)
-        channel.gate[:] = channel.limits if channel.memory.refused is None else agreement.limits(channel)
+        own = scatter.with_noise(channel, own) if channel.memory.noise else own
+        channel.gate[:] = agreement.limits(channel, stale) if stale or channel.doubted else channel.limits
         if channel.spot[stretch.KIND] >= 0 and self._native:
             stretch.correction(
                 *(self.bench, channel.spot, memory.P, memory.nav, memory.x, memory.acc, memory.drv, self.drive_output),
@@ -363,13 +375,14 @@ class Filter:
             asked(channel, memory, self.vehicle.drive, self.drive_output, (z, own), time_s)
         memory.unfolded = 0
         channel.memory.last_s = time_s
-        return self.concluded(channel, time_s, frozen)
+        return self.concluded(channel, time_s, frozen or stale)
 
     def concluded(self, channel: Channel, time_s: float, frozen: bool) -> Correction:
         """What follows from the verdict on a reading, which stands in its channel."""
         channel.stuck = frozen
         nis, dof, used = channel.verdict.tolist()
         widened = False
+        scatter.follow(channel, time_s, bool(used or frozen))
         if used:
             channel.memory.use(time_s)
         elif dof and math.isfinite(nis):
@@ -391,10 +404,8 @@ class Filter:
 
     # ---------------------------------------------------------------- other error models
     def take_up(self, tell: Listening) -> None:
-        """Adopt the constants of sensors that have just jumped, see `jumped` and `adopt`."""
-        while self.jumped:
-            self.channels[self.jumped[0].sensor].memory.refused = None
-            self.adopt(self.jumped.pop(0), tell)
+        """Adopt what the last reading has made necessary, see `jumped`."""
+        refused.take_up(self, tell)
 
     @property
     def described_models(self) -> dict[str, Errors]:
@@ -432,7 +443,7 @@ class Filter:
         before, old = self.layout, self.in_force
         self._arrange(models)
         new = self.in_force
-        M, N = state_change(before, old, self.layout, new)
+        M, N = state_change(before, old, self.layout, new, change.sensor if change.afresh else "")
         if self.tape is not None:
             self.tape.change(M)
         P, x = M @ memory.P @ M.T + N, M[9:, 9:] @ memory.x

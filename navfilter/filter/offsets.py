@@ -10,7 +10,15 @@ from numpy.typing import NDArray
 
 from navfilter.error_models import ErrorModel, RandomWalk, Sum
 
-__all__ = ["Offset", "Proportion", "has_offset", "offset_states", "proportions", "with_offsets", "with_the_same_offsets"]
+__all__ = [
+    "Offset",
+    "Proportion",
+    "has_offset",
+    "offset_states",
+    "proportions",
+    "with_offsets",
+    "with_the_same_offsets",
+]
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ checksum of those files: what a function encloses is part of numba's key.
 
 import math
 
+import numpy as np
 from numba import njit
 
 from navfilter.kernels import checksum, drive_watch, kalman, measurement, strapdown
@@ -96,7 +97,8 @@ def correction(sources):
         """A reading, from the fold before it to the verdict: `kalman.predict`, the kernel of its kind, `kalman.update`.
 
         bench: working memory of all channels; spot: this one's row of `plan`; z: the reading as its kernel takes it;
-        variance (a,) of its white error, empty or NaN for what the error model says; count: ticks of its clock.
+        variance (a,) of its white error, empty or NaN for what the error model says; count: ticks of its clock. Behind
+        the limits of its gate stands which square of its coloured error, as estimated, is beyond belief: none is used.
         """
         _ = sources
         dims = spot[:7]
@@ -135,7 +137,16 @@ def correction(sources):
                 # second-order term of a velocity seen from a heading that is hardly known (Gelb, 1974, sec. 6.1)
                 R[i, i] += 0.5 * (nav[3] ** 2 + nav[4] ** 2) * P[8, 8] ** 2
         C = bench[spot[OUTPUT] : spot[OUTPUT] + a * errors].reshape((a, errors))
-        kalman.update(P, nav, x, C, R, mem, dims, bench[spot[LIMITS] : spot[LIMITS] + a + 1])
+        limits, beyond = bench[spot[LIMITS] : spot[LIMITS] + a + 1], False
+        for i in range(a):
+            error = 0.0
+            for j in range(errors):
+                error += C[i, j] * x[start - 9 + j]
+            beyond |= error * error > bench[spot[LIMITS] + a + 1 + i]
+        if beyond:
+            limits = np.full(a + 1, -1.0)
+            limits[0] = math.inf
+        kalman.update(P, nav, x, C, R, mem, dims, limits)
 
     return correction
 
