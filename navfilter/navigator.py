@@ -16,7 +16,8 @@ from navfilter.beginning import Beginning
 from navfilter.filter import snapshot as snapshots
 from navfilter.filter.adoption import Change
 from navfilter.filter.channel import ChannelMemory, Refusals
-from navfilter.filter.condition import health_of
+from navfilter.filter.condition import health_of, state_of
+from navfilter.filter.course import Course
 from navfilter.filter.events import Event, Outcome
 from navfilter.filter.filter import Filter
 from navfilter.filter.filter_memory import Errors, FilterMemory
@@ -51,7 +52,7 @@ class NavigatorMemory:
 
 
 MEMORY = (
-    *(NavigatorMemory, FilterMemory, ChannelMemory, Refusals, IntakeMemory),
+    *(NavigatorMemory, FilterMemory, ChannelMemory, Refusals, Course, IntakeMemory),
     *(LearningMemory, Again, Change, ListenerMemory, Hop, RestMemory, LearnerMemory, Line, Spectrum),
 )
 
@@ -356,12 +357,12 @@ class Navigator:
     @property
     def state(self) -> NavState:
         """The state with its covariance and the health of the sensors, now; a copy."""
-        return dataclasses.replace(self.filter.state, health=self.health)
+        return state_of(self.filter, self.watches, self.learning.worker.health)
 
     @property
     def health(self) -> Health:
         """What the sensors are worth at present."""
-        return dataclasses.replace(health_of(self.filter, self.watches), learning=self.learning.worker.health)
+        return health_of(self.filter, self.watches, self.learning.worker.health, self.filter.state)
 
     # ---------------------------------------------------------------- keep and bring back
     def snapshot(self, path: str | PathLike[str] | None = None) -> bytes:

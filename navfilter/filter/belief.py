@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from navfilter.filter.layout import Group
     from navfilter.sensors import Sensor
 
-__all__ = ["beyond_belief", "believed", "pulled"]
+__all__ = ["believed", "beyond_belief", "pulled"]
 
 Array = NDArray[np.float64]
 #: An estimate of a slow error beyond so many of its standard deviations is none [1]: once in 2e4 times that it changes,

@@ -132,6 +132,8 @@ class Channel:
         self.offset = has_offset(sensor.models)
         self._proportions = proportions(sensor.models, self.period_s)
         self.limits = np.concatenate([self._gates, believed(sensor, group)])
+        slow = group.C @ group.P0[: group.errors, : group.errors] @ group.C.T
+        self.slow: list[float] = slow.diagonal().tolist()  # variance by axis of what its error states begin with
         lever, R = sensor.lever_arm_covariance(rate_variance), np.diag(group.r)
         model = np.array([group.Phi[:b, :b], group.Q[:b, :b]])
         constants = self.constants if self.kind >= 0 else np.zeros(0)

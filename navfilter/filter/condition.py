@@ -4,21 +4,30 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.filter import integrity
+from navfilter.filter.belief import MOST_SDS
 from navfilter.filter.channel import Channel
 from navfilter.filter.filter import Filter
-from navfilter.filter.health import Health, Watch
+from navfilter.filter.health import Health, LearningHealth, Watch
+from navfilter.state import NavState
 
-__all__ = ["health_of"]
+__all__ = ["health_of", "state_of"]
 
 Array = NDArray[np.float64]
 
 
-def health_of(filter: Filter, watches: Mapping[str, Watch]) -> Health:
+def state_of(filter: Filter, watches: Mapping[str, Watch], learning: LearningHealth) -> NavState:
+    """The state with its covariance and health, now; a copy."""
+    state = filter.state
+    return replace(state, health=health_of(filter, watches, learning, state))
+
+
+def health_of(filter: Filter, watches: Mapping[str, Watch], learning: LearningHealth, state: NavState) -> Health:
     """What the sensors are worth at present, how far the truth may be, and whether the state is to be trusted.
 
     Parameters
@@ -26,10 +35,13 @@ def health_of(filter: Filter, watches: Mapping[str, Watch]) -> Health:
     filter : Filter
     watches : dict of str to Watch
         By sensor.
+    learning : LearningHealth
+    state : NavState
+        That of the filter, now.
     """
-    memory, state, channels = filter.memory, filter.state, filter.channels
-    now_s, P = memory.time_s, state.covariance
+    memory, channels, P = filter.memory, filter.channels, state.covariance
     assert P is not None
+    now_s = memory.time_s
     sensors = {name: watch.health(now_s, channels[name].condition) for name, watch in watches.items()}
     axes = filter.watch.conditions(memory.watch)
     off: dict[str, float] = {}
@@ -42,7 +54,7 @@ def health_of(filter: Filter, watches: Mapping[str, Watch]) -> Health:
     rate = drive.body_rate(
         memory.drv, drive.outputs(filter.drive_output[:, :-1], memory.drv)[:3] @ memory.x[: filter.layout.drive.size]
     )
-    speed, turn = math.sqrt(float(state.velocity_n @ state.velocity_n)), float(np.abs(rate).max())
+    speed, turn = math.hypot(*memory.nav[3:6].tolist()), max(map(abs, np.atleast_1d(rate).tolist()))
     # fixes are not there under water: what that costs is in the bounds
     calm = {
         name: ("good", "waiting", "silent") if channel.sensor.corrects == "position" else ("good", "waiting")
@@ -58,6 +70,7 @@ def health_of(filter: Filter, watches: Mapping[str, Watch]) -> Health:
         integrity.Bounds(float(radius_m), float(heading_rad)),
         integrity.trust(P, speed, turn, (drive.max_speed_m_s, drive.max_turn_rad_s), doubts),
         filter.watch.lane(memory.watch),
+        learning,
     )
 
 
@@ -79,17 +92,16 @@ def _off(channel: Channel, watch: Watch) -> float:
     sensor, kept, a = channel.sensor, channel.memory, channel.axes
     if channel.offset or not sensor.corrects:
         return 0.0
-    residual, variance = channel.note[3 : 3 + a], channel.note[3 + a :]
+    note = channel.note.tolist()
     # one that is refused alone is an outlier, unless the sensor has confirmed nothing yet
     confirmed = kept.used_s - kept.agreed_s >= integrity.CONFIRMED_S
     again = kept.last_s - kept.rejected_since_s > 0.5 * channel.period_s
     if again or (not confirmed and not math.isnan(kept.rejected_since_s)):
-        return float(integrity.whole_offset(sensor.corrects, residual))
+        return float(integrity.whole_offset(sensor.corrects, channel.note[3 : 3 + a]))
     if kept.astray:
         # it may have been off by what was still believed of its error
-        return MOST_SDS * math.sqrt(2.0 * float(np.max(channel.slow)))
+        return MOST_SDS * math.sqrt(2.0 * max(channel.slow))
     if not math.isfinite(watch.used_s):
         return 0.0
-    e, C = channel.group.errors, channel.C
-    slow = np.diag(C @ channel.group.P0[:e, :e] @ C.T)
-    return math.sqrt(float(channel.limits[a]) * float(np.nanmax(variance + slow, initial=0.0)))
+    largest = max((v + s for v, s in zip(note[3 + a :], channel.slow, strict=True) if v + s > 0.0), default=0.0)
+    return math.sqrt(float(channel.limits[a]) * largest)

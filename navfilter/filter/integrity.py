@@ -127,7 +127,8 @@ def trust(
     doubts : iterable of str
         What does not help at present, in words.
     """
-    velocity_sd, heading_sd = math.sqrt(P[range(3, 6), range(3, 6)].max()), math.sqrt(P[8, 8])
+    variances = P.diagonal().tolist()
+    velocity_sd, heading_sd = math.sqrt(max(variances[3:6])), math.sqrt(variances[8])
     lost = []
     for what, value, most, unit in zip(("speed", "turn"), (speed, turn), limits, ("m/s", "rad/s"), strict=True):
         if most is not None and value > most * MARGIN:

@@ -41,7 +41,7 @@ def follow(channel: Channel, time_s: float, used: bool) -> None:
         Or refused; one whose value is stuck shows no noise, and counts as used.
     """
     memory, a = channel.memory, channel.axes
-    if used and not memory.noise or not channel.verdict[1]:
+    if (used and not memory.noise) or not channel.verdict[1]:
         return
     residual, variance = np.array(channel.note[3 : 3 + a]), np.array(channel.note[3 + a :])
     if memory.noise:
