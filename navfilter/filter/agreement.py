@@ -175,7 +175,7 @@ def decided(channel: Channel) -> Literal["state", "sensor"] | None:
 
 
 # ---------------------------------------------------------------- the state was wrong
-def opened_state(channel: Channel, refused: Refusals, nav: Array, moved_m: float) -> Array:
+def opened_state(channel: Channel, refused: Refusals, moved_m: float) -> Array:
     """Variance to add to the navigation states, shape (9, 9), when a sensor's readings together beat them.
 
     The component that the sensor sees may be wrong by the offset that they agree on, and nothing else is: so the
@@ -187,8 +187,6 @@ def opened_state(channel: Channel, refused: Refusals, nav: Array, moved_m: float
     channel : Channel
         As its refused reading left it.
     refused : Refusals
-    nav : ndarray, shape (17,)
-        Nominal state.
     moved_m : float
         Distance from the start [m].
     """
@@ -197,11 +195,8 @@ def opened_state(channel: Channel, refused: Refusals, nav: Array, moved_m: float
     size = np.where(seen, offset**2 + np.array(refused.variance), 0.0)
     kind = channel.sensor.open_loop
     if kind == listen.HEADING:
-        V[8, 8] = size[0]
-        # a velocity that was turned into n by it, and the way made good, may be turned by as much
-        turned = (2.0 * math.sin(0.5 * min(abs(float(offset[0])), math.pi))) ** 2
-        V[range(3, 5), range(3, 5)] = turned * (nav[3] ** 2 + nav[4] ** 2)
-        V[range(2), range(2)] = turned * moved_m**2
+        # heading and velocity are turned (`course.turned`); the way made good may be turned by as much
+        V[range(2), range(2)] = (2.0 * math.sin(0.5 * min(abs(float(offset[0])), math.pi)) * moved_m) ** 2
         return V
     first = 0 if kind == listen.POSITION else 3
     N = channel.near[:, first : first + 3]

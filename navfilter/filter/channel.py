@@ -53,8 +53,9 @@ class ChannelMemory:
         Variance that its noise has beyond that of its error model, per axis; empty: none.
     astray : bool
         Its slow error came to be beyond belief, and no reading has agreed with the state since.
-    alone : bool
-        The heading was set to it against what was believed before, and nothing else has confirmed that.
+    alone : tuple of float
+        Of a compass to which the heading was set against what was believed before, until something else confirms that:
+        by what angle [rad], latitude and longitude then [rad].
     same_s, again_s : float
         Since when its value has been the same, and when it came again last [s].
     last : ndarray
@@ -70,7 +71,7 @@ class ChannelMemory:
     refusals: tuple[tuple[float, ...], ...] = ()
     noise: tuple[float, ...] = ()
     astray: bool = False
-    alone: bool = False
+    alone: tuple[float, ...] = ()
     same_s: float = math.nan
     again_s: float = math.nan
     last: Array = field(default_factory=lambda: np.zeros(0))
@@ -217,7 +218,7 @@ class Channel:
     def doubted(self) -> bool:
         """Whether its next reading is Python's to judge."""
         memory = self._memory
-        return memory.refused is not None or self.offset or memory.astray or bool(memory.noise)
+        return memory.refused is not None or self.offset or memory.astray or bool(memory.noise or memory.alone)
 
     @property
     def condition(self) -> str:

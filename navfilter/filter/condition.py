@@ -97,10 +97,12 @@ def _off(channel: Channel, watch: Watch) -> float:
     confirmed = kept.used_s - kept.agreed_s >= integrity.CONFIRMED_S
     again = kept.last_s - kept.rejected_since_s > 0.5 * channel.period_s
     if again or (not confirmed and not math.isnan(kept.rejected_since_s)):
-        return float(integrity.whole_offset(sensor.corrects, channel.note[3 : 3 + a]))
+        return float(integrity.whole_offset(sensor.corrects, channel.note[3 : 3 + a], max(channel.slow)))
     if kept.astray:
         # it may have been off by what was still believed of its error
         return MOST_SDS * math.sqrt(2.0 * max(channel.slow))
+    if kept.alone:
+        return kept.alone[0]
     if not math.isfinite(watch.used_s):
         return 0.0
     largest = max((v + s for v, s in zip(note[3 + a :], channel.slow, strict=True) if v + s > 0.0), default=0.0)

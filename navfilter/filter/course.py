@@ -24,11 +24,11 @@ if TYPE_CHECKING:
     from navfilter.filter.channel import Channel
     from navfilter.filter.filter import Filter
 
-__all__ = ["Course", "against_the_compass", "turned"]
+__all__ = ["Course", "against_the_compass", "confirmed", "turned"]
 
 Array = NDArray[np.float64]
-#: An angle is believed beyond so many standard deviations, as one hypothesis of a whole mission [1], once it is known to
-#: so much [rad]: the fixes that follow do the rest, for which the filter is linear.
+#: An angle is believed beyond so many standard deviations, as one hypothesis of a whole mission [1], once it is known
+#: to so much [rad]: the fixes that follow do the rest, for which the filter is linear.
 SURE, KNOWN_RAD = 5.0, 0.1
 #: By so much the distance of a velocity sensor may err [1]: twice the speed of sound set for fresh water at sea.
 SCALE = 0.05
@@ -72,8 +72,8 @@ class Course:
 
     def fitted(self) -> tuple[float, float, float, float, float]:
         """Angle by which the way of the fixes is turned against the one reckoned [rad], mean square of the latter about
-        its middle [m^2], ratio of their sizes, mean square distances of the fixes from the way turned by that angle, and
-        from the way that is drawn off by a constant velocity [m^2].
+        its middle [m^2], ratio of their sizes, mean square distances of the fixes from the way turned by that angle,
+        and from the way that is drawn off by a constant velocity [m^2].
         """
         sums = np.array(self.sums) / self.count
         S = sums[5:].reshape(5, 5) - np.outer(sums[:5], sums[:5])
@@ -116,38 +116,72 @@ def against_the_compass(filter: Filter, fixes: Channel, course: Course, time_s: 
     if beside_turned > FITS**2 * noise:
         return None
     told = math.radians(filter.start.heading_sd_deg)
-    confirmed = not compass.memory.alone and abs(angle) > SURE * told
-    if confirmed and beside_drawn < MISSES**2 * noise:
+    believed = not compass.memory.alone and abs(angle) > SURE * told
+    if believed and beside_drawn < MISSES**2 * noise:
         return None
     models = compass.sensor.models if compass.offset else with_offsets(compass.sensor.models, abs(angle))
     return Change(compass.name, models, offsets=True, turn=(angle, variance + float(P[8, 8])))
 
 
+def confirmed(filter: Filter, compass: Channel) -> bool:
+    """Whether fixes have confirmed a compass to which the heading was set against what was believed before: they are
+    used, twice as far from there as they need to contradict it.
+    """
+    memory, now_s = filter.memory, filter.memory.time_s
+    angle, latitude, longitude = compass.memory.alone
+    north = (memory.nav[0] - latitude) * memory.nav[15]
+    east = (memory.nav[1] - longitude) * memory.nav[16] * math.cos(latitude)
+    far_m = math.hypot(north, east) * 2.0 * math.sin(0.5 * min(angle, math.pi))
+    for fixes in filter.channels.values():
+        kept = fixes.memory
+        calm = kept.refused is None and not kept.astray and now_s - kept.used_s < RECENT_S
+        if fixes.sensor.corrects == "position" and calm:
+            sd = math.sqrt(fixes.white[0, 0] + fixes.slow[0])
+            if far_m > 2.0 * SURE * math.sqrt(2.0) * sd:
+                return True
+    return False
+
+
 def turned(filter: Filter, compass: Channel, angle: float, variance: float) -> None:
-    """Turn the heading by an angle of this variance, as by a reading of the compass; its constant takes the rest.
+    """Turn the heading by an angle of this variance, as by a reading of the compass.
+
+    Attitude and velocity are turned with all that is known of them; then both are opened by the angle together, and
+    take the reading. A constant of the compass, if it has one, takes the rest.
 
     Parameters
     ----------
     filter : Filter
-        Its memory is changed; the constant is in force already.
+        Its memory is changed; nothing waits to be folded in.
     compass : Channel
     angle, variance : float
         [rad], [rad^2]
     """
-    memory, kept = filter.memory, compass.memory
+    memory, kept, tape = filter.memory, compass.memory, filter.tape
     P, nav, x, a = memory.P, memory.nav, memory.x, compass.axes
+    R, M = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]]), np.eye(len(P))
+    nav[3:5], nav[6:12] = R @ nav[3:5], (R @ nav[6:12].reshape(2, 3)).ravel()
+    for at in (3, 6):
+        M[at : at + 2, at : at + 2] = R
+    P[:] = M @ P @ M.T
+    if tape is not None:
+        tape.change(M)
     places = compass.group.start + offset_states(compass.sensor.models, compass.period_s)
     P[places, places] = np.maximum(np.diag(P)[places], angle**2)
-    P[8, 8] += angle**2
-    P[range(3, 5), range(3, 5)] += (2.0 * math.sin(0.5 * angle)) ** 2 * (nav[3] ** 2 + nav[4] ** 2)
+    # a velocity that is known in b goes with the heading
+    along = np.zeros(len(P))
+    along[[3, 4, 8]] = -nav[4], nav[3], 1.0
+    P += angle**2 * np.outer(along, along)
+    P[:] = 0.5 * (P + P.T)
     kalman.predict(P, nav, x, memory.acc, compass.model, compass.mem, compass.dims, 0)
-    reading = np.array([0.0, math.nan])
+    reading = np.full(2, math.nan)
     compass.kernel(reading, nav, compass.rate, x[compass.parameters], compass.constants, compass.near, compass.res)
-    compass.res[:], compass.H[:, 9 : compass.dims[2]] = angle, 0.0
+    compass.res[:], compass.H[:, 9 : compass.dims[2]] = 0.0, 0.0
     nothing, open_gate = np.zeros_like(compass.C), np.full(a + 1, np.inf)
     kalman.update(P, nav, x, nothing, variance * np.eye(a), compass.mem, compass.dims, open_gate)
     memory.unfolded = 0
-    kept.agreed_s, kept.alone, kept.refused, kept.rejected_since_s = math.nan, False, None, math.nan
-    if filter.tape is not None:
-        filter.tape.record(compass.record, a, compass.dims)
-        filter.tape.row(memory.time_s, nav, x, P)
+    kept.agreed_s, kept.refused, kept.rejected_since_s = math.nan, None, math.nan
+    if compass.offset:
+        kept.alone = ()  # it no longer says which way north is
+    if tape is not None:
+        tape.record(compass.record, a, compass.dims)
+        tape.row(memory.time_s, nav, x, P)

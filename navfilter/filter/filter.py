@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navfilter.error_models import per_axis
-from navfilter.filter import agreement, drive_watch, refused, scatter
+from navfilter.filter import agreement, course, drive_watch, refused, scatter
 from navfilter.filter.adoption import Change, state_change
 from navfilter.filter.asking import asked, shared
 from navfilter.filter.channel import Channel, usable
@@ -385,6 +385,8 @@ class Filter:
         scatter.follow(channel, time_s, bool(used or frozen))
         if used:
             channel.memory.use(time_s)
+            if channel.memory.alone and course.confirmed(self, channel):
+                channel.memory.alone = ()
         elif dof and math.isfinite(nis):
             widened = refused.let_in(self, channel, time_s, nis, int(dof), frozen)
         if used or widened:

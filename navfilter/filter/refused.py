@@ -75,7 +75,8 @@ def let_in(filter: Filter, channel: Channel, time_s: float, nis: float, dof: int
     if added is None:
         return False
     channel.R *= added.white_factor
-    _update(filter, channel, time_s, added.covariance)
+    P[:9, :9] += added.covariance
+    _update(filter, channel, time_s)
     return True
 
 
@@ -91,7 +92,7 @@ def _agreed(filter: Filter, channel: Channel, time_s: float) -> bool:
     if channel.sensor.open_loop == listen.POSITION and channel.axes == 3:
         kept.refused = refused = replace(refused, course=_made(course, channel, time_s, memory.nav))
         if _heading_outvoted(filter, channel, refused, time_s):
-            return True
+            return False
     if channel.offset:
         back = refused.back + 1 if agreement.is_back(channel, memory.x, memory.P) else 0
         kept.refused = refused = replace(refused, back=back)
@@ -105,9 +106,14 @@ def _agreed(filter: Filter, channel: Channel, time_s: float) -> bool:
     for other in filter.channels.values():
         if other.sensor.open_loop == channel.sensor.open_loop and other.axes == channel.axes:
             other.memory.agreed_s = math.nan
-    _update(filter, channel, time_s, agreement.opened_state(channel, refused, memory.nav, moved_m))
     memory.counts["reset"] += 1
-    channel.memory.alone = channel.sensor.open_loop == listen.HEADING
+    memory.P[:9, :9] += agreement.opened_state(channel, refused, moved_m)
+    if channel.sensor.open_loop == listen.HEADING:
+        angle, variance = refused.offset[0], refused.variance[0] + channel.slow[0]
+        kept.alone = (abs(angle), float(memory.nav[0]), float(memory.nav[1]))
+        filter.jumped.append(Change(channel.name, channel.sensor.models, offsets=True, turn=(angle, variance)))
+        return False
+    _update(filter, channel, time_s)
     return True
 
 
@@ -119,17 +125,15 @@ def _made(course: Course | None, fixes: Channel, time_s: float, nav: Array) -> C
 
 
 def _heading_outvoted(filter: Filter, fixes: Channel, refused: Refusals, time_s: float) -> bool:
-    """Whether fixes and velocity together contradict the compass: then the state is opened to this fix, and before the
-    next input the heading is turned (`take_up`).
+    """Whether fixes and velocity together contradict the compass: then the position is opened to the next fix, and
+    before that the heading is turned (`take_up`), and the fixes' slow error, which has followed it, begins afresh.
     """
     memory = filter.memory
     change = None if refused.course is None else against_the_compass(filter, fixes, refused.course, time_s)
     if change is None:
         return False
-    opened = np.zeros((9, 9))
-    opened[range(3), range(3)] = np.nan_to_num(fixes.res[:3]) ** 2
-    _update(filter, fixes, time_s, opened)
-    filter.jumped.append(change)
+    memory.P[range(3), range(3)] += np.nan_to_num(fixes.res[:3]) ** 2
+    filter.jumped += [Change(fixes.name, fixes.sensor.models, afresh=True), change]
     memory.counts["reset"] += 1
     memory.counts["jumped"] += 1
     return True
@@ -150,7 +154,8 @@ def take_up(filter: Filter, tell: Callable[[Event], None]) -> None:
         change = filter.jumped.pop(0)
         channel = filter.channels[change.sensor]
         channel.memory.refused = None
-        filter.adopt(change, tell)
+        if change.afresh or change.error is not channel.sensor.models:
+            filter.adopt(change, tell)
         if change.turn is not None:
             turned(filter, channel, *change.turn)
 
@@ -174,10 +179,9 @@ def _jumped(filter: Filter, channel: Channel, time_s: float) -> None:
     memory.counts["jumped"] += 1
 
 
-def _update(filter: Filter, channel: Channel, time_s: float, covariance: Array) -> None:
-    """Correct by the reading that was refused, with more covariance of the navigation states."""
+def _update(filter: Filter, channel: Channel, time_s: float) -> None:
+    """Correct by the reading that was refused, now that the covariance lets it in."""
     memory, P = filter.memory, filter.memory.P
-    P[:9, :9] += covariance
     P[:] = 0.5 * (P + P.T)
     channel.res[:] = gating.whole_residual(channel, memory.x)
     no_limits = np.full(channel.axes + 1, np.inf)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.filter.channel import Channel
+from navfilter.kernels import listen
 
 __all__ = ["follow", "with_noise"]
 
@@ -61,6 +62,9 @@ def _found(channel: Channel, refused: Array, variance: Array) -> tuple[float, ..
     if len(refused) < LOOKED_AT or len(refused) < SHARE * readings:
         return ()
     residuals = refused[:, 1:]
+    if channel.sensor.open_loop == listen.HEADING:
+        # half a turn to the left is half a turn to the right
+        residuals = residuals[-1] + (residuals - residuals[-1] + np.pi) % (2.0 * np.pi) - np.pi
     mean, sd = np.nanmean(residuals, axis=0), np.nanstd(residuals, axis=0)
     square = np.nansum(residuals**2, axis=0) / readings
     noise = np.maximum(square - variance, 0.0)

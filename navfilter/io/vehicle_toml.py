@@ -140,7 +140,7 @@ def _kinds() -> Kinds:
     their module, and those that only a run makes are none.
     """
     bases = ErrorModel, Sensor, Mechanisation
-    return tuple(cls for base in bases for cls in kinds_below(base) if cls not in (Sum, Offset))
+    return tuple(cls for base in bases for cls in kinds_below(base) if cls is not Sum and not issubclass(cls, Offset))
 
 
 def _base_of(cls: type) -> tuple[str, type]:
