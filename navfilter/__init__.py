@@ -42,6 +42,7 @@ _FACE = {
     "arma.starts": "burg hannan_rissanen yule_walker",
     "evaluation.comparison": "Comparison compare",
     "diagnostics": "Whiteness acf allan_deviation allan_edf cross_correlation pacf whiteness",
+    "cycle": "Cycle",
     "error_models": "Arma ErrorModel GaussMarkov RandomWalk White",
     "io": "read_mission read_vehicle",
     "learning.learned": "LearnedArma",

@@ -49,10 +49,12 @@ def align(vehicle: Vehicle, mission: Mission, window_s: float = 5.0) -> Start:
     if drive is None or not len(drive):
         raise ValueError(f'the drive needs a stream "{vehicle.drive.streams[0]}" in this mission.')
     begin = max(first_s, drive.time_s[0])
-    rows = (drive.time_s >= begin) & (drive.time_s <= begin + window_s) & np.isfinite(drive.value).all(axis=1)
+    # attitude that is given needs no mean, and a heading may come once in minutes: the next one is taken
+    end = begin + window_s if vehicle.drive.inertial else np.inf
+    rows = (drive.time_s >= begin) & (drive.time_s <= end) & np.isfinite(drive.value).all(axis=1)
     if not rows.any():
         raise ValueError(
-            f"no valid reading of the drive within {window_s} s after {begin:.3f} s: nothing to align with."
+            f"no valid reading of the drive within {end - begin:g} s after {begin:.3f} s: nothing to align with."
         )
     if not vehicle.drive.inertial:
         roll, pitch, heading = drive.value[rows][0, :3]

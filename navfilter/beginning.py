@@ -19,6 +19,7 @@ from navfilter.filter.intake import joined
 from navfilter.filter.memory import copied
 from navfilter.learning.schedule import Again, LearningMemory
 from navfilter.learning.worker import Task, Worker
+from navfilter.passage import PassageAgain
 
 if TYPE_CHECKING:
     from navfilter.navigator import Navigator
@@ -146,15 +147,13 @@ def _begin_again(nav: Navigator, again: Again, until_s: float, now_s: float) -> 
     inputs = joined(nav.learning.begin_again(until_s))
     history = nav.history
     if history is None:
-        for item in inputs:
-            nav.feed(item)
+        PassageAgain(nav, inputs).run()
         return
     # the last of it goes through the history, so that late readings find their place
     history.begin()
     recent = now_s - history.length_s
     split = next((i for i, item in enumerate(inputs) if _when(item) > recent), len(inputs))
-    for item in inputs[:split]:
-        nav.feed(item)
+    PassageAgain(nav, inputs[:split]).run()
     for item in inputs[split:]:
         history.feed(item)
 

@@ -1,31 +1,39 @@
-"""A recorded mission in stretches: one call of a kernel takes samples and readings until something is Python's."""
+"""Many samples and readings in stretches: one call of a kernel takes them until something is Python's."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.filter.channel import usable
+from navfilter.filter.health import Watch
+from navfilter.filter.history import Reading
 from navfilter.filter.tape import Tape
-from navfilter.kernels import strapdown
+from navfilter.kernels import listen, strapdown
 from navfilter.kernels import stretch as kernels
-from navfilter.navigator import Navigator
 
-__all__ = ["Passage", "Readings"]
+if TYPE_CHECKING:
+    from navfilter.navigator import Navigator
+
+__all__ = ["Passage", "PassageAgain", "Readings"]
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Output = tuple[Array, Array, Array, Ints]
+Hearing = tuple[Array, Array, Ints, Array]
 #: So many readings and samples are laid out at a time: 4 MB.
 READINGS, SAMPLES = 4096, 1 << 16
 #: Progress is told after so many readings.
 SHOWN = 512
 #: Elements of the longest reading that a kernel takes: a field and a temperature.
 WIDEST = 4
+#: After these the kernel is called again, once Python has done what is due.
+GOES_ON = kernels.FULL, kernels.DONE, kernels.HEED, kernels.LEARN
 #: Rows and elements of records that are gathered before the tape gets them.
 ROWS, ELEMENTS = 512, 1 << 18
 
@@ -40,7 +48,7 @@ class Readings:
     sensor, row : ndarray of int, shape (n,)
         Which of `names`, and which row of its values.
     names : tuple of str
-    values : tuple of ndarray
+    values : tuple of ndarray, or of list of ndarray
         Per sensor.
     sds : tuple of list or None
         Per sensor what `Navigator.correct` takes as the standard deviation of each reading; None where none has its
@@ -52,45 +60,74 @@ class Readings:
     sensor: Ints
     row: Ints
     names: tuple[str, ...]
-    values: tuple[Array, ...]
-    sds: tuple[list[Array | None] | None, ...]
+    values: tuple[Array | list[Array], ...]
+    sds: tuple[Sequence[Array | None] | None, ...]
 
     def sd(self, index: int) -> Array | None:
         """Standard deviation of a reading, where it has its own."""
         sds = self.sds[self.sensor[index]]
         return None if sds is None else sds[self.row[index]]
 
+    def value(self, index: int) -> Array:
+        """What was read."""
+        return self.values[self.sensor[index]][self.row[index]]
+
 
 class Passage:
-    """Takes a navigator through a mission, as `Navigator.step_samples` and `Navigator.correct` would, to the last bit.
+    """Takes a navigator through many inputs, as `Navigator.step_samples` and `Navigator.correct` would, to the last
+    bit.
 
     Parameters
     ----------
     nav : Navigator
-        Without a history.
+        Without a history, and without threads.
     times, values : ndarray, shapes (n,) and (n, 6)
         Samples of the drive.
     readings : Readings
     done : int
         Samples before the start: they are not taken.
+    before : ndarray of int, optional
+        Samples that come before each reading; default: by their times.
     """
 
-    def __init__(self, nav: Navigator, times: Array, values: Array, readings: Readings, done: int) -> None:
+    def __init__(
+        self,
+        nav: Navigator,
+        times: Array,
+        values: Array,
+        readings: Readings,
+        done: int = 0,
+        before: Ints | None = None,
+    ) -> None:
         self.nav, self._times, self._values, self._readings = nav, times, values, readings
-        self._ends = np.searchsorted(times, readings.time_s + 1e-9, side="right").astype(np.int64)
+        ends = np.searchsorted(times, readings.time_s + 1e-9, side="right") if before is None else before
+        self._ends = ends.astype(np.int64)
         self._channels = [nav.filter.channels[name] for name in readings.names]
-        self._watches = [nav.watches[name] for name in readings.names]
+        self._watches = self._watched()
         most = max([1, *(channel.axes for channel in self._channels)])
         self._notes = np.empty((READINGS, 3 + 2 * most))
-        self._same = _repeated(readings)
+        self._opened = np.empty((READINGS, 1 + most))
+        self._same = self._repeated()
         felt = any(sensor.from_drive for sensor in nav.vehicle.sensors.values())
-        quiet = nav.learning.rest is None and not nav.learning.listeners
         strapped = nav.vehicle.drive.steps is strapdown.imu_steps
         asked = felt or nav.filter.remembered or nav.filter.jumps.active
-        self._steady = strapped and quiet and not asked
-        self.at, self.done = 0, done
+        self._steady = strapped and nav.learning.rest is None and not asked
+        self.at, self.done, self._kept = 0, done, done
         self._begin = self._end = 0
         self._out: Output | None = None
+
+    def _watched(self) -> list[Watch]:
+        return [self.nav.watches[name] for name in self._readings.names]
+
+    def _repeated(self) -> NDArray[np.bool_]:
+        """Whether the value of a reading is, bit for bit, that of the one of its sensor before."""
+        readings = self._readings
+        same = np.zeros(len(readings.time_s), bool)
+        for i, values in enumerate(readings.values):
+            mine = np.flatnonzero(readings.sensor == i)
+            bits = np.ascontiguousarray(values).view(np.int64)[readings.row[mine]]
+            same[mine[1:]] = (bits[1:] == bits[:-1]).all(axis=1)
+        return same
 
     def run(self, progress: Callable[[int], object] | None = None) -> None:
         """Take all readings, then the samples behind the last; `progress` is told how many readings, now and then."""
@@ -103,31 +140,59 @@ class Passage:
             if self.at == len(self._ends):
                 break
             self._one(why)
+        self._keep_samples(self.done)
         for begin in range(self.done, len(self._times), 100_000):
-            self.nav.step_samples(self._block(begin, min(begin + 100_000, len(self._times))))
-        self.nav.finish()
+            self._feed(self._block(begin, min(begin + 100_000, len(self._times))))
+        self.done = len(self._times)
+        self._finish()
 
     @property
     def possible(self) -> bool:
         """Whether the kernel can take anything: nobody has to be asked between samples or after each reading."""
-        return self._steady and not self.nav.filter.memory.intake.offset_s
+        return self._steady and not self.nav.filter.memory.intake.offset_s and not self.nav.learning.is_waiting
+
+    def _feed(self, samples: Array) -> None:
+        self.nav.step_samples(samples)
+
+    def _finish(self) -> None:
+        self.nav.finish()
 
     # ---------------------------------------------------------------- one reading, by Python
     def _one(self, why: int) -> None:
         """The next reading, from where the kernel left it."""
-        given, nav, at = self._readings, self.nav, self.at
-        end, name = int(self._ends[at]), given.names[given.sensor[at]]
+        at = self.at
+        end = int(self._ends[at])
+        self._keep_samples(self.done)
         if end > self.done:
-            nav.step_samples(self._block(self.done, end))
+            self._feed(self._block(self.done, end))
+        self.done = self._kept = max(self.done, end)
         if why == kernels.JUDGED:
-            self._conclude(name, float(given.time_s[at]))
+            self.nav.learning.keep(self._reading(at, self._watches[self._readings.sensor[at]].stuck))
+            self._conclude(int(self._readings.sensor[at]), float(self._readings.time_s[at]))
         else:
-            nav.correct(name, float(given.stamp_s[at]), given.values[given.sensor[at]][given.row[at]], given.sd(at))
-        self.at, self.done = at + 1, max(self.done, end)
+            self._correct(at)
+        self.at = at + 1
 
-    def _conclude(self, name: str, time_s: float) -> None:
+    def _correct(self, at: int) -> None:
+        given = self._readings
+        self.nav.correct(given.names[given.sensor[at]], float(given.stamp_s[at]), given.value(at), given.sd(at))
+
+    def _reading(self, at: int, frozen: bool = False) -> Reading:
+        """One that the kernel has taken, as the run would have had it."""
+        given = self._readings
+        value = np.array(given.value(at), dtype=np.float64).reshape(-1)
+        return Reading(given.names[given.sensor[at]], float(given.time_s[at]), value, given.sd(at), frozen)
+
+    def _keep_samples(self, end: int) -> None:
+        """Let learning keep those that the kernel has taken."""
+        if end > self._kept:
+            if self.nav.learning.beginning is not None:
+                self.nav.learning.keep(self._block(self._kept, end))
+            self._kept = end
+
+    def _conclude(self, sensor: int, time_s: float) -> None:
         """What follows from a verdict by which the reading was not used."""
-        nav, watch = self.nav, self.nav.watches[name]
+        nav, watch, name = self.nav, self._watches[sensor], self._readings.names[sensor]
         correction = nav.filter.concluded(nav.filter.channels[name], time_s, watch.stuck)
         nav.told(correction)
         nav.filter.take_up(nav.told)
@@ -155,7 +220,8 @@ class Passage:
                 continue
             values, sds, read = given.values[i], given.sds[i], channel.sensor.read
             for k in np.flatnonzero(which == i).tolist():
-                z = read(np.array(values[rows[k]], dtype=np.float64))
+                raw = np.array(values[rows[k]], dtype=np.float64)
+                z = read(raw) if len(raw) >= channel.sensor.reads else None
                 sd = None if sds is None else sds[rows[k]]
                 again = same[k] and channel.sensor.corrects == "position"
                 if z is None or again or not (sd is None or usable(sd, channel.sensor)):
@@ -168,13 +234,26 @@ class Passage:
     def _advance(self) -> int:
         """As far as the kernel comes; why it ended."""
         why = kernels.FULL
-        while why in (kernels.FULL, kernels.DONE, kernels.HEED) and self.at < len(self._ends):
+        while why in GOES_ON and self.at < len(self._ends) and self.possible:
             if not self._begin <= self.at < self._end:
                 self._lay_out()
             why = self._call()
             if why == kernels.HEED:
                 self.nav.filter.heed(self.nav.told)
-        return why
+            elif why == kernels.LEARN:
+                name = self._readings.names[self._readings.sensor[self.at - 1]]
+                for change in self.nav.learning.learn(name):
+                    self.nav.filter.adopt(change, self.nav.told)
+        return kernels.NEXT if why in GOES_ON else why
+
+    def _hearing(self) -> Hearing:
+        """What is listened with; the first is empty where nobody does."""
+        learning = self.nav.learning
+        ears = np.zeros((len(self._channels), listen.EAR))
+        for i, channel in enumerate(self._channels):
+            if channel.name in learning.listeners:
+                ears[i] = learning.listeners[channel.name].ear
+        return learning.fed_back, ears, np.array([channel.places for channel in self._channels]), self._opened
 
     def _call(self) -> int:
         filter, given = self.nav.filter, self._readings
@@ -183,12 +262,15 @@ class Passage:
         for channel in self._channels:
             channel.gate[:] = channel.limits
         now = np.array([memory.time_s, memory.sample_s, intake.before_s, _last(tape)])
-        cursor = np.array([self.at - self._begin, self.done - self._first, memory.unfolded, 0, 0, 0, 0, self._stepped])
+        cursor = np.zeros(kernels.SPARE + 1, np.int64)
+        cursor[: kernels.GAPS] = self.at - self._begin, self.done - self._first, memory.unfolded
+        cursor[kernels.STEPPED] = self._stepped
         heard = np.array(
-            [(*c.times, c.period_s, c.doubted) for c in self._channels], dtype=np.float64
+            [(*c.times, c.period_s, c.doubted, c.count) for c in self._channels],
+            dtype=np.float64,
         )
         watched = np.array([(w.same, w.since_s, w.heard_s, w.used_s, w.nis, 0.0) for w in self._watches])
-        out = self._output()
+        out, hearing = self._output(), self._hearing()
         first = cursor[kernels.READING], cursor[kernels.SAMPLE]
         why = int(
             kernels.stretch(
@@ -207,6 +289,7 @@ class Passage:
                 self._samples,
                 self._times[self._first : self._first + len(self._samples)],
                 filter.intake.limits,
+                hearing,
                 (
                     *(given.time_s[part], given.sensor[part], self._ends[part] - self._first, self._good),
                     *(self._same[part], self._z, self._variances, self._notes),
@@ -215,6 +298,7 @@ class Passage:
             )
         )
         self._written(now, cursor, heard, watched, first, why, out)
+        self._overheard(hearing[1], int(first[0]))
         return why
 
     def _settings(self) -> Array:
@@ -222,9 +306,9 @@ class Passage:
         filter = self.nav.filter
         gap_s, doubt_s = filter.intake.spans
         interval_s = math.inf if filter.tape is None else filter.tape.interval_s
-        until_s, steps = self.nav.learning.early_s, filter.memory.drv[strapdown.INCREMENTS]
-        spans = filter.period_s, filter.ahead_s, filter.fold_every, gap_s, doubt_s, until_s, interval_s
-        return np.array([*spans, steps])
+        learning, steps = self.nav.learning, filter.memory.drv[strapdown.INCREMENTS]
+        spans = filter.period_s, filter.ahead_s, filter.fold_every, gap_s, doubt_s, learning.early_s, interval_s
+        return np.array([*spans, steps, learning.learning_s, filter.vehicle.drive.gravity])
 
     def _output(self) -> Output:
         """Room for rows, when they hold, records and what each is."""
@@ -234,8 +318,7 @@ class Passage:
         width = n + 8 + (n * n if smoothable else 72 + n)
         elements = max(ELEMENTS, 8 * int(filter.plan[-1, kernels.RECORD])) if smoothable else 0
         if self._out is None or self._out[0].shape[1] != width or self._out[2].size != elements:
-            rows = 1 if filter.tape is None else ROWS
-            self._out = np.empty((rows, width)), np.empty((rows, 2)), np.empty(elements), np.empty((ROWS, 5), np.int64)
+            self._out = np.empty((ROWS, width)), np.empty((ROWS, 2)), np.empty(elements), np.empty((ROWS, 5), np.int64)
         return self._out
 
     def _written(
@@ -253,13 +336,12 @@ class Passage:
         self._stepped = int(cursor[kernels.STEPPED])
         seen = used.stop + (why == kernels.JUDGED)
         for i, (channel, watch) in enumerate(zip(self._channels, self._watches, strict=True)):
-            channel.times = tuple(heard[i, :2].tolist())
+            channel.times, channel.count = tuple(heard[i, :2].tolist()), int(heard[i, kernels.TICKS])
             mine = np.flatnonzero(given.sensor[self._begin : self._begin + seen] == i)
             mine = mine[mine >= first[0]]
             if not len(mine):
                 continue
-            values = given.values[i][given.row[self._begin + mine[-1]]]
-            watch.caught_up(watched[i], values.tobytes())
+            watch.caught_up(watched[i], given.value(self._begin + mine[-1]).tobytes())
             mine = mine[mine < used.stop]
             if len(mine):
                 channel.memory.use(float(given.time_s[self._begin + mine[0]]))
@@ -269,18 +351,78 @@ class Passage:
                 tape.columns[channel.name].extend(times, self._notes[mine, : 3 + 2 * channel.axes])
         if tape is not None:
             tape.extend(out, *cursor[[kernels.ROWS, kernels.RECORDS, kernels.WRITTEN]].tolist())
+        if self.nav.learning.beginning is not None:
+            for at in range(self._begin + used.start, self.at):  # none is frozen: the kernel leaves those to Python
+                self._keep_samples(int(self._ends[at]))
+                self.nav.learning.keep(self._reading(at))
+        else:
+            self._kept = self.done
+
+    def _overheard(self, ears: Array, first: int) -> None:
+        """What was heard of the readings that were used, from `first` on."""
+        which = self._readings.sensor[self._begin : self.at]
+        for i, channel in enumerate(self._channels):
+            listener = self.nav.learning.listeners.get(channel.name)
+            mine = np.flatnonzero(which[first:] == i) + first if listener is not None else ()
+            if listener is not None and len(mine):
+                heard = self._opened[mine, : 1 + channel.axes]
+                listener.caught_up(ears[i], heard[:, 0], heard[:, 1:])
+
+
+class PassageAgain(Passage):
+    """Takes a navigator once more through inputs that it has had: the sensors' health is not counted again.
+
+    Parameters
+    ----------
+    nav : Navigator
+    inputs : sequence
+        Samples (rows of time and six values) and readings.
+    """
+
+    def __init__(self, nav: Navigator, inputs: Sequence[Array | Reading]) -> None:
+        blocks = [item for item in inputs if isinstance(item, np.ndarray)]
+        readings = self._given = [item for item in inputs if isinstance(item, Reading)]
+        samples = np.concatenate([np.empty((0, 7)), *blocks])
+        sizes = [len(item) if isinstance(item, np.ndarray) else 0 for item in inputs]
+        before = np.cumsum(sizes)[[isinstance(item, Reading) for item in inputs]] if inputs else np.empty(0, np.int64)
+        names = tuple(nav.filter.channels)
+        sensor = np.array([names.index(reading.name) for reading in readings], np.int64)
+        times, row = np.array([reading.time_s for reading in readings]), np.empty(len(readings), np.int64)
+        values: list[list[Array]] = [[] for _ in names]
+        sds: list[list[Array | None]] = [[] for _ in names]
+        for k, (i, reading) in enumerate(zip(sensor.tolist(), readings, strict=True)):
+            row[k] = len(values[i])
+            values[i].append(reading.value)
+            sds[i].append(reading.sd)
+        own = tuple(None if all(sd is None for sd in one) else one for one in sds)
+        given = Readings(times, times, sensor, row, names, tuple(values), own)
+        super().__init__(nav, samples[:, 0].copy(), samples[:, 1:].copy(), given, 0, before)
+
+    def _watched(self) -> list[Watch]:
+        return [Watch(math.inf) for _ in self._readings.names]
+
+    def _repeated(self) -> NDArray[np.bool_]:
+        return np.zeros(len(self._given), bool)
+
+    def _lay_out(self) -> None:
+        super()._lay_out()
+        for k in range(self._begin, self._end):
+            if self._given[k].frozen:  # learning wants to hear of that
+                self._good[k - self._begin] = False
+
+    def _feed(self, samples: Array) -> None:
+        self.nav.feed(samples)
+
+    def _correct(self, at: int) -> None:
+        self.nav.feed(self._given[at])
+
+    def _reading(self, at: int, frozen: bool = False) -> Reading:
+        return self._given[at]
+
+    def _finish(self) -> None:
+        pass
 
 
 def _last(tape: Tape | None) -> float:
     """When the last row was written; NaN for none."""
     return tape.row_times[-1] if tape is not None and tape.row_times else math.nan
-
-
-def _repeated(readings: Readings) -> NDArray[np.bool_]:
-    """Whether the value of a reading is, bit for bit, that of the one of its sensor before."""
-    same = np.zeros(len(readings.time_s), bool)
-    for i, values in enumerate(readings.values):
-        mine = np.flatnonzero(readings.sensor == i)
-        bits = np.ascontiguousarray(values).view(np.int64)[readings.row[mine]]
-        same[mine[1:]] = (bits[1:] == bits[:-1]).all(axis=1)
-    return same

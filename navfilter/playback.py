@@ -311,7 +311,7 @@ def residual_series(
     drive = drive_samples(vehicle, mission)
     start = _start(vehicle, mission, start)
     # nothing is late: the same filter, without the history that lets late readings in
-    nav = Navigator(vehicle, start, history_s=0.0)
+    nav = Navigator(vehicle, start, history_s=0.0, threads=False)
     names = [name for name, sensor in vehicle.sensors.items() if sensor.open_loop] if sensors is None else list(sensors)
     _listen(nav, mission, names)
     _run(nav, *drive, _events(vehicle, mission, start.time_s), False)
@@ -330,7 +330,7 @@ def at_the_end(vehicle: Vehicle, mission: Mission, start: Start | None = None) -
     """
     drive = drive_samples(vehicle, mission)
     start = _start(vehicle, mission, start)
-    nav = Navigator(vehicle, start, history_s=0.0)
+    nav = Navigator(vehicle, start, history_s=0.0, threads=False)
     _run(nav, *drive, _events(vehicle, mission, start.time_s), False)
     return nav
 

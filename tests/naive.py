@@ -792,7 +792,7 @@ def stationary(a, c, P):
     return True
 
 
-def channel_filter(y, theta, chain, sees, rules, e, lns):
+def channel_filter(y, theta, chain, sees, rules, plan, tolerance, e, lns):
     r, m = len(sees), (len(theta) - 1) // 2
     d, longest, clip, white = int(rules[0]), rules[1], rules[2], rules[3]
     a, c, var = theta[:m], theta[m:-1], np.exp(2 * theta[-1])
@@ -834,26 +834,19 @@ def channel_filter(y, theta, chain, sees, rules, e, lns):
     return total
 
 
-def channel_line(y, theta, chain, sees, rules, integrators, sizes, first, e, lns, values):
-    for k, size in enumerate(sizes):
-        parts = chain.copy()
-        parts[1:, integrators:, integrators:] *= size
-        values[k] = channel_filter(y, theta, parts, sees, rules, e, lns)
-        before = channel_filter(y[:first], theta, parts, sees, rules, e[:first], lns[:first])
-        values[k] -= before
+def contribution(z, lns, clip):
+    z, lns, size = z[np.isfinite(z)], lns[np.isfinite(z)], np.abs(z[np.isfinite(z)])
+    return float(np.sum(0.5 * (np.log(2 * np.pi) + lns) + np.where(size > clip, clip * size - clip**2 / 2, z * z / 2)))
 
 
-def channel_scores(y, thetas, chains, sees, rules, steps, E, LNS, info, gradient):
-    value = channel_filter(y, thetas[0], chains[0], sees, rules, E[0], LNS[0])
+def channel_scores(E, LNS, steps, clip, info, gradient):
     for i, step in enumerate(steps, start=1):
-        channel_filter(y, thetas[i], chains[i], sees, rules, E[i], LNS[i])
         LNS[i] = (LNS[i] - LNS[0]) / step
         E[i] = (E[i] - E[0]) / step + 0.5 * E[0] * LNS[i]
     known = np.isfinite(E[0])
     z, dv, ds = E[0, known], E[1:, known], LNS[1:, known]
-    gradient[:] = (dv - 0.5 * z * ds) @ np.clip(z, -rules[2], rules[2]) + 0.5 * ds.sum(1)
+    gradient[:] = (dv - 0.5 * z * ds) @ np.clip(z, -clip, clip) + 0.5 * ds.sum(1)
     info[:] = dv @ dv.T + 0.5 * ds @ ds.T
-    return value
 
 
 # ---------------------------------------------------------------- kernels/listen.py: what an open loop would have read
@@ -866,6 +859,15 @@ def carry(undone, Phi):
     p[:], v[:], v_b[:] = p + dt * v + 0.5 * dt**2 * a, v + dt * a, v_b + dt * a_b
     undone[8] += Phi[8, 9:] @ undone[9:m]
     undone[9:m] = Phi[9:, 9:] @ undone[9:m]
+
+
+def attend(ear, nis, dof, ticks, learning):
+    """ear: kind, noted, capacity, due, watched, share, nis, judged, mount. True: a change, or ticks enough."""
+    ear[1] += len(range(int(ear[2]))[: max(ticks - 1, 0)]) + 1
+    watched = learning and ear[4] and dof and np.isfinite(nis)
+    if watched:
+        ear[6] = (1.0 - ear[5]) * ear[6] + ear[5] * min(nis / dof, 25.0)
+    return bool(watched and ear[1] >= ear[7] and not 0.4 < ear[6] < 2.0) or bool(learning and ear[1] >= ear[3])
 
 
 def listen(undone, mem, dims, places, nav, C, x, kind, mount, ring, cursor, ticks, Cr, gravity):
@@ -1209,12 +1211,15 @@ def correction(bench, spot, P, nav, x, acc, drv, Cr, z, variance, count):
     update(P, nav, x, C, R, mem, dims, np.r_[np.inf, np.full(a, -1.0)] if beyond else gate)
 
 
-def stretch(now, cursor, settings, bench, plan, heard, watched, state, drive, samples, stamps, limits, given, out):
+def stretch(
+    now, cursor, settings, bench, plan, heard, watched, state, drive, samples, stamps, limits, hearing, given, out
+):
     """One reading after the other. 0: all done, 1 and 2: the next one is Python's, 3: it was not used, 4: no room, 5:
-    the watch over the drive has found something.
+    the watch over the drive has found something, 6: there is something to learn.
     """
     (nav, x, P, acc), (drv, Phid, Qd, Cr, w, sd, ends), m = state, drive, state[3].shape[1]
-    period, ahead, every, gap, doubt, until, interval, increments = settings
+    period, ahead, every, gap, doubt, until, interval, increments, learn, g = settings
+    undone, ears, where, opened = hearing
     rows, info, records, heads = out
 
     def record(values, *head):
@@ -1238,6 +1243,8 @@ def stretch(now, cursor, settings, bench, plan, heard, watched, state, drive, sa
         cursor[0] = e
         if t >= until or not good or heard[i, 3]:
             return 1
+        if undone.size and same and watched[i, 0] >= 9 and watched[i, 2] - watched[i, 1] >= 10.0:
+            return 1
         more = 2 + (end - cursor[1]) // int(every)
         if cursor[4] + more > len(rows) or cursor[5] + more > len(heads):
             return 4
@@ -1256,14 +1263,16 @@ def stretch(now, cursor, settings, bench, plan, heard, watched, state, drive, sa
             if cursor[2] == every:
                 record(acc[:m].ravel(), 0, m, 0, 0)
                 cursor[2] = 0
+                if undone.size:
+                    carry(undone, acc[:m])
                 fold(P, acc, nav, None)
                 row()
             if w[6, 1]:
                 if w[:6, [0, 15, 16]].any():
                     return 5
                 if w[6, 0] * period >= 1.0:
-                    g = gravity(nav[0], nav[2])
-                    w[6, 0], w[6, 4], w[6, 5:8], w[6, 8] = 0.0, P[6, 6] + P[7, 7] < 0.01, -g * nav[12:15], g
+                    pull = gravity(nav[0], nav[2])
+                    w[6, 0], w[6, 4], w[6, 5:8], w[6, 8] = 0.0, P[6, 6] + P[7, 7] < 0.01, -pull * nav[12:15], pull
         early = t - now[0]
         if t <= heard[i, 0] or early < -1.001 * period or t - now[1] > ahead:
             return 2
@@ -1275,7 +1284,7 @@ def stretch(now, cursor, settings, bench, plan, heard, watched, state, drive, sa
         count = 0 if np.isinf(elapsed) else max(1, round(elapsed / heard[i, 2]))
         spot, variances = plan[i], given[6]
         correction(bench, spot, P, nav, x, acc, drv, Cr, given[5][e], variances[min(e, len(variances) - 1)], count)
-        cursor[2], heard[i, :2] = 0, t
+        cursor[2], heard[i, :2], heard[i, 4] = 0, t, count
         note = given[7][e, : 3 + 2 * spot[0]]
         note[:] = bench[spot[10] + spot[20] :][: len(note)]
         if not note[2]:
@@ -1286,5 +1295,17 @@ def stretch(now, cursor, settings, bench, plan, heard, watched, state, drive, sa
         watched[i, 5] += 1.0
         share = min(note[0] / note[1], 100.0)
         watched[i, 4] = share if np.isnan(watched[i, 4]) else watched[i, 4] + (share - watched[i, 4]) / 50.0
+        if not undone.size:
+            continue
+        a, mem, once = spot[0], bench[spot[10] : spot[11]], np.zeros(1, int)
+        carry(undone, mem[: m * m].reshape(m, m))
+        C, value = bench[spot[15] :][: a * spot[5]].reshape(a, spot[5]), np.zeros((a, 1))
+        listen(undone, mem, spot[:7], where[i], nav, C, x, ears[i, 0], ears[i, 8:17], value, once, 1, Cr, float(g))
+        opened[e, 0], cursor[8] = count, once[0]
+        if ears[i, 0]:
+            opened[e, 1 : 1 + a] = value[:, 0]
+        if ears[i, 0] and attend(ears[i], note[0], note[1], count, t >= learn):
+            cursor[0] = e + 1
+            return 6
     cursor[0] = len(given[0])
     return 0

@@ -22,6 +22,7 @@ SCRIPTS = {
     "day": ("filterpy", ("live", "replay")),
     "faults": ("without a fault", ("missions", "outcomes", "service")),
     "fuzz": ("no other software", ()),
+    "gliders": ("plain dead reckoning", ()),
     "heading_toy": ("Sage-Husa", ()),
     "honest": ("Gauss-Markov", ()),
     "identify_recordings": ("statsmodels", ()),

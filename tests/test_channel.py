@@ -11,10 +11,11 @@ from scipy.linalg import expm
 from navfilter.arma.algebra import add_arma
 from navfilter.arma.model import ArmaModel, simulate_arma
 from navfilter.kernels import channel as kernels
+from navfilter.learning import likelihood
 from navfilter.learning.drift import Drift
 from navfilter.learning.effort import EFFORT
 from navfilter.learning.fit import fit_channel
-from navfilter.learning.likelihood import Likelihood
+from navfilter.learning.likelihood import Likelihood, filtered, line
 from navfilter.learning.slow import SlowNode, drift_chain, with_slow
 
 DEG = math.pi / 180.0
@@ -48,7 +49,7 @@ def packed(ar, ma, sd):
 
 def run(y, theta, chain, sees, d, clip=NEVER, white=0.0, longest=8.0, tolerance=0.0):
     e, lns = np.empty(len(y)), np.empty(len(y))
-    value = kernels.channel_filter(y, theta, chain, sees, np.array([d, longest, clip, white, tolerance]), e, lns)
+    value = filtered(y, theta, chain, sees, np.array([d, longest, clip, white, tolerance]), e, lns)
     return value, e, lns
 
 
@@ -128,6 +129,25 @@ def moved(theta, chain, free, steps, d):
     return thetas, chains
 
 
+def naive_line(y, theta, chain, sees, rules, integrators, sizes, first, e, lns, values):
+    """Of the samples from `first` on: that of all less that of those before."""
+    plan = np.zeros(len(y), np.int64)
+    for k, size in enumerate(sizes):
+        parts = chain.copy()
+        parts[1:, integrators:, integrators:] *= size
+        values[k] = naive.channel_filter(y, theta, parts, sees, rules, plan, 0.0, e, lns)
+        values[k] -= naive.channel_filter(y[:first], theta, parts, sees, rules, plan, 0.0, e[:first], lns[:first])
+
+
+def naive_scores(y, thetas, chains, sees, rules, steps, E, LNS, info, gradient):
+    """Every row by itself, tick by tick."""
+    plan = np.zeros(len(y), np.int64)
+    rows = zip(thetas, chains, E, LNS, strict=True)
+    values = [naive.channel_filter(y, theta, chain, sees, rules, plan, 0.0, *row) for theta, chain, *row in rows]
+    naive.channel_scores(E, LNS, steps, rules[2], info, gradient)
+    return values[0]
+
+
 def scored(scores, y, theta, chain, sees, rules, free, steps, d):
     k = len(steps)
     thetas, chains = moved(theta, chain, free, steps, d)
@@ -151,8 +171,9 @@ def test_filter_is_its_twin(ar, ma, d, beside, clip):
     y[60] += 30.0
     rules = np.array([d, 8.0, clip, 0.04, 0.0])
     out = [np.empty(len(y)) for _ in range(4)]
-    value = kernels.channel_filter(y, theta, chain, sees, rules, out[0], out[1])
-    twin = naive.channel_filter(y, theta, chain, sees, rules, out[2], out[3])
+    plan = np.zeros(len(y), np.int64)
+    value = kernels.channel_filter(y, theta, chain, sees, rules, plan, 0.0, out[0], out[1])
+    twin = naive.channel_filter(y, theta, chain, sees, rules, plan, 0.0, out[2], out[3])
     assert value == pytest.approx(twin, rel=1e-11)
     np.testing.assert_allclose(out[0], out[2], rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(out[1], out[3], rtol=1e-9, atol=1e-9)
@@ -168,8 +189,8 @@ def test_a_line_is_its_twin(ar, ma, d, beside, first):
     rules, sizes = np.array([d, 8.0, 1.5, 0.04, 0.0]), np.array([0.1, 1.0, 7.0])
     chain[1:, :d, d:] = chain[1:, d:, :d] = 0.0  # what is beside the integrators is a noise of its own
     out = np.empty((2, 3))
-    for line, values in zip((kernels.channel_line, naive.channel_line), out, strict=True):
-        line(y, theta, chain, sees, rules, d, sizes, first, np.empty(len(y)), np.empty(len(y)), values)
+    for of, values in zip((line, naive_line), out, strict=True):
+        of(y, theta, chain, sees, rules, d, sizes, first, np.empty(len(y)), np.empty(len(y)), values)
     np.testing.assert_allclose(out[0], out[1], rtol=1e-10, atol=1e-9)
     assert first == 70 or np.ptp(out[0]) > 0.01
 
@@ -183,7 +204,7 @@ def test_scores_are_their_twin(ar, ma, d, beside):
     steps = np.full(len(free) + bool(beside), 1e-4)
     one, other = (
         scored(scores, y, theta, chain, sees, rules, free, steps, d)
-        for scores in (kernels.channel_scores, naive.channel_scores)
+        for scores in (likelihood.scores, naive_scores)
     )
     for a, b in zip(one[:3], other[:3], strict=True):
         # both take the same differences: what is left is rounding over the step, and with four integrators P spans ten
@@ -221,7 +242,7 @@ def test_an_interpolated_gain_changes_next_to_nothing(ar, ma, d, slow):
     steps = np.full(len(free) + bool(slow), 1e-6)
     out = [
         scored(scores, y, theta, chain, sees, np.array([d, 8.0, 4.0, 0.04, tolerance]), free, steps, d)
-        for scores, tolerance in ((kernels.channel_scores, EFFORT.gain_tolerance), (naive.channel_scores, 0.0))
+        for scores, tolerance in ((likelihood.scores, EFFORT.gain_tolerance), (naive_scores, 0.0))
     ]
     scale = np.sqrt(np.diag(out[1][2]))
     # orders are decided by 3 in log-likelihood, of which this is a hundredth; a shift of 1e-2 standard deviations is
@@ -239,13 +260,13 @@ def test_scores_are_the_slope_of_the_filter():
     random = np.random.default_rng(5)
     y, theta, (chain, sees) = walk_with_gaps(random), packed([-0.8, 0.1], [0.4], 0.7), chain_of(2, 1, random)
     rules, free = np.array([2, 8.0, 1.5, 0.0, 0.0]), np.array([0, 1, 2, 4])
-    gradient = scored(kernels.channel_scores, y, theta, chain, sees, rules, free, np.full(5, 1e-6), 2)[1]
+    gradient = scored(likelihood.scores, y, theta, chain, sees, rules, free, np.full(5, 1e-6), 2)[1]
     E, LNS = np.empty(len(y)), np.empty(len(y))
     for k, slope in enumerate(gradient):
         ends = []
         for sign in (1.0, -1.0):
             thetas, chains = moved(theta, chain, free, sign * 1e-5 * np.eye(5)[k], 2)
-            ends.append(kernels.channel_filter(y, thetas[k + 1], chains[k + 1], sees, rules, E, LNS))
+            ends.append(filtered(y, thetas[k + 1], chains[k + 1], sees, rules, E, LNS))
         assert slope == pytest.approx((ends[0] - ends[1]) / 2e-5, rel=1e-4, abs=1e-3)
 
 

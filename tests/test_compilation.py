@@ -63,7 +63,7 @@ warming._cores = lambda: 2
 warming._warm_filter = lambda *_: None  # what the second process does is enough
 nf.warm_up(nf.Vehicle(imu=nf.Imu(rate_hz=10.0), sensors={"depth": nf.Depth(error=nf.LearnedArma())}), progress=True)
 from navfilter.kernels import channel
-print(compilation.show_compilation().done, sum(channel.channel_scores.stats.cache_hits.values()))
+print(compilation.show_compilation().done, sum(channel.channel_filter.stats.cache_hits.values()))
 """
 
 

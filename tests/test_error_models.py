@@ -80,6 +80,7 @@ def test_arma_has_the_autocovariance_of_statsmodels(ar, ma, sd):
 STATIONARY = [nf.GaussMarkov(sd=0.6, tau_s=30.0, order=n) for n in (1, 2, 3, 4)] + [
     nf.Arma(ar=ar, ma=ma, sd=sd) for ar, ma, sd in ARMAS
 ]
+STATIONARY += [nf.Cycle(sd=0.6, period_s=12.0, tau_s=40.0)]
 STATIONARY += [nf.GaussMarkov(sd=0.6, tau_s=30.0, order=2) + nf.White(sd=0.1) + nf.Arma(ar=(-0.9,), sd=0.2)]
 
 
@@ -95,6 +96,14 @@ def test_stationary_blocks_start_stationary(model, period_s):
         assert np.linalg.eigvalsh(M).min() > -1e-14 * max(1e-300, np.abs(M).max())
         assert M.flags.c_contiguous and M.dtype == np.float64
     assert block.Phi.flags.c_contiguous and block.C.shape == (block.size,)
+
+
+def test_a_cycle_swings_at_any_rate():
+    model = nf.Cycle(sd=0.6, period_s=12.0, tau_s=40.0)
+    for period_s in (0.5, 5.0):
+        lags = period_s * np.arange(30)
+        expected = 0.36 * np.exp(-lags / 40.0) * np.cos(2.0 * np.pi * lags / 12.0)
+        np.testing.assert_allclose(autocovariance(model.block(period_s), 30), expected, rtol=0, atol=1e-14)
 
 
 def test_white_and_random_walk():
@@ -150,6 +159,8 @@ def test_simulated_errors_have_the_autocovariance(model):
         (lambda: nf.RandomWalk(density=math.inf), r"RandomWalk\.density"),
         (lambda: nf.RandomWalk(density=1.0, start_sd=-1.0), r"RandomWalk\.start_sd"),
         (lambda: nf.GaussMarkov(sd=1.0, tau_s=0.0), r"GaussMarkov\.tau_s must be a finite number > 0"),
+        (lambda: nf.Cycle(sd=1.0, period_s=0.0, tau_s=1.0), r"Cycle\.period_s must be a finite number > 0"),
+        (lambda: nf.Cycle(sd=-1.0, period_s=1.0, tau_s=1.0), r"Cycle\.sd must be a finite number not negative"),
         (lambda: nf.GaussMarkov(sd=1.0, tau_s=1.0, order=5), "order must be 1, 2, 3 or 4, found 5"),
         (lambda: nf.Arma(ar=(-1.0,), sd=1.0), "pole of radius 1.000000.*RandomWalk"),
         (lambda: nf.Arma(ar=(-2.0, 1.5), sd=1.0), "pole of radius 1.2"),

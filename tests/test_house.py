@@ -24,11 +24,13 @@ FLOORS = [
         "filter.tape",
         "filter.offsets",
         "error_models",
+        "cycle",
         "learning.drift",
     },
     {
         "learning.low_frequency",
         "learning.limits",
+        "learning.spikes",
         "learning.spectrum",
         "learning.slow",
         "learning.effort",

@@ -8,8 +8,12 @@ import pytest
 from kernel_inputs import assert_close
 
 import navfilter as nf
-from navfilter import passage
+from navfilter import passage, playback
+from navfilter.filter.memory import differences
+from navfilter.filter.tape import Tape
 from navfilter.kernels import stretch as kernels
+from navfilter.learning import listener
+from navfilter.learning.schedule import LearningSchedule
 from navfilter.simulation.scenarios import simulate_scenario
 
 DEG = np.pi / 180.0
@@ -101,26 +105,69 @@ def test_in_stretches_as_one_by_one(smooth, defects, monkeypatch):
     assert not defects or together.residuals["dvl"].count("rejected") >= 4
 
 
+@pytest.mark.parametrize("defects", [False, True])
+def test_learning_in_stretches_as_one_by_one(defects, monkeypatch):
+    """Early models, the beginning done again, hops, a change of the error, a sensor that is stuck."""
+    vehicle, mission = survey(100.0)
+    learned = nf.LearnedArma(orders=[(0, 0), (1, 0)], window=400, hop=100)
+    vehicle = vehicle.with_error(compass=learned, dvl=learned, depth=learned)
+    monkeypatch.setattr(LearningSchedule, "EARLY_S", (15.0, 30.0))
+    monkeypatch.setattr(LearningSchedule, "REVISED_S", 40.0)
+    monkeypatch.setattr(LearningSchedule, "ANOTHER", 0.01)
+    monkeypatch.setattr(listener, "PROBATION_S", 10.0)
+    if defects:
+        mission = with_defects(mission)
+        course = mission.streams["compass"].value.copy()
+        course[500:] += np.random.default_rng(1).normal(0.0, 0.03, course[500:].shape)
+        mission = changed(mission, "compass", value=course)
+    reasons, begun = [], []
+    call, again = passage.Passage._call, passage.PassageAgain.run
+    monkeypatch.setattr(passage.Passage, "_call", lambda self: reasons.append(call(self)) or reasons[-1])
+    monkeypatch.setattr(passage.PassageAgain, "run", lambda self: begun.append(self) or again(self))
+    together, nav = playback._replayed(vehicle, mission, mission.start, Tape(5.0, smoothable=True), False, ())
+    assert reasons.count(kernels.LEARN) >= 6 and len(begun) == 2 and together.counts["adopted"] > 6
+    calls = len(reasons)
+    one_by_one(monkeypatch)
+    alone, other = playback._replayed(vehicle, mission, mission.start, Tape(5.0, smoothable=True), False, ())
+    assert len(reasons) == calls
+    assert_same(together, alone)
+    assert_same(together.forward, alone.forward)
+    assert differences(nav.memory, other.memory) == []
+    fared = [[(w.outcomes, w.nis, w.same, w.heard_s) for w in run.watches.values()] for run in (nav, other)]
+    assert fared[0] == fared[1]
+    assert bool(nav.learning.memory.listeners["compass"].since) == defects
+
+
 def test_what_python_has_to_be_asked_about_goes_one_by_one(monkeypatch):
     vehicle, mission = survey(20.0)
     calls = []
     call = passage.Passage._call
     monkeypatch.setattr(passage.Passage, "_call", lambda self: calls.append(self.at) or call(self))
     nf.replay(replace(vehicle, sensors=vehicle.sensors | {"still": nf.ZeroVelocity()}), mission)
-    nf.replay(vehicle.with_error(compass=nf.LearnedArma()), mission)
     assert not calls
 
 
-def test_stretch_is_its_twin(monkeypatch):
+@pytest.mark.parametrize("learning", [False, True])
+def test_stretch_is_its_twin(learning, monkeypatch):
     vehicle, mission = survey(20.0)
+    if learning:  # from the start on, and each of some hundred ticks
+        vehicle = vehicle.with_error(compass=nf.LearnedArma(orders=[(0, 0)], window=400, hop=50), gps=nf.LearnedArma())
+        monkeypatch.setattr(LearningSchedule, "EARLY_S", ())
+        monkeypatch.setattr(LearningSchedule, "REVISED_S", 1.0)
     monkeypatch.setattr(passage, "READINGS", 150)
-    ours, compared = kernels.stretch, []
+    ours, compared, reasons = kernels.stretch, [], set()
 
     def both(*args):
         copies = [a.copy() if isinstance(a, np.ndarray) else tuple(part.copy() for part in a) for a in args]
+        before = int(args[1][0])
         why, twins = ours(*args), naive.stretch(*copies)
         assert why == twins
-        rows, records = args[1][4], args[1][6]
+        rows, records, heard = args[1][4], args[1][6], args[12]
+        undone = args[7][3].shape[1] + 9  # the rest is work space
+        assert_close([heard[0][:undone], heard[1]], [copies[12][0][:undone], copies[12][1]], 1e-8)
+        taken = slice(before, args[1][0]) if learning else slice(0)
+        assert_close([heard[3][taken, :2]], [copies[12][3][taken, :2]], 1e-8)
+        reasons.add(why)
         head = 2 * args[7][3].shape[1]  # the rest of acc is work space
         for one, other in zip((args[7], args[8][:1]), (copies[7], copies[8][:1]), strict=True):
             assert_close([part[:head] for part in one], [part[:head] for part in other], 1e-8)
@@ -133,7 +180,7 @@ def test_stretch_is_its_twin(monkeypatch):
 
     monkeypatch.setattr(kernels, "stretch", both)
     nf.replay(vehicle, mission, smooth=True)
-    assert len(compared) > 1
+    assert len(compared) > 1 and (kernels.LEARN in reasons) == learning
 
 
 def test_correction_is_its_twin_for_every_kind(monkeypatch):

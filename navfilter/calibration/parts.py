@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.filter.layout import Parameter
+from navfilter.filter.layout import Parameter, constant_parameters
 from navfilter.sensors import Sensor
 from navfilter.state import euler_from_matrix, matrix_from_euler, rotation_matrix
 from navfilter.vehicle import Vehicle
@@ -76,11 +76,11 @@ def constants_of(vehicle: Vehicle, each: Collection[str] = ()) -> tuple[Constant
         Kinds, or names, of those that are left out.
     """
     drive = vehicle.drive
-    found = [_constant(p, *_in_drive(vehicle, p.name)) for p in drive.all_parameters() if p.sd]
+    of_drive = constant_parameters(drive.all_parameters(), drive.wandering())
+    found = [_constant(p, *_in_drive(vehicle, p.name)) for p in of_drive if p.sd]
     for name, sensor in vehicle.sensors.items():
-        wandering = sensor.wandering()
-        for p in sensor.all_parameters():
-            if p.sd and p.name not in wandering:
+        for p in constant_parameters(sensor.all_parameters(), sensor.wandering()):
+            if p.sd:
                 place = ("sensors", name), sensor, p.name
                 found.append(_constant(p._replace(name=f"{name}.{p.name}"), *place))
     return tuple(one for one in found if one.name not in each and _kind(one.own) not in each)

@@ -11,8 +11,9 @@ import numpy as np
 
 from navfilter.check.amounts import amount, duration, root_density, walk
 from navfilter.constants import ROOT_HOUR
+from navfilter.cycle import Cycle
 from navfilter.error_models import Arma, Block, ErrorModel, GaussMarkov, RandomWalk, Sum, White
-from navfilter.filter.layout import Layout, Parameter
+from navfilter.filter.layout import Layout, Parameter, constant_parameters
 from navfilter.learning.learned import LearnedArma
 from navfilter.mechanisation import Mechanisation
 from navfilter.sensors import Sensor
@@ -68,7 +69,10 @@ def _drive_lines(drive: Mechanisation) -> Iterator[str]:
         yield from _error_lines(name, drive.models[part], drive.axis_names[part], drive.units[part], drive.period_s)
     if drive.velocity_sensor is not None:
         yield from _fitting_lines(drive.velocity_sensor)
-    yield from _parameter_lines(drive.all_parameters())
+    wandering = drive.wandering()
+    yield from _parameter_lines(constant_parameters(drive.all_parameters(), wandering))
+    units = {p.name: p.unit for p in drive.parameters()}
+    yield from _wandering_lines(wandering, units, drive.period_s)
 
 
 def _sensor_lines(name: str, sensor: Sensor) -> Iterator[str]:
@@ -77,10 +81,8 @@ def _sensor_lines(name: str, sensor: Sensor) -> Iterator[str]:
     yield from _fitting_lines(sensor)
     yield from _clock_lines(sensor)
     wandering = sensor.wandering()
-    yield from _parameter_lines(tuple(p for p in sensor.all_parameters() if p.name not in wandering))
-    units = {p.name: p.unit for p in sensor.parameters()}
-    for key, model in wandering.items():
-        yield _line(key.replace("_", " "), f"estimated, {describe_error(model, units[key], 1.0 / sensor.rate_hz)[0]}")
+    yield from _parameter_lines(constant_parameters(sensor.all_parameters(), wandering))
+    yield from _wandering_lines(wandering, {p.name: p.unit for p in sensor.parameters()}, 1.0 / sensor.rate_hz)
     share = 1.0 - sensor.gate_probability
     yield _line(
         "gate",
@@ -124,6 +126,14 @@ def _parameter_lines(parameters: tuple[Parameter, ...]) -> Iterator[str]:
     texts = [f"{p.name} {amount(p.sd, p.unit)}" for p in parameters if p.sd]
     if texts:
         yield _line("constants", f"estimated, sd at the start: {', '.join(texts)}")
+
+
+def _wandering_lines(wandering: dict[str, ErrorModel], units: dict[str, str], period_s: float) -> Iterator[str]:
+    """States that are not constant, with how they wander."""
+    for key, model in wandering.items():
+        parts = model.parts if isinstance(model, Sum) else (model,)
+        texts = " + ".join(_part(part, units[key], period_s) for part in parts)
+        yield _line(key.replace("_", " "), f"estimated, {texts}")
 
 
 def _line(label: str, text: str) -> str:
@@ -178,6 +188,9 @@ def _part(model: ErrorModel, unit: str, period_s: float) -> str:
             f"Gauss-Markov of {_ORDERS[model.order]} order: sd {amount(model.sd, unit)}, correlation time "
             f"{duration(model.tau_s)}"
         )
+    if isinstance(model, Cycle):
+        swing = f"swing of {duration(model.period_s)}: sd {amount(model.sd, unit)}"
+        return f"{swing}, another one after {duration(model.tau_s)}"
     if isinstance(model, Arma):
         return _arma("ARMA", (len(model.ar), len(model.ma)), model, unit, period_s)
     if isinstance(model, LearnedArma):

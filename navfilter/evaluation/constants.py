@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from navfilter.check.amounts import amount
 from navfilter.check.finding import Finding
-from navfilter.filter.layout import Parameter
+from navfilter.filter.layout import Parameter, constant_parameters
 from navfilter.track import Track
 
 __all__ = ["Constant", "constant_doubts", "constants"]
@@ -48,11 +48,11 @@ def constants(track: Track) -> tuple[Constant, ...]:
     """
     vehicle = track.vehicle
     drive = vehicle.drive
-    constant = (p for p in drive.all_parameters() if p.name not in drive.wandering())
+    constant = constant_parameters(drive.all_parameters(), drive.wandering())
     given: list[tuple[str, str, Parameter]] = [("", p.name, p) for p in constant]
     for name, sensor in vehicle.sensors.items():
-        wandering = sensor.wandering()
-        given += [(name, f"{name}.{p.name}", p) for p in sensor.all_parameters() if p.name not in wandering]
+        constant = constant_parameters(sensor.all_parameters(), sensor.wandering())
+        given += [(name, f"{name}.{p.name}", p) for p in constant]
     at = {name: i for i, name in enumerate(track.state_names)}
     return tuple(
         Constant(owner, name, p.unit, p.mean, p.sd, *(float(x[-1, at[name]]) for x in (track.states, track.states_sd)))

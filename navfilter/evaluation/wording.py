@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.arma.model import ArmaModel
+from navfilter.cycle import Cycle
 from navfilter.error_models import Arma, ErrorModel, GaussMarkov, RandomWalk, Sum, White
 from navfilter.identification.reading import Component, number, stationary_parts
 from navfilter.learning.learned import LearnedArma, learned_part
@@ -176,6 +177,8 @@ def _part_words(part: ErrorModel, scale: Scale) -> str:
         return _words(Component("white", math.sqrt(part.block(1.0 / scale.rate_hz).r)), scale)
     if isinstance(part, GaussMarkov):
         return _words(Component("gauss-markov", part.sd, part.tau_s), scale)
+    if isinstance(part, Cycle):
+        return f"{_words(Component('swing', part.sd), scale)} of {part.period_s:.3g} s"
     if isinstance(part, RandomWalk):
         return _words(Component("random walk", part.density / math.sqrt(scale.rate_hz)), scale)
     if isinstance(part, Arma):

@@ -66,9 +66,9 @@ class Intake:
     """What is known of the drive's clock.
 
     Stamps must rise. One that does not is dropped, and so is a stamp more than `DOUBT_S` ahead, unless the very next
-    one confirms it. A confirmed leap of more than `LONGEST_S`, or stamps that follow each other for a quarter of a
-    second but lie before the last good one, mean that the clock has been set: from then on all stamps are moved by
-    `offset_s`, so that time goes on, and back when it is put right.
+    one confirms it. A confirmed leap of more than `LONGEST_S`, and of as many periods as that has seconds, or stamps
+    that follow each other for a quarter of a second but lie before the last good one, mean that the clock has been set:
+    from then on all stamps are moved by `offset_s`, so that time goes on, and back when it is put right.
 
     Parameters
     ----------
@@ -90,6 +90,7 @@ class Intake:
         self.limits = np.ascontiguousarray(self._limits, dtype=np.float64)
         self._gap_s = strapdown.GAP_PERIODS * self._period_s
         self._doubt_s = max(self.DOUBT_S, 10.0 * self._period_s)
+        self._longest_s = self.LONGEST_S * max(1.0, self._period_s)  # what speaks seldom may be silent for long
         self._confirm = max(5, round(0.25 * drive.rate_hz))
         self._previous = strapdown.PREVIOUS if drive.inertial else strapdown.PREVIOUS_RPY
         # the first sample may come at the start itself
@@ -174,7 +175,7 @@ class Intake:
         righted = self.memory.offset_s > 0.0 and abs(stamp - before - self.memory.offset_s) < max(
             1.0, 0.01 * self.memory.offset_s
         )
-        if stamp - before <= self.LONGEST_S and not righted:
+        if stamp - before <= self._longest_s and not righted:
             return 0.0
         self.counts["clock-set"] += 1
         return -self.memory.offset_s if righted else before + 2.0 * self._period_s - stamp

@@ -16,7 +16,16 @@ from numpy.typing import NDArray
 
 from navfilter.error_models import block_diagonal
 
-__all__ = ["Calibrated", "Group", "Layout", "Parameter", "check_calibrated", "with_calibrated"]
+__all__ = [
+    "Calibrated",
+    "Group",
+    "Layout",
+    "Parameter",
+    "check_calibrated",
+    "constant_parameters",
+    "hidden_states",
+    "with_calibrated",
+]
 
 Array = NDArray[np.float64]
 
@@ -101,6 +110,24 @@ def _checked(parameters: Iterable[Any], owner: str) -> tuple[Parameter, ...]:
     return tuple(Parameter(*given) for given in parameters)
 
 
+def output_first(block: Any) -> tuple[Array, Array, Array]:
+    """Phi, Q and P0 of the same process with its output ``C @ x`` in the place of the first state."""
+    M = np.eye(block.size)
+    M[0] = block.C
+    back = np.linalg.inv(M)
+    return M @ block.Phi @ back, M @ block.Q @ M.T, M @ block.P0 @ M.T
+
+
+def hidden_states(name: str, block: Any, unit: str) -> tuple[Parameter, ...]:
+    """The further states of a parameter that wanders by a block of several."""
+    return tuple(Parameter(f"{name}[{j}]", math.sqrt(block.P0[j, j]), unit) for j in range(1, block.size))
+
+
+def constant_parameters(parameters: Iterable[Parameter], wandering: Mapping[str, Any]) -> tuple[Parameter, ...]:
+    """Those that do not wander."""
+    return tuple(p for p in parameters if p.name.partition("[")[0] not in wandering)
+
+
 @dataclass(frozen=True)
 class Group:
     """The states of one sensor (or of the drive) side by side.
@@ -154,8 +181,10 @@ class Group:
         prefix: str = "",
         wandering: Mapping[str, Any] | None = None,
     ) -> Group:
-        """Stack the blocks of the axes and the parameters; those that are not constant have a block of one state in
-        `wandering`.
+        """Stack the blocks of the axes and the parameters; those that are not constant have a block in `wandering`.
+
+        A parameter is the output of its block. Of the further states of the block, which are parameters too, see
+        `hidden_states`, each stands for itself.
         """
         parameters, wandering = _checked(tuple(parameters), prefix or "the drive"), wandering or {}
         k = len(parameters)
@@ -176,9 +205,12 @@ class Group:
         dot = f"{prefix}." if prefix else ""
         names += [f"{dot}{p.name}" for p in parameters]
         units += [p.unit for p in parameters]
+        keep, noise = np.eye(k), np.zeros((k, k))
         variances = np.diag([p.sd**2 for p in parameters]) if k else np.zeros((0, 0))
-        keep = np.diag([float(wandering[p.name].Phi[0, 0]) if p.name in wandering else 1.0 for p in parameters])
-        noise = np.diag([float(wandering[p.name].Q[0, 0]) if p.name in wandering else 0.0 for p in parameters])
+        place = {p.name: i for i, p in enumerate(parameters)}
+        for name, block in wandering.items():
+            rows = np.ix_(*2 * ([place[name], *(place[f"{name}[{j}]"] for j in range(1, block.size))],))
+            keep[rows], noise[rows], variances[rows] = output_first(block)
         r = np.array([b.r for b in blocks])
         return cls(
             start,

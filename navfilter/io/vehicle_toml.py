@@ -24,6 +24,7 @@ from typing import Annotated, Any, ClassVar, Literal, Union
 import numpy as np
 from pydantic import AfterValidator, Discriminator, Field, Tag, create_model, model_validator
 
+import navfilter.cycle  # noqa: F401 - kinds are those whose module has been imported
 from navfilter.arma.model import ArmaModel
 from navfilter.error_models import ErrorModel, Sum
 from navfilter.filter.offsets import Offset

@@ -449,7 +449,7 @@ def _carry(A, column, U, sees, a, L, scale, X, row, root, r):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def channel_filter(y, theta, chain, sees, rules, e, lns):
+def channel_filter(y, theta, chain, sees, rules, plan, tolerance, e, lns):
     """Standardised innovations and ln S of a series with gaps; returns minus the log-likelihood.
 
     y (N,) with NaN where a sample is missing; sees (r,) how the reading sees the chain. The first DIFFUSE states start
@@ -458,16 +458,9 @@ def channel_filter(y, theta, chain, sees, rules, e, lns):
     state clipped and the likelihood by Huber's function. `e` (N,) is NaN and `lns` 0 where nothing counts. Infinite if
     not stationary, or so nearly integrating that the start's covariance is only rounding.
 
-    Where the gain changes by no more than the part TOLERANCE over 8 to 256 ticks, it is interpolated between both ends;
-    the covariance at the far end is exact (by doubling). 0: every tick by itself.
-    """
-    return _filter(y, theta, chain, sees, rules, np.zeros(y.size, np.int64), rules[TOLERANCE], e, lns)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _filter(y, theta, chain, sees, rules, plan, tolerance, e, lns):
-    """`channel_filter`; where it leapt how far (2^level ticks) is noted in `plan` (N,), or done as noted there (a
-    `tolerance` below 0).
+    Where the gain changes by no more than the part `tolerance` over 8 to 256 ticks, it is interpolated between both
+    ends; the covariance at the far end is exact (by doubling). 0: every tick by itself. Where it leapt how far (2^level
+    ticks) is noted in `plan` (N,), or done as noted there (a `tolerance` below 0).
     """
     r, m = sees.size, (theta.size - 1) // 2
     U = chain[TRANSITION]
@@ -544,7 +537,7 @@ def _filter(y, theta, chain, sees, rules, plan, tolerance, e, lns):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _contribution(z, lns, clip):
+def contribution(z, lns, clip):
     """What standardised innovations and ln S of a stretch add to minus the log-likelihood; NaN does not count."""
     total = 0.0
     for t in range(z.size):
@@ -553,22 +546,6 @@ def _contribution(z, lns, clip):
             total += HALF_LOG_2PI + 0.5 * lns[t]
             total += clip * (size - 0.5 * clip) if size > clip else 0.5 * size * size
     return total
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def channel_line(y, theta, chain, sees, rules, integrators, sizes, first, e, lns, values):
-    """Minus the log-likelihood of the samples from `first` on, given those before, into `values` (k,): for states after
-    the first `integrators` with noise and start of `chain` times each of the variances `sizes` (k,).
-    """
-    r = sees.size
-    parts = chain.copy()
-    for k in range(sizes.size):
-        for part in (NOISE, START):
-            for i in range(integrators, r):
-                for j in range(integrators, r):
-                    parts[part, i, j] = sizes[k] * chain[part, i, j]
-        whole = _filter(y, theta, parts, sees, rules, np.zeros(y.size, np.int64), rules[TOLERANCE], e, lns)
-        values[k] = _contribution(e[first:], lns[first:], rules[CLIP]) if whole < math.inf else math.inf
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract"})
@@ -581,34 +558,23 @@ def _dot(u, v):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def channel_scores(y, thetas, chains, sees, rules, steps, E, LNS, info, gradient):
-    """Minus the log-likelihood at ``thetas[0]`` and ``chains[0]``, its gradient and the Fisher information.
+def channel_scores(E, LNS, steps, clip, info, gradient):
+    """Gradient of minus the log-likelihood and the Fisher information, from innovations and ln S, `E` and `LNS`
+    (k+1, N): in row 0 those of a model, in the others those with one of its k parameters moved by ``steps[i]``.
 
-    The other rows of `thetas` (k+1, 2m+1) and `chains` (k+1, 3, r, r) are those of a model with one of its k parameters
-    moved by ``steps[i]``: derivatives of innovations and ln S are differences. With z the standardised innovation,
-    ``gradient = sum(psi(z) dz + dlnS / 2)`` and ``info = sum(dv dv'/S + dlnS dlnS'/2)``, ``dv/sqrt(S) = dz + z dlnS/2``
-    (Harvey 1989, eqs 3.4.69-70). `E` and `LNS` (k+1, N) receive innovations and ln S in row 0, derivatives in the
-    others. A step that leaves the stationary region gives an infinite value: the caller chooses steps that do not.
+    Derivatives of innovations and ln S are differences; they take the place of those rows. With z the standardised
+    innovation, ``gradient = sum(psi(z) dz + dlnS / 2)`` and ``info = sum(dv dv'/S + dlnS dlnS'/2)``, ``dv/sqrt(S) = dz
+    + z dlnS/2`` (Harvey 1989, eqs 3.4.69-70).
     """
-    k = steps.size
-    clip = rules[CLIP]
-    plan = np.zeros(y.size, np.int64)
-    value = 0.0
-    for i in range(k + 1):
-        tolerance = rules[TOLERANCE] if i == 0 else -1.0
-        found = _filter(y, thetas[i], chains[i], sees, rules, plan, tolerance, E[i], LNS[i])
-        if i == 0:
-            value = found
-        elif not found < math.inf:
-            return math.inf
-    psi = np.empty(y.size)
-    for t in range(y.size):
+    n = E.shape[1]
+    psi = np.empty(n)
+    for t in range(n):
         z = E[0, t]
         psi[t] = 0.0 if math.isnan(z) else min(max(z, -clip), clip)
-    for i in range(k):
+    for i in range(steps.size):
         per = 1.0 / steps[i]
         slope = 0.0
-        for t in range(y.size):
+        for t in range(n):
             z = E[0, t]
             counts = not math.isnan(z)
             by_s = (LNS[i + 1, t] - LNS[0, t]) * per if counts else 0.0
@@ -619,4 +585,3 @@ def channel_scores(y, thetas, chains, sees, rules, steps, E, LNS, info, gradient
         gradient[i] = slope
         for j in range(i + 1):
             info[i, j] = info[j, i] = _dot(E[i + 1], E[j + 1]) + 0.5 * _dot(LNS[i + 1], LNS[j + 1])
-    return value

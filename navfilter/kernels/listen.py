@@ -15,6 +15,30 @@ import math
 from numba import njit
 
 NOTHING, HEADING, POSITION, VELOCITY = 0, 1, 2, 3
+# An `ear`, what is listened with to one channel over many readings: kind of its open loop, ticks noted and capacity of
+# its ring, ticks by which there is something to do; whether it is watched for a change of its error, by which share a
+# reading counts then, mean NIS per degree of freedom, ticks from which on it is judged; nine elements of `mount`.
+KIND, NOTED, CAPACITY, DUE, WATCHED, SHARE, NIS, JUDGED, MOUNT = range(9)
+EAR = MOUNT + 9
+# A change is noticed when the mean NIS has left these limits [1]: it is the one-step likelihood of the model in force,
+# and a variance wrong by two is more than what a posterior leaves open. A single reading counts up to the last number:
+# a spike is no change.
+CALM_LEAST, CALM_MOST, NIS_MOST = 0.4, 2.0, 25.0
+
+
+@njit(cache=True)
+def attend(ear, nis, dof, ticks, learning):
+    """After a reading: count its ticks and, where it is time for learning, see how it fared; True when the error seems
+    to have changed, or enough ticks have been noted.
+    """
+    ear[NOTED] += 1.0 + min(max(ticks - 1.0, 0.0), ear[CAPACITY])
+    if not learning:
+        return False
+    if ear[WATCHED] != 0.0 and dof > 0.0 and math.isfinite(nis):
+        ear[NIS] += ear[SHARE] * (min(nis / dof, NIS_MOST) - ear[NIS])
+        if ear[NOTED] >= ear[JUDGED] and not CALM_LEAST < ear[NIS] < CALM_MOST:
+            return True
+    return ear[NOTED] >= ear[DUE]
 
 
 @njit(cache=True)

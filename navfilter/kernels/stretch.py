@@ -10,9 +10,9 @@ import math
 import numpy as np
 from numba import njit
 
-from navfilter.kernels import checksum, drive_watch, kalman, measurement, strapdown
+from navfilter.kernels import checksum, drive_watch, kalman, listen, measurement, strapdown
 
-SOURCES = checksum(drive_watch, kalman, measurement, strapdown)
+SOURCES = checksum(drive_watch, kalman, listen, measurement, strapdown)
 
 
 def _keyed(make):
@@ -47,21 +47,25 @@ VERDICT, RECORD, PLAN = 20, 21, 22
 # Elements of `now`: time of the state and of the last sample, stamp of the last sample, time of the last row written.
 TIME_S, SAMPLE_S, BEFORE_S, ROW_S = range(4)
 # Elements of `cursor`: reading, sample, samples whose transition is not in P yet, gaps, rows written, records written,
-# elements of them; samples that are steps already.
-READING, SAMPLE, UNFOLDED, GAPS, ROWS, RECORDS, WRITTEN, STEPPED = range(8)
+# elements of them; samples that are steps already; one spare.
+READING, SAMPLE, UNFOLDED, GAPS, ROWS, RECORDS, WRITTEN, STEPPED, SPARE = range(9)
 # Elements of `settings`: period of the drive, how far ahead a reading may be, samples between folds, silence that is a
-# gap, silence that is in doubt, when something is due, interval of the rows; whether samples are increments.
-PERIOD_S, AHEAD_S, FOLD_EVERY, GAP_S, DOUBT_S, UNTIL_S, INTERVAL_S, INCREMENTS = range(8)
-# Columns of `heard`, a row a channel: last reading, last tick, period, whether readings before have been refused.
-LAST_S, TICKED_S, CHANNEL_PERIOD_S, DOUBTED = range(4)
+# gap, silence that is in doubt, when something is due, interval of the rows; whether samples are increments; from when
+# on it is learnt from readings, and what a tilt turns into acceleration (see `listen`).
+PERIOD_S, AHEAD_S, FOLD_EVERY, GAP_S, DOUBT_S, UNTIL_S, INTERVAL_S, INCREMENTS, LEARN_S, GRAVITY = range(10)
+# Columns of `heard`, a row a channel: last reading, last tick, period, whether readings before have been refused, ticks
+# of the last reading.
+LAST_S, TICKED_S, CHANNEL_PERIOD_S, DOUBTED, TICKS = range(5)
 # Columns of `watched`, a row a channel: equal values in a row, since when, heard last, used last, running NIS, used.
 SAME, SINCE_S, HEARD_S, USED_S, NIS, USED = range(6)
 NIS_MEMORY, NIS_MOST = 50.0, 100.0  # readings; a single one counts up to this NIS per component
+# The same value so many times and for so long is stuck, as `navfilter.filter.health.Watch` has it.
+STUCK_READINGS, STUCK_S = 10.0, 10.0
 
 # Why a stretch has ended: all is done; the next reading, or the samples before it, are for Python; its samples are
 # taken, the reading is for Python; it was not used: Python says what follows; no room is left in the output; the watch
-# over the drive has found something that Python has to heed.
-DONE, NEXT, REFUSED, JUDGED, FULL, HEED = range(6)
+# over the drive has found something that Python has to heed; after the last reading there is something to learn.
+DONE, NEXT, REFUSED, JUDGED, FULL, HEED, LEARN = range(7)
 
 
 @_keyed
@@ -240,13 +244,13 @@ def _heeded(sources):
 @_keyed
 def _carried(sources):
     @njit(cache=True)
-    def _carried(now, cursor, settings, spot, P, nav, x, acc, drive, samples, stamps, out, work):
+    def _carried(now, cursor, settings, spot, P, nav, x, acc, drive, samples, stamps, undone, out, work):
         """Carry the state over a block of steps (see `strapdown.stamps_to_steps`), folding as often as is due; False
         where Python has to heed what the watch over the drive has found.
 
         stamps: of the same samples; spot: last row of `plan`; drive: memory, Phi, Q and output rows of the drive, then
-        what the watch remembers, and its standard deviations and limits; out: rows, their info, records and their
-        heads; work: a transition (m * m,), then (m, n) for the fold.
+        what the watch remembers, and its standard deviations and limits; undone: see `listen`, empty where nobody
+        listens; out: rows, their info, records and their heads; work: a transition (m * m,), then (m, n) for the fold.
         """
         _ = sources
         m, n = acc.shape[1], P.shape[0]
@@ -268,6 +272,8 @@ def _carried(sources):
                         head[i * m + j] = acc[i, j]
                 kalman.fold(P, acc, nav, work[m * m : m * m + m * n].reshape((m, n)))
                 cursor[UNFOLDED] = 0
+                if undone.size > 0:
+                    listen.carry(undone, head.reshape((m, m)))
                 _note_record(head, int(0), spot, cursor, records, heads)
                 _note_row(now, cursor, settings[INTERVAL_S], nav, x, P, rows, info)
             begin = end
@@ -308,23 +314,66 @@ def _fared(sources):
 
 
 @_keyed
-def stretch(sources):
+def _listened(sources):
     @njit(cache=True)
-    def stretch(now, cursor, settings, bench, plan, heard, watched, state, drive, samples, stamps, limits, given, out):
+    def _listened(cursor, settings, bench, own, nav, x, Cr, t, ticks, undone, ear, places, opened):
+        """What `navfilter.learning.schedule.LearningSchedule` does after a reading that was used; True when something
+        is to be learnt. own: row of `plan`; ear, places, opened: see `stretch`.
+        """
+        _ = sources
+        a, m, errors = own[0], own[2], own[5]
+        mem = bench[own[MEM] : own[CONSTANTS]]
+        C = bench[own[OUTPUT] : own[OUTPUT] + a * errors].reshape((a, errors))
+        listen.carry(undone, mem[: m * m].reshape((m, m)))
+        cursor[SPARE], once = 0, int(1)
+        listen.listen(
+            undone,
+            mem,
+            own[:7],
+            places,
+            nav,
+            C,
+            x,
+            int(ear[listen.KIND]),
+            ear[listen.MOUNT : listen.MOUNT + 9],
+            opened[1 : 1 + a].reshape((a, 1)),
+            cursor[SPARE : SPARE + 1],
+            once,
+            Cr,
+            settings[GRAVITY],
+        )
+        opened[0] = ticks
+        verdict = own[MEM] + own[VERDICT]
+        return ear[listen.KIND] != 0.0 and listen.attend(
+            ear, bench[verdict], bench[verdict + 1], ticks, t >= settings[LEARN_S]
+        )
+
+    return _listened
+
+
+@_keyed
+def stretch(sources):
+    @njit(cache=True, nogil=True)
+    def stretch(
+        now, cursor, settings, bench, plan, heard, watched, state, drive, samples, stamps, limits, hearing, given, out
+    ):
         """Samples and readings in the order of their times, until all are done or something is Python's; says why it
         ended.
 
         now, cursor, settings, plan, heard, watched, bench: as described at the head of this file; they, and `state`
         (nav, x, P, acc), are left as they are then. samples (s, 7): work space, their stamps first; stamps (s,);
-        limits: of their values. given, of readings: when taken (r,), channel, samples before it, whether Python has
-        found nothing wrong with it, whether its value is that of the one before; values (r, w), and own variances (r,
-        a), or one row of NaN; notes (r, 3 + 2a), which receive the verdicts. out: as in `_carried`.
+        limits: of their values. hearing: `undone` (see `listen`; empty where nobody listens), ears of the channels,
+        their `kalman.places`, and (r, 1 + a) for ticks and open-loop residual of each reading. given, of readings: when
+        taken (r,), channel, samples before it, whether Python has found nothing wrong with it, whether its value is
+        that of the one before; values (r, w), and own variances (r, a), or one row of NaN; notes (r, 3 + 2a), which
+        receive the verdicts. out: as in `_carried`.
         """
         _ = sources
         nav, x, P, acc = state
         drv, Cr, Phid, Qd = drive[0], drive[3], drive[1], drive[2]
         times, which, ends, good, same, values, variances, notes = given
         rows, info, records, heads = out
+        undone, ears, places, opened = hearing
         m, n = acc.shape[1], P.shape[0]
         period_s, spot = settings[PERIOD_S], plan[plan.shape[0] - 1]
         work, limit = bench[spot[MEM] : spot[MEM] + m * m + m * n], int(settings[FOLD_EVERY])
@@ -332,6 +381,10 @@ def stretch(sources):
             cursor[READING] = e
             i, t, begin, end = which[e], times[e], cursor[SAMPLE], ends[e]
             if t >= settings[UNTIL_S] or not good[e] or heard[i, DOUBTED] != 0.0:
+                return NEXT
+            seen = watched[i]
+            stuck = seen[SAME] + 1.0 >= STUCK_READINGS and seen[HEARD_S] - seen[SINCE_S] >= STUCK_S
+            if undone.size > 0 and same[e] and stuck:
                 return NEXT
             more = 2 + (end - begin) // limit
             if cursor[ROWS] + more > rows.shape[0] or cursor[RECORDS] + more > heads.shape[0]:
@@ -346,7 +399,7 @@ def stretch(sources):
                         return NEXT
                     cursor[GAPS] += gaps
                     cursor[STEPPED] = end
-                if not _carried(now, cursor, settings, spot, P, nav, x, acc, drive, block, taken, out, work):
+                if not _carried(now, cursor, settings, spot, P, nav, x, acc, drive, block, taken, undone, out, work):
                     return HEED
             early_s, mine = t - now[TIME_S], heard[i]
             if t <= mine[LAST_S] or early_s < -1.001 * period_s or t - now[SAMPLE_S] > settings[AHEAD_S]:
@@ -360,7 +413,7 @@ def stretch(sources):
             own = plan[i]
             correction(bench, own, P, nav, x, acc, drv, Cr, values[e], variances[min(e, variances.shape[0] - 1)], count)
             cursor[UNFOLDED] = 0
-            mine[LAST_S] = t
+            mine[LAST_S], mine[TICKS] = t, count
             verdict, a = own[MEM] + own[VERDICT], own[0]
             for j in range(3 + 2 * a):
                 notes[e, j] = bench[verdict + j]
@@ -369,6 +422,11 @@ def stretch(sources):
             _note_record(bench[own[MEM] : own[MEM] + own[RECORD]], a, own, cursor, records, heads)
             _note_row(now, cursor, settings[INTERVAL_S], nav, x, P, rows, info)
             _fared(watched[i], t, notes[e, 0], notes[e, 1])
+            if undone.size > 0 and _listened(
+                cursor, settings, bench, own, nav, x, Cr, t, count, undone, ears[i], places[i], opened[e]
+            ):
+                cursor[READING] = e + 1
+                return LEARN
         cursor[READING] = times.size
         return DONE
 

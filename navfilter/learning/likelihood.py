@@ -111,7 +111,7 @@ class Likelihood:
             parts, sees = self._parts(theta, slow), self._sees[slow]
             padded = _padded(self.fast(theta, slow), p)
             self._at = at
-            self._last = float(kernel.channel_filter(self.y, padded, parts, sees, self.rules, self._E[0], self._LNS[0]))
+            self._last = filtered(self.y, padded, parts, sees, self.rules, self._E[0], self._LNS[0])
         return self._last
 
     def line(self, fast: Array, p: int, slow: int, log_tau: float, log_sd: Array, first: int) -> Array:
@@ -120,10 +120,9 @@ class Likelihood:
         """
         values, sizes = np.empty(log_sd.size), np.exp(2.0 * (log_sd + self.log_unit))
         self._at = (-1, 0, b"")
-        kernel.channel_line(
-            *(self.y, _padded(fast, p), self._shape(slow, log_tau), self._sees[slow], self.rules),
-            *(self._chain.shape[1], sizes, first, self._E[0], self._LNS[0], values),
-        )
+        parts, sees, beside = self._shape(slow, log_tau), self._sees[slow], self._chain.shape[1]
+        e, lns = self._E[0], self._LNS[0]
+        line(self.y, _padded(fast, p), parts, sees, self.rules, beside, sizes, first, e, lns, values)
         return values
 
     def penalised(self, theta: Array, p: int, slow: int = 0) -> float:
@@ -153,7 +152,7 @@ class Likelihood:
         thetas = np.array([_padded(self.fast(row, slow), p) for row in moved])
         info, gradient = np.empty((k, k)), np.empty(k)
         E, LNS = self._E[: k + 1], self._LNS[: k + 1]
-        value = float(kernel.channel_scores(self.y, thetas, chains, sees, self.rules, steps, E, LNS, info, gradient))
+        value = scores(self.y, thetas, chains, sees, self.rules, steps, E, LNS, info, gradient)
         self._at, self._last = ((p, slow, theta.tobytes()) if value < math.inf else (-1, 0, b"")), value
         if slow and self.prior is not None:
             prior, log_sd = self.prior, theta[-2] - self.log_unit
@@ -194,6 +193,66 @@ class Likelihood:
             out[-2] = min(max(out[-2], low), high)
             out[-1] = min(max(out[-1], quickest), slowest)
         return out
+
+
+def filtered(y: Array, theta: Array, chain: Array, sees: Array, rules: Array, e: Array, lns: Array) -> float:
+    """Minus the log-likelihood of a series, its innovations and ln S into `e` and `lns`; see `kernel.channel_filter`,
+    which stands alone, so that the dearest kernel of all is compiled once.
+    """
+    plan = np.zeros(y.size, np.int64)
+    return float(kernel.channel_filter(y, theta, chain, sees, rules, plan, rules[kernel.TOLERANCE], e, lns))
+
+
+def line(
+    y: Array,
+    theta: Array,
+    chain: Array,
+    sees: Array,
+    rules: Array,
+    integrators: int,
+    sizes: Array,
+    first: int,
+    e: Array,
+    lns: Array,
+    values: Array,
+) -> None:
+    """Minus the log-likelihood of the samples from `first` on, given those before, into `values` (k,): for states after
+    the first `integrators` with noise and start of `chain` times each of the variances `sizes` (k,).
+    """
+    for k, size in enumerate(sizes.tolist()):
+        parts = chain.copy()
+        parts[1:, integrators:, integrators:] *= size
+        whole = filtered(y, theta, parts, sees, rules, e, lns)
+        values[k] = kernel.contribution(e[first:], lns[first:], rules[kernel.CLIP]) if whole < math.inf else math.inf
+
+
+def scores(
+    y: Array,
+    thetas: Array,
+    chains: Array,
+    sees: Array,
+    rules: Array,
+    steps: Array,
+    E: Array,
+    LNS: Array,
+    info: Array,
+    gradient: Array,
+) -> float:
+    """Minus the log-likelihood at ``thetas[0]`` and ``chains[0]``, its gradient and the Fisher information.
+
+    The other rows of `thetas` (k+1, 2m+1) and `chains` (k+1, 3, r, r) are those of a model with one of its k parameters
+    moved by ``steps[i]``; they leap where the first has leapt. `E` and `LNS` (k+1, N) receive innovations and ln S in
+    row 0, derivatives in the others. A step that leaves the stationary region gives an infinite value: the caller
+    chooses steps that do not.
+    """
+    plan, tolerance, values = np.zeros(y.size, np.int64), rules[kernel.TOLERANCE], []
+    for theta, chain, e, lns in zip(thetas, chains, E, LNS, strict=True):
+        values.append(float(kernel.channel_filter(y, theta, chain, sees, rules, plan, tolerance, e, lns)))
+        tolerance = -1.0
+    if not max(values[1:], default=0.0) < math.inf:
+        return math.inf
+    kernel.channel_scores(E, LNS, steps, rules[kernel.CLIP], info, gradient)
+    return values[0]
 
 
 @dataclass(frozen=True, eq=False)

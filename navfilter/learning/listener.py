@@ -27,6 +27,7 @@ from navfilter.learning.learned import (
 from navfilter.learning.learner import Learner, LearnerMemory, Learnt, memories, recall
 from navfilter.learning.limits import LEAST
 from navfilter.learning.slow import SlowPrior, slow_prior
+from navfilter.learning.spikes import without_spikes
 from navfilter.learning.unseen import white_description
 from navfilter.learning.worker import Task, Worker
 from navfilter.sensors import Sensor
@@ -35,18 +36,12 @@ from navfilter.vehicle import Vehicle
 __all__ = ["ChannelSeries", "Hop", "Listener", "ListenerMemory"]
 
 Array = NDArray[np.float64]
-#: A change is noticed when the mean NIS over `MEMORY_S` has left these limits, per degree of freedom [1]: it is the
-#: one-step likelihood of the model in force, and a variance wrong by two is more than what a posterior leaves open.
-CALM = (0.4, 2.0)
-#: Time constant of that mean, and least age of a model that is judged by it [s]: at 8 Hz its sd is 0.06.
+#: Time constant of the mean NIS by which a change is noticed, and least age of a model that is judged by it [s]: at 8
+#: Hz its sd is 0.06.
 MEMORY_S, PROBATION_S = 30.0, 90.0
-#: A single reading counts up to this NIS per degree of freedom: a spike is no change.
-MOST_NIS = 25.0
 #: The answer of a hop is taken so much later [s]: what learning may take on a slow machine, and little against the
 #: half minute that is the least a hop learns from.
 TAKEN_AFTER_S = 2.0
-#: A sample so many robust deviations from its neighbours is a spike.
-SPIKE = 8.0
 #: So many stretches that are left out are remembered: a window of an hour with one every four minutes.
 LEFT_OUT = 16
 NEVER = int(np.iinfo(np.int64).max)
@@ -210,7 +205,7 @@ class Listener:
             )
             for part, drift, r in zip(learned, self.drifts, self.white, strict=True)
         )
-        self.window = window
+        self.window, self._share = window, min(1.0, self.period_s / MEMORY_S)
         self.hop = min((part.hop or part.window // 2 for part in learned if part is not None), default=0)
         # what is left out as too new, and what going back writes over
         capacity = capacity or window + round(2.0 * behind_s * sensor.rate_hz) + 64
@@ -281,6 +276,26 @@ class Listener:
         hop = self._memory.hop
         return hop is not None and bool(self._memory.cursor[0] >= hop.taken)
 
+    @property
+    def ear(self) -> Array:
+        """What a kernel needs to listen over many readings, see `navfilter.kernels.listen`."""
+        memory = self._memory
+        due = memory.due if memory.hop is None else memory.hop.taken
+        noted, capacity = int(memory.cursor[0]), memory.ring.shape[1]
+        watched = self.window > 0, self._share, memory.nis, memory.judged
+        return np.array([self.kind, noted, capacity, due, *watched, *self.mount], dtype=np.float64)
+
+    def caught_up(self, ear: Array, ticks: Array, values: Array) -> None:
+        """Take over what a kernel has heard: ticks of each reading, and open-loop residuals (n, axes)."""
+        memory, capacity = self._memory, self._memory.ring.shape[1]
+        ends = np.cumsum(1 + np.clip(ticks.astype(np.int64) - 1, 0, capacity))
+        new = np.full((int(ends[-1]), values.shape[1]), np.nan)
+        new[ends - 1] = values
+        places = (memory.cursor[0] + np.arange(len(new)))[-capacity:] % capacity
+        memory.ring[:, places] = new[-capacity:].T
+        memory.cursor[0] += len(new)
+        memory.nis = float(ear[listen.NIS])
+
     def settle(self, age_s: float) -> None:
         """The beginning will be done again: nothing is learnt again from what was heard before now; the last tick was
         `age_s` ago.
@@ -309,9 +324,13 @@ class Listener:
         memory = self._memory
         if not dof or not math.isfinite(nis):
             return
-        memory.nis += min(1.0, self.period_s / MEMORY_S) * (min(nis / dof, MOST_NIS) - memory.nis)
-        now = int(memory.cursor[0])
-        if now < memory.judged or CALM[0] < memory.nis < CALM[1]:
+        memory.nis += self._share * (min(nis / dof, listen.NIS_MOST) - memory.nis)
+        self.judge()
+
+    def judge(self) -> None:
+        """Whether the error has changed, by the mean NIS."""
+        memory = self._memory
+        if int(memory.cursor[0]) < memory.judged or listen.CALM_LEAST < memory.nis < listen.CALM_MOST:
             return
         # noticed within a time constant
         self.learn_anew(round(MEMORY_S / self.period_s))
@@ -409,26 +428,3 @@ def believed(part: LearnedArma, period_s: float) -> SlowPrior | None:
 def span_s(part: LearnedArma, period_s: float) -> float:
     """Time that the window of a learnt part holds, as far as it counts [s]."""
     return min(part.window * period_s, LONGEST_SPAN_S)
-
-
-def without_spikes(series: Array) -> Array:
-    """A copy with NaN where a sample stands out from the median of the five around it by more than `SPIKE` robust
-    deviations.
-
-    The filter's gate cannot do this: it judges by what is believed of the sensor, which is what is to be learnt.
-    """
-    result = np.array(series, dtype=np.float64)
-    known = np.flatnonzero(np.isfinite(result))
-    if known.size < 5:
-        return result
-    # the drift may run away by metres per tick: most of it is a low polynomial
-    place = known / max(float(known[-1]), 1.0) * 2.0 - 1.0
-    y = result[known]
-    y = y - np.polynomial.chebyshev.chebval(place, np.polynomial.chebyshev.chebfit(place, y, 5))
-    padded = np.concatenate([y[[2, 1]], y, y[[-2, -3]]])
-    off = y - np.median(np.lib.stride_tricks.sliding_window_view(padded, 5), axis=1)
-    size = np.abs(off)
-    # where most samples equal their median (quantised readings), the mean of the others says how much is ordinary
-    scale = max(float(np.median(size)) * 1.4826, float(np.mean(np.minimum(size, np.quantile(size, 0.99)))))
-    result[known[size > SPIKE * scale]] = np.nan
-    return result

@@ -27,7 +27,7 @@ __all__ = ["Again", "LearningMemory", "LearningSchedule"]
 Array = NDArray[np.float64]
 #: So many refused readings on end, all off by the same at once, are no outliers any more.
 JUMPED = 3
-_NO_RING, _NO_CURSOR, _NO_MOUNT = np.zeros((1, 1)), np.zeros(1, np.int64), np.zeros(9)
+_NO_RING, _NO_CURSOR, _NO_MOUNT, _NOTHING = np.zeros((1, 1)), np.zeros(1, np.int64), np.zeros(9), np.zeros(0)
 
 
 @dataclass(frozen=True)
@@ -260,15 +260,40 @@ class LearningSchedule:
             first, *rest = self._waiting
             self._waiting = tuple(rest)
             return (first,)
-        early = self._stage < len(self.EARLY_S) or self.again is not None
-        if listener is None or early or event.time_s < self._quiet_s:
+        if listener is None or event.time_s < self.learning_s:
             return ()
         if listener.window and not doubtful:
             listener.notice(event.outcome.nis, event.outcome.dof)
+        return self._due(listener, event.outcome.accepted)
+
+    def _due(self, listener: Listener, accepted: bool) -> Sequence[Change]:
         models = listener.learnt() if listener.is_answered else None
-        if listener.is_due and event.outcome.accepted:
+        if listener.is_due and accepted:
             listener.begin_hop()
-        return () if models is None else (Change(channel.name, models),)
+        return () if models is None else (Change(listener.name, models),)
+
+    @property
+    def learning_s(self) -> float:
+        """From then on each reading is looked at for what is due [s]; infinite at the early ages."""
+        early = self._stage < len(self.EARLY_S) or self.again is not None
+        return math.inf if early else self._quiet_s
+
+    @property
+    def is_waiting(self) -> bool:
+        """Whether the next reading brings a model to adopt."""
+        return bool(self._waiting)
+
+    @property
+    def fed_back(self) -> Array:
+        """What a kernel that listens goes on from, see `LearningMemory`; empty where nobody listens."""
+        return self._fed_back if self.listeners else _NOTHING
+
+    def learn(self, name: str) -> Sequence[Change]:
+        """Something is due after a reading of this sensor, of many that a kernel has taken; as `heard`."""
+        listener = self.listeners[name]
+        if listener.window:
+            listener.judge()
+        return self._due(listener, True)
 
     def _state_reset(self, kind: int) -> None:
         """The state has been reset to what sensors of a kind say: an open loop knows nothing of that step, nor of what

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navfilter.error_models import ErrorModel, White, per_axis
-from navfilter.filter.layout import Calibrated, Parameter, check_calibrated, with_calibrated
+from navfilter.filter.layout import Calibrated, Parameter, check_calibrated, constant_parameters, with_calibrated
 from navfilter.kernels import listen
 from navfilter.learning.drift import Drift
 from navfilter.learning.learned import resolve_prior
@@ -172,8 +172,8 @@ class Sensor:
 
     def _check_calibrated(self, owner: str) -> None:
         """Refuse constants that this sensor does not have."""
-        known = [p.name for p in self.parameters() if p.name not in self.wandering()] if self.calibrated else []
-        check_calibrated(owner, self.calibrated, known)
+        known = constant_parameters(self.parameters(), self.wandering()) if self.calibrated else ()
+        check_calibrated(owner, self.calibrated, [p.name for p in known])
 
     @property
     def models(self) -> tuple[ErrorModel, ...]:
@@ -306,7 +306,7 @@ class Sensor:
 
         Default: each of the parameters that is constant.
         """
-        return {p.name: (p.sd,) for p in self.parameters() if p.name not in self.wandering()}
+        return {p.name: (p.sd,) for p in constant_parameters(self.parameters(), self.wandering())}
 
     def simulated(self, here: Kinematics, truth: Truth) -> Reading:
         """What it reads along a motion: the truth side of the measurement equation, written from the definition, not

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.error_models import ErrorModel, GaussMarkov, White
-from navfilter.filter.layout import Parameter
+from navfilter.filter.layout import Parameter, hidden_states
 from navfilter.kernels import listen, measurement
 from navfilter.learning.drift import Drift
 from navfilter.learning.learned import learning_part
@@ -190,17 +190,22 @@ class WaterVelocity(BodyVelocity):
         Standard deviation of each component of the current [m/s].
     current_tau_s : float
         Its correlation time [s]: in dt << tau the current changes by ``sd * sqrt(2 dt / tau)``.
+    current : ErrorModel, optional
+        How each component wanders [m/s], instead: of second order, or with a tide, ``GaussMarkov(sd=0.1, tau_s=86400) +
+        Cycle(sd=0.15, period_s=44714, tau_s=1e6)``.
 
     Notes
     -----
-    As `BodyVelocity`, with ``y`` the velocity relative to the water: ``C_nb' (v_n - c_n)``. The current wanders as a
-    first-order Gauss-Markov process on the clock of this sensor; water that rises or sinks is taken for error. What
-    this sensor itself errs by at low frequencies cannot be told from the current, so that its error is not learnt.
+    As `BodyVelocity`, with ``y`` the velocity relative to the water: ``C_nb' (v_n - c_n)``. Without `current` it
+    wanders as a first-order Gauss-Markov process on the clock of this sensor; water that rises or sinks is taken for
+    error. What this sensor itself errs by at low frequencies cannot be told from the current, so that its error is not
+    learnt.
     """
 
     error: Errors = White(sd=0.02)
     current_sd_m_s: float = 0.3
     current_tau_s: float = 3600.0
+    current: ErrorModel | None = None
 
     kernel: ClassVar[Callable[..., None]] = staticmethod(measurement.water_velocity)
     open_loop: ClassVar[int] = listen.NOTHING
@@ -223,20 +228,36 @@ class WaterVelocity(BodyVelocity):
                     f"WaterVelocity.{name} must be a finite number > 0, found {getattr(self, name)!r}. Usual: 0.3 m/s, "
                     "3600 s."
                 )
+        if self.current is not None:
+            self._check_current()
         if any(learning_part(model) is not None for model in self.models):
             raise ValueError(
                 "WaterVelocity.error cannot be learnt under way: the current hides in it. Give it a fixed error model, "
                 "or a LearnedArma with frozen=True."
             )
 
+    def _check_current(self) -> None:
+        """Refuse what cannot be a state."""
+        block = self.current.block(1.0 / self.rate_hz) if isinstance(self.current, ErrorModel) else None
+        if block is None or not block.size or block.r or not block.C[0]:
+            raise ValueError(
+                f"WaterVelocity.current must be one error model without white noise, found {self.current!r}. Example: "
+                "GaussMarkov(sd=0.2, tau_s=10800). White noise of the velocity belongs to error."
+            )
+
     def parameters(self) -> tuple[Parameter, ...]:
-        """Current north and east, then scale and misalignment where they are uncertain."""
-        current = (Parameter(f"current_{axis}", self.current_sd_m_s, "m_s") for axis in ("north", "east"))
-        return (*current, *super().parameters())
+        """Current north and east, what else their models consist of, then scale and misalignment where they are
+        uncertain.
+        """
+        blocks = {name: model.block(1.0 / self.rate_hz) for name, model in self.wandering().items()}
+        sds = ((name, math.sqrt(block.C @ block.P0 @ block.C)) for name, block in blocks.items())
+        current = (Parameter(name, sd, "m_s") for name, sd in sds)
+        hidden = (p for name, block in blocks.items() for p in hidden_states(name, block, "m_s"))
+        return (*current, *hidden, *super().parameters())
 
     def wandering(self) -> dict[str, ErrorModel]:
         """The current."""
-        current = GaussMarkov(sd=self.current_sd_m_s, tau_s=self.current_tau_s)
+        current = self.current or GaussMarkov(sd=self.current_sd_m_s, tau_s=self.current_tau_s)
         return {"current_north": current, "current_east": current}
 
     @property
