@@ -15,9 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 from navfilter.beginning import Beginning
 from navfilter.filter import snapshot as snapshots
 from navfilter.filter.adoption import Change
-from navfilter.filter.channel import ChannelMemory, Refusals
+from navfilter.filter.channel import ChannelMemory, Course, Refusals
 from navfilter.filter.condition import health_of, state_of
-from navfilter.filter.course import Course
 from navfilter.filter.events import Event, Outcome
 from navfilter.filter.filter import Filter
 from navfilter.filter.filter_memory import Errors, FilterMemory
@@ -204,8 +203,7 @@ class Navigator:
             time_s = float(time_s) + self.offset_s - self.vehicle.sensors[name].time_offset_s
         except (TypeError, ValueError):
             z, time_s = np.full(1, np.nan), math.nan
-        frozen = watch.sees(time_s, z)
-        reading = Reading(name, time_s + self.filter.channels[name].lead_s, z, sd, frozen, watch.same > 1)
+        reading = Reading(name, time_s + self.filter.channels[name].lead_s, z, sd, *watch.sees(time_s, z))
         self._release(time_s)
         if reading.time_s > time_s and time_s < self.start.time_s - 1e-9:
             return Outcome("too-late")

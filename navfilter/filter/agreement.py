@@ -142,7 +142,7 @@ def _reckoned(kind: int, P: Array, speed: float, dt: float, drive_output: Array,
     return float((np.diag(P)[3:6].max() + speed**2 * P[8, 8]) * dt**2)
 
 
-def limits(channel: Channel, stale: bool = False) -> Array:
+def limits(channel: Channel) -> Array:
     """The gate's limits for the next reading: closer while it is looked at whether the sensor has jumped, and while it
     is astray; shut to one that is stale.
     """
@@ -150,7 +150,7 @@ def limits(channel: Channel, stale: bool = False) -> Array:
     held = refused is not None and refused.jumped and refused.count > 1 and not refused.scatters
     if held or channel.memory.astray:
         closer[1 : 1 + channel.axes] *= HELD
-    if stale:
+    if channel.stale:
         closer[0], closer[1 : 1 + channel.axes] = np.inf, -1.0
     return closer
 

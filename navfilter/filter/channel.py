@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.stats import chi2
 
 from navfilter.filter.belief import believed
+from navfilter.filter.course import Course
 from navfilter.filter.layout import Group, Layout
 from navfilter.filter.offsets import has_offset, proportions
 from navfilter.filter.refusals import Refusals
@@ -21,7 +22,7 @@ from navfilter.kernels import kalman, listen, stretch
 from navfilter.sensors import Sensor
 from navfilter.start import Start
 
-__all__ = ["Channel", "ChannelMemory", "Refusals", "usable"]
+__all__ = ["Channel", "ChannelMemory", "Course", "Refusals", "usable"]
 
 Array = NDArray[np.float64]
 #: More than this share of a reading's components must agree, or it is rejected whole.
@@ -109,7 +110,7 @@ class Channel:
     def forget(self) -> None:
         """Remember nothing, as at the start."""
         self._memory = ChannelMemory()
-        self.count, self.stuck = 0, False
+        self.count, self.stuck, self.stale = 0, False, False
 
     def arrange(self, sensor: Sensor, group: Group, layout: Layout, rate_variance: Array) -> None:
         """Lay out its working memory for other states; what is remembered stays.
@@ -227,10 +228,12 @@ class Channel:
         return "astray" if memory.astray else "jumped" if self.offset else "noisy" if memory.noise else ""
 
     def moved_on(self, time_s: float, nav: Array, P: Array) -> bool:
-        """Note that a fix of this time has the value of the one before; whether the vehicle has moved on since, by more
-        than its noise and the velocity's could hide: then it is that of a receiver that is stuck, or no new one.
+        """Note that a reading of this time has the value of the one before. Of a fix: whether the vehicle has moved on
+        since, by more than its noise and the velocity's could hide. Then the receiver is stuck, or it is no new fix.
         """
         memory = self._memory
+        if self.sensor.corrects != "position" or self.axes < 2:
+            return False
         if memory.again_s != memory.last_s:
             memory.same_s = memory.last_s
         memory.again_s = time_s

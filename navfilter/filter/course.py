@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from navfilter.filter.channel import Channel
     from navfilter.filter.filter import Filter
 
-__all__ = ["Course", "against_the_compass", "confirmed", "turned"]
+__all__ = ["Course", "against_the_compass", "turned", "used"]
 
 Array = NDArray[np.float64]
 #: An angle is believed beyond so many standard deviations, as one hypothesis of a whole mission [1], once it is known
@@ -123,7 +123,14 @@ def against_the_compass(filter: Filter, fixes: Channel, course: Course, time_s: 
     return Change(compass.name, models, offsets=True, turn=(angle, variance + float(P[8, 8])))
 
 
-def confirmed(filter: Filter, compass: Channel) -> bool:
+def used(filter: Filter, channel: Channel, time_s: float) -> None:
+    """Note that a reading of this time has been used."""
+    channel.memory.use(time_s)
+    if channel.memory.alone and _confirmed(filter, channel):
+        channel.memory.alone = ()
+
+
+def _confirmed(filter: Filter, compass: Channel) -> bool:
     """Whether fixes have confirmed a compass to which the heading was set against what was believed before: they are
     used, twice as far from there as they need to contradict it.
     """

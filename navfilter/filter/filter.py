@@ -20,7 +20,7 @@ from navfilter.filter.filter_memory import Errors, FilterMemory
 from navfilter.filter.intake import Intake
 from navfilter.filter.jumps import JumpWatch
 from navfilter.filter.layout import Layout
-from navfilter.filter.offsets import with_offsets, with_the_same_offsets
+from navfilter.filter.offsets import described, with_the_same_offsets
 from navfilter.filter.tape import OUTCOMES, Tape
 from navfilter.kernels import kalman, strapdown, stretch
 from navfilter.learning.learned import learning_part
@@ -34,7 +34,6 @@ Array = NDArray[np.float64]
 #: One that is told what the filter does.
 Listening = Callable[[Event], None]
 CODES = {name: code for code, name in enumerate(OUTCOMES)}
-NO_SD = np.zeros(0)
 COUNTED = (
     *("gap", "backward", "bad-sample", "clock-set", "widened", "reset", "jumped", "astray", "opened", "adopted"),
     *drive_watch.COUNTED,
@@ -351,21 +350,18 @@ class Filter:
         if early > 1e-7 and memory.drv[strapdown.STARTED] and holds:
             self.hold(memory.nav, self._xd, memory.drv, early, self.Phid, self.Qd, self.drive_output, memory.acc)
             memory.time_s = time_s
-        stale = same and channel.sensor.corrects == "position" and channel.moved_on(time_s, memory.nav, memory.P)
-        return self._update(channel, time_s, reading, sd, frozen, stale)
+        channel.stale = same and channel.moved_on(time_s, memory.nav, memory.P)
+        return self._update(channel, time_s, reading, sd, frozen or channel.stale)
 
     def _refused(self, channel: Channel, time_s: float, status: str) -> Correction:
         if self.tape is not None:
             self.tape.columns[channel.name].append(time_s - channel.lead_s, CODES[status], None)
         return Correction(Outcome(status), time_s, None)
 
-    def _update(
-        self, channel: Channel, time_s: float, z: Array, sd: ArrayLike | None, frozen: bool, stale: bool = False
-    ) -> Correction:
+    def _update(self, channel: Channel, time_s: float, z: Array, sd: ArrayLike | None, frozen: bool) -> Correction:
         memory = self.memory
-        own = NO_SD if sd is None else np.resize(np.square(np.ravel(sd)), channel.axes)
-        own = scatter.with_noise(channel, own) if channel.memory.noise else own
-        channel.gate[:] = agreement.limits(channel, stale) if stale or channel.doubted else channel.limits
+        own = scatter.variances(channel, sd)
+        channel.gate[:] = agreement.limits(channel) if channel.stale or channel.doubted else channel.limits
         if channel.spot[stretch.KIND] >= 0 and self._native:
             stretch.correction(
                 *(self.bench, channel.spot, memory.P, memory.nav, memory.x, memory.acc, memory.drv, self.drive_output),
@@ -375,18 +371,16 @@ class Filter:
             asked(channel, memory, self.vehicle.drive, self.drive_output, (z, own), time_s)
         memory.unfolded = 0
         channel.memory.last_s = time_s
-        return self.concluded(channel, time_s, frozen or stale)
+        return self.concluded(channel, time_s, frozen)
 
     def concluded(self, channel: Channel, time_s: float, frozen: bool) -> Correction:
         """What follows from the verdict on a reading, which stands in its channel."""
-        channel.stuck = frozen
+        channel.stuck, channel.stale = frozen, False
         nis, dof, used = channel.verdict.tolist()
         widened = False
         scatter.follow(channel, time_s, bool(used or frozen))
         if used:
-            channel.memory.use(time_s)
-            if channel.memory.alone and course.confirmed(self, channel):
-                channel.memory.alone = ()
+            course.used(self, channel, time_s)
         elif dof and math.isfinite(nis):
             widened = refused.let_in(self, channel, time_s, nis, int(dof), frozen)
         if used or widened:
@@ -405,18 +399,12 @@ class Filter:
         return Correction(outcome, time_s, channel)
 
     # ---------------------------------------------------------------- other error models
-    def take_up(self, tell: Listening) -> None:
-        """Adopt what the last reading has made necessary, see `jumped`."""
-        refused.take_up(self, tell)
+    take_up = refused.take_up
 
     @property
     def described_models(self) -> dict[str, Errors]:
         """Error models put in force since the start, without the constants of sensors that have jumped."""
-        axes = {name: channel.axes for name, channel in self.channels.items()}
-        return {
-            name: with_offsets(per_axis(error, axes[name], name)) if name in axes else error
-            for name, error in self.memory.models
-        }
+        return described(self.memory.models, {name: channel.axes for name, channel in self.channels.items()})
 
     def adopt(self, change: Change, tell: Listening) -> None:
         """Put another error model of one sensor in force, now; the states follow without a jump
@@ -435,8 +423,7 @@ class Filter:
         """
         memory, channel, error = self.memory, self.channels.get(change.sensor), change.error
         if channel is not None and channel.offset and not change.offsets:
-            axes = channel.axes, f"{change.sensor}.error"
-            error = with_the_same_offsets(per_axis(error, *axes), channel.sensor.models)
+            error = with_the_same_offsets(per_axis(error, channel.axes, change.sensor), channel.sensor.models)
         # refuses what cannot be adopted before anything has changed
         self.vehicle.with_error(**{change.sensor: error})
         models = tuple((dict(memory.models) | {change.sensor: error}).items())

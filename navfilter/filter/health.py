@@ -128,14 +128,14 @@ class Watch:
     MEMORY = 50
     NOISY = 3.0
 
-    def sees(self, time_s: float, value: Array) -> bool:
-        """Note what arrives; True when it looks stuck."""
+    def sees(self, time_s: float, value: Array) -> tuple[bool, bool]:
+        """Note what arrives; whether it looks stuck, and whether it is the same as before."""
         raw = value.tobytes()
         if raw == self.value:
             self.same += 1
         else:
             self.value, self.same, self.since_s = raw, 1, time_s
-        return self.stuck
+        return self.stuck, self.same > 1
 
     @property
     def stuck(self) -> bool:

@@ -8,12 +8,12 @@ reading until it has vanished.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from navfilter.filter.channel import Channel
 from navfilter.kernels import listen
 
-__all__ = ["follow", "with_noise"]
+__all__ = ["follow", "variances"]
 
 Array = NDArray[np.float64]
 #: So many refused readings are looked at together; a share of all readings of so much or more is no matter of single
@@ -26,9 +26,14 @@ CENTRED = 1.0
 MEMORY, MOST_SDS = 20.0, 4.0
 
 
-def with_noise(channel: Channel, own: Array) -> Array:
-    """White variances of its next reading (its own; none: those of the error model), with what has been found."""
-    return np.asarray((own if own.size else channel.group.r) + np.array(channel.memory.noise))
+def variances(channel: Channel, sd: ArrayLike | None) -> Array:
+    """White variances of a reading that has standard deviations of its own, or whose sensor is noisier than described;
+    empty: those of the error model.
+    """
+    own = np.zeros(0) if sd is None else np.resize(np.square(np.ravel(sd)), channel.axes)
+    if channel.memory.noise:
+        own = (own if own.size else channel.group.r) + np.array(channel.memory.noise)
+    return np.asarray(own)
 
 
 def follow(channel: Channel, time_s: float, used: bool) -> None:
