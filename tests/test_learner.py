@@ -11,9 +11,9 @@ from navfilter.error_models import CORRELATION_CONSTANTS
 from navfilter.filter.memory import from_arrays, to_arrays
 from navfilter.learning.drift import Drift
 from navfilter.learning.learner import Learner, LearnerMemory
-from navfilter.learning.spikes import without_spikes
 from navfilter.learning.posterior import Line, slow_psd
 from navfilter.learning.slow import SlowPrior
+from navfilter.learning.spikes import without_spikes
 
 DEG = math.pi / 180.0
 PERIOD_S = 0.125
