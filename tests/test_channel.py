@@ -203,8 +203,7 @@ def test_scores_are_their_twin(ar, ma, d, beside):
     free, rules = np.r_[np.arange(len(ar)), m + np.arange(len(ma)), 2 * m], np.array([d, 8.0, 1.5, 0.0, 0.0])
     steps = np.full(len(free) + bool(beside), 1e-4)
     one, other = (
-        scored(scores, y, theta, chain, sees, rules, free, steps, d)
-        for scores in (likelihood.scores, naive_scores)
+        scored(scores, y, theta, chain, sees, rules, free, steps, d) for scores in (likelihood.scores, naive_scores)
     )
     for a, b in zip(one[:3], other[:3], strict=True):
         # both take the same differences: what is left is rounding over the step, and with four integrators P spans ten

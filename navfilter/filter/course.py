@@ -28,8 +28,9 @@ __all__ = ["Course", "against_the_compass", "turned", "used"]
 
 Array = NDArray[np.float64]
 #: An angle is believed beyond so many standard deviations, as one hypothesis of a whole mission [1], once it is known
-#: to so much [rad]: the fixes that follow do the rest, for which the filter is linear.
-SURE, KNOWN_RAD = 5.0, 0.1
+#: to so much [rad]: the fixes that follow do the rest, for which the filter is linear (half its square, as a share of
+#: the speed, is then less than a velocity sensor errs by).
+SURE, KNOWN_RAD = 5.0, 0.07
 #: By so much the distance of a velocity sensor may err [1]: twice the speed of sound set for fresh water at sea.
 SCALE = 0.05
 #: Root mean square distance of fixes from the way they should have made, as multiples of their sd [1]: within the first
