@@ -1,8 +1,9 @@
 """The standard hour through the filter and the smoother, beside filterpy and python-ins (see `baselines`), in one run.
 
 The competitors do the same work per step on a part of the hour, and their time is scaled to the whole. Learning on all
-eight channels (compass, DVL, depth, fixes; orders up to (4, 4)) is measured against the plain filter of the same
-vehicle. Processor seconds; everything is measured turn by turn: medians of the turns, and medians of their ratios.
+eight channels (compass, DVL, depth, fixes; orders up to (4, 4)), and error models of more states, are measured against
+the plain filter of the same vehicle. Processor seconds; everything is measured turn by turn: medians of the turns, and
+medians of their ratios.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from typing import Any
 
 import numpy as np
 from baselines import filterpy_times, pyins_filter, pyins_strapdown
-from harness import CPU, Array, Options, Table, flag, hour, in_turn, main, peak_mb, quick, ratio
+from harness import CPU, DEG, Array, Options, Table, flag, hour, in_turn, main, peak_mb, quick, ratio
 
 import navfilter as nf
 from navfilter.kernels import strapdown
@@ -22,6 +23,15 @@ WORK = {
     "forward + smoother": ("filterpy both", None),
     "strapdown alone": (None, "python-ins strapdown"),
 }
+
+
+def larger(vehicle: nf.Vehicle) -> nf.Vehicle:
+    """The same with 40 error states: slow errors of order 4, and one of the depth."""
+    return vehicle.with_error(
+        compass=nf.GaussMarkov(sd=0.6 * DEG, tau_s=30.0, order=4) + nf.White(sd=0.1 * DEG),
+        dvl=nf.GaussMarkov(sd=0.01, tau_s=10.0, order=4) + nf.White(sd=0.01),
+        depth=nf.GaussMarkov(sd=0.05, tau_s=60.0) + nf.White(sd=0.05),
+    )
 
 
 def replays(vehicle: nf.Vehicle, learning: nf.Vehicle, mission: nf.Mission, turns: int) -> dict[str, Array]:
@@ -46,6 +56,7 @@ def replays(vehicle: nf.Vehicle, learning: nf.Vehicle, mission: nf.Mission, turn
     calls = {
         "forward": lambda: nf.replay(vehicle, mission),
         "learning": lambda: nf.replay(learning, mission),
+        "40 states": lambda: nf.replay(larger(vehicle), mission),
         "forward + smoother": lambda: nf.replay(vehicle, mission, smooth=True),
         "strapdown alone": lambda: strapdown.integrate(mission.start.state.pack(), memory, steps, np.empty((0, 17))),
         "competitors": competitors,
@@ -82,10 +93,19 @@ def replay_speed(options: Options) -> dict[str, Any]:
                 row |= {seconds: float(np.median(spent[name])), times: ratio(spent[name], spent[work])}
         table.add(row)
     table.add({"work": "forward, learning", "navfilter_s": float(np.median(spent["learning"]))})
-    added = ratio(spent["learning"], spent["forward"]) - 1.0
+    table.add({"work": "forward, 40 states", "navfilter_s": float(np.median(spent["40 states"]))})
+    added, more = ratio(spent["learning"], spent["forward"]) - 1.0, ratio(spent["40 states"], spent["forward"])
     rate = figures["samples"] / float(np.median(spent["strapdown alone"]))
-    print(f"learning adds {100 * added:.0f} %; strapdown alone: {1e-6 * rate:.1f} million samples/s")
-    return figures | {"table": table.rows, "learning_adds": added, "strapdown_samples_per_s": rate}
+    print(
+        f"learning adds {100 * added:.0f} %; 40 states take {more:.2f} times as long; strapdown alone: "
+        f"{1e-6 * rate:.1f} million samples/s"
+    )
+    return figures | {
+        "table": table.rows,
+        "learning_adds": added,
+        "more_states": more,
+        "strapdown_samples_per_s": rate,
+    }
 
 
 if __name__ == "__main__":

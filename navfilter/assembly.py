@@ -36,7 +36,7 @@ class _Rows:
         self.names = tuple(sorted(units, key=lambda name: (_group(name, groups), order[name])))
         self.units = tuple(units[name] for name in self.names)
         self.at = {name: i for i, name in enumerate(self.names)}
-        self.time_s = np.array([tape.row_times[i] for tape, rows in parts for i in rows])
+        self.time_s = np.concatenate([np.array(tape.row_times)[rows.start : rows.stop] for tape, rows in parts])
         self.packed, self.P = np.empty((n, 17)), np.empty((n, 9, 9))
         self.x, self.variance = np.full((n, len(units)), np.nan), np.full((n, len(units)), np.nan)
 
@@ -45,10 +45,20 @@ class _Rows:
         return [np.array([self.at[name] for name in layout.names], dtype=int) for layout in tape.layouts]
 
     def put(
-        self, i: int, places: NDArray[np.int64], row: Array, P: Array, variance: Array, correction: Array | float = 0.0
+        self,
+        begin: int,
+        places: NDArray[np.int64],
+        state: Array,
+        P: Array,
+        variance: Array,
+        correction: Array | float = 0.0,
     ) -> None:
-        self.packed[i], self.P[i] = row[:17], P
-        self.x[i, places], self.variance[i, places] = row[17 : 17 + len(places)] + correction, variance
+        """Some rows from that number on: nominal and error states (q, 17 + k), covariances (q, 9, 9), variances (q, k),
+        and what is to be added to the k error states.
+        """
+        here = slice(begin, begin + len(state))
+        self.packed[here], self.P[here] = state[:, :17], P
+        self.x[here, places], self.variance[here, places] = state[:, 17:] + correction, variance
 
 
 def _group(name: str, groups: list[str]) -> int:
@@ -71,17 +81,22 @@ def forward_track(nav: Navigator, name: str, cpu_s: float) -> Track:
 def _gathered(parts: Sequence[tuple[Tape, range]]) -> _Rows:
     rows, done = _Rows(parts), 0
     for tape, those in parts:
-        places = rows.places(tape)
-        for i in those:
-            row, columns = tape.rows[i], places[tape.row_layouts[i]]
-            k = len(columns)
-            rest = row[17 + k :]
+        places, layouts, last = rows.places(tape), np.array(tape.row_layouts), those.stop
+        while last > those.start:
+            number = layouts[last - 1]
+            same = int(np.searchsorted(layouts, number))
+            flat, begins = tape.rows.run(max(those.start, same), last)
+            k = len(places[number])
+            n, upto = k + 9, 17 + k
             if tape.smoothable:
-                covariance = rest.reshape(k + 9, k + 9)
-                rows.put(done, columns, row, covariance[:9, :9], covariance.diagonal()[9:])
+                square, diagonal = n * np.arange(9)[:, None] + np.arange(9), (n + 1) * np.arange(9, n)
             else:
-                rows.put(done, columns, row, rest[:81].reshape(9, 9), rest[81:])
-            done += 1
+                square, diagonal = np.arange(81), np.arange(81, 81 + k)
+            noted = flat[begins[:, None] + np.concatenate([np.arange(upto), upto + square.ravel(), upto + diagonal])]
+            last -= len(begins)
+            covariance, variance = noted[:, upto : upto + 81].reshape(-1, 9, 9), noted[:, upto + 81 :]
+            rows.put(done + last - those.start, places[number], noted[:, :upto], covariance, variance)
+        done += len(those)
     return rows
 
 
@@ -117,10 +132,10 @@ def smoothed_track(forward: Track, nav: Navigator, began: float, progress: bool)
     rows = _Rows([(tape, range(len(tape.row_times)))])
     places, correction = rows.places(tape), np.empty((len(tape.row_times), 9))
 
-    def store(i: int, row: Array, mean: Array, covariance: Array) -> None:
-        correction[i] = mean[:9]
-        columns = places[tape.row_layouts[i]]
-        rows.put(i, columns, row, covariance[:9, :9], covariance.diagonal()[9:], mean[9:])
+    def store(begin: int, state: Array, mean: Array, covariance: Array) -> None:
+        correction[begin : begin + len(state)] = mean[:, :9]
+        columns, variance = places[tape.row_layouts[begin]], np.diagonal(covariance, axis1=1, axis2=2)[:, 9:]
+        rows.put(begin, columns, state, covariance[:, :9, :9], variance, mean[:, 9:])
 
     shown = bar(len(tape.records), "smoother", progress)
     smooth_rows(tape, store, None if shown is None else shown.update)

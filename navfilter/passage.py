@@ -218,18 +218,18 @@ class Passage:
         for i, channel in enumerate(self._channels):
             if channel.kind < 0:
                 continue
-            values, sds, read = given.values[i], given.sds[i], channel.sensor.read
-            for k in np.flatnonzero(which == i).tolist():
-                raw = np.array(values[rows[k]], dtype=np.float64)
-                z = read(raw) if len(raw) >= channel.sensor.reads else None
+            mine, sds, values = np.flatnonzero(which == i), given.sds[i], given.values[i]
+            some = values[rows[mine]] if isinstance(values, np.ndarray) else [values[row] for row in rows[mine]]
+            z, good = channel.sensor.read_all(some)
+            if channel.sensor.corrects == "position":
+                good = good & ~same[mine]  # whether it is a new fix is Python's to judge
+            self._good[mine], self._z[mine, : z.shape[1]] = good, z
+            for k in mine[good].tolist() if own else ():
                 sd = None if sds is None else sds[rows[k]]
-                again = same[k] and channel.sensor.corrects == "position"
-                if z is None or again or not (sd is None or usable(sd, channel.sensor)):
-                    continue
-                self._good[k] = True
-                self._z[k, : len(z)] = z
                 if sd is not None:
-                    self._variances[k, : channel.axes] = np.resize(np.square(np.ravel(sd)), channel.axes)
+                    self._good[k] = usable(sd, channel.sensor)
+                    if self._good[k]:
+                        self._variances[k, : channel.axes] = np.resize(np.square(np.ravel(sd)), channel.axes)
 
     def _advance(self) -> int:
         """As far as the kernel comes; why it ended."""

@@ -131,7 +131,10 @@ class Capture:
     def smoothed(self):
         result = {}
         smooth_rows(
-            self.tape, lambda i, row, mean, cov: result.__setitem__(self.tape.row_records[i], (mean.copy(), cov.copy()))
+            self.tape,
+            lambda begin, states, means, covs: result.update(
+                zip(self.tape.row_records[begin : begin + len(states)], zip(means, covs, strict=True), strict=True)
+            ),
         )
         return result
 

@@ -737,6 +737,16 @@ def smooth_row(P, L, lam, mean, cov, T):
     mean[:], cov[:] = -P @ lam, P - P @ L @ P
 
 
+def smooth_run(L, lam, records, begins, heads, rows, firsts, holds, index, until, means, covs, T, U):
+    n = len(lam)
+    for after in range(index, until - 1, -1):
+        for q in np.flatnonzero(holds == after):
+            P = rows[firsts[q] + 8 + n :][: n * n].reshape(n, n)
+            smooth_row(P, L, lam, means[q], covs[q], None)
+        if after > until:
+            smooth_record(L, lam, records[begins[after - 1] :], *heads[after - 1], None)
+
+
 def cholesky_solve(S, Y):
     """S^-1 Y in whatever precision the arrays have."""
     L = np.zeros_like(S)

@@ -1,5 +1,7 @@
 """How states follow a change of the error model: `transfer`, `state_change`, the register, and `LearnedArma` itself."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_lyapunov
@@ -10,6 +12,7 @@ from navfilter.arma.model import ArmaModel
 from navfilter.assembly import forward_track, smoothed_track
 from navfilter.filter.adoption import state_change, transfer
 from navfilter.filter.layout import Layout
+from navfilter.filter.memory import differences
 from navfilter.filter.tape import Tape
 from navfilter.learning.learned import (
     LearnedArma,
@@ -487,3 +490,21 @@ def test_registers_are_stationary():
             assert np.abs(np.linalg.eigvals(block.Phi)).max() < 1.0
             P = solve_discrete_lyapunov(block.Phi, block.Q)
             np.testing.assert_allclose(block.P0, P, rtol=0, atol=1e-9 * P.max())
+
+
+def test_laid_out_from_the_layout_before_as_from_nothing():
+    """What an adoption does not touch keeps its group; only its place changes."""
+    error = nf.GaussMarkov(sd=0.1, tau_s=10.0) + nf.White(sd=0.1)
+    same = nf.Depth(rate_hz=1, error=error, offset_sd_m=0.2)
+    sensors = {"compass": nf.Heading(rate_hz=8, error=nf.White(sd=0.1)), "one": same, "two": same}
+    old = nf.Vehicle(imu=nf.Imu(rate_hz=100), sensors=sensors)
+    new = old.with_error(compass=error)
+    before = Layout.of(old)
+    after = Layout.of(new, (old, before))
+    assert differences(after, Layout.of(new)) == [] and after.groups["one"].start == before.groups["one"].start + 1
+    assert (
+        after.groups["one"].names != after.groups["two"].names and after.groups["two"].Phi is before.groups["two"].Phi
+    )
+    whole = nf.Vehicle(imu=nf.Imu(rate_hz=100), sensors={name: replace(s) for name, s in new.sensors.items()})
+    for ours, other in zip(state_change(before, old, after, new), state_change(before, old, after, whole), strict=True):
+        np.testing.assert_array_equal(ours, other)

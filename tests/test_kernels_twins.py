@@ -457,3 +457,30 @@ def test_smoother_kernels(a, b):
     ours, twins = run_both(kalman.smooth_row, P, L, lam, np.zeros(n), np.zeros((n, n)), np.zeros((n, n)))
     assert_close(ours[3:5], twins[3:5], 1e-13)
     np.testing.assert_array_equal(ours[4], ours[4].T)
+
+
+@pytest.mark.parametrize(("holds", "until"), [((0, 1, 1, 4), 0), ((2, 4), 1), ((), 2), ((4,), 4)])
+def test_smoother_goes_through_a_run_of_records_and_rows(holds, until):
+    rng = np.random.default_rng(17)
+    n, m, q = 14, 10, len(holds)
+    kinds = [(0, m, 0, 0), (1, m, 2, 11), (3, m, 0, 0), (2, m, 3, 10)]
+    parts = [
+        np.concatenate(
+            [
+                (np.eye(m) + 0.1 * rng.normal(size=(m, m))).ravel(),
+                rng.normal(size=b * b),
+                *([0.1 * rng.normal(size=2 * a * n), spd(rng, a).ravel(), rng.normal(size=a + 3)] if a else []),
+            ]
+        )
+        for a, m, b, _ in kinds
+    ]
+    begins = 5 + np.cumsum([0, *map(len, parts)])[:-1]  # something else stands before them
+    rows = [np.concatenate([rng.normal(size=8 + n), 0.1 * spd(rng, n).ravel()]) for _ in holds]
+    firsts = 3 + np.cumsum([0, *map(len, rows)])[:-1][:q].astype(np.int64)
+    flat = np.concatenate([np.zeros(5), *parts]), np.concatenate([np.zeros(3), *rows])
+    work = np.zeros((3 * n, n)), np.zeros((n, n))
+    args = flat[0], begins, np.array(kinds), flat[1], firsts, np.array(holds, dtype=np.int64), 4, until
+    ours, twins = run_both(
+        kalman.smooth_run, spd(rng, n), rng.normal(size=n), *args, np.zeros((q, n)), np.zeros((q, n, n)), *work
+    )
+    assert_close([*ours[:2], *ours[10:12]], [*twins[:2], *twins[10:12]], 1e-12)

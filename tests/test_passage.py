@@ -213,3 +213,40 @@ def test_correction_is_its_twin_for_every_kind(monkeypatch):
             for name, (_, value) in sensors.items():
                 nav.correct(name, 0.01 * k, value, sd=0.3 if k == 20 else None)
     assert kinds == set(kernels.KINDS.values())
+
+
+@pytest.mark.parametrize(
+    "sensor",
+    [
+        nf.Heading(rate_hz=8),
+        nf.Heading(rate_hz=8, magnetometer=True),
+        nf.BodyVelocity(rate_hz=4),
+        nf.BodyVelocity(rate_hz=4, zero_is_invalid=False, max_speed_m_s=2.0),
+        nf.Depth(rate_hz=1),
+        nf.Altitude(rate_hz=1),
+        nf.Position(rate_hz=1),
+    ],
+    ids=str,
+)
+def test_many_readings_are_read_as_one_by_one(sensor):
+    rng = np.random.default_rng(5)
+    values = rng.choice(
+        [0.0, -0.5, 1.2, 3.0, 700.0, np.inf, np.nan], size=(200, 4), p=[0.2, 0.2, 0.2, 0.1, 0.1, 0.1, 0.1]
+    )
+    for width in range(max(1, sensor.reads), 5):
+        z, good = sensor.read_all(values[:, :width])
+        for given, made, ok in zip(values[:, :width], z, good, strict=True):
+            one = sensor.read(given.copy())
+            assert ok == (one is not None)
+            if ok:
+                np.testing.assert_array_equal(made, [*one, *[np.nan] * (len(made) - len(one))])
+        assert 0 < good.sum() < len(values)
+
+
+def test_a_kind_that_reads_in_its_own_way_is_asked_reading_by_reading():
+    class Halved(nf.Heading):
+        def read(self, value):
+            return None if value[0] < 0.0 else super().read(0.5 * value)
+
+    z, good = Halved(rate_hz=8).read_all(np.array([[1.0], [-1.0], [np.nan]]))
+    assert good.tolist() == [True, False, False] and z[0, 0] == 0.5

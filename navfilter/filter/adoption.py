@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.arma.model import ArmaModel
 from navfilter.error_models import ErrorModel, RandomWalk, Sum, joined_block
-from navfilter.filter.layout import Layout
+from navfilter.filter.layout import Group, Layout
 from navfilter.learning.learned import LearnedArma, register_block, register_labels
 from navfilter.vehicle import Vehicle
 
@@ -64,14 +64,16 @@ def state_change(before: Layout, old: Vehicle, after: Layout, new: Vehicle, afre
     """
     M, N = np.zeros((after.size, before.size)), np.zeros((after.size, after.size))
     M[range(9), range(9)] = 1.0
-    groups = [(before.drive, after.drive, old.drive.models, new.drive.models, new.drive.period_s)]
+    groups: list[tuple[Group, Group, Any, Any, float]]
+    groups = [(before.drive, after.drive, old.drive, new.drive, new.drive.period_s)]
     for name, sensor in new.sensors.items():
-        groups.append(
-            (before.groups[name], after.groups[name], old.sensors[name].models, sensor.models, 1.0 / sensor.rate_hz)
-        )
-    for was, now, models_before, models, period_s in groups:
+        groups.append((before.groups[name], after.groups[name], old.sensors[name], sensor, 1.0 / sensor.rate_hz))
+    for was, now, part_before, part_now, period_s in groups:
         row, column = now.start, was.start
-        for model_before, model in zip(models_before, models, strict=True):
+        if part_before is part_now:
+            M[range(row, row + now.size), range(column, column + now.size)] = 1.0
+            continue
+        for model_before, model in zip(part_before.models, part_now.models, strict=True):
             part, noise = transfer(model_before, model, period_s)
             r, c = part.shape
             M[row : row + r, column : column + c], N[row : row + r, row : row + r] = part, noise

@@ -45,7 +45,7 @@ def shared(channels: Sequence[Channel], folds: NDArray[np.int64]) -> tuple[Array
     bench = np.concatenate([*own, np.zeros(m * m + m * n)])
     last = np.zeros(stretch.PLAN, np.int64)
     last[: len(folds)], last[stretch.MEM] = folds, begins[-1]
-    last[stretch.RECORD] = max([m * m, *(channel.record.size for channel in channels)])
+    last[stretch.RECORD] = max([m * m, *(channel.record_size for channel in channels)])
     rows = [channel.settle(bench, int(begin)) for channel, begin in zip(channels, begins, strict=False)]
     return bench, np.array([*rows, last])
 

@@ -113,7 +113,7 @@ class Channel:
         self.count, self.stuck, self.stale = 0, False, False
 
     def arrange(self, sensor: Sensor, group: Group, layout: Layout, rate_variance: Array) -> None:
-        """Lay out its working memory for other states; what is remembered stays.
+        """Lay out its working memory for other states; what is remembered stays. It has to `settle` then.
 
         Parameters
         ----------
@@ -130,18 +130,18 @@ class Channel:
         self.sensor, self.group, self.axes = sensor, group, a
         self.dims = np.array([a, n, m, b, group.start, group.errors, parameters])
         at = kalman.places(self.dims)
-        self.places = np.array(at)
+        self.places, self.record_size = np.array(at), at[5]
         self.offset = has_offset(sensor.models)
         self._proportions = proportions(sensor.models, self.period_s)
         self.limits = np.concatenate([self._gates, believed(sensor, group)])
         slow = group.C @ group.P0[: group.errors, : group.errors] @ group.C.T
         self.slow: list[float] = slow.diagonal().tolist()  # variance by axis of what its error states begin with
-        lever, R = sensor.lever_arm_covariance(rate_variance), np.diag(group.r)
+        lever, R = sensor.lever_arm_covariance(rate_variance / self.samples), np.diag(group.r)
         model = np.array([group.Phi[:b, :b], group.Q[:b, :b]])
         constants = self.constants if self.kind >= 0 else np.zeros(0)
         parts = np.zeros(at[-1]), constants, np.zeros(3), model, group.C, R + lever, lever, R, self.limits
-        self._ends = np.cumsum([part.size for part in parts])
-        self.settle(np.concatenate([part.ravel() for part in parts]), 0)
+        self._ends, self._turned = np.cumsum([part.size for part in parts]), rate_variance / self.samples
+        self.bench = np.concatenate([part.ravel() for part in parts])
 
     def settle(self, bench: Array, begin: int) -> NDArray[np.int64]:
         """Work from now on in a part of an array that all channels share, where the content of its own stands already.
@@ -187,8 +187,11 @@ class Channel:
 
     def turns_by(self, rate_variance: Array) -> None:
         """How well the angular rate is known that its lever arm turns with; shape (3,) [rad^2/s^2]."""
-        self.lever[:] = self.sensor.lever_arm_covariance(rate_variance / self.samples)
-        self.white[:] = np.diag(self.group.r) + self.lever
+        variance = rate_variance / self.samples
+        if not np.array_equal(variance, self._turned):
+            self._turned = variance
+            self.lever[:] = self.sensor.lever_arm_covariance(variance)
+            self.white[:] = np.diag(self.group.r) + self.lever
 
     def without_errors(self, z: Array, outputs: Array, xd: Array) -> Array:
         """A reading of the drive's first three values without the drive's errors, of whose states it depends."""

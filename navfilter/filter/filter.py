@@ -91,6 +91,7 @@ class Filter:
         past_s = max((channel.past_s for channel in self.channels.values()), default=0.0)
         self.remembered = drive.remembered(past_s) if past_s else 0
         self.jumped: list[Change] = []
+        self._like: tuple[Vehicle, Layout] | None = None
         self._rest = [self.channels[name] for name, s in vehicle.sensors.items() if s.from_drive and self.inertial]
         self._resting = max(2, round(drive.rate_hz * min((channel.period_s for channel in self._rest), default=1.0)))
         for channel in self._rest:
@@ -144,11 +145,11 @@ class Filter:
         if self.tape is not None and self.inertial and any(learning_part(model) is not None for model in drive.models):
             self.tape.models |= {name: [(self.time_s, getattr(drive, name))] for name in ("gyro", "accel")}
 
-    def _arrange(self, models: tuple[tuple[str, Errors], ...]) -> None:
-        """Lay out the states with these models in force, and the working memory that depends on it."""
-        self.in_force = in_force = self.vehicle.with_error(**dict(models))
-        self._laid_out = models
-        self.layout = layout = Layout.of(in_force)
+    def _arrange(self, models: tuple[tuple[str, Errors], ...], in_force: Vehicle | None = None) -> None:
+        """Lay out the states with these models `in_force`, and the working memory that depends on it."""
+        in_force, like = in_force or self.vehicle.with_error(**dict(models)), self._like
+        self.layout = layout = Layout.of(in_force, like)
+        self.in_force, self._like, self._laid_out = in_force, (in_force, layout), models
         g, m = layout.drive, layout.head
         self.Phid, self.Qd = g.Phi, g.Q
         self.drive_output = np.zeros((6, g.size + 1))
@@ -425,13 +426,12 @@ class Filter:
         if channel is not None and channel.offset and not change.offsets:
             error = with_the_same_offsets(per_axis(error, channel.axes, change.sensor), channel.sensor.models)
         # refuses what cannot be adopted before anything has changed
-        self.vehicle.with_error(**{change.sensor: error})
+        new = self.in_force.with_error(**{change.sensor: error})
         models = tuple((dict(memory.models) | {change.sensor: error}).items())
         if memory.unfolded:
             tell(self._fold())
         before, old = self.layout, self.in_force
-        self._arrange(models)
-        new = self.in_force
+        self._arrange(models, new)
         M, N = state_change(before, old, self.layout, new, change.sensor if change.afresh else "")
         if self.tape is not None:
             self.tape.change(M)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, SupportsFloat
 
 import numpy as np
@@ -227,6 +227,13 @@ class Group:
         )
 
 
+def _group(start: int, part: Any, period_s: float, name: str) -> Group:
+    """The states of a sensor, or of the drive."""
+    wandering = {key: model.block(period_s) for key, model in part.wandering().items()}
+    blocks = [m.block(period_s) for m in part.models]
+    return Group.build(start, blocks, part.all_parameters(), part.axis_names, part.units, name, wandering)
+
+
 @dataclass(frozen=True)
 class Layout:
     """Groups of the whole vehicle by name; `drive` first.
@@ -263,19 +270,26 @@ class Layout:
         return self.drive.units + tuple(unit for g in self.groups.values() for unit in g.units)
 
     @classmethod
-    def of(cls, vehicle: Any) -> Layout:
-        """Lay out a vehicle's states."""
+    def of(cls, vehicle: Any, like: tuple[Any, Layout] | None = None) -> Layout:
+        """Lay out a vehicle's states.
+
+        Parameters
+        ----------
+        vehicle : Vehicle
+        like : (Vehicle, Layout), optional
+            A vehicle and how it is laid out: of a drive and sensors that are the very same only the place is another.
+        """
         drive = vehicle.drive
-        wandering = {key: model.block(drive.period_s) for key, model in drive.wandering().items()}
-        blocks = [m.block(drive.period_s) for m in drive.models]
-        axes = drive.axis_names, drive.units
-        group = Group.build(9, blocks, drive.all_parameters(), *axes, "", wandering)
+        if like is not None and like[0].drive is drive:
+            group = like[1].drive
+        else:
+            group = _group(9, drive, drive.period_s, "")
         start, groups = 9 + group.size, {}
         for name, sensor in vehicle.sensors.items():
-            blocks = [m.block(1.0 / sensor.rate_hz) for m in sensor.models]
-            wandering = {key: model.block(1.0 / sensor.rate_hz) for key, model in sensor.wandering().items()}
-            axes = sensor.axis_names, sensor.units
-            groups[name] = Group.build(start, blocks, sensor.all_parameters(), *axes, name, wandering)
+            if like is not None and like[0].sensors[name] is sensor:
+                groups[name] = replace(like[1].groups[name], start=start)
+            else:
+                groups[name] = _group(start, sensor, 1.0 / sensor.rate_hz, name)
             start += groups[name].size
         return cls(group, groups)
 

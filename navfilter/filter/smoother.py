@@ -13,10 +13,12 @@ from navfilter.kernels import kalman
 __all__ = ["smooth_rows"]
 
 Array = NDArray[np.float64]
+#: So many rows are given at a time: their covariances are to stay in the second cache.
+ROWS = 64
 
 
 def smooth_rows(
-    tape: Tape, store: Callable[[int, Array, Array, Array], None], progress: Callable[[int], None] | None = None
+    tape: Tape, store: Callable[[int, Array, Array, Array], None], progress: Callable[[int], object] | None = None
 ) -> None:
     """Rauch-Tung-Striebel solution at every row of the tape, latest first.
 
@@ -28,9 +30,10 @@ def smooth_rows(
     ----------
     tape : Tape
         Of a run that wrote records (``smoothable=True``).
-    store : callable(index, row, mean, covariance)
-        Called per row with the forward row (17 + (n - 9) + n^2 values for n error states), the smoothed correction to
-        add to its state and the covariance of what is left. The arrays are work space: copy what is to stay.
+    store : callable(first, values, means, covariances)
+        Called for some successive rows of one layout, of which the first is given by its number: the forward state
+        (q, 17 + (n - 9) values for n error states), the smoothed corrections (q, n) to add to it and the covariances
+        (q, n, n) of what is left.
     progress : callable(n), optional
         Called now and then with the number of records done.
 
@@ -45,23 +48,31 @@ def smooth_rows(
         )
     size = tape.layouts[-1].size
     L, lam = np.zeros((size, size)), np.zeros(size)
-    most = 3 * max((column.axes for column in tape.columns.values()), default=0)
-    T, mean, covariance = np.zeros((max(size, most), size)), np.zeros(size), np.zeros((size, size))
-    row = len(tape.row_times) - 1
-    for index in range(len(tape.records), -1, -1):
-        while row >= 0 and tape.row_records[row] == index:
-            values = tape.rows[row]
-            P = values[17 + size - 9 :].reshape(size, size)
-            kalman.smooth_row(P, L, lam, mean, covariance, T)
-            store(row, values, mean, covariance)
-            row -= 1
-        if index:
-            a, m, b, start = tape.head(index - 1)
-            if a == CHANGE:
-                M = tape.records[index - 1].reshape(m, b)
-                L, lam, size = np.ascontiguousarray(M.T @ L @ M), M.T @ lam, b
-                T, mean, covariance = np.zeros((max(size, most), size)), np.zeros(size), np.zeros((size, size))
-                continue
-            kalman.smooth_record(L, lam, tape.records[index - 1], a, m, b, start, T)
-            if progress is not None and index % 1000 == 0:
-                progress(1000)
+    holds, layouts, heads = np.array(tape.row_records), np.array(tape.row_layouts), tape.heads
+    changes = np.flatnonzero(heads[:, 0] == CHANGE)
+    index, row = len(tape.records), len(holds)
+    while row:
+        # the rows and records down to the last change of the layout, as far as they stand in one piece
+        change = int(np.searchsorted(changes, index)) - 1
+        first = int(changes[change]) + 1 if change >= 0 else 0
+        if index == first and holds[row - 1] < index:
+            M = tape.records[index - 1].reshape(heads[index - 1, 1:3])
+            L, lam, index = np.ascontiguousarray(M.T @ L @ M), np.ascontiguousarray(M.T @ lam), index - 1
+            continue
+        records, begins = tape.records.run(first, index)
+        first = index - len(begins)
+        same = max(int(np.searchsorted(holds, first)), int(np.searchsorted(layouts, layouts[row - 1])))
+        rows, firsts = tape.rows.run(max(min(same, row), row - ROWS), row)
+        begin, n = row - len(firsts), len(lam)
+        until = max(first, int(holds[begin - 1]) if begin else 0)
+        means, covariances = np.empty((row - begin, n)), np.empty((row - begin, n, n))
+        most = 3 * max(n, int(heads[first:index, 0].max(initial=0)))
+        kalman.smooth_run(
+            *(L, lam, records, begins, heads[first:index], rows, firsts, holds[begin:row] - first),
+            *(index - first, until - first, means, covariances, np.empty((most, n)), np.empty((n, n))),
+        )
+        if begin < row:
+            store(begin, rows[firsts[:, None] + np.arange(8 + n)], means, covariances)
+        if progress is not None:
+            progress(index - until)
+        index, row = until, begin

@@ -100,19 +100,33 @@ class Spool:
         self._file.seek(self._written)
         self._offsets.append(self._written)
         self._sizes.append(len(chunk))
-        self._written += self._file.write(chunk.tobytes())
+        self._written += self._file.write(chunk)
         self._chunks[oldest] = None
 
     def __getitem__(self, index: int) -> Array:
         at = 3 * (index if index >= 0 else len(self) + index)
         number, first, last = self._places[at : at + 3]
+        return self._chunk(number)[first:last]
+
+    def run(self, first: int, last: int) -> tuple[Array, NDArray[np.int64]]:
+        """Vectors before the one of number `last`, back to number `first` or as far as they stand in one piece: the
+        array in which they stand, and where each of them begins.
+        """
+        if first >= last:
+            return np.empty(0), np.empty(0, np.int64)
+        places = np.frombuffer(self._places, np.int64).reshape(-1, 3)[first:last]
+        number = int(places[-1, 0])
+        return self._chunk(number), places[np.searchsorted(places[:, 0], number) :, 1].copy()
+
+    def _chunk(self, number: int) -> Array:
         chunk = self._chunks[number]
-        if chunk is None:
-            if self._loaded is None or self._loaded[0] != number:
-                self._file.seek(self._offsets[number])
-                self._loaded = number, np.frombuffer(bytearray(self._file.read(8 * self._sizes[number])))
-            chunk = self._loaded[1]
-        return chunk[first:last]
+        if chunk is not None:
+            return chunk
+        if self._loaded is None or self._loaded[0] != number:
+            self._loaded = number, np.empty(self._sizes[number])
+            self._file.seek(self._offsets[number])
+            self._file.readinto(self._loaded[1])
+        return self._loaded[1]
 
 
 @dataclass(frozen=True)
@@ -267,12 +281,12 @@ class Tape:
             self.records.new(M.size)[:] = M.reshape(-1)
             self._heads.extend((CHANGE, *M.shape, 0))
 
-    def head(self, index: int) -> tuple[int, int, int, int]:
-        """Axes, size of the head, size and start of the ticked block of a record; or `CHANGE`, rows and columns of the
-        matrix, 0.
+    @property
+    def heads(self) -> NDArray[np.int64]:
+        """Of each record: axes, size of the head, size and start of the ticked block; or `CHANGE`, rows and columns of
+        the matrix, 0.
         """
-        a, m, b, start = self._heads[4 * index : 4 * index + 4]
-        return a, m, b, start
+        return np.array(self._heads, dtype=np.int64).reshape(-1, 4)
 
     def row(self, time_s: float, nav: Array, x: Array, P: Array) -> None:
         """Note the state at this time; the last note of a time stands, and times closer than the output interval are

@@ -21,25 +21,27 @@ def fold(P, acc, nav, T):
     """
     m, n = acc.shape[1], P.shape[0]
     np.dot(acc[:m], P[:m], T)
-    # Phi P Phi' = (Phi P) Phi' needs contiguous factors; the drive's work areas in acc are free between its steps
-    A, B = acc[2 * m : 3 * m], acc[3 * m :]
+    # the drive's work areas in acc are free between its steps
+    A, head = acc[2 * m : 3 * m], acc[3 * m :]
     for i in range(m):
         for j in range(m):
-            A[i, j] = T[i, j]
-            B[i, j] = acc[j, i]
-    head = acc[:m]
-    np.dot(A, B, head)
+            A[j, i] = T[i, j]
+    np.dot(acc[:m], A, head)
     for i in range(m):
         for j in range(m, n):
             P[i, j] = T[i, j]
-            P[j, i] = T[i, j]
         for j in range(i + 1):
             s = 0.5 * (head[i, j] + head[j, i] + acc[m + i, j] + acc[m + j, i])
             P[i, j] = s
             P[j, i] = s
+    for j in range(m, n):
+        for i in range(m):
+            P[j, i] = T[i, j]
     for i in range(2 * m):
         for j in range(m):
-            acc[i, j] = 1.0 if i == j else 0.0
+            acc[i, j] = 0.0
+    for i in range(m):
+        acc[i, i] = 1.0
     E = T[0]
     for i in range(3):
         for j in range(3):
@@ -104,20 +106,26 @@ def tick(P, x, start, A, B, T):
     b, n = A.shape[0], P.shape[0]
     for i in range(b):
         for j in range(n):
-            s = 0.0
-            for r in range(b):
-                s += A[i, r] * P[start + r, j]
-            T[i, j] = s
+            T[i, j] = 0.0
+        for r in range(b):
+            f = A[i, r]
+            if f != 0.0:
+                for j in range(n):
+                    T[i, j] += f * P[start + r, j]
     for i in range(b):
         for j in range(n):
-            if j < start or j >= start + b:
-                P[start + i, j] = T[i, j]
+            P[start + i, j] = T[i, j]
+    for j in range(n):
+        if j < start or j >= start + b:
+            for i in range(b):
                 P[j, start + i] = T[i, j]
     for i in range(b):
         for j in range(i + 1):
             s = B[i, j]
             for r in range(b):
-                s += T[i, start + r] * A[j, r]
+                f = A[j, r]
+                if f != 0.0:
+                    s += T[i, start + r] * f
             P[start + i, start + j] = s
             P[start + j, start + i] = s
     for i in range(b):
@@ -183,7 +191,9 @@ def innovation(P, H, res, R, S, PH, out):
         for j in range(i + 1):
             s = 0.0
             for r in range(n):
-                s += PH[i, r] * H[j, r]
+                f = H[j, r]
+                if f != 0.0:
+                    s += PH[i, r] * f
             if i == j:
                 # 1e-60: S is invertible even where nothing is uncertain
                 s = 1.0 if missing else s + max(R[i, i], 1e-12 * s, 1e-60)
@@ -214,34 +224,47 @@ def innovation(P, H, res, R, S, PH, out):
 
 
 @njit(cache=True)
+def _less_twice(P, u, w):
+    """P <- P - u w' - w u': symmetric to the bit where P was."""
+    n = P.shape[0]
+    for i in range(n):
+        f, g = u[i], w[i]
+        if f != 0.0 or g != 0.0:
+            for j in range(n):
+                P[i, j] -= f * w[j] + g * u[j]
+
+
+@njit(cache=True)
 def correct(P, nav, x, res, S, PH, K, turn):
     """Closed-loop correction after `innovation`: gain, Joseph covariance, feedback into the nominal state, attitude
     reset.
 
-    Joseph's form for the gain as rounded: P - K PH - (PH' - K S) K', which costs O(n^2 a) (Bierman, 1977, sec. V.2).
+    Joseph's form for the gain as rounded, P - K PH - PH' K' + K S K' = P - K W' - W K' with W = PH' - K S / 2, which
+    costs O(n^2 a) and leaves P symmetric to the bit (Bierman, 1977, sec. V.2).
     The attitude error left over is expressed at the corrected attitude: P <- G P G', G = I + [d x]/2 + [d x]^2/6 (left
     Jacobian; Markley, 2003). K: (n, a) receives the gain, turn: (3,) the rotation d fed back.
     """
     n, a = K.shape
+    # u: columns of K; w: half of what they are multiplied with, P H' and what rounding left of the gain
+    u, w = np.empty((a, n)), np.empty((a, n))
+    for r in range(a):
+        for i in range(n):
+            u[r, i] = 0.0
+        for c in range(a):
+            f = S[a + c, r]
+            for i in range(n):
+                u[r, i] += PH[c, i] * f
+    for r in range(a):
+        for i in range(n):
+            K[i, r] = u[r, i]
+            w[r, i] = PH[r, i]
+        for c in range(a):
+            f = 0.5 * S[c, r]
+            for i in range(n):
+                w[r, i] -= f * u[c, i]
+    for r in range(a):
+        _less_twice(P, u[r], w[r])
     for i in range(n):
-        for j in range(a):
-            s = 0.0
-            for r in range(a):
-                s += PH[r, i] * S[a + r, j]
-            K[i, j] = s
-    for i in range(n):
-        for r in range(a):
-            e = PH[r, i]
-            for c in range(a):
-                e -= K[i, c] * S[c, r]
-            k = K[i, r]
-            for j in range(n):
-                P[i, j] -= k * PH[r, j] + e * K[j, r]
-    for i in range(n):
-        for j in range(i):
-            s = 0.5 * (P[i, j] + P[j, i])
-            P[i, j] = s
-            P[j, i] = s
         s = 0.0
         for j in range(a):
             s += K[i, j] * res[j]
@@ -468,7 +491,7 @@ def smooth_record(L, lam, record, a, m, b, start, T):
 
     record: Phi (m x m), tick Phi (b x b), then if a > 0: H (a x n), K (n x a), inverse S (a x a), res (a), turn (3),
     each row by row. `start` is the ticked block's place, b its size (0: none). L (n, n) and lam (n,) change; T work, n
-    columns and as many rows, at least 3a.
+    columns and three times as many rows, at least 3a.
     """
     n = len(lam)
     at = m * m + b * b
@@ -498,42 +521,39 @@ def smooth_record(L, lam, record, a, m, b, start, T):
             lam[6] = u + 0.5 * f - (y * h - z * g) / 6.0
             lam[7] = v + 0.5 * g - (z * f - x * h) / 6.0
             lam[8] = w + 0.5 * h - (x * g - y * f) / 6.0
-        # L <- (I - K H)' L (I - K H) + H' S^-1 H = L - V H - (V H)' + H' (K' V + S^-1) H, V = L K
+        # L <- (I - K H)' L (I - K H) + H' S^-1 H = L - W H - (W H)', W = V - H' (K' V + S^-1) / 2, V = L K
         for c in range(a):
             for i in range(n):
-                s = 0.0
-                for j in range(n):
-                    s += L[i, j] * K[j, c]
-                T[c, i] = s
-        for c in range(a):
+                T[c, i] = 0.0
             f = 0.0
-            for i in range(n):
-                f += K[i, c] * lam[i]
+            for j in range(n):
+                g = K[j, c]
+                f += g * lam[j]
+                for i in range(n):
+                    T[c, i] += g * L[j, i]
             for r in range(a):
                 f += Sinv[c, r] * res[r]
+            T[a + c, a] = f
+        for c in range(a):
+            for r in range(a):
                 s = Sinv[c, r]
                 for i in range(n):
                     s += K[i, c] * T[r, i]
-                T[a + c, r] = s
-            T[a + c, a] = f
+                T[a + c, r] = 0.5 * s
         for c in range(a):
+            f = T[a + c, a]
             for i in range(n):
-                lam[i] -= H[c, i] * T[a + c, a]
+                lam[i] -= H[c, i] * f
         for c in range(a):
-            for i in range(n):
-                s = -T[c, i]
-                for r in range(a):
-                    s += 0.5 * T[a + c, r] * H[r, i]
-                T[2 * a + c, i] = s
+            for r in range(a):
+                f = T[a + c, r]
+                for i in range(n):
+                    T[c, i] -= f * H[r, i]
         for c in range(a):
-            for i in range(n):
-                h, t = H[c, i], T[2 * a + c, i]
-                for j in range(n):
-                    L[i, j] += h * T[2 * a + c, j] + t * H[c, j]
+            _less_twice(L, H[c], T[c])
     if b > 0:
         _transition_transposed(L, lam, record[m * m : m * m + b * b].reshape((b, b)), start, b, T)
-    # int(): a literal would compile a version of its own
-    _transition_transposed(L, lam, record[: m * m].reshape((m, m)), int(0), m, T)
+    _head_transposed(L, lam, record[: m * m].reshape((m, m)), T.reshape(T.size))
 
 
 @njit(cache=True)
@@ -543,7 +563,8 @@ def _transition_transposed(L, lam, Phi, start, b, T):
     for i in range(b):
         for j in range(n):
             T[i, j] = 0.0
-        for r in range(b):
+    for r in range(b):
+        for i in range(b):
             f = Phi[r, i]
             if f != 0.0:
                 for j in range(n):
@@ -552,13 +573,19 @@ def _transition_transposed(L, lam, Phi, start, b, T):
         for j in range(n):
             if j < start or j >= start + b:
                 L[start + i, j] = T[i, j]
-                L[j, start + i] = T[i, j]
-        for j in range(i + 1):
-            s = 0.0
-            for r in range(b):
-                f = Phi[r, j]
-                if f != 0.0:
-                    s += T[i, start + r] * f
+        for j in range(b):
+            L[start + i, start + j] = 0.0
+        for r in range(b):
+            f = T[i, start + r]
+            for j in range(b):
+                L[start + i, start + j] += f * Phi[r, j]
+    for i in range(n):
+        if i < start or i >= start + b:
+            for j in range(b):
+                L[i, start + j] = T[j, i]
+    for i in range(b):
+        for j in range(i):
+            s = 0.5 * (L[start + i, start + j] + L[start + j, start + i])
             L[start + i, start + j] = s
             L[start + j, start + i] = s
     for i in range(b):
@@ -571,23 +598,73 @@ def _transition_transposed(L, lam, Phi, start, b, T):
 
 
 @njit(cache=True)
+def _head_transposed(L, lam, Phi, work):
+    """L <- Phi' L Phi and lam <- Phi' lam for a transition of the leading m states; work: (2 m^2 + m n,)."""
+    m, n = Phi.shape[0], len(lam)
+    A, B, T = work[: m * m].reshape((m, m)), work[m * m : 2 * m * m].reshape((m, m)), work[2 * m * m :]
+    T = T[: m * n].reshape((m, n))
+    for i in range(m):
+        for j in range(m):
+            A[i, j] = Phi[j, i]
+    np.dot(A, L[:m], T)
+    for i in range(m):
+        for j in range(m):
+            B[i, j] = T[i, j]
+    for i in range(m):
+        s = 0.0
+        for r in range(m):
+            s += A[i, r] * lam[r]
+        T[i, 0] = s
+    for i in range(m):
+        lam[i] = T[i, 0]
+    np.dot(B, Phi, A)
+    for i in range(m):
+        for j in range(m, n):
+            L[i, j] = T[i, j]
+        for j in range(i + 1):
+            s = 0.5 * (A[i, j] + A[j, i])
+            L[i, j] = s
+            L[j, i] = s
+    for j in range(m, n):
+        for i in range(m):
+            L[j, i] = T[i, j]
+
+
+@njit(cache=True)
 def smooth_row(P, L, lam, mean, cov, T):
-    """Smoothed error at an epoch: mean = -P lam, cov = P - P L P (symmetric)."""
+    """Smoothed error at an epoch: mean = -P lam, cov = P - P L P (symmetric). T: (n, n) work."""
     n = len(lam)
+    np.dot(P, L, T)
+    np.dot(T, P, cov)
     for i in range(n):
         s = 0.0
         for j in range(n):
-            T[i, j] = 0.0
             s -= P[i, j] * lam[j]
         mean[i] = s
-        for r in range(n):
-            f = P[i, r]
-            for j in range(n):
-                T[i, j] += f * L[r, j]
-    for i in range(n):
         for j in range(i + 1):
-            s = P[i, j]
-            for r in range(n):
-                s -= T[i, r] * P[j, r]
+            s = P[i, j] - 0.5 * (cov[i, j] + cov[j, i])
             cov[i, j] = s
             cov[j, i] = s
+
+
+@njit(cache=True)
+def smooth_run(L, lam, records, begins, heads, rows, firsts, holds, index, until, means, covs, T, U):
+    """Carry the adjoint backward over a run of records, and give the smoothed error at every row of them, the latest
+    first: `smooth_record` and `smooth_row` in one call.
+
+    records: flat; begins (r,): where each begins; heads (r, 4): axes, size of the head, size and start of the ticked
+    block. rows: flat, each 17 + (n - 9) + n^2 values; firsts (q,): where each begins; holds (q,): after how many of the
+    records it holds. index: after how many of them the adjoint is; until: where to leave it. means (q, n), covs (q, n,
+    n): what is found. T, U (n, n): work, T as many rows as `smooth_record` asks for.
+    """
+    n = len(lam)
+    for q in range(len(firsts) - 1, -2, -1):
+        least = holds[q] if q >= 0 else until
+        while index > least:
+            index -= 1
+            a, m, b, start = heads[index, 0], heads[index, 1], heads[index, 2], heads[index, 3]
+            smooth_record(L, lam, records[begins[index] :], a, m, b, start, T)
+        if q >= 0:
+            first = firsts[q] + 8 + n
+            P = rows[first : first + n * n].reshape((n, n))
+            smooth_row(P, L, lam, means[q], covs[q], U)

@@ -187,8 +187,8 @@ def _increments(samples, n, drv, inc):
 def _mechanise(nav, inc, dt, C, mid):
     """One strapdown step from the corrected increments inc = (angle 3, velocity 3).
 
-    C (9,) receives the mean of C_nb over the step, mid (9,) what the transition needs: the velocity increment in n (3),
-    the mean velocity (3), gravity, and the two radii.
+    C (9,) receives the mean of C_nb over the step, mid (12,) what the transition needs: the velocity increment in n
+    (3), the mean velocity (3), gravity, one by each radius, sine and cosine of the latitude before, and its tangent.
     """
     for i in range(9):
         C[i] = nav[6 + i]
@@ -229,7 +229,8 @@ def _mechanise(nav, inc, dt, C, mid):
     nav[1] += me * dt / ((re + hm) * (cl - 0.5 * sl * dlat))
     nav[2] = h - md * dt
     nav[15], nav[16] = rn + 2.0 * hm, re + 2.0 * hm
-    mid[0], mid[1], mid[2], mid[3], mid[4], mid[5], mid[6], mid[7], mid[8] = pn, pe, pd, mn, me, md, g, rn, re
+    mid[0], mid[1], mid[2], mid[3], mid[4], mid[5] = pn, pe, pd, mn, me, md
+    mid[6], mid[7], mid[8], mid[9], mid[10], mid[11] = g, by_rn, by_re, sl, cl, tl
     # C exp([th x]): each row turned by -th; then exp(-[w dt x]) C: each column turned by -w dt
     a, b = _rodrigues(th0 * th0 + th1 * th1 + th2 * th2)
     c0, c1, c2 = _turned(-a, b, th0, th1, th2, C[0], C[1], C[2])
@@ -249,7 +250,7 @@ def integrate(nav, drv, samples, out):
     """Strapdown alone, without errors or covariance: the state after each sample goes to the rows of out (n, 17), if it
     has any.
     """
-    inc, C, mid = np.empty(6), np.empty(9), np.empty(9)
+    inc, C, mid = np.empty(6), np.empty(9), np.empty(12)
     for n in range(samples.shape[0]):
         _increments(samples, n, drv, inc)
         _mechanise(nav, inc, samples[n, 0], C, mid)
@@ -263,16 +264,14 @@ def _inertial_advance(nav, xd, inc, dt, drv, Cr, f):
     """One strapdown step with the drive's errors taken off; leaves the elements of its transition, of second order in
     dt, in f (34,) for `_inertial_carry`.
     """
-    k, C, mid = len(xd), drv[MEAN_C : MEAN_C + 9], f[:9]
+    k, C, mid = len(xd), drv[MEAN_C : MEAN_C + 9], f[:12]
     for i in range(6):
         for s in range(k):
             inc[i] -= dt * Cr[i, s] * xd[s]
-    sl = math.sin(nav[0])
-    cl = math.sqrt(1.0 - sl * sl)
     _mechanise(nav, inc, dt, C, mid)
     pn, pe, pd, mn, me, md, g = mid[0], mid[1], mid[2], mid[3], mid[4], mid[5], mid[6]
-    by_rn, by_re, by_cl = 1.0 / mid[7], 1.0 / mid[8], 1.0 / cl
-    tl = sl * by_cl
+    by_rn, by_re, sl, cl, tl = mid[7], mid[8], mid[9], mid[10], mid[11]
+    by_cl = 1.0 / cl
     north, east, down = mn * by_rn, me * by_re, md * by_re  # the same as angles
     wn, we, wd = EARTH_RATE * cl + east, -north, -EARTH_RATE * sl - east * tl
     on, oe, od = wn + EARTH_RATE * cl, we, wd - EARTH_RATE * sl
@@ -376,11 +375,19 @@ def _tick_rows(X, Phid, diagonal, T, m):
 @njit(cache=True, error_model="numpy")
 def _transpose(X, m):
     """Of a matrix in panels, in place."""
-    for i in range(min(m, X.size // m)):
-        for begin in range(0, i, WIDE):
-            row, column = (begin // WIDE * m + i) * WIDE, (i // WIDE * m + begin) * WIDE + i % WIDE
-            for j in range(min(WIDE, i - begin)):
-                X[row + j], X[column + j * WIDE] = X[column + j * WIDE], X[row + j]
+    Z = X.reshape((X.size // WIDE, WIDE))
+    panels = X.size // (m * WIDE)
+    for p in range(panels):
+        lower = p * WIDE
+        for q in range(p + 1):
+            left = q * WIDE
+            # the elements below the diagonal stand in the rows of one panel, their mirror images in those of the other
+            A, B = Z[q * m + lower : q * m + min(m, lower + WIDE)], Z[p * m + left : p * m + min(m, left + WIDE)]
+            for i in range(A.shape[0]):
+                for j in range(i if p == q else WIDE):
+                    s = A[i, j]
+                    A[i, j] = B[j, i]
+                    B[j, i] = s
 
 
 @njit(cache=True, error_model="numpy")
@@ -404,26 +411,27 @@ def _tick_drive(xd, Phid, Qd, diagonal, T, Q, m):
 
 
 @njit(cache=True, error_model="numpy")
-def _inertial_compound(xd, Phid, Qd, diagonal, ticks, C, f, seen, gain, plain, E, T, Phi, Q):
-    """Compound Phi <- F Phi, Q <- F Q F' (panels) with the step that `_inertial_advance` left in f; the drive's blocks
-    tick, and their mean too.
+def _inertial_compound(xd, Phid, Qd, diagonal, ticks, C, f, seen, gain, plain, E, T, both, Q, gathered):
+    """Compound Phi <- F Phi, Q <- F Q F' with the step that `_inertial_advance` left in f; the drive's blocks tick, and
+    their mean too.
 
-    Q F' is formed as (F Q)', Q being symmetric.
+    both: panels of Phi and behind them Q, those of Q; gathered: whether there is any noise yet. Q F' is formed as (F
+    Q)', Q being symmetric.
     """
     m = 9 + len(xd)
-    _inertial_carry(Phi, f, C, seen, gain, plain, E, m)
-    _inertial_carry(Q, f, C, seen, gain, plain, E, m)
+    moved = both if gathered else both[: both.size - Q.size]
+    _inertial_carry(moved, f, C, seen, gain, plain, E, m)
     if ticks > 0:
-        _tick_rows(Phi, Phid, diagonal, T, m)
-        _tick_rows(Q, Phid, diagonal, T, m)
-    _transpose(Q, m)
-    _inertial_carry(Q, f, C, seen, gain, plain, E, m)
+        _tick_rows(moved, Phid, diagonal, T, m)
+    if gathered:
+        _transpose(Q, m)
+        _inertial_carry(Q, f, C, seen, gain, plain, E, m)
     for count in range(ticks):
         if count > 0:
-            _tick_rows(Phi, Phid, diagonal, T, m)
-            _tick_rows(Q, Phid, diagonal, T, m)
+            _tick_rows(both, Phid, diagonal, T, m)
             _transpose(Q, m)
-        _tick_rows(Q, Phid, diagonal, T, m)
+        if gathered or count > 0:
+            _tick_rows(Q, Phid, diagonal, T, m)
         _tick_drive(xd, Phid, Qd, diagonal, T, Q, m)
 
 
@@ -433,24 +441,27 @@ def _inertial_noise(dt, drv, Cr, Q, k):
     period per second.
     """
     C = drv[MEAN_C : MEAN_C + 9]
-    span = max(dt, 0.0)
+    period = drv[PERIOD_S] * max(dt, 0.0)
+    a0, a1, a2 = Cr[0, k] * period, Cr[1, k] * period, Cr[2, k] * period
+    v0, v1, v2 = Cr[3, k] * period, Cr[4, k] * period, Cr[5, k] * period
     gap = dt > GAP_PERIODS * drv[PERIOD_S]
-    for a in range(3):
-        angle, speed = Cr[a, k] * drv[PERIOD_S] * span, Cr[3 + a, k] * drv[PERIOD_S] * span
-        if gap:
-            # about x and y a vehicle comes back to where it was: what it tilts by is bounded, what it turns by is not
-            unseen = drv[GAP_RATE_SD] * dt
-            angle += unseen * unseen if a == 2 else min(unseen, GAP_TILT) ** 2
-            speed += (drv[GAP_FORCE_SD] * dt) ** 2
-        for i in range(3):
-            for j in range(3):
-                cc = C[3 * i + a] * C[3 * j + a]
-                Q[(6 + i) * WIDE + 6 + j] += cc * angle
-                Q[(3 + i) * WIDE + 3 + j] += cc * speed
-                if gap:
-                    Q[i * WIDE + j] += cc * speed * 0.25 * dt * dt
-                    Q[i * WIDE + 3 + j] += cc * speed * 0.5 * dt
-                    Q[(3 + i) * WIDE + j] += cc * speed * 0.5 * dt
+    if gap:
+        # about x and y a vehicle comes back to where it was: what it tilts by is bounded, what it turns by is not
+        turned, unseen = drv[GAP_RATE_SD] * dt, (drv[GAP_FORCE_SD] * dt) ** 2
+        tilted = min(turned, GAP_TILT) ** 2
+        a0, a1, a2 = a0 + tilted, a1 + tilted, a2 + turned * turned
+        v0, v1, v2 = v0 + unseen, v1 + unseen, v2 + unseen
+    for i in range(3):
+        x, y, z = C[3 * i], C[3 * i + 1], C[3 * i + 2]
+        for j in range(3):
+            xx, yy, zz = x * C[3 * j], y * C[3 * j + 1], z * C[3 * j + 2]
+            Q[(6 + i) * WIDE + 6 + j] += xx * a0 + yy * a1 + zz * a2
+            speed = xx * v0 + yy * v1 + zz * v2
+            Q[(3 + i) * WIDE + 3 + j] += speed
+            if gap:
+                Q[i * WIDE + j] += speed * 0.25 * dt * dt
+                Q[i * WIDE + 3 + j] += speed * 0.5 * dt
+                Q[(3 + i) * WIDE + j] += speed * 0.5 * dt
 
 
 @njit(cache=True, error_model="numpy")
@@ -504,21 +515,25 @@ def _is_diagonal(A):
 @njit(cache=True, error_model="numpy")
 def _to_panels(M, X):
     m = M.shape[0]
-    for i in range(m):
-        for begin in range(0, m, WIDE):
-            at = (begin // WIDE * m + i) * WIDE
-            for j in range(min(WIDE, m - begin)):
-                X[at + j] = M[i, begin + j]
+    Z = X.reshape((X.size // WIDE, WIDE))
+    for p in range(Z.shape[0] // m):
+        A, first = Z[p * m : (p + 1) * m], p * WIDE
+        B = M[:, first : min(m, first + WIDE)]
+        for i in range(m):
+            for j in range(B.shape[1]):
+                A[i, j] = B[i, j]
 
 
 @njit(cache=True, error_model="numpy")
 def _from_panels(X, M):
     m = M.shape[0]
-    for i in range(m):
-        for begin in range(0, m, WIDE):
-            at = (begin // WIDE * m + i) * WIDE
-            for j in range(min(WIDE, m - begin)):
-                M[i, begin + j] = X[at + j]
+    Z = X.reshape((X.size // WIDE, WIDE))
+    for p in range(Z.shape[0] // m):
+        A, first = Z[p * m : (p + 1) * m], p * WIDE
+        B = M[:, first : min(m, first + WIDE)]
+        for i in range(m):
+            for j in range(B.shape[1]):
+                B[i, j] = A[i, j]
 
 
 @njit(cache=True, error_model="numpy")
@@ -595,6 +610,8 @@ def imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
     _to_panels(acc[:m], Phi)
     _to_panels(acc[m : 2 * m], Q)
     moved = Q[: _panels(m - int(drv[CALIBRATED])) * m * WIDE]  # constants gather no noise
+    both = floats[floats.size - Q.size - Phi.size : floats.size - Q.size + moved.size]
+    gathered = bool(Q.any())
     for n in range(samples.shape[0]):
         _increments(samples, n, drv, inc)
         drv[COUNT] += 1.0
@@ -608,8 +625,9 @@ def imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
             _uncalibrated(inc, dt, xd, drv, f, seen, gain[:count])
         _inertial_advance(nav, xd, inc, dt, drv, Cr, f)
         ticks = _ticks(samples[n, 0], drv)
-        _inertial_compound(xd, Phid, Qd, diagonal, ticks, C, f, seen, gain[:count], plain, E, T, Phi, moved)
+        _inertial_compound(xd, Phid, Qd, diagonal, ticks, C, f, seen, gain[:count], plain, E, T, both, moved, gathered)
         _inertial_noise(dt, drv, Cr, Q, k)
+        gathered = True
     _from_panels(Phi, acc[:m])
     _from_panels(Q, acc[m : 2 * m])
 
@@ -626,6 +644,8 @@ def imu_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc):
     _to_panels(acc[:m], Phi)
     _to_panels(acc[m : 2 * m], Q)
     moved = Q[: _panels(m - int(drv[CALIBRATED])) * m * WIDE]  # constants gather no noise
+    both = floats[floats.size - Q.size - Phi.size : floats.size - Q.size + moved.size]
+    gathered = bool(Q.any())
     scale = dt / drv[PERIOD_S] if drv[INCREMENTS] != 0.0 else dt
     for i in range(6):
         inc[i] = drv[PREVIOUS + i] * scale
@@ -635,7 +655,7 @@ def imu_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc):
         _uncalibrated(inc, dt, xd, drv, f, seen, gain[:count])
     _inertial_advance(nav, xd, inc, dt, drv, Cr, f)
     C = drv[MEAN_C : MEAN_C + 9]
-    _inertial_compound(xd, Phid, Qd, diagonal, int(0), C, f, seen, gain[:count], plain, E, T, Phi, moved)
+    _inertial_compound(xd, Phid, Qd, diagonal, int(0), C, f, seen, gain[:count], plain, E, T, both, moved, gathered)
     _inertial_noise(dt, drv, Cr, Q, k)
     _from_panels(Phi, acc[:m])
     _from_panels(Q, acc[m : 2 * m])

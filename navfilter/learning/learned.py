@@ -173,6 +173,7 @@ def _learnt_block(model: ArmaModel, slow: tuple[ErrorModel, ...], period_s: floa
     return joined_block([register_block(model), *(part.block(period_s) for part in slow)])
 
 
+@lru_cache(maxsize=64)
 def register_block(model: ArmaModel) -> Block:
     """Block of an ARMA model as a register of past values and innovations."""
     ar, variance = model.ar, model.sd**2

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
@@ -136,6 +136,15 @@ class Heading(Sensor):
             z[:3] = np.reshape(self.soft_iron, (3, 3)) @ (z[:3] - np.asarray(self.hard_iron))
             return z if z[:3].any() else None
         return z
+
+    def read_all(self, values: Array | Sequence[Array]) -> tuple[Array, NDArray[np.bool_]]:
+        """Headings at once; fields one by one."""
+        otherwise = self.magnetometer or type(self).read is not Heading.read
+        if otherwise or not isinstance(values, np.ndarray) or values.shape[1] < self.reads:
+            return super().read_all(values)
+        z = np.full((len(values), 2), math.nan)
+        z[:, : values.shape[1]] = values[:, :2]
+        return z, np.isfinite(z[:, 0])
 
     def drift(self, drive: Mechanisation, axis: int, walk: float) -> Drift:
         """As a heading."""

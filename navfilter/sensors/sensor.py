@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import MISSING, dataclass, fields
 from typing import TYPE_CHECKING, ClassVar
 
@@ -220,6 +220,28 @@ class Sensor:
     def read(self, value: Array) -> Array | None:
         """Turn what arrives into what the kernel takes; None when it is not a reading (lost lock, out of range)."""
         return value if np.isfinite(value).any() else None
+
+    def read_all(self, values: Array | Sequence[Array]) -> tuple[Array, NDArray[np.bool_]]:
+        """`read` of many readings: what it makes of each, NaN beyond, and which of them are readings.
+
+        Parameters
+        ----------
+        values : ndarray, shape (n, w), or sequence of ndarray
+            None of those of fewer than `reads` values is a reading.
+
+        Returns
+        -------
+        z : ndarray, shape (n, most that one of them gives)
+        good : ndarray of bool, shape (n,)
+        """
+        raw = [np.array(value, dtype=np.float64) for value in values]
+        found = [self.read(value) if len(value) >= self.reads else None for value in raw]
+        good = np.array([z is not None for z in found], dtype=bool)
+        z = np.full((len(found), max((len(z) for z in found if z is not None), default=0)), np.nan)
+        for row, one in zip(z, found, strict=True):
+            if one is not None:
+                row[: len(one)] = one
+        return z, good
 
     # ---------------------------------------------------------------- what the filter asks
     def felt(self, mean: Array, scatter: Array) -> Array | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
@@ -127,6 +127,17 @@ class BodyVelocity(Sensor):
         if not valid or (self.zero_is_invalid and not moving):
             return None
         return value[:3] if clean else np.array([c if -top <= c <= top else math.nan for c in components])
+
+    def read_all(self, values: Array | Sequence[Array]) -> tuple[Array, NDArray[np.bool_]]:
+        """The same of many."""
+        otherwise = type(self).read is not BodyVelocity.read
+        if otherwise or not isinstance(values, np.ndarray) or values.shape[1] < self.reads:
+            return super().read_all(values)
+        z = np.array(values[:, :3], dtype=np.float64)
+        valid = np.abs(z) <= self.max_speed_m_s
+        z[~valid] = math.nan
+        told = valid & (z != 0.0) if self.zero_is_invalid else valid
+        return z, np.asarray(told.any(axis=1), dtype=bool)
 
     @property
     def needs_rate(self) -> bool:
