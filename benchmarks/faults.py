@@ -194,4 +194,12 @@ if __name__ == "__main__":
     commands = {missions: flags, outcomes: [seeds, flags[1], shown, mems, quick("one seed")]}
     fifty = flag("--seeds", type=int, default=50)
     commands |= {fault_free: [fifty, flags[1], quick("three seeds")]}
-    main(__doc__, commands | {service: [seeds, quick("one seed")]})
+    around = [
+        seeds,
+        flag("--only", default="", help="only kinds whose name contains this"),
+        flag("--schedules", type=int, default=1000, help="how many (default: %(default)s)"),
+        flag("--first", type=int, default=1, help="seed of the first schedule"),
+        flag("--workers", type=int, default=1, help="processes for the schedules"),
+        quick("one seed, ten schedules"),
+    ]
+    main(__doc__, commands | {service: around})

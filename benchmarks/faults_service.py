@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
-import os
 import resource
-import shutil
 import signal
 import tempfile
-import threading
 import time
 from collections import Counter
 from collections.abc import Callable
@@ -17,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from faults_schedules import VERDICT, counted, schedules, without_counts
 from harness import Options, Table
 from live_run import Dive, Process
 
@@ -25,19 +22,13 @@ from navfilter.io.json_lines import Reading
 from navfilter.playback import drive_samples
 from navfilter.service.log import LOG_FILE, log_items
 
-#: What a run with a fault is judged by: counts of these.
-VERDICT = ("crash", "lost_readings", "other_state")
+EVERYTHING = "schedules of everything"
 Verdict = tuple[int, int, int]
 
 
 def states(output: list[bytes]) -> list[bytes]:
     """Lines of states, without those of events."""
     return [line for line in output if b'"event"' not in line]
-
-
-def without_counts(line: bytes) -> dict:
-    """A state without the count of bad lines."""
-    return {key: value for key, value in json.loads(line).items() if key != "bad_lines"}
 
 
 def killed(dive: Dive, folder: Path, rng: np.random.Generator) -> Verdict:
@@ -135,101 +126,12 @@ def damaged_snapshots(dive: Dive, folder: Path, rng: np.random.Generator) -> Ver
     return crashes, 0, others
 
 
-def stderr_of(rng: np.random.Generator) -> int:
-    """A standard error that is there, gone, full, or not drained."""
-    kind = int(rng.integers(4))
-    if kind in (0, 1):
-        return os.open(("/dev/null", "/dev/full")[kind], os.O_WRONLY)
-    reading, writing = os.pipe()
-    if kind == 2:
-        os.close(reading)
-        return writing
-    os.set_blocking(writing, False)
-    with contextlib.suppress(BlockingIOError):
-        while True:
-            os.write(writing, bytes(65536))
-    os.set_blocking(writing, True)
-    return writing  # `reading` stays open, and nobody reads
-
-
-def noisy(lines: list[bytes], rng: np.random.Generator) -> list[bytes]:
-    """Lines with garbage between them."""
-    lines = [*lines]
-    for _ in range(int(rng.integers(0, 30))):
-        noise = rng.bytes(int(rng.integers(1, 2000)))
-        lines.insert(int(rng.integers(len(lines) + 1)), noise + b"\n")
-    return lines
-
-
-def broken_off(dive: Dive, folder: Path, rng: np.random.Generator, sent: int) -> None:
-    """One process of a schedule that is not the last; with a deleted log its snapshot goes too, for it may know more
-    than the log.
-    """
-    arguments = [*dive.arguments, "--log", folder, "--resume", "--snapshot-every", "0.2", "--fsync", "0.1"]
-    handle = stderr_of(rng)
-    process = Process(*arguments, stderr=handle)
-    os.close(handle)
-    if rng.random() < 0.3:
-        process.process.stdout.close()
-        process.process.stdout = None
-    end = int(rng.integers(sent, len(dive.lines)))
-
-    def send(lines: list[bytes]) -> None:
-        with contextlib.suppress(OSError):  # it was killed
-            process.send(lines)
-
-    sending = threading.Thread(target=send, args=(noisy(dive.lines[sent:end], rng),))
-    sending.start()
-    time.sleep(rng.uniform(0.0, 6.0))
-    if deleted := rng.random() < 0.2:
-        shutil.rmtree(folder, ignore_errors=True)
-    if rng.random() < 0.3:
-        process.process.send_signal(signal.SIGHUP)
-    number = (signal.SIGKILL, signal.SIGTERM, None)[int(rng.integers(3))]
-    if number is None:
-        sending.join(60.0)
-    process.end(number)
-    sending.join()
-    if deleted:
-        (folder / "snapshot").unlink(missing_ok=True)
-
-
-def schedule(dive: Dive, folder: Path, rng: np.random.Generator) -> Verdict:
-    """Several processes one after another on one log, and whatever can happen to them."""
-    log, lost, sent = folder / "log", 0, 0
-    for _ in range(int(rng.integers(1, 4))):
-        broken_off(dive, log, rng, sent)
-        file, snapshot = log / LOG_FILE, log / "snapshot"
-        whole = (
-            [item.raw for item in log_items(file, dive.vehicle) if isinstance(item, Reading)] if file.exists() else []
-        )
-        lost += whole != dive.lines[: len(whole)]
-        sent = len(whole)
-        if not sent:  # deleted, or never begun: what is left beside it belongs to nothing
-            shutil.rmtree(log, ignore_errors=True)
-            continue
-        with file.open("ab") as end:
-            end.write(b'{"sensor":"imu","ti' * int(rng.integers(2)))
-        if snapshot.exists() and rng.random() < 0.4:
-            data = bytearray(snapshot.read_bytes())
-            data[int(rng.integers(len(data)))] ^= 1 << int(rng.integers(8))
-            snapshot.write_bytes(data)
-    handle, limit = stderr_of(rng), int(rng.choice([10_000, 300_000, 1 << 40]))
-    full = lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))  # noqa: E731
-    process = Process(*dive.arguments, "--log", log, "--resume", stderr=handle, preexec_fn=full)
-    os.close(handle)
-    end = states(process.end(lines=noisy(dive.lines[sent:], rng)))
-    same = bool(end) and without_counts(end[-1]) == without_counts(states(dive.output)[-1])
-    return int(process.code != 0), lost, int(not same)
-
-
 KINDS: dict[str, Callable[[Dive, Path, np.random.Generator], Verdict]] = {
     "SIGKILL at a random instant, half a line": killed,
     "garbage between the lines (200)": garbage,
     "disk full at a random size": full_disk,
     "log cut at a random byte": cut_log,
     "damaged snapshots (200)": damaged_snapshots,
-    "schedules of everything": schedule,
 }
 
 
@@ -243,17 +145,19 @@ def service(options: Options) -> list[dict[str, Any]]:
     a random byte leave the last state as it was; a damaged snapshot is refused with a ValueError, always.
 
     The schedules draw all of it at once: two to four processes one after another on one log, each with a standard error
-    that is gone, full or not drained, a reader of its states that is there, slow or gone, garbage on the line, and an
-    end by SIGKILL, SIGTERM or the end of its input; between them the snapshot is damaged or removed, the log gets half
-    a line, its folder is deleted under way; the last one may have a full disk. Whatever happens, the last state is that
-    of an undisturbed run.
+    that is there, gone, full or not drained, a reader of its states that is quick, slow, asleep or gone, garbage on the
+    line, and an end by SIGKILL, SIGTERM or the end of its input; in three of ten the clock of all stamps is set, by
+    milliseconds to a day; between the processes the snapshot is damaged or removed, the log gets half a line, its
+    folder is deleted under way; the last one may have a full disk. Whatever happens, the last state is that of an
+    undisturbed run, and what the log holds is what was sent.
     """
     seeds = 1 if options.quick else options.seeds
+    chosen = {kind: run for kind, run in KINDS.items() if options.only in kind}
     nf.warm_up()
     table = Table("kind<42 crash>8d lost_readings>8d other_state>8d of>4d")
     with tempfile.TemporaryDirectory() as name:
         dive = Dive(Path(name), "lawnmower", 60.0)
-        for kind, run in KINDS.items():
+        for kind, run in chosen.items():
             total: Counter[str] = Counter()
             for seed in range(1, seeds + 1):
                 folder = Path(name) / f"{run.__name__}-{seed}"
@@ -261,4 +165,8 @@ def service(options: Options) -> list[dict[str, Any]]:
                 verdict = run(dive, folder, np.random.default_rng(seed))
                 total.update(dict(zip(VERDICT, map(int, verdict), strict=True)))
             table.add({"kind": kind, **{key: total[key] for key in VERDICT}, "of": seeds})
+    if options.only in EVERYTHING:
+        number = 10 if options.quick else options.schedules
+        rows = schedules(range(options.first, options.first + number), options.workers)
+        table.add({"kind": EVERYTHING, **counted(rows), "of": number, "rows": rows})
     return table.rows

@@ -1,11 +1,13 @@
 """Broken, odd and hostile input for every reader: whatever arrives, the answer is a result or one clear error.
 
 Targets: vehicle.toml, mission.toml, text tables, containers (.npz, .npy, .mat), missions saved by navfilter, readings
-as JSON lines, the log of `navfilter run`, snapshots of a navigator (as damaged bytes, and with the damage sealed
-again under a right checksum). Inputs are made from valid examples by cutting, doubling, splicing and flipping bytes,
-and by exchanging tokens: numbers for extreme ones, keys and words for others of the same format, lines for other
-lines. What is accepted is used: a vehicle is described, checked, written and read back, a mission's streams must be
-sorted and finite, a restored navigator goes on with a covariance that is one.
+as JSON lines, the log of `navfilter run`, logs of other makers' formats and what `mission --init` makes of them, whole
+command lines of check, vehicle, replay (of several missions too) and calibrate, snapshots of a navigator (as damaged
+bytes, with the damage sealed again under a right checksum, and with single values and shapes exchanged). Inputs are
+made from valid examples by cutting, doubling, splicing and flipping bytes, and by exchanging tokens: numbers for
+extreme ones, keys and words for others of the same format, lines for other lines. What is accepted is used: a vehicle
+is described, checked, written and read back, also with other constants in a copy of its file, a mission's streams must
+be sorted and finite, a restored navigator goes on with a covariance that is one.
 
 Counted as unhandled: every exception that is not the reader's own kind of error, a message without words or with a
 traceback in it, an accepted input that is not what it must be, an answer that takes more than 10 s, and a crash.
@@ -31,17 +33,61 @@ import time
 import traceback
 import types
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from fuzz_commands import command_target, foreign_log_target
 from fuzz_mutations import Mutator
-from fuzz_targets import Refused, Target, targets
+from fuzz_states import edited_target
+from fuzz_targets import (
+    Refused,
+    Target,
+    container_target,
+    lines_target,
+    log_target,
+    mission_target,
+    native_target,
+    snapshot_target,
+    table_target,
+    vehicle_target,
+)
 from harness import Options, Table, flag, main, quick
 from pydantic import BaseModel
 
 LONGEST_S = 10.0
+
+
+#: By name: how each target is made in a folder of its own.
+TARGETS: dict[str, Callable[[Path], Target]] = {
+    "vehicle.toml": vehicle_target,
+    "mission.toml": mission_target,
+    "text tables": table_target,
+    "containers": container_target,
+    "saved missions": native_target,
+    "JSON lines": lines_target,
+    "log of a run": log_target,
+    "logs": foreign_log_target,
+    "command lines": command_target,
+    "snapshots": lambda folder: snapshot_target(folder, sealed=False),
+    "snapshots, resealed": lambda folder: snapshot_target(folder, sealed=True),
+    "snapshots, edited": lambda folder: edited_target(),
+}
+
+
+def targets(folder: Path, names: list[str] | None) -> list[Target]:
+    """The targets of these names, or all."""
+    unknown = set(names or ()) - set(TARGETS)
+    if unknown:
+        raise SystemExit(f"no target {', '.join(sorted(unknown))} (targets: {', '.join(TARGETS)})")
+    made = []
+    for k, name in enumerate(names or TARGETS):
+        own = folder / str(k)
+        own.mkdir()
+        made.append(TARGETS[name](own))
+    return made
 
 
 @dataclass

@@ -17,11 +17,20 @@ from navfilter.vehicle import Vehicle
 __all__ = ["align"]
 
 Array = NDArray[np.float64]
+#: Of a vehicle that does not say how fast it can be [m/s].
+FASTEST_M_S = 100.0
+#: Two fixes of one place are no farther apart than so many of their sd [1].
+CONFIRMING_SD = 10.0
+#: Of the Earth, as far as it matters here [m].
+EARTH_RADIUS = 6.37e6
 
 
 def align(vehicle: Vehicle, mission: Mission, window_s: float = 5.0) -> Start:
     """Start a run from the first readings: level by the accelerometers, heading by the compass, velocity by the DVL,
     place by fixes.
+
+    The place is that of the first fix that agrees with half of those in the window behind it: a receiver may begin with
+    a place of its own.
 
     Levelling works while the vehicle moves steadily (the specific force is gravity); the standard deviations grow with
     what the inertial unit felt during the window. Without a compass the heading comes from the course between fixes, if
@@ -44,7 +53,7 @@ def align(vehicle: Vehicle, mission: Mission, window_s: float = 5.0) -> Start:
     ValueError
         When there is no position, no source of heading, or the vehicle moves too hard to be levelled.
     """
-    place, place_sd, first_s = _first_fix(vehicle, mission)
+    place, place_sd, first_s = _first_fix(vehicle, mission, window_s)
     drive = mission.streams.get(vehicle.drive.streams[0])
     if drive is None or not len(drive):
         raise ValueError(f'the drive needs a stream "{vehicle.drive.streams[0]}" in this mission.')
@@ -92,7 +101,7 @@ def _stream(vehicle: Vehicle, mission: Mission, what: str) -> tuple[Stream, Any]
     return None
 
 
-def _first_fix(vehicle: Vehicle, mission: Mission) -> tuple[Array, Array, float]:
+def _first_fix(vehicle: Vehicle, mission: Mission, window_s: float) -> tuple[Array, Array, float]:
     found = _stream(vehicle, mission, "position")
     if found is None:
         raise ValueError(
@@ -101,19 +110,50 @@ def _first_fix(vehicle: Vehicle, mission: Mission) -> tuple[Array, Array, float]
             "Give replay(..., start=Start(latitude_deg=..., longitude_deg=..., heading_deg=...))."
         )
     stream, sensor = found
-    for t, value in zip(stream.time_s, stream.value, strict=True):
-        z = sensor.read(value)
-        if z is None:
+    read = [sensor.read(value) for value in stream.value]
+    times = np.array([t for t, z in zip(stream.time_s, read, strict=True) if z is not None])
+    fixes = np.array([z for z in read if z is not None])
+    blocks = [m.block(1.0 / sensor.rate_hz) for m in sensor.models]
+    sd = np.sqrt([b.r + b.C @ b.P0 @ b.C for b in blocks])
+    speed = vehicle.drive.max_speed_m_s or FASTEST_M_S
+    for k, t in enumerate(times.tolist()):
+        others = (times > t) & (times <= t + window_s)
+        others = others if others.any() else (times < t) & (times >= t - window_s)
+        near_m = speed * np.abs(times[others] - t) + CONFIRMING_SD * float(sd[:2].max())
+        if not _confirmed(fixes[k], fixes[others], near_m):
             continue
-        blocks = [m.block(1.0 / sensor.rate_hz) for m in sensor.models]
-        sd = np.sqrt([b.r + b.C @ b.P0 @ b.C for b in blocks])
+        z = fixes[k]
         if not np.isfinite(z[2]):
             z, sd = z.copy(), sd.copy()
             z[2], sd[2] = _height(vehicle, mission)
-        return z, np.maximum(sd, 1e-3), float(t)
-    raise ValueError(
-        "no start: none of the position readings is valid (latitude and longitude in radians? HDOP below the gate?)."
-    )
+        return z, np.maximum(sd, 1e-3), t
+    raise ValueError(f"no start: {_nowhere(stream, len(fixes), window_s)}")
+
+
+def _confirmed(fix: Array, others: Array, within_m: Array) -> bool:
+    """Whether half of the others at least can be of the same vehicle; one alone is believed.
+
+    The others are those of the window behind it: what arrives later a run that is fed live has not heard yet.
+    """
+    north = (others[:, 0] - fix[0]) * EARTH_RADIUS
+    east = wrap(others[:, 1] - fix[1]) * EARTH_RADIUS * np.cos(fix[0])
+    return bool(2 * np.count_nonzero(np.hypot(north, east) <= within_m) >= len(others))
+
+
+def _nowhere(stream: Stream, valid: int, window_s: float) -> str:
+    """Why no fix can be begun with."""
+    nothing = int((stream.value[:, :2] == 0.0).all(axis=1).sum())
+    if valid:
+        return (
+            f"none of the {valid} fixes agrees with those of the {window_s:g} s behind it. "
+            "Wait for fixes that agree, or give a start."
+        )
+    if nothing:
+        return (
+            f"{nothing} of {len(stream)} position readings say latitude 0, longitude 0, as a receiver does that has no "
+            "fix yet, and none is valid. Wait for a fix, or give a start."
+        )
+    return "none of the position readings is valid (latitude and longitude in radians? HDOP below the gate?)."
 
 
 def _height(vehicle: Vehicle, mission: Mission) -> tuple[float, float]:
@@ -162,7 +202,7 @@ def _heading(
     readings = [r for r in (sensor.read(v) for v in stream.value[rows]) if r is not None]
     if not readings:
         return _course(vehicle, mission, begin)
-    place = _first_fix(vehicle, mission)[0]
+    place = _first_fix(vehicle, mission, window_s)[0]
     at = Start(latitude_deg=float(np.degrees(place[0])), longitude_deg=float(np.degrees(place[1])), date=mission.date)
     if sensor.magnetometer:
         level = np.array(readings)[:, :3] @ matrix_from_euler(roll, pitch, 0.0).T
@@ -179,11 +219,12 @@ def _course(vehicle: Vehicle, mission: Mission, begin: float, within_s: float = 
     """Heading from the course between the first fixes, for vehicles that move where they point."""
     found = _stream(vehicle, mission, "position")
     assert found is not None
-    stream, _ = found
-    rows = (stream.time_s >= begin) & (stream.time_s <= begin + within_s) & np.isfinite(stream.value[:, :2]).all(axis=1)
+    stream, sensor = found
+    rows = (stream.time_s >= begin) & (stream.time_s <= begin + within_s)
+    rows[rows] = [sensor.read(value) is not None for value in stream.value[rows]]
     lat, lon = stream.value[rows, 0], stream.value[rows, 1]
     if len(lat) > 1:
-        north, east = (lat - lat[0]) * 6.37e6, wrap(lon - lon[0]) * 6.37e6 * np.cos(lat[0])
+        north, east = (lat - lat[0]) * EARTH_RADIUS, wrap(lon - lon[0]) * EARTH_RADIUS * np.cos(lat[0])
         far = np.flatnonzero(np.hypot(north, east) > 10.0)
         if len(far):
             return float(np.arctan2(east[far[0]], north[far[0]])), float(np.radians(15.0))

@@ -121,6 +121,7 @@ def _assemble(label: str, nav: Navigator, rows: _Rows, name: str, cpu_s: float, 
         residuals=tape.residuals() if forward is None else (forward.revised or forward).residuals,
         error_models=tape.models,
         counts=dict(nav.counts),
+        axes=tuple(tape.first_axes()),
         cpu_s=cpu_s,
         forward=forward,
     )

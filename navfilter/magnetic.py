@@ -7,7 +7,7 @@ import datetime
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["calibrate_magnetometer", "declination"]
+__all__ = ["believable", "calibrate_magnetometer", "declination"]
 
 Array = NDArray[np.float64]
 MODEL_YEARS = (2010, 2015, 2020, 2025)
@@ -49,6 +49,21 @@ def declination(latitude_deg: float, longitude_deg: float, height_m: float, date
         glat=latitude_deg, glon=(longitude_deg + 180.0) % 360.0 - 180.0, alt=height_m / 1000.0, time=year
     )
     return float(np.radians(result.d))
+
+
+def believable(date: datetime.date) -> datetime.date:
+    """The date itself, or the first day of the last model where none is for its year.
+
+    A computer without a battery says 1970; a compass must not wait for ever for its declination. The field of the last
+    model is wrong by about 0.2 degrees for each year in between.
+
+    Examples
+    --------
+    >>> believable(datetime.date(1970, 1, 1)), believable(datetime.date(2026, 6, 1))
+    (datetime.date(2025, 1, 1), datetime.date(2026, 6, 1))
+    """
+    known = MODEL_YEARS[0] <= date.year < MODEL_YEARS[-1] + 5
+    return date if known else datetime.date(MODEL_YEARS[-1], 1, 1)
 
 
 def calibrate_magnetometer(

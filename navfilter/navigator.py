@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from dataclasses import dataclass
 from os import PathLike
 
 import numpy as np
@@ -15,24 +14,20 @@ from numpy.typing import ArrayLike, NDArray
 from navfilter.beginning import Beginning
 from navfilter.filter import snapshot as snapshots
 from navfilter.filter.adoption import Change
-from navfilter.filter.channel import ChannelMemory, Course, Refusals
 from navfilter.filter.condition import health_of, state_of
+from navfilter.filter.drive_clock import Arrived, DriveClock
 from navfilter.filter.events import Event, Outcome
 from navfilter.filter.filter import Filter
-from navfilter.filter.filter_memory import Errors, FilterMemory
+from navfilter.filter.filter_memory import Errors
 from navfilter.filter.health import Health, Watch
 from navfilter.filter.history import History, Reading
-from navfilter.filter.intake import IntakeMemory
 from navfilter.filter.memory import misfit
 from navfilter.filter.tape import Tape
 from navfilter.filter.waiting import Waiting
-from navfilter.learning.learner import LearnerMemory
-from navfilter.learning.listener import ChannelSeries, Hop, ListenerMemory
-from navfilter.learning.posterior import Line
-from navfilter.learning.rest import RestMemory
-from navfilter.learning.schedule import Again, LearningMemory, LearningSchedule
-from navfilter.learning.spectrum import Spectrum
+from navfilter.learning.listener import ChannelSeries
+from navfilter.learning.schedule import LearningSchedule
 from navfilter.learning.worker import Worker
+from navfilter.navigator_memory import MEMORY, NavigatorMemory
 from navfilter.start import Start
 from navfilter.state import NavState, Pose
 from navfilter.vehicle import Vehicle
@@ -40,20 +35,6 @@ from navfilter.vehicle import Vehicle
 __all__ = ["Navigator", "Outcome"]
 
 Array = NDArray[np.float64]
-
-
-@dataclass
-class NavigatorMemory:
-    """Everything that changes in order: what late readings and snapshots go back to."""
-
-    filter: FilterMemory
-    learning: LearningMemory
-
-
-MEMORY = (
-    *(NavigatorMemory, FilterMemory, ChannelMemory, Refusals, Course, IntakeMemory),
-    *(LearningMemory, Again, Change, ListenerMemory, Hop, RestMemory, LearnerMemory, Line, Spectrum),
-)
 
 
 class Navigator:
@@ -127,6 +108,8 @@ class Navigator:
         names = list(vehicle.sensors)
         self.history = History(self, length_s, names) if length_s else None
         self.watches = {name: Watch(sensor.gate_timeout_s) for name, sensor in vehicle.sensors.items()}
+        # a recording is in the order of its stamps: there is nothing to be seen of how it arrived
+        self.clock = DriveClock(vehicle.drive.period_s, live=tape is None)
         self._waiting = Waiting()
         self._behind = {name: names[i + 1 :] for i, name in enumerate(names)}
         self._row = np.empty((1, 7))
@@ -163,6 +146,16 @@ class Navigator:
 
     def step_samples(self, samples: Array) -> None:
         """As `step`, for rows of time and the six values; the array is used as work space."""
+        for item in self.clock.take(samples):
+            self._go_on(item)
+
+    def _go_on(self, item: Array | Arrived) -> Outcome | None:
+        if isinstance(item, np.ndarray):
+            self._pass_on(item)
+            return None
+        return self.correct(*item)
+
+    def _pass_on(self, samples: Array) -> None:
         while len(samples) and samples[-1, 0] + self.offset_s > self._waiting.next_s + 1e-9:
             here = int(np.argmax(samples[:, 0] + self.offset_s > self._waiting.next_s + 1e-9))
             self._carry(samples[:here])
@@ -199,10 +192,12 @@ class Navigator:
         if watch is None:
             return Outcome("unknown-sensor")
         try:
-            z = np.array(value, dtype=np.float64).reshape(-1)
-            time_s = float(time_s) + self.offset_s - self.vehicle.sensors[name].time_offset_s
+            z, time_s = np.array(value, dtype=np.float64).reshape(-1), float(time_s)
         except (TypeError, ValueError):
             z, time_s = np.full(1, np.nan), math.nan
+        if (held := self.clock.hear(Arrived(name, time_s, z, sd))) is not None:
+            return [Outcome("waiting"), *(self._go_on(item) for item in held)][-1] or Outcome("waiting")
+        time_s += self.offset_s - self.vehicle.sensors[name].time_offset_s
         reading = Reading(name, time_s + self.filter.channels[name].lead_s, z, sd, *watch.sees(time_s, z))
         self._release(time_s)
         if reading.time_s > time_s and time_s < self.start.time_s - 1e-9:
@@ -214,6 +209,8 @@ class Navigator:
 
     def finish(self) -> None:
         """Take the readings that still wait (`Outcome`): no more samples come."""
+        for item in self.clock.rest():
+            self._go_on(item)
         self._release()
 
     def _release(self, time_s: float = math.inf) -> None:
@@ -355,12 +352,12 @@ class Navigator:
     @property
     def state(self) -> NavState:
         """The state with its covariance and the health of the sensors, now; a copy."""
-        return state_of(self.filter, self.watches, self.learning.worker.health)
+        return state_of(self.filter, self.watches, self.clock, self.learning.worker.health)
 
     @property
     def health(self) -> Health:
         """What the sensors are worth at present."""
-        return health_of(self.filter, self.watches, self.learning.worker.health, self.filter.state)
+        return health_of(self.filter, self.watches, self.clock, self.learning.worker.health, self.filter.state)
 
     # ---------------------------------------------------------------- keep and bring back
     def snapshot(self, path: str | PathLike[str] | None = None) -> bytes:
@@ -389,7 +386,7 @@ class Navigator:
         )
         length_s = 0.0 if self.history is None else self.history.length_s
         whole = NavigatorMemory(memory.filter, learning)
-        saved = snapshots.Saved(self.start, length_s, whole, inputs, self.watches)
+        saved = snapshots.Saved(self.start, length_s, whole, inputs, self.watches, self.clock.memory)
         return snapshots.write(saved, self.vehicle, self.time_s, path)
 
     @classmethod
@@ -435,6 +432,7 @@ class Navigator:
         if set(saved.watches) != set(nav.watches):
             raise ValueError(f"watches must be kept of {', '.join(nav.watches)}, found {', '.join(saved.watches)}")
         nav.watches = saved.watches
+        nav.clock.go_on(saved.clock)
         return nav
 
     def _given(self, item: Array | Reading) -> None:

@@ -108,6 +108,8 @@ class Track:
         UTC of mission time zero [s since 1970]; None where the mission does not know it.
     bounds : ndarray, shape (n, 2), or None
         Of a forward track: protection radius [m] and bound of the heading [rad], see `navfilter.filter.integrity`.
+    axes : tuple of (time_s, axis, condition)
+        When the condition of an axis of the inertial unit changed, as `Health.axes` names it.
     """
 
     label: str
@@ -132,6 +134,7 @@ class Track:
     revised: Track | None = None
     epoch_utc_s: float | None = None
     bounds: Array | None = None
+    axes: tuple[tuple[float, str, str], ...] = ()
 
     def __len__(self) -> int:
         return len(self.time_s)

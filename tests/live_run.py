@@ -38,7 +38,8 @@ class Dive:
         self.vehicle, self.mission = simulate_scenario(scenario, 1, duration_s)
         self.start = {k: v for k, v in dataclasses.asdict(self.mission.start).items() if v is not None}
         self.lines = as_lines(self.vehicle, self.mission)
-        self.toml, self.start_file = folder / f"{scenario}.toml", folder / f"{scenario}.json"
+        name = f"{scenario}-{duration_s:g}"
+        self.toml, self.start_file = folder / f"{name}.toml", folder / f"{name}.json"
         write_vehicle(self.vehicle, self.toml)
         self.start_file.write_text(json.dumps({**self.start, "date": self.start["date"].isoformat()}))
         self.options = Options(start=self.start, date=self.start["date"])

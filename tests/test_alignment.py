@@ -154,3 +154,50 @@ def test_magnetometer_and_heading_give_the_same_track():
     assert one.attitude[-1, 2] == pytest.approx(heading, abs=np.radians(0.5))  # 100 readings of 0.57 deg
     # the magnetometer also depends on tilt, known here to 0.01 deg; dip tan = 4/3
     assert np.abs(one.attitude[:, 2] - two.attitude[:, 2]).max() < np.radians(0.02)
+
+
+# --- the first fix ------------------------------------------------------------------------------------------------
+
+
+def rows_of(*places):
+    """Fixes once a second [rad]."""
+    return np.arange(float(len(places))), np.array([(*place, 5.0) for place in places])
+
+
+HERE, THERE = (0.7, 0.2), (0.7, 0.25)
+
+
+def test_a_receiver_without_a_fix_is_not_at_zero_zero():
+    fixes = rows_of(*[(0.0, 0.0)] * 3, *[HERE] * 7)
+    start = nf.align(vehicle(), imu_mission(0.0, 0.0, 0.5, fixes=fixes))
+    assert (start.time_s, start.latitude_deg) == (3.0, pytest.approx(np.degrees(0.7)))
+    with pytest.raises(ValueError, match=r"10 of 10 position readings say latitude 0.*Wait for a fix, or give a start"):
+        nf.align(vehicle(), imu_mission(0.0, 0.0, 0.5, fixes=rows_of(*[(0.0, 0.0)] * 10)))
+
+
+def test_a_vehicle_that_is_near_zero_zero_starts_there():
+    near = [(1e-9 * k, -2e-9 * k) for k in range(10)]  # the first one says what a receiver without a fix does
+    start = nf.align(vehicle(), imu_mission(0.0, 0.0, 0.5, fixes=rows_of(*near)))
+    assert start.time_s == 1.0 and abs(start.latitude_deg) < 1e-6
+    nav = nf.Navigator(vehicle(), start)
+    nav.step(1.01, (0.0, 0.0, 0.0), (0.0, 0.0, -9.78))
+    assert nav.correct("gps", 1.01, (1e-9, -2e-9, 5.0)).status == "used"
+    assert nav.correct("gps", 1.02, (0.0, 0.0, 5.0)).status == "invalid"
+
+
+def test_the_start_is_a_fix_that_others_agree_with():
+    fixes = rows_of(THERE, *[HERE] * 9)
+    assert nf.align(vehicle(), imu_mission(0.0, 0.0, 0.5, fixes=fixes)).time_s == 1.0
+    # one alone is believed, and so is one that another cannot be told from
+    assert nf.align(vehicle(), imu_mission(0.0, 0.0, 0.5, fixes=rows_of(THERE))).longitude_deg > 14.0
+    jumping = rows_of(*[((0.7 + 0.01 * k), 0.2) for k in range(10)])
+    with pytest.raises(ValueError, match="none of the 10 fixes agrees") as refused:
+        nf.align(vehicle(), imu_mission(0.0, 0.0, 0.5, fixes=(np.arange(10.0), jumping[1])), window_s=20.0)
+    assert "give a start" in str(refused.value)
+
+
+def test_the_course_is_not_that_from_zero_zero():
+    moving = [(0.7 + 3e-6 * k, 0.2) for k in range(10)]
+    fixes = rows_of(HERE, (0.0, 0.0), *moving[2:])
+    start = nf.align(vehicle().without("compass"), imu_mission(0.0, 0.0, 0.0, compass=False, fixes=fixes))
+    assert start.heading_deg == pytest.approx(0.0, abs=1e-6)

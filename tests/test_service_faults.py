@@ -21,18 +21,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from live_run import COMMAND, PATIENCE_S, Dive, Process, states
+from live_run import COMMAND, PATIENCE_S, Dive, Process, run_session, states
 
 import navfilter as nf
 from navfilter.cli import _parser, main
-from navfilter.commands.run import _believable
 from navfilter.io import read_vehicle, write_vehicle
 from navfilter.io.json_lines import BadLine, LineParser, Reading
 from navfilter.kernels import measurement
-from navfilter.magnetic import declination
+from navfilter.magnetic import believable, declination
 from navfilter.service import kernel_cache
 from navfilter.service.log import LOG_FILE, log_items, prepare_log
 from navfilter.service.outlet import Outlet
+from navfilter.service.session import Options
 from navfilter.service.supervision import Notifier
 from navfilter.service.tally import Tally
 
@@ -486,11 +486,28 @@ def test_where_the_disk_is_full_kernels_are_kept_for_this_process(tmp_path):
 
 
 def test_a_computer_in_1970_does_not_keep_a_magnetic_compass_waiting():
-    said = []
     for today in (datetime.date(1970, 1, 1), datetime.date(2106, 2, 7)):
-        date = _believable(today, said.append)
-        assert math.isfinite(declination(45.0, -4.0, 0.0, date)) and str(today) in said[-1]
-    assert _believable(datetime.date(2026, 5, 4), pytest.fail) == datetime.date(2026, 5, 4)
+        assert math.isfinite(declination(45.0, -4.0, 0.0, believable(today)))
+    assert believable(datetime.date(2026, 5, 4)) == datetime.date(2026, 5, 4)
+
+
+@pytest.mark.parametrize("how", ["aligned", "given", "line"])
+def test_a_run_that_is_told_1970_starts_and_says_by_which_field(how):
+    imu, compass, gps = nf.Imu(rate_hz=10), nf.Heading(rate_hz=1, magnetic=True), nf.Position()
+    vehicle, unset = nf.Vehicle(imu=imu, sensors={"compass": compass, "gps": gps}), datetime.date(1970, 1, 1)
+    place = {"latitude_deg": 45.0, "longitude_deg": -4.0, "heading_deg": 0.0}
+    rows = [{"sensor": "start", **place, "date": "1970-01-01"}] if how == "line" else []
+    for k in range(200):
+        rows.append({"sensor": "imu", "time_s": k / 10, "rate_b": [0.0] * 3, "force_b": [0.0, 0.0, -9.81]})
+        if k % 10 == 0:
+            rows.append({"sensor": "compass", "time_s": k / 10, "value": 0.1})
+            rows.append({"sensor": "gps", "time_s": k / 10, "value": [0.785, -0.07, 0.0]})
+    options = Options(date=unset, start=place if how == "given" else None)
+    told, events = states(run_session(vehicle, [json.dumps(row).encode() + b"\n" for row in rows], options))
+    warned = [event["text"] for event in events if event["event"] == "warning"]
+    assert len(told) > 5 and len(warned) == 1 and "1970-01-01" in warned[0] and "2025-01-01" in warned[0]
+    truly = 0.1 + declination(45.0, -4.0, 0.0, datetime.date(2025, 1, 1))
+    assert math.radians(told[-1]["heading_deg"]) == pytest.approx(truly, abs=0.02)
 
 
 # --- supervision ----------------------------------------------------------------------------------------------------

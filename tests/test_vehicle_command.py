@@ -215,7 +215,7 @@ def test_description_of_everything_else():
         "dead reckoning by attitude and body velocity at 4 Hz",
         "yaw.one_cycle_sin 2.86 deg, yaw.one_cycle_cos 2.86 deg, velocity.scale 1 %",
         "mounting     roll 0, pitch 0, yaw 45 deg",
-        "learnt under way from the last 3.33 min, first after 25 s, orders (1,0), (2,1)",
+        "learnt under way from the last 3.33 min, first after 62 s, orders (1,0), (2,1)",
         "until then Gauss-Markov of first order: sd 10 cm, correlation time 10 s + white noise: sd 0.2 m of a "
         "reading".replace("10 cm", "0.1 m"),
         "depth from absolute pressure",
@@ -453,3 +453,18 @@ def test_a_drive_that_cannot_learn_is_said():
     drive = DeadReckoning(rate_hz=4.0, attitude=White(sd=0.01), velocity=velocity)
     found = [f for f in check_vehicle(Vehicle(drive=drive)) if f.severity != "info"]
     assert [(f.stream, "never learnt" in f.text) for f in found] == [("drive.velocity.error", True)]
+
+
+@pytest.mark.parametrize("rate_hz, first_s", [(8.0, 32.0), (4.0, 32.0), (3.0, 62.0), (1.0, 122.0), (0.1, 1034.0)])
+def test_the_first_adoption_is_when_the_schedule_has_it(rate_hz, first_s):
+    learnt = LearnedArma(window=400)
+    words = f"first after {duration(first_s)}, orders"
+    assert words in describe_vehicle(Vehicle(Imu(rate_hz=100), {"depth": Depth(rate_hz=rate_hz, error=learnt)}))
+
+
+def test_a_window_from_which_nothing_is_ever_learnt_is_refused():
+    with pytest.raises(ValueError, match="at least 103 samples for a model of order"):
+        LearnedArma(window=102)
+    with pytest.raises(ValueError, match=r"at least 223 samples for a model of order \(5, 5\)"):
+        LearnedArma(window=222, orders=((5, 5),))
+    assert LearnedArma(window=103).window == 103

@@ -277,7 +277,7 @@ def test_what_a_class_refuses_stands_beside_mistakes_elsewhere(tmp_path):
         read_vehicle(tmp_path)
     for message in (
         'drive.velocity: there is no kind "depth"; known: body-velocity, water-velocity.',
-        "sensors.a.error: LearnedArma.window must be at least 100 samples, found 50",
+        "sensors.a.error: LearnedArma.window must be at least 103 samples for a model of order (0, 0), found 50",
         'sensors."new\\nline": a sensor needs a name of printable characters',
         "can hold one LearnedArma",
         "sensors.b.error.adopted: covariance must be 2 x 2",

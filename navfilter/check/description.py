@@ -15,7 +15,11 @@ from navfilter.cycle import Cycle
 from navfilter.error_models import Arma, Block, ErrorModel, GaussMarkov, RandomWalk, Sum, White
 from navfilter.filter.layout import Layout, Parameter, constant_parameters
 from navfilter.learning.learned import LearnedArma
+from navfilter.learning.limits import least_window
+from navfilter.learning.listener import TAKEN_AFTER_S
+from navfilter.learning.schedule import LearningSchedule
 from navfilter.mechanisation import Mechanisation
+from navfilter.navigator import Navigator
 from navfilter.sensors import Sensor
 
 if TYPE_CHECKING:
@@ -98,7 +102,7 @@ def _error_lines(
         axes = [axis for *_, axis in group]
         some = f"{axes[0]} to {axes[-1]}" if len(axes) > 2 else " and ".join(axes)
         label = name if len(axes) == len(models) or not some else f"error {some}" if name == "error" else some
-        for k, text in enumerate(describe_error(model, unit, period_s)):
+        for k, text in enumerate(describe_error(model, unit, period_s, at_rest=name in ("gyro", "accel"))):
             yield _line(label if k == 0 else "", text)
 
 
@@ -140,7 +144,7 @@ def _line(label: str, text: str) -> str:
     return f"  {label:{_COLUMN}}{text}" if len(label) < _COLUMN else f"  {label} {text}"
 
 
-def describe_error(model: ErrorModel, unit: str, period_s: float) -> list[str]:
+def describe_error(model: ErrorModel, unit: str, period_s: float, at_rest: bool = False) -> list[str]:
     """What an error model says: a line per part, then what it means at low frequencies.
 
     Parameters
@@ -150,6 +154,8 @@ def describe_error(model: ErrorModel, unit: str, period_s: float) -> list[str]:
         Of the channel, as in `Layout.units`.
     period_s : float
         Sampling period of the sensor [s].
+    at_rest : bool
+        A learnt part is learnt while the vehicle keeps still, as of gyros and accelerometers.
 
     Returns
     -------
@@ -163,14 +169,14 @@ def describe_error(model: ErrorModel, unit: str, period_s: float) -> list[str]:
     parts = model.parts if isinstance(model, Sum) else (model,)
     lines = []
     for k, part in enumerate(parts):
-        lines.append(f"{'+ ' if k else ''}{_part(part, unit, period_s)}")
+        lines.append(f"{'+ ' if k else ''}{_part(part, unit, period_s, at_rest)}")
         if isinstance(part, LearnedArma) and part.model is None and part.prior is not None:
             before = [_part(inner, unit, period_s) for inner in getattr(part.prior, "parts", (part.prior,))]
             lines.append(f"  until then {' + '.join(before)}")
     return [*lines, *_low_frequencies(model.block(period_s), unit, period_s)]
 
 
-def _part(model: ErrorModel, unit: str, period_s: float) -> str:
+def _part(model: ErrorModel, unit: str, period_s: float, at_rest: bool = False) -> str:
     if isinstance(model, White):
         if model.density is None:
             return f"white noise: sd {amount(float(model.sd or 0.0), unit)} of a reading"
@@ -194,7 +200,7 @@ def _part(model: ErrorModel, unit: str, period_s: float) -> str:
     if isinstance(model, Arma):
         return _arma("ARMA", (len(model.ar), len(model.ma)), model, unit, period_s)
     if isinstance(model, LearnedArma):
-        return _learned(model, unit, period_s)
+        return _learned(model, unit, period_s, at_rest)
     return str(model)
 
 
@@ -205,12 +211,23 @@ def _arma(name: str, order: tuple[int, int], model: ErrorModel, unit: str, perio
     return f"{name}({order[0]}, {order[1]}): sd {amount(total, unit)}{'; ' if times else ''}{', '.join(times)}"
 
 
-def _learned(model: LearnedArma, unit: str, period_s: float) -> str:
+def _learned(model: LearnedArma, unit: str, period_s: float, at_rest: bool) -> str:
     if model.model is not None:
         return _arma("learnt ARMA", (model.model.p, model.model.q), model, unit, period_s)
-    first, span = duration(model.window / 8.0 * period_s), duration(model.window * period_s)
     orders = ", ".join(f"({p},{q})" for p, q in model.orders)
-    return f"learnt under way from the last {span}, first after {first}, orders {orders}"
+    span, first = duration(model.window * period_s), duration(_first_after_s(model, period_s, at_rest))
+    under = "at rest" if at_rest else "under way"
+    return f"learnt {under} from the last {span}, first after {first}{' of it' if at_rest else ''}, orders {orders}"
+
+
+def _first_after_s(model: LearnedArma, period_s: float, at_rest: bool) -> float:
+    """When a model is first adopted, where no reading is missing [s]; at rest this much of it is needed."""
+    if at_rest:
+        return 0.5 * model.window * period_s if model.hop is None else model.hop * period_s
+    # what a late reading may still change is not learnt from
+    behind_s = Navigator.HISTORY_S
+    heard_s = least_window(sum(model.orders[0])) * period_s + behind_s
+    return min((age_s for age_s in LearningSchedule.EARLY_S if age_s >= heard_s), default=heard_s) + TAKEN_AFTER_S
 
 
 def _time_constants(block: Block, period_s: float) -> list[str]:

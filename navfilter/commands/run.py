@@ -189,7 +189,7 @@ def _run(options: argparse.Namespace, say: Callable[[str], None]) -> int:
     if options.replay_log is not None:
         announce_compilation(say)
         return replay_log(vehicle, Path(options.replay_log), rate_hz=options.rate_hz, say=say)
-    date = options.date or _believable(datetime.datetime.now(datetime.UTC).date(), say)
+    date = options.date or datetime.datetime.now(datetime.UTC).date()
     decides = Options(rate_hz=options.rate_hz or 1.0, align_s=options.align, start=_start(options.start), date=date)
     log = None if options.log is None else Path(options.log)
     state = log / "snapshot" if options.state is None and log is not None else options.state
@@ -207,17 +207,6 @@ def _run(options: argparse.Namespace, say: Callable[[str], None]) -> int:
     )
     announce_compilation(say)
     return run_loop(vehicle, decides, service)
-
-
-def _believable(today: datetime.date, say: Callable[[str], None]) -> datetime.date:
-    """A computer without a battery says 1970: a magnetic compass would wait for ever for its declination."""
-    from navfilter.magnetic import MODEL_YEARS
-
-    if MODEL_YEARS[0] <= today.year < MODEL_YEARS[-1] + 5:
-        return today
-    date = datetime.date(MODEL_YEARS[-1], 1, 1)
-    say(f"the clock of this computer says {today}: the magnetic declination is that of {date}; give --date")
-    return date
 
 
 def _check(options: argparse.Namespace) -> None:

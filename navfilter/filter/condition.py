@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from navfilter.filter import integrity
 from navfilter.filter.belief import MOST_SDS
 from navfilter.filter.channel import Channel
+from navfilter.filter.drive_clock import DriveClock
 from navfilter.filter.filter import Filter
 from navfilter.filter.health import Health, LearningHealth, Watch
 from navfilter.state import NavState
@@ -21,13 +22,15 @@ __all__ = ["health_of", "state_of"]
 Array = NDArray[np.float64]
 
 
-def state_of(filter: Filter, watches: Mapping[str, Watch], learning: LearningHealth) -> NavState:
+def state_of(filter: Filter, watches: Mapping[str, Watch], clock: DriveClock, learning: LearningHealth) -> NavState:
     """The state with its covariance and health, now; a copy."""
     state = filter.state
-    return replace(state, health=health_of(filter, watches, learning, state))
+    return replace(state, health=health_of(filter, watches, clock, learning, state))
 
 
-def health_of(filter: Filter, watches: Mapping[str, Watch], learning: LearningHealth, state: NavState) -> Health:
+def health_of(
+    filter: Filter, watches: Mapping[str, Watch], clock: DriveClock, learning: LearningHealth, state: NavState
+) -> Health:
     """What the sensors are worth at present, how far the truth may be, and whether the state is to be trusted.
 
     Parameters
@@ -35,6 +38,7 @@ def health_of(filter: Filter, watches: Mapping[str, Watch], learning: LearningHe
     filter : Filter
     watches : dict of str to Watch
         By sensor.
+    clock : DriveClock
     learning : LearningHealth
     state : NavState
         That of the filter, now.
@@ -70,6 +74,7 @@ def health_of(filter: Filter, watches: Mapping[str, Watch], learning: LearningHe
         integrity.Bounds(float(radius_m), float(heading_rad)),
         integrity.trust(P, speed, turn, (drive.max_speed_m_s, drive.max_turn_rad_s), doubts),
         filter.watch.lane(memory.watch),
+        clock.memory.offset_s,
         learning,
     )
 

@@ -138,6 +138,8 @@ class DriveWatch:
                     most = max(self._unseen[i], abs(axis[kernel.MEAN] - expected))
                     opened.append(self._done(i, most, axis[kernel.BEGAN_S], memory.nav))
                 axis[kernel.HEEDED] = code
+                if filter.tape is not None:
+                    filter.tape.axes.append((memory.time_s, self.axes[i], CONDITIONS[int(code)]))
             if code == kernel.NOISY:
                 axis[kernel.WHITE] = axis[kernel.NOISE] / 6.0
         if opened:

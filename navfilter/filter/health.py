@@ -69,6 +69,9 @@ class Health:
         models adopted.
     clock_offset_s : float
         By how much stamps are moved because the clock was set back [s].
+    drive_clock_offset_s : float
+        By how much the stamps of the drive alone are moved, because its clock was set and those of the others were not
+        [s].
     axes : dict of str to str
         Condition of each axis of an inertial unit: "good", "noisy", "stuck", "dead" (stuck at zero), "saturated",
         "erratic" (nothing but noise), "wrong-unit", "gravity" (feels it where it is not), "swapped" (the same, of the
@@ -91,6 +94,7 @@ class Health:
     bounds: Bounds | None = None
     trust: Trust | None = None
     lane: str = ""
+    drive_clock_offset_s: float = 0.0
     learning: LearningHealth = field(default=LearningHealth(), compare=False)
 
     @property

@@ -70,9 +70,9 @@ def _found(channel: Channel, refused: Array, variance: Array) -> tuple[float, ..
     if channel.sensor.open_loop == listen.HEADING:
         # half a turn to the left is half a turn to the right
         residuals = residuals[-1] + (residuals - residuals[-1] + np.pi) % (2.0 * np.pi) - np.pi
-    mean, sd = np.nanmean(residuals, axis=0), np.nanstd(residuals, axis=0)
     square = np.nansum(residuals**2, axis=0) / readings
-    noise = np.maximum(square - variance, 0.0)
-    worst = int(np.nanargmax(square / variance))
+    noise = np.where(np.isfinite(variance), np.maximum(square - variance, 0.0), 0.0)
+    worst = int(np.argmax(np.nan_to_num(square / variance)))
+    mean, sd = np.nanmean(residuals[:, worst]), np.nanstd(residuals[:, worst])
     larger = noise[worst] > channel.white[worst, worst]
-    return tuple(noise.tolist()) if larger and abs(mean[worst]) <= CENTRED * sd[worst] else ()
+    return tuple(noise.tolist()) if larger and abs(mean) <= CENTRED * sd else ()

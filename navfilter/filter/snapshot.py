@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 
 from navfilter.arma.model import ArmaModel
 from navfilter.error_models import ErrorModel
+from navfilter.filter.drive_clock import DriveClockMemory
 from navfilter.filter.health import Watch
 from navfilter.filter.history import Reading
 from navfilter.filter.memory import from_arrays, to_arrays
@@ -35,7 +36,7 @@ from navfilter.vehicle import Vehicle
 __all__ = ["Saved", "fingerprint", "read", "write"]
 
 MAGIC = b"navfilter snapshot\n"
-FORMAT = 3
+FORMAT = 4
 
 
 @dataclass
@@ -52,6 +53,7 @@ class Saved:
     inputs : list of ndarray or Reading
         Samples and readings since.
     watches : dict of str to Watch
+    clock : DriveClockMemory
     """
 
     start: Start
@@ -59,6 +61,7 @@ class Saved:
     memory: Any
     inputs: list[NDArray[np.float64] | Reading]
     watches: dict[str, Watch]
+    clock: DriveClockMemory
 
 
 def fingerprint(vehicle: Vehicle) -> str:

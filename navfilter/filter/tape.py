@@ -266,6 +266,7 @@ class Tape:
         self.columns: dict[str, _Column] = {}
         self.models: dict[str, list[tuple[float, Any]]] = {}
         self.layouts: list[Any] = [layout]
+        self.axes: list[tuple[float, str, str]] = []  # changes of the drive's axes: time, axis, condition
 
     def record(self, record: Array, axes: int, dims: NDArray[np.int64]) -> None:
         """Write one record: compound transition, block tick, and what the correction was (see
@@ -374,6 +375,14 @@ class Tape:
             return self.columns
         before = self.given._first_columns()
         return {name: column.after(before[name]) if name in before else column for name, column in self.columns.items()}
+
+    def first_axes(self) -> list[tuple[float, str, str]]:
+        """Changes of the conditions of the drive's axes, as they were first noticed."""
+        if self.given is None:
+            return self.axes
+        now_s = self.given.ended_s
+        before = [change for change in self.given.first_axes() if change[0] <= now_s]
+        return [*before, *(change for change in self.axes if change[0] > now_s)]
 
     def first_models(self) -> dict[str, list[tuple[float, Any]]]:
         """Error models by sensor, and from when they were in force before anything was run again."""

@@ -49,7 +49,7 @@ _HEAD = """\
 #       ARMA(p, q), one step per reading, signs as scipy.signal.lfilter([1, *ma], [1, *ar], e) with e of this sd (default 1); ma may be
 #       left out; 'navfilter identify' finds all three from a recording at rest
 #   {{model = "learned-arma", orders = [[1, 0], [1, 1], [2, 1]], window = 4000, hop = 1000, prior = {{model = "white", sd = 0.1}}}}
-#       learnt under way; every key may be left out: candidates (p, q), readings behind an estimate (at least 100, default 4000),
+#       learnt under way; every key may be left out: candidates (p, q), readings behind an estimate (at least 103, default 4000),
 #       readings between two adoptions (default: half the window), and what is in force before the first and believed of slow
 #       errors after it (default: what is usual for the sensor; white noise alone excludes slow errors). What has been learnt is
 #       kept as adopted = {{ar = [..], ma = [..], sd = ..}}, slow = {{model = "gauss-markov", ..}}; with frozen = true beside it that

@@ -21,6 +21,7 @@ from navfilter.outputs.formats import FORMATS, write_track
 from navfilter.outputs.replacing import replacing
 from navfilter.outputs.tum import write_truth
 from navfilter.track import Track
+from navfilter.track_trust import integrity_figures
 from navfilter.vehicle import Vehicle
 
 __all__ = ["labelled", "learned_vehicle", "summarise", "write_json", "write_outputs", "write_summary"]
@@ -118,7 +119,10 @@ def summarise(tracks: Mapping[str, Track], mission: Mission) -> dict[str, Any]:
         "runs".
     """
     result = list(tracks.values())[-1]
-    runs = {label: track.summary(mission.truth, mission.windows) for label, track in tracks.items()}
+    runs = {
+        label: track.summary(mission.truth, mission.windows) | {"integrity": integrity_figures(track, mission.truth)}
+        for label, track in tracks.items()
+    }
     summary = {
         "mission": mission.name,
         "vehicle": result.vehicle.name,

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from navfilter.arma.model import ArmaModel
 from navfilter.arma.stationary import stationary_covariance
 from navfilter.error_models import Block, ErrorModel, GaussMarkov, Integrated, RandomWalk, Sum, White, joined_block
-from navfilter.learning.limits import LEAST
+from navfilter.learning.limits import least_window
 from navfilter.learning.spectrum import Spectrum
 
 __all__ = [
@@ -66,7 +66,8 @@ class LearnedArma(ErrorModel):
     Raises
     ------
     ValueError
-        For a window below 100 samples, an empty or impossible list of orders, a model that is not stable, a slow part
+        For a window from which nothing could ever be learnt (below 103 samples, more for large orders), an empty or
+        impossible list of orders, a model that is not stable, a slow part
         that is not Gauss-Markov, and `slow` or `frozen` without a model.
 
     Notes
@@ -102,9 +103,11 @@ class LearnedArma(ErrorModel):
                 "1))."
             )
         object.__setattr__(self, "orders", orders)
-        if int(self.window) < LEAST:
+        least = least_window(sum(orders[0]))
+        if int(self.window) < least:
             raise ValueError(
-                f"LearnedArma.window must be at least {LEAST} samples, found {self.window!r}. Typical: 4000."
+                f"LearnedArma.window must be at least {least} samples for a model of order {orders[0]}, found "
+                f"{self.window!r}: of fewer none is ever learnt. Typical: 4000."
             )
         if self.hop is not None and int(self.hop) < 1:
             raise ValueError(f"LearnedArma.hop must be at least 1 sample, found {self.hop!r}.")

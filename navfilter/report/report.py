@@ -27,6 +27,7 @@ from navfilter.report.page import Section, escape, list_html, page, table_html, 
 from navfilter.report.panels import Stack
 from navfilter.report.plan_view import plan_view
 from navfilter.report.sensor_sections import sensor_sections
+from navfilter.report.trust_figures import spell_rows, trust_figure
 from navfilter.sensors.traits import shown_unit
 from navfilter.track import Track
 
@@ -146,12 +147,24 @@ def _over_time(tracks: Tracks, mission: Mission, instrument: Instrument, assessm
     yield Section("Position error", (drawn(errors, caption),))
     caption = _band_caption(truth, slice(8, 9))
     yield Section("Heading error", (drawn(figures.heading_figure(tracks, truth), caption),))
+    yield from _trusted(tracks, truth, instrument)
     nees = None if truth is None else figures.consistency_figure(tracks, truth)
     if nees is not None:
         yield Section("Honesty of the covariance", (drawn(nees, figures.NEES),))
     nis = figures.nis_figure(figures.filters(tracks))
     if nis is not None:
         yield Section("NIS per sensor", (drawn(nis, figures.NIS),))
+
+
+def _trusted(tracks: Tracks, truth: Stream | None, instrument: Instrument) -> Iterator[Section]:
+    """Bounds along the run, and what spoke against it when."""
+    shown = trust_figure(tracks, truth)
+    if shown is None:
+        return
+    header, rows = spell_rows(next(track for track in tracks.values() if track.bounds is not None))
+    parts = [instrument.figure(*shown)]
+    parts.append(table_html(header, rows, text_columns=(2, 3)) if rows else "<p>Nothing spoke against the state.</p>")
+    yield Section("Trust and bounds", tuple(parts))
 
 
 def _band_caption(truth: Stream | None, columns: slice) -> str:

@@ -144,6 +144,9 @@ class Position(Sensor):
     Notes
     -----
     Errors are in metres north, east, down. A NaN height is a 2-D fix.
+
+    A receiver without a fix yet says latitude 0, longitude 0: exactly that is no reading. A vehicle near there loses
+    nothing, for fixes that are both exactly 0 do not happen to it.
     """
 
     error: Errors = White(sd=3.0)
@@ -172,8 +175,8 @@ class Position(Sensor):
         return np.asarray(self.lever_arm_b_m, dtype=float)
 
     def read(self, value: Array) -> Array | None:
-        """None for a fix without latitude or longitude, off the globe, or of poor geometry."""
-        if len(value) > 3 and value[3] > self.max_hdop:
+        """None for a fix without latitude or longitude, off the globe, at 0, 0, or of poor geometry."""
+        if (len(value) > 3 and value[3] > self.max_hdop) or value[0] == 0.0 == value[1]:
             return None
         ok = abs(value[0]) <= math.pi / 2 and abs(value[1]) <= 2 * math.pi
         return np.ascontiguousarray(value[:3]) if ok else None

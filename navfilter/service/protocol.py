@@ -17,7 +17,7 @@ from navfilter.filter.health import Health
 from navfilter.io.json_lines import LONGEST_LINE
 from navfilter.state import NavState
 
-__all__ = ["Lines", "event_line", "state_fields", "to_line"]
+__all__ = ["Lines", "event_line", "integrity_fields", "state_fields", "to_line"]
 
 
 def to_line(fields: Mapping[str, Any]) -> bytes:
@@ -55,7 +55,8 @@ def state_fields(state: NavState) -> dict[str, Any]:
         ``velocity_sd_m_s`` (north, east, down) and ``attitude_sd_deg`` (rotations about north, east, down; the last is
         that of the heading of a level vehicle); ``sensors``: condition, age of the last good reading [s], mean NIS and
         what became of the readings, by name; ``lane`` (see `Health`) and ``axes``: conditions of those axes of the
-        inertial unit that are not good; ``clock_offset_s``; and `integrity_fields`.
+        inertial unit that are not good; ``clock_offset_s`` and
+        ``drive_clock_offset_s``; and `integrity_fields`.
     """
     health = state.health or Health({}, {})
     roll, pitch, heading = np.degrees(state.roll_pitch_heading).tolist()
@@ -79,6 +80,7 @@ def state_fields(state: NavState) -> dict[str, Any]:
         "lane": health.lane,
         "axes": {name: condition for name, condition in health.axes.items() if condition != "good"},
         "clock_offset_s": health.clock_offset_s,
+        "drive_clock_offset_s": health.drive_clock_offset_s,
         **integrity_fields(health),
     }
 

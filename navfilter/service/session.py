@@ -16,12 +16,14 @@ from typing import Any
 import numpy as np
 
 from navfilter.alignment import align
+from navfilter.filter.health import Health
 from navfilter.filter.intake import Intake
 from navfilter.io.json_lines import BadLine, Item, Note, Reading, StartLine, start_from, streams_of
+from navfilter.magnetic import believable
 from navfilter.mission import Mission
 from navfilter.navigator import Navigator
 from navfilter.service.pairing import Pairing
-from navfilter.service.protocol import event_line, state_fields, to_line
+from navfilter.service.protocol import event_line, integrity_fields, state_fields, to_line
 from navfilter.start import Start
 from navfilter.state import NavState
 from navfilter.vehicle import Vehicle
@@ -109,7 +111,7 @@ class Session:
         self._start = options.start
         self._buffer: list[Reading] = []
         self._align_at_s: float | None = None
-        self._waited = ""
+        self._waited, self._told_date = "", False
         self._pairing = self._new_pairing()
         self._rows: list[list[float]] = []
         self._tick = self._second = -math.inf
@@ -220,7 +222,7 @@ class Session:
 
     def _align(self) -> None:
         streams, _ = streams_of(self._buffer)
-        mission = Mission("live", streams, date=self.options.date)
+        mission = Mission("live", streams, date=self._date(self.options.date))
         try:
             start = align(self.vehicle, mission, self.options.align_s)
         except ValueError as error:
@@ -234,7 +236,21 @@ class Session:
         if self._buffer[-1].time_s > start.time_s + self.options.align_s:
             self._begin(start, "aligned")
 
+    def _date(self, date: datetime.date | None) -> datetime.date | None:
+        """The date, or one that there is a magnetic model for; tells once of another."""
+        if date is None or (usable := believable(date)) == date:
+            return date
+        if not self._told_date:
+            self._told_date = True
+            self._tell(
+                "warning",
+                text=f"the clock says {date}: the magnetic declination is that of {usable}, wrong by 0.2 degrees for "
+                "each year in between; give --date",
+            )
+        return usable
+
     def _begin(self, start: Start, how: str) -> None:
+        start = dataclasses.replace(start, date=self._date(start.date))
         fields = {
             k: v.isoformat() if isinstance(v, datetime.date) else v
             for k, v in dataclasses.asdict(start).items()
@@ -303,6 +319,8 @@ class Session:
             for name, condition in [*((n, s.condition) for n, s in health.sensors.items()), *health.axes.items()]:
                 self._condition(name, condition)
             self._lane(health.lane)
+            self._drive_clock(health.drive_clock_offset_s)
+            self._trust(health)
         if self._tick > tick:
             self._state()
 
@@ -336,6 +354,28 @@ class Session:
             assert self.nav is not None
             self._conditions["lane"] = lane
             self._tell("lane", lane=lane, was=was, time_s=self.nav.time_s)
+
+    def _trust(self, health: Health) -> None:
+        """Tell when the state is to be trusted more, or less, than before, and why."""
+        assert health.trust is not None and self.nav is not None
+        was, now = self._conditions.setdefault("trust", "good"), health.trust.level
+        if now != was:
+            self._conditions["trust"] = now
+            self._tell("trust", was=was, time_s=self.nav.time_s, **integrity_fields(health))
+
+    def _drive_clock(self, offset_s: float) -> None:
+        """Tell when the clock of the drive alone was set."""
+        was = self._conditions.setdefault("drive clock", "0.0")
+        if repr(offset_s) != was:
+            assert self.nav is not None
+            self._conditions["drive clock"] = repr(offset_s)
+            self._tell(
+                "drive-clock",
+                offset_s=offset_s,
+                time_s=self.nav.time_s,
+                text=f"the clock of {self.vehicle.drive.streams[-1]} alone was set by {-offset_s:.3f} s in all; its "
+                "stamps are moved back to those of the others",
+            )
 
     def _bad(self, item: BadLine) -> None:
         count = self.bad[item.kind] = self.bad.get(item.kind, 0) + item.lines

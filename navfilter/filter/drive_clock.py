@@ -1,0 +1,181 @@
+"""The drive's clock against those of all others: what has jumped, its stamps or time itself.
+
+A leap of the drive's stamps alone says nothing: samples may be missing, the computer may have been suspended or set, or
+the inertial unit's own clock may have been. What tells them apart is the order of arrival. Readings that came during
+the leap mean that the drive was silent. Where none came, samples and readings wait until two readings tell which time
+they belong to: the time after the leap, and it was one for everybody, which is the business of
+`navfilter.filter.intake`; or the time before, and the clock of the drive alone was set. Then its stamps are moved so
+that they go on, and nothing is lost.
+
+This works on the order of arrival, so it is for runs that are fed live. A recording is in the order of its stamps.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Arrived", "DriveClock", "DriveClockMemory"]
+
+Array = NDArray[np.float64]
+
+
+class Arrived(NamedTuple):
+    """A reading as it arrived, by its own stamp."""
+
+    name: str
+    time_s: float
+    value: Any
+    sd: Any
+
+
+@dataclass
+class DriveClockMemory:
+    """What is remembered.
+
+    Attributes
+    ----------
+    last_s : float
+        Stamp of the last sample that went on, moved [s].
+    heard_s : float
+        Stamp of the last reading [s].
+    offset_s : float
+        What is added to the stamps of the drive alone [s].
+    held : ndarray, shape (k, 7)
+        Samples that wait, by their stamps, moved as before.
+    readings : list of Arrived
+        Readings that wait behind them.
+    alone, together : int
+        Readings that were of the time before the leap, and of the time after it.
+    """
+
+    last_s: float = math.nan
+    heard_s: float = -math.inf
+    offset_s: float = 0.0
+    held: Array = field(default_factory=lambda: np.empty((0, 7)))
+    readings: list[Arrived] = field(default_factory=list)
+    alone: int = 0
+    together: int = 0
+
+
+class DriveClock:
+    """Samples and readings in the order of their arrival, held back while the drive's clock is in doubt.
+
+    Parameters
+    ----------
+    period_s : float
+        Of the drive.
+    live : bool
+        Whether things arrive at all; otherwise nothing is held back.
+    """
+
+    #: A leap by more than this is looked into [s]; and so many periods.
+    LEAP_S, LEAP_PERIODS = 1.0, 10.0
+    #: Without an answer samples go on after so much of their own time, as they are [s].
+    PATIENCE_S = 1.0
+    #: So many readings must say the same: one may have been on its way, or have a wild stamp.
+    VOTES = 2
+
+    def __init__(self, period_s: float, live: bool) -> None:
+        self._period_s, self._leap_s = period_s, max(self.LEAP_S, self.LEAP_PERIODS * period_s)
+        self._live = live
+        self.memory = DriveClockMemory()
+
+    @property
+    def holds(self) -> bool:
+        """Whether samples wait."""
+        return len(self.memory.held) > 0
+
+    def take(self, samples: Array) -> list[Array | Arrived]:
+        """What goes on now, when these samples have arrived; their first column is changed in place."""
+        memory = self.memory
+        if not (self._live and len(samples)):
+            return [samples]
+        samples[:, 0] += memory.offset_s
+        if not self.holds:
+            first_s, last_s, count = samples[0, 0], samples[-1, 0], len(samples)
+            if count == 1 and (0.0 < first_s - memory.last_s <= self._leap_s):
+                memory.last_s = first_s
+                return [samples]
+            leap = self._leap(samples[:, 0])
+            if leap == count:
+                memory.last_s = last_s if math.isfinite(last_s) else memory.last_s
+                return [samples]
+            before, samples = samples[:leap], samples[leap:]
+            memory.last_s = before[-1, 0] if leap else memory.last_s
+            memory.held = samples.copy()
+            return [before, *self._settled()] if leap else self._settled()
+        memory.held = np.vstack([memory.held, samples])
+        return self._settled()
+
+    def _leap(self, stamps: Array) -> int:
+        """The first sample behind a leap that needs an answer; their number where there is none."""
+        memory = self.memory
+        steps = np.diff(stamps, prepend=memory.last_s)
+        for i in np.flatnonzero(np.abs(steps) > self._leap_s).tolist():
+            ahead = steps[i] > 0.0
+            # readings from within the leap: the drive was silent, the others were not
+            if not (ahead and memory.heard_s > stamps[i] - 0.5 * steps[i]) and math.isfinite(memory.heard_s):
+                return int(i)
+        return len(stamps)
+
+    def _settled(self) -> list[Array | Arrived]:
+        """What the samples that wait say themselves: a wild stamp, or the end of patience."""
+        memory, stamps = self.memory, self.memory.held[:, 0]
+        back = stamps - memory.last_s
+        wild = ((back > 0.0) & (back <= self._leap_s)).any() or not (np.diff(stamps) > 0.0).all()
+        if wild or stamps[-1] - stamps[0] > self.PATIENCE_S:
+            return self._released()
+        return []
+
+    def hear(self, reading: Arrived) -> list[Array | Arrived] | None:
+        """What goes on now, when this reading has arrived behind samples that wait; None when none wait."""
+        memory = self.memory
+        if not self.holds:
+            memory.heard_s = reading.time_s if math.isfinite(reading.time_s) else memory.heard_s
+            return None
+        memory.readings.append(reading)
+        first_s = float(memory.held[0, 0])
+        half = 0.5 * (first_s - memory.last_s)
+        stamp = reading.time_s
+        # one from before the leap may have been on its way
+        memory.alone += memory.last_s < stamp < memory.last_s + abs(half)
+        memory.together += stamp >= memory.last_s + half if half > 0.0 else stamp < memory.last_s + half
+        if memory.alone >= self.VOTES:
+            moved = memory.last_s + self._period_s - first_s
+            memory.held[:, 0] += moved
+            memory.offset_s += moved
+            return self._released()
+        return self._released() if memory.together >= self.VOTES else []
+
+    def _released(self) -> list[Array | Arrived]:
+        memory = self.memory
+        held, readings = memory.held, memory.readings
+        memory.last_s = float(held[-1, 0])
+        memory.held, memory.readings, memory.alone, memory.together = np.empty((0, 7)), [], 0, 0
+        return [held, *readings]
+
+    def go_on(self, memory: DriveClockMemory) -> None:
+        """Be where another was.
+
+        Raises
+        ------
+        ValueError
+            For what is no memory of a clock.
+        """
+        rows = memory.held.shape[1:] if isinstance(memory.held, np.ndarray) else None
+        numbers = (memory.last_s, memory.heard_s, memory.offset_s)
+        if rows != (7,) or not all(isinstance(x, float) for x in numbers) or not math.isfinite(memory.offset_s):
+            raise ValueError("what is kept of the drive's clock has another form")
+        if not all(isinstance(reading, Arrived) for reading in memory.readings):
+            raise ValueError("what waits for the drive's clock are no readings")
+        self.memory = memory
+
+    def rest(self) -> Iterable[Array | Arrived]:
+        """What still waits when no more comes, as it is."""
+        return self._released() if self.holds else []

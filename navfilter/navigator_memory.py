@@ -1,0 +1,34 @@
+"""Everything of a navigator that changes in order, and the classes that it consists of."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from navfilter.filter.adoption import Change
+from navfilter.filter.channel import ChannelMemory, Course, Refusals
+from navfilter.filter.drive_clock import Arrived, DriveClockMemory
+from navfilter.filter.filter_memory import FilterMemory
+from navfilter.filter.intake import IntakeMemory
+from navfilter.learning.learner import LearnerMemory
+from navfilter.learning.listener import Hop, ListenerMemory
+from navfilter.learning.posterior import Line
+from navfilter.learning.rest import RestMemory
+from navfilter.learning.schedule import Again, LearningMemory
+from navfilter.learning.spectrum import Spectrum
+
+__all__ = ["MEMORY", "NavigatorMemory"]
+
+
+@dataclass
+class NavigatorMemory:
+    """Everything that changes in order: what late readings and snapshots go back to."""
+
+    filter: FilterMemory
+    learning: LearningMemory
+
+
+#: Classes that a snapshot is made of, beside error models.
+MEMORY = (
+    *(NavigatorMemory, FilterMemory, ChannelMemory, Refusals, Course, IntakeMemory, DriveClockMemory, Arrived),
+    *(LearningMemory, Again, Change, ListenerMemory, Hop, RestMemory, LearnerMemory, Line, Spectrum),
+)

@@ -1,0 +1,134 @@
+"""The clock of the drive alone is set, or that of all, or the drive was silent: told apart by the order of arrival."""
+
+import math
+
+import faults_run as watched
+import numpy as np
+import pytest
+from feeding import DRIVE, events_of, one_by_one
+
+import navfilter as nf
+from navfilter.filter.drive_clock import Arrived, DriveClock
+from navfilter.simulation.scenarios import simulate_scenario
+
+SET_S, END_S = 12.0, 20.0
+
+
+@pytest.fixture(scope="module", params=["lawnmower", "reckoning"])
+def dive(request):
+    vehicle, mission = simulate_scenario(request.param, 2, END_S if request.param == "lawnmower" else 5 * END_S)
+    return vehicle, mission, events_of(vehicle, mission)
+
+
+def stamped(events, by_s, sensors=(DRIVE,), from_s=SET_S):
+    """Events in the same order, those of some sensors with other stamps from an instant on."""
+    return [
+        e._replace(time_s=e.time_s + by_s) if (not sensors or e.sensor in sensors) and e.true_s >= from_s else e
+        for e in events
+    ]
+
+
+def flown(vehicle, mission, events):
+    nav = nf.Navigator(vehicle, mission.start, threads=False)
+    outcomes = one_by_one(nav, events)
+    nav.finish()
+    return nav, outcomes
+
+
+@pytest.mark.parametrize("by_s", [2.0, -2.0, 45.0, -45.0, 7200.0, -7200.0])
+def test_a_clock_that_was_set_alone_costs_nothing(dive, by_s):
+    vehicle, mission, events = dive
+    if abs(by_s) <= 10.0 * vehicle.drive.period_s:
+        pytest.skip("no leap for so slow a drive")
+    best, _ = flown(vehicle, mission, events)
+    nav, outcomes = flown(vehicle, mission, stamped(events, by_s))
+    error = nav.state.minus(best.state)
+    # the time from the last sample before to the first one after is taken to be a period
+    assert nav.time_s == pytest.approx(best.time_s, abs=1e-9) and np.abs(error).max() < 1e-6
+    assert nav.health.drive_clock_offset_s == pytest.approx(-by_s) and nav.health.clock_offset_s == 0.0
+    assert nav.counts["gap"] == nav.counts["backward"] == nav.counts["clock-set"] == 0
+    assert sum(outcome.status == "waiting" for outcome in outcomes) <= 2
+    assert sum(watch.outcomes["used"] for watch in nav.watches.values()) == sum(
+        watch.outcomes["used"] for watch in best.watches.values()
+    )
+
+
+def test_one_that_is_put_right_is_as_before(dive):
+    vehicle, mission, events = dive
+    nav, _ = flown(vehicle, mission, stamped(stamped(events, 22.0), -22.0, from_s=SET_S + 4.0))
+    assert nav.health.drive_clock_offset_s == pytest.approx(0.0, abs=1e-9) and nav.counts["gap"] == 0
+
+
+@pytest.mark.parametrize("by_s", [25.0, -25.0])
+def test_a_clock_that_was_set_for_all_is_no_business_of_the_drive(dive, by_s):
+    vehicle, mission, events = dive
+    nav, _ = flown(vehicle, mission, stamped(events, by_s, sensors=()))
+    assert nav.health.drive_clock_offset_s == 0.0
+    assert nav.counts["gap"] >= 1 and (nav.counts["clock-set"] == 1) == (by_s < 0.0)
+
+
+def test_a_drive_that_was_silent_has_a_gap():
+    vehicle, mission = simulate_scenario("lawnmower", 2, END_S)
+    events = [e for e in events_of(vehicle, mission) if e.sensor != DRIVE or not SET_S < e.time_s < SET_S + 3.0]
+    nav, _ = flown(vehicle, mission, events)
+    assert nav.health.drive_clock_offset_s == 0.0 and nav.counts["gap"] == 1 and nav.time_s == END_S
+
+
+def test_a_pause_of_everything_is_what_it_was():
+    vehicle, mission = simulate_scenario("lawnmower", 2, END_S)
+    events = [e for e in events_of(vehicle, mission) if not SET_S < e.time_s < SET_S + 3.0]
+    nav, _ = flown(vehicle, mission, events)
+    plain = nf.Navigator(vehicle, mission.start, threads=False)
+    plain.clock = DriveClock(vehicle.drive.period_s, live=False)
+    one_by_one(plain, events)
+    assert nav.health == plain.health and nav.health.drive_clock_offset_s == 0.0 and nav.counts["gap"] == 1
+    np.testing.assert_array_equal(nav.state.covariance, plain.state.covariance)
+
+
+def test_a_wild_stamp_is_none(dive):
+    vehicle, mission, events = dive
+    at = next(k for k, e in enumerate(events) if e.sensor == DRIVE and e.true_s > SET_S)
+    for by_s in (50.0, -50.0, math.nan):
+        nav, _ = flown(vehicle, mission, [*events[:at], events[at]._replace(time_s=SET_S + by_s), *events[at + 1 :]])
+        assert nav.health.drive_clock_offset_s == 0.0 and nav.counts["backward"] == 1
+        assert nav.time_s == events[-1].time_s
+
+
+def test_what_waits_is_in_a_snapshot(dive):
+    vehicle, mission, events = dive
+    wrong = stamped(events, 22.0)
+    nav = nf.Navigator(vehicle, mission.start, threads=False)
+    whole, _ = flown(vehicle, mission, wrong)
+    seen = 0
+    for k, event in enumerate(wrong):
+        one_by_one(nav, [event])
+        if nav.clock.holds:
+            seen += 1
+            other = nf.Navigator.restore(vehicle, nav.snapshot())
+            one_by_one(other, wrong[k + 1 :])
+            other.finish()
+            assert other.snapshot() == whole.snapshot()
+        if seen == 3:
+            break
+    assert seen
+
+
+def test_without_an_answer_samples_go_on_as_they_are():
+    clock = DriveClock(0.01, live=True)
+    row = lambda t: np.array([[t, *np.zeros(6)]])  # noqa: E731
+    assert len(clock.take(row(1.0))) == 1
+    assert clock.hear(Arrived("compass", 1.0, 0.0, None)) is None
+    passed = [clock.take(row(3.0 + 0.01 * k)) for k in range(120)]
+    assert not clock.holds and sum(len(part) for items in passed for part in items) == 120
+    assert sum(not items for items in passed) == 101  # those of a second, and the first of them
+    assert clock.memory.offset_s == 0.0
+
+
+def test_the_truth_of_a_long_dive_is_held():
+    """As it was measured: without this, kilometres."""
+    vehicle, mission = watched.simulated(5, 240.0)
+    events = events_of(vehicle, mission)
+    nav, _ = flown(vehicle, mission, stamped(events, 2.0, from_s=130.0))
+    error = nav.state.minus(watched.truth_at(mission.truth, 240.0))
+    assert math.hypot(*error[:2]) < 10.0
+    assert math.hypot(*error[:2]) < nav.state.bounds.horizontal_m
