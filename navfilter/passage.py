@@ -181,7 +181,9 @@ class Passage:
         """One that the kernel has taken, as the run would have had it."""
         given = self._readings
         value = np.array(given.value(at), dtype=np.float64).reshape(-1)
-        return Reading(given.names[given.sensor[at]], float(given.time_s[at]), value, given.sd(at), frozen)
+        return Reading(
+            given.names[given.sensor[at]], float(given.time_s[at]), value, given.sd(at), frozen, bool(self._same[at])
+        )
 
     def _keep_samples(self, end: int) -> None:
         """Let learning keep those that the kernel has taken."""
@@ -402,7 +404,7 @@ class PassageAgain(Passage):
         return [Watch(math.inf) for _ in self._readings.names]
 
     def _repeated(self) -> NDArray[np.bool_]:
-        return np.zeros(len(self._given), bool)
+        return np.array([reading.same for reading in self._given], bool)
 
     def _lay_out(self) -> None:
         super()._lay_out()
