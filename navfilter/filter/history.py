@@ -31,7 +31,7 @@ class Reading(NamedTuple):
     time_s: float
     value: Array
     sd: Any
-    frozen: bool
+    frozen: bool = False
     same: bool = False
 
 
