@@ -20,7 +20,8 @@ Array = NDArray[np.float64]
 Errors = ErrorModel | tuple[ErrorModel, ...]
 #: What is counted.
 COUNTED = (
-    *("gap", "backward", "bad-sample", "clock-set", "widened", "reset", "jumped", "opened", "realigned", "adopted"),
+    *("gap", "backward", "bad-sample", "clock-set", "widened", "reset", "jumped", "astray", "opened"),
+    *("realigned", "adopted"),
     *DRIVE_COUNTED,
 )
 #: Rounding leaves no eigenvalue of the correlations below this.

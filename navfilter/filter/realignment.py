@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from navfilter.filter.events import Listening
     from navfilter.filter.filter import Filter
 
-__all__ = ["after_fault", "astray", "bound", "ramp_of", "set_anew", "with_refused"]
+__all__ = ["after_fault", "bound", "ramp_of", "set_anew", "tilted", "with_refused"]
 
 Array = NDArray[np.float64]
 #: A tilt with a larger sd is beyond what linearisation bears: its square turns 1 % of a velocity, or 0.02 m/s^2 of
@@ -89,7 +89,7 @@ def after_fault(filter: Filter, tell: Listening) -> None:
         set_anew(filter, tell)
 
 
-def astray(filter: Filter, channel: Channel, time_s: float) -> float | None:
+def tilted(filter: Filter, channel: Channel, time_s: float) -> float | None:
     """Whether a velocity that has been refused for `REFUSED_S` shows that the attitude is wrong: the accelerometers
     contradict it, or it is not known (0), or the residuals grow along a ramp (its slope [m/s^2]); else None.
 
