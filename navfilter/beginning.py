@@ -19,7 +19,7 @@ from navfilter.filter.intake import joined
 from navfilter.filter.memory import copied
 from navfilter.learning.schedule import Again, LearningMemory
 from navfilter.learning.worker import Task, Worker
-from navfilter.passage import PassageAgain
+from navfilter.passage_again import PassageAgain
 
 if TYPE_CHECKING:
     from navfilter.navigator import Navigator

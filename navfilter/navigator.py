@@ -110,7 +110,7 @@ class Navigator:
         self.watches = {name: Watch(sensor.gate_timeout_s) for name, sensor in vehicle.sensors.items()}
         # a recording is in the order of its stamps: there is nothing to be seen of how it arrived
         self.clock = DriveClock(vehicle.drive.period_s, live=tape is None)
-        self._waiting = Waiting()
+        self.waiting = Waiting()
         self._behind = {name: names[i + 1 :] for i, name in enumerate(names)}
         self._row = np.empty((1, 7))
 
@@ -156,10 +156,10 @@ class Navigator:
         return self.correct(*item)
 
     def _pass_on(self, samples: Array) -> None:
-        while len(samples) and samples[-1, 0] + self.offset_s > self._waiting.next_s + 1e-9:
-            here = int(np.argmax(samples[:, 0] + self.offset_s > self._waiting.next_s + 1e-9))
+        while len(samples) and samples[-1, 0] + self.offset_s > self.waiting.next_s + 1e-9:
+            here = int(np.argmax(samples[:, 0] + self.offset_s > self.waiting.next_s + 1e-9))
             self._carry(samples[:here])
-            self._release(self._waiting.next_s)
+            self._release(self.waiting.next_s)
             samples = samples[here:]
         self._carry(samples)
 
@@ -198,14 +198,14 @@ class Navigator:
         if (held := self.clock.hear(Arrived(name, time_s, z, sd))) is not None:
             return [Outcome("waiting"), *(self._go_on(item) for item in held)][-1] or Outcome("waiting")
         time_s += self.offset_s - self.vehicle.sensors[name].time_offset_s
-        reading = Reading(name, time_s + self.filter.channels[name].lead_s, z, sd, watch.sees(time_s, z))
+        reading = Reading(name, time_s + self.filter.channels[name].lead_s, z, sd)
         self._release(time_s)
         if reading.time_s > time_s and time_s < self.start.time_s - 1e-9:
             return Outcome("too-late")
         if reading.time_s > max(time_s, self.time_s):
-            self._waiting.put(reading)
+            self.waiting.put(reading)
             return Outcome("waiting")
-        return self._noted(reading)
+        return self.take(reading)
 
     def finish(self) -> None:
         """Take the readings that still wait (`Outcome`): no more samples come."""
@@ -214,17 +214,16 @@ class Navigator:
         self._release()
 
     def _release(self, time_s: float = math.inf) -> None:
-        for reading in self._waiting.due(time_s):
-            self._noted(reading)
+        for reading in self.waiting.due(time_s):
+            self.take(reading)
 
-    def _noted(self, reading: Reading) -> Outcome:
-        outcome = self._taken(reading)
-        self.watches[reading.name].note(outcome.status, reading.time_s, outcome.nis, outcome.dof, self.filter.nav)
-        return outcome
-
-    def _taken(self, reading: Reading) -> Outcome:
+    def take(self, reading: Reading) -> Outcome:
+        """Take a reading now, even one that would wait; users call `correct`."""
+        watch = self.watches[reading.name]
+        reading = reading._replace(frozen=watch.sees(reading.time_s, reading.value))
         outcome = self.placed(reading)
         self._beginning.give(reading)
+        watch.note(outcome.status, reading.time_s, outcome.nis, outcome.dof, self.filter.nav)
         return outcome
 
     def given(self, item: Array | Reading) -> None:
@@ -379,7 +378,7 @@ class Navigator:
         if self.filter.tape is not None:
             raise ValueError("a run with a tape keeps no snapshot: make the navigator without one.")
         memory, inputs = (self.memory, []) if self.history is None else self.history.kept()
-        inputs = [*inputs, *self._waiting.readings]
+        inputs = [*inputs, *self.waiting.readings]
         beginning = memory.learning.beginning
         learning = dataclasses.replace(
             memory.learning, beginning=None if beginning is None else beginning[: memory.learning.kept]
@@ -440,7 +439,7 @@ class Navigator:
         if isinstance(item, np.ndarray) and (item.ndim != 2 or item.shape[1] != 7):
             raise ValueError(f"inputs must be rows of seven numbers, found shape {item.shape}")
         if not isinstance(item, np.ndarray) and self.filter.channels[item.name].lead_s and item.time_s > self.time_s:
-            self._waiting.put(item)
+            self.waiting.put(item)
             return
         if self.history is None:
             raise ValueError("it has inputs without a history")

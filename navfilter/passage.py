@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.filter.channel import usable
+from navfilter.filter.channel import Channel, usable
+from navfilter.filter.drive_clock import DriveClock
 from navfilter.filter.health import Watch
 from navfilter.filter.history import Reading
 from navfilter.filter.tape import Tape
@@ -20,7 +21,7 @@ from navfilter.kernels import stretch as kernels
 if TYPE_CHECKING:
     from navfilter.navigator import Navigator
 
-__all__ = ["Passage", "PassageAgain", "Readings"]
+__all__ = ["Passage", "Readings"]
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -30,8 +31,6 @@ Hearing = tuple[Array, Array, Ints, Array]
 READINGS, SAMPLES = 4096, 1 << 16
 #: Progress is told after so many readings.
 SHOWN = 512
-#: Elements of the longest reading that a kernel takes: a field and a temperature.
-WIDEST = 4
 #: After these the kernel is called again, once Python has done what is due.
 GOES_ON = kernels.FULL, kernels.DONE, kernels.HEED, kernels.LEARN
 #: Rows and elements of records that are gathered before the tape gets them.
@@ -72,6 +71,13 @@ class Readings:
         """What was read."""
         return self.values[self.sensor[index]][self.row[index]]
 
+    def later(self, by_s: Array, which: Ints | slice = slice(None)) -> Readings:
+        """Some of them by times that are later by so much; of equal times those first that have waited."""
+        time_s = (self.time_s + by_s)[which]
+        order = np.lexsort((by_s[which] <= 0.0, time_s))
+        kept = {name: getattr(self, name)[which][order] for name in ("stamp_s", "sensor", "row")}
+        return replace(self, time_s=time_s[order], **kept)
+
 
 class Passage:
     """Takes a navigator through many inputs, as `Navigator.step_samples` and `Navigator.correct` would, to the last
@@ -100,18 +106,23 @@ class Passage:
         before: Ints | None = None,
     ) -> None:
         self.nav, self._times, self._values, self._readings = nav, times, values, readings
-        ends = np.searchsorted(times, readings.time_s + 1e-9, side="right") if before is None else before
-        self._ends = ends.astype(np.int64)
+        self._lead_s = np.array([nav.filter.channels[name].lead_s for name in readings.names])
+        self._waits = before is None and bool(self._lead_s.any())
+        if before is None:
+            nav.clock = DriveClock(nav.filter.period_s, live=False)  # a recording is in the order of its stamps
+        if self._waits:
+            self._readings = readings = readings.later(self._lead_s[readings.sensor])
+        self._ends = self._samples_before() if before is None else before.astype(np.int64)
         self._channels = [nav.filter.channels[name] for name in readings.names]
+        # sensors that the drive's own samples make have no readings
+        self._rows = np.array([*(list(nav.filter.channels).index(name) for name in readings.names), -1])
         self._watches = self._watched()
         most = max([1, *(channel.axes for channel in self._channels)])
         self._notes = np.empty((READINGS, 3 + 2 * most))
         self._opened = np.empty((READINGS, 1 + most))
         self._same = self._repeated()
-        felt = any(sensor.from_drive for sensor in nav.vehicle.sensors.values())
-        strapped = nav.vehicle.drive.steps is strapdown.imu_steps
-        asked = felt or nav.filter.remembered or nav.filter.jumps.active
-        self._steady = strapped and nav.learning.rest is None and not asked
+        driven = bool(nav.filter.plan[-1, kernels.STEPS]) and not nav.filter.jumps.active
+        self._steady = driven and nav.learning.rest is None
         self.at, self.done, self._kept = 0, done, done
         self._begin = self._end = 0
         self._out: Output | None = None
@@ -140,6 +151,8 @@ class Passage:
             if self.at == len(self._ends):
                 break
             self._one(why)
+            if self._waits and self.nav.offset_s:
+                self._hand_over()
         self._keep_samples(self.done)
         for begin in range(self.done, len(self._times), 100_000):
             self._feed(self._block(begin, min(begin + 100_000, len(self._times))))
@@ -175,7 +188,24 @@ class Passage:
 
     def _correct(self, at: int) -> None:
         given = self._readings
-        self.nav.correct(given.names[given.sensor[at]], float(given.stamp_s[at]), given.value(at), given.sd(at))
+        if self._waits and self._lead_s[given.sensor[at]]:
+            self.nav.take(self._reading(at))
+        else:
+            self.nav.correct(given.names[given.sensor[at]], float(given.stamp_s[at]), given.value(at), given.sd(at))
+
+    def _samples_before(self) -> Ints:
+        return np.searchsorted(self._times, self._readings.time_s + 1e-9, side="right").astype(np.int64)
+
+    def _hand_over(self) -> None:
+        """The clock has been set: stamps mean another time from now on, but not those of readings that wait already."""
+        given, at = self._readings, self.at
+        lead_s = self._lead_s[given.sensor]
+        arrived = (lead_s > 0.0) & (given.time_s - lead_s <= given.time_s[at - 1])
+        for k in at + np.flatnonzero(arrived[at:]):
+            self.nav.waiting.put(self._reading(int(k)))
+        self._readings = given.later(-lead_s, at + np.flatnonzero(~arrived[at:]))
+        self._ends = self._samples_before()
+        self.at, self._waits, self._steady = 0, False, False
 
     def _reading(self, at: int, frozen: bool = False) -> Reading:
         """One that the kernel has taken, as the run would have had it."""
@@ -213,21 +243,26 @@ class Passage:
         self._samples = self._block(self.done, max(self.done, int(self._ends[end - 1])))
         which, rows = given.sensor[at:end], given.row[at:end]
         self._good, own = np.zeros(end - at, bool), any(sds is not None for sds in given.sds)
-        self._z = np.full((end - at, WIDEST), np.nan)
+        read: list[tuple[Ints, Array]] = []
         self._variances = np.full((end - at if own else 1, self._notes.shape[1] // 2), np.nan)
         for i, channel in enumerate(self._channels):
-            if channel.kind < 0:
+            if not channel.spot[kernels.EQUATION]:
                 continue
             mine, sds, values = np.flatnonzero(which == i), given.sds[i], given.values[i]
             some = values[rows[mine]] if isinstance(values, np.ndarray) else [values[row] for row in rows[mine]]
             z, good = channel.sensor.read_all(some)
-            self._good[mine], self._z[mine, : z.shape[1]] = good, z
+            self._good[mine] = good
+            read.append((mine, z))
             for k in mine[good].tolist() if own else ():
                 sd = None if sds is None else sds[rows[k]]
                 if sd is not None:
                     self._good[k] = usable(sd, channel.sensor)
                     if self._good[k]:
                         self._variances[k, : channel.axes] = np.resize(np.square(np.ravel(sd)), channel.axes)
+
+        self._z = np.full((end - at, max((z.shape[1] for _, z in read), default=1)), np.nan)
+        for mine, z in read:
+            self._z[mine, : z.shape[1]] = z
 
     def _advance(self) -> int:
         """As far as the kernel comes; why it ended."""
@@ -237,7 +272,7 @@ class Passage:
                 self._lay_out()
             why = self._call()
             if why == kernels.HEED:
-                self.nav.filter.heed(self.nav.told)
+                self._heed()
             elif why == kernels.LEARN:
                 name = self._readings.names[self._readings.sensor[self.at - 1]]
                 for change in self.nav.learning.learn(name):
@@ -253,6 +288,13 @@ class Passage:
                 ears[i] = learning.listeners[channel.name].ear
         return learning.fed_back, ears, np.array([channel.places for channel in self._channels]), self._opened
 
+    def _heed(self) -> None:
+        """Act on what the kernel has come upon in the samples."""
+        filter, told = self.nav.filter, self.nav.told
+        filter.feel(told)
+        if filter.watch.news(filter.memory.watch):
+            filter.heed(told)
+
     def _call(self) -> int:
         filter, given = self.nav.filter, self._readings
         part = slice(self._begin, self._end)
@@ -264,8 +306,7 @@ class Passage:
         cursor[: kernels.GAPS] = self.at - self._begin, self.done - self._first, memory.unfolded
         cursor[kernels.STEPPED] = self._stepped
         heard = np.array(
-            [(*c.times, c.period_s, c.memory.refused is not None or c.offset, c.count) for c in self._channels],
-            dtype=np.float64,
+            [(*c.times, c.period_s, _doubted(c), c.count, c.lead_s) for c in self._channels], dtype=np.float64
         )
         watched = np.array([(w.same, w.since_s, w.heard_s, w.used_s, w.nis, 0.0) for w in self._watches])
         out, hearing = self._output(), self._hearing()
@@ -276,12 +317,12 @@ class Passage:
                 cursor,
                 self._settings(),
                 filter.bench,
-                filter.plan,
+                filter.plan[self._rows],
                 heard,
                 watched,
                 (memory.nav, memory.x, memory.P, memory.acc),
                 (
-                    *(memory.drv, filter.Phid, filter.Qd, filter.drive_output),
+                    *(memory.drv, filter.Phid, filter.Qd, filter.drive_output, memory.recent),
                     *(memory.watch, np.sqrt(filter.layout.drive.r), filter.watch.limits),
                 ),
                 self._samples,
@@ -306,7 +347,7 @@ class Passage:
         interval_s = math.inf if filter.tape is None else filter.tape.interval_s
         learning, steps = self.nav.learning, filter.memory.drv[strapdown.INCREMENTS]
         spans = filter.period_s, filter.ahead_s, filter.fold_every, gap_s, doubt_s, learning.early_s, interval_s
-        return np.array([*spans, steps, learning.learning_s, filter.vehicle.drive.gravity])
+        return np.array([*spans, steps, learning.learning_s, filter.vehicle.drive.gravity, filter.feels_after])
 
     def _output(self) -> Output:
         """Room for rows, when they hold, records and what each is."""
@@ -345,7 +386,7 @@ class Passage:
                 channel.memory.use(float(given.time_s[self._begin + mine[0]]))
                 channel.memory.use(float(given.time_s[self._begin + mine[-1]]))
             if tape is not None and len(mine):
-                times = given.time_s[self._begin + mine]
+                times = given.time_s[self._begin + mine] - channel.lead_s
                 tape.columns[channel.name].extend(times, self._notes[mine, : 3 + 2 * channel.axes])
         if tape is not None:
             tape.extend(out, *cursor[[kernels.ROWS, kernels.RECORDS, kernels.WRITTEN]].tolist())
@@ -367,58 +408,9 @@ class Passage:
                 listener.caught_up(ears[i], heard[:, 0], heard[:, 1:])
 
 
-class PassageAgain(Passage):
-    """Takes a navigator once more through inputs that it has had: the sensors' health is not counted again.
-
-    Parameters
-    ----------
-    nav : Navigator
-    inputs : sequence
-        Samples (rows of time and six values) and readings.
-    """
-
-    def __init__(self, nav: Navigator, inputs: Sequence[Array | Reading]) -> None:
-        blocks = [item for item in inputs if isinstance(item, np.ndarray)]
-        readings = self._given = [item for item in inputs if isinstance(item, Reading)]
-        samples = np.concatenate([np.empty((0, 7)), *blocks])
-        sizes = [len(item) if isinstance(item, np.ndarray) else 0 for item in inputs]
-        before = np.cumsum(sizes)[[isinstance(item, Reading) for item in inputs]] if inputs else np.empty(0, np.int64)
-        names = tuple(nav.filter.channels)
-        sensor = np.array([names.index(reading.name) for reading in readings], np.int64)
-        times, row = np.array([reading.time_s for reading in readings]), np.empty(len(readings), np.int64)
-        values: list[list[Array]] = [[] for _ in names]
-        sds: list[list[Array | None]] = [[] for _ in names]
-        for k, (i, reading) in enumerate(zip(sensor.tolist(), readings, strict=True)):
-            row[k] = len(values[i])
-            values[i].append(reading.value)
-            sds[i].append(reading.sd)
-        own = tuple(None if all(sd is None for sd in one) else one for one in sds)
-        given = Readings(times, times, sensor, row, names, tuple(values), own)
-        super().__init__(nav, samples[:, 0].copy(), samples[:, 1:].copy(), given, 0, before)
-
-    def _watched(self) -> list[Watch]:
-        return [Watch(math.inf) for _ in self._readings.names]
-
-    def _repeated(self) -> NDArray[np.bool_]:
-        return np.zeros(len(self._given), bool)
-
-    def _lay_out(self) -> None:
-        super()._lay_out()
-        for k in range(self._begin, self._end):
-            if self._given[k].frozen:  # learning wants to hear of that
-                self._good[k - self._begin] = False
-
-    def _feed(self, samples: Array) -> None:
-        self.nav.feed(samples)
-
-    def _correct(self, at: int) -> None:
-        self.nav.feed(self._given[at])
-
-    def _reading(self, at: int, frozen: bool = False) -> Reading:
-        return self._given[at]
-
-    def _finish(self) -> None:
-        pass
+def _doubted(channel: Channel) -> bool:
+    """Whether its next reading is for Python: those before have been refused, or its errors are of another kind now."""
+    return channel.memory.refused is not None or not channel.spot[kernels.EQUATION]
 
 
 def _last(tape: Tape | None) -> float:

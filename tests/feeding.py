@@ -33,7 +33,7 @@ def events_of(vehicle: Vehicle, mission: Mission) -> Events:
     """All readings of a mission by time; a sample of the drive goes before what was read at the same instant."""
     times, values = drive_samples(vehicle, mission)
     events = [Event(DRIVE, t, tuple(v), t, t) for t, v in zip(times.tolist(), values.tolist(), strict=True)]
-    for name in vehicle.sensors:
+    for name in (name for name, sensor in vehicle.sensors.items() if not sensor.from_drive):
         stream = mission.streams[name]
         events += [
             Event(name, t, tuple(v), t, t) for t, v in zip(stream.time_s.tolist(), stream.value.tolist(), strict=True)

@@ -1,5 +1,6 @@
 """Readable NumPy twins of the kernels, one function of the same name per kernel, a section per kernel file."""
 
+import itertools
 import math
 
 import numpy as np
@@ -7,6 +8,8 @@ from scipy import special
 from scipy.linalg import block_diag, expm
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
+
+from navfilter.kernels import addresses
 
 # ---------------------------------------------------------------- kernels/arma.py: one online step (no gaps, no guard)
 
@@ -572,7 +575,7 @@ def position(z, nav, rate, par, cfg, H, res):
 def earth_rate(z, nav, rate, par, cfg, H, res):
     C_bn, lat = nav[6:15].reshape(3, 3).T, nav[0]
     w = cfg[0] * np.array([np.cos(lat), 0.0, -np.sin(lat)])
-    res[:], H[:] = z - C_bn @ w, 0.0
+    res[:], H[:] = z[:3] - C_bn @ w, 0.0
     H[:, 0] = C_bn @ (cfg[0] * np.array([-np.sin(lat), 0.0, -np.cos(lat)])) / nav[15]
     H[:, 6:9] = _attitude_columns(C_bn, w)
 
@@ -930,7 +933,7 @@ def beam_velocity(z, nav, rate, par, cfg, H, res):
     water_velocity(still, nav, rate, np.concatenate([current, par[first:]]), cfg, through, gap[1])
     H[:4] = D @ np.insert(over, [9] * first, 0.0, axis=1)
     H[4:] = D @ np.delete(through, [9, 10][: 2 - first], axis=1)
-    res[:] = z + np.concatenate([D @ gap[0], D @ gap[1]])
+    res[:] = z[:8] + np.concatenate([D @ gap[0], D @ gap[1]])
 
 
 # ---------------------------------------------------------------- kernels/measurement.py: acoustic positioning
@@ -1003,7 +1006,7 @@ def _angles(C):
 def attitude(z, nav, rate, par, cfg, H, res):
     plain = nav[6:15].reshape(3, 3) @ cfg[1:10].reshape(3, 3)
     C = plain @ (np.eye(3) - (skew(par) if len(par) else 0.0))
-    res[:] = z - _angles(C) + [0.0, 0.0, cfg[0]]
+    res[:] = z[:3] - _angles(C) + [0.0, 0.0, cfg[0]]
     res[[0, 2]] = _half_turn(res[[0, 2]])
     H[:] = 0.0
     changes = [skew(axis) @ C for axis in np.eye(3)] + [-plain @ skew(axis) for axis in np.eye(3)][: len(par)]
@@ -1019,7 +1022,7 @@ def attitude(z, nav, rate, par, cfg, H, res):
 def ground_velocity(z, nav, rate, par, cfg, H, res):
     w = nav[6:15].reshape(3, 3) @ np.cross(rate, cfg)
     H[:] = 0.0
-    H[:, 3:6], H[:, 6:9], res[:] = np.eye(3), -skew(w), z - nav[3:6] - w
+    H[:, 3:6], H[:, 6:9], res[:] = np.eye(3), -skew(w), z[:3] - nav[3:6] - w
 
 
 def altitude(z, nav, rate, par, cfg, H, res):
@@ -1191,30 +1194,149 @@ def hear_jumps(bank, mem, dims, at, offset, says):
     return max(0.0, ratios.max())
 
 
+# ---------------------------------------------------------------- past
+def at(address):
+    """The twin of the kernel at an address."""
+    return globals()[addresses.named(int(address)).__name__]
+
+
+def _calibration(drv):
+    """Channel, axis and value of each element of M."""
+    for element, value in zip(drv[89:107].astype(int)[: int(drv[88])], drv[107:125], strict=False):
+        yield element // 3, element // 9 * 3 + element % 3, value
+
+
+def drive_outputs(drv, Cr, xd, rows, errors):
+    reading, k = drv[:6] / (drv[36] if drv[37] else 1.0), len(xd)
+    rows[:] = Cr[:, :k]
+    for q, (channel, axis, _) in enumerate(_calibration(drv)):
+        rows[:, k - int(drv[88]) + q] = np.eye(6)[channel] * reading[axis]
+    errors[:] = rows @ xd
+
+
+def inertial_motion(recent, nav, drv, errors, rows, gravity_):
+    values = np.vstack([drv[:6], recent[:, 1:]])
+    if drv[37]:
+        values /= np.concatenate([drv[36:37], np.where(recent[:, 0] > 0, recent[:, 0], 1.0)])[:, None]
+    else:
+        known = recent[1:, 0] > 0
+        values[1:-1][known] = 0.5 * (recent[:-1, 1:] + recent[1:, 1:])[known]
+    M = np.zeros((6, 6))
+    for channel, axis, value in _calibration(drv):
+        M[channel, axis] = value
+    rows[:, 0], rows[:, 1:] = np.append(drv[12], recent[:, 0]), values - (values - values[0]) @ M.T - errors
+    gravity_[0] = gravity(nav[0], nav[2])
+
+
+def reckoned_motion(recent, nav, drv, errors, rows, gravity_):
+    rows[:], gravity_[0], count = 0.0, 0.0, np.count_nonzero(recent[:, 0])
+    for i, (now, before) in enumerate(itertools.pairwise(recent[:count])):
+        (roll, pitch, yaw), (r, p, _) = (now - before + np.pi)[1:4] % (2 * np.pi) - np.pi, now[1:4]
+        turned = roll - yaw * np.sin(p), pitch * np.cos(r) + yaw * np.sin(r) * np.cos(p)
+        rate = np.array([*turned, yaw * np.cos(r) * np.cos(p) - pitch * np.sin(r)]) / now[0]
+        gained = drv[47:56].reshape(3, 3) @ (now - before)[4:]
+        gained = np.where(np.abs(gained) <= drv[62], gained, 0.0)
+        force = np.cross(rate, nav[6:15].reshape(3, 3).T @ nav[3:6]) + gained / now[0]
+        rows[1 + i] = np.concatenate([now[:1], rate, force])
+    if count > 1:
+        rows[0] = np.concatenate([drv[12:13], rows[1, 1:4], np.zeros(3)])
+
+
+def sight(equation, motion, facts, z, nav, rate, par, cfg, recent, drv, Cr, xd, since_s, H, near, res):
+    arm, clock, turns, _, *by_arm = facts
+    own, by_arm = len(par) - 3 * int(arm) - int(clock), np.reshape(by_arm, (-1, 3))
+    inner, ends = np.zeros((len(res), 9 + own)), np.zeros(len(res))
+
+    def ask(nav, rate, moved, res):
+        place = cfg + by_arm @ (par[own : own + 3] + moved) if arm else cfg
+        at(equation)(z, nav, rate, par[:own], place, inner, res)
+
+    if not clock:
+        ask(nav, rate, np.zeros(3), res)
+        near[:, : 9 + own], then = inner, nav
+    else:
+        outputs, errors = np.zeros((6, len(xd))), np.zeros(6)
+        drive_outputs(drv, Cr, xd, outputs, errors)
+        recent = recent[: max(2, math.ceil((since_s + abs(par[-1]) + 0.5) / drv[36]) + 1)]
+        rows, g, late_s = np.zeros((len(recent) + 1, 7)), np.zeros(1), since_s + par[-1]
+        then, turn, slope, B = np.zeros(17), np.zeros(6), np.zeros(9), np.zeros((9, 9))
+        at(motion)(recent, nav, drv, errors, rows, g)
+        earlier(nav, rows, g[0], late_s, 0.2, then, turn, slope, B)
+        rate = turn[:3]
+        ask(then, rate, np.zeros(3), res)
+        near[:, : 9 + own] = inner
+        near[:, :9], near[:, -1] = inner[:, :9] @ B, -inner[:, :9] @ slope
+        middle = 0.5 * (nav[6:15] + then[6:15]).reshape(3, 3)
+        turned = middle @ outputs[:3]
+        bent = B[3:6, 6:] @ turned
+        place = -0.5 * late_s**2 * (middle @ outputs[3:] + bent / 3.0)
+        by = np.vstack([place, late_s * (middle @ outputs[3:] + 0.5 * bent), late_s * turned])
+        if g[0]:
+            H[:, 9 : 9 + len(xd)] = inner[:, :9] @ by
+    if arm:
+        for j in range(3):
+            ask(then, rate, 1e-3 * np.eye(3)[j], ends)
+            near[:, 9 + own + j] = (res - ends) / 1e-3
+    if clock and turns:
+        ask(then, rate + 1e-3 * turn[3:], np.zeros(3), ends)
+        near[:, -1] -= (res - ends) / 1e-3
+
+
+def _sagitta(slope, distance, P):
+    """What a distance of this slope grows by when its ends move across it: the moments of a quadratic form."""
+    along = slope / np.linalg.norm(slope)
+    return _moments((np.eye(3) - np.outer(along, along)) / distance @ P)
+
+
+def _moments(bend):
+    return 0.5 * np.trace(bend @ bend) + 0.25 * np.trace(bend) ** 2
+
+
+def range_bend(z, near, P, first, cfg, R):
+    apart, place = np.hstack([np.eye(3), np.zeros((3, len(P) - 3))]), int(cfg[7])
+    if place >= 0:
+        apart[:, first + place + 3 * int(z[1]) :][:, :3] = -np.eye(3)
+    R[0, 0] += _sagitta(near[0, :3], z[0], apart @ P @ apart.T)
+
+
+def usbl_bend(z, near, P, first, cfg, R):
+    sight_, P = near[0, :3] / np.linalg.norm(near[0, :3]), P[:3, :3]
+    distance = z[0] if np.isfinite(z[0]) else 1.0 / np.linalg.norm(near[1, :3])
+    R[0, 0] += _sagitta(sight_, distance, P)
+    for k in (1, 2):
+        both = np.outer(near[k, :3], sight_)
+        R[k, k] += _moments((both + both.T) / distance @ P)
+
+
 # ---------------------------------------------------------------- stretch
-KINDS = (heading, magnetometer, depth, altitude, position, body_velocity, water_velocity, ground_velocity)
-
-
-def correction(bench, spot, P, nav, x, acc, drv, Cr, z, variance, count):
-    a, _, m, b, start, errors, par = dims = spot[:7]
-    kind, moves, turns, at, cfg, cfg_size, rate, model, output, white, lever, noise, limits = spot[7:20]
-    mem, places_ = bench[at:cfg], places(dims)
+def correction(bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count, since_s):
+    a, n, m, b, start, errors, par = dims = spot[:7]
+    equation, seen, motion, bend, moves, turns, reads_rate = spot[7:14]
+    begin, cfg, cfg_size, rate, model, output, white, lever, noise, limits, facts = spot[14:25]
+    mem, places_, xd = bench[begin:cfg], places(dims), x[: m - 9]
     predict(P, nav, x, acc, bench[model : model + 2 * b * b].reshape(2, b, b), mem, dims, count)
-    if turns:
-        read, elements = drv[:3] / (drv[36] if drv[37] else 1.0), int(drv[88])
-        M = np.zeros(9)
-        M[drv[89 : 89 + elements].astype(int)[drv[89 : 89 + elements] < 9]] = x[m - 9 - elements : m - 9][
-            drv[89 : 89 + elements] < 9
-        ]
-        bench[rate : rate + 3] = read - Cr[:3, :-1] @ x[: m - 9] - M.reshape(3, 3) @ read
+    outputs, off = np.zeros((6, m - 9)), np.zeros(6)
+    drive_outputs(drv, Cr, xd, outputs, off)
+    if turns or reads_rate:
+        bench[rate : rate + 3] = drv[:3] / (drv[36] if drv[37] else 1.0) - off[:3]
+    H = mem[: places_[1]][places_[0] :].reshape(a, n)
+    if reads_rate:
+        z, H[:, 9:m] = z[:3] - off[:3], outputs[:3]
     near, res = mem[places_[7] : places_[8]].reshape(a, 9 + par), mem[places_[3] : places_[4]]
     own = x[start - 9 + errors : start - 9 + errors + par]
-    KINDS[kind](z, nav, bench[rate : rate + 3], own, bench[cfg : cfg + cfg_size], near, res)
+    here = z, nav, bench[rate : rate + 3], own, bench[cfg : cfg + cfg_size]
+    if seen:
+        rest = recent, drv, Cr, xd, since_s, H, near, res
+        at(seen)(equation, motion, bench[facts : facts + 4 + 3 * cfg_size], *here, *rest)
+    else:
+        at(equation)(*here, near, res)
     given = len(variance) and not np.isnan(variance[0])
     R = bench[noise : noise + a * a].reshape(a, a)
     R[:] = bench[(lever if given else white) :][: a * a].reshape(a, a) + (np.diag(variance[:a]) if given else 0.0)
     if moves and P[8, 8] > 0.01:
         R += np.eye(a) * 0.5 * (nav[3] ** 2 + nav[4] ** 2) * P[8, 8] ** 2
+    if bend:
+        at(bend)(z, near, P, start + errors, here[-1], R)
     update(P, nav, x, bench[output : output + a * errors].reshape(a, errors), R, mem, dims, bench[limits:][: a + 1])
 
 
@@ -1224,8 +1346,8 @@ def stretch(
     """One reading after the other. 0: all done, 1 and 2: the next one is Python's, 3: it was not used, 4: no room, 5:
     the watch over the drive has found something, 6: there is something to learn.
     """
-    (nav, x, P, acc), (drv, Phid, Qd, Cr, w, sd, ends), m = state, drive, state[3].shape[1]
-    period, ahead, every, gap, doubt, until, interval, increments, learn, g = settings
+    (nav, x, P, acc), (drv, Phid, Qd, Cr, recent, w, sd, ends), m = state, drive, state[3].shape[1]
+    period, ahead, every, gap, doubt, until, interval, increments, learn, g, felt = settings
     undone, ears, where, opened = hearing
     rows, info, records, heads = out
 
@@ -1255,7 +1377,7 @@ def stretch(
         more = 2 + (end - cursor[1]) // int(every)
         if cursor[4] + more > len(rows) or cursor[5] + more > len(heads):
             return 4
-        if records.size and cursor[6] + more * plan[-1, 21] > records.size:
+        if records.size and cursor[6] + more * plan[-1, 26] > records.size:
             return 4
         if end > cursor[1] >= cursor[7]:
             found = stamps_to_steps(samples[cursor[1] : end], now[2], limits, gap, doubt)
@@ -1264,8 +1386,10 @@ def stretch(
             cursor[3] += found
             cursor[7] = end
         for k in range(cursor[1], end):
-            look(samples[k : k + 1], w, sd, ends, period, increments)
-            imu_steps(nav, x[: m - 9], drv, samples[k : k + 1], Phid, Qd, Cr, acc)
+            if len(w):
+                look(samples[k : k + 1], w, sd, ends, period, increments)
+            at(plan[-1, 7])(nav, x[: m - 9], drv, samples[k : k + 1], Phid, Qd, Cr, acc)
+            recent[:] = np.vstack([samples[k], recent])[: len(recent)]
             now[:3], cursor[1], cursor[2] = stamps[k], k + 1, cursor[2] + 1
             if cursor[2] == every:
                 record(acc[:m].ravel(), 0, m, 0, 0)
@@ -1274,29 +1398,32 @@ def stretch(
                     carry(undone, acc[:m])
                 fold(P, acc, nav, None)
                 row()
-            if w[6, 1]:
+            if felt and drv[23] >= felt:
+                return 5
+            if len(w) and w[6, 1]:
                 if w[:6, [0, 15, 16]].any():
                     return 5
                 if w[6, 0] * period >= 1.0:
                     pull = gravity(nav[0], nav[2])
                     w[6, 0], w[6, 4], w[6, 5:8], w[6, 8] = 0.0, P[6, 6] + P[7, 7] < 0.01, -pull * nav[12:15], pull
-        early = t - now[0]
-        if t <= heard[i, 0] or early < -1.001 * period or t - now[1] > ahead:
+        early, wait = t - now[0], heard[i, 5]
+        if t <= heard[i, 0] or early < -1.001 * period or t - wait - now[1] > ahead:
             return 2
         watched[i, :2] = (watched[i, 0] + 1.0, watched[i, 1]) if same else (1.0, t)
-        if early > 1e-7 and drv[13]:
-            imu_hold(nav, x[: m - 9], drv, early, Phid, Qd, Cr, acc)
+        if early > 1e-7 and drv[13] and (early <= 1.001 * period or wait == 0):
+            at(plan[-1, 8])(nav, x[: m - 9], drv, early, Phid, Qd, Cr, acc)
             now[0] = t
         elapsed = t - heard[i, 1]
         count = 0 if np.isinf(elapsed) else max(1, round(elapsed / heard[i, 2]))
         spot, variances = plan[i], given[6]
-        correction(bench, spot, P, nav, x, acc, drv, Cr, given[5][e], variances[min(e, len(variances) - 1)], count)
+        reading = given[5][e], variances[min(e, len(variances) - 1)], count, wait + now[0] - t
+        correction(bench, spot, P, nav, x, acc, drv, Cr, recent, *reading)
         cursor[2], heard[i, :2], heard[i, 4] = 0, t, count
         note = given[7][e, : 3 + 2 * spot[0]]
-        note[:] = bench[spot[10] + spot[20] :][: len(note)]
+        note[:] = bench[spot[14] + spot[25] :][: len(note)]
         if not note[2]:
             return 3
-        record(bench[spot[10] : spot[10] + spot[21]], spot[0], *spot[2:5])
+        record(bench[spot[14] : spot[14] + spot[26]], spot[0], *spot[2:5])
         row()
         watched[i, 2:4] = np.maximum(watched[i, 2:4], t)
         watched[i, 5] += 1.0
@@ -1304,9 +1431,9 @@ def stretch(
         watched[i, 4] = share if np.isnan(watched[i, 4]) else watched[i, 4] + (share - watched[i, 4]) / 50.0
         if not undone.size:
             continue
-        a, mem, once = spot[0], bench[spot[10] : spot[11]], np.zeros(1, int)
+        a, mem, once = spot[0], bench[spot[14] : spot[15]], np.zeros(1, int)
         carry(undone, mem[: m * m].reshape(m, m))
-        C, value = bench[spot[15] :][: a * spot[5]].reshape(a, spot[5]), np.zeros((a, 1))
+        C, value = bench[spot[19] :][: a * spot[5]].reshape(a, spot[5]), np.zeros((a, 1))
         listen(undone, mem, spot[:7], where[i], nav, C, x, ears[i, 0], ears[i, 8:17], value, once, 1, Cr, float(g))
         opened[e, 0], cursor[8] = count, once[0]
         if ears[i, 0]:

@@ -46,7 +46,7 @@ FLOORS = [
     },
     {"sensors", "mechanisation", "vehicle", "track", "track_plot", "track_views"},
     {"filter", "learning.worker", "learning.listener", "learning.rest", "learning.refit"},
-    {"learning.schedule", "navigator_memory", "beginning", "navigator", "passage", "alignment"},
+    {"learning.schedule", "navigator_memory", "beginning", "navigator", "passage", "passage_again", "alignment"},
     {
         "assembly",
         "track_bounds",

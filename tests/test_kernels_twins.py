@@ -27,9 +27,10 @@ from kernel_inputs import (
 from navfilter.kernels import checksum, kalman, measurement, strapdown
 
 FOLDER = Path(strapdown.__file__).parent
-FILES = sorted(path.stem for path in FOLDER.glob("*.py") if path.stem != "__init__")
+#: All but those that hold no kernel.
+FILES = sorted(path.stem for path in FOLDER.glob("*.py") if path.stem not in ("__init__", "addresses"))
 #: Whose kernels call those of other files.
-CALLING = ["stretch"]
+CALLING = ["past", "stretch"]
 
 
 def public_kernels(name):

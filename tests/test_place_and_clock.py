@@ -10,9 +10,10 @@ from kernel_inputs import assert_close, random_nav, run_both
 
 import navfilter as nf
 from navfilter.check.description import describe_vehicle
-from navfilter.filter.sight import WINDOW_S, Sight, by_drive
+from navfilter.filter.sight import Sight, by_drive
 from navfilter.io import write_vehicle
 from navfilter.kernels import measurement
+from navfilter.kernels.past import WINDOW_S
 from navfilter.simulation.faults import Faults
 from navfilter.simulation.manoeuvres import ChangeSpeed, Straight, Turn
 from navfilter.simulation.motion import Motion

@@ -13,7 +13,8 @@ from navfilter.check.description import describe_vehicle
 from navfilter.check.plausibility import check_vehicle
 from navfilter.io import write_vehicle
 from navfilter.io.geodesy import ecef_from_geodetic
-from navfilter.sensors.ranges import earth_fixed, sagitta
+from navfilter.kernels import measurement
+from navfilter.sensors.ranges import earth_fixed
 from navfilter.simulation.manoeuvres import ChangeSpeed, Lawnmower, Wait
 from navfilter.simulation.motion import Motion
 from navfilter.simulation.simulate import StartErrors, simulate
@@ -110,9 +111,10 @@ def test_what_bends_is_no_plane():
     drawn = np.linalg.norm(apart + rng.multivariate_normal(np.zeros(3), P, 200_000), axis=1)
     sight = apart / 50.0
     # what the plane leaves is uncorrelated with it: the mean square about the plane's mean is the sum of both
-    assert float(np.mean((drawn - 50.0) ** 2)) - sight @ P @ sight == pytest.approx(
-        sagitta(sight, 50.0, P), abs=0.06
-    )  # 200000 draws of a variance of 8: 0.025
+    R, known = np.zeros((1, 1)), np.full(8, -1.0)
+    measurement.range_bend(np.array([50.0, 0.0]), np.append(sight, np.zeros(6))[None], P, 0, known, R)
+    left = float(np.mean((drawn - 50.0) ** 2)) - sight @ P @ sight
+    assert left == pytest.approx(R[0, 0], abs=0.06)  # 200000 draws of a variance of 8: 0.025
 
 
 def test_one_beacon_and_an_own_way():

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from navfilter.filter.channel import Channel
 from navfilter.filter.filter_memory import FilterMemory
-from navfilter.kernels import kalman, stretch
+from navfilter.kernels import addresses, kalman, strapdown, stretch
+from navfilter.kernels.addresses import address
 
 if TYPE_CHECKING:
     from navfilter.mechanisation import Mechanisation
@@ -20,13 +21,16 @@ __all__ = ["asked", "shared"]
 Array = NDArray[np.float64]
 
 
-def shared(channels: Sequence[Channel], folds: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64]]:
+def shared(
+    channels: Sequence[Channel], drive: Mechanisation, folds: NDArray[np.int64]
+) -> tuple[Array, NDArray[np.int64]]:
     """Let all channels work in one array.
 
     Parameters
     ----------
     channels : sequence of Channel
         As they have been laid out.
+    drive : Mechanisation
     folds : ndarray of int, shape (7,)
         Dimensions of a fold between readings, see ``kalman.places``.
 
@@ -44,6 +48,17 @@ def shared(channels: Sequence[Channel], folds: NDArray[np.int64]) -> tuple[Array
     last[: len(folds)], last[stretch.MEM] = folds, begins[-1]
     last[stretch.RECORD] = max([m * m, *(channel.record_size for channel in channels)])
     rows = [channel.settle(bench, int(begin)) for channel, begin in zip(channels, begins, strict=False)]
+    if drive.steps in (strapdown.imu_steps, strapdown.dead_reckoning_steps):
+        last[stretch.STEPS] = address(drive.steps, addresses.STEPS)
+        last[stretch.HOLD] = address(drive.hold, addresses.HOLD)
+        last[stretch.CORRECTION] = address(stretch.correction, addresses.CORRECTION)
+        for row in rows:
+            row[stretch.TURNS] &= drive.inertial
+            if row[stretch.SIGHT]:
+                row[stretch.MOTION] = address(drive.moved, addresses.MOTION)
+    else:
+        for row in rows:
+            row[stretch.EQUATION] = 0
     return bench, np.array([*rows, last])
 
 
@@ -72,16 +87,16 @@ def asked(
     """
     (z, own), nav, P, x = reading, memory.nav, memory.P, memory.x
     kalman.predict(P, nav, x, memory.acc, channel.model, channel.mem, channel.dims, channel.ticks(time_s))
-    outputs, xd = drive.outputs(drive_output[:, :-1], memory.drv), x[: drive_output.shape[1] - 1]
-    z = channel.without_errors(z, outputs, xd) if channel.sensor.reads_rate else z
+    outputs, errors = drive.outputs(drive_output, memory.drv, x[: drive_output.shape[1] - 1])
+    z = channel.without_errors(z, outputs, errors) if channel.sensor.reads_rate else z
     if channel.turns:
-        channel.rate[:] = drive.body_rate(memory.drv, outputs[:3] @ xd)
+        channel.rate[:] = drive.body_rate(memory.drv, errors[:3])
     if channel.sight is None:
         channel.kernel(z, nav, channel.rate, x[channel.parameters], channel.constants, channel.near, channel.res)
     else:
         par, since_s = x[channel.parameters], channel.lead_s + memory.time_s - time_s
         recent = memory.recent[: drive.remembered(since_s + abs(float(par[-1])))]
-        moved = drive.motion(recent, nav, memory.drv, outputs @ xd)
+        moved = drive.motion(recent, nav, memory.drv, errors)
         channel.sight.look(z, nav, channel.rate, par, moved, since_s, outputs, channel.into)
     if channel.offset:
         channel.in_proportion(z, x)
@@ -92,6 +107,7 @@ def asked(
     if channel.moves and P[8, 8] > stretch.UNSURE_HEADING:
         # second-order term of a velocity seen from a heading that is hardly known (Gelb, 1974, sec. 6.1)
         channel.R[range(channel.axes), range(channel.axes)] += 0.5 * (nav[3] ** 2 + nav[4] ** 2) * P[8, 8] ** 2
-    if channel.sensor.curved:
-        channel.R += channel.sensor.second_order(z, channel.near, P[np.ix_(channel.seen, channel.seen)])
+    if channel.sensor.bend is not None:
+        first = int(channel.dims[4] + channel.dims[5])
+        channel.sensor.bend(z, channel.near, P, first, channel.constants, channel.R)
     kalman.update(P, nav, x, channel.C, channel.R, channel.mem, channel.dims, channel.gate)

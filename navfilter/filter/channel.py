@@ -16,7 +16,8 @@ from navfilter.filter.layout import Group, Layout
 from navfilter.filter.offsets import has_offset, proportions
 from navfilter.filter.refusals import Refusals
 from navfilter.filter.sight import Sight
-from navfilter.kernels import kalman, listen, stretch
+from navfilter.kernels import addresses, kalman, listen, measurement, past
+from navfilter.kernels.addresses import address
 from navfilter.sensors import Sensor
 from navfilter.start import Start
 
@@ -80,8 +81,8 @@ class Channel:
         self.limits = np.array(_limits(sensor.gate_probability, sensor.axes, sensor.single_gates))
         self.sight = Sight(sensor, start) if sensor.place_and_clock() else None
         self.lead_s, self.past_s = sensor.lead_s, sensor.lead_s + CLOCK_SDS * sensor.time_offset_sd_s
-        known = self.sight is None and not sensor.curved and self.constants.shape == (self.constants.size,)
-        self.kind = stretch.KINDS.get(self.kernel, -1) if known else -1
+        # kernels of a user's own are asked by Python: what they raise is to be seen
+        self.known = self.kernel.__module__ == measurement.__name__ and self.constants.ndim == 1
         self.moves, self.turns = sensor.sees_velocity, sensor.needs_rate or any(sensor.lever_arm_sd_m)
         self.samples = 1  # of the drive, of which a reading is the mean
         self.forget()
@@ -116,8 +117,9 @@ class Channel:
         self.slow: list[float] = slow.diagonal().tolist()  # variance by axis of what its error states begin with
         lever, R = sensor.lever_arm_covariance(rate_variance / self.samples), np.diag(group.r)
         model = np.array([group.Phi[:b, :b], group.Q[:b, :b]])
-        constants = self.constants if self.kind >= 0 else np.zeros(0)
-        parts = np.zeros(at[-1]), constants, np.zeros(3), model, group.C, R + lever, lever, R, self.limits
+        constants = self.constants if self.known else np.zeros(0)
+        facts = np.zeros(0) if self.sight is None else self.sight.facts
+        parts = np.zeros(at[-1]), constants, np.zeros(3), model, group.C, R + lever, lever, R, self.limits, facts
         self._ends, self._turned = np.cumsum([part.size for part in parts]), rate_variance / self.samples
         self.bench = np.concatenate([part.ravel() for part in parts])
 
@@ -152,16 +154,24 @@ class Channel:
         self.lever = bench[ends[5] : ends[6]].reshape(a, a)
         self.R = bench[ends[6] : ends[7]].reshape(a, a)
         self.gate = bench[ends[7] : ends[8]]
-        self.seen = np.r_[0:9, first + errors : first + errors + parameters]
         self.parameters = slice(first - 9 + errors, first - 9 + errors + parameters)
         self._last = mem[at[7] : at[9]]
         if self._memory.last.size == self._last.size:
             self._last[:] = self._memory.last
         self._memory.last = self._last
-        kind = -1 if self.offset else self.kind
-        starts = begin, ends[0], self.constants.size, *ends[1:8]
-        self.spot = np.array([*self.dims, kind, self.moves, self.turns, *starts, at[8], at[5]])
+        starts = begin, ends[0], self.constants.size, *ends[1:9]
+        is_so = self.moves, self.turns, self.sensor.reads_rate
+        self.spot = np.array([*self.dims, *self._addresses(), *is_so, *starts, at[8], at[5]], dtype=np.int64)
         return self.spot
+
+    def _addresses(self) -> tuple[int, int, int, int]:
+        """Of its kernel and what goes with it, the drive's motion left out; zeros where Python has to be asked."""
+        if not self.known or self.offset:
+            return 0, 0, 0, 0
+        sight = 0 if self.sight is None else address(past.sight, addresses.SIGHT)
+        bend = self.sensor.bend
+        bent = 0 if bend is None else address(bend, addresses.BEND)
+        return address(self.kernel, addresses.EQUATION), sight, 0, bent
 
     def turns_by(self, rate_variance: Array) -> None:
         """How well the angular rate is known that its lever arm turns with; shape (3,) [rad^2/s^2]."""
@@ -171,10 +181,10 @@ class Channel:
             self.lever[:] = self.sensor.lever_arm_covariance(variance)
             self.white[:] = np.diag(self.group.r) + self.lever
 
-    def without_errors(self, z: Array, outputs: Array, xd: Array) -> Array:
+    def without_errors(self, z: Array, outputs: Array, errors: Array) -> Array:
         """A reading of the drive's first three values without the drive's errors, of whose states it depends."""
         self.into[0][:] = outputs[:3]
-        return z - outputs[:3] @ xd
+        return z - errors[:3]
 
     @property
     def memory(self) -> ChannelMemory:

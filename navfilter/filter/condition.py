@@ -54,9 +54,8 @@ def health_of(
     age_s, moved_m = _since_fix(filter, watches)
     radius_m, heading_rad = integrity.bounds(P, age_s, moved_m, off, filter.inertial)
     drive = filter.vehicle.drive
-    rate = drive.body_rate(
-        memory.drv, drive.outputs(filter.drive_output[:, :-1], memory.drv)[:3] @ memory.x[: filter.layout.drive.size]
-    )
+    _, errors = drive.outputs(filter.drive_output, memory.drv, memory.x[: filter.layout.drive.size])
+    rate = drive.body_rate(memory.drv, errors[:3])
     speed, turn = math.hypot(*memory.nav[3:6].tolist()), max(map(abs, np.atleast_1d(rate).tolist()))
     # fixes are not there under water: what that costs is in the bounds
     calm = {

@@ -53,6 +53,7 @@ class DriveWatch:
     def __init__(self, drive: Mechanisation) -> None:
         self.active, self.axes = drive.inertial, drive.axis_names
         self._period_s, self._increments = drive.period_s, bool(getattr(drive, "increments", False))
+        self.limits = np.zeros(0)
         if not self.active:
             return
         rate_sd, force_sd = drive.gap_rate_sd, drive.gap_force_sd  # type: ignore[attr-defined]

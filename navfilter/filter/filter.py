@@ -5,7 +5,7 @@ users see of it.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -66,6 +66,8 @@ class Filter:
     channels : dict of str to Channel
     drive_output : ndarray, shape (6, states of the drive + 1)
         Rows of C of the drive's error models, and the white variance of a sample.
+    feels_after : int
+        Samples of the drive after which it is felt whether the vehicle rests; 0: never.
     jumped : list of Change
         Constants for sensors that have jumped, to be adopted before the next input.
 
@@ -87,16 +89,16 @@ class Filter:
         self.period_s, self.fold_every = drive.period_s, max(1, round(drive.rate_hz))
         self.ahead_s = max(self.AHEAD_S, 3.0 * self.period_s)
         self.inertial, self.watch, self.jumps = drive.inertial, drive_watch.DriveWatch(drive), JumpWatch(drive)
-        self._native = drive.steps in (strapdown.imu_steps, strapdown.dead_reckoning_steps)
         self.channels = {name: Channel(name, sensor, start) for name, sensor in vehicle.sensors.items()}
         past_s = max((channel.past_s for channel in self.channels.values()), default=0.0)
         self.remembered = drive.remembered(past_s) if past_s else 0
         self.jumped: list[Change] = []
         self._like: tuple[Vehicle, Layout] | None = None
         self._rest = [self.channels[name] for name, s in vehicle.sensors.items() if s.from_drive and self.inertial]
-        self._resting = max(2, round(drive.rate_hz * min((channel.period_s for channel in self._rest), default=1.0)))
+        shortest_s = min((channel.period_s for channel in self._rest), default=0.0)
+        self.feels_after = max(2, round(drive.rate_hz * shortest_s)) if self._rest else 0
         for channel in self._rest:
-            channel.samples = self._resting
+            channel.samples = self.feels_after
         self.begin()
 
     def begin(self, models: dict[str, Errors] | None = None) -> None:
@@ -163,9 +165,7 @@ class Filter:
 
     def _share(self) -> None:
         """Let all channels work in one array, see `navfilter.kernels.stretch`."""
-        self.bench, self.plan = shared(list(self.channels.values()), self._dims)
-        if not self.inertial:
-            self.plan[:, stretch.TURNS] = 0
+        self.bench, self.plan = shared(list(self.channels.values()), self.vehicle.drive, self._dims)
 
     def weigh(self) -> None:
         """Believe the drive's axes as far as the watch over them says."""
@@ -260,8 +260,7 @@ class Filter:
             memory.time_s = memory.sample_s = memory.intake.before_s = float(stamps[end - 1])
             if memory.unfolded >= self.fold_every:
                 tell(self._fold())
-            for channel, reading in self._felt():
-                tell(self._update(channel, memory.time_s, reading, None, False))
+            self.feel(tell)
             if room is not None:
                 tell(Passed(block))
             if self.watch.news(memory.watch):
@@ -272,10 +271,20 @@ class Filter:
         """Act on what the watch over the drive has found."""
         self.watch.heed(self, lambda: tell(self._fold()))
 
+    def feel(self, tell: Listening) -> None:
+        """Take the readings that the drive's last samples make, once in the shortest period of all such sensors."""
+        felt = self.vehicle.drive.felt(self.memory.drv, self.feels_after * self.period_s) if self._rest else None
+        if felt is None or self.watch.lost(self.memory.watch):
+            return
+        for channel in self._rest:
+            reading = channel.sensor.felt(*felt)
+            if reading is not None:
+                tell(self._update(channel, self.memory.time_s, reading, None, False))
+
     def _room(self, asked: Callable[[], int] | None) -> int:
         """Samples until something is due: the fold, the detection of rest, or what was asked for."""
         room = self.fold_every - self.memory.unfolded
-        room = max(1, min(room, self._resting - int(self.memory.drv[strapdown.COUNT]))) if self._rest else room
+        room = max(1, min(room, self.feels_after - int(self.memory.drv[strapdown.COUNT]))) if self._rest else room
         return room if asked is None else min(room, asked())
 
     def _fold(self) -> Propagated:
@@ -293,16 +302,6 @@ class Filter:
         if self.tape is not None:
             memory = self.memory
             self.tape.row(memory.time_s, memory.nav, memory.x, memory.P)
-
-    def _felt(self) -> Iterator[tuple[Channel, Array]]:
-        """The readings that the drive's last samples make, once in the shortest period of all such sensors."""
-        felt = self.vehicle.drive.felt(self.memory.drv, self._resting * self.period_s) if self._rest else None
-        if felt is None or self.watch.lost(self.memory.watch):
-            return
-        for channel in self._rest:
-            reading = channel.sensor.felt(*felt)
-            if reading is not None:
-                yield channel, reading
 
     # ---------------------------------------------------------------- correction
     def correct(
@@ -355,10 +354,10 @@ class Filter:
         memory = self.memory
         own = NO_SD if sd is None else np.resize(np.square(np.ravel(sd)), channel.axes)
         channel.gate[:] = channel.limits if channel.memory.refused is None else agreement.limits(channel)
-        if channel.spot[stretch.KIND] >= 0 and self._native:
+        if channel.spot[stretch.EQUATION]:
             stretch.correction(
                 *(self.bench, channel.spot, memory.P, memory.nav, memory.x, memory.acc, memory.drv, self.drive_output),
-                *(z, own, channel.ticks(time_s)),
+                *(memory.recent, z, own, channel.ticks(time_s), channel.lead_s + memory.time_s - time_s),
             )
         else:
             asked(channel, memory, self.vehicle.drive, self.drive_output, (z, own), time_s)

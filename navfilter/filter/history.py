@@ -29,7 +29,7 @@ class Reading(NamedTuple):
     time_s: float
     value: Array
     sd: Any
-    frozen: bool
+    frozen: bool = False
 
 
 class Run(Protocol):

@@ -9,24 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.kernels import measurement
+from navfilter.kernels.past import STEP, WINDOW_S
 from navfilter.sensors import Sensor
 from navfilter.start import Start
 
-__all__ = ["WINDOW_S", "Sight"]
+__all__ = ["Sight"]
 
 Array = NDArray[np.float64]
-#: Rates and forces are means over this time: what vibrates faster is no motion [s].
-WINDOW_S = 0.2
-#: Step of the difference quotients over lever arm [m] and time [s]; a reading is linear in both, or nearly so.
-STEP = 1e-3
 
 
 class Sight:
-    """Predicts the readings of a sensor of any kind through its own kernel, with a lever arm and a clock that are
-    states (`Sensor.place_and_clock`).
-
-    A time offset moves the state at which the kernel is asked: to that of `time_offset` earlier. So the derivative with
-    respect to it is minus that of the reading with time, as the drive felt it then.
+    """What ``past.sight`` needs to know of a sensor whose lever arm and clock are states (`Sensor.place_and_clock`),
+    and the same in Python for a user's own kinds and drives.
 
     Parameters
     ----------
@@ -37,6 +31,8 @@ class Sight:
     ----------
     clock : bool
         Whether it needs to know how the vehicle has moved.
+    facts : ndarray
+        See ``navfilter.kernels.past``.
     """
 
     def __init__(self, sensor: Sensor, start: Start) -> None:
@@ -51,6 +47,8 @@ class Sight:
             for i, e in enumerate(np.eye(3)):
                 self._by_arm[:, i] = self._constants_at(sensor, start, e) - self._constants
         self._steps = STEP * np.ascontiguousarray(self._by_arm.T)
+        known = self._arm, self.clock, self._turns, sensor.lead_s
+        self.facts = np.concatenate([np.array(known, dtype=np.float64), self._by_arm.ravel()])
 
     @staticmethod
     def _constants_at(sensor: Any, start: Start, off: Array) -> Array:

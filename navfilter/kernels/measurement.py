@@ -283,6 +283,45 @@ def slant_range(z, nav, rate, par, cfg, H, res):
 
 
 @njit(cache=True)
+def range_bend(z, near, P, first, cfg, R):
+    """What the linear equation of `slant_range` leaves out, added to R (1, 1): the distance grows when its ends move
+    across the line of sight too (Gelb, 1974, sec. 6.1).
+
+    near: its Jacobian; P: covariance of all states, those of the sensor's parameters from `first` on.
+    """
+    apart, place = np.empty((3, 3)), int(cfg[7])
+    at = first + place + 3 * int(z[1])
+    for i in range(3):
+        for j in range(3):
+            apart[i, j] = P[i, j]
+            if place >= 0:
+                apart[i, j] += P[at + i, at + j] - P[i, at + j] - P[at + i, j]
+    R[0, 0] += _sagitta(near, z[0], apart)
+
+
+@njit(cache=True)
+def _sagitta(near, distance, P):
+    """Variance of what a distance grows by when its ends move across it, mean included [m^2].
+
+    near: its slope along the line of sight, in the first row; P (3, 3): covariance of where the ends stand against each
+    other [m^2].
+    """
+    length = math.sqrt(near[0, 0] ** 2 + near[0, 1] ** 2 + near[0, 2] ** 2)
+    by, bend, trace, square = 1.0 / max(length, 1e-12), np.empty((3, 3)), 0.0, 0.0
+    for i in range(3):
+        for j in range(3):
+            s = 0.0
+            for r in range(3):
+                s += ((1.0 if i == r else 0.0) - near[0, i] * by * near[0, r] * by) * P[r, j]
+            bend[i, j] = s / max(distance, 1e-3)
+    for i in range(3):
+        trace += bend[i, i]
+        for j in range(3):
+            square += bend[i, j] * bend[j, i]
+    return 0.5 * square + 0.25 * trace * trace
+
+
+@njit(cache=True)
 def usbl(z, nav, rate, par, cfg, H, res):
     """Where a transponder stands as seen by a transceiver: its range, and the direction across and below the line of
     sight that was measured.
@@ -342,6 +381,34 @@ def usbl(z, nav, rate, par, cfg, H, res):
                 H[k, 9 + ship + j] = H[k, j]
         h0, h1, h2 = H[k, 0], H[k, 1], H[k, 2]
         H[k, 6], H[k, 7], H[k, 8] = a[1] * h2 - a[2] * h1, a[2] * h0 - a[0] * h2, a[0] * h1 - a[1] * h0
+
+
+@njit(cache=True)
+def usbl_bend(z, near, P, first, cfg, R):
+    """What the linear equation of `usbl` leaves out, added to R (3, 3): of a distance, and of a direction, which turns
+    faster the nearer the vehicle may be. Arguments as for `range_bend`.
+    """
+    length, across = 0.0, 0.0
+    for i in range(3):
+        length += near[0, i] ** 2
+        across += near[1, i] ** 2
+    by = 1.0 / max(math.sqrt(length), 1e-12)
+    distance = z[0] if math.isfinite(z[0]) else 1.0 / max(math.sqrt(across), 1e-9)
+    R[0, 0] += _sagitta(near, distance, P)
+    bend = np.empty((3, 3))
+    for k in range(1, 3):
+        trace, square = 0.0, 0.0
+        for i in range(3):
+            for j in range(3):
+                s = 0.0
+                for r in range(3):
+                    s += (near[k, i] * near[0, r] + near[0, i] * near[k, r]) * P[r, j]
+                bend[i, j] = s * by / max(distance, 1e-3)
+        for i in range(3):
+            trace += bend[i, i]
+            for j in range(3):
+                square += bend[i, j] * bend[j, i]
+        R[k, k] += 0.5 * square + 0.25 * trace * trace
 
 
 @njit(cache=True)

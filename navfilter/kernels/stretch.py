@@ -7,11 +7,12 @@ checksum of those files: what a function encloses is part of numba's key.
 
 import math
 
+import numpy as np
 from numba import njit
 
-from navfilter.kernels import checksum, drive_watch, kalman, listen, measurement, strapdown
+from navfilter.kernels import addresses, checksum, drive_watch, kalman, listen, past, strapdown
 
-SOURCES = checksum(drive_watch, kalman, listen, measurement, strapdown)
+SOURCES = checksum(addresses, drive_watch, kalman, listen, past, strapdown)
 
 
 def _keyed(make):
@@ -19,29 +20,19 @@ def _keyed(make):
     return make(SOURCES)
 
 
-# Kinds of sensors that are reached from here, by number; all others are asked by Python.
-HEADING, MAGNETOMETER, DEPTH, ALTITUDE, POSITION, BODY_VELOCITY, WATER_VELOCITY, GROUND_VELOCITY = range(8)
-KINDS: dict = {
-    measurement.heading: HEADING,
-    measurement.magnetometer: MAGNETOMETER,
-    measurement.depth: DEPTH,
-    measurement.altitude: ALTITUDE,
-    measurement.position: POSITION,
-    measurement.body_velocity: BODY_VELOCITY,
-    measurement.water_velocity: WATER_VELOCITY,
-    measurement.ground_velocity: GROUND_VELOCITY,
-}
 # Beyond this variance of the heading [rad^2] a body velocity is taken with its second-order term.
 UNSURE_HEADING = 0.01
 
-# Columns of `plan`, a row a channel: the seven of `kalman.places`, kind, whether it moves and turns, then where in
-# `bench` its parts stand: working memory, constants and how many, rate, model, C, white, lever, R, limits; in the
-# working memory the verdict, and how long the record for the smoother is. One more row is for the folds between
-# readings: dimensions, in MEM its work space, in RECORD the longest record of all.
-KIND, MOVES, TURNS, MEM, CONSTANTS, CONSTANTS_SIZE, RATE, MODEL, OUTPUT, WHITE, LEVER_NOISE, NOISE, LIMITS = range(
-    7, 20
-)
-VERDICT, RECORD, PLAN = 20, 21, 22
+# Columns of `plan`, a row a channel: the seven of `kalman.places`; addresses of its kernel (0: it is asked by Python),
+# of `past.sight` where its place or clock is a state, of the drive's motion for that, and of what its equation bends by
+# (0: none); whether it moves, turns, and reads the drive's own rates; then where in `bench` its parts stand: working
+# memory, constants and how many, rate, model, C, white, lever, R, limits, facts; in the working memory the verdict, and
+# how long the record for the smoother is. One more row is for the drive: dimensions of a fold, addresses of its steps,
+# its hold and `correction` in the first three, in MEM its work space, in RECORD the longest record of all.
+EQUATION, SIGHT, MOTION, BEND, MOVES, TURNS, READS_RATE = range(7, 14)
+STEPS, HOLD, CORRECTION = EQUATION, SIGHT, MOTION
+MEM, CONSTANTS, CONSTANTS_SIZE, RATE, MODEL, OUTPUT, WHITE, LEVER_NOISE, NOISE, LIMITS, FACTS = range(14, 25)
+VERDICT, RECORD, PLAN = 25, 26, 27
 
 # Elements of `now`: time of the state and of the last sample, stamp of the last sample, time of the last row written.
 TIME_S, SAMPLE_S, BEFORE_S, ROW_S = range(4)
@@ -50,11 +41,12 @@ TIME_S, SAMPLE_S, BEFORE_S, ROW_S = range(4)
 READING, SAMPLE, UNFOLDED, GAPS, ROWS, RECORDS, WRITTEN, STEPPED, SPARE = range(9)
 # Elements of `settings`: period of the drive, how far ahead a reading may be, samples between folds, silence that is a
 # gap, silence that is in doubt, when something is due, interval of the rows; whether samples are increments; from when
-# on it is learnt from readings, and what a tilt turns into acceleration (see `listen`).
-PERIOD_S, AHEAD_S, FOLD_EVERY, GAP_S, DOUBT_S, UNTIL_S, INTERVAL_S, INCREMENTS, LEARN_S, GRAVITY = range(10)
+# on it is learnt from readings, and what a tilt turns into acceleration (see `listen`); after how many samples Python
+# feels whether the vehicle rests (0: never).
+PERIOD_S, AHEAD_S, FOLD_EVERY, GAP_S, DOUBT_S, UNTIL_S, INTERVAL_S, INCREMENTS, LEARN_S, GRAVITY, FELT = range(11)
 # Columns of `heard`, a row a channel: last reading, last tick, period, whether readings before have been refused, ticks
-# of the last reading.
-LAST_S, TICKED_S, CHANNEL_PERIOD_S, DOUBTED, TICKS = range(5)
+# of the last reading, how long readings wait.
+LAST_S, TICKED_S, CHANNEL_PERIOD_S, DOUBTED, TICKS, WAIT_S = range(6)
 # Columns of `watched`, a row a channel: equal values in a row, since when, heard last, used last, running NIS, used.
 SAME, SINCE_S, HEARD_S, USED_S, NIS, USED = range(6)
 NIS_MEMORY, NIS_MOST = 50.0, 100.0  # readings; a single one counts up to this NIS per component
@@ -68,66 +60,12 @@ DONE, NEXT, REFUSED, JUDGED, FULL, HEED, LEARN = range(7)
 
 
 @_keyed
-def _observe(sources):
+def _bent(sources):
     @njit(cache=True)
-    def _observe(kind, z, nav, rate, par, cfg, H, res):
-        """Residual and Jacobian of a reading by the kernel of its kind, see `navfilter.kernels.measurement`."""
+    def _bent(bench, spot, P, nav, near, z, variance, R):
+        """The white covariance of a reading, with what its equation leaves out."""
         _ = sources
-        if kind == HEADING:
-            measurement.heading(z, nav, rate, par, cfg, H, res)
-        elif kind == MAGNETOMETER:
-            measurement.magnetometer(z, nav, rate, par, cfg, H, res)
-        elif kind == DEPTH:
-            measurement.depth(z, nav, rate, par, cfg, H, res)
-        elif kind == ALTITUDE:
-            measurement.altitude(z, nav, rate, par, cfg, H, res)
-        elif kind == POSITION:
-            measurement.position(z, nav, rate, par, cfg, H, res)
-        elif kind == BODY_VELOCITY:
-            measurement.body_velocity(z, nav, rate, par, cfg, H, res)
-        elif kind == WATER_VELOCITY:
-            measurement.water_velocity(z, nav, rate, par, cfg, H, res)
-        else:
-            measurement.ground_velocity(z, nav, rate, par, cfg, H, res)
-
-    return _observe
-
-
-@_keyed
-def correction(sources):
-    @njit(cache=True)
-    def correction(bench, spot, P, nav, x, acc, drv, Cr, z, variance, count):
-        """A reading, from the fold before it to the verdict: `kalman.predict`, the kernel of its kind, `kalman.update`.
-
-        bench: working memory of all channels; spot: this one's row of `plan`; z: the reading as its kernel takes it;
-        variance (a,) of its white error, empty or NaN for what the error model says; count: ticks of its clock.
-        """
-        _ = sources
-        dims = spot[:7]
-        a, m, b, start, errors, parameters = dims[0], dims[2], dims[3], dims[4], dims[5], dims[6]
-        mem = bench[spot[MEM] : spot[CONSTANTS]]
-        model = bench[spot[MODEL] : spot[MODEL] + 2 * b * b].reshape((2, b, b))
-        kalman.predict(P, nav, x, acc, model, mem, dims, count)
-        rate = bench[spot[RATE] : spot[RATE] + 3]
-        if spot[TURNS]:
-            per = 1.0 / drv[strapdown.PERIOD_S] if drv[strapdown.INCREMENTS] != 0.0 else 1.0
-            elements = int(drv[strapdown.CALIBRATED])
-            for i in range(3):
-                rate[i] = drv[strapdown.PREVIOUS + i] * per
-                for j in range(m - 9):
-                    rate[i] -= Cr[i, j] * x[j]
-            for q in range(elements):
-                element = int(drv[strapdown.ELEMENTS + q])
-                if element < 9:
-                    rate[element // 3] -= drv[strapdown.PREVIOUS + element % 3] * per * x[m - 9 - elements + q]
-        places = kalman.places(dims)
-        near = mem[places[7] : places[8]].reshape((a, 9 + parameters))
-        constants = bench[spot[CONSTANTS] : spot[CONSTANTS] + spot[CONSTANTS_SIZE]]
-        first = start - 9 + errors
-        _observe(
-            spot[KIND], z, nav, rate, x[first : first + parameters], constants, near, mem[places[3] : places[3] + a]
-        )
-        R = bench[spot[NOISE] : spot[NOISE] + a * a].reshape((a, a))
+        a = R.shape[0]
         own = variance.size > 0 and not math.isnan(variance[0])
         for i in range(a):
             for j in range(a):
@@ -138,6 +76,56 @@ def correction(sources):
             if spot[MOVES] and P[8, 8] > UNSURE_HEADING:
                 # second-order term of a velocity seen from a heading that is hardly known (Gelb, 1974, sec. 6.1)
                 R[i, i] += 0.5 * (nav[3] ** 2 + nav[4] ** 2) * P[8, 8] ** 2
+        if spot[BEND]:
+            constants = bench[spot[CONSTANTS] : spot[CONSTANTS] + spot[CONSTANTS_SIZE]]
+            addresses.at_bend(spot[BEND], (z, near, P, spot[4] + spot[5], constants, R))
+
+    return _bent
+
+
+@_keyed
+def correction(sources):
+    @njit(cache=True)
+    def correction(bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count, since_s):
+        """A reading, from the fold before it to the verdict: `kalman.predict`, the kernel of its kind, `kalman.update`.
+
+        bench: working memory of all channels; spot: this one's row of `plan`; recent: the drive's last samples, see
+        `past.sight`; z: the reading as its kernel takes it; variance (a,) of its white error, empty or NaN for what the
+        error model says; count: ticks of its clock; since_s: how much later than its stamp it is taken.
+        """
+        _ = sources
+        dims = spot[:7]
+        a, n, m, b, start, errors, parameters = dims[0], dims[1], dims[2], dims[3], dims[4], dims[5], dims[6]
+        mem = bench[spot[MEM] : spot[CONSTANTS]]
+        model = bench[spot[MODEL] : spot[MODEL] + 2 * b * b].reshape((2, b, b))
+        kalman.predict(P, nav, x, acc, model, mem, dims, count)
+        rate, xd, places = bench[spot[RATE] : spot[RATE] + 3], x[: m - 9], kalman.places(dims)
+        H = mem[places[0] : places[0] + a * n].reshape((a, n))
+        if spot[TURNS] or spot[READS_RATE]:
+            outputs, off = np.empty((6, m - 9)), np.empty(6)
+            past.drive_outputs(drv, Cr, xd, outputs, off)
+            per = drv[strapdown.PERIOD_S] if drv[strapdown.INCREMENTS] != 0.0 else 1.0
+            for i in range(3):
+                rate[i] = drv[strapdown.PREVIOUS + i] / per - off[i]
+            if spot[READS_RATE]:
+                z = z.copy()
+                for i in range(3):
+                    z[i] -= off[i]
+                    for j in range(m - 9):
+                        H[i, 9 + j] = outputs[i, j]
+        near = mem[places[7] : places[8]].reshape((a, 9 + parameters))
+        constants = bench[spot[CONSTANTS] : spot[CONSTANTS] + spot[CONSTANTS_SIZE]]
+        first, res = start - 9 + errors, mem[places[3] : places[3] + a]
+        par = x[first : first + parameters]
+        if spot[SIGHT]:
+            facts = bench[spot[FACTS] : spot[FACTS] + past.BY_ARM + 3 * spot[CONSTANTS_SIZE]]
+            sensor = spot[EQUATION], spot[MOTION], facts
+            here = z, nav, rate, par, constants, recent, drv, Cr, xd, since_s
+            addresses.at_sight(spot[SIGHT], sensor + here + (H, near, res))
+        else:
+            addresses.at_equation(spot[EQUATION], (z, nav, rate, par, constants, near, res))
+        R = bench[spot[NOISE] : spot[NOISE] + a * a].reshape((a, a))
+        _bent(bench, spot, P, nav, near, z, variance, R)
         C = bench[spot[OUTPUT] : spot[OUTPUT] + a * errors].reshape((a, errors))
         kalman.update(P, nav, x, C, R, mem, dims, bench[spot[LIMITS] : spot[LIMITS] + a + 1])
 
@@ -231,27 +219,48 @@ def _heeded(sources):
 
 
 @_keyed
+def _remember(sources):
+    @njit(cache=True)
+    def _remember(block, recent):
+        """Put the samples of a block before the last ones, the newest first."""
+        _ = sources
+        new, size = block.shape[0], recent.shape[0]
+        for i in range(size - 1, -1, -1):
+            for j in range(7):
+                recent[i, j] = recent[i - new, j] if i >= new else block[new - 1 - i, j]
+
+    return _remember
+
+
+@_keyed
 def _carried(sources):
     @njit(cache=True)
     def _carried(now, cursor, settings, spot, P, nav, x, acc, drive, samples, stamps, undone, out, work):
         """Carry the state over a block of steps (see `strapdown.stamps_to_steps`), folding as often as is due; False
-        where Python has to heed what the watch over the drive has found.
+        where Python has to heed what the watch over the drive has found, or to feel whether the vehicle rests.
 
-        stamps: of the same samples; spot: last row of `plan`; drive: memory, Phi, Q and output rows of the drive, then
-        what the watch remembers, and its standard deviations and limits; undone: see `listen`, empty where nobody
-        listens; out: rows, their info, records and their heads; work: a transition (m * m,), then (m, n) for the fold.
+        stamps: of the same samples; spot: last row of `plan`; drive: memory, Phi, Q and output rows of the drive, its
+        last samples, then what the watch remembers, and its standard deviations and limits; undone: see `listen`, empty
+        where nobody listens; out: rows, their info, records and their heads; work: a transition (m * m,), then (m, n)
+        for the fold.
         """
         _ = sources
         m, n = acc.shape[1], P.shape[0]
-        drv, Phid, Qd, Cr, w, sd, ends = drive
+        drv, Phid, Qd, Cr, recent, w, sd, ends = drive
         rows, info, records, heads = out
         every, begin, total = int(settings[FOLD_EVERY]), 0, samples.shape[0]
-        head = work[: m * m]
+        head, felt = work[: m * m], int(settings[FELT])
         while begin < total:
             end = min(total, begin + every - cursor[UNFOLDED])
-            looked = drive_watch.look(samples[begin:end], w, sd, ends, settings[PERIOD_S], settings[INCREMENTS] > 0.0)
-            end = begin + looked
-            strapdown.imu_steps(nav, x[: m - 9], drv, samples[begin:end], Phid, Qd, Cr, acc)
+            if felt > 0:
+                end = min(end, begin + max(1, felt - int(drv[strapdown.COUNT])))
+            if w.shape[0] > 0:
+                steps = settings[INCREMENTS] > 0.0
+                end = begin + drive_watch.look(samples[begin:end], w, sd, ends, settings[PERIOD_S], steps)
+            block = samples[begin:end]
+            addresses.at_steps(spot[STEPS], (nav, x[: m - 9], drv, block, Phid, Qd, Cr, acc))
+            if recent.shape[0] > 0:
+                _remember(block, recent)
             cursor[UNFOLDED] += end - begin
             cursor[SAMPLE] += end - begin
             now[TIME_S] = now[SAMPLE_S] = now[BEFORE_S] = stamps[end - 1]
@@ -266,7 +275,10 @@ def _carried(sources):
                 _note_record(head, int(0), spot, cursor, records, heads)
                 _note_row(now, cursor, settings[INTERVAL_S], nav, x, P, rows, info)
             begin = end
-            if w[drive_watch.UNIT, drive_watch.NEWS] != 0.0 and not _heeded(w, nav, P, settings[PERIOD_S]):
+            if felt > 0 and drv[strapdown.COUNT] >= felt:
+                return False
+            news = w.shape[0] > 0 and w[drive_watch.UNIT, drive_watch.NEWS] != 0.0
+            if news and not _heeded(w, nav, P, settings[PERIOD_S]):
                 return False
         return True
 
@@ -359,7 +371,7 @@ def stretch(sources):
         """
         _ = sources
         nav, x, P, acc = state
-        drv, Cr, Phid, Qd = drive[0], drive[3], drive[1], drive[2]
+        drv, Phid, Qd, Cr, recent = drive[0], drive[1], drive[2], drive[3], drive[4]
         times, which, ends, good, same, values, variances, notes = given
         rows, info, records, heads = out
         undone, ears, places, opened = hearing
@@ -391,16 +403,19 @@ def stretch(sources):
                 if not _carried(now, cursor, settings, spot, P, nav, x, acc, drive, block, taken, undone, out, work):
                     return HEED
             early_s, mine = t - now[TIME_S], heard[i]
-            if t <= mine[LAST_S] or early_s < -1.001 * period_s or t - now[SAMPLE_S] > settings[AHEAD_S]:
+            ahead_s = t - mine[WAIT_S] - now[SAMPLE_S]
+            if t <= mine[LAST_S] or early_s < -1.001 * period_s or ahead_s > settings[AHEAD_S]:
                 return REFUSED
             _seen(watched[i], t, same[e])
-            if early_s > 1e-7 and drv[strapdown.STARTED] != 0.0:
-                strapdown.imu_hold(nav, x[: m - 9], drv, early_s, Phid, Qd, Cr, acc)
+            holds = early_s <= 1.001 * period_s or mine[WAIT_S] == 0.0
+            if early_s > 1e-7 and drv[strapdown.STARTED] != 0.0 and holds:
+                addresses.at_hold(spot[HOLD], (nav, x[: m - 9], drv, early_s, Phid, Qd, Cr, acc))
                 now[TIME_S] = t
             elapsed, mine[TICKED_S] = t - mine[TICKED_S], t
             count = 0 if math.isinf(elapsed) else int(max(1, round(elapsed / mine[CHANNEL_PERIOD_S])))
-            own = plan[i]
-            correction(bench, own, P, nav, x, acc, drv, Cr, values[e], variances[min(e, variances.shape[0] - 1)], count)
+            own, variance = plan[i], variances[min(e, variances.shape[0] - 1)]
+            filter, reading = (bench, own, P, nav, x, acc, drv, Cr, recent), (values[e], variance, count)
+            addresses.at_correction(spot[CORRECTION], filter + reading + (mine[WAIT_S] + now[TIME_S] - t,))
             cursor[UNFOLDED] = 0
             mine[LAST_S], mine[TICKS] = t, count
             verdict, a = own[MEM] + own[VERDICT], own[0]

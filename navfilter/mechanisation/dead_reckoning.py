@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from navfilter.error_models import ErrorModel, RandomWalk, White, per_axis
 from navfilter.filter.layout import Parameter
-from navfilter.kernels import strapdown
+from navfilter.kernels import past, strapdown
 from navfilter.learning.drift import Drift
 from navfilter.learning.learned import learning_part
 from navfilter.mechanisation.mechanisation import Mechanisation, Triple
@@ -80,6 +80,7 @@ class DeadReckoning(Mechanisation):
     units: ClassVar[tuple[str, ...]] = ("rad",) * 3 + ("m_s",) * 3
     steps: ClassVar[Callable[..., None]] = staticmethod(strapdown.dead_reckoning_steps)
     hold: ClassVar[Callable[..., None]] = staticmethod(strapdown.dead_reckoning_hold)
+    moved: ClassVar[Callable[..., None]] = staticmethod(past.reckoned_motion)
 
     def __post_init__(self) -> None:
         if self.compass is not None and self.compass.gives != "heading":
@@ -185,24 +186,6 @@ class DeadReckoning(Mechanisation):
         drv[strapdown.MAX_SPEED] = sensor.max_speed_m_s
         drv[strapdown.ZERO_IS_VALID] = float(not sensor.zero_is_invalid)
         return drv
-
-    def motion(self, recent: Array, nav: Array, drv: Array, errors: Array) -> tuple[Array, float]:
-        """Turns and changes of the velocity from reading to reading; before them, and since, the newest goes on."""
-        count = int(np.count_nonzero(recent[:, 0]))
-        if count < 2:
-            return np.zeros((1, 7)), 0.0
-        seconds, angles, velocity = recent[: count - 1, :1], recent[:count, 1:4], recent[:count, 4:7]
-        roll, pitch, yaw = (np.remainder(angles[:-1] - angles[1:] + math.pi, 2.0 * math.pi) - math.pi).T
-        sr, cr = np.sin(angles[:-1, 0]), np.cos(angles[:-1, 0])
-        sp, cp = np.sin(angles[:-1, 1]), np.cos(angles[:-1, 1])
-        turned = np.column_stack([roll - yaw * sp, pitch * cr + yaw * sr * cp, yaw * cr * cp - pitch * sr])
-        velocity_b = nav[6:15].reshape(3, 3).T @ nav[3:6]
-        gained = (velocity[:-1] - velocity[1:]) @ self.velocity_sensor.instrument_axes()
-        gained[~np.isfinite(gained) | (np.abs(gained) > self.velocity_sensor.max_speed_m_s)] = 0.0
-        rate = turned / seconds
-        rows = np.column_stack([seconds, rate, np.cross(rate, velocity_b) + gained / seconds])
-        held = np.concatenate([drv[strapdown.HELD_S : strapdown.HELD_S + 1], rows[0, 1:4], np.zeros(3)])
-        return np.concatenate([held[None, :], rows]), 0.0
 
     def at_rest(self, state: NavState, drv: Array) -> Array:
         """Its attitude, by the compass as it is."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from navfilter.constants import ROUND_GRAVITY
 from navfilter.error_models import ErrorModel, RandomWalk, Sum, White, per_axis
 from navfilter.filter.layout import Parameter
-from navfilter.kernels import strapdown
+from navfilter.kernels import past, strapdown
 from navfilter.learning.drift import Drift
 from navfilter.learning.learned import learned_part
 from navfilter.mechanisation.mechanisation import Mechanisation, Triple
@@ -102,6 +102,7 @@ class Imu(Mechanisation):
     units: ClassVar[tuple[str, ...]] = ("rad_s",) * 3 + ("m_s2",) * 3
     steps: ClassVar[Callable[..., None]] = staticmethod(strapdown.imu_steps)
     hold: ClassVar[Callable[..., None]] = staticmethod(strapdown.imu_hold)
+    moved: ClassVar[Callable[..., None]] = staticmethod(past.inertial_motion)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -170,42 +171,6 @@ class Imu(Mechanisation):
         codes = [3 * channel + axis for channel, axis, _ in self._elements()]
         drv[strapdown.CALIBRATED], drv[strapdown.ELEMENTS : strapdown.ELEMENTS + len(codes)] = len(codes), codes
         return drv
-
-    def outputs(self, rows: Array, drv: Array) -> Array:
-        """Scale and misalignment act on the last sample, as if it were without errors."""
-        if not drv[strapdown.CALIBRATED]:
-            return rows
-        elements = list(self._elements())
-        reading = drv[strapdown.PREVIOUS : strapdown.PREVIOUS + 6] / (self.period_s if self.increments else 1.0)
-        rows, first = rows.copy(), rows.shape[1] - len(elements)
-        for q, (channel, axis, _) in enumerate(elements):
-            rows[channel, first + q] = reading[3 * (channel // 3) + axis]
-        return rows
-
-    def motion(self, recent: Array, nav: Array, drv: Array, errors: Array) -> tuple[Array, float]:
-        """Rates and forces by the trapezoidal rule; the last sample holds since."""
-        rows = np.empty((len(recent) + 1, 7))
-        rows[0, 0], rows[0, 1:] = drv[strapdown.HELD_S], drv[strapdown.PREVIOUS : strapdown.PREVIOUS + 6]
-        rows[1:] = recent
-        if self.increments:
-            rows[0, 1:] /= self.period_s
-            rows[1:, 1:] /= np.where(recent[:, :1] > 0.0, recent[:, :1], 1.0)
-        else:
-            known = len(recent) if not len(recent) or recent[-1, 0] > 0.0 else int(np.count_nonzero(recent[:, 0]))
-            rows[1:known, 1:] += recent[1:known, 1:]
-            rows[1:known, 1:] *= 0.5
-        rows[:, 1:] -= self._other_errors(rows[:, 1:], drv) + errors
-        return rows, strapdown.gravity(nav[0], nav[2])
-
-    def _other_errors(self, readings: Array, drv: Array) -> Array | float:
-        """By how much other readings than the last (the first row) err otherwise, as it is not calibrated."""
-        if not drv[strapdown.CALIBRATED]:
-            return 0.0
-        M = np.zeros((6, 6))
-        for q, (channel, axis, _) in enumerate(self._elements()):
-            M[channel, 3 * (channel // 3) + axis] = drv[strapdown.CALIBRATION + q]
-        other: Array = (readings - readings[0]) @ M.T
-        return other
 
     def at_rest(self, state: NavState, drv: Array) -> Array:
         """No rate, and the force that carries it."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from navfilter.error_models import ErrorModel
 from navfilter.filter.layout import Calibrated, Parameter, check_calibrated, with_calibrated
-from navfilter.kernels import strapdown
+from navfilter.kernels import past, strapdown
 from navfilter.learning.drift import Drift
 from navfilter.mission import Stream
 from navfilter.sensors import BodyVelocity, Heading
@@ -25,8 +25,6 @@ from navfilter.state import NavState
 __all__ = ["DriveNoise", "Mechanisation", "Triple"]
 
 Array = NDArray[np.float64]
-#: So much more of the past is remembered than the clocks may be off: to tell motion from what vibrates [s].
-MORE_S = 0.5
 
 
 class DriveNoise(NamedTuple):
@@ -119,6 +117,7 @@ class Mechanisation:
     units: ClassVar[tuple[str, ...]] = ()
     steps: ClassVar[Callable[..., None]]
     hold: ClassVar[Callable[..., None]]
+    moved: ClassVar[Callable[..., None]]
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.rate_hz) and self.rate_hz > 0):
@@ -213,15 +212,17 @@ class Mechanisation:
         return {}
 
     # ---------------------------------------------------------------- what sensors with a doubtful clock ask
-    def outputs(self, rows: Array, drv: Array) -> Array:
-        """Rows by which its states make the errors of its six values now, shape (6, k): those of its error models as
-        given, and what its constants do to its last sample.
+    def outputs(self, rows: Array, drv: Array, xd: Array) -> tuple[Array, Array]:
+        """Rows by which its states `xd` make the errors of its six values now, shape (6, k): those of its error models,
+        the first of `rows` (6, k + 1), and what its constants do to its last sample; and these errors, shape (6,).
         """
-        return rows
+        found, errors = np.empty((6, len(xd))), np.empty(6)
+        past.drive_outputs(drv, rows, xd, found, errors)
+        return found, errors
 
     def remembered(self, past_s: float) -> int:
         """How many of the last samples tell how the vehicle has moved for `past_s` seconds; at least two."""
-        return max(2, math.ceil((past_s + MORE_S) * self.rate_hz) + 1)
+        return max(2, math.ceil((past_s + past.MORE_S) / self.period_s) + 1)
 
     def motion(self, recent: Array, nav: Array, drv: Array, errors: Array) -> tuple[Array, float]:
         """How the vehicle has moved of late.
@@ -242,7 +243,9 @@ class Mechanisation:
         gravity : float
             [m/s^2]; 0 where the forces are accelerations.
         """
-        raise NotImplementedError
+        rows, gravity = np.empty((len(recent) + 1, 7)), np.empty(1)
+        self.moved(recent, nav, drv, errors, rows, gravity)
+        return rows, float(gravity[0])
 
     def at_rest(self, state: NavState, drv: Array) -> Array:
         """What it would read if the vehicle kept still in this state; shape (6,), or (3,) for an attitude alone."""

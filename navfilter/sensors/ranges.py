@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from navfilter.simulation.motion import Kinematics
     from navfilter.simulation.sensors import Truth
 
-__all__ = ["Range", "earth_fixed", "sagitta"]
+__all__ = ["Range", "earth_fixed"]
 
 Array = NDArray[np.float64]
 EARTH = (strapdown.EARTH_RADIUS, strapdown.EARTH_E2)
@@ -40,22 +40,6 @@ def earth_fixed(latitude: ArrayLike, longitude: ArrayLike, height: ArrayLike) ->
     level = (across + h) * np.cos(phi)
     up = (across * (1.0 - e2) + h) * np.sin(phi)
     return np.stack([level * np.cos(lam), level * np.sin(lam), up], axis=-1)
-
-
-def sagitta(slope: Array, distance: float, P: Array) -> float:
-    """Variance of what a distance grows by when its ends move across it, mean included [m^2].
-
-    Parameters
-    ----------
-    slope : ndarray, shape (3,)
-        Derivative of the distance: along the line of sight.
-    distance : float
-    P : ndarray, shape (3, 3)
-        Covariance of where the ends stand against each other [m^2].
-    """
-    sight = slope / max(float(np.linalg.norm(slope)), 1e-12)
-    bend = (np.eye(3) - np.outer(sight, sight)) / max(distance, 1e-3) @ P
-    return 0.5 * float(np.sum(bend * bend.T)) + 0.25 * float(np.trace(bend)) ** 2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,7 +87,7 @@ class Range(Sensor):
     axis_names: ClassVar[tuple[str, ...]] = ("",)
     kernel: ClassVar[Callable[..., None]] = staticmethod(measurement.slant_range)
     corrects: ClassVar[str] = "position"
-    curved: ClassVar[bool] = True
+    bend: ClassVar[Callable[..., None] | None] = staticmethod(measurement.range_bend)
     contents: ClassVar[tuple[tuple[Columns, ...], ...]] = ((RANGE,),)
     beside: ClassVar[tuple[Columns, ...]] = (BEACON,)
     plausible: ClassVar[Plausible | None] = Plausible(1e-3, 200.0, "cm", most_rate_hz=100.0)
@@ -179,15 +163,6 @@ class Range(Sensor):
         if len(value) < 2:
             return np.array([value[0], 0.0]) if len(self.beacons) == 1 else None
         return np.array([value[0], float(self.ids.index(value[1]))]) if value[1] in self.ids else None
-
-    def second_order(self, z: Array, near: Array, P: Array) -> Array:
-        """Of a distance: it grows across the line of sight too (Gelb, 1974, sec. 6.1)."""
-        if any(self.beacon_sd_m):
-            here = slice(9 + self.beginnings()[2] + 3 * int(z[1]), 12 + self.beginnings()[2] + 3 * int(z[1]))
-            apart = P[:3, :3] + P[here, here] - P[:3, here] - P[here, :3]
-        else:
-            apart = P[:3, :3]
-        return np.array([[sagitta(near[0, :3], float(z[0]), apart)]])
 
     @property
     def words(self) -> str:

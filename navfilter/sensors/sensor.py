@@ -84,8 +84,9 @@ class Sensor:
         A component that contradicts the others is left out alone, as long as more than half of them remain.
     tracks : int
         The axes are so many equal sets: a reading's own sd may be given for one of them.
-    curved : bool
-        Its equation bends where it stands near what it measures: see `second_order`.
+    bend : callable, optional
+        What its linear equation leaves out where it stands near what it measures, with the arguments of
+        ``measurement.range_bend``.
     late_s : float
         Its readings may come so late [s]: a navigator keeps as much of the past.
     confirms_state : bool
@@ -129,7 +130,7 @@ class Sensor:
     sees_velocity: ClassVar[bool] = False
     single_gates: ClassVar[bool] = False
     tracks: ClassVar[int] = 1
-    curved: ClassVar[bool] = False
+    bend: ClassVar[Callable[..., None] | None] = None
     late_s: ClassVar[float] = 0.0
     confirms_state: ClassVar[bool] = True
     open_loop: ClassVar[int] = listen.NOTHING
@@ -266,21 +267,6 @@ class Sensor:
         ----------
         rate_variance : ndarray, shape (3,)
             Of the three gyros, as rates [rad^2/s^2].
-        """
-        return np.zeros((self.axes, self.axes))
-
-    def second_order(self, z: Array, near: Array, P: Array) -> Array:
-        """What the linear equation leaves out, as a covariance of the reading, shape (axes, axes); of kinds that are
-        `curved`.
-
-        Parameters
-        ----------
-        z : ndarray
-            The reading as the kernel takes it.
-        near : ndarray, shape (axes, 9 + k)
-            The kernel's Jacobian.
-        P : ndarray, shape (9 + k, 9 + k)
-            Covariance of the same states.
         """
         return np.zeros((self.axes, self.axes))
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from navfilter.error_models import ErrorModel, GaussMarkov, White
 from navfilter.filter.layout import Parameter
 from navfilter.kernels import measurement
-from navfilter.sensors.ranges import EARTH, earth_fixed, sagitta
+from navfilter.sensors.ranges import EARTH, earth_fixed
 from navfilter.sensors.sensor import Errors, Reading, Sensor, Vector, checked_vector
 from navfilter.sensors.traits import Columns, Doubt, Example, angle_doubt
 from navfilter.start import Start
@@ -109,7 +109,7 @@ class Usbl(Sensor):
     axis_names: ClassVar[tuple[str, ...]] = ("range", "across", "elevation")
     kernel: ClassVar[Callable[..., None]] = staticmethod(measurement.usbl)
     corrects: ClassVar[str] = "position"
-    curved: ClassVar[bool] = True
+    bend: ClassVar[Callable[..., None] | None] = staticmethod(measurement.usbl_bend)
     contents: ClassVar[tuple[tuple[Columns, ...], ...]] = ((POLAR, SHIP), (RELATIVE, SHIP))
     beside: ClassVar[tuple[Columns, ...]] = (SHIP_ATTITUDE,)
     template: ClassVar[Example | None] = Example(
@@ -190,17 +190,6 @@ class Usbl(Sensor):
         arm_e = earth_to_n.T @ (n_to_ship.T @ np.asarray(self.transceiver_m, dtype=float)) if aboard else 0.0
         rotation = mounting.T @ n_to_ship @ earth_to_n
         return np.concatenate([seen, earth_fixed(*ship) + arm_e, rotation.ravel()])
-
-    def second_order(self, z: Array, near: Array, P: Array) -> Array:
-        """Of a distance, and of a direction, which turns faster the nearer the vehicle may be."""
-        sight = near[0, :3] / max(float(np.linalg.norm(near[0, :3])), 1e-12)
-        distance = float(z[0]) if math.isfinite(z[0]) else 1.0 / max(float(np.linalg.norm(near[1, :3])), 1e-9)
-        variance = np.zeros(3)
-        variance[0] = sagitta(near[0, :3], distance, P[:3, :3])
-        for k in (1, 2):
-            bend = (np.outer(near[k, :3], sight) + np.outer(sight, near[k, :3])) / max(distance, 1e-3) @ P[:3, :3]
-            variance[k] = 0.5 * float(np.sum(bend * bend.T)) + 0.25 * float(np.trace(bend)) ** 2
-        return np.diag(variance)
 
     @property
     def words(self) -> str:

@@ -1,0 +1,90 @@
+"""Kernels called by their address: what calls them is compiled once, whatever they are, and they are compiled only
+where a vehicle has them.
+
+A kernel that is called by its name is compiled into its caller again. By its address it costs 0.2 us a call.
+"""
+
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+from numba import config, types
+from numba.core import cgutils
+from numba.extending import intrinsic
+
+__all__ = [
+    "address",
+    "at_bend",
+    "at_correction",
+    "at_equation",
+    "at_hold",
+    "at_motion",
+    "at_sight",
+    "at_steps",
+    "named",
+]
+
+_settings: Any = config
+#: What has an address, in the order in which it was asked for.
+_KNOWN: dict[int, Callable[..., None]] = {}
+_ROW, _TABLE = types.Array(types.float64, 1, "C"), types.Array(types.float64, 2, "C")
+_PLACES = types.Array(types.int64, 1, "C")
+#: z, nav, rate, par, cfg, H, res, see `navfilter.kernels.measurement`.
+EQUATION = (_ROW, _ROW, _ROW, _ROW, _ROW, _TABLE, _ROW)
+#: z, near, P, first, cfg, R, see there.
+BEND = (_ROW, _TABLE, _TABLE, types.int64, _ROW, _TABLE)
+#: nav, xd, drv, samples, Phid, Qd, Cr, acc, see `navfilter.kernels.strapdown`.
+STEPS = (_ROW, _ROW, _ROW, _TABLE, _TABLE, _TABLE, _TABLE, _TABLE)
+#: The same, with seconds in the place of samples.
+HOLD = (_ROW, _ROW, _ROW, types.float64, _TABLE, _TABLE, _TABLE, _TABLE)
+#: recent, nav, drv, errors, rows, gravity, see `navfilter.kernels.past`.
+MOTION = (_TABLE, _ROW, _ROW, _ROW, _TABLE, _ROW)
+#: equation, motion, facts, z, nav, rate, par, cfg, recent, drv, Cr, xd, since_s, H, near, res, see there.
+SIGHT = (types.int64, types.int64, *(_ROW,) * 6, _TABLE, _ROW, _TABLE, _ROW, types.float64, _TABLE, _TABLE, _ROW)
+#: bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count, since_s, see `navfilter.kernels.stretch`.
+CORRECTION = (
+    *(_ROW, _PLACES, _TABLE, _ROW, _ROW, _TABLE, _ROW, _TABLE, _TABLE, _ROW, _ROW),
+    *(types.int64, types.float64),
+)
+
+
+@cache
+def address(kernel: Callable[..., None], signature: tuple[Any, ...]) -> int:
+    """Where a kernel stands, compiled for these arguments; without the JIT a number that `named` knows."""
+    if _settings.DISABLE_JIT:
+        at = len(_KNOWN) + 1
+    else:
+        compiled = kernel.get_compile_result(types.void(*signature))  # type: ignore[attr-defined]
+        at = compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name)
+    _KNOWN[at] = kernel
+    return at
+
+
+def named(at: int) -> Callable[..., None]:
+    """The kernel at an address."""
+    return _KNOWN[at]
+
+
+def _caller(signature: tuple[Any, ...]) -> Any:
+    """Calls what stands at an address, with a tuple of arguments of these types."""
+    if _settings.DISABLE_JIT:
+        return lambda at, given: _KNOWN[int(at)](*given)
+
+    @intrinsic
+    def call(context, at, given):
+        def generate(context, builder, _, values):
+            function = context.call_conv.get_function_type(types.none, signature)
+            pointer = builder.inttoptr(values[0], function.as_pointer())
+            given = cgutils.unpack_tuple(builder, values[1])
+            status, _ = context.call_conv.call_function(builder, pointer, types.none, signature, given)
+            with builder.if_then(status.is_error, likely=False):
+                context.call_conv.return_status_propagate(builder, status)
+            return context.get_dummy_value()
+
+        return types.void(types.int64, types.Tuple(signature)), generate
+
+    return call
+
+
+at_equation, at_bend, at_steps, at_hold = _caller(EQUATION), _caller(BEND), _caller(STEPS), _caller(HOLD)
+at_motion, at_sight, at_correction = _caller(MOTION), _caller(SIGHT), _caller(CORRECTION)

@@ -1,0 +1,245 @@
+"""Readings of a sensor whose place or clock is not known for certain: how the vehicle has moved of late, and what the
+sensor would have read then.
+
+The kernels call those of other files by name or address; why each encloses `SOURCES`, see `navfilter.kernels.stretch`.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from navfilter.kernels import addresses, checksum, measurement, strapdown
+
+SOURCES = checksum(addresses, measurement, strapdown)
+#: Rates and forces are means over this time: what vibrates faster is no motion [s].
+WINDOW_S = 0.2
+#: Step of the difference quotients over lever arm [m] and time [s]; a reading is linear in both, or nearly so.
+STEP = 1e-3
+#: So much more of the past is looked at than the clock may be off: to tell motion from what vibrates [s].
+MORE_S = 0.5
+#: Elements of `facts` of a sensor: whether its lever arm is a state, and its clock; whether it turns with the body; how
+#: long its readings wait [s]; from BY_ARM on what a lever arm does to its constants, row by row (constants, 3).
+ARM, CLOCK, TURNS, LEAD_S, BY_ARM = range(5)
+
+
+def _keyed(make):
+    """The kernel that `make` makes when it is handed the checksum."""
+    return make(SOURCES)
+
+
+@_keyed
+def drive_outputs(sources):
+    @njit(cache=True)
+    def drive_outputs(drv, Cr, xd, rows, errors):
+        """Rows (6, k) by which the drive's states make the errors of its six values now, and these errors (6,).
+
+        Those of its error models are in `Cr`; scale and misalignment act on the last sample, as if it had no errors.
+        """
+        _ = sources
+        k, elements = len(xd), int(drv[strapdown.CALIBRATED])
+        per = drv[strapdown.PERIOD_S] if drv[strapdown.INCREMENTS] != 0.0 else 1.0
+        for i in range(6):
+            for j in range(k):
+                rows[i, j] = Cr[i, j]
+        for q in range(elements):
+            element = int(drv[strapdown.ELEMENTS + q])
+            channel = element // 3
+            for i in range(6):
+                rows[i, k - elements + q] = 0.0
+            rows[channel, k - elements + q] = drv[strapdown.PREVIOUS + 3 * (channel // 3) + element % 3] / per
+        for i in range(6):
+            s = 0.0
+            for j in range(k):
+                s += rows[i, j] * xd[j]
+            errors[i] = s
+
+    return drive_outputs
+
+
+@_keyed
+def inertial_motion(sources):
+    @njit(cache=True)
+    def inertial_motion(recent, nav, drv, errors, rows, gravity):
+        """Rates and forces of an inertial unit by the trapezoidal rule; the last sample holds since.
+
+        recent (k, 7): the last samples, the newest first, see `navfilter.filter.filter_memory`; errors (6,) of the last
+        one. Fills rows (k + 1, 7), intervals, the newest first: seconds (0: nothing known), angular rate and specific
+        force in b; and gravity (1,), 0 where the forces are accelerations.
+        """
+        _ = sources
+        k, steps = recent.shape[0], drv[strapdown.INCREMENTS] != 0.0
+        per = drv[strapdown.PERIOD_S] if steps else 1.0
+        rows[0, 0] = drv[strapdown.HELD_S]
+        for j in range(6):
+            rows[0, 1 + j] = drv[strapdown.PREVIOUS + j] / per
+        for i in range(k):
+            for j in range(7):
+                rows[1 + i, j] = recent[i, j]
+            if steps and recent[i, 0] > 0.0:
+                for j in range(1, 7):
+                    rows[1 + i, j] /= recent[i, 0]
+        for i in range(0 if steps else k - 1):
+            if recent[i + 1, 0] > 0.0:
+                for j in range(1, 7):
+                    rows[1 + i, j] = 0.5 * (recent[i, j] + recent[i + 1, j])
+        off, elements = np.empty(6), int(drv[strapdown.CALIBRATED])
+        for i in range(k, -1, -1):
+            for j in range(6):
+                off[j] = errors[j]
+            for q in range(elements):
+                # by how much other readings than the last err otherwise, as the unit is not calibrated
+                element = int(drv[strapdown.ELEMENTS + q])
+                channel = element // 3
+                axis = 1 + 3 * (channel // 3) + element % 3
+                off[channel] += drv[strapdown.CALIBRATION + q] * (rows[i, axis] - rows[0, axis])
+            for j in range(6):
+                rows[i, 1 + j] -= off[j]
+        gravity[0] = strapdown.gravity(nav[0], nav[2])
+
+    return inertial_motion
+
+
+@_keyed
+def reckoned_motion(sources):
+    @njit(cache=True)
+    def reckoned_motion(recent, nav, drv, errors, rows, gravity):
+        """As `inertial_motion`, of dead reckoning: turns and changes of the velocity from reading to reading; before
+        them, and since, the newest goes on. The forces are accelerations.
+        """
+        _ = sources
+        for i in range(rows.shape[0]):
+            for j in range(7):
+                rows[i, j] = 0.0
+        gravity[0] = 0.0
+        count = 0
+        for i in range(recent.shape[0]):
+            count += recent[i, 0] != 0.0
+        M, u, gained = drv[strapdown.MOUNTING : strapdown.MOUNTING + 9], np.empty(3), np.empty(3)
+        for i in range(3):
+            u[i] = nav[6 + i] * nav[3] + nav[9 + i] * nav[4] + nav[12 + i] * nav[5]
+        for i in range(count - 1):
+            now, before, row = recent[i], recent[i + 1], rows[1 + i]
+            for j in range(3):
+                angle = now[1 + j] - before[1 + j] + math.pi
+                row[1 + j] = angle - 2.0 * math.pi * math.floor(angle / (2.0 * math.pi)) - math.pi
+                gained[j] = 0.0
+                for r in range(3):
+                    gained[j] += M[3 * j + r] * (now[4 + r] - before[4 + r])
+                if not abs(gained[j]) <= drv[strapdown.MAX_SPEED]:
+                    gained[j] = 0.0
+            roll, pitch, yaw = row[1], row[2], row[3]
+            sr, cr, sp, cp = math.sin(now[1]), math.cos(now[1]), math.sin(now[2]), math.cos(now[2])
+            x, y, z = roll - yaw * sp, pitch * cr + yaw * sr * cp, yaw * cr * cp - pitch * sr
+            row[0] = now[0]
+            row[1], row[2], row[3] = x / now[0], y / now[0], z / now[0]
+            row[4] = row[2] * u[2] - row[3] * u[1] + gained[0] / now[0]
+            row[5] = row[3] * u[0] - row[1] * u[2] + gained[1] / now[0]
+            row[6] = row[1] * u[1] - row[2] * u[0] + gained[2] / now[0]
+        if count > 1:
+            rows[0, 0] = drv[strapdown.HELD_S]
+            for j in range(1, 4):
+                rows[0, j] = rows[1, j]
+
+    return reckoned_motion
+
+
+@_keyed
+def _by_drive(sources):
+    @njit(cache=True)
+    def _by_drive(now, then, B, late_s, outputs, inner, m, H):
+        """What errors of rates and forces do to a state that is carried back by them, in the columns of H of the
+        drive's states, 9 to m; `B` holds what the forces have gathered (`measurement.earlier`).
+        """
+        _ = sources
+        middle, by, rates, forces = np.empty((3, 3)), np.empty(9), np.empty(3), np.empty(3)
+        for i in range(3):
+            for j in range(3):
+                middle[i, j] = 0.5 * (now[6 + 3 * i + j] + then[6 + 3 * i + j])
+        for s in range(m - 9):
+            for i in range(3):
+                rates[i], forces[i] = 0.0, 0.0
+                for j in range(3):
+                    rates[i] += middle[i, j] * outputs[j, s]
+                    forces[i] += middle[i, j] * outputs[3 + j, s]
+            for i in range(3):
+                # a tilt that grows on the way back turns the forces: half of what the whole of it would do, a third
+                # to the place
+                turned = B[3 + i, 6] * rates[0] + B[3 + i, 7] * rates[1] + B[3 + i, 8] * rates[2]
+                by[i] = -0.5 * late_s * late_s * (forces[i] + turned / 3.0)
+                by[3 + i], by[6 + i] = late_s * (forces[i] + 0.5 * turned), late_s * rates[i]
+            for i in range(H.shape[0]):
+                t = 0.0
+                for j in range(9):
+                    t += inner[i, j] * by[j]
+                H[i, 9 + s] = t
+
+    return _by_drive
+
+
+@_keyed
+def sight(sources):
+    @njit(cache=True)
+    def sight(equation, motion, facts, z, nav, rate, par, cfg, recent, drv, Cr, xd, since_s, H, near, res):
+        """Residual and Jacobian of a reading of any kind through its own kernel, with a lever arm and a clock that are
+        states: the last of `par`.
+
+        A time offset moves the state at which the kernel is asked: to that of `time_offset` earlier. So the derivative
+        with respect to it is minus that of the reading with time, as the drive felt it then.
+
+        equation, motion: addresses of the sensor's kernel and of `inertial_motion` or `reckoned_motion`; facts: of the
+        sensor, see at the head of this file; z, nav, rate, cfg: as for `navfilter.kernels.measurement`; recent: the
+        drive's last samples; since_s: how much later than the stamp it is now. H (a, n) receives the derivatives with
+        respect to the drive's states (a bias bends the way back); near and res are filled as by the kernel.
+        """
+        _ = sources
+        arm, clock = facts[ARM] != 0.0, facts[CLOCK] != 0.0
+        a, last = near.shape[0], near.shape[1] - 10
+        own = last + 1 - (3 if arm else 0) - (1 if clock else 0)
+        inner, ends, kind, k, late_s = np.empty((a, 9 + own)), np.empty(a), par[:own], len(xd), 0.0
+        constants, moved, outputs = np.empty(len(cfg)), np.empty(len(cfg)), np.empty((6, k))
+        for i in range(len(cfg)):
+            constants[i] = cfg[i]
+            if arm:
+                for j in range(3):
+                    constants[i] += facts[BY_ARM + 3 * i + j] * par[own + j]
+        seen, turning = nav, rate
+        then, turn, slope, B, gravity = np.empty(17), np.empty(6), np.empty(9), np.empty((9, 9)), np.empty(1)
+        if clock:
+            late_s, errors = since_s + par[last], np.empty(6)
+            drive_outputs(drv, Cr, xd, outputs, errors)
+            known = math.ceil((since_s + abs(par[last]) + MORE_S) / drv[strapdown.PERIOD_S]) + 1
+            known = min(recent.shape[0], max(2, known))
+            rows = np.empty((known + 1, 7))
+            addresses.at_motion(motion, (recent[:known], nav, drv, errors, rows, gravity))
+            measurement.earlier(nav, rows, gravity[0], late_s, WINDOW_S, then, turn, slope, B)
+            seen, turning = then, turn[:3]
+        addresses.at_equation(equation, (z, seen, turning, kind, constants, inner, res))
+        for i in range(a):
+            for j in range(9 + own):
+                near[i, j] = inner[i, j]
+        if clock:
+            for i in range(a):
+                near[i, 9 + last] = 0.0
+                for j in range(9):
+                    near[i, j] = 0.0
+                    near[i, 9 + last] -= inner[i, j] * slope[j]
+                    for r in range(9):
+                        near[i, j] += inner[i, r] * B[r, j]
+            if gravity[0] != 0.0:
+                _by_drive(nav, then, B, late_s, outputs, inner, 9 + k, H)
+        if arm:
+            for j in range(3):
+                for i in range(len(cfg)):
+                    moved[i] = constants[i] + STEP * facts[BY_ARM + 3 * i + j]
+                addresses.at_equation(equation, (z, seen, turning, kind, moved, inner, ends))
+                for i in range(a):
+                    near[i, 9 + own + j] = (res[i] - ends[i]) / STEP
+        if clock and facts[TURNS] != 0.0:
+            for i in range(3):
+                turn[i] += STEP * turn[3 + i]
+            addresses.at_equation(equation, (z, seen, turning, kind, constants, inner, ends))
+            for i in range(a):
+                near[i, 9 + last] -= (res[i] - ends[i]) / STEP
+
+    return sight

@@ -1,0 +1,158 @@
+"""Kernels of readings whose place or clock is a state, and of equations that bend: twins, Jacobians, moments."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from kernel_inputs import assert_close, random_nav, readings, run_both, spd, uncalibrated_drive
+
+import navfilter as nf
+from navfilter.filter.sight import Sight
+from navfilter.kernels import addresses, measurement, past, strapdown
+from navfilter.kernels.addresses import address
+from navfilter.state import NavState
+
+START = nf.Start(latitude_deg=50.0, longitude_deg=5.0)
+ARM = {"lever_arm_b_m": (0.5, -0.2, 0.3), "lever_arm_sd_m": (0.3, 0.2, 0.1)}
+BEACONS = ((50.001, 5.001, -40.0), (50.0, 4.999, -40.0))
+KINDS = {
+    "velocity": (nf.BodyVelocity(mounting_rad=(0.1, -0.2, 0.7), scale_sd=0.02, **ARM), [1.0, -0.4, 0.2]),
+    "water": (nf.WaterVelocity(**ARM), [1.0, -0.4, 0.2]),
+    "beams": (nf.DvlBeams(current_sd_m_s=0.2, **ARM), [1.0, -0.4, 0.2, 0.7, 0.9, -0.2, 0.1, 0.4]),
+    "heading": (nf.Heading(bias_sd_rad=0.1), [0.4, np.nan]),
+    "magnetometer": (nf.Heading(magnetometer=True, declination_rad=0.1), [24.0, 7.0, 30.0, np.nan]),
+    "attitude": (nf.Attitude(), [0.1, -0.2, 0.3]),
+    "course": (nf.Course(**ARM), [1.0, -0.4, np.nan]),
+    "depth": (nf.Depth(**ARM), [12.0]),
+    "position": (nf.Position(**ARM), [0.87, 0.09, 4.0]),
+    "range": (nf.Range(beacons=BEACONS, scale_sd=0.01, **ARM), [400.0, 1.0]),
+}
+
+
+def looked(sensor, clock):
+    """Sensor, the arguments of `past.sight` up to the state, and its sight."""
+    sensor = replace(sensor, time_offset_sd_s=clock)
+    sight = Sight(sensor, START)
+    equation = address(sensor.kernel, addresses.EQUATION)
+    return sensor, sight, (equation, address(past.inertial_motion, addresses.MOTION), sight.facts)
+
+
+def steady(rng, elements=()):
+    """A drive that has felt the same turn and force for 3 s, and its states."""
+    k = 6 + len(elements)
+    drv, xd, _, _, Cr, _ = uncalibrated_drive(rng, 6, elements)
+    drv[strapdown.PREVIOUS : strapdown.PREVIOUS + 6] = felt = [0.1, -0.05, 0.3, 0.2, -0.1, -9.7]
+    drv[strapdown.CALIBRATION : strapdown.CALIBRATION + len(elements)] = xd[6:]
+    recent = np.column_stack([np.full(300, 0.01), np.tile(felt, (300, 1))])
+    return drv, recent, Cr, xd[:k]
+
+
+@pytest.mark.parametrize("elements", [(), (0, 4, 7, 9, 13, 17)], ids=len)
+@pytest.mark.parametrize("increments", [0.0, 1.0])
+def test_outputs_and_inertial_motion(increments, elements):
+    rng = np.random.default_rng(1)
+    drv, recent, Cr, xd = steady(rng, elements)
+    drv[strapdown.INCREMENTS], drv[strapdown.HELD_S] = increments, 0.004
+    recent[:, 1:] += rng.normal(size=(300, 6))
+    recent[250:, 0] = 0.0
+    shape = (6, len(xd))
+    ours, twins = run_both(past.drive_outputs, drv, Cr, xd, np.zeros(shape), np.zeros(6))
+    assert_close(ours, twins, 1e-13)
+    ours, twins = run_both(
+        past.inertial_motion, recent, random_nav(rng), drv, ours[-1], np.zeros((301, 7)), np.zeros(1)
+    )
+    assert_close(ours[-2:], twins[-2:], 1e-13)
+
+
+@pytest.mark.parametrize("known", [0, 1, 2, 40])
+def test_reckoned_motion(known):
+    rng = np.random.default_rng(2)
+    drv, _, _, _ = steady(rng)
+    drv[strapdown.HELD_S] = 0.1
+    recent = np.column_stack([np.full(40, 0.25), 3.0 * rng.normal(size=(40, 3)), rng.normal(size=(40, 3))])
+    recent[known:] = 0.0
+    recent[3:5, 5] = np.nan, 99.0  # lost
+    args = recent, random_nav(rng), drv, np.zeros(6), np.ones((41, 7)), np.ones(1)
+    ours, twins = run_both(past.reckoned_motion, *args)
+    assert_close(ours[-2:], twins[-2:], 1e-12)
+    assert bool(ours[-2].any()) == (known > 1)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("clock", [0.0, 0.4])
+def test_sight_equals_its_twin_and_that_of_users_kinds(kind, clock):
+    rng = np.random.default_rng(3)
+    sensor, sight, head = looked(KINDS[kind][0], clock)
+    if not (clock or any(sensor.lever_arm_sd_m)):
+        return
+    drv, recent, Cr, xd = steady(rng, (0, 4, 7, 9, 13, 17))
+    recent[:, 1:] += 0.1 * rng.normal(size=(300, 6))
+    recent[0, 1:] = drv[:6]
+    nav, par = random_nav(rng), 0.05 * rng.normal(size=len(sensor.all_parameters()))
+    a, z = sensor.axes, np.array(KINDS[kind][1])
+    into = np.zeros((a, 9 + len(xd) + 5)), np.zeros((a, 9 + len(par))), np.zeros(a)
+    here = z, nav, np.array([0.1, 0.2, 0.3]), par, sensor.constants(START)
+    ours, twins = run_both(past.sight, *head, *here, recent, drv, Cr, xd, 0.3, *into)
+    assert_close(ours[-3:], twins[-3:], 1e-9)  # quotients over 1e-3 of rounding
+    imu = nf.Imu(rate_hz=100.0)
+    outputs, errors = imu.outputs(Cr, drv, xd)
+    used = recent[: imu.remembered(0.3 + abs(par[-1])) if clock else 0]
+    near, res, H = np.zeros_like(into[1]), np.zeros(a), np.zeros((a, len(xd)))
+    sight.look(*here[:4], imu.motion(used, nav, drv, errors), 0.3, outputs, (H, near, res))
+    assert_close((ours[-3][:, 9 : 9 + len(xd)], *ours[-2:]), (H, near, res), 1e-9)
+    assert ours[-3].any() == bool(clock)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("clock", [0.0, 0.4])
+def test_jacobians_of_sight_equal_finite_differences(kind, clock):
+    rng = np.random.default_rng(4)
+    sensor, _, head = looked(KINDS[kind][0], clock)
+    if not (clock or any(sensor.lever_arm_sd_m)):
+        return
+    drv, recent, Cr, xd = steady(rng)
+    nav = random_nav(rng)
+    nav[:3] = np.radians(50.0003), np.radians(5.0002), -10.0
+    nav[15:17] = np.array(strapdown.radii(nav[0])) + nav[2]
+    state, par, a = NavState.unpack(0.0, nav), 0.02 * rng.normal(size=len(sensor.all_parameters())), sensor.axes
+    z, rate = np.array(KINDS[kind][1]), recent[0, 1:4] - (Cr[:3, :-1] @ xd)
+
+    def residual(state, par):
+        near, res, H = np.zeros((a, 9 + len(par))), np.zeros(a), np.zeros((a, 9 + len(xd)))
+        here = z, state.pack(), rate, par, sensor.constants(START)
+        past.sight(*head, *here, recent, drv, Cr, xd, 0.05, H, near, res)
+        return near, res
+
+    if kind == "position":
+        z[:2] = nav[:2] + 1e-7
+    near, res = residual(state, par)
+    assert np.isfinite(near[np.isfinite(res)]).all() and np.isfinite(res).any()
+    for j in range(9 + len(par)):
+        step, ends = (10.0 if j < 3 else 0.1 if j < 6 else 1e-3), []
+        step = 0.1 if kind == "range" and j < 3 else step  # it bends over 10 m
+        for sign in (1.0, -1.0):
+            error, moved = np.zeros(9), par.copy()
+            if j < 9:
+                error[j] = sign * step
+            else:
+                moved[j - 9] += sign * step
+            ends.append(residual(state.plus(error), moved)[1])
+        slope = -(ends[0] - ends[1]) / (2.0 * step)
+        seen = np.isfinite(slope)
+        # as in test_measurement: rounding of 1e-9 m, and the second order of a rotation
+        np.testing.assert_allclose(near[seen, j], slope[seen], rtol=2e-5, atol=3e-5)
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_bends_equal_their_twins(known):
+    rng = np.random.default_rng(5)
+    nav = random_nav(rng)
+    found = [given for given in readings(rng, nav) if given[0] in (measurement.slant_range, measurement.usbl)]
+    for kernel, z, cfg, (size,), a in found:
+        near, res = np.zeros((a, 9 + size)), np.zeros(a)
+        kernel(z, nav, np.zeros(3), np.zeros(size), cfg, near, res)
+        bend = measurement.range_bend if kernel is measurement.slant_range else measurement.usbl_bend
+        z = z if known or a == 1 else np.where(np.arange(len(z)) == 0, np.nan, z)
+        ours, twins = run_both(bend, z, near, 100.0 * spd(rng, 14 + size), 12, cfg, np.eye(a))
+        assert_close(ours[-1:], twins[-1:], 1e-12)
+        assert np.all(np.diag(ours[-1]) > 1.0)
