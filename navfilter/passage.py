@@ -122,7 +122,9 @@ class Passage:
         self._opened = np.empty((READINGS, 1 + most))
         self._same = self._repeated()
         driven = bool(nav.filter.plan[-1, kernels.STEPS]) and not nav.filter.jumps.active
-        self._steady = driven and nav.learning.rest is None
+        # beams have more directions than an ear of the kernel holds
+        heard = all(listener.ear.size == listen.EAR for listener in nav.learning.listeners.values())
+        self._steady = driven and heard and nav.learning.rest is None
         self.at, self.done, self._kept = 0, done, done
         self._begin = self._end = 0
         self._out: Output | None = None

@@ -177,3 +177,11 @@ def test_compiled_as_asked_by_python(name, monkeypatch):
 @pytest.mark.parametrize("name", ["constants", "on land", "reckoned, clocks"])
 def test_stretch_is_its_twin(name, monkeypatch):
     compare_stretches(monkeypatch, VEHICLES[name], mission_of(name).between(0.0, 12.0))
+
+
+def test_beams_that_are_learnt_go_reading_by_reading():
+    """They have more directions than an ear of the kernel holds."""
+    vehicle = VEHICLES["acoustics"]
+    learning = vehicle.with_error(beams=(nf.LearnedArma(),) * 4 + (nf.White(sd=0.02),) * 4)
+    track = nf.replay(learning, mission_of("acoustics"))
+    assert track.residuals["beams"].count("used") > 100
