@@ -2,6 +2,7 @@
 
 missions  every kind of fault in `tests/faults_library.py`, in a simulated mission and in real recordings
 outcomes  how far each fault takes the state, what the filter says of it, and whether its bounds hold the truth
+fault-free  what is excluded where there is no fault, and what that costs
 service   killed processes, full disks, cut logs, damaged snapshots, garbage on the line
 """
 
@@ -21,6 +22,7 @@ from harness import ROOT, Options, Table, fixes_of, flag, main, quick, recorded
 sys.path.insert(0, str(ROOT / "tests"))
 import faults_library as library
 import faults_run as watched
+from faults_free import fault_free
 from faults_outcomes import outcomes
 from faults_service import service
 
@@ -190,6 +192,8 @@ if __name__ == "__main__":
     shown = flag("--shown", action="store_true", help="the faults of the manual's page, and its table")
     mems = flag("--mems", action="store_true", help="a micromechanical inertial unit")
     commands = {missions: flags, outcomes: [seeds, flags[1], shown, mems, quick("one seed")]}
+    fifty = flag("--seeds", type=int, default=50)
+    commands |= {fault_free: [fifty, flags[1], quick("three seeds")]}
     around = [
         seeds,
         flag("--only", default="", help="only kinds whose name contains this"),

@@ -140,9 +140,10 @@ def outcomes(options: Options) -> list[dict[str, Any]]:
     A survey of 700 s with fixes until 140 s and from 500 s on; the faults act for a minute from 250 s on, or as their
     names say. worst_m: greatest horizontal error of the dive, and sd_m what the filter said its sd was then; clean_m:
     the greatest without the fault. held: share of all seconds in which the truth lay within the protection radius and
-    the bound of the heading. named_s: when something was said of it (a condition, a counter, an outcome that the run
-    without it does not have). after_m, nees: greatest error, and worst NEES of position, velocity and attitude, from
-    two minutes of fixes on. Figures are the worst of the seeds.
+    the bound of the heading; those before the first reading of any sensor do not count, for a start that is told
+    wrongly cannot be known to be wrong before anything contradicts it. named_s: when something was said of it (a
+    condition, a counter, an outcome that the run without it does not have). after_m, nees: greatest error, and worst
+    NEES of position, velocity and attitude, from two minutes of fixes on. Figures are the worst of the seeds.
     """
     rows = Table(COLUMNS)
     seeds = [1] if options.quick else list(range(1, options.seeds + 1))
@@ -216,7 +217,8 @@ def fly(case: Case, seed: int, mems: bool) -> tuple[watched.Outcome, np.ndarray]
     outcome = watched.watch(nf.Navigator(vehicle, start), events, scene, longest_cpu_s=120.0)
     rows = []
     for time_s, state in outcome.states:
-        if time_s <= mission.truth.time_s[-1] and state.bounds is not None:
+        heard = state.health is not None and any(s.outcomes for s in state.health.sensors.values())
+        if heard and time_s <= mission.truth.time_s[-1] and state.bounds is not None:
             error = state.minus(watched.truth_at(mission.truth, time_s))
             far, bounds = math.hypot(error[0], error[1]), state.bounds
             held = far <= bounds.horizontal_m and abs(error[8]) <= bounds.heading_rad

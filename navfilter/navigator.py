@@ -220,7 +220,8 @@ class Navigator:
     def take(self, reading: Reading) -> Outcome:
         """Take a reading now, even one that would wait; users call `correct`."""
         watch = self.watches[reading.name]
-        reading = reading._replace(frozen=watch.sees(reading.time_s, reading.value))
+        frozen, same = watch.sees(reading.time_s, reading.value)
+        reading = reading._replace(frozen=frozen, same=same)
         outcome = self.placed(reading)
         self._beginning.give(reading)
         watch.note(outcome.status, reading.time_s, outcome.nis, outcome.dof, self.filter.nav)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from navfilter.filter.adoption import Change
-from navfilter.filter.channel import ChannelMemory, Refusals
+from navfilter.filter.channel import ChannelMemory, Course, Refusals
 from navfilter.filter.drive_clock import Arrived, DriveClockMemory
 from navfilter.filter.filter_memory import FilterMemory
 from navfilter.filter.intake import IntakeMemory
@@ -29,6 +29,6 @@ class NavigatorMemory:
 
 #: Classes that a snapshot is made of, beside error models.
 MEMORY = (
-    *(NavigatorMemory, FilterMemory, ChannelMemory, Refusals, IntakeMemory, DriveClockMemory, Arrived),
+    *(NavigatorMemory, FilterMemory, ChannelMemory, Refusals, Course, IntakeMemory, DriveClockMemory, Arrived),
     *(LearningMemory, Again, Change, ListenerMemory, Hop, RestMemory, LearnerMemory, Line, Spectrum),
 )

@@ -213,7 +213,9 @@ class Passage:
         """One that the kernel has taken, as the run would have had it."""
         given = self._readings
         value = np.array(given.value(at), dtype=np.float64).reshape(-1)
-        return Reading(given.names[given.sensor[at]], float(given.time_s[at]), value, given.sd(at), frozen)
+        return Reading(
+            given.names[given.sensor[at]], float(given.time_s[at]), value, given.sd(at), frozen, bool(self._same[at])
+        )
 
     def _keep_samples(self, end: int) -> None:
         """Let learning keep those that the kernel has taken."""
@@ -243,7 +245,7 @@ class Passage:
         end = min(max(last, at + 1), at + READINGS)
         self._begin, self._end, self._first, self._stepped = at, end, self.done, 0
         self._samples = self._block(self.done, max(self.done, int(self._ends[end - 1])))
-        which, rows = given.sensor[at:end], given.row[at:end]
+        which, rows, same = given.sensor[at:end], given.row[at:end], self._same[at:end]
         self._good, own = np.zeros(end - at, bool), any(sds is not None for sds in given.sds)
         read: list[tuple[Ints, Array]] = []
         self._variances = np.full((end - at if own else 1, self._notes.shape[1] // 2), np.nan)
@@ -253,6 +255,8 @@ class Passage:
             mine, sds, values = np.flatnonzero(which == i), given.sds[i], given.values[i]
             some = values[rows[mine]] if isinstance(values, np.ndarray) else [values[row] for row in rows[mine]]
             z, good = channel.sensor.read_all(some)
+            if channel.sensor.corrects == "position":
+                good = good & ~same[mine]  # whether it is a new fix is Python's to judge
             self._good[mine] = good
             read.append((mine, z))
             for k in mine[good].tolist() if own else ():
@@ -412,7 +416,7 @@ class Passage:
 
 def _doubted(channel: Channel) -> bool:
     """Whether its next reading is for Python: those before have been refused, or its errors are of another kind now."""
-    return channel.memory.refused is not None or not channel.spot[kernels.EQUATION]
+    return channel.doubted or not channel.spot[kernels.EQUATION]
 
 
 def _last(tape: Tape | None) -> float:

@@ -54,7 +54,7 @@ class PassageAgain(Passage):
         return [Watch(math.inf) for _ in self._readings.names]
 
     def _repeated(self) -> NDArray[np.bool_]:
-        return np.zeros(len(self._given), bool)
+        return np.array([reading.same for reading in self._given], bool)
 
     def _lay_out(self) -> None:
         super()._lay_out()

@@ -53,7 +53,7 @@ def _off(track: Track, name: str) -> Array:
     limit = chi2.ppf(sensor.gate_probability, sensor.axes)
     unseen = np.sqrt(limit * np.where(np.isnan(sd), 0.0, sd**2 + slow).max(axis=1))
     last = np.searchsorted(time_s, track.time_s, side="right") - 1
-    off = np.where(again, whole_offset(sensor.corrects, r.value[judged]), unseen)[last]
+    off = np.where(again, whole_offset(sensor.corrects, r.value[judged], max(slow)), unseen)[last]
     off[last < 0] = 0.0
     history = track.error_models.get(name, [])
     for (begin_s, models), (end_s, _) in zip(history, [*history[1:], (np.inf, None)], strict=True):

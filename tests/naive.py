@@ -1337,7 +1337,10 @@ def correction(bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count,
         R += np.eye(a) * 0.5 * (nav[3] ** 2 + nav[4] ** 2) * P[8, 8] ** 2
     if bend:
         at(bend)(z, near, P, start + errors, here[-1], R)
-    update(P, nav, x, bench[output : output + a * errors].reshape(a, errors), R, mem, dims, bench[limits:][: a + 1])
+    C, gate = bench[output : output + a * errors].reshape(a, errors), bench[limits : limits + a + 1]
+    believed = bench[limits + a + 1 : limits + 2 * a + 1]
+    beyond = np.any((C @ x[start - 9 : start - 9 + errors]) ** 2 > believed)
+    update(P, nav, x, C, R, mem, dims, np.r_[np.inf, np.full(a, -1.0)] if beyond else gate)
 
 
 def stretch(

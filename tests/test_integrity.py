@@ -48,8 +48,10 @@ def test_a_fault_does_what_its_sensor_does():
     assert bounds(P, 1.0, 0.0, {}, held=False)[0] == pytest.approx(noise)
     many = bounds(np.stack([P, P]), np.array([1.0, 600.0]), np.array([0.0, 500.0]), {"velocity": np.array([0.1, 0.1])})
     np.testing.assert_allclose(many[0], [noise, noise + 60.0])
-    assert whole_offset("position", np.array([3.0, 4.0, 90.0])) == 5.0
-    assert whole_offset("velocity", np.array([[0.1, -0.4, math.nan]])) == [0.4]
+    assert whole_offset("position", np.array([3.0, 4.0, 90.0]), 0.0) == 5.0
+    assert whole_offset("velocity", np.array([[0.1, -0.4, math.nan]]), 0.0) == [0.4]
+    # beside it, what the slow error of the sensor that is refused makes of it
+    assert whole_offset("position", np.array([3.0, 4.0, 90.0]), 9.0) == 5.0 + 3.0 * IN_PLANE
 
 
 def test_trust_says_why():

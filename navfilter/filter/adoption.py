@@ -30,14 +30,21 @@ class Change(NamedTuple):
         One for all axes, or one per axis.
     offsets : bool
         It is about the constants of a sensor that has jumped (`navfilter.filter.offsets`); other changes keep them.
+    afresh : bool
+        The error is begun anew: what is known of it now is forgotten.
+    turn : (float, float) or None
+        By what the heading is to be turned, and the variance of that: against the sensor, see
+        `navfilter.filter.course` [rad, rad^2].
     """
 
     sensor: str
     error: ErrorModel | tuple[ErrorModel, ...]
     offsets: bool = False
+    afresh: bool = False
+    turn: tuple[float, float] | None = None
 
 
-def state_change(before: Layout, old: Vehicle, after: Layout, new: Vehicle) -> tuple[Array, Array]:
+def state_change(before: Layout, old: Vehicle, after: Layout, new: Vehicle, afresh: str = "") -> tuple[Array, Array]:
     """How all error states follow when the error models of a vehicle change.
 
     Parameters
@@ -46,6 +53,8 @@ def state_change(before: Layout, old: Vehicle, after: Layout, new: Vehicle) -> t
         Of the two vehicles.
     old, new : Vehicle
         With the same sensors and parameters.
+    afresh : str
+        The sensor whose errors begin anew.
 
     Returns
     -------
@@ -71,6 +80,10 @@ def state_change(before: Layout, old: Vehicle, after: Layout, new: Vehicle) -> t
             row, column = row + r, column + c
         for i in range(now.size - now.errors):
             M[row + i, column + i] = 1.0
+    if afresh:
+        group = after.groups[afresh]
+        errors = slice(group.start, group.start + group.errors)
+        M[errors], N[errors, errors] = 0.0, group.P0[: group.errors, : group.errors]
     return M, N
 
 

@@ -143,10 +143,16 @@ def _reckoned(kind: int, P: Array, speed: float, dt: float, drive_output: Array,
 
 
 def limits(channel: Channel) -> Array:
-    """The gate's limits for the next reading: closer while it is looked at whether the sensor has jumped."""
-    refused = channel.memory.refused
+    """The gate's limits for the next reading: closer while it is looked at whether the sensor has jumped, and while it
+    is astray; shut to one that is stale.
+    """
+    refused, closer = channel.memory.refused, channel.limits.copy()
     held = refused is not None and refused.jumped and refused.count > 1 and not refused.scatters
-    return channel.limits * np.r_[1.0, np.full(channel.axes, HELD)] if held else channel.limits
+    if held or channel.memory.astray:
+        closer[1 : 1 + channel.axes] *= HELD
+    if channel.stale:
+        closer[0], closer[1 : 1 + channel.axes] = np.inf, -1.0
+    return closer
 
 
 def decided(channel: Channel) -> Literal["state", "sensor"] | None:
@@ -169,7 +175,7 @@ def decided(channel: Channel) -> Literal["state", "sensor"] | None:
 
 
 # ---------------------------------------------------------------- the state was wrong
-def opened_state(channel: Channel, refused: Refusals, nav: Array, moved_m: float) -> Array:
+def opened_state(channel: Channel, refused: Refusals, moved_m: float) -> Array:
     """Variance to add to the navigation states, shape (9, 9), when a sensor's readings together beat them.
 
     The component that the sensor sees may be wrong by the offset that they agree on, and nothing else is: so the
@@ -181,8 +187,6 @@ def opened_state(channel: Channel, refused: Refusals, nav: Array, moved_m: float
     channel : Channel
         As its refused reading left it.
     refused : Refusals
-    nav : ndarray, shape (17,)
-        Nominal state.
     moved_m : float
         Distance from the start [m].
     """
@@ -191,11 +195,8 @@ def opened_state(channel: Channel, refused: Refusals, nav: Array, moved_m: float
     size = np.where(seen, offset**2 + np.array(refused.variance), 0.0)
     kind = channel.sensor.open_loop
     if kind == listen.HEADING:
-        V[8, 8] = size[0]
-        # a velocity that was turned into n by it, and the way made good, may be turned by as much
-        turned = (2.0 * math.sin(0.5 * min(abs(float(offset[0])), math.pi))) ** 2
-        V[range(3, 5), range(3, 5)] = turned * (nav[3] ** 2 + nav[4] ** 2)
-        V[range(2), range(2)] = turned * moved_m**2
+        # heading and velocity are turned (`course.turned`); the way made good may be turned by as much
+        V[range(2), range(2)] = (2.0 * math.sin(0.5 * min(abs(float(offset[0])), math.pi)) * moved_m) ** 2
         return V
     first = 0 if kind == listen.POSITION else 3
     N = channel.near[:, first : first + 3]

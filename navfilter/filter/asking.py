@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from navfilter.filter.belief import beyond_belief
 from navfilter.filter.channel import Channel
 from navfilter.filter.filter_memory import FilterMemory
 from navfilter.kernels import addresses, kalman, strapdown, stretch
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
 __all__ = ["asked", "shared"]
 
 Array = NDArray[np.float64]
+#: Limits of a gate that lets nothing in; so many components has no reading.
+SHUT = np.r_[np.inf, np.full(64, -1.0)]
 
 
 def shared(
@@ -110,4 +113,5 @@ def asked(
     if channel.sensor.bend is not None:
         first = int(channel.dims[4] + channel.dims[5])
         channel.sensor.bend(z, channel.near, P, first, channel.constants, channel.R)
-    kalman.update(P, nav, x, channel.C, channel.R, channel.mem, channel.dims, channel.gate)
+    gate = SHUT[: channel.axes + 1] if beyond_belief(channel, x) else channel.gate
+    kalman.update(P, nav, x, channel.C, channel.R, channel.mem, channel.dims, gate)

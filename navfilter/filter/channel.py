@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.stats import chi2
 
+from navfilter.filter.belief import believed
+from navfilter.filter.course import Course
 from navfilter.filter.layout import Group, Layout
 from navfilter.filter.offsets import has_offset, proportions
 from navfilter.filter.refusals import Refusals
@@ -21,13 +23,15 @@ from navfilter.kernels.addresses import address
 from navfilter.sensors import Sensor
 from navfilter.start import Start
 
-__all__ = ["Channel", "ChannelMemory", "Refusals", "usable"]
+__all__ = ["Channel", "ChannelMemory", "Course", "Refusals", "usable"]
 
 Array = NDArray[np.float64]
 #: More than this share of a reading's components must agree, or it is rejected whole.
 MAJORITY = 0.5
 #: The past is kept for a time offset of up to so many standard deviations.
 CLOCK_SDS = 4.0
+#: A vehicle that has moved by more than so many standard deviations has moved [1].
+STILL_SDS = 3.0
 
 
 @dataclass
@@ -45,6 +49,17 @@ class ChannelMemory:
         to it [s].
     refused : Refusals or None
         What the readings that have been refused since say together.
+    refusals : tuple of tuple of float
+        Times and residuals of the last readings that were refused, whatever came between.
+    noise : tuple of float
+        Variance that its noise has beyond that of its error model, per axis; empty: none.
+    astray : bool
+        Its slow error came to be beyond belief, and no reading has agreed with the state since.
+    alone : tuple of float
+        Of a compass to which the heading was set against what was believed before, until something else confirms that:
+        by what angle [rad], latitude and longitude then [rad].
+    same_s, again_s : float
+        Since when its value has been the same, and when it came again last [s].
     last : ndarray
         Jacobian, verdict and residual of the last reading (``kalman.places`` 7 to 9).
     """
@@ -55,11 +70,17 @@ class ChannelMemory:
     used_s: float = -math.inf
     agreed_s: float = math.nan
     refused: Refusals | None = None
+    refusals: tuple[tuple[float, ...], ...] = ()
+    noise: tuple[float, ...] = ()
+    astray: bool = False
+    alone: tuple[float, ...] = ()
+    same_s: float = math.nan
+    again_s: float = math.nan
     last: Array = field(default_factory=lambda: np.zeros(0))
 
     def use(self, time_s: float) -> None:
         """Note that a reading of this time has been used."""
-        self.rejected_since_s, self.used_s, self.refused = math.nan, time_s, None
+        self.rejected_since_s, self.used_s, self.refused, self.astray = math.nan, time_s, None, False
         if math.isnan(self.agreed_s):
             self.agreed_s = time_s
 
@@ -78,7 +99,7 @@ class Channel:
         self.name, self._start = name, start
         self.kernel, self.constants = sensor.kernel, sensor.constants(start)
         self.period_s = 1.0 / sensor.rate_hz
-        self.limits = np.array(_limits(sensor.gate_probability, sensor.axes, sensor.single_gates))
+        self._gates = np.array(_limits(sensor.gate_probability, sensor.axes, sensor.single_gates))
         self.sight = Sight(sensor, start) if sensor.place_and_clock() else None
         self.lead_s, self.past_s = sensor.lead_s, sensor.lead_s + CLOCK_SDS * sensor.time_offset_sd_s
         # kernels of a user's own are asked by Python: what they raise is to be seen
@@ -90,7 +111,7 @@ class Channel:
     def forget(self) -> None:
         """Remember nothing, as at the start."""
         self._memory = ChannelMemory()
-        self.count, self.stuck = 0, False
+        self.count, self.stuck, self.stale = 0, False, False
 
     def arrange(self, sensor: Sensor, group: Group, layout: Layout, rate_variance: Array) -> None:
         """Lay out its working memory for other states; what is remembered stays. It has to `settle` then.
@@ -113,6 +134,7 @@ class Channel:
         self.places, self.record_size = np.array(at), at[5]
         self.offset = has_offset(sensor.models)
         self._proportions = proportions(sensor.models, self.period_s)
+        self.limits = np.concatenate([self._gates, believed(sensor, group)])
         slow = group.C @ group.P0[: group.errors, : group.errors] @ group.C.T
         self.slow: list[float] = slow.diagonal().tolist()  # variance by axis of what its error states begin with
         lever, R = sensor.lever_arm_covariance(rate_variance / self.samples), np.diag(group.r)
@@ -205,6 +227,31 @@ class Channel:
     @times.setter
     def times(self, times: tuple[float, float]) -> None:
         self._memory.last_s, self._memory.ticked_s = times
+
+    @property
+    def doubted(self) -> bool:
+        """Whether its next reading is Python's to judge."""
+        memory = self._memory
+        return memory.refused is not None or self.offset or memory.astray or bool(memory.noise or memory.alone)
+
+    @property
+    def condition(self) -> str:
+        """What has been found of its errors; empty for nothing."""
+        memory = self._memory
+        return "astray" if memory.astray else "jumped" if self.offset else "noisy" if memory.noise else ""
+
+    def moved_on(self, time_s: float, nav: Array, P: Array) -> bool:
+        """Note that a reading of this time has the value of the one before. Of a fix: whether the vehicle has moved on
+        since, by more than its noise and the velocity's could hide. Then the receiver is stuck, or it is no new fix.
+        """
+        memory = self._memory
+        if self.sensor.corrects != "position" or self.axes < 2:
+            return False
+        if memory.again_s != memory.last_s:
+            memory.same_s = memory.last_s
+        memory.again_s = time_s
+        slow = math.hypot(nav[3], nav[4]) - STILL_SDS * math.sqrt(max(P[3, 3], P[4, 4]))
+        return slow * (time_s - memory.same_s) > STILL_SDS * math.sqrt(max(self.white[0, 0], self.white[1, 1]))
 
     def in_proportion(self, z: Array, x: Array) -> None:
         """Let the errors in proportion to the speed be those of a reading as predicted."""

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.filter import integrity
+from navfilter.filter.belief import MOST_SDS
 from navfilter.filter.channel import Channel
 from navfilter.filter.drive_clock import DriveClock
 from navfilter.filter.filter import Filter
@@ -45,7 +46,7 @@ def health_of(
     memory, channels, P = filter.memory, filter.channels, state.covariance
     assert P is not None
     now_s = memory.time_s
-    sensors = {name: watch.health(now_s, channels[name].offset) for name, watch in watches.items()}
+    sensors = {name: watch.health(now_s, channels[name].condition) for name, watch in watches.items()}
     axes = filter.watch.conditions(memory.watch)
     off: dict[str, float] = {}
     for name, watch in watches.items():
@@ -100,7 +101,12 @@ def _off(channel: Channel, watch: Watch) -> float:
     confirmed = kept.used_s - kept.agreed_s >= integrity.CONFIRMED_S
     again = kept.last_s - kept.rejected_since_s > 0.5 * channel.period_s
     if again or (not confirmed and not math.isnan(kept.rejected_since_s)):
-        return float(integrity.whole_offset(sensor.corrects, channel.note[3 : 3 + a]))
+        return float(integrity.whole_offset(sensor.corrects, channel.note[3 : 3 + a], max(channel.slow)))
+    if kept.astray:
+        # it may have been off by what was still believed of its error
+        return MOST_SDS * math.sqrt(2.0 * max(channel.slow))
+    if kept.alone:
+        return kept.alone[0]
     if not math.isfinite(watch.used_s):
         return 0.0
     largest = max((v + s for v, s in zip(note[3 + a :], channel.slow, strict=True) if v + s > 0.0), default=0.0)

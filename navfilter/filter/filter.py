@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navfilter.error_models import per_axis
-from navfilter.filter import agreement, drive_watch, refused
+from navfilter.filter import agreement, course, drive_watch, refused, scatter
 from navfilter.filter.adoption import Change, state_change
 from navfilter.filter.asking import asked, shared
 from navfilter.filter.channel import Channel, usable
@@ -20,7 +20,7 @@ from navfilter.filter.filter_memory import Errors, FilterMemory
 from navfilter.filter.intake import Intake
 from navfilter.filter.jumps import JumpWatch
 from navfilter.filter.layout import Layout
-from navfilter.filter.offsets import with_offsets, with_the_same_offsets
+from navfilter.filter.offsets import described, with_the_same_offsets
 from navfilter.filter.tape import OUTCOMES, Tape
 from navfilter.kernels import kalman, strapdown, stretch
 from navfilter.learning.learned import learning_part
@@ -34,9 +34,8 @@ Array = NDArray[np.float64]
 #: One that is told what the filter does.
 Listening = Callable[[Event], None]
 CODES = {name: code for code, name in enumerate(OUTCOMES)}
-NO_SD = np.zeros(0)
 COUNTED = (
-    *("gap", "backward", "bad-sample", "clock-set", "widened", "reset", "jumped", "opened", "adopted"),
+    *("gap", "backward", "bad-sample", "clock-set", "widened", "reset", "jumped", "astray", "opened", "adopted"),
     *drive_watch.COUNTED,
 )
 
@@ -69,7 +68,7 @@ class Filter:
     feels_after : int
         Samples of the drive after which it is felt whether the vehicle rests; 0: never.
     jumped : list of Change
-        Constants for sensors that have jumped, to be adopted before the next input.
+        Error models of sensors that have jumped or gone astray, to be adopted before the next input.
 
     Raises
     ------
@@ -305,7 +304,13 @@ class Filter:
 
     # ---------------------------------------------------------------- correction
     def correct(
-        self, name: str, time_s: float, value: ArrayLike, sd: ArrayLike | None = None, frozen: bool = False
+        self,
+        name: str,
+        time_s: float,
+        value: ArrayLike,
+        sd: ArrayLike | None = None,
+        frozen: bool = False,
+        same: bool = False,
     ) -> Correction:
         """Correct the state with a reading that comes in order.
 
@@ -321,6 +326,8 @@ class Filter:
             White standard deviation of this one reading.
         frozen : bool
             The value has not changed for suspiciously long: it never widens the gate.
+        same : bool
+            It is that of the reading before.
         """
         channel, memory = self.channels[name], self.memory
         z = np.array(value, dtype=np.float64)  # a copy: kernels want it contiguous and writable
@@ -343,7 +350,8 @@ class Filter:
         if early > 1e-7 and memory.drv[strapdown.STARTED] and holds:
             self.hold(memory.nav, self._xd, memory.drv, early, self.Phid, self.Qd, self.drive_output, memory.acc)
             memory.time_s = time_s
-        return self._update(channel, time_s, reading, sd, frozen)
+        channel.stale = same and channel.moved_on(time_s, memory.nav, memory.P)
+        return self._update(channel, time_s, reading, sd, frozen or channel.stale)
 
     def _refused(self, channel: Channel, time_s: float, status: str) -> Correction:
         if self.tape is not None:
@@ -352,8 +360,8 @@ class Filter:
 
     def _update(self, channel: Channel, time_s: float, z: Array, sd: ArrayLike | None, frozen: bool) -> Correction:
         memory = self.memory
-        own = NO_SD if sd is None else np.resize(np.square(np.ravel(sd)), channel.axes)
-        channel.gate[:] = channel.limits if channel.memory.refused is None else agreement.limits(channel)
+        own = scatter.variances(channel, sd)
+        channel.gate[:] = agreement.limits(channel) if channel.stale or channel.doubted else channel.limits
         if channel.spot[stretch.EQUATION]:
             stretch.correction(
                 *(self.bench, channel.spot, memory.P, memory.nav, memory.x, memory.acc, memory.drv, self.drive_output),
@@ -367,11 +375,12 @@ class Filter:
 
     def concluded(self, channel: Channel, time_s: float, frozen: bool) -> Correction:
         """What follows from the verdict on a reading, which stands in its channel."""
-        channel.stuck = frozen
+        channel.stuck, channel.stale = frozen, False
         nis, dof, used = channel.verdict.tolist()
         widened = False
+        scatter.follow(channel, time_s, bool(used or frozen))
         if used:
-            channel.memory.use(time_s)
+            course.used(self, channel, time_s)
         elif dof and math.isfinite(nis):
             widened = refused.let_in(self, channel, time_s, nis, int(dof), frozen)
         if used or widened:
@@ -390,20 +399,12 @@ class Filter:
         return Correction(outcome, time_s, channel)
 
     # ---------------------------------------------------------------- other error models
-    def take_up(self, tell: Listening) -> None:
-        """Adopt the constants of sensors that have just jumped, see `jumped` and `adopt`."""
-        while self.jumped:
-            self.channels[self.jumped[0].sensor].memory.refused = None
-            self.adopt(self.jumped.pop(0), tell)
+    take_up = refused.take_up
 
     @property
     def described_models(self) -> dict[str, Errors]:
         """Error models put in force since the start, without the constants of sensors that have jumped."""
-        axes = {name: channel.axes for name, channel in self.channels.items()}
-        return {
-            name: with_offsets(per_axis(error, axes[name], name)) if name in axes else error
-            for name, error in self.memory.models
-        }
+        return described(self.memory.models, {name: channel.axes for name, channel in self.channels.items()})
 
     def adopt(self, change: Change, tell: Listening) -> None:
         """Put another error model of one sensor in force, now; the states follow without a jump
@@ -422,8 +423,7 @@ class Filter:
         """
         memory, channel, error = self.memory, self.channels.get(change.sensor), change.error
         if channel is not None and channel.offset and not change.offsets:
-            axes = channel.axes, f"{change.sensor}.error"
-            error = with_the_same_offsets(per_axis(error, *axes), channel.sensor.models)
+            error = with_the_same_offsets(per_axis(error, channel.axes, change.sensor), channel.sensor.models)
         # refuses what cannot be adopted before anything has changed
         new = self.in_force.with_error(**{change.sensor: error})
         models = tuple((dict(memory.models) | {change.sensor: error}).items())
@@ -431,7 +431,7 @@ class Filter:
             tell(self._fold())
         before, old = self.layout, self.in_force
         self._arrange(models, new)
-        M, N = state_change(before, old, self.layout, new)
+        M, N = state_change(before, old, self.layout, new, change.sensor if change.afresh else "")
         if self.tape is not None:
             self.tape.change(M)
         P, x = M @ memory.P @ M.T + N, M[9:, 9:] @ memory.x

@@ -25,6 +25,8 @@ OPEN_SPEED, OPEN_ATTITUDE = 2.0, np.array([0.1, 0.1, 1.0])
 OPEN_POSITION = 10.0
 #: A sensor counts as heard for so long after its last reading [s], and for so many of its periods.
 HEARD_S, HEARD_PERIODS = 5.0, 3.0
+#: The gate of a sensor that is astray widens so many times later [1]: it was believed until it was beyond belief.
+PATIENT = 5.0
 
 
 def state_contradicted(channels: Collection[Channel], time_s: float) -> bool:
@@ -103,7 +105,8 @@ def widening(P: Array, channel: Channel, time_s: float, nis: float, dof: int) ->
     sensor sees it. Only there: along P H' a fix that is far off would throw the velocity after the position.
     """
     limit = channel.limits[dof]
-    periods = math.floor((time_s - channel.memory.rejected_since_s) / channel.sensor.gate_timeout_s)
+    patience_s = channel.sensor.gate_timeout_s * (PATIENT if channel.memory.astray else 1.0)
+    periods = math.floor((time_s - channel.memory.rejected_since_s) / patience_s)
     if periods < 1 or nis > limit * 2.0 ** min(periods, 500):
         return None
     a, H = channel.axes, channel.H

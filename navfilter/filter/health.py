@@ -24,8 +24,8 @@ class SensorHealth:
     condition : str
         "good", "waiting" (nothing heard yet), "silent" (not heard for longer than its gate time-out), "rejected"
         (heard, but not used for so long), "stuck" (the same value for too long), "jumped" (off by a constant from one
-        reading to the next, and used for changes only until it is back) or "noisy" (residuals far larger than
-        predicted).
+        reading to the next, and used for changes only until it is back), "astray" (slowly led off further than its
+        error model allows, and refused until it is back) or "noisy" (residuals far larger than predicted).
     age_s : float
         Since the last reading that was used [s]; infinite before the first.
     outcomes : dict of str to int
@@ -132,14 +132,14 @@ class Watch:
     MEMORY = 50
     NOISY = 3.0
 
-    def sees(self, time_s: float, value: Array) -> bool:
-        """Note what arrives; True when it looks stuck."""
+    def sees(self, time_s: float, value: Array) -> tuple[bool, bool]:
+        """Note what arrives; whether it looks stuck, and whether it is the same as before."""
         raw = value.tobytes()
         if raw == self.value:
             self.same += 1
         else:
             self.value, self.same, self.since_s = raw, 1, time_s
-        return self.stuck
+        return self.stuck, self.same > 1
 
     @property
     def stuck(self) -> bool:
@@ -166,8 +166,8 @@ class Watch:
         if used:
             self.outcomes["used"] = self.outcomes.get("used", 0) + int(used)
 
-    def health(self, now_s: float, jumped: bool = False) -> SensorHealth:
-        """The figures at a time, of a sensor that is off by a constant where it has `jumped`."""
+    def health(self, now_s: float, found: str = "") -> SensorHealth:
+        """The figures at a time, of a sensor of which the filter has `found` something: see `Channel.condition`."""
         age_s = now_s - self.used_s
         if not self.outcomes:
             condition = "waiting"
@@ -175,10 +175,10 @@ class Watch:
             condition = "silent"
         elif self.stuck:
             condition = "stuck"
-        elif age_s > self.timeout_s:
+        elif age_s > self.timeout_s and found != "astray":
             condition = "rejected"
-        elif jumped:
-            condition = "jumped"
+        elif found:
+            condition = found
         elif self.nis > self.NOISY:
             condition = "noisy"
         else:

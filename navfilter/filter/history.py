@@ -23,13 +23,16 @@ Array = NDArray[np.float64]
 
 
 class Reading(NamedTuple):
-    """A reading as it arrived; `frozen` when its value had not changed for suspiciously long."""
+    """A reading as it arrived; `same` when it had the value of the one before, `frozen` when that had not changed for
+    suspiciously long.
+    """
 
     name: str
     time_s: float
     value: Array
     sd: Any
     frozen: bool = False
+    same: bool = False
 
 
 class Run(Protocol):

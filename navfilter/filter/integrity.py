@@ -105,11 +105,14 @@ def bounds(P: Array, age_s: Any, moved_m: Any, off: Mapping[str, Any], held: boo
     return IN_PLANE * np.sqrt(longest) + fault, np.minimum(IN_LINE * np.sqrt(P[..., 8, 8]) + heading, math.pi)
 
 
-def whole_offset(sees: str, residual: Array) -> Array:
-    """Size of residuals (..., axes) of refused readings: of fixes that of the horizontal part."""
+def whole_offset(sees: str, residual: Array, slow: float) -> Array:
+    """What the state may be off by where readings are refused: the size of their residuals (..., axes), of fixes that
+    of the horizontal part, and beside it what the slow error of the sensor, of this variance, makes of them.
+    """
     known = np.nan_to_num(np.abs(residual))
     several = sees == "position" and known.shape[-1] > 1
-    return np.asarray(np.hypot(known[..., 0], known[..., 1]) if several else known.max(axis=-1))
+    size = np.hypot(known[..., 0], known[..., 1]) if several else known.max(axis=-1)
+    return np.asarray(size + (IN_PLANE if several else IN_LINE) * math.sqrt(slow))
 
 
 def trust(

@@ -2,23 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.error_models import ErrorModel, RandomWalk, Sum
+from navfilter.error_models import ErrorModel, RandomWalk, Sum, per_axis
 
 __all__ = [
     "Offset",
     "Proportion",
+    "described",
     "has_offset",
     "offset_states",
     "proportions",
     "with_offsets",
     "with_the_same_offsets",
 ]
+
+Errors = ErrorModel | tuple[ErrorModel, ...]
 
 
 @dataclass(frozen=True)
@@ -102,6 +105,11 @@ def with_offsets(models: tuple[ErrorModel, ...], size: float = 0.0, at_m_s: floa
         return plain
     opened = tuple(model + Offset(start_sd=size) for model in plain)
     return tuple(model + Proportion(start_sd=size, at_m_s=at_m_s) for model in opened) if at_m_s else opened
+
+
+def described(models: Iterable[tuple[str, Errors]], axes: Mapping[str, int]) -> dict[str, Errors]:
+    """Error models by sensor without the offsets of those that have so many axes; the rest stay what they are."""
+    return {name: with_offsets(per_axis(e, axes[name], name)) if name in axes else e for name, e in models}
 
 
 def with_the_same_offsets(new: tuple[ErrorModel, ...], old: tuple[ErrorModel, ...]) -> tuple[ErrorModel, ...]:

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.stats import chi2
+
+if TYPE_CHECKING:
+    from navfilter.filter.course import Course
 
 __all__ = ["Refusals"]
 
@@ -40,6 +44,8 @@ class Refusals:
         Components in that sum.
     odd : bool
         The last reading did not agree.
+    course : Course or None
+        Of fixes: the way that they have made, beside the one reckoned meanwhile.
     back : int
         Of a sensor that has jumped: so many of the last ones on end agree with the state as if it had not.
     """
@@ -57,6 +63,7 @@ class Refusals:
     dof: int = 0
     odd: bool = False
     back: int = 0
+    course: Course | None = None
 
     @property
     def scatters(self) -> bool:

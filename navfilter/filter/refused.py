@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -11,16 +12,19 @@ from numpy.typing import NDArray
 
 from navfilter.filter import agreement, gating
 from navfilter.filter.adoption import Change
+from navfilter.filter.belief import beyond_belief, pulled
 from navfilter.filter.channel import Channel
+from navfilter.filter.course import Course, against_the_compass, turned
+from navfilter.filter.events import Event
 from navfilter.filter.offsets import with_offsets
-from navfilter.filter.refusals import LEAST
+from navfilter.filter.refusals import LEAST, Refusals
 from navfilter.kernels import kalman, listen
 from navfilter.state import NavState
 
 if TYPE_CHECKING:
     from navfilter.filter.filter import Filter
 
-__all__ = ["let_in"]
+__all__ = ["let_in", "take_up"]
 
 Array = NDArray[np.float64]
 #: Below this speed a velocity that is off says nothing of its scale [m/s].
@@ -50,6 +54,9 @@ def let_in(filter: Filter, channel: Channel, time_s: float, nis: float, dof: int
     if frozen:
         kept.refused = None
         return False
+    if beyond_belief(channel, memory.x):
+        _gone_astray(filter, channel)
+        return False
     if channel.sensor.open_loop != listen.NOTHING and _agreed(filter, channel, time_s):
         return True
     if gating.state_contradicted(filter.channels.values(), time_s):
@@ -68,7 +75,8 @@ def let_in(filter: Filter, channel: Channel, time_s: float, nis: float, dof: int
     if added is None:
         return False
     channel.R *= added.white_factor
-    _update(filter, channel, time_s, added.covariance)
+    P[:9, :9] += added.covariance
+    _update(filter, channel, time_s)
     return True
 
 
@@ -79,7 +87,12 @@ def _agreed(filter: Filter, channel: Channel, time_s: float) -> bool:
     memory, kept = filter.memory, channel.memory
     speed = math.sqrt(float(memory.nav[3:6] @ memory.nav[3:6]))
     drive = filter.drive_output, filter.vehicle.drive.period_s
+    course = None if kept.refused is None else kept.refused.course
     kept.refused = refused = agreement.heard(channel, memory.P, speed, time_s, *drive)
+    if channel.sensor.open_loop == listen.POSITION and channel.axes == 3:
+        kept.refused = refused = replace(refused, course=_made(course, channel, time_s, memory.nav))
+        if _heading_outvoted(filter, channel, refused, time_s):
+            return False
     if channel.offset:
         back = refused.back + 1 if agreement.is_back(channel, memory.x, memory.P) else 0
         kept.refused = refused = replace(refused, back=back)
@@ -93,9 +106,58 @@ def _agreed(filter: Filter, channel: Channel, time_s: float) -> bool:
     for other in filter.channels.values():
         if other.sensor.open_loop == channel.sensor.open_loop and other.axes == channel.axes:
             other.memory.agreed_s = math.nan
-    _update(filter, channel, time_s, agreement.opened_state(channel, refused, memory.nav, moved_m))
     memory.counts["reset"] += 1
+    memory.P[:9, :9] += agreement.opened_state(channel, refused, moved_m)
+    if channel.sensor.open_loop == listen.HEADING:
+        angle, variance = refused.offset[0], refused.variance[0] + channel.slow[0]
+        kept.alone = (abs(angle), float(memory.nav[0]), float(memory.nav[1]))
+        filter.jumped.append(Change(channel.name, channel.sensor.models, offsets=True, turn=(angle, variance)))
+        return False
+    _update(filter, channel, time_s)
     return True
+
+
+def _made(course: Course | None, fixes: Channel, time_s: float, nav: Array) -> Course | None:
+    """The way made good, with one more refused fix."""
+    if not np.isfinite(fixes.res[:2]).all():
+        return course
+    return (course or Course(float(nav[0]), float(nav[1]), time_s)).and_then(time_s, nav, fixes.res)
+
+
+def _heading_outvoted(filter: Filter, fixes: Channel, refused: Refusals, time_s: float) -> bool:
+    """Whether fixes and velocity together contradict the compass: then the position is opened to the next fix, and
+    before that the heading is turned (`take_up`), and the fixes' slow error, which has followed it, begins afresh.
+    """
+    memory = filter.memory
+    change = None if refused.course is None else against_the_compass(filter, fixes, refused.course, time_s)
+    if change is None:
+        return False
+    memory.P[range(3), range(3)] += np.nan_to_num(fixes.res[:3]) ** 2
+    filter.jumped += [Change(fixes.name, fixes.sensor.models, afresh=True), change]
+    memory.counts["reset"] += 1
+    memory.counts["jumped"] += 1
+    return True
+
+
+def _gone_astray(filter: Filter, channel: Channel) -> None:
+    """Begin the slow error of a sensor afresh, and carry as variance what it may have done to the position."""
+    memory, kept = filter.memory, channel.memory
+    memory.P[range(3), range(3)] += pulled(channel, memory.x) ** 2
+    kept.astray, kept.refused = True, None
+    filter.jumped.append(Change(channel.name, channel.sensor.models, afresh=True))
+    memory.counts["astray"] += 1
+
+
+def take_up(filter: Filter, tell: Callable[[Event], None]) -> None:
+    """Adopt what refused readings have made necessary, before the next input."""
+    while filter.jumped:
+        change = filter.jumped.pop(0)
+        channel = filter.channels[change.sensor]
+        channel.memory.refused = None
+        if change.afresh or change.error is not channel.sensor.models:
+            filter.adopt(change, tell)
+        if change.turn is not None:
+            turned(filter, channel, *change.turn)
 
 
 def _jumped(filter: Filter, channel: Channel, time_s: float) -> None:
@@ -117,10 +179,9 @@ def _jumped(filter: Filter, channel: Channel, time_s: float) -> None:
     memory.counts["jumped"] += 1
 
 
-def _update(filter: Filter, channel: Channel, time_s: float, covariance: Array) -> None:
-    """Correct by the reading that was refused, with more covariance of the navigation states."""
+def _update(filter: Filter, channel: Channel, time_s: float) -> None:
+    """Correct by the reading that was refused, now that the covariance lets it in."""
     memory, P = filter.memory, filter.memory.P
-    P[:9, :9] += covariance
     P[:] = 0.5 * (P + P.T)
     channel.res[:] = gating.whole_residual(channel, memory.x)
     no_limits = np.full(channel.axes + 1, np.inf)

@@ -91,7 +91,8 @@ def correction(sources):
 
         bench: working memory of all channels; spot: this one's row of `plan`; recent: the drive's last samples, see
         `past.sight`; z: the reading as its kernel takes it; variance (a,) of its white error, empty or NaN for what the
-        error model says; count: ticks of its clock; since_s: how much later than its stamp it is taken.
+        error model says; count: ticks of its clock; since_s: how much later than its stamp it is taken. Behind the
+        limits of its gate stands which square of its coloured error, as estimated, is beyond belief: none is used.
         """
         _ = sources
         dims = spot[:7]
@@ -127,7 +128,16 @@ def correction(sources):
         R = bench[spot[NOISE] : spot[NOISE] + a * a].reshape((a, a))
         _bent(bench, spot, P, nav, near, z, variance, R)
         C = bench[spot[OUTPUT] : spot[OUTPUT] + a * errors].reshape((a, errors))
-        kalman.update(P, nav, x, C, R, mem, dims, bench[spot[LIMITS] : spot[LIMITS] + a + 1])
+        limits, beyond = bench[spot[LIMITS] : spot[LIMITS] + a + 1], False
+        for i in range(a):
+            error = 0.0
+            for j in range(errors):
+                error += C[i, j] * x[start - 9 + j]
+            beyond |= error * error > bench[spot[LIMITS] + a + 1 + i]
+        if beyond:
+            limits = np.full(a + 1, -1.0)
+            limits[0] = math.inf
+        kalman.update(P, nav, x, C, R, mem, dims, limits)
 
     return correction
 

@@ -1,0 +1,72 @@
+"""Whether the slow error that a filter estimates for a sensor is still one that its error model allows.
+
+Fixes that are drawn off slowly, or that a wrong heading leaves behind, pass every gate: each of them is only a little
+off from what the ones before made of the state and of their own slow error. What they do together is in the estimate
+of that error: a process of 3 m that has come to 12 m is none. Such a sensor is **astray**: its slow error is begun
+afresh, what it may have done to the position is added to the covariance, and its readings are refused until one agrees
+with the state as it should.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navfilter.kernels import listen
+
+if TYPE_CHECKING:
+    from navfilter.filter.channel import Channel
+    from navfilter.filter.layout import Group
+    from navfilter.sensors import Sensor
+
+__all__ = ["believed", "beyond_belief", "pulled"]
+
+Array = NDArray[np.float64]
+#: An estimate of a slow error beyond so many of its standard deviations is none [1]: once in 2e4 times that it changes,
+#: and less often, for an estimate varies less than what it estimates.
+MOST_SDS = 4.0
+
+
+def believed(sensor: Sensor, group: Group) -> Array:
+    """The largest square of the coloured error of each axis that is still believed; infinite for all but fixes, and
+    where the error model sets no limit, shape (axes,).
+    """
+    e, none = group.errors, np.full(sensor.axes, np.inf)
+    if sensor.corrects != "position" or sensor.open_loop != listen.POSITION or not e:
+        return none
+    Phi, P0 = group.Phi[:e, :e], group.P0[:e, :e]
+    if not np.allclose(Phi @ P0 @ Phi.T + group.Q[:e, :e], P0, rtol=1e-6, atol=1e-12):
+        return none  # it wanders for ever
+    variance = np.diag(group.C @ P0 @ group.C.T)
+    return np.where(variance > 0.0, MOST_SDS**2 * variance, np.inf)
+
+
+def beyond_belief(channel: Channel, x: Array) -> bool:
+    """Whether a reading was refused because the estimate of its coloured error is no longer believed.
+
+    Parameters
+    ----------
+    channel : Channel
+    x : ndarray, shape (n - 9,)
+        Error states.
+    """
+    return bool(np.any(_estimate(channel, x) ** 2 > channel.limits[channel.axes + 1 :]))
+
+
+def _estimate(channel: Channel, x: Array) -> Array:
+    first = channel.group.start - 9
+    return np.asarray(channel.C @ x[first : first + channel.group.errors])
+
+
+def pulled(channel: Channel, x: Array) -> Array:
+    """By how much the position may have been pulled off while the slow error was estimated, shape (3,) [m].
+
+    Each correction shares its innovation out between position and error in the ratio of their gains; that of the last
+    one stands for all.
+    """
+    states = slice(channel.group.start, channel.group.start + channel.group.errors)
+    own = np.einsum("ij,ij->i", channel.C, channel.PH[:, states])
+    ratio = np.diag(channel.PH[:, :3]) / np.maximum(own, 1e-300)
+    return np.asarray(np.abs(_estimate(channel, x) * ratio))

@@ -1,0 +1,195 @@
+"""Fixes and a velocity sensor together against one compass.
+
+Fixes that are refused on end have made a way, and so has dead reckoning between them. Where the one is the other,
+turned by an angle, the heading was wrong by that angle: no receiver errs so, and a velocity sensor has no say in the
+direction of north. Where it is the other with a constant velocity added, the fixes are being drawn off, or there is a
+current that nobody measures. On a straight way the two look the same. Then it is a matter of who else has confirmed
+the heading: a compass that is the only one to have said it is outvoted.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navfilter.filter.adoption import Change
+from navfilter.filter.offsets import offset_states, with_offsets
+from navfilter.kernels import kalman, listen, measurement
+
+if TYPE_CHECKING:
+    from navfilter.filter.channel import Channel
+    from navfilter.filter.filter import Filter
+
+__all__ = ["Course", "against_the_compass", "turned", "used"]
+
+Array = NDArray[np.float64]
+#: An angle is believed beyond so many standard deviations, as one hypothesis of a whole mission [1], once it is known
+#: to so much [rad]: the fixes that follow do the rest, for which the filter is linear (half its square, as a share of
+#: the speed, is then less than a velocity sensor errs by).
+SURE, KNOWN_RAD = 5.0, 0.07
+#: By so much the distance of a velocity sensor may err [1]: twice the speed of sound set for fresh water at sea.
+SCALE = 0.05
+#: Root mean square distance of fixes from the way they should have made, as multiples of their sd [1]: within the first
+#: they have made it, beyond the second not.
+FITS, MISSES = 2.0, 4.0
+#: A velocity sensor has been used so lately at most [s].
+RECENT_S = 5.0
+
+
+@dataclass(frozen=True)
+class Course:
+    """Refused fixes and the places reckoned meanwhile.
+
+    Attributes
+    ----------
+    latitude, longitude : float
+        Of the first place reckoned [rad].
+    began_s : float
+        Time of the first fix [s].
+    count : int
+        Fixes.
+    sums : tuple of float
+        Of place reckoned (north, east), residual of the fix (north, east) and time since the first, then of all
+        products of two of them [m, s].
+    """
+
+    latitude: float
+    longitude: float
+    began_s: float
+    count: int = 0
+    sums: tuple[float, ...] = (0.0,) * 30
+
+    def and_then(self, time_s: float, nav: Array, residual: Array) -> Course:
+        """With one more fix: its time, nominal state (17,), residual in n [m]."""
+        north = (nav[0] - self.latitude) * nav[15]
+        east = (nav[1] - self.longitude) * nav[16] * math.cos(self.latitude)
+        row = np.array([north, east, residual[0], residual[1], time_s - self.began_s])
+        new = np.array(self.sums) + np.concatenate([row, np.outer(row, row).ravel()])
+        return Course(self.latitude, self.longitude, self.began_s, self.count + 1, tuple(new.tolist()))
+
+    def fitted(self) -> tuple[float, float, float, float, float]:
+        """Angle by which the way of the fixes is turned against the one reckoned [rad], mean square of the latter about
+        its middle [m^2], ratio of their sizes, mean square distances of the fixes from the way turned by that angle,
+        and from the way that is drawn off by a constant velocity [m^2].
+        """
+        sums = np.array(self.sums) / self.count
+        S = sums[5:].reshape(5, 5) - np.outer(sums[:5], sums[:5])
+        size, along, across, off = S[0, 0] + S[1, 1], S[0, 2] + S[1, 3], S[0, 3] - S[1, 2], S[2, 2] + S[3, 3]
+        fixes = size + 2.0 * along + off
+        common = math.hypot(size + along, across)
+        drawn = off - (S[4, 2] ** 2 + S[4, 3] ** 2) / max(S[4, 4], 1e-300)
+        ratio = math.sqrt(max(fixes, 0.0) / max(size, 1e-300))
+        return math.atan2(across, size + along), size, ratio, fixes + size - 2.0 * common, drawn
+
+
+def against_the_compass(filter: Filter, fixes: Channel, course: Course, time_s: float) -> Change | None:
+    """What is to be done about the compass, where refused fixes and a velocity sensor contradict it; else None.
+
+    Parameters
+    ----------
+    filter : Filter
+        Is only read.
+    fixes : Channel
+        The channel that refuses them.
+    course : Course
+    time_s : float
+        Now [s].
+    """
+    channels = filter.channels.values()
+    recent = [c for c in channels if time_s - c.memory.used_s < RECENT_S]
+    compasses = [c for c in recent if c.sensor.corrects == "heading"]
+    moving = any(c.sensor.open_loop == listen.VELOCITY and c.sensor.corrects == "velocity" for c in recent)
+    if course.count < 3 or not moving or len(compasses) != 1 or compasses[0].kernel is not measurement.heading:
+        return None
+    compass, P = compasses[0], filter.memory.P
+    angle, size, ratio, beside_turned, beside_drawn = course.fitted()
+    noise = float(np.max(np.diag(fixes.white)[:2] + np.array(fixes.slow)[:2]))
+    # what wanders over the time of the fixes tilts a straight way by its difference between the ends: sqrt(2) of its sd
+    # over sqrt(12) of the root mean square distance from the middle
+    variance = noise / (6.0 * max(size, 1e-300))
+    sd = math.sqrt(variance + P[8, 8])
+    if sd > KNOWN_RAD or abs(angle) < SURE * sd or abs(ratio - 1.0) > SURE * math.sqrt(variance) + SCALE:
+        return None
+    if beside_turned > FITS**2 * noise:
+        return None
+    told = math.radians(filter.start.heading_sd_deg)
+    believed = not compass.memory.alone and abs(angle) > SURE * told
+    if believed and beside_drawn < MISSES**2 * noise:
+        return None
+    models = compass.sensor.models if compass.offset else with_offsets(compass.sensor.models, abs(angle))
+    return Change(compass.name, models, offsets=True, turn=(angle, variance + float(P[8, 8])))
+
+
+def used(filter: Filter, channel: Channel, time_s: float) -> None:
+    """Note that a reading of this time has been used."""
+    channel.memory.use(time_s)
+    if channel.memory.alone and _confirmed(filter, channel):
+        channel.memory.alone = ()
+
+
+def _confirmed(filter: Filter, compass: Channel) -> bool:
+    """Whether fixes have confirmed a compass to which the heading was set against what was believed before: they are
+    used, twice as far from there as they need to contradict it.
+    """
+    memory, now_s = filter.memory, filter.memory.time_s
+    angle, latitude, longitude = compass.memory.alone
+    north = (memory.nav[0] - latitude) * memory.nav[15]
+    east = (memory.nav[1] - longitude) * memory.nav[16] * math.cos(latitude)
+    far_m = math.hypot(north, east) * 2.0 * math.sin(0.5 * min(angle, math.pi))
+    for fixes in filter.channels.values():
+        kept = fixes.memory
+        calm = kept.refused is None and not kept.astray and now_s - kept.used_s < RECENT_S
+        if fixes.sensor.corrects == "position" and calm:
+            sd = math.sqrt(fixes.white[0, 0] + fixes.slow[0])
+            if far_m > 2.0 * SURE * math.sqrt(2.0) * sd:
+                return True
+    return False
+
+
+def turned(filter: Filter, compass: Channel, angle: float, variance: float) -> None:
+    """Turn the heading by an angle of this variance, as by a reading of the compass.
+
+    Attitude and velocity are turned with all that is known of them; then both are opened by the angle together, and
+    take the reading. A constant of the compass, if it has one, takes the rest.
+
+    Parameters
+    ----------
+    filter : Filter
+        Its memory is changed; nothing waits to be folded in.
+    compass : Channel
+    angle, variance : float
+        [rad], [rad^2]
+    """
+    memory, kept, tape = filter.memory, compass.memory, filter.tape
+    P, nav, x, a = memory.P, memory.nav, memory.x, compass.axes
+    R, M = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]]), np.eye(len(P))
+    nav[3:5], nav[6:12] = R @ nav[3:5], (R @ nav[6:12].reshape(2, 3)).ravel()
+    for at in (3, 6):
+        M[at : at + 2, at : at + 2] = R
+    P[:] = M @ P @ M.T
+    if tape is not None:
+        tape.change(M)
+    places = compass.group.start + offset_states(compass.sensor.models, compass.period_s)
+    P[places, places] = np.maximum(np.diag(P)[places], angle**2)
+    # a velocity that is known in b goes with the heading
+    along = np.zeros(len(P))
+    along[[3, 4, 8]] = -nav[4], nav[3], 1.0
+    P += angle**2 * np.outer(along, along)
+    P[:] = 0.5 * (P + P.T)
+    kalman.predict(P, nav, x, memory.acc, compass.model, compass.mem, compass.dims, 0)
+    reading = np.full(2, math.nan)
+    compass.kernel(reading, nav, compass.rate, x[compass.parameters], compass.constants, compass.near, compass.res)
+    compass.res[:], compass.H[:, 9 : compass.dims[2]] = 0.0, 0.0
+    nothing, open_gate = np.zeros_like(compass.C), np.full(a + 1, np.inf)
+    kalman.update(P, nav, x, nothing, variance * np.eye(a), compass.mem, compass.dims, open_gate)
+    memory.unfolded = 0
+    kept.agreed_s, kept.refused, kept.rejected_since_s = math.nan, None, math.nan
+    if compass.offset:
+        kept.alone = ()  # it no longer says which way north is
+    if tape is not None:
+        tape.record(compass.record, a, compass.dims)
+        tape.row(memory.time_s, nav, x, P)

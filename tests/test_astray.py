@@ -1,0 +1,127 @@
+"""Sensors that go wrong little by little, grow noisy or repeat themselves; fixes and DVL against one compass."""
+
+import math
+
+import numpy as np
+import pytest
+from test_agreement import DEG, RADIUS_M, after, altered, dive, fly, turned
+
+import navfilter as nf
+from navfilter.filter import scatter
+from navfilter.filter.course import Course
+from navfilter.filter.memory import differences
+
+
+def short(duration_s):
+    """The first seconds of the dive: 20 s at rest, then straight on at the surface with fixes."""
+    vehicle, mission = dive()
+    return vehicle, mission.between(0.0, duration_s)
+
+
+def test_fixes_that_are_drawn_off_go_astray_and_are_not_followed():
+    vehicle, mission = short(115.0)
+    stream = mission.streams["gps"]
+    away = np.maximum(stream.time_s - 45.0, 0.0)[:, None] * np.array([0.5 / RADIUS_M, 0.0, 0.0])
+    drawn = mission.with_stream("gps", nf.Stream(stream.time_s, stream.value + away, stream.columns))
+    nav, off = fly(vehicle, drawn)
+    # 35 m off by now; four sd of the fixes' slow error, 12 m, are there after 24 s
+    assert nav.counts["astray"] == 1 and nav.health.sensors["gps"].condition == "astray"
+    assert nav.health.trust.level == "degraded"
+    assert off[-1, 1] < 8.0 and off[-1, 1] < 3.5 * math.sqrt(2.0) * off[-1, 4]
+    assert nav.counts["jumped"] == nav.counts["reset"] == 0
+
+
+def test_a_receiver_that_repeats_itself_while_the_vehicle_moves_is_not_believed():
+    vehicle, mission = short(75.0)
+    last = mission.streams["gps"].value[np.searchsorted(mission.streams["gps"].time_s, 50.0)]
+    nav, off = fly(vehicle, altered(mission, "gps", lambda p: np.broadcast_to(last, p.shape), 50.0))
+    clean, right = fly(vehicle, mission)
+    # one or two repeated ones, within their own noise
+    assert nav.health.sensors["gps"].outcomes["rejected"] >= 22
+    assert abs(off[-1, 1] - right[right[:, 0] <= 50.0][-1, 1]) < 1.5
+    # it would have come to 36 m
+    assert abs(nav.errors["gps_north[0]"]) < 6.0
+    assert clean.health.sensors["gps"].outcomes.get("rejected", 0) == 0
+
+
+def test_a_noisy_compass_is_noisy_and_has_not_jumped():
+    vehicle, mission = short(70.0)
+    rng = np.random.default_rng(7)
+    noise = lambda v: v + 6.0 * DEG * rng.normal(size=v.shape)  # noqa: E731
+    nav, _ = fly(vehicle, altered(mission, "compass", noise, 40.0))
+    compass = nav.filter.channels["compass"]
+    # 6 deg within a factor, and few are refused once that is known
+    assert 3.0 * DEG < math.sqrt(compass.memory.noise[0]) < 12.0 * DEG
+    assert nav.health.sensors["compass"].condition == "noisy" and nav.counts["jumped"] == 0
+    assert nav.health.sensors["compass"].outcomes["rejected"] < 40
+    nav, off = fly(vehicle, altered(mission, "compass", noise, 40.0, 50.0))
+    assert not nav.filter.channels["compass"].memory.noise and nav.health.sensors["compass"].condition == "good"
+    assert (after(off, 40.0)[:, 3] < 4.0 * after(off, 40.0)[:, 6] / DEG).all()
+
+
+def test_refusals_to_one_side_are_no_noise():
+    vehicle, mission = dive()
+    channel = nf.Navigator(vehicle, mission.start).filter.channels["compass"]
+    channel.note[3:5], channel.verdict[1] = (0.1, 0.001), 1.0
+    for k in range(20):
+        scatter.follow(channel, k / 8.0, False)
+    assert not channel.memory.noise
+    # half a turn to either side is one side
+    for k in range(20):
+        channel.note[3] = math.pi * (-1.0) ** k * (1.0 - 1e-3)
+        scatter.follow(channel, 100.0 + k / 8.0, False)
+    assert not channel.memory.noise
+    for k in range(12):
+        channel.note[3] = 0.1 * (-1.0) ** k
+        scatter.follow(channel, 200.0 + k / 8.0, False)
+    assert channel.memory.noise[0] == pytest.approx(0.01 - 0.001)
+
+
+@pytest.mark.parametrize("offset_deg", [180.0, 25.0])
+def test_fixes_and_dvl_together_outvote_a_compass_that_is_off_from_the_start(offset_deg):
+    vehicle, mission = dive()
+    broken = altered(mission, "compass", lambda v: turned(v) if offset_deg == 180.0 else v + offset_deg * DEG, 0.0)
+    nav, off = fly(vehicle, broken)
+    # first the compass turns the heading that the start told; then fixes and DVL turn it back
+    assert nav.counts["reset"] == 2 and nav.counts["jumped"] == 1
+    assert nav.health.sensors["compass"].condition == "jumped"
+    late = after(off, 115.0)
+    assert late[:, 3].max() < 8.0 and (late[:, 3] < 4.0 * late[:, 6] / DEG).all()
+    assert (late[:, 1] < 4.0 * math.sqrt(2.0) * late[:, 4]).all()
+
+
+def test_a_way_that_is_turned_is_told_from_one_that_is_drawn_off():
+    rng = np.random.default_rng(3)
+    time_s = np.arange(0.0, 80.0)
+    heading = np.where(time_s < 40.0, 0.0, 1.5)
+    way = np.cumsum(1.5 * np.column_stack([np.cos(heading), np.sin(heading)]), axis=0)
+    nav = np.zeros(17)
+    nav[15] = nav[16] = RADIUS_M
+
+    def fitted(fixes):
+        course = Course(0.0, 0.0, 0.0)
+        for t, place, fix in zip(time_s, way, fixes, strict=True):
+            nav[0], nav[1] = place / RADIUS_M
+            course = course.and_then(t, nav, fix - place)
+        return course.fitted()
+
+    noise = 0.5 * rng.normal(size=way.shape)
+    c, s = math.cos(0.4), math.sin(0.4)
+    angle, size, ratio, beside_turned, beside_drawn = fitted(way @ np.array([[c, s], [-s, c]]) + noise)
+    assert angle == pytest.approx(0.4, abs=0.02) and ratio == pytest.approx(1.0, abs=0.02)
+    assert beside_turned < 1.0 < 10.0 < beside_drawn
+    assert size == pytest.approx(np.var(way, axis=0).sum())
+    *_, beside_turned, beside_drawn = fitted(way + time_s[:, None] * np.array([0.4, 0.0]) + noise)
+    assert beside_drawn < 1.0 < 10.0 < beside_turned
+
+
+def test_what_has_gone_astray_is_kept_in_a_snapshot():
+    vehicle, mission = short(75.0)
+    broken = altered(mission, "compass", turned, 0.0)
+    nav, _ = fly(vehicle, broken, until_s=45.0)
+    assert nav.filter.channels["compass"].memory.alone and nav.filter.channels["gps"].memory.refused.course.count > 3
+    again = nf.Navigator.restore(vehicle, nav.snapshot())
+    assert not differences(again.memory.filter, nav.memory.filter)
+    track = nf.replay(vehicle, broken, output_rate_hz=None)
+    whole, _ = fly(vehicle, broken)
+    np.testing.assert_array_equal(track.attitude[-1], whole.state.roll_pitch_heading)
