@@ -10,7 +10,8 @@ is described, checked, written and read back, also with other constants in a cop
 be sorted and finite, a restored navigator goes on with a covariance that is one.
 
 Counted as unhandled: every exception that is not the reader's own kind of error, a message without words or with a
-traceback in it, an accepted input that is not what it must be, an answer that takes more than 10 s, and a crash.
+traceback in it, an accepted input that is not what it must be, an answer that takes more than 10 s of processor time,
+and a crash.
 
 With ``--atheris`` (pip install atheris) the inputs are chosen by the coverage they reach, through the same mutations.
 There is no other software to compare with: the figures are counts. The exit code is 1 when something was not handled.
@@ -104,20 +105,20 @@ class Count:
 
 def too_slow(*_: Any) -> None:
     """Alarm: an answer takes too long."""
-    raise TimeoutError(f"no answer within {LONGEST_S} s")
+    raise TimeoutError(f"no answer within {LONGEST_S} s of processor time")
 
 
 def watch() -> None:
     """See crashes and what takes too long; overflows are expected."""
     faulthandler.enable()
-    signal.signal(signal.SIGALRM, too_slow)
+    signal.signal(signal.SIGPROF, too_slow)
     np.seterr(all="ignore")
 
 
 def judge(target: Target, data: bytes, count: Count, keep: Path | None) -> None:
     """Run one input and count what became of it."""
     count.inputs += 1
-    signal.setitimer(signal.ITIMER_REAL, LONGEST_S)
+    signal.setitimer(signal.ITIMER_PROF, LONGEST_S)
     try:
         target.run(data)
         count.accepted += 1
@@ -136,7 +137,7 @@ def judge(target: Target, data: bytes, count: Count, keep: Path | None) -> None:
             (keep / name).write_bytes(data)
             (keep / f"{name}.txt").write_text("".join(traceback.format_exception(error)))
     finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
 
 
 def fuzz(target: Target, inputs: int, seed: int, keep: Path | None) -> Count:

@@ -33,6 +33,7 @@ SCRIPTS = {
     "recordings": ("plain dead reckoning", ("withheld", "car_clocks", "clocks", "wrong")),
     "replay_speed": ("python-ins", ()),
     "residual_source": ("oracle", ()),
+    "soak": ("no other software", ()),
     "step_latency": ("filterpy", ()),
     "where_time_goes": ("no other software", ()),
 }

@@ -17,7 +17,7 @@ from navfilter.error_models import GaussMarkov
 from navfilter.learning.drift import Drift
 from navfilter.learning.effort import EFFORT
 from navfilter.learning.likelihood import Likelihood, Point, maximise
-from navfilter.learning.limits import LEAST, PER_PARAMETER
+from navfilter.learning.limits import LEAST, PER_PARAMETER, WILDEST
 from navfilter.learning.posterior import DEAD, Line, SlowPosterior, follow, slow_psd
 from navfilter.learning.slow import SlowPrior
 from navfilter.learning.spectrum import Spectrum, log_spread
@@ -178,7 +178,7 @@ class Learner:
         y = np.array(series, dtype=np.float64, order="C")
         if y.ndim != 1:
             raise ValueError(f"series must be one-dimensional, found shape {y.shape}. Use one learner per channel.")
-        y = np.where(np.isfinite(y), y, np.nan)[-self.window :]
+        y = np.where(np.abs(y) <= WILDEST, y, np.nan)[-self.window :]
         n = int(np.isfinite(y).sum())
         able = [order for order in self.orders if n - self.drift.order >= max(LEAST, PER_PARAMETER * (sum(order) + 1))]
         if not able:

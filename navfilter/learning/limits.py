@@ -2,7 +2,7 @@
 reason.
 """
 
-__all__ = ["CLIP", "LEAST", "LONGEST_GAP", "MOST_DRIFT", "PER_PARAMETER", "least_window"]
+__all__ = ["CLIP", "LEAST", "LONGEST_GAP", "MOST_DRIFT", "PER_PARAMETER", "WILDEST", "least_window"]
 
 #: Known samples below which nothing is learnt (by choice: of fewer the prior says more than they do).
 LEAST = 100
@@ -10,6 +10,8 @@ LEAST = 100
 PER_PARAMETER = 20
 #: States of the drift that a series may stand on, at most (a position by accelerometers): each takes a sample.
 MOST_DRIFT = 3
+#: What is larger is no residual of a sensor but rubbish on its line, and missing [m, m/s, rad]: its square overflows.
+WILDEST = 1e12
 #: Missing ticks in a row that are predicted through; after more the filter of the likelihood begins anew (by choice: a
 #: second at 8 Hz).
 LONGEST_GAP = 8
