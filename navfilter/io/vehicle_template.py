@@ -45,6 +45,9 @@ _HEAD = """\
 #       60 * density; density = 0: a constant
 #   {{model = "gauss-markov", sd = 0.1, tau_s = 30, order = 1}}
 #       correlated: the autocorrelation falls to 1/e in tau_s seconds; order 1 (default) to 4
+#   {{model = "cycle", sd = 0.15, period_s = 44714, tau_s = 432000}}
+#       a swing of known period (a tide, waves) whose amplitude and phase become others in tau_s; a steady one of amplitude a has
+#       sd = a / sqrt(2)
 #   {{model = "arma", ar = [-0.9], ma = [], sd = 0.1}}
 #       ARMA(p, q), one step per reading, signs as scipy.signal.lfilter([1, *ma], [1, *ar], e) with e of this sd (default 1); ma may be
 #       left out; 'navfilter identify' finds all three from a recording at rest
