@@ -16,14 +16,14 @@ from harness import MAPPINGS, Options, Table, recorded
 
 import navfilter as nf
 from navfilter.alignment import align
-from navfilter.filter import refused, scatter
+from navfilter.filter import refused
 from navfilter.simulation.scenarios import simulate_scenario, survey, survey_vehicle
 from navfilter.simulation.simulate import simulate
 
 DURATION_S = 240.0
 SIMULATED = ("survey", "survey-mems", "reckoning", "lawnmower")
 #: Each is an exclusion, or a state set anew or given up.
-COUNTED = ("reset", "jumped", "astray", "opened", "scatter")
+COUNTED = ("reset", "jumped", "astray", "opened")
 COLUMNS = f"mission<34 runs>4d {' '.join(f'{key}>7d' for key in COUNTED)} rms_m>8.2f plain_m>8.2f loss>7.1f"
 
 
@@ -32,24 +32,9 @@ def without_agreement() -> Iterator[None]:
     """Readings are judged one by one, by their gates alone."""
     with (
         mock.patch.object(refused, "_agreed", lambda *_: False),
-        mock.patch.object(scatter, "follow", lambda *_: None),
         mock.patch("navfilter.filter.channel.believed", lambda sensor, group: np.full(sensor.axes, np.inf)),
         mock.patch("navfilter.filter.channel.Channel.moved_on", lambda *_: False),
     ):
-        yield
-
-
-@contextlib.contextmanager
-def counting_scatter(counts: Counter) -> Iterator[None]:
-    """Count how often a sensor is found to have become noisier."""
-    follow = scatter.follow
-
-    def counted(channel: Any, *rest: Any) -> None:
-        before = channel.memory.noise
-        follow(channel, *rest)
-        counts["scatter"] += bool(channel.memory.noise) and not before
-
-    with mock.patch.object(scatter, "follow", counted):
         yield
 
 
@@ -64,8 +49,7 @@ def mission_of(name: str, seed: int) -> tuple[nf.Vehicle, nf.Mission]:
 def judged(vehicle: nf.Vehicle, mission: nf.Mission) -> dict[str, float]:
     """What was excluded, and the mean square horizontal error with and without agreement [m^2]; NaN without truth."""
     counts: Counter = Counter()
-    with counting_scatter(counts):
-        track = nf.replay(vehicle, mission)
+    track = nf.replay(vehicle, mission)
     with without_agreement():
         plain = nf.replay(vehicle, mission)
     counts.update({key: track.counts[key] for key in COUNTED if key in track.counts})
@@ -94,7 +78,7 @@ def fault_free(options: Options) -> list[dict[str, Any]]:
 
     Simulated missions of four minutes (survey with a tactical and a micromechanical unit, dead reckoning, lawnmower),
     50 seeds; then, where NAVFILTER_DATA is set, every recording of `tests/recordings` that has a start or can be
-    aligned. reset, jumped, astray, opened, scatter: how often a state was set anew, a sensor jumped or went astray,
+    aligned. reset, jumped, astray, opened: how often a state was set anew, a sensor jumped or went astray,
     the state was given up, a sensor was found to be noisier than described. rms_m, plain_m: horizontal error with
     agreement, and with gates alone; loss: by how much the first is larger [%].
     """

@@ -70,7 +70,8 @@ def main(about: str, commands: Mapping[Callable[[Options], Any], Sequence[Flag]]
         own = parser
         if len(commands) > 1:
             text = (run.__doc__ or "").strip()
-            own = parts.add_parser(run.__name__, help=text.splitlines()[0], description=text, formatter_class=plain)
+            first = text.splitlines()[0].replace("%", "%%")
+            own = parts.add_parser(run.__name__, help=first, description=text, formatter_class=plain)
         for name, settings in flags:
             own.add_argument(name, **settings)
         own.add_argument("--json", type=Path, metavar="PATH", help="keep the figures in this file")

@@ -15,7 +15,7 @@ import navfilter as nf
 from navfilter.filter import asking, refused
 from navfilter.filter import filter as engine
 from navfilter.filter.smoother import smooth_rows
-from navfilter.kernels import kalman
+from navfilter.kernels import kalman, stretch
 
 DEG = np.pi / 180.0
 #: Kinds that stand in for others, and what their readings look like below.
@@ -52,7 +52,9 @@ class Capture:
         self.P0, self.n = self.nav.filter.P.copy(), len(self.nav.filter.P)
         run = self.nav.filter
         run.steps, run.hold = self._each(run.steps, True), self._each(run.hold, False)
-        run._native = False  # the same arithmetic, but by kernels that can be listened to
+        for channel in run.channels.values():  # the same arithmetic, but by kernels that can be listened to
+            channel.known = False
+            channel.spot[stretch.EQUATION] = 0
         self._single = []
 
     def _each(self, kernel, block):

@@ -26,6 +26,7 @@ SCRIPTS = {
     "heading_toy": ("Sage-Husa", ()),
     "honest": ("Gauss-Markov", ()),
     "identify_recordings": ("statsmodels", ()),
+    "lanes": ("sound unit alone", ("two", "one", "clean")),
     "logs": ("library underneath", ("samples", "large")),
     "mistakes": ("No other software", ()),
     "noise_sheet": ("No other software", ("simulated", "recordings")),

@@ -278,7 +278,9 @@ def test_readings_before_the_first_sample():
     for build in VEHICLES.values():
         nav = nf.Navigator(build(), START, nf.Tape())
         assert nav.correct("gps", -5.0, fix(nav)).status == "too-late"
-        assert nav.correct("gps", 0.0, fix(nav)).status == "used"
+        place = fix(nav)
+        place[2] += 0.01  # the same to the bit would be that of a receiver that is stuck
+        assert nav.correct("gps", 0.0, place).status == "used"
         assert nav.correct("depth", 0.5, 0.0).status == "used"
         assert nav.correct("depth", 100.0, 0.0).status == "ahead"
         run(nav, 1.0)
@@ -440,7 +442,9 @@ def test_gaps_leave_the_uncertainty_that_they_should():
         run(nav, 1.0)
         before = nav.state.sd[0]
         run(nav, 21.0 + 2.0 * nav.vehicle.drive.period_s, 21.0)  # the second sample confirms the stamp of the first
-        # what may have happened unseen, and little else
+        # what may have happened unseen, and little else; nobody said how fast it can be: 3 m/s, or twice what it did
+        speed = float(np.linalg.norm(nav.state.velocity_n))
+        expected_m = min(expected_m, 20.0 * 0.5 * (max(3.0, 2.0 * speed) + speed))
         assert 0.9 * expected_m < math.sqrt(nav.state.sd[0] ** 2 - before**2) < 1.5 * expected_m + 0.5
 
 

@@ -144,7 +144,7 @@ def test_units_in_keys(tmp_path):
 @pytest.mark.parametrize(
     ("text", "messages"),
     [
-        ("", ["drive: this key is missing"]),
+        ("", ["drive: a vehicle has a [drive], or inertial units as [imus.a]"]),
         ('[drive]\ntype = "rocket"\n', ['drive: there is no kind "rocket"']),
         ('[drive]\ntype = "imu"\nrate_hz = 0\n', ["drive.rate_hz: must be >= 1e-06; found 0"]),
         ("[drive]\nrate_hz = 1\n", ["drive: the key 'type' is missing"]),
@@ -246,7 +246,7 @@ def test_every_mistake_at_once(tmp_path):
         'sensors.learning.error.prior: there is no kind "learned-arma"; ',
         "sensors.adopted.error.adopted.sd: must be >= 0; found -1.",
         'sensors.adopted.error.adopted.flag: unknown key; did you mean "flags"? known keys: ',
-        'nam: unknown key; did you mean "name"? known keys: drive, name, sensors.',
+        'nam: unknown key; did you mean "name"? known keys: dead_reckoning_lane, drive, imus, name, sensors.',
     ]
     assert first.endswith(f"{len(found)} mistakes:")
     for begin in expected:

@@ -51,7 +51,12 @@ MISTAKES = {
     "heading mirrored": (with_values("compass", np.negative), True, "compass", "rejected"),
     "heading in degrees": (with_values("compass", lambda x: np.degrees(x) % 360.0), True, "compass", "rejected"),
     "compass turned by 90 deg": (with_values("compass", lambda x: x + np.pi / 2), True, "gps", "rejected"),
-    "compass turned by 10 deg": (with_values("compass", lambda x: x + np.radians(10)), False, "gps", "first fix after"),
+    "compass turned by 10 deg": (
+        with_values("compass", lambda x: x + np.radians(10)),
+        True,
+        "compass",
+        "jumped by a constant",  # the surfacing showed it
+    ),
     "compass stuck": (with_values("compass", stuck), True, "compass", "rejected"),
     "compass 3 s late": (with_values("compass", as_it_is, lambda t: t + 3.0), True, "compass", "rejected"),
     "dvl in mm/s": (with_values("dvl", lambda x: 1e3 * x), True, "dvl", "rejected"),
@@ -75,7 +80,7 @@ MISTAKES = {
     "imu in ms": (with_values("imu", as_it_is, lambda t: 1e3 * t), True, "imu", "its samples come every 10 s"),
     "imu lost for minutes": (
         lambda v, m: (v, m.hide("imu", (100.0, 350.0))),
-        True,
+        False,  # compass and DVL carry it
         "imu",
         "250 of 600 s have no samples",
     ),

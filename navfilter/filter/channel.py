@@ -49,12 +49,6 @@ class ChannelMemory:
         to it [s].
     refused : Refusals or None
         What the readings that have been refused since say together.
-    ramp : tuple of float
-        Sums of the straight line through the residuals of a velocity that have been refused since.
-    refusals : tuple of tuple of float
-        Times and residuals of the last readings that were refused, whatever came between.
-    noise : tuple of float
-        Variance that its noise has beyond that of its error model, per axis; empty: none.
     astray : bool
         Its slow error came to be beyond belief, and no reading has agreed with the state since.
     alone : tuple of float
@@ -72,9 +66,6 @@ class ChannelMemory:
     used_s: float = -math.inf
     agreed_s: float = math.nan
     refused: Refusals | None = None
-    ramp: tuple[float, ...] = ()
-    refusals: tuple[tuple[float, ...], ...] = ()
-    noise: tuple[float, ...] = ()
     astray: bool = False
     alone: tuple[float, ...] = ()
     same_s: float = math.nan
@@ -235,13 +226,13 @@ class Channel:
     def doubted(self) -> bool:
         """Whether its next reading is Python's to judge."""
         memory = self._memory
-        return memory.refused is not None or self.offset or memory.astray or bool(memory.noise or memory.alone)
+        return memory.refused is not None or self.offset or memory.astray or bool(memory.alone)
 
     @property
     def condition(self) -> str:
         """What has been found of its errors; empty for nothing."""
         memory = self._memory
-        return "astray" if memory.astray else "jumped" if self.offset else "noisy" if memory.noise else ""
+        return "astray" if memory.astray else "jumped" if self.offset else ""
 
     def moved_on(self, time_s: float, nav: Array, P: Array) -> bool:
         """Note that a reading of this time has the value of the one before. Of a fix: whether the vehicle has moved on

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navfilter.error_models import per_axis
-from navfilter.filter import agreement, course, drive_watch, realignment, refused, scatter
+from navfilter.filter import agreement, course, drive_watch, realignment, refused
 from navfilter.filter.adoption import Change, state_change
 from navfilter.filter.asking import asked, shared
 from navfilter.filter.channel import Channel, usable
@@ -64,7 +64,7 @@ class Filter(Estimate):
         Samples of the drive after which it is felt whether the vehicle rests; 0: never.
     jumped : list of Change
         Error models of sensors that have jumped or gone astray, to be adopted before the next input.
-    tilted : float or None
+    tilted : bool
         Attitude and velocity are to be set anew before the next input, see `realignment.tilted`.
 
     Raises
@@ -89,7 +89,7 @@ class Filter(Estimate):
         past_s = max((channel.past_s for channel in self.channels.values()), default=0.0)
         self.remembered = drive.remembered(past_s) if past_s else 0
         self.jumped: list[Change] = []
-        self.tilted: float | None = None
+        self.tilted = False
         self._like: tuple[Vehicle, Layout] | None = None
         self._rest = [self.channels[name] for name, s in vehicle.sensors.items() if s.from_drive and self.inertial]
         shortest_s = min((channel.period_s for channel in self._rest), default=0.0)
@@ -339,7 +339,7 @@ class Filter(Estimate):
 
     def _update(self, channel: Channel, time_s: float, z: Array, sd: ArrayLike | None, frozen: bool) -> Correction:
         memory = self.memory
-        own = scatter.variances(channel, sd)
+        own = NO_SD if sd is None else np.resize(np.square(np.ravel(sd)), channel.axes)
         channel.gate[:] = agreement.limits(channel) if channel.stale or channel.doubted else channel.limits
         if channel.spot[stretch.EQUATION]:
             stretch.correction(
@@ -354,10 +354,9 @@ class Filter(Estimate):
 
     def concluded(self, channel: Channel, time_s: float, frozen: bool) -> Correction:
         """What follows from the verdict on a reading, which stands in its channel."""
-        channel.stuck, channel.stale = frozen, False
+        stale, channel.stuck, channel.stale = channel.stale, frozen, False
         nis, dof, used = channel.verdict.tolist()
         widened = False
-        scatter.follow(channel, time_s, bool(used or frozen))
         if used:
             course.used(self, channel, time_s)
         elif dof and math.isfinite(nis):
@@ -368,7 +367,7 @@ class Filter(Estimate):
                 self.tape.record(channel.record, channel.axes, channel.dims)
                 self._row()
         else:
-            status = "rejected" if dof and math.isfinite(nis) else "invalid"
+            status = "rejected" if dof and math.isfinite(nis) and not stale else "invalid"  # said twice is no reading
             if self.tape is not None:
                 self.tape.record(channel.moved, 0, channel.dims)
         if self.tape is not None:

@@ -7,10 +7,6 @@ shows where down is, but for what the vehicle accelerates; the DVL shows the vel
 velocity, with the variance of their own errors, and nothing is left of what the old ones had in common with other
 states. The heading stays: compass readings correct it as large as its error may be.
 
-A smaller tilt, or a bias that has jumped, shows in no level. It shows as a ramp: a velocity whose residuals grow from
-nothing, along a line. No DVL fails so. The ramp is then laid to tilt, accelerometers and gyros alike: their variances
-are opened by as much, and the DVL is believed.
-
 Where nothing was heard for long, neither drive nor sensors, no vehicle has gone further than it can.
 """
 
@@ -31,7 +27,7 @@ if TYPE_CHECKING:
     from navfilter.filter.events import Listening
     from navfilter.filter.filter import Filter
 
-__all__ = ["after_fault", "bound", "ramp_of", "set_anew", "tilted", "with_refused"]
+__all__ = ["after_fault", "bound", "set_anew", "tilted"]
 
 Array = NDArray[np.float64]
 #: A tilt with a larger sd is beyond what linearisation bears: its square turns 1 % of a velocity, or 0.02 m/s^2 of
@@ -45,10 +41,6 @@ EXCESS = 1.5
 REFUSED_S = 1.0
 #: A refused reading says what the velocity is if it is so old at most [s], to so much [m/s].
 HEARD_S, VELOCITY_SD = 1.0, 0.1
-#: A ramp is told by so many refused readings at the earliest, over so long a time [s], by a slope of so many standard
-#: deviations (of Student's t with six degrees of freedom 2e-4 are beyond), and if it began at less than this share of
-#: what it has come to [1]: what fails at once is no ramp.
-READINGS, RAMP_S, SLOPE_SDS, BEGAN = 8, 1.5, 8.0, 0.5
 #: What a vehicle can do at most that does not say so [m/s]: few that swim are faster; others, twice what they do now.
 MOST_SPEED, FASTER = 3.0, 2.0
 
@@ -89,9 +81,9 @@ def after_fault(filter: Filter, tell: Listening) -> None:
         set_anew(filter, tell)
 
 
-def tilted(filter: Filter, channel: Channel, time_s: float) -> float | None:
+def tilted(filter: Filter, channel: Channel, time_s: float) -> bool:
     """Whether a velocity that has been refused for `REFUSED_S` shows that the attitude is wrong: the accelerometers
-    contradict it, or it is not known (0), or the residuals grow along a ramp (its slope [m/s^2]); else None.
+    contradict it, or it is not known.
 
     Parameters
     ----------
@@ -100,87 +92,29 @@ def tilted(filter: Filter, channel: Channel, time_s: float) -> float | None:
         Whose reading has just been refused.
     time_s : float
     """
-    kept = channel.memory
-    if not channel.moves or not filter.inertial:
-        return None
-    if time_s - kept.rejected_since_s >= REFUSED_S:
-        level = _level(filter)
-        if level is not None and (level.sd > SURE_SD or level.doubt > LIMIT):
-            return 0.0
-    # a velocity through water may change with the water, slowly, too
-    if not kept.ramp or channel.sensor.gives != "velocity":
-        return None
-    return ramp_of(kept.ramp, np.diag(channel.R)[: channel.axes])
+    if not channel.moves or not filter.inertial or not time_s - channel.memory.rejected_since_s >= REFUSED_S:
+        return False
+    level = _level(filter)
+    return level is not None and (level.sd > SURE_SD or level.doubt > LIMIT)
 
 
-def with_refused(ramp: tuple[float, ...], age_s: float, residual: Array) -> tuple[float, ...]:
-    """The sums of a straight line through residuals with another one: their number, of ages and squared ages, and axis
-    by axis of residuals, of their products with the ages, and of their squares; empty before the first whole one.
-    """
-    if not np.isfinite(residual).all():
-        return ramp
-    new = np.concatenate([[1.0, age_s, age_s**2], residual, age_s * residual, residual**2])
-    return tuple((new if not ramp else np.array(ramp) + new).tolist())
-
-
-def ramp_of(ramp: tuple[float, ...], white: Array) -> float | None:
-    """Slope of a ramp that began at nothing [m/s^2], from the sums of `with_refused`; None where there is none.
-
-    Parameters
-    ----------
-    ramp : tuple of float
-    white : ndarray, shape (axes,)
-        Variance of a residual by the sensor's noise alone.
-
-    Examples
-    --------
-    >>> ramp = ()
-    >>> for k in range(9):
-    ...     ramp = with_refused(ramp, 0.25 * k, np.array([0.05 * k, 0.001 * (-1) ** k]))
-    >>> round(ramp_of(ramp, np.full(2, 1e-4)), 2)
-    0.2
-    """
-    n, t, tt = ramp[:3]
-    r, rt, rr = np.array(ramp[3:]).reshape(3, -1)
-    spread = tt - t * t / n
-    # of evenly spaced readings from age 0 on the last has twice the mean age
-    last_s = 2.0 * t / n
-    if n < READINGS or last_s < RAMP_S:
-        return None
-    slope = (rt - t * r / n) / spread
-    left = np.maximum(rr - r * r / n - slope * (rt - t * r / n), 0.0) / (n - 2.0)
-    sds = math.sqrt(float(np.sum(slope**2 * spread / np.maximum(left, white))))
-    began = r / n - slope * t / n
-    grown = float(np.linalg.norm(began)) < BEGAN * float(np.linalg.norm(began + slope * last_s))
-    return float(np.linalg.norm(slope)) if sds > SLOPE_SDS and grown else None
-
-
-def set_anew(filter: Filter, tell: Listening, ramp: float = 0.0) -> None:
-    """Roll, pitch and velocity by accelerometers and DVL; after a `ramp` [m/s^2] of its residuals the attitude stays,
-    with the variance that the ramp gives to it and to the biases.
-    """
-    level, memory, state = None if ramp else _level(filter), filter.memory, filter.state
+def set_anew(filter: Filter, tell: Listening) -> None:
+    """Roll, pitch and velocity by accelerometers and DVL."""
+    level, memory, state = _level(filter), filter.memory, filter.state
     velocity, refused = state.velocity_n.copy(), _refused_velocity(filter)
-    if level is None and (not ramp or refused is None):
+    if level is None:
         return
-    n, C = filter.layout.size, state.C_nb
+    n = filter.layout.size
     M, N = np.eye(n), np.zeros((n, n))
-    if level is not None:
-        C = rotation_matrix(level.turn) @ C
-        M[6, 6] = M[7, 7] = 0.0
-        N[6, 6] = N[7, 7] = level.variance
-        # what turned it about two axes may have turned it about the third
-        N[8, 8] = 0.5 * float(level.turn @ level.turn)
+    C = rotation_matrix(level.turn) @ state.C_nb
+    M[6, 6] = M[7, 7] = 0.0
+    N[6, 6] = N[7, 7] = level.variance
+    # what turned it about two axes may have turned it about the third
+    N[8, 8] = 0.5 * float(level.turn @ level.turn)
     if refused is not None:
         off, since_s = refused
         velocity = velocity + off
         M[range(3, 6), range(3, 6)] = 0.0
-        if ramp:
-            tilt, g = ramp / strapdown.gravity(memory.nav[0], memory.nav[2]), filter.layout.drive
-            N[6, 6] = N[7, 7] = tilt**2
-            biases = np.flatnonzero(np.diag(g.Phi)[: g.errors] == 1.0)
-            turns = g.C[:3, biases].any(axis=0)
-            N[g.start + biases, g.start + biases] = np.where(turns, tilt / since_s, ramp) ** 2
         attitude = N[6, 6] + N[8, 8] + memory.P[8, 8]
         N[range(3, 6), range(3, 6)] = VELOCITY_SD**2 + float(velocity @ velocity) * min(attitude, 1.0)
         N[:3, :3] = np.outer(off, off) * since_s**2

@@ -50,16 +50,13 @@ def let_in(filter: Filter, channel: Channel, time_s: float, nis: float, dof: int
     """
     memory, kept, P = filter.memory, channel.memory, filter.memory.P
     if math.isnan(kept.rejected_since_s):
-        kept.rejected_since_s, kept.ramp = time_s, ()
+        kept.rejected_since_s = time_s
     if frozen:
         kept.refused = None
         return False
     if channel.moves:
-        kept.ramp = realignment.with_refused(
-            kept.ramp, time_s - kept.rejected_since_s, channel.note[3 : 3 + channel.axes]
-        )
         filter.tilted = realignment.tilted(filter, channel, time_s)
-        if filter.tilted is not None:
+        if filter.tilted:
             return False
     if beyond_belief(channel, memory.x):
         _gone_astray(filter, channel)
@@ -157,9 +154,9 @@ def _gone_astray(filter: Filter, channel: Channel) -> None:
 
 def take_up(filter: Filter, tell: Callable[[Event], None]) -> None:
     """Do what refused readings have made necessary, before the next input."""
-    if filter.tilted is not None:
-        ramp, filter.tilted = filter.tilted, None
-        realignment.set_anew(filter, tell, ramp)
+    if filter.tilted:
+        filter.tilted = False
+        realignment.set_anew(filter, tell)
     while filter.jumped:
         change = filter.jumped.pop(0)
         channel = filter.channels[change.sensor]
