@@ -79,7 +79,7 @@ def fault_free(options: Options) -> list[dict[str, Any]]:
     Simulated missions of four minutes (survey with a tactical and a micromechanical unit, dead reckoning, lawnmower),
     50 seeds; then, where NAVFILTER_DATA is set, every recording of `tests/recordings` that has a start or can be
     aligned. reset, jumped, astray, opened: how often a state was set anew, a sensor jumped or went astray,
-    the state was given up, a sensor was found to be noisier than described. rms_m, plain_m: horizontal error with
+    the state was given up. rms_m, plain_m: horizontal error with
     agreement, and with gates alone; loss: by how much the first is larger [%].
     """
     nf.warm_up()
