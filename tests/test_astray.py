@@ -36,7 +36,7 @@ def test_a_receiver_that_repeats_itself_while_the_vehicle_moves_is_not_believed(
     nav, off = fly(vehicle, altered(mission, "gps", lambda p: np.broadcast_to(last, p.shape), 50.0))
     clean, right = fly(vehicle, mission)
     # one or two repeated ones, within their own noise
-    assert nav.health.sensors["gps"].outcomes["invalid"] >= 22
+    assert nav.health.sensors["gps"].outcomes["rejected"] >= 22
     assert abs(off[-1, 1] - right[right[:, 0] <= 50.0][-1, 1]) < 1.5
     # it would have come to 36 m
     assert abs(nav.errors["gps_north[0]"]) < 6.0

@@ -30,6 +30,7 @@ RUN_KEYS = [
     "models",
     "adopted",
     "cpu_s",
+    "integrity",
 ]
 
 

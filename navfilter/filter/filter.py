@@ -354,7 +354,7 @@ class Filter(Estimate):
 
     def concluded(self, channel: Channel, time_s: float, frozen: bool) -> Correction:
         """What follows from the verdict on a reading, which stands in its channel."""
-        stale, channel.stuck, channel.stale = channel.stale, frozen, False
+        channel.stuck, channel.stale = frozen, False
         nis, dof, used = channel.verdict.tolist()
         widened = False
         if used:
@@ -367,7 +367,7 @@ class Filter(Estimate):
                 self.tape.record(channel.record, channel.axes, channel.dims)
                 self._row()
         else:
-            status = "rejected" if dof and math.isfinite(nis) and not stale else "invalid"  # said twice is no reading
+            status = "rejected" if dof and math.isfinite(nis) else "invalid"
             if self.tape is not None:
                 self.tape.record(channel.moved, 0, channel.dims)
         if self.tape is not None:

@@ -187,7 +187,7 @@ def _refused_velocity(filter: Filter) -> tuple[Array, float] | None:
             residual = channel.note[3 : 3 + channel.axes]
             seen = np.isfinite(residual)
             N = channel.near[seen, 3:6]
-            if np.linalg.matrix_rank(N) >= 2:
+            if np.isfinite(N).all() and np.linalg.matrix_rank(N) >= 2:
                 since_s = now_s - memory.used_s if math.isfinite(memory.used_s) else now_s - memory.rejected_since_s
                 return np.linalg.pinv(N) @ residual[seen], since_s
     return None
