@@ -17,6 +17,7 @@ from navfilter.compilation import announce_each, count_announced, is_compiled, k
 from navfilter.error_models import GaussMarkov
 from navfilter.learning.learned import LearnedArma
 from navfilter.mechanisation import Imu
+from navfilter.navigator import Navigator
 from navfilter.playback import learns, replay
 from navfilter.sensors import Depth
 from navfilter.simulation.simulate import tiny_mission, tiny_missions
@@ -95,6 +96,7 @@ def _warm_filter(vehicle: Vehicle | None, learning: bool) -> None:
         replay(*tiny_mission(plain), smooth=True)
     tiny, mission = next(tiny_missions()) if vehicle is None else tiny_mission(vehicle)
     replay(tiny, mission, smooth=True)
+    _ = Navigator(tiny, mission.start).health  # asks the drive for its errors by itself
     replay(
         tiny.without(*(name for name, sensor in tiny.sensors.items() if not sensor.from_drive)), mission
     )  # a silence

@@ -106,6 +106,21 @@ def test_a_start_heading_that_is_turned_round_follows_the_compass():
     assert nav.counts["reset"] == 1 and nav.counts["jumped"] == 0
 
 
+def test_a_magnetometer_turns_a_wrong_start_heading_and_leaves_the_smoother_right():
+    plain = survey_vehicle()
+    compass = nf.Heading(
+        rate_hz=4.0, magnetometer=True, declination_rad=0.1, error=nf.GaussMarkov(sd=0.6 * DEG, tau_s=60.0)
+    )
+    vehicle = dataclasses.replace(plain, sensors=plain.sensors | {"compass": compass})
+    mission = simulate(vehicle, survey(60.0), seed=3, duration_s=60.0)
+    start = dataclasses.replace(mission.start, heading_deg=mission.start.heading_deg + 180.0, heading_sd_deg=5.0)
+    track = nf.replay(vehicle, mission, start=start, smooth=True)
+    true = np.interp(track.time_s, mission.truth.time_s, np.unwrap(mission.truth.value[:, 8]))
+    off = np.abs(wrap(track.attitude[:, 2] - true)) / DEG
+    assert track.counts["reset"] == 1 and np.isfinite(track.covariance).all()
+    assert off[track.time_s > 10.0].max() < 3.0  # five sd of the compass
+
+
 def test_a_reset_leaves_the_smoother_right():
     vehicle, mission = dive()
     start = dataclasses.replace(mission.start, latitude_deg=mission.start.latitude_deg + 2000.0 / RADIUS_M / DEG)

@@ -109,7 +109,9 @@ def test_rates_for_lever_arms_and_for_the_past_are_those_of_a_calibrated_unit():
     _, errors = IMU.outputs(np.hstack([np.eye(6), np.zeros((6, 15))]), drv, x)
     true = reading - M @ reading - x[:6]
     np.testing.assert_allclose(IMU.body_rate(drv, errors[:3]), true[:3], atol=1e-14)
-    plain, _ = nf.Imu(rate_hz=20.0).motion(recent, np.zeros(17), nf.Imu(rate_hz=20.0).memory(6) + drv, np.zeros(6))
+    uncalibrated = drv.copy()
+    uncalibrated[strapdown.CALIBRATED] = 0.0
+    plain, _ = nf.Imu(rate_hz=20.0).motion(recent, np.zeros(17), uncalibrated, np.zeros(6))
     moved, _ = IMU.motion(recent, np.zeros(17), drv, errors)
     np.testing.assert_allclose(moved[:, 1:], plain[:, 1:] - plain[:, 1:] @ M.T - x[:6], atol=1e-14)
 

@@ -181,7 +181,10 @@ def turned(filter: Filter, compass: Channel, angle: float, variance: float) -> N
     P += angle**2 * np.outer(along, along)
     P[:] = 0.5 * (P + P.T)
     kalman.predict(P, nav, x, memory.acc, compass.model, compass.mem, compass.dims, 0)
-    reading = np.full(2, math.nan)
+    reading = np.full(2, math.nan)  # only its slopes are asked for
+    if compass.kernel is measurement.magnetometer:  # they are those of the field that it feels: level, of unknown dip
+        north = math.cos(compass.constants[0]), math.sin(compass.constants[0]), 0.0
+        reading = np.append(nav[6:15].reshape(3, 3).T @ north, math.nan)
     compass.kernel(reading, nav, compass.rate, x[compass.parameters], compass.constants, compass.near, compass.res)
     compass.res[:], compass.H[:, 9 : compass.dims[2]] = 0.0, 0.0
     nothing, open_gate = np.zeros_like(compass.C), np.full(a + 1, np.inf)
