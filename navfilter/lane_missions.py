@@ -11,7 +11,7 @@ from navfilter.mission import Mission, Stream
 from navfilter.start import Start
 from navfilter.vehicle import DEAD_RECKONING, LEVEL, Vehicle
 
-__all__ = ["lane_mission", "longest", "of_one_unit"]
+__all__ = ["lane_mission", "last_unit", "of_one_unit"]
 
 
 def lane_mission(vehicle: Vehicle, mission: Mission, name: str, start: Start | None = None) -> Mission:
@@ -52,19 +52,14 @@ def of_one_unit(vehicle: Vehicle, mission: Mission, unit: str) -> tuple[Vehicle,
     return (lanes[unit], lane_mission(vehicle, mission, unit)) if lanes else (vehicle, mission)
 
 
-def longest(vehicle: Vehicle, lanes: Sequence[tuple[float, str]], end_s: float) -> str:
-    """The inertial unit that was in force the longest.
+def last_unit(vehicle: Vehicle, lanes: Sequence[tuple[float, str]]) -> str:
+    """The inertial unit that was in force last: the one that the smoothed track follows.
 
     Parameters
     ----------
     vehicle : Vehicle
     lanes : sequence of (float, str)
         Of `navfilter.Track.lanes`.
-    end_s : float
-        When the run ended [s].
     """
-    lasted = dict.fromkeys(vehicle.units, 0.0)
-    for (begin_s, name), until_s in zip(lanes, [*(time_s for time_s, _ in lanes[1:]), end_s], strict=True):
-        if name in lasted:
-            lasted[name] += until_s - begin_s
-    return max(lasted, key=lasted.__getitem__)
+    units = vehicle.units
+    return next((name for _, name in reversed(lanes) if name in units), next(iter(units)))

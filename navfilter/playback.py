@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from navfilter.alignment import align
 from navfilter.assembly import bar, forward_track, smoothed_track
 from navfilter.filter.tape import Tape
-from navfilter.lane_missions import longest, of_one_unit
+from navfilter.lane_missions import last_unit, of_one_unit
 from navfilter.lane_tracks import replayed_lanes
 from navfilter.learning.learned import learning_part
 from navfilter.learning.listener import ChannelSeries
@@ -207,7 +207,7 @@ def identified(
     if int(rounds) != rounds or rounds < 1:
         raise ValueError(f"rounds must be a whole number of at least 1, found {rounds!r}.")
     start = _start(vehicle, mission, start)
-    single, mission = _of_the_best_unit(vehicle, mission, start)
+    single, mission = _of_the_last_unit(vehicle, mission, start)
     now, apart = single, math.inf
     for number in range(1, int(rounds) + 1):
         before, now = now, refitted(single, residual_series(now, mission, names, start))
@@ -219,14 +219,12 @@ def identified(
     return vehicle.with_error(**{name: now.sensors[name].error for name in names})
 
 
-def _of_the_best_unit(vehicle: Vehicle, mission: Mission, start: Start) -> tuple[Vehicle, Mission]:
-    """A vehicle with lanes as if it had that inertial unit only which a replay has in force the longest; any other one
-    as it is.
-    """
+def _of_the_last_unit(vehicle: Vehicle, mission: Mission, start: Start) -> tuple[Vehicle, Mission]:
+    """A vehicle with lanes as if it had the unit alone that a replay has in force last; any other one as it is."""
     if not vehicle.lanes():
         return vehicle, mission
     lanes = replayed_lanes(vehicle, mission, start, 1.0, smooth=False, progress=False).lanes
-    return of_one_unit(vehicle, mission, longest(vehicle, lanes, mission.end_s))
+    return of_one_unit(vehicle, mission, last_unit(vehicle, lanes))
 
 
 def _start(vehicle: Vehicle, mission: Mission, start: Start | None) -> Start:
@@ -258,7 +256,7 @@ def residual_series(
     Parameters
     ----------
     vehicle : Vehicle
-        With lanes: as if it had that inertial unit only which a replay has in force the longest.
+        With lanes: as if it had that inertial unit only which a replay has in force last.
     mission : Mission
     sensors : sequence of str, optional
         Default: all that have readings of their own.
@@ -272,7 +270,7 @@ def residual_series(
         them.
     """
     start = _start(vehicle, mission, start)
-    vehicle, mission = _of_the_best_unit(vehicle, mission, start)
+    vehicle, mission = _of_the_last_unit(vehicle, mission, start)
     drive = drive_samples(vehicle, mission)
     # nothing is late: the same filter, without the history that lets late readings in
     nav = Navigator(vehicle, start, history_s=0.0, threads=False)

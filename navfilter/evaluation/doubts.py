@@ -17,7 +17,7 @@ from navfilter.evaluation.surfacing import Evidence
 from navfilter.filter.drive_watch import COUNTED
 from navfilter.filter.offsets import has_offset
 from navfilter.filter.tape import OUTCOMES, Residuals
-from navfilter.lane_missions import longest, of_one_unit
+from navfilter.lane_missions import last_unit, of_one_unit
 from navfilter.mission import Mission
 from navfilter.track import Track
 from navfilter.vehicle import DEAD_RECKONING
@@ -98,7 +98,7 @@ def doubts(run: Track, mission: Mission, evidence: Evidence, limits: Limits = LI
     """
     if run.vehicle.lanes():
         yield from _lanes(run)
-        unit = longest(run.vehicle, run.lanes, float(run.time_s[-1]))
+        unit = last_unit(run.vehicle, run.lanes)
         vehicle, mission = of_one_unit(run.vehicle, mission, unit)
         for finding in doubts(replace(run, vehicle=vehicle), mission, evidence, limits):
             yield replace(finding, stream=unit) if finding.stream == "imu" else finding

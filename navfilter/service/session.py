@@ -160,7 +160,8 @@ class Session:
             self._offset_s = self.nav.offset_s
             if self._ahead and self.nav.time_s > self._stopped_s:
                 self._ahead = 0
-                self._condition(self._drive_name, "good")
+                if not self._lanes:
+                    self._condition(self._drive_name, "good")
 
     def stop(self) -> None:
         """The end of the readings (of this run): what still waits is used, and the last state is told."""
@@ -205,7 +206,7 @@ class Session:
         outcome = self.nav.correct(reading.sensor, reading.time_s, reading.value, reading.sd)
         if outcome.status == "ahead":  # of the drive; a single one may as well have a wild stamp
             self._ahead, self._stopped_s = self._ahead + 1 if self._stopped_s == self.nav.time_s else 1, self.nav.time_s
-            if self._ahead >= self.AHEAD:
+            if self._ahead >= self.AHEAD and not self._lanes:  # lanes say so themselves
                 self._condition(self._drive_name, "silent")
         self._ticks()
 

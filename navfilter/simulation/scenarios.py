@@ -310,7 +310,7 @@ def _miscalibrated(duration_s: float) -> dict[str, Faults]:
 
 def _two_units() -> Vehicle:
     plain = survey_vehicle()
-    return Vehicle(imus={"a": plain.drive, "b": plain.drive}, sensors=plain.sensors, name="two-units")
+    return Vehicle(imus=dict.fromkeys("ab", plain.units["imu"]), sensors=plain.sensors, name="two-units")
 
 
 def _one_silent(duration_s: float) -> dict[str, Faults]:
