@@ -248,9 +248,9 @@ def unlogged(process: Forked, lines: list[bytes], whole: int, ended_s: float) ->
     seen = [time_s for read_s, time_s in process.seen if read_s < ended_s - ACKNOWLEDGED_S]
     if not seen:
         return 0
-    # where a clock was set, a state's time is not that of a line
-    known = next((k for k, line in enumerate(lines) if json.loads(line)["time_s"] > seen[-1]), 0)
-    return max(0, known - 1 - whole)
+    # of the lines of its own time a state may know the first ones only
+    known = next((k for k, line in enumerate(lines) if json.loads(line)["time_s"] >= seen[-1]), 0)
+    return max(0, known - whole)
 
 
 def schedule(dive: Dive, folder: Path, seed: int) -> dict[str, Any]:
