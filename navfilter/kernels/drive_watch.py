@@ -48,7 +48,7 @@ LEVEL_SD = 0.1  # gravity is held against accelerometers while roll and pitch ar
 JUDGED_S = 1.0  # how often the attitude is asked for: between, the reference turns with the gyros
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", _nrt=False)
 def look(samples, w, sd, limits, period_s, increments):
     """Look at samples in their order, and put what is known in place of what bad axes say: a gyro's rate is 0, an
     accelerometer's force that of a vehicle at rest.
@@ -152,7 +152,7 @@ def look(samples, w, sd, limits, period_s, increments):
     return samples.shape[0]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", _nrt=False)
 def _weigh(w, dt):
     """Hold the force that accelerometers say against the one at rest, and say what is wrong with all three."""
     unit = w[UNIT]

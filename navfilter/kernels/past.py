@@ -30,7 +30,7 @@ def _keyed(make):
 
 @_keyed
 def drive_outputs(sources):
-    @njit(cache=True)
+    @njit(cache=True, _nrt=False)
     def drive_outputs(drv, Cr, xd, rows, errors):
         """Rows (6, k) by which the drive's states make the errors of its six values now, and these errors (6,).
 
