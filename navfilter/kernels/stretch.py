@@ -7,7 +7,6 @@ checksum of those files: what a function encloses is part of numba's key.
 
 import math
 
-import numpy as np
 from numba import njit
 
 from navfilter.kernels import addresses, checksum, drive_watch, kalman, listen, past, strapdown
@@ -260,9 +259,9 @@ def _carried(sources):
         where Python has to heed what the watch over the drive has found, or to feel whether the vehicle rests.
 
         stamps: of the same samples; spot: last row of `plan`; drive: memory, Phi, Q and output rows of the drive, its
-        last samples (`MORE_RECENT` rows more than are needed), then what the watch remembers, and its standard deviations and limits; undone: see `listen`, empty
-        where nobody listens; out: rows, their info, records and their heads; work: a transition (m * m,), then (m, n)
-        for the fold.
+        last samples (`MORE_RECENT` rows more than are needed), then what the watch remembers, and its standard
+        deviations and limits; undone: see `listen`, empty where nobody listens; out: rows, their info, records and
+        their heads; work: a transition (m * m,), then (m, n) for the fold.
         """
         _ = sources
         m, n = acc.shape[1], P.shape[0]
