@@ -497,7 +497,7 @@ def test_smoother_goes_through_a_run_of_records_and_rows(holds, until):
 def test_kernels_that_do_not_count_references_return_no_arrays(name):
     # what they returned would be counted down by a caller that counts, without having been counted up
     for node in ast.walk(ast.parse((FOLDER / f"{name}.py").read_text())):
-        if isinstance(node, ast.FunctionDef) and any("_nrt=False" in ast.unparse(d) for d in node.decorator_list):
+        if isinstance(node, ast.FunctionDef) and any("UNCOUNTED" in ast.unparse(d) for d in node.decorator_list):
             returned = [part for part in ast.walk(node) if isinstance(part, ast.Return) and part.value is not None]
             slices = [part for given in returned for part in ast.walk(given) if isinstance(part, ast.Slice)]
             assert slices == [] or node.name == "_workspace", node.name

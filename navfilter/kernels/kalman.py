@@ -9,14 +9,18 @@ import math
 import numpy as np
 from numba import njit
 
+#: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
+UNCOUNTED: dict = {"_nrt": False}
+COUNTED: dict = {"_nrt": True}
 
-@njit(cache=True, _nrt=True)
+
+@njit(cache=True, **COUNTED)
 def _product(A, B, out):
     """A B into out, by BLAS. numba wants arrays that are counted for that, see `navfilter.kernels`."""
     np.dot(A, B, out)
 
 
-@njit(cache=True, _nrt=False)
+@njit(cache=True, **UNCOUNTED)
 def fold(P, acc, nav, T):
     """P <- Phi P Phi' + Q for the leading m states.
 
@@ -83,7 +87,7 @@ def fold(P, acc, nav, T):
             nav[6 + 3 * i + j] += 0.5 * (nav[6 + 3 * i + j] - (x * E[j] + y * E[3 + j] + z * E[6 + j]))
 
 
-@njit(cache=True, _nrt=True)
+@njit(cache=True, **COUNTED)
 def power(Phi, Q, count, W):
     """Phi^count and the noise gathered in as many ticks, by doubling. W (4, b, b): result Phi, result Q, and the square
     and its noise.
@@ -127,7 +131,7 @@ def power(Phi, Q, count, W):
         count //= 2
 
 
-@njit(cache=True, _nrt=False)
+@njit(cache=True, **UNCOUNTED)
 def tick(P, x, start, A, B, T):
     """Advance the block at `start` of the state (its own clock): x <- A x, P <- A P A' + B on its rows and columns. T:
     (b, n) work.
@@ -166,7 +170,7 @@ def tick(P, x, start, A, B, T):
         x[start - 9 + i] = T[i, 0]
 
 
-@njit(cache=True, _nrt=False)
+@njit(cache=True, **UNCOUNTED)
 def _invert(S):
     """The inverse of the upper half of S (2a, a), definite and symmetric, into its lower half (Gauss and Jordan)."""
     a = S.shape[1]
@@ -191,7 +195,7 @@ def _invert(S):
             S[a + j, i] = s
 
 
-@njit(cache=True, _nrt=False)
+@njit(cache=True, **UNCOUNTED)
 def innovation(P, H, res, R, S, PH, out):
     """Innovation covariance S = H P H' + R, its inverse, P H' and the normalised innovation squared (NIS).
 
@@ -252,7 +256,7 @@ def innovation(P, H, res, R, S, PH, out):
     out[0], out[1] = nis, used
 
 
-@njit(cache=True, _nrt=False)
+@njit(cache=True, **UNCOUNTED)
 def _less_twice(P, u, w):
     """P <- P - u w' - w u': symmetric to the bit where P was."""
     n = P.shape[0]
@@ -263,7 +267,7 @@ def _less_twice(P, u, w):
                 P[i, j] -= f * w[j] + g * u[j]
 
 
-@njit(cache=True, _nrt=False)
+@njit(cache=True, **UNCOUNTED)
 def correct(P, nav, x, res, S, PH, K, turn, T):
     """Closed-loop correction after `innovation`: gain, Joseph covariance, feedback into the nominal state, attitude
     reset.
@@ -339,7 +343,7 @@ def correct(P, nav, x, res, S, PH, K, turn, T):
             P[j, i] = s
 
 
-@njit(cache=True, _nrt=False)
+@njit(cache=True, **UNCOUNTED)
 def _reset_rows(M, x, y, z, cols):
     """Rows 6 to 8 of M from the left by G = I + [d x]/2 + [d x]^2/6."""
     for j in range(cols):
@@ -350,13 +354,13 @@ def _reset_rows(M, x, y, z, cols):
         M[8, j] = w + 0.5 * h + (x * g - y * f) / 6.0
 
 
-@njit(cache=True, _nrt=False)
+@njit(cache=True, **UNCOUNTED)
 def _reset_rows_transposed(M, x, y, z, cols):
     """Rows 6 to 8 of M from the left by G': the same with the rotation reversed."""
     _reset_rows(M, -x, -y, -z, cols)
 
 
-@njit(cache=True, _nrt=False)
+@njit(cache=True, **UNCOUNTED)
 def places(dims):
     """Where things stand in a channel's memory ``mem``: starts of H, K, inverse S, res, turn, then of S, PH, near,
     verdict, work, and the end.
@@ -379,7 +383,7 @@ def places(dims):
     return H, K, inverse, res, turn, S, PH, near, verdict, work, work + max(m, b, 2 * a) * n + 4 * b * b
 
 
-@njit(cache=True, _nrt=False)
+@njit(cache=True, **UNCOUNTED)
 def predict(P, nav, x, acc, model, mem, dims, count):
     """Before a reading: note the transition in `mem`, fold it, and tick the sensor's block `count` times. model: (2, b,
     b), Phi and Q.
@@ -412,7 +416,7 @@ def predict(P, nav, x, acc, model, mem, dims, count):
                 A[i, j] = 1.0 if i == j else 0.0
 
 
-@njit(cache=True, _nrt=False)
+@njit(cache=True, **UNCOUNTED)
 def update(P, nav, x, C, R, mem, dims, limits):
     """A reading, after its sensor filled `near` and `res` in `mem`: take the coloured error off, form the NIS, correct
     if it passes.
@@ -454,7 +458,7 @@ def update(P, nav, x, C, R, mem, dims, limits):
             mem[ii + i * a + j] = S[a + i, j]
 
 
-@njit(cache=True, _nrt=False)
+@njit(cache=True, **UNCOUNTED)
 def _whole_jacobian(H, near, C, start, head):
     """H (a, n) from the sensor's own near (a, 9 + parameters) and the output rows C of its error models; that of the
     drive's states (9 to `head`) stays.
@@ -471,7 +475,7 @@ def _whole_jacobian(H, near, C, start, head):
             H[i, start + errors + j - 9] = near[i, j]
 
 
-@njit(cache=True, _nrt=True)
+@njit(cache=True, **COUNTED)
 def _fits_without_some(P, H, near, C, R, S, PH, res, out, limits, start, head):
     """Whether the reading passes its gate when the components that contradict the others most are left out, one by one.
 
@@ -511,7 +515,7 @@ def _fits_without_some(P, H, near, C, R, S, PH, res, out, limits, start, head):
     return False
 
 
-@njit(cache=True, _nrt=False)
+@njit(cache=True, **UNCOUNTED)
 def smooth_record(L, lam, record, a, m, b, start, T):
     """Carry the adjoint (lam, L) backward over one tape record: reset, correction, tick, compound transition.
 
@@ -587,7 +591,7 @@ def smooth_record(L, lam, record, a, m, b, start, T):
     _head_transposed(L, lam, record[: m * m].reshape((m, m)), T.reshape(T.size))
 
 
-@njit(cache=True, _nrt=False)
+@njit(cache=True, **UNCOUNTED)
 def _transition_transposed(L, lam, Phi, start, b, T):
     """L <- Phi' L Phi and lam <- Phi' lam for a transition that touches b states from `start`."""
     n = len(lam)
@@ -628,7 +632,7 @@ def _transition_transposed(L, lam, Phi, start, b, T):
         lam[start + i] = T[0, i]
 
 
-@njit(cache=True, _nrt=False)
+@njit(cache=True, **UNCOUNTED)
 def _head_transposed(L, lam, Phi, work):
     """L <- Phi' L Phi and lam <- Phi' lam for a transition of the leading m states; work: (2 m^2 + m n,)."""
     m, n = Phi.shape[0], len(lam)
@@ -661,7 +665,7 @@ def _head_transposed(L, lam, Phi, work):
             L[j, i] = T[i, j]
 
 
-@njit(cache=True, _nrt=False)
+@njit(cache=True, **UNCOUNTED)
 def smooth_row(P, L, lam, mean, cov, T):
     """Smoothed error at an epoch: mean = -P lam, cov = P - P L P (symmetric). T: (n, n) work."""
     n = len(lam)
@@ -678,7 +682,7 @@ def smooth_row(P, L, lam, mean, cov, T):
             cov[j, i] = s
 
 
-@njit(cache=True, _nrt=False)
+@njit(cache=True, **UNCOUNTED)
 def smooth_run(L, lam, records, begins, heads, rows, firsts, holds, index, until, means, covs, T, U):
     """Carry the adjoint backward over a run of records, and give the smoothed error at every row of them, the latest
     first: `smooth_record` and `smooth_row` in one call.

@@ -18,6 +18,10 @@ import math
 import numpy as np
 from numba import njit
 
+#: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
+UNCOUNTED: dict = {"_nrt": False}
+COUNTED: dict = {"_nrt": True}
+
 EARTH_RADIUS = 6378137.0  # WGS-84 semi-major axis [m]
 EARTH_E2 = 6.69437999014e-3  # first eccentricity squared
 EARTH_RATE = 7.292115e-5  # [rad/s]
@@ -62,7 +66,7 @@ WIDE = 16  # columns of a panel: rows of so many stay in registers
 GAP_PERIODS = 3.0  # a silence of more than this many periods is a gap: what the vehicle did in it is unknown
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
 def radii(latitude):
     """Meridian and prime-vertical radius of curvature [m] (Groves, 2013, eqs 2.105-2.106)."""
     s = math.sin(latitude)
@@ -71,7 +75,7 @@ def radii(latitude):
     return prime * (1.0 - EARTH_E2) / x, prime
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
 def gravity(latitude, height):
     """Normal gravity [m/s^2]: Somigliana, linear in height (Groves, 2013, sec. 2.4.7)."""
     s2 = math.sin(latitude) ** 2
@@ -97,13 +101,13 @@ def _turned(a, b, x, y, z, u, v, w):
     return u + a * f + b * (y * h - z * g), v + a * g + b * (z * f - x * h), w + a * h + b * (x * g - y * f)
 
 
-@njit(cache=True, error_model="numpy", _nrt=True)
+@njit(cache=True, error_model="numpy", **COUNTED)
 def _product(A, B, out):
     """A B into out, by BLAS. numba wants arrays that are counted for that, see `navfilter.kernels`."""
     np.dot(A, B, out)
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _compound(acc, m):
     """Phi <- F Phi, Q <- F Q F' with F in the third block of acc; the fourth is the work area.
 
@@ -125,7 +129,7 @@ def _compound(acc, m):
             Q[i, j] = T[i, j]
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
 def stamps_to_steps(samples, last_s, limits, gap_s, longest_s):
     """Replace the stamps of a block (first column) by seconds since the sample before; returns the number of gaps
     longer than `gap_s`.
@@ -150,7 +154,7 @@ def stamps_to_steps(samples, last_s, limits, gap_s, longest_s):
     return gaps
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _clear_transition(F, m):
     for i in range(m):
         for j in range(m):
@@ -265,7 +269,7 @@ def integrate(nav, drv, samples, out):
                 out[n, i] = nav[i]
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _inertial_advance(nav, xd, inc, dt, drv, Cr, f):
     """One strapdown step with the drive's errors taken off; leaves the elements of its transition, of second order in
     dt, in f (34,) for `_inertial_carry`.
@@ -302,7 +306,7 @@ def _inertial_advance(nav, xd, inc, dt, drv, Cr, f):
     f[32], f[33] = 1.0 - dt * (down + tl * north), dt * east
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _inertial_carry(X, f, C, seen, gain, kinds, E, m, Phi_ends):
     """Rows 0 to 8 of X (panels of an (m, m) matrix) from the left by the transition of one step: attitude, then
     velocity with the mean attitude error, then position with the mean velocity error.
@@ -359,7 +363,7 @@ def _inertial_carry(X, f, C, seen, gain, kinds, E, m, Phi_ends):
             Z[6 * WIDE + j], Z[7 * WIDE + j], Z[8 * WIDE + j] = y6, y7, y8
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _tick_rows(X, Phid, diagonal, T, m):
     """Rows from 9 on of X (panels) from the left by the transition of the drive's blocks; T (k * WIDE,): work."""
     k = m - 9
@@ -384,7 +388,7 @@ def _tick_rows(X, Phid, diagonal, T, m):
             Z[j] = T[j]
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _transpose(X, m):
     """Of a matrix in panels, in place."""
     Z = X.reshape((X.size // WIDE, WIDE))
@@ -402,7 +406,7 @@ def _transpose(X, m):
                     B[j, i] = s
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _tick_drive(xd, Phid, Qd, diagonal, T, Q, m):
     """A tick of the drive's blocks: their mean, and their noise into Q (panels)."""
     k = m - 9
@@ -422,7 +426,7 @@ def _tick_drive(xd, Phid, Qd, diagonal, T, Q, m):
         xd[i] = T[i]
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _inertial_compound(xd, Phid, Qd, diagonal, ticks, C, f, seen, gain, kinds, E, T, both, Q, gathered):
     """Compound Phi <- F Phi, Q <- F Q F' with the step that `_inertial_advance` left in f; the drive's blocks tick, and
     their mean too.
@@ -447,7 +451,7 @@ def _inertial_compound(xd, Phid, Qd, diagonal, ticks, C, f, seen, gain, kinds, E
         _tick_drive(xd, Phid, Qd, diagonal, T, Q, m)
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _inertial_noise(dt, drv, Cr, Q, k):
     """White noise of one step, into the panels of Q: variance r per sample means an angle (velocity) variance r *
     period per second.
@@ -476,7 +480,7 @@ def _inertial_noise(dt, drv, Cr, Q, k):
                 Q[(3 + i) * WIDE + j] += speed * 0.5 * dt
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _uncalibrated(inc, dt, xd, drv, work, seen, gain):
     """Take the calibration errors off the increments, and note by how much (gain) each element of M enters: as the
     reading of its axis. Over no time at all that is no number, and nothing to speak of.
@@ -492,7 +496,7 @@ def _uncalibrated(inc, dt, xd, drv, work, seen, gain):
         drv[CALIBRATION + q] = xd[first + q]
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _which_errors(Cr, drv, seen, gain):
     """Which of the six readings (row 0 of seen) which of the drive's states (row 1) enters, and by how much (gain):
     first the states of its error models, then the elements of M, whose gains follow from the readings.
@@ -516,7 +520,7 @@ def _which_errors(Cr, drv, seen, gain):
     return count, (noisy, plain and noisy == 6)
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _is_diagonal(A):
     for i in range(A.shape[0]):
         for j in range(A.shape[0]):
@@ -525,7 +529,7 @@ def _is_diagonal(A):
     return True
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _to_panels(M, X):
     m = M.shape[0]
     Z = X.reshape((X.size // WIDE, WIDE))
@@ -537,7 +541,7 @@ def _to_panels(M, X):
                 A[i, j] = B[i, j]
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _from_panels(X, M):
     m = M.shape[0]
     Z = X.reshape((X.size // WIDE, WIDE))
@@ -549,13 +553,13 @@ def _from_panels(X, M):
                 B[i, j] = A[i, j]
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _ticks(span, drv):
     """How often the drive's blocks tick over a step: once per sample, those that are missing included."""
     return int(min(max(span / drv[PERIOD_S] + 0.5, 1.0), MOST_TICKS))
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _finish(xd, Phid, Qd, ticks, acc):
     """Complete the transition with the drive's blocks, compound it, and tick the blocks (their mean too)."""
     k = len(xd)
@@ -584,19 +588,19 @@ def _finish(xd, Phid, Qd, ticks, acc):
             xd[i] = W[0, i]
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _panels(m):
     """How many hold m columns."""
     return (m + WIDE - 1) // WIDE
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _room(m):
     """Elements of the work space of the inertial kernels for a head of m states."""
     return 40 + 6 * (m - 9) + (m - 3) * WIDE + 2 * ((m + WIDE - 1) // WIDE * m * WIDE)
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _workspace(floats, m):
     """Its parts: increments, elements of the transition, gains, rows of errors and of blocks, panels of Phi and Q."""
     k, size = m - 9, (m + WIDE - 1) // WIDE * m * WIDE
@@ -618,7 +622,7 @@ def imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
     _imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc, np.zeros(_room(9 + k)), np.empty((2, 6 * k), np.int64))
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc, floats, seen):
     k = len(xd)
     m = 9 + k
@@ -657,7 +661,7 @@ def imu_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc):
     _imu_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc, np.zeros(_room(9 + k)), np.empty((2, 6 * k), np.int64))
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _imu_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc, floats, seen):
     k = len(xd)
     m = 9 + k
@@ -684,7 +688,7 @@ def _imu_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc, floats, seen):
     _from_panels(Q, acc[m : 2 * m])
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _move(nav, dn, de, dd):
     """Move the nominal position by metres in n."""
     dlat = dn / nav[15]
@@ -695,7 +699,7 @@ def _move(nav, dn, de, dd):
     nav[15], nav[16] = rn + nav[2], re + nav[2]
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _position_rows(nav, F, dt, m):
     """Add what the curved Earth does to a position error carried `dt` with the present velocity (small terms)."""
     tl = math.tan(nav[0])
@@ -706,7 +710,7 @@ def _position_rows(nav, F, dt, m):
     F[1, 2] += dt * nav[4] / nav[16]
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _turn_arm(F, l0, per):
     """What an attitude error before the step does to the velocity of the lever arm."""
     F[3, 7] += per * l0[2]
@@ -717,7 +721,7 @@ def _turn_arm(F, l0, per):
     F[5, 7] -= per * l0[0]
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _arm_columns(F, drv, nav, C, B, missing, per, half, arm):
     """What an error of the lever arm does to velocity and position of a step, and in drv the turn for the next one.
 
@@ -737,7 +741,7 @@ def _arm_columns(F, drv, nav, C, B, missing, per, half, arm):
             drv[ARM_TURN + 3 * i + j] = per * (C[i, j] - nav[6 + 3 * i + j])
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _change(drv, samples, n, missing):
     """How fast the readings change [unit/s], in drv: the difference from the last ones, a little smoothed; 0 over gaps
     and while the velocity is lost.
@@ -995,7 +999,7 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
         drv[STARTED] = 1.0
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
 def dead_reckoning_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc):
     """Carry the position `dt` seconds past the last sample with the last velocity; the blocks do not tick.
 

@@ -11,6 +11,9 @@ from numba import njit
 
 from navfilter.kernels import addresses, checksum, drive_watch, kalman, listen, past, strapdown
 
+#: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
+UNCOUNTED: dict = {"_nrt": False}
+
 SOURCES = checksum(addresses, drive_watch, kalman, listen, past, strapdown)
 
 
@@ -62,7 +65,7 @@ DONE, NEXT, REFUSED, JUDGED, FULL, HEED, LEARN = range(7)
 
 @_keyed
 def _bent(sources):
-    @njit(cache=True, _nrt=False)
+    @njit(cache=True, **UNCOUNTED)
     def _bent(bench, spot, P, nav, near, z, variance, R):
         """The white covariance of a reading, with what its equation leaves out."""
         _ = sources
@@ -86,7 +89,7 @@ def _bent(sources):
 
 @_keyed
 def correction(sources):
-    @njit(cache=True, _nrt=False)
+    @njit(cache=True, **UNCOUNTED)
     def correction(bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count, since_s):
         """A reading, from the fold before it to the verdict: `kalman.predict`, the kernel of its kind, `kalman.update`.
 
@@ -148,7 +151,7 @@ def correction(sources):
 
 @_keyed
 def _note_row(sources):
-    @njit(cache=True, _nrt=False)
+    @njit(cache=True, **UNCOUNTED)
     def _note_row(now, cursor, interval_s, nav, x, P, rows, info):
         """Write the state down as a row: the last note of a time stands, those closer than the interval are skipped.
 
@@ -185,7 +188,7 @@ def _note_row(sources):
 
 @_keyed
 def _note_record(sources):
-    @njit(cache=True, _nrt=False)
+    @njit(cache=True, **UNCOUNTED)
     def _note_record(record, axes, dims, cursor, records, heads):
         """Write a record for the smoother: nothing where `records` is empty. heads (r, 5): size, axes, head, size and
         start of the ticked block.
@@ -210,7 +213,7 @@ def _note_record(sources):
 
 @_keyed
 def _heeded(sources):
-    @njit(cache=True, _nrt=False)
+    @njit(cache=True, **UNCOUNTED)
     def _heeded(w, nav, P, period_s):
         """While all axes are good, `navfilter.filter.drive_watch.DriveWatch.heed`: the reference of gravity is due."""
         _ = sources
@@ -234,7 +237,7 @@ def _heeded(sources):
 
 @_keyed
 def _remember(sources):
-    @njit(cache=True, _nrt=False)
+    @njit(cache=True, **UNCOUNTED)
     def _remember(block, recent, cursor):
         """Put the samples of a block before the last ones, the newest first."""
         _ = sources
@@ -253,7 +256,7 @@ def _remember(sources):
 
 @_keyed
 def _carried(sources):
-    @njit(cache=True, _nrt=False)
+    @njit(cache=True, **UNCOUNTED)
     def _carried(now, cursor, settings, spot, P, nav, x, acc, drive, samples, stamps, undone, out, work):
         """Carry the state over a block of steps (see `strapdown.stamps_to_steps`), folding as often as is due; False
         where Python has to heed what the watch over the drive has found, or to feel whether the vehicle rests.
@@ -306,7 +309,7 @@ def _carried(sources):
 
 @_keyed
 def _seen(sources):
-    @njit(cache=True, _nrt=False)
+    @njit(cache=True, **UNCOUNTED)
     def _seen(watch, time_s, same):
         """Note that a reading arrives, as `navfilter.filter.health.Watch.sees` does; same: with the value before."""
         _ = sources
@@ -320,7 +323,7 @@ def _seen(sources):
 
 @_keyed
 def _fared(sources):
-    @njit(cache=True, _nrt=False)
+    @njit(cache=True, **UNCOUNTED)
     def _fared(watch, time_s, nis, dof):
         """Note that a reading was used, as `navfilter.filter.health.Watch.note` does."""
         _ = sources
@@ -335,7 +338,7 @@ def _fared(sources):
 
 @_keyed
 def _listened(sources):
-    @njit(cache=True, _nrt=False)
+    @njit(cache=True, **UNCOUNTED)
     def _listened(cursor, settings, bench, own, nav, x, Cr, t, ticks, undone, ear, places, opened):
         """What `navfilter.learning.schedule.LearningSchedule` does after a reading that was used; True when something
         is to be learnt. own: row of `plan`; ear, places, opened: see `stretch`.
@@ -373,7 +376,7 @@ def _listened(sources):
 
 @_keyed
 def stretch(sources):
-    @njit(cache=True, nogil=True, _nrt=False)
+    @njit(cache=True, nogil=True, **UNCOUNTED)
     def stretch(
         now, cursor, settings, bench, plan, heard, watched, state, drive, samples, stamps, limits, hearing, given, out
     ):
