@@ -54,6 +54,8 @@ STALE_S = 2.0
 PROBATION_S = WINDOW_S
 #: One in so many comparisons is kept for a report: one a second.
 HISTORY = round(1.0 / STEP_S)
+#: A NIS counts at most so much [1]: its exponential is zero long before.
+LARGE = 1400.0
 #: Columns of what is gathered: gain, what was to be gained more, components judged, their NIS.
 GAIN, SHORT, JUDGED, NIS = 0, 1, 2, 3
 #: Of a velocity and a lane: since when and until when it contradicts it [s], the largest change from reading to reading
@@ -79,6 +81,9 @@ class ChoiceMemory:
         Step at which each lane has begun anew; minus infinity: with the run.
     doubted : ndarray, shape (lanes,)
         1: something has been wrong with it, and it is to begin anew.
+    ahead : ndarray, shape (lanes,)
+        No later part of the last minute has given a lane more than this before the one in force [nat] (Page, 1954):
+        only beyond `MARGIN` the parts are looked at.
     away : ndarray, shape (lanes, velocities, 3 + 2 axes)
         Since when and until when a velocity contradicts a lane [s] (NaN: it does not), its largest change from reading
         to reading, by how much at first, and at last [m/s].
@@ -93,6 +98,7 @@ class ChoiceMemory:
     ring: Array
     begun: Array
     doubted: Array
+    ahead: Array
     away: Array
     why: Array
 
@@ -159,6 +165,7 @@ class Choice:
             ring=np.zeros((STEPS, *shape)),
             begun=np.full(len(inertial), -math.inf),
             doubted=np.zeros(len(inertial)),
+            ahead=np.zeros(len(inertial)),
             away=np.full(away, math.nan),
             why=np.zeros((3, len(self.names))),
         )
@@ -184,29 +191,29 @@ class Choice:
         self, lane: int, sensor: int, time_s: float, residual: Sequence[float], variance: Sequence[float]
     ) -> None:
         """What a lane foretold of a reading: measured minus foretold, and variance of that, by component."""
-        into = self.memory.gathered[lane, sensor]
-        most = 0.0
+        gained = short = judged = nis = most = 0.0
         for e, v, sd in zip(residual, variance, self._sd[sensor], strict=True):
             if v > 0.0 and math.isfinite(v) and not math.isnan(e):
-                level = RATIO * sd / math.sqrt(v)
-                gain = math.log1p(level * math.exp(-0.5 * min(e * e / v, 1400.0)))
-                into[GAIN] += gain
-                into[SHORT] += math.log1p(level * math.exp(-0.5)) - gain
-                into[JUDGED] += 1.0
-                into[NIS] += e * e / v
-                most = max(most, e * e / v)
+                level, square = RATIO * sd / math.sqrt(v), min(e * e / v, LARGE)
+                gain = math.log1p(level * math.exp(-0.5 * square))
+                gained, judged, nis, most = gained + gain, judged + 1.0, nis + square, max(most, square)
+                short += math.log1p(level * math.exp(-0.5)) - gain
+        self.memory.gathered[lane, sensor] += (gained, short, judged, nis)
         if sensor in self._velocity:
-            away = self.memory.away[lane, self._velocity.index(sensor)]
-            if most <= CONTRADICTS:
-                away[SINCE] = math.nan
-                return
-            off = np.zeros(self._axes)
-            off[: len(residual)] = np.nan_to_num(residual)
-            if math.isnan(away[SINCE]):
-                away[SINCE], away[LARGEST] = time_s, 0.0
-                away[FIRST : FIRST + self._axes] = away[FIRST + self._axes :] = off
-            step = float(np.linalg.norm(off - away[FIRST + self._axes :]))
-            away[UNTIL], away[LARGEST], away[FIRST + self._axes :] = time_s, max(away[LARGEST], step), off
+            self._contradict(self.memory.away[lane, self._velocity.index(sensor)], time_s, residual, most)
+
+    def _contradict(self, away: Array, time_s: float, residual: Sequence[float], nis: float) -> None:
+        """Note how far a velocity contradicts a lane."""
+        if nis <= CONTRADICTS:
+            away[SINCE] = math.nan
+            return
+        off = np.zeros(self._axes)
+        off[: len(residual)] = np.nan_to_num(residual)
+        if math.isnan(away[SINCE]):
+            away[SINCE], away[LARGEST] = time_s, 0.0
+            away[FIRST : FIRST + self._axes] = away[FIRST + self._axes :] = off
+        step = float(np.linalg.norm(off - away[FIRST + self._axes :]))
+        away[UNTIL], away[LARGEST], away[FIRST + self._axes :] = time_s, max(away[LARGEST], step), off
 
     def decide_until(self, until_s: float, *, behind: bool = False) -> list[tuple[float, int, str]]:
         """Compare the lanes as often as is due before a time, or up to it (`behind`): from when [s] which is chosen,
@@ -230,13 +237,19 @@ class Choice:
         memory.step += 1
         memory.ring[memory.step % STEPS] = memory.gathered
         memory.gathered[:] = 0.0
-        now = memory.lane
-        short = self._short()
+        now, newest = memory.lane, memory.ring[memory.step % STEPS, :, :, GAIN].sum(axis=1)
+        missed = self._missed()
+        short = missed.sum(axis=1)
         memory.doubted[self._inertial & (short - short[now] > MARGIN)] = 1.0
+        memory.ahead = np.maximum(memory.ahead + newest - newest[now], 0.0)
+        calm = np.isnan(memory.away[now, :, SINCE]).all() and not (missed[now] - missed > ALONE).any()
+        if calm and not (memory.ahead > MARGIN).any():
+            return False
         newest_first = (memory.step - np.arange(STEPS)) % STEPS
         gains = np.cumsum(memory.ring[newest_first, :, :, GAIN], axis=0)
         more = gains.sum(axis=2)
         more -= more[:, now : now + 1]
+        memory.ahead = np.maximum(more.max(axis=0), 0.0)
         ready = self._inertial & (memory.doubted == 0.0) & (memory.step - memory.begun >= PROBATION_S / STEP_S)
         ready &= (more > MARGIN).any(axis=0)
         best = now if not ready.any() else int(np.argmax(np.where(ready, more.max(axis=0), -math.inf)))
@@ -244,7 +257,7 @@ class Choice:
         for lane in np.flatnonzero(~self._inertial).tolist():
             each = gains[:, lane] - gains[:, best]
             both = (each.sum(axis=1) > MARGIN) & ((each > SECOND).sum(axis=1) > 1)
-            single = np.array([self._run_away(best, lane), self._carried_off(best, lane)])
+            single = np.array([self._run_away(best, lane), self._carried_off(missed, best, lane)])
             if both.any() or single.any():
                 best, beside = lane, single * (not both.any())
                 span = int(np.argmax(both)) if both.any() else STEPS - 1
@@ -253,6 +266,7 @@ class Choice:
         memory.why[:] = gains[span, best] - gains[span, now], *beside
         memory.doubted[now] = float(self._inertial[now])
         memory.lane = best
+        memory.ahead[:] = math.inf
         return True
 
     def _run_away(self, lane: int, other: int) -> Array:
@@ -275,24 +289,21 @@ class Choice:
         first, last = away[:, : self._axes], away[:, self._axes :]
         return np.linalg.norm(last - first, axis=1), np.linalg.norm(first, axis=1)
 
-    def _carried_off(self, lane: int, other: int) -> Array:
+    def _carried_off(self, missed: Array, lane: int, other: int) -> Array:
         """How much each velocity contradicts a lane, and not another one [nat], where it does for longer than one that
         errs itself would, and has not jumped; else zero.
         """
-        whole = self.memory.ring[:, :, self._velocity].sum(axis=0)
-        most = whole[:, :, JUDGED].max(axis=0)
-        short = whole[:, :, SHORT] + FULL * (most - whole[:, :, JUDGED])
-        more = short[lane] - short[other]
-        found = np.zeros(len(self.names))
+        most = self.memory.ring[:, :, self._velocity, JUDGED].sum(axis=0).max(axis=0)
+        more, found = (missed[lane] - missed[other])[self._velocity], np.zeros(len(self.names))
         moved, first = self._moved(lane)
         found[self._velocity] = np.where((more > ALONE) & (more > SHARE * FULL * most) & ~(first > moved), more, 0.0)
         return found
 
-    def _short(self) -> Array:
-        """By lane, what was to be gained more in the last minute."""
+    def _missed(self) -> Array:
+        """By lane and sensor, what was to be gained more in the last minute."""
         whole = self.memory.ring.sum(axis=0)
-        missed = whole[:, :, JUDGED].max(axis=0) - whole[:, :, JUDGED]
-        return np.asarray((whole[:, :, SHORT] + FULL * missed).sum(axis=1))
+        judged = whole[:, :, JUDGED]
+        return np.asarray(whole[:, :, SHORT] + FULL * (judged.max(axis=0) - judged))
 
     def means(self) -> tuple[Array, Array]:
         """Of the last minute, by lane: mean gain of a component that any lane foretold, and mean NIS of its own."""
@@ -310,7 +321,7 @@ class Choice:
         memory = self.memory
         memory.ring[:, lane], memory.gathered[lane] = memory.ring[:, memory.lane], memory.gathered[memory.lane]
         memory.begun[lane], memory.doubted[lane] = memory.step, 0.0
-        memory.away[lane] = math.nan
+        memory.away[lane], memory.ahead[lane] = math.nan, math.inf
 
 
 def _sds(sensor: Sensor) -> list[float]:
