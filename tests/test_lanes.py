@@ -145,6 +145,28 @@ def test_a_lane_that_says_nothing_is_short_of_all_that_was_foretold():
     assert choice.memory.lane == 1 and choice.to_begin_anew() == [0]
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_looking_at_the_parts_of_the_minute_only_where_it_matters_changes_nothing(seed):
+    """Page's bound spares most looks; with a bound of infinity every step looks."""
+    sensors = {"compass": nf.Heading(error=nf.White(sd=0.01)), "depth": nf.Depth(error=nf.White(sd=0.1))}
+    found = []
+    for bounded in (True, False):
+        rng, choice, changes = np.random.default_rng(seed), Choice([True, True, False], sensors, 0.0), []
+        for k in range(600):
+            if not bounded:
+                choice.memory.ahead[:] = math.inf
+            changes += choice.decide_until((k + 0.5) * STEP_S)
+            bad = (k // 120) % 3
+            for lane in range(3):
+                for sensor, sd in enumerate((0.01, 0.1)):
+                    error = rng.normal() * sd * (4.0 if lane == bad else 1.0)
+                    choice.hear(lane, sensor, k * STEP_S, [error], [(sd * (3.0 if lane == 2 else 1.0)) ** 2])
+            for lane in choice.to_begin_anew() if k % 100 == 99 else []:
+                choice.begun_anew(lane)
+        found.append(changes)
+    assert found[0] == found[1] and len(found[0]) > 1
+
+
 RATE_HZ, SD = 4.0, 0.01
 
 
