@@ -49,8 +49,9 @@ class ChannelMemory:
         to it [s].
     refused : Refusals or None
         What the readings that have been refused since say together.
-    astray : bool
-        Its slow error came to be beyond belief, and no reading has agreed with the state since.
+    astray_m : float
+        Its slow error came to be beyond belief, and no reading has agreed with the state since: the way made in the
+        periods of those that were heard; NaN where it is not so [m].
     alone : tuple of float
         Of a compass to which the heading was set against what was believed before, until something else confirms that:
         by what angle [rad], latitude and longitude then [rad].
@@ -66,15 +67,20 @@ class ChannelMemory:
     used_s: float = -math.inf
     agreed_s: float = math.nan
     refused: Refusals | None = None
-    astray: bool = False
+    astray_m: float = math.nan
     alone: tuple[float, ...] = ()
     same_s: float = math.nan
     again_s: float = math.nan
     last: Array = field(default_factory=lambda: np.zeros(0))
 
+    @property
+    def astray(self) -> bool:
+        """Whether its slow error came to be beyond belief, and no reading has agreed with the state since."""
+        return not math.isnan(self.astray_m)
+
     def use(self, time_s: float) -> None:
         """Note that a reading of this time has been used."""
-        self.rejected_since_s, self.used_s, self.refused, self.astray = math.nan, time_s, None, False
+        self.rejected_since_s, self.used_s, self.refused, self.astray_m = math.nan, time_s, None, math.nan
         if math.isnan(self.agreed_s):
             self.agreed_s = time_s
 
