@@ -49,6 +49,10 @@ class ChannelMemory:
         to it [s].
     refused : Refusals or None
         What the readings that have been refused since say together.
+    ramp : tuple of float
+        Sums of the straight line through the residuals of a velocity that have been refused since (`ramp`).
+    disputed_s : float
+        When a velocity was last refused for long that had not confirmed the state before [s].
     astray_m : float
         Its slow error came to be beyond belief, and no reading has agreed with the state since: the way made in the
         periods of those that were heard; NaN where it is not so [m].
@@ -67,6 +71,8 @@ class ChannelMemory:
     used_s: float = -math.inf
     agreed_s: float = math.nan
     refused: Refusals | None = None
+    ramp: tuple[float, ...] = ()
+    disputed_s: float = -math.inf
     astray_m: float = math.nan
     alone: tuple[float, ...] = ()
     same_s: float = math.nan

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.filter import agreement, gating, realignment
+from navfilter.filter import agreement, gating, ramp, realignment
 from navfilter.filter.adoption import Change
 from navfilter.filter.belief import beyond_belief, excused, pulled
 from navfilter.filter.channel import Channel
@@ -55,6 +55,9 @@ def let_in(filter: Filter, channel: Channel, time_s: float, nis: float, dof: int
         kept.refused = None
         return False
     if channel.moves:
+        filter.accused = ramp.accused(filter, channel, time_s)
+        if filter.accused is not None:
+            return False
         filter.tilted = realignment.tilted(filter, channel, time_s)
         if filter.tilted:
             return False
@@ -159,6 +162,10 @@ def _gone_astray(filter: Filter, channel: Channel) -> None:
 
 def take_up(filter: Filter, tell: Callable[[Event], None]) -> None:
     """Do what refused readings have made necessary, before the next input."""
+    if filter.accused is not None:
+        slope, filter.accused = filter.accused, None
+        filter.jumps.accused(filter, slope)
+        realignment.set_anew(filter, tell)
     if filter.tilted:
         filter.tilted = False
         realignment.set_anew(filter, tell)
