@@ -34,6 +34,10 @@ CLOCK_SDS = 4.0
 STILL_SDS = 3.0
 
 
+#: A sensor that has been refused for so long, and then used again, was wrong itself [s].
+DISPUTED_S = 1.0
+
+
 @dataclass
 class ChannelMemory:
     """What is remembered of a sensor.
@@ -52,7 +56,7 @@ class ChannelMemory:
     ramp : tuple of float
         Sums of the straight line through the residuals of a velocity that have been refused since (`ramp`).
     disputed_s : float
-        When a velocity was last refused for long that had not confirmed the state before [s].
+        When it was last refused for long although nothing was wrong with the drive [s].
     astray_m : float
         Its slow error came to be beyond belief, and no reading has agreed with the state since: the way made in the
         periods of those that were heard; NaN where it is not so [m].
@@ -86,6 +90,8 @@ class ChannelMemory:
 
     def use(self, time_s: float) -> None:
         """Note that a reading of this time has been used."""
+        if time_s - self.rejected_since_s >= DISPUTED_S:
+            self.disputed_s = time_s
         self.rejected_since_s, self.used_s, self.refused, self.astray_m = math.nan, time_s, None, math.nan
         if math.isnan(self.agreed_s):
             self.agreed_s = time_s

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from navfilter.filter.channel import DISPUTED_S
 from navfilter.kernels import drive_watch as kernel
 from navfilter.state import NavState
 
@@ -33,9 +34,9 @@ READINGS, RAMP_S, SLOPE_SDS, BEGAN = 8, 1.5, 8.0, 0.5
 USED_S, WAY_M = 60.0, 50.0
 #: While the vehicle turns faster, nothing is accused [rad/s]: what is described wrongly shows then, and not after.
 TURNING = 0.05
-#: One that was refused for so long [s] without that may not do so for the time after that in which it has to follow
-#: turns and changes of speed [s].
-DISPUTED_S, AFTER_S = 1.0, 600.0
+#: One that was refused for long, or has jumped, may not do so for the time after that in which it has to follow turns
+#: and changes of speed [s].
+AFTER_S = 600.0
 
 
 def accused(filter: Filter, channel: Channel, time_s: float) -> float | None:

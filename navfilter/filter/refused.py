@@ -194,7 +194,7 @@ def _jumped(filter: Filter, channel: Channel, time_s: float) -> None:
     else:
         memory.P[places, places] += size**2
         kept.refused = None
-    kept.rejected_since_s = time_s
+    kept.rejected_since_s = kept.disputed_s = time_s
     memory.counts["jumped"] += 1
 
 
