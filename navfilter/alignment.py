@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.constants import STANDARD_GRAVITY
+from navfilter.lane_missions import of_one_unit
 from navfilter.mechanisation import Mechanisation
 from navfilter.mission import Mission, Stream
 from navfilter.start import Start
@@ -53,6 +54,8 @@ def align(vehicle: Vehicle, mission: Mission, window_s: float = 5.0) -> Start:
     ValueError
         When there is no position, no source of heading, or the vehicle moves too hard to be levelled.
     """
+    if vehicle.lanes():
+        return _by_the_first_unit(vehicle, mission, window_s)
     place, place_sd, first_s = _first_fix(vehicle, mission, window_s)
     drive = mission.streams.get(vehicle.drive.streams[0])
     if drive is None or not len(drive):
@@ -91,6 +94,17 @@ def align(vehicle: Vehicle, mission: Mission, window_s: float = 5.0) -> Start:
         heading_sd_deg=float(np.degrees(heading_sd)),
         date=mission.date,
     )
+
+
+def _by_the_first_unit(vehicle: Vehicle, mission: Mission, window_s: float) -> Start:
+    """By the first of several inertial units that allows it."""
+    reasons = []
+    for name in vehicle.units:
+        try:
+            return align(*of_one_unit(vehicle, mission, name), window_s)
+        except ValueError as error:
+            reasons.append(f"{name}: {error}")
+    raise ValueError(" ".join(dict.fromkeys(reasons)))
 
 
 def _stream(vehicle: Vehicle, mission: Mission, what: str) -> tuple[Stream, Any] | None:

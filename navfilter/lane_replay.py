@@ -9,19 +9,19 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.alignment import align
 from navfilter.filter.lane_choice import Choice
 from navfilter.filter.tape import Tape
-from navfilter.lane_clock import UPRIGHT, coasting_times, edge_after, level_times
+from navfilter.lane_clock import edge_after
+from navfilter.lane_missions import lane_mission
 from navfilter.lanes import begin_anew, choice_of, to_begin_anew
-from navfilter.mission import Mission, Stream
+from navfilter.mission import Mission
 from navfilter.navigator import Navigator
 from navfilter.passage import Passage
 from navfilter.recorded import drive_samples, readings_of
 from navfilter.start import Start
-from navfilter.vehicle import DEAD_RECKONING, LEVEL, Vehicle
+from navfilter.vehicle import Vehicle
 
-__all__ = ["LaneReplay", "Piece", "align_lanes", "lane_mission"]
+__all__ = ["LaneReplay", "Piece"]
 
 Array = NDArray[np.float64]
 
@@ -50,46 +50,6 @@ class Piece:
     rows: int = 0
     transition: Array = field(default_factory=lambda: np.zeros((0, 0)))
     M: Array = field(default_factory=lambda: np.zeros((0, 0)))
-
-
-def lane_mission(vehicle: Vehicle, mission: Mission, name: str, start: Start | None = None) -> Mission:
-    """A mission as one lane reads it: its unit as "imu"; without a unit, a clock, and that the vehicle is level.
-
-    Raises
-    ------
-    ValueError
-        When the unit has no stream.
-    """
-    if name == DEAD_RECKONING:
-        assert start is not None
-        times = coasting_times(start, vehicle.lanes()[name].drive.rate_hz, 1, mission.end_s)
-        level = level_times(start, 1, mission.end_s)
-        mission = mission.with_stream("imu", Stream(times, np.zeros((len(times), 6))))
-        return mission.with_stream(LEVEL, Stream(level, np.tile(UPRIGHT, (len(level), 1))))
-    if name not in mission.streams:
-        have = ", ".join(mission.streams) or "none"
-        raise ValueError(
-            f'"{name}" has no stream in this mission (streams: {have}); it is an inertial unit of the vehicle. Add '
-            f"[streams.{name}] to the mission.toml, or take [imus.{name}] out of the vehicle.toml."
-        )
-    return mission.with_stream("imu", mission.streams[name])
-
-
-def align_lanes(vehicle: Vehicle, mission: Mission, window_s: float = 5.0) -> Start:
-    """A start from a mission's first readings, by the first inertial unit that allows one.
-
-    Raises
-    ------
-    ValueError
-        When none of them does.
-    """
-    reasons = []
-    for name in vehicle.units:
-        try:
-            return align(vehicle.lanes()[name], lane_mission(vehicle, mission, name), window_s)
-        except ValueError as error:
-            reasons.append(f"{name}: {error}")
-    raise ValueError(" ".join(dict.fromkeys(reasons)))
 
 
 class LaneReplay:

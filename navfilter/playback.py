@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from navfilter.alignment import align
 from navfilter.assembly import bar, forward_track, smoothed_track
 from navfilter.filter.tape import Tape
-from navfilter.lane_replay import align_lanes
+from navfilter.lane_missions import last_unit, of_one_unit
 from navfilter.lane_tracks import replayed_lanes
 from navfilter.learning.learned import learning_part
 from navfilter.learning.listener import ChannelSeries
@@ -120,6 +120,9 @@ def replay_heard(
     if learns(vehicle):
         raise ValueError("this vehicle learns: replay it, and take the residuals by residual_series.")
     start = _start(vehicle, mission, start)
+    if vehicle.lanes():
+        track = replayed_lanes(vehicle, mission, start, output_rate_hz, smooth=smooth, progress=False)
+        return track, residual_series(vehicle, mission, sensors, start) if sensors else {}
     track, nav = _replayed(vehicle, mission, start, Tape(output_rate_hz, smoothable=smooth), False, sensors)
     return track, {name: nav.heard(name) for name in sensors}
 
@@ -204,15 +207,24 @@ def identified(
     if int(rounds) != rounds or rounds < 1:
         raise ValueError(f"rounds must be a whole number of at least 1, found {rounds!r}.")
     start = _start(vehicle, mission, start)
-    now, apart = vehicle, math.inf
+    single, mission = _of_the_last_unit(vehicle, mission, start)
+    now, apart = single, math.inf
     for number in range(1, int(rounds) + 1):
-        before, now = now, refitted(vehicle, residual_series(now, mission, names, start))
+        before, now = now, refitted(single, residual_series(now, mission, names, start))
         apart = change(before, now)
         if report is not None:
             report(number, apart)
         if apart < SETTLED:
             break
-    return now
+    return vehicle.with_error(**{name: now.sensors[name].error for name in names})
+
+
+def _of_the_last_unit(vehicle: Vehicle, mission: Mission, start: Start) -> tuple[Vehicle, Mission]:
+    """A vehicle with lanes as if it had the unit alone that a replay has in force last; any other one as it is."""
+    if not vehicle.lanes():
+        return vehicle, mission
+    lanes = replayed_lanes(vehicle, mission, start, 1.0, smooth=False, progress=False).lanes
+    return of_one_unit(vehicle, mission, last_unit(vehicle, lanes))
 
 
 def _start(vehicle: Vehicle, mission: Mission, start: Start | None) -> Start:
@@ -220,7 +232,7 @@ def _start(vehicle: Vehicle, mission: Mission, start: Start | None) -> Start:
         return start
     if mission.start is not None:
         return mission.start
-    return align_lanes(vehicle, mission) if vehicle.lanes() else align(vehicle, mission)
+    return align(vehicle, mission)
 
 
 def _run(nav: Navigator, times: Array, values: Array, events: Readings, progress: bool) -> None:
@@ -244,6 +256,7 @@ def residual_series(
     Parameters
     ----------
     vehicle : Vehicle
+        With lanes: as if it had that inertial unit only which a replay has in force last.
     mission : Mission
     sensors : sequence of str, optional
         Default: all that have readings of their own.
@@ -256,8 +269,9 @@ def residual_series(
         One series per axis: readings minus the prediction of an open loop, with the known noise of what else is in
         them.
     """
-    drive = drive_samples(vehicle, mission)
     start = _start(vehicle, mission, start)
+    vehicle, mission = _of_the_last_unit(vehicle, mission, start)
+    drive = drive_samples(vehicle, mission)
     # nothing is late: the same filter, without the history that lets late readings in
     nav = Navigator(vehicle, start, history_s=0.0, threads=False)
     names = [name for name, sensor in vehicle.sensors.items() if sensor.open_loop] if sensors is None else list(sensors)
@@ -272,6 +286,7 @@ def at_the_end(vehicle: Vehicle, mission: Mission, start: Start | None = None) -
     Parameters
     ----------
     vehicle : Vehicle
+        Without lanes, see `navfilter.lane_missions.of_one_unit`.
     mission : Mission
     start : Start, optional
         As in `replay`.

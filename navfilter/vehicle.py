@@ -111,6 +111,11 @@ class Vehicle:
             return dict(self.imus)
         return {"imu": self.drive} if self.drive.inertial else {}  # type: ignore[dict-item]
 
+    @property
+    def driving(self) -> dict[str, Mechanisation]:
+        """What carries the state, by the names of the streams that it reads."""
+        return dict(self.imus) or dict.fromkeys(self.drive.streams, self.drive)
+
     def lanes(self) -> dict[str, Vehicle]:
         """What is run side by side: a vehicle with a single drive for each inertial unit, and one without any; empty
         for a vehicle with one drive and no lane beside it.
@@ -159,24 +164,30 @@ class Vehicle:
 
     def with_error(self, **models: ErrorModel | tuple[ErrorModel, ...]) -> Vehicle:
         """The same vehicle with other error models, by sensor name (``gyro``, ``accel``, ``attitude``, ``velocity`` for
-        the drive; of several units, for each).
+        the drive; of several units, for each, or with the name of one: ``a.gyro``).
         """
         drives: dict[str, Any] = dict(self.imus) or {"": self.drive}
         sensors = dict(self.sensors)
-        for key, model in models.items():
-            if key in sensors:
-                sensors[key] = dataclasses.replace(sensors[key], error=model)
-            elif hasattr(self.drive, key) and key in RESERVED:
-                for name, drive in drives.items():
+        for place, model in models.items():
+            unit, _, key = place.rpartition(".")
+            if place in sensors:
+                sensors[place] = dataclasses.replace(sensors[place], error=model)
+            elif hasattr(self.drive, key) and key in RESERVED and (not unit or unit in self.imus):
+                for name, drive in drives.items() if not unit else [(unit, drives[unit])]:
                     part = getattr(drive, key)
                     new = dataclasses.replace(part, error=model) if isinstance(part, Sensor) else model
                     drives[name] = dataclasses.replace(drive, **{key: new})
             else:
                 raise ValueError(
-                    f'"{key}" is no sensor of this vehicle (sensors: {", ".join(sensors)}; drive: '
+                    f'"{place}" is no sensor of this vehicle (sensors: {", ".join(sensors)}; drive: '
                     f"{type(self.drive).__name__})."
                 )
         return self._with(drives, sensors)
+
+    def with_lane(self, name: str, lane: Vehicle) -> Vehicle:
+        """The same vehicle with what another one of its lanes (`lanes`) is: its inertial unit, and the sensors."""
+        sensors = {key: lane.sensors[key] for key in self.sensors}
+        return self._with({**self.imus, name: lane.drive} if self.imus else {"": lane.drive}, sensors)
 
     def _with(self, drives: Mapping[str, Any], sensors: dict[str, Sensor]) -> Vehicle:
         """The same with other drives (by name where there are several units) and sensors."""

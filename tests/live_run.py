@@ -21,12 +21,12 @@ PATIENCE_S = 600  # far beyond what anything here takes; reached only when somet
 
 def as_lines(vehicle, mission):
     """The mission as it would arrive: by time, the drive before what it carries, the sensors in their order."""
-    drive, rows = list(vehicle.drive.streams), []
+    drive, rows = list(vehicle.driving), []
     for name, stream in mission.streams.items():
         rank = drive.index(name) if name in drive else len(drive) + list(vehicle.sensors).index(name)
         for t, value in zip(stream.time_s.tolist(), stream.value.tolist(), strict=True):
             value = [None if np.isnan(v) else v for v in value]
-            fields = {"rate_b": value[:3], "force_b": value[3:6]} if name == "imu" else {"value": value}
+            fields = {"rate_b": value[:3], "force_b": value[3:6]} if name in vehicle.units else {"value": value}
             rows.append((t, rank, json.dumps({"sensor": name, "time_s": t, **fields}).encode() + b"\n"))
     return [line for _, _, line in sorted(rows, key=lambda row: row[:2])]
 

@@ -634,7 +634,7 @@ def attitude_reset(turn, n):
     return G
 
 
-def correct(P, nav, x, res, S, PH, K, turn):
+def correct(P, nav, x, res, S, PH, K, turn, T=None):
     n, a = K.shape
     K[:] = PH.T @ S[a:]
     d = K @ res
@@ -663,7 +663,7 @@ def places(dims):
         a * n,
         a * (9 + par),
         3 + 2 * a,
-        max(m, b, 1) * n + 4 * b * b,
+        max(m, b, 2 * a) * n + 4 * b * b,
     ]
     return tuple(np.cumsum(sizes))
 
@@ -1349,7 +1349,8 @@ def stretch(
     """One reading after the other. 0: all done, 1 and 2: the next one is Python's, 3: it was not used, 4: no room, 5:
     the watch over the drive has found something, 6: there is something to learn.
     """
-    (nav, x, P, acc), (drv, Phid, Qd, Cr, recent, w, sd, ends), m = state, drive, state[3].shape[1]
+    (nav, x, P, acc), (drv, Phid, Qd, Cr, before, w, sd, ends), m = state, drive, state[3].shape[1]
+    known = max(0, len(before) - 512)
     period, ahead, every, gap, doubt, until, interval, increments, learn, g, felt = settings
     undone, ears, where, opened = hearing
     rows, info, records, heads = out
@@ -1392,7 +1393,11 @@ def stretch(
             if len(w):
                 look(samples[k : k + 1], w, sd, ends, period, increments)
             at(plan[-1, 7])(nav, x[: m - 9], drv, samples[k : k + 1], Phid, Qd, Cr, acc)
-            recent[:] = np.vstack([samples[k], recent])[: len(recent)]
+            if known:
+                if cursor[9] == 0:
+                    before[512:], cursor[9] = before[:known].copy(), 512
+                cursor[9] -= 1
+                before[cursor[9]] = samples[k]
             now[:3], cursor[1], cursor[2] = stamps[k], k + 1, cursor[2] + 1
             if cursor[2] == every:
                 record(acc[:m].ravel(), 0, m, 0, 0)
@@ -1420,7 +1425,7 @@ def stretch(
         count = 0 if np.isinf(elapsed) else max(1, round(elapsed / heard[i, 2]))
         spot, variances = plan[i], given[6]
         reading = given[5][e], variances[min(e, len(variances) - 1)], count, wait + now[0] - t
-        correction(bench, spot, P, nav, x, acc, drv, Cr, recent, *reading)
+        correction(bench, spot, P, nav, x, acc, drv, Cr, before[cursor[9] : cursor[9] + known], *reading)
         cursor[2], heard[i, :2], heard[i, 4] = 0, t, count
         note = given[7][e, : 3 + 2 * spot[0]]
         note[:] = bench[spot[14] + spot[25] :][: len(note)]

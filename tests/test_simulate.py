@@ -481,7 +481,7 @@ def test_presets_say_what_the_table_says():
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_scenarios_fill_their_time_with_sound_streams(name):
     vehicle, mission = simulate_scenario(name, 1, 400.0)
-    expected = {*vehicle.drive.streams, *vehicle.sensors}
+    expected = {*vehicle.driving, *vehicle.sensors}
     assert set(mission.streams) == expected
     assert mission.end_s == pytest.approx(400.0, abs=1.0)
     for stream in mission.streams.values():

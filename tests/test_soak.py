@@ -23,7 +23,8 @@ def test_minutes_with_every_fault(soak, monkeypatch):
     monkeypatch.setattr(soak, "FAULTS", {name: min(span, 8.0) for name, span in soak.FAULTS.items()})
     found = soak.soaked(300.0 / 3600.0, seed=2, rate_hz=10, show=False)
     assert set(found.faults) - {""} == set(soak.FAULTS) and found.finite and found.smallest > soak.DEFINITE
-    assert found.rows[-1]["snapshot_kb"] < 1000.0
+    # the beginning is kept to be run again until 1000 s: 3.3 kB a second
+    assert found.rows[-1]["snapshot_kb"] < 5.0 * 300.0
 
 
 @pytest.mark.slow

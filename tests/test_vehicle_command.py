@@ -68,7 +68,7 @@ def test_defaults_in_the_template_are_the_defaults(tmp_path, drive):
         "ranges": Range(beacons=((26.0, -80.0, -50.0),), lever_arm_b_m=below),
         "usbl": Usbl(rate_hz=0.2, error=(White(sd=1.0), half, half), lever_arm_b_m=below),
     }
-    if drive == "imu":
+    if drive != "dead-reckoning":
         unused |= {
             "still": ZeroVelocity(),
             "turning": ZeroRate(),
@@ -82,16 +82,19 @@ def test_defaults_in_the_template_are_the_defaults(tmp_path, drive):
         }
     assert {name: uncommented.sensors[name] for name in unused} == unused
     uncommented = uncommented.without(*unused)
-    assert dataclasses.replace(uncommented.drive) == as_written.drive
+    assert uncommented.driving == as_written.driving
+    assert list(uncommented.lanes()) == list(as_written.lanes())
     assert list(uncommented.sensors) != [] and dict(uncommented.sensors) == dict(as_written.sensors)
 
 
 @pytest.mark.parametrize("drive", DRIVES)
 def test_the_template_is_what_it_says(tmp_path, drive):
     vehicle = written(tmp_path, vehicle_template(drive))
-    assert _kebab(type(vehicle.drive)) == drive
+    assert list(vehicle.imus) == (["a", "b"] if drive == "imus" else [])
+    assert list(vehicle.lanes()) == (["a", "b", "dead-reckoning"] if drive == "imus" else [])
+    assert _kebab(type(vehicle.drive)) == drive.removesuffix("s")
     assert not [finding for finding in check_vehicle(vehicle) if finding.severity != "info"]
-    expected = {"compass", "dvl", "depth", "gps"} if drive == "imu" else {"depth", "gps"}
+    expected = {"depth", "gps"} if drive == "dead-reckoning" else {"compass", "dvl", "depth", "gps"}
     assert set(vehicle.sensors) == expected
 
 
@@ -125,7 +128,7 @@ def test_every_key_of_the_template_is_explained():
 
 
 def test_there_is_no_template_for_another_drive():
-    with pytest.raises(ValueError, match=r'no drive "sail" \(known: imu, dead-reckoning\)'):
+    with pytest.raises(ValueError, match=r'no drive "sail" \(known: imu, imus, dead-reckoning\)'):
         vehicle_template("sail")
 
 

@@ -83,11 +83,13 @@ def report_text(mission: Mission, findings: tuple[Finding, ...]) -> str:
 
 def _absent(mission: Mission, vehicle: Vehicle) -> Iterator[Finding]:
     silent = {name for name, sensor in vehicle.sensors.items() if sensor.from_drive}
-    wanted = {*vehicle.drive.streams, *vehicle.sensors} - silent
+    wanted = {*vehicle.driving, *vehicle.sensors} - silent
     for name in sorted(wanted - set(mission.streams)):
         cure = f"Add [streams.{name}], or take [sensors.{name}] out of the vehicle.toml"
         cure += f" (to replay without it: --without {name})."
-        if name in vehicle.drive.streams:
+        if name in vehicle.imus:
+            cure = f"Add [streams.{name}], or take [imus.{name}] out of the vehicle.toml."
+        elif name in vehicle.driving:
             cure = "Nothing moves without what drives: add the stream, or choose another drive."
         yield Finding("error", name, "the vehicle has this sensor, the mission has no such stream.", cure)
     for name in sorted(set(mission.streams) - wanted):

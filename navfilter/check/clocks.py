@@ -87,9 +87,8 @@ def _usual_step_s(stream: Stream) -> float:
 
 
 def _rates_hz(vehicle: Vehicle) -> dict[str, float]:
-    return dict.fromkeys(vehicle.drive.streams, vehicle.drive.rate_hz) | {
-        name: sensor.rate_hz for name, sensor in vehicle.sensors.items()
-    }
+    drives = {name: drive.rate_hz for name, drive in vehicle.driving.items()}
+    return drives | {name: sensor.rate_hz for name, sensor in vehicle.sensors.items()}
 
 
 def _about(ratio: float, count: float) -> bool:

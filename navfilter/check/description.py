@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +21,7 @@ from navfilter.learning.schedule import LearningSchedule
 from navfilter.mechanisation import Mechanisation
 from navfilter.navigator import Navigator
 from navfilter.sensors import Sensor
+from navfilter.vehicle import DEAD_RECKONING
 
 if TYPE_CHECKING:
     from navfilter.vehicle import Vehicle
@@ -60,15 +61,30 @@ def describe_vehicle(vehicle: Vehicle) -> str:
         f"sensor{'' if number == 1 else 's'}.",
         "",
     ]
-    lines += _drive_lines(vehicle.drive)
+    if not vehicle.imus:
+        lines += _drive_lines("Drive", vehicle.drive, vehicle.drive.streams)
+    for name, unit in vehicle.imus.items():
+        lines += [*_drive_lines(f'Unit "{name}"', unit, (name,)), ""]
+    if lanes := list(vehicle.lanes()):
+        lines += _lane_lines(lanes, vehicle.dead_reckoning_lane is None)
     for name, sensor in vehicle.sensors.items():
         lines += ["", *_sensor_lines(name, sensor)]
     return "\n".join(lines)
 
 
-def _drive_lines(drive: Mechanisation) -> Iterator[str]:
-    streams = " and ".join(f'"{stream}"' for stream in drive.streams)
-    yield f"Drive: {drive.words} (stream{'s' if len(drive.streams) > 1 else ''} {streams})"
+def _lane_lines(lanes: list[str], by_itself: bool) -> Iterator[str]:
+    """Filters that run side by side."""
+    yield f"Lanes: {', '.join(lanes)}; a filter each, which cost as much as {len(lanes)} vehicles with one drive."
+    if DEAD_RECKONING in lanes:
+        why = " (that is usual for several units; dead_reckoning_lane = false leaves it out)" if by_itself else ""
+        yield f"  {DEAD_RECKONING} goes by heading and velocity alone{why}"
+    elif by_itself:
+        yield "  dead reckoning is not among them: it needs a heading and a velocity"
+
+
+def _drive_lines(title: str, drive: Mechanisation, names: Sequence[str]) -> Iterator[str]:
+    streams = " and ".join(f'"{stream}"' for stream in names)
+    yield f"{title}: {drive.words} (stream{'s' if len(names) > 1 else ''} {streams})"
     for name, part in zip(drive.triples, (slice(0, 3), slice(3, 6)), strict=True):
         yield from _error_lines(name, drive.models[part], drive.axis_names[part], drive.units[part], drive.period_s)
     if drive.velocity_sensor is not None:

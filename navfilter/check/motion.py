@@ -33,9 +33,8 @@ def motion_findings(mission: Mission, vehicle: Vehicle | None) -> Iterator[Findi
     late = {} if vehicle is None else _described_late_s(vehicle)
     streams = {name: s.later(-late.get(name, 0.0)) for name, s in mission.streams.items() if _has_enough(s)}
     mission = replace(mission, streams=streams)
-    imu = next((s for s in mission.streams.values() if "force_x_m_s2" in s.columns), None)
-    if imu is not None:
-        name = next(n for n, s in mission.streams.items() if s is imu)
+    units = {name: s for name, s in mission.streams.items() if "force_x_m_s2" in s.columns}
+    for name, imu in units.items():
         yield from _gravity(name, imu)
         yield from _gyro_range(name, imu)
         yield from _handedness(name, imu)
@@ -46,8 +45,9 @@ def motion_findings(mission: Mission, vehicle: Vehicle | None) -> Iterator[Findi
         yield from _positions(name, stream)
         yield from _pressure(name, stream)
         yield from depth_sign_findings(name, stream)
-        if imu is not None:
-            found = list(_gyro_against_heading(name, stream, imu))
+        for unit, imu in units.items():
+            gyro = "the gyro" if len(units) == 1 else f"the gyro of {unit}"
+            found = list(_gyro_against_heading(name, stream, imu, gyro))
             agrees |= any("follows the gyro" in finding.text for finding in found)
             yield from found
     for name, stream in mission.streams.items():
@@ -185,7 +185,7 @@ def _match(reference: tuple[Array, Array], other: tuple[Array, Array], window_s:
     return _Match(best[0], best[1], at)
 
 
-def _gyro_against_heading(name: str, stream: Stream, imu: Stream) -> Iterator[Finding]:
+def _gyro_against_heading(name: str, stream: Stream, imu: Stream, gyro: str) -> Iterator[Finding]:
     angle = heading_of(stream)
     if angle is None or len(stream) < 20:
         return
@@ -195,21 +195,21 @@ def _gyro_against_heading(name: str, stream: Stream, imu: Stream) -> Iterator[Fi
     turned = imu.time_s, integral(imu.time_s, vector(imu, "rate_x_rad_s")[:, 2])
     match = _match(turned, heading, window_s=2.0, most_s=MOST_DELAY_S)
     if match is None or abs(match.correlation) < LITTLE:
-        yield Finding("info", name, "turns too little to compare the heading with the gyro.")
+        yield Finding("info", name, f"turns too little to compare the heading with {gyro}.")
         return
     if match.correlation < 0.0:
-        text = f"the heading turns against the gyro (correlation {match.correlation:.2f})."
+        text = f"the heading turns against {gyro} (correlation {match.correlation:.2f})."
         cure = "Heading counts clockwise from north, gyro z is positive clockwise (down): one has the wrong sign."
         yield Finding("error", name, text, cure)
         return
-    text = f"the heading follows the gyro: correlation {match.correlation:.2f}, slope {match.slope:.3f}"
+    text = f"the heading follows {gyro}: correlation {match.correlation:.2f}, slope {match.slope:.3f}"
     yield Finding("info", name, f"{text}, {abs(match.late_s):.2f} s {'late' if match.late_s >= 0 else 'early'}.")
     # A loose match says nothing about a scale of 0.7, but a factor of 57 shows in any.
     if not (0.7 < match.slope < 1.4 if match.correlation > 0.9 else 0.2 < match.slope < 5.0):
         cure = "A slope of 57.3 or 0.017 is degrees for radians; another one a wrong scale, or an uncalibrated compass."
-        yield Finding("error", name, f"the heading turns {match.slope:.3g} times as far as the gyro.", cure)
+        yield Finding("error", name, f"the heading turns {match.slope:.3g} times as far as {gyro}.", cure)
     elif 0.3 < abs(match.late_s) < MOST_DELAY_S and match.correlation > 0.9:
-        text = f"the heading is {abs(match.late_s):.2f} s {'late' if match.late_s > 0 else 'early'} against the gyro."
+        text = f"the heading is {abs(match.late_s):.2f} s {'late' if match.late_s > 0 else 'early'} against {gyro}."
         cure = f"Set time.offset_s = {-match.late_s:.2f} on top of what it is now; or let the filter find it: "
         yield Finding("warning", name, text, f"{cure}time_offset_sd_s = 0.3 in vehicle.toml.")
 

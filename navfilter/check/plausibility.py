@@ -55,7 +55,9 @@ def check_vehicle(vehicle: Vehicle) -> tuple[Finding, ...]:
     >>> found[0].stream, found[0].cure
     ('sensors.compass.error.sd', 'If 0.6 deg is meant, write sd_deg = 0.6.')
     """
-    found = [*_drive_findings(vehicle.drive)]
+    found: list[Finding] = []
+    for name, drive in vehicle.imus.items() or [("", vehicle.drive)]:
+        found += _drive_findings(f"imus.{name}" if name else "drive", drive)
     for name, sensor in vehicle.sensors.items():
         found += _sensor_findings(f"sensors.{name}", sensor)
     found += _whole_findings(vehicle)
@@ -70,17 +72,18 @@ def _warn(place: str, text: str, cure: str) -> Finding:
 # --- drive and sensors ----------------------------------------------------------------------------------------------
 
 
-def _drive_findings(drive: Mechanisation) -> Iterator[Finding]:
-    yield from (_warn(f"drive.{doubt.field}", doubt.text, doubt.cure) for doubt in drive.doubts())
+def _drive_findings(place: str, drive: Mechanisation) -> Iterator[Finding]:
+    yield from (_warn(f"{place}.{doubt.field}", doubt.text, doubt.cure) for doubt in drive.doubts())
     for part in drive.described():
         axes = drive.models[part.axes]
         yield from _errors(
-            f"drive.{part.place}", part.given, axes, _Channel(drive.units[part.axes][0], part.plausible), drive.period_s
+            f"{place}.{part.place}",
+            *(part.given, axes, _Channel(drive.units[part.axes][0], part.plausible), drive.period_s),
         )
         if drive.inertial and not any(model.block(drive.period_s).size for model in axes):
             cure = f'Add {{model = "random-walk", density = .., start_sd = ..}} to {part.place}, as a list.'
             text = "only white noise, no bias is estimated; every inertial unit has one."
-            yield Finding("info", f"drive.{part.place}", text, cure)
+            yield Finding("info", f"{place}.{part.place}", text, cure)
     if drive.velocity_sensor is not None:
         yield from _lever_findings("drive.velocity", drive.velocity_sensor)
 

@@ -6,6 +6,7 @@ import argparse
 import json
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from navfilter.commands.console import (
     add_force_argument,
@@ -16,6 +17,10 @@ from navfilter.commands.console import (
     speaker,
     unpacked_bytes,
 )
+
+if TYPE_CHECKING:
+    from navfilter.mission import Mission
+    from navfilter.vehicle import Vehicle
 
 __all__ = ["ABOUT", "EPILOG", "add_arguments", "run"]
 
@@ -79,6 +84,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="SD_M",
         help="take the mission's truth as fixes with this sd in metres (default: %(const)s)",
     )
+    parser.add_argument(
+        "--imu", metavar="NAME", help="of several inertial units: the one whose readings carry the state meanwhile"
+    )
     parser.add_argument("--json", metavar="PATH", help="write the table as JSON too")
     add_force_argument(parser)
     add_reading_arguments(parser)
@@ -98,9 +106,10 @@ def run(options: argparse.Namespace) -> int:
     vehicle = read_vehicle(options.vehicle)
     limits = {"confine": options.confine, "unpacked_bytes": unpacked_bytes(options)}
     missions = [read_mission(path, **limits) for path in options.mission]
-    known = vehicle
+    single, missions, unit = _of_one_unit(vehicle, missions, options.imu)
+    known = single
     for k, mission in enumerate(missions if options.truth else ()):
-        known, missions[k] = with_reference(vehicle, mission, options.truth)
+        known, missions[k] = with_reference(single, mission, options.truth)
     kinds = None if options.open is None else list(KINDS) if options.open == "all" else options.open.split(",")
     compile_first(options.quiet, known)
     result = calibrate(
@@ -110,7 +119,7 @@ def run(options: argparse.Namespace) -> int:
     if not options.quiet:
         _progress("")
     say(calibration_text(result))
-    found = type(vehicle)(result.vehicle.drive, {n: result.vehicle.sensors[n] for n in vehicle.sensors}, vehicle.name)
+    found = vehicle.with_lane(unit, result.vehicle)
     names = ", ".join(mission.name for mission in missions)
     copied = write_calibrated(found, vehicle, out, options.vehicle, f"found by navfilter calibrate: {names}")
     if options.json:
@@ -118,6 +127,22 @@ def run(options: argparse.Namespace) -> int:
     how = "" if copied else " (laid out anew, in SI units: your file could not be edited)"
     say(f"{out} written: {'with the constants found' if result.kept else 'as it was'}{how}.")
     return OK if result.kept else AS_IT_WAS
+
+
+def _of_one_unit(vehicle: Vehicle, missions: list[Mission], unit: str | None) -> tuple[Vehicle, list[Mission], str]:
+    """The vehicle and its missions with one of its inertial units, and which: constants are known against one."""
+    from navfilter.lane_missions import of_one_unit
+
+    if unit is None and len(vehicle.imus) > 1:
+        raise ValueError(
+            f"this vehicle has several inertial units ({', '.join(vehicle.imus)}): say with --imu NAME which one the "
+            "constants are found against; calibrate the file written again with the next one."
+        )
+    name = unit or next(iter(vehicle.units), "")
+    if unit is None and not vehicle.lanes():
+        return vehicle, missions, name
+    pairs = [of_one_unit(vehicle, mission, name) for mission in missions]
+    return pairs[0][0], [mission for _, mission in pairs], name
 
 
 def _progress(text: str) -> None:

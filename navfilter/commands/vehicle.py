@@ -39,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--drive",
-        choices=("imu", "dead-reckoning"),
+        choices=("imu", "imus", "dead-reckoning"),
         default="imu",
         help="with --init: what carries the state (default: %(default)s)",
     )

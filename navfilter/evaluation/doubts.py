@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import binom
@@ -17,8 +17,10 @@ from navfilter.evaluation.surfacing import Evidence
 from navfilter.filter.drive_watch import COUNTED
 from navfilter.filter.offsets import has_offset
 from navfilter.filter.tape import OUTCOMES, Residuals
+from navfilter.lane_missions import last_unit, of_one_unit
 from navfilter.mission import Mission
 from navfilter.track import Track
+from navfilter.vehicle import DEAD_RECKONING
 
 __all__ = ["LIMITS", "Limits", "doubts"]
 
@@ -94,6 +96,13 @@ def doubts(run: Track, mission: Mission, evidence: Evidence, limits: Limits = LI
         Of the run.
     limits : Limits
     """
+    if run.vehicle.lanes():
+        yield from _lanes(run)
+        unit = last_unit(run.vehicle, run.lanes)
+        vehicle, mission = of_one_unit(run.vehicle, mission, unit)
+        for finding in doubts(replace(run, vehicle=vehicle), mission, evidence, limits):
+            yield replace(finding, stream=unit) if finding.stream == "imu" else finding
+        return
     yield from _state(run, limits)
     yield from _drive(run, mission, limits)
     for name, sensor in run.vehicle.sensors.items():
@@ -157,6 +166,17 @@ def _drive(run: Track, mission: Mission, limits: Limits) -> Iterator[Finding]:
     if odd > limits.repaired * len(time_s):
         text = f"{odd} of {len(time_s)} samples are impossible or go back in time."
         yield Finding("warning", name, text, "Check unit, sentinels (invalid = ...) and the time column.")
+
+
+def _lanes(run: Track) -> Iterator[Finding]:
+    """Which lanes were left, and when."""
+    for (_, left), (time_s, taken) in zip(run.lanes, run.lanes[1:], strict=False):
+        text = f"its lane was left for {taken} at {time_s:.1f} s, which foretold the readings better."
+        yield Finding("info", left, text, "")
+    if run.lanes[-1][1] == DEAD_RECKONING:
+        text = f"no inertial unit is in force since {run.lanes[-1][0]:.1f} s: compass and velocity carry the state."
+        cure = "See in report.html, at the lanes, what the units read then."
+        yield Finding("warning", "", text, cure)
 
 
 def _mended(run: Track) -> Iterator[Finding]:

@@ -267,6 +267,8 @@ def _predicted(track: Track) -> Array:
 
 def _separation(forward: Track, smoothed: Track) -> Separation:
     origin = float(forward.latitude[0]), float(forward.longitude[0])
+    if not np.array_equal(forward.time_s, smoothed.time_s):  # of lanes, whose rows stand at times of their own
+        smoothed = smoothed.at(forward.time_s)
     apart = np.hypot(*(forward.local(*origin) - smoothed.local(*origin))[:, :2].T)
     after = _predicted(smoothed)
     variance = np.maximum(_predicted(forward) ** 2 - after**2, 0.0)

@@ -82,7 +82,9 @@ def write_calibrated(
 def _parts(vehicle: Vehicle, before: Vehicle) -> list[tuple[tuple[str, ...], Any, Any]]:
     """Every table that may have changed: its place, what it describes now and before."""
     drive, old = vehicle.drive, before.drive
-    parts: list[tuple[tuple[str, ...], Any, Any]] = [(("drive",), drive, old)]
+    parts: list[tuple[tuple[str, ...], Any, Any]]
+    parts = [(("imus", name), unit, before.imus[name]) for name, unit in vehicle.imus.items()]
+    parts = parts or [(("drive",), drive, old)]
     for name, new, was in (
         ("attitude", drive.compass, old.compass),
         ("velocity", drive.velocity_sensor, old.velocity_sensor),
@@ -190,7 +192,9 @@ def _alike(back: Vehicle, vehicle: Vehicle) -> bool:
     """Whether a vehicle that was read back is this one, but for rounding."""
     if list(back.sensors) != list(vehicle.sensors):
         return False
-    pairs: list[tuple[Any, Any]] = [(back.drive, vehicle.drive)]
+    if list(back.driving) != list(vehicle.driving):
+        return False
+    pairs: list[tuple[Any, Any]] = [(back.driving[name], drive) for name, drive in vehicle.driving.items()]
     pairs += [(back.drive.compass, vehicle.drive.compass), (back.drive.velocity_sensor, vehicle.drive.velocity_sensor)]
     pairs += [(back.sensors[name], sensor) for name, sensor in vehicle.sensors.items()]
     return all(one is other is None or _near(one, other) for one, other in pairs)

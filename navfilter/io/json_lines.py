@@ -147,7 +147,7 @@ class LineParser:
         self._reads: dict[str, int] | None = None
         self._units = {"imu"} if vehicle is None else set(vehicle.units)
         if vehicle is not None:
-            drive = dict.fromkeys(vehicle.imus or vehicle.drive.streams, 3)
+            drive = dict.fromkeys(vehicle.driving, 3)
             self._reads = drive | {name: sensor.reads for name, sensor in vehicle.sensors.items()}
         self._quoted: dict[str, int] = {}
 

@@ -62,7 +62,7 @@ def write_learned(
 
 
 def _same(back: Vehicle, vehicle: Vehicle) -> bool:
-    return back.drive == vehicle.drive and all(back.sensors.get(name) == s for name, s in vehicle.sensors.items())
+    return back.driving == vehicle.driving and all(back.sensors.get(name) == s for name, s in vehicle.sensors.items())
 
 
 def _edited(text: str, vehicle: Vehicle, remarks: Mapping[str, str]) -> str:
@@ -71,12 +71,15 @@ def _edited(text: str, vehicle: Vehicle, remarks: Mapping[str, str]) -> str:
             models = sensor.error if isinstance(sensor.error, tuple) else (sensor.error,)
             table = rf"sensors\s*\.\s*(?:{re.escape(name)}|\"{re.escape(name)}\")"
             text = _with_models(text, (table, "error"), models, sensor.axis_names, remarks.get(name))
-    drive = vehicle.drive
-    for part in dict.fromkeys(axis.rpartition("_")[0] for axis in drive.axis_names):
-        models = tuple(m for a, m in zip(drive.axis_names, drive.models, strict=True) if a.rpartition("_")[0] == part)
-        if part and any(learned_part(model) is not None for model in models):
-            models = models[:1] if len(set(models)) == 1 else models
-            text = _with_models(text, ("drive", part), models, ("x", "y", "z"), remarks.get(part))
+    for name, drive in vehicle.imus.items() or [("", vehicle.drive)]:
+        table = rf"imus\s*\.\s*(?:{re.escape(name)}|\"{re.escape(name)}\")" if name else "drive"
+        for part in dict.fromkeys(axis.rpartition("_")[0] for axis in drive.axis_names):
+            axes = [k for k, axis in enumerate(drive.axis_names) if axis.rpartition("_")[0] == part]
+            models = tuple(drive.models[k] for k in axes)
+            learnt = [learned for model in models if (learned := learned_part(model)) is not None]
+            if part and any(learned.model is not None for learned in learnt):
+                models = models[:1] if len(set(models)) == 1 else models
+                text = _with_models(text, (table, part), models, ("x", "y", "z"), remarks.get(part))
     return text
 
 

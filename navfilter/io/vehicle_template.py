@@ -23,7 +23,7 @@ from navfilter.sensors.velocity import DVL_ERROR
 
 __all__ = ["DRIVES", "vehicle_template"]
 
-DRIVES = ("imu", "dead-reckoning")
+DRIVES = ("imu", "imus", "dead-reckoning")
 _WIDTH = 130
 
 _HEAD = """\
@@ -58,6 +58,15 @@ _HEAD = """\
 #       kept as adopted = {{ar = [..], ma = [..], sd = ..}}, slow = {{model = "gauss-markov", ..}}; with frozen = true beside it that
 #       model stays in force and nothing is learnt
 """
+_BESIDE = """\
+# Beside the inertial unit, dead_reckoning_lane = true runs a second filter that goes by heading and velocity alone and takes over
+# where the unit fails, at the cost of another vehicle. Several units: navfilter vehicle --init vehicle.toml --drive imus
+"""
+_UNITS = """\
+# Several inertial units carry the state side by side, each in a filter (lane) of its own; the one that foretells the readings best
+# is in force. One more lane goes by heading and velocity alone, and takes over where all units fail.
+#dead_reckoning_lane = true
+"""
 _SENSORS = "# The correcting sensors. The name is that of the mission's stream, the states, the residuals and the output columns.\n"
 _GYRO = """\
 gyro = [
@@ -76,8 +85,8 @@ def vehicle_template(drive: str = "imu") -> str:
 
     Parameters
     ----------
-    drive : {"imu", "dead-reckoning"}
-        What carries the state between corrections.
+    drive : {"imu", "imus", "dead-reckoning"}
+        What carries the state between corrections: "imus" is two inertial units, with lanes.
 
     Returns
     -------
@@ -100,7 +109,7 @@ def vehicle_template(drive: str = "imu") -> str:
     parts = [
         _HEAD.format(suffixes=suffixes),
         'name = "example AUV"\n',
-        *(_inertial() if drive == "imu" else _reckoning()),
+        *{"imu": _inertial, "imus": _units, "dead-reckoning": _reckoning}[drive](),
     ]
     parts += [_correcting(kind) for kind in _shown(drive)]
     return "\n".join(parts)
@@ -110,7 +119,7 @@ def _shown(drive: str) -> list[Any]:
     """The kinds of correcting sensors to show: those that bring a template, but for what dead reckoning is made of."""
     kinds: list[Any] = [kind for kind in kinds_below(Sensor) if "template" in vars(kind)]
     others = [kind for kind in kinds if kind.corrects not in ("heading", "velocity") and not kind.from_drive]
-    return kinds if drive == "imu" else others
+    return others if drive == "dead-reckoning" else kinds
 
 
 def _correcting(kind: Any) -> str:
@@ -123,7 +132,16 @@ def _correcting(kind: Any) -> str:
 
 def _inertial() -> Iterator[str]:
     words = 'What carries the state between corrections: an inertial unit (stream "imu"), strapdown on WGS-84.'
+    yield _BESIDE
     yield _section("drive", Imu, words, 100, _GYRO, _ACCEL)
+    yield _SENSORS
+
+
+def _units() -> Iterator[str]:
+    yield _UNITS
+    words = 'The first unit: "a" is the name of its stream. Strapdown on WGS-84.'
+    yield _section("imus.a", Imu, words, 100, _GYRO, _ACCEL)
+    yield "\n".join(["# The second unit, with the same keys.", "[imus.b]", 'type = "imu"', "rate_hz = 100", _GYRO, _ACCEL, ""])
     yield _SENSORS
 
 

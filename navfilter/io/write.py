@@ -22,7 +22,7 @@ from navfilter.outputs.replacing import replacing
 from navfilter.outputs.tum import write_truth
 from navfilter.track import Track
 from navfilter.track_trust import integrity_figures
-from navfilter.vehicle import Vehicle
+from navfilter.vehicle import DEAD_RECKONING, Vehicle
 
 __all__ = ["labelled", "learned_vehicle", "summarise", "write_json", "write_outputs", "write_summary"]
 
@@ -99,7 +99,11 @@ def learned_vehicle(track: Track) -> Vehicle | None:
         if any(
             learned is not None and learned.model is not None for learned in map(learned_part, filter(None, models))
         ):
-            last[name] = models[0] if len(models) == 1 else models
+            # what was learnt of gyros and accelerometers is of the unit in force alone
+            unit = track.lanes[-1][1] if name not in track.vehicle.sensors and track.lanes else ""
+            key = f"{unit}.{name}" if unit in track.vehicle.imus else name
+            if unit != DEAD_RECKONING:
+                last[key] = models[0] if len(models) == 1 else models
     return track.vehicle.with_error(**last) if last else None
 
 

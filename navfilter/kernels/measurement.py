@@ -12,17 +12,20 @@ import math
 import numpy as np
 from numba import njit
 
+#: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
+UNCOUNTED: dict = {"_nrt": False}
+
 PIECE_S = 0.02  # so long a turning force is taken as that of the middle: 1e-5 of it at 1 rad/s
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def _clear(H):
     for i in range(H.shape[0]):
         for j in range(H.shape[1]):
             H[i, j] = 0.0
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def _instrument_velocity(z, nav, v0, v1, v2, rate, par, first, cfg, H, res):
     """Velocity v in n of the reference point, as seen by an instrument; scale (one, or one an axis) and misalignment,
     if any, are `par` from `first` on.
@@ -31,22 +34,23 @@ def _instrument_velocity(z, nav, v0, v1, v2, rate, par, first, cfg, H, res):
     x0 = rate[1] * cfg[2] - rate[2] * cfg[1]
     x1 = rate[2] * cfg[0] - rate[0] * cfg[2]
     x2 = rate[0] * cfg[1] - rate[1] * cfg[0]
-    A = np.empty((3, 3))  # n to instrument
-    y = np.empty(3)
     for i in range(3):
+        # n to instrument stands in the columns of the velocity, for a while
+        A = H[i, 3:6]
         for j in range(3):
-            A[i, j] = cfg[3 + i] * nav[6 + 3 * j] + cfg[6 + i] * nav[7 + 3 * j] + cfg[9 + i] * nav[8 + 3 * j]
-        y[i] = A[i, 0] * v0 + A[i, 1] * v1 + A[i, 2] * v2 + cfg[3 + i] * x0 + cfg[6 + i] * x1 + cfg[9 + i] * x2
+            A[j] = cfg[3 + i] * nav[6 + 3 * j] + cfg[6 + i] * nav[7 + 3 * j] + cfg[9 + i] * nav[8 + 3 * j]
+        res[i] = A[0] * v0 + A[1] * v1 + A[2] * v2 + cfg[3 + i] * x0 + cfg[6 + i] * x1 + cfg[9 + i] * x2
+    y0, y1, y2 = res[0], res[1], res[2]
     g0, g1, g2, a, b, c = 1.0, 1.0, 1.0, 0.0, 0.0, 0.0
     step = 1 if len(par) - first == 6 else 0  # from one scale to the next
     turned = first + 1 + 2 * step
     if len(par) > first:
         g0, g1, g2 = 1.0 + par[first], 1.0 + par[first + step], 1.0 + par[first + 2 * step]
         a, b, c = par[turned], par[turned + 1], par[turned + 2]
-    t0, t1, t2 = y[0] + b * y[2] - c * y[1], y[1] + c * y[0] - a * y[2], y[2] + a * y[1] - b * y[0]
+    t0, t1, t2 = y0 + b * y2 - c * y1, y1 + c * y0 - a * y2, y2 + a * y1 - b * y0
     res[0], res[1], res[2] = z[0] - g0 * t0, z[1] - g1 * t1, z[2] - g2 * t2
     for j in range(3):
-        a0, a1, a2 = A[0, j], A[1, j], A[2, j]
+        a0, a1, a2 = H[0, 3 + j], H[1, 3 + j], H[2, 3 + j]
         H[0, 3 + j] = g0 * (a0 + b * a2 - c * a1)
         H[1, 3 + j] = g1 * (a1 + c * a0 - a * a2)
         H[2, 3 + j] = g2 * (a2 + a * a1 - b * a0)
@@ -59,12 +63,12 @@ def _instrument_velocity(z, nav, v0, v1, v2, rate, par, first, cfg, H, res):
     if len(par) > first:
         s, m = 9 + first, 9 + turned
         H[0, s], H[1, s + step], H[2, s + 2 * step] = t0, t1, t2
-        H[0, m + 1], H[0, m + 2] = g0 * y[2], -g0 * y[1]
-        H[1, m], H[1, m + 2] = -g1 * y[2], g1 * y[0]
-        H[2, m], H[2, m + 1] = g2 * y[1], -g2 * y[0]
+        H[0, m + 1], H[0, m + 2] = g0 * y2, -g0 * y1
+        H[1, m], H[1, m + 2] = -g1 * y2, g1 * y0
+        H[2, m], H[2, m + 1] = g2 * y1, -g2 * y0
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def body_velocity(z, nav, rate, par, cfg, H, res):
     """Velocity at a lever arm in instrument axes: reading = (1 + s)(y + m x y), y = M' (C_nb' v_n + rate x arm).
 
@@ -74,7 +78,7 @@ def body_velocity(z, nav, rate, par, cfg, H, res):
     _instrument_velocity(z, nav, nav[3], nav[4], nav[5], rate, par, int(0), cfg, H, res)
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def water_velocity(z, nav, rate, par, cfg, H, res):
     """As `body_velocity`, but through water that moves: v_n less the current. par: current north, east, then as
     there.
@@ -108,7 +112,7 @@ def beam_velocity(z, nav, rate, par, cfg, H, res):
                 H[k, 9], H[k, 10] = -H[k, 3], -H[k, 4]
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def _bearing(n0, n1, n2, H):
     """Azimuth of a vector given in n, and its derivative with respect to a rotation vector in n."""
     h2 = n0 * n0 + n1 * n1
@@ -118,7 +122,7 @@ def _bearing(n0, n1, n2, H):
     return math.atan2(n1, n0)
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def _deviation(psi, par, H, temperature, cfg):
     """Compass error that follows the heading: bias, one- and two-cycle deviation, temperature. Returns its value and
     slope.
@@ -131,7 +135,7 @@ def _deviation(psi, par, H, temperature, cfg):
     return value, par[1] * c1 - par[2] * s1 + 2.0 * (par[3] * c2 - par[4] * s2)
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def heading(z, nav, rate, par, cfg, H, res):
     """Compass output: reading = true heading - declination + deviation(heading), wrapped to half a turn.
 
@@ -150,7 +154,7 @@ def heading(z, nav, rate, par, cfg, H, res):
     res[0] = r - 2.0 * math.pi * math.floor(r / (2.0 * math.pi) + 0.5)
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def magnetometer(z, nav, rate, par, cfg, H, res):
     """Three-axis magnetometer levelled with the filter's own attitude; the residual is the error of the magnetic
     azimuth.
@@ -174,7 +178,7 @@ def magnetometer(z, nav, rate, par, cfg, H, res):
     res[0] = r - 2.0 * math.pi * math.floor(r / (2.0 * math.pi) + 0.5)
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def depth(z, nav, rate, par, cfg, H, res):
     """Depth at a lever arm: reading = surface height - (height of the vehicle - down component of C_nb arm) + offset.
 
@@ -192,7 +196,7 @@ def depth(z, nav, rate, par, cfg, H, res):
         H[0, 9] = 1.0
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def altitude(z, nav, rate, par, cfg, H, res):
     """Height of a lever arm above the bottom: reading = height - down component of C_nb arm - height of the bottom.
 
@@ -209,7 +213,7 @@ def altitude(z, nav, rate, par, cfg, H, res):
         H[0, 9] = -1.0
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def position(z, nav, rate, par, cfg, H, res):
     """Antenna position: latitude, longitude [rad], height [m] against the vehicle plus its lever arm, in metres in n.
     cfg: arm (3).
@@ -230,7 +234,7 @@ def position(z, nav, rate, par, cfg, H, res):
     H[2, 6], H[2, 7] = a1, -a0
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def _earth_axes(latitude, longitude, height, radius, e2, A, p):
     """Rows of A: north, east and down in the Earth's axes; p: the point itself there [m]."""
     s, c, so, co = math.sin(latitude), math.cos(latitude), math.sin(longitude), math.cos(longitude)
@@ -411,7 +415,7 @@ def usbl_bend(z, near, P, first, cfg, R):
         R[k, k] += 0.5 * square + 0.25 * trace * trace
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def _angle_slopes(C, D, H, column):
     """How roll, pitch and yaw of C change when C changes by D."""
     level2 = C[0, 0] * C[0, 0] + C[1, 0] * C[1, 0]
@@ -460,7 +464,7 @@ def attitude(z, nav, rate, par, cfg, H, res):
             _angle_slopes(C, D, H, 9 + j)
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def ground_velocity(z, nav, rate, par, cfg, H, res):
     """Velocity over ground in n [m/s] at a lever arm: v_n + C_nb (rate x arm). cfg: lever arm (3)."""
     _clear(H)
@@ -478,7 +482,7 @@ def ground_velocity(z, nav, rate, par, cfg, H, res):
     H[2, 6], H[2, 7] = w1, -w0
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def velocity(z, nav, rate, par, cfg, H, res):
     """Velocity over ground in n [m/s] (zero when the vehicle stands still)."""
     _clear(H)
@@ -487,7 +491,7 @@ def velocity(z, nav, rate, par, cfg, H, res):
         H[i, 3 + i] = 1.0
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def earth_rate(z, nav, rate, par, cfg, H, res):
     """Rate in b [rad/s] of a body that does not turn on the Earth: the Earth's own, ``C_nb' (cos, 0, -sin latitude)``.
 
@@ -503,7 +507,7 @@ def earth_rate(z, nav, rate, par, cfg, H, res):
         H[i, 6], H[i, 7], H[i, 8] = b * down, c * north - a * down, -b * north
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def _turned_rows(C, x, y, z):
     """C exp([-(x, y, z) x]): every row turned by (x, y, z) (Rodrigues)."""
     t2 = x * x + y * y + z * z
@@ -518,7 +522,7 @@ def _turned_rows(C, x, y, z):
         C[3 * i + 2] = w + p * h + q * (x * g - y * f)
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def _stepped_back(C, v, by, m, first, gravity, span):
     """C (9,), velocity v (3,) and the sums in `by` (9,) carried back by `span` at the constant rate and specific force
     in b that stand in m from `first` on, in pieces of at most `PIECE_S`.
@@ -540,7 +544,7 @@ def _stepped_back(C, v, by, m, first, gravity, span):
         _turned_rows(C, x, y, z)
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def _mean_motion(motion, begin, end, mean):
     """Mean of rates and forces (6,) between two ages; where nothing is known of then, the oldest that is."""
     for i in range(6):

@@ -11,6 +11,9 @@ from numba import njit
 
 from navfilter.kernels import addresses, checksum, measurement, strapdown
 
+#: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
+UNCOUNTED: dict = {"_nrt": False}
+
 SOURCES = checksum(addresses, measurement, strapdown)
 #: Rates and forces are means over this time: what vibrates faster is no motion [s].
 WINDOW_S = 0.2
@@ -30,7 +33,7 @@ def _keyed(make):
 
 @_keyed
 def drive_outputs(sources):
-    @njit(cache=True)
+    @njit(cache=True, **UNCOUNTED)
     def drive_outputs(drv, Cr, xd, rows, errors):
         """Rows (6, k) by which the drive's states make the errors of its six values now, and these errors (6,).
 

@@ -19,7 +19,6 @@ from navfilter.alignment import align
 from navfilter.filter.health import Health
 from navfilter.filter.intake import Intake
 from navfilter.io.json_lines import BadLine, Item, Note, Reading, StartLine, start_from, streams_of
-from navfilter.lane_replay import align_lanes
 from navfilter.lanes import LaneNavigator
 from navfilter.magnetic import believable
 from navfilter.mission import Mission
@@ -112,6 +111,7 @@ class Session:
         self.nav: Navigator | LaneNavigator | None = None
         self._lanes = bool(vehicle.lanes())
         self._units = {name: [float(i)] if self._lanes else [] for i, name in enumerate(vehicle.units)}
+        self._drive_name = " and ".join(vehicle.imus) or vehicle.drive.streams[-1]
         self._start = options.start
         self._buffer: list[Reading] = []
         self._align_at_s: float | None = None
@@ -160,7 +160,8 @@ class Session:
             self._offset_s = self.nav.offset_s
             if self._ahead and self.nav.time_s > self._stopped_s:
                 self._ahead = 0
-                self._condition(self.vehicle.drive.streams[-1], "good")
+                if not self._lanes:
+                    self._condition(self._drive_name, "good")
 
     def stop(self) -> None:
         """The end of the readings (of this run): what still waits is used, and the last state is told."""
@@ -205,8 +206,8 @@ class Session:
         outcome = self.nav.correct(reading.sensor, reading.time_s, reading.value, reading.sd)
         if outcome.status == "ahead":  # of the drive; a single one may as well have a wild stamp
             self._ahead, self._stopped_s = self._ahead + 1 if self._stopped_s == self.nav.time_s else 1, self.nav.time_s
-            if self._ahead >= self.AHEAD:
-                self._condition(self.vehicle.drive.streams[-1], "silent")
+            if self._ahead >= self.AHEAD and not self._lanes:  # lanes say so themselves
+                self._condition(self._drive_name, "silent")
         self._ticks()
 
     # ---------------------------------------------------------------- start
@@ -228,7 +229,7 @@ class Session:
         streams, _ = streams_of(self._buffer)
         mission = Mission("live", streams, date=self._date(self.options.date))
         try:
-            start = (align_lanes if self._lanes else align)(self.vehicle, mission, self.options.align_s)
+            start = align(self.vehicle, mission, self.options.align_s)
         except ValueError as error:
             if str(error) != self._waited:
                 self._waited = str(error)
@@ -264,8 +265,7 @@ class Session:
         self._tell("start", how=how, **fields)
         self.nav = (LaneNavigator if self._lanes else Navigator)(self.vehicle, start)
         self._next_tick()
-        drive = self._units or self.vehicle.drive.streams
-        first = next((r.time_s for r in self._buffer if r.sensor in drive), start.time_s)
+        first = next((r.time_s for r in self._buffer if r.sensor in self.vehicle.driving), start.time_s)
         if abs(first - start.time_s) > Intake.LONGEST_S:
             self._tell(
                 "warning", text=f"the start is at {start.time_s} s, the readings at {first} s: is it the same clock?"
@@ -386,7 +386,7 @@ class Session:
                 "drive-clock",
                 offset_s=offset_s,
                 time_s=self.nav.time_s,
-                text=f"the clock of {self.vehicle.drive.streams[-1]} alone was set by {-offset_s:.3f} s in all; its "
+                text=f"the clock of {self._drive_name} alone was set by {-offset_s:.3f} s in all; its "
                 "stamps are moved back to those of the others",
             )
 

@@ -308,6 +308,16 @@ def _miscalibrated(duration_s: float) -> dict[str, Faults]:
     }
 
 
+def _two_units() -> Vehicle:
+    plain = survey_vehicle()
+    return Vehicle(imus=dict.fromkeys("ab", plain.units["imu"]), sensors=plain.sensors, name="two-units")
+
+
+def _one_silent(duration_s: float) -> dict[str, Faults]:
+    """The first unit says nothing for twenty seconds of its dive."""
+    return {**_gps_at_surface(duration_s), "a": Faults(dropouts=((0.5 * duration_s, 0.5 * duration_s + 20.0),))}
+
+
 #: The scenarios by name.
 SCENARIOS: dict[str, Scenario] = {
     "demo": Scenario(
@@ -329,4 +339,6 @@ SCENARIOS: dict[str, Scenario] = {
                             water_track_vehicle, survey, _bottom_lost, 1800.0),
     "miscalibrated": Scenario("turns and dives with fixes; DVL off by 0.3 s, 0.5 m, 2 % and 3 deg, compass by 2 deg",
                               _miscalibrated_vehicle, turns_and_dives, _miscalibrated),
+    "two-units": Scenario("the same lawnmower with two inertial units, one of which falls silent for 20 s",
+                          _two_units, lawnmower, _one_silent),
 }  # fmt: skip
