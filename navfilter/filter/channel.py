@@ -177,7 +177,6 @@ class Channel:
         self.mem = mem = bench[begin : ends[0]]
         self.res, self.near = mem[at[3] : at[3] + a], mem[at[7] : at[8]].reshape(a, 9 + parameters)
         self.H, self.PH = mem[at[0] : at[1]].reshape(a, n), mem[at[6] : at[7]].reshape(a, n)
-        self.into = self.H[:, 9:m], self.near, self.res  # a reading of the past depends on the drive's states, too
         self.S = mem[at[5] : at[6]].reshape(2 * a, a)
         self.verdict, self.note = mem[at[8] : at[8] + 3], mem[at[8] : at[9]]
         self.record, self.moved = mem[: at[5]], mem[: at[0]]
@@ -187,6 +186,8 @@ class Channel:
         self.C, self.white = bench[ends[3] : ends[4]].reshape(a, errors), bench[ends[4] : ends[5]].reshape(a, a)
         self.lever = bench[ends[5] : ends[6]].reshape(a, a)
         self.R = bench[ends[6] : ends[7]].reshape(a, a)
+        # a reading of the past depends on the drive's states, too
+        self.into = self.H[:, 9:m], self.near, self.res, self.R
         self.gate = bench[ends[7] : ends[8]]
         self.parameters = slice(first - 9 + errors, first - 9 + errors + parameters)
         self._last = mem[at[7] : at[9]]

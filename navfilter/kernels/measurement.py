@@ -569,7 +569,23 @@ def _mean_motion(motion, begin, end, mean):
 
 
 @njit(cache=True)
-def earlier(nav, motion, gravity, late_s, window_s, then, turn, slope, B):
+def _motion_about(motion, late_s, window_s, mean, growth):
+    """Mean of rates and forces (6,) over a window about an age, which ends now at the latest, and how fast they grow.
+    Returns the age of its middle.
+    """
+    half = 0.5 * window_s
+    centre = max(late_s, half)
+    _mean_motion(motion, centre, centre + half, growth)
+    _mean_motion(motion, centre - half, centre, mean)
+    for i in range(6):
+        step = mean[i] - growth[i]
+        mean[i] -= 0.5 * step
+        growth[i] = step / half
+    return centre
+
+
+@njit(cache=True)
+def earlier(nav, motion, gravity, late_s, window_s, slope_s, then, turn, slope, B):
     """The state `late_s` before `nav`, from what the drive felt since; a negative `late_s` looks ahead.
 
     motion (k, 7): intervals, the newest first: seconds (0: nothing known), angular rate and specific force in b, their
@@ -577,26 +593,25 @@ def earlier(nav, motion, gravity, late_s, window_s, then, turn, slope, B):
     slower, as in the newest of it). `gravity` acts down. The Earth's rate
     and Coriolis force are left out: 2e-5 rad and 1 mm/s at 10 m/s in 0.3 s.
 
-    Fills: then (17,); turn (6,), angular rate and acceleration in b; slope (9,), derivative of the state with time:
-    velocity, acceleration, angular rate in n; B (9, 9), derivative of the errors then with respect to those now.
-    Rates and forces are means over `window_s` about then, for vibration is no motion.
+    Fills: then (17,); turn (6,), angular rate in b, a mean over `window_s` about then, for vibration is no motion, and
+    angular acceleration; slope (2, 9), derivative of the state with time: velocity, acceleration, angular rate in n,
+    and how these grow; B (9, 9), derivative of the errors then with respect to those now. Accelerations and slopes are
+    means over `slope_s` about then, or a time so much shorter that it ends now; returns over what time.
     """
-    C, v, by, mean, newer = np.empty(9), np.empty(3), np.zeros(9), np.empty(6), np.empty(6)
+    C, v, by = np.empty(9), np.empty(3), np.zeros(9)
+    mean, growth, ahead = np.empty(6), np.empty(6), np.empty(6)
     for i in range(17):
         then[i] = nav[i]
     for i in range(9):
         C[i] = nav[6 + i]
     for i in range(3):
         v[i] = nav[3 + i]
-    centre = max(late_s, 0.5 * window_s)
-    _mean_motion(motion, centre, centre + 0.5 * window_s, mean)
-    _mean_motion(motion, centre - 0.5 * window_s, centre, newer)
-    for i in range(6):
-        step = newer[i] - mean[i]
-        mean[i] += 0.5 * step
-        if i < 3:
-            turn[3 + i] = step / (0.5 * window_s)
-            turn[i] = mean[i] + (centre - late_s) * turn[3 + i]
+    centre = _motion_about(motion, late_s, window_s, mean, growth)
+    # from the middle of the window to that of what is to come
+    further = centre - 0.5 * late_s if late_s < 0.0 else 0.0
+    for i in range(3):
+        turn[i] = mean[i] + (centre - late_s) * growth[i]
+        ahead[i], ahead[3 + i] = mean[i] + further * growth[i], mean[3 + i]
     left = late_s
     for k in range(motion.shape[0]):
         dt = min(motion[k, 0], left)
@@ -605,21 +620,25 @@ def earlier(nav, motion, gravity, late_s, window_s, then, turn, slope, B):
         if dt > 0.0:
             _stepped_back(C, v, by, motion[k], int(1), gravity, dt)
             left -= dt
-    ahead = centre - 0.5 * late_s if late_s < 0.0 else 0.0  # from the middle of the window to that of what is to come
-    for i in range(3):
-        newer[i], newer[3 + i] = mean[i] + ahead * turn[3 + i], mean[3 + i]
     if left != 0.0:
-        _stepped_back(C, v, by, newer, int(0), gravity, left)
+        _stepped_back(C, v, by, ahead, int(0), gravity, left)
     latitude = nav[0] - by[0] / nav[15]
     then[0], then[2] = latitude, nav[2] + by[2]
     then[1] = nav[1] - by[1] / (nav[16] * math.cos(0.5 * (latitude + nav[0])))
     then[15], then[16] = nav[15] + by[2], nav[16] + by[2]
+    over_s = min(slope_s, max(2.0 * late_s, window_s))
+    centre = _motion_about(motion, late_s, over_s, mean, growth)
     for i in range(3):
-        then[3 + i] = v[i]
-        slope[i] = v[i]
-        slope[3 + i] = C[3 * i] * mean[3] + C[3 * i + 1] * mean[4] + C[3 * i + 2] * mean[5]
-        slope[6 + i] = C[3 * i] * turn[0] + C[3 * i + 1] * turn[1] + C[3 * i + 2] * turn[2]
-    slope[5] += gravity
+        then[3 + i], slope[0, i], turn[3 + i] = v[i], v[i], growth[i]
+        mean[i] += (centre - late_s) * growth[i]
+    for i in range(3):
+        for j in range(2):
+            of = growth if j else mean
+            slope[j, 3 + i] = C[3 * i] * of[3] + C[3 * i + 1] * of[4] + C[3 * i + 2] * of[5]
+            slope[j, 6 + i] = C[3 * i] * of[0] + C[3 * i + 1] * of[1] + C[3 * i + 2] * of[2]
+    slope[0, 5] += gravity
+    for i in range(3):
+        slope[1, i] = slope[0, 3 + i]
     for i in range(9):
         then[6 + i] = C[i]
         for j in range(9):
@@ -630,3 +649,4 @@ def earlier(nav, motion, gravity, late_s, window_s, then, turn, slope, B):
     D0, D1, D2, S0, S1, S2 = by[3], by[4], by[5], by[6], by[7], by[8]
     B[3, 7], B[3, 8], B[4, 6], B[4, 8], B[5, 6], B[5, 7] = -D2, D1, D2, -D0, -D1, D0
     B[0, 7], B[0, 8], B[1, 6], B[1, 8], B[2, 6], B[2, 7] = S2, -S1, -S2, S0, S1, -S0
+    return over_s

@@ -64,10 +64,10 @@ DONE, NEXT, REFUSED, JUDGED, FULL, HEED, LEARN = range(7)
 
 
 @_keyed
-def _bent(sources):
+def _white(sources):
     @njit(cache=True, **UNCOUNTED)
-    def _bent(bench, spot, P, nav, near, z, variance, R):
-        """The white covariance of a reading, with what its equation leaves out."""
+    def _white(bench, spot, P, nav, variance, R):
+        """The white covariance of a reading."""
         _ = sources
         a = R.shape[0]
         own = variance.size > 0 and not math.isnan(variance[0])
@@ -80,11 +80,8 @@ def _bent(sources):
             if spot[MOVES] and P[8, 8] > UNSURE_HEADING:
                 # second-order term of a velocity seen from a heading that is hardly known (Gelb, 1974, sec. 6.1)
                 R[i, i] += 0.5 * (nav[3] ** 2 + nav[4] ** 2) * P[8, 8] ** 2
-        if spot[BEND]:
-            constants = bench[spot[CONSTANTS] : spot[CONSTANTS] + spot[CONSTANTS_SIZE]]
-            addresses.at_bend(spot[BEND], (z, near, P, spot[4] + spot[5], constants, R))
 
-    return _bent
+    return _white
 
 
 @_keyed
@@ -123,16 +120,19 @@ def correction(sources):
         near = mem[places[7] : places[8]].reshape((a, 9 + parameters))
         constants = bench[spot[CONSTANTS] : spot[CONSTANTS] + spot[CONSTANTS_SIZE]]
         first, res = start - 9 + errors, mem[places[3] : places[3] + a]
+        R = bench[spot[NOISE] : spot[NOISE] + a * a].reshape((a, a))
+        _white(bench, spot, P, nav, variance, R)
         par = x[first : first + parameters]
         if spot[SIGHT]:
             facts = bench[spot[FACTS] : spot[FACTS] + past.BY_ARM + 3 * spot[CONSTANTS_SIZE]]
             sensor = spot[EQUATION], spot[MOTION], facts
             here = z, nav, rate, par, constants, recent, drv, Cr, xd, since_s
-            addresses.at_sight(spot[SIGHT], sensor + here + (H, near, res))
+            clock = start + errors + parameters - 1
+            addresses.at_sight(spot[SIGHT], sensor + here + (P[clock, clock], H, near, res, R))
         else:
             addresses.at_equation(spot[EQUATION], (z, nav, rate, par, constants, near, res))
-        R = bench[spot[NOISE] : spot[NOISE] + a * a].reshape((a, a))
-        _bent(bench, spot, P, nav, near, z, variance, R)
+        if spot[BEND]:
+            addresses.at_bend(spot[BEND], (z, near, P, start + errors, constants, R))
         C = bench[spot[OUTPUT] : spot[OUTPUT] + a * errors].reshape((a, errors))
         limits, beyond = bench[spot[LIMITS] : spot[LIMITS] + a + 1], False
         for i in range(a):
