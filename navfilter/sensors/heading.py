@@ -66,8 +66,8 @@ class Heading(Sensor):
     -----
     A reading may carry a temperature [deg C] as its last element.
 
-    With iron states the field is ``(I + A) (calibrated reading) - h``, A symmetric with yy = -xx: an ellipsoid becomes a
-    sphere, whose size no azimuth shows (Gebre-Egziabher et al., 2006, "Calibration of strapdown magnetometers in
+    With iron states the field is ``(I + A) (calibrated reading) - h``, A symmetric with yy = -xx: an ellipsoid becomes
+    a sphere, whose size no azimuth shows (Gebre-Egziabher et al., 2006, "Calibration of strapdown magnetometers in
     magnetic field domain"). Only the azimuth of the levelled field is compared, so that turns show what lies in their
     plane. What turns A by itself is the bias.
     """
