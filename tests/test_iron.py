@@ -57,7 +57,7 @@ def test_iron_is_found_by_turns_with_an_honest_sd():
 
 def test_keys_of_a_vehicle_toml_and_what_is_said_of_them(tmp_path):
     text = """
-    [imu]
+    [drive]
     type = "imu"
     rate_hz = 50
     [sensors.compass]
