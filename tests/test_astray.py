@@ -9,6 +9,7 @@ from test_agreement import DEG, RADIUS_M, after, altered, dive, fly, turned
 import navfilter as nf
 from navfilter.filter.course import Course
 from navfilter.filter.memory import differences
+from navfilter.simulation.scenarios import simulate_scenario
 
 
 def short(duration_s):
@@ -79,6 +80,21 @@ def test_a_way_that_is_turned_is_told_from_one_that_is_drawn_off():
     assert size == pytest.approx(np.var(way, axis=0).sum())
     *_, beside_turned, beside_drawn = fitted(way + time_s[:, None] * np.array([0.4, 0.0]) + noise)
     assert beside_drawn < 1.0 < 10.0 < beside_turned
+
+
+@pytest.mark.parametrize("seed", [11, 12])
+def test_fixes_are_not_blamed_for_long_for_a_dvl_and_a_compass_that_are_described_wrongly(seed, monkeypatch):
+    vehicle, mission = simulate_scenario("miscalibrated", seed, 240.0)
+
+    def rms():
+        track = nf.replay(vehicle, mission)
+        return track, math.sqrt(np.nanmean(track.errors(mission.truth).horizontal ** 2))
+
+    judged, rms_m = rms()
+    assert judged.counts["astray"] >= 1  # it is said
+    monkeypatch.setattr("navfilter.filter.channel.believed", lambda sensor, group: np.full(sensor.axes, np.inf))
+    believing, plain_m = rms()
+    assert believing.counts["astray"] == 0 and rms_m < plain_m
 
 
 def test_what_has_gone_astray_is_kept_in_a_snapshot():
