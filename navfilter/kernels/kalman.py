@@ -152,13 +152,15 @@ def tick(P, x, start, A, B, T):
         if j < start or j >= start + b:
             for i in range(b):
                 P[j, start + i] = T[i, j]
-    for i in range(b):
-        for j in range(i + 1):
+    for j in range(b):
+        first, last = b, 0
+        for r in range(b):
+            if A[j, r] != 0.0:
+                first, last = min(first, r), r + 1
+        for i in range(j, b):
             s = B[i, j]
-            for r in range(b):
-                f = A[j, r]
-                if f != 0.0:
-                    s += T[i, start + r] * f
+            for r in range(first, last):
+                s += T[i, start + r] * A[j, r]
             P[start + i, start + j] = s
             P[start + j, start + i] = s
     for i in range(b):
@@ -610,9 +612,14 @@ def _transition_transposed(L, lam, Phi, start, b, T):
                 L[start + i, j] = T[i, j]
         for j in range(b):
             L[start + i, start + j] = 0.0
-        for r in range(b):
+    for r in range(b):
+        first, last = b, 0
+        for j in range(b):
+            if Phi[r, j] != 0.0:
+                first, last = min(first, j), j + 1
+        for i in range(b):
             f = T[i, start + r]
-            for j in range(b):
+            for j in range(first, last):
                 L[start + i, start + j] += f * Phi[r, j]
     for i in range(n):
         if i < start or i >= start + b:
@@ -634,25 +641,42 @@ def _transition_transposed(L, lam, Phi, start, b, T):
 
 @njit(cache=True, **UNCOUNTED)
 def _head_transposed(L, lam, Phi, work):
-    """L <- Phi' L Phi and lam <- Phi' lam for a transition of the leading m states; work: (2 m^2 + m n,)."""
+    """L <- Phi' L Phi and lam <- Phi' lam for a transition of the leading m states; work: (2 m^2 + m n,).
+
+    As in `fold`: of the rows of Phi behind navigation only what is not zero.
+    """
     m, n = Phi.shape[0], len(lam)
     A, B, T = work[: m * m].reshape((m, m)), work[m * m : 2 * m * m].reshape((m, m)), work[2 * m * m :]
     T = T[: m * n].reshape((m, n))
+    C = work[m * m :][: 9 * m].reshape((m, 9))
     for i in range(m):
+        for j in range(9):
+            C[i, j] = Phi[j, i]
+    _product(C, L[:9], T)
+    for r in range(9, m):
+        for i in range(m):
+            f = Phi[r, i]
+            if f != 0.0:
+                for j in range(n):
+                    T[i, j] += f * L[r, j]
+    for i in range(m):
+        for j in range(9):
+            C[i, j] = T[i, j]
+    _product(C, Phi[:9], A)
+    for r in range(9, m):
         for j in range(m):
-            A[i, j] = Phi[j, i]
-    _product(A, L[:m], T)
+            f = Phi[r, j]
+            if f != 0.0:
+                for i in range(m):
+                    A[i, j] += f * T[i, r]
     for i in range(m):
-        for j in range(m):
-            B[i, j] = T[i, j]
+        B[0, i] = 0.0
+    for r in range(m):
+        f = lam[r]
+        for i in range(m):
+            B[0, i] += f * Phi[r, i]
     for i in range(m):
-        s = 0.0
-        for r in range(m):
-            s += A[i, r] * lam[r]
-        T[i, 0] = s
-    for i in range(m):
-        lam[i] = T[i, 0]
-    _product(B, Phi, A)
+        lam[i] = B[0, i]
     for i in range(m):
         for j in range(m, n):
             L[i, j] = T[i, j]

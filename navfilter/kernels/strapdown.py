@@ -270,14 +270,13 @@ def integrate(nav, drv, samples, out):
 
 
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
-def _inertial_advance(nav, xd, inc, dt, drv, Cr, f):
+def _inertial_advance(nav, xd, inc, dt, drv, seen, gain, noisy, f):
     """One strapdown step with the drive's errors taken off; leaves the elements of its transition, of second order in
-    dt, in f (34,) for `_inertial_carry`.
+    dt, in f (34,) for `_inertial_carry`. seen, gain, noisy: as `_which_errors` has it.
     """
-    k, C, mid = len(xd), drv[MEAN_C : MEAN_C + 9], f[:12]
-    for i in range(6):
-        for s in range(k):
-            inc[i] -= dt * Cr[i, s] * xd[s]
+    C, mid = drv[MEAN_C : MEAN_C + 9], f[:12]
+    for p in range(noisy):
+        inc[seen[0, p]] -= dt * gain[p] * xd[seen[1, p]]
     _mechanise(nav, inc, dt, C, mid)
     pn, pe, pd, mn, me, md, g = mid[0], mid[1], mid[2], mid[3], mid[4], mid[5], mid[6]
     by_rn, by_re, sl, cl, tl = mid[7], mid[8], mid[9], mid[10], mid[11]
@@ -306,14 +305,15 @@ def _inertial_advance(nav, xd, inc, dt, drv, Cr, f):
     f[32], f[33] = 1.0 - dt * (down + tl * north), dt * east
 
 
-@njit(cache=True, error_model="numpy", **UNCOUNTED)
+@njit(cache=True, error_model="numpy", fastmath={"contract"}, **UNCOUNTED)
 def _inertial_carry(X, f, C, seen, gain, kinds, E, m, Phi_ends):
     """Rows 0 to 8 of X (panels of an (m, m) matrix) from the left by the transition of one step: attitude, then
     velocity with the mean attitude error, then position with the mean velocity error.
 
-    Only its nonzero elements, in registers: ten times as quick as a product of whole matrices. seen, gain, kinds: as
-    `_which_errors` has it; E (6 * WIDE,): work, rows of readings that no state enters are zero. A constant is a unit
-    row of Phi, which ends at `Phi_ends`, and has no noise.
+    Only its nonzero elements, in registers: ten times as quick as a product of whole matrices. Multiplied and added in
+    one rounding where the processor can: every step of the filter goes by `imu_steps` or `imu_hold` as they are
+    compiled, so that bits stay the same. seen, gain, kinds: as `_which_errors` has it; E (6 * WIDE,): work, rows of
+    readings that no state enters are zero. A constant is a unit row of Phi, which ends at `Phi_ends`, and has no noise.
     """
     noisy, plain = kinds
     dt, tn, te, td, pn, pe, pd = f[0], f[1], f[2], f[3], f[4], f[5], f[6]
@@ -389,10 +389,9 @@ def _tick_rows(X, Phid, diagonal, T, m):
 
 
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
-def _transpose(X, m):
-    """Of a matrix in panels, in place."""
-    Z = X.reshape((X.size // WIDE, WIDE))
-    panels = X.size // (m * WIDE)
+def _transpose(Z, m):
+    """Of a matrix in panels, in place: Z, their rows."""
+    panels = Z.shape[0] // m
     for p in range(panels):
         lower = p * WIDE
         for q in range(p + 1):
@@ -427,12 +426,12 @@ def _tick_drive(xd, Phid, Qd, diagonal, T, Q, m):
 
 
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
-def _inertial_compound(xd, Phid, Qd, diagonal, ticks, C, f, seen, gain, kinds, E, T, both, Q, gathered):
+def _inertial_compound(xd, Phid, Qd, diagonal, ticks, C, f, seen, gain, kinds, E, T, both, Q, rows, gathered):
     """Compound Phi <- F Phi, Q <- F Q F' with the step that `_inertial_advance` left in f; the drive's blocks tick, and
     their mean too.
 
-    both: panels of Phi and behind them Q, those of Q; gathered: whether there is any noise yet. Q F' is formed as (F
-    Q)', Q being symmetric.
+    both: panels of Phi and behind them Q, those of Q, which are `rows` too; gathered: whether there is any noise yet. Q
+    F' is formed as (F Q)', Q being symmetric.
     """
     m = 9 + len(xd)
     moved = both if gathered else both[: both.size - Q.size]
@@ -440,12 +439,12 @@ def _inertial_compound(xd, Phid, Qd, diagonal, ticks, C, f, seen, gain, kinds, E
     if ticks > 0:
         _tick_rows(moved, Phid, diagonal, T, m)
     if gathered:
-        _transpose(Q, m)
+        _transpose(rows, m)
         _inertial_carry(Q, f, C, seen, gain, kinds, E, m, int(0))
     for count in range(ticks):
         if count > 0:
             _tick_rows(both, Phid, diagonal, T, m)
-            _transpose(Q, m)
+            _transpose(rows, m)
         if gathered or count > 0:
             _tick_rows(Q, Phid, diagonal, T, m)
         _tick_drive(xd, Phid, Qd, diagonal, T, Q, m)
@@ -633,7 +632,7 @@ def _imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc, floats, seen):
     _to_panels(acc[m : 2 * m], Q)
     moved = Q[: _panels(m - int(drv[CALIBRATED])) * m * WIDE]  # constants gather no noise
     both = floats[floats.size - Q.size - Phi.size : floats.size - Q.size + moved.size]
-    gathered = bool(Q.any())
+    rows, gathered = moved.reshape((moved.size // WIDE, WIDE)), bool(Q.any())
     for n in range(samples.shape[0]):
         _increments(samples, n, drv, inc)
         drv[COUNT] += 1.0
@@ -645,9 +644,11 @@ def _imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc, floats, seen):
         C = drv[MEAN_C : MEAN_C + 9]
         if drv[CALIBRATED] != 0.0:
             _uncalibrated(inc, dt, xd, drv, f, seen[:, kinds[0] :], gain[kinds[0] : count])
-        _inertial_advance(nav, xd, inc, dt, drv, Cr, f)
+        _inertial_advance(nav, xd, inc, dt, drv, seen, gain, kinds[0], f)
         ticks = _ticks(samples[n, 0], drv)
-        _inertial_compound(xd, Phid, Qd, diagonal, ticks, C, f, seen, gain[:count], kinds, E, T, both, moved, gathered)
+        _inertial_compound(
+            xd, Phid, Qd, diagonal, ticks, C, f, seen, gain[:count], kinds, E, T, both, moved, rows, gathered
+        )
         _inertial_noise(dt, drv, Cr, Q, k)
         gathered = True
     _from_panels(Phi, acc[:m])
@@ -672,7 +673,7 @@ def _imu_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc, floats, seen):
     _to_panels(acc[m : 2 * m], Q)
     moved = Q[: _panels(m - int(drv[CALIBRATED])) * m * WIDE]  # constants gather no noise
     both = floats[floats.size - Q.size - Phi.size : floats.size - Q.size + moved.size]
-    gathered = bool(Q.any())
+    rows, gathered = moved.reshape((moved.size // WIDE, WIDE)), bool(Q.any())
     scale = dt / drv[PERIOD_S] if drv[INCREMENTS] != 0.0 else dt
     for i in range(6):
         inc[i] = drv[PREVIOUS + i] * scale
@@ -680,9 +681,11 @@ def _imu_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc, floats, seen):
     drv[HELD_S] += dt
     if drv[CALIBRATED] != 0.0:
         _uncalibrated(inc, dt, xd, drv, f, seen[:, kinds[0] :], gain[kinds[0] : count])
-    _inertial_advance(nav, xd, inc, dt, drv, Cr, f)
+    _inertial_advance(nav, xd, inc, dt, drv, seen, gain, kinds[0], f)
     C = drv[MEAN_C : MEAN_C + 9]
-    _inertial_compound(xd, Phid, Qd, diagonal, int(0), C, f, seen, gain[:count], kinds, E, T, both, moved, gathered)
+    _inertial_compound(
+        xd, Phid, Qd, diagonal, int(0), C, f, seen, gain[:count], kinds, E, T, both, moved, rows, gathered
+    )
     _inertial_noise(dt, drv, Cr, Q, k)
     _from_panels(Phi, acc[:m])
     _from_panels(Q, acc[m : 2 * m])
