@@ -545,14 +545,26 @@ def heading(z, nav, rate, par, cfg, H, res):
 
 
 def magnetometer(z, nav, rate, par, cfg, H, res):
-    C = nav[6:15].reshape(3, 3)
-    azimuth, row = _bearing(C @ z[:3])
+    C, (hard, soft) = nav[6:15].reshape(3, 3), cfg[2:4].astype(int)
+    m, A = z[:3], np.eye(3)
+    if soft >= 0:
+        xx, zz, xy, xz, yz = par[soft:]
+        A += np.array([[xx, xy, xz], [xy, -xx, yz], [xz, yz, zz]])
+    n = C @ (A @ m - (par[hard : hard + 3] if hard >= 0 else 0.0))
+    azimuth, row = _bearing(n)
     H[:] = 0.0
     predicted = azimuth - cfg[0]
-    if len(par):
+    if len(par) and 0 not in (hard, soft):
         psi, turn = _bearing(C @ NORTH)
-        H[0, 9:], slopes = _deviation(psi - cfg[0], z[3], cfg[1])
-        predicted, row = predicted + par @ H[0, 9:], row + par @ slopes * turn
+        H[0, 9:15], slopes = _deviation(psi - cfg[0], z[3], cfg[1])
+        predicted, row = predicted + par[:6] @ H[0, 9:15], row + par[:6] @ slopes * turn
+    by = np.array([-n[1], n[0], 0.0]) @ C / (n[0] ** 2 + n[1] ** 2)
+    if hard >= 0:
+        H[0, 9 + hard : 12 + hard] = -by
+    if soft >= 0:
+        both = np.outer(by, m) + np.outer(m, by)
+        pairs = [both[0, 1], both[0, 2], both[1, 2]]
+        H[0, 9 + soft :] = [0.5 * (both[0, 0] - both[1, 1]), 0.5 * both[2, 2], *pairs]
     H[0, 6:9], res[0] = row, _half_turn(-predicted)
 
 

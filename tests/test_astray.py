@@ -7,7 +7,7 @@ import pytest
 from test_agreement import DEG, RADIUS_M, after, altered, dive, fly, turned
 
 import navfilter as nf
-from navfilter.filter.course import Course
+from navfilter.filter.course import Course, led_astray
 from navfilter.filter.memory import differences
 from navfilter.simulation.scenarios import simulate_scenario
 
@@ -80,6 +80,19 @@ def test_a_way_that_is_turned_is_told_from_one_that_is_drawn_off():
     assert size == pytest.approx(np.var(way, axis=0).sum())
     *_, beside_turned, beside_drawn = fitted(way + time_s[:, None] * np.array([0.4, 0.0]) + noise)
     assert beside_drawn < 1.0 < 10.0 < beside_turned
+
+
+def test_the_bound_holds_where_a_compass_that_nobody_has_confirmed_may_have_led():
+    vehicle, mission = short(30.0)
+    nav, _ = fly(vehicle, mission)
+    compass, place = nav.filter.channels["compass"], nav.filter.nav
+    before_m = nav.state.bounds.horizontal_m
+    compass.memory.alone = (0.5 * math.pi, float(place[0]) - 100.0 / RADIUS_M, float(place[1]))
+    # turned by a right angle, 100 m ago: as far off as the diagonal
+    assert led_astray(compass, place) == pytest.approx(100.0 * math.sqrt(2.0), rel=0.01)
+    assert nav.state.bounds.horizontal_m > 141.0 > before_m
+    compass.memory.alone = ()
+    assert led_astray(compass, place) == 0.0 and nav.state.bounds.horizontal_m == before_m
 
 
 @pytest.mark.parametrize("seed", [11, 12])

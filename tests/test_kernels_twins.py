@@ -287,7 +287,13 @@ def test_a_vertical_field_has_no_azimuth():
     nav = random_nav(np.random.default_rng(0))
     res, field = np.zeros(1), nav[6:15].reshape(3, 3).T @ np.array([0.0, 0.0, 50.0])
     measurement.magnetometer(
-        np.array([*field, np.nan]), nav, np.zeros(3), np.zeros(0), np.zeros(2), np.zeros((1, 9)), res
+        np.array([*field, np.nan]),
+        nav,
+        np.zeros(3),
+        np.zeros(0),
+        np.array([0.0, 0.0, -1.0, -1.0]),
+        np.zeros((1, 9)),
+        res,
     )
     # Rounding leaves 1e-15 of 50 in the horizontal: the azimuth is either undefined or arbitrary, never an exception.
     assert math.isnan(res[0]) or abs(res[0]) <= math.pi

@@ -159,21 +159,44 @@ def magnetometer(z, nav, rate, par, cfg, H, res):
     """Three-axis magnetometer levelled with the filter's own attitude; the residual is the error of the magnetic
     azimuth.
 
-    z: field in b (any unit), temperature. cfg: declination, reference temperature. par as for `heading`.
+    z: field in b (any unit), temperature. cfg: declination, reference temperature, where in par hard iron h (3) and
+    soft iron A (5: xx = -yy, zz, xy, xz, yz) begin, -1 for none: field = (I + A) z - h. It is linear in both, and no
+    scale of the whole is left open, or noise would seem to show what no reading does. par before that as for `heading`.
     """
     _clear(H)
-    n0 = nav[6] * z[0] + nav[7] * z[1] + nav[8] * z[2]
-    n1 = nav[9] * z[0] + nav[10] * z[1] + nav[11] * z[2]
-    n2 = nav[12] * z[0] + nav[13] * z[1] + nav[14] * z[2]
+    hard, soft = int(cfg[2]), int(cfg[3])
+    m0, m1, m2 = z[0], z[1], z[2]
+    f0, f1, f2 = m0, m1, m2
+    if soft >= 0:
+        xx, zz, xy, xz, yz = par[soft], par[soft + 1], par[soft + 2], par[soft + 3], par[soft + 4]
+        f0 += xx * m0 + xy * m1 + xz * m2
+        f1 += xy * m0 - xx * m1 + yz * m2
+        f2 += xz * m0 + yz * m1 + zz * m2
+    if hard >= 0:
+        f0, f1, f2 = f0 - par[hard], f1 - par[hard + 1], f2 - par[hard + 2]
+    n0 = nav[6] * f0 + nav[7] * f1 + nav[8] * f2
+    n1 = nav[9] * f0 + nav[10] * f1 + nav[11] * f2
+    n2 = nav[12] * f0 + nav[13] * f1 + nav[14] * f2
     # A compass that reads too high sees the field turned to the left: reading error = -(azimuth of the levelled field -
     # declination).
     azimuth = _bearing(n0, n1, n2, H)
     predicted = 0.0
-    if len(par) > 0:
+    if len(par) > 0 and hard != 0 and soft != 0:
         a, b = H[0, 6], H[0, 7]
         psi = _bearing(nav[6], nav[9], nav[12], H) - cfg[0]
         predicted, slope = _deviation(psi, par, H, z[3], cfg)
         H[0, 6], H[0, 7], H[0, 8] = a + slope * H[0, 6], b + slope * H[0, 7], 1.0 + slope
+    h2 = max(n0 * n0 + n1 * n1, 1e-300)
+    # how the azimuth grows with the field in b
+    g0 = (nav[9] * n0 - nav[6] * n1) / h2
+    g1 = (nav[10] * n0 - nav[7] * n1) / h2
+    g2 = (nav[11] * n0 - nav[8] * n1) / h2
+    if hard >= 0:
+        H[0, 9 + hard], H[0, 10 + hard], H[0, 11 + hard] = -g0, -g1, -g2
+    if soft >= 0:
+        s = 9 + soft
+        H[0, s], H[0, s + 1] = g0 * m0 - g1 * m1, g2 * m2
+        H[0, s + 2], H[0, s + 3], H[0, s + 4] = g0 * m1 + g1 * m0, g0 * m2 + g2 * m0, g1 * m2 + g2 * m1
     r = cfg[0] - azimuth - predicted
     res[0] = r - 2.0 * math.pi * math.floor(r / (2.0 * math.pi) + 0.5)
 
