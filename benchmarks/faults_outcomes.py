@@ -15,7 +15,7 @@ from harness import DEG, ROOT, Options, Table
 sys.path.insert(0, str(ROOT / "tests"))
 import faults_library as library
 import faults_run as watched
-from feeding import Events, events_of
+from feeding import DRIVE, Events, events_of
 
 import navfilter as nf
 from navfilter.simulation.faults import Faults
@@ -25,7 +25,7 @@ from navfilter.start import Start
 from navfilter.state import wrap
 
 END_S, DIVE_S, BACK_S, FAULT_S, MINUTE_S, JUDGED_S = 700.0, 140.0, 500.0, 250.0, 60.0, 620.0
-RADIUS_M = 6.371e6
+RADIUS_M, G = 6.371e6, 9.80665
 WORST_NEES = 2.0
 COLUMNS = "fault<46 worst_m>8.1f sd_m>8.1f clean_m>8.1f held>7.2f named_s>7.1f after_m>8.1f nees>8.1f verdict<14"
 
@@ -83,6 +83,10 @@ SITUATIONS: dict[str, Case] = {
     "compass turned by 180 deg from the start": values("compass", turned, 0.0),
     "compass 25 deg off from the start": values("compass", lambda v, age_s: wrap(v + 25.0 * DEG), 0.0),
     "DVL scale +5 % for good": values("dvl", lambda v, age_s: 1.05 * v),
+    "gyro x +100 deg/h for good": values(DRIVE, lambda v, age_s: v + 100.0 * DEG / 3600.0 * np.eye(6)[0]),
+    "accelerometer x +50 mg for good": values(DRIVE, lambda v, age_s: v + 0.05 * G * np.eye(6)[3]),
+    "gyros x and y exchanged for good": values(DRIVE, lambda v, age_s: v[[1, 0, 2, 3, 4, 5]]),
+    "accelerometers x and y exchanged for good": values(DRIVE, lambda v, age_s: v[[0, 1, 2, 4, 3, 5]]),
     "depth +5 m for good": values("depth", lambda v, age_s: v + 5.0),
     "depth +5 m for a minute": values("depth", lambda v, age_s: v + 5.0, end_s=FAULT_S + MINUTE_S),
     "fixes jump by 100 m for 40 s": values("gps", north(lambda age_s: 100.0), 80.0, 120.0),

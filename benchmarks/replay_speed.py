@@ -26,10 +26,19 @@ WORK = {
 
 
 def larger(vehicle: nf.Vehicle) -> nf.Vehicle:
-    """The same with 40 error states: slow errors of order 4, and one of the depth."""
+    """The same with 40 error states: slow errors of compass and DVL as sums of four of other times, one of the depth.
+
+    They say of the readings what is true of them, as near as may be: readings that a wrong description refuses are
+    judged one by one, which is another cost.
+    """
+
+    def slow(sd: float, *tau_s: float) -> nf.ErrorModel:
+        parts = [nf.GaussMarkov(sd=sd / len(tau_s) ** 0.5, tau_s=tau) for tau in tau_s]
+        return sum(parts[1:], start=parts[0])
+
     return vehicle.with_error(
-        compass=nf.GaussMarkov(sd=0.6 * DEG, tau_s=30.0, order=4) + nf.White(sd=0.1 * DEG),
-        dvl=nf.GaussMarkov(sd=0.01, tau_s=10.0, order=4) + nf.White(sd=0.01),
+        compass=slow(0.6 * DEG, 15.0, 30.0, 60.0, 120.0) + nf.White(sd=0.1 * DEG),
+        dvl=slow(0.01, 5.0, 10.0, 20.0, 40.0) + nf.White(sd=0.01),
         depth=nf.GaussMarkov(sd=0.05, tau_s=60.0) + nf.White(sd=0.05),
     )
 

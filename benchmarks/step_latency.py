@@ -53,7 +53,9 @@ Event = tuple[str, float, Any, Any]
 
 
 def readings(vehicle: nf.Vehicle, mission: nf.Mission) -> list[Event]:
-    """Everything in order of time, as plain tuples: what a driver would hand over."""
+    """Everything in order of time, as plain tuples: what a driver would hand over. Of readings with the same time,
+    samples come first, then sensors as the vehicle names them; so no reading is late that would not be on board.
+    """
     times, values = drive_samples(vehicle, mission)
     rows = zip(times.tolist(), values.tolist(), strict=True)
     events: list[Event] = [("", t, tuple(v[:3]), tuple(v[3:])) for t, v in rows]
@@ -61,7 +63,8 @@ def readings(vehicle: nf.Vehicle, mission: nf.Mission) -> list[Event]:
         stream = mission.streams[name]
         rows = zip(stream.time_s.tolist(), stream.value.tolist(), strict=True)
         events += [(name, t, tuple(v), None) for t, v in rows]
-    return sorted(events, key=lambda e: (round(e[1], 9), e[0]))
+    # the sort keeps the order of what is alike
+    return sorted(events, key=lambda e: round(e[1], 9))
 
 
 def timed(nav: nf.Navigator, events: list[Event], clock: Callable[[], int]) -> dict[str, Array]:

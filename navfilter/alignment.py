@@ -218,14 +218,15 @@ def _heading(
         return _course(vehicle, mission, begin)
     place = _first_fix(vehicle, mission, window_s)[0]
     at = Start(latitude_deg=float(np.degrees(place[0])), longitude_deg=float(np.degrees(place[1])), date=mission.date)
+    level = np.array(readings)
     if sensor.magnetometer:
-        level = np.array(readings)[:, :3] @ matrix_from_euler(roll, pitch, 0.0).T
+        level = level[:, :3] @ matrix_from_euler(roll, pitch, 0.0).T
         angles = -np.arctan2(level[:, 1], level[:, 0])
     else:
-        angles = np.array(readings)[:, 0]
+        angles = level[:, 0]
     mean = float(np.angle(np.mean(np.exp(1j * angles))))
     block = sensor.models[0].block(1.0 / sensor.rate_hz)
-    variance = block.r / len(readings) + block.C @ block.P0 @ block.C + sum(p.sd**2 for p in sensor.parameters()[:5])
+    variance = block.r / len(readings) + block.C @ block.P0 @ block.C + sensor.doubt_of(level)
     return float(wrap(mean + sensor.declination(at))), float(np.sqrt(variance + np.radians(0.5) ** 2))
 
 

@@ -76,7 +76,8 @@ class Beginning:
         other = twin.arrived()
         if nav.history is not None and other.history is not None:
             nav.history.take_over(other.history)
-        nav.filter.recall(other.filter.memory)
+        # the whole filter, not its memory alone: its states are laid out already
+        nav.filter = learning.filter = other.filter
         learning.memory = other.learning.memory
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.filter.lane_choice import Choice
+from navfilter.filter.lane_choice import HISTORY, Choice, LaneHistory
 from navfilter.filter.tape import Tape
 from navfilter.lane_clock import edge_after
 from navfilter.lane_missions import lane_mission
@@ -90,6 +90,9 @@ class LaneReplay:
             for name, lane in described.items()
         ]
         self.changes = [(-math.inf, self.lanes[0].name)]
+        self._reasons: list[str] = []
+        self._compared: list[tuple[float, Array, Array]] = []
+        self.choice.told = self._keep
 
     @property
     def readings(self) -> int:
@@ -128,10 +131,23 @@ class LaneReplay:
         changes = []
         for time_s, number, sensor, residual, variance in heard:
             changes += self.choice.decide_until(time_s)
-            self.choice.hear(number, sensor, residual, variance)
+            self.choice.hear(number, sensor, time_s, residual, variance)
         if until_s < self._end_s:
             changes += self.choice.decide_until(until_s, behind=True)
-        self.changes += [(time_s, self.lanes[number].name) for time_s, number in changes]
+        self.changes += [(time_s, self.lanes[number].name) for time_s, number, _ in changes]
+        self._reasons += [reason for *_, reason in changes]
+
+    def _keep(self) -> None:
+        if self.choice.memory.step % HISTORY == 0:
+            self._compared.append((self.choice.compared_s, *self.choice.means()))
+
+    @property
+    def history(self) -> LaneHistory:
+        """How the lanes did so far."""
+        times, gain, nis = zip(*self._compared, strict=True) if self._compared else ((), (), ())
+        names = tuple(lane.name for lane in self.lanes)
+        gains, squares = (np.array(each).reshape(-1, len(names)) for each in (gain, nis))
+        return LaneHistory(names, np.array(times), gains, squares, tuple(self._reasons))
 
 
 class _Lane:

@@ -58,6 +58,7 @@ def replayed_lanes(
         counts=track.counts,
         epoch_utc_s=mission.epoch_utc_s,
         lanes=track.lanes,
+        lane_history=track.lane_history,
     )
 
 
@@ -86,6 +87,7 @@ def _forward(run: LaneReplay, mission: Mission, began: float) -> Track:
         error_models={name: found for name, found in models.items() if name in sensors or name in ("gyro", "accel")},
         epoch_utc_s=mission.epoch_utc_s,
         lanes=tuple((max(time_s, run.start.time_s), name) for time_s, name in run.changes),
+        lane_history=run.history,
     )
     bounds = bounds_along(track)
     for (begin_s, name), end_s in zip(run.changes, ends, strict=True):

@@ -24,7 +24,7 @@ from navfilter.filter.events import Outcome
 from navfilter.filter.health import Health, LaneHealth, Watch
 from navfilter.filter.history import History, Reading
 from navfilter.filter.integrity import Trust
-from navfilter.filter.lane_choice import JUDGED, Choice, ChoiceMemory
+from navfilter.filter.lane_choice import Choice, ChoiceMemory
 from navfilter.filter.memory import misfit
 from navfilter.filter.transplant import Transplant, transplant
 from navfilter.lane_clock import UPRIGHT, coasting_times, edge_after, level_times
@@ -82,7 +82,8 @@ class LanesMemory:
 def choice_of(vehicle: Vehicle, start_s: float) -> Choice:
     """The choice among the lanes of a vehicle; readings that wait, and those of a drive, have no part in it."""
     sensors = {name: sensor for name, sensor in vehicle.sensors.items() if not sensor.lead_s}
-    return Choice([name != DEAD_RECKONING for name in vehicle.lanes()], sensors, start_s)
+    force_sd = max(unit.gap_force_sd for unit in vehicle.units.values())
+    return Choice([name != DEAD_RECKONING for name in vehicle.lanes()], sensors, start_s, force_sd)
 
 
 def to_begin_anew(choice: Choice, believed: Navigator) -> list[int]:
@@ -299,7 +300,7 @@ class LaneNavigator:
             if sensor is not None and outcome.dof:
                 note = run.filter.channels[reading.name].note
                 axes = (len(note) - 3) // 2
-                self.choice.hear(i, sensor, note[3 : 3 + axes].tolist(), note[3 + axes :].tolist())
+                self.choice.hear(i, sensor, reading.time_s, note[3 : 3 + axes].tolist(), note[3 + axes :].tolist())
             if run is believed:
                 result = outcome
         assert result is not None
@@ -387,18 +388,16 @@ class LaneNavigator:
         doubts += ["no inertial unit is in force"] if run is self._coasting else []
         if trust is not None and doubts:
             trust = Trust("lost" if trust.level == "lost" else "degraded", (*trust.reasons, *doubts))
-        return dataclasses.replace(health, lane=name, lanes=lanes, trust=trust)
+        return dataclasses.replace(health, lane=name, lane_reason=self.choice.reason, lanes=lanes, trust=trust)
 
     def _lane_health(self) -> Iterator[tuple[str, LaneHealth]]:
         memory = self.choice.memory
-        gain, _ = self.choice.sums()
-        judged = memory.ring[:, :, :, JUDGED].sum(axis=(0, 2))
+        gain, nis = (values.tolist() for values in self.choice.means())
         for i, (name, run) in enumerate(self.lanes.items()):
             condition = "in-force" if i == memory.lane else "doubted" if memory.doubted[i] else "ready"
             if name in self._units and self.time_s - run.time_s > AHEAD_S:
                 condition = "silent"
-            mean = float(gain[i].sum() / judged.max()) if judged.max() else math.nan
-            yield name, LaneHealth(condition, mean, run.filter.watch.conditions(run.filter.memory.watch))
+            yield name, LaneHealth(condition, gain[i], run.filter.watch.conditions(run.filter.memory.watch), nis[i])
 
     # ---------------------------------------------------------------- keep and bring back
     def snapshot(self, path: str | PathLike[str] | None = None) -> bytes:

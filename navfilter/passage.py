@@ -313,14 +313,15 @@ class Passage:
         for channel in self._channels:
             channel.gate[:] = channel.limits
         now = np.array([memory.time_s, memory.sample_s, intake.before_s, _last(tape)])
-        cursor = np.zeros(kernels.SPARE + 1, np.int64)
+        cursor = np.zeros(kernels.CURSOR, np.int64)
         cursor[: kernels.GAPS] = self.at - self._begin, self.done - self._first, memory.unfolded
         cursor[kernels.STEPPED] = self._stepped
         heard = np.array(
             [(*c.times, c.period_s, _doubted(c), c.count, c.lead_s) for c in self._channels], dtype=np.float64
         )
         watched = np.array([(w.same, w.since_s, w.heard_s, w.used_s, w.nis, 0.0) for w in self._watches])
-        out, hearing = self._output(), self._hearing()
+        out, hearing, recent = self._output(), self._hearing(), self._recent(memory.recent)
+        cursor[kernels.NEWEST] = kernels.MORE_RECENT if len(recent) else 0
         first = cursor[kernels.READING], cursor[kernels.SAMPLE]
         why = int(
             kernels.stretch(
@@ -333,7 +334,7 @@ class Passage:
                 watched,
                 (memory.nav, memory.x, memory.P, memory.acc),
                 (
-                    *(memory.drv, filter.Phid, filter.Qd, filter.drive_output, memory.recent),
+                    *(memory.drv, filter.Phid, filter.Qd, filter.drive_output, recent),
                     *(memory.watch, np.sqrt(filter.layout.drive.r), filter.watch.limits),
                 ),
                 self._samples,
@@ -347,9 +348,17 @@ class Passage:
                 out,
             )
         )
+        if len(recent):
+            newest = int(cursor[kernels.NEWEST])
+            memory.recent = recent[newest : newest + len(memory.recent)].copy()
         self._written(now, cursor, heard, watched, first, why, out)
         self._overheard(hearing[1], int(first[0]))
         return why
+
+    @staticmethod
+    def _recent(recent: Array) -> Array:
+        """The drive's last samples, with room before them for new ones."""
+        return np.concatenate([np.zeros((kernels.MORE_RECENT, 7)), recent]) if len(recent) else recent
 
     def _settings(self) -> Array:
         """Limits and periods, see `navfilter.kernels.stretch`."""

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from navfilter.arma.model import ArmaModel
+    from navfilter.filter.lane_choice import LaneHistory
     from navfilter.vehicle import Vehicle
 
 __all__ = ["Track", "TrackErrors"]
@@ -112,6 +113,9 @@ class Track:
         When the condition of an axis of the inertial unit changed, as `Health.axes` names it.
     lanes : tuple of (float, str)
         Of a vehicle with lanes: from when [s] which was in force.
+    lane_history : LaneHistory or None
+        How well each lane foretold the readings, and why one was left for another, see
+        `navfilter.filter.lane_choice.LaneHistory`.
     """
 
     label: str
@@ -138,6 +142,7 @@ class Track:
     bounds: Array | None = None
     axes: tuple[tuple[float, str, str], ...] = ()
     lanes: tuple[tuple[float, str], ...] = ()
+    lane_history: LaneHistory | None = None
 
     def __len__(self) -> int:
         return len(self.time_s)

@@ -242,6 +242,13 @@ def inertial_vehicle(arma=True):
     )
 
 
+def iron_vehicle(arma=True):
+    """A magnetometer whose iron is not known, in place of the compass."""
+    plain = inertial_vehicle(arma)
+    compass = replace(plain.sensors["compass"], magnetometer=True, hard_iron_sd=2.0, soft_iron_sd=0.05)
+    return nf.Vehicle(plain.drive, {**plain.sensors, "compass": replace(compass, declination_rad=0.1)})
+
+
 def water_vehicle(arma=True, white=False):
     """The velocity is that through water whose current wanders within seconds; ``white=True``: only it ticks."""
     plain = inertial_vehicle(arma)
@@ -453,9 +460,13 @@ def drive_through(nav, seconds, seed, readings=("compass", "dvl", "depth", "gps"
             continue
         heading = 1.0 + turn
         kind = LIKE.get(type(vehicle.sensors[name]), name)
+        kind = "field" if getattr(vehicle.sensors[name], "magnetometer", False) else kind
         outlier = kind == "gps" and 2.0 < time_s < 3.0
         value = {
             "compass": lambda heading=heading: [heading + 0.1 * rng.normal()],
+            "field": lambda heading=heading: (
+                np.array([20.0 * np.cos(heading), -20.0 * np.sin(heading), 40.0]) + rng.normal(size=3)
+            ),
             "range": lambda: [53.0 + 2.0 * rng.normal(), float(rng.integers(2))],
             "usbl": lambda: [
                 50.0 + rng.normal(),

@@ -88,6 +88,10 @@ def imu_samples(rng, n, increments=False):
     return samples
 
 
+FIELD = np.array([24.0, 7.0, 30.0, 25.0])
+SHALLOW = np.array([44.0, -17.0, 10.0, 25.0])  # not nearly vertical, tilted by iron as it may be
+
+
 def readings(rng, nav):
     """One reading per measurement kernel: kernel, reading, constants, numbers of parameters, axes."""
     mounted = np.concatenate([[0.5, -0.2, 0.3], matrix_from_euler(0.1, -0.2, 0.7).ravel()])
@@ -97,7 +101,10 @@ def readings(rng, nav):
         (measurement.water_velocity, rng.normal(size=3), mounted, (2, 6, 8), 3),
         (measurement.heading, np.array([2.5, 11.0]), np.array([0.1, 20.0]), (0, 6), 1),
         (measurement.heading, np.array([-2.5, np.nan]), np.array([0.1, 20.0]), (6,), 1),
-        (measurement.magnetometer, np.array([24.0, 7.0, 30.0, 25.0]), np.array([0.1, 20.0]), (0, 6), 1),
+        (measurement.magnetometer, FIELD, np.array([0.1, 20.0, -1.0, -1.0]), (0, 6), 1),
+        (measurement.magnetometer, SHALLOW, np.array([0.1, 20.0, 0.0, -1.0]), (3,), 1),
+        (measurement.magnetometer, SHALLOW, np.array([0.1, 20.0, -1.0, 0.0]), (5,), 1),
+        (measurement.magnetometer, SHALLOW, np.array([0.1, 20.0, 6.0, 9.0]), (14,), 1),
         (measurement.depth, np.array([12.0]), np.array([0.5, -0.2, 0.3, 2.0]), (0, 1), 1),
         (measurement.position, place, np.array([0.5, -0.2, 0.3]), (0,), 3),
         (measurement.position, np.array([nav[0], nav[1] + 2 * np.pi, np.nan]), np.array([0.5, -0.2, 0.3]), (0,), 3),

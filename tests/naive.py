@@ -545,14 +545,26 @@ def heading(z, nav, rate, par, cfg, H, res):
 
 
 def magnetometer(z, nav, rate, par, cfg, H, res):
-    C = nav[6:15].reshape(3, 3)
-    azimuth, row = _bearing(C @ z[:3])
+    C, (hard, soft) = nav[6:15].reshape(3, 3), cfg[2:4].astype(int)
+    m, A = z[:3], np.eye(3)
+    if soft >= 0:
+        xx, zz, xy, xz, yz = par[soft:]
+        A += np.array([[xx, xy, xz], [xy, -xx, yz], [xz, yz, zz]])
+    n = C @ (A @ m - (par[hard : hard + 3] if hard >= 0 else 0.0))
+    azimuth, row = _bearing(n)
     H[:] = 0.0
     predicted = azimuth - cfg[0]
-    if len(par):
+    if len(par) and 0 not in (hard, soft):
         psi, turn = _bearing(C @ NORTH)
-        H[0, 9:], slopes = _deviation(psi - cfg[0], z[3], cfg[1])
-        predicted, row = predicted + par @ H[0, 9:], row + par @ slopes * turn
+        H[0, 9:15], slopes = _deviation(psi - cfg[0], z[3], cfg[1])
+        predicted, row = predicted + par[:6] @ H[0, 9:15], row + par[:6] @ slopes * turn
+    by = np.array([-n[1], n[0], 0.0]) @ C / (n[0] ** 2 + n[1] ** 2)
+    if hard >= 0:
+        H[0, 9 + hard : 12 + hard] = -by
+    if soft >= 0:
+        both = np.outer(by, m) + np.outer(m, by)
+        pairs = [both[0, 1], both[0, 2], both[1, 2]]
+        H[0, 9 + soft :] = [0.5 * (both[0, 0] - both[1, 1]), 0.5 * both[2, 2], *pairs]
     H[0, 6:9], res[0] = row, _half_turn(-predicted)
 
 
@@ -634,7 +646,7 @@ def attitude_reset(turn, n):
     return G
 
 
-def correct(P, nav, x, res, S, PH, K, turn):
+def correct(P, nav, x, res, S, PH, K, turn, T=None):
     n, a = K.shape
     K[:] = PH.T @ S[a:]
     d = K @ res
@@ -663,7 +675,7 @@ def places(dims):
         a * n,
         a * (9 + par),
         3 + 2 * a,
-        max(m, b, 1) * n + 4 * b * b,
+        max(m, b, 2 * a) * n + 4 * b * b,
     ]
     return tuple(np.cumsum(sizes))
 
@@ -1041,16 +1053,22 @@ def _mean_motion(motion, begin, end):
     return known[-1] if len(known) else np.zeros(6)
 
 
-def earlier(nav, motion, gravity, late_s, window_s, then, turn, slope, B):
-    centre, half = max(late_s, 0.5 * window_s), 0.5 * window_s
+def _motion_about(motion, late_s, window_s):
+    """Middle of a window, mean there and growth of the motion."""
+    half = 0.5 * window_s
+    centre = max(late_s, half)
     older, newer = _mean_motion(motion, centre, centre + half), _mean_motion(motion, centre - half, centre)
-    mean, down, spin = 0.5 * (older + newer), gravity * DOWN, (newer - older)[:3] / half
-    ahead = np.concatenate([mean[:3] + (centre - 0.5 * late_s) * spin, mean[3:]])
-    rate = mean[:3] + (centre - late_s) * spin
+    return centre, 0.5 * (older + newer), (newer - older) / half
+
+
+def earlier(nav, motion, gravity, late_s, window_s, slope_s, then, turn, slope, B):
+    (centre, mean, growth), down = _motion_about(motion, late_s, window_s), gravity * DOWN
+    rate, ahead = mean[:3] + (centre - late_s) * growth[:3], mean.copy()
+    ahead[:3] += (centre - 0.5 * late_s if late_s < 0 else 0.0) * growth[:3]
     begins = np.cumsum(motion[:, 0]) - motion[:, 0]
     pieces = [(min(s, late_s - begin), m) for s, begin, m in zip(motion[:, 0], begins, motion[:, 1:], strict=True)]
     pieces = [(dt, m) for dt, m in pieces if dt > 0]
-    pieces.append((late_s - sum(dt for dt, _ in pieces), mean if late_s >= 0 else ahead))
+    pieces.append((late_s - sum(dt for dt, _ in pieces), ahead))
     counts = [int(np.ceil(abs(dt) / 0.02)) for dt, _ in pieces]
     pieces = [(dt / n, m) for (dt, m), n in zip(pieces, counts, strict=True) for _ in range(n)]
     C, v, way, once, twice = nav[6:15].reshape(3, 3), nav[3:6], np.zeros(3), np.zeros(3), np.zeros(3)
@@ -1061,10 +1079,15 @@ def earlier(nav, motion, gravity, late_s, window_s, then, turn, slope, B):
     then[:] = nav
     _displace(then, -way)
     then[3:6], then[6:15] = v, C.ravel()
-    turn[:] = np.concatenate([rate, spin])
-    slope[:] = np.concatenate([v, C @ mean[3:] + down, C @ rate])
+    over_s = min(slope_s, max(2.0 * late_s, window_s))
+    centre, mean, growth = _motion_about(motion, late_s, over_s)
+    mean[:3] += (centre - late_s) * growth[:3]
+    turn[:] = np.concatenate([rate, growth[:3]])
+    push = C @ mean[3:] + down
+    slope[:] = np.concatenate([v, push, C @ mean[:3]]), np.concatenate([push, C @ growth[3:], C @ growth[:3]])
     B[:] = np.eye(9)
     B[:3, 3:6], B[:3, 6:], B[3:6, 6:] = -late_s * np.eye(3), -skew(twice), skew(once)
+    return over_s
 
 
 def _displace(nav, d):
@@ -1242,7 +1265,24 @@ def reckoned_motion(recent, nav, drv, errors, rows, gravity_):
         rows[0] = np.concatenate([drv[12:13], rows[1, 1:4], np.zeros(3)])
 
 
-def sight(equation, motion, facts, z, nav, rate, par, cfg, recent, drv, Cr, xd, since_s, H, near, res):
+def slope_s(variance):
+    return max(1.0, 2.0 * np.sqrt(3.0 * variance))
+
+
+def discount(inner, slope, then, drv, Cr, over_s, inertial, variance, near, R):
+    white = Cr[:, -1] * (drv[36] / over_s if inertial else 2.0 / max(over_s, drv[36]) ** 2)
+    C = then[6:15].reshape(3, 3)
+    turned, pushed = inner[:, 6:9] @ C, inner[:, 3:6] @ C
+    noise, growth = np.hstack([turned, pushed]) ** 2 @ white, inner[:, :9] @ slope[1]
+    told = near[:, -1].copy()
+    stands_out = told**2 > 100.0 * noise
+    left = np.where(stands_out, 100.0 * noise / np.where(stands_out, told, 1.0), told)
+    more = variance * (noise + left**2) + 0.5 * (variance * growth) ** 2
+    near[:, -1] -= left
+    R += np.diag(np.where(np.isnan(told), 0.0, more))
+
+
+def sight(equation, motion, facts, z, nav, rate, par, cfg, recent, drv, Cr, xd, since_s, variance, H, near, res, R):
     arm, clock, turns, _, *by_arm = facts
     own, by_arm = len(par) - 3 * int(arm) - int(clock), np.reshape(by_arm, (-1, 3))
     inner, ends = np.zeros((len(res), 9 + own)), np.zeros(len(res))
@@ -1257,15 +1297,15 @@ def sight(equation, motion, facts, z, nav, rate, par, cfg, recent, drv, Cr, xd, 
     else:
         outputs, errors = np.zeros((6, len(xd))), np.zeros(6)
         drive_outputs(drv, Cr, xd, outputs, errors)
-        recent = recent[: max(2, math.ceil((since_s + abs(par[-1]) + 0.5) / drv[36]) + 1)]
+        recent = recent[: max(2, math.ceil((since_s + abs(par[-1]) + 0.5 * slope_s(variance)) / drv[36]) + 1)]
         rows, g, late_s = np.zeros((len(recent) + 1, 7)), np.zeros(1), since_s + par[-1]
-        then, turn, slope, B = np.zeros(17), np.zeros(6), np.zeros(9), np.zeros((9, 9))
+        then, turn, slope, B = np.zeros(17), np.zeros(6), np.zeros((2, 9)), np.zeros((9, 9))
         at(motion)(recent, nav, drv, errors, rows, g)
-        earlier(nav, rows, g[0], late_s, 0.2, then, turn, slope, B)
+        over_s = earlier(nav, rows, g[0], late_s, 0.2, slope_s(variance), then, turn, slope, B)
         rate = turn[:3]
         ask(then, rate, np.zeros(3), res)
         near[:, : 9 + own] = inner
-        near[:, :9], near[:, -1] = inner[:, :9] @ B, -inner[:, :9] @ slope
+        near[:, :9], near[:, -1] = inner[:, :9] @ B, -inner[:, :9] @ slope[0]
         middle = 0.5 * (nav[6:15] + then[6:15]).reshape(3, 3)
         turned = middle @ outputs[:3]
         bent = B[3:6, 6:] @ turned
@@ -1280,6 +1320,8 @@ def sight(equation, motion, facts, z, nav, rate, par, cfg, recent, drv, Cr, xd, 
     if clock and turns:
         ask(then, rate + 1e-3 * turn[3:], np.zeros(3), ends)
         near[:, -1] -= (res - ends) / 1e-3
+    if clock:
+        discount(inner, slope, then, drv, Cr, over_s, g[0] != 0.0, variance, near, R)
 
 
 def _sagitta(slope, distance, P):
@@ -1325,16 +1367,17 @@ def correction(bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count,
     near, res = mem[places_[7] : places_[8]].reshape(a, 9 + par), mem[places_[3] : places_[4]]
     own = x[start - 9 + errors : start - 9 + errors + par]
     here = z, nav, bench[rate : rate + 3], own, bench[cfg : cfg + cfg_size]
-    if seen:
-        rest = recent, drv, Cr, xd, since_s, H, near, res
-        at(seen)(equation, motion, bench[facts : facts + 4 + 3 * cfg_size], *here, *rest)
-    else:
-        at(equation)(*here, near, res)
     given = len(variance) and not np.isnan(variance[0])
     R = bench[noise : noise + a * a].reshape(a, a)
     R[:] = bench[(lever if given else white) :][: a * a].reshape(a, a) + (np.diag(variance[:a]) if given else 0.0)
     if moves and P[8, 8] > 0.01:
         R += np.eye(a) * 0.5 * (nav[3] ** 2 + nav[4] ** 2) * P[8, 8] ** 2
+    if seen:
+        clock = start + errors + par - 1
+        rest = recent, drv, Cr, xd, since_s, P[clock, clock], H, near, res, R
+        at(seen)(equation, motion, bench[facts : facts + 4 + 3 * cfg_size], *here, *rest)
+    else:
+        at(equation)(*here, near, res)
     if bend:
         at(bend)(z, near, P, start + errors, here[-1], R)
     C, gate = bench[output : output + a * errors].reshape(a, errors), bench[limits : limits + a + 1]
@@ -1349,7 +1392,8 @@ def stretch(
     """One reading after the other. 0: all done, 1 and 2: the next one is Python's, 3: it was not used, 4: no room, 5:
     the watch over the drive has found something, 6: there is something to learn.
     """
-    (nav, x, P, acc), (drv, Phid, Qd, Cr, recent, w, sd, ends), m = state, drive, state[3].shape[1]
+    (nav, x, P, acc), (drv, Phid, Qd, Cr, before, w, sd, ends), m = state, drive, state[3].shape[1]
+    known = max(0, len(before) - 512)
     period, ahead, every, gap, doubt, until, interval, increments, learn, g, felt = settings
     undone, ears, where, opened = hearing
     rows, info, records, heads = out
@@ -1392,7 +1436,11 @@ def stretch(
             if len(w):
                 look(samples[k : k + 1], w, sd, ends, period, increments)
             at(plan[-1, 7])(nav, x[: m - 9], drv, samples[k : k + 1], Phid, Qd, Cr, acc)
-            recent[:] = np.vstack([samples[k], recent])[: len(recent)]
+            if known:
+                if cursor[9] == 0:
+                    before[512:], cursor[9] = before[:known].copy(), 512
+                cursor[9] -= 1
+                before[cursor[9]] = samples[k]
             now[:3], cursor[1], cursor[2] = stamps[k], k + 1, cursor[2] + 1
             if cursor[2] == every:
                 record(acc[:m].ravel(), 0, m, 0, 0)
@@ -1420,7 +1468,7 @@ def stretch(
         count = 0 if np.isinf(elapsed) else max(1, round(elapsed / heard[i, 2]))
         spot, variances = plan[i], given[6]
         reading = given[5][e], variances[min(e, len(variances) - 1)], count, wait + now[0] - t
-        correction(bench, spot, P, nav, x, acc, drv, Cr, recent, *reading)
+        correction(bench, spot, P, nav, x, acc, drv, Cr, before[cursor[9] : cursor[9] + known], *reading)
         cursor[2], heard[i, :2], heard[i, 4] = 0, t, count
         note = given[7][e, : 3 + 2 * spot[0]]
         note[:] = bench[spot[14] + spot[25] :][: len(note)]

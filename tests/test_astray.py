@@ -7,8 +7,9 @@ import pytest
 from test_agreement import DEG, RADIUS_M, after, altered, dive, fly, turned
 
 import navfilter as nf
-from navfilter.filter.course import Course
+from navfilter.filter.course import Course, led_astray
 from navfilter.filter.memory import differences
+from navfilter.simulation.scenarios import simulate_scenario
 
 
 def short(duration_s):
@@ -79,6 +80,34 @@ def test_a_way_that_is_turned_is_told_from_one_that_is_drawn_off():
     assert size == pytest.approx(np.var(way, axis=0).sum())
     *_, beside_turned, beside_drawn = fitted(way + time_s[:, None] * np.array([0.4, 0.0]) + noise)
     assert beside_drawn < 1.0 < 10.0 < beside_turned
+
+
+def test_the_bound_holds_where_a_compass_that_nobody_has_confirmed_may_have_led():
+    vehicle, mission = short(30.0)
+    nav, _ = fly(vehicle, mission)
+    compass, place = nav.filter.channels["compass"], nav.filter.nav
+    before_m = nav.state.bounds.horizontal_m
+    compass.memory.alone = (0.5 * math.pi, float(place[0]) - 100.0 / RADIUS_M, float(place[1]))
+    # turned by a right angle, 100 m ago: as far off as the diagonal
+    assert led_astray(compass, place) == pytest.approx(100.0 * math.sqrt(2.0), rel=0.01)
+    assert nav.state.bounds.horizontal_m > 141.0 > before_m
+    compass.memory.alone = ()
+    assert led_astray(compass, place) == 0.0 and nav.state.bounds.horizontal_m == before_m
+
+
+@pytest.mark.parametrize("seed", [11, 12])
+def test_fixes_are_not_blamed_for_long_for_a_dvl_and_a_compass_that_are_described_wrongly(seed, monkeypatch):
+    vehicle, mission = simulate_scenario("miscalibrated", seed, 240.0)
+
+    def rms():
+        track = nf.replay(vehicle, mission)
+        return track, math.sqrt(np.nanmean(track.errors(mission.truth).horizontal ** 2))
+
+    judged, rms_m = rms()
+    assert judged.counts["astray"] >= 1  # it is said
+    monkeypatch.setattr("navfilter.filter.channel.believed", lambda sensor, group: np.full(sensor.axes, np.inf))
+    believing, plain_m = rms()
+    assert believing.counts["astray"] == 0 and rms_m < plain_m
 
 
 def test_what_has_gone_astray_is_kept_in_a_snapshot():

@@ -99,7 +99,7 @@ VEHICLES = {
             "ahrs": nf.Attitude(rate_hz=5, misalignment_sd_rad=0.02),
             "course": nf.Course(rate_hz=2, lever_arm_b_m=(0.5, 0.0, 0.1)),
             "wheels": nf.Odometer(rate_hz=10, scale_sd=0.02, time_offset_sd_s=0.1),
-            "field": nf.Heading(rate_hz=4, magnetometer=True, declination_rad=0.0),
+            "field": nf.Heading(rate_hz=4, magnetometer=True, declination_rad=0.0, hard_iron_sd=2.0, soft_iron_sd=0.02),
             "bottom": nf.Altitude(rate_hz=1),
             "gps": FIX,
         },

@@ -14,7 +14,7 @@ def correction(P, H, R, res, nav):
     S, PH, K, out, turn = np.zeros((2 * a, a)), np.zeros((a, n)), np.zeros((n, a)), np.zeros(2), np.zeros(3)
     x = np.zeros(n - 9)
     kalman.innovation(P, H, res, R, S, PH, out)
-    kalman.correct(P, nav, x, res, S, PH, K, turn)
+    kalman.correct(P, nav, x, res, S, PH, K, turn, np.zeros((2 * len(res), len(P))))
     return x, out, turn
 
 

@@ -101,7 +101,7 @@ def choice_with(gains, seconds=5.0):
         for lane, errors in enumerate(gains):
             for sensor, (error, wider) in enumerate(errors):
                 sd = (0.01, 0.1)[sensor] * wider
-                choice.hear(lane, sensor, [error * sd], [sd**2])
+                choice.hear(lane, sensor, second * STEP_S, [error * sd], [sd**2])
     choice.decide_until(seconds)
     return choice
 
@@ -132,7 +132,7 @@ def test_an_outlier_that_nobody_foretold_counts_for_nobody():
     choice = choice_with([[(0.0, 1.0)] * 2] * 3)
     before = choice.memory.gathered.copy()
     for lane in range(3):
-        choice.hear(lane, 0, [1e6], [1e-4 * (lane + 1)])
+        choice.hear(lane, 0, 5.0, [1e6], [1e-4 * (lane + 1)])
     assert np.abs((choice.memory.gathered - before)[:, :, 0]).max() < 1e-9
 
 
@@ -140,9 +140,81 @@ def test_a_lane_that_says_nothing_is_short_of_all_that_was_foretold():
     sensors = {"depth": nf.Depth(error=nf.White(sd=0.1))}
     choice = Choice([True, True], sensors, 0.0)
     for k in range(round(2.0 * MARGIN / FULL)):
-        choice.hear(1, 0, [0.0], [0.01])
+        choice.hear(1, 0, k * STEP_S, [0.0], [0.01])
         choice.decide_until((k + 1.5) * STEP_S)
     assert choice.memory.lane == 1 and choice.to_begin_anew() == [0]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_looking_at_the_parts_of_the_minute_only_where_it_matters_changes_nothing(seed):
+    """Page's bound spares most looks; with a bound of infinity every step looks."""
+    sensors = {"compass": nf.Heading(error=nf.White(sd=0.01)), "depth": nf.Depth(error=nf.White(sd=0.1))}
+    found = []
+    for bounded in (True, False):
+        rng, choice, changes = np.random.default_rng(seed), Choice([True, True, False], sensors, 0.0), []
+        for k in range(600):
+            if not bounded:
+                choice.memory.ahead[:] = math.inf
+            changes += choice.decide_until((k + 0.5) * STEP_S)
+            bad = (k // 120) % 3
+            for lane in range(3):
+                for sensor, sd in enumerate((0.01, 0.1)):
+                    error = rng.normal() * sd * (4.0 if lane == bad else 1.0)
+                    choice.hear(lane, sensor, k * STEP_S, [error], [(sd * (3.0 if lane == 2 else 1.0)) ** 2])
+            for lane in choice.to_begin_anew() if k % 100 == 99 else []:
+                choice.begun_anew(lane)
+        found.append(changes)
+    assert found[0] == found[1] and len(found[0]) > 1
+
+
+RATE_HZ, SD = 4.0, 0.01
+
+
+def followed(off, seconds=20.0, own=None):
+    """The choice after readings of a velocity that contradicts a unit by these amounts [m/s], shape (n, 3), while the
+    lane without one follows it; when it took that lane, and why.
+    """
+    choice = Choice([True, False], {"dvl": nf.BodyVelocity(rate_hz=RATE_HZ, error=nf.White(sd=SD))}, 0.0)
+    changes = []
+    for k in range(round(seconds * RATE_HZ)):
+        time_s = k / RATE_HZ
+        changes += choice.decide_until(time_s)
+        choice.hear(0, 0, time_s, off(time_s).tolist(), [SD**2] * 3)
+        choice.hear(1, 0, time_s, np.zeros(3) if own is None else own(time_s), [0.8**2] * 3)
+    return changes
+
+
+def test_a_unit_that_runs_away_from_a_velocity_is_left_before_it_is_far():
+    """50 mg of an accelerometer: 3 m after 3.5 s."""
+    (time_s, lane, reason), *more = followed(lambda time_s: np.array([-0.49 * time_s, 0.0, 0.0]))
+    assert lane == 1 and time_s <= 4.0 and more == [] and reason.startswith("the lane before ran away from dvl, by 1.")
+
+
+@pytest.mark.parametrize(
+    "off",
+    [
+        lambda time_s: np.array([2.0, 1.0, 0.0]),
+        lambda time_s: np.array([min(0.5 * time_s, 1.0), 0.0, 0.0]),
+        lambda time_s: np.array([0.02 * time_s, 0.0, 0.0]),
+        lambda time_s: np.random.default_rng(round(RATE_HZ * time_s)).normal(size=3),
+        lambda time_s: 1500.0 + 10.0 * np.random.default_rng(round(RATE_HZ * time_s)).normal(size=3),
+        lambda time_s: np.array([0.49 * (time_s % 2.0), 0.0, 0.0]),
+    ],
+    ids=["jumped", "late", "drifts", "noisy", "another unit of measurement", "comes back"],
+)
+def test_a_velocity_that_errs_is_no_unit_that_runs_away(off):
+    assert followed(off, 8.0) == []
+
+
+def test_a_velocity_in_another_unit_of_measurement_is_not_followed_ever():
+    """However long it contradicts a unit: it did so from one reading to the next."""
+    noise = np.random.default_rng(5)
+    assert followed(lambda time_s: 1500.0 + 10.0 * noise.normal(size=3), 60.0) == []
+
+
+def test_nothing_runs_away_from_what_contradicts_dead_reckoning_too():
+    ramp = lambda time_s: np.array([-0.49 * time_s, 0.0, 0.0])  # noqa: E731
+    assert followed(ramp, 8.0, own=lambda time_s: 8.0 * ramp(time_s) - 5.0) == []
 
 
 # ---------------------------------------------------------------- vehicles

@@ -8,9 +8,11 @@ from live_run import as_lines, run_session, states
 from navfilter.cli import main
 from navfilter.evaluation.assessment import assess
 from navfilter.io import read_mission, read_vehicle, write_vehicle
-from navfilter.io.write import labelled
+from navfilter.io.write import labelled, summarise
 from navfilter.learning.learned import LearnedArma, learned_part
 from navfilter.playback import identified, replay, residual_series
+from navfilter.report.lane_figures import lane_figure, lane_rows
+from navfilter.report.marks import marks
 from navfilter.service.session import Options
 
 END_S = 150.0
@@ -55,6 +57,22 @@ def test_the_verdict_says_which_lane_was_left(dive):
     track = replay(read_vehicle(dive), mission, smooth=True)
     findings = assess(labelled(track), mission).verdict.findings
     assert [(f.stream, f.severity) for f in findings if "lane" in f.text] == [("a", "info")]
+    figure = lane_figure(track)
+    assert [panel.label for panel in figure.panels] == ["in force", "gain", "NIS"]
+    bars = [(part.label, part.x.tolist()) for part in figure.panels[0].parts]
+    at_s = track.lanes[1][0]
+    assert bars == [("a", [0.0, at_s]), ("b", [at_s, track.forward.time_s[-1]])]
+    assert list(figure.marks) == [mark for mark in marks(track, (), ()) if mark.label == "lane left"]
+    rows = lane_rows(track)[1]
+    assert [row[:3] for row in rows] == [[f"{at_s:.2f}", "a", "b"]] and "foretold better: " in rows[0][3]
+    figures = summarise(labelled(track), mission)["runs"]["forward"]["lanes"]
+    assert [change["lane"] for change in figures["in_force"]] == ["a", "b"]
+    assert figures["in_force"][1]["reason"] == rows[0][3]
+    assert 0.8 < figures["each"]["b"]["nis"] < 1.2 and figures["each"]["dead-reckoning"]["nis"] < 0.8
+    # the lane without a unit says less of what it foretells, so its NIS is small and its gain is, too
+    history = track.lane_history
+    assert history.gain.shape == history.nis.shape == (len(history.time_s), 3)
+    assert (history.gain[30:, 2] < history.gain[30:, 1]).all()
 
 
 @pytest.mark.slow

@@ -97,7 +97,7 @@ def test_signs_of_the_residuals():
     field_n = matrix_from_euler(0.0, 0.0, 0.1) @ [20.0, 0.0, 40.0]
     field_b = matrix_from_euler(0.0, 0.0, math.pi / 2 + 0.02).T @ field_n
     _, res = evaluate(
-        measurement.magnetometer, np.array([*field_b, np.nan]), state, still, none, np.array([0.1, 20.0]), 1
+        measurement.magnetometer, np.array([*field_b, np.nan]), state, still, none, np.array([0.1, 20.0, -1.0, -1.0]), 1
     )
     np.testing.assert_allclose(res, 0.02, atol=1e-12)
     # 20 m below the ellipsoid, surface at +3 m, gauge 0.5 m above the reference point: depth 22.5 m
@@ -169,6 +169,8 @@ def test_parameters_appear_only_where_they_are_uncertain():
         (lambda: nf.Position(error=(nf.White(sd=1.0),)), "tuple of 3"),
         (lambda: nf.Position(error=2.0), r"one error model, or a tuple of 3, found 2\.0"),
         (lambda: nf.Heading(soft_iron=(1.0, 0.0)), "soft_iron must be 9"),
+        (lambda: nf.Heading(magnetometer=True, hard_iron_sd=-1e-6), "hard_iron_sd must be a finite number >= 0"),
+        (lambda: nf.Heading(soft_iron_sd=0.05), "soft_iron_sd is for a magnetometer"),
         (lambda: nf.WaterVelocity(current_sd_m_s=0.0), r"WaterVelocity\.current_sd_m_s"),
         (lambda: nf.WaterVelocity(current_tau_s=math.inf), r"WaterVelocity\.current_tau_s"),
         (lambda: nf.WaterVelocity(error=nf.LearnedArma()), "the current hides in it"),

@@ -79,8 +79,8 @@ def test_reckoned_motion(known):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("clock", [0.0, 0.4])
-def test_sight_equals_its_twin_and_that_of_users_kinds(kind, clock):
+@pytest.mark.parametrize(("clock", "variance"), [(0.0, 0.0), (0.4, 0.16), (0.4, 1e-4)])
+def test_sight_equals_its_twin_and_that_of_users_kinds(kind, clock, variance):
     rng = np.random.default_rng(3)
     sensor, sight, head = looked(KINDS[kind][0], clock)
     if not (clock or any(sensor.lever_arm_sd_m)):
@@ -90,17 +90,19 @@ def test_sight_equals_its_twin_and_that_of_users_kinds(kind, clock):
     recent[0, 1:] = drv[:6]
     nav, par = random_nav(rng), 0.05 * rng.normal(size=len(sensor.all_parameters()))
     a, z = sensor.axes, np.array(KINDS[kind][1])
-    into = np.zeros((a, 9 + len(xd) + 5)), np.zeros((a, 9 + len(par))), np.zeros(a)
+    into = np.zeros((a, 9 + len(xd) + 5)), np.zeros((a, 9 + len(par))), np.zeros(a), np.eye(a)
     here = z, nav, np.array([0.1, 0.2, 0.3]), par, sensor.constants(START)
-    ours, twins = run_both(past.sight, *head, *here, recent, drv, Cr, xd, 0.3, *into)
-    assert_close(ours[-3:], twins[-3:], 1e-9)  # quotients over 1e-3 of rounding
+    ours, twins = run_both(past.sight, *head, *here, recent, drv, Cr, xd, 0.3, variance, *into)
+    assert_close(ours[-4:], twins[-4:], 1e-9)  # quotients over 1e-3 of rounding
     imu = nf.Imu(rate_hz=100.0)
     outputs, errors = imu.outputs(Cr, drv, xd)
-    used = recent[: imu.remembered(0.3 + abs(par[-1])) if clock else 0]
-    near, res, H = np.zeros_like(into[1]), np.zeros(a), np.zeros((a, len(xd)))
-    sight.look(*here[:4], imu.motion(used, nav, drv, errors), 0.3, outputs, (H, near, res))
-    assert_close((ours[-3][:, 9 : 9 + len(xd)], *ours[-2:]), (H, near, res), 1e-9)
-    assert ours[-3].any() == bool(clock)
+    used = recent[: imu.remembered(0.3 + abs(par[-1]) + 0.5 * past.slope_s(variance)) if clock else 0]
+    near, res, H, R = np.zeros_like(into[1]), np.zeros(a), np.zeros((a, len(xd))), np.eye(a)
+    known = imu.motion(used, nav, drv, errors), 0.3, outputs, (drv, Cr), variance
+    sight.look(*here[:4], *known, (H, near, res, R))
+    assert_close((ours[-4][:, 9 : 9 + len(xd)], *ours[-3:]), (H, near, res, R), 1e-9)
+    assert ours[-4].any() == bool(clock)
+    assert np.all(np.diag(R) >= 1.0) and (R[0, 0] > 1.0) == bool(clock)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -111,6 +113,7 @@ def test_jacobians_of_sight_equal_finite_differences(kind, clock):
     if not (clock or any(sensor.lever_arm_sd_m)):
         return
     drv, recent, Cr, xd = steady(rng)
+    Cr[:, -1] = 0.0  # without noise a slope counts in full
     nav = random_nav(rng)
     nav[:3] = np.radians(50.0003), np.radians(5.0002), -10.0
     nav[15:17] = np.array(strapdown.radii(nav[0])) + nav[2]
@@ -120,7 +123,7 @@ def test_jacobians_of_sight_equal_finite_differences(kind, clock):
     def residual(state, par):
         near, res, H = np.zeros((a, 9 + len(par))), np.zeros(a), np.zeros((a, 9 + len(xd)))
         here = z, state.pack(), rate, par, sensor.constants(START)
-        past.sight(*head, *here, recent, drv, Cr, xd, 0.05, H, near, res)
+        past.sight(*head, *here, recent, drv, Cr, xd, 0.05, 0.01, H, near, res, np.eye(a))
         return near, res
 
     if kind == "position":

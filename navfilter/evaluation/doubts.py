@@ -170,9 +170,9 @@ def _drive(run: Track, mission: Mission, limits: Limits) -> Iterator[Finding]:
 
 def _lanes(run: Track) -> Iterator[Finding]:
     """Which lanes were left, and when."""
-    for (_, left), (time_s, taken) in zip(run.lanes, run.lanes[1:], strict=False):
-        text = f"its lane was left for {taken} at {time_s:.1f} s, which foretold the readings better."
-        yield Finding("info", left, text, "")
+    reasons = ("",) * len(run.lanes) if run.lane_history is None else run.lane_history.reasons
+    for (_, left), (time_s, taken), why in zip(run.lanes, run.lanes[1:], reasons, strict=False):
+        yield Finding("info", left, f"its lane was left for {taken} at {time_s:.1f} s: {why}.", "")
     if run.lanes[-1][1] == DEAD_RECKONING:
         text = f"no inertial unit is in force since {run.lanes[-1][0]:.1f} s: compass and velocity carry the state."
         cure = "See in report.html, at the lanes, what the units read then."

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from navfilter.filter.belief import beyond_belief
 from navfilter.filter.channel import Channel
 from navfilter.filter.filter_memory import FilterMemory
-from navfilter.kernels import addresses, kalman, strapdown, stretch
+from navfilter.kernels import addresses, kalman, past, strapdown, stretch
 from navfilter.kernels.addresses import address
 
 if TYPE_CHECKING:
@@ -94,22 +94,24 @@ def asked(
     z = channel.without_errors(z, outputs, errors) if channel.sensor.reads_rate else z
     if channel.turns:
         channel.rate[:] = drive.body_rate(memory.drv, errors[:3])
-    if channel.sight is None:
-        channel.kernel(z, nav, channel.rate, x[channel.parameters], channel.constants, channel.near, channel.res)
-    else:
-        par, since_s = x[channel.parameters], channel.lead_s + memory.time_s - time_s
-        recent = memory.recent[: drive.remembered(since_s + abs(float(par[-1])))]
-        moved = drive.motion(recent, nav, memory.drv, errors)
-        channel.sight.look(z, nav, channel.rate, par, moved, since_s, outputs, channel.into)
-    if channel.offset:
-        channel.in_proportion(z, x)
-        channel.unwrap(x)
     channel.R[:] = channel.white
     if own.size:
         channel.R[:] = channel.lever + np.diag(own)
     if channel.moves and P[8, 8] > stretch.UNSURE_HEADING:
         # second-order term of a velocity seen from a heading that is hardly known (Gelb, 1974, sec. 6.1)
         channel.R[range(channel.axes), range(channel.axes)] += 0.5 * (nav[3] ** 2 + nav[4] ** 2) * P[8, 8] ** 2
+    if channel.sight is None:
+        channel.kernel(z, nav, channel.rate, x[channel.parameters], channel.constants, channel.near, channel.res)
+    else:
+        par, since_s = x[channel.parameters], channel.lead_s + memory.time_s - time_s
+        clock = float(P[channel.group.slice.stop - 1, channel.group.slice.stop - 1])
+        reach_s = abs(float(par[-1])) + 0.5 * past.slope_s(clock)
+        moved = drive.motion(memory.recent[: drive.remembered(since_s + reach_s)], nav, memory.drv, errors)
+        known = outputs, (memory.drv, drive_output), clock
+        channel.sight.look(z, nav, channel.rate, par, moved, since_s, *known, channel.into)
+    if channel.offset:
+        channel.in_proportion(z, x)
+        channel.unwrap(x)
     if channel.sensor.bend is not None:
         first = int(channel.dims[4] + channel.dims[5])
         channel.sensor.bend(z, channel.near, P, first, channel.constants, channel.R)

@@ -4,11 +4,13 @@ Fixes that are drawn off slowly, or that a wrong heading leaves behind, pass eve
 off from what the ones before made of the state and of their own slow error. What they do together is in the estimate
 of that error: a process of 3 m that has come to 12 m is none. Such a sensor is **astray**: its slow error is begun
 afresh, what it may have done to the position is added to the covariance, and its readings are refused until one agrees
-with the state as it should.
+with the state as it should, or is off by no more than dead reckoning may err: of a vehicle whose velocity sensor or
+compass is described wrongly it is the fixes that are right.
 """
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,12 +23,15 @@ if TYPE_CHECKING:
     from navfilter.filter.layout import Group
     from navfilter.sensors import Sensor
 
-__all__ = ["believed", "beyond_belief", "pulled"]
+__all__ = ["believed", "beyond_belief", "excused", "pulled"]
 
 Array = NDArray[np.float64]
 #: An estimate of a slow error beyond so many of its standard deviations is none [1]: once in 2e4 times that it changes,
 #: and less often, for an estimate varies less than what it estimates.
 MOST_SDS = 4.0
+#: Dead reckoning may err by this share of the way made [1]: 6 deg of heading or mounting, 10 % of scale. What draws
+#: fixes off in earnest is faster, or takes longer than the gate waits.
+SHARE = 0.1
 
 
 def believed(sensor: Sensor, group: Group) -> Array:
@@ -53,6 +58,17 @@ def beyond_belief(channel: Channel, x: Array) -> bool:
         Error states.
     """
     return bool(np.any(_estimate(channel, x) ** 2 > channel.limits[channel.axes + 1 :]))
+
+
+def excused(channel: Channel) -> bool:
+    """Whether a refused reading of fixes that are astray is off by no more than dead reckoning may err since.
+
+    Parameters
+    ----------
+    channel : Channel
+        As the refused reading left it.
+    """
+    return math.hypot(*np.nan_to_num(channel.res).tolist()) <= SHARE * channel.memory.astray_m
 
 
 def _estimate(channel: Channel, x: Array) -> Array:

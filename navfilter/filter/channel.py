@@ -34,6 +34,10 @@ CLOCK_SDS = 4.0
 STILL_SDS = 3.0
 
 
+#: A sensor that has been refused for so long, and then used again, was wrong itself [s].
+DISPUTED_S = 1.0
+
+
 @dataclass
 class ChannelMemory:
     """What is remembered of a sensor.
@@ -49,8 +53,13 @@ class ChannelMemory:
         to it [s].
     refused : Refusals or None
         What the readings that have been refused since say together.
-    astray : bool
-        Its slow error came to be beyond belief, and no reading has agreed with the state since.
+    ramp : tuple of float
+        Sums of the straight line through the residuals of a velocity that have been refused since (`ramp`).
+    disputed_s : float
+        When it was last refused for long although nothing was wrong with the drive [s].
+    astray_m : float
+        Its slow error came to be beyond belief, and no reading has agreed with the state since: the way made in the
+        periods of those that were heard; NaN where it is not so [m].
     alone : tuple of float
         Of a compass to which the heading was set against what was believed before, until something else confirms that:
         by what angle [rad], latitude and longitude then [rad].
@@ -66,15 +75,24 @@ class ChannelMemory:
     used_s: float = -math.inf
     agreed_s: float = math.nan
     refused: Refusals | None = None
-    astray: bool = False
+    ramp: tuple[float, ...] = ()
+    disputed_s: float = -math.inf
+    astray_m: float = math.nan
     alone: tuple[float, ...] = ()
     same_s: float = math.nan
     again_s: float = math.nan
     last: Array = field(default_factory=lambda: np.zeros(0))
 
+    @property
+    def astray(self) -> bool:
+        """Whether its slow error came to be beyond belief, and no reading has agreed with the state since."""
+        return not math.isnan(self.astray_m)
+
     def use(self, time_s: float) -> None:
         """Note that a reading of this time has been used."""
-        self.rejected_since_s, self.used_s, self.refused, self.astray = math.nan, time_s, None, False
+        if time_s - self.rejected_since_s >= DISPUTED_S:
+            self.disputed_s = time_s
+        self.rejected_since_s, self.used_s, self.refused, self.astray_m = math.nan, time_s, None, math.nan
         if math.isnan(self.agreed_s):
             self.agreed_s = time_s
 
@@ -159,7 +177,6 @@ class Channel:
         self.mem = mem = bench[begin : ends[0]]
         self.res, self.near = mem[at[3] : at[3] + a], mem[at[7] : at[8]].reshape(a, 9 + parameters)
         self.H, self.PH = mem[at[0] : at[1]].reshape(a, n), mem[at[6] : at[7]].reshape(a, n)
-        self.into = self.H[:, 9:m], self.near, self.res  # a reading of the past depends on the drive's states, too
         self.S = mem[at[5] : at[6]].reshape(2 * a, a)
         self.verdict, self.note = mem[at[8] : at[8] + 3], mem[at[8] : at[9]]
         self.record, self.moved = mem[: at[5]], mem[: at[0]]
@@ -169,6 +186,8 @@ class Channel:
         self.C, self.white = bench[ends[3] : ends[4]].reshape(a, errors), bench[ends[4] : ends[5]].reshape(a, a)
         self.lever = bench[ends[5] : ends[6]].reshape(a, a)
         self.R = bench[ends[6] : ends[7]].reshape(a, a)
+        # a reading of the past depends on the drive's states, too
+        self.into = self.H[:, 9:m], self.near, self.res, self.R
         self.gate = bench[ends[7] : ends[8]]
         self.parameters = slice(first - 9 + errors, first - 9 + errors + parameters)
         self._last = mem[at[7] : at[9]]

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from navfilter.filter import integrity
 from navfilter.filter.belief import MOST_SDS
 from navfilter.filter.channel import Channel
+from navfilter.filter.course import led_astray
 from navfilter.filter.drive_clock import DriveClock
 from navfilter.filter.filter import Filter
 from navfilter.filter.health import Health, LearningHealth, Watch
@@ -52,6 +53,8 @@ def health_of(
     for name, watch in watches.items():
         sees = channels[name].sensor.corrects
         off[sees] = max(off.get(sees, 0.0), _off(channels[name], watch))
+        # fixes that are used follow the way at first
+        off["position"] = max(off.get("position", 0.0), led_astray(channels[name], memory.nav))
     age_s, moved_m = _since_fix(filter, watches)
     radius_m, heading_rad = integrity.bounds(P, age_s, moved_m, off, filter.inertial and filter.vehicle.drive.feels)
     drive = filter.vehicle.drive

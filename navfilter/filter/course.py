@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from navfilter.filter.channel import Channel
     from navfilter.filter.filter import Filter
 
-__all__ = ["Course", "against_the_compass", "turned", "used"]
+__all__ = ["Course", "against_the_compass", "led_astray", "turned", "used"]
 
 Array = NDArray[np.float64]
 #: An angle is believed beyond so many standard deviations, as one hypothesis of a whole mission [1], once it is known
@@ -135,11 +135,7 @@ def _confirmed(filter: Filter, compass: Channel) -> bool:
     """Whether fixes have confirmed a compass to which the heading was set against what was believed before: they are
     used, twice as far from there as they need to contradict it.
     """
-    memory, now_s = filter.memory, filter.memory.time_s
-    angle, latitude, longitude = compass.memory.alone
-    north = (memory.nav[0] - latitude) * memory.nav[15]
-    east = (memory.nav[1] - longitude) * memory.nav[16] * math.cos(latitude)
-    far_m = math.hypot(north, east) * 2.0 * math.sin(0.5 * min(angle, math.pi))
+    now_s, far_m = filter.memory.time_s, led_astray(compass, filter.memory.nav)
     for fixes in filter.channels.values():
         kept = fixes.memory
         calm = kept.refused is None and not kept.astray and now_s - kept.used_s < RECENT_S
@@ -148,6 +144,24 @@ def _confirmed(filter: Filter, compass: Channel) -> bool:
             if far_m > 2.0 * SURE * math.sqrt(2.0) * sd:
                 return True
     return False
+
+
+def led_astray(compass: Channel, nav: Array) -> float:
+    """How far a compass to which the heading was set against what was believed before, and that nothing has confirmed
+    since, may have led the vehicle from its way [m].
+
+    Parameters
+    ----------
+    compass : Channel
+    nav : ndarray, shape (17,)
+        Nominal state.
+    """
+    if not compass.memory.alone:
+        return 0.0
+    angle, latitude, longitude = compass.memory.alone
+    north = (nav[0] - latitude) * nav[15]
+    east = (nav[1] - longitude) * nav[16] * math.cos(latitude)
+    return math.hypot(north, east) * 2.0 * math.sin(0.5 * min(angle, math.pi))
 
 
 def turned(filter: Filter, compass: Channel, angle: float, variance: float) -> None:

@@ -64,6 +64,8 @@ class Filter(Estimate):
         Samples of the drive after which it is felt whether the vehicle rests; 0: never.
     jumped : list of Change
         Error models of sensors that have jumped or gone astray, to be adopted before the next input.
+    accused : float or None
+        A velocity sensor has been left behind by the drive, see `ramp.accused`.
     tilted : bool
         Attitude and velocity are to be set anew before the next input, see `realignment.tilted`.
 
@@ -89,6 +91,7 @@ class Filter(Estimate):
         past_s = max((channel.past_s for channel in self.channels.values()), default=0.0)
         self.remembered = drive.remembered(past_s) if past_s else 0
         self.jumped: list[Change] = []
+        self.accused: float | None = None
         self.tilted = False
         self._like: tuple[Vehicle, Layout] | None = None
         self._rest = [self.channels[name] for name, s in vehicle.sensors.items() if s.from_drive and self.inertial]

@@ -70,11 +70,15 @@ class LaneHealth:
         (`navfilter.filter.lane_choice`); NaN before the first.
     axes : dict of str to str
         Condition of each axis of its inertial unit.
+    nis : float
+        Mean of the same components' squared residuals over their predicted variances; 1 is honest. One that says
+        little has a small one, so it is not what lanes are compared by.
     """
 
     condition: str
     gain: float
     axes: dict[str, str] = field(default_factory=dict)
+    nis: float = math.nan
 
 
 @dataclass(frozen=True)
@@ -101,6 +105,8 @@ class Health:
         What carries the state between corrections: "inertial", or "dead-reckoning" without an inertial unit, and while
         an axis of it is left out. Of a vehicle with lanes the name of the one in force: that of its inertial unit, or
         "dead-reckoning".
+    lane_reason : str
+        Of a vehicle with lanes: why the one in force was taken; empty for the first one.
     lanes : dict of str to LaneHealth
         Of a vehicle with lanes, by name.
     bounds : Bounds or None
@@ -121,6 +127,7 @@ class Health:
     drive_clock_offset_s: float = 0.0
     learning: LearningHealth = field(default=LearningHealth(), compare=False)
     lanes: dict[str, LaneHealth] = field(default_factory=dict)
+    lane_reason: str = ""
 
     @property
     def degraded(self) -> tuple[str, ...]:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from navfilter.filter.events import Correction, Event, Propagated, Relaid
 from navfilter.kernels import drive_watch as kernel
+from navfilter.kernels import strapdown
 from navfilter.kernels.jumps import AXES, carry_jumps, hear_jumps
 
 if TYPE_CHECKING:
@@ -115,7 +116,7 @@ class JumpWatch:
                 largest = max(largest, hear_jumps(bank, channel.mem, channel.dims, channel.places, offset, says))
             if largest > LIMIT:
                 self._judge(filter)
-            if self._fails_again(channel, memory):
+            if self.fails_again(channel, memory):
                 self._leave_out(filter, np.zeros(AXES))
         elif isinstance(event, Propagated):
             for bank in memory.jumps:
@@ -145,6 +146,21 @@ class JumpWatch:
         memory.P[6:9, 6:9] += errors[blamed].T @ errors[blamed]
         self._leave_out(filter, sizes[window, :AXES])
 
+    def accused(self, filter: Filter, slope: float) -> None:
+        """Leave the unit out for a while because of a ramp (`navfilter.filter.ramp`): it is its tilt, or a bias.
+
+        Parameters
+        ----------
+        filter : Filter
+        slope : float
+            Of the ramp [m/s^2]; 0: it has failed again.
+        """
+        memory = filter.memory
+        tilt = slope / strapdown.gravity(memory.nav[0], memory.nav[2])
+        memory.P[range(6, 8), range(6, 8)] += tilt**2
+        if self._carried(filter):
+            self._leave_out(filter, np.repeat([tilt / OUT_S, slope], 3))
+
     @staticmethod
     def _carried(filter: Filter) -> bool:
         """Whether compass and DVL carry the vehicle without it."""
@@ -152,7 +168,7 @@ class JumpWatch:
         return any(c.moves for c in recent) and any(c.sensor.gives == "heading" for c in recent)
 
     @staticmethod
-    def _fails_again(channel: Channel, memory: FilterMemory) -> bool:
+    def fails_again(channel: Channel, memory: FilterMemory) -> bool:
         """Whether a unit that has been left out of late does not agree with what carried the vehicle without it."""
         since_s = memory.time_s - channel.memory.rejected_since_s
         late = memory.time_s - memory.watch[[0, 3], kernel.UNTIL_S].max() < LONGEST_S

@@ -11,15 +11,16 @@ difference is the logarithm of the ratio of likelihoods (Gneiting and Raftery, 2
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from navfilter.mechanisation import Imu
 from navfilter.sensors import Sensor
 
-__all__ = ["STEP_S", "Choice", "ChoiceMemory"]
+__all__ = ["STEP_S", "Choice", "ChoiceMemory", "LaneHistory"]
 
 Array = NDArray[np.float64]
 #: Lanes are compared so often [s]: short beside what a wrong unit does to a position.
@@ -41,10 +42,25 @@ SECOND = 10.0
 #: Or a velocity goes on to contradict a unit: more has not been foretold than this [nat], and this share of all [1].
 #: One that is off by a constant is found to be within seconds; a unit that is off is pulled back again and again.
 ALONE, SHARE = 900.0, 0.3
+#: Or a unit runs away from a velocity. A sensor that has jumped contradicts it by as much for as long as it does; by
+#: what a unit feels wrong, it moves off further with each reading. A component contradicts beyond this NIS [1] (6e-7 of
+#: the good ones do). Over at least so long [s] it has moved off by more than this many standard deviations [1] of what
+#: the vehicle may do unseen (`navfilter.Imu.gap_force_sd`, as a random walk of its velocity), by more than it was off
+#: at first, and so many times [1] as far as from any reading to the next: noise does not lead away.
+CONTRADICTS, AWAY_S, AWAY_SD, LEADS = 25.0, 1.0, 3.0, 2.0
+#: A sensor that has said nothing for so long no longer contradicts [s].
+STALE_S = 2.0
 #: A lane that has begun anew is not taken before so many seconds [s]: what was wrong shows within the window.
 PROBATION_S = WINDOW_S
-#: Columns of what is gathered: gain, what was to be gained more, components judged.
-GAIN, SHORT, JUDGED = 0, 1, 2
+#: One in so many comparisons is kept for a report: one a second.
+HISTORY = round(1.0 / STEP_S)
+#: A NIS counts at most so much [1]: its exponential is zero long before.
+LARGE = 1400.0
+#: Columns of what is gathered: gain, what was to be gained more, components judged, their NIS.
+GAIN, SHORT, JUDGED, NIS = 0, 1, 2, 3
+#: Of a velocity and a lane: since when and until when it contradicts it [s], the largest change from reading to reading
+#: [m/s]; then by how much at first, and at last [m/s].
+SINCE, UNTIL, LARGEST, FIRST = 0, 1, 2, 3
 
 
 @dataclass
@@ -57,14 +73,23 @@ class ChoiceMemory:
         In force.
     step : int
         Number of the last comparison: they come at multiples of `STEP_S` of mission time.
-    gathered : ndarray, shape (lanes, sensors, 3)
-        Since then: gain, what was to be gained more, components judged.
-    ring : ndarray, shape (steps, lanes, sensors, 3)
+    gathered : ndarray, shape (lanes, sensors, 4)
+        Since then: gain, what was to be gained more, components judged, the sum of their NIS.
+    ring : ndarray, shape (steps, lanes, sensors, 4)
         The same of the last minute.
     begun : ndarray, shape (lanes,)
         Step at which each lane has begun anew; minus infinity: with the run.
     doubted : ndarray, shape (lanes,)
         1: something has been wrong with it, and it is to begin anew.
+    ahead : ndarray, shape (lanes,)
+        No later part of the last minute has given a lane more than this before the one in force [nat] (Page, 1954):
+        only beyond `MARGIN` the parts are looked at.
+    away : ndarray, shape (lanes, velocities, 3 + 2 axes)
+        Since when and until when a velocity contradicts a lane [s] (NaN: it does not), its largest change from reading
+        to reading, by how much at first, and at last [m/s].
+    why : ndarray, shape (3, sensors)
+        When the lane in force was taken: how much more it had gained than the one before [nat], by how much that one
+        had run away [m/s], and how long it had been contradicted [nat].
     """
 
     lane: int
@@ -73,6 +98,33 @@ class ChoiceMemory:
     ring: Array
     begun: Array
     doubted: Array
+    ahead: Array
+    away: Array
+    why: Array
+
+
+@dataclass(frozen=True, eq=False)
+class LaneHistory:
+    """How the lanes of a vehicle did along a run.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Of the lanes.
+    time_s : ndarray, shape (n,)
+        When they were compared [s]; one in `HISTORY` of all comparisons.
+    gain, nis : ndarray, shape (n, lanes)
+        Of the minute before, means by component: how well a lane foretold the readings (8.3 at most, for a sensor that
+        is foretold as surely as it errs), and the square of residual over predicted sd (1 is honest).
+    reasons : tuple of str
+        Why each of the lanes after the first was taken, as `Track.lanes` has them.
+    """
+
+    names: tuple[str, ...]
+    time_s: Array
+    gain: Array
+    nis: Array
+    reasons: tuple[str, ...]
 
 
 class Choice:
@@ -86,14 +138,26 @@ class Choice:
         Of all lanes.
     start_s : float
         Mission time [s].
+    force_sd : float
+        What the vehicle may do unseen, `navfilter.Imu.gap_force_sd` [m/s^2].
+
+    Attributes
+    ----------
+    told : callable, optional
+        Called after each comparison.
     """
 
-    def __init__(self, inertial: Sequence[bool], sensors: dict[str, Sensor], start_s: float) -> None:
-        self._inertial = np.array(inertial)
+    def __init__(
+        self, inertial: Sequence[bool], sensors: dict[str, Sensor], start_s: float, force_sd: float = Imu.gap_force_sd
+    ) -> None:
+        self._inertial, self._force_sd = np.array(inertial), force_sd
+        self.told: Callable[[], None] | None = None
         self.names = [name for name, sensor in sensors.items() if not sensor.from_drive]
         self._velocity = [i for i, name in enumerate(self.names) if sensors[name].corrects == "velocity"]
         self._sd = [_sds(sensors[name]) for name in self.names]
-        shape = len(inertial), len(self.names), 3
+        shape = len(inertial), len(self.names), 4
+        self._axes = max((len(self._sd[i]) for i in self._velocity), default=0)
+        away = len(inertial), len(self._velocity), FIRST + 2 * self._axes
         self.memory = ChoiceMemory(
             lane=0,
             step=math.floor(start_s / STEP_S),
@@ -101,6 +165,9 @@ class Choice:
             ring=np.zeros((STEPS, *shape)),
             begun=np.full(len(inertial), -math.inf),
             doubted=np.zeros(len(inertial)),
+            ahead=np.zeros(len(inertial)),
+            away=np.full(away, math.nan),
+            why=np.zeros((3, len(self.names))),
         )
 
     @property
@@ -108,25 +175,58 @@ class Choice:
         """Time of the last comparison [s]: what was read until then took part in it."""
         return self.memory.step * STEP_S
 
-    def hear(self, lane: int, sensor: int, residual: Sequence[float], variance: Sequence[float]) -> None:
+    @property
+    def reason(self) -> str:
+        """Why the lane in force was taken; empty for the first one."""
+        gain, moved, against = self.memory.why
+        if moved.any():
+            sensor = int(np.argmax(moved))
+            return f"the lane before ran away from {self.names[sensor]}, by {moved[sensor]:.1f} m/s"
+        if against.any():
+            return f"{self.names[int(np.argmax(against))]} went on to contradict the lane before"
+        told = [f"{self.names[i]} by {gain[i]:.0f} nat" for i in np.argsort(-gain).tolist() if gain[i] >= 1.0]
+        return f"it foretold better: {', '.join(told)}" if told else ""
+
+    def hear(
+        self, lane: int, sensor: int, time_s: float, residual: Sequence[float], variance: Sequence[float]
+    ) -> None:
         """What a lane foretold of a reading: measured minus foretold, and variance of that, by component."""
-        into = self.memory.gathered[lane, sensor]
+        gained = short = judged = nis = most = 0.0
         for e, v, sd in zip(residual, variance, self._sd[sensor], strict=True):
             if v > 0.0 and math.isfinite(v) and not math.isnan(e):
-                level = RATIO * sd / math.sqrt(v)
-                gain = math.log1p(level * math.exp(-0.5 * min(e * e / v, 1400.0)))
-                into[GAIN] += gain
-                into[SHORT] += math.log1p(level * math.exp(-0.5)) - gain
-                into[JUDGED] += 1.0
+                level, square = RATIO * sd / math.sqrt(v), min(e * e / v, LARGE)
+                gain = math.log1p(level * math.exp(-0.5 * square))
+                gained, judged, nis, most = gained + gain, judged + 1.0, nis + square, max(most, square)
+                short += math.log1p(level * math.exp(-0.5)) - gain
+        self.memory.gathered[lane, sensor] += (gained, short, judged, nis)
+        if sensor in self._velocity:
+            self._contradict(self.memory.away[lane, self._velocity.index(sensor)], time_s, residual, most)
 
-    def decide_until(self, until_s: float, *, behind: bool = False) -> list[tuple[float, int]]:
-        """Compare the lanes as often as is due before a time, or up to it (`behind`): from when [s] which is chosen."""
+    def _contradict(self, away: Array, time_s: float, residual: Sequence[float], nis: float) -> None:
+        """Note how far a velocity contradicts a lane."""
+        if nis <= CONTRADICTS:
+            away[SINCE] = math.nan
+            return
+        off = np.zeros(self._axes)
+        off[: len(residual)] = np.nan_to_num(residual)
+        if math.isnan(away[SINCE]):
+            away[SINCE], away[LARGEST] = time_s, 0.0
+            away[FIRST : FIRST + self._axes] = away[FIRST + self._axes :] = off
+        step = float(np.linalg.norm(off - away[FIRST + self._axes :]))
+        away[UNTIL], away[LARGEST], away[FIRST + self._axes :] = time_s, max(away[LARGEST], step), off
+
+    def decide_until(self, until_s: float, *, behind: bool = False) -> list[tuple[float, int, str]]:
+        """Compare the lanes as often as is due before a time, or up to it (`behind`): from when [s] which is chosen,
+        and why.
+        """
         last = math.floor(until_s / STEP_S)
         last -= not behind and last * STEP_S == until_s
         changes = []
         while self.memory.step < last:
             if self._decide():
-                changes.append((self.compared_s, self.memory.lane))
+                changes.append((self.compared_s, self.memory.lane, self.reason))
+            if self.told is not None:
+                self.told()
             # a silence: what is forgotten need not be forgotten step by step
             self.memory.step = max(self.memory.step, last - STEPS)
         return changes
@@ -137,40 +237,80 @@ class Choice:
         memory.step += 1
         memory.ring[memory.step % STEPS] = memory.gathered
         memory.gathered[:] = 0.0
-        now = memory.lane
-        _, short = self.sums()
+        now, newest = memory.lane, memory.ring[memory.step % STEPS, :, :, GAIN].sum(axis=1)
+        missed = self._missed()
+        short = missed.sum(axis=1)
         memory.doubted[self._inertial & (short - short[now] > MARGIN)] = 1.0
+        memory.ahead = np.maximum(memory.ahead + newest - newest[now], 0.0)
+        calm = np.isnan(memory.away[now, :, SINCE]).all() and not (missed[now] - missed > ALONE).any()
+        if calm and not (memory.ahead > MARGIN).any():
+            return False
         newest_first = (memory.step - np.arange(STEPS)) % STEPS
         gains = np.cumsum(memory.ring[newest_first, :, :, GAIN], axis=0)
         more = gains.sum(axis=2)
         more -= more[:, now : now + 1]
+        memory.ahead = np.maximum(more.max(axis=0), 0.0)
         ready = self._inertial & (memory.doubted == 0.0) & (memory.step - memory.begun >= PROBATION_S / STEP_S)
         ready &= (more > MARGIN).any(axis=0)
         best = now if not ready.any() else int(np.argmax(np.where(ready, more.max(axis=0), -math.inf)))
+        span, beside = int(np.argmax(more[:, best])), np.zeros((2, len(self.names)))
         for lane in np.flatnonzero(~self._inertial).tolist():
             each = gains[:, lane] - gains[:, best]
-            whole = each.sum(axis=1)
-            if ((whole > MARGIN) & ((each > SECOND).sum(axis=1) > 1)).any() or self._carried_off(best, lane):
-                best = lane
+            both = (each.sum(axis=1) > MARGIN) & ((each > SECOND).sum(axis=1) > 1)
+            single = np.array([self._run_away(best, lane), self._carried_off(missed, best, lane)])
+            if both.any() or single.any():
+                best, beside = lane, single * (not both.any())
+                span = int(np.argmax(both)) if both.any() else STEPS - 1
         if best == now:
             return False
+        memory.why[:] = gains[span, best] - gains[span, now], *beside
         memory.doubted[now] = float(self._inertial[now])
         memory.lane = best
+        memory.ahead[:] = math.inf
         return True
 
-    def _carried_off(self, lane: int, other: int) -> bool:
-        """Whether a velocity contradicts a lane, and not another one, for longer than one that errs itself would."""
-        whole = self.memory.ring[:, :, self._velocity].sum(axis=0)
-        most = whole[:, :, JUDGED].max(axis=0)
-        short = whole[:, :, SHORT] + FULL * (most - whole[:, :, JUDGED])
-        more = short[lane] - short[other]
-        return bool(((more > ALONE) & (more > SHARE * FULL * most)).any())
+    def _run_away(self, lane: int, other: int) -> Array:
+        """By how much a lane has moved off from each sensor [m/s], where it is more than the vehicle may, and the other
+        one follows; else zero.
+        """
+        found, follows = np.zeros(len(self.names)), np.isnan(self.memory.away[other, :, SINCE])
+        moved, first = self._moved(lane)
+        for i, mine in enumerate(self.memory.away[lane]):
+            lasted_s = mine[UNTIL] - mine[SINCE]
+            if lasted_s >= AWAY_S and self.compared_s - mine[UNTIL] < STALE_S and follows[i]:
+                may = AWAY_SD * self._force_sd * math.sqrt(lasted_s)
+                if moved[i] > max(may, first[i], LEADS * mine[LARGEST]):
+                    found[self._velocity[i]] = moved[i]
+        return found
 
-    def sums(self) -> tuple[Array, Array]:
-        """Of the last minute: gain by lane and sensor, and by lane what was to be gained more."""
+    def _moved(self, lane: int) -> tuple[Array, Array]:
+        """How far a lane has moved off from each velocity that contradicts it, and by how much it was off at first."""
+        away = self.memory.away[lane, :, FIRST:]
+        first, last = away[:, : self._axes], away[:, self._axes :]
+        return np.linalg.norm(last - first, axis=1), np.linalg.norm(first, axis=1)
+
+    def _carried_off(self, missed: Array, lane: int, other: int) -> Array:
+        """How much each velocity contradicts a lane, and not another one [nat], where it does for longer than one that
+        errs itself would, and has not jumped; else zero.
+        """
+        most = self.memory.ring[:, :, self._velocity, JUDGED].sum(axis=0).max(axis=0)
+        more, found = (missed[lane] - missed[other])[self._velocity], np.zeros(len(self.names))
+        moved, first = self._moved(lane)
+        found[self._velocity] = np.where((more > ALONE) & (more > SHARE * FULL * most) & ~(first > moved), more, 0.0)
+        return found
+
+    def _missed(self) -> Array:
+        """By lane and sensor, what was to be gained more in the last minute."""
         whole = self.memory.ring.sum(axis=0)
-        missed = whole[:, :, JUDGED].max(axis=0) - whole[:, :, JUDGED]
-        return whole[:, :, GAIN], (whole[:, :, SHORT] + FULL * missed).sum(axis=1)
+        judged = whole[:, :, JUDGED]
+        return np.asarray(whole[:, :, SHORT] + FULL * (judged.max(axis=0) - judged))
+
+    def means(self) -> tuple[Array, Array]:
+        """Of the last minute, by lane: mean gain of a component that any lane foretold, and mean NIS of its own."""
+        whole = self.memory.ring.sum(axis=(0, 2))
+        most = whole[:, JUDGED].max()
+        own = np.where(whole[:, JUDGED] > 0.0, whole[:, JUDGED], math.nan)
+        return whole[:, GAIN] / (most if most else math.nan), whole[:, NIS] / own
 
     def to_begin_anew(self) -> list[int]:
         """Lanes that are doubted, and not in force."""
@@ -181,6 +321,7 @@ class Choice:
         memory = self.memory
         memory.ring[:, lane], memory.gathered[lane] = memory.ring[:, memory.lane], memory.gathered[memory.lane]
         memory.begun[lane], memory.doubted[lane] = memory.step, 0.0
+        memory.away[lane], memory.ahead[lane] = math.nan, math.inf
 
 
 def _sds(sensor: Sensor) -> list[float]:

@@ -99,18 +99,19 @@ def tilted(filter: Filter, channel: Channel, time_s: float) -> bool:
 
 
 def set_anew(filter: Filter, tell: Listening) -> None:
-    """Roll, pitch and velocity by accelerometers and DVL."""
+    """Roll, pitch and velocity by accelerometers and DVL; by one of them where there is no other."""
     level, memory, state = _level(filter), filter.memory, filter.state
     velocity, refused = state.velocity_n.copy(), _refused_velocity(filter)
-    if level is None:
+    if level is None and refused is None:
         return
-    n = filter.layout.size
+    n, C = filter.layout.size, state.C_nb
     M, N = np.eye(n), np.zeros((n, n))
-    C = rotation_matrix(level.turn) @ state.C_nb
-    M[6, 6] = M[7, 7] = 0.0
-    N[6, 6] = N[7, 7] = level.variance
-    # what turned it about two axes may have turned it about the third
-    N[8, 8] = 0.5 * float(level.turn @ level.turn)
+    if level is not None:
+        C = rotation_matrix(level.turn) @ C
+        M[6, 6] = M[7, 7] = 0.0
+        N[6, 6] = N[7, 7] = level.variance
+        # what turned it about two axes may have turned it about the third
+        N[8, 8] = 0.5 * float(level.turn @ level.turn)
     if refused is not None:
         off, since_s = refused
         velocity = velocity + off

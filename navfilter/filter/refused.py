@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.filter import agreement, gating, realignment
+from navfilter.filter import agreement, gating, ramp, realignment
 from navfilter.filter.adoption import Change
-from navfilter.filter.belief import beyond_belief, pulled
+from navfilter.filter.belief import beyond_belief, excused, pulled
 from navfilter.filter.channel import Channel
 from navfilter.filter.course import Course, against_the_compass, turned
 from navfilter.filter.events import Event
@@ -55,12 +55,20 @@ def let_in(filter: Filter, channel: Channel, time_s: float, nis: float, dof: int
         kept.refused = None
         return False
     if channel.moves:
+        filter.accused = ramp.accused(filter, channel, time_s)
+        if filter.accused is not None:
+            return False
         filter.tilted = realignment.tilted(filter, channel, time_s)
         if filter.tilted:
             return False
     if beyond_belief(channel, memory.x):
         _gone_astray(filter, channel)
         return False
+    kept.astray_m += math.hypot(*memory.nav[3:6].tolist()) * channel.period_s
+    if excused(channel):
+        P[range(3), range(3)] += np.nan_to_num(channel.res[:3]) ** 2
+        _update(filter, channel, time_s)
+        return True
     if channel.sensor.open_loop != listen.NOTHING and _agreed(filter, channel, time_s):
         return True
     if gating.state_contradicted(filter.channels.values(), time_s):
@@ -147,13 +155,17 @@ def _gone_astray(filter: Filter, channel: Channel) -> None:
     """Begin the slow error of a sensor afresh, and carry as variance what it may have done to the position."""
     memory, kept = filter.memory, channel.memory
     memory.P[range(3), range(3)] += pulled(channel, memory.x) ** 2
-    kept.astray, kept.refused = True, None
+    kept.astray_m, kept.refused = 0.0, None
     filter.jumped.append(Change(channel.name, channel.sensor.models, afresh=True))
     memory.counts["astray"] += 1
 
 
 def take_up(filter: Filter, tell: Callable[[Event], None]) -> None:
     """Do what refused readings have made necessary, before the next input."""
+    if filter.accused is not None:
+        slope, filter.accused = filter.accused, None
+        filter.jumps.accused(filter, slope)
+        realignment.set_anew(filter, tell)
     if filter.tilted:
         filter.tilted = False
         realignment.set_anew(filter, tell)
@@ -182,7 +194,7 @@ def _jumped(filter: Filter, channel: Channel, time_s: float) -> None:
     else:
         memory.P[places, places] += size**2
         kept.refused = None
-    kept.rejected_since_s = time_s
+    kept.rejected_since_s = kept.disputed_s = time_s
     memory.counts["jumped"] += 1
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.kernels import measurement
+from navfilter.kernels import measurement, past
 from navfilter.kernels.past import STEP, WINDOW_S
 from navfilter.sensors import Sensor
 from navfilter.start import Start
@@ -42,7 +42,7 @@ class Sight:
         self._turns = sensor.needs_rate or self._arm
         self._by_arm = np.zeros((self._constants.size, 3))
         self._inner, self._ends = np.zeros((self.axes, 9 + len(sensor.parameters()))), np.zeros(self.axes)
-        self._then, self._turn, self._slope, self._B = np.empty(17), np.empty(6), np.empty(9), np.empty((9, 9))
+        self._then, self._turn, self._slope, self._B = np.empty(17), np.empty(6), np.empty((2, 9)), np.empty((9, 9))
         if self._arm:
             for i, e in enumerate(np.eye(3)):
                 self._by_arm[:, i] = self._constants_at(sensor, start, e) - self._constants
@@ -65,7 +65,9 @@ class Sight:
         moved: tuple[Array, float],
         since_s: float,
         outputs: Array,
-        into: tuple[Array, Array, Array],
+        drive: tuple[Array, Array],
+        variance: float,
+        into: tuple[Array, Array, Array, Array],
     ) -> None:
         """Fill residual and Jacobian as the kernels do, see `navfilter.kernels.measurement`.
 
@@ -79,23 +81,29 @@ class Sight:
             How much later than the stamp it is now [s].
         outputs : ndarray, shape (6, k)
             Rows by which the drive's states make the errors of its six values.
-        into : tuple of ndarray, shapes (axes, k), (axes, 9 + states), (axes,)
+        drive : (ndarray, ndarray)
+            Its memory, and (6, k + 1) with the white variances of its values in the last column.
+        variance : float
+            Of the clock [s^2].
+        into : tuple of ndarray, shapes (axes, k), (axes, 9 + states), (axes,), (axes, axes)
             Receive the derivatives with respect to the drive's states (a bias bends the way back), those of the kernel,
-            and the residual.
+            and the residual; the white covariance grows by what the clock's error does beyond that.
         """
-        H, near, res = into
+        H, near, res, R = into
         own = par.size - 3 * self._arm - self.clock
         constants = self._constants + self._by_arm @ par[own : own + 3] if self._arm else self._constants
         inner, kind = self._inner, par[:own]
         if self.clock:
             late_s, now = since_s + float(par[-1]), nav
-            measurement.earlier(nav, *moved, late_s, WINDOW_S, self._then, self._turn, self._slope, self._B)
+            slope_s = past.slope_s(variance)
+            given = self._then, self._turn, self._slope, self._B
+            over_s = measurement.earlier(nav, *moved, late_s, WINDOW_S, slope_s, *given)
             nav, rate = self._then, self._turn[:3]
         self.kernel(z, nav, rate, kind, constants, inner, res)
         near[:, : 9 + own] = inner
         if self.clock:
             near[:, :9] = inner[:, :9] @ self._B
-            near[:, -1] = -(inner[:, :9] @ self._slope)
+            near[:, -1] = -(inner[:, :9] @ self._slope[0])
             if moved[1]:
                 H[:] = inner[:, :9] @ by_drive(now, nav, self._B, late_s, outputs)
         ends = self._ends
@@ -106,6 +114,8 @@ class Sight:
         if self.clock and self._turns:
             self.kernel(z, nav, rate + STEP * self._turn[3:], kind, constants, inner, ends)
             near[:, -1] -= (res - ends) / STEP
+        if self.clock:
+            past.discount(inner, self._slope, self._then, *drive, over_s, moved[1] != 0.0, variance, near, R)
 
 
 def by_drive(now: Array, then: Array, B: Array, late_s: float, outputs: Array) -> Array:

@@ -141,7 +141,9 @@ def _units() -> Iterator[str]:
     yield _UNITS
     words = 'The first unit: "a" is the name of its stream. Strapdown on WGS-84.'
     yield _section("imus.a", Imu, words, 100, _GYRO, _ACCEL)
-    yield "\n".join(["# The second unit, with the same keys.", "[imus.b]", 'type = "imu"', "rate_hz = 100", _GYRO, _ACCEL, ""])
+    yield "\n".join(
+        ["# The second unit, with the same keys.", "[imus.b]", 'type = "imu"', "rate_hz = 100", _GYRO, _ACCEL, ""]
+    )
     yield _SENSORS
 
 
@@ -157,7 +159,8 @@ def _reckoning() -> Iterator[str]:
     )
     # What corrects nothing has no gate; a magnetometer cannot be levelled here, and a drift with temperature has no state.
     unused = {"rate_hz", "gate_probability", "gate_timeout_s"}
-    iron = {"magnetometer", "hard_iron", "soft_iron", "temperature_sd_rad_per_k", "reference_temperature_c"}
+    iron = {"magnetometer", "hard_iron", "soft_iron", "hard_iron_sd", "soft_iron_sd"}
+    iron |= {"temperature_sd_rad_per_k", "reference_temperature_c"}
     yield _section(
         "drive.attitude",
         Heading,

@@ -124,7 +124,9 @@ def summarise(tracks: Mapping[str, Track], mission: Mission) -> dict[str, Any]:
     """
     result = list(tracks.values())[-1]
     runs = {
-        label: track.summary(mission.truth, mission.windows) | {"integrity": integrity_figures(track, mission.truth)}
+        label: track.summary(mission.truth, mission.windows)
+        | {"integrity": integrity_figures(track, mission.truth)}
+        | _lanes(track)
         for label, track in tracks.items()
     }
     summary = {
@@ -136,6 +138,22 @@ def summarise(tracks: Mapping[str, Track], mission: Mission) -> dict[str, Any]:
         "runs": runs,
     }
     return _finite(summary)
+
+
+def _lanes(track: Track) -> dict[str, Any]:
+    """Which lane was in force from when on and why, and how each did, in the mean over the run."""
+    history = track.lane_history
+    if history is None:
+        return {}
+    changes = zip(track.lanes, ("", *history.reasons), strict=True)
+    known = [np.isfinite(values) for values in (history.gain, history.nis)]
+    means = [
+        np.where(some.any(axis=0), np.nansum(values, axis=0) / np.maximum(some.sum(axis=0), 1), np.nan).tolist()
+        for values, some in zip((history.gain, history.nis), known, strict=True)
+    ]
+    each = {name: {"gain": gain, "nis": nis} for name, gain, nis in zip(history.names, *means, strict=True)}
+    in_force = [{"from_s": from_s, "lane": name, "reason": reason} for (from_s, name), reason in changes]
+    return {"lanes": {"in_force": in_force, "each": each}}
 
 
 def write_summary(

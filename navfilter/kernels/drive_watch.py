@@ -10,6 +10,9 @@ import math
 
 from numba import njit
 
+#: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
+UNCOUNTED: dict = {"_nrt": False}
+
 # Columns of an axis: its condition, how long that had lasted when it was found [s] and how long nothing has spoken for
 # it [s]; the last value as it came, times it came in a row, share of values that repeat, smallest change; the last two
 # as rates, largest magnitude; variance of second differences now and usually, samples seen; mean over 0.1 s; spikes so
@@ -48,7 +51,7 @@ LEVEL_SD = 0.1  # gravity is held against accelerometers while roll and pitch ar
 JUDGED_S = 1.0  # how often the attitude is asked for: between, the reference turns with the gyros
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
 def look(samples, w, sd, limits, period_s, increments):
     """Look at samples in their order, and put what is known in place of what bad axes say: a gyro's rate is 0, an
     accelerometer's force that of a vehicle at rest.
@@ -152,7 +155,7 @@ def look(samples, w, sd, limits, period_s, increments):
     return samples.shape[0]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _weigh(w, dt):
     """Hold the force that accelerometers say against the one at rest, and say what is wrong with all three."""
     unit = w[UNIT]

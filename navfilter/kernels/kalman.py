@@ -9,34 +9,67 @@ import math
 import numpy as np
 from numba import njit
 
+#: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
+UNCOUNTED: dict = {"_nrt": False}
+COUNTED: dict = {"_nrt": True}
 
-@njit(cache=True)
+
+@njit(cache=True, **COUNTED)
+def _product(A, B, out):
+    """A B into out, by BLAS. numba wants arrays that are counted for that, see `navfilter.kernels`."""
+    np.dot(A, B, out)
+
+
+@njit(cache=True, **UNCOUNTED)
 def fold(P, acc, nav, T):
     """P <- Phi P Phi' + Q for the leading m states.
 
-    acc (4m rows) holds Phi and Q, m rows each, then work areas; it is reset to identity and zero.
+    acc (4m rows) holds Phi and Q, m rows each, then work areas; it is reset to identity and zero. Navigation (nine
+    rows) depends on all of them, a drive's state on few, a constant on itself: only where a row is not zero is it
+    multiplied.
 
     C_nb in nav is made orthonormal again to first order (its rounding grows with the number of products). T: (m, n)
     work.
     """
     m, n = acc.shape[1], P.shape[0]
-    np.dot(acc[:m], P[:m], T)
+    _product(acc[:9], P[:m], T[:9])
     # the drive's work areas in acc are free between its steps
-    A, head = acc[2 * m : 3 * m], acc[3 * m :]
-    for i in range(m):
+    work = acc[2 * m :].reshape(2 * m * m)
+    A, head, begins, ends = work[: 9 * m].reshape((m, 9)), work[9 * m :][:81].reshape((9, 9)), work[-2 * m :], work[-m:]
+    for i in range(9):
         for j in range(m):
             A[j, i] = T[i, j]
-    np.dot(acc[:m], A, head)
-    for i in range(m):
-        for j in range(m, n):
-            P[i, j] = T[i, j]
+    _product(acc[:9], A, head)
+    for i in range(9, m):
+        first, last = m, 0
+        for r in range(m):
+            if acc[i, r] != 0.0:
+                first, last = min(first, r), r + 1
+        begins[i], ends[i] = first, last
+        for j in range(n):
+            T[i, j] = 0.0
+        for r in range(first, last):
+            f = acc[i, r]
+            for j in range(n):
+                T[i, j] += f * P[r, j]
+    for i in range(9):
         for j in range(i + 1):
             s = 0.5 * (head[i, j] + head[j, i] + acc[m + i, j] + acc[m + j, i])
             P[i, j] = s
             P[j, i] = s
-    for j in range(m, n):
-        for i in range(m):
-            P[j, i] = T[i, j]
+    for i in range(9, m):
+        first, last = int(begins[i]), int(ends[i])
+        for j in range(i + 1):
+            s = 0.5 * (acc[m + i, j] + acc[m + j, i])
+            for r in range(first, last):
+                s += T[j, r] * acc[i, r]
+            P[i, j] = s
+            P[j, i] = s
+    for i in range(m):
+        if i < 9 or ends[i] - begins[i] != 1.0 or acc[i, i] != 1.0:
+            for j in range(m, n):
+                P[i, j] = T[i, j]
+                P[j, i] = T[i, j]
     for i in range(2 * m):
         for j in range(m):
             acc[i, j] = 0.0
@@ -54,7 +87,7 @@ def fold(P, acc, nav, T):
             nav[6 + 3 * i + j] += 0.5 * (nav[6 + 3 * i + j] - (x * E[j] + y * E[3 + j] + z * E[6 + j]))
 
 
-@njit(cache=True)
+@njit(cache=True, **COUNTED)
 def power(Phi, Q, count, W):
     """Phi^count and the noise gathered in as many ticks, by doubling. W (4, b, b): result Phi, result Q, and the square
     and its noise.
@@ -98,7 +131,7 @@ def power(Phi, Q, count, W):
         count //= 2
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def tick(P, x, start, A, B, T):
     """Advance the block at `start` of the state (its own clock): x <- A x, P <- A P A' + B on its rows and columns. T:
     (b, n) work.
@@ -119,13 +152,15 @@ def tick(P, x, start, A, B, T):
         if j < start or j >= start + b:
             for i in range(b):
                 P[j, start + i] = T[i, j]
-    for i in range(b):
-        for j in range(i + 1):
+    for j in range(b):
+        first, last = b, 0
+        for r in range(b):
+            if A[j, r] != 0.0:
+                first, last = min(first, r), r + 1
+        for i in range(j, b):
             s = B[i, j]
-            for r in range(b):
-                f = A[j, r]
-                if f != 0.0:
-                    s += T[i, start + r] * f
+            for r in range(first, last):
+                s += T[i, start + r] * A[j, r]
             P[start + i, start + j] = s
             P[start + j, start + i] = s
     for i in range(b):
@@ -137,7 +172,7 @@ def tick(P, x, start, A, B, T):
         x[start - 9 + i] = T[i, 0]
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def _invert(S):
     """The inverse of the upper half of S (2a, a), definite and symmetric, into its lower half (Gauss and Jordan)."""
     a = S.shape[1]
@@ -162,7 +197,7 @@ def _invert(S):
             S[a + j, i] = s
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def innovation(P, H, res, R, S, PH, out):
     """Innovation covariance S = H P H' + R, its inverse, P H' and the normalised innovation squared (NIS).
 
@@ -223,7 +258,7 @@ def innovation(P, H, res, R, S, PH, out):
     out[0], out[1] = nis, used
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def _less_twice(P, u, w):
     """P <- P - u w' - w u': symmetric to the bit where P was."""
     n = P.shape[0]
@@ -234,19 +269,19 @@ def _less_twice(P, u, w):
                 P[i, j] -= f * w[j] + g * u[j]
 
 
-@njit(cache=True)
-def correct(P, nav, x, res, S, PH, K, turn):
+@njit(cache=True, **UNCOUNTED)
+def correct(P, nav, x, res, S, PH, K, turn, T):
     """Closed-loop correction after `innovation`: gain, Joseph covariance, feedback into the nominal state, attitude
     reset.
 
     Joseph's form for the gain as rounded, P - K PH - PH' K' + K S K' = P - K W' - W K' with W = PH' - K S / 2, which
     costs O(n^2 a) and leaves P symmetric to the bit (Bierman, 1977, sec. V.2).
     The attitude error left over is expressed at the corrected attitude: P <- G P G', G = I + [d x]/2 + [d x]^2/6 (left
-    Jacobian; Markley, 2003). K: (n, a) receives the gain, turn: (3,) the rotation d fed back.
+    Jacobian; Markley, 2003). K: (n, a) receives the gain, turn: (3,) the rotation d fed back. T: (2a, n) work.
     """
     n, a = K.shape
     # u: columns of K; w: half of what they are multiplied with, P H' and what rounding left of the gain
-    u, w = np.empty((a, n)), np.empty((a, n))
+    u, w = T[:a], T[a:]
     for r in range(a):
         for i in range(n):
             u[r, i] = 0.0
@@ -310,7 +345,7 @@ def correct(P, nav, x, res, S, PH, K, turn):
             P[j, i] = s
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def _reset_rows(M, x, y, z, cols):
     """Rows 6 to 8 of M from the left by G = I + [d x]/2 + [d x]^2/6."""
     for j in range(cols):
@@ -321,13 +356,13 @@ def _reset_rows(M, x, y, z, cols):
         M[8, j] = w + 0.5 * h + (x * g - y * f) / 6.0
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def _reset_rows_transposed(M, x, y, z, cols):
     """Rows 6 to 8 of M from the left by G': the same with the rotation reversed."""
     _reset_rows(M, -x, -y, -z, cols)
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def places(dims):
     """Where things stand in a channel's memory ``mem``: starts of H, K, inverse S, res, turn, then of S, PH, near,
     verdict, work, and the end.
@@ -347,10 +382,10 @@ def places(dims):
     near = PH + a * n
     verdict = near + a * (9 + dims[6])
     work = verdict + 3 + 2 * a
-    return H, K, inverse, res, turn, S, PH, near, verdict, work, work + max(m, b, 1) * n + 4 * b * b
+    return H, K, inverse, res, turn, S, PH, near, verdict, work, work + max(m, b, 2 * a) * n + 4 * b * b
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def predict(P, nav, x, acc, model, mem, dims, count):
     """Before a reading: note the transition in `mem`, fold it, and tick the sensor's block `count` times. model: (2, b,
     b), Phi and Q.
@@ -370,7 +405,8 @@ def predict(P, nav, x, acc, model, mem, dims, count):
                 A[i, j] = model[0, i, j]
         tick(P, x, start, A, model[1], mem[work : work + b * n].reshape((b, n)))
     elif count > 1:
-        W = mem[work + max(m, b) * n : work + max(m, b) * n + 4 * b * b].reshape((4, b, b))
+        end = places(dims)[10]
+        W = mem[end - 4 * b * b : end].reshape((4, b, b))
         power(model[0], model[1], count, W)
         for i in range(b):
             for j in range(b):
@@ -382,7 +418,7 @@ def predict(P, nav, x, acc, model, mem, dims, count):
                 A[i, j] = 1.0 if i == j else 0.0
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def update(P, nav, x, C, R, mem, dims, limits):
     """A reading, after its sensor filled `near` and `res` in `mem`: take the coloured error off, form the NIS, correct
     if it passes.
@@ -394,7 +430,7 @@ def update(P, nav, x, C, R, mem, dims, limits):
     residuals (NaN where missing) and their variances (NaN also where left out).
     """
     a, n, start, errors, par = dims[0], dims[1], dims[4], dims[5], dims[6]
-    iH, iK, ii, ir, it, iS, iP, ine, iv, _, _ = places(dims)
+    iH, iK, ii, ir, it, iS, iP, ine, iv, iw, _ = places(dims)
     H, near, res = mem[iH : iH + a * n].reshape((a, n)), mem[ine:iv].reshape((a, 9 + par)), mem[ir : ir + a]
     for i in range(a):
         for j in range(errors):
@@ -417,13 +453,14 @@ def update(P, nav, x, C, R, mem, dims, limits):
     if not fits:
         return
     out[2] = 1.0
-    correct(P, nav, x, res, S, PH, mem[iK:ii].reshape((n, a)), mem[it : it + 3])
+    T = mem[iw : iw + 2 * a * n].reshape((2 * a, n))
+    correct(P, nav, x, res, S, PH, mem[iK:ii].reshape((n, a)), mem[it : it + 3], T)
     for i in range(a):
         for j in range(a):
             mem[ii + i * a + j] = S[a + i, j]
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def _whole_jacobian(H, near, C, start, head):
     """H (a, n) from the sensor's own near (a, 9 + parameters) and the output rows C of its error models; that of the
     drive's states (9 to `head`) stays.
@@ -440,7 +477,7 @@ def _whole_jacobian(H, near, C, start, head):
             H[i, start + errors + j - 9] = near[i, j]
 
 
-@njit(cache=True)
+@njit(cache=True, **COUNTED)
 def _fits_without_some(P, H, near, C, R, S, PH, res, out, limits, start, head):
     """Whether the reading passes its gate when the components that contradict the others most are left out, one by one.
 
@@ -480,7 +517,7 @@ def _fits_without_some(P, H, near, C, R, S, PH, res, out, limits, start, head):
     return False
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def smooth_record(L, lam, record, a, m, b, start, T):
     """Carry the adjoint (lam, L) backward over one tape record: reset, correction, tick, compound transition.
 
@@ -556,7 +593,7 @@ def smooth_record(L, lam, record, a, m, b, start, T):
     _head_transposed(L, lam, record[: m * m].reshape((m, m)), T.reshape(T.size))
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def _transition_transposed(L, lam, Phi, start, b, T):
     """L <- Phi' L Phi and lam <- Phi' lam for a transition that touches b states from `start`."""
     n = len(lam)
@@ -575,9 +612,14 @@ def _transition_transposed(L, lam, Phi, start, b, T):
                 L[start + i, j] = T[i, j]
         for j in range(b):
             L[start + i, start + j] = 0.0
-        for r in range(b):
+    for r in range(b):
+        first, last = b, 0
+        for j in range(b):
+            if Phi[r, j] != 0.0:
+                first, last = min(first, j), j + 1
+        for i in range(b):
             f = T[i, start + r]
-            for j in range(b):
+            for j in range(first, last):
                 L[start + i, start + j] += f * Phi[r, j]
     for i in range(n):
         if i < start or i >= start + b:
@@ -597,27 +639,44 @@ def _transition_transposed(L, lam, Phi, start, b, T):
         lam[start + i] = T[0, i]
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def _head_transposed(L, lam, Phi, work):
-    """L <- Phi' L Phi and lam <- Phi' lam for a transition of the leading m states; work: (2 m^2 + m n,)."""
+    """L <- Phi' L Phi and lam <- Phi' lam for a transition of the leading m states; work: (2 m^2 + m n,).
+
+    As in `fold`: of the rows of Phi behind navigation only what is not zero.
+    """
     m, n = Phi.shape[0], len(lam)
     A, B, T = work[: m * m].reshape((m, m)), work[m * m : 2 * m * m].reshape((m, m)), work[2 * m * m :]
     T = T[: m * n].reshape((m, n))
+    C = work[m * m :][: 9 * m].reshape((m, 9))
     for i in range(m):
+        for j in range(9):
+            C[i, j] = Phi[j, i]
+    _product(C, L[:9], T)
+    for r in range(9, m):
+        for i in range(m):
+            f = Phi[r, i]
+            if f != 0.0:
+                for j in range(n):
+                    T[i, j] += f * L[r, j]
+    for i in range(m):
+        for j in range(9):
+            C[i, j] = T[i, j]
+    _product(C, Phi[:9], A)
+    for r in range(9, m):
         for j in range(m):
-            A[i, j] = Phi[j, i]
-    np.dot(A, L[:m], T)
+            f = Phi[r, j]
+            if f != 0.0:
+                for i in range(m):
+                    A[i, j] += f * T[i, r]
     for i in range(m):
-        for j in range(m):
-            B[i, j] = T[i, j]
+        B[0, i] = 0.0
+    for r in range(m):
+        f = lam[r]
+        for i in range(m):
+            B[0, i] += f * Phi[r, i]
     for i in range(m):
-        s = 0.0
-        for r in range(m):
-            s += A[i, r] * lam[r]
-        T[i, 0] = s
-    for i in range(m):
-        lam[i] = T[i, 0]
-    np.dot(B, Phi, A)
+        lam[i] = B[0, i]
     for i in range(m):
         for j in range(m, n):
             L[i, j] = T[i, j]
@@ -630,12 +689,12 @@ def _head_transposed(L, lam, Phi, work):
             L[j, i] = T[i, j]
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def smooth_row(P, L, lam, mean, cov, T):
     """Smoothed error at an epoch: mean = -P lam, cov = P - P L P (symmetric). T: (n, n) work."""
     n = len(lam)
-    np.dot(P, L, T)
-    np.dot(T, P, cov)
+    _product(P, L, T)
+    _product(T, P, cov)
     for i in range(n):
         s = 0.0
         for j in range(n):
@@ -647,7 +706,7 @@ def smooth_row(P, L, lam, mean, cov, T):
             cov[j, i] = s
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def smooth_run(L, lam, records, begins, heads, rows, firsts, holds, index, until, means, covs, T, U):
     """Carry the adjoint backward over a run of records, and give the smoothed error at every row of them, the latest
     first: `smooth_record` and `smooth_row` in one call.

@@ -14,6 +14,9 @@ import math
 
 from numba import njit
 
+#: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
+UNCOUNTED: dict = {"_nrt": False}
+
 NOTHING, HEADING, POSITION, VELOCITY = 0, 1, 2, 3
 # An `ear`, what is listened with to one channel over many readings: kind of its open loop, ticks noted and capacity of
 # its ring, ticks by which there is something to do; whether it is watched for a change of its error, by which share a
@@ -26,7 +29,7 @@ EAR = MOUNT + 9
 CALM_LEAST, CALM_MOST, NIS_MOST = 0.4, 2.0, 25.0
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def attend(ear, nis, dof, ticks, learning):
     """After a reading: count its ticks and, where it is time for learning, see how it fared; True when the error seems
     to have changed, or enough ticks have been noted.
@@ -41,7 +44,7 @@ def attend(ear, nis, dof, ticks, learning):
     return ear[NOTED] >= ear[DUE]
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def carry(undone, Phi):
     """Carry the sum over a compound transition Phi (m x m), which says how long it took and how the drive's states turn
     the heading.
@@ -63,7 +66,7 @@ def carry(undone, Phi):
         undone[i] = undone[m + i]
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def listen(undone, mem, dims, places, nav, C, x, kind, mount, ring, cursor, ticks, Cr, gravity):
     """After a reading: note its open-loop residual in `ring` (kind != 0), then add what it fed back to `undone`.
 

@@ -12,17 +12,20 @@ import math
 import numpy as np
 from numba import njit
 
+#: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
+UNCOUNTED: dict = {"_nrt": False}
+
 PIECE_S = 0.02  # so long a turning force is taken as that of the middle: 1e-5 of it at 1 rad/s
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def _clear(H):
     for i in range(H.shape[0]):
         for j in range(H.shape[1]):
             H[i, j] = 0.0
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def _instrument_velocity(z, nav, v0, v1, v2, rate, par, first, cfg, H, res):
     """Velocity v in n of the reference point, as seen by an instrument; scale (one, or one an axis) and misalignment,
     if any, are `par` from `first` on.
@@ -31,22 +34,23 @@ def _instrument_velocity(z, nav, v0, v1, v2, rate, par, first, cfg, H, res):
     x0 = rate[1] * cfg[2] - rate[2] * cfg[1]
     x1 = rate[2] * cfg[0] - rate[0] * cfg[2]
     x2 = rate[0] * cfg[1] - rate[1] * cfg[0]
-    A = np.empty((3, 3))  # n to instrument
-    y = np.empty(3)
     for i in range(3):
+        # n to instrument stands in the columns of the velocity, for a while
+        A = H[i, 3:6]
         for j in range(3):
-            A[i, j] = cfg[3 + i] * nav[6 + 3 * j] + cfg[6 + i] * nav[7 + 3 * j] + cfg[9 + i] * nav[8 + 3 * j]
-        y[i] = A[i, 0] * v0 + A[i, 1] * v1 + A[i, 2] * v2 + cfg[3 + i] * x0 + cfg[6 + i] * x1 + cfg[9 + i] * x2
+            A[j] = cfg[3 + i] * nav[6 + 3 * j] + cfg[6 + i] * nav[7 + 3 * j] + cfg[9 + i] * nav[8 + 3 * j]
+        res[i] = A[0] * v0 + A[1] * v1 + A[2] * v2 + cfg[3 + i] * x0 + cfg[6 + i] * x1 + cfg[9 + i] * x2
+    y0, y1, y2 = res[0], res[1], res[2]
     g0, g1, g2, a, b, c = 1.0, 1.0, 1.0, 0.0, 0.0, 0.0
     step = 1 if len(par) - first == 6 else 0  # from one scale to the next
     turned = first + 1 + 2 * step
     if len(par) > first:
         g0, g1, g2 = 1.0 + par[first], 1.0 + par[first + step], 1.0 + par[first + 2 * step]
         a, b, c = par[turned], par[turned + 1], par[turned + 2]
-    t0, t1, t2 = y[0] + b * y[2] - c * y[1], y[1] + c * y[0] - a * y[2], y[2] + a * y[1] - b * y[0]
+    t0, t1, t2 = y0 + b * y2 - c * y1, y1 + c * y0 - a * y2, y2 + a * y1 - b * y0
     res[0], res[1], res[2] = z[0] - g0 * t0, z[1] - g1 * t1, z[2] - g2 * t2
     for j in range(3):
-        a0, a1, a2 = A[0, j], A[1, j], A[2, j]
+        a0, a1, a2 = H[0, 3 + j], H[1, 3 + j], H[2, 3 + j]
         H[0, 3 + j] = g0 * (a0 + b * a2 - c * a1)
         H[1, 3 + j] = g1 * (a1 + c * a0 - a * a2)
         H[2, 3 + j] = g2 * (a2 + a * a1 - b * a0)
@@ -59,12 +63,12 @@ def _instrument_velocity(z, nav, v0, v1, v2, rate, par, first, cfg, H, res):
     if len(par) > first:
         s, m = 9 + first, 9 + turned
         H[0, s], H[1, s + step], H[2, s + 2 * step] = t0, t1, t2
-        H[0, m + 1], H[0, m + 2] = g0 * y[2], -g0 * y[1]
-        H[1, m], H[1, m + 2] = -g1 * y[2], g1 * y[0]
-        H[2, m], H[2, m + 1] = g2 * y[1], -g2 * y[0]
+        H[0, m + 1], H[0, m + 2] = g0 * y2, -g0 * y1
+        H[1, m], H[1, m + 2] = -g1 * y2, g1 * y0
+        H[2, m], H[2, m + 1] = g2 * y1, -g2 * y0
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def body_velocity(z, nav, rate, par, cfg, H, res):
     """Velocity at a lever arm in instrument axes: reading = (1 + s)(y + m x y), y = M' (C_nb' v_n + rate x arm).
 
@@ -74,7 +78,7 @@ def body_velocity(z, nav, rate, par, cfg, H, res):
     _instrument_velocity(z, nav, nav[3], nav[4], nav[5], rate, par, int(0), cfg, H, res)
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def water_velocity(z, nav, rate, par, cfg, H, res):
     """As `body_velocity`, but through water that moves: v_n less the current. par: current north, east, then as
     there.
@@ -108,7 +112,7 @@ def beam_velocity(z, nav, rate, par, cfg, H, res):
                 H[k, 9], H[k, 10] = -H[k, 3], -H[k, 4]
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def _bearing(n0, n1, n2, H):
     """Azimuth of a vector given in n, and its derivative with respect to a rotation vector in n."""
     h2 = n0 * n0 + n1 * n1
@@ -118,7 +122,7 @@ def _bearing(n0, n1, n2, H):
     return math.atan2(n1, n0)
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def _deviation(psi, par, H, temperature, cfg):
     """Compass error that follows the heading: bias, one- and two-cycle deviation, temperature. Returns its value and
     slope.
@@ -131,7 +135,7 @@ def _deviation(psi, par, H, temperature, cfg):
     return value, par[1] * c1 - par[2] * s1 + 2.0 * (par[3] * c2 - par[4] * s2)
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def heading(z, nav, rate, par, cfg, H, res):
     """Compass output: reading = true heading - declination + deviation(heading), wrapped to half a turn.
 
@@ -150,31 +154,54 @@ def heading(z, nav, rate, par, cfg, H, res):
     res[0] = r - 2.0 * math.pi * math.floor(r / (2.0 * math.pi) + 0.5)
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def magnetometer(z, nav, rate, par, cfg, H, res):
     """Three-axis magnetometer levelled with the filter's own attitude; the residual is the error of the magnetic
     azimuth.
 
-    z: field in b (any unit), temperature. cfg: declination, reference temperature. par as for `heading`.
+    z: field in b (any unit), temperature. cfg: declination, reference temperature, where in par hard iron h (3) and
+    soft iron A (5: xx = -yy, zz, xy, xz, yz) begin, -1 for none: field = (I + A) z - h. It is linear in both, and no
+    scale of the whole is left open, or noise would seem to show what no reading does. par before that as for `heading`.
     """
     _clear(H)
-    n0 = nav[6] * z[0] + nav[7] * z[1] + nav[8] * z[2]
-    n1 = nav[9] * z[0] + nav[10] * z[1] + nav[11] * z[2]
-    n2 = nav[12] * z[0] + nav[13] * z[1] + nav[14] * z[2]
+    hard, soft = int(cfg[2]), int(cfg[3])
+    m0, m1, m2 = z[0], z[1], z[2]
+    f0, f1, f2 = m0, m1, m2
+    if soft >= 0:
+        xx, zz, xy, xz, yz = par[soft], par[soft + 1], par[soft + 2], par[soft + 3], par[soft + 4]
+        f0 += xx * m0 + xy * m1 + xz * m2
+        f1 += xy * m0 - xx * m1 + yz * m2
+        f2 += xz * m0 + yz * m1 + zz * m2
+    if hard >= 0:
+        f0, f1, f2 = f0 - par[hard], f1 - par[hard + 1], f2 - par[hard + 2]
+    n0 = nav[6] * f0 + nav[7] * f1 + nav[8] * f2
+    n1 = nav[9] * f0 + nav[10] * f1 + nav[11] * f2
+    n2 = nav[12] * f0 + nav[13] * f1 + nav[14] * f2
     # A compass that reads too high sees the field turned to the left: reading error = -(azimuth of the levelled field -
     # declination).
     azimuth = _bearing(n0, n1, n2, H)
     predicted = 0.0
-    if len(par) > 0:
+    if len(par) > 0 and hard != 0 and soft != 0:
         a, b = H[0, 6], H[0, 7]
         psi = _bearing(nav[6], nav[9], nav[12], H) - cfg[0]
         predicted, slope = _deviation(psi, par, H, z[3], cfg)
         H[0, 6], H[0, 7], H[0, 8] = a + slope * H[0, 6], b + slope * H[0, 7], 1.0 + slope
+    h2 = max(n0 * n0 + n1 * n1, 1e-300)
+    # how the azimuth grows with the field in b
+    g0 = (nav[9] * n0 - nav[6] * n1) / h2
+    g1 = (nav[10] * n0 - nav[7] * n1) / h2
+    g2 = (nav[11] * n0 - nav[8] * n1) / h2
+    if hard >= 0:
+        H[0, 9 + hard], H[0, 10 + hard], H[0, 11 + hard] = -g0, -g1, -g2
+    if soft >= 0:
+        s = 9 + soft
+        H[0, s], H[0, s + 1] = g0 * m0 - g1 * m1, g2 * m2
+        H[0, s + 2], H[0, s + 3], H[0, s + 4] = g0 * m1 + g1 * m0, g0 * m2 + g2 * m0, g1 * m2 + g2 * m1
     r = cfg[0] - azimuth - predicted
     res[0] = r - 2.0 * math.pi * math.floor(r / (2.0 * math.pi) + 0.5)
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def depth(z, nav, rate, par, cfg, H, res):
     """Depth at a lever arm: reading = surface height - (height of the vehicle - down component of C_nb arm) + offset.
 
@@ -192,7 +219,7 @@ def depth(z, nav, rate, par, cfg, H, res):
         H[0, 9] = 1.0
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def altitude(z, nav, rate, par, cfg, H, res):
     """Height of a lever arm above the bottom: reading = height - down component of C_nb arm - height of the bottom.
 
@@ -209,7 +236,7 @@ def altitude(z, nav, rate, par, cfg, H, res):
         H[0, 9] = -1.0
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def position(z, nav, rate, par, cfg, H, res):
     """Antenna position: latitude, longitude [rad], height [m] against the vehicle plus its lever arm, in metres in n.
     cfg: arm (3).
@@ -230,7 +257,7 @@ def position(z, nav, rate, par, cfg, H, res):
     H[2, 6], H[2, 7] = a1, -a0
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def _earth_axes(latitude, longitude, height, radius, e2, A, p):
     """Rows of A: north, east and down in the Earth's axes; p: the point itself there [m]."""
     s, c, so, co = math.sin(latitude), math.cos(latitude), math.sin(longitude), math.cos(longitude)
@@ -411,7 +438,7 @@ def usbl_bend(z, near, P, first, cfg, R):
         R[k, k] += 0.5 * square + 0.25 * trace * trace
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def _angle_slopes(C, D, H, column):
     """How roll, pitch and yaw of C change when C changes by D."""
     level2 = C[0, 0] * C[0, 0] + C[1, 0] * C[1, 0]
@@ -460,7 +487,7 @@ def attitude(z, nav, rate, par, cfg, H, res):
             _angle_slopes(C, D, H, 9 + j)
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def ground_velocity(z, nav, rate, par, cfg, H, res):
     """Velocity over ground in n [m/s] at a lever arm: v_n + C_nb (rate x arm). cfg: lever arm (3)."""
     _clear(H)
@@ -478,7 +505,7 @@ def ground_velocity(z, nav, rate, par, cfg, H, res):
     H[2, 6], H[2, 7] = w1, -w0
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def velocity(z, nav, rate, par, cfg, H, res):
     """Velocity over ground in n [m/s] (zero when the vehicle stands still)."""
     _clear(H)
@@ -487,7 +514,7 @@ def velocity(z, nav, rate, par, cfg, H, res):
         H[i, 3 + i] = 1.0
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def earth_rate(z, nav, rate, par, cfg, H, res):
     """Rate in b [rad/s] of a body that does not turn on the Earth: the Earth's own, ``C_nb' (cos, 0, -sin latitude)``.
 
@@ -503,7 +530,7 @@ def earth_rate(z, nav, rate, par, cfg, H, res):
         H[i, 6], H[i, 7], H[i, 8] = b * down, c * north - a * down, -b * north
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def _turned_rows(C, x, y, z):
     """C exp([-(x, y, z) x]): every row turned by (x, y, z) (Rodrigues)."""
     t2 = x * x + y * y + z * z
@@ -518,7 +545,7 @@ def _turned_rows(C, x, y, z):
         C[3 * i + 2] = w + p * h + q * (x * g - y * f)
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def _stepped_back(C, v, by, m, first, gravity, span):
     """C (9,), velocity v (3,) and the sums in `by` (9,) carried back by `span` at the constant rate and specific force
     in b that stand in m from `first` on, in pieces of at most `PIECE_S`.
@@ -540,7 +567,7 @@ def _stepped_back(C, v, by, m, first, gravity, span):
         _turned_rows(C, x, y, z)
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def _mean_motion(motion, begin, end, mean):
     """Mean of rates and forces (6,) between two ages; where nothing is known of then, the oldest that is."""
     for i in range(6):
@@ -565,7 +592,23 @@ def _mean_motion(motion, begin, end, mean):
 
 
 @njit(cache=True)
-def earlier(nav, motion, gravity, late_s, window_s, then, turn, slope, B):
+def _motion_about(motion, late_s, window_s, mean, growth):
+    """Mean of rates and forces (6,) over a window about an age, which ends now at the latest, and how fast they grow.
+    Returns the age of its middle.
+    """
+    half = 0.5 * window_s
+    centre = max(late_s, half)
+    _mean_motion(motion, centre, centre + half, growth)
+    _mean_motion(motion, centre - half, centre, mean)
+    for i in range(6):
+        step = mean[i] - growth[i]
+        mean[i] -= 0.5 * step
+        growth[i] = step / half
+    return centre
+
+
+@njit(cache=True)
+def earlier(nav, motion, gravity, late_s, window_s, slope_s, then, turn, slope, B):
     """The state `late_s` before `nav`, from what the drive felt since; a negative `late_s` looks ahead.
 
     motion (k, 7): intervals, the newest first: seconds (0: nothing known), angular rate and specific force in b, their
@@ -573,26 +616,25 @@ def earlier(nav, motion, gravity, late_s, window_s, then, turn, slope, B):
     slower, as in the newest of it). `gravity` acts down. The Earth's rate
     and Coriolis force are left out: 2e-5 rad and 1 mm/s at 10 m/s in 0.3 s.
 
-    Fills: then (17,); turn (6,), angular rate and acceleration in b; slope (9,), derivative of the state with time:
-    velocity, acceleration, angular rate in n; B (9, 9), derivative of the errors then with respect to those now.
-    Rates and forces are means over `window_s` about then, for vibration is no motion.
+    Fills: then (17,); turn (6,), angular rate in b, a mean over `window_s` about then, for vibration is no motion, and
+    angular acceleration; slope (2, 9), derivative of the state with time: velocity, acceleration, angular rate in n,
+    and how these grow; B (9, 9), derivative of the errors then with respect to those now. Accelerations and slopes are
+    means over `slope_s` about then, or a time so much shorter that it ends now; returns over what time.
     """
-    C, v, by, mean, newer = np.empty(9), np.empty(3), np.zeros(9), np.empty(6), np.empty(6)
+    C, v, by = np.empty(9), np.empty(3), np.zeros(9)
+    mean, growth, ahead = np.empty(6), np.empty(6), np.empty(6)
     for i in range(17):
         then[i] = nav[i]
     for i in range(9):
         C[i] = nav[6 + i]
     for i in range(3):
         v[i] = nav[3 + i]
-    centre = max(late_s, 0.5 * window_s)
-    _mean_motion(motion, centre, centre + 0.5 * window_s, mean)
-    _mean_motion(motion, centre - 0.5 * window_s, centre, newer)
-    for i in range(6):
-        step = newer[i] - mean[i]
-        mean[i] += 0.5 * step
-        if i < 3:
-            turn[3 + i] = step / (0.5 * window_s)
-            turn[i] = mean[i] + (centre - late_s) * turn[3 + i]
+    centre = _motion_about(motion, late_s, window_s, mean, growth)
+    # from the middle of the window to that of what is to come
+    further = centre - 0.5 * late_s if late_s < 0.0 else 0.0
+    for i in range(3):
+        turn[i] = mean[i] + (centre - late_s) * growth[i]
+        ahead[i], ahead[3 + i] = mean[i] + further * growth[i], mean[3 + i]
     left = late_s
     for k in range(motion.shape[0]):
         dt = min(motion[k, 0], left)
@@ -601,21 +643,25 @@ def earlier(nav, motion, gravity, late_s, window_s, then, turn, slope, B):
         if dt > 0.0:
             _stepped_back(C, v, by, motion[k], int(1), gravity, dt)
             left -= dt
-    ahead = centre - 0.5 * late_s if late_s < 0.0 else 0.0  # from the middle of the window to that of what is to come
-    for i in range(3):
-        newer[i], newer[3 + i] = mean[i] + ahead * turn[3 + i], mean[3 + i]
     if left != 0.0:
-        _stepped_back(C, v, by, newer, int(0), gravity, left)
+        _stepped_back(C, v, by, ahead, int(0), gravity, left)
     latitude = nav[0] - by[0] / nav[15]
     then[0], then[2] = latitude, nav[2] + by[2]
     then[1] = nav[1] - by[1] / (nav[16] * math.cos(0.5 * (latitude + nav[0])))
     then[15], then[16] = nav[15] + by[2], nav[16] + by[2]
+    over_s = min(slope_s, max(2.0 * late_s, window_s))
+    centre = _motion_about(motion, late_s, over_s, mean, growth)
     for i in range(3):
-        then[3 + i] = v[i]
-        slope[i] = v[i]
-        slope[3 + i] = C[3 * i] * mean[3] + C[3 * i + 1] * mean[4] + C[3 * i + 2] * mean[5]
-        slope[6 + i] = C[3 * i] * turn[0] + C[3 * i + 1] * turn[1] + C[3 * i + 2] * turn[2]
-    slope[5] += gravity
+        then[3 + i], slope[0, i], turn[3 + i] = v[i], v[i], growth[i]
+        mean[i] += (centre - late_s) * growth[i]
+    for i in range(3):
+        for j in range(2):
+            of = growth if j else mean
+            slope[j, 3 + i] = C[3 * i] * of[3] + C[3 * i + 1] * of[4] + C[3 * i + 2] * of[5]
+            slope[j, 6 + i] = C[3 * i] * of[0] + C[3 * i + 1] * of[1] + C[3 * i + 2] * of[2]
+    slope[0, 5] += gravity
+    for i in range(3):
+        slope[1, i] = slope[0, 3 + i]
     for i in range(9):
         then[6 + i] = C[i]
         for j in range(9):
@@ -626,3 +672,4 @@ def earlier(nav, motion, gravity, late_s, window_s, then, turn, slope, B):
     D0, D1, D2, S0, S1, S2 = by[3], by[4], by[5], by[6], by[7], by[8]
     B[3, 7], B[3, 8], B[4, 6], B[4, 8], B[5, 6], B[5, 7] = -D2, D1, D2, -D0, -D1, D0
     B[0, 7], B[0, 8], B[1, 6], B[1, 8], B[2, 6], B[2, 7] = S2, -S1, -S2, S0, S1, -S0
+    return over_s

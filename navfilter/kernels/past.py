@@ -11,12 +11,22 @@ from numba import njit
 
 from navfilter.kernels import addresses, checksum, measurement, strapdown
 
+#: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
+UNCOUNTED: dict = {"_nrt": False}
+
 SOURCES = checksum(addresses, measurement, strapdown)
 #: Rates and forces are means over this time: what vibrates faster is no motion [s].
 WINDOW_S = 0.2
+#: Slopes are means over this time at least: what is faster, a car on its springs or noise, tells no clock [s].
+SLOPE_S = 1.0
+#: And over so many standard deviations of the clock: between the outer two of three Gauss-Hermite points [1].
+SPREAD = 2.0 * math.sqrt(3.0)
+#: A slope counts as far as it stands out of so many standard deviations of its noise: noise is in the velocity of the
+#: state, too, and by k of them it draws a clock by SLOPE_S / (2 k^2), 5 ms [1].
+TOLD = 10.0
 #: Step of the difference quotients over lever arm [m] and time [s]; a reading is linear in both, or nearly so.
 STEP = 1e-3
-#: So much more of the past is looked at than the clock may be off: to tell motion from what vibrates [s].
+#: So much more of the past is kept than the clock may be off: half of what a slope is taken over [s].
 MORE_S = 0.5
 #: Elements of `facts` of a sensor: whether its lever arm is a state, and its clock; whether it turns with the body; how
 #: long its readings wait [s]; from BY_ARM on what a lever arm does to its constants, row by row (constants, 3).
@@ -30,7 +40,7 @@ def _keyed(make):
 
 @_keyed
 def drive_outputs(sources):
-    @njit(cache=True)
+    @njit(cache=True, **UNCOUNTED)
     def drive_outputs(drv, Cr, xd, rows, errors):
         """Rows (6, k) by which the drive's states make the errors of its six values now, and these errors (6,).
 
@@ -178,9 +188,51 @@ def _by_drive(sources):
 
 
 @_keyed
+def slope_s(sources):
+    @njit(cache=True)
+    def slope_s(variance):
+        """Over what time the slope of a reading is taken whose clock has this variance [s]."""
+        _ = sources
+        return max(SLOPE_S, SPREAD * math.sqrt(variance))
+
+    return slope_s
+
+
+@_keyed
+def discount(sources):
+    @njit(cache=True)
+    def discount(inner, slope, then, drv, Cr, over_s, inertial, variance, near, R):
+        """Let what a reading tells of a clock, in the last column of near, count as far as its slope stands out of the
+        drive's noise. The rest, and what is not straight, goes into R (second order, Gelb, 1974, sec. 6.1).
+
+        inner: Jacobian at the state `then`; slope: see `measurement.earlier`, a mean over `over_s`; variance: of the
+        clock.
+        """
+        _ = sources
+        k, last = Cr.shape[1] - 1, near.shape[1] - 1
+        by = drv[strapdown.PERIOD_S] / over_s if inertial else 2.0 / max(over_s, drv[strapdown.PERIOD_S]) ** 2
+        for i in range(near.shape[0]):
+            noise, growth, u = 0.0, 0.0, inner[i]
+            for j in range(9):
+                growth += u[j] * slope[1, j]
+            for j in range(3):
+                turned = u[6] * then[6 + j] + u[7] * then[9 + j] + u[8] * then[12 + j]
+                pushed = u[3] * then[6 + j] + u[4] * then[9 + j] + u[5] * then[12 + j]
+                noise += by * (turned * turned * Cr[j, k] + pushed * pushed * Cr[3 + j, k])
+            told, least = near[i, last], TOLD * TOLD * noise
+            if math.isnan(told):
+                continue  # there is no reading of this component
+            left = told if told * told <= least else least / told
+            near[i, last] -= left
+            R[i, i] += variance * (noise + left * left) + 0.5 * (variance * growth) ** 2
+
+    return discount
+
+
+@_keyed
 def sight(sources):
     @njit(cache=True)
-    def sight(equation, motion, facts, z, nav, rate, par, cfg, recent, drv, Cr, xd, since_s, H, near, res):
+    def sight(equation, motion, facts, z, nav, rate, par, cfg, recent, drv, Cr, xd, since_s, variance, H, near, res, R):
         """Residual and Jacobian of a reading of any kind through its own kernel, with a lever arm and a clock that are
         states: the last of `par`.
 
@@ -189,8 +241,9 @@ def sight(sources):
 
         equation, motion: addresses of the sensor's kernel and of `inertial_motion` or `reckoned_motion`; facts: of the
         sensor, see at the head of this file; z, nav, rate, cfg: as for `navfilter.kernels.measurement`; recent: the
-        drive's last samples; since_s: how much later than the stamp it is now. H (a, n) receives the derivatives with
-        respect to the drive's states (a bias bends the way back); near and res are filled as by the kernel.
+        drive's last samples; since_s: how much later than the stamp it is now; variance: of the clock. H (a, n)
+        receives the derivatives with respect to the drive's states (a bias bends the way back); near and res are filled
+        as by the kernel; R (a, a) grows by what the clock's error does beyond that.
         """
         _ = sources
         arm, clock = facts[ARM] != 0.0, facts[CLOCK] != 0.0
@@ -204,15 +257,16 @@ def sight(sources):
                 for j in range(3):
                     constants[i] += facts[BY_ARM + 3 * i + j] * par[own + j]
         seen, turning = nav, rate
-        then, turn, slope, B, gravity = np.empty(17), np.empty(6), np.empty(9), np.empty((9, 9)), np.empty(1)
+        then, turn, slope, B, gravity = np.empty(17), np.empty(6), np.empty((2, 9)), np.empty((9, 9)), np.empty(1)
         if clock:
             late_s, errors = since_s + par[last], np.empty(6)
             drive_outputs(drv, Cr, xd, outputs, errors)
-            known = math.ceil((since_s + abs(par[last]) + MORE_S) / drv[strapdown.PERIOD_S]) + 1
+            long_s = slope_s(variance)
+            known = math.ceil((since_s + abs(par[last]) + 0.5 * long_s) / drv[strapdown.PERIOD_S]) + 1
             known = min(recent.shape[0], max(2, known))
             rows = np.empty((known + 1, 7))
             addresses.at_motion(motion, (recent[:known], nav, drv, errors, rows, gravity))
-            measurement.earlier(nav, rows, gravity[0], late_s, WINDOW_S, then, turn, slope, B)
+            over_s = measurement.earlier(nav, rows, gravity[0], late_s, WINDOW_S, long_s, then, turn, slope, B)
             seen, turning = then, turn[:3]
         addresses.at_equation(equation, (z, seen, turning, kind, constants, inner, res))
         for i in range(a):
@@ -223,7 +277,7 @@ def sight(sources):
                 near[i, 9 + last] = 0.0
                 for j in range(9):
                     near[i, j] = 0.0
-                    near[i, 9 + last] -= inner[i, j] * slope[j]
+                    near[i, 9 + last] -= inner[i, j] * slope[0, j]
                     for r in range(9):
                         near[i, j] += inner[i, r] * B[r, j]
             if gravity[0] != 0.0:
@@ -241,5 +295,7 @@ def sight(sources):
             addresses.at_equation(equation, (z, seen, turning, kind, constants, inner, ends))
             for i in range(a):
                 near[i, 9 + last] -= (res[i] - ends[i]) / STEP
+        if clock:
+            discount(inner, slope, then, drv, Cr, over_s, gravity[0] != 0.0, variance, near, R)
 
     return sight

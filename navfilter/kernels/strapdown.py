@@ -18,6 +18,10 @@ import math
 import numpy as np
 from numba import njit
 
+#: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
+UNCOUNTED: dict = {"_nrt": False}
+COUNTED: dict = {"_nrt": True}
+
 EARTH_RADIUS = 6378137.0  # WGS-84 semi-major axis [m]
 EARTH_E2 = 6.69437999014e-3  # first eccentricity squared
 EARTH_RATE = 7.292115e-5  # [rad/s]
@@ -62,7 +66,7 @@ WIDE = 16  # columns of a panel: rows of so many stay in registers
 GAP_PERIODS = 3.0  # a silence of more than this many periods is a gap: what the vehicle did in it is unknown
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
 def radii(latitude):
     """Meridian and prime-vertical radius of curvature [m] (Groves, 2013, eqs 2.105-2.106)."""
     s = math.sin(latitude)
@@ -71,7 +75,7 @@ def radii(latitude):
     return prime * (1.0 - EARTH_E2) / x, prime
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
 def gravity(latitude, height):
     """Normal gravity [m/s^2]: Somigliana, linear in height (Groves, 2013, sec. 2.4.7)."""
     s2 = math.sin(latitude) ** 2
@@ -97,7 +101,13 @@ def _turned(a, b, x, y, z, u, v, w):
     return u + a * f + b * (y * h - z * g), v + a * g + b * (z * f - x * h), w + a * h + b * (x * g - y * f)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", **COUNTED)
+def _product(A, B, out):
+    """A B into out, by BLAS. numba wants arrays that are counted for that, see `navfilter.kernels`."""
+    np.dot(A, B, out)
+
+
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _compound(acc, m):
     """Phi <- F Phi, Q <- F Q F' with F in the third block of acc; the fourth is the work area.
 
@@ -105,21 +115,21 @@ def _compound(acc, m):
     transposed factor three times slower than without (measured at m = 15): Q F' is formed as (F Q)', Q being symmetric.
     """
     Phi, Q, F, T = acc[:m], acc[m : 2 * m], acc[2 * m : 3 * m], acc[3 * m :]
-    np.dot(F, Phi, T)
+    _product(F, Phi, T)
     for i in range(m):
         for j in range(m):
             Phi[i, j] = T[i, j]
-    np.dot(F, Q, T)
+    _product(F, Q, T)
     for i in range(m):
         for j in range(m):
             Q[i, j] = T[j, i]
-    np.dot(F, Q, T)
+    _product(F, Q, T)
     for i in range(m):
         for j in range(m):
             Q[i, j] = T[i, j]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
 def stamps_to_steps(samples, last_s, limits, gap_s, longest_s):
     """Replace the stamps of a block (first column) by seconds since the sample before; returns the number of gaps
     longer than `gap_s`.
@@ -144,7 +154,7 @@ def stamps_to_steps(samples, last_s, limits, gap_s, longest_s):
     return gaps
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _clear_transition(F, m):
     for i in range(m):
         for j in range(m):
@@ -259,15 +269,14 @@ def integrate(nav, drv, samples, out):
                 out[n, i] = nav[i]
 
 
-@njit(cache=True, error_model="numpy")
-def _inertial_advance(nav, xd, inc, dt, drv, Cr, f):
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
+def _inertial_advance(nav, xd, inc, dt, drv, seen, gain, noisy, f):
     """One strapdown step with the drive's errors taken off; leaves the elements of its transition, of second order in
-    dt, in f (34,) for `_inertial_carry`.
+    dt, in f (34,) for `_inertial_carry`. seen, gain, noisy: as `_which_errors` has it.
     """
-    k, C, mid = len(xd), drv[MEAN_C : MEAN_C + 9], f[:12]
-    for i in range(6):
-        for s in range(k):
-            inc[i] -= dt * Cr[i, s] * xd[s]
+    C, mid = drv[MEAN_C : MEAN_C + 9], f[:12]
+    for p in range(noisy):
+        inc[seen[0, p]] -= dt * gain[p] * xd[seen[1, p]]
     _mechanise(nav, inc, dt, C, mid)
     pn, pe, pd, mn, me, md, g = mid[0], mid[1], mid[2], mid[3], mid[4], mid[5], mid[6]
     by_rn, by_re, sl, cl, tl = mid[7], mid[8], mid[9], mid[10], mid[11]
@@ -296,14 +305,17 @@ def _inertial_advance(nav, xd, inc, dt, drv, Cr, f):
     f[32], f[33] = 1.0 - dt * (down + tl * north), dt * east
 
 
-@njit(cache=True, error_model="numpy")
-def _inertial_carry(X, f, C, seen, gain, plain, E, m):
+@njit(cache=True, error_model="numpy", fastmath={"contract"}, **UNCOUNTED)
+def _inertial_carry(X, f, C, seen, gain, kinds, E, m, Phi_ends):
     """Rows 0 to 8 of X (panels of an (m, m) matrix) from the left by the transition of one step: attitude, then
     velocity with the mean attitude error, then position with the mean velocity error.
 
-    Only its nonzero elements, in registers: ten times as quick as a product of whole matrices. seen, gain, plain: as
-    `_which_errors` has it; E (6 * WIDE,): work, rows of readings that no state enters are zero.
+    Only its nonzero elements, in registers: ten times as quick as a product of whole matrices. Multiplied and added in
+    one rounding where the processor can: every step of the filter goes by `imu_steps` or `imu_hold` as they are
+    compiled, so that bits stay the same. seen, gain, kinds: as `_which_errors` has it; E (6 * WIDE,): work, rows of
+    readings that no state enters are zero. A constant is a unit row of Phi, which ends at `Phi_ends`, and has no noise.
     """
+    noisy, plain = kinds
     dt, tn, te, td, pn, pe, pd = f[0], f[1], f[2], f[3], f[4], f[5], f[6]
     c0, c1, c2, c3, c4, c5, c6, c7, c8 = C[0], C[1], C[2], C[3], C[4], C[5], C[6], C[7], C[8]
     f7, f8, f9, f10, f11, f12, f13, f14, f15, f16 = f[7], f[8], f[9], f[10], f[11], f[12], f[13], f[14], f[15], f[16]
@@ -316,14 +328,18 @@ def _inertial_carry(X, f, C, seen, gain, plain, E, m):
             for j in range(6 * WIDE):
                 E[j] = dt * Z[9 * WIDE + j]
         else:
-            for p in range(gain.size):
+            for j in range(6 * WIDE):
+                E[j] = 0.0
+            for p in range(noisy):
                 row, of, c = WIDE * seen[0, p], WIDE * (9 + seen[1, p]), dt * gain[p]
-                if p == 0 or seen[0, p] != seen[0, p - 1]:
-                    for j in range(WIDE):
-                        E[row + j] = c * Z[of + j]
-                else:
-                    for j in range(WIDE):
-                        E[row + j] += c * Z[of + j]
+                for j in range(WIDE):
+                    E[row + j] += c * Z[of + j]
+        if begin < Phi_ends:
+            left = begin // m
+            for p in range(noisy, gain.size):
+                column = 9 + seen[1, p] - left
+                if 0 <= column < WIDE:
+                    E[WIDE * seen[0, p] + column] += dt * gain[p]
         for j in range(WIDE):
             x0, x1, x2 = Z[j], Z[WIDE + j], Z[2 * WIDE + j]
             x3, x4, x5 = Z[3 * WIDE + j], Z[4 * WIDE + j], Z[5 * WIDE + j]
@@ -347,7 +363,7 @@ def _inertial_carry(X, f, C, seen, gain, plain, E, m):
             Z[6 * WIDE + j], Z[7 * WIDE + j], Z[8 * WIDE + j] = y6, y7, y8
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _tick_rows(X, Phid, diagonal, T, m):
     """Rows from 9 on of X (panels) from the left by the transition of the drive's blocks; T (k * WIDE,): work."""
     k = m - 9
@@ -372,11 +388,10 @@ def _tick_rows(X, Phid, diagonal, T, m):
             Z[j] = T[j]
 
 
-@njit(cache=True, error_model="numpy")
-def _transpose(X, m):
-    """Of a matrix in panels, in place."""
-    Z = X.reshape((X.size // WIDE, WIDE))
-    panels = X.size // (m * WIDE)
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
+def _transpose(Z, m):
+    """Of a matrix in panels, in place: Z, their rows."""
+    panels = Z.shape[0] // m
     for p in range(panels):
         lower = p * WIDE
         for q in range(p + 1):
@@ -390,7 +405,7 @@ def _transpose(X, m):
                     B[j, i] = s
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _tick_drive(xd, Phid, Qd, diagonal, T, Q, m):
     """A tick of the drive's blocks: their mean, and their noise into Q (panels)."""
     k = m - 9
@@ -410,32 +425,32 @@ def _tick_drive(xd, Phid, Qd, diagonal, T, Q, m):
         xd[i] = T[i]
 
 
-@njit(cache=True, error_model="numpy")
-def _inertial_compound(xd, Phid, Qd, diagonal, ticks, C, f, seen, gain, plain, E, T, both, Q, gathered):
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
+def _inertial_compound(xd, Phid, Qd, diagonal, ticks, C, f, seen, gain, kinds, E, T, both, Q, rows, gathered):
     """Compound Phi <- F Phi, Q <- F Q F' with the step that `_inertial_advance` left in f; the drive's blocks tick, and
     their mean too.
 
-    both: panels of Phi and behind them Q, those of Q; gathered: whether there is any noise yet. Q F' is formed as (F
-    Q)', Q being symmetric.
+    both: panels of Phi and behind them Q, those of Q, which are `rows` too; gathered: whether there is any noise yet. Q
+    F' is formed as (F Q)', Q being symmetric.
     """
     m = 9 + len(xd)
     moved = both if gathered else both[: both.size - Q.size]
-    _inertial_carry(moved, f, C, seen, gain, plain, E, m)
+    _inertial_carry(moved, f, C, seen, gain, kinds, E, m, both.size - Q.size)
     if ticks > 0:
         _tick_rows(moved, Phid, diagonal, T, m)
     if gathered:
-        _transpose(Q, m)
-        _inertial_carry(Q, f, C, seen, gain, plain, E, m)
+        _transpose(rows, m)
+        _inertial_carry(Q, f, C, seen, gain, kinds, E, m, int(0))
     for count in range(ticks):
         if count > 0:
             _tick_rows(both, Phid, diagonal, T, m)
-            _transpose(Q, m)
+            _transpose(rows, m)
         if gathered or count > 0:
             _tick_rows(Q, Phid, diagonal, T, m)
         _tick_drive(xd, Phid, Qd, diagonal, T, Q, m)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _inertial_noise(dt, drv, Cr, Q, k):
     """White noise of one step, into the panels of Q: variance r per sample means an angle (velocity) variance r *
     period per second.
@@ -464,7 +479,7 @@ def _inertial_noise(dt, drv, Cr, Q, k):
                 Q[(3 + i) * WIDE + j] += speed * 0.5 * dt
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _uncalibrated(inc, dt, xd, drv, work, seen, gain):
     """Take the calibration errors off the increments, and note by how much (gain) each element of M enters: as the
     reading of its axis. Over no time at all that is no number, and nothing to speak of.
@@ -474,36 +489,37 @@ def _uncalibrated(inc, dt, xd, drv, work, seen, gain):
         work[i] = inc[i]
     for p in range(gain.size):
         q = seen[1, p] - first
-        if q >= 0:
-            reading = work[3 * (seen[0, p] // 3) + int(drv[ELEMENTS + q]) % 3]
-            inc[seen[0, p]] -= xd[first + q] * reading
-            gain[p] = reading / dt if dt > 0.0 else 0.0
-            drv[CALIBRATION + q] = xd[first + q]
+        reading = work[3 * (seen[0, p] // 3) + int(drv[ELEMENTS + q]) % 3]
+        inc[seen[0, p]] -= xd[first + q] * reading
+        gain[p] = reading / dt if dt > 0.0 else 0.0
+        drv[CALIBRATION + q] = xd[first + q]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _which_errors(Cr, drv, seen, gain):
-    """Which of the six readings (row 0 of seen) which of the drive's states (row 1) enters, and by how much (gain).
+    """Which of the six readings (row 0 of seen) which of the drive's states (row 1) enters, and by how much (gain):
+    first the states of its error models, then the elements of M, whose gains follow from the readings.
 
-    Returns how many such pairs there are, and whether it is plain: one state a reading, in their order, as it is.
+    Returns how many such pairs there are, and kinds: how many of the first, and whether these are plain, one state a
+    reading, in their order, as it is.
     """
     elements = int(drv[CALIBRATED])
     count, plain = 0, True
     for i in range(6):
-        for s in range(Cr.shape[1] - 1):
+        for s in range(Cr.shape[1] - 1 - elements):
             if Cr[i, s] != 0.0:
                 seen[0, count], seen[1, count], gain[count] = i, s, Cr[i, s]
                 plain = plain and i == s == count and gain[count] == 1.0
                 count += 1
-        for q in range(elements):
-            if int(drv[ELEMENTS + q]) // 3 == i:
-                seen[0, count], seen[1, count], gain[count] = i, Cr.shape[1] - 1 - elements + q, 0.0
-                plain = False
-                count += 1
-    return count, plain and count == 6
+    noisy = count
+    for q in range(elements):
+        seen[0, count], seen[1, count] = int(drv[ELEMENTS + q]) // 3, Cr.shape[1] - 1 - elements + q
+        gain[count] = 0.0
+        count += 1
+    return count, (noisy, plain and noisy == 6)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _is_diagonal(A):
     for i in range(A.shape[0]):
         for j in range(A.shape[0]):
@@ -512,7 +528,7 @@ def _is_diagonal(A):
     return True
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _to_panels(M, X):
     m = M.shape[0]
     Z = X.reshape((X.size // WIDE, WIDE))
@@ -524,7 +540,7 @@ def _to_panels(M, X):
                 A[i, j] = B[i, j]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _from_panels(X, M):
     m = M.shape[0]
     Z = X.reshape((X.size // WIDE, WIDE))
@@ -536,13 +552,13 @@ def _from_panels(X, M):
                 B[i, j] = A[i, j]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _ticks(span, drv):
     """How often the drive's blocks tick over a step: once per sample, those that are missing included."""
     return int(min(max(span / drv[PERIOD_S] + 0.5, 1.0), MOST_TICKS))
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _finish(xd, Phid, Qd, ticks, acc):
     """Complete the transition with the drive's blocks, compound it, and tick the blocks (their mean too)."""
     k = len(xd)
@@ -571,19 +587,19 @@ def _finish(xd, Phid, Qd, ticks, acc):
             xd[i] = W[0, i]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _panels(m):
     """How many hold m columns."""
     return (m + WIDE - 1) // WIDE
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _room(m):
     """Elements of the work space of the inertial kernels for a head of m states."""
     return 40 + 6 * (m - 9) + (m - 3) * WIDE + 2 * ((m + WIDE - 1) // WIDE * m * WIDE)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _workspace(floats, m):
     """Its parts: increments, elements of the transition, gains, rows of errors and of blocks, panels of Phi and Q."""
     k, size = m - 9, (m + WIDE - 1) // WIDE * m * WIDE
@@ -602,16 +618,21 @@ def imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
     is known, not what it becomes. Savage (1998), parts 1 and 2; Groves (2013), ch. 5.
     """
     k = len(xd)
+    _imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc, np.zeros(_room(9 + k)), np.empty((2, 6 * k), np.int64))
+
+
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
+def _imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc, floats, seen):
+    k = len(xd)
     m = 9 + k
-    floats, seen = np.zeros(_room(m)), np.empty((2, 6 * k), np.int64)
     inc, f, gain, E, T, Phi, Q = _workspace(floats, m)
-    count, plain = _which_errors(Cr, drv, seen, gain)
+    count, kinds = _which_errors(Cr, drv, seen, gain)
     diagonal = _is_diagonal(Phid) and _is_diagonal(Qd)
     _to_panels(acc[:m], Phi)
     _to_panels(acc[m : 2 * m], Q)
     moved = Q[: _panels(m - int(drv[CALIBRATED])) * m * WIDE]  # constants gather no noise
     both = floats[floats.size - Q.size - Phi.size : floats.size - Q.size + moved.size]
-    gathered = bool(Q.any())
+    rows, gathered = moved.reshape((moved.size // WIDE, WIDE)), bool(Q.any())
     for n in range(samples.shape[0]):
         _increments(samples, n, drv, inc)
         drv[COUNT] += 1.0
@@ -622,10 +643,12 @@ def imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
         drv[HELD_S] = 0.0
         C = drv[MEAN_C : MEAN_C + 9]
         if drv[CALIBRATED] != 0.0:
-            _uncalibrated(inc, dt, xd, drv, f, seen, gain[:count])
-        _inertial_advance(nav, xd, inc, dt, drv, Cr, f)
+            _uncalibrated(inc, dt, xd, drv, f, seen[:, kinds[0] :], gain[kinds[0] : count])
+        _inertial_advance(nav, xd, inc, dt, drv, seen, gain, kinds[0], f)
         ticks = _ticks(samples[n, 0], drv)
-        _inertial_compound(xd, Phid, Qd, diagonal, ticks, C, f, seen, gain[:count], plain, E, T, both, moved, gathered)
+        _inertial_compound(
+            xd, Phid, Qd, diagonal, ticks, C, f, seen, gain[:count], kinds, E, T, both, moved, rows, gathered
+        )
         _inertial_noise(dt, drv, Cr, Q, k)
         gathered = True
     _from_panels(Phi, acc[:m])
@@ -636,32 +659,39 @@ def imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
 def imu_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc):
     """Carry the state `dt` seconds past the last sample with that sample's rates; the blocks do not tick."""
     k = len(xd)
+    _imu_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc, np.zeros(_room(9 + k)), np.empty((2, 6 * k), np.int64))
+
+
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
+def _imu_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc, floats, seen):
+    k = len(xd)
     m = 9 + k
-    floats, seen = np.zeros(_room(m)), np.empty((2, 6 * k), np.int64)
     inc, f, gain, E, T, Phi, Q = _workspace(floats, m)
-    count, plain = _which_errors(Cr, drv, seen, gain)
+    count, kinds = _which_errors(Cr, drv, seen, gain)
     diagonal = _is_diagonal(Phid) and _is_diagonal(Qd)
     _to_panels(acc[:m], Phi)
     _to_panels(acc[m : 2 * m], Q)
     moved = Q[: _panels(m - int(drv[CALIBRATED])) * m * WIDE]  # constants gather no noise
     both = floats[floats.size - Q.size - Phi.size : floats.size - Q.size + moved.size]
-    gathered = bool(Q.any())
+    rows, gathered = moved.reshape((moved.size // WIDE, WIDE)), bool(Q.any())
     scale = dt / drv[PERIOD_S] if drv[INCREMENTS] != 0.0 else dt
     for i in range(6):
         inc[i] = drv[PREVIOUS + i] * scale
         drv[CONSUMED + i] += inc[i]
     drv[HELD_S] += dt
     if drv[CALIBRATED] != 0.0:
-        _uncalibrated(inc, dt, xd, drv, f, seen, gain[:count])
-    _inertial_advance(nav, xd, inc, dt, drv, Cr, f)
+        _uncalibrated(inc, dt, xd, drv, f, seen[:, kinds[0] :], gain[kinds[0] : count])
+    _inertial_advance(nav, xd, inc, dt, drv, seen, gain, kinds[0], f)
     C = drv[MEAN_C : MEAN_C + 9]
-    _inertial_compound(xd, Phid, Qd, diagonal, int(0), C, f, seen, gain[:count], plain, E, T, both, moved, gathered)
+    _inertial_compound(
+        xd, Phid, Qd, diagonal, int(0), C, f, seen, gain[:count], kinds, E, T, both, moved, rows, gathered
+    )
     _inertial_noise(dt, drv, Cr, Q, k)
     _from_panels(Phi, acc[:m])
     _from_panels(Q, acc[m : 2 * m])
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _move(nav, dn, de, dd):
     """Move the nominal position by metres in n."""
     dlat = dn / nav[15]
@@ -672,7 +702,7 @@ def _move(nav, dn, de, dd):
     nav[15], nav[16] = rn + nav[2], re + nav[2]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _position_rows(nav, F, dt, m):
     """Add what the curved Earth does to a position error carried `dt` with the present velocity (small terms)."""
     tl = math.tan(nav[0])
@@ -683,7 +713,7 @@ def _position_rows(nav, F, dt, m):
     F[1, 2] += dt * nav[4] / nav[16]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _turn_arm(F, l0, per):
     """What an attitude error before the step does to the velocity of the lever arm."""
     F[3, 7] += per * l0[2]
@@ -694,7 +724,7 @@ def _turn_arm(F, l0, per):
     F[5, 7] -= per * l0[0]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _arm_columns(F, drv, nav, C, B, missing, per, half, arm):
     """What an error of the lever arm does to velocity and position of a step, and in drv the turn for the next one.
 
@@ -714,7 +744,7 @@ def _arm_columns(F, drv, nav, C, B, missing, per, half, arm):
             drv[ARM_TURN + 3 * i + j] = per * (C[i, j] - nav[6 + 3 * i + j])
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _change(drv, samples, n, missing):
     """How fast the readings change [unit/s], in drv: the difference from the last ones, a little smoothed; 0 over gaps
     and while the velocity is lost.
@@ -972,7 +1002,7 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
         drv[STARTED] = 1.0
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
 def dead_reckoning_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc):
     """Carry the position `dt` seconds past the last sample with the last velocity; the blocks do not tick.
 

@@ -7,10 +7,12 @@ checksum of those files: what a function encloses is part of numba's key.
 
 import math
 
-import numpy as np
 from numba import njit
 
 from navfilter.kernels import addresses, checksum, drive_watch, kalman, listen, past, strapdown
+
+#: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
+UNCOUNTED: dict = {"_nrt": False}
 
 SOURCES = checksum(addresses, drive_watch, kalman, listen, past, strapdown)
 
@@ -37,8 +39,10 @@ VERDICT, RECORD, PLAN = 25, 26, 27
 # Elements of `now`: time of the state and of the last sample, stamp of the last sample, time of the last row written.
 TIME_S, SAMPLE_S, BEFORE_S, ROW_S = range(4)
 # Elements of `cursor`: reading, sample, samples whose transition is not in P yet, gaps, rows written, records written,
-# elements of them; samples that are steps already; one spare.
-READING, SAMPLE, UNFOLDED, GAPS, ROWS, RECORDS, WRITTEN, STEPPED, SPARE = range(9)
+# elements of them; samples that are steps already; one spare; where in `recent` the newest sample of the drive stands.
+READING, SAMPLE, UNFOLDED, GAPS, ROWS, RECORDS, WRITTEN, STEPPED, SPARE, NEWEST, CURSOR = range(11)
+# The drive's last samples stand in an array that is longer by so many rows: they move once in as many samples.
+MORE_RECENT = 512
 # Elements of `settings`: period of the drive, how far ahead a reading may be, samples between folds, silence that is a
 # gap, silence that is in doubt, when something is due, interval of the rows; whether samples are increments; from when
 # on it is learnt from readings, and what a tilt turns into acceleration (see `listen`); after how many samples Python
@@ -60,10 +64,10 @@ DONE, NEXT, REFUSED, JUDGED, FULL, HEED, LEARN = range(7)
 
 
 @_keyed
-def _bent(sources):
-    @njit(cache=True)
-    def _bent(bench, spot, P, nav, near, z, variance, R):
-        """The white covariance of a reading, with what its equation leaves out."""
+def _white(sources):
+    @njit(cache=True, **UNCOUNTED)
+    def _white(bench, spot, P, nav, variance, R):
+        """The white covariance of a reading."""
         _ = sources
         a = R.shape[0]
         own = variance.size > 0 and not math.isnan(variance[0])
@@ -76,16 +80,13 @@ def _bent(sources):
             if spot[MOVES] and P[8, 8] > UNSURE_HEADING:
                 # second-order term of a velocity seen from a heading that is hardly known (Gelb, 1974, sec. 6.1)
                 R[i, i] += 0.5 * (nav[3] ** 2 + nav[4] ** 2) * P[8, 8] ** 2
-        if spot[BEND]:
-            constants = bench[spot[CONSTANTS] : spot[CONSTANTS] + spot[CONSTANTS_SIZE]]
-            addresses.at_bend(spot[BEND], (z, near, P, spot[4] + spot[5], constants, R))
 
-    return _bent
+    return _white
 
 
 @_keyed
 def correction(sources):
-    @njit(cache=True)
+    @njit(cache=True, **UNCOUNTED)
     def correction(bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count, since_s):
         """A reading, from the fold before it to the verdict: `kalman.predict`, the kernel of its kind, `kalman.update`.
 
@@ -101,32 +102,37 @@ def correction(sources):
         model = bench[spot[MODEL] : spot[MODEL] + 2 * b * b].reshape((2, b, b))
         kalman.predict(P, nav, x, acc, model, mem, dims, count)
         rate, xd, places = bench[spot[RATE] : spot[RATE] + 3], x[: m - 9], kalman.places(dims)
-        H = mem[places[0] : places[0] + a * n].reshape((a, n))
+        H, spare = mem[places[0] : places[0] + a * n].reshape((a, n)), mem[places[9] : places[10]]
         if spot[TURNS] or spot[READS_RATE]:
-            outputs, off = np.empty((6, m - 9)), np.empty(6)
+            outputs, off = spare[: 6 * (m - 9)].reshape((6, m - 9)), spare[6 * (m - 9) : 6 * (m - 8)]
             past.drive_outputs(drv, Cr, xd, outputs, off)
             per = drv[strapdown.PERIOD_S] if drv[strapdown.INCREMENTS] != 0.0 else 1.0
             for i in range(3):
                 rate[i] = drv[strapdown.PREVIOUS + i] / per - off[i]
             if spot[READS_RATE]:
-                z = z.copy()
+                own = spare[6 * (m - 8) : 6 * (m - 8) + z.size]
+                for i in range(z.size):
+                    own[i] = z[i] - off[i] if i < 3 else z[i]
+                z = own
                 for i in range(3):
-                    z[i] -= off[i]
                     for j in range(m - 9):
                         H[i, 9 + j] = outputs[i, j]
         near = mem[places[7] : places[8]].reshape((a, 9 + parameters))
         constants = bench[spot[CONSTANTS] : spot[CONSTANTS] + spot[CONSTANTS_SIZE]]
         first, res = start - 9 + errors, mem[places[3] : places[3] + a]
+        R = bench[spot[NOISE] : spot[NOISE] + a * a].reshape((a, a))
+        _white(bench, spot, P, nav, variance, R)
         par = x[first : first + parameters]
         if spot[SIGHT]:
             facts = bench[spot[FACTS] : spot[FACTS] + past.BY_ARM + 3 * spot[CONSTANTS_SIZE]]
             sensor = spot[EQUATION], spot[MOTION], facts
             here = z, nav, rate, par, constants, recent, drv, Cr, xd, since_s
-            addresses.at_sight(spot[SIGHT], sensor + here + (H, near, res))
+            clock = start + errors + parameters - 1
+            addresses.at_sight(spot[SIGHT], sensor + here + (P[clock, clock], H, near, res, R))
         else:
             addresses.at_equation(spot[EQUATION], (z, nav, rate, par, constants, near, res))
-        R = bench[spot[NOISE] : spot[NOISE] + a * a].reshape((a, a))
-        _bent(bench, spot, P, nav, near, z, variance, R)
+        if spot[BEND]:
+            addresses.at_bend(spot[BEND], (z, near, P, start + errors, constants, R))
         C = bench[spot[OUTPUT] : spot[OUTPUT] + a * errors].reshape((a, errors))
         limits, beyond = bench[spot[LIMITS] : spot[LIMITS] + a + 1], False
         for i in range(a):
@@ -135,8 +141,9 @@ def correction(sources):
                 error += C[i, j] * x[start - 9 + j]
             beyond |= error * error > bench[spot[LIMITS] + a + 1 + i]
         if beyond:
-            limits = np.full(a + 1, -1.0)
-            limits[0] = math.inf
+            limits = spare[: a + 1]
+            for i in range(a + 1):
+                limits[i] = -1.0 if i else math.inf
         kalman.update(P, nav, x, C, R, mem, dims, limits)
 
     return correction
@@ -144,7 +151,7 @@ def correction(sources):
 
 @_keyed
 def _note_row(sources):
-    @njit(cache=True)
+    @njit(cache=True, **UNCOUNTED)
     def _note_row(now, cursor, interval_s, nav, x, P, rows, info):
         """Write the state down as a row: the last note of a time stands, those closer than the interval are skipped.
 
@@ -181,7 +188,7 @@ def _note_row(sources):
 
 @_keyed
 def _note_record(sources):
-    @njit(cache=True)
+    @njit(cache=True, **UNCOUNTED)
     def _note_record(record, axes, dims, cursor, records, heads):
         """Write a record for the smoother: nothing where `records` is empty. heads (r, 5): size, axes, head, size and
         start of the ticked block.
@@ -206,7 +213,7 @@ def _note_record(sources):
 
 @_keyed
 def _heeded(sources):
-    @njit(cache=True)
+    @njit(cache=True, **UNCOUNTED)
     def _heeded(w, nav, P, period_s):
         """While all axes are good, `navfilter.filter.drive_watch.DriveWatch.heed`: the reference of gravity is due."""
         _ = sources
@@ -230,29 +237,34 @@ def _heeded(sources):
 
 @_keyed
 def _remember(sources):
-    @njit(cache=True)
-    def _remember(block, recent):
+    @njit(cache=True, **UNCOUNTED)
+    def _remember(block, recent, cursor):
         """Put the samples of a block before the last ones, the newest first."""
         _ = sources
-        new, size = block.shape[0], recent.shape[0]
-        for i in range(size - 1, -1, -1):
+        for n in range(block.shape[0]):
+            if cursor[NEWEST] == 0:
+                for i in range(recent.shape[0] - MORE_RECENT - 1, -1, -1):
+                    for j in range(7):
+                        recent[MORE_RECENT + i, j] = recent[i, j]
+                cursor[NEWEST] = MORE_RECENT
+            cursor[NEWEST] -= 1
             for j in range(7):
-                recent[i, j] = recent[i - new, j] if i >= new else block[new - 1 - i, j]
+                recent[cursor[NEWEST], j] = block[n, j]
 
     return _remember
 
 
 @_keyed
 def _carried(sources):
-    @njit(cache=True)
+    @njit(cache=True, **UNCOUNTED)
     def _carried(now, cursor, settings, spot, P, nav, x, acc, drive, samples, stamps, undone, out, work):
         """Carry the state over a block of steps (see `strapdown.stamps_to_steps`), folding as often as is due; False
         where Python has to heed what the watch over the drive has found, or to feel whether the vehicle rests.
 
         stamps: of the same samples; spot: last row of `plan`; drive: memory, Phi, Q and output rows of the drive, its
-        last samples, then what the watch remembers, and its standard deviations and limits; undone: see `listen`, empty
-        where nobody listens; out: rows, their info, records and their heads; work: a transition (m * m,), then (m, n)
-        for the fold.
+        last samples (`MORE_RECENT` rows more than are needed), then what the watch remembers, and its standard
+        deviations and limits; undone: see `listen`, empty where nobody listens; out: rows, their info, records and
+        their heads; work: a transition (m * m,), then (m, n) for the fold.
         """
         _ = sources
         m, n = acc.shape[1], P.shape[0]
@@ -270,7 +282,7 @@ def _carried(sources):
             block = samples[begin:end]
             addresses.at_steps(spot[STEPS], (nav, x[: m - 9], drv, block, Phid, Qd, Cr, acc))
             if recent.shape[0] > 0:
-                _remember(block, recent)
+                _remember(block, recent, cursor)
             cursor[UNFOLDED] += end - begin
             cursor[SAMPLE] += end - begin
             now[TIME_S] = now[SAMPLE_S] = now[BEFORE_S] = stamps[end - 1]
@@ -297,7 +309,7 @@ def _carried(sources):
 
 @_keyed
 def _seen(sources):
-    @njit(cache=True)
+    @njit(cache=True, **UNCOUNTED)
     def _seen(watch, time_s, same):
         """Note that a reading arrives, as `navfilter.filter.health.Watch.sees` does; same: with the value before."""
         _ = sources
@@ -311,7 +323,7 @@ def _seen(sources):
 
 @_keyed
 def _fared(sources):
-    @njit(cache=True)
+    @njit(cache=True, **UNCOUNTED)
     def _fared(watch, time_s, nis, dof):
         """Note that a reading was used, as `navfilter.filter.health.Watch.note` does."""
         _ = sources
@@ -326,7 +338,7 @@ def _fared(sources):
 
 @_keyed
 def _listened(sources):
-    @njit(cache=True)
+    @njit(cache=True, **UNCOUNTED)
     def _listened(cursor, settings, bench, own, nav, x, Cr, t, ticks, undone, ear, places, opened):
         """What `navfilter.learning.schedule.LearningSchedule` does after a reading that was used; True when something
         is to be learnt. own: row of `plan`; ear, places, opened: see `stretch`.
@@ -364,7 +376,7 @@ def _listened(sources):
 
 @_keyed
 def stretch(sources):
-    @njit(cache=True, nogil=True)
+    @njit(cache=True, nogil=True, **UNCOUNTED)
     def stretch(
         now, cursor, settings, bench, plan, heard, watched, state, drive, samples, stamps, limits, hearing, given, out
     ):
@@ -381,7 +393,8 @@ def stretch(sources):
         """
         _ = sources
         nav, x, P, acc = state
-        drv, Phid, Qd, Cr, recent = drive[0], drive[1], drive[2], drive[3], drive[4]
+        drv, Phid, Qd, Cr, samples_before = drive[0], drive[1], drive[2], drive[3], drive[4]
+        known = max(0, samples_before.shape[0] - MORE_RECENT)
         times, which, ends, good, same, values, variances, notes = given
         rows, info, records, heads = out
         undone, ears, places, opened = hearing
@@ -424,6 +437,7 @@ def stretch(sources):
             elapsed, mine[TICKED_S] = t - mine[TICKED_S], t
             count = 0 if math.isinf(elapsed) else int(max(1, round(elapsed / mine[CHANNEL_PERIOD_S])))
             own, variance = plan[i], variances[min(e, variances.shape[0] - 1)]
+            recent = samples_before[cursor[NEWEST] : cursor[NEWEST] + known]
             filter, reading = (bench, own, P, nav, x, acc, drv, Cr, recent), (values[e], variance, count)
             addresses.at_correction(spot[CORRECTION], filter + reading + (mine[WAIT_S] + now[TIME_S] - t,))
             cursor[UNFOLDED] = 0

@@ -6,6 +6,7 @@ import numpy as np
 
 from navfilter.evaluation.surfacing import OUTAGE_S, OUTAGE_STEPS, Surfacing
 from navfilter.evaluation.wording import Learnt
+from navfilter.report.lane_figures import lane_marks
 from navfilter.report.panels import Mark, short
 from navfilter.track import Track
 
@@ -31,7 +32,7 @@ def marks(track: Track, surfacings: tuple[Surfacing, ...], learnt: tuple[Learnt,
     found = [mark for name in track.residuals for mark in outages(track, name)]
     found += [Mark(s.time_s, s.time_s, "surfacing", str(s), SURFACING) for s in surfacings]
     adopted = adoptions(learnt, float(track.time_s[0]))
-    return (*found, *adopted[:: -(-len(adopted) // MOST) or 1])
+    return (*found, *lane_marks(track), *adopted[:: -(-len(adopted) // MOST) or 1])
 
 
 def outages(track: Track, name: str) -> list[Mark]:

@@ -22,6 +22,7 @@ from navfilter.mission import Mission, Stream
 from navfilter.report import figures
 from navfilter.report.clock import clock_of
 from navfilter.report.instrument import Instrument
+from navfilter.report.lane_figures import CAPTION, lane_figure, lane_rows
 from navfilter.report.marks import marks
 from navfilter.report.page import Section, escape, list_html, page, table_html, table_text
 from navfilter.report.panels import Stack
@@ -148,6 +149,7 @@ def _over_time(tracks: Tracks, mission: Mission, instrument: Instrument, assessm
     caption = _band_caption(truth, slice(8, 9))
     yield Section("Heading error", (drawn(figures.heading_figure(tracks, truth), caption),))
     yield from _trusted(tracks, truth, instrument)
+    yield from _lanes(list(tracks.values())[-1], instrument)
     nees = None if truth is None else figures.consistency_figure(tracks, truth)
     if nees is not None:
         yield Section("Honesty of the covariance", (drawn(nees, figures.NEES),))
@@ -165,6 +167,16 @@ def _trusted(tracks: Tracks, truth: Stream | None, instrument: Instrument) -> It
     parts = [instrument.figure(*shown)]
     parts.append(table_html(header, rows, text_columns=(2, 3)) if rows else "<p>Nothing spoke against the state.</p>")
     yield Section("Trust and bounds", tuple(parts))
+
+
+def _lanes(track: Track, instrument: Instrument) -> Iterator[Section]:
+    """Which lane was in force, and why others were left."""
+    shown = lane_figure(track)
+    if shown is None:
+        return
+    header, rows = lane_rows(track)
+    table = table_html(header, rows, text_columns=(1, 2, 3)) if rows else "<p>No lane was left.</p>"
+    yield Section("Lanes", (instrument.figure(shown, CAPTION), table))
 
 
 def _band_caption(truth: Stream | None, columns: slice) -> str:

@@ -28,6 +28,8 @@ __all__ = ["Heading"]
 Array = NDArray[np.float64]
 HEADING = Columns("heading", ("heading_rad",), ("angle",), circular=("heading_rad",))
 FIELD = Columns("field", ("field_x_T", "field_y_T", "field_z_T"), ("magnetic field",) * 3)
+#: Elements of the soft iron that are states, in their order.
+SOFT_IRON = ("xx", "zz", "xy", "xz", "yz")
 TEMPERATURE = Columns("temperature", ("temperature_C",), ("temperature",))
 #: Generous: beyond the worst and the best of instruments on the market.
 USUAL = Plausible(1e-5, math.radians(30.0), "deg", most_rate_hz=200.0)
@@ -55,10 +57,19 @@ class Heading(Sensor):
         Temperature at which the temperature term vanishes [deg C].
     hard_iron, soft_iron : (3,) and (9,) float
         Calibration of the magnetometer: ``field = soft_iron @ (reading - hard_iron)``, `soft_iron` row by row.
+    hard_iron_sd, soft_iron_sd : float
+        Standard deviations of constant states of a magnetometer: what is left of the hard iron, in units of the
+        calibrated reading, in each axis; and each of the five elements of what is left of the soft iron. Zero: no
+        such states.
 
     Notes
     -----
     A reading may carry a temperature [deg C] as its last element.
+
+    With iron states the field is ``(I + A) (calibrated reading) - h``, A symmetric with yy = -xx: an ellipsoid becomes
+    a sphere, whose size no azimuth shows (Gebre-Egziabher et al., 2006, "Calibration of strapdown magnetometers in
+    magnetic field domain"). Only the azimuth of the levelled field is compared, so that turns show what lies in their
+    plane. What turns A by itself is the bias.
     """
 
     error: Errors = White(sd=0.02)
@@ -71,6 +82,8 @@ class Heading(Sensor):
     reference_temperature_c: float = 20.0
     hard_iron: Vector = (0.0, 0.0, 0.0)
     soft_iron: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+    hard_iron_sd: float = 0.0
+    soft_iron_sd: float = 0.0
 
     prior: ClassVar[ErrorModel] = GaussMarkov(sd=0.015, tau_s=30.0) + White(sd=0.005)
     unit: ClassVar[str] = "rad"
@@ -87,6 +100,14 @@ class Heading(Sensor):
         checked_vector("Heading.hard_iron", self.hard_iron)
         checked_vector("Heading.soft_iron", self.soft_iron, 9)
         checked_vector("Heading.deviation_sd_rad", self.deviation_sd_rad, 2)
+        for name in ("hard_iron_sd", "soft_iron_sd"):
+            sd = getattr(self, name)
+            if not 0.0 <= sd < math.inf:
+                raise ValueError(f"Heading.{name} must be a finite number >= 0, found {sd!r}.")
+            if sd and not self.magnetometer:
+                raise ValueError(
+                    f"Heading.{name} is for a magnetometer: of a heading output iron is deviation (deviation_sd_deg)."
+                )
 
     @property
     def kernel(self) -> Callable[..., None]:  # type: ignore[override]
@@ -99,9 +120,18 @@ class Heading(Sensor):
         return 3 if self.magnetometer else 1
 
     def parameters(self) -> tuple[Parameter, ...]:
-        """Bias, deviation and temperature states, or none."""
-        constants = self._constants()
-        return constants if any(p.sd for p in constants) else ()
+        """Bias, deviation and temperature states, or none; hard iron, soft iron."""
+        constants, (hard, soft) = self._constants(), self._iron()
+        return (
+            *(constants if any(p.sd for p in constants) else ()),
+            *(hard if self.hard_iron_sd else ()),
+            *(soft if self.soft_iron_sd else ()),
+        )
+
+    def _iron(self) -> tuple[tuple[Parameter, ...], tuple[Parameter, ...]]:
+        """Hard and soft iron that the calibration has left."""
+        hard = tuple(Parameter(f"hard_iron_{axis}", self.hard_iron_sd, "field") for axis in "xyz")
+        return hard, tuple(Parameter(f"soft_iron_{axes}", self.soft_iron_sd, "1") for axes in SOFT_IRON)
 
     def _constants(self) -> tuple[Parameter, ...]:
         one, two = self.deviation_sd_rad
@@ -125,8 +155,14 @@ class Heading(Sensor):
         return declination(start.latitude_deg, start.longitude_deg, start.height_m, start.date)
 
     def constants(self, start: Start) -> Array:
-        """Declination and reference temperature."""
-        return np.array([self.declination(start), self.reference_temperature_c])
+        """Declination and reference temperature; of a magnetometer where among its states hard and soft iron begin."""
+        known = [self.declination(start), self.reference_temperature_c]
+        if self.magnetometer:
+            names = [p.name for p in self.parameters()]
+            known += [
+                names.index(first) if first in names else -1 for first in ("hard_iron_x", f"soft_iron_{SOFT_IRON[0]}")
+            ]
+        return np.array(known)
 
     def read(self, value: Array) -> Array | None:
         """Apply the iron calibration; append NaN where there is no temperature."""
@@ -148,6 +184,15 @@ class Heading(Sensor):
         z[:, : values.shape[1]] = values[:, :2]
         return z, np.isfinite(z[:, 0])
 
+    def doubt_of(self, level: Array) -> float:
+        """Variance of a heading from readings (n, 3) of a levelled field, or (n, 1), by what is constant [rad^2]."""
+        variance = sum(p.sd**2 for p in self._constants()[:5])
+        if self.magnetometer:
+            across = float(np.mean(np.hypot(level[:, 0], level[:, 1])))
+            dip2 = float(np.mean(level[:, 2])) ** 2 / across**2
+            variance += (self.hard_iron_sd / across) ** 2 + self.soft_iron_sd**2 * (1.0 + dip2)
+        return variance
+
     def drift(self, drive: Mechanisation, axis: int, walk: float) -> Drift:
         """As a heading."""
         return drive.heading_drift(walk, 1.0 / self.rate_hz)
@@ -162,17 +207,21 @@ class Heading(Sensor):
         return FIELD.names if self.magnetometer else HEADING.names
 
     def doubts(self) -> Iterator[Doubt]:
-        """Of bias, deviation and declination."""
+        """Of bias, deviation, declination and iron."""
         for name, value in (("bias_sd_rad", self.bias_sd_rad), ("deviation_sd_rad", max(self.deviation_sd_rad))):
             if value > math.radians(60.0):
                 yield angle_doubt(name, value)
         if self.declination_rad is not None and abs(self.declination_rad) > math.pi:
             yield angle_doubt("declination_rad", self.declination_rad)
+        if self.soft_iron_sd > 0.5:
+            text = f"a soft iron of {100.0 * self.soft_iron_sd:.3g} % is unusual."
+            yield Doubt("soft_iron_sd", text, "It is a pure number: 5 % is 0.05.")
 
     def draws(self) -> dict[str, tuple[Parameter, ...]]:
-        """Deviation (bias, sine and cosine of the heading and of its double), and the drift with temperature."""
+        """Deviation (bias, sine and cosine of the heading and of its double), drift with temperature, iron."""
         *deviation, temperature = self._constants()
-        return {"deviation": tuple(deviation), "temperature": (temperature,)}
+        hard, soft = self._iron()
+        return {"deviation": tuple(deviation), "temperature": (temperature,), "hard_iron": hard, "soft_iron": soft}
 
     def simulated(self, here: Kinematics, truth: Truth) -> Reading:
         """Heading, or the magnetic field in body axes; the temperature too if the compass has a temperature term."""
@@ -185,7 +234,7 @@ class Heading(Sensor):
         warmth = temperature - self.reference_temperature_c
         error = truth.error[:, 0] + truth.deviation(from_north) + truth.drawn["temperature"][0] * warmth
         if self.magnetometer:
-            value = self._simulated_field(here, declination, error, truth.field_n())
+            value = self._simulated_field(here, declination, error, truth)
             columns: tuple[str, ...] = ("field_x", "field_y", "field_z")
         else:
             value, columns = (np.pi - np.mod(np.pi - (from_north + error), 2.0 * np.pi))[:, None], ("heading_rad",)
@@ -193,19 +242,19 @@ class Heading(Sensor):
             return np.column_stack([value, temperature]), (*columns, "temperature_c")
         return value, columns
 
-    def _simulated_field(self, here: Kinematics, declination: float, error: Array, field_n: Array) -> Array:
+    def _simulated_field(self, here: Kinematics, declination: float, error: Array, truth: Truth) -> Array:
         """Field in body axes that shows this error: a compass that reads too high sees north too far to the left."""
-        azimuth = declination - error
+        azimuth, field_n = declination - error, truth.field_n()
         level = math.hypot(field_n[0], field_n[1])
         down = np.full_like(azimuth, field_n[2])
         field = np.stack([level * np.cos(azimuth), level * np.sin(azimuth), down], axis=-1)
-        field_b = np.einsum("nij,ni->nj", here.C_nb, field)
-        iron = np.linalg.inv(np.reshape(self.soft_iron, (3, 3)))
-        return field_b @ iron.T + np.asarray(self.hard_iron)
+        xx, zz, xy, xz, yz = truth.drawn["soft_iron"]
+        left = np.linalg.inv([[1.0 + xx, xy, xz], [xy, 1.0 - xx, yz], [xz, yz, 1.0 + zz]])
+        reading = (np.einsum("nij,ni->nj", here.C_nb, field) + truth.drawn["hard_iron"]) @ left.T
+        return reading @ np.linalg.inv(np.reshape(self.soft_iron, (3, 3))).T + np.asarray(self.hard_iron)
 
     @classmethod
     def examples(cls) -> tuple[Sensor, ...]:
         """A compass and a magnetometer."""
-        return tuple(
-            cls(magnetometer=field, error=White(sd=0.01) + GaussMarkov(sd=0.01, tau_s=10.0)) for field in (False, True)
-        )
+        error = White(sd=0.01) + GaussMarkov(sd=0.01, tau_s=10.0)
+        return cls(error=error), cls(magnetometer=True, error=error, hard_iron_sd=1e-6, soft_iron_sd=0.01)

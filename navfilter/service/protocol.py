@@ -55,11 +55,15 @@ def state_fields(state: NavState) -> dict[str, Any]:
         ``velocity_sd_m_s`` (north, east, down) and ``attitude_sd_deg`` (rotations about north, east, down; the last is
         that of the heading of a level vehicle); ``sensors``: condition, age of the last good reading [s], mean NIS and
         what became of the readings, by name; ``lane`` (see `Health`) and ``axes``: conditions of those axes of the
-        inertial unit that are not good; ``lanes``, where there are several: condition and gain (`LaneHealth`) by name;
+        inertial unit that are not good; ``lanes``, where there are several: condition, gain and NIS (`LaneHealth`) by
+        name, with ``lane_reason``;
         ``clock_offset_s`` and ``drive_clock_offset_s``; and `integrity_fields`.
     """
     health = state.health or Health({}, {})
-    lanes = {name: {"condition": lane.condition, "gain": lane.gain} for name, lane in health.lanes.items()}
+    lanes = {
+        name: {"condition": lane.condition, "gain": lane.gain, "nis": lane.nis}
+        for name, lane in health.lanes.items()
+    }
     roll, pitch, heading = np.degrees(state.roll_pitch_heading).tolist()
     sd = state.sd.tolist()
     return {
@@ -80,7 +84,7 @@ def state_fields(state: NavState) -> dict[str, Any]:
         },
         "lane": health.lane,
         "axes": {name: condition for name, condition in health.axes.items() if condition != "good"},
-        **({"lanes": lanes} if lanes else {}),
+        **({"lane_reason": health.lane_reason, "lanes": lanes} if lanes else {}),
         "clock_offset_s": health.clock_offset_s,
         "drive_clock_offset_s": health.drive_clock_offset_s,
         **integrity_fields(health),

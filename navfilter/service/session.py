@@ -331,7 +331,7 @@ class Session:
                 *lanes,
             ]:
                 self._condition(name, condition)
-            self._lane(health.lane)
+            self._lane(health.lane, health.lane_reason)
             self._drive_clock(health.drive_clock_offset_s)
             self._trust(health)
         if self._tick > tick:
@@ -360,13 +360,13 @@ class Session:
                 assert self.nav is not None
                 self._tell("condition", sensor=name, condition=condition, was=was, time_s=self.nav.time_s)
 
-    def _lane(self, lane: str) -> None:
-        """Tell when something else carries the state."""
+    def _lane(self, lane: str, reason: str) -> None:
+        """Tell when something else carries the state, and why."""
         was = self._conditions.setdefault("lane", lane)
         if lane != was:
             assert self.nav is not None
             self._conditions["lane"] = lane
-            self._tell("lane", lane=lane, was=was, time_s=self.nav.time_s)
+            self._tell("lane", lane=lane, was=was, reason=reason, time_s=self.nav.time_s)
 
     def _trust(self, health: Health) -> None:
         """Tell when the state is to be trusted more, or less, than before, and why."""

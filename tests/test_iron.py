@@ -1,0 +1,83 @@
+"""Hard and soft iron of a magnetometer as states: found by turns with an honest sd, described, heeded at the start."""
+
+import numpy as np
+import pytest
+
+import navfilter as nf
+from navfilter.alignment import align
+from navfilter.check.description import describe_vehicle
+from navfilter.io import write_vehicle
+from navfilter.simulation.manoeuvres import ChangeSpeed, Straight, Turn
+from navfilter.simulation.motion import Motion
+from navfilter.simulation.simulate import StartErrors, simulate
+
+DEG = np.pi / 180.0
+#: Microtesla, as the simulator has them.
+HARD_UT, SOFT = 2.0, 0.03
+
+
+def vehicle(**changes):
+    given = {"hard_iron_sd": HARD_UT, "soft_iron_sd": SOFT} | changes
+    compass = nf.Heading(rate_hz=5.0, magnetometer=True, error=nf.White(sd=1.0 * DEG), **given)
+    dvl = nf.BodyVelocity(rate_hz=4.0, error=nf.White(sd=0.01))
+    gps = nf.Position(rate_hz=1.0, error=nf.White(sd=1.0))
+    return nf.Vehicle(imu=nf.Imu(rate_hz=20.0), sensors={"compass": compass, "dvl": dvl, "gps": gps})
+
+
+WAY = Motion((ChangeSpeed(1.5, 5.0), *(Straight(15.0), Turn(90.0, 8.0)) * 6), latitude_deg=45.0)
+NAMES = [f"compass.hard_iron_{axis}" for axis in "xyz"] + [
+    f"compass.soft_iron_{axes}" for axes in ("xx", "zz", "xy", "xz", "yz")
+]
+
+
+def drawn(mission, what):
+    note = next(note for note in mission.notes if note.startswith(f"compass: {what} error"))
+    return [float(value) for value in note.split("error ")[1].split()]
+
+
+def test_iron_is_found_by_turns_with_an_honest_sd():
+    """20 seeds, prior drawn as it is described: the squared error over the variance is 1 in the mean."""
+    described, square, gained, heading = vehicle(), [], [], []
+    for seed in range(20):
+        mission = simulate(described, WAY, seed=seed, start=StartErrors(heading_sd_deg=5.0))
+        track = nf.replay(described, mission)
+        at = [track.state_names.index(name) for name in NAMES]
+        error = track.states[-1, at] - np.array(drawn(mission, "hard_iron") + drawn(mission, "soft_iron"))
+        square.append((error / track.states_sd[-1, at]) ** 2)
+        gained.append(track.states_sd[-1, at] / track.states_sd[0, at])
+        heading.append(track.errors(mission.truth).heading[-1] ** 2 / track.covariance[-1, 8, 8])
+    # chi-square of 20: 0.37 to 2.0 holds 99 %; of eight, of which those of the vertical are prior still
+    assert np.all((np.mean(square, axis=0) > 0.3) & (np.mean(square, axis=0) < 2.2)), np.mean(square, axis=0)
+    assert 0.3 < np.mean(heading) < 2.2, np.mean(heading)
+    gained = dict(zip(NAMES, np.median(gained, axis=0), strict=True))
+    assert gained["compass.soft_iron_xx"] < 0.2 and gained["compass.soft_iron_xy"] < 0.2
+    assert gained["compass.hard_iron_x"] < 0.6  # what is left is h against A times the vertical field, as in all below
+    assert gained["compass.hard_iron_z"] > 0.5 and gained["compass.soft_iron_zz"] > 0.5
+
+
+def test_keys_of_a_vehicle_toml_and_what_is_said_of_them(tmp_path):
+    text = """
+    [drive]
+    type = "imu"
+    rate_hz = 50
+    [sensors.compass]
+    type = "heading"
+    magnetometer = true
+    hard_iron_sd = 5e-6
+    soft_iron_sd = 0.05
+    """
+    (tmp_path / "vehicle.toml").write_text(text)
+    read = nf.read_vehicle(tmp_path)
+    assert [p.name for p in read.sensors["compass"].parameters()] == [name.split(".")[1] for name in NAMES]
+    assert "hard_iron_x" in describe_vehicle(read)
+    assert nf.read_vehicle(write_vehicle(read, tmp_path / "again.toml")).sensors == read.sensors
+    assert [doubt.field for doubt in nf.Heading(magnetometer=True, soft_iron_sd=5.0).doubts()] == ["soft_iron_sd"]
+
+
+@pytest.mark.parametrize("hard", [0.0, HARD_UT])
+def test_an_alignment_by_a_magnetometer_knows_of_the_iron(hard):
+    described = vehicle(hard_iron_sd=hard, soft_iron_sd=0.0)
+    mission = simulate(described, WAY, seed=1, duration_s=20.0)
+    sd = align(described, mission).heading_sd_deg
+    # 2 uT across a horizontal field of 22 uT are 5 deg
+    assert (4.0 < sd < 7.0) if hard else sd < 2.0

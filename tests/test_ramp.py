@@ -1,0 +1,122 @@
+"""A drive that leaves a velocity sensor behind is left out; a sensor that was never right accuses nobody."""
+
+import math
+
+import numpy as np
+import pytest
+import same_runs
+from feeding import events_of, one_by_one
+
+import navfilter as nf
+from navfilter import passage
+from navfilter.filter.ramp import ramp_of, with_refused
+from navfilter.simulation.scenarios import simulate_scenario
+
+DEG, METRES = math.pi / 180.0, 6.37e6
+FAULT_S = 120.0
+
+
+@pytest.fixture(scope="module")
+def dive():
+    vehicle, mission = simulate_scenario("lawnmower", 3, 220.0)
+    mission = mission.hide("gps", (60.0, 1e9))
+    return vehicle, mission, nf.replay(vehicle, mission)
+
+
+def spoiled(mission, change, name="imu", begin_s=FAULT_S):
+    stream = mission.streams[name]
+    value = stream.value.copy()
+    late = stream.time_s >= begin_s
+    value[late] = change(value[late])
+    return mission.with_stream(name, nf.Stream(stream.time_s, value, stream.columns))
+
+
+def residuals(shape, seed, count=12, sd=0.01, first_s=0.0):
+    """The sums of a line through residuals of a shape, and the variance of their noise."""
+    rng, ramp = np.random.default_rng(seed), ()
+    for age_s in first_s + 0.25 * np.arange(count):
+        ramp = with_refused(ramp, age_s, np.array(shape(age_s)) + sd * rng.normal(size=3))
+    return ramp, np.full(3, 1e-4)
+
+
+@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize(
+    ("shape", "sd"),
+    [
+        (lambda age: (0.3, -0.2, 0.0), 0.01),  # it tracks the water, or its scale has jumped
+        (lambda age: (0.3 * math.cos(0.2 * age), 0.3 * math.sin(0.2 * age), 0.0), 0.01),  # the same in a turn
+        (lambda age: (0.0, 0.0, 0.0), 0.1),  # ten times its noise
+        (lambda age: (0.5 - 0.1 * age, 0.0, 0.0), 0.01),  # comes back
+    ],
+)
+def test_what_fails_at_once_is_no_ramp(shape, sd, seed):
+    assert ramp_of(*residuals(shape, seed, sd=sd)) is None
+
+
+@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize(("slope", "first_s"), [(0.05, 0.0), (0.5, 0.0), (4.0, 0.0), (0.5, 7.0)])
+def test_what_grows_from_nothing_is_a_ramp(slope, first_s, seed):
+    def shape(age):
+        return 0.6 * slope * age, -0.8 * slope * age, 0.0
+
+    assert ramp_of(*residuals(shape, seed, first_s=first_s)) == pytest.approx(slope, rel=0.3)
+    assert ramp_of(*residuals(shape, seed, count=6, first_s=first_s)) is None
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "times"),
+    [
+        ("gyro x +400 deg/h", lambda v: v + np.eye(6)[0] * 400.0 * DEG / 3600.0, 1),
+        ("accelerometer y +50 mg", lambda v: v + np.eye(6)[4] * 0.49, 1),
+        ("gyros x and z exchanged", lambda v: v[:, [2, 1, 0, 3, 4, 5]], 4),  # no bias: left out again and again
+    ],
+)
+def test_a_unit_that_leaves_the_dvl_behind_is_left_out(dive, name, change, times):
+    vehicle, mission, clean = dive
+    track = nf.replay(vehicle, spoiled(mission, change))
+    assert 1 <= track.counts["contradicted"] / 6 <= times, name
+    late = track.time_s >= FAULT_S
+    apart = [
+        METRES * (getattr(track, x)[late] - np.interp(track.time_s[late], clean.time_s, getattr(clean, x)))
+        for x in ("latitude", "longitude")
+    ]
+    assert np.hypot(*apart).max() < 5.0
+    assert track.summary(mission.truth)["nees_position"] < 3.0
+    assert clean.counts["contradicted"] == 0
+    if name.startswith("gyro x"):
+        found = dict(zip(track.state_names, track.states[-1], strict=True))["gyro_x[0]"]
+        assert found == pytest.approx(400.0 * DEG / 3600.0, rel=0.2)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [lambda v: 1e3 * v, lambda v: 1.94 * v, lambda v: v * [1.0, -1.0, 1.0], lambda v: np.roll(v, 20, axis=0)],
+    ids=["mm/s", "knots", "mirrored", "5 s late"],
+)
+def test_a_sensor_that_was_never_right_accuses_nobody(dive, change):
+    vehicle, mission, _ = dive
+    track = nf.replay(vehicle, spoiled(mission, change, "dvl", 0.0))
+    assert track.counts["contradicted"] == 0
+
+
+def test_in_stretches_as_one_by_one(dive, monkeypatch):
+    vehicle, mission, _ = dive
+    wrong = spoiled(mission, lambda v: v + np.eye(6)[3] * 0.49).between(0.0, 150.0)
+    together = nf.replay(vehicle, wrong)
+    monkeypatch.setattr(passage.Passage, "possible", property(lambda self: False))
+    alone = nf.replay(vehicle, wrong)
+    np.testing.assert_array_equal(together.covariance, alone.covariance)
+    assert together.counts == alone.counts and together.counts["contradicted"] == 6
+
+
+def test_restored_while_it_is_refused_it_goes_on_as_before(dive):
+    vehicle, mission, _ = dive
+    events = [e for e in events_of(vehicle, spoiled(mission, lambda v: v + np.eye(6)[3] * 0.49)) if e.time_s < 135.0]
+    whole, half = (nf.Navigator(vehicle, mission.start) for _ in range(2))
+    one_by_one(whole, events)
+    one_by_one(half, [e for e in events if e.time_s <= FAULT_S + 1.3])
+    assert half.filter.channels["dvl"].memory.ramp
+    again = nf.Navigator.restore(vehicle, half.snapshot())
+    one_by_one(again, [e for e in events if e.time_s > FAULT_S + 1.3])
+    same_runs.assert_same_bits(whole, again)
+    assert whole.health.axes["accel_x"] in ("contradicted", "good") and whole.counts["contradicted"] == 6
