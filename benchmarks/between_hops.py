@@ -122,8 +122,13 @@ def follow(y: Array, case: Case) -> tuple[float, float]:
 
 def part(likelihood: Likelihood, theta: Array, p: int, first: int, count: int) -> float:
     """Minus the log-density of `count` samples from `first` on, given those before."""
-    likelihood.value(theta, p, 1)
-    return likelihood.since(first) - (likelihood.since(first + count) if first + count < likelihood.y.size else 0.0)
+    log_sd = theta[-2:-1] - likelihood.log_unit
+    to_end = [
+        float(likelihood.line(theta[:-2], p, 1, theta[-1], log_sd, begin)[0])
+        for begin in (first, first + count)
+        if begin < likelihood.y.size
+    ]
+    return to_end[0] - sum(to_end[1:])
 
 
 def recursive(likelihood: Likelihood, theta: Array, info: Array, p: int) -> float:
