@@ -33,7 +33,7 @@ def test_every_tiny_mission_gives_finite_tracks(tiny):
 
 
 def test_columns_of_the_frame_name_their_units(tiny):
-    units = ("_s", "_m", "_deg", "_m_s", "_m2", "_deg_s", "_m_s2", "_1", "_deg_per_k")
+    units = ("_s", "_m", "_deg", "_m_s", "_m2", "_deg_s", "_m_s2", "_1", "_deg_per_k", "_field")
     for _, _, track in tiny:
         assert all(column.endswith(units) for column in track.to_frame().columns)
 

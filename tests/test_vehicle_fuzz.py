@@ -77,7 +77,7 @@ def errors(prior):
         LearnedArma,
         prior=prior,
         orders=st.lists(PAIR, min_size=1, max_size=4).map(tuple),
-        window=st.integers(200, 10_000),
+        window=st.integers(423, 10_000),
         hop=st.one_of(st.none(), st.integers(1, 5000)),
         model=st.one_of(st.none(), adopted()),
     )

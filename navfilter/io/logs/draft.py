@@ -27,6 +27,8 @@ from navfilter.vehicle import Vehicle
 __all__ = ["Draft", "draft", "read_inertial"]
 
 GUESS = "# GUESSED: "
+#: An assumed place beside latitude and longitude zero, by less than a hair [rad].
+NOWHERE_RAD = 1e-12
 #: Instruments' own stamps are used where they keep step with the recorder's to this [s].
 _STEADY_S = 1.0
 
@@ -205,7 +207,9 @@ def _assuming(vehicle: Vehicle, mission: Mission, what: tuple[str, ...]) -> tupl
     sensors, streams = dict(vehicle.sensors), dict(mission.streams)
     if "position" in what and "gps" not in streams:
         sensors["assumed_position"] = Position()
-        streams["assumed_position"] = Stream(at, np.zeros((1, 3)), ("latitude_rad", "longitude_rad", "height_m"))
+        # exactly there is where a receiver says it is that has no fix
+        place = np.array([[NOWHERE_RAD, NOWHERE_RAD, 0.0]])
+        streams["assumed_position"] = Stream(at, place, ("latitude_rad", "longitude_rad", "height_m"))
     if "heading" in what:
         sensors = {name: sensor for name, sensor in sensors.items() if sensor.gives != "heading"}
         sensors["assumed_heading"] = Heading()
