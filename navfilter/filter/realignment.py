@@ -126,6 +126,7 @@ def set_anew(filter: Filter, tell: Listening) -> None:
     memory.counts["realigned"] += 1
     filter.put(velocity, C, M, N, tell)
     filter.watch.refer(memory.watch, memory.nav, memory.P)
+    filter.weigh()  # from the same memory it comes out the same, whenever it is recalled
 
 
 def bound(filter: Filter, position: Array, seconds: float, tell: Listening) -> None:
