@@ -104,9 +104,7 @@ def velocity(options: Options) -> dict[str, Any]:
             track = nf.replay(vehicle, damaged)
             taken = ", ".join(f"{time_s:.2f}" for time_s, lane in track.lanes if lane == "dead-reckoning")
             unit_m = worst(alone(vehicle, damaged, "imu"), mission)
-            table.add(
-                {"fault": kind, "seed": seed, "taken": taken, "worst_m": worst(track, mission), "unit_m": unit_m}
-            )
+            table.add({"fault": kind, "seed": seed, "taken": taken, "worst_m": worst(track, mission), "unit_m": unit_m})
     return {"rows": table.rows}
 
 

@@ -187,9 +187,7 @@ class Choice:
         told = [f"{self.names[i]} by {gain[i]:.0f} nat" for i in np.argsort(-gain).tolist() if gain[i] >= 1.0]
         return f"it foretold better: {', '.join(told)}" if told else ""
 
-    def hear(
-        self, lane: int, sensor: int, time_s: float, residual: Sequence[float], variance: Sequence[float]
-    ) -> None:
+    def hear(self, lane: int, sensor: int, time_s: float, residual: Sequence[float], variance: Sequence[float]) -> None:
         """What a lane foretold of a reading: measured minus foretold, and variance of that, by component."""
         gained = short = judged = nis = most = 0.0
         for e, v, sd in zip(residual, variance, self._sd[sensor], strict=True):

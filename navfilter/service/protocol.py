@@ -61,8 +61,7 @@ def state_fields(state: NavState) -> dict[str, Any]:
     """
     health = state.health or Health({}, {})
     lanes = {
-        name: {"condition": lane.condition, "gain": lane.gain, "nis": lane.nis}
-        for name, lane in health.lanes.items()
+        name: {"condition": lane.condition, "gain": lane.gain, "nis": lane.nis} for name, lane in health.lanes.items()
     }
     roll, pitch, heading = np.degrees(state.roll_pitch_heading).tolist()
     sd = state.sd.tolist()
