@@ -18,8 +18,8 @@ from navfilter.commands.console import (
     add_reading_arguments,
     compile_first,
     output_folder,
-    positive,
     read,
+    row_rate,
     seed,
     speaker,
 )
@@ -177,10 +177,10 @@ def add_replay_arguments(parser: argparse.ArgumentParser) -> None:
     selection.add_arguments(parser)
     parser.add_argument(
         "--output-rate",
-        type=positive,
+        type=row_rate,
         default=5.0,
         metavar="HZ",
-        help="rows of the track per second (default: %(default)s)",
+        help="rows of the track per second; all: one at every sample of the drive (default: %(default)s)",
     )
     parser.add_argument(
         "--workers",
