@@ -18,6 +18,7 @@ from navfilter.commands.console import (
     add_reading_arguments,
     compile_first,
     output_folder,
+    positive,
     read,
     row_rate,
     seed,
