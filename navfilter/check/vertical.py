@@ -14,6 +14,7 @@ from navfilter.check.finding import Finding
 from navfilter.check.series import factors, integral, vector, window_edges
 from navfilter.constants import ROUND_GRAVITY
 from navfilter.mission import Array, Mission, Stream
+from navfilter.sensors import Depth, Position
 
 if TYPE_CHECKING:
     from navfilter.vehicle import Vehicle
@@ -44,17 +45,17 @@ def depth_sign_findings(name: str, stream: Stream) -> Iterator[Finding]:
 def surfacing_findings(mission: Mission, vehicle: Vehicle) -> Iterator[Finding]:
     """Depth gauges that do not read what they should where fixes say that the vehicle is at the surface."""
     for name, sensor in vehicle.sensors.items():
-        if sensor.corrects != "depth" or name not in mission.streams or not hasattr(sensor, "surface_height_m"):
+        if not isinstance(sensor, Depth) or name not in mission.streams:
             continue
         readings, good = sensor.read_all(mission.streams[name].value)
         if np.count_nonzero(good) < 10:
             continue
         time_s, depth_m = mission.streams[name].time_s[good], readings[good, 0]
         for fixes, receiver in vehicle.sensors.items():
-            if receiver.gives != "position" or fixes not in mission.streams or not receiver.has_lever_arm:
+            if not isinstance(receiver, Position) or fixes not in mission.streams:
                 continue
             at_s = mission.streams[fixes].time_s[receiver.read_all(mission.streams[fixes].value)[1]]
-            up_m = getattr(receiver, "antenna_height_m", None)
+            up_m = receiver.antenna_height_m
             above_m = 0.0 if up_m is None else up_m - sensor.surface_height_m
             off_m = _off_at_the_surface(time_s, depth_m, at_s)
             if off_m is None:
@@ -66,7 +67,8 @@ def surfacing_findings(mission: Mission, vehicle: Vehicle) -> Iterator[Finding]:
             known_m = math.sqrt(sum(b.r + float(b.C @ b.P0 @ b.C) for b in blocks) + sensor.offset_sd_m**2)
             if abs(off_m) < max(_STANDS_OUT * known_m, _MAST_M if up_m is None else 0.0):
                 continue
-            text = f"where {fixes} has fixes it reads {off_m + expected_m:.2f} m, and {expected_m:.2f} m is expected there."
+            text = f"where {fixes} has fixes it reads {off_m + expected_m:.2f} m,"
+            text += f" and {expected_m:.2f} m is expected there."
             cure = f"A gauge that is off: set offset_sd_m = {math.ceil(10.0 * abs(off_m)) / 10.0:g}"
             cure += f" in [sensors.{name}]"
             if up_m is None:
