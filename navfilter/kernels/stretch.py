@@ -419,7 +419,7 @@ def stretch(sources):
         times, which, ends, good, same, values, variances, notes = given
         rows, info, records, heads = out
         undone, ears, places, opened = hearing
-        m, n = acc.shape[1], P.shape[0]
+        m = acc.shape[1]
         period_s, spot = settings[PERIOD_S], plan[plan.shape[0] - 1]
         work = bench[spot[MEM] :]
         for e in range(cursor[READING], times.size):
