@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import gc
 import math
+import tempfile
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -19,6 +21,7 @@ from harness import DEG, Array, Options, Table, flag, main, peak_mb, quick
 from scipy.signal import lfilter
 
 import navfilter as nf
+from navfilter.mapped import give_back
 from navfilter.simulation.manoeuvres import Straight, Turn
 from navfilter.simulation.motion import Motion
 from navfilter.state import NavState
@@ -264,15 +267,25 @@ def live(options: Options) -> dict[str, Any]:
 # --- afterwards -----------------------------------------------------------------------------------------------------
 
 
+def on_disk(*shape: int) -> Array:
+    """An array in a temporary file."""
+    with tempfile.TemporaryFile() as file:
+        return np.memmap(file, np.float64, "w+", shape=shape)
+
+
 def mission(laps: Laps, hours: float, rng: np.random.Generator) -> nf.Mission:
-    """The day as a recording: one array for the inertial samples, no truth."""
+    """The day as a recording: its inertial samples lie in a file, no truth."""
     number = math.ceil(hours * 3600.0 / laps.duration_s)
-    imu, parts = np.empty((number * laps.n, 6)), {}
+    parts: dict[str, list[tuple[Array, Array]]] = {}
+    imu, times = on_disk(number * laps.n, 6), on_disk(number * laps.n)
     for k in range(number):
-        laps.fill(imu[k * laps.n : (k + 1) * laps.n])
+        here = slice(k * laps.n, (k + 1) * laps.n)
+        laps.fill(imu[here])
+        times[here] = np.arange(here.start + 1, here.stop + 1) / RATE_HZ
+        give_back(imu, times)
         for name, ticks, value in laps.corrections(k * laps.duration_s):
             parts.setdefault(name, []).append((k * laps.duration_s + ticks, value))
-    streams = {"imu": nf.Stream(np.arange(1, len(imu) + 1) / RATE_HZ, imu)}
+    streams = {"imu": nf.Stream(times, imu)}
     for name, pieces in parts.items():
         streams[name] = nf.Stream(np.concatenate([t for t, _ in pieces]), np.concatenate([v for _, v in pieces]))
     return nf.Mission(f"{hours:g} h", streams, start=start_at(laps.truth(0.0), rng))
