@@ -118,7 +118,7 @@ def assembled(label: str, nav: Navigator, rows: _Rows, name: str, cpu_s: float, 
         attitude=euler_from_matrix(packed[:, 6:15].reshape(-1, 3, 3)),
         covariance=rows.P,
         states=rows.x,
-        states_sd=np.sqrt(np.maximum(rows.variance, 0.0)),
+        states_sd=np.sqrt(np.maximum(rows.variance, 0.0, out=rows.variance), out=rows.variance),
         state_names=rows.names,
         state_units=rows.units,
         # the smoother's are those of the run that it smooths
