@@ -296,9 +296,9 @@ class Tape:
     @property
     def heads(self) -> NDArray[np.intc]:
         """Of each record: axes, size of the head, size and start of the ticked block; or `CHANGE`, rows and columns of
-        the matrix, 0.
+        the matrix, 0. A view: while it is held, no record can be written.
         """
-        return np.array(self._heads, dtype=np.intc).reshape(-1, 4)
+        return np.frombuffer(self._heads, np.intc).reshape(-1, 4)
 
     def row(self, time_s: float, nav: Array, x: Array, P: Array, present: Array | None = None) -> None:
         """Note the state at this time; the last note of a time stands, and times closer than the output interval are
