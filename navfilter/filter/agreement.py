@@ -144,13 +144,13 @@ def _reckoned(kind: int, P: Array, speed: float, dt: float, drive_output: Array,
 
 def limits(channel: Channel) -> Array:
     """The gate's limits for the next reading: closer while it is looked at whether the sensor has jumped, and while it
-    is astray; shut to one that is stale.
+    is astray; shut to one that is stale, or has been set aside.
     """
     refused, closer = channel.memory.refused, channel.limits.copy()
     held = refused is not None and refused.jumped and refused.count > 1 and not refused.scatters
     if held or channel.memory.astray:
         closer[1 : 1 + channel.axes] *= HELD
-    if channel.stale:
+    if channel.stale or channel.aside:
         closer[0], closer[1 : 1 + channel.axes] = np.inf, -1.0
     return closer
 

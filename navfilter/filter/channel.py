@@ -248,10 +248,15 @@ class Channel:
         return memory.refused is not None or self.offset or memory.astray or bool(memory.alone)
 
     @property
+    def aside(self) -> bool:
+        """Whether it has jumped by so much that nothing it says is used until it is back."""
+        return self._memory.refused is not None and self._memory.refused.aside
+
+    @property
     def condition(self) -> str:
         """What has been found of its errors; empty for nothing."""
         memory = self._memory
-        return "astray" if memory.astray else "jumped" if self.offset else ""
+        return "astray" if memory.astray or self.aside else "jumped" if self.offset else ""
 
     def moved_on(self, time_s: float, nav: Array, P: Array) -> bool:
         """Note that a reading of this time has the value of the one before. Of a fix: whether the vehicle has moved on

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.filter import agreement, gating, ramp, realignment
+from navfilter.filter import agreement, aside, gating, ramp, realignment
 from navfilter.filter.adoption import Change
 from navfilter.filter.belief import beyond_belief, excused, pulled
 from navfilter.filter.channel import Channel
@@ -52,8 +52,10 @@ def let_in(filter: Filter, channel: Channel, time_s: float, nis: float, dof: int
     if math.isnan(kept.rejected_since_s):
         kept.rejected_since_s = time_s
     if frozen:
-        kept.refused = None
+        kept.refused = kept.refused if channel.aside else None
         return False
+    if channel.aside:
+        return _taken_back(filter, channel, time_s, nis, dof)
     if channel.moves:
         filter.accused = ramp.accused(filter, channel, time_s)
         if filter.accused is not None:
@@ -172,21 +174,44 @@ def take_up(filter: Filter, tell: Callable[[Event], None]) -> None:
     while filter.jumped:
         change = filter.jumped.pop(0)
         channel = filter.channels[change.sensor]
-        channel.memory.refused = None
+        channel.memory.refused = channel.memory.refused if channel.aside else None
         if change.afresh or change.error is not channel.sensor.models:
             filter.adopt(change, tell)
         if change.turn is not None:
             turned(filter, channel, *change.turn)
 
 
+def _taken_back(filter: Filter, channel: Channel, time_s: float, nis: float, dof: int) -> bool:
+    """Whether a reading of a velocity sensor that has been set aside is used."""
+    kept = channel.memory
+    assert kept.refused is not None
+    kept.refused = refused = aside.heard(channel, kept.refused, nis, dof)
+    agrees, proven = aside.is_back(filter, refused)
+    if agrees:
+        _update(filter, channel, time_s)
+        kept.refused = None if proven else refused
+    elif aside.better_than_nothing(filter, refused):
+        kept.refused = replace(refused, aside=False)
+        size = float(np.nanmax(np.abs(refused.offset), initial=0.0))
+        models = with_offsets(channel.sensor.models, size, density=size / math.sqrt(aside.WANDERS_S))
+        filter.jumped.append(Change(channel.name, models, offsets=True))
+    return agrees
+
+
 def _jumped(filter: Filter, channel: Channel, time_s: float) -> None:
-    """Give a sensor constants of the size of its jump; open those that it has, or take them where it is back."""
+    """Give a sensor constants of the size of its jump; open those that it has, or take them where it is back. One that
+    has jumped by the velocity itself is set aside.
+    """
     memory, kept = filter.memory, channel.memory
     refused = kept.refused
     assert refused is not None
     size = float(np.nanmax(np.abs(refused.offset), initial=0.0))
     models, places = channel.sensor.models, agreement.offset_places(channel)
-    if refused.back >= LEAST or not len(places):
+    if refused.back < LEAST and aside.worthless(filter, channel, refused):
+        kept.refused = replace(refused, aside=True, back=0)
+        if len(places):
+            filter.jumped.append(Change(channel.name, with_offsets(models), offsets=True))
+    elif refused.back >= LEAST or not len(places):
         back, speed = len(places) > 0, math.hypot(*memory.nav[3:6].tolist())
         moving = channel.sensor.open_loop == listen.VELOCITY and speed > SLOW
         opened = with_offsets(models, 0.0 if back else size, speed if moving else 0.0)
