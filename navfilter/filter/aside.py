@@ -61,8 +61,8 @@ class Aside:
 
 
 def jumped(filter: Filter, channel: Channel, jump: Array) -> Aside | None:
-    """What is to be remembered of a velocity that has just jumped by about itself, where an inertial unit can do without
-    it; None where it is not so.
+    """What is to be remembered of a velocity that has just jumped by about itself, where an inertial unit can do
+    without it; None where it is not so.
 
     Parameters
     ----------
