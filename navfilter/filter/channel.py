@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.stats import chi2
 
+from navfilter.filter import aside
 from navfilter.filter.aside import Aside
 from navfilter.filter.belief import believed
 from navfilter.filter.course import Course
@@ -220,6 +221,14 @@ class Channel:
             self._turned = variance
             self.lever[:] = self.sensor.lever_arm_covariance(variance)
             self.white[:] = np.diag(self.group.r) + self.lever
+
+    def variances(self, z: Array, sd: ArrayLike | None) -> Array:
+        """White variances of a reading, where they are not those of the error model: then none."""
+        self.reading = z
+        own = np.zeros(0) if sd is None else np.resize(np.square(np.ravel(sd)), self.axes)
+        if self._memory.aside is None:
+            return own
+        return aside.variances(self._memory.aside, z, own if own.size else self.group.r)
 
     def without_errors(self, z: Array, outputs: Array, errors: Array) -> Array:
         """A reading of the drive's first three values without the drive's errors, of whose states it depends."""
