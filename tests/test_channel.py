@@ -11,7 +11,7 @@ from scipy.linalg import expm
 from navfilter.arma.algebra import add_arma
 from navfilter.arma.model import ArmaModel, simulate_arma
 from navfilter.kernels import channel as kernels
-from navfilter.kernels.lanes import LANES
+from navfilter.kernels.channel import LANES
 from navfilter.learning import likelihood
 from navfilter.learning.drift import Drift
 from navfilter.learning.fit import fit_channel

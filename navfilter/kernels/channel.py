@@ -10,24 +10,144 @@ A chain (3, r, r) describes d: transition U over one tick (upper triangular), no
 start (of the states after the diffuse ones, which come first). Parameter vector ``theta = [a (m), c (m), ln sd]``, a
 and c padded with zeros to m = max(p, q, 1). ``rules`` holds [diffuse states, longest gap, clip, white variance].
 
-`LANES` models go through the series side by side (`lanes`). A matrix has a row of them for each element, row ``i n +
-j`` for element (i, j); of symmetric ones only the upper triangle is kept.
+`LANES` models go through the series side by side: their numbers are one value of a type of its own, and what is done to
+one is done to all, in few instructions where the processor has them. ``_load(array, row)`` reads such a value from an
+array whose last axis has length `LANES`; ``row`` counts over all its other axes. ``_store`` writes it there. (A loop
+over sixteen elements would be turned into such instructions only where the compiler can prove that arrays do not
+overlap.) A matrix has a row for each element, row ``i n + j`` for element (i, j); of symmetric ones only the upper
+triangle is kept. Without the compiler such a value is an array.
 """
 
 import math
+import operator
 
 import numpy as np
-from numba import njit
-
-from navfilter.kernels import checksum, lanes
-from navfilter.kernels.lanes import LANES, all_of, larger, load, magnitude, root, smaller, store
+from numba import njit, types
+from numba.core import cgutils
+from numba.core.typing.templates import AbstractTemplate, infer_global, signature
+from numba.extending import lower_builtin, models, register_model
 
 DIFFUSE, LONGEST_GAP, CLIP, WHITE = 0, 1, 2, 3
 TRANSITION, NOISE, START = 0, 1, 2
 HALF_LOG_2PI = 0.9189385332046727
 # Variances multiplied before their logarithm is taken: those of the widest scales do not overflow yet.
 TOGETHER = 8
-_CALLEES = checksum(lanes)
+# Models at a time. Two of the widest registers there are: one is worked on while the other waits.
+LANES = 16
+_ir = cgutils.ir
+_VECTOR = _ir.VectorType(_ir.DoubleType(), LANES)
+
+
+class _Lanes(types.Type):
+    """Sixteen numbers."""
+
+
+_lanes = _Lanes(name=f"Lanes{LANES}")
+
+
+@register_model(_Lanes)
+class _LanesModel(models.PrimitiveModel):
+    """A vector of the compiler's."""
+
+    def __init__(self, manager, kind):
+        super().__init__(manager, kind, _VECTOR)
+
+
+def _load(array, row):
+    """Sixteen numbers from a row of an array."""
+    return array.reshape(-1, LANES)[row].copy()
+
+
+def _store(array, row, value):
+    """Sixteen numbers into a row of an array."""
+    array.reshape(-1, LANES)[row] = value
+
+
+def _all_of(number):
+    """Sixteen times the same number."""
+    return np.full(LANES, number)
+
+
+def _root(u):
+    """Square roots."""
+    return np.sqrt(u)
+
+
+def _magnitude(u):
+    """Absolute values."""
+    return np.abs(u)
+
+
+def _smaller(u, v):
+    """The smaller one of each two."""
+    return np.fmin(u, v)
+
+
+def _larger(u, v):
+    """The larger one of each two."""
+    return np.fmax(u, v)
+
+
+def _compiled(function, result, *kinds):
+    """Decorates what builds the instructions that stand for a function, or operator, in a kernel."""
+
+    def generic(self, arguments, keywords):
+        found = [types.unliteral(argument) for argument in arguments]
+        other = result is _lanes and _lanes in kinds and _lanes not in found
+        return None if other else signature(result, *found)
+
+    infer_global(function)(type(f"_Of{function.__name__}", (AbstractTemplate,), {"generic": generic}))
+    return lower_builtin(function, *kinds)
+
+
+def _place(context, builder, kinds, arguments):
+    """Pointer to sixteen numbers: row `arguments[1]` of an array."""
+    array = context.make_array(kinds[0])(context, builder, value=arguments[0])
+    row = context.cast(builder, arguments[1], kinds[1], types.intp)
+    first = builder.gep(array.data, [builder.mul(row, _ir.Constant(row.type, LANES))])
+    return builder.bitcast(first, _VECTOR.as_pointer())
+
+
+@_compiled(_load, _lanes, types.Array, types.Integer)
+def _build_load(context, builder, kinds, arguments):
+    value = builder.load(_place(context, builder, kinds.args, arguments))
+    value.align = 8
+    return value
+
+
+@_compiled(_store, types.void, types.Array, types.Integer, _lanes)
+def _build_store(context, builder, kinds, arguments):
+    builder.store(arguments[2], _place(context, builder, kinds.args, arguments), align=8)
+    return context.get_dummy_value()
+
+
+@_compiled(_all_of, _lanes, types.Float)
+def _build_all(context, builder, kinds, arguments):
+    index, nothing = _ir.IntType(32), _ir.Constant(_VECTOR, _ir.Undefined)
+    first = builder.insert_element(nothing, arguments[0], _ir.Constant(index, 0))
+    return builder.shuffle_vector(first, nothing, _ir.Constant(_ir.VectorType(index, LANES), [0] * LANES))
+
+
+def _compile_all():
+    """Operators are instructions, the other functions are the compiler's own."""
+    symbols = {operator.add: "fadd", operator.sub: "fsub", operator.mul: "fmul", operator.truediv: "fdiv"}
+    for symbol, instruction in symbols.items():
+
+        @_compiled(symbol, _lanes, _lanes, _lanes)
+        def build_operator(context, builder, kinds, arguments, instruction=instruction):
+            return getattr(builder, instruction)(*arguments, flags=("contract",))
+
+    for function, name in ((_root, "sqrt"), (_magnitude, "fabs"), (_smaller, "minnum"), (_larger, "maxnum")):
+        count = function.__code__.co_argcount
+
+        @_compiled(function, _lanes, *[_lanes] * count)
+        def build_function(context, builder, kinds, arguments, name=name):
+            kind = _ir.FunctionType(_VECTOR, [_VECTOR] * len(arguments))
+            called = cgutils.get_or_insert_function(builder.module, kind, f"llvm.{name}.v{LANES}f64")
+            return builder.call(called, arguments)
+
+
+_compile_all()
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -91,15 +211,15 @@ def _product_transposed(A, B, out):
 def _move(x, at, U, used, a, r, m):
     """``x = F x`` in place, for the rows from `at` on: the chain advances one tick, the observer state shifts."""
     for i in range(r):
-        s = load(x, at + i) * load(U, i * r + i)
+        s = _load(x, at + i) * _load(U, i * r + i)
         for k in range(i + 1, r):
             if used[i, k]:
-                s = s + load(U, i * r + k) * load(x, at + k)
-        store(x, at + i, s)
-    first = load(x, at + r)
+                s = s + _load(U, i * r + k) * _load(x, at + k)
+        _store(x, at + i, s)
+    first = _load(x, at + r)
     for i in range(m - 1):
-        store(x, at + r + i, load(x, at + r + i + 1) - load(a, i) * first)
-    store(x, at + r + m - 1, all_of(0.0) - load(a, m - 1) * first)
+        _store(x, at + r + i, _load(x, at + r + i + 1) - _load(a, i) * first)
+    _store(x, at + r + m - 1, _all_of(0.0) - _load(a, m - 1) * first)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -109,40 +229,40 @@ def _spread(P, L, Q, U, used, a, corner, r, m):
     # the chain, row by row: each becomes itself and later ones
     for i in range(r):
         if used[i, i]:
-            u = load(U, i * r + i)
-            store(P, i * n + i, load(P, i * n + i) * u)
+            u = _load(U, i * r + i)
+            _store(P, i * n + i, _load(P, i * n + i) * u)
             for j in range(i):
-                store(P, j * n + i, load(P, j * n + i) * u)
+                _store(P, j * n + i, _load(P, j * n + i) * u)
             for j in range(i, n):
-                store(P, i * n + j, load(P, i * n + j) * u)
+                _store(P, i * n + j, _load(P, i * n + j) * u)
         for k in range(i + 1, r):
             if used[i, k]:
-                u, cross = load(U, i * r + k), load(P, i * n + k)
-                store(P, i * n + i, load(P, i * n + i) + u * (cross + cross + u * load(P, k * n + k)))
+                u, cross = _load(U, i * r + k), _load(P, i * n + k)
+                _store(P, i * n + i, _load(P, i * n + i) + u * (cross + cross + u * _load(P, k * n + k)))
                 for j in range(i):
-                    store(P, j * n + i, load(P, j * n + i) + u * load(P, j * n + k))
+                    _store(P, j * n + i, _load(P, j * n + i) + u * _load(P, j * n + k))
                 for j in range(i + 1, k):
-                    store(P, i * n + j, load(P, i * n + j) + u * load(P, j * n + k))
+                    _store(P, i * n + j, _load(P, i * n + j) + u * _load(P, j * n + k))
                 for j in range(k, n):
-                    store(P, i * n + j, load(P, i * n + j) + u * load(P, k * n + j))
-    zero, last = all_of(0.0), n - 1
+                    _store(P, i * n + j, _load(P, i * n + j) + u * _load(P, k * n + j))
+    zero, last = _all_of(0.0), n - 1
     for i in range(r):
-        row, li = i * n, load(L, i)
+        row, li = i * n, _load(L, i)
         for j in range(i, r):
-            store(P, row + j, load(P, row + j) + load(Q, row + j) - li * load(L, j))
-        first = load(P, row + r)
+            _store(P, row + j, _load(P, row + j) + _load(Q, row + j) - li * _load(L, j))
+        first = _load(P, row + r)
         for j in range(r, last):
-            store(P, row + j, load(P, row + j + 1) - load(a, j - r) * first - li * load(L, j))
-        store(P, row + last, zero - load(a, m - 1) * first - li * load(L, last))
+            _store(P, row + j, _load(P, row + j + 1) - _load(a, j - r) * first - li * _load(L, j))
+        _store(P, row + last, zero - _load(a, m - 1) * first - li * _load(L, last))
     for j in range(m):
-        store(corner, j, load(P, r * n + r + j))
+        _store(corner, j, _load(P, r * n + r + j))
     for i in range(m):
-        row, li, ai = (r + i) * n, load(L, r + i), load(a, i)
-        before = load(corner, i + 1) - ai * load(corner, 0)
+        row, li, ai = (r + i) * n, _load(L, r + i), _load(a, i)
+        before = _load(corner, i + 1) - ai * _load(corner, 0)
         for j in range(i, m - 1):
-            s = load(Q, row + r + j) - li * load(L, r + j) - ai * load(corner, j + 1) - load(a, j) * before
-            store(P, row + r + j, load(P, row + n + r + j + 1) + s)
-        store(P, row + last, load(Q, row + last) - li * load(L, last) - load(a, m - 1) * before)
+            s = _load(Q, row + r + j) - li * _load(L, r + j) - ai * _load(corner, j + 1) - _load(a, j) * before
+            _store(P, row + r + j, _load(P, row + n + r + j + 1) + s)
+        _store(P, row + last, _load(Q, row + last) - li * _load(L, last) - _load(a, m - 1) * before)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -187,7 +307,6 @@ def channel_filter(y, thetas, chains, sees, rules, first, E, V, values):
     nothing counts, `E` is NaN and `V` 1. Infinite for a model that is not stationary, or so nearly integrating that the
     start's covariance is only rounding.
     """
-    _CALLEES  # noqa: B018
     r, m = sees.size, (thetas.shape[1] - 1) // 2
     n, d, longest, noted = r + m, int(rules[DIFFUSE]), int(rules[LONGEST_GAP]), E.size > 0
     U, used, able = np.zeros((r * r, LANES)), np.zeros((r, r), np.bool_), np.zeros(LANES, np.bool_)
@@ -197,74 +316,75 @@ def channel_filter(y, thetas, chains, sees, rules, first, E, V, values):
     A, X, w = np.zeros((d * n, LANES)), np.zeros((d * d, LANES)), np.zeros((d, LANES))
     noise, total, product = np.zeros((1, LANES)), np.zeros((1, LANES)), np.ones((1, LANES))
     _set_up(thetas, chains, rules, U, used, a, g, Q, start, noise, able)
-    high, low, half, inverse = all_of(rules[CLIP]), all_of(-rules[CLIP]), all_of(0.5), all_of(0.0)
+    high, low, half, inverse = _all_of(rules[CLIP]), _all_of(-rules[CLIP]), _all_of(0.5), _all_of(0.0)
     missing, known, counted = longest + 1, 0, 0
+    top = int(0)  # a literal would compile a `_move` of its own
     for t in range(y.size):
         seen = not math.isnan(y[t])
         if noted and (known < d or not seen or missing > longest):
-            store(E, t, all_of(math.nan))
-            store(V, t, all_of(1.0))
+            _store(E, t, _all_of(math.nan))
+            _store(V, t, _all_of(1.0))
         if not seen:
             missing += 1
             if missing > longest:
                 continue
             for i in range(n):
-                store(L, i, all_of(0.0))
-            _move(x, 0, U, used, a, r, m)
-            inverse = all_of(0.0)
+                _store(L, i, _all_of(0.0))
+            _move(x, top, U, used, a, r, m)
+            inverse = _all_of(0.0)
         else:
             if missing > longest:
                 known = 0
                 _begin(P, x, A, start, n, d)
             missing = 0
-            variance, z = load(noise, 0), all_of(y[t]) - load(x, r)
+            variance, z = _load(noise, 0), _all_of(y[t]) - _load(x, r)
             for i in range(n):
-                s = load(P, i * n + r if i <= r else r * n + i)
+                s = _load(P, i * n + r if i <= r else r * n + i)
                 for k in range(r):
                     if sees[k] != 0.0:
-                        s = s + all_of(sees[k]) * load(P, i * n + k if i <= k else k * n + i)
-                store(L, i, s)
+                        s = s + _all_of(sees[k]) * _load(P, i * n + k if i <= k else k * n + i)
+                _store(L, i, s)
                 if i == r:
                     variance = variance + s
                 elif i < r and sees[i] != 0.0:
-                    variance, z = variance + all_of(sees[i]) * s, z - all_of(sees[i]) * load(x, i)
-            _move(L, 0, U, used, a, r, m)
-            _move(x, 0, U, used, a, r, m)
-            inverse = all_of(1.0) / root(variance)
+                    variance, z = variance + _all_of(sees[i]) * s, z - _all_of(sees[i]) * _load(x, i)
+            _move(L, top, U, used, a, r, m)
+            _move(x, top, U, used, a, r, m)
+            inverse = _all_of(1.0) / _root(variance)
             z = z * inverse
             # a diffuse state is not known yet: any innovation is ordinary
-            clipped = larger(smaller(z, high), low) if known >= d else z
+            clipped = _larger(_smaller(z, high), low) if known >= d else z
             for i in range(n):
-                s = load(L, i) if i < r else load(L, i) + load(g, i - r)
+                s = _load(L, i) if i < r else _load(L, i) + _load(g, i - r)
                 s = s * inverse
-                store(L, i, s)
-                store(x, i, load(x, i) + s * clipped)
+                _store(L, i, s)
+                _store(x, i, _load(x, i) + s * clipped)
             if known >= d:
                 if noted:
-                    store(E, t, z)
-                    store(V, t, variance)
+                    _store(E, t, z)
+                    _store(V, t, variance)
                 if t >= first:
-                    size, short = magnitude(z), magnitude(clipped)
-                    store(total, 0, load(total, 0) + short * (size - half * short))
-                    store(product, 0, load(product, 0) * variance)
+                    size, short = _magnitude(z), _magnitude(clipped)
+                    _store(total, 0, _load(total, 0) + short * (size - half * short))
+                    _store(product, 0, _load(product, 0) * variance)
                     counted += 1
                     if counted % TOGETHER == 0:
                         _take_logarithms(product, total)
             else:
-                store(w, known, z)
+                _store(w, known, z)
         _spread(P, L, Q, U, used, a, corner, r, m)
         if known < d:
             for k in range(d):
-                weight = load(A, k * n + r)
+                weight = _load(A, k * n + r)
                 for i in range(r):
                     if sees[i] != 0.0:
-                        weight = weight + all_of(sees[i]) * load(A, k * n + i)
+                        weight = weight + _all_of(sees[i]) * _load(A, k * n + i)
                 weight = weight * inverse
                 _move(A, k * n, U, used, a, r, m)
                 for i in range(n):
-                    store(A, k * n + i, load(A, k * n + i) - load(L, i) * weight)
+                    _store(A, k * n + i, _load(A, k * n + i) - _load(L, i) * weight)
                 if seen:
-                    store(X, known * d + k, weight)
+                    _store(X, known * d + k, weight)
             if seen and known == d - 1:
                 _collapse(X, w, A, x, P, n, d)
         if seen:
@@ -279,11 +399,11 @@ def channel_filter(y, thetas, chains, sees, rules, first, E, V, values):
 def _begin(P, x, A, start, n, d):
     """The state at the start of a segment: the chain diffuse (columns of A) or as known, the ARMA error stationary."""
     for i in range(n * n):
-        store(P, i, load(start, i))
+        _store(P, i, _load(start, i))
     for i in range(n):
-        store(x, i, all_of(0.0))
+        _store(x, i, _all_of(0.0))
     for i in range(d * n):
-        store(A, i, all_of(1.0 if i % (n + 1) == 0 else 0.0))
+        _store(A, i, _all_of(1.0 if i % (n + 1) == 0 else 0.0))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -343,26 +463,25 @@ def channel_scores(E, V, steps, clip, info, gradient):
     = sum(dv dv'/S + dlnS dlnS'/2)``, ``dv/sqrt(S) = dz + z dlnS/2`` (Harvey 1989, eqs 3.4.69-70); derivatives are
     differences.
     """
-    _CALLEES  # noqa: B018
     k = steps.size
     per, sums, turn = np.zeros((1, LANES)), np.zeros((2 * k, LANES)), np.zeros((2, LANES))
     slope = np.zeros((1, LANES))
     for i in range(k):
         per[0, i + 1] = 1.0 / steps[i]
-    rate, half = load(per, 0), all_of(0.5)
+    rate, half = _load(per, 0), _all_of(0.5)
     for t in range(E.shape[0]):
         z = E[t, 0]
         if math.isnan(z):
             continue
-        by_s = (load(V, t) - all_of(V[t, 0])) * rate / all_of(V[t, 0])
-        by_z = (load(E, t) - all_of(z)) * rate
-        store(slope, 0, load(slope, 0) + all_of(min(max(z, -clip), clip)) * by_z + half * by_s)
-        by_v = by_z + all_of(0.5 * z) * by_s
-        store(turn, 0, by_v)
-        store(turn, 1, by_s)
+        by_s = (_load(V, t) - _all_of(V[t, 0])) * rate / _all_of(V[t, 0])
+        by_z = (_load(E, t) - _all_of(z)) * rate
+        _store(slope, 0, _load(slope, 0) + _all_of(min(max(z, -clip), clip)) * by_z + half * by_s)
+        by_v = by_z + _all_of(0.5 * z) * by_s
+        _store(turn, 0, by_v)
+        _store(turn, 1, by_s)
         for i in range(k):
-            store(sums, i, load(sums, i) + all_of(turn[0, i + 1]) * by_v)
-            store(sums, k + i, load(sums, k + i) + all_of(0.5 * turn[1, i + 1]) * by_s)
+            _store(sums, i, _load(sums, i) + _all_of(turn[0, i + 1]) * by_v)
+            _store(sums, k + i, _load(sums, k + i) + _all_of(0.5 * turn[1, i + 1]) * by_s)
     for i in range(k):
         gradient[i] = slope[0, i + 1]
         for j in range(k):

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from navfilter.arma.roots import cap_poles, is_stable, pull_inside, push_from_one, resolved_radius
 from navfilter.kernels import channel as kernel
-from navfilter.kernels.lanes import LANES
+from navfilter.kernels.channel import LANES
 from navfilter.learning.drift import Drift
 from navfilter.learning.effort import EFFORT
 from navfilter.learning.limits import CLIP, LONGEST_GAP
@@ -24,7 +24,7 @@ __all__ = ["Likelihood", "Point", "maximise"]
 Array = NDArray[np.float64]
 
 #: Where innovations are not wanted.
-_NOTHING = np.empty((0, LANES))
+_UNWANTED = np.empty((0, LANES))
 
 
 class Likelihood:
@@ -127,7 +127,7 @@ class Likelihood:
         assert self.prior is not None
         return self.prior.log_densities(slow, rows[:, -2] - self.log_unit, rows[:, -1])
 
-    def _filtered(self, rows: Array, p: int, slow: int, E: Array = _NOTHING, V: Array = _NOTHING) -> Array:
+    def _filtered(self, rows: Array, p: int, slow: int, E: Array = _UNWANTED, V: Array = _UNWANTED) -> Array:
         thetas, chains = _padded(self.fast(rows, slow), p), self._chains(rows, slow)
         return filtered(self.y, thetas, chains, self._sees[slow], self.rules, 0, E, V)
 
@@ -197,8 +197,8 @@ def filtered(
     sees: Array,
     rules: Array,
     first: int = 0,
-    E: Array = _NOTHING,
-    V: Array = _NOTHING,
+    E: Array = _UNWANTED,
+    V: Array = _UNWANTED,
 ) -> Array:
     """Minus the log-likelihood of any number of models (K,), of the samples from `first` on given those before; see
     `kernel.channel_filter`, which stands alone, so that the dearest kernel of all is compiled once. `E` and `V` are for
@@ -320,11 +320,14 @@ def _step(likelihood: Likelihood, point: Point) -> tuple[Array, float, float] | 
         return None
     trials = _trials(likelihood, point)
     # most often the first will do
-    for part in (list(islice(trials, 1)), list(trials)):
-        values = likelihood.penalised([trial for trial, _ in part], point.p, point.slow) if part else []
-        for (trial, gain), value in zip(part, values, strict=True):
+    for count in (1, len(EFFORT.dampings)):
+        part = list(islice(trials, count))
+        if not part:
+            break
+        values = likelihood.penalised([trial for trial, _ in part], point.p, point.slow)
+        for (trial, gain), value in zip(part, values.tolist(), strict=True):
             if value < point.value - 1e-2 * min(gain, 1.0):
-                return trial, float(value), point.value - float(value)
+                return trial, value, point.value - value
     return None
 
 

@@ -163,7 +163,7 @@ def _matched(likelihood: Likelihood, starts: Sequence[Array], p: int, slow: int 
         values, E = likelihood.standardised(found, p, slow)
         able = np.isfinite(values)
         sizes = np.ones(len(found))
-        sizes[able] = np.nanmedian(np.abs(E[:, able]), axis=0) / 0.6745
+        sizes[able] = np.median(np.abs(E[np.isfinite(E[:, 0])][:, able]), axis=0) / 0.6745
         moved = np.array(found)
         moved[:, at] += np.clip(np.log(np.maximum(sizes, 1e-6)), -5.0, 5.0)
         if slow:
