@@ -302,32 +302,37 @@ def _climb(likelihood: Likelihood, theta: Array, p: int, passes: int, slow: int)
     """Scoring passes from `theta`; the information is that of the last but one point, a small step away."""
     point = likelihood.point(theta, p, slow)
     for left in range(passes, 0, -1):
-        found = _step(likelihood, point)
+        found = _step(likelihood, point, left == 1)
         if found is None:
             break
-        theta, value, gain = found
-        if left == 1 or gain < EFFORT.small_gain:
+        theta, value, ahead = found
+        if left == 1 or point.value - value < EFFORT.small_gain:
             return replace(point, theta=theta, value=value)
-        point = likelihood.point(theta, p, slow)
+        point = ahead if ahead is not None else likelihood.point(theta, p, slow)
     return point
 
 
-def _step(likelihood: Likelihood, point: Point) -> tuple[Array, float, float] | None:
-    """A Levenberg-damped scoring step that lowers the value: where, to what, and by how much; None if nothing is
-    left.
+def _step(likelihood: Likelihood, point: Point, last: bool) -> tuple[Array, float, Point | None] | None:
+    """A Levenberg-damped scoring step that lowers the value: where, to what, and the point there if it is known; None
+    if nothing is left.
     """
     if not (np.all(np.isfinite(point.gradient)) and np.all(np.isfinite(point.info))):
         return None
-    trials = _trials(likelihood, point)
-    # most often the first will do
+    trials, ahead = _trials(likelihood, point), None
+    # most often the first will do; its derivatives, which the next step wants, come with it
     for count in (1, len(EFFORT.dampings)):
         part = list(islice(trials, count))
         if not part:
             break
-        values = likelihood.penalised([trial for trial, _ in part], point.p, point.slow)
-        for (trial, gain), value in zip(part, values.tolist(), strict=True):
+        if count == 1 and not last:
+            ahead = likelihood.point(part[0][0], point.p, point.slow)
+            values = [ahead.value]
+        else:
+            values = likelihood.penalised([trial for trial, _ in part], point.p, point.slow).tolist()
+        for (trial, gain), value in zip(part, values, strict=True):
             if value < point.value - 1e-2 * min(gain, 1.0):
-                return trial, value, point.value - value
+                return trial, value, ahead
+        ahead = None
     return None
 
 
