@@ -1,69 +1,100 @@
-"""A velocity sensor that has jumped by about the whole velocity: set aside, watched, and taken back.
+"""A velocity sensor that has jumped by about the whole velocity.
 
-A jump that is small beside the speed is a constant or a scale, and both are estimated (`navfilter.filter.offsets`).
-One of the size of the speed (another sign, another unit, axes that are turned) would make a scale of nothing, or a
-constant of twice the speed: on a straight way nothing tells the two apart, and in the next turn the one that is wrong
-leads the state off. So nothing that such a sensor says is used while the inertial unit knows better. It is back when
-its readings agree with the state while the vehicle moves: at rest, another sign or unit agrees, too. When the velocity
-has become so uncertain that even such a sensor bounds it, it gets a constant.
+A jump that is small beside the speed is a constant or a scale, and both are estimated (`navfilter.filter.offsets`). One
+of the size of the speed (another sign, another unit, axes that are turned) would make a scale of nothing, or a constant
+of twice the speed: at one speed nothing tells the two apart, and as soon as that changes the wrong one leads the state
+off. But whatever has become of the sensor, while it reads the same, the velocity is the same. So it gets a constant,
+and what it reads otherwise than right after its jump is not used: the inertial unit knows better. It is back when that
+agrees with the state as if it had not jumped, while the vehicle moves: at rest, another sign or unit agrees, too.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-
-from navfilter.filter.refusals import LEAST, Refusals
+from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from navfilter.filter.channel import Channel
     from navfilter.filter.filter import Filter
 
-__all__ = ["better_than_nothing", "heard", "is_back", "worthless"]
+__all__ = ["Aside", "jumped", "shows_itself", "unchanged", "variances"]
 
-#: A jump of more than this share of the speed is one of the velocity itself [1]: no scale, no mounting and no current
-#: in a channel of the sensor does so.
+Array = NDArray[np.float64]
+#: A jump of more than this share of the speed is one of the velocity itself [1]: no scale, no current does so.
 SHARE = 0.5
-#: Readings off by less than this share of the jump may be those of a sensor that is back [1].
-BACK = 0.5
-#: It proves itself at a speed of more than this share of the jump [m/s per m/s]: another sign jumps by twice the speed.
-MOVING = 0.125
-#: Beyond this share of the jump, as a standard deviation of the velocity, its readings bound that [1].
-UNCERTAIN = 0.2
-#: What it is off by may change by as much as it is, within about so long [s]: the vehicle may stop, or turn round.
+#: A reading of less than this share of the jump says nothing of the velocity [1]: it is 0 at any.
+SAYS = 0.25
+#: A reading is the same within this share of it [1].
+SAME = 0.05
+#: By how much the velocity may differ as a multiple of what the reading does [1]: of another sign, by twice as much.
+SLOPE = 2.0
+#: That may come and go within about so long [s].
 WANDERS_S = 60.0
+#: A sensor shows that it is back at more than this share of the speed at which it jumped [1].
+MOVING = 0.5
 
 
-def size(refused: Refusals) -> float:
-    """Of a jump [m/s]."""
-    return float(np.linalg.norm(np.nan_to_num(refused.offset)))
+@dataclass(frozen=True)
+class Aside:
+    """A velocity that has jumped by about itself.
 
-
-def worthless(filter: Filter, channel: Channel, refused: Refusals) -> bool:
-    """Whether a velocity sensor that has jumped is to be set aside: by about the velocity itself, and an inertial unit
-    carries the state without it.
+    Attributes
+    ----------
+    speed : float
+        Of the vehicle then [m/s].
+    read, jump : tuple of float
+        What it read then, NaN where that says nothing of the velocity, and by how much it was off [m/s].
     """
-    speed = math.hypot(*filter.memory.nav[3:6].tolist())
+
+    speed: float
+    read: tuple[float, ...]
+    jump: tuple[float, ...]
+
+    @property
+    def density(self) -> float:
+        """Of the random walk of its constants [m/s/sqrt(s)]."""
+        return SLOPE * SAME * _size(self.read) / math.sqrt(WANDERS_S)
+
+
+def jumped(filter: Filter, channel: Channel, jump: Array) -> Aside | None:
+    """What is to be remembered of a velocity that has just jumped by about itself, where an inertial unit can do
+    without it; None where it is not so.
+
+    Parameters
+    ----------
+    filter : Filter
+    channel : Channel
+    jump : ndarray, shape (axes,)
+        By how much it is off [m/s].
+    """
+    speed, by = math.hypot(*filter.memory.nav[3:6].tolist()), np.nan_to_num(jump)
     carried = filter.inertial and not filter.watch.lost(filter.memory.watch)
-    return channel.sensor.gives == "velocity" and carried and size(refused) > SHARE * speed
+    if channel.sensor.gives != "velocity" or not carried or _size(by) <= SHARE * speed:
+        return None
+    says = _size(channel.reading) > SAYS * _size(by)
+    read = channel.reading if says else np.full(channel.axes, math.nan)
+    return Aside(speed, tuple(read.tolist()), tuple(by.tolist()))
 
 
-def heard(channel: Channel, refused: Refusals, nis: float, dof: int) -> Refusals:
-    """With one more reading: how many of the last ones on end agree with the state."""
-    off = float(np.linalg.norm(np.nan_to_num(channel.res)))
-    agrees = off < BACK * size(refused) and nis <= channel.limits[dof]
-    return replace(refused, back=refused.back + 1 if agrees else 0)
+def unchanged(kept: Aside, z: Array) -> bool:
+    """Whether a reading is what it was right after the jump."""
+    off = np.abs(z - np.array(kept.read))
+    return bool(np.isfinite(off).any() and np.nanmax(off) <= SAME * _size(kept.read))
 
 
-def is_back(filter: Filter, refused: Refusals) -> tuple[bool, bool]:
-    """Whether its readings are used again, and whether that proves it: not at rest."""
-    moving = math.hypot(*filter.memory.nav[3:6].tolist()) > MOVING * size(refused)
-    return refused.back >= LEAST, moving
+def variances(kept: Aside, z: Array, plain: Array) -> Array:
+    """White variances of a reading, and beside them what its change may hide."""
+    return np.asarray(plain + (SLOPE * np.nan_to_num(z - np.array(kept.read))) ** 2)
 
 
-def better_than_nothing(filter: Filter, refused: Refusals) -> bool:
-    """Whether the velocity is so uncertain that even a sensor which has jumped bounds it."""
-    return math.sqrt(float(np.diag(filter.memory.P)[3:5].max())) > UNCERTAIN * size(refused)
+def shows_itself(kept: Aside, speed: float, off: Array) -> bool:
+    """Whether a reading that is `off` the state by so much (axes,) proves that its sensor is back."""
+    return speed > MOVING * kept.speed and _size(off) < _size(off - np.array(kept.jump))
+
+
+def _size(vector: Array | tuple[float, ...]) -> float:
+    return float(np.linalg.norm(np.nan_to_num(vector)))

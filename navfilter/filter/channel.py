@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.stats import chi2
 
+from navfilter.filter.aside import Aside
 from navfilter.filter.belief import believed
 from navfilter.filter.course import Course
 from navfilter.filter.layout import Group, Layout
@@ -23,7 +24,7 @@ from navfilter.kernels.addresses import address
 from navfilter.sensors import Sensor
 from navfilter.start import Start
 
-__all__ = ["Channel", "ChannelMemory", "Course", "Refusals", "usable"]
+__all__ = ["Aside", "Channel", "ChannelMemory", "Course", "Refusals", "usable"]
 
 Array = NDArray[np.float64]
 #: More than this share of a reading's components must agree, or it is rejected whole.
@@ -64,6 +65,8 @@ class ChannelMemory:
     astray_m : float
         Its slow error came to be beyond belief, and no reading has agreed with the state since: the way made in the
         periods of those that were heard; NaN where it is not so [m].
+    aside : Aside or None
+        Of a velocity that has jumped by about itself.
     alone : tuple of float
         Of a compass to which the heading was set against what was believed before, until something else confirms that:
         by what angle [rad], latitude and longitude then [rad].
@@ -83,6 +86,7 @@ class ChannelMemory:
     refused_s: float = -math.inf
     disputed_s: float = -math.inf
     astray_m: float = math.nan
+    aside: Aside | None = None
     alone: tuple[float, ...] = ()
     same_s: float = math.nan
     again_s: float = math.nan
@@ -127,6 +131,7 @@ class Channel:
         # kernels of a user's own are asked by Python: what they raise is to be seen
         self.known = self.kernel.__module__ == measurement.__name__ and self.constants.ndim == 1
         self.moves, self.turns = sensor.sees_velocity, sensor.needs_rate or any(sensor.lever_arm_sd_m)
+        self.reading = np.full(sensor.axes, np.nan)  # the last one that Python was asked for
         self.samples = 1  # of the drive, of which a reading is the mean
         self.forget()
 
@@ -259,14 +264,14 @@ class Channel:
 
     @property
     def aside(self) -> bool:
-        """Whether it has jumped by so much that nothing it says is used until it is back."""
-        return self._memory.refused is not None and self._memory.refused.aside
+        """Whether it has jumped by about the velocity itself, see `navfilter.filter.aside`."""
+        return self._memory.aside is not None
 
     @property
     def condition(self) -> str:
         """What has been found of its errors; empty for nothing."""
         memory = self._memory
-        return "astray" if memory.astray or self.aside else "jumped" if self.offset else ""
+        return "astray" if memory.astray else "jumped" if self.offset else ""
 
     def moved_on(self, time_s: float, nav: Array, P: Array) -> bool:
         """Note that a reading of this time has the value of the one before. Of a fix: whether the vehicle has moved on

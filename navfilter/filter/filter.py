@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navfilter.error_models import per_axis
-from navfilter.filter import agreement, course, drive_watch, realignment, refused
+from navfilter.filter import agreement, aside, course, drive_watch, realignment, refused
 from navfilter.filter.adoption import Change, state_change
 from navfilter.filter.asking import asked, shared
 from navfilter.filter.channel import Channel, usable
@@ -343,7 +343,10 @@ class Filter(Estimate):
     def _update(self, channel: Channel, time_s: float, z: Array, sd: ArrayLike | None, frozen: bool) -> Correction:
         memory = self.memory
         own = NO_SD if sd is None else np.resize(np.square(np.ravel(sd)), channel.axes)
-        channel.gate[:] = agreement.limits(channel) if channel.stale or channel.doubted else channel.limits
+        channel.reading = z
+        if channel.memory.aside is not None:
+            own = aside.variances(channel.memory.aside, z, own if own.size else channel.white.diagonal())
+        channel.gate[:] = agreement.limits(channel, z) if channel.stale or channel.doubted else channel.limits
         if channel.spot[stretch.EQUATION]:
             stretch.correction(
                 *(self.bench, channel.spot, memory.P, memory.nav, memory.x, memory.acc, memory.drv, self.drive_output),

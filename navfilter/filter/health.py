@@ -25,8 +25,7 @@ class SensorHealth:
         "good", "waiting" (nothing heard yet), "silent" (not heard for longer than its gate time-out), "rejected"
         (heard, but not used for so long), "stuck" (the same value for too long), "jumped" (off by a constant from one
         reading to the next, and used for changes only until it is back), "astray" (slowly led off further than its
-        error model allows, or jumped by the velocity itself, and refused until it is back) or "noisy" (residuals far
-        larger than predicted).
+        error model allows, and refused until it is back) or "noisy" (residuals far larger than predicted).
     age_s : float
         Since the last reading that was used [s]; infinite before the first.
     outcomes : dict of str to int

@@ -31,7 +31,7 @@ class Offset(RandomWalk):
     Parameters
     ----------
     density : float
-        0: it does not wander.
+        0: it does not wander [unit/sqrt(s)].
     start_sd : float
         Standard deviation when it is put in force [unit].
     """

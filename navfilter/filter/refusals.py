@@ -44,8 +44,6 @@ class Refusals:
         Components in that sum.
     odd : bool
         The last reading did not agree.
-    aside : bool
-        Of a velocity: it has jumped by so much that nothing it says is used until it is back.
     course : Course or None
         Of fixes: the way that they have made, beside the one reckoned meanwhile.
     back : int
@@ -65,7 +63,6 @@ class Refusals:
     dof: int = 0
     odd: bool = False
     back: int = 0
-    aside: bool = False
     course: Course | None = None
 
     @property
