@@ -14,7 +14,7 @@ from navfilter.constants import ROUND_GRAVITY
 from navfilter.error_models import ErrorModel, RandomWalk, Sum, White, per_axis
 from navfilter.filter.layout import Parameter
 from navfilter.kernels import past, strapdown
-from navfilter.learning.drift import Drift
+from navfilter.learning.drift import FOUND_S, Drift
 from navfilter.learning.learned import learned_part
 from navfilter.mechanisation.mechanisation import Mechanisation, Triple
 from navfilter.mission import Stream
@@ -153,11 +153,13 @@ class Imu(Mechanisation):
 
     def velocity_drift(self, walk: float, period_s: float, *, vertical: bool = False) -> Drift:
         """Velocity random walk, then the tilt, which wanders with the gyros (Groves, 2013, sec. 14.2)."""
-        return Drift((math.hypot(max(self.noise.white[3:]), walk), self._force_walk(vertical)), period_s)
+        density = math.hypot(max(self.noise.white[3:]), walk), self._force_walk(vertical)
+        return Drift(density, period_s, most_turned=_most_turned(density) if vertical else math.inf)
 
     def position_drift(self, walk: float, period_s: float, *, vertical: bool = False) -> Drift:
         """The integral of the velocity's."""
-        return Drift((walk, max(self.noise.white[3:]), self._force_walk(vertical)), period_s)
+        density = walk, max(self.noise.white[3:]), self._force_walk(vertical)
+        return Drift(density, period_s, most_turned=_most_turned(density[1:]) if vertical else math.inf)
 
     def _force_walk(self, vertical: bool) -> float:
         """How the error of a force wanders [m/s^2/s/sqrt(Hz)]: by the bias of the accelerometer, or by the tilt."""
@@ -244,3 +246,8 @@ def _with_bias(models: Sequence[ErrorModel], default: Sum) -> tuple[ErrorModel, 
             )
         resolved.append(model)
     return tuple(resolved)
+
+
+def _most_turned(density: tuple[float, float]) -> float:
+    """Force that stands out of a drift of velocity with these densities within the time it takes to be found."""
+    return math.hypot(density[0] / math.sqrt(FOUND_S), density[1] * math.sqrt(FOUND_S))
