@@ -387,8 +387,8 @@ def stretch(sources):
         (nav, x, P, acc), are left as they are then. samples (s, 7): work space, their stamps first; stamps (s,);
         limits: of their values. hearing: `undone` (see `listen`; empty where nobody listens), ears of the channels,
         their `kalman.places`, and (r, 2 + a) for ticks and what `listen` notes of each reading. given, of readings:
-        when taken (r,), channel, samples before it, whether Python has found nothing wrong with it, whether its value is
-        that of the one before; values (r, w), and own variances (r, a), or one row of NaN; notes (r, 3 + 2a), which
+        when taken (r,), channel, samples before it, whether Python has found nothing wrong with it, whether its value
+        is that of the one before; values (r, w), and own variances (r, a), or one row of NaN; notes (r, 3 + 2a), which
         receive the verdicts. out: as in `_carried`.
         """
         _ = sources
