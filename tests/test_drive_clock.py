@@ -74,6 +74,19 @@ def test_a_drive_that_was_silent_has_a_gap():
     assert nav.health.drive_clock_offset_s == 0.0 and nav.counts["gap"] == 1 and nav.time_s == END_S
 
 
+@pytest.mark.parametrize("stamp_s", [math.inf, -math.inf, math.nan])
+def test_a_stamp_that_is_no_number_sets_no_clock(stamp_s):
+    """The drive is silent after it: the readings alone would say by how much."""
+    vehicle, mission = simulate_scenario("lawnmower", 2, END_S)
+    events = [e for e in events_of(vehicle, mission) if e.sensor != DRIVE or not SET_S < e.time_s < SET_S + 3.0]
+    last = max((k for k, e in enumerate(events) if e.sensor == DRIVE and e.time_s <= SET_S))
+    wrong = [*events[: last + 1], events[last]._replace(time_s=stamp_s), *events[last + 1 :]]
+    nav, _ = flown(vehicle, mission, wrong)
+    best, _ = flown(vehicle, mission, events)
+    assert nav.health.drive_clock_offset_s == 0.0 and nav.time_s == END_S
+    assert not nav.state.minus(best.state).any()
+
+
 def test_a_pause_of_everything_is_what_it_was():
     vehicle, mission = simulate_scenario("lawnmower", 2, END_S)
     events = [e for e in events_of(vehicle, mission) if not SET_S < e.time_s < SET_S + 3.0]

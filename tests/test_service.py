@@ -606,6 +606,8 @@ def test_killed_while_it_reads_it_goes_on(dive, tmp_path, capfdbinary):
         process.send(dive.lines[sent:end])
         process.read_until(kill_at_s)
         wait_for((folder / "snapshot").exists)
+        # the log is written beside the loop; a power cut loses what it had no time for
+        wait_for(lambda: (folder / LOG_FILE).read_bytes().count(b'{"sensor": ') >= end)  # noqa: B023
         sending = threading.Thread(target=quietly, args=(process.send, dive.lines[end : end + more]))
         sending.start()
         process.read_until(kill_at_s + 1.0)  # in the middle of what is being sent

@@ -280,12 +280,14 @@ def test_an_instrument_ends_while_it_is_trying(server, monkeypatch):
 
 def fed(process, server_side, dive, log, seconds):
     """Feed lines of so many seconds, the DVL's by its own connection; each waits until the one before has been read."""
-    sent, second = 0, 0
+    sent, second, read = 0, 0, 0
     lines, dvl = [], []
     for line in dive.lines:
         fields = json.loads(line)
         while fields["time_s"] >= second + 1:
             process.send(lines)
+            read += len(lines)
+            wait_for(lambda: log.exists() and log.read_bytes().count(b'{"sensor": ') == read)  # noqa: B023
             server_side.sendall(b"".join(dvl))
             sent += len(dvl)
             wait_for(lambda: log.exists() and log.read_bytes().count(b'"sensor":"dvl"') == sent)  # noqa: B023

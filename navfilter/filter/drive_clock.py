@@ -96,6 +96,9 @@ class DriveClock:
         memory = self.memory
         if not (self._live and len(samples)):
             return [samples]
+        known = np.isfinite(samples[:, 0])
+        if not known.all():  # no word of a clock; the intake refuses them
+            return [samples[~known], *self.take(samples[known])]
         samples[:, 0] += memory.offset_s
         if not self.holds:
             first_s, last_s, count = samples[0, 0], samples[-1, 0], len(samples)
@@ -104,7 +107,7 @@ class DriveClock:
                 return [samples]
             leap = self._leap(samples[:, 0])
             if leap == count:
-                memory.last_s = last_s if math.isfinite(last_s) else memory.last_s
+                memory.last_s = last_s
                 return [samples]
             before, samples = samples[:leap], samples[leap:]
             memory.last_s = before[-1, 0] if leap else memory.last_s
