@@ -97,6 +97,8 @@ def vehicle() -> nf.Vehicle:
         accel=nf.White(density=VELOCITY_WALK) + nf.GaussMarkov(sd=ACCEL_BIAS, tau_s=LASTING_S),
         gyro_scale_sd=SCALE,
         accel_scale_sd=SCALE,
+        gyro_scale_tau_s=LASTING_S,
+        accel_scale_tau_s=LASTING_S,
         increments=True,
     )
     error = tuple(nf.White(sd=sd) for sd in FIX_SD_M)
@@ -135,7 +137,9 @@ def write_text(mission: nf.Mission, folder: Path) -> None:
     for name, out in ((CONFIGURATION, folder), (LOOP_CONFIGURATION, folder / "loop")):
         out.mkdir(exist_ok=True)
         (folder / name).write_text(configuration(mission, folder, out), encoding="utf-8")
-    (folder / "mission.toml").write_text(MISSION.format(date=mission.date, start=_start(mission.start)), encoding="utf-8")
+    (folder / "mission.toml").write_text(
+        MISSION.format(date=mission.date, start=_start(mission.start)), encoding="utf-8"
+    )
     write_vehicle(vehicle(), folder / "vehicle.toml")
 
 
