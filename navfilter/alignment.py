@@ -22,6 +22,8 @@ Array = NDArray[np.float64]
 FASTEST_M_S = 100.0
 #: Two fixes of one place are no farther apart than so many of their sd [1].
 CONFIRMING_SD = 10.0
+#: A height by a depth gauge, or by an antenna above water, is good to so much [m]: offset, waves, trim.
+ABOUT_M = 1.0
 #: Of the Earth, as far as it matters here [m].
 EARTH_RADIUS = 6.37e6
 
@@ -137,8 +139,11 @@ def _first_fix(vehicle: Vehicle, mission: Mission, window_s: float) -> tuple[Arr
         if not _confirmed(fixes[k], fixes[others], near_m):
             continue
         z = fixes[k]
-        if not np.isfinite(z[2]):
-            z, sd = z.copy(), sd.copy()
+        z, sd = z.copy(), sd.copy()
+        if getattr(sensor, "antenna_height_m", None) is not None:
+            # what this height errs by, each fix says again: it is not to be counted twice
+            z[2], sd[2] = z[2] + sensor.lever_arm_b_m[2], max(sd[2], ABOUT_M)
+        elif not np.isfinite(z[2]):
             z[2], sd[2] = _height(vehicle, mission)
         return z, np.maximum(sd, 1e-3), t
     raise ValueError(f"no start: {_nowhere(stream, len(fixes), window_s)}")
@@ -176,7 +181,7 @@ def _height(vehicle: Vehicle, mission: Mission) -> tuple[float, float]:
         return 0.0, 50.0
     stream, sensor = found
     z = sensor.read(stream.value[0])
-    return (0.0, 50.0) if z is None else (float(sensor.surface_height_m - z[0]), 1.0)
+    return (0.0, 50.0) if z is None else (float(sensor.surface_height_m - z[0]), ABOUT_M)
 
 
 def _level(force: Array, drive: Mechanisation) -> tuple[float, float, float]:

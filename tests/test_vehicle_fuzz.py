@@ -122,7 +122,14 @@ SENSOR = st.one_of(
     st.builds(
         Depth, error=ERROR, latitude_deg=st.floats(-90.0, 90.0), pressure=st.booleans(), offset_sd_m=sizes(), **SHARED
     ),
-    st.builds(Position, error=THREE, lever_arm_b_m=VECTOR, max_hdop=st.floats(0.1, 100.0), **SHARED),
+    st.builds(
+        Position,
+        error=THREE,
+        lever_arm_b_m=VECTOR,
+        max_hdop=st.floats(0.1, 100.0),
+        antenna_height_m=st.none() | st.floats(-100.0, 9000.0),
+        **SHARED,
+    ),
     st.builds(ZeroVelocity, error=THREE, gyro_mean_max=st.floats(1e-6, 10.0), **SHARED),
 )
 DRIVE = st.one_of(

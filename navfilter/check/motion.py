@@ -14,7 +14,7 @@ from navfilter.check.course import course_findings
 from navfilter.check.course_fit import POLAR
 from navfilter.check.finding import Finding
 from navfilter.check.series import MOST_WINDOWS, correlation, heading_of, integral, unwrapped, vector, window_edges
-from navfilter.check.vertical import depth_sign_findings, sideways_findings, vertical_findings
+from navfilter.check.vertical import depth_sign_findings, sideways_findings, surfacing_findings, vertical_findings
 from navfilter.constants import ROUND_GRAVITY
 from navfilter.mission import Array, Mission, Stream
 
@@ -50,6 +50,8 @@ def motion_findings(mission: Mission, vehicle: Vehicle | None) -> Iterator[Findi
             found = list(_gyro_against_heading(name, stream, imu, gyro))
             agrees |= any("follows the gyro" in finding.text for finding in found)
             yield from found
+    if vehicle is not None:
+        yield from surfacing_findings(mission, vehicle)
     for name, stream in mission.streams.items():
         if "v_x_m_s" in stream.columns:
             yield from course_findings(name, stream, mission, vehicle, agrees)

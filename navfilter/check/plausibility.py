@@ -15,7 +15,7 @@ from navfilter.error_models import ErrorModel, GaussMarkov, RandomWalk, Sum, Whi
 from navfilter.filter.layout import Layout
 from navfilter.learning.learned import LearnedArma
 from navfilter.mechanisation import Mechanisation
-from navfilter.sensors import Sensor
+from navfilter.sensors import Depth, Sensor
 from navfilter.sensors.traits import Plausible
 
 if TYPE_CHECKING:
@@ -115,12 +115,25 @@ def _lever_findings(place: str, sensor: Sensor) -> Iterator[Finding]:
         yield _warn(f"{place}.lever_arm_b_m", f"the sensor is {lever:.4g} m away from the reference point.", cure)
 
 
+def _surface_findings(vehicle: Vehicle) -> Iterator[Finding]:
+    """Fixes and a depth gauge that are both sure of the same height."""
+    surface = next((n for n, s in vehicle.sensors.items() if getattr(s, "antenna_height_m", None) is not None), None)
+    for name, sensor in vehicle.sensors.items():
+        slow = any(model.block(1.0).size for model in sensor.models)
+        if surface is None or not isinstance(sensor, Depth) or slow or sensor.offset_sd_m:
+            continue
+        text = f"{surface} says that the antenna is above water, and {name} has no offset that this could tell."
+        cure = "Set offset_sd_m, or a slow part of its error: else good fixes are refused where the two contradict."
+        yield _warn(f"sensors.{name}.offset_sd_m", text, cure)
+
+
 def _whole_findings(vehicle: Vehicle) -> Iterator[Finding]:
     corrected = {sensor.corrects for sensor in vehicle.sensors.values()}
     size = Layout.of(vehicle).size
     if size > _MANY_STATES:
         cure = "The cost grows with the square of the states: lower orders, or one model for all axes."
         yield _warn("", f"{size} states are many.", cure)
+    yield from _surface_findings(vehicle)
     if "position" not in corrected:
         yield Finding("info", "sensors", "no position fixes: the error of the position grows without bound.", "")
     if vehicle.drive.inertial:

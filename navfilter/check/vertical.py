@@ -14,12 +14,19 @@ from navfilter.check.finding import Finding
 from navfilter.check.series import factors, integral, vector, window_edges
 from navfilter.constants import ROUND_GRAVITY
 from navfilter.mission import Array, Mission, Stream
+from navfilter.sensors import Depth, Position
 
 if TYPE_CHECKING:
     from navfilter.vehicle import Vehicle
 
 #: A depth gauge may be off by so much at the surface, and waves go as high [m].
 _SURFACE_M = 2.0
+#: An antenna that nobody has described is so near the water where it has a fix [m].
+_MAST_M = 0.5
+#: An offset stands out beyond so many standard deviations of what is described [1].
+_STANDS_OUT = 2.5
+#: So far from any fix in time the vehicle is said to be without [s], and so much deeper it must be then [m].
+_WITHOUT_S, _DEEPER_M = 30.0, 1.0
 #: Depth changes of less than this in a window say nothing [m].
 _LITTLE_M = 0.1
 
@@ -33,6 +40,54 @@ def depth_sign_findings(name: str, stream: Stream) -> Iterator[Finding]:
     if lowest < -_SURFACE_M and -lowest > 3.0 * max(highest, 0.0):
         text = f"the depth goes from {lowest:.3g} to {highest:.3g} m; it counts positive down."
         yield Finding("error", name, text, f"Are these heights? Then set scale = -1 in depth of [streams.{name}].")
+
+
+def surfacing_findings(mission: Mission, vehicle: Vehicle) -> Iterator[Finding]:
+    """Depth gauges that do not read what they should where fixes say that the vehicle is at the surface."""
+    for name, sensor in vehicle.sensors.items():
+        if not isinstance(sensor, Depth) or name not in mission.streams:
+            continue
+        readings, good = sensor.read_all(mission.streams[name].value)
+        if np.count_nonzero(good) < 10:
+            continue
+        time_s, depth_m = mission.streams[name].time_s[good], readings[good, 0]
+        for fixes, receiver in vehicle.sensors.items():
+            if not isinstance(receiver, Position) or fixes not in mission.streams:
+                continue
+            at_s = mission.streams[fixes].time_s[receiver.read_all(mission.streams[fixes].value)[1]]
+            up_m = receiver.antenna_height_m
+            above_m = 0.0 if up_m is None else up_m - sensor.surface_height_m
+            off_m = _off_at_the_surface(time_s, depth_m, at_s)
+            if off_m is None:
+                continue
+            expected_m = sensor.lever_arm_b_m[2] - receiver.lever_arm_b_m[2] - above_m
+            off_m -= expected_m
+            described = [*sensor.models, *(receiver.models[2:] if up_m is not None else ())]
+            blocks = [model.block(1.0) for model in described]
+            known_m = math.sqrt(sum(b.r + float(b.C @ b.P0 @ b.C) for b in blocks) + sensor.offset_sd_m**2)
+            if abs(off_m) < max(_STANDS_OUT * known_m, _MAST_M if up_m is None else 0.0):
+                continue
+            text = f"where {fixes} has fixes it reads {off_m + expected_m:.2f} m,"
+            text += f" and {expected_m:.2f} m is expected there."
+            cure = f"A gauge that is off: set offset_sd_m = {math.ceil(10.0 * abs(off_m)) / 10.0:g}"
+            cure += f" in [sensors.{name}]"
+            if up_m is None:
+                cure += f", and antenna_height_m in [sensors.{fixes}]: each surfacing then tells the offset"
+            yield Finding("warning", name, text, f"{cure}.")
+
+
+def _off_at_the_surface(time_s: Array, depth_m: Array, at_s: Array) -> float | None:
+    """Depth read where there are fixes; None unless they come at the surface only: the vehicle is deeper elsewhere."""
+    at_s = at_s[(at_s >= time_s[0]) & (at_s <= time_s[-1])]
+    if at_s.size < 3:
+        return None
+    shallow = np.interp(at_s, time_s, depth_m)
+    after = np.clip(np.searchsorted(at_s, time_s), 1, at_s.size - 1)
+    far = np.minimum(np.abs(time_s - at_s[after - 1]), np.abs(time_s - at_s[after])) > _WITHOUT_S
+    middle = float(np.median(shallow))
+    if np.count_nonzero(far) < 10 or float(np.median(depth_m[far])) < float(np.max(shallow)) + _DEEPER_M:
+        return None
+    return middle if float(np.percentile(np.abs(shallow - middle), 90.0)) < _DEEPER_M else None
 
 
 def vertical_findings(name: str, mission: Mission, vehicle: Vehicle | None) -> Iterator[Finding]:

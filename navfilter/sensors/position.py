@@ -140,10 +140,17 @@ class Position(Sensor):
         From the reference point to the antenna, in b [m].
     max_hdop : float
         Fixes with a greater HDOP are not readings (thesis, 4.3.1: 4).
+    antenna_height_m : float, optional
+        Where the antenna is whenever there is a fix, in the height system of the mission [m]: above the water, where
+        the surface is 0. It takes the place of the height of each fix; the error down is then that of this height.
 
     Notes
     -----
     Errors are in metres north, east, down. A NaN height is a 2-D fix.
+
+    No fix is had under water. With `antenna_height_m` each one says so, and each surfacing tells a depth gauge its
+    `offset_sd_m`. Trim, waves and the tide keep the antenna off that height for longer than from fix to fix: give the
+    error down the time in which they change.
 
     A receiver without a fix yet says latitude 0, longitude 0: exactly that is no reading. A vehicle near there loses
     nothing, for fixes that are both exactly 0 do not happen to it.
@@ -152,6 +159,7 @@ class Position(Sensor):
     error: Errors = White(sd=3.0)
     lever_arm_b_m: Vector = (0.0, 0.0, 0.0)
     max_hdop: float = 4.0
+    antenna_height_m: float | None = None
 
     prior: ClassVar[ErrorModel] = GaussMarkov(sd=3.0, tau_s=60.0) + White(sd=1.0)
     axes: ClassVar[int] = 3
@@ -170,6 +178,12 @@ class Position(Sensor):
         "gps", "Position fixes.", 1, ('error = {model = "gauss-markov", sd = 3.0, tau_s = 60}',), (-0.4, 0.0, -0.2)
     )
 
+    @property
+    def words(self) -> str:
+        """What it measures, and what takes the place of its height."""
+        height = self.antenna_height_m
+        return "position" if height is None else f"position, the antenna at a height of {height:g} m"
+
     def constants(self, start: Start) -> Array:
         """The lever arm."""
         return np.asarray(self.lever_arm_b_m, dtype=float)
@@ -178,8 +192,11 @@ class Position(Sensor):
         """None for a fix without latitude or longitude, off the globe, at 0, 0, or of poor geometry."""
         if (len(value) > 3 and value[3] > self.max_hdop) or value[0] == 0.0 == value[1]:
             return None
-        ok = abs(value[0]) <= math.pi / 2 and abs(value[1]) <= 2 * math.pi
-        return np.ascontiguousarray(value[:3]) if ok else None
+        if not (abs(value[0]) <= math.pi / 2 and abs(value[1]) <= 2 * math.pi):
+            return None
+        if self.antenna_height_m is None:
+            return np.ascontiguousarray(value[:3])
+        return np.array([value[0], value[1], self.antenna_height_m])
 
     def drift(self, drive: Mechanisation, axis: int, walk: float) -> Drift:
         """As a position, down being the third axis."""
