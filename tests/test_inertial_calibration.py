@@ -139,7 +139,7 @@ def test_rates_for_lever_arms_and_for_the_past_are_those_of_a_calibrated_unit():
 
 @pytest.mark.parametrize("value", [0.0, -1.0, np.inf])
 def test_a_correlation_time_is_positive(value):
-    with pytest.raises(ValueError, match="Imu.accel_scale_tau_s must be a finite number > 0"):
+    with pytest.raises(ValueError, match="accel_scale_tau_s must be a finite number > 0"):
         nf.Imu(rate_hz=100.0, accel_scale_sd=0.01, accel_scale_tau_s=value)
 
 
