@@ -323,7 +323,11 @@ def test_fold(kind):
         acc[9:m, :9], acc[11:m] = 0.0, np.eye(m)[11:]
     if kind == "constants":
         acc[9:m] = np.diag([1.0] * 9 + [0.5, 1.0, 1.0][: m - 9])[9:]
-    ours, twins = run_both(kalman.fold, spd(rng, n), acc, nav, np.zeros((m, n)))
+    P = spd(rng, n)
+    present, twin = run_both(kalman.present, P, acc, np.zeros(9 * (n + m + 9)), np.zeros(72 + n))
+    assert_close(present[3:], twin[3:], 1e-14)
+    ours, twins = run_both(kalman.fold, P, acc, nav, np.zeros((m, n)))
+    np.testing.assert_array_equal(present[3], [*ours[0][:9, :9].ravel(), *ours[0].diagonal()[9:]])
     assert_close([ours[0], ours[1][: 2 * m], ours[2]], [twins[0], twins[1][: 2 * m], twins[2]], 1e-14)
     np.testing.assert_array_equal(ours[0], ours[0].T)
     C = ours[2][6:15].reshape(3, 3)

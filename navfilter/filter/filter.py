@@ -218,11 +218,12 @@ class Filter(Estimate):
     def _carry(self, samples: Array, stamps: Array, tell: Listening, room: Callable[[], int] | None) -> None:
         """Carry the state over samples, or over rows that stand in for those that are missing."""
         memory, begin, total = self.memory, 0, len(samples)
-        whole = total <= self.fold_every - memory.unfolded and not (self._rest or room)
+        each = self.tape is not None and self.tape.each_sample
+        whole = total <= self.fold_every - memory.unfolded and not (self._rest or room or each)
         missing = self.inertial and total > 0 and math.isnan(samples[0, 1])
         before_s, position = memory.time_s, np.diag(memory.P)[:3].copy()
         while begin < total:
-            end = total if whole else min(total, begin + self._room(room))
+            end = total if whole else min(total, begin + (1 if each else self._room(room)))
             if missing:
                 self.watch.stand_in(samples[begin:end], memory)
                 self.weigh()
@@ -236,6 +237,8 @@ class Filter(Estimate):
             memory.time_s = memory.sample_s = memory.intake.before_s = float(stamps[end - 1])
             if memory.unfolded >= self.fold_every:
                 tell(self._fold())
+            elif each:
+                self._row()
             self.feel(tell)
             if room is not None:
                 tell(Passed(block[:1] if missing else block))
@@ -282,7 +285,8 @@ class Filter(Estimate):
     def _row(self) -> None:
         if self.tape is not None:
             memory = self.memory
-            self.tape.row(memory.time_s, memory.nav, memory.x, memory.P)
+            present = self.present if memory.unfolded else None
+            self.tape.row(memory.time_s, memory.nav, memory.x, memory.P, present)
 
     # ---------------------------------------------------------------- correction
     def correct(
