@@ -10,7 +10,6 @@ UNCOUNTED: dict = {"_nrt": False}
 
 ZERO, POINT, MINUS, PLUS, EXPONENT, COMMA, END = 48, 46, 45, 43, 101, 44, 10  # characters
 WIDEST = 32  # characters of a number with its comma, at most
-MOST_DECIMALS, MOST_FIGURES = 10, 9  # with more the arithmetic below is not sure of the last one
 LARGEST = 1e15  # whole numbers up to here are doubles, and their parts are exact
 SMALLEST = 290  # powers of ten up to here and down to its inverse are far from where doubles end
 POWERS = np.array([float(f"1e{power}") for power in range(-SMALLEST - 20, SMALLEST + 20)])
@@ -129,10 +128,10 @@ def _scientific(number, figures, power, out, at):
 def rows_of_text(values, digits, marks, given, begin, out):
     """Rows of numbers from the one of number `begin` on, with commas between them and a new line behind each.
 
-    values (n * c,); digits (c,): decimals of each column, significant figures where negative; marks (n, w): characters
-    of a further column behind the first, none where w is 0; given: the first of the numbers as text, where this kernel
-    was not sure of it; out: room for `WIDEST` characters a number, and for the marks. Returns the number that it is not
-    sure of, or how many there are, and how many characters were written.
+    values (n * c,); digits (c,): decimals of each column (at most ten), significant figures where negative (at most
+    nine); marks (n, w): characters of a further column behind the first, none where w is 0; given: the first of the
+    numbers as text, where this kernel was not sure of it; out: room for `WIDEST` characters a number, and for the marks.
+    Returns the number that it is not sure of, or how many there are, and how many characters were written.
     """
     columns, at = digits.size, 0
     row, column = begin // columns, begin % columns
