@@ -130,7 +130,7 @@ def rows_of_text(values, digits, marks, given, begin, out):
 
     values (n * c,); digits (c,): decimals of each column (at most ten), significant figures where negative (at most
     nine); marks (n, w): characters of a further column behind the first, none where w is 0; given: the first of the
-    numbers as text, where this kernel was not sure of it; out: room for `WIDEST` characters a number, and for the marks.
+    numbers as text, where this kernel was not sure of it; out: room for `WIDEST` characters a number, and the marks.
     Returns the number that it is not sure of, or how many there are, and how many characters were written.
     """
     columns, at = digits.size, 0
