@@ -825,7 +825,16 @@ def stationary(a, c, P):
     return True
 
 
-def channel_filter(y, theta, chain, sees, rules, plan, tolerance, e, lns):
+def channel_filter(y, thetas, chains, sees, rules, first, E, V, values):
+    """Each model by itself."""
+    for k, (theta, chain) in enumerate(zip(thetas, chains, strict=True)):
+        e, S = np.empty(len(y)), np.empty(len(y))
+        values[k] = one_channel(y, theta, chain, sees, rules, first, e, S)
+        if len(E):
+            E[:, k], V[:, k] = e, S
+
+
+def one_channel(y, theta, chain, sees, rules, first, e, variance):
     r, m = len(sees), (len(theta) - 1) // 2
     d, longest, clip, white = int(rules[0]), rules[1], rules[2], rules[3]
     a, c, var = theta[:m], theta[m:-1], np.exp(2 * theta[-1])
@@ -842,7 +851,7 @@ def channel_filter(y, theta, chain, sees, rules, plan, tolerance, e, lns):
     start[r:, r:] = var * unit
     total, gap, x, P, A, rows = 0.0, math.inf, None, None, None, []
     for t in range(len(y)):
-        e[t], lns[t] = np.nan, 0.0
+        e[t], variance[t] = np.nan, 1.0
         if np.isnan(y[t]):
             gap += 1
             if gap <= longest:
@@ -861,24 +870,20 @@ def channel_filter(y, theta, chain, sees, rules, plan, tolerance, e, lns):
                 X = np.linalg.inv(np.array(rows)[:, :d])
                 x, P = x + A @ X @ np.array(rows)[:, d], P + A @ X @ X.T @ A.T
             continue
-        e[t], lns[t] = z, np.log(S)
-        total += 0.5 * np.log(2 * np.pi * S) + (z * z / 2 if abs(z) <= clip else clip * abs(z) - clip**2 / 2)
+        e[t], variance[t] = z, S
+        if t >= first:
+            total += 0.5 * np.log(2 * np.pi * S) + (z * z / 2 if abs(z) <= clip else clip * abs(z) - clip**2 / 2)
         x, P = F @ x + K * np.sqrt(S) * np.clip(z, -clip, clip), F @ P @ F.T + W - S * np.outer(K, K)
     return total
 
 
-def contribution(z, lns, clip):
-    z, lns, size = z[np.isfinite(z)], lns[np.isfinite(z)], np.abs(z[np.isfinite(z)])
-    return float(np.sum(0.5 * (np.log(2 * np.pi) + lns) + np.where(size > clip, clip * size - clip**2 / 2, z * z / 2)))
-
-
-def channel_scores(E, LNS, steps, clip, info, gradient):
-    for i, step in enumerate(steps, start=1):
-        LNS[i] = (LNS[i] - LNS[0]) / step
-        E[i] = (E[i] - E[0]) / step + 0.5 * E[0] * LNS[i]
-    known = np.isfinite(E[0])
-    z, dv, ds = E[0, known], E[1:, known], LNS[1:, known]
-    gradient[:] = (dv - 0.5 * z * ds) @ np.clip(z, -clip, clip) + 0.5 * ds.sum(1)
+def channel_scores(E, V, steps, clip, info, gradient):
+    known, k = np.isfinite(E[:, 0]), len(steps)
+    z, S = E[known, 0], V[known, 0]
+    ds = (V[known, 1 : k + 1].T - S) / S / steps[:, None]
+    dz = (E[known, 1 : k + 1].T - z) / steps[:, None]
+    dv = dz + 0.5 * z * ds
+    gradient[:] = dz @ np.clip(z, -clip, clip) + 0.5 * ds.sum(1)
     info[:] = dv @ dv.T + 0.5 * ds @ ds.T
 
 

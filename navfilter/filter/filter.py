@@ -32,7 +32,6 @@ __all__ = ["Filter"]
 
 Array = NDArray[np.float64]
 CODES = {name: code for code, name in enumerate(OUTCOMES)}
-NO_SD = np.zeros(0)
 
 
 class Filter(Estimate):
@@ -346,8 +345,8 @@ class Filter(Estimate):
 
     def _update(self, channel: Channel, time_s: float, z: Array, sd: ArrayLike | None, frozen: bool) -> Correction:
         memory = self.memory
-        own = NO_SD if sd is None else np.resize(np.square(np.ravel(sd)), channel.axes)
-        channel.gate[:] = agreement.limits(channel) if channel.stale or channel.doubted else channel.limits
+        own = channel.variances(z, sd)
+        channel.gate[:] = agreement.limits(channel, z) if channel.stale or channel.doubted else channel.limits
         if channel.spot[stretch.EQUATION]:
             stretch.correction(
                 *(self.bench, channel.spot, memory.P, memory.nav, memory.x, memory.acc, memory.drv, self.drive_output),
