@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.constants import ROUND_GRAVITY
-from navfilter.error_models import ErrorModel, RandomWalk, Sum, White, per_axis
+from navfilter.error_models import ErrorModel, GaussMarkov, RandomWalk, Sum, White, per_axis
 from navfilter.filter.layout import Parameter
 from navfilter.kernels import past, strapdown
 from navfilter.learning.drift import FOUND_S, Drift
@@ -58,7 +58,9 @@ class Imu(Mechanisation):
         vehicle stands still (`navfilter.learning.rest.RestRecorder`), beside a bias: a `RandomWalk`, that of the
         default where none is given.
     gyro_scale_sd, accel_scale_sd : float or (3,) float
-        Standard deviation of an unknown constant scale error of each axis; 0: no such states.
+        Standard deviation of an unknown scale error of each axis; 0: no such states.
+    gyro_scale_tau_s, accel_scale_tau_s : float, optional
+        Correlation time of these scale errors, first-order Gauss-Markov processes [s]; default: they are constant.
     gyro_misalignment_sd_rad, accel_misalignment_sd_rad : float
         Standard deviation of each unknown small angle between axes [rad]; 0: no such states. Six of the gyros; three of
         the accelerometers, whose first axis, and the plane of the first two, are the body's.
@@ -84,6 +86,8 @@ class Imu(Mechanisation):
     gyro_scale_sd: float | Vector = 0.0
     gyro_misalignment_sd_rad: float = 0.0
     accel_scale_sd: float | Vector = 0.0
+    gyro_scale_tau_s: float | None = None
+    accel_scale_tau_s: float | None = None
     accel_misalignment_sd_rad: float = 0.0
     increments: bool = False
     gap_rate_sd: float = 0.2
@@ -108,6 +112,9 @@ class Imu(Mechanisation):
         super().__post_init__()
         for name in self.triples:
             checked_sds(f"Imu.{name}_scale_sd", getattr(self, f"{name}_scale_sd"))
+            tau_s = getattr(self, f"{name}_scale_tau_s")
+            if tau_s is not None and not 0.0 < tau_s < math.inf:
+                raise ValueError(f"Imu.{name}_scale_tau_s must be a finite number > 0, found {tau_s!r}.")
             sd = getattr(self, f"{name}_misalignment_sd_rad")
             if not 0.0 <= sd < math.inf:
                 raise ValueError(f"Imu.{name}_misalignment_sd_rad must be a finite number >= 0, found {sd!r}.")
@@ -132,6 +139,15 @@ class Imu(Mechanisation):
     def parameters(self) -> tuple[Parameter, ...]:
         """Scale and misalignment of gyros and accelerometers."""
         return tuple(parameter for _, _, parameter in self._elements())
+
+    def wandering(self) -> dict[str, ErrorModel]:
+        """Scales that have a correlation time."""
+        found: dict[str, ErrorModel] = {}
+        for name in self.triples:
+            tau_s, scales = getattr(self, f"{name}_scale_tau_s"), self.draws(name)["scales"]
+            if tau_s is not None and any(p.sd for p in scales):
+                found |= {p.name: GaussMarkov(sd=p.sd, tau_s=tau_s) for p in scales}
+        return found
 
     def draws(self, triple: str) -> dict[str, tuple[Parameter, ...]]:
         """Scale of each axis, and angles between the axes."""
