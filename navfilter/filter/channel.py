@@ -10,11 +10,11 @@ from functools import cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.stats import chi2
 
 from navfilter.filter import aside
 from navfilter.filter.aside import Aside
 from navfilter.filter.belief import believed
+from navfilter.filter.chi_square import chi_square_limit
 from navfilter.filter.course import Course
 from navfilter.filter.layout import Group, Layout
 from navfilter.filter.offsets import has_offset, proportions
@@ -320,7 +320,7 @@ class Channel:
 @cache
 def _limits(probability: float, axes: int, single: bool) -> tuple[float, ...]:
     """Chi-square limits of the gate for 1, 2, ... axes; first the share that must remain, see ``kalman.update``."""
-    return (MAJORITY if single else math.inf, *chi2.ppf(probability, np.arange(1, axes + 1)).tolist())
+    return (MAJORITY if single else math.inf, *chi_square_limit(probability, np.arange(1, axes + 1)).tolist())
 
 
 def usable(sd: ArrayLike, sensor: Sensor) -> bool:
