@@ -47,7 +47,7 @@ def give_back(*arrays: Any) -> None:
     Any other array stays as it is, and so does one mapped as ``"c"``: what was written to it is nowhere else.
     """
     for array in arrays:
-        while isinstance(array, np.ndarray) and not isinstance(array, np.memmap):
+        while isinstance(array, np.ndarray) and not (isinstance(array, np.memmap) and array.mode == "c"):
             array = array.base
-        if isinstance(array, np.memmap) and array.mode != "c" and hasattr(mmap, "MADV_DONTNEED"):
-            array._mmap.madvise(mmap.MADV_DONTNEED)  # type: ignore[attr-defined]
+        if isinstance(array, mmap.mmap) and hasattr(mmap, "MADV_DONTNEED"):
+            array.madvise(mmap.MADV_DONTNEED)
