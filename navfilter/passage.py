@@ -229,17 +229,6 @@ class Passage:
                 self.nav.learning.keep(self._block(self._kept, end))
             self._kept = end
 
-    def _keep_all(self, first: int) -> None:
-        """Let learning keep the readings that the kernel has taken, from `first` on, and the samples before each."""
-        ends, begin, items = self._ends[first : self.at].tolist(), self._kept, []
-        samples = self._block(begin, max(begin, ends[-1]))
-        for at, end in enumerate(ends, start=first):  # none is frozen: the kernel leaves those to Python
-            if end > self._kept:
-                items.append(samples[self._kept - begin : end - begin])
-                self._kept = end
-            items.append(self._reading(at))
-        self.nav.learning.keep_all(items)
-
     def _conclude(self, sensor: int, time_s: float) -> None:
         """What follows from a verdict by which the reading was not used."""
         nav, watch, name = self.nav, self._watches[sensor], self._readings.names[sensor]
@@ -424,10 +413,12 @@ class Passage:
                 tape.columns[channel.name].extend(times, self._notes[mine, : 3 + 2 * channel.axes])
         if tape is not None:
             tape.extend(out, *cursor[[kernels.ROWS, kernels.RECORDS, kernels.WRITTEN]].tolist())
-        if self.nav.learning.beginning is None:
+        if self.nav.learning.beginning is not None:
+            for at in range(self._begin + used.start, self.at):  # none is frozen: the kernel leaves those to Python
+                self._keep_samples(int(self._ends[at]))
+                self.nav.learning.keep(self._reading(at))
+        else:
             self._kept = self.done
-        elif self.at > self._begin + used.start:
-            self._keep_all(self._begin + used.start)
 
     def _overheard(self, ears: Array, first: int) -> None:
         """What was heard of the readings that were used, from `first` on."""

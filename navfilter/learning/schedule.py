@@ -338,11 +338,6 @@ class LearningSchedule:
         if self.beginning is not None and len(item):
             self.beginning.append(item.copy() if isinstance(item, np.ndarray) else item)
 
-    def keep_all(self, items: Sequence[Any]) -> None:
-        """Keep inputs that nobody else changes."""
-        if self.beginning is not None:
-            self.beginning.extend(items)
-
     @property
     def early_s(self) -> float:
         """When models are to be looked for or adopted, or the beginning done again, next [s]; infinite when that is
