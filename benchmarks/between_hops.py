@@ -29,7 +29,7 @@ import navfilter as nf
 from navfilter.learning.drift import Drift
 from navfilter.learning.likelihood import Likelihood, Point, maximise
 from navfilter.learning.slow import slow_prior
-from navfilter.learning.starts import cold_starts, with_slow_part
+from navfilter.learning.starts import cold_starts, with_slow_parts
 
 WINDOW, HOP, HOPS = 4000, 2000, 4
 #: Samples between two steps of the recursion: an eighth of a second's worth would cost eight times as much and moves
@@ -85,7 +85,7 @@ def fitted(likelihood: Likelihood, order: tuple[int, int], before: Array | None)
     """The joint fit of a window; from the last one where there is one, in the unit of the series."""
     p, q = order
     if before is None:
-        return maximise(likelihood, [with_slow_part(likelihood, s, p) for s in cold_starts(likelihood, p, q)], p, 20, 1)
+        return maximise(likelihood, with_slow_parts(likelihood, cold_starts(likelihood, p, q), p), p, 20, 1)
     return maximise(likelihood, [moved(before, likelihood.log_unit)], p, 8, 1)
 
 
@@ -124,11 +124,16 @@ def part(likelihood: Likelihood, theta: Array, p: int, first: int, count: int) -
     """Minus the log-density of `count` samples from `first` on, given those before."""
     log_sd = theta[-2:-1] - likelihood.log_unit
     to_end = [
-        float(likelihood.line(theta[:-2], p, 1, theta[-1], log_sd, begin)[0])
+        float(likelihood.lines(theta[:-2], p, 1, theta[-1:], log_sd, begin)[0])
         for begin in (first, first + count)
         if begin < likelihood.y.size
     ]
     return to_end[0] - sum(to_end[1:])
+
+
+def innovations(likelihood: Likelihood, theta: Array, p: int) -> Array:
+    """In standard deviations."""
+    return likelihood.standardised([theta], p, 1)[1][:, 0].copy()
 
 
 def recursive(likelihood: Likelihood, theta: Array, info: Array, p: int) -> float:
@@ -141,11 +146,11 @@ def recursive(likelihood: Likelihood, theta: Array, info: Array, p: int) -> floa
         block = slice(first, first + EVERY)
         here = part(likelihood, theta, p, first, EVERY)
         total += here
-        z = likelihood.innovations[block]
+        z = innovations(likelihood, theta, p)[block]
         gradient, psi = np.zeros(theta.size), np.zeros((theta.size, EVERY))
         for i, step in enumerate(steps):
             gradient[i] = (part(likelihood, theta + step * np.eye(theta.size)[i], p, first, EVERY) - here) / step
-            psi[i] = (likelihood.innovations[block] - z) / step
+            psi[i] = (innovations(likelihood, theta + step * np.eye(theta.size)[i], p)[block] - z) / step
         if not np.all(np.isfinite(gradient)):
             continue
         psi = np.nan_to_num(psi)

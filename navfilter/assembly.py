@@ -89,13 +89,15 @@ def gathered(parts: Sequence[tuple[Tape, range]]) -> _Rows:
             flat, begins = tape.rows.run(max(those.start, same), last)
             k = len(places[number])
             n, upto = k + 9, 17 + k
-            if tape.smoothable:
-                square, diagonal = n * np.arange(9)[:, None] + np.arange(9), (n + 1) * np.arange(9, n)
-            else:
-                square, diagonal = np.arange(81), np.arange(81, 81 + k)
-            noted = flat[begins[:, None] + np.concatenate([np.arange(upto), upto + square.ravel(), upto + diagonal])]
+            # vectors of one size stand one behind the other
+            size = upto + (n * n if tape.smoothable else 81 + k)
+            noted = flat[begins[0] :][: len(begins) * size].reshape(-1, size)
             last -= len(begins)
-            covariance, variance = noted[:, upto : upto + 81].reshape(-1, 9, 9), noted[:, upto + 81 :]
+            if tape.smoothable:
+                P = noted[:, upto:].reshape(-1, n, n)
+                covariance, variance = P[:, :9, :9], np.diagonal(P, axis1=1, axis2=2)[:, 9:]
+            else:
+                covariance, variance = noted[:, upto : upto + 81].reshape(-1, 9, 9), noted[:, upto + 81 :]
             rows.put(done + last - those.start, places[number], noted[:, :upto], covariance, variance)
         done += len(those)
     return rows

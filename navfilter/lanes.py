@@ -366,6 +366,11 @@ class LaneNavigator:
         return self.believed.pose
 
     @property
+    def covariance(self) -> Array:
+        """Of position [m], velocity [m/s] and attitude [rad] in n, now, shape (9, 9)."""
+        return self.believed.covariance
+
+    @property
     def state(self) -> NavState:
         """The state of the lane in force with its covariance and the health of the sensors; a copy."""
         state = self.believed.filter.state

@@ -97,10 +97,7 @@ class Navigator:
         if not (math.isfinite(length_s) and length_s >= 0.0):
             raise ValueError(f"history_s must be a finite number >= 0, found {history_s!r}.")
         if length_s and tape is not None:
-            raise ValueError(
-                "a run with a tape cannot go back: leave history_s out, and feed the readings in the order of their "
-                "times."
-            )
+            raise ValueError("a run with a tape cannot go back: leave history_s out, and feed it in the order of time.")
         # a replay has no history, and learns what the same run learns on board with the default one
         self.learning = LearningSchedule(self.filter, max(length_s, usual_s), Worker(threads and tape is None))
         self._beginning = Beginning(self, self.learning.worker)
@@ -349,6 +346,11 @@ class Navigator:
     def pose(self) -> Pose:
         """Where it is, how it moves and points, now, in plain numbers: for every sample."""
         return Pose.unpack(self.filter.memory.time_s, self.filter.memory.nav)
+
+    @property
+    def covariance(self) -> Array:
+        """Of position [m], velocity [m/s] and attitude [rad] in n, now, shape (9, 9): that of `state`, by itself."""
+        return self.filter.present[:81].reshape(9, 9)
 
     @property
     def state(self) -> NavState:

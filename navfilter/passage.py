@@ -367,7 +367,8 @@ class Passage:
         interval_s = math.inf if filter.tape is None else filter.tape.interval_s
         learning, steps = self.nav.learning, filter.memory.drv[strapdown.INCREMENTS]
         spans = filter.period_s, filter.ahead_s, filter.fold_every, gap_s, doubt_s, learning.early_s, interval_s
-        return np.array([*spans, steps, learning.learning_s, filter.vehicle.drive.gravity, filter.feels_after])
+        each = filter.tape is not None and filter.tape.each_sample
+        return np.array([*spans, steps, learning.learning_s, filter.vehicle.drive.gravity, filter.feels_after, each])
 
     def _output(self) -> Output:
         """Room for rows, when they hold, records and what each is."""
@@ -377,7 +378,9 @@ class Passage:
         width = n + 8 + (n * n if smoothable else 72 + n)
         elements = max(ELEMENTS, 8 * int(filter.plan[-1, kernels.RECORD])) if smoothable else 0
         if self._out is None or self._out[0].shape[1] != width or self._out[2].size != elements:
-            self._out = np.empty((ROWS, width)), np.empty((ROWS, 2)), np.empty(elements), np.empty((ROWS, 5), np.int64)
+            each = filter.tape is not None and filter.tape.each_sample
+            rows = max(ROWS, ELEMENTS // width) if each else ROWS
+            self._out = np.empty((rows, width)), np.empty((rows, 2)), np.empty(elements), np.empty((ROWS, 5), np.int64)
         return self._out
 
     def _written(

@@ -59,7 +59,9 @@ def replay(
     smooth : bool
         Return the smoothed track (its `forward` is the filter's).
     output_rate_hz : float or None
-        At most so many rows per second in the track; None keeps every epoch.
+        At most so many rows per second in the track, each at a reading or at a fold of the covariance (one a second);
+        infinite: at all of them. None: at every sample of the drive, too, what `Navigator.state` gives there; smoothed,
+        as infinite.
     progress : bool
         Show a progress bar on standard error.
     iterate : int

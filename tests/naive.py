@@ -610,6 +610,14 @@ def fold(P, acc, nav, T):
     nav[6:15] = (C @ (1.5 * np.eye(3) - 0.5 * C.T @ C)).ravel()
 
 
+def present(P, acc, work, out):
+    m, n = acc.shape[1], len(P)
+    Phi = block_diag(acc[:m], np.eye(n - m))
+    P = Phi @ P @ Phi.T
+    P[:m, :m] += 0.5 * (acc[m : 2 * m] + acc[m : 2 * m].T)
+    out[:] = np.concatenate([P[:9, :9].ravel(), np.diag(P)[9:]])
+
+
 def power(Phi, Q, count, W):
     """Phi^count and its noise in W[0], W[1]."""
     W[0], W[1] = np.eye(len(Phi)), 0.0
@@ -817,7 +825,16 @@ def stationary(a, c, P):
     return True
 
 
-def channel_filter(y, theta, chain, sees, rules, plan, tolerance, e, lns):
+def channel_filter(y, thetas, chains, sees, rules, first, E, V, values):
+    """Each model by itself."""
+    for k, (theta, chain) in enumerate(zip(thetas, chains, strict=True)):
+        e, S = np.empty(len(y)), np.empty(len(y))
+        values[k] = one_channel(y, theta, chain, sees, rules, first, e, S)
+        if len(E):
+            E[:, k], V[:, k] = e, S
+
+
+def one_channel(y, theta, chain, sees, rules, first, e, variance):
     r, m = len(sees), (len(theta) - 1) // 2
     d, longest, clip, white = int(rules[0]), rules[1], rules[2], rules[3]
     a, c, var = theta[:m], theta[m:-1], np.exp(2 * theta[-1])
@@ -834,7 +851,7 @@ def channel_filter(y, theta, chain, sees, rules, plan, tolerance, e, lns):
     start[r:, r:] = var * unit
     total, gap, x, P, A, rows = 0.0, math.inf, None, None, None, []
     for t in range(len(y)):
-        e[t], lns[t] = np.nan, 0.0
+        e[t], variance[t] = np.nan, 1.0
         if np.isnan(y[t]):
             gap += 1
             if gap <= longest:
@@ -853,24 +870,20 @@ def channel_filter(y, theta, chain, sees, rules, plan, tolerance, e, lns):
                 X = np.linalg.inv(np.array(rows)[:, :d])
                 x, P = x + A @ X @ np.array(rows)[:, d], P + A @ X @ X.T @ A.T
             continue
-        e[t], lns[t] = z, np.log(S)
-        total += 0.5 * np.log(2 * np.pi * S) + (z * z / 2 if abs(z) <= clip else clip * abs(z) - clip**2 / 2)
+        e[t], variance[t] = z, S
+        if t >= first:
+            total += 0.5 * np.log(2 * np.pi * S) + (z * z / 2 if abs(z) <= clip else clip * abs(z) - clip**2 / 2)
         x, P = F @ x + K * np.sqrt(S) * np.clip(z, -clip, clip), F @ P @ F.T + W - S * np.outer(K, K)
     return total
 
 
-def contribution(z, lns, clip):
-    z, lns, size = z[np.isfinite(z)], lns[np.isfinite(z)], np.abs(z[np.isfinite(z)])
-    return float(np.sum(0.5 * (np.log(2 * np.pi) + lns) + np.where(size > clip, clip * size - clip**2 / 2, z * z / 2)))
-
-
-def channel_scores(E, LNS, steps, clip, info, gradient):
-    for i, step in enumerate(steps, start=1):
-        LNS[i] = (LNS[i] - LNS[0]) / step
-        E[i] = (E[i] - E[0]) / step + 0.5 * E[0] * LNS[i]
-    known = np.isfinite(E[0])
-    z, dv, ds = E[0, known], E[1:, known], LNS[1:, known]
-    gradient[:] = (dv - 0.5 * z * ds) @ np.clip(z, -clip, clip) + 0.5 * ds.sum(1)
+def channel_scores(E, V, steps, clip, info, gradient):
+    known, k = np.isfinite(E[:, 0]), len(steps)
+    z, S = E[known, 0], V[known, 0]
+    ds = (V[known, 1 : k + 1].T - S) / S / steps[:, None]
+    dz = (E[known, 1 : k + 1].T - z) / steps[:, None]
+    dv = dz + 0.5 * z * ds
+    gradient[:] = dz @ np.clip(z, -clip, clip) + 0.5 * ds.sum(1)
     info[:] = dv @ dv.T + 0.5 * ds @ ds.T
 
 
@@ -1394,7 +1407,7 @@ def stretch(
     """
     (nav, x, P, acc), (drv, Phid, Qd, Cr, before, w, sd, ends), m = state, drive, state[3].shape[1]
     known = max(0, len(before) - 512)
-    period, ahead, every, gap, doubt, until, interval, increments, learn, g, felt = settings
+    period, ahead, every, gap, doubt, until, interval, increments, learn, g, felt, each = settings
     undone, ears, where, opened = hearing
     rows, info, records, heads = out
 
@@ -1408,10 +1421,16 @@ def stretch(
             cursor[4] = max(cursor[4] - 1, 0)
         elif now[0] - now[3] < interval:
             return
-        whole = rows.shape[1] == 17 + x.size + P.size
-        covariance = P.ravel() if whole else np.concatenate([P[:9, :9].ravel(), np.diag(P)[9:]])
+        covariance = P.ravel()
+        if rows.shape[1] != 17 + x.size + P.size:
+            covariance = np.zeros(72 + len(P))
+            present(P, acc, None, covariance)
         rows[cursor[4]], info[cursor[4]] = np.concatenate([nav, x, covariance]), (now[0], cursor[5])
         now[3], cursor[4] = now[0], cursor[4] + 1
+
+    def full(size):
+        more = records.size and cursor[6] + size > records.size
+        return cursor[4] == len(rows) or cursor[5] == len(heads) or more
 
     for e, (t, i, end, good, same) in enumerate(zip(*given[:5], strict=True)):
         if e < cursor[0]:
@@ -1421,11 +1440,6 @@ def stretch(
             return 1
         if undone.size and same and watched[i, 0] >= 9 and watched[i, 2] - watched[i, 1] >= 10.0:
             return 1
-        more = 2 + (end - cursor[1]) // int(every)
-        if cursor[4] + more > len(rows) or cursor[5] + more > len(heads):
-            return 4
-        if records.size and cursor[6] + more * plan[-1, 26] > records.size:
-            return 4
         if end > cursor[1] >= cursor[7]:
             found = stamps_to_steps(samples[cursor[1] : end], now[2], limits, gap, doubt)
             if found < 0:
@@ -1433,6 +1447,8 @@ def stretch(
             cursor[3] += found
             cursor[7] = end
         for k in range(cursor[1], end):
+            if full(m * m):
+                return 4
             if len(w):
                 look(samples[k : k + 1], w, sd, ends, period, increments)
             at(plan[-1, 7])(nav, x[: m - 9], drv, samples[k : k + 1], Phid, Qd, Cr, acc)
@@ -1449,6 +1465,8 @@ def stretch(
                     carry(undone, acc[:m])
                 fold(P, acc, nav, None)
                 row()
+            elif each:
+                row()
             if felt and drv[23] >= felt:
                 return 5
             if len(w) and w[6, 1]:
@@ -1457,6 +1475,8 @@ def stretch(
                 if w[6, 0] * period >= 1.0:
                     pull = gravity(nav[0], nav[2])
                     w[6, 0], w[6, 4], w[6, 5:8], w[6, 8] = 0.0, P[6, 6] + P[7, 7] < 0.01, -pull * nav[12:15], pull
+        if full(plan[-1, 26]):
+            return 4
         early, wait = t - now[0], heard[i, 5]
         if t <= heard[i, 0] or early < -1.001 * period or t - wait - now[1] > ahead:
             return 2

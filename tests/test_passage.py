@@ -5,6 +5,8 @@ from dataclasses import replace
 import naive
 import numpy as np
 import pytest
+from feeding import events_of
+from feeding import one_by_one as feed_one_by_one
 from kernel_inputs import assert_close
 
 import navfilter as nf
@@ -149,7 +151,49 @@ def test_what_python_has_to_be_asked_about_goes_one_by_one(monkeypatch):
     assert not calls
 
 
-def compare_stretches(monkeypatch, vehicle, mission):
+@pytest.mark.parametrize("defects", [False, True])
+def test_a_row_per_sample_is_what_the_vehicle_knew_then(defects, monkeypatch):
+    """In stretches, reading by reading and live, to the last bit; the rows at readings are those of any other rate."""
+    vehicle, mission = survey(20.0)
+    if defects:
+        mission = with_defects(survey(60.0)[1]).between(0.0, 50.0)
+    monkeypatch.setattr(passage, "ROWS", 40)
+    monkeypatch.setattr(passage, "ELEMENTS", 40 * 200)
+    track, at_readings = (nf.replay(vehicle, mission, output_rate_hz=rate) for rate in (None, np.inf))
+    assert np.isin(mission.streams["imu"].time_s, track.time_s).all() and (np.diff(track.time_s) > 0.0).all()
+    assert_same(track.keep(np.isin(track.time_s, at_readings.time_s)), at_readings)
+    one_by_one(monkeypatch)
+    assert_same(track, nf.replay(vehicle, mission, output_rate_hz=None))
+    if defects:
+        return
+    nav, states = nf.Navigator(vehicle, mission.start), {}
+    for event in events_of(vehicle, mission):
+        feed_one_by_one(nav, [event])
+        states[nav.time_s] = nav.state, nav.filter.present[81:]
+        np.testing.assert_array_equal(nav.covariance, nav.state.covariance)
+    assert states.keys() == set(track.time_s)
+    for i, time_s in enumerate(track.time_s):
+        state, variance = states[time_s]
+        place = track.latitude[i], track.longitude[i], track.height[i]
+        assert place == (state.latitude, state.longitude, state.height)
+        np.testing.assert_array_equal(track.velocity_n[i], state.velocity_n)
+        np.testing.assert_array_equal(track.covariance[i], state.covariance)
+        np.testing.assert_array_equal(track.states_sd[i], np.sqrt(variance))
+
+
+@pytest.mark.parametrize("smooth", [False, True])
+def test_a_silence_of_all_sensors_longer_than_the_room_for_rows(smooth, monkeypatch):
+    monkeypatch.setattr(passage, "ROWS", 8)
+    monkeypatch.setattr(passage, "ELEMENTS", 1)
+    vehicle, mission = survey(30.0)
+    for name in vehicle.sensors:
+        mission = mission.hide(name, (2.0, 27.0))
+    together = nf.replay(vehicle, mission, smooth=smooth)
+    one_by_one(monkeypatch)
+    assert_same(together, nf.replay(vehicle, mission, smooth=smooth))
+
+
+def compare_stretches(monkeypatch, vehicle, mission, **how):
     """A replay in which every call of `stretch` is held against that of its twin; why the calls ended."""
     ours, compared, reasons = kernels.stretch, [], set()
 
@@ -176,7 +220,7 @@ def compare_stretches(monkeypatch, vehicle, mission):
 
     monkeypatch.setattr(passage, "READINGS", 20)
     monkeypatch.setattr(kernels, "stretch", both)
-    nf.replay(vehicle, mission, smooth=True)
+    nf.replay(vehicle, mission, **({"smooth": True} | how))
     assert len(compared) > 1
     return reasons
 
@@ -189,6 +233,11 @@ def test_stretch_is_its_twin(learning, monkeypatch):
         monkeypatch.setattr(LearningSchedule, "EARLY_S", ())
         monkeypatch.setattr(LearningSchedule, "REVISED_S", 1.0)
     assert (kernels.LEARN in compare_stretches(monkeypatch, vehicle, mission)) == learning
+
+
+def test_stretch_with_a_row_per_sample_is_its_twin(monkeypatch):
+    vehicle, mission = survey(5.0)
+    compare_stretches(monkeypatch, vehicle, mission, smooth=False, output_rate_hz=None)
 
 
 def test_correction_is_its_twin_for_every_kind(monkeypatch):

@@ -14,7 +14,7 @@ from navfilter.error_models import CORRELATION_CONSTANTS, GaussMarkov
 from navfilter.learning.drift import Drift
 from navfilter.learning.likelihood import Likelihood, maximise
 from navfilter.learning.posterior import SlowPosterior, follow, slow_psd
-from navfilter.learning.slow import SlowNode, SlowPrior, _slow, slow_prior
+from navfilter.learning.slow import SlowNode, SlowPrior, slow_chains, slow_prior
 from navfilter.learning.spectrum import Spectrum, log_spread
 
 PERIOD_S = 0.5
@@ -29,7 +29,7 @@ PRIOR = SlowPrior(0.5, 40.0, 300.0)
 @pytest.mark.parametrize("tau_s", [0.3, 5.0, 60.0, 4e3, 1e6])
 def test_the_slow_states_are_a_gauss_markov_process(order, tau_s):
     """The covariance function is that of the block of the filter, and the start is stationary."""
-    Phi, Q, P0 = _slow(SlowNode(order, 0.7, tau_s), PERIOD_S)
+    Phi, Q, P0 = slow_chains(order, np.array([0.7]), np.array([tau_s]), PERIOD_S)[0]
     block, moved = GaussMarkov(0.7, tau_s, order).block(PERIOD_S), np.eye(order)
     other = np.eye(order)
     for _ in range(40):
@@ -43,13 +43,13 @@ def test_the_slow_states_are_a_gauss_markov_process(order, tau_s):
 @pytest.mark.parametrize("order", [1, 2])
 def test_noise_of_a_very_slow_part_is_no_rounding(order):
     """Against the integral of the driving noise by quadrature."""
-    node = SlowNode(order, 1.0, 1e6)
-    beta = CORRELATION_CONSTANTS[order] / node.tau_s
+    beta = CORRELATION_CONSTANTS[order] / 1e6
     at, weight = np.polynomial.legendre.leggauss(12)
     s, weight = 0.5 * PERIOD_S * (at + 1.0), 0.5 * PERIOD_S * weight
     way = np.exp(-beta * s) * (np.stack([beta * s, np.ones_like(s)]) if order == 2 else np.ones((1, s.size)))
     density = 4.0 * beta if order == 2 else 2.0 * beta
-    np.testing.assert_allclose(_slow(node, PERIOD_S)[1], density * (way * weight) @ way.T, rtol=1e-12)
+    (Q,) = slow_chains(order, np.ones(1), np.array([1e6]), PERIOD_S)[:, 1]
+    np.testing.assert_allclose(Q, density * (way * weight) @ way.T, rtol=1e-12)
 
 
 def test_psd_is_the_transform_of_the_covariance():
@@ -104,7 +104,6 @@ def test_a_likelihood_with_a_slow_part_is_the_dense_gaussian(node, ar, ma, drift
     random = np.random.default_rng(8)
     y, n, d = walk_with_gaps(random), 70, drift.order
     likelihood = Likelihood(y, drift, 0.04, PRIOR, clip=1e9)
-    likelihood.rules[-1] = 0.0  # every tick by itself
     theta = np.r_[ar, ma, math.log(0.6) + likelihood.log_unit, math.log(node.sd) + likelihood.log_unit]
     V = ArmaModel(ar, ma, 0.6).autocovariance(n)[lags(n)] + 0.04 * np.eye(n) + covariance(node, n, PERIOD_S)
     if d:  # what enters at a tick reaches all from the next on, as level and as rate
@@ -124,31 +123,27 @@ def test_a_likelihood_with_a_slow_part_is_the_dense_gaussian(node, ar, ma, drift
 def test_point_is_the_slope_of_what_is_minimised():
     y = noisy(800, 3)
     likelihood = Likelihood(y, DRIFT, 0.0, PRIOR)
-    likelihood.rules[-1] = 0.0  # with interpolated gains, a step changes where they are interpolated
     for slow in (1, 2):
         theta = np.r_[-0.5, 0.1, -0.3, -0.7, math.log(50.0)]
         point = likelihood.point(theta, 1, slow)
         for k in range(5):
             step = 1e-4 * np.eye(5)[k]
-            ends = [likelihood.penalised(theta + sign * step, 1, slow) for sign in (1.0, -1.0)]
+            ends = likelihood.penalised([theta + step, theta - step], 1, slow)
             assert point.gradient[k] == pytest.approx((ends[0] - ends[1]) / 2e-4, rel=1e-3, abs=2e-3)
 
 
 def test_parts_of_a_likelihood_add_up():
     likelihood = Likelihood(noisy(500, 4), DRIFT, 0.0, PRIOR)
-    likelihood.rules[4] = 0.0  # every tick by itself: rounding may decide where the gain is interpolated
     theta = np.r_[-0.5, 0.0, -0.7, math.log(50.0)]
     whole, z = likelihood.value(theta, 1, 1), likelihood.innovations
     assert np.isfinite(z).sum() == likelihood.n
 
     def since(first):
-        place = np.array([theta[2] - likelihood.log_unit])
-        return float(likelihood.line(theta[:2], 1, 1, theta[3], place, first)[0])
+        return float(likelihood.lines(theta[:2], 1, 1, theta[3:], theta[2:3] - likelihood.log_unit, first)[0])
 
     assert since(0) == pytest.approx(whole, rel=1e-12)
     assert since(1) == since(0)  # the first does not count: it fixes the diffuse level
     early = Likelihood(noisy(500, 4)[:200], DRIFT, 0.0, PRIOR)
-    early.rules[4] = 0.0
     early_theta = theta + np.r_[0.0, 1.0, 1.0, 0.0] * (early.log_unit - likelihood.log_unit)
     before = early.value(early_theta, 1, 1) + early.n * (likelihood.log_unit - early.log_unit)
     assert since(200) == pytest.approx(whole - before, rel=1e-9)

@@ -15,7 +15,7 @@ from navfilter.error_models import ErrorModel, GaussMarkov, RandomWalk, Sum, Whi
 from navfilter.filter.layout import Layout
 from navfilter.learning.learned import LearnedArma
 from navfilter.mechanisation import Mechanisation
-from navfilter.sensors import Depth, Sensor
+from navfilter.sensors import Sensor
 from navfilter.sensors.traits import Plausible
 
 if TYPE_CHECKING:
@@ -120,7 +120,7 @@ def _surface_findings(vehicle: Vehicle) -> Iterator[Finding]:
     surface = next((n for n, s in vehicle.sensors.items() if getattr(s, "antenna_height_m", None) is not None), None)
     for name, sensor in vehicle.sensors.items():
         slow = any(model.block(1.0).size for model in sensor.models)
-        if surface is None or not isinstance(sensor, Depth) or slow or sensor.offset_sd_m:
+        if surface is None or not hasattr(sensor, "surface_height_m") or slow or getattr(sensor, "offset_sd_m", False):
             continue
         text = f"{surface} says that the antenna is above water, and {name} has no offset that this could tell."
         cure = "Set offset_sd_m, or a slow part of its error: else good fixes are refused where the two contradict."

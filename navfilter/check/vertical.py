@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,7 +14,6 @@ from navfilter.check.finding import Finding
 from navfilter.check.series import factors, integral, vector, window_edges
 from navfilter.constants import ROUND_GRAVITY
 from navfilter.mission import Array, Mission, Stream
-from navfilter.sensors import Depth, Position
 
 if TYPE_CHECKING:
     from navfilter.vehicle import Vehicle
@@ -44,15 +43,16 @@ def depth_sign_findings(name: str, stream: Stream) -> Iterator[Finding]:
 
 def surfacing_findings(mission: Mission, vehicle: Vehicle) -> Iterator[Finding]:
     """Depth gauges that do not read what they should where fixes say that the vehicle is at the surface."""
-    for name, sensor in vehicle.sensors.items():
-        if not isinstance(sensor, Depth) or name not in mission.streams:
+    heard: list[tuple[str, Any]] = [(n, s) for n, s in vehicle.sensors.items() if n in mission.streams]
+    for name, sensor in heard:
+        if not hasattr(sensor, "surface_height_m"):
             continue
         readings, good = sensor.read_all(mission.streams[name].value)
         if np.count_nonzero(good) < 10:
             continue
         time_s, depth_m = mission.streams[name].time_s[good], readings[good, 0]
-        for fixes, receiver in vehicle.sensors.items():
-            if not isinstance(receiver, Position) or fixes not in mission.streams:
+        for fixes, receiver in heard:
+            if not hasattr(receiver, "antenna_height_m"):
                 continue
             at_s = mission.streams[fixes].time_s[receiver.read_all(mission.streams[fixes].value)[1]]
             up_m = receiver.antenna_height_m

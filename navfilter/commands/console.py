@@ -26,6 +26,7 @@ __all__ = [
     "output_folder",
     "positive",
     "read",
+    "row_rate",
     "seed",
     "speaker",
     "unpacked_bytes",
@@ -41,6 +42,11 @@ def positive(text: str) -> float:
     if not (math.isfinite(value) and value > 0):
         raise argparse.ArgumentTypeError(f"must be a number > 0, found '{text}'")
     return value
+
+
+def row_rate(text: str) -> float | None:
+    """Argument type: rows per second, or ``all``: None, one per sample of the drive."""
+    return None if text == "all" else positive(text)
 
 
 def seed(text: str) -> int:

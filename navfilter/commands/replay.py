@@ -20,6 +20,7 @@ from navfilter.commands.console import (
     output_folder,
     positive,
     read,
+    row_rate,
     seed,
     speaker,
 )
@@ -177,10 +178,10 @@ def add_replay_arguments(parser: argparse.ArgumentParser) -> None:
     selection.add_arguments(parser)
     parser.add_argument(
         "--output-rate",
-        type=positive,
+        type=row_rate,
         default=5.0,
         metavar="HZ",
-        help="rows of the track per second (default: %(default)s)",
+        help="rows of the track per second; all: one at every sample of the drive (default: %(default)s)",
     )
     parser.add_argument(
         "--workers",

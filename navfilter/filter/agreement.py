@@ -17,6 +17,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from navfilter.filter import aside
 from navfilter.filter.channel import Channel
 from navfilter.filter.integrity import CONFIRMED_S
 from navfilter.filter.offsets import offset_states
@@ -142,15 +143,16 @@ def _reckoned(kind: int, P: Array, speed: float, dt: float, drive_output: Array,
     return float((np.diag(P)[3:6].max() + speed**2 * P[8, 8]) * dt**2)
 
 
-def limits(channel: Channel) -> Array:
+def limits(channel: Channel, z: Array) -> Array:
     """The gate's limits for the next reading: closer while it is looked at whether the sensor has jumped, and while it
-    is astray; shut to one that is stale.
+    is astray; shut to one that is stale, or of a sensor that has been set aside.
     """
     refused, closer = channel.memory.refused, channel.limits.copy()
     held = refused is not None and refused.jumped and refused.count > 1 and not refused.scatters
     if held or channel.memory.astray:
         closer[1 : 1 + channel.axes] *= HELD
-    if channel.stale:
+    kept = channel.memory.aside
+    if channel.stale or (kept is not None and not aside.unchanged(kept, z)):
         closer[0], closer[1 : 1 + channel.axes] = np.inf, -1.0
     return closer
 
@@ -212,19 +214,25 @@ def offset_places(channel: Channel) -> NDArray[np.int64]:
     return channel.group.start + offset_states(channel.sensor.models, channel.period_s)
 
 
-def is_back(channel: Channel, x: Array, P: Array) -> bool:
+def constants(channel: Channel, x: Array) -> Array:
+    """By how much a sensor that has jumped is off, as estimated, shape (axes,); x: (n - 9,) error states."""
+    states = offset_states(channel.sensor.models, channel.period_s)
+    return np.asarray(channel.C[:, states] @ x[channel.group.start - 9 + states])
+
+
+def is_back(channel: Channel, constant: Array, P: Array) -> bool:
     """Whether a reading that is refused beside the constants of its sensor agrees with the state without them.
 
     Parameters
     ----------
     channel : Channel
         As its refused reading left it.
-    x, P : ndarray
-        Error states and covariance.
+    constant : ndarray, shape (axes,)
+        By how much it is off by those.
+    P : ndarray, shape (n, n)
+        Covariance.
     """
-    states, near = offset_states(channel.sensor.models, channel.period_s), channel.near[:, :9]
-    constant = channel.C[:, states] @ x[channel.group.start - 9 + states]
-    plain = channel.res + constant
+    near, plain = channel.near[:, :9], channel.res + constant
     if channel.sensor.open_loop == listen.HEADING:
         plain = (plain + np.pi) % (2.0 * np.pi) - np.pi
     seen = np.einsum("ij,jk,ik->i", near, P[:9, :9], near)

@@ -46,7 +46,7 @@ def shared(
     n, m = folds[1], folds[2]
     own = [channel.bench for channel in channels]
     begins = np.cumsum([0, *(part.size for part in own)])
-    bench = np.concatenate([*own, np.zeros(m * m + m * n)])
+    bench = np.concatenate([*own, np.zeros(m * m + max(m * n, 9 * (n + m + 9)))])
     last = np.zeros(stretch.PLAN, np.int64)
     last[: len(folds)], last[stretch.MEM] = folds, begins[-1]
     last[stretch.RECORD] = max([m * m, *(channel.record_size for channel in channels)])

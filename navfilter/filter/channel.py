@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.stats import chi2
 
+from navfilter.filter import aside
+from navfilter.filter.aside import Aside
 from navfilter.filter.belief import believed
 from navfilter.filter.course import Course
 from navfilter.filter.layout import Group, Layout
@@ -23,7 +25,7 @@ from navfilter.kernels.addresses import address
 from navfilter.sensors import Sensor
 from navfilter.start import Start
 
-__all__ = ["Channel", "ChannelMemory", "Course", "Refusals", "usable"]
+__all__ = ["Aside", "Channel", "ChannelMemory", "Course", "Refusals", "usable"]
 
 Array = NDArray[np.float64]
 #: More than this share of a reading's components must agree, or it is rejected whole.
@@ -60,6 +62,8 @@ class ChannelMemory:
     astray_m : float
         Its slow error came to be beyond belief, and no reading has agreed with the state since: the way made in the
         periods of those that were heard; NaN where it is not so [m].
+    aside : Aside or None
+        Of a velocity that has jumped by about itself.
     alone : tuple of float
         Of a compass to which the heading was set against what was believed before, until something else confirms that:
         by what angle [rad], latitude and longitude then [rad].
@@ -78,6 +82,7 @@ class ChannelMemory:
     ramp: tuple[float, ...] = ()
     disputed_s: float = -math.inf
     astray_m: float = math.nan
+    aside: Aside | None = None
     alone: tuple[float, ...] = ()
     same_s: float = math.nan
     again_s: float = math.nan
@@ -117,6 +122,7 @@ class Channel:
         # kernels of a user's own are asked by Python: what they raise is to be seen
         self.known = self.kernel.__module__ == measurement.__name__ and self.constants.ndim == 1
         self.moves, self.turns = sensor.sees_velocity, sensor.needs_rate or any(sensor.lever_arm_sd_m)
+        self.reading = np.full(sensor.axes, np.nan)  # the last one that Python was asked for
         self.samples = 1  # of the drive, of which a reading is the mean
         self.forget()
 
@@ -216,6 +222,14 @@ class Channel:
             self.lever[:] = self.sensor.lever_arm_covariance(variance)
             self.white[:] = np.diag(self.group.r) + self.lever
 
+    def variances(self, z: Array, sd: ArrayLike | None) -> Array:
+        """White variances of a reading, where they are not those of the error model: then none."""
+        self.reading = z
+        own = np.zeros(0) if sd is None else np.resize(np.square(np.ravel(sd)), self.axes)
+        if self._memory.aside is None:
+            return own
+        return aside.variances(self._memory.aside, z, own if own.size else self.group.r)
+
     def without_errors(self, z: Array, outputs: Array, errors: Array) -> Array:
         """A reading of the drive's first three values without the drive's errors, of whose states it depends."""
         self.into[0][:] = outputs[:3]
@@ -246,6 +260,11 @@ class Channel:
         """Whether its next reading is Python's to judge."""
         memory = self._memory
         return memory.refused is not None or self.offset or memory.astray or bool(memory.alone)
+
+    @property
+    def aside(self) -> bool:
+        """Whether it has jumped by about the velocity itself, see `navfilter.filter.aside`."""
+        return self._memory.aside is not None
 
     @property
     def condition(self) -> str:

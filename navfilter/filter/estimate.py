@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from navfilter.filter.filter_memory import FilterMemory
 from navfilter.filter.layout import Layout
+from navfilter.kernels import kalman
 from navfilter.state import NavState
 
 __all__ = ["Estimate"]
@@ -55,10 +56,15 @@ class Estimate:
     @property
     def state(self) -> NavState:
         """The state with its covariance, now; a copy."""
-        memory, m = self.memory, self.layout.head
-        P, Phi, Q = memory.P[:m, :m], memory.acc[:9], memory.acc[m : m + 9, :9]
-        covariance = Phi @ P @ Phi.T + Q
-        return NavState.unpack(memory.time_s, memory.nav, 0.5 * (covariance + covariance.T))
+        return NavState.unpack(self.memory.time_s, self.memory.nav, self.present[:81].reshape(9, 9))
+
+    @property
+    def present(self) -> Array:
+        """Covariance of navigation (81 elements), then the variances of all other states, now; shape (72 + n,)."""
+        memory, n = self.memory, self.layout.size
+        out = np.empty(72 + n)
+        kalman.present(memory.P, memory.acc, np.empty(9 * (n + self.layout.head + 9)), out)
+        return out
 
     @property
     def errors(self) -> dict[str, float]:

@@ -32,7 +32,6 @@ __all__ = ["Filter"]
 
 Array = NDArray[np.float64]
 CODES = {name: code for code, name in enumerate(OUTCOMES)}
-NO_SD = np.zeros(0)
 
 
 class Filter(Estimate):
@@ -218,11 +217,12 @@ class Filter(Estimate):
     def _carry(self, samples: Array, stamps: Array, tell: Listening, room: Callable[[], int] | None) -> None:
         """Carry the state over samples, or over rows that stand in for those that are missing."""
         memory, begin, total = self.memory, 0, len(samples)
-        whole = total <= self.fold_every - memory.unfolded and not (self._rest or room)
+        each = self.tape is not None and self.tape.each_sample
+        whole = total <= self.fold_every - memory.unfolded and not (self._rest or room or each)
         missing = self.inertial and total > 0 and math.isnan(samples[0, 1])
         before_s, position = memory.time_s, np.diag(memory.P)[:3].copy()
         while begin < total:
-            end = total if whole else min(total, begin + self._room(room))
+            end = total if whole else min(total, begin + (1 if each else self._room(room)))
             if missing:
                 self.watch.stand_in(samples[begin:end], memory)
                 self.weigh()
@@ -236,6 +236,8 @@ class Filter(Estimate):
             memory.time_s = memory.sample_s = memory.intake.before_s = float(stamps[end - 1])
             if memory.unfolded >= self.fold_every:
                 tell(self._fold())
+            elif each:
+                self._row()
             self.feel(tell)
             if room is not None:
                 tell(Passed(block[:1] if missing else block))
@@ -282,7 +284,8 @@ class Filter(Estimate):
     def _row(self) -> None:
         if self.tape is not None:
             memory = self.memory
-            self.tape.row(memory.time_s, memory.nav, memory.x, memory.P)
+            present = self.present if memory.unfolded else None
+            self.tape.row(memory.time_s, memory.nav, memory.x, memory.P, present)
 
     # ---------------------------------------------------------------- correction
     def correct(
@@ -342,8 +345,8 @@ class Filter(Estimate):
 
     def _update(self, channel: Channel, time_s: float, z: Array, sd: ArrayLike | None, frozen: bool) -> Correction:
         memory = self.memory
-        own = NO_SD if sd is None else np.resize(np.square(np.ravel(sd)), channel.axes)
-        channel.gate[:] = agreement.limits(channel) if channel.stale or channel.doubted else channel.limits
+        own = channel.variances(z, sd)
+        channel.gate[:] = agreement.limits(channel, z) if channel.stale or channel.doubted else channel.limits
         if channel.spot[stretch.EQUATION]:
             stretch.correction(
                 *(self.bench, channel.spot, memory.P, memory.nav, memory.x, memory.acc, memory.drv, self.drive_output),

@@ -44,7 +44,7 @@ def state_contradicted(channels: Collection[Channel], time_s: float) -> bool:
     for other in channels:
         memory, sensor = other.memory, other.sensor
         heard = time_s - memory.last_s < max(HEARD_S, HEARD_PERIODS * other.period_s)
-        if heard and time_s - memory.rejected_since_s > 0.5 * sensor.gate_timeout_s:
+        if heard and not other.aside and time_s - memory.rejected_since_s > 0.5 * sensor.gate_timeout_s:
             against += 1
         elif heard and math.isnan(memory.rejected_since_s) and sensor.confirms_state:
             return False

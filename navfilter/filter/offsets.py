@@ -31,7 +31,7 @@ class Offset(RandomWalk):
     Parameters
     ----------
     density : float
-        0: it does not wander.
+        0: it does not wander [unit/sqrt(s)].
     start_sd : float
         Standard deviation when it is put in force [unit].
     """
@@ -90,9 +90,11 @@ def _places(models: tuple[ErrorModel, ...], period_s: float) -> Iterator[tuple[i
             at += part.block(period_s).size
 
 
-def with_offsets(models: tuple[ErrorModel, ...], size: float = 0.0, at_m_s: float = 0.0) -> tuple[ErrorModel, ...]:
-    """Error models with an `Offset` of this standard deviation each, and beside it a `Proportion` at a speed; without
-    any where the size is 0.
+def with_offsets(
+    models: tuple[ErrorModel, ...], size: float = 0.0, at_m_s: float = 0.0, density: float = 0.0
+) -> tuple[ErrorModel, ...]:
+    """Error models with an `Offset` of this standard deviation each, which wanders with a density, and beside it a
+    `Proportion` at a speed; without any where the size is 0.
 
     Examples
     --------
@@ -103,7 +105,7 @@ def with_offsets(models: tuple[ErrorModel, ...], size: float = 0.0, at_m_s: floa
     plain = tuple(_plain(model) for model in models)
     if not size:
         return plain
-    opened = tuple(model + Offset(start_sd=size) for model in plain)
+    opened = tuple(model + Offset(density=density, start_sd=size) for model in plain)
     return tuple(model + Proportion(start_sd=size, at_m_s=at_m_s) for model in opened) if at_m_s else opened
 
 

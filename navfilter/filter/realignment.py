@@ -120,7 +120,7 @@ def set_anew(filter: Filter, tell: Listening) -> None:
         N[range(3, 6), range(3, 6)] = VELOCITY_SD**2 + float(velocity @ velocity) * min(attitude, 1.0)
         N[:3, :3] = np.outer(off, off) * since_s**2
         for channel in filter.channels.values():
-            if channel.moves:
+            if channel.moves and not channel.aside:
                 channel.memory.rejected_since_s, channel.memory.refused = math.nan, None
     memory.drv[strapdown.COUNT : strapdown.SQUARES + 6] = 0.0  # a mean over what was replaced shows no rest
     memory.counts["realigned"] += 1
@@ -185,7 +185,8 @@ def _refused_velocity(filter: Filter) -> tuple[Array, float] | None:
     """By how much the velocity in n is off, as a sensor says whose readings are refused, and for how long [s]."""
     for channel in filter.channels.values():
         memory, now_s = channel.memory, filter.memory.time_s
-        if channel.moves and now_s - memory.last_s < HEARD_S and not math.isnan(memory.rejected_since_s):
+        refused = channel.moves and not channel.aside and not math.isnan(memory.rejected_since_s)
+        if refused and now_s - memory.last_s < HEARD_S:
             residual = channel.note[3 : 3 + channel.axes]
             seen = np.isfinite(residual)
             N = channel.near[seen, 3:6]

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.filter import agreement, gating, ramp, realignment
+from navfilter.filter import agreement, aside, gating, ramp, realignment
 from navfilter.filter.adoption import Change
 from navfilter.filter.belief import beyond_belief, excused, pulled
 from navfilter.filter.channel import Channel
@@ -54,7 +54,7 @@ def let_in(filter: Filter, channel: Channel, time_s: float, nis: float, dof: int
     if frozen:
         kept.refused = None
         return False
-    if channel.moves:
+    if channel.moves and not channel.aside:
         filter.accused = ramp.accused(filter, channel, time_s)
         if filter.accused is not None:
             return False
@@ -80,7 +80,7 @@ def let_in(filter: Filter, channel: Channel, time_s: float, nis: float, dof: int
         memory.counts["opened"] += 1
         return False
     if channel.offset:
-        if time_s - kept.rejected_since_s >= channel.sensor.gate_timeout_s:
+        if not channel.aside and time_s - kept.rejected_since_s >= channel.sensor.gate_timeout_s:
             _jumped(filter, channel, time_s)
         return False
     added = gating.widening(P, channel, time_s, nis, dof)
@@ -99,15 +99,17 @@ def _agreed(filter: Filter, channel: Channel, time_s: float) -> bool:
     memory, kept = filter.memory, channel.memory
     speed = math.sqrt(float(memory.nav[3:6] @ memory.nav[3:6]))
     drive = filter.drive_output, filter.vehicle.drive.period_s
-    course = None if kept.refused is None else kept.refused.course
+    course, back = (None, 0) if kept.refused is None else (kept.refused.course, kept.refused.back)
     kept.refused = refused = agreement.heard(channel, memory.P, speed, time_s, *drive)
     if channel.sensor.open_loop == listen.POSITION and channel.axes == 3:
         kept.refused = refused = replace(refused, course=_made(course, channel, time_s, memory.nav))
         if _heading_outvoted(filter, channel, refused, time_s):
             return False
     if channel.offset:
-        back = refused.back + 1 if agreement.is_back(channel, memory.x, memory.P) else 0
+        back = back + 1 if _is_back(filter, channel) else 0
         kept.refused = refused = replace(refused, back=back)
+        if channel.aside and back < LEAST:
+            return False
     wrong = agreement.decided(channel)
     if wrong == "sensor" or refused.back >= LEAST:
         _jumped(filter, channel, time_s)
@@ -127,6 +129,15 @@ def _agreed(filter: Filter, channel: Channel, time_s: float) -> bool:
         return False
     _update(filter, channel, time_s)
     return True
+
+
+def _is_back(filter: Filter, channel: Channel) -> bool:
+    """Whether a reading beside the constants of its sensor agrees with the state without them."""
+    memory, kept = filter.memory, channel.memory.aside
+    constant = agreement.constants(channel, memory.x)
+    if kept is not None and not aside.shows_itself(kept, math.hypot(*memory.nav[3:6].tolist()), channel.res + constant):
+        return False
+    return agreement.is_back(channel, constant, memory.P)
 
 
 def _made(course: Course | None, fixes: Channel, time_s: float, nav: Array) -> Course | None:
@@ -180,13 +191,20 @@ def take_up(filter: Filter, tell: Callable[[Event], None]) -> None:
 
 
 def _jumped(filter: Filter, channel: Channel, time_s: float) -> None:
-    """Give a sensor constants of the size of its jump; open those that it has, or take them where it is back."""
+    """Give a sensor constants of the size of its jump; open those that it has, or take them where it is back. Of a
+    velocity that has jumped by about itself only what reads the same is used from now on.
+    """
     memory, kept = filter.memory, channel.memory
     refused = kept.refused
     assert refused is not None
     size = float(np.nanmax(np.abs(refused.offset), initial=0.0))
     models, places = channel.sensor.models, agreement.offset_places(channel)
-    if refused.back >= LEAST or not len(places):
+    kept.aside = None if refused.back >= LEAST else aside.jumped(filter, channel, np.array(refused.offset))
+    if kept.aside is not None:
+        memory.P[places, places] += size**2
+        opened = with_offsets(models, size, density=kept.aside.density)
+        filter.jumped.append(Change(channel.name, opened, offsets=True))
+    elif refused.back >= LEAST or not len(places):
         back, speed = len(places) > 0, math.hypot(*memory.nav[3:6].tolist())
         moving = channel.sensor.open_loop == listen.VELOCITY and speed > SLOW
         opened = with_offsets(models, 0.0 if back else size, speed if moving else 0.0)

@@ -87,6 +87,8 @@ class Spool:
 
     def drop(self) -> None:
         """Forget the last vector."""
+        if self._places[-3] == len(self._chunks) - 1:
+            self._end = self._places[-2]
         del self._places[-3:]
 
     def _spill(self) -> None:
@@ -224,12 +226,18 @@ class Tape:
     Parameters
     ----------
     output_rate_hz : float or None
-        At most so many track rows per second of mission; None keeps one at every record.
+        At most so many track rows per second of mission, each at a reading or a fold; infinite: at all of them. None:
+        at every sample of the drive, too, unless it is to be smoothed.
     smoothable : bool
         Keep the records that `navfilter.filter.smoother.smooth_rows` needs; without them only the track and the
         residuals remain.
     memory_bytes : int
         In memory at most, of records and of rows each; the rest is spooled to a temporary file.
+
+    Attributes
+    ----------
+    each_sample : bool
+        There is a row at every sample of the drive.
     """
 
     def __init__(
@@ -237,6 +245,7 @@ class Tape:
     ) -> None:
         self.interval_s = 0.0 if output_rate_hz is None else 1.0 / output_rate_hz - 1e-9
         self.smoothable, self._memory_bytes = smoothable, memory_bytes
+        self.each_sample = output_rate_hz is None and not smoothable
         self.begin(None)
 
     def begin(self, layout: Any) -> None:
@@ -289,11 +298,12 @@ class Tape:
         """
         return np.array(self._heads, dtype=np.int64).reshape(-1, 4)
 
-    def row(self, time_s: float, nav: Array, x: Array, P: Array) -> None:
+    def row(self, time_s: float, nav: Array, x: Array, P: Array, present: Array | None = None) -> None:
         """Note the state at this time; the last note of a time stands, and times closer than the output interval are
         skipped.
 
-        The whole covariance is kept only where the smoother needs it.
+        The whole covariance is kept only where the smoother needs it; elsewhere `present`, where samples have not been
+        folded into P yet (`Estimate.present`).
         """
         size = 17 + x.size + (P.size if self.smoothable else 81 + x.size)
         if self.row_times and time_s == self.row_times[-1]:
@@ -313,6 +323,8 @@ class Tape:
         out[17 : 17 + x.size] = x
         if self.smoothable:
             out[17 + x.size :] = P.reshape(-1)
+        elif present is not None:
+            out[17 + x.size :] = present
         else:
             out[17 + x.size : 98 + x.size] = P[:9, :9].reshape(-1)
             out[98 + x.size :] = P.diagonal()[9:]

@@ -21,6 +21,49 @@ def _product(A, B, out):
 
 
 @njit(cache=True, **UNCOUNTED)
+def _navigation(P, acc, T, A, head):
+    """Phi P Phi' of the nine of navigation into head (9, 9), before it is made symmetric. T (9, n) holds Phi P then; A
+    (m, 9): work.
+    """
+    m = acc.shape[1]
+    _product(acc[:9], P[:m], T)
+    for i in range(9):
+        for j in range(m):
+            A[j, i] = T[i, j]
+    _product(acc[:9], A, head)
+
+
+@njit(cache=True, **UNCOUNTED)
+def present(P, acc, work, out):
+    """What `fold` would leave in P, without folding: of navigation (the first 81 of out), then the variances of all
+    other states (n - 9). work: 9 (n + m + 9).
+    """
+    m, n = acc.shape[1], P.shape[0]
+    T, A, head = work[: 9 * n].reshape((9, n)), work[9 * n :][: 9 * m].reshape((m, 9)), work[9 * (n + m) :][:81]
+    head = head.reshape((9, 9))
+    _navigation(P, acc, T, A, head)
+    for i in range(9):
+        for j in range(i + 1):
+            s = 0.5 * (head[i, j] + head[j, i] + acc[m + i, j] + acc[m + j, i])
+            out[9 * i + j] = s
+            out[9 * j + i] = s
+    for i in range(9, m):
+        first, last = m, 0
+        for r in range(m):
+            if acc[i, r] != 0.0:
+                first, last = min(first, r), r + 1
+        s = acc[m + i, i]
+        for r in range(first, last):
+            carried = 0.0
+            for k in range(first, last):
+                carried += acc[i, k] * P[k, r]
+            s += carried * acc[i, r]
+        out[72 + i] = s
+    for i in range(m, n):
+        out[72 + i] = P[i, i]
+
+
+@njit(cache=True, **UNCOUNTED)
 def fold(P, acc, nav, T):
     """P <- Phi P Phi' + Q for the leading m states.
 
@@ -32,14 +75,10 @@ def fold(P, acc, nav, T):
     work.
     """
     m, n = acc.shape[1], P.shape[0]
-    _product(acc[:9], P[:m], T[:9])
     # the drive's work areas in acc are free between its steps
     work = acc[2 * m :].reshape(2 * m * m)
     A, head, begins, ends = work[: 9 * m].reshape((m, 9)), work[9 * m :][:81].reshape((9, 9)), work[-2 * m :], work[-m:]
-    for i in range(9):
-        for j in range(m):
-            A[j, i] = T[i, j]
-    _product(acc[:9], A, head)
+    _navigation(P, acc, T[:9], A, head)
     for i in range(9, m):
         first, last = m, 0
         for r in range(m):

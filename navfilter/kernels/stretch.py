@@ -46,8 +46,8 @@ MORE_RECENT = 512
 # Elements of `settings`: period of the drive, how far ahead a reading may be, samples between folds, silence that is a
 # gap, silence that is in doubt, when something is due, interval of the rows; whether samples are increments; from when
 # on it is learnt from readings, and what a tilt turns into acceleration (see `listen`); after how many samples Python
-# feels whether the vehicle rests (0: never).
-PERIOD_S, AHEAD_S, FOLD_EVERY, GAP_S, DOUBT_S, UNTIL_S, INTERVAL_S, INCREMENTS, LEARN_S, GRAVITY, FELT = range(11)
+# feels whether the vehicle rests (0: never); whether every sample gets a row.
+PERIOD_S, AHEAD_S, FOLD_EVERY, GAP_S, DOUBT_S, UNTIL_S, INTERVAL_S, INCREMENTS, LEARN_S, GRAVITY, FELT, EACH = range(12)
 # Columns of `heard`, a row a channel: last reading, last tick, period, whether readings before have been refused, ticks
 # of the last reading, how long readings wait.
 LAST_S, TICKED_S, CHANNEL_PERIOD_S, DOUBTED, TICKS, WAIT_S = range(6)
@@ -152,11 +152,12 @@ def correction(sources):
 @_keyed
 def _note_row(sources):
     @njit(cache=True, **UNCOUNTED)
-    def _note_row(now, cursor, interval_s, nav, x, P, rows, info):
+    def _note_row(now, cursor, interval_s, nav, x, P, acc, rows, info, work):
         """Write the state down as a row: the last note of a time stands, those closer than the interval are skipped.
 
-        rows (r, w): nav, x, then the whole of P or its first nine rows and columns and the rest of its diagonal. info
-        (r, 2): time, and after how many records.
+        rows (r, w): nav, x, then the whole of P or its first nine rows and columns and the rest of its diagonal, as
+        `kalman.present` gives them where samples have not been folded yet. info (r, 2): time, and after how many
+        records.
         """
         _ = sources
         at, n = cursor[ROWS], P.shape[0]
@@ -173,6 +174,8 @@ def _note_row(sources):
             for i in range(n):
                 for j in range(n):
                     row[n + 8 + i * n + j] = P[i, j]
+        elif cursor[UNFOLDED] > 0:
+            kalman.present(P, acc, work, row[n + 8 :])
         else:
             for i in range(9):
                 for j in range(9):
@@ -209,6 +212,19 @@ def _note_record(sources):
         cursor[RECORDS], cursor[WRITTEN] = at + 1, begin + record.size
 
     return _note_record
+
+
+@_keyed
+def _has_room(sources):
+    @njit(cache=True, **UNCOUNTED)
+    def _has_room(cursor, size, rows, records, heads):
+        """Whether there is room for one more row, and for a record of that size."""
+        _ = sources
+        if cursor[ROWS] >= rows.shape[0] or cursor[RECORDS] >= heads.shape[0]:
+            return False
+        return records.size == 0 or cursor[WRITTEN] + size <= records.size
+
+    return _has_room
 
 
 @_keyed
@@ -258,22 +274,25 @@ def _remember(sources):
 def _carried(sources):
     @njit(cache=True, **UNCOUNTED)
     def _carried(now, cursor, settings, spot, P, nav, x, acc, drive, samples, stamps, undone, out, work):
-        """Carry the state over a block of steps (see `strapdown.stamps_to_steps`), folding as often as is due; False
-        where Python has to heed what the watch over the drive has found, or to feel whether the vehicle rests.
+        """Carry the state over a block of steps (see `strapdown.stamps_to_steps`), folding as often as is due; says why
+        it ended: all is `DONE`, the output is `FULL`, or Python has to `HEED` what the watch over the drive has found,
+        or to feel whether the vehicle rests.
 
         stamps: of the same samples; spot: last row of `plan`; drive: memory, Phi, Q and output rows of the drive, its
         last samples (`MORE_RECENT` rows more than are needed), then what the watch remembers, and its standard
         deviations and limits; undone: see `listen`, empty where nobody listens; out: rows, their info, records and
-        their heads; work: a transition (m * m,), then (m, n) for the fold.
+        their heads; work: a transition (m * m,), then for `kalman.fold` and `kalman.present`.
         """
         _ = sources
         m, n = acc.shape[1], P.shape[0]
         drv, Phid, Qd, Cr, recent, w, sd, ends = drive
         rows, info, records, heads = out
         every, begin, total = int(settings[FOLD_EVERY]), 0, samples.shape[0]
-        head, felt = work[: m * m], int(settings[FELT])
+        head, felt, each = work[: m * m], int(settings[FELT]), settings[EACH] != 0.0
         while begin < total:
-            end = min(total, begin + every - cursor[UNFOLDED])
+            if not _has_room(cursor, m * m, rows, records, heads):
+                return FULL
+            end = begin + 1 if each else min(total, begin + every - cursor[UNFOLDED])
             if felt > 0:
                 end = min(end, begin + max(1, felt - int(drv[strapdown.COUNT])))
             if w.shape[0] > 0:
@@ -295,14 +314,16 @@ def _carried(sources):
                 if undone.size > 0:
                     listen.carry(undone, head.reshape((m, m)))
                 _note_record(head, int(0), spot, cursor, records, heads)
-                _note_row(now, cursor, settings[INTERVAL_S], nav, x, P, rows, info)
+                _note_row(now, cursor, settings[INTERVAL_S], nav, x, P, acc, rows, info, work[m * m :])
+            elif each:
+                _note_row(now, cursor, settings[INTERVAL_S], nav, x, P, acc, rows, info, work[m * m :])
             begin = end
             if felt > 0 and drv[strapdown.COUNT] >= felt:
-                return False
+                return HEED
             news = w.shape[0] > 0 and w[drive_watch.UNIT, drive_watch.NEWS] != 0.0
             if news and not _heeded(w, nav, P, settings[PERIOD_S]):
-                return False
-        return True
+                return HEED
+        return DONE
 
     return _carried
 
@@ -398,9 +419,9 @@ def stretch(sources):
         times, which, ends, good, same, values, variances, notes = given
         rows, info, records, heads = out
         undone, ears, places, opened = hearing
-        m, n = acc.shape[1], P.shape[0]
+        m = acc.shape[1]
         period_s, spot = settings[PERIOD_S], plan[plan.shape[0] - 1]
-        work, limit = bench[spot[MEM] : spot[MEM] + m * m + m * n], int(settings[FOLD_EVERY])
+        work = bench[spot[MEM] :]
         for e in range(cursor[READING], times.size):
             cursor[READING] = e
             i, t, begin, end = which[e], times[e], cursor[SAMPLE], ends[e]
@@ -410,11 +431,6 @@ def stretch(sources):
             stuck = seen[SAME] + 1.0 >= STUCK_READINGS and seen[HEARD_S] - seen[SINCE_S] >= STUCK_S
             if undone.size > 0 and same[e] and stuck:
                 return NEXT
-            more = 2 + (end - begin) // limit
-            if cursor[ROWS] + more > rows.shape[0] or cursor[RECORDS] + more > heads.shape[0]:
-                return FULL
-            if records.size > 0 and cursor[WRITTEN] + more * spot[RECORD] > records.size:
-                return FULL
             if end > begin:
                 block, taken = samples[begin:end], stamps[begin:end]
                 if begin >= cursor[STEPPED]:
@@ -423,8 +439,11 @@ def stretch(sources):
                         return NEXT
                     cursor[GAPS] += gaps
                     cursor[STEPPED] = end
-                if not _carried(now, cursor, settings, spot, P, nav, x, acc, drive, block, taken, undone, out, work):
-                    return HEED
+                why = _carried(now, cursor, settings, spot, P, nav, x, acc, drive, block, taken, undone, out, work)
+                if why != DONE:
+                    return why
+            if not _has_room(cursor, spot[RECORD], rows, records, heads):
+                return FULL
             early_s, mine = t - now[TIME_S], heard[i]
             ahead_s = t - mine[WAIT_S] - now[SAMPLE_S]
             if t <= mine[LAST_S] or early_s < -1.001 * period_s or ahead_s > settings[AHEAD_S]:
@@ -448,7 +467,7 @@ def stretch(sources):
             if notes[e, 2] == 0.0:
                 return JUDGED
             _note_record(bench[own[MEM] : own[MEM] + own[RECORD]], a, own, cursor, records, heads)
-            _note_row(now, cursor, settings[INTERVAL_S], nav, x, P, rows, info)
+            _note_row(now, cursor, settings[INTERVAL_S], nav, x, P, acc, rows, info, work)
             _fared(watched[i], t, notes[e, 0], notes[e, 1])
             if undone.size > 0 and _listened(
                 cursor, settings, bench, own, nav, x, Cr, t, count, undone, ears[i], places[i], opened[e]

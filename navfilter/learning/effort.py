@@ -32,8 +32,6 @@ class Effort:
         Passes of each of several starts before the leader goes on alone.
     zero_radius : float
         Largest radius of a zero: one on the circle would never forget its start.
-    gain_tolerance : float
-        Relative change of the gain over which it is interpolated. Measured: the log-likelihood changes by 1e-3 to 1e-1.
     converged : float
         What is left to gain when an estimate counts as converged, in units of log-likelihood: far below its sampling
         error.
@@ -59,7 +57,6 @@ class Effort:
     late_smooth_passes: int = 3
     race_passes: int = 2
     zero_radius: float = 0.9995
-    gain_tolerance: float = 0.14
     converged: float = 1e-3
     small_gain: float = 0.05
     longest_step: float = 1.5

@@ -21,7 +21,7 @@ from navfilter.learning.limits import LEAST, PER_PARAMETER, WILDEST
 from navfilter.learning.posterior import DEAD, Line, SlowPosterior, follow, slow_psd
 from navfilter.learning.slow import SlowPrior
 from navfilter.learning.spectrum import Spectrum, log_spread
-from navfilter.learning.starts import cold_starts, grown_starts, padded_starts, with_slow_part
+from navfilter.learning.starts import cold_starts, grown_starts, padded_starts, with_slow_parts
 from navfilter.learning.unseen import WhiteDescription
 
 __all__ = ["Learner", "LearnerMemory", "Learnt", "memories", "recall"]
@@ -215,7 +215,7 @@ class Learner:
         node = posterior.mode
         fast = likelihood.fast(point.theta, point.slow)
         theta = np.concatenate([fast, [math.log(node.sd) + likelihood.log_unit, math.log(node.tau_s)]])
-        return likelihood.penalised(theta, point.p, node.order) > point.value + EFFORT.contradicted
+        return bool(likelihood.penalised([theta], point.p, node.order)[0] > point.value + EFFORT.contradicted)
 
     def _score(self, point: Point, n: int) -> float:
         """Half of BIC; the slow part is there for every order."""
@@ -238,7 +238,7 @@ class Learner:
                 if p + q <= 2 or not starts:
                     cold = cold_starts(likelihood, p, q)
                     like = min(below.values(), key=lambda point: point.value).theta if below else None
-                    starts += [with_slow_part(likelihood, start, p, 1, like) for start in cold] if slow else cold
+                    starts += with_slow_parts(likelihood, cold, p, 1, like) if slow and cold else cold
                 point = maximise(likelihood, starts, p, EFFORT.first_passes, slow)
             if math.isfinite(point.value) and np.all(np.isfinite(point.info)):
                 fits[order] = point
@@ -267,14 +267,14 @@ class Learner:
         # beside a smooth slow part the fast one is often the smallest; an earlier estimate may be in the wrong optimum
         young = self._memory.heard < self.window // 2
         starts = [
-            (order, with_slow_part(likelihood, likelihood.fast(fits[order].theta, 1), order[0], 2))
+            (order, with_slow_parts(likelihood, [likelihood.fast(fits[order].theta, 1)], order[0], 2)[0])
             for order in ({best, min(fits)} if young or not self._memory.smooth else {min(fits)})
         ]
         for order, known in self._memory.smooth.items():
             moved = known.copy()
             moved[sum(order) : sum(order) + 2] += likelihood.log_unit
             starts.append((order, moved))
-        values = [likelihood.penalised(start, k[0], 2) + 0.5 * sum(k) * math.log(n) for k, start in starts]
+        values = [likelihood.penalised([start], k[0], 2)[0] + 0.5 * sum(k) * math.log(n) for k, start in starts]
         order, start = starts[int(np.argmin(values))]
         point = maximise(likelihood, [start], order[0], EFFORT.smooth_passes if young else EFFORT.late_smooth_passes, 2)
         if not math.isfinite(point.value):

@@ -3,23 +3,28 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
+from itertools import islice
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from navfilter.arma.roots import cap_poles, is_stable, pull_inside, push_from_one, resolved_radius
 from navfilter.kernels import channel as kernel
+from navfilter.kernels.channel import LANES
 from navfilter.learning.drift import Drift
 from navfilter.learning.effort import EFFORT
 from navfilter.learning.limits import CLIP, LONGEST_GAP
-from navfilter.learning.slow import SlowNode, SlowPrior, drift_chain, with_slow
+from navfilter.learning.slow import SlowPrior, drift_chain, slow_chains
 
 __all__ = ["Likelihood", "Point", "maximise"]
 
 Array = NDArray[np.float64]
+
+#: Where innovations are not wanted.
+_UNWANTED = np.empty((0, LANES))
 
 
 class Likelihood:
@@ -70,90 +75,80 @@ class Likelihood:
         self._chain = drift_chain(drift, self.unit)
         r = self._chain.shape[1]
         self._sees = [np.eye(r + slow)[0] + (np.arange(r + slow) == r) for slow in range(3)]
-        self.rules = np.array([diffuse, LONGEST_GAP, clip, white * self.unit**2, EFFORT.gain_tolerance])
+        self.rules = np.array([diffuse, LONGEST_GAP, clip, white * self.unit**2])
         self.n = known.size - diffuse
         self.pole_radius = resolved_radius(max(known.size, 8))
         self.nearest = 0.0 if prior is None else drift.period_s / prior.quickest_s
         if prior is not None:
             self._sd_limits = (np.log(prior.sd_limits) + self.log_unit).tolist()
             self._tau_limits = np.log(prior.taus_s[[0, -1]]).tolist()
-        self._E, self._LNS = np.empty((2, self.y.size)), np.empty((2, self.y.size))
-        # Drift and slow part of unit size, by order and ln tau.
-        self._shapes: dict[tuple[int, float], Array] = {}
-        # Where the likelihood was evaluated last, and what it was there.
-        self._at: tuple[int, int, bytes] = (-1, 0, b"")
-        self._last = math.inf
+        # Innovations and their variances of the models of one call.
+        self._E, self._V = np.empty((2, self.y.size, LANES))
 
-    def _parts(self, theta: Array, slow: int) -> Array:
-        """Drift and slow part, as the kernel wants them."""
-        if not slow:
-            return self._chain
-        parts, r = self._shape(slow, float(theta[-1])).copy(), self._chain.shape[1]
-        parts[1:, r:, r:] *= math.exp(2.0 * theta[-2])
-        return parts
-
-    def _shape(self, slow: int, log_tau: float) -> Array:
-        """Drift and a slow part of unit size."""
-        at = (slow, log_tau)
-        if at not in self._shapes:
-            node = SlowNode(slow, 1.0 / self.unit, math.exp(log_tau))
-            self._shapes[at] = with_slow(self._chain, node, self.drift.period_s, self.unit)
-        return self._shapes[at]
+    def _chains(self, rows: Array, slow: int) -> Array:
+        """Drift and slow part of several parameter vectors, one a row, as the kernel wants them."""
+        r = self._chain.shape[1]
+        out = np.zeros((len(rows), 3, r + slow, r + slow))
+        out[:, :, :r, :r] = self._chain
+        if slow:
+            out[:, :, r:, r:] = slow_chains(slow, np.exp(rows[:, -2]), np.exp(rows[:, -1]), self.drift.period_s)
+        return out
 
     def fast(self, theta: Array, slow: int) -> Array:
-        """``[ar, ma, ln sd]`` of a parameter vector."""
-        return theta[:-2] if slow else theta
+        """``[ar, ma, ln sd]`` of a parameter vector, or of several, one a row."""
+        return theta[..., :-2] if slow else theta
+
+    def standardised(self, thetas: Sequence[Array] | Array, p: int, slow: int = 0) -> tuple[Array, Array]:
+        """Minus the log-likelihood of some models, at most `LANES`, shape (K,), and their innovations in standard
+        deviations (N, K), which hold until the next call.
+        """
+        rows = np.array(thetas)
+        values = self._filtered(rows, p, slow, self._E, self._V)
+        return values, self._E[:, : len(rows)]
 
     def value(self, theta: Array, p: int, slow: int = 0) -> float:
         """Minus the log-likelihood; the innovations stay in `innovations`."""
-        at = (p, slow, theta.tobytes())
-        if at != self._at:
-            parts, sees = self._parts(theta, slow), self._sees[slow]
-            padded = _padded(self.fast(theta, slow), p)
-            self._at = at
-            self._last = filtered(self.y, padded, parts, sees, self.rules, self._E[0], self._LNS[0])
-        return self._last
-
-    def line(self, fast: Array, p: int, slow: int, log_tau: float, log_sd: Array, first: int) -> Array:
-        """Minus the log-likelihood of the samples from `first` on, given those before, for several sizes of the slow
-        part: `log_sd` in the unit of the series, shape (k,).
-        """
-        values, sizes = np.empty(log_sd.size), np.exp(2.0 * (log_sd + self.log_unit))
-        self._at = (-1, 0, b"")
-        parts, sees, beside = self._shape(slow, log_tau), self._sees[slow], self._chain.shape[1]
-        e, lns = self._E[0], self._LNS[0]
-        line(self.y, _padded(fast, p), parts, sees, self.rules, beside, sizes, first, e, lns, values)
-        return values
-
-    def penalised(self, theta: Array, p: int, slow: int = 0) -> float:
-        """What is minimised: `value` less the log-density of the slow part's prior."""
-        if not slow or self.prior is None:
-            return self.value(theta, p, slow)
-        return self.value(theta, p, slow) - self.prior.log_density(slow, theta[-2] - self.log_unit, theta[-1])
+        return float(self.standardised([theta], p, slow)[0][0])
 
     @property
     def innovations(self) -> Array:
         """Standardised innovations of the last `value`, NaN where nothing counts."""
-        return self._E[0].copy()
+        return self._E[:, 0].copy()
+
+    def penalised(self, thetas: Sequence[Array] | Array, p: int, slow: int = 0) -> Array:
+        """What is minimised, of any number of models, shape (K,): minus the log-likelihood less the log-density of the
+        slow part's prior.
+        """
+        rows = np.array(thetas)
+        values = self._filtered(rows, p, slow)
+        return values if not slow or self.prior is None else values - self._log_densities(rows, slow)
+
+    def _log_densities(self, rows: Array, slow: int) -> Array:
+        assert self.prior is not None
+        return self.prior.log_densities(slow, rows[:, -2] - self.log_unit, rows[:, -1])
+
+    def _filtered(self, rows: Array, p: int, slow: int, E: Array = _UNWANTED, V: Array = _UNWANTED) -> Array:
+        thetas, chains = _padded(self.fast(rows, slow), p), self._chains(rows, slow)
+        return filtered(self.y, thetas, chains, self._sees[slow], self.rules, 0, E, V)
+
+    def lines(self, fast: Array, p: int, slow: int, log_tau: ArrayLike, log_sd: ArrayLike, first: int) -> Array:
+        """Minus the log-likelihood of the samples from `first` on, given those before, for several slow parts beside
+        one fast part: ln tau, and ln sd in the unit of the series, shape (k,).
+        """
+        chains = self._chains(np.column_stack([np.add(log_sd, self.log_unit), log_tau]), slow)
+        thetas = np.tile(_padded(fast[None], p), (len(chains), 1))
+        return filtered(self.y, thetas, chains, self._sees[slow], self.rules, first)
 
     def point(self, theta: Array, p: int, slow: int = 0) -> Point:
         """Penalised value, gradient and Fisher information at `theta`."""
         k = theta.size
-        if len(self._E) < k + 1:
-            self._E, self._LNS = np.empty((k + 1, self.y.size)), np.empty((k + 1, self.y.size))
         steps = np.full(k, EFFORT.slow_difference)
         fast = self.fast(theta, slow)
         steps[: fast.size] = self._steps(fast, p)
-        moved = theta + np.vstack([np.zeros(k), np.diag(steps)])
-        parts, sees = self._parts(theta, slow), self._sees[slow]
-        chains = np.tile(parts, (k + 1, 1, 1, 1))
-        for i in range(fast.size, k):
-            chains[i + 1] = self._parts(moved[i + 1], slow)
-        thetas = np.array([_padded(self.fast(row, slow), p) for row in moved])
+        rows = theta + np.vstack([np.zeros(k), np.diag(steps)])
         info, gradient = np.empty((k, k)), np.empty(k)
-        E, LNS = self._E[: k + 1], self._LNS[: k + 1]
-        value = scores(self.y, thetas, chains, sees, self.rules, steps, E, LNS, info, gradient)
-        self._at, self._last = ((p, slow, theta.tobytes()) if value < math.inf else (-1, 0, b"")), value
+        thetas, chains = _padded(self.fast(rows, slow), p), self._chains(rows, slow)
+        value = scores(self.y, thetas, chains, self._sees[slow], self.rules, steps, self._E, self._V, info, gradient)
         if slow and self.prior is not None:
             prior, log_sd = self.prior, theta[-2] - self.log_unit
             value -= prior.log_density(slow, log_sd, theta[-1])
@@ -165,7 +160,7 @@ class Likelihood:
     def _steps(self, theta: Array, p: int) -> Array:
         """Difference steps that stay where a stationary start exists."""
         steps = np.full(theta.size, EFFORT.differences[0])
-        padded = _padded(theta, p)
+        (padded,) = _padded(theta[None], p)
         m = padded.size // 2
         spare = np.empty((m, m))
         for i in range(p):
@@ -195,35 +190,25 @@ class Likelihood:
         return out
 
 
-def filtered(y: Array, theta: Array, chain: Array, sees: Array, rules: Array, e: Array, lns: Array) -> float:
-    """Minus the log-likelihood of a series, its innovations and ln S into `e` and `lns`; see `kernel.channel_filter`,
-    which stands alone, so that the dearest kernel of all is compiled once.
-    """
-    plan = np.zeros(y.size, np.int64)
-    return float(kernel.channel_filter(y, theta, chain, sees, rules, plan, rules[kernel.TOLERANCE], e, lns))
-
-
-def line(
+def filtered(
     y: Array,
-    theta: Array,
-    chain: Array,
+    thetas: Array,
+    chains: Array,
     sees: Array,
     rules: Array,
-    integrators: int,
-    sizes: Array,
-    first: int,
-    e: Array,
-    lns: Array,
-    values: Array,
-) -> None:
-    """Minus the log-likelihood of the samples from `first` on, given those before, into `values` (k,): for states after
-    the first `integrators` with noise and start of `chain` times each of the variances `sizes` (k,).
+    first: int = 0,
+    E: Array = _UNWANTED,
+    V: Array = _UNWANTED,
+) -> Array:
+    """Minus the log-likelihood of any number of models (K,), of the samples from `first` on given those before; see
+    `kernel.channel_filter`, which stands alone, so that the dearest kernel of all is compiled once. `E` and `V` are for
+    no more than `LANES` models.
     """
-    for k, size in enumerate(sizes.tolist()):
-        parts = chain.copy()
-        parts[1:, integrators:, integrators:] *= size
-        whole = filtered(y, theta, parts, sees, rules, e, lns)
-        values[k] = kernel.contribution(e[first:], lns[first:], rules[kernel.CLIP]) if whole < math.inf else math.inf
+    values = np.empty(len(thetas))
+    for begin in range(0, len(thetas), LANES):
+        part = slice(begin, begin + LANES)
+        kernel.channel_filter(y, thetas[part], chains[part], sees, rules, first, E, V, values[part])
+    return values
 
 
 def scores(
@@ -234,25 +219,21 @@ def scores(
     rules: Array,
     steps: Array,
     E: Array,
-    LNS: Array,
+    V: Array,
     info: Array,
     gradient: Array,
 ) -> float:
     """Minus the log-likelihood at ``thetas[0]`` and ``chains[0]``, its gradient and the Fisher information.
 
     The other rows of `thetas` (k+1, 2m+1) and `chains` (k+1, 3, r, r) are those of a model with one of its k parameters
-    moved by ``steps[i]``; they leap where the first has leapt. `E` and `LNS` (k+1, N) receive innovations and ln S in
-    row 0, derivatives in the others. A step that leaves the stationary region gives an infinite value: the caller
-    chooses steps that do not.
+    moved by ``steps[i]``. `E` and `V` (N, LANES) receive innovations and their variances. A step that leaves the
+    stationary region gives an infinite value: the caller chooses steps that do not.
     """
-    plan, tolerance, values = np.zeros(y.size, np.int64), rules[kernel.TOLERANCE], []
-    for theta, chain, e, lns in zip(thetas, chains, E, LNS, strict=True):
-        values.append(float(kernel.channel_filter(y, theta, chain, sees, rules, plan, tolerance, e, lns)))
-        tolerance = -1.0
-    if not max(values[1:], default=0.0) < math.inf:
+    values = filtered(y, thetas, chains, sees, rules, 0, E, V)
+    if not values.max() < math.inf:
         return math.inf
-    kernel.channel_scores(E, LNS, steps, rules[kernel.CLIP], info, gradient)
-    return values[0]
+    kernel.channel_scores(E, V, steps, rules[kernel.CLIP], info, gradient)
+    return float(values[0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -274,12 +255,11 @@ class Point:
         return np.asarray(np.linalg.inv(self.info + 0.1 * np.eye(self.theta.size)), dtype=np.float64)
 
 
-def _padded(theta: Array, p: int) -> Array:
-    """The kernel's parameter vector."""
-    q = theta.size - 1 - p
-    m = max(p, q, 1)
-    out = np.zeros(2 * m + 1)
-    out[_places(p, q)] = theta
+def _padded(rows: Array, p: int) -> Array:
+    """The kernel's parameter vectors of several ``[ar, ma, ln sd]``, one a row."""
+    q = rows.shape[1] - 1 - p
+    out = np.zeros((len(rows), 2 * max(p, q, 1) + 1))
+    out[:, _places(p, q)] = rows
     return out
 
 
@@ -311,7 +291,7 @@ def maximise(
     """
     inside = [likelihood.confine(start, p, slow) for start in starts]
     if len(inside) > 1:
-        inside.sort(key=lambda start: likelihood.penalised(start, p, slow))
+        inside = [inside[i] for i in np.argsort(likelihood.penalised(inside, p, slow), kind="stable")]
     if min(len(inside), race) > 1:
         runs = [_climb(likelihood, start, p, EFFORT.race_passes, slow) for start in inside[:race]]
         inside = [min(runs, key=lambda point: point.value).theta]
@@ -322,32 +302,48 @@ def _climb(likelihood: Likelihood, theta: Array, p: int, passes: int, slow: int)
     """Scoring passes from `theta`; the information is that of the last but one point, a small step away."""
     point = likelihood.point(theta, p, slow)
     for left in range(passes, 0, -1):
-        found = _step(likelihood, point)
+        found = _step(likelihood, point, left == 1)
         if found is None:
             break
-        theta, value, gain = found
-        if left == 1 or gain < EFFORT.small_gain:
+        theta, value, ahead = found
+        if left == 1 or point.value - value < EFFORT.small_gain:
             return replace(point, theta=theta, value=value)
-        point = likelihood.point(theta, p, slow)
+        point = ahead if ahead is not None else likelihood.point(theta, p, slow)
     return point
 
 
-def _step(likelihood: Likelihood, point: Point) -> tuple[Array, float, float] | None:
-    """A Levenberg-damped scoring step that lowers the value: where, to what, and by how much; None if nothing is
-    left.
+def _step(likelihood: Likelihood, point: Point, last: bool) -> tuple[Array, float, Point | None] | None:
+    """A Levenberg-damped scoring step that lowers the value: where, to what, and the point there if it is known; None
+    if nothing is left.
     """
     if not (np.all(np.isfinite(point.gradient)) and np.all(np.isfinite(point.info))):
         return None
-    scale = np.maximum(np.diag(point.info), 1e-9)
+    trials, ahead = _trials(likelihood, point), None
+    # most often the first will do; its derivatives, which the next step wants, come with it
+    for count in (1, len(EFFORT.dampings)):
+        part = list(islice(trials, count))
+        if not part:
+            break
+        if count == 1 and not last:
+            ahead = likelihood.point(part[0][0], point.p, point.slow)
+            values = [ahead.value]
+        else:
+            values = likelihood.penalised([trial for trial, _ in part], point.p, point.slow).tolist()
+        for (trial, gain), value in zip(part, values, strict=True):
+            if value < point.value - 1e-2 * min(gain, 1.0):
+                return trial, value, ahead
+        ahead = None
+    return None
+
+
+def _trials(likelihood: Likelihood, point: Point) -> Iterator[tuple[Array, float]]:
+    """Where steps lead that are damped more and more, and what they should gain; as long as there is something."""
+    scale = np.maximum(point.info.diagonal(), 1e-9)
     sizes = slice(-3, None) if point.slow else slice(-1, None)
     for damping in EFFORT.dampings:
         step = np.linalg.solve(point.info + np.diag(damping * scale), -point.gradient)
         gain = -0.5 * float(step @ point.gradient)
         if not gain > EFFORT.converged:
-            return None
+            return
         step *= min(1.0, EFFORT.longest_step / max(float(np.max(np.abs(step[sizes]))), 1e-300))
-        trial = likelihood.confine(point.theta + step, point.p, point.slow)
-        value = likelihood.penalised(trial, point.p, point.slow)
-        if value < point.value - 1e-2 * min(gain, 1.0):
-            return trial, value, point.value - value
-    return None
+        yield likelihood.confine(point.theta + step, point.p, point.slow), gain

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from collections.abc import Mapping
+from collections.abc import Generator, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -65,6 +65,10 @@ class Line(NamedTuple):
     evidence: Array
     peak: float
     sd: float
+
+
+#: A search for a line: it yields places where minus the log-likelihood is wanted, and is sent it there.
+Search = Generator[list[float], list[float], Line]
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,30 +163,46 @@ def follow(
     fast, here = theta[:-2], (float(theta[-2]) - likelihood.log_unit, float(theta[-1]))
     taus = prior.taus_s
     lines: dict[Place, Line] = {}
-    highest = -math.inf
     for order in (1, 2):
+        searches: dict[Place, tuple[float, Search]] = {}
         for number, tau in enumerate(taus.tolist()):
             old = known.get((order, number))
             if first > 0 and old is not None and _mass(old, order, tau, prior)[0] < -DEAD:
                 continue
             # along the ridge of equal driving noise
             guess = (here[0] + 0.5 * (math.log(tau) - here[1]), 0.3) if old is None else (old.peak, old.sd)
-            search = _Search(likelihood, fast, p, order, tau, old, first, forgetting if first > 0 else 0.0)
-            lines[order, number] = line = search.line(*guess)
-            highest = max(highest, _mass(line, order, tau, prior)[0])
-    lines[ABSENT] = _absent(likelihood, fast, p, known.get(ABSENT) if first > 0 else None, first, forgetting)
+            look = _Look(prior, order, tau, old, forgetting if first > 0 else 0.0)
+            searches[order, number] = look.log_tau, look.line(*guess)
+        if order == 1:
+            # none at all: one too small to matter
+            old = known.get(ABSENT) if first > 0 else None
+            look = _Look(prior, 1, prior.tau_s, old, forgetting if old is not None else 0.0)
+            searches[ABSENT] = look.log_tau, look.smallest()
+        lines |= _together(likelihood, fast, p, order, searches, first)
+    highest = max(_mass(line, at[0], float(taus[at[1]]), prior)[0] for at, line in lines.items() if at != ABSENT)
     # those not followed stay as far behind as they were, but for what is forgotten
     rest = {place: line for place, line in known.items() if place not in lines}
     lines |= {place: line._replace(evidence=forgetting * line.evidence + highest) for place, line in rest.items()}
     return _weighed(lines, prior)
 
 
-def _absent(likelihood: Likelihood, fast: Array, p: int, known: Line | None, first: int, forgetting: float) -> Line:
-    """Evidence that there is no slow part: that of one too small to matter."""
-    prior = likelihood.prior
-    assert prior is not None
-    search = _Search(likelihood, fast, p, 1, prior.tau_s, known, first, forgetting if known is not None else 0.0)
-    return Line(np.array([search.low]), np.maximum(search.along([search.low]), -1e300), search.low, 1.0)
+def _together(
+    likelihood: Likelihood, fast: Array, p: int, order: int, searches: Mapping[Place, tuple[float, Search]], first: int
+) -> dict[Place, Line]:
+    """What searches of one order find, each along its ln tau: what they want to know next is measured side by side."""
+    asked = {place: next(search) for place, (_, search) in searches.items()}
+    found: dict[Place, Line] = {}
+    while asked:
+        log_tau = [searches[place][0] for place, log_sd in asked.items() for _ in log_sd]
+        values = likelihood.lines(fast, p, order, log_tau, [u for log_sd in asked.values() for u in log_sd], first)
+        answers = iter(values.tolist())
+        for place, log_sd in list(asked.items()):
+            try:
+                asked[place] = searches[place][1].send([next(answers) for _ in log_sd])
+            except StopIteration as end:
+                found[place] = end.value
+                del asked[place]
+    return found
 
 
 def _weighed(lines: dict[Place, Line], prior: SlowPrior) -> SlowPosterior:
@@ -258,63 +278,60 @@ def _between_places(line: Line, log_sd: float) -> float:
     return f[0] + (log_sd - a) * (ab + (log_sd - b) * (abc + (log_sd - c) * (bcd - abc) / (d - a)))
 
 
-class _Search:
-    """Looks for the peak of one line, and measures the evidence around it."""
+class _Look:
+    """Looks for the peak of one line, and measures the evidence around it.
 
-    def __init__(
-        self,
-        likelihood: Likelihood,
-        fast: Array,
-        p: int,
-        order: int,
-        tau_s: float,
-        known: Line | None,
-        first: int,
-        forgetting: float,
-    ) -> None:
-        self.likelihood, self.fast, self.p, self.order = likelihood, fast, p, order
-        self.log_tau, self.known, self.first, self.forgetting = math.log(tau_s), known, first, forgetting
+    Where minus the log-likelihood is wanted, the methods yield the places, and are sent it.
+    """
+
+    def __init__(self, prior: SlowPrior, order: int, tau_s: float, known: Line | None, forgetting: float) -> None:
+        self.prior, self.order, self.log_tau = prior, order, math.log(tau_s)
+        self.known, self.forgetting = known, forgetting
         self.evidence: dict[float, float] = {}
-        assert likelihood.prior is not None
-        self.prior = likelihood.prior
-        low, high = np.log(self.prior.sd_limits).tolist()
+        low, high = np.log(prior.sd_limits).tolist()
         self.low, self.high = low, high
 
-    def along(self, places: list[float]) -> list[float]:
+    def along(self, places: list[float]) -> Generator[list[float], list[float], list[float]]:
         """The evidence at these places; what is not yet known is measured together."""
         keys = [round(place, 6) for place in places]
-        new = [key for key in keys if key not in self.evidence]
+        new = [key for key in dict.fromkeys(keys) if key not in self.evidence]
         if new:
-            values = self.likelihood.line(self.fast, self.p, self.order, self.log_tau, np.array(new), self.first)
-            for key, value in zip(new, values.tolist(), strict=True):
+            values = yield new
+            for key, value in zip(new, values, strict=True):
                 old = self.known
                 before = _between_places(old, key) if old is not None and self.forgetting else 0.0
                 self.evidence[key] = self.forgetting * before - value
         return [self.evidence[key] for key in keys]
 
-    def at(self, *places: float) -> list[float]:
+    def at(self, *places: float) -> Generator[list[float], list[float], list[float]]:
         """The log-posterior at these places."""
+        found = yield from self.along(list(places))
         return [
             evidence + self.prior.log_density(self.order, place, self.log_tau)
-            for evidence, place in zip(self.along(list(places)), places, strict=True)
+            for evidence, place in zip(found, places, strict=True)
         ]
 
-    def line(self, guess: float, sd: float) -> Line:
+    def smallest(self) -> Search:
+        """The line of the smallest size there is."""
+        evidence = yield from self.along([self.low])
+        return Line(np.array([self.low]), np.maximum(evidence, -1e300), self.low, 1.0)
+
+    def line(self, guess: float, sd: float) -> Search:
         """The line around its peak, which is looked for from a guess of place and width."""
         if self.known is not None and self.forgetting:
-            same = self._same_places(self.known)
+            same = yield from self._same_places(self.known)
             if same is not None:
                 return same
         u, step = min(max(guess, self.low), self.high), SPACING * sd
         value = below = above = 0.0
         for _ in range(16):
-            below, value, above = self.at(u - step, u, u + step)
+            below, value, above = yield from self.at(u - step, u, u + step)
             bend = (2.0 * value - below - above) / step**2
             if max(below, above) > value:
                 away = math.copysign(2.0 * step, above - below)
                 jump = 0.5 * (above - below) / (step * bend) if bend > 0.0 and math.isfinite(bend) else away
                 moved = min(max(u + min(max(jump, -8.0 * step), 8.0 * step), self.low), self.high)
-                if moved == u or not self.at(moved)[0] > max(below, above):
+                if moved == u or not (yield from self.at(moved))[0] > max(below, above):
                     moved = u - step if below > above else u + step
                 if not self.low <= moved <= self.high:
                     break
@@ -330,14 +347,16 @@ class _Search:
         if abs(peak - u) < 0.5 * step and 0.75 < SPACING * width / step < 1.25:
             peak, width = u, step / SPACING  # what has been measured already will do
         places = [peak + k * SPACING * width for k in (WIDE if width > WIDTH else AROUND)]
-        return Line(np.array(places), np.maximum(self.along(places), -1e300), peak, width)
+        evidence = yield from self.along(places)
+        return Line(np.array(places), np.maximum(evidence, -1e300), peak, width)
 
-    def _same_places(self, line: Line) -> Line | None:
+    def _same_places(self, line: Line) -> Generator[list[float], list[float], Line | None]:
         """The line at its old places, where nothing has to be interpolated; None where these do no longer do."""
-        log = np.array(self.at(*line.log_sd.tolist()))
+        log = np.array((yield from self.at(*line.log_sd.tolist())))
         top = int(np.argmax(log))
         around = np.abs(np.diff(log)[max(top - 1, 0) : top + 1])
         # the sum over places stands for the integral while the curve bends by less than this from one to the next
         if not (0 < top < log.size - 1 and around.max() < STEEPEST and log[top] - log[[0, -1]].max() > SHALLOWEST):
             return None
-        return line._replace(evidence=np.maximum(self.along(line.log_sd.tolist()), -1e300))
+        evidence = yield from self.along(line.log_sd.tolist())
+        return line._replace(evidence=np.maximum(evidence, -1e300))

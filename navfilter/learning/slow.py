@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from navfilter.error_models import CORRELATION_CONSTANTS, ErrorModel, RandomWalk, Sum, block_level
 from navfilter.learning.drift import Drift
 
-__all__ = ["SlowNode", "SlowPrior", "drift_chain", "slow_prior", "with_slow"]
+__all__ = ["SlowNode", "SlowPrior", "drift_chain", "slow_chains", "slow_prior", "with_slow"]
 
 Array = NDArray[np.float64]
 
@@ -91,6 +91,13 @@ class SlowPrior:
         share = self.second_order if order == 2 else 1.0 - self.second_order
         return math.log(share) - 0.5 * (off * off + off_tau * off_tau)
 
+    def log_densities(self, order: int, log_sd: Array, log_tau: Array) -> Array:
+        """Of several nodes of one order, but for a constant, shape (K,)."""
+        off = (log_sd - math.log(self.median * self.sd)) / self.spread
+        off_tau = (log_tau - math.log(self.tau_s)) / self.tau_spread
+        share = self.second_order if order == 2 else 1.0 - self.second_order
+        return math.log(share) - 0.5 * (off * off + off_tau * off_tau)
+
     def log_mass(self) -> float:
         """Of all nodes, with the constant that `log_density` is without."""
         off = (np.log(self.taus_s) - math.log(self.tau_s)) / self.tau_spread
@@ -146,30 +153,42 @@ def with_slow(drift: Array, node: SlowNode, period_s: float, unit: float) -> Arr
     r = drift.shape[1]
     out = np.zeros((3, r + node.order, r + node.order))
     out[:, :r, :r] = drift
-    out[:, r:, r:] = _slow(node._replace(sd=node.sd * unit), period_s)
+    (out[:, r:, r:],) = slow_chains(node.order, np.array([node.sd * unit]), np.array([node.tau_s]), period_s)
     return out
 
 
-def _slow(node: SlowNode, period_s: float) -> Array:
-    """Transition, noise and start of a Gauss-Markov process as a cascade of first-order ones (upper triangular)."""
-    step = CORRELATION_CONSTANTS[node.order] * period_s / node.tau_s
-    if node.order == 1:
-        P0 = np.array([[node.sd**2]])
-        phi = np.array([[math.exp(-step)]])
-        return np.stack([phi, -math.expm1(-2.0 * step) * P0, P0])
-    P0 = node.sd**2 * np.array([[1.0, 1.0], [1.0, 2.0]])
-    Phi = math.exp(-step) * np.array([[1.0, step], [0.0, 1.0]])
+def slow_chains(order: int, sd: Array, tau_s: Array, period_s: float) -> Array:
+    """Transition, noise and start of Gauss-Markov processes of one order as a cascade of first-order ones (upper
+    triangular), shape (K, 3, order, order).
+    """
+    step = CORRELATION_CONSTANTS[order] * period_s / tau_s
+    variance, phi = sd**2, np.exp(-step)
+    out = np.empty((len(sd), 3, order, order))
+    if order == 1:
+        out[:, 0, 0, 0], out[:, 1, 0, 0], out[:, 2, 0, 0] = phi, -np.expm1(-2.0 * step) * variance, variance
+        return out
+    out[:, 0] = phi[:, None, None] * np.array([[1.0, 0.0], [0.0, 1.0]])
+    out[:, 0, 0, 1] = phi * step
     # the noise of the cascade, driven at its end by white noise of density 4 b sd^2, in closed form: P0 - Phi P0 Phi'
     # would leave nothing but rounding at small steps
-    i0, i1, i2 = (_incomplete(k, 2.0 * step) for k in range(3))
-    scale = 4.0 * node.sd**2
-    Q = scale * np.array([[i2 / 8.0, i1 / 4.0], [i1 / 4.0, i0 / 2.0]])
-    return np.stack([Phi, Q, P0])
+    scale = 4.0 * variance
+    i0, i1, i2 = _incomplete(2.0 * step).T
+    out[:, 1, 0, 0], out[:, 1, 1, 1] = scale * i2 / 8.0, scale * i0 / 2.0
+    out[:, 1, 0, 1] = out[:, 1, 1, 0] = scale * i1 / 4.0
+    out[:, 2] = variance[:, None, None] * np.array([[1.0, 1.0], [1.0, 2.0]])
+    return out
 
 
-def _incomplete(k: int, x: float) -> float:
-    """Integral of ``s^k exp(-s)`` from 0 to x; a series where the closed form cancels."""
-    if x < 0.1:
-        return float(sum((-1.0) ** n * x ** (n + k + 1) / (math.factorial(n) * (n + k + 1)) for n in range(12)))
-    rest = math.exp(-x) * sum(x**n / math.factorial(n) for n in range(k + 1))
-    return math.factorial(k) * (1.0 - rest)
+#: Terms of the series of ``x^-k-1`` times the integral of ``s^k exp(-s)`` from 0 to x, for k of 0 to 2.
+_TERMS = np.array([[(-1.0) ** n / (math.factorial(n) * (n + k + 1)) for k in range(3)] for n in range(12)])
+
+
+def _incomplete(x: Array) -> Array:
+    """Integrals of ``s^k exp(-s)`` from 0 to x for k of 0 to 2, shape (K, 3); series where the closed form cancels."""
+    powers = x[:, None] ** np.arange(12.0)
+    near = (powers @ _TERMS) * powers[:, 1:4]
+    fading = np.exp(-x)
+    closed = np.array([1.0, 1.0, 2.0]) - fading[:, None] * np.column_stack(
+        [np.ones_like(x), 1.0 + x, 2.0 + 2.0 * x + x * x]
+    )
+    return np.where(x[:, None] < 0.1, near, closed)

@@ -5,7 +5,7 @@ orders with a pole and a zero, or a pair of both, more.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ from navfilter.arma.roots import pull_inside, slowest_real
 from navfilter.arma.starts import default_long_order, hannan_rissanen_start, long_residuals
 from navfilter.learning.likelihood import Likelihood, Point
 
-__all__ = ["cold_starts", "grown_starts", "padded_start", "padded_starts", "with_slow_part"]
+__all__ = ["cold_starts", "grown_starts", "padded_start", "padded_starts", "with_slow_parts"]
 
 Array = NDArray[np.float64]
 Order = tuple[int, int]
@@ -40,24 +40,20 @@ def padded_start(theta: Array, p: int, up_p: int, up_q: int) -> Array:
 def cold_starts(likelihood: Likelihood, p: int, q: int) -> list[Array]:
     """Starts that need no earlier estimate, their sd matched to the series."""
     if p == 0 and q == 0:
-        return [_matched(likelihood, np.zeros(1), 0)]
+        return _matched(likelihood, [np.zeros(1)], 0)
     shapes = [*_rough(likelihood, p, q)]
     if p:
         taus = [tau for tau in TAUS if tau < likelihood.y.size / 3]
-        best = min(
-            (
-                _matched(likelihood, _gauss_markov(tau, share, q), 1)
-                for tau in taus
-                for share in (SHARES if q else SHARES[:1])
-            ),
-            key=lambda start: likelihood.value(start, 1),
-        )
-        shapes.append(padded_start(best, 1, p, q))
-    return [_matched(likelihood, shape, p) for shape in shapes]
+        shares = SHARES if q else SHARES[:1]
+        tried = _matched(likelihood, [_gauss_markov(tau, share, q) for tau in taus for share in shares], 1)
+        shapes.append(padded_start(tried[int(np.argmin(likelihood.penalised(tried, 1)))], 1, p, q))
+    return _matched(likelihood, shapes, p) if shapes else []
 
 
-def with_slow_part(likelihood: Likelihood, fast: Array, p: int, slow: int = 1, like: Array | None = None) -> Array:
-    """``[ar, ma, ln sd]``, or a smaller sd, with the slow part that serves best, of a few; needs a prior.
+def with_slow_parts(
+    likelihood: Likelihood, fasts: Sequence[Array], p: int, slow: int = 1, like: Array | None = None
+) -> list[Array]:
+    """Each of ``[ar, ma, ln sd]``, or with a smaller sd, with the slow part that serves best, of a few; needs a prior.
 
     With the estimate `like` of another order, its slow part is tried, as large and half as large.
     """
@@ -70,12 +66,16 @@ def with_slow_part(likelihood: Likelihood, fast: Array, p: int, slow: int = 1, l
     ]
     if like is not None:
         parts = [(like[-2] - less, like[-1]) for less in (0.0, math.log(2.0))]
-    nodes = [
-        np.array([*fast[:-1], fast[-1] - less, *part])
-        for less in ((0.0, 1.5, 3.0) if slow == 1 else (0.0,))
-        for part in parts
-    ]
-    return min(nodes, key=lambda theta: likelihood.penalised(theta, p, slow))
+    nodes = np.array(
+        [
+            [*fast[:-1], fast[-1] - less, *part]
+            for fast in fasts
+            for less in ((0.0, 1.5, 3.0) if slow == 1 else (0.0,))
+            for part in parts
+        ]
+    )
+    values = likelihood.penalised(nodes, p, slow).reshape(len(fasts), -1)
+    return [of[best] for of, best in zip(np.split(nodes, len(fasts)), values.argmin(axis=1), strict=True)]
 
 
 def padded_starts(likelihood: Likelihood, below: Mapping[Order, Point], p: int, q: int) -> list[Array]:
@@ -103,8 +103,9 @@ def grown_starts(likelihood: Likelihood, below: Mapping[Order, Point], p: int, q
         tried = [
             likelihood.confine(np.concatenate([shape, point.theta[fast.size :]]), at, point.slow) for shape in shapes
         ]
-        grown = min(tried, key=lambda theta: likelihood.value(theta, at, point.slow))
-        out.append(_padded(likelihood, _matched(likelihood, grown, at, point.slow), at, point.slow, p, q))
+        grown = tried[int(np.argmin(likelihood.penalised(tried, at, point.slow)))]
+        (matched,) = _matched(likelihood, [grown], at, point.slow)
+        out.append(_padded(likelihood, matched, at, point.slow, p, q))
     return out
 
 
@@ -154,22 +155,21 @@ def _gauss_markov(tau: float, share: float, q: int) -> Array:
     return np.r_[both.ar, both.ma, np.zeros(q - both.q), 0.0]
 
 
-def _matched(likelihood: Likelihood, start: Array, p: int, slow: int = 0, rounds: int = 2) -> Array:
-    """The start with its ln sd such that the innovations have about unit variance, where that is better."""
-    start = likelihood.confine(start, p, slow)
-    at = start.size - 1 - 2 * bool(slow)
+def _matched(likelihood: Likelihood, starts: Sequence[Array], p: int, slow: int = 0, rounds: int = 2) -> list[Array]:
+    """Each start with its ln sd such that the innovations have about unit variance, where that is better."""
+    found = [likelihood.confine(start, p, slow) for start in starts]
+    at = found[0].size - 1 - 2 * bool(slow)
     for _ in range(rounds):
-        value = likelihood.value(start, p, slow)
-        if not math.isfinite(value):
-            return start
-        z = likelihood.innovations
-        size = float(np.nanmedian(np.abs(z))) / 0.6745
-        moved = start.copy()
-        moved[at] += min(max(math.log(max(size, 1e-6)), -5.0), 5.0)
-        if slow and not likelihood.value(moved, p, slow) < value:
-            return start
-        start = moved
-    return start
+        values, E = likelihood.standardised(found, p, slow)
+        able = np.isfinite(values)
+        sizes = np.ones(len(found))
+        sizes[able] = np.median(np.abs(E[np.isfinite(E[:, 0])][:, able]), axis=0) / 0.6745
+        moved = np.array(found)
+        moved[:, at] += np.clip(np.log(np.maximum(sizes, 1e-6)), -5.0, 5.0)
+        if slow:
+            able &= likelihood.standardised(moved, p, slow)[0] < values
+        found = [new if better else old for new, old, better in zip(moved, found, able, strict=True)]
+    return found
 
 
 def _rough(likelihood: Likelihood, p: int, q: int) -> list[Array]:

@@ -72,12 +72,9 @@ class WhiteDescription:
         likelihood = Likelihood(series, drift, white, SlowPrior(math.sqrt(self.level), self.span_s, self.span_s))
         fast = np.concatenate([found.ar, found.ma, [math.log(found.sd) + likelihood.log_unit]])
 
-        def value(sd: float, tau_s: float) -> float:
-            slow = [math.log(sd) + likelihood.log_unit, math.log(tau_s)]
-            return likelihood.value(np.concatenate([fast, slow]), found.p, 1)
-
-        none = value(NOTHING * math.sqrt(float(variance[-1])), float(taus[-1]))
-        gain = np.array([none - value(math.sqrt(v), t) for v, t in zip(variance.tolist(), taus.tolist(), strict=True)])
+        log_sd = 0.5 * np.log([*variance, NOTHING**2 * variance[-1]])
+        values = likelihood.lines(fast, found.p, 1, np.log([*taus, taus[-1]]), log_sd, 0)
+        gain = values[-1] - values[:-1]
         there = np.exp(np.clip(np.where(np.isfinite(gain), gain, -700.0), -700.0, 700.0)) / taus.size
         share = there / (1.0 + float(there.sum()))
         mean = float(share @ variance)
