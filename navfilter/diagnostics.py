@@ -7,8 +7,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+import scipy  # its parts are imported when they are first used: that takes a second
 from numpy.typing import ArrayLike, NDArray
-from scipy import fft, stats
 
 from navfilter.arma.starts import tidy_series
 from navfilter.kernels import fit as kernels
@@ -150,23 +150,24 @@ class Whiteness:
 def whiteness(residuals: ArrayLike, fitted: int = 0, lags: int | None = None, level: float = 0.01) -> Whiteness:
     """Test whether residuals are white.
 
-    Parameters
-    ----------
-    residuals : array_like, shape (n,)
-        Prediction errors; NaN is a missing sample.
-    fitted : int
-        Number of coefficients p + q fitted to the series, which cost degrees of freedom.
-    lags : int, optional
-        Lags of Ljung-Box and of the count; default 20, more when many coefficients were fitted.
-    level : float
-        False-alarm probability of the verdict, shared by the two tests.
+        Parameters
+        ----------
+        residuals : array_like, shape (n,)
+            Prediction errors; NaN is a missing sample.
+        fitted : int
+            Number of coefficients p + q fitted to the series, which cost degrees of freedom.
+        lags : int, optional
+            Lags of Ljung-Box and of the count; default 20, more when many coefficients were fitted.
+        level : float
+            False-alarm probability of the verdict, shared by the two tests.
 
-    Examples
-    --------
-    >>> import numpy as np
-    >>> result = whiteness(np.random.default_rng(1).standard_normal(4000))
-    >>> result.is_white, result.lags
-    (True, 20)
+        Examples
+        --------
+        >>> import numpy as np
+    import scipy  # its parts are imported when they are first used: that takes a second
+        >>> result = whiteness(np.random.default_rng(1).standard_normal(4000))
+        >>> result.is_white, result.lags
+        (True, 20)
     """
     if not 0.0 < level < 1.0:
         raise ValueError(f"level must lie between 0 and 1, found {level}.")
@@ -182,7 +183,7 @@ def whiteness(residuals: ArrayLike, fitted: int = 0, lags: int | None = None, le
         known = np.isfinite(np.asarray(residuals, dtype=np.float64)).astype(np.float64)
         pairs = np.array([known[k:] @ known[:-k] for k in range(1, lags + 1)])
     box = float(n * (n + 2.0) * np.sum(r**2 / np.maximum(pairs, 1.0)))
-    box_p = float(stats.chi2.sf(box, lags - fitted))
+    box_p = float(scipy.stats.chi2.sf(box, lags - fitted))
     distance, distance_p = _cumulative_periodogram(x)
     limit = 1.959964 / math.sqrt(n)
     count = int(np.sum(np.abs(r) > limit))
@@ -194,7 +195,7 @@ def whiteness(residuals: ArrayLike, fitted: int = 0, lags: int | None = None, le
         periodogram=distance,
         periodogram_p=distance_p,
         exceedances=count,
-        exceedances_p=float(stats.binom.sf(count - 1, lags, 0.05)),
+        exceedances_p=float(scipy.stats.binom.sf(count - 1, lags, 0.05)),
         wt=0.05 * x.size / everywhere if everywhere else math.inf,
         wt_white=WT_WHITE,
         n=n,
@@ -206,21 +207,21 @@ def whiteness(residuals: ArrayLike, fitted: int = 0, lags: int | None = None, le
 
 def _all_lags(x: Array) -> Array:
     """Biased autocorrelation at all lags, by FFT."""
-    size = fft.next_fast_len(2 * x.size, real=True)
-    power = np.abs(fft.rfft(x, size)) ** 2
-    r = fft.irfft(power, size)[: x.size]
+    size = scipy.fft.next_fast_len(2 * x.size, real=True)
+    power = np.abs(scipy.fft.rfft(x, size)) ** 2
+    r = scipy.fft.irfft(power, size)[: x.size]
     return np.asarray(r / r[0])
 
 
 def _cumulative_periodogram(x: Array) -> tuple[float, float]:
     """Kolmogorov distance of the cumulative periodogram from whiteness, and its probability."""
-    power = np.abs(fft.rfft(x)[1 : (x.size - 1) // 2 + 1]) ** 2
+    power = np.abs(scipy.fft.rfft(x)[1 : (x.size - 1) // 2 + 1]) ** 2
     m = power.size
     rise = np.cumsum(power) / power.sum()
     step = np.arange(1, m + 1) / m
     distance = float(max(np.max(step - rise), np.max(rise - step + 1.0 / m)))
     # Stephens (1970): the limit distribution with this argument is right to a per cent from a dozen ordinates on.
-    return distance, float(stats.kstwobign.sf(distance * (math.sqrt(m) + 0.12 + 0.11 / math.sqrt(m))))
+    return distance, float(scipy.stats.kstwobign.sf(distance * (math.sqrt(m) + 0.12 + 0.11 / math.sqrt(m))))
 
 
 def allan_deviation(series: ArrayLike, rate_hz: float, averaging: ArrayLike | None = None) -> tuple[Array, Array]:
@@ -303,13 +304,13 @@ def _edf(m: int, n: int, density: Callable[[Array], Array] | None, rate_hz: floa
     steps = min(m, _STEPS)
     stride = m / steps
     pairs = n / stride - 2 * steps + 1.0
-    size = fft.next_fast_len(int(2 * (min(pairs, _REACH * steps) + 4 * steps)), real=False)
+    size = scipy.fft.next_fast_len(int(2 * (min(pairs, _REACH * steps) + 4 * steps)), real=False)
     # half-way between the usual frequencies: 0, where a walk has no density, is not among them
     cycles = (np.arange(size) + 0.5) / size
     cycles = np.minimum(cycles, 1.0 - cycles)
     gain = np.sin(np.pi * cycles * steps) ** 4 / np.sin(np.pi * cycles) ** 2
     power = gain if density is None else gain * density(cycles * rate_hz / stride)
     lags = np.arange(math.ceil(min(pairs, size // 2)))
-    covariance = (np.exp(1j * np.pi * lags / size) * fft.ifft(power)[: lags.size]).real
+    covariance = (np.exp(1j * np.pi * lags / size) * scipy.fft.ifft(power)[: lags.size]).real
     share = np.square(covariance / covariance[0]) * (1.0 - lags / pairs)
     return max(float(pairs / (2.0 * share.sum() - share[0])), 1.0)

@@ -119,7 +119,7 @@ class Passage:
         self._watches = self._watched()
         most = max([1, *(channel.axes for channel in self._channels)])
         self._notes = np.empty((READINGS, 3 + 2 * most))
-        self._opened = np.empty((READINGS, 1 + most))
+        self._opened = np.empty((READINGS, 2 + most))
         self._same = self._repeated()
         driven = bool(nav.filter.plan[-1, kernels.STEPS]) and not nav.filter.jumps.active
         # beams have more directions than an ear of the kernel holds
@@ -427,7 +427,7 @@ class Passage:
             listener = self.nav.learning.listeners.get(channel.name)
             mine = np.flatnonzero(which[first:] == i) + first if listener is not None else ()
             if listener is not None and len(mine):
-                heard = self._opened[mine, : 1 + channel.axes]
+                heard = self._opened[mine, : 2 + channel.axes]
                 listener.caught_up(ears[i], heard[:, 0], heard[:, 1:])
 
 

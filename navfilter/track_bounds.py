@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
+from navfilter.filter.chi_square import chi_square_limit
 from navfilter.filter.integrity import CONFIRMED_S, bounds, whole_offset
 from navfilter.filter.offsets import has_offset
 from navfilter.filter.tape import OUTCOMES, Residuals
@@ -50,7 +50,7 @@ def _off(track: Track, name: str) -> Array:
     again = refused & (np.r_[False, refused[:-1]] | (time_s < first_s + CONFIRMED_S))
     blocks = [model.block(1.0 / sensor.rate_hz) for model in sensor.models]
     slow = [float(block.C @ block.P0 @ block.C) for block in blocks]
-    limit = chi2.ppf(sensor.gate_probability, sensor.axes)
+    limit = float(chi_square_limit(sensor.gate_probability, sensor.axes))
     unseen = np.sqrt(limit * np.where(np.isnan(sd), 0.0, sd**2 + slow).max(axis=1))
     last = np.searchsorted(time_s, track.time_s, side="right") - 1
     off = np.where(again, whole_offset(sensor.corrects, r.value[judged], max(slow)), unseen)[last]

@@ -64,8 +64,10 @@ def random_drive(rng, k, **settings):
     return drv, 0.02 * rng.normal(size=k), Phid, Qd, Cr, acc
 
 
-def uncalibrated_drive(rng, k, elements, **settings):
-    """As `random_drive` of k states, with elements of M (3 * channel + axis) behind them, which are constants."""
+def uncalibrated_drive(rng, k, elements, wandering=(), **settings):
+    """As `random_drive` of k states, with elements of M (3 * channel + axis) behind them, which are constants, but for
+    those that are `wandering`.
+    """
     count, whole = len(elements), k + len(elements)
     drv, xd, Phid, Qd, Cr, acc = random_drive(rng, whole, **settings)
     drv[strapdown.CALIBRATED] = count
@@ -74,6 +76,8 @@ def uncalibrated_drive(rng, k, elements, **settings):
     Phid[constant], Phid[:, constant], Cr[:, :whole][:, constant] = 0.0, 0.0, 0.0
     Phid[constant, constant] = 1.0
     Qd[constant], Qd[:, constant] = 0.0, 0.0
+    for i in wandering:
+        Phid[k + i, k + i], Qd[k + i, k + i] = 0.9, 1e-6
     return drv, xd, Phid, Qd, Cr, acc
 
 

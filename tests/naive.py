@@ -920,7 +920,7 @@ def listen(undone, mem, dims, places, nav, C, x, kind, mount, ring, cursor, tick
         value = (
             closed + {1: undone[[8]], 2: near[:, :3] @ undone[:3], 3: mount.reshape(3, 3) @ undone[m : m + 3]}[kind][:a]
         )
-        for column in [*[np.full(a, np.nan)] * min(ticks - 1, capacity), value]:
+        for column in [*[np.full(a + 1, np.nan)] * min(ticks - 1, capacity), [*value, undone[2 * m]]]:
             ring[:, cursor[0] % capacity] = column
             cursor[0] += 1
     if not used:
@@ -934,6 +934,7 @@ def listen(undone, mem, dims, places, nav, C, x, kind, mount, ring, cursor, tick
     undone[m : m + 3] += C_nb.T @ (d[3:6] + np.cross(nav[3:6], d[6:9]))
     undone[m + 3 : m + 6] += tilt + C_nb @ force
     undone[m + 6 : m + 9] += rotation(heading * DOWN).T @ tilt + force
+    undone[2 * m] += C_nb[2] @ force - force[2]
 
 
 # ---------------------------------------------------------------- kernels/measurement.py: through water that moves
@@ -1504,13 +1505,25 @@ def stretch(
             continue
         a, mem, once = spot[0], bench[spot[14] : spot[15]], np.zeros(1, int)
         carry(undone, mem[: m * m].reshape(m, m))
-        C, value = bench[spot[19] :][: a * spot[5]].reshape(a, spot[5]), np.zeros((a, 1))
+        C, value = bench[spot[19] :][: a * spot[5]].reshape(a, spot[5]), np.zeros((a + 1, 1))
         listen(undone, mem, spot[:7], where[i], nav, C, x, ears[i, 0], ears[i, 8:17], value, once, 1, Cr, float(g))
         opened[e, 0], cursor[8] = count, once[0]
         if ears[i, 0]:
-            opened[e, 1 : 1 + a] = value[:, 0]
+            opened[e, 1 : 2 + a] = value[:, 0]
         if ears[i, 0] and attend(ears[i], note[0], note[1], count, t >= learn):
             cursor[0] = e + 1
             return 6
     cursor[0] = len(given[0])
     return 0
+
+
+def rows_of_text(values, digits, marks, given, begin, out):
+    text = b""
+    for k in range(begin, values.size):
+        row, column = divmod(k, digits.size)
+        form = f"%.{digits[column]}f" if digits[column] >= 0 else f"%.{-digits[column]}g"
+        text += given.tobytes() if k == begin and given.size else (form % values[k]).encode()
+        text += b"," + marks[row].tobytes() if column == 0 and marks.size else b""
+        text += b"," if column < digits.size - 1 else b"\n"
+    out[: len(text)] = np.frombuffer(text, np.uint8)
+    return values.size, len(text)

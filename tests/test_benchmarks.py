@@ -24,6 +24,7 @@ SCRIPTS = {
     "fuzz": ("no other software", ()),
     "gliders": ("plain dead reckoning", ()),
     "gnss_heading": ("no other software", ()),
+    "gnss_ins": ("KF-GINS", ()),
     "heading_toy": ("Sage-Husa", ()),
     "honest": ("Gauss-Markov", ()),
     "identify_recordings": ("statsmodels", ()),

@@ -6,6 +6,7 @@ import same_runs
 from feeding import events_of, one_by_one
 
 import navfilter as nf
+from navfilter.calibration.parts import constants_of
 from navfilter.check.plausibility import check_vehicle
 from navfilter.evaluation.constants import constants
 from navfilter.filter.layout import Layout
@@ -82,6 +83,26 @@ def test_calibration_is_found_with_an_honest_sd(increments):
     assert {c.name for c in constants(track)} == set(names)
 
 
+def test_scales_that_wander_are_followed_with_an_honest_sd():
+    """Drawn as described, with a correlation time of a fifth of the mission: errors by their sd all along."""
+    from dataclasses import replace
+
+    imu = replace(IMU, gyro_misalignment_sd_rad=0.0, accel_misalignment_sd_rad=0.0)
+    imu = replace(imu, gyro_scale_sd=0.02, gyro_scale_tau_s=30.0, accel_scale_tau_s=3000.0)
+    vehicle, nees = vehicle_of(imu), []
+    assert list(imu.wandering()) == [p.name for p in imu.parameters()]
+    assert constants_of(vehicle) == ()
+    for seed in range(8):
+        mission = simulate(vehicle, WAY, seed=seed, start=StartErrors(heading_sd_deg=2.0))
+        track = nf.replay(vehicle, mission)
+        figures = track.nees(track.errors(mission.truth))
+        nees.append([np.mean(figures[name][50:]) for name in ("position", "velocity", "heading")])
+        sd = track.state("gyro.scale_z")[1]
+    # what a turn has told is forgotten in the straight that follows
+    assert sd.min() < 0.5 * sd.max() < 0.011
+    assert np.all((np.mean(nees, axis=0) > 0.5) & (np.mean(nees, axis=0) < 1.6)), np.mean(nees, axis=0)
+
+
 def test_without_the_keys_nothing_changes_and_with_them_live_is_replay(tmp_path):
     """Blocks, single samples and a snapshot half-way: the same to the last bit."""
     vehicle = vehicle_of()
@@ -116,6 +137,17 @@ def test_rates_for_lever_arms_and_for_the_past_are_those_of_a_calibrated_unit():
     np.testing.assert_allclose(moved[:, 1:], plain[:, 1:] - plain[:, 1:] @ M.T - x[:6], atol=1e-14)
 
 
+@pytest.mark.parametrize("value", [0.0, -1.0, np.inf])
+def test_a_correlation_time_is_positive(value):
+    with pytest.raises(ValueError, match="accel_scale_tau_s must be a finite number > 0"):
+        nf.Imu(rate_hz=100.0, accel_scale_sd=0.01, accel_scale_tau_s=value)
+
+
+def test_a_scale_that_wanders_cannot_be_calibrated():
+    with pytest.raises(ValueError, match="is no constant state of it"):
+        nf.Imu(rate_hz=100.0, gyro_scale_sd=0.01, gyro_scale_tau_s=9.0, calibrated=(("gyro.scale_x", 0.01, 0.001),))
+
+
 @pytest.mark.parametrize(
     ("key", "value"),
     [("gyro_scale_sd", -0.1), ("accel_scale_sd", (0.1, 0.2)), ("gyro_misalignment_sd_rad", np.nan)],
@@ -133,11 +165,13 @@ def test_keys_of_a_vehicle_toml(tmp_path):
     gyro_scale_sd = 0.5
     gyro_misalignment_sd_deg = 0.3
     accel_scale_sd = [0.01, 0.02, 0.03]
+    accel_scale_tau_s = 7200
     accel_misalignment_sd_deg = 30
     """
     (tmp_path / "vehicle.toml").write_text(text)
     vehicle = nf.read_vehicle(tmp_path)
-    assert vehicle.drive.accel_scale_sd == (0.01, 0.02, 0.03)
+    assert vehicle.drive.accel_scale_sd == (0.01, 0.02, 0.03) and vehicle.drive.gyro_scale_tau_s is None
+    assert list(vehicle.drive.wandering()) == [f"accel.scale_{axis}" for axis in "xyz"]
     assert vehicle.drive.gyro_misalignment_sd_rad == pytest.approx(0.3 * DEG)
     assert nf.read_vehicle(write_vehicle(vehicle, tmp_path / "again.toml")).drive == vehicle.drive
     doubted = {finding.stream for finding in check_vehicle(vehicle) if finding.severity == "warning"}

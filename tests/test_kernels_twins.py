@@ -170,7 +170,20 @@ def drive_result(args):
 @pytest.mark.parametrize("increments", [False, True])
 def test_imu_kernels(k, increments, elements):
     rng = np.random.default_rng(k)
-    drv, xd, Phid, Qd, Cr, acc = uncalibrated_drive(rng, k, elements, INCREMENTS=float(increments))
+    _same_as_the_twins(rng, *uncalibrated_drive(rng, k, elements, INCREMENTS=float(increments)), increments)
+
+
+@pytest.mark.parametrize("plain", [False, True])
+@pytest.mark.parametrize("wandering", [(2,), (0, 1, 2, 3)], ids=len)
+def test_imu_kernels_with_elements_that_wander(wandering, plain):
+    rng = np.random.default_rng(1)  # no sample comes before a hold has ended: there the kernel leaves M out
+    drv, xd, Phid, Qd, Cr, acc = uncalibrated_drive(rng, 6, (0, 4, 8, 13), wandering)
+    if plain:  # one state of an error model a reading, as it is
+        Phid[:6, :6], Qd[:6, :6], Cr[:, :6] = np.diag(rng.uniform(0.5, 1.0, 6)), np.diag(rng.uniform(size=6)), np.eye(6)
+    _same_as_the_twins(rng, drv, xd, Phid, Qd, Cr, acc, False)
+
+
+def _same_as_the_twins(rng, drv, xd, Phid, Qd, Cr, acc, increments):
     nav, n = random_nav(rng), 12
     for block in range(3):
         args = nav, xd, drv, imu_samples(rng, n, increments), Phid, Qd, Cr, acc

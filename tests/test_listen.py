@@ -13,6 +13,7 @@ from kernel_inputs import assert_close, random_nav, run_both
 import navfilter as nf
 from navfilter.kernels import kalman, listen
 from navfilter.learning.drift import Drift
+from navfilter.learning.limits import LONGEST_GAP
 from navfilter.mission import Stream
 from navfilter.playback import residual_series
 from navfilter.simulation.faults import draw_errors
@@ -26,7 +27,7 @@ def test_carry():
     rng = np.random.default_rng(1)
     for m in (9, 10, 15):
         Phi = np.eye(m) + 0.1 * rng.normal(size=(m, m))
-        ours, twins = run_both(listen.carry, rng.normal(size=2 * m), Phi)
+        ours, twins = run_both(listen.carry, rng.normal(size=2 * m + 1), Phi)
         assert_close([ours[0][: m + 9]], [twins[0][: m + 9]], 1e-14)
 
 
@@ -43,7 +44,7 @@ def test_listen(kind, gravity, used):
         mem[at[8] + 2] = used
         nav, mount = random_nav(rng), rng.normal(size=9)
         args = (
-            rng.normal(size=2 * m),
+            rng.normal(size=2 * m + 1),
             mem,
             dims,
             np.array(at),
@@ -51,9 +52,17 @@ def test_listen(kind, gravity, used):
             rng.normal(size=(a, errors)),
             rng.normal(size=n - 9),
         )
-        args += (kind, mount, rng.normal(size=(a, 8)), np.array([cursor]), ticks, rng.normal(size=(6, m - 8)), gravity)
+        args += (
+            kind,
+            mount,
+            rng.normal(size=(a + 1, 8)),
+            np.array([cursor]),
+            ticks,
+            rng.normal(size=(6, m - 8)),
+            gravity,
+        )
         ours, twins = run_both(listen.listen, *args)
-        assert_close([ours[0][: m + 9]], [twins[0][: m + 9]], 1e-13)
+        assert_close([ours[0][[*range(m + 9), -1]]], [twins[0][[*range(m + 9), -1]]], 1e-13)
         np.testing.assert_array_equal(np.isnan(ours[9]), np.isnan(twins[9]))
         assert_close([np.nan_to_num(ours[9])], [np.nan_to_num(twins[9])], 1e-13)
         np.testing.assert_array_equal(ours[10], twins[10])
@@ -154,6 +163,27 @@ def test_beside_the_true_error_there_is_only_the_claimed_drift(mems, motion, nam
             assert 0.5 < found / claimed(channel, stride) < 2.0, (axis, spacing_s)
 
 
+def test_a_drift_begins_anew_where_a_force_was_found_while_turned():
+    """At each reading by which it has moved by more than the drift allows; others are nothing to it."""
+    turned = np.array([np.nan, 0.0, 0.1, np.nan, 0.5, 0.55, 0.6, np.nan, -0.2, -0.2])
+    assert Drift((1e-3, 1e-5), 1.0, most_turned=0.3).begins_anew(turned) == [4, 8]
+    assert Drift((1e-3, 1e-5), 1.0).begins_anew(turned) == []
+    assert Drift((1e-3, 1e-5), 1.0, most_turned=0.3).begins_anew(np.full(3, np.nan)) == []
+
+
+@pytest.mark.parametrize("name", ["dvl", "depth", "gps"])
+def test_a_downward_series_begins_anew_in_the_dive_alone(name):
+    """There the forward accelerometer is found wrong, whose error had not acted downward before. Beside it nothing is
+    missing but a tick or two that stand out; along the other axes nothing ever.
+    """
+    vehicle, mission = mission_of(False, "straight")
+    *level, down = (np.isnan(channel.value) for channel in series_of(False, "straight")[name])
+    time_s = (np.arange(down.size) + len(mission.streams[name]) - down.size) / vehicle.sensors[name].rate_hz
+    dive = (time_s > 65.0) & (time_s < 105.0)
+    assert down[dive].sum() > LONGEST_GAP and not down[~dive].any()
+    assert sum(int(axis.sum()) for axis in level) <= 2
+
+
 # ---------------------------------------------------------------- nothing of the error is hidden
 
 AMPLITUDE = {"compass": 0.01, "dvl": 0.02, "depth": 0.05, "gps": 2.0}
@@ -239,5 +269,8 @@ def test_a_reading_that_is_missing_or_a_spike_is_nan_in_the_series():
         mission, streams=dict(mission.streams) | {"depth": Stream(stream.time_s[keep], values[keep], stream.columns)}
     )
     series = residual_series(strict, faulty, sensors=["depth"])["depth"][0].value
-    first = len(stream) - len(series)
-    assert np.flatnonzero(np.isnan(series)).tolist() == [300 - first, *(k - first for k in (400, 401, 402))]
+    first, level = len(stream) - len(series), 200  # the dive is over
+    assert np.flatnonzero(np.isnan(series[level:])).tolist() == [
+        300 - first - level,
+        *(k - first - level for k in (400, 401, 402)),
+    ]

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from small_run import small_run
 
 from navfilter.io.write import labelled, summarise, write_outputs, write_summary
+from navfilter.outputs import table
 from navfilter.outputs.formats import write_track
 from navfilter.outputs.tum import write_truth
 
@@ -176,7 +177,7 @@ def test_an_interrupted_write_leaves_the_old_file(tmp_path, monkeypatch):
     def full(*args, **kwargs):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(np, "savetxt", full)
+    monkeypatch.setattr(table, "text_of_rows", full)
     with pytest.raises(OSError, match="No space"):
         write_track(tracks["forward"], path)
     assert path.read_text() == "old" and [p.name for p in tmp_path.iterdir()] == ["track.csv"]

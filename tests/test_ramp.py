@@ -9,8 +9,11 @@ from feeding import events_of, one_by_one
 
 import navfilter as nf
 from navfilter import passage
+from navfilter.filter.agreement import heard
 from navfilter.filter.ramp import ramp_of, with_refused
-from navfilter.simulation.scenarios import simulate_scenario
+from navfilter.simulation.faults import Faults
+from navfilter.simulation.scenarios import simulate_scenario, survey, survey_vehicle
+from navfilter.simulation.simulate import simulate
 
 DEG, METRES = math.pi / 180.0, 6.37e6
 FAULT_S = 120.0
@@ -86,6 +89,29 @@ def test_a_unit_that_leaves_the_dvl_behind_is_left_out(dive, name, change, times
     if name.startswith("gyro x"):
         found = dict(zip(track.state_names, track.states[-1], strict=True))["gyro_x[0]"]
         assert found == pytest.approx(400.0 * DEG / 3600.0, rel=0.2)
+
+
+def test_a_dvl_that_is_let_in_now_and_then_on_a_slow_ramp_has_not_jumped():
+    """Exchanged accelerometers feel a level vehicle's bias and trim on the wrong axis: the ramp is slow at first."""
+    fixes = {"gps": Faults(available=((0.0, 140.0),))}
+    vehicle = survey_vehicle()
+    mission = simulate(vehicle, survey(700.0, surface_s=110.0), seed=4, duration_s=360.0, faults=fixes)
+    track = nf.replay(vehicle, spoiled(mission, lambda v: v[:, [0, 1, 2, 4, 3, 5]], begin_s=250.0))
+    assert np.nanmax(track.errors(mission.truth).horizontal[track.time_s > 250.0]) < 15.0  # 780 m if the DVL is blamed
+    assert track.counts["contradicted"] > 0 and track.counts["jumped"] == 0
+
+
+@pytest.mark.parametrize(("disputed_s", "jumped"), [(-math.inf, False), (50.0, True)])
+def test_only_one_that_was_right_for_long_is_refused_now_and_then_without_a_jump(dive, disputed_s, jumped):
+    vehicle, mission, _ = dive
+    nav = nf.Navigator(vehicle, mission.start)
+    channel = nav.filter.channels["dvl"]
+    kept, channel.verdict[:2], channel.res[:] = channel.memory, (1e4, 3.0), (0.5, 0.0, 0.0)
+    kept.agreed_s, kept.used_s, kept.disputed_s = 0.0, 99.75, disputed_s
+    kept.refused_s, kept.rejected_since_s = 99.5, 100.0
+    assert heard(channel, nav.filter.P, 1.5, 100.0, nav.filter.drive_output, 0.01).jumped is jumped
+    kept.refused_s = 90.0
+    assert heard(channel, nav.filter.P, 1.5, 100.0, nav.filter.drive_output, 0.01).jumped
 
 
 @pytest.mark.parametrize(

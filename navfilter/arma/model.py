@@ -9,8 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy  # its parts are imported when they are first used: that takes a second
 from numpy.typing import ArrayLike, NDArray
-from scipy.signal import freqz, lfilter
 
 from navfilter.arma.roots import is_stable, roots_of
 from navfilter.arma.stationary import observer, settled
@@ -176,7 +176,7 @@ class ArmaModel:
         """First `n` impulse-response coefficients, ``psi[0] = 1``."""
         impulse = np.zeros(n)
         impulse[:1] = 1.0
-        return np.asarray(lfilter(np.r_[1.0, self.ma], np.r_[1.0, self.ar], impulse))
+        return np.asarray(scipy.signal.lfilter(np.r_[1.0, self.ma], np.r_[1.0, self.ar], impulse))
 
     def spectrum(self, freq_hz: ArrayLike, rate_hz: float) -> Array:
         """One-sided power spectral density, unit^2/Hz: its integral over 0 ... rate/2 is the variance.
@@ -190,7 +190,7 @@ class ArmaModel:
         """
         w = 2.0 * np.pi * np.asarray(freq_hz, dtype=np.float64) / rate_hz
         with np.errstate(divide="ignore", invalid="ignore"):
-            _, response = freqz(np.r_[1.0, self.ma], np.r_[1.0, self.ar], worN=np.atleast_1d(w))
+            _, response = scipy.signal.freqz(np.r_[1.0, self.ma], np.r_[1.0, self.ar], worN=np.atleast_1d(w))
         return np.asarray(2.0 * self.sd**2 / rate_hz * np.abs(response) ** 2).reshape(w.shape)
 
     def autocovariance(self, lags: int) -> Array:
@@ -214,7 +214,7 @@ class ArmaModel:
         c, a = np.zeros(P.shape[0] + 1), np.zeros(P.shape[0] + 1)
         c[0] = a[0] = 1.0
         c[1 : self.q + 1], a[1 : self.p + 1] = self.ma, self.ar
-        tail, _ = lfilter(c, a, np.zeros(lags), zi=start) if lags else (np.zeros(0), None)
+        tail, _ = scipy.signal.lfilter(c, a, np.zeros(lags), zi=start) if lags else (np.zeros(0), None)
         return np.r_[variance + P[0, 0], tail]
 
     def observer_form(self) -> tuple[Array, Array, Array]:
@@ -264,7 +264,7 @@ def simulate_arma(
     e = model.sd * random.standard_normal(n)
     if r == 0:
         return e
-    y, _ = lfilter(np.r_[1.0, model.ma], np.r_[1.0, model.ar], e, zi=start)
+    y, _ = scipy.signal.lfilter(np.r_[1.0, model.ma], np.r_[1.0, model.ar], e, zi=start)
     return np.asarray(y)
 
 
@@ -294,8 +294,8 @@ def forecast_arma(model: ArmaModel, series: ArrayLike, steps: int) -> tuple[Arra
     r = max(model.p, model.q)
     if r == 0:
         return np.zeros(steps), spread
-    e = lfilter(np.r_[1.0, model.ar], np.r_[1.0, model.ma], x)
+    e = scipy.signal.lfilter(np.r_[1.0, model.ar], np.r_[1.0, model.ma], x)
     c, a = np.r_[1.0, model.ma], np.r_[1.0, model.ar]
-    _, state = lfilter(c, a, e, zi=np.zeros(r))
-    mean, _ = lfilter(c, a, np.zeros(steps), zi=state)
+    _, state = scipy.signal.lfilter(c, a, e, zi=np.zeros(r))
+    mean, _ = scipy.signal.lfilter(c, a, np.zeros(steps), zi=state)
     return np.asarray(mean), spread

@@ -76,8 +76,9 @@ def heard(channel: Channel, P: Array, speed: float, time_s: float, drive_output:
     if before is None:
         near = time_s - memory.used_s <= max(BEFORE_S, 3.0 * channel.period_s)
         confirmed = near and memory.used_s - memory.agreed_s >= CONFIRMED_S
-        # an error that grows reaches the gate just so; one that jumps is beyond it at once
-        at_once = channel.verdict[0] > AT_ONCE * channel.limits[int(channel.verdict[1])]
+        # an error that grows reaches the gate just so, now and then; one that jumps is beyond it at once
+        now_and_then = time_s - memory.refused_s <= BEFORE_S and memory.undisputed
+        at_once = not now_and_then and channel.verdict[0] > AT_ONCE * channel.limits[int(channel.verdict[1])]
         first = tuple(residual.tolist())
         new = Refusals(confirmed, bool(confirmed and at_once), first, first, (), (), time_s, time_s)
         return _begun(new, residual, white, seen, time_s)

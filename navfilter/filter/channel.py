@@ -10,11 +10,11 @@ from functools import cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.stats import chi2
 
 from navfilter.filter import aside
 from navfilter.filter.aside import Aside
 from navfilter.filter.belief import believed
+from navfilter.filter.chi_square import chi_square_limit
 from navfilter.filter.course import Course
 from navfilter.filter.layout import Group, Layout
 from navfilter.filter.offsets import has_offset, proportions
@@ -37,7 +37,9 @@ STILL_SDS = 3.0
 
 
 #: A sensor that has been refused for so long, and then used again, was wrong itself [s].
-DISPUTED_S = 1.0
+DISPUTED_S = 3.0
+#: For so long after that it may be wrong again [s]: it has to follow turns and changes of speed meanwhile.
+UNDISPUTED_S = 600.0
 
 
 @dataclass
@@ -57,6 +59,8 @@ class ChannelMemory:
         What the readings that have been refused since say together.
     ramp : tuple of float
         Sums of the straight line through the residuals of a velocity that have been refused since (`ramp`).
+    refused_s : float
+        When its last reading was refused [s].
     disputed_s : float
         When it was last refused for long although nothing was wrong with the drive [s].
     astray_m : float
@@ -80,6 +84,7 @@ class ChannelMemory:
     agreed_s: float = math.nan
     refused: Refusals | None = None
     ramp: tuple[float, ...] = ()
+    refused_s: float = -math.inf
     disputed_s: float = -math.inf
     astray_m: float = math.nan
     aside: Aside | None = None
@@ -87,6 +92,11 @@ class ChannelMemory:
     same_s: float = math.nan
     again_s: float = math.nan
     last: Array = field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def undisputed(self) -> bool:
+        """Whether it was right for long, until it was refused last."""
+        return not self.rejected_since_s - self.disputed_s <= UNDISPUTED_S
 
     @property
     def astray(self) -> bool:
@@ -310,7 +320,7 @@ class Channel:
 @cache
 def _limits(probability: float, axes: int, single: bool) -> tuple[float, ...]:
     """Chi-square limits of the gate for 1, 2, ... axes; first the share that must remain, see ``kalman.update``."""
-    return (MAJORITY if single else math.inf, *chi2.ppf(probability, np.arange(1, axes + 1)).tolist())
+    return (MAJORITY if single else math.inf, *chi_square_limit(probability, np.arange(1, axes + 1)).tolist())
 
 
 def usable(sd: ArrayLike, sensor: Sensor) -> bool:

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.filter.channel import DISPUTED_S
 from navfilter.kernels import drive_watch as kernel
 from navfilter.state import NavState
 
@@ -34,9 +33,8 @@ READINGS, RAMP_S, SLOPE_SDS, BEGAN = 8, 1.5, 8.0, 0.5
 USED_S, WAY_M = 60.0, 50.0
 #: While the vehicle turns faster, nothing is accused [rad/s]: what is described wrongly shows then, and not after.
 TURNING = 0.05
-#: One that was refused for long, or has jumped, may not do so for the time after that in which it has to follow turns
-#: and changes of speed [s].
-AFTER_S = 600.0
+#: One that is refused for so long [s] without that is disputed.
+DISPUTED_S = 1.0
 
 
 def accused(filter: Filter, channel: Channel, time_s: float) -> float | None:
@@ -71,8 +69,7 @@ def may_accuse(filter: Filter, channel: Channel, time_s: float) -> bool:
         return False
     kept, nav = channel.memory, NavState.unpack(time_s, filter.memory.nav)
     way_m = math.hypot(*nav.minus(filter.start.state)[:2].tolist())
-    undisputed = kept.rejected_since_s - kept.disputed_s > AFTER_S
-    return kept.used_s - kept.agreed_s >= USED_S and way_m >= WAY_M and undisputed
+    return kept.used_s - kept.agreed_s >= USED_S and way_m >= WAY_M and kept.undisputed
 
 
 def with_refused(ramp: tuple[float, ...], age_s: float, residual: Array) -> tuple[float, ...]:

@@ -7,7 +7,8 @@ from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.stats import chi2
+
+from navfilter.filter.chi_square import chi_square_limit
 
 if TYPE_CHECKING:
     from navfilter.filter.course import Course
@@ -83,4 +84,4 @@ class Refusals:
 
 @cache
 def _limit(dof: int) -> float:
-    return float(chi2.ppf(1.0 - TURNED_DOWN, dof))
+    return float(chi_square_limit(1.0 - TURNED_DOWN, dof))

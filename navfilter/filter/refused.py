@@ -101,6 +101,7 @@ def _agreed(filter: Filter, channel: Channel, time_s: float) -> bool:
     drive = filter.drive_output, filter.vehicle.drive.period_s
     course, back = (None, 0) if kept.refused is None else (kept.refused.course, kept.refused.back)
     kept.refused = refused = agreement.heard(channel, memory.P, speed, time_s, *drive)
+    kept.refused_s = time_s
     if channel.sensor.open_loop == listen.POSITION and channel.axes == 3:
         kept.refused = refused = replace(refused, course=_made(course, channel, time_s, memory.nav))
         if _heading_outvoted(filter, channel, refused, time_s):

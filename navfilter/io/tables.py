@@ -244,8 +244,11 @@ def _read_text(place: Place, data: bytes, options: TableOptions) -> Table:
 
     if b"\0" in data[:65536]:
         raise MissionError(f"{place.shown} is not a text file (it contains zero bytes).")
-    lines = data.decode("utf-8-sig", errors="replace").splitlines()[options.skip_lines :]
-    lines = [kept for kept in (_before(line, options.comment) for line in lines) if kept]
+    text = data.decode("utf-8-sig", errors="replace")
+    lines = text.splitlines()[options.skip_lines :]
+    if options.comment and options.comment in text:
+        lines = [line.split(options.comment, 1)[0] for line in lines]
+    lines = [kept for line in lines if (kept := line.strip(" \r\n"))]
     delimiter = options.delimiter
     if lines and lines[0].lower().startswith("sep=") and len(lines[0]) == 5:
         delimiter = delimiter or lines[0][4]

@@ -6,8 +6,12 @@ n by the acceleration in n; velocity in b by the acceleration in b. An open loop
 that sum. What is left beside it is the error of the closed loop, which is small, so that Coriolis force, turns and a
 pitching accelerometer bias act on that small error only, not on the sum.
 
-Places in ``undone`` (2m elements for m head states): position 0-2, velocity 3-5, heading 8, the drive's states 9 to m,
-then velocity in b, acceleration in n, acceleration in b (three each), and m - 9 of work space.
+A force that is found wrong while the vehicle pitches or rolls was wrong in another direction before: there the drift is
+no chain of integrators. How much of the downward force fed back came by that is summed up, and noted beside the
+residuals.
+
+Places in ``undone`` (2m + 1 elements for m head states): position 0-2, velocity 3-5, heading 8, the drive's states 9 to
+m, then velocity in b, acceleration in n, acceleration in b (three each), and m - 9 of work space; last that sum.
 """
 
 import math
@@ -71,10 +75,11 @@ def listen(undone, mem, dims, places, nav, C, x, kind, mount, ring, cursor, tick
     """After a reading: note its open-loop residual in `ring` (kind != 0), then add what it fed back to `undone`.
 
     mem, dims, places: the channel's memory as the correction left it (see ``kalman.places``). C (a, errors), x: output
-    rows and means. mount: (9,) body to instrument, row by row. ring: (a, capacity); cursor: (1,) ticks written so far;
-    `ticks` of the sensor's clock have passed since the reading before (those without a reading are noted as NaN). Cr:
-    (6, drive's states + 1), the drive's output rows, forces last; gravity: what a tilt turns into acceleration, 0
-    without an inertial unit, whose velocity is no integral.
+    rows and means. mount: (9,) body to instrument, row by row. ring: (a + 1, capacity), the last row for the force that
+    came by pitch and roll [m/s^2]; cursor: (1,) ticks written so far; `ticks` of the sensor's clock have passed since
+    the reading before (those without a reading are noted as NaN). Cr: (6, drive's states + 1), the drive's output rows,
+    forces last; gravity: what a tilt turns into acceleration, 0 without an inertial unit, whose velocity is no
+    integral.
     """
     a, m, start, errors = dims[0], dims[2], dims[4], dims[5]
     K, res, verdict = places[1], places[3], places[8]
@@ -83,7 +88,7 @@ def listen(undone, mem, dims, places, nav, C, x, kind, mount, ring, cursor, tick
         capacity = ring.shape[1]
         at = cursor[0]
         for _ in range(min(ticks - 1, capacity)):
-            for i in range(a):
+            for i in range(a + 1):
                 ring[i, at % capacity] = math.nan
             at += 1
         near = places[7]
@@ -107,6 +112,7 @@ def listen(undone, mem, dims, places, nav, C, x, kind, mount, ring, cursor, tick
                 for j in range(3):
                     y += mount[3 * i + j] * undone[m + j]
             ring[i, at % capacity] = y
+        ring[a, at % capacity] = undone[2 * m]
         cursor[0] = at + 1
     if not used:
         return
@@ -135,5 +141,6 @@ def listen(undone, mem, dims, places, nav, C, x, kind, mount, ring, cursor, tick
             for i in range(9, m):
                 force -= Cr[3 + j, i - 9] * d[i]
             undone[b + j] += force
+            undone[2 * m] += (nav[12 + j] - (1.0 if j == 2 else 0.0)) * force
             for i in range(3):
                 undone[n + i] += nav[6 + 3 * i + j] * force

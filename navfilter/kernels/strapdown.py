@@ -315,7 +315,7 @@ def _inertial_carry(X, f, C, seen, gain, kinds, E, m, Phi_ends):
     compiled, so that bits stay the same. seen, gain, kinds: as `_which_errors` has it; E (6 * WIDE,): work, rows of
     readings that no state enters are zero. A constant is a unit row of Phi, which ends at `Phi_ends`, and has no noise.
     """
-    noisy, plain = kinds
+    noisy, plain, moving = kinds
     dt, tn, te, td, pn, pe, pd = f[0], f[1], f[2], f[3], f[4], f[5], f[6]
     c0, c1, c2, c3, c4, c5, c6, c7, c8 = C[0], C[1], C[2], C[3], C[4], C[5], C[6], C[7], C[8]
     f7, f8, f9, f10, f11, f12, f13, f14, f15, f16 = f[7], f[8], f[9], f[10], f[11], f[12], f[13], f[14], f[15], f[16]
@@ -330,13 +330,13 @@ def _inertial_carry(X, f, C, seen, gain, kinds, E, m, Phi_ends):
         else:
             for j in range(6 * WIDE):
                 E[j] = 0.0
-            for p in range(noisy):
-                row, of, c = WIDE * seen[0, p], WIDE * (9 + seen[1, p]), dt * gain[p]
-                for j in range(WIDE):
-                    E[row + j] += c * Z[of + j]
+        for p in range(noisy if plain else 0, moving):
+            row, of, c = WIDE * seen[0, p], WIDE * (9 + seen[1, p]), dt * gain[p]
+            for j in range(WIDE):
+                E[row + j] += c * Z[of + j]
         if begin < Phi_ends:
             left = begin // m
-            for p in range(noisy, gain.size):
+            for p in range(moving, gain.size):
                 column = 9 + seen[1, p] - left
                 if 0 <= column < WIDE:
                     E[WIDE * seen[0, p] + column] += dt * gain[p]
@@ -496,12 +496,22 @@ def _uncalibrated(inc, dt, xd, drv, work, seen, gain):
 
 
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
-def _which_errors(Cr, drv, seen, gain):
+def _constants(Phid, Qd, drv):
+    """How many of the drive's last states never change by themselves: all elements of M, or none."""
+    elements = int(drv[CALIBRATED])
+    for i in range(Phid.shape[0] - elements, Phid.shape[0]):
+        if Phid[i, i] != 1.0 or Qd[i, i] != 0.0:
+            return 0
+    return elements
+
+
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
+def _which_errors(Cr, drv, constants, seen, gain):
     """Which of the six readings (row 0 of seen) which of the drive's states (row 1) enters, and by how much (gain):
     first the states of its error models, then the elements of M, whose gains follow from the readings.
 
-    Returns how many such pairs there are, and kinds: how many of the first, and whether these are plain, one state a
-    reading, in their order, as it is.
+    Returns how many such pairs there are, and kinds: how many of the first, whether these are plain, one state a
+    reading, in their order, as it is, and how many pairs are of states that are no constants.
     """
     elements = int(drv[CALIBRATED])
     count, plain = 0, True
@@ -516,7 +526,7 @@ def _which_errors(Cr, drv, seen, gain):
         seen[0, count], seen[1, count] = int(drv[ELEMENTS + q]) // 3, Cr.shape[1] - 1 - elements + q
         gain[count] = 0.0
         count += 1
-    return count, (noisy, plain and noisy == 6)
+    return count, (noisy, plain and noisy == 6, count - constants)
 
 
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
@@ -626,11 +636,12 @@ def _imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc, floats, seen):
     k = len(xd)
     m = 9 + k
     inc, f, gain, E, T, Phi, Q = _workspace(floats, m)
-    count, kinds = _which_errors(Cr, drv, seen, gain)
+    constants = _constants(Phid, Qd, drv)
+    count, kinds = _which_errors(Cr, drv, constants, seen, gain)
     diagonal = _is_diagonal(Phid) and _is_diagonal(Qd)
     _to_panels(acc[:m], Phi)
     _to_panels(acc[m : 2 * m], Q)
-    moved = Q[: _panels(m - int(drv[CALIBRATED])) * m * WIDE]  # constants gather no noise
+    moved = Q[: _panels(m - constants) * m * WIDE]  # constants gather no noise
     both = floats[floats.size - Q.size - Phi.size : floats.size - Q.size + moved.size]
     rows, gathered = moved.reshape((moved.size // WIDE, WIDE)), bool(Q.any())
     for n in range(samples.shape[0]):
@@ -667,11 +678,12 @@ def _imu_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc, floats, seen):
     k = len(xd)
     m = 9 + k
     inc, f, gain, E, T, Phi, Q = _workspace(floats, m)
-    count, kinds = _which_errors(Cr, drv, seen, gain)
+    constants = _constants(Phid, Qd, drv)
+    count, kinds = _which_errors(Cr, drv, constants, seen, gain)
     diagonal = _is_diagonal(Phid) and _is_diagonal(Qd)
     _to_panels(acc[:m], Phi)
     _to_panels(acc[m : 2 * m], Q)
-    moved = Q[: _panels(m - int(drv[CALIBRATED])) * m * WIDE]  # constants gather no noise
+    moved = Q[: _panels(m - constants) * m * WIDE]  # constants gather no noise
     both = floats[floats.size - Q.size - Phi.size : floats.size - Q.size + moved.size]
     rows, gathered = moved.reshape((moved.size // WIDE, WIDE)), bool(Q.any())
     scale = dt / drv[PERIOD_S] if drv[INCREMENTS] != 0.0 else dt

@@ -380,7 +380,7 @@ def _listened(sources):
             x,
             int(ear[listen.KIND]),
             ear[listen.MOUNT : listen.MOUNT + 9],
-            opened[1 : 1 + a].reshape((a, 1)),
+            opened[1 : 2 + a].reshape((a + 1, 1)),
             cursor[SPARE : SPARE + 1],
             once,
             Cr,
@@ -407,9 +407,9 @@ def stretch(sources):
         now, cursor, settings, plan, heard, watched, bench: as described at the head of this file; they, and `state`
         (nav, x, P, acc), are left as they are then. samples (s, 7): work space, their stamps first; stamps (s,);
         limits: of their values. hearing: `undone` (see `listen`; empty where nobody listens), ears of the channels,
-        their `kalman.places`, and (r, 1 + a) for ticks and open-loop residual of each reading. given, of readings: when
-        taken (r,), channel, samples before it, whether Python has found nothing wrong with it, whether its value is
-        that of the one before; values (r, w), and own variances (r, a), or one row of NaN; notes (r, 3 + 2a), which
+        their `kalman.places`, and (r, 2 + a) for ticks and what `listen` notes of each reading. given, of readings:
+        when taken (r,), channel, samples before it, whether Python has found nothing wrong with it, whether its value
+        is that of the one before; values (r, w), and own variances (r, a), or one row of NaN; notes (r, 3 + 2a), which
         receive the verdicts. out: as in `_carried`.
         """
         _ = sources

@@ -8,9 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Drift"]
+__all__ = ["FOUND_S", "Drift"]
 
 Array = NDArray[np.float64]
+#: Time in which a filter finds a wrong force [s]: before a drift begins anew, so much of a series is worth nothing.
+FOUND_S = 10.0
 
 
 @dataclass(frozen=True)
@@ -45,6 +47,7 @@ class Drift:
     density: tuple[float, ...]
     period_s: float
     start_sd: tuple[float, ...] = ()
+    most_turned: float = math.inf
 
     def __post_init__(self) -> None:
         density = tuple(float(value) for value in self.density)
@@ -85,6 +88,23 @@ class Drift:
         form).
         """
         return _chain_noise(self.density, self.period_s)
+
+    def begins_anew(self, turned: Array) -> list[int]:
+        """Ticks at which the chain begins anew.
+
+        Parameters
+        ----------
+        turned : ndarray, shape (n,)
+            Sum of the force that was found while the vehicle pitched or rolled, see `navfilter.kernels.listen`; NaN
+            where there was no reading.
+        """
+        found: list[int] = []
+        known = np.flatnonzero(np.isfinite(turned)) if math.isfinite(self.most_turned) else np.zeros(0, np.int64)
+        while known.size:
+            moved = np.abs(turned[known] - turned[known[0]]) > self.most_turned
+            known = known[int(np.argmax(moved)) :] if moved.any() else known[:0]
+            found.extend(known[:1].tolist())
+        return found
 
     def per_tick(self) -> Array:
         """Noise with states in units per tick (state i times period^i) and, as last row, the variances of the start.

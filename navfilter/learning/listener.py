@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from navfilter.error_models import ErrorModel
 from navfilter.kernels import listen
-from navfilter.learning.drift import Drift
+from navfilter.learning.drift import FOUND_S, Drift
 from navfilter.learning.learned import (
     LONGEST_SPAN_S,
     LearnedArma,
@@ -25,7 +25,7 @@ from navfilter.learning.learned import (
     with_learned,
 )
 from navfilter.learning.learner import Learner, LearnerMemory, Learnt, memories, recall
-from navfilter.learning.limits import LEAST
+from navfilter.learning.limits import LEAST, LONGEST_GAP
 from navfilter.learning.slow import SlowPrior, slow_prior
 from navfilter.learning.spikes import without_spikes
 from navfilter.learning.unseen import white_description
@@ -100,9 +100,9 @@ class ListenerMemory:
 
     Attributes
     ----------
-    ring : ndarray, shape (axes, capacity)
-        Open-loop residuals, one element per tick [unit of the sensor]; the tick with number k stands at ``k %
-        capacity``.
+    ring : ndarray, shape (axes + 1, capacity)
+        Open-loop residuals, one element per tick [unit of the sensor], and the force that was found while the vehicle
+        pitched or rolled [m/s^2]; the tick with number k stands at ``k % capacity``.
     cursor : ndarray of int, shape (1,)
         Ticks noted so far.
     left_out : ndarray of int, shape (LEFT_OUT, 2)
@@ -205,12 +205,14 @@ class Listener:
             )
             for part, drift, r in zip(learned, self.drifts, self.white, strict=True)
         )
+        # more missing ticks than are predicted through
+        self._anew = max(LONGEST_GAP + 1, math.ceil(FOUND_S / self.period_s))
         self.window, self._share = window, min(1.0, self.period_s / MEMORY_S)
         self.hop = min((part.hop or part.window // 2 for part in learned if part is not None), default=0)
         # what is left out as too new, and what going back writes over
         capacity = capacity or window + round(2.0 * behind_s * sensor.rate_hz) + 64
         self._memory = ListenerMemory(
-            ring=np.full((sensor.axes, capacity), np.nan),
+            ring=np.full((sensor.axes + 1, capacity), np.nan),
             cursor=np.zeros(1, np.int64),
             left_out=np.zeros((LEFT_OUT, 2), np.int64),
             due=LEAST if window else NEVER,
@@ -246,6 +248,8 @@ class Listener:
         for begin, end in self._memory.left_out:
             if end > first:
                 series[max(begin - first, 0) : end - first] = np.nan
+        for tick in self.drifts[axis].begins_anew(np.take(ring[-1], np.arange(first, written - without) % capacity)):
+            series[max(tick + 1 - self._anew, 0) : tick + 1] = np.nan
         return series
 
     def leave_out(self, ticks: int) -> None:
@@ -286,7 +290,7 @@ class Listener:
         return np.array([self.kind, noted, capacity, due, *watched, *self.mount], dtype=np.float64)
 
     def caught_up(self, ear: Array, ticks: Array, values: Array) -> None:
-        """Take over what a kernel has heard: ticks of each reading, and open-loop residuals (n, axes)."""
+        """Take over what a kernel has heard: ticks of each reading, and what it has noted of them (n, axes + 1)."""
         memory, capacity = self._memory, self._memory.ring.shape[1]
         ends = np.cumsum(1 + np.clip(ticks.astype(np.int64) - 1, 0, capacity))
         new = np.full((int(ends[-1]), values.shape[1]), np.nan)

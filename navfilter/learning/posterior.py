@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+import scipy  # its parts are imported when they are first used: that takes a second
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from navfilter.error_models import CORRELATION_CONSTANTS, GaussMarkov
 from navfilter.learning.likelihood import Likelihood
@@ -249,7 +249,7 @@ def _between(taus: Array, tops: Array, means: Array, present: float) -> Array:
     for order in (1, 2):
         part = slice((order - 1) * nodes.size, order * nodes.size)
         level = np.maximum(tops[part], -50.0)
-        curve = np.minimum(CubicSpline(nodes, level, bc_type="natural")(fine), level.max() + 0.5)
+        curve = np.minimum(scipy.interpolate.CubicSpline(nodes, level, bc_type="natural")(fine), level.max() + 0.5)
         squares = np.exp(np.interp(fine, nodes, means[part]))
         rows.append(np.column_stack([np.full(fine.size, float(order)), np.exp(fine), np.exp(curve), squares]))
     out = np.vstack(rows)

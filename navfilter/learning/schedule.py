@@ -52,7 +52,7 @@ class LearningMemory:
 
     Attributes
     ----------
-    fed_back : ndarray, shape (2m,)
+    fed_back : ndarray, shape (2m + 1,)
         Sum of what the corrections fed back, as an open loop would have carried it, see `navfilter.kernels.listen`.
     listeners : dict of str to ListenerMemory
     rest : RestMemory or None
@@ -145,7 +145,7 @@ class LearningSchedule:
         self._quiet_s = -math.inf
         self._waiting: tuple[Change, ...] = ()
         self.again: Again | None = None
-        self._fed_back = np.zeros(2 * filter.layout.head)
+        self._fed_back = np.zeros(2 * filter.layout.head + 1)
         learns = vehicle.drive.inertial and any(learning_part(model) is not None for model in vehicle.drive.models)
         self.rest = RestRecorder(vehicle.drive, behind_s) if learns else None
         for name, sensor in vehicle.sensors.items():
@@ -308,9 +308,10 @@ class LearningSchedule:
 
     def _relaid(self, M: Array) -> None:
         before, after = len(self._fed_back) // 2, self.filter.layout.head
-        fed_back = np.zeros(2 * after)
+        fed_back = np.zeros(2 * after + 1)
         fed_back[:after] = M[:after, :before] @ self._fed_back[:before]
         fed_back[after : after + 9] = self._fed_back[before : before + 9]
+        fed_back[-1] = self._fed_back[-1]
         self._fed_back = fed_back
 
     # ---------------------------------------------------------------- at rest
@@ -403,7 +404,7 @@ class LearningSchedule:
         """
         for listener in self.listeners.values():
             listener.begin_again()
-        self._fed_back = np.zeros(2 * self.filter.layout.head)
+        self._fed_back = np.zeros(2 * self.filter.layout.head + 1)
         if self.rest is not None:
             self.rest.begin_again()
         beginning, self.beginning = self.beginning or [], []

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.constants import ROUND_GRAVITY
-from navfilter.error_models import ErrorModel, RandomWalk, Sum, White, per_axis
+from navfilter.error_models import ErrorModel, GaussMarkov, RandomWalk, Sum, White, per_axis
 from navfilter.filter.layout import Parameter
 from navfilter.kernels import past, strapdown
-from navfilter.learning.drift import Drift
+from navfilter.learning.drift import FOUND_S, Drift
 from navfilter.learning.learned import learned_part
 from navfilter.mechanisation.mechanisation import Mechanisation, Triple
 from navfilter.mission import Stream
@@ -58,7 +58,9 @@ class Imu(Mechanisation):
         vehicle stands still (`navfilter.learning.rest.RestRecorder`), beside a bias: a `RandomWalk`, that of the
         default where none is given.
     gyro_scale_sd, accel_scale_sd : float or (3,) float
-        Standard deviation of an unknown constant scale error of each axis; 0: no such states.
+        Standard deviation of an unknown scale error of each axis; 0: no such states.
+    gyro_scale_tau_s, accel_scale_tau_s : float, optional
+        Correlation time of these scale errors, first-order Gauss-Markov processes [s]; default: they are constant.
     gyro_misalignment_sd_rad, accel_misalignment_sd_rad : float
         Standard deviation of each unknown small angle between axes [rad]; 0: no such states. Six of the gyros; three of
         the accelerometers, whose first axis, and the plane of the first two, are the body's.
@@ -84,6 +86,8 @@ class Imu(Mechanisation):
     gyro_scale_sd: float | Vector = 0.0
     gyro_misalignment_sd_rad: float = 0.0
     accel_scale_sd: float | Vector = 0.0
+    gyro_scale_tau_s: float | None = None
+    accel_scale_tau_s: float | None = None
     accel_misalignment_sd_rad: float = 0.0
     increments: bool = False
     gap_rate_sd: float = 0.2
@@ -108,6 +112,9 @@ class Imu(Mechanisation):
         super().__post_init__()
         for name in self.triples:
             checked_sds(f"Imu.{name}_scale_sd", getattr(self, f"{name}_scale_sd"))
+            tau_s = getattr(self, f"{name}_scale_tau_s")
+            if tau_s is not None and not 0.0 < tau_s < math.inf:
+                raise ValueError(f"Imu.{name}_scale_tau_s must be a finite number > 0, found {tau_s!r}.")
             sd = getattr(self, f"{name}_misalignment_sd_rad")
             if not 0.0 <= sd < math.inf:
                 raise ValueError(f"Imu.{name}_misalignment_sd_rad must be a finite number >= 0, found {sd!r}.")
@@ -133,6 +140,15 @@ class Imu(Mechanisation):
         """Scale and misalignment of gyros and accelerometers."""
         return tuple(parameter for _, _, parameter in self._elements())
 
+    def wandering(self) -> dict[str, ErrorModel]:
+        """Scales that have a correlation time."""
+        found: dict[str, ErrorModel] = {}
+        for name in self.triples:
+            tau_s, scales = getattr(self, f"{name}_scale_tau_s"), self.draws(name)["scales"]
+            if tau_s is not None and any(p.sd for p in scales):
+                found |= {p.name: GaussMarkov(sd=p.sd, tau_s=tau_s) for p in scales}
+        return found
+
     def draws(self, triple: str) -> dict[str, tuple[Parameter, ...]]:
         """Scale of each axis, and angles between the axes."""
         scales = checked_sds("scale_sd", getattr(self, f"{triple}_scale_sd"))
@@ -153,11 +169,13 @@ class Imu(Mechanisation):
 
     def velocity_drift(self, walk: float, period_s: float, *, vertical: bool = False) -> Drift:
         """Velocity random walk, then the tilt, which wanders with the gyros (Groves, 2013, sec. 14.2)."""
-        return Drift((math.hypot(max(self.noise.white[3:]), walk), self._force_walk(vertical)), period_s)
+        density = math.hypot(max(self.noise.white[3:]), walk), self._force_walk(vertical)
+        return Drift(density, period_s, most_turned=_most_turned(density) if vertical else math.inf)
 
     def position_drift(self, walk: float, period_s: float, *, vertical: bool = False) -> Drift:
         """The integral of the velocity's."""
-        return Drift((walk, max(self.noise.white[3:]), self._force_walk(vertical)), period_s)
+        density = walk, max(self.noise.white[3:]), self._force_walk(vertical)
+        return Drift(density, period_s, most_turned=_most_turned(density[1:]) if vertical else math.inf)
 
     def _force_walk(self, vertical: bool) -> float:
         """How the error of a force wanders [m/s^2/s/sqrt(Hz)]: by the bias of the accelerometer, or by the tilt."""
@@ -244,3 +262,8 @@ def _with_bias(models: Sequence[ErrorModel], default: Sum) -> tuple[ErrorModel, 
             )
         resolved.append(model)
     return tuple(resolved)
+
+
+def _most_turned(density: tuple[float, float]) -> float:
+    """Force that stands out of a drift of velocity with these densities within the time it takes to be found."""
+    return math.hypot(density[0] / math.sqrt(FOUND_S), density[1] * math.sqrt(FOUND_S))

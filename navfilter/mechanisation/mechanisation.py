@@ -12,7 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.error_models import ErrorModel
-from navfilter.filter.layout import Calibrated, Parameter, check_calibrated, with_calibrated
+from navfilter.filter.layout import (
+    Calibrated,
+    Parameter,
+    check_calibrated,
+    constant_parameters,
+    with_calibrated,
+)
 from navfilter.kernels import past, strapdown
 from navfilter.learning.drift import Drift
 from navfilter.mission import Stream
@@ -128,7 +134,7 @@ class Mechanisation:
         for key in ("max_speed_m_s", "max_turn_rad_s"):
             if getattr(self, key) is not None and not getattr(self, key) > 0.0:
                 raise ValueError(f"{type(self).__name__}.{key} must be > 0, found {getattr(self, key)!r}.")
-        own = [p.name for p in self.parameters()] if self.calibrated else []
+        own = [p.name for p in constant_parameters(self.parameters(), self.wandering())] if self.calibrated else []
         # what belongs to one of its two sensors stands there
         own = [name for name in own if not name.startswith(("velocity.", "attitude.", "yaw."))]
         check_calibrated(type(self).__name__, self.calibrated, own)

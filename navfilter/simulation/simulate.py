@@ -336,12 +336,21 @@ def _inertial(scene: _Scene, drive: Imu, stream: str = "imu", before: str = "") 
     parts = []
     for name, vector, models in zip(("gyro", "accel"), ideal, (drive.models[:3], drive.models[3:]), strict=True):
         error = scene.error(before + name, models, drive.rate_hz, time_s, 3)
-        truth = scene.truth(before + name, None, error, time_s, _believed(drive.draws(name), drive.calibrated))
+        draws, moving = drive.draws(name), [m for key, m in drive.wandering().items() if key.startswith(f"{name}.")]
+        if moving:
+            draws |= {"scales": (_ZERO,) * 3}
+        truth = scene.truth(before + name, None, error, time_s, _believed(draws, drive.calibrated))
         measured = truth.turned_and_scaled(vector)
         measured += error / drive.rate_hz if drive.increments else error
         M = np.diag(truth.drawn["scales"])
         M[tuple(zip(*CROSSED[name], strict=True))] = truth.drawn["axes"]
-        if M.any():  # true = reading - M reading - error
+        if moving:
+            M = np.repeat(M[None], time_s.size, axis=0)
+            for axis, model in enumerate(moving):
+                scale = draw_error(model, drive.period_s, time_s.size, scene.seed, f"{before}{name}.scale", axis)
+                M[:, axis, axis] = scale
+            measured[:] = np.linalg.solve(np.eye(3) - M, measured[..., None])[..., 0]
+        elif M.any():  # true = reading - M reading - error
             measured[:] = np.linalg.solve(np.eye(3) - M, measured.T).T
         parts.append(quantise(measured, scene.fault(before + name).quantisation))
     columns = _INCREMENTS if drive.increments else _RATES

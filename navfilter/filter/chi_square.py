@@ -1,0 +1,33 @@
+"""Limits of chi-square."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import gammaincinv
+
+__all__ = ["chi_square_limit"]
+
+
+def chi_square_limit(probability: float, dof: ArrayLike) -> NDArray[np.float64]:
+    """What chi-square stays below with this probability.
+
+    To the last bit `scipy.stats.chi2.ppf`, whose package takes longer to import than all of navfilter.
+
+    Parameters
+    ----------
+    probability : float
+    dof : int or array of int
+        Degrees of freedom.
+
+    Returns
+    -------
+    ndarray
+        Of the shape of `dof`.
+
+    Examples
+    --------
+    >>> round(float(chi_square_limit(0.95, 3)), 3)
+    7.815
+    """
+    return np.asarray(2.0 * gammaincinv(np.asarray(dof) / 2.0, probability))

@@ -1,0 +1,57 @@
+"""What a replay does not need is not imported: half of the time of a short one was that. Nothing is under way."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+#: Take longer to import than the rest together, and belong to learning, reports and figures.
+HEAVY = {"scipy.stats", "scipy.signal", "scipy.optimize", "scipy.interpolate", "matplotlib", "filterpy", "bokeh"}
+RUN = """
+import json, sys
+import navfilter as nf
+folder, learns = sys.argv[1:]
+vehicle, mission = nf.read_vehicle(folder), nf.read_mission(folder + "/mission.npz")
+if learns == "learns":
+    vehicle = vehicle.with_error(compass=nf.LearnedArma())
+navigator = nf.Navigator(vehicle, mission.start)
+ready = set(sys.modules)
+track = nf.replay(vehicle, mission, output_rate_hz=1.0)
+adopted = bool(track.adopted())
+print(json.dumps([sorted(ready), sorted(set(sys.modules) - ready), adopted]))
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    from navfilter.io import write_vehicle
+    from navfilter.simulation.scenarios import simulate_scenario
+
+    folder = tmp_path_factory.mktemp("imports")
+    vehicle, mission = simulate_scenario("lawnmower", seed=1, duration_s=120.0)
+    write_vehicle(vehicle, folder / "vehicle.toml")
+    mission.save(folder / "mission.npz")
+    return folder
+
+
+def modules(folder, learns):
+    command = [sys.executable, "-c", RUN, str(folder), learns]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 0, done.stderr
+    ready, later, adopted = json.loads(done.stdout)
+    return set(ready), set(later), adopted
+
+
+def test_a_plain_replay_imports_nothing_heavy(folder):
+    ready, later, _ = modules(folder, "plain")
+    assert not HEAVY & (ready | later), HEAVY & (ready | later)
+
+
+def test_a_vehicle_that_learns_imports_all_of_scipy_when_it_is_made(folder):
+    """A second of imports in the middle of a dive is a second without navigation."""
+    ready, later, adopted = modules(folder, "learns")
+    assert adopted and {"scipy.stats", "scipy.signal"} <= ready
+    assert not [name for name in later if name.startswith("scipy")]
