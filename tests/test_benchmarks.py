@@ -23,6 +23,7 @@ SCRIPTS = {
     "faults": ("without a fault", ("missions", "outcomes", "service")),
     "fuzz": ("no other software", ()),
     "gliders": ("plain dead reckoning", ()),
+    "gnss_heading": ("no other software", ()),
     "gnss_ins": ("KF-GINS", ()),
     "heading_toy": ("Sage-Husa", ()),
     "honest": ("Gauss-Markov", ()),
