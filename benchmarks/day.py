@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import gc
 import math
+import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -19,6 +20,7 @@ from harness import DEG, Array, Options, Table, flag, main, peak_mb, quick
 from scipy.signal import lfilter
 
 import navfilter as nf
+from navfilter.mapped import give_back
 from navfilter.simulation.manoeuvres import Straight, Turn
 from navfilter.simulation.motion import Motion
 from navfilter.state import NavState
@@ -264,15 +266,25 @@ def live(options: Options) -> dict[str, Any]:
 # --- afterwards -----------------------------------------------------------------------------------------------------
 
 
+def on_disk(*shape: int) -> Array:
+    """An array in a temporary file."""
+    with tempfile.TemporaryFile() as file:
+        return np.memmap(file, np.float64, "w+", shape=shape)
+
+
 def mission(laps: Laps, hours: float, rng: np.random.Generator) -> nf.Mission:
-    """The day as a recording: one array for the inertial samples, no truth."""
+    """The day as a recording: its inertial samples lie in a file, no truth."""
     number = math.ceil(hours * 3600.0 / laps.duration_s)
-    imu, parts = np.empty((number * laps.n, 6)), {}
+    parts: dict[str, list[tuple[Array, Array]]] = {}
+    imu, times = on_disk(number * laps.n, 6), on_disk(number * laps.n)
     for k in range(number):
-        laps.fill(imu[k * laps.n : (k + 1) * laps.n])
+        here = slice(k * laps.n, (k + 1) * laps.n)
+        laps.fill(imu[here])
+        times[here] = np.arange(here.start + 1, here.stop + 1) / RATE_HZ
+        give_back(imu, times)
         for name, ticks, value in laps.corrections(k * laps.duration_s):
             parts.setdefault(name, []).append((k * laps.duration_s + ticks, value))
-    streams = {"imu": nf.Stream(np.arange(1, len(imu) + 1) / RATE_HZ, imu)}
+    streams = {"imu": nf.Stream(times, imu)}
     for name, pieces in parts.items():
         streams[name] = nf.Stream(np.concatenate([t for t, _ in pieces]), np.concatenate([v for _, v in pieces]))
     return nf.Mission(f"{hours:g} h", streams, start=start_at(laps.truth(0.0), rng))
@@ -282,17 +294,23 @@ def replay(options: Options) -> dict[str, Any]:
     """Filter and smoother over the recorded day: peak memory and processor time.
 
     Compared with what the plain way would need: a float64 state and covariance per inertial sample, as filterpy's
-    rts_smoother takes them. The mission has one array of inertial samples and no truth, so that the memory measured is
-    that of the mission's own samples and of navfilter.
+    rts_smoother takes them. The inertial samples lie in a file, as those of a mission that was read do; there is no
+    truth. The first hours of it by themselves show whether the time of a reading grows with the mission.
     """
     hours = 0.2 if options.quick else options.hours
     _, really = vehicle(False)
     day = mission(Laps(really, options.seed), hours, np.random.default_rng(options.seed + 1))
     nf.replay(really, day.between(0.0, 20.0), smooth=True)
     loaded = peak_mb()
-    began = time.process_time()
-    track = nf.replay(really, day, smooth=True, output_rate_hz=1.0, progress=True)
-    seconds, peak = time.process_time() - began, peak_mb()
+    table = Table("hours>6.1f readings>9d forward_us>11.1f both_us>9.1f peak_mb>8.0f")
+    for until in sorted({*(part for part in options.parts if part < hours), hours}):
+        began, track = time.process_time(), None  # that before is not to count
+        track = nf.replay(really, day.between(0.0, 3600.0 * until), smooth=True, output_rate_hz=options.output_rate)
+        seconds, peak = time.process_time() - began, peak_mb()
+        assert track.forward is not None
+        readings = sum(len(one.time_s) for one in track.residuals.values())
+        per = {"forward_us": 1e6 * track.forward.cpu_s / readings, "both_us": 1e6 * seconds / readings}
+        table.add({"hours": until, "readings": readings, **per, "peak_mb": peak})
     samples, states = len(day.streams["imu"]), 9 + len(track.state_names)
     plain = samples * (states + states**2) * 8 / 2**20
     figures = {
@@ -306,6 +324,7 @@ def replay(options: Options) -> dict[str, Any]:
         "plain_mb": plain,
         "plain_over_peak": plain / peak,
         "definite": bool(np.all(np.linalg.eigvalsh(track.covariance[::60]) > 0.0)),
+        "parts": table.rows,
     }
     for name, value in figures.items():
         print(f"{name:24s} {value:.4g}" if isinstance(value, float) else f"{name:24s} {value}")
@@ -315,4 +334,6 @@ def replay(options: Options) -> dict[str, Any]:
 if __name__ == "__main__":
     common = [flag("--hours", type=float, default=24.0), flag("--seed", type=int, default=1), quick("twelve minutes")]
     known = flag("--no-learning", action="store_true", help="the compass's error is known from the start")
-    main(__doc__, {live: [*common, known], replay: common})
+    parts = flag("--parts", type=float, nargs="*", default=[1.0, 6.0], help="first hours, by themselves, too")
+    rows = flag("--output-rate", type=float, default=1.0, help="rows of the tracks per second")
+    main(__doc__, {live: [*common, known], replay: [*common, parts, rows]})

@@ -8,6 +8,7 @@ medians of their ratios.
 
 from __future__ import annotations
 
+import time
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from harness import CPU, DEG, Array, Options, Table, flag, hour, in_turn, main, 
 
 import navfilter as nf
 from navfilter.kernels import strapdown
+from navfilter.learning.learner import Learner
 
 #: What is compared: ours, filterpy, python-ins.
 WORK = {
@@ -75,11 +77,48 @@ def replays(vehicle: nf.Vehicle, learning: nf.Vehicle, mission: nf.Mission, turn
     return spent | {name: np.array(seconds) for name, seconds in scaled.items()}
 
 
+def learning_alone(vehicle: nf.Vehicle, learning: nf.Vehicle, mission: nf.Mission, turns: int) -> dict[str, Any]:
+    """What learning adds, and how much of it the learners take."""
+    spent, hop = [0.0], Learner.hop
+
+    def timed(learner: Learner, series: Array, fresh: int | None = None) -> Any:
+        began = time.thread_time()
+        learnt = hop(learner, series, fresh)
+        spent[0] += time.thread_time() - began
+        return learnt
+
+    nf.replay(vehicle, mission), nf.replay(learning, mission)
+    Learner.hop = timed  # type: ignore[method-assign]
+    table = Table("turn>4d plain_s>9.2f learning_s>10.2f looks_s>9.2f adds>6.2f")
+    for turn in range(turns):
+        spent[0] = 0.0
+        times = {
+            name: seconds[0]
+            for name, seconds in in_turn(
+                {"plain": lambda: nf.replay(vehicle, mission), "learning": lambda: nf.replay(learning, mission)}, 1
+            ).items()
+        }
+        adds = times["learning"] / times["plain"] - 1.0
+        table.add(
+            {
+                "turn": turn,
+                "plain_s": times["plain"],
+                "learning_s": times["learning"],
+                "looks_s": spent[0],
+                "adds": adds,
+            }
+        )
+    Learner.hop = hop  # type: ignore[method-assign]
+    return {"table": table.rows, "learning_adds": float(np.median([row["adds"] for row in table.rows]))}
+
+
 def replay_speed(options: Options) -> dict[str, Any]:
     """Time the hour."""
     minutes, turns = (min(options.minutes, 10.0), 1) if options.quick else (options.minutes, 3)
     vehicle, mission = hour(minutes)
     learning = vehicle.with_error(**{name: nf.LearnedArma() for name in vehicle.sensors})
+    if options.learning:
+        return learning_alone(vehicle, learning, mission, turns)
     before = peak_mb()
     nf.replay(vehicle, mission, smooth=True)
     figures = {
@@ -118,5 +157,9 @@ def replay_speed(options: Options) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    flags = [flag("--minutes", type=float, default=60.0), quick("ten minutes at most, one turn")]
+    flags = [
+        flag("--minutes", type=float, default=60.0),
+        flag("--learning", action="store_true", help="only what learning adds to the plain filter"),
+        quick("ten minutes at most, one turn"),
+    ]
     main(__doc__, {replay_speed: flags})

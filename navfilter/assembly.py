@@ -20,6 +20,8 @@ from navfilter.track_bounds import bounds_along
 __all__ = ["assembled", "bar", "forward_track", "gathered", "smoothed_track"]
 
 Array = NDArray[np.float64]
+#: So many rows are corrected at a time: what is needed for that on the way is to be small beside a track.
+PIECE = 8192
 
 
 class _Rows:
@@ -118,7 +120,7 @@ def assembled(label: str, nav: Navigator, rows: _Rows, name: str, cpu_s: float, 
         attitude=euler_from_matrix(packed[:, 6:15].reshape(-1, 3, 3)),
         covariance=rows.P,
         states=rows.x,
-        states_sd=np.sqrt(np.maximum(rows.variance, 0.0)),
+        states_sd=np.sqrt(np.maximum(rows.variance, 0.0, out=rows.variance), out=rows.variance),
         state_names=rows.names,
         state_units=rows.units,
         # the smoother's are those of the run that it smooths
@@ -146,12 +148,13 @@ def smoothed_track(forward: Track, nav: Navigator, began: float, progress: bool)
     smooth_rows(tape, store, None if shown is None else shown.update)
     if shown is not None:
         shown.close()
-    packed = rows.packed
-    packed[:, 6:15] = (rotation_matrix(correction[:, 6:]) @ packed[:, 6:15].reshape(-1, 3, 3)).reshape(-1, 9)
-    packed[:, 0] += correction[:, 0] / packed[:, 15]
-    packed[:, 1] += correction[:, 1] / (packed[:, 16] * np.cos(packed[:, 0]))
-    packed[:, 2] -= correction[:, 2]
-    packed[:, 3:6] += correction[:, 3:6]
+    for begin in range(0, len(correction), PIECE):
+        packed, moved = rows.packed[begin : begin + PIECE], correction[begin : begin + PIECE]
+        packed[:, 6:15] = (rotation_matrix(moved[:, 6:]) @ packed[:, 6:15].reshape(-1, 3, 3)).reshape(-1, 9)
+        packed[:, 0] += moved[:, 0] / packed[:, 15]
+        packed[:, 1] += moved[:, 1] / (packed[:, 16] * np.cos(packed[:, 0]))
+        packed[:, 2] -= moved[:, 2]
+        packed[:, 3:6] += moved[:, 3:6]
     return assembled("smoothed", nav, rows, forward.mission_name, time.process_time() - began, forward)
 
 

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from navfilter import utc
+from navfilter.mapped import give_back
 from navfilter.notebook import card
 
 Array = npt.NDArray[np.float64]
@@ -31,6 +32,8 @@ TRUTH_COLUMNS = (
     "yaw_rad",
 )
 NPZ_FORMAT = 1
+#: So many rows are looked at at a time.
+PIECE = 1 << 16
 
 
 class MissionError(ValueError):
@@ -83,16 +86,8 @@ class Stream:
         columns = tuple(self.columns) or tuple(f"column_{k}" for k in range(value.shape[1]))
         if len(columns) != value.shape[1]:
             raise ValueError(f"{len(columns)} column names {columns} for {value.shape[1]} columns of values.")
-        if not np.isfinite(time_s).all():
-            raise ValueError(f"{np.count_nonzero(~np.isfinite(time_s))} times are not finite; drop those rows.")
-        if time_s.size and np.any(np.diff(time_s) < 0.0):
-            row = int(np.argmax(np.diff(time_s) < 0.0)) + 1
-            raise ValueError(
-                f"time goes back from {time_s[row - 1]:.6g} to {time_s[row]:.6g} s at row {row}; "
-                'sort the rows first (np.argsort(time_s, kind="stable")).'
-            )
-        if np.isinf(value).any():
-            raise ValueError(f"{np.count_nonzero(np.isinf(value))} values are infinite; use NaN for a missing value.")
+        if not _sound(time_s, value):
+            raise ValueError(_complaint(time_s, value))
         object.__setattr__(self, "time_s", time_s)
         object.__setattr__(self, "value", np.ascontiguousarray(value))
         object.__setattr__(self, "columns", columns)
@@ -119,6 +114,28 @@ class Stream:
         if name not in self.columns:
             raise ValueError(f'no column "{name}" in this stream (columns: {", ".join(self.columns)}).')
         return self.value[:, self.columns.index(name)]
+
+
+def _sound(time_s: Array, value: Array) -> bool:
+    """Whether times rise and are finite, and no value is infinite; a piece at a time, for a week is large."""
+    sound = True
+    for begin in range(0, time_s.size, PIECE):
+        times = time_s[max(0, begin - 1) : begin + PIECE]
+        sound &= bool(np.isfinite(times).all() and (np.diff(times) >= 0.0).all())
+        sound &= not np.isinf(value[begin : begin + PIECE]).any()
+        give_back(time_s, value)
+    return sound
+
+
+def _complaint(time_s: Array, value: Array) -> str:
+    """What is wrong with times or values."""
+    if not np.isfinite(time_s).all():
+        return f"{np.count_nonzero(~np.isfinite(time_s))} times are not finite; drop those rows."
+    if np.any(np.diff(time_s) < 0.0):
+        row = int(np.argmax(np.diff(time_s) < 0.0)) + 1
+        back = f"time goes back from {time_s[row - 1]:.6g} to {time_s[row]:.6g} s at row {row}; "
+        return back + 'sort the rows first (np.argsort(time_s, kind="stable")).'
+    return f"{np.count_nonzero(np.isinf(value))} values are infinite; use NaN for a missing value."
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,6 +17,7 @@ from navfilter.filter.history import Reading
 from navfilter.filter.tape import Tape
 from navfilter.kernels import listen, strapdown
 from navfilter.kernels import stretch as kernels
+from navfilter.mapped import give_back
 
 if TYPE_CHECKING:
     from navfilter.navigator import Navigator
@@ -200,7 +201,9 @@ class Passage:
             self.nav.correct(given.names[given.sensor[at]], float(given.stamp_s[at]), given.value(at), given.sd(at))
 
     def _samples_before(self) -> Ints:
-        return np.searchsorted(self._times, self._readings.time_s + 1e-9, side="right").astype(np.int64)
+        before = np.searchsorted(self._times, self._readings.time_s + 1e-9, side="right").astype(np.int64)
+        give_back(self._times)
+        return before
 
     def _hand_over(self) -> None:
         """The clock has been set: stamps mean another time from now on, but not those of readings that wait already."""
@@ -240,6 +243,7 @@ class Passage:
     def _block(self, begin: int, end: int) -> Array:
         block = np.empty((end - begin, 7))
         block[:, 0], block[:, 1:] = self._times[begin:end], self._values[begin:end]
+        give_back(self._times, self._values)
         return block
 
     # ---------------------------------------------------------------- many, by the kernel
@@ -250,6 +254,7 @@ class Passage:
         end = min(max(last, at + 1), at + READINGS, self._until)
         self._begin, self._end, self._first, self._stepped = at, end, self.done, 0
         self._samples = self._block(self.done, max(self.done, int(self._ends[end - 1])))
+        self._stamps = self._samples[:, 0].copy()  # those of the samples become steps
         which, rows, same = given.sensor[at:end], given.row[at:end], self._same[at:end]
         self._good, own = np.zeros(end - at, bool), any(sds is not None for sds in given.sds)
         read: list[tuple[Ints, Array]] = []
@@ -338,7 +343,7 @@ class Passage:
                     *(memory.watch, np.sqrt(filter.layout.drive.r), filter.watch.limits),
                 ),
                 self._samples,
-                self._times[self._first : self._first + len(self._samples)],
+                self._stamps,
                 filter.intake.limits,
                 hearing,
                 (

@@ -141,6 +141,7 @@ def _replayed(
     revised = None if track.revised is None else replace(track.revised, epoch_utc_s=mission.epoch_utc_s)
     track = replace(track, epoch_utc_s=mission.epoch_utc_s, revised=revised)
     if tape.smoothable:
+        tape.columns.clear()  # they stand in the track now: of a day 70 MB
         track = replace(smoothed_track(track, nav, began, progress), epoch_utc_s=mission.epoch_utc_s)
     return track, nav
 

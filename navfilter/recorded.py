@@ -63,8 +63,9 @@ def readings_of(vehicle: Vehicle, mission: Mission, begin_s: float) -> Readings:
             )
     streams = [mission.streams[name] for name in names]
     stamps = np.concatenate([np.empty(0), *(s.time_s for s in streams)])
-    late_s = [np.full(len(s), vehicle.sensors[name].time_offset_s) for name, s in zip(names, streams, strict=True)]
-    times = stamps - np.concatenate([np.empty(0), *late_s])
+    sizes = np.array([len(stream) for stream in streams], dtype=int)
+    late_s = np.repeat([vehicle.sensors[name].time_offset_s for name in names], sizes)
+    times = stamps - late_s if late_s.any() else stamps
     number = np.concatenate([np.empty(0, int), *(np.full(len(s), i) for i, s in enumerate(streams))])
     rows = np.concatenate([np.empty(0, int), *(np.arange(len(s)) for s in streams)])
     order = np.lexsort((rows, number, times))

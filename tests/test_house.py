@@ -17,6 +17,7 @@ FLOORS = [
     {
         "arma",
         "state",
+        "mapped",
         "mission",
         "diagnostics",
         "magnetic",

@@ -61,14 +61,15 @@ def smooth_rows(
             continue
         records, begins = tape.records.run(first, index)
         first = index - len(begins)
+        kinds = heads[first:index].astype(np.int64)
         same = max(int(np.searchsorted(holds, first)), int(np.searchsorted(layouts, layouts[row - 1])))
         rows, firsts = tape.rows.run(max(min(same, row), row - ROWS), row)
         begin, n = row - len(firsts), len(lam)
         until = max(first, int(holds[begin - 1]) if begin else 0)
         means, covariances = np.empty((row - begin, n)), np.empty((row - begin, n, n))
-        most = 3 * max(n, int(heads[first:index, 0].max(initial=0)))
+        most = 3 * max(n, int(kinds[:, 0].max(initial=0)))
         kalman.smooth_run(
-            *(L, lam, records, begins, heads[first:index], rows, firsts, holds[begin:row] - first),
+            *(L, lam, records, begins, kinds, rows, firsts, holds[begin:row] - first),
             *(index - first, until - first, means, covariances, np.empty((most, n)), np.empty((n, n))),
         )
         if begin < row:

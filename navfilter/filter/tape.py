@@ -43,7 +43,7 @@ class Spool:
         self._keep = max(2, memory_bytes // (8 * self.CHUNK))
         self._chunks: list[Array | None] = []
         # three integers per vector (chunk, first, last), in a flat array: a day has millions of them
-        self._places = array("q")
+        self._places = array("i")
         self._offsets: list[int] = []
         self._sizes: list[int] = []
         self._file: Any = None
@@ -79,7 +79,7 @@ class Spool:
             chunk, at, size = self._chunks[-1], self._end, int(ends[last - 1]) - begin
             assert chunk is not None
             chunk[at : at + size] = flat[begin : begin + size]
-            places = np.empty((last - done, 3), np.int64)
+            places = np.empty((last - done, 3), np.intc)
             places[:, 0], places[:, 2] = len(self._chunks) - 1, at + ends[done:last] - begin
             places[:, 1] = places[:, 2] - sizes[done:last]
             self._places.frombytes(places.tobytes())
@@ -116,9 +116,9 @@ class Spool:
         """
         if first >= last:
             return np.empty(0), np.empty(0, np.int64)
-        places = np.frombuffer(self._places, np.int64).reshape(-1, 3)[first:last]
+        places = np.frombuffer(self._places, np.intc).reshape(-1, 3)[first:last]
         number = int(places[-1, 0])
-        return self._chunk(number), places[np.searchsorted(places[:, 0], number) :, 1].copy()
+        return self._chunk(number), places[np.searchsorted(places[:, 0], number) :, 1].astype(np.int64)
 
     def _chunk(self, number: int) -> Array:
         chunk = self._chunks[number]
@@ -179,8 +179,7 @@ class _Column:
         self.rows = np.empty((1024, 4 + 2 * self.axes))
 
     def append(self, time_s: float, code: int, note: Array | None) -> None:
-        if self.used == len(self.rows):
-            self.rows = np.concatenate([self.rows, np.empty_like(self.rows)])
+        self._make_room(self.used + 1)
         row = self.rows[self.used]
         if note is None:
             row[:] = np.nan
@@ -193,13 +192,16 @@ class _Column:
     def extend(self, times: Array, notes: Array) -> None:
         """Append readings that were used."""
         needed = self.used + len(times)
-        if needed > len(self.rows):
-            spare = np.empty((max(needed, 2 * len(self.rows)) - len(self.rows), self.rows.shape[1]))
-            self.rows = np.concatenate([self.rows, spare])
+        self._make_room(needed)
         rows = self.rows[self.used : needed]
         rows[:, 1:] = notes
         rows[:, 0], rows[:, 3] = times, 0.0
         self.used = needed
+
+    def _make_room(self, needed: int) -> None:
+        if needed > len(self.rows):
+            spare = np.empty((needed + len(self.rows) // 4 - len(self.rows), self.rows.shape[1]))
+            self.rows = np.concatenate([self.rows, spare])
 
     def after(self, before: _Column) -> _Column:
         """This column, its first rows those of the one before."""
@@ -241,7 +243,7 @@ class Tape:
     """
 
     def __init__(
-        self, output_rate_hz: float | None = None, smoothable: bool = True, memory_bytes: int = 32 << 20
+        self, output_rate_hz: float | None = None, smoothable: bool = True, memory_bytes: int = 8 << 20
     ) -> None:
         self.interval_s = 0.0 if output_rate_hz is None else 1.0 / output_rate_hz - 1e-9
         self.smoothable, self._memory_bytes = smoothable, memory_bytes
@@ -261,13 +263,13 @@ class Tape:
         smoother works on what is written last.
         """
         before = copy.copy(self)
-        before.ended_s, before.records, before._heads = time_s, Spool(0), array("q")
+        before.ended_s, before.records, before._heads = time_s, Spool(0), array("i")
         self.given = before
         self._fresh(layout)
 
     def _fresh(self, layout: Any) -> None:
         self.records = Spool(self._memory_bytes)
-        self._heads = array("q")  # a, m, b, start of each record
+        self._heads = array("i")  # a, m, b, start of each record
         self.rows = Spool(self._memory_bytes)
         self.row_times = array("d")
         self.row_records = array("q")  # the record after which the row holds
@@ -292,11 +294,11 @@ class Tape:
             self._heads.extend((CHANGE, *M.shape, 0))
 
     @property
-    def heads(self) -> NDArray[np.int64]:
+    def heads(self) -> NDArray[np.intc]:
         """Of each record: axes, size of the head, size and start of the ticked block; or `CHANGE`, rows and columns of
-        the matrix, 0.
+        the matrix, 0. A view: while it is held, no record can be written.
         """
-        return np.array(self._heads, dtype=np.int64).reshape(-1, 4)
+        return np.frombuffer(self._heads, np.intc).reshape(-1, 4)
 
     def row(self, time_s: float, nav: Array, x: Array, P: Array, present: Array | None = None) -> None:
         """Note the state at this time; the last note of a time stands, and times closer than the output interval are
@@ -345,7 +347,7 @@ class Tape:
         before = len(self.records)
         if records:
             self.records.extend(flat[:elements], heads[:records, 0])
-            self._heads.frombytes(heads[:records, 1:].tobytes())
+            self._heads.frombytes(heads[:records, 1:].astype(np.intc).tobytes())
         if count and self.row_times and info[0, 0] == self.row_times[-1]:
             self.rows.drop()
             for ended in (self.row_times, self.row_records, self.row_layouts):

@@ -10,9 +10,12 @@ import numpy as np
 import numpy.typing as npt
 
 from navfilter.io.trust import Allowance, Place
+from navfilter.mapped import mapped
 from navfilter.mission import MissionError
 
 _NPY_MAGIC = b"\x93NUMPY"
+#: A larger array of an archive is not held in memory [bytes]: four hours of inertial samples at 100 Hz.
+_LARGE = 64 << 20
 _HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 
 
@@ -89,13 +92,29 @@ def read_npz(path: Path, allowance: Allowance | None = None) -> dict[str, npt.ND
             with archive.open(entry) as member:
                 if member.read(len(_NPY_MAGIC)) != _NPY_MAGIC:
                     continue
-            # piece by piece: a day of inertial samples is in memory once. Opened anew, for after a seek nothing is
-            # held against the checksum
-            with archive.open(entry) as member:
-                arrays[entry.removesuffix(".npy")] = np.lib.format.read_array(member, allow_pickle=False)
-                if member.read(1):  # to the end, where the checksum is compared
-                    raise ValueError(f"{entry} is longer than it says")
+            # piece by piece; opened anew, for after a seek nothing is held against the checksum
+            name, size = entry.removesuffix(".npy"), archive.getinfo(entry).file_size
+            arrays[name] = _member(archive, entry) if size < _LARGE else _large_member(archive, entry)
     return arrays
+
+
+def _member(archive: zipfile.ZipFile, entry: str) -> npt.NDArray[Any]:
+    with archive.open(entry) as member:
+        array: npt.NDArray[Any] = np.lib.format.read_array(member, allow_pickle=False)
+        if member.read(1):  # to the end, where the checksum is compared
+            raise ValueError(f"{entry} is longer than it says")
+    return array
+
+
+def _large_member(archive: zipfile.ZipFile, entry: str) -> npt.NDArray[Any]:
+    """In a file and not in memory, where it is of float64, row by row."""
+    with archive.open(entry) as member:
+        version = np.lib.format.read_magic(member)
+        if version == (1, 0):
+            shape, by_columns, dtype = np.lib.format.read_array_header_1_0(member)
+            if dtype == np.dtype("<f8") and not by_columns:
+                return mapped(member, shape)
+    return _member(archive, entry)
 
 
 def _read_npy(path: Path) -> npt.NDArray[Any]:
