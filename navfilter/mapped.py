@@ -47,7 +47,9 @@ def give_back(*arrays: Any) -> None:
     Any other array stays as it is, and so does one mapped as ``"c"``: what was written to it is nowhere else.
     """
     for array in arrays:
+        in_file = False
         while isinstance(array, np.ndarray) and not (isinstance(array, np.memmap) and array.mode == "c"):
+            in_file |= isinstance(array, np.memmap)
             array = array.base
-        if isinstance(array, mmap.mmap) and hasattr(mmap, "MADV_DONTNEED"):
+        if in_file and isinstance(array, mmap.mmap) and hasattr(mmap, "MADV_DONTNEED"):
             array.madvise(mmap.MADV_DONTNEED)

@@ -1,6 +1,8 @@
 """Recordings that lie in files: the same results, whatever is let go of on the way."""
 
+import errno
 import io
+import mmap
 import zipfile
 from dataclasses import replace
 
@@ -29,6 +31,14 @@ def test_what_was_let_go_of_is_read_again(tmp_path, mode):
     np.testing.assert_array_equal(array, kept)
 
 
+def test_memory_that_is_nowhere_else_is_kept():
+    """A private map without a file, seen through an array."""
+    private = np.frombuffer(mmap.mmap(-1, 8 * 4096, flags=mmap.MAP_PRIVATE), np.float64)
+    private[:] = 1.0
+    give_back(private)
+    assert private.min() == 1.0
+
+
 def test_a_replay_of_a_mission_in_files_is_that_of_one_in_memory(tmp_path):
     vehicle, mission = survey(20.0)
     streams = {
@@ -55,6 +65,20 @@ def test_a_large_array_of_a_mission_is_not_held_in_memory(tmp_path, monkeypatch)
         np.testing.assert_array_equal(filed.streams[name].time_s, stream.time_s)
         np.testing.assert_array_equal(filed.streams[name].value, stream.value)
     assert_same(nf.replay(vehicle, usual), nf.replay(vehicle, filed))
+
+
+def test_on_a_full_disk_it_is_held_in_memory(tmp_path, monkeypatch):
+    _, mission = survey(20.0)
+    path = mission.save(tmp_path / "dive.npz")
+    monkeypatch.setattr(containers, "_LARGE", 1000)
+
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(containers, "mapped", full)
+    held = nf.read_mission(path).streams["imu"].value
+    assert not isinstance(held.base, np.memmap)
+    np.testing.assert_array_equal(held, mission.streams["imu"].value)
 
 
 def test_a_damaged_large_array_is_refused(tmp_path, monkeypatch):

