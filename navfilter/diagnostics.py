@@ -150,24 +150,23 @@ class Whiteness:
 def whiteness(residuals: ArrayLike, fitted: int = 0, lags: int | None = None, level: float = 0.01) -> Whiteness:
     """Test whether residuals are white.
 
-        Parameters
-        ----------
-        residuals : array_like, shape (n,)
-            Prediction errors; NaN is a missing sample.
-        fitted : int
-            Number of coefficients p + q fitted to the series, which cost degrees of freedom.
-        lags : int, optional
-            Lags of Ljung-Box and of the count; default 20, more when many coefficients were fitted.
-        level : float
-            False-alarm probability of the verdict, shared by the two tests.
+    Parameters
+    ----------
+    residuals : array_like, shape (n,)
+        Prediction errors; NaN is a missing sample.
+    fitted : int
+        Number of coefficients p + q fitted to the series, which cost degrees of freedom.
+    lags : int, optional
+        Lags of Ljung-Box and of the count; default 20, more when many coefficients were fitted.
+    level : float
+        False-alarm probability of the verdict, shared by the two tests.
 
-        Examples
-        --------
-        >>> import numpy as np
-    import scipy  # its parts are imported when they are first used: that takes a second
-        >>> result = whiteness(np.random.default_rng(1).standard_normal(4000))
-        >>> result.is_white, result.lags
-        (True, 20)
+    Examples
+    --------
+    >>> import numpy as np
+    >>> result = whiteness(np.random.default_rng(1).standard_normal(4000))
+    >>> result.is_white, result.lags
+    (True, 20)
     """
     if not 0.0 < level < 1.0:
         raise ValueError(f"level must lie between 0 and 1, found {level}.")

@@ -201,7 +201,7 @@ def test_the_exit_code_is_the_verdict(sound, tmp_path, capsys):
         main(["replay", str(tmp_path / "wrong.npz"), "--vehicle", str(tmp_path), "--out", str(tmp_path / "out")]) == 1
     )
     said, complaint = capsys.readouterr()
-    assert complaint.startswith("navfilter: This track is not to be trusted. See ")
+    assert "\nnavfilter: This track is not to be trusted. See " in "\n" + complaint
     assert "Verdict: This track is not to be trusted." in said and "navfilter check" in said
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())["verdict"]
     assert not summary["trusted"] and summary["findings"][0]["severity"] == "error"

@@ -29,6 +29,8 @@ class Drift:
         What is known of the states at the start of a series (unit per s^(i-1)), infinite for nothing, which is the
         default. A finite one, such as the filter's own for the gyro bias, tells more of the low frequencies of a short
         series; those after the first finite one must be finite too.
+    most_turned : float
+        Where more force than this was found wrong while the vehicle pitched or rolled [m/s^2], the chain begins anew.
 
     Raises
     ------
