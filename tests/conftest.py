@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -20,6 +21,8 @@ settings.load_profile("fixed")
 
 def pytest_configure(config: pytest.Config) -> None:
     """Compile, where nothing is compiled yet, once and not in every process of pytest-xdist at the same time."""
+    # compiled kernels are many objects that live on: to look through them all the time takes a seventh of a run
+    gc.set_threshold(50_000, 20, 100)
     if not hasattr(config, "workerinput") and getattr(config.option, "numprocesses", None):
         from navfilter.commands.console import compile_first
 
