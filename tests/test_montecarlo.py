@@ -9,6 +9,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from concurrent.futures import Executor, Future
 from concurrent.futures.process import BrokenProcessPool
@@ -33,7 +34,7 @@ from navfilter.evaluation.montecarlo.statistics import (
 )
 from navfilter.evaluation.montecarlo.store import Store
 from navfilter.evaluation.montecarlo.tables import ratios, rows, table, write_tables
-from navfilter.evaluation.montecarlo.workers import cluster
+from navfilter.evaluation.montecarlo.workers import cluster, process_pool
 
 SMALL = Campaign("compass-gm1-white", duration_s=100.0, score_from_s=40.0, imu_rate_hz=20.0)
 MODELS, SEEDS = ("vehicle", "gm1-fitted", "oracle"), (3, 4, 5)
@@ -237,6 +238,15 @@ def test_a_campaign_that_ends_early_leaves_finished_runs_and_no_processes(tmp_pa
         assert running.returncode == 130 and "the same command continues" in said and not list(tmp_path.rglob("*.part"))
     assert 1 <= len(list(tmp_path.rglob("*.npz"))) < 10000
     assert gone(running.pid)
+
+
+def test_a_pool_that_is_left_early_leaves_no_thread_behind():
+    """The interpreter would wake it on its way out, through a pipe that it may be closing at that moment."""
+    before = set(threading.enumerate())
+    with pytest.raises(KeyboardInterrupt), process_pool(1) as pool:
+        assert pool.submit(abs, -1).result(WAIT_S) == 1
+        raise KeyboardInterrupt
+    assert not [thread for thread in set(threading.enumerate()) - before if not thread.daemon]
 
 
 # ------------------------------------------------------------------------------------- what is told

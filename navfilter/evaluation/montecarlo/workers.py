@@ -18,6 +18,9 @@ __all__ = ["available_cores", "cluster", "process_pool"]
 #: Threads inside a worker would only get into each other's way, and could change the last digit.
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
+#: Time [s] that a worker, told to end, and a thread of the pool may take for it: a fraction of a second as a rule.
+_ENDING_S = 10.0
+
 
 @contextmanager
 def process_pool(workers: int | None = None) -> Iterator[Executor]:
@@ -30,7 +33,7 @@ def process_pool(workers: int | None = None) -> Iterator[Executor]:
     """
     # Spawned, not forked: a fork of a process with threads can hang, and all systems behave alike.
     context = multiprocessing.get_context("spawn")
-    before = set(multiprocessing.active_children())
+    before, threads = set(multiprocessing.active_children()), set(threading.enumerate())
     with _single_threaded():
         pool = ProcessPoolExecutor(workers or available_cores(), context, initializer=_prepare_worker)
         try:
@@ -41,7 +44,11 @@ def process_pool(workers: int | None = None) -> Iterator[Executor]:
             for process in ours:
                 process.terminate()
             for process in ours:
-                process.join(10.0)
+                process.join(_ENDING_S)
+            # the pool's own thread as well: the interpreter wakes it on its way out, through a pipe that it closes
+            for thread in set(threading.enumerate()) - threads:
+                if not thread.daemon:
+                    thread.join(_ENDING_S)
             raise
         pool.shutdown()
 
