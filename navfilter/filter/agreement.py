@@ -22,6 +22,7 @@ from navfilter.filter.channel import Channel
 from navfilter.filter.integrity import CONFIRMED_S
 from navfilter.filter.offsets import offset_states
 from navfilter.filter.refusals import Refusals
+from navfilter.filter.slack import reckoned, wander
 from navfilter.kernels import listen
 
 __all__ = ["decided", "heard", "is_back", "limits", "offset_places", "opened_state"]
@@ -43,7 +44,6 @@ HELD = 0.25
 REACH_M = 1e5
 #: What a state is led astray by a jump that a constant described badly, as a share of the jump [1].
 AGAIN = 0.02
-GRAVITY = 9.81  # of a tilt, as an acceleration [m/s^2]; to a percent
 
 
 # ---------------------------------------------------------------- hearing refused readings
@@ -85,7 +85,7 @@ def heard(channel: Channel, P: Array, speed: float, time_s: float, drive_output:
     dt = max(time_s - before.last_s, 0.0)
     # what other sensors have corrected meanwhile is what the variance has lost
     corrected = np.maximum(np.array(before.seen) - seen, 0.0)
-    slack = corrected + _wander(channel, dt) + _reckoned(channel.sensor.open_loop, P, speed, dt, drive_output, period_s)
+    slack = corrected + wander(channel, dt) + reckoned(channel.sensor.open_loop, P, speed, dt, drive_output, period_s)
     offset, variance = np.array(before.offset), np.array(before.variance) + slack
     nu, S = residual - offset, variance + white
     if channel.sensor.open_loop == listen.HEADING:
@@ -119,41 +119,17 @@ def _begun(run: Refusals, residual: Array, white: Array, seen: Array, time_s: fl
     return Refusals(run.confirmed, run.jumped, run.first, offset, variance, state, time_s, time_s)
 
 
-def _wander(channel: Channel, dt: float, with_offset: bool = True) -> Array:
-    """Variance by which the sensor's coloured error may have changed in a time, per axis."""
-    e = channel.group.errors
-    C, P0, off = channel.C, channel.group.P0[:e, :e], channel.group.Phi[:e, :e] - np.eye(e)
-    if not with_offset:
-        C = C.copy()
-        C[:, offset_states(channel.sensor.models, channel.period_s)] = 0.0
-    tick = C @ (off @ P0 @ off.T + channel.group.Q[:e, :e]) @ C.T
-    ticks = min(dt / channel.period_s, 1e9)
-    return np.asarray(np.minimum(np.diag(tick) * ticks, 2.0 * np.diag(C @ P0 @ C.T)))
-
-
-def _reckoned(kind: int, P: Array, speed: float, dt: float, drive_output: Array, period_s: float) -> float:
-    """Variance by which dead reckoning may err in a time, in the units of a kind of sensor."""
-    C, white = drive_output[:, :-1], drive_output[:, -1]
-    m = 9 + C.shape[1]
-    bias = np.einsum("ij,jk,ik->i", C, P[9:m, 9:m], C)
-    if kind == listen.HEADING:
-        return float(bias[:3].max() * dt**2 + white[:3].max() * period_s * dt)
-    if kind == listen.VELOCITY:
-        tilt = GRAVITY**2 * max(P[6, 6], P[7, 7])
-        return float((bias[3:].max() + tilt) * dt**2 + white[3:].max() * period_s * dt)
-    return float((np.diag(P)[3:6].max() + speed**2 * P[8, 8]) * dt**2)
-
-
 def limits(channel: Channel, z: Array) -> Array:
     """The gate's limits for the next reading: closer while it is looked at whether the sensor has jumped, and while it
-    is astray; shut to one that is stale, or of a sensor that has been set aside.
+    is astray; shut to one that is stale, or of a sensor that has been set aside or says nothing.
     """
     refused, closer = channel.memory.refused, channel.limits.copy()
     held = refused is not None and refused.jumped and refused.count > 1 and not refused.scatters
     if held or channel.memory.astray:
         closer[1 : 1 + channel.axes] *= HELD
-    kept = channel.memory.aside
-    if channel.stale or (kept is not None and not aside.unchanged(kept, z)):
+    kept, scatter = channel.memory.aside, channel.memory.scatter
+    worthless = scatter is not None and scatter.worthless
+    if worthless or channel.stale or (kept is not None and not aside.unchanged(kept, z)):
         closer[0], closer[1 : 1 + channel.axes] = np.inf, -1.0
     return closer
 
@@ -238,6 +214,6 @@ def is_back(channel: Channel, constant: Array, P: Array) -> bool:
         plain = (plain + np.pi) % (2.0 * np.pi) - np.pi
     seen = np.einsum("ij,jk,ik->i", near, P[:9, :9], near)
     meanwhile = (AGAIN * constant) ** 2
-    squares = plain**2 / (seen + np.diag(channel.R) + _wander(channel, math.inf, with_offset=False) + meanwhile)
+    squares = plain**2 / (seen + np.diag(channel.R) + wander(channel, math.inf, with_offset=False) + meanwhile)
     dof = int(np.count_nonzero(np.isfinite(squares)))
     return dof > 0 and float(np.nansum(squares)) <= float(channel.limits[dof])

@@ -11,7 +11,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from navfilter.filter import aside
+from navfilter.filter import aside, scatter
 from navfilter.filter.aside import Aside
 from navfilter.filter.belief import believed
 from navfilter.filter.chi_square import chi_square_limit
@@ -19,13 +19,14 @@ from navfilter.filter.course import Course
 from navfilter.filter.layout import Group, Layout
 from navfilter.filter.offsets import has_offset, proportions
 from navfilter.filter.refusals import Refusals
+from navfilter.filter.scatter import Scatter
 from navfilter.filter.sight import Sight
 from navfilter.kernels import addresses, kalman, listen, measurement, past
 from navfilter.kernels.addresses import address
 from navfilter.sensors import Sensor
 from navfilter.start import Start
 
-__all__ = ["Aside", "Channel", "ChannelMemory", "Course", "Refusals", "usable"]
+__all__ = ["Aside", "Channel", "ChannelMemory", "Course", "Refusals", "Scatter", "usable"]
 
 Array = NDArray[np.float64]
 #: More than this share of a reading's components must agree, or it is rejected whole.
@@ -71,6 +72,8 @@ class ChannelMemory:
     alone : tuple of float
         Of a compass to which the heading was set against what was believed before, until something else confirms that:
         by what angle [rad], latitude and longitude then [rad].
+    scatter : Scatter or None
+        Of one of which several readings have been refused of late: how they scatter.
     same_s, again_s : float
         Since when its value has been the same, and when it came again last [s].
     last : ndarray
@@ -89,6 +92,7 @@ class ChannelMemory:
     astray_m: float = math.nan
     aside: Aside | None = None
     alone: tuple[float, ...] = ()
+    scatter: Scatter | None = None
     same_s: float = math.nan
     again_s: float = math.nan
     last: Array = field(default_factory=lambda: np.zeros(0))
@@ -236,9 +240,12 @@ class Channel:
         """White variances of a reading, where they are not those of the error model: then none."""
         self.reading = z
         own = np.zeros(0) if sd is None else np.resize(np.square(np.ravel(sd)), self.axes)
-        if self._memory.aside is None:
+        memory = self._memory
+        if memory.aside is None and memory.scatter is None:
             return own
-        return aside.variances(self._memory.aside, z, own if own.size else self.group.r)
+        own = own if own.size else self.group.r
+        own = own if memory.aside is None else aside.variances(memory.aside, z, own)
+        return own if memory.scatter is None else scatter.variances(memory.scatter, own)
 
     def without_errors(self, z: Array, outputs: Array, errors: Array) -> Array:
         """A reading of the drive's first three values without the drive's errors, of whose states it depends."""
@@ -269,7 +276,8 @@ class Channel:
     def doubted(self) -> bool:
         """Whether its next reading is Python's to judge."""
         memory = self._memory
-        return memory.refused is not None or self.offset or memory.astray or bool(memory.alone)
+        told = memory.refused is not None or memory.astray or bool(memory.alone)
+        return told or self.offset or (memory.scatter is not None and memory.scatter.watched)
 
     @property
     def aside(self) -> bool:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navfilter.error_models import per_axis
-from navfilter.filter import agreement, course, drive_watch, realignment, refused
+from navfilter.filter import agreement, course, drive_watch, realignment, refused, scatter
 from navfilter.filter.adoption import Change, state_change
 from navfilter.filter.asking import asked, shared
 from navfilter.filter.channel import Channel, usable
@@ -362,12 +362,13 @@ class Filter(Estimate):
     def concluded(self, channel: Channel, time_s: float, frozen: bool) -> Correction:
         """What follows from the verdict on a reading, which stands in its channel."""
         channel.stuck, channel.stale = frozen, False
-        nis, dof, used = channel.verdict.tolist()
-        widened = False
+        (nis, dof, used), widened = channel.verdict.tolist(), False
+        described = scatter.heard(self, channel, time_s, frozen)
         if used:
             course.used(self, channel, time_s)
         elif dof and math.isfinite(nis):
             widened = refused.let_in(self, channel, time_s, nis, int(dof), frozen)
+        nis, channel.verdict[0] = described, channel.verdict[0] if widened else described
         if used or widened:
             status = "used"
             if self.tape is not None:

@@ -51,7 +51,7 @@ def let_in(filter: Filter, channel: Channel, time_s: float, nis: float, dof: int
     memory, kept, P = filter.memory, channel.memory, filter.memory.P
     if math.isnan(kept.rejected_since_s):
         kept.rejected_since_s = time_s
-    if frozen:
+    if frozen or (kept.scatter is not None and kept.scatter.worthless):
         kept.refused = None
         return False
     if channel.moves and not channel.aside:

@@ -1,0 +1,175 @@
+"""The noise of a sensor that scatters by more than its error model says.
+
+Its readings are refused one after the other, and do not agree with each other either: so neither the state is wrong
+nor has the sensor jumped. By how much they scatter shows in the second differences of successive residuals (von
+Neumann, 1941), which know nothing of a constant, of a scale, of a state that goes astray. What they have beyond the
+error model is added to the variance of the next reading, axis by axis: it passes the gate again, and weighs what it is
+worth. Its NIS goes on to be that of the description, by which health and verdict say that the sensor is noisy. One
+that scatters by so much that it says nothing (another unit) is refused until that is over.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navfilter.filter.slack import reckoned, wander
+from navfilter.kernels import listen
+
+if TYPE_CHECKING:
+    from navfilter.filter.channel import Channel
+    from navfilter.filter.filter import Filter
+
+__all__ = ["Scatter", "beyond", "heard", "variances"]
+
+Array = NDArray[np.float64]
+#: It is looked at once so many readings were refused within the last ones, the older the less [1]: of good ones three
+#: in a thousand are.
+REFUSED, READINGS = 3.0, 16.0
+#: By so many differences at most, and at the earliest [1].
+MOST, LEAST = 48, 8
+#: It ends when this many do not show it any more [1].
+ENDS = 16
+#: The largest quarter of them says nothing: a reading that is far off is in two of them. Of the squares of normal
+#: variables the others have this mean [1].
+KEPT, MEAN_OF_KEPT = 0.75, 0.3685
+#: A variance that is larger by less than this factor is no noise that was not described [1]: so far off is one estimate
+#: by `LEAST` differences in a hundred.
+LARGER = 2.5
+#: One that is larger by more is no noise [1]: a thousand times the sd is another unit, a hundred times bad reception.
+NO_NOISE = 300.0**2
+#: Readings further apart than so many periods tell no noise [1].
+APART = 3.0
+#: The square of a second difference of white noise is so many times its variance [1]; of a random walk, twice that of a
+#: step.
+WHITE, STEP = 6.0, 2.0
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """How a sensor scatters.
+
+    Attributes
+    ----------
+    refused : float
+        Its last readings that were refused, older ones counting less.
+    time_s : float
+        Of the last reading [s].
+    last : tuple of float
+        Residual of that one, then by how much it differed from the one before; empty while nothing is looked at.
+    squares : tuple of tuple of float
+        By axis: squares of second differences, as variances of one reading.
+    excess : tuple of float
+        What is added to the variance of the next reading, by axis; empty where nothing is. Infinite: it says nothing.
+    """
+
+    refused: float
+    time_s: float
+    last: tuple[float, ...] = ()
+    squares: tuple[tuple[float, ...], ...] = ()
+    excess: tuple[float, ...] = ()
+
+    @property
+    def watched(self) -> bool:
+        """Whether every reading has to be heard."""
+        return bool(self.last)
+
+    @property
+    def worthless(self) -> bool:
+        """Whether it says nothing."""
+        return math.inf in self.excess
+
+
+def variances(kept: Scatter, plain: Array) -> Array:
+    """White variances of a reading, with what it scatters by beyond them."""
+    return np.asarray(plain + np.array(kept.excess)) if kept.excess and not kept.worthless else plain
+
+
+def heard(filter: Filter, channel: Channel, time_s: float, frozen: bool) -> float:
+    """Take a reading, and return its NIS by the description of its sensor.
+
+    Parameters
+    ----------
+    filter : Filter
+    channel : Channel
+        As its kernel left it; its memory takes note.
+    time_s : float
+        Of the reading [s].
+    frozen : bool
+        The value has not changed for suspiciously long.
+    """
+    kept, (nis, dof, used) = channel.memory.scatter, channel.verdict.tolist()
+    watched = kept is not None and kept.watched
+    if (used and not watched) or not (dof and math.isfinite(nis)):
+        return nis  # a stretch does not tell these
+    kept, a = kept or Scatter(0.0, time_s), channel.axes
+    dt = time_s - kept.time_s
+    refused = kept.refused * math.exp(-max(dt, 0.0) / (READINGS * channel.period_s)) + (not used)
+    if frozen or channel.aside or filter.watch.busy(filter.memory.watch) or not (watched or refused >= REFUSED):
+        channel.memory.scatter = Scatter(refused, time_s)
+        return nis
+    residual, squares, excess = channel.note[3 : 3 + a].copy(), kept.squares, np.array(kept.excess)
+    added = bool(kept.excess) and not kept.worthless
+    step = np.full(a, math.nan)
+    if watched and dt <= APART * channel.period_s:
+        before, step_before = np.array(kept.last).reshape(2, a)
+        step = residual - before
+        if channel.sensor.open_loop == listen.HEADING:
+            step = (step + np.pi) % (2.0 * np.pi) - np.pi
+        squares = (*squares, tuple(((step - step_before) ** 2 / WHITE).tolist()))[-MOST:]
+    plain = np.diag(channel.R) - excess if added else np.diag(channel.R)
+    table, expected = np.array(squares).reshape(-1, a), plain + _slack(filter, channel)
+    found = beyond(table, expected) if beyond(table[-ENDS:], expected) else ()
+    if len(squares) == MOST and not found and refused < 1.0:
+        channel.memory.scatter = None
+    else:
+        last = (*residual.tolist(), *step.tolist())
+        channel.memory.scatter = Scatter(refused, time_s, last, squares, found)
+    return _by_description(channel, excess) if added else nis
+
+
+def _slack(filter: Filter, channel: Channel) -> Array:
+    """What drive and coloured error add to the variance of a reading, as its second differences tell it, by axis."""
+    memory, kind, dt = filter.memory, channel.sensor.open_loop, channel.period_s
+    drive = filter.drive_output, filter.vehicle.drive.period_s
+    speed = math.hypot(*memory.nav[3:6].tolist())
+    return np.asarray((wander(channel, dt) + reckoned(kind, memory.P, speed, dt, *drive)) * STEP / WHITE)
+
+
+def beyond(squares: Array, expected: Array) -> tuple[float, ...]:
+    """What a sensor scatters by beyond its variances, by axis; empty where it does not, or where nobody can tell.
+
+    Parameters
+    ----------
+    squares : ndarray, shape (k, axes)
+        Squares of its second differences, as variances of one reading; NaN where a component was missing.
+    expected : ndarray, shape (axes,)
+        Its variances.
+
+    Examples
+    --------
+    >>> readings = np.random.default_rng(1).normal(scale=[0.1, 0.01], size=(40, 2))
+    >>> x, y = beyond(np.diff(readings, n=2, axis=0) ** 2 / WHITE, np.array([1e-4, 1e-4]))
+    >>> bool(0.006 < x < 0.018), y
+    (True, 0.0)
+    """
+    excess = []
+    for own, column in zip(expected.tolist(), squares.T, strict=True):
+        known = np.sort(column[np.isfinite(column)])
+        least = known[: int(KEPT * len(known))] if len(known) >= LEAST else np.zeros(1)
+        variance = float(least.mean()) / MEAN_OF_KEPT
+        beyond_it = math.inf if variance > NO_NOISE * own else variance - own
+        excess.append(beyond_it if variance > LARGER * own else 0.0)
+    return tuple(excess) if any(excess) else ()
+
+
+def _by_description(channel: Channel, excess: Array) -> float:
+    """NIS of a reading without the variances that were added to its own."""
+    a = channel.axes
+    seen = np.isfinite(channel.note[3 + a : 3 + 2 * a])
+    residual, S = channel.note[3 : 3 + a][seen], (channel.S[:a] - np.diag(excess))[np.ix_(seen, seen)]
+    return float(residual @ np.linalg.solve(S, residual))

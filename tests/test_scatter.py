@@ -1,0 +1,86 @@
+"""A sensor that scatters by more than its error model says is weighed by what it scatters."""
+
+import math
+
+import numpy as np
+import pytest
+from test_agreement import FAULT_S, altered, dive, feed, fly
+
+import navfilter as nf
+from navfilter import passage
+from navfilter.filter import scatter
+from navfilter.filter.memory import differences
+
+DEG, RADIUS_M = math.pi / 180.0, 6.37e6
+NOISE_S, MINUTE_S = FAULT_S + 10.0, 60.0
+
+
+def noise(sd):
+    return lambda value: value + np.random.default_rng(1).normal(size=value.shape) * sd
+
+
+def judged(vehicle, mission):
+    """The replayed track from the fault on: horizontal error, its sd, NEES of the velocity; what became of readings."""
+    track = nf.replay(vehicle, mission, output_rate_hz=1.0)
+    late, errors = track.time_s > NOISE_S, track.errors(mission.truth)
+    sd = np.sqrt(track.covariance[late, 0, 0] + track.covariance[late, 1, 1])
+    return errors.horizontal[late], sd, np.nanmean(track.nees(errors)["velocity"][late]), track
+
+
+@pytest.mark.parametrize(("name", "sd"), [("dvl", 0.1), ("dvl", 1.0), ("compass", 6.0 * DEG), ("depth", 0.5)])
+def test_a_noisy_sensor_is_weighed_by_its_noise_and_leads_nobody_off(name, sd):
+    vehicle, mission = dive()
+    off, known, nees, track = judged(vehicle, altered(mission, name, noise(sd), NOISE_S))
+    readings = track.residuals[name]
+    after = readings.time_s > NOISE_S + 20.0 / vehicle.sensors[name].rate_hz
+    assert np.nanmax(off / known) < 3.0 and nees < 2.0
+    assert np.mean(readings.used[after]) > 0.95
+    # its NIS is that of the description, so that it is told
+    assert np.median(readings.nis[after] / readings.dof[after]) > 3.0
+    assert not track.counts["jumped"] and not track.counts["widened"]
+    # a velocity that errs by 1 m/s is hardly one: the inertial unit goes alone
+    whole, *_ = judged(vehicle, mission)
+    assert np.nanmax(off) < 1.5 * np.nanmax(whole) + 5.0 * sd * (name == "dvl")
+
+
+def test_it_is_told_ends_with_the_noise_and_stretches_lives_and_snapshots_give_the_same(monkeypatch):
+    vehicle, mission = dive()
+    mission = mission.between(0.0, NOISE_S + 60.0)
+    noisy = altered(mission, "dvl", noise(0.1), NOISE_S, NOISE_S + 20.0)
+    whole, _ = fly(vehicle, noisy)
+    assert whole.filter.memory.channels["dvl"].scatter is None
+    track = nf.replay(vehicle, noisy, output_rate_hz=None)
+    np.testing.assert_array_equal(track.velocity_n[-1], whole.state.velocity_n)
+    monkeypatch.setattr(passage.Passage, "possible", property(lambda self: False))
+    np.testing.assert_array_equal(nf.replay(vehicle, noisy).covariance[-1], track.covariance[-1])
+    half, _ = fly(vehicle, noisy, until_s=NOISE_S + 10.0)
+    assert half.filter.memory.channels["dvl"].scatter.excess
+    assert half.health.sensors["dvl"].condition == "noisy" and "dvl is noisy" in half.health.trust.reasons
+    again = nf.Navigator.restore(vehicle, half.snapshot())
+    feed(again, vehicle, noisy, after_s=NOISE_S + 10.0)
+    assert not differences(whole.filter.memory, again.filter.memory)
+
+
+def test_a_velocity_in_another_unit_for_a_minute_is_as_good_as_none():
+    vehicle, mission = dive()
+    off, known, *_ = judged(vehicle, altered(mission, "dvl", lambda v: 1e3 * v, NOISE_S, NOISE_S + MINUTE_S))
+    gone, *_ = judged(vehicle, altered(mission, "dvl", lambda v: v * np.nan, NOISE_S, NOISE_S + MINUTE_S))
+    assert np.nanmax(off) < 1.2 * np.nanmax(gone) + 1.0 and np.nanmax(off / known) < 3.5
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_excess_is_that_of_the_noise_and_outliers_are_none(seed):
+    rng = np.random.default_rng(seed)
+    readings = rng.normal(scale=[0.1, 0.01, 0.01], size=(scatter.MOST + 2, 3))
+    readings[::17, 2] += 5.0  # each outlier is in three second differences
+    wide, right, spiked = scatter.beyond(np.diff(readings, n=2, axis=0) ** 2 / scatter.WHITE, np.full(3, 1e-4))
+    assert 0.005 < wide < 0.02 and right == 0.0 and spiked == 0.0
+    assert not scatter.beyond(np.diff(readings[:, 1:], n=2, axis=0) ** 2 / scatter.WHITE, np.full(2, 1e-4))
+    assert not scatter.beyond(np.full((8, 1), np.nan), np.array([1e-4]))
+
+
+def test_a_ramp_and_a_jump_are_no_noise():
+    time_s = np.arange(scatter.MOST + 2.0)
+    readings = np.random.default_rng(1).normal(scale=0.01, size=(len(time_s), 2))
+    readings += np.column_stack([0.5 * time_s, np.where(time_s > 20, 3.0, 0.0)])
+    assert not scatter.beyond(np.diff(readings, n=2, axis=0) ** 2 / scatter.WHITE, np.full(2, 1e-4))
