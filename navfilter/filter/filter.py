@@ -283,10 +283,9 @@ class Filter(Estimate):
         return Propagated(transition)
 
     def _row(self) -> None:
+        memory = self.memory
         if self.tape is not None:
-            memory = self.memory
-            present = self.present if memory.unfolded else None
-            self.tape.row(memory.time_s, memory.nav, memory.x, memory.P, present)
+            self.tape.row(memory.time_s, memory.nav, memory.x, memory.P, self.present if memory.unfolded else None)
 
     # ---------------------------------------------------------------- correction
     def correct(
