@@ -125,13 +125,13 @@ def test_replay_writes_everything_and_says_where(dive, tmp_path, capsys):
 
 
 def test_replay_without_smoother_and_without_a_sensor(dive, tmp_path, capsys):
-    assert replay(dive, tmp_path, "--without", "gps", "--output-rate", "1", "--quiet") == 0
+    assert replay(dive, tmp_path, "--without", "gps", "--output-rate", "1", "--quiet", "--no-report") == 0
     assert capsys.readouterr().out == ""
     summary = json.loads((tmp_path / "summary.json").read_text())
     assert list(summary["runs"]) == ["forward"] and list(summary["runs"]["forward"]["used"]) == ["depth"]
     # 150 s at one row a second, and the header.
     assert len((tmp_path / "track.csv").read_text().splitlines()) <= 153
-    assert replay(dive, tmp_path, "--without", "gps", "--output-rate", "all", "--quiet") == 0
+    assert replay(dive, tmp_path, "--without", "gps", "--output-rate", "all", "--quiet", "--no-report") == 0
     samples = read_mission(dive / "mission.npz").streams["velocity"]
     assert len((tmp_path / "track.csv").read_text().splitlines()) > len(samples)
 

@@ -271,6 +271,7 @@ def test_the_command(tmp_path, capsys):
         str(path),
         "--out",
         str(tmp_path / "out"),
+        "--no-report",
         "--iterate",
         "3",
     ]

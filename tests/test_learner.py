@@ -11,6 +11,7 @@ from navfilter.error_models import CORRELATION_CONSTANTS
 from navfilter.filter.memory import from_arrays, to_arrays
 from navfilter.learning.drift import Drift
 from navfilter.learning.learner import Learner, LearnerMemory
+from navfilter.learning.likelihood import Likelihood, maximise
 from navfilter.learning.posterior import Line, slow_psd
 from navfilter.learning.slow import SlowPrior
 from navfilter.learning.spikes import without_spikes
@@ -103,6 +104,24 @@ def test_the_order_follows_a_change():
     learner = Learner(((0, 0), (1, 0), (1, 1)), 1000, TACTICAL)
     orders = [order_of(learner.hop(y[:end], 200)) for end in range(1000, 3601, 200)]
     assert orders[0] == (1, 0) and orders[-1] == (1, 1)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 5])
+def test_a_lower_maximum_of_few_readings_is_left_later(seed):
+    """Of a hump, a peak and no slow error little shows at first, and the slow part stands for the hump."""
+    pair = 0.9 * np.exp(0.8j)
+    ar, ma = np.poly([0.97, 0.5, pair, pair.conjugate()]).real[1:], np.poly([0.85, -0.3])[1:]
+    order, prior = (4, 2), believing(0.6 * DEG, span_s=300.0)
+    truth = ArmaModel(ar, ma, 0.63 * DEG / math.sqrt(ArmaModel(ar, ma, 1.0).variance))
+    y = series([truth], TACTICAL, 2400, seed)
+    learner = Learner([*ORDERS, (2, 2), (3, 2), order], 2400, TACTICAL, prior=prior)
+    for end, fresh in ((240, 240), (480, 240), (960, 480), (2400, 1440)):
+        learner.hop(y[:end], fresh)
+    likelihood = Likelihood(y, TACTICAL, 0.0, prior)
+    unit = np.r_[np.zeros(6), likelihood.log_unit, likelihood.log_unit, 0.0]
+    starts = [np.r_[ar, ma, np.log([truth.sd, sd * DEG, 60.0])] + unit for sd in (0.02, 0.1)]
+    found = likelihood.penalised([learner.memory.thetas[order] + unit], 4, 1)[0]
+    assert found - maximise(likelihood, starts, 4, 15, 1).value < 3.0
 
 
 def test_evidence_for_the_slow_part_adds_up_and_fades():

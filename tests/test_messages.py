@@ -25,7 +25,7 @@ def test_a_missing_stream_is_cured_without_python(without_fixes, tmp_path, capsy
     assert "--without gps" in said and "[streams.gps]" in said and "[sensors.gps] out of the vehicle.toml" in said
     assert "vehicle.without" not in said
     if command == "replay":
-        assert main([command, *without_fixes, *out, "--without", "gps"]) == 0
+        assert main([command, *without_fixes, *out, "--without", "gps", "--no-report"]) == 0
 
 
 def test_a_stream_that_is_not_there_is_cured_without_python(without_fixes, tmp_path, capsys):

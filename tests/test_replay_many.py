@@ -26,12 +26,14 @@ def test_each_is_replayed_as_alone_and_a_broken_one_stops_none(dives, tmp_path, 
     names = ["dive_1", "broken", "dive_2"]
     vehicle = ("--vehicle", str(dives / "vehicle.toml"))
     paths = [str(dives / f"{name}.npz") for name in names]
-    code = main(["replay", *paths, *vehicle, "--out", str(tmp_path / "all"), "--workers", "2"])
+    code = main(["replay", *paths, *vehicle, "--out", str(tmp_path / "all"), "--workers", "2", "--no-report"])
     said = capsys.readouterr()
     alone = {}
     for name in ("dive_1", "dive_2"):
         out = tmp_path / name
-        alone[name] = main(["replay", str(dives / f"{name}.npz"), *vehicle, "--out", str(out), "--quiet"])
+        alone[name] = main(
+            ["replay", str(dives / f"{name}.npz"), *vehicle, "--out", str(out), "--quiet", "--no-report"]
+        )
         assert (out / "track.csv").read_bytes() == (tmp_path / "all" / name / "track.csv").read_bytes()
     assert code == 2 and "broken" in said.err and "3 of 3" in said.err
     rows = json.loads((tmp_path / "all" / "recordings.json").read_text())

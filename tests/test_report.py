@@ -24,7 +24,8 @@ from navfilter.report import figures
 from navfilter.report.clock import clock_of
 from navfilter.report.drawing import draw, style, svg
 from navfilter.report.plan_view import draw_plan, plan_view
-from navfilter.report.report import headline_table, render_report, sensor_table, write_report
+from navfilter.report.report import render_report, write_report
+from navfilter.report.run_tables import headline_table, sensor_table
 from navfilter.report.state_figures import shown_states, states_figure
 from navfilter.report.thinning import broken, envelope, extremes, straightened
 

@@ -562,7 +562,12 @@ def test_the_log_is_a_mission(dive, logged, tmp_path):
     track = nf.replay(nf.read_vehicle(folder), mission, output_rate_hz=None).to_frame()
     assert track["longitude_deg"].iloc[-1] == states(output)[0][-1]["longitude_deg"]
     assert main(["check", str(folder), "--vehicle", str(folder), "--quiet"]) == 0
-    assert main(["replay", str(folder), "--vehicle", str(folder), "--out", str(tmp_path / "out"), "--quiet"]) == 0
+    assert (
+        main(
+            ["replay", str(folder), "--vehicle", str(folder), "--out", str(tmp_path / "out"), "--quiet", "--no-report"]
+        )
+        == 0
+    )
 
 
 def test_over_tcp_with_a_client_that_comes_back(dive):

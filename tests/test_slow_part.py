@@ -13,7 +13,7 @@ from navfilter.arma.roots import _none_near_one, push_from_one
 from navfilter.error_models import CORRELATION_CONSTANTS, GaussMarkov
 from navfilter.learning.drift import Drift
 from navfilter.learning.likelihood import Likelihood, maximise
-from navfilter.learning.posterior import SlowPosterior, follow, slow_psd
+from navfilter.learning.posterior import Line, SlowPosterior, _between_places, follow, slow_psd
 from navfilter.learning.slow import SlowNode, SlowPrior, slow_chains, slow_prior
 from navfilter.learning.spectrum import Spectrum, log_spread
 
@@ -244,13 +244,33 @@ def test_evidence_of_two_hops_is_that_of_one_pass(fitted, followed):
     half = follow(first, theta, 0, {}, 0, 1.0)
     both = follow(likelihood, point.theta, 0, half.lines, 300, 1.0)
     (_, tau, mass, square), (_, tau2, mass2, square2) = followed.moments.T, both.moments.T
-    # evidence of the first half stands between its places as cubics
+    # evidence of the first half is interpolated between its places
     assert float(mass2 @ square2) == pytest.approx(float(mass @ square), rel=0.05)
     assert float((mass2 * square2) @ tau2) == pytest.approx(float((mass * square) @ tau), rel=0.1)
     np.testing.assert_allclose(np.cumsum(mass2), np.cumsum(mass), atol=0.03)
     # and the half alone knows less
     _, tau1, mass1, square1 = half.moments.T
     assert spread(mass1, square1 * tau1) > spread(mass, square * tau)
+
+
+def test_evidence_that_falls_off_steeply_is_not_made_up_between_its_places():
+    """Flat below, then steep: as a line of ln sd is where the readings show no slow error."""
+    wanted = np.linspace(-3.0, 3.0, 241)
+
+    def evidence(u):
+        return -1.0 - np.exp(2.5 * u)
+
+    for shift in np.linspace(0.0, 1.3, 14):
+        places = shift + 1.3 * np.arange(-4.0, 4.0)
+        line = Line(places, evidence(places), 0.0, 1.0)
+        found = np.array([_between_places(line, float(u)) for u in wanted])
+        assert found.max() < -0.7  # never more than was found anywhere, but for what a peak may rise by
+        held = evidence(wanted) > -4.0  # a twentieth of the likelihood
+        assert np.abs(found - evidence(wanted))[held].max() < 2.0
+    parabola = Line(places, 3.0 - 0.7 * (places - 0.2) ** 2, 0.2, 1.0)
+    inside = wanted[(wanted > places[0]) & (wanted < places[-1])]
+    found = [_between_places(parabola, float(u)) for u in inside]
+    np.testing.assert_allclose(found, 3.0 - 0.7 * (inside - 0.2) ** 2, atol=1e-9)
 
 
 def spread(mass, values):

@@ -210,7 +210,8 @@ def test_a_folder_of_somebody_else_is_only_written_to_when_forced(dive, tmp_path
     report.write_text("in a folder that is ours now")
     assert main(replay) == 0 and report.read_text() != "in a folder that is ours now"
     (tmp_path / "empty").mkdir()
-    assert main([*replay[:-1], str(tmp_path / "empty")]) == 0
+    assert main([*replay, "--no-report"]) == 0 and not report.exists()  # none of an earlier run is left
+    assert main([*replay[:-1], str(tmp_path / "empty"), "--no-report"]) == 0
 
 
 @pytest.mark.parametrize("command", ["demo", "compare", "identify", "montecarlo", "simulate"])

@@ -63,7 +63,7 @@ recordings.json there hold a line for each. One that cannot be read stops none o
 
 {selection.SELECTION}
 written to --out:
-  report.html     verdict, tables and figures that can be zoomed, one file that works offline
+  report.html     verdict, tables and figures that can be zoomed, one file that works offline (not with --no-report)
   summary.json    errors, consistency (NEES, NIS), counts of every run, every error model that was learnt, and
                   without a truth: surfacings, longest outage, predicted sd, how far the smoothed track lies
                   from the forward one
@@ -189,6 +189,12 @@ def add_replay_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="processes for several MISSIONs (default: as many as there are processors)",
     )
+    parser.add_argument(
+        "--no-report",
+        action="store_false",
+        dest="report",
+        help="no report.html: drawing its figures takes longer than the filter and smoother do",
+    )
     parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
     formats.add_arguments(parser)
 
@@ -217,7 +223,7 @@ def replay_one(options: argparse.Namespace) -> int:
     if options.iterate:
         vehicle = _identify(vehicle, mission, options.iterate, options.quiet)
     track = _replayed(vehicle, mission, options.quiet, smooth=options.smooth, output_rate_hz=options.output_rate)
-    return _write(track, mission, folder, options, withheld, options.vehicle)
+    return _write(track, mission, folder, options, withheld, options.vehicle, options.report)
 
 
 def _identify(vehicle: Any, mission: Mission, rounds: int, quiet: bool) -> Any:
@@ -251,6 +257,7 @@ def _write(
     options: argparse.Namespace,
     withheld: Sequence[Withheld] = (),
     vehicle_file: str | None = None,
+    drawn: bool = True,
 ) -> int:
     """Files, report and tables of one run; the exit code."""
     from navfilter.evaluation.assessment import assess
@@ -260,14 +267,19 @@ def _write(
     assessment = assess(tracks, mission, withheld)
     remarks = assessment.remarks(mission.name)
     written = write_outputs(tracks, mission, folder, assessment.to_dict(), vehicle_file, remarks, options.formats)
-    _write_report(tracks, mission, folder / "report.html", assessment, not options.quiet and sys.stderr.isatty())
+    report = folder / "report.html"
+    if drawn:
+        _write_report(tracks, mission, report, assessment, not options.quiet and sys.stderr.isatty())
+    else:
+        report.unlink(missing_ok=True)  # one of an earlier run would speak of another track
     if not options.quiet:
         _print_result(tracks, mission, assessment)
         print(f"Written to {folder}{os.sep}:")
-        print(f"  report.html (open this one), {', '.join(path.name for path in written)}")
+        print(f"  {'report.html (open this one), ' * drawn}{', '.join(path.name for path in written)}")
     if assessment.verdict.trusted:
         return 0
-    print(f"navfilter: {assessment.verdict.headline} See {folder / 'report.html'}.", file=sys.stderr)
+    where = report if drawn else folder / "summary.json"
+    print(f"navfilter: {assessment.verdict.headline} See {where}.", file=sys.stderr)
     return NOT_TRUSTED
 
 
@@ -281,7 +293,7 @@ def _write_report(tracks: dict[str, Track], mission: Mission, path: Path, assess
 
 
 def _print_result(tracks: dict[str, Track], mission: Mission, assessment: Assessment) -> None:
-    from navfilter.report.report import headline_table, sensor_table
+    from navfilter.report.run_tables import headline_table, sensor_table
 
     result = list(tracks.values())[-1]
     if mission.truth is not None:

@@ -19,6 +19,8 @@ class Effort:
         Scoring passes of an order that was never fitted, while the window fills.
     late_passes : int
         The same later, when its turn comes.
+    one_maximum : int
+        An order with no more coefficients than this goes on from its last estimate alone.
     below_passes : int
         Passes of a lower order that only serves as a start.
     contradicted : float
@@ -36,7 +38,8 @@ class Effort:
         What is left to gain when an estimate counts as converged, in units of log-likelihood: far below its sampling
         error.
     small_gain : float
-        After a step that gains less, derivatives are not taken again.
+        After a step that gains less, derivatives are not taken again: readings alone scatter an estimate by half a unit
+        of log-likelihood for each parameter.
     longest_step : float
         Largest change of ln sd in one step.
     differences : tuple of float
@@ -49,7 +52,8 @@ class Effort:
     """
 
     first_passes: int = 10
-    late_passes: int = 1
+    late_passes: int = 3
+    one_maximum: int = 5
     below_passes: int = 8
     contradicted: float = 20.0
     windows_remembered: float = 4.0
@@ -58,7 +62,7 @@ class Effort:
     race_passes: int = 2
     zero_radius: float = 0.9995
     converged: float = 1e-3
-    small_gain: float = 0.05
+    small_gain: float = 0.2
     longest_step: float = 1.5
     differences: tuple[float, ...] = (1e-6, -1e-6, 1e-7, -1e-7, 1e-8, -1e-8, 1e-9, -1e-9, 1e-10, -1e-10)
     slow_difference: float = 1e-5

@@ -25,7 +25,7 @@ from navfilter.learning.effort import EFFORT
 from navfilter.learning.likelihood import Likelihood, Point, maximise
 from navfilter.learning.limits import CLIP
 from navfilter.learning.low_frequency import log_s0_spread
-from navfilter.learning.starts import cold_starts, grown_starts, padded_start
+from navfilter.learning.starts import cold_starts, grown_starts, padded_start, padded_starts
 
 __all__ = ["ChannelFit", "fit_channel"]
 
@@ -121,7 +121,10 @@ def fit_channel(
             # A slow part that a lower order leaves out is found by adding one to its estimate, and hardly otherwise.
             below = min(p - 1, q), q - 1
             simple = maximise(likelihood, cold_starts(likelihood, *below), below[0], EFFORT.below_passes)
-            starts += grown_starts(likelihood, {below: simple}, p, q)
+            starts += [
+                *padded_starts(likelihood, {below: simple}, p, q),
+                *grown_starts(likelihood, {below: simple}, p, q),
+            ]
     elif start.p > p or start.q > q:
         raise ValueError(f"start has orders ({start.p}, {start.q}), above ({p}, {q}).")
     else:

@@ -72,6 +72,8 @@ class LearnerMemory:
         Samples that the evidence rests on.
     smooth : dict of (p, q) to ndarray
         As `thetas`, with a slow part of second order: of the order that it was tried with last.
+    grown : int
+        As `heard`, when the larger orders were last begun from smaller ones.
     """
 
     thetas: dict[Order, Array]
@@ -80,6 +82,7 @@ class LearnerMemory:
     turn: int
     heard: int
     smooth: dict[Order, Array]
+    grown: int
 
 
 class Learner:
@@ -139,7 +142,7 @@ class Learner:
             importlib.import_module(f"scipy.{part}")
         self.window, self.drift, self.white, self.prior = int(window), drift, float(white), prior
         self.described = described if prior is None else None
-        self._memory = LearnerMemory({}, {}, {}, 0, 0, {})
+        self._memory = LearnerMemory({}, {}, {}, 0, 0, {}, 0)
 
     @property
     def memory(self) -> LearnerMemory:
@@ -158,7 +161,7 @@ class Learner:
 
     def forget(self) -> None:
         """The error has changed: what was found serves as a start, and is no evidence any longer."""
-        self._memory = LearnerMemory(self._memory.thetas, {}, {}, self._memory.turn, 0, {})
+        self._memory = LearnerMemory(self._memory.thetas, {}, {}, self._memory.turn, 0, {}, 0)
 
     def hop(self, series: ArrayLike, fresh: int | None = None) -> Learnt | None:
         """Learn from the last `window` samples (fewer at first).
@@ -196,7 +199,9 @@ class Learner:
         heard = fresh + self._memory.heard
         # until the window is full, all that was ever heard is in it
         first = 0 if heard <= y.size else max(0, y.size - fresh)
-        fits = self._fits(likelihood, able, n)
+        # what is heard for the first time is half of it
+        again = heard >= 2 * self._memory.grown
+        fits = self._fits(likelihood, able, n, again)
         if not fits:
             return None
         scores = {order: self._score(point, n) for order, point in fits.items()}
@@ -208,7 +213,7 @@ class Learner:
             posterior = follow(likelihood, point.theta, point.p, self._memory.lines, first, forgetting)
             if first > 0 and self._contradicted(likelihood, point, posterior):
                 posterior = follow(likelihood, point.theta, point.p, {}, 0, 1.0)
-        self._keep(likelihood, fits, scores, posterior, heard, tried)
+        self._keep(likelihood, fits, scores, posterior, heard, heard if again else self._memory.grown, tried)
         learnt = _learnt(likelihood, point, posterior, n)
         if self.described is None:
             return learnt
@@ -227,7 +232,10 @@ class Learner:
         fast = point.theta.size - 2 * bool(point.slow)
         return point.value + 0.5 * criterion("bic", 0.0, fast, n)
 
-    def _fits(self, likelihood: Likelihood, able: list[Order], n: int) -> dict[Order, Point]:
+    def _fits(self, likelihood: Likelihood, able: list[Order], n: int, again: bool) -> dict[Order, Point]:
+        """The orders whose turn it is, each from its last estimate; large ones also from smaller ones, `again` and
+        again: what was found of few readings may be near a lower maximum, and a step never leaves it.
+        """
         memory, slow = self._memory, 0 if self.prior is None else 1
         fits: dict[Order, Point] = {}
         for order in self._ration(able):
@@ -236,10 +244,11 @@ class Learner:
             if known is not None:
                 moved = known.copy()
                 moved[p + q : p + q + 1 + slow] += likelihood.log_unit
-                starts = [moved, *padded_starts(likelihood, below, p, q)]
-                point = maximise(likelihood, starts, p, EFFORT.late_passes, slow, race=1)
+                grown = grown_starts(likelihood, below, p, q) if again and p + q > EFFORT.one_maximum else []
+                starts = [moved, *(grown or padded_starts(likelihood, below, p, q))]
+                point = maximise(likelihood, starts, p, EFFORT.late_passes, slow, race=2 if grown else 1)
             else:
-                starts = grown_starts(likelihood, below, p, q)
+                starts = [*padded_starts(likelihood, below, p, q), *grown_starts(likelihood, below, p, q)]
                 if p + q <= 2 or not starts:
                     cold = cold_starts(likelihood, p, q)
                     like = min(below.values(), key=lambda point: point.value).theta if below else None
@@ -293,6 +302,7 @@ class Learner:
         scores: dict[Order, float],
         posterior: SlowPosterior | None,
         heard: int,
+        grown: int,
         tried: tuple[Order, Point] | None,
     ) -> None:
         memory, slow = self._memory, 0 if self.prior is None else 1
@@ -307,7 +317,7 @@ class Learner:
         lowest = min(scores.values())
         gaps = {**memory.scores, **{order: score - lowest for order, score in scores.items()}}
         lines = {} if posterior is None else posterior.lines
-        self._memory = LearnerMemory(thetas, gaps, lines, memory.turn + 1, heard, smooth)
+        self._memory = LearnerMemory(thetas, gaps, lines, memory.turn + 1, heard, smooth, grown)
 
 
 def _learnt(likelihood: Likelihood, point: Point, posterior: SlowPosterior | None, n: int) -> Learnt:

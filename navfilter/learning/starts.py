@@ -88,25 +88,20 @@ def padded_starts(likelihood: Likelihood, below: Mapping[Order, Point], p: int, 
 
 
 def grown_starts(likelihood: Likelihood, below: Mapping[Order, Point], p: int, q: int) -> list[Array]:
-    """Starts from estimates of lower orders: the best of them padded, the best with a pole and a zero more, and the
-    best with a pair of each.
-    """
-    out = padded_starts(likelihood, below, p, q)
+    """Starts from estimates of lower orders: the best with a pole and a zero more, and the best with a pair of each."""
+    out, slow = [], 0
     for kind in (1, 2):
         lower = [k for k in below if k[0] + kind <= p and k[1] + kind <= q]
         if not lower:
             continue
         best = min(lower, key=lambda k: below[k].value)
         point, at = below[best], best[0] + kind
-        fast = likelihood.fast(point.theta, point.slow)
+        slow, fast = point.slow, likelihood.fast(point.theta, point.slow)
         shapes = _with_bump(fast, best[0]) if kind == 1 else _with_peak(fast, best[0])
-        tried = [
-            likelihood.confine(np.concatenate([shape, point.theta[fast.size :]]), at, point.slow) for shape in shapes
-        ]
-        grown = tried[int(np.argmin(likelihood.penalised(tried, at, point.slow)))]
-        (matched,) = _matched(likelihood, [grown], at, point.slow)
-        out.append(_padded(likelihood, matched, at, point.slow, p, q))
-    return out
+        tried = [likelihood.confine(np.concatenate([shape, point.theta[fast.size :]]), at, slow) for shape in shapes]
+        grown = tried[int(np.argmin(likelihood.penalised(tried, at, slow)))]
+        out.append(_padded(likelihood, grown, at, slow, p, q))
+    return _matched(likelihood, out, p, slow) if out else []
 
 
 def _padded(likelihood: Likelihood, theta: Array, at: int, slow: int, p: int, q: int) -> Array:

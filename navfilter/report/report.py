@@ -1,4 +1,4 @@
-"""The report of a run: tables for the terminal, and one HTML page that needs nothing but itself."""
+"""The report of a run: one HTML page that needs nothing but itself."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ from navfilter.evaluation.assessment import Assessment, assess
 from navfilter.evaluation.surfacing import Evidence
 from navfilter.evaluation.verdict import Verdict
 from navfilter.evaluation.wording import Learnt, Scale, error_words, in_force
-from navfilter.filter.tape import OUTCOMES
 from navfilter.io.write import summarise
 from navfilter.mission import Mission, Stream
 from navfilter.report import figures
@@ -24,15 +23,16 @@ from navfilter.report.clock import clock_of
 from navfilter.report.instrument import Instrument
 from navfilter.report.lane_figures import CAPTION, lane_figure, lane_rows
 from navfilter.report.marks import marks
-from navfilter.report.page import Section, escape, list_html, page, table_html, table_text
+from navfilter.report.page import Section, escape, list_html, page, table_html
 from navfilter.report.panels import Stack
 from navfilter.report.plan_view import plan_view
+from navfilter.report.run_tables import headline_rows, number_text, sensor_rows
 from navfilter.report.sensor_sections import sensor_sections
 from navfilter.report.trust_figures import spell_rows, trust_figure
 from navfilter.sensors.traits import shown_unit
 from navfilter.track import Track
 
-__all__ = ["headline_table", "render_report", "sensor_table", "write_report"]
+__all__ = ["render_report", "write_report"]
 
 Tracks = Mapping[str, Track]
 Rows = list[list[str]]
@@ -44,27 +44,6 @@ _SURFACING = (
     "fix included). "
     "Of honest ones 95 % lie inside."
 )
-#: Columns of the headline table: heading, key of ``summary.json``, format.
-HEADLINES = (
-    ("position rms [m]", "position_rms_m", "{:.2f}"),
-    ("max [m]", "position_max_m", "{:.2f}"),
-    ("end [m]", "position_end_m", "{:.2f}"),
-    ("end [% of distance]", "position_end_pct", "{:.3f}"),
-    ("heading rms [deg]", "heading_rms_deg", "{:.3f}"),
-    ("velocity rms [m/s]", "velocity_rms_m_s", "{:.4f}"),
-    ("NEES position", "nees_position", "{:.2f}"),
-    ("NEES heading", "nees_heading", "{:.2f}"),
-)
-
-
-def headline_table(tracks: Tracks, mission: Mission) -> str:
-    """Errors and consistency of every run as text, one line per run; a dash where there is no truth."""
-    return table_text(*_headlines(tracks, mission))
-
-
-def sensor_table(track: Track) -> str:
-    """What became of the readings of every sensor, and its mean NIS, as text."""
-    return table_text(*_sensors(track))
 
 
 def write_report(
@@ -114,12 +93,12 @@ def render_report(
         reading += [table_html(*_surfacings(assessment.evidence)), f"<p>{_SURFACING}</p>"]
     body = [
         _verdict(assessment.verdict),
-        Section("Result", (table_html(*_headlines(tracks, mission)), f"<p>{_reading(mission)}</p>")),
+        Section("Result", (table_html(*headline_rows(tracks, mission)), f"<p>{_reading(mission)}</p>")),
         Section("What the readings say of the track", tuple(reading)),
         *_over_time(tracks, mission, instrument, assessment),
         *_learnt(assessment.learnt),
         *sensor_sections(tracks, assessment.learnt, instrument),
-        Section("Readings", (table_html(*_sensors(result)), _notes(result, mission))),
+        Section("Readings", (table_html(*sensor_rows(result)), _notes(result, mission))),
         Section("Error models", (table_html(*_models(result), text_columns=(1, 2)),)),
     ]
     subtitle = _subtitle(result, mission, summary)
@@ -193,31 +172,6 @@ def _learnt(found: tuple[Learnt, ...]) -> list[Section]:
 # --- tables ---------------------------------------------------------------------------------------------------------
 
 
-def _headlines(tracks: Tracks, mission: Mission) -> tuple[list[str], Rows]:
-    runs = summarise(tracks, mission)["runs"]
-    rows = [
-        [label, *(_number(run[key], form) for _, key, form in HEADLINES), _number(_mean_nis(run), "{:.2f}")]
-        for label, run in runs.items()
-    ]
-    return ["", *(name for name, _, _ in HEADLINES), "NIS"], rows
-
-
-def _mean_nis(run: Mapping[str, Any]) -> float | None:
-    values = [nis for nis in run["nis"].values() if nis is not None]
-    return float(np.mean(values)) if values else None
-
-
-def _sensors(track: Track) -> tuple[list[str], Rows]:
-    present = [
-        o for o in OUTCOMES if any(r.count(o) for r in track.residuals.values()) or o in ("used", "rejected", "invalid")
-    ]
-    nis = track.summary()["nis"]
-    rows = [
-        [name, *(str(r.count(o)) for o in present), _number(nis[name], "{:.2f}")] for name, r in track.residuals.items()
-    ]
-    return ["sensor", *present, "NIS"], rows
-
-
 def _verdict(verdict: Verdict) -> Section:
     """What was found, then how to look further."""
     text = [f"<p><strong>{escape(verdict.headline)}</strong></p>", list_html(verdict.lines())]
@@ -243,7 +197,7 @@ def _surfacings(evidence: Evidence) -> tuple[list[str], Rows]:
             s.sensor,
             *(f"{value:.0f}" for value in (s.time_s, s.without_s, s.distance_m)),
             f"{s.error_m:.2f}",
-            _number(s.percent if math.isfinite(s.percent) else None, "{:.2f}"),
+            number_text(s.percent if math.isfinite(s.percent) else None, "{:.2f}"),
             f"{s.sd_m:.2f}",
             ("inside" if s.inside else "outside") + ("" if s.used else ", rejected"),
         ]
@@ -267,10 +221,6 @@ def _models(track: Track) -> tuple[list[str], Rows]:
         ]
         rows += shown if whole else [*shown[:2], [name, "", f"... {len(history) - 5} more"], *shown[2:]]
     return ["channel", "from [s]", "model"], rows
-
-
-def _number(value: float | None, form: str) -> str:
-    return "–" if value is None else form.format(value)
 
 
 def _subtitle(track: Track, mission: Mission, summary: Mapping[str, Any]) -> str:
