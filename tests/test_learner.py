@@ -157,7 +157,7 @@ def test_earlier_evidence_that_denies_the_slow_part_of_this_window_is_given_up()
         learnt[name] = learner.memory, first, y
     learner = Learner(((0, 0),), n, TACTICAL, prior=prior)
     lines = {
-        (order, number): line._replace(evidence=np.maximum(line.evidence, -1e3 if number < 4 else -15.0))
+        (order, number): line._replace(evidence=np.maximum(line.evidence, -1e3 if number < 4 else -25.0))
         for (order, number), line in learnt["without"][0].lines.items()
     }
     learner.memory = replace(learnt["with"][0], lines=lines)

@@ -220,14 +220,13 @@ class Learner:
         return learnt._replace(slow=self.described.unseen(learnt.model, y, self.drift, self.white))
 
     def _contradicted(self, likelihood: Likelihood, point: Point, posterior: SlowPosterior) -> bool:
-        """Whether earlier evidence, which was given another fast part, does not go with this window: it denies the slow
-        part that is found here, or has led to one with which the window is far less likely.
+        """Whether earlier evidence, which was given another fast part, does not go with this window: both together lead
+        to a slow part that the one or the other denies.
         """
         assert self.prior is not None
-        log_sd, log_tau = float(point.theta[-2]) - likelihood.log_unit, float(point.theta[-1])
-        if denied(self._memory.lines, self.prior, point.slow, log_sd, log_tau) > EFFORT.contradicted:
-            return True
         node = posterior.mode
+        if denied(self._memory.lines, self.prior, node) > EFFORT.contradicted:
+            return True
         fast = likelihood.fast(point.theta, point.slow)
         theta = np.concatenate([fast, [math.log(node.sd) + likelihood.log_unit, math.log(node.tau_s)]])
         return bool(likelihood.penalised([theta], point.p, node.order)[0] > point.value + EFFORT.contradicted)

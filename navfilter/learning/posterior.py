@@ -281,17 +281,14 @@ def _between_places(line: Line, log_sd: float) -> float:
     return y[at] + (log_sd - x[at]) * (slopes[at] + (log_sd - x[at + 1]) * bend)
 
 
-def denied(known: Mapping[Place, Line], prior: SlowPrior, order: int, log_sd: float, log_tau: float) -> float:
+def denied(known: Mapping[Place, Line], prior: SlowPrior, node: SlowNode) -> float:
     """How much less likely than the best slow part this one is, by the evidence of earlier hops (in log-likelihood);
-    0 where there is none of its order.
+    0 where there is none of its order and time.
     """
-    number = int(np.argmin(np.abs(np.log(prior.taus_s) - log_tau)))
-    line = known.get((order, number))
+    line = known.get((node.order, int(np.argmin(np.abs(prior.taus_s - node.tau_s)))))
     if line is None:
         return 0.0
-    # along the ridge of equal driving noise
-    place = log_sd + 0.5 * (math.log(prior.taus_s[number]) - log_tau)
-    return max(float(line.evidence.max()) for line in known.values()) - _between_places(line, place)
+    return max(float(line.evidence.max()) for line in known.values()) - _between_places(line, math.log(node.sd))
 
 
 class _Look:
