@@ -325,7 +325,7 @@ def _uncalibrated(xd, drv, inc, dt, Cr):
     count = int(drv[88])
     Cr, first = Cr.copy(), len(xd) - count
     for q, code in enumerate(drv[89 : 89 + count].astype(int)):
-        Cr[code // 3, first + q] = inc[3 * (code // 9) + code % 3] / dt
+        Cr[code // 3, first + q] = inc[3 * (code // 9) + code % 3] / dt if dt else 0.0
     drv[107 : 107 + count] = xd[first:]
     return Cr
 

@@ -176,11 +176,24 @@ def test_imu_kernels(k, increments, elements):
 @pytest.mark.parametrize("plain", [False, True])
 @pytest.mark.parametrize("wandering", [(2,), (0, 1, 2, 3)], ids=len)
 def test_imu_kernels_with_elements_that_wander(wandering, plain):
-    rng = np.random.default_rng(1)  # no sample comes before a hold has ended: there the kernel leaves M out
+    rng = np.random.default_rng(0)
     drv, xd, Phid, Qd, Cr, acc = uncalibrated_drive(rng, 6, (0, 4, 8, 13), wandering)
     if plain:  # one state of an error model a reading, as it is
         Phid[:6, :6], Qd[:6, :6], Cr[:, :6] = np.diag(rng.uniform(0.5, 1.0, 6)), np.diag(rng.uniform(size=6)), np.eye(6)
     _same_as_the_twins(rng, drv, xd, Phid, Qd, Cr, acc, False)
+
+
+def test_elements_count_where_a_sample_comes_before_the_end_of_a_hold():
+    """Its step goes back, and takes off what the hold was too long by; of no length it does nothing."""
+    rng = np.random.default_rng(2)
+    drv, xd, Phid, Qd, Cr, acc = uncalibrated_drive(rng, 6, (0, 4, 8, 13))
+    nav, sample = random_nav(rng), imu_samples(rng, 1, False)
+    for held_s in (2.0 * sample[0, 0], sample[0, 0]):
+        drv[strapdown.HELD_S] = held_s
+        drv[strapdown.CONSUMED : strapdown.CONSUMED + 6] = sample[0, 1:] * held_s
+        ours, twins = run_both(strapdown.imu_steps, nav, xd, drv, sample, Phid, Qd, Cr, acc)
+        assert_close(drive_result(ours), drive_result(twins))
+        assert np.all(np.isfinite(ours[7]))
 
 
 def _same_as_the_twins(rng, drv, xd, Phid, Qd, Cr, acc, increments):
