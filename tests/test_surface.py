@@ -69,7 +69,6 @@ def test_calibrate_finds_the_offset_by_a_surfacing():
     assert result.vehicle.sensors["depth"].calibrated == (("offset", offset.value, offset.sd),)
 
 
-
 def test_without_it_the_fixes_own_height_is_used_as_ever():
     own = replace(GPS, antenna_height_m=None)
     fix = np.array([0.8, 0.1, 55.0])
