@@ -312,6 +312,20 @@ def test_measurement_kernels(seed):
             np.testing.assert_allclose(ours[6], twins[6], rtol=0, atol=1e-8)
 
 
+@pytest.mark.parametrize(("hard", "soft"), [(0, 3), (6, -1), (-1, 6), (6, 9)])
+@pytest.mark.parametrize("dip", [-1.0, 1.0])
+def test_what_the_iron_leaves_out(hard, soft, dip):
+    """Only the iron's own states count; where the field points down, and where up."""
+    rng, k = np.random.default_rng(4), (6 if 0 not in (hard, soft) else 0) + 3 * (hard >= 0) + 5 * (soft >= 0)
+    nav, cfg = random_nav(rng), np.array([0.1, 20.0, hard, soft, 30.0])
+    z = np.append(nav[6:15].reshape(3, 3).T @ [20.0, 3.0, 45.0 * dip], math.nan)
+    near, res, P = np.zeros((1, 9 + k)), np.zeros(1), spd(rng, 12 + k, 1e-3)
+    measurement.magnetometer(z, nav, np.zeros(3), np.zeros(k), cfg, near, res)
+    ours, twins = run_both(measurement.iron_bend, z, near, P, 12, cfg, np.eye(1))
+    assert_close([ours[5]], [twins[5]], 1e-9)
+    assert ours[5][0, 0] > 1.0
+
+
 def test_a_vertical_field_has_no_azimuth():
     nav = random_nav(np.random.default_rng(0))
     res, field = np.zeros(1), nav[6:15].reshape(3, 3).T @ np.array([0.0, 0.0, 50.0])
