@@ -1,6 +1,7 @@
 """The learner of one channel from hop to hop: which orders it finds, what it hands out, and what it remembers."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -141,6 +142,28 @@ def test_evidence_for_the_slow_part_adds_up_and_fades():
     for end in range(n + 1000, y.size + 1, 1000):
         learnt = learner.hop(y[:end], 1000)
     assert sum(p.sd**2 for p in learnt.slow) < 0.1 * variances[-1]
+
+
+def test_earlier_evidence_that_denies_the_slow_part_of_this_window_is_given_up():
+    """Evidence of a sensor without a slow error, as it may stand beside another fast part, and a window with one: what
+    is denied least, a much slower one, explains the window nearly as well.
+    """
+    prior, n = believing(0.5, span_s=250.0), 2000
+    learnt = {}
+    for name, sd in (("without", 0.001), ("with", 0.5)):
+        learner = Learner(((0, 0),), n, TACTICAL, prior=prior)
+        y = series([gauss_markov(sd, 20.0), ArmaModel([], [], 0.2)], TACTICAL, 2 * n, 31)
+        first = learner.hop(y[:n])
+        learnt[name] = learner.memory, first, y
+    learner = Learner(((0, 0),), n, TACTICAL, prior=prior)
+    lines = {
+        (order, number): line._replace(evidence=np.maximum(line.evidence, -1e3 if number < 4 else -15.0))
+        for (order, number), line in learnt["without"][0].lines.items()
+    }
+    learner.memory = replace(learnt["with"][0], lines=lines)
+    found = learner.hop(learnt["with"][2][n // 2 : n // 2 + n], n // 2)
+    alone = Learner(((0, 0),), n, TACTICAL, prior=prior).hop(learnt["with"][2][n // 2 : n // 2 + n])
+    assert sum(p.sd**2 for p in found.slow) == pytest.approx(sum(p.sd**2 for p in alone.slow), rel=0.05)
 
 
 @pytest.mark.parametrize("prior", [None, believing(0.6, span_s=125.0)])

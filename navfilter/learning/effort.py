@@ -35,8 +35,8 @@ class Effort:
     zero_radius : float
         Largest radius of a zero: one on the circle would never forget its start.
     converged : float
-        What is left to gain when an estimate counts as converged, in units of log-likelihood: far below its sampling
-        error.
+        What is left to gain when an estimate counts as converged, in units of log-likelihood: a tenth of what the
+        sampling error of one parameter costs.
     small_gain : float
         After a step that gains less, derivatives are not taken again: readings alone scatter an estimate by half a unit
         of log-likelihood for each parameter.
@@ -61,12 +61,12 @@ class Effort:
     late_smooth_passes: int = 3
     race_passes: int = 2
     zero_radius: float = 0.9995
-    converged: float = 1e-3
+    converged: float = 0.05
     small_gain: float = 0.2
     longest_step: float = 1.5
     differences: tuple[float, ...] = (1e-6, -1e-6, 1e-7, -1e-7, 1e-8, -1e-8, 1e-9, -1e-9, 1e-10, -1e-10)
     slow_difference: float = 1e-5
-    dampings: tuple[float, ...] = (1e-6, 1e-3, 1e-2, 1e-1, 1.0, 10.0, 1e3)
+    dampings: tuple[float, ...] = (1e-4, 1e-2, 0.3, 10.0)
 
 
 EFFORT = Effort()

@@ -19,7 +19,7 @@ from navfilter.learning.drift import Drift
 from navfilter.learning.effort import EFFORT
 from navfilter.learning.likelihood import Likelihood, Point, maximise
 from navfilter.learning.limits import LEAST, PER_PARAMETER, WILDEST
-from navfilter.learning.posterior import DEAD, Line, SlowPosterior, follow, slow_psd
+from navfilter.learning.posterior import DEAD, Line, SlowPosterior, denied, follow, slow_psd
 from navfilter.learning.slow import SlowPrior
 from navfilter.learning.spectrum import Spectrum, log_spread
 from navfilter.learning.starts import cold_starts, grown_starts, padded_starts, with_slow_parts
@@ -219,9 +219,14 @@ class Learner:
             return learnt
         return learnt._replace(slow=self.described.unseen(learnt.model, y, self.drift, self.white))
 
-    @staticmethod
-    def _contradicted(likelihood: Likelihood, point: Point, posterior: SlowPosterior) -> bool:
-        """Whether earlier evidence has led to a slow part with which this window is far less likely."""
+    def _contradicted(self, likelihood: Likelihood, point: Point, posterior: SlowPosterior) -> bool:
+        """Whether earlier evidence, which was given another fast part, does not go with this window: it denies the slow
+        part that is found here, or has led to one with which the window is far less likely.
+        """
+        assert self.prior is not None
+        log_sd, log_tau = float(point.theta[-2]) - likelihood.log_unit, float(point.theta[-1])
+        if denied(self._memory.lines, self.prior, point.slow, log_sd, log_tau) > EFFORT.contradicted:
+            return True
         node = posterior.mode
         fast = likelihood.fast(point.theta, point.slow)
         theta = np.concatenate([fast, [math.log(node.sd) + likelihood.log_unit, math.log(node.tau_s)]])

@@ -21,7 +21,7 @@ from navfilter.error_models import CORRELATION_CONSTANTS, GaussMarkov
 from navfilter.learning.likelihood import Likelihood
 from navfilter.learning.slow import SlowNode, SlowPrior
 
-__all__ = ["Line", "SlowPosterior", "follow", "slow_psd"]
+__all__ = ["Line", "SlowPosterior", "denied", "follow", "slow_psd"]
 
 Array = NDArray[np.float64]
 #: A node of the prior: order, and number of the correlation time.
@@ -279,6 +279,19 @@ def _between_places(line: Line, log_sd: float) -> float:
     bends = [(slopes[i] - slopes[i - 1]) / (x[i + 1] - x[i - 1]) for i in (at, at + 1) if 0 < i < len(x) - 1]
     bend = len(bends) / sum(1.0 / one for one in bends) if min(bends) * max(bends) > 0.0 else 0.0
     return y[at] + (log_sd - x[at]) * (slopes[at] + (log_sd - x[at + 1]) * bend)
+
+
+def denied(known: Mapping[Place, Line], prior: SlowPrior, order: int, log_sd: float, log_tau: float) -> float:
+    """How much less likely than the best slow part this one is, by the evidence of earlier hops (in log-likelihood);
+    0 where there is none of its order.
+    """
+    number = int(np.argmin(np.abs(np.log(prior.taus_s) - log_tau)))
+    line = known.get((order, number))
+    if line is None:
+        return 0.0
+    # along the ridge of equal driving noise
+    place = log_sd + 0.5 * (math.log(prior.taus_s[number]) - log_tau)
+    return max(float(line.evidence.max()) for line in known.values()) - _between_places(line, place)
 
 
 class _Look:
