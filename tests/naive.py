@@ -325,7 +325,7 @@ def _uncalibrated(xd, drv, inc, dt, Cr):
     count = int(drv[88])
     Cr, first = Cr.copy(), len(xd) - count
     for q, code in enumerate(drv[89 : 89 + count].astype(int)):
-        Cr[code // 3, first + q] = inc[3 * (code // 9) + code % 3] / dt
+        Cr[code // 3, first + q] = inc[3 * (code // 9) + code % 3] / dt if dt else 0.0
     drv[107 : 107 + count] = xd[first:]
     return Cr
 
@@ -1365,6 +1365,33 @@ def range_bend(z, near, P, first, cfg, R):
     if place >= 0:
         apart[:, first + place + 3 * int(z[1]) :][:, :3] = -np.eye(3)
     R[0, 0] += _sagitta(near[0, :3], z[0], apart @ P @ apart.T)
+
+
+def iron_bend(z, near, P, first, cfg, R):
+    m, hard, soft = z[:3], int(cfg[2]), int(cfg[3])
+    x, y, w = m
+
+    def by_soft(q):
+        """Rows by which the iron moves the field along q: hard, soft."""
+        a, b, c = q
+        return -q, np.array([a * x - b * y, c * w, a * y + b * x, a * w + c * x, b * w + c * y])
+
+    if hard >= 0:
+        g = -near[0, 9 + hard : 12 + hard]
+    else:
+        rows = np.array([by_soft(axis)[1] for axis in np.eye(3)]).T
+        g = np.linalg.lstsq(rows, near[0, 9 + soft : 14 + soft], rcond=None)[0]
+    h = 1.0 / np.linalg.norm(g)
+    across = h * g
+    down = np.sqrt(max(m @ m - h**2, 0.0)) * (-1.0 if near[0, 6:8] @ [np.cos(cfg[0]), np.sin(cfg[0])] > 0 else 1.0)
+    along = (h * m + down * np.cross(across, m)) / (h**2 + down**2)
+    H = np.zeros((2, near.shape[1] - 9))
+    for row, q in zip(H, (across, along), strict=True):
+        for at, part in zip((hard, soft), by_soft(q), strict=True):
+            if at >= 0:
+                row[at : at + len(part)] = part
+    S = H @ P[first:, first:][: H.shape[1], : H.shape[1]] @ H.T
+    R[0, 0] += cfg[4] * (S[0, 0] * S[1, 1] + 2.0 * S[0, 1] ** 2) / h**4
 
 
 def usbl_bend(z, near, P, first, cfg, R):

@@ -213,14 +213,15 @@ def test_kinds_that_are_not_known_are_refused():
         nf.calibrate(reckoning(), [])
 
 
-def test_every_kind_opens_something():
+def test_what_each_kind_opens():
     sensors = {"dvl": nf.BodyVelocity(), "compass": nf.Heading(), "gps": nf.Position(), "depth": nf.Depth()}
     vehicle = nf.Vehicle(imu=nf.Imu(rate_hz=100), sensors=sensors)
-    names = {kind: {one.name for one in constants_of(opened(vehicle, [kind]))} for kind in KINDS}
+    names = {kind: {one.name for one in constants_of(opened(vehicle, [kind], []))} for kind in KINDS}
     assert names["clock"] == {"dvl.time_offset", "compass.time_offset", "gps.time_offset"}
     assert names["lever-arm"] == {f"{s}.lever_arm_{a}" for s in ("dvl", "gps") for a in "xyz"}
+    assert names["iron"] == set() and names["offset"] == {"depth.offset"}
     assert names["scale"] == {"dvl.scale"} and len(names["mounting"]) == 3 and len(names["deviation"]) == 5
-    assert "yaw.one_cycle_sin" in {one.name for one in constants_of(opened(reckoning(), ["deviation"]))}
+    assert "yaw.one_cycle_sin" in {one.name for one in constants_of(opened(reckoning(), ["deviation"], []))}
 
 
 # --- the file -------------------------------------------------------------------------------------------------------

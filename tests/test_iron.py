@@ -5,20 +5,22 @@ import pytest
 
 import navfilter as nf
 from navfilter.alignment import align
+from navfilter.calibration.parts import constants_of, opened
 from navfilter.check.description import describe_vehicle
 from navfilter.io import write_vehicle
+from navfilter.io.calibrated_toml import write_calibrated
 from navfilter.simulation.manoeuvres import ChangeSpeed, Straight, Turn
 from navfilter.simulation.motion import Motion
 from navfilter.simulation.simulate import StartErrors, simulate
 
 DEG = np.pi / 180.0
 #: Microtesla, as the simulator has them.
-HARD_UT, SOFT = 2.0, 0.03
+HARD_UT, SOFT, FIELD_UT = 2.0, 0.03, 47.0
 
 
-def vehicle(**changes):
+def vehicle(noise_deg=1.0, **changes):
     given = {"hard_iron_sd": HARD_UT, "soft_iron_sd": SOFT} | changes
-    compass = nf.Heading(rate_hz=5.0, magnetometer=True, error=nf.White(sd=1.0 * DEG), **given)
+    compass = nf.Heading(rate_hz=5.0, magnetometer=True, error=nf.White(sd=noise_deg * DEG), **given)
     dvl = nf.BodyVelocity(rate_hz=4.0, error=nf.White(sd=0.01))
     gps = nf.Position(rate_hz=1.0, error=nf.White(sd=1.0))
     return nf.Vehicle(imu=nf.Imu(rate_hz=20.0), sensors={"compass": compass, "dvl": dvl, "gps": gps})
@@ -35,9 +37,12 @@ def drawn(mission, what):
     return [float(value) for value in note.split("error ")[1].split()]
 
 
-def test_iron_is_found_by_turns_with_an_honest_sd():
-    """20 seeds, prior drawn as it is described: the squared error over the variance is 1 in the mean."""
-    described, square, gained, heading = vehicle(), [], [], []
+@pytest.mark.parametrize("noise_deg", [0.2, 1.0])
+def test_iron_is_found_by_turns_with_an_honest_sd(noise_deg):
+    """20 seeds, prior drawn as it is described: the squared error over the variance is 1 in the mean, where the
+    equation leaves out more than the noise, too.
+    """
+    described, square, gained, heading = vehicle(noise_deg), [], [], []
     for seed in range(20):
         mission = simulate(described, WAY, seed=seed, start=StartErrors(heading_sd_deg=5.0))
         track = nf.replay(described, mission)
@@ -81,3 +86,22 @@ def test_an_alignment_by_a_magnetometer_knows_of_the_iron(hard):
     sd = align(described, mission).heading_sd_deg
     # 2 uT across a horizontal field of 22 uT are 5 deg
     assert (4.0 < sd < 7.0) if hard else sd < 2.0
+
+
+def test_calibrate_finds_the_iron_and_writes_it(tmp_path):
+    """The vehicle is sure that there is none; a magnetometer has iron instead of the deviation that it makes."""
+    sure, mission = vehicle(hard_iron_sd=0.0, soft_iron_sd=0.0), simulate(vehicle(), WAY, seed=3)
+    unsure = {one.name for one in constants_of(opened(sure, ["deviation", "iron"], [mission]))}
+    assert unsure == {"compass.bias", *NAMES}
+    result = nf.calibrate(sure, [mission], kinds=["iron"])
+    found, told = {one.name: one for one in result.found}, drawn(mission, "hard_iron") + drawn(mission, "soft_iron")
+    assert result.kept and found["compass.soft_iron_xx"].told and found["compass.soft_iron_xy"].told
+    for name, true in zip(NAMES, told, strict=True):
+        assert abs(found[name].value - true) < 3.0 * found[name].sd, name
+    assert found["compass.hard_iron_x"].before_sd == pytest.approx(0.1 * FIELD_UT, rel=0.1)
+    write_vehicle(sure, tmp_path / "vehicle.toml")
+    write_calibrated(result.vehicle, sure, tmp_path / "found.toml", tmp_path / "vehicle.toml")
+    kept, written = result.vehicle.sensors["compass"], nf.read_vehicle(tmp_path / "found.toml").sensors["compass"]
+    assert written.hard_iron_sd == pytest.approx(kept.hard_iron_sd) and written.soft_iron_sd == kept.soft_iron_sd
+    assert ["compass." + one[0] for one in written.calibrated] == NAMES
+    np.testing.assert_allclose([one[1:] for one in written.calibrated], [one[1:] for one in kept.calibrated], atol=1e-6)

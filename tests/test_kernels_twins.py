@@ -176,11 +176,24 @@ def test_imu_kernels(k, increments, elements):
 @pytest.mark.parametrize("plain", [False, True])
 @pytest.mark.parametrize("wandering", [(2,), (0, 1, 2, 3)], ids=len)
 def test_imu_kernels_with_elements_that_wander(wandering, plain):
-    rng = np.random.default_rng(1)  # no sample comes before a hold has ended: there the kernel leaves M out
+    rng = np.random.default_rng(0)
     drv, xd, Phid, Qd, Cr, acc = uncalibrated_drive(rng, 6, (0, 4, 8, 13), wandering)
     if plain:  # one state of an error model a reading, as it is
         Phid[:6, :6], Qd[:6, :6], Cr[:, :6] = np.diag(rng.uniform(0.5, 1.0, 6)), np.diag(rng.uniform(size=6)), np.eye(6)
     _same_as_the_twins(rng, drv, xd, Phid, Qd, Cr, acc, False)
+
+
+def test_elements_count_where_a_sample_comes_before_the_end_of_a_hold():
+    """Its step goes back, and takes off what the hold was too long by; of no length it does nothing."""
+    rng = np.random.default_rng(2)
+    drv, xd, Phid, Qd, Cr, acc = uncalibrated_drive(rng, 6, (0, 4, 8, 13))
+    nav, sample = random_nav(rng), imu_samples(rng, 1, False)
+    for held_s in (2.0 * sample[0, 0], sample[0, 0]):
+        drv[strapdown.HELD_S] = held_s
+        drv[strapdown.CONSUMED : strapdown.CONSUMED + 6] = sample[0, 1:] * held_s
+        ours, twins = run_both(strapdown.imu_steps, nav, xd, drv, sample, Phid, Qd, Cr, acc)
+        assert_close(drive_result(ours), drive_result(twins))
+        assert np.all(np.isfinite(ours[7]))
 
 
 def _same_as_the_twins(rng, drv, xd, Phid, Qd, Cr, acc, increments):
@@ -297,6 +310,20 @@ def test_measurement_kernels(seed):
             )
             # A difference of latitudes times the Earth's radius rounds to 1e-9 m.
             np.testing.assert_allclose(ours[6], twins[6], rtol=0, atol=1e-8)
+
+
+@pytest.mark.parametrize(("hard", "soft"), [(0, 3), (6, -1), (-1, 6), (6, 9)])
+@pytest.mark.parametrize("dip", [-1.0, 1.0])
+def test_what_the_iron_leaves_out(hard, soft, dip):
+    """Only the iron's own states count; where the field points down, and where up."""
+    rng, k = np.random.default_rng(4), (6 if 0 not in (hard, soft) else 0) + 3 * (hard >= 0) + 5 * (soft >= 0)
+    nav, cfg = random_nav(rng), np.array([0.1, 20.0, hard, soft, 30.0])
+    z = np.append(nav[6:15].reshape(3, 3).T @ [20.0, 3.0, 45.0 * dip], math.nan)
+    near, res, P = np.zeros((1, 9 + k)), np.zeros(1), spd(rng, 12 + k, 1e-3)
+    measurement.magnetometer(z, nav, np.zeros(3), np.zeros(k), cfg, near, res)
+    ours, twins = run_both(measurement.iron_bend, z, near, P, 12, cfg, np.eye(1))
+    assert_close([ours[5]], [twins[5]], 1e-9)
+    assert ours[5][0, 0] > 1.0
 
 
 def test_a_vertical_field_has_no_azimuth():

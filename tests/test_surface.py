@@ -59,6 +59,16 @@ def test_surfacings_tell_the_offset_with_an_honest_sd():
     assert 0.5 * TRIM_M < np.median(gained) < 1.3 * TRIM_M  # 0.5 m at the start
 
 
+def test_calibrate_finds_the_offset_by_a_surfacing():
+    """A gauge that is thought to be right; under water nothing tells the height, so the fixes at the surface decide."""
+    sure, mission = replace(VEHICLE, sensors={**VEHICLE.sensors, "depth": replace(DEPTH, offset_sd_m=0.0)}), dive(5)
+    result = nf.calibrate(sure, [mission], kinds=["offset"])
+    (offset,) = result.found
+    assert offset.name == "depth.offset" and offset.told and result.kept
+    assert abs(offset.value - offset_of(mission)) < 3.0 * offset.sd < 0.6 * abs(offset_of(mission))
+    assert result.vehicle.sensors["depth"].calibrated == (("offset", offset.value, offset.sd),)
+
+
 def test_without_it_the_fixes_own_height_is_used_as_ever():
     own = replace(GPS, antenna_height_m=None)
     fix = np.array([0.8, 0.1, 55.0])

@@ -182,7 +182,7 @@ def calibrate(
         raise ValueError(f'no kind of constants is called "{unknown[0]}"; known: {", ".join(KINDS)}.')
     tell = report or (lambda text: None)
     cut = [stretches_of(vehicle, mission) for mission in missions]
-    wide = opened(vehicle, kinds)
+    wide = opened(vehicle, kinds, missions)
     whole, first, wide = _whole(wide, vehicle, missions, each, tell)
     told = whole.told(UNTOLD)
     if not told.any():

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.filter.layout import Parameter, constant_parameters
+from navfilter.mission import Mission
 from navfilter.sensors import Sensor
 from navfilter.state import euler_from_matrix, matrix_from_euler, rotation_matrix
 from navfilter.vehicle import Vehicle
@@ -25,6 +26,8 @@ KINDS: dict[str, dict[str, Any]] = {
     "scale": {"scale_sd": 0.02},
     "mounting": {"misalignment_sd_rad": math.radians(3.0)},
     "deviation": {"bias_sd_rad": math.radians(5.0), "deviation_sd_rad": (math.radians(5.0), math.radians(2.0))},
+    "iron": {"hard_iron_sd": 0.1, "soft_iron_sd": 0.03},  # the first as a share of the field
+    "offset": {"offset_sd_m": 0.5},
 }
 #: Which constants such a key makes.
 _MADE_BY: dict[str, str | tuple[str, ...]] = {
@@ -34,6 +37,9 @@ _MADE_BY: dict[str, str | tuple[str, ...]] = {
     "misalignment_sd_rad": "misalignment_",
     "bias_sd_rad": "bias",
     "deviation_sd_rad": ("one_cycle_", "two_cycle_"),
+    "hard_iron_sd": "hard_iron_",
+    "soft_iron_sd": "soft_iron_",
+    "offset_sd_m": "offset",
 }
 #: A depth's clock and lever arm show in no horizontal motion: they are opened for what corrects these only.
 _MOVING = ("position", "velocity", "heading")
@@ -163,7 +169,7 @@ def _with(item: Any, constants: Sequence[Constant]) -> Any:
     return dataclasses.replace(item, **changed, calibrated=tuple((n, v, sd) for n, (v, sd) in calibrated.items()))
 
 
-def opened(vehicle: Vehicle, kinds: Sequence[str]) -> Vehicle:
+def opened(vehicle: Vehicle, kinds: Sequence[str], missions: Sequence[Mission]) -> Vehicle:
     """The vehicle with constants of these kinds in doubt wherever it says nothing of them.
 
     Parameters
@@ -171,9 +177,12 @@ def opened(vehicle: Vehicle, kinds: Sequence[str]) -> Vehicle:
     vehicle : Vehicle
     kinds : sequence of str
         Of `KINDS`.
+    missions : sequence of Mission
+        To be calibrated by: they tell how large a magnetometer's readings are.
 
     Notes
     -----
+    Of a magnetometer the iron itself is opened instead of the deviation that it makes, and which looks the same.
     The drive's inertial unit is the reference of all clocks and lever arms; of a dead-reckoning drive the attitude is
     that of the clocks, and the antenna of the fixes that of the lever arms, which only differ from the velocity's.
     """
@@ -182,6 +191,8 @@ def opened(vehicle: Vehicle, kinds: Sequence[str]) -> Vehicle:
     sensors = {}
     for name, sensor in vehicle.sensors.items():
         wanted = keys if inertial else {key: value for key, value in keys.items() if key != "lever_arm_sd_m"}
+        if getattr(sensor, "magnetometer", False):
+            wanted = _of_iron(wanted, _field(sensor, name, missions))
         sensors[name] = sensor if sensor.from_drive else _opened(sensor, wanted)
     if drive.velocity_sensor is not None:
         drive = dataclasses.replace(drive, velocity=_opened(drive.velocity_sensor, keys))  # type: ignore[call-arg]
@@ -189,6 +200,22 @@ def opened(vehicle: Vehicle, kinds: Sequence[str]) -> Vehicle:
         wanted = {key: value for key, value in keys.items() if key == "deviation_sd_rad"}
         drive = dataclasses.replace(drive, attitude=_opened(drive.compass, wanted))  # type: ignore[call-arg]
     return Vehicle(drive, sensors, vehicle.name)
+
+
+def _of_iron(keys: Mapping[str, Any], field: float) -> dict[str, Any]:
+    """Keys for a magnetometer whose calibrated readings have this size; 0: it reads nothing."""
+    wanted = {key: value for key, value in keys.items() if key not in ("hard_iron_sd", "soft_iron_sd")}
+    if "hard_iron_sd" in keys and field:
+        wanted.pop("deviation_sd_rad", None)
+        wanted |= {"hard_iron_sd": keys["hard_iron_sd"] * field, "soft_iron_sd": keys["soft_iron_sd"]}
+    return wanted
+
+
+def _field(sensor: Sensor, name: str, missions: Sequence[Mission]) -> float:
+    """Median size of a magnetometer's calibrated readings."""
+    streams = [mission.streams[name].value for mission in missions if name in mission.streams]
+    fields = [values[good, :3] for values, good in map(sensor.read_all, streams)]
+    return float(np.median(np.linalg.norm(np.concatenate(fields), axis=1))) if any(map(len, fields)) else 0.0
 
 
 def _opened(sensor: Sensor, keys: Mapping[str, Any]) -> Any:
@@ -202,6 +229,8 @@ def _doubtful(sensor: Sensor, keys: Mapping[str, Any]) -> Iterator[tuple[str, An
         if not hasattr(sensor, key) or np.any(getattr(sensor, key)) or (place and sensor.corrects not in _MOVING):
             continue
         if key == "lever_arm_sd_m" and not sensor.has_lever_arm:
+            continue
+        if key in ("hard_iron_sd", "soft_iron_sd") and not getattr(sensor, "magnetometer", False):
             continue
         yield key, value
 

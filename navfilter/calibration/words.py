@@ -31,9 +31,9 @@ def calibration_text(result: Calibration) -> str:
 
 def _row(one: Found) -> str:
     unit, size = _SHOWN.get(one.unit, (one.unit.replace("_per_", "/").replace("_", "/"), 1.0))
-    before, found = (
-        f"{v / size:.3f} +- {sd / size:.3f}" for v, sd in ((one.before, one.before_sd), (one.value, one.sd))
-    )
+    digits = max(3, 2 - math.floor(math.log10(one.before_sd / size)))  # a field may be in tesla
+    both = (one.before, one.before_sd), (one.value, one.sd)
+    before, found = (f"{v / size:.{digits}f} +- {sd / size:.{digits}f}" for v, sd in both)
     label = f"{one.name} [{unit}]"
     if not one.told:
         return f"{label:{_WIDTH}} {before:>20}  {'not told':>20}"

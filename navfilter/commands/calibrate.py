@@ -67,7 +67,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--open",
         metavar="KINDS",
         help="constants to estimate although vehicle.toml is sure of them: clock, lever-arm, scale, mounting, "
-        "deviation, several with commas, or all",
+        "deviation, iron, offset, several with commas, or all",
     )
     parser.add_argument(
         "--each",

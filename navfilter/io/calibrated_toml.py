@@ -29,6 +29,9 @@ _FIELDS = (
     "misalignment_sd_rad",
     "bias_sd_rad",
     "deviation_sd_rad",
+    "hard_iron_sd",
+    "soft_iron_sd",
+    "offset_sd_m",
 )
 #: Digits that are written: far finer than any sd.
 _DIGITS = 7

@@ -327,6 +327,49 @@ def range_bend(z, near, P, first, cfg, R):
 
 
 @njit(cache=True)
+def iron_bend(z, near, P, first, cfg, R):
+    """What the linear equation of `magnetometer` leaves out of its iron, added to R (1, 1): an error of the field along
+    the azimuth changes what one across it does (Gelb, 1974, sec. 6.1).
+
+    It is the same as long as the vehicle does not turn: as white noise it gets the power of so many readings, cfg[4].
+    near: its Jacobian; P: covariance of all states, those of the sensor's parameters from `first` on.
+    """
+    hard, soft = int(cfg[2]), int(cfg[3])
+    m0, m1, m2, s = z[0], z[1], z[2], 9 + soft
+    if hard >= 0:
+        p0, p1, p2 = -near[0, 9 + hard], -near[0, 10 + hard], -near[0, 11 + hard]
+    else:
+        by = 1.0 / max(m0 * m0 + m1 * m1, 1e-300)
+        p0 = by * (near[0, s] * m0 + near[0, s + 2] * m1)
+        p1 = by * (near[0, s + 2] * m0 - near[0, s] * m1)
+        p2 = by * ((near[0, s + 3] - p0 * m2) * m0 + (near[0, s + 4] - p1 * m2) * m1)
+    # p: across the azimuth, level; u: along it
+    h = 1.0 / math.sqrt(max(p0 * p0 + p1 * p1 + p2 * p2, 1e-300))
+    p0, p1, p2 = h * p0, h * p1, h * p2
+    down = math.sqrt(max(m0 * m0 + m1 * m1 + m2 * m2 - h * h, 0.0))
+    if near[0, 6] * math.cos(cfg[0]) + near[0, 7] * math.sin(cfg[0]) > 0.0:
+        down = -down
+    by = 1.0 / (h * h + down * down)
+    u0 = by * (h * m0 + down * (p1 * m2 - p2 * m1))
+    u1 = by * (h * m1 + down * (p2 * m0 - p0 * m2))
+    u2 = by * (h * m2 + down * (p0 * m1 - p1 * m0))
+    k = near.shape[1] - 9
+    across, along = np.zeros(k), np.zeros(k)
+    for row, q0, q1, q2 in ((across, p0, p1, p2), (along, u0, u1, u2)):
+        if hard >= 0:
+            row[hard], row[hard + 1], row[hard + 2] = -q0, -q1, -q2
+        if soft >= 0:
+            row[soft], row[soft + 1], row[soft + 2] = q0 * m0 - q1 * m1, q2 * m2, q0 * m1 + q1 * m0
+            row[soft + 3], row[soft + 4] = q0 * m2 + q2 * m0, q1 * m2 + q2 * m1
+    pp, pu, uu = 0.0, 0.0, 0.0
+    for i in range(k):
+        for j in range(k):
+            c = P[first + i, first + j]
+            pp, pu, uu = pp + across[i] * c * across[j], pu + across[i] * c * along[j], uu + along[i] * c * along[j]
+    R[0, 0] += cfg[4] * (pp * uu + 2.0 * pu * pu) / (h * h * h * h)
+
+
+@njit(cache=True)
 def _sagitta(near, distance, P):
     """Variance of what a distance grows by when its ends move across it, mean included [m^2].
 

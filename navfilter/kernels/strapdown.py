@@ -493,7 +493,7 @@ def _uncalibrated(inc, dt, xd, drv, work, seen, gain):
         q = seen[1, p] - first
         reading = work[3 * (seen[0, p] // 3) + int(drv[ELEMENTS + q]) % 3]
         inc[seen[0, p]] -= xd[first + q] * reading
-        gain[p] = reading / dt if dt > 0.0 else 0.0
+        gain[p] = reading / dt if dt != 0.0 else 0.0
         drv[CALIBRATION + q] = xd[first + q]
 
 

@@ -30,6 +30,8 @@ HEADING = Columns("heading", ("heading_rad",), ("angle",), circular=("heading_ra
 FIELD = Columns("field", ("field_x_T", "field_y_T", "field_z_T"), ("magnetic field",) * 3)
 #: Elements of the soft iron that are states, in their order.
 SOFT_IRON = ("xx", "zz", "xy", "xz", "yz")
+#: A vehicle keeps its heading for about so long [s]; three times less or more makes no difference to what is found.
+LEG_S = 10.0
 TEMPERATURE = Columns("temperature", ("temperature_C",), ("temperature",))
 #: Generous: beyond the worst and the best of instruments on the market.
 USUAL = Plausible(1e-5, math.radians(30.0), "deg", most_rate_hz=200.0)
@@ -115,6 +117,11 @@ class Heading(Sensor):
         return measurement.magnetometer if self.magnetometer else measurement.heading
 
     @property
+    def bend(self) -> Callable[..., None] | None:  # type: ignore[override]
+        """What its equation leaves out: of iron, which is a tenth of the field and more."""
+        return measurement.iron_bend if self.hard_iron_sd or self.soft_iron_sd else None
+
+    @property
     def reads(self) -> int:  # type: ignore[override]
         """Number of elements of a reading without the temperature."""
         return 3 if self.magnetometer else 1
@@ -155,13 +162,16 @@ class Heading(Sensor):
         return declination(start.latitude_deg, start.longitude_deg, start.height_m, start.date)
 
     def constants(self, start: Start) -> Array:
-        """Declination and reference temperature; of a magnetometer where among its states hard and soft iron begin."""
+        """Declination and reference temperature; of a magnetometer where among its states hard and soft iron begin, and
+        how many readings share what the equation leaves out.
+        """
         known = [self.declination(start), self.reference_temperature_c]
         if self.magnetometer:
             names = [p.name for p in self.parameters()]
             known += [
                 names.index(first) if first in names else -1 for first in ("hard_iron_x", f"soft_iron_{SOFT_IRON[0]}")
             ]
+            known.append(max(1.0, LEG_S * self.rate_hz))
         return np.array(known)
 
     def read(self, value: Array) -> Array | None:
