@@ -223,9 +223,13 @@ def test_a_campaign_that_ends_early_leaves_finished_runs_and_no_processes(tmp_pa
         "vehicle",
     ]
     command += ["--duration", "90", "--imu-rate", "20", "--no-smooth", "--workers", "1", "--out", str(tmp_path)]
-    running = subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
-    )
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    # as in a terminal: what a shell starts in the background ignores the signal, and so would its children
+    before = signal.signal(signal.SIGINT, signal.SIG_DFL)
+    try:
+        running = subprocess.Popen(command, start_new_session=True, **pipes)
+    finally:
+        signal.signal(signal.SIGINT, before)
     first_run(tmp_path, running)
     if how == "interrupted":
         # as a terminal does: to the whole group, workers included

@@ -61,7 +61,7 @@ def look(filter: Filter) -> None:
     """Hold the biases against what they were, if it is time; after a reading has been taken."""
     memory, g = filter.memory, filter.layout.drive
     time_s = max((channel.memory.last_s for channel in filter.channels.values()), default=-math.inf)
-    if time_s < due_s(filter):
+    if time_s == -math.inf or time_s < due_s(filter):
         return
     states = [bias_of(g, axis) for axis in range(3)]
     now, kept = np.zeros(COLUMNS), memory.shifts
