@@ -75,10 +75,10 @@ def looks(sd=2.0, ends=1.0):
     table = shifts.fresh()
     table[:, shifts.TIME_S] = shifts.EVERY_S * np.arange(shifts.LOOKS)
     table[:, shifts.BIAS : shifts.VARIANCE] = 0.0
-    table[:, shifts.VARIANCE :] = sd**2
+    table[:, shifts.VARIANCE : shifts.NIS], table[:, shifts.NIS] = sd**2, 1.0
     now = table[-1].copy()
     now[shifts.TIME_S] += shifts.EVERY_S
-    now[shifts.VARIANCE :] = ends**2
+    now[shifts.VARIANCE : shifts.NIS] = ends**2
     return table, now
 
 
@@ -95,6 +95,11 @@ def test_an_estimate_may_move_by_what_it_has_learnt():
     assert not shifts.shifted(table, now, np.full(3, 0.1), begin)
     assert not shifts.shifted(table, now, walk, np.full(3, 100.0))
     assert not shifts.shifted(shifts.fresh(), now, walk, begin)
+    # where sensors are four times as noisy as they are described, so may what is learnt from them
+    table[:, shifts.NIS], now[shifts.NIS] = 16.0, 16.0
+    assert not shifts.shifted(table, now, walk, begin)
+    now[shifts.BIAS + 1] *= 4.0
+    assert len(shifts.shifted(table, now, walk, begin)) == 1
 
 
 def test_of_many_good_estimates_none_has_shifted():
@@ -106,7 +111,7 @@ def test_of_many_good_estimates_none_has_shifted():
             gain = variance / (variance + 4.0)
             estimate += gain * (constant + 2.0 * rng.normal() - estimate)
             variance *= 1.0 - gain
-            now = np.concatenate([[10.0 * k, 0.0, 0.0, 0.0], np.full(3, estimate), np.full(3, variance)])
+            now = np.concatenate([[10.0 * k, 0.0, 0.0, 0.0], np.full(3, estimate), np.full(3, variance), [1.0]])
             found += len(shifts.shifted(table, now, np.zeros(3), np.full(3, 1e-12)))
             table = np.vstack([table[1:], now])
     assert found == 0

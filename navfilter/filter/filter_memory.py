@@ -61,7 +61,7 @@ class FilterMemory:
     models : tuple of (str, error)
         Error models put in force since the start, by sensor.
     counts : dict of str to int
-    shifts : ndarray, shape (16, 10)
+    shifts : ndarray, shape (16, 11)
         What the biases of its gyros were at the last looks, see `navfilter.filter.shifts`.
     """
 

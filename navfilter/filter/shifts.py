@@ -7,6 +7,8 @@ bias has lost in that time, and what its random walk adds. One that has moved by
 allows no such change, and the filter, which was sure of it, follows much too slowly. So it is opened by the shift, and
 the heading, the way and the slow errors by what that has done to them meanwhile. All are found again within a minute.
 
+That variance is what the descriptions of the sensors make it. Where their NIS is above 1, it is as much larger.
+
 Accelerometers are not looked at: theirs shows in a velocity at once.
 """
 
@@ -40,8 +42,8 @@ OPENED = 2.0
 #: What tilts the vehicle contradicts the accelerometers within so long [s].
 TILT_S = 10.0
 #: Columns of what is remembered: time, latitude and longitude, how often the attitude had been set anew; estimates of
-#: the three biases, and their variances.
-TIME_S, LATITUDE, LONGITUDE, ANEW, BIAS, VARIANCE, COLUMNS = 0, 1, 2, 3, 4, 7, 10
+#: the three biases, and their variances; NIS per component of the readings just before.
+TIME_S, LATITUDE, LONGITUDE, ANEW, BIAS, VARIANCE, NIS, COLUMNS = 0, 1, 2, 3, 4, 7, 10, 11
 
 
 def fresh() -> Array:
@@ -70,7 +72,8 @@ def look(filter: Filter) -> None:
     if all(each.size for each in states):
         own = np.array([each[0] for each in states])
         places, walk = g.start + own, g.Q[own, own] / filter.period_s
-        now[BIAS:VARIANCE], now[VARIANCE:] = memory.x[places - 9], np.diag(memory.P)[places]
+        now[BIAS:VARIANCE], now[VARIANCE:NIS] = memory.x[places - 9], np.diag(memory.P)[places]
+        now[NIS] = _nis(filter, time_s)
         if filter.watch.busy(memory.watch) or not _goes_on(kept[-1], now, walk):
             kept = fresh()
         found = shifted(kept, now, walk, g.P0[own, own])
@@ -78,14 +81,21 @@ def look(filter: Filter) -> None:
             _open(memory, int(places[axis]), axis, size, kept[row:])
             memory.counts["shifted"] += 1
         if found:
-            kept, now[VARIANCE:] = fresh(), np.diag(memory.P)[places]
+            kept, now[VARIANCE:NIS] = fresh(), np.diag(memory.P)[places]
     memory.shifts = np.vstack([kept[1:], now])
 
 
 def _goes_on(before: Array, now: Array, walk: Array) -> bool:
     """Whether nothing but readings and time has changed the variances since a look."""
-    grown = 1.001 * (before[VARIANCE:] + walk * (now[TIME_S] - before[TIME_S]))
-    return bool(now[ANEW] == before[ANEW] and (now[VARIANCE:] <= grown).all())
+    grown = 1.001 * (before[VARIANCE:NIS] + walk * (now[TIME_S] - before[TIME_S]))
+    return bool(now[ANEW] == before[ANEW] and (now[VARIANCE:NIS] <= grown).all())
+
+
+def _nis(filter: Filter, time_s: float) -> float:
+    """Of the last readings of all sensors that have been heard since the last look, per component; 1 where none was."""
+    heard = [c.verdict for c in filter.channels.values() if c.memory.last_s > time_s - EVERY_S]
+    told = np.array([verdict[:2] for verdict in heard if math.isfinite(verdict[0]) and verdict[1]])
+    return float(told[:, 0].sum() / told[:, 1].sum()) if len(told) else 1.0
 
 
 def shifted(looks: Array, now: Array, walk: Array, begin: Array) -> list[tuple[int, int, float]]:
@@ -102,9 +112,12 @@ def shifted(looks: Array, now: Array, walk: Array, begin: Array) -> list[tuple[i
         Their variances at the start.
     """
     added = walk * (now[TIME_S] - looks[:, [TIME_S]])
-    lost = np.maximum(looks[:, VARIANCE:] + added - now[VARIANCE:], 0.0)
+    lost = np.maximum(looks[:, VARIANCE:NIS] + added - now[VARIANCE:NIS], 0.0)
     moved = now[BIAS:VARIANCE] - looks[:, BIAS:VARIANCE]
-    beyond = np.nan_to_num(moved**2 / np.maximum(lost + FLOOR**2 * begin, 1e-300))
+    # of the readings from each look on
+    nis = np.cumsum(np.append(looks[:, NIS], now[NIS])[::-1])[:0:-1] / np.arange(len(looks) + 1, 1, -1)
+    larger = np.maximum(nis, 1.0)[:, np.newaxis]
+    beyond = np.nan_to_num(moved**2 / np.maximum(lost * larger + FLOOR**2 * begin, 1e-300))
     found = []
     for axis in np.flatnonzero(beyond.max(axis=0) > LIMIT).tolist():
         row = int(np.argmax(beyond[:, axis]))
