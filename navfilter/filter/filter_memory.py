@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.error_models import ErrorModel
-from navfilter.filter import shifts
 from navfilter.filter.channel import ChannelMemory
 from navfilter.filter.drive_watch import CONDITIONS
 from navfilter.filter.drive_watch import COUNTED as DRIVE_COUNTED
@@ -22,7 +21,7 @@ Errors = ErrorModel | tuple[ErrorModel, ...]
 #: What is counted.
 COUNTED = (
     *("gap", "backward", "bad-sample", "clock-set", "widened", "reset", "jumped", "astray", "opened"),
-    *("realigned", "shifted", "adopted"),
+    *("realigned", "adopted"),
     *DRIVE_COUNTED,
 )
 #: Rounding leaves no eigenvalue of the correlations below this.
@@ -61,8 +60,6 @@ class FilterMemory:
     models : tuple of (str, error)
         Error models put in force since the start, by sensor.
     counts : dict of str to int
-    shifts : ndarray, shape (16, 11)
-        What the biases of its gyros were at the last looks, see `navfilter.filter.shifts`.
     """
 
     time_s: float
@@ -80,7 +77,6 @@ class FilterMemory:
     channels: dict[str, ChannelMemory]
     models: tuple[tuple[str, Errors], ...]
     counts: dict[str, int]
-    shifts: Array = field(default_factory=shifts.fresh)
 
     def problem(self, fresh: FilterMemory) -> str | None:
         """What is wrong with the values of one that came from outside, in words; None when nothing is.
