@@ -258,15 +258,15 @@ def _push_from_one(c, distance, z):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _pull_inside(c, radius, reflect, z):
-    """No root beyond `radius`; those outside the unit circle are reflected into it first, or not."""
+def _pull_inside(c, radius, circle, z):
+    """No root beyond `radius`; those beyond `circle` are reflected into the unit circle first."""
     if not c.size or largest_reflection(c, radius) < 1.0:
         return
     _roots(c, z)
     for k in range(c.size):
         size = abs(z[k])
         if size > 0.0:
-            wanted = 1.0 / size if reflect and size > 1.0 else size
+            wanted = 1.0 / size if size > circle else size
             z[k] *= min(wanted, radius - TINY) / size
     _from_roots(z, c)
 
@@ -282,8 +282,8 @@ def confine(rows, p, q, limits):
     for row in rows:
         if p and limits[0] > 0.0:
             _push_from_one(row[:p], limits[0], space[:p])
-        _pull_inside(row[:p], limits[1], False, space[:p])
-        _pull_inside(row[p : p + q], limits[2], True, space[:q])
+        _pull_inside(row[:p], limits[1], math.inf, space[:p])
+        _pull_inside(row[p : p + q], limits[2], 1.0, space[:q])
         for i in range(p + q, row.size):
             k = 3 + 2 * (i - p - q)
             row[i] = min(max(row[i], limits[k]), limits[k + 1])
