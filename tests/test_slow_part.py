@@ -9,8 +9,8 @@ from test_channel import dense, lags, walk_with_gaps, wide
 
 import navfilter as nf
 from navfilter.arma.model import ArmaModel, simulate_arma
-from navfilter.arma.roots import _none_near_one, push_from_one
 from navfilter.error_models import CORRELATION_CONSTANTS, GaussMarkov
+from navfilter.kernels.channel import LANES
 from navfilter.learning.drift import Drift
 from navfilter.learning.likelihood import Likelihood, maximise
 from navfilter.learning.posterior import Line, SlowPosterior, _between_places, follow, slow_psd
@@ -130,6 +130,18 @@ def test_point_is_the_slope_of_what_is_minimised():
             step = 1e-4 * np.eye(5)[k]
             ends = likelihood.penalised([theta + step, theta - step], 1, slow)
             assert point.gradient[k] == pytest.approx((ends[0] - ends[1]) / 2e-4, rel=1e-3, abs=2e-3)
+
+
+@pytest.mark.parametrize("count", [0, 3, LANES])
+def test_others_beside_a_point_change_nothing(count):
+    """To the last bit, also where they have no room in its lanes."""
+    likelihood = Likelihood(noisy(800, 3), DRIFT, 0.0, PRIOR)
+    theta = np.r_[-0.5, 0.1, -0.3, -0.7, math.log(50.0)]
+    others = [theta + 0.01 * i for i in range(count)]
+    alone, (point, values) = likelihood.point(theta, 1, 1), likelihood.points(theta, 1, 1, others)
+    assert values == [likelihood.penalised([other], 1, 1)[0] for other in others]
+    assert point.value == alone.value == likelihood.penalised([theta], 1, 1)[0]
+    assert np.array_equal(point.gradient, alone.gradient) and np.array_equal(point.info, alone.info)
 
 
 def test_parts_of_a_likelihood_add_up():
@@ -371,22 +383,3 @@ def test_the_spread_of_a_spectrum_is_that_of_its_coefficients():
         )
     # 4000 draws know a standard deviation to 1.1 %
     np.testing.assert_allclose(log_spread(ar, ma, root @ root.T, turn), np.std(logs, axis=0), rtol=0.05)
-
-
-def test_poles_far_from_one_are_seen_without_the_roots():
-    """What is seen so has no pole near 1, and most of what has none is seen; the others are pushed away."""
-    rng, told, free = np.random.default_rng(1), 0, 0
-    for _ in range(1000):
-        n, distance = int(rng.integers(3, 6)), 10.0 ** rng.uniform(-2.5, -0.5)
-        pairs = rng.uniform(0.0, 1.0, n // 2) * np.exp(1j * rng.uniform(0.0, np.pi, n // 2))
-        single = 1.0 - 10.0 ** rng.uniform(-3.0, 0.0, n % 2)
-        poles = np.concatenate([pairs, pairs.conj(), single])
-        coefficients = np.poly(poles).real[1:]
-        near = bool((np.abs(np.log(poles)) < distance).any())
-        seen = _none_near_one(coefficients, distance)
-        assert not (seen and near)
-        told, free = told + seen, free + (not near)
-        pushed = push_from_one(coefficients, distance)
-        assert near == (pushed is not coefficients)
-        assert np.abs(np.log(np.roots(np.r_[1.0, pushed]).astype(complex))).min() > 0.99 * distance
-    assert 0.7 * free < told < free
