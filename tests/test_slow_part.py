@@ -9,7 +9,6 @@ from test_channel import dense, lags, walk_with_gaps, wide
 
 import navfilter as nf
 from navfilter.arma.model import ArmaModel, simulate_arma
-from navfilter.arma.roots import _none_near_one, push_from_one
 from navfilter.error_models import CORRELATION_CONSTANTS, GaussMarkov
 from navfilter.kernels.channel import LANES
 from navfilter.learning.drift import Drift
@@ -195,6 +194,17 @@ def fitted():
     likelihood = Likelihood(noisy(600, 5), DRIFT, 0.0, PRIOR)
     point = maximise(likelihood, [np.r_[0.0, math.log(0.3) + likelihood.log_unit, math.log(30.0)]], 0, 20, 1)
     return likelihood, point
+
+
+def test_what_cannot_become_good_enough_is_not_improved(fitted):
+    likelihood, found = fitted
+    starts = [np.r_[0.0, math.log(size) + likelihood.log_unit, math.log(30.0)] for size in (0.3, 0.1)]
+    begun = likelihood.penalised(likelihood.confine(starts, 0, 1), 0, 1)
+    assert begun.min() > found.value + 1.0
+    for enough, value in ((-math.inf, begun.min()), (found.value - 1e3, begun.min()), (found.value, found.value)):
+        point = maximise(likelihood, starts, 0, 20, 1, 2, enough)
+        assert point.value == pytest.approx(value, abs=0.1), enough
+        assert likelihood.penalised([point.theta], 0, 1)[0] == point.value
 
 
 @pytest.fixture(scope="module")
@@ -384,22 +394,3 @@ def test_the_spread_of_a_spectrum_is_that_of_its_coefficients():
         )
     # 4000 draws know a standard deviation to 1.1 %
     np.testing.assert_allclose(log_spread(ar, ma, root @ root.T, turn), np.std(logs, axis=0), rtol=0.05)
-
-
-def test_poles_far_from_one_are_seen_without_the_roots():
-    """What is seen so has no pole near 1, and most of what has none is seen; the others are pushed away."""
-    rng, told, free = np.random.default_rng(1), 0, 0
-    for _ in range(1000):
-        n, distance = int(rng.integers(3, 6)), 10.0 ** rng.uniform(-2.5, -0.5)
-        pairs = rng.uniform(0.0, 1.0, n // 2) * np.exp(1j * rng.uniform(0.0, np.pi, n // 2))
-        single = 1.0 - 10.0 ** rng.uniform(-3.0, 0.0, n % 2)
-        poles = np.concatenate([pairs, pairs.conj(), single])
-        coefficients = np.poly(poles).real[1:]
-        near = bool((np.abs(np.log(poles)) < distance).any())
-        seen = _none_near_one(coefficients, distance)
-        assert not (seen and near)
-        told, free = told + seen, free + (not near)
-        pushed = push_from_one(coefficients, distance)
-        assert near == (pushed is not coefficients)
-        assert np.abs(np.log(np.roots(np.r_[1.0, pushed]).astype(complex))).min() > 0.99 * distance
-    assert 0.7 * free < told < free

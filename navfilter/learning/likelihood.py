@@ -10,8 +10,9 @@ from functools import cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from navfilter.arma.roots import cap_poles, is_stable, pull_inside, push_from_one, resolved_radius
+from navfilter.arma.roots import resolved_radius
 from navfilter.kernels import channel as kernel
+from navfilter.kernels import fit as roots
 from navfilter.kernels.channel import LANES
 from navfilter.learning.drift import Drift
 from navfilter.learning.effort import EFFORT
@@ -77,10 +78,11 @@ class Likelihood:
         self.rules = np.array([diffuse, LONGEST_GAP, clip, white * self.unit**2])
         self.n = known.size - diffuse
         self.pole_radius = resolved_radius(max(known.size, 8))
-        self.nearest = 0.0 if prior is None else drift.period_s / prior.quickest_s
+        nearest = 0.0 if prior is None else drift.period_s / prior.quickest_s
+        self._limits = np.array([nearest, self.pole_radius, EFFORT.zero_radius, -14.0, 40.0])
         if prior is not None:
-            self._sd_limits = (np.log(prior.sd_limits) + self.log_unit).tolist()
-            self._tau_limits = np.log(prior.taus_s[[0, -1]]).tolist()
+            sizes = np.log(prior.sd_limits) + self.log_unit
+            self._limits = np.concatenate([self._limits, sizes, np.log(prior.taus_s[[0, -1]])])
         # Innovations and their variances of the models of one call.
         self._E, self._V = np.empty((2, self.y.size, LANES))
 
@@ -142,7 +144,9 @@ class Likelihood:
         """Penalised value, gradient and Fisher information at `theta`."""
         return self.points(theta, p, slow)[0]
 
-    def points(self, theta: Array, p: int, slow: int, beside: Sequence[Array] = ()) -> tuple[Point, list[float]]:
+    def points(
+        self, theta: Array, p: int, slow: int, beside: Sequence[Array] | Array = ()
+    ) -> tuple[Point, list[float]]:
         """The point at `theta`, and the penalised values of others, which fill the lanes that it leaves free."""
         k = theta.size
         steps = np.full(k, EFFORT.slow_difference)
@@ -179,22 +183,13 @@ class Likelihood:
                     break
         return steps
 
-    def confine(self, theta: Array, p: int, slow: int = 0) -> Array:
-        """`theta` with poles and zeros pulled inside their radii, fast poles away from 1, and sizes within reason."""
-        out = theta.copy()
-        q = self.fast(theta, slow).size - 1 - p
-        if self.nearest and p:
-            out[:p] = push_from_one(out[:p], self.nearest)
-        if p and not is_stable(out[:p], self.pole_radius):
-            out[:p] = cap_poles(out[:p], self.pole_radius - 1e-12)
-        if q and not is_stable(out[p : p + q], EFFORT.zero_radius):
-            out[p : p + q] = pull_inside(out[p : p + q], EFFORT.zero_radius - 1e-12)
-        out[p + q] = min(max(out[p + q], -14.0), 40.0)
-        if slow and self.prior is not None:
-            (low, high), (quickest, slowest) = self._sd_limits, self._tau_limits
-            out[-2] = min(max(out[-2], low), high)
-            out[-1] = min(max(out[-1], quickest), slowest)
-        return out
+    def confine(self, thetas: Sequence[Array] | Array, p: int, slow: int = 0) -> Array:
+        """Parameter vectors, one a row, with poles and zeros pulled inside their radii, fast poles away from 1, and
+        sizes within reason.
+        """
+        rows = np.array(thetas, dtype=np.float64, order="C")
+        roots.confine(rows, p, self.fast(rows[0], slow).size - 1 - p, self._limits)
+        return rows
 
 
 def filtered(
@@ -279,7 +274,13 @@ def _places(p: int, q: int) -> NDArray[np.int64]:
 
 
 def maximise(
-    likelihood: Likelihood, starts: Sequence[Array], p: int, passes: int, slow: int = 0, race: int = 2
+    likelihood: Likelihood,
+    starts: Sequence[Array],
+    p: int,
+    passes: int,
+    slow: int = 0,
+    race: int = 2,
+    enough: float = math.inf,
 ) -> Point:
     """Fisher scoring: a short race between the best starts, then the leader alone.
 
@@ -296,61 +297,62 @@ def maximise(
         Order of the slow part, 0 without one.
     race : int
         How many of the starts run.
+    enough : float
+        A point that should stay above this value, though it gained `EFFORT.optimism` times what its slope says, is not
+        improved.
     """
-    inside = [likelihood.confine(start, p, slow) for start in starts]
+    inside = likelihood.confine(starts, p, slow)
     first, others = likelihood.points(inside[0], p, slow, inside[1:])
     ranked = np.argsort([first.value, *others], kind="stable")[:race].tolist()
     leaders = [likelihood.point(inside[i], p, slow) if i else first for i in ranked]
     if len(leaders) > 1:
-        runs = [_climb(likelihood, point, EFFORT.race_passes) for point in leaders]
-        leaders = [likelihood.point(min(runs, key=lambda point: point.value).theta, p, slow)]
-    return _climb(likelihood, leaders[0], passes)
+        runs = [_climb(likelihood, point, EFFORT.race_passes, enough) for point in leaders]
+        best = min(runs, key=lambda point: point.value)
+        if best in leaders:
+            return best
+        leaders = [likelihood.point(best.theta, p, slow)]
+    return _climb(likelihood, leaders[0], passes, enough)
 
 
-def _climb(likelihood: Likelihood, point: Point, passes: int) -> Point:
+def _climb(likelihood: Likelihood, point: Point, passes: int, enough: float) -> Point:
     """Scoring passes from a point; the information is that of the last but one point, a small step away."""
+    usual = 0
     for left in range(passes, 0, -1):
-        found = _step(likelihood, point, left == 1)
-        if found is None:
+        trials, gains = _trials(likelihood, point)
+        if not gains or point.value - EFFORT.optimism * gains[0] > enough:
             break
-        theta, value, ahead = found
-        if left == 1 or point.value - value < EFFORT.small_gain:
-            return replace(point, theta=theta, value=value)
-        point = ahead if ahead is not None else likelihood.point(theta, point.p, point.slow)
+        # most often what did before will do; its derivatives, which the next step wants, come with it
+        usual = min(usual, len(gains) - 1)
+        if left > 1:
+            others = np.delete(trials, usual, axis=0)
+            ahead, rest = likelihood.points(trials[usual], point.p, point.slow, others)
+            values = [*rest[:usual], ahead.value, *rest[usual:]]
+        else:
+            values = likelihood.penalised(trials, point.p, point.slow).tolist()
+        chosen = next(
+            (i for i, gain in enumerate(gains) if values[i] < point.value - 1e-2 * min(gain, 1.0)),
+            None,
+        )
+        if chosen is None:
+            break
+        if left == 1 or point.value - values[chosen] < EFFORT.small_gain:
+            return replace(point, theta=trials[chosen], value=values[chosen])
+        point = ahead if chosen == usual else likelihood.point(trials[chosen], point.p, point.slow)
+        usual = chosen
     return point
 
 
-def _step(likelihood: Likelihood, point: Point, last: bool) -> tuple[Array, float, Point | None] | None:
-    """A Levenberg-damped scoring step that lowers the value: where, to what, and the point there if it is known; None
-    if nothing is left.
-    """
-    trials, gains = _trials(likelihood, point)
-    if not trials:
-        return None
-    ahead = None
-    if last:
-        values = likelihood.penalised(trials, point.p, point.slow).tolist()
-    else:
-        # most often the first will do; its derivatives, which the next step wants, come with it
-        ahead, values = likelihood.points(trials[0], point.p, point.slow, trials[1:])
-        values = [ahead.value, *values]
-    for i, (trial, gain, value) in enumerate(zip(trials, gains, values, strict=True)):
-        if value < point.value - 1e-2 * min(gain, 1.0):
-            return trial, value, None if i else ahead
-    return None
-
-
-def _trials(likelihood: Likelihood, point: Point) -> tuple[list[Array], list[float]]:
+def _trials(likelihood: Likelihood, point: Point) -> tuple[Array, list[float]]:
     """Where steps lead that are damped more and more, and what they should gain; as long as there is something."""
     if not (np.all(np.isfinite(point.gradient)) and np.all(np.isfinite(point.info))):
-        return [], []
+        return np.empty((0, point.theta.size)), []
     damped = np.multiply.outer(EFFORT.dampings, np.diag(np.maximum(point.info.diagonal(), 1e-9)))
     steps = np.linalg.solve(point.info + damped, -point.gradient[:, None])[..., 0]
     gains = [-0.5 * float(step @ point.gradient) for step in steps]
     count = next((i for i, gain in enumerate(gains) if not gain > EFFORT.converged), len(gains))
     sizes = slice(-3, None) if point.slow else slice(-1, None)
-    trials = []
-    for step in steps[:count]:
-        step *= min(1.0, EFFORT.longest_step / max(float(np.max(np.abs(step[sizes]))), 1e-300))
-        trials.append(likelihood.confine(point.theta + step, point.p, point.slow))
-    return trials, gains[:count]
+    if not count:
+        return steps[:0], []
+    longest = np.maximum(np.abs(steps[:count, sizes]).max(axis=1), 1e-300)
+    moved = point.theta + steps[:count] * np.minimum(1.0, EFFORT.longest_step / longest)[:, None]
+    return likelihood.confine(moved, point.p, point.slow), gains[:count]
