@@ -1141,6 +1141,9 @@ def look(samples, w, sd, limits, period_s, increments):
         _look_at_gravity(w, unit, dt)
         rest = np.concatenate([np.zeros(3), unit[5:8] * dt_or_1])
         samples[n, 1:] = np.where(w[:6, 0] > 1, rest, values)
+        down = -unit[5:8] / max(unit[8], 1.0)
+        turn = abs(down @ w[:3, 13])
+        unit[9:11] += down @ (np.array(values[:3]) / dt_or_1) * dt, turn * dt * (turn > 0.05)
         unit[5:8] += np.cross(unit[5:8], samples[n, 1:4] / dt_or_1 * dt)
         unit[0] += 1.0
         if unit[0] * period_s >= 1.0:

@@ -245,4 +245,4 @@ def test_conditions_are_in_the_health(dive):
 def test_without_an_inertial_unit_nothing_is_watched():
     vehicle, mission = simulate_scenario("reckoning", 1, 20.0)
     nav = nf.Navigator(vehicle, mission.start)
-    assert nav.health.axes == {} and nav.filter.memory.watch.shape == (0, 21)
+    assert nav.health.axes == {} and nav.filter.memory.watch.shape == (0, kernel.COLUMNS)

@@ -21,12 +21,13 @@ from navfilter.filter.offsets import has_offset, proportions
 from navfilter.filter.refusals import Refusals
 from navfilter.filter.scatter import Scatter
 from navfilter.filter.sight import Sight
+from navfilter.filter.turns import Turns
 from navfilter.kernels import addresses, kalman, listen, measurement, past
 from navfilter.kernels.addresses import address
 from navfilter.sensors import Sensor
 from navfilter.start import Start
 
-__all__ = ["Aside", "Channel", "ChannelMemory", "Course", "Refusals", "Scatter", "usable"]
+__all__ = ["Aside", "Channel", "ChannelMemory", "Course", "Refusals", "Scatter", "Turns", "usable"]
 
 Array = NDArray[np.float64]
 #: More than this share of a reading's components must agree, or it is rejected whole.
@@ -74,6 +75,8 @@ class ChannelMemory:
         by what angle [rad], latitude and longitude then [rad].
     scatter : Scatter or None
         Of one of which several readings have been refused of late: how they scatter.
+    turns : Turns or None
+        Of a compass that was refused: what it said of the gyros.
     same_s, again_s : float
         Since when its value has been the same, and when it came again last [s].
     last : ndarray
@@ -93,6 +96,7 @@ class ChannelMemory:
     aside: Aside | None = None
     alone: tuple[float, ...] = ()
     scatter: Scatter | None = None
+    turns: Turns | None = None
     same_s: float = math.nan
     again_s: float = math.nan
     last: Array = field(default_factory=lambda: np.zeros(0))

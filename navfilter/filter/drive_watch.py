@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from navfilter.filter import turns
 from navfilter.kernels import drive_watch as kernel
 from navfilter.kernels import strapdown
 
@@ -64,7 +65,7 @@ class DriveWatch:
 
     def fresh(self) -> Array:
         """What it remembers before the first sample."""
-        w = np.zeros((kernel.UNIT + 1, kernel.UNTIL_S + 1))
+        w = np.zeros((kernel.UNIT + 1, kernel.COLUMNS))
         w[:6, kernel.REPEATS], w[:6, kernel.QUANTUM] = 1.0, np.inf
         w[:6, kernel.UNTIL_S] = -np.inf
         if not self._feels:
@@ -174,6 +175,7 @@ class DriveWatch:
                 memory.P[:9, :9] += np.outer(done, done)
         if unit[kernel.TICK] * self._period_s >= kernel.JUDGED_S:
             unit[kernel.TICK] = 0.0
+            turns.look(filter)
             for first in (0, 3):
                 if memory.time_s > w[first, kernel.UNTIL_S]:
                     filter.jumps.take_back(w[first : first + 3], first, filter)

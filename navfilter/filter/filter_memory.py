@@ -51,7 +51,7 @@ class FilterMemory:
     recent : ndarray, shape (k, 7)
         The last samples of the drive, the newest first: seconds since the one before (0: no sample yet), six values.
         None are kept where the clock of no sensor is in doubt.
-    watch : ndarray, shape (7, 21) or (0, 21)
+    watch : ndarray, shape (7, 22) or (0, 22)
         What the watch over the drive's axes remembers, see ``navfilter.kernels.drive_watch``.
     jumps : ndarray, shape (4, J + 2, n + 3) or (0, J + 2, n + 3)
         What is known of jumps of its biases, see ``navfilter.kernels.jumps``.

@@ -190,7 +190,7 @@ class JumpWatch:
 
     def take_back(self, axes: Array, first: int, filter: Filter) -> None:
         """Three axes, rows of the watch from `first` on, are used again: their biases may be what contradicted."""
-        back = axes[:, kernel.CODE] == kernel.CONTRADICTED
+        back = (axes[:, kernel.CODE] == kernel.CONTRADICTED) & (axes[:, kernel.HELD] == 0.0)
         g, P = filter.layout.drive, filter.memory.P
         for axis in first + np.flatnonzero(back):
             states = _constant(g, int(axis))

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.filter import agreement, aside, gating, ramp, realignment
+from navfilter.filter import agreement, aside, gating, ramp, realignment, turns
 from navfilter.filter.adoption import Change
 from navfilter.filter.belief import beyond_belief, excused, pulled
 from navfilter.filter.channel import Channel
@@ -54,6 +54,8 @@ def let_in(filter: Filter, channel: Channel, time_s: float, nis: float, dof: int
     if frozen or (kept.scatter is not None and kept.scatter.worthless):
         kept.refused = None
         return False
+    if channel.sensor.open_loop == listen.HEADING and channel.axes == 1:
+        turns.refused(filter, channel, time_s, float(gating.whole_residual(channel, memory.x)[0]))
     if channel.moves and not channel.aside:
         filter.accused = ramp.accused(filter, channel, time_s)
         if filter.accused is not None:
