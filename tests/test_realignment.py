@@ -130,6 +130,14 @@ def test_readings_that_agree_make_it_silent():
     assert len(stamps) == 410 and np.isnan(steps[:, 1:]).all() and steps[:, 0].sum() == pytest.approx(stamps[-1])
 
 
+def test_readings_that_agree_on_a_leap_of_hours_carry_nothing():
+    """Not even where the drive is known to be silent: for years there would be no memory."""
+    intake = Intake(tactical_imu(), 0.0, dict.fromkeys(("gap", "backward", "bad-sample", "clock-set"), 0))
+    assert [intake.missing(stamp, 0.0) is None for stamp in np.arange(1.1, 4.6, 0.5)][-1] is False
+    assert all(intake.missing(stamp, 4.1) is None for stamp in (5.6e10, 5.6e10, 5.6e10))
+    assert intake.missing(4.6, 4.1) is None and len(intake.missing(5.1, 4.1)[1]) == 100
+
+
 def test_samples_without_values_for_long_are_stood_in_for(dive):
     vehicle, mission = dive
     stream = mission.streams["imu"]

@@ -183,9 +183,11 @@ class Intake:
             silent_s, agree = time_s - memory.before_s, memory.ahead >= self.AGREE
             if not (agree and time_s - memory.ahead_s >= self.SPAN_S and self.SILENT_S <= silent_s <= self._longest_s):
                 return None
-        if not near:
+        before_s = max(state_s, memory.before_s)
+        # two that agree on a leap of the clock do not say that so much time has passed
+        if not near or time_s - before_s > self._longest_s:
             return None
-        stamps = self._stamps(max(state_s, memory.before_s), time_s)
+        stamps = self._stamps(before_s, time_s)
         if not len(stamps):
             return None
         if math.isnan(memory.heard_s):
