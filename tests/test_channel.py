@@ -132,14 +132,14 @@ def naive_scores(y, thetas, chains, sees, rules, steps, E, V, info, gradient):
     values = np.empty(len(thetas))
     naive.channel_filter(y, thetas, chains, sees, rules, 0, E, V, values)
     naive.channel_scores(E, V, steps, rules[2], info, gradient)
-    return values[0]
+    return values
 
 
 def scored(scores, y, theta, chain, sees, rules, free, steps, d):
     k = len(steps)
     thetas, chains = moved(theta, chain, free, steps, d)
     E, V, info, gradient = *np.empty((2, len(y), LANES)), np.empty((k, k)), np.empty(k)
-    return scores(y, thetas, chains, sees, rules, steps, E, V, info, gradient), gradient, info
+    return scores(y, thetas, chains, sees, rules, steps, E, V, info, gradient)[0], gradient, info
 
 
 def walk_with_gaps(random, n=70):

@@ -11,6 +11,7 @@ import navfilter as nf
 from navfilter.arma.model import ArmaModel, simulate_arma
 from navfilter.arma.roots import _none_near_one, push_from_one
 from navfilter.error_models import CORRELATION_CONSTANTS, GaussMarkov
+from navfilter.kernels.channel import LANES
 from navfilter.learning.drift import Drift
 from navfilter.learning.likelihood import Likelihood, maximise
 from navfilter.learning.posterior import Line, SlowPosterior, _between_places, follow, slow_psd
@@ -130,6 +131,18 @@ def test_point_is_the_slope_of_what_is_minimised():
             step = 1e-4 * np.eye(5)[k]
             ends = likelihood.penalised([theta + step, theta - step], 1, slow)
             assert point.gradient[k] == pytest.approx((ends[0] - ends[1]) / 2e-4, rel=1e-3, abs=2e-3)
+
+
+@pytest.mark.parametrize("count", [0, 3, LANES])
+def test_others_beside_a_point_change_nothing(count):
+    """To the last bit, also where they have no room in its lanes."""
+    likelihood = Likelihood(noisy(800, 3), DRIFT, 0.0, PRIOR)
+    theta = np.r_[-0.5, 0.1, -0.3, -0.7, math.log(50.0)]
+    others = [theta + 0.01 * i for i in range(count)]
+    alone, (point, values) = likelihood.point(theta, 1, 1), likelihood.points(theta, 1, 1, others)
+    assert values == [likelihood.penalised([other], 1, 1)[0] for other in others]
+    assert point.value == alone.value == likelihood.penalised([theta], 1, 1)[0]
+    assert np.array_equal(point.gradient, alone.gradient) and np.array_equal(point.info, alone.info)
 
 
 def test_parts_of_a_likelihood_add_up():

@@ -10,6 +10,7 @@ import bisect
 import copy
 import math
 import tempfile
+import weakref
 from array import array
 from dataclasses import dataclass, field
 from typing import Any
@@ -97,6 +98,7 @@ class Spool:
             return
         if self._file is None:
             self._file = tempfile.TemporaryFile(prefix="navfilter-")  # noqa: SIM115  (lives as long as the spool)
+            weakref.finalize(self, self._file.close)
         chunk = self._chunks[oldest]
         assert chunk is not None
         self._file.seek(self._written)

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from itertools import islice
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -141,21 +140,29 @@ class Likelihood:
 
     def point(self, theta: Array, p: int, slow: int = 0) -> Point:
         """Penalised value, gradient and Fisher information at `theta`."""
+        return self.points(theta, p, slow)[0]
+
+    def points(self, theta: Array, p: int, slow: int, beside: Sequence[Array] = ()) -> tuple[Point, list[float]]:
+        """The point at `theta`, and the penalised values of others, which fill the lanes that it leaves free."""
         k = theta.size
         steps = np.full(k, EFFORT.slow_difference)
         fast = self.fast(theta, slow)
         steps[: fast.size] = self._steps(fast, p)
-        rows = theta + np.vstack([np.zeros(k), np.diag(steps)])
+        room = max(LANES - k - 1, 0)
+        rows = np.concatenate([theta + np.vstack([np.zeros(k), np.diag(steps)]), np.reshape(beside[:room], (-1, k))])
         info, gradient = np.empty((k, k)), np.empty(k)
         thetas, chains = _padded(self.fast(rows, slow), p), self._chains(rows, slow)
-        value = scores(self.y, thetas, chains, self._sees[slow], self.rules, steps, self._E, self._V, info, gradient)
+        values = scores(self.y, thetas, chains, self._sees[slow], self.rules, steps, self._E, self._V, info, gradient)
         if slow and self.prior is not None:
             prior, log_sd = self.prior, theta[-2] - self.log_unit
-            value -= prior.log_density(slow, log_sd, theta[-1])
+            values -= self._log_densities(rows, slow)
             spreads = np.array([prior.spread, prior.tau_spread])
             gradient[-2:] += prior.offsets(log_sd, theta[-1]) / spreads
             info[[-2, -1], [-2, -1]] += spreads**-2.0
-        return Point(theta, p, slow, value, gradient, info)
+        others = values[k + 1 :].tolist()
+        if len(beside) > room:
+            others += self.penalised(beside[room:], p, slow).tolist()
+        return Point(theta, p, slow, float(values[0]), gradient, info), others
 
     def _steps(self, theta: Array, p: int) -> Array:
         """Difference steps that stay where a stationary start exists."""
@@ -222,18 +229,19 @@ def scores(
     V: Array,
     info: Array,
     gradient: Array,
-) -> float:
-    """Minus the log-likelihood at ``thetas[0]`` and ``chains[0]``, its gradient and the Fisher information.
+) -> Array:
+    """Minus the log-likelihood of some models (K,); of ``thetas[0]`` and ``chains[0]`` gradient and Fisher information.
 
-    The other rows of `thetas` (k+1, 2m+1) and `chains` (k+1, 3, r, r) are those of a model with one of its k parameters
-    moved by ``steps[i]``. `E` and `V` (N, LANES) receive innovations and their variances. A step that leaves the
-    stationary region gives an infinite value: the caller chooses steps that do not.
+    The next k rows of `thetas` (K, 2m+1) and `chains` (K, 3, r, r) are those of this model with one of its k parameters
+    moved by ``steps[i]``, the others are any. `E` and `V` (N, LANES) receive innovations and their variances. A step
+    that leaves the stationary region gives an infinite value: the caller chooses steps that do not.
     """
     values = filtered(y, thetas, chains, sees, rules, 0, E, V)
-    if not values.max() < math.inf:
-        return math.inf
-    kernel.channel_scores(E, V, steps, rules[kernel.CLIP], info, gradient)
-    return float(values[0])
+    if values[: steps.size + 1].max() < math.inf:
+        kernel.channel_scores(E, V, steps, rules[kernel.CLIP], info, gradient)
+    else:
+        values[0], info[:], gradient[:] = math.inf, math.nan, math.nan
+    return values
 
 
 @dataclass(frozen=True, eq=False)
@@ -290,17 +298,17 @@ def maximise(
         How many of the starts run.
     """
     inside = [likelihood.confine(start, p, slow) for start in starts]
-    if len(inside) > 1:
-        inside = [inside[i] for i in np.argsort(likelihood.penalised(inside, p, slow), kind="stable")]
-    if min(len(inside), race) > 1:
-        runs = [_climb(likelihood, start, p, EFFORT.race_passes, slow) for start in inside[:race]]
-        inside = [min(runs, key=lambda point: point.value).theta]
-    return _climb(likelihood, inside[0], p, passes, slow)
+    first, others = likelihood.points(inside[0], p, slow, inside[1:])
+    ranked = np.argsort([first.value, *others], kind="stable")[:race].tolist()
+    leaders = [likelihood.point(inside[i], p, slow) if i else first for i in ranked]
+    if len(leaders) > 1:
+        runs = [_climb(likelihood, point, EFFORT.race_passes) for point in leaders]
+        leaders = [likelihood.point(min(runs, key=lambda point: point.value).theta, p, slow)]
+    return _climb(likelihood, leaders[0], passes)
 
 
-def _climb(likelihood: Likelihood, theta: Array, p: int, passes: int, slow: int) -> Point:
-    """Scoring passes from `theta`; the information is that of the last but one point, a small step away."""
-    point = likelihood.point(theta, p, slow)
+def _climb(likelihood: Likelihood, point: Point, passes: int) -> Point:
+    """Scoring passes from a point; the information is that of the last but one point, a small step away."""
     for left in range(passes, 0, -1):
         found = _step(likelihood, point, left == 1)
         if found is None:
@@ -308,7 +316,7 @@ def _climb(likelihood: Likelihood, theta: Array, p: int, passes: int, slow: int)
         theta, value, ahead = found
         if left == 1 or point.value - value < EFFORT.small_gain:
             return replace(point, theta=theta, value=value)
-        point = ahead if ahead is not None else likelihood.point(theta, p, slow)
+        point = ahead if ahead is not None else likelihood.point(theta, point.p, point.slow)
     return point
 
 
@@ -316,34 +324,33 @@ def _step(likelihood: Likelihood, point: Point, last: bool) -> tuple[Array, floa
     """A Levenberg-damped scoring step that lowers the value: where, to what, and the point there if it is known; None
     if nothing is left.
     """
-    if not (np.all(np.isfinite(point.gradient)) and np.all(np.isfinite(point.info))):
+    trials, gains = _trials(likelihood, point)
+    if not trials:
         return None
-    trials, ahead = _trials(likelihood, point), None
-    # most often the first will do; its derivatives, which the next step wants, come with it
-    for count in (1, len(EFFORT.dampings)):
-        part = list(islice(trials, count))
-        if not part:
-            break
-        if count == 1 and not last:
-            ahead = likelihood.point(part[0][0], point.p, point.slow)
-            values = [ahead.value]
-        else:
-            values = likelihood.penalised([trial for trial, _ in part], point.p, point.slow).tolist()
-        for (trial, gain), value in zip(part, values, strict=True):
-            if value < point.value - 1e-2 * min(gain, 1.0):
-                return trial, value, ahead
-        ahead = None
+    ahead = None
+    if last:
+        values = likelihood.penalised(trials, point.p, point.slow).tolist()
+    else:
+        # most often the first will do; its derivatives, which the next step wants, come with it
+        ahead, values = likelihood.points(trials[0], point.p, point.slow, trials[1:])
+        values = [ahead.value, *values]
+    for i, (trial, gain, value) in enumerate(zip(trials, gains, values, strict=True)):
+        if value < point.value - 1e-2 * min(gain, 1.0):
+            return trial, value, None if i else ahead
     return None
 
 
-def _trials(likelihood: Likelihood, point: Point) -> Iterator[tuple[Array, float]]:
+def _trials(likelihood: Likelihood, point: Point) -> tuple[list[Array], list[float]]:
     """Where steps lead that are damped more and more, and what they should gain; as long as there is something."""
-    scale = np.maximum(point.info.diagonal(), 1e-9)
+    if not (np.all(np.isfinite(point.gradient)) and np.all(np.isfinite(point.info))):
+        return [], []
+    damped = np.multiply.outer(EFFORT.dampings, np.diag(np.maximum(point.info.diagonal(), 1e-9)))
+    steps = np.linalg.solve(point.info + damped, -point.gradient[:, None])[..., 0]
+    gains = [-0.5 * float(step @ point.gradient) for step in steps]
+    count = next((i for i, gain in enumerate(gains) if not gain > EFFORT.converged), len(gains))
     sizes = slice(-3, None) if point.slow else slice(-1, None)
-    for damping in EFFORT.dampings:
-        step = np.linalg.solve(point.info + np.diag(damping * scale), -point.gradient)
-        gain = -0.5 * float(step @ point.gradient)
-        if not gain > EFFORT.converged:
-            return
+    trials = []
+    for step in steps[:count]:
         step *= min(1.0, EFFORT.longest_step / max(float(np.max(np.abs(step[sizes]))), 1e-300))
-        yield likelihood.confine(point.theta + step, point.p, point.slow), gain
+        trials.append(likelihood.confine(point.theta + step, point.p, point.slow))
+    return trials, gains[:count]
