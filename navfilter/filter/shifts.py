@@ -10,7 +10,9 @@ the heading, the way and the slow errors by what that has done to them meanwhile
 That variance is what the descriptions of the sensors make it. Where their NIS is above 1, it is as much larger. A
 compass next to iron that nobody has described errs by the heading, and a vehicle that circles, or turns now and then,
 makes a bias of that. So the axis about the vertical has only shifted if the compass runs away from the gyros along a
-ramp that no deviation, no slow error and no bias that was there before explains (`ramp_beyond_deviation`).
+ramp that no deviation, no slow error and no bias that was there before explains (`ramp_beyond_deviation`). Other axes
+have only shifted where no sensor was refused for long in the ten minutes before: one that is described wrongly tilts
+the vehicle, too.
 
 Accelerometers are not looked at: theirs shows in a velocity at once.
 """
@@ -23,12 +25,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from navfilter.filter.channel import UNDISPUTED_S, Channel
 from navfilter.filter.jumps import bias_of
 from navfilter.kernels import drive_watch as kernel
 from navfilter.kernels import listen
 
 if TYPE_CHECKING:
-    from navfilter.filter.channel import Channel
     from navfilter.filter.filter import Filter
     from navfilter.filter.filter_memory import FilterMemory
 
@@ -94,8 +96,8 @@ def look(filter: Filter) -> None:
         if filter.watch.busy(memory.watch) or not _goes_on(kept[-1], now, walk):
             kept = fresh()
         found = shifted(kept, now, walk, g.P0[own, own])
-        upright = np.abs(memory.nav[12:15]) > UPRIGHT
-        found = [each for each in found if not upright[each[0]] or _ramps(compass, np.vstack([kept, now]), *each)]
+        upright, calm = np.abs(memory.nav[12:15]) > UPRIGHT, _undisputed(filter, time_s)
+        found = [f for f in found if (_ramps(compass, np.vstack([kept, now]), *f) if upright[f[0]] else calm)]
         for axis, row, size in found:
             _open(memory, int(places[axis]), axis, size, kept[row:])
             memory.counts["shifted"] += 1
@@ -108,6 +110,11 @@ def _goes_on(before: Array, now: Array, walk: Array) -> bool:
     """Whether nothing but readings and time has changed the variances since a look."""
     grown = 1.001 * (before[VARIANCE:NIS] + walk * (now[TIME_S] - before[TIME_S]))
     return bool(now[ANEW] == before[ANEW] and (now[VARIANCE:NIS] <= grown).all())
+
+
+def _undisputed(filter: Filter, time_s: float) -> bool:
+    """Whether no sensor has been refused for long of late: what is described wrongly tilts the vehicle, too."""
+    return all(time_s - c.memory.disputed_s > UNDISPUTED_S for c in filter.channels.values())
 
 
 def _compass(filter: Filter) -> Channel | None:
