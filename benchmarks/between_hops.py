@@ -157,7 +157,7 @@ def recursive(likelihood: Likelihood, theta: Array, info: Array, p: int) -> floa
         info = keep * info + psi @ psi.T
         info[fast - 1, fast - 1] += EVERY
         move = np.linalg.solve(info[:fast, :fast] + 0.1 * np.eye(fast), gradient[:fast])
-        theta = likelihood.confine(np.concatenate([theta[:fast] - move, theta[fast:]]), p, 1)
+        theta = likelihood.confine([np.concatenate([theta[:fast] - move, theta[fast:]])], p, 1)[0]
     return total
 
 

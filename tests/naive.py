@@ -133,6 +133,25 @@ def lyapunov(M, Q, rounds, P):
         P += A @ Q @ A.T
 
 
+def confine(rows, p, q, limits):
+    for row in rows:
+        for ar, at, count, radius in ((True, 0, p, limits[1]), (False, p, q, limits[2])):
+            roots = np.roots(np.r_[1.0, row[at : at + count]]).astype(complex)
+            if ar and count == 1 and limits[0] > 0.0:
+                roots = np.minimum(roots.real, np.exp(-limits[0]))
+            elif ar:
+                logs = np.log(np.where(np.abs(roots) < 1e-12, 1e-12, roots))
+                far = logs * limits[0] / np.maximum(np.abs(logs), 1e-12)
+                far = np.minimum(far.real, -0.05 * limits[0]) + 1j * far.imag
+                roots = np.where(np.abs(logs) < limits[0], np.exp(far), roots)
+            size = np.maximum(np.abs(roots), 1e-300)
+            inside = size if ar else np.where(size > 1.0, 1.0 / size, size)
+            if count and size.max() >= radius:
+                roots = roots * np.minimum(inside, radius - 1e-12) / size
+            row[at : at + count] = np.atleast_1d(np.poly(roots)).real[1:]
+        row[p + q :] = np.clip(row[p + q :], *limits[3:].reshape(-1, 2)[: row.size - p - q].T)
+
+
 def largest_reflection(c, radius):
     roots = np.roots(np.r_[1.0, c])
     if np.any(np.abs(roots) >= radius):

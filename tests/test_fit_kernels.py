@@ -72,3 +72,31 @@ def test_kalman_whiten_equals_textbook_filter(missing):
     # The steady-state switch drops a covariance below 1e-13.
     np.testing.assert_allclose(fast, slow, atol=1e-10)
     assert logdet == pytest.approx(expected, abs=1e-10)
+
+
+@pytest.mark.parametrize("distance", [0.0, 0.003, 0.2])
+@pytest.mark.parametrize(("p", "q"), [(0, 1), (1, 0), (1, 1), (2, 3), (5, 4)])
+def test_confine_equals_twin_and_keeps_what_is_within(p, q, distance):
+    """Roots anywhere, also beyond the circle, at 0 and close to 1; near each other they are less well determined."""
+    limits = np.array([distance, 0.999, 0.9995, -14.0, 40.0, -3.0, 2.0])
+
+    def some(n):
+        pairs = RANDOM.uniform(0.1, 1.2, n // 2) * np.exp(1j * RANDOM.uniform(0.0, np.pi, n // 2))
+        return np.concatenate([pairs, pairs.conj(), RANDOM.choice([0.0, -0.4, 0.97, 0.9995, 1.001, 1.3], n % 2)])
+
+    def coefficients(n):
+        return np.atleast_1d(np.poly(some(n))).real[1:]
+
+    rows = np.array([np.r_[coefficients(p), coefficients(q), RANDOM.uniform(-50.0, 50.0, 2)] for _ in range(300)])
+    found, expected = rows.copy(), rows.copy()
+    kernels.confine(found, p, q, limits)
+    naive.confine(expected, p, q, limits)
+    np.testing.assert_allclose(found, expected, atol=1e-6)
+    assert found[:, -2:].min() >= -14.0 and found[:, -1].max() <= 2.0
+    for row, before in zip(found, rows, strict=True):
+        poles, zeros, old = (np.roots(np.r_[1.0, part]) for part in (row[:p], row[p : p + q], before[:p]))
+        assert np.all(np.abs(poles) < 0.999 + 1e-6) and np.all(np.abs(zeros) < 0.9995 + 1e-6)
+        if np.all(np.abs(old) < 0.998):  # one from outside is capped, however near to 1 that is
+            assert np.all(np.abs(np.log(poles[np.abs(poles) > 0.1].astype(complex))) > 0.99 * distance)
+            if np.all(np.abs(np.log(old[np.abs(old) > 0.1].astype(complex))) > 1.01 * distance):
+                np.testing.assert_array_equal(row[:p], before[:p])

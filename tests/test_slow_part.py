@@ -9,7 +9,6 @@ from test_channel import dense, lags, walk_with_gaps, wide
 
 import navfilter as nf
 from navfilter.arma.model import ArmaModel, simulate_arma
-from navfilter.arma.roots import _none_near_one, push_from_one
 from navfilter.error_models import CORRELATION_CONSTANTS, GaussMarkov
 from navfilter.kernels.channel import LANES
 from navfilter.learning.drift import Drift
@@ -384,22 +383,3 @@ def test_the_spread_of_a_spectrum_is_that_of_its_coefficients():
         )
     # 4000 draws know a standard deviation to 1.1 %
     np.testing.assert_allclose(log_spread(ar, ma, root @ root.T, turn), np.std(logs, axis=0), rtol=0.05)
-
-
-def test_poles_far_from_one_are_seen_without_the_roots():
-    """What is seen so has no pole near 1, and most of what has none is seen; the others are pushed away."""
-    rng, told, free = np.random.default_rng(1), 0, 0
-    for _ in range(1000):
-        n, distance = int(rng.integers(3, 6)), 10.0 ** rng.uniform(-2.5, -0.5)
-        pairs = rng.uniform(0.0, 1.0, n // 2) * np.exp(1j * rng.uniform(0.0, np.pi, n // 2))
-        single = 1.0 - 10.0 ** rng.uniform(-3.0, 0.0, n % 2)
-        poles = np.concatenate([pairs, pairs.conj(), single])
-        coefficients = np.poly(poles).real[1:]
-        near = bool((np.abs(np.log(poles)) < distance).any())
-        seen = _none_near_one(coefficients, distance)
-        assert not (seen and near)
-        told, free = told + seen, free + (not near)
-        pushed = push_from_one(coefficients, distance)
-        assert near == (pushed is not coefficients)
-        assert np.abs(np.log(np.roots(np.r_[1.0, pushed]).astype(complex))).min() > 0.99 * distance
-    assert 0.7 * free < told < free

@@ -5,7 +5,6 @@ Coefficients are given without the leading 1, as everywhere; a root is one of ``
 
 from __future__ import annotations
 
-import cmath
 import math
 
 import numpy as np
@@ -19,7 +18,6 @@ __all__ = [
     "has_unit_root",
     "is_stable",
     "pull_inside",
-    "push_from_one",
     "resolved_radius",
     "root_sd",
     "roots_of",
@@ -235,59 +233,3 @@ def pull_inside(coefficients: Array, radius: float = 0.995) -> Array:
     size = np.abs(roots)
     reflected = np.where(size > 1.0, 1.0 / np.maximum(size, 1e-300), size)
     return _with_radii(roots, np.minimum(reflected, radius))
-
-
-def _far_from_one(a1: float, a2: float, distance: float) -> bool:
-    """Whether both roots of ``1 + a1 q^-1 + a2 q^-2`` are far from 1, as `push_from_one` wants them."""
-    root = cmath.sqrt(0.25 * a1 * a1 - a2)
-    return all(abs(cmath.log(z if abs(z) > 1e-12 else 1e-12)) >= distance for z in (-0.5 * a1 + root, -0.5 * a1 - root))
-
-
-def _none_near_one(coefficients: Array, distance: float) -> bool:
-    """Whether the polynomial certainly has no root near 1, as `push_from_one` has it: its value at 1 outweighs all that
-    its other Taylor terms can be in the disc that holds every such root (Rouche). Far cheaper than the roots.
-    """
-    terms = [1.0, *coefficients.tolist()]
-    rest, radius, power = 0.0, math.expm1(distance), 1.0
-    for last in range(len(terms) - 1, 0, -1):  # synthetic division by z - 1 leaves the Taylor terms, from the first on
-        for i in range(1, last + 1):
-            terms[i] += terms[i - 1]
-        if last < len(terms) - 1:
-            power *= radius
-            rest += abs(terms[last]) * power
-    return abs(terms[-1]) > 1.001 * (rest + power * radius)
-
-
-def push_from_one(coefficients: Array, distance: float) -> Array:
-    """Coefficients with every root at least this far from 1: ``|ln z| >= distance``, its natural frequency per sample.
-
-    Parameters
-    ----------
-    coefficients : ndarray, shape (n,)
-    distance : float
-
-    Examples
-    --------
-    >>> push_from_one(np.array([-0.999]), 0.1).round(3)
-    array([-0.905])
-    """
-    n = coefficients.size
-    if not n:
-        return coefficients
-    if n == 1:
-        limit = math.exp(-distance)
-        return np.maximum(coefficients, -limit) if coefficients[0] < -limit else coefficients
-    if n == 2 and _far_from_one(float(coefficients[0]), float(coefficients[1]), distance):
-        return coefficients
-    if n > 2 and _none_near_one(coefficients, distance):
-        return coefficients
-    roots = np.roots(np.concatenate([[1.0], coefficients])).astype(np.complex128)
-    logs = np.log(np.where(np.abs(roots) < 1e-12, 1e-12, roots))
-    near = np.abs(logs) < distance
-    if not near.any():
-        return coefficients
-    size = np.maximum(np.abs(logs[near]), 1e-12)
-    # damped at the least: a root that was outside comes in
-    pushed = logs[near] * distance / size
-    logs[near] = np.where(pushed.real > -0.05 * distance, -0.05 * distance + 1j * pushed.imag, pushed)
-    return np.atleast_1d(np.poly(np.exp(logs))).real[1:]

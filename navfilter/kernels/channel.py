@@ -27,11 +27,14 @@ from numba.core import cgutils
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import lower_builtin, models, register_model
 
+UNCOUNTED: dict = {"_nrt": False}
 DIFFUSE, LONGEST_GAP, CLIP, WHITE = 0, 1, 2, 3
 TRANSITION, NOISE, START = 0, 1, 2
 HALF_LOG_2PI = 0.9189385332046727
-# Variances multiplied before their logarithm is taken: those of the widest scales do not overflow yet.
+# Variances multiplied before one looks how large the product is, and what is large and small then: those of the widest
+# scales, 1e35, do not overflow yet.
 TOGETHER = 8
+SMALL, LARGE = 1e-20, 1e20
 # Models at a time. Two of the widest registers there are: one is worked on while the other waits.
 LANES = 16
 _ir = cgutils.ir
@@ -207,7 +210,7 @@ def _product_transposed(A, B, out):
             out[i, j] = s
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", inline="always", **UNCOUNTED)
 def _move(x, at, U, used, a, r, m):
     """``x = F x`` in place, for the rows from `at` on: the chain advances one tick, the observer state shifts."""
     for i in range(r):
@@ -222,7 +225,7 @@ def _move(x, at, U, used, a, r, m):
     _store(x, at + r + m - 1, _all_of(0.0) - _load(a, m - 1) * first)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", inline="always", **UNCOUNTED)
 def _spread(P, L, Q, U, used, a, corner, r, m):
     """``P = F P F' + Q - L L'`` in place on the upper triangle."""
     n = r + m
@@ -294,28 +297,16 @@ def _set_up(thetas, chains, rules, U, used, a, g, Q, start, noise, able):
                 used[i, j] = used[i, j] or chain[TRANSITION, i, j] != (1.0 if i == j else 0.0)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def channel_filter(y, thetas, chains, sees, rules, first, E, V, values):
-    """Minus the log-likelihood of several models, at most `LANES`, into `values` (K,): of the samples from `first` on,
-    given those before. Innovations in standard deviations and their variances go into `E` and `V` (N, LANES), where
-    those are not empty.
-
-    thetas (K, 2m+1), chains (K, 3, r, r); y (N,) with NaN where a sample is missing; sees (r,) how the reading sees the
-    chain. The first DIFFUSE states start diffuse: as many known samples of a segment fix them and do
-    not count (their density does not depend on theta). A run of more than LONGEST_GAP missing samples ends a segment.
-    Innovations beyond CLIP standard deviations enter the state clipped and the likelihood by Huber's function. Where
-    nothing counts, `E` is NaN and `V` 1. Infinite for a model that is not stationary, or so nearly integrating that the
-    start's covariance is only rounding.
+@njit(cache=True, nogil=True, error_model="numpy", **UNCOUNTED)
+def _through(
+    y, sees, rules, first, E, V, U, used, a, g, P, Q, start, x, L, A, X, w, noise, total, product, corner, spare
+):
+    """The loop of `channel_filter`, where nothing is allocated: with references to arrays counted it takes a sixth
+    longer. Adds what samples say to `total`, and what is left of their variances is in `product`; returns how many
+    count.
     """
-    r, m = sees.size, (thetas.shape[1] - 1) // 2
+    r, m = sees.size, a.shape[0]
     n, d, longest, noted = r + m, int(rules[DIFFUSE]), int(rules[LONGEST_GAP]), E.size > 0
-    U, used, able = np.zeros((r * r, LANES)), np.zeros((r, r), np.bool_), np.zeros(LANES, np.bool_)
-    P, Q, start = np.zeros((n * n, LANES)), np.zeros((n * n, LANES)), np.zeros((n * n, LANES))
-    a, g, corner = np.zeros((m, LANES)), np.zeros((m, LANES)), np.zeros((m + 1, LANES))
-    x, L = np.zeros((n, LANES)), np.zeros((n, LANES))
-    A, X, w = np.zeros((d * n, LANES)), np.zeros((d * d, LANES)), np.zeros((d, LANES))
-    noise, total, product = np.zeros((1, LANES)), np.zeros((1, LANES)), np.ones((1, LANES))
-    _set_up(thetas, chains, rules, U, used, a, g, Q, start, noise, able)
     high, low, half, inverse = _all_of(rules[CLIP]), _all_of(-rules[CLIP]), _all_of(0.5), _all_of(0.0)
     missing, known, counted = longest + 1, 0, 0
     top = int(0)  # a literal would compile a `_move` of its own
@@ -386,16 +377,44 @@ def channel_filter(y, thetas, chains, sees, rules, first, E, V, values):
                 if seen:
                     _store(X, known * d + k, weight)
             if seen and known == d - 1:
-                _collapse(X, w, A, x, P, n, d)
+                _collapse(X, w, A, x, P, n, d, spare)
         if seen:
             known += 1
-    _take_logarithms(product, total)
-    for k in range(values.size):
-        value = total[0, k] + counted * HALF_LOG_2PI
-        values[k] = value if able[k] and value < math.inf else math.inf
+    return counted
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def channel_filter(y, thetas, chains, sees, rules, first, E, V, values):
+    """Minus the log-likelihood of several models, at most `LANES`, into `values` (K,): of the samples from `first` on,
+    given those before. Innovations in standard deviations and their variances go into `E` and `V` (N, LANES), where
+    those are not empty.
+
+    thetas (K, 2m+1), chains (K, 3, r, r); y (N,) with NaN where a sample is missing; sees (r,) how the reading sees the
+    chain. The first DIFFUSE states start diffuse: as many known samples of a segment fix them and do
+    not count (their density does not depend on theta). A run of more than LONGEST_GAP missing samples ends a segment.
+    Innovations beyond CLIP standard deviations enter the state clipped and the likelihood by Huber's function. Where
+    nothing counts, `E` is NaN and `V` 1. Infinite for a model that is not stationary, or so nearly integrating that the
+    start's covariance is only rounding.
+    """
+    r, m = sees.size, (thetas.shape[1] - 1) // 2
+    n, d = r + m, int(rules[DIFFUSE])
+    U, used, able = np.zeros((r * r, LANES)), np.zeros((r, r), np.bool_), np.zeros(LANES, np.bool_)
+    P, Q, start = np.zeros((n * n, LANES)), np.zeros((n * n, LANES)), np.zeros((n * n, LANES))
+    a, g, corner = np.zeros((m, LANES)), np.zeros((m, LANES)), np.zeros((m + 1, LANES))
+    x, L = np.zeros((n, LANES)), np.zeros((n, LANES))
+    A, X, w = np.zeros((d * n, LANES)), np.zeros((d * d, LANES)), np.zeros((d, LANES))
+    noise, total, product = np.zeros((1, LANES)), np.zeros((1, LANES)), np.ones((1, LANES))
+    _set_up(thetas, chains, rules, U, used, a, g, Q, start, noise, able)
+    spare = np.zeros((d, d)), np.zeros((n, d))
+    counted = _through(
+        *(y, sees, rules, first, E, V, U, used, a, g, P, Q, start, x, L, A, X, w, noise, total, product, corner, spare)
+    )
+    for k in range(values.size):
+        value = total[0, k] + 0.5 * math.log(product[0, k]) + counted * HALF_LOG_2PI
+        values[k] = value if able[k] and value < math.inf else math.inf
+
+
+@njit(cache=True, nogil=True, error_model="numpy", **UNCOUNTED)
 def _begin(P, x, A, start, n, d):
     """The state at the start of a segment: the chain diffuse (columns of A) or as known, the ARMA error stationary."""
     for i in range(n * n):
@@ -406,18 +425,21 @@ def _begin(P, x, A, start, n, d):
         _store(A, i, _all_of(1.0 if i % (n + 1) == 0 else 0.0))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", **UNCOUNTED)
 def _take_logarithms(product, total):
-    """Half the logarithm of products of variances is added to the sums, and the products begin anew."""
+    """Of products of variances that have become large or small half the logarithm is added to the sums, and they begin
+    anew.
+    """
     for k in range(LANES):
-        total[0, k] += 0.5 * math.log(product[0, k])
-        product[0, k] = 1.0
+        if not SMALL < product[0, k] < LARGE:
+            total[0, k] += 0.5 * math.log(product[0, k])
+            product[0, k] = 1.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _collapse(XS, WS, AS, xs, PS, n, d):
+@njit(cache=True, nogil=True, error_model="numpy", **UNCOUNTED)
+def _collapse(XS, WS, AS, xs, PS, n, d, spare):
     """End of a diffuse start: the states given the first d samples (de Jong 1991), model by model."""
-    X, A = np.zeros((d, d)), np.zeros((n, d))
+    X, A = spare
     for lane in range(LANES):
         for i in range(d):
             for k in range(d):

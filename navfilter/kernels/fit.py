@@ -8,6 +8,12 @@ import math
 import numpy as np
 from numba import njit
 
+# Roots are found when none moves by more than this part any more: the next round would square it. Near a multiple root
+# they never settle.
+CLOSE, ROUNDS = 1e-10, 60
+# A root smaller than this is 0; a pole that is pushed away from 1 is damped by this part of its natural frequency.
+TINY, LEAST_DAMPING = 1e-12, 0.05
+
 
 @njit(cache=True, nogil=True)
 def arma_filter(y, a, c, z, e):
@@ -184,6 +190,103 @@ def largest_reflection(c, radius):
             u[i] = (left - k * right) / d
             u[m - 1 - i] = (right - k * left) / d
     return worst
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _roots(c, z):
+    """Roots of ``1 + c1 q^-1 + ...`` into `z`, all at a time (Aberth, Math. Comp. 27, 1973)."""
+    n, size = c.size, 0.0
+    while n and c[n - 1] == 0.0:
+        n -= 1
+        z[n] = 0.0
+    if n:
+        size = abs(c[n - 1]) ** (1.0 / n)
+    for k in range(n):
+        turn = 2.0 * math.pi * k / n + 0.5
+        z[k] = complex(size * math.cos(turn), size * math.sin(turn))
+    for _ in range(ROUNDS):
+        moved = 0.0
+        for k in range(n):
+            value, slope, others = complex(1.0), complex(0.0), complex(0.0)
+            for i in range(n):
+                slope = slope * z[k] + value
+                value = value * z[k] + c[i]
+            if value == 0.0:
+                continue
+            for j in range(n):
+                if j != k and z[j] != z[k]:
+                    others += 1.0 / (z[k] - z[j])
+            step = value / (slope - value * others)
+            if not abs(step) < 1e300:
+                step = complex(1e-3 * size)
+            z[k] -= step
+            moved = max(moved, abs(step) / abs(z[k]))
+        if moved < CLOSE:
+            break
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _from_roots(z, c):
+    """Coefficients of the polynomial with these roots, their real parts into `c`."""
+    terms = np.zeros(z.size + 1, np.complex128)
+    terms[0] = 1.0
+    for k in range(z.size):
+        for i in range(k + 1, 0, -1):
+            terms[i] -= z[k] * terms[i - 1]
+    for i in range(c.size):
+        c[i] = terms[i + 1].real
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _push_from_one(c, distance, z):
+    """Roots nearer to 1 than `distance` in natural frequency, ``|ln z|`` per sample, are moved away from it. They are
+    damped at the least: a root that was outside comes in.
+    """
+    if c.size == 1:
+        c[0] = max(c[0], -math.exp(-distance))
+        return
+    _roots(c, z)
+    near = False
+    for k in range(c.size):
+        log = np.log(z[k] if abs(z[k]) > TINY else complex(TINY))
+        if abs(log) < distance:
+            near = True
+            log *= distance / max(abs(log), TINY)
+            z[k] = np.exp(complex(min(log.real, -LEAST_DAMPING * distance), log.imag))
+    if near:
+        _from_roots(z, c)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _pull_inside(c, radius, circle, z):
+    """No root beyond `radius`; those beyond `circle` are reflected into the unit circle first."""
+    if not c.size or largest_reflection(c, radius) < 1.0:
+        return
+    _roots(c, z)
+    for k in range(c.size):
+        size = abs(z[k])
+        if size > 0.0:
+            wanted = 1.0 / size if size > circle else size
+            z[k] *= min(wanted, radius - TINY) / size
+    _from_roots(z, c)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def confine(rows, p, q, limits):
+    """Keep parameter vectors ``[ar (p), ma (q), sizes ...]``, one a row, within limits, in place.
+
+    limits: how far poles stay from 1 (0: as near as they are), largest radius of a pole, of a zero (those outside the
+    unit circle are reflected), then the least and the largest value of each size.
+    """
+    space = np.empty(max(p, q), np.complex128)
+    for row in rows:
+        if p and limits[0] > 0.0:
+            _push_from_one(row[:p], limits[0], space[:p])
+        _pull_inside(row[:p], limits[1], math.inf, space[:p])
+        _pull_inside(row[p : p + q], limits[2], 1.0, space[:q])
+        for i in range(p + q, row.size):
+            k = 3 + 2 * (i - p - q)
+            row[i] = min(max(row[i], limits[k]), limits[k + 1])
 
 
 @njit(cache=True, nogil=True)

@@ -10,8 +10,9 @@ from functools import cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from navfilter.arma.roots import cap_poles, is_stable, pull_inside, push_from_one, resolved_radius
+from navfilter.arma.roots import resolved_radius
 from navfilter.kernels import channel as kernel
+from navfilter.kernels import fit as roots
 from navfilter.kernels.channel import LANES
 from navfilter.learning.drift import Drift
 from navfilter.learning.effort import EFFORT
@@ -77,10 +78,11 @@ class Likelihood:
         self.rules = np.array([diffuse, LONGEST_GAP, clip, white * self.unit**2])
         self.n = known.size - diffuse
         self.pole_radius = resolved_radius(max(known.size, 8))
-        self.nearest = 0.0 if prior is None else drift.period_s / prior.quickest_s
+        nearest = 0.0 if prior is None else drift.period_s / prior.quickest_s
+        self._limits = np.array([nearest, self.pole_radius, EFFORT.zero_radius, -14.0, 40.0])
         if prior is not None:
-            self._sd_limits = (np.log(prior.sd_limits) + self.log_unit).tolist()
-            self._tau_limits = np.log(prior.taus_s[[0, -1]]).tolist()
+            sizes = np.log(prior.sd_limits) + self.log_unit
+            self._limits = np.concatenate([self._limits, sizes, np.log(prior.taus_s[[0, -1]])])
         # Innovations and their variances of the models of one call.
         self._E, self._V = np.empty((2, self.y.size, LANES))
 
@@ -142,7 +144,9 @@ class Likelihood:
         """Penalised value, gradient and Fisher information at `theta`."""
         return self.points(theta, p, slow)[0]
 
-    def points(self, theta: Array, p: int, slow: int, beside: Sequence[Array] = ()) -> tuple[Point, list[float]]:
+    def points(
+        self, theta: Array, p: int, slow: int, beside: Sequence[Array] | Array = ()
+    ) -> tuple[Point, list[float]]:
         """The point at `theta`, and the penalised values of others, which fill the lanes that it leaves free."""
         k = theta.size
         steps = np.full(k, EFFORT.slow_difference)
@@ -179,22 +183,13 @@ class Likelihood:
                     break
         return steps
 
-    def confine(self, theta: Array, p: int, slow: int = 0) -> Array:
-        """`theta` with poles and zeros pulled inside their radii, fast poles away from 1, and sizes within reason."""
-        out = theta.copy()
-        q = self.fast(theta, slow).size - 1 - p
-        if self.nearest and p:
-            out[:p] = push_from_one(out[:p], self.nearest)
-        if p and not is_stable(out[:p], self.pole_radius):
-            out[:p] = cap_poles(out[:p], self.pole_radius - 1e-12)
-        if q and not is_stable(out[p : p + q], EFFORT.zero_radius):
-            out[p : p + q] = pull_inside(out[p : p + q], EFFORT.zero_radius - 1e-12)
-        out[p + q] = min(max(out[p + q], -14.0), 40.0)
-        if slow and self.prior is not None:
-            (low, high), (quickest, slowest) = self._sd_limits, self._tau_limits
-            out[-2] = min(max(out[-2], low), high)
-            out[-1] = min(max(out[-1], quickest), slowest)
-        return out
+    def confine(self, thetas: Sequence[Array] | Array, p: int, slow: int = 0) -> Array:
+        """Parameter vectors, one a row, with poles and zeros pulled inside their radii, fast poles away from 1, and
+        sizes within reason.
+        """
+        rows = np.array(thetas, dtype=np.float64, order="C")
+        roots.confine(rows, p, self.fast(rows[0], slow).size - 1 - p, self._limits)
+        return rows
 
 
 def filtered(
@@ -297,7 +292,7 @@ def maximise(
     race : int
         How many of the starts run.
     """
-    inside = [likelihood.confine(start, p, slow) for start in starts]
+    inside = likelihood.confine(starts, p, slow)
     first, others = likelihood.points(inside[0], p, slow, inside[1:])
     ranked = np.argsort([first.value, *others], kind="stable")[:race].tolist()
     leaders = [likelihood.point(inside[i], p, slow) if i else first for i in ranked]
@@ -325,7 +320,7 @@ def _step(likelihood: Likelihood, point: Point, last: bool) -> tuple[Array, floa
     if nothing is left.
     """
     trials, gains = _trials(likelihood, point)
-    if not trials:
+    if not len(trials):
         return None
     ahead = None
     if last:
@@ -340,17 +335,17 @@ def _step(likelihood: Likelihood, point: Point, last: bool) -> tuple[Array, floa
     return None
 
 
-def _trials(likelihood: Likelihood, point: Point) -> tuple[list[Array], list[float]]:
+def _trials(likelihood: Likelihood, point: Point) -> tuple[Array, list[float]]:
     """Where steps lead that are damped more and more, and what they should gain; as long as there is something."""
     if not (np.all(np.isfinite(point.gradient)) and np.all(np.isfinite(point.info))):
-        return [], []
+        return np.empty((0, point.theta.size)), []
     damped = np.multiply.outer(EFFORT.dampings, np.diag(np.maximum(point.info.diagonal(), 1e-9)))
     steps = np.linalg.solve(point.info + damped, -point.gradient[:, None])[..., 0]
     gains = [-0.5 * float(step @ point.gradient) for step in steps]
     count = next((i for i, gain in enumerate(gains) if not gain > EFFORT.converged), len(gains))
     sizes = slice(-3, None) if point.slow else slice(-1, None)
-    trials = []
-    for step in steps[:count]:
-        step *= min(1.0, EFFORT.longest_step / max(float(np.max(np.abs(step[sizes]))), 1e-300))
-        trials.append(likelihood.confine(point.theta + step, point.p, point.slow))
-    return trials, gains[:count]
+    if not count:
+        return steps[:0], []
+    longest = np.maximum(np.abs(steps[:count, sizes]).max(axis=1), 1e-300)
+    moved = point.theta + steps[:count] * np.minimum(1.0, EFFORT.longest_step / longest)[:, None]
+    return likelihood.confine(moved, point.p, point.slow), gains[:count]

@@ -98,7 +98,7 @@ def grown_starts(likelihood: Likelihood, below: Mapping[Order, Point], p: int, q
         point, at = below[best], best[0] + kind
         slow, fast = point.slow, likelihood.fast(point.theta, point.slow)
         shapes = _with_bump(fast, best[0]) if kind == 1 else _with_peak(fast, best[0])
-        tried = [likelihood.confine(np.concatenate([shape, point.theta[fast.size :]]), at, slow) for shape in shapes]
+        tried = likelihood.confine([np.concatenate([shape, point.theta[fast.size :]]) for shape in shapes], at, slow)
         grown = tried[int(np.argmin(likelihood.penalised(tried, at, slow)))]
         out.append(_padded(likelihood, grown, at, slow, p, q))
     return _matched(likelihood, out, p, slow) if out else []
@@ -152,7 +152,7 @@ def _gauss_markov(tau: float, share: float, q: int) -> Array:
 
 def _matched(likelihood: Likelihood, starts: Sequence[Array], p: int, slow: int = 0, rounds: int = 2) -> list[Array]:
     """Each start with its ln sd such that the innovations have about unit variance, where that is better."""
-    found = [likelihood.confine(start, p, slow) for start in starts]
+    found = list(likelihood.confine(starts, p, slow))
     at = found[0].size - 1 - 2 * bool(slow)
     for _ in range(rounds):
         values, E = likelihood.standardised(found, p, slow)
