@@ -421,9 +421,12 @@ class Passage:
         if tape is not None:
             tape.extend(out, *cursor[[kernels.ROWS, kernels.RECORDS, kernels.WRITTEN]].tolist())
         if self.nav.learning.beginning is not None:
+            begin, samples = self._kept, self._block(self._kept, self.done)
             for at in range(self._begin + used.start, self.at):  # none is frozen: the kernel leaves those to Python
-                self._keep_samples(int(self._ends[at]))
+                end = max(self._kept, int(self._ends[at]))
+                self.nav.learning.keep(samples[self._kept - begin : end - begin], mine=True)
                 self.nav.learning.keep(self._reading(at))
+                self._kept = end
         else:
             self._kept = self.done
 

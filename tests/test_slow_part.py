@@ -196,6 +196,17 @@ def fitted():
     return likelihood, point
 
 
+def test_what_cannot_become_good_enough_is_not_improved(fitted):
+    likelihood, found = fitted
+    starts = [np.r_[0.0, math.log(size) + likelihood.log_unit, math.log(30.0)] for size in (0.3, 0.1)]
+    begun = likelihood.penalised(likelihood.confine(starts, 0, 1), 0, 1)
+    assert begun.min() > found.value + 1.0
+    for enough, value in ((-math.inf, begun.min()), (found.value - 1e3, begun.min()), (found.value, found.value)):
+        point = maximise(likelihood, starts, 0, 20, 1, 2, enough)
+        assert point.value == pytest.approx(value, abs=0.1), enough
+        assert likelihood.penalised([point.theta], 0, 1)[0] == point.value
+
+
 @pytest.fixture(scope="module")
 def followed(fitted):
     likelihood, point = fitted

@@ -244,20 +244,23 @@ class Learner:
         fits: dict[Order, Point] = {}
         for order in self._ration(able):
             known, (p, q) = memory.thetas.get(order), order
+            # what it costs to be larger comes off what an order may be worth
+            best = min((self._score(point, n) for point in fits.values()), default=math.inf)
+            enough = best + EFFORT.hopeless - 0.5 * criterion("bic", 0.0, p + q + 1, n)
             below = {k: point for k, point in fits.items() if k[0] <= p and k[1] <= q}
             if known is not None:
                 moved = known.copy()
                 moved[p + q : p + q + 1 + slow] += likelihood.log_unit
                 grown = grown_starts(likelihood, below, p, q) if again and p + q > EFFORT.one_maximum else []
                 starts = [moved, *(grown or padded_starts(likelihood, below, p, q))]
-                point = maximise(likelihood, starts, p, EFFORT.late_passes, slow, race=2 if grown else 1)
+                point = maximise(likelihood, starts, p, EFFORT.late_passes, slow, 2 if grown else 1, enough)
             else:
                 starts = [*padded_starts(likelihood, below, p, q), *grown_starts(likelihood, below, p, q)]
                 if p + q <= 2 or not starts:
                     cold = cold_starts(likelihood, p, q)
                     like = min(below.values(), key=lambda point: point.value).theta if below else None
                     starts += with_slow_parts(likelihood, cold, p, 1, like) if slow and cold else cold
-                point = maximise(likelihood, starts, p, EFFORT.first_passes, slow)
+                point = maximise(likelihood, starts, p, EFFORT.first_passes, slow, enough=enough)
             if math.isfinite(point.value) and np.all(np.isfinite(point.info)):
                 fits[order] = point
         return fits

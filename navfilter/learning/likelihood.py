@@ -274,7 +274,13 @@ def _places(p: int, q: int) -> NDArray[np.int64]:
 
 
 def maximise(
-    likelihood: Likelihood, starts: Sequence[Array], p: int, passes: int, slow: int = 0, race: int = 2
+    likelihood: Likelihood,
+    starts: Sequence[Array],
+    p: int,
+    passes: int,
+    slow: int = 0,
+    race: int = 2,
+    enough: float = math.inf,
 ) -> Point:
     """Fisher scoring: a short race between the best starts, then the leader alone.
 
@@ -291,48 +297,49 @@ def maximise(
         Order of the slow part, 0 without one.
     race : int
         How many of the starts run.
+    enough : float
+        A point that should stay above this value, though it gained `EFFORT.optimism` times what its slope says, is not
+        improved.
     """
     inside = likelihood.confine(starts, p, slow)
     first, others = likelihood.points(inside[0], p, slow, inside[1:])
     ranked = np.argsort([first.value, *others], kind="stable")[:race].tolist()
     leaders = [likelihood.point(inside[i], p, slow) if i else first for i in ranked]
     if len(leaders) > 1:
-        runs = [_climb(likelihood, point, EFFORT.race_passes) for point in leaders]
-        leaders = [likelihood.point(min(runs, key=lambda point: point.value).theta, p, slow)]
-    return _climb(likelihood, leaders[0], passes)
+        runs = [_climb(likelihood, point, EFFORT.race_passes, enough) for point in leaders]
+        best = min(runs, key=lambda point: point.value)
+        if best in leaders:
+            return best
+        leaders = [likelihood.point(best.theta, p, slow)]
+    return _climb(likelihood, leaders[0], passes, enough)
 
 
-def _climb(likelihood: Likelihood, point: Point, passes: int) -> Point:
+def _climb(likelihood: Likelihood, point: Point, passes: int, enough: float) -> Point:
     """Scoring passes from a point; the information is that of the last but one point, a small step away."""
+    usual = 0
     for left in range(passes, 0, -1):
-        found = _step(likelihood, point, left == 1)
-        if found is None:
+        trials, gains = _trials(likelihood, point)
+        if not gains or point.value - EFFORT.optimism * gains[0] > enough:
             break
-        theta, value, ahead = found
-        if left == 1 or point.value - value < EFFORT.small_gain:
-            return replace(point, theta=theta, value=value)
-        point = ahead if ahead is not None else likelihood.point(theta, point.p, point.slow)
+        # most often what did before will do; its derivatives, which the next step wants, come with it
+        usual = min(usual, len(gains) - 1)
+        if left > 1:
+            others = np.delete(trials, usual, axis=0)
+            ahead, rest = likelihood.points(trials[usual], point.p, point.slow, others)
+            values = [*rest[:usual], ahead.value, *rest[usual:]]
+        else:
+            values = likelihood.penalised(trials, point.p, point.slow).tolist()
+        chosen = next(
+            (i for i, gain in enumerate(gains) if values[i] < point.value - 1e-2 * min(gain, 1.0)),
+            None,
+        )
+        if chosen is None:
+            break
+        if left == 1 or point.value - values[chosen] < EFFORT.small_gain:
+            return replace(point, theta=trials[chosen], value=values[chosen])
+        point = ahead if chosen == usual else likelihood.point(trials[chosen], point.p, point.slow)
+        usual = chosen
     return point
-
-
-def _step(likelihood: Likelihood, point: Point, last: bool) -> tuple[Array, float, Point | None] | None:
-    """A Levenberg-damped scoring step that lowers the value: where, to what, and the point there if it is known; None
-    if nothing is left.
-    """
-    trials, gains = _trials(likelihood, point)
-    if not len(trials):
-        return None
-    ahead = None
-    if last:
-        values = likelihood.penalised(trials, point.p, point.slow).tolist()
-    else:
-        # most often the first will do; its derivatives, which the next step wants, come with it
-        ahead, values = likelihood.points(trials[0], point.p, point.slow, trials[1:])
-        values = [ahead.value, *values]
-    for i, (trial, gain, value) in enumerate(zip(trials, gains, values, strict=True)):
-        if value < point.value - 1e-2 * min(gain, 1.0):
-            return trial, value, None if i else ahead
-    return None
 
 
 def _trials(likelihood: Likelihood, point: Point) -> tuple[Array, list[float]]:

@@ -334,10 +334,10 @@ class LearningSchedule:
         return np.array([filter.nav[3:6], speed]), np.array([C @ filter.x[: m - 9], spread])
 
     # ---------------------------------------------------------------- the beginning
-    def keep(self, item: Any) -> None:
-        """Keep an input of the beginning: samples, or a reading."""
+    def keep(self, item: Any, mine: bool = False) -> None:
+        """Keep an input of the beginning: samples, or a reading; `mine` are samples that nobody else will change."""
         if self.beginning is not None and len(item):
-            self.beginning.append(item.copy() if isinstance(item, np.ndarray) else item)
+            self.beginning.append(item.copy() if isinstance(item, np.ndarray) and not mine else item)
 
     @property
     def early_s(self) -> float:

@@ -154,15 +154,19 @@ def _matched(likelihood: Likelihood, starts: Sequence[Array], p: int, slow: int 
     """Each start with its ln sd such that the innovations have about unit variance, where that is better."""
     found = list(likelihood.confine(starts, p, slow))
     at = found[0].size - 1 - 2 * bool(slow)
-    for _ in range(rounds):
-        values, E = likelihood.standardised(found, p, slow)
+    known = likelihood.standardised(found, p, slow)
+    values, E = known[0], known[1].copy()
+    for left in range(rounds, 0, -1):
         able = np.isfinite(values)
         sizes = np.ones(len(found))
         sizes[able] = np.median(np.abs(E[np.isfinite(E[:, 0])][:, able]), axis=0) / 0.6745
         moved = np.array(found)
         moved[:, at] += np.clip(np.log(np.maximum(sizes, 1e-6)), -5.0, 5.0)
-        if slow:
-            able &= likelihood.standardised(moved, p, slow)[0] < values
+        if slow or left > 1:
+            new, known_of = likelihood.standardised(moved, p, slow)
+            able &= (new < values) | (not slow)
+            values = np.where(able, new, values)
+            E = np.where(able, known_of, E)
         found = [new if better else old for new, old, better in zip(moved, found, able, strict=True)]
     return found
 
