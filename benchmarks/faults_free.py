@@ -23,7 +23,7 @@ from navfilter.simulation.simulate import simulate
 DURATION_S = 240.0
 SIMULATED = ("survey", "survey-mems", "reckoning", "lawnmower")
 #: Each is an exclusion, or a state set anew or given up.
-COUNTED = ("reset", "jumped", "astray", "opened")
+COUNTED = ("reset", "jumped", "astray", "opened", "contradicted", "shifted")
 COLUMNS = f"mission<34 runs>4d {' '.join(f'{key}>7d' for key in COUNTED)} rms_m>8.2f plain_m>8.2f loss>7.1f"
 
 

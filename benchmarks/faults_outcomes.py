@@ -86,6 +86,8 @@ SITUATIONS: dict[str, Case] = {
     "DVL in mm/s for a minute": values("dvl", lambda v, age_s: 1e3 * v, end_s=FAULT_S + MINUTE_S),
     "gyro x +100 deg/h for good": values(DRIVE, lambda v, age_s: v + 100.0 * DEG / 3600.0 * np.eye(6)[0]),
     "gyro z +100 deg/h for good": values(DRIVE, lambda v, age_s: v + 100.0 * DEG / 3600.0 * np.eye(6)[2]),
+    "gyro z with the sign changed for good": values(DRIVE, lambda v, age_s: v * [1.0, 1.0, -1.0, 1.0, 1.0, 1.0]),
+    "gyro z doubled for good": values(DRIVE, lambda v, age_s: v * [1.0, 1.0, 2.0, 1.0, 1.0, 1.0]),
     "accelerometer x +50 mg for good": values(DRIVE, lambda v, age_s: v + 0.05 * G * np.eye(6)[3]),
     "gyros x and y exchanged for good": values(DRIVE, lambda v, age_s: v[[1, 0, 2, 3, 4, 5]]),
     "accelerometers x and y exchanged for good": values(DRIVE, lambda v, age_s: v[[0, 1, 2, 4, 3, 5]]),

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from navfilter.filter import shifts
 from navfilter.filter.channel import Channel, usable
 from navfilter.filter.drive_clock import DriveClock
 from navfilter.filter.health import Watch
@@ -371,7 +372,8 @@ class Passage:
         gap_s, doubt_s = filter.intake.spans
         interval_s = math.inf if filter.tape is None else filter.tape.interval_s
         learning, steps = self.nav.learning, filter.memory.drv[strapdown.INCREMENTS]
-        spans = filter.period_s, filter.ahead_s, filter.fold_every, gap_s, doubt_s, learning.early_s, interval_s
+        until_s = min(learning.early_s, shifts.due_s(filter))
+        spans = filter.period_s, filter.ahead_s, filter.fold_every, gap_s, doubt_s, until_s, interval_s
         each = filter.tape is not None and filter.tape.each_sample
         return np.array([*spans, steps, learning.learning_s, filter.vehicle.drive.gravity, filter.feels_after, each])
 

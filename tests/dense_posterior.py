@@ -85,6 +85,16 @@ class Capture:
         self.samples += [self._full(F, Q) for F, Q in self._single]
         self._single = []
 
+    def discount_heading(self, P, acc, work):
+        """Of the single samples the first takes it: the heading's error is one from the fold before on."""
+        m = acc.shape[1]
+        before = acc[:m].copy()
+        kalman.discount_heading(P, acc, work)
+        if self._single:
+            X, (F, Q) = np.eye(m), self._single[0]
+            X[:9, 8] += np.linalg.solve(before[:9, :9], acc[:9, 8] - before[:9, 8])
+            self._single[0] = F @ X, Q
+
     def fold(self, P, acc, nav, work):
         m = acc.shape[1]
         self._flush()

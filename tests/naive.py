@@ -629,8 +629,20 @@ def fold(P, acc, nav, T):
     nav[6:15] = (C @ (1.5 * np.eye(3) - 0.5 * C.T @ C)).ravel()
 
 
-def present(P, acc, work, out):
-    m, n = acc.shape[1], len(P)
+def discount_heading(P, acc, work=None):
+    """The slope of velocity and position by the heading, shrunk by the variance of the change of velocity."""
+    m = acc.shape[1]
+    J = acc[3:5] - np.eye(2, m, 3)
+    J[:, 8] = 0.0
+    variance = np.trace(J @ P[:m, :m] @ J.T) + acc[m + 3, 3] + acc[m + 4, 4]
+    square = np.sum(acc[3:5, 8] ** 2)
+    acc[[0, 1, 3, 4], 8] *= 1.0 - variance / square if square > variance else 0.0
+
+
+def present(P, acc, inertial, work, out):
+    m, n, acc = acc.shape[1], len(P), acc.copy()
+    if inertial:
+        discount_heading(P, acc)
     Phi = block_diag(acc[:m], np.eye(n - m))
     P = Phi @ P @ Phi.T
     P[:m, :m] += 0.5 * (acc[m : 2 * m] + acc[m : 2 * m].T)
@@ -1419,6 +1431,8 @@ def correction(bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count,
     equation, seen, motion, bend, moves, turns, reads_rate = spot[7:14]
     begin, cfg, cfg_size, rate, model, output, white, lever, noise, limits, facts = spot[14:25]
     mem, places_, xd = bench[begin:cfg], places(dims), x[: m - 9]
+    if drv[126]:
+        discount_heading(P, acc)
     predict(P, nav, x, acc, bench[model : model + 2 * b * b].reshape(2, b, b), mem, dims, count)
     outputs, off = np.zeros((6, m - 9)), np.zeros(6)
     drive_outputs(drv, Cr, xd, outputs, off)
@@ -1474,7 +1488,7 @@ def stretch(
         covariance = P.ravel()
         if rows.shape[1] != 17 + x.size + P.size:
             covariance = np.zeros(72 + len(P))
-            present(P, acc, None, covariance)
+            present(P, acc, drv[126], None, covariance)
         rows[cursor[4]], info[cursor[4]] = np.concatenate([nav, x, covariance]), (now[0], cursor[5])
         now[3], cursor[4] = now[0], cursor[4] + 1
 
@@ -1509,6 +1523,8 @@ def stretch(
                 before[cursor[9]] = samples[k]
             now[:3], cursor[1], cursor[2] = stamps[k], k + 1, cursor[2] + 1
             if cursor[2] == every:
+                if drv[126]:
+                    discount_heading(P, acc)
                 record(acc[:m].ravel(), 0, m, 0, 0)
                 cursor[2] = 0
                 if undone.size:

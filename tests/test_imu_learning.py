@@ -288,15 +288,15 @@ def test_calm_water_looks_like_rest_unless_the_velocity_is_known(speed, speed_sd
     assert run(vehicle_of().without("rest"), at_rest(10.0), start).learning.rest.memory.cursor == 100 * kept
 
 
-def kept_by(still, samples, speed=0.0):
-    """Straight into the collector, one second after the other; which seconds have been kept."""
+def kept_by(still, samples, speed=0.0, error=((0.0,) * 3,) * 2):
+    """Straight into the collector, one second after the other; which seconds have been kept. error: of the gyros."""
     before = np.r_[0.0, samples[:-1, 0]]
     steps = np.column_stack([samples[:, 0] - before, samples[:, 1:]])
     kept = []
     for begin in range(0, len(steps) - 99, 100):
         cursor = still.memory.cursor
         still.note(steps[begin : begin + 100])
-        still.close(np.array([[speed] * 3, [0.01] * 3]), np.zeros((2, 3)))
+        still.close(np.array([[speed] * 3, [0.01] * 3]), np.array(error))
         kept.append(still.memory.cursor - cursor)
     return kept
 
@@ -328,6 +328,16 @@ def test_a_steady_turn_or_a_speed_is_no_rest():
     assert kept_by(RestRecorder(vehicle_of().drive, 2.0), samples, speed=0.2) == [0] * 6
     samples[:, 3] += 0.03
     assert kept_by(RestRecorder(vehicle_of().drive, 2.0), samples) == [0] * 6
+
+
+def test_an_estimate_of_a_gyro_excuses_a_rate_and_makes_none():
+    """Where nothing tells the heading, the estimate of a gyro may be anything: by itself it is no turn."""
+    samples, bias = at_rest(6.0), np.array([[0.0, 0.0, 0.06], [0.001, 0.001, 0.008]])
+    assert kept_by(RestRecorder(vehicle_of().drive, 2.0), samples, error=bias)[2:] == [100] * 4
+    samples[:, 3] += bias[0, 2]
+    assert kept_by(RestRecorder(vehicle_of().drive, 2.0), samples, error=bias)[2:] == [100] * 4
+    samples[:, 3] += 0.05
+    assert kept_by(RestRecorder(vehicle_of().drive, 2.0), samples, error=bias) == [0] * 6
 
 
 def test_a_mean_that_moves_away_begins_another_segment():

@@ -354,14 +354,40 @@ def test_fold(kind):
     if kind == "constants":
         acc[9:m] = np.diag([1.0] * 9 + [0.5, 1.0, 1.0][: m - 9])[9:]
     P = spd(rng, n)
-    present, twin = run_both(kalman.present, P, acc, np.zeros(9 * (n + m + 9)), np.zeros(72 + n))
-    assert_close(present[3:], twin[3:], 1e-14)
+    present, twin = run_both(kalman.present, P, acc, False, np.zeros(9 * (n + m + 9)), np.zeros(72 + n))
+    assert_close(present[4:], twin[4:], 1e-14)
     ours, twins = run_both(kalman.fold, P, acc, nav, np.zeros((m, n)))
-    np.testing.assert_array_equal(present[3], [*ours[0][:9, :9].ravel(), *ours[0].diagonal()[9:]])
+    np.testing.assert_array_equal(present[4], [*ours[0][:9, :9].ravel(), *ours[0].diagonal()[9:]])
     assert_close([ours[0], ours[1][: 2 * m], ours[2]], [twins[0], twins[1][: 2 * m], twins[2]], 1e-14)
     np.testing.assert_array_equal(ours[0], ours[0].T)
     C = ours[2][6:15].reshape(3, 3)
     np.testing.assert_allclose(C.T @ C, np.eye(3), atol=1e-12)
+
+
+@pytest.mark.parametrize(("change_m_s", "share"), [(1e3, 1.0), (2.0, 0.8), (0.01, 0.0)])
+def test_the_heading_is_discounted_by_what_the_change_of_velocity_may_err(change_m_s, share):
+    """Of its square of 4 some 0.8 are the variance; a fold of the discounted transition is what is `present`."""
+    rng = np.random.default_rng(3)
+    n, m = 15, 12
+    nav, P = random_nav(rng), spd(rng, n, 0.01)
+    P[8] *= 30.0  # the heading's own errors do not count
+    P[:, 8] *= 30.0
+    acc = np.vstack([np.eye(m) + 0.1 * rng.normal(size=(m, m)), spd(rng, m, 0.001), np.zeros((2 * m, m))])
+    J = acc[3:5] - np.eye(2, m, 3)
+    J[:, 8] = 0.0
+    k = 0.8 / np.trace(J @ P[:m, :m] @ J.T + acc[m + 3 : m + 5, 3:5])
+    acc[3:5], acc[m : 2 * m] = np.eye(2, m, 3) + math.sqrt(k) * J, k * acc[m : 2 * m]
+    acc[3, 8], acc[4, 8] = change_m_s * np.array([0.6, -0.8])
+    before = acc.copy()
+    present, twin = run_both(kalman.present, P, acc, True, np.zeros(9 * (n + m + 9)), np.zeros(72 + n))
+    assert_close(present[4:], twin[4:], 1e-14)
+    np.testing.assert_array_equal(present[1], before)
+    ours, twins = run_both(kalman.discount_heading, P, acc, np.zeros(2 * m))
+    assert_close(ours[:2], twins[:2], 1e-14)
+    assert ours[1][3, 8] / before[3, 8] == pytest.approx(share, abs=1e-5)
+    np.testing.assert_array_equal(np.argwhere(ours[1] != before)[:, 1], 8)
+    folded, _ = run_both(kalman.fold, P, ours[1], nav, np.zeros((m, n)))
+    np.testing.assert_array_equal(present[4], [*folded[0][:9, :9].ravel(), *folded[0].diagonal()[9:]])
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 3, 7, 40])

@@ -197,6 +197,9 @@ def _mended(run: Track) -> Iterator[Finding]:
     if count := run.counts.get("realigned", 0):
         text = f"{counted(count, 'time')} roll and pitch were set anew by the accelerometers, the velocity by the DVL."
         yield Finding("info", name, text, where)
+    if count := run.counts.get("shifted", 0):
+        text = f"{counted(count, 'time')} the bias of a gyro shifted by more than its error model allows: learnt anew."
+        yield Finding("info", name, text, "If it goes on, give its RandomWalk a larger density in vehicle.toml.")
     if found:
         text = "axes were found " + ", ".join(f"{fault} ({counted(n, 'time')})" for fault, n in found.items())
         grade: Severity = "error" if found.keys() & DESCRIBED_WRONGLY else "warning"

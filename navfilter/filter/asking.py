@@ -89,6 +89,8 @@ def asked(
         When it is taken [s].
     """
     (z, own), nav, P, x = reading, memory.nav, memory.P, memory.x
+    if drive.inertial:
+        kalman.discount_heading(P, memory.acc, np.empty(2 * int(channel.dims[2])))
     kalman.predict(P, nav, x, memory.acc, channel.model, channel.mem, channel.dims, channel.ticks(time_s))
     outputs, errors = drive.outputs(drive_output, memory.drv, x[: drive_output.shape[1] - 1])
     z = channel.without_errors(z, outputs, errors) if channel.sensor.reads_rate else z

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from navfilter.filter.filter_memory import FilterMemory
 from navfilter.filter.layout import Layout
-from navfilter.kernels import kalman
+from navfilter.kernels import kalman, strapdown
 from navfilter.state import NavState
 
 __all__ = ["Estimate"]
@@ -63,7 +63,8 @@ class Estimate:
         """Covariance of navigation (81 elements), then the variances of all other states, now; shape (72 + n,)."""
         memory, n = self.memory, self.layout.size
         out = np.empty(72 + n)
-        kalman.present(memory.P, memory.acc, np.empty(9 * (n + self.layout.head + 9)), out)
+        inertial, work = memory.drv[strapdown.INERTIAL] != 0.0, np.empty(9 * (n + self.layout.head + 9))
+        kalman.present(memory.P, memory.acc, inertial, work, out)
         return out
 
     @property

@@ -153,8 +153,7 @@ class Filter(Estimate):
         self.in_force, self._like, self._laid_out = in_force, (in_force, layout), models
         g, m = layout.drive, layout.head
         self.Phid, self.Qd = g.Phi, g.Q
-        self.drive_output = np.zeros((6, g.size + 1))
-        self._work = np.zeros((m, layout.size))
+        self.drive_output, self._work = np.zeros((6, g.size + 1)), np.zeros((m, layout.size))
         self._dims = np.array([0, layout.size, m, 0, 0, 0, 0])
         variance = g.r[:3] if self.inertial else np.zeros(3)  # until `weigh` says otherwise
         for name, channel in self.channels.items():
@@ -273,6 +272,8 @@ class Filter(Estimate):
     def _fold(self) -> Propagated:
         """Fold the compound transition into P."""
         memory = self.memory
+        if self.inertial:
+            kalman.discount_heading(memory.P, memory.acc, self._work.reshape(-1))
         transition = memory.acc[: self.layout.head].copy()
         if self.tape is not None:
             self.tape.record(transition.reshape(-1), 0, self._dims)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.error_models import ErrorModel
+from navfilter.filter import shifts
 from navfilter.filter.channel import ChannelMemory
 from navfilter.filter.drive_watch import CONDITIONS
 from navfilter.filter.drive_watch import COUNTED as DRIVE_COUNTED
@@ -21,7 +22,7 @@ Errors = ErrorModel | tuple[ErrorModel, ...]
 #: What is counted.
 COUNTED = (
     *("gap", "backward", "bad-sample", "clock-set", "widened", "reset", "jumped", "astray", "opened"),
-    *("realigned", "adopted"),
+    *("realigned", "shifted", "adopted"),
     *DRIVE_COUNTED,
 )
 #: Rounding leaves no eigenvalue of the correlations below this.
@@ -60,6 +61,8 @@ class FilterMemory:
     models : tuple of (str, error)
         Error models put in force since the start, by sensor.
     counts : dict of str to int
+    shifts : ndarray, shape (16, 13)
+        What the biases of its gyros were at the last looks, see `navfilter.filter.shifts`.
     """
 
     time_s: float
@@ -77,6 +80,7 @@ class FilterMemory:
     channels: dict[str, ChannelMemory]
     models: tuple[tuple[str, Errors], ...]
     counts: dict[str, int]
+    shifts: Array = field(default_factory=shifts.fresh)
 
     def problem(self, fresh: FilterMemory) -> str | None:
         """What is wrong with the values of one that came from outside, in words; None when nothing is.

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from navfilter.filter.layout import Group, Layout
     from navfilter.mechanisation import Mechanisation
 
-__all__ = ["JumpWatch"]
+__all__ = ["JumpWatch", "bias_of"]
 
 Array = NDArray[np.float64]
 #: Jumps are thought to have happened at the beginning of one of so many windows, one of which begins each so often [s]:
@@ -81,7 +81,7 @@ class JumpWatch:
         """A new window: the jumps happen now."""
         bank[:-1, :-1], bank[-1, -1] = 0.0, 0.0
         for axis in range(AXES):
-            states = _constant(layout.drive, axis)
+            states = bias_of(layout.drive, axis)
             if states.size:
                 bank[axis, layout.drive.start + states[0]] = 1.0
 
@@ -193,7 +193,7 @@ class JumpWatch:
         back = (axes[:, kernel.CODE] == kernel.CONTRADICTED) & (axes[:, kernel.HELD] == 0.0)
         g, P = filter.layout.drive, filter.memory.P
         for axis in first + np.flatnonzero(back):
-            states = _constant(g, int(axis))
+            states = bias_of(g, int(axis))
             if states.size:
                 place = g.start + states[0]
                 P[place, place] += filter.memory.watch[axis, kernel.JUMP] ** 2
@@ -201,6 +201,6 @@ class JumpWatch:
         axes[back, kernel.CODE] = kernel.GOOD
 
 
-def _constant(g: Group, axis: int) -> NDArray[np.int64]:
+def bias_of(g: Group, axis: int) -> NDArray[np.int64]:
     """Which of the drive's states are the bias of an axis."""
     return np.flatnonzero((np.diag(g.Phi)[: g.errors] == 1.0) & (g.C[axis] != 0.0))

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.filter import agreement, aside, gating, ramp, realignment, turns
+from navfilter.filter import agreement, aside, gating, ramp, realignment, shifts, turns
 from navfilter.filter.adoption import Change
 from navfilter.filter.belief import beyond_belief, excused, pulled
 from navfilter.filter.channel import Channel
@@ -176,6 +176,7 @@ def _gone_astray(filter: Filter, channel: Channel) -> None:
 
 def take_up(filter: Filter, tell: Callable[[Event], None]) -> None:
     """Do what refused readings have made necessary, before the next input."""
+    shifts.look(filter)
     if filter.accused is not None:
         slope, filter.accused = filter.accused, None
         filter.jumps.accused(filter, slope)

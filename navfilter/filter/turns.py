@@ -1,8 +1,8 @@
 """Turns: how far a gyro says that the vehicle has turned, held against a compass.
 
 A gyro whose sign or scale is wrong shows in none of its samples, and does nothing while the vehicle goes straight on.
-In a turn it leads the heading away by tens of degrees within seconds. Then a compass that has followed all turns so far
-is refused, and a velocity over ground too: the vehicle does not go where its nose seems to point. Step by step, what
+In a turn it leads the heading away by tens of degrees within seconds. Then a compass that has been right so far is
+refused, and a velocity over ground too: the vehicle does not go where its nose seems to point. Step by step, what
 the gyro says is what the compass says, times a factor: no compass does that, whatever iron is around it, and one that
 is noisy, stuck or has jumped does not either. So the axis about which the vehicle turns is left out until it turns with
 the heading again; that is then the compass's, and all else goes on.
@@ -21,7 +21,7 @@ from navfilter.filter.slack import wander
 from navfilter.kernels import drive_watch as kernel
 
 if TYPE_CHECKING:
-    from navfilter.filter.channel import Channel
+    from navfilter.filter.channel import Channel, ChannelMemory
     from navfilter.filter.filter import Filter
 
 __all__ = ["Turns", "agrees", "contradicted", "look", "refused"]
@@ -42,6 +42,8 @@ LEFT = 0.35
 NEARLY, NONE = (0.62, 1.6), 0.2
 #: So far the vehicle must have turned, fast, since the compass was refused for so long [rad], [s].
 FOLLOWED, DISPUTED_S = 1.0, 5.0
+#: Or the compass has agreed for so long, and was never refused for three seconds in ten minutes [s].
+USED_S = 60.0
 #: A velocity has been refused so lately [s].
 LATELY_S = 3.0
 #: An axis is used again once its factor is known to so much, and so close to 1 [1].
@@ -97,8 +99,8 @@ def refused(filter: Filter, channel: Channel, time_s: float, residual: float) ->
     since_s = contradicted(now.steps)
     turned = float(np.sum(np.abs([step[2] for step in now.steps])))
     fast = float(w[kernel.UNIT, kernel.FAST])
-    followed = fast - now.followed - turned >= FOLLOWED
-    if since_s is None or not followed or not _velocity_refused(filter, time_s):
+    proven = fast - now.followed - turned >= FOLLOWED or _undisputed(kept)
+    if since_s is None or not proven or not _velocity_refused(filter, time_s):
         if time_s - kept.rejected_since_s >= DISPUTED_S:
             kept.turns = replace(now, followed=fast)
         return
@@ -172,6 +174,10 @@ def _stepped(before: Turns, time_s: float, heading: float, w: Array, noise: floa
     if time_s - before.time_s <= LONGEST_S:
         steps = (*steps, (time_s, off, turned - before.turned, noise))[-STEPS:]
     return replace(before, time_s=time_s, heading=heading, turned=turned, steps=steps)
+
+
+def _undisputed(compass: ChannelMemory) -> bool:
+    return compass.undisputed and compass.used_s - compass.agreed_s >= USED_S
 
 
 def _velocity_refused(filter: Filter, time_s: float) -> bool:

@@ -34,11 +34,42 @@ def _navigation(P, acc, T, A, head):
 
 
 @njit(cache=True, **UNCOUNTED)
-def present(P, acc, work, out):
+def discount_heading(P, acc, work):
+    """Before a fold of an inertial drive: what an error of the heading does to velocity and position counts as far as
+    the change of velocity is known by which it does so.
+
+    A heading error turns that change. But an error of tilt or of an accelerometer looks like one too, and as much of
+    its square as that has variance would be information about the heading out of nothing: errors in variables (Fuller,
+    1987, sec. 1.1). The part of the square beyond its variance is unbiased, and shrinks the slope. work: 2m.
+    """
+    m, north, east = acc.shape[1], acc[3, 8], acc[4, 8]
+    variance, own, carried = acc[m + 3, 3] + acc[m + 4, 4], work[:m], work[m : 2 * m]
+    for axis in (3, 4):
+        for i in range(m):
+            own[i] = acc[axis, i]
+            carried[i] = 0.0
+        own[axis] -= 1.0
+        own[8] = 0.0
+        for i in range(m):
+            for j in range(m):
+                carried[j] += own[i] * P[i, j]
+        for i in range(m):
+            variance += carried[i] * own[i]
+    square = north * north + east * east
+    share = 1.0 - variance / square if square > variance else 0.0
+    for i in (0, 1, 3, 4):
+        acc[i, 8] *= share
+
+
+@njit(cache=True, **UNCOUNTED)
+def present(P, acc, inertial, work, out):
     """What `fold` would leave in P, without folding: of navigation (the first 81 of out), then the variances of all
-    other states (n - 9). work: 9 (n + m + 9).
+    other states (n - 9). inertial: whether the heading is discounted before. work: 9 (n + m + 9).
     """
     m, n = acc.shape[1], P.shape[0]
+    kept0, kept1, kept3, kept4 = acc[0, 8], acc[1, 8], acc[3, 8], acc[4, 8]
+    if inertial:
+        discount_heading(P, acc, work)
     T, A, head = work[: 9 * n].reshape((9, n)), work[9 * n :][: 9 * m].reshape((m, 9)), work[9 * (n + m) :][:81]
     head = head.reshape((9, 9))
     _navigation(P, acc, T, A, head)
@@ -61,6 +92,7 @@ def present(P, acc, work, out):
         out[72 + i] = s
     for i in range(m, n):
         out[72 + i] = P[i, i]
+    acc[0, 8], acc[1, 8], acc[3, 8], acc[4, 8] = kept0, kept1, kept3, kept4
 
 
 @njit(cache=True, **UNCOUNTED)

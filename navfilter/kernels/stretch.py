@@ -100,8 +100,11 @@ def correction(sources):
         a, n, m, b, start, errors, parameters = dims[0], dims[1], dims[2], dims[3], dims[4], dims[5], dims[6]
         mem = bench[spot[MEM] : spot[CONSTANTS]]
         model = bench[spot[MODEL] : spot[MODEL] + 2 * b * b].reshape((2, b, b))
+        places = kalman.places(dims)
+        if drv[strapdown.INERTIAL] != 0.0:
+            kalman.discount_heading(P, acc, mem[places[9] : places[10]])
         kalman.predict(P, nav, x, acc, model, mem, dims, count)
-        rate, xd, places = bench[spot[RATE] : spot[RATE] + 3], x[: m - 9], kalman.places(dims)
+        rate, xd = bench[spot[RATE] : spot[RATE] + 3], x[: m - 9]
         H, spare = mem[places[0] : places[0] + a * n].reshape((a, n)), mem[places[9] : places[10]]
         if spot[TURNS] or spot[READS_RATE]:
             outputs, off = spare[: 6 * (m - 9)].reshape((6, m - 9)), spare[6 * (m - 9) : 6 * (m - 8)]
@@ -152,7 +155,7 @@ def correction(sources):
 @_keyed
 def _note_row(sources):
     @njit(cache=True, **UNCOUNTED)
-    def _note_row(now, cursor, interval_s, nav, x, P, acc, rows, info, work):
+    def _note_row(now, cursor, interval_s, nav, x, P, acc, inertial, rows, info, work):
         """Write the state down as a row: the last note of a time stands, those closer than the interval are skipped.
 
         rows (r, w): nav, x, then the whole of P or its first nine rows and columns and the rest of its diagonal, as
@@ -175,7 +178,7 @@ def _note_row(sources):
                 for j in range(n):
                     row[n + 8 + i * n + j] = P[i, j]
         elif cursor[UNFOLDED] > 0:
-            kalman.present(P, acc, work, row[n + 8 :])
+            kalman.present(P, acc, inertial, work, row[n + 8 :])
         else:
             for i in range(9):
                 for j in range(9):
@@ -289,6 +292,7 @@ def _carried(sources):
         rows, info, records, heads = out
         every, begin, total = int(settings[FOLD_EVERY]), 0, samples.shape[0]
         head, felt, each = work[: m * m], int(settings[FELT]), settings[EACH] != 0.0
+        inertial = drv[strapdown.INERTIAL] != 0.0
         while begin < total:
             if not _has_room(cursor, m * m, rows, records, heads):
                 return FULL
@@ -306,6 +310,8 @@ def _carried(sources):
             cursor[SAMPLE] += end - begin
             now[TIME_S] = now[SAMPLE_S] = now[BEFORE_S] = stamps[end - 1]
             if cursor[UNFOLDED] >= every:
+                if inertial:
+                    kalman.discount_heading(P, acc, work[m * m :])
                 for i in range(m):
                     for j in range(m):
                         head[i * m + j] = acc[i, j]
@@ -314,9 +320,9 @@ def _carried(sources):
                 if undone.size > 0:
                     listen.carry(undone, head.reshape((m, m)))
                 _note_record(head, int(0), spot, cursor, records, heads)
-                _note_row(now, cursor, settings[INTERVAL_S], nav, x, P, acc, rows, info, work[m * m :])
+                _note_row(now, cursor, settings[INTERVAL_S], nav, x, P, acc, inertial, rows, info, work[m * m :])
             elif each:
-                _note_row(now, cursor, settings[INTERVAL_S], nav, x, P, acc, rows, info, work[m * m :])
+                _note_row(now, cursor, settings[INTERVAL_S], nav, x, P, acc, inertial, rows, info, work[m * m :])
             begin = end
             if felt > 0 and drv[strapdown.COUNT] >= felt:
                 return HEED
@@ -415,7 +421,7 @@ def stretch(sources):
         _ = sources
         nav, x, P, acc = state
         drv, Phid, Qd, Cr, samples_before = drive[0], drive[1], drive[2], drive[3], drive[4]
-        known = max(0, samples_before.shape[0] - MORE_RECENT)
+        known, inertial = max(0, samples_before.shape[0] - MORE_RECENT), drv[strapdown.INERTIAL] != 0.0
         times, which, ends, good, same, values, variances, notes = given
         rows, info, records, heads = out
         undone, ears, places, opened = hearing
@@ -467,7 +473,7 @@ def stretch(sources):
             if notes[e, 2] == 0.0:
                 return JUDGED
             _note_record(bench[own[MEM] : own[MEM] + own[RECORD]], a, own, cursor, records, heads)
-            _note_row(now, cursor, settings[INTERVAL_S], nav, x, P, acc, rows, info, work)
+            _note_row(now, cursor, settings[INTERVAL_S], nav, x, P, acc, inertial, rows, info, work)
             _fared(watched[i], t, notes[e, 0], notes[e, 1])
             if undone.size > 0 and _listened(
                 cursor, settings, bench, own, nav, x, Cr, t, count, undone, ears[i], places[i], opened[e]

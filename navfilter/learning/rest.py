@@ -88,12 +88,12 @@ class RestRecorder:
     serves to refuse samples.
 
     Rest is judged by blocks of about one second: the velocity is known and not surely above `SLOWEST`, every axis
-    scatters less than `QUIET` believed standard deviations, its mean stays, and no mean rate (less the estimated gyro
-    error) is surely above `STEADIEST`. A block counts between two others that are at rest too. The velocity has to be
-    known, by a DVL, fixes or `ZeroVelocity`, because an AUV that glides through calm water cannot be told from one at
-    rest by a micromechanical unit (simulated: its slow turns, taken for noise, raise S(0) by factors of 40 to 2000).
-    What remains possible: a vehicle that sways at its mooring by less than these limits. That makes the model larger
-    than the unit's own error, not smaller.
+    scatters less than `QUIET` believed standard deviations, its mean stays, and no mean rate is surely above
+    `STEADIEST` both as read and less the estimated error of the gyro. A block counts between two others that are at
+    rest too. The velocity has to be known, by a DVL, fixes or `ZeroVelocity`, because an AUV that glides through calm
+    water cannot be told from one at rest by a micromechanical unit (simulated: its slow turns, taken for noise, raise
+    S(0) by factors of 40 to 2000). What remains possible: a vehicle that sways at its mooring by less than these
+    limits. That makes the model larger than the unit's own error, not smaller.
 
     Parameters
     ----------
@@ -205,7 +205,9 @@ class RestRecorder:
         values = memory.block[:, 1:] * self._unit
         if np.any(values.std(axis=0) > self.limits):
             return False
-        return bool(np.all(np.abs(values[:, :3].mean(axis=0) - rate[0]) < STEADIEST + 3.0 * rate[1]))
+        # where nothing tells the heading, what is estimated of a gyro may be anything: it excuses, and accuses nobody
+        mean = values[:, :3].mean(axis=0)
+        return bool(np.all(np.minimum(np.abs(mean), np.abs(mean - rate[0])) < STEADIEST + 3.0 * rate[1]))
 
     def _keep(self, block: Array) -> None:
         """Append a block to the series, on a grid of whole periods."""

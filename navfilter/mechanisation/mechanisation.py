@@ -213,7 +213,7 @@ class Mechanisation:
     def memory(self, first_parameter: int, start: Start | None = None) -> Array:
         """The kernels' ``drv`` at the start; `first_parameter` counts the drive's states before its parameters."""
         drv = np.zeros(strapdown.DRIVE_SIZE)
-        drv[strapdown.PERIOD_S] = self.period_s
+        drv[strapdown.PERIOD_S], drv[strapdown.INERTIAL] = self.period_s, float(self.inertial)
         return drv
 
     def draws(self, triple: str) -> dict[str, tuple[Parameter, ...]]:

@@ -1,0 +1,166 @@
+"""A gyro whose bias shifts by little is found by where the estimate of that bias goes, and learnt anew."""
+
+import dataclasses
+import functools
+import math
+
+import numpy as np
+import pytest
+from test_agreement import altered, feed, fly
+
+import navfilter as nf
+from navfilter import passage
+from navfilter.filter import shifts
+from navfilter.filter.memory import differences
+from navfilter.simulation.faults import Faults
+from navfilter.simulation.scenarios import reckoning_vehicle, survey, survey_vehicle
+from navfilter.simulation.simulate import simulate
+
+DEG_H = math.pi / 180.0 / 3600.0
+END_S, DIVE_S, SHIFT_S = 470.0, 140.0, 200.0
+
+
+@functools.cache
+def long_dive():
+    """Fixes for 140 s, then none."""
+    vehicle = survey_vehicle()
+    fixes = {"gps": Faults(available=((0.0, DIVE_S),))}
+    return vehicle, simulate(vehicle, survey(END_S, surface_s=110.0), seed=8, duration_s=END_S, faults=fixes)
+
+
+def shifted_by(mission, axis, deg_h):
+    return altered(mission, "imu", lambda v: v + np.eye(6)[axis] * deg_h * DEG_H, SHIFT_S)
+
+
+@pytest.mark.parametrize(("axis", "deg_h", "within_s"), [(2, 200.0, 110.0), (2, -100.0, 180.0), (0, -50.0, 80.0)])
+def test_a_shift_is_found_and_learnt_anew(axis, deg_h, within_s):
+    vehicle, mission = long_dive()
+    track = nf.replay(vehicle, shifted_by(mission, axis, deg_h), output_rate_hz=1.0)
+    errors = track.errors(mission.truth)
+    sd = np.sqrt(track.covariance[:, 8, 8])
+    late = track.time_s > SHIFT_S + within_s + 40.0
+    assert track.counts["shifted"] >= 1
+    assert np.nanmax(np.abs(errors.heading[late]) / sd[late]) < 3.5
+    assert not nf.replay(vehicle, mission, output_rate_hz=1.0).counts["shifted"]
+    name = f"gyro_{'xyz'[axis]}[0]"
+    bias = track.states[:, list(track.state_names).index(name)] / DEG_H
+    found = bias[-1] - bias[np.searchsorted(track.time_s, SHIFT_S)]
+    assert abs(found - deg_h) < 0.25 * abs(deg_h)
+
+
+def test_stretches_lives_and_snapshots_give_the_same(monkeypatch):
+    vehicle, mission = long_dive()
+    broken = shifted_by(mission, 0, -50.0).between(0.0, SHIFT_S + 70.0)
+    whole, _ = fly(vehicle, broken)
+    assert whole.counts["shifted"] == 1
+    track = nf.replay(vehicle, broken, output_rate_hz=None)
+    np.testing.assert_array_equal(track.velocity_n[-1], whole.state.velocity_n)
+    monkeypatch.setattr(passage.Passage, "possible", property(lambda self: False))
+    np.testing.assert_array_equal(nf.replay(vehicle, broken).covariance[-1], track.covariance[-1])
+    half, _ = fly(vehicle, broken, until_s=SHIFT_S + 10.0)
+    again = nf.Navigator.restore(vehicle, half.snapshot())
+    feed(again, vehicle, broken, after_s=SHIFT_S + 10.0)
+    assert not differences(whole.filter.memory, again.filter.memory)
+
+
+def test_dead_reckoning_is_not_looked_at():
+    vehicle = reckoning_vehicle()
+    mission = simulate(vehicle, survey(60.0), seed=1, duration_s=60.0)
+    nav, _ = fly(vehicle, mission)
+    assert shifts.due_s(nav.filter) == math.inf and np.isnan(nav.filter.memory.shifts).all()
+
+
+def looks(sd=2.0, ends=1.0):
+    """Estimates that did not move, and the latest of them, whose sds are smaller."""
+    table = shifts.fresh()
+    table[:, shifts.TIME_S] = shifts.EVERY_S * np.arange(shifts.LOOKS)
+    table[:, shifts.BIAS : shifts.VARIANCE] = 0.0
+    table[:, shifts.VARIANCE : shifts.NIS], table[:, shifts.NIS] = sd**2, 1.0
+    now = table[-1].copy()
+    now[shifts.TIME_S] += shifts.EVERY_S
+    now[shifts.VARIANCE : shifts.NIS] = ends**2
+    return table, now
+
+
+def test_an_estimate_may_move_by_what_it_has_learnt():
+    table, now = looks()
+    walk, begin = np.zeros(3), np.full(3, 1e-12)
+    now[shifts.BIAS] = 0.9 * 6.0 * math.sqrt(3.0)
+    now[shifts.BIAS + 1] = -1.1 * 6.0 * math.sqrt(3.0)
+    (axis, row, size), *others = shifts.shifted(table, now, walk, begin)
+    # three quarters of the variance are gone: so is as much of a shift
+    assert not others and (axis, row) == (1, 0)
+    assert size == pytest.approx(shifts.OPENED * now[shifts.BIAS + 1] / 0.75)
+    # a walk, or a bias that was hardly known at the start, may move further
+    assert not shifts.shifted(table, now, np.full(3, 0.1), begin)
+    assert not shifts.shifted(table, now, walk, np.full(3, 100.0))
+    assert not shifts.shifted(shifts.fresh(), now, walk, begin)
+    # where sensors are four times as noisy as they are described, so may what is learnt from them
+    table[:, shifts.NIS], now[shifts.NIS] = 16.0, 16.0
+    assert not shifts.shifted(table, now, walk, begin)
+    now[shifts.BIAS + 1] *= 4.0
+    assert len(shifts.shifted(table, now, walk, begin)) == 1
+
+
+def test_of_many_good_estimates_none_has_shifted():
+    # a Kalman filter that learns a constant from readings with noise of 1
+    rng, found = np.random.default_rng(1), 0
+    for _ in range(40):
+        constant, estimate, variance, table = rng.normal(), 0.0, 1.0, shifts.fresh()
+        for k in range(60):
+            gain = variance / (variance + 4.0)
+            estimate += gain * (constant + 2.0 * rng.normal() - estimate)
+            variance *= 1.0 - gain
+            now = np.concatenate(
+                [[10.0 * k, 0.0, 0.0, 0.0], np.full(3, estimate), np.full(3, variance), [1.0, 0.0, 0.0]]
+            )
+            found += len(shifts.shifted(table, now, np.zeros(3), np.full(3, 1e-12)))
+            table = np.vstack([table[1:], now])
+    assert found == 0
+
+
+def test_a_state_that_is_set_anew_begins_the_looks_anew():
+    vehicle, mission = long_dive()
+    nav = nf.Navigator(vehicle, dataclasses.replace(mission.start))
+    feed(nav, vehicle, mission.between(0.0, 60.0))
+    memory = nav.filter.memory
+    assert np.isfinite(memory.shifts[-5:]).all()
+    memory.counts["realigned"] += 1
+    feed(nav, vehicle, mission, until_s=71.0, after_s=60.0)
+    assert np.isfinite(memory.shifts[-1]).all() and np.isnan(nav.filter.memory.shifts[:-2]).all()
+
+
+def ramp(heading, extra, since=4, sd=0.01, seed=1):
+    """What looks along these headings say of a ramp: its slope [rad/s], in standard deviations."""
+    time_s = shifts.EVERY_S * np.arange(len(heading))
+    noise = sd * np.random.default_rng(seed).normal(size=len(heading))
+    apart = 3.0 + 1e-5 * time_s + noise + extra(time_s)
+    apart = (apart + np.pi) % (2.0 * np.pi) - np.pi
+    covariance = sd**2 * np.eye(len(heading))
+    slope, variance = shifts.ramp_beyond_deviation(time_s, heading, apart, covariance, time_s[since], (2e-5) ** 2)
+    return slope, slope / math.sqrt(variance)
+
+
+HEADINGS = {
+    "circles": np.linspace(0.0, 12.0, 17),
+    "legs": 0.7 + np.pi * (np.arange(17) // 6 % 2),
+    "half a turn": np.linspace(0.0, 3.0, 17),
+    "straight": 0.7 + 0.03 * np.sin(np.arange(17)),
+}
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("name", HEADINGS)
+def test_a_deviation_is_no_ramp(name, seed):
+    heading = HEADINGS[name]
+
+    def deviation(time_s):
+        return 0.3 * np.sin(heading + seed) + 0.05 * np.cos(2.0 * heading)
+
+    def shifted(time_s):
+        return deviation(time_s) - 1e-3 * np.maximum(time_s - time_s[4], 0.0)
+
+    assert ramp(heading, deviation, seed=seed)[1] ** 2 < shifts.BEYOND
+    if name != "half a turn":  # there nobody can tell
+        slope, sds = ramp(heading, shifted, seed=seed)
+        assert slope == pytest.approx(-1e-3, rel=0.3) and sds**2 > shifts.BEYOND
