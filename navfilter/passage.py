@@ -367,13 +367,12 @@ class Passage:
 
     def _settings(self) -> Array:
         """Limits and periods, see `navfilter.kernels.stretch`."""
-        filter = self.nav.filter
+        filter, learning, tape = self.nav.filter, self.nav.learning, self.nav.filter.tape
         gap_s, doubt_s = filter.intake.spans
-        interval_s = math.inf if filter.tape is None else filter.tape.interval_s
-        learning, steps = self.nav.learning, filter.memory.drv[strapdown.INCREMENTS]
-        until_s = min(learning.early_s, shifts.due_s(filter))
+        interval_s = math.inf if tape is None else tape.interval_s
+        until_s, steps = min(learning.early_s, shifts.due_s(filter)), filter.memory.drv[strapdown.INCREMENTS]
         spans = filter.period_s, filter.ahead_s, filter.fold_every, gap_s, doubt_s, until_s, interval_s
-        each = filter.tape is not None and filter.tape.each_sample
+        each = tape is not None and tape.each_sample
         return np.array([*spans, steps, learning.learning_s, filter.vehicle.drive.gravity, filter.feels_after, each])
 
     def _output(self) -> Output:

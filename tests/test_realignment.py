@@ -212,3 +212,22 @@ def test_unheard_it_has_gone_no_further_than_it_can(dive):
         assert 5.0 * reach < nav.state.sd[:2].max() < 21.0 * reach
         ended = Event("depth", 80.5, (0.5,), 80.5, 80.5)
         assert one_by_one(nav, [ended])[0].status in ("used", "rejected")
+
+
+def test_a_level_by_accelerometers_whose_biases_are_open_replaces_no_tilt():
+    flat = np.zeros(3)
+    assert realignment.Level(flat, 0.03**2, 1.0, 0.06).knows_better
+    assert not realignment.Level(flat, 0.15**2, 1.0, 0.06).knows_better  # 150 mg
+    assert not realignment.Level(flat, 0.03**2, 1.0, 0.04).knows_better  # known well enough
+    assert realignment.Level(flat, 0.15**2, 31.0, 0.04).knows_better
+
+
+def test_a_bias_that_jumps_is_not_taken_for_a_tilt():
+    vehicle, mission = simulate_scenario("lawnmower", 4, 360.0)
+    stream = mission.streams["imu"]
+    value = stream.value + np.where(stream.time_s > 170.0, 0.49, 0.0)[:, None] * np.eye(6)[3]
+    wrong = mission.with_stream("imu", nf.Stream(stream.time_s, value, stream.columns)).between(0.0, 290.0)
+    track = nf.replay(vehicle, wrong.hide("gps", (60.0, 1e9)), output_rate_hz=1.0)
+    nees = track.nees(track.errors(mission.truth))["attitude"]
+    assert track.counts["contradicted"] == 6
+    assert np.nanmean(nees[track.time_s > 250.0]) < 2.0

@@ -65,6 +65,11 @@ class Level(NamedTuple):
     doubt: float
     sd: float
 
+    @property
+    def knows_better(self) -> bool:
+        """Whether the state's tilt is not known, but here it is; or it is contradicted."""
+        return self.sd > max(SURE_SD, math.sqrt(self.variance)) or self.doubt > LIMIT
+
 
 def after_fault(filter: Filter, tell: Listening) -> None:
     """While axes of the drive are left out, and when they are used again: set attitude and velocity anew where the
@@ -77,7 +82,7 @@ def after_fault(filter: Filter, tell: Listening) -> None:
         Is told of it.
     """
     level = _level(filter)
-    if level is not None and (level.sd > SURE_SD or level.doubt > LIMIT):
+    if level is not None and level.knows_better:
         set_anew(filter, tell)
 
 
@@ -95,7 +100,7 @@ def tilted(filter: Filter, channel: Channel, time_s: float) -> bool:
     if not channel.moves or not filter.inertial or not time_s - channel.memory.rejected_since_s >= REFUSED_S:
         return False
     level = _level(filter)
-    return level is not None and (level.sd > SURE_SD or level.doubt > LIMIT)
+    return level is not None and level.knows_better
 
 
 def set_anew(filter: Filter, tell: Listening) -> None:
