@@ -228,10 +228,9 @@ class Passage:
 
     def _keep_samples(self, end: int) -> None:
         """Let learning keep those that the kernel has taken."""
-        if end > self._kept:
-            if self.nav.learning.beginning is not None:
-                self.nav.learning.keep(self._block(self._kept, end))
-            self._kept = end
+        if end > self._kept and self.nav.learning.beginning is not None:
+            self.nav.learning.keep(self._block(self._kept, end), mine=True)
+        self._kept = max(self._kept, end)
 
     def _conclude(self, sensor: int, time_s: float) -> None:
         """What follows from a verdict by which the reading was not used."""

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -141,6 +142,7 @@ def _times(fast: Array, p: int, ar: Array, ma: Array) -> Array:
     return np.concatenate([np.convolve(a, b)[1:], np.convolve(c, d)[1:], fast[-1:]])
 
 
+@cache
 def _gauss_markov(tau: float, share: float, q: int) -> Array:
     phi = math.exp(-1.0 / tau)
     parts = [ArmaModel(np.array([-phi]), np.zeros(0), math.sqrt((1.0 - share) * (1.0 - phi * phi)))]
