@@ -274,19 +274,3 @@ def test_a_reading_that_is_missing_or_a_spike_is_nan_in_the_series():
         300 - first - level,
         *(k - first - level for k in (400, 401, 402)),
     ]
-
-
-@pytest.mark.parametrize(("hop", "later"), [(None, [400, 800, 1200, 1800, 2400, 3000]), (300, [400, 700, 1000])])
-def test_hops_grow_with_what_has_been_heard(hop, later):
-    """Twice as many at first, then half a window more, then three quarters; a hop of the user's own stays."""
-    vehicle, mission = mission_of(False, "straight")
-    error = nf.LearnedArma(window=800, hop=hop)
-    nav = nf.Navigator(vehicle.with_error(compass=error), mission.start, threads=False)
-    listener = nav.learning.listeners["compass"]
-    found = [200]
-    for _ in later:
-        listener.memory.cursor[0] = found[-1]
-        listener.begin_hop()
-        found.append(listener.memory.due)
-        listener.memory.hop = None
-    assert found[1:] == later

@@ -53,8 +53,7 @@ class LearnedArma(ErrorModel):
     window : int
         Samples behind an estimate.
     hop : int, optional
-        Samples between two adoptions; fewer while the window fills. Default half the window, and three quarters once
-        one and a half have been heard.
+        Samples between two adoptions, default half the window; fewer while that fills.
     model : ArmaModel, optional
         The fast part in force; the navigator sets it when it adopts one.
     slow : ErrorModel, optional

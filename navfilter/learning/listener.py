@@ -42,9 +42,6 @@ MEMORY_S, PROBATION_S = 30.0, 90.0
 #: The answer of a hop is taken so much later [s]: what learning may take on a slow machine, and little against the
 #: half minute that is the least a hop learns from.
 TAKEN_AFTER_S = 2.0
-#: Later hops grow up to this part of the window [1]: new readings are judged given those before, which need a place in
-#: it.
-LONGEST_HOP = 0.75
 #: So many stretches that are left out are remembered: a window of an hour with one every four minutes.
 LEFT_OUT = 16
 NEVER = int(np.iinfo(np.int64).max)
@@ -211,10 +208,7 @@ class Listener:
         # more missing ticks than are predicted through
         self._anew = max(LONGEST_GAP + 1, math.ceil(FOUND_S / self.period_s))
         self.window, self._share = window, min(1.0, self.period_s / MEMORY_S)
-        parts = [part for part in learned if part is not None]
-        self.hop = min((part.hop or part.window // 2 for part in parts), default=0)
-        longest = min((int(LONGEST_HOP * part.window) for part in parts if part.hop is None), default=0)
-        self._longest_hop = longest if all(part.hop is None for part in parts) else self.hop
+        self.hop = min((part.hop or part.window // 2 for part in learned if part is not None), default=0)
         # what is left out as too new, and what going back writes over
         capacity = capacity or window + round(2.0 * behind_s * sensor.rate_hz) + 64
         self._memory = ListenerMemory(
@@ -323,12 +317,9 @@ class Listener:
         return ticks + max(0, math.ceil(age_s / self.period_s - 1e-6) - 1) if ticks else 0
 
     def _next(self, ticks: int) -> int:
-        """Ticks that make the next hop due: twice as many since the last change at first, a hop more then, and half as
-        many again as long as a window holds that.
-        """
+        """Ticks that make the next hop due: twice as many since the last change at first, a hop more then."""
         known = ticks - self._memory.since
-        hop = max(self.hop, min(known // 2, self._longest_hop))
-        return ticks + min(hop, known) if known >= LEAST else self._memory.since + LEAST
+        return ticks + min(self.hop, known) if known >= LEAST else self._memory.since + LEAST
 
     def notice(self, nis: float, dof: int) -> None:
         """Take note of how a reading fared in the filter; after a change of the error only what came since is learnt
