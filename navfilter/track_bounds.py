@@ -13,6 +13,7 @@ from navfilter.filter.offsets import has_offset
 from navfilter.filter.tape import OUTCOMES, Residuals
 
 if TYPE_CHECKING:
+    from navfilter.sensors import Sensor
     from navfilter.track import Track
 
 __all__ = ["bounds_along"]
@@ -30,11 +31,15 @@ def bounds_along(track: Track) -> Array:
     """
     off: dict[str, Array] = {}
     fixes = []
+    slow = np.zeros(len(track))
     for name in track.residuals:
-        sees = track.vehicle.sensors[name].corrects
-        off[sees] = np.maximum(off.get(sees, 0.0), _off(track, name))
+        sensor, known = track.vehicle.sensors[name], _off(track, name)
+        sees = sensor.corrects
+        off[sees] = np.maximum(off.get(sees, 0.0), known)
+        slow = np.maximum(slow, np.where(known > 0.0, max(_slow(sensor)), 0.0)) if sees == "heading" else slow
         fixes += [track.residuals[name]] if sees == "position" else []
-    return np.column_stack(bounds(track.covariance, *_since_fix(track, fixes), off, track.vehicle.drive.inertial))
+    away = _since_fix(track, fixes)
+    return np.column_stack(bounds(track.covariance, *away, off, track.vehicle.drive.inertial, slow))
 
 
 def _off(track: Track, name: str) -> Array:
@@ -48,8 +53,7 @@ def _off(track: Track, name: str) -> Array:
     # one that is refused alone is an outlier, unless the sensor has confirmed nothing yet
     first_s = r.time_s[used][0] if used.any() else np.inf
     again = refused & (np.r_[False, refused[:-1]] | (time_s < first_s + CONFIRMED_S))
-    blocks = [model.block(1.0 / sensor.rate_hz) for model in sensor.models]
-    slow = [float(block.C @ block.P0 @ block.C) for block in blocks]
+    slow = _slow(sensor)
     limit = float(chi_square_limit(sensor.gate_probability, sensor.axes))
     unseen = np.sqrt(limit * np.where(np.isnan(sd), 0.0, sd**2 + slow).max(axis=1))
     last = np.searchsorted(time_s, track.time_s, side="right") - 1
@@ -60,6 +64,12 @@ def _off(track: Track, name: str) -> Array:
         if has_offset(models):
             off[(track.time_s >= begin_s) & (track.time_s < end_s)] = 0.0
     return np.asarray(off)
+
+
+def _slow(sensor: Sensor) -> list[float]:
+    """Variance by axis of what the error states of a sensor begin with."""
+    blocks = [model.block(1.0 / sensor.rate_hz) for model in sensor.models]
+    return [float(block.C @ block.P0 @ block.C) for block in blocks]
 
 
 def _since_fix(track: Track, fixes: list[Residuals]) -> tuple[Array, Array]:

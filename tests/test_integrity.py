@@ -44,6 +44,9 @@ def test_a_fault_does_what_its_sensor_does():
     # one fault at a time
     assert bounds(P, 600.0, 500.0, {"position": 90.0, "velocity": 0.1})[0] == pytest.approx(noise + 90.0)
     assert bounds(P, 1.0, 0.0, {"heading": 0.05})[1] == pytest.approx(0.05 + IN_LINE * 0.01)
+    # a drive that has failed unseen leaves the compass, and that errs slowly by more than the state believes of itself
+    assert bounds(P, 1.0, 0.0, {"heading": 0.05}, slow=0.03**2)[1] == pytest.approx(0.05 + IN_LINE * 0.03)
+    assert bounds(P, 1.0, 0.0, {"heading": 0.05}, slow=0.001**2)[1] == pytest.approx(0.05 + IN_LINE * 0.01)
     assert bounds(P, 600.0, 500.0, {}, held=False)[0] == math.inf
     assert bounds(P, 1.0, 0.0, {}, held=False)[0] == pytest.approx(noise)
     many = bounds(np.stack([P, P]), np.array([1.0, 600.0]), np.array([0.0, 500.0]), {"velocity": np.array([0.1, 0.1])})

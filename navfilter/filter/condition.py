@@ -50,14 +50,16 @@ def health_of(
     sensors = {name: watch.health(now_s, channels[name].condition) for name, watch in watches.items()}
     axes = filter.watch.conditions(memory.watch)
     off: dict[str, float] = {}
+    slow = 0.0
     for name, watch in watches.items():
-        sees = channels[name].sensor.corrects
-        off[sees] = max(off.get(sees, 0.0), _off(channels[name], watch))
+        sees, known = channels[name].sensor.corrects, _off(channels[name], watch)
+        off[sees] = max(off.get(sees, 0.0), known)
+        slow = max(slow, *channels[name].slow) if sees == "heading" and known > 0.0 else slow
         # fixes that are used follow the way at first
         off["position"] = max(off.get("position", 0.0), led_astray(channels[name], memory.nav))
     age_s, moved_m = _since_fix(filter, watches)
-    radius_m, heading_rad = integrity.bounds(P, age_s, moved_m, off, filter.inertial and filter.vehicle.drive.feels)
     drive = filter.vehicle.drive
+    radius_m, heading_rad = integrity.bounds(P, age_s, moved_m, off, filter.inertial and drive.feels, slow)
     _, errors = drive.outputs(filter.drive_output, memory.drv, memory.x[: filter.layout.drive.size])
     rate = drive.body_rate(memory.drv, errors[:3])
     speed, turn = math.hypot(*memory.nav[3:6].tolist()), max(map(abs, np.atleast_1d(rate).tolist()))

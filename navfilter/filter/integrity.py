@@ -11,6 +11,9 @@ What such a constant does to the position:
 - of a velocity: it has been integrated since the last fix;
 - of a heading: it turns the way made since the last fix.
 
+A fault of the drive that nobody has seen yet turns the heading, too: no further from the compass than its gate lets
+pass, and the compass itself is off by its slow error. The covariance knows nothing of that, for it trusts the drive.
+
 Faults do not come together: the largest of these counts, beside the noise of the state itself.
 """
 
@@ -73,7 +76,9 @@ class Trust:
     reasons: tuple[str, ...] = ()
 
 
-def bounds(P: Array, age_s: Any, moved_m: Any, off: Mapping[str, Any], held: bool = True) -> tuple[Any, Any]:
+def bounds(
+    P: Array, age_s: Any, moved_m: Any, off: Mapping[str, Any], held: bool = True, slow: Any = 0.0
+) -> tuple[Any, Any]:
     """Protection radius [m] and bound of the heading [rad] at one time, or at many.
 
     Parameters
@@ -87,6 +92,8 @@ def bounds(P: Array, age_s: Any, moved_m: Any, off: Mapping[str, Any], held: boo
     held : bool
         Whether anything holds the velocity and the heading of the drive against others. Dead reckoning without an
         inertial unit has nothing: between fixes its radius is infinite.
+    slow : float or ndarray
+        Variance of the slow error of what tells the heading [rad^2].
 
     Examples
     --------
@@ -102,7 +109,8 @@ def bounds(P: Array, age_s: Any, moved_m: Any, off: Mapping[str, Any], held: boo
     fault = np.maximum(off.get("position", 0.0), np.where(away, by_motion, 0.0))
     half = 0.5 * (P[..., 0, 0] + P[..., 1, 1])
     longest = half + np.hypot(0.5 * (P[..., 0, 0] - P[..., 1, 1]), P[..., 0, 1])
-    return IN_PLANE * np.sqrt(longest) + fault, np.minimum(IN_LINE * np.sqrt(P[..., 8, 8]) + heading, math.pi)
+    heading_sd = np.sqrt(np.maximum(P[..., 8, 8], slow))
+    return IN_PLANE * np.sqrt(longest) + fault, np.minimum(IN_LINE * heading_sd + heading, math.pi)
 
 
 def whole_offset(sees: str, residual: Array, slow: float) -> Array:
