@@ -127,7 +127,8 @@ def _apart(filter: Filter, compass: Channel) -> tuple[float, float]:
     """Heading by the last reading of a compass, and that less how far the gyros have turned [rad]."""
     memory, unit = filter.memory, filter.memory.watch[kernel.UNIT]
     errors = compass.group.slice.start - 9 + np.arange(compass.group.errors)
-    left = compass.note[3] * (compass.R[0, 0] / compass.S[0, 0] if compass.verdict[2] else 1.0)
+    used, residual, variance = compass.note[2:5].tolist()
+    left = residual * (float(compass.R[0, 0]) / variance if used else 1.0)
     heading = math.atan2(memory.nav[9], memory.nav[6]) + left + float(compass.C[0] @ memory.x[errors])
     return heading, heading - float(unit[kernel.TURNED])
 
