@@ -1,5 +1,7 @@
 """Rest tells the bias of the gyros: the Earth's rate taken off, honest, beside zero velocity, live as replayed."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import same_runs
@@ -8,7 +10,7 @@ from feeding import events_of, one_by_one
 import navfilter as nf
 from navfilter.check.plausibility import check_vehicle
 from navfilter.io import write_vehicle
-from navfilter.simulation.manoeuvres import ChangeSpeed, Turn, Wait
+from navfilter.simulation.manoeuvres import ChangeSpeed, Straight, Turn, Wait
 from navfilter.simulation.motion import Motion
 from navfilter.simulation.simulate import StartErrors, simulate
 
@@ -101,3 +103,26 @@ def test_words_and_files(tmp_path):
     assert not [f for f in check_vehicle(vehicle) if "turning" in f.stream]
     odd = nf.Vehicle(vehicle.drive, {"turning": nf.ZeroRate(gyro_mean_max=1.0)})
     assert [f for f in check_vehicle(odd) if f.stream == "sensors.turning.gyro_mean_max"]
+
+
+def test_a_vehicle_that_shakes_at_rest_rests_where_its_speed_is_none():
+    """Limits of scatter that a running engine asks for hold under way, too; a speed that is told does not."""
+    vehicle = vehicle_of()
+    wheels = nf.BodyVelocity(rate_hz=5.0, error=nf.White(sd=0.01))
+    loose = nf.ZeroRate(rate_hz=1.0, error=nf.White(sd=1e-6), gyro_sd_max=1.0, force_sd_max=10.0)
+    # 60 s at rest, then straight on with 1 m/s
+    ahead = Motion((Wait(60.0), ChangeSpeed(1.0, 5.0), Straight(60.0)), latitude_deg=48.0, heading_deg=70.0)
+    sensors = {"wheels": wheels, "gps": vehicle.sensors["gps"]}
+    mission = simulate(nf.Vehicle(vehicle.drive, sensors), ahead, seed=3, duration_s=120.0)
+    ends = []
+    for speed_max in (np.inf, 0.1):
+        one = nf.Vehicle(vehicle.drive, {**sensors, "turning": replace(loose, speed_max=speed_max)})
+        ends.append(nf.replay(one, mission).residuals["turning"].time_s.max())
+    assert ends[0] > 119.0 and 59.0 <= ends[1] <= 62.0, ends
+
+
+@pytest.mark.parametrize("limit", ["gyro_sd_max", "force_sd_max", "gyro_mean_max", "speed_max"])
+def test_a_limit_that_nothing_is_below_is_refused(limit):
+    for value in (0.0, -1.0, np.nan):
+        with pytest.raises(ValueError, match=rf"ZeroRate\.{limit} must be > 0, found .*: nothing is below it"):
+            nf.ZeroRate(**{limit: value})

@@ -66,9 +66,9 @@ class ZeroRate(ZeroVelocity):
         """The Earth's rate [rad/s]."""
         return np.array([strapdown.EARTH_RATE])
 
-    def felt(self, mean: Array, scatter: Array) -> Array | None:
+    def felt(self, mean: Array, scatter: Array, speed_m_s: float) -> Array | None:
         """The mean rate when the period was quiet."""
-        return mean[:3].copy() if self.quiet(mean, scatter) else None
+        return mean[:3].copy() if self.quiet(mean, scatter, speed_m_s) else None
 
     def lever_arm_covariance(self, rate_variance: Array) -> Array:
         """The gyros' own noise, of as many samples as a period has."""
