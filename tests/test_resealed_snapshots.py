@@ -86,6 +86,7 @@ CHANGES = {
     "NaN in P": put("P", (0, np.nan)),
     "a negative variance": put("P", (0, -1.0)),
     "an infinite latitude": put("nav", (0, np.inf)),
+    "a transition larger than anything that moves": put("acc", (0, 1e23)),
     "P is not symmetric": put("P", (1, 1e9)),
     "a covariance that is none": indefinite,
     "P is a text": lambda saved, arrays: filter_of(saved).update(P="none"),

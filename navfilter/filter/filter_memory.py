@@ -25,6 +25,9 @@ COUNTED = (
     *("realigned", "shifted", "adopted"),
     *DRIVE_COUNTED,
 )
+#: No sd, error or element of a transition is as large, in whatever unit of SI (a lost position: 1e7 m): beyond it
+#: rounding alone makes covariances that are none.
+LARGEST = 1e12
 #: Rounding leaves no eigenvalue of the correlations below this.
 INDEFINITE = -1e-6
 
@@ -100,6 +103,8 @@ class FilterMemory:
             return "the covariance is not positive semidefinite"
         if not (np.isfinite(self.nav).all() and np.isfinite(self.x).all() and np.isfinite(self.acc).all()):
             return "the state is not finite"
+        if max(np.abs(values).max(initial=0.0) for values in (sd, self.nav, self.x, self.acc)) > LARGEST:
+            return f"the state or its covariance is larger than anything that moves ({LARGEST:g})"
         if not (self.recent[:, 0] >= 0.0).all():
             return "the last samples do not follow each other"
         codes = self.watch[:6, [drive_watch.CODE, drive_watch.HEEDED]]
