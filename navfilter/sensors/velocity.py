@@ -302,7 +302,7 @@ class ZeroVelocity(Sensor):
         accelerometer axis less [m/s^2].
     gyro_mean_max : float
         ... and every mean rate is below this [rad/s] (estimated bias and Earth rate are within it).
-    speed_max : float
+    speed_max : float, optional
         ... and the filter itself believes in a speed below this [m/s]. For vehicles whose running engine shakes them as
         much at rest as under way, with a sensor that tells their speed.
 
@@ -321,7 +321,7 @@ class ZeroVelocity(Sensor):
     gyro_sd_max: float = 0.005
     force_sd_max: float = 0.05
     gyro_mean_max: float = 0.02
-    speed_max: float = math.inf
+    speed_max: float | None = None
 
     unit: ClassVar[str] = "m_s"
     axes: ClassVar[int] = 3
@@ -343,14 +343,16 @@ class ZeroVelocity(Sensor):
     def __post_init__(self) -> None:
         super().__post_init__()
         for name in ("gyro_sd_max", "force_sd_max", "gyro_mean_max", "speed_max"):
-            if not getattr(self, name) > 0:
-                text = f"{type(self).__name__}.{name} must be > 0, found {getattr(self, name)!r}: nothing is below it."
+            limit = getattr(self, name)
+            if limit is not None and not limit > 0:
+                text = f"{type(self).__name__}.{name} must be > 0, found {limit!r}: nothing is below it."
                 raise ValueError(text)
 
     def quiet(self, mean: Array, scatter: Array, speed_m_s: float) -> bool:
         """Whether a period was one of rest, see `felt`."""
         still = scatter[:3].max() < self.gyro_sd_max and scatter[3:].max() < self.force_sd_max
-        return bool(still and np.abs(mean[:3]).max() < self.gyro_mean_max and speed_m_s < self.speed_max)
+        slow = self.speed_max is None or speed_m_s < self.speed_max
+        return bool(still and slow and np.abs(mean[:3]).max() < self.gyro_mean_max)
 
     @property
     def words(self) -> str:
