@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from navfilter.filter.history import Reading
 from navfilter.filter.intake import joined
 from navfilter.filter.memory import copied
-from navfilter.learning.schedule import Again, LearningMemory
+from navfilter.learning.learning_memory import Again, LearningMemory
 from navfilter.learning.worker import Task, Worker
 from navfilter.passage_again import PassageAgain
 
@@ -71,9 +71,14 @@ class Beginning:
             return
         twin, self._twin = self._twin, None
         if twin is None or twin.again != learning.again:
-            _begin_again(nav, learning.again, learning.early_s, learning.early_s)
+            # in place: what runs over this filter goes on with it
+            tried = Twin(nav, learning.again, Worker(threads=False)) if learning.again.given_up else None
+            if tried is None or not learning.is_no_better(tried.arrived().filter):
+                _begin_again(nav, learning.again, learning.early_s, learning.early_s)
             return
         other = twin.arrived()
+        if learning.again.given_up and learning.is_no_better(other.filter):
+            return
         if nav.history is not None and other.history is not None:
             nav.history.take_over(other.history)
         # the whole filter, not its memory alone: its states are laid out already
@@ -145,6 +150,7 @@ def _begin_again(nav: Navigator, again: Again, until_s: float, now_s: float) -> 
     """Run what there was so far again, with other models; nothing is learnt from it before `until_s`."""
     nav.filter.begin(dict(again.models))
     nav.filter.counts["adopted"] = again.adopted
+    nav.filter.counts["given-up"] = int(again.given_up)
     inputs = joined(nav.learning.begin_again(until_s))
     history = nav.history
     if history is None:

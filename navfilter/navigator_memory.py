@@ -11,10 +11,10 @@ from navfilter.filter.drive_clock import Arrived, DriveClockMemory
 from navfilter.filter.filter_memory import FilterMemory
 from navfilter.filter.intake import IntakeMemory
 from navfilter.learning.learner import LearnerMemory
+from navfilter.learning.learning_memory import Again, LearningMemory
 from navfilter.learning.listener import Hop, ListenerMemory
 from navfilter.learning.posterior import Line
 from navfilter.learning.rest import RestMemory
-from navfilter.learning.schedule import Again, LearningMemory
 from navfilter.learning.spectrum import Spectrum
 
 __all__ = ["MEMORY", "NavigatorMemory"]

@@ -46,7 +46,15 @@ FLOORS = [
         "start",
     },
     {"sensors", "mechanisation", "vehicle", "track", "track_plot", "track_views"},
-    {"filter", "learning.worker", "learning.listener", "learning.rest", "learning.refit"},
+    {
+        "filter",
+        "learning.worker",
+        "learning.conflict",
+        "learning.listener",
+        "learning.rest",
+        "learning.refit",
+        "learning.learning_memory",
+    },
     {"learning.schedule", "navigator_memory", "beginning", "navigator", "passage", "passage_again"},
     {"lane_clock", "lane_missions", "alignment"},
     {

@@ -211,6 +211,10 @@ def _given_up(run: Track) -> Iterator[Finding]:
     if count := run.counts.get("opened", 0):
         text = f"all sensors contradicted the state {count} times, so that it was given up and established anew."
         yield Finding("error", "", text, "See in report.html, at the innovations, when, and which sensor was first.")
+    if run.counts.get("given-up", 0):
+        text = "constants of vehicle.toml contradicted the error models that were learnt: these were given up."
+        cure = "Nothing was learnt from then on. Widen the sd of what is constant, or calibrate it."
+        yield Finding("warning", "", text, cure)
 
 
 # --- sensors --------------------------------------------------------------------------------------------------------

@@ -22,7 +22,7 @@ Errors = ErrorModel | tuple[ErrorModel, ...]
 #: What is counted.
 COUNTED = (
     *("gap", "backward", "bad-sample", "clock-set", "widened", "reset", "jumped", "astray", "opened"),
-    *("realigned", "shifted", "adopted"),
+    *("realigned", "shifted", "adopted", "given-up"),
     *DRIVE_COUNTED,
 )
 #: No sd, error or element of a transition is as large, in whatever unit of SI (a lost position: 1e7 m): beyond it

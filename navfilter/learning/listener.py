@@ -123,6 +123,8 @@ class ListenerMemory:
         What the learner of each axis knows; None where nothing is learnt.
     hop : Hop or None
         The hop whose answer has not been taken yet.
+    ended : bool
+        What was learnt has been given up, and nothing is learnt any more.
     """
 
     SHARED: ClassVar = ("ring",)
@@ -138,6 +140,7 @@ class ListenerMemory:
     models: tuple[ErrorModel, ...]
     learners: tuple[LearnerMemory | None, ...]
     hop: Hop | None
+    ended: bool
 
 
 class Listener:
@@ -207,7 +210,8 @@ class Listener:
         )
         # more missing ticks than are predicted through
         self._anew = max(LONGEST_GAP + 1, math.ceil(FOUND_S / self.period_s))
-        self.window, self._share = window, min(1.0, self.period_s / MEMORY_S)
+        self._window, self._share = window, min(1.0, self.period_s / MEMORY_S)
+        self.described = models
         self.hop = min((part.hop or part.window // 2 for part in learned if part is not None), default=0)
         # what is left out as too new, and what going back writes over
         capacity = capacity or window + round(2.0 * behind_s * sensor.rate_hz) + 64
@@ -223,7 +227,13 @@ class Listener:
             models=models,
             learners=memories(self.learners),
             hop=None,
+            ended=False,
         )
+
+    @property
+    def learns(self) -> bool:
+        """Whether anything is learnt from what it hears."""
+        return self._window > 0 and not self._memory.ended
 
     @property
     def memory(self) -> ListenerMemory:
@@ -286,7 +296,7 @@ class Listener:
         memory = self._memory
         due = memory.due if memory.hop is None else memory.hop.taken
         noted, capacity = int(memory.cursor[0]), memory.ring.shape[1]
-        watched = self.window > 0, self._share, memory.nis, memory.judged
+        watched = self.learns, self._share, memory.nis, memory.judged
         return np.array([self.kind, noted, capacity, due, *watched, *self.mount], dtype=np.float64)
 
     def caught_up(self, ear: Array, ticks: Array, values: Array) -> None:
@@ -304,7 +314,11 @@ class Listener:
         """The beginning will be done again: nothing is learnt again from what was heard before now; the last tick was
         `age_s` ago.
         """
-        self._memory.due = self._next(self._ticks_by_now(age_s)) if self.window else NEVER
+        self._memory.due = self._next(self._ticks_by_now(age_s)) if self.learns else NEVER
+
+    def give_up(self) -> None:
+        """Back to the error models as described: nothing is learnt any more."""
+        self._memory.models, self._memory.hop, self._memory.due, self._memory.ended = self.described, None, NEVER, True
 
     def begin_again(self) -> None:
         """Listen from the start again."""
@@ -345,7 +359,7 @@ class Listener:
         now = int(memory.cursor[0])
         memory.nis, memory.judged = 1.0, now + round((MEMORY_S + PROBATION_S) / self.period_s)
         memory.since = memory.heard = max(memory.since, now - ticks)
-        memory.due = now + round(MEMORY_S / self.period_s)
+        memory.due = now + round(MEMORY_S / self.period_s) if self.learns else NEVER
         for learner in self.learners:
             if learner is not None:
                 learner.forget()

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,76 +16,19 @@ from navfilter.filter.events import Correction, Event, Passed, Propagated, Relai
 from navfilter.filter.filter import Filter
 from navfilter.filter.health import Watch
 from navfilter.kernels import listen
+from navfilter.learning.conflict import BETTER, CONTRADICTED, departure
 from navfilter.learning.learned import learning_part
-from navfilter.learning.listener import NEVER, TAKEN_AFTER_S, ChannelSeries, Listener, ListenerMemory
-from navfilter.learning.rest import RestMemory, RestRecorder
+from navfilter.learning.learning_memory import Again, LearningMemory
+from navfilter.learning.listener import NEVER, TAKEN_AFTER_S, ChannelSeries, Listener
+from navfilter.learning.rest import RestRecorder
 from navfilter.learning.worker import Worker
 
-__all__ = ["Again", "LearningMemory", "LearningSchedule"]
+__all__ = ["LearningSchedule"]
 
 Array = NDArray[np.float64]
 #: So many refused readings on end, all off by the same at once, are no outliers any more.
 JUMPED = 3
 _NO_RING, _NO_CURSOR, _NO_MOUNT, _NOTHING = np.zeros((1, 1)), np.zeros(1, np.int64), np.zeros(9), np.zeros(0)
-
-
-@dataclass(frozen=True)
-class Again:
-    """How the beginning is done again.
-
-    Attributes
-    ----------
-    models : tuple of (str, error models)
-        In force from the start.
-    adopted : int
-        How many have been adopted by then.
-    """
-
-    models: tuple[tuple[str, Any], ...]
-    adopted: int
-
-
-@dataclass
-class LearningMemory:
-    """Everything that changes while a filter is listened to.
-
-    Attributes
-    ----------
-    fed_back : ndarray, shape (2m + 1,)
-        Sum of what the corrections fed back, as an open loop would have carried it, see `navfilter.kernels.listen`.
-    listeners : dict of str to ListenerMemory
-    rest : RestMemory or None
-    beginning : list or None
-        Inputs since the start, kept until the first models are adopted; None when that is over.
-    kept : int
-        How many of them there were.
-    stage : int
-        How many of the early hops are over.
-    hopping : bool
-        Whether the next one has begun.
-    again : Again or None
-        The beginning will be done again so.
-    quiet_s : float
-        Nothing is learnt before this time [s]: it is the beginning, done again.
-    waiting : tuple of Change
-        Models that are adopted one a reading: each costs about a millisecond.
-    levels : dict of str to tuple of float
-        S(0) of the learnt parts of each sensor's axes with which the beginning was done last.
-    """
-
-    SHARED: ClassVar = ("beginning",)
-
-    fed_back: Array
-    listeners: dict[str, ListenerMemory]
-    rest: RestMemory | None
-    beginning: list[Any] | None
-    kept: int
-    stage: int
-    hopping: bool
-    again: Again | None
-    quiet_s: float
-    waiting: tuple[Change, ...]
-    levels: dict[str, tuple[float, ...]]
 
 
 def doubtful_ticks(channel: Channel, time_s: float) -> int:
@@ -136,13 +78,15 @@ class LearningSchedule:
 
     #: The beginning is done again so much later, of the age [1]: a machine must be 50 times as fast as the mission.
     AGAIN_AFTER = 0.02
+    #: Until then the constants of the vehicle are asked so often whether they speak against the learnt models [s].
+    ASKED_S = 10.0
 
     def __init__(self, filter: Filter, behind_s: float, worker: Worker | None = None) -> None:
         self.filter, self.behind_s, self.worker = filter, behind_s, worker or Worker(threads=False)
         self.listeners: dict[str, Listener] = {}
         vehicle, start_s = filter.vehicle, filter.time_s
         self._start_s, self._stage, self._hopping = start_s, 0, False
-        self._quiet_s = -math.inf
+        self._quiet_s, self._ask_s = -math.inf, start_s + self.ASKED_S
         self._waiting: tuple[Change, ...] = ()
         self.again: Again | None = None
         self._fed_back = np.zeros(2 * filter.layout.head + 1)
@@ -172,6 +116,7 @@ class LearningSchedule:
             self._quiet_s,
             self._waiting,
             self._levels,
+            self._ask_s,
         )
 
     @memory.setter
@@ -179,6 +124,7 @@ class LearningSchedule:
         self._fed_back, self.beginning = memory.fed_back, memory.beginning
         self._stage, self._hopping, self.again = memory.stage, memory.hopping, memory.again
         self._quiet_s, self._waiting, self._levels = memory.quiet_s, memory.waiting, memory.levels
+        self._ask_s = memory.ask_s
         for name, listener in self.listeners.items():
             listener.memory = memory.listeners[name]
         if self.rest is not None and memory.rest is not None:
@@ -264,7 +210,7 @@ class LearningSchedule:
             return (first,)
         if listener is None or event.time_s < self.learning_s:
             return ()
-        if listener.window and not doubtful:
+        if listener.learns and not doubtful:
             listener.notice(event.outcome.nis, event.outcome.dof)
         return self._due(listener, event.outcome.accepted)
 
@@ -293,7 +239,7 @@ class LearningSchedule:
     def learn(self, name: str) -> Sequence[Change]:
         """Something is due after a reading of this sensor, of many that a kernel has taken; as `heard`."""
         listener = self.listeners[name]
-        if listener.window:
+        if listener.learns:
             listener.judge()
         return self._due(listener, True)
 
@@ -346,16 +292,35 @@ class LearningSchedule:
         """
         if self.beginning is None:
             return math.inf
-        age_s = (*self.EARLY_S, self.REVISED_S)[self._stage]
-        taken_s = TAKEN_AFTER_S * self._hopping
-        return self._start_s + age_s + taken_s + (self.AGAIN_AFTER * age_s if self.again else 0.0)
+        if self.again is None:
+            return min(self._hop_s, self._ask_s)
+        return self._given_up_s if self.again.given_up else self._hop_s + self.AGAIN_AFTER * self._age_s
+
+    @property
+    def _age_s(self) -> float:
+        """Of the present early hop [s]."""
+        return (*self.EARLY_S, self.REVISED_S)[self._stage]
+
+    @property
+    def _hop_s(self) -> float:
+        """When it begins, or its models are to be taken [s]."""
+        return self._start_s + self._age_s + TAKEN_AFTER_S * self._hopping
+
+    @property
+    def _given_up_s(self) -> float:
+        """When what was found at the last question takes effect [s]."""
+        asked_s = self._ask_s - self.ASKED_S
+        return asked_s + TAKEN_AFTER_S + self.AGAIN_AFTER * (asked_s - self._start_s)
 
     def early(self) -> None:
         """At such a time: have models looked for, or have them adopted. Where another power makes it worth it, `again`
         says instead how the beginning is to be done again, at the next such time.
         """
+        if self._ask_s <= self._hop_s:
+            self._ask()
+            return
         ages = {name: self.early_s - self.filter.channels[name].memory.ticked_s for name in self.listeners}
-        hops = [name for name, listener in self.listeners.items() if listener.window]
+        hops = [name for name, listener in self.listeners.items() if listener.learns]
         hops = hops if self._stage < len(self.EARLY_S) else []
         if not self._hopping:
             self._hopping = True
@@ -378,6 +343,27 @@ class LearningSchedule:
             return
         self._go_on()
         self._waiting = tuple(Change(name, models) for name, models in found.items())
+
+    def _ask(self) -> None:
+        """Where the constants speak against the models that were learnt, have the beginning done again as described."""
+        self._ask_s += self.ASKED_S
+        if self._given_up_s > self._hop_s:  # what is due then comes first
+            return
+        models = {name: listener.memory.models for name, listener in self.listeners.items()}
+        described = {name: listener.described for name, listener in self.listeners.items()}
+        if models != described and departure(self.filter) >= CONTRADICTED:
+            in_force = {**self.filter.described_models, **described}
+            self.again = Again(tuple(in_force.items()), self.filter.counts["adopted"], given_up=True)
+
+    def is_no_better(self, described: Filter) -> bool:
+        """Whether the constants speak hardly less against a filter with the models as described: then those that were
+        learnt stay in force, and the constants are asked again a quarter of the age later.
+        """
+        if departure(self.filter) - departure(described) >= BETTER:
+            return False
+        self._ask_s += self.ASKED_S * math.floor(0.25 * (self._ask_s - self._start_s) / self.ASKED_S)
+        self.again = None
+        return True
 
     def _go_on(self) -> None:
         """This early hop is over."""
@@ -410,5 +396,9 @@ class LearningSchedule:
         beginning, self.beginning = self.beginning or [], []
         self._quiet_s = until_s
         self._waiting = ()
+        if self.again is not None and self.again.given_up:
+            self.beginning = None
+            for listener in self.listeners.values():
+                listener.give_up()
         self._go_on()
         return beginning

@@ -1,0 +1,82 @@
+"""What changes while a filter is listened to, and how its beginning is done again."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navfilter.filter.adoption import Change
+from navfilter.learning.listener import ListenerMemory
+from navfilter.learning.rest import RestMemory
+
+__all__ = ["Again", "LearningMemory"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Again:
+    """How the beginning is done again.
+
+    Attributes
+    ----------
+    models : tuple of (str, error models)
+        In force from the start.
+    adopted : int
+        How many have been adopted by then.
+    given_up : bool
+        Whether these are the models as described, because constants speak against those that were learnt.
+    """
+
+    models: tuple[tuple[str, Any], ...]
+    adopted: int
+    given_up: bool = False
+
+
+@dataclass
+class LearningMemory:
+    """Everything that changes while a filter is listened to.
+
+    Attributes
+    ----------
+    fed_back : ndarray, shape (2m + 1,)
+        Sum of what the corrections fed back, as an open loop would have carried it, see `navfilter.kernels.listen`.
+    listeners : dict of str to ListenerMemory
+    rest : RestMemory or None
+    beginning : list or None
+        Inputs since the start, kept until the first models are adopted; None when that is over.
+    kept : int
+        How many of them there were.
+    stage : int
+        How many of the early hops are over.
+    hopping : bool
+        Whether the next one has begun.
+    again : Again or None
+        The beginning will be done again so.
+    quiet_s : float
+        Nothing is learnt before this time [s]: it is the beginning, done again.
+    waiting : tuple of Change
+        Models that are adopted one a reading: each costs about a millisecond.
+    levels : dict of str to tuple of float
+        S(0) of the learnt parts of each sensor's axes with which the beginning was done last.
+    ask_s : float
+        Then the constants are asked next whether they speak against what was learnt [s]; infinite: no more.
+    """
+
+    SHARED: ClassVar = ("beginning",)
+
+    fed_back: Array
+    listeners: dict[str, ListenerMemory]
+    rest: RestMemory | None
+    beginning: list[Any] | None
+    kept: int
+    stage: int
+    hopping: bool
+    again: Again | None
+    quiet_s: float
+    waiting: tuple[Change, ...]
+    levels: dict[str, tuple[float, ...]]
+    ask_s: float
