@@ -210,7 +210,7 @@ class Listener:
         )
         # more missing ticks than are predicted through
         self._anew = max(LONGEST_GAP + 1, math.ceil(FOUND_S / self.period_s))
-        self._window, self._share = window, min(1.0, self.period_s / MEMORY_S)
+        self.window, self._share = window, min(1.0, self.period_s / MEMORY_S)
         self.described = models
         self.hop = min((part.hop or part.window // 2 for part in learned if part is not None), default=0)
         # what is left out as too new, and what going back writes over
@@ -233,7 +233,7 @@ class Listener:
     @property
     def learns(self) -> bool:
         """Whether anything is learnt from what it hears."""
-        return self._window > 0 and not self._memory.ended
+        return self.window > 0 and not self._memory.ended
 
     @property
     def memory(self) -> ListenerMemory:
