@@ -12,7 +12,7 @@ from navfilter.filter.filter_memory import FilterMemory
 from navfilter.filter.intake import IntakeMemory
 from navfilter.learning.learner import LearnerMemory
 from navfilter.learning.learning_memory import Again, LearningMemory
-from navfilter.learning.listener import Hop, ListenerMemory
+from navfilter.learning.listener_memory import Hop, ListenerMemory
 from navfilter.learning.posterior import Line
 from navfilter.learning.rest import RestMemory
 from navfilter.learning.spectrum import Spectrum

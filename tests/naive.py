@@ -141,6 +141,9 @@ def confine(rows, p, q, limits):
                 roots = np.minimum(roots.real, np.exp(-limits[0]))
             elif ar:
                 logs = np.log(np.where(np.abs(roots) < 1e-12, 1e-12, roots))
+                if limits[0] > 0.0:
+                    roots = np.where(logs.real > 0.0, np.exp(-logs.conj()), roots)
+                    logs = -np.abs(logs.real) + 1j * logs.imag
                 far = logs * limits[0] / np.maximum(np.abs(logs), 1e-12)
                 far = np.minimum(far.real, -0.05 * limits[0]) + 1j * far.imag
                 roots = np.where(np.abs(logs) < limits[0], np.exp(far), roots)

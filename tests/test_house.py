@@ -51,6 +51,7 @@ FLOORS = [
         "learning.worker",
         "learning.conflict",
         "learning.listener",
+        "learning.listener_memory",
         "learning.rest",
         "learning.refit",
         "learning.learning_memory",

@@ -35,6 +35,8 @@ CONDITIONS = (
 COUNTED = (*dict.fromkeys(CONDITIONS[1:]), "spike")
 #: What a vehicle does unseen goes on for about so long [s].
 UNSEEN_S = 1.0
+#: What contradicts compass and DVL is found so late at most [s]: all windows of `navfilter.filter.jumps`.
+FOUND_S = 2.0
 #: A turn goes on for longer; what it would tilt a vehicle by that felt its forces must not pass for a tilt [s].
 TURN_S = 3.0
 #: What it tilts by unseen is bounded (``strapdown.GAP_TILT``): a random walk gets there in so long [s].
@@ -206,6 +208,11 @@ class DriveWatch:
     def lost(self, w: Array) -> bool:
         """Whether something else stands in place of what an axis says."""
         return self.active and bool((w[: kernel.UNIT, kernel.HEEDED] > kernel.NOISY).any())
+
+    def stood_in_s(self, w: Array) -> float:
+        """So long ago what is left out may have begun to be wrong, or was looked at last [s]."""
+        lost = w[: kernel.UNIT, kernel.HEEDED] > kernel.NOISY
+        return FOUND_S + kernel.JUDGED_S + float(w[: kernel.UNIT, kernel.BEGAN_S][lost].max(initial=0.0))
 
     def lane(self, w: Array) -> str:
         """What carries the state: "inertial", or "dead-reckoning" while an axis is left out or there is none."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from navfilter.filter.channel import Channel
 
-__all__ = ["Correction", "Event", "Listening", "Outcome", "Passed", "Propagated", "Relaid"]
+__all__ = ["Correction", "Event", "Listening", "Outcome", "Passed", "Propagated", "Relaid", "StoodIn"]
 
 Array = NDArray[np.float64]
 
@@ -78,6 +78,12 @@ class Passed(NamedTuple):
     samples: Array
 
 
+class StoodIn(NamedTuple):
+    """Something else has stood in place of what an axis of the drive said, in the last `seconds`."""
+
+    seconds: float
+
+
 class Relaid(NamedTuple):
     """The error state became `M` times what it was; shape (n_after, n_before). `anew`: what it lacks was set anew."""
 
@@ -85,6 +91,6 @@ class Relaid(NamedTuple):
     anew: bool = False
 
 
-Event = Correction | Propagated | Passed | Relaid
+Event = Correction | Propagated | Passed | StoodIn | Relaid
 #: One that is told what the filter does.
 Listening = Callable[[Event], None]

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from navfilter.filter.events import StoodIn
 from navfilter.kernels import drive_watch as kernel
 from navfilter.kernels import strapdown
 from navfilter.state import rotation_matrix
@@ -73,7 +74,7 @@ class Level(NamedTuple):
 
 def after_fault(filter: Filter, tell: Listening) -> None:
     """While axes of the drive are left out, and when they are used again: set attitude and velocity anew where the
-    tilt is not known, or not what the accelerometers say.
+    tilt is not known, or not what the accelerometers say; and say that they were.
 
     Parameters
     ----------
@@ -84,6 +85,7 @@ def after_fault(filter: Filter, tell: Listening) -> None:
     level = _level(filter)
     if level is not None and level.knows_better:
         set_anew(filter, tell)
+    tell(StoodIn(filter.watch.stood_in_s(filter.memory.watch)))
 
 
 def tilted(filter: Filter, channel: Channel, time_s: float) -> bool:
@@ -159,6 +161,7 @@ def bound(filter: Filter, position: Array, seconds: float, tell: Listening) -> N
         M = np.eye(len(memory.P))
         M[range(6), range(6)] = shrink
         filter.put(state.velocity_n, state.C_nb, M, np.zeros_like(M), tell)
+    tell(StoodIn(seconds))
 
 
 def _level(filter: Filter) -> Level | None:

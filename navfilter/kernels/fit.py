@@ -239,8 +239,8 @@ def _from_roots(z, c):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _push_from_one(c, distance, z):
-    """Roots nearer to 1 than `distance` in natural frequency, ``|ln z|`` per sample, are moved away from it. They are
-    damped at the least: a root that was outside comes in.
+    """Roots outside the unit circle are reflected into it, and those nearer to 1 than `distance` in natural frequency,
+    ``|ln z|`` per sample, are moved away from it, damped at the least.
     """
     if c.size == 1:
         c[0] = max(c[0], -math.exp(-distance))
@@ -249,9 +249,12 @@ def _push_from_one(c, distance, z):
     near = False
     for k in range(c.size):
         log = np.log(z[k] if abs(z[k]) > TINY else complex(TINY))
+        if log.real > 0.0:
+            near, log = True, complex(-log.real, log.imag)
+            z[k] = np.exp(log)
         if abs(log) < distance:
             near = True
-            log *= distance / max(abs(log), TINY)
+            log = log * (distance / abs(log)) if abs(log) > TINY else complex(-distance)
             z[k] = np.exp(complex(min(log.real, -LEAST_DAMPING * distance), log.imag))
     if near:
         _from_roots(z, c)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.filter.adoption import Change
-from navfilter.learning.listener import ListenerMemory
+from navfilter.learning.listener_memory import ListenerMemory
 from navfilter.learning.rest import RestMemory
 
 __all__ = ["Again", "LearningMemory"]

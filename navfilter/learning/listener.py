@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +25,7 @@ from navfilter.learning.learned import (
 )
 from navfilter.learning.learner import Learner, LearnerMemory, Learnt, memories, recall
 from navfilter.learning.limits import LEAST, LONGEST_GAP
+from navfilter.learning.listener_memory import Hop, ListenerMemory
 from navfilter.learning.slow import SlowPrior, slow_prior
 from navfilter.learning.spikes import without_spikes
 from navfilter.learning.unseen import white_description
@@ -33,7 +33,7 @@ from navfilter.learning.worker import Task, Worker
 from navfilter.sensors import Sensor
 from navfilter.vehicle import Vehicle
 
-__all__ = ["ChannelSeries", "Hop", "Listener", "ListenerMemory"]
+__all__ = ["ChannelSeries", "Listener"]
 
 Array = NDArray[np.float64]
 #: Time constant of the mean NIS by which a change is noticed, and least age of a model that is judged by it [s]: at 8
@@ -66,81 +66,6 @@ class ChannelSeries:
     drift: Drift
     period_s: float
     white: float
-
-
-@dataclass(frozen=True, eq=False)
-class Hop:
-    """What a hop learns from, fixed when it begins.
-
-    Attributes
-    ----------
-    series : tuple of ndarray or None
-        Of each axis that learns, spikes and all [unit of the sensor].
-    fresh : int
-        Ticks that came since the hop before.
-    taken : int
-        Its answer is taken when so many ticks have been noted.
-    """
-
-    series: tuple[Array | None, ...]
-    fresh: int
-    taken: int
-
-    def is_same(self, other: Hop) -> bool:
-        """Whether another hop has the same answer."""
-        return (self.fresh, self.taken) == (other.fresh, other.taken) and all(
-            one is two or (one is not None and two is not None and np.array_equal(one, two, equal_nan=True))
-            for one, two in zip(self.series, other.series, strict=True)
-        )
-
-
-@dataclass
-class ListenerMemory:
-    """What a listener remembers.
-
-    Attributes
-    ----------
-    ring : ndarray, shape (axes + 1, capacity)
-        Open-loop residuals, one element per tick [unit of the sensor], and the force that was found while the vehicle
-        pitched or rolled [m/s^2]; the tick with number k stands at ``k % capacity``.
-    cursor : ndarray of int, shape (1,)
-        Ticks noted so far.
-    left_out : ndarray of int, shape (LEFT_OUT, 2)
-        Stretches of ticks, first and end, that nothing is learnt from: the newest last.
-    due : int
-        The next hop comes when so many have been noted.
-    heard : int
-        Ticks that have been learnt from.
-    since : int
-        Ticks before the last change of the error: they are not learnt from.
-    nis : float
-        Mean NIS per degree of freedom of late.
-    judged : int
-        From this tick on the model in force is judged by it.
-    models : tuple of ErrorModel
-        Of each axis, as learnt last.
-    learners : tuple of LearnerMemory or None
-        What the learner of each axis knows; None where nothing is learnt.
-    hop : Hop or None
-        The hop whose answer has not been taken yet.
-    ended : bool
-        What was learnt has been given up, and nothing is learnt any more.
-    """
-
-    SHARED: ClassVar = ("ring",)
-
-    ring: Array
-    cursor: NDArray[np.int64]
-    left_out: NDArray[np.int64]
-    due: int
-    heard: int
-    since: int
-    nis: float
-    judged: int
-    models: tuple[ErrorModel, ...]
-    learners: tuple[LearnerMemory | None, ...]
-    hop: Hop | None
-    ended: bool
 
 
 class Listener:
@@ -271,6 +196,10 @@ class Listener:
         else:
             rows[:-1] = rows[1:]
             rows[-1] = begin, end
+
+    def begin_anew(self, seconds: float) -> None:
+        """Learn nothing from the last seconds, in which the open loop has been led astray: its drift begins anew."""
+        self.leave_out(max(math.ceil(seconds / self.period_s), self._anew))
 
     def all_series(self) -> tuple[ChannelSeries, ...]:
         """All that was heard, axis by axis."""

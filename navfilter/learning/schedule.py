@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from navfilter.error_models import block_level
 from navfilter.filter.adoption import Change
 from navfilter.filter.channel import Channel
-from navfilter.filter.events import Correction, Event, Passed, Propagated, Relaid
+from navfilter.filter.events import Correction, Event, Passed, Propagated, Relaid, StoodIn
 from navfilter.filter.filter import Filter
 from navfilter.filter.health import Watch
 from navfilter.kernels import listen
@@ -183,6 +183,9 @@ class LearningSchedule:
             return () if event.channel is None else self._corrected(event, event.channel)
         if isinstance(event, Propagated):
             listen.carry(self._fed_back, event.transition)
+        elif isinstance(event, StoodIn):
+            for listener in self.listeners.values():
+                listener.begin_anew(event.seconds)
         elif isinstance(event, Relaid):
             self._relaid(event.M)
             if event.anew:

@@ -1,0 +1,91 @@
+"""What changes while one sensor is listened to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navfilter.error_models import ErrorModel
+from navfilter.learning.learner import LearnerMemory
+
+__all__ = ["Hop", "ListenerMemory"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Hop:
+    """What a hop learns from, fixed when it begins.
+
+    Attributes
+    ----------
+    series : tuple of ndarray or None
+        Of each axis that learns, spikes and all [unit of the sensor].
+    fresh : int
+        Ticks that came since the hop before.
+    taken : int
+        Its answer is taken when so many ticks have been noted.
+    """
+
+    series: tuple[Array | None, ...]
+    fresh: int
+    taken: int
+
+    def is_same(self, other: Hop) -> bool:
+        """Whether another hop has the same answer."""
+        return (self.fresh, self.taken) == (other.fresh, other.taken) and all(
+            one is two or (one is not None and two is not None and np.array_equal(one, two, equal_nan=True))
+            for one, two in zip(self.series, other.series, strict=True)
+        )
+
+
+@dataclass
+class ListenerMemory:
+    """What a listener remembers.
+
+    Attributes
+    ----------
+    ring : ndarray, shape (axes + 1, capacity)
+        Open-loop residuals, one element per tick [unit of the sensor], and the force that was found while the vehicle
+        pitched or rolled [m/s^2]; the tick with number k stands at ``k % capacity``.
+    cursor : ndarray of int, shape (1,)
+        Ticks noted so far.
+    left_out : ndarray of int, shape (LEFT_OUT, 2)
+        Stretches of ticks, first and end, that nothing is learnt from: the newest last.
+    due : int
+        The next hop comes when so many have been noted.
+    heard : int
+        Ticks that have been learnt from.
+    since : int
+        Ticks before the last change of the error: they are not learnt from.
+    nis : float
+        Mean NIS per degree of freedom of late.
+    judged : int
+        From this tick on the model in force is judged by it.
+    models : tuple of ErrorModel
+        Of each axis, as learnt last.
+    learners : tuple of LearnerMemory or None
+        What the learner of each axis knows; None where nothing is learnt.
+    hop : Hop or None
+        The hop whose answer has not been taken yet.
+    ended : bool
+        What was learnt has been given up, and nothing is learnt any more.
+    """
+
+    SHARED: ClassVar = ("ring",)
+
+    ring: Array
+    cursor: NDArray[np.int64]
+    left_out: NDArray[np.int64]
+    due: int
+    heard: int
+    since: int
+    nis: float
+    judged: int
+    models: tuple[ErrorModel, ...]
+    learners: tuple[LearnerMemory | None, ...]
+    hop: Hop | None
+    ended: bool
