@@ -6,7 +6,7 @@ import dataclasses
 from dataclasses import dataclass
 
 from navfilter.filter.adoption import Change
-from navfilter.filter.channel import Aside, ChannelMemory, Course, Refusals, Scatter, Turns
+from navfilter.filter.channel import Aside, ChannelMemory, Course, Refusals, RefusedWay, Scatter, Turns
 from navfilter.filter.drive_clock import Arrived, DriveClockMemory
 from navfilter.filter.filter_memory import FilterMemory
 from navfilter.filter.intake import IntakeMemory
@@ -36,7 +36,7 @@ class NavigatorMemory:
 
 #: Classes that a snapshot is made of, beside error models.
 MEMORY = (
-    *(NavigatorMemory, FilterMemory, ChannelMemory, Refusals, Course, Aside, Scatter, Turns),
+    *(NavigatorMemory, FilterMemory, ChannelMemory, Refusals, RefusedWay, Course, Aside, Scatter, Turns),
     *(IntakeMemory, DriveClockMemory, Arrived),
     *(LearningMemory, Again, Change, ListenerMemory, Hop, RestMemory, LearnerMemory, Line, Spectrum),
 )

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from navfilter.filter.chi_square import chi_square_limit
 from navfilter.filter.integrity import CONFIRMED_S, bounds, whole_offset
 from navfilter.filter.offsets import has_offset
+from navfilter.filter.refused_way import SPEAKS_S, believable
 from navfilter.filter.tape import OUTCOMES, Residuals
 
 if TYPE_CHECKING:
@@ -38,8 +39,10 @@ def bounds_along(track: Track) -> Array:
         off[sees] = np.maximum(off.get(sees, 0.0), known)
         slow = np.maximum(slow, np.where(known > 0.0, max(_slow(sensor)), 0.0)) if sees == "heading" else slow
         fixes += [track.residuals[name]] if sees == "position" else []
-    away = _since_fix(track, fixes)
-    return np.column_stack(bounds(track.covariance, *away, off, track.vehicle.drive.inertial, slow))
+    away, inertial = _since_fix(track, fixes), track.vehicle.drive.inertial
+    refused = [_refused_way(track, name, track.time_s - away[0]) for name in track.residuals]
+    beside_m = np.max(refused, axis=0, initial=0.0)
+    return np.column_stack(bounds(track.covariance, *away, off, inertial, slow, beside_m))
 
 
 def _off(track: Track, name: str) -> Array:
@@ -59,11 +62,35 @@ def _off(track: Track, name: str) -> Array:
     last = np.searchsorted(time_s, track.time_s, side="right") - 1
     off = np.where(again, whole_offset(sensor.corrects, r.value[judged], max(slow)), unseen)[last]
     off[last < 0] = 0.0
-    history = track.error_models.get(name, [])
-    for (begin_s, models), (end_s, _) in zip(history, [*history[1:], (np.inf, None)], strict=True):
-        if has_offset(models):
-            off[(track.time_s >= begin_s) & (track.time_s < end_s)] = 0.0
+    for begin_s, end_s in _with_offsets(track, name):
+        off[(track.time_s >= begin_s) & (track.time_s < end_s)] = 0.0
     return np.asarray(off)
+
+
+def _with_offsets(track: Track, name: str) -> list[tuple[float, float]]:
+    """When a sensor that had jumped had constants for it [s]."""
+    history = track.error_models.get(name, [])
+    pairs = zip(history, [*history[1:], (np.inf, None)], strict=True)
+    return [(begin_s, end_s) for (begin_s, models), (end_s, _) in pairs if has_offset(models)]
+
+
+def _refused_way(track: Track, name: str, fix_s: Array) -> Array:
+    """What the refused readings of a velocity come to at each row, since the last fix [m]; 0 of other sensors."""
+    r, sensor = track.residuals[name], track.vehicle.sensors[name]
+    judged = r.outcome <= OUTCOMES.index("rejected")
+    if sensor.gives != "velocity" or not judged.any():
+        return np.zeros(len(track))
+    time_s, value, refused = r.time_s[judged], r.value[judged], ~r.used[judged]
+    row = np.minimum(np.searchsorted(track.time_s, time_s), len(track) - 1)
+    speed = np.linalg.norm(track.velocity_n[row], axis=1)
+    again = refused & np.r_[False, refused[:-1]] & believable(value, speed, track.vehicle.drive.max_speed_m_s)
+    for begin_s, end_s in _with_offsets(track, name):
+        again &= (time_s < begin_s) | (time_s >= end_s)
+    lasted = np.minimum(np.diff(time_s, prepend=time_s[0]), SPEAKS_S)
+    length = np.cumsum(np.where(again, np.linalg.norm(np.nan_to_num(value), axis=1) * lasted, 0.0))
+    length = np.concatenate([[0.0], length])
+    now, then = np.searchsorted(time_s, track.time_s, side="right"), np.searchsorted(time_s, fix_s, side="right")
+    return np.asarray(length[now] - length[then])
 
 
 def _slow(sensor: Sensor) -> list[float]:

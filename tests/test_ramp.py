@@ -38,7 +38,7 @@ def residuals(shape, seed, count=12, sd=0.01, first_s=0.0):
     """The sums of a line through residuals of a shape, and the variance of their noise."""
     rng, ramp = np.random.default_rng(seed), ()
     for age_s in first_s + 0.25 * np.arange(count):
-        ramp = with_refused(ramp, age_s, np.array(shape(age_s)) + sd * rng.normal(size=3))
+        ramp = with_refused(ramp, age_s, np.array(shape(age_s)) + sd * rng.normal(size=3), np.zeros(3))
     return ramp, np.full(3, 1e-4)
 
 

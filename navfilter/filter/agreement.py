@@ -191,12 +191,6 @@ def offset_places(channel: Channel) -> NDArray[np.int64]:
     return channel.group.start + offset_states(channel.sensor.models, channel.period_s)
 
 
-def constants(channel: Channel, x: Array) -> Array:
-    """By how much a sensor that has jumped is off, as estimated, shape (axes,); x: (n - 9,) error states."""
-    states = offset_states(channel.sensor.models, channel.period_s)
-    return np.asarray(channel.C[:, states] @ x[channel.group.start - 9 + states])
-
-
 def is_back(channel: Channel, constant: Array, P: Array) -> bool:
     """Whether a reading that is refused beside the constants of its sensor agrees with the state without them.
 

@@ -17,8 +17,9 @@ from navfilter.filter.belief import believed
 from navfilter.filter.chi_square import chi_square_limit
 from navfilter.filter.course import Course
 from navfilter.filter.layout import Group, Layout
-from navfilter.filter.offsets import has_offset, proportions
+from navfilter.filter.offsets import has_offset, offset_states, proportions
 from navfilter.filter.refusals import Refusals
+from navfilter.filter.refused_way import RefusedWay
 from navfilter.filter.scatter import Scatter
 from navfilter.filter.sight import Sight
 from navfilter.filter.turns import Turns
@@ -27,7 +28,7 @@ from navfilter.kernels.addresses import address
 from navfilter.sensors import Sensor
 from navfilter.start import Start
 
-__all__ = ["Aside", "Channel", "ChannelMemory", "Course", "Refusals", "Scatter", "Turns", "usable"]
+__all__ = ["Aside", "Channel", "ChannelMemory", "Course", "Refusals", "RefusedWay", "Scatter", "Turns", "usable"]
 
 Array = NDArray[np.float64]
 #: More than this share of a reading's components must agree, or it is rejected whole.
@@ -54,6 +55,8 @@ class ChannelMemory:
         Times of the last reading and of the last tick of its clock [s].
     rejected_since_s : float
         Since when its readings have been rejected without one that was used [s]; NaN when they have not.
+    refused_speed : float
+        Of the vehicle when that began [m/s].
     used_s, agreed_s : float
         When it was used last, and since when it has agreed with the state: NaN before, and after the state was reset
         to it [s].
@@ -61,6 +64,8 @@ class ChannelMemory:
         What the readings that have been refused since say together.
     ramp : tuple of float
         Sums of the straight line through the residuals of a velocity that have been refused since (`ramp`).
+    way : RefusedWay or None
+        Of a velocity that has been refused since the last fix: the way that it would have made beside the state's.
     refused_s : float
         When its last reading was refused [s].
     disputed_s : float
@@ -86,10 +91,12 @@ class ChannelMemory:
     last_s: float = -math.inf
     ticked_s: float = -math.inf
     rejected_since_s: float = math.nan
+    refused_speed: float = 0.0
     used_s: float = -math.inf
     agreed_s: float = math.nan
     refused: Refusals | None = None
     ramp: tuple[float, ...] = ()
+    way: RefusedWay | None = None
     refused_s: float = -math.inf
     disputed_s: float = -math.inf
     astray_m: float = math.nan
@@ -313,6 +320,11 @@ class Channel:
         if len(axis):
             self.C[axis, state] = np.nan_to_num(z - self.res)[axis] / at_m_s
             self.near[axis, :9] *= 1.0 + (x[self.group.start - 9 + state] / at_m_s)[:, None]
+
+    def jumped_by(self, x: Array) -> Array:
+        """By how much it is off if it has jumped, as estimated, shape (axes,); x: (n - 9,) error states."""
+        states = offset_states(self.sensor.models, self.period_s)
+        return np.asarray(self.C[:, states] @ x[self.group.start - 9 + states])
 
     def unwrap(self, x: Array) -> None:
         """Bring the residual of a heading that has jumped within half a turn of its error, before that is taken off."""

@@ -16,6 +16,7 @@ from navfilter.filter.course import led_astray
 from navfilter.filter.drive_clock import DriveClock
 from navfilter.filter.filter import Filter
 from navfilter.filter.health import Health, LearningHealth, Watch
+from navfilter.filter.refused_way import since_fix
 from navfilter.state import NavState
 
 __all__ = ["health_of", "state_of"]
@@ -59,7 +60,9 @@ def health_of(
         off["position"] = max(off.get("position", 0.0), led_astray(channels[name], memory.nav))
     age_s, moved_m = _since_fix(filter, watches)
     drive = filter.vehicle.drive
-    radius_m, heading_rad = integrity.bounds(P, age_s, moved_m, off, filter.inertial and drive.feels, slow)
+    beside_m = max((since_fix(filter, channel).length for channel in channels.values()), default=0.0)
+    held = filter.inertial and drive.feels
+    radius_m, heading_rad = integrity.bounds(P, age_s, moved_m, off, held, slow, beside_m)
     _, errors = drive.outputs(filter.drive_output, memory.drv, memory.x[: filter.layout.drive.size])
     rate = drive.body_rate(memory.drv, errors[:3])
     speed, turn = math.hypot(*memory.nav[3:6].tolist()), max(map(abs, np.atleast_1d(rate).tolist()))

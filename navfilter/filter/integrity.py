@@ -8,7 +8,8 @@ one that is right.
 What such a constant does to the position:
 
 - of fixes: it is the error;
-- of a velocity: it has been integrated since the last fix;
+- of a velocity: it has been integrated since the last fix; so have the residuals of readings that were refused, for
+  nobody knows yet who was right;
 - of a heading: it turns the way made since the last fix.
 
 A fault of the drive that nobody has seen yet turns the heading, too: no further from the compass than its gate lets
@@ -77,7 +78,13 @@ class Trust:
 
 
 def bounds(
-    P: Array, age_s: Any, moved_m: Any, off: Mapping[str, Any], held: bool = True, slow: Any = 0.0
+    P: Array,
+    age_s: Any,
+    moved_m: Any,
+    off: Mapping[str, Any],
+    held: bool = True,
+    slow: Any = 0.0,
+    beside_m: Any = 0.0,
 ) -> tuple[Any, Any]:
     """Protection radius [m] and bound of the heading [rad] at one time, or at many.
 
@@ -94,6 +101,8 @@ def bounds(
         inertial unit has nothing: between fixes its radius is infinite.
     slow : float or ndarray
         Variance of the slow error of what tells the heading [rad^2].
+    beside_m : float or ndarray, shape (...)
+        What the refused readings of a velocity have come to since the last fix [m].
 
     Examples
     --------
@@ -105,7 +114,8 @@ def bounds(
     away = np.asarray(age_s) > PRESENT_S
     heading = off.get("heading", 0.0)
     by_heading = 2.0 * np.sin(0.5 * np.minimum(heading, math.pi)) * moved_m
-    by_motion = np.maximum(by_heading, np.multiply(age_s, off.get("velocity", 0.0))) if held else math.inf
+    by_velocity = np.maximum(np.multiply(age_s, off.get("velocity", 0.0)), beside_m)
+    by_motion = np.maximum(by_heading, by_velocity) if held else math.inf
     fault = np.maximum(off.get("position", 0.0), np.where(away, by_motion, 0.0))
     half = 0.5 * (P[..., 0, 0] + P[..., 1, 1])
     longest = half + np.hypot(0.5 * (P[..., 0, 0] - P[..., 1, 1]), P[..., 0, 1])

@@ -3,7 +3,10 @@
 A tilt, or a bias that has jumped, shows in no sample. It shows as a ramp: residuals of a velocity over ground that grow
 from nothing, along a line. A velocity sensor that fails does so at once. But one that is late, or in another unit, is
 left behind on a ramp, too, whenever the vehicle changes its speed. It was so from the beginning: so only a sensor that
-has been used for long, on a way, and was not refused for long before, may accuse the drive.
+has been used for long, on a way, and was not refused for long before, may accuse the drive. One that was refused, or
+has been thought to have jumped, may do so by a longer ramp, on which it goes on reading the same: no delay, no unit and
+no scale makes it differ from the state by more and more without reading anything else. And where the state has become
+faster than such a vehicle can be, while a sensor that was right says that it is not, it is the drive that ran away.
 """
 
 from __future__ import annotations
@@ -14,6 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from navfilter.filter.refused_way import most_speed
 from navfilter.kernels import drive_watch as kernel
 from navfilter.state import NavState
 
@@ -35,6 +39,12 @@ USED_S, WAY_M = 60.0, 50.0
 TURNING = 0.05
 #: One that is refused for so long [s] without that is disputed.
 DISPUTED_S = 1.0
+#: Such a one accuses by a ramp of so long [s], longer than readings are late, if its readings have changed by less than
+#: this share of what the ramp has grown by [1]: one in another unit changes by as much or more, with another sign by
+#: half of it.
+LONG_S, SAME = 10.0, 0.25
+#: The drive has run away once a velocity has been refused for so long, and no fix was used meanwhile [s].
+RUNAWAY_S = 2.0
 
 
 def accused(filter: Filter, channel: Channel, time_s: float) -> float | None:
@@ -51,36 +61,84 @@ def accused(filter: Filter, channel: Channel, time_s: float) -> float | None:
     kept, since_s = channel.memory, channel.memory.rejected_since_s
     if filter.inertial and filter.jumps.fails_again(channel, filter.memory):
         return 0.0
-    if not may_accuse(filter, channel, time_s):
-        if time_s - since_s >= DISPUTED_S:
-            kept.disputed_s = time_s
-        return None
-    if time_s == since_s or float(np.linalg.norm(filter.memory.watch[:3, kernel.MEAN])) > TURNING:
-        kept.ramp = ()
-        return None
-    kept.ramp = with_refused(kept.ramp, time_s - since_s, channel.note[3 : 3 + channel.axes])
-    return ramp_of(kept.ramp, np.diag(channel.R)[: channel.axes]) if kept.ramp else None
+    if not _was_right(filter, channel, time_s):
+        slope = None
+    elif time_s == since_s or float(np.linalg.norm(filter.memory.watch[:3, kernel.MEAN])) > TURNING:
+        kept.ramp, slope = (), None
+    else:
+        residual = channel.note[3 : 3 + channel.axes]
+        kept.ramp = with_refused(kept.ramp, time_s - since_s, residual, read(filter, channel))
+        slope = ramp_of(kept.ramp, np.diag(channel.R)[: channel.axes]) if kept.ramp else None
+    if slope is not None and not kept.undisputed and not reads_the_same(kept.ramp, read(filter, channel), slope):
+        slope = None
+    if slope is None and ran_away(filter, channel, time_s):
+        return 0.0
+    if slope is None and time_s - since_s >= DISPUTED_S and not may_accuse(filter, channel, time_s):
+        kept.disputed_s = time_s
+    return slope
 
 
 def may_accuse(filter: Filter, channel: Channel, time_s: float) -> bool:
     """Whether a sensor that is refused has confirmed the state well enough before to speak against the drive."""
+    return _was_right(filter, channel, time_s) and channel.memory.undisputed
+
+
+def _was_right(filter: Filter, channel: Channel, time_s: float) -> bool:
+    """Whether a velocity that is refused was used for long before, on a way."""
     # a velocity through water may change with the water, slowly, too
     if not filter.inertial or channel.sensor.gives != "velocity":
         return False
     kept, nav = channel.memory, NavState.unpack(time_s, filter.memory.nav)
     way_m = math.hypot(*nav.minus(filter.start.state)[:2].tolist())
-    return kept.used_s - kept.agreed_s >= USED_S and way_m >= WAY_M and kept.undisputed
+    return kept.used_s - kept.agreed_s >= USED_S and way_m >= WAY_M
 
 
-def with_refused(ramp: tuple[float, ...], age_s: float, residual: Array) -> tuple[float, ...]:
+def ran_away(filter: Filter, channel: Channel, time_s: float) -> bool:
+    """Whether the state has become faster than the vehicle can be, while a velocity that was right is refused."""
+    kept, stated = channel.memory, filter.vehicle.drive.max_speed_m_s
+    if not time_s - kept.rejected_since_s >= RUNAWAY_S or not _was_right(filter, channel, time_s):
+        return False
+    fixes = (c.memory.used_s for c in filter.channels.values() if c.sensor.corrects == "position")
+    if max(fixes, default=-math.inf) > kept.rejected_since_s:
+        return False
+    claimed = float(np.linalg.norm(read(filter, channel)))
+    most = float(most_speed(max(claimed, kept.refused_speed), stated))
+    return claimed <= most < math.hypot(*filter.memory.nav[3:6].tolist())
+
+
+def read(filter: Filter, channel: Channel) -> Array:
+    """The velocity that a refused reading says, in b, shape (3,) [m/s]."""
+    nav = filter.memory.nav
+    off = np.linalg.pinv(channel.near[:, 3:6]) @ np.nan_to_num(channel.note[3 : 3 + channel.axes])
+    return np.asarray(nav[6:15].reshape(3, 3).T @ (nav[3:6] + off))
+
+
+def with_refused(ramp: tuple[float, ...], age_s: float, residual: Array, reading: Array) -> tuple[float, ...]:
     """The sums of a straight line through residuals with another one: the first age, their number, sums of ages and
-    squared ages, and axis by axis of residuals, of their products with the ages, and of their squares; empty before the
-    first whole one.
+    squared ages, and axis by axis of residuals, of their products with the ages, and of their squares; last the first
+    reading as a velocity. Empty before the first whole one.
     """
     if not np.isfinite(residual).all():
         return ramp
     new = np.concatenate([[0.0, 1.0, age_s, age_s**2], residual, age_s * residual, residual**2])
-    return tuple((np.array(ramp) + new).tolist()) if ramp else (age_s, *new[1:].tolist())
+    sums = (np.array(ramp[:-3]) + new).tolist() if ramp else [age_s, *new[1:].tolist()]
+    return (*sums, *(ramp[-3:] or reading.tolist()))
+
+
+def reads_the_same(ramp: tuple[float, ...], reading: Array, slope: float) -> bool:
+    """Whether a sensor has gone on reading the same on a long ramp.
+
+    Parameters
+    ----------
+    ramp : tuple of float
+    reading : ndarray, shape (3,)
+        The last one as a velocity [m/s].
+    slope : float
+        Of the ramp [m/s^2].
+    """
+    lasted_s = 2.0 * (ramp[2] / ramp[1] - ramp[0])  # of evenly spaced readings
+    changed = float(np.linalg.norm(reading - np.array(ramp[-3:])))
+    return lasted_s >= LONG_S and changed < SAME * slope * lasted_s
 
 
 def ramp_of(ramp: tuple[float, ...], white: Array) -> float | None:
@@ -96,12 +154,12 @@ def ramp_of(ramp: tuple[float, ...], white: Array) -> float | None:
     --------
     >>> ramp = ()
     >>> for k in range(9):
-    ...     ramp = with_refused(ramp, 0.25 * k, np.array([0.05 * k, 0.001 * (-1) ** k]))
+    ...     ramp = with_refused(ramp, 0.25 * k, np.array([0.05 * k, 0.001 * (-1) ** k]), np.array([1.5, 0.0, 0.0]))
     >>> round(ramp_of(ramp, np.full(2, 1e-4)), 2)
     0.2
     """
     first_s, n, t, tt = ramp[:4]
-    r, rt, rr = np.array(ramp[4:]).reshape(3, -1)
+    r, rt, rr = np.array(ramp[4:-3]).reshape(3, -1)
     spread = tt - t * t / n
     last_s = 2.0 * t / n - first_s  # of evenly spaced readings
     if n < READINGS or last_s - first_s < RAMP_S:

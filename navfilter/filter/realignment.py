@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.filter.events import StoodIn
+from navfilter.filter.refused_way import followed, full_residual, most_speed
 from navfilter.kernels import drive_watch as kernel
 from navfilter.kernels import strapdown
 from navfilter.state import rotation_matrix
@@ -42,8 +43,6 @@ EXCESS = 1.5
 REFUSED_S = 1.0
 #: A refused reading says what the velocity is if it is so old at most [s], to so much [m/s].
 HEARD_S, VELOCITY_SD = 1.0, 0.1
-#: What a vehicle can do at most that does not say so [m/s]: few that swim are faster; others, twice what they do now.
-MOST_SPEED, FASTER = 3.0, 2.0
 
 
 class Level(NamedTuple):
@@ -120,12 +119,12 @@ def set_anew(filter: Filter, tell: Listening) -> None:
         # what turned it about two axes may have turned it about the third
         N[8, 8] = 0.5 * float(level.turn @ level.turn)
     if refused is not None:
-        off, since_s = refused
+        off, channel = refused
         velocity = velocity + off
         M[range(3, 6), range(3, 6)] = 0.0
         attitude = N[6, 6] + N[8, 8] + memory.P[8, 8]
         N[range(3, 6), range(3, 6)] = VELOCITY_SD**2 + float(velocity @ velocity) * min(attitude, 1.0)
-        N[:3, :3] = np.outer(off, off) * since_s**2
+        N[:2, :2] = followed(filter, channel)
         for channel in filter.channels.values():
             if channel.moves and not channel.aside:
                 channel.memory.rejected_since_s, channel.memory.refused = math.nan, None
@@ -153,7 +152,7 @@ def bound(filter: Filter, position: Array, seconds: float, tell: Listening) -> N
     memory, state = filter.memory, filter.state
     assert state.covariance is not None
     speed = float(np.linalg.norm(state.velocity_n))
-    most = filter.vehicle.drive.max_speed_m_s or max(MOST_SPEED, FASTER * speed)
+    most = float(most_speed(speed, filter.vehicle.drive.max_speed_m_s))
     velocity = (0.5 * (most + speed)) ** 2
     most_variance = np.concatenate([position + velocity * seconds**2, np.full(3, velocity)])
     shrink = np.sqrt(np.minimum(1.0, most_variance / np.diag(state.covariance)[:6]))
@@ -189,16 +188,15 @@ def _level(filter: Filter) -> Level | None:
     return Level(turn, variance, doubt, math.sqrt(float(np.linalg.eigvalsh(tilt)[-1])))
 
 
-def _refused_velocity(filter: Filter) -> tuple[Array, float] | None:
-    """By how much the velocity in n is off, as a sensor says whose readings are refused, and for how long [s]."""
+def _refused_velocity(filter: Filter) -> tuple[Array, Channel] | None:
+    """By how much the velocity in n is off, as a sensor says whose readings are refused."""
     for channel in filter.channels.values():
         memory, now_s = channel.memory, filter.memory.time_s
         refused = channel.moves and not channel.aside and not math.isnan(memory.rejected_since_s)
         if refused and now_s - memory.last_s < HEARD_S:
-            residual = channel.note[3 : 3 + channel.axes]
+            residual = full_residual(filter, channel)
             seen = np.isfinite(residual)
             N = channel.near[seen, 3:6]
             if np.isfinite(N).all() and np.linalg.matrix_rank(N) >= 2:
-                since_s = now_s - memory.used_s if math.isfinite(memory.used_s) else now_s - memory.rejected_since_s
-                return np.linalg.pinv(N) @ residual[seen], since_s
+                return np.linalg.pinv(N) @ residual[seen], channel
     return None

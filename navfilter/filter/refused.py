@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.filter import agreement, aside, gating, ramp, realignment, shifts, turns
+from navfilter.filter import agreement, aside, gating, ramp, realignment, refused_way, shifts, turns
 from navfilter.filter.adoption import Change
 from navfilter.filter.belief import beyond_belief, excused, pulled
 from navfilter.filter.channel import Channel
@@ -50,16 +50,22 @@ def let_in(filter: Filter, channel: Channel, time_s: float, nis: float, dof: int
     """
     memory, kept, P = filter.memory, channel.memory, filter.memory.P
     if math.isnan(kept.rejected_since_s):
-        kept.rejected_since_s = time_s
+        kept.rejected_since_s, kept.refused_speed = time_s, math.hypot(*memory.nav[3:6].tolist())
     if frozen or (kept.scatter is not None and kept.scatter.worthless):
         kept.refused = None
         return False
+    if channel.sensor.gives == "velocity":
+        kept.way = refused_way.with_refused(filter, channel, time_s)
     if channel.sensor.open_loop == listen.HEADING and channel.axes == 1:
         turns.refused(filter, channel, time_s, float(gating.whole_residual(channel, memory.x)[0]))
-    if channel.moves and not channel.aside:
+    if channel.moves:
         filter.accused = ramp.accused(filter, channel, time_s)
         if filter.accused is not None:
+            if channel.offset:
+                kept.aside = None
+                filter.jumped.append(Change(channel.name, with_offsets(channel.sensor.models), offsets=True))
             return False
+    if channel.moves and not channel.aside:
         filter.tilted = realignment.tilted(filter, channel, time_s)
         if filter.tilted:
             return False
@@ -90,6 +96,7 @@ def let_in(filter: Filter, channel: Channel, time_s: float, nis: float, dof: int
         return False
     channel.R *= added.white_factor
     P[:9, :9] += added.covariance
+    P[:2, :2] += refused_way.followed(filter, channel)
     _update(filter, channel, time_s)
     return True
 
@@ -130,6 +137,7 @@ def _agreed(filter: Filter, channel: Channel, time_s: float) -> bool:
         kept.alone = (abs(angle), float(memory.nav[0]), float(memory.nav[1]))
         filter.jumped.append(Change(channel.name, channel.sensor.models, offsets=True, turn=(angle, variance)))
         return False
+    memory.P[:2, :2] += refused_way.followed(filter, channel)
     _update(filter, channel, time_s)
     return True
 
@@ -137,7 +145,7 @@ def _agreed(filter: Filter, channel: Channel, time_s: float) -> bool:
 def _is_back(filter: Filter, channel: Channel) -> bool:
     """Whether a reading beside the constants of its sensor agrees with the state without them."""
     memory, kept = filter.memory, channel.memory.aside
-    constant = agreement.constants(channel, memory.x)
+    constant = channel.jumped_by(memory.x)
     if kept is not None and not aside.shows_itself(kept, math.hypot(*memory.nav[3:6].tolist()), channel.res + constant):
         return False
     return agreement.is_back(channel, constant, memory.P)
@@ -180,6 +188,7 @@ def take_up(filter: Filter, tell: Callable[[Event], None]) -> None:
     if filter.accused is not None:
         slope, filter.accused = filter.accused, None
         filter.jumps.accused(filter, slope)
+        _turned_to_the_compass(filter)
         realignment.set_anew(filter, tell)
     if filter.tilted:
         filter.tilted = False
@@ -192,6 +201,17 @@ def take_up(filter: Filter, tell: Callable[[Event], None]) -> None:
             filter.adopt(change, tell)
         if change.turn is not None:
             turned(filter, channel, *change.turn)
+
+
+def _turned_to_the_compass(filter: Filter) -> None:
+    """The drive is wrong: where a compass has been refused, too, the heading is what it says."""
+    now_s = filter.memory.time_s
+    for channel in filter.channels.values():
+        kept = channel.memory
+        lasts = now_s - kept.rejected_since_s >= realignment.REFUSED_S and now_s - kept.last_s < realignment.HEARD_S
+        if lasts and channel.sensor.open_loop == listen.HEADING and channel.axes == 1 and not channel.offset:
+            angle = math.remainder(float(gating.whole_residual(channel, filter.memory.x)[0]), math.tau)
+            turned(filter, channel, angle, float(channel.white[0, 0]) + channel.slow[0])
 
 
 def _jumped(filter: Filter, channel: Channel, time_s: float) -> None:
@@ -217,6 +237,8 @@ def _jumped(filter: Filter, channel: Channel, time_s: float) -> None:
         memory.P[places, places] += size**2
         kept.refused = None
     kept.rejected_since_s = kept.disputed_s = time_s
+    if kept.way is not None and refused.back >= LEAST:
+        kept.way = replace(kept.way, north=0.0, east=0.0)
     memory.counts["jumped"] += 1
 
 
