@@ -19,10 +19,15 @@ __all__ = ["Widening", "reset_variance", "state_contradicted", "whole_residual",
 
 Array = NDArray[np.float64]
 
-#: What may be wrong with a state that all sensors contradict: velocity [m/s], roll, pitch and heading [rad].
-OPEN_SPEED, OPEN_ATTITUDE = 2.0, np.array([0.1, 0.1, 1.0])
-#: Beside the largest residual, what may be wrong with its position [m].
-OPEN_POSITION = 10.0
+#: What may be wrong with a state that all sensors contradict: roll, pitch and heading [rad]; and beside the largest
+#: residual, position [m] and velocity [m/s].
+OPEN_ATTITUDE, OPEN_MOTION = np.array([0.1, 0.1, 1.0]), np.repeat([10.0, 2.0], 3)
+#: A velocity that is off by more is in another unit [m/s].
+MOST_OFF = 20.0
+#: What together knows where the vehicle is and how it moves.
+MOTION = {"position", "velocity"}
+#: It contradicts the state in so long [s]: within 8 s fixes that agree with dead reckoning have had their way.
+MOTION_S = 10.0
 #: A sensor counts as heard for so long after its last reading [s], and for so many of its periods.
 HEARD_S, HEARD_PERIODS = 5.0, 3.0
 #: The gate of a sensor that is astray widens so many times later [1]: it was believed until it was beyond belief.
@@ -31,7 +36,8 @@ PATIENT = 5.0
 
 def state_contradicted(channels: Collection[Channel], time_s: float) -> bool:
     """Whether the state is wrong: two sensors or more have been rejected for half their time-outs, and none was used
-    since.
+    since. Of a velocity and fixes `MOTION_S` is enough, and only another one of these could speak for the state: a
+    compass knows nothing of where the vehicle is.
 
     Parameters
     ----------
@@ -40,15 +46,18 @@ def state_contradicted(channels: Collection[Channel], time_s: float) -> bool:
     time_s : float
         Now [s].
     """
-    against = 0
+    against, for_it, motion = [], [], set()
     for other in channels:
         memory, sensor = other.memory, other.sensor
         heard = time_s - memory.last_s < max(HEARD_S, HEARD_PERIODS * other.period_s)
-        if heard and not other.aside and time_s - memory.rejected_since_s > 0.5 * sensor.gate_timeout_s:
-            against += 1
+        refused_s = time_s - memory.rejected_since_s
+        if heard and refused_s > min(MOTION_S, 0.5 * sensor.gate_timeout_s):
+            motion |= MOTION & {sensor.corrects}
+        if heard and not other.aside and refused_s > 0.5 * sensor.gate_timeout_s:
+            against.append(sensor.corrects)
         elif heard and math.isnan(memory.rejected_since_s) and sensor.confirms_state:
-            return False
-    return against > 1
+            for_it.append(sensor.corrects)
+    return (motion == MOTION and not MOTION & set(for_it)) or (len(against) > 1 and not for_it)
 
 
 def reset_variance(channels: Collection[Channel]) -> Array:
@@ -57,15 +66,16 @@ def reset_variance(channels: Collection[Channel]) -> Array:
     Parameters
     ----------
     channels : collection of Channel
-        Of the filter; the residuals of those that are rejected say how wrong the position may be.
+        Of the filter; the residuals of those that are rejected say how wrong position and velocity may be.
     """
-    largest = np.zeros(3)
+    largest = np.zeros(6)
     for channel in channels:
         if not math.isnan(channel.memory.rejected_since_s):
-            seen = np.abs(channel.near[:, :3]).max(axis=0) > 0.5
+            seen = np.abs(channel.near[:, :6]).max(axis=0) > 0.5
             residual = np.nanmax(np.abs(channel.note[3 : 3 + channel.axes]), initial=0.0)
             largest = np.maximum(largest, np.where(seen, residual, 0.0))
-    spread = np.concatenate([largest + OPEN_POSITION, np.full(3, OPEN_SPEED), OPEN_ATTITUDE])
+    largest[3:][largest[3:] > MOST_OFF] = 0.0
+    spread = np.concatenate([largest + OPEN_MOTION, OPEN_ATTITUDE])
     return np.asarray(spread**2)
 
 

@@ -1,0 +1,210 @@
+"""The way of a velocity that is refused: in the bound until a fix tells, and followed where the state was wrong."""
+
+import dataclasses
+import functools
+import math
+
+import faults_library as library
+import faults_run as watched
+import numpy as np
+import pytest
+import same_runs
+from feeding import DRIVE, events_of
+
+import navfilter as nf
+from navfilter.filter import gating, ramp, refused_way
+from navfilter.filter.refused_way import RefusedWay, believable, followed, since_fix, with_refused
+from navfilter.simulation.faults import Faults
+from navfilter.simulation.scenarios import survey, survey_vehicle
+from navfilter.simulation.simulate import simulate
+
+DEG, RADIUS_M = math.pi / 180.0, 6.371e6
+FAULT_S, END_S = 250.0, 420.0
+
+
+@functools.cache
+def dive(seed, mems):
+    """Fixes for 140 s, then none."""
+    vehicle = survey_vehicle(mems=mems)
+    fixes = {"gps": Faults(available=((0.0, 140.0),))}
+    return vehicle, simulate(vehicle, survey(700.0, surface_s=110.0), seed=seed, duration_s=END_S, faults=fixes)
+
+
+@pytest.fixture
+def refusing():
+    """A navigator whose DVL says that it makes 0.4 m/s north and 0.3 m/s east more than the state."""
+    vehicle, mission = dive(1, False)
+    nav = nf.Navigator(vehicle, dataclasses.replace(mission.start, heading_deg=0.0, pitch_deg=0.0, roll_deg=0.0))
+    channel = nav.filter.channels["dvl"]
+    channel.near[:, 3:6], channel.note[3:6] = np.eye(3), (0.4, 0.3, 0.0)
+    channel.memory.rejected_since_s = 10.0
+    return nav.filter, channel
+
+
+def test_the_residuals_are_integrated_from_the_second_refused_reading_on(refusing):
+    filter, channel = refusing
+    for time_s in (10.0, 10.5, 11.0, 30.0):
+        channel.memory.way = with_refused(filter, channel, time_s)
+    # half a second twice, and one that speaks for a second after a long silence
+    way = channel.memory.way
+    assert (way.time_s, way.north, way.east) == pytest.approx((30.0, 0.8, 0.6))
+    assert way.length == pytest.approx(1.0)
+    assert since_fix(filter, channel) == way
+    filter.channels["gps"].memory.used_s = 31.0
+    assert since_fix(filter, channel) == RefusedWay()
+
+
+def test_what_no_vehicle_can_do_does_not_count(refusing):
+    filter, channel = refusing
+    channel.note[3:6] = 1500.0, 0.0, 0.0
+    channel.memory.way = RefusedWay(10.0, 0.8, 0.6, 1.0)
+    assert with_refused(filter, channel, 10.25) == RefusedWay(10.25, 0.8, 0.6, 1.0)
+    # a vehicle of 4 m/s that is stated to make 5 may have turned back; one that says nothing may make twice as much
+    assert believable(np.array([8.9, np.nan, 0.0]), 4.0, 5.0) and not believable(np.array([9.1, 0.0, 0.0]), 4.0, 5.0)
+    assert believable(np.array([11.9, 0.0, 0.0]), 4.0, None) and not believable(np.array([12.1, 0.0, 0.0]), 4.0, None)
+
+
+def test_where_the_state_was_wrong_the_position_follows(refusing):
+    filter, channel = refusing
+    filter.memory.P[8, 8] = 0.02**2
+    channel.memory.way = RefusedWay(10.0, 30.0, 40.0, 60.0)
+    before = filter.memory.nav[:3].copy()
+    variance = followed(filter, channel)
+    moved = (filter.memory.nav[:3] - before) * [RADIUS_M, RADIUS_M * math.cos(before[0]), 1.0]
+    np.testing.assert_allclose(moved, [30.0, 40.0, 0.0], rtol=5e-3)
+    # a tenth of 50 m along it; across it 0.02 rad beside that
+    along, across = np.array([0.6, 0.8]), np.array([-0.8, 0.6])
+    assert along @ variance @ along == pytest.approx(25.0) and across @ variance @ across == pytest.approx(26.0)
+    # once; the bound goes on reckoning with it
+    assert channel.memory.way == RefusedWay(10.0, 0.0, 0.0, 60.0)
+    np.testing.assert_array_equal(followed(filter, channel), np.zeros((2, 2)))
+
+
+def fly(seed, mems, fault):
+    """Horizontal error, bound, errors of attitude and their sd by the second, and what was counted."""
+    vehicle, mission = dive(seed, mems)
+    events = fault(vehicle, [e for e in events_of(vehicle, mission) if e.true_s >= mission.start.time_s - 1e-9])
+    nav = nf.Navigator(vehicle, mission.start)
+    outcome = watched.watch(nav, events, library.scene_of(vehicle, (0.0, 1.0), (0.0, 1.0)), longest_cpu_s=120.0)
+    rows = []
+    for time_s, state in outcome.states:
+        if FAULT_S <= time_s < END_S:
+            error = state.minus(watched.truth_at(mission.truth, time_s))
+            rows.append((math.hypot(error[0], error[1]), state.bounds.horizontal_m, *error[6:9], *state.sd[6:9]))
+    return np.array(rows), nav
+
+
+def values(change):
+    def fault(vehicle, events):
+        return [
+            e._replace(value=tuple(np.asarray(change(np.array(e.value))).tolist()))
+            if e.sensor == DRIVE and e.true_s >= FAULT_S
+            else e
+            for e in events
+        ]
+
+    return fault
+
+
+def bursts(vehicle, events):
+    scene = library.scene_of(vehicle, (FAULT_S, FAULT_S + 60.0), (540.0, 580.0))
+    return library.damaged("bursts stamped on receipt", events, scene, 1)
+
+
+@pytest.mark.parametrize(
+    ("seed", "mems", "fault", "most_m"),
+    [
+        # before: 27 m and 5 to 7 standard deviations of attitude; 1,005 m; 1,086 m beyond the bound
+        (3, True, values(lambda v: v * [1.0, 1.0, -1.0, 1.0, 1.0, 1.0]), 20.0),
+        (3, True, values(lambda v: v[[0, 1, 2, 4, 3, 5]]), 20.0),
+        (2, False, bursts, 20.0),
+    ],
+    ids=["gyro z mirrored", "accelerometers exchanged", "stamped in bursts"],
+)
+def test_a_drive_that_runs_away_does_not_take_the_position_along(seed, mems, fault, most_m):
+    rows, nav = fly(seed, mems, fault)
+    assert rows[:, 0].max() < most_m
+    assert np.mean(rows[:, 0] <= rows[:, 1]) >= 0.999
+    assert math.hypot(*nav.filter.memory.nav[3:6].tolist()) < 3.0
+    # of attitude, at the end: chi-square with three degrees of freedom
+    late = rows[-60:]
+    assert np.median(np.sum((late[:, 2:5] / late[:, 5:8]) ** 2, axis=1)) < 7.8
+
+
+@pytest.mark.parametrize(
+    ("residual", "reading", "accused"),
+    [
+        (lambda age: 0.2 * age, lambda age: 1.5, True),  # it goes on reading the same
+        (lambda age: 0.2 * age, lambda age: 1.5 - 0.1 * age, False),  # another sign: it changes by half of that
+        (lambda age: 0.2 * age, lambda age: 1.5 + 0.4 * age, False),  # another unit
+        (lambda age: min(0.2 * age, 1.0), lambda age: 1.5 - max(0.2 * (age - 5.0), 0.0), False),  # 5 s late
+    ],
+)
+def test_one_that_has_been_disputed_accuses_by_a_long_ramp_on_which_it_reads_the_same(residual, reading, accused):
+    rng, sums = np.random.default_rng(1), ()
+    for age_s in 0.25 * np.arange(44):
+        seen = np.array([residual(age_s), 0.0, 0.0]) + 0.01 * rng.normal(size=3)
+        now = np.array([reading(age_s), 0.0, 0.0])
+        sums = ramp.with_refused(sums, age_s, seen, now)
+    slope = ramp.ramp_of(sums, np.full(3, 1e-4))
+    assert slope is not None and ramp.reads_the_same(sums, now, slope) is accused
+
+
+def test_velocity_and_fixes_together_are_not_outvoted_by_a_compass():
+    vehicle, mission = dive(1, False)
+    nav = nf.Navigator(vehicle, mission.start)
+    channels = nav.filter.channels
+    for channel in channels.values():
+        channel.memory.last_s = 99.9
+    for name in ("dvl", "gps"):
+        channels[name].memory.rejected_since_s = 89.0
+    assert gating.state_contradicted(channels.values(), 100.0)
+    channels["gps"].memory.rejected_since_s = 92.0
+    assert not gating.state_contradicted(channels.values(), 100.0)
+    # as far as they say it is off; a residual of another unit says nothing
+    channels["gps"].near[:, :3], channels["gps"].note[3:6] = np.eye(3), (90.0, 0.0, 0.0)
+    channels["dvl"].near[:, 3:6], channels["dvl"].note[3:6] = np.eye(3), (8.0, 0.0, 0.0)
+    assert np.sqrt(gating.reset_variance(channels.values())[[0, 3]]) == pytest.approx([100.0, 10.0])
+    channels["dvl"].note[3:6] = 1500.0, 0.0, 0.0
+    assert np.sqrt(gating.reset_variance(channels.values())[3]) == pytest.approx(2.0)
+
+
+def test_the_track_has_the_bound_of_the_run():
+    vehicle, mission = dive(1, False)
+    stream = mission.streams["dvl"]
+    value = stream.value.copy()
+    value[(stream.time_s > 200.0) & (stream.time_s < 201.1), 0] += np.linspace(0.5, 1.5, 4)
+    wrong = mission.with_stream("dvl", nf.Stream(stream.time_s, value, stream.columns))
+    nav = nf.Navigator(vehicle, mission.start)
+    hand(nav, [e for e in events_of(vehicle, wrong) if e.time_s <= 230.0])
+    way = since_fix(nav.filter, nav.filter.channels["dvl"])
+    assert way.length > 0.5 and nav.counts["jumped"] == 0
+    frame = nf.replay(vehicle, wrong, output_rate_hz=None).to_frame()
+    row = frame.iloc[np.argmin(np.abs(frame.time_s - nav.time_s))]
+    assert row.protection_radius_m == pytest.approx(nav.state.bounds.horizontal_m, rel=1e-3)
+
+
+def test_restored_while_it_is_refused_it_goes_on_as_before():
+    vehicle, mission = dive(3, True)
+    fault = values(lambda v: v[[0, 1, 2, 4, 3, 5]])
+    events = [e for e in fault(vehicle, events_of(vehicle, mission)) if e.time_s < FAULT_S + 20.0]
+    whole, half = (nf.Navigator(vehicle, mission.start) for _ in range(2))
+    for nav, some in ((whole, events), (half, [e for e in events if e.time_s < FAULT_S + 3.0])):
+        hand(nav, some)
+    assert half.filter.channels["dvl"].memory.way is not None
+    again = nf.Navigator.restore(vehicle, half.snapshot())
+    hand(again, [e for e in events if e.time_s >= FAULT_S + 3.0])
+    same_runs.assert_same_bits(whole, again)
+
+
+def hand(nav, events):
+    for event in events:
+        if event.sensor == DRIVE:
+            nav.step(event.time_s, event.value[:3], event.value[3:])
+        else:
+            nav.correct(event.sensor, event.time_s, event.value)
+
+
+def test_a_stated_speed_is_the_most():
+    assert refused_way.most_speed(1.0, None) == 3.0 and refused_way.most_speed(4.0, None) == 8.0
+    assert refused_way.most_speed(4.0, 5.0) == 5.0
