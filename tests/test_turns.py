@@ -10,6 +10,8 @@ from test_ramp import spoiled
 
 import navfilter as nf
 from navfilter import passage
+from navfilter.evaluation.montecarlo.campaign import Campaign
+from navfilter.evaluation.rivals import rivals
 from navfilter.filter.turns import agrees, contradicted
 from navfilter.simulation.scenarios import simulate_scenario
 
@@ -102,3 +104,16 @@ def test_in_stretches_as_one_by_one_and_restored(dive, monkeypatch):
     again = nf.Navigator.restore(vehicle, half.snapshot())
     one_by_one(again, [e for e in events if e.time_s > 190.0])
     same_runs.assert_same_bits(whole, again)
+
+
+@pytest.mark.parametrize(
+    ("scenario", "seed", "until_s"), [("compass-tails", 201, 500.0), ("compass-coarse", 202, 300.0)]
+)
+def test_one_that_is_refused_now_and_then_accuses_no_gyro(scenario, seed, until_s):
+    """Its refused readings are far from each other whatever the gyros say, and there are hundreds of them."""
+    staged = Campaign(scenario, gyro="mems", smooth=False, imu_rate_hz=50.0).staged
+    vehicle, mission = staged.vehicle, staged.mission(seed)
+    described = rivals(("vehicle",), vehicle, mission, sensors=(staged.learnt,))["vehicle"]
+    track = nf.replay(described, mission.between(0.0, until_s), output_rate_hz=1.0)
+    assert track.residuals["compass"].count("rejected") > 100
+    assert track.counts["contradicted"] == 0

@@ -44,6 +44,9 @@ NEARLY, NONE = (0.62, 1.6), 0.2
 FOLLOWED, DISPUTED_S = 1.0, 5.0
 #: Or the compass has agreed for so long, and was never refused for three seconds in ten minutes [s].
 USED_S = 60.0
+#: And it has been refused for so long on end [s]: of one with heavy tails that is refused now and then, those readings
+#: are far apart whatever the gyros say.
+LASTS_S = 1.0
 #: A velocity has been refused so lately [s].
 LATELY_S = 3.0
 #: An axis is used again once its factor is known to so much, and so close to 1 [1].
@@ -100,7 +103,8 @@ def refused(filter: Filter, channel: Channel, time_s: float, residual: float) ->
     turned = float(np.sum(np.abs([step[2] for step in now.steps])))
     fast = float(w[kernel.UNIT, kernel.FAST])
     proven = fast - now.followed - turned >= FOLLOWED or _undisputed(kept)
-    if since_s is None or not proven or not _velocity_refused(filter, time_s):
+    lasts = time_s - kept.rejected_since_s >= LASTS_S
+    if since_s is None or not lasts or not proven or not _velocity_refused(filter, time_s):
         if time_s - kept.rejected_since_s >= DISPUTED_S:
             kept.turns = replace(now, followed=fast)
         return
