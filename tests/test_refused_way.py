@@ -156,16 +156,16 @@ def test_velocity_and_fixes_together_are_not_outvoted_by_a_compass():
     channels = nav.filter.channels
     for channel in channels.values():
         channel.memory.last_s = 99.9
-    for name in ("dvl", "gps"):
+    for name, first, size in (("gps", 0, 90.0), ("dvl", 3, 8.0)):
         channels[name].memory.rejected_since_s = 89.0
+        channels[name].near[:, first : first + 3], channels[name].note[3:6] = np.eye(3), (size, 0.0, 0.0)
     assert gating.state_contradicted(channels.values(), 100.0)
+    assert np.sqrt(gating.reset_variance(channels.values())[[0, 3]]) == pytest.approx([100.0, 10.0])
     channels["gps"].memory.rejected_since_s = 92.0
     assert not gating.state_contradicted(channels.values(), 100.0)
-    # as far as they say it is off; a residual of another unit says nothing
-    channels["gps"].near[:, :3], channels["gps"].note[3:6] = np.eye(3), (90.0, 0.0, 0.0)
-    channels["dvl"].near[:, 3:6], channels["dvl"].note[3:6] = np.eye(3), (8.0, 0.0, 0.0)
-    assert np.sqrt(gating.reset_variance(channels.values())[[0, 3]]) == pytest.approx([100.0, 10.0])
-    channels["dvl"].note[3:6] = 1500.0, 0.0, 0.0
+    # a residual of another unit says nothing, however long it lasts
+    channels["gps"].memory.rejected_since_s, channels["dvl"].note[3:6] = 89.0, (1500.0, 0.0, 0.0)
+    assert not gating.state_contradicted(channels.values(), 100.0)
     assert np.sqrt(gating.reset_variance(channels.values())[3]) == pytest.approx(2.0)
 
 

@@ -32,6 +32,9 @@ MOST_SDS = 4.0
 #: Dead reckoning may err by this share of the way made [1]: 6 deg of heading or mounting, 10 % of scale. What draws
 #: fixes off in earnest is faster, or takes longer than the gate waits.
 SHARE = 0.1
+#: The position was pulled off by so many times the estimate at most [1]: an error that takes less than a tenth of what
+#: fixes say, beside the position, has not come to be so large by that.
+MOST_PULLED = 10.0
 
 
 def believed(sensor: Sensor, group: Group) -> Array:
@@ -80,9 +83,10 @@ def pulled(channel: Channel, x: Array) -> Array:
     """By how much the position may have been pulled off while the slow error was estimated, shape (3,) [m].
 
     Each correction shares its innovation out between position and error in the ratio of their gains; that of the last
-    one stands for all.
+    one stands for all, up to `MOST_PULLED`: an error that takes next to nothing of it, or less, was no such share.
     """
     states = slice(channel.group.start, channel.group.start + channel.group.errors)
     own = np.einsum("ij,ij->i", channel.C, channel.PH[:, states])
-    ratio = np.diag(channel.PH[:, :3]) / np.maximum(own, 1e-300)
-    return np.asarray(np.abs(_estimate(channel, x) * ratio))
+    position = np.abs(np.diag(channel.PH[:, :3]))
+    ratio = position / np.maximum(np.maximum(own, position / MOST_PULLED), 1e-300)
+    return np.asarray(np.abs(_estimate(channel, x)) * ratio)

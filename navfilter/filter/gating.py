@@ -22,8 +22,9 @@ Array = NDArray[np.float64]
 #: What may be wrong with a state that all sensors contradict: roll, pitch and heading [rad]; and beside the largest
 #: residual, position [m] and velocity [m/s].
 OPEN_ATTITUDE, OPEN_MOTION = np.array([0.1, 0.1, 1.0]), np.repeat([10.0, 2.0], 3)
-#: A velocity that is off by more is in another unit [m/s].
-MOST_OFF = 20.0
+#: Fixes that are off by more are of another coordinate system [m], a velocity is in another unit [m/s], a depth is no
+#: depth of any sea [m].
+MOST_OFF = {"position": 1e5, "velocity": 20.0, "depth": 1.2e4}
 #: What together knows where the vehicle is and how it moves.
 MOTION = {"position", "velocity"}
 #: It contradicts the state in so long [s]: within 8 s fixes that agree with dead reckoning have had their way.
@@ -51,7 +52,7 @@ def state_contradicted(channels: Collection[Channel], time_s: float) -> bool:
         memory, sensor = other.memory, other.sensor
         heard = time_s - memory.last_s < max(HEARD_S, HEARD_PERIODS * other.period_s)
         refused_s = time_s - memory.rejected_since_s
-        if heard and refused_s > min(MOTION_S, 0.5 * sensor.gate_timeout_s):
+        if heard and refused_s > min(MOTION_S, 0.5 * sensor.gate_timeout_s) and _off(other) > 0.0:
             motion |= MOTION & {sensor.corrects}
         if heard and not other.aside and refused_s > 0.5 * sensor.gate_timeout_s:
             against.append(sensor.corrects)
@@ -72,11 +73,15 @@ def reset_variance(channels: Collection[Channel]) -> Array:
     for channel in channels:
         if not math.isnan(channel.memory.rejected_since_s):
             seen = np.abs(channel.near[:, :6]).max(axis=0) > 0.5
-            residual = np.nanmax(np.abs(channel.note[3 : 3 + channel.axes]), initial=0.0)
-            largest = np.maximum(largest, np.where(seen, residual, 0.0))
-    largest[3:][largest[3:] > MOST_OFF] = 0.0
+            largest = np.maximum(largest, np.where(seen, _off(channel), 0.0))
     spread = np.concatenate([largest + OPEN_MOTION, OPEN_ATTITUDE])
     return np.asarray(spread**2)
+
+
+def _off(channel: Channel) -> float:
+    """Largest residual of the last reading; 0 where that says nothing of the state."""
+    largest = float(np.nanmax(np.abs(channel.note[3 : 3 + channel.axes]), initial=0.0))
+    return largest if largest <= MOST_OFF.get(channel.sensor.corrects, math.inf) else 0.0
 
 
 class Widening(NamedTuple):

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.filter.refused_way import most_speed
+from navfilter.filter.refused_way import believable, most_speed
 from navfilter.kernels import drive_watch as kernel
 from navfilter.state import NavState
 
@@ -59,16 +59,18 @@ def accused(filter: Filter, channel: Channel, time_s: float) -> float | None:
         Of the reading [s].
     """
     kept, since_s = channel.memory, channel.memory.rejected_since_s
+    residual = channel.note[3 : 3 + channel.axes]
     if filter.inertial and filter.jumps.fails_again(channel, filter.memory):
         return 0.0
     if not _was_right(filter, channel, time_s):
         slope = None
     elif time_s == since_s or float(np.linalg.norm(filter.memory.watch[:3, kernel.MEAN])) > TURNING:
         kept.ramp, slope = (), None
-    else:
-        residual = channel.note[3 : 3 + channel.axes]
+    elif believable(residual, math.hypot(*filter.memory.nav[3:6].tolist()), filter.vehicle.drive.max_speed_m_s):
         kept.ramp = with_refused(kept.ramp, time_s - since_s, residual, read(filter, channel))
         slope = ramp_of(kept.ramp, np.diag(channel.R)[: channel.axes]) if kept.ramp else None
+    else:
+        slope = None
     if slope is not None and not kept.undisputed and not reads_the_same(kept.ramp, read(filter, channel), slope):
         slope = None
     if slope is None and ran_away(filter, channel, time_s):
@@ -101,7 +103,7 @@ def ran_away(filter: Filter, channel: Channel, time_s: float) -> bool:
     fixes = (c.memory.used_s for c in filter.channels.values() if c.sensor.corrects == "position")
     if max(fixes, default=-math.inf) > kept.rejected_since_s:
         return False
-    claimed = float(np.linalg.norm(read(filter, channel)))
+    claimed = math.hypot(*read(filter, channel).tolist())
     most = float(most_speed(max(claimed, kept.refused_speed), stated))
     return claimed <= most < math.hypot(*filter.memory.nav[3:6].tolist())
 

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.filter.events import StoodIn
-from navfilter.filter.refused_way import followed, full_residual, most_speed
+from navfilter.filter.refused_way import believable, followed, full_residual, most_speed
 from navfilter.kernels import drive_watch as kernel
 from navfilter.kernels import strapdown
 from navfilter.state import rotation_matrix
@@ -197,6 +197,7 @@ def _refused_velocity(filter: Filter) -> tuple[Array, Channel] | None:
             residual = full_residual(filter, channel)
             seen = np.isfinite(residual)
             N = channel.near[seen, 3:6]
-            if np.isfinite(N).all() and np.linalg.matrix_rank(N) >= 2:
+            speed, most = math.hypot(*filter.memory.nav[3:6].tolist()), filter.vehicle.drive.max_speed_m_s
+            if believable(residual, speed, most) and np.isfinite(N).all() and np.linalg.matrix_rank(N) >= 2:
                 return np.linalg.pinv(N) @ residual[seen], channel
     return None

@@ -210,8 +210,9 @@ def _turned_to_the_compass(filter: Filter) -> None:
         kept = channel.memory
         lasts = now_s - kept.rejected_since_s >= realignment.REFUSED_S and now_s - kept.last_s < realignment.HEARD_S
         if lasts and channel.sensor.open_loop == listen.HEADING and channel.axes == 1 and not channel.offset:
-            angle = math.remainder(float(gating.whole_residual(channel, filter.memory.x)[0]), math.tau)
-            turned(filter, channel, angle, float(channel.white[0, 0]) + channel.slow[0])
+            off = float(gating.whole_residual(channel, filter.memory.x)[0])
+            if abs(off) < math.tau:  # else it is no angle
+                turned(filter, channel, math.remainder(off, math.tau), float(channel.white[0, 0]) + channel.slow[0])
 
 
 def _jumped(filter: Filter, channel: Channel, time_s: float) -> None:

@@ -83,7 +83,8 @@ def believable(residual: Array, speed: Array | float, stated: float | None) -> N
     >>> believable(np.array([[0.4, 0.0, 0.0], [1500.0, 0.0, 0.0]]), 1.5, None)
     array([ True, False])
     """
-    return np.asarray(np.linalg.norm(np.nan_to_num(residual), axis=-1) <= most_speed(speed, stated) + speed)
+    size = np.hypot.reduce(np.nan_to_num(residual), axis=-1)  # does not overflow
+    return np.asarray(size <= most_speed(speed, stated) + speed)
 
 
 def since_fix(filter: Filter, channel: Channel) -> RefusedWay:

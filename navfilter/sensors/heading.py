@@ -14,7 +14,7 @@ from navfilter.error_models import ErrorModel, GaussMarkov, White
 from navfilter.filter.layout import Parameter
 from navfilter.kernels import listen, measurement
 from navfilter.learning.drift import Drift
-from navfilter.sensors.sensor import Errors, Reading, Sensor, Vector, checked_vector
+from navfilter.sensors.sensor import LARGEST, Errors, Reading, Sensor, Vector, checked_vector
 from navfilter.sensors.traits import Columns, Doubt, Example, Plausible, angle_doubt
 from navfilter.start import Start
 
@@ -177,7 +177,7 @@ class Heading(Sensor):
     def read(self, value: Array) -> Array | None:
         """Apply the iron calibration; append NaN where there is no temperature."""
         n = self.reads
-        if not all(map(math.isfinite, value[:n].tolist())):
+        if not all(abs(v) <= LARGEST for v in value[:n].tolist()):
             return None
         z = np.array([*value[: n + 1].tolist(), math.nan][: n + 1])
         if self.magnetometer:
@@ -192,7 +192,7 @@ class Heading(Sensor):
             return super().read_all(values)
         z = np.full((len(values), 2), math.nan)
         z[:, : values.shape[1]] = values[:, :2]
-        return z, np.isfinite(z[:, 0])
+        return z, np.abs(z[:, 0]) <= LARGEST
 
     def doubt_of(self, level: Array) -> float:
         """Variance of a heading from readings (n, 3) of a levelled field, or (n, 1), by what is constant [rad^2]."""

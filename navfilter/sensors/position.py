@@ -14,7 +14,7 @@ from navfilter.error_models import ErrorModel, GaussMarkov, White
 from navfilter.filter.layout import Parameter
 from navfilter.kernels import listen, measurement
 from navfilter.learning.drift import Drift
-from navfilter.sensors.sensor import Errors, Reading, Sensor, Vector
+from navfilter.sensors.sensor import LARGEST, Errors, Reading, Sensor, Vector
 from navfilter.sensors.traits import Columns, Example, Plausible
 from navfilter.start import Start
 
@@ -35,6 +35,8 @@ POSITION = Columns(
     circular=("longitude_rad",),
     least=2,
 )
+#: No vehicle that navigates by these sensors is higher, or deeper [m].
+HIGHEST_M = 1e5
 HDOP = Columns("hdop", ("hdop",), ("number",))
 
 
@@ -88,7 +90,7 @@ class Depth(Sensor):
 
     def read(self, value: Array) -> Array | None:
         """Pressure to depth where that is what arrives."""
-        if not math.isfinite(value[0]):
+        if not abs(value[0]) <= LARGEST:
             return None
         if not self.pressure:
             return value[:1]
@@ -189,10 +191,10 @@ class Position(Sensor):
         return np.asarray(self.lever_arm_b_m, dtype=float)
 
     def read(self, value: Array) -> Array | None:
-        """None for a fix without latitude or longitude, off the globe, at 0, 0, or of poor geometry."""
+        """None for a fix without latitude or longitude, off the globe or far above it, at 0, 0, or of poor geometry."""
         if (len(value) > 3 and value[3] > self.max_hdop) or value[0] == 0.0 == value[1]:
             return None
-        if not (abs(value[0]) <= math.pi / 2 and abs(value[1]) <= 2 * math.pi):
+        if not (abs(value[0]) <= math.pi / 2 and abs(value[1]) <= 2 * math.pi) or abs(value[2]) > HIGHEST_M:
             return None
         if self.antenna_height_m is None:
             return np.ascontiguousarray(value[:3])

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from navfilter.simulation.motion import Kinematics
     from navfilter.simulation.sensors import Truth
 
-__all__ = ["Errors", "Reading", "Sensor", "Vector", "checked_sds", "checked_vector"]
+__all__ = ["LARGEST", "Errors", "Reading", "Sensor", "Vector", "checked_sds", "checked_vector"]
 
 Array = NDArray[np.float64]
 Vector = tuple[float, float, float]
@@ -34,6 +34,8 @@ Reading = tuple[Array, tuple[str, ...]]
 EARLY_SDS = 2.5
 #: What is seen of the motion after a reading, at least [s].
 SEEN_S = 0.2
+#: A number beyond this is no measurement in any unit: a pressure at the greatest depth is 1e8 Pa.
+LARGEST = 1e12
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -220,7 +222,10 @@ class Sensor:
 
     def read(self, value: Array) -> Array | None:
         """Turn what arrives into what the kernel takes; None when it is not a reading (lost lock, out of range)."""
-        return value if np.isfinite(value).any() else None
+        seen = np.abs(value) <= LARGEST
+        if seen.all():
+            return value
+        return np.where(seen, value, np.nan) if seen.any() else None
 
     def read_all(self, values: Array | Sequence[Array]) -> tuple[Array, NDArray[np.bool_]]:
         """`read` of many readings: what it makes of each, NaN beyond, and which of them are readings.
