@@ -50,6 +50,8 @@ class DriveClockMemory:
         Samples that wait, by their stamps, moved as before.
     readings : list of Arrived
         Readings that wait behind them.
+    behind : list of int
+        Behind how many of them each.
     alone, together : int
         Readings that were of the time before the leap, and of the time after it.
     """
@@ -59,6 +61,7 @@ class DriveClockMemory:
     offset_s: float = 0.0
     held: Array = field(default_factory=lambda: np.empty((0, 7)))
     readings: list[Arrived] = field(default_factory=list)
+    behind: list[int] = field(default_factory=list)
     alone: int = 0
     together: int = 0
 
@@ -80,6 +83,8 @@ class DriveClock:
     PATIENCE_S = 1.0
     #: So many readings must say the same: one may have been on its way, or have a wild stamp.
     VOTES = 2
+    #: Of so many samples that follow each other: a single stamp may be wild, and several readings come between two.
+    SAMPLES = 2
 
     def __init__(self, period_s: float, live: bool) -> None:
         self._period_s, self._leap_s = period_s, max(self.LEAP_S, self.LEAP_PERIODS * period_s)
@@ -131,10 +136,11 @@ class DriveClock:
         """What the samples that wait say themselves: a wild stamp, or the end of patience."""
         memory, stamps = self.memory, self.memory.held[:, 0]
         back = stamps - memory.last_s
-        wild = ((back > 0.0) & (back <= self._leap_s)).any() or not (np.diff(stamps) > 0.0).all()
+        steps = np.diff(stamps)
+        wild = ((back > 0.0) & (back <= self._leap_s)).any() or not ((steps > 0.0) & (steps <= self._leap_s)).all()
         if wild or stamps[-1] - stamps[0] > self.PATIENCE_S:
             return self._released()
-        return []
+        return self._told()
 
     def hear(self, reading: Arrived) -> list[Array | Arrived] | None:
         """What goes on now, when this reading has arrived behind samples that wait; None when none wait."""
@@ -143,25 +149,40 @@ class DriveClock:
             memory.heard_s = reading.time_s if math.isfinite(reading.time_s) else memory.heard_s
             return None
         memory.readings.append(reading)
-        first_s = float(memory.held[0, 0])
-        half = 0.5 * (first_s - memory.last_s)
+        memory.behind.append(len(memory.held))
+        half = 0.5 * (float(memory.held[0, 0]) - memory.last_s)
         stamp = reading.time_s
         # one from before the leap may have been on its way
         memory.alone += memory.last_s < stamp < memory.last_s + abs(half)
         memory.together += stamp >= memory.last_s + half if half > 0.0 else stamp < memory.last_s + half
+        return self._told()
+
+    def _told(self) -> list[Array | Arrived]:
+        """What readings have told of the samples that wait; nothing of a single one, whose stamp may be wild."""
+        memory = self.memory
+        if len(memory.held) < self.SAMPLES or max(memory.alone, memory.together) < self.VOTES:
+            return []
         if memory.alone >= self.VOTES:
-            moved = memory.last_s + self._period_s - first_s
+            moved = memory.last_s + self._period_s - float(memory.held[0, 0])
             memory.held[:, 0] += moved
             memory.offset_s += moved
-            return self._released()
-        return self._released() if memory.together >= self.VOTES else []
+        return self._released()
 
     def _released(self) -> list[Array | Arrived]:
-        memory = self.memory
-        held, readings = memory.held, memory.readings
-        memory.last_s = float(held[-1, 0])
-        memory.held, memory.readings, memory.alone, memory.together = np.empty((0, 7)), [], 0, 0
-        return [held, *readings]
+        """All that waits, in the order of its arrival."""
+        memory, at = self.memory, 0
+        result: list[Array | Arrived] = []
+        for reading, behind in zip(memory.readings, memory.behind, strict=True):
+            if behind > at:
+                result.append(memory.held[at:behind])
+                at = behind
+            result.append(reading)
+        if at < len(memory.held):
+            result.append(memory.held[at:])
+        memory.last_s = float(memory.held[-1, 0])
+        memory.held, memory.readings, memory.behind = np.empty((0, 7)), [], []
+        memory.alone, memory.together = 0, 0
+        return result
 
     def go_on(self, memory: DriveClockMemory) -> None:
         """Be where another was.
@@ -177,6 +198,9 @@ class DriveClock:
             raise ValueError("what is kept of the drive's clock has another form")
         if not all(isinstance(reading, Arrived) for reading in memory.readings):
             raise ValueError("what waits for the drive's clock are no readings")
+        places = [0, *memory.behind, len(memory.held)]
+        if len(memory.behind) != len(memory.readings) or any(np.diff(places) < 0):
+            raise ValueError("what waits for the drive's clock waits nowhere")
         self.memory = memory
 
     def rest(self) -> Iterable[Array | Arrived]:
