@@ -27,6 +27,8 @@ from navfilter.state import wrap
 END_S, DIVE_S, BACK_S, FAULT_S, MINUTE_S, JUDGED_S = 700.0, 140.0, 500.0, 250.0, 60.0, 620.0
 RADIUS_M, G = 6.371e6, 9.80665
 WORST_NEES = 2.0
+#: No fault costs more than twice the way of a minute in which nothing at all is heard [m].
+FAR_M = 180.0
 COLUMNS = "fault<46 worst_m>8.1f sd_m>8.1f clean_m>8.1f held>7.2f named_s>7.1f after_m>8.1f nees>8.1f verdict<14"
 
 
@@ -117,6 +119,9 @@ SHOWN = (
     "compass next to iron, 4 deg",
     "stuck heading",
     "stuck position",
+    "single stamps zero",
+    "bursts stamped on receipt",
+    "delay drive 3 s",
 )
 
 
@@ -176,7 +181,7 @@ def row_of(name: str, case: Case, seeds: list[int], mems: bool) -> dict[str, Any
     named = [one["named_s"] for one in runs]
     row["named_s"] = None if None in named else max(named)
     failures = ["crash"] * bool(row["crashes"]) + ["NEES"] * (not row["nees"] < max(WORST_NEES, 2.0 * row["usual"]))
-    failures += ["bounds"] * (row["held"] < 99.9)
+    failures += ["bounds"] * (row["held"] < 99.9) + ["far"] * (row["worst_m"] > FAR_M)
     return {"fault": name, **row, "verdict": ", ".join(failures) or "ok"}
 
 
