@@ -213,6 +213,7 @@ def _turned_to_the_compass(filter: Filter) -> None:
             off = float(gating.whole_residual(channel, filter.memory.x)[0])
             if abs(off) < math.tau:  # else it is no angle
                 turned(filter, channel, math.remainder(off, math.tau), float(channel.white[0, 0]) + channel.slow[0])
+                return  # what another one read was held against the heading before
 
 
 def _jumped(filter: Filter, channel: Channel, time_s: float) -> None:
