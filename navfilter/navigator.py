@@ -26,7 +26,7 @@ from navfilter.filter.waiting import Waiting
 from navfilter.learning.listener import ChannelSeries
 from navfilter.learning.schedule import LearningSchedule
 from navfilter.learning.worker import Worker
-from navfilter.navigator_memory import MEMORY, NavigatorMemory
+from navfilter.navigator_memory import MEMORY, NavigatorMemory, check_watches
 from navfilter.start import Start
 from navfilter.state import NavState, Pose
 from navfilter.vehicle import Vehicle
@@ -418,6 +418,7 @@ class Navigator:
             nav._given(item)
         if set(saved.watches) != set(nav.watches):
             raise ValueError(f"watches must be kept of {', '.join(nav.watches)}, found {', '.join(saved.watches)}")
+        check_watches(saved.watches, nav.watches)
         nav.watches = saved.watches
         nav.clock.go_on(saved.clock)
         return nav

@@ -9,7 +9,9 @@ from navfilter.filter.adoption import Change
 from navfilter.filter.channel import Aside, ChannelMemory, Course, Refusals, RefusedWay, Scatter, Turns
 from navfilter.filter.drive_clock import Arrived, DriveClockMemory
 from navfilter.filter.filter_memory import FilterMemory
+from navfilter.filter.health import Watch
 from navfilter.filter.intake import IntakeMemory
+from navfilter.filter.memory import misfit
 from navfilter.learning.learner import LearnerMemory
 from navfilter.learning.learning_memory import Again, LearningMemory
 from navfilter.learning.listener_memory import Hop, ListenerMemory
@@ -17,7 +19,7 @@ from navfilter.learning.posterior import Line
 from navfilter.learning.rest import RestMemory
 from navfilter.learning.spectrum import Spectrum
 
-__all__ = ["MEMORY", "NavigatorMemory"]
+__all__ = ["MEMORY", "NavigatorMemory", "check_watches"]
 
 
 @dataclass
@@ -40,3 +42,13 @@ MEMORY = (
     *(IntakeMemory, DriveClockMemory, Arrived),
     *(LearningMemory, Again, Change, ListenerMemory, Hop, RestMemory, LearnerMemory, Line, Spectrum),
 )
+
+
+def check_watches(saved: dict[str, Watch], own: dict[str, Watch]) -> None:
+    """Raise ValueError for watches from outside that hold anything but what these do."""
+    for name, watch in saved.items():
+        problem = misfit(watch, own[name], f"watches[{name!r}]")
+        if not problem and not all(type(n) is int for n in dict(watch.outcomes).values()):
+            problem = f"watches[{name!r}].outcomes must be counts, found {watch.outcomes!r}"
+        if problem:
+            raise ValueError(problem)

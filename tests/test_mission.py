@@ -367,6 +367,8 @@ def test_environment_in_paths(monkeypatch, tmp_path):
     monkeypatch.delenv("DIVES")
     with pytest.raises(MissionError, match="environment variable DIVES is not set"):
         expand("$DIVES/a.csv", tmp_path)
+    with pytest.raises(MissionError, match="no name of a file"):
+        expand("a\0.csv", tmp_path)
 
 
 @pytest.mark.parametrize(

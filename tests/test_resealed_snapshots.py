@@ -105,6 +105,10 @@ CHANGES = {
     "nothing at rest": lambda saved, arrays: learning_of(saved).update(rest=None),
     "an input with six columns": lambda saved, arrays: saved["inputs"].append({"": "floats", "at": 0, "shape": [2, 6]}),
     "a watch too few": lambda saved, arrays: saved["watches"]["items"].pop(),
+    "a watch that counts in texts": lambda saved, arrays: saved["watches"]["items"][0][1]["fields"]["outcomes"][
+        "items"
+    ].append(["used", "often"]),
+    "a watch whose NIS is a text": lambda saved, arrays: saved["watches"]["items"][0][1]["fields"].update(nis="low"),
     "a history without end": lambda saved, arrays: saved.update(history_s=float("inf")),
     "no floats": lambda saved, arrays: arrays.update(floats=np.zeros(3)),
     "no meta": lambda saved, arrays: saved.clear(),

@@ -79,6 +79,9 @@ class Limits:
 LIMITS = Limits()
 #: Faults of a drive's axes that no unit has for a moment: the description of its file is wrong.
 DESCRIBED_WRONGLY = frozenset({"wrong-unit", "gravity", "swapped"})
+#: So often axes are contradicted where all six were left out three times [1]: a bias that has shifted is learnt after
+#: the first, what fails again and again is broken, or its signs and axes are.
+CONTRADICTED = 18
 #: Beyond this share of a run a sensor whose changes alone are used is wrong, not disturbed [1].
 LONG_JUMPED = 0.1
 _CHECK = "Run 'navfilter check MISSION --vehicle VEHICLE': it looks for wrong units, signs, axes and clocks."
@@ -202,7 +205,8 @@ def _mended(run: Track) -> Iterator[Finding]:
         yield Finding("info", name, text, "If it goes on, give its RandomWalk a larger density in vehicle.toml.")
     if found:
         text = "axes were found " + ", ".join(f"{fault} ({counted(n, 'time')})" for fault, n in found.items())
-        grade: Severity = "error" if found.keys() & DESCRIBED_WRONGLY else "warning"
+        again = found.get("contradicted", 0) >= CONTRADICTED
+        grade: Severity = "error" if again or found.keys() & DESCRIBED_WRONGLY else "warning"
         cure = "Check axes, units and signs in mission.toml; where these are right, the unit is broken."
         yield Finding(grade, name, f"{text}, and left out.", cure)
 

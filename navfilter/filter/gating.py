@@ -25,8 +25,9 @@ OPEN_ATTITUDE, OPEN_MOTION = np.array([0.1, 0.1, 1.0]), np.repeat([10.0, 2.0], 3
 #: Fixes that are off by more are of another coordinate system [m], a velocity is in another unit [m/s], a depth is no
 #: depth of any sea [m].
 MOST_OFF = {"position": 1e5, "velocity": 20.0, "depth": 1.2e4}
-#: What together knows where the vehicle is and how it moves.
-MOTION = {"position", "velocity"}
+#: What together knows where the vehicle is and how it moves, and how far off it says that the state is at least [m],
+#: [m/s]: a slow vehicle's wrong clock or lever arm makes less of a turn.
+MOTION = {"position": 0.0, "velocity": 2.0}
 #: It contradicts the state in so long [s]: within 8 s fixes that agree with dead reckoning have had their way.
 MOTION_S = 10.0
 #: A sensor counts as heard for so long after its last reading [s], and for so many of its periods.
@@ -47,18 +48,20 @@ def state_contradicted(channels: Collection[Channel], time_s: float) -> bool:
     time_s : float
         Now [s].
     """
-    against, for_it, motion = [], [], set()
+    against, for_it = [], []
+    motion: set[str] = set()
     for other in channels:
         memory, sensor = other.memory, other.sensor
         heard = time_s - memory.last_s < max(HEARD_S, HEARD_PERIODS * other.period_s)
         refused_s = time_s - memory.rejected_since_s
-        if heard and refused_s > min(MOTION_S, 0.5 * sensor.gate_timeout_s) and _off(other) > 0.0:
-            motion |= MOTION & {sensor.corrects}
+        if heard and refused_s > min(MOTION_S, 0.5 * sensor.gate_timeout_s):
+            motion |= {sensor.corrects} if _off(other) > MOTION.get(sensor.corrects, math.inf) else set()
         if heard and not other.aside and refused_s > 0.5 * sensor.gate_timeout_s:
             against.append(sensor.corrects)
         elif heard and math.isnan(memory.rejected_since_s) and sensor.confirms_state:
             for_it.append(sensor.corrects)
-    return (motion == MOTION and not MOTION & set(for_it)) or (len(against) > 1 and not for_it)
+    gone = motion == MOTION.keys() and not MOTION.keys() & set(for_it)
+    return gone or (len(against) > 1 and not for_it)
 
 
 def reset_variance(channels: Collection[Channel]) -> Array:

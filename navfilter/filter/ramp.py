@@ -41,8 +41,9 @@ TURNING = 0.05
 DISPUTED_S = 1.0
 #: Such a one accuses by a ramp of so long [s], longer than readings are late, if its readings have changed by less than
 #: this share of what the ramp has grown by [1]: one in another unit changes by as much or more, with another sign by
-#: half of it.
-LONG_S, SAME = 10.0, 0.25
+#: half of it. And the ramp must have grown by so much [m/s]: what a slow vehicle's wrong lever arm or mirrored axis
+#: makes of a turn is less.
+LONG_S, SAME, GROWN = 10.0, 0.25, 1.0
 #: The drive has run away once a velocity has been refused for so long, and no fix was used meanwhile [s].
 RUNAWAY_S = 2.0
 
@@ -140,7 +141,7 @@ def reads_the_same(ramp: tuple[float, ...], reading: Array, slope: float) -> boo
     """
     lasted_s = 2.0 * (ramp[2] / ramp[1] - ramp[0])  # of evenly spaced readings
     changed = float(np.linalg.norm(reading - np.array(ramp[-3:])))
-    return lasted_s >= LONG_S and changed < SAME * slope * lasted_s
+    return lasted_s >= LONG_S and slope * lasted_s >= GROWN and changed < SAME * slope * lasted_s
 
 
 def ramp_of(ramp: tuple[float, ...], white: Array) -> float | None:

@@ -92,6 +92,9 @@ class Place:
 def expand(path: str, folder: Path) -> Path:
     """A path of a .toml: ``${NAME}`` is taken from the environment, the rest is relative to the folder of the .toml."""
 
+    if "\0" in path:
+        raise MissionError(f"{path!r} is no name of a file: it has a zero byte. Write the name without it.")
+
     def value(match: re.Match[str]) -> str:
         name = match.group(1) or match.group(2)
         if name not in os.environ:
