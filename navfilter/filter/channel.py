@@ -114,6 +114,11 @@ class ChannelMemory:
         return not self.rejected_since_s - self.disputed_s <= UNDISPUTED_S
 
     @property
+    def refused_from_s(self) -> float:
+        """From when on the readings that have been refused may speak [s]: when it was used last, or since they are."""
+        return self.used_s if math.isfinite(self.used_s) else self.rejected_since_s
+
+    @property
     def astray(self) -> bool:
         """Whether its slow error came to be beyond belief, and no reading has agreed with the state since."""
         return not math.isnan(self.astray_m)

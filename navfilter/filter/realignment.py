@@ -124,7 +124,10 @@ def set_anew(filter: Filter, tell: Listening) -> None:
         M[range(3, 6), range(3, 6)] = 0.0
         attitude = N[6, 6] + N[8, 8] + memory.P[8, 8]
         N[range(3, 6), range(3, 6)] = VELOCITY_SD**2 + float(velocity @ velocity) * min(attitude, 1.0)
-        N[:2, :2] = followed(filter, channel)
+        if channel.memory.way is None:  # whose way nobody has kept
+            N[:3, :3] = np.outer(off, off) * (memory.time_s - channel.memory.refused_from_s) ** 2
+        else:
+            N[:2, :2] = followed(filter, channel)
         for channel in filter.channels.values():
             if channel.moves and not channel.aside:
                 channel.memory.rejected_since_s, channel.memory.refused = math.nan, None
