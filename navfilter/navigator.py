@@ -106,7 +106,7 @@ class Navigator:
         self.history = History(self, length_s, names) if length_s else None
         self.watches = {name: Watch(sensor.gate_timeout_s) for name, sensor in vehicle.sensors.items()}
         # a recording is in the order of its stamps: there is nothing to be seen of how it arrived
-        self.clock = DriveClock(vehicle.drive.period_s, live=tape is None)
+        self.clock = DriveClock(vehicle.drive.period_s, tape is None, self.filter.ahead_s)
         self.waiting = Waiting()
         self._behind = {name: names[i + 1 :] for i, name in enumerate(names)}
         self._row = np.empty((1, 7))
@@ -147,10 +147,10 @@ class Navigator:
             self._go_on(item)
 
     def _go_on(self, item: Array | Arrived) -> Outcome | None:
-        if isinstance(item, np.ndarray):
-            self._pass_on(item)
-            return None
-        return self.correct(*item)
+        if isinstance(item, Arrived):
+            return self._place(item)
+        self._pass_on(item)
+        return None
 
     def _pass_on(self, samples: Array) -> None:
         while len(samples) and samples[-1, 0] + self.offset_s > self.waiting.next_s + 1e-9:
@@ -192,8 +192,12 @@ class Navigator:
             z, time_s = np.array(value, dtype=np.float64).reshape(-1), float(time_s)
         except (TypeError, ValueError):
             z, time_s = np.full(1, np.nan), math.nan
-        if (held := self.clock.hear(Arrived(name, time_s, z, sd))) is not None:
+        if (held := self.clock.hear(arrived := Arrived(name, time_s, z, sd))) is not None:
             return [Outcome("waiting"), *(self._go_on(item) for item in held)][-1] or Outcome("waiting")
+        return self._place(arrived)
+
+    def _place(self, arrived: Arrived) -> Outcome:
+        name, time_s, z, sd = arrived
         time_s += self.offset_s - self.vehicle.sensors[name].time_offset_s
         reading = Reading(name, time_s + self.filter.channels[name].lead_s, z, sd)
         self._release(time_s)
@@ -234,13 +238,11 @@ class Navigator:
     def placed(self, reading: Reading) -> Outcome:
         """Take a reading where its time says."""
         history, filter = self.history, self.filter
-        if history is None:
-            outcome = self.feed(reading)
-            assert outcome is not None
-            return outcome
         # of readings with the same time, those of the sensors named first come first, as in a replay
         overtaken = any(filter.channels[name].memory.last_s == reading.time_s for name in self._behind[reading.name])
-        if not (reading.time_s < filter.time_s - 1e-7 or overtaken):
+        if history is None:
+            outcome = self.feed(reading)
+        elif not (reading.time_s < filter.time_s - 1e-7 or overtaken):
             outcome = history.feed(reading)
         elif filter.intake.in_doubt:
             return Outcome("too-late")
@@ -416,8 +418,6 @@ class Navigator:
         nav.revive(saved.memory)
         for item in saved.inputs:
             nav._given(item)
-        if set(saved.watches) != set(nav.watches):
-            raise ValueError(f"watches must be kept of {', '.join(nav.watches)}, found {', '.join(saved.watches)}")
         check_watches(saved.watches, nav.watches)
         nav.watches = saved.watches
         nav.clock.go_on(saved.clock)

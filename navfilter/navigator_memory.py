@@ -45,7 +45,9 @@ MEMORY = (
 
 
 def check_watches(saved: dict[str, Watch], own: dict[str, Watch]) -> None:
-    """Raise ValueError for watches from outside that hold anything but what these do."""
+    """Raise ValueError for watches from outside that hold anything but what these do, or are of others."""
+    if set(saved) != set(own):
+        raise ValueError(f"watches must be kept of {', '.join(own)}, found {', '.join(saved)}")
     for name, watch in saved.items():
         problem = misfit(watch, own[name], f"watches[{name!r}]")
         if not problem and not all(type(n) is int for n in dict(watch.outcomes).values()):

@@ -154,6 +154,64 @@ def test_without_an_answer_samples_go_on_as_they_are():
     assert clock.memory.offset_s == 0.0
 
 
+def late(events, by_s, from_s=SET_S, end_s=math.inf):
+    """The drive's samples arrive later."""
+    moved = [
+        e._replace(arrival_s=e.arrival_s + by_s * (e.sensor == DRIVE and from_s <= e.true_s < end_s)) for e in events
+    ]
+    return sorted(moved, key=lambda e: e.arrival_s)
+
+
+def test_readings_wait_for_a_drive_that_is_late(dive):
+    """Those of the first second are taken beside the last sample; all others as if nothing were late."""
+    vehicle, mission, events = dive
+    best, _ = flown(vehicle, mission, events)
+    nav, outcomes = flown(vehicle, mission, late(events, 3.0))
+    assert not {"ahead", "too-late", "invalid"} & {outcome.status for outcome in outcomes}
+    assert nav.health.drive["late"] > 100
+    assert nav.time_s == best.time_s and nav.counts["gap"] == nav.counts["backward"] == 0
+    used = {name: nav.health.sensors[name].outcomes["used"] for name in vehicle.sensors}
+    assert used == {name: best.health.sensors[name].outcomes["used"] for name in vehicle.sensors}
+    error = nav.state.minus(best.state)
+    assert math.hypot(error[0], error[1]) < 0.5 * best.state.sd[0]
+    assert "late" not in best.health.drive
+
+
+def test_readings_that_leap_ahead_do_not_wait(dive):
+    vehicle, mission, events = dive
+    wrong = [e._replace(time_s=e.time_s + 2.0) if e.sensor != DRIVE and e.true_s >= SET_S else e for e in events]
+    nav, outcomes = flown(vehicle, mission, wrong)
+    assert sum(outcome.status == "ahead" for outcome in outcomes) > 50 and "late" not in nav.health.drive
+
+
+def test_of_a_drive_that_falls_silent_nothing_waits_for_ever():
+    """To the same bits as where nothing waits at all."""
+    vehicle, mission = simulate_scenario("lawnmower", 2, END_S)
+    events = [e for e in events_of(vehicle, mission) if e.sensor != DRIVE or not SET_S < e.time_s < SET_S + 8.0]
+    nav, _ = flown(vehicle, mission, events)
+    plain = nf.Navigator(vehicle, mission.start, threads=False)
+    plain.clock = DriveClock(vehicle.drive.period_s, live=False)
+    one_by_one(plain, events)
+    assert nav.health.drive["silent"] and not nav.clock.memory.early
+    np.testing.assert_array_equal(nav.state.covariance, plain.state.covariance)
+
+
+def test_what_waits_for_a_late_drive_is_in_a_snapshot_and_is_taken_at_the_end(dive):
+    vehicle, mission, events = dive
+    wrong = late(events, 3.0)
+    whole, _ = flown(vehicle, mission, wrong)
+    nav = nf.Navigator(vehicle, mission.start, threads=False)
+    at = next(k for k, e in enumerate(wrong) if e.arrival_s > SET_S + 10.0)
+    one_by_one(nav, wrong[:at])
+    assert nav.clock.memory.early
+    other = nf.Navigator.restore(vehicle, nav.snapshot())
+    nav.finish()
+    assert not nav.clock.memory.early
+    one_by_one(other, wrong[at:])
+    other.finish()
+    assert other.snapshot() == whole.snapshot()
+
+
 def test_the_truth_of_a_long_dive_is_held():
     """As it was measured: without this, kilometres."""
     vehicle, mission = watched.simulated(5, 240.0)

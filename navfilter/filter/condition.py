@@ -75,7 +75,7 @@ def health_of(
     doubts += [f"{name} is {condition}" for name, condition in axes.items() if condition != "good"]
     return Health(
         sensors,
-        dict(memory.counts),
+        dict(memory.counts) | ({"late": clock.memory.waited} if clock.memory.waited else {}),
         memory.intake.offset_s,
         axes,
         integrity.Bounds(float(radius_m), float(heading_rad)),

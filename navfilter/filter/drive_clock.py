@@ -7,18 +7,25 @@ they belong to: the time after the leap, and it was one for everybody, which is 
 `navfilter.filter.intake`; or the time before, and the clock of the drive alone was set. Then its stamps are moved so
 that they go on, and nothing is lost.
 
+A drive may also be late: its samples come a second or more behind the readings of their time. Readings that follow each
+other then wait for the samples before them, until the drive is so far behind that it is silent. Readings whose stamps
+leap ahead do not wait: it is their clock that is wrong.
+
 This works on the order of arrival, so it is for runs that are fed live. A recording is in the order of its stamps.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from bisect import insort
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+
+from navfilter.filter.intake import Intake
 
 __all__ = ["Arrived", "DriveClock", "DriveClockMemory"]
 
@@ -54,6 +61,12 @@ class DriveClockMemory:
         Behind how many of them each.
     alone, together : int
         Readings that were of the time before the leap, and of the time after it.
+    early : list of Arrived
+        Readings that wait for a drive that is late, in the order of their stamps.
+    follows_s : float
+        Stamp that the next reading is to follow [s].
+    waited : int
+        Readings that have waited for it so far.
     """
 
     last_s: float = math.nan
@@ -64,6 +77,9 @@ class DriveClockMemory:
     behind: list[int] = field(default_factory=list)
     alone: int = 0
     together: int = 0
+    early: list[Arrived] = field(default_factory=list)
+    follows_s: float = -math.inf
+    waited: int = 0
 
 
 class DriveClock:
@@ -75,6 +91,8 @@ class DriveClock:
         Of the drive.
     live : bool
         Whether things arrive at all; otherwise nothing is held back.
+    ahead_s : float
+        Readings may be taken so far ahead of the drive [s].
     """
 
     #: A leap by more than this is looked into [s]; and so many periods.
@@ -85,10 +103,14 @@ class DriveClock:
     VOTES = 2
     #: Of so many samples that follow each other: a single stamp may be wild, and several readings come between two.
     SAMPLES = 2
+    #: Readings follow each other when one comes so soon after the one before [s]: a sensor at 1 Hz is on board.
+    FOLLOWS_S = 1.5
+    #: A stamp further from the drive's than this says nothing of what follows [s].
+    WILD_S = 10.0
 
-    def __init__(self, period_s: float, live: bool) -> None:
+    def __init__(self, period_s: float, live: bool, ahead_s: float = math.inf) -> None:
         self._period_s, self._leap_s = period_s, max(self.LEAP_S, self.LEAP_PERIODS * period_s)
-        self._live = live
+        self._live, self._ahead_s = live, ahead_s
         self.memory = DriveClockMemory()
 
     @property
@@ -98,12 +120,28 @@ class DriveClock:
 
     def take(self, samples: Array) -> list[Array | Arrived]:
         """What goes on now, when these samples have arrived; their first column is changed in place."""
-        memory = self.memory
         if not (self._live and len(samples)):
             return [samples]
+        items = self._taken(samples)
+        return list(self._met(items)) if self.memory.early else items
+
+    def _met(self, items: Iterable[Array | Arrived]) -> Iterator[Array | Arrived]:
+        """The same, and between them the readings that have waited for these samples."""
+        early = self.memory.early
+        for item in items:
+            while isinstance(item, np.ndarray) and early and item[-1, 0] > early[0].time_s:
+                here = int(np.argmax(item[:, 0] > early[0].time_s))
+                if here:
+                    yield item[:here]
+                yield early.pop(0)
+                item = item[here:]
+            yield item
+
+    def _taken(self, samples: Array) -> list[Array | Arrived]:
+        memory = self.memory
         known = np.isfinite(samples[:, 0])
         if not known.all():  # no word of a clock; the intake refuses them
-            return [samples[~known], *self.take(samples[known])]
+            return [samples[~known], *(self._taken(samples[known]) if known.any() else [])]
         samples[:, 0] += memory.offset_s
         if not self.holds:
             first_s, last_s, count = samples[0, 0], samples[-1, 0], len(samples)
@@ -143,11 +181,11 @@ class DriveClock:
         return self._told()
 
     def hear(self, reading: Arrived) -> list[Array | Arrived] | None:
-        """What goes on now, when this reading has arrived behind samples that wait; None when none wait."""
+        """What goes on now, when this reading has arrived: nothing where it waits; None for the reading itself."""
         memory = self.memory
+        memory.heard_s = reading.time_s if math.isfinite(reading.time_s) else memory.heard_s
         if not self.holds:
-            memory.heard_s = reading.time_s if math.isfinite(reading.time_s) else memory.heard_s
-            return None
+            return self._waited(reading)
         memory.readings.append(reading)
         memory.behind.append(len(memory.held))
         half = 0.5 * (float(memory.held[0, 0]) - memory.last_s)
@@ -155,7 +193,27 @@ class DriveClock:
         # one from before the leap may have been on its way
         memory.alone += memory.last_s < stamp < memory.last_s + abs(half)
         memory.together += stamp >= memory.last_s + half if half > 0.0 else stamp < memory.last_s + half
-        return self._told()
+        return list(self._met(self._told()))
+
+    def _waited(self, reading: Arrived) -> list[Array | Arrived] | None:
+        """What goes on now, when this reading has arrived and no samples wait: see `hear`."""
+        memory = self.memory
+        ahead_s = reading.time_s - memory.last_s
+        if not self._live or not abs(ahead_s) < self.WILD_S:
+            return None
+        if ahead_s <= self._ahead_s:
+            memory.follows_s = reading.time_s
+            return None
+        if abs(reading.time_s - memory.follows_s) > self.FOLLOWS_S:
+            return None
+        memory.follows_s = max(memory.follows_s, reading.time_s)
+        if memory.follows_s - memory.last_s < Intake.SILENT_S:
+            insort(memory.early, reading, key=lambda one: one.time_s)
+            memory.waited += 1
+            return []
+        # the drive is silent
+        released, memory.early = memory.early, []
+        return [*released, reading] if released else None
 
     def _told(self) -> list[Array | Arrived]:
         """What readings have told of the samples that wait; nothing of a single one, whose stamp may be wild."""
@@ -196,7 +254,7 @@ class DriveClock:
         numbers = (memory.last_s, memory.heard_s, memory.offset_s)
         if rows != (7,) or not all(isinstance(x, float) for x in numbers) or not math.isfinite(memory.offset_s):
             raise ValueError("what is kept of the drive's clock has another form")
-        if not all(isinstance(reading, Arrived) for reading in memory.readings):
+        if not all(isinstance(reading, Arrived) for reading in [*memory.readings, *memory.early]):
             raise ValueError("what waits for the drive's clock are no readings")
         places = [0, *memory.behind, len(memory.held)]
         if len(memory.behind) != len(memory.readings) or any(np.diff(places) < 0):
@@ -205,4 +263,7 @@ class DriveClock:
 
     def rest(self) -> Iterable[Array | Arrived]:
         """What still waits when no more comes, as it is."""
-        return self._released() if self.holds else []
+        items = list(self._met(self._released())) if self.holds else []
+        items += self.memory.early
+        self.memory.early = []
+        return items

@@ -91,7 +91,8 @@ class Health:
     drive : dict of str to int
         Irregularities so far: of the drive's samples gaps, backward stamps, repaired samples, clock set back or right;
         then gates widened, resets of the state to sensors that agree against it, jumps of sensors, states given up,
-        attitudes set anew by the level, biases of gyros that shifted, models adopted.
+        attitudes set anew by the level, biases of gyros that shifted, models adopted; and, where the drive has been
+        late, how many readings have waited for it.
     clock_offset_s : float
         By how much stamps are moved because the clock was set back [s].
     drive_clock_offset_s : float
