@@ -137,13 +137,12 @@ def confine(rows, p, q, limits):
     for row in rows:
         for ar, at, count, radius in ((True, 0, p, limits[1]), (False, p, q, limits[2])):
             roots = np.roots(np.r_[1.0, row[at : at + count]]).astype(complex)
+            if ar:
+                roots = roots * np.minimum(1.0, (radius - 1e-12) / np.maximum(np.abs(roots), 1e-300))
             if ar and count == 1 and limits[0] > 0.0:
                 roots = np.minimum(roots.real, np.exp(-limits[0]))
             elif ar:
                 logs = np.log(np.where(np.abs(roots) < 1e-12, 1e-12, roots))
-                if limits[0] > 0.0:
-                    roots = np.where(logs.real > 0.0, np.exp(-logs.conj()), roots)
-                    logs = -np.abs(logs.real) + 1j * logs.imag
                 far = logs * limits[0] / np.maximum(np.abs(logs), 1e-12)
                 far = np.minimum(far.real, -0.05 * limits[0]) + 1j * far.imag
                 roots = np.where(np.abs(logs) < limits[0], np.exp(far), roots)

@@ -239,8 +239,8 @@ def _from_roots(z, c):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _push_from_one(c, distance, z):
-    """Roots outside the unit circle are reflected into it, and those nearer to 1 than `distance` in natural frequency,
-    ``|ln z|`` per sample, are moved away from it, damped at the least.
+    """Roots nearer to 1 than `distance` in natural frequency, ``|ln z|`` per sample, are moved away from it, damped at
+    the least.
     """
     if c.size == 1:
         c[0] = max(c[0], -math.exp(-distance))
@@ -249,9 +249,6 @@ def _push_from_one(c, distance, z):
     near = False
     for k in range(c.size):
         log = np.log(z[k] if abs(z[k]) > TINY else complex(TINY))
-        if log.real > 0.0:
-            near, log = True, complex(-log.real, log.imag)
-            z[k] = np.exp(log)
         if abs(log) < distance:
             near = True
             log = log * (distance / abs(log)) if abs(log) > TINY else complex(-distance)
@@ -283,9 +280,10 @@ def confine(rows, p, q, limits):
     """
     space = np.empty(max(p, q), np.complex128)
     for row in rows:
+        _pull_inside(row[:p], limits[1], math.inf, space[:p])
         if p and limits[0] > 0.0:
             _push_from_one(row[:p], limits[0], space[:p])
-        _pull_inside(row[:p], limits[1], math.inf, space[:p])
+            _pull_inside(row[:p], limits[1], math.inf, space[:p])
         _pull_inside(row[p : p + q], limits[2], 1.0, space[:q])
         for i in range(p + q, row.size):
             k = 3 + 2 * (i - p - q)
