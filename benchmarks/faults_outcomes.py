@@ -29,6 +29,8 @@ RADIUS_M, G = 6.371e6, 9.80665
 WORST_NEES = 2.0
 #: No fault costs more than twice the way of a minute in which nothing at all is heard [m].
 FAR_M = 180.0
+#: A process that stands still says nothing for so long [s].
+SAYS_NOTHING_S = {"process suspended for 20 s": 20.0}
 COLUMNS = "fault<46 worst_m>8.1f sd_m>8.1f clean_m>8.1f held>7.2f named_s>7.1f after_m>8.1f nees>8.1f verdict<14"
 
 
@@ -143,7 +145,7 @@ def cases(vehicle: nf.Vehicle) -> dict[str, Case]:
     scene = library.scene_of(vehicle, (FAULT_S, FAULT_S + MINUTE_S), (540.0, 580.0))
 
     def kind(name: str) -> Case:
-        begin_s = 540.0 if "position" in name or "fixes" in name else FAULT_S
+        begin_s = 540.0 if "position" in name or "fixes" in name else FAULT_S + SAYS_NOTHING_S.get(name, 0.0)
         return Case(events=lambda events: library.damaged(name, events, scene, 1), begin_s=begin_s)
 
     return SITUATIONS | {name: kind(name) for name in library.KINDS}
@@ -157,7 +159,8 @@ def outcomes(options: Options) -> list[dict[str, Any]]:
     the greatest without the fault. held: share of all seconds in which the truth lay within the protection radius and
     the bound of the heading; those before the first reading of any sensor do not count, for a start that is told
     wrongly cannot be known to be wrong before anything contradicts it. named_s: when something was said of it (a
-    condition, a counter, an outcome that the run without it does not have). after_m, nees: greatest error, and worst
+    condition, a counter, an outcome that the run without it does not have); of a process that is suspended from when it
+    goes on. after_m, nees: greatest error, and worst
     NEES of position, velocity and attitude, from two minutes of fixes on. Figures are the worst of the seeds.
     """
     rows = Table(COLUMNS)
@@ -202,14 +205,15 @@ def run(case: Case, seed: int, mems: bool) -> dict[str, Any]:
     dive = off[dived(off)]
     worst = dive[np.argmax(dive[:, 1])] if len(dive) else np.full(5, np.nan)
     news = (t for t, s in outcome.states if t >= case.begin_s and differs(said(s), usual.get(round(t), said(s))))
-    begun = next(news, None)
+    answers = (t for answer, t in outcome.first_s.items() if answer.endswith("unknown-sensor"))
+    begun = min(next(news, math.inf), *answers, math.inf)
     nees = watched.nees(outcome, mission_of(seed, mems)[1].truth, JUDGED_S)
     return {
         "worst_m": float(worst[1]),
         "sd_m": float(worst[2]),
         "clean_m": clean_m,
         "held": 100.0 * float(np.mean(off[:, 3])),
-        "named_s": None if begun is None else max(0.0, begun - case.begin_s),
+        "named_s": max(0.0, begun - case.begin_s) if math.isfinite(begun) else None,
         "after_m": float(after[:, 1].max()) if len(after) else math.nan,
         "nees": max(nees.values()),
         "usual": clean_nees,

@@ -104,7 +104,7 @@ class Navigator:
         self._room = None if self.learning.rest is None else self.learning.room
         names = list(vehicle.sensors)
         self.history = History(self, length_s, names) if length_s else None
-        self.watches = {name: Watch(sensor.gate_timeout_s) for name, sensor in vehicle.sensors.items()}
+        self.watches = {name: Watch.of(sensor) for name, sensor in vehicle.sensors.items()}
         # a recording is in the order of its stamps: there is nothing to be seen of how it arrived
         self.clock = DriveClock(vehicle.drive.period_s, tape is None, self.filter.ahead_s)
         self.waiting = Waiting()

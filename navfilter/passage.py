@@ -324,7 +324,7 @@ class Passage:
         heard = np.array(
             [(*c.times, c.period_s, _doubted(c), c.count, c.lead_s) for c in self._channels], dtype=np.float64
         )
-        watched = np.array([(w.same, w.since_s, w.heard_s, w.used_s, w.nis, 0.0) for w in self._watches])
+        watched = np.array([watch.figures for watch in self._watches])
         out, hearing, recent = self._output(), self._hearing(), self._recent(memory.recent)
         cursor[kernels.NEWEST] = kernels.MORE_RECENT if len(recent) else 0
         first = cursor[kernels.READING], cursor[kernels.SAMPLE]

@@ -51,7 +51,7 @@ class PassageAgain(Passage):
         super().__init__(nav, samples[:, 0].copy(), samples[:, 1:].copy(), given, 0, before)
 
     def _watched(self) -> list[Watch]:
-        return [Watch(math.inf) for _ in self._readings.names]
+        return [Watch(math.inf, math.inf) for _ in self._readings.names]
 
     def _repeated(self) -> NDArray[np.bool_]:
         return np.array([reading.same for reading in self._given], bool)

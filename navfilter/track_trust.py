@@ -17,6 +17,7 @@ from navfilter.filter.tape import OUTCOMES
 
 if TYPE_CHECKING:
     from navfilter.mission import Stream
+    from navfilter.sensors import Sensor
     from navfilter.track import Track
 
 __all__ = ["Spell", "integrity_figures", "spells"]
@@ -133,13 +134,13 @@ def _reasons(run: Track) -> Iterator[tuple[str, str, Mask]]:
         yield "lost", f"faster than the vehicle can be ({most:g} m/s)", speed > MARGIN * most
     for name, sensor in run.vehicle.sensors.items():
         if name in run.residuals and len(run.residuals[name].time_s):
-            conditions = _conditions(run, name, sensor.gate_timeout_s)
+            conditions = _conditions(run, name, sensor)
             # fixes are not there under water: what that costs is in the bounds
             calm = "silent" if sensor.corrects == "position" else ""
             yield from (("degraded", f"{name} is {what}", rows) for what, rows in conditions if what != calm)
 
 
-def _conditions(run: Track, name: str, timeout_s: float) -> Iterator[tuple[str, Mask]]:
+def _conditions(run: Track, name: str, sensor: Sensor) -> Iterator[tuple[str, Mask]]:
     """The conditions of a sensor, each with the rows at which it is in it, as `navfilter.filter.health.Watch` has them.
 
     That its value does not change shows as its readings being rejected.
@@ -153,7 +154,8 @@ def _conditions(run: Track, name: str, timeout_s: float) -> Iterator[tuple[str, 
         last = np.searchsorted(times, now, side="right") - 1
         return np.where(last >= 0, now - times[last], np.inf) if times.size else np.full(len(now), np.inf)
 
-    waiting, silent, old = now < first, age(heard) > timeout_s, age(r.used) > timeout_s
+    waiting, silent = now < first, age(heard) > Watch.silent_after_s(sensor)
+    old = age(r.used) > sensor.gate_timeout_s
     yield "silent", silent & ~waiting
     left = ~silent & ~waiting
     yield "rejected", left & old

@@ -76,6 +76,8 @@ class Outcome:
         Smallest eigenvalue of the covariance scaled to a unit diagonal, over the run.
     counts : Counter
         By "role:outcome", "drive:counter", and seconds of "role is condition" (see `navfilter.filter.health`).
+    first_s : dict
+        By "role:outcome", the true time of the first reading with it.
     sent, answered : int
         Readings handed in, and outcomes that came back for them.
     states : list of (float, NavState)
@@ -91,6 +93,7 @@ class Outcome:
     not_definite_s: float | None = None
     smallest: float = math.inf
     counts: Counter = field(default_factory=Counter)
+    first_s: dict[str, float] = field(default_factory=dict)
     sent: int = 0
     answered: int = 0
     states: list[tuple[float, NavState]] = field(default_factory=list)
@@ -184,6 +187,7 @@ def _correct(nav: Navigator, event: Event, roles: dict[str, str], outcome: Outco
     outcome.answered += 1
     role = roles.get(event.sensor, "unknown") if isinstance(event.sensor, str) else "unknown"
     outcome.counts[f"{role}:{result.status}"] += 1
+    outcome.first_s.setdefault(f"{role}:{result.status}", event.true_s)
 
 
 def _look(nav: Navigator, last: Event, reading: Event | None, outcome: Outcome) -> None:

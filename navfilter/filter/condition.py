@@ -15,7 +15,7 @@ from navfilter.filter.channel import Channel
 from navfilter.filter.course import led_astray
 from navfilter.filter.drive_clock import DriveClock
 from navfilter.filter.filter import Filter
-from navfilter.filter.health import Health, LearningHealth, Watch
+from navfilter.filter.health import CALM, Health, LearningHealth, Watch
 from navfilter.filter.refused_way import since_fix
 from navfilter.state import NavState
 
@@ -68,14 +68,13 @@ def health_of(
     speed, turn = math.hypot(*memory.nav[3:6].tolist()), max(map(abs, np.atleast_1d(rate).tolist()))
     # fixes are not there under water: what that costs is in the bounds
     calm = {
-        name: ("good", "waiting", "silent") if channel.sensor.corrects == "position" else ("good", "waiting")
-        for name, channel in channels.items()
+        name: (*CALM, "silent") if channel.sensor.corrects == "position" else CALM for name, channel in channels.items()
     }
     doubts = [f"{name} is {s.condition}" for name, s in sensors.items() if s.condition not in calm[name]]
     doubts += [f"{name} is {condition}" for name, condition in axes.items() if condition != "good"]
     return Health(
         sensors,
-        dict(memory.counts) | ({"late": clock.memory.waited} if clock.memory.waited else {}),
+        dict(memory.counts) | ({"late": clock.memory.late} if clock.memory.late else {}),
         memory.intake.offset_s,
         axes,
         integrity.Bounds(float(radius_m), float(heading_rad)),

@@ -65,8 +65,8 @@ class DriveClockMemory:
         Readings that wait for a drive that is late, in the order of their stamps.
     follows_s : float
         Stamp that the next reading is to follow [s].
-    waited : int
-        Readings that have waited for it so far.
+    late : int
+        Readings that came so far ahead of it, so far.
     """
 
     last_s: float = math.nan
@@ -79,7 +79,7 @@ class DriveClockMemory:
     together: int = 0
     early: list[Arrived] = field(default_factory=list)
     follows_s: float = -math.inf
-    waited: int = 0
+    late: int = 0
 
 
 class DriveClock:
@@ -103,6 +103,8 @@ class DriveClock:
     VOTES = 2
     #: Of so many samples that follow each other: a single stamp may be wild, and several readings come between two.
     SAMPLES = 2
+    #: A drive is late where readings come so far ahead of it [s], and so many periods: less are blocks.
+    LATE_S, LATE_PERIODS = 0.2, 5.0
     #: Readings follow each other when one comes so soon after the one before [s]: a sensor at 1 Hz is on board.
     FOLLOWS_S = 1.5
     #: A stamp further from the drive's than this says nothing of what follows [s].
@@ -111,6 +113,7 @@ class DriveClock:
     def __init__(self, period_s: float, live: bool, ahead_s: float = math.inf) -> None:
         self._period_s, self._leap_s = period_s, max(self.LEAP_S, self.LEAP_PERIODS * period_s)
         self._live, self._ahead_s = live, ahead_s
+        self._late_s = max(self.LATE_S, self.LATE_PERIODS * period_s)
         self.memory = DriveClockMemory()
 
     @property
@@ -201,6 +204,7 @@ class DriveClock:
         ahead_s = reading.time_s - memory.last_s
         if not self._live or not abs(ahead_s) < self.WILD_S:
             return None
+        memory.late += ahead_s > self._late_s
         if ahead_s <= self._ahead_s:
             memory.follows_s = reading.time_s
             return None
@@ -209,7 +213,6 @@ class DriveClock:
         memory.follows_s = max(memory.follows_s, reading.time_s)
         if memory.follows_s - memory.last_s < Intake.SILENT_S:
             insort(memory.early, reading, key=lambda one: one.time_s)
-            memory.waited += 1
             return []
         # the drive is silent
         released, memory.early = memory.early, []

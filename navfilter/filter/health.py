@@ -4,15 +4,21 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.filter.integrity import Bounds, Trust
 
-__all__ = ["Health", "LaneHealth", "LearningHealth", "SensorHealth", "Watch"]
+if TYPE_CHECKING:
+    from navfilter.sensors import Sensor
+
+__all__ = ["CALM", "Health", "LaneHealth", "LearningHealth", "SensorHealth", "Watch"]
 
 Array = NDArray[np.float64]
+#: Conditions of sensors that are used.
+CALM = ("good", "waiting", "partial")
 
 
 @dataclass(frozen=True)
@@ -22,10 +28,11 @@ class SensorHealth:
     Attributes
     ----------
     condition : str
-        "good", "waiting" (nothing heard yet), "silent" (not heard for longer than its gate time-out), "rejected"
-        (heard, but not used for so long), "stuck" (the same value for too long), "jumped" (off by a constant from one
-        reading to the next, and used for changes only until it is back), "astray" (slowly led off further than its
-        error model allows, and refused until it is back) or "noisy" (residuals far larger than predicted).
+        "good", "waiting" (nothing heard yet), "silent" (not heard for 5 s and 8 periods, or for its gate time-out),
+        "rejected" (heard, but not used for its gate time-out), "stuck" (the same value for too long), "jumped" (off by
+        a constant from one reading to the next, and used for changes only until it is back), "astray" (slowly led off
+        further than its error model allows, and refused until it is back), "noisy" (residuals far larger than
+        predicted) or "partial" (used, but with fewer components than before).
     age_s : float
         Since the last reading that was used [s]; infinite before the first.
     outcomes : dict of str to int
@@ -92,7 +99,7 @@ class Health:
         Irregularities so far: of the drive's samples gaps, backward stamps, repaired samples, clock set back or right;
         then gates widened, resets of the state to sensors that agree against it, jumps of sensors, states given up,
         attitudes set anew by the level, biases of gyros that shifted, models adopted; and, where the drive has been
-        late, how many readings have waited for it.
+        late by 0.2 s and 5 periods, how many readings came so far ahead of it.
     clock_offset_s : float
         By how much stamps are moved because the clock was set back [s].
     drive_clock_offset_s : float
@@ -133,7 +140,7 @@ class Health:
     @property
     def degraded(self) -> tuple[str, ...]:
         """Names of the sensors, and of the drive's axes, that do not help at present."""
-        sensors = [name for name, s in self.sensors.items() if s.condition not in ("good", "waiting")]
+        sensors = [name for name, s in self.sensors.items() if s.condition not in CALM]
         return (*sensors, *(name for name, condition in self.axes.items() if condition != "good"))
 
 
@@ -144,10 +151,13 @@ class Watch:
     Parameters
     ----------
     timeout_s : float
-        Silence for longer than this is a loss.
+        One of which nothing has been used for longer is lost [s].
+    silent_s : float
+        One that has not been heard for longer is silent [s].
     """
 
     timeout_s: float
+    silent_s: float
     outcomes: dict[str, int] = field(default_factory=dict)
     used_s: float = -math.inf
     heard_s: float = -math.inf
@@ -157,13 +167,28 @@ class Watch:
     since_s: float = math.nan
     latitude: float = math.nan
     longitude: float = math.nan
+    most: float = 0.0
+    whole_s: float = -math.inf
 
-    #: The same value for so long, and at least so many times in a row, is stuck: a live sensor has noise.
-    STUCK_S = 10.0
+    #: The same value for so long, and at least so many times in a row, is stuck: a live sensor has noise. Said within
+    #: 10 s, as everything is.
+    STUCK_S = 8.0
     STUCK_READINGS = 10
+    #: Silence for so long, and for so many periods, is no reading that got lost [s].
+    SILENT_S, SILENT_PERIODS = 5.0, 8.0
     #: Running mean of NIS over about so many readings; beyond `NOISY` the sensor is noisier than its model.
     MEMORY = 50
     NOISY = 3.0
+
+    @classmethod
+    def of(cls, sensor: Sensor) -> Watch:
+        """That of a sensor."""
+        return cls(sensor.gate_timeout_s, cls.silent_after_s(sensor))
+
+    @classmethod
+    def silent_after_s(cls, sensor: Sensor) -> float:
+        """A sensor that has not been heard for longer is silent [s]."""
+        return min(sensor.gate_timeout_s, max(cls.SILENT_S, cls.SILENT_PERIODS / sensor.rate_hz))
 
     def sees(self, time_s: float, value: Array) -> tuple[bool, bool]:
         """Note what arrives; whether it looks stuck, and whether it is the same as before."""
@@ -173,6 +198,11 @@ class Watch:
         else:
             self.value, self.same, self.since_s = raw, 1, time_s
         return self.stuck, self.same > 1
+
+    @property
+    def figures(self) -> tuple[float, ...]:
+        """What `navfilter.kernels.stretch` counts on from."""
+        return self.same, self.since_s, self.heard_s, self.used_s, self.nis, self.most, self.whole_s, 0.0
 
     @property
     def stuck(self) -> bool:
@@ -186,6 +216,8 @@ class Watch:
             self.heard_s = max(self.heard_s, time_s)
         if status in ("used", "late-replayed"):
             self.used_s = max(self.used_s, time_s)
+            if dof >= self.most:
+                self.most, self.whole_s = float(dof), max(self.whole_s, time_s)
             if nav is not None:
                 self.latitude, self.longitude = float(nav[0]), float(nav[1])
         if dof and math.isfinite(nis):
@@ -194,7 +226,7 @@ class Watch:
 
     def caught_up(self, figures: Array, value: bytes) -> None:
         """Take over what `navfilter.kernels.stretch` has counted; `value` arrived last."""
-        same, self.since_s, self.heard_s, self.used_s, self.nis, used = figures.tolist()
+        same, self.since_s, self.heard_s, self.used_s, self.nis, self.most, self.whole_s, used = figures.tolist()
         self.same, self.value = int(same), value
         if used:
             self.outcomes["used"] = self.outcomes.get("used", 0) + int(used)
@@ -204,7 +236,7 @@ class Watch:
         age_s = now_s - self.used_s
         if not self.outcomes:
             condition = "waiting"
-        elif now_s - self.heard_s > self.timeout_s:
+        elif now_s - self.heard_s > self.silent_s:
             condition = "silent"
         elif self.stuck:
             condition = "stuck"
@@ -214,6 +246,8 @@ class Watch:
             condition = found
         elif self.nis > self.NOISY:
             condition = "noisy"
+        elif now_s - self.whole_s > self.silent_s:
+            condition = "partial"
         else:
             condition = "good"
         return SensorHealth(condition, max(age_s, 0.0), dict(self.outcomes), self.nis)

@@ -51,11 +51,12 @@ PERIOD_S, AHEAD_S, FOLD_EVERY, GAP_S, DOUBT_S, UNTIL_S, INTERVAL_S, INCREMENTS, 
 # Columns of `heard`, a row a channel: last reading, last tick, period, whether readings before have been refused, ticks
 # of the last reading, how long readings wait.
 LAST_S, TICKED_S, CHANNEL_PERIOD_S, DOUBTED, TICKS, WAIT_S = range(6)
-# Columns of `watched`, a row a channel: equal values in a row, since when, heard last, used last, running NIS, used.
-SAME, SINCE_S, HEARD_S, USED_S, NIS, USED = range(6)
+# Columns of `watched`, a row a channel: equal values in a row, since when, heard last, used last, running NIS, most
+# components that one had, the last that had so many, used.
+SAME, SINCE_S, HEARD_S, USED_S, NIS, MOST, WHOLE_S, USED = range(8)
 NIS_MEMORY, NIS_MOST = 50.0, 100.0  # readings; a single one counts up to this NIS per component
 # The same value so many times and for so long is stuck, as `navfilter.filter.health.Watch` has it.
-STUCK_READINGS, STUCK_S = 10.0, 10.0
+STUCK_READINGS, STUCK_S = 10.0, 8.0
 
 # Why a stretch has ended: all is done; the next reading, or the samples before it, are for Python; its samples are
 # taken, the reading is for Python; it was not used: Python says what follows; no room is left in the output; the watch
@@ -356,6 +357,8 @@ def _fared(sources):
         _ = sources
         watch[USED] += 1.0
         watch[HEARD_S], watch[USED_S] = max(watch[HEARD_S], time_s), max(watch[USED_S], time_s)
+        if dof >= watch[MOST]:
+            watch[MOST], watch[WHOLE_S] = dof, max(watch[WHOLE_S], time_s)
         if dof > 0.0 and math.isfinite(nis):
             share = min(nis / dof, NIS_MOST)
             watch[NIS] = share if math.isnan(watch[NIS]) else watch[NIS] + (share - watch[NIS]) / NIS_MEMORY

@@ -50,7 +50,7 @@ _FLU = np.diag([1.0, -1.0, -1.0])
 _UNKNOWN = 1e6
 _NS = 10**9
 #: Condition of a sensor -> level of a DiagnosticStatus: OK, WARN, ERROR, STALE.
-_LEVELS = {"good": 0, "noisy": 1, "jumped": 1, "rejected": 2, "waiting": 3, "silent": 3}
+_LEVELS = {"good": 0, "noisy": 1, "jumped": 1, "partial": 1, "rejected": 2, "waiting": 3, "silent": 3}
 _STORE = get_typestore(Stores.LATEST)
 
 
@@ -205,7 +205,7 @@ def _nis(track: Track, residuals: Residuals) -> Iterator[tuple[int, Any]]:
 
 def _diagnostics(track: Track) -> Iterator[tuple[int, Any]]:
     """Once a second what a live run would have said of its sensors (whether one is stuck is not in a track)."""
-    watches = {name: Watch(track.vehicle.sensors[name].gate_timeout_s) for name in track.residuals}
+    watches = {name: Watch.of(track.vehicle.sensors[name]) for name in track.residuals}
     heard = {name: _heard(residuals) for name, residuals in track.residuals.items()}
     coming = {name: next(readings, None) for name, readings in heard.items()}
     for now_s in np.arange(np.ceil(track.time_s[0]), track.time_s[-1] + 1e-9, 1.0).tolist():
