@@ -1504,7 +1504,7 @@ def stretch(
         cursor[0] = e
         if t >= until or not good or heard[i, 3]:
             return 1
-        if undone.size and same and watched[i, 0] >= 9 and watched[i, 2] - watched[i, 1] >= 10.0:
+        if undone.size and same and watched[i, 0] >= 9 and watched[i, 2] - watched[i, 1] >= 8.0:
             return 1
         if end > cursor[1] >= cursor[7]:
             found = stamps_to_steps(samples[cursor[1] : end], now[2], limits, gap, doubt)
@@ -1565,7 +1565,9 @@ def stretch(
         record(bench[spot[14] : spot[14] + spot[26]], spot[0], *spot[2:5])
         row()
         watched[i, 2:4] = np.maximum(watched[i, 2:4], t)
-        watched[i, 5] += 1.0
+        watched[i, 7] += 1.0
+        if note[1] >= watched[i, 5]:
+            watched[i, 5:7] = note[1], max(watched[i, 6], t)
         share = min(note[0] / note[1], 100.0)
         watched[i, 4] = share if np.isnan(watched[i, 4]) else watched[i, 4] + (share - watched[i, 4]) / 50.0
         if not undone.size:

@@ -137,7 +137,7 @@ def test_learning_in_stretches_as_one_by_one(defects, monkeypatch):
     assert_same(together, alone)
     assert_same(together.forward, alone.forward)
     assert differences(nav.memory, other.memory) == []
-    fared = [[(w.outcomes, w.nis, w.same, w.heard_s) for w in run.watches.values()] for run in (nav, other)]
+    fared = [[(w.outcomes, w.figures) for w in run.watches.values()] for run in (nav, other)]
     assert fared[0] == fared[1]
     assert bool(nav.learning.memory.listeners["compass"].since) == defects
 
