@@ -448,9 +448,9 @@ def test_nis_and_health_are_those_of_the_residuals(tmp_path, suffix):
     health = [{status.name: status for status in message.status} for message in messages]
     last = {pair.key: pair.value for pair in health[-1]["navfilter: gps"].values}
     assert last["used"] == str(track.residuals["gps"].count("used"))
-    # the vehicle dives: no fix for longer than the time-out is silence, which a STALE (3) says
+    # the vehicle dives: no fix for 5 s and 8 periods is silence, which a STALE (3) says
     gps = track.residuals["gps"].time_s
-    timeout = track.vehicle.sensors["gps"].gate_timeout_s
+    timeout = max(5.0, 8.0 / track.vehicle.sensors["gps"].rate_hz)
     now = 1e-9 * np.array(stamps) - EPOCH
     since = np.array([t - gps[gps <= t + 1e-6].max(initial=-np.inf) for t in now])
     clear = np.abs(since - timeout) > 1e-3

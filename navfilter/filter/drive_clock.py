@@ -204,11 +204,11 @@ class DriveClock:
         ahead_s = reading.time_s - memory.last_s
         if not self._live or not abs(ahead_s) < self.WILD_S:
             return None
-        memory.late += ahead_s > self._late_s
+        follows = abs(reading.time_s - memory.follows_s) <= self.FOLLOWS_S
+        memory.late += follows and ahead_s > self._late_s
         if ahead_s <= self._ahead_s:
             memory.follows_s = reading.time_s
-            return None
-        if abs(reading.time_s - memory.follows_s) > self.FOLLOWS_S:
+        if ahead_s <= self._ahead_s or not follows:
             return None
         memory.follows_s = max(memory.follows_s, reading.time_s)
         if memory.follows_s - memory.last_s < Intake.SILENT_S:
