@@ -7,7 +7,7 @@ import pytest
 from test_agreement import DEG, RADIUS_M, after, altered, dive, fly, turned
 
 import navfilter as nf
-from navfilter.filter.course import Course, led_astray
+from navfilter.filter.course import Course, led_astray, told_by_fixes
 from navfilter.filter.memory import differences
 from navfilter.simulation.scenarios import simulate_scenario
 
@@ -55,6 +55,24 @@ def test_fixes_and_dvl_together_outvote_a_compass_that_is_off_from_the_start(off
     late = after(off, 115.0)
     assert late[:, 3].max() < 8.0 and (late[:, 3] < 4.0 * late[:, 6] / DEG).all()
     assert (late[:, 1] < 4.0 * math.sqrt(2.0) * late[:, 4]).all()
+    # by fixes alone the heading is told as their way says; the filter, linearised at headings that differ, claims more
+    compass, state = nav.filter.channels["compass"], nav.filter.memory.nav
+    variance, noise, *place = compass.memory.course
+    assert math.sqrt(noise) == pytest.approx(3.0, rel=0.1) and math.sqrt(variance) / DEG < 4.1
+
+    def told(north_m):
+        return told_by_fixes(compass, state, place[0] + north_m / state[15], place[1])
+
+    assert told(0.0) == variance
+    assert told(1e3) == pytest.approx(2.0 * noise / 1e6, rel=0.01)
+    watch = nav.watches["gps"]
+    bound, own = (
+        3.2905 * math.sqrt(told_by_fixes(compass, state, watch.latitude, watch.longitude)),
+        3.2905 * nav.state.sd[8],
+    )
+    assert nav.health.bounds.heading_rad == pytest.approx(bound) and bound > 1.2 * own
+    compass.memory.course = ()
+    assert nav.health.bounds.heading_rad == pytest.approx(own)
 
 
 def test_a_way_that_is_turned_is_told_from_one_that_is_drawn_off():

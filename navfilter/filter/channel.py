@@ -77,7 +77,10 @@ class ChannelMemory:
         Of a velocity that has jumped by about itself.
     alone : tuple of float
         Of a compass to which the heading was set against what was believed before, until something else confirms that:
-        by what angle [rad], latitude and longitude then [rad].
+        by how much at most [rad], latitude and longitude then [rad].
+    course : tuple of float
+        Of a compass that fixes have contradicted: variance to which they have told the heading [rad^2], that of one of
+        them [m^2], latitude and longitude then [rad]; until the compass is back.
     scatter : Scatter or None
         Of one of which several readings have been refused of late: how they scatter.
     turns : Turns or None
@@ -102,6 +105,7 @@ class ChannelMemory:
     astray_m: float = math.nan
     aside: Aside | None = None
     alone: tuple[float, ...] = ()
+    course: tuple[float, ...] = ()
     scatter: Scatter | None = None
     turns: Turns | None = None
     same_s: float = math.nan

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from navfilter.filter import integrity
 from navfilter.filter.belief import MOST_SDS
 from navfilter.filter.channel import Channel
-from navfilter.filter.course import led_astray
+from navfilter.filter.course import led_astray, told_by_fixes
 from navfilter.filter.drive_clock import DriveClock
 from navfilter.filter.filter import Filter
 from navfilter.filter.health import CALM, Health, LearningHealth, Watch
@@ -51,14 +51,15 @@ def health_of(
     sensors = {name: watch.health(now_s, channels[name].condition) for name, watch in watches.items()}
     axes = filter.watch.conditions(memory.watch)
     off: dict[str, float] = {}
-    slow = 0.0
+    slow, fix = 0.0, _last_fix(filter, watches)
     for name, watch in watches.items():
         sees, known = channels[name].sensor.corrects, _off(channels[name], watch)
         off[sees] = max(off.get(sees, 0.0), known)
         slow = max(slow, *channels[name].slow) if sees == "heading" and known > 0.0 else slow
+        slow = max(slow, told_by_fixes(channels[name], memory.nav, *fix[1:]))
         # fixes that are used follow the way at first
         off["position"] = max(off.get("position", 0.0), led_astray(channels[name], memory.nav))
-    age_s, moved_m = _since_fix(filter, watches)
+    age_s, moved_m = memory.time_s - fix[0], _distance(memory.nav, *fix[1:])
     drive = filter.vehicle.drive
     beside_m = max((since_fix(filter, channel).length for channel in channels.values()), default=0.0)
     held = filter.inertial and drive.feels
@@ -85,17 +86,21 @@ def health_of(
     )
 
 
-def _since_fix(filter: Filter, watches: Mapping[str, Watch]) -> tuple[float, float]:
-    """Time since the last fix that was used, or since the start [s], and distance from there [m]."""
-    memory, start = filter.memory, filter.start
-    time_s, latitude, longitude = start.time_s, math.radians(start.latitude_deg), math.radians(start.longitude_deg)
+def _last_fix(filter: Filter, watches: Mapping[str, Watch]) -> tuple[float, float, float]:
+    """Time [s], latitude and longitude [rad] of the last fix that was used, or of the start."""
+    start = filter.start
+    last = start.time_s, math.radians(start.latitude_deg), math.radians(start.longitude_deg)
     for name, watch in watches.items():
-        channel = filter.channels[name]
-        if channel.sensor.corrects == "position" and watch.used_s > time_s:
-            time_s, latitude, longitude = watch.used_s, watch.latitude, watch.longitude
-    north = (float(memory.nav[0]) - latitude) * memory.nav[15]
-    east = (float(memory.nav[1]) - longitude) * memory.nav[16] * math.cos(latitude)
-    return memory.time_s - time_s, math.hypot(north, east)
+        if filter.channels[name].sensor.corrects == "position" and watch.used_s > last[0]:
+            last = watch.used_s, watch.latitude, watch.longitude
+    return last
+
+
+def _distance(nav: Array, latitude: float, longitude: float) -> float:
+    """Of a state from a place [m]."""
+    north = (float(nav[0]) - latitude) * float(nav[15])
+    east = (float(nav[1]) - longitude) * float(nav[16]) * math.cos(latitude)
+    return math.hypot(north, east)
 
 
 def _off(channel: Channel, watch: Watch) -> float:

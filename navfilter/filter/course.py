@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from navfilter.filter.channel import Channel
     from navfilter.filter.filter import Filter
 
-__all__ = ["Course", "against_the_compass", "led_astray", "turned", "used"]
+__all__ = ["Course", "against_the_compass", "led_astray", "told_by_fixes", "told_here", "turned", "used"]
 
 Array = NDArray[np.float64]
 #: An angle is believed beyond so many standard deviations, as one hypothesis of a whole mission [1], once it is known
@@ -107,7 +107,7 @@ def against_the_compass(filter: Filter, fixes: Channel, course: Course, time_s: 
         return None
     compass, P = compasses[0], filter.memory.P
     angle, size, ratio, beside_turned, beside_drawn = course.fitted()
-    noise = float(np.max(np.diag(fixes.white)[:2] + np.array(fixes.slow)[:2]))
+    noise = _noise(fixes)
     # what wanders over the time of the fixes tilts a straight way by its difference between the ends: sqrt(2) of its sd
     # over sqrt(12) of the root mean square distance from the middle
     variance = noise / (6.0 * max(size, 1e-300))
@@ -122,6 +122,21 @@ def against_the_compass(filter: Filter, fixes: Channel, course: Course, time_s: 
         return None
     models = compass.sensor.models if compass.offset else with_offsets(compass.sensor.models, abs(angle))
     return Change(compass.name, models, offsets=True, turn=(angle, variance + float(P[8, 8])))
+
+
+def _noise(fixes: Channel) -> float:
+    """Variance of a fix in one direction [m^2]."""
+    return float(np.max(np.diag(fixes.white)[:2] + np.array(fixes.slow)[:2]))
+
+
+def told_here(fixes: Channel, nav: Array, variance: float) -> tuple[float, ...]:
+    """What is to be remembered of a heading that fixes have told to this variance [rad^2], see `ChannelMemory.course`.
+    The last of them has just been refused at the nominal state nav (17,).
+    """
+    north, east = np.nan_to_num(fixes.res[:2]).tolist()
+    latitude, longitude = nav[:2].tolist()
+    place = latitude + north / float(nav[15]), longitude + east / (float(nav[16]) * math.cos(latitude))
+    return (variance, _noise(fixes), *place)
 
 
 def used(filter: Filter, channel: Channel, time_s: float) -> None:
@@ -162,6 +177,29 @@ def led_astray(compass: Channel, nav: Array) -> float:
     north = (nav[0] - latitude) * nav[15]
     east = (nav[1] - longitude) * nav[16] * math.cos(latitude)
     return math.hypot(north, east) * 2.0 * math.sin(0.5 * min(angle, math.pi))
+
+
+def told_by_fixes(compass: Channel, nav: Array, latitude: float, longitude: float) -> float:
+    """Variance to which fixes alone can tell the heading since they have contradicted a compass [rad^2]; 0 where they
+    have not.
+
+    What wanders between two fixes turns the way from one to the other by the square root of two of its sd over their
+    distance. A velocity in b beside a heading that is known to some degrees only seems to tell more than that: it is
+    linearised at headings that differ (Huang et al., Int. J. Robotics Res. 29, 2010, of the same in mapping).
+
+    Parameters
+    ----------
+    compass : Channel
+    nav : ndarray, shape (17,)
+        Nominal state.
+    latitude, longitude : float
+        Where a fix was used last [rad].
+    """
+    if len(compass.memory.course) != 4 or not compass.offset:
+        return 0.0
+    variance, noise, *there = compass.memory.course
+    north, east = (latitude - there[0]) * float(nav[15]), (longitude - there[1]) * float(nav[16]) * math.cos(latitude)
+    return 1.0 / (1.0 / variance + (north**2 + east**2) / (2.0 * noise))
 
 
 def turned(filter: Filter, compass: Channel, angle: float, variance: float) -> None:

@@ -14,8 +14,9 @@ from navfilter.filter import agreement, aside, gating, ramp, realignment, refuse
 from navfilter.filter.adoption import Change
 from navfilter.filter.belief import beyond_belief, excused, pulled
 from navfilter.filter.channel import Channel
-from navfilter.filter.course import Course, against_the_compass, turned
+from navfilter.filter.course import Course, against_the_compass, told_here, turned
 from navfilter.filter.events import Event
+from navfilter.filter.integrity import IN_LINE
 from navfilter.filter.offsets import with_offsets
 from navfilter.filter.refusals import LEAST, Refusals
 from navfilter.kernels import kalman, listen
@@ -131,10 +132,12 @@ def _agreed(filter: Filter, channel: Channel, time_s: float) -> bool:
         if other.sensor.open_loop == channel.sensor.open_loop and other.axes == channel.axes:
             other.memory.agreed_s = math.nan
     memory.counts["reset"] += 1
+    told = math.sqrt(float(memory.P[8, 8]))
     memory.P[:9, :9] += agreement.opened_state(channel, refused, moved_m)
     if channel.sensor.open_loop == listen.HEADING:
         angle, variance = refused.offset[0], refused.variance[0] + channel.slow[0]
-        kept.alone = (abs(angle), float(memory.nav[0]), float(memory.nav[1]))
+        most = abs(angle) + IN_LINE * told
+        kept.alone = (most, float(memory.nav[0]), float(memory.nav[1]))
         filter.jumped.append(Change(channel.name, channel.sensor.models, offsets=True, turn=(angle, variance)))
         return False
     memory.P[:2, :2] += refused_way.followed(filter, channel)
@@ -164,8 +167,9 @@ def _heading_outvoted(filter: Filter, fixes: Channel, refused: Refusals, time_s:
     """
     memory = filter.memory
     change = None if refused.course is None else against_the_compass(filter, fixes, refused.course, time_s)
-    if change is None:
+    if change is None or change.turn is None:
         return False
+    filter.channels[change.sensor].memory.course = told_here(fixes, memory.nav, change.turn[1])
     memory.P[range(3), range(3)] += np.nan_to_num(fixes.res[:3]) ** 2
     filter.jumped += [Change(fixes.name, fixes.sensor.models, afresh=True), change]
     memory.counts["reset"] += 1
@@ -239,6 +243,7 @@ def _jumped(filter: Filter, channel: Channel, time_s: float) -> None:
         memory.P[places, places] += size**2
         kept.refused = None
     kept.rejected_since_s = kept.disputed_s = time_s
+    kept.course = kept.course if refused.back < LEAST else ()
     if kept.way is not None and refused.back >= LEAST:
         kept.way = replace(kept.way, north=0.0, east=0.0)
     memory.counts["jumped"] += 1
