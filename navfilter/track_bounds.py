@@ -78,9 +78,9 @@ def _refused_way(track: Track, name: str, fix_s: Array) -> Array:
     """What the refused readings of a velocity come to at each row, since the last fix [m]; 0 of other sensors."""
     r, sensor = track.residuals[name], track.vehicle.sensors[name]
     judged = r.outcome <= OUTCOMES.index("rejected")
-    if sensor.gives != "velocity" or not judged.any():
+    if not sensor.ground or not judged.any():
         return np.zeros(len(track))
-    time_s, value, refused = r.time_s[judged], r.value[judged], ~r.used[judged]
+    time_s, value, refused = r.time_s[judged], sensor.over_ground(r.value[judged]), ~r.used[judged]
     row = np.minimum(np.searchsorted(track.time_s, time_s), len(track) - 1)
     speed = np.linalg.norm(track.velocity_n[row], axis=1)
     again = refused & np.r_[False, refused[:-1]] & believable(value, speed, track.vehicle.drive.max_speed_m_s)

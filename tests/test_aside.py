@@ -93,13 +93,13 @@ def test_a_jump_beside_the_speed_is_one_of_the_velocity_where_a_unit_carries():
         watch, memory = SimpleNamespace(lost=lambda w: lost), SimpleNamespace(nav=np.eye(17)[3] * speed, watch=None)
         return SimpleNamespace(memory=memory, inertial=inertial, watch=watch)
 
-    def channel(reading, gives="velocity"):
-        return SimpleNamespace(sensor=SimpleNamespace(gives=gives), reading=np.array(reading), axes=3)
+    def channel(reading, ground=3):
+        return SimpleNamespace(sensor=SimpleNamespace(ground=ground), reading=np.array(reading), axes=3)
 
     dvl, jump = channel([-1.5, 0.0, 0.0]), np.array([-3.0, 0.0, 0.0])
     assert aside.jumped(filter(1.5), dvl, jump) == SIGN
     assert aside.jumped(filter(1.5), dvl, 0.1 * jump) is None  # a constant, or a scale
-    assert aside.jumped(filter(1.5), channel([-1.5, 0.0, 0.0], gives=""), jump) is None
+    assert aside.jumped(filter(1.5), channel([-1.5, 0.0, 0.0], ground=0), jump) is None
     assert (
         aside.jumped(filter(1.5, lost=True), dvl, jump) is aside.jumped(filter(1.5, inertial=False), dvl, jump) is None
     )

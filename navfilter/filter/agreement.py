@@ -17,7 +17,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.filter import aside
+from navfilter.filter import aside, over_ground
 from navfilter.filter.channel import Channel
 from navfilter.filter.integrity import CONFIRMED_S
 from navfilter.filter.offsets import offset_states
@@ -180,6 +180,11 @@ def opened_state(channel: Channel, refused: Refusals, moved_m: float) -> Array:
     first = 0 if kind == listen.POSITION else 3
     N = channel.near[:, first : first + 3]
     V[first : first + 3, first : first + 3] = N.T @ (size[:, None] * N)
+    if kind == listen.VELOCITY and channel.sensor.ground != over_ground.AXES:
+        known = over_ground.components(channel, seen).astype(bool)
+        A = over_ground.as_velocity(channel, known)
+        off, variance = (over_ground.components(channel, np.array(v))[known] for v in (offset, refused.variance))
+        V[3:6, 3:6] = np.outer(A @ off, A @ off) + A @ (variance[:, None] * A.T)
     if kind == listen.VELOCITY:
         V[:3, :3] = V[3:6, 3:6] * (refused.last_s - refused.began_s) ** 2
     return V

@@ -73,7 +73,7 @@ def jumped(filter: Filter, channel: Channel, jump: Array) -> Aside | None:
     """
     speed, by = math.hypot(*filter.memory.nav[3:6].tolist()), np.nan_to_num(jump)
     carried = filter.inertial and not filter.watch.lost(filter.memory.watch)
-    if channel.sensor.gives != "velocity" or not carried or _size(by) <= SHARE * speed:
+    if not channel.sensor.ground or not carried or _size(by) <= SHARE * speed:
         return None
     says = _size(channel.reading) > SAYS * _size(by)
     read = channel.reading if says else np.full(channel.axes, math.nan)

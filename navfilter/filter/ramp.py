@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from navfilter.filter import over_ground
 from navfilter.filter.refused_way import believable, most_speed
 from navfilter.kernels import drive_watch as kernel
 from navfilter.state import NavState
@@ -60,16 +61,17 @@ def accused(filter: Filter, channel: Channel, time_s: float) -> float | None:
         Of the reading [s].
     """
     kept, since_s = channel.memory, channel.memory.rejected_since_s
-    residual = channel.note[3 : 3 + channel.axes]
+    nav = filter.memory.nav
+    residual = over_ground.residual(channel, nav, channel.note[3 : 3 + channel.axes]) if channel.sensor.ground else None
     if filter.inertial and filter.jumps.fails_again(channel, filter.memory):
         return 0.0
-    if not _was_right(filter, channel, time_s):
+    if residual is None or not _was_right(filter, channel, time_s):
         slope = None
     elif time_s == since_s or float(np.linalg.norm(filter.memory.watch[:3, kernel.MEAN])) > TURNING:
         kept.ramp, slope = (), None
-    elif believable(residual, math.hypot(*filter.memory.nav[3:6].tolist()), filter.vehicle.drive.max_speed_m_s):
+    elif believable(residual, math.hypot(*nav[3:6].tolist()), filter.vehicle.drive.max_speed_m_s):
         kept.ramp = with_refused(kept.ramp, time_s - since_s, residual, read(filter, channel))
-        slope = ramp_of(kept.ramp, np.diag(channel.R)[: channel.axes]) if kept.ramp else None
+        slope = ramp_of(kept.ramp, over_ground.variances(channel, nav)) if kept.ramp else None
     else:
         slope = None
     if slope is not None and not kept.undisputed and not reads_the_same(kept.ramp, read(filter, channel), slope):
@@ -89,7 +91,7 @@ def may_accuse(filter: Filter, channel: Channel, time_s: float) -> bool:
 def _was_right(filter: Filter, channel: Channel, time_s: float) -> bool:
     """Whether a velocity that is refused was used for long before, on a way."""
     # a velocity through water may change with the water, slowly, too
-    if not filter.inertial or channel.sensor.gives != "velocity":
+    if not filter.inertial or not channel.sensor.ground:
         return False
     kept, nav = channel.memory, NavState.unpack(time_s, filter.memory.nav)
     way_m = math.hypot(*nav.minus(filter.start.state)[:2].tolist())
@@ -111,9 +113,12 @@ def ran_away(filter: Filter, channel: Channel, time_s: float) -> bool:
 
 def read(filter: Filter, channel: Channel) -> Array:
     """The velocity that a refused reading says, in b, shape (3,) [m/s]."""
-    nav = filter.memory.nav
-    off = np.linalg.pinv(channel.near[:, 3:6]) @ np.nan_to_num(channel.note[3 : 3 + channel.axes])
-    return np.asarray(nav[6:15].reshape(3, 3).T @ (nav[3:6] + off))
+    nav, values = filter.memory.nav, channel.note[3 : 3 + channel.axes]
+    if channel.sensor.ground == over_ground.AXES:
+        off = np.linalg.pinv(channel.near[:, 3:6]) @ np.nan_to_num(values)
+        return np.asarray(nav[6:15].reshape(3, 3).T @ (nav[3:6] + off))
+    off_b = np.nan_to_num(over_ground.residual(channel, nav, values))
+    return np.asarray(nav[6:15].reshape(3, 3).T @ nav[3:6] + off_b)
 
 
 def with_refused(ramp: tuple[float, ...], age_s: float, residual: Array, reading: Array) -> tuple[float, ...]:

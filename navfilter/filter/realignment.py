@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from navfilter.filter import over_ground
 from navfilter.filter.events import StoodIn
 from navfilter.filter.refused_way import believable, followed, full_residual, most_speed
 from navfilter.kernels import drive_watch as kernel
@@ -197,9 +198,9 @@ def _refused_velocity(filter: Filter) -> tuple[Array, Channel] | None:
         memory, now_s = channel.memory, filter.memory.time_s
         refused = channel.moves and not channel.aside and not math.isnan(memory.rejected_since_s)
         if refused and now_s - memory.last_s < HEARD_S:
-            residual = full_residual(filter, channel)
+            residual = over_ground.components(channel, full_residual(filter, channel))
             seen = np.isfinite(residual)
-            N = channel.near[seen, 3:6]
+            N = over_ground.components(channel, channel.near)[seen, 3:6]
             speed, most = math.hypot(*filter.memory.nav[3:6].tolist()), filter.vehicle.drive.max_speed_m_s
             if believable(residual, speed, most) and np.isfinite(N).all() and np.linalg.matrix_rank(N) >= 2:
                 return np.linalg.pinv(N) @ residual[seen], channel

@@ -55,7 +55,7 @@ def let_in(filter: Filter, channel: Channel, time_s: float, nis: float, dof: int
     if frozen or (kept.scatter is not None and kept.scatter.worthless):
         kept.refused = None
         return False
-    if channel.sensor.gives == "velocity":
+    if channel.sensor.ground:
         kept.way = refused_way.with_refused(filter, channel, time_s)
     if channel.sensor.open_loop == listen.HEADING and channel.axes == 1:
         turns.refused(filter, channel, time_s, float(gating.whole_residual(channel, memory.x)[0]))

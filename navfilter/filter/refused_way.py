@@ -16,6 +16,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from navfilter.filter import over_ground
+
 if TYPE_CHECKING:
     from navfilter.filter.channel import Channel
     from navfilter.filter.filter import Filter
@@ -111,14 +113,15 @@ def with_refused(filter: Filter, channel: Channel, time_s: float) -> RefusedWay:
         Of the reading [s].
     """
     way, speed = since_fix(filter, channel), math.hypot(*filter.memory.nav[3:6].tolist())
-    residual = full_residual(filter, channel)
+    residual = over_ground.components(channel, full_residual(filter, channel))
     # one that is refused alone is an outlier
     dt = min(time_s - max(way.time_s, channel.memory.rejected_since_s), SPEAKS_S)
     if dt > 0.0 and believable(residual, speed, filter.vehicle.drive.max_speed_m_s):
         seen = np.isfinite(residual)
-        further = np.linalg.pinv(channel.near[seen, 3:6]) @ residual[seen] * dt
+        off = over_ground.as_velocity(channel, seen) @ residual[seen]
+        further, size = off * dt, float(np.linalg.norm(residual[seen] if len(residual) == over_ground.AXES else off))
         # once it has been found to be off, nobody need reckon with its being right
-        length = way.length + (0.0 if channel.offset else dt * float(np.linalg.norm(residual[seen])))
+        length = way.length + (0.0 if channel.offset else dt * size)
         return RefusedWay(time_s, way.north + float(further[0]), way.east + float(further[1]), length)
     return replace(way, time_s=time_s)
 

@@ -79,6 +79,7 @@ class DvlBeams(BodyVelocity):
     single_gates: ClassVar[bool] = True
     tracks: ClassVar[int] = 2
     gives: ClassVar[str] = ""
+    ground: ClassVar[int] = MOST_BEAMS
     contents: ClassVar[tuple[tuple[Columns, ...], ...]] = ((BEAMS,),)
     beside: ClassVar[tuple[Columns, ...]] = (WATER_BEAMS,)
     template: ClassVar[Example | None] = Example(
@@ -144,6 +145,10 @@ class DvlBeams(BodyVelocity):
             [sine * np.cos(azimuth), sine * np.sin(azimuth), np.full(len(azimuth), cosine)]
         )
         return beams
+
+    def over_ground(self, values: Array) -> Array:
+        """Values of the beams over ground, as velocities of the instrument, shape (n, 3); a lost beam says nothing."""
+        return np.asarray(np.nan_to_num(values[:, :MOST_BEAMS]) @ np.linalg.pinv(self.beams()).T)
 
     def constants(self, start: Start) -> Array:
         """Lever arm, mounting matrix, beams, number of the states of the current."""

@@ -49,6 +49,7 @@ class Odometer(BodyVelocity):
     reads: ClassVar[int] = 1
     single_gates: ClassVar[bool] = True
     gives: ClassVar[str] = ""
+    ground: ClassVar[int] = 0
     contents: ClassVar[tuple[tuple[Columns, ...], ...]] = ((SPEED,),)
     template: ClassVar[Example | None] = Example(
         "odometer",

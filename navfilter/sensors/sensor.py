@@ -100,6 +100,8 @@ class Sensor:
     gives : str
         What a start can take from one reading alone: "position" (latitude, longitude, height), "heading", "depth",
         "velocity", or nothing.
+    ground : int
+        So many of its first components are of the velocity over ground: three axes, or the beams of a DVL.
     corrects : str
         What of the state its readings bound: "position", "velocity", "heading", "depth".
     contents, beside : tuple
@@ -137,6 +139,7 @@ class Sensor:
     confirms_state: ClassVar[bool] = True
     open_loop: ClassVar[int] = listen.NOTHING
     gives: ClassVar[str] = ""
+    ground: ClassVar[int] = 0
     corrects: ClassVar[str] = ""
     contents: ClassVar[tuple[tuple[Columns, ...], ...]] = ()
     beside: ClassVar[tuple[Columns, ...]] = ()
@@ -219,6 +222,10 @@ class Sensor:
     def constants(self, start: Start) -> Array:
         """What the kernel needs to know beside the state, shape depends on the sensor."""
         return np.zeros(1)
+
+    def over_ground(self, values: Array) -> Array:
+        """Values by axis (n, axes) as velocities over ground, shape (n, 3); of a sensor that has one."""
+        return values[:, : self.ground]
 
     def read(self, value: Array) -> Array | None:
         """Turn what arrives into what the kernel takes; None when it is not a reading (lost lock, out of range)."""

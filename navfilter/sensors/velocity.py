@@ -79,6 +79,7 @@ class BodyVelocity(Sensor):
     sees_velocity: ClassVar[bool] = True
     open_loop: ClassVar[int] = listen.VELOCITY
     gives: ClassVar[str] = "velocity"
+    ground: ClassVar[int] = 3
     corrects: ClassVar[str] = "velocity"
     contents: ClassVar[tuple[tuple[Columns, ...], ...]] = ((VELOCITY,),)
     plausible: ClassVar[Plausible | None] = USUAL
@@ -223,6 +224,7 @@ class WaterVelocity(BodyVelocity):
     kernel: ClassVar[Callable[..., None]] = staticmethod(measurement.water_velocity)
     open_loop: ClassVar[int] = listen.NOTHING
     gives: ClassVar[str] = ""
+    ground: ClassVar[int] = 0
     template: ClassVar[Example | None] = Example(
         "water",
         "Velocity through the water: a DVL in water track, or a log. Where the bottom is lost, the last known current "

@@ -1,0 +1,75 @@
+"""A DVL that is read beam by beam speaks against the drive like one with three axes."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from faults_run import truth_at
+from feeding import DRIVE, events_of, one_by_one
+
+import navfilter as nf
+from navfilter.filter import over_ground
+from navfilter.simulation.scenarios import survey, survey_vehicle
+from navfilter.simulation.simulate import simulate
+
+FAULT_S, END_S = 120.0, 170.0
+
+
+@pytest.fixture(scope="module")
+def dive():
+    plain = survey_vehicle()
+    dvl = nf.DvlBeams(rate_hz=4.0, error=nf.White(sd=0.02), lever_arm_b_m=plain.sensors["dvl"].lever_arm_b_m)
+    vehicle = dataclasses.replace(plain, sensors={**plain.sensors, "dvl": dvl})
+    return vehicle, simulate(vehicle, survey(END_S, surface_s=100.0), seed=1, duration_s=END_S)
+
+
+def flown(vehicle, mission, sensor, change):
+    nav = nf.Navigator(vehicle, mission.start, threads=False)
+    events = [e for e in events_of(vehicle, mission) if e.sensor != "gps" or e.time_s < 100.0]
+    one_by_one(
+        nav,
+        [
+            e._replace(value=tuple(change(np.array(e.value)).tolist()))
+            if e.sensor == sensor and e.time_s >= FAULT_S
+            else e
+            for e in events
+        ],
+    )
+    error = nav.state.minus(truth_at(mission.truth, nav.time_s))
+    return nav, math.hypot(*error[:2])
+
+
+@pytest.mark.parametrize(
+    ("sensor", "change"),
+    [
+        (DRIVE, lambda v: v + 0.5 * np.eye(6)[3]),
+        (DRIVE, lambda v: v[[0, 1, 2, 4, 3, 5]]),
+        ("dvl", lambda v: -v),
+    ],
+    ids=["accelerometer +50 mg", "accelerometers exchanged", "sign of the beams"],
+)
+def test_a_fault_of_the_drive_or_of_the_beams_loses_nothing(dive, sensor, change):
+    """A kilometre and a half, and 500 m, in four minutes before."""
+    nav, error_m = flown(*dive, sensor, change)
+    assert error_m < 6.0 and error_m < nav.state.bounds.horizontal_m
+    if sensor == DRIVE:
+        assert nav.counts["contradicted"] or nav.counts["realigned"]
+    else:
+        assert nav.counts["jumped"] == 1
+
+
+def test_residuals_of_beams_are_a_velocity(dive):
+    vehicle, mission = dive
+    nav, _ = flown(vehicle, mission, "dvl", lambda v: v)
+    channel, state = nav.filter.channels["dvl"], nav.filter.memory.nav
+    off_b = np.array([0.3, -0.2, 0.1])
+    beams = np.concatenate([vehicle.sensors["dvl"].beams() @ off_b, np.full(4, np.nan)])
+    channel.note[3 : 3 + channel.axes] = beams
+    np.testing.assert_allclose(over_ground.residual(channel, state, beams), off_b, atol=1e-3)
+    # of four beams at 30 degrees: sd / sqrt(2) each of a level axis, sd / sqrt(3) of the vertical one
+    np.testing.assert_allclose(over_ground.variances(channel, state), 0.02**2 / np.array([0.5, 0.5, 3.0]), rtol=0.01)
+    beams[0] = np.nan
+    np.testing.assert_allclose(over_ground.residual(channel, state, beams), off_b, atol=1e-3)
+    beams[1] = np.nan
+    assert np.isnan(over_ground.residual(channel, state, beams)).all()
