@@ -9,7 +9,7 @@ from faults_run import truth_at
 from feeding import DRIVE, events_of, one_by_one
 
 import navfilter as nf
-from navfilter.filter import over_ground
+from navfilter.filter import over_ground, realignment, refused_way
 from navfilter.simulation.scenarios import survey, survey_vehicle
 from navfilter.simulation.simulate import simulate
 
@@ -73,3 +73,17 @@ def test_residuals_of_beams_are_a_velocity(dive):
     np.testing.assert_allclose(over_ground.residual(channel, state, beams), off_b, atol=1e-3)
     beams[1] = np.nan
     assert np.isnan(over_ground.residual(channel, state, beams)).all()
+
+
+def test_a_water_track_that_is_refused_says_nothing_of_the_velocity_over_ground(dive):
+    vehicle, mission = dive
+    water = dataclasses.replace(vehicle.sensors["dvl"], current_sd_m_s=0.3)
+    vehicle = dataclasses.replace(vehicle, sensors={**vehicle.sensors, "dvl": water})
+    nav = nf.Navigator(vehicle, mission.start, threads=False)
+    one_by_one(nav, [e for e in events_of(vehicle, mission.between(0.0, 20.0)) if e.sensor != "dvl"])
+    channel = nav.filter.channels["dvl"]
+    channel.memory.rejected_since_s = channel.memory.last_s = nav.time_s
+    channel.note[3 : 3 + channel.axes] = [np.nan] * 4 + [0.5] * 4
+    assert realignment._refused_velocity(nav.filter) is None
+    way = refused_way.with_refused(nav.filter, channel, nav.time_s + 0.5)
+    assert (way.north, way.east, way.length) == (0.0, 0.0, 0.0)

@@ -254,7 +254,7 @@ class DriveClock:
             For what is no memory of a clock.
         """
         rows = memory.held.shape[1:] if isinstance(memory.held, np.ndarray) else None
-        numbers = (memory.last_s, memory.heard_s, memory.offset_s)
+        numbers = (memory.last_s, memory.heard_s, memory.offset_s, memory.follows_s, float(memory.late))
         if rows != (7,) or not all(isinstance(x, float) for x in numbers) or not math.isfinite(memory.offset_s):
             raise ValueError("what is kept of the drive's clock has another form")
         if not all(isinstance(reading, Arrived) for reading in [*memory.readings, *memory.early]):

@@ -202,6 +202,7 @@ def _refused_velocity(filter: Filter) -> tuple[Array, Channel] | None:
             seen = np.isfinite(residual)
             N = over_ground.components(channel, channel.near)[seen, 3:6]
             speed, most = math.hypot(*filter.memory.nav[3:6].tolist()), filter.vehicle.drive.max_speed_m_s
-            if believable(residual, speed, most) and np.isfinite(N).all() and np.linalg.matrix_rank(N) >= 2:
+            whole = len(N) >= 2 and np.isfinite(N).all()  # none over ground where only the water track is left
+            if whole and believable(residual, speed, most) and np.linalg.matrix_rank(N) >= 2:
                 return np.linalg.pinv(N) @ residual[seen], channel
     return None
