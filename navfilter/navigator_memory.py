@@ -6,6 +6,7 @@ import dataclasses
 from dataclasses import dataclass
 
 from navfilter.filter.adoption import Change
+from navfilter.filter.bursts import BurstsMemory
 from navfilter.filter.channel import Aside, ChannelMemory, Course, Refusals, RefusedWay, Scatter, Turns
 from navfilter.filter.drive_clock import Arrived, DriveClockMemory
 from navfilter.filter.filter_memory import FilterMemory
@@ -39,7 +40,7 @@ class NavigatorMemory:
 #: Classes that a snapshot is made of, beside error models.
 MEMORY = (
     *(NavigatorMemory, FilterMemory, ChannelMemory, Refusals, RefusedWay, Course, Aside, Scatter, Turns),
-    *(IntakeMemory, DriveClockMemory, Arrived),
+    *(IntakeMemory, DriveClockMemory, BurstsMemory, Arrived),
     *(LearningMemory, Again, Change, ListenerMemory, Hop, RestMemory, LearnerMemory, Line, Spectrum),
 )
 

@@ -75,7 +75,7 @@ def health_of(
     doubts += [f"{name} is {condition}" for name, condition in axes.items() if condition != "good"]
     return Health(
         sensors,
-        dict(memory.counts) | ({"late": clock.memory.late} if clock.memory.late else {}),
+        dict(memory.counts) | clock.counts,
         memory.intake.offset_s,
         axes,
         integrity.Bounds(float(radius_m), float(heading_rad)),

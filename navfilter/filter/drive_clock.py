@@ -11,6 +11,8 @@ A drive may also be late: its samples come a second or more behind the readings 
 other then wait for the samples before them, until the drive is so far behind that it is silent. Readings whose stamps
 leap ahead do not wait: it is their clock that is wrong.
 
+Samples of a burst that were stamped when they were received are taken apart first: `navfilter.filter.bursts`.
+
 This works on the order of arrival, so it is for runs that are fed live. A recording is in the order of its stamps.
 """
 
@@ -25,6 +27,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from navfilter.filter.bursts import Bursts, BurstsMemory
 from navfilter.filter.intake import Intake
 
 __all__ = ["Arrived", "DriveClock", "DriveClockMemory"]
@@ -67,6 +70,7 @@ class DriveClockMemory:
         Stamp that the next reading is to follow [s].
     late : int
         Readings that came so far ahead of it, so far.
+    bursts : BurstsMemory
     """
 
     last_s: float = math.nan
@@ -80,6 +84,7 @@ class DriveClockMemory:
     early: list[Arrived] = field(default_factory=list)
     follows_s: float = -math.inf
     late: int = 0
+    bursts: BurstsMemory = field(default_factory=BurstsMemory)
 
 
 class DriveClock:
@@ -114,17 +119,27 @@ class DriveClock:
         self._period_s, self._leap_s = period_s, max(self.LEAP_S, self.LEAP_PERIODS * period_s)
         self._live, self._ahead_s = live, ahead_s
         self._late_s = max(self.LATE_S, self.LATE_PERIODS * period_s)
-        self.memory = DriveClockMemory()
+        self._bursts = Bursts(period_s, self._leap_s)
+        self.memory = DriveClockMemory(bursts=self._bursts.memory)
 
     @property
     def holds(self) -> bool:
         """Whether samples wait."""
         return len(self.memory.held) > 0
 
+    @property
+    def counts(self) -> dict[str, int]:
+        """Readings that came ahead of a late drive, samples of bursts; without zeros."""
+        counts = {"late": self.memory.late, "burst": self.memory.bursts.count}
+        return {name: count for name, count in counts.items() if count}
+
     def take(self, samples: Array) -> list[Array | Arrived]:
         """What goes on now, when these samples have arrived; their first column is changed in place."""
         if not (self._live and len(samples)):
             return [samples]
+        samples = self._bursts.take(samples)
+        if not len(samples):
+            return []
         items = self._taken(samples)
         return list(self._met(items)) if self.memory.early else items
 
@@ -262,11 +277,15 @@ class DriveClock:
         places = [0, *memory.behind, len(memory.held)]
         if len(memory.behind) != len(memory.readings) or any(np.diff(places) < 0):
             raise ValueError("what waits for the drive's clock waits nowhere")
+        self._bursts.go_on(memory.bursts)
         self.memory = memory
 
     def rest(self) -> Iterable[Array | Arrived]:
         """What still waits when no more comes, as it is."""
-        items = list(self._met(self._released())) if self.holds else []
+        first = self._bursts.rest()
+        items: list[Array | Arrived] = self._taken(first) if len(first) else []
+        items += self._released() if self.holds else []
+        items = list(self._met(items))
         items += self.memory.early
         self.memory.early = []
         return items

@@ -36,7 +36,7 @@ from navfilter.vehicle import Vehicle
 __all__ = ["Saved", "fingerprint", "read", "write"]
 
 MAGIC = b"navfilter snapshot\n"
-FORMAT = 6
+FORMAT = 7
 
 
 @dataclass
