@@ -23,7 +23,7 @@ sys.path.insert(0, str(ROOT / "tests"))
 import faults_library as library
 import faults_run as watched
 from faults_free import fault_free
-from faults_outcomes import outcomes
+from faults_outcomes import VEHICLES, outcomes
 from faults_service import service
 
 import navfilter as nf
@@ -190,8 +190,9 @@ if __name__ == "__main__":
         quick("one seed"),
     ]
     shown = flag("--shown", action="store_true", help="the faults of the manual's page, and its table")
-    mems = flag("--mems", action="store_true", help="a micromechanical inertial unit")
-    commands = {missions: flags, outcomes: [seeds, flags[1], shown, mems, quick("one seed")]}
+    words = "inertial unit, its DVL read beam by beam, or dead reckoning without a unit (default: %(default)s)"
+    vehicle = flag("--vehicle", choices=list(VEHICLES), default="tactical", help=words)
+    commands = {missions: flags, outcomes: [seeds, flags[1], shown, vehicle, quick("one seed")]}
     fifty = flag("--seeds", type=int, default=50)
     commands |= {fault_free: [fifty, flags[1], quick("three seeds")]}
     around = [

@@ -15,11 +15,11 @@ from harness import DEG, ROOT, Options, Table
 sys.path.insert(0, str(ROOT / "tests"))
 import faults_library as library
 import faults_run as watched
-from feeding import DRIVE, Events, events_of
+from feeding import Events, events_of
 
 import navfilter as nf
 from navfilter.simulation.faults import Faults
-from navfilter.simulation.scenarios import survey, survey_vehicle
+from navfilter.simulation.scenarios import reckoning_vehicle, survey, survey_vehicle
 from navfilter.simulation.simulate import simulate
 from navfilter.start import Start
 from navfilter.state import wrap
@@ -38,20 +38,25 @@ class Case(NamedTuple):
     """A fault: what it does to the start and to the events, and when it begins."""
 
     start: Callable[[Start], Start] = lambda start: start
-    events: Callable[[Events], Events] = lambda events: events
+    events: Callable[[Events, library.Scene], Events] = lambda events, scene: events
     begin_s: float = FAULT_S
 
 
-def values(sensor: str, change: Callable[..., Any], begin_s: float = FAULT_S, end_s: float = math.inf) -> Case:
-    """Other readings of a sensor for a time; `change` takes a value and its age since the begin [s]."""
+def values(role: str, change: Callable[..., Any], begin_s: float = FAULT_S, end_s: float = math.inf) -> Case:
+    """Other readings for a time of what plays a role; `change` takes a value and its age since the begin [s]."""
 
-    def altered(events: Events) -> Events:
-        return [
-            e._replace(value=tuple(np.asarray(change(np.array(e.value), e.true_s - begin_s)).tolist()))
-            if e.sensor == sensor and begin_s <= e.true_s < end_s
-            else e
-            for e in events
-        ]
+    def altered(events: Events, scene: library.Scene) -> Events:
+        if role not in scene.targets:
+            return events
+        sensor, columns = scene.targets[role]
+        at, result = list(columns), []
+        for e in events:
+            if e.sensor == sensor and begin_s <= e.true_s < end_s:
+                value = np.array(e.value)
+                value[at] = change(value[at], e.true_s - begin_s)
+                e = e._replace(value=tuple(value.tolist()))
+            result.append(e)
+        return result
 
     return Case(events=altered, begin_s=begin_s)
 
@@ -80,26 +85,26 @@ SITUATIONS: dict[str, Case] = {
     "no fault": Case(),
     "start told 2 km off, 140 good fixes": moved(latitude_deg=lambda x: x + 2000.0 / RADIUS_M / DEG),
     "start heading told 180 deg off, sd 5 deg": moved(heading_deg=lambda x: x + 180.0, heading_sd_deg=lambda x: 5.0),
-    "compass turned by 180 deg for good": values("compass", turned),
+    "compass turned by 180 deg for good": values("heading", turned),
     "compass 25 deg off for a minute": values(
-        "compass", lambda v, age_s: wrap(v + 25.0 * DEG), end_s=FAULT_S + MINUTE_S
+        "heading", lambda v, age_s: wrap(v + 25.0 * DEG), end_s=FAULT_S + MINUTE_S
     ),
-    "compass turned by 180 deg from the start": values("compass", turned, 0.0),
-    "compass 25 deg off from the start": values("compass", lambda v, age_s: wrap(v + 25.0 * DEG), 0.0),
-    "DVL scale +5 % for good": values("dvl", lambda v, age_s: 1.05 * v),
-    "DVL in mm/s for a minute": values("dvl", lambda v, age_s: 1e3 * v, end_s=FAULT_S + MINUTE_S),
-    "gyro x +100 deg/h for good": values(DRIVE, lambda v, age_s: v + 100.0 * DEG / 3600.0 * np.eye(6)[0]),
-    "gyro z +100 deg/h for good": values(DRIVE, lambda v, age_s: v + 100.0 * DEG / 3600.0 * np.eye(6)[2]),
-    "gyro z with the sign changed for good": values(DRIVE, lambda v, age_s: v * [1.0, 1.0, -1.0, 1.0, 1.0, 1.0]),
-    "gyro z doubled for good": values(DRIVE, lambda v, age_s: v * [1.0, 1.0, 2.0, 1.0, 1.0, 1.0]),
-    "accelerometer x +50 mg for good": values(DRIVE, lambda v, age_s: v + 0.05 * G * np.eye(6)[3]),
-    "gyros x and y exchanged for good": values(DRIVE, lambda v, age_s: v[[1, 0, 2, 3, 4, 5]]),
-    "accelerometers x and y exchanged for good": values(DRIVE, lambda v, age_s: v[[0, 1, 2, 4, 3, 5]]),
+    "compass turned by 180 deg from the start": values("heading", turned, 0.0),
+    "compass 25 deg off from the start": values("heading", lambda v, age_s: wrap(v + 25.0 * DEG), 0.0),
+    "DVL scale +5 % for good": values("velocity", lambda v, age_s: 1.05 * v),
+    "DVL in mm/s for a minute": values("velocity", lambda v, age_s: 1e3 * v, end_s=FAULT_S + MINUTE_S),
+    "gyro x +100 deg/h for good": values("gyro", lambda v, age_s: v + 100.0 * DEG / 3600.0 * np.eye(3)[0]),
+    "gyro z +100 deg/h for good": values("gyro", lambda v, age_s: v + 100.0 * DEG / 3600.0 * np.eye(3)[2]),
+    "gyro z with the sign changed for good": values("gyro", lambda v, age_s: v * [1.0, 1.0, -1.0]),
+    "gyro z doubled for good": values("gyro", lambda v, age_s: v * [1.0, 1.0, 2.0]),
+    "accelerometer x +50 mg for good": values("accel", lambda v, age_s: v + 0.05 * G * np.eye(3)[0]),
+    "gyros x and y exchanged for good": values("gyro", lambda v, age_s: v[[1, 0, 2]]),
+    "accelerometers x and y exchanged for good": values("accel", lambda v, age_s: v[[1, 0, 2]]),
     "depth +5 m for good": values("depth", lambda v, age_s: v + 5.0),
     "depth +5 m for a minute": values("depth", lambda v, age_s: v + 5.0, end_s=FAULT_S + MINUTE_S),
-    "fixes jump by 100 m for 40 s": values("gps", north(lambda age_s: 100.0), 80.0, 120.0),
-    "fixes drawn off at 0.5 m/s, 50 m": values("gps", north(lambda age_s: 0.5 * age_s), 40.0, DIVE_S),
-    "fixes 100 m off for 40 s after the dive": values("gps", north(lambda age_s: 100.0), 560.0, 600.0),
+    "fixes jump by 100 m for 40 s": values("position", north(lambda age_s: 100.0), 80.0, 120.0),
+    "fixes drawn off at 0.5 m/s, 50 m": values("position", north(lambda age_s: 0.5 * age_s), 40.0, DIVE_S),
+    "fixes 100 m off for 40 s after the dive": values("position", north(lambda age_s: 100.0), 560.0, 600.0),
 }
 
 
@@ -127,14 +132,31 @@ SHOWN = (
 )
 
 
-@functools.cache
-def mission_of(seed: int, mems: bool) -> tuple[nf.Vehicle, nf.Mission]:
-    """The survey: fixes until 140 s and from 500 s on."""
+def beams(*, mems: bool = False) -> nf.Vehicle:
+    """The survey's, its DVL read beam by beam."""
     plain = survey_vehicle(mems=mems)
-    vehicle = plain.with_error(
-        compass=plain.sensors["compass"].error + nf.White(sd=0.1 * DEG),
-        gps=plain.sensors["gps"].error + nf.White(sd=0.5),
-    )
+    dvl = plain.sensors["dvl"]
+    one = nf.DvlBeams(rate_hz=dvl.rate_hz, error=nf.White(sd=0.02), lever_arm_b_m=dvl.lever_arm_b_m)
+    return dataclasses.replace(plain, sensors={**plain.sensors, "dvl": one})
+
+
+VEHICLES: dict[str, Callable[[], nf.Vehicle]] = {
+    "tactical": survey_vehicle,
+    "mems": lambda: survey_vehicle(mems=True),
+    "beams": beams,
+    "beams-mems": lambda: beams(mems=True),
+    "reckoning": reckoning_vehicle,
+}
+
+
+@functools.cache
+def mission_of(seed: int, which: str) -> tuple[nf.Vehicle, nf.Mission]:
+    """The survey: fixes until 140 s and from 500 s on."""
+    vehicle = VEHICLES[which]()
+    errors = {"gps": vehicle.sensors["gps"].error + nf.White(sd=0.5)}
+    if "compass" in vehicle.sensors:
+        errors["compass"] = vehicle.sensors["compass"].error + nf.White(sd=0.1 * DEG)
+    vehicle = vehicle.with_error(**errors)
     fixes = {"gps": Faults(available=((0.0, DIVE_S), (BACK_S, 1e9)))}
     motion = survey(END_S, surface_s=110.0)
     return vehicle, simulate(vehicle, motion, seed=seed, duration_s=END_S, faults=fixes)
@@ -146,9 +168,18 @@ def cases(vehicle: nf.Vehicle) -> dict[str, Case]:
 
     def kind(name: str) -> Case:
         begin_s = 540.0 if "position" in name or "fixes" in name else FAULT_S + SAYS_NOTHING_S.get(name, 0.0)
-        return Case(events=lambda events: library.damaged(name, events, scene, 1), begin_s=begin_s)
+        return Case(events=lambda events, _: library.damaged(name, events, scene, 1), begin_s=begin_s)
 
     return SITUATIONS | {name: kind(name) for name in library.KINDS}
+
+
+def befalls(name: str, case: Case, which: str) -> bool:
+    """Whether a fault changes anything for a vehicle: one without an inertial unit has no gyro that fails."""
+    vehicle, mission = mission_of(1, which)
+    assert mission.start is not None
+    events = events_of(vehicle, mission)
+    changed = case.events(events, library.scene_of(vehicle, (0.0, 1.0), (0.0, 1.0)))
+    return name == "no fault" or changed != events or case.start(mission.start) != mission.start
 
 
 def outcomes(options: Options) -> list[dict[str, Any]]:
@@ -166,19 +197,19 @@ def outcomes(options: Options) -> list[dict[str, Any]]:
     rows = Table(COLUMNS)
     seeds = [1] if options.quick else list(range(1, options.seeds + 1))
     nf.warm_up()
-    vehicle, _ = mission_of(1, options.mems)
+    vehicle, _ = mission_of(1, options.vehicle)
     for name, case in cases(vehicle).items():
         shown = name in SITUATIONS or name in SHOWN or not options.shown
-        if options.only in name and shown:
-            rows.add(row_of(name, case, seeds, options.mems))
+        if options.only in name and shown and befalls(name, case, options.vehicle):
+            rows.add(row_of(name, case, seeds, options.vehicle))
     if options.shown:
         print("\n".join(markdown(rows.rows)))
     return rows.rows
 
 
-def row_of(name: str, case: Case, seeds: list[int], mems: bool) -> dict[str, Any]:
+def row_of(name: str, case: Case, seeds: list[int], which: str) -> dict[str, Any]:
     """The worst of the seeds."""
-    runs = [run(case, seed, mems) for seed in seeds]
+    runs = [run(case, seed, which) for seed in seeds]
     row: dict[str, Any] = {key: max(one[key] for one in runs) for key in runs[0] if key not in ("held", "named_s")}
     row["held"] = min(one["held"] for one in runs)
     named = [one["named_s"] for one in runs]
@@ -189,25 +220,25 @@ def row_of(name: str, case: Case, seeds: list[int], mems: bool) -> dict[str, Any
 
 
 @functools.cache
-def clean(seed: int, mems: bool) -> tuple[dict[int, Any], float, float]:
+def clean(seed: int, which: str) -> tuple[dict[int, Any], float, float]:
     """By the second what a run without a fault says, its greatest error in the dive, and its worst NEES at the end."""
-    outcome, off = fly(Case(), seed, mems)
+    outcome, off = fly(Case(), seed, which)
     said_s = {round(t): said(state) for t, state in outcome.states}
-    nees = watched.nees(outcome, mission_of(seed, mems)[1].truth, JUDGED_S)
+    nees = watched.nees(outcome, mission_of(seed, which)[1].truth, JUDGED_S)
     return said_s, float(off[dived(off), 1].max()), max(nees.values())
 
 
-def run(case: Case, seed: int, mems: bool) -> dict[str, Any]:
+def run(case: Case, seed: int, which: str) -> dict[str, Any]:
     """The figures of one run."""
-    outcome, off = fly(case, seed, mems)
-    usual, clean_m, clean_nees = clean(seed, mems)
+    outcome, off = fly(case, seed, which)
+    usual, clean_m, clean_nees = clean(seed, which)
     after = off[off[:, 0] > JUDGED_S]
     dive = off[dived(off)]
     worst = dive[np.argmax(dive[:, 1])] if len(dive) else np.full(5, np.nan)
     news = (t for t, s in outcome.states if t >= case.begin_s and differs(said(s), usual.get(round(t), said(s))))
     answers = (t for answer, t in outcome.first_s.items() if answer.endswith("unknown-sensor"))
     begun = min(next(news, math.inf), *answers, math.inf)
-    nees = watched.nees(outcome, mission_of(seed, mems)[1].truth, JUDGED_S)
+    nees = watched.nees(outcome, mission_of(seed, which)[1].truth, JUDGED_S)
     return {
         "worst_m": float(worst[1]),
         "sd_m": float(worst[2]),
@@ -226,13 +257,13 @@ def dived(off: np.ndarray) -> np.ndarray:
     return (off[:, 0] > DIVE_S + 10.0) & (off[:, 0] < BACK_S)
 
 
-def fly(case: Case, seed: int, mems: bool) -> tuple[watched.Outcome, np.ndarray]:
+def fly(case: Case, seed: int, which: str) -> tuple[watched.Outcome, np.ndarray]:
     """The run, and once a second: time, horizontal error, its sd, whether the bounds hold."""
-    vehicle, mission = mission_of(seed, mems)
+    vehicle, mission = mission_of(seed, which)
     assert mission.start is not None and mission.truth is not None
     start = case.start(mission.start)
-    events = case.events([e for e in events_of(vehicle, mission) if e.true_s >= start.time_s - 1e-9])
     scene = library.scene_of(vehicle, (0.0, 1.0), (0.0, 1.0))
+    events = case.events([e for e in events_of(vehicle, mission) if e.true_s >= start.time_s - 1e-9], scene)
     outcome = watched.watch(nf.Navigator(vehicle, start), events, scene, longest_cpu_s=120.0)
     rows = []
     for time_s, state in outcome.states:
