@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from navfilter.filter.adoption import Change
 from navfilter.filter.bursts import BurstsMemory
-from navfilter.filter.channel import Aside, ChannelMemory, Course, Refusals, RefusedWay, Scatter, Turns
+from navfilter.filter.channel import Aside, ChannelMemory, Course, Reckoned, Refusals, RefusedWay, Scatter, Turns
 from navfilter.filter.drive_clock import Arrived, DriveClockMemory
 from navfilter.filter.filter_memory import FilterMemory
 from navfilter.filter.health import Watch
@@ -39,7 +39,7 @@ class NavigatorMemory:
 
 #: Classes that a snapshot is made of, beside error models.
 MEMORY = (
-    *(NavigatorMemory, FilterMemory, ChannelMemory, Refusals, RefusedWay, Course, Aside, Scatter, Turns),
+    *(NavigatorMemory, FilterMemory, ChannelMemory, Refusals, RefusedWay, Course, Reckoned, Aside, Scatter, Turns),
     *(IntakeMemory, DriveClockMemory, BurstsMemory, Arrived),
     *(LearningMemory, Again, Change, ListenerMemory, Hop, RestMemory, LearnerMemory, Line, Spectrum),
 )

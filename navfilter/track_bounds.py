@@ -42,7 +42,8 @@ def bounds_along(track: Track) -> Array:
     away, inertial = _since_fix(track, fixes), track.vehicle.drive.inertial
     refused = [_refused_way(track, name, track.time_s - away[0]) for name in track.residuals]
     beside_m = np.max(refused, axis=0, initial=0.0)
-    return np.column_stack(bounds(track.covariance, *away, off, inertial, slow, beside_m))
+    compared = inertial or any(track.vehicle.sensors[name].corrects == "heading" for name in track.residuals)
+    return np.column_stack(bounds(track.covariance, *away, off, inertial, slow, beside_m, compared))
 
 
 def _off(track: Track, name: str) -> Array:

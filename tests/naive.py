@@ -419,6 +419,16 @@ def _dead_reckoning_step(nav, xd, drv, sample, Phid, Qd, Cr, acc):
     current, flow = np.zeros(3), int(drv[125])
     current[:2] = xd[flow : flow + 2] if flow >= 0 else 0.0
     missing = not (np.abs(sample[4:7]) <= drv[62]).all() or not (sample[4:7].any() or drv[63])
+    most_s = max(8.0, 20.0 * drv[36])
+    drv[131] = drv[131] + span if started and (sample[1:4] == drv[59:62]).all() else 0.0
+    drv[132] = drv[132] + span if started and (sample[4:7] == drv[133:136]).all() and sample[4:7].all() else 0.0
+    drv[133:136] = sample[4:7]
+    missing = missing or drv[132] > most_s
+    blind = drv[131] > most_s or not np.isfinite(sample[1:4]).all()
+    drv[129] = drv[129] + span if blind else 0.0
+    drv[130] = drv[130] + span if missing else 0.0
+    if blind:
+        sample[1:4] = drv[59:62]
     # what the readings' errors are thought to be, and how they follow from the drive's states
     E = Cr[:, :k].copy()
     if dev >= 0:
@@ -433,12 +443,13 @@ def _dead_reckoning_step(nav, xd, drv, sample, Phid, Qd, Cr, acc):
     err = E @ xd
     roll, pitch, yaw = sample[1:4] - err[:3]
     yaw += drv[43]  # declination
-    C = euler(roll, pitch, yaw)
-    axes = np.column_stack([C[:, 0], rotation(yaw * DOWN) @ EAST, DOWN])  # each angle turns about one of these
+    C = C0 if blind else euler(roll, pitch, yaw)
+    # each angle turns about one of these
+    axes = np.zeros((3, 3)) if blind else np.column_stack([C[:, 0], rotation(yaw * DOWN) @ EAST, DOWN])
     l0, l1 = (C0 @ arm, C @ arm) if started else (np.zeros(3), np.zeros(3))
     per = 1.0 / span if started and span > 0 else 0.0
     turned = (sample[1:4] - drv[59:62] + np.pi) % (2 * np.pi) - np.pi
-    drv[64] = per * np.linalg.norm(turned)
+    drv[64] = drv[64] if blind else per * np.linalg.norm(turned)
     w = per * (l1 - l0)
     F, J, E_par = np.zeros((m, m)), np.zeros((9, 6)), np.zeros((3, k))
     if missing:
@@ -465,6 +476,12 @@ def _dead_reckoning_step(nav, xd, drv, sample, Phid, Qd, Cr, acc):
     F[:3, 3:6] += (half - held) * np.eye(3)
     F[:3, 6:9] -= skew(half * w0 + l0)
     F[3:6, 6:9] -= per * skew(l0)
+    if blind:
+        # the attitude's error stays: it turns velocity and arm
+        by_turn = -skew(u - current) + per * skew(l1)
+        F[3:6, 6:9] += by_turn
+        F[:3, 6:9] += -half * skew(u - current) + skew(l1)
+        F[6:9, 6:9] += np.eye(3)
     F[:9, 9:] -= J @ E + J[:, 3:] @ E_par
     if lever >= 0:
         here, held_turn = slice(9 + lever, 12 + lever), C @ C0.T @ turn0 if missing else np.zeros((3, 3))
@@ -472,11 +489,14 @@ def _dead_reckoning_step(nav, xd, drv, sample, Phid, Qd, Cr, acc):
         F[:3, here] += half * (held_turn + turn0) - started * (C - C0)
         drv[78:87] = per * (C - C0).ravel()
     F[:3, :3] += (span - held) * _curvature(v0, nav[0], *nav[15:17])
+    drv[127:129] += (half * (v0 + w0 + u) - l1 + l0)[:2]
     _move(nav, (half - held) * v0 + half * (w0 + u) - l1 + l0)
     nav[3:6], nav[6:15], drv[56:59], drv[59:62], drv[12:14] = u - w, C.ravel(), w, sample[1:4], (0.0, 1.0)
     _tick_drive(acc, F, xd, Phid, Qd, _ticks(span, drv[36]))
     Q, walk = acc[m : 2 * m], drv[40] ** 2 * span * np.eye(3)
     Q[:9, :9] += J @ np.diag(Cr[:, k]) @ J.T
+    if blind:
+        Q[6:9, 6:9] += span * np.diag([0.1**2 / 30.0, 0.1**2 / 30.0, 0.35**2])
     if missing:
         G = np.vstack([half * np.eye(3), np.eye(3)])
         Q[:6, :6] += G @ walk @ G.T

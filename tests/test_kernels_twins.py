@@ -253,8 +253,14 @@ def test_dead_reckoning_kernels(settings):
         samples[4, 5] = -32.768  # a sentinel
         samples[6, 0] = 2.2  # a gap
         samples[7, 0] = 0.4
+        samples[1, 2] = samples[2, 3] = np.nan  # no attitude; neither
         if block == 0:
             samples[0, 4:] = np.nan  # nothing to go by but the start's velocity
+        if block == 1:
+            samples[6:, 1:4] = np.nan
+        if block == 2:
+            samples[:, 0], samples[:, 1:] = 2.0, samples[0, 1:]  # stuck
+            samples[6:, 4] += 0.1
         ours, twins = run_both(strapdown.dead_reckoning_steps, nav, xd, drv, samples, Phid, Qd, Cr, acc)
         assert_close(drive_result(ours), drive_result(twins))
         nav, xd, drv, acc = ours[0], ours[1], ours[2], ours[7]

@@ -330,7 +330,7 @@ DEAD_RECKONING = {
 }
 
 
-@pytest.mark.parametrize("lost", [False, True])
+@pytest.mark.parametrize("lost", ["nothing", "velocity", "attitude", "both"])
 @pytest.mark.parametrize("case", DEAD_RECKONING)
 def test_dead_reckoning_transition_equals_finite_differences(case, lost):
     settings, k = DEAD_RECKONING[case]
@@ -345,11 +345,13 @@ def test_dead_reckoning_transition_equals_finite_differences(case, lost):
     strapdown.dead_reckoning_steps(nav, xd, drv, before, Phid, Qd, Cr, acc.copy())
     strapdown.dead_reckoning_steps(nav, xd, drv, samples[:1].copy(), Phid, Qd, Cr, acc.copy())
     strapdown.dead_reckoning_hold(nav, xd, drv, 0.1, Phid, Qd, Cr, acc.copy())
-    if lost:
+    if lost in ("velocity", "both"):
         samples[1, 4:] = np.nan
+    if lost in ("attitude", "both"):
+        samples[1, 1:4] = np.nan
 
     def run(n, x, memory, a=None):
-        strapdown.dead_reckoning_steps(n, x, memory, samples[1:], Phid, Qd, Cr, acc.copy() if a is None else a)
+        strapdown.dead_reckoning_steps(n, x, memory, samples[1:].copy(), Phid, Qd, Cr, acc.copy() if a is None else a)
         return n, x
 
     a = acc.copy()

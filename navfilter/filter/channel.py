@@ -18,6 +18,7 @@ from navfilter.filter.chi_square import chi_square_limit
 from navfilter.filter.course import Course
 from navfilter.filter.layout import Group, Layout
 from navfilter.filter.offsets import has_offset, offset_states, proportions
+from navfilter.filter.reckoned import Reckoned
 from navfilter.filter.refusals import Refusals
 from navfilter.filter.refused_way import RefusedWay
 from navfilter.filter.scatter import Scatter
@@ -83,6 +84,8 @@ class ChannelMemory:
         them [m^2], latitude and longitude then [rad]; until the compass is back.
     scatter : Scatter or None
         Of one of which several readings have been refused of late: how they scatter.
+    reckoned : Reckoned or None
+        Of fixes that are refused beside dead reckoning without an inertial unit: their way, and its.
     turns : Turns or None
         Of a compass that was refused: what it said of the gyros.
     same_s, again_s : float
@@ -107,6 +110,7 @@ class ChannelMemory:
     alone: tuple[float, ...] = ()
     course: tuple[float, ...] = ()
     scatter: Scatter | None = None
+    reckoned: Reckoned | None = None
     turns: Turns | None = None
     same_s: float = math.nan
     again_s: float = math.nan

@@ -49,7 +49,8 @@ def health_of(
     assert P is not None
     now_s = memory.time_s
     sensors = {name: watch.health(now_s, channels[name].condition) for name, watch in watches.items()}
-    axes = filter.watch.conditions(memory.watch)
+    drive = filter.vehicle.drive
+    axes = filter.watch.conditions(memory.watch) or drive.conditions(memory.drv)
     off: dict[str, float] = {}
     slow, fix = 0.0, _last_fix(filter, watches)
     for name, watch in watches.items():
@@ -60,10 +61,10 @@ def health_of(
         # fixes that are used follow the way at first
         off["position"] = max(off.get("position", 0.0), led_astray(channels[name], memory.nav))
     age_s, moved_m = memory.time_s - fix[0], _distance(memory.nav, *fix[1:])
-    drive = filter.vehicle.drive
     beside_m = max((since_fix(filter, channel).length for channel in channels.values()), default=0.0)
     held = filter.inertial and drive.feels
-    radius_m, heading_rad = integrity.bounds(P, age_s, moved_m, off, held, slow, beside_m)
+    compared = filter.inertial or any(channel.sensor.corrects == "heading" for channel in channels.values())
+    radius_m, heading_rad = integrity.bounds(P, age_s, moved_m, off, held, slow, beside_m, compared)
     _, errors = drive.outputs(filter.drive_output, memory.drv, memory.x[: filter.layout.drive.size])
     rate = drive.body_rate(memory.drv, errors[:3])
     speed, turn = math.hypot(*memory.nav[3:6].tolist()), max(map(abs, np.atleast_1d(rate).tolist()))

@@ -10,6 +10,7 @@ the heading: a compass that is the only one to have said it is outvoted.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     from navfilter.filter.channel import Channel
     from navfilter.filter.filter import Filter
 
-__all__ = ["Course", "against_the_compass", "led_astray", "told_by_fixes", "told_here", "turned", "used"]
+__all__ = ["Course", "against_the_compass", "led_astray", "seen_turned", "told_by_fixes", "told_here", "turned", "used"]
 
 Array = NDArray[np.float64]
 #: An angle is believed beyond so many standard deviations, as one hypothesis of a whole mission [1], once it is known
@@ -67,7 +68,11 @@ class Course:
         """With one more fix: its time, nominal state (17,), residual in n [m]."""
         north = (nav[0] - self.latitude) * nav[15]
         east = (nav[1] - self.longitude) * nav[16] * math.cos(self.latitude)
-        row = np.array([north, east, residual[0], residual[1], time_s - self.began_s])
+        return self.plus(time_s, np.array([north, east]), residual)
+
+    def plus(self, time_s: float, place: Array, residual: Array) -> Course:
+        """With one more fix: its time, the place reckoned, north and east of the first [m], residual in n [m]."""
+        row = np.array([*place, residual[0], residual[1], time_s - self.began_s])
         new = np.array(self.sums) + np.concatenate([row, np.outer(row, row).ravel()])
         return Course(self.latitude, self.longitude, self.began_s, self.count + 1, tuple(new.tolist()))
 
@@ -105,23 +110,47 @@ def against_the_compass(filter: Filter, fixes: Channel, course: Course, time_s: 
     moving = any(c.sensor.open_loop == listen.VELOCITY and c.sensor.corrects == "velocity" for c in recent)
     if course.count < 3 or not moving or len(compasses) != 1 or compasses[0].kernel is not measurement.heading:
         return None
-    compass, P = compasses[0], filter.memory.P
+    compass = compasses[0]
+    told = math.radians(filter.start.heading_sd_deg)
+    believed = lambda angle, speed: not compass.memory.alone and abs(angle) > SURE * told  # noqa: E731
+    turn = seen_turned(course, fixes, float(filter.memory.P[8, 8]), believed)
+    if turn is None:
+        return None
+    models = compass.sensor.models if compass.offset else with_offsets(compass.sensor.models, abs(turn[0]))
+    return Change(compass.name, models, offsets=True, turn=turn)
+
+
+def seen_turned(
+    course: Course, fixes: Channel, heading: float, believed: Callable[[float, float], bool]
+) -> tuple[float, float] | None:
+    """By what angle fixes have made the way reckoned, turned, and its variance [rad, rad^2]; None where they have not,
+    or as well may be drawn off by a constant velocity.
+
+    Parameters
+    ----------
+    course : Course
+    fixes : Channel
+        The channel that refuses them.
+    heading : float
+        Variance of the heading reckoned with [rad^2].
+    believed : callable
+        Whether a heading that is off by this angle [rad], and a speed by so many standard deviations, are believed
+        rather than fixes that are drawn off.
+    """
+    if course.count < 3:
+        return None
     angle, size, ratio, beside_turned, beside_drawn = course.fitted()
     noise = _noise(fixes)
     # what wanders over the time of the fixes tilts a straight way by its difference between the ends: sqrt(2) of its sd
     # over sqrt(12) of the root mean square distance from the middle
     variance = noise / (6.0 * max(size, 1e-300))
-    sd = math.sqrt(variance + P[8, 8])
+    sd = math.sqrt(variance + heading)
     if sd > KNOWN_RAD or abs(angle) < SURE * sd or abs(ratio - 1.0) > SURE * math.sqrt(variance) + SCALE:
         return None
-    if beside_turned > FITS**2 * noise:
+    speed = max(0.0, abs(ratio - 1.0) - SCALE) / math.sqrt(variance)
+    if beside_turned > FITS**2 * noise or (believed(angle, speed) and beside_drawn < MISSES**2 * noise):
         return None
-    told = math.radians(filter.start.heading_sd_deg)
-    believed = not compass.memory.alone and abs(angle) > SURE * told
-    if believed and beside_drawn < MISSES**2 * noise:
-        return None
-    models = compass.sensor.models if compass.offset else with_offsets(compass.sensor.models, abs(angle))
-    return Change(compass.name, models, offsets=True, turn=(angle, variance + float(P[8, 8])))
+    return angle, variance + heading
 
 
 def _noise(fixes: Channel) -> float:

@@ -39,8 +39,6 @@ UNSEEN_S = 1.0
 FOUND_S = 2.0
 #: A turn goes on for longer; what it would tilt a vehicle by that felt its forces must not pass for a tilt [s].
 TURN_S = 3.0
-#: What it tilts by unseen is bounded (``strapdown.GAP_TILT``): a random walk gets there in so long [s].
-TILT_S = 30.0
 #: A reading at the end of the range, short of it by rounding.
 RANGE_END = 0.999
 
@@ -124,7 +122,7 @@ class DriveWatch:
                 elif i < 2:
                     # velocities show a tilt only where forces are felt
                     felt = not (w[3:6, kernel.HEEDED] > kernel.NOISY).any()
-                    density = strapdown.GAP_TILT**2 / (UNSEEN_S if felt else TILT_S)
+                    density = strapdown.GAP_TILT**2 / (UNSEEN_S if felt else strapdown.GAP_TILT_S)
                 output[i, :-1], output[i, -1] = 0.0, density / self._period_s
             elif code == kernel.NOISY:
                 output[i, -1] = max(r[i], w[i, kernel.WHITE])

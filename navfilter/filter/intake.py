@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -111,7 +110,7 @@ class Intake:
         self._gap_s = strapdown.GAP_PERIODS * self._period_s
         self._doubt_s = max(self.DOUBT_S, 10.0 * self._period_s)
         self._stands_in = drive.inertial
-        self._most_bad = round(self.BAD_S * drive.rate_hz) if drive.inertial else sys.maxsize
+        self._most_bad = round(self.BAD_S * drive.rate_hz) if drive.inertial else self.REPEATED
         self._longest_s = self.LONGEST_S * max(1.0, self._period_s)  # what speaks seldom may be silent for long
         self._confirm = max(5, round(0.25 * drive.rate_hz))
         self._previous = strapdown.PREVIOUS if drive.inertial else strapdown.PREVIOUS_RPY
@@ -245,7 +244,7 @@ class Intake:
             samples[i, 0] = stamp
             keep[i], before = True, stamp
             absent[i] = self.memory.bad > self._most_bad
-        samples[absent, 1:] = np.nan
+        samples[absent, 1 : 1 + len(self._limits)] = np.nan
         samples, bad = np.ascontiguousarray(samples[keep]), ~possible[keep] & ~absent[keep]
         self._repair(samples[:, 1 : 1 + len(self._limits)], bad, drv, at_rest)
         steps = np.diff(samples[:, 0], prepend=self.memory.before_s)

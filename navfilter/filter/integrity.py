@@ -85,6 +85,7 @@ def bounds(
     held: bool = True,
     slow: Any = 0.0,
     beside_m: Any = 0.0,
+    compared: bool = True,
 ) -> tuple[Any, Any]:
     """Protection radius [m] and bound of the heading [rad] at one time, or at many.
 
@@ -103,6 +104,9 @@ def bounds(
         Variance of the slow error of what tells the heading [rad^2].
     beside_m : float or ndarray, shape (...)
         What the refused readings of a velocity have come to since the last fix [m].
+    compared : bool
+        Whether anything holds the heading of the drive against another. A compass that drives and is the only one may
+        be off by anything.
 
     Examples
     --------
@@ -120,7 +124,8 @@ def bounds(
     half = 0.5 * (P[..., 0, 0] + P[..., 1, 1])
     longest = half + np.hypot(0.5 * (P[..., 0, 0] - P[..., 1, 1]), P[..., 0, 1])
     heading_sd = np.sqrt(np.maximum(P[..., 8, 8], slow))
-    return IN_PLANE * np.sqrt(longest) + fault, np.minimum(IN_LINE * heading_sd + heading, math.pi)
+    most = np.minimum(IN_LINE * heading_sd + heading, math.pi) if compared else np.full(np.shape(heading_sd), math.pi)
+    return IN_PLANE * np.sqrt(longest) + fault, most
 
 
 def whole_offset(sees: str, residual: Array, slow: float) -> Array:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.filter import agreement, aside, gating, ramp, realignment, refused_way, shifts, turns
+from navfilter.filter import agreement, aside, gating, ramp, realignment, reckoned, refused_way, shifts, turns
 from navfilter.filter.adoption import Change
 from navfilter.filter.belief import beyond_belief, excused, pulled
 from navfilter.filter.channel import Channel
@@ -69,6 +69,11 @@ def let_in(filter: Filter, channel: Channel, time_s: float, nis: float, dof: int
     if channel.moves and not channel.aside:
         filter.tilted = realignment.tilted(filter, channel, time_s)
         if filter.tilted:
+            return False
+    if channel.sensor.open_loop == listen.POSITION and channel.axes == 3:
+        change = reckoned.contradicted(filter, channel, time_s)
+        if change is not None:
+            filter.jumped += [Change(channel.name, channel.sensor.models, afresh=True), change]
             return False
     if beyond_belief(channel, memory.x):
         _gone_astray(filter, channel)
@@ -199,6 +204,9 @@ def take_up(filter: Filter, tell: Callable[[Event], None]) -> None:
         realignment.set_anew(filter, tell)
     while filter.jumped:
         change = filter.jumped.pop(0)
+        if change.sensor not in filter.channels:
+            reckoned.turn_compass(filter, change, tell)
+            continue
         channel = filter.channels[change.sensor]
         channel.memory.refused = None
         if change.afresh or change.error is not channel.sensor.models:

@@ -5,7 +5,7 @@ Arrays shared with the navigator (all float64, C-contiguous):
 ``nav`` (17,)   latitude, longitude [rad], height [m], velocity_n (3) [m/s], C_nb row by row (9), meridian and
 prime-vertical
                 radius plus height [m].
-``drv`` (127,)  memory and settings of the drive, see the index constants below. ``samples`` (n, 7)  seconds since the
+``drv`` (136,)  memory and settings of the drive, see the index constants below. ``samples`` (n, 7)  seconds since the
 previous sample, then the six values of the drive. ``Cr`` (6, k+1) output rows C of the drive's error blocks, and in the
 last column the white variance of one sample. ``acc`` (4m, m) compound transition Phi and noise Q since the last fold (m
 rows each), then two m-row work areas. m = 9 + k.
@@ -33,7 +33,9 @@ SOMIGLIANA = math.sqrt(1.0 - EARTH_E2) * GRAVITY_POLE / GRAVITY_EQUATOR - 1.0
 # Places in drv. Memory: previous sample (6), increments consumed by holds since (6), their seconds, mean attitude of
 # the last step, sums and squares for the detection of rest. Settings: the rest.
 PREVIOUS, CONSUMED, HELD_S, STARTED, MEAN_C, COUNT, SUMS, SQUARES = 0, 6, 12, 13, 14, 23, 24, 30
-GAP_TILT = 0.1  # rad
+GAP_TILT, GAP_TILT_S = 0.1, 30.0  # rad; a random walk gets there in so long [s]
+STUCK_S, STUCK_PERIODS = 8.0, 20.0  # readings that are the same for longer, and for so many periods, are stuck
+GAP_TURN = 0.35  # what a vehicle turns by unseen: 0.2 rad/s for some 3 s [rad/sqrt(s)]
 PERIOD_S, INCREMENTS, GAP_RATE_SD, GAP_FORCE_SD = 36, 37, 38, 39
 HOLD_DENSITY, DEVIATION, SCALE, DECLINATION, LEVER, MOUNTING, LEVER_VELOCITY, PREVIOUS_RPY = (
     40,
@@ -60,8 +62,12 @@ CALIBRATED, ELEMENTS, CALIBRATION = 88, 89, 107
 CURRENT = 125
 # 1: accelerations carry the velocity, see `kalman.discount_heading`.
 INERTIAL = 126
+# Dead reckoning: the way made by its own readings, north and east [m], whatever has been corrected since; for how long
+# there has been no attitude, and no velocity [s]; for how long the three angles have been the same to the last bit, and
+# the three velocities, none of them zero [s].
+WAY, BLIND_S, LOST_S, SAME_ATTITUDE_S, SAME_VELOCITY_S, PREVIOUS_VELOCITY_B = 127, 129, 130, 131, 132, 133
 PLACES = [DEVIATION, SCALE, ARM, ATTITUDE_CLOCK, VELOCITY_CLOCK, CURRENT]
-DRIVE_SIZE = 127
+DRIVE_SIZE = 136
 CHANGE_S = 0.1  # what changes is a mean over so long, for readings that come faster are noisy
 MOST_TICKS = 10000.0  # of the drive's blocks in one step
 WIDE = 16  # columns of a panel: rows of so many stay in registers
@@ -782,11 +788,42 @@ def _change(drv, samples, n, missing):
 
 
 @njit(cache=True, error_model="numpy")
+def _stuck(drv, samples, n):
+    """Whether attitude and velocity have been the same for so long that nobody reads them."""
+    same_a, same_v = drv[STARTED] != 0.0, drv[STARTED] != 0.0
+    for i in range(3):
+        same_a = same_a and samples[n, 1 + i] == drv[PREVIOUS_RPY + i]
+        same_v = same_v and samples[n, 4 + i] == drv[PREVIOUS_VELOCITY_B + i] and samples[n, 4 + i] != 0.0
+        drv[PREVIOUS_VELOCITY_B + i] = samples[n, 4 + i]
+    drv[SAME_ATTITUDE_S] = drv[SAME_ATTITUDE_S] + samples[n, 0] if same_a else 0.0
+    drv[SAME_VELOCITY_S] = drv[SAME_VELOCITY_S] + samples[n, 0] if same_v else 0.0
+    most_s = max(STUCK_S, STUCK_PERIODS * drv[PERIOD_S])
+    return drv[SAME_ATTITUDE_S] > most_s, drv[SAME_VELOCITY_S] > most_s
+
+
+@njit(cache=True, error_model="numpy")
+def _keep_attitude(F, l1, u0, u1, u2, half, per):
+    """An attitude that was not read is that of the step before: its error turns the velocity u and the arm l1."""
+    for j in range(3):
+        a, b, c = 1.0 if j == 0 else 0.0, 1.0 if j == 1 else 0.0, 1.0 if j == 2 else 0.0
+        y0, y1, y2 = b * l1[2] - c * l1[1], c * l1[0] - a * l1[2], a * l1[1] - b * l1[0]
+        v0, v1, v2 = b * u2 - c * u1, c * u0 - a * u2, a * u1 - b * u0
+        F[0, 6 + j] += half * v0 - y0
+        F[1, 6 + j] += half * v1 - y1
+        F[2, 6 + j] += half * v2 - y2
+        F[3, 6 + j] += v0 - per * y0
+        F[4, 6 + j] += v1 - per * y1
+        F[5, 6 + j] += v2 - per * y2
+        F[6 + j, 6 + j] += 1.0
+
+
+@njit(cache=True, error_model="numpy")
 def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
     """Attitude and body velocity carried forward: no inertial unit (Groves, 2013, sec. 6.2; the classical AUV filter).
 
     A sample is seconds since the previous one, roll, pitch, yaw [rad] and the velocity in instrument axes [m/s]; a
-    velocity that is NaN, or not a reading by the sensor's own limits, is held in body axes with growing uncertainty.
+    velocity that is NaN, or not a reading by the sensor's own limits, is held in body axes with growing uncertainty. An
+    attitude with a NaN is held, too, and its error goes on from the last one that was read.
     Position goes by the trapezoidal rule on the velocity of the instrument's point, and the lever arm enters through
     the turn of the attitude itself, so that no angular rate is needed for it.
     """
@@ -820,7 +857,14 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
         for i in range(4, 7):
             missing = missing or not abs(samples[n, i]) <= drv[MAX_SPEED]
             moving = moving or samples[n, i] != 0.0
-        missing = missing or not moving
+        stuck_a, stuck_v = _stuck(drv, samples, n)
+        missing = missing or not moving or stuck_v
+        blind = stuck_a or not math.isfinite(samples[n, 1] + samples[n, 2] + samples[n, 3])
+        drv[BLIND_S] = drv[BLIND_S] + span if blind else 0.0
+        drv[LOST_S] = drv[LOST_S] + span if missing else 0.0
+        if blind:
+            for i in range(3):
+                samples[n, 1 + i] = drv[PREVIOUS_RPY + i]
         if late_a >= 0 or late_v >= 0:
             _change(drv, samples, n, missing)
         for i in range(3):
@@ -845,6 +889,10 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
         C[0, 0], C[0, 1], C[0, 2] = cp * cy, sr * sp * cy - cr * sy, cr * sp * cy + sr * sy
         C[1, 0], C[1, 1], C[1, 2] = cp * sy, sr * sp * sy + cr * cy, cr * sp * sy - sr * cy
         C[2, 0], C[2, 1], C[2, 2] = -sp, sr * cp, cr * cp
+        if blind:
+            for i in range(3):
+                for j in range(3):
+                    C[i, j] = nav[6 + 3 * i + j]
         turned = 0.0
         for i in range(3):
             angle = samples[n, 1 + i] - drv[PREVIOUS_RPY + i]
@@ -858,7 +906,7 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
                 row = ARM_TURN + 3 * i
                 drv[LEVER_VELOCITY + i] = drv[row] * e0 + drv[row + 1] * e1 + drv[row + 2] * e2
         per = 1.0 / span if drv[STARTED] != 0.0 and span > 0.0 else 0.0
-        drv[TURN_RATE] = per * math.sqrt(turned)
+        drv[TURN_RATE] = drv[TURN_RATE] if blind else per * math.sqrt(turned)
         for i in range(3):
             l1[i] = C[i, 0] * e0 + C[i, 1] * e1 + C[i, 2] * e2
             l0[i] = nav[6 + 3 * i] * e0 + nav[7 + 3 * i] * e1 + nav[8 + 3 * i] * e2
@@ -870,9 +918,10 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
             for j in range(6):
                 J[i, j] = 0.0
         # -- velocity of the instrument's point in n, and how errors of the readings reach it
-        for i in range(3):
-            J[6 + i, 0] = C[i, 0]
-        J[6, 1], J[7, 1], J[8, 2] = -sy, cy, 1.0
+        if not blind:
+            for i in range(3):
+                J[6 + i, 0] = C[i, 0]
+            J[6, 1], J[7, 1], J[8, 2] = -sy, cy, 1.0
         if missing:
             for i in range(3):
                 for j in range(3):
@@ -937,6 +986,8 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
         F[2, 6] += y1
         F[2, 7] -= y0
         _turn_arm(F, l0, per)
+        if blind:
+            _keep_attitude(F, l1, through0, through1, through2, half, per)
         for s in range(k):
             for i in range(9):
                 for a in range(6):
@@ -987,10 +1038,13 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
                 F[i, 10 + turned] -= g * (j0 * y2 - j2 * y0)
                 F[i, 11 + turned] -= g * (j1 * y0 - j0 * y1)
         _position_rows(nav, F, span - held, m)
+        w0, w1 = drv[LEVER_VELOCITY], drv[LEVER_VELOCITY + 1]
+        drv[WAY] += half * (nav[3] + w0 + u[0]) - l1[0] + l0[0]
+        drv[WAY + 1] += half * (nav[4] + w1 + u[1]) - l1[1] + l0[1]
         _move(
             nav,
-            lead * nav[3] + half * (drv[LEVER_VELOCITY] + u[0]) - l1[0] + l0[0],
-            lead * nav[4] + half * (drv[LEVER_VELOCITY + 1] + u[1]) - l1[1] + l0[1],
+            lead * nav[3] + half * (w0 + u[0]) - l1[0] + l0[0],
+            lead * nav[4] + half * (w1 + u[1]) - l1[1] + l0[1],
             lead * nav[5] + half * (drv[LEVER_VELOCITY + 2] + u[2]) - l1[2] + l0[2],
         )
         for i in range(3):
@@ -1013,6 +1067,10 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
                 Q[3 + i, 3 + i] += walk
                 Q[i, 3 + i] += walk * half
                 Q[3 + i, i] += walk * half
+        if blind:
+            Q[6, 6] += GAP_TILT**2 / GAP_TILT_S * span
+            Q[7, 7] += GAP_TILT**2 / GAP_TILT_S * span
+            Q[8, 8] += GAP_TURN**2 * span
         drv[STARTED] = 1.0
 
 

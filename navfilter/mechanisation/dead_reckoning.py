@@ -38,6 +38,9 @@ FIRST_PARAMETERS = {
     strapdown.VELOCITY_CLOCK: "velocity.time_offset",
     strapdown.ATTITUDE_CLOCK: "attitude.time_offset",
 }
+#: An attitude or a velocity that has not been read for longer is silent [s], and for so many periods: bottom lock comes
+#: and goes.
+SILENT_S, SILENT_PERIODS = 2.0, 3.0
 #: Generous: beyond the worst and the best of instruments on the market.
 TILT_USUAL = Plausible(1e-7, math.radians(15.0), "deg", most_rate_hz=1000.0)
 
@@ -186,6 +189,17 @@ class DeadReckoning(Mechanisation):
         drv[strapdown.MAX_SPEED] = sensor.max_speed_m_s
         drv[strapdown.ZERO_IS_VALID] = float(not sensor.zero_is_invalid)
         return drv
+
+    def conditions(self, drv: Array) -> dict[str, str]:
+        """Of attitude and velocity: "good", "silent" or "stuck"."""
+        most_s = max(SILENT_S, SILENT_PERIODS * self.period_s)
+        stuck_s = max(strapdown.STUCK_S, strapdown.STUCK_PERIODS * self.period_s)
+        places = (strapdown.BLIND_S, strapdown.SAME_ATTITUDE_S), (strapdown.LOST_S, strapdown.SAME_VELOCITY_S)
+        result = {}
+        for name, (lost_s, same_s) in zip(self.streams, places, strict=True):
+            stuck = drv[same_s] > stuck_s
+            result[name] = "stuck" if stuck else "silent" if drv[lost_s] > most_s else "good"
+        return result
 
     def at_rest(self, state: NavState, drv: Array) -> Array:
         """Its attitude, by the compass as it is."""

@@ -210,6 +210,10 @@ class Mechanisation:
         """Largest magnitude of the values of a sample that must be there; beyond it the sample is a defect."""
         raise NotImplementedError
 
+    def conditions(self, drv: Array) -> dict[str, str]:
+        """Condition in words of its parts, by the kernels' memory, where no watch looks at its axes."""
+        return {}
+
     def memory(self, first_parameter: int, start: Start | None = None) -> Array:
         """The kernels' ``drv`` at the start; `first_parameter` counts the drive's states before its parameters."""
         drv = np.zeros(strapdown.DRIVE_SIZE)

@@ -1,0 +1,149 @@
+"""Fixes against dead reckoning without an inertial unit: what drives has a compass, and no other sensor holds it.
+
+A compass that is turned by 180 degrees takes such a vehicle the other way, and fixes that are refused, believed and
+refused again are all that says so. Their way is held against the one that the drive's own readings have made, whatever
+the fixes have corrected meanwhile: where the one is the other, turned (`navfilter.filter.course`), the compass gets a
+constant of that angle, and the position is opened to the next fix.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navfilter.filter.adoption import Change
+from navfilter.filter.course import Course, seen_turned
+from navfilter.filter.offsets import has_offset, offset_states, with_offsets
+from navfilter.kernels import strapdown
+
+if TYPE_CHECKING:
+    from navfilter.error_models import ErrorModel
+    from navfilter.filter.channel import Channel
+    from navfilter.filter.events import Listening
+    from navfilter.filter.filter import Filter
+
+__all__ = ["Reckoned", "contradicted", "turn_compass"]
+
+Array = NDArray[np.float64]
+#: Refused fixes that come so long after each other are not of one way [s].
+APART_S = 60.0
+#: On a straight way fixes may as well be drawn off. Beyond this angle that is a quarter of the speed or more, across the
+#: way, and leaves the speed what it is [rad]: a compass beside iron is to be expected rather.
+DRAWN_RAD = math.radians(15.0)
+#: What it leaves of the speed, in standard deviations [1].
+SAME_SPEED = 2.0
+#: Of the drive's three angles.
+YAW = 2
+
+
+@dataclass(frozen=True)
+class Reckoned:
+    """Refused fixes, and the way that the drive has made between them.
+
+    Attributes
+    ----------
+    course : Course
+    latitude, longitude : float
+        Of the first fix [rad].
+    north, east : float
+        Way made until then [m].
+    last_s : float
+        Time of the last one [s].
+    """
+
+    course: Course
+    latitude: float
+    longitude: float
+    north: float
+    east: float
+    last_s: float
+
+
+def contradicted(filter: Filter, fixes: Channel, time_s: float) -> Change | None:
+    """What is to be done about the drive's compass when fixes have refused a reading: another error model of it, with
+    a turn; None while nothing is to be done.
+
+    Parameters
+    ----------
+    filter : Filter
+        Its memory of these fixes goes on.
+    fixes : Channel
+        As the refused reading left it.
+    time_s : float
+        Of the reading [s].
+    """
+    memory, kept = filter.memory, fixes.memory
+    if filter.inertial or not np.isfinite(fixes.res[:2]).all():
+        return None
+    nav, way = memory.nav, memory.drv[strapdown.WAY : strapdown.WAY + 2]
+    latitude = float(nav[0] + fixes.res[0] / nav[15])
+    longitude = float(nav[1] + fixes.res[1] / (nav[16] * math.cos(nav[0])))
+    before = kept.reckoned
+    if before is None or time_s - before.last_s > APART_S:
+        before = Reckoned(Course(0.0, 0.0, time_s), latitude, longitude, float(way[0]), float(way[1]), time_s)
+    made = way - (before.north, before.east)
+    fixed = np.array([(latitude - before.latitude) * nav[15], 0.0])
+    fixed[1] = (longitude - before.longitude) * nav[16] * math.cos(before.latitude)
+    course = before.course.plus(time_s, made, fixed - made)
+    kept.reckoned = Reckoned(course, *_begin(before), time_s)
+    turn = seen_turned(course, fixes, float(memory.P[8, 8]), _believed)
+    if turn is None:
+        return None
+    kept.reckoned = None
+    memory.P[range(3), range(3)] += np.nan_to_num(fixes.res[:3]) ** 2
+    memory.counts["reset"] += 1
+    memory.counts["jumped"] += 1
+    return Change("attitude", _with_constant(filter, math.sqrt(turn[1])), offsets=True, turn=turn)
+
+
+def _believed(angle: float, speed: float) -> bool:
+    """Whether a compass is believed rather than fixes that are off by an angle, and in speed by so many sd."""
+    return abs(angle) < DRAWN_RAD or speed > SAME_SPEED
+
+
+def _begin(before: Reckoned) -> tuple[float, float, float, float]:
+    return before.latitude, before.longitude, before.north, before.east
+
+
+def _attitude(filter: Filter) -> tuple[ErrorModel, ...]:
+    return filter.in_force.drive.models[:3]
+
+
+def _with_constant(filter: Filter, sd: float) -> ErrorModel | tuple[ErrorModel, ...]:
+    """Error models of the attitude, the heading's with a constant of this sd beside it, unless it has one."""
+    drive = filter.in_force.drive
+    if drive.compass is not None:
+        yaw = drive.compass.models
+        return (yaw if has_offset(yaw) else with_offsets(yaw, sd))[0]
+    models = _attitude(filter)
+    return models if has_offset(models[YAW]) else (*models[:YAW], with_offsets(models[YAW:], sd)[0])
+
+
+def turn_compass(filter: Filter, change: Change, tell: Listening) -> None:
+    """Put the constant of the drive's compass in force: what it reads is turned by an angle of this variance.
+
+    Parameters
+    ----------
+    filter : Filter
+        Nothing waits to be folded in.
+    change : Change
+        By `contradicted`.
+    tell : callable
+        Is told of the new states.
+    """
+    assert change.turn is not None
+    angle, variance = change.turn
+    had = has_offset(_attitude(filter)[YAW])
+    if not had:
+        filter.adopt(change, tell)
+    memory, models, size = filter.memory, _attitude(filter), filter.layout.size
+    first = sum(model.block(filter.period_s).size for model in models[:YAW])
+    place = first + int(offset_states(models[YAW:], filter.period_s)[0])
+    memory.x[place] -= angle
+    N = np.zeros((size, size))
+    N[9 + place, 9 + place] = variance if had else 0.0
+    filter.put(memory.nav[3:6].copy(), memory.nav[6:15].reshape(3, 3).copy(), np.eye(size), N, tell)
