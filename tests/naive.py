@@ -425,6 +425,16 @@ def _dead_reckoning_step(nav, xd, drv, sample, Phid, Qd, Cr, acc):
     drv[133:136] = sample[4:7]
     missing = missing or drv[132] > most_s
     blind = drv[131] > most_s or not np.isfinite(sample[1:4]).all()
+    if started and not blind:
+        angle = abs((sample[3] - drv[61] + np.pi) % (2 * np.pi) - np.pi)
+        odd = angle > 1.5 * (drv[129] + span) + 0.1 and drv[136] < 2
+        drv[136], blind = (drv[136] + 1, True) if odd else (0, False)
+    drv[141] += span if drv[141] >= 0 else 0.0
+    if not missing:
+        odd = drv[141] >= 0 and np.abs(sample[4:7] - drv[138:141]).max() > 5.0 * drv[141] + 0.5 and drv[137] < 2
+        drv[137], missing = (drv[137] + 1, True) if odd else (0, False)
+        if not odd:
+            drv[138:141], drv[141] = sample[4:7], 0.0
     drv[129] = drv[129] + span if blind else 0.0
     drv[130] = drv[130] + span if missing else 0.0
     if blind:

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from navfilter.filter.integrity import IN_PLANE
 from navfilter.kernels import listen
 
 if TYPE_CHECKING:
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
     from navfilter.filter.layout import Group
     from navfilter.sensors import Sensor
 
-__all__ = ["believed", "beyond_belief", "excused", "pulled"]
+__all__ = ["believed", "beside", "beyond_belief", "excused", "pulled"]
 
 Array = NDArray[np.float64]
 #: An estimate of a slow error beyond so many of its standard deviations is none [1]: once in 2e4 times that it changes,
@@ -61,6 +62,13 @@ def beyond_belief(channel: Channel, x: Array) -> bool:
         Error states.
     """
     return bool(np.any(_estimate(channel, x) ** 2 > channel.limits[channel.axes + 1 :]))
+
+
+def beside(channel: Channel, x: Array) -> float:
+    """How far the fixes of a channel may be right beside the state [m]: by the coloured error that they are thought to
+    have, and its scatter.
+    """
+    return math.hypot(*_estimate(channel, x)[:2].tolist()) + IN_PLANE * math.sqrt(max(channel.slow))
 
 
 def excused(channel: Channel) -> bool:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.filter import integrity
-from navfilter.filter.belief import MOST_SDS
+from navfilter.filter.belief import MOST_SDS, beside
 from navfilter.filter.channel import Channel
 from navfilter.filter.course import led_astray, told_by_fixes
 from navfilter.filter.drive_clock import DriveClock
@@ -52,6 +52,7 @@ def health_of(
     drive = filter.vehicle.drive
     axes = filter.watch.conditions(memory.watch) or drive.conditions(memory.drv)
     off: dict[str, float] = {}
+    held = filter.inertial and drive.feels
     slow, fix = 0.0, _last_fix(filter, watches)
     for name, watch in watches.items():
         sees, known = channels[name].sensor.corrects, _off(channels[name], watch)
@@ -60,9 +61,11 @@ def health_of(
         slow = max(slow, told_by_fixes(channels[name], memory.nav, *fix[1:]))
         # fixes that are used follow the way at first
         off["position"] = max(off.get("position", 0.0), led_astray(channels[name], memory.nav))
+        if not held and sees == "position" and channels[name].group.errors:
+            # what drives is held by nothing: it may be that, and not the fixes, which errs slowly
+            off["position"] = max(off["position"], beside(channels[name], memory.x))
     age_s, moved_m = memory.time_s - fix[0], _distance(memory.nav, *fix[1:])
     beside_m = max((since_fix(filter, channel).length for channel in channels.values()), default=0.0)
-    held = filter.inertial and drive.feels
     compared = filter.inertial or any(channel.sensor.corrects == "heading" for channel in channels.values())
     radius_m, heading_rad = integrity.bounds(P, age_s, moved_m, off, held, slow, beside_m, compared)
     _, errors = drive.outputs(filter.drive_output, memory.drv, memory.x[: filter.layout.drive.size])

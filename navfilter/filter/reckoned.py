@@ -31,8 +31,8 @@ __all__ = ["Reckoned", "contradicted", "turn_compass"]
 Array = NDArray[np.float64]
 #: Refused fixes that come so long after each other are not of one way [s].
 APART_S = 60.0
-#: On a straight way fixes may as well be drawn off. Beyond this angle that is a quarter of the speed or more, across the
-#: way, and leaves the speed what it is [rad]: a compass beside iron is to be expected rather.
+#: On a straight way fixes may as well be drawn off. Beyond this angle that is a quarter of the speed or more across
+#: the way, and leaves the speed what it is [rad]: a compass beside iron is to be expected rather.
 DRAWN_RAD = math.radians(15.0)
 #: What it leaves of the speed, in standard deviations [1].
 SAME_SPEED = 2.0

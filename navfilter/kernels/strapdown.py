@@ -5,7 +5,7 @@ Arrays shared with the navigator (all float64, C-contiguous):
 ``nav`` (17,)   latitude, longitude [rad], height [m], velocity_n (3) [m/s], C_nb row by row (9), meridian and
 prime-vertical
                 radius plus height [m].
-``drv`` (136,)  memory and settings of the drive, see the index constants below. ``samples`` (n, 7)  seconds since the
+``drv`` (142,)  memory and settings of the drive, see the index constants below. ``samples`` (n, 7)  seconds since the
 previous sample, then the six values of the drive. ``Cr`` (6, k+1) output rows C of the drive's error blocks, and in the
 last column the white variance of one sample. ``acc`` (4m, m) compound transition Phi and noise Q since the last fold (m
 rows each), then two m-row work areas. m = 9 + k.
@@ -35,6 +35,9 @@ SOMIGLIANA = math.sqrt(1.0 - EARTH_E2) * GRAVITY_POLE / GRAVITY_EQUATOR - 1.0
 PREVIOUS, CONSUMED, HELD_S, STARTED, MEAN_C, COUNT, SUMS, SQUARES = 0, 6, 12, 13, 14, 23, 24, 30
 GAP_TILT, GAP_TILT_S = 0.1, 30.0  # rad; a random walk gets there in so long [s]
 STUCK_S, STUCK_PERIODS = 8.0, 20.0  # readings that are the same for longer, and for so many periods, are stuck
+# No vehicle turns or accelerates so fast [rad/s], [m/s^2], beside what a reading scatters [rad], [m/s]; after so many
+# in a row that seem to say so it is believed.
+MOST_TURN, MOST_ACCELERATION, SCATTER_RAD, SCATTER_M_S, MOST_ODD = 1.5, 5.0, 0.1, 0.5, 2.0
 GAP_TURN = 0.35  # what a vehicle turns by unseen: 0.2 rad/s for some 3 s [rad/sqrt(s)]
 PERIOD_S, INCREMENTS, GAP_RATE_SD, GAP_FORCE_SD = 36, 37, 38, 39
 HOLD_DENSITY, DEVIATION, SCALE, DECLINATION, LEVER, MOUNTING, LEVER_VELOCITY, PREVIOUS_RPY = (
@@ -66,8 +69,11 @@ INERTIAL = 126
 # there has been no attitude, and no velocity [s]; for how long the three angles have been the same to the last bit, and
 # the three velocities, none of them zero [s].
 WAY, BLIND_S, LOST_S, SAME_ATTITUDE_S, SAME_VELOCITY_S, PREVIOUS_VELOCITY_B = 127, 129, 130, 131, 132, 133
+# Samples in a row that no vehicle can make of the one before, of the heading and of the velocity; and the last velocity
+# that was taken, for how long it is the last [s], negative before the first.
+ODD_HEADING, ODD_VELOCITY, GOOD_VELOCITY, GOOD_S = 136, 137, 138, 141
 PLACES = [DEVIATION, SCALE, ARM, ATTITUDE_CLOCK, VELOCITY_CLOCK, CURRENT]
-DRIVE_SIZE = 136
+DRIVE_SIZE = 142
 CHANGE_S = 0.1  # what changes is a mean over so long, for readings that come faster are noisy
 MOST_TICKS = 10000.0  # of the drive's blocks in one step
 WIDE = 16  # columns of a panel: rows of so many stay in registers
@@ -802,6 +808,29 @@ def _stuck(drv, samples, n):
 
 
 @njit(cache=True, error_model="numpy")
+def _odd(drv, samples, n, blind, missing):
+    """Whether heading and velocity are single ones that no vehicle can make of the last that were taken."""
+    odd_a, odd_v = False, False
+    if drv[STARTED] != 0.0 and not blind:
+        angle = samples[n, 3] - drv[PREVIOUS_RPY + 2]
+        angle -= 2.0 * math.pi * math.floor(angle / (2.0 * math.pi) + 0.5)
+        odd_a = abs(angle) > MOST_TURN * (drv[BLIND_S] + samples[n, 0]) + SCATTER_RAD and drv[ODD_HEADING] < MOST_ODD
+        drv[ODD_HEADING] = drv[ODD_HEADING] + 1.0 if odd_a else 0.0
+    drv[GOOD_S] = drv[GOOD_S] + samples[n, 0] if drv[GOOD_S] >= 0.0 else -1.0
+    if not missing:
+        most = MOST_ACCELERATION * drv[GOOD_S] + SCATTER_M_S
+        for i in range(3):
+            odd_v = odd_v or (drv[GOOD_S] >= 0.0 and abs(samples[n, 4 + i] - drv[GOOD_VELOCITY + i]) > most)
+        odd_v = odd_v and drv[ODD_VELOCITY] < MOST_ODD
+        drv[ODD_VELOCITY] = drv[ODD_VELOCITY] + 1.0 if odd_v else 0.0
+        if not odd_v:
+            drv[GOOD_S] = 0.0
+            for i in range(3):
+                drv[GOOD_VELOCITY + i] = samples[n, 4 + i]
+    return odd_a, odd_v
+
+
+@njit(cache=True, error_model="numpy")
 def _keep_attitude(F, l1, u0, u1, u2, half, per):
     """An attitude that was not read is that of the step before: its error turns the velocity u and the arm l1."""
     for j in range(3):
@@ -860,6 +889,8 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
         stuck_a, stuck_v = _stuck(drv, samples, n)
         missing = missing or not moving or stuck_v
         blind = stuck_a or not math.isfinite(samples[n, 1] + samples[n, 2] + samples[n, 3])
+        odd_a, odd_v = _odd(drv, samples, n, blind, missing)
+        blind, missing = blind or odd_a, missing or odd_v
         drv[BLIND_S] = drv[BLIND_S] + span if blind else 0.0
         drv[LOST_S] = drv[LOST_S] + span if missing else 0.0
         if blind:

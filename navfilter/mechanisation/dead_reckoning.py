@@ -177,6 +177,7 @@ class DeadReckoning(Mechanisation):
         """The kernels' ``drv`` at the start."""
         drv = super().memory(first_parameter, start)
         drv[strapdown.HOLD_DENSITY] = self.hold_density
+        drv[strapdown.GOOD_S] = -1.0
         names = [p.name for p in self.parameters()]
         for place, name in FIRST_PARAMETERS.items():
             drv[place] = first_parameter + names.index(name) if name in names else -1
@@ -191,14 +192,18 @@ class DeadReckoning(Mechanisation):
         return drv
 
     def conditions(self, drv: Array) -> dict[str, str]:
-        """Of attitude and velocity: "good", "silent" or "stuck"."""
+        """Of attitude and velocity: "good", "silent", "stuck" or "erratic"."""
         most_s = max(SILENT_S, SILENT_PERIODS * self.period_s)
         stuck_s = max(strapdown.STUCK_S, strapdown.STUCK_PERIODS * self.period_s)
-        places = (strapdown.BLIND_S, strapdown.SAME_ATTITUDE_S), (strapdown.LOST_S, strapdown.SAME_VELOCITY_S)
+        places = (
+            (strapdown.SAME_ATTITUDE_S, strapdown.BLIND_S, strapdown.ODD_HEADING),
+            (strapdown.SAME_VELOCITY_S, strapdown.LOST_S, strapdown.ODD_VELOCITY),
+        )
         result = {}
-        for name, (lost_s, same_s) in zip(self.streams, places, strict=True):
-            stuck = drv[same_s] > stuck_s
-            result[name] = "stuck" if stuck else "silent" if drv[lost_s] > most_s else "good"
+        for name, place in zip(self.streams, places, strict=True):
+            same_s, lost_s, odd = drv[list(place)]
+            found = {"stuck": same_s > stuck_s, "silent": lost_s > most_s, "erratic": odd > 0.0, "good": True}
+            result[name] = next(word for word, holds in found.items() if holds)
         return result
 
     def at_rest(self, state: NavState, drv: Array) -> Array:
