@@ -506,7 +506,7 @@ def _dead_reckoning_step(nav, xd, drv, sample, Phid, Qd, Cr, acc):
     Q, walk = acc[m : 2 * m], drv[40] ** 2 * span * np.eye(3)
     Q[:9, :9] += J @ np.diag(Cr[:, k]) @ J.T
     if blind:
-        Q[6:9, 6:9] += span * np.diag([0.1**2 / 30.0, 0.1**2 / 30.0, 0.35**2])
+        Q[6:9, 6:9] += span * np.diag([0.1**2, 0.1**2, 0.35**2])
     if missing:
         G = np.vstack([half * np.eye(3), np.eye(3)])
         Q[:6, :6] += G @ walk @ G.T

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from navfilter.filter.events import Listening
     from navfilter.filter.filter import Filter
 
-__all__ = ["Reckoned", "contradicted", "turn_compass"]
+__all__ = ["Reckoned", "believed", "contradicted", "turn_compass"]
 
 Array = NDArray[np.float64]
 #: Refused fixes that come so long after each other are not of one way [s].
@@ -90,7 +90,7 @@ def contradicted(filter: Filter, fixes: Channel, time_s: float) -> Change | None
     fixed[1] = (longitude - before.longitude) * nav[16] * math.cos(before.latitude)
     course = before.course.plus(time_s, made, fixed - made)
     kept.reckoned = Reckoned(course, *_begin(before), time_s)
-    turn = seen_turned(course, fixes, float(memory.P[8, 8]), _believed)
+    turn = seen_turned(course, fixes, float(memory.P[8, 8]), believed)
     if turn is None:
         return None
     kept.reckoned = None
@@ -100,7 +100,7 @@ def contradicted(filter: Filter, fixes: Channel, time_s: float) -> Change | None
     return Change("attitude", _with_constant(filter, math.sqrt(turn[1])), offsets=True, turn=turn)
 
 
-def _believed(angle: float, speed: float) -> bool:
+def believed(angle: float, speed: float) -> bool:
     """Whether a compass is believed rather than fixes that are off by an angle, and in speed by so many sd."""
     return abs(angle) < DRAWN_RAD or speed > SAME_SPEED
 

@@ -34,6 +34,7 @@ SOMIGLIANA = math.sqrt(1.0 - EARTH_E2) * GRAVITY_POLE / GRAVITY_EQUATOR - 1.0
 # the last step, sums and squares for the detection of rest. Settings: the rest.
 PREVIOUS, CONSUMED, HELD_S, STARTED, MEAN_C, COUNT, SUMS, SQUARES = 0, 6, 12, 13, 14, 23, 24, 30
 GAP_TILT, GAP_TILT_S = 0.1, 30.0  # rad; a random walk gets there in so long [s]
+BLIND_TILT = 0.1  # of an attitude that is not read: 0.3 rad, a dive, in 10 s [rad/sqrt(s)]
 STUCK_S, STUCK_PERIODS = 8.0, 20.0  # readings that are the same for longer, and for so many periods, are stuck
 # No vehicle turns or accelerates so fast [rad/s], [m/s^2], beside what a reading scatters [rad], [m/s]; after so many
 # in a row that seem to say so it is believed.
@@ -1099,8 +1100,8 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
                 Q[i, 3 + i] += walk * half
                 Q[3 + i, i] += walk * half
         if blind:
-            Q[6, 6] += GAP_TILT**2 / GAP_TILT_S * span
-            Q[7, 7] += GAP_TILT**2 / GAP_TILT_S * span
+            Q[6, 6] += BLIND_TILT**2 * span
+            Q[7, 7] += BLIND_TILT**2 * span
             Q[8, 8] += GAP_TURN**2 * span
         drv[STARTED] = 1.0
 

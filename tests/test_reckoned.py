@@ -1,0 +1,202 @@
+"""Dead reckoning without an inertial unit, when what drives is wrong: fixes turn its compass, what is not read is held
+and said, and the radius holds the truth.
+"""
+
+import math
+
+import faults_run as watched
+import numpy as np
+import pytest
+from feeding import DRIVE, events_of, one_by_one
+
+import navfilter as nf
+from navfilter.filter.course import Course, seen_turned
+from navfilter.filter.offsets import has_offset
+from navfilter.filter.reckoned import believed
+from navfilter.simulation.scenarios import reckoning_vehicle, survey
+from navfilter.simulation.simulate import simulate
+from navfilter.state import wrap
+
+END_S, DEG = 260.0, math.pi / 180.0
+ABOUT_DOWN = np.array([0.0, 0.0, 1.0])
+
+
+@pytest.fixture(scope="module")
+def dive():
+    """Fixes all the time."""
+    vehicle = reckoning_vehicle()
+    return vehicle, simulate(vehicle, survey(END_S, surface_s=40.0), seed=3, duration_s=END_S)
+
+
+def attitude(events, change, begin_s=100.0, end_s=math.inf):
+    """Other readings of the attitude for a time."""
+    return [
+        e._replace(value=(*change(np.array(e.value[:3]), e.true_s), *e.value[3:]))
+        if e.sensor == DRIVE and begin_s <= e.true_s < end_s
+        else e
+        for e in events
+    ]
+
+
+def velocity(events, change, begin_s=100.0, end_s=math.inf):
+    """The same of the velocity."""
+    return [
+        e._replace(value=(*e.value[:3], *change(np.array(e.value[3:]), e.true_s)))
+        if e.sensor == DRIVE and begin_s <= e.true_s < end_s
+        else e
+        for e in events
+    ]
+
+
+def fly(dive, events):
+    """By the second: time, error of position and heading, their sd, whether the bounds hold, conditions."""
+    vehicle, mission = dive
+    nav, rows = nf.Navigator(vehicle, mission.start, threads=False), []
+    for event in events:
+        one_by_one(nav, [event])
+        if event.sensor == "depth":
+            state = nav.state
+            error = state.minus(watched.truth_at(mission.truth, state.time_s))
+            far_m, heading = math.hypot(*error[:2].tolist()), abs(float(error[8]))
+            sd = math.hypot(*state.sd[:2].tolist()), float(state.sd[8])
+            held = far_m <= state.bounds.horizontal_m and heading <= state.bounds.heading_rad
+            rows.append((state.time_s, far_m, heading, *sd, held, dict(nav.health.axes)))
+    return rows, nav
+
+
+@pytest.mark.parametrize("angle_deg", [180.0, 40.0, -90.0])
+def test_fixes_turn_a_compass_that_drives(dive, angle_deg):
+    """Before: 3 m/s off the fixes for good, with a heading that was sure to half a degree."""
+    wrong = attitude(events_of(*dive), lambda rpy, t: rpy + angle_deg * DEG * ABOUT_DOWN, 0.0)
+    rows, nav = fly(dive, wrong)
+    found = next(k for k, row in enumerate(rows) if row[2] < 15.0 * DEG)
+    assert rows[found][0] < 140.0
+    # at the end the heading is as sure as the way made since tells, and right
+    assert all(row[2] < 4.0 * row[4] and row[1] < 4.0 * row[3] for row in rows[-60:])
+    assert rows[-1][1] < 8.0 and rows[-1][4] < 4.0 * DEG
+    assert all(row[5] for row in rows[10:])
+    assert has_offset(nav.filter.in_force.drive.compass.models) and nav.counts["jumped"] >= 1
+
+
+def test_one_that_is_right_again_is_turned_back(dive):
+    wrong = attitude(events_of(*dive), lambda rpy, t: rpy + math.pi * ABOUT_DOWN, 0.0, 130.0)
+    rows, nav = fly(dive, wrong)
+    assert nav.counts["jumped"] == 2
+    assert all(row[2] < 4.0 * row[4] for row in rows[-20:]) and rows[-1][1] < 8.0
+
+
+def test_the_smoother_follows_a_turn_and_a_replay_is_the_same(dive):
+    vehicle, mission = dive
+    stream = mission.streams["attitude"]
+    turned = nf.Stream(stream.time_s, stream.value + math.pi * ABOUT_DOWN, stream.columns)
+    bad = mission.with_stream("attitude", turned)
+    track = nf.replay(vehicle, bad, smooth=True)
+    assert track.forward is not None
+    live = nf.Navigator(vehicle, mission.start, threads=False)
+    one_by_one(live, events_of(vehicle, bad))
+    live.finish()
+    assert live.counts["jumped"] == track.forward.counts["jumped"] >= 1
+    forward, nav = track.forward, live.filter.memory.nav
+    assert (forward.latitude[-1], forward.longitude[-1]) == (nav[0], nav[1])
+    late = track.time_s > 200.0
+    errors = track.errors(mission.truth).horizontal[late]
+    assert np.sqrt(np.mean(errors**2)) < 6.0
+    sd = np.sqrt(track.covariance[late, 0, 0] + track.covariance[late, 1, 1])
+    assert (errors < 4.0 * sd).all()
+
+
+def course(fix_velocity, way_velocity=(1.5, 0.0), seconds=100):
+    """Fixes once a second that have made a straight way, and the way reckoned."""
+    made = Course(0.0, 0.0, 0.0)
+    for t in range(seconds):
+        way = t * np.array(way_velocity)
+        made = made.plus(float(t), way, t * np.array(fix_velocity) - way)
+    return made
+
+
+@pytest.mark.parametrize(
+    ("fix_velocity", "angle_deg"),
+    [
+        ((-1.5, 0.0), 180.0),
+        ((1.5 * math.cos(0.5), 1.5 * math.sin(0.5)), math.degrees(0.5)),
+        ((2.0, 0.0), None),  # drawn off along the way
+        ((-2.5, 0.0), None),
+        ((1.5, 0.2), None),  # and slowly across it
+    ],
+)
+def test_on_a_straight_way_what_keeps_its_speed_has_turned(dive, fix_velocity, angle_deg):
+    vehicle, mission = dive
+    fixes = nf.Navigator(vehicle, mission.start, threads=False).filter.channels["gps"]
+    turn = seen_turned(course(fix_velocity), fixes, 1e-4, believed)
+    if angle_deg is None:
+        assert turn is None
+    else:
+        assert turn is not None and abs(wrap(turn[0] - angle_deg * DEG)) < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [(lambda rpy, t: rpy * math.nan, "silent"), (lambda rpy, t: np.array([0.01, 0.02, 0.3]), "stuck")],
+    ids=["silent", "stuck"],
+)
+def test_an_attitude_that_is_not_read_is_said_and_costs_what_is_said(dive, change, said):
+    """Before: the last one for good, the position sure to 2 m while it was 70 m off."""
+    events = [e for e in events_of(*dive) if e.sensor != "gps" or e.true_s < 100.0]
+    rows, _ = fly(dive, attitude(events, change, 100.0, 160.0))
+    during = [row for row in rows if 110.0 < row[0] < 160.0]
+    assert all(row[6]["attitude"] == said and row[6]["velocity"] == "good" for row in during)
+    # what was believed for 8 s of a stuck one is not in the sd
+    assert all(row[1] < 3.0 * row[3] + 30.0 * (said == "stuck") and row[2] < 4.0 * row[4] for row in during[20:])
+    assert during[-1][4] > 45.0 * DEG and f"attitude is {said}" in reasons_at(dive, events, change, 150.0)
+    after = [row for row in rows if row[0] > 161.0]
+    assert all(row[6]["attitude"] == "good" and row[4] < 2.0 * DEG and row[2] < 3.0 * DEG for row in after)
+
+
+def reasons_at(dive, events, change, time_s):
+    """Why the state is not to be trusted then."""
+    vehicle, mission = dive
+    nav = nf.Navigator(vehicle, mission.start, threads=False)
+    one_by_one(nav, [e for e in attitude(events, change) if e.true_s < time_s])
+    assert nav.state.trust.level != "good"
+    return nav.state.trust.reasons
+
+
+def test_spikes_are_left_out(dive):
+    events = [e for e in events_of(*dive) if e.sensor != "gps" or e.true_s < 100.0]
+    rng = np.random.default_rng(1)
+    hit = {e.true_s for e in events if e.sensor == DRIVE and 100.0 <= e.true_s < 160.0 and rng.random() < 0.1}
+    wrong = attitude(events, lambda rpy, t: rpy + 1.5 * (t in hit) * ABOUT_DOWN)
+    wrong = velocity(wrong, lambda v, t: v + 3.0 * (t in hit))
+    best, _ = fly(dive, events)
+    rows, _ = fly(dive, wrong)
+    assert max(abs(row[1] - one[1]) for row, one in zip(rows, best, strict=True)) < 1.0
+    assert any(row[6]["attitude"] == "erratic" for row in rows)
+
+
+def test_a_jump_that_lasts_is_believed_after_two_samples(dive):
+    wrong = velocity(events_of(*dive), lambda v, t: v + 4.0 * np.eye(3)[0], 100.0, 110.0)
+    vehicle, mission = dive
+    nav = nf.Navigator(vehicle, mission.start, threads=False)
+    one_by_one(nav, [e for e in wrong if e.true_s < 102.0 and e.sensor == DRIVE])
+    assert np.linalg.norm(nav.state.velocity_n) > 4.0
+
+
+def test_a_single_compass_that_drives_bounds_no_heading(dive):
+    _, nav = fly(dive, events_of(*dive)[:400])
+    assert nav.state.bounds.heading_rad == math.pi and math.isfinite(nav.state.bounds.horizontal_m)
+
+
+def test_what_refused_fixes_have_told_is_in_a_snapshot(dive):
+    vehicle, mission = dive
+    wrong = attitude(events_of(vehicle, mission), lambda rpy, t: rpy + math.pi * ABOUT_DOWN, 0.0)
+    whole = nf.Navigator(vehicle, mission.start, threads=False)
+    one_by_one(whole, wrong)
+    whole.finish()
+    nav, k = nf.Navigator(vehicle, mission.start, threads=False), 0
+    while nav.filter.channels["gps"].memory.reckoned is None or nav.time_s < 45.0:
+        one_by_one(nav, [wrong[k]])
+        k += 1
+    other = nf.Navigator.restore(vehicle, nav.snapshot())
+    one_by_one(other, wrong[k:])
+    other.finish()
+    assert other.snapshot() == whole.snapshot()
