@@ -512,6 +512,7 @@ def _dead_reckoning_step(nav, xd, drv, sample, Phid, Qd, Cr, acc):
         Q[:6, :6] += G @ walk @ G.T
     elif span > 3 * drv[36]:
         Q[:3, :3] += walk * span**2 / 12.0
+        Q[:2, :2] += np.eye(2) * 0.35**2 * (nav[3] ** 2 + nav[4] ** 2) * span**3 / 12.0
 
 
 def _scale_and_turn(par):

@@ -242,7 +242,10 @@ def test_conditions_are_in_the_health(dive):
     assert set(CONDITIONS) > set(nav.health.axes.values())
 
 
-def test_without_an_inertial_unit_nothing_is_watched():
+def test_without_an_inertial_unit_its_two_parts_are_looked_at_and_no_axis_is_watched():
     vehicle, mission = simulate_scenario("reckoning", 1, 20.0)
     nav = nf.Navigator(vehicle, mission.start)
-    assert nav.health.axes == {} and nav.filter.memory.watch.shape == (0, kernel.COLUMNS)
+    assert nav.health.axes == {"attitude": "good", "velocity": "good"} and nav.filter.memory.watch.shape == (
+        0,
+        kernel.COLUMNS,
+    )

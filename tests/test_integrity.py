@@ -141,4 +141,5 @@ def test_the_state_line_tells_them(tmp_path):
         nav.step(0.25 * second, (0.0, 0.0, 0.5), (1.5, 0.0, 0.0))
     line = json.loads(to_line(state_fields(nav.state)))
     assert line["trust"] == "lost" and "speed of 1.5 m/s" in line["reasons"][0]
-    assert line["protection_radius_m"] is None and 0.0 < line["heading_bound_deg"] < 180.0
+    # nothing holds what drives against anything
+    assert line["protection_radius_m"] is None and line["heading_bound_deg"] == 180.0

@@ -1093,6 +1093,9 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
         if span > GAP_PERIODS * drv[PERIOD_S] and not missing:
             for i in range(3):
                 Q[i, i] += walk * span * span / 12.0  # a walk between two known velocities (Brownian bridge)
+            turns = GAP_TURN**2 * span * (v[0] * v[0] + v[1] * v[1])  # and between two headings
+            Q[0, 0] += turns * span * span / 12.0
+            Q[1, 1] += turns * span * span / 12.0
         if missing:
             for i in range(3):
                 Q[i, i] += walk * half * half
