@@ -420,7 +420,7 @@ def _dead_reckoning_step(nav, xd, drv, sample, Phid, Qd, Cr, acc):
     current[:2] = xd[flow : flow + 2] if flow >= 0 else 0.0
     missing = not (np.abs(sample[4:7]) <= drv[62]).all() or not (sample[4:7].any() or drv[63])
     most_s = max(8.0, 20.0 * drv[36])
-    drv[131] = drv[131] + span if started and (sample[1:4] == drv[59:62]).all() else 0.0
+    drv[131] = drv[131] + span if started and (sample[1:4] == drv[59:62]).all() and sample[1:3].any() else 0.0
     drv[132] = drv[132] + span if started and (sample[4:7] == drv[133:136]).all() and sample[4:7].all() else 0.0
     drv[133:136] = sample[4:7]
     missing = missing or drv[132] > most_s

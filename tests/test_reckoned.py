@@ -161,6 +161,12 @@ def reasons_at(dive, events, change, time_s):
     return nav.state.trust.reasons
 
 
+def test_a_heading_that_stands_still_is_not_stuck_where_nobody_reads_the_tilt(dive):
+    """A yacht under autopilot with a compass of whole degrees."""
+    rows, _ = fly(dive, attitude(events_of(*dive), lambda rpy, t: np.array([0.0, 0.0, 0.3]), 100.0, 160.0))
+    assert all(row[6]["attitude"] == "good" for row in rows)
+
+
 def test_spikes_are_left_out(dive):
     events = [e for e in events_of(*dive) if e.sensor != "gps" or e.true_s < 100.0]
     rng = np.random.default_rng(1)

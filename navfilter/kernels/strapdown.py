@@ -797,7 +797,9 @@ def _change(drv, samples, n, missing):
 @njit(cache=True, error_model="numpy")
 def _stuck(drv, samples, n):
     """Whether attitude and velocity have been the same for so long that nobody reads them."""
-    same_a, same_v = drv[STARTED] != 0.0, drv[STARTED] != 0.0
+    # of a vehicle that is told to be level the heading alone is read, and a coarse one may stand still
+    same_a = drv[STARTED] != 0.0 and (samples[n, 1] != 0.0 or samples[n, 2] != 0.0)
+    same_v = drv[STARTED] != 0.0
     for i in range(3):
         same_a = same_a and samples[n, 1 + i] == drv[PREVIOUS_RPY + i]
         same_v = same_v and samples[n, 4 + i] == drv[PREVIOUS_VELOCITY_B + i] and samples[n, 4 + i] != 0.0
