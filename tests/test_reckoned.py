@@ -78,6 +78,36 @@ def test_fixes_turn_a_compass_that_drives(dive, angle_deg):
     assert has_offset(nav.filter.in_force.drive.compass.models) and nav.counts["jumped"] >= 1
 
 
+def test_so_they_do_one_that_is_described_by_error_models_alone(dive):
+    vehicle, mission = dive
+    models = (nf.White(sd=0.003), nf.White(sd=0.003), nf.GaussMarkov(sd=0.01, tau_s=300.0) + nf.White(sd=0.002))
+    plain = nf.Vehicle(
+        nf.DeadReckoning(rate_hz=4.0, attitude=models, velocity=vehicle.drive.velocity_sensor), vehicle.sensors
+    )
+    wrong = attitude(events_of(*dive), lambda rpy, t: rpy + 180.0 * DEG * ABOUT_DOWN, 0.0)
+    rows, nav = fly((plain, mission), wrong)
+    assert [has_offset(model) for model in nav.filter.in_force.drive.models[:3]] == [False, False, True]
+    assert all(row[2] < 4.0 * row[4] and row[1] < 8.0 for row in rows[-60:])
+
+
+def test_a_current_across_the_way_turns_no_compass():
+    """A log's way over ground is turned by the water, here by far more than is described; its speed hardly changes."""
+    drive = nf.DeadReckoning(
+        rate_hz=4.0,
+        attitude=nf.Heading(rate_hz=4.0, error=nf.White(sd=0.005)),
+        velocity=nf.WaterVelocity(rate_hz=4.0, error=nf.White(sd=0.01), current_sd_m_s=0.002, current_tau_s=3600.0),
+    )
+    vehicle = nf.Vehicle(drive, {"gps": nf.Position(rate_hz=1.0, error=nf.GaussMarkov(sd=1.0, tau_s=60.0))})
+    nav = nf.Navigator(vehicle, nf.Start(latitude_deg=0.0, longitude_deg=0.0, heading_deg=0.0), threads=False)
+    for k in range(1, 4 * 300):
+        t, small = 0.25 * k, 1e-4 * (k % 7)
+        nav.step(t, (0.001 + small, 0.001, small), (1.5 + small, 0.01, 0.01))
+        if k % 4 == 0:
+            place = np.array([1.5 * t, 0.6 * t, 0.0]) / 6.378e6
+            nav.correct("gps", t, (place[0] * 6.378 / 6.335, place[1], 0.0))
+    assert not has_offset(nav.filter.in_force.drive.compass.models)
+
+
 def test_one_that_is_right_again_is_turned_back(dive):
     wrong = attitude(events_of(*dive), lambda rpy, t: rpy + math.pi * ABOUT_DOWN, 0.0, 130.0)
     rows, nav = fly(dive, wrong)

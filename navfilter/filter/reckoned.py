@@ -90,7 +90,9 @@ def contradicted(filter: Filter, fixes: Channel, time_s: float) -> Change | None
     fixed[1] = (longitude - before.longitude) * nav[16] * math.cos(before.latitude)
     course = before.course.plus(time_s, made, fixed - made)
     kept.reckoned = Reckoned(course, *_begin(before), time_s)
-    turn = seen_turned(course, fixes, float(memory.P[8, 8]), believed)
+    # what draws a way through water off is its current
+    drawn = (lambda angle, speed: True) if filter.in_force.drive.wandering() else believed
+    turn = seen_turned(course, fixes, float(memory.P[8, 8]), drawn)
     if turn is None:
         return None
     kept.reckoned = None
