@@ -57,8 +57,9 @@ def test_none_is_later_than_its_own_stamp():
         np.r_[PERIOD_S * np.arange(20), 60.0 + 1e-3 * np.arange(20)],  # a leap of the clock
         np.r_[PERIOD_S * np.arange(20), 2.2, PERIOD_S * np.arange(20, 40)],  # a wild stamp
         np.r_[PERIOD_S * np.arange(20), np.nan, PERIOD_S * np.arange(21, 40)],
+        np.r_[PERIOD_S * np.arange(20), np.inf, np.inf, -np.inf, PERIOD_S * np.arange(21, 40)],
     ],
-    ids=["even", "missing", "jitter", "leap", "wild", "NaN"],
+    ids=["even", "missing", "jitter", "leap", "wild", "NaN", "infinite"],
 )
 @pytest.mark.parametrize("size", [1, 60])
 def test_others_are_left_alone(stamps, size):

@@ -72,7 +72,8 @@ class Bursts:
         if quiet and len(samples) == 1 and not samples[0, 0] - memory.own_s > self.silent_s:
             memory.own_s = memory.given_s = samples[0, 0]
             return samples
-        steps = np.diff(samples[:, 0], prepend=memory.own_s)
+        with np.errstate(invalid="ignore"):  # of stamps that are infinite
+            steps = np.diff(samples[:, 0], prepend=memory.own_s)
         if quiet and not (steps > self.silent_s).any():
             memory.own_s = memory.given_s = samples[-1, 0]
             return samples
