@@ -69,13 +69,13 @@ class Bursts:
         """The samples that go on now, with the stamps that they should have; changed in place."""
         memory = self.memory
         quiet = not (memory.spread or len(memory.first))
-        if quiet and len(samples) == 1 and not samples[0, 0] - memory.own_s > self.silent_s:
-            memory.own_s = memory.given_s = samples[0, 0]
+        if quiet and len(samples) == 1 and not float(samples[0, 0]) - memory.own_s > self.silent_s:
+            memory.own_s = memory.given_s = float(samples[0, 0])
             return samples
         with np.errstate(invalid="ignore"):  # of stamps that are infinite
             steps = np.diff(samples[:, 0], prepend=memory.own_s)
         if quiet and not (steps > self.silent_s).any():
-            memory.own_s = memory.given_s = samples[-1, 0]
+            memory.own_s = memory.given_s = float(samples[-1, 0])
             return samples
         rows: list[Array] = []
         for row, step in zip(samples, steps.tolist(), strict=True):
