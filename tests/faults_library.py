@@ -11,13 +11,13 @@ from __future__ import annotations
 import math
 import zlib
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
 from feeding import DRIVE, Event, Events
 
-from navfilter.sensors import BodyVelocity, Depth, Heading, Position
+from navfilter.sensors import BodyVelocity, Depth, DvlBeams, Heading, Position
 from navfilter.vehicle import Vehicle
 
 DEG = math.pi / 180.0
@@ -44,12 +44,15 @@ class Scene:
         When faults of the position fixes act (there must be some), s.
     period_s : float
         Of the drive.
+    along : ndarray, shape (n, 3)
+        Directions of the components of the velocity in its instrument's axes: those, or its beams.
     """
 
     targets: dict[str, Target]
     window: tuple[float, float]
     fixes: tuple[float, float]
     period_s: float
+    along: np.ndarray = field(default_factory=lambda: np.eye(3))
 
     def when(self, role: str) -> tuple[float, float]:
         """The window in which faults of a role act."""
@@ -71,7 +74,8 @@ def scene_of(vehicle: Vehicle, window: tuple[float, float], fixes: tuple[float, 
         role = next((role for kind, role in roles.items() if isinstance(sensor, kind)), None)
         if role is not None:
             targets[role] = Target(name, tuple(range(sensor.reads)))
-    return Scene(targets, window, fixes, vehicle.drive.period_s)
+    beams = [sensor.beams()[: sensor.reads] for sensor in vehicle.sensors.values() if isinstance(sensor, DvlBeams)]
+    return Scene(targets, window, fixes, vehicle.drive.period_s, *beams[:1])
 
 
 # --- what faults are made of ----------------------------------------------------------------------------------------
@@ -474,14 +478,14 @@ KINDS["bottom lock lost: sentinels"] = Kind(
     ("velocity:invalid", "drive:velocity-lost"),
 )
 KINDS["bottom lock lost: one component"] = Kind(
-    lambda events, scene, rng: changed(events, scene, "velocity", lambda v: np.array([math.nan, v[1], v[2]]))
+    lambda events, scene, rng: changed(events, scene, "velocity", lambda v: np.array([math.nan, *v[1:]]))
 )
 KINDS["bottom lock comes and goes"] = Kind(
     lambda events, scene, rng: changed(events, scene, "velocity", lambda v: v * 0.0, share=0.5, rng=rng),
     ("velocity:invalid", "drive:velocity-lost"),
 )
 KINDS["DVL tracks the water (current of 0.3 m/s)"] = Kind(
-    lambda events, scene, rng: changed(events, scene, "velocity", lambda v: v + np.array([0.25, -0.17, 0.0])),
+    lambda events, scene, rng: changed(events, scene, "velocity", lambda v: v + scene.along @ (0.25, -0.17, 0.0)),
     ("velocity:rejected",),
     unseen=True,
 )
