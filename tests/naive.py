@@ -746,7 +746,7 @@ def places(dims):
         2 * a * a,
         a * n,
         a * (9 + par),
-        3 + 2 * a,
+        4 + 2 * a,
         max(m, b, 2 * a) * n + 4 * b * b,
     ]
     return tuple(np.cumsum(sizes))
@@ -772,7 +772,7 @@ def update(P, nav, x, C, R, mem, dims, limits):
     others = np.zeros((a, start - m)), np.zeros((a, n - start - errors - par))
     H[:] = np.hstack([near[:, :9], H[:, 9:m], others[0], C, near[:, 9:], others[1]])
     res -= C @ x[start - 9 : start - 9 + errors]
-    out = mem[at[8] : at[9]]
+    out = mem[at[8] : at[9] - 1]
     out[3 : 3 + a] = res
     innovation(P, H, res, R, S, PH, out)
     out[3 + a :] = np.where(np.isnan(out[3 : 3 + a]), np.nan, np.diag(S[:a]))
@@ -1492,7 +1492,9 @@ def correction(bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count,
         at(bend)(z, near, P, start + errors, here[-1], R)
     C, gate = bench[output : output + a * errors].reshape(a, errors), bench[limits : limits + a + 1]
     believed = bench[limits + a + 1 : limits + 2 * a + 1]
-    beyond = np.any((C @ x[start - 9 : start - 9 + errors]) ** 2 > believed)
+    squares = (C @ x[start - 9 : start - 9 + errors]) ** 2
+    beyond, calm = np.any(squares > believed), np.all(squares <= believed / 16.0)
+    mem[places_[9] - 1] = 0.0 if calm else mem[places_[9] - 1] + count
     update(P, nav, x, C, R, mem, dims, np.r_[np.inf, np.full(a, -1.0)] if beyond else gate)
 
 

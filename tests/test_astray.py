@@ -2,13 +2,16 @@
 
 import math
 
+import faults_run as watched
 import numpy as np
 import pytest
+from feeding import events_of, one_by_one
 from test_agreement import DEG, RADIUS_M, after, altered, dive, fly, turned
 
 import navfilter as nf
 from navfilter.filter.course import Course, led_astray, told_by_fixes
 from navfilter.filter.memory import differences
+from navfilter.filter.offsets import has_offset
 from navfilter.simulation.scenarios import simulate_scenario
 
 
@@ -122,7 +125,7 @@ def test_fixes_are_not_blamed_for_long_for_a_dvl_and_a_compass_that_are_describe
         return track, math.sqrt(np.nanmean(track.errors(mission.truth).horizontal ** 2))
 
     judged, rms_m = rms()
-    assert judged.counts["astray"] >= 1  # it is said
+    assert judged.counts["astray"] + judged.counts["jumped"] >= 1  # it is said
     monkeypatch.setattr("navfilter.filter.channel.believed", lambda sensor, group: np.full(sensor.axes, np.inf))
     believing, plain_m = rms()
     assert believing.counts["astray"] == 0 and rms_m < plain_m
@@ -138,3 +141,28 @@ def test_what_has_gone_astray_is_kept_in_a_snapshot():
     track = nf.replay(vehicle, broken, output_rate_hz=None)
     whole, _ = fly(vehicle, broken)
     np.testing.assert_array_equal(track.attitude[-1], whole.state.roll_pitch_heading)
+
+
+@pytest.mark.parametrize(("drawn_m_s", "blamed"), [(0.5, "astray"), (0.05, "jumped")])
+def test_what_pulls_fixes_slowly_is_dead_reckoning(drawn_m_s, blamed):
+    """A DVL that reads 3 % too much, or fixes that are drawn off by a third of the speed: the same estimate of their
+    slow error in the end.
+    """
+    vehicle, mission = simulate_scenario("reckoning", 1, 500.0)
+    nav = nf.Navigator(vehicle, mission.start, threads=False)
+    channel, most_s = nav.filter.channels["gps"], 0.0
+    for event in events_of(vehicle, mission):
+        if event.sensor == "gps":
+            continue
+        one_by_one(nav, [event])
+        if event.sensor == "depth":
+            place = watched.truth_at(mission.truth, event.true_s)
+            drawn = max(0.0, event.true_s - 60.0) * drawn_m_s / RADIUS_M
+            nav.correct("gps", event.true_s, (place.latitude + drawn, place.longitude, place.height))
+            most_s = max(most_s, float(channel.pulled[0]) * channel.period_s)
+        if nav.counts["astray"] + nav.counts["jumped"]:
+            break
+    assert {name for name in ("astray", "jumped") if nav.counts[name]} == {blamed}
+    assert (most_s < 40.0) == (blamed == "astray")
+    velocity = nav.filter.in_force.drive.models[3:]
+    assert has_offset(velocity) == (blamed == "jumped")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.filter.belief import beyond_belief
+from navfilter.filter.belief import beyond_belief, is_calm
 from navfilter.filter.channel import Channel
 from navfilter.filter.filter_memory import FilterMemory
 from navfilter.kernels import addresses, kalman, past, strapdown, stretch
@@ -117,5 +117,6 @@ def asked(
     if channel.sensor.bend is not None:
         first = int(channel.dims[4] + channel.dims[5])
         channel.sensor.bend(z, channel.near, P, first, channel.constants, channel.R)
+    channel.pulled[0] = 0.0 if is_calm(channel, x) else channel.pulled[0] + channel.ticks(time_s)
     gate = SHUT[: channel.axes + 1] if beyond_belief(channel, x) else channel.gate
     kalman.update(P, nav, x, channel.C, channel.R, channel.mem, channel.dims, gate)

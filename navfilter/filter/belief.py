@@ -5,7 +5,8 @@ off from what the ones before made of the state and of their own slow error. Wha
 of that error: a process of 3 m that has come to 12 m is none. Such a sensor is **astray**: its slow error is begun
 afresh, what it may have done to the position is added to the covariance, and its readings are refused until one agrees
 with the state as it should, or is off by no more than dead reckoning may err: of a vehicle whose velocity sensor or
-compass is described wrongly it is the fixes that are right.
+compass is described wrongly it is the fixes that are right. Where they have been pulled as slowly as that, it is the
+velocity that is opened, and the fixes stay.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     from navfilter.filter.layout import Group
     from navfilter.sensors import Sensor
 
-__all__ = ["believed", "beside", "beyond_belief", "excused", "pulled"]
+__all__ = ["believed", "beside", "beyond_belief", "estimate", "excused", "is_calm", "pulled", "reckoned_wrongly"]
 
 Array = NDArray[np.float64]
 #: An estimate of a slow error beyond so many of its standard deviations is none [1]: once in 2e4 times that it changes,
@@ -61,14 +62,35 @@ def beyond_belief(channel: Channel, x: Array) -> bool:
     x : ndarray, shape (n - 9,)
         Error states.
     """
-    return bool(np.any(_estimate(channel, x) ** 2 > channel.limits[channel.axes + 1 :]))
+    return bool(np.any(estimate(channel, x) ** 2 > channel.limits[channel.axes + 1 :]))
+
+
+def is_calm(channel: Channel, x: Array) -> bool:
+    """Whether the estimate of the coloured error is within one standard deviation."""
+    return bool(np.all(estimate(channel, x) ** 2 <= channel.limits[channel.axes + 1 :] / MOST_SDS**2))
+
+
+def reckoned_wrongly(channel: Channel, speed: float) -> float:
+    """By how much a velocity may be wrong, where fixes whose slow error is no longer believed have been pulled so
+    slowly that it is rather dead reckoning that errs [m/s]; 0 where it is the fixes.
+
+    Parameters
+    ----------
+    channel : Channel
+        Of the fixes.
+    speed : float
+        Of the vehicle [m/s].
+    """
+    seconds = float(channel.pulled[0]) * channel.period_s
+    grown = (MOST_SDS - 1.0) * math.sqrt(max(channel.slow))
+    return MOST_SDS / (MOST_SDS - 1.0) * grown / seconds if 0.0 < grown <= SHARE * speed * seconds else 0.0
 
 
 def beside(channel: Channel, x: Array) -> float:
     """How far the fixes of a channel may be right beside the state [m]: by the coloured error that they are thought to
     have, and its scatter.
     """
-    return math.hypot(*_estimate(channel, x)[:2].tolist()) + IN_PLANE * math.sqrt(max(channel.slow))
+    return math.hypot(*estimate(channel, x)[:2].tolist()) + IN_PLANE * math.sqrt(max(channel.slow))
 
 
 def excused(channel: Channel) -> bool:
@@ -82,7 +104,8 @@ def excused(channel: Channel) -> bool:
     return math.hypot(*np.nan_to_num(channel.res).tolist()) <= SHARE * channel.memory.astray_m
 
 
-def _estimate(channel: Channel, x: Array) -> Array:
+def estimate(channel: Channel, x: Array) -> Array:
+    """The coloured error that the readings are thought to have, shape (axes,)."""
     first = channel.group.start - 9
     return np.asarray(channel.C @ x[first : first + channel.group.errors])
 
@@ -97,4 +120,4 @@ def pulled(channel: Channel, x: Array) -> Array:
     own = np.einsum("ij,ij->i", channel.C, channel.PH[:, states])
     position = np.abs(np.diag(channel.PH[:, :3]))
     ratio = position / np.maximum(np.maximum(own, position / MOST_PULLED), 1e-300)
-    return np.asarray(np.abs(_estimate(channel, x)) * ratio)
+    return np.asarray(np.abs(estimate(channel, x)) * ratio)

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from navfilter.filter.events import Listening
     from navfilter.filter.filter import Filter
 
-__all__ = ["Reckoned", "believed", "contradicted", "turn_compass"]
+__all__ = ["Reckoned", "believed", "contradicted", "opened_velocity", "take_up"]
 
 Array = NDArray[np.float64]
 #: Refused fixes that come so long after each other are not of one way [s].
@@ -36,6 +36,8 @@ APART_S = 60.0
 DRAWN_RAD = math.radians(15.0)
 #: What it leaves of the speed, in standard deviations [1].
 SAME_SPEED = 2.0
+#: A velocity sensor has been used so lately at most [s].
+RECENT_S = 5.0
 #: Of the drive's three angles.
 YAW = 2
 
@@ -125,19 +127,45 @@ def _with_constant(filter: Filter, sd: float) -> ErrorModel | tuple[ErrorModel, 
     return models if has_offset(models[YAW]) else (*models[:YAW], with_offsets(models[YAW:], sd)[0])
 
 
-def turn_compass(filter: Filter, change: Change, tell: Listening) -> None:
-    """Put the constant of the drive's compass in force: what it reads is turned by an angle of this variance.
+def opened_velocity(filter: Filter, size: float, speed: float) -> Change | None:
+    """Another error model of the velocity that dead reckoning goes by, with a constant of this sd beside it [m/s]; None
+    where there is none to be opened, or it has one.
+
+    Parameters
+    ----------
+    filter : Filter
+    size, speed : float
+        0: nothing is to be opened [m/s]; speed of the vehicle [m/s].
+    """
+    if not size:
+        return None
+    if not filter.inertial:
+        models = filter.in_force.drive.models[3:]
+        return None if has_offset(models) else Change("velocity", with_offsets(models, size), offsets=True)
+    now_s = filter.memory.time_s
+    for channel in filter.channels.values():
+        used = now_s - channel.memory.used_s < RECENT_S and channel.sensor.corrects == "velocity"
+        if used and channel.sensor.ground and not channel.offset:
+            return Change(channel.name, with_offsets(channel.sensor.models, size, speed), offsets=True)
+    return None
+
+
+def take_up(filter: Filter, change: Change, tell: Listening) -> None:
+    """Put another error model of what drives in force. A turn: what its compass reads is turned by an angle of this
+    variance, beside its constant.
 
     Parameters
     ----------
     filter : Filter
         Nothing waits to be folded in.
     change : Change
-        By `contradicted`.
+        By `contradicted` or `opened_velocity`.
     tell : callable
         Is told of the new states.
     """
-    assert change.turn is not None
+    if change.turn is None:
+        filter.adopt(change, tell)
+        return
     angle, variance = change.turn
     had = has_offset(_attitude(filter)[YAW])
     if not had:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from navfilter.filter import agreement, aside, gating, ramp, realignment, reckoned, refused_way, shifts, turns
 from navfilter.filter.adoption import Change
-from navfilter.filter.belief import beyond_belief, excused, pulled
+from navfilter.filter.belief import beyond_belief, estimate, excused, pulled, reckoned_wrongly
 from navfilter.filter.channel import Channel
 from navfilter.filter.course import Course, against_the_compass, told_here, turned
 from navfilter.filter.events import Event
@@ -183,12 +183,18 @@ def _heading_outvoted(filter: Filter, fixes: Channel, refused: Refusals, time_s:
 
 
 def _gone_astray(filter: Filter, channel: Channel) -> None:
-    """Begin the slow error of a sensor afresh, and carry as variance what it may have done to the position."""
+    """Begin the slow error of a sensor afresh, and carry as variance what it may have done to the position. Where dead
+    reckoning errs rather, its velocity gets a constant.
+    """
     memory, kept = filter.memory, channel.memory
-    memory.P[range(3), range(3)] += pulled(channel, memory.x) ** 2
-    kept.astray_m, kept.refused = 0.0, None
+    speed = math.hypot(*memory.nav[3:6].tolist())
+    velocity = reckoned.opened_velocity(filter, reckoned_wrongly(channel, speed), speed)
+    off = pulled(channel, memory.x) if velocity is None else np.abs(estimate(channel, memory.x))
+    memory.P[range(3), range(3)] += off**2
+    kept.refused, kept.astray_m = None, 0.0 if velocity is None else math.nan
     filter.jumped.append(Change(channel.name, channel.sensor.models, afresh=True))
-    memory.counts["astray"] += 1
+    filter.jumped += [] if velocity is None else [velocity]
+    memory.counts["astray" if velocity is None else "jumped"] += 1
 
 
 def take_up(filter: Filter, tell: Callable[[Event], None]) -> None:
@@ -205,7 +211,7 @@ def take_up(filter: Filter, tell: Callable[[Event], None]) -> None:
     while filter.jumped:
         change = filter.jumped.pop(0)
         if change.sensor not in filter.channels:
-            reckoned.turn_compass(filter, change, tell)
+            reckoned.take_up(filter, change, tell)
             continue
         channel = filter.channels[change.sensor]
         channel.memory.refused = None

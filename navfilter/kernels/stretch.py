@@ -22,6 +22,8 @@ def _keyed(make):
     return make(SOURCES)
 
 
+# What is beyond belief is so many times the variance [1], see `navfilter.filter.belief`.
+BELIEVED = 16.0
 # Beyond this variance of the heading [rad^2] a body velocity is taken with its second-order term.
 UNSURE_HEADING = 0.01
 
@@ -94,7 +96,8 @@ def correction(sources):
         bench: working memory of all channels; spot: this one's row of `plan`; recent: the drive's last samples, see
         `past.sight`; z: the reading as its kernel takes it; variance (a,) of its white error, empty or NaN for what the
         error model says; count: ticks of its clock; since_s: how much later than its stamp it is taken. Behind the
-        limits of its gate stands which square of its coloured error, as estimated, is beyond belief: none is used.
+        limits of its gate stands which square of its coloured error, as estimated, is beyond belief: none is used. For
+        how many ticks it has been beyond one sd stands behind the verdict.
         """
         _ = sources
         dims = spot[:7]
@@ -138,12 +141,15 @@ def correction(sources):
         if spot[BEND]:
             addresses.at_bend(spot[BEND], (z, near, P, start + errors, constants, R))
         C = bench[spot[OUTPUT] : spot[OUTPUT] + a * errors].reshape((a, errors))
-        limits, beyond = bench[spot[LIMITS] : spot[LIMITS] + a + 1], False
+        limits, beyond, calm = bench[spot[LIMITS] : spot[LIMITS] + a + 1], False, True
         for i in range(a):
             error = 0.0
             for j in range(errors):
                 error += C[i, j] * x[start - 9 + j]
             beyond |= error * error > bench[spot[LIMITS] + a + 1 + i]
+            calm &= error * error <= bench[spot[LIMITS] + a + 1 + i] / BELIEVED
+        held = places[9] - 1
+        mem[held] = 0.0 if calm else mem[held] + count
         if beyond:
             limits = spare[: a + 1]
             for i in range(a + 1):
