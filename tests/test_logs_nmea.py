@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import navfilter as nf
-from navfilter.io.logs import Shelf, format_of
+from navfilter.io.logs import Shelf, format_of, nmea
 from navfilter.io.tables import TableOptions, read_table
 from navfilter.io.where import Where
 from navfilter.mission import MissionError
@@ -155,6 +155,17 @@ def test_wrong_and_missing_checksums_are_counted(tmp_path):
     text = " ".join(table.notes)
     for reason in ("1 sentences with a wrong checksum", "1 sentences without a checksum", "1 lines without a sentence"):
         assert reason in text
+
+
+def test_what_the_parser_does_not_know_is_counted(tmp_path, monkeypatch):
+    """It says so by None, of sentences that only a fuzzer writes."""
+    clock, heading = sentence("GPZDA,120000.00,01,06,2024,00,00"), sentence("HEHDT,100.0,T")
+    path = write(tmp_path / "x.nmea", clock, heading, sentence("HEHDT,,T"))
+    parse = nmea.NMEAReader.parse
+    knows = lambda text, **how: None if b"HDT,," in text else parse(text, **how)  # noqa: E731
+    monkeypatch.setattr(nmea.NMEAReader, "parse", knows)
+    table = Shelf().table(path, "HDT")
+    assert table.raw("headingT").tolist() == [100.0] and "1 HEHDT cannot be read" in " ".join(table.notes)
 
 
 def test_velocity_logs_of_two_makers(tmp_path):

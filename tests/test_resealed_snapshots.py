@@ -4,6 +4,7 @@ sees it.
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import io
 import json
@@ -13,6 +14,7 @@ import pytest
 from feeding import events_of, one_by_one
 
 import navfilter as nf
+from navfilter.filter.refused_way import RefusedWay
 from navfilter.simulation.scenarios import simulate_scenario
 
 
@@ -76,6 +78,15 @@ def pairs(*items):
     return {"": "tuple", "items": [{"": "tuple", "items": list(item)} for item in items]}
 
 
+def channel_of(saved):
+    return filter_of(saved)["channels"]["items"][0][1]["fields"]
+
+
+def way_of(kind="RefusedWay", fields=None, **changed):
+    own = {f.name: f.default for f in dataclasses.fields(RefusedWay)} if fields is None else fields
+    return {"": kind, "fields": own | changed}
+
+
 CHANGES = {
     "P of another shape": shape("P", [3, 3]),
     "P beyond the end": lambda saved, arrays: filter_of(saved)["P"].update(at=10**9),
@@ -104,6 +115,9 @@ CHANGES = {
     "a block beyond its end": lambda saved, arrays: learning_of(saved)["rest"]["fields"].update(filled=10**6),
     "nothing at rest": lambda saved, arrays: learning_of(saved).update(rest=None),
     "an input with six columns": lambda saved, arrays: saved["inputs"].append({"": "floats", "at": 0, "shape": [2, 6]}),
+    "a way of a refused velocity that is a number": lambda saved, arrays: channel_of(saved).update(way=1.5),
+    "another value in its place": lambda saved, arrays: channel_of(saved).update(way=way_of("Turns", {})),
+    "a way whose time is a text": lambda saved, arrays: channel_of(saved).update(way=way_of(time_s="soon")),
     "a watch too few": lambda saved, arrays: saved["watches"]["items"].pop(),
     "a watch that counts in texts": lambda saved, arrays: saved["watches"]["items"][0][1]["fields"]["outcomes"][
         "items"

@@ -13,6 +13,7 @@ import dataclasses
 import datetime
 import json
 import math
+import sys
 from collections.abc import Callable, Iterable
 from typing import Any, TypeVar
 
@@ -143,8 +144,12 @@ def misfit(value: Any, like: Any, where: str = "state") -> str | None:
     if _is_state(type(like)):
         if type(value) is not type(like):
             return f"{where} must be a {type(like).__name__}, found {type(value).__name__}"
-        names = [f.name for f in dataclasses.fields(like)]
-        return next((m for n in names if (m := misfit(getattr(value, n), getattr(like, n), f"{where}.{n}"))), None)
+        for f in dataclasses.fields(like):
+            own, place = getattr(value, f.name), f"{where}.{f.name}"
+            problem = misfit(own, getattr(like, f.name), place) or _misnamed(own, f.type, type(like), place)
+            if problem:
+                return problem
+        return None
     if isinstance(like, dict) and any(isinstance(v, np.ndarray) or _is_state(type(v)) for v in like.values()):
         if not isinstance(value, dict) or value.keys() != like.keys():
             return f"{where} must have the entries {', '.join(map(str, like))}"
@@ -153,6 +158,35 @@ def misfit(value: Any, like: Any, where: str = "state") -> str | None:
     if number and (isinstance(value, bool) or not isinstance(value, int if isinstance(like, int) else int | float)):
         return f"{where} must be a number, found {value!r}"
     return None
+
+
+def _misnamed(value: Any, stated: Any, kind: type, where: str) -> str | None:
+    """Where a field of a class that states values of certain others, or None, holds something else; and so on in the
+    fields of such a value. What is stated in other words may be anything.
+    """
+    names = [part.strip() for part in str(stated).split("|")]
+    there = vars(sys.modules[kind.__module__])
+    classes = {name: _PLAIN.get(name, there.get(name)) for name in names}
+    if not all(isinstance(known, tuple) or dataclasses.is_dataclass(known) for known in classes.values()):
+        return None
+    if not any(
+        type(value) in known if isinstance(known, tuple) else type(value) is known for known in classes.values()
+    ):
+        return f"{where} must be {' or '.join(names)}, found {type(value).__name__}"
+    if not dataclasses.is_dataclass(value) or _is_state(type(value)):
+        return None
+    own = ((f, getattr(value, f.name)) for f in dataclasses.fields(value))
+    return next((m for f, v in own if (m := _misnamed(v, f.type, type(value), f"{where}.{f.name}"))), None)
+
+
+#: By their names in annotations.
+_PLAIN: dict[str, tuple[type, ...]] = {
+    "float": (float, int),
+    "int": (int,),
+    "bool": (bool,),
+    "str": (str,),
+    "None": (type(None),),
+}
 
 
 # ---------------------------------------------------------------- to arrays and back

@@ -98,6 +98,8 @@ def _record(topic: str, found: re.Match[bytes], tally: Counter[str]) -> dict[str
     try:
         message = NMEAReader.parse(found[0] + b"\r\n", msgmode=0, validate=0)
     except (NMEAMessageError, NMEAParseError, NMEAStreamError, NMEATypeError, ValueError, KeyError, IndexError):
+        message = None
+    if message is None:  # of a sentence that it does not know
         tally[f"{topic} cannot be read"] += 1
         return None
     if short_name(topic) == "XDR":
