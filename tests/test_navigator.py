@@ -434,7 +434,9 @@ def test_rest_is_detected_and_counts_as_zero_velocity():
 
 
 def test_gaps_leave_the_uncertainty_that_they_should():
-    for build, expected_m in ((inertial, 0.3 * 20.0**2 / 2), (reckoning, 0.05 * math.sqrt(20.0**3 / 12.0))):
+    # unknown forces; the velocity and the heading between two that are known, a bridge of 0.05 m/s and 0.35 rad a root s
+    bridge = math.sqrt(20.0**3 / 12.0)
+    for build, forces_m, wander, turn in ((inertial, 0.3 * 20.0**2 / 2, 0.0, 0.0), (reckoning, 0.0, 0.05, 0.35)):
         nav = nf.Navigator(
             build(),
             dataclasses.replace(START, position_sd_m=0.1, velocity_sd_m_s=0.001, tilt_sd_deg=0.01, heading_sd_deg=0.01),
@@ -444,6 +446,7 @@ def test_gaps_leave_the_uncertainty_that_they_should():
         run(nav, 21.0 + 2.0 * nav.vehicle.drive.period_s, 21.0)  # the second sample confirms the stamp of the first
         # what may have happened unseen, and little else; nobody said how fast it can be: 3 m/s, or twice what it did
         speed = float(np.linalg.norm(nav.state.velocity_n))
+        expected_m = math.hypot(forces_m, bridge * math.hypot(wander, turn * speed))
         expected_m = min(expected_m, 20.0 * 0.5 * (max(3.0, 2.0 * speed) + speed))
         assert 0.9 * expected_m < math.sqrt(nav.state.sd[0] ** 2 - before**2) < 1.5 * expected_m + 0.5
 
