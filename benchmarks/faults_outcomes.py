@@ -15,9 +15,10 @@ from harness import DEG, ROOT, Options, Table
 sys.path.insert(0, str(ROOT / "tests"))
 import faults_library as library
 import faults_run as watched
-from feeding import Events, events_of
+from feeding import DRIVE, Event, Events, events_of
 
 import navfilter as nf
+from navfilter.lane_missions import of_one_unit
 from navfilter.simulation.faults import Faults
 from navfilter.simulation.scenarios import reckoning_vehicle, survey, survey_vehicle
 from navfilter.simulation.simulate import simulate
@@ -140,13 +141,64 @@ def beams(*, mems: bool = False) -> nf.Vehicle:
     return dataclasses.replace(plain, sensors={**plain.sensors, "dvl": one})
 
 
+def lanes(*units: str) -> nf.Vehicle:
+    """The survey's with these inertial units and dead reckoning beside them."""
+    plain = survey_vehicle()
+    drives = {"imu": plain.drive} if units == ("imu",) else {"imus": dict.fromkeys(units, plain.drive)}
+    return nf.Vehicle(**drives, sensors=dict(plain.sensors), dead_reckoning_lane=True)
+
+
 VEHICLES: dict[str, Callable[[], nf.Vehicle]] = {
     "tactical": survey_vehicle,
     "mems": lambda: survey_vehicle(mems=True),
     "beams": beams,
     "beams-mems": lambda: beams(mems=True),
     "reckoning": reckoning_vehicle,
+    "lane": lambda: lanes("imu"),
+    "lanes": lambda: lanes("a", "b"),
 }
+
+
+class Lanes:
+    """A navigator with lanes, fed as one with a single drive is: that is the first of its units, which is the one that
+    fails; samples of the others come like readings.
+    """
+
+    def __init__(self, vehicle: nf.Vehicle, start: Start) -> None:
+        self.nav = nf.LaneNavigator(vehicle, start)
+        self.first = next(iter(vehicle.units))
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.nav, name)
+
+    @property
+    def filter(self) -> Any:
+        return self.nav.believed.filter
+
+    def step(self, time_s: Any, first: Any, second: Any) -> None:
+        self.nav.step(time_s, first, second, self.first)
+
+    def step_samples(self, samples: np.ndarray) -> None:
+        self.nav.step_samples(np.column_stack([samples, np.zeros(len(samples))]))
+
+    def correct(self, name: Any, time_s: float, value: Any) -> Any:
+        if str(name).startswith(DRIVE):
+            return self.nav.step(time_s, value[:3], value[3:], name.split()[-1])
+        return self.nav.correct(name, time_s, value)
+
+
+def arriving(vehicle: nf.Vehicle, mission: nf.Mission) -> Events:
+    """The events of a mission; those of the first inertial unit are the drive's, of others "drive" and their name."""
+    if not vehicle.lanes():
+        return events_of(vehicle, mission)
+    first, *others = vehicle.units
+    alone, read = of_one_unit(vehicle, mission, first)
+    events = events_of(alone, read)
+    for unit in others:
+        stream = mission.streams[unit]
+        rows = zip(stream.time_s.tolist(), stream.value.tolist(), strict=True)
+        events += [Event(f"{DRIVE} {unit}", t, tuple(v), t, t) for t, v in rows]
+    return sorted(events, key=lambda e: (round(e.true_s, 9), not e.sensor.startswith(DRIVE)))
 
 
 @functools.cache
@@ -177,7 +229,7 @@ def befalls(name: str, case: Case, which: str) -> bool:
     """Whether a fault changes anything for a vehicle: one without an inertial unit has no gyro that fails."""
     vehicle, mission = mission_of(1, which)
     assert mission.start is not None
-    events = events_of(vehicle, mission)
+    events = arriving(vehicle, mission)
     changed = case.events(events, library.scene_of(vehicle, (0.0, 1.0), (0.0, 1.0)))
     return name == "no fault" or changed != events or case.start(mission.start) != mission.start
 
@@ -263,8 +315,9 @@ def fly(case: Case, seed: int, which: str) -> tuple[watched.Outcome, np.ndarray]
     assert mission.start is not None and mission.truth is not None
     start = case.start(mission.start)
     scene = library.scene_of(vehicle, (0.0, 1.0), (0.0, 1.0))
-    events = case.events([e for e in events_of(vehicle, mission) if e.true_s >= start.time_s - 1e-9], scene)
-    outcome = watched.watch(nf.Navigator(vehicle, start), events, scene, longest_cpu_s=120.0)
+    events = case.events([e for e in arriving(vehicle, mission) if e.true_s >= start.time_s - 1e-9], scene)
+    nav = Lanes(vehicle, start) if vehicle.lanes() else nf.Navigator(vehicle, start)
+    outcome = watched.watch(nav, events, scene, longest_cpu_s=120.0)
     rows = []
     for time_s, state in outcome.states:
         heard = state.health is not None and any(s.outcomes for s in state.health.sensors.values())

@@ -237,6 +237,8 @@ class LaneNavigator:
         """Give samples or a reading, in order, to the lanes; users call `step` and `correct`."""
         if not isinstance(item, np.ndarray):
             return self._read(item)
+        if self._ahead_s > -math.inf and (item[:, 0] + self.offset_s > self.time_s + AHEAD_S).any():
+            self._ahead_s = -math.inf  # the units do speak: what has leapt is the clock of all
         while len(item):
             beyond = item[:, 0] + self.offset_s > self._edge_s
             n = int(np.argmax(beyond)) if beyond.any() else len(item)
@@ -290,7 +292,10 @@ class LaneNavigator:
     def _read(self, reading: Reading) -> Outcome:
         stamp_s, sd = reading.sd
         offset_s = self.offset_s
-        if self._come_to(reading.time_s) or self._agreed(reading.time_s):
+        if self._come_to(reading.time_s):
+            self._ahead_s = -math.inf
+            self._coast(reading.time_s)
+        elif self._agreed(reading.time_s):
             self._coast(reading.time_s)
         believed, result = self.believed, None
         sensor = self._sensors.get(reading.name)

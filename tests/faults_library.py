@@ -147,7 +147,7 @@ def _names(events: Events) -> tuple[str, ...]:
 
 
 def _corrections(events: Events) -> tuple[str, ...]:
-    return tuple(name for name in _names(events) if name != DRIVE)
+    return tuple(name for name in _names(events) if not str(name).startswith(DRIVE))
 
 
 Fault = Callable[[Events, Scene, np.random.Generator], Events]

@@ -316,6 +316,19 @@ def test_a_unit_that_has_come_back_is_used_again_from_where_dead_reckoning_is():
 
 
 # ---------------------------------------------------------------- live
+def test_readings_with_wild_stamps_are_not_where_time_goes_on(one):
+    """Two of them with good ones between carried the lane without a unit on by an hour."""
+    vehicle, mission = one
+    nav = nf.LaneNavigator(vehicle, mission.start)
+    fed(nav, vehicle, mission, 30.0)
+    here_s = nav.time_s
+    for time_s in (here_s + 0.02, here_s + 0.04, here_s + 0.06):
+        nav.step(time_s, (0.0, 0.0, 0.0), (0.0, 0.0, -9.806))
+        nav.correct("depth", time_s + 3600.0, 0.0)
+        nav.correct("depth", time_s, 0.0)
+    assert nav.time_s < here_s + 1.0
+
+
 def test_live_is_the_replay_to_the_last_bit(one):
     vehicle, mission = one
     # before the DVL has been used for so long that the lane itself would leave its unit out for it

@@ -37,7 +37,8 @@ BEFORE_S = 2.0
 #: The NIS of the first refused reading of a jump is beyond its limit by this factor [1].
 AT_ONCE = 1.5
 #: While a jump is looked at, a reading must fit by this much better than the gate to end that [1]: what accelerometers
-#: and tilt gather meanwhile must not let in what they do not know.
+#: and tilt gather meanwhile must not let in what they do not know. Not a fix: a velocity
+#: tells what the covariance of a position may gather meanwhile.
 HELD = 0.25
 #: Fixes further off than this are of another coordinate system, not of another start [m]: what is a metre north of the
 #: state is no longer a metre north of them.
@@ -125,6 +126,7 @@ def limits(channel: Channel, z: Array) -> Array:
     """
     refused, closer = channel.memory.refused, channel.limits.copy()
     held = refused is not None and refused.jumped and refused.count > 1 and not refused.scatters
+    held = held and not (channel.sensor.open_loop == listen.POSITION and channel.axes == 3)
     if held or channel.memory.astray:
         closer[1 : 1 + channel.axes] *= HELD
     kept, scatter = channel.memory.aside, channel.memory.scatter
