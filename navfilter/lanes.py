@@ -69,7 +69,7 @@ class LanesMemory:
     ticks, levels : int
         Samples and readings of the lane without an inertial unit so far.
     ahead_s : float
-        Time of the last reading that came long after everything else [s].
+        Since when readings come long after everything else [s].
     """
 
     lanes: dict[str, LaneMemory]
@@ -312,11 +312,11 @@ class LaneNavigator:
         return result
 
     def _agreed(self, time_s: float) -> bool:
-        """Whether a reading that comes long after everything else is the second on end to do so: then time goes on,
-        though no unit speaks.
-        """
-        before_s, self._ahead_s = self._ahead_s, time_s
-        return self._coasting is not None and 0.0 <= time_s - before_s <= AHEAD_S
+        """Whether readings go on to come long after everything else: then time goes on, though no unit speaks."""
+        since_s = time_s - self._ahead_s
+        if not 0.0 <= since_s <= AHEAD_S:
+            self._ahead_s = time_s
+        return self._coasting is not None and 0.5 * AHEAD_S <= since_s <= AHEAD_S
 
     # ---------------------------------------------------------------- what is known
     @property

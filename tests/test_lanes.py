@@ -320,13 +320,27 @@ def test_readings_with_wild_stamps_are_not_where_time_goes_on(one):
     """Two of them with good ones between carried the lane without a unit on by an hour."""
     vehicle, mission = one
     nav = nf.LaneNavigator(vehicle, mission.start)
-    fed(nav, vehicle, mission, 30.0)
+    assert sum(1 for _ in fed(nav, vehicle, mission, 30.0)) > 3000
     here_s = nav.time_s
     for time_s in (here_s + 0.02, here_s + 0.04, here_s + 0.06):
         nav.step(time_s, (0.0, 0.0, 0.0), (0.0, 0.0, -9.806))
         nav.correct("depth", time_s + 3600.0, 0.0)
         nav.correct("depth", time_s, 0.0)
     assert nav.time_s < here_s + 1.0
+
+
+def test_a_clock_that_leaps_with_the_unit_is_not_where_time_goes_on(one):
+    """Compass and depth of the same instant, no sample between them, made an hour of dead reckoning."""
+    vehicle, mission = one
+    nav = nf.LaneNavigator(vehicle, mission.start)
+    assert sum(1 for _ in fed(nav, vehicle, mission, 30.0)) > 3000
+    here_s = nav.time_s
+    for k in range(1, 120):
+        if k % 10 == 1:
+            nav.correct("compass", here_s + 3600.0 + 0.01 * k, nav.state.heading)
+            nav.correct("depth", here_s + 3600.0 + 0.01 * k, 0.0)
+        nav.step(here_s + 3600.0 + 0.01 * k, (0.0, 0.0, 0.0), (0.0, 0.0, -9.806))
+    assert all(here_s + 0.9 < lane.time_s < here_s + 1.3 for lane in nav.lanes.values())
 
 
 def test_live_is_the_replay_to_the_last_bit(one):
