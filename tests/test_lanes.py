@@ -212,6 +212,16 @@ def test_a_velocity_in_another_unit_of_measurement_is_not_followed_ever():
     assert followed(lambda time_s: 1500.0 + 10.0 * noise.normal(size=3), 60.0) == []
 
 
+@pytest.mark.parametrize(("own", "followed_too"), [(0.0, True), (1.0, True), (2.0, False), (8.0, False)])
+def test_a_velocity_that_goes_on_to_contradict_a_unit_is_followed_where_dead_reckoning_foretells_it(own, followed_too):
+    """A DVL in mm/s contradicts both; dead reckoning took what of it was not beyond belief for true, 682 m."""
+    unit, lane = np.random.default_rng(5), np.random.default_rng(7)
+    changes = followed(lambda time_s: 1.0 * unit.normal(size=3), 60.0, own=lambda time_s: own * lane.normal(size=3))
+    assert [(lane, reason) for _, lane, reason in changes] == [
+        (1, "dvl went on to contradict the lane before") for _ in range(followed_too)
+    ]
+
+
 def test_nothing_runs_away_from_what_contradicts_dead_reckoning_too():
     ramp = lambda time_s: np.array([-0.49 * time_s, 0.0, 0.0])  # noqa: E731
     assert followed(ramp, 8.0, own=lambda time_s: 8.0 * ramp(time_s) - 5.0) == []

@@ -41,7 +41,9 @@ MARGIN = 50.0
 SECOND = 10.0
 #: Or a velocity goes on to contradict a unit: more has not been foretold than this [nat], and this share of all [1].
 #: One that is off by a constant is found to be within seconds; a unit that is off is pulled back again and again.
-ALONE, SHARE = 900.0, 0.3
+#: The other lane has to follow it: of what contradicts the unit, this share may contradict that lane too [1]. Readings
+#: in another unit of measurement contradict both, though the lane follows what of them is not beyond belief.
+ALONE, SHARE, FOLLOWS = 900.0, 0.3, 0.1
 #: Or a unit runs away from a velocity. A sensor that has jumped contradicts it by as much for as long as it does; by
 #: what a unit feels wrong, it moves off further with each reading. A component contradicts beyond this NIS [1] (6e-7 of
 #: the good ones do). Over at least so long [s] it has moved off by more than this many standard deviations [1] of what
@@ -294,7 +296,9 @@ class Choice:
         most = self.memory.ring[:, :, self._velocity, JUDGED].sum(axis=0).max(axis=0)
         more, found = (missed[lane] - missed[other])[self._velocity], np.zeros(len(self.names))
         moved, first = self._moved(lane)
-        found[self._velocity] = np.where((more > ALONE) & (more > SHARE * FULL * most) & ~(first > moved), more, 0.0)
+        follows = missed[other] < FOLLOWS * missed[lane]
+        sure = (more > ALONE) & (more > SHARE * FULL * most) & follows[self._velocity]
+        found[self._velocity] = np.where(sure & ~(first > moved), more, 0.0)
         return found
 
     def _missed(self) -> Array:
