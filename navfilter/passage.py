@@ -266,7 +266,8 @@ class Passage:
             some = values[rows[mine]] if isinstance(values, np.ndarray) else [values[row] for row in rows[mine]]
             z, good = channel.sensor.read_all(some)
             if channel.sensor.corrects == "position":
-                good = good & ~same[mine]  # whether it is a new fix is Python's to judge
+                dived = np.diff(given.time_s[mine + at], prepend=channel.memory.used_s) > channel.dive_s
+                good = good & ~same[mine] & ~dived  # what a fix is worth then is Python's to judge
             self._good[mine] = good
             read.append((mine, z))
             for k in mine[good].tolist() if own else ():

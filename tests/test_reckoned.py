@@ -135,6 +135,29 @@ def test_the_smoother_follows_a_turn_and_a_replay_is_the_same(dive):
     assert (errors < 4.0 * sd).all()
 
 
+@pytest.mark.parametrize(("wrong", "odd_m"), [(0.0, 0.0), (0.0, 15.0), (0.16, 0.0)])
+def test_fixes_after_a_dive_are_right_where_they_agree(dive, wrong, odd_m):
+    """An error of 4 standard deviations passed the gate, and the slow error of the fixes took it: 10 m for minutes. One
+    odd fix proves nothing.
+    """
+    vehicle, mission = dive
+    reads, fixes = mission.streams["velocity"], mission.streams["gps"]
+    forward = wrong * (reads.time_s > 80.0)[:, np.newaxis] * (1.0, 0.0, 0.0)
+    first = (np.arange(len(fixes.time_s)) == np.searchsorted(fixes.time_s, 180.0, side="right"))[:, np.newaxis]
+    odd = first * (odd_m / 6.4e6, 0.0, 0.0)
+    bad = mission.with_stream("velocity", nf.Stream(reads.time_s, reads.value + forward, reads.columns))
+    bad = bad.with_stream("gps", nf.Stream(fixes.time_s, fixes.value + odd, fixes.columns)).hide("gps", (60.0, 180.0))
+    rows, nav = fly(dive, events_of(vehicle, bad))
+    time_s, far_m, sd_m = np.array([(row[0], row[1], row[3]) for row in rows]).T
+    late = time_s > 195.0
+    assert nav.counts["reset"] == nav.counts["jumped"] == bool(wrong)
+    assert has_offset(nav.filter.in_force.drive.models[3:]) == bool(wrong)
+    assert (far_m[late] < 3.0 * sd_m[late]).all() and sd_m[late].max() < 5.0
+    assert far_m[np.searchsorted(time_s, 180.0)] > 8.0 or not wrong
+    track = nf.replay(vehicle, bad)
+    assert (track.latitude[-1], track.longitude[-1]) == tuple(nav.filter.memory.nav[:2])
+
+
 def course(fix_velocity, way_velocity=(1.5, 0.0), seconds=100):
     """Fixes once a second that have made a straight way, and the way reckoned."""
     made = Course(0.0, 0.0, 0.0)

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from navfilter.filter import aside, over_ground
 from navfilter.filter.channel import Channel
+from navfilter.filter.chi_square import chi_square_limit
 from navfilter.filter.integrity import CONFIRMED_S
 from navfilter.filter.offsets import offset_states
 from navfilter.filter.refusals import Refusals
@@ -37,9 +38,12 @@ BEFORE_S = 2.0
 #: The NIS of the first refused reading of a jump is beyond its limit by this factor [1].
 AT_ONCE = 1.5
 #: While a jump is looked at, a reading must fit by this much better than the gate to end that [1]: what accelerometers
-#: and tilt gather meanwhile must not let in what they do not know. Not a fix: a velocity
-#: tells what the covariance of a position may gather meanwhile.
+#: and tilt gather meanwhile must not let in what they do not know. Not a fix: a velocity tells what the covariance of a
+#: position may gather meanwhile.
 HELD = 0.25
+#: What the NIS of a fix after a dive may be, of 1, 2, 3 components [1]: of one in a hundred it is more. What dead
+#: reckoning errs by beyond that the slow error of the fixes would take, up to their gate; those that agree are right.
+SURFACED = chi_square_limit(0.99, np.arange(1, 4))
 #: Fixes further off than this are of another coordinate system, not of another start [m]: what is a metre north of the
 #: state is no longer a metre north of them.
 REACH_M = 1e5
@@ -120,15 +124,20 @@ def _begun(run: Refusals, residual: Array, white: Array, seen: Array, time_s: fl
     return Refusals(run.confirmed, run.jumped, run.first, offset, variance, state, time_s, time_s)
 
 
-def limits(channel: Channel, z: Array) -> Array:
-    """The gate's limits for the next reading: closer while it is looked at whether the sensor has jumped, and while it
-    is astray; shut to one that is stale, or of a sensor that has been set aside or says nothing.
+def limits(channel: Channel, z: Array, time_s: float) -> Array:
+    """The gate's limits for the next reading: closer while it is looked at whether the sensor has jumped, while it is
+    astray, and after a dive; shut to one that is stale, or of a sensor that has been set aside or says nothing.
     """
+    dived = channel.dive_s < time_s - channel.memory.used_s < math.inf
+    if not (channel.stale or channel.doubted or dived):
+        return channel.limits
     refused, closer = channel.memory.refused, channel.limits.copy()
     held = refused is not None and refused.jumped and refused.count > 1 and not refused.scatters
     held = held and not (channel.sensor.open_loop == listen.POSITION and channel.axes == 3)
     if held or channel.memory.astray:
         closer[1 : 1 + channel.axes] *= HELD
+    if dived:
+        closer[1:4] = np.minimum(closer[1:4], SURFACED)
     kept, scatter = channel.memory.aside, channel.memory.scatter
     worthless = scatter is not None and scatter.worthless
     if worthless or channel.stale or (kept is not None and not aside.unchanged(kept, z)):

@@ -23,9 +23,20 @@ from navfilter.kernels import listen
 if TYPE_CHECKING:
     from navfilter.filter.channel import Channel
     from navfilter.filter.layout import Group
+    from navfilter.filter.refusals import Refusals
     from navfilter.sensors import Sensor
 
-__all__ = ["believed", "beside", "beyond_belief", "estimate", "excused", "is_calm", "pulled", "reckoned_wrongly"]
+__all__ = [
+    "believed",
+    "beside",
+    "beyond_belief",
+    "estimate",
+    "excused",
+    "is_calm",
+    "pulled",
+    "reckoned_since",
+    "reckoned_wrongly",
+]
 
 Array = NDArray[np.float64]
 #: An estimate of a slow error beyond so many of its standard deviations is none [1]: once in 2e4 times that it changes,
@@ -84,6 +95,23 @@ def reckoned_wrongly(channel: Channel, speed: float) -> float:
     seconds = float(channel.pulled[0]) * channel.period_s
     grown = (MOST_SDS - 1.0) * math.sqrt(max(channel.slow))
     return MOST_SDS / (MOST_SDS - 1.0) * grown / seconds if 0.0 < grown <= SHARE * speed * seconds else 0.0
+
+
+def reckoned_since(channel: Channel, refused: Refusals, speed: float) -> float:
+    """By how much a velocity may have been wrong in a dive, where the fixes after it prove that the position was, by no
+    more than dead reckoning may err [m/s]; else 0.
+
+    Parameters
+    ----------
+    channel : Channel
+    refused : Refusals
+        The readings together.
+    speed : float
+        Of the vehicle [m/s].
+    """
+    off, seconds = math.hypot(*np.nan_to_num(refused.offset)[:2]), refused.began_s - channel.memory.used_s
+    fixes = channel.sensor.open_loop == listen.POSITION and channel.axes == 3
+    return off / seconds if fixes and off <= SHARE * speed * seconds < math.inf else 0.0
 
 
 def beside(channel: Channel, x: Array) -> float:

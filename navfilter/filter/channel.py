@@ -38,8 +38,8 @@ MAJORITY = 0.5
 CLOCK_SDS = 4.0
 #: A vehicle that has moved by more than so many standard deviations has moved [1].
 STILL_SDS = 3.0
-
-
+#: A vehicle has dived if no fix was used for so long [s], and for so many of their periods [1].
+DIVE_S, DIVE_PERIODS = 60.0, 20.0
 #: A sensor that has been refused for so long, and then used again, was wrong itself [s].
 DISPUTED_S = 3.0
 #: For so long after that it may be wrong again [s]: it has to follow turns and changes of speed meanwhile.
@@ -154,6 +154,9 @@ class Channel:
         self.name, self._start = name, start
         self.kernel, self.constants = sensor.kernel, sensor.constants(start)
         self.period_s = 1.0 / sensor.rate_hz
+        fixes = sensor.open_loop == listen.POSITION and sensor.axes == 3
+        #: Without a fix for longer than this the vehicle has dived [s].
+        self.dive_s = max(DIVE_S, DIVE_PERIODS * self.period_s) if fixes else math.inf
         self._gates = np.array(_limits(sensor.gate_probability, sensor.axes, sensor.single_gates))
         self.sight = Sight(sensor, start) if sensor.place_and_clock() else None
         self.lead_s, self.past_s = sensor.lead_s, sensor.lead_s + CLOCK_SDS * sensor.time_offset_sd_s
@@ -223,7 +226,7 @@ class Channel:
         self.H, self.PH = mem[at[0] : at[1]].reshape(a, n), mem[at[6] : at[7]].reshape(a, n)
         self.S = mem[at[5] : at[6]].reshape(2 * a, a)
         self.verdict, self.note = mem[at[8] : at[8] + 3], mem[at[8] : at[9] - 1]
-        self.pulled = mem[at[9] - 1 : at[9]]  # ticks for which its coloured error has been beyond one sd
+        self.pulled = mem[at[9] - 1 : at[9]]  # ticks since a reading with a coloured error within one sd
         self.record, self.moved = mem[: at[5]], mem[: at[0]]
         self.transition = mem[: m * m].reshape(m, m)
         self.rate = bench[ends[1] : ends[2]]

@@ -346,7 +346,7 @@ class Filter(Estimate):
     def _update(self, channel: Channel, time_s: float, z: Array, sd: ArrayLike | None, frozen: bool) -> Correction:
         memory = self.memory
         own = channel.variances(z, sd)
-        channel.gate[:] = agreement.limits(channel, z) if channel.stale or channel.doubted else channel.limits
+        channel.gate[:] = agreement.limits(channel, z, time_s)
         if channel.spot[stretch.EQUATION]:
             stretch.correction(
                 *(self.bench, channel.spot, memory.P, memory.nav, memory.x, memory.acc, memory.drv, self.drive_output),

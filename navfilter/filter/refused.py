@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from navfilter.filter import agreement, aside, gating, ramp, realignment, reckoned, refused_way, shifts, turns
 from navfilter.filter.adoption import Change
-from navfilter.filter.belief import beyond_belief, estimate, excused, pulled, reckoned_wrongly
+from navfilter.filter.belief import beyond_belief, estimate, excused, pulled, reckoned_since, reckoned_wrongly
 from navfilter.filter.channel import Channel
 from navfilter.filter.course import Course, against_the_compass, told_here, turned
 from navfilter.filter.events import Event
@@ -146,6 +146,9 @@ def _agreed(filter: Filter, channel: Channel, time_s: float) -> bool:
         filter.jumped.append(Change(channel.name, channel.sensor.models, offsets=True, turn=(angle, variance)))
         return False
     memory.P[:2, :2] += refused_way.followed(filter, channel)
+    velocity = reckoned.opened_velocity(filter, reckoned_since(channel, refused, speed), speed)
+    filter.jumped += [] if velocity is None else [velocity]
+    memory.counts["jumped"] += velocity is not None
     _update(filter, channel, time_s)
     return True
 
