@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from live_run import COMMAND, PATIENCE_S, Dive, Process, run_session, states
+from live_run import COMMAND, PATIENCE_S, Dive, Process, run_session, states, wait_for
 
 import navfilter as nf
 from navfilter.cli import _parser, main
@@ -177,12 +177,24 @@ def test_a_signal_during_compilation_ends_it_at_once(dive, tmp_path):
     assert process.code == 0 and b"before the navigation began" in process.errors and b"ready (" not in process.errors
 
 
-@pytest.mark.parametrize("source", ["empty", "failing"])
+@pytest.mark.parametrize("source", ["empty", "failing", "garbage"])
 def test_an_input_that_gives_nothing_is_no_ordered_end(dive, tmp_path, source):
-    arguments = [] if source == "empty" else ["--input", tmp_path]  # a folder can be opened, but not read
+    arguments = ["--input", tmp_path] if source == "failing" else []  # a folder can be opened, but not read
     process = Process(*dive.arguments, *arguments)
-    output = process.end()
-    assert process.code == 1 and f"input-{'empty' if source == 'empty' else 'failed'}" in notices(output)
+    output = process.end(lines=[b"garbage\n"] * 3 if source == "garbage" else [])
+    assert process.code == 1 and f"input-{'failed' if source == 'failing' else 'empty'}" in notices(output)
+    assert source != "garbage" or b"not one of its 3 lines" in process.errors
+
+
+def test_a_reader_that_has_fallen_asleep_does_not_hold_up_the_end(dive, tmp_path):
+    """States are dropped while it sleeps, and SIGTERM is heeded."""
+    process = Process(*dive.arguments, "--rate-hz", "100", "--log", tmp_path / "log", "--quiet")
+    process.send(dive.lines)
+    wait_for(lambda: len(readings_of(tmp_path / "log", dive.vehicle)) == len(dive.lines))
+    process.process.send_signal(signal.SIGTERM)
+    assert process.process.wait(PATIENCE_S) == 0
+    rows, _ = states(process.end())
+    assert 0 < len(rows) < 100 * 60
 
 
 def test_a_replayed_log_whose_reader_has_gone_is_no_success(dive, tmp_path):
@@ -293,6 +305,25 @@ def test_a_damaged_snapshot_falls_back_to_the_log(dive, broken_off):
     told = next(event for event in events if event["event"] == "resume")
     assert told["snapshot"] is False and "snapshot is refused" in process.errors.decode()
     assert snapshot.with_name("snapshot.refused").exists() and snapshot.exists()
+
+
+@pytest.mark.parametrize("what", ["device", "pipe", "huge", "folder"])
+def test_a_snapshot_that_never_ends_is_not_read(dive, broken_off, what):
+    """A restart would be killed for its memory, or wait for ever."""
+    snapshot = broken_off / "snapshot"
+    snapshot.unlink()
+    if what == "device":
+        snapshot.symlink_to("/dev/zero")
+    elif what == "pipe":
+        os.mkfifo(snapshot)
+    elif what == "folder":
+        snapshot.mkdir()
+    else:
+        with snapshot.open("wb") as file:
+            file.truncate(1 << 40)
+    process, output = resumed(dive, broken_off, "--resume", lines=dive.lines[4000:])
+    assert process.code == 0 and states(output)[0][-1] == states(dive.output)[0][-1]
+    assert "it is no snapshot" in process.errors.decode()
 
 
 def test_a_log_that_is_shorter_than_its_snapshot_keeps_the_snapshot(dive, broken_off):
@@ -479,6 +510,22 @@ def test_where_the_disk_is_full_kernels_are_kept_for_this_process(tmp_path):
     said, folder = done.stdout.splitlines()
     assert "is full" in said and folder.startswith(str(tmp_path / "navfilter-kernels-")) and done.stderr == ""
     assert not list(tmp_path.glob("navfilter-kernels-*"))  # nothing is left behind
+
+
+def test_a_disk_that_fills_up_while_kernels_are_compiled_ends_no_start(dive, cache):
+    """Those that are there are used, the others go on from memory: it was exit code 2, at every start."""
+    folder, environment = cache
+    for path in [*folder.glob("listen.*"), *folder.glob("measurement.heading*")]:
+        path.unlink()
+    before = sorted(path.name for path in folder.glob("*.nb?"))
+    assert before
+    process = Process(
+        *dive.arguments, env=environment, preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100))
+    )
+    output = process.end(lines=dive.lines)
+    assert process.code == 0 and reproducible(output) == dive.output
+    assert process.errors.count(b"compiled kernels cannot be kept") == 1
+    assert sorted(path.name for path in folder.glob("*.nb?")) == before
 
 
 # --- the clock of the computer

@@ -51,7 +51,7 @@ supervision: under systemd (Type=notify) READY, STATUS and WATCHDOG are sent; --
 
 exit codes:
   0  the end was ordered: Ctrl-C, SIGTERM (also while it still compiles or resumes), or the end of the input
-  1  the input failed, or ended before its first line; with --replay-log: the reader of the output has gone
+  1  the input failed, or ended before its first reading; with --replay-log: the reader of the output has gone
   2  it could not begin: wrong usage, a file or an address that cannot be used, a log that another process is writing
  130 Ctrl-C before anything had been opened; anything else, a signal's number included, is no ordered end
 

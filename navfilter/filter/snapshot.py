@@ -13,6 +13,7 @@ import hashlib
 import io
 import json
 import os
+import stat
 import tempfile
 import zipfile
 from collections.abc import Iterable
@@ -33,10 +34,12 @@ from navfilter.filter.memory import from_arrays, to_arrays
 from navfilter.start import Start
 from navfilter.vehicle import Vehicle
 
-__all__ = ["Saved", "fingerprint", "read", "write"]
+__all__ = ["Saved", "content", "fingerprint", "read", "write"]
 
 MAGIC = b"navfilter snapshot\n"
 FORMAT = 7
+#: No snapshot is larger [bytes]: it holds seconds of samples, and the minutes that learning begins again with.
+LARGEST = 256 << 20
 
 
 @dataclass
@@ -116,6 +119,23 @@ def unreadable(error: Exception | str) -> ValueError:
     return ValueError(f"the snapshot cannot be read ({error}). Start afresh, or take an older one.")
 
 
+def content(path: str | PathLike[str]) -> bytes:
+    """What a file that should be a snapshot holds.
+
+    Raises
+    ------
+    ValueError
+        For a device, a pipe or a folder, which may never end, and for more than any snapshot has.
+    OSError
+        When it cannot be read.
+    """
+    status = os.stat(path)
+    if not stat.S_ISREG(status.st_mode) or status.st_size > LARGEST:
+        found = f"has {status.st_size >> 20} MiB" if stat.S_ISREG(status.st_mode) else "is no file"
+        raise ValueError(f"{path} {found}: it is no snapshot. Move it away to start afresh.")
+    return Path(path).read_bytes()
+
+
 def read(vehicle: Vehicle, source: bytes | str | PathLike[str], kinds: Iterable[type]) -> Saved:
     """What a snapshot of this vehicle holds; nothing of it is checked against the vehicle but the fingerprint.
 
@@ -133,7 +153,7 @@ def read(vehicle: Vehicle, source: bytes | str | PathLike[str], kinds: Iterable[
     OSError
         When the file cannot be read.
     """
-    data = source if isinstance(source, bytes) else Path(source).read_bytes()
+    data = source if isinstance(source, bytes) else content(source)
     payload = _checked(data, vehicle)
     try:
         with zipfile.ZipFile(io.BytesIO(payload)) as whole:

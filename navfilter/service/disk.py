@@ -18,6 +18,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, BinaryIO
 
+from navfilter.filter import snapshot
 from navfilter.service.protocol import event_line, to_line
 
 __all__ = ["Disk", "StateFile"]
@@ -41,9 +42,9 @@ class StateFile:
         Raises
         ------
         ValueError
-            When the file is damaged or of another version.
+            When the file is damaged, none, or of another version.
         """
-        data = path.read_bytes()
+        data = snapshot.content(path)
         head, _, rest = data.partition(b"\n")
         if not head.startswith(b"navfilter-run-state "):
             raise ValueError(f"{path} is no snapshot of navfilter run. Move it away to start afresh.")

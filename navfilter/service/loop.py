@@ -45,7 +45,7 @@ def run(vehicle: Vehicle, options: Options, service: Service) -> int:
     Returns
     -------
     int
-        `ORDERED`, or `UNASKED` when the input failed, or ended before its first line.
+        `ORDERED`, or `UNASKED` when the input failed, or ended before its first reading.
 
     Raises
     ------
@@ -236,9 +236,11 @@ class _Run:
         return ORDERED
 
     def _read_anything(self) -> bool:
-        if self._readings or self._session.bad or self._session.nav is not None:
+        if self._readings or self._session.nav is not None:
             return True
-        self._notice("input-empty", text="the input ended before its first line")
+        bad = sum(self._session.bad.values())
+        found = f"not one of its {bad} lines was one" if bad else "it had no line"
+        self._notice("input-empty", text=f"the input ended before its first reading: {found}")
         return False
 
     def _hear_instruments(self) -> bool:
