@@ -20,6 +20,7 @@ import shutil
 import sys
 import tempfile
 import time
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -80,7 +81,10 @@ def compile_kernels(say: Say, vehicle: Vehicle | None = None) -> None:
 
     folder = _folder()
     try:
-        warm_up(vehicle)
+        with warnings.catch_warnings(record=True) as unkept:
+            warm_up(vehicle)
+        for text in sorted({str(warning.message) for warning in unkept}):
+            say(text)
     except Exception as error:  # of numba, llvmlite or pickle, whatever a damaged file makes of them
         if folder is None or not _files(folder):
             raise
