@@ -10,7 +10,6 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 from os import PathLike
 from typing import Any
 
@@ -19,9 +18,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from navfilter.filter import snapshot as snapshots
 from navfilter.filter.condition import health_of
-from navfilter.filter.drive_clock import DriveClock
+from navfilter.filter.drive_clock import Arrived, DriveClock
 from navfilter.filter.events import Outcome
-from navfilter.filter.health import Health, LaneHealth, Watch
+from navfilter.filter.health import Health, LaneHealth
 from navfilter.filter.history import History, Reading
 from navfilter.filter.integrity import Trust
 from navfilter.filter.lane_choice import Choice, ChoiceMemory
@@ -30,7 +29,7 @@ from navfilter.filter.transplant import Transplant, transplant
 from navfilter.lane_clock import UPRIGHT, coasting_times, edge_after, level_times
 from navfilter.learning.schedule import LearningSchedule
 from navfilter.navigator import Navigator
-from navfilter.navigator_memory import MEMORY, NavigatorMemory
+from navfilter.navigator_memory import MEMORY, LaneMemory, LanesMemory
 from navfilter.start import Start
 from navfilter.state import NavState, Pose
 from navfilter.vehicle import DEAD_RECKONING, LEVEL, Vehicle
@@ -40,43 +39,6 @@ __all__ = ["LaneNavigator", "begin_anew", "choice_of", "to_begin_anew"]
 Array = NDArray[np.float64]
 #: Readings come at most so long after the last sample of the drive; so much is no leap of the clock either [s].
 AHEAD_S = 1.0
-
-
-@dataclass
-class LaneMemory:
-    """What changes in one lane.
-
-    Attributes
-    ----------
-    run : NavigatorMemory
-    watches : dict of str to Watch
-    waiting : list of Reading
-    """
-
-    run: NavigatorMemory
-    watches: dict[str, Watch]
-    waiting: list[Reading]
-
-
-@dataclass
-class LanesMemory:
-    """Everything that changes in order.
-
-    Attributes
-    ----------
-    lanes : dict of str to LaneMemory
-    choice : ChoiceMemory
-    ticks, levels : int
-        Samples and readings of the lane without an inertial unit so far.
-    ahead_s : float
-        Since when readings come long after everything else [s].
-    """
-
-    lanes: dict[str, LaneMemory]
-    choice: ChoiceMemory
-    ticks: int
-    levels: int
-    ahead_s: float
 
 
 def choice_of(vehicle: Vehicle, start_s: float) -> Choice:
@@ -154,6 +116,9 @@ class LaneNavigator:
             # a unit whose clock goes wrong is left for another
             run.clock = DriveClock(run.vehicle.drive.period_s, live=False)
         self.choice = choice_of(vehicle, start.time_s)
+        # where there is no other unit, its clock is held against that of the readings; a late one is not waited for
+        period_s = next(iter(vehicle.units.values())).period_s
+        self.clock = DriveClock(period_s, live=len(vehicle.units) == 1)
         self._names, self._runs = tuple(self.lanes), tuple(self.lanes.values())
         self._units = {name: i for i, name in enumerate(vehicle.units)}
         self._coasting = self.lanes.get(DEAD_RECKONING)
@@ -193,6 +158,21 @@ class LaneNavigator:
 
     def step_samples(self, samples: Array) -> None:
         """As `step`, for rows of time, the six values and the number of the unit, in the order of `Vehicle.units`."""
+        if not len(samples):
+            return
+        if len(self._units) > 1:
+            self._pass_on(samples)
+            return
+        for item in self.clock.take(samples[:, :7].copy()):
+            self._go_on(item)
+
+    def _go_on(self, item: Array | Arrived) -> Outcome | None:
+        if isinstance(item, Arrived):
+            return self._place(item)
+        self._pass_on(np.column_stack([item, np.zeros(len(item))]))
+        return None
+
+    def _pass_on(self, samples: Array) -> None:
         if len(samples):
             (self if self.history is None else self.history).feed(samples)
 
@@ -210,6 +190,12 @@ class LaneNavigator:
             z, stamp_s = np.array(value, dtype=np.float64).reshape(-1), float(time_s)
         except (TypeError, ValueError):
             z, stamp_s = np.full(1, np.nan), math.nan
+        if (held := self.clock.hear(arrived := Arrived(name, stamp_s, z, sd))) is not None:
+            return [Outcome("waiting"), *(self._go_on(item) for item in held)][-1] or Outcome("waiting")
+        return self._place(arrived)
+
+    def _place(self, arrived: Arrived) -> Outcome:
+        name, stamp_s, z, sd = arrived
         taken_s = stamp_s + self.offset_s - self.vehicle.sensors[name].time_offset_s
         # the stamp goes along: every lane has a clock of its own
         reading = Reading(name, taken_s, z, (stamp_s, sd), False)
@@ -229,6 +215,8 @@ class LaneNavigator:
 
     def finish(self) -> None:
         """Take the readings that still wait: no more samples come."""
+        for item in self.clock.rest():
+            self._go_on(item)
         for run in self._runs:
             run.finish()
 
@@ -389,7 +377,7 @@ class LaneNavigator:
     def _health_of(self, state: NavState) -> Health:
         run, name = self.believed, self._names[self.choice.memory.lane]
         watches = {key: watch for key, watch in run.watches.items() if key != LEVEL}
-        health = health_of(run.filter, watches, run.clock, run.learning.worker.health, state)
+        health = health_of(run.filter, watches, self.clock, run.learning.worker.health, state)
         lanes = dict(self._lane_health())
         trust = health.trust
         doubts = [
@@ -416,7 +404,7 @@ class LaneNavigator:
         for lane in memory.lanes.values():
             lane.run = lane.run.whole()
         length_s = 0.0 if self.history is None else self.history.length_s
-        saved = snapshots.Saved(self.start, length_s, memory, inputs, {}, self.believed.clock.memory)
+        saved = snapshots.Saved(self.start, length_s, memory, inputs, {}, self.clock.memory)
         return snapshots.write(saved, self.vehicle, self.time_s, path)
 
     @classmethod
@@ -438,6 +426,7 @@ class LaneNavigator:
         if problem or not 0 <= memory.choice.lane < len(nav.lanes):
             raise ValueError(problem or "memory.choice.lane is none")
         nav.memory = memory
+        nav.clock.go_on(saved.clock)
         for item in saved.inputs:
             if isinstance(item, np.ndarray) and (item.ndim != 2 or item.shape[1] != 8):
                 raise ValueError(f"inputs must be rows of eight numbers, found shape {item.shape}")

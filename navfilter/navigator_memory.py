@@ -11,7 +11,9 @@ from navfilter.filter.channel import Aside, ChannelMemory, Course, Reckoned, Ref
 from navfilter.filter.drive_clock import Arrived, DriveClockMemory
 from navfilter.filter.filter_memory import FilterMemory
 from navfilter.filter.health import Watch
+from navfilter.filter.history import Reading
 from navfilter.filter.intake import IntakeMemory
+from navfilter.filter.lane_choice import ChoiceMemory
 from navfilter.filter.memory import misfit
 from navfilter.learning.learner import LearnerMemory
 from navfilter.learning.learning_memory import Again, LearningMemory
@@ -20,7 +22,7 @@ from navfilter.learning.posterior import Line
 from navfilter.learning.rest import RestMemory
 from navfilter.learning.spectrum import Spectrum
 
-__all__ = ["MEMORY", "NavigatorMemory", "check_watches"]
+__all__ = ["MEMORY", "LaneMemory", "LanesMemory", "NavigatorMemory", "check_watches"]
 
 
 @dataclass
@@ -35,6 +37,43 @@ class NavigatorMemory:
         beginning = self.learning.beginning
         kept = None if beginning is None else beginning[: self.learning.kept]
         return NavigatorMemory(self.filter, dataclasses.replace(self.learning, beginning=kept))
+
+
+@dataclass
+class LaneMemory:
+    """What changes in one lane.
+
+    Attributes
+    ----------
+    run : NavigatorMemory
+    watches : dict of str to Watch
+    waiting : list of Reading
+    """
+
+    run: NavigatorMemory
+    watches: dict[str, Watch]
+    waiting: list[Reading]
+
+
+@dataclass
+class LanesMemory:
+    """Everything that changes in order.
+
+    Attributes
+    ----------
+    lanes : dict of str to LaneMemory
+    choice : ChoiceMemory
+    ticks, levels : int
+        Samples and readings of the lane without an inertial unit so far.
+    ahead_s : float
+        Since when readings come long after everything else [s].
+    """
+
+    lanes: dict[str, LaneMemory]
+    choice: ChoiceMemory
+    ticks: int
+    levels: int
+    ahead_s: float
 
 
 #: Classes that a snapshot is made of, beside error models.

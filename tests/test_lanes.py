@@ -72,8 +72,10 @@ def farthest(track, mission):
     return track.errors(mission.truth).horizontal[dive].max()
 
 
-def fed(nav, vehicle, mission, until_s=math.inf, after_s=-math.inf):
-    """Samples and readings between two times, in the order of theirs, one by one; yields after each."""
+def fed(nav, vehicle, mission, until_s=math.inf, after_s=-math.inf, clock=float):
+    """Samples and readings between two times, in the order of theirs, one by one; yields after each. Units have a
+    clock of their own.
+    """
     units, events = list(vehicle.units), []
     for rank, name in enumerate([*units, *vehicle.sensors]):
         stream = mission.streams[name]
@@ -85,7 +87,7 @@ def fed(nav, vehicle, mission, until_s=math.inf, after_s=-math.inf):
             continue
         value = mission.streams[name].value[i]
         if rank < len(units):
-            nav.step(time_s, value[:3], value[3:6], name)
+            nav.step(clock(time_s), value[:3], value[3:6], name)
         else:
             nav.correct(name, time_s, value)
         yield time_s
@@ -351,6 +353,24 @@ def test_a_clock_that_leaps_with_the_unit_is_not_where_time_goes_on(one):
             nav.correct("depth", here_s + 3600.0 + 0.01 * k, 0.0)
         nav.step(here_s + 3600.0 + 0.01 * k, (0.0, 0.0, 0.0), (0.0, 0.0, -9.806))
     assert all(here_s + 0.9 < lane.time_s < here_s + 1.3 for lane in nav.lanes.values())
+
+
+@pytest.mark.parametrize("by_s", [2.0, -2.0])
+def test_a_clock_of_the_only_unit_that_was_set_costs_nothing(one, by_s):
+    """All readings were late from then on, and nothing was to be trusted."""
+    vehicle, mission = one
+    best, nav = (nf.LaneNavigator(vehicle, mission.start) for _ in range(2))
+    assert sum(1 for _ in fed(best, vehicle, mission, 60.0)) > 6000
+
+    def clock(time_s):
+        return time_s + by_s if time_s > 30.0 else time_s
+
+    assert sum(1 for _ in fed(nav, vehicle, mission, 31.0, clock=clock)) > 3000
+    nav = nf.LaneNavigator.restore(vehicle, nav.snapshot())  # which keeps what is known of the clock
+    assert sum(1 for _ in fed(nav, vehicle, mission, 60.0, 31.0, clock)) > 2900
+    assert nav.health.drive_clock_offset_s == pytest.approx(-by_s) and nav.health.trust.level == "good"
+    assert nav.time_s == pytest.approx(best.time_s, abs=1e-9)
+    assert np.abs(nav.state.minus(best.state)).max() < 1e-6
 
 
 def test_live_is_the_replay_to_the_last_bit(one):
