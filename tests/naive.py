@@ -1494,7 +1494,8 @@ def correction(bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count,
     believed = bench[limits + a + 1 : limits + 2 * a + 1]
     squares = (C @ x[start - 9 : start - 9 + errors]) ** 2
     beyond, calm = np.any(squares > believed), np.all(squares <= believed / 16.0)
-    mem[places_[9] - 1] = 0.0 if calm else mem[places_[9] - 1] + count
+    used = mem[places_[8] + 2]
+    mem[places_[9] - 1] = count if calm and used else mem[places_[9] - 1] + count
     update(P, nav, x, C, R, mem, dims, np.r_[np.inf, np.full(a, -1.0)] if beyond else gate)
 
 

@@ -13,7 +13,7 @@ import navfilter as nf
 from navfilter import passage, passage_again, playback
 from navfilter.filter.memory import differences
 from navfilter.filter.tape import Tape
-from navfilter.kernels import measurement
+from navfilter.kernels import kalman, measurement
 from navfilter.kernels import stretch as kernels
 from navfilter.kernels.addresses import named
 from navfilter.learning import listener
@@ -241,13 +241,16 @@ def test_stretch_with_a_row_per_sample_is_its_twin(monkeypatch):
 
 
 def test_correction_is_its_twin_for_every_kind(monkeypatch):
-    ours, kinds = kernels.correction, set()
+    ours, kinds, counts = kernels.correction, set(), set()
 
     def both(*args):
         copies = [a.copy() if isinstance(a, np.ndarray) else a for a in args]
         ours(*args)
         naive.correction(*copies)
         assert_close([args[i] for i in (2, 3, 4)], [copies[i] for i in (2, 3, 4)], 1e-8)
+        pulled = args[1][kernels.MEM] + kalman.places(args[1][:7])[9] - 1
+        assert args[0][pulled] == copies[0][pulled]
+        counts.add(float(args[0][pulled]))
         kinds.add(named(args[1][kernels.EQUATION]).__name__)
 
     error = nf.White(sd=0.05) + nf.GaussMarkov(sd=0.1, tau_s=20.0)
@@ -280,6 +283,7 @@ def test_correction_is_its_twin_for_every_kind(monkeypatch):
                 nav.correct(name, 0.01 * k, value, sd=0.3 if k == 20 else None)
     nav.finish()
     assert kinds == {sensor.kernel.__name__ for sensor in vehicle.sensors.values()}
+    assert {0.0, 1.0} < counts  # there are those that have been let go, and those that have not
     # every kernel of a measurement but those of the kinds that are on board
     public = {name for name, kernel in vars(measurement).items() if hasattr(kernel, "py_func") and name[0] != "_"}
     assert not public or public - kinds == {"earlier", "range_bend", "usbl_bend", "iron_bend"}

@@ -117,6 +117,8 @@ def asked(
     if channel.sensor.bend is not None:
         first = int(channel.dims[4] + channel.dims[5])
         channel.sensor.bend(z, channel.near, P, first, channel.constants, channel.R)
-    channel.pulled[0] = channel.ticks(time_s) + (0.0 if is_calm(channel, x) else channel.pulled[0])
+    # a reading that was refused has not pulled at anything, nor has it let go
+    let_go = channel.verdict[2] and is_calm(channel, x)
+    channel.pulled[0] = channel.ticks(time_s) + (0.0 if let_go else channel.pulled[0])
     gate = SHUT[: channel.axes + 1] if beyond_belief(channel, x) else channel.gate
     kalman.update(P, nav, x, channel.C, channel.R, channel.mem, channel.dims, gate)

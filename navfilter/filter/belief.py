@@ -45,6 +45,8 @@ MOST_SDS = 4.0
 #: Dead reckoning may err by this share of the way made [1]: 6 deg of heading or mounting, 10 % of scale. What draws
 #: fixes off in earnest is faster, or takes longer than the gate waits.
 SHARE = 0.1
+#: At rest it may err by what it may at this speed [m/s]: a constant of the velocity has no less to say then.
+USUAL_SPEED = 1.5
 #: The position was pulled off by so many times the estimate at most [1]: an error that takes less than a tenth of what
 #: fixes say, beside the position, has not come to be so large by that.
 MOST_PULLED = 10.0
@@ -94,7 +96,7 @@ def reckoned_wrongly(channel: Channel, speed: float) -> float:
     """
     seconds = float(channel.pulled[0]) * channel.period_s
     grown = (MOST_SDS - 1.0) * math.sqrt(max(channel.slow))
-    return MOST_SDS / (MOST_SDS - 1.0) * grown / seconds if 0.0 < grown <= SHARE * speed * seconds else 0.0
+    return MOST_SDS / (MOST_SDS - 1.0) * grown / seconds if 0.0 < grown <= _may_err(speed, seconds) else 0.0
 
 
 def reckoned_since(channel: Channel, refused: Refusals, speed: float) -> float:
@@ -111,7 +113,11 @@ def reckoned_since(channel: Channel, refused: Refusals, speed: float) -> float:
     """
     off, seconds = math.hypot(*np.nan_to_num(refused.offset)[:2]), refused.began_s - channel.memory.used_s
     fixes = channel.sensor.open_loop == listen.POSITION and channel.axes == 3
-    return off / seconds if fixes and off <= SHARE * speed * seconds < math.inf else 0.0
+    return off / seconds if fixes and off <= _may_err(speed, seconds) < math.inf else 0.0
+
+
+def _may_err(speed: float, seconds: float) -> float:
+    return SHARE * max(speed, USUAL_SPEED) * seconds
 
 
 def beside(channel: Channel, x: Array) -> float:

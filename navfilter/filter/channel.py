@@ -226,7 +226,7 @@ class Channel:
         self.H, self.PH = mem[at[0] : at[1]].reshape(a, n), mem[at[6] : at[7]].reshape(a, n)
         self.S = mem[at[5] : at[6]].reshape(2 * a, a)
         self.verdict, self.note = mem[at[8] : at[8] + 3], mem[at[8] : at[9] - 1]
-        self.pulled = mem[at[9] - 1 : at[9]]  # ticks since a reading with a coloured error within one sd
+        self.pulled = mem[at[9] - 1 : at[9]]  # ticks since a reading that was used, with a coloured error within one sd
         self.record, self.moved = mem[: at[5]], mem[: at[0]]
         self.transition = mem[: m * m].reshape(m, m)
         self.rate = bench[ends[1] : ends[2]]

@@ -97,7 +97,7 @@ def correction(sources):
         `past.sight`; z: the reading as its kernel takes it; variance (a,) of its white error, empty or NaN for what the
         error model says; count: ticks of its clock; since_s: how much later than its stamp it is taken. Behind the
         limits of its gate stands which square of its coloured error, as estimated, is beyond belief: none is used. For
-        how many ticks it may have been beyond one sd stands behind the verdict: from the last reading within it.
+        how many ticks it may have been beyond one sd stands behind the verdict: from the last used reading within it.
         """
         _ = sources
         dims = spot[:7]
@@ -148,8 +148,8 @@ def correction(sources):
                 error += C[i, j] * x[start - 9 + j]
             beyond |= error * error > bench[spot[LIMITS] + a + 1 + i]
             calm &= error * error <= bench[spot[LIMITS] + a + 1 + i] / BELIEVED
-        held = places[9] - 1
-        mem[held] = count if calm else mem[held] + count
+        held, used = places[9] - 1, mem[places[8] + 2]
+        mem[held] = count if calm and used else mem[held] + count
         if beyond:
             limits = spare[: a + 1]
             for i in range(a + 1):
