@@ -13,6 +13,7 @@ import pytest
 import scipy.io
 
 from navfilter.io import geodesy, read_mission
+from navfilter.io.table import Table
 from navfilter.io.tables import TableOptions, read_table
 from navfilter.io.trust import expand
 from navfilter.mission import TRUTH_COLUMNS, Mission, MissionError, Stream
@@ -150,6 +151,13 @@ def test_compressed_and_binary_tables(tmp_path):
     }
     for name, (column, options) in cases.items():
         assert read_table(tmp_path / name, options).numbers(column)[0].tolist() == [1.5, 2.5], name
+
+
+def test_an_integer_beyond_all_floats_is_infinite():
+    table = Table("a.csv", {"x": np.array([1, 10**400, -(10**400), "oops"], dtype=object)})
+    values, unreadable = table.numbers("x")
+    assert unreadable == 1
+    np.testing.assert_array_equal(values, [1.0, np.inf, -np.inf, np.nan])
 
 
 def test_rows_that_cannot_be_read_are_counted(tmp_path):

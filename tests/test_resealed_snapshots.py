@@ -123,6 +123,12 @@ CHANGES = {
         "items"
     ].append(["used", "often"]),
     "a watch whose NIS is a text": lambda saved, arrays: saved["watches"]["items"][0][1]["fields"].update(nis="low"),
+    "bursts whose stamp is a list": lambda saved, arrays: saved["clock"]["fields"]["bursts"]["fields"].update(
+        own_s=[1.0]
+    ),
+    "a heading told alone without a place": lambda saved, arrays: channel_of(saved).update(
+        alone={"": "tuple", "items": [1.0]}
+    ),
     "a history without end": lambda saved, arrays: saved.update(history_s=float("inf")),
     "no floats": lambda saved, arrays: arrays.update(floats=np.zeros(3)),
     "no meta": lambda saved, arrays: saved.clear(),

@@ -11,10 +11,12 @@ What tells a burst from samples that are missing is the second sample behind the
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
+
+from navfilter.filter.memory import misfit
 
 __all__ = ["Bursts", "BurstsMemory"]
 
@@ -111,6 +113,8 @@ class Bursts:
         first = memory.first.shape if isinstance(memory.first, np.ndarray) else ()
         if len(first) != 2 or first[0] > 1 or first[1] != 7:
             raise ValueError("what is kept of the drive's bursts has another form")
+        if problem := misfit(replace(memory, first=self.memory.first), self.memory, "bursts"):
+            raise ValueError(problem)
         self.memory = memory
 
     def rest(self) -> Array:

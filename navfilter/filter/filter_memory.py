@@ -110,6 +110,9 @@ class FilterMemory:
         codes = self.watch[:6, [drive_watch.CODE, drive_watch.HEEDED]]
         if not np.isin(codes, range(len(CONDITIONS))).all():
             return "the drive's axes are in conditions that do not exist"
+        alone = [channel.alone for channel in self.channels.values() if channel.alone]
+        if any(len(told) != 3 or not all(type(v) is float for v in told) for told in alone):
+            return "what a heading told alone is not an angle and a place"
         # kernels use these as places of states
         places = [*strapdown.PLACES, strapdown.INCREMENTS]
         if not np.array_equal(self.drv[places], fresh.drv[places]):

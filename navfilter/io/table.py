@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -65,9 +66,19 @@ class Table:
         import pandas as pd
 
         coerced = pd.to_numeric(pd.Series(raw, dtype=object), errors="coerce")
-        values = coerced.to_numpy(dtype=np.float64, na_value=np.nan)
+        try:
+            values = coerced.to_numpy(dtype=np.float64, na_value=np.nan)
+        except OverflowError:  # an integer of hundreds of digits, which is infinite like the same with an exponent
+            values = np.array([_number(cell) for cell in coerced])
         wrong = [isinstance(cell, str) and cell.strip().lower() not in _BLANK for cell in raw[np.isnan(values)]]
         return values, sum(wrong)
+
+
+def _number(cell: Any) -> float:
+    try:
+        return float(cell)
+    except OverflowError:
+        return math.inf if cell > 0 else -math.inf
 
 
 def listing(what: str, names: list[str], quoted: bool = True, most: int = 40) -> str:
