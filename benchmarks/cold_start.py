@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import os
 import resource
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -24,9 +25,11 @@ import navfilter as nf
 from navfilter.io import write_vehicle
 from navfilter.simulation.scenarios import simulate_scenario
 
+#: Stands for a folder that is not there yet.
+OUT = "out"
 #: By name: arguments of the command line. The vehicle is that of `navfilter demo`, its compass learnt.
 COMMANDS = {
-    "replay": ("replay", "mission.npz", "--vehicle", "vehicle.toml", "--out", "out", "--force", "--smooth", "--quiet"),
+    "replay": ("replay", "mission.npz", "--vehicle", "vehicle.toml", "--out", OUT, "--smooth", "--quiet"),
     "run": ("run", "--vehicle", "vehicle.toml"),
     "warmup": ("warmup", "--quiet"),
 }
@@ -37,6 +40,7 @@ def spent(package: Path, kernels: Path, folder: Path, arguments: tuple[str, ...]
     """Processor time and clock [s] of one command of a checkout, its helpers included."""
     environment = {**os.environ, "PYTHONPATH": str(package), "NUMBA_CACHE_DIR": str(kernels)}
     before, began = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
+    shutil.rmtree(folder / OUT, ignore_errors=True)
     command = [sys.executable, "-m", "navfilter", *arguments]
     done = subprocess.run(command, cwd=folder, env=environment, stdin=subprocess.DEVNULL, capture_output=True)
     wall, after = time.perf_counter() - began, resource.getrusage(resource.RUSAGE_CHILDREN)

@@ -2,7 +2,7 @@
 
 missions  every kind of fault in `tests/faults_library.py`, in a simulated mission and in real recordings
 outcomes  how far each fault takes the state, what the filter says of it, and whether its bounds hold the truth
-fault-free  what is excluded where there is no fault, and what that costs
+fault_free  what is excluded where there is no fault, and what that costs
 service   killed processes, full disks, cut logs, damaged snapshots, garbage on the line
 """
 

@@ -30,6 +30,8 @@ RADIUS_M, G = 6.371e6, 9.80665
 WORST_NEES = 2.0
 #: No fault costs more than twice the way of a minute in which nothing at all is heard [m].
 FAR_M = 180.0
+#: What freezes is held from its first sample on, which comes within so much of the fault [s].
+HOLDS_S = 0.005
 #: A process that stands still says nothing for so long [s].
 SAYS_NOTHING_S = {"process suspended for 20 s": 20.0}
 COLUMNS = "fault<46 worst_m>8.1f sd_m>8.1f clean_m>8.1f held>7.2f named_s>7.1f after_m>8.1f nees>8.1f verdict<14"
@@ -60,6 +62,39 @@ def values(role: str, change: Callable[..., Any], begin_s: float = FAULT_S, end_
         return result
 
     return Case(events=altered, begin_s=begin_s)
+
+
+def frozen(role: str, seconds: float) -> Case:
+    """The reading of what plays a role stays what it was."""
+    held: list[Any] = []
+
+    def last(value: Any, age_s: float) -> Any:
+        if age_s < HOLDS_S:
+            held[:] = [value.copy()]
+        return held[0]
+
+    return values(role, last, end_s=FAULT_S + seconds)
+
+
+def restamped(by_s: float) -> Case:
+    """Another clock of the drive alone."""
+
+    def altered(events: Events, scene: library.Scene) -> Events:
+        return [e._replace(time_s=e.time_s + by_s) if e.sensor == DRIVE and e.true_s >= FAULT_S else e for e in events]
+
+    return Case(events=altered)
+
+
+def zeros(seconds: float) -> Case:
+    """A drive that gives nothing but zeros."""
+
+    def altered(events: Events, scene: library.Scene) -> Events:
+        return [
+            e._replace(value=(0.0,) * 6) if e.sensor == DRIVE and FAULT_S <= e.true_s < FAULT_S + seconds else e
+            for e in events
+        ]
+
+    return Case(events=altered)
 
 
 def moved(**changes: Any) -> Case:
@@ -94,6 +129,10 @@ SITUATIONS: dict[str, Case] = {
     "compass 25 deg off from the start": values("heading", lambda v, age_s: wrap(v + 25.0 * DEG), 0.0),
     "DVL scale +5 % for good": values("velocity", lambda v, age_s: 1.05 * v),
     "DVL in mm/s for a minute": values("velocity", lambda v, age_s: 1e3 * v, end_s=FAULT_S + MINUTE_S),
+    "gyros frozen for 30 s": frozen("gyro", 30.0),
+    "drive all zeros for 20 s": zeros(20.0),
+    "clock of the drive alone +2 s for good": restamped(2.0),
+    "clock of the drive alone -2 s for good": restamped(-2.0),
     "gyro x +100 deg/h for good": values("gyro", lambda v, age_s: v + 100.0 * DEG / 3600.0 * np.eye(3)[0]),
     "gyro z +100 deg/h for good": values("gyro", lambda v, age_s: v + 100.0 * DEG / 3600.0 * np.eye(3)[2]),
     "gyro z with the sign changed for good": values("gyro", lambda v, age_s: v * [1.0, 1.0, -1.0]),
@@ -101,6 +140,7 @@ SITUATIONS: dict[str, Case] = {
     "accelerometer x +50 mg for good": values("accel", lambda v, age_s: v + 0.05 * G * np.eye(3)[0]),
     "gyros x and y exchanged for good": values("gyro", lambda v, age_s: v[[1, 0, 2]]),
     "accelerometers x and y exchanged for good": values("accel", lambda v, age_s: v[[1, 0, 2]]),
+    "accelerometers x and z exchanged for good": values("accel", lambda v, age_s: v[[2, 1, 0]]),
     "depth +5 m for good": values("depth", lambda v, age_s: v + 5.0),
     "depth +5 m for a minute": values("depth", lambda v, age_s: v + 5.0, end_s=FAULT_S + MINUTE_S),
     "fixes jump by 100 m for 40 s": values("position", north(lambda age_s: 100.0), 80.0, 120.0),
@@ -330,7 +370,7 @@ def fly(case: Case, seed: int, which: str) -> tuple[watched.Outcome, np.ndarray]
 
 
 def said(state: nf.NavState) -> dict[str, Any]:
-    """What a state says of the run: conditions, counters, outcomes."""
+    """What a state says of the run: conditions, counters, outcomes, a clock of the drive that was set."""
     health = state.health
     assert health is not None
     # a good reading is refused now and then
@@ -341,7 +381,7 @@ def said(state: nf.NavState) -> dict[str, Any]:
         if status != "used"
     }
     conditions = {name: sensor.condition for name, sensor in health.sensors.items()} | dict(health.axes)
-    return {**conditions, **health.drive, **unused}
+    return {**conditions, **health.drive, **unused, "drive-clock": int(health.drive_clock_offset_s != 0.0)}
 
 
 def differs(now: dict[str, Any], usual: dict[str, Any]) -> bool:
