@@ -158,6 +158,10 @@ def test_an_integer_beyond_all_floats_is_infinite():
     values, unreadable = table.numbers("x")
     assert unreadable == 1
     np.testing.assert_array_equal(values, [1.0, np.inf, -np.inf, np.nan])
+    texts = Table("a.csv", {"x": np.array(["1", "1" + "0" * 400, "-1" + "0" * 400, "oops", None], dtype=object)})
+    values, unreadable = texts.numbers("x")
+    assert unreadable == 1
+    np.testing.assert_array_equal(values, [1.0, np.inf, -np.inf, np.nan, np.nan])
 
 
 def test_rows_that_cannot_be_read_are_counted(tmp_path):

@@ -65,20 +65,27 @@ class Table:
             return raw.astype(np.float64), 0
         import pandas as pd
 
-        coerced = pd.to_numeric(pd.Series(raw, dtype=object), errors="coerce")
+        def coerced(cells: Any) -> Array:
+            column = pd.to_numeric(pd.Series(cells, dtype=object), errors="coerce")
+            return np.asarray(column.to_numpy(dtype=np.float64, na_value=np.nan))
+
         try:
-            values = coerced.to_numpy(dtype=np.float64, na_value=np.nan)
+            values = coerced(raw)
         except OverflowError:  # an integer of hundreds of digits, which is infinite like the same with an exponent
-            values = np.array([_number(cell) for cell in coerced])
+            values = coerced([_finite_or_infinite(cell) for cell in raw])
         wrong = [isinstance(cell, str) and cell.strip().lower() not in _BLANK for cell in raw[np.isnan(values)]]
         return values, sum(wrong)
 
 
-def _number(cell: Any) -> float:
+def _finite_or_infinite(cell: Any) -> Any:
+    """The cell, or infinity with its sign where it is an integer, or the text of one, beyond all floats."""
     try:
-        return float(cell)
+        float(cell)
     except OverflowError:
         return math.inf if cell > 0 else -math.inf
+    except (TypeError, ValueError):
+        return cell
+    return float(cell) if isinstance(cell, str) and cell.strip().lstrip("+-").isdecimal() else cell
 
 
 def listing(what: str, names: list[str], quoted: bool = True, most: int = 40) -> str:
