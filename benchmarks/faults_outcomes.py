@@ -20,7 +20,7 @@ from feeding import DRIVE, Event, Events, events_of
 import navfilter as nf
 from navfilter.lane_missions import of_one_unit
 from navfilter.simulation.faults import Faults
-from navfilter.simulation.scenarios import reckoning_vehicle, survey, survey_vehicle
+from navfilter.simulation.scenarios import COMPASS, reckoning_vehicle, survey, survey_vehicle
 from navfilter.simulation.simulate import simulate
 from navfilter.start import Start
 from navfilter.state import wrap
@@ -181,6 +181,26 @@ def beams(*, mems: bool = False) -> nf.Vehicle:
     return dataclasses.replace(plain, sensors={**plain.sensors, "dvl": one})
 
 
+def with_others(**sensors: nf.sensors.Sensor | None) -> nf.Vehicle:
+    """The survey's with other sensors; None leaves one out."""
+    plain = survey_vehicle()
+    chosen = {**plain.sensors, **sensors}
+    return dataclasses.replace(plain, sensors={name: sensor for name, sensor in chosen.items() if sensor is not None})
+
+
+def ahrs() -> nf.Vehicle:
+    """Roll, pitch and heading of an instrument of its own in place of the compass."""
+    tilt = nf.GaussMarkov(sd=0.3 * DEG, tau_s=30.0) + nf.White(sd=0.05 * DEG)
+    errors = (tilt, tilt, COMPASS + nf.White(sd=0.1 * DEG))
+    return with_others(compass=None, ahrs=nf.Attitude(rate_hz=8.0, error=errors))
+
+
+def wheels() -> nf.Vehicle:
+    """Wheels in place of the DVL: forward speed, none sideways or upwards."""
+    sideways = nf.White(sd=0.05)
+    return with_others(dvl=nf.Odometer(rate_hz=10.0, error=(nf.White(sd=0.02), sideways, sideways)))
+
+
 def lanes(*units: str) -> nf.Vehicle:
     """The survey's with these inertial units and dead reckoning beside them."""
     plain = survey_vehicle()
@@ -193,6 +213,9 @@ VEHICLES: dict[str, Callable[[], nf.Vehicle]] = {
     "mems": lambda: survey_vehicle(mems=True),
     "beams": beams,
     "beams-mems": lambda: beams(mems=True),
+    "ahrs": ahrs,
+    "usbl": lambda: with_others(usbl=nf.Usbl(rate_hz=0.2)),
+    "wheels": wheels,
     "reckoning": reckoning_vehicle,
     "lane": lambda: lanes("imu"),
     "lanes": lambda: lanes("a", "b"),

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from feeding import DRIVE, Event, Events
 
-from navfilter.sensors import BodyVelocity, Depth, DvlBeams, Heading, Position
+from navfilter.sensors import Attitude, BodyVelocity, Depth, DvlBeams, Heading, Odometer, Position
 from navfilter.vehicle import Vehicle
 
 DEG = math.pi / 180.0
@@ -45,7 +45,7 @@ class Scene:
     period_s : float
         Of the drive.
     along : ndarray, shape (n, 3)
-        Directions of the components of the velocity in its instrument's axes: those, or its beams.
+        Directions of the components of the velocity in its instrument's axes: those, its beams, or forward.
     """
 
     targets: dict[str, Target]
@@ -71,10 +71,13 @@ def scene_of(vehicle: Vehicle, window: tuple[float, float], fixes: tuple[float, 
         targets = {"tilt": Target(DRIVE, (0, 1)), "heading": Target(DRIVE, (2,)), "velocity": Target(DRIVE, (3, 4, 5))}
     roles = {Heading: "heading", BodyVelocity: "velocity", Depth: "depth", Position: "position"}
     for name, sensor in vehicle.sensors.items():
+        if isinstance(sensor, Attitude):
+            targets |= {"tilt": Target(name, (0, 1)), "heading": Target(name, (2,))}
         role = next((role for kind, role in roles.items() if isinstance(sensor, kind)), None)
         if role is not None:
             targets[role] = Target(name, tuple(range(sensor.reads)))
     beams = [sensor.beams()[: sensor.reads] for sensor in vehicle.sensors.values() if isinstance(sensor, DvlBeams)]
+    beams += [np.eye(3)[:1] for sensor in vehicle.sensors.values() if isinstance(sensor, Odometer)]
     return Scene(targets, window, fixes, vehicle.drive.period_s, *beams[:1])
 
 

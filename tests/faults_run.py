@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 from faults_library import DEG, Scene, damaged
-from feeding import DRIVE, Event, Events, events_of
+from feeding import DRIVE, Event, Events, events_of, one_by_one
 
 import navfilter as nf
 from navfilter.mission import Mission, Stream
@@ -142,7 +142,7 @@ def watch(
                 break
             _look(nav, last, reading, outcome)
             for name, sensor in nav.health.sensors.items():
-                outcome.counts[f"{roles[name]} is {sensor.condition}"] += 1
+                outcome.counts[f"{roles.get(name, name)} is {sensor.condition}"] += 1
     _flush(nav, block, outcome)
     if last is not None:
         _look(nav, last, reading, outcome)
@@ -248,3 +248,25 @@ def run(name: str | None, vehicle: Vehicle, mission: Mission, scene: Scene, seed
     if name is not None:
         events = damaged(name, events, scene, seed)
     return watch(nf.Navigator(vehicle, start), events, scene, **options)
+
+
+def dived(
+    vehicle: nf.Vehicle,
+    mission: nf.Mission,
+    sensor: str,
+    change: Callable[[np.ndarray], np.ndarray],
+    fault_s: float,
+    dive_s: float = 100.0,
+) -> tuple[nf.Navigator, float]:
+    """The navigator at the end of a mission without fixes from `dive_s` on, in which one sensor reads otherwise from
+    `fault_s` on; and how far off it is [m].
+    """
+    nav = nf.Navigator(vehicle, mission.start, threads=False)
+    events = [e for e in events_of(vehicle, mission) if e.sensor != "gps" or e.time_s < dive_s]
+    wrong = [
+        e._replace(value=tuple(change(np.array(e.value)).tolist())) if e.sensor == sensor and e.time_s >= fault_s else e
+        for e in events
+    ]
+    one_by_one(nav, wrong)
+    error = nav.state.minus(truth_at(mission.truth, nav.time_s))
+    return nav, math.hypot(*error[:2])

@@ -1,11 +1,10 @@
 """A DVL that is read beam by beam speaks against the drive like one with three axes."""
 
 import dataclasses
-import math
 
 import numpy as np
 import pytest
-from faults_run import truth_at
+from faults_run import dived
 from feeding import DRIVE, events_of, one_by_one
 
 import navfilter as nf
@@ -24,22 +23,6 @@ def dive():
     return vehicle, simulate(vehicle, survey(END_S, surface_s=100.0), seed=1, duration_s=END_S)
 
 
-def flown(vehicle, mission, sensor, change):
-    nav = nf.Navigator(vehicle, mission.start, threads=False)
-    events = [e for e in events_of(vehicle, mission) if e.sensor != "gps" or e.time_s < 100.0]
-    one_by_one(
-        nav,
-        [
-            e._replace(value=tuple(change(np.array(e.value)).tolist()))
-            if e.sensor == sensor and e.time_s >= FAULT_S
-            else e
-            for e in events
-        ],
-    )
-    error = nav.state.minus(truth_at(mission.truth, nav.time_s))
-    return nav, math.hypot(*error[:2])
-
-
 @pytest.mark.parametrize(
     ("sensor", "change"),
     [
@@ -51,7 +34,7 @@ def flown(vehicle, mission, sensor, change):
 )
 def test_a_fault_of_the_drive_or_of_the_beams_loses_nothing(dive, sensor, change):
     """A kilometre and a half, and 500 m, in four minutes before."""
-    nav, error_m = flown(*dive, sensor, change)
+    nav, error_m = dived(*dive, sensor, change, FAULT_S)
     assert error_m < 6.0 and error_m < nav.state.bounds.horizontal_m
     if sensor == DRIVE:
         assert nav.counts["contradicted"] or nav.counts["realigned"]
@@ -61,7 +44,7 @@ def test_a_fault_of_the_drive_or_of_the_beams_loses_nothing(dive, sensor, change
 
 def test_residuals_of_beams_are_a_velocity(dive):
     vehicle, mission = dive
-    nav, _ = flown(vehicle, mission, "dvl", lambda v: v)
+    nav, _ = dived(vehicle, mission, "dvl", lambda v: v, FAULT_S)
     channel, state = nav.filter.channels["dvl"], nav.filter.memory.nav
     off_b = np.array([0.3, -0.2, 0.1])
     beams = np.concatenate([vehicle.sensors["dvl"].beams() @ off_b, np.full(4, np.nan)])

@@ -26,7 +26,7 @@ from navfilter.filter.refusals import Refusals
 from navfilter.filter.slack import reckoned, wander
 from navfilter.kernels import listen
 
-__all__ = ["decided", "heard", "is_back", "limits", "offset_places", "opened_state"]
+__all__ = ["alike", "decided", "heard", "is_back", "judges", "limits", "offset_places", "opened_state"]
 
 Array = NDArray[np.float64]
 
@@ -52,6 +52,18 @@ AGAIN = 0.02
 
 
 # ---------------------------------------------------------------- hearing refused readings
+def judges(channel: Channel) -> bool:
+    """Whether anything is to be made of refused readings of its kind that agree."""
+    return channel.sensor.open_loop != listen.NOTHING or channel.sensor.north is not None
+
+
+def alike(one: Channel, other: Channel) -> bool:
+    """Whether two sensors confirm the same of the state."""
+    if one.sensor.north is not None:
+        return other.sensor.north is not None
+    return one.sensor.open_loop == other.sensor.open_loop and one.axes == other.axes
+
+
 def heard(channel: Channel, P: Array, speed: float, time_s: float, drive_output: Array, period_s: float) -> Refusals:
     """The refusals of a channel with the reading that its kernel has just refused.
 
@@ -90,11 +102,10 @@ def heard(channel: Channel, P: Array, speed: float, time_s: float, drive_output:
     dt = max(time_s - before.last_s, 0.0)
     # what other sensors have corrected meanwhile is what the variance has lost
     corrected = np.maximum(np.array(before.seen) - seen, 0.0)
-    slack = corrected + wander(channel, dt) + reckoned(channel.sensor.open_loop, P, speed, dt, drive_output, period_s)
+    slack = corrected + wander(channel, dt) + reckoned(channel.sensor, P, speed, dt, drive_output, period_s)
     offset, variance = np.array(before.offset), np.array(before.variance) + slack
     nu, S = residual - offset, variance + white
-    if channel.sensor.open_loop == listen.HEADING:
-        nu = (nu + np.pi) % (2.0 * np.pi) - np.pi
+    channel.wrap(nu)
     squares = nu**2 / S
     dof = int(np.count_nonzero(np.isfinite(squares)))
     nis = float(np.nansum(squares))
@@ -126,12 +137,15 @@ def _begun(run: Refusals, residual: Array, white: Array, seen: Array, time_s: fl
 
 def limits(channel: Channel, z: Array, time_s: float) -> Array:
     """The gate's limits for the next reading: closer while it is looked at whether the sensor has jumped, while it is
-    astray, and after a dive; shut to one that is stale, or of a sensor that has been set aside or says nothing.
+    astray, and after a dive; shut to one that is stale, or of a sensor that has been set aside or says nothing; whole
+    where single components have been left out for long.
     """
     dived = channel.dive_s < time_s - channel.memory.used_s < math.inf
     if not (channel.stale or channel.doubted or dived):
         return channel.limits
     refused, closer = channel.memory.refused, channel.limits.copy()
+    if time_s - channel.memory.partly_since_s >= channel.partly_for_s:
+        closer[0] = np.inf
     held = refused is not None and refused.jumped and refused.count > 1 and not refused.scatters
     held = held and not (channel.sensor.open_loop == listen.POSITION and channel.axes == 3)
     if held or channel.memory.astray:
@@ -184,9 +198,14 @@ def opened_state(channel: Channel, refused: Refusals, moved_m: float) -> Array:
     offset, seen = np.nan_to_num(refused.offset), np.isfinite(channel.res[: channel.axes])
     size = np.where(seen, offset**2 + np.array(refused.variance), 0.0)
     kind = channel.sensor.open_loop
-    if kind == listen.HEADING:
+    north = channel.sensor.north
+    if north is not None:
         # heading and velocity are turned (`course.turned`); the way made good may be turned by as much
-        V[range(2), range(2)] = (2.0 * math.sin(0.5 * min(abs(float(offset[0])), math.pi)) * moved_m) ** 2
+        V[range(2), range(2)] = (2.0 * math.sin(0.5 * min(abs(float(offset[north])), math.pi)) * moved_m) ** 2
+        # a tilt that fits is not opened
+        beyond = offset**2 > channel.limits[1] * (np.array(refused.variance) + np.array(refused.seen))
+        tilt = np.where(beyond & (np.arange(channel.axes) != north), size, 0.0)
+        V[6:8, 6:8] = channel.near[:, 6:8].T @ (tilt[:, None] * channel.near[:, 6:8])
         return V
     first = 0 if kind == listen.POSITION else 3
     N = channel.near[:, first : first + 3]
@@ -220,8 +239,7 @@ def is_back(channel: Channel, constant: Array, P: Array) -> bool:
         Covariance.
     """
     near, plain = channel.near[:, :9], channel.res + constant
-    if channel.sensor.open_loop == listen.HEADING:
-        plain = (plain + np.pi) % (2.0 * np.pi) - np.pi
+    channel.wrap(plain)
     seen = np.einsum("ij,jk,ik->i", near, P[:9, :9], near)
     meanwhile = (AGAIN * constant) ** 2
     squares = plain**2 / (seen + np.diag(channel.R) + wander(channel, math.inf, with_offset=False) + meanwhile)

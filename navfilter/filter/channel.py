@@ -88,6 +88,9 @@ class ChannelMemory:
         Of fixes that are refused beside dead reckoning without an inertial unit: their way, and its.
     turns : Turns or None
         Of a compass that was refused: what it said of the gyros.
+    partly_since_s : float
+        Since when components of each reading have been left out alone, of a sensor whose others do not tell what those
+        do (`Sensor.single_s`); NaN where they are not [s].
     same_s, again_s : float
         Since when its value has been the same, and when it came again last [s].
     last : ndarray
@@ -112,6 +115,7 @@ class ChannelMemory:
     scatter: Scatter | None = None
     reckoned: Reckoned | None = None
     turns: Turns | None = None
+    partly_since_s: float = math.nan
     same_s: float = math.nan
     again_s: float = math.nan
     last: Array = field(default_factory=lambda: np.zeros(0))
@@ -136,6 +140,7 @@ class ChannelMemory:
         if time_s - self.rejected_since_s >= DISPUTED_S:
             self.disputed_s = time_s
         self.rejected_since_s, self.used_s, self.refused, self.astray_m = math.nan, time_s, None, math.nan
+        self.partly_since_s = math.nan
         if math.isnan(self.agreed_s):
             self.agreed_s = time_s
 
@@ -164,6 +169,7 @@ class Channel:
         self.known = self.kernel.__module__ == measurement.__name__ and self.constants.ndim == 1
         self.moves, self.turns = sensor.sees_velocity, sensor.needs_rate or any(sensor.lever_arm_sd_m)
         self.reading = np.full(sensor.axes, np.nan)  # the last one that Python was asked for
+        self.partly_for_s = sensor.single_s if sensor.single_gates else math.inf
         self.samples = 1  # of the drive, of which a reading is the mean
         self.forget()
 
@@ -243,8 +249,8 @@ class Channel:
             self._last[:] = self._memory.last
         self._memory.last = self._last
         starts = begin, ends[0], self.constants.size, *ends[1:9]
-        is_so = self.moves, self.turns, self.sensor.reads_rate
-        self.spot = np.array([*self.dims, *self._addresses(), *is_so, *starts, at[8], at[5]], dtype=np.int64)
+        is_so, partly = (self.moves, self.turns, self.sensor.reads_rate), self.partly_for_s < math.inf
+        self.spot = np.array([*self.dims, *self._addresses(), *is_so, *starts, at[8], at[5], partly], dtype=np.int64)
         return self.spot
 
     def _addresses(self) -> tuple[int, int, int, int]:
@@ -304,8 +310,16 @@ class Channel:
     def doubted(self) -> bool:
         """Whether its next reading is Python's to judge."""
         memory = self._memory
-        told = memory.refused is not None or memory.astray or bool(memory.alone)
+        told = memory.refused is not None or memory.astray or bool(memory.alone) or memory.partly_since_s > -math.inf
         return told or self.offset or (memory.scatter is not None and memory.scatter.watched)
+
+    def use(self, time_s: float) -> None:
+        """Note that its last reading, of this time, has been used, whole or in part."""
+        memory, partly_since_s = self._memory, self._memory.partly_since_s
+        memory.use(time_s)
+        known = np.count_nonzero(np.isfinite(self.note[3 : 3 + self.axes]))
+        if self.partly_for_s < math.inf and self.verdict[1] < known:
+            memory.partly_since_s = time_s if math.isnan(partly_since_s) else partly_since_s
 
     @property
     def aside(self) -> bool:
@@ -345,10 +359,18 @@ class Channel:
 
     def unwrap(self, x: Array) -> None:
         """Bring the residual of a heading that has jumped within half a turn of its error, before that is taken off."""
-        if self.sensor.open_loop == listen.HEADING:
+        if self.sensor.north is not None:
             first = self.group.start - 9
             error = self.C @ x[first : first + self.group.errors]
-            self.res[:] = (self.res - error + np.pi) % (2.0 * np.pi) - np.pi + error
+            own = self.res - error
+            self.wrap(own)
+            self.res[:] = own + error
+
+    def wrap(self, residual: Array) -> None:
+        """Bring the difference of two headings within half a turn, in place."""
+        north = self.sensor.north
+        if north is not None:
+            residual[north] = (residual[north] + np.pi) % (2.0 * np.pi) - np.pi
 
     def ticks(self, time_s: float) -> int:
         """Periods of the sensor since it was last heard; 0 at the first reading."""

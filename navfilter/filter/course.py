@@ -108,7 +108,8 @@ def against_the_compass(filter: Filter, fixes: Channel, course: Course, time_s: 
     recent = [c for c in channels if time_s - c.memory.used_s < RECENT_S]
     compasses = [c for c in recent if c.sensor.corrects == "heading"]
     moving = any(c.sensor.open_loop == listen.VELOCITY and c.sensor.corrects == "velocity" for c in recent)
-    if course.count < 3 or not moving or len(compasses) != 1 or compasses[0].kernel is not measurement.heading:
+    levelled = (measurement.heading, measurement.attitude)
+    if course.count < 3 or not moving or len(compasses) != 1 or compasses[0].kernel not in levelled:
         return None
     compass = compasses[0]
     told = math.radians(filter.start.heading_sd_deg)
@@ -116,7 +117,9 @@ def against_the_compass(filter: Filter, fixes: Channel, course: Course, time_s: 
     turn = seen_turned(course, fixes, float(filter.memory.P[8, 8]), believed)
     if turn is None:
         return None
-    models = compass.sensor.models if compass.offset else with_offsets(compass.sensor.models, abs(turn[0]))
+    models = compass.sensor.models
+    if not compass.offset:
+        models = with_offsets(models, abs(turn[0]), only=compass.sensor.north)
     return Change(compass.name, models, offsets=True, turn=turn)
 
 
@@ -170,7 +173,7 @@ def told_here(fixes: Channel, nav: Array, variance: float) -> tuple[float, ...]:
 
 def used(filter: Filter, channel: Channel, time_s: float) -> None:
     """Note that a reading of this time has been used."""
-    channel.memory.use(time_s)
+    channel.use(time_s)
     if channel.memory.alone and _confirmed(filter, channel):
         channel.memory.alone = ()
 
@@ -246,7 +249,7 @@ def turned(filter: Filter, compass: Channel, angle: float, variance: float) -> N
         [rad], [rad^2]
     """
     memory, kept, tape = filter.memory, compass.memory, filter.tape
-    P, nav, x, a = memory.P, memory.nav, memory.x, compass.axes
+    P, nav, x, a, north = memory.P, memory.nav, memory.x, compass.axes, compass.sensor.north
     R, M = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]]), np.eye(len(P))
     nav[3:5], nav[6:12] = R @ nav[3:5], (R @ nav[6:12].reshape(2, 3)).ravel()
     for at in (3, 6):
@@ -254,7 +257,7 @@ def turned(filter: Filter, compass: Channel, angle: float, variance: float) -> N
     P[:] = M @ P @ M.T
     if tape is not None:
         tape.change(M)
-    places = compass.group.start + offset_states(compass.sensor.models, compass.period_s)
+    places = compass.group.start + offset_states(compass.sensor.models, compass.period_s, north)
     P[places, places] = np.maximum(np.diag(P)[places], angle**2)
     # a velocity that is known in b goes with the heading
     along = np.zeros(len(P))
@@ -262,12 +265,12 @@ def turned(filter: Filter, compass: Channel, angle: float, variance: float) -> N
     P += angle**2 * np.outer(along, along)
     P[:] = 0.5 * (P + P.T)
     kalman.predict(P, nav, x, memory.acc, compass.model, compass.mem, compass.dims, 0)
-    reading = np.full(2, math.nan)  # only its slopes are asked for
+    reading = np.full(a + 1, math.nan)  # only its slopes are asked for
     if compass.kernel is measurement.magnetometer:  # they are those of the field that it feels: level, of unknown dip
-        north = math.cos(compass.constants[0]), math.sin(compass.constants[0]), 0.0
-        reading = np.append(nav[6:15].reshape(3, 3).T @ north, math.nan)
+        field = math.cos(compass.constants[0]), math.sin(compass.constants[0]), 0.0
+        reading = np.append(nav[6:15].reshape(3, 3).T @ field, math.nan)
     compass.kernel(reading, nav, compass.rate, x[compass.parameters], compass.constants, compass.near, compass.res)
-    compass.res[:], compass.H[:, 9 : compass.dims[2]] = 0.0, 0.0
+    compass.res[:], compass.res[north], compass.H[:, 9 : compass.dims[2]] = math.nan, 0.0, 0.0
     nothing, open_gate = np.zeros_like(compass.C), np.full(a + 1, np.inf)
     kalman.update(P, nav, x, nothing, variance * np.eye(a), compass.mem, compass.dims, open_gate)
     memory.unfolded = 0

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from navfilter.filter.channel import Channel
 
-__all__ = ["Widening", "reset_variance", "state_contradicted", "whole_residual", "widening"]
+__all__ = ["Widening", "reset_variance", "state_contradicted", "whole_heading", "whole_residual", "widening"]
 
 Array = NDArray[np.float64]
 
@@ -149,3 +149,9 @@ def whole_residual(channel: Channel, x: Array) -> Array:
     residual = channel.res + channel.C @ x[first : first + channel.group.errors]
     residual[~channel.H.any(axis=1)] = np.nan
     return np.asarray(residual)
+
+
+def whole_heading(channel: Channel, x: Array) -> float:
+    """Of a compass that component of `whole_residual` which is a heading [rad]."""
+    assert channel.sensor.north is not None
+    return float(whole_residual(channel, x)[channel.sensor.north])

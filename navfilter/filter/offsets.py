@@ -69,9 +69,12 @@ def has_offset(models: ErrorModel | tuple[ErrorModel, ...]) -> bool:
     return any(isinstance(part, Offset) for model in each for part in _parts(model))
 
 
-def offset_states(models: tuple[ErrorModel, ...], period_s: float) -> NDArray[np.int64]:
-    """Which states of the error models of a sensor are its offsets, axis by axis; empty where it has none."""
-    return np.array([at for _, at, part in _places(models, period_s) if isinstance(part, Offset)], dtype=np.int64)
+def offset_states(models: tuple[ErrorModel, ...], period_s: float, only: int | None = None) -> NDArray[np.int64]:
+    """Which states of the error models of a sensor are its offsets, axis by axis, or of one axis only; empty where it
+    has none.
+    """
+    found = [(axis, at) for axis, at, part in _places(models, period_s) if isinstance(part, Offset)]
+    return np.array([at for axis, at in found if only in (None, axis)], dtype=np.int64)
 
 
 def proportions(models: tuple[ErrorModel, ...], period_s: float) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
@@ -91,10 +94,14 @@ def _places(models: tuple[ErrorModel, ...], period_s: float) -> Iterator[tuple[i
 
 
 def with_offsets(
-    models: tuple[ErrorModel, ...], size: float = 0.0, at_m_s: float = 0.0, density: float = 0.0
+    models: tuple[ErrorModel, ...],
+    size: float = 0.0,
+    at_m_s: float = 0.0,
+    density: float = 0.0,
+    only: int | None = None,
 ) -> tuple[ErrorModel, ...]:
-    """Error models with an `Offset` of this standard deviation each, which wanders with a density, and beside it a
-    `Proportion` at a speed; without any where the size is 0.
+    """Error models with an `Offset` of this standard deviation each, or of one axis only, which wanders with a density,
+    and beside it a `Proportion` at a speed; without any where the size is 0.
 
     Examples
     --------
@@ -105,8 +112,9 @@ def with_offsets(
     plain = tuple(_plain(model) for model in models)
     if not size:
         return plain
-    opened = tuple(model + Offset(density=density, start_sd=size) for model in plain)
-    return tuple(model + Proportion(start_sd=size, at_m_s=at_m_s) for model in opened) if at_m_s else opened
+    added: tuple[Offset, ...] = (Offset(density=density, start_sd=size),)
+    added += (Proportion(start_sd=size, at_m_s=at_m_s),) if at_m_s else ()
+    return tuple(sum(added, start=m) if only in (None, axis) else m for axis, m in enumerate(plain))
 
 
 def described(models: Iterable[tuple[str, Errors]], axes: Mapping[str, int]) -> dict[str, Errors]:

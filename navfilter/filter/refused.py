@@ -57,8 +57,8 @@ def let_in(filter: Filter, channel: Channel, time_s: float, nis: float, dof: int
         return False
     if channel.sensor.ground:
         kept.way = refused_way.with_refused(filter, channel, time_s)
-    if channel.sensor.open_loop == listen.HEADING and channel.axes == 1:
-        turns.refused(filter, channel, time_s, float(gating.whole_residual(channel, memory.x)[0]))
+    if channel.sensor.north is not None:
+        turns.refused(filter, channel, time_s, gating.whole_heading(channel, memory.x))
     if channel.moves:
         filter.accused = ramp.accused(filter, channel, time_s)
         if filter.accused is not None:
@@ -83,7 +83,7 @@ def let_in(filter: Filter, channel: Channel, time_s: float, nis: float, dof: int
         P[range(3), range(3)] += np.nan_to_num(channel.res[:3]) ** 2
         _update(filter, channel, time_s)
         return True
-    if channel.sensor.open_loop != listen.NOTHING and _agreed(filter, channel, time_s):
+    if agreement.judges(channel) and _agreed(filter, channel, time_s):
         return True
     if gating.state_contradicted(filter.channels.values(), time_s):
         P[range(9), range(9)] += gating.reset_variance(filter.channels.values())
@@ -134,13 +134,14 @@ def _agreed(filter: Filter, channel: Channel, time_s: float) -> bool:
         return False
     moved_m = float(np.linalg.norm(NavState.unpack(time_s, memory.nav).minus(filter.start.state)[:2]))
     for other in filter.channels.values():
-        if other.sensor.open_loop == channel.sensor.open_loop and other.axes == channel.axes:
+        if agreement.alike(other, channel):
             other.memory.agreed_s = math.nan
     memory.counts["reset"] += 1
     told = math.sqrt(float(memory.P[8, 8]))
     memory.P[:9, :9] += agreement.opened_state(channel, refused, moved_m)
-    if channel.sensor.open_loop == listen.HEADING:
-        angle, variance = refused.offset[0], refused.variance[0] + channel.slow[0]
+    north = channel.sensor.north
+    if north is not None:
+        angle, variance = refused.offset[north], refused.variance[north] + channel.slow[north]
         most = abs(angle) + IN_LINE * told
         kept.alone = (most, float(memory.nav[0]), float(memory.nav[1]))
         filter.jumped.append(Change(channel.name, channel.sensor.models, offsets=True, turn=(angle, variance)))
@@ -230,10 +231,12 @@ def _turned_to_the_compass(filter: Filter) -> None:
     for channel in filter.channels.values():
         kept = channel.memory
         lasts = now_s - kept.rejected_since_s >= realignment.REFUSED_S and now_s - kept.last_s < realignment.HEARD_S
-        if lasts and channel.sensor.open_loop == listen.HEADING and channel.axes == 1 and not channel.offset:
-            off = float(gating.whole_residual(channel, filter.memory.x)[0])
+        north = channel.sensor.north
+        if lasts and north is not None and not channel.offset:
+            off = gating.whole_heading(channel, filter.memory.x)
             if abs(off) < math.tau:  # else it is no angle
-                turned(filter, channel, math.remainder(off, math.tau), float(channel.white[0, 0]) + channel.slow[0])
+                variance = float(channel.white[north, north]) + channel.slow[north]
+                turned(filter, channel, math.remainder(off, math.tau), variance)
                 return  # what another one read was held against the heading before
 
 
@@ -249,12 +252,12 @@ def _jumped(filter: Filter, channel: Channel, time_s: float) -> None:
     kept.aside = None if refused.back >= LEAST else aside.jumped(filter, channel, np.array(refused.offset))
     if kept.aside is not None:
         memory.P[places, places] += size**2
-        opened = with_offsets(models, size, density=kept.aside.density)
+        opened = with_offsets(models, size, density=kept.aside.density, only=channel.sensor.jumps)
         filter.jumped.append(Change(channel.name, opened, offsets=True))
     elif refused.back >= LEAST or not len(places):
         back, speed = len(places) > 0, math.hypot(*memory.nav[3:6].tolist())
         moving = channel.sensor.open_loop == listen.VELOCITY and speed > SLOW
-        opened = with_offsets(models, 0.0 if back else size, speed if moving else 0.0)
+        opened = with_offsets(models, 0.0 if back else size, speed if moving else 0.0, only=channel.sensor.jumps)
         filter.jumped.append(Change(channel.name, opened, offsets=True))
     else:
         memory.P[places, places] += size**2

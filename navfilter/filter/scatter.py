@@ -18,7 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.filter.slack import reckoned, wander
-from navfilter.kernels import listen
 
 if TYPE_CHECKING:
     from navfilter.filter.channel import Channel
@@ -118,8 +117,7 @@ def heard(filter: Filter, channel: Channel, time_s: float, frozen: bool) -> floa
     if watched and dt <= APART * channel.period_s:
         before, step_before = np.array(kept.last).reshape(2, a)
         step = residual - before
-        if channel.sensor.open_loop == listen.HEADING:
-            step = (step + np.pi) % (2.0 * np.pi) - np.pi
+        channel.wrap(step)
         squares = (*squares, tuple(((step - step_before) ** 2 / WHITE).tolist()))[-MOST:]
     plain = np.diag(channel.R) - excess if added else np.diag(channel.R)
     table, expected = np.array(squares).reshape(-1, a), plain + _slack(filter, channel)
@@ -134,10 +132,10 @@ def heard(filter: Filter, channel: Channel, time_s: float, frozen: bool) -> floa
 
 def _slack(filter: Filter, channel: Channel) -> Array:
     """What drive and coloured error add to the variance of a reading, as its second differences tell it, by axis."""
-    memory, kind, dt = filter.memory, channel.sensor.open_loop, channel.period_s
+    memory, sensor, dt = filter.memory, channel.sensor, channel.period_s
     drive = filter.drive_output, filter.vehicle.drive.period_s
     speed = math.hypot(*memory.nav[3:6].tolist())
-    return np.asarray((wander(channel, dt) + reckoned(kind, memory.P, speed, dt, *drive)) * STEP / WHITE)
+    return np.asarray((wander(channel, dt) + reckoned(sensor, memory.P, speed, dt, *drive)) * STEP / WHITE)
 
 
 def beyond(squares: Array, expected: Array) -> tuple[float, ...]:

@@ -28,7 +28,6 @@ from numpy.typing import NDArray
 from navfilter.filter.channel import UNDISPUTED_S, Channel
 from navfilter.filter.jumps import bias_of
 from navfilter.kernels import drive_watch as kernel
-from navfilter.kernels import listen
 
 if TYPE_CHECKING:
     from navfilter.filter.filter import Filter
@@ -120,16 +119,17 @@ def _undisputed(filter: Filter, time_s: float) -> bool:
 def _compass(filter: Filter) -> Channel | None:
     """One that has been heard just now."""
     heard = [c for c in filter.channels.values() if filter.memory.time_s - c.memory.last_s < HEARD_S]
-    return next((c for c in heard if c.sensor.open_loop == listen.HEADING and c.axes == 1), None)
+    return next((c for c in heard if c.sensor.north is not None), None)
 
 
 def _apart(filter: Filter, compass: Channel) -> tuple[float, float]:
     """Heading by the last reading of a compass, and that less how far the gyros have turned [rad]."""
     memory, unit = filter.memory, filter.memory.watch[kernel.UNIT]
-    errors = compass.group.slice.start - 9 + np.arange(compass.group.errors)
-    used, residual, variance = compass.note[2:5].tolist()
-    left = residual * (float(compass.R[0, 0]) / variance if used else 1.0)
-    heading = math.atan2(memory.nav[9], memory.nav[6]) + left + float(compass.C[0] @ memory.x[errors])
+    errors, north = compass.group.slice.start - 9 + np.arange(compass.group.errors), compass.sensor.north
+    assert north is not None
+    used, residual, variance = compass.note[[2, 3 + north, 3 + compass.axes + north]].tolist()
+    left = residual * (float(compass.R[north, north]) / variance if used else 1.0)
+    heading = math.atan2(memory.nav[9], memory.nav[6]) + left + float(compass.C[north] @ memory.x[errors])
     return heading, heading - float(unit[kernel.TURNED])
 
 
@@ -138,10 +138,11 @@ def _ramps(compass: Channel | None, looks: Array, axis: int, row: int, size: flo
     if compass is None:
         return True
     heard, e = np.flatnonzero(np.isfinite(looks[:, APART])), compass.group.errors
-    tick, P0, C = compass.group.Phi[:e, :e], compass.group.P0[:e, :e], compass.C[0]
+    north = compass.sensor.north
+    tick, P0, C = compass.group.Phi[:e, :e], compass.group.P0[:e, :e], compass.C[north]
     look = np.linalg.matrix_power(tick, round(EVERY_S / compass.period_s))
     later = np.array([C @ np.linalg.matrix_power(look, k) @ P0 @ C for k in range(len(looks))])
-    noise = later[np.abs(np.subtract.outer(heard, heard))] + float(compass.white[0, 0]) * np.eye(len(heard))
+    noise = later[np.abs(np.subtract.outer(heard, heard))] + float(compass.white[north, north]) * np.eye(len(heard))
     time_s, heading, apart = looks[heard][:, [TIME_S, HEADING, APART]].T
     since_s, before = float(looks[row, TIME_S]), float(looks[row, VARIANCE + axis])
     slope, variance = ramp_beyond_deviation(time_s, heading, apart, noise, since_s, before)

@@ -12,6 +12,7 @@ from navfilter.kernels import listen
 
 if TYPE_CHECKING:
     from navfilter.filter.channel import Channel
+    from navfilter.sensors import Sensor
 
 __all__ = ["reckoned", "wander"]
 
@@ -31,14 +32,14 @@ def wander(channel: Channel, dt: float, with_offset: bool = True) -> Array:
     return np.asarray(np.minimum(np.diag(tick) * ticks, 2.0 * np.diag(C @ P0 @ C.T)))
 
 
-def reckoned(kind: int, P: Array, speed: float, dt: float, drive_output: Array, period_s: float) -> float:
-    """Variance by which dead reckoning may err in a time, in the units of a kind of sensor."""
+def reckoned(sensor: Sensor, P: Array, speed: float, dt: float, drive_output: Array, period_s: float) -> float:
+    """Variance by which dead reckoning may err in a time, in the units of a sensor."""
     C, white = drive_output[:, :-1], drive_output[:, -1]
     m = 9 + C.shape[1]
     bias = np.einsum("ij,jk,ik->i", C, P[9:m, 9:m], C)
-    if kind == listen.HEADING:
+    if sensor.north is not None:
         return float(bias[:3].max() * dt**2 + white[:3].max() * period_s * dt)
-    if kind == listen.VELOCITY:
+    if sensor.open_loop == listen.VELOCITY:
         tilt = GRAVITY**2 * max(P[6, 6], P[7, 7])
         return float((bias[3:].max() + tilt) * dt**2 + white[3:].max() * period_s * dt)
     return float((np.diag(P)[3:6].max() + speed**2 * P[8, 8]) * dt**2)

@@ -95,7 +95,10 @@ def refused(filter: Filter, channel: Channel, time_s: float, residual: float) ->
     before = kept.turns or Turns()
     if time_s - before.time_s < STEP_S or not filter.watch.active or (w[:3, kernel.HEEDED] > kernel.NOISY).any():
         return
-    noise = float(2.0 * channel.R[0, 0] + wander(channel, time_s - before.time_s)[0])
+    if math.isnan(residual):  # an attitude without a heading
+        return
+    north = channel.sensor.north
+    noise = float(2.0 * channel.R[north, north] + wander(channel, time_s - before.time_s)[north])
     now = _stepped(before, time_s, _heading(memory.nav) + residual, w, noise)
     kept.turns = now
     axis = int(np.argmax(np.abs(memory.nav[12:15] * w[:3, kernel.MEAN])))

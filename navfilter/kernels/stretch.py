@@ -31,12 +31,13 @@ UNSURE_HEADING = 0.01
 # of `past.sight` where its place or clock is a state, of the drive's motion for that, and of what its equation bends by
 # (0: none); whether it moves, turns, and reads the drive's own rates; then where in `bench` its parts stand: working
 # memory, constants and how many, rate, model, C, white, lever, R, limits, facts; in the working memory the verdict, and
-# how long the record for the smoother is. One more row is for the drive: dimensions of a fold, addresses of its steps,
-# its hold and `correction` in the first three, in MEM its work space, in RECORD the longest record of all.
+# how long the record for the smoother is; whether a reading of which components are left out is Python's to judge. One
+# more row is for the drive: dimensions of a fold, addresses of its steps, its hold and `correction` in the first three,
+# in MEM its work space, in RECORD the longest record of all.
 EQUATION, SIGHT, MOTION, BEND, MOVES, TURNS, READS_RATE = range(7, 14)
 STEPS, HOLD, CORRECTION = EQUATION, SIGHT, MOTION
 MEM, CONSTANTS, CONSTANTS_SIZE, RATE, MODEL, OUTPUT, WHITE, LEVER_NOISE, NOISE, LIMITS, FACTS = range(14, 25)
-VERDICT, RECORD, PLAN = 25, 26, 27
+VERDICT, RECORD, PARTLY, PLAN = range(25, 29)
 
 # Elements of `now`: time of the state and of the last sample, stamp of the last sample, time of the last row written.
 TIME_S, SAMPLE_S, BEFORE_S, ROW_S = range(4)
@@ -342,6 +343,20 @@ def _carried(sources):
 
 
 @_keyed
+def _partly(sources):
+    @njit(cache=True, **UNCOUNTED)
+    def _partly(note, a):
+        """Whether components of a reading that was used have been left out."""
+        _ = sources
+        known = 0
+        for i in range(a):
+            known += not math.isnan(note[3 + i])
+        return note[1] < known
+
+    return _partly
+
+
+@_keyed
 def _seen(sources):
     @njit(cache=True, **UNCOUNTED)
     def _seen(watch, time_s, same):
@@ -479,7 +494,7 @@ def stretch(sources):
             verdict, a = own[MEM] + own[VERDICT], own[0]
             for j in range(3 + 2 * a):
                 notes[e, j] = bench[verdict + j]
-            if notes[e, 2] == 0.0:
+            if notes[e, 2] == 0.0 or (own[PARTLY] and _partly(notes[e], a)):
                 return JUDGED
             _note_record(bench[own[MEM] : own[MEM] + own[RECORD]], a, own, cursor, records, heads)
             _note_row(now, cursor, settings[INTERVAL_S], nav, x, P, acc, inertial, rows, info, work)

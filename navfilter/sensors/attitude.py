@@ -66,6 +66,7 @@ class Attitude(Sensor):
     kernel: ClassVar[Callable[..., None]] = staticmethod(measurement.attitude)
     confirms_state: ClassVar[bool] = False
     corrects: ClassVar[str] = "heading"
+    north: ClassVar[int | None] = 2
     contents: ClassVar[tuple[tuple[Columns, ...], ...]] = ((ATTITUDE,),)
     plausible: ClassVar[Plausible | None] = USUAL
     template: ClassVar[Example | None] = Example(

@@ -92,6 +92,7 @@ class Heading(Sensor):
     open_loop: ClassVar[int] = listen.HEADING
     gives: ClassVar[str] = "heading"
     corrects: ClassVar[str] = "heading"
+    north: ClassVar[int | None] = 0
     contents: ClassVar[tuple[tuple[Columns, ...], ...]] = ((HEADING,), (FIELD,))
     beside: ClassVar[tuple[Columns, ...]] = (TEMPERATURE,)
     plausible: ClassVar[Plausible | None] = USUAL

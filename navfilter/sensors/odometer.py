@@ -38,7 +38,8 @@ class Odometer(BodyVelocity):
     -----
     As `BodyVelocity`, with zeros for the second and third axis. Their errors say how much the vehicle slips sideways
     and sways on its springs. The lever arm leads to the axle that does not steer: only there nothing moves sideways in
-    a turn. A component that contradicts the others (a wheel that spins, a side slip) is left out alone.
+    a turn. A component that contradicts the others (a wheel that spins, a side slip) is left out alone, for five
+    seconds: after that the reading is refused whole, and speaks against the inertial unit as a DVL does.
     """
 
     error: Errors = (White(sd=0.05), White(sd=0.1), White(sd=0.1))
@@ -48,8 +49,9 @@ class Odometer(BodyVelocity):
 
     reads: ClassVar[int] = 1
     single_gates: ClassVar[bool] = True
+    single_s: ClassVar[float] = 5.0  # wheels spin, and slip in a turn, for no longer
     gives: ClassVar[str] = ""
-    ground: ClassVar[int] = 0
+    jumps: ClassVar[int | None] = 0  # what holds it to its way does not
     contents: ClassVar[tuple[tuple[Columns, ...], ...]] = ((SPEED,),)
     template: ClassVar[Example | None] = Example(
         "odometer",
@@ -63,6 +65,11 @@ class Odometer(BodyVelocity):
         (-1.0, 0.0, 0.4),
         live=False,
     )
+
+    @property
+    def ground(self) -> int:  # type: ignore[override]
+        """With constraints it tells all of the velocity."""
+        return 3 if self.constrained else 0
 
     def read(self, value: Array) -> Array | None:
         """The speed, and zeros (NaN without constraints)."""

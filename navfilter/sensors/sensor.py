@@ -84,6 +84,8 @@ class Sensor:
         term while the heading is hardly known.
     single_gates : bool
         A component that contradicts the others is left out alone, as long as more than half of them remain.
+    single_s : float
+        For so long on end [s]: where the others do not tell what it does, the reading is refused whole after that.
     tracks : int
         The axes are so many equal sets: a reading's own sd may be given for one of them.
     bend : callable, optional
@@ -104,6 +106,10 @@ class Sensor:
         So many of its first components are of the velocity over ground: three axes, or the beams of a DVL.
     corrects : str
         What of the state its readings bound: "position", "velocity", "heading", "depth".
+    jumps : int, optional
+        The one component that may come to be off by a constant; None: any may.
+    north : int, optional
+        Which component of its error is that of a heading: with it the sensor is a compass, whatever else it reads.
     contents, beside : tuple
         What a stream of a file may consist of: alternatives, each of one or more groups of columns; groups that may
         stand beside them.
@@ -133,6 +139,7 @@ class Sensor:
     reads_rate: ClassVar[bool] = False
     sees_velocity: ClassVar[bool] = False
     single_gates: ClassVar[bool] = False
+    single_s: ClassVar[float] = math.inf
     tracks: ClassVar[int] = 1
     bend: ClassVar[Callable[..., None] | None] = None
     late_s: ClassVar[float] = 0.0
@@ -141,6 +148,8 @@ class Sensor:
     gives: ClassVar[str] = ""
     ground: ClassVar[int] = 0
     corrects: ClassVar[str] = ""
+    jumps: ClassVar[int | None] = None
+    north: ClassVar[int | None] = None
     contents: ClassVar[tuple[tuple[Columns, ...], ...]] = ()
     beside: ClassVar[tuple[Columns, ...]] = ()
     plausible: ClassVar[Plausible | None] = None

@@ -1,0 +1,99 @@
+"""An AHRS is a compass, and wheels are a velocity over ground, where something goes wrong."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from faults_run import dived, truth_at
+from feeding import DRIVE
+
+import navfilter as nf
+from navfilter.filter.offsets import Offset, offset_states, with_offsets
+from navfilter.simulation.scenarios import COMPASS, survey, survey_vehicle
+from navfilter.simulation.simulate import simulate
+
+DEG = math.pi / 180.0
+FAULT_S, END_S = 120.0, 170.0
+
+
+def mission_of(leave_out, **sensors):
+    plain = survey_vehicle()
+    kept = {name: sensor for name, sensor in plain.sensors.items() if name != leave_out}
+    vehicle = dataclasses.replace(plain, sensors={**kept, **sensors})
+    return vehicle, simulate(vehicle, survey(END_S, surface_s=100.0), seed=1, duration_s=END_S)
+
+
+@pytest.fixture(scope="module")
+def ahrs():
+    tilt = nf.GaussMarkov(sd=0.3 * DEG, tau_s=30.0) + nf.White(sd=0.05 * DEG)
+    errors = (tilt, tilt, COMPASS + nf.White(sd=0.1 * DEG))
+    return mission_of("compass", ahrs=nf.Attitude(rate_hz=8.0, error=errors))
+
+
+@pytest.fixture(scope="module")
+def wheels():
+    sideways = nf.White(sd=0.05)
+    return mission_of("dvl", wheels=nf.Odometer(rate_hz=10.0, error=(nf.White(sd=0.02), sideways, sideways)))
+
+
+def heading_error(nav, mission):
+    return abs(nav.state.minus(truth_at(mission.truth, nav.time_s))[8])
+
+
+def test_a_start_that_looks_the_wrong_way_is_turned_by_an_ahrs(ahrs):
+    """500 m off in the dive, with a sd of 17 m, where nobody heard it."""
+    vehicle, mission = ahrs
+    start = dataclasses.replace(mission.start, heading_deg=mission.start.heading_deg + 180.0, heading_sd_deg=5.0)
+    nav, error_m = dived(vehicle, dataclasses.replace(mission, start=start), "ahrs", lambda v: v, FAULT_S)
+    assert nav.counts["reset"] == 1 and error_m < 6.0 and heading_error(nav, mission) < 2.0 * DEG
+
+
+def test_an_ahrs_that_is_turned_has_jumped(ahrs):
+    """Refused for good, it took position and bounds with it once the gate had widened."""
+    vehicle, mission = ahrs
+    nav, error_m = dived(vehicle, mission, "ahrs", lambda v: v + math.pi * np.eye(3)[2], FAULT_S)
+    assert nav.health.sensors["ahrs"].condition == "jumped"
+    assert error_m < 6.0 and error_m < nav.state.bounds.horizontal_m
+    assert heading_error(nav, mission) < min(2.0 * DEG, nav.state.bounds.heading_rad)
+
+
+@pytest.mark.parametrize(
+    ("kind", "change"),
+    [
+        ("ahrs", lambda v: v + 0.5 * np.eye(6)[3]),
+        ("ahrs", lambda v: v[[0, 1, 2, 4, 3, 5]]),
+        ("ahrs", lambda v: v * [1.0, 1.0, -1.0, 1.0, 1.0, 1.0]),
+        ("wheels", lambda v: v + 0.5 * np.eye(6)[3]),
+        ("wheels", lambda v: v[[0, 1, 2, 4, 3, 5]]),
+    ],
+    ids=["ahrs +50 mg", "ahrs swapped", "ahrs gyro z mirrored", "wheels +50 mg", "wheels swapped"],
+)
+def test_a_fault_of_the_unit_loses_nothing(request, kind, change):
+    """With wheels five kilometres, for the speed alone was left out for good; with an AHRS half of one."""
+    nav, error_m = dived(*request.getfixturevalue(kind), DRIVE, change, FAULT_S)
+    assert error_m < 12.0 and error_m < nav.state.bounds.horizontal_m
+    assert nav.counts["contradicted"] or nav.counts["realigned"]
+
+
+def test_a_speed_that_is_left_out_for_five_seconds_is_refused_whole(wheels):
+    """Until then sideways and upwards it goes on to count."""
+    vehicle, mission = wheels
+    track = nf.replay(vehicle, mission)
+    assert track.residuals["wheels"].count("rejected") == 0
+    stream = mission.streams["wheels"]
+    value, at = stream.value.copy(), np.searchsorted(stream.time_s, FAULT_S)
+    value[at:] += 1.0
+    wrong = mission.with_stream("wheels", dataclasses.replace(stream, value=value))
+    residuals = nf.replay(vehicle, wrong).residuals["wheels"]
+    first = int(np.flatnonzero(residuals.outcome != residuals.outcome[0])[0])
+    assert residuals.time_s[first] - FAULT_S == pytest.approx(5.0, abs=0.11)
+    assert np.all(residuals.dof[at:first] == 2.0) and residuals.dof[first] == 3.0
+
+
+def test_constants_of_one_component_only():
+    models = with_offsets((nf.White(sd=0.1),) * 3, 2.0, at_m_s=1.5, only=0)
+    assert [isinstance(model, nf.White) for model in models] == [False, True, True]
+    assert offset_states(models, 1.0).tolist() == [0, 1] == offset_states(models, 1.0, 0).tolist()
+    assert offset_states(models, 1.0, 2).size == 0
+    assert with_offsets((nf.White(sd=0.1),) * 2, 2.0)[1] == nf.White(sd=0.1) + Offset(start_sd=2.0)
