@@ -208,6 +208,8 @@ def lanes(*units: str) -> nf.Vehicle:
     return nf.Vehicle(**drives, sensors=dict(plain.sensors), dead_reckoning_lane=True)
 
 
+#: Stays at the surface, and has fixes all along.
+BOAT = "boat"
 VEHICLES: dict[str, Callable[[], nf.Vehicle]] = {
     "tactical": survey_vehicle,
     "mems": lambda: survey_vehicle(mems=True),
@@ -216,6 +218,7 @@ VEHICLES: dict[str, Callable[[], nf.Vehicle]] = {
     "ahrs": ahrs,
     "usbl": lambda: with_others(usbl=nf.Usbl(rate_hz=0.2)),
     "wheels": wheels,
+    BOAT: lambda: with_others(dvl=None),
     "reckoning": reckoning_vehicle,
     "lane": lambda: lanes("imu"),
     "lanes": lambda: lanes("a", "b"),
@@ -266,14 +269,14 @@ def arriving(vehicle: nf.Vehicle, mission: nf.Mission) -> Events:
 
 @functools.cache
 def mission_of(seed: int, which: str) -> tuple[nf.Vehicle, nf.Mission]:
-    """The survey: fixes until 140 s and from 500 s on."""
+    """The survey: fixes until 140 s and from 500 s on; of a boat all along."""
     vehicle = VEHICLES[which]()
     errors = {"gps": vehicle.sensors["gps"].error + nf.White(sd=0.5)}
     if "compass" in vehicle.sensors:
         errors["compass"] = vehicle.sensors["compass"].error + nf.White(sd=0.1 * DEG)
     vehicle = vehicle.with_error(**errors)
-    fixes = {"gps": Faults(available=((0.0, DIVE_S), (BACK_S, 1e9)))}
-    motion = survey(END_S, surface_s=110.0)
+    fixes = {} if which == BOAT else {"gps": Faults(available=((0.0, DIVE_S), (BACK_S, 1e9)))}
+    motion = survey(END_S, surface_s=110.0, depth_m=1.0) if which == BOAT else survey(END_S, surface_s=110.0)
     return vehicle, simulate(vehicle, motion, seed=seed, duration_s=END_S, faults=fixes)
 
 

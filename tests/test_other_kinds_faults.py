@@ -1,4 +1,6 @@
-"""An AHRS is a compass, and wheels are a velocity over ground, where something goes wrong."""
+"""An AHRS is a compass, wheels are a velocity over ground, and fixes are all that a boat has, where something goes
+wrong.
+"""
 
 import dataclasses
 import math
@@ -89,6 +91,36 @@ def test_a_speed_that_is_left_out_for_five_seconds_is_refused_whole(wheels):
     first = int(np.flatnonzero(residuals.outcome != residuals.outcome[0])[0])
     assert residuals.time_s[first] - FAULT_S == pytest.approx(5.0, abs=0.11)
     assert np.all(residuals.dof[at:first] == 2.0) and residuals.dof[first] == 3.0
+
+
+@pytest.fixture(scope="module")
+def boat():
+    return mission_of("dvl")
+
+
+@pytest.mark.parametrize(
+    "change",
+    [lambda v: v + 0.5 * np.eye(6)[3], lambda v: v[[1, 0, 2, 3, 4, 5]]],
+    ids=["accelerometer +50 mg", "gyros swapped"],
+)
+def test_fixes_bring_a_state_back_that_goes_away_from_them(boat, change):
+    """It went 5 and 40 km away from them, a fix a second, for they were refused and nothing else spoke for them."""
+    nav, error_m = dived(*boat, DRIVE, change, 60.0, math.inf)
+    assert error_m < 40.0 and error_m < nav.state.bounds.horizontal_m
+    assert 0 < nav.counts["opened"] < 6
+
+
+def test_fixes_that_jump_are_not_followed_without_a_velocity(boat):
+    north = np.array([100.0 / 6.371e6, 0.0, 0.0])
+    nav, error_m = dived(*boat, "gps", lambda v: v + north, 130.0, math.inf)
+    assert nav.counts["opened"] == 0 and error_m < 30.0  # 40 s by the unit alone
+
+
+def test_without_a_velocity_fixes_confirm_no_compass(boat):
+    """The way that they show says nothing of the heading: its bound was 3 degrees, and it was 25 degrees off."""
+    vehicle, mission = boat
+    nav, error_m = dived(vehicle, mission, "compass", lambda v: v + 25.0 * DEG, 0.0, math.inf)
+    assert heading_error(nav, mission) < nav.state.bounds.heading_rad and error_m < 10.0
 
 
 def test_constants_of_one_component_only():

@@ -176,13 +176,13 @@ def test_velocity_and_fixes_together_are_not_outvoted_by_a_compass():
         channels[name].memory.rejected_since_s = 89.0
         channels[name].near[:, first : first + 3], channels[name].note[3:6] = np.eye(3), (size, 0.0, 0.0)
     assert gating.state_contradicted(channels.values(), 100.0)
-    assert np.sqrt(gating.reset_variance(channels.values())[[0, 3]]) == pytest.approx([100.0, 10.0])
+    assert np.sqrt(gating.reset_variance(channels.values(), 100.0)[[0, 3]]) == pytest.approx([100.0, 10.0])
     channels["gps"].memory.rejected_since_s = 92.0
     assert not gating.state_contradicted(channels.values(), 100.0)
     # a residual of another unit says nothing, however long it lasts
     channels["gps"].memory.rejected_since_s, channels["dvl"].note[3:6] = 89.0, (1500.0, 0.0, 0.0)
     assert not gating.state_contradicted(channels.values(), 100.0)
-    assert np.sqrt(gating.reset_variance(channels.values())[3]) == pytest.approx(2.0)
+    assert np.sqrt(gating.reset_variance(channels.values(), 100.0)[3]) == pytest.approx(2.0)
 
 
 def test_the_track_has_the_bound_of_the_run():

@@ -107,7 +107,7 @@ def against_the_compass(filter: Filter, fixes: Channel, course: Course, time_s: 
     channels = filter.channels.values()
     recent = [c for c in channels if time_s - c.memory.used_s < RECENT_S]
     compasses = [c for c in recent if c.sensor.corrects == "heading"]
-    moving = any(c.sensor.open_loop == listen.VELOCITY and c.sensor.corrects == "velocity" for c in recent)
+    moving = any(_reckons(c) for c in recent)
     levelled = (measurement.heading, measurement.attitude)
     if course.count < 3 or not moving or len(compasses) != 1 or compasses[0].kernel not in levelled:
         return None
@@ -156,6 +156,12 @@ def seen_turned(
     return angle, variance + heading
 
 
+def _reckons(channel: Channel) -> bool:
+    """Whether a sensor tells the way made, if the heading is known."""
+    sensor = channel.sensor
+    return sensor.corrects == "velocity" and (sensor.ground > 0 or sensor.open_loop == listen.VELOCITY)
+
+
 def _noise(fixes: Channel) -> float:
     """Variance of a fix in one direction [m^2]."""
     return float(np.max(np.diag(fixes.white)[:2] + np.array(fixes.slow)[:2]))
@@ -180,9 +186,13 @@ def used(filter: Filter, channel: Channel, time_s: float) -> None:
 
 def _confirmed(filter: Filter, compass: Channel) -> bool:
     """Whether fixes have confirmed a compass to which the heading was set against what was believed before: they are
-    used, twice as far from there as they need to contradict it.
+    used, twice as far from there as they need to contradict it. Without a velocity over ground in b they say nothing of
+    the heading.
     """
     now_s, far_m = filter.memory.time_s, led_astray(compass, filter.memory.nav)
+    recent = [c for c in filter.channels.values() if now_s - c.memory.used_s < RECENT_S]
+    if filter.inertial and not any(_reckons(c) for c in recent):
+        return False
     for fixes in filter.channels.values():
         kept = fixes.memory
         calm = kept.refused is None and not kept.astray and now_s - kept.used_s < RECENT_S

@@ -30,6 +30,9 @@ MOST_OFF = {"position": 1e5, "velocity": 20.0, "depth": 1.2e4}
 MOTION = {"position": 0.0, "velocity": 2.0}
 #: It contradicts the state in so long [s]: within 8 s fixes that agree with dead reckoning have had their way.
 MOTION_S = 10.0
+#: Where nothing else tells how the vehicle moves, fixes that are refused contradict the state in the same time, once
+#: they are off by so many times what the first of them was [1]: they have not jumped, it has gone away from them.
+GROWN = 3.0
 #: A sensor counts as heard for so long after its last reading [s], and for so many of its periods.
 HEARD_S, HEARD_PERIODS = 5.0, 3.0
 #: The gate of a sensor that is astray widens so many times later [1]: it was believed until it was beyond belief.
@@ -39,7 +42,8 @@ PATIENT = 5.0
 def state_contradicted(channels: Collection[Channel], time_s: float) -> bool:
     """Whether the state is wrong: two sensors or more have been rejected for half their time-outs, and none was used
     since. Of a velocity and fixes `MOTION_S` is enough, and only another one of these could speak for the state: a
-    compass knows nothing of where the vehicle is.
+    compass knows nothing of where the vehicle is. So it is of fixes alone, where there is no velocity and the state
+    goes further and further away from them.
 
     Parameters
     ----------
@@ -50,35 +54,54 @@ def state_contradicted(channels: Collection[Channel], time_s: float) -> bool:
     """
     against, for_it = [], []
     motion: set[str] = set()
+    present: set[str] = set()
+    alone = False
     for other in channels:
         memory, sensor = other.memory, other.sensor
         heard = time_s - memory.last_s < max(HEARD_S, HEARD_PERIODS * other.period_s)
         refused_s = time_s - memory.rejected_since_s
         if heard and refused_s > min(MOTION_S, 0.5 * sensor.gate_timeout_s):
             motion |= {sensor.corrects} if _off(other) > MOTION.get(sensor.corrects, math.inf) else set()
+            alone |= _goes_away(other)
+        present |= {sensor.corrects} if heard else set()
         if heard and not other.aside and refused_s > 0.5 * sensor.gate_timeout_s:
             against.append(sensor.corrects)
         elif heard and math.isnan(memory.rejected_since_s) and sensor.confirms_state:
             for_it.append(sensor.corrects)
-    gone = motion == MOTION.keys() and not MOTION.keys() & set(for_it)
+    against_motion = motion == MOTION.keys() or (alone and "velocity" not in present)
+    gone = against_motion and not MOTION.keys() & set(for_it)
     return gone or (len(against) > 1 and not for_it)
 
 
-def reset_variance(channels: Collection[Channel]) -> Array:
+def reset_variance(channels: Collection[Channel], time_s: float) -> Array:
     """Variance to add to position, velocity and attitude, shape (9,), so that the sensors establish them again.
 
     Parameters
     ----------
     channels : collection of Channel
         Of the filter; the residuals of those that are rejected say how wrong position and velocity may be.
+    time_s : float
+        Now [s].
     """
     largest = np.zeros(6)
     for channel in channels:
-        if not math.isnan(channel.memory.rejected_since_s):
+        since_s = channel.memory.rejected_since_s
+        if not math.isnan(since_s):
             seen = np.abs(channel.near[:, :6]).max(axis=0) > 0.5
             largest = np.maximum(largest, np.where(seen, _off(channel), 0.0))
+            if _goes_away(channel):
+                # what grows as the square of the time
+                largest[3:] = np.maximum(largest[3:], 2.0 * _off(channel) / max(time_s - since_s, channel.period_s))
     spread = np.concatenate([largest + OPEN_MOTION, OPEN_ATTITUDE])
     return np.asarray(spread**2)
+
+
+def _goes_away(channel: Channel) -> bool:
+    """Whether the state goes further and further away from fixes that are refused."""
+    refused = channel.memory.refused
+    if channel.dive_s == math.inf or refused is None:
+        return False
+    return _off(channel) > GROWN * float(np.nanmax(np.abs(refused.first), initial=0.0))
 
 
 def _off(channel: Channel) -> float:

@@ -86,7 +86,7 @@ def let_in(filter: Filter, channel: Channel, time_s: float, nis: float, dof: int
     if agreement.judges(channel) and _agreed(filter, channel, time_s):
         return True
     if gating.state_contradicted(filter.channels.values(), time_s):
-        P[range(9), range(9)] += gating.reset_variance(filter.channels.values())
+        P[range(9), range(9)] += gating.reset_variance(filter.channels.values(), time_s)
         drive = filter.layout.drive
         P[drive.slice, drive.slice] += drive.P0
         for other in filter.channels.values():
