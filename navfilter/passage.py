@@ -341,7 +341,7 @@ class Passage:
                 (memory.nav, memory.x, memory.P, memory.acc),
                 (
                     *(memory.drv, filter.Phid, filter.Qd, filter.drive_output, recent),
-                    *(memory.watch, np.sqrt(filter.layout.drive.r), filter.watch.limits),
+                    *(memory.watch, filter.drive_sd, filter.watch.limits),
                 ),
                 self._samples,
                 self._stamps,

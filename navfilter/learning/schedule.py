@@ -16,7 +16,7 @@ from navfilter.filter.events import Correction, Event, Passed, Propagated, Relai
 from navfilter.filter.filter import Filter
 from navfilter.filter.health import Watch
 from navfilter.kernels import listen
-from navfilter.learning.conflict import BETTER, CONTRADICTED, departure
+from navfilter.learning.conflict import BETTER, CONTRADICTED, departure, is_near
 from navfilter.learning.learned import learning_part
 from navfilter.learning.learning_memory import Again, LearningMemory
 from navfilter.learning.listener import NEVER, TAKEN_AFTER_S, ChannelSeries, Listener
@@ -350,7 +350,7 @@ class LearningSchedule:
     def _ask(self) -> None:
         """Where the constants speak against the models that were learnt, have the beginning done again as described."""
         self._ask_s += self.ASKED_S
-        if self._given_up_s > self._hop_s:  # what is due then comes first
+        if self._given_up_s > self._hop_s or is_near(self.filter):  # what is due then comes first
             return
         models = {name: listener.memory.models for name, listener in self.listeners.items()}
         described = {name: listener.described for name, listener in self.listeners.items()}
