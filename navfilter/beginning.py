@@ -18,7 +18,7 @@ from navfilter.filter.history import Reading
 from navfilter.filter.intake import joined
 from navfilter.filter.memory import copied
 from navfilter.learning.learning_memory import Again, LearningMemory
-from navfilter.learning.worker import Task, Worker
+from navfilter.learning.worker import Task, Worker, let_go
 from navfilter.passage_again import PassageAgain
 
 if TYPE_CHECKING:
@@ -77,13 +77,31 @@ class Beginning:
                 _begin_again(nav, learning.again, learning.early_s, learning.early_s)
             return
         other = twin.arrived()
-        if learning.again.given_up and learning.is_no_better(other.filter):
-            return
-        if nav.history is not None and other.history is not None:
-            nav.history.take_over(other.history)
-        # the whole filter, not its memory alone: its states are laid out already
-        nav.filter = learning.filter = other.filter
-        learning.memory = other.learning.memory
+        if not (learning.again.given_up and learning.is_no_better(other.filter)):
+            _change_places(nav, other)
+        self._worker.begin(partial(_let_go, other))
+
+
+def _change_places(nav: Navigator, other: Navigator) -> None:
+    """Let a run be where another one is, and that have what is left."""
+    if nav.history is not None and other.history is not None:
+        nav.history.change_places(other.history)
+    # the whole filter, not its memory alone: its states are laid out already
+    nav.filter, other.filter = other.filter, nav.filter
+    nav.learning.filter, before = nav.filter, nav.learning.beginning
+    nav.learning.memory = other.learning.memory
+    other.learning.beginning = before
+
+
+def _let_go(run: Navigator) -> None:
+    """Free what is left of a run. Its parts refer to each other: Python's collector would come upon them in the middle
+    of a call.
+    """
+    if run.history is not None:
+        run.history.begin()
+    held, run.learning.beginning = [run.learning.beginning or []], None
+    let_go(held)
+    vars(run).clear()
 
 
 class Twin:
@@ -103,27 +121,14 @@ class Twin:
     TOGETHER = 16
 
     def __init__(self, nav: Navigator, again: Again, worker: Worker) -> None:
-        self.again = again
-        self._until_s: float = nav.learning.early_s
-        self._now_s: float = nav.time_s
-        self._worker: Worker = worker
+        self.again, self._worker = again, worker
         self._inputs: deque[Array | Reading] = deque()
         learning = copied(nav.learning.memory)
         learning.beginning = list(learning.beginning or ())
         for memory in learning.listeners.values():
             memory.ring = np.full_like(memory.ring, np.nan)
-        self._task: Task = Task(worker, partial(self._begun, type(nav), nav, learning))
+        self._task: Task = Task(worker, partial(_begun, nav, learning, again, nav.learning.early_s, nav.time_s))
         self._drained: Future[Any] | None = None
-
-    def _begun(self, run: type[Navigator], of: Navigator, learning: LearningMemory) -> Navigator:
-        history_s = 0.0 if of.history is None else of.history.length_s
-        twin = run(of.vehicle, of.start, history_s=history_s, threads=False)
-        for name, memory in learning.listeners.items():
-            if name not in twin.learning.listeners:
-                twin.listen(name, memory.ring.shape[1])
-        twin.learning.memory = learning
-        _begin_again(twin, self.again, self._until_s, self._now_s)
-        return twin
 
     def give(self, item: Array | Reading) -> None:
         """The next input."""
@@ -144,6 +149,18 @@ class Twin:
         self._drain()
         twin: Navigator = self._task.answer()
         return twin
+
+
+def _begun(of: Navigator, learning: LearningMemory, again: Again, until_s: float, now_s: float) -> Navigator:
+    """A twin of a run that has begun again."""
+    history_s = 0.0 if of.history is None else of.history.length_s
+    twin = type(of)(of.vehicle, of.start, history_s=history_s, threads=False)
+    for name, memory in learning.listeners.items():
+        if name not in twin.learning.listeners:
+            twin.listen(name, memory.ring.shape[1])
+    twin.learning.memory = learning
+    _begin_again(twin, again, until_s, now_s)
+    return twin
 
 
 def _begin_again(nav: Navigator, again: Again, until_s: float, now_s: float) -> None:

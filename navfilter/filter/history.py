@@ -82,10 +82,12 @@ class History:
         self._first = 0  # number of the first input in the log
         self._marked_s = -math.inf
 
-    def take_over(self, other: History) -> None:
-        """Have the past of another run over the same inputs."""
-        self._marks, self._log, self._shifts = other._marks, other._log, other._shifts
-        self._first, self._marked_s = other._first, other._marked_s
+    def change_places(self, other: History) -> None:
+        """Have the past of another run over the same inputs, and that this one's."""
+        for name in ("_marks", "_log", "_shifts", "_first", "_marked_s"):
+            own = getattr(self, name)
+            setattr(self, name, getattr(other, name))
+            setattr(other, name, own)
 
     def feed(self, item: Array | Reading) -> Outcome | None:
         """Give samples (rows of time and six values) or a reading to the run, and keep them."""

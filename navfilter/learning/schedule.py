@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -21,13 +22,15 @@ from navfilter.learning.learned import learning_part
 from navfilter.learning.learning_memory import Again, LearningMemory
 from navfilter.learning.listener import NEVER, TAKEN_AFTER_S, ChannelSeries, Listener
 from navfilter.learning.rest import RestRecorder
-from navfilter.learning.worker import Worker
+from navfilter.learning.worker import Worker, let_go
 
 __all__ = ["LearningSchedule"]
 
 Array = NDArray[np.float64]
 #: So many refused readings on end, all off by the same at once, are no outliers any more.
 JUMPED = 3
+#: A history reaches further back than it must by so much at most [s].
+LEFT_S = 2.0
 _NO_RING, _NO_CURSOR, _NO_MOUNT, _NOTHING = np.zeros((1, 1)), np.zeros(1, np.int64), np.zeros(9), np.zeros(0)
 
 
@@ -96,6 +99,11 @@ class LearningSchedule:
             if any(learning_part(model) is not None for model in sensor.models):
                 self.listen(name)
         self.beginning: list[Any] | None = [] if self.listeners else None
+        if self.listeners:
+            self.worker.start()
+        # what was kept of the beginning until that was over, and when no late reading needs it any more
+        self._left: list[list[Any]] = []
+        self._left_s = math.inf
         self._levels = self._present_levels()
 
     # ---------------------------------------------------------------- what changes
@@ -294,7 +302,7 @@ class LearningSchedule:
         over.
         """
         if self.beginning is None:
-            return math.inf
+            return self._left_s
         if self.again is None:
             return min(self._hop_s, self._ask_s)
         return self._given_up_s if self.again.given_up else self._hop_s + self.AGAIN_AFTER * self._age_s
@@ -319,6 +327,10 @@ class LearningSchedule:
         """At such a time: have models looked for, or have them adopted. Where another power makes it worth it, `again`
         says instead how the beginning is to be done again, at the next such time.
         """
+        if self.beginning is None:
+            self.worker.begin(partial(let_go, self._left))
+            self._left_s = math.inf
+            return
         if self._ask_s <= self._hop_s:
             self._ask()
             return
@@ -372,6 +384,8 @@ class LearningSchedule:
         """This early hop is over."""
         self._stage, self._hopping, self.again = self._stage + 1, False, None
         if self._stage > len(self.EARLY_S):
+            if self.worker.threads:
+                self._left, self._left_s = [self.beginning or []], self.filter.time_s + 2.0 * self.behind_s + LEFT_S
             self.beginning = None
 
     def adopted_by_hand(self) -> None:
