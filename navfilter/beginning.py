@@ -15,10 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.filter.history import Reading
-from navfilter.filter.intake import joined
 from navfilter.filter.memory import copied
 from navfilter.learning.learning_memory import Again, LearningMemory
-from navfilter.learning.worker import Task, Worker, let_go
+from navfilter.learning.worker import Task, Worker
 from navfilter.passage_again import PassageAgain
 
 if TYPE_CHECKING:
@@ -97,10 +96,6 @@ def _let_go(run: Navigator) -> None:
     """Free what is left of a run. Its parts refer to each other: Python's collector would come upon them in the middle
     of a call.
     """
-    if run.history is not None:
-        run.history.begin()
-    held, run.learning.beginning = [run.learning.beginning or []], None
-    let_go(held)
     vars(run).clear()
 
 
@@ -124,7 +119,7 @@ class Twin:
         self.again, self._worker = again, worker
         self._inputs: deque[Array | Reading] = deque()
         learning = copied(nav.learning.memory)
-        learning.beginning = list(learning.beginning or ())
+        learning.beginning = learning.beginning and learning.beginning.shared()
         for memory in learning.listeners.values():
             memory.ring = np.full_like(memory.ring, np.nan)
         self._task: Task = Task(worker, partial(_begun, nav, learning, again, nav.learning.early_s, nav.time_s))
@@ -168,7 +163,7 @@ def _begin_again(nav: Navigator, again: Again, until_s: float, now_s: float) -> 
     nav.filter.begin(dict(again.models))
     nav.filter.counts["adopted"] = again.adopted
     nav.filter.counts["given-up"] = int(again.given_up)
-    inputs = joined(nav.learning.begin_again(until_s))
+    inputs = nav.learning.begin_again(until_s)
     history = nav.history
     if history is None:
         PassageAgain(nav, inputs).run()

@@ -433,8 +433,7 @@ class Navigator:
         problem = misfit(memory, self.memory, "memory") or memory.filter.problem(self.filter.memory)
         if problem:
             raise ValueError(problem)
-        if len(memory.learning.beginning or ()) != memory.learning.kept:
-            raise ValueError("memory.learning.beginning has not as many inputs as were kept")
+        memory.learning.revive(tuple(self.filter.channels))
         self.memory = memory
 
     def _given(self, item: Array | Reading) -> None:

@@ -229,7 +229,7 @@ class Passage:
     def _keep_samples(self, end: int) -> None:
         """Let learning keep those that the kernel has taken."""
         if end > self._kept and self.nav.learning.beginning is not None:
-            self.nav.learning.keep(self._block(self._kept, end), mine=True)
+            self.nav.learning.keep(self._block(self._kept, end))
         self._kept = max(self._kept, end)
 
     def _conclude(self, sensor: int, time_s: float) -> None:
@@ -423,7 +423,7 @@ class Passage:
             begin, samples = self._kept, self._block(self._kept, self.done)
             for at in range(self._begin + used.start, self.at):  # none is frozen: the kernel leaves those to Python
                 end = max(self._kept, int(self._ends[at]))
-                self.nav.learning.keep(samples[self._kept - begin : end - begin], mine=True)
+                self.nav.learning.keep(samples[self._kept - begin : end - begin])
                 self.nav.learning.keep(self._reading(at))
                 self._kept = end
         else:

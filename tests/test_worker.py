@@ -3,7 +3,6 @@ the beginning of a hop and its answer.
 """
 
 import gc
-import math
 import time
 import weakref
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -16,7 +15,7 @@ import navfilter as nf
 from navfilter import beginning
 from navfilter.filter.memory import differences
 from navfilter.learning.schedule import LearningSchedule
-from navfilter.learning.worker import Task, Worker, let_go
+from navfilter.learning.worker import Task, Worker
 from navfilter.simulation.campaigns import stage
 
 EARLY_S = (16.0, 25.0)
@@ -161,28 +160,6 @@ def test_what_is_left_of_a_run_is_freed_without_a_collector(mission, monkeypatch
         assert len(twins) >= 3 and [part() for part in twins if part() is not None] == []
     finally:
         gc.enable()
-
-
-def test_the_inputs_of_the_beginning_are_freed_when_that_is_over(mission):
-    vehicle, recorded, events = mission
-    nav = nf.Navigator(vehicle, recorded.start)
-    fed(nav, [event for event in events if event.time_s < 10.0])
-    kept = nav.learning.beginning
-    nav.learning._stage = len(EARLY_S)
-    nav.learning._go_on()
-    assert len(kept) > 300 and nav.learning.beginning is None
-    assert nav.time_s + nav.history.length_s + 1.0 < nav.learning.early_s < math.inf
-    nav.history.begin()
-    nav.learning.early()
-    nav.learning.worker.begin(lambda: None).result()
-    assert nav.learning.early_s == math.inf and not nav.learning._left
-    # this test refers to the list, so that nobody may empty it
-    assert len(kept) > 300
-    held = [kept]
-    del kept
-    item = weakref.ref(held[0][0])
-    let_go(held)
-    assert not held and item() is None
 
 
 def test_a_task_that_fails_says_so_when_it_is_asked():

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from functools import partial
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,21 +14,21 @@ from navfilter.filter.channel import Channel
 from navfilter.filter.events import Correction, Event, Passed, Propagated, Relaid, StoodIn
 from navfilter.filter.filter import Filter
 from navfilter.filter.health import Watch
+from navfilter.filter.history import Reading
 from navfilter.kernels import listen
 from navfilter.learning.conflict import BETTER, CONTRADICTED, departure, is_near
+from navfilter.learning.kept import Kept
 from navfilter.learning.learned import learning_part
 from navfilter.learning.learning_memory import Again, LearningMemory
 from navfilter.learning.listener import NEVER, TAKEN_AFTER_S, ChannelSeries, Listener
 from navfilter.learning.rest import RestRecorder
-from navfilter.learning.worker import Worker, let_go
+from navfilter.learning.worker import Worker
 
 __all__ = ["LearningSchedule"]
 
 Array = NDArray[np.float64]
 #: So many refused readings on end, all off by the same at once, are no outliers any more.
 JUMPED = 3
-#: A history reaches further back than it must by so much at most [s].
-LEFT_S = 2.0
 _NO_RING, _NO_CURSOR, _NO_MOUNT, _NOTHING = np.zeros((1, 1)), np.zeros(1, np.int64), np.zeros(9), np.zeros(0)
 
 
@@ -98,12 +96,9 @@ class LearningSchedule:
         for name, sensor in vehicle.sensors.items():
             if any(learning_part(model) is not None for model in sensor.models):
                 self.listen(name)
-        self.beginning: list[Any] | None = [] if self.listeners else None
+        self.beginning = Kept(tuple(vehicle.sensors)) if self.listeners else None
         if self.listeners:
             self.worker.start()
-        # what was kept of the beginning until that was over, and when no late reading needs it any more
-        self._left: list[list[Any]] = []
-        self._left_s = math.inf
         self._levels = self._present_levels()
 
     # ---------------------------------------------------------------- what changes
@@ -117,7 +112,7 @@ class LearningSchedule:
             listeners,
             rest,
             self.beginning,
-            len(self.beginning or ()),
+            (0, 0) if self.beginning is None else self.beginning.count,
             self._stage,
             self._hopping,
             self.again,
@@ -138,7 +133,7 @@ class LearningSchedule:
         if self.rest is not None and memory.rest is not None:
             self.rest.memory = memory.rest
         if self.beginning is not None:
-            del self.beginning[memory.kept :]
+            self.beginning.cut(*memory.kept)
 
     # ---------------------------------------------------------------- listening
     def listen(self, name: str, capacity: int | None = None) -> None:
@@ -291,10 +286,10 @@ class LearningSchedule:
         return np.array([filter.nav[3:6], speed]), np.array([C @ filter.x[: m - 9], spread])
 
     # ---------------------------------------------------------------- the beginning
-    def keep(self, item: Any, mine: bool = False) -> None:
-        """Keep an input of the beginning: samples, or a reading; `mine` are samples that nobody else will change."""
-        if self.beginning is not None and len(item):
-            self.beginning.append(item.copy() if isinstance(item, np.ndarray) and not mine else item)
+    def keep(self, item: Array | Reading) -> None:
+        """Keep an input of the beginning: samples, or a reading."""
+        if self.beginning is not None:
+            self.beginning.append(item)
 
     @property
     def early_s(self) -> float:
@@ -302,7 +297,7 @@ class LearningSchedule:
         over.
         """
         if self.beginning is None:
-            return self._left_s
+            return math.inf
         if self.again is None:
             return min(self._hop_s, self._ask_s)
         return self._given_up_s if self.again.given_up else self._hop_s + self.AGAIN_AFTER * self._age_s
@@ -327,10 +322,6 @@ class LearningSchedule:
         """At such a time: have models looked for, or have them adopted. Where another power makes it worth it, `again`
         says instead how the beginning is to be done again, at the next such time.
         """
-        if self.beginning is None:
-            self.worker.begin(partial(let_go, self._left))
-            self._left_s = math.inf
-            return
         if self._ask_s <= self._hop_s:
             self._ask()
             return
@@ -384,8 +375,6 @@ class LearningSchedule:
         """This early hop is over."""
         self._stage, self._hopping, self.again = self._stage + 1, False, None
         if self._stage > len(self.EARLY_S):
-            if self.worker.threads:
-                self._left, self._left_s = [self.beginning or []], self.filter.time_s + 2.0 * self.behind_s + LEFT_S
             self.beginning = None
 
     def adopted_by_hand(self) -> None:
@@ -401,7 +390,7 @@ class LearningSchedule:
             levels[name] = tuple(1.0 if block is None else max(block_level(block), 1e-300) for block in blocks)
         return levels
 
-    def begin_again(self, until_s: float) -> list[Any]:
+    def begin_again(self, until_s: float) -> list[Array | Reading]:
         """The filter stands at the start again: listen from there, and learn nothing before `until_s`; returns the
         inputs of the beginning, which are kept anew if it may be done once more.
         """
@@ -410,7 +399,8 @@ class LearningSchedule:
         self._fed_back = np.zeros(2 * self.filter.layout.head + 1)
         if self.rest is not None:
             self.rest.begin_again()
-        beginning, self.beginning = self.beginning or [], []
+        names = tuple(self.filter.channels)
+        inputs, self.beginning = [] if self.beginning is None else self.beginning.inputs(), Kept(names)
         self._quiet_s = until_s
         self._waiting = ()
         if self.again is not None and self.again.given_up:
@@ -418,4 +408,4 @@ class LearningSchedule:
             for listener in self.listeners.values():
                 listener.give_up()
         self._go_on()
-        return beginning
+        return inputs

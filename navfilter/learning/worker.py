@@ -13,10 +13,7 @@ from typing import Any
 
 from navfilter.filter.health import LearningHealth
 
-__all__ = ["Task", "Worker", "let_go"]
-
-#: So many things are freed before another thread may have its turn.
-AT_ONCE = 32
+__all__ = ["Task", "Worker"]
 
 class _ShortTurns:
     """While it is entered, Python threads take turns after `TURN_S`, so that nobody waits long for this one."""
@@ -104,13 +101,3 @@ class Worker:
     def note(self, waited_s: float) -> None:
         """An answer was late."""
         self.health = LearningHealth(self.health.late + 1, self.health.waited_s + waited_s)
-
-
-def let_go(held: list[list[Any]]) -> None:
-    """Free what the long lists in a list hold, a little at a time: all at once would hold up the vehicle's loop. Lists
-    that somebody else refers to, too, stay what they are.
-    """
-    while held:
-        things = held.pop()
-        while things and sys.getrefcount(things) <= 2:  # by its name here, and as an argument
-            del things[-AT_ONCE:]
