@@ -112,7 +112,8 @@ class Twin:
     worker : Worker
     """
 
-    #: Inputs that are worked off together: each time costs a hand-over between threads.
+    #: Inputs that are worked off together: each time costs a hand-over between threads. It is done at a reading, for
+    #: samples are many and have less time to spare.
     TOGETHER = 16
 
     def __init__(self, nav: Navigator, again: Again, worker: Worker) -> None:
@@ -128,7 +129,8 @@ class Twin:
     def give(self, item: Array | Reading) -> None:
         """The next input."""
         self._inputs.append(item)
-        if len(self._inputs) >= self.TOGETHER and (self._drained is None or self._drained.done()):
+        together = isinstance(item, Reading) and len(self._inputs) >= self.TOGETHER
+        if together and (self._drained is None or self._drained.done()):
             self._drained = self._worker.begin(self._drain)
 
     def _drain(self) -> None:

@@ -43,13 +43,24 @@ class Rows:
         """Add some."""
         taken = 0
         while taken < len(rows):
-            i, at = divmod(self.count, PIECE)
-            if i == len(self.pieces):
-                self.pieces.append(np.empty((PIECE, self.width)))
+            piece, at = self._room()
             some = rows[taken : taken + PIECE - at]
-            self.pieces[i][at : at + len(some)] = some
+            piece[at : at + len(some)] = some
             taken += len(some)
             self.count += len(some)
+
+    def put(self, *row: float) -> None:
+        """Add one."""
+        piece, at = self._room()
+        piece[at] = row
+        self.count += 1
+
+    def _room(self) -> tuple[Array, int]:
+        """Where the next row stands."""
+        i, at = divmod(self.count, PIECE)
+        if i == len(self.pieces):
+            self.pieces.append(np.empty((PIECE, self.width)))
+        return self.pieces[i], at
 
     def cut(self, count: int) -> None:
         """Go back to so many. Others may share the pieces: what they hold is not written over."""
@@ -100,8 +111,8 @@ class Kept:
         if item.sd is not None:
             self.sds[self.readings.count] = item.sd
         self.values.append(item.value.reshape(-1, 1))
-        sensor, numbers = self.names.index(item.name), (self.samples.count, self.values.count)
-        self.readings.append(np.array([[item.time_s, sensor, item.frozen, item.same, *numbers]], dtype=np.float64))
+        numbers = self.samples.count, self.values.count
+        self.readings.put(item.time_s, self.names.index(item.name), item.frozen, item.same, *numbers)
 
     def cut(self, samples: int, readings: int) -> None:
         """Go back to so many."""
