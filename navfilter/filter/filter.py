@@ -421,8 +421,8 @@ class Filter(Estimate):
         memory.x = np.ascontiguousarray(M[9:, 9:] @ memory.x)
         memory.acc, self._xd = self._identity(), memory.x[: self.layout.drive.size]
         self.weigh()
-        fresh = new.drive.memory(self.layout.drive.errors, self.start)
-        memory.drv[strapdown.PLACES] = fresh[strapdown.PLACES]
+        if new.drive is not old.drive:
+            memory.drv[strapdown.PLACES] = new.drive.memory(self.layout.drive.errors, self.start)[strapdown.PLACES]
         memory.models = models
         memory.counts["adopted"] += 1
         if self.tape is not None:
