@@ -53,6 +53,22 @@ def test_what_was_kept_comes_back(samples):
     assert Kept(NAMES).inputs() == []
 
 
+def test_many_at_once_are_one_after_the_other():
+    items = [item for item in some(400, samples=9) if isinstance(item, Reading)]
+    rows = np.random.default_rng(3).normal(size=(2 * PIECE, 7))
+    before = np.sort(np.random.default_rng(4).integers(0, len(rows), len(items)))
+    before[-1] = len(rows)
+    kept, single = kept_of(some(20)), kept_of(some(20))
+    for begin, end, item in zip([0, *before], before, items, strict=False):
+        single.append(rows[begin:end])
+        single.append(item)
+    half = len(items) // 2
+    kept.extend(rows[: before[half]], before[: half + 1], items[: half + 1])
+    kept.extend(rows[before[half] :], before[half + 1 :] - before[half], items[half + 1 :])
+    assert kept.count == single.count and set(kept.sds) == set(single.sds)
+    assert_same(kept.inputs(), single.inputs())
+
+
 @pytest.mark.parametrize("back", [0, 1, 150, 299])
 def test_going_back_leaves_what_was_there_then_and_what_others_share(back):
     items, others = some(300, samples=200), some(50, seed=1)

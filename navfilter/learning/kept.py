@@ -114,6 +114,16 @@ class Kept:
         numbers = self.samples.count, self.values.count
         self.readings.put(item.time_s, self.names.index(item.name), item.frozen, item.same, *numbers)
 
+    def extend(self, samples: Array, before: NDArray[np.int64], readings: list[Reading]) -> None:
+        """Add samples, and readings between them; before (n,): behind how many of these samples each."""
+        place = {name: i for i, name in enumerate(self.names)}
+        heads = [(r.time_s, place[r.name], r.frozen, r.same) for r in readings]
+        ends = self.values.count + np.cumsum([r.value.size for r in readings])
+        self.sds.update({self.readings.count + k: r.sd for k, r in enumerate(readings) if r.sd is not None})
+        self.readings.append(np.column_stack([heads, self.samples.count + before, ends]))
+        self.values.append(np.concatenate([r.value.ravel() for r in readings])[:, None])
+        self.samples.append(samples)
+
     def cut(self, samples: int, readings: int) -> None:
         """Go back to so many."""
         if readings < self.readings.count:
