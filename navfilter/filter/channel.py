@@ -189,10 +189,10 @@ class Channel:
         a, parameters = sensor.axes, group.size - group.errors
         n, m, b = layout.size, layout.head, group.size if group.ticks else 0
         variance, before = rate_variance / self.samples, self._described
+        self.sensor, self.group, self.axes = sensor, group, a
         # of the very same sensor and states only the place is another
         if not (before and before[0] is sensor and before[1] is group.Phi and np.array_equal(variance, self._turned)):
             self._describe(sensor, group, b, variance)
-        self.sensor, self.group, self.axes = sensor, group, a
         self.dims = np.array([a, n, m, b, group.start, group.errors, parameters])
         at = kalman.places(self.dims)
         self.places, self.record_size = np.array(at), at[5]
@@ -203,7 +203,7 @@ class Channel:
         """What its error model makes of it, wherever its states stand; b: how many of them tick."""
         self._described, self._turned = (sensor, group.Phi), variance
         self.offset = has_offset(sensor.models)
-        self._kernels = self._addresses(sensor)
+        self._kernels = self._addresses()
         self._proportions = proportions(sensor.models, self.period_s)
         self.limits = np.concatenate([self._gates, believed(sensor, group)])
         slow = group.C @ group.P0[: group.errors, : group.errors] @ group.C.T
@@ -258,12 +258,13 @@ class Channel:
         self.spot = np.array([*self.dims, *self._kernels, *is_so, *starts, at[8], at[5]], dtype=np.int64)
         return self.spot
 
-    def _addresses(self, sensor: Sensor) -> tuple[int, int, int, int]:
+    def _addresses(self) -> tuple[int, int, int, int]:
         """Of its kernel and what goes with it, the drive's motion left out; zeros where Python has to be asked."""
         if not self.known or self.offset:
             return 0, 0, 0, 0
         sight = 0 if self.sight is None else address(past.sight, addresses.SIGHT)
-        bent = 0 if sensor.bend is None else address(sensor.bend, addresses.BEND)
+        bend = self.sensor.bend
+        bent = 0 if bend is None else address(bend, addresses.BEND)
         return address(self.kernel, addresses.EQUATION), sight, 0, bent
 
     def turns_by(self, rate_variance: Array) -> None:
