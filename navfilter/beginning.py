@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.filter.history import Reading
-from navfilter.filter.intake import joined
 from navfilter.filter.memory import copied
 from navfilter.learning.learning_memory import Again, LearningMemory
 from navfilter.learning.worker import Task, Worker
@@ -77,13 +76,27 @@ class Beginning:
                 _begin_again(nav, learning.again, learning.early_s, learning.early_s)
             return
         other = twin.arrived()
-        if learning.again.given_up and learning.is_no_better(other.filter):
-            return
-        if nav.history is not None and other.history is not None:
-            nav.history.take_over(other.history)
-        # the whole filter, not its memory alone: its states are laid out already
-        nav.filter = learning.filter = other.filter
-        learning.memory = other.learning.memory
+        if not (learning.again.given_up and learning.is_no_better(other.filter)):
+            _change_places(nav, other)
+        self._worker.begin(partial(_let_go, other))
+
+
+def _change_places(nav: Navigator, other: Navigator) -> None:
+    """Let a run be where another one is, and that have what is left."""
+    if nav.history is not None and other.history is not None:
+        nav.history.change_places(other.history)
+    # the whole filter, not its memory alone: its states are laid out already
+    nav.filter, other.filter = other.filter, nav.filter
+    nav.learning.filter, before = nav.filter, nav.learning.beginning
+    nav.learning.memory = other.learning.memory
+    other.learning.beginning = before
+
+
+def _let_go(run: Navigator) -> None:
+    """Free what is left of a run. Its parts refer to each other: Python's collector would come upon them in the middle
+    of a call.
+    """
+    vars(run).clear()
 
 
 class Twin:
@@ -99,36 +112,25 @@ class Twin:
     worker : Worker
     """
 
-    #: Inputs that are worked off together: each time costs a hand-over between threads.
+    #: Inputs that are worked off together: each time costs a hand-over between threads. It is done at a reading, for
+    #: samples are many and have less time to spare.
     TOGETHER = 16
 
     def __init__(self, nav: Navigator, again: Again, worker: Worker) -> None:
-        self.again = again
-        self._until_s: float = nav.learning.early_s
-        self._now_s: float = nav.time_s
-        self._worker: Worker = worker
+        self.again, self._worker = again, worker
         self._inputs: deque[Array | Reading] = deque()
         learning = copied(nav.learning.memory)
-        learning.beginning = list(learning.beginning or ())
+        learning.beginning = learning.beginning and learning.beginning.shared()
         for memory in learning.listeners.values():
             memory.ring = np.full_like(memory.ring, np.nan)
-        self._task: Task = Task(worker, partial(self._begun, type(nav), nav, learning))
+        self._task: Task = Task(worker, partial(_begun, nav, learning, again, nav.learning.early_s, nav.time_s))
         self._drained: Future[Any] | None = None
-
-    def _begun(self, run: type[Navigator], of: Navigator, learning: LearningMemory) -> Navigator:
-        history_s = 0.0 if of.history is None else of.history.length_s
-        twin = run(of.vehicle, of.start, history_s=history_s, threads=False)
-        for name, memory in learning.listeners.items():
-            if name not in twin.learning.listeners:
-                twin.listen(name, memory.ring.shape[1])
-        twin.learning.memory = learning
-        _begin_again(twin, self.again, self._until_s, self._now_s)
-        return twin
 
     def give(self, item: Array | Reading) -> None:
         """The next input."""
         self._inputs.append(item)
-        if len(self._inputs) >= self.TOGETHER and (self._drained is None or self._drained.done()):
+        together = isinstance(item, Reading) and len(self._inputs) >= self.TOGETHER
+        if together and (self._drained is None or self._drained.done()):
             self._drained = self._worker.begin(self._drain)
 
     def _drain(self) -> None:
@@ -146,12 +148,24 @@ class Twin:
         return twin
 
 
+def _begun(of: Navigator, learning: LearningMemory, again: Again, until_s: float, now_s: float) -> Navigator:
+    """A twin of a run that has begun again."""
+    history_s = 0.0 if of.history is None else of.history.length_s
+    twin = type(of)(of.vehicle, of.start, history_s=history_s, threads=False)
+    for name, memory in learning.listeners.items():
+        if name not in twin.learning.listeners:
+            twin.listen(name, memory.ring.shape[1])
+    twin.learning.memory = learning
+    _begin_again(twin, again, until_s, now_s)
+    return twin
+
+
 def _begin_again(nav: Navigator, again: Again, until_s: float, now_s: float) -> None:
     """Run what there was so far again, with other models; nothing is learnt from it before `until_s`."""
     nav.filter.begin(dict(again.models))
     nav.filter.counts["adopted"] = again.adopted
     nav.filter.counts["given-up"] = int(again.given_up)
-    inputs = joined(nav.learning.begin_again(until_s))
+    inputs = nav.learning.begin_again(until_s)
     history = nav.history
     if history is None:
         PassageAgain(nav, inputs).run()

@@ -107,9 +107,8 @@ class Navigator:
         self.watches = {name: Watch.of(sensor) for name, sensor in vehicle.sensors.items()}
         # a recording is in the order of its stamps: there is nothing to be seen of how it arrived
         self.clock = DriveClock(vehicle.drive.period_s, tape is None, self.filter.ahead_s)
-        self.waiting = Waiting()
+        self.waiting, self._row = Waiting(), np.empty((1, 7))
         self._behind = {name: names[i + 1 :] for i, name in enumerate(names)}
-        self._row = np.empty((1, 7))
 
     # ---------------------------------------------------------------- what comes in
     def step(self, time_s: ArrayLike, first: ArrayLike, second: ArrayLike) -> None:
@@ -131,7 +130,7 @@ class Navigator:
         try:
             if isinstance(time_s, float) and len(first) == 3 == len(second):
                 samples = self._row
-                samples[0, 0], samples[0, 1:4], samples[0, 4:7] = time_s, first, second
+                samples[0] = time_s, *first, *second
             else:
                 times = np.atleast_1d(np.asarray(time_s, dtype=np.float64))
                 values = [np.asarray(v, dtype=np.float64).reshape(times.size, 3) for v in (first, second)]
@@ -153,7 +152,7 @@ class Navigator:
         return None
 
     def _pass_on(self, samples: Array) -> None:
-        while len(samples) and samples[-1, 0] + self.offset_s > self.waiting.next_s + 1e-9:
+        while self.waiting.readings and len(samples) and samples[-1, 0] + self.offset_s > self.waiting.next_s + 1e-9:
             here = int(np.argmax(samples[:, 0] + self.offset_s > self.waiting.next_s + 1e-9))
             self._carry(samples[:here])
             self._release(self.waiting.next_s)
@@ -215,14 +214,14 @@ class Navigator:
         self._release()
 
     def _release(self, time_s: float = math.inf) -> None:
-        for reading in self.waiting.due(time_s):
+        for reading in self.waiting.due(time_s) if self.waiting.readings else ():
             self.take(reading)
 
     def take(self, reading: Reading) -> Outcome:
         """Take a reading now, even one that would wait; users call `correct`."""
         watch = self.watches[reading.name]
         frozen, same = watch.sees(reading.time_s, reading.value)
-        reading = reading._replace(frozen=frozen, same=same)
+        reading = reading if (frozen, same) == reading[-2:] else reading._replace(frozen=frozen, same=same)
         outcome = self.placed(reading)
         self._beginning.give(reading)
         watch.note(outcome.status, reading.time_s, outcome.nis, outcome.dof, self.filter.nav)
@@ -237,12 +236,13 @@ class Navigator:
 
     def placed(self, reading: Reading) -> Outcome:
         """Take a reading where its time says."""
-        history, filter = self.history, self.filter
+        history, filter, channels = self.history, self.filter, self.filter.channels
         # of readings with the same time, those of the sensors named first come first, as in a replay
-        overtaken = any(filter.channels[name].memory.last_s == reading.time_s for name in self._behind[reading.name])
+        behind = () if history is None else self._behind[reading.name]
+        overtaken = reading.time_s in [channels[name].memory.last_s for name in behind]
         if history is None:
             outcome = self.feed(reading)
-        elif not (reading.time_s < filter.time_s - 1e-7 or overtaken):
+        elif not (reading.time_s < filter.memory.time_s - 1e-7 or overtaken):
             outcome = history.feed(reading)
         elif filter.intake.in_doubt:
             return Outcome("too-late")
@@ -433,8 +433,7 @@ class Navigator:
         problem = misfit(memory, self.memory, "memory") or memory.filter.problem(self.filter.memory)
         if problem:
             raise ValueError(problem)
-        if len(memory.learning.beginning or ()) != memory.learning.kept:
-            raise ValueError("memory.learning.beginning has not as many inputs as were kept")
+        memory.learning.revive(tuple(self.filter.channels))
         self.memory = memory
 
     def _given(self, item: Array | Reading) -> None:

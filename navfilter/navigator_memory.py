@@ -15,6 +15,7 @@ from navfilter.filter.history import Reading
 from navfilter.filter.intake import IntakeMemory
 from navfilter.filter.lane_choice import ChoiceMemory
 from navfilter.filter.memory import misfit
+from navfilter.learning.kept import Kept, Rows
 from navfilter.learning.learner import LearnerMemory
 from navfilter.learning.learning_memory import Again, LearningMemory
 from navfilter.learning.listener_memory import Hop, ListenerMemory
@@ -35,7 +36,7 @@ class NavigatorMemory:
     def whole(self) -> NavigatorMemory:
         """The same with as many inputs of the beginning as belong to it, for they are shared and go on."""
         beginning = self.learning.beginning
-        kept = None if beginning is None else beginning[: self.learning.kept]
+        kept = None if beginning is None else beginning.first(*self.learning.kept)
         return NavigatorMemory(self.filter, dataclasses.replace(self.learning, beginning=kept))
 
 
@@ -80,7 +81,7 @@ class LanesMemory:
 MEMORY = (
     *(NavigatorMemory, FilterMemory, ChannelMemory, Refusals, RefusedWay, Course, Reckoned, Aside, Scatter, Turns),
     *(IntakeMemory, DriveClockMemory, BurstsMemory, Arrived),
-    *(LearningMemory, Again, Change, ListenerMemory, Hop, RestMemory, LearnerMemory, Line, Spectrum),
+    *(LearningMemory, Kept, Rows, Again, Change, ListenerMemory, Hop, RestMemory, LearnerMemory, Line, Spectrum),
 )
 
 

@@ -229,7 +229,7 @@ class Passage:
     def _keep_samples(self, end: int) -> None:
         """Let learning keep those that the kernel has taken."""
         if end > self._kept and self.nav.learning.beginning is not None:
-            self.nav.learning.keep(self._block(self._kept, end), mine=True)
+            self.nav.learning.keep(self._block(self._kept, end))
         self._kept = max(self._kept, end)
 
     def _conclude(self, sensor: int, time_s: float) -> None:
@@ -341,7 +341,7 @@ class Passage:
                 (memory.nav, memory.x, memory.P, memory.acc),
                 (
                     *(memory.drv, filter.Phid, filter.Qd, filter.drive_output, recent),
-                    *(memory.watch, np.sqrt(filter.layout.drive.r), filter.watch.limits),
+                    *(memory.watch, filter.drive_sd, filter.watch.limits),
                 ),
                 self._samples,
                 self._stamps,
@@ -419,15 +419,12 @@ class Passage:
                 tape.columns[channel.name].extend(times, self._notes[mine, : 3 + 2 * channel.axes])
         if tape is not None:
             tape.extend(out, *cursor[[kernels.ROWS, kernels.RECORDS, kernels.WRITTEN]].tolist())
-        if self.nav.learning.beginning is not None:
-            begin, samples = self._kept, self._block(self._kept, self.done)
-            for at in range(self._begin + used.start, self.at):  # none is frozen: the kernel leaves those to Python
-                end = max(self._kept, int(self._ends[at]))
-                self.nav.learning.keep(samples[self._kept - begin : end - begin], mine=True)
-                self.nav.learning.keep(self._reading(at))
-                self._kept = end
-        else:
-            self._kept = self.done
+        kept, taken = self.nav.learning.beginning, range(self._begin + used.start, self.at)
+        if kept is not None and taken:  # none is frozen: the kernel leaves those to Python
+            ends = np.maximum(self._ends[taken.start : taken.stop], self._kept)
+            samples = self._block(self._kept, int(ends[-1]))
+            kept.extend(samples, ends - self._kept, [self._reading(at) for at in taken])
+        self._kept = self.done if kept is None else int(ends[-1]) if taken else self._kept
 
     def _overheard(self, ears: Array, first: int) -> None:
         """What was heard of the readings that were used, from `first` on."""

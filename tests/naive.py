@@ -1266,6 +1266,14 @@ def _look_at_gravity(w, unit, dt):
         unit[1] = 1.0
 
 
+def farthest(looks, now, walk, begin):
+    added = walk * (now[0] - looks[:, [0]])
+    lost = np.maximum(looks[:, 7:10] + added - now[7:10], 0.0)
+    nis = np.cumsum([now[10], *looks[::-1, 10]])[:0:-1] / np.arange(len(looks) + 1, 1, -1)
+    moved = (now[4:7] - looks[:, 4:7]) ** 2 / np.maximum(lost * np.maximum(nis, 1.0)[:, None] + begin, 1e-300)
+    return np.nan_to_num(moved).max()
+
+
 def carry_jumps(bank, Phi):
     m = len(Phi)
     bank[:-2, :m] = bank[:-2, :m] @ Phi.T
@@ -1499,6 +1507,15 @@ def correction(bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count,
     update(P, nav, x, C, R, mem, dims, np.r_[np.inf, np.full(a, -1.0)] if beyond else gate)
 
 
+def heeded(w, nav, P, period_s):
+    if w[:6, [0, 15, 16]].any():
+        return False
+    if w[6, 0] * period_s >= 1.0:
+        pull = gravity(nav[0], nav[2])
+        w[6, 0], w[6, 4], w[6, 5:8], w[6, 8] = 0.0, P[6, 6] + P[7, 7] < 0.01, -pull * nav[12:15], pull
+    return True
+
+
 def stretch(
     now, cursor, settings, bench, plan, heard, watched, state, drive, samples, stamps, limits, hearing, given, out
 ):
@@ -1571,12 +1588,8 @@ def stretch(
                 row()
             if felt and drv[23] >= felt:
                 return 5
-            if len(w) and w[6, 1]:
-                if w[:6, [0, 15, 16]].any():
-                    return 5
-                if w[6, 0] * period >= 1.0:
-                    pull = gravity(nav[0], nav[2])
-                    w[6, 0], w[6, 4], w[6, 5:8], w[6, 8] = 0.0, P[6, 6] + P[7, 7] < 0.01, -pull * nav[12:15], pull
+            if len(w) and w[6, 1] and not heeded(w, nav, P, period):
+                return 5
         if full(plan[-1, 26]):
             return 4
         early, wait = t - now[0], heard[i, 5]

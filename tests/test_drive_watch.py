@@ -33,10 +33,10 @@ def watched(drive, samples, w=None):
     w = watch.fresh() if w is None else w
     nav = nf.Start(latitude_deg=45.0, longitude_deg=-4.0).state.pack()
     watch.refer(w, nav, np.zeros((9, 9)))
-    r = np.array([model.block(drive.period_s).r for model in drive.models])
+    sd = np.sqrt([model.block(drive.period_s).r for model in drive.models])
     found, at, before = [], 0, watch.conditions(w)
     while at < len(samples):
-        at += watch.look(samples[at:], w, r)
+        at += watch.look(samples[at:], w, sd)
         if w[kernel.UNIT, kernel.TICK] * drive.period_s >= kernel.JUDGED_S:
             w[kernel.UNIT, kernel.TICK] = 0.0
             watch.refer(w, nav, np.zeros((9, 9)))

@@ -19,7 +19,7 @@ from navfilter.evaluation.surfacing import evidence
 from navfilter.filter.filter import Filter
 from navfilter.filter.memory import differences
 from navfilter.learning import schedule
-from navfilter.learning.conflict import CONTRADICTED, constants, departure
+from navfilter.learning.conflict import CONTRADICTED, departure, is_near
 from navfilter.learning.schedule import LearningSchedule
 from navfilter.simulation.campaigns import stage
 from navfilter.simulation.scenarios import survey_vehicle
@@ -42,7 +42,7 @@ def with_constants():
 
 def test_constants_are_those_with_a_prior_that_nothing_drives():
     filter = with_constants()
-    at, mean, variance = constants(filter.layout)
+    at, mean, variance = filter.layout.constants
     assert len(at) >= 4 and len(set(at)) == len(at)
     np.testing.assert_array_equal(np.diag(filter.P)[at], variance)
     np.testing.assert_array_equal(filter.x[at - 9], mean)
@@ -52,7 +52,7 @@ def test_constants_are_those_with_a_prior_that_nothing_drives():
 def test_departure_is_a_standard_normal_where_prior_and_models_are_right(told):
     """Estimates drawn from what an honest filter says of them, whatever it has been told."""
     filter, rng = with_constants(), np.random.default_rng(5)
-    at, mean, variance = constants(filter.layout)
+    at, mean, variance = filter.layout.constants
     sd = np.sqrt(variance)
     H = rng.standard_normal((len(at), len(at)))
     P = np.linalg.inv(np.eye(len(at)) + told * H.T @ H)
@@ -72,6 +72,22 @@ def test_departure_is_a_standard_normal_where_prior_and_models_are_right(told):
     assert kstest(z, "norm").statistic < 0.06
     assert np.mean(z > CONTRADICTED) < 0.01
     assert np.mean(drawn(8.0) > CONTRADICTED) > 0.99
+
+
+@pytest.mark.parametrize("told", [0.3, 3.0, 100.0])
+def test_what_is_near_does_not_depart(told):
+    """The quick answer is never a wrong one, and nearly always given, also where a covariance was opened again."""
+    filter, rng = with_constants(), np.random.default_rng(6)
+    at, mean, variance = filter.layout.constants
+    sd, near = np.sqrt(variance), []
+    for size in np.repeat([0.5, 1.0, 2.0, 4.0], 250):
+        H = rng.standard_normal((len(at), len(at)))
+        P = np.linalg.inv(np.eye(len(at)) + told * H.T @ H) + np.diag(rng.choice([0.0, 0.0, 0.3], len(at)))
+        filter.P[np.ix_(at, at)] = P * np.outer(sd, sd)
+        filter.x[at - 9] = mean + sd * size * rng.standard_normal(len(at))
+        near.append(is_near(filter))
+        assert not near[-1] or departure(filter) < CONTRADICTED
+    assert np.mean(near[:250]) > 0.5 and not all(near)
 
 
 def test_constants_that_nothing_tells_do_not_speak():
@@ -95,6 +111,7 @@ def few_hops(monkeypatch):
     monkeypatch.setattr(LearningSchedule, "EARLY_S", (16.0, 40.0))
     monkeypatch.setattr(LearningSchedule, "REVISED_S", 80.0)
     monkeypatch.setattr(schedule, "departure", speaks(0.0))
+    monkeypatch.setattr(schedule, "is_near", lambda filter: False)
 
 
 @pytest.fixture(scope="module")

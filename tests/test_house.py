@@ -50,6 +50,7 @@ FLOORS = [
         "filter",
         "learning.worker",
         "learning.conflict",
+        "learning.kept",
         "learning.listener",
         "learning.listener_memory",
         "learning.rest",

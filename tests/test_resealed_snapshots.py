@@ -82,6 +82,15 @@ def channel_of(saved):
     return filter_of(saved)["channels"]["items"][0][1]["fields"]
 
 
+def beginning_of(saved):
+    return learning_of(saved)["beginning"]["fields"]
+
+
+def heads_of(saved, arrays):
+    """What is kept of the first reading."""
+    return arrays["floats"][beginning_of(saved)["readings"]["fields"]["pieces"][0]["at"] :]
+
+
 def way_of(kind="RefusedWay", fields=None, **changed):
     own = {f.name: f.default for f in dataclasses.fields(RefusedWay)} if fields is None else fields
     return {"": kind, "fields": own | changed}
@@ -108,7 +117,14 @@ CHANGES = {
     "a class of another kind": lambda saved, arrays: saved["memory"]["fields"].update(
         filter={"": "Popen", "fields": {}}
     ),
-    "fewer inputs of the beginning": lambda saved, arrays: learning_of(saved)["beginning"].pop(),
+    "fewer inputs of the beginning": lambda saved, arrays: beginning_of(saved)["samples"]["fields"].update(count=3),
+    "inputs of the beginning without numbers": lambda saved, arrays: beginning_of(saved)["values"]["fields"][
+        "pieces"
+    ].clear(),
+    "inputs of the beginning of no sensor": lambda saved, arrays: heads_of(saved, arrays).__setitem__(1, 77.0),
+    "an input of the beginning beyond their end": lambda saved, arrays: heads_of(saved, arrays).__setitem__(4, 1e9),
+    "a beginning that is a list": lambda saved, arrays: learning_of(saved).update(beginning=[]),
+    "a standard deviation of no input": lambda saved, arrays: beginning_of(saved)["sds"]["items"].append([10**6, 1.0]),
     "a ring of another shape": lambda saved, arrays: learning_of(saved)["listeners"]["items"][0][1]["fields"][
         "ring"
     ].update(shape=[1, 7]),

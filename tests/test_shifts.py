@@ -4,6 +4,7 @@ import dataclasses
 import functools
 import math
 
+import naive
 import numpy as np
 import pytest
 from test_agreement import altered, feed, fly
@@ -12,6 +13,7 @@ import navfilter as nf
 from navfilter import passage
 from navfilter.filter import shifts
 from navfilter.filter.memory import differences
+from navfilter.kernels import jumps
 from navfilter.simulation.faults import Faults
 from navfilter.simulation.scenarios import reckoning_vehicle, survey, survey_vehicle
 from navfilter.simulation.simulate import simulate
@@ -100,6 +102,16 @@ def test_an_estimate_may_move_by_what_it_has_learnt():
     assert not shifts.shifted(table, now, walk, begin)
     now[shifts.BIAS + 1] *= 4.0
     assert len(shifts.shifted(table, now, walk, begin)) == 1
+
+
+@pytest.mark.parametrize("missing", [0, 5, 16])
+def test_the_kernel_and_its_twin(missing):
+    rng = np.random.default_rng(missing)
+    table, now = rng.uniform(0.5, 2.0, (shifts.LOOKS, shifts.COLUMNS)), rng.uniform(0.5, 2.0, shifts.COLUMNS)
+    table[:missing] = math.nan
+    args = table, now, np.full(3, 0.01), np.full(3, 1e-3)
+    assert jumps.farthest(*args) == pytest.approx(naive.farthest(*args), rel=1e-12)
+    assert (jumps.farthest(*args) > 0.0) == (missing < shifts.LOOKS)
 
 
 def test_of_many_good_estimates_none_has_shifted():

@@ -2,7 +2,9 @@
 the beginning of a hop and its answer.
 """
 
+import gc
 import time
+import weakref
 from concurrent.futures import Future, ThreadPoolExecutor
 
 import numpy as np
@@ -138,6 +140,26 @@ def test_a_model_by_hand_ends_it(mission):
     assert nav.learning.again is None
     fed(nav, events[number : number + 200])
     assert isinstance(nav.filter.in_force.sensors["compass"].error, nf.White)
+
+
+def test_what_is_left_of_a_run_is_freed_without_a_collector(mission, monkeypatch):
+    vehicle, recorded, events = mission
+    twins, begun = [], beginning._begun
+
+    def seen(*args):
+        twin = begun(*args)
+        twins.extend(weakref.ref(part) for part in (twin, twin.history, twin.learning))
+        return twin
+
+    monkeypatch.setattr(beginning, "_begun", seen)
+    gc.disable()
+    try:
+        nav = nf.Navigator(vehicle, recorded.start)
+        fed(nav, events)
+        nav.learning.worker.begin(lambda: None).result()
+        assert len(twins) >= 3 and [part() for part in twins if part() is not None] == []
+    finally:
+        gc.enable()
 
 
 def test_a_task_that_fails_says_so_when_it_is_asked():

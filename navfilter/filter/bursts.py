@@ -71,8 +71,8 @@ class Bursts:
         """The samples that go on now, with the stamps that they should have; changed in place."""
         memory = self.memory
         quiet = not (memory.spread or len(memory.first))
-        if quiet and len(samples) == 1 and not float(samples[0, 0]) - memory.own_s > self.silent_s:
-            memory.own_s = memory.given_s = float(samples[0, 0])
+        if quiet and len(samples) == 1 and not (stamp_s := samples.item(0)) - memory.own_s > self.silent_s:
+            memory.own_s = memory.given_s = stamp_s
             return samples
         with np.errstate(invalid="ignore"):  # of stamps that are infinite
             steps = np.diff(samples[:, 0], prepend=memory.own_s)

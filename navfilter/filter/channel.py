@@ -171,6 +171,7 @@ class Channel:
         self.reading = np.full(sensor.axes, np.nan)  # the last one that Python was asked for
         self.partly_for_s = sensor.single_s if sensor.single_gates else math.inf
         self.samples = 1  # of the drive, of which a reading is the mean
+        self._described: tuple[Sensor, Array] | None = None
         self.forget()
 
     def forget(self) -> None:
@@ -193,22 +194,32 @@ class Channel:
         """
         a, parameters = sensor.axes, group.size - group.errors
         n, m, b = layout.size, layout.head, group.size if group.ticks else 0
+        variance, before = rate_variance / self.samples, self._described
         self.sensor, self.group, self.axes = sensor, group, a
+        # of the very same sensor and states only the place is another
+        if not (before and before[0] is sensor and before[1] is group.Phi and np.array_equal(variance, self._turned)):
+            self._describe(sensor, group, b, variance)
         self.dims = np.array([a, n, m, b, group.start, group.errors, parameters])
         at = kalman.places(self.dims)
         self.places, self.record_size = np.array(at), at[5]
+        self._ends = at[-1] + np.cumsum([0, *self._sizes])
+        self.bench = np.concatenate([np.zeros(at[-1]), *self._parts])
+
+    def _describe(self, sensor: Sensor, group: Group, b: int, variance: Array) -> None:
+        """What its error model makes of it, wherever its states stand; b: how many of them tick."""
+        self._described, self._turned = (sensor, group.Phi), variance
         self.offset = has_offset(sensor.models)
+        self._kernels = self._addresses()
         self._proportions = proportions(sensor.models, self.period_s)
         self.limits = np.concatenate([self._gates, believed(sensor, group)])
         slow = group.C @ group.P0[: group.errors, : group.errors] @ group.C.T
         self.slow: list[float] = slow.diagonal().tolist()  # variance by axis of what its error states begin with
-        lever, R = sensor.lever_arm_covariance(rate_variance / self.samples), np.diag(group.r)
+        lever, R = sensor.lever_arm_covariance(variance), np.diag(group.r)
         model = np.array([group.Phi[:b, :b], group.Q[:b, :b]])
         constants = self.constants if self.known else np.zeros(0)
         facts = np.zeros(0) if self.sight is None else self.sight.facts
-        parts = np.zeros(at[-1]), constants, np.zeros(3), model, group.C, R + lever, lever, R, self.limits, facts
-        self._ends, self._turned = np.cumsum([part.size for part in parts]), rate_variance / self.samples
-        self.bench = np.concatenate([part.ravel() for part in parts])
+        parts = constants, np.zeros(3), model, group.C, R + lever, lever, R, self.limits, facts
+        self._parts, self._sizes = [part.ravel() for part in parts], [part.size for part in parts]
 
     def settle(self, bench: Array, begin: int) -> NDArray[np.int64]:
         """Work from now on in a part of an array that all channels share, where the content of its own stands already.
@@ -250,7 +261,7 @@ class Channel:
         self._memory.last = self._last
         starts = begin, ends[0], self.constants.size, *ends[1:9]
         is_so, partly = (self.moves, self.turns, self.sensor.reads_rate), self.partly_for_s < math.inf
-        self.spot = np.array([*self.dims, *self._addresses(), *is_so, *starts, at[8], at[5], partly], dtype=np.int64)
+        self.spot = np.array([*self.dims, *self._kernels, *is_so, *starts, at[8], at[5], partly], dtype=np.int64)
         return self.spot
 
     def _addresses(self) -> tuple[int, int, int, int]:

@@ -157,18 +157,19 @@ class DriveClock:
 
     def _taken(self, samples: Array) -> list[Array | Arrived]:
         memory = self.memory
+        if len(samples) == 1 and not self.holds:
+            stamp_s = samples.item(0) + memory.offset_s
+            if 0.0 < stamp_s - memory.last_s <= self._leap_s:
+                samples[0, 0] = memory.last_s = stamp_s
+                return [samples]
         known = np.isfinite(samples[:, 0])
         if not known.all():  # no word of a clock; the intake refuses them
             return [samples[~known], *(self._taken(samples[known]) if known.any() else [])]
         samples[:, 0] += memory.offset_s
         if not self.holds:
-            first_s, last_s, count = samples[0, 0], samples[-1, 0], len(samples)
-            if count == 1 and (0.0 < first_s - memory.last_s <= self._leap_s):
-                memory.last_s = first_s
-                return [samples]
             leap = self._leap(samples[:, 0])
-            if leap == count:
-                memory.last_s = last_s
+            if leap == len(samples):
+                memory.last_s = samples.item(-1, 0)
                 return [samples]
             before, samples = samples[:leap], samples[leap:]
             memory.last_s = before[-1, 0] if leap else memory.last_s

@@ -72,7 +72,7 @@ class DriveWatch:
             w[:6, [kernel.CODE, kernel.HEEDED]] = kernel.SATURATED
         return w if self.active else w[:0]
 
-    def look(self, samples: Array, w: Array, r: Array) -> int:
+    def look(self, samples: Array, w: Array, sd: Array) -> int:
         """How many samples may be taken before something has to be heeded; bad axes are replaced in them.
 
         Parameters
@@ -81,10 +81,10 @@ class DriveWatch:
             Seconds since the one before, six values.
         w : ndarray
             What is remembered.
-        r : ndarray, shape (6,)
-            White variances of one sample by the description.
+        sd : ndarray, shape (6,)
+            White standard deviations of one sample by the description.
         """
-        return kernel.look(samples, w, np.sqrt(r), self.limits, self._period_s, self._increments)
+        return kernel.look(samples, w, sd, self.limits, self._period_s, self._increments)
 
     def stand_in(self, samples: Array, memory: FilterMemory) -> None:
         """Values for samples that are missing: no rate, and the force at rest. No axis is good until it has been heard

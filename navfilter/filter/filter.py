@@ -57,8 +57,8 @@ class Filter(Estimate):
     layout : Layout
         Of its states.
     channels : dict of str to Channel
-    drive_output : ndarray, shape (6, states of the drive + 1)
-        Rows of C of the drive's error models, and the white variance of a sample.
+    drive_output, drive_sd : ndarray, shapes (6, states of the drive + 1) and (6,)
+        Rows of C of the drive's error models, and the white variance of a sample; its sd as described.
     feels_after : int
         Samples of the drive after which it is felt whether the vehicle rests; 0: never.
     jumped : list of Change
@@ -152,7 +152,7 @@ class Filter(Estimate):
         self.layout = layout = Layout.of(in_force, like)
         self.in_force, self._like, self._laid_out = in_force, (in_force, layout), models
         g, m = layout.drive, layout.head
-        self.Phid, self.Qd = g.Phi, g.Q
+        self.Phid, self.Qd, self.drive_sd = g.Phi, g.Q, np.sqrt(g.r)
         self.drive_output, self._work = np.zeros((6, g.size + 1)), np.zeros((m, layout.size))
         self._dims = np.array([0, layout.size, m, 0, 0, 0, 0])
         variance = g.r[:3] if self.inertial else np.zeros(3)  # until `weigh` says otherwise
@@ -218,21 +218,21 @@ class Filter(Estimate):
         memory, begin, total = self.memory, 0, len(samples)
         each = self.tape is not None and self.tape.each_sample
         whole = total <= self.fold_every - memory.unfolded and not (self._rest or room or each)
-        missing = self.inertial and total > 0 and math.isnan(samples[0, 1])
-        before_s, position = memory.time_s, np.diag(memory.P)[:3].copy()
+        missing, before_s = self.inertial and total > 0 and math.isnan(samples.item(1)), memory.time_s
+        position = np.diag(memory.P)[:3].copy() if missing else None
         while begin < total:
             end = total if whole else min(total, begin + (1 if each else self._room(room)))
             if missing:
                 self.watch.stand_in(samples[begin:end], memory)
                 self.weigh()
             elif self.inertial:
-                end = begin + self.watch.look(samples[begin:end], memory.watch, self.layout.drive.r)
-            block = samples[begin:end]
+                end = begin + self.watch.look(samples[begin:end], memory.watch, self.drive_sd)
+            block = samples if end - begin == total else samples[begin:end]
             self.steps(memory.nav, self._xd, memory.drv, block, self.Phid, self.Qd, self.drive_output, memory.acc)
             if memory.recent.size:
                 memory.recent = np.concatenate([block[::-1], memory.recent])[: len(memory.recent)]
             memory.unfolded += end - begin
-            memory.time_s = memory.sample_s = memory.intake.before_s = float(stamps[end - 1])
+            memory.time_s = memory.sample_s = memory.intake.before_s = stamps.item(end - 1)
             if memory.unfolded >= self.fold_every:
                 tell(self._fold())
             elif each:
@@ -243,15 +243,17 @@ class Filter(Estimate):
             if self.watch.news(memory.watch):
                 self.heed(tell)
             begin = end
-        if missing:
+        if position is not None:
             realignment.bound(self, position, memory.time_s - before_s, tell)
 
     def heed(self, tell: Listening) -> None:
         """Act on what the watch over the drive has found."""
-        before = self.watch.lost(self.memory.watch)
-        self.watch.heed(self, lambda: tell(self._fold()))
-        if before or self.watch.lost(self.memory.watch):
-            realignment.after_fault(self, tell)
+        w = self.memory.watch
+        if not stretch.heeded(w, self.memory.nav, self.memory.P, self.period_s):
+            before = self.watch.lost(w)
+            self.watch.heed(self, lambda: tell(self._fold()))
+            if before or self.watch.lost(w):
+                realignment.after_fault(self, tell)
 
     def feel(self, tell: Listening) -> None:
         """Take the readings that the drive's last samples make, once in the shortest period of all such sensors."""
@@ -315,9 +317,7 @@ class Filter(Estimate):
             It is that of the reading before.
         """
         channel, memory = self.channels[name], self.memory
-        z = np.array(value, dtype=np.float64)  # a copy: kernels want it contiguous and writable
-        if z.ndim != 1:
-            z = z.reshape(-1)
+        z = np.array(value, dtype=np.float64).reshape(-1)  # a copy: kernels want it contiguous and writable
         early = time_s - memory.time_s
         if not math.isfinite(time_s) or len(z) < channel.sensor.reads or not (sd is None or usable(sd, channel.sensor)):
             return self._refused(channel, time_s, "invalid")
@@ -421,8 +421,8 @@ class Filter(Estimate):
         memory.x = np.ascontiguousarray(M[9:, 9:] @ memory.x)
         memory.acc, self._xd = self._identity(), memory.x[: self.layout.drive.size]
         self.weigh()
-        fresh = new.drive.memory(self.layout.drive.errors, self.start)
-        memory.drv[strapdown.PLACES] = fresh[strapdown.PLACES]
+        if new.drive is not old.drive:
+            memory.drv[strapdown.PLACES] = new.drive.memory(self.layout.drive.errors, self.start)[strapdown.PLACES]
         memory.models = models
         memory.counts["adopted"] += 1
         if self.tape is not None:

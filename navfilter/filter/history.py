@@ -65,8 +65,9 @@ class History:
         In the order in which readings of one time are taken.
     """
 
-    #: Seconds between checkpoints: a late reading feeds at most so much more than its lateness.
-    SPACING_S = 0.1
+    #: Seconds between checkpoints: a late reading feeds at most so much more than its lateness. Those before a reading,
+    #: and those before samples, which are many and have no time to spare, where readings are rare.
+    SPACING_S, RARE_S = 0.4, 1.0
 
     def __init__(self, run: Run, length_s: float, sensors: Sequence[str]) -> None:
         self.run, self.length_s, self.sensors = run, length_s, list(sensors)
@@ -81,18 +82,21 @@ class History:
         self._first = 0  # number of the first input in the log
         self._marked_s = -math.inf
 
-    def take_over(self, other: History) -> None:
-        """Have the past of another run over the same inputs."""
-        self._marks, self._log, self._shifts = other._marks, other._log, other._shifts
-        self._first, self._marked_s = other._first, other._marked_s
+    def change_places(self, other: History) -> None:
+        """Have the past of another run over the same inputs, and that this one's."""
+        for name in ("_marks", "_log", "_shifts", "_first", "_marked_s"):
+            own = getattr(self, name)
+            setattr(self, name, getattr(other, name))
+            setattr(other, name, own)
 
     def feed(self, item: Array | Reading) -> Outcome | None:
         """Give samples (rows of time and six values) or a reading to the run, and keep them."""
-        now, shift = self.run.time_s, self.run.offset_s
-        if now - self._marked_s >= self.SPACING_S:
+        run = self.run
+        now, shift = run.time_s, run.offset_s
+        kept, spacing_s = (item.copy(), self.RARE_S) if isinstance(item, np.ndarray) else (item, self.SPACING_S)
+        if now - self._marked_s >= spacing_s:
             self._mark(now)
-        kept = item.copy() if isinstance(item, np.ndarray) else item
-        outcome = self.run.feed(item)
+        outcome = run.feed(item)
         self._log.append(kept)  # behind: the run may have begun this history anew
         self._shifts.append(shift)
         return outcome

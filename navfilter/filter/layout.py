@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, NamedTuple, SupportsFloat
 
 import numpy as np
@@ -170,6 +171,12 @@ class Group:
         """Whether any of its states changes by itself."""
         return self.errors > 0 or bool(self.Q.any())
 
+    @cached_property
+    def biases(self) -> tuple[NDArray[np.intp], ...]:
+        """By axis: which of its states are a bias of that."""
+        constant = self.Phi.diagonal()[: self.errors] == 1.0
+        return tuple(np.flatnonzero(constant & (row != 0.0)) for row in self.C)
+
     @classmethod
     def build(
         cls,
@@ -268,6 +275,14 @@ class Layout:
     def units(self) -> tuple[str, ...]:
         """Units of the same states."""
         return self.drive.units + tuple(unit for g in self.groups.values() for unit in g.units)
+
+    @cached_property
+    def constants(self) -> tuple[NDArray[np.intp], Array, Array]:
+        """Places of all constant states that are not known for certain, their means and variances at the start."""
+        groups = (self.drive, *self.groups.values())
+        own = [(g, i) for g in groups for i in range(g.errors, g.size) if not g.Q[i].any() and g.P0[i, i] > 0.0]
+        places = np.array([g.start + i for g, i in own], np.intp)
+        return places, np.array([g.x0[i] for g, i in own]), np.array([g.P0[i, i] for g, i in own])
 
     @classmethod
     def of(cls, vehicle: Any, like: tuple[Any, Layout] | None = None) -> Layout:

@@ -26,8 +26,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.filter.channel import UNDISPUTED_S, Channel
-from navfilter.filter.jumps import bias_of
 from navfilter.kernels import drive_watch as kernel
+from navfilter.kernels.jumps import BIAS, NIS, TIME_S, VARIANCE, farthest
 
 if TYPE_CHECKING:
     from navfilter.filter.filter import Filter
@@ -59,7 +59,7 @@ UPRIGHT, HEARD_S = 0.5, 3.0
 #: Columns of what is remembered: time, latitude and longitude, how often the attitude had been set anew; estimates of
 #: the three biases, and their variances; NIS per component of the readings just before; heading by the compass, and
 #: that less what the gyros have turned (NaN: there is none).
-TIME_S, LATITUDE, LONGITUDE, ANEW, BIAS, VARIANCE, NIS, HEADING, APART, COLUMNS = 0, 1, 2, 3, 4, 7, 10, 11, 12, 13
+LATITUDE, LONGITUDE, ANEW, HEADING, APART, COLUMNS = 1, 2, 3, 11, 12, 13
 
 
 def fresh() -> Array:
@@ -71,32 +71,33 @@ def due_s(filter: Filter) -> float:
     """Time of the reading by which the next look comes [s]."""
     if not filter.inertial:
         return math.inf
-    last_s = float(filter.memory.shifts[-1, TIME_S])
+    last_s = filter.memory.shifts.item(-1, TIME_S)
     return -math.inf if math.isnan(last_s) else (math.floor(last_s / EVERY_S) + 1.0) * EVERY_S
 
 
 def look(filter: Filter) -> None:
     """Hold the biases against what they were, if it is time; after a reading has been taken."""
     memory, g = filter.memory, filter.layout.drive
-    time_s = max((channel.memory.last_s for channel in filter.channels.values()), default=-math.inf)
+    time_s = max([channel.memory.last_s for channel in filter.channels.values()], default=-math.inf)
     if time_s == -math.inf or time_s < due_s(filter):
         return
-    states = [bias_of(g, axis) for axis in range(3)]
+    states = g.biases[:3]
     now, kept = np.zeros(COLUMNS), memory.shifts
-    now[[TIME_S, LATITUDE, LONGITUDE]] = time_s, *memory.nav[:2]
+    now[TIME_S], now[LATITUDE:ANEW] = time_s, memory.nav[:2]
     now[ANEW] = memory.counts["realigned"] + memory.counts["opened"]
     if all(each.size for each in states):
         own = np.array([each[0] for each in states])
         places, walk = g.start + own, g.Q[own, own] / filter.period_s
-        now[BIAS:VARIANCE], now[VARIANCE:NIS] = memory.x[places - 9], np.diag(memory.P)[places]
+        now[BIAS:VARIANCE], now[VARIANCE:NIS] = memory.x[places - 9], memory.P[places, places]
         now[NIS] = _nis(filter, time_s)
         compass = _compass(filter)
-        now[[HEADING, APART]] = math.nan if compass is None else _apart(filter, compass)
+        now[HEADING:] = math.nan if compass is None else _apart(filter, compass)
         if filter.watch.busy(memory.watch) or not _goes_on(kept[-1], now, walk):
             kept = fresh()
         found = shifted(kept, now, walk, g.P0[own, own])
-        upright, calm = np.abs(memory.nav[12:15]) > UPRIGHT, _undisputed(filter, time_s)
-        found = [f for f in found if (_ramps(compass, np.vstack([kept, now]), *f) if upright[f[0]] else calm)]
+        if found:
+            upright, calm = np.abs(memory.nav[12:15]) > UPRIGHT, _undisputed(filter, time_s)
+            found = [f for f in found if (_ramps(compass, np.vstack([kept, now]), *f) if upright[f[0]] else calm)]
         for axis, row, size in found:
             _open(memory, int(places[axis]), axis, size, kept[row:])
             memory.counts["shifted"] += 1
@@ -107,8 +108,11 @@ def look(filter: Filter) -> None:
 
 def _goes_on(before: Array, now: Array, walk: Array) -> bool:
     """Whether nothing but readings and time has changed the variances since a look."""
-    grown = 1.001 * (before[VARIANCE:NIS] + walk * (now[TIME_S] - before[TIME_S]))
-    return bool(now[ANEW] == before[ANEW] and (now[VARIANCE:NIS] <= grown).all())
+    if now[ANEW] != before[ANEW]:
+        return False
+    seconds = now.item(TIME_S) - before.item(TIME_S)
+    rows = zip(now[VARIANCE:NIS].tolist(), before[VARIANCE:NIS].tolist(), walk.tolist(), strict=True)
+    return all(own <= 1.001 * (kept + each * seconds) for own, kept, each in rows)
 
 
 def _undisputed(filter: Filter, time_s: float) -> bool:
@@ -180,9 +184,9 @@ def ramp_beyond_deviation(
 
 def _nis(filter: Filter, time_s: float) -> float:
     """Of the last readings of all sensors that have been heard since the last look, per component; 1 where none was."""
-    heard = [c.verdict for c in filter.channels.values() if c.memory.last_s > time_s - EVERY_S]
-    told = np.array([verdict[:2] for verdict in heard if math.isfinite(verdict[0]) and verdict[1]])
-    return float(told[:, 0].sum() / told[:, 1].sum()) if len(told) else 1.0
+    heard = [c.verdict.tolist() for c in filter.channels.values() if c.memory.last_s > time_s - EVERY_S]
+    told = [(nis, dof) for nis, dof, _ in heard if math.isfinite(nis) and dof]
+    return sum(nis for nis, _ in told) / sum(dof for _, dof in told) if told else 1.0
 
 
 def shifted(looks: Array, now: Array, walk: Array, begin: Array) -> list[tuple[int, int, float]]:
@@ -198,13 +202,16 @@ def shifted(looks: Array, now: Array, walk: Array, begin: Array) -> list[tuple[i
     begin : ndarray, shape (3,)
         Their variances at the start.
     """
+    least = FLOOR**2 * begin
+    if farthest(looks, now, walk, least) <= LIMIT:
+        return []
     added = walk * (now[TIME_S] - looks[:, [TIME_S]])
     lost = np.maximum(looks[:, VARIANCE:NIS] + added - now[VARIANCE:NIS], 0.0)
     moved = now[BIAS:VARIANCE] - looks[:, BIAS:VARIANCE]
     # of the readings from each look on
     nis = np.cumsum(np.append(looks[:, NIS], now[NIS])[::-1])[:0:-1] / np.arange(len(looks) + 1, 1, -1)
     larger = np.maximum(nis, 1.0)[:, np.newaxis]
-    beyond = np.nan_to_num(moved**2 / np.maximum(lost * larger + FLOOR**2 * begin, 1e-300))
+    beyond = np.nan_to_num(moved**2 / np.maximum(lost * larger + least, 1e-300))
     found = []
     for axis in np.flatnonzero(beyond.max(axis=0) > LIMIT).tolist():
         row = int(np.argmax(beyond[:, axis]))

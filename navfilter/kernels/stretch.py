@@ -239,9 +239,9 @@ def _has_room(sources):
 
 
 @_keyed
-def _heeded(sources):
+def heeded(sources):
     @njit(cache=True, **UNCOUNTED)
-    def _heeded(w, nav, P, period_s):
+    def heeded(w, nav, P, period_s):
         """While all axes are good, `navfilter.filter.drive_watch.DriveWatch.heed`: the reference of gravity is due."""
         _ = sources
         for i in range(6):
@@ -259,7 +259,7 @@ def _heeded(sources):
             unit[drive_watch.SURE] = 1.0 if P[6, 6] + P[7, 7] < drive_watch.LEVEL_SD**2 else 0.0
         return True
 
-    return _heeded
+    return heeded
 
 
 @_keyed
@@ -335,7 +335,7 @@ def _carried(sources):
             if felt > 0 and drv[strapdown.COUNT] >= felt:
                 return HEED
             news = w.shape[0] > 0 and w[drive_watch.UNIT, drive_watch.NEWS] != 0.0
-            if news and not _heeded(w, nav, P, settings[PERIOD_S]):
+            if news and not heeded(w, nav, P, settings[PERIOD_S]):
                 return HEED
         return DONE
 

@@ -5,14 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navfilter.filter.filter import Filter
-from navfilter.filter.layout import Group, Layout
 
-__all__ = ["BETTER", "CONTRADICTED", "constants", "departure"]
+__all__ = ["BETTER", "CONTRADICTED", "departure", "is_near"]
 
-Array = NDArray[np.float64]
 #: Constants that have gone further from what is believed of them speak against the error models [sd of a normal
 #: variate]: one ask in 700 by chance, and those of a mission are nearly one.
 CONTRADICTED = 3.0
@@ -20,19 +17,23 @@ CONTRADICTED = 3.0
 BETTER = 2.0
 
 
-def constants(layout: Layout) -> tuple[NDArray[np.intp], Array, Array]:
-    """Places of all constant states that are not known for certain, their means and variances at the start."""
-    places, means, variances = [], [], []
-    for g in (layout.drive, *layout.groups.values()):
-        own = _of(g)
-        places += [g.start + i for i in own]
-        means += [g.x0[i] for i in own]
-        variances += [g.P0[i, i] for i in own]
-    return np.array(places, np.intp), np.array(means), np.array(variances)
+def is_near(filter: Filter) -> bool:
+    """Whether the constants are so near to what was believed of them that their `departure` is below `CONTRADICTED`,
+    for certain: that is so nearly always, and told without a decomposition.
 
-
-def _of(g: Group) -> list[int]:
-    return [i for i in range(g.errors, g.size) if not g.Q[i].any() and g.P0[i, i] > 0.0]
+    Notes
+    -----
+    With k constants the freedom of the scaled chi-square lies between 1 and k, and the limit of its length, in units of
+    its mean, falls with the freedom. Its mean, the sum of the eigenvalues as far as they are positive, is no less than
+    the sum of the diagonal as far as that is (Schur-Horn).
+    """
+    length = total = 0.0
+    at, mean, variance = filter.layout.constants
+    for i, m, v in zip(at.tolist(), mean.tolist(), variance.tolist(), strict=True):
+        length += (filter.x.item(i - 9) - m) ** 2 / v
+        total += max(0.0, 1.0 - filter.P.item(i, i) / v)
+    spread = 2.0 / (9.0 * max(1, len(at)))
+    return length < 0.99 * total * (1.0 - spread + CONTRADICTED * math.sqrt(spread)) ** 3
 
 
 def departure(filter: Filter) -> float:
@@ -46,7 +47,7 @@ def departure(filter: Filter) -> float:
     same mean and variance (Satterthwaite, 1946), made normal by its cube root (Wilson and Hilferty, 1931). What a
     mission does not tell has l = 0 and does not count.
     """
-    at, mean, variance = constants(filter.layout)
+    at, mean, variance = filter.layout.constants
     if not len(at):
         return 0.0
     sd = np.sqrt(variance)

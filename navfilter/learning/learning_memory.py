@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.filter.adoption import Change
+from navfilter.learning.kept import Kept
 from navfilter.learning.listener_memory import ListenerMemory
 from navfilter.learning.rest import RestMemory
 
@@ -46,10 +47,10 @@ class LearningMemory:
         Sum of what the corrections fed back, as an open loop would have carried it, see `navfilter.kernels.listen`.
     listeners : dict of str to ListenerMemory
     rest : RestMemory or None
-    beginning : list or None
+    beginning : Kept or None
         Inputs since the start, kept until the first models are adopted; None when that is over.
-    kept : int
-        How many of them there were.
+    kept : (int, int)
+        How many samples and readings of them there were.
     stage : int
         How many of the early hops are over.
     hopping : bool
@@ -71,8 +72,8 @@ class LearningMemory:
     fed_back: Array
     listeners: dict[str, ListenerMemory]
     rest: RestMemory | None
-    beginning: list[Any] | None
-    kept: int
+    beginning: Kept | None
+    kept: tuple[int, int]
     stage: int
     hopping: bool
     again: Again | None
@@ -80,3 +81,16 @@ class LearningMemory:
     waiting: tuple[Change, ...]
     levels: dict[str, tuple[float, ...]]
     ask_s: float
+
+    def revive(self, names: tuple[str, ...]) -> None:
+        """Make the inputs of the beginning, as they were stored, one's own, for a vehicle with these sensors.
+
+        Raises
+        ------
+        ValueError
+            When they are not as many as were kept, or have another form.
+        """
+        if self.beginning is not None:
+            self.beginning = self.beginning.again(names)
+        if (self.beginning.count if self.beginning else (0, 0)) != self.kept:
+            raise ValueError("memory.learning.beginning has not as many inputs as were kept")

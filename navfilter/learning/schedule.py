@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +14,10 @@ from navfilter.filter.channel import Channel
 from navfilter.filter.events import Correction, Event, Passed, Propagated, Relaid, StoodIn
 from navfilter.filter.filter import Filter
 from navfilter.filter.health import Watch
+from navfilter.filter.history import Reading
 from navfilter.kernels import listen
-from navfilter.learning.conflict import BETTER, CONTRADICTED, departure
+from navfilter.learning.conflict import BETTER, CONTRADICTED, departure, is_near
+from navfilter.learning.kept import Kept
 from navfilter.learning.learned import learning_part
 from navfilter.learning.learning_memory import Again, LearningMemory
 from navfilter.learning.listener import NEVER, TAKEN_AFTER_S, ChannelSeries, Listener
@@ -95,7 +96,9 @@ class LearningSchedule:
         for name, sensor in vehicle.sensors.items():
             if any(learning_part(model) is not None for model in sensor.models):
                 self.listen(name)
-        self.beginning: list[Any] | None = [] if self.listeners else None
+        self.beginning = Kept(tuple(vehicle.sensors)) if self.listeners else None
+        if self.listeners:
+            self.worker.start()
         self._levels = self._present_levels()
 
     # ---------------------------------------------------------------- what changes
@@ -109,7 +112,7 @@ class LearningSchedule:
             listeners,
             rest,
             self.beginning,
-            len(self.beginning or ()),
+            (0, 0) if self.beginning is None else self.beginning.count,
             self._stage,
             self._hopping,
             self.again,
@@ -130,7 +133,7 @@ class LearningSchedule:
         if self.rest is not None and memory.rest is not None:
             self.rest.memory = memory.rest
         if self.beginning is not None:
-            del self.beginning[memory.kept :]
+            self.beginning.cut(*memory.kept)
 
     # ---------------------------------------------------------------- listening
     def listen(self, name: str, capacity: int | None = None) -> None:
@@ -283,10 +286,10 @@ class LearningSchedule:
         return np.array([filter.nav[3:6], speed]), np.array([C @ filter.x[: m - 9], spread])
 
     # ---------------------------------------------------------------- the beginning
-    def keep(self, item: Any, mine: bool = False) -> None:
-        """Keep an input of the beginning: samples, or a reading; `mine` are samples that nobody else will change."""
-        if self.beginning is not None and len(item):
-            self.beginning.append(item.copy() if isinstance(item, np.ndarray) and not mine else item)
+    def keep(self, item: Array | Reading) -> None:
+        """Keep an input of the beginning: samples, or a reading."""
+        if self.beginning is not None:
+            self.beginning.append(item)
 
     @property
     def early_s(self) -> float:
@@ -350,7 +353,7 @@ class LearningSchedule:
     def _ask(self) -> None:
         """Where the constants speak against the models that were learnt, have the beginning done again as described."""
         self._ask_s += self.ASKED_S
-        if self._given_up_s > self._hop_s:  # what is due then comes first
+        if self._given_up_s > self._hop_s or is_near(self.filter):  # what is due then comes first
             return
         models = {name: listener.memory.models for name, listener in self.listeners.items()}
         described = {name: listener.described for name, listener in self.listeners.items()}
@@ -387,7 +390,7 @@ class LearningSchedule:
             levels[name] = tuple(1.0 if block is None else max(block_level(block), 1e-300) for block in blocks)
         return levels
 
-    def begin_again(self, until_s: float) -> list[Any]:
+    def begin_again(self, until_s: float) -> list[Array | Reading]:
         """The filter stands at the start again: listen from there, and learn nothing before `until_s`; returns the
         inputs of the beginning, which are kept anew if it may be done once more.
         """
@@ -396,7 +399,8 @@ class LearningSchedule:
         self._fed_back = np.zeros(2 * self.filter.layout.head + 1)
         if self.rest is not None:
             self.rest.begin_again()
-        beginning, self.beginning = self.beginning or [], []
+        names = tuple(self.filter.channels)
+        inputs, self.beginning = [] if self.beginning is None else self.beginning.inputs(), Kept(names)
         self._quiet_s = until_s
         self._waiting = ()
         if self.again is not None and self.again.given_up:
@@ -404,4 +408,4 @@ class LearningSchedule:
             for listener in self.listeners.values():
                 listener.give_up()
         self._go_on()
-        return beginning
+        return inputs

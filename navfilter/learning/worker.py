@@ -15,7 +15,6 @@ from navfilter.filter.health import LearningHealth
 
 __all__ = ["Task", "Worker"]
 
-
 class _ShortTurns:
     """While it is entered, Python threads take turns after `TURN_S`, so that nobody waits long for this one."""
 
@@ -94,6 +93,10 @@ class Worker:
     def _run(self, work: Callable[[], None]) -> None:
         with _short_turns:
             work()
+
+    def start(self) -> None:
+        """Have the thread ready: making one takes milliseconds."""
+        self.begin(lambda: None)
 
     def note(self, waited_s: float) -> None:
         """An answer was late."""

@@ -173,11 +173,15 @@ class Outlet:
         return written, failure
 
     def _write(self, data: bytes) -> tuple[int, OSError | None]:
-        """Bytes that went out, and what ended it; a handle that does not block is waited for."""
+        """Bytes that went out, and what ended it; a handle that does not block is waited for.
+
+        A pipe takes so many bytes whole or not at all: no line is torn when the run ends while its reader sleeps.
+        """
         sent = 0
         while sent < len(data) and self._handle is not None:
+            lines = data.rfind(b"\n", sent, sent + select.PIPE_BUF) + 1 - sent
             try:
-                sent += os.write(self._handle, data[sent : sent + 65536])
+                sent += os.write(self._handle, data[sent : sent + (lines if lines > 0 else 65536)])
             except BlockingIOError:
                 select.select([], [self._handle], [])
             except OSError as error:

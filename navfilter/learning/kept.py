@@ -1,0 +1,188 @@
+"""The inputs of the beginning, kept for as long as that may be done again.
+
+They are many, so they stand in few, large pieces: who copies them, stores them, lets go of them, or looks through all
+that lives, as Python's collector does, is soon done. All of that happens between two samples of a vehicle.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navfilter.filter.history import Reading
+
+__all__ = ["Kept", "Rows"]
+
+Array = NDArray[np.float64]
+#: Rows of a piece.
+PIECE = 1024
+#: Columns of what is kept of a reading: its time, the number of its sensor, whether it was frozen, and the same; how
+#: many samples came before it, and how many values there are of it and those before.
+TIME_S, SENSOR, FROZEN, SAME, BEFORE, VALUES, WIDTH = range(7)
+
+
+@dataclass
+class Rows:
+    """Rows of numbers that become more.
+
+    Attributes
+    ----------
+    width, count : int
+    pieces : list of ndarray, shapes (PIECE, width)
+        The last ones have room for more.
+    """
+
+    width: int
+    count: int = 0
+    pieces: list[Array] = field(default_factory=list)
+
+    def append(self, rows: Array) -> None:
+        """Add some."""
+        taken = 0
+        while taken < len(rows):
+            piece, at = self._room()
+            some = rows[taken : taken + PIECE - at]
+            piece[at : at + len(some)] = some
+            taken += len(some)
+            self.count += len(some)
+
+    def put(self, *row: float) -> None:
+        """Add one."""
+        piece, at = self._room()
+        piece[at] = row
+        self.count += 1
+
+    def _room(self) -> tuple[Array, int]:
+        """Where the next row stands."""
+        i, at = divmod(self.count, PIECE)
+        if i == len(self.pieces):
+            self.pieces.append(np.empty((PIECE, self.width)))
+        return self.pieces[i], at
+
+    def cut(self, count: int) -> None:
+        """Go back to so many. Others may share the pieces: what they hold is not written over."""
+        if count < self.count:
+            i = count // PIECE
+            self.pieces[i:] = [self.pieces[i].copy()]
+            self.count = count
+
+    def shared(self) -> Rows:
+        """The same, from now on by itself."""
+        return Rows(self.width, self.count, [*self.pieces[:-1], *(piece.copy() for piece in self.pieces[-1:])])
+
+    def whole(self, count: int) -> Array:
+        """The first of them, shape (count, width); a copy."""
+        return np.concatenate([np.empty((0, self.width)), *self.pieces])[:count].copy()
+
+
+@dataclass(frozen=True)
+class Kept:
+    """Samples and readings in the order in which they were taken.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Of all sensors.
+    samples, readings, values : Rows
+        Time and six values; `WIDTH` columns; one value.
+    sds : dict
+        What came with readings as their own standard deviation, by number.
+    """
+
+    names: tuple[str, ...]
+    samples: Rows = field(default_factory=lambda: Rows(7))
+    readings: Rows = field(default_factory=lambda: Rows(WIDTH))
+    values: Rows = field(default_factory=lambda: Rows(1))
+    sds: dict[int, Any] = field(default_factory=dict)
+
+    @property
+    def count(self) -> tuple[int, int]:
+        """Samples and readings."""
+        return self.samples.count, self.readings.count
+
+    def append(self, item: Array | Reading) -> None:
+        """Add an input."""
+        if isinstance(item, np.ndarray):
+            self.samples.append(item)
+            return
+        if item.sd is not None:
+            self.sds[self.readings.count] = item.sd
+        self.values.append(item.value.reshape(-1, 1))
+        numbers = self.samples.count, self.values.count
+        self.readings.put(item.time_s, self.names.index(item.name), item.frozen, item.same, *numbers)
+
+    def extend(self, samples: Array, before: NDArray[np.int64], readings: list[Reading]) -> None:
+        """Add samples, and readings between them; before (n,): behind how many of these samples each."""
+        place = {name: i for i, name in enumerate(self.names)}
+        heads = [(r.time_s, place[r.name], r.frozen, r.same) for r in readings]
+        ends = self.values.count + np.cumsum([r.value.size for r in readings])
+        self.sds.update({self.readings.count + k: r.sd for k, r in enumerate(readings) if r.sd is not None})
+        self.readings.append(np.column_stack([heads, self.samples.count + before, ends]))
+        self.values.append(np.concatenate([r.value.ravel() for r in readings])[:, None])
+        self.samples.append(samples)
+
+    def cut(self, samples: int, readings: int) -> None:
+        """Go back to so many."""
+        if readings < self.readings.count:
+            self.readings.cut(readings)
+            i, at = divmod(readings - 1, PIECE)
+            self.values.cut(int(self.readings.pieces[i][at, VALUES]) if readings else 0)
+            for number in [number for number in self.sds if number >= readings]:
+                del self.sds[number]
+        self.samples.cut(samples)
+
+    def shared(self) -> Kept:
+        """The same, from now on by itself."""
+        return Kept(
+            self.names, self.samples.shared(), self.readings.shared(), self.values.shared(), dict(self.sds)
+        )
+
+    def first(self, samples: int, readings: int) -> Kept:
+        """The first of them, as they are stored: each kind in one piece."""
+        heads = self.readings.whole(readings)
+        values = self.values.whole(int(heads[-1, VALUES]) if readings else 0)
+        given, heard, read = (Rows(t.shape[1], len(t), [t]) for t in (self.samples.whole(samples), heads, values))
+        return Kept(self.names, given, heard, read, {n: sd for n, sd in self.sds.items() if n < readings})
+
+    def again(self, names: tuple[str, ...]) -> Kept:
+        """The same from what was stored, for a vehicle with these sensors.
+
+        Raises
+        ------
+        ValueError
+            For anything that is not as `first` makes it.
+        """
+        new, own = Kept(names), (self.samples, self.readings, self.values)
+        for rows, like in zip(own, (new.samples, new.readings, new.values), strict=True):
+            good = len(rows.pieces) == 1 and rows.pieces[0].shape == (rows.count, like.width)
+            if not (good and rows.pieces[0].dtype == np.float64):
+                raise ValueError("what is kept of the beginning has another form")
+            like.append(rows.pieces[0])
+        heads = self.readings.pieces[0]
+        ends = heads[:, [BEFORE, VALUES]]
+        follow = np.diff(ends, axis=0, prepend=0.0) >= 0.0
+        good = follow & (ends <= [new.samples.count, new.values.count]) & (ends == np.floor(ends))
+        known = self.names == names and np.isin(heads[:, SENSOR], range(len(names))).all()
+        numbers = all(type(number) is int and 0 <= number < len(heads) for number in self.sds)
+        if not (good.all() and known and numbers):
+            raise ValueError("readings kept of the beginning do not follow each other, or are of no sensor")
+        new.sds.update(self.sds)
+        return new
+
+    def inputs(self) -> list[Array | Reading]:
+        """All of them, samples that follow each other in one block."""
+        samples, heads = self.samples.whole(self.samples.count), self.readings.whole(self.readings.count)
+        values = self.values.whole(self.values.count)[:, 0]
+        result: list[Array | Reading] = []
+        begin = first = 0
+        for k, (time_s, sensor, frozen, same, *ends) in enumerate(heads.tolist()):
+            before, last = map(int, ends)
+            if before > begin:
+                result.append(samples[begin:before])
+            value = values[first:last].copy()
+            result.append(Reading(self.names[int(sensor)], time_s, value, self.sds.get(k), bool(frozen), bool(same)))
+            begin, first = before, last
+        return [*result, samples[begin:]] if begin < len(samples) else result
