@@ -34,7 +34,7 @@ READINGS, SAMPLES = 4096, 1 << 16
 #: Progress is told after so many readings.
 SHOWN = 512
 #: After these the kernel is called again, once Python has done what is due.
-GOES_ON = kernels.FULL, kernels.DONE, kernels.HEED, kernels.LEARN
+GOES_ON = kernels.FULL, kernels.DONE, kernels.HEED, kernels.LEARN, kernels.LOOK
 #: Rows and elements of records that are gathered before the tape gets them.
 ROWS, ELEMENTS = 512, 1 << 18
 
@@ -294,6 +294,8 @@ class Passage:
                 name = self._readings.names[self._readings.sensor[self.at - 1]]
                 for change in self.nav.learning.learn(name):
                     self.nav.filter.adopt(change, self.nav.told)
+            if why in (kernels.LEARN, kernels.LOOK):
+                shifts.look(self.nav.filter)
         return kernels.NEXT if why in GOES_ON else why
 
     def _hearing(self) -> Hearing:
@@ -371,10 +373,10 @@ class Passage:
         filter, learning, tape = self.nav.filter, self.nav.learning, self.nav.filter.tape
         gap_s, doubt_s = filter.intake.spans
         interval_s = math.inf if tape is None else tape.interval_s
-        until_s, steps = min(learning.early_s, shifts.due_s(filter)), filter.memory.drv[strapdown.INCREMENTS]
-        spans = filter.period_s, filter.ahead_s, filter.fold_every, gap_s, doubt_s, until_s, interval_s
-        each = tape is not None and tape.each_sample
-        return np.array([*spans, steps, learning.learning_s, filter.vehicle.drive.gravity, filter.feels_after, each])
+        steps, each = filter.memory.drv[strapdown.INCREMENTS], tape is not None and tape.each_sample
+        spans = filter.period_s, filter.ahead_s, filter.fold_every, gap_s, doubt_s, learning.early_s, interval_s
+        drive = filter.vehicle.drive.gravity, filter.feels_after
+        return np.array([*spans, steps, learning.learning_s, *drive, each, shifts.due_s(filter)])
 
     def _output(self) -> Output:
         """Room for rows, when they hold, records and what each is."""

@@ -1503,11 +1503,11 @@ def stretch(
     now, cursor, settings, bench, plan, heard, watched, state, drive, samples, stamps, limits, hearing, given, out
 ):
     """One reading after the other. 0: all done, 1 and 2: the next one is Python's, 3: it was not used, 4: no room, 5:
-    the watch over the drive has found something, 6: there is something to learn.
+    the watch over the drive has found something, 6: there is something to learn, 7: it is time for a look.
     """
     (nav, x, P, acc), (drv, Phid, Qd, Cr, before, w, sd, ends), m = state, drive, state[3].shape[1]
     known = max(0, len(before) - 512)
-    period, ahead, every, gap, doubt, until, interval, increments, learn, g, felt, each = settings
+    period, ahead, every, gap, doubt, until, interval, increments, learn, g, felt, each, look_s = settings
     undone, ears, where, opened = hearing
     rows, info, records, heads = out
 
@@ -1604,7 +1604,10 @@ def stretch(
             watched[i, 5:7] = note[1], max(watched[i, 6], t)
         share = min(note[0] / note[1], 100.0)
         watched[i, 4] = share if np.isnan(watched[i, 4]) else watched[i, 4] + (share - watched[i, 4]) / 50.0
+        cursor[0] = e + 1 if t >= look_s else e
         if not undone.size:
+            if t >= look_s:
+                return 7
             continue
         a, mem, once = spot[0], bench[spot[14] : spot[15]], np.zeros(1, int)
         carry(undone, mem[: m * m].reshape(m, m))
@@ -1616,6 +1619,8 @@ def stretch(
         if ears[i, 0] and attend(ears[i], note[0], note[1], count, t >= learn):
             cursor[0] = e + 1
             return 6
+        if t >= look_s:
+            return 7
     cursor[0] = len(given[0])
     return 0
 

@@ -48,8 +48,9 @@ MORE_RECENT = 512
 # Elements of `settings`: period of the drive, how far ahead a reading may be, samples between folds, silence that is a
 # gap, silence that is in doubt, when something is due, interval of the rows; whether samples are increments; from when
 # on it is learnt from readings, and what a tilt turns into acceleration (see `listen`); after how many samples Python
-# feels whether the vehicle rests (0: never); whether every sample gets a row.
+# feels whether the vehicle rests (0: never); whether every sample gets a row; when Python looks at what has been taken.
 PERIOD_S, AHEAD_S, FOLD_EVERY, GAP_S, DOUBT_S, UNTIL_S, INTERVAL_S, INCREMENTS, LEARN_S, GRAVITY, FELT, EACH = range(12)
+LOOK_S = 12
 # Columns of `heard`, a row a channel: last reading, last tick, period, whether readings before have been refused, ticks
 # of the last reading, how long readings wait.
 LAST_S, TICKED_S, CHANNEL_PERIOD_S, DOUBTED, TICKS, WAIT_S = range(6)
@@ -62,8 +63,9 @@ STUCK_READINGS, STUCK_S = 10.0, 8.0
 
 # Why a stretch has ended: all is done; the next reading, or the samples before it, are for Python; its samples are
 # taken, the reading is for Python; it was not used: Python says what follows; no room is left in the output; the watch
-# over the drive has found something that Python has to heed; after the last reading there is something to learn.
-DONE, NEXT, REFUSED, JUDGED, FULL, HEED, LEARN = range(7)
+# over the drive has found something that Python has to heed; after the last reading there is something to learn, or it
+# is time for a look.
+DONE, NEXT, REFUSED, JUDGED, FULL, HEED, LEARN, LOOK = range(8)
 
 
 @_keyed
@@ -489,6 +491,9 @@ def stretch(sources):
             ):
                 cursor[READING] = e + 1
                 return LEARN
+            if t >= settings[LOOK_S]:
+                cursor[READING] = e + 1
+                return LOOK
         cursor[READING] = times.size
         return DONE
 
