@@ -662,6 +662,10 @@ def fold(P, acc, nav, T):
     nav[6:15] = (C @ (1.5 * np.eye(3) - 0.5 * C.T @ C)).ravel()
 
 
+def unmoved(A):
+    return np.array_equal(A, np.eye(*A.shape))
+
+
 def discount_heading(P, acc, work=None):
     """The slope of velocity and position by the heading, shrunk by the variance of the change of velocity."""
     m = acc.shape[1]
@@ -1513,6 +1517,8 @@ def stretch(
 
     def record(values, *head):
         if records.size:
+            if unmoved(values[: m * m].reshape(m, m)):
+                values, head = values[m * m :], (head[0], 0, *head[2:])
             records[cursor[6] : cursor[6] + len(values)], heads[cursor[5]] = values, (len(values), *head)
             cursor[5:7] += 1, len(values)
 

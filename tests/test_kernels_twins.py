@@ -396,6 +396,24 @@ def test_the_heading_is_discounted_by_what_the_change_of_velocity_may_err(change
     np.testing.assert_array_equal(present[4], [*folded[0][:9, :9].ravel(), *folded[0].diagonal()[9:]])
 
 
+@pytest.mark.parametrize("rows", [11, 22])
+def test_what_has_not_moved_is_not_folded_and_nothing_changes(rows):
+    rng = np.random.default_rng(12)
+    m, acc = 11, np.vstack([np.eye(11), np.zeros((33, 11))])
+    assert kalman.unmoved(acc[:rows]) and naive.unmoved(acc[:rows])
+    for i, j in [(0, 3), (5, 5), (4, 2), (rows - 1, m - 1)]:
+        A = acc[:rows].copy()
+        A[i, j] += 1e-9
+        assert not kalman.unmoved(A) and not naive.unmoved(A)
+    P, nav = spd(rng, 18), random_nav(rng)
+    folded, _ = run_both(kalman.fold, P, acc, nav, np.zeros((m, 18)))
+    dims = np.array([1, 18, m, 0, m, 0, 0])
+    none, mem = np.zeros((2, 0, 0)), np.zeros(kalman.places(dims)[-1])
+    predicted, _ = run_both(kalman.predict, P, nav, rng.normal(size=9), acc, none, mem, dims, 0)
+    np.testing.assert_array_equal(predicted[0], folded[0])
+    np.testing.assert_array_equal(predicted[1], folded[2])
+
+
 @pytest.mark.parametrize("count", [0, 1, 2, 3, 7, 40])
 def test_power(count):
     rng = np.random.default_rng(2)

@@ -146,7 +146,12 @@ def fold(P, acc, nav, T):
             acc[i, j] = 0.0
     for i in range(m):
         acc[i, i] = 1.0
-    E = T[0]
+    _orthonormal(nav, T[0])
+
+
+@njit(cache=True, **UNCOUNTED)
+def _orthonormal(nav, E):
+    """C_nb in nav, orthonormal again to first order. E: work, nine of it."""
     for i in range(3):
         for j in range(3):
             E[3 * i + j] = 0.0
@@ -156,6 +161,21 @@ def fold(P, acc, nav, T):
         x, y, z = nav[6 + 3 * i], nav[7 + 3 * i], nav[8 + 3 * i]
         for j in range(3):
             nav[6 + 3 * i + j] += 0.5 * (nav[6 + 3 * i + j] - (x * E[j] + y * E[3 + j] + z * E[6 + j]))
+
+
+@njit(cache=True, **UNCOUNTED)
+def unmoved(A):
+    """Whether a transition is the identity, and its noise zero if it stands below: A (m or 2m, m)."""
+    m = A.shape[1]
+    if A[0, 3] != 0.0:
+        return False  # velocity moves the position: nearly every other one ends here
+    others, diagonal = 0, 0
+    for i in range(A.shape[0]):
+        for j in range(m):
+            others += A[i, j] != 0.0
+    for i in range(m):
+        diagonal += A[i, i] == 1.0
+    return others == diagonal == m
 
 
 @njit(cache=True, **COUNTED)
@@ -459,14 +479,17 @@ def places(dims):
 @njit(cache=True, **UNCOUNTED)
 def predict(P, nav, x, acc, model, mem, dims, count):
     """Before a reading: note the transition in `mem`, fold it, and tick the sensor's block `count` times. model: (2, b,
-    b), Phi and Q.
+    b), Phi and Q. Where several sensors read at once, there is nothing to fold for the later ones.
     """
     n, m, b, start = dims[1], dims[2], dims[3], dims[4]
     work = places(dims)[9]
     for i in range(m):
         for j in range(m):
             mem[i * m + j] = acc[i, j]
-    fold(P, acc, nav, mem[work : work + m * n].reshape((m, n)))
+    if unmoved(acc[: 2 * m]):
+        _orthonormal(nav, mem[work : work + 9])
+    else:
+        fold(P, acc, nav, mem[work : work + m * n].reshape((m, n)))
     if b == 0:
         return
     A = mem[m * m : m * m + b * b].reshape((b, b))
@@ -597,7 +620,7 @@ def smooth_record(L, lam, record, a, m, b, start, T):
     D + H' S^-1 H, then through the transitions lam <- Phi' lam, L <- Phi' L Phi. After it the smoothed error at the
     record before is -P lam with covariance P - P L P.
 
-    record: Phi (m x m), tick Phi (b x b), then if a > 0: H (a x n), K (n x a), inverse S (a x a), res (a), turn (3),
+    record: Phi (m x m; m = 0 where nothing moved), tick Phi (b x b), then if a > 0: H (a x n), K (n x a), inverse S (a x a), res (a), turn (3),
     each row by row. `start` is the ticked block's place, b its size (0: none). L (n, n) and lam (n,) change; T work, n
     columns and three times as many rows, at least 3a.
     """
@@ -661,7 +684,14 @@ def smooth_record(L, lam, record, a, m, b, start, T):
             _less_twice(L, H[c], T[c])
     if b > 0:
         _transition_transposed(L, lam, record[m * m : m * m + b * b].reshape((b, b)), start, b, T)
-    _head_transposed(L, lam, record[: m * m].reshape((m, m)), T.reshape(T.size))
+    if m > 0:
+        _head_transposed(L, lam, record[: m * m].reshape((m, m)), T.reshape(T.size))
+        return
+    for i in range(6, 9):  # what the reset has left
+        for j in range(6, i):
+            s = 0.5 * (L[i, j] + L[j, i])
+            L[i, j] = s
+            L[j, i] = s
 
 
 @njit(cache=True, **UNCOUNTED)

@@ -206,18 +206,21 @@ def _note_record(sources):
     @njit(cache=True, **UNCOUNTED)
     def _note_record(record, axes, dims, cursor, records, heads):
         """Write a record for the smoother: nothing where `records` is empty. heads (r, 5): size, axes, head, size and
-        start of the ticked block.
+        start of the ticked block; a head of 0 where the transition is the identity, which is left out.
         """
         _ = sources
         if records.size == 0:
             return
+        m = dims[2]
+        if kalman.unmoved(record[: m * m].reshape((m, m))):
+            record, m = record[m * m :], int(0)
         at, begin = cursor[RECORDS], cursor[WRITTEN]
         for i in range(record.size):
             records[begin + i] = record[i]
         heads[at, 0], heads[at, 1], heads[at, 2], heads[at, 3], heads[at, 4] = (
             record.size,
             axes,
-            dims[2],
+            m,
             dims[3],
             dims[4],
         )
