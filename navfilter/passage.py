@@ -383,7 +383,7 @@ class Passage:
         filter = self.nav.filter
         n = filter.layout.size
         smoothable = filter.tape is not None and filter.tape.smoothable
-        width = n + 8 + (n * n if smoothable else 72 + n)
+        width = n + 8 + (n * (n + 1) // 2 if smoothable else 72 + n)
         elements = max(ELEMENTS, 8 * int(filter.plan[-1, kernels.RECORD])) if smoothable else 0
         if self._out is None or self._out[0].shape[1] != width or self._out[2].size != elements:
             each = filter.tape is not None and filter.tape.each_sample

@@ -832,7 +832,9 @@ def smooth_run(L, lam, records, begins, heads, rows, firsts, holds, index, until
     n = len(lam)
     for after in range(index, until - 1, -1):
         for q in np.flatnonzero(holds == after):
-            P = rows[firsts[q] + 8 + n :][: n * n].reshape(n, n)
+            P = np.zeros((n, n))
+            P[np.tril_indices(n)] = rows[firsts[q] + 8 + n :][: n * (n + 1) // 2]
+            P += np.tril(P, -1).T
             smooth_row(P, L, lam, means[q], covs[q], None)
         if after > until:
             smooth_record(L, lam, records[begins[after - 1] :], *heads[after - 1], None)
@@ -1527,8 +1529,8 @@ def stretch(
             cursor[4] = max(cursor[4] - 1, 0)
         elif now[0] - now[3] < interval:
             return
-        covariance = P.ravel()
-        if rows.shape[1] != 17 + x.size + P.size:
+        covariance = P[np.tril_indices(len(P))]
+        if rows.shape[1] != 17 + x.size + covariance.size:
             covariance = np.zeros(72 + len(P))
             present(P, acc, drv[126], None, covariance)
         rows[cursor[4]], info[cursor[4]] = np.concatenate([nav, x, covariance]), (now[0], cursor[5])

@@ -573,22 +573,22 @@ def test_smoother_kernels(a, b):
 def test_smoother_goes_through_a_run_of_records_and_rows(holds, until):
     rng = np.random.default_rng(17)
     n, m, q = 14, 10, len(holds)
-    kinds = [(0, m, 0, 0), (1, m, 2, 11), (3, m, 0, 0), (2, m, 3, 10)]
+    kinds = [(0, m, 0, 0), (1, m, 2, 11), (3, 0, 0, 0), (2, m, 3, 10)]
     parts = [
         np.concatenate(
             [
-                (np.eye(m) + 0.1 * rng.normal(size=(m, m))).ravel(),
+                (np.eye(head) + 0.1 * rng.normal(size=(head, head))).ravel(),
                 rng.normal(size=b * b),
                 *([0.1 * rng.normal(size=2 * a * n), spd(rng, a).ravel(), rng.normal(size=a + 3)] if a else []),
             ]
         )
-        for a, m, b, _ in kinds
+        for a, head, b, _ in kinds
     ]
     begins = 5 + np.cumsum([0, *map(len, parts)])[:-1]  # something else stands before them
-    rows = [np.concatenate([rng.normal(size=8 + n), 0.1 * spd(rng, n).ravel()]) for _ in holds]
+    rows = [np.concatenate([rng.normal(size=8 + n), 0.1 * spd(rng, n)[np.tril_indices(n)]]) for _ in holds]
     firsts = 3 + np.cumsum([0, *map(len, rows)])[:-1][:q].astype(np.int64)
     flat = np.concatenate([np.zeros(5), *parts]), np.concatenate([np.zeros(3), *rows])
-    work = np.zeros((3 * n, n)), np.zeros((n, n))
+    work = np.zeros((3 * n, n)), np.zeros((2 * n, n))
     args = flat[0], begins, np.array(kinds), flat[1], firsts, np.array(holds, dtype=np.int64), 4, until
     ours, twins = run_both(
         kalman.smooth_run, spd(rng, n), rng.normal(size=n), *args, np.zeros((q, n)), np.zeros((q, n, n)), *work

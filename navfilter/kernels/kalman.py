@@ -813,9 +813,9 @@ def smooth_run(L, lam, records, begins, heads, rows, firsts, holds, index, until
     first: `smooth_record` and `smooth_row` in one call.
 
     records: flat; begins (r,): where each begins; heads (r, 4): axes, size of the head, size and start of the ticked
-    block. rows: flat, each 17 + (n - 9) + n^2 values; firsts (q,): where each begins; holds (q,): after how many of the
+    block. rows: flat, each 17 + (n - 9) values and the lower triangle of P; firsts (q,): where each begins; holds (q,): after how many of the
     records it holds. index: after how many of them the adjoint is; until: where to leave it. means (q, n), covs (q, n,
-    n): what is found. T, U (n, n): work, T as many rows as `smooth_record` asks for.
+    n): what is found. T, U: work, n columns, T as many rows as `smooth_record` asks for, U 2n.
     """
     n = len(lam)
     for q in range(len(firsts) - 1, -2, -1):
@@ -825,6 +825,10 @@ def smooth_run(L, lam, records, begins, heads, rows, firsts, holds, index, until
             a, m, b, start = heads[index, 0], heads[index, 1], heads[index, 2], heads[index, 3]
             smooth_record(L, lam, records[begins[index] :], a, m, b, start, T)
         if q >= 0:
-            first = firsts[q] + 8 + n
-            P = rows[first : first + n * n].reshape((n, n))
-            smooth_row(P, L, lam, means[q], covs[q], U)
+            first, P = firsts[q] + 8 + n, U[n:]
+            for i in range(n):
+                for j in range(i + 1):
+                    P[i, j] = rows[first + j]
+                    P[j, i] = rows[first + j]
+                first += i + 1
+            smooth_row(P, L, lam, means[q], covs[q], U[:n])

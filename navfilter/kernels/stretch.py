@@ -167,8 +167,8 @@ def _note_row(sources):
     def _note_row(now, cursor, interval_s, nav, x, P, acc, inertial, rows, info, work):
         """Write the state down as a row: the last note of a time stands, those closer than the interval are skipped.
 
-        rows (r, w): nav, x, then the whole of P or its first nine rows and columns and the rest of its diagonal, as
-        `kalman.present` gives them where samples have not been folded yet. info (r, 2): time, and after how many
+        rows (r, w): nav, x, then the lower triangle of P or its first nine rows and columns and the rest of its
+        diagonal, as `kalman.present` gives them where samples have not been folded yet. info (r, 2): time, and after how many
         records.
         """
         _ = sources
@@ -182,10 +182,12 @@ def _note_row(sources):
             row[i] = nav[i]
         for i in range(n - 9):
             row[17 + i] = x[i]
-        if row.size == n + 8 + n * n:
+        if row.size == n + 8 + n * (n + 1) // 2:
+            first = n + 8
             for i in range(n):
-                for j in range(n):
-                    row[n + 8 + i * n + j] = P[i, j]
+                for j in range(i + 1):
+                    row[first + j] = P[i, j]
+                first += i + 1
         elif cursor[UNFOLDED] > 0:
             kalman.present(P, acc, inertial, work, row[n + 8 :])
         else:
