@@ -16,7 +16,10 @@ Signs: error = estimated minus true; attitude error is a rotation vector in n: `
 import math
 
 import numpy as np
-from numba import njit
+from numba import njit, types
+from numba.core import cgutils
+from numba.core.typing.templates import AbstractTemplate, infer_global, signature
+from numba.extending import lower_builtin
 
 #: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
 UNCOUNTED: dict = {"_nrt": False}
@@ -420,6 +423,45 @@ def _transpose(Z, m):
                     B[j, i] = s
 
 
+def _transpose_square(X):
+    """Of the first rows of a panel, as many as it has columns, in place: X, flat."""
+    A = X[: WIDE * WIDE].reshape(WIDE, WIDE)
+    A[:] = A.T.copy()
+
+
+@infer_global(_transpose_square)
+class _OfTransposeSquare(AbstractTemplate):
+    def generic(self, arguments, keywords):
+        return signature(types.void, *arguments)
+
+
+@lower_builtin(_transpose_square, types.Array)
+def _build_transpose_square(context, builder, kinds, arguments):
+    """In registers: what is stored number by number cannot be loaded in rows for a while, which took longer than all
+    else of it.
+    """
+    index, row = cgutils.ir.IntType(32), cgutils.ir.VectorType(cgutils.ir.DoubleType(), WIDE)
+    array = context.make_array(kinds.args[0])(context, builder, value=arguments[0])
+    first = builder.bitcast(array.data, row.as_pointer())
+    places = [builder.gep(first, [cgutils.ir.Constant(index, i)]) for i in range(WIDE)]
+    rows = [builder.load(place) for place in places]
+    for value in rows:
+        value.align = 8
+    apart = WIDE // 2
+    while apart:
+        mine = [j if j & apart == 0 else WIDE + j - apart for j in range(WIDE)]
+        masks = [[j + add for j in mine] for add in (0, apart)]
+        masks = [cgutils.ir.Constant(cgutils.ir.VectorType(index, WIDE), mask) for mask in masks]
+        for i in range(WIDE):
+            if i & apart == 0:
+                pair = rows[i], rows[i + apart]
+                rows[i], rows[i + apart] = (builder.shuffle_vector(*pair, mask) for mask in masks)
+        apart //= 2
+    for place, value in zip(places, rows, strict=True):
+        builder.store(value, place, align=8)
+    return context.get_dummy_value()
+
+
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _tick_drive(xd, Phid, Qd, diagonal, T, Q, m):
     """A tick of the drive's blocks: their mean, and their noise into Q (panels)."""
@@ -440,7 +482,7 @@ def _tick_drive(xd, Phid, Qd, diagonal, T, Q, m):
         xd[i] = T[i]
 
 
-@njit(cache=True, error_model="numpy", **UNCOUNTED)
+@njit(cache=True, error_model="numpy", inline="always", **UNCOUNTED)
 def _inertial_compound(xd, Phid, Qd, diagonal, ticks, C, f, seen, gain, kinds, E, T, both, Q, rows, gathered):
     """Compound Phi <- F Phi, Q <- F Q F' with the step that `_inertial_advance` left in f; the drive's blocks tick, and
     their mean too.
@@ -454,7 +496,10 @@ def _inertial_compound(xd, Phid, Qd, diagonal, ticks, C, f, seen, gain, kinds, E
     if ticks > 0:
         _tick_rows(moved, Phid, diagonal, T, m)
     if gathered:
-        _transpose(rows, m)
+        if rows.shape[0] == m:
+            _transpose_square(Q)
+        else:
+            _transpose(rows, m)
         _inertial_carry(Q, f, C, seen, gain, kinds, E, m, int(0))
     for count in range(ticks):
         if count > 0:
@@ -554,27 +599,38 @@ def _is_diagonal(A):
 
 
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
-def _to_panels(M, X):
-    m = M.shape[0]
-    Z = X.reshape((X.size // WIDE, WIDE))
-    for p in range(Z.shape[0] // m):
-        A, first = Z[p * m : (p + 1) * m], p * WIDE
-        B = M[:, first : min(m, first + WIDE)]
+def _to_panels(M, X, m):
+    """Fill panels X from the rows of a matrix of m columns at the beginning of M, which is longer. Copies of a fixed
+    length are much quicker: what they take too much is 0 in the last panel.
+    """
+    for begin in range(0, X.size, m * WIDE):
+        left = begin // m
+        known = min(WIDE, m - left)
         for i in range(m):
-            for j in range(B.shape[1]):
-                A[i, j] = B[i, j]
+            A, B = X[begin + i * WIDE :], M[i * m + left :]
+            for j in range(WIDE):
+                A[j] = B[j]
+            for j in range(known, WIDE):
+                A[j] = 0.0
 
 
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
-def _from_panels(X, M):
-    m = M.shape[0]
-    Z = X.reshape((X.size // WIDE, WIDE))
-    for p in range(Z.shape[0] // m):
-        A, first = Z[p * m : (p + 1) * m], p * WIDE
-        B = M[:, first : min(m, first + WIDE)]
-        for i in range(m):
-            for j in range(B.shape[1]):
-                B[i, j] = A[i, j]
+def _from_panels(X, M, m):
+    """The way back. What it writes too much is overwritten by the next row; behind the last row M is work space."""
+    for i in range(m):
+        for begin in range(0, X.size, m * WIDE):
+            A, B = X[begin + i * WIDE :], M[i * m + begin // m :]
+            for j in range(WIDE):
+                B[j] = A[j]
+
+
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
+def _any(X):
+    """Whether there is anything but zeros: without a branch for each of them."""
+    count = 0
+    for i in range(X.size):
+        count += X[i] != 0.0
+    return count > 0
 
 
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
@@ -620,8 +676,10 @@ def _panels(m):
 
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _room(m):
-    """Elements of the work space of the inertial kernels for a head of m states."""
-    return 40 + 6 * (m - 9) + (m - 3) * WIDE + 2 * ((m + WIDE - 1) // WIDE * m * WIDE)
+    """Elements of the work space of the inertial kernels for a head of m states; behind a panel of few rows there are
+    as many as it has columns.
+    """
+    return 40 + 6 * (m - 9) + (m - 3) * WIDE + 2 * ((m + WIDE - 1) // WIDE * m * WIDE) + WIDE * WIDE
 
 
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
@@ -654,11 +712,13 @@ def _imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc, floats, seen):
     constants = _constants(Phid, Qd, drv)
     count, kinds = _which_errors(Cr, drv, constants, seen, gain)
     diagonal = _is_diagonal(Phid) and _is_diagonal(Qd)
-    _to_panels(acc[:m], Phi)
-    _to_panels(acc[m : 2 * m], Q)
+    flat = acc.reshape(acc.size)
+    _to_panels(flat, Phi, m)
+    _to_panels(flat[m * m :], Q, m)
     moved = Q[: _panels(m - constants) * m * WIDE]  # constants gather no noise
-    both = floats[floats.size - Q.size - Phi.size : floats.size - Q.size + moved.size]
-    rows, gathered = moved.reshape((moved.size // WIDE, WIDE)), bool(Q.any())
+    first = 40 + 6 * k + 6 * WIDE + k * WIDE
+    both = floats[first : first + Phi.size + moved.size]
+    rows, gathered = moved.reshape((moved.size // WIDE, WIDE)), _any(Q)
     for n in range(samples.shape[0]):
         _increments(samples, n, drv, inc)
         drv[COUNT] += 1.0
@@ -677,8 +737,8 @@ def _imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc, floats, seen):
         )
         _inertial_noise(dt, drv, Cr, Q, k)
         gathered = True
-    _from_panels(Phi, acc[:m])
-    _from_panels(Q, acc[m : 2 * m])
+    _from_panels(Phi, flat, m)
+    _from_panels(Q, flat[m * m :], m)
 
 
 @njit(cache=True, error_model="numpy")
@@ -696,11 +756,13 @@ def _imu_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc, floats, seen):
     constants = _constants(Phid, Qd, drv)
     count, kinds = _which_errors(Cr, drv, constants, seen, gain)
     diagonal = _is_diagonal(Phid) and _is_diagonal(Qd)
-    _to_panels(acc[:m], Phi)
-    _to_panels(acc[m : 2 * m], Q)
+    flat = acc.reshape(acc.size)
+    _to_panels(flat, Phi, m)
+    _to_panels(flat[m * m :], Q, m)
     moved = Q[: _panels(m - constants) * m * WIDE]  # constants gather no noise
-    both = floats[floats.size - Q.size - Phi.size : floats.size - Q.size + moved.size]
-    rows, gathered = moved.reshape((moved.size // WIDE, WIDE)), bool(Q.any())
+    first = 40 + 6 * k + 6 * WIDE + k * WIDE
+    both = floats[first : first + Phi.size + moved.size]
+    rows, gathered = moved.reshape((moved.size // WIDE, WIDE)), _any(Q)
     scale = dt / drv[PERIOD_S] if drv[INCREMENTS] != 0.0 else dt
     for i in range(6):
         inc[i] = drv[PREVIOUS + i] * scale
@@ -714,8 +776,8 @@ def _imu_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc, floats, seen):
         xd, Phid, Qd, diagonal, int(0), C, f, seen, gain[:count], kinds, E, T, both, moved, rows, gathered
     )
     _inertial_noise(dt, drv, Cr, Q, k)
-    _from_panels(Phi, acc[:m])
-    _from_panels(Q, acc[m : 2 * m])
+    _from_panels(Phi, flat, m)
+    _from_panels(Q, flat[m * m :], m)
 
 
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
