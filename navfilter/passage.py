@@ -373,10 +373,10 @@ class Passage:
         filter, learning, tape = self.nav.filter, self.nav.learning, self.nav.filter.tape
         gap_s, doubt_s = filter.intake.spans
         interval_s = math.inf if tape is None else tape.interval_s
-        steps, each = filter.memory.drv[strapdown.INCREMENTS], tape is not None and tape.each_sample
+        steps, gravity = filter.memory.drv[strapdown.INCREMENTS], filter.vehicle.drive.gravity
         spans = filter.period_s, filter.ahead_s, filter.fold_every, gap_s, doubt_s, learning.early_s, interval_s
-        drive = filter.vehicle.drive.gravity, filter.feels_after
-        return np.array([*spans, steps, learning.learning_s, *drive, each, shifts.due_s(filter)])
+        due = filter.feels_after, tape is not None and tape.each_sample, shifts.due_s(filter)
+        return np.array([*spans, steps, learning.learning_s, gravity, *due])
 
     def _output(self) -> Output:
         """Room for rows, when they hold, records and what each is."""
@@ -404,21 +404,21 @@ class Passage:
         if cursor[kernels.SAMPLE] > first[1]:
             filter.intake.taken(int(cursor[kernels.GAPS]))
         self._stepped = int(cursor[kernels.STEPPED])
-        seen = used.stop + (why == kernels.JUDGED)
+        judged = int(given.sensor[self.at]) if why == kernels.JUDGED else -1
+        which, times = (part[self._begin + used.start : self.at] for part in (given.sensor, given.time_s))
         for i, (channel, watch) in enumerate(zip(self._channels, self._watches, strict=True)):
             channel.times, channel.count = tuple(heard[i, :2].tolist()), int(heard[i, kernels.TICKS])
-            mine = np.flatnonzero(given.sensor[self._begin : self._begin + seen] == i)
-            mine = mine[mine >= first[0]]
-            if not len(mine):
-                continue
-            watch.caught_up(watched[i], given.value(self._begin + mine[-1]).tobytes())
-            mine = mine[mine < used.stop]
+            mine = (which == i).nonzero()[0]
+            if len(mine) or i == judged:
+                last = self.at if i == judged else self._begin + used.start + mine[-1]
+                watch.caught_up(watched[i], given.value(last).tobytes())
             if len(mine):
-                channel.memory.use(float(given.time_s[self._begin + mine[0]]))
-                channel.memory.use(float(given.time_s[self._begin + mine[-1]]))
-            if tape is not None and len(mine):
-                times = given.time_s[self._begin + mine] - channel.lead_s
-                tape.columns[channel.name].extend(times, self._notes[mine, : 3 + 2 * channel.axes])
+                own = times[mine]
+                channel.memory.use(float(own[0]))
+                channel.memory.use(float(own[-1]))
+                notes = self._notes[used.start + mine, : 3 + 2 * channel.axes]
+                if tape is not None:
+                    tape.columns[channel.name].extend(own - channel.lead_s, notes)
         if tape is not None:
             tape.extend(out, *cursor[[kernels.ROWS, kernels.RECORDS, kernels.WRITTEN]].tolist())
         if self.nav.learning.beginning is not None:

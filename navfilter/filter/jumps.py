@@ -23,10 +23,10 @@ if TYPE_CHECKING:
     from navfilter.filter.channel import Channel
     from navfilter.filter.filter import Filter
     from navfilter.filter.filter_memory import FilterMemory
-    from navfilter.filter.layout import Group, Layout
+    from navfilter.filter.layout import Layout
     from navfilter.mechanisation import Mechanisation
 
-__all__ = ["JumpWatch", "bias_of"]
+__all__ = ["JumpWatch"]
 
 Array = NDArray[np.float64]
 #: Jumps are thought to have happened at the beginning of one of so many windows, one of which begins each so often [s]:
@@ -81,7 +81,7 @@ class JumpWatch:
         """A new window: the jumps happen now."""
         bank[:-1, :-1], bank[-1, -1] = 0.0, 0.0
         for axis in range(AXES):
-            states = bias_of(layout.drive, axis)
+            states = layout.drive.biases[axis]
             if states.size:
                 bank[axis, layout.drive.start + states[0]] = 1.0
 
@@ -193,14 +193,9 @@ class JumpWatch:
         back = (axes[:, kernel.CODE] == kernel.CONTRADICTED) & (axes[:, kernel.HELD] == 0.0)
         g, P = filter.layout.drive, filter.memory.P
         for axis in first + np.flatnonzero(back):
-            states = bias_of(g, int(axis))
+            states = g.biases[axis]
             if states.size:
                 place = g.start + states[0]
                 P[place, place] += filter.memory.watch[axis, kernel.JUMP] ** 2
                 filter.memory.watch[axis, kernel.JUMP] = 0.0
         axes[back, kernel.CODE] = kernel.GOOD
-
-
-def bias_of(g: Group, axis: int) -> NDArray[np.int64]:
-    """Which of the drive's states are the bias of an axis."""
-    return np.flatnonzero((np.diag(g.Phi)[: g.errors] == 1.0) & (g.C[axis] != 0.0))

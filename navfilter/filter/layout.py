@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, NamedTuple, SupportsFloat
 
 import numpy as np
@@ -164,6 +165,12 @@ class Group:
     def slice(self) -> slice:
         """Rows of the error state."""
         return slice(self.start, self.start + self.size)
+
+    @cached_property
+    def biases(self) -> tuple[NDArray[np.int64], ...]:
+        """Of the drive: which states are the bias of each axis."""
+        constant = np.diag(self.Phi)[: self.errors] == 1.0
+        return tuple(np.flatnonzero(constant & (row != 0.0)) for row in self.C)
 
     @property
     def ticks(self) -> bool:

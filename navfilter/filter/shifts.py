@@ -26,7 +26,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.filter.channel import UNDISPUTED_S, Channel
-from navfilter.filter.jumps import bias_of
 from navfilter.kernels import drive_watch as kernel
 from navfilter.kernels import listen
 
@@ -82,28 +81,28 @@ def look(filter: Filter) -> None:
     time_s = max((channel.memory.last_s for channel in filter.channels.values()), default=-math.inf)
     if time_s == -math.inf or time_s < due_s(filter):
         return
-    states = [bias_of(g, axis) for axis in range(3)]
     now, kept = np.zeros(COLUMNS), memory.shifts
-    now[[TIME_S, LATITUDE, LONGITUDE]] = time_s, *memory.nav[:2]
+    now[TIME_S], now[LATITUDE], now[LONGITUDE] = time_s, memory.nav[0], memory.nav[1]
     now[ANEW] = memory.counts["realigned"] + memory.counts["opened"]
-    if all(each.size for each in states):
-        own = np.array([each[0] for each in states])
+    if all(each.size for each in g.biases[:3]):
+        own = np.array([each[0] for each in g.biases[:3]])
         places, walk = g.start + own, g.Q[own, own] / filter.period_s
-        now[BIAS:VARIANCE], now[VARIANCE:NIS] = memory.x[places - 9], np.diag(memory.P)[places]
+        now[BIAS:VARIANCE], now[VARIANCE:NIS] = memory.x[places - 9], memory.P[places, places]
         now[NIS] = _nis(filter, time_s)
         compass = _compass(filter)
-        now[[HEADING, APART]] = math.nan if compass is None else _apart(filter, compass)
+        now[HEADING], now[APART] = (math.nan, math.nan) if compass is None else _apart(filter, compass)
         if filter.watch.busy(memory.watch) or not _goes_on(kept[-1], now, walk):
             kept = fresh()
         found = shifted(kept, now, walk, g.P0[own, own])
-        upright, calm = np.abs(memory.nav[12:15]) > UPRIGHT, _undisputed(filter, time_s)
+        if found:
+            upright, calm = np.abs(memory.nav[12:15]) > UPRIGHT, _undisputed(filter, time_s)
         found = [f for f in found if (_ramps(compass, np.vstack([kept, now]), *f) if upright[f[0]] else calm)]
         for axis, row, size in found:
             _open(memory, int(places[axis]), axis, size, kept[row:])
             memory.counts["shifted"] += 1
         if found:
             kept, now[VARIANCE:NIS] = fresh(), np.diag(memory.P)[places]
-    memory.shifts = np.vstack([kept[1:], now])
+    memory.shifts = np.concatenate([kept[1:], now[np.newaxis]])
 
 
 def _goes_on(before: Array, now: Array, walk: Array) -> bool:
@@ -180,8 +179,8 @@ def ramp_beyond_deviation(
 def _nis(filter: Filter, time_s: float) -> float:
     """Of the last readings of all sensors that have been heard since the last look, per component; 1 where none was."""
     heard = [c.verdict for c in filter.channels.values() if c.memory.last_s > time_s - EVERY_S]
-    told = np.array([verdict[:2] for verdict in heard if math.isfinite(verdict[0]) and verdict[1]])
-    return float(told[:, 0].sum() / told[:, 1].sum()) if len(told) else 1.0
+    told = [verdict[:2].tolist() for verdict in heard if math.isfinite(verdict[0]) and verdict[1]]
+    return float(np.divide(*np.sum(told, axis=0))) if told else 1.0
 
 
 def shifted(looks: Array, now: Array, walk: Array, begin: Array) -> list[tuple[int, int, float]]:
@@ -197,9 +196,11 @@ def shifted(looks: Array, now: Array, walk: Array, begin: Array) -> list[tuple[i
     begin : ndarray, shape (3,)
         Their variances at the start.
     """
+    moved = now[BIAS:VARIANCE] - looks[:, BIAS:VARIANCE]
+    if not (moved**2 > 0.9 * LIMIT * FLOOR**2 * begin).any():
+        return []  # whatever variances and NIS are: nearly always
     added = walk * (now[TIME_S] - looks[:, [TIME_S]])
     lost = np.maximum(looks[:, VARIANCE:NIS] + added - now[VARIANCE:NIS], 0.0)
-    moved = now[BIAS:VARIANCE] - looks[:, BIAS:VARIANCE]
     # of the readings from each look on
     nis = np.cumsum(np.append(looks[:, NIS], now[NIS])[::-1])[:0:-1] / np.arange(len(looks) + 1, 1, -1)
     larger = np.maximum(nis, 1.0)[:, np.newaxis]

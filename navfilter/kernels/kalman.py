@@ -7,17 +7,74 @@ covariance, K gain. Errors e here are *true minus estimated*, so a correction is
 import math
 
 import numpy as np
-from numba import njit
+from numba import njit, types
+from numba.core import cgutils
+from numba.core.typing.templates import AbstractTemplate, infer_global, signature
+from numba.extending import lower_builtin
 
 #: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
 UNCOUNTED: dict = {"_nrt": False}
 COUNTED: dict = {"_nrt": True}
+# Rows and columns of a product at a time: so many sums fit in the registers, and hide how long each takes.
+HIGH, WIDE = 9, 8
 
 
-@njit(cache=True, **COUNTED)
 def _product(A, B, out):
-    """A B into out, by BLAS. numba wants arrays that are counted for that, see `navfilter.kernels`."""
+    """A (r, k) B (k, n) into out (r, n): nine rows and eight columns at least."""
     np.dot(A, B, out)
+
+
+@infer_global(_product)
+class _OfProduct(AbstractTemplate):
+    def generic(self, arguments, keywords):
+        return signature(types.void, *arguments)
+
+
+@lower_builtin(_product, types.Array, types.Array, types.Array)
+def _build_product(context, builder, kinds, arguments):
+    """Nine rows and eight columns at a time, their sums in registers: a library of linear algebra takes longer to begin
+    than such a product. The last ones overlap those before. Each sum goes from the first term to the last, multiplied
+    and added in one rounding where the processor can.
+    """
+    word, index, row = cgutils.ir.IntType(64), cgutils.ir.IntType(32), cgutils.ir.VectorType(cgutils.ir.DoubleType(), WIDE)
+    nothing, zero = cgutils.ir.Constant(row, cgutils.ir.Undefined), cgutils.ir.Constant(row, [0.0] * WIDE)
+    same = cgutils.ir.Constant(cgutils.ir.VectorType(index, WIDE), [0] * WIDE)
+    arrays = [context.make_array(kind)(context, builder, value=x) for kind, x in zip(kinds.args, arguments, strict=True)]
+    (rows, inner), (_, n) = (cgutils.unpack_tuple(builder, array.shape) for array in arrays[:2])
+    left, right, out = (array.data for array in arrays)
+    sums = [cgutils.alloca_once(builder, row) for _ in range(HIGH)]
+
+    def number(value):
+        return cgutils.ir.Constant(word, value)
+
+    def place(data, i, width, j):
+        return builder.gep(data, [builder.add(builder.mul(i, width), j)])
+
+    def parts(total, size):
+        """Loop over parts of this size, where each begins."""
+        return cgutils.for_range(builder, builder.udiv(builder.add(total, number(size - 1)), number(size)), intp=word)
+
+    def begins(part, total, size):
+        begin, last = builder.mul(part.index, number(size)), builder.sub(total, number(size))
+        return builder.select(builder.icmp_signed("<", begin, last), begin, last)
+
+    with parts(rows, HIGH) as high, parts(n, WIDE) as wide:
+        first, column = begins(high, rows, HIGH), begins(wide, n, WIDE)
+        mine = [place(left, builder.add(first, number(i)), inner, number(0)) for i in range(HIGH)]
+        for total in sums:
+            builder.store(zero, total)
+        with cgutils.for_range(builder, inner, intp=word) as step:
+            factors = builder.load(builder.bitcast(place(right, step.index, n, column), row.as_pointer()))
+            factors.align = 8
+            for total, terms in zip(sums, mine, strict=True):
+                term = builder.load(builder.gep(terms, [step.index]))
+                term = builder.insert_element(nothing, term, cgutils.ir.Constant(index, 0))
+                term = builder.fmul(builder.shuffle_vector(term, nothing, same), factors, flags=("contract",))
+                builder.store(builder.fadd(builder.load(total), term, flags=("contract",)), total)
+        for i, total in enumerate(sums):
+            to = builder.bitcast(place(out, builder.add(first, number(i)), n, column), row.as_pointer())
+            builder.store(builder.load(total), to, align=8)
+    return context.get_dummy_value()
 
 
 @njit(cache=True, **UNCOUNTED)

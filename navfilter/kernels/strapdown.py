@@ -426,7 +426,7 @@ def _transpose(Z, m):
 def _transpose_square(X):
     """Of the first rows of a panel, as many as it has columns, in place: X, flat."""
     A = X[: WIDE * WIDE].reshape(WIDE, WIDE)
-    A[:] = A.T.copy()
+    np.copyto(A, A.T.copy())
 
 
 @infer_global(_transpose_square)
