@@ -24,57 +24,146 @@ def _product(A, B, out):
     np.dot(A, B, out)
 
 
-@infer_global(_product)
-class _OfProduct(AbstractTemplate):
+def _weighted(f, A, out):
+    """The sum of f (k,) times the first k rows of A (r, n) into out (n,), eight elements at least."""
+    np.copyto(out[: A.shape[1]], f @ A[: len(f)])
+
+
+def _less_twice(P, U, W):
+    """P <- P - u w' - w u' for each row of U and W, of eight columns at least: symmetric to the bit where P was."""
+    for u, w in zip(U, W, strict=True):
+        P -= np.outer(u, w) + np.outer(w, u)
+
+
+_ir = cgutils.ir
+_WORD, _INDEX, _ROW = _ir.IntType(64), _ir.IntType(32), _ir.VectorType(_ir.DoubleType(), WIDE)
+_ZERO = _ir.Constant(_ROW, [0.0] * WIDE)
+
+
+def _compiled(function, count):
+    """Decorates what builds the instructions that stand for a function of so many arrays in a kernel."""
+
     def generic(self, arguments, keywords):
         return signature(types.void, *arguments)
 
+    infer_global(function)(type(f"_Of{function.__name__}", (AbstractTemplate,), {"generic": generic}))
 
-@lower_builtin(_product, types.Array, types.Array, types.Array)
-def _build_product(context, builder, kinds, arguments):
+    def built(build):
+        @lower_builtin(function, *(types.Array,) * count)
+        def generate(context, builder, kinds, arguments):
+            given = zip(kinds.args, arguments, strict=True)
+            arrays = [context.make_array(kind)(context, builder, value=value) for kind, value in given]
+            shapes = [cgutils.unpack_tuple(builder, array.shape) for array in arrays]
+            build(builder, [array.data for array in arrays], shapes)
+            return context.get_dummy_value()
+
+        return build
+
+    return built
+
+
+def _number(value):
+    return _ir.Constant(_WORD, value)
+
+
+def _parts(builder, total, size):
+    """Loop over parts of this size."""
+    return cgutils.for_range(builder, builder.udiv(builder.add(total, _number(size - 1)), _number(size)), intp=_WORD)
+
+
+def _begin(builder, part, total, size):
+    """Where a part begins: the last one overlaps those before."""
+    begin, last = builder.mul(part.index, _number(size)), builder.sub(total, _number(size))
+    return builder.select(builder.icmp_signed("<", begin, last), begin, last)
+
+
+def _place(builder, data, i, width, j):
+    return builder.gep(data, [builder.add(builder.mul(i, width), j)])
+
+
+def _eight(builder, place):
+    value = builder.load(builder.bitcast(place, _ROW.as_pointer()))
+    value.align = 8
+    return value
+
+
+def _put(builder, value, place):
+    builder.store(value, builder.bitcast(place, _ROW.as_pointer()), align=8)
+
+
+def _times_eight(builder, number):
+    nothing, same = _ir.Constant(_ROW, _ir.Undefined), _ir.Constant(_ir.VectorType(_INDEX, WIDE), [0] * WIDE)
+    return builder.shuffle_vector(builder.insert_element(nothing, number, _ir.Constant(_INDEX, 0)), nothing, same)
+
+
+@_compiled(_product, 3)
+def _build_product(builder, data, shapes):
     """Nine rows and eight columns at a time, their sums in registers: a library of linear algebra takes longer to begin
-    than such a product. The last ones overlap those before. Each sum goes from the first term to the last, multiplied
-    and added in one rounding where the processor can.
+    than such a product. Each sum goes from the first term to the last, multiplied and added in one rounding where the
+    processor can.
     """
-    word, index, row = cgutils.ir.IntType(64), cgutils.ir.IntType(32), cgutils.ir.VectorType(cgutils.ir.DoubleType(), WIDE)
-    nothing, zero = cgutils.ir.Constant(row, cgutils.ir.Undefined), cgutils.ir.Constant(row, [0.0] * WIDE)
-    same = cgutils.ir.Constant(cgutils.ir.VectorType(index, WIDE), [0] * WIDE)
-    arrays = [context.make_array(kind)(context, builder, value=x) for kind, x in zip(kinds.args, arguments, strict=True)]
-    (rows, inner), (_, n) = (cgutils.unpack_tuple(builder, array.shape) for array in arrays[:2])
-    left, right, out = (array.data for array in arrays)
-    sums = [cgutils.alloca_once(builder, row) for _ in range(HIGH)]
-
-    def number(value):
-        return cgutils.ir.Constant(word, value)
-
-    def place(data, i, width, j):
-        return builder.gep(data, [builder.add(builder.mul(i, width), j)])
-
-    def parts(total, size):
-        """Loop over parts of this size, where each begins."""
-        return cgutils.for_range(builder, builder.udiv(builder.add(total, number(size - 1)), number(size)), intp=word)
-
-    def begins(part, total, size):
-        begin, last = builder.mul(part.index, number(size)), builder.sub(total, number(size))
-        return builder.select(builder.icmp_signed("<", begin, last), begin, last)
-
-    with parts(rows, HIGH) as high, parts(n, WIDE) as wide:
-        first, column = begins(high, rows, HIGH), begins(wide, n, WIDE)
-        mine = [place(left, builder.add(first, number(i)), inner, number(0)) for i in range(HIGH)]
+    (left, right, out), ((rows, inner), (_, n), _) = data, shapes
+    sums = [cgutils.alloca_once(builder, _ROW) for _ in range(HIGH)]
+    with _parts(builder, rows, HIGH) as high, _parts(builder, n, WIDE) as wide:
+        first, column = _begin(builder, high, rows, HIGH), _begin(builder, wide, n, WIDE)
+        places = [builder.add(first, _number(i)) for i in range(HIGH)]
+        mine = [_place(builder, left, i, inner, _number(0)) for i in places]
         for total in sums:
-            builder.store(zero, total)
-        with cgutils.for_range(builder, inner, intp=word) as step:
-            factors = builder.load(builder.bitcast(place(right, step.index, n, column), row.as_pointer()))
-            factors.align = 8
+            builder.store(_ZERO, total)
+        with cgutils.for_range(builder, inner, intp=_WORD) as step:
+            factors = _eight(builder, _place(builder, right, step.index, n, column))
             for total, terms in zip(sums, mine, strict=True):
-                term = builder.load(builder.gep(terms, [step.index]))
-                term = builder.insert_element(nothing, term, cgutils.ir.Constant(index, 0))
-                term = builder.fmul(builder.shuffle_vector(term, nothing, same), factors, flags=("contract",))
+                term = _times_eight(builder, builder.load(builder.gep(terms, [step.index])))
+                term = builder.fmul(term, factors, flags=("contract",))
                 builder.store(builder.fadd(builder.load(total), term, flags=("contract",)), total)
-        for i, total in enumerate(sums):
-            to = builder.bitcast(place(out, builder.add(first, number(i)), n, column), row.as_pointer())
-            builder.store(builder.load(total), to, align=8)
-    return context.get_dummy_value()
+        for i, total in zip(places, sums, strict=True):
+            _put(builder, builder.load(total), _place(builder, out, i, n, column))
+
+
+@_compiled(_weighted, 3)
+def _build_weighted(builder, data, shapes):
+    """Eight columns at a time; rows whose factor is zero are left out."""
+    (f, A, out), ((k,), (_, n), _) = data, shapes
+    total = cgutils.alloca_once(builder, _ROW)
+    with _parts(builder, n, WIDE) as wide:
+        column = _begin(builder, wide, n, WIDE)
+        builder.store(_ZERO, total)
+        with cgutils.for_range(builder, k, intp=_WORD) as step:
+            factor = builder.load(builder.gep(f, [step.index]))
+            with builder.if_then(builder.fcmp_unordered("!=", factor, _ir.Constant(factor.type, 0.0))):
+                terms = _eight(builder, _place(builder, A, step.index, n, column))
+                term = builder.fmul(_times_eight(builder, factor), terms)
+                builder.store(builder.fadd(builder.load(total), term), total)
+        _put(builder, builder.load(total), builder.gep(out, [column]))
+
+
+@_compiled(_less_twice, 3)
+def _build_less_twice(builder, data, shapes):
+    """Eight columns at a time, all rows of U and W in one go. The last columns, which overlap those before, are formed
+    first and stored last.
+    """
+    (P, U, W), ((n, _), (a, _), _) = data, shapes
+    last, total = builder.sub(n, _number(WIDE)), cgutils.alloca_once(builder, _ROW)
+    with cgutils.for_range(builder, n, intp=_WORD) as row:
+
+        def less(column, row=row):
+            builder.store(_eight(builder, _place(builder, P, row.index, n, column)), total)
+            with cgutils.for_range(builder, a, intp=_WORD) as axis:
+                terms = [
+                    builder.fmul(
+                        _times_eight(builder, builder.load(_place(builder, one, axis.index, n, row.index))),
+                        _eight(builder, _place(builder, other, axis.index, n, column)),
+                    )
+                    for one, other in ((U, W), (W, U))
+                ]
+                builder.store(builder.fsub(builder.load(total), builder.fadd(*terms)), total)
+            return builder.load(total)
+
+        end = less(last)
+        with cgutils.for_range(builder, builder.udiv(n, _number(WIDE)), intp=_WORD) as wide:
+            column = builder.mul(wide.index, _number(WIDE))
+            _put(builder, less(column), _place(builder, P, row.index, n, column))
+        _put(builder, end, _place(builder, P, row.index, n, last))
 
 
 @njit(cache=True, **UNCOUNTED)
@@ -97,19 +186,16 @@ def discount_heading(P, acc, work):
 
     A heading error turns that change. But an error of tilt or of an accelerometer looks like one too, and as much of
     its square as that has variance would be information about the heading out of nothing: errors in variables (Fuller,
-    1987, sec. 1.1). The part of the square beyond its variance is unbiased, and shrinks the slope. work: 2m.
+    1987, sec. 1.1). The part of the square beyond its variance is unbiased, and shrinks the slope. work: m + n.
     """
     m, north, east = acc.shape[1], acc[3, 8], acc[4, 8]
-    variance, own, carried = acc[m + 3, 3] + acc[m + 4, 4], work[:m], work[m : 2 * m]
+    variance, own, carried = acc[m + 3, 3] + acc[m + 4, 4], work[:m], work[m : m + P.shape[0]]
     for axis in (3, 4):
         for i in range(m):
             own[i] = acc[axis, i]
-            carried[i] = 0.0
         own[axis] -= 1.0
         own[8] = 0.0
-        for i in range(m):
-            for j in range(m):
-                carried[j] += own[i] * P[i, j]
+        _weighted(own, P, carried)
         for i in range(m):
             variance += carried[i] * own[i]
     square = north * north + east * east
@@ -174,12 +260,7 @@ def fold(P, acc, nav, T):
             if acc[i, r] != 0.0:
                 first, last = min(first, r), r + 1
         begins[i], ends[i] = first, last
-        for j in range(n):
-            T[i, j] = 0.0
-        for r in range(first, last):
-            f = acc[i, r]
-            for j in range(n):
-                T[i, j] += f * P[r, j]
+        _weighted(acc[i][first:last], P[first:last], T[i])
     for i in range(9):
         for j in range(i + 1):
             s = 0.5 * (head[i, j] + head[j, i] + acc[m + i, j] + acc[m + j, i])
@@ -286,13 +367,7 @@ def tick(P, x, start, A, B, T):
     """
     b, n = A.shape[0], P.shape[0]
     for i in range(b):
-        for j in range(n):
-            T[i, j] = 0.0
-        for r in range(b):
-            f = A[i, r]
-            if f != 0.0:
-                for j in range(n):
-                    T[i, j] += f * P[start + r, j]
+        _weighted(A[i], P[start:], T[i])
     for i in range(b):
         for j in range(n):
             P[start + i, j] = T[i, j]
@@ -364,13 +439,7 @@ def innovation(P, H, res, R, S, PH, out):
                 H[i, j] = 0.0
         else:
             used += 1
-        for j in range(n):
-            PH[i, j] = 0.0
-        for r in range(n):
-            f = H[i, r]
-            if f != 0.0:
-                for j in range(n):
-                    PH[i, j] += f * P[r, j]
+        _weighted(H[i], P, PH[i])
         for j in range(i + 1):
             s = 0.0
             for r in range(n):
@@ -407,17 +476,6 @@ def innovation(P, H, res, R, S, PH, out):
 
 
 @njit(cache=True, **UNCOUNTED)
-def _less_twice(P, u, w):
-    """P <- P - u w' - w u': symmetric to the bit where P was."""
-    n = P.shape[0]
-    for i in range(n):
-        f, g = u[i], w[i]
-        if f != 0.0 or g != 0.0:
-            for j in range(n):
-                P[i, j] -= f * w[j] + g * u[j]
-
-
-@njit(cache=True, **UNCOUNTED)
 def correct(P, nav, x, res, S, PH, K, turn, T):
     """Closed-loop correction after `innovation`: gain, Joseph covariance, feedback into the nominal state, attitude
     reset.
@@ -445,8 +503,7 @@ def correct(P, nav, x, res, S, PH, K, turn, T):
             f = 0.5 * S[c, r]
             for i in range(n):
                 w[r, i] -= f * u[c, i]
-    for r in range(a):
-        _less_twice(P, u[r], w[r])
+    _less_twice(P, u, w)
     for i in range(n):
         s = 0.0
         for j in range(a):
@@ -711,14 +768,11 @@ def smooth_record(L, lam, record, a, m, b, start, T):
             lam[8] = w + 0.5 * h - (x * g - y * f) / 6.0
         # L <- (I - K H)' L (I - K H) + H' S^-1 H = L - W H - (W H)', W = V - H' (K' V + S^-1) / 2, V = L K
         for c in range(a):
-            for i in range(n):
-                T[c, i] = 0.0
-            f = 0.0
+            f, own = 0.0, T[2 * a + c]
             for j in range(n):
-                g = K[j, c]
-                f += g * lam[j]
-                for i in range(n):
-                    T[c, i] += g * L[j, i]
+                own[j] = K[j, c]
+                f += own[j] * lam[j]
+            _weighted(own, L, T[c])
             for r in range(a):
                 f += Sinv[c, r] * res[r]
             T[a + c, a] = f
@@ -737,8 +791,7 @@ def smooth_record(L, lam, record, a, m, b, start, T):
                 f = T[a + c, r]
                 for i in range(n):
                     T[c, i] -= f * H[r, i]
-        for c in range(a):
-            _less_twice(L, H[c], T[c])
+        _less_twice(L, H, T[:a])
     if b > 0:
         _transition_transposed(L, lam, record[m * m : m * m + b * b].reshape((b, b)), start, b, T)
     if m > 0:
