@@ -29,12 +29,6 @@ def _weighted(f, A, out):
     np.copyto(out[: A.shape[1]], f @ A[: len(f)])
 
 
-def _less_twice(P, U, W):
-    """P <- P - u w' - w u' for each row of U and W, of eight columns at least: symmetric to the bit where P was."""
-    for u, w in zip(U, W, strict=True):
-        P -= np.outer(u, w) + np.outer(w, u)
-
-
 _ir = cgutils.ir
 _WORD, _INDEX, _ROW = _ir.IntType(64), _ir.IntType(32), _ir.VectorType(_ir.DoubleType(), WIDE)
 _ZERO = _ir.Constant(_ROW, [0.0] * WIDE)
@@ -135,35 +129,6 @@ def _build_weighted(builder, data, shapes):
                 term = builder.fmul(_times_eight(builder, factor), terms)
                 builder.store(builder.fadd(builder.load(total), term), total)
         _put(builder, builder.load(total), builder.gep(out, [column]))
-
-
-@_compiled(_less_twice, 3)
-def _build_less_twice(builder, data, shapes):
-    """Eight columns at a time, all rows of U and W in one go. The last columns, which overlap those before, are formed
-    first and stored last.
-    """
-    (P, U, W), ((n, _), (a, _), _) = data, shapes
-    last, total = builder.sub(n, _number(WIDE)), cgutils.alloca_once(builder, _ROW)
-    with cgutils.for_range(builder, n, intp=_WORD) as row:
-
-        def less(column, row=row):
-            builder.store(_eight(builder, _place(builder, P, row.index, n, column)), total)
-            with cgutils.for_range(builder, a, intp=_WORD) as axis:
-                terms = [
-                    builder.fmul(
-                        _times_eight(builder, builder.load(_place(builder, one, axis.index, n, row.index))),
-                        _eight(builder, _place(builder, other, axis.index, n, column)),
-                    )
-                    for one, other in ((U, W), (W, U))
-                ]
-                builder.store(builder.fsub(builder.load(total), builder.fadd(*terms)), total)
-            return builder.load(total)
-
-        end = less(last)
-        with cgutils.for_range(builder, builder.udiv(n, _number(WIDE)), intp=_WORD) as wide:
-            column = builder.mul(wide.index, _number(WIDE))
-            _put(builder, less(column), _place(builder, P, row.index, n, column))
-        _put(builder, end, _place(builder, P, row.index, n, last))
 
 
 @njit(cache=True, **UNCOUNTED)
@@ -476,6 +441,17 @@ def innovation(P, H, res, R, S, PH, out):
 
 
 @njit(cache=True, **UNCOUNTED)
+def _less_twice(P, u, w):
+    """P <- P - u w' - w u': symmetric to the bit where P was."""
+    n = P.shape[0]
+    for i in range(n):
+        f, g = u[i], w[i]
+        if f != 0.0 or g != 0.0:
+            for j in range(n):
+                P[i, j] -= f * w[j] + g * u[j]
+
+
+@njit(cache=True, **UNCOUNTED)
 def correct(P, nav, x, res, S, PH, K, turn, T):
     """Closed-loop correction after `innovation`: gain, Joseph covariance, feedback into the nominal state, attitude
     reset.
@@ -503,7 +479,8 @@ def correct(P, nav, x, res, S, PH, K, turn, T):
             f = 0.5 * S[c, r]
             for i in range(n):
                 w[r, i] -= f * u[c, i]
-    _less_twice(P, u, w)
+    for r in range(a):
+        _less_twice(P, u[r], w[r])
     for i in range(n):
         s = 0.0
         for j in range(a):
@@ -791,7 +768,8 @@ def smooth_record(L, lam, record, a, m, b, start, T):
                 f = T[a + c, r]
                 for i in range(n):
                     T[c, i] -= f * H[r, i]
-        _less_twice(L, H, T[:a])
+        for c in range(a):
+            _less_twice(L, H[c], T[c])
     if b > 0:
         _transition_transposed(L, lam, record[m * m : m * m + b * b].reshape((b, b)), start, b, T)
     if m > 0:
