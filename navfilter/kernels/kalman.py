@@ -20,13 +20,13 @@ HIGH, WIDE = 9, 8
 
 
 def _product(A, B, out):
-    """A (r, k) B (k, n) into out (r, n): nine rows and eight columns at least."""
-    np.dot(A, B, out)
+    """A (r, k) B (k, n) into out, as many columns as it has: nine rows and eight columns at least."""
+    np.dot(A, B[:, : out.shape[1]], out)
 
 
 def _weighted(f, A, out):
-    """The sum of f (k,) times the first k rows of A (r, n) into out (n,), eight elements at least."""
-    np.copyto(out[: A.shape[1]], f @ A[: len(f)])
+    """The sum of f (k,) times the first k rows of A into out, as many columns as it has: eight at least."""
+    np.copyto(out, f @ A[: len(f), : len(out)])
 
 
 _ir = cgutils.ir
@@ -96,7 +96,7 @@ def _build_product(builder, data, shapes):
     than such a product. Each sum goes from the first term to the last, multiplied and added in one rounding where the
     processor can.
     """
-    (left, right, out), ((rows, inner), (_, n), _) = data, shapes
+    (left, right, out), ((rows, inner), (_, width), (_, n)) = data, shapes
     sums = [cgutils.alloca_once(builder, _ROW) for _ in range(HIGH)]
     with _parts(builder, rows, HIGH) as high, _parts(builder, n, WIDE) as wide:
         first, column = _begin(builder, high, rows, HIGH), _begin(builder, wide, n, WIDE)
@@ -105,7 +105,7 @@ def _build_product(builder, data, shapes):
         for total in sums:
             builder.store(_ZERO, total)
         with cgutils.for_range(builder, inner, intp=_WORD) as step:
-            factors = _eight(builder, _place(builder, right, step.index, n, column))
+            factors = _eight(builder, _place(builder, right, step.index, width, column))
             for total, terms in zip(sums, mine, strict=True):
                 term = _times_eight(builder, builder.load(builder.gep(terms, [step.index])))
                 term = builder.fmul(term, factors, flags=("contract",))
@@ -117,7 +117,7 @@ def _build_product(builder, data, shapes):
 @_compiled(_weighted, 3)
 def _build_weighted(builder, data, shapes):
     """Eight columns at a time; rows whose factor is zero are left out."""
-    (f, A, out), ((k,), (_, n), _) = data, shapes
+    (f, A, out), ((k,), (_, width), (n,)) = data, shapes
     total = cgutils.alloca_once(builder, _ROW)
     with _parts(builder, n, WIDE) as wide:
         column = _begin(builder, wide, n, WIDE)
@@ -125,7 +125,7 @@ def _build_weighted(builder, data, shapes):
         with cgutils.for_range(builder, k, intp=_WORD) as step:
             factor = builder.load(builder.gep(f, [step.index]))
             with builder.if_then(builder.fcmp_unordered("!=", factor, _ir.Constant(factor.type, 0.0))):
-                terms = _eight(builder, _place(builder, A, step.index, n, column))
+                terms = _eight(builder, _place(builder, A, step.index, width, column))
                 term = builder.fmul(_times_eight(builder, factor), terms)
                 builder.store(builder.fadd(builder.load(total), term), total)
         _put(builder, builder.load(total), builder.gep(out, [column]))
@@ -133,8 +133,8 @@ def _build_weighted(builder, data, shapes):
 
 @njit(cache=True, **UNCOUNTED)
 def _navigation(P, acc, T, A, head):
-    """Phi P Phi' of the nine of navigation into head (9, 9), before it is made symmetric. T (9, n) holds Phi P then; A
-    (m, 9): work.
+    """Phi P Phi' of the nine of navigation into head (9, 9), before it is made symmetric. T (9, m or more) holds columns
+    of Phi P then; A (m, 9): work.
     """
     m = acc.shape[1]
     _product(acc[:9], P[:m], T)
@@ -151,10 +151,10 @@ def discount_heading(P, acc, work):
 
     A heading error turns that change. But an error of tilt or of an accelerometer looks like one too, and as much of
     its square as that has variance would be information about the heading out of nothing: errors in variables (Fuller,
-    1987, sec. 1.1). The part of the square beyond its variance is unbiased, and shrinks the slope. work: m + n.
+    1987, sec. 1.1). The part of the square beyond its variance is unbiased, and shrinks the slope. work: 2m.
     """
     m, north, east = acc.shape[1], acc[3, 8], acc[4, 8]
-    variance, own, carried = acc[m + 3, 3] + acc[m + 4, 4], work[:m], work[m : m + P.shape[0]]
+    variance, own, carried = acc[m + 3, 3] + acc[m + 4, 4], work[:m], work[m : 2 * m]
     for axis in (3, 4):
         for i in range(m):
             own[i] = acc[axis, i]
@@ -172,13 +172,13 @@ def discount_heading(P, acc, work):
 @njit(cache=True, **UNCOUNTED)
 def present(P, acc, inertial, work, out):
     """What `fold` would leave in P, without folding: of navigation (the first 81 of out), then the variances of all
-    other states (n - 9). inertial: whether the heading is discounted before. work: 9 (n + m + 9).
+    other states (n - 9). inertial: whether the heading is discounted before. work: 9 (2m + 9).
     """
     m, n = acc.shape[1], P.shape[0]
     kept0, kept1, kept3, kept4 = acc[0, 8], acc[1, 8], acc[3, 8], acc[4, 8]
     if inertial:
         discount_heading(P, acc, work)
-    T, A, head = work[: 9 * n].reshape((9, n)), work[9 * n :][: 9 * m].reshape((m, 9)), work[9 * (n + m) :][:81]
+    T, A, head = work[: 9 * m].reshape((9, m)), work[9 * m :][: 9 * m].reshape((m, 9)), work[18 * m :][:81]
     head = head.reshape((9, 9))
     _navigation(P, acc, T, A, head)
     for i in range(9):

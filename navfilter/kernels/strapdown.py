@@ -330,8 +330,8 @@ def _inertial_carry(X, f, C, seen, gain, kinds, E, m, Phi_ends):
 
     Only its nonzero elements, in registers: ten times as quick as a product of whole matrices. Multiplied and added in
     one rounding where the processor can: every step of the filter goes by `imu_steps` or `imu_hold` as they are
-    compiled, so that bits stay the same. seen, gain, kinds: as `_which_errors` has it; E (6 * WIDE,): work, rows of
-    readings that no state enters are zero. A constant is a unit row of Phi, which ends at `Phi_ends`, and has no noise.
+    compiled, so that bits stay the same. seen, gain, kinds: as `_which_errors` has it; E (6 * WIDE,): work, zero at
+    first, where states enter the readings in another way than plainly. A constant is a unit row of Phi, which ends at `Phi_ends`, and has no noise.
     """
     noisy, plain, moving = kinds
     dt, tn, te, td, pn, pe, pd = f[0], f[1], f[2], f[3], f[4], f[5], f[6]
@@ -339,13 +339,14 @@ def _inertial_carry(X, f, C, seen, gain, kinds, E, m, Phi_ends):
     f7, f8, f9, f10, f11, f12, f13, f14, f15, f16 = f[7], f[8], f[9], f[10], f[11], f[12], f[13], f[14], f[15], f[16]
     f17, f18, f19, f20, f21, f22, f23, f24, f25 = f[17], f[18], f[19], f[20], f[21], f[22], f[23], f[24], f[25]
     f26, f27, f28, f29, f30, f31, f32, f33 = f[26], f[27], f[28], f[29], f[30], f[31], f[32], f[33]
-    half = 0.5 * dt
+    half, direct = 0.5 * dt, plain and noisy == gain.size
+    by = dt if direct else 0.0
     for begin in range(0, X.size, m * WIDE):
-        Z = X[begin : begin + m * WIDE]
-        if plain:
+        Z = X[begin:]
+        if plain and not direct:
             for j in range(6 * WIDE):
                 E[j] = dt * Z[9 * WIDE + j]
-        else:
+        elif not plain:
             for j in range(6 * WIDE):
                 E[j] = 0.0
         for p in range(noisy if plain else 0, moving):
@@ -362,8 +363,10 @@ def _inertial_carry(X, f, C, seen, gain, kinds, E, m, Phi_ends):
             x0, x1, x2 = Z[j], Z[WIDE + j], Z[2 * WIDE + j]
             x3, x4, x5 = Z[3 * WIDE + j], Z[4 * WIDE + j], Z[5 * WIDE + j]
             x6, x7, x8 = Z[6 * WIDE + j], Z[7 * WIDE + j], Z[8 * WIDE + j]
-            e0, e1, e2 = E[j], E[WIDE + j], E[2 * WIDE + j]
-            e3, e4, e5 = E[3 * WIDE + j], E[4 * WIDE + j], E[5 * WIDE + j]
+            e0, e1, e2 = by * Z[9 * WIDE + j], by * Z[10 * WIDE + j], by * Z[11 * WIDE + j]
+            e3, e4, e5 = by * Z[12 * WIDE + j], by * Z[13 * WIDE + j], by * Z[14 * WIDE + j]
+            e0, e1, e2 = e0 + E[j], e1 + E[WIDE + j], e2 + E[2 * WIDE + j]
+            e3, e4, e5 = e3 + E[3 * WIDE + j], e4 + E[4 * WIDE + j], e5 + E[5 * WIDE + j]
             y6 = x6 + td * x7 - te * x8 + f7 * x4 + f10 * x0 + f12 * x2 - (c0 * e0 + c1 * e1 + c2 * e2)
             y7 = x7 - td * x6 + tn * x8 + f8 * x3 + f13 * x2 - (c3 * e0 + c4 * e1 + c5 * e2)
             y8 = x8 + te * x6 - tn * x7 + f9 * x4 + f11 * x0 + f14 * x2 - (c6 * e0 + c7 * e1 + c8 * e2)
