@@ -291,8 +291,7 @@ class Passage:
             if why == kernels.HEED:
                 self._heed()
             elif why == kernels.LEARN:
-                name = self._readings.names[self._readings.sensor[self.at - 1]]
-                for change in self.nav.learning.learn(name):
+                for change in self.nav.learning.learn(self._readings.names[self._readings.sensor[self.at - 1]]):
                     self.nav.filter.adopt(change, self.nav.told)
             if why in (kernels.LEARN, kernels.LOOK):
                 shifts.look(self.nav.filter)
@@ -405,20 +404,19 @@ class Passage:
             filter.intake.taken(int(cursor[kernels.GAPS]))
         self._stepped = int(cursor[kernels.STEPPED])
         judged = int(given.sensor[self.at]) if why == kernels.JUDGED else -1
-        which, times = (part[self._begin + used.start : self.at] for part in (given.sensor, given.time_s))
+        first_at = self._begin + used.start
+        which, times = given.sensor[first_at : self.at], given.time_s[first_at : self.at]
         for i, (channel, watch) in enumerate(zip(self._channels, self._watches, strict=True)):
             channel.times, channel.count = tuple(heard[i, :2].tolist()), int(heard[i, kernels.TICKS])
             mine = (which == i).nonzero()[0]
             if len(mine) or i == judged:
-                last = self.at if i == judged else self._begin + used.start + mine[-1]
-                watch.caught_up(watched[i], given.value(last).tobytes())
+                watch.caught_up(watched[i], given.value(self.at if i == judged else first_at + mine[-1]).tobytes())
             if len(mine):
-                own = times[mine]
-                channel.memory.use(float(own[0]))
-                channel.memory.use(float(own[-1]))
+                channel.memory.use(float(times[mine[0]]))
+                channel.memory.use(float(times[mine[-1]]))
+            if tape is not None and len(mine):
                 notes = self._notes[used.start + mine, : 3 + 2 * channel.axes]
-                if tape is not None:
-                    tape.columns[channel.name].extend(own - channel.lead_s, notes)
+                tape.columns[channel.name].extend(times[mine] - channel.lead_s, notes)
         if tape is not None:
             tape.extend(out, *cursor[[kernels.ROWS, kernels.RECORDS, kernels.WRITTEN]].tolist())
         if self.nav.learning.beginning is not None:

@@ -313,8 +313,8 @@ class Tape:
         """Note the state at this time; the last note of a time stands, and times closer than the output interval are
         skipped.
 
-        The whole covariance, as its lower triangle, is kept only where the smoother needs it; elsewhere `present`, where samples have not been
-        folded into P yet (`Estimate.present`).
+        The whole covariance, as its lower triangle, is kept only where the smoother needs it; elsewhere `present`,
+        where samples have not been folded into P yet (`Estimate.present`).
         """
         n = len(P)
         size = 8 + n + (n * (n + 1) // 2 if self.smoothable else 72 + n)

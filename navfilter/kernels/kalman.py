@@ -133,8 +133,8 @@ def _build_weighted(builder, data, shapes):
 
 @njit(cache=True, **UNCOUNTED)
 def _navigation(P, acc, T, A, head):
-    """Phi P Phi' of the nine of navigation into head (9, 9), before it is made symmetric. T (9, m or more) holds columns
-    of Phi P then; A (m, 9): work.
+    """Phi P Phi' of the nine of navigation into head (9, 9), before it is made symmetric. T (9, m or more) holds
+    columns of Phi P then; A (m, 9): work.
     """
     m = acc.shape[1]
     _product(acc[:9], P[:m], T)
@@ -711,8 +711,8 @@ def smooth_record(L, lam, record, a, m, b, start, T):
     D + H' S^-1 H, then through the transitions lam <- Phi' lam, L <- Phi' L Phi. After it the smoothed error at the
     record before is -P lam with covariance P - P L P.
 
-    record: Phi (m x m; m = 0 where nothing moved), tick Phi (b x b), then if a > 0: H (a x n), K (n x a), inverse S (a x a), res (a), turn (3),
-    each row by row. `start` is the ticked block's place, b its size (0: none). L (n, n) and lam (n,) change; T work, n
+    record: Phi (m x m; m = 0 where nothing moved), tick Phi (b x b), then if a > 0: H (a x n), K (n x a), inverse S
+    (a x a), res (a), turn (3), each row by row. `start` is the ticked block's place, b its size (0: none). L (n, n) and lam (n,) change; T work, n
     columns and three times as many rows, at least 3a.
     """
     n = len(lam)
@@ -901,9 +901,9 @@ def smooth_run(L, lam, records, begins, heads, rows, firsts, holds, index, until
     first: `smooth_record` and `smooth_row` in one call.
 
     records: flat; begins (r,): where each begins; heads (r, 4): axes, size of the head, size and start of the ticked
-    block. rows: flat, each 17 + (n - 9) values and the lower triangle of P; firsts (q,): where each begins; holds (q,): after how many of the
-    records it holds. index: after how many of them the adjoint is; until: where to leave it. means (q, n), covs (q, n,
-    n): what is found. T, U: work, n columns, T as many rows as `smooth_record` asks for, U 2n.
+    block. rows: flat, each 17 + (n - 9) values and the lower triangle of P; firsts (q,): where each begins; holds (q,):
+    after how many of the records it holds. index: after how many of them the adjoint is; until: where to leave it.
+    means (q, n), covs (q, n, n): what is found. T, U: work, n columns, T as many rows as `smooth_record` asks for, U 2n.
     """
     n = len(lam)
     for q in range(len(firsts) - 1, -2, -1):

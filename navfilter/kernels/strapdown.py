@@ -331,7 +331,8 @@ def _inertial_carry(X, f, C, seen, gain, kinds, E, m, Phi_ends):
     Only its nonzero elements, in registers: ten times as quick as a product of whole matrices. Multiplied and added in
     one rounding where the processor can: every step of the filter goes by `imu_steps` or `imu_hold` as they are
     compiled, so that bits stay the same. seen, gain, kinds: as `_which_errors` has it; E (6 * WIDE,): work, zero at
-    first, where states enter the readings in another way than plainly. A constant is a unit row of Phi, which ends at `Phi_ends`, and has no noise.
+    first, where states enter the readings in another way than plainly. A constant is a unit row of Phi, which ends at
+    `Phi_ends`, and has no noise.
     """
     noisy, plain, moving = kinds
     dt, tn, te, td, pn, pe, pd = f[0], f[1], f[2], f[3], f[4], f[5], f[6]

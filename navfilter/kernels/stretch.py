@@ -168,8 +168,8 @@ def _note_row(sources):
         """Write the state down as a row: the last note of a time stands, those closer than the interval are skipped.
 
         rows (r, w): nav, x, then the lower triangle of P or its first nine rows and columns and the rest of its
-        diagonal, as `kalman.present` gives them where samples have not been folded yet. info (r, 2): time, and after how many
-        records.
+        diagonal, as `kalman.present` gives them where samples have not been folded yet. info (r, 2): time, and after
+        how many records.
         """
         _ = sources
         at, n = cursor[ROWS], P.shape[0]
