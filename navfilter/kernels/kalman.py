@@ -712,8 +712,8 @@ def smooth_record(L, lam, record, a, m, b, start, T):
     record before is -P lam with covariance P - P L P.
 
     record: Phi (m x m; m = 0 where nothing moved), tick Phi (b x b), then if a > 0: H (a x n), K (n x a), inverse S
-    (a x a), res (a), turn (3), each row by row. `start` is the ticked block's place, b its size (0: none). L (n, n) and lam (n,) change; T work, n
-    columns and three times as many rows, at least 3a.
+    (a x a), res (a), turn (3), each row by row. `start` is the ticked block's place, b its size (0: none). L (n, n) and
+    lam (n,) change; T work, n columns and three times as many rows, at least 3a.
     """
     n = len(lam)
     at = m * m + b * b
@@ -903,7 +903,8 @@ def smooth_run(L, lam, records, begins, heads, rows, firsts, holds, index, until
     records: flat; begins (r,): where each begins; heads (r, 4): axes, size of the head, size and start of the ticked
     block. rows: flat, each 17 + (n - 9) values and the lower triangle of P; firsts (q,): where each begins; holds (q,):
     after how many of the records it holds. index: after how many of them the adjoint is; until: where to leave it.
-    means (q, n), covs (q, n, n): what is found. T, U: work, n columns, T as many rows as `smooth_record` asks for, U 2n.
+    means (q, n), covs (q, n, n): what is found. T, U: work, n columns, T as many rows as `smooth_record` asks for, U
+    2n.
     """
     n = len(lam)
     for q in range(len(firsts) - 1, -2, -1):
