@@ -324,14 +324,15 @@ def _inertial_advance(nav, xd, inc, dt, drv, seen, gain, noisy, f):
 
 
 @njit(cache=True, error_model="numpy", fastmath={"contract"}, **UNCOUNTED)
-def _inertial_carry(X, f, C, seen, gain, kinds, E, m, Phi_ends):
-    """Rows 0 to 8 of X (panels of an (m, m) matrix) from the left by the transition of one step: attitude, then
-    velocity with the mean attitude error, then position with the mean velocity error.
+def _inertial_carry(X, end, f, C, seen, gain, kinds, E, m, Phi_ends):
+    """Rows 0 to 8 of X (panels of (m, m) matrices, up to `end`) from the left by the transition of one step: attitude,
+    then velocity with the mean attitude error, then position with the mean velocity error.
 
     Only its nonzero elements, in registers: ten times as quick as a product of whole matrices. Multiplied and added in
     one rounding where the processor can: every step of the filter goes by `imu_steps` or `imu_hold` as they are
     compiled, so that bits stay the same. seen, gain, kinds: as `_which_errors` has it; E (6 * WIDE,): work, zero at
-    first, where states enter the readings in another way than plainly. A constant is a unit row of Phi, which ends at
+    first, where states enter the readings in another way than plainly; behind `end` six rows of zeros or panels are
+    read, and count for nothing. A constant is a unit row of Phi, which ends at
     `Phi_ends`, and has no noise.
     """
     noisy, plain, moving = kinds
@@ -342,7 +343,7 @@ def _inertial_carry(X, f, C, seen, gain, kinds, E, m, Phi_ends):
     f26, f27, f28, f29, f30, f31, f32, f33 = f[26], f[27], f[28], f[29], f[30], f[31], f[32], f[33]
     half, direct = 0.5 * dt, plain and noisy == gain.size
     by = dt if direct else 0.0
-    for begin in range(0, X.size, m * WIDE):
+    for begin in range(0, end, m * WIDE):
         Z = X[begin:]
         if plain and not direct:
             for j in range(6 * WIDE):
@@ -487,24 +488,24 @@ def _tick_drive(xd, Phid, Qd, diagonal, T, Q, m):
 
 
 @njit(cache=True, error_model="numpy", inline="always", **UNCOUNTED)
-def _inertial_compound(xd, Phid, Qd, diagonal, ticks, C, f, seen, gain, kinds, E, T, both, Q, rows, gathered):
+def _inertial_compound(xd, Phid, Qd, diagonal, ticks, C, f, seen, gain, kinds, E, T, both, Q, rows, gathered, X):
     """Compound Phi <- F Phi, Q <- F Q F' with the step that `_inertial_advance` left in f; the drive's blocks tick, and
     their mean too.
 
-    both: panels of Phi and behind them Q, those of Q, which are `rows` too; gathered: whether there is any noise yet. Q
-    F' is formed as (F Q)', Q being symmetric.
+    both: panels of Phi and behind them Q, those of Q, which are `rows` too; X: `both` and what stands behind it;
+    gathered: whether there is any noise yet. Q F' is formed as (F Q)', Q being symmetric.
     """
     m = 9 + len(xd)
     moved = both if gathered else both[: both.size - Q.size]
-    _inertial_carry(moved, f, C, seen, gain, kinds, E, m, both.size - Q.size)
+    _inertial_carry(X, moved.size, f, C, seen, gain, kinds, E, m, both.size - Q.size)
     if ticks > 0:
         _tick_rows(moved, Phid, diagonal, T, m)
     if gathered:
         if rows.shape[0] == m:
-            _transpose_square(Q)
+            _transpose_square(X[both.size - Q.size :])
         else:
             _transpose(rows, m)
-        _inertial_carry(Q, f, C, seen, gain, kinds, E, m, int(0))
+        _inertial_carry(X[both.size - Q.size :], Q.size, f, C, seen, gain, kinds, E, m, int(0))
     for count in range(ticks):
         if count > 0:
             _tick_rows(both, Phid, diagonal, T, m)
@@ -721,7 +722,7 @@ def _imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc, floats, seen):
     _to_panels(flat[m * m :], Q, m)
     moved = Q[: _panels(m - constants) * m * WIDE]  # constants gather no noise
     first = 40 + 6 * k + 6 * WIDE + k * WIDE
-    both = floats[first : first + Phi.size + moved.size]
+    both, X = floats[first : first + Phi.size + moved.size], floats[first:]
     rows, gathered = moved.reshape((moved.size // WIDE, WIDE)), _any(Q)
     for n in range(samples.shape[0]):
         _increments(samples, n, drv, inc)
@@ -737,7 +738,7 @@ def _imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc, floats, seen):
         _inertial_advance(nav, xd, inc, dt, drv, seen, gain, kinds[0], f)
         ticks = _ticks(samples[n, 0], drv)
         _inertial_compound(
-            xd, Phid, Qd, diagonal, ticks, C, f, seen, gain[:count], kinds, E, T, both, moved, rows, gathered
+            xd, Phid, Qd, diagonal, ticks, C, f, seen, gain[:count], kinds, E, T, both, moved, rows, gathered, X
         )
         _inertial_noise(dt, drv, Cr, Q, k)
         gathered = True
@@ -765,7 +766,7 @@ def _imu_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc, floats, seen):
     _to_panels(flat[m * m :], Q, m)
     moved = Q[: _panels(m - constants) * m * WIDE]  # constants gather no noise
     first = 40 + 6 * k + 6 * WIDE + k * WIDE
-    both = floats[first : first + Phi.size + moved.size]
+    both, X = floats[first : first + Phi.size + moved.size], floats[first:]
     rows, gathered = moved.reshape((moved.size // WIDE, WIDE)), _any(Q)
     scale = dt / drv[PERIOD_S] if drv[INCREMENTS] != 0.0 else dt
     for i in range(6):
@@ -777,7 +778,7 @@ def _imu_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc, floats, seen):
     _inertial_advance(nav, xd, inc, dt, drv, seen, gain, kinds[0], f)
     C = drv[MEAN_C : MEAN_C + 9]
     _inertial_compound(
-        xd, Phid, Qd, diagonal, int(0), C, f, seen, gain[:count], kinds, E, T, both, moved, rows, gathered
+        xd, Phid, Qd, diagonal, int(0), C, f, seen, gain[:count], kinds, E, T, both, moved, rows, gathered, X
     )
     _inertial_noise(dt, drv, Cr, Q, k)
     _from_panels(Phi, flat, m)
