@@ -9,6 +9,7 @@ medians of their ratios.
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -43,6 +44,48 @@ def larger(vehicle: nf.Vehicle) -> nf.Vehicle:
         dvl=slow(0.01, 5.0, 10.0, 20.0, 40.0) + nf.White(sd=0.01),
         depth=nf.GaussMarkov(sd=0.05, tau_s=60.0) + nf.White(sd=0.05),
     )
+
+
+def calibrated(vehicle: nf.Vehicle, *, arms: bool = True, clocks: bool = False) -> nf.Vehicle:
+    """The same with constants as states: of the inertial unit, then bias, deviation and lever arms, then clocks."""
+    unit = dict.fromkeys(
+        ("gyro_scale_sd", "gyro_misalignment_sd_rad", "accel_scale_sd", "accel_misalignment_sd_rad"), 1e-3
+    )
+    sensors = dict(vehicle.sensors)
+    for name in sensors if arms else ():
+        if name == "compass":
+            sensors[name] = replace(sensors[name], bias_sd_rad=0.01, deviation_sd_rad=(0.01, 0.01))  # type: ignore[call-arg]
+        else:
+            sensors[name] = replace(sensors[name], lever_arm_sd_m=(0.1, 0.1, 0.1))
+    if clocks:
+        sensors = {name: replace(sensor, time_offset_sd_s=0.05) for name, sensor in sensors.items()}
+    return nf.Vehicle(replace(vehicle.drive, **unit), sensors, vehicle.name)  # type: ignore[arg-type]
+
+
+def beside(vehicle: nf.Vehicle, mission: nf.Mission, turns: int) -> dict[str, Any]:
+    """What more states and more rows cost, by the time of the plain filter in the same turn."""
+    cases = {
+        "plain, five rows a second": (vehicle, 5.0),
+        "constants of the unit": (calibrated(vehicle, arms=False), 5.0),
+        "and of its sensors": (calibrated(vehicle), 5.0),
+        "and all clocks": (calibrated(vehicle, clocks=True), 5.0),
+        "a row per second": (vehicle, 1.0),
+        "a row per sample": (vehicle, None),
+    }
+    calls = {
+        name: lambda one=one, rate=rate: nf.replay(one, mission, output_rate_hz=rate)  # type: ignore[misc]
+        for name, (one, rate) in cases.items()
+    }
+    for call in calls.values():
+        call()
+    spent = in_turn(calls, turns)
+    table = Table("case<28 states>6d seconds>8.3f ratio>6.2f")
+    for name, (one, _) in cases.items():
+        states = 9 + len(nf.Navigator(one, mission.start).errors)
+        of = "a row per second" if name == "a row per sample" else "plain, five rows a second"
+        seconds, times = float(np.median(spent[name])), ratio(spent[name], spent[of])
+        table.add({"case": name, "states": states, "seconds": seconds, "ratio": times})
+    return {"table": table.rows}
 
 
 def replays(vehicle: nf.Vehicle, learning: nf.Vehicle, mission: nf.Mission, turns: int) -> dict[str, Array]:
@@ -117,6 +160,8 @@ def replay_speed(options: Options) -> dict[str, Any]:
     minutes, turns = (min(options.minutes, 10.0), 1) if options.quick else (options.minutes, 3)
     vehicle, mission = hour(minutes)
     learning = vehicle.with_error(**{name: nf.LearnedArma() for name in vehicle.sensors})
+    if options.beside:
+        return beside(vehicle, mission, turns)
     if options.learning:
         return learning_alone(vehicle, learning, mission, turns)
     before = peak_mb()
@@ -160,6 +205,7 @@ if __name__ == "__main__":
     flags = [
         flag("--minutes", type=float, default=60.0),
         flag("--learning", action="store_true", help="only what learning adds to the plain filter"),
+        flag("--beside", action="store_true", help="only what more states and more rows cost"),
         quick("ten minutes at most, one turn"),
     ]
     main(__doc__, {replay_speed: flags})

@@ -22,6 +22,8 @@ __all__ = ["assembled", "bar", "forward_track", "gathered", "smoothed_track"]
 Array = NDArray[np.float64]
 #: So many rows are corrected at a time: what is needed for that on the way is to be small beside a track.
 PIECE = 8192
+#: Rows and columns of the covariance of navigation.
+NAVIGATION = np.indices((9, 9))
 
 
 class _Rows:
@@ -92,12 +94,14 @@ def gathered(parts: Sequence[tuple[Tape, range]]) -> _Rows:
             k = len(places[number])
             n, upto = k + 9, 17 + k
             # vectors of one size stand one behind the other
-            size = upto + (n * n if tape.smoothable else 81 + k)
+            size = upto + (n * (n + 1) // 2 if tape.smoothable else 81 + k)
             noted = flat[begins[0] :][: len(begins) * size].reshape(-1, size)
             last -= len(begins)
             if tape.smoothable:
-                P = noted[:, upto:].reshape(-1, n, n)
-                covariance, variance = P[:, :9, :9], np.diagonal(P, axis1=1, axis2=2)[:, 9:]
+                i, j = np.maximum(*NAVIGATION), np.minimum(*NAVIGATION)
+                diagonal = np.arange(9, n)
+                covariance = noted[:, upto + i * (i + 1) // 2 + j]
+                variance = noted[:, upto + diagonal * (diagonal + 3) // 2]
             else:
                 covariance, variance = noted[:, upto : upto + 81].reshape(-1, 9, 9), noted[:, upto + 81 :]
             rows.put(done + last - those.start, places[number], noted[:, :upto], covariance, variance)

@@ -34,7 +34,7 @@ READINGS, SAMPLES = 4096, 1 << 16
 #: Progress is told after so many readings.
 SHOWN = 512
 #: After these the kernel is called again, once Python has done what is due.
-GOES_ON = kernels.FULL, kernels.DONE, kernels.HEED, kernels.LEARN
+GOES_ON = kernels.FULL, kernels.DONE, kernels.HEED, kernels.LEARN, kernels.LOOK
 #: Rows and elements of records that are gathered before the tape gets them.
 ROWS, ELEMENTS = 512, 1 << 18
 
@@ -291,9 +291,10 @@ class Passage:
             if why == kernels.HEED:
                 self._heed()
             elif why == kernels.LEARN:
-                name = self._readings.names[self._readings.sensor[self.at - 1]]
-                for change in self.nav.learning.learn(name):
+                for change in self.nav.learning.learn(self._readings.names[self._readings.sensor[self.at - 1]]):
                     self.nav.filter.adopt(change, self.nav.told)
+            if why in (kernels.LEARN, kernels.LOOK):
+                shifts.look(self.nav.filter)
         return kernels.NEXT if why in GOES_ON else why
 
     def _hearing(self) -> Hearing:
@@ -371,17 +372,17 @@ class Passage:
         filter, learning, tape = self.nav.filter, self.nav.learning, self.nav.filter.tape
         gap_s, doubt_s = filter.intake.spans
         interval_s = math.inf if tape is None else tape.interval_s
-        until_s, steps = min(learning.early_s, shifts.due_s(filter)), filter.memory.drv[strapdown.INCREMENTS]
-        spans = filter.period_s, filter.ahead_s, filter.fold_every, gap_s, doubt_s, until_s, interval_s
-        each = tape is not None and tape.each_sample
-        return np.array([*spans, steps, learning.learning_s, filter.vehicle.drive.gravity, filter.feels_after, each])
+        steps, gravity = filter.memory.drv[strapdown.INCREMENTS], filter.vehicle.drive.gravity
+        spans = filter.period_s, filter.ahead_s, filter.fold_every, gap_s, doubt_s, learning.early_s, interval_s
+        due = filter.feels_after, tape is not None and tape.each_sample, shifts.due_s(filter)
+        return np.array([*spans, steps, learning.learning_s, gravity, *due])
 
     def _output(self) -> Output:
         """Room for rows, when they hold, records and what each is."""
         filter = self.nav.filter
         n = filter.layout.size
         smoothable = filter.tape is not None and filter.tape.smoothable
-        width = n + 8 + (n * n if smoothable else 72 + n)
+        width = n + 8 + (n * (n + 1) // 2 if smoothable else 72 + n)
         elements = max(ELEMENTS, 8 * int(filter.plan[-1, kernels.RECORD])) if smoothable else 0
         if self._out is None or self._out[0].shape[1] != width or self._out[2].size != elements:
             each = filter.tape is not None and filter.tape.each_sample
@@ -402,21 +403,20 @@ class Passage:
         if cursor[kernels.SAMPLE] > first[1]:
             filter.intake.taken(int(cursor[kernels.GAPS]))
         self._stepped = int(cursor[kernels.STEPPED])
-        seen = used.stop + (why == kernels.JUDGED)
+        judged = int(given.sensor[self.at]) if why == kernels.JUDGED else -1
+        first_at = self._begin + used.start
+        which, times = given.sensor[first_at : self.at], given.time_s[first_at : self.at]
         for i, (channel, watch) in enumerate(zip(self._channels, self._watches, strict=True)):
             channel.times, channel.count = tuple(heard[i, :2].tolist()), int(heard[i, kernels.TICKS])
-            mine = np.flatnonzero(given.sensor[self._begin : self._begin + seen] == i)
-            mine = mine[mine >= first[0]]
-            if not len(mine):
-                continue
-            watch.caught_up(watched[i], given.value(self._begin + mine[-1]).tobytes())
-            mine = mine[mine < used.stop]
+            mine = (which == i).nonzero()[0]
+            if len(mine) or i == judged:
+                watch.caught_up(watched[i], given.value(self.at if i == judged else first_at + mine[-1]).tobytes())
             if len(mine):
-                channel.memory.use(float(given.time_s[self._begin + mine[0]]))
-                channel.memory.use(float(given.time_s[self._begin + mine[-1]]))
+                channel.memory.use(float(times[mine[0]]))
+                channel.memory.use(float(times[mine[-1]]))
             if tape is not None and len(mine):
-                times = given.time_s[self._begin + mine] - channel.lead_s
-                tape.columns[channel.name].extend(times, self._notes[mine, : 3 + 2 * channel.axes])
+                notes = self._notes[used.start + mine, : 3 + 2 * channel.axes]
+                tape.columns[channel.name].extend(times[mine] - channel.lead_s, notes)
         if tape is not None:
             tape.extend(out, *cursor[[kernels.ROWS, kernels.RECORDS, kernels.WRITTEN]].tolist())
         kept, taken = self.nav.learning.beginning, range(self._begin + used.start, self.at)

@@ -15,6 +15,7 @@ import navfilter as nf
 from navfilter.filter import asking, refused
 from navfilter.filter import filter as engine
 from navfilter.filter.smoother import smooth_rows
+from navfilter.filter.tape import triangle
 from navfilter.kernels import kalman, stretch
 
 DEG = np.pi / 180.0
@@ -137,8 +138,12 @@ class Capture:
     def rows(self):
         """Per track row: how many steps came before it, and the forward covariance."""
         sizes = [self.tape.layouts[number].size for number in self.tape.row_layouts]
-        rows = zip(self.tape.row_records, sizes, strict=True)
-        return [(count, self.tape.rows[i][17 + n - 9 :].reshape(n, n).copy()) for i, (count, n) in enumerate(rows)]
+        rows = []
+        for i, (count, n) in enumerate(zip(self.tape.row_records, sizes, strict=True)):
+            P = np.zeros((n, n))
+            P[triangle(n)] = self.tape.rows[i][8 + n :]
+            rows.append((count, P + np.tril(P, -1).T))
+        return rows
 
     def smoothed(self):
         result = {}

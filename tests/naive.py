@@ -662,6 +662,10 @@ def fold(P, acc, nav, T):
     nav[6:15] = (C @ (1.5 * np.eye(3) - 0.5 * C.T @ C)).ravel()
 
 
+def unmoved(A):
+    return np.array_equal(A, np.eye(*A.shape))
+
+
 def discount_heading(P, acc, work=None):
     """The slope of velocity and position by the heading, shrunk by the variance of the change of velocity."""
     m = acc.shape[1]
@@ -828,7 +832,9 @@ def smooth_run(L, lam, records, begins, heads, rows, firsts, holds, index, until
     n = len(lam)
     for after in range(index, until - 1, -1):
         for q in np.flatnonzero(holds == after):
-            P = rows[firsts[q] + 8 + n :][: n * n].reshape(n, n)
+            P = np.zeros((n, n))
+            P[np.tril_indices(n)] = rows[firsts[q] + 8 + n :][: n * (n + 1) // 2]
+            P += np.tril(P, -1).T
             smooth_row(P, L, lam, means[q], covs[q], None)
         if after > until:
             smooth_record(L, lam, records[begins[after - 1] :], *heads[after - 1], None)
@@ -1520,16 +1526,18 @@ def stretch(
     now, cursor, settings, bench, plan, heard, watched, state, drive, samples, stamps, limits, hearing, given, out
 ):
     """One reading after the other. 0: all done, 1 and 2: the next one is Python's, 3: it was not used, 4: no room, 5:
-    the watch over the drive has found something, 6: there is something to learn.
+    the watch over the drive has found something, 6: there is something to learn, 7: it is time for a look.
     """
     (nav, x, P, acc), (drv, Phid, Qd, Cr, before, w, sd, ends), m = state, drive, state[3].shape[1]
     known = max(0, len(before) - 512)
-    period, ahead, every, gap, doubt, until, interval, increments, learn, g, felt, each = settings
+    period, ahead, every, gap, doubt, until, interval, increments, learn, g, felt, each, look_s = settings
     undone, ears, where, opened = hearing
     rows, info, records, heads = out
 
     def record(values, *head):
         if records.size:
+            if unmoved(values[: m * m].reshape(m, m)):
+                values, head = values[m * m :], (head[0], 0, *head[2:])
             records[cursor[6] : cursor[6] + len(values)], heads[cursor[5]] = values, (len(values), *head)
             cursor[5:7] += 1, len(values)
 
@@ -1538,8 +1546,8 @@ def stretch(
             cursor[4] = max(cursor[4] - 1, 0)
         elif now[0] - now[3] < interval:
             return
-        covariance = P.ravel()
-        if rows.shape[1] != 17 + x.size + P.size:
+        covariance = P[np.tril_indices(len(P))]
+        if rows.shape[1] != 17 + x.size + covariance.size:
             covariance = np.zeros(72 + len(P))
             present(P, acc, drv[126], None, covariance)
         rows[cursor[4]], info[cursor[4]] = np.concatenate([nav, x, covariance]), (now[0], cursor[5])
@@ -1617,7 +1625,10 @@ def stretch(
             watched[i, 5:7] = note[1], max(watched[i, 6], t)
         share = min(note[0] / note[1], 100.0)
         watched[i, 4] = share if np.isnan(watched[i, 4]) else watched[i, 4] + (share - watched[i, 4]) / 50.0
+        cursor[0] = e + 1 if t >= look_s else e
         if not undone.size:
+            if t >= look_s:
+                return 7
             continue
         a, mem, once = spot[0], bench[spot[14] : spot[15]], np.zeros(1, int)
         carry(undone, mem[: m * m].reshape(m, m))
@@ -1629,6 +1640,8 @@ def stretch(
         if ears[i, 0] and attend(ears[i], note[0], note[1], count, t >= learn):
             cursor[0] = e + 1
             return 6
+        if t >= look_s:
+            return 7
     cursor[0] = len(given[0])
     return 0
 

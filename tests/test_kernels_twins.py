@@ -396,6 +396,24 @@ def test_the_heading_is_discounted_by_what_the_change_of_velocity_may_err(change
     np.testing.assert_array_equal(present[4], [*folded[0][:9, :9].ravel(), *folded[0].diagonal()[9:]])
 
 
+@pytest.mark.parametrize("rows", [11, 22])
+def test_what_has_not_moved_is_not_folded_and_nothing_changes(rows):
+    rng = np.random.default_rng(12)
+    m, acc = 11, np.vstack([np.eye(11), np.zeros((33, 11))])
+    assert kalman.unmoved(acc[:rows]) and naive.unmoved(acc[:rows])
+    for i, j in [(0, 3), (5, 5), (4, 2), (rows - 1, m - 1)]:
+        A = acc[:rows].copy()
+        A[i, j] += 1e-9
+        assert not kalman.unmoved(A) and not naive.unmoved(A)
+    P, nav = spd(rng, 18), random_nav(rng)
+    folded, _ = run_both(kalman.fold, P, acc, nav, np.zeros((m, 18)))
+    dims = np.array([1, 18, m, 0, m, 0, 0])
+    none, mem = np.zeros((2, 0, 0)), np.zeros(kalman.places(dims)[-1])
+    predicted, _ = run_both(kalman.predict, P, nav, rng.normal(size=9), acc, none, mem, dims, 0)
+    np.testing.assert_array_equal(predicted[0], folded[0])
+    np.testing.assert_array_equal(predicted[1], folded[2])
+
+
 @pytest.mark.parametrize("count", [0, 1, 2, 3, 7, 40])
 def test_power(count):
     rng = np.random.default_rng(2)
@@ -555,22 +573,22 @@ def test_smoother_kernels(a, b):
 def test_smoother_goes_through_a_run_of_records_and_rows(holds, until):
     rng = np.random.default_rng(17)
     n, m, q = 14, 10, len(holds)
-    kinds = [(0, m, 0, 0), (1, m, 2, 11), (3, m, 0, 0), (2, m, 3, 10)]
+    kinds = [(0, m, 0, 0), (1, m, 2, 11), (3, 0, 0, 0), (2, m, 3, 10)]
     parts = [
         np.concatenate(
             [
-                (np.eye(m) + 0.1 * rng.normal(size=(m, m))).ravel(),
+                (np.eye(head) + 0.1 * rng.normal(size=(head, head))).ravel(),
                 rng.normal(size=b * b),
                 *([0.1 * rng.normal(size=2 * a * n), spd(rng, a).ravel(), rng.normal(size=a + 3)] if a else []),
             ]
         )
-        for a, m, b, _ in kinds
+        for a, head, b, _ in kinds
     ]
     begins = 5 + np.cumsum([0, *map(len, parts)])[:-1]  # something else stands before them
-    rows = [np.concatenate([rng.normal(size=8 + n), 0.1 * spd(rng, n).ravel()]) for _ in holds]
+    rows = [np.concatenate([rng.normal(size=8 + n), 0.1 * spd(rng, n)[np.tril_indices(n)]]) for _ in holds]
     firsts = 3 + np.cumsum([0, *map(len, rows)])[:-1][:q].astype(np.int64)
     flat = np.concatenate([np.zeros(5), *parts]), np.concatenate([np.zeros(3), *rows])
-    work = np.zeros((3 * n, n)), np.zeros((n, n))
+    work = np.zeros((3 * n, n)), np.zeros((2 * n, n))
     args = flat[0], begins, np.array(kinds), flat[1], firsts, np.array(holds, dtype=np.int64), 4, until
     ours, twins = run_both(
         kalman.smooth_run, spd(rng, n), rng.normal(size=n), *args, np.zeros((q, n)), np.zeros((q, n, n)), *work

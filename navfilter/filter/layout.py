@@ -166,16 +166,16 @@ class Group:
         """Rows of the error state."""
         return slice(self.start, self.start + self.size)
 
+    @cached_property
+    def biases(self) -> tuple[NDArray[np.int64], ...]:
+        """Of the drive: which states are the bias of each axis."""
+        constant = np.diag(self.Phi)[: self.errors] == 1.0
+        return tuple(np.flatnonzero(constant & (row != 0.0)) for row in self.C)
+
     @property
     def ticks(self) -> bool:
         """Whether any of its states changes by itself."""
         return self.errors > 0 or bool(self.Q.any())
-
-    @cached_property
-    def biases(self) -> tuple[NDArray[np.intp], ...]:
-        """By axis: which of its states are a bias of that."""
-        constant = self.Phi.diagonal()[: self.errors] == 1.0
-        return tuple(np.flatnonzero(constant & (row != 0.0)) for row in self.C)
 
     @classmethod
     def build(

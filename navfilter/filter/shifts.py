@@ -81,12 +81,11 @@ def look(filter: Filter) -> None:
     time_s = max([channel.memory.last_s for channel in filter.channels.values()], default=-math.inf)
     if time_s == -math.inf or time_s < due_s(filter):
         return
-    states = g.biases[:3]
     now, kept = np.zeros(COLUMNS), memory.shifts
     now[TIME_S], now[LATITUDE:ANEW] = time_s, memory.nav[:2]
     now[ANEW] = memory.counts["realigned"] + memory.counts["opened"]
-    if all(each.size for each in states):
-        own = np.array([each[0] for each in states])
+    if all(each.size for each in g.biases[:3]):
+        own = np.array([each[0] for each in g.biases[:3]])
         places, walk = g.start + own, g.Q[own, own] / filter.period_s
         now[BIAS:VARIANCE], now[VARIANCE:NIS] = memory.x[places - 9], memory.P[places, places]
         now[NIS] = _nis(filter, time_s)
@@ -103,7 +102,7 @@ def look(filter: Filter) -> None:
             memory.counts["shifted"] += 1
         if found:
             kept, now[VARIANCE:NIS] = fresh(), np.diag(memory.P)[places]
-    memory.shifts = np.vstack([kept[1:], now])
+    memory.shifts = np.concatenate([kept[1:], now[np.newaxis]])
 
 
 def _goes_on(before: Array, now: Array, walk: Array) -> bool:
@@ -205,9 +204,8 @@ def shifted(looks: Array, now: Array, walk: Array, begin: Array) -> list[tuple[i
     least = FLOOR**2 * begin
     if farthest(looks, now, walk, least) <= LIMIT:
         return []
-    added = walk * (now[TIME_S] - looks[:, [TIME_S]])
+    moved, added = now[BIAS:VARIANCE] - looks[:, BIAS:VARIANCE], walk * (now[TIME_S] - looks[:, [TIME_S]])
     lost = np.maximum(looks[:, VARIANCE:NIS] + added - now[VARIANCE:NIS], 0.0)
-    moved = now[BIAS:VARIANCE] - looks[:, BIAS:VARIANCE]
     # of the readings from each look on
     nis = np.cumsum(np.append(looks[:, NIS], now[NIS])[::-1])[:0:-1] / np.arange(len(looks) + 1, 1, -1)
     larger = np.maximum(nis, 1.0)[:, np.newaxis]

@@ -70,7 +70,7 @@ def smooth_rows(
         most = 3 * max(n, int(kinds[:, 0].max(initial=0)))
         kalman.smooth_run(
             *(L, lam, records, begins, kinds, rows, firsts, holds[begin:row] - first),
-            *(index - first, until - first, means, covariances, np.empty((most, n)), np.empty((n, n))),
+            *(index - first, until - first, means, covariances, np.empty((most, n)), np.empty((2 * n, n))),
         )
         if begin < row:
             store(begin, rows[firsts[:, None] + np.arange(8 + n)], means, covariances)

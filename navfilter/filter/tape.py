@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import bisect
 import copy
+import functools
 import math
 import tempfile
 import weakref
@@ -18,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["CHANGE", "OUTCOMES", "Residuals", "Spool", "Tape"]
+__all__ = ["CHANGE", "OUTCOMES", "Residuals", "Spool", "Tape", "triangle"]
 
 Array = NDArray[np.float64]
 
@@ -27,6 +28,12 @@ OUTCOMES = ("used", "rejected", "invalid", "duplicate", "too-late", "ahead", "un
 
 #: In place of the axes: the record is a change of the layout.
 CHANGE = -1
+
+
+@functools.cache
+def triangle(n: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Rows and columns of the lower triangle of a matrix of n rows, row by row, as a row of the tape has them."""
+    return np.tril_indices(n)
 
 
 class Spool:
@@ -306,10 +313,11 @@ class Tape:
         """Note the state at this time; the last note of a time stands, and times closer than the output interval are
         skipped.
 
-        The whole covariance is kept only where the smoother needs it; elsewhere `present`, where samples have not been
-        folded into P yet (`Estimate.present`).
+        The whole covariance, as its lower triangle, is kept only where the smoother needs it; elsewhere `present`,
+        where samples have not been folded into P yet (`Estimate.present`).
         """
-        size = 17 + x.size + (P.size if self.smoothable else 81 + x.size)
+        n = len(P)
+        size = 8 + n + (n * (n + 1) // 2 if self.smoothable else 72 + n)
         if self.row_times and time_s == self.row_times[-1]:
             out = self.rows[-1]
             if out.size != size:
@@ -326,7 +334,7 @@ class Tape:
         out[:17] = nav
         out[17 : 17 + x.size] = x
         if self.smoothable:
-            out[17 + x.size :] = P.reshape(-1)
+            out[8 + n :] = P[triangle(n)]
         elif present is not None:
             out[17 + x.size :] = present
         else:

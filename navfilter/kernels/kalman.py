@@ -7,23 +7,134 @@ covariance, K gain. Errors e here are *true minus estimated*, so a correction is
 import math
 
 import numpy as np
-from numba import njit
+from numba import njit, types
+from numba.core import cgutils
+from numba.core.typing.templates import AbstractTemplate, infer_global, signature
+from numba.extending import lower_builtin
 
 #: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
 UNCOUNTED: dict = {"_nrt": False}
 COUNTED: dict = {"_nrt": True}
+# Rows and columns of a product at a time: so many sums fit in the registers, and hide how long each takes.
+HIGH, WIDE = 9, 8
 
 
-@njit(cache=True, **COUNTED)
 def _product(A, B, out):
-    """A B into out, by BLAS. numba wants arrays that are counted for that, see `navfilter.kernels`."""
-    np.dot(A, B, out)
+    """A (r, k) B (k, n) into out, as many columns as it has: nine rows and eight columns at least."""
+    np.dot(A, B[:, : out.shape[1]], out)
+
+
+def _weighted(f, A, out):
+    """The sum of f (k,) times the first k rows of A into out, as many columns as it has: eight at least."""
+    np.copyto(out, f @ A[: len(f), : len(out)])
+
+
+_ir = cgutils.ir
+_WORD, _INDEX, _ROW = _ir.IntType(64), _ir.IntType(32), _ir.VectorType(_ir.DoubleType(), WIDE)
+_ZERO = _ir.Constant(_ROW, [0.0] * WIDE)
+
+
+def _compiled(function, count):
+    """Decorates what builds the instructions that stand for a function of so many arrays in a kernel."""
+
+    def generic(self, arguments, keywords):
+        return signature(types.void, *arguments)
+
+    infer_global(function)(type(f"_Of{function.__name__}", (AbstractTemplate,), {"generic": generic}))
+
+    def built(build):
+        @lower_builtin(function, *(types.Array,) * count)
+        def generate(context, builder, kinds, arguments):
+            given = zip(kinds.args, arguments, strict=True)
+            arrays = [context.make_array(kind)(context, builder, value=value) for kind, value in given]
+            shapes = [cgutils.unpack_tuple(builder, array.shape) for array in arrays]
+            build(builder, [array.data for array in arrays], shapes)
+            return context.get_dummy_value()
+
+        return build
+
+    return built
+
+
+def _number(value):
+    return _ir.Constant(_WORD, value)
+
+
+def _parts(builder, total, size):
+    """Loop over parts of this size."""
+    return cgutils.for_range(builder, builder.udiv(builder.add(total, _number(size - 1)), _number(size)), intp=_WORD)
+
+
+def _begin(builder, part, total, size):
+    """Where a part begins: the last one overlaps those before."""
+    begin, last = builder.mul(part.index, _number(size)), builder.sub(total, _number(size))
+    return builder.select(builder.icmp_signed("<", begin, last), begin, last)
+
+
+def _place(builder, data, i, width, j):
+    return builder.gep(data, [builder.add(builder.mul(i, width), j)])
+
+
+def _eight(builder, place):
+    value = builder.load(builder.bitcast(place, _ROW.as_pointer()))
+    value.align = 8
+    return value
+
+
+def _put(builder, value, place):
+    builder.store(value, builder.bitcast(place, _ROW.as_pointer()), align=8)
+
+
+def _times_eight(builder, number):
+    nothing, same = _ir.Constant(_ROW, _ir.Undefined), _ir.Constant(_ir.VectorType(_INDEX, WIDE), [0] * WIDE)
+    return builder.shuffle_vector(builder.insert_element(nothing, number, _ir.Constant(_INDEX, 0)), nothing, same)
+
+
+@_compiled(_product, 3)
+def _build_product(builder, data, shapes):
+    """Nine rows and eight columns at a time, their sums in registers: a library of linear algebra takes longer to begin
+    than such a product. Each sum goes from the first term to the last, multiplied and added in one rounding where the
+    processor can.
+    """
+    (left, right, out), ((rows, inner), (_, width), (_, n)) = data, shapes
+    sums = [cgutils.alloca_once(builder, _ROW) for _ in range(HIGH)]
+    with _parts(builder, rows, HIGH) as high, _parts(builder, n, WIDE) as wide:
+        first, column = _begin(builder, high, rows, HIGH), _begin(builder, wide, n, WIDE)
+        places = [builder.add(first, _number(i)) for i in range(HIGH)]
+        mine = [_place(builder, left, i, inner, _number(0)) for i in places]
+        for total in sums:
+            builder.store(_ZERO, total)
+        with cgutils.for_range(builder, inner, intp=_WORD) as step:
+            factors = _eight(builder, _place(builder, right, step.index, width, column))
+            for total, terms in zip(sums, mine, strict=True):
+                term = _times_eight(builder, builder.load(builder.gep(terms, [step.index])))
+                term = builder.fmul(term, factors, flags=("contract",))
+                builder.store(builder.fadd(builder.load(total), term, flags=("contract",)), total)
+        for i, total in zip(places, sums, strict=True):
+            _put(builder, builder.load(total), _place(builder, out, i, n, column))
+
+
+@_compiled(_weighted, 3)
+def _build_weighted(builder, data, shapes):
+    """Eight columns at a time; rows whose factor is zero are left out."""
+    (f, A, out), ((k,), (_, width), (n,)) = data, shapes
+    total = cgutils.alloca_once(builder, _ROW)
+    with _parts(builder, n, WIDE) as wide:
+        column = _begin(builder, wide, n, WIDE)
+        builder.store(_ZERO, total)
+        with cgutils.for_range(builder, k, intp=_WORD) as step:
+            factor = builder.load(builder.gep(f, [step.index]))
+            with builder.if_then(builder.fcmp_unordered("!=", factor, _ir.Constant(factor.type, 0.0))):
+                terms = _eight(builder, _place(builder, A, step.index, width, column))
+                term = builder.fmul(_times_eight(builder, factor), terms)
+                builder.store(builder.fadd(builder.load(total), term), total)
+        _put(builder, builder.load(total), builder.gep(out, [column]))
 
 
 @njit(cache=True, **UNCOUNTED)
 def _navigation(P, acc, T, A, head):
-    """Phi P Phi' of the nine of navigation into head (9, 9), before it is made symmetric. T (9, n) holds Phi P then; A
-    (m, 9): work.
+    """Phi P Phi' of the nine of navigation into head (9, 9), before it is made symmetric. T (9, m or more) holds
+    columns of Phi P then; A (m, 9): work.
     """
     m = acc.shape[1]
     _product(acc[:9], P[:m], T)
@@ -47,12 +158,9 @@ def discount_heading(P, acc, work):
     for axis in (3, 4):
         for i in range(m):
             own[i] = acc[axis, i]
-            carried[i] = 0.0
         own[axis] -= 1.0
         own[8] = 0.0
-        for i in range(m):
-            for j in range(m):
-                carried[j] += own[i] * P[i, j]
+        _weighted(own, P, carried)
         for i in range(m):
             variance += carried[i] * own[i]
     square = north * north + east * east
@@ -64,13 +172,13 @@ def discount_heading(P, acc, work):
 @njit(cache=True, **UNCOUNTED)
 def present(P, acc, inertial, work, out):
     """What `fold` would leave in P, without folding: of navigation (the first 81 of out), then the variances of all
-    other states (n - 9). inertial: whether the heading is discounted before. work: 9 (n + m + 9).
+    other states (n - 9). inertial: whether the heading is discounted before. work: 9 (2m + 9).
     """
     m, n = acc.shape[1], P.shape[0]
     kept0, kept1, kept3, kept4 = acc[0, 8], acc[1, 8], acc[3, 8], acc[4, 8]
     if inertial:
         discount_heading(P, acc, work)
-    T, A, head = work[: 9 * n].reshape((9, n)), work[9 * n :][: 9 * m].reshape((m, 9)), work[9 * (n + m) :][:81]
+    T, A, head = work[: 9 * m].reshape((9, m)), work[9 * m :][: 9 * m].reshape((m, 9)), work[18 * m :][:81]
     head = head.reshape((9, 9))
     _navigation(P, acc, T, A, head)
     for i in range(9):
@@ -117,12 +225,7 @@ def fold(P, acc, nav, T):
             if acc[i, r] != 0.0:
                 first, last = min(first, r), r + 1
         begins[i], ends[i] = first, last
-        for j in range(n):
-            T[i, j] = 0.0
-        for r in range(first, last):
-            f = acc[i, r]
-            for j in range(n):
-                T[i, j] += f * P[r, j]
+        _weighted(acc[i][first:last], P[first:last], T[i])
     for i in range(9):
         for j in range(i + 1):
             s = 0.5 * (head[i, j] + head[j, i] + acc[m + i, j] + acc[m + j, i])
@@ -146,7 +249,12 @@ def fold(P, acc, nav, T):
             acc[i, j] = 0.0
     for i in range(m):
         acc[i, i] = 1.0
-    E = T[0]
+    _orthonormal(nav, T[0])
+
+
+@njit(cache=True, **UNCOUNTED)
+def _orthonormal(nav, E):
+    """C_nb in nav, orthonormal again to first order. E: work, nine of it."""
     for i in range(3):
         for j in range(3):
             E[3 * i + j] = 0.0
@@ -156,6 +264,21 @@ def fold(P, acc, nav, T):
         x, y, z = nav[6 + 3 * i], nav[7 + 3 * i], nav[8 + 3 * i]
         for j in range(3):
             nav[6 + 3 * i + j] += 0.5 * (nav[6 + 3 * i + j] - (x * E[j] + y * E[3 + j] + z * E[6 + j]))
+
+
+@njit(cache=True, **UNCOUNTED)
+def unmoved(A):
+    """Whether a transition is the identity, and its noise zero if it stands below: A (m or 2m, m)."""
+    m = A.shape[1]
+    if A[0, 3] != 0.0:
+        return False  # velocity moves the position: nearly every other one ends here
+    others, diagonal = 0, 0
+    for i in range(A.shape[0]):
+        for j in range(m):
+            others += A[i, j] != 0.0
+    for i in range(m):
+        diagonal += A[i, i] == 1.0
+    return others == diagonal == m
 
 
 @njit(cache=True, **COUNTED)
@@ -209,13 +332,7 @@ def tick(P, x, start, A, B, T):
     """
     b, n = A.shape[0], P.shape[0]
     for i in range(b):
-        for j in range(n):
-            T[i, j] = 0.0
-        for r in range(b):
-            f = A[i, r]
-            if f != 0.0:
-                for j in range(n):
-                    T[i, j] += f * P[start + r, j]
+        _weighted(A[i], P[start:], T[i])
     for i in range(b):
         for j in range(n):
             P[start + i, j] = T[i, j]
@@ -287,13 +404,7 @@ def innovation(P, H, res, R, S, PH, out):
                 H[i, j] = 0.0
         else:
             used += 1
-        for j in range(n):
-            PH[i, j] = 0.0
-        for r in range(n):
-            f = H[i, r]
-            if f != 0.0:
-                for j in range(n):
-                    PH[i, j] += f * P[r, j]
+        _weighted(H[i], P, PH[i])
         for j in range(i + 1):
             s = 0.0
             for r in range(n):
@@ -459,14 +570,17 @@ def places(dims):
 @njit(cache=True, **UNCOUNTED)
 def predict(P, nav, x, acc, model, mem, dims, count):
     """Before a reading: note the transition in `mem`, fold it, and tick the sensor's block `count` times. model: (2, b,
-    b), Phi and Q.
+    b), Phi and Q. Where several sensors read at once, there is nothing to fold for the later ones.
     """
     n, m, b, start = dims[1], dims[2], dims[3], dims[4]
     work = places(dims)[9]
     for i in range(m):
         for j in range(m):
             mem[i * m + j] = acc[i, j]
-    fold(P, acc, nav, mem[work : work + m * n].reshape((m, n)))
+    if unmoved(acc[: 2 * m]):
+        _orthonormal(nav, mem[work : work + 9])
+    else:
+        fold(P, acc, nav, mem[work : work + m * n].reshape((m, n)))
     if b == 0:
         return
     A = mem[m * m : m * m + b * b].reshape((b, b))
@@ -597,9 +711,9 @@ def smooth_record(L, lam, record, a, m, b, start, T):
     D + H' S^-1 H, then through the transitions lam <- Phi' lam, L <- Phi' L Phi. After it the smoothed error at the
     record before is -P lam with covariance P - P L P.
 
-    record: Phi (m x m), tick Phi (b x b), then if a > 0: H (a x n), K (n x a), inverse S (a x a), res (a), turn (3),
-    each row by row. `start` is the ticked block's place, b its size (0: none). L (n, n) and lam (n,) change; T work, n
-    columns and three times as many rows, at least 3a.
+    record: Phi (m x m; m = 0 where nothing moved), tick Phi (b x b), then if a > 0: H (a x n), K (n x a), inverse S
+    (a x a), res (a), turn (3), each row by row. `start` is the ticked block's place, b its size (0: none). L (n, n) and
+    lam (n,) change; T work, n columns and three times as many rows, at least 3a.
     """
     n = len(lam)
     at = m * m + b * b
@@ -631,14 +745,11 @@ def smooth_record(L, lam, record, a, m, b, start, T):
             lam[8] = w + 0.5 * h - (x * g - y * f) / 6.0
         # L <- (I - K H)' L (I - K H) + H' S^-1 H = L - W H - (W H)', W = V - H' (K' V + S^-1) / 2, V = L K
         for c in range(a):
-            for i in range(n):
-                T[c, i] = 0.0
-            f = 0.0
+            f, own = 0.0, T[2 * a + c]
             for j in range(n):
-                g = K[j, c]
-                f += g * lam[j]
-                for i in range(n):
-                    T[c, i] += g * L[j, i]
+                own[j] = K[j, c]
+                f += own[j] * lam[j]
+            _weighted(own, L, T[c])
             for r in range(a):
                 f += Sinv[c, r] * res[r]
             T[a + c, a] = f
@@ -661,7 +772,14 @@ def smooth_record(L, lam, record, a, m, b, start, T):
             _less_twice(L, H[c], T[c])
     if b > 0:
         _transition_transposed(L, lam, record[m * m : m * m + b * b].reshape((b, b)), start, b, T)
-    _head_transposed(L, lam, record[: m * m].reshape((m, m)), T.reshape(T.size))
+    if m > 0:
+        _head_transposed(L, lam, record[: m * m].reshape((m, m)), T.reshape(T.size))
+        return
+    for i in range(6, 9):  # what the reset has left
+        for j in range(6, i):
+            s = 0.5 * (L[i, j] + L[j, i])
+            L[i, j] = s
+            L[j, i] = s
 
 
 @njit(cache=True, **UNCOUNTED)
@@ -783,9 +901,10 @@ def smooth_run(L, lam, records, begins, heads, rows, firsts, holds, index, until
     first: `smooth_record` and `smooth_row` in one call.
 
     records: flat; begins (r,): where each begins; heads (r, 4): axes, size of the head, size and start of the ticked
-    block. rows: flat, each 17 + (n - 9) + n^2 values; firsts (q,): where each begins; holds (q,): after how many of the
-    records it holds. index: after how many of them the adjoint is; until: where to leave it. means (q, n), covs (q, n,
-    n): what is found. T, U (n, n): work, T as many rows as `smooth_record` asks for.
+    block. rows: flat, each 17 + (n - 9) values and the lower triangle of P; firsts (q,): where each begins; holds (q,):
+    after how many of the records it holds. index: after how many of them the adjoint is; until: where to leave it.
+    means (q, n), covs (q, n, n): what is found. T, U: work, n columns, T as many rows as `smooth_record` asks for, U
+    2n.
     """
     n = len(lam)
     for q in range(len(firsts) - 1, -2, -1):
@@ -795,6 +914,10 @@ def smooth_run(L, lam, records, begins, heads, rows, firsts, holds, index, until
             a, m, b, start = heads[index, 0], heads[index, 1], heads[index, 2], heads[index, 3]
             smooth_record(L, lam, records[begins[index] :], a, m, b, start, T)
         if q >= 0:
-            first = firsts[q] + 8 + n
-            P = rows[first : first + n * n].reshape((n, n))
-            smooth_row(P, L, lam, means[q], covs[q], U)
+            first, P = firsts[q] + 8 + n, U[n:]
+            for i in range(n):
+                for j in range(i + 1):
+                    P[i, j] = rows[first + j]
+                    P[j, i] = rows[first + j]
+                first += i + 1
+            smooth_row(P, L, lam, means[q], covs[q], U[:n])

@@ -84,27 +84,30 @@ def inertial_motion(sources):
         for j in range(6):
             rows[0, 1 + j] = drv[strapdown.PREVIOUS + j] / per
         for i in range(k):
-            for j in range(7):
-                rows[1 + i, j] = recent[i, j]
-            if steps and recent[i, 0] > 0.0:
+            row, now, before = rows[1 + i], recent[i], recent[min(i + 1, k - 1)]
+            row[0] = now[0]
+            if not steps and i + 1 < k and before[0] > 0.0:
                 for j in range(1, 7):
-                    rows[1 + i, j] /= recent[i, 0]
-        for i in range(0 if steps else k - 1):
-            if recent[i + 1, 0] > 0.0:
+                    row[j] = 0.5 * (now[j] + before[j])
+            else:
+                per = now[0] if steps and now[0] > 0.0 else 1.0
                 for j in range(1, 7):
-                    rows[1 + i, j] = 0.5 * (recent[i, j] + recent[i + 1, j])
-        off, elements = np.empty(6), int(drv[strapdown.CALIBRATED])
-        for i in range(k, -1, -1):
+                    row[j] = now[j] / per
+        off = np.empty((k + 1, 6))
+        for i in range(k + 1):
             for j in range(6):
-                off[j] = errors[j]
-            for q in range(elements):
-                # by how much other readings than the last err otherwise, as the unit is not calibrated
-                element = int(drv[strapdown.ELEMENTS + q])
-                channel = element // 3
-                axis = 1 + 3 * (channel // 3) + element % 3
-                off[channel] += drv[strapdown.CALIBRATION + q] * (rows[i, axis] - rows[0, axis])
+                off[i, j] = errors[j]
+        for q in range(int(drv[strapdown.CALIBRATED])):
+            # by how much other readings than the last err otherwise, as the unit is not calibrated
+            element, by = int(drv[strapdown.ELEMENTS + q]), drv[strapdown.CALIBRATION + q]
+            channel = element // 3
+            axis = 1 + 3 * (channel // 3) + element % 3
+            last = rows[0, axis]
+            for i in range(k + 1):
+                off[i, channel] += by * (rows[i, axis] - last)
+        for i in range(k + 1):
             for j in range(6):
-                rows[i, 1 + j] -= off[j]
+                rows[i, 1 + j] -= off[i, j]
         gravity[0] = strapdown.gravity(nav[0], nav[2])
 
     return inertial_motion

@@ -16,7 +16,10 @@ Signs: error = estimated minus true; attitude error is a rotation vector in n: `
 import math
 
 import numpy as np
-from numba import njit
+from numba import njit, types
+from numba.core import cgutils
+from numba.core.typing.templates import AbstractTemplate, infer_global, signature
+from numba.extending import lower_builtin
 
 #: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
 UNCOUNTED: dict = {"_nrt": False}
@@ -321,14 +324,16 @@ def _inertial_advance(nav, xd, inc, dt, drv, seen, gain, noisy, f):
 
 
 @njit(cache=True, error_model="numpy", fastmath={"contract"}, **UNCOUNTED)
-def _inertial_carry(X, f, C, seen, gain, kinds, E, m, Phi_ends):
-    """Rows 0 to 8 of X (panels of an (m, m) matrix) from the left by the transition of one step: attitude, then
-    velocity with the mean attitude error, then position with the mean velocity error.
+def _inertial_carry(X, end, f, C, seen, gain, kinds, E, m, Phi_ends):
+    """Rows 0 to 8 of X (panels of (m, m) matrices, up to `end`) from the left by the transition of one step: attitude,
+    then velocity with the mean attitude error, then position with the mean velocity error.
 
     Only its nonzero elements, in registers: ten times as quick as a product of whole matrices. Multiplied and added in
     one rounding where the processor can: every step of the filter goes by `imu_steps` or `imu_hold` as they are
-    compiled, so that bits stay the same. seen, gain, kinds: as `_which_errors` has it; E (6 * WIDE,): work, rows of
-    readings that no state enters are zero. A constant is a unit row of Phi, which ends at `Phi_ends`, and has no noise.
+    compiled, so that bits stay the same. seen, gain, kinds: as `_which_errors` has it; E (6 * WIDE,): work, zero at
+    first, where states enter the readings in another way than plainly; behind `end` six rows of zeros or panels are
+    read, and count for nothing. A constant is a unit row of Phi, which ends at
+    `Phi_ends`, and has no noise.
     """
     noisy, plain, moving = kinds
     dt, tn, te, td, pn, pe, pd = f[0], f[1], f[2], f[3], f[4], f[5], f[6]
@@ -336,13 +341,14 @@ def _inertial_carry(X, f, C, seen, gain, kinds, E, m, Phi_ends):
     f7, f8, f9, f10, f11, f12, f13, f14, f15, f16 = f[7], f[8], f[9], f[10], f[11], f[12], f[13], f[14], f[15], f[16]
     f17, f18, f19, f20, f21, f22, f23, f24, f25 = f[17], f[18], f[19], f[20], f[21], f[22], f[23], f[24], f[25]
     f26, f27, f28, f29, f30, f31, f32, f33 = f[26], f[27], f[28], f[29], f[30], f[31], f[32], f[33]
-    half = 0.5 * dt
-    for begin in range(0, X.size, m * WIDE):
-        Z = X[begin : begin + m * WIDE]
-        if plain:
+    half, direct = 0.5 * dt, plain and noisy == gain.size
+    by = dt if direct else 0.0
+    for begin in range(0, end, m * WIDE):
+        Z = X[begin:]
+        if plain and not direct:
             for j in range(6 * WIDE):
                 E[j] = dt * Z[9 * WIDE + j]
-        else:
+        elif not plain:
             for j in range(6 * WIDE):
                 E[j] = 0.0
         for p in range(noisy if plain else 0, moving):
@@ -359,8 +365,10 @@ def _inertial_carry(X, f, C, seen, gain, kinds, E, m, Phi_ends):
             x0, x1, x2 = Z[j], Z[WIDE + j], Z[2 * WIDE + j]
             x3, x4, x5 = Z[3 * WIDE + j], Z[4 * WIDE + j], Z[5 * WIDE + j]
             x6, x7, x8 = Z[6 * WIDE + j], Z[7 * WIDE + j], Z[8 * WIDE + j]
-            e0, e1, e2 = E[j], E[WIDE + j], E[2 * WIDE + j]
-            e3, e4, e5 = E[3 * WIDE + j], E[4 * WIDE + j], E[5 * WIDE + j]
+            e0, e1, e2 = by * Z[9 * WIDE + j], by * Z[10 * WIDE + j], by * Z[11 * WIDE + j]
+            e3, e4, e5 = by * Z[12 * WIDE + j], by * Z[13 * WIDE + j], by * Z[14 * WIDE + j]
+            e0, e1, e2 = e0 + E[j], e1 + E[WIDE + j], e2 + E[2 * WIDE + j]
+            e3, e4, e5 = e3 + E[3 * WIDE + j], e4 + E[4 * WIDE + j], e5 + E[5 * WIDE + j]
             y6 = x6 + td * x7 - te * x8 + f7 * x4 + f10 * x0 + f12 * x2 - (c0 * e0 + c1 * e1 + c2 * e2)
             y7 = x7 - td * x6 + tn * x8 + f8 * x3 + f13 * x2 - (c3 * e0 + c4 * e1 + c5 * e2)
             y8 = x8 + te * x6 - tn * x7 + f9 * x4 + f11 * x0 + f14 * x2 - (c6 * e0 + c7 * e1 + c8 * e2)
@@ -420,6 +428,45 @@ def _transpose(Z, m):
                     B[j, i] = s
 
 
+def _transpose_square(X):
+    """Of the first rows of a panel, as many as it has columns, in place: X, flat."""
+    A = X[: WIDE * WIDE].reshape(WIDE, WIDE)
+    np.copyto(A, A.T.copy())
+
+
+@infer_global(_transpose_square)
+class _OfTransposeSquare(AbstractTemplate):
+    def generic(self, arguments, keywords):
+        return signature(types.void, *arguments)
+
+
+@lower_builtin(_transpose_square, types.Array)
+def _build_transpose_square(context, builder, kinds, arguments):
+    """In registers: what is stored number by number cannot be loaded in rows for a while, which took longer than all
+    else of it.
+    """
+    index, row = cgutils.ir.IntType(32), cgutils.ir.VectorType(cgutils.ir.DoubleType(), WIDE)
+    array = context.make_array(kinds.args[0])(context, builder, value=arguments[0])
+    first = builder.bitcast(array.data, row.as_pointer())
+    places = [builder.gep(first, [cgutils.ir.Constant(index, i)]) for i in range(WIDE)]
+    rows = [builder.load(place) for place in places]
+    for value in rows:
+        value.align = 8
+    apart = WIDE // 2
+    while apart:
+        mine = [j if j & apart == 0 else WIDE + j - apart for j in range(WIDE)]
+        masks = [[j + add for j in mine] for add in (0, apart)]
+        masks = [cgutils.ir.Constant(cgutils.ir.VectorType(index, WIDE), mask) for mask in masks]
+        for i in range(WIDE):
+            if i & apart == 0:
+                pair = rows[i], rows[i + apart]
+                rows[i], rows[i + apart] = (builder.shuffle_vector(*pair, mask) for mask in masks)
+        apart //= 2
+    for place, value in zip(places, rows, strict=True):
+        builder.store(value, place, align=8)
+    return context.get_dummy_value()
+
+
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _tick_drive(xd, Phid, Qd, diagonal, T, Q, m):
     """A tick of the drive's blocks: their mean, and their noise into Q (panels)."""
@@ -440,22 +487,25 @@ def _tick_drive(xd, Phid, Qd, diagonal, T, Q, m):
         xd[i] = T[i]
 
 
-@njit(cache=True, error_model="numpy", **UNCOUNTED)
-def _inertial_compound(xd, Phid, Qd, diagonal, ticks, C, f, seen, gain, kinds, E, T, both, Q, rows, gathered):
+@njit(cache=True, error_model="numpy", inline="always", **UNCOUNTED)
+def _inertial_compound(xd, Phid, Qd, diagonal, ticks, C, f, seen, gain, kinds, E, T, both, Q, rows, gathered, X):
     """Compound Phi <- F Phi, Q <- F Q F' with the step that `_inertial_advance` left in f; the drive's blocks tick, and
     their mean too.
 
-    both: panels of Phi and behind them Q, those of Q, which are `rows` too; gathered: whether there is any noise yet. Q
-    F' is formed as (F Q)', Q being symmetric.
+    both: panels of Phi and behind them Q, those of Q, which are `rows` too; X: `both` and what stands behind it;
+    gathered: whether there is any noise yet. Q F' is formed as (F Q)', Q being symmetric.
     """
     m = 9 + len(xd)
     moved = both if gathered else both[: both.size - Q.size]
-    _inertial_carry(moved, f, C, seen, gain, kinds, E, m, both.size - Q.size)
+    _inertial_carry(X, moved.size, f, C, seen, gain, kinds, E, m, both.size - Q.size)
     if ticks > 0:
         _tick_rows(moved, Phid, diagonal, T, m)
     if gathered:
-        _transpose(rows, m)
-        _inertial_carry(Q, f, C, seen, gain, kinds, E, m, int(0))
+        if rows.shape[0] == m:
+            _transpose_square(X[both.size - Q.size :])
+        else:
+            _transpose(rows, m)
+        _inertial_carry(X[both.size - Q.size :], Q.size, f, C, seen, gain, kinds, E, m, int(0))
     for count in range(ticks):
         if count > 0:
             _tick_rows(both, Phid, diagonal, T, m)
@@ -554,27 +604,38 @@ def _is_diagonal(A):
 
 
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
-def _to_panels(M, X):
-    m = M.shape[0]
-    Z = X.reshape((X.size // WIDE, WIDE))
-    for p in range(Z.shape[0] // m):
-        A, first = Z[p * m : (p + 1) * m], p * WIDE
-        B = M[:, first : min(m, first + WIDE)]
+def _to_panels(M, X, m):
+    """Fill panels X from the rows of a matrix of m columns at the beginning of M, which is longer. Copies of a fixed
+    length are much quicker: what they take too much is 0 in the last panel.
+    """
+    for begin in range(0, X.size, m * WIDE):
+        left = begin // m
+        known = min(WIDE, m - left)
         for i in range(m):
-            for j in range(B.shape[1]):
-                A[i, j] = B[i, j]
+            A, B = X[begin + i * WIDE :], M[i * m + left :]
+            for j in range(WIDE):
+                A[j] = B[j]
+            for j in range(known, WIDE):
+                A[j] = 0.0
 
 
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
-def _from_panels(X, M):
-    m = M.shape[0]
-    Z = X.reshape((X.size // WIDE, WIDE))
-    for p in range(Z.shape[0] // m):
-        A, first = Z[p * m : (p + 1) * m], p * WIDE
-        B = M[:, first : min(m, first + WIDE)]
-        for i in range(m):
-            for j in range(B.shape[1]):
-                B[i, j] = A[i, j]
+def _from_panels(X, M, m):
+    """The way back. What it writes too much is overwritten by the next row; behind the last row M is work space."""
+    for i in range(m):
+        for begin in range(0, X.size, m * WIDE):
+            A, B = X[begin + i * WIDE :], M[i * m + begin // m :]
+            for j in range(WIDE):
+                B[j] = A[j]
+
+
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
+def _any(X):
+    """Whether there is anything but zeros: without a branch for each of them."""
+    count = 0
+    for i in range(X.size):
+        count += X[i] != 0.0
+    return count > 0
 
 
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
@@ -620,8 +681,10 @@ def _panels(m):
 
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _room(m):
-    """Elements of the work space of the inertial kernels for a head of m states."""
-    return 40 + 6 * (m - 9) + (m - 3) * WIDE + 2 * ((m + WIDE - 1) // WIDE * m * WIDE)
+    """Elements of the work space of the inertial kernels for a head of m states; behind a panel of few rows there are
+    as many as it has columns.
+    """
+    return 40 + 6 * (m - 9) + (m - 3) * WIDE + 2 * ((m + WIDE - 1) // WIDE * m * WIDE) + WIDE * WIDE
 
 
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
@@ -654,11 +717,13 @@ def _imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc, floats, seen):
     constants = _constants(Phid, Qd, drv)
     count, kinds = _which_errors(Cr, drv, constants, seen, gain)
     diagonal = _is_diagonal(Phid) and _is_diagonal(Qd)
-    _to_panels(acc[:m], Phi)
-    _to_panels(acc[m : 2 * m], Q)
+    flat = acc.reshape(acc.size)
+    _to_panels(flat, Phi, m)
+    _to_panels(flat[m * m :], Q, m)
     moved = Q[: _panels(m - constants) * m * WIDE]  # constants gather no noise
-    both = floats[floats.size - Q.size - Phi.size : floats.size - Q.size + moved.size]
-    rows, gathered = moved.reshape((moved.size // WIDE, WIDE)), bool(Q.any())
+    first = 40 + 6 * k + 6 * WIDE + k * WIDE
+    both, X = floats[first : first + Phi.size + moved.size], floats[first:]
+    rows, gathered = moved.reshape((moved.size // WIDE, WIDE)), _any(Q)
     for n in range(samples.shape[0]):
         _increments(samples, n, drv, inc)
         drv[COUNT] += 1.0
@@ -673,12 +738,12 @@ def _imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc, floats, seen):
         _inertial_advance(nav, xd, inc, dt, drv, seen, gain, kinds[0], f)
         ticks = _ticks(samples[n, 0], drv)
         _inertial_compound(
-            xd, Phid, Qd, diagonal, ticks, C, f, seen, gain[:count], kinds, E, T, both, moved, rows, gathered
+            xd, Phid, Qd, diagonal, ticks, C, f, seen, gain[:count], kinds, E, T, both, moved, rows, gathered, X
         )
         _inertial_noise(dt, drv, Cr, Q, k)
         gathered = True
-    _from_panels(Phi, acc[:m])
-    _from_panels(Q, acc[m : 2 * m])
+    _from_panels(Phi, flat, m)
+    _from_panels(Q, flat[m * m :], m)
 
 
 @njit(cache=True, error_model="numpy")
@@ -696,11 +761,13 @@ def _imu_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc, floats, seen):
     constants = _constants(Phid, Qd, drv)
     count, kinds = _which_errors(Cr, drv, constants, seen, gain)
     diagonal = _is_diagonal(Phid) and _is_diagonal(Qd)
-    _to_panels(acc[:m], Phi)
-    _to_panels(acc[m : 2 * m], Q)
+    flat = acc.reshape(acc.size)
+    _to_panels(flat, Phi, m)
+    _to_panels(flat[m * m :], Q, m)
     moved = Q[: _panels(m - constants) * m * WIDE]  # constants gather no noise
-    both = floats[floats.size - Q.size - Phi.size : floats.size - Q.size + moved.size]
-    rows, gathered = moved.reshape((moved.size // WIDE, WIDE)), bool(Q.any())
+    first = 40 + 6 * k + 6 * WIDE + k * WIDE
+    both, X = floats[first : first + Phi.size + moved.size], floats[first:]
+    rows, gathered = moved.reshape((moved.size // WIDE, WIDE)), _any(Q)
     scale = dt / drv[PERIOD_S] if drv[INCREMENTS] != 0.0 else dt
     for i in range(6):
         inc[i] = drv[PREVIOUS + i] * scale
@@ -711,11 +778,11 @@ def _imu_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc, floats, seen):
     _inertial_advance(nav, xd, inc, dt, drv, seen, gain, kinds[0], f)
     C = drv[MEAN_C : MEAN_C + 9]
     _inertial_compound(
-        xd, Phid, Qd, diagonal, int(0), C, f, seen, gain[:count], kinds, E, T, both, moved, rows, gathered
+        xd, Phid, Qd, diagonal, int(0), C, f, seen, gain[:count], kinds, E, T, both, moved, rows, gathered, X
     )
     _inertial_noise(dt, drv, Cr, Q, k)
-    _from_panels(Phi, acc[:m])
-    _from_panels(Q, acc[m : 2 * m])
+    _from_panels(Phi, flat, m)
+    _from_panels(Q, flat[m * m :], m)
 
 
 @njit(cache=True, error_model="numpy", **UNCOUNTED)

@@ -49,8 +49,9 @@ MORE_RECENT = 512
 # Elements of `settings`: period of the drive, how far ahead a reading may be, samples between folds, silence that is a
 # gap, silence that is in doubt, when something is due, interval of the rows; whether samples are increments; from when
 # on it is learnt from readings, and what a tilt turns into acceleration (see `listen`); after how many samples Python
-# feels whether the vehicle rests (0: never); whether every sample gets a row.
+# feels whether the vehicle rests (0: never); whether every sample gets a row; when Python looks at what has been taken.
 PERIOD_S, AHEAD_S, FOLD_EVERY, GAP_S, DOUBT_S, UNTIL_S, INTERVAL_S, INCREMENTS, LEARN_S, GRAVITY, FELT, EACH = range(12)
+LOOK_S = 12
 # Columns of `heard`, a row a channel: last reading, last tick, period, whether readings before have been refused, ticks
 # of the last reading, how long readings wait.
 LAST_S, TICKED_S, CHANNEL_PERIOD_S, DOUBTED, TICKS, WAIT_S = range(6)
@@ -63,8 +64,9 @@ STUCK_READINGS, STUCK_S = 10.0, 8.0
 
 # Why a stretch has ended: all is done; the next reading, or the samples before it, are for Python; its samples are
 # taken, the reading is for Python; it was not used: Python says what follows; no room is left in the output; the watch
-# over the drive has found something that Python has to heed; after the last reading there is something to learn.
-DONE, NEXT, REFUSED, JUDGED, FULL, HEED, LEARN = range(7)
+# over the drive has found something that Python has to heed; after the last reading there is something to learn, or it
+# is time for a look.
+DONE, NEXT, REFUSED, JUDGED, FULL, HEED, LEARN, LOOK = range(8)
 
 
 @_keyed
@@ -166,9 +168,9 @@ def _note_row(sources):
     def _note_row(now, cursor, interval_s, nav, x, P, acc, inertial, rows, info, work):
         """Write the state down as a row: the last note of a time stands, those closer than the interval are skipped.
 
-        rows (r, w): nav, x, then the whole of P or its first nine rows and columns and the rest of its diagonal, as
-        `kalman.present` gives them where samples have not been folded yet. info (r, 2): time, and after how many
-        records.
+        rows (r, w): nav, x, then the lower triangle of P or its first nine rows and columns and the rest of its
+        diagonal, as `kalman.present` gives them where samples have not been folded yet. info (r, 2): time, and after
+        how many records.
         """
         _ = sources
         at, n = cursor[ROWS], P.shape[0]
@@ -181,10 +183,12 @@ def _note_row(sources):
             row[i] = nav[i]
         for i in range(n - 9):
             row[17 + i] = x[i]
-        if row.size == n + 8 + n * n:
+        if row.size == n + 8 + n * (n + 1) // 2:
+            first = n + 8
             for i in range(n):
-                for j in range(n):
-                    row[n + 8 + i * n + j] = P[i, j]
+                for j in range(i + 1):
+                    row[first + j] = P[i, j]
+                first += i + 1
         elif cursor[UNFOLDED] > 0:
             kalman.present(P, acc, inertial, work, row[n + 8 :])
         else:
@@ -205,18 +209,21 @@ def _note_record(sources):
     @njit(cache=True, **UNCOUNTED)
     def _note_record(record, axes, dims, cursor, records, heads):
         """Write a record for the smoother: nothing where `records` is empty. heads (r, 5): size, axes, head, size and
-        start of the ticked block.
+        start of the ticked block; a head of 0 where the transition is the identity, which is left out.
         """
         _ = sources
         if records.size == 0:
             return
+        m = dims[2]
+        if kalman.unmoved(record[: m * m].reshape((m, m))):
+            record, m = record[m * m :], int(0)
         at, begin = cursor[RECORDS], cursor[WRITTEN]
         for i in range(record.size):
             records[begin + i] = record[i]
         heads[at, 0], heads[at, 1], heads[at, 2], heads[at, 3], heads[at, 4] = (
             record.size,
             axes,
-            dims[2],
+            m,
             dims[3],
             dims[4],
         )
@@ -504,6 +511,9 @@ def stretch(sources):
             ):
                 cursor[READING] = e + 1
                 return LEARN
+            if t >= settings[LOOK_S]:
+                cursor[READING] = e + 1
+                return LOOK
         cursor[READING] = times.size
         return DONE
 
