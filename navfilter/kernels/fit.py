@@ -8,6 +8,8 @@ import math
 import numpy as np
 from numba import njit
 
+from navfilter.kernels.apart import apart
+
 # Roots are found when none moves by more than this part any more: the next round would square it. Near a multiple root
 # they never settle.
 CLOSE, ROUNDS = 1e-10, 60
@@ -49,6 +51,7 @@ def impulse_response(c, w):
     return n
 
 
+@apart
 @njit(cache=True, nogil=True)
 def lag_products(x, y, out):
     """``out[k] = sum_t x[t] y[t+k]`` for every k of `out`."""
@@ -169,6 +172,7 @@ def _matmul(A, B, out):
                 out[i, j] += f * B[k, j]
 
 
+@apart
 @njit(cache=True, nogil=True)
 def largest_reflection(c, radius):
     """Largest reflection coefficient of ``1 + c1 q^-1 + ...`` scaled to `radius`: below 1 means all roots inside."""
@@ -192,6 +196,7 @@ def largest_reflection(c, radius):
     return worst
 
 
+@apart
 @njit(cache=True, nogil=True, error_model="numpy")
 def _roots(c, z):
     """Roots of ``1 + c1 q^-1 + ...`` into `z`, all at a time (Aberth, Math. Comp. 27, 1973)."""
@@ -225,6 +230,7 @@ def _roots(c, z):
             break
 
 
+@apart
 @njit(cache=True, nogil=True, error_model="numpy")
 def _from_roots(z, c):
     """Coefficients of the polynomial with these roots, their real parts into `c`."""
@@ -237,6 +243,7 @@ def _from_roots(z, c):
         c[i] = terms[i + 1].real
 
 
+@apart
 @njit(cache=True, nogil=True, error_model="numpy")
 def _push_from_one(c, distance, z):
     """Roots nearer to 1 than `distance` in natural frequency, ``|ln z|`` per sample, are moved away from it, damped at
@@ -257,6 +264,7 @@ def _push_from_one(c, distance, z):
         _from_roots(z, c)
 
 
+@apart
 @njit(cache=True, nogil=True, error_model="numpy")
 def _pull_inside(c, radius, circle, z):
     """No root beyond `radius`; those beyond `circle` are reflected into the unit circle first."""

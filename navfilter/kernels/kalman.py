@@ -9,6 +9,8 @@ import math
 import numpy as np
 from numba import njit
 
+from navfilter.kernels.apart import apart
+
 #: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
 UNCOUNTED: dict = {"_nrt": False}
 COUNTED: dict = {"_nrt": True}
@@ -20,6 +22,7 @@ def _product(A, B, out):
     np.dot(A, B, out)
 
 
+@apart
 @njit(cache=True, **UNCOUNTED)
 def _navigation(P, acc, T, A, head):
     """Phi P Phi' of the nine of navigation into head (9, 9), before it is made symmetric. T (9, n) holds Phi P then; A
@@ -33,6 +36,7 @@ def _navigation(P, acc, T, A, head):
     _product(acc[:9], A, head)
 
 
+@apart
 @njit(cache=True, **UNCOUNTED)
 def discount_heading(P, acc, work):
     """Before a fold of an inertial drive: what an error of the heading does to velocity and position counts as far as
@@ -61,6 +65,7 @@ def discount_heading(P, acc, work):
         acc[i, 8] *= share
 
 
+@apart
 @njit(cache=True, **UNCOUNTED)
 def present(P, acc, inertial, work, out):
     """What `fold` would leave in P, without folding: of navigation (the first 81 of out), then the variances of all
@@ -95,6 +100,7 @@ def present(P, acc, inertial, work, out):
     acc[0, 8], acc[1, 8], acc[3, 8], acc[4, 8] = kept0, kept1, kept3, kept4
 
 
+@apart
 @njit(cache=True, **UNCOUNTED)
 def fold(P, acc, nav, T):
     """P <- Phi P Phi' + Q for the leading m states.
@@ -158,6 +164,7 @@ def fold(P, acc, nav, T):
             nav[6 + 3 * i + j] += 0.5 * (nav[6 + 3 * i + j] - (x * E[j] + y * E[3 + j] + z * E[6 + j]))
 
 
+@apart
 @njit(cache=True, **COUNTED)
 def power(Phi, Q, count, W):
     """Phi^count and the noise gathered in as many ticks, by doubling. W (4, b, b): result Phi, result Q, and the square
@@ -202,6 +209,7 @@ def power(Phi, Q, count, W):
         count //= 2
 
 
+@apart
 @njit(cache=True, **UNCOUNTED)
 def tick(P, x, start, A, B, T):
     """Advance the block at `start` of the state (its own clock): x <- A x, P <- A P A' + B on its rows and columns. T:
@@ -243,6 +251,7 @@ def tick(P, x, start, A, B, T):
         x[start - 9 + i] = T[i, 0]
 
 
+@apart
 @njit(cache=True, **UNCOUNTED)
 def _invert(S):
     """The inverse of the upper half of S (2a, a), definite and symmetric, into its lower half (Gauss and Jordan)."""
@@ -268,6 +277,7 @@ def _invert(S):
             S[a + j, i] = s
 
 
+@apart
 @njit(cache=True, **UNCOUNTED)
 def innovation(P, H, res, R, S, PH, out):
     """Innovation covariance S = H P H' + R, its inverse, P H' and the normalised innovation squared (NIS).
@@ -340,6 +350,7 @@ def _less_twice(P, u, w):
                 P[i, j] -= f * w[j] + g * u[j]
 
 
+@apart
 @njit(cache=True, **UNCOUNTED)
 def correct(P, nav, x, res, S, PH, K, turn, T):
     """Closed-loop correction after `innovation`: gain, Joseph covariance, feedback into the nominal state, attitude
@@ -456,6 +467,7 @@ def places(dims):
     return H, K, inverse, res, turn, S, PH, near, verdict, work, work + max(m, b, 2 * a) * n + 4 * b * b
 
 
+@apart
 @njit(cache=True, **UNCOUNTED)
 def predict(P, nav, x, acc, model, mem, dims, count):
     """Before a reading: note the transition in `mem`, fold it, and tick the sensor's block `count` times. model: (2, b,
@@ -489,6 +501,7 @@ def predict(P, nav, x, acc, model, mem, dims, count):
                 A[i, j] = 1.0 if i == j else 0.0
 
 
+@apart
 @njit(cache=True, **UNCOUNTED)
 def update(P, nav, x, C, R, mem, dims, limits):
     """A reading, after its sensor filled `near` and `res` in `mem`: take the coloured error off, form the NIS, correct
@@ -531,6 +544,7 @@ def update(P, nav, x, C, R, mem, dims, limits):
             mem[ii + i * a + j] = S[a + i, j]
 
 
+@apart
 @njit(cache=True, **UNCOUNTED)
 def _whole_jacobian(H, near, C, start, head):
     """H (a, n) from the sensor's own near (a, 9 + parameters) and the output rows C of its error models; that of the
@@ -548,6 +562,7 @@ def _whole_jacobian(H, near, C, start, head):
             H[i, start + errors + j - 9] = near[i, j]
 
 
+@apart
 @njit(cache=True, **COUNTED)
 def _fits_without_some(P, H, near, C, R, S, PH, res, out, limits, start, head):
     """Whether the reading passes its gate when the components that contradict the others most are left out, one by one.
@@ -588,6 +603,7 @@ def _fits_without_some(P, H, near, C, R, S, PH, res, out, limits, start, head):
     return False
 
 
+@apart
 @njit(cache=True, **UNCOUNTED)
 def smooth_record(L, lam, record, a, m, b, start, T):
     """Carry the adjoint (lam, L) backward over one tape record: reset, correction, tick, compound transition.
@@ -664,6 +680,7 @@ def smooth_record(L, lam, record, a, m, b, start, T):
     _head_transposed(L, lam, record[: m * m].reshape((m, m)), T.reshape(T.size))
 
 
+@apart
 @njit(cache=True, **UNCOUNTED)
 def _transition_transposed(L, lam, Phi, start, b, T):
     """L <- Phi' L Phi and lam <- Phi' lam for a transition that touches b states from `start`."""
@@ -710,6 +727,7 @@ def _transition_transposed(L, lam, Phi, start, b, T):
         lam[start + i] = T[0, i]
 
 
+@apart
 @njit(cache=True, **UNCOUNTED)
 def _head_transposed(L, lam, Phi, work):
     """L <- Phi' L Phi and lam <- Phi' lam for a transition of the leading m states; work: (2 m^2 + m n,).
@@ -760,6 +778,7 @@ def _head_transposed(L, lam, Phi, work):
             L[j, i] = T[i, j]
 
 
+@apart
 @njit(cache=True, **UNCOUNTED)
 def smooth_row(P, L, lam, mean, cov, T):
     """Smoothed error at an epoch: mean = -P lam, cov = P - P L P (symmetric). T: (n, n) work."""

@@ -18,6 +18,8 @@ import math
 import numpy as np
 from numba import njit
 
+from navfilter.kernels.apart import apart
+
 #: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
 UNCOUNTED: dict = {"_nrt": False}
 COUNTED: dict = {"_nrt": True}
@@ -144,6 +146,7 @@ def _compound(acc, m):
             Q[i, j] = T[i, j]
 
 
+@apart
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
 def stamps_to_steps(samples, last_s, limits, gap_s, longest_s):
     """Replace the stamps of a block (first column) by seconds since the sample before; returns the number of gaps
@@ -284,6 +287,7 @@ def integrate(nav, drv, samples, out):
                 out[n, i] = nav[i]
 
 
+@apart
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _inertial_advance(nav, xd, inc, dt, drv, seen, gain, noisy, f):
     """One strapdown step with the drive's errors taken off; leaves the elements of its transition, of second order in
@@ -320,6 +324,7 @@ def _inertial_advance(nav, xd, inc, dt, drv, seen, gain, noisy, f):
     f[32], f[33] = 1.0 - dt * (down + tl * north), dt * east
 
 
+@apart
 @njit(cache=True, error_model="numpy", fastmath={"contract"}, **UNCOUNTED)
 def _inertial_carry(X, f, C, seen, gain, kinds, E, m, Phi_ends):
     """Rows 0 to 8 of X (panels of an (m, m) matrix) from the left by the transition of one step: attitude, then
@@ -378,6 +383,7 @@ def _inertial_carry(X, f, C, seen, gain, kinds, E, m, Phi_ends):
             Z[6 * WIDE + j], Z[7 * WIDE + j], Z[8 * WIDE + j] = y6, y7, y8
 
 
+@apart
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _tick_rows(X, Phid, diagonal, T, m):
     """Rows from 9 on of X (panels) from the left by the transition of the drive's blocks; T (k * WIDE,): work."""
@@ -403,6 +409,7 @@ def _tick_rows(X, Phid, diagonal, T, m):
             Z[j] = T[j]
 
 
+@apart
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _transpose(Z, m):
     """Of a matrix in panels, in place: Z, their rows."""
@@ -420,6 +427,7 @@ def _transpose(Z, m):
                     B[j, i] = s
 
 
+@apart
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _tick_drive(xd, Phid, Qd, diagonal, T, Q, m):
     """A tick of the drive's blocks: their mean, and their noise into Q (panels)."""
@@ -440,6 +448,7 @@ def _tick_drive(xd, Phid, Qd, diagonal, T, Q, m):
         xd[i] = T[i]
 
 
+@apart
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _inertial_compound(xd, Phid, Qd, diagonal, ticks, C, f, seen, gain, kinds, E, T, both, Q, rows, gathered):
     """Compound Phi <- F Phi, Q <- F Q F' with the step that `_inertial_advance` left in f; the drive's blocks tick, and
@@ -465,6 +474,7 @@ def _inertial_compound(xd, Phid, Qd, diagonal, ticks, C, f, seen, gain, kinds, E
         _tick_drive(xd, Phid, Qd, diagonal, T, Q, m)
 
 
+@apart
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _inertial_noise(dt, drv, Cr, Q, k):
     """White noise of one step, into the panels of Q: variance r per sample means an angle (velocity) variance r *
@@ -494,6 +504,7 @@ def _inertial_noise(dt, drv, Cr, Q, k):
                 Q[(3 + i) * WIDE + j] += speed * 0.5 * dt
 
 
+@apart
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _uncalibrated(inc, dt, xd, drv, work, seen, gain):
     """Take the calibration errors off the increments, and note by how much (gain) each element of M enters: as the
@@ -510,6 +521,7 @@ def _uncalibrated(inc, dt, xd, drv, work, seen, gain):
         drv[CALIBRATION + q] = xd[first + q]
 
 
+@apart
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _constants(Phid, Qd, drv):
     """How many of the drive's last states never change by themselves: all elements of M, or none."""
@@ -520,6 +532,7 @@ def _constants(Phid, Qd, drv):
     return elements
 
 
+@apart
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _which_errors(Cr, drv, constants, seen, gain):
     """Which of the six readings (row 0 of seen) which of the drive's states (row 1) enters, and by how much (gain):
@@ -553,6 +566,7 @@ def _is_diagonal(A):
     return True
 
 
+@apart
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _to_panels(M, X):
     m = M.shape[0]
@@ -565,6 +579,7 @@ def _to_panels(M, X):
                 A[i, j] = B[i, j]
 
 
+@apart
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _from_panels(X, M):
     m = M.shape[0]
@@ -624,6 +639,7 @@ def _room(m):
     return 40 + 6 * (m - 9) + (m - 3) * WIDE + 2 * ((m + WIDE - 1) // WIDE * m * WIDE)
 
 
+@apart
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _workspace(floats, m):
     """Its parts: increments, elements of the transition, gains, rows of errors and of blocks, panels of Phi and Q."""
@@ -646,6 +662,7 @@ def imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
     _imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc, np.zeros(_room(9 + k)), np.empty((2, 6 * k), np.int64))
 
 
+@apart
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc, floats, seen):
     k = len(xd)
@@ -688,6 +705,7 @@ def imu_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc):
     _imu_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc, np.zeros(_room(9 + k)), np.empty((2, 6 * k), np.int64))
 
 
+@apart
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _imu_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc, floats, seen):
     k = len(xd)

@@ -10,6 +10,7 @@ import math
 from numba import njit
 
 from navfilter.kernels import addresses, checksum, drive_watch, kalman, listen, past, strapdown
+from navfilter.kernels.apart import apart
 
 #: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
 UNCOUNTED: dict = {"_nrt": False}
@@ -68,6 +69,7 @@ DONE, NEXT, REFUSED, JUDGED, FULL, HEED, LEARN = range(7)
 
 @_keyed
 def _white(sources):
+    @apart
     @njit(cache=True, **UNCOUNTED)
     def _white(bench, spot, P, nav, variance, R):
         """The white covariance of a reading."""
@@ -161,6 +163,7 @@ def correction(sources):
 
 @_keyed
 def _note_row(sources):
+    @apart
     @njit(cache=True, **UNCOUNTED)
     def _note_row(now, cursor, interval_s, nav, x, P, acc, inertial, rows, info, work):
         """Write the state down as a row: the last note of a time stands, those closer than the interval are skipped.
@@ -201,6 +204,7 @@ def _note_row(sources):
 
 @_keyed
 def _note_record(sources):
+    @apart
     @njit(cache=True, **UNCOUNTED)
     def _note_record(record, axes, dims, cursor, records, heads):
         """Write a record for the smoother: nothing where `records` is empty. heads (r, 5): size, axes, head, size and
@@ -239,6 +243,7 @@ def _has_room(sources):
 
 @_keyed
 def _heeded(sources):
+    @apart
     @njit(cache=True, **UNCOUNTED)
     def _heeded(w, nav, P, period_s):
         """While all axes are good, `navfilter.filter.drive_watch.DriveWatch.heed`: the reference of gravity is due."""
@@ -263,6 +268,7 @@ def _heeded(sources):
 
 @_keyed
 def _remember(sources):
+    @apart
     @njit(cache=True, **UNCOUNTED)
     def _remember(block, recent, cursor):
         """Put the samples of a block before the last ones, the newest first."""
@@ -282,6 +288,7 @@ def _remember(sources):
 
 @_keyed
 def _carried(sources):
+    @apart
     @njit(cache=True, **UNCOUNTED)
     def _carried(now, cursor, settings, spot, P, nav, x, acc, drive, samples, stamps, undone, out, work):
         """Carry the state over a block of steps (see `strapdown.stamps_to_steps`), folding as often as is due; says why
@@ -374,6 +381,7 @@ def _fared(sources):
 
 @_keyed
 def _listened(sources):
+    @apart
     @njit(cache=True, **UNCOUNTED)
     def _listened(cursor, settings, bench, own, nav, x, Cr, t, ticks, undone, ear, places, opened):
         """What `navfilter.learning.schedule.LearningSchedule` does after a reading that was used; True when something
