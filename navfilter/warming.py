@@ -15,6 +15,7 @@ import numpy as np
 
 from navfilter.compilation import announce_each, count_announced, is_compiled, kernel_count, show_compilation
 from navfilter.error_models import GaussMarkov
+from navfilter.known_calls import calls_remembered
 from navfilter.learning.learned import LearnedArma
 from navfilter.mechanisation import Imu
 from navfilter.navigator import Navigator
@@ -52,7 +53,7 @@ def warm_up(vehicle: Vehicle | None = None, progress: bool = False) -> None:
         show_compilation()
     learning = vehicle is None or learns(vehicle)
     helper = _Helper(vehicle is None) if learning and not is_compiled(*FILTER) and not is_compiled("channel") else None
-    with _no_collector():
+    with calls_remembered(), _no_collector():
         try:
             # units differ by numbers only, and the lane without one has a sensor of its own
             lanes: list[Vehicle | None] = [] if vehicle is None else list(vehicle.lanes().values())
@@ -72,7 +73,7 @@ def warm_up(vehicle: Vehicle | None = None, progress: bool = False) -> None:
 def help_warming(everything: bool) -> None:
     """What the second process of `warm_up` does."""
     announce_each()
-    with _no_collector():
+    with calls_remembered(), _no_collector():
         _warm_learner()
         if everything:
             _warm_reckoning()

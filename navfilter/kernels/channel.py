@@ -22,12 +22,12 @@ import math
 import operator
 
 import numpy as np
-from numba import njit, types
-
-from navfilter.kernels.apart import apart
+from numba import types
 from numba.core import cgutils
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import lower_builtin, models, register_model
+
+from navfilter.kernels.decorators import apart, njit
 
 UNCOUNTED: dict = {"_nrt": False}
 DIFFUSE, LONGEST_GAP, CLIP, WHITE = 0, 1, 2, 3

@@ -8,9 +8,7 @@ bit); everything else is in rates and forces.
 
 import math
 
-from numba import njit
-
-from navfilter.kernels.apart import apart
+from navfilter.kernels.decorators import apart, njit
 
 #: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
 UNCOUNTED: dict = {"_nrt": False}

@@ -6,9 +6,8 @@ Coefficient vectors `a` and `c` are padded with zeros to the common length r = m
 import math
 
 import numpy as np
-from numba import njit
 
-from navfilter.kernels.apart import apart
+from navfilter.kernels.decorators import apart, njit
 
 # Roots are found when none moves by more than this part any more: the next round would square it. Near a multiple root
 # they never settle.

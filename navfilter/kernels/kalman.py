@@ -7,9 +7,8 @@ covariance, K gain. Errors e here are *true minus estimated*, so a correction is
 import math
 
 import numpy as np
-from numba import njit
 
-from navfilter.kernels.apart import apart
+from navfilter.kernels.decorators import apart, njit
 
 #: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
 UNCOUNTED: dict = {"_nrt": False}

@@ -16,9 +16,7 @@ m, then velocity in b, acceleration in n, acceleration in b (three each), and m 
 
 import math
 
-from numba import njit
-
-from navfilter.kernels.apart import apart
+from navfilter.kernels.decorators import apart, njit
 
 #: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
 UNCOUNTED: dict = {"_nrt": False}

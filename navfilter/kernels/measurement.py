@@ -10,9 +10,8 @@ parameters' estimates; ``cfg`` the sensor's constants.
 import math
 
 import numpy as np
-from numba import njit
 
-from navfilter.kernels.apart import apart
+from navfilter.kernels.decorators import apart, njit
 
 #: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
 UNCOUNTED: dict = {"_nrt": False}

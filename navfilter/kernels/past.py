@@ -7,10 +7,9 @@ The kernels call those of other files by name or address; why each encloses `SOU
 import math
 
 import numpy as np
-from numba import njit
 
 from navfilter.kernels import addresses, checksum, measurement, strapdown
-from navfilter.kernels.apart import apart
+from navfilter.kernels.decorators import apart, njit
 
 #: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
 UNCOUNTED: dict = {"_nrt": False}

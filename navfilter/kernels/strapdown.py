@@ -16,9 +16,8 @@ Signs: error = estimated minus true; attitude error is a rotation vector in n: `
 import math
 
 import numpy as np
-from numba import njit
 
-from navfilter.kernels.apart import apart
+from navfilter.kernels.decorators import apart, njit
 
 #: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
 UNCOUNTED: dict = {"_nrt": False}

@@ -7,10 +7,8 @@ checksum of those files: what a function encloses is part of numba's key.
 
 import math
 
-from numba import njit
-
 from navfilter.kernels import addresses, checksum, drive_watch, kalman, listen, past, strapdown
-from navfilter.kernels.apart import apart
+from navfilter.kernels.decorators import apart, njit
 
 #: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
 UNCOUNTED: dict = {"_nrt": False}

@@ -1,4 +1,4 @@
-"""Kernels that are compiled once, and not again within each kernel that calls them.
+"""How kernels are compiled: each once, and without what nobody uses.
 
 numba copies what a kernel calls into it, with all that this calls in turn, and optimises the copies anew: two thirds of
 what the optimiser had to do. A kernel marked `apart` is called as a function of its own instead. Its callers know it by
@@ -14,13 +14,35 @@ from functools import partial
 from typing import Any
 
 import llvmlite.binding as llvm
+import numba
 from numba import config, types
 from numba.core import cgutils
 from numba.core.extending import _Intrinsic
 
-__all__ = ["apart"]
+__all__ = ["apart", "njit"]
 
 _settings: Any = config
+
+
+def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
+    """`numba.njit` for kernels.
+
+    Parameters
+    ----------
+    **options
+        Of numba.
+
+    Returns
+    -------
+    decorator : callable
+    """
+
+    def compiled(function: Callable[..., Any]) -> Any:
+        inner = function.__name__.startswith("_")
+        kernel = numba.njit(no_cfunc_wrapper=True, no_cpython_wrapper=inner, **options)(function)
+        return Inner(kernel) if inner and not _settings.DISABLE_JIT else kernel
+
+    return compiled
 
 
 def apart(kernel: Any) -> Any:
@@ -36,6 +58,19 @@ def apart(kernel: Any) -> Any:
         Is called as the kernel, by kernels and by Python. Without the JIT the function itself.
     """
     return kernel if _settings.DISABLE_JIT else Apart(kernel)
+
+
+class Inner:
+    """A kernel that Python cannot call: it would end the process. Whatever else is asked of it is the kernel's."""
+
+    def __init__(self, kernel: Any) -> None:
+        self.kernel = kernel
+
+    def __call__(self, *args: Any) -> Any:
+        raise TypeError(f"{self.kernel.__name__} is called by other kernels only")
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.__dict__["kernel"], name)
 
 
 class Apart(_Intrinsic):
