@@ -6,11 +6,11 @@ a symbol, which is defined when they are compiled, and again before they are loa
 are called in loops are better copied.
 """
 
+import functools
 import hashlib
 import importlib
 import inspect
 from collections.abc import Callable
-from functools import partial
 from typing import Any
 
 import llvmlite.binding as llvm
@@ -65,6 +65,7 @@ class Inner:
 
     def __init__(self, kernel: Any) -> None:
         self.kernel = kernel
+        functools.update_wrapper(self, kernel.py_func)
 
     def __call__(self, *args: Any) -> Any:
         raise TypeError(f"{self.kernel.__name__} is called by other kernels only")
@@ -79,7 +80,7 @@ class Apart(_Intrinsic):
     def __init__(self, kernel: Any) -> None:
         self.kernel = kernel
         super().__init__(kernel.__name__, _caller(kernel))
-        self.__doc__ = kernel.__doc__
+        functools.update_wrapper(self, kernel.py_func)
         self._register()
 
     def __call__(self, *args: Any) -> Any:
@@ -97,7 +98,7 @@ def _caller(kernel: Any) -> Callable[..., Any]:
         returned = _compiled(kernel, args).signature.return_type
         digest = hashlib.sha256(repr((returned, args)).encode()).hexdigest()[:16]
         symbol = f"{kernel.__module__}.{kernel.__name__}.{digest}"
-        define = partial(_define, symbol, kernel.__module__, kernel.__name__, args)
+        define = functools.partial(_define, symbol, kernel.__module__, kernel.__name__, args)
         define()
 
         def generate(context, builder, _, values):
