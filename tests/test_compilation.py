@@ -10,6 +10,7 @@ import pytest
 
 import navfilter as nf
 from navfilter import compilation
+from navfilter.kernels import addresses, kalman, stretch
 from navfilter.simulation.scenarios import simulate_scenario
 from navfilter.simulation.simulate import tiny_mission
 
@@ -74,6 +75,14 @@ def test_a_second_process_compiles_for_the_first(tmp_path):
     run = subprocess.run([sys.executable, "-c", HELPED], capture_output=True, check=True, env=environment)
     done, loaded = map(int, run.stdout.split())
     assert done >= 15 and loaded == 1
+
+
+@pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled without the JIT")
+def test_what_is_compiled_ahead_is_what_a_replay_calls():
+    vehicle, mission = simulate_scenario("thesis", 1, 60.0)
+    nf.replay(vehicle, mission, smooth=True)
+    assert stretch.stretch.signatures == [addresses.STRETCH]
+    assert kalman.smooth_run.signatures == [addresses.SMOOTH_RUN]
 
 
 def test_kernels_are_counted_but_for_those_that_are_parts_of_others():
