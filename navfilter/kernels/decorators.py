@@ -17,9 +17,27 @@ import llvmlite.binding as llvm
 import numba
 from numba import config, types
 from numba.core import cgutils
+from numba.core.compiler import CompilerBase, DefaultPassBuilder
+from numba.core.compiler_machinery import PassManager
 from numba.core.extending import _Intrinsic
+from numba.core.typed_passes import InlineOverloads, NopythonRewrites
+from numba.core.untyped_passes import (
+    FindLiterallyCalls,
+    InlineClosureLikes,
+    LiteralPropagationSubPipelinePass,
+    LiteralUnroll,
+    MakeFunctionToJitFunction,
+    RewriteDynamicRaises,
+    WithLifting,
+)
 
 __all__ = ["apart", "njit"]
+
+#: Passes of numba that look for what no kernel has: closures, expressions of whole arrays, literals to unroll.
+_IDLE = {
+    *(InlineClosureLikes, MakeFunctionToJitFunction, WithLifting, RewriteDynamicRaises),
+    *(FindLiterallyCalls, LiteralUnroll, LiteralPropagationSubPipelinePass, InlineOverloads, NopythonRewrites),
+}
 
 _settings: Any = config
 
@@ -39,7 +57,7 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
     def compiled(function: Callable[..., Any]) -> Any:
         inner = function.__name__.startswith("_")
-        kernel = numba.njit(no_cfunc_wrapper=True, no_cpython_wrapper=inner, **options)(function)
+        kernel = numba.njit(no_cfunc_wrapper=True, no_cpython_wrapper=inner, pipeline_class=_Lean, **options)(function)
         return Inner(kernel) if inner and not _settings.DISABLE_JIT else kernel
 
     return compiled
@@ -58,6 +76,18 @@ def apart(kernel: Any) -> Any:
         Is called as the kernel, by kernels and by Python. Without the JIT the function itself.
     """
     return kernel if _settings.DISABLE_JIT else Apart(kernel)
+
+
+class _Lean(CompilerBase):
+    """numba's compiler without what would be idle."""
+
+    def define_pipelines(self) -> list[PassManager]:
+        passes = PassManager("kernel")
+        for kind, text in DefaultPassBuilder.define_nopython_pipeline(self.state).passes:
+            if kind not in _IDLE:
+                passes.add_pass(kind, text)
+        passes.finalize()
+        return [passes]
 
 
 class Inner:
