@@ -40,6 +40,7 @@ _IDLE = {
 }
 
 _settings: Any = config
+_Base: Any = _Intrinsic
 
 
 def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
@@ -57,7 +58,8 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
     def compiled(function: Callable[..., Any]) -> Any:
         inner = function.__name__.startswith("_")
-        kernel = numba.njit(no_cfunc_wrapper=True, no_cpython_wrapper=inner, pipeline_class=_Lean, **options)(function)
+        lean: dict[str, Any] = {"no_cfunc_wrapper": True, "no_cpython_wrapper": inner, "pipeline_class": _Lean}
+        kernel = numba.njit(**lean, **options)(function)
         return Inner(kernel) if inner and not _settings.DISABLE_JIT else kernel
 
     return compiled
@@ -104,7 +106,7 @@ class Inner:
         return getattr(self.__dict__["kernel"], name)
 
 
-class Apart(_Intrinsic):
+class Apart(_Base):
     """A kernel with a symbol of its own; whatever else is asked of it is the kernel's."""
 
     def __init__(self, kernel: Any) -> None:

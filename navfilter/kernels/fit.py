@@ -286,7 +286,8 @@ def confine(rows, p, q, limits):
     unit circle are reflected), then the least and the largest value of each size.
     """
     space = np.empty(max(p, q), np.complex128)
-    for row in rows:
+    for n in range(rows.shape[0]):
+        row = rows[n]  # contiguous: of one that an iteration gives numba does not know that
         _pull_inside(row[:p], limits[1], math.inf, space[:p])
         if p and limits[0] > 0.0:
             _push_from_one(row[:p], limits[0], space[:p])
