@@ -15,6 +15,7 @@ import numpy as np
 
 from navfilter.compilation import announce_each, count_announced, is_compiled, kernel_count, show_compilation
 from navfilter.error_models import GaussMarkov
+from navfilter.known_calls import calls_remembered
 from navfilter.learning.learned import LearnedArma
 from navfilter.mechanisation import Imu
 from navfilter.navigator import Navigator
@@ -34,7 +35,7 @@ STRETCH = ("stretch", "drive_watch")
 def warm_up(vehicle: Vehicle | None = None, progress: bool = False) -> None:
     """Compile the kernels of navigator, smoother and learners by running tiny missions: once, then they are cached.
 
-    Where nothing has been compiled yet and there is a second core, a second process compiles the learners meanwhile.
+    Where nothing has been compiled yet and there is a second core, a second process compiles some of them meanwhile.
 
     Parameters
     ----------
@@ -51,8 +52,8 @@ def warm_up(vehicle: Vehicle | None = None, progress: bool = False) -> None:
     if progress:
         show_compilation()
     learning = vehicle is None or learns(vehicle)
-    helper = _Helper(vehicle is None) if learning and not is_compiled(*FILTER) and not is_compiled("channel") else None
-    with _no_collector():
+    helper = None if is_compiled(*FILTER) or is_compiled("stretch") else _Helper(learning, vehicle is None)
+    with calls_remembered(), _no_collector():
         try:
             # units differ by numbers only, and the lane without one has a sensor of its own
             lanes: list[Vehicle | None] = [] if vehicle is None else list(vehicle.lanes().values())
@@ -69,11 +70,13 @@ def warm_up(vehicle: Vehicle | None = None, progress: bool = False) -> None:
             _warm_learner()
 
 
-def help_warming(everything: bool) -> None:
-    """What the second process of `warm_up` does."""
+def help_warming(learning: bool, everything: bool) -> None:
+    """What the second process of `warm_up` does: first what the first one comes to next, when it has what corrects."""
     announce_each()
-    with _no_collector():
-        _warm_learner()
+    with calls_remembered(), _no_collector():
+        _compile_stretch()
+        if learning:
+            _warm_learner()
         if everything:
             _warm_reckoning()
 
@@ -111,6 +114,18 @@ def _warm_reckoning() -> None:
     replay(tiny, mission, smooth=True)
 
 
+def _compile_stretch() -> None:
+    """What goes through many readings at once, and the smoother."""
+    from numba import config
+
+    from navfilter.kernels import addresses, kalman, stretch
+
+    settings: Any = config
+    if not settings.DISABLE_JIT:
+        stretch.stretch.compile(addresses.STRETCH)
+        kalman.smooth_run.compile(addresses.SMOOTH_RUN)
+
+
 def _warm_learner() -> None:
     """A learner's first hop comes minutes into a dive: no place to compile."""
     from navfilter.learning.drift import Drift
@@ -124,14 +139,14 @@ def _warm_learner() -> None:
 class _Helper:
     """A second process that compiles into the same cache. Whatever becomes of it, the first one compiles the rest."""
 
-    def __init__(self, everything: bool) -> None:
+    def __init__(self, learning: bool, everything: bool) -> None:
         self._process: subprocess.Popen[str] | None = None
         if not (sys.executable and _kept() and _cores() > 1):
             return
         from numba import config
 
         settings: Any = config
-        program = f"from navfilter.warming import help_warming; help_warming({everything})"
+        program = f"from navfilter.warming import help_warming; help_warming({learning}, {everything})"
         paths = {"PYTHONPATH": os.pathsep.join(path or os.getcwd() for path in sys.path)}
         if settings.CACHE_DIR:
             paths["NUMBA_CACHE_DIR"] = settings.CACHE_DIR

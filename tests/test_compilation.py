@@ -7,9 +7,12 @@ import sys
 import numba
 import numpy as np
 import pytest
+from numba.core.types.functions import BaseFunction
 
 import navfilter as nf
 from navfilter import compilation
+from navfilter.kernels import addresses, kalman, stretch
+from navfilter.known_calls import calls_remembered
 from navfilter.simulation.scenarios import simulate_scenario
 from navfilter.simulation.simulate import tiny_mission
 
@@ -76,6 +79,69 @@ def test_a_second_process_compiles_for_the_first(tmp_path):
     assert done >= 15 and loaded == 1
 
 
+@pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled without the JIT")
+def test_what_is_compiled_ahead_is_what_a_replay_calls():
+    vehicle, mission = simulate_scenario("thesis", 1, 60.0)
+    nf.replay(vehicle, mission, smooth=True)
+    assert stretch.stretch.signatures == [addresses.STRETCH]
+    assert kalman.smooth_run.signatures == [addresses.SMOOTH_RUN]
+
+
 def test_kernels_are_counted_but_for_those_that_are_parts_of_others():
     if not numba.config.DISABLE_JIT:
         assert compilation.kernel_count("listen") == 3
+
+
+GRAM = """
+import numpy as np
+from navfilter.kernels import fit
+G, x = np.zeros((3, 3)), np.arange(9.0) ** 2
+fit.shift_gram(x, x[::-1].copy(), 1, G)
+print(G.sum(), *(sum(kernel.stats.cache_hits.values()) for kernel in (fit.shift_gram, fit.lag_products)))
+"""
+
+
+@pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled without the JIT")
+def test_a_kernel_that_was_kept_finds_one_apart_that_was_not(tmp_path):
+    """Its callers know a kernel by its symbol, wherever that stands: it may have been compiled anew."""
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+
+    def run():
+        done = subprocess.run([sys.executable, "-c", GRAM], capture_output=True, check=True, env=environment)
+        return done.stdout.split()
+
+    first = run()
+    kept = [path for path in tmp_path.rglob("*.nb?") if "lag_products" in path.name]
+    for path in kept:
+        path.unlink()
+    second, third = run(), run()
+    assert len(kept) == 2 and first[0] == second[0] == third[0] and float(first[0]) != 0.0
+    assert [first[1:], second[1:], third[1:]] == [[b"0", b"0"], [b"1", b"0"], [b"1", b"1"]]
+
+
+@pytest.mark.skipif(numba.config.DISABLE_JIT, reason="without the JIT it is an ordinary function")
+def test_python_cannot_call_a_kernel_that_is_for_kernels_only():
+    for kernel in (kalman._less_twice, kalman._invert):
+        with pytest.raises(TypeError, match=f"{kernel.__name__} is called by other kernels only"):
+            kernel(np.eye(2))
+
+
+@pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled without the JIT")
+def test_what_is_remembered_of_calls_changes_nothing():
+    def sums(x, n):
+        total = 0.0
+        for i in range(n):
+            total += x[i] * 2 + abs(x[i]) - (i + True)
+        return total
+
+    x, plain = np.arange(5.0), numba.njit(sums)
+    resolve = BaseFunction.get_call_type
+    with calls_remembered():
+        assert BaseFunction.get_call_type is not resolve
+        quick = numba.njit(sums)
+        assert quick(x, 5) == sums(x, 5) and quick(x.astype(int), 5) == sums(x, 5)
+        with pytest.raises(numba.TypingError):
+            quick("text", 4)
+    assert BaseFunction.get_call_type is resolve
+    assert plain(x, 5) == quick(x, 5)
+    assert plain.overloads[plain.signatures[0]].signature == quick.overloads[quick.signatures[0]].signature

@@ -1,4 +1,5 @@
-"""Compiled functions on arrays: they import only math, numpy and numba, and `checksum` where they call each other.
+"""Compiled functions on arrays: they import only math, numpy and numba, the decorators that they are compiled by
+(`decorators.py`), and `checksum` where they call each other.
 
 Those that allocate nothing are compiled with ``_nrt=False`` (`UNCOUNTED`): numba does not count references to arrays in
 them, which took a third of a replay, for a slice of an array is counted twice, each time by an atomic instruction. Such

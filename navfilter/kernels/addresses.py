@@ -13,6 +13,8 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 
 __all__ = [
+    "SMOOTH_RUN",
+    "STRETCH",
     "address",
     "at_bend",
     "at_correction",
@@ -48,6 +50,23 @@ SIGHT = (
 CORRECTION = (
     *(_ROW, _PLACES, _TABLE, _ROW, _ROW, _TABLE, _ROW, _TABLE, _TABLE, _ROW, _ROW),
     *(types.int64, types.float64),
+)
+#: What Python hands to `navfilter.kernels.stretch.stretch`, for those who compile it ahead.
+_READINGS = types.Array(types.boolean, 1, "C")
+_MATRIX_OF_PLACES = types.Array(types.int64, 2, "C")
+STRETCH = (
+    *(_ROW, _PLACES, _ROW, _ROW, _MATRIX_OF_PLACES, _TABLE, _TABLE),
+    types.Tuple((_ROW, _ROW, _TABLE, _TABLE)),
+    types.Tuple((_ROW, _TABLE, _TABLE, _TABLE, _TABLE, _TABLE, _ROW, _ROW)),
+    *(_TABLE, _ROW, _ROW),
+    types.Tuple((_ROW, _TABLE, _MATRIX_OF_PLACES, _TABLE)),
+    types.Tuple((_ROW, _PLACES, _PLACES, _READINGS, _READINGS, _TABLE, _TABLE, _TABLE)),
+    types.Tuple((_TABLE, _TABLE, _ROW, _MATRIX_OF_PLACES)),
+)
+#: The same for `navfilter.kernels.kalman.smooth_run`.
+SMOOTH_RUN = (
+    *(_TABLE, _ROW, _ROW, _PLACES, _MATRIX_OF_PLACES, _ROW, _PLACES, _PLACES, types.int64, types.int64),
+    *(_TABLE, types.Array(types.float64, 3, "C"), _TABLE, _TABLE),
 )
 
 

@@ -18,7 +18,8 @@ with them the possibility to allocate); the private parts are inlined. A step ta
 import math
 
 import numpy as np
-from numba import njit
+
+from navfilter.kernels.decorators import njit
 
 OPTIONS: dict = {"error_model": "numpy", "_nrt": False}
 

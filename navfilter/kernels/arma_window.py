@@ -19,7 +19,8 @@ The window is recomputed at every hop, never down-dated: a difference of sums do
 import math
 
 import numpy as np
-from numba import njit
+
+from navfilter.kernels.decorators import njit
 
 
 @njit(cache=True, error_model="numpy")

@@ -22,10 +22,12 @@ import math
 import operator
 
 import numpy as np
-from numba import njit, types
+from numba import types
 from numba.core import cgutils
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import lower_builtin, models, register_model
+
+from navfilter.kernels.decorators import apart, njit
 
 UNCOUNTED: dict = {"_nrt": False}
 DIFFUSE, LONGEST_GAP, CLIP, WHITE = 0, 1, 2, 3
@@ -153,6 +155,7 @@ def _compile_all():
 _compile_all()
 
 
+@apart
 @njit(cache=True, nogil=True, error_model="numpy")
 def stationary(a, c, P):
     """Stationary covariance of the observer state for unit innovations into `P`, by doubling; False if there is
@@ -268,6 +271,7 @@ def _spread(P, L, Q, U, used, a, corner, r, m):
         _store(P, row + last, _load(Q, row + last) - li * _load(L, last) - _load(a, m - 1) * before)
 
 
+@apart
 @njit(cache=True, nogil=True, error_model="numpy")
 def _set_up(thetas, chains, rules, U, used, a, g, Q, start, noise, able):
     """The models in lanes; those behind the last repeat it, those without a stationary start are not `able`."""
@@ -297,6 +301,7 @@ def _set_up(thetas, chains, rules, U, used, a, g, Q, start, noise, able):
                 used[i, j] = used[i, j] or chain[TRANSITION, i, j] != (1.0 if i == j else 0.0)
 
 
+@apart
 @njit(cache=True, nogil=True, error_model="numpy", **UNCOUNTED)
 def _through(
     y, sees, rules, first, E, V, U, used, a, g, P, Q, start, x, L, A, X, w, noise, total, product, corner, spare
@@ -414,6 +419,7 @@ def channel_filter(y, thetas, chains, sees, rules, first, E, V, values):
         values[k] = value if able[k] and value < math.inf else math.inf
 
 
+@apart
 @njit(cache=True, nogil=True, error_model="numpy", **UNCOUNTED)
 def _begin(P, x, A, start, n, d):
     """The state at the start of a segment: the chain diffuse (columns of A) or as known, the ARMA error stationary."""
@@ -425,6 +431,7 @@ def _begin(P, x, A, start, n, d):
         _store(A, i, _all_of(1.0 if i % (n + 1) == 0 else 0.0))
 
 
+@apart
 @njit(cache=True, nogil=True, error_model="numpy", **UNCOUNTED)
 def _take_logarithms(product, total):
     """Of products of variances that have become large or small half the logarithm is added to the sums, and they begin
@@ -436,6 +443,7 @@ def _take_logarithms(product, total):
             product[0, k] = 1.0
 
 
+@apart
 @njit(cache=True, nogil=True, error_model="numpy", **UNCOUNTED)
 def _collapse(XS, WS, AS, xs, PS, n, d, spare):
     """End of a diffuse start: the states given the first d samples (de Jong 1991), model by model."""

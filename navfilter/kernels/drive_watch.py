@@ -8,7 +8,7 @@ bit); everything else is in rates and forces.
 
 import math
 
-from numba import njit
+from navfilter.kernels.decorators import apart, njit
 
 #: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
 UNCOUNTED: dict = {"_nrt": False}
@@ -54,6 +54,7 @@ LEVEL_SD = 0.1  # gravity is held against accelerometers while roll and pitch ar
 JUDGED_S = 1.0  # how often the attitude is asked for: between, the reference turns with the gyros
 
 
+@apart
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
 def look(samples, w, sd, limits, period_s, increments):
     """Look at samples in their order, and put what is known in place of what bad axes say: a gyro's rate is 0, an
@@ -163,6 +164,7 @@ def look(samples, w, sd, limits, period_s, increments):
     return samples.shape[0]
 
 
+@apart
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _weigh(w, dt):
     """Hold the force that accelerometers say against the one at rest, and say what is wrong with all three."""

@@ -6,7 +6,8 @@ Coefficient vectors `a` and `c` are padded with zeros to the common length r = m
 import math
 
 import numpy as np
-from numba import njit
+
+from navfilter.kernels.decorators import apart, njit
 
 # Roots are found when none moves by more than this part any more: the next round would square it. Near a multiple root
 # they never settle.
@@ -49,6 +50,7 @@ def impulse_response(c, w):
     return n
 
 
+@apart
 @njit(cache=True, nogil=True)
 def lag_products(x, y, out):
     """``out[k] = sum_t x[t] y[t+k]`` for every k of `out`."""
@@ -169,6 +171,7 @@ def _matmul(A, B, out):
                 out[i, j] += f * B[k, j]
 
 
+@apart
 @njit(cache=True, nogil=True)
 def largest_reflection(c, radius):
     """Largest reflection coefficient of ``1 + c1 q^-1 + ...`` scaled to `radius`: below 1 means all roots inside."""
@@ -192,6 +195,7 @@ def largest_reflection(c, radius):
     return worst
 
 
+@apart
 @njit(cache=True, nogil=True, error_model="numpy")
 def _roots(c, z):
     """Roots of ``1 + c1 q^-1 + ...`` into `z`, all at a time (Aberth, Math. Comp. 27, 1973)."""
@@ -225,6 +229,7 @@ def _roots(c, z):
             break
 
 
+@apart
 @njit(cache=True, nogil=True, error_model="numpy")
 def _from_roots(z, c):
     """Coefficients of the polynomial with these roots, their real parts into `c`."""
@@ -237,6 +242,7 @@ def _from_roots(z, c):
         c[i] = terms[i + 1].real
 
 
+@apart
 @njit(cache=True, nogil=True, error_model="numpy")
 def _push_from_one(c, distance, z):
     """Roots nearer to 1 than `distance` in natural frequency, ``|ln z|`` per sample, are moved away from it, damped at
@@ -257,6 +263,7 @@ def _push_from_one(c, distance, z):
         _from_roots(z, c)
 
 
+@apart
 @njit(cache=True, nogil=True, error_model="numpy")
 def _pull_inside(c, radius, circle, z):
     """No root beyond `radius`; those beyond `circle` are reflected into the unit circle first."""
@@ -279,7 +286,8 @@ def confine(rows, p, q, limits):
     unit circle are reflected), then the least and the largest value of each size.
     """
     space = np.empty(max(p, q), np.complex128)
-    for row in rows:
+    for n in range(rows.shape[0]):
+        row = rows[n]  # contiguous: of one that an iteration gives numba does not know that
         _pull_inside(row[:p], limits[1], math.inf, space[:p])
         if p and limits[0] > 0.0:
             _push_from_one(row[:p], limits[0], space[:p])

@@ -12,7 +12,7 @@ there stands the NIS of all readings of this window; and its places before belon
 
 import math
 
-from numba import njit
+from navfilter.kernels.decorators import njit
 
 NIS_READINGS = 200.0  # memory of the running mean of a sensor's NIS
 NIS_MOST = 9.0  # what one reading adds to it at most, for a component: a fault is no noise

@@ -7,10 +7,12 @@ covariance, K gain. Errors e here are *true minus estimated*, so a correction is
 import math
 
 import numpy as np
-from numba import njit, types
+from numba import types
 from numba.core import cgutils
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import lower_builtin
+
+from navfilter.kernels.decorators import apart, njit
 
 #: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
 UNCOUNTED: dict = {"_nrt": False}
@@ -131,6 +133,7 @@ def _build_weighted(builder, data, shapes):
         _put(builder, builder.load(total), builder.gep(out, [column]))
 
 
+@apart
 @njit(cache=True, **UNCOUNTED)
 def _navigation(P, acc, T, A, head):
     """Phi P Phi' of the nine of navigation into head (9, 9), before it is made symmetric. T (9, m or more) holds
@@ -144,6 +147,7 @@ def _navigation(P, acc, T, A, head):
     _product(acc[:9], A, head)
 
 
+@apart
 @njit(cache=True, **UNCOUNTED)
 def discount_heading(P, acc, work):
     """Before a fold of an inertial drive: what an error of the heading does to velocity and position counts as far as
@@ -169,6 +173,7 @@ def discount_heading(P, acc, work):
         acc[i, 8] *= share
 
 
+@apart
 @njit(cache=True, **UNCOUNTED)
 def present(P, acc, inertial, work, out):
     """What `fold` would leave in P, without folding: of navigation (the first 81 of out), then the variances of all
@@ -203,6 +208,7 @@ def present(P, acc, inertial, work, out):
     acc[0, 8], acc[1, 8], acc[3, 8], acc[4, 8] = kept0, kept1, kept3, kept4
 
 
+@apart
 @njit(cache=True, **UNCOUNTED)
 def fold(P, acc, nav, T):
     """P <- Phi P Phi' + Q for the leading m states.
@@ -281,6 +287,7 @@ def unmoved(A):
     return others == diagonal == m
 
 
+@apart
 @njit(cache=True, **COUNTED)
 def power(Phi, Q, count, W):
     """Phi^count and the noise gathered in as many ticks, by doubling. W (4, b, b): result Phi, result Q, and the square
@@ -325,6 +332,7 @@ def power(Phi, Q, count, W):
         count //= 2
 
 
+@apart
 @njit(cache=True, **UNCOUNTED)
 def tick(P, x, start, A, B, T):
     """Advance the block at `start` of the state (its own clock): x <- A x, P <- A P A' + B on its rows and columns. T:
@@ -360,6 +368,7 @@ def tick(P, x, start, A, B, T):
         x[start - 9 + i] = T[i, 0]
 
 
+@apart
 @njit(cache=True, **UNCOUNTED)
 def _invert(S):
     """The inverse of the upper half of S (2a, a), definite and symmetric, into its lower half (Gauss and Jordan)."""
@@ -385,6 +394,7 @@ def _invert(S):
             S[a + j, i] = s
 
 
+@apart
 @njit(cache=True, **UNCOUNTED)
 def innovation(P, H, res, R, S, PH, out):
     """Innovation covariance S = H P H' + R, its inverse, P H' and the normalised innovation squared (NIS).
@@ -451,6 +461,7 @@ def _less_twice(P, u, w):
                 P[i, j] -= f * w[j] + g * u[j]
 
 
+@apart
 @njit(cache=True, **UNCOUNTED)
 def correct(P, nav, x, res, S, PH, K, turn, T):
     """Closed-loop correction after `innovation`: gain, Joseph covariance, feedback into the nominal state, attitude
@@ -567,6 +578,7 @@ def places(dims):
     return H, K, inverse, res, turn, S, PH, near, verdict, work, work + max(m, b, 2 * a) * n + 4 * b * b
 
 
+@apart
 @njit(cache=True, **UNCOUNTED)
 def predict(P, nav, x, acc, model, mem, dims, count):
     """Before a reading: note the transition in `mem`, fold it, and tick the sensor's block `count` times. model: (2, b,
@@ -603,6 +615,7 @@ def predict(P, nav, x, acc, model, mem, dims, count):
                 A[i, j] = 1.0 if i == j else 0.0
 
 
+@apart
 @njit(cache=True, **UNCOUNTED)
 def update(P, nav, x, C, R, mem, dims, limits):
     """A reading, after its sensor filled `near` and `res` in `mem`: take the coloured error off, form the NIS, correct
@@ -645,6 +658,7 @@ def update(P, nav, x, C, R, mem, dims, limits):
             mem[ii + i * a + j] = S[a + i, j]
 
 
+@apart
 @njit(cache=True, **UNCOUNTED)
 def _whole_jacobian(H, near, C, start, head):
     """H (a, n) from the sensor's own near (a, 9 + parameters) and the output rows C of its error models; that of the
@@ -662,6 +676,7 @@ def _whole_jacobian(H, near, C, start, head):
             H[i, start + errors + j - 9] = near[i, j]
 
 
+@apart
 @njit(cache=True, **COUNTED)
 def _fits_without_some(P, H, near, C, R, S, PH, res, out, limits, start, head):
     """Whether the reading passes its gate when the components that contradict the others most are left out, one by one.
@@ -702,6 +717,7 @@ def _fits_without_some(P, H, near, C, R, S, PH, res, out, limits, start, head):
     return False
 
 
+@apart
 @njit(cache=True, **UNCOUNTED)
 def smooth_record(L, lam, record, a, m, b, start, T):
     """Carry the adjoint (lam, L) backward over one tape record: reset, correction, tick, compound transition.
@@ -782,6 +798,7 @@ def smooth_record(L, lam, record, a, m, b, start, T):
             L[j, i] = s
 
 
+@apart
 @njit(cache=True, **UNCOUNTED)
 def _transition_transposed(L, lam, Phi, start, b, T):
     """L <- Phi' L Phi and lam <- Phi' lam for a transition that touches b states from `start`."""
@@ -828,6 +845,7 @@ def _transition_transposed(L, lam, Phi, start, b, T):
         lam[start + i] = T[0, i]
 
 
+@apart
 @njit(cache=True, **UNCOUNTED)
 def _head_transposed(L, lam, Phi, work):
     """L <- Phi' L Phi and lam <- Phi' lam for a transition of the leading m states; work: (2 m^2 + m n,).
@@ -878,6 +896,7 @@ def _head_transposed(L, lam, Phi, work):
             L[j, i] = T[i, j]
 
 
+@apart
 @njit(cache=True, **UNCOUNTED)
 def smooth_row(P, L, lam, mean, cov, T):
     """Smoothed error at an epoch: mean = -P lam, cov = P - P L P (symmetric). T: (n, n) work."""

@@ -16,7 +16,7 @@ m, then velocity in b, acceleration in n, acceleration in b (three each), and m 
 
 import math
 
-from numba import njit
+from navfilter.kernels.decorators import apart, njit
 
 #: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
 UNCOUNTED: dict = {"_nrt": False}
@@ -33,6 +33,7 @@ EAR = MOUNT + 9
 CALM_LEAST, CALM_MOST, NIS_MOST = 0.4, 2.0, 25.0
 
 
+@apart
 @njit(cache=True, **UNCOUNTED)
 def attend(ear, nis, dof, ticks, learning):
     """After a reading: count its ticks and, where it is time for learning, see how it fared; True when the error seems
@@ -48,6 +49,7 @@ def attend(ear, nis, dof, ticks, learning):
     return ear[NOTED] >= ear[DUE]
 
 
+@apart
 @njit(cache=True, **UNCOUNTED)
 def carry(undone, Phi):
     """Carry the sum over a compound transition Phi (m x m), which says how long it took and how the drive's states turn
@@ -70,6 +72,7 @@ def carry(undone, Phi):
         undone[i] = undone[m + i]
 
 
+@apart
 @njit(cache=True, **UNCOUNTED)
 def listen(undone, mem, dims, places, nav, C, x, kind, mount, ring, cursor, ticks, Cr, gravity):
     """After a reading: note its open-loop residual in `ring` (kind != 0), then add what it fed back to `undone`.

@@ -10,7 +10,8 @@ parameters' estimates; ``cfg`` the sensor's constants.
 import math
 
 import numpy as np
-from numba import njit
+
+from navfilter.kernels.decorators import apart, njit
 
 #: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
 UNCOUNTED: dict = {"_nrt": False}
@@ -25,6 +26,7 @@ def _clear(H):
             H[i, j] = 0.0
 
 
+@apart
 @njit(cache=True, **UNCOUNTED)
 def _instrument_velocity(z, nav, v0, v1, v2, rate, par, first, cfg, H, res):
     """Velocity v in n of the reference point, as seen by an instrument; scale (one, or one an axis) and misalignment,
@@ -122,6 +124,7 @@ def _bearing(n0, n1, n2, H):
     return math.atan2(n1, n0)
 
 
+@apart
 @njit(cache=True, **UNCOUNTED)
 def _deviation(psi, par, H, temperature, cfg):
     """Compass error that follows the heading: bias, one- and two-cycle deviation, temperature. Returns its value and

@@ -7,9 +7,9 @@ The kernels call those of other files by name or address; why each encloses `SOU
 import math
 
 import numpy as np
-from numba import njit
 
 from navfilter.kernels import addresses, checksum, measurement, strapdown
+from navfilter.kernels.decorators import apart, njit
 
 #: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
 UNCOUNTED: dict = {"_nrt": False}
@@ -40,6 +40,7 @@ def _keyed(make):
 
 @_keyed
 def drive_outputs(sources):
+    @apart
     @njit(cache=True, **UNCOUNTED)
     def drive_outputs(drv, Cr, xd, rows, errors):
         """Rows (6, k) by which the drive's states make the errors of its six values now, and these errors (6,).

@@ -16,10 +16,12 @@ Signs: error = estimated minus true; attitude error is a rotation vector in n: `
 import math
 
 import numpy as np
-from numba import njit, types
+from numba import types
 from numba.core import cgutils
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import lower_builtin
+
+from navfilter.kernels.decorators import apart, njit
 
 #: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
 UNCOUNTED: dict = {"_nrt": False}
@@ -147,6 +149,7 @@ def _compound(acc, m):
             Q[i, j] = T[i, j]
 
 
+@apart
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
 def stamps_to_steps(samples, last_s, limits, gap_s, longest_s):
     """Replace the stamps of a block (first column) by seconds since the sample before; returns the number of gaps
@@ -287,6 +290,7 @@ def integrate(nav, drv, samples, out):
                 out[n, i] = nav[i]
 
 
+@apart
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _inertial_advance(nav, xd, inc, dt, drv, seen, gain, noisy, f):
     """One strapdown step with the drive's errors taken off; leaves the elements of its transition, of second order in
@@ -323,6 +327,7 @@ def _inertial_advance(nav, xd, inc, dt, drv, seen, gain, noisy, f):
     f[32], f[33] = 1.0 - dt * (down + tl * north), dt * east
 
 
+@apart
 @njit(cache=True, error_model="numpy", fastmath={"contract"}, **UNCOUNTED)
 def _inertial_carry(X, end, f, C, seen, gain, kinds, E, m, Phi_ends):
     """Rows 0 to 8 of X (panels of (m, m) matrices, up to `end`) from the left by the transition of one step: attitude,
@@ -386,6 +391,7 @@ def _inertial_carry(X, end, f, C, seen, gain, kinds, E, m, Phi_ends):
             Z[6 * WIDE + j], Z[7 * WIDE + j], Z[8 * WIDE + j] = y6, y7, y8
 
 
+@apart
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _tick_rows(X, Phid, diagonal, T, m):
     """Rows from 9 on of X (panels) from the left by the transition of the drive's blocks; T (k * WIDE,): work."""
@@ -411,6 +417,7 @@ def _tick_rows(X, Phid, diagonal, T, m):
             Z[j] = T[j]
 
 
+@apart
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _transpose(Z, m):
     """Of a matrix in panels, in place: Z, their rows."""
@@ -467,6 +474,7 @@ def _build_transpose_square(context, builder, kinds, arguments):
     return context.get_dummy_value()
 
 
+@apart
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _tick_drive(xd, Phid, Qd, diagonal, T, Q, m):
     """A tick of the drive's blocks: their mean, and their noise into Q (panels)."""
@@ -515,6 +523,7 @@ def _inertial_compound(xd, Phid, Qd, diagonal, ticks, C, f, seen, gain, kinds, E
         _tick_drive(xd, Phid, Qd, diagonal, T, Q, m)
 
 
+@apart
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _inertial_noise(dt, drv, Cr, Q, k):
     """White noise of one step, into the panels of Q: variance r per sample means an angle (velocity) variance r *
@@ -544,6 +553,7 @@ def _inertial_noise(dt, drv, Cr, Q, k):
                 Q[(3 + i) * WIDE + j] += speed * 0.5 * dt
 
 
+@apart
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _uncalibrated(inc, dt, xd, drv, work, seen, gain):
     """Take the calibration errors off the increments, and note by how much (gain) each element of M enters: as the
@@ -560,6 +570,7 @@ def _uncalibrated(inc, dt, xd, drv, work, seen, gain):
         drv[CALIBRATION + q] = xd[first + q]
 
 
+@apart
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _constants(Phid, Qd, drv):
     """How many of the drive's last states never change by themselves: all elements of M, or none."""
@@ -570,6 +581,7 @@ def _constants(Phid, Qd, drv):
     return elements
 
 
+@apart
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _which_errors(Cr, drv, constants, seen, gain):
     """Which of the six readings (row 0 of seen) which of the drive's states (row 1) enters, and by how much (gain):
@@ -603,6 +615,7 @@ def _is_diagonal(A):
     return True
 
 
+@apart
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _to_panels(M, X, m):
     """Fill panels X from the rows of a matrix of m columns at the beginning of M, which is longer. Copies of a fixed
@@ -619,6 +632,7 @@ def _to_panels(M, X, m):
                 A[j] = 0.0
 
 
+@apart
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _from_panels(X, M, m):
     """The way back. What it writes too much is overwritten by the next row; behind the last row M is work space."""
@@ -687,6 +701,7 @@ def _room(m):
     return 40 + 6 * (m - 9) + (m - 3) * WIDE + 2 * ((m + WIDE - 1) // WIDE * m * WIDE) + WIDE * WIDE
 
 
+@apart
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _workspace(floats, m):
     """Its parts: increments, elements of the transition, gains, rows of errors and of blocks, panels of Phi and Q."""
@@ -709,6 +724,7 @@ def imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
     _imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc, np.zeros(_room(9 + k)), np.empty((2, 6 * k), np.int64))
 
 
+@apart
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc, floats, seen):
     k = len(xd)
@@ -753,6 +769,7 @@ def imu_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc):
     _imu_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc, np.zeros(_room(9 + k)), np.empty((2, 6 * k), np.int64))
 
 
+@apart
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _imu_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc, floats, seen):
     k = len(xd)

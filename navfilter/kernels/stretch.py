@@ -7,9 +7,8 @@ checksum of those files: what a function encloses is part of numba's key.
 
 import math
 
-from numba import njit
-
 from navfilter.kernels import addresses, checksum, drive_watch, kalman, listen, past, strapdown
+from navfilter.kernels.decorators import apart, njit
 
 #: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
 UNCOUNTED: dict = {"_nrt": False}
@@ -71,6 +70,7 @@ DONE, NEXT, REFUSED, JUDGED, FULL, HEED, LEARN, LOOK = range(8)
 
 @_keyed
 def _white(sources):
+    @apart
     @njit(cache=True, **UNCOUNTED)
     def _white(bench, spot, P, nav, variance, R):
         """The white covariance of a reading."""
@@ -164,6 +164,7 @@ def correction(sources):
 
 @_keyed
 def _note_row(sources):
+    @apart
     @njit(cache=True, **UNCOUNTED)
     def _note_row(now, cursor, interval_s, nav, x, P, acc, inertial, rows, info, work):
         """Write the state down as a row: the last note of a time stands, those closer than the interval are skipped.
@@ -206,6 +207,7 @@ def _note_row(sources):
 
 @_keyed
 def _note_record(sources):
+    @apart
     @njit(cache=True, **UNCOUNTED)
     def _note_record(record, axes, dims, cursor, records, heads):
         """Write a record for the smoother: nothing where `records` is empty. heads (r, 5): size, axes, head, size and
@@ -247,6 +249,7 @@ def _has_room(sources):
 
 @_keyed
 def heeded(sources):
+    @apart
     @njit(cache=True, **UNCOUNTED)
     def heeded(w, nav, P, period_s):
         """While all axes are good, `navfilter.filter.drive_watch.DriveWatch.heed`: the reference of gravity is due."""
@@ -271,6 +274,7 @@ def heeded(sources):
 
 @_keyed
 def _remember(sources):
+    @apart
     @njit(cache=True, **UNCOUNTED)
     def _remember(block, recent, cursor):
         """Put the samples of a block before the last ones, the newest first."""
@@ -290,6 +294,7 @@ def _remember(sources):
 
 @_keyed
 def _carried(sources):
+    @apart
     @njit(cache=True, **UNCOUNTED)
     def _carried(now, cursor, settings, spot, P, nav, x, acc, drive, samples, stamps, undone, out, work):
         """Carry the state over a block of steps (see `strapdown.stamps_to_steps`), folding as often as is due; says why
@@ -396,6 +401,7 @@ def _fared(sources):
 
 @_keyed
 def _listened(sources):
+    @apart
     @njit(cache=True, **UNCOUNTED)
     def _listened(cursor, settings, bench, own, nav, x, Cr, t, ticks, undone, ear, places, opened):
         """What `navfilter.learning.schedule.LearningSchedule` does after a reading that was used; True when something

@@ -3,7 +3,8 @@
 import math
 
 import numpy as np
-from numba import njit
+
+from navfilter.kernels.decorators import njit
 
 #: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
 UNCOUNTED: dict = {"_nrt": False}

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+import scipy  # its parts are imported when they are first used: that takes a second
 from numpy.typing import NDArray
 from scipy.linalg import schur
-from scipy.signal import lfilter
 
 from navfilter.error_models import ErrorModel, per_axis
 
@@ -171,7 +171,7 @@ def draw_error(model: ErrorModel, period_s: float, n: int, seed: int, stream: st
     shifted = np.vstack([start, drive[:-1]]) @ Z.conj()
     for k in range(size - 1, -1, -1):
         shifted[1:, k] += state[:-1, k + 1 :] @ T[k, k + 1 :]
-        state[:, k] = lfilter([1.0], [1.0, -T[k, k]], shifted[:, k])
+        state[:, k] = scipy.signal.lfilter([1.0], [1.0, -T[k, k]], shifted[:, k])
     return error + (state @ (block.C @ Z)).real
 
 

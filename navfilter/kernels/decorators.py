@@ -1,0 +1,162 @@
+"""How kernels are compiled: each once, and without what nobody uses.
+
+numba copies what a kernel calls into it, with all that this calls in turn, and optimises the copies anew: two thirds of
+what the optimiser had to do. A kernel marked `apart` is called as a function of its own instead. Its callers know it by
+a symbol, which is defined when they are compiled, and again before they are loaded from numba's cache. Small ones that
+are called in loops are better copied.
+"""
+
+import functools
+import hashlib
+import importlib
+import inspect
+from collections.abc import Callable
+from typing import Any
+
+import llvmlite.binding as llvm
+import numba
+from numba import config, types
+from numba.core import cgutils
+from numba.core.compiler import CompilerBase, DefaultPassBuilder
+from numba.core.compiler_machinery import PassManager
+from numba.core.extending import _Intrinsic
+from numba.core.typed_passes import InlineOverloads, NopythonRewrites
+from numba.core.untyped_passes import (
+    FindLiterallyCalls,
+    InlineClosureLikes,
+    LiteralPropagationSubPipelinePass,
+    LiteralUnroll,
+    MakeFunctionToJitFunction,
+    RewriteDynamicRaises,
+    WithLifting,
+)
+
+__all__ = ["apart", "njit"]
+
+#: Passes of numba that look for what no kernel has: closures, expressions of whole arrays, literals to unroll.
+_IDLE = {
+    *(InlineClosureLikes, MakeFunctionToJitFunction, WithLifting, RewriteDynamicRaises),
+    *(FindLiterallyCalls, LiteralUnroll, LiteralPropagationSubPipelinePass, InlineOverloads, NopythonRewrites),
+}
+
+_settings: Any = config
+_Base: Any = _Intrinsic
+
+
+def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
+    """`numba.njit` for kernels.
+
+    Parameters
+    ----------
+    **options
+        Of numba.
+
+    Returns
+    -------
+    decorator : callable
+    """
+
+    def compiled(function: Callable[..., Any]) -> Any:
+        inner = function.__name__.startswith("_")
+        lean: dict[str, Any] = {"no_cfunc_wrapper": True, "no_cpython_wrapper": inner, "pipeline_class": _Lean}
+        kernel = numba.njit(**lean, **options)(function)
+        return Inner(kernel) if inner and not _settings.DISABLE_JIT else kernel
+
+    return compiled
+
+
+def apart(kernel: Any) -> Any:
+    """Mark a compiled kernel of a module of kernels, by the name under which it stands there.
+
+    Parameters
+    ----------
+    kernel : numba.core.dispatcher.Dispatcher
+
+    Returns
+    -------
+    Apart
+        Is called as the kernel, by kernels and by Python. Without the JIT the function itself.
+    """
+    return kernel if _settings.DISABLE_JIT else Apart(kernel)
+
+
+class _Lean(CompilerBase):
+    """numba's compiler without what would be idle."""
+
+    def define_pipelines(self) -> list[PassManager]:
+        passes = PassManager("kernel")
+        for kind, text in DefaultPassBuilder.define_nopython_pipeline(self.state).passes:
+            if kind not in _IDLE:
+                passes.add_pass(kind, text)
+        passes.finalize()
+        return [passes]
+
+
+class Inner:
+    """A kernel that Python cannot call: it would end the process. Whatever else is asked of it is the kernel's."""
+
+    def __init__(self, kernel: Any) -> None:
+        self.kernel = kernel
+        functools.update_wrapper(self, kernel.py_func)
+
+    def __call__(self, *args: Any) -> Any:
+        raise TypeError(f"{self.kernel.__name__} is called by other kernels only")
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.__dict__["kernel"], name)
+
+
+class Apart(_Base):
+    """A kernel with a symbol of its own; whatever else is asked of it is the kernel's."""
+
+    def __init__(self, kernel: Any) -> None:
+        self.kernel = kernel
+        super().__init__(kernel.__name__, _caller(kernel))
+        functools.update_wrapper(self, kernel.py_func)
+        self._register()
+
+    def __call__(self, *args: Any) -> Any:
+        return self.kernel(*args)
+
+    def __getattr__(self, name: str) -> Any:
+        if name == "_numba_type_":  # by the type of the kernel it would be called like any other
+            raise AttributeError(name)
+        return getattr(self.__dict__["kernel"], name)
+
+
+def _caller(kernel: Any) -> Callable[..., Any]:
+    def call(context, *args):
+        args = tuple(types.unliteral(arg) for arg in args)
+        returned = _compiled(kernel, args).signature.return_type
+        digest = hashlib.sha256(repr((returned, args)).encode()).hexdigest()[:16]
+        symbol = f"{kernel.__module__}.{kernel.__name__}.{digest}"
+        define = functools.partial(_define, symbol, kernel.__module__, kernel.__name__, args)
+        define()
+
+        def generate(context, builder, _, values):
+            context.active_code_library._reload_init.add(define)
+            function = cgutils.get_or_insert_function(
+                builder.module, context.call_conv.get_function_type(returned, args), symbol
+            )
+            status, value = context.call_conv.call_function(builder, function, returned, args, values)
+            with builder.if_then(status.is_error, likely=False):
+                context.call_conv.return_status_propagate(builder, status)
+            return context.get_dummy_value() if returned == types.none else value
+
+        return returned(*args), generate
+
+    own = inspect.signature(kernel.py_func)
+    context = inspect.Parameter("context", inspect.Parameter.POSITIONAL_OR_KEYWORD)
+    setattr(call, "__signature__", own.replace(parameters=[context, *own.parameters.values()]))  # noqa: B010
+    return call
+
+
+def _compiled(kernel: Any, args: tuple[Any, ...]) -> Any:
+    kernel.compile(args)
+    return kernel.overloads[args]
+
+
+def _define(symbol: str, module: str, name: str, args: tuple[Any, ...]) -> None:
+    """Let all that is loaded from now on find a kernel by its symbol; compile it, or load it, before."""
+    compiled = _compiled(getattr(importlib.import_module(module), name), args)
+    llvm.add_symbol(symbol, compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name))

