@@ -13,6 +13,7 @@ from feeding import DRIVE, events_of
 
 import navfilter as nf
 from navfilter.filter import gating, ramp, refused_way
+from navfilter.filter.refusals import Refusals
 from navfilter.filter.refused_way import RefusedWay, believable, followed, since_fix, with_refused
 from navfilter.simulation.faults import Faults
 from navfilter.simulation.scenarios import survey, survey_vehicle
@@ -183,6 +184,27 @@ def test_velocity_and_fixes_together_are_not_outvoted_by_a_compass():
     channels["gps"].memory.rejected_since_s, channels["dvl"].note[3:6] = 89.0, (1500.0, 0.0, 0.0)
     assert not gating.state_contradicted(channels.values(), 100.0)
     assert np.sqrt(gating.reset_variance(channels.values(), 100.0)[3]) == pytest.approx(2.0)
+
+
+def test_fixes_alone_contradict_a_state_that_goes_away_from_them():
+    vehicle, mission = dive(1, False)
+    channels = nf.Navigator(vehicle, mission.start).filter.channels
+    gps = channels["gps"]
+    for name in ("gps", "compass", "depth"):
+        channels[name].memory.last_s = 99.9
+    gps.memory.rejected_since_s, gps.note[3:6] = 89.0, (40.0, 0.0, 0.0)
+    first = Refusals(True, False, (12.0, 0.0, 0.0), (40.0, 0.0, 0.0), (1.0,) * 3, (1.0,) * 3, 89.0, 99.0)
+    gps.memory.refused = first
+    assert gating.state_contradicted(channels.values(), 100.0)
+    # what grows as the square of the time is twice its mean velocity
+    assert np.sqrt(gating.reset_variance([gps], 100.0)[3]) == pytest.approx(2.0 + 80.0 / 11.0)
+    assert not gating.state_contradicted(channels.values(), 98.0)
+    # not where a velocity is heard, or drives; nor fixes that have jumped
+    assert not gating.state_contradicted(channels.values(), 100.0, inertial=False)
+    gps.memory.refused = dataclasses.replace(first, first=(38.0, 0.0, 0.0))
+    assert not gating.state_contradicted(channels.values(), 100.0)
+    gps.memory.refused, channels["dvl"].memory.last_s = first, 99.9
+    assert not gating.state_contradicted(channels.values(), 100.0)
 
 
 def test_the_track_has_the_bound_of_the_run():

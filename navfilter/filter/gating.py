@@ -39,7 +39,7 @@ HEARD_S, HEARD_PERIODS = 5.0, 3.0
 PATIENT = 5.0
 
 
-def state_contradicted(channels: Collection[Channel], time_s: float) -> bool:
+def state_contradicted(channels: Collection[Channel], time_s: float, inertial: bool = True) -> bool:
     """Whether the state is wrong: two sensors or more have been rejected for half their time-outs, and none was used
     since. Of a velocity and fixes `MOTION_S` is enough, and only another one of these could speak for the state: a
     compass knows nothing of where the vehicle is. So it is of fixes alone, where there is no velocity and the state
@@ -51,10 +51,12 @@ def state_contradicted(channels: Collection[Channel], time_s: float) -> bool:
         Of the filter, with the time since which each has been rejected.
     time_s : float
         Now [s].
+    inertial : bool
+        Whether an inertial unit drives; any other drive brings a velocity.
     """
     against, for_it = [], []
     motion: set[str] = set()
-    present: set[str] = set()
+    present: set[str] = set() if inertial else {"velocity"}
     alone = False
     for other in channels:
         memory, sensor = other.memory, other.sensor

@@ -85,7 +85,7 @@ def let_in(filter: Filter, channel: Channel, time_s: float, nis: float, dof: int
         return True
     if agreement.judges(channel) and _agreed(filter, channel, time_s):
         return True
-    if gating.state_contradicted(filter.channels.values(), time_s):
+    if gating.state_contradicted(filter.channels.values(), time_s, filter.inertial):
         P[range(9), range(9)] += gating.reset_variance(filter.channels.values(), time_s)
         drive = filter.layout.drive
         P[drive.slice, drive.slice] += drive.P0
