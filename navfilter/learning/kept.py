@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 PIECE = 1024
 #: Columns of what is kept of a reading: its time, the number of its sensor, whether it was frozen, and the same; how
 #: many samples came before it, and how many values there are of it and those before.
-TIME_S, SENSOR, FROZEN, SAME, BEFORE, VALUES, WIDTH = range(7)
+TIME_S, SENSOR, FROZEN, AS_BEFORE, BEFORE, VALUES, COLUMNS = range(7)
 
 
 @dataclass
@@ -87,14 +87,14 @@ class Kept:
     names : tuple of str
         Of all sensors.
     samples, readings, values : Rows
-        Time and six values; `WIDTH` columns; one value.
+        Time and six values; `COLUMNS` columns; one value.
     sds : dict
         What came with readings as their own standard deviation, by number.
     """
 
     names: tuple[str, ...]
     samples: Rows = field(default_factory=lambda: Rows(7))
-    readings: Rows = field(default_factory=lambda: Rows(WIDTH))
+    readings: Rows = field(default_factory=lambda: Rows(COLUMNS))
     values: Rows = field(default_factory=lambda: Rows(1))
     sds: dict[int, Any] = field(default_factory=dict)
 
