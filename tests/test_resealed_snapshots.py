@@ -15,6 +15,7 @@ from feeding import events_of, one_by_one
 
 import navfilter as nf
 from navfilter.filter.refused_way import RefusedWay
+from navfilter.kernels import strapdown
 from navfilter.simulation.scenarios import simulate_scenario
 
 
@@ -106,6 +107,9 @@ CHANGES = {
     "NaN in P": put("P", (0, np.nan)),
     "a negative variance": put("P", (0, -1.0)),
     "an infinite latitude": put("nav", (0, np.inf)),
+    "a radius of nothing": put("nav", (15, 0.0)),
+    "an attitude that is no rotation": put("nav", (6, 2.0)),
+    "a drive without a period": put("drv", (strapdown.PERIOD_S, 0.0)),
     "a transition larger than anything that moves": put("acc", (0, 1e23)),
     "P is not symmetric": put("P", (1, 1e9)),
     "a covariance that is none": indefinite,

@@ -30,6 +30,10 @@ COUNTED = (
 LARGEST = 1e12
 #: Rounding leaves no eigenvalue of the correlations below this.
 INDEFINITE = -1e-6
+#: Nor an attitude further from a rotation than this [1].
+SKEWED = 1e-3
+#: Radii of curvature of the Earth, the height added, differ from its semi-major axis by less [m].
+OFF_M = 5e5
 
 
 @dataclass
@@ -105,6 +109,10 @@ class FilterMemory:
             return "the state is not finite"
         if max(np.abs(values).max(initial=0.0) for values in (sd, self.nav, self.x, self.acc)) > LARGEST:
             return f"the state or its covariance is larger than anything that moves ({LARGEST:g})"
+        C, radii = self.nav[6:15].reshape(3, 3), self.nav[15:17]
+        on_earth = (np.abs(radii - strapdown.EARTH_RADIUS) < OFF_M).all()
+        if not (np.abs(C @ C.T - np.eye(3)) < SKEWED).all() or not on_earth:
+            return "the attitude is no rotation, or the place not on the Earth"
         if not (self.recent[:, 0] >= 0.0).all():
             return "the last samples do not follow each other"
         codes = self.watch[:6, [drive_watch.CODE, drive_watch.HEEDED]]
@@ -114,7 +122,7 @@ class FilterMemory:
         if any(len(told) != 3 or not all(type(v) is float for v in told) for told in alone):
             return "what a heading told alone is not an angle and a place"
         # kernels use these as places of states
-        places = [*strapdown.PLACES, strapdown.INCREMENTS]
+        places = [*strapdown.PLACES, strapdown.INCREMENTS, strapdown.PERIOD_S]
         if not np.array_equal(self.drv[places], fresh.drv[places]):
             return "the drive's memory is not laid out as this vehicle's"
         return None
