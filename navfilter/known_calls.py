@@ -13,6 +13,8 @@ from typing import Any
 
 from numba.core.types.functions import BaseFunction
 
+from navfilter.kernels.decorators import KNOWN
+
 __all__ = ["calls_remembered"]
 
 
@@ -22,6 +24,9 @@ def calls_remembered() -> Iterator[None]:
 
     Only those that are their own implementation for any types: what else is called may have to be compiled.
     """
+    if not KNOWN:
+        yield
+        return
     resolve, known = BaseFunction.get_call_type, {}
 
     def remembered(self: Any, context: Any, args: Any, kws: Any) -> Any:

@@ -145,3 +145,22 @@ def test_what_is_remembered_of_calls_changes_nothing():
     assert BaseFunction.get_call_type is resolve
     assert plain(x, 5) == quick(x, 5)
     assert plain.overloads[plain.signatures[0]].signature == quick.overloads[quick.signatures[0]].signature
+
+
+def test_with_another_numba_kernels_are_compiled_by_numba_itself(tmp_path):
+    """Its insides may be others than the decorators know: the same numbers, without them."""
+    program = """
+import numba, numpy as np
+numba.__version__ = "0.99.0"
+from navfilter.kernels import decorators, kalman
+W = np.zeros((4, 2, 2))
+kalman.power(np.array([[0.9, 0.1], [0.0, 0.8]]), 0.1 * np.eye(2), 3, W)
+print(decorators.KNOWN, type(kalman.power).__module__.split(".")[0], *W[0].ravel().round(12).tolist())
+"""
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    known, module, *power = done.stdout.split()
+    assert (known, module) == ("False", "numba")
+    expected = np.linalg.matrix_power([[0.9, 0.1], [0.0, 0.8]], 3).ravel().round(12).tolist()
+    assert [float(value) for value in power] == expected

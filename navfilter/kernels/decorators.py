@@ -20,24 +20,18 @@ from numba.core import cgutils
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
 from numba.core.compiler_machinery import PassManager
 from numba.core.extending import _Intrinsic
-from numba.core.typed_passes import InlineOverloads, NopythonRewrites
-from numba.core.untyped_passes import (
-    FindLiterallyCalls,
-    InlineClosureLikes,
-    LiteralPropagationSubPipelinePass,
-    LiteralUnroll,
-    MakeFunctionToJitFunction,
-    RewriteDynamicRaises,
-    WithLifting,
-)
 
 __all__ = ["apart", "njit"]
 
 #: Passes of numba that look for what no kernel has: closures, expressions of whole arrays, literals to unroll.
 _IDLE = {
-    *(InlineClosureLikes, MakeFunctionToJitFunction, WithLifting, RewriteDynamicRaises),
-    *(FindLiterallyCalls, LiteralUnroll, LiteralPropagationSubPipelinePass, InlineOverloads, NopythonRewrites),
+    *("InlineClosureLikes", "MakeFunctionToJitFunction", "WithLifting", "RewriteDynamicRaises", "FindLiterallyCalls"),
+    *("LiteralUnroll", "LiteralPropagationSubPipelinePass", "InlineOverloads", "NopythonRewrites"),
 }
+#: Versions of numba whose insides are as these decorators take them; with any other kernels are compiled as by numba
+#: itself, which takes twice the time.
+FROM, BELOW = (0, 65), (0, 69)
+KNOWN = FROM <= tuple(int(part) for part in numba.__version__.split(".")[:2]) < BELOW
 
 _settings: Any = config
 _Base: Any = _Intrinsic
@@ -55,6 +49,9 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     -------
     decorator : callable
     """
+    if not KNOWN:
+        plain: Callable[[Callable[..., Any]], Any] = numba.njit(**options)
+        return plain
 
     def compiled(function: Callable[..., Any]) -> Any:
         inner = function.__name__.startswith("_")
@@ -75,9 +72,10 @@ def apart(kernel: Any) -> Any:
     Returns
     -------
     Apart
-        Is called as the kernel, by kernels and by Python. Without the JIT the function itself.
+        Is called as the kernel, by kernels and by Python. Without the JIT, or with a version of numba that is not
+        known, what was given.
     """
-    return kernel if _settings.DISABLE_JIT else Apart(kernel)
+    return kernel if _settings.DISABLE_JIT or not KNOWN else Apart(kernel)
 
 
 class _Lean(CompilerBase):
@@ -86,7 +84,7 @@ class _Lean(CompilerBase):
     def define_pipelines(self) -> list[PassManager]:
         passes = PassManager("kernel")
         for kind, text in DefaultPassBuilder.define_nopython_pipeline(self.state).passes:
-            if kind not in _IDLE:
+            if kind.__name__ not in _IDLE:
                 passes.add_pass(kind, text)
         passes.finalize()
         return [passes]
