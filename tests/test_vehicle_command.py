@@ -456,6 +456,8 @@ def test_a_drive_that_cannot_learn_is_said():
     drive = DeadReckoning(rate_hz=4.0, attitude=White(sd=0.01), velocity=velocity)
     found = [f for f in check_vehicle(Vehicle(drive=drive)) if f.severity != "info"]
     assert [(f.stream, "never learnt" in f.text) for f in found] == [("drive.velocity.error", True)]
+    text = describe_vehicle(Vehicle(drive=drive))
+    assert "learnt" not in text and "Gauss-Markov of first order: sd 2 cm/s, correlation time 5 s" in text
 
 
 @pytest.mark.parametrize("rate_hz, first_s", [(8.0, 32.0), (4.0, 32.0), (3.0, 62.0), (1.0, 122.0), (0.1, 1034.0)])

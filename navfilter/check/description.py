@@ -85,14 +85,23 @@ def _lane_lines(lanes: list[str], by_itself: bool) -> Iterator[str]:
 def _drive_lines(title: str, drive: Mechanisation, names: Sequence[str]) -> Iterator[str]:
     streams = " and ".join(f'"{stream}"' for stream in names)
     yield f"{title}: {drive.words} (stream{'s' if len(names) > 1 else ''} {streams})"
+    models = drive.models if drive.inertial else tuple(_not_learnt(model) for model in drive.models)
     for name, part in zip(drive.triples, (slice(0, 3), slice(3, 6)), strict=True):
-        yield from _error_lines(name, drive.models[part], drive.axis_names[part], drive.units[part], drive.period_s)
+        yield from _error_lines(name, models[part], drive.axis_names[part], drive.units[part], drive.period_s)
     if drive.velocity_sensor is not None:
         yield from _fitting_lines(drive.velocity_sensor)
     wandering = drive.wandering()
     yield from _parameter_lines(constant_parameters(drive.all_parameters(), wandering))
     units = {p.name: p.unit for p in drive.parameters()}
     yield from _wandering_lines(wandering, units, drive.period_s)
+
+
+def _not_learnt(model: ErrorModel) -> ErrorModel:
+    """The prior in place of what would be learnt: of readings that drive nothing is."""
+    parts = model.parts if isinstance(model, Sum) else (model,)
+    known = [part.prior if isinstance(part, LearnedArma) and part.model is None else part for part in parts]
+    given = [part for part in known if part is not None]
+    return sum(given[1:], start=given[0]) if given else model
 
 
 def _sensor_lines(name: str, sensor: Sensor) -> Iterator[str]:
