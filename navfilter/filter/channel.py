@@ -329,8 +329,9 @@ class Channel:
         """Note that its last reading, of this time, has been used, whole or in part."""
         memory, partly_since_s = self._memory, self._memory.partly_since_s
         memory.use(time_s)
-        known = np.count_nonzero(np.isfinite(self.note[3 : 3 + self.axes]))
-        if self.partly_for_s < math.inf and self.verdict[1] < known:
+        if self.partly_for_s == math.inf:
+            return
+        if self.verdict[1] < np.count_nonzero(np.isfinite(self.note[3 : 3 + self.axes])):
             memory.partly_since_s = time_s if math.isnan(partly_since_s) else partly_since_s
 
     @property
