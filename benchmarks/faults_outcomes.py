@@ -27,6 +27,8 @@ from navfilter.state import wrap
 
 END_S, DIVE_S, BACK_S, FAULT_S, MINUTE_S, JUDGED_S = 700.0, 140.0, 500.0, 250.0, 60.0, 620.0
 RADIUS_M, G = 6.371e6, 9.80665
+#: Of three beacons on the bottom, north and east of the start [m].
+BEACONS = ((0.0, 0.0), (400.0, 0.0), (0.0, 400.0))
 WORST_NEES = 2.0
 #: No fault costs more than twice the way of a minute in which nothing at all is heard [m].
 FAR_M = 180.0
@@ -112,21 +114,21 @@ def north(metres: Callable[[float], float]) -> Callable[..., Any]:
     return lambda v, age_s: v + np.array([metres(age_s) / RADIUS_M, 0.0, 0.0])[: len(v)]
 
 
-def turned(heading: Any, age_s: float) -> Any:
-    """The other way round."""
-    return wrap(heading + math.pi)
+def turned(by_rad: float) -> Callable[..., Any]:
+    """Another heading, or the field that it would be read from: turned about the vertical axis of the instrument."""
+    c, s = math.cos(by_rad), math.sin(by_rad)
+    about_z = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+    return lambda v, age_s: wrap(v + by_rad) if len(v) == 1 else about_z @ v
 
 
 SITUATIONS: dict[str, Case] = {
     "no fault": Case(),
     "start told 2 km off, 140 good fixes": moved(latitude_deg=lambda x: x + 2000.0 / RADIUS_M / DEG),
     "start heading told 180 deg off, sd 5 deg": moved(heading_deg=lambda x: x + 180.0, heading_sd_deg=lambda x: 5.0),
-    "compass turned by 180 deg for good": values("heading", turned),
-    "compass 25 deg off for a minute": values(
-        "heading", lambda v, age_s: wrap(v + 25.0 * DEG), end_s=FAULT_S + MINUTE_S
-    ),
-    "compass turned by 180 deg from the start": values("heading", turned, 0.0),
-    "compass 25 deg off from the start": values("heading", lambda v, age_s: wrap(v + 25.0 * DEG), 0.0),
+    "compass turned by 180 deg for good": values("heading", turned(math.pi)),
+    "compass 25 deg off for a minute": values("heading", turned(25.0 * DEG), end_s=FAULT_S + MINUTE_S),
+    "compass turned by 180 deg from the start": values("heading", turned(math.pi), 0.0),
+    "compass 25 deg off from the start": values("heading", turned(25.0 * DEG), 0.0),
     "DVL scale +5 % for good": values("velocity", lambda v, age_s: 1.05 * v),
     "DVL in mm/s for a minute": values("velocity", lambda v, age_s: 1e3 * v, end_s=FAULT_S + MINUTE_S),
     "gyros frozen for 30 s": frozen("gyro", 30.0),
@@ -146,6 +148,35 @@ SITUATIONS: dict[str, Case] = {
     "fixes jump by 100 m for 40 s": values("position", north(lambda age_s: 100.0), 80.0, 120.0),
     "fixes drawn off at 0.5 m/s, 50 m": values("position", north(lambda age_s: 0.5 * age_s), 40.0, DIVE_S),
     "fixes 100 m off for 40 s after the dive": values("position", north(lambda age_s: 100.0), 560.0, 600.0),
+}
+#: Of the three components of a magnetometer; the field is 26 uT horizontally, 36 uT downwards.
+FIELD: dict[str, Case] = {
+    "hard iron of a tenth of the field for good": values("field", lambda v, age_s: v + [2.5, 2.5, 2.5]),
+    "hard iron of half the field for a minute": values(
+        "field", lambda v, age_s: v + [13.0, -13.0, 13.0], end_s=FAULT_S + MINUTE_S
+    ),
+    "field x with the sign changed for good": values("field", lambda v, age_s: v * [-1.0, 1.0, 1.0]),
+    "field z with the sign changed for good": values("field", lambda v, age_s: v * [1.0, 1.0, -1.0]),
+    "field x and y exchanged for good": values("field", lambda v, age_s: v[[1, 0, 2]]),
+    "field y and z exchanged for good": values("field", lambda v, age_s: v[[0, 2, 1]]),
+    "field doubled for good": values("field", lambda v, age_s: 2.0 * v),
+    "field x stuck at zero for good": values("field", lambda v, age_s: v * [0.0, 1.0, 1.0]),
+    "field all zeros for a minute": values("field", lambda v, age_s: 0.0 * v, end_s=FAULT_S + MINUTE_S),
+    "field x and y exchanged from the start": values("field", lambda v, age_s: v[[1, 0, 2]], 0.0),
+    "field turned by a current, 10 deg for a minute": values(
+        "field", turned(10.0 * DEG), end_s=FAULT_S + MINUTE_S
+    ),
+}
+#: Of whatever else speaks of the way: water track, ranges, course.
+OTHERS: dict[str, Case] = {
+    "ranges 50 m too long for a minute": values("range", lambda v, age_s: v + 50.0, end_s=FAULT_S + MINUTE_S),
+    "ranges 2 % too long for good": values("range", lambda v, age_s: 1.02 * v),
+    "ranges in feet for good": values("range", lambda v, age_s: v / 0.3048),
+    "ranges stuck for a minute": frozen("range", MINUTE_S),
+    "course turned by 180 deg for 40 s": values("course", lambda v, age_s: v + [0.0, math.pi], 60.0, 100.0),
+    "course in degrees": values("course", lambda v, age_s: v * [1.0, 1.0 / DEG], 60.0, 100.0),
+    "speed in knots": values("course", lambda v, age_s: v * [1.0 / 0.514444, 1.0], 60.0, DIVE_S),
+    "current turns by 0.3 m/s": values("water", lambda v, age_s: v + [0.3, 0.0, 0.0][: len(v)]),
 }
 
 
@@ -208,6 +239,23 @@ def lanes(*units: str) -> nf.Vehicle:
     return nf.Vehicle(**drives, sensors=dict(plain.sensors), dead_reckoning_lane=True)
 
 
+def magnetometer(**iron: float) -> nf.Vehicle:
+    """A magnetometer of three axes in place of the compass."""
+    return with_others(compass=nf.Heading(rate_hz=8.0, error=COMPASS, magnetometer=True, **iron))
+
+
+def ranges() -> nf.Vehicle:
+    """Ranges to three beacons on the bottom beside the DVL."""
+    beacons = tuple((26.0 + north / RADIUS_M / DEG, -80.0 + east / RADIUS_M / DEG, -40.0) for north, east in BEACONS)
+    return with_others(ranges=nf.Range(rate_hz=0.5, beacons=beacons))
+
+
+def water() -> nf.Vehicle:
+    """A log through the water in place of the DVL, in a current that lasts for hours."""
+    track = nf.WaterVelocity(rate_hz=4.0, lever_arm_b_m=(0.5, 0.0, 0.1), current_sd_m_s=0.1, current_tau_s=6.0 * 3600.0)
+    return with_others(dvl=None, water=track)
+
+
 #: Stays at the surface, and has fixes all along.
 BOAT = "boat"
 VEHICLES: dict[str, Callable[[], nf.Vehicle]] = {
@@ -218,6 +266,11 @@ VEHICLES: dict[str, Callable[[], nf.Vehicle]] = {
     "ahrs": ahrs,
     "usbl": lambda: with_others(usbl=nf.Usbl(rate_hz=0.2)),
     "wheels": wheels,
+    "magnetometer": magnetometer,
+    "iron": lambda: magnetometer(hard_iron_sd=2.0, soft_iron_sd=0.02),
+    "water": water,
+    "ranges": ranges,
+    "course": lambda: with_others(course=nf.Course(rate_hz=1.0)),
     BOAT: lambda: with_others(dvl=None),
     "reckoning": reckoning_vehicle,
     "lane": lambda: lanes("imu"),
@@ -288,7 +341,7 @@ def cases(vehicle: nf.Vehicle) -> dict[str, Case]:
         begin_s = 540.0 if "position" in name or "fixes" in name else FAULT_S + SAYS_NOTHING_S.get(name, 0.0)
         return Case(events=lambda events, _: library.damaged(name, events, scene, 1), begin_s=begin_s)
 
-    return SITUATIONS | {name: kind(name) for name in library.KINDS}
+    return SITUATIONS | FIELD | OTHERS | {name: kind(name) for name in library.KINDS}
 
 
 def befalls(name: str, case: Case, which: str) -> bool:

@@ -17,7 +17,18 @@ from typing import Any, NamedTuple
 import numpy as np
 from feeding import DRIVE, Event, Events
 
-from navfilter.sensors import Attitude, BodyVelocity, Depth, DvlBeams, Heading, Odometer, Position
+from navfilter.sensors import (
+    Attitude,
+    BodyVelocity,
+    Course,
+    Depth,
+    DvlBeams,
+    Heading,
+    Odometer,
+    Position,
+    Range,
+    WaterVelocity,
+)
 from navfilter.vehicle import Vehicle
 
 DEG = math.pi / 180.0
@@ -74,8 +85,11 @@ def scene_of(vehicle: Vehicle, window: tuple[float, float], fixes: tuple[float, 
         if isinstance(sensor, Attitude):
             targets |= {"tilt": Target(name, (0, 1)), "heading": Target(name, (2,))}
         role = next((role for kind, role in roles.items() if isinstance(sensor, kind)), None)
-        if role is not None:
-            targets[role] = Target(name, tuple(range(sensor.reads)))
+        others = {WaterVelocity: "water", Range: "range", Course: "course"}
+        also = [role for kind, role in others.items() if isinstance(sensor, kind)]
+        also += ["field"] * (isinstance(sensor, Heading) and sensor.magnetometer)
+        for part in filter(None, (role, *also)):
+            targets[part] = Target(name, tuple(range(sensor.reads)))
     beams = [sensor.beams()[: sensor.reads] for sensor in vehicle.sensors.values() if isinstance(sensor, DvlBeams)]
     beams += [np.eye(3)[:1] for sensor in vehicle.sensors.values() if isinstance(sensor, Odometer)]
     return Scene(targets, window, fixes, vehicle.drive.period_s, *beams[:1])

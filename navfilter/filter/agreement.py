@@ -26,7 +26,7 @@ from navfilter.filter.refusals import Refusals
 from navfilter.filter.slack import reckoned, wander
 from navfilter.kernels import listen
 
-__all__ = ["alike", "decided", "heard", "is_back", "judges", "limits", "offset_places", "opened_state"]
+__all__ = ["alike", "decided", "disproved", "heard", "is_back", "judges", "limits", "offset_places", "opened_state"]
 
 Array = NDArray[np.float64]
 
@@ -152,11 +152,25 @@ def limits(channel: Channel, z: Array, time_s: float) -> Array:
         closer[1 : 1 + channel.axes] *= HELD
     if dived:
         closer[1:4] = np.minimum(closer[1:4], SURFACED)
+    if disproved(channel, time_s) and refused is not None and not refused.agree(SPAN_S):
+        closer[1 : 1 + channel.axes] = -1.0
     kept, scatter = channel.memory.aside, channel.memory.scatter
     worthless = scatter is not None and scatter.worthless
     if worthless or channel.stale or (kept is not None and not aside.unchanged(kept, z)):
         closer[0], closer[1 : 1 + channel.axes] = np.inf, -1.0
     return closer
+
+
+def disproved(channel: Channel, time_s: float) -> bool:
+    """Whether a compass has proved wrong by more than a constant and a deviation: what it reads has been refused for
+    long, and it had left the state at once, or was wrong before. Then the state has not: a gyro does not turn so. What
+    reads the mirror of the heading, or one axis less, is right twice in a circle, and wrong again by the next turn.
+    """
+    memory = channel.memory
+    if channel.sensor.north is None or channel.offset or memory.refused is None:
+        return False
+    left = memory.refused.jumped or not memory.undisputed
+    return left and time_s - memory.rejected_since_s > SPAN_S
 
 
 def decided(channel: Channel) -> Literal["state", "sensor"] | None:
@@ -169,8 +183,8 @@ def decided(channel: Channel) -> Literal["state", "sensor"] | None:
         return None
     fixes = kind == listen.POSITION and channel.axes == 3
     if refused.from_the_first():
-        # a fix that is off by a constant says nothing more: it is refused
-        return None if fixes else "sensor"
+        # a fix that is off by a constant says nothing more, nor does a compass that is not: they are refused
+        return None if fixes or disproved(channel, refused.began_s) else "sensor"
     if kind == listen.POSITION and math.hypot(*np.nan_to_num(refused.offset)) > REACH_M:
         return None
     unconfirmed = not memory.used_s - memory.agreed_s >= CONFIRMED_S

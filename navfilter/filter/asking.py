@@ -112,7 +112,7 @@ def asked(
         known = outputs, (memory.drv, drive_output), clock
         channel.sight.look(z, nav, channel.rate, par, moved, since_s, *known, channel.into)
     if channel.offset:
-        channel.in_proportion(z, x)
+        channel.in_proportion(z, nav, x)
         channel.unwrap(x)
     if channel.sensor.bend is not None:
         first = int(channel.dims[4] + channel.dims[5])

@@ -17,7 +17,7 @@ from navfilter.filter.belief import believed
 from navfilter.filter.chi_square import chi_square_limit
 from navfilter.filter.course import Course
 from navfilter.filter.layout import Group, Layout
-from navfilter.filter.offsets import has_offset, offset_states, proportions
+from navfilter.filter.offsets import deviations, has_offset, offset_states, proportions
 from navfilter.filter.reckoned import Reckoned
 from navfilter.filter.refusals import Refusals
 from navfilter.filter.refused_way import RefusedWay
@@ -211,6 +211,7 @@ class Channel:
         self.offset = has_offset(sensor.models)
         self._kernels = self._addresses()
         self._proportions = proportions(sensor.models, self.period_s)
+        self._deviations = deviations(sensor.models, self.period_s)
         self.limits = np.concatenate([self._gates, believed(sensor, group)])
         slow = group.C @ group.P0[: group.errors, : group.errors] @ group.C.T
         self.slow: list[float] = slow.diagonal().tolist()  # variance by axis of what its error states begin with
@@ -358,12 +359,18 @@ class Channel:
         slow = math.hypot(nav[3], nav[4]) - STILL_SDS * math.sqrt(max(P[3, 3], P[4, 4]))
         return slow * (time_s - memory.same_s) > STILL_SDS * math.sqrt(max(self.white[0, 0], self.white[1, 1]))
 
-    def in_proportion(self, z: Array, x: Array) -> None:
-        """Let the errors in proportion to the speed be those of a reading as predicted."""
+    def in_proportion(self, z: Array, nav: Array, x: Array) -> None:
+        """Let the errors in proportion to the speed, and those that go with the heading, be those of a reading as
+        predicted.
+        """
         (axis, state), at_m_s = self._proportions
         if len(axis):
             self.C[axis, state] = np.nan_to_num(z - self.res)[axis] / at_m_s
             self.near[axis, :9] *= 1.0 + (x[self.group.start - 9 + state] / at_m_s)[:, None]
+        state, of_rad = self._deviations
+        if len(state):
+            # its slope by the heading is left out: with it, turns would seem to tell a heading from the constant
+            self.C[self.sensor.north, state] = np.cos(math.atan2(nav[9], nav[6]) - of_rad)
 
     def jumped_by(self, x: Array) -> Array:
         """By how much it is off if it has jumped, as estimated, shape (axes,); x: (n - 9,) error states."""

@@ -116,13 +116,14 @@ def _off(channel: Channel, watch: Watch) -> float:
     # one that is refused alone is an outlier, unless the sensor has confirmed nothing yet
     confirmed = kept.used_s - kept.agreed_s >= integrity.CONFIRMED_S
     again = kept.last_s - kept.rejected_since_s > 0.5 * channel.period_s
+    alone = kept.alone[0] if kept.alone else 0.0
     if again or (not confirmed and not math.isnan(kept.rejected_since_s)):
-        return float(integrity.whole_offset(sensor.corrects, channel.note[3 : 3 + a], max(channel.slow)))
+        return max(alone, float(integrity.whole_offset(sensor.corrects, channel.note[3 : 3 + a], max(channel.slow))))
     if kept.astray:
         # it may have been off by what was still believed of its error
         return MOST_SDS * math.sqrt(2.0 * max(channel.slow))
-    if kept.alone:
-        return kept.alone[0]
+    if alone:
+        return alone
     if not math.isfinite(watch.used_s):
         return 0.0
     largest = max((v + s for v, s in zip(note[3 + a :], channel.slow, strict=True) if v + s > 0.0), default=0.0)

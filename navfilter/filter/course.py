@@ -108,8 +108,7 @@ def against_the_compass(filter: Filter, fixes: Channel, course: Course, time_s: 
     recent = [c for c in channels if time_s - c.memory.used_s < RECENT_S]
     compasses = [c for c in recent if c.sensor.corrects == "heading"]
     moving = any(_reckons(c) for c in recent)
-    levelled = (measurement.heading, measurement.attitude)
-    if course.count < 3 or not moving or len(compasses) != 1 or compasses[0].kernel not in levelled:
+    if course.count < 3 or not moving or len(compasses) != 1 or compasses[0].sensor.north is None:
         return None
     compass = compasses[0]
     told = math.radians(filter.start.heading_sd_deg)
@@ -119,7 +118,7 @@ def against_the_compass(filter: Filter, fixes: Channel, course: Course, time_s: 
         return None
     models = compass.sensor.models
     if not compass.offset:
-        models = with_offsets(models, abs(turn[0]), only=compass.sensor.north)
+        models = with_offsets(models, abs(turn[0]), only=compass.sensor.north, deviates=True)
     return Change(compass.name, models, offsets=True, turn=turn)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
@@ -11,9 +12,11 @@ from numpy.typing import NDArray
 from navfilter.error_models import ErrorModel, RandomWalk, Sum, per_axis
 
 __all__ = [
+    "Deviation",
     "Offset",
     "Proportion",
     "described",
+    "deviations",
     "has_offset",
     "offset_states",
     "proportions",
@@ -22,6 +25,8 @@ __all__ = [
 ]
 
 Errors = ErrorModel | tuple[ErrorModel, ...]
+#: Iron turns a compass by no more than this [rad]: one that is off by more is mounted, or read, the wrong way round.
+DEVIATES = math.radians(60.0)
 
 
 @dataclass(frozen=True)
@@ -54,6 +59,20 @@ class Proportion(Offset):
     at_m_s: float = 1.0
 
 
+@dataclass(frozen=True)
+class Deviation(Offset):
+    """What a compass was found to be off by, as far as that goes with the heading: iron that has come near it turns with
+    the vehicle. Of one cycle (National Geospatial-Intelligence Agency, "Handbook of magnetic compass adjustment", 2004).
+
+    Parameters
+    ----------
+    of_rad : float
+        The state is the error at this heading; it goes with the cosine of what the heading differs from it by [rad].
+    """
+
+    of_rad: float = 0.0
+
+
 def _parts(model: ErrorModel) -> tuple[ErrorModel, ...]:
     return model.parts if isinstance(model, Sum) else (model,)
 
@@ -84,6 +103,13 @@ def proportions(models: tuple[ErrorModel, ...], period_s: float) -> tuple[NDArra
     return table[:, :2].T.astype(np.int64), table[:, 2]
 
 
+def deviations(models: tuple[ErrorModel, ...], period_s: float) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """States of each `Deviation`, shape (k,), and the heading at which it is the error [rad], shape (k,)."""
+    found = [(at, part.of_rad) for _, at, part in _places(models, period_s) if isinstance(part, Deviation)]
+    table = np.array(found, dtype=np.float64).reshape(-1, 2)
+    return table[:, 0].astype(np.int64), table[:, 1]
+
+
 def _places(models: tuple[ErrorModel, ...], period_s: float) -> Iterator[tuple[int, int, ErrorModel]]:
     """The parts of all models: axis, first state, part."""
     at = 0
@@ -99,9 +125,11 @@ def with_offsets(
     at_m_s: float = 0.0,
     density: float = 0.0,
     only: int | None = None,
+    deviates: bool = False,
 ) -> tuple[ErrorModel, ...]:
     """Error models with an `Offset` of this standard deviation each, or of one axis only, which wanders with a density,
-    and beside it a `Proportion` at a speed; without any where the size is 0.
+    and beside it a `Proportion` at a speed, or a `Deviation` with the heading (two, where iron may
+    do that); without any where the size is 0.
 
     Examples
     --------
@@ -114,6 +142,8 @@ def with_offsets(
         return plain
     added: tuple[Offset, ...] = (Offset(density=density, start_sd=size),)
     added += (Proportion(start_sd=size, at_m_s=at_m_s),) if at_m_s else ()
+    if deviates and size <= DEVIATES:
+        added += tuple(Deviation(start_sd=size, of_rad=of_rad) for of_rad in (0.0, 0.5 * math.pi))
     return tuple(sum(added, start=m) if only in (None, axis) else m for axis, m in enumerate(plain))
 
 

@@ -97,7 +97,7 @@ def let_in(filter: Filter, channel: Channel, time_s: float, nis: float, dof: int
         if not channel.aside and time_s - kept.rejected_since_s >= channel.sensor.gate_timeout_s:
             _jumped(filter, channel, time_s)
         return False
-    added = gating.widening(P, channel, time_s, nis, dof)
+    added = None if agreement.disproved(channel, time_s) else gating.widening(P, channel, time_s, nis, dof)
     if added is None:
         return False
     channel.R *= added.white_factor
@@ -257,7 +257,8 @@ def _jumped(filter: Filter, channel: Channel, time_s: float) -> None:
     elif refused.back >= LEAST or not len(places):
         back, speed = len(places) > 0, math.hypot(*memory.nav[3:6].tolist())
         moving = channel.sensor.open_loop == listen.VELOCITY and speed > SLOW
-        opened = with_offsets(models, 0.0 if back else size, speed if moving else 0.0, only=channel.sensor.jumps)
+        only, deviates = channel.sensor.jumps, channel.sensor.north is not None
+        opened = with_offsets(models, 0.0 if back else size, speed if moving else 0.0, only=only, deviates=deviates)
         filter.jumped.append(Change(channel.name, opened, offsets=True))
     else:
         memory.P[places, places] += size**2
