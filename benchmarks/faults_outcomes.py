@@ -121,6 +121,23 @@ def turned(by_rad: float) -> Callable[..., Any]:
     return lambda v, age_s: wrap(v + by_rad) if len(v) == 1 else about_z @ v
 
 
+def other_water(events: Events, scene: library.Scene, by_m_s: float, within_s: float = 1e-3) -> Events:
+    """The water begins to flow north, by the headings that are read meanwhile."""
+    if not {"water", "heading"} <= scene.targets.keys():
+        return events
+    water, compass = scene.targets["water"], scene.targets["heading"]
+    heading, result = 0.0, []
+    for e in events:
+        if e.sensor == compass.sensor:
+            heading = e.value[compass.columns[0]]
+        if e.sensor == water.sensor and e.true_s >= FAULT_S:
+            flows = by_m_s * min(1.0, (e.true_s - FAULT_S) / within_s)
+            v = np.array(e.value[:3]) - flows * np.array([math.cos(heading), -math.sin(heading), 0.0])
+            e = e._replace(value=tuple(v.tolist()))
+        result.append(e)
+    return result
+
+
 SITUATIONS: dict[str, Case] = {
     "no fault": Case(),
     "start told 2 km off, 140 good fixes": moved(latitude_deg=lambda x: x + 2000.0 / RADIUS_M / DEG),
@@ -176,7 +193,11 @@ OTHERS: dict[str, Case] = {
     "course turned by 180 deg for 40 s": values("course", lambda v, age_s: v + [0.0, math.pi], 60.0, 100.0),
     "course in degrees": values("course", lambda v, age_s: v * [1.0, 1.0 / DEG], 60.0, 100.0),
     "speed in knots": values("course", lambda v, age_s: v * [1.0 / 0.514444, 1.0], 60.0, DIVE_S),
-    "current turns by 0.3 m/s": values("water", lambda v, age_s: v + [0.3, 0.0, 0.0][: len(v)]),
+    "log reads 0.3 m/s too much for good": values("water", lambda v, age_s: v + [0.3, 0.0, 0.0]),
+    "current changes by 0.3 m/s for good": Case(events=lambda events, scene: other_water(events, scene, 0.3)),
+    "current changes by 0.3 m/s within a minute": Case(
+        events=lambda events, scene: other_water(events, scene, 0.3, MINUTE_S)
+    ),
 }
 
 

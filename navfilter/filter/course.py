@@ -113,7 +113,7 @@ def against_the_compass(filter: Filter, fixes: Channel, course: Course, time_s: 
     compass = compasses[0]
     told = math.radians(filter.start.heading_sd_deg)
     believed = lambda angle, speed: not compass.memory.alone and abs(angle) > SURE * told  # noqa: E731
-    turn = seen_turned(course, fixes, float(filter.memory.P[8, 8]), believed)
+    turn = seen_turned(course, fixes, _direction(filter), believed)
     if turn is None:
         return None
     models = compass.sensor.models
@@ -159,6 +159,19 @@ def _reckons(channel: Channel) -> bool:
     """Whether a sensor tells the way made, if the heading is known."""
     sensor = channel.sensor
     return sensor.corrects == "velocity" and (sensor.ground > 0 or sensor.open_loop == listen.VELOCITY)
+
+
+def _direction(filter: Filter) -> float:
+    """Variance of the direction that the vehicle is believed to go in [rad^2]: that of its heading, and of the velocity
+    across its way where the heading is right, as in a current that is hardly known.
+    """
+    P, nav = filter.memory.P, filter.memory.nav
+    speed = max(math.hypot(nav[3], nav[4]), 1e-3)
+    across = np.zeros(9)
+    across[[3, 4]] = -nav[4] / speed, nav[3] / speed
+    seen = P[:9, :9] @ across
+    beside = max(0.0, float(across @ seen) - float(seen[8]) ** 2 / float(P[8, 8]))
+    return float(P[8, 8]) + beside / speed**2
 
 
 def _noise(fixes: Channel) -> float:

@@ -72,6 +72,8 @@ def accused(filter: Filter, channel: Channel, time_s: float) -> float | None:
     elif believable(residual, math.hypot(*nav[3:6].tolist()), filter.vehicle.drive.max_speed_m_s):
         kept.ramp = with_refused(kept.ramp, time_s - since_s, residual, read(filter, channel))
         slope = ramp_of(kept.ramp, over_ground.variances(channel, nav)) if kept.ramp else None
+        # a velocity through water may change with the water, slowly, too
+        slope = slope if float(np.linalg.norm(residual)) > channel.sensor.flows_m_s else None
     else:
         slope = None
     if slope is not None and not kept.undisputed and not reads_the_same(kept.ramp, read(filter, channel), slope):
@@ -90,7 +92,6 @@ def may_accuse(filter: Filter, channel: Channel, time_s: float) -> bool:
 
 def _was_right(filter: Filter, channel: Channel, time_s: float) -> bool:
     """Whether a velocity that is refused was used for long before, on a way."""
-    # a velocity through water may change with the water, slowly, too
     if not filter.inertial or not channel.sensor.ground:
         return False
     kept, nav = channel.memory, NavState.unpack(time_s, filter.memory.nav)

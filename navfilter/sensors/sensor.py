@@ -104,6 +104,8 @@ class Sensor:
         "velocity", or nothing.
     ground : int
         So many of its first components are of the velocity over ground: three axes, or the beams of a DVL.
+    flows_m_s : float
+        By so much that velocity may change without the vehicle, because it is one through moving water [m/s].
     corrects : str
         What of the state its readings bound: "position", "velocity", "heading", "depth".
     jumps : int, optional
@@ -147,6 +149,7 @@ class Sensor:
     open_loop: ClassVar[int] = listen.NOTHING
     gives: ClassVar[str] = ""
     ground: ClassVar[int] = 0
+    flows_m_s: ClassVar[float] = 0.0
     corrects: ClassVar[str] = ""
     jumps: ClassVar[int | None] = None
     north: ClassVar[int | None] = None

@@ -31,6 +31,9 @@ Array = NDArray[np.float64]
 VELOCITY = Columns("velocity", ("v_x_m_s", "v_y_m_s", "v_z_m_s"), ("speed",) * 3)
 #: Generous: beyond the worst and the best of instruments on the market.
 USUAL = Plausible(1e-4, 0.5, "cm_per_s", most_rate_hz=100.0)
+#: A current changes by no more than this within minutes, on the way through a shear layer or an eddy [m/s]; what comes
+#: to be off by more has another cause.
+FLOWS_M_S = 1.0
 DVL_ERROR = 'error = {model = "white", sd = 0.01}'
 
 
@@ -224,7 +227,7 @@ class WaterVelocity(BodyVelocity):
     kernel: ClassVar[Callable[..., None]] = staticmethod(measurement.water_velocity)
     open_loop: ClassVar[int] = listen.NOTHING
     gives: ClassVar[str] = ""
-    ground: ClassVar[int] = 0
+    flows_m_s: ClassVar[float] = FLOWS_M_S
     template: ClassVar[Example | None] = Example(
         "water",
         "Velocity through the water: a DVL in water track, or a log. Where the bottom is lost, the last known current "
