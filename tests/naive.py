@@ -10,6 +10,7 @@ from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
 from navfilter.kernels import addresses
+from navfilter.kernels import strapdown as strapdown_kernels
 
 # ---------------------------------------------------------------- kernels/arma.py: one online step (no gaps, no guard)
 
@@ -1364,11 +1365,25 @@ def slope_s(variance):
     return max(1.0, 2.0 * np.sqrt(3.0 * variance))
 
 
-def discount(inner, slope, then, drv, Cr, over_s, inertial, variance, near, R):
-    white = Cr[:, -1] * (drv[36] / over_s if inertial else 2.0 / max(over_s, drv[36]) ** 2)
+def lately(rows, rate):
+    rows = rows[2:]
+    rows = rows[: np.argmax(rows[:, 0] <= 0.0)] if (rows[:, 0] <= 0.0).any() else rows
+    rows = rows[np.concatenate([[0.0], np.cumsum(rows[:, 0])[:-1]])[: len(rows)] < 0.2]
+    rate[:] = rows[:, 0] @ rows[:, 1:4] / max(rows[:, 0].sum(), 1e-9)
+    return rows[:, 0].sum()
+
+
+def stands_out(rate, seconds, drv, Cr):
+    if drv[strapdown_kernels.INERTIAL]:
+        rate[np.abs(rate) <= 10.0 * np.sqrt(Cr[:3, -1] * drv[36] / max(seconds, drv[36]))] = 0.0
+
+
+def discount(inner, slope, then, drv, Cr, over_s, gravity, variance, tilt, near, R):
+    white = Cr[:, -1] * (drv[36] / over_s if gravity else 2.0 / max(over_s, drv[36]) ** 2)
     C = then[6:15].reshape(3, 3)
     turned, pushed = inner[:, 6:9] @ C, inner[:, 3:6] @ C
     noise, growth = np.hstack([turned, pushed]) ** 2 @ white, inner[:, :9] @ slope[1]
+    noise += gravity**2 * tilt * (inner[:, 3:5] ** 2).sum(axis=1)
     told = near[:, -1].copy()
     stands_out = told**2 > 100.0 * noise
     left = np.where(stands_out, 100.0 * noise / np.where(stands_out, told, 1.0), told)
@@ -1377,7 +1392,7 @@ def discount(inner, slope, then, drv, Cr, over_s, inertial, variance, near, R):
     R += np.diag(np.where(np.isnan(told), 0.0, more))
 
 
-def sight(equation, motion, facts, z, nav, rate, par, cfg, recent, drv, Cr, xd, since_s, variance, H, near, res, R):
+def sight(equation, motion, facts, z, nav, rate, par, cfg, recent, drv, Cr, xd, since_s, variance, tilt, H, near, res, R):
     arm, clock, turns, _, *by_arm = facts
     own, by_arm = len(par) - 3 * int(arm) - int(clock), np.reshape(by_arm, (-1, 3))
     inner, ends = np.zeros((len(res), 9 + own)), np.zeros(len(res))
@@ -1386,16 +1401,18 @@ def sight(equation, motion, facts, z, nav, rate, par, cfg, recent, drv, Cr, xd, 
         place = cfg + by_arm @ (par[own : own + 3] + moved) if arm else cfg
         at(equation)(z, nav, rate, par[:own], place, inner, res)
 
+    outputs, errors = np.zeros((6, len(xd))), np.zeros(6)
+    drive_outputs(drv, Cr, xd, outputs, errors)
+    past_s = since_s + (abs(par[-1]) + 0.5 * slope_s(variance) if clock else 0.2)
+    recent = recent[: max(2, math.ceil(past_s / drv[36]) + 1)]
+    rows, g = np.zeros((len(recent) + 1, 7)), np.zeros(1)
+    at(motion)(recent, nav, drv, errors, rows, g)
     if not clock:
         ask(nav, rate, np.zeros(3), res)
         near[:, : 9 + own], then = inner, nav
     else:
-        outputs, errors = np.zeros((6, len(xd))), np.zeros(6)
-        drive_outputs(drv, Cr, xd, outputs, errors)
-        recent = recent[: max(2, math.ceil((since_s + abs(par[-1]) + 0.5 * slope_s(variance)) / drv[36]) + 1)]
-        rows, g, late_s = np.zeros((len(recent) + 1, 7)), np.zeros(1), since_s + par[-1]
+        late_s = since_s + par[-1]
         then, turn, slope, B = np.zeros(17), np.zeros(6), np.zeros((2, 9)), np.zeros((9, 9))
-        at(motion)(recent, nav, drv, errors, rows, g)
         over_s = earlier(nav, rows, g[0], late_s, 0.2, slope_s(variance), then, turn, slope, B)
         rate = turn[:3]
         ask(then, rate, np.zeros(3), res)
@@ -1409,14 +1426,25 @@ def sight(equation, motion, facts, z, nav, rate, par, cfg, recent, drv, Cr, xd, 
         if g[0]:
             H[:, 9 : 9 + len(xd)] = inner[:, :9] @ by
     if arm:
+        told, base, seconds = rate.copy(), np.zeros(len(res)), 0.2
+        if not clock:
+            seconds = lately(rows, told)
+        stands_out(told, seconds, drv, Cr)
+        ask(then, told, np.zeros(3), base)
         for j in range(3):
-            ask(then, rate, 1e-3 * np.eye(3)[j], ends)
-            near[:, 9 + own + j] = (res - ends) / 1e-3
+            ask(then, told, 1e-3 * np.eye(3)[j], ends)
+            near[:, 9 + own + j] = (base - ends) / 1e-3
     if clock and turns:
         ask(then, rate + 1e-3 * turn[3:], np.zeros(3), ends)
         near[:, -1] -= (res - ends) / 1e-3
     if clock:
-        discount(inner, slope, then, drv, Cr, over_s, g[0] != 0.0, variance, near, R)
+        discount(inner, slope, then, drv, Cr, over_s, g[0], variance, tilt, near, R)
+
+
+def hold_slopes(P, near, held, begin):
+    band = 3.0 * np.sqrt(np.max(np.diag(near[:, :9] @ P[:9, :9] @ near[:, :9].T)))
+    new = near[:, 9 + begin :][:, : held.shape[1]]
+    new[:] = np.clip(held, new - band, new + band)
 
 
 def _sagitta(slope, distance, P):
@@ -1477,6 +1505,7 @@ def correction(bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count,
     a, n, m, b, start, errors, par = dims = spot[:7]
     equation, seen, motion, bend, moves, turns, reads_rate = spot[7:14]
     begin, cfg, cfg_size, rate, model, output, white, lever, noise, limits, facts = spot[14:25]
+    held_from, held_to = spot[28:30]
     mem, places_, xd = bench[begin:cfg], places(dims), x[: m - 9]
     if drv[126]:
         discount_heading(P, acc)
@@ -1496,12 +1525,15 @@ def correction(bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count,
     R[:] = bench[(lever if given else white) :][: a * a].reshape(a, a) + (np.diag(variance[:a]) if given else 0.0)
     if moves and P[8, 8] > 0.01:
         R += np.eye(a) * 0.5 * (nav[3] ** 2 + nav[4] ** 2) * P[8, 8] ** 2
+    held = near[:, 9 + held_from : 9 + held_to].copy()
     if seen:
         clock = start + errors + par - 1
-        rest = recent, drv, Cr, xd, since_s, P[clock, clock], H, near, res, R
+        rest = recent, drv, Cr, xd, since_s, P[clock, clock], max(P[6, 6], P[7, 7]), H, near, res, R
         at(seen)(equation, motion, bench[facts : facts + 4 + 3 * cfg_size], *here, *rest)
     else:
         at(equation)(*here, near, res)
+    if held.size:
+        hold_slopes(P, near, held, held_from)
     if bend:
         at(bend)(z, near, P, start + errors, here[-1], R)
     C, gate = bench[output : output + a * errors].reshape(a, errors), bench[limits : limits + a + 1]

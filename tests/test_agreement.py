@@ -192,11 +192,11 @@ def test_what_is_in_proportion_to_the_speed_vanishes_at_rest():
     x = np.zeros(channel.group.start - 9 + channel.group.size)
     x[channel.group.start - 9 + state] = [0.1, 0.0, 0.0]
     channel.near[:], channel.res[:] = 1.0, 0.0
-    channel.in_proportion(np.array([1.0, 0.5, 0.0]), x)
+    channel.in_proportion(np.array([1.0, 0.5, 0.0]), mission.start.state.pack(), x)
     # 5 % at any speed: half of 0.1 m/s at 1 m/s
     np.testing.assert_allclose(channel.C @ x[channel.group.start - 9 :][:6], [0.05, 0.0, 0.0], atol=1e-15)
     np.testing.assert_allclose(channel.near[:, 3], [1.05, 1.0, 1.0], atol=1e-15)
-    channel.in_proportion(np.zeros(3), x)
+    channel.in_proportion(np.zeros(3), mission.start.state.pack(), x)
     assert not (channel.C @ x[channel.group.start - 9 :][:6]).any()
 
 

@@ -102,6 +102,7 @@ def asked(
     if channel.moves and P[8, 8] > stretch.UNSURE_HEADING:
         # second-order term of a velocity seen from a heading that is hardly known (Gelb, 1974, sec. 6.1)
         channel.R[range(channel.axes), range(channel.axes)] += 0.5 * (nav[3] ** 2 + nav[4] ** 2) * P[8, 8] ** 2
+    held = channel.near[:, 9:][:, slice(*channel.held)].copy()
     if channel.sight is None:
         channel.kernel(z, nav, channel.rate, x[channel.parameters], channel.constants, channel.near, channel.res)
     else:
@@ -109,8 +110,9 @@ def asked(
         clock = float(P[channel.group.slice.stop - 1, channel.group.slice.stop - 1])
         reach_s = abs(float(par[-1])) + 0.5 * past.slope_s(clock)
         moved = drive.motion(memory.recent[: drive.remembered(since_s + reach_s)], nav, memory.drv, errors)
-        known = outputs, (memory.drv, drive_output), clock
+        known = outputs, (memory.drv, drive_output), (clock, max(P[6, 6], P[7, 7]))
         channel.sight.look(z, nav, channel.rate, par, moved, since_s, *known, channel.into)
+    channel.hold_slopes(P, held)
     if channel.offset:
         channel.in_proportion(z, nav, x)
         channel.unwrap(x)

@@ -164,11 +164,13 @@ class Channel:
         self.dive_s = max(DIVE_S, DIVE_PERIODS * self.period_s) if fixes else math.inf
         self._gates = np.array(_limits(sensor.gate_probability, sensor.axes, sensor.single_gates))
         self.sight = Sight(sensor, start) if sensor.place_and_clock() else None
-        self.lead_s, self.past_s = sensor.lead_s, sensor.lead_s + CLOCK_SDS * sensor.time_offset_sd_s
+        self.lead_s = sensor.lead_s
+        self.past_s = self.lead_s + CLOCK_SDS * sensor.time_offset_sd_s + past.WINDOW_S * any(sensor.lever_arm_sd_m)
         # kernels of a user's own are asked by Python: what they raise is to be seen
         self.known = self.kernel.__module__ == measurement.__name__ and self.constants.ndim == 1
         self.moves, self.turns = sensor.sees_velocity, sensor.needs_rate or any(sensor.lever_arm_sd_m)
         self.reading = np.full(sensor.axes, np.nan)  # the last one that Python was asked for
+        self.held = sensor.held()
         self.partly_for_s = sensor.single_s if sensor.single_gates else math.inf
         self.samples = 1  # of the drive, of which a reading is the mean
         self._described: tuple[Sensor, Array] | None = None
@@ -263,7 +265,7 @@ class Channel:
         starts = begin, ends[0], self.constants.size, *ends[1:9]
         is_so, partly = (self.moves, self.turns, self.sensor.reads_rate), self.partly_for_s < math.inf
         asked = self._kernels if self.known else (0, 0, 0, 0)
-        self.spot = np.array([*self.dims, *asked, *is_so, *starts, at[8], at[5], partly], dtype=np.int64)
+        self.spot = np.array([*self.dims, *asked, *is_so, *starts, at[8], at[5], partly, *self.held], dtype=np.int64)
         return self.spot
 
     def _addresses(self) -> tuple[int, int, int, int]:
@@ -293,6 +295,11 @@ class Channel:
         own = own if own.size else self.group.r
         own = own if memory.aside is None else aside.variances(memory.aside, z, own)
         return own if memory.scatter is None else scatter.variances(memory.scatter, own)
+
+    def hold_slopes(self, P: Array, held: Array) -> None:
+        """Let the slopes that are velocities follow no closer than those are known; (a, k) of the reading before."""
+        if held.size:
+            measurement.hold_slopes(P, self.near, held, self.held[0])
 
     def without_errors(self, z: Array, outputs: Array, errors: Array) -> Array:
         """A reading of the drive's first three values without the drive's errors, of whose states it depends."""

@@ -66,7 +66,7 @@ class Sight:
         since_s: float,
         outputs: Array,
         drive: tuple[Array, Array],
-        variance: float,
+        variances: tuple[float, float],
         into: tuple[Array, Array, Array, Array],
     ) -> None:
         """Fill residual and Jacobian as the kernels do, see `navfilter.kernels.measurement`.
@@ -83,8 +83,8 @@ class Sight:
             Rows by which the drive's states make the errors of its six values.
         drive : (ndarray, ndarray)
             Its memory, and (6, k + 1) with the white variances of its values in the last column.
-        variance : float
-            Of the clock [s^2].
+        variances : (2,) float
+            Of the clock [s^2], and of roll or pitch [rad^2].
         into : tuple of ndarray, shapes (axes, k), (axes, 9 + states), (axes,), (axes, axes)
             Receive the derivatives with respect to the drive's states (a bias bends the way back), those of the kernel,
             and the residual; the white covariance grows by what the clock's error does beyond that.
@@ -95,7 +95,7 @@ class Sight:
         inner, kind = self._inner, par[:own]
         if self.clock:
             late_s, now = since_s + float(par[-1]), nav
-            slope_s = past.slope_s(variance)
+            slope_s = past.slope_s(variances[0])
             given = self._then, self._turn, self._slope, self._B
             over_s = measurement.earlier(nav, *moved, late_s, WINDOW_S, slope_s, *given)
             nav, rate = self._then, self._turn[:3]
@@ -108,14 +108,17 @@ class Sight:
                 H[:] = inner[:, :9] @ by_drive(now, nav, self._B, late_s, outputs)
         ends = self._ends
         if self._arm:
+            told, base = self._turn[:3].copy(), np.empty_like(res)
+            past.stands_out(told, WINDOW_S if self.clock else past.lately(moved[0], told), *drive)
+            self.kernel(z, nav, told, kind, constants, inner, base)
             for i in range(3):
-                self.kernel(z, nav, rate, kind, constants + self._steps[i], inner, ends)
-                near[:, 9 + own + i] = (res - ends) / STEP
+                self.kernel(z, nav, told, kind, constants + self._steps[i], inner, ends)
+                near[:, 9 + own + i] = (base - ends) / STEP
         if self.clock and self._turns:
             self.kernel(z, nav, rate + STEP * self._turn[3:], kind, constants, inner, ends)
             near[:, -1] -= (res - ends) / STEP
         if self.clock:
-            past.discount(inner, self._slope, self._then, *drive, over_s, moved[1] != 0.0, variance, near, R)
+            past.discount(inner, self._slope, self._then, *drive, over_s, moved[1], *variances, near, R)
 
 
 def by_drive(now: Array, then: Array, B: Array, late_s: float, outputs: Array) -> Array:

@@ -17,6 +17,8 @@ from navfilter.kernels.decorators import apart, njit
 UNCOUNTED: dict = {"_nrt": False}
 
 PIECE_S = 0.02  # so long a turning force is taken as that of the middle: 1e-5 of it at 1 rad/s
+# By so many standard deviations of the velocity its slopes lag behind, see `hold_slopes`.
+HELD = 3.0
 
 
 @njit(cache=True, **UNCOUNTED)
@@ -68,6 +70,36 @@ def _instrument_velocity(z, nav, v0, v1, v2, rate, par, first, cfg, H, res):
         H[0, m + 1], H[0, m + 2] = g0 * y2, -g0 * y1
         H[1, m], H[1, m + 2] = -g1 * y2, g1 * y0
         H[2, m], H[2, m + 1] = g2 * y1, -g2 * y0
+
+
+@apart
+@njit(cache=True, **UNCOUNTED)
+def hold_slopes(P, near, held, begin):
+    """Slopes of a velocity by its scale and misalignment, which are velocities themselves: they follow the velocity no
+    closer than it is known.
+
+    The estimate errs by what the next residual shows. Such an error in the slope would be a change of velocity that
+    nobody has made, and be taken for what the scale does with it, always to the same side: errors in variables (Fuller,
+    1987, sec. 1.1). So a slope stays where it was, and is drawn along where the new one is further off than `HELD` sd
+    of the velocity. near (a, 9 + parameters), in columns from 9 + begin on the new ones; held (a, k): those of the
+    reading before.
+    """
+    most = 0.0
+    for i in range(near.shape[0]):
+        variance = 0.0
+        for j in range(9):
+            f = near[i, j]
+            if f != 0.0:
+                s = 0.0
+                for k in range(9):
+                    s += P[j, k] * near[i, k]
+                variance += f * s
+        most = max(most, variance)
+    band = HELD * math.sqrt(most)
+    for i in range(near.shape[0]):
+        for j in range(held.shape[1]):
+            new, old = near[i, 9 + begin + j], held[i, j]
+            near[i, 9 + begin + j] = max(new - band, min(new + band, old))
 
 
 @njit(cache=True, **UNCOUNTED)

@@ -22,7 +22,8 @@ SLOPE_S = 1.0
 #: And over so many standard deviations of the clock: between the outer two of three Gauss-Hermite points [1].
 SPREAD = 2.0 * math.sqrt(3.0)
 #: A slope counts as far as it stands out of so many standard deviations of its noise: noise is in the velocity of the
-#: state, too, and by k of them it draws a clock by SLOPE_S / (2 k^2), 5 ms [1].
+#: state, too, and by k of them it draws a clock by SLOPE_S / (2 k^2), 5 ms [1]. A rate tells a lever arm from there on:
+#: its noise is in the reading that is predicted, and would draw the arm towards none.
 TOLD = 10.0
 #: Step of the difference quotients over lever arm [m] and time [s]; a reading is linear in both, or nearly so.
 STEP = 1e-3
@@ -203,18 +204,56 @@ def slope_s(sources):
 
 
 @_keyed
+def lately(sources):
+    @njit(cache=True)
+    def lately(rows, rate):
+        """Mean of the angular rate (3,) over `WINDOW_S`, of the intervals but for the newest two: those have the noise
+        of the reading that is predicted. Returns over how many seconds. rows: see `inertial_motion`.
+        """
+        _ = sources
+        seconds = 0.0
+        for j in range(3):
+            rate[j] = 0.0
+        for i in range(2, rows.shape[0]):
+            if rows[i, 0] <= 0.0 or seconds >= WINDOW_S:
+                break
+            seconds += rows[i, 0]
+            for j in range(3):
+                rate[j] += rows[i, 0] * rows[i, 1 + j]
+        for j in range(3):
+            rate[j] /= max(seconds, 1e-9)
+        return seconds
+
+    return lately
+
+
+@_keyed
+def stands_out(sources):
+    @njit(cache=True)
+    def stands_out(rate, seconds, drv, Cr):
+        """Leave of an angular rate (3,), a mean over so many seconds, what is no noise of the unit."""
+        _ = sources
+        k, share = Cr.shape[1] - 1, drv[strapdown.PERIOD_S] / max(seconds, drv[strapdown.PERIOD_S])
+        for j in range(3):
+            if drv[strapdown.INERTIAL] != 0.0 and rate[j] * rate[j] <= TOLD * TOLD * share * Cr[j, k]:
+                rate[j] = 0.0
+
+    return stands_out
+
+
+@_keyed
 def discount(sources):
     @njit(cache=True)
-    def discount(inner, slope, then, drv, Cr, over_s, inertial, variance, near, R):
+    def discount(inner, slope, then, drv, Cr, over_s, gravity, variance, tilt, near, R):
         """Let what a reading tells of a clock, in the last column of near, count as far as its slope stands out of the
         drive's noise. The rest, and what is not straight, goes into R (second order, Gelb, 1974, sec. 6.1).
 
-        inner: Jacobian at the state `then`; slope: see `measurement.earlier`, a mean over `over_s`; variance: of the
-        clock.
+        inner: Jacobian at the state `then`; slope: see `measurement.earlier`, a mean over `over_s`; gravity: 0 where
+        forces are accelerations, else a tilt looks like one; variance, tilt: variances of clock, roll or pitch.
         """
         _ = sources
         k, last = Cr.shape[1] - 1, near.shape[1] - 1
-        by = drv[strapdown.PERIOD_S] / over_s if inertial else 2.0 / max(over_s, drv[strapdown.PERIOD_S]) ** 2
+        by = drv[strapdown.PERIOD_S] / over_s if gravity != 0.0 else 2.0 / max(over_s, drv[strapdown.PERIOD_S]) ** 2
         for i in range(near.shape[0]):
             noise, growth, u = 0.0, 0.0, inner[i]
             for j in range(9):
@@ -223,6 +262,7 @@ def discount(sources):
                 turned = u[6] * then[6 + j] + u[7] * then[9 + j] + u[8] * then[12 + j]
                 pushed = u[3] * then[6 + j] + u[4] * then[9 + j] + u[5] * then[12 + j]
                 noise += by * (turned * turned * Cr[j, k] + pushed * pushed * Cr[3 + j, k])
+            noise += gravity * gravity * tilt * (u[3] * u[3] + u[4] * u[4])
             told, least = near[i, last], TOLD * TOLD * noise
             if math.isnan(told):
                 continue  # there is no reading of this component
@@ -236,7 +276,7 @@ def discount(sources):
 @_keyed
 def sight(sources):
     @njit(cache=True)
-    def sight(equation, motion, facts, z, nav, rate, par, cfg, recent, drv, Cr, xd, since_s, variance, H, near, res, R):
+    def sight(equation, motion, facts, z, nav, rate, par, cfg, recent, drv, Cr, xd, since_s, variance, tilt, H, near, res, R):
         """Residual and Jacobian of a reading of any kind through its own kernel, with a lever arm and a clock that are
         states: the last of `par`.
 
@@ -245,8 +285,8 @@ def sight(sources):
 
         equation, motion: addresses of the sensor's kernel and of `inertial_motion` or `reckoned_motion`; facts: of the
         sensor, see at the head of this file; z, nav, rate, cfg: as for `navfilter.kernels.measurement`; recent: the
-        drive's last samples; since_s: how much later than the stamp it is now; variance: of the clock. H (a, n)
-        receives the derivatives with respect to the drive's states (a bias bends the way back); near and res are filled
+        drive's last samples; since_s: how much later than the stamp it is now; variance, tilt: variances of the clock, and of
+        roll or pitch. H (a, n) receives the derivatives with respect to the drive's states (a bias bends the way back); near and res are filled
         as by the kernel; R (a, a) grows by what the clock's error does beyond that.
         """
         _ = sources
@@ -262,14 +302,14 @@ def sight(sources):
                     constants[i] += facts[BY_ARM + 3 * i + j] * par[own + j]
         seen, turning = nav, rate
         then, turn, slope, B, gravity = np.empty(17), np.empty(6), np.empty((2, 9)), np.empty((9, 9)), np.empty(1)
+        errors, long_s = np.empty(6), slope_s(variance) if clock else 2.0 * WINDOW_S
+        late_s = since_s + (par[last] if clock else 0.0)
+        drive_outputs(drv, Cr, xd, outputs, errors)
+        known = math.ceil((since_s + (abs(par[last]) if clock else 0.0) + 0.5 * long_s) / drv[strapdown.PERIOD_S]) + 1
+        known = min(recent.shape[0], max(2, known))
+        rows = np.empty((known + 1, 7))
+        addresses.at_motion(motion, (recent[:known], nav, drv, errors, rows, gravity))
         if clock:
-            late_s, errors = since_s + par[last], np.empty(6)
-            drive_outputs(drv, Cr, xd, outputs, errors)
-            long_s = slope_s(variance)
-            known = math.ceil((since_s + abs(par[last]) + 0.5 * long_s) / drv[strapdown.PERIOD_S]) + 1
-            known = min(recent.shape[0], max(2, known))
-            rows = np.empty((known + 1, 7))
-            addresses.at_motion(motion, (recent[:known], nav, drv, errors, rows, gravity))
             over_s = measurement.earlier(nav, rows, gravity[0], late_s, WINDOW_S, long_s, then, turn, slope, B)
             seen, turning = then, turn[:3]
         addresses.at_equation(equation, (z, seen, turning, kind, constants, inner, res))
@@ -287,12 +327,17 @@ def sight(sources):
             if gravity[0] != 0.0:
                 _by_drive(nav, then, B, late_s, outputs, inner, 9 + k, H)
         if arm:
+            told, base, seconds = turn[:3].copy(), np.empty(a), WINDOW_S
+            if not clock:
+                seconds = lately(rows, told)
+            stands_out(told, seconds, drv, Cr)
+            addresses.at_equation(equation, (z, seen, told, kind, constants, inner, base))
             for j in range(3):
                 for i in range(len(cfg)):
                     moved[i] = constants[i] + STEP * facts[BY_ARM + 3 * i + j]
-                addresses.at_equation(equation, (z, seen, turning, kind, moved, inner, ends))
+                addresses.at_equation(equation, (z, seen, told, kind, moved, inner, ends))
                 for i in range(a):
-                    near[i, 9 + own + j] = (res[i] - ends[i]) / STEP
+                    near[i, 9 + own + j] = (base[i] - ends[i]) / STEP
         if clock and facts[TURNS] != 0.0:
             for i in range(3):
                 turn[i] += STEP * turn[3 + i]
@@ -300,6 +345,6 @@ def sight(sources):
             for i in range(a):
                 near[i, 9 + last] -= (res[i] - ends[i]) / STEP
         if clock:
-            discount(inner, slope, then, drv, Cr, over_s, gravity[0] != 0.0, variance, near, R)
+            discount(inner, slope, then, drv, Cr, over_s, gravity[0], variance, tilt, near, R)
 
     return sight

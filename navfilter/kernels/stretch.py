@@ -7,13 +7,13 @@ checksum of those files: what a function encloses is part of numba's key.
 
 import math
 
-from navfilter.kernels import addresses, checksum, drive_watch, kalman, listen, past, strapdown
+from navfilter.kernels import addresses, checksum, drive_watch, kalman, listen, measurement, past, strapdown
 from navfilter.kernels.decorators import apart, njit
 
 #: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
 UNCOUNTED: dict = {"_nrt": False}
 
-SOURCES = checksum(addresses, drive_watch, kalman, listen, past, strapdown)
+SOURCES = checksum(addresses, drive_watch, kalman, listen, measurement, past, strapdown)
 
 
 def _keyed(make):
@@ -30,13 +30,14 @@ UNSURE_HEADING = 0.01
 # of `past.sight` where its place or clock is a state, of the drive's motion for that, and of what its equation bends by
 # (0: none); whether it moves, turns, and reads the drive's own rates; then where in `bench` its parts stand: working
 # memory, constants and how many, rate, model, C, white, lever, R, limits, facts; in the working memory the verdict, and
-# how long the record for the smoother is; whether a reading of which components are left out is Python's to judge. One
+# how long the record for the smoother is; whether a reading of which components are left out is Python's to judge; from
+# which of its parameters to which the slopes are held. One
 # more row is for the drive: dimensions of a fold, addresses of its steps, its hold and `correction` in the first three,
 # in MEM its work space, in RECORD the longest record of all.
 EQUATION, SIGHT, MOTION, BEND, MOVES, TURNS, READS_RATE = range(7, 14)
 STEPS, HOLD, CORRECTION = EQUATION, SIGHT, MOTION
 MEM, CONSTANTS, CONSTANTS_SIZE, RATE, MODEL, OUTPUT, WHITE, LEVER_NOISE, NOISE, LIMITS, FACTS = range(14, 25)
-VERDICT, RECORD, PARTLY, PLAN = range(25, 29)
+VERDICT, RECORD, PARTLY, HELD, HELD_TO, PLAN = range(25, 31)
 
 # Elements of `now`: time of the state and of the last sample, stamp of the last sample, time of the last row written.
 TIME_S, SAMPLE_S, BEFORE_S, ROW_S = range(4)
@@ -132,15 +133,22 @@ def correction(sources):
         first, res = start - 9 + errors, mem[places[3] : places[3] + a]
         R = bench[spot[NOISE] : spot[NOISE] + a * a].reshape((a, a))
         _white(bench, spot, P, nav, variance, R)
-        par = x[first : first + parameters]
+        par, slopes = x[first : first + parameters], spot[HELD_TO] - spot[HELD]
+        held = spare[6 * (m - 8) + z.size :][: a * slopes].reshape((a, slopes))
+        for i in range(a):
+            for j in range(slopes):
+                held[i, j] = near[i, 9 + spot[HELD] + j]
         if spot[SIGHT]:
             facts = bench[spot[FACTS] : spot[FACTS] + past.BY_ARM + 3 * spot[CONSTANTS_SIZE]]
             sensor = spot[EQUATION], spot[MOTION], facts
             here = z, nav, rate, par, constants, recent, drv, Cr, xd, since_s
             clock = start + errors + parameters - 1
-            addresses.at_sight(spot[SIGHT], sensor + here + (P[clock, clock], H, near, res, R))
+            tilt = max(P[6, 6], P[7, 7])
+            addresses.at_sight(spot[SIGHT], sensor + here + (P[clock, clock], tilt, H, near, res, R))
         else:
             addresses.at_equation(spot[EQUATION], (z, nav, rate, par, constants, near, res))
+        if slopes:
+            measurement.hold_slopes(P, near, held, spot[HELD])
         if spot[BEND]:
             addresses.at_bend(spot[BEND], (z, near, P, start + errors, constants, R))
         C = bench[spot[OUTPUT] : spot[OUTPUT] + a * errors].reshape((a, errors))
@@ -151,8 +159,8 @@ def correction(sources):
                 error += C[i, j] * x[start - 9 + j]
             beyond |= error * error > bench[spot[LIMITS] + a + 1 + i]
             calm &= error * error <= bench[spot[LIMITS] + a + 1 + i] / BELIEVED
-        held, used = places[9] - 1, mem[places[8] + 2]
-        mem[held] = count if calm and used else mem[held] + count
+        let_go, used = places[9] - 1, mem[places[8] + 2]
+        mem[let_go] = count if calm and used else mem[let_go] + count
         if beyond:
             limits = spare[: a + 1]
             for i in range(a + 1):

@@ -227,6 +227,10 @@ class Sensor:
         """All states beside the error model, in their order."""
         return with_calibrated(self.parameters(), self.calibrated) + self.place_and_clock()
 
+    def held(self) -> tuple[int, int]:
+        """From which of its parameters to which the slopes are velocities, see `measurement.hold_slopes`."""
+        return 0, 0
+
     def wandering(self) -> dict[str, ErrorModel]:
         """Those of the parameters that are not constant: how they wander, by name (a model of one state)."""
         return {}

@@ -101,6 +101,11 @@ class BodyVelocity(Sensor):
         """Scale (or one an axis) and three misalignments, or none."""
         return self.calibration()
 
+    def held(self) -> tuple[int, int]:
+        """Scale and misalignment."""
+        last = len(self.parameters())
+        return last - len(self.calibration()), last
+
     def calibration(self) -> tuple[Parameter, ...]:
         """Those of the instrument itself, where they are uncertain."""
         scales, angles = self._scales_and_angles()
