@@ -8,6 +8,7 @@ NAVFILTER_DATA).
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -19,6 +20,8 @@ from clock_states import CALIBRATED_S, SNAPIR, cases
 from dead_reckoning import EARTH_RADIUS_M, plain_end_error, plain_path, plane, velocity_of
 from harness import MAPPINGS, Array, Options, Table, data_root, fixes_of, flag, main, quick, recorded
 
+from navfilter.calibration.parts import constants_of, described
+from navfilter.calibration.passes import smoothed
 from navfilter.mission import Mission, Stream
 from navfilter.playback import replay
 from navfilter.track import Track
@@ -36,6 +39,7 @@ class Row:
     end_pct: float | None = None
     rms_m: float | None = None
     smoothed_rms_m: float | None = None
+    smoothed_nees: float | None = None
     plain_end_m: float | None = None
     beyond_3_sigma_pct: float | None = None
     nis: dict[str, float | None] = field(default_factory=dict)
@@ -57,6 +61,11 @@ def beyond_3_sigma(error: Array, P: Array) -> float:
     return float(100.0 * np.mean(squared > 11.83))
 
 
+def nees_of(error: Array, P: Array) -> float:
+    """Mean normalised error squared of errors (n, 2), per axis."""
+    return float(np.mean(np.einsum("ni,nij,nj->n", error, np.linalg.inv(P), error)) / 2.0) if len(error) else math.nan
+
+
 def rms(error: Array) -> float:
     """Root mean square length of errors (n, 2)."""
     return float(np.sqrt(np.mean(np.sum(error**2, axis=1)))) if len(error) else float("nan")
@@ -71,17 +80,26 @@ def way_of(truth: Stream) -> Array:
 
 
 def without(mission: Mission, vehicle: Vehicle, reference: Stream, *gaps: tuple[float, float]) -> tuple[Track, Any]:
-    """Replay without the fixes inside gaps: the forward track; its errors there, their covariances, the smoother's."""
-    smoothed = replay(vehicle, mission.hide(fixes_of(vehicle), *gaps), smooth=True)
-    ends = [(begin, min(end, smoothed.forward.time_s[-1])) for begin, end in gaps]
-    forward = [errors_at(smoothed.forward, reference, *gap) for gap in ends]
-    back = [errors_at(smoothed, reference, *gap)[0] for gap in ends]
-    return smoothed.forward, (np.vstack([e for e, _ in forward]), np.vstack([P for _, P in forward]), np.vstack(back))
+    """Replay without the fixes inside gaps: the forward track; errors there, their covariances, both smoothed."""
+    track = replay(vehicle, mission.hide(fixes_of(vehicle), *gaps), smooth=True)
+    return track.forward, (*errors_in(track.forward, reference, gaps), *errors_in(track, reference, gaps))
 
 
-def judged(error: Array, P: Array, smoothed: Array) -> dict[str, float]:
+def errors_in(track: Track, fixes: Stream, gaps: Sequence[tuple[float, float]]) -> tuple[Array, Array]:
+    """As `errors_at`, in all gaps as far as the track goes."""
+    found = [errors_at(track, fixes, begin, min(end, track.time_s[-1])) for begin, end in gaps]
+    error, P = (np.concatenate(part) for part in zip(*found, strict=True))
+    return error, P
+
+
+def judged(error: Array, P: Array, back: Array, back_P: Array) -> dict[str, float]:
     """What errors are worth."""
-    return {"rms_m": rms(error), "smoothed_rms_m": rms(smoothed), "beyond_3_sigma_pct": beyond_3_sigma(error, P)}
+    return {
+        "rms_m": rms(error),
+        "smoothed_rms_m": rms(back),
+        "smoothed_nees": nees_of(back, back_P),
+        "beyond_3_sigma_pct": beyond_3_sigma(error, P),
+    }
 
 
 def hidden(mission: Mission, vehicle: Vehicle, until_s: float, protocol: str) -> Row:
@@ -96,14 +114,37 @@ def hidden(mission: Mission, vehicle: Vehicle, until_s: float, protocol: str) ->
     return Row(mission.name, protocol, distance, **ends, **judged(*errors), nis=forward.summary(truth)["nis"])
 
 
-def now_and_then(mission: Mission, vehicle: Vehicle, on_s: float = 5.0, every_s: float = 60.0) -> Row:
-    """Positions for a few seconds in every minute, judged in between."""
-    truth, distance = mission.truth, float(way_of(mission.truth)[-1])
-    starts = np.arange(mission.begin_s, mission.end_s, every_s)
-    gaps = [(float(begin + on_s), float(begin + every_s)) for begin in starts]
-    forward, errors = without(mission, vehicle, truth, *gaps)
-    protocol, nis = f"{on_s:.0f} s of {every_s:.0f}", forward.summary(truth)["nis"]
-    return Row(mission.name, protocol, distance, **judged(*errors), nis=nis)
+def now_and_then(trial: str, on_s: float = 5.0, every_s: float = 60.0) -> list[Row]:
+    """RTK for a few seconds in every minute, judged in between: a trial of the car as mapped, by two passes, and by two
+    passes with the constants that all of the RTK tells.
+    """
+    rows, protocol = [], f"{on_s:.0f} s of {every_s:.0f}"
+    mission, vehicle = car.finer(trial)
+    cases = {
+        protocol: (*recorded(f"wid-car-rtk/{trial}"), 1),
+        f"{protocol}, 2 passes": (mission, vehicle, 2),
+        f"{protocol}, hindsight": (mission, with_hindsight(mission, vehicle), 2),
+    }
+    for label, (mission, vehicle, passes) in cases.items():
+        truth, distance = mission.truth, float(way_of(mission.truth)[-1])
+        starts = np.arange(mission.begin_s, mission.end_s, every_s)
+        gaps = [(float(begin + on_s), float(begin + every_s)) for begin in starts]
+        forward, errors = without(mission, vehicle, truth, *gaps)
+        if passes > 1:
+            twice = smoothed(vehicle, mission.hide(fixes_of(vehicle), *gaps), passes)
+            errors = (*errors[:2], *errors_in(twice, truth, gaps))
+        rows.append(Row(mission.name, label, distance, **judged(*errors), nis=forward.summary(truth)["nis"]))
+    return rows
+
+
+def with_hindsight(mission: Mission, vehicle: Vehicle) -> Vehicle:
+    """A vehicle with the constants that all fixes of a mission tell."""
+    track, known = replay(vehicle, mission, smooth=True), []
+    for one in constants_of(vehicle):
+        value, sd = (float(of[-1]) for of in track.state(one.name))
+        begins_at_zero = one.folded and not one.own.startswith("misalignment_")
+        known.append(one._replace(value=value + (one.value if begins_at_zero else 0.0), sd=sd))
+    return described(vehicle, known)
 
 
 def minute_by_minute(mission: Mission, vehicle: Vehicle, minute_s: float = 60.0) -> Row:
@@ -141,7 +182,7 @@ def rows_of(name: str) -> list[Row]:
     """All rows of one recording, named as its folder."""
     mission, vehicle = recorded(name)
     if name.startswith("wid-car-rtk"):
-        return [hidden(mission, vehicle, known_until(mission), "first 25 m"), now_and_then(mission, vehicle)]
+        return [hidden(mission, vehicle, known_until(mission), "first 25 m"), *now_and_then(name.split("/")[1])]
     if name.startswith("sonia"):
         return [closure(mission, vehicle)]
     if name.endswith("20220625_0_0"):
@@ -153,13 +194,16 @@ def rows_of(name: str) -> list[Row]:
 
 # --- commands -------------------------------------------------------------------------------------------------------
 
-ENDS = "end_m>7.2f end_pct>7.3f rms_m>7.2f smoothed_rms_m>7.2f plain_end_m>7.2f beyond_3_sigma_pct>6.1f"
+ENDS = (
+    "end_m>7.2f end_pct>7.3f rms_m>7.2f smoothed_rms_m>7.2f smoothed_nees>5.2f plain_end_m>7.2f beyond_3_sigma_pct>6.1f"
+)
 
 
 def withheld(options: Options) -> list[dict[str, Any]]:
     """Every recording under the protocol of its kind, against plain dead reckoning on the same readings.
 
-    - car with RTK: RTK for the first 25 m, then none; and 5 s of RTK in every 60 s, judged in between
+    - car with RTK: RTK for the first 25 m, then none; and 5 s of RTK in every 60 s, judged in between, as mapped and
+      smoothed in two passes with a finer description (`car_clocks.finer`), and so with all constants known
     - AUV with truth: position for the first 100 s, then none
     - lake AUV: GPS withheld one minute at a time, judged against these fixes (others: position for the first 30 s)
     - pool AUV: no position at all: distance between the ends of a closed track
@@ -171,7 +215,7 @@ def withheld(options: Options) -> list[dict[str, Any]]:
     names = [name for name in names if options.only in name and not name.endswith("OUTOFWATER")]
     if options.quick:
         names = list({name.split("/")[0]: name for name in reversed(names)}.values())[::-1]
-    table, groups = Table(f"recording<30 protocol<13 distance_m>6.0f {ENDS} nis<4"), {}
+    table, groups = Table(f"recording<30 protocol<20 distance_m>6.0f {ENDS} nis<4"), {}
     for name in names:
         for row in rows_of(name):
             nis = " ".join(f"{sensor} {value:.2f}" for sensor, value in row.nis.items() if value is not None)
@@ -193,6 +237,8 @@ def car_clocks(options: Options) -> dict[str, Any]:
     data_root()
     x, y = car.lever_arm()
     print(f"the point that does not slip is {x:.2f} m behind and {-y:.2f} m right of the box")
+    for trial in car.TRIALS[: 1 if options.quick else None]:
+        print(f"{trial}: the first wheel steers {car.steered(trial):.2f} m before the second")
     table, found = Table(f"mapping<26 recording<16 {ENDS}"), {}
     for trial in car.TRIALS[: 1 if options.quick else None]:
         clocks, sd = car.clocks(trial)
@@ -219,7 +265,7 @@ def clocks(options: Options) -> list[dict[str, Any]]:
         until = known_until(mission) if kind == "car" else float(mission.streams["usbl"].time_s[0] + 100.0)
         track, errors = without(mission, vehicle, mission.truth, (until + 1e-6, math.inf))
         row = hidden(mission, vehicle, until, label)
-        nees = float(np.mean(np.einsum("ni,nij,nj->n", errors[0], np.linalg.inv(errors[1]), errors[0])) / 2.0)
+        nees = nees_of(*errors[:2])
         sensor = vehicle.sensors["odometer"] if kind == "car" else vehicle.drive.velocity_sensor
         found, sd = sensor.time_offset_s, 0.0
         if state in track.state_names:

@@ -165,6 +165,14 @@ def add_replay_arguments(parser: argparse.ArgumentParser) -> None:
         "--smooth", action="store_true", help="smooth too (Rauch-Tung-Striebel); the files then hold the smoothed track"
     )
     parser.add_argument(
+        "--passes",
+        type=seed,
+        default=1,
+        metavar="N",
+        help="smooth N times, each but the first around the heading that the last one found; 2 where the heading is "
+        "hardly known at the start",
+    )
+    parser.add_argument(
         "--iterate",
         type=seed,
         default=0,
@@ -203,6 +211,8 @@ def replay(options: argparse.Namespace) -> int:
     """Run ``navfilter replay``."""
     from navfilter.io import read_vehicle
 
+    if options.passes != 1 and not options.smooth:
+        raise ValueError("--passes is of the smoother: give --smooth too.")
     if len(options.mission) == 1:
         options.mission = options.mission[0]
         return replay_one(options)
@@ -222,7 +232,9 @@ def replay_one(options: argparse.Namespace) -> int:
     folder = output_folder(options.out, options.force)
     if options.iterate:
         vehicle = _identify(vehicle, mission, options.iterate, options.quiet)
-    track = _replayed(vehicle, mission, options.quiet, smooth=options.smooth, output_rate_hz=options.output_rate)
+    how = {"output_rate_hz": options.output_rate}
+    how |= {"passes": options.passes} if options.passes != 1 else {"smooth": options.smooth}
+    track = _replayed(vehicle, mission, options.quiet, **how)
     return _write(track, mission, folder, options, withheld, options.vehicle, options.report)
 
 
@@ -242,12 +254,14 @@ def _identify(vehicle: Any, mission: Mission, rounds: int, quiet: bool) -> Any:
 
 
 def _replayed(vehicle: Any, mission: Mission, quiet: bool, **how: Any) -> Track:
+    from navfilter.calibration.passes import smoothed
     from navfilter.playback import replay as replay_mission
 
     compile_first(quiet, vehicle)
     when = f" from {mission.begin_utc}" if mission.begin_utc else ""
     speaker(quiet)(f"replaying {mission.name} ({mission.duration_s / 60:.1f} min{when}) ...")
-    return replay_mission(vehicle, mission, progress=not quiet and sys.stderr.isatty(), **how)
+    run = smoothed if "passes" in how else replay_mission
+    return run(vehicle, mission, progress=not quiet and sys.stderr.isatty(), **how)
 
 
 def _write(
