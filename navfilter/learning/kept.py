@@ -41,6 +41,9 @@ class Rows:
 
     def append(self, rows: Array) -> None:
         """Add some."""
+        if len(rows) == 1:
+            self.put(rows[0])
+            return
         taken = 0
         while taken < len(rows):
             piece, at = self._room()
@@ -49,7 +52,7 @@ class Rows:
             taken += len(some)
             self.count += len(some)
 
-    def put(self, *row: float) -> None:
+    def put(self, row: Array | tuple[float, ...] | float) -> None:
         """Add one."""
         piece, at = self._room()
         piece[at] = row
@@ -110,9 +113,10 @@ class Kept:
             return
         if item.sd is not None:
             self.sds[self.readings.count] = item.sd
-        self.values.append(item.value.reshape(-1, 1))
+        for value in item.value.flat:
+            self.values.put(value)
         numbers = self.samples.count, self.values.count
-        self.readings.put(item.time_s, self.names.index(item.name), item.frozen, item.same, *numbers)
+        self.readings.put((item.time_s, self.names.index(item.name), item.frozen, item.same, *numbers))
 
     def extend(self, samples: Array, before: NDArray[np.int64], readings: list[Reading]) -> None:
         """Add samples, and readings between them; before (n,): behind how many of these samples each."""
