@@ -146,7 +146,10 @@ class Navigator:
     def step_samples(self, samples: Array) -> None:
         """As `step`, for rows of time and the six values; the array is used as work space."""
         for item in self.clock.take(samples):
-            self._go_on(item)
+            if self.waiting.readings or isinstance(item, Arrived):
+                self._go_on(item)
+            else:
+                self._carry(item)
 
     def _go_on(self, item: Array | Arrived) -> Outcome | None:
         if isinstance(item, Arrived):

@@ -134,7 +134,7 @@ class DriveWatch:
 
     def news(self, w: Array) -> bool:
         """Whether something is to be heeded."""
-        return self.active and w[kernel.UNIT, kernel.NEWS] != 0.0
+        return self.active and w.item(kernel.UNIT, kernel.NEWS) != 0.0
 
     def heed(self, filter: Filter, fold: object) -> None:
         """Look at what the kernel has found, at the sample where it found it.
