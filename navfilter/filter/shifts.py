@@ -131,8 +131,11 @@ def _undisputed(filter: Filter, time_s: float) -> bool:
 
 def _compass(filter: Filter) -> Channel | None:
     """One that has been heard just now."""
-    heard = [c for c in filter.channels.values() if filter.memory.time_s - c.memory.last_s < HEARD_S]
-    return next((c for c in heard if c.sensor.north is not None), None)
+    now_s = filter.memory.time_s
+    for channel in filter.channels.values():
+        if channel.sensor.north is not None and now_s - channel.memory.last_s < HEARD_S:
+            return channel
+    return None
 
 
 def _apart(filter: Filter, compass: Channel) -> tuple[float, float]:
@@ -193,9 +196,13 @@ def ramp_beyond_deviation(
 
 def _nis(filter: Filter, time_s: float) -> float:
     """Of the last readings of all sensors that have been heard since the last look, per component; 1 where none was."""
-    heard = [c.verdict.tolist() for c in filter.channels.values() if c.memory.last_s > time_s - EVERY_S]
-    told = [(nis, dof) for nis, dof, _ in heard if math.isfinite(nis) and dof]
-    return sum(nis for nis, _ in told) / sum(dof for _, dof in told) if told else 1.0
+    total, components = 0.0, 0.0
+    for channel in filter.channels.values():
+        if channel.memory.last_s > time_s - EVERY_S:
+            nis, dof, _ = channel.verdict.tolist()
+            if dof and math.isfinite(nis):
+                total, components = total + nis, components + dof
+    return total / components if components else 1.0
 
 
 def shifted(looks: Array, now: Array, walk: Array, begin: Array) -> list[tuple[int, int, float]]:
