@@ -54,8 +54,10 @@ class Rows:
 
     def put(self, row: Array | tuple[float, ...] | float) -> None:
         """Add one."""
-        piece, at = self._room()
-        piece[at] = row
+        at = self.count % PIECE
+        if not at:
+            self._room()
+        self.pieces[-1][at] = row
         self.count += 1
 
     def _room(self) -> tuple[Array, int]:
@@ -113,10 +115,10 @@ class Kept:
             return
         if item.sd is not None:
             self.sds[self.readings.count] = item.sd
-        for value in item.value.flat:
-            self.values.put(value)
-        numbers = self.samples.count, self.values.count
-        self.readings.put((item.time_s, self.names.index(item.name), item.frozen, item.same, *numbers))
+        name, time_s, value, _, frozen, same = item
+        for number in value.ravel().tolist():
+            self.values.put(number)
+        self.readings.put((time_s, self.names.index(name), frozen, same, self.samples.count, self.values.count))
 
     def extend(self, samples: Array, before: NDArray[np.int64], readings: list[Reading]) -> None:
         """Add samples, and readings between them; before (n,): behind how many of these samples each."""

@@ -329,7 +329,8 @@ class LearningSchedule:
     @property
     def _age_s(self) -> float:
         """Of the present early hop [s]."""
-        return (*self.EARLY_S, self.REVISED_S)[self._stage]
+        stage = self._stage
+        return self.EARLY_S[stage] if stage < len(self.EARLY_S) else self.REVISED_S
 
     @property
     def _hop_s(self) -> float:
