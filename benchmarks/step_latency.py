@@ -94,7 +94,9 @@ def readings(vehicle: nf.Vehicle, mission: nf.Mission) -> list[Event]:
         rows = zip(stream.time_s.tolist(), stream.value.tolist(), strict=True)
         events += [(name, t, tuple(v), None) for t, v in rows]
     # the sort keeps the order of what is alike
-    return sorted(events, key=lambda e: round(e[1], 9))
+    events = sorted(events, key=lambda e: round(e[1], 9))
+    gc.collect()  # no vehicle has a list of all that is to come: each collection would go through it while it is young
+    return events
 
 
 def timed(nav: nf.Navigator, events: list[Event], clock: Callable[[], int]) -> dict[str, Array]:

@@ -27,6 +27,7 @@ from navfilter.learning.listener import ChannelSeries
 from navfilter.learning.schedule import LearningSchedule
 from navfilter.learning.worker import Worker
 from navfilter.navigator_memory import MEMORY, NavigatorMemory, check_watches
+from navfilter.prompt import Prompt
 from navfilter.start import Start
 from navfilter.state import NavState, Pose
 from navfilter.vehicle import Vehicle
@@ -108,7 +109,9 @@ class Navigator:
         # a recording is in the order of its stamps: there is nothing to be seen of how it arrived
         self.clock = DriveClock(vehicle.drive.period_s, tape is None, self.filter.ahead_s)
         self.waiting, self._row = Waiting(), np.empty((1, 7))
-        self._behind = {name: names[i + 1 :] for i, name in enumerate(names)}
+        self.behind = {name: names[i + 1 :] for i, name in enumerate(names)}
+        prompt = [] if self.history is None or self.filter.jumps.active else names
+        self._prompts = {name: Prompt(self, name) for name in prompt if not vehicle.sensors[name].lead_s}
 
     # ---------------------------------------------------------------- what comes in
     def step(self, time_s: ArrayLike, first: ArrayLike, second: ArrayLike) -> None:
@@ -143,7 +146,10 @@ class Navigator:
     def step_samples(self, samples: Array) -> None:
         """As `step`, for rows of time and the six values; the array is used as work space."""
         for item in self.clock.take(samples):
-            self._go_on(item)
+            if self.waiting.readings or isinstance(item, Arrived):
+                self._go_on(item)
+            else:
+                self._carry(item)
 
     def _go_on(self, item: Array | Arrived) -> Outcome | None:
         if isinstance(item, Arrived):
@@ -184,9 +190,10 @@ class Navigator:
         Outcome
             Never an exception: whatever arrives has a defined outcome.
         """
-        watch = self.watches.get(name) if isinstance(name, str) else None
-        if watch is None:
+        if not (isinstance(name, str) and name in self.watches):
             return Outcome("unknown-sensor")
+        if sd is None and name in self._prompts and (outcome := self._prompts[name].take(time_s, value)) is not None:
+            return outcome
         try:
             z, time_s = np.array(value, dtype=np.float64).reshape(-1), float(time_s)
         except (TypeError, ValueError):
@@ -236,25 +243,19 @@ class Navigator:
 
     def placed(self, reading: Reading) -> Outcome:
         """Take a reading where its time says."""
-        history, filter, channels = self.history, self.filter, self.filter.channels
-        # of readings with the same time, those of the sensors named first come first, as in a replay
-        behind = () if history is None else self._behind[reading.name]
-        overtaken = reading.time_s in [channels[name].memory.last_s for name in behind]
+        history, filter, outcome = self.history, self.filter, None
         if history is None:
-            outcome = self.feed(reading)
-        elif not (reading.time_s < filter.memory.time_s - 1e-7 or overtaken):
+            return self.feed(reading) or Outcome("too-late")
+        # of readings with the same time, those of the sensors named first come first, as in a replay
+        behind = [filter.channels[name].memory.last_s for name in self.behind[reading.name]]
+        if not (reading.time_s < filter.memory.time_s - 1e-7 or reading.time_s in behind):
             outcome = history.feed(reading)
-        elif filter.intake.in_doubt:
-            return Outcome("too-late")
-        else:
+        elif not filter.intake.in_doubt:
             with self._beginning.going_back():
                 outcome = history.late(reading)
-            if outcome is None:
-                return Outcome("too-late")
-            if outcome.status == "used":
+            if outcome is not None and outcome.status == "used":
                 outcome = outcome._replace(status="late-replayed")
-        assert outcome is not None
-        return outcome
+        return outcome or Outcome("too-late")
 
     def feed(self, item: Array | Reading) -> Outcome | None:
         """Give samples or a reading, in order, to filter and learning; users call `step` and `correct`."""

@@ -100,6 +100,7 @@ def _warm_filter(vehicle: Vehicle | None, learning: bool) -> None:
     tiny, mission = next(tiny_missions()) if vehicle is None else tiny_mission(vehicle)
     replay(tiny, mission, smooth=True)
     _ = Navigator(tiny, mission.start).health  # asks the drive for its errors by itself
+    _compile_prompt()
     replay(
         tiny.without(*(name for name, sensor in tiny.sensors.items() if not sensor.from_drive)), mission
     )  # a silence
@@ -124,6 +125,17 @@ def _compile_stretch() -> None:
     if not settings.DISABLE_JIT:
         stretch.stretch.compile(addresses.STRETCH)
         kalman.smooth_run.compile(addresses.SMOOTH_RUN)
+
+
+def _compile_prompt() -> None:
+    """What takes a single reading live."""
+    from numba import config
+
+    from navfilter.kernels import addresses, stretch
+
+    settings: Any = config
+    if not settings.DISABLE_JIT:
+        stretch.prompt.compile(addresses.PROMPT)
 
 
 def _warm_learner() -> None:

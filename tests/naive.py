@@ -984,6 +984,7 @@ def listen(undone, mem, dims, places, nav, C, x, kind, mount, ring, cursor, tick
     at, capacity = places, ring.shape[1]
     K, res, near = mem[at[1] : at[2]].reshape(n, a), mem[at[3] : at[4]], mem[at[7] : at[8]].reshape(a, 9 + par)
     used, C_nb, own = mem[at[8] + 2] != 0, nav[6:15].reshape(3, 3), slice(start, start + errors)
+    carry(undone, mem[: m * m].reshape(m, m))
     d = K @ res * used
     if kind:
         before = x[start - 9 : start - 9 + errors] - d[own]
@@ -1554,6 +1555,24 @@ def heeded(w, nav, P, period_s):
     return True
 
 
+def prompt(
+    bench, own, spot, nav, x, P, acc, drv, Phid, Qd, Cr, recent, z, early_s, count, undone, where, ear, ring, cursor
+):
+    a, m, errors = own[0], acc.shape[1], own[5]
+    holds = early_s > 1e-7 and drv[13] != 0
+    if holds:
+        at(spot[8])(nav, x[: m - 9], drv, early_s, Phid, Qd, Cr, acc)
+    correction(bench, own, P, nav, x, acc, drv, Cr, recent, z, np.zeros(0), count, 0.0 if holds else -early_s)
+    mem = bench[own[14] : own[15]]
+    _, dof, used, *residual = mem[own[25] :][: 3 + a]
+    if not used or (own[27] and dof < np.isfinite(residual).sum()):
+        return False
+    if undone.size:
+        C, (kind, gravity, *mount) = bench[own[19] :][: a * errors].reshape(a, errors), ear.tolist()
+        listen(undone, mem, own[:7], where, nav, C, x, kind, np.array(mount), ring, cursor, count, Cr, gravity)
+    return True
+
+
 def stretch(
     now, cursor, settings, bench, plan, heard, watched, state, drive, samples, stamps, limits, hearing, given, out
 ):
@@ -1663,7 +1682,6 @@ def stretch(
                 return 7
             continue
         a, mem, once = spot[0], bench[spot[14] : spot[15]], np.zeros(1, int)
-        carry(undone, mem[: m * m].reshape(m, m))
         C, value = bench[spot[19] :][: a * spot[5]].reshape(a, spot[5]), np.zeros((a + 1, 1))
         listen(undone, mem, spot[:7], where[i], nav, C, x, ears[i, 0], ears[i, 8:17], value, once, 1, Cr, float(g))
         opened[e, 0], cursor[8] = count, once[0]

@@ -1,5 +1,6 @@
 """A mission in stretches is, bit for bit, the mission reading by reading; and the kernels of it against their twins."""
 
+import math
 from dataclasses import replace
 
 import naive
@@ -238,6 +239,41 @@ def test_stretch_is_its_twin(learning, monkeypatch):
 def test_stretch_with_a_row_per_sample_is_its_twin(monkeypatch):
     vehicle, mission = survey(5.0)
     compare_stretches(monkeypatch, vehicle, mission, smooth=False, output_rate_hz=None)
+
+
+def test_prompt_is_its_twin(monkeypatch):
+    """Live, with a compass that is listened to, wheels that slip, and outliers; some readings between two samples."""
+    ours, outcomes, held = kernels.prompt, [], []
+
+    def both(*args):
+        copies = [a.copy() if isinstance(a, np.ndarray) else a for a in args]
+        used, twins = ours(*args), naive.prompt(*copies)
+        assert used == twins
+        m = args[6].shape[1]
+        assert_close([args[i] for i in (3, 4, 5)], [copies[i] for i in (3, 4, 5)], 1e-8)
+        assert_close([args[15][: m + 9]], [copies[15][: m + 9]], 1e-8)  # the rest is work space
+        np.testing.assert_array_equal(args[19], copies[19])
+        at = (args[19][0] - 1) % args[18].shape[1]
+        assert_close([args[18][:, at]], [copies[18][:, at]], 1e-8)
+        outcomes.append((named(args[1][kernels.EQUATION]).__name__, used))
+        held.append(args[13] > 1e-7)
+        return used
+
+    vehicle, mission = survey(20.0)
+    vehicle = vehicle.with_error(compass=nf.LearnedArma(orders=[(0, 0)]))
+    wheels = {"wheels": nf.Odometer(rate_hz=4.0)}
+    nav = nf.Navigator(replace(vehicle, sensors=vehicle.sensors | wheels), mission.start)
+    monkeypatch.setattr(kernels, "prompt", both)
+    for event in events_of(vehicle, mission):
+        if event.sensor == "drive":
+            nav.step(event.time_s, event.value[:3], event.value[3:])
+            continue
+        far = 3.0 * (event.sensor == "dvl" and int(event.time_s) % 5 == 4)
+        nav.correct(event.sensor, event.time_s, np.asarray(event.value) + far)
+        if event.sensor == "compass" and event.time_s % 0.25 > 0.1:  # nothing else comes then
+            nav.correct("wheels", event.time_s + 0.003, math.hypot(*nav.pose.velocity_n))
+    assert {("heading", True), ("body_velocity", True), ("body_velocity", False), ("depth", True)} <= set(outcomes)
+    assert any(held) and not all(held)
 
 
 def test_correction_is_its_twin_for_every_kind(monkeypatch):

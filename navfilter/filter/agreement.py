@@ -140,7 +140,7 @@ def limits(channel: Channel, z: Array, time_s: float) -> Array:
     astray, and after a dive; shut to one that is stale, or of a sensor that has been set aside or says nothing; whole
     where single components have been left out for long.
     """
-    dived = channel.dive_s < time_s - channel.memory.used_s < math.inf
+    dived = channel.has_dived(time_s)
     if not (channel.stale or channel.doubted or dived):
         return channel.limits
     refused, closer = channel.memory.refused, channel.limits.copy()

@@ -26,7 +26,7 @@ SHUT = np.r_[np.inf, np.full(64, -1.0)]
 
 def shared(
     channels: Sequence[Channel], drive: Mechanisation, folds: NDArray[np.int64]
-) -> tuple[Array, NDArray[np.int64]]:
+) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
     """Let all channels work in one array.
 
     Parameters
@@ -42,6 +42,8 @@ def shared(
     bench : ndarray
     plan : ndarray of int, shape (channels + 1, PLAN)
         What stands where, see `navfilter.kernels.stretch`.
+    last : ndarray of int, shape (PLAN,)
+        Its last row.
     """
     n, m = folds[1], folds[2]
     own = [channel.bench for channel in channels]
@@ -62,7 +64,7 @@ def shared(
     else:
         for row in rows:
             row[stretch.EQUATION] = 0
-    return bench, np.array([*rows, last])
+    return bench, np.array([*rows, last]), last
 
 
 def asked(

@@ -330,8 +330,13 @@ class Channel:
     def doubted(self) -> bool:
         """Whether its next reading is Python's to judge."""
         memory = self._memory
-        told = memory.refused is not None or memory.astray or bool(memory.alone) or memory.partly_since_s > -math.inf
-        return told or self.offset or (memory.scatter is not None and memory.scatter.watched)
+        if memory.refused is not None or memory.alone or memory.partly_since_s > -math.inf or memory.astray:
+            return True
+        return self.offset or (memory.scatter is not None and memory.scatter.watched)
+
+    def has_dived(self, time_s: float) -> bool:
+        """Whether no fix has been used for so long that the vehicle has dived."""
+        return self.dive_s < time_s - self._memory.used_s < math.inf
 
     def use(self, time_s: float) -> None:
         """Note that its last reading, of this time, has been used, whole or in part."""

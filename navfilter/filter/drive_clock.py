@@ -119,6 +119,7 @@ class DriveClock:
         self._period_s, self._leap_s = period_s, max(self.LEAP_S, self.LEAP_PERIODS * period_s)
         self._live, self._ahead_s = live, ahead_s
         self._late_s = max(self.LATE_S, self.LATE_PERIODS * period_s)
+        self._prompt_s = min(self._late_s, ahead_s) if live else -math.inf
         self._bursts = Bursts(period_s, self._leap_s)
         self.memory = DriveClockMemory(bursts=self._bursts.memory)
 
@@ -213,6 +214,16 @@ class DriveClock:
         memory.alone += memory.last_s < stamp < memory.last_s + abs(half)
         memory.together += stamp >= memory.last_s + half if half > 0.0 else stamp < memory.last_s + half
         return list(self._met(self._told()))
+
+    def passes(self, stamp_s: float) -> bool:
+        """Whether a reading with this stamp goes on at once, and neither clock nor order are in doubt: then that is
+        noted. Else `hear` says what follows.
+        """
+        memory = self.memory
+        if len(memory.held) or not -self.WILD_S < stamp_s - memory.last_s <= self._prompt_s:
+            return False
+        memory.heard_s = memory.follows_s = stamp_s
+        return True
 
     def _waited(self, reading: Arrived) -> list[Array | Arrived] | None:
         """What goes on now, when this reading has arrived and no samples wait: see `hear`."""

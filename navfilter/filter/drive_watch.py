@@ -134,7 +134,7 @@ class DriveWatch:
 
     def news(self, w: Array) -> bool:
         """Whether something is to be heeded."""
-        return self.active and w[kernel.UNIT, kernel.NEWS] != 0.0
+        return self.active and w.item(kernel.UNIT, kernel.NEWS) != 0.0
 
     def heed(self, filter: Filter, fold: object) -> None:
         """Look at what the kernel has found, at the sample where it found it.
@@ -205,7 +205,11 @@ class DriveWatch:
 
     def lost(self, w: Array) -> bool:
         """Whether something else stands in place of what an axis says."""
-        return self.active and bool((w[: kernel.UNIT, kernel.HEEDED] > kernel.NOISY).any())
+        if self.active:
+            for axis in range(kernel.UNIT):
+                if w.item(axis, kernel.HEEDED) > kernel.NOISY:
+                    return True
+        return False
 
     def stood_in_s(self, w: Array) -> float:
         """So long ago what is left out may have begun to be wrong, or was looked at last [s]."""
@@ -218,7 +222,7 @@ class DriveWatch:
 
     def busy(self, w: Array) -> bool:
         """Whether an axis is left out, or soon will be."""
-        return self.active and (w[kernel.UNIT, kernel.OFF_S] > 0.0 or self.lost(w))
+        return self.active and (w.item(kernel.UNIT, kernel.OFF_S) > 0.0 or self.lost(w))
 
     def conditions(self, w: Array) -> dict[str, str]:
         """Condition of every axis in words; none where nothing is watched."""

@@ -212,16 +212,20 @@ class Watch:
     def note(self, status: str, time_s: float, nis: float, dof: int, nav: Array | None = None) -> None:
         """Note what became of it, and where; nav: (17,) nominal state."""
         self.outcomes[status] = self.outcomes.get(status, 0) + 1
-        if status not in ("ahead", "invalid"):  # a wild stamp is not the time at which it was heard
-            self.heard_s = max(self.heard_s, time_s)
+        # a wild stamp is not the time at which it was heard
+        if time_s > self.heard_s and status not in ("ahead", "invalid"):
+            self.heard_s = time_s
         if status in ("used", "late-replayed"):
-            self.used_s = max(self.used_s, time_s)
+            if time_s > self.used_s:
+                self.used_s = time_s
             if dof >= self.most:
-                self.most, self.whole_s = float(dof), max(self.whole_s, time_s)
+                self.most = float(dof)
+                if time_s > self.whole_s:
+                    self.whole_s = time_s
             if nav is not None:
-                self.latitude, self.longitude = float(nav[0]), float(nav[1])
+                self.latitude, self.longitude = nav.item(0), nav.item(1)
         if dof and math.isfinite(nis):
-            share = min(nis / dof, 100.0)
+            share = nis / dof if nis < 100.0 * dof else 100.0
             self.nis = share if math.isnan(self.nis) else self.nis + (share - self.nis) / self.MEMORY
 
     def caught_up(self, figures: Array, value: bytes) -> None:

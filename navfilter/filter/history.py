@@ -94,12 +94,20 @@ class History:
         run = self.run
         now, shift = run.time_s, run.offset_s
         kept, spacing_s = (item.copy(), self.RARE_S) if isinstance(item, np.ndarray) else (item, self.SPACING_S)
+        self.ready(now, spacing_s)
+        outcome = run.feed(item)
+        self.note(kept, shift)  # behind: the run may have begun this history anew
+        return outcome
+
+    def ready(self, now: float, spacing_s: float = SPACING_S) -> None:
+        """Before an input: keep a checkpoint where one is due."""
         if now - self._marked_s >= spacing_s:
             self._mark(now)
-        outcome = run.feed(item)
-        self._log.append(kept)  # behind: the run may have begun this history anew
+
+    def note(self, item: Array | Reading, shift: float) -> None:
+        """Behind an input: keep it, and by how much stamps were moved."""
+        self._log.append(item)
         self._shifts.append(shift)
-        return outcome
 
     def _mark(self, now: float) -> None:
         """Keep a checkpoint of the present, and forget what lies too far back."""

@@ -151,7 +151,8 @@ class Intake:
     def taken(self, gaps: int) -> None:
         """Note that samples were all right, but for so many gaps between them."""
         memory = self.memory
-        self.counts["gap"] += gaps
+        if gaps:
+            self.counts["gap"] += gaps
         memory.doubtful_s, memory.back_count, memory.bad = -math.inf, 0, 0
         if memory.ahead:
             self._speaks()

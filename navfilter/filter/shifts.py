@@ -32,6 +32,7 @@ from navfilter.kernels.jumps import BIAS, NIS, TIME_S, VARIANCE, farthest
 if TYPE_CHECKING:
     from navfilter.filter.filter import Filter
     from navfilter.filter.filter_memory import FilterMemory
+    from navfilter.filter.layout import Group
 
 __all__ = ["due_s", "fresh", "look", "shifted"]
 
@@ -67,6 +68,16 @@ def fresh() -> Array:
     return np.full((LOOKS, COLUMNS), math.nan)
 
 
+def gyros(g: Group, period_s: float) -> tuple[tuple[int, ...], Array, Array] | None:
+    """Places of the biases of the three gyros, what their walks add to the variances in a second, and the variances at
+    the start; None where one of them is no state.
+    """
+    if not all(each.size for each in g.biases[:3]):
+        return None
+    own = np.array([each[0] for each in g.biases[:3]])
+    return tuple((g.start + own).tolist()), g.Q[own, own] / period_s, g.P0[own, own]
+
+
 def due_s(filter: Filter) -> float:
     """Time of the reading by which the next look comes [s]."""
     if not filter.inertial:
@@ -77,31 +88,30 @@ def due_s(filter: Filter) -> float:
 
 def look(filter: Filter) -> None:
     """Hold the biases against what they were, if it is time; after a reading has been taken."""
-    memory, g = filter.memory, filter.layout.drive
+    memory = filter.memory
     time_s = max([channel.memory.last_s for channel in filter.channels.values()], default=-math.inf)
     if time_s == -math.inf or time_s < due_s(filter):
         return
     now, kept = np.zeros(COLUMNS), memory.shifts
-    now[TIME_S], now[LATITUDE:ANEW] = time_s, memory.nav[:2]
-    now[ANEW] = memory.counts["realigned"] + memory.counts["opened"]
-    if all(each.size for each in g.biases[:3]):
-        own = np.array([each[0] for each in g.biases[:3]])
-        places, walk = g.start + own, g.Q[own, own] / filter.period_s
-        now[BIAS:VARIANCE], now[VARIANCE:NIS] = memory.x[places - 9], memory.P[places, places]
-        now[NIS] = _nis(filter, time_s)
+    anew = memory.counts["realigned"] + memory.counts["opened"]
+    now[:BIAS] = time_s, memory.nav.item(0), memory.nav.item(1), anew
+    if filter.gyros is not None:
+        places, walk, begin = filter.gyros
         compass = _compass(filter)
-        now[HEADING:] = math.nan if compass is None else _apart(filter, compass)
+        apart = (math.nan, math.nan) if compass is None else _apart(filter, compass)
+        estimates = [memory.x.item(i - 9) for i in places], [memory.P.item(i, i) for i in places]
+        now[BIAS:] = *estimates[0], *estimates[1], _nis(filter, time_s), *apart
         if filter.watch.busy(memory.watch) or not _goes_on(kept[-1], now, walk):
             kept = fresh()
-        found = shifted(kept, now, walk, g.P0[own, own])
+        found = shifted(kept, now, walk, begin)
         if found:
             upright, calm = np.abs(memory.nav[12:15]) > UPRIGHT, _undisputed(filter, time_s)
             found = [f for f in found if (_ramps(compass, np.vstack([kept, now]), *f) if upright[f[0]] else calm)]
         for axis, row, size in found:
-            _open(memory, int(places[axis]), axis, size, kept[row:])
+            _open(memory, places[axis], axis, size, kept[row:])
             memory.counts["shifted"] += 1
         if found:
-            kept, now[VARIANCE:NIS] = fresh(), np.diag(memory.P)[places]
+            kept, now[VARIANCE:NIS] = fresh(), np.diag(memory.P)[list(places)]
     memory.shifts = np.concatenate([kept[1:], now[np.newaxis]])
 
 
@@ -121,19 +131,22 @@ def _undisputed(filter: Filter, time_s: float) -> bool:
 
 def _compass(filter: Filter) -> Channel | None:
     """One that has been heard just now."""
-    heard = [c for c in filter.channels.values() if filter.memory.time_s - c.memory.last_s < HEARD_S]
-    return next((c for c in heard if c.sensor.north is not None), None)
+    now_s = filter.memory.time_s
+    for channel in filter.channels.values():
+        if channel.sensor.north is not None and now_s - channel.memory.last_s < HEARD_S:
+            return channel
+    return None
 
 
 def _apart(filter: Filter, compass: Channel) -> tuple[float, float]:
     """Heading by the last reading of a compass, and that less how far the gyros have turned [rad]."""
-    memory, unit = filter.memory, filter.memory.watch[kernel.UNIT]
-    errors, north = compass.group.slice.start - 9 + np.arange(compass.group.errors), compass.sensor.north
+    memory, first, north = filter.memory, compass.group.start - 9, compass.sensor.north
     assert north is not None
-    used, residual, variance = compass.note[[2, 3 + north, 3 + compass.axes + north]].tolist()
-    left = residual * (float(compass.R[north, north]) / variance if used else 1.0)
-    heading = math.atan2(memory.nav[9], memory.nav[6]) + left + float(compass.C[north] @ memory.x[errors])
-    return heading, heading - float(unit[kernel.TURNED])
+    note, errors = compass.note.tolist(), memory.x[first : first + compass.group.errors]
+    used, residual, variance = note[2], note[3 + north], note[3 + compass.axes + north]
+    left = residual * (compass.R.item(north, north) / variance if used else 1.0)
+    heading = math.atan2(memory.nav.item(9), memory.nav.item(6)) + left + float(compass.C[north] @ errors)
+    return heading, heading - memory.watch.item(kernel.UNIT, kernel.TURNED)
 
 
 def _ramps(compass: Channel | None, looks: Array, axis: int, row: int, size: float) -> bool:
@@ -183,9 +196,13 @@ def ramp_beyond_deviation(
 
 def _nis(filter: Filter, time_s: float) -> float:
     """Of the last readings of all sensors that have been heard since the last look, per component; 1 where none was."""
-    heard = [c.verdict.tolist() for c in filter.channels.values() if c.memory.last_s > time_s - EVERY_S]
-    told = [(nis, dof) for nis, dof, _ in heard if math.isfinite(nis) and dof]
-    return sum(nis for nis, _ in told) / sum(dof for _, dof in told) if told else 1.0
+    total, components = 0.0, 0.0
+    for channel in filter.channels.values():
+        if channel.memory.last_s > time_s - EVERY_S:
+            nis, dof, _ = channel.verdict.tolist()
+            if dof and math.isfinite(nis):
+                total, components = total + nis, components + dof
+    return total / components if components else 1.0
 
 
 def shifted(looks: Array, now: Array, walk: Array, begin: Array) -> list[tuple[int, int, float]]:

@@ -13,6 +13,7 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 
 __all__ = [
+    "PROMPT",
     "SMOOTH_RUN",
     "STRETCH",
     "address",
@@ -62,6 +63,11 @@ STRETCH = (
     types.Tuple((_ROW, _TABLE, _MATRIX_OF_PLACES, _TABLE)),
     types.Tuple((_ROW, _PLACES, _PLACES, _READINGS, _READINGS, _TABLE, _TABLE, _TABLE)),
     types.Tuple((_TABLE, _TABLE, _ROW, _MATRIX_OF_PLACES)),
+)
+#: The same for `navfilter.kernels.stretch.prompt`.
+PROMPT = (
+    *(_ROW, _PLACES, _PLACES, _ROW, _ROW, _TABLE, _TABLE, _ROW, *(_TABLE,) * 4, _ROW, types.float64, types.int64),
+    *(_ROW, _PLACES, _ROW, _TABLE, _PLACES),
 )
 #: The same for `navfilter.kernels.kalman.smooth_run`.
 SMOOTH_RUN = (

@@ -75,7 +75,10 @@ def apart(kernel: Any) -> Any:
         Is called as the kernel, by kernels and by Python. Without the JIT, or with a version of numba that is not
         known, what was given.
     """
-    return kernel if _settings.DISABLE_JIT or not KNOWN else Apart(kernel)
+    if _settings.DISABLE_JIT or not KNOWN:
+        return kernel
+    # a method of Python's would take as long as half a small kernel
+    return type("Apart", (Apart,), {"__call__": staticmethod(kernel)})(kernel)
 
 
 class _Lean(CompilerBase):
@@ -112,9 +115,6 @@ class Apart(_Base):
         super().__init__(kernel.__name__, _caller(kernel))
         functools.update_wrapper(self, kernel.py_func)
         self._register()
-
-    def __call__(self, *args: Any) -> Any:
-        return self.kernel(*args)
 
     def __getattr__(self, name: str) -> Any:
         if name == "_numba_type_":  # by the type of the kernel it would be called like any other

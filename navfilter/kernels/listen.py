@@ -75,7 +75,8 @@ def carry(undone, Phi):
 @apart
 @njit(cache=True, **UNCOUNTED)
 def listen(undone, mem, dims, places, nav, C, x, kind, mount, ring, cursor, ticks, Cr, gravity):
-    """After a reading: note its open-loop residual in `ring` (kind != 0), then add what it fed back to `undone`.
+    """After a reading: carry `undone` to it, note its open-loop residual in `ring` (kind != 0), then add what it fed
+    back.
 
     mem, dims, places: the channel's memory as the correction left it (see ``kalman.places``). C (a, errors), x: output
     rows and means. mount: (9,) body to instrument, row by row. ring: (a + 1, capacity), the last row for the force that
@@ -86,6 +87,7 @@ def listen(undone, mem, dims, places, nav, C, x, kind, mount, ring, cursor, tick
     """
     a, m, start, errors = dims[0], dims[2], dims[4], dims[5]
     K, res, verdict = places[1], places[3], places[8]
+    carry(undone, mem[: m * m].reshape((m, m)))
     used = mem[verdict + 2] != 0.0
     if kind != NOTHING:
         capacity = ring.shape[1]

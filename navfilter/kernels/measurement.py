@@ -15,6 +15,7 @@ from navfilter.kernels.decorators import apart, njit
 
 #: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
 UNCOUNTED: dict = {"_nrt": False}
+COUNTED: dict = {"_nrt": True}
 
 PIECE_S = 0.02  # so long a turning force is taken as that of the middle: 1e-5 of it at 1 rad/s
 # By so many standard deviations of the velocity its slopes lag behind, see `hold_slopes`.
@@ -609,12 +610,10 @@ def earth_rate(z, nav, rate, par, cfg, H, res):
 
 
 @njit(cache=True, **UNCOUNTED)
-def _turned_rows(C, x, y, z):
-    """C exp([-(x, y, z) x]): every row turned by (x, y, z) (Rodrigues)."""
-    t2 = x * x + y * y + z * z
-    t = math.sqrt(t2)
-    # the series: below 1e-8 the first term left out is 1e-18
-    p, q = (math.sin(t) / t, (1.0 - math.cos(t)) / t2) if t2 > 1e-8 else (1.0 - t2 / 6.0, 0.5 - t2 / 24.0)
+def _turned_rows(C, x, y, z, p, q):
+    """C exp([-(x, y, z) x]): every row turned by (x, y, z) (Rodrigues); p, q: sin(t) / t and (1 - cos(t)) / t^2 of that
+    angle.
+    """
     for i in range(3):
         u, v, w = C[3 * i], C[3 * i + 1], C[3 * i + 2]
         f, g, h = y * w - z * v, z * u - x * w, x * v - y * u
@@ -624,25 +623,31 @@ def _turned_rows(C, x, y, z):
 
 
 @njit(cache=True, **UNCOUNTED)
-def _stepped_back(C, v, by, m, first, gravity, span):
+def _stepped_back(C, v, by, motion, k, gravity, span):
     """C (9,), velocity v (3,) and the sums in `by` (9,) carried back by `span` at the constant rate and specific force
-    in b that stand in m from `first` on, in pieces of at most `PIECE_S`.
+    in b that stand in a row of motion, in pieces of at most `PIECE_S`.
 
     by: the way (3), and the time integrals of the specific force in n, once (3) and twice (3).
     """
     pieces = math.ceil(abs(span) / PIECE_S)
+    if pieces == 0:
+        return
+    dt = span / pieces
+    x, y, z = 0.5 * dt * motion[k, 1], 0.5 * dt * motion[k, 2], 0.5 * dt * motion[k, 3]
+    t2 = x * x + y * y + z * z
+    t = math.sqrt(t2)
+    # the series: below 1e-8 the first term left out is 1e-18
+    p, q = (math.sin(t) / t, (1.0 - math.cos(t)) / t2) if t2 > 1e-8 else (1.0 - t2 / 6.0, 0.5 - t2 / 24.0)
     for _ in range(pieces):
-        dt = span / pieces
-        x, y, z = 0.5 * dt * m[first], 0.5 * dt * m[first + 1], 0.5 * dt * m[first + 2]
-        _turned_rows(C, x, y, z)
+        _turned_rows(C, x, y, z, p, q)
         for i in range(3):
-            force = C[3 * i] * m[first + 3] + C[3 * i + 1] * m[first + 4] + C[3 * i + 2] * m[first + 5]
+            force = C[3 * i] * motion[k, 4] + C[3 * i + 1] * motion[k, 5] + C[3 * i + 2] * motion[k, 6]
             a = force + gravity if i == 2 else force
             by[i] += dt * (v[i] - 0.5 * dt * a)
             by[6 + i] += dt * (by[3 + i] + 0.5 * dt * force)
             by[3 + i] += dt * force
             v[i] -= dt * a
-        _turned_rows(C, x, y, z)
+        _turned_rows(C, x, y, z, p, q)
 
 
 @njit(cache=True, **UNCOUNTED)
@@ -669,7 +674,7 @@ def _mean_motion(motion, begin, end, mean):
             mean[i] = motion[last, 1 + i]
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def _motion_about(motion, late_s, window_s, mean, growth):
     """Mean of rates and forces (6,) over a window about an age, which ends now at the latest, and how fast they grow.
     Returns the age of its middle.
@@ -685,26 +690,14 @@ def _motion_about(motion, late_s, window_s, mean, growth):
     return centre
 
 
-@njit(cache=True)
-def earlier(nav, motion, gravity, late_s, window_s, slope_s, then, turn, slope, B):
-    """The state `late_s` before `nav`, from what the drive felt since; a negative `late_s` looks ahead.
-
-    motion (k, 7): intervals, the newest first: seconds (0: nothing known), angular rate and specific force in b, their
-    errors taken off. Where it does not reach, the mean motion about then goes on (ahead: turning faster and faster, or
-    slower, as in the newest of it). `gravity` acts down. The Earth's rate
-    and Coriolis force are left out: 2e-5 rad and 1 mm/s at 10 m/s in 0.3 s.
-
-    Fills: then (17,); turn (6,), angular rate in b, a mean over `window_s` about then, for vibration is no motion, and
-    angular acceleration; slope (2, 9), derivative of the state with time: velocity, acceleration, angular rate in n,
-    and how these grow; B (9, 9), derivative of the errors then with respect to those now. Accelerations and slopes are
-    means over `slope_s` about then, or a time so much shorter that it ends now; returns over what time.
-    """
-    C, v, by = np.empty(9), np.empty(3), np.zeros(9)
-    mean, growth, ahead = np.empty(6), np.empty(6), np.empty(6)
+@njit(cache=True, **UNCOUNTED)
+def _back_to(nav, motion, gravity, late_s, window_s, slope_s, then, turn, slope, B, work):
+    """As `earlier`, which says what is given; work: 40."""
+    C, v, by, mean, growth, ahead = work[:9], work[9:12], work[12:21], work[21:27], work[27:33], work[33:40]
     for i in range(17):
         then[i] = nav[i]
     for i in range(9):
-        C[i] = nav[6 + i]
+        C[i], by[i] = nav[6 + i], 0.0
     for i in range(3):
         v[i] = nav[3 + i]
     centre = _motion_about(motion, late_s, window_s, mean, growth)
@@ -712,17 +705,17 @@ def earlier(nav, motion, gravity, late_s, window_s, slope_s, then, turn, slope, 
     further = centre - 0.5 * late_s if late_s < 0.0 else 0.0
     for i in range(3):
         turn[i] = mean[i] + (centre - late_s) * growth[i]
-        ahead[i], ahead[3 + i] = mean[i] + further * growth[i], mean[3 + i]
+        ahead[1 + i], ahead[4 + i] = mean[i] + further * growth[i], mean[3 + i]
     left = late_s
     for k in range(motion.shape[0]):
         dt = min(motion[k, 0], left)
         if left <= 0.0:
             break
         if dt > 0.0:
-            _stepped_back(C, v, by, motion[k], int(1), gravity, dt)
+            _stepped_back(C, v, by, motion, k, gravity, dt)
             left -= dt
     if left != 0.0:
-        _stepped_back(C, v, by, ahead, int(0), gravity, left)
+        _stepped_back(C, v, by, ahead.reshape((1, 7)), int(0), gravity, left)
     latitude = nav[0] - by[0] / nav[15]
     then[0], then[2] = latitude, nav[2] + by[2]
     then[1] = nav[1] - by[1] / (nav[16] * math.cos(0.5 * (latitude + nav[0])))
@@ -751,3 +744,21 @@ def earlier(nav, motion, gravity, late_s, window_s, slope_s, then, turn, slope, 
     B[3, 7], B[3, 8], B[4, 6], B[4, 8], B[5, 6], B[5, 7] = -D2, D1, D2, -D0, -D1, D0
     B[0, 7], B[0, 8], B[1, 6], B[1, 8], B[2, 6], B[2, 7] = S2, -S1, -S2, S0, S1, -S0
     return over_s
+
+
+@apart
+@njit(cache=True, **COUNTED)
+def earlier(nav, motion, gravity, late_s, window_s, slope_s, then, turn, slope, B):
+    """The state `late_s` before `nav`, from what the drive felt since; a negative `late_s` looks ahead.
+
+    motion (k, 7): intervals, the newest first: seconds (0: nothing known), angular rate and specific force in b, their
+    errors taken off. Where it does not reach, the mean motion about then goes on (ahead: turning faster and faster, or
+    slower, as in the newest of it). `gravity` acts down. The Earth's rate
+    and Coriolis force are left out: 2e-5 rad and 1 mm/s at 10 m/s in 0.3 s.
+
+    Fills: then (17,); turn (6,), angular rate in b, a mean over `window_s` about then, for vibration is no motion, and
+    angular acceleration; slope (2, 9), derivative of the state with time: velocity, acceleration, angular rate in n,
+    and how these grow; B (9, 9), derivative of the errors then with respect to those now. Accelerations and slopes are
+    means over `slope_s` about then, or a time so much shorter that it ends now; returns over what time.
+    """
+    return _back_to(nav, motion, gravity, late_s, window_s, slope_s, then, turn, slope, B, np.empty(40))

@@ -29,6 +29,8 @@ TOLD = 10.0
 STEP = 1e-3
 #: So much more of the past is kept than the clock may be off: half of what a slope is taken over [s].
 MORE_S = 0.5
+#: Elements of what `sight` works in, but for those whose number the sensor says.
+ROOM = 156
 #: Elements of `facts` of a sensor: whether its lever arm is a state, and its clock; whether it turns with the body; how
 #: long its readings wait [s]; from BY_ARM on what a lever arm does to its constants, row by row (constants, 3).
 ARM, CLOCK, TURNS, LEAD_S, BY_ARM = range(5)
@@ -70,8 +72,24 @@ def drive_outputs(sources):
 
 
 @_keyed
+def _element(sources):
+    @njit(cache=True, **UNCOUNTED)
+    def _element(drv, element):
+        """By how much an axis enters a channel of its triad, as the unit is not calibrated: three axes of each of six
+        channels; 0 where that is no state.
+        """
+        _ = sources
+        for q in range(int(drv[strapdown.CALIBRATED])):
+            if int(drv[strapdown.ELEMENTS + q]) == element:
+                return drv[strapdown.CALIBRATION + q]
+        return 0.0
+
+    return _element
+
+
+@_keyed
 def inertial_motion(sources):
-    @njit(cache=True)
+    @njit(cache=True, **UNCOUNTED)
     def inertial_motion(recent, nav, drv, errors, rows, gravity):
         """Rates and forces of an inertial unit by the trapezoidal rule; the last sample holds since.
 
@@ -86,30 +104,26 @@ def inertial_motion(sources):
         for j in range(6):
             rows[0, 1 + j] = drv[strapdown.PREVIOUS + j] / per
         for i in range(k):
-            row, now, before = rows[1 + i], recent[i], recent[min(i + 1, k - 1)]
-            row[0] = now[0]
-            if not steps and i + 1 < k and before[0] > 0.0:
+            rows[1 + i, 0] = recent[i, 0]
+            if not steps and i + 1 < k and recent[i + 1, 0] > 0.0:
                 for j in range(1, 7):
-                    row[j] = 0.5 * (now[j] + before[j])
+                    rows[1 + i, j] = 0.5 * (recent[i, j] + recent[i + 1, j])
             else:
-                per = now[0] if steps and now[0] > 0.0 else 1.0
+                per = recent[i, 0] if steps and recent[i, 0] > 0.0 else 1.0
                 for j in range(1, 7):
-                    row[j] = now[j] / per
-        off = np.empty((k + 1, 6))
-        for i in range(k + 1):
-            for j in range(6):
-                off[i, j] = errors[j]
-        for q in range(int(drv[strapdown.CALIBRATED])):
-            # by how much other readings than the last err otherwise, as the unit is not calibrated
-            element, by = int(drv[strapdown.ELEMENTS + q]), drv[strapdown.CALIBRATION + q]
-            channel = element // 3
-            axis = 1 + 3 * (channel // 3) + element % 3
-            last = rows[0, axis]
+                    rows[1 + i, j] = recent[i, j] / per
+        for c in (0, 3):
+            x, y, z = rows[0, 1 + c], rows[0, 2 + c], rows[0, 3 + c]
+            at = 3 * c
+            xx, xy, xz = _element(drv, at), _element(drv, at + 1), _element(drv, at + 2)
+            yx, yy, yz = _element(drv, at + 3), _element(drv, at + 4), _element(drv, at + 5)
+            zx, zy, zz = _element(drv, at + 6), _element(drv, at + 7), _element(drv, at + 8)
             for i in range(k + 1):
-                off[i, channel] += by * (rows[i, axis] - last)
-        for i in range(k + 1):
-            for j in range(6):
-                rows[i, 1 + j] -= off[i, j]
+                # by how much other readings than the last err otherwise, as the unit is not calibrated
+                u, v, w = rows[i, 1 + c] - x, rows[i, 2 + c] - y, rows[i, 3 + c] - z
+                rows[i, 1 + c] -= errors[c] + xx * u + xy * v + xz * w
+                rows[i, 2 + c] -= errors[c + 1] + yx * u + yy * v + yz * w
+                rows[i, 3 + c] -= errors[c + 2] + zx * u + zy * v + zz * w
         gravity[0] = strapdown.gravity(nav[0], nav[2])
 
     return inertial_motion
@@ -161,13 +175,13 @@ def reckoned_motion(sources):
 
 @_keyed
 def _by_drive(sources):
-    @njit(cache=True)
-    def _by_drive(now, then, B, late_s, outputs, inner, m, H):
+    @njit(cache=True, **UNCOUNTED)
+    def _by_drive(now, then, B, late_s, outputs, inner, m, H, work):
         """What errors of rates and forces do to a state that is carried back by them, in the columns of H of the
-        drive's states, 9 to m; `B` holds what the forces have gathered (`measurement.earlier`).
+        drive's states, 9 to m; `B` holds what the forces have gathered (`measurement.earlier`). work: 24.
         """
         _ = sources
-        middle, by, rates, forces = np.empty((3, 3)), np.empty(9), np.empty(3), np.empty(3)
+        middle, by, rates, forces = work[:9].reshape((3, 3)), work[9:18], work[18:21], work[21:24]
         for i in range(3):
             for j in range(3):
                 middle[i, j] = 0.5 * (now[6 + 3 * i + j] + then[6 + 3 * i + j])
@@ -194,7 +208,7 @@ def _by_drive(sources):
 
 @_keyed
 def slope_s(sources):
-    @njit(cache=True)
+    @njit(cache=True, **UNCOUNTED)
     def slope_s(variance):
         """Over what time the slope of a reading is taken whose clock has this variance [s]."""
         _ = sources
@@ -205,7 +219,7 @@ def slope_s(sources):
 
 @_keyed
 def lately(sources):
-    @njit(cache=True)
+    @njit(cache=True, **UNCOUNTED)
     def lately(rows, rate):
         """Mean of the angular rate (3,) over `WINDOW_S`, of the intervals but for the newest two: those have the noise
         of the reading that is predicted. Returns over how many seconds. rows: see `inertial_motion`.
@@ -229,7 +243,7 @@ def lately(sources):
 
 @_keyed
 def stands_out(sources):
-    @njit(cache=True)
+    @njit(cache=True, **UNCOUNTED)
     def stands_out(rate, seconds, drv, Cr):
         """Leave of an angular rate (3,), a mean over so many seconds, what is no noise of the unit."""
         _ = sources
@@ -243,7 +257,7 @@ def stands_out(sources):
 
 @_keyed
 def discount(sources):
-    @njit(cache=True)
+    @njit(cache=True, **UNCOUNTED)
     def discount(inner, slope, then, drv, Cr, over_s, gravity, variance, tilt, near, R):
         """Let what a reading tells of a clock, in the last column of near, count as far as its slope stands out of the
         drive's noise. The rest, and what is not straight, goes into R (second order, Gelb, 1974, sec. 6.1).
@@ -274,42 +288,37 @@ def discount(sources):
 
 
 @_keyed
-def sight(sources):
-    @njit(cache=True)
-    def sight(equation, motion, facts, z, nav, rate, par, cfg, recent, drv, Cr, xd, since_s, variance, tilt, H, near, res, R):
-        """Residual and Jacobian of a reading of any kind through its own kernel, with a lever arm and a clock that are
-        states: the last of `par`.
-
-        A time offset moves the state at which the kernel is asked: to that of `time_offset` earlier. So the derivative
-        with respect to it is minus that of the reading with time, as the drive felt it then.
-
-        equation, motion: addresses of the sensor's kernel and of `inertial_motion` or `reckoned_motion`; facts: of the
-        sensor, see at the head of this file; z, nav, rate, cfg: as for `navfilter.kernels.measurement`; recent: the
-        drive's last samples; since_s: how much later than the stamp it is now; variance, tilt: variances of the clock, and of
-        roll or pitch. H (a, n) receives the derivatives with respect to the drive's states (a bias bends the way back); near and res are filled
-        as by the kernel; R (a, a) grows by what the clock's error does beyond that.
-        """
+def _sight(sources):
+    @apart
+    @njit(cache=True, **UNCOUNTED)
+    def _sight(given, H, near, res, R, work):
+        """As `sight`; given: what it is told; work: what it has room in."""
         _ = sources
+        equation, motion, facts, z, nav, rate, par, cfg, recent, drv, Cr, xd, since_s, variance, tilt = given
         arm, clock = facts[ARM] != 0.0, facts[CLOCK] != 0.0
         a, last = near.shape[0], near.shape[1] - 10
         own = last + 1 - (3 if arm else 0) - (1 if clock else 0)
-        inner, ends, kind, k, late_s = np.empty((a, 9 + own)), np.empty(a), par[:own], len(xd), 0.0
-        constants, moved, outputs = np.empty(len(cfg)), np.empty(len(cfg)), np.empty((6, k))
+        kind, k, late_s = par[:own], len(xd), 0.0
+        then, turn, gravity, errors, spare = work[:17], work[17:23], work[23:24], work[24:30], work[30:54]
+        slope, B, told, work = work[54:72].reshape((2, 9)), work[72:153].reshape((9, 9)), work[153:156], work[ROOM:]
+        constants, moved, work = work[: len(cfg)], work[len(cfg) : 2 * len(cfg)], work[2 * len(cfg) :]
+        outputs, work = work[: 6 * k].reshape((6, k)), work[6 * k :]
+        ends, base, work = work[:a], work[a : 2 * a], work[2 * a :]
+        inner, work = work[: a * (9 + own)].reshape((a, 9 + own)), work[a * (9 + own) :]
         for i in range(len(cfg)):
             constants[i] = cfg[i]
             if arm:
                 for j in range(3):
                     constants[i] += facts[BY_ARM + 3 * i + j] * par[own + j]
-        seen, turning = nav, rate
-        then, turn, slope, B, gravity = np.empty(17), np.empty(6), np.empty((2, 9)), np.empty((9, 9)), np.empty(1)
-        errors, long_s = np.empty(6), slope_s(variance) if clock else 2.0 * WINDOW_S
-        late_s = since_s + (par[last] if clock else 0.0)
+        seen, turning, over_s = nav, rate, 0.0
         drive_outputs(drv, Cr, xd, outputs, errors)
+        long_s = slope_s(variance) if clock else 2.0 * WINDOW_S
         known = math.ceil((since_s + (abs(par[last]) if clock else 0.0) + 0.5 * long_s) / drv[strapdown.PERIOD_S]) + 1
         known = min(recent.shape[0], max(2, known))
-        rows = np.empty((known + 1, 7))
+        rows = work[: 7 * (known + 1)].reshape((known + 1, 7))
         addresses.at_motion(motion, (recent[:known], nav, drv, errors, rows, gravity))
         if clock:
+            late_s = since_s + par[last]
             over_s = measurement.earlier(nav, rows, gravity[0], late_s, WINDOW_S, long_s, then, turn, slope, B)
             seen, turning = then, turn[:3]
         addresses.at_equation(equation, (z, seen, turning, kind, constants, inner, res))
@@ -325,9 +334,11 @@ def sight(sources):
                     for r in range(9):
                         near[i, j] += inner[i, r] * B[r, j]
             if gravity[0] != 0.0:
-                _by_drive(nav, then, B, late_s, outputs, inner, 9 + k, H)
+                _by_drive(nav, then, B, late_s, outputs, inner, 9 + k, H, spare)
         if arm:
-            told, base, seconds = turn[:3].copy(), np.empty(a), WINDOW_S
+            seconds = WINDOW_S
+            for j in range(3):
+                told[j] = turn[j]
             if not clock:
                 seconds = lately(rows, told)
             stands_out(told, seconds, drv, Cr)
@@ -346,5 +357,32 @@ def sight(sources):
                 near[i, 9 + last] -= (res[i] - ends[i]) / STEP
         if clock:
             discount(inner, slope, then, drv, Cr, over_s, gravity[0], variance, tilt, near, R)
+
+    return _sight
+
+
+@_keyed
+def sight(sources):
+    @njit(cache=True)
+    def sight(
+        equation, motion, facts, z, nav, rate, par, cfg, recent, drv, Cr, xd, since_s, variance, tilt, H, near, res, R
+    ):
+        """Residual and Jacobian of a reading of any kind through its own kernel, with a lever arm and a clock that are
+        states: the last of `par`.
+
+        A time offset moves the state at which the kernel is asked: to that of `time_offset` earlier. So the derivative
+        with respect to it is minus that of the reading with time, as the drive felt it then.
+
+        equation, motion: addresses of the sensor's kernel and of `inertial_motion` or `reckoned_motion`; facts: of the
+        sensor, see at the head of this file; z, nav, rate, cfg: as for `navfilter.kernels.measurement`; recent: the
+        drive's last samples; since_s: how much later than the stamp it is now; variance, tilt: variances of the clock, and of
+        roll or pitch. H (a, n) receives the derivatives with respect to the drive's states (a bias bends the way back);
+        near and res are filled as by the kernel; R (a, a) grows by what the clock's error does beyond that.
+        """
+        _ = sources
+        sizes = 7 * (recent.shape[0] + 1) + near.size + 2 * len(res) + 2 * len(cfg) + 6 * len(xd)
+        work = np.empty(ROOM + sizes)
+        given = equation, motion, facts, z, nav, rate, par, cfg, recent, drv, Cr, xd, since_s, variance, tilt
+        _sight(given, H, near, res, R, work)
 
     return sight

@@ -23,6 +23,8 @@ def _keyed(make):
 
 # What is beyond belief is so many times the variance [1], see `navfilter.filter.belief`.
 BELIEVED = 16.0
+# Times that differ by less are the same [s].
+SAME_S = 1e-7
 # Beyond this variance of the heading [rad^2] a body velocity is taken with its second-order term.
 UNSURE_HEADING = 0.01
 
@@ -377,6 +379,39 @@ def _partly(sources):
 
 
 @_keyed
+def prompt(sources):
+    @njit(cache=True, **UNCOUNTED)
+    def prompt(
+        bench, own, spot, nav, x, P, acc, drv, Phid, Qd, Cr, recent, z, early_s, count, undone, at, ear, ring, cursor
+    ):
+        """One reading live, by the same kernels as those of a replay in `stretch`: what held the state until then, the
+        correction, and listening; False where it was not used, and Python says what follows.
+
+        own, spot: rows of `plan`, the channel's and the last; early_s: by how much the state is older; undone (empty
+        where nobody listens), ring, cursor: see `listen`; at: `kalman.places`; ear: kind of the open loop, gravity,
+        nine elements of `mount`. The others are those of `correction`.
+        """
+        _ = sources
+        a, m, errors = own[0], acc.shape[1], own[5]
+        if early_s > SAME_S and drv[strapdown.STARTED] != 0.0:
+            addresses.at_hold(spot[HOLD], (nav, x[: m - 9], drv, early_s, Phid, Qd, Cr, acc))
+            early_s = 0.0
+        filter, reading = (bench, own, P, nav, x, acc, drv, Cr, recent), (z, z[:0], count, -early_s)
+        addresses.at_correction(spot[CORRECTION], filter + reading)
+        note = bench[own[MEM] + own[VERDICT] : own[MEM] + own[VERDICT] + 3 + a]
+        if note[2] == 0.0 or (own[PARTLY] and _partly(note, a)):
+            return False
+        if undone.size > 0:
+            mem, mount = bench[own[MEM] : own[CONSTANTS]], ear[2:11]
+            C = bench[own[OUTPUT] : own[OUTPUT] + a * errors].reshape((a, errors))
+            kind, gravity = int(ear[0]), ear[1]
+            listen.listen(undone, mem, own[:7], at, nav, C, x, kind, mount, ring, cursor, count, Cr, gravity)
+        return True
+
+    return prompt
+
+
+@_keyed
 def _seen(sources):
     @njit(cache=True, **UNCOUNTED)
     def _seen(watch, time_s, same):
@@ -416,10 +451,9 @@ def _listened(sources):
         is to be learnt. own: row of `plan`; ear, places, opened: see `stretch`.
         """
         _ = sources
-        a, m, errors = own[0], own[2], own[5]
+        a, errors = own[0], own[5]
         mem = bench[own[MEM] : own[CONSTANTS]]
         C = bench[own[OUTPUT] : own[OUTPUT] + a * errors].reshape((a, errors))
-        listen.carry(undone, mem[: m * m].reshape((m, m)))
         cursor[SPARE], once = 0, int(1)
         listen.listen(
             undone,
@@ -501,7 +535,7 @@ def stretch(sources):
                 return REFUSED
             _seen(watched[i], t, same[e])
             holds = early_s <= 1.001 * period_s or mine[WAIT_S] == 0.0
-            if early_s > 1e-7 and drv[strapdown.STARTED] != 0.0 and holds:
+            if early_s > SAME_S and drv[strapdown.STARTED] != 0.0 and holds:
                 addresses.at_hold(spot[HOLD], (nav, x[: m - 9], drv, early_s, Phid, Qd, Cr, acc))
                 now[TIME_S] = t
             elapsed, mine[TICKED_S] = t - mine[TICKED_S], t

@@ -28,10 +28,10 @@ def is_near(filter: Filter) -> bool:
     the sum of the diagonal as far as that is (Schur-Horn).
     """
     length = total = 0.0
-    at, mean, variance = filter.layout.constants
+    (at, mean, variance), x, P = filter.layout.constants, filter.x, filter.P
     for i, m, v in zip(at.tolist(), mean.tolist(), variance.tolist(), strict=True):
-        length += (filter.x.item(i - 9) - m) ** 2 / v
-        total += max(0.0, 1.0 - filter.P.item(i, i) / v)
+        length += (x.item(i - 9) - m) ** 2 / v
+        total += max(0.0, 1.0 - P.item(i, i) / v)
     spread = 2.0 / (9.0 * max(1, len(at)))
     return length < 0.99 * total * (1.0 - spread + CONTRADICTED * math.sqrt(spread)) ** 3
 

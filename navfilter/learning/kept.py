@@ -41,6 +41,9 @@ class Rows:
 
     def append(self, rows: Array) -> None:
         """Add some."""
+        if len(rows) == 1:
+            self.put(rows[0])
+            return
         taken = 0
         while taken < len(rows):
             piece, at = self._room()
@@ -49,10 +52,12 @@ class Rows:
             taken += len(some)
             self.count += len(some)
 
-    def put(self, *row: float) -> None:
+    def put(self, row: Array | tuple[float, ...] | float) -> None:
         """Add one."""
-        piece, at = self._room()
-        piece[at] = row
+        at = self.count % PIECE
+        if not at:
+            self._room()
+        self.pieces[-1][at] = row
         self.count += 1
 
     def _room(self) -> tuple[Array, int]:
@@ -110,9 +115,10 @@ class Kept:
             return
         if item.sd is not None:
             self.sds[self.readings.count] = item.sd
-        self.values.append(item.value.reshape(-1, 1))
-        numbers = self.samples.count, self.values.count
-        self.readings.put(item.time_s, self.names.index(item.name), item.frozen, item.same, *numbers)
+        name, time_s, value, _, frozen, same = item
+        for number in value.ravel().tolist():
+            self.values.put(number)
+        self.readings.put((time_s, self.names.index(name), frozen, same, self.samples.count, self.values.count))
 
     def extend(self, samples: Array, before: NDArray[np.int64], readings: list[Reading]) -> None:
         """Add samples, and readings between them; before (n,): behind how many of these samples each."""

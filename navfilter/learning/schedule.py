@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from navfilter.error_models import block_level
 from navfilter.filter.adoption import Change
 from navfilter.filter.channel import Channel
-from navfilter.filter.events import Correction, Event, Passed, Propagated, Relaid, StoodIn
+from navfilter.filter.events import Correction, Event, Outcome, Passed, Propagated, Relaid, StoodIn
 from navfilter.filter.filter import Filter
 from navfilter.filter.health import Watch
 from navfilter.filter.history import Reading
@@ -87,6 +87,7 @@ class LearningSchedule:
         self.listeners: dict[str, Listener] = {}
         vehicle, start_s = filter.vehicle, filter.time_s
         self._start_s, self._stage, self._hopping = start_s, 0, False
+        self._gravity = vehicle.drive.gravity
         self._quiet_s, self._ask_s = -math.inf, start_s + self.ASKED_S
         self._waiting: tuple[Change, ...] = ()
         self.again: Again | None = None
@@ -196,29 +197,32 @@ class LearningSchedule:
         return ()
 
     def _corrected(self, event: Correction, channel: Channel) -> Sequence[Change]:
-        filter, listener = self.filter, self.listeners.get(channel.name)
+        (outcome, time_s, _), listener, memory = event, self.listeners.get(channel.name), self.filter.memory
         kind, ring, cursor, mount = listen.NOTHING, _NO_RING, _NO_CURSOR, _NO_MOUNT
         if listener is not None:
             kind, ring, cursor, mount = listener.kind, listener.memory.ring, listener.memory.cursor, listener.mount
-        listen.carry(self._fed_back, channel.transition)
         listen.listen(
-            *(self._fed_back, channel.mem, channel.dims, channel.places, filter.nav, channel.C, filter.x),
-            *(kind, mount, ring, cursor, channel.count, filter.drive_output, filter.vehicle.drive.gravity),
+            *(self._fed_back, channel.mem, channel.dims, channel.places, memory.nav, channel.C, memory.x),
+            *(kind, mount, ring, cursor, channel.count, self.filter.drive_output, self._gravity),
         )
-        if event.outcome.widened and channel.memory.agreed_s == event.time_s:
+        if outcome.widened and channel.memory.agreed_s == time_s:
             self._state_reset(channel.sensor.open_loop)
-        doubtful = doubtful_ticks(channel, event.time_s)
+        doubtful = 0 if listener is None else doubtful_ticks(channel, time_s)
         if listener is not None and doubtful:
             listener.leave_out(doubtful)
         if self._waiting:
             first, *rest = self._waiting
             self._waiting = tuple(rest)
             return (first,)
-        if listener is None or event.time_s < self.learning_s:
+        return () if listener is None else self.attended(listener, outcome, time_s, doubtful)
+
+    def attended(self, listener: Listener, outcome: Outcome, time_s: float, doubtful: int = 0) -> Sequence[Change]:
+        """What follows when a reading has been listened to; its last ticks may be `doubtful`."""
+        if time_s < self.learning_s:
             return ()
         if listener.learns and not doubtful:
-            listener.notice(event.outcome.nis, event.outcome.dof)
-        return self._due(listener, event.outcome.accepted)
+            listener.notice(outcome.nis, outcome.dof)
+        return self._due(listener, outcome.accepted)
 
     def _due(self, listener: Listener, accepted: bool) -> Sequence[Change]:
         models = listener.learnt() if listener.is_answered else None
@@ -236,6 +240,26 @@ class LearningSchedule:
     def is_waiting(self) -> bool:
         """Whether the next reading brings a model to adopt."""
         return bool(self._waiting)
+
+    @property
+    def is_quiet(self) -> bool:
+        """Whether the next reading brings no model, and the beginning is not about to be done again."""
+        return self.again is None and not self._waiting
+
+    def is_early(self, time_s: float) -> bool:
+        """Whether `early` is to be called before a reading of this time; what only asks in vain is done here."""
+        while self.beginning is not None and self.early_s <= time_s:
+            if self.again is not None or self._ask_s > self._hop_s or not self._asked_in_vain():
+                return True
+        return False
+
+    def _asked_in_vain(self) -> bool:
+        """Ask the constants whether they speak for the models, or whether something else comes first."""
+        before_s, self._ask_s = self._ask_s, self._ask_s + self.ASKED_S
+        if self._given_up_s > self._hop_s or is_near(self.filter):  # what is due then comes first
+            return True
+        self._ask_s = before_s
+        return False
 
     @property
     def fed_back(self) -> Array:
@@ -305,7 +329,8 @@ class LearningSchedule:
     @property
     def _age_s(self) -> float:
         """Of the present early hop [s]."""
-        return (*self.EARLY_S, self.REVISED_S)[self._stage]
+        stage = self._stage
+        return self.EARLY_S[stage] if stage < len(self.EARLY_S) else self.REVISED_S
 
     @property
     def _hop_s(self) -> float:
@@ -352,9 +377,9 @@ class LearningSchedule:
 
     def _ask(self) -> None:
         """Where the constants speak against the models that were learnt, have the beginning done again as described."""
-        self._ask_s += self.ASKED_S
-        if self._given_up_s > self._hop_s or is_near(self.filter):  # what is due then comes first
+        if self._asked_in_vain():
             return
+        self._ask_s += self.ASKED_S
         models = {name: listener.memory.models for name, listener in self.listeners.items()}
         described = {name: listener.described for name, listener in self.listeners.items()}
         if models != described and departure(self.filter) >= CONTRADICTED:

@@ -177,10 +177,11 @@ class Heading(Sensor):
 
     def read(self, value: Array) -> Array | None:
         """Apply the iron calibration; append NaN where there is no temperature."""
-        n = self.reads
-        if not all(abs(v) <= LARGEST for v in value[:n].tolist()):
-            return None
-        z = np.array([*value[: n + 1].tolist(), math.nan][: n + 1])
+        n, given = self.reads, value.tolist()
+        for v in given[:n]:
+            if not abs(v) <= LARGEST:
+                return None
+        z = np.array([*given, math.nan][: n + 1])
         if self.magnetometer:
             z[:3] = np.reshape(self.soft_iron, (3, 3)) @ (z[:3] - np.asarray(self.hard_iron))
             return z if z[:3].any() else None
