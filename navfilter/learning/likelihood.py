@@ -158,7 +158,9 @@ class Likelihood:
         steps = np.full(k, EFFORT.slow_difference)
         fast = self.fast(theta, slow)
         steps[: fast.size] = self._steps(fast, p)
-        rows = np.concatenate([theta + np.vstack([np.zeros(k), np.diag(steps)]), np.reshape(beside, (-1, k))])
+        rows = np.empty((k + 1 + len(beside), k))
+        rows[: k + 1], rows[k + 1 :] = theta, np.reshape(beside, (-1, k))
+        rows[range(1, k + 1), range(k)] += steps
         info, gradient = np.empty((k, k)), np.empty(k)
         thetas, chains = _padded(self.fast(rows, slow), p), self._chains(rows, slow)
         E, V = self._noted(k + 1)
