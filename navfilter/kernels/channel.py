@@ -41,6 +41,8 @@ HALF_LOG_2PI = 0.9189385332046727
 # scales, 1e35, do not overflow yet.
 TOGETHER = 8
 SMALL, LARGE = 1e-20, 1e20
+# Samples whose derivatives are summed at a time: they stay in the first cache.
+STRETCH = 64
 # Models at a time: what the widest registers there are hold.
 LANES = 8
 # Of a chain and a fast part: how many integrators, states of a slow part beside them, and of the fast one. These are
@@ -677,29 +679,36 @@ def channel_scores(E, V, steps, clip, info, gradient):
     """
     k, groups = steps.size, E.shape[1] // LANES
     per, slopes = np.zeros((groups, LANES)), np.zeros((groups, LANES))
-    sums, turn = np.zeros((2 * k * groups, LANES)), np.zeros((2 * groups, LANES))
-    by = turn.reshape(2, groups * LANES)
+    sums, turn = np.zeros((2 * k * groups, LANES)), np.zeros((2 * STRETCH * groups, LANES))
+    by = turn.reshape(2 * STRETCH, groups * LANES)
     for i in range(k):
         per.reshape(groups * LANES)[i + 1] = 1.0 / steps[i]
     half = _all_of(0.5)
-    for t in range(E.shape[0]):
-        z = E[t, 0]
-        if math.isnan(z):
-            continue
-        clipped, halved = _all_of(min(max(z, -clip), clip)), _all_of(0.5 * z)
-        for group in range(groups):
-            row, rate = t * groups + group, _load(per, group)
-            by_s = (_load(V, row) - _all_of(V[t, 0])) * rate / _all_of(V[t, 0])
-            by_z = (_load(E, row) - _all_of(z)) * rate
-            _store(slopes, group, _load(slopes, group) + clipped * by_z + half * by_s)
-            _store(turn, group, by_z + halved * by_s)
-            _store(turn, groups + group, by_s)
+    for begin in range(0, E.shape[0], STRETCH):
+        count = 0
+        for t in range(begin, min(begin + STRETCH, E.shape[0])):
+            z, variance = E[t, 0], V[t, 0]
+            if math.isnan(z):
+                continue
+            clipped, halved, relative = _all_of(min(max(z, -clip), clip)), _all_of(0.5 * z), _all_of(1.0 / variance)
+            for group in range(groups):
+                row, rate = t * groups + group, _load(per, group)
+                by_s = (_load(V, row) - _all_of(variance)) * (rate * relative)
+                by_z = (_load(E, row) - _all_of(z)) * rate
+                _store(slopes, group, _load(slopes, group) + clipped * by_z + half * by_s)
+                _store(turn, 2 * count * groups + group, by_z + halved * by_s)
+                _store(turn, (2 * count + 1) * groups + group, by_s)
+            count += 1
         for i in range(k):
-            one, other = _all_of(by[0, i + 1]), _all_of(0.5 * by[1, i + 1])
             for group in range(groups):
                 row = 2 * (i * groups + group)
-                _store(sums, row, _load(sums, row) + one * _load(turn, group))
-                _store(sums, row + 1, _load(sums, row + 1) + other * _load(turn, groups + group))
+                of_v, of_s = _load(sums, row), _load(sums, row + 1)
+                for c in range(count):
+                    at = 2 * c * groups + group
+                    of_v = of_v + _all_of(by[2 * c, i + 1]) * _load(turn, at)
+                    of_s = of_s + _all_of(0.5 * by[2 * c + 1, i + 1]) * _load(turn, at + groups)
+                _store(sums, row, of_v)
+                _store(sums, row + 1, of_s)
     for i in range(k):
         gradient[i] = slopes.reshape(groups * LANES)[i + 1]
         for j in range(k):
