@@ -176,9 +176,9 @@ def test_filter_is_its_twin(ar, ma, d, beside, clip, first):
     assert (first < len(y)) == (values[0, 0] != 0.0)
 
 
-@pytest.mark.parametrize(("d", "slow", "m"), [*kernels.SHAPES, (1, 1, 1), (2, 0, 1)])
+@pytest.mark.parametrize(("d", "slow", "m"), [*kernels.SHAPES, (1, 1, 1), (2, 0, 1), (2, 2, 3)])
 def test_a_tick_that_is_written_out_is_its_twin(d, slow, m):
-    """The shapes of a learner, and two of which each tick goes through loops; more models than lanes, clipped."""
+    """The shapes of a learner, and some of which each tick goes through loops; more models than lanes, clipped."""
     random = np.random.default_rng(8)
     y, theta = walk_with_gaps(random, 150), packed(*FAST[m], 0.7) if m else np.log([0.7])
     y[60:71] = np.nan

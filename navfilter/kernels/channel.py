@@ -678,11 +678,10 @@ def channel_scores(E, V, steps, clip, info, gradient):
     differences.
     """
     k, groups = steps.size, E.shape[1] // LANES
-    per, slopes = np.zeros((groups, LANES)), np.zeros((groups, LANES))
-    sums, turn = np.zeros((2 * k * groups, LANES)), np.zeros((2 * STRETCH * groups, LANES))
-    by = turn.reshape(2 * STRETCH, groups * LANES)
+    per, slopes = np.zeros(groups * LANES), np.zeros(groups * LANES)
+    sums, turn = np.zeros((2 * k, groups * LANES)), np.zeros((2 * STRETCH, groups * LANES))
     for i in range(k):
-        per.reshape(groups * LANES)[i + 1] = 1.0 / steps[i]
+        per[i + 1] = 1.0 / steps[i]
     half = _all_of(0.5)
     for begin in range(0, E.shape[0], STRETCH):
         count = 0
@@ -701,17 +700,15 @@ def channel_scores(E, V, steps, clip, info, gradient):
             count += 1
         for i in range(k):
             for group in range(groups):
-                row = 2 * (i * groups + group)
-                of_v, of_s = _load(sums, row), _load(sums, row + 1)
+                row = 2 * i * groups + group
+                of_v, of_s = _load(sums, row), _load(sums, row + groups)
                 for c in range(count):
                     at = 2 * c * groups + group
-                    of_v = of_v + _all_of(by[2 * c, i + 1]) * _load(turn, at)
-                    of_s = of_s + _all_of(0.5 * by[2 * c + 1, i + 1]) * _load(turn, at + groups)
+                    of_v = of_v + _all_of(turn[2 * c, i + 1]) * _load(turn, at)
+                    of_s = of_s + _all_of(0.5 * turn[2 * c + 1, i + 1]) * _load(turn, at + groups)
                 _store(sums, row, of_v)
-                _store(sums, row + 1, of_s)
+                _store(sums, row + groups, of_s)
     for i in range(k):
-        gradient[i] = slopes.reshape(groups * LANES)[i + 1]
+        gradient[i] = slopes[i + 1]
         for j in range(k):
-            group, lane = (j + 1) // LANES, (j + 1) % LANES
-            row = 2 * (i * groups + group)
-            info[i, j] = sums[row, lane] + sums[row + 1, lane]
+            info[i, j] = sums[2 * i, j + 1] + sums[2 * i + 1, j + 1]
