@@ -172,13 +172,7 @@ def _begin_again(nav: Navigator, again: Again, until_s: float, now_s: float) -> 
         return
     # the last of it goes through the history, so that late readings find their place
     history.begin()
-    recent = now_s - history.length_s
-    split = next((i for i, item in enumerate(inputs) if _when(item) > recent), len(inputs))
-    PassageAgain(nav, inputs[:split]).run()
-    for item in inputs[split:]:
+    before = inputs.until(now_s - history.length_s)
+    PassageAgain(nav, inputs.first(*before)).run()
+    for item in inputs.inputs(before):
         history.feed(item)
-
-
-def _when(item: Array | Reading) -> float:
-    """Time of an input: of its last sample, or of the reading."""
-    return float(item[-1, 0]) if isinstance(item, np.ndarray) else item.time_s

@@ -423,7 +423,10 @@ class Passage:
         if kept is not None and taken:  # none is frozen: the kernel leaves those to Python
             ends = np.maximum(self._ends[taken.start : taken.stop], self._kept)
             samples = self._block(self._kept, int(ends[-1]))
-            kept.extend(samples, ends - self._kept, [self._reading(at) for at in taken])
+            part, place = slice(taken.start, taken.stop), np.array([kept.names.index(name) for name in given.names])
+            own = [given.sd(at) for at in taken] if any(sds is not None for sds in given.sds) else []
+            values = [given.value(at) for at in taken]
+            kept.extend(samples, ends - self._kept, times, place[which], self._same[part], values, own)
         self._kept = self.done if kept is None else int(ends[-1]) if taken else self._kept
 
     def _overheard(self, ears: Array, first: int) -> None:

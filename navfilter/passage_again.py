@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.filter.health import Watch
 from navfilter.filter.history import Reading
+from navfilter.learning.kept import AS_BEFORE, BEFORE, FROZEN, SENSOR, TIME_S, VALUES, Kept
 from navfilter.passage import Passage, Readings
 
 if TYPE_CHECKING:
@@ -27,49 +27,50 @@ class PassageAgain(Passage):
     Parameters
     ----------
     nav : Navigator
-    inputs : sequence
-        Samples (rows of time and six values) and readings.
+    inputs : Kept
     """
 
-    def __init__(self, nav: Navigator, inputs: Sequence[Array | Reading]) -> None:
-        blocks = [item for item in inputs if isinstance(item, np.ndarray)]
-        readings = self._given = [item for item in inputs if isinstance(item, Reading)]
-        samples = np.concatenate([np.empty((0, 7)), *blocks])
-        sizes = [len(item) if isinstance(item, np.ndarray) else 0 for item in inputs]
-        before = np.cumsum(sizes)[[isinstance(item, Reading) for item in inputs]] if inputs else np.empty(0, np.int64)
-        names = tuple(nav.filter.channels)
-        sensor = np.array([names.index(reading.name) for reading in readings], np.int64)
-        times, row = np.array([reading.time_s for reading in readings]), np.empty(len(readings), np.int64)
-        values: list[list[Array]] = [[] for _ in names]
-        sds: list[list[Array | None]] = [[] for _ in names]
-        for k, (i, reading) in enumerate(zip(sensor.tolist(), readings, strict=True)):
-            row[k] = len(values[i])
-            values[i].append(reading.value)
-            sds[i].append(reading.sd)
-        own = tuple(None if all(sd is None for sd in one) else one for one in sds)
-        given = Readings(times, times, sensor, row, names, tuple(values), own)
+    def __init__(self, nav: Navigator, inputs: Kept) -> None:
+        samples, heads = inputs.samples.whole(inputs.samples.count), inputs.readings.whole(inputs.readings.count)
+        flat, names = inputs.values.whole(inputs.values.count)[:, 0], tuple(nav.filter.channels)
+        self._frozen, self._as_before = heads[:, FROZEN] != 0.0, heads[:, AS_BEFORE] != 0.0
+        sensor = np.array([names.index(name) for name in inputs.names], np.int64)[heads[:, SENSOR].astype(np.int64)]
+        ends = heads[:, VALUES].astype(np.int64)
+        begins, row = np.append(0, ends)[:-1], np.empty(len(heads), np.int64)
+        values: list[Array | list[Array]] = []
+        sds: list[list[Any] | None] = []
+        for i in range(len(names)):
+            mine = np.flatnonzero(sensor == i)
+            row[mine] = np.arange(mine.size)
+            sizes = ends[mine] - begins[mine]
+            if mine.size and (sizes == sizes[0]).all():
+                values.append(flat[begins[mine, None] + np.arange(sizes[0])])
+            else:
+                values.append([flat[begins[k] : ends[k]] for k in mine])
+            own = [inputs.sds.get(k) for k in mine.tolist()] if inputs.sds else []
+            sds.append(own if any(sd is not None for sd in own) else None)
+        times, before = heads[:, TIME_S].copy(), heads[:, BEFORE].astype(np.int64)
+        given = Readings(times, times, sensor, row, names, tuple(values), tuple(sds))
         super().__init__(nav, samples[:, 0].copy(), samples[:, 1:].copy(), given, 0, before)
 
     def _watched(self) -> list[Watch]:
         return [Watch(math.inf, math.inf) for _ in self._readings.names]
 
     def _repeated(self) -> NDArray[np.bool_]:
-        return np.array([reading.same for reading in self._given], bool)
+        return self._as_before
 
     def _lay_out(self) -> None:
         super()._lay_out()
-        for k in range(self._begin, self._end):
-            if self._given[k].frozen:  # learning wants to hear of that
-                self._good[k - self._begin] = False
+        self._good[self._frozen[self._begin : self._end]] = False  # learning wants to hear of that
 
     def _feed(self, samples: Array) -> None:
         self.nav.feed(samples)
 
     def _correct(self, at: int) -> None:
-        self.nav.feed(self._given[at])
+        self.nav.feed(self._reading(at))
 
     def _reading(self, at: int, frozen: bool = False) -> Reading:
-        return self._given[at]
+        return super()._reading(at, bool(self._frozen[at]))
 
     def _finish(self) -> None:
         pass

@@ -889,7 +889,7 @@ def rts(records, P0):
 def stationary(a, c, P):
     m, g = len(a), c - a
     M = np.eye(m, k=1)
-    M[:, 0] -= a
+    M[:, :1] -= a[:, None]
     if m and np.abs(np.linalg.eigvals(M)).max() >= 1.0:
         return False
     P[:] = np.linalg.solve(np.eye(m * m) - np.kron(M, M), np.outer(g, g).ravel()).reshape(m, m)
@@ -911,10 +911,10 @@ def one_channel(y, theta, chain, sees, rules, first, e, variance):
     a, c, var = theta[:m], theta[m:-1], np.exp(2 * theta[-1])
     F, W, start = np.zeros((r + m, r + m)), np.zeros((r + m, r + m)), np.zeros((r + m, r + m))
     F[:r, :r], F[r:, r:] = chain[0], np.eye(m, k=1)
-    F[r:, r] -= a
+    F[r:, r : r + 1] -= a[:, None]
     shared = np.r_[np.zeros(r), var * (c - a)]  # covariance of process and measurement noise
     W[:r, :r], W[r:, r:] = chain[1], np.outer(shared, shared)[r:, r:] / var
-    h = np.r_[sees, np.eye(m)[0]]
+    h = np.r_[sees, np.eye(m)[:1].ravel()]
     start[d:r, d:r] = chain[2][d:, d:]
     unit = np.zeros((m, m))
     if not stationary(a, c, unit):

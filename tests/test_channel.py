@@ -16,7 +16,7 @@ from navfilter.learning import likelihood
 from navfilter.learning.drift import Drift
 from navfilter.learning.fit import fit_channel
 from navfilter.learning.likelihood import Likelihood, filtered
-from navfilter.learning.slow import drift_chain
+from navfilter.learning.slow import drift_chain, slow_chains
 
 DEG = math.pi / 180.0
 PERIOD_S = 0.125
@@ -103,6 +103,8 @@ CASES = [
     ([-1.5, 0.6], [0.3], 2, 2),
     ([], [], 1, 3),
 ]
+FAST = {1: ([-0.8], [0.3]), 2: ([-1.5, 0.6], [0.3]), 3: ([-0.9, 0.1], [0.2, 0.1, 0.05])}
+FAST[4] = [-0.5, 0.2, 0.1, 0.05], [0.1, 0.2, 0.3]
 
 
 def chain_of(d, beside, random):
@@ -138,7 +140,7 @@ def naive_scores(y, thetas, chains, sees, rules, steps, E, V, info, gradient):
 def scored(scores, y, theta, chain, sees, rules, free, steps, d):
     k = len(steps)
     thetas, chains = moved(theta, chain, free, steps, d)
-    E, V, info, gradient = *np.empty((2, len(y), LANES)), np.empty((k, k)), np.empty(k)
+    E, V, info, gradient = *np.empty((2, len(y), LANES * (k // LANES + 1))), np.empty((k, k)), np.empty(k)
     return scores(y, thetas, chains, sees, rules, steps, E, V, info, gradient)[0], gradient, info
 
 
@@ -172,6 +174,30 @@ def test_filter_is_its_twin(ar, ma, d, beside, clip, first):
     # d samples at the start of each of the two segments do not count
     assert np.isfinite(E[0][:, 0]).sum() == np.isfinite(y).sum() - 2 * d
     assert (first < len(y)) == (values[0, 0] != 0.0)
+
+
+@pytest.mark.parametrize(("d", "slow", "m"), [*kernels.SHAPES, (1, 1, 1), (2, 0, 1), (2, 2, 3)])
+def test_a_tick_that_is_written_out_is_its_twin(d, slow, m):
+    """The shapes of a learner, and some of which each tick goes through loops; more models than lanes, clipped."""
+    random = np.random.default_rng(8)
+    y, theta = walk_with_gaps(random, 150), packed(*FAST[m], 0.7) if m else np.log([0.7])
+    y[60:71] = np.nan
+    y[90] += 30.0
+    r, count = d + slow, LANES + 3
+    chain = np.zeros((3, r, r))
+    chain[:, :d, :d] = drift_chain(Drift((0.3, 0.1, 0.02)[:d], 1.0), 1.0)
+    chains = np.tile(chain, (count, 1, 1, 1))
+    if slow:
+        chains[:, :, d:, d:] = slow_chains(slow, np.linspace(0.5, 2.0, count), np.linspace(5.0, 50.0, count), 1.0)
+    sees = np.eye(r)[0] + (np.arange(r) == d) * (slow > 0)
+    thetas, rules = np.tile(theta, (count, 1)), np.array([d, 8.0, 1.5, 0.04])
+    thetas[:, -1] += 0.01 * np.arange(count)
+    E, V, values = *np.empty((2, 2, len(y), 2 * LANES)), np.empty((2, count))
+    for of, e, variances, value in zip((kernels, naive), E, V, values, strict=True):
+        of.channel_filter(y, thetas, chains, sees, rules, 3, e, variances, value)
+    np.testing.assert_allclose(values[0], values[1], rtol=1e-11)
+    np.testing.assert_allclose(E[0][:, :count], E[1][:, :count], rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(V[0][:, :count], V[1][:, :count], rtol=1e-9)
 
 
 @pytest.mark.parametrize("count", [1, LANES, LANES + 5])

@@ -54,7 +54,7 @@ def test_what_was_kept_comes_back(samples):
 
 
 def test_many_at_once_are_one_after_the_other():
-    items = [item for item in some(400, samples=9) if isinstance(item, Reading)]
+    items = [item._replace(frozen=False) for item in some(400, samples=9) if isinstance(item, Reading)]
     rows = np.random.default_rng(3).normal(size=(2 * PIECE, 7))
     before = np.sort(np.random.default_rng(4).integers(0, len(rows), len(items)))
     before[-1] = len(rows)
@@ -63,10 +63,33 @@ def test_many_at_once_are_one_after_the_other():
         single.append(rows[begin:end])
         single.append(item)
     half = len(items) // 2
-    kept.extend(rows[: before[half]], before[: half + 1], items[: half + 1])
-    kept.extend(rows[before[half] :], before[half + 1 :] - before[half], items[half + 1 :])
+    for rest, first, some_of in (
+        (rows[: before[half]], before[: half + 1], items[: half + 1]),
+        (rows[before[half] :], before[half + 1 :] - before[half], items[half + 1 :]),
+    ):
+        names, times, values, sds, _, same = zip(*some_of, strict=True)
+        which = np.array([NAMES.index(name) for name in names])
+        kept.extend(rest, first, np.array(times), which, np.array(same), values, sds)
     assert kept.count == single.count and set(kept.sds) == set(single.sds)
     assert_same(kept.inputs(), single.inputs())
+
+
+@pytest.mark.parametrize("first", [0.0, 0.4, 1.0])
+def test_those_until_a_time_come_before_the_others(first):
+    """Where a block of samples ends later than that it is not among them, nor is what came after it."""
+    items = []
+    for i in range(60):
+        items += [np.full((3, 7), i + first), Reading("compass", i + 0.5, np.ones(1), None)]
+    items[7] = items[7]._replace(time_s=40.0)  # has come late
+    kept = kept_of(items)
+    for time_s in (-1.0, 0.2, 0.5, 3.4, 3.7, 20.0, 59.2, 70.0):
+        early, late = [], []
+        for item in items:
+            when = item[-1, 0] if isinstance(item, np.ndarray) else item.time_s
+            (late if late or when > time_s else early).append(item)
+        before = kept.until(time_s)
+        assert_same(kept.first(*before).inputs(), early)
+        assert_same(kept.inputs(before), late)
 
 
 @pytest.mark.parametrize("back", [0, 1, 150, 299])

@@ -134,7 +134,7 @@ def test_point_is_the_slope_of_what_is_minimised():
 
 @pytest.mark.parametrize("count", [0, 3, LANES])
 def test_others_beside_a_point_change_nothing(count):
-    """To the last bit, also where they have no room in its lanes."""
+    """To the last bit, also where they have no room beside its lanes."""
     likelihood = Likelihood(noisy(800, 3), DRIFT, 0.0, PRIOR)
     theta = np.r_[-0.5, 0.1, -0.3, -0.7, math.log(50.0)]
     others = [theta + 0.01 * i for i in range(count)]

@@ -189,9 +189,10 @@ class ArmaModel:
             Sampling rate of the series, Hz.
         """
         w = 2.0 * np.pi * np.asarray(freq_hz, dtype=np.float64) / rate_hz
+        z, polyval = np.exp(-1j * w), np.polynomial.polynomial.polyval
         with np.errstate(divide="ignore", invalid="ignore"):
-            _, response = scipy.signal.freqz(np.r_[1.0, self.ma], np.r_[1.0, self.ar], worN=np.atleast_1d(w))
-        return np.asarray(2.0 * self.sd**2 / rate_hz * np.abs(response) ** 2).reshape(w.shape)
+            response = polyval(z, np.r_[1.0, self.ma]) / polyval(z, np.r_[1.0, self.ar])
+        return np.asarray(2.0 * self.sd**2 / rate_hz * np.abs(response) ** 2)
 
     def autocovariance(self, lags: int) -> Array:
         """Autocovariance at lags 0 ... `lags`, shape (lags+1,).

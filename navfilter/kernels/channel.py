@@ -8,14 +8,18 @@ within 0.03 of the unit circle leave nothing but rounding of the start's covaria
 
 A chain (3, r, r) describes d: transition U over one tick (upper triangular), noise of one tick, covariance at the
 start (of the states after the diffuse ones, which come first). Parameter vector ``theta = [a (m), c (m), ln sd]``, a
-and c padded with zeros to m = max(p, q, 1). ``rules`` holds [diffuse states, longest gap, clip, white variance].
+and c padded with zeros to m = max(p, q). ``rules`` holds [diffuse states, longest gap, clip, white variance].
 
-`LANES` models go through the series side by side: their numbers are one value of a type of its own, and what is done to
-one is done to all, in few instructions where the processor has them. ``_load(array, row)`` reads such a value from an
-array whose last axis has length `LANES`; ``row`` counts over all its other axes. ``_store`` writes it there. (A loop
-over sixteen elements would be turned into such instructions only where the compiler can prove that arrays do not
-overlap.) A matrix has a row for each element, row ``i n + j`` for element (i, j); of symmetric ones only the upper
-triangle is kept. Without the compiler such a value is an array.
+`LANES` models go through the series side by side: their numbers are one value of a type of its own, and what is done
+to one is done to all, in few instructions where the processor has them. ``_load(array, row)`` reads such a value from
+an array whose last axis is a multiple of `LANES` long; ``row`` counts those. ``_store`` writes it there. (A loop over
+eight elements would be turned into such instructions only where the compiler can prove that arrays do not overlap.) A
+matrix has a row for each element, row ``i n + j`` for element (i, j); of symmetric ones only the upper triangle is
+kept. Without the compiler such a value is an array.
+
+Most of the time of a tick would go into its loops, and into numbers that are put away and fetched again. So for the
+shapes that learners have, Python runs `_tick` once while the kernel is compiled, with values that write down what is
+done to them (`_Value`, `_Rows`): of all loops and conditions nothing is left, and numbers stay in registers.
 """
 
 import math
@@ -37,14 +41,20 @@ HALF_LOG_2PI = 0.9189385332046727
 # scales, 1e35, do not overflow yet.
 TOGETHER = 8
 SMALL, LARGE = 1e-20, 1e20
-# Models at a time. Two of the widest registers there are: one is worked on while the other waits.
-LANES = 16
+# Samples whose derivatives are summed at a time: they stay in the first cache.
+STRETCH = 64
+# Models at a time: what the widest registers there are hold.
+LANES = 8
+# Of a chain and a fast part: how many integrators, states of a slow part beside them, and of the fast one. These are
+# the usual ones of a learner.
+SHAPES = [(d, s, m) for d in (2, 3) for s, most in ((1, 4), (2, 2)) for m in range(most + 1)]
+NUMBERS = np.array([100 * d + 10 * s + m for d, s, m in SHAPES])
 _ir = cgutils.ir
 _VECTOR = _ir.VectorType(_ir.DoubleType(), LANES)
 
 
 class _Lanes(types.Type):
-    """Sixteen numbers."""
+    """Eight numbers."""
 
 
 _lanes = _Lanes(name=f"Lanes{LANES}")
@@ -59,23 +69,26 @@ class _LanesModel(models.PrimitiveModel):
 
 
 def _load(array, row):
-    """Sixteen numbers from a row of an array."""
-    return array.reshape(-1, LANES)[row].copy()
+    """Eight numbers from a row of an array."""
+    return array.load(row) if isinstance(array, _Rows) else array.reshape(-1, LANES)[row].copy()
 
 
 def _store(array, row, value):
-    """Sixteen numbers into a row of an array."""
-    array.reshape(-1, LANES)[row] = value
+    """Eight numbers into a row of an array."""
+    if isinstance(array, _Rows):
+        array.rows[row] = value
+    else:
+        array.reshape(-1, LANES)[row] = value
 
 
 def _all_of(number):
-    """Sixteen times the same number."""
+    """Eight times the same number."""
     return np.full(LANES, number)
 
 
 def _root(u):
     """Square roots."""
-    return np.sqrt(u)
+    return u.called("sqrt") if isinstance(u, _Value) else np.sqrt(u)
 
 
 def _magnitude(u):
@@ -85,12 +98,12 @@ def _magnitude(u):
 
 def _smaller(u, v):
     """The smaller one of each two."""
-    return np.fmin(u, v)
+    return u.called("minnum", v) if isinstance(u, _Value) else np.fmin(u, v)
 
 
 def _larger(u, v):
     """The larger one of each two."""
-    return np.fmax(u, v)
+    return u.called("maxnum", v) if isinstance(u, _Value) else np.fmax(u, v)
 
 
 def _compiled(function, result, *kinds):
@@ -106,7 +119,7 @@ def _compiled(function, result, *kinds):
 
 
 def _place(context, builder, kinds, arguments):
-    """Pointer to sixteen numbers: row `arguments[1]` of an array."""
+    """Pointer to eight numbers: row `arguments[1]` of an array."""
     array = context.make_array(kinds[0])(context, builder, value=arguments[0])
     row = context.cast(builder, arguments[1], kinds[1], types.intp)
     first = builder.gep(array.data, [builder.mul(row, _ir.Constant(row.type, LANES))])
@@ -147,9 +160,14 @@ def _compile_all():
 
         @_compiled(function, _lanes, *[_lanes] * count)
         def build_function(context, builder, kinds, arguments, name=name):
-            kind = _ir.FunctionType(_VECTOR, [_VECTOR] * len(arguments))
-            called = cgutils.get_or_insert_function(builder.module, kind, f"llvm.{name}.v{LANES}f64")
-            return builder.call(called, arguments)
+            return _call(builder, name, *arguments)
+
+
+def _call(builder, name, *arguments):
+    """One of the compiler's own functions."""
+    kind = _ir.FunctionType(_VECTOR, [_VECTOR] * len(arguments))
+    called = cgutils.get_or_insert_function(builder.module, kind, f"llvm.{name}.v{LANES}f64")
+    return builder.call(called, arguments)
 
 
 _compile_all()
@@ -219,22 +237,64 @@ def _move(x, at, U, used, a, r, m):
     for i in range(r):
         s = _load(x, at + i) * _load(U, i * r + i)
         for k in range(i + 1, r):
-            if used[i, k]:
+            if used[0, i, k]:
                 s = s + _load(U, i * r + k) * _load(x, at + k)
         _store(x, at + i, s)
-    first = _load(x, at + r)
-    for i in range(m - 1):
-        _store(x, at + r + i, _load(x, at + r + i + 1) - _load(a, i) * first)
-    _store(x, at + r + m - 1, _all_of(0.0) - _load(a, m - 1) * first)
+    if m > 0:
+        first = _load(x, at + r)
+        for i in range(m - 1):
+            _store(x, at + r + i, _load(x, at + r + i + 1) - _load(a, i) * first)
+        _store(x, at + r + m - 1, _all_of(0.0) - _load(a, m - 1) * first)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always", **UNCOUNTED)
-def _spread(P, L, Q, U, used, a, corner, r, m):
-    """``P = F P F' + Q - L L'`` in place on the upper triangle."""
-    n = r + m
+def _tick(P, x, L, K, U, Q, used, sees, a, g, noise, corner, noted, y, weight, high, low, r, m):
+    """One tick: the gain of a reading y, the state and its covariance after it and moved on.
+
+    ``L = F P h + g``, ``K = weight L / S``, ``x = F x + K v``, ``P = F P F' + Q - K L'`` in place, P on the upper
+    triangle; a weight of 0 is a tick without a reading. Row 0 of `noted` is v in standard deviations, row 1 its
+    variance S.
+    """
+    n, last, zero = r + m, r + m - 1, _all_of(0.0)
+    variance, z = _load(noise, 0), y
+    for i in range(n):
+        s = zero
+        if m > 0:
+            s = _load(P, i * n + r if i <= r else r * n + i)
+        for k in range(r):
+            if sees[k] != 0.0:
+                s = s + _all_of(sees[k]) * _load(P, i * n + k if i <= k else k * n + i)
+        _store(L, i, s)
+        if i == r:
+            variance, z = variance + s, z - _load(x, i)
+        elif i < r and sees[i] != 0.0:
+            variance, z = variance + _all_of(sees[i]) * s, z - _all_of(sees[i]) * _load(x, i)
+    inverse, root = weight / variance, _root(variance)
+    z = z * root * inverse
+    _store(noted, 0, z)
+    _store(noted, 1, variance)
+    push = _larger(_smaller(z, high), low) * root
+    for i in range(r):
+        s, moved = _load(L, i), _load(x, i)
+        if used[0, i, i]:
+            s, moved = s * _load(U, i * r + i), moved * _load(U, i * r + i)
+        for k in range(i + 1, r):
+            if used[0, i, k]:
+                s, moved = s + _load(U, i * r + k) * _load(L, k), moved + _load(U, i * r + k) * _load(x, k)
+        _store(L, i, s)
+        _store(K, i, s * inverse)
+        _store(x, i, moved + s * inverse * push)
+    top, before = _load(L, r % n), _load(x, r % n)
+    for i in range(r, n):
+        s, moved = zero, zero
+        if i < last:
+            s, moved = _load(L, i + 1), _load(x, i + 1)
+        s, moved = s - _load(a, i - r) * top + _load(g, i - r), moved - _load(a, i - r) * before
+        _store(L, i, s)
+        _store(K, i, s * inverse)
+        _store(x, i, moved + s * inverse * push)
     # the chain, row by row: each becomes itself and later ones
     for i in range(r):
-        if used[i, i]:
+        if used[0, i, i]:
             u = _load(U, i * r + i)
             _store(P, i * n + i, _load(P, i * n + i) * u)
             for j in range(i):
@@ -242,7 +302,7 @@ def _spread(P, L, Q, U, used, a, corner, r, m):
             for j in range(i, n):
                 _store(P, i * n + j, _load(P, i * n + j) * u)
         for k in range(i + 1, r):
-            if used[i, k]:
+            if used[0, i, k]:
                 u, cross = _load(U, i * r + k), _load(P, i * n + k)
                 _store(P, i * n + i, _load(P, i * n + i) + u * (cross + cross + u * _load(P, k * n + k)))
                 for j in range(i):
@@ -251,38 +311,170 @@ def _spread(P, L, Q, U, used, a, corner, r, m):
                     _store(P, i * n + j, _load(P, i * n + j) + u * _load(P, j * n + k))
                 for j in range(k, n):
                     _store(P, i * n + j, _load(P, i * n + j) + u * _load(P, k * n + j))
-    zero, last = _all_of(0.0), n - 1
     for i in range(r):
-        row, li = i * n, _load(L, i)
+        row, k = i * n, _load(K, i)
         for j in range(i, r):
-            _store(P, row + j, _load(P, row + j) + _load(Q, row + j) - li * _load(L, j))
-        first = _load(P, row + r)
-        for j in range(r, last):
-            _store(P, row + j, _load(P, row + j + 1) - _load(a, j - r) * first - li * _load(L, j))
-        _store(P, row + last, zero - _load(a, m - 1) * first - li * _load(L, last))
+            s = _load(P, row + j) - k * _load(L, j)
+            if used[1, i, j]:
+                s = s + _load(Q, row + j)
+            _store(P, row + j, s)
+        top = _load(P, row + r % n)
+        for j in range(r, n):
+            s = zero
+            if j < last:
+                s = _load(P, row + j + 1)
+            _store(P, row + j, s - _load(a, j - r) * top - k * _load(L, j))
     for j in range(m):
         _store(corner, j, _load(P, r * n + r + j))
     for i in range(m):
-        row, li, ai = (r + i) * n, _load(L, r + i), _load(a, i)
-        before = _load(corner, i + 1) - ai * _load(corner, 0)
-        for j in range(i, m - 1):
-            s = _load(Q, row + r + j) - li * _load(L, r + j) - ai * _load(corner, j + 1) - _load(a, j) * before
-            _store(P, row + r + j, _load(P, row + n + r + j + 1) + s)
-        _store(P, row + last, _load(Q, row + last) - li * _load(L, last) - _load(a, m - 1) * before)
+        row, k, ai = (r + i) * n + r, _load(K, r + i), _load(a, i)
+        before = zero - ai * _load(corner, 0)
+        if i < m - 1:
+            before = before + _load(corner, i + 1)
+        for j in range(i, m):
+            s = _load(Q, row + j) - k * _load(L, r + j) - _load(a, j) * before
+            if j < m - 1:
+                s = s - ai * _load(corner, j + 1) + _load(P, row + n + j + 1)
+            _store(P, row + j, s)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _shape(used, sees, m):
+    """Number of a shape: of d integrators with a slow part of s states and m of a fast one; -1 for another chain."""
+    r = sees.size
+    for s in range(min(r, 3)):
+        d, same = r - s, True
+        for i in range(r):
+            same = same and sees[i] == (1.0 if i == 0 or (i == d and s > 0) else 0.0)
+            for j in range(i, r):
+                near = (i < d) == (j < d)
+                same = same and used[0, i, j] == (near and (i < j or i >= d)) and (near or not used[1, i, j])
+        if same and (100 * d + 10 * s + m == NUMBERS).any():
+            return 100 * d + 10 * s + m
+    return -1
+
+
+def _pattern(d, s):
+    """What `_set_up` finds of such a shape, and how a reading sees it."""
+    r = d + s
+    near = np.triu((np.arange(r) < d)[:, None] == (np.arange(r) < d))
+    moved = near & ~np.diag(np.arange(r) < d)
+    return np.array([moved, near]), np.eye(r)[0] + (np.arange(r) == d) * (s > 0)
+
+
+def _tick_in_a_row(shape, P, x, K, U, Q, a, g, noise, noted, y, weight, high):
+    """`_tick` of one of these shapes, which the compiler is given instruction by instruction."""
+    d, s, m = shape // 100, shape // 10 % 10, shape % 10
+    used, sees = _pattern(d, s)
+    L, corner = np.zeros((d + s + m, LANES)), np.zeros((m, LANES))
+    _tick(P, x, L, K, U, Q, used, sees, a, g, noise, corner, noted, y, weight, high, -high, d + s, m)
+
+
+class _Value:
+    """Lanes in a tick that is being written out; constants beside it are arrays."""
+
+    __array_ufunc__ = None
+
+    def __init__(self, builder, value):
+        self.builder, self.value = builder, value
+
+    def _with(self, instruction, one, other):
+        pair = [v.value if isinstance(v, _Value) else _ir.Constant(_VECTOR, list(v)) for v in (one, other)]
+        return _Value(self.builder, getattr(self.builder, instruction)(*pair, flags=("contract", "nsz")))
+
+    def __add__(self, other):
+        return self._with("fadd", self, other)
+
+    def __radd__(self, other):
+        return self._with("fadd", other, self) if other.any() else self
+
+    def __sub__(self, other):
+        return self._with("fsub", self, other)
+
+    def __rsub__(self, other):
+        return self._with("fsub", other, self)
+
+    def __mul__(self, other):
+        return self._with("fmul", self, other)
+
+    def __rmul__(self, other):
+        return self._with("fmul", other, self) if (other != 1.0).any() else self
+
+    def __truediv__(self, other):
+        return self._with("fdiv", self, other)
+
+    def called(self, name, *others):
+        """One of the compiler's own functions."""
+        return _Value(self.builder, _call(self.builder, name, self.value, *[other.value for other in others]))
+
+
+class _Rows:
+    """Rows of an array in a tick that is being written out: read when they are first used, written at the end."""
+
+    def __init__(self, builder, first=None):
+        self.builder, self.first, self.rows, self.read = builder, first, {}, {}
+
+    def load(self, row):
+        """A row as it is by now."""
+        if row not in self.rows:
+            value = self.builder.load(self._at(row))
+            value.align = 8
+            self.rows[row] = self.read[row] = _Value(self.builder, value)
+        return self.rows[row]
+
+    def _at(self, row):
+        place = self.builder.gep(self.first, [_ir.Constant(_ir.IntType(64), row * LANES)])
+        return self.builder.bitcast(place, _VECTOR.as_pointer())
+
+    def write(self):
+        """Those that are others now."""
+        for row, value in self.rows.items():
+            if value is not self.read.get(row):
+                self.builder.store(value.value, self._at(row), align=8)
+
+
+@_compiled(_tick_in_a_row, types.void, types.Integer, *[types.Array] * 9, *[_lanes] * 3)
+def _build_tick(context, builder, kinds, arguments):
+    """`_tick` run once for each shape, with values that write down what is done to them."""
+    pointers = [
+        context.make_array(kind)(context, builder, value=value).data
+        for kind, value in zip(kinds.args[1:10], arguments[1:10], strict=True)
+    ]
+    y, weight, high = (_Value(builder, value) for value in arguments[10:])
+    after = builder.append_basic_block("after")
+    choice = builder.switch(arguments[0], after)
+    for d, s, m in SHAPES:
+        block = builder.append_basic_block(f"tick{d}{s}{m}")
+        choice.add_case(_ir.Constant(arguments[0].type, 100 * d + 10 * s + m), block)
+        builder.position_at_end(block)
+        P, x, K, U, Q, a, g, noise, noted = rows = [_Rows(builder, first) for first in pointers]
+        used, sees = _pattern(d, s)
+        L, corner, low = _Rows(builder), _Rows(builder), np.zeros(LANES) - high
+        _tick(P, x, L, K, U, Q, used, sees, a, g, noise, corner, noted, y, weight, high, low, d + s, m)
+        for array in rows:
+            array.write()
+        builder.branch(after)
+    builder.position_at_end(after)
+    return context.get_dummy_value()
+
+
+_tick_by_loops = njit(cache=True, nogil=True, error_model="numpy", inline="always", **UNCOUNTED)(_tick)
 
 
 @apart
 @njit(cache=True, nogil=True, error_model="numpy")
-def _set_up(thetas, chains, rules, U, used, a, g, Q, start, noise, able):
-    """The models in lanes; those behind the last repeat it, those without a stationary start are not `able`."""
-    count, r, m = len(thetas), chains.shape[2], a.shape[0]
+def _set_up(thetas, chains, begin, rules, U, used, a, g, Q, start, noise, able):
+    """The models from `begin` on in lanes; those behind the last repeat it, those without a stationary start are not
+    `able`.
+    """
+    last, r, m = len(thetas) - 1, chains.shape[2], a.shape[0]
     n, d = r + m, int(rules[DIFFUSE])
     unit = np.zeros((m, m))
     for lane in range(LANES):
-        theta, chain = thetas[min(lane, count - 1)], chains[min(lane, count - 1)]
+        theta, chain = thetas[min(begin + lane, last)], chains[min(begin + lane, last)]
         same = lane > 0
         for i in range(2 * m):
-            same = same and theta[i] == thetas[min(lane, count) - 1, i]
+            same = same and theta[i] == thetas[min(begin + lane - 1, last), i]
         if same:
             able[lane] = able[lane - 1]
         else:
@@ -298,91 +490,78 @@ def _set_up(thetas, chains, rules, U, used, a, g, Q, start, noise, able):
             for j in range(i, r):
                 U[i * r + j, lane], Q[i * n + j, lane] = chain[TRANSITION, i, j], chain[NOISE, i, j]
                 start[i * n + j, lane] = chain[START, i, j] if i >= d else 0.0
-                used[i, j] = used[i, j] or chain[TRANSITION, i, j] != (1.0 if i == j else 0.0)
+                used[0, i, j] = used[0, i, j] or chain[TRANSITION, i, j] != (1.0 if i == j else 0.0)
+                used[1, i, j] = used[1, i, j] or chain[NOISE, i, j] != 0.0
 
 
 @apart
 @njit(cache=True, nogil=True, error_model="numpy", **UNCOUNTED)
-def _through(
-    y, sees, rules, first, E, V, U, used, a, g, P, Q, start, x, L, A, X, w, noise, total, product, corner, spare
-):
+def _through(y, sees, rules, first, shape, group, E, V, model, state, sums):
     """The loop of `channel_filter`, where nothing is allocated: with references to arrays counted it takes a sixth
     longer. Adds what samples say to `total`, and what is left of their variances is in `product`; returns how many
     count.
     """
+    U, used, a, g, Q, start, noise = model
+    P, x, L, K, A, X, w, corner, noted, spare = state
+    total, product = sums
     r, m = sees.size, a.shape[0]
-    n, d, longest, noted = r + m, int(rules[DIFFUSE]), int(rules[LONGEST_GAP]), E.size > 0
-    high, low, half, inverse = _all_of(rules[CLIP]), _all_of(-rules[CLIP]), _all_of(0.5), _all_of(0.0)
+    n, d, longest, groups = r + m, int(rules[DIFFUSE]), int(rules[LONGEST_GAP]), E.shape[1] // LANES
+    wanted = E.size > 0 and group < groups
+    limit, half = _all_of(rules[CLIP]), _all_of(0.5)
     missing, known, counted = longest + 1, 0, 0
-    top = int(0)  # a literal would compile a `_move` of its own
     for t in range(y.size):
         seen = not math.isnan(y[t])
-        if noted and (known < d or not seen or missing > longest):
-            _store(E, t, _all_of(math.nan))
-            _store(V, t, _all_of(1.0))
-        if not seen:
-            missing += 1
-            if missing > longest:
-                continue
-            for i in range(n):
-                _store(L, i, _all_of(0.0))
-            _move(x, top, U, used, a, r, m)
-            inverse = _all_of(0.0)
-        else:
+        if seen:
             if missing > longest:
                 known = 0
                 _begin(P, x, A, start, n, d)
             missing = 0
-            variance, z = _load(noise, 0), _all_of(y[t]) - _load(x, r)
-            for i in range(n):
-                s = _load(P, i * n + r if i <= r else r * n + i)
-                for k in range(r):
-                    if sees[k] != 0.0:
-                        s = s + _all_of(sees[k]) * _load(P, i * n + k if i <= k else k * n + i)
-                _store(L, i, s)
-                if i == r:
-                    variance = variance + s
-                elif i < r and sees[i] != 0.0:
-                    variance, z = variance + _all_of(sees[i]) * s, z - _all_of(sees[i]) * _load(x, i)
-            _move(L, top, U, used, a, r, m)
-            _move(x, top, U, used, a, r, m)
-            inverse = _all_of(1.0) / _root(variance)
-            z = z * inverse
-            # a diffuse state is not known yet: any innovation is ordinary
-            clipped = _larger(_smaller(z, high), low) if known >= d else z
-            for i in range(n):
-                s = _load(L, i) if i < r else _load(L, i) + _load(g, i - r)
-                s = s * inverse
-                _store(L, i, s)
-                _store(x, i, _load(x, i) + s * clipped)
-            if known >= d:
-                if noted:
-                    _store(E, t, z)
-                    _store(V, t, variance)
-                if t >= first:
-                    size, short = _magnitude(z), _magnitude(clipped)
-                    _store(total, 0, _load(total, 0) + short * (size - half * short))
-                    _store(product, 0, _load(product, 0) * variance)
-                    counted += 1
-                    if counted % TOGETHER == 0:
-                        _take_logarithms(product, total)
-            else:
-                _store(w, known, z)
-        _spread(P, L, Q, U, used, a, corner, r, m)
+        else:
+            missing += 1
+        if wanted and (known < d or not seen):
+            _store(E, t * groups + group, _all_of(math.nan))
+            _store(V, t * groups + group, _all_of(1.0))
+        if missing > longest:
+            continue
+        weight, value = _all_of(1.0 if seen else 0.0), _all_of(y[t] if seen else 0.0)
+        # a diffuse state is not known yet: any innovation is ordinary
+        high = limit if known >= d else _all_of(math.inf)
+        if shape < 0:
+            low = _all_of(0.0) - high
+            _tick_by_loops(P, x, L, K, U, Q, used, sees, a, g, noise, corner, noted, value, weight, high, low, r, m)
+        else:
+            _tick_in_a_row(shape, P, x, K, U, Q, a, g, noise, noted, value, weight, high)
+        if seen and known >= d:
+            z, variance = _load(noted, 0), _load(noted, 1)
+            if wanted:
+                _store(E, t * groups + group, z)
+                _store(V, t * groups + group, variance)
+            if t >= first:
+                size = _magnitude(z)
+                short = _smaller(size, limit)
+                _store(total, 0, _load(total, 0) + short * (size - half * short))
+                _store(product, 0, _load(product, 0) * variance)
+                counted += 1
+                if counted % TOGETHER == 0:
+                    _take_logarithms(product, total)
         if known < d:
+            inverse = weight / _root(_load(noted, 1))
             for k in range(d):
-                weight = _load(A, k * n + r)
+                by = _all_of(0.0)
+                if m > 0:
+                    by = _load(A, k * n + r)
                 for i in range(r):
                     if sees[i] != 0.0:
-                        weight = weight + _all_of(sees[i]) * _load(A, k * n + i)
-                weight = weight * inverse
+                        by = by + _all_of(sees[i]) * _load(A, k * n + i)
                 _move(A, k * n, U, used, a, r, m)
                 for i in range(n):
-                    _store(A, k * n + i, _load(A, k * n + i) - _load(L, i) * weight)
+                    _store(A, k * n + i, _load(A, k * n + i) - _load(K, i) * by)
                 if seen:
-                    _store(X, known * d + k, weight)
-            if seen and known == d - 1:
-                _collapse(X, w, A, x, P, n, d, spare)
+                    _store(X, known * d + k, by * inverse)
+            if seen:
+                _store(w, known, _load(noted, 0))
+                if known == d - 1:
+                    _collapse(X, w, A, x, P, n, d, spare)
         if seen:
             known += 1
     return counted
@@ -390,9 +569,9 @@ def _through(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def channel_filter(y, thetas, chains, sees, rules, first, E, V, values):
-    """Minus the log-likelihood of several models, at most `LANES`, into `values` (K,): of the samples from `first` on,
-    given those before. Innovations in standard deviations and their variances go into `E` and `V` (N, LANES), where
-    those are not empty.
+    """Minus the log-likelihood of several models into `values` (K,): of the samples from `first` on, given those
+    before. Innovations in standard deviations and their variances go into `E` and `V` (N, a multiple of `LANES`), of as
+    many models as these have room for; empty where none are wanted.
 
     thetas (K, 2m+1), chains (K, 3, r, r); y (N,) with NaN where a sample is missing; sees (r,) how the reading sees the
     chain. The first DIFFUSE states start diffuse: as many known samples of a segment fix them and do
@@ -403,20 +582,25 @@ def channel_filter(y, thetas, chains, sees, rules, first, E, V, values):
     """
     r, m = sees.size, (thetas.shape[1] - 1) // 2
     n, d = r + m, int(rules[DIFFUSE])
-    U, used, able = np.zeros((r * r, LANES)), np.zeros((r, r), np.bool_), np.zeros(LANES, np.bool_)
+    U, used, able = np.zeros((r * r, LANES)), np.zeros((2, r, r), np.bool_), np.zeros(LANES, np.bool_)
     P, Q, start = np.zeros((n * n, LANES)), np.zeros((n * n, LANES)), np.zeros((n * n, LANES))
     a, g, corner = np.zeros((m, LANES)), np.zeros((m, LANES)), np.zeros((m + 1, LANES))
-    x, L = np.zeros((n, LANES)), np.zeros((n, LANES))
+    x, L, K = np.zeros((n, LANES)), np.zeros((n, LANES)), np.zeros((n, LANES))
     A, X, w = np.zeros((d * n, LANES)), np.zeros((d * d, LANES)), np.zeros((d, LANES))
     noise, total, product = np.zeros((1, LANES)), np.zeros((1, LANES)), np.ones((1, LANES))
-    _set_up(thetas, chains, rules, U, used, a, g, Q, start, noise, able)
-    spare = np.zeros((d, d)), np.zeros((n, d))
-    counted = _through(
-        *(y, sees, rules, first, E, V, U, used, a, g, P, Q, start, x, L, A, X, w, noise, total, product, corner, spare)
-    )
-    for k in range(values.size):
-        value = total[0, k] + 0.5 * math.log(product[0, k]) + counted * HALF_LOG_2PI
-        values[k] = value if able[k] and value < math.inf else math.inf
+    noted, spare = np.zeros((2, LANES)), (np.zeros((d, d)), np.zeros((n, d)))
+    model, state = (U, used, a, g, Q, start, noise), (P, x, L, K, A, X, w, corner, noted, spare)
+    sums = total, product
+    for group in range((values.size + LANES - 1) // LANES):
+        begin = group * LANES
+        used[:] = False
+        _set_up(thetas, chains, begin, rules, U, used, a, g, Q, start, noise, able)
+        _store(total, 0, _all_of(0.0))
+        _store(product, 0, _all_of(1.0))
+        counted = _through(y, sees, rules, first, _shape(used, sees, m), group, E, V, model, state, sums)
+        for k in range(begin, min(begin + LANES, values.size)):
+            value = total[0, k - begin] + 0.5 * math.log(product[0, k - begin]) + counted * HALF_LOG_2PI
+            values[k] = value if able[k - begin] and value < math.inf else math.inf
 
 
 @apart
@@ -493,26 +677,38 @@ def channel_scores(E, V, steps, clip, info, gradient):
     = sum(dv dv'/S + dlnS dlnS'/2)``, ``dv/sqrt(S) = dz + z dlnS/2`` (Harvey 1989, eqs 3.4.69-70); derivatives are
     differences.
     """
-    k = steps.size
-    per, sums, turn = np.zeros((1, LANES)), np.zeros((2 * k, LANES)), np.zeros((2, LANES))
-    slope = np.zeros((1, LANES))
+    k, groups = steps.size, E.shape[1] // LANES
+    per, slopes = np.zeros(groups * LANES), np.zeros(groups * LANES)
+    sums, turn = np.zeros((2 * k, groups * LANES)), np.zeros((2 * STRETCH, groups * LANES))
     for i in range(k):
-        per[0, i + 1] = 1.0 / steps[i]
-    rate, half = _load(per, 0), _all_of(0.5)
-    for t in range(E.shape[0]):
-        z = E[t, 0]
-        if math.isnan(z):
-            continue
-        by_s = (_load(V, t) - _all_of(V[t, 0])) * rate / _all_of(V[t, 0])
-        by_z = (_load(E, t) - _all_of(z)) * rate
-        _store(slope, 0, _load(slope, 0) + _all_of(min(max(z, -clip), clip)) * by_z + half * by_s)
-        by_v = by_z + _all_of(0.5 * z) * by_s
-        _store(turn, 0, by_v)
-        _store(turn, 1, by_s)
+        per[i + 1] = 1.0 / steps[i]
+    half = _all_of(0.5)
+    for begin in range(0, E.shape[0], STRETCH):
+        count = 0
+        for t in range(begin, min(begin + STRETCH, E.shape[0])):
+            z, variance = E[t, 0], V[t, 0]
+            if math.isnan(z):
+                continue
+            clipped, halved, relative = _all_of(min(max(z, -clip), clip)), _all_of(0.5 * z), _all_of(1.0 / variance)
+            for group in range(groups):
+                row, rate = t * groups + group, _load(per, group)
+                by_s = (_load(V, row) - _all_of(variance)) * (rate * relative)
+                by_z = (_load(E, row) - _all_of(z)) * rate
+                _store(slopes, group, _load(slopes, group) + clipped * by_z + half * by_s)
+                _store(turn, 2 * count * groups + group, by_z + halved * by_s)
+                _store(turn, (2 * count + 1) * groups + group, by_s)
+            count += 1
         for i in range(k):
-            _store(sums, i, _load(sums, i) + _all_of(turn[0, i + 1]) * by_v)
-            _store(sums, k + i, _load(sums, k + i) + _all_of(0.5 * turn[1, i + 1]) * by_s)
+            for group in range(groups):
+                row = 2 * i * groups + group
+                of_v, of_s = _load(sums, row), _load(sums, row + groups)
+                for c in range(count):
+                    at = 2 * c * groups + group
+                    of_v = of_v + _all_of(turn[2 * c, i + 1]) * _load(turn, at)
+                    of_s = of_s + _all_of(0.5 * turn[2 * c + 1, i + 1]) * _load(turn, at + groups)
+                _store(sums, row, of_v)
+                _store(sums, row + groups, of_s)
     for i in range(k):
-        gradient[i] = slope[0, i + 1]
+        gradient[i] = slopes[i + 1]
         for j in range(k):
-            info[i, j] = sums[i, j + 1] + sums[k + i, j + 1]
+            info[i, j] = sums[2 * i, j + 1] + sums[2 * i + 1, j + 1]

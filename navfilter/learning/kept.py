@@ -6,6 +6,8 @@ that lives, as Python's collector does, is soon done. All of that happens betwee
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -120,14 +122,34 @@ class Kept:
             self.values.put(number)
         self.readings.put((time_s, self.names.index(name), frozen, same, self.samples.count, self.values.count))
 
-    def extend(self, samples: Array, before: NDArray[np.int64], readings: list[Reading]) -> None:
-        """Add samples, and readings between them; before (n,): behind how many of these samples each."""
-        place = {name: i for i, name in enumerate(self.names)}
-        heads = [(r.time_s, place[r.name], r.frozen, r.same) for r in readings]
-        ends = self.values.count + np.cumsum([r.value.size for r in readings])
-        self.sds.update({self.readings.count + k: r.sd for k, r in enumerate(readings) if r.sd is not None})
-        self.readings.append(np.column_stack([heads, self.samples.count + before, ends]))
-        self.values.append(np.concatenate([r.value.ravel() for r in readings])[:, None])
+    def extend(
+        self,
+        samples: Array,
+        before: NDArray[np.int64],
+        time_s: Array,
+        sensor: NDArray[np.int64],
+        same: NDArray[np.bool_],
+        values: Sequence[Array],
+        sds: Sequence[Any],
+    ) -> None:
+        """Add samples, and readings between them, none of them frozen.
+
+        Parameters
+        ----------
+        samples : ndarray, shape (m, 7)
+        before : ndarray of int, shape (n,)
+            Behind how many of these samples each reading came.
+        time_s, sensor, same : ndarray, shapes (n,)
+            When, of which sensor (by its place among `names`), and whether as before.
+        values : sequence of n ndarray
+        sds : sequence
+            None for a reading without its own; empty where none has one.
+        """
+        ends = self.values.count + np.cumsum([value.size for value in values])
+        self.sds.update({self.readings.count + k: sd for k, sd in enumerate(sds) if sd is not None})
+        frozen = np.zeros(len(time_s))
+        self.readings.append(np.column_stack([time_s, sensor, frozen, same, self.samples.count + before, ends]))
+        self.values.append(np.concatenate([np.ravel(value) for value in values])[:, None])
         self.samples.append(samples)
 
     def cut(self, samples: int, readings: int) -> None:
@@ -142,9 +164,7 @@ class Kept:
 
     def shared(self) -> Kept:
         """The same, from now on by itself."""
-        return Kept(
-            self.names, self.samples.shared(), self.readings.shared(), self.values.shared(), dict(self.sds)
-        )
+        return Kept(self.names, self.samples.shared(), self.readings.shared(), self.values.shared(), dict(self.sds))
 
     def first(self, samples: int, readings: int) -> Kept:
         """The first of them, as they are stored: each kind in one piece."""
@@ -178,13 +198,28 @@ class Kept:
         new.sds.update(self.sds)
         return new
 
-    def inputs(self) -> list[Array | Reading]:
-        """All of them, samples that follow each other in one block."""
+    def until(self, time_s: float) -> tuple[int, int]:
+        """How many samples and readings there are before the first input that is later; samples between two readings
+        are one input.
+        """
+        samples, heads = self.samples.whole(self.samples.count), self.readings.whole(self.readings.count)
+        ends = np.append(heads[:, BEFORE], len(samples)).astype(np.int64)
+        begins = np.append(0, ends[:-1])
+        latest = np.where(ends > begins, np.append(-math.inf, samples[:, 0])[ends], -math.inf)
+        later = np.maximum(latest, np.append(heads[:, TIME_S], -math.inf)) > time_s
+        if not later.any():
+            return self.count
+        k = int(np.argmax(later))
+        return int(begins[k] if latest[k] > time_s else ends[k]), k
+
+    def inputs(self, after: tuple[int, int] = (0, 0)) -> list[Array | Reading]:
+        """All of them after so many samples and readings; samples that follow each other are one block."""
         samples, heads = self.samples.whole(self.samples.count), self.readings.whole(self.readings.count)
         values = self.values.whole(self.values.count)[:, 0]
         result: list[Array | Reading] = []
-        begin = first = 0
-        for k, (time_s, sensor, frozen, same, *ends) in enumerate(heads.tolist()):
+        begin, done = after
+        first = int(heads[done - 1, VALUES]) if done else 0
+        for k, (time_s, sensor, frozen, same, *ends) in enumerate(heads[done:].tolist(), done):
             before, last = map(int, ends)
             if before > begin:
                 result.append(samples[begin:before])

@@ -83,8 +83,7 @@ class Likelihood:
         if prior is not None:
             sizes = np.log(prior.sd_limits) + self.log_unit
             self._limits = np.concatenate([self._limits, sizes, np.log(prior.taus_s[[0, -1]])])
-        # Innovations and their variances of the models of one call.
-        self._E, self._V = np.empty((2, self.y.size, LANES))
+        self._space = np.empty(2 * self.y.size * LANES)
 
     def _chains(self, rows: Array, slow: int) -> Array:
         """Drift and slow part of several parameter vectors, one a row, as the kernel wants them."""
@@ -100,12 +99,19 @@ class Likelihood:
         return theta[..., :-2] if slow else theta
 
     def standardised(self, thetas: Sequence[Array] | Array, p: int, slow: int = 0) -> tuple[Array, Array]:
-        """Minus the log-likelihood of some models, at most `LANES`, shape (K,), and their innovations in standard
-        deviations (N, K), which hold until the next call.
+        """Minus the log-likelihood of some models, shape (K,), and their innovations in standard deviations (N, K),
+        which hold until the next call.
         """
         rows = np.array(thetas)
-        values = self._filtered(rows, p, slow, self._E, self._V)
-        return values, self._E[:, : len(rows)]
+        E, V = self._noted(len(rows))
+        return self._filtered(rows, p, slow, E, V), E[:, : len(rows)]
+
+    def _noted(self, count: int) -> Array:
+        """Where the kernel notes innovations and variances of so many models, shape (2, N, a multiple of `LANES`)."""
+        n, wide = self.y.size, -(-count // LANES) * LANES
+        if self._space.size < 2 * n * wide:
+            self._space = np.empty(2 * n * wide)
+        return self._space[: 2 * n * wide].reshape(2, n, wide)
 
     def value(self, theta: Array, p: int, slow: int = 0) -> float:
         """Minus the log-likelihood; the innovations stay in `innovations`."""
@@ -114,7 +120,7 @@ class Likelihood:
     @property
     def innovations(self) -> Array:
         """Standardised innovations of the last `value`, NaN where nothing counts."""
-        return self._E[:, 0].copy()
+        return self._noted(1)[0, :, 0].copy()
 
     def penalised(self, thetas: Sequence[Array] | Array, p: int, slow: int = 0) -> Array:
         """What is minimised, of any number of models, shape (K,): minus the log-likelihood less the log-density of the
@@ -147,26 +153,25 @@ class Likelihood:
     def points(
         self, theta: Array, p: int, slow: int, beside: Sequence[Array] | Array = ()
     ) -> tuple[Point, list[float]]:
-        """The point at `theta`, and the penalised values of others, which fill the lanes that it leaves free."""
+        """The point at `theta`, and the penalised values of others, which fill the lanes that it leaves free first."""
         k = theta.size
         steps = np.full(k, EFFORT.slow_difference)
         fast = self.fast(theta, slow)
         steps[: fast.size] = self._steps(fast, p)
-        room = max(LANES - k - 1, 0)
-        rows = np.concatenate([theta + np.vstack([np.zeros(k), np.diag(steps)]), np.reshape(beside[:room], (-1, k))])
+        rows = np.empty((k + 1 + len(beside), k))
+        rows[: k + 1], rows[k + 1 :] = theta, np.reshape(beside, (-1, k))
+        rows[range(1, k + 1), range(k)] += steps
         info, gradient = np.empty((k, k)), np.empty(k)
         thetas, chains = _padded(self.fast(rows, slow), p), self._chains(rows, slow)
-        values = scores(self.y, thetas, chains, self._sees[slow], self.rules, steps, self._E, self._V, info, gradient)
+        E, V = self._noted(k + 1)
+        values = scores(self.y, thetas, chains, self._sees[slow], self.rules, steps, E, V, info, gradient)
         if slow and self.prior is not None:
             prior, log_sd = self.prior, theta[-2] - self.log_unit
             values -= self._log_densities(rows, slow)
             spreads = np.array([prior.spread, prior.tau_spread])
             gradient[-2:] += prior.offsets(log_sd, theta[-1]) / spreads
             info[[-2, -1], [-2, -1]] += spreads**-2.0
-        others = values[k + 1 :].tolist()
-        if len(beside) > room:
-            others += self.penalised(beside[room:], p, slow).tolist()
-        return Point(theta, p, slow, float(values[0]), gradient, info), others
+        return Point(theta, p, slow, float(values[0]), gradient, info), values[k + 1 :].tolist()
 
     def _steps(self, theta: Array, p: int) -> Array:
         """Difference steps that stay where a stationary start exists."""
@@ -202,14 +207,11 @@ def filtered(
     E: Array = _UNWANTED,
     V: Array = _UNWANTED,
 ) -> Array:
-    """Minus the log-likelihood of any number of models (K,), of the samples from `first` on given those before; see
-    `kernel.channel_filter`, which stands alone, so that the dearest kernel of all is compiled once. `E` and `V` are for
-    no more than `LANES` models.
+    """Minus the log-likelihood of some models (K,), of the samples from `first` on given those before; see
+    `kernel.channel_filter`, which stands alone, so that the dearest kernel of all is compiled once.
     """
     values = np.empty(len(thetas))
-    for begin in range(0, len(thetas), LANES):
-        part = slice(begin, begin + LANES)
-        kernel.channel_filter(y, thetas[part], chains[part], sees, rules, first, E, V, values[part])
+    kernel.channel_filter(y, thetas, chains, sees, rules, first, E, V, values)
     return values
 
 
@@ -228,8 +230,8 @@ def scores(
     """Minus the log-likelihood of some models (K,); of ``thetas[0]`` and ``chains[0]`` gradient and Fisher information.
 
     The next k rows of `thetas` (K, 2m+1) and `chains` (K, 3, r, r) are those of this model with one of its k parameters
-    moved by ``steps[i]``, the others are any. `E` and `V` (N, LANES) receive innovations and their variances. A step
-    that leaves the stationary region gives an infinite value: the caller chooses steps that do not.
+    moved by ``steps[i]``, the others are any. `E` and `V` receive innovations and their variances. A step that leaves
+    the stationary region gives an infinite value: the caller chooses steps that do not.
     """
     values = filtered(y, thetas, chains, sees, rules, 0, E, V)
     if values[: steps.size + 1].max() < math.inf:
@@ -261,7 +263,7 @@ class Point:
 def _padded(rows: Array, p: int) -> Array:
     """The kernel's parameter vectors of several ``[ar, ma, ln sd]``, one a row."""
     q = rows.shape[1] - 1 - p
-    out = np.zeros((len(rows), 2 * max(p, q, 1) + 1))
+    out = np.zeros((len(rows), 2 * max(p, q) + 1))
     out[:, _places(p, q)] = rows
     return out
 
@@ -269,7 +271,7 @@ def _padded(rows: Array, p: int) -> Array:
 @cache
 def _places(p: int, q: int) -> NDArray[np.int64]:
     """Where the elements of ``[ar, ma, ln sd]`` are in the kernel's parameter vector."""
-    m = max(p, q, 1)
+    m = max(p, q)
     return np.r_[np.arange(p), m + np.arange(q), 2 * m]
 
 

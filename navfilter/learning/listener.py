@@ -231,12 +231,17 @@ class Listener:
     def caught_up(self, ear: Array, ticks: Array, values: Array) -> None:
         """Take over what a kernel has heard: ticks of each reading, and what it has noted of them (n, axes + 1)."""
         memory, capacity = self._memory, self._memory.ring.shape[1]
-        ends = np.cumsum(1 + np.clip(ticks.astype(np.int64) - 1, 0, capacity))
-        new = np.full((int(ends[-1]), values.shape[1]), np.nan)
-        new[ends - 1] = values
-        places = (memory.cursor[0] + np.arange(len(new)))[-capacity:] % capacity
-        memory.ring[:, places] = new[-capacity:].T
+        ends = np.minimum(np.maximum(ticks.astype(np.int64), 1), capacity + 1).cumsum()
+        new = values
+        if ends[-1] > len(values):  # some ticks had no reading
+            new = np.full((int(ends[-1]), values.shape[1]), np.nan)
+            new[ends - 1] = values
         memory.cursor[0] += len(new)
+        kept = new[-capacity:].T
+        begin = int(memory.cursor[0] - kept.shape[1]) % capacity
+        room = capacity - begin
+        memory.ring[:, begin : begin + kept.shape[1]] = kept[:, :room]
+        memory.ring[:, : max(kept.shape[1] - room, 0)] = kept[:, room:]
         memory.nis = float(ear[listen.NIS])
 
     def settle(self, age_s: float) -> None:

@@ -11,6 +11,7 @@ import math
 from bisect import bisect_right
 from collections.abc import Generator, Mapping
 from dataclasses import dataclass
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -233,8 +234,7 @@ def _mass(line: Line, order: int, tau_s: float, prior: SlowPrior) -> tuple[float
     if order == 0:
         odds = prior.absent / (1.0 - prior.absent)
         return float(line.evidence[0]) + prior.log_mass() + math.log(max(odds, 1e-300)), np.ones(1)
-    log_tau = math.log(tau_s)
-    log = line.evidence + np.array([prior.log_density(order, u, log_tau) for u in line.log_sd.tolist()])
+    log = line.evidence + prior.log_densities(order, line.log_sd, math.log(tau_s))
     top = float(log.max())
     share = np.exp(log - top)
     total = float(share.sum())
@@ -243,18 +243,26 @@ def _mass(line: Line, order: int, tau_s: float, prior: SlowPrior) -> tuple[float
 
 def _between(taus: Array, tops: Array, means: Array, present: float) -> Array:
     """Weights and means of sd^2 between the nodes of ln tau, see `SlowPosterior.moments`; their sum is `present`."""
-    nodes = np.log(taus)
-    fine = np.linspace(nodes[0], nodes[-1], STEPS * (nodes.size - 1) + 1)
-    rows = []
-    for order in (1, 2):
-        part = slice((order - 1) * nodes.size, order * nodes.size)
-        level = np.maximum(tops[part], -50.0)
-        curve = np.minimum(scipy.interpolate.CubicSpline(nodes, level, bc_type="natural")(fine), level.max() + 0.5)
-        squares = np.exp(np.interp(fine, nodes, means[part]))
-        rows.append(np.column_stack([np.full(fine.size, float(order)), np.exp(fine), np.exp(curve), squares]))
-    out = np.vstack(rows)
-    out[:, 2] *= present / out[:, 2].sum()
-    return out
+    smooth, straight = _fine(taus.size)
+    level = np.maximum(tops.reshape(2, -1), -50.0)
+    out = np.empty((2, len(smooth), 4))
+    out[..., 0] = [[1.0], [2.0]]
+    out[..., 1] = np.exp(straight @ np.log(taus))
+    out[..., 2] = np.exp(np.minimum(level @ smooth.T, level.max(axis=1, keepdims=True) + 0.5))
+    out[..., 3] = np.exp(means.reshape(2, -1) @ straight.T)
+    out[..., 2] *= present / out[..., 2].sum()
+    return out.reshape(-1, 4)
+
+
+@cache
+def _fine(nodes: int) -> tuple[Array, Array]:
+    """What makes values on the finer grid of those at so many nodes, `STEPS` from each to the next: natural cubic
+    splines, and straight lines.
+    """
+    places = np.arange(float(nodes))
+    fine = np.linspace(0.0, nodes - 1.0, STEPS * (nodes - 1) + 1)
+    straight = np.array([np.interp(fine, places, row) for row in np.eye(nodes)]).T
+    return scipy.interpolate.CubicSpline(places, np.eye(nodes), bc_type="natural")(fine), straight
 
 
 def _between_places(line: Line, log_sd: float) -> float:

@@ -415,7 +415,7 @@ class LearningSchedule:
             levels[name] = tuple(1.0 if block is None else max(block_level(block), 1e-300) for block in blocks)
         return levels
 
-    def begin_again(self, until_s: float) -> list[Array | Reading]:
+    def begin_again(self, until_s: float) -> Kept:
         """The filter stands at the start again: listen from there, and learn nothing before `until_s`; returns the
         inputs of the beginning, which are kept anew if it may be done once more.
         """
@@ -425,7 +425,7 @@ class LearningSchedule:
         if self.rest is not None:
             self.rest.begin_again()
         names = tuple(self.filter.channels)
-        inputs, self.beginning = [] if self.beginning is None else self.beginning.inputs(), Kept(names)
+        inputs, self.beginning = self.beginning or Kept(names), Kept(names)
         self._quiet_s = until_s
         self._waiting = ()
         if self.again is not None and self.again.given_up:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -75,7 +76,7 @@ class SlowPrior:
         """The fast part's poles are at least this quick, by their natural frequency [s]."""
         return self.span_s / 60.0
 
-    @property
+    @cached_property
     def taus_s(self) -> Array:
         """Nodes of the correlation time: a fiftieth of the span, and by twos up to two and a half times it [s]."""
         return self.span_s / 50.0 * 2.0 ** np.arange(8.0)
@@ -88,15 +89,22 @@ class SlowPrior:
     def log_density(self, order: int, log_sd: float, log_tau: float) -> float:
         """Of one node, but for a constant."""
         off, off_tau = self.offsets(log_sd, log_tau)
-        share = self.second_order if order == 2 else 1.0 - self.second_order
-        return math.log(share) - 0.5 * (off * off + off_tau * off_tau)
+        return self._log_share[order - 1] - 0.5 * (off * off + off_tau * off_tau)
 
-    def log_densities(self, order: int, log_sd: Array, log_tau: Array) -> Array:
+    def log_densities(self, order: int, log_sd: Array, log_tau: Array | float) -> Array:
         """Of several nodes of one order, but for a constant, shape (K,)."""
-        off = (log_sd - math.log(self.median * self.sd)) / self.spread
-        off_tau = (log_tau - math.log(self.tau_s)) / self.tau_spread
-        share = self.second_order if order == 2 else 1.0 - self.second_order
-        return math.log(share) - 0.5 * (off * off + off_tau * off_tau)
+        centre, centre_tau = self._centre
+        off, off_tau = (log_sd - centre) / self.spread, (log_tau - centre_tau) / self.tau_spread
+        return self._log_share[order - 1] - 0.5 * (off * off + off_tau * off_tau)
+
+    @cached_property
+    def _log_share(self) -> tuple[float, float]:
+        return math.log(1.0 - self.second_order), math.log(self.second_order)
+
+    @cached_property
+    def _centre(self) -> tuple[float, float]:
+        """ln sd and ln tau."""
+        return math.log(self.median * self.sd), math.log(self.tau_s)
 
     def log_mass(self) -> float:
         """Of all nodes, with the constant that `log_density` is without."""
@@ -105,10 +113,8 @@ class SlowPrior:
 
     def offsets(self, log_sd: float, log_tau: float) -> tuple[float, float]:
         """How far ln sd and ln tau are from the prior's centre, in its standard deviations."""
-        return (
-            (log_sd - math.log(self.median * self.sd)) / self.spread,
-            (log_tau - math.log(self.tau_s)) / self.tau_spread,
-        )
+        centre, centre_tau = self._centre
+        return (log_sd - centre) / self.spread, (log_tau - centre_tau) / self.tau_spread
 
 
 def slow_prior(model: ErrorModel, period_s: float, span_s: float) -> SlowPrior | None:

@@ -40,11 +40,14 @@ class Spectrum:
     @classmethod
     def weighted(cls, frequency_hz: Array, density: Array, weight: Array) -> Spectrum:
         """Of spectra, shape (n, frequencies), with weights whose sum is one."""
-        order = np.argsort(density, axis=0)
-        sums = np.cumsum(weight[order], axis=0)
-        ranked = np.take_along_axis(density, order, axis=0)
-        rows = [np.minimum((sums < share).sum(axis=0), len(weight) - 1) for share in (0.05, 0.5, 0.95)]
-        bands = [tuple(np.take_along_axis(ranked, row[None], axis=0)[0].tolist()) for row in rows]
+        at = np.ascontiguousarray(density.T)
+        order = np.argsort(at, axis=1)
+        sums = np.cumsum(weight[order], axis=1)
+        bands: list[tuple[float, ...]] = []
+        for share in (0.05, 0.5, 0.95):
+            ranks = np.minimum((sums < share).sum(axis=1, keepdims=True), len(weight) - 1)
+            chosen = np.take_along_axis(order, ranks, axis=1)
+            bands.append(tuple(np.take_along_axis(at, chosen, axis=1)[:, 0].tolist()))
         log = np.log(np.maximum(density[:, 0], 1e-300))
         spread = float(np.sqrt(max(weight @ log**2 - float(weight @ log) ** 2, 0.0)))
         return cls(tuple(frequency_hz.tolist()), bands[0], bands[1], bands[2], spread)
