@@ -14,7 +14,7 @@ ROOT = Path(navfilter.__file__).parent
 #: From the ground up; a module may import from its own floor and those below.
 FLOORS = [
     {"kernels", "constants", "compilation", "known_calls", "notebook", "utc"}
-    | {"filter.memory", "filter.health", "filter.integrity"},
+    | {"filter.memory", "filter.health", "filter.integrity", "filter.spool"},
     {
         "arma",
         "state",

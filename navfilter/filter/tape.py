@@ -1,8 +1,4 @@
-"""What a run leaves behind: records for the smoother, rows for the track, residuals per sensor.
-
-Records and rows go to a spool that keeps a bounded amount in memory and the rest in a temporary file, so that a
-day-long mission needs no more memory than an hour.
-"""
+"""What a run leaves behind: records for the smoother, rows for the track, residuals per sensor."""
 
 from __future__ import annotations
 
@@ -10,8 +6,6 @@ import bisect
 import copy
 import functools
 import math
-import tempfile
-import weakref
 from array import array
 from dataclasses import dataclass, field
 from typing import Any
@@ -19,7 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["CHANGE", "OUTCOMES", "Residuals", "Spool", "Tape", "triangle"]
+from navfilter.filter.spool import Spool
+
+__all__ = ["CHANGE", "OUTCOMES", "Residuals", "Tape", "triangle"]
 
 Array = NDArray[np.float64]
 
@@ -34,110 +30,6 @@ CHANGE = -1
 def triangle(n: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Rows and columns of the lower triangle of a matrix of n rows, row by row, as a row of the tape has them."""
     return np.tril_indices(n)
-
-
-class Spool:
-    """Append-only store of float64 vectors; at most `memory_bytes` stay in memory, older ones go to a temporary file.
-
-    Raises
-    ------
-    OSError
-        When the temporary file cannot be written (disk full).
-    """
-
-    CHUNK = 1 << 18  # 2 MiB of float64
-
-    def __init__(self, memory_bytes: int) -> None:
-        self._keep = max(2, memory_bytes // (8 * self.CHUNK))
-        self._chunks: list[Array | None] = []
-        # three integers per vector (chunk, first, last), in a flat array: a day has millions of them
-        self._places = array("i")
-        self._offsets: list[int] = []
-        self._sizes: list[int] = []
-        self._file: Any = None
-        self._written = 0
-        self._end = 0
-        self._loaded: tuple[int, Array] | None = None
-
-    def __len__(self) -> int:
-        return len(self._places) // 3
-
-    def new(self, size: int) -> Array:
-        """A writable view of `size` elements, appended."""
-        if not self._chunks or self._end + size > len(self._chunks[-1]):  # type: ignore[arg-type]
-            self._spill()
-            self._chunks.append(np.empty(max(self.CHUNK, size)))
-            self._end = 0
-        self._places.extend((len(self._chunks) - 1, self._end, self._end + size))
-        self._end += size
-        return self[-1]
-
-    def extend(self, flat: Array, sizes: NDArray[np.int64]) -> None:
-        """Append vectors of these sizes that stand one behind the other in `flat`."""
-        ends = np.cumsum(sizes)
-        done = 0
-        while done < len(sizes):
-            begin = int(ends[done] - sizes[done])
-            room = 0 if not self._chunks else len(self._chunks[-1]) - self._end  # type: ignore[arg-type]
-            last = int(np.searchsorted(ends, begin + room, side="right"))
-            if last == done:
-                self.new(int(sizes[done]))[:] = flat[begin : int(ends[done])]
-                done += 1
-                continue
-            chunk, at, size = self._chunks[-1], self._end, int(ends[last - 1]) - begin
-            assert chunk is not None
-            chunk[at : at + size] = flat[begin : begin + size]
-            places = np.empty((last - done, 3), np.intc)
-            places[:, 0], places[:, 2] = len(self._chunks) - 1, at + ends[done:last] - begin
-            places[:, 1] = places[:, 2] - sizes[done:last]
-            self._places.frombytes(places.tobytes())
-            self._end, done = at + size, last
-
-    def drop(self) -> None:
-        """Forget the last vector."""
-        if self._places[-3] == len(self._chunks) - 1:
-            self._end = self._places[-2]
-        del self._places[-3:]
-
-    def _spill(self) -> None:
-        oldest = len(self._chunks) - self._keep
-        if oldest < 0:
-            return
-        if self._file is None:
-            self._file = tempfile.TemporaryFile(prefix="navfilter-")  # noqa: SIM115  (lives as long as the spool)
-            weakref.finalize(self, self._file.close)
-        chunk = self._chunks[oldest]
-        assert chunk is not None
-        self._file.seek(self._written)
-        self._offsets.append(self._written)
-        self._sizes.append(len(chunk))
-        self._written += self._file.write(chunk)
-        self._chunks[oldest] = None
-
-    def __getitem__(self, index: int) -> Array:
-        at = 3 * (index if index >= 0 else len(self) + index)
-        number, first, last = self._places[at : at + 3]
-        return self._chunk(number)[first:last]
-
-    def run(self, first: int, last: int) -> tuple[Array, NDArray[np.int64]]:
-        """Vectors before the one of number `last`, back to number `first` or as far as they stand in one piece: the
-        array in which they stand, and where each of them begins.
-        """
-        if first >= last:
-            return np.empty(0), np.empty(0, np.int64)
-        places = np.frombuffer(self._places, np.intc).reshape(-1, 3)[first:last]
-        number = int(places[-1, 0])
-        return self._chunk(number), places[np.searchsorted(places[:, 0], number) :, 1].astype(np.int64)
-
-    def _chunk(self, number: int) -> Array:
-        chunk = self._chunks[number]
-        if chunk is not None:
-            return chunk
-        if self._loaded is None or self._loaded[0] != number:
-            self._loaded = number, np.empty(self._sizes[number])
-            self._file.seek(self._offsets[number])
-            self._file.readinto(self._loaded[1])
-        return self._loaded[1]
 
 
 @dataclass(frozen=True)
@@ -272,13 +164,13 @@ class Tape:
         smoother works on what is written last.
         """
         before = copy.copy(self)
-        before.ended_s, before.records, before._heads = time_s, Spool(0), array("i")
+        before.ended_s, before.records, before._heads = time_s, Spool(0), array("h")
         self.given = before
         self._fresh(layout)
 
     def _fresh(self, layout: Any) -> None:
         self.records = Spool(self._memory_bytes)
-        self._heads = array("i")  # a, m, b, start of each record
+        self._heads = array("h")  # a, m, b, start of each record
         self.rows = Spool(self._memory_bytes)
         self.row_times = array("d")
         self.row_records = array("q")  # the record after which the row holds
@@ -303,11 +195,11 @@ class Tape:
             self._heads.extend((CHANGE, *M.shape, 0))
 
     @property
-    def heads(self) -> NDArray[np.intc]:
+    def heads(self) -> NDArray[np.int16]:
         """Of each record: axes, size of the head, size and start of the ticked block; or `CHANGE`, rows and columns of
         the matrix, 0. A view: while it is held, no record can be written.
         """
-        return np.frombuffer(self._heads, np.intc).reshape(-1, 4)
+        return np.frombuffer(self._heads, np.int16).reshape(-1, 4)
 
     def row(self, time_s: float, nav: Array, x: Array, P: Array, present: Array | None = None) -> None:
         """Note the state at this time; the last note of a time stands, and times closer than the output interval are
@@ -357,7 +249,7 @@ class Tape:
         before = len(self.records)
         if records:
             self.records.extend(flat[:elements], heads[:records, 0])
-            self._heads.frombytes(heads[:records, 1:].astype(np.intc).tobytes())
+            self._heads.frombytes(heads[:records, 1:].astype(np.int16).tobytes())
         if count and self.row_times and info[0, 0] == self.row_times[-1]:
             self.rows.drop()
             for ended in (self.row_times, self.row_records, self.row_layouts):
@@ -381,13 +273,10 @@ class Tape:
         before, layouts = len(self.records), len(self.layouts)
         records = len(other.records) if records is None else records
         rows = len(other.row_times) if rows is None else rows
-        for i in range(records):
-            record = other.records[i]
-            self.records.new(record.size)[:] = record
+        for mine, its, count in ((self.records, other.records, records), (self.rows, other.rows, rows)):
+            for flat, sizes in its.pieces(count):
+                mine.extend(flat, sizes)
         self._heads.extend(other._heads[: 4 * records])
-        for i in range(rows):
-            row = other.rows[i]
-            self.rows.new(row.size)[:] = row
         self.row_times.extend(other.row_times[:rows])
         self.row_records.extend(array("q", [before + number for number in other.row_records[:rows]]))
         self.row_layouts.extend(array("q", [layouts + number for number in other.row_layouts[:rows]]))
