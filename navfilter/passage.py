@@ -49,6 +49,7 @@ class Readings:
     sensor, row : ndarray of int, shape (n,)
         Which of `names`, and which row of its values.
     names : tuple of str
+        Of all sensors, in their order; those that the drive's own samples make have no readings.
     values : tuple of ndarray, or of list of ndarray
         Per sensor.
     sds : tuple of list or None
@@ -115,9 +116,7 @@ class Passage:
         if self._waits:
             self._readings = readings = readings.later(self._lead_s[readings.sensor])
         self._ends = self._samples_before() if before is None else before.astype(np.int64)
-        self._channels = [nav.filter.channels[name] for name in readings.names]
-        # sensors that the drive's own samples make have no readings
-        self._rows = np.array([*(list(nav.filter.channels).index(name) for name in readings.names), -1])
+        self._channels = list(nav.filter.channels.values())
         self._watches = self._watched()
         most = max([1, *(channel.axes for channel in self._channels)])
         self._notes = np.empty((READINGS, 3 + 2 * most))
@@ -336,7 +335,7 @@ class Passage:
                 cursor,
                 self._settings(),
                 filter.bench,
-                filter.plan[self._rows],
+                filter.plan,
                 heard,
                 watched,
                 (memory.nav, memory.x, memory.P, memory.acc),
@@ -348,6 +347,7 @@ class Passage:
                 self._stamps,
                 filter.intake.limits,
                 hearing,
+                shifts.looking(filter),
                 (
                     *(given.time_s[part], given.sensor[part], self._ends[part] - self._first, self._good),
                     *(self._same[part], self._z, self._variances, self._notes),

@@ -26,20 +26,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.filter.channel import UNDISPUTED_S, Channel
-from navfilter.kernels import drive_watch as kernel
-from navfilter.kernels.jumps import BIAS, NIS, TIME_S, VARIANCE, farthest
+from navfilter.kernels import shifts as kernel
+from navfilter.kernels import stretch
+from navfilter.kernels.shifts import (
+    ANEW,
+    APART,
+    BIAS,
+    COLUMNS,
+    HEADING,
+    LATITUDE,
+    LIMIT,
+    LONGITUDE,
+    NIS,
+    TIME_S,
+    VARIANCE,
+    farthest,
+)
 
 if TYPE_CHECKING:
     from navfilter.filter.filter import Filter
     from navfilter.filter.filter_memory import FilterMemory
 
-__all__ = ["due_s", "fresh", "look", "shifted"]
+__all__ = ["due_s", "fresh", "look", "looking", "shifted"]
 
 Array = NDArray[np.float64]
 #: The estimates are looked at so often [s], and held against those of so many looks before [1].
-EVERY_S, LOOKS = 10.0, 16
-#: A change beyond so many times its variance [1]: six standard deviations.
-LIMIT = 36.0
+EVERY_S, LOOKS = stretch.LOOK_EVERY_S, 16
 #: What error models leave out moves a bias, too: by this share of the sd that it has at the start [1].
 FLOOR = 0.15
 #: The share of a shift that the estimate has followed, at least [1].
@@ -54,12 +66,8 @@ BEYOND = 9.0
 #: What deviations are by the heading and by twice the heading, as standard deviations [rad]; what nobody knows of the
 #: difference between a compass and how far gyros have turned [rad].
 DEVIATION, UNKNOWN = (0.2, 0.1), 10.0
-#: An axis is about the vertical if so much of it is [1]. A compass is there while its last reading is so old [s].
-UPRIGHT, HEARD_S = 0.5, 3.0
-#: Columns of what is remembered: time, latitude and longitude, how often the attitude had been set anew; estimates of
-#: the three biases, and their variances; NIS per component of the readings just before; heading by the compass, and
-#: that less what the gyros have turned (NaN: there is none).
-LATITUDE, LONGITUDE, ANEW, HEADING, APART, COLUMNS = 1, 2, 3, 11, 12, 13
+#: An axis is about the vertical if so much of it is [1].
+UPRIGHT = 0.5
 
 
 def fresh() -> Array:
@@ -75,43 +83,44 @@ def due_s(filter: Filter) -> float:
     return -math.inf if math.isnan(last_s) else (math.floor(last_s / EVERY_S) + 1.0) * EVERY_S
 
 
+def looking(filter: Filter) -> tuple[Array, Array, Array]:
+    """The looks so far, what is known of the gyros, and the next look, see `navfilter.kernels.shifts`."""
+    memory, g, now = filter.memory, filter.layout.drive, np.zeros(COLUMNS)
+    now[ANEW] = memory.counts["realigned"] + memory.counts["opened"]
+    if not filter.inertial or not all(each.size for each in g.biases[:3]):
+        return memory.shifts, np.zeros((3, 0)), now
+    own = np.array([each[0] for each in g.biases[:3]])
+    gyros = np.array([g.start + own, g.Q[own, own] / filter.period_s, FLOOR**2 * g.P0[own, own]])
+    return memory.shifts, gyros, now
+
+
 def look(filter: Filter) -> None:
     """Hold the biases against what they were, if it is time; after a reading has been taken."""
-    memory, g = filter.memory, filter.layout.drive
-    time_s = max([channel.memory.last_s for channel in filter.channels.values()], default=-math.inf)
-    if time_s == -math.inf or time_s < due_s(filter):
+    memory = filter.memory
+    heard = [[channel.memory.last_s] for channel in filter.channels.values()]
+    if not heard or max(heard)[0] == -math.inf or max(heard)[0] < due_s(filter):
         return
-    now, kept = np.zeros(COLUMNS), memory.shifts
-    now[TIME_S], now[LATITUDE:ANEW] = time_s, memory.nav[:2]
-    now[ANEW] = memory.counts["realigned"] + memory.counts["opened"]
-    if all(each.size for each in g.biases[:3]):
-        own = np.array([each[0] for each in g.biases[:3]])
-        places, walk = g.start + own, g.Q[own, own] / filter.period_s
-        now[BIAS:VARIANCE], now[VARIANCE:NIS] = memory.x[places - 9], memory.P[places, places]
-        now[NIS] = _nis(filter, time_s)
-        compass = _compass(filter)
-        now[HEADING:] = math.nan if compass is None else _apart(filter, compass)
-        if filter.watch.busy(memory.watch) or not _goes_on(kept[-1], now, walk):
-            kept = fresh()
-        found = shifted(kept, now, walk, g.P0[own, own])
-        if found:
-            upright, calm = np.abs(memory.nav[12:15]) > UPRIGHT, _undisputed(filter, time_s)
-            found = [f for f in found if (_ramps(compass, np.vstack([kept, now]), *f) if upright[f[0]] else calm)]
-        for axis, row, size in found:
-            _open(memory, int(places[axis]), axis, size, kept[row:])
-            memory.counts["shifted"] += 1
-        if found:
-            kept, now[VARIANCE:NIS] = fresh(), np.diag(memory.P)[places]
+    looks, gyros, now = looking(filter)
+    state = memory.nav, memory.x, memory.P
+    if not stretch.look_at_biases(
+        filter.bench, filter.plan, np.array(heard), *state, memory.watch, memory.time_s, looks, gyros, now
+    ):
+        return
+    g = filter.layout.drive
+    places, walk = gyros[kernel.PLACE].astype(int), gyros[kernel.WALK]
+    compass, kept = _compass(filter), looks
+    upright, calm = np.abs(memory.nav[12:15]) > UPRIGHT, _undisputed(filter, now[TIME_S])
+    found = [
+        f
+        for f in shifted(kept, now, walk, g.P0[places - g.start, places - g.start])
+        if (_ramps(compass, np.vstack([kept, now]), *f) if upright[f[0]] else calm)
+    ]
+    for axis, row, size in found:
+        _open(memory, int(places[axis]), axis, size, kept[row:])
+        memory.counts["shifted"] += 1
+    if found:
+        kept, now[VARIANCE:NIS] = fresh(), np.diag(memory.P)[places]
     memory.shifts = np.concatenate([kept[1:], now[np.newaxis]])
-
-
-def _goes_on(before: Array, now: Array, walk: Array) -> bool:
-    """Whether nothing but readings and time has changed the variances since a look."""
-    if now[ANEW] != before[ANEW]:
-        return False
-    seconds = now.item(TIME_S) - before.item(TIME_S)
-    rows = zip(now[VARIANCE:NIS].tolist(), before[VARIANCE:NIS].tolist(), walk.tolist(), strict=True)
-    return all(own <= 1.001 * (kept + each * seconds) for own, kept, each in rows)
 
 
 def _undisputed(filter: Filter, time_s: float) -> bool:
@@ -121,19 +130,8 @@ def _undisputed(filter: Filter, time_s: float) -> bool:
 
 def _compass(filter: Filter) -> Channel | None:
     """One that has been heard just now."""
-    heard = [c for c in filter.channels.values() if filter.memory.time_s - c.memory.last_s < HEARD_S]
+    heard = [c for c in filter.channels.values() if filter.memory.time_s - c.memory.last_s < stretch.COMPASS_S]
     return next((c for c in heard if c.sensor.north is not None), None)
-
-
-def _apart(filter: Filter, compass: Channel) -> tuple[float, float]:
-    """Heading by the last reading of a compass, and that less how far the gyros have turned [rad]."""
-    memory, unit = filter.memory, filter.memory.watch[kernel.UNIT]
-    errors, north = compass.group.slice.start - 9 + np.arange(compass.group.errors), compass.sensor.north
-    assert north is not None
-    used, residual, variance = compass.note[[2, 3 + north, 3 + compass.axes + north]].tolist()
-    left = residual * (float(compass.R[north, north]) / variance if used else 1.0)
-    heading = math.atan2(memory.nav[9], memory.nav[6]) + left + float(compass.C[north] @ memory.x[errors])
-    return heading, heading - float(unit[kernel.TURNED])
 
 
 def _ramps(compass: Channel | None, looks: Array, axis: int, row: int, size: float) -> bool:
@@ -179,13 +177,6 @@ def ramp_beyond_deviation(
     left = apart - apart[-1] - slope * ramp
     larger = max(1.0, float(left @ np.linalg.solve(S, left)) / max(len(time_s) - 2, 1))
     return slope, larger / information
-
-
-def _nis(filter: Filter, time_s: float) -> float:
-    """Of the last readings of all sensors that have been heard since the last look, per component; 1 where none was."""
-    heard = [c.verdict.tolist() for c in filter.channels.values() if c.memory.last_s > time_s - EVERY_S]
-    told = [(nis, dof) for nis, dof, _ in heard if math.isfinite(nis) and dof]
-    return sum(nis for nis, _ in told) / sum(dof for _, dof in told) if told else 1.0
 
 
 def shifted(looks: Array, now: Array, walk: Array, begin: Array) -> list[tuple[int, int, float]]:
