@@ -24,6 +24,12 @@ class Spool:
     """Append-only store of float64 vectors; at most `memory_bytes` stay in memory, older ones go to a temporary file.
     What it gives out are views, to be used before the next one is asked for.
 
+    Parameters
+    ----------
+    memory_bytes : int
+    chunk : int
+        So many elements are to stand in one piece.
+
     Raises
     ------
     OSError
@@ -32,8 +38,9 @@ class Spool:
 
     CHUNK = 1 << 18  # 2 MiB of float64
 
-    def __init__(self, memory_bytes: int) -> None:
-        self._keep = max(2, memory_bytes // (8 * self.CHUNK))
+    def __init__(self, memory_bytes: int, chunk: int = 0) -> None:
+        self._chunk_size = max(self.CHUNK, chunk)
+        self._keep = max(2, memory_bytes // (8 * self._chunk_size))
         self._chunks: list[Array | None] = []
         self._firsts: list[int] = []  # number of the first vector of each chunk
         self._sizes = array("i")  # a flat array: a day has millions of vectors
@@ -47,13 +54,25 @@ class Spool:
 
     def new(self, size: int) -> Array:
         """A writable view of `size` elements, appended."""
-        if not self._room(size):
-            self._chunks.append(self._buffer(max(self.CHUNK, size)))
-            self._firsts.append(len(self))
-            self._end = 0
+        self._make_room(size)
         self._sizes.append(size)
         self._end += size
         return self[-1]
+
+    def tail(self, size: int, last: bool = False) -> tuple[Array, bool]:
+        """Where the next vectors may be written, this size of them at least (`took` says which are); with the last one
+        before them where that is wanted, has this size, and stands there.
+        """
+        self._make_room(size)
+        held = last and len(self) > self._firsts[-1] and self._sizes[-1] == size
+        chunk = self._chunks[-1]
+        assert chunk is not None
+        return chunk[self._end - (size if held else 0) :], held
+
+    def took(self, sizes: NDArray[np.int64]) -> None:
+        """Vectors of these sizes have been written one behind the other at the beginning of what is free."""
+        self._sizes.frombytes(sizes.astype(np.intc).tobytes())
+        self._end += int(sizes.sum())
 
     def extend(self, flat: Array, sizes: NDArray[np.int64]) -> None:
         """Append vectors of these sizes that stand one behind the other in `flat`."""
@@ -70,8 +89,8 @@ class Spool:
             last = int(np.searchsorted(ends, begin + len(chunk) - self._end, side="right"))
             size = int(ends[last - 1]) - begin
             chunk[self._end : self._end + size] = flat[begin : begin + size]
-            self._sizes.frombytes(sizes[done:last].astype(np.intc).tobytes())
-            self._end, done = self._end + size, last
+            self.took(sizes[done:last])
+            done = last
 
     def drop(self) -> None:
         """Forget the last vector."""
@@ -84,6 +103,12 @@ class Spool:
     def _room(self, size: int) -> bool:
         """Whether one more vector goes into the last chunk."""
         return bool(self._chunks) and self._end + size <= len(self._chunks[-1])  # type: ignore[arg-type]
+
+    def _make_room(self, size: int) -> None:
+        if not self._room(size):
+            self._chunks.append(self._buffer(max(self._chunk_size, size)))
+            self._firsts.append(len(self))
+            self._end = 0
 
     def _buffer(self, size: int) -> Array:
         """For the next chunk: that of the oldest one, which goes to the file; memory that is new has to be cleared."""

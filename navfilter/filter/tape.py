@@ -6,6 +6,7 @@ import bisect
 import copy
 import functools
 import math
+import sys
 from array import array
 from dataclasses import dataclass, field
 from typing import Any
@@ -147,9 +148,15 @@ class Tape:
         self, output_rate_hz: float | None = None, smoothable: bool = True, memory_bytes: int = 8 << 20
     ) -> None:
         self.interval_s = 0.0 if output_rate_hz is None else 1.0 / output_rate_hz - 1e-9
-        self.smoothable, self._memory_bytes = smoothable, memory_bytes
+        self.smoothable, self._memory_bytes, self._expected = smoothable, memory_bytes, 0
         self.each_sample = output_rate_hz is None and not smoothable
         self.begin(None)
+
+    def expect(self, rows: int) -> None:
+        """So many rows are to come at most. Those of a run that is not smoothed are those of the track: they stay where
+        they are written, in one piece.
+        """
+        self._expected = 0 if self.smoothable else rows
 
     def begin(self, layout: Any) -> None:
         """Start anew with a layout of the states; what was written before is forgotten."""
@@ -171,7 +178,8 @@ class Tape:
     def _fresh(self, layout: Any) -> None:
         self.records = Spool(self._memory_bytes)
         self._heads = array("h")  # a, m, b, start of each record
-        self.rows = Spool(self._memory_bytes)
+        row = self._row_size(layout.size) if self._expected else 0
+        self.rows = Spool(sys.maxsize if row else self._memory_bytes, row * self._expected)
         self.row_times = array("d")
         self.row_records = array("q")  # the record after which the row holds
         self.row_layouts = array("q")  # the layout of each row
@@ -209,7 +217,7 @@ class Tape:
         where samples have not been folded into P yet (`Estimate.present`).
         """
         n = len(P)
-        size = 8 + n + (n * (n + 1) // 2 if self.smoothable else 72 + n)
+        size = self._row_size(n)
         if self.row_times and time_s == self.row_times[-1]:
             out = self.rows[-1]
             if out.size != size:
@@ -233,32 +241,49 @@ class Tape:
             out[17 + x.size : 98 + x.size] = P[:9, :9].reshape(-1)
             out[98 + x.size :] = P.diagonal()[9:]
 
-    def extend(
-        self, given: tuple[Array, Array, Array, NDArray[np.int64]], count: int, records: int, elements: int
-    ) -> None:
-        """As many calls of `record` and `row`, in this order of time, by what `navfilter.kernels.stretch` has written.
+    def output(self, longest: int, info: Array) -> tuple[Array, Array, int]:
+        """Where the kernel `stretch` writes rows, and records of which one of the `longest` finds room at least; and
+        how many of the rows stand there: the last one, if it may be written again. Of that `info` says when it holds.
+        """
+        size, records = self._row_size(self.layouts[-1].size), np.empty(0)
+        flat, held = self.rows.tail(size, last=True)
+        if held:
+            info[0] = self.row_times[-1], self.row_records[-1] - len(self.records)
+        if self.smoothable:
+            records, _ = self.records.tail(longest)
+        self._held = int(held)
+        return flat[: len(flat) // size * size].reshape(-1, size), records, self._held
+
+    def _row_size(self, n: int) -> int:
+        return 8 + n + (n * (n + 1) // 2 if self.smoothable else 72 + n)
+
+    def extend(self, given: tuple[Array, Array, Array, NDArray[np.int64]], count: int, records: int) -> None:
+        """As many calls of `record` and `row`, in this order of time, by what `stretch` has written.
 
         Parameters
         ----------
         given : tuple of ndarray
-            Rows; when each of them holds and after how many of the records; records; their sizes and heads.
-        count, records, elements : int
-            How many there are of rows and records, and of the elements of these.
+            Rows, and records, where `output` has said; when each row holds and after how many of the records; sizes and
+            heads of the records.
+        count, records : int
+            How many there are of rows and records.
         """
-        rows, info, flat, heads = given
-        before = len(self.records)
+        rows, info, _, heads = given
+        before, again = len(self.records), 0
         if records:
-            self.records.extend(flat[:elements], heads[:records, 0])
+            self.records.took(heads[:records, 0])
             self._heads.frombytes(heads[:records, 1:].astype(np.int16).tobytes())
         if count and self.row_times and info[0, 0] == self.row_times[-1]:
+            self.row_records[-1], self.row_layouts[-1], again = before + int(info[0, 1]), len(self.layouts) - 1, 1
+        if again > self._held:  # it stands in another chunk
+            flat = rows[:count].flatten()
             self.rows.drop()
-            for ended in (self.row_times, self.row_records, self.row_layouts):
-                ended.pop()
-        if count:
-            self.rows.extend(rows[:count].reshape(-1), np.full(count, rows.shape[1]))
-            self.row_times.frombytes(info[:count, 0].tobytes())
-            self.row_records.frombytes((before + info[:count, 1].astype(np.int64)).tobytes())
-            self.row_layouts.extend([len(self.layouts) - 1] * count)
+            self.rows.extend(flat, np.full(count, rows.shape[1]))
+        else:
+            self.rows.took(np.full(count - again, rows.shape[1]))
+        self.row_times.frombytes(info[again:count, 0].tobytes())
+        self.row_records.frombytes((before + info[again:count, 1].astype(np.int64)).tobytes())
+        self.row_layouts.extend([len(self.layouts) - 1] * (count - again))
 
     def column(self, name: str, axes: int) -> _Column:
         """The residual table of a sensor."""
