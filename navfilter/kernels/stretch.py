@@ -8,7 +8,7 @@ checksum of those files: what a function encloses is part of numba's key.
 import math
 
 from navfilter.kernels import addresses, checksum, drive_watch, kalman, listen, past, shifts, strapdown
-from navfilter.kernels.decorators import apart, njit
+from navfilter.kernels.decorators import apart, njit, shaped
 
 #: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
 UNCOUNTED: dict = {"_nrt": False}
@@ -114,9 +114,9 @@ def correction(sources):
             kalman.discount_heading(P, acc, mem[places[9] : places[10]])
         kalman.predict(P, nav, x, acc, model, mem, dims, count)
         rate, xd = bench[spot[RATE] : spot[RATE] + 3], x[: m - 9]
-        H, spare = mem[places[0] : places[0] + a * n].reshape((a, n)), mem[places[9] : places[10]]
+        H, spare = shaped(mem[places[0] : places[0] + a * n], a, n), mem[places[9] : places[10]]
         if spot[TURNS] or spot[READS_RATE]:
-            outputs, off = spare[: 6 * (m - 9)].reshape((6, m - 9)), spare[6 * (m - 9) : 6 * (m - 8)]
+            outputs, off = shaped(spare[: 6 * (m - 9)], 6, m - 9), spare[6 * (m - 9) : 6 * (m - 8)]
             past.drive_outputs(drv, Cr, xd, outputs, off)
             per = drv[strapdown.PERIOD_S] if drv[strapdown.INCREMENTS] != 0.0 else 1.0
             for i in range(3):
@@ -129,10 +129,10 @@ def correction(sources):
                 for i in range(3):
                     for j in range(m - 9):
                         H[i, 9 + j] = outputs[i, j]
-        near = mem[places[7] : places[8]].reshape((a, 9 + parameters))
+        near = shaped(mem[places[7] : places[8]], a, 9 + parameters)
         constants = bench[spot[CONSTANTS] : spot[CONSTANTS] + spot[CONSTANTS_SIZE]]
         first, res = start - 9 + errors, mem[places[3] : places[3] + a]
-        R = bench[spot[NOISE] : spot[NOISE] + a * a].reshape((a, a))
+        R = shaped(bench[spot[NOISE] : spot[NOISE] + a * a], a, a)
         _white(bench, spot, P, nav, variance, R)
         par = x[first : first + parameters]
         if spot[SIGHT]:
@@ -145,7 +145,7 @@ def correction(sources):
             addresses.at_equation(spot[EQUATION], (z, nav, rate, par, constants, near, res))
         if spot[BEND]:
             addresses.at_bend(spot[BEND], (z, near, P, start + errors, constants, R))
-        C = bench[spot[OUTPUT] : spot[OUTPUT] + a * errors].reshape((a, errors))
+        C = shaped(bench[spot[OUTPUT] : spot[OUTPUT] + a * errors], a, errors)
         limits, beyond, calm = bench[spot[LIMITS] : spot[LIMITS] + a + 1], False, True
         for i in range(a):
             error = 0.0
@@ -219,7 +219,7 @@ def _note_record(sources):
         if records.size == 0:
             return
         m = dims[2]
-        if kalman.unmoved(record[: m * m].reshape((m, m))):
+        if kalman.unmoved(shaped(record[: m * m], m, m)):
             record, m = record[m * m :], int(0)
         at, begin = cursor[RECORDS], cursor[WRITTEN]
         for i in range(record.size):
@@ -337,10 +337,10 @@ def _carried(sources):
                 for i in range(m):
                     for j in range(m):
                         head[i * m + j] = acc[i, j]
-                kalman.fold(P, acc, nav, work[m * m : m * m + m * n].reshape((m, n)))
+                kalman.fold(P, acc, nav, shaped(work[m * m : m * m + m * n], m, n))
                 cursor[UNFOLDED] = 0
                 if undone.size > 0:
-                    listen.carry(undone, head.reshape((m, m)))
+                    listen.carry(undone, shaped(head, m, m))
                 _note_record(head, int(0), spot, cursor, records, heads)
                 _note_row(now, cursor, settings[INTERVAL_S], nav, x, P, acc, inertial, rows, info, work[m * m :])
             elif each:
@@ -412,8 +412,8 @@ def _listened(sources):
         _ = sources
         a, m, errors = own[0], own[2], own[5]
         mem = bench[own[MEM] : own[CONSTANTS]]
-        C = bench[own[OUTPUT] : own[OUTPUT] + a * errors].reshape((a, errors))
-        listen.carry(undone, mem[: m * m].reshape((m, m)))
+        C = shaped(bench[own[OUTPUT] : own[OUTPUT] + a * errors], a, errors)
+        listen.carry(undone, shaped(mem[: m * m], m, m))
         cursor[SPARE], once = 0, int(1)
         listen.listen(
             undone,
@@ -425,7 +425,7 @@ def _listened(sources):
             x,
             int(ear[listen.KIND]),
             ear[listen.MOUNT : listen.MOUNT + 9],
-            opened[1 : 2 + a].reshape((a + 1, 1)),
+            shaped(opened[1 : 2 + a], a + 1, 1),
             cursor[SPARE : SPARE + 1],
             once,
             Cr,
