@@ -84,9 +84,9 @@ def apart(kernel: Any) -> Any:
 def shaped(flat: Any, rows: int, columns: int) -> Any:
     """Elements that stand one behind the other as a matrix of so many rows and columns: a view that nobody counts.
 
-    `reshape` is a call of a library in a kernel, which first finds out whether it can be done: two per cent of a replay.
+    `reshape` is a call of a library in a kernel, which first finds out whether it can: two per cent of a replay.
     """
-    return flat[: rows * columns].reshape(rows, columns)
+    return flat.reshape(rows, columns)
 
 
 @infer_global(shaped)

@@ -173,6 +173,21 @@ def discount_heading(P, acc, work):
         acc[i, 8] *= share
 
 
+@njit(cache=True, **UNCOUNTED)
+def _reach(row, i):
+    """From where to where a row of a transition is not zero; that of a state by itself alone is found at once."""
+    others = 0
+    for r in range(row.size):
+        others += row[r] != 0.0
+    if others == 1 and row[i] != 0.0:
+        return i, i + 1
+    first, last = row.size, 0
+    for r in range(row.size):
+        if row[r] != 0.0:
+            first, last = min(first, r), r + 1
+    return first, last
+
+
 @apart
 @njit(cache=True, **UNCOUNTED)
 def present(P, acc, inertial, work, out):
@@ -192,10 +207,7 @@ def present(P, acc, inertial, work, out):
             out[9 * i + j] = s
             out[9 * j + i] = s
     for i in range(9, m):
-        first, last = m, 0
-        for r in range(m):
-            if acc[i, r] != 0.0:
-                first, last = min(first, r), r + 1
+        first, last = _reach(acc[i], i)
         s = acc[m + i, i]
         for r in range(first, last):
             carried = 0.0
@@ -226,10 +238,7 @@ def fold(P, acc, nav, T):
     A, head, begins, ends = shaped(work[: 9 * m], m, 9), shaped(work[9 * m :][:81], 9, 9), work[-2 * m :], work[-m:]
     _navigation(P, acc, T[:9], A, head)
     for i in range(9, m):
-        first, last = m, 0
-        for r in range(m):
-            if acc[i, r] != 0.0:
-                first, last = min(first, r), r + 1
+        first, last = _reach(acc[i], i)
         begins[i], ends[i] = first, last
         _weighted(acc[i][first:last], P[first:last], T[i])
     for i in range(9):

@@ -474,12 +474,11 @@ def _tick_rows(X, Phid, diagonal, T, m):
             Z[j] = T[j]
 
 
-def _exchange(X, one, other):
-    """Two square blocks of panels, whose elements begin there in X, transposed into each other's place; or one."""
-    A, B = (X[begin : begin + WIDE * WIDE].reshape(WIDE, WIDE) for begin in (one, other))
-    first, second = A.T.copy(), B.T.copy()
-    np.copyto(A, second)
-    np.copyto(B, first)
+def _exchange(X, one, other, of_one, of_other):
+    """Two square blocks of panels, whose elements begin at `one` and `other` in X, transposed to where these begin."""
+    blocks = [X[begin : begin + WIDE * WIDE].reshape(WIDE, WIDE).T.copy() for begin in (one, other)]
+    for begin, block in zip((of_one, of_other), blocks, strict=True):
+        np.copyto(X[begin : begin + WIDE * WIDE], block.ravel())
 
 
 @infer_global(_exchange)
@@ -488,22 +487,21 @@ class _OfExchange(AbstractTemplate):
         return signature(types.void, *arguments)
 
 
-@lower_builtin(_exchange, types.Array, types.Integer, types.Integer)
+@lower_builtin(_exchange, types.Array, *(types.Integer,) * 4)
 def _build_exchange(context, builder, kinds, arguments):
     """In registers: what is stored number by number cannot be loaded in rows for a while, which took longer than all
     else of it.
     """
     index, row = cgutils.ir.IntType(32), cgutils.ir.VectorType(cgutils.ir.DoubleType(), WIDE)
     data = context.make_array(kinds.args[0])(context, builder, value=arguments[0]).data
-    blocks = []
+    places = []
     for begin in arguments[1:]:
         first = builder.bitcast(builder.gep(data, [begin]), row.as_pointer())
-        places = [builder.gep(first, [cgutils.ir.Constant(index, i)]) for i in range(WIDE)]
-        rows = [builder.load(place) for place in places]
+        places.append([builder.gep(first, [cgutils.ir.Constant(index, i)]) for i in range(WIDE)])
+    blocks = [[builder.load(place) for place in block] for block in places[:2]]
+    for rows in blocks:
         for value in rows:
             value.align = 8
-        blocks.append((places, rows))
-    for _, rows in blocks:
         apart = WIDE // 2
         while apart:
             mine = [j if j & apart == 0 else WIDE + j - apart for j in range(WIDE)]
@@ -514,8 +512,8 @@ def _build_exchange(context, builder, kinds, arguments):
                     pair = rows[i], rows[i + apart]
                     rows[i], rows[i + apart] = (builder.shuffle_vector(*pair, mask) for mask in masks)
             apart //= 2
-    for (places, _), (_, rows) in zip(blocks, reversed(blocks), strict=True):
-        for place, value in zip(places, rows, strict=True):
+    for block, rows in zip(places[2:], blocks, strict=True):
+        for place, value in zip(block, rows, strict=True):
             builder.store(value, place, align=8)
     return context.get_dummy_value()
 
@@ -523,11 +521,16 @@ def _build_exchange(context, builder, kinds, arguments):
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _transpose(X, m):
     """Of a matrix in panels, as many as there are, in place."""
-    size = _high(m) * WIDE
-    for p in range(X.size // size):
-        for q in range(p + 1):
+    size, square = _high(m) * WIDE, WIDE * WIDE
+    last = X.size // size - 1
+    for p in range(last + 1):
+        for q in range(p):
             # the elements below the diagonal stand in the rows of one panel, their mirror images in those of the other
-            _exchange(X, q * size + p * WIDE * WIDE, p * size + q * WIDE * WIDE)
+            lower, upper = q * size + p * square, p * size + q * square
+            _exchange(X, lower, upper, upper, lower)
+    for p in range(0, last + 1, 2):
+        one, other = p * (size + square), min(p + 1, last) * (size + square)
+        _exchange(X, one, other, one, other)
 
 
 @apart
@@ -552,27 +555,28 @@ def _tick_drive(xd, Phid, Qd, diagonal, T, Q, m):
 
 
 @njit(cache=True, error_model="numpy", inline="always", **UNCOUNTED)
-def _inertial_compound(xd, Phid, Qd, diagonal, ticks, C, f, seen, gain, kinds, E, T, both, Q, gathered):
+def _inertial_compound(xd, Phid, Qd, ticking, ticks, C, f, seen, gain, kinds, E, T, both, Q, gathered):
     """Compound Phi <- F Phi, Q <- F Q F' with the step that `_inertial_advance` left in f; the drive's blocks tick, and
     their mean too.
 
-    both: panels of Phi and behind them Q, those of Q; gathered: whether there is any noise yet. Q F' is formed as
-    (F Q)', Q being symmetric.
+    ticking: whether a tick is diagonal, and whether nothing but noise comes with it. both: panels of Phi and behind
+    them Q, those of Q; gathered: whether there is any noise yet. Q F' is formed as (F Q)', Q being symmetric.
     """
+    diagonal, walks = ticking
     m = 9 + len(xd)
     Phi_ends = both.size - Q.size
     moved = both if gathered else both[:Phi_ends]
     _inertial_carry(moved, f, C, seen, gain, kinds, E, m, Phi_ends)
-    if ticks > 0:
+    if ticks > 0 and not walks:
         _tick_rows(moved, Phid, diagonal, T, m)
     if gathered:
         _transpose(Q, m)
         _inertial_carry(Q, f, C, seen, gain, kinds, E, m, int(0))
     for count in range(ticks):
-        if count > 0:
+        if count > 0 and not walks:
             _tick_rows(both, Phid, diagonal, T, m)
             _transpose(Q, m)
-        if gathered or count > 0:
+        if (gathered or count > 0) and not walks:
             _tick_rows(Q, Phid, diagonal, T, m)
         _tick_drive(xd, Phid, Qd, diagonal, T, Q, m)
 
@@ -782,7 +786,7 @@ def imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
 @njit(cache=True, error_model="numpy", inline="always", **UNCOUNTED)
 def _begin(Phid, Qd, Cr, drv, acc, panels, seen, gain):
     """Lay out what is compounded; how many errors there are and of which kinds, how many elements the panels that
-    change have, whether blocks are diagonal, and whether there is any noise yet.
+    change have, how blocks tick, and whether there is any noise yet.
     """
     m, flat = acc.shape[1], acc.reshape(acc.size)
     constants = _constants(Phid, Qd, drv)
@@ -795,7 +799,10 @@ def _begin(Phid, Qd, Cr, drv, acc, panels, seen, gain):
         gathered += acc[m + i, i] != 0.0
     # constants gather no noise
     changes = size + _high(m - constants) * _high(m)
-    return count, kinds, changes, _is_diagonal(Phid) and _is_diagonal(Qd), gathered > 0
+    diagonal, ones = _is_diagonal(Phid) and _is_diagonal(Qd), 0
+    for i in range(m - 9):
+        ones += Phid[i, i] == 1.0
+    return count, kinds, changes, (diagonal, diagonal and ones == m - 9), gathered > 0
 
 
 @apart
@@ -803,7 +810,7 @@ def _begin(Phid, Qd, Cr, drv, acc, panels, seen, gain):
 def _imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc, floats, seen):
     m = 9 + len(xd)
     panels, E, T, inc, f, gain = _workspace(floats, m)
-    count, kinds, changes, diagonal, gathered = _begin(Phid, Qd, Cr, drv, acc, panels, seen, gain)
+    count, kinds, changes, ticking, gathered = _begin(Phid, Qd, Cr, drv, acc, panels, seen, gain)
     C, both, Q = drv[MEAN_C : MEAN_C + 9], panels[:changes], panels[panels.size // 2 : changes]
     for n in range(samples.shape[0]):
         _increments(samples, n, drv, inc)
@@ -817,7 +824,7 @@ def _imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc, floats, seen):
             _uncalibrated(inc, dt, xd, drv, f, seen[:, kinds[0] :], gain[kinds[0] : count])
         _inertial_advance(nav, xd, inc, dt, drv, seen, gain, kinds[0], f)
         ticks = _ticks(samples[n, 0], drv)
-        _inertial_compound(xd, Phid, Qd, diagonal, ticks, C, f, seen, gain[:count], kinds, E, T, both, Q, gathered)
+        _inertial_compound(xd, Phid, Qd, ticking, ticks, C, f, seen, gain[:count], kinds, E, T, both, Q, gathered)
         _inertial_noise(dt, drv, Cr, Q, m)
         gathered = True
     flat = acc.reshape(acc.size)
@@ -837,7 +844,7 @@ def imu_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc):
 def _imu_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc, floats, seen):
     m = 9 + len(xd)
     panels, E, T, inc, f, gain = _workspace(floats, m)
-    count, kinds, changes, diagonal, gathered = _begin(Phid, Qd, Cr, drv, acc, panels, seen, gain)
+    count, kinds, changes, ticking, gathered = _begin(Phid, Qd, Cr, drv, acc, panels, seen, gain)
     C, both, Q = drv[MEAN_C : MEAN_C + 9], panels[:changes], panels[panels.size // 2 : changes]
     scale = dt / drv[PERIOD_S] if drv[INCREMENTS] != 0.0 else dt
     for i in range(6):
@@ -847,7 +854,7 @@ def _imu_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc, floats, seen):
     if drv[CALIBRATED] != 0.0:
         _uncalibrated(inc, dt, xd, drv, f, seen[:, kinds[0] :], gain[kinds[0] : count])
     _inertial_advance(nav, xd, inc, dt, drv, seen, gain, kinds[0], f)
-    _inertial_compound(xd, Phid, Qd, diagonal, int(0), C, f, seen, gain[:count], kinds, E, T, both, Q, gathered)
+    _inertial_compound(xd, Phid, Qd, ticking, int(0), C, f, seen, gain[:count], kinds, E, T, both, Q, gathered)
     _inertial_noise(dt, drv, Cr, Q, m)
     flat = acc.reshape(acc.size)
     _from_panels(panels[: panels.size // 2], flat, m)
