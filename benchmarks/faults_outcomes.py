@@ -168,11 +168,11 @@ SITUATIONS: dict[str, Case] = {
 }
 #: Of the three components of a magnetometer; the field is 26 uT horizontally, 36 uT downwards.
 FIELD: dict[str, Case] = {
-    "hard iron of a tenth of the field for good": values("field", lambda v, age_s: v + [2.5, 2.5, 2.5]),
+    "hard iron of a tenth of the field for good": values("field", lambda v, age_s: v + np.full(3, 2.5)),
     "hard iron of half the field for a minute": values(
-        "field", lambda v, age_s: v + [13.0, -13.0, 13.0], end_s=FAULT_S + MINUTE_S
+        "field", lambda v, age_s: v + np.array([13.0, -13.0, 13.0]), end_s=FAULT_S + MINUTE_S
     ),
-    "field x with the sign changed for good": values("field", lambda v, age_s: v * [-1.0, 1.0, 1.0]),
+    "field x with the sign changed for good": values("field", lambda v, age_s: v * np.array([-1.0, 1.0, 1.0])),
     "field z with the sign changed for good": values("field", lambda v, age_s: v * [1.0, 1.0, -1.0]),
     "field x and y exchanged for good": values("field", lambda v, age_s: v[[1, 0, 2]]),
     "field y and z exchanged for good": values("field", lambda v, age_s: v[[0, 2, 1]]),
@@ -180,9 +180,7 @@ FIELD: dict[str, Case] = {
     "field x stuck at zero for good": values("field", lambda v, age_s: v * [0.0, 1.0, 1.0]),
     "field all zeros for a minute": values("field", lambda v, age_s: 0.0 * v, end_s=FAULT_S + MINUTE_S),
     "field x and y exchanged from the start": values("field", lambda v, age_s: v[[1, 0, 2]], 0.0),
-    "field turned by a current, 10 deg for a minute": values(
-        "field", turned(10.0 * DEG), end_s=FAULT_S + MINUTE_S
-    ),
+    "field turned by a current, 10 deg for a minute": values("field", turned(10.0 * DEG), end_s=FAULT_S + MINUTE_S),
 }
 #: Of whatever else speaks of the way: water track, ranges, course.
 OTHERS: dict[str, Case] = {
@@ -190,10 +188,10 @@ OTHERS: dict[str, Case] = {
     "ranges 2 % too long for good": values("range", lambda v, age_s: 1.02 * v),
     "ranges in feet for good": values("range", lambda v, age_s: v / 0.3048),
     "ranges stuck for a minute": frozen("range", MINUTE_S),
-    "course turned by 180 deg for 40 s": values("course", lambda v, age_s: v + [0.0, math.pi], 60.0, 100.0),
+    "course turned by 180 deg for 40 s": values("course", lambda v, age_s: v + np.array([0.0, math.pi]), 60.0, 100.0),
     "course in degrees": values("course", lambda v, age_s: v * [1.0, 1.0 / DEG], 60.0, 100.0),
     "speed in knots": values("course", lambda v, age_s: v * [1.0 / 0.514444, 1.0], 60.0, DIVE_S),
-    "log reads 0.3 m/s too much for good": values("water", lambda v, age_s: v + [0.3, 0.0, 0.0]),
+    "log reads 0.3 m/s too much for good": values("water", lambda v, age_s: v + np.array([0.3, 0.0, 0.0])),
     "current changes by 0.3 m/s for good": Case(events=lambda events, scene: other_water(events, scene, 0.3)),
     "current changes by 0.3 m/s within a minute": Case(
         events=lambda events, scene: other_water(events, scene, 0.3, MINUTE_S)

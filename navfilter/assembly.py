@@ -42,11 +42,20 @@ class _Rows:
         self.at = {name: i for i, name in enumerate(self.names)}
         self.time_s = np.concatenate([np.array(tape.row_times)[rows.start : rows.stop] for tape, rows in parts])
         self.packed, self.P = np.empty((n, 17)), np.empty((n, 9, 9))
-        self.x, self.variance = np.full((n, len(units)), np.nan), np.full((n, len(units)), np.nan)
+        self.x, self.variance = np.empty((n, len(units))), np.empty((n, len(units)))
+        if any(len(tape.layouts) > 1 for tape, _ in parts) or len(parts) > 1:
+            self.x[:], self.variance[:] = np.nan, np.nan
 
     def places(self, tape: Tape) -> list[NDArray[np.int64]]:
         """Columns of the states of each layout of a tape."""
         return [np.array([self.at[name] for name in layout.names], dtype=int) for layout in tape.layouts]
+
+    def stay(self, places: NDArray[np.int64], state: Array, P: Array, variance: Array) -> bool:
+        """Leave all rows where they stand, as views, if they are of one layout whose states are in this order."""
+        alike = len(state) == len(self.time_s) and np.array_equal(places, np.arange(len(self.names)))
+        if alike:
+            self.packed, self.P, self.x, self.variance = state[:, :17], P, state[:, 17:], variance.copy()
+        return alike
 
     def put(
         self,
@@ -104,6 +113,8 @@ def gathered(parts: Sequence[tuple[Tape, range]]) -> _Rows:
                 variance = noted[:, upto + diagonal * (diagonal + 3) // 2]
             else:
                 covariance, variance = noted[:, upto : upto + 81].reshape(-1, 9, 9), noted[:, upto + 81 :]
+                if rows.stay(places[number], noted[:, :upto], covariance, variance):
+                    break
             rows.put(done + last - those.start, places[number], noted[:, :upto], covariance, variance)
         done += len(those)
     return rows

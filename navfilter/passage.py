@@ -35,8 +35,8 @@ READINGS, SAMPLES = 4096, 1 << 16
 SHOWN = 512
 #: After these the kernel is called again, once Python has done what is due.
 GOES_ON = kernels.FULL, kernels.DONE, kernels.HEED, kernels.LEARN, kernels.LOOK
-#: Rows and elements of records that are gathered before the tape gets them.
-ROWS, ELEMENTS = 512, 1 << 18
+#: So many rows and records are written before the tape hears of them.
+ROWS = 4096
 
 
 @dataclass(frozen=True)
@@ -49,6 +49,7 @@ class Readings:
     sensor, row : ndarray of int, shape (n,)
         Which of `names`, and which row of its values.
     names : tuple of str
+        Of all sensors, in their order; those that the drive's own samples make have no readings.
     values : tuple of ndarray, or of list of ndarray
         Per sensor.
     sds : tuple of list or None
@@ -115,9 +116,7 @@ class Passage:
         if self._waits:
             self._readings = readings = readings.later(self._lead_s[readings.sensor])
         self._ends = self._samples_before() if before is None else before.astype(np.int64)
-        self._channels = [nav.filter.channels[name] for name in readings.names]
-        # sensors that the drive's own samples make have no readings
-        self._rows = np.array([*(list(nav.filter.channels).index(name) for name in readings.names), -1])
+        self._channels = list(nav.filter.channels.values())
         self._watches = self._watched()
         most = max([1, *(channel.axes for channel in self._channels)])
         self._notes = np.empty((READINGS, 3 + 2 * most))
@@ -129,7 +128,7 @@ class Passage:
         self._steady = driven and heard and nav.learning.rest is None
         self.at, self.done, self._kept, self._until = 0, done, done, len(self._ends)
         self._begin = self._end = 0
-        self._out: Output | None = None
+        self._info, self._heads = np.empty((ROWS, 2)), np.empty((ROWS, 5), np.int64)
 
     def _watched(self) -> list[Watch]:
         return [self.nav.watches[name] for name in self._readings.names]
@@ -327,7 +326,7 @@ class Passage:
             [(*c.times, c.period_s, _doubted(c), c.count, c.lead_s) for c in self._channels], dtype=np.float64
         )
         watched = np.array([watch.figures for watch in self._watches])
-        out, hearing, recent = self._output(), self._hearing(), self._recent(memory.recent)
+        out, hearing, recent = self._output(cursor), self._hearing(), self._recent(memory.recent)
         cursor[kernels.NEWEST] = kernels.MORE_RECENT if len(recent) else 0
         first = cursor[kernels.READING], cursor[kernels.SAMPLE]
         why = int(
@@ -336,7 +335,7 @@ class Passage:
                 cursor,
                 self._settings(),
                 filter.bench,
-                filter.plan[self._rows],
+                filter.plan,
                 heard,
                 watched,
                 (memory.nav, memory.x, memory.P, memory.acc),
@@ -348,6 +347,7 @@ class Passage:
                 self._stamps,
                 filter.intake.limits,
                 hearing,
+                shifts.looking(filter),
                 (
                     *(given.time_s[part], given.sensor[part], self._ends[part] - self._first, self._good),
                     *(self._same[part], self._z, self._variances, self._notes),
@@ -377,18 +377,13 @@ class Passage:
         due = filter.feels_after, tape is not None and tape.each_sample, shifts.due_s(filter)
         return np.array([*spans, steps, learning.learning_s, gravity, *due])
 
-    def _output(self) -> Output:
-        """Room for rows, when they hold, records and what each is."""
-        filter = self.nav.filter
-        n = filter.layout.size
-        smoothable = filter.tape is not None and filter.tape.smoothable
-        width = n + 8 + (n * (n + 1) // 2 if smoothable else 72 + n)
-        elements = max(ELEMENTS, 8 * int(filter.plan[-1, kernels.RECORD])) if smoothable else 0
-        if self._out is None or self._out[0].shape[1] != width or self._out[2].size != elements:
-            each = filter.tape is not None and filter.tape.each_sample
-            rows = max(ROWS, ELEMENTS // width) if each else ROWS
-            self._out = np.empty((rows, width)), np.empty((rows, 2)), np.empty(elements), np.empty((ROWS, 5), np.int64)
-        return self._out
+    def _output(self, cursor: Ints) -> Output:
+        """Where rows go, when they hold, records and what each is; the last row may be the first of them."""
+        filter, tape = self.nav.filter, self.nav.filter.tape
+        rows, records = np.empty((2, 80 + 2 * filter.layout.size)), np.empty(0)  # without a tape one row is written
+        if tape is not None:
+            rows, records, cursor[kernels.ROWS] = tape.output(int(filter.plan[-1, kernels.RECORD]), self._info)
+        return rows[:ROWS], self._info, records, self._heads
 
     def _written(
         self, now: Array, cursor: Ints, heard: Array, watched: Array, first: tuple[int, int], why: int, out: Output
@@ -418,7 +413,7 @@ class Passage:
                 notes = self._notes[used.start + mine, : 3 + 2 * channel.axes]
                 tape.columns[channel.name].extend(times[mine] - channel.lead_s, notes)
         if tape is not None:
-            tape.extend(out, *cursor[[kernels.ROWS, kernels.RECORDS, kernels.WRITTEN]].tolist())
+            tape.extend(out, *cursor[[kernels.ROWS, kernels.RECORDS]].tolist())
         kept, taken = self.nav.learning.beginning, range(self._begin + used.start, self.at)
         if kept is not None and taken:  # none is frozen: the kernel leaves those to Python
             ends = np.maximum(self._ends[taken.start : taken.stop], self._kept)

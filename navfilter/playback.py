@@ -134,9 +134,13 @@ def _replayed(
 ) -> tuple[Track, Navigator]:
     drive = drive_samples(vehicle, mission)
     began = time.process_time()
+    readings = readings_of(vehicle, mission, start.time_s)
+    span_s = max(drive[0][-1], readings.time_s.max(initial=start.time_s)) - start.time_s
+    tape.expect(2 + int(min(len(drive[0]) + len(readings.time_s), span_s / (tape.interval_s or 1e-300))))
     nav = Navigator(vehicle, start, tape)
     _listen(nav, mission, heard)
-    _run(nav, *drive, readings_of(vehicle, mission, start.time_s), progress)
+    _run(nav, *drive, readings, progress)
+    del readings  # of a day 45 MB, beside what the smoother needs
     track = forward_track(nav, mission.name, time.process_time() - began)
     revised = None if track.revised is None else replace(track.revised, epoch_utc_s=mission.epoch_utc_s)
     track = replace(track, epoch_utc_s=mission.epoch_utc_s, revised=revised)

@@ -52,8 +52,11 @@ def readings_of(vehicle: Vehicle, mission: Mission, begin_s: float) -> Readings:
     ValueError
         When a stream is missing or has too few columns.
     """
-    names = tuple(name for name, sensor in vehicle.sensors.items() if not sensor.from_drive)
+    names, streams = tuple(vehicle.sensors), []
     for name in names:
+        if vehicle.sensors[name].from_drive:
+            streams.append(Stream(np.empty(0), np.empty((0, 1))))
+            continue
         leave_out = f"leave the sensor out: --without {name}, or take [sensors.{name}] out of the vehicle.toml"
         _require(mission, name, f'the vehicle has a sensor "{name}"', leave_out)
         width, sensor = mission.streams[name].value.shape[1], vehicle.sensors[name]
@@ -61,7 +64,7 @@ def readings_of(vehicle: Vehicle, mission: Mission, begin_s: float) -> Readings:
             raise ValueError(
                 f'stream "{name}" has {width} columns, but a {type(sensor).__name__} takes {sensor.reads}.'
             )
-    streams = [mission.streams[name] for name in names]
+        streams.append(mission.streams[name])
     stamps = np.concatenate([np.empty(0), *(s.time_s for s in streams)])
     sizes = np.array([len(stream) for stream in streams], dtype=int)
     late_s = np.repeat([vehicle.sensors[name].time_offset_s for name in names], sizes)

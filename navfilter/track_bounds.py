@@ -60,7 +60,7 @@ def _off(track: Track, name: str) -> Array:
     slow = _slow(sensor)
     limit = float(chi_square_limit(sensor.gate_probability, sensor.axes))
     unseen = np.sqrt(limit * np.where(np.isnan(sd), 0.0, sd**2 + slow).max(axis=1))
-    last = np.searchsorted(time_s, track.time_s, side="right") - 1
+    last = _so_far(time_s, track.time_s) - 1
     off = np.where(again, whole_offset(sensor.corrects, r.value[judged], max(slow)), unseen)[last]
     off[last < 0] = 0.0
     for begin_s, end_s in _with_offsets(track, name):
@@ -87,6 +87,8 @@ def _refused_way(track: Track, name: str, fix_s: Array) -> Array:
     again = refused & np.r_[False, refused[:-1]] & believable(value, speed, track.vehicle.drive.max_speed_m_s)
     for begin_s, end_s in _with_offsets(track, name):
         again &= (time_s < begin_s) | (time_s >= end_s)
+    if not again.any():
+        return np.zeros(len(track))
     lasted = np.minimum(np.diff(time_s, prepend=time_s[0]), SPEAKS_S)
     length = np.cumsum(np.where(again, np.linalg.norm(np.nan_to_num(value), axis=1) * lasted, 0.0))
     length = np.concatenate([[0.0], length])
@@ -103,7 +105,13 @@ def _slow(sensor: Sensor) -> list[float]:
 def _since_fix(track: Track, fixes: list[Residuals]) -> tuple[Array, Array]:
     """Age of the last fix that was used [s], and distance from there [m], at each row; the start counts as one."""
     times = np.unique(np.concatenate([track.time_s[:1], *(r.time_s[r.used] for r in fixes)]))
-    last = times[np.maximum(np.searchsorted(times, track.time_s, side="right") - 1, 0)]
-    place = track.local()[:, :2]
-    then = np.column_stack([np.interp(last, track.time_s, place[:, k]) for k in range(2)])
-    return track.time_s - last, np.hypot(*(place - then).T)
+    last = np.maximum(_so_far(times, track.time_s) - 1, 0)
+    north, east = track.local()[:, :2].T
+    then = [np.interp(times, track.time_s, place)[last] for place in (north, east)]
+    return track.time_s - times[last], np.hypot(north - then[0], east - then[1])
+
+
+def _so_far(times: Array, now_s: Array) -> NDArray[np.int64]:
+    """How many of some times have come by each of many others; both in order."""
+    first = np.searchsorted(now_s, times)
+    return np.bincount(first, minlength=len(now_s) + 1)[: len(now_s)].cumsum()

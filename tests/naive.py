@@ -1282,6 +1282,19 @@ def farthest(looks, now, walk, begin):
     return np.nan_to_num(moved).max()
 
 
+def keep(looks, now, gyros, x, P, calm):
+    if gyros.size:
+        places, before = gyros[0].astype(int), looks[-1].copy()
+        now[4:7], now[7:10] = x[places - 9], P[places, places]
+        most = before[7:10] + gyros[1] * (now[0] - before[0])
+        if not (calm and now[3] == before[3] and np.all(now[7:10] <= 1.001 * most)):
+            looks[:] = np.nan
+        if farthest(looks, now, gyros[1], gyros[2]) > 36.0:
+            return True
+    looks[:] = np.vstack([looks[1:], now])
+    return False
+
+
 def carry_jumps(bank, Phi):
     m = len(Phi)
     bank[:-2, :m] = bank[:-2, :m] @ Phi.T
@@ -1393,7 +1406,9 @@ def discount(inner, slope, then, drv, Cr, over_s, gravity, variance, tilt, near,
     R += np.diag(np.where(np.isnan(told), 0.0, more))
 
 
-def sight(equation, motion, facts, z, nav, rate, par, cfg, recent, drv, Cr, xd, since_s, variance, tilt, H, near, res, R):
+def sight(
+    equation, motion, facts, z, nav, rate, par, cfg, recent, drv, Cr, xd, since_s, variance, tilt, H, near, res, R
+):
     arm, clock, turns, _, *by_arm = facts
     own, by_arm = len(par) - 3 * int(arm) - int(clock), np.reshape(by_arm, (-1, 3))
     inner, ends = np.zeros((len(res), 9 + own)), np.zeros(len(res))
@@ -1573,15 +1588,48 @@ def prompt(
     return True
 
 
+def look_at_biases(bench, plan, heard, nav, x, P, w, time_s, looks, gyros, now):
+    last_s, table = heard[:, 0], plan[: len(heard)]
+    notes = [bench[spot[14] + spot[25] :][: 3 + 2 * spot[0]] for spot in table]
+    told = [note for note, t in zip(notes, last_s, strict=True) if t > last_s.max() - 10.0 and np.isfinite(note[0])]
+    told = [note for note in told if note[1]]
+    now[:3], now[10:] = (last_s.max(), *nav[:2]), np.nan
+    now[10] = sum(note[0] for note in told) / sum(note[1] for note in told) if told else 1.0
+    near = [i for i, spot in enumerate(table) if spot[30] >= 0 and time_s - last_s[i] < 3.0]
+    if near:
+        spot, note = table[near[0]], notes[near[0]]
+        a, errors, north = spot[0], spot[5], spot[30]
+        C, R = bench[spot[19] :][: a * errors].reshape(a, errors), bench[spot[22] :][: a * a].reshape(a, a)
+        left = note[3 + north] * (R[north, north] / note[3 + a + north] if note[2] else 1.0)
+        now[11] = np.arctan2(nav[9], nav[6]) + left + C[north] @ x[spot[4] - 9 :][:errors]
+        now[12] = now[11] - w[6, 9]
+    return keep(looks, now, gyros, x, P, not (w[:6, 16] > 1.0).any() and w[6, 2] == 0.0)
+
+
 def stretch(
-    now, cursor, settings, bench, plan, heard, watched, state, drive, samples, stamps, limits, hearing, given, out
+    now,
+    cursor,
+    settings,
+    bench,
+    plan,
+    heard,
+    watched,
+    state,
+    drive,
+    samples,
+    stamps,
+    limits,
+    hearing,
+    looking,
+    given,
+    out,
 ):
     """One reading after the other. 0: all done, 1 and 2: the next one is Python's, 3: it was not used, 4: no room, 5:
-    the watch over the drive has found something, 6: there is something to learn, 7: it is time for a look.
+    the watch over the drive has found something, 6: there is something to learn, 7: a gyro's bias may have shifted.
     """
     (nav, x, P, acc), (drv, Phid, Qd, Cr, before, w, sd, ends), m = state, drive, state[3].shape[1]
     known = max(0, len(before) - 512)
-    period, ahead, every, gap, doubt, until, interval, increments, learn, g, felt, each, look_s = settings
+    period, ahead, every, gap, doubt, until, interval, increments, learn, g, felt, each, _ = settings
     undone, ears, where, opened = hearing
     rows, info, records, heads = out
 
@@ -1603,6 +1651,16 @@ def stretch(
             present(P, acc, drv[126], None, covariance)
         rows[cursor[4]], info[cursor[4]] = np.concatenate([nav, x, covariance]), (now[0], cursor[5])
         now[3], cursor[4] = now[0], cursor[4] + 1
+
+    def listened(e, i, spot, note, count, t):
+        """Whether there is something to learn."""
+        a, mem, once = spot[0], bench[spot[14] : spot[15]], np.zeros(1, int)
+        C, value = bench[spot[19] :][: a * spot[5]].reshape(a, spot[5]), np.zeros((a + 1, 1))
+        listen(undone, mem, spot[:7], where[i], nav, C, x, ears[i, 0], ears[i, 8:17], value, once, 1, Cr, float(g))
+        opened[e, 0], cursor[8] = count, once[0]
+        if ears[i, 0]:
+            opened[e, 1 : 2 + a] = value[:, 0]
+        return ears[i, 0] and attend(ears[i], note[0], note[1], count, t >= learn)
 
     def full(size):
         more = records.size and cursor[6] + size > records.size
@@ -1676,22 +1734,14 @@ def stretch(
             watched[i, 5:7] = note[1], max(watched[i, 6], t)
         share = min(note[0] / note[1], 100.0)
         watched[i, 4] = share if np.isnan(watched[i, 4]) else watched[i, 4] + (share - watched[i, 4]) / 50.0
-        cursor[0] = e + 1 if t >= look_s else e
-        if not undone.size:
-            if t >= look_s:
-                return 7
-            continue
-        a, mem, once = spot[0], bench[spot[14] : spot[15]], np.zeros(1, int)
-        C, value = bench[spot[19] :][: a * spot[5]].reshape(a, spot[5]), np.zeros((a + 1, 1))
-        listen(undone, mem, spot[:7], where[i], nav, C, x, ears[i, 0], ears[i, 8:17], value, once, 1, Cr, float(g))
-        opened[e, 0], cursor[8] = count, once[0]
-        if ears[i, 0]:
-            opened[e, 1 : 2 + a] = value[:, 0]
-        if ears[i, 0] and attend(ears[i], note[0], note[1], count, t >= learn):
+        if undone.size and listened(e, i, spot, note, count, t):
             cursor[0] = e + 1
             return 6
-        if t >= look_s:
-            return 7
+        if t >= settings[12]:
+            if look_at_biases(bench, plan, heard, nav, x, P, w, now[0], *looking):
+                cursor[0] = e + 1
+                return 7
+            settings[12] = 10.0 * (np.floor(looking[2][0] / 10.0) + 1.0)
     cursor[0] = len(given[0])
     return 0
 

@@ -65,7 +65,8 @@ def test_constants_of_a_dvl_beside_a_micromechanical_unit_are_honest(states, err
         track = nf.replay(vehicle, mission, output_rate_hz=0.2)
         what, numbers = next(note for note in mission.notes if note.startswith("dvl")).split(" error ")
         truth = np.array([float(number) for number in numbers.split()])
-        first = next(i for i, name in enumerate(track.state_names) if name.startswith(f"dvl.{what[5:].replace(' ', '_')}"))
+        named = f"dvl.{what[5:].replace(' ', '_')}"
+        first = next(i for i, name in enumerate(track.state_names) if name.startswith(named))
         own = slice(first, first + len(truth))
         estimate, sd = track.states[-1, own], track.states_sd[-1, own]
         assert np.abs(estimate).max() < most

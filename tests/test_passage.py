@@ -13,6 +13,7 @@ from kernel_inputs import assert_close
 import navfilter as nf
 from navfilter import passage, passage_again, playback
 from navfilter.filter.memory import differences
+from navfilter.filter.spool import Spool
 from navfilter.filter.tape import Tape
 from navfilter.kernels import kalman, measurement
 from navfilter.kernels import stretch as kernels
@@ -159,7 +160,7 @@ def test_a_row_per_sample_is_what_the_vehicle_knew_then(defects, monkeypatch):
     if defects:
         mission = with_defects(survey(60.0)[1]).between(0.0, 50.0)
     monkeypatch.setattr(passage, "ROWS", 40)
-    monkeypatch.setattr(passage, "ELEMENTS", 40 * 200)
+    monkeypatch.setattr(Spool, "CHUNK", 40 * 200)
     track, at_readings = (nf.replay(vehicle, mission, output_rate_hz=rate) for rate in (None, np.inf))
     assert np.isin(mission.streams["imu"].time_s, track.time_s).all() and (np.diff(track.time_s) > 0.0).all()
     assert_same(track.keep(np.isin(track.time_s, at_readings.time_s)), at_readings)
@@ -185,7 +186,7 @@ def test_a_row_per_sample_is_what_the_vehicle_knew_then(defects, monkeypatch):
 @pytest.mark.parametrize("smooth", [False, True])
 def test_a_silence_of_all_sensors_longer_than_the_room_for_rows(smooth, monkeypatch):
     monkeypatch.setattr(passage, "ROWS", 8)
-    monkeypatch.setattr(passage, "ELEMENTS", 1)
+    monkeypatch.setattr(Spool, "CHUNK", 1)
     vehicle, mission = survey(30.0)
     for name in vehicle.sensors:
         mission = mission.hide(name, (2.0, 27.0))

@@ -7,13 +7,14 @@ import math
 import naive
 import numpy as np
 import pytest
+from kernel_inputs import assert_close, run_both
 from test_agreement import altered, feed, fly
 
 import navfilter as nf
 from navfilter import passage
 from navfilter.filter import shifts
 from navfilter.filter.memory import differences
-from navfilter.kernels import jumps
+from navfilter.kernels import shifts as kernels
 from navfilter.simulation.faults import Faults
 from navfilter.simulation.scenarios import reckoning_vehicle, survey, survey_vehicle
 from navfilter.simulation.simulate import simulate
@@ -110,8 +111,27 @@ def test_the_kernel_and_its_twin(missing):
     table, now = rng.uniform(0.5, 2.0, (shifts.LOOKS, shifts.COLUMNS)), rng.uniform(0.5, 2.0, shifts.COLUMNS)
     table[:missing] = math.nan
     args = table, now, np.full(3, 0.01), np.full(3, 1e-3)
-    assert jumps.farthest(*args) == pytest.approx(naive.farthest(*args), rel=1e-12)
-    assert (jumps.farthest(*args) > 0.0) == (missing < shifts.LOOKS)
+    assert kernels.farthest(*args) == pytest.approx(naive.farthest(*args), rel=1e-12)
+    assert (kernels.farthest(*args) > 0.0) == (missing < shifts.LOOKS)
+
+
+@pytest.mark.parametrize("what", ["nothing", "far", "anew", "opened", "busy", "none"])
+def test_what_is_kept_and_its_twin(what):
+    """A look that goes on, one of a bias that has moved too far, those that are the first again, and without biases."""
+    rng = np.random.default_rng(3)
+    table, now = map(np.nan_to_num, looks())
+    x, P = 1e-3 * rng.normal(size=4), np.eye(13)
+    gyros = np.array([[9.0, 10.0, 12.0], [1e-4] * 3, [1e-3] * 3])
+    x[0] += 20.0 * (what == "far")
+    now[shifts.ANEW] += what == "anew"
+    P[12, 12] += 9.0 * (what == "opened")
+    gyros = gyros[:, :0] if what == "none" else gyros
+    ours, twins = run_both(kernels.keep, table, now, gyros, x, P, what != "busy")
+    assert_close(ours[:2], twins[:2])
+    kept, told = ours[0], kernels.keep(table.copy(), now.copy(), gyros, x, P, what != "busy")
+    assert told == (what == "far")
+    assert np.isnan(kept[:-1]).all() == (what in ("anew", "opened", "busy"))
+    np.testing.assert_array_equal(kept[-1], table[-1] if told else ours[1])
 
 
 def test_of_many_good_estimates_none_has_shifted():

@@ -7,7 +7,7 @@ import warnings
 
 import numpy as np
 
-from navfilter.filter.tape import Spool
+from navfilter.filter.spool import Spool
 
 
 def test_a_spool_that_nobody_holds_closes_its_file(monkeypatch):
@@ -27,3 +27,38 @@ def test_a_spool_that_nobody_holds_closes_its_file(monkeypatch):
         del spool, circle
         gc.collect()
     assert file.closed and not unclosed
+
+
+def test_a_spool_holds_what_a_list_would(monkeypatch):
+    """Whatever is appended, alone or many at once, and dropped again; its chunks go to the file and are used again."""
+    monkeypatch.setattr(Spool, "CHUNK", 1 << 6)
+    rng = np.random.default_rng(3)
+    spool, kept = Spool(0), []
+    for k in range(400):
+        what = rng.integers(4)
+        if what == 0 and kept:
+            spool.drop()
+            kept.pop()
+        elif what == 1:
+            kept.append(np.full(rng.integers(1, 90), float(k)))
+            spool.new(kept[-1].size)[:] = kept[-1]
+        else:
+            some = [np.full(size, k + 0.1 * i) for i, size in enumerate(rng.integers(0, 40, rng.integers(0, 6)))]
+            spool.extend(np.concatenate([np.empty(0), *some]), np.array([len(each) for each in some], np.int64))
+            kept += some
+        if kept:
+            np.testing.assert_array_equal(spool[-1], kept[-1])
+    assert len(spool) == len(kept) and sum(chunk is None for chunk in spool._chunks) > 50
+    for k in rng.permutation(len(kept)).tolist():
+        np.testing.assert_array_equal(spool[k], kept[k])
+    copy, most = Spool(1 << 20), len(kept) // 2
+    for flat, sizes in spool.pieces(most):
+        copy.extend(flat, sizes)
+    assert len(copy) == most and all((copy[k] == kept[k]).all() for k in range(most))
+    first, last = 7, len(kept)
+    while last > first:
+        flat, begins = spool.run(first, last)
+        for begin, vector in zip(begins, kept[last - len(begins) : last], strict=True):
+            np.testing.assert_array_equal(flat[begin : begin + len(vector)], vector)
+        last -= len(begins)
+    assert last == first

@@ -265,7 +265,9 @@ class Channel:
         starts = begin, ends[0], self.constants.size, *ends[1:9]
         is_so, partly = (self.moves, self.turns, self.sensor.reads_rate), self.partly_for_s < math.inf
         asked = self._kernels if self.known else (0, 0, 0, 0)
-        self.spot = np.array([*self.dims, *asked, *is_so, *starts, at[8], at[5], partly, *self.held], dtype=np.int64)
+        north = -1 if self.sensor.north is None else self.sensor.north
+        more = at[8], at[5], partly, *self.held, north
+        self.spot = np.array([*self.dims, *asked, *is_so, *starts, *more], dtype=np.int64)
         return self.spot
 
     def _addresses(self) -> tuple[int, int, int, int]:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navfilter.error_models import per_axis
-from navfilter.filter import agreement, course, drive_watch, realignment, refused, scatter, shifts
+from navfilter.filter import agreement, course, drive_watch, realignment, refused, scatter
 from navfilter.filter.adoption import Change, state_change
 from navfilter.filter.asking import asked, shared
 from navfilter.filter.channel import Channel, usable
@@ -152,7 +152,7 @@ class Filter(Estimate):
         self.layout = layout = Layout.of(in_force, like)
         self.in_force, self._like, self._laid_out = in_force, (in_force, layout), models
         g, m = layout.drive, layout.head
-        self.Phid, self.Qd, self.drive_sd, self.gyros = g.Phi, g.Q, np.sqrt(g.r), shifts.gyros(g, self.period_s)
+        self.Phid, self.Qd, self.drive_sd = g.Phi, g.Q, np.sqrt(g.r)
         self.drive_output, self._work = np.zeros((6, g.size + 1)), np.zeros((m, layout.size))
         self._dims = np.array([0, layout.size, m, 0, 0, 0, 0])
         variance = g.r[:3] if self.inertial else np.zeros(3)  # until `weigh` says otherwise

@@ -61,8 +61,9 @@ class Proportion(Offset):
 
 @dataclass(frozen=True)
 class Deviation(Offset):
-    """What a compass was found to be off by, as far as that goes with the heading: iron that has come near it turns with
-    the vehicle. Of one cycle (National Geospatial-Intelligence Agency, "Handbook of magnetic compass adjustment", 2004).
+    """What a compass was found to be off by, as far as that goes with the heading: iron that has come near it turns
+    with the vehicle. Of one cycle (National Geospatial-Intelligence Agency, "Handbook of magnetic compass adjustment",
+    2004).
 
     Parameters
     ----------

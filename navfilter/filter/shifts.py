@@ -26,21 +26,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.filter.channel import UNDISPUTED_S, Channel
-from navfilter.kernels import drive_watch as kernel
-from navfilter.kernels.jumps import BIAS, NIS, TIME_S, VARIANCE, farthest
+from navfilter.kernels import shifts as kernel
+from navfilter.kernels import stretch
+from navfilter.kernels.shifts import (
+    ANEW,
+    APART,
+    BIAS,
+    COLUMNS,
+    HEADING,
+    LATITUDE,
+    LIMIT,
+    LONGITUDE,
+    NIS,
+    TIME_S,
+    VARIANCE,
+    farthest,
+)
 
 if TYPE_CHECKING:
     from navfilter.filter.filter import Filter
     from navfilter.filter.filter_memory import FilterMemory
-    from navfilter.filter.layout import Group
 
-__all__ = ["due_s", "fresh", "look", "shifted"]
+__all__ = ["due_s", "fresh", "look", "looking", "shifted"]
 
 Array = NDArray[np.float64]
 #: The estimates are looked at so often [s], and held against those of so many looks before [1].
-EVERY_S, LOOKS = 10.0, 16
-#: A change beyond so many times its variance [1]: six standard deviations.
-LIMIT = 36.0
+EVERY_S, LOOKS = stretch.LOOK_EVERY_S, 16
 #: What error models leave out moves a bias, too: by this share of the sd that it has at the start [1].
 FLOOR = 0.15
 #: The share of a shift that the estimate has followed, at least [1].
@@ -55,27 +66,13 @@ BEYOND = 9.0
 #: What deviations are by the heading and by twice the heading, as standard deviations [rad]; what nobody knows of the
 #: difference between a compass and how far gyros have turned [rad].
 DEVIATION, UNKNOWN = (0.2, 0.1), 10.0
-#: An axis is about the vertical if so much of it is [1]. A compass is there while its last reading is so old [s].
-UPRIGHT, HEARD_S = 0.5, 3.0
-#: Columns of what is remembered: time, latitude and longitude, how often the attitude had been set anew; estimates of
-#: the three biases, and their variances; NIS per component of the readings just before; heading by the compass, and
-#: that less what the gyros have turned (NaN: there is none).
-LATITUDE, LONGITUDE, ANEW, HEADING, APART, COLUMNS = 1, 2, 3, 11, 12, 13
+#: An axis is about the vertical if so much of it is [1].
+UPRIGHT = 0.5
 
 
 def fresh() -> Array:
     """What is remembered before the first look, shape (LOOKS, COLUMNS), the latest last."""
     return np.full((LOOKS, COLUMNS), math.nan)
-
-
-def gyros(g: Group, period_s: float) -> tuple[tuple[int, ...], Array, Array] | None:
-    """Places of the biases of the three gyros, what their walks add to the variances in a second, and the variances at
-    the start; None where one of them is no state.
-    """
-    if not all(each.size for each in g.biases[:3]):
-        return None
-    own = np.array([each[0] for each in g.biases[:3]])
-    return tuple((g.start + own).tolist()), g.Q[own, own] / period_s, g.P0[own, own]
 
 
 def due_s(filter: Filter) -> float:
@@ -86,42 +83,44 @@ def due_s(filter: Filter) -> float:
     return -math.inf if math.isnan(last_s) else (math.floor(last_s / EVERY_S) + 1.0) * EVERY_S
 
 
+def looking(filter: Filter) -> tuple[Array, Array, Array]:
+    """The looks so far, what is known of the gyros, and the next look, see `navfilter.kernels.shifts`."""
+    memory, g, now = filter.memory, filter.layout.drive, np.zeros(COLUMNS)
+    now[ANEW] = memory.counts["realigned"] + memory.counts["opened"]
+    if not filter.inertial or not all(each.size for each in g.biases[:3]):
+        return memory.shifts, np.zeros((3, 0)), now
+    own = np.array([each[0] for each in g.biases[:3]])
+    gyros = np.array([g.start + own, g.Q[own, own] / filter.period_s, FLOOR**2 * g.P0[own, own]])
+    return memory.shifts, gyros, now
+
+
 def look(filter: Filter) -> None:
     """Hold the biases against what they were, if it is time; after a reading has been taken."""
     memory = filter.memory
-    time_s = max([channel.memory.last_s for channel in filter.channels.values()], default=-math.inf)
-    if time_s == -math.inf or time_s < due_s(filter):
+    heard = [[channel.memory.last_s] for channel in filter.channels.values()]
+    if not heard or max(heard)[0] == -math.inf or max(heard)[0] < due_s(filter):
         return
-    now, kept = np.zeros(COLUMNS), memory.shifts
-    anew = memory.counts["realigned"] + memory.counts["opened"]
-    now[:BIAS] = time_s, memory.nav.item(0), memory.nav.item(1), anew
-    if filter.gyros is not None:
-        places, walk, begin = filter.gyros
-        compass = _compass(filter)
-        apart = (math.nan, math.nan) if compass is None else _apart(filter, compass)
-        estimates = [memory.x.item(i - 9) for i in places], [memory.P.item(i, i) for i in places]
-        now[BIAS:] = *estimates[0], *estimates[1], _nis(filter, time_s), *apart
-        if filter.watch.busy(memory.watch) or not _goes_on(kept[-1], now, walk):
-            kept = fresh()
-        found = shifted(kept, now, walk, begin)
-        if found:
-            upright, calm = np.abs(memory.nav[12:15]) > UPRIGHT, _undisputed(filter, time_s)
-            found = [f for f in found if (_ramps(compass, np.vstack([kept, now]), *f) if upright[f[0]] else calm)]
-        for axis, row, size in found:
-            _open(memory, places[axis], axis, size, kept[row:])
-            memory.counts["shifted"] += 1
-        if found:
-            kept, now[VARIANCE:NIS] = fresh(), np.diag(memory.P)[list(places)]
+    looks, gyros, now = looking(filter)
+    state = memory.nav, memory.x, memory.P
+    if not stretch.look_at_biases(
+        filter.bench, filter.plan, np.array(heard), *state, memory.watch, memory.time_s, looks, gyros, now
+    ):
+        return
+    g = filter.layout.drive
+    places, walk = gyros[kernel.PLACE].astype(int), gyros[kernel.WALK]
+    compass, kept = _compass(filter), looks
+    upright, calm = np.abs(memory.nav[12:15]) > UPRIGHT, _undisputed(filter, now[TIME_S])
+    found = [
+        f
+        for f in shifted(kept, now, walk, g.P0[places - g.start, places - g.start])
+        if (_ramps(compass, np.vstack([kept, now]), *f) if upright[f[0]] else calm)
+    ]
+    for axis, row, size in found:
+        _open(memory, int(places[axis]), axis, size, kept[row:])
+        memory.counts["shifted"] += 1
+    if found:
+        kept, now[VARIANCE:NIS] = fresh(), np.diag(memory.P)[places]
     memory.shifts = np.concatenate([kept[1:], now[np.newaxis]])
-
-
-def _goes_on(before: Array, now: Array, walk: Array) -> bool:
-    """Whether nothing but readings and time has changed the variances since a look."""
-    if now[ANEW] != before[ANEW]:
-        return False
-    seconds = now.item(TIME_S) - before.item(TIME_S)
-    rows = zip(now[VARIANCE:NIS].tolist(), before[VARIANCE:NIS].tolist(), walk.tolist(), strict=True)
-    return all(own <= 1.001 * (kept + each * seconds) for own, kept, each in rows)
 
 
 def _undisputed(filter: Filter, time_s: float) -> bool:
@@ -131,22 +130,8 @@ def _undisputed(filter: Filter, time_s: float) -> bool:
 
 def _compass(filter: Filter) -> Channel | None:
     """One that has been heard just now."""
-    now_s = filter.memory.time_s
-    for channel in filter.channels.values():
-        if channel.sensor.north is not None and now_s - channel.memory.last_s < HEARD_S:
-            return channel
-    return None
-
-
-def _apart(filter: Filter, compass: Channel) -> tuple[float, float]:
-    """Heading by the last reading of a compass, and that less how far the gyros have turned [rad]."""
-    memory, first, north = filter.memory, compass.group.start - 9, compass.sensor.north
-    assert north is not None
-    note, errors = compass.note.tolist(), memory.x[first : first + compass.group.errors]
-    used, residual, variance = note[2], note[3 + north], note[3 + compass.axes + north]
-    left = residual * (compass.R.item(north, north) / variance if used else 1.0)
-    heading = math.atan2(memory.nav.item(9), memory.nav.item(6)) + left + float(compass.C[north] @ errors)
-    return heading, heading - memory.watch.item(kernel.UNIT, kernel.TURNED)
+    heard = [c for c in filter.channels.values() if filter.memory.time_s - c.memory.last_s < stretch.COMPASS_S]
+    return next((c for c in heard if c.sensor.north is not None), None)
 
 
 def _ramps(compass: Channel | None, looks: Array, axis: int, row: int, size: float) -> bool:
@@ -192,17 +177,6 @@ def ramp_beyond_deviation(
     left = apart - apart[-1] - slope * ramp
     larger = max(1.0, float(left @ np.linalg.solve(S, left)) / max(len(time_s) - 2, 1))
     return slope, larger / information
-
-
-def _nis(filter: Filter, time_s: float) -> float:
-    """Of the last readings of all sensors that have been heard since the last look, per component; 1 where none was."""
-    total, components = 0.0, 0.0
-    for channel in filter.channels.values():
-        if channel.memory.last_s > time_s - EVERY_S:
-            nis, dof, _ = channel.verdict.tolist()
-            if dof and math.isfinite(nis):
-                total, components = total + nis, components + dof
-    return total / components if components else 1.0
 
 
 def shifted(looks: Array, now: Array, walk: Array, begin: Array) -> list[tuple[int, int, float]]:

@@ -1,8 +1,4 @@
-"""What a run leaves behind: records for the smoother, rows for the track, residuals per sensor.
-
-Records and rows go to a spool that keeps a bounded amount in memory and the rest in a temporary file, so that a
-day-long mission needs no more memory than an hour.
-"""
+"""What a run leaves behind: records for the smoother, rows for the track, residuals per sensor."""
 
 from __future__ import annotations
 
@@ -10,8 +6,7 @@ import bisect
 import copy
 import functools
 import math
-import tempfile
-import weakref
+import sys
 from array import array
 from dataclasses import dataclass, field
 from typing import Any
@@ -19,7 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["CHANGE", "OUTCOMES", "Residuals", "Spool", "Tape", "triangle"]
+from navfilter.filter.spool import Spool
+
+__all__ = ["CHANGE", "OUTCOMES", "Residuals", "Tape", "triangle"]
 
 Array = NDArray[np.float64]
 
@@ -34,110 +31,6 @@ CHANGE = -1
 def triangle(n: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Rows and columns of the lower triangle of a matrix of n rows, row by row, as a row of the tape has them."""
     return np.tril_indices(n)
-
-
-class Spool:
-    """Append-only store of float64 vectors; at most `memory_bytes` stay in memory, older ones go to a temporary file.
-
-    Raises
-    ------
-    OSError
-        When the temporary file cannot be written (disk full).
-    """
-
-    CHUNK = 1 << 18  # 2 MiB of float64
-
-    def __init__(self, memory_bytes: int) -> None:
-        self._keep = max(2, memory_bytes // (8 * self.CHUNK))
-        self._chunks: list[Array | None] = []
-        # three integers per vector (chunk, first, last), in a flat array: a day has millions of them
-        self._places = array("i")
-        self._offsets: list[int] = []
-        self._sizes: list[int] = []
-        self._file: Any = None
-        self._written = 0
-        self._end = 0
-        self._loaded: tuple[int, Array] | None = None
-
-    def __len__(self) -> int:
-        return len(self._places) // 3
-
-    def new(self, size: int) -> Array:
-        """A writable view of `size` elements, appended."""
-        if not self._chunks or self._end + size > len(self._chunks[-1]):  # type: ignore[arg-type]
-            self._spill()
-            self._chunks.append(np.empty(max(self.CHUNK, size)))
-            self._end = 0
-        self._places.extend((len(self._chunks) - 1, self._end, self._end + size))
-        self._end += size
-        return self[-1]
-
-    def extend(self, flat: Array, sizes: NDArray[np.int64]) -> None:
-        """Append vectors of these sizes that stand one behind the other in `flat`."""
-        ends = np.cumsum(sizes)
-        done = 0
-        while done < len(sizes):
-            begin = int(ends[done] - sizes[done])
-            room = 0 if not self._chunks else len(self._chunks[-1]) - self._end  # type: ignore[arg-type]
-            last = int(np.searchsorted(ends, begin + room, side="right"))
-            if last == done:
-                self.new(int(sizes[done]))[:] = flat[begin : int(ends[done])]
-                done += 1
-                continue
-            chunk, at, size = self._chunks[-1], self._end, int(ends[last - 1]) - begin
-            assert chunk is not None
-            chunk[at : at + size] = flat[begin : begin + size]
-            places = np.empty((last - done, 3), np.intc)
-            places[:, 0], places[:, 2] = len(self._chunks) - 1, at + ends[done:last] - begin
-            places[:, 1] = places[:, 2] - sizes[done:last]
-            self._places.frombytes(places.tobytes())
-            self._end, done = at + size, last
-
-    def drop(self) -> None:
-        """Forget the last vector."""
-        if self._places[-3] == len(self._chunks) - 1:
-            self._end = self._places[-2]
-        del self._places[-3:]
-
-    def _spill(self) -> None:
-        oldest = len(self._chunks) - self._keep
-        if oldest < 0:
-            return
-        if self._file is None:
-            self._file = tempfile.TemporaryFile(prefix="navfilter-")  # noqa: SIM115  (lives as long as the spool)
-            weakref.finalize(self, self._file.close)
-        chunk = self._chunks[oldest]
-        assert chunk is not None
-        self._file.seek(self._written)
-        self._offsets.append(self._written)
-        self._sizes.append(len(chunk))
-        self._written += self._file.write(chunk)
-        self._chunks[oldest] = None
-
-    def __getitem__(self, index: int) -> Array:
-        at = 3 * (index if index >= 0 else len(self) + index)
-        number, first, last = self._places[at : at + 3]
-        return self._chunk(number)[first:last]
-
-    def run(self, first: int, last: int) -> tuple[Array, NDArray[np.int64]]:
-        """Vectors before the one of number `last`, back to number `first` or as far as they stand in one piece: the
-        array in which they stand, and where each of them begins.
-        """
-        if first >= last:
-            return np.empty(0), np.empty(0, np.int64)
-        places = np.frombuffer(self._places, np.intc).reshape(-1, 3)[first:last]
-        number = int(places[-1, 0])
-        return self._chunk(number), places[np.searchsorted(places[:, 0], number) :, 1].astype(np.int64)
-
-    def _chunk(self, number: int) -> Array:
-        chunk = self._chunks[number]
-        if chunk is not None:
-            return chunk
-        if self._loaded is None or self._loaded[0] != number:
-            self._loaded = number, np.empty(self._sizes[number])
-            self._file.seek(self._offsets[number])
-            self._file.readinto(self._loaded[1])
-        return self._loaded[1]
 
 
 @dataclass(frozen=True)
@@ -255,9 +148,15 @@ class Tape:
         self, output_rate_hz: float | None = None, smoothable: bool = True, memory_bytes: int = 8 << 20
     ) -> None:
         self.interval_s = 0.0 if output_rate_hz is None else 1.0 / output_rate_hz - 1e-9
-        self.smoothable, self._memory_bytes = smoothable, memory_bytes
+        self.smoothable, self._memory_bytes, self._expected = smoothable, memory_bytes, 0
         self.each_sample = output_rate_hz is None and not smoothable
         self.begin(None)
+
+    def expect(self, rows: int) -> None:
+        """So many rows are to come at most. Those of a run that is not smoothed are those of the track: they stay where
+        they are written, in one piece.
+        """
+        self._expected = 0 if self.smoothable else rows
 
     def begin(self, layout: Any) -> None:
         """Start anew with a layout of the states; what was written before is forgotten."""
@@ -272,14 +171,15 @@ class Tape:
         smoother works on what is written last.
         """
         before = copy.copy(self)
-        before.ended_s, before.records, before._heads = time_s, Spool(0), array("i")
+        before.ended_s, before.records, before._heads = time_s, Spool(0), array("h")
         self.given = before
         self._fresh(layout)
 
     def _fresh(self, layout: Any) -> None:
         self.records = Spool(self._memory_bytes)
-        self._heads = array("i")  # a, m, b, start of each record
-        self.rows = Spool(self._memory_bytes)
+        self._heads = array("h")  # a, m, b, start of each record
+        row = self._row_size(layout.size) if self._expected else 0
+        self.rows = Spool(sys.maxsize if row else self._memory_bytes, row * self._expected)
         self.row_times = array("d")
         self.row_records = array("q")  # the record after which the row holds
         self.row_layouts = array("q")  # the layout of each row
@@ -303,11 +203,11 @@ class Tape:
             self._heads.extend((CHANGE, *M.shape, 0))
 
     @property
-    def heads(self) -> NDArray[np.intc]:
+    def heads(self) -> NDArray[np.int16]:
         """Of each record: axes, size of the head, size and start of the ticked block; or `CHANGE`, rows and columns of
         the matrix, 0. A view: while it is held, no record can be written.
         """
-        return np.frombuffer(self._heads, np.intc).reshape(-1, 4)
+        return np.frombuffer(self._heads, np.int16).reshape(-1, 4)
 
     def row(self, time_s: float, nav: Array, x: Array, P: Array, present: Array | None = None) -> None:
         """Note the state at this time; the last note of a time stands, and times closer than the output interval are
@@ -317,7 +217,7 @@ class Tape:
         where samples have not been folded into P yet (`Estimate.present`).
         """
         n = len(P)
-        size = 8 + n + (n * (n + 1) // 2 if self.smoothable else 72 + n)
+        size = self._row_size(n)
         if self.row_times and time_s == self.row_times[-1]:
             out = self.rows[-1]
             if out.size != size:
@@ -341,32 +241,49 @@ class Tape:
             out[17 + x.size : 98 + x.size] = P[:9, :9].reshape(-1)
             out[98 + x.size :] = P.diagonal()[9:]
 
-    def extend(
-        self, given: tuple[Array, Array, Array, NDArray[np.int64]], count: int, records: int, elements: int
-    ) -> None:
-        """As many calls of `record` and `row`, in this order of time, by what `navfilter.kernels.stretch` has written.
+    def output(self, longest: int, info: Array) -> tuple[Array, Array, int]:
+        """Where the kernel `stretch` writes rows, and records of which one of the `longest` finds room at least; and
+        how many of the rows stand there: the last one, if it may be written again. Of that `info` says when it holds.
+        """
+        size, records = self._row_size(self.layouts[-1].size), np.empty(0)
+        flat, held = self.rows.tail(size, last=True)
+        if held:
+            info[0] = self.row_times[-1], self.row_records[-1] - len(self.records)
+        if self.smoothable:
+            records, _ = self.records.tail(longest)
+        self._held = int(held)
+        return flat[: len(flat) // size * size].reshape(-1, size), records, self._held
+
+    def _row_size(self, n: int) -> int:
+        return 8 + n + (n * (n + 1) // 2 if self.smoothable else 72 + n)
+
+    def extend(self, given: tuple[Array, Array, Array, NDArray[np.int64]], count: int, records: int) -> None:
+        """As many calls of `record` and `row`, in this order of time, by what `stretch` has written.
 
         Parameters
         ----------
         given : tuple of ndarray
-            Rows; when each of them holds and after how many of the records; records; their sizes and heads.
-        count, records, elements : int
-            How many there are of rows and records, and of the elements of these.
+            Rows, and records, where `output` has said; when each row holds and after how many of the records; sizes and
+            heads of the records.
+        count, records : int
+            How many there are of rows and records.
         """
-        rows, info, flat, heads = given
-        before = len(self.records)
+        rows, info, _, heads = given
+        before, again = len(self.records), 0
         if records:
-            self.records.extend(flat[:elements], heads[:records, 0])
-            self._heads.frombytes(heads[:records, 1:].astype(np.intc).tobytes())
+            self.records.took(heads[:records, 0])
+            self._heads.frombytes(heads[:records, 1:].astype(np.int16).tobytes())
         if count and self.row_times and info[0, 0] == self.row_times[-1]:
+            self.row_records[-1], self.row_layouts[-1], again = before + int(info[0, 1]), len(self.layouts) - 1, 1
+        if again > self._held:  # it stands in another chunk
+            flat = rows[:count].flatten()
             self.rows.drop()
-            for ended in (self.row_times, self.row_records, self.row_layouts):
-                ended.pop()
-        if count:
-            self.rows.extend(rows[:count].reshape(-1), np.full(count, rows.shape[1]))
-            self.row_times.frombytes(info[:count, 0].tobytes())
-            self.row_records.frombytes((before + info[:count, 1].astype(np.int64)).tobytes())
-            self.row_layouts.extend([len(self.layouts) - 1] * count)
+            self.rows.extend(flat, np.full(count, rows.shape[1]))
+        else:
+            self.rows.took(np.full(count - again, rows.shape[1]))
+        self.row_times.frombytes(info[again:count, 0].tobytes())
+        self.row_records.frombytes((before + info[again:count, 1].astype(np.int64)).tobytes())
+        self.row_layouts.extend([len(self.layouts) - 1] * (count - again))
 
     def column(self, name: str, axes: int) -> _Column:
         """The residual table of a sensor."""
@@ -381,13 +298,10 @@ class Tape:
         before, layouts = len(self.records), len(self.layouts)
         records = len(other.records) if records is None else records
         rows = len(other.row_times) if rows is None else rows
-        for i in range(records):
-            record = other.records[i]
-            self.records.new(record.size)[:] = record
+        for mine, its, count in ((self.records, other.records, records), (self.rows, other.rows, rows)):
+            for flat, sizes in its.pieces(count):
+                mine.extend(flat, sizes)
         self._heads.extend(other._heads[: 4 * records])
-        for i in range(rows):
-            row = other.rows[i]
-            self.rows.new(row.size)[:] = row
         self.row_times.extend(other.row_times[:rows])
         self.row_records.extend(array("q", [before + number for number in other.row_records[:rows]]))
         self.row_layouts.extend(array("q", [layouts + number for number in other.row_layouts[:rows]]))

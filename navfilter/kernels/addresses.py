@@ -42,7 +42,8 @@ STEPS = (_ROW, _ROW, _ROW, _TABLE, _TABLE, _TABLE, _TABLE, _TABLE)
 HOLD = (_ROW, _ROW, _ROW, types.float64, _TABLE, _TABLE, _TABLE, _TABLE)
 #: recent, nav, drv, errors, rows, gravity, see `navfilter.kernels.past`.
 MOTION = (_TABLE, _ROW, _ROW, _ROW, _TABLE, _ROW)
-#: equation, motion, facts, z, nav, rate, par, cfg, recent, drv, Cr, xd, since_s, variance, tilt, H, near, res, R, see there.
+#: equation, motion, facts, z, nav, rate, par, cfg, recent, drv, Cr, xd, since_s, variance, tilt, H, near, res, R: see
+#: there.
 SIGHT = (
     *(types.int64, types.int64, *(_ROW,) * 6, _TABLE, _ROW, _TABLE, _ROW),
     *(types.float64, types.float64, types.float64, _TABLE, _TABLE, _ROW, _TABLE),
@@ -61,6 +62,7 @@ STRETCH = (
     types.Tuple((_ROW, _TABLE, _TABLE, _TABLE, _TABLE, _TABLE, _ROW, _ROW)),
     *(_TABLE, _ROW, _ROW),
     types.Tuple((_ROW, _TABLE, _MATRIX_OF_PLACES, _TABLE)),
+    types.Tuple((_TABLE, _TABLE, _ROW)),
     types.Tuple((_ROW, _PLACES, _PLACES, _READINGS, _READINGS, _TABLE, _TABLE, _TABLE)),
     types.Tuple((_TABLE, _TABLE, _ROW, _MATRIX_OF_PLACES)),
 )

@@ -20,8 +20,11 @@ from numba.core import cgutils
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
 from numba.core.compiler_machinery import PassManager
 from numba.core.extending import _Intrinsic
+from numba.core.typing.templates import AbstractTemplate, infer_global, signature
+from numba.extending import lower_builtin
+from numba.np.arrayobj import make_array, populate_array
 
-__all__ = ["apart", "njit"]
+__all__ = ["apart", "njit", "shaped"]
 
 #: Passes of numba that look for what no kernel has: closures, expressions of whole arrays, literals to unroll.
 _IDLE = {
@@ -79,6 +82,31 @@ def apart(kernel: Any) -> Any:
         return kernel
     # a method of Python's would take as long as half a small kernel
     return type("Apart", (Apart,), {"__call__": staticmethod(kernel)})(kernel)
+
+
+def shaped(flat: Any, rows: int, columns: int) -> Any:
+    """Elements that stand one behind the other as a matrix of so many rows and columns: a view that nobody counts.
+
+    `reshape` is a call of a library in a kernel, which first finds out whether it can: two per cent of a replay.
+    """
+    return flat.reshape(rows, columns)
+
+
+@infer_global(shaped)
+class _Shaped(AbstractTemplate):
+    def generic(self, args: Any, kws: Any) -> Any:
+        return signature(types.Array(args[0].dtype, 2, "C"), *args)
+
+
+@lower_builtin(shaped, types.Array, types.Integer, types.Integer)
+def _build_shaped(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+    flat = make_array(sig.args[0])(context, builder, value=args[0])
+    rows, columns = (context.cast(builder, *of, types.intp) for of in zip(args[1:], sig.args[1:], strict=True))
+    view, size = make_array(sig.return_type)(context, builder), flat.itemsize
+    strides = cgutils.pack_array(builder, [builder.mul(columns, size), size])
+    shape = cgutils.pack_array(builder, [rows, columns])
+    populate_array(view, data=flat.data, shape=shape, strides=strides, itemsize=size, meminfo=None)
+    return view._getvalue()
 
 
 class _Lean(CompilerBase):

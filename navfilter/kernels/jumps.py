@@ -17,28 +17,6 @@ from navfilter.kernels.decorators import njit
 NIS_READINGS = 200.0  # memory of the running mean of a sensor's NIS
 NIS_MOST = 9.0  # what one reading adds to it at most, for a component: a fault is no noise
 AXES = 6
-# Columns of the looks at the biases of the gyros, see `navfilter.filter.shifts`.
-TIME_S, BIAS, VARIANCE, NIS = 0, 4, 7, 10
-
-
-@njit(cache=True, error_model="numpy")
-def farthest(looks, now, walk, begin):
-    """How far a bias has moved at most since one of the looks (k, COLUMNS), the latest last: the square of that over
-    its variance. That is what it has lost of its own meanwhile, and its walk (3,) has added in so many seconds, as much
-    larger as the mean NIS since then, and `begin` (3,), which it may move by in any case.
-    """
-    nis, count, most = now[NIS], 1, 0.0
-    for k in range(looks.shape[0] - 1, -1, -1):
-        nis += looks[k, NIS]
-        count += 1
-        if math.isnan(nis):
-            break
-        for i in range(3):
-            added = walk[i] * (now[TIME_S] - looks[k, TIME_S])
-            lost = max(looks[k, VARIANCE + i] + added - now[VARIANCE + i], 0.0)
-            moved = now[BIAS + i] - looks[k, BIAS + i]
-            most = max(most, moved * moved / max(lost * max(nis / count, 1.0) + begin[i], 1e-300))
-    return most
 
 
 @njit(cache=True, error_model="numpy")

@@ -12,7 +12,7 @@ from numba.core import cgutils
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import lower_builtin
 
-from navfilter.kernels.decorators import apart, njit
+from navfilter.kernels.decorators import apart, njit, shaped
 
 #: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
 UNCOUNTED: dict = {"_nrt": False}
@@ -173,6 +173,21 @@ def discount_heading(P, acc, work):
         acc[i, 8] *= share
 
 
+@njit(cache=True, **UNCOUNTED)
+def _reach(row, i):
+    """From where to where a row of a transition is not zero; that of a state by itself alone is found at once."""
+    others = 0
+    for r in range(row.size):
+        others += row[r] != 0.0
+    if others == 1 and row[i] != 0.0:
+        return i, i + 1
+    first, last = row.size, 0
+    for r in range(row.size):
+        if row[r] != 0.0:
+            first, last = min(first, r), r + 1
+    return first, last
+
+
 @apart
 @njit(cache=True, **UNCOUNTED)
 def present(P, acc, inertial, work, out):
@@ -183,8 +198,8 @@ def present(P, acc, inertial, work, out):
     kept0, kept1, kept3, kept4 = acc[0, 8], acc[1, 8], acc[3, 8], acc[4, 8]
     if inertial:
         discount_heading(P, acc, work)
-    T, A, head = work[: 9 * m].reshape((9, m)), work[9 * m :][: 9 * m].reshape((m, 9)), work[18 * m :][:81]
-    head = head.reshape((9, 9))
+    T, A, head = shaped(work[: 9 * m], 9, m), shaped(work[9 * m :][: 9 * m], m, 9), work[18 * m :][:81]
+    head = shaped(head, 9, 9)
     _navigation(P, acc, T, A, head)
     for i in range(9):
         for j in range(i + 1):
@@ -192,10 +207,7 @@ def present(P, acc, inertial, work, out):
             out[9 * i + j] = s
             out[9 * j + i] = s
     for i in range(9, m):
-        first, last = m, 0
-        for r in range(m):
-            if acc[i, r] != 0.0:
-                first, last = min(first, r), r + 1
+        first, last = _reach(acc[i], i)
         s = acc[m + i, i]
         for r in range(first, last):
             carried = 0.0
@@ -223,13 +235,10 @@ def fold(P, acc, nav, T):
     m, n = acc.shape[1], P.shape[0]
     # the drive's work areas in acc are free between its steps
     work = acc[2 * m :].reshape(2 * m * m)
-    A, head, begins, ends = work[: 9 * m].reshape((m, 9)), work[9 * m :][:81].reshape((9, 9)), work[-2 * m :], work[-m:]
+    A, head, begins, ends = shaped(work[: 9 * m], m, 9), shaped(work[9 * m :][:81], 9, 9), work[-2 * m :], work[-m:]
     _navigation(P, acc, T[:9], A, head)
     for i in range(9, m):
-        first, last = m, 0
-        for r in range(m):
-            if acc[i, r] != 0.0:
-                first, last = min(first, r), r + 1
+        first, last = _reach(acc[i], i)
         begins[i], ends[i] = first, last
         _weighted(acc[i][first:last], P[first:last], T[i])
     for i in range(9):
@@ -592,15 +601,15 @@ def predict(P, nav, x, acc, model, mem, dims, count):
     if unmoved(acc[: 2 * m]):
         _orthonormal(nav, mem[work : work + 9])
     else:
-        fold(P, acc, nav, mem[work : work + m * n].reshape((m, n)))
+        fold(P, acc, nav, shaped(mem[work : work + m * n], m, n))
     if b == 0:
         return
-    A = mem[m * m : m * m + b * b].reshape((b, b))
+    A = shaped(mem[m * m : m * m + b * b], b, b)
     if count == 1:
         for i in range(b):
             for j in range(b):
                 A[i, j] = model[0, i, j]
-        tick(P, x, start, A, model[1], mem[work : work + b * n].reshape((b, n)))
+        tick(P, x, start, A, model[1], shaped(mem[work : work + b * n], b, n))
     elif count > 1:
         end = places(dims)[10]
         W = mem[end - 4 * b * b : end].reshape((4, b, b))
@@ -608,7 +617,7 @@ def predict(P, nav, x, acc, model, mem, dims, count):
         for i in range(b):
             for j in range(b):
                 A[i, j] = W[0, i, j]
-        tick(P, x, start, A, W[1], mem[work : work + b * n].reshape((b, n)))
+        tick(P, x, start, A, W[1], shaped(mem[work : work + b * n], b, n))
     else:
         for i in range(b):
             for j in range(b):
@@ -629,12 +638,12 @@ def update(P, nav, x, C, R, mem, dims, limits):
     """
     a, n, start, errors, par = dims[0], dims[1], dims[4], dims[5], dims[6]
     iH, iK, ii, ir, it, iS, iP, ine, iv, iw, _ = places(dims)
-    H, near, res = mem[iH : iH + a * n].reshape((a, n)), mem[ine:iv].reshape((a, 9 + par)), mem[ir : ir + a]
+    H, near, res = shaped(mem[iH : iH + a * n], a, n), shaped(mem[ine:iv], a, 9 + par), mem[ir : ir + a]
     for i in range(a):
         for j in range(errors):
             res[i] -= C[i, j] * x[start - 9 + j]
     _whole_jacobian(H, near, C, start, dims[2])
-    S, PH, out = mem[iS:iP].reshape((2 * a, a)), mem[iP:ine].reshape((a, n)), mem[iv : iv + 3 + 2 * a]
+    S, PH, out = shaped(mem[iS:iP], 2 * a, a), shaped(mem[iP:ine], a, n), mem[iv : iv + 3 + 2 * a]
     missing = 0
     for i in range(a):
         missing += math.isnan(res[i])
@@ -651,8 +660,8 @@ def update(P, nav, x, C, R, mem, dims, limits):
     if not fits:
         return
     out[2] = 1.0
-    T = mem[iw : iw + 2 * a * n].reshape((2 * a, n))
-    correct(P, nav, x, res, S, PH, mem[iK:ii].reshape((n, a)), mem[it : it + 3], T)
+    T = shaped(mem[iw : iw + 2 * a * n], 2 * a, n)
+    correct(P, nav, x, res, S, PH, shaped(mem[iK:ii], n, a), mem[it : it + 3], T)
     for i in range(a):
         for j in range(a):
             mem[ii + i * a + j] = S[a + i, j]
@@ -734,10 +743,10 @@ def smooth_record(L, lam, record, a, m, b, start, T):
     n = len(lam)
     at = m * m + b * b
     if a > 0:
-        H = record[at : at + a * n].reshape((a, n))
-        K = record[at + a * n : at + 2 * a * n].reshape((n, a))
+        H = shaped(record[at : at + a * n], a, n)
+        K = shaped(record[at + a * n : at + 2 * a * n], n, a)
         at += 2 * a * n
-        Sinv = record[at : at + a * a].reshape((a, a))
+        Sinv = shaped(record[at : at + a * a], a, a)
         res = record[at + a * a : at + a * a + a]
         turn = record[at + a * a + a : at + a * a + a + 3]
         # reset: L <- G' L G, lam <- G' lam
@@ -787,9 +796,9 @@ def smooth_record(L, lam, record, a, m, b, start, T):
         for c in range(a):
             _less_twice(L, H[c], T[c])
     if b > 0:
-        _transition_transposed(L, lam, record[m * m : m * m + b * b].reshape((b, b)), start, b, T)
+        _transition_transposed(L, lam, shaped(record[m * m : m * m + b * b], b, b), start, b, T)
     if m > 0:
-        _head_transposed(L, lam, record[: m * m].reshape((m, m)), T.reshape(T.size))
+        _head_transposed(L, lam, shaped(record[: m * m], m, m), T.reshape(T.size))
         return
     for i in range(6, 9):  # what the reset has left
         for j in range(6, i):
@@ -853,9 +862,9 @@ def _head_transposed(L, lam, Phi, work):
     As in `fold`: of the rows of Phi behind navigation only what is not zero.
     """
     m, n = Phi.shape[0], len(lam)
-    A, B, T = work[: m * m].reshape((m, m)), work[m * m : 2 * m * m].reshape((m, m)), work[2 * m * m :]
-    T = T[: m * n].reshape((m, n))
-    C = work[m * m :][: 9 * m].reshape((m, 9))
+    A, B, T = shaped(work[: m * m], m, m), shaped(work[m * m : 2 * m * m], m, m), work[2 * m * m :]
+    T = shaped(T[: m * n], m, n)
+    C = shaped(work[m * m :][: 9 * m], m, 9)
     for i in range(m):
         for j in range(9):
             C[i, j] = Phi[j, i]

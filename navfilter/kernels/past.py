@@ -375,9 +375,9 @@ def sight(sources):
 
         equation, motion: addresses of the sensor's kernel and of `inertial_motion` or `reckoned_motion`; facts: of the
         sensor, see at the head of this file; z, nav, rate, cfg: as for `navfilter.kernels.measurement`; recent: the
-        drive's last samples; since_s: how much later than the stamp it is now; variance, tilt: variances of the clock, and of
-        roll or pitch. H (a, n) receives the derivatives with respect to the drive's states (a bias bends the way back);
-        near and res are filled as by the kernel; R (a, a) grows by what the clock's error does beyond that.
+        drive's last samples; since_s: how much later than the stamp it is now; variance, tilt: variances of the clock,
+        and of roll or pitch. H (a, n) receives the derivatives with respect to the drive's states (a bias bends the way
+        back); near and res are filled as by the kernel; R (a, a) grows by what the clock's error does beyond that.
         """
         _ = sources
         sizes = 7 * (recent.shape[0] + 1) + near.size + 2 * len(res) + 2 * len(cfg) + 6 * len(xd)

@@ -82,7 +82,7 @@ PLACES = [DEVIATION, SCALE, ARM, ATTITUDE_CLOCK, VELOCITY_CLOCK, CURRENT]
 DRIVE_SIZE = 142
 CHANGE_S = 0.1  # what changes is a mean over so long, for readings that come faster are noisy
 MOST_TICKS = 10000.0  # of the drive's blocks in one step
-WIDE = 16  # columns of a panel: rows of so many stay in registers
+WIDE = 8  # columns of a panel: rows of so many are one register, or two
 GAP_PERIODS = 3.0  # a silence of more than this many periods is a gap: what the vehicle did in it is unknown
 
 
@@ -294,7 +294,7 @@ def integrate(nav, drv, samples, out):
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _inertial_advance(nav, xd, inc, dt, drv, seen, gain, noisy, f):
     """One strapdown step with the drive's errors taken off; leaves the elements of its transition, of second order in
-    dt, in f (34,) for `_inertial_carry`. seen, gain, noisy: as `_which_errors` has it.
+    dt, in f (34,) for `_carried`. seen, gain, noisy: as `_which_errors` has it.
     """
     C, mid = drv[MEAN_C : MEAN_C + 9], f[:12]
     for p in range(noisy):
@@ -327,68 +327,125 @@ def _inertial_advance(nav, xd, inc, dt, drv, seen, gain, noisy, f):
     f[32], f[33] = 1.0 - dt * (down + tl * north), dt * east
 
 
-@apart
-@njit(cache=True, error_model="numpy", fastmath={"contract"}, **UNCOUNTED)
-def _inertial_carry(X, end, f, C, seen, gain, kinds, E, m, Phi_ends):
-    """Rows 0 to 8 of X (panels of (m, m) matrices, up to `end`) from the left by the transition of one step: attitude,
-    then velocity with the mean attitude error, then position with the mean velocity error.
+def _carried(x, e, f, C, half):
+    """Nine rows x of navigation from the left by the transition of one step: attitude, then velocity with the mean
+    attitude error, then position with the mean velocity error.
 
-    Only its nonzero elements, in registers: ten times as quick as a product of whole matrices. Multiplied and added in
-    one rounding where the processor can: every step of the filter goes by `imu_steps` or `imu_hold` as they are
-    compiled, so that bits stay the same. seen, gain, kinds: as `_which_errors` has it; E (6 * WIDE,): work, zero at
-    first, where states enter the readings in another way than plainly; behind `end` six rows of zeros or panels are
-    read, and count for nothing. A constant is a unit row of Phi, which ends at
-    `Phi_ends`, and has no noise.
+    e: rows of what the errors of the six readings do in the step; f, C: see `_inertial_advance`; half: of the step.
+    Only elements that are not zero: ten times as quick as a product of whole matrices. For arrays, and for registers.
+    """
+    tn, te, td, pn, pe, pd = f[1], f[2], f[3], f[4], f[5], f[6]
+    y6 = x[6] + td * x[7] - te * x[8] + f[7] * x[4] + f[10] * x[0] + f[12] * x[2]
+    y7 = x[7] - td * x[6] + tn * x[8] + f[8] * x[3] + f[13] * x[2]
+    y8 = x[8] + te * x[6] - tn * x[7] + f[9] * x[4] + f[11] * x[0] + f[14] * x[2]
+    y6, y7, y8 = (y - (C[i] * e[0] + C[i + 1] * e[1] + C[i + 2] * e[2]) for i, y in ((0, y6), (3, y7), (6, y8)))
+    a, b, c = 0.5 * (y6 + x[6]), 0.5 * (y7 + x[7]), 0.5 * (y8 + x[8])
+    y3 = f[15] * x[3] + f[16] * x[4] + f[17] * x[5] + f[23] * x[0] + f[26] * x[2] + (b * pd - c * pe)
+    y4 = f[18] * x[3] + f[19] * x[4] + f[20] * x[5] + f[24] * x[0] + f[27] * x[2] + (c * pn - a * pd)
+    y5 = f[21] * x[3] + f[22] * x[4] + x[5] + f[25] * x[0] + f[28] * x[2] + (a * pe - b * pn)
+    y3, y4, y5 = (y - (C[i] * e[3] + C[i + 1] * e[4] + C[i + 2] * e[5]) for i, y in ((0, y3), (3, y4), (6, y5)))
+    y0 = f[29] * x[0] + f[30] * x[2] + half * (y3 + x[3])
+    y1 = f[31] * x[0] + f[32] * x[1] + f[33] * x[2] + half * (y4 + x[4])
+    return y0, y1, x[2] + half * (y5 + x[5]), y3, y4, y5, y6, y7, y8
+
+
+class _Row:
+    """A row of a panel in registers. Multiplied and added in one rounding where the processor can: every step of the
+    filter goes by `imu_steps` or `imu_hold` as they are compiled, so that bits stay the same.
+    """
+
+    def __init__(self, builder, value):
+        self.builder, self.value = builder, value
+
+    @classmethod
+    def of(cls, builder, number):
+        """One number throughout."""
+        index, row = cgutils.ir.IntType(32), cgutils.ir.VectorType(cgutils.ir.DoubleType(), WIDE)
+        nothing = cgutils.ir.Constant(row, cgutils.ir.Undefined)
+        first = builder.insert_element(nothing, number, cgutils.ir.Constant(index, 0))
+        same = cgutils.ir.Constant(cgutils.ir.VectorType(index, WIDE), [0] * WIDE)
+        return cls(builder, builder.shuffle_vector(first, nothing, same))
+
+    def __add__(self, other):
+        return _Row(self.builder, self.builder.fadd(self.value, other.value, flags=("contract",)))
+
+    def __sub__(self, other):
+        return _Row(self.builder, self.builder.fsub(self.value, other.value, flags=("contract",)))
+
+    def __mul__(self, other):
+        return _Row(self.builder, self.builder.fmul(self.value, other.value, flags=("contract",)))
+
+    def __rmul__(self, number):
+        return _Row.of(self.builder, cgutils.ir.Constant(cgutils.ir.DoubleType(), number)) * self
+
+
+def _carry_panel(Z, e, by, f, C):
+    """`_carried` of the first nine rows of a panel Z, in place; e: rows of errors, `by` what they are multiplied by."""
+    x, e = Z[: 9 * WIDE].reshape(9, WIDE), by * e[: 6 * WIDE].reshape(6, WIDE)
+    np.copyto(x, np.array(_carried(x, e, f, C, 0.5 * f[0])))
+
+
+@infer_global(_carry_panel)
+class _OfCarryPanel(AbstractTemplate):
+    def generic(self, arguments, keywords):
+        return signature(types.void, *arguments)
+
+
+@lower_builtin(_carry_panel, types.Array, types.Array, types.Float, types.Array, types.Array)
+def _build_carry_panel(context, builder, kinds, arguments):
+    """Each row in one register, where those are wide enough, or in two."""
+    given = [
+        context.make_array(kind)(context, builder, value=value).data if isinstance(kind, types.Array) else value
+        for kind, value in zip(kinds.args, arguments, strict=True)
+    ]
+    Z, e, by, f, C = given
+    index, row = cgutils.ir.IntType(32), cgutils.ir.VectorType(cgutils.ir.DoubleType(), WIDE)
+
+    def place(data, i):
+        return builder.gep(builder.bitcast(data, row.as_pointer()), [cgutils.ir.Constant(index, i)])
+
+    def at(data, i):
+        value = builder.load(place(data, i))
+        value.align = 8
+        return _Row(builder, value)
+
+    def number(data, i):
+        return _Row.of(builder, builder.load(builder.gep(data, [cgutils.ir.Constant(index, i)])))
+
+    by, f = _Row.of(builder, by), [number(f, i) for i in range(34)]
+    x, errors = [at(Z, i) for i in range(9)], [by * at(e, i) for i in range(6)]
+    for i, y in enumerate(_carried(x, errors, f, [number(C, i) for i in range(9)], 0.5 * f[0])):
+        builder.store(y.value, place(Z, i), align=8)
+    return context.get_dummy_value()
+
+
+@apart
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
+def _inertial_carry(X, f, C, seen, gain, kinds, E, m, Phi_ends):
+    """Rows 0 to 8 of X (panels of (m, m) matrices) from the left by the transition of one step, see `_carried`.
+
+    seen, gain, kinds: as `_which_errors` has it; E (6 * WIDE,): work, where states enter the readings in another way
+    than plainly. A constant is a unit row of Phi, which ends at `Phi_ends`, and has no noise.
     """
     noisy, plain, moving = kinds
-    dt, tn, te, td, pn, pe, pd = f[0], f[1], f[2], f[3], f[4], f[5], f[6]
-    c0, c1, c2, c3, c4, c5, c6, c7, c8 = C[0], C[1], C[2], C[3], C[4], C[5], C[6], C[7], C[8]
-    f7, f8, f9, f10, f11, f12, f13, f14, f15, f16 = f[7], f[8], f[9], f[10], f[11], f[12], f[13], f[14], f[15], f[16]
-    f17, f18, f19, f20, f21, f22, f23, f24, f25 = f[17], f[18], f[19], f[20], f[21], f[22], f[23], f[24], f[25]
-    f26, f27, f28, f29, f30, f31, f32, f33 = f[26], f[27], f[28], f[29], f[30], f[31], f[32], f[33]
-    half, direct = 0.5 * dt, plain and noisy == gain.size
-    by = dt if direct else 0.0
-    for begin in range(0, end, m * WIDE):
-        Z = X[begin:]
-        if plain and not direct:
-            for j in range(6 * WIDE):
-                E[j] = dt * Z[9 * WIDE + j]
-        elif not plain:
-            for j in range(6 * WIDE):
-                E[j] = 0.0
+    dt, direct, size = f[0], plain and noisy == gain.size, _high(m) * WIDE
+    for begin in range(0, X.size, size):
+        Z = X[begin : begin + size]
+        if direct:
+            _carry_panel(Z, Z[9 * WIDE :], dt, f, C)
+            continue
+        for j in range(6 * WIDE):
+            E[j] = Z[9 * WIDE + j] if plain else 0.0
         for p in range(noisy if plain else 0, moving):
-            row, of, c = WIDE * seen[0, p], WIDE * (9 + seen[1, p]), dt * gain[p]
+            row, of = WIDE * seen[0, p], WIDE * (9 + seen[1, p])
             for j in range(WIDE):
-                E[row + j] += c * Z[of + j]
-        if begin < Phi_ends:
-            left = begin // m
-            for p in range(moving, gain.size):
-                column = 9 + seen[1, p] - left
-                if 0 <= column < WIDE:
-                    E[WIDE * seen[0, p] + column] += dt * gain[p]
-        for j in range(WIDE):
-            x0, x1, x2 = Z[j], Z[WIDE + j], Z[2 * WIDE + j]
-            x3, x4, x5 = Z[3 * WIDE + j], Z[4 * WIDE + j], Z[5 * WIDE + j]
-            x6, x7, x8 = Z[6 * WIDE + j], Z[7 * WIDE + j], Z[8 * WIDE + j]
-            e0, e1, e2 = by * Z[9 * WIDE + j], by * Z[10 * WIDE + j], by * Z[11 * WIDE + j]
-            e3, e4, e5 = by * Z[12 * WIDE + j], by * Z[13 * WIDE + j], by * Z[14 * WIDE + j]
-            e0, e1, e2 = e0 + E[j], e1 + E[WIDE + j], e2 + E[2 * WIDE + j]
-            e3, e4, e5 = e3 + E[3 * WIDE + j], e4 + E[4 * WIDE + j], e5 + E[5 * WIDE + j]
-            y6 = x6 + td * x7 - te * x8 + f7 * x4 + f10 * x0 + f12 * x2 - (c0 * e0 + c1 * e1 + c2 * e2)
-            y7 = x7 - td * x6 + tn * x8 + f8 * x3 + f13 * x2 - (c3 * e0 + c4 * e1 + c5 * e2)
-            y8 = x8 + te * x6 - tn * x7 + f9 * x4 + f11 * x0 + f14 * x2 - (c6 * e0 + c7 * e1 + c8 * e2)
-            a, b, c = 0.5 * (y6 + x6), 0.5 * (y7 + x7), 0.5 * (y8 + x8)
-            y3 = f15 * x3 + f16 * x4 + f17 * x5 + f23 * x0 + f26 * x2
-            y3 += b * pd - c * pe - (c0 * e3 + c1 * e4 + c2 * e5)
-            y4 = f18 * x3 + f19 * x4 + f20 * x5 + f24 * x0 + f27 * x2
-            y4 += c * pn - a * pd - (c3 * e3 + c4 * e4 + c5 * e5)
-            y5 = f21 * x3 + f22 * x4 + x5 + f25 * x0 + f28 * x2
-            y5 += a * pe - b * pn - (c6 * e3 + c7 * e4 + c8 * e5)
-            Z[j] = f29 * x0 + f30 * x2 + half * (y3 + x3)
-            Z[WIDE + j] = f31 * x0 + f32 * x1 + f33 * x2 + half * (y4 + x4)
-            Z[2 * WIDE + j] = x2 + half * (y5 + x5)
-            Z[3 * WIDE + j], Z[4 * WIDE + j], Z[5 * WIDE + j] = y3, y4, y5
-            Z[6 * WIDE + j], Z[7 * WIDE + j], Z[8 * WIDE + j] = y6, y7, y8
+                E[row + j] += gain[p] * Z[of + j]
+        left = begin // _high(m)
+        for p in range(moving, gain.size if begin < Phi_ends else moving):
+            column = 9 + seen[1, p] - left
+            if 0 <= column < WIDE:
+                E[WIDE * seen[0, p] + column] += gain[p]
+        _carry_panel(Z, E, dt, f, C)
 
 
 @apart
@@ -396,7 +453,7 @@ def _inertial_carry(X, end, f, C, seen, gain, kinds, E, m, Phi_ends):
 def _tick_rows(X, Phid, diagonal, T, m):
     """Rows from 9 on of X (panels) from the left by the transition of the drive's blocks; T (k * WIDE,): work."""
     k = m - 9
-    for begin in range(0, X.size, m * WIDE):
+    for begin in range(0, X.size, _high(m) * WIDE):
         Z = X[begin + 9 * WIDE : begin + m * WIDE]
         if diagonal:
             for i in range(k):
@@ -417,61 +474,63 @@ def _tick_rows(X, Phid, diagonal, T, m):
             Z[j] = T[j]
 
 
-@apart
-@njit(cache=True, error_model="numpy", **UNCOUNTED)
-def _transpose(Z, m):
-    """Of a matrix in panels, in place: Z, their rows."""
-    panels = Z.shape[0] // m
-    for p in range(panels):
-        lower = p * WIDE
-        for q in range(p + 1):
-            left = q * WIDE
-            # the elements below the diagonal stand in the rows of one panel, their mirror images in those of the other
-            A, B = Z[q * m + lower : q * m + min(m, lower + WIDE)], Z[p * m + left : p * m + min(m, left + WIDE)]
-            for i in range(A.shape[0]):
-                for j in range(i if p == q else WIDE):
-                    s = A[i, j]
-                    A[i, j] = B[j, i]
-                    B[j, i] = s
+def _exchange(X, one, other, of_one, of_other):
+    """Two square blocks of panels, whose elements begin at `one` and `other` in X, transposed to where these begin."""
+    blocks = [X[begin : begin + WIDE * WIDE].reshape(WIDE, WIDE).T.copy() for begin in (one, other)]
+    for begin, block in zip((of_one, of_other), blocks, strict=True):
+        np.copyto(X[begin : begin + WIDE * WIDE], block.ravel())
 
 
-def _transpose_square(X):
-    """Of the first rows of a panel, as many as it has columns, in place: X, flat."""
-    A = X[: WIDE * WIDE].reshape(WIDE, WIDE)
-    np.copyto(A, A.T.copy())
-
-
-@infer_global(_transpose_square)
-class _OfTransposeSquare(AbstractTemplate):
+@infer_global(_exchange)
+class _OfExchange(AbstractTemplate):
     def generic(self, arguments, keywords):
         return signature(types.void, *arguments)
 
 
-@lower_builtin(_transpose_square, types.Array)
-def _build_transpose_square(context, builder, kinds, arguments):
+@lower_builtin(_exchange, types.Array, *(types.Integer,) * 4)
+def _build_exchange(context, builder, kinds, arguments):
     """In registers: what is stored number by number cannot be loaded in rows for a while, which took longer than all
     else of it.
     """
     index, row = cgutils.ir.IntType(32), cgutils.ir.VectorType(cgutils.ir.DoubleType(), WIDE)
-    array = context.make_array(kinds.args[0])(context, builder, value=arguments[0])
-    first = builder.bitcast(array.data, row.as_pointer())
-    places = [builder.gep(first, [cgutils.ir.Constant(index, i)]) for i in range(WIDE)]
-    rows = [builder.load(place) for place in places]
-    for value in rows:
-        value.align = 8
-    apart = WIDE // 2
-    while apart:
-        mine = [j if j & apart == 0 else WIDE + j - apart for j in range(WIDE)]
-        masks = [[j + add for j in mine] for add in (0, apart)]
-        masks = [cgutils.ir.Constant(cgutils.ir.VectorType(index, WIDE), mask) for mask in masks]
-        for i in range(WIDE):
-            if i & apart == 0:
-                pair = rows[i], rows[i + apart]
-                rows[i], rows[i + apart] = (builder.shuffle_vector(*pair, mask) for mask in masks)
-        apart //= 2
-    for place, value in zip(places, rows, strict=True):
-        builder.store(value, place, align=8)
+    data = context.make_array(kinds.args[0])(context, builder, value=arguments[0]).data
+    places = []
+    for begin in arguments[1:]:
+        first = builder.bitcast(builder.gep(data, [begin]), row.as_pointer())
+        places.append([builder.gep(first, [cgutils.ir.Constant(index, i)]) for i in range(WIDE)])
+    blocks = [[builder.load(place) for place in block] for block in places[:2]]
+    for rows in blocks:
+        for value in rows:
+            value.align = 8
+        apart = WIDE // 2
+        while apart:
+            mine = [j if j & apart == 0 else WIDE + j - apart for j in range(WIDE)]
+            masks = [[j + add for j in mine] for add in (0, apart)]
+            masks = [cgutils.ir.Constant(cgutils.ir.VectorType(index, WIDE), mask) for mask in masks]
+            for i in range(WIDE):
+                if i & apart == 0:
+                    pair = rows[i], rows[i + apart]
+                    rows[i], rows[i + apart] = (builder.shuffle_vector(*pair, mask) for mask in masks)
+            apart //= 2
+    for block, rows in zip(places[2:], blocks, strict=True):
+        for place, value in zip(block, rows, strict=True):
+            builder.store(value, place, align=8)
     return context.get_dummy_value()
+
+
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
+def _transpose(X, m):
+    """Of a matrix in panels, as many as there are, in place."""
+    size, square = _high(m) * WIDE, WIDE * WIDE
+    last = X.size // size - 1
+    for p in range(last + 1):
+        for q in range(p):
+            # the elements below the diagonal stand in the rows of one panel, their mirror images in those of the other
+            lower, upper = q * size + p * square, p * size + q * square
+            _exchange(X, lower, upper, upper, lower)
+    for p in range(0, last + 1, 2):
+        one, other = p * (size + square), min(p + 1, last) * (size + square)
+        _exchange(X, one, other, one, other)
 
 
 @apart
@@ -483,53 +542,52 @@ def _tick_drive(xd, Phid, Qd, diagonal, T, Q, m):
         for i in range(k):
             xd[i] *= Phid[i, i]
             if Qd[i, i] != 0.0:
-                Q[((9 + i) // WIDE * m + 9 + i) * WIDE + (9 + i) % WIDE] += Qd[i, i]
+                Q[_place(9 + i, 9 + i, m)] += Qd[i, i]
         return
     for i in range(k):
         T[i] = 0.0
         for j in range(k):
             T[i] += Phid[i, j] * xd[j]
             if Qd[i, j] != 0.0:
-                Q[((9 + j) // WIDE * m + 9 + i) * WIDE + (9 + j) % WIDE] += Qd[i, j]
+                Q[_place(9 + i, 9 + j, m)] += Qd[i, j]
     for i in range(k):
         xd[i] = T[i]
 
 
 @njit(cache=True, error_model="numpy", inline="always", **UNCOUNTED)
-def _inertial_compound(xd, Phid, Qd, diagonal, ticks, C, f, seen, gain, kinds, E, T, both, Q, rows, gathered, X):
+def _inertial_compound(xd, Phid, Qd, ticking, ticks, C, f, seen, gain, kinds, E, T, both, Q, gathered):
     """Compound Phi <- F Phi, Q <- F Q F' with the step that `_inertial_advance` left in f; the drive's blocks tick, and
     their mean too.
 
-    both: panels of Phi and behind them Q, those of Q, which are `rows` too; X: `both` and what stands behind it;
-    gathered: whether there is any noise yet. Q F' is formed as (F Q)', Q being symmetric.
+    ticking: whether a tick is diagonal, and whether nothing but noise comes with it. both: panels of Phi and behind
+    them Q, those of Q; gathered: whether there is any noise yet. Q F' is formed as (F Q)', Q being symmetric.
     """
+    diagonal, walks = ticking
     m = 9 + len(xd)
-    moved = both if gathered else both[: both.size - Q.size]
-    _inertial_carry(X, moved.size, f, C, seen, gain, kinds, E, m, both.size - Q.size)
-    if ticks > 0:
+    Phi_ends = both.size - Q.size
+    moved = both if gathered else both[:Phi_ends]
+    _inertial_carry(moved, f, C, seen, gain, kinds, E, m, Phi_ends)
+    if ticks > 0 and not walks:
         _tick_rows(moved, Phid, diagonal, T, m)
     if gathered:
-        if rows.shape[0] == m:
-            _transpose_square(X[both.size - Q.size :])
-        else:
-            _transpose(rows, m)
-        _inertial_carry(X[both.size - Q.size :], Q.size, f, C, seen, gain, kinds, E, m, int(0))
+        _transpose(Q, m)
+        _inertial_carry(Q, f, C, seen, gain, kinds, E, m, int(0))
     for count in range(ticks):
-        if count > 0:
+        if count > 0 and not walks:
             _tick_rows(both, Phid, diagonal, T, m)
-            _transpose(rows, m)
-        if gathered or count > 0:
+            _transpose(Q, m)
+        if (gathered or count > 0) and not walks:
             _tick_rows(Q, Phid, diagonal, T, m)
         _tick_drive(xd, Phid, Qd, diagonal, T, Q, m)
 
 
 @apart
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
-def _inertial_noise(dt, drv, Cr, Q, k):
+def _inertial_noise(dt, drv, Cr, Q, m):
     """White noise of one step, into the panels of Q: variance r per sample means an angle (velocity) variance r *
     period per second.
     """
-    C = drv[MEAN_C : MEAN_C + 9]
+    C, k = drv[MEAN_C : MEAN_C + 9], m - 9
     period = drv[PERIOD_S] * max(dt, 0.0)
     a0, a1, a2 = Cr[0, k] * period, Cr[1, k] * period, Cr[2, k] * period
     v0, v1, v2 = Cr[3, k] * period, Cr[4, k] * period, Cr[5, k] * period
@@ -544,13 +602,13 @@ def _inertial_noise(dt, drv, Cr, Q, k):
         x, y, z = C[3 * i], C[3 * i + 1], C[3 * i + 2]
         for j in range(3):
             xx, yy, zz = x * C[3 * j], y * C[3 * j + 1], z * C[3 * j + 2]
-            Q[(6 + i) * WIDE + 6 + j] += xx * a0 + yy * a1 + zz * a2
+            Q[_place(6 + i, 6 + j, m)] += xx * a0 + yy * a1 + zz * a2
             speed = xx * v0 + yy * v1 + zz * v2
-            Q[(3 + i) * WIDE + 3 + j] += speed
+            Q[_place(3 + i, 3 + j, m)] += speed
             if gap:
-                Q[i * WIDE + j] += speed * 0.25 * dt * dt
-                Q[i * WIDE + 3 + j] += speed * 0.5 * dt
-                Q[(3 + i) * WIDE + j] += speed * 0.5 * dt
+                Q[_place(i, j, m)] += speed * 0.25 * dt * dt
+                Q[_place(i, 3 + j, m)] += speed * 0.5 * dt
+                Q[_place(3 + i, j, m)] += speed * 0.5 * dt
 
 
 @apart
@@ -621,15 +679,17 @@ def _to_panels(M, X, m):
     """Fill panels X from the rows of a matrix of m columns at the beginning of M, which is longer. Copies of a fixed
     length are much quicker: what they take too much is 0 in the last panel.
     """
-    for begin in range(0, X.size, m * WIDE):
-        left = begin // m
-        known = min(WIDE, m - left)
+    size = _high(m) * WIDE
+    for begin in range(0, X.size, size):
+        known = min(WIDE, m - begin // _high(m))
         for i in range(m):
-            A, B = X[begin + i * WIDE :], M[i * m + left :]
+            A, B = X[begin + i * WIDE :], M[i * m + begin // _high(m) :]
             for j in range(WIDE):
                 A[j] = B[j]
             for j in range(known, WIDE):
                 A[j] = 0.0
+        for i in range(m * WIDE, size):
+            X[begin + i] = 0.0
 
 
 @apart
@@ -637,19 +697,10 @@ def _to_panels(M, X, m):
 def _from_panels(X, M, m):
     """The way back. What it writes too much is overwritten by the next row; behind the last row M is work space."""
     for i in range(m):
-        for begin in range(0, X.size, m * WIDE):
-            A, B = X[begin + i * WIDE :], M[i * m + begin // m :]
+        for begin in range(0, X.size, _high(m) * WIDE):
+            A, B = X[begin + i * WIDE :], M[i * m + begin // _high(m) :]
             for j in range(WIDE):
                 B[j] = A[j]
-
-
-@njit(cache=True, error_model="numpy", **UNCOUNTED)
-def _any(X):
-    """Whether there is anything but zeros: without a branch for each of them."""
-    count = 0
-    for i in range(X.size):
-        count += X[i] != 0.0
-    return count > 0
 
 
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
@@ -688,29 +739,37 @@ def _finish(xd, Phid, Qd, ticks, acc):
 
 
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
-def _panels(m):
-    """How many hold m columns."""
-    return (m + WIDE - 1) // WIDE
+def _high(m):
+    """Rows of a panel of a matrix of m rows: blocks of as many rows as columns can be transposed, and there are the six
+    behind navigation that a carry reads.
+    """
+    return (m + WIDE - 1) // WIDE * WIDE
+
+
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
+def _place(i, j, m):
+    """Where an element stands in the panels of a matrix of m rows."""
+    return (j // WIDE * _high(m) + i) * WIDE + j % WIDE
 
 
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _room(m):
-    """Elements of the work space of the inertial kernels for a head of m states; behind a panel of few rows there are
-    as many as it has columns.
-    """
-    return 40 + 6 * (m - 9) + (m - 3) * WIDE + 2 * ((m + WIDE - 1) // WIDE * m * WIDE) + WIDE * WIDE
+    """Elements of the work space of the inertial kernels for a head of m states."""
+    return WIDE + 2 * _high(m) * _high(m) + (m - 3) * WIDE + 40 + 6 * (m - 9)
 
 
 @apart
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _workspace(floats, m):
-    """Its parts: increments, elements of the transition, gains, rows of errors and of blocks, panels of Phi and Q."""
-    k, size = m - 9, (m + WIDE - 1) // WIDE * m * WIDE
-    E = 40 + 6 * k
+    """Its parts: panels of Phi and Q, from where a line of the cache begins, for their rows are as long as lines; rows
+    of errors and of blocks, increments, elements of the transition, gains.
+    """
+    begin, k = -(floats.ctypes.data // 8) % WIDE, m - 9
+    E = begin + 2 * _high(m) * _high(m)
     T = E + 6 * WIDE
-    Phi = T + k * WIDE
-    Q = Phi + size
-    return floats[:6], floats[6:40], floats[40:E], floats[E:T], floats[T:Phi], floats[Phi:Q], floats[Q : Q + size]
+    inc = T + k * WIDE
+    gain = inc + 40
+    return floats[begin:E], floats[E:T], floats[T:inc], floats[inc : inc + 6], floats[inc + 6 : gain], floats[gain:]
 
 
 @njit(cache=True, error_model="numpy")
@@ -721,25 +780,38 @@ def imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
     is known, not what it becomes. Savage (1998), parts 1 and 2; Groves (2013), ch. 5.
     """
     k = len(xd)
-    _imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc, np.zeros(_room(9 + k)), np.empty((2, 6 * k), np.int64))
+    _imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc, np.empty(_room(9 + k)), np.empty((2, 6 * k), np.int64))
+
+
+@njit(cache=True, error_model="numpy", inline="always", **UNCOUNTED)
+def _begin(Phid, Qd, Cr, drv, acc, panels, seen, gain):
+    """Lay out what is compounded; how many errors there are and of which kinds, how many elements the panels that
+    change have, how blocks tick, and whether there is any noise yet.
+    """
+    m, flat = acc.shape[1], acc.reshape(acc.size)
+    constants = _constants(Phid, Qd, drv)
+    count, kinds = _which_errors(Cr, drv, constants, seen, gain)
+    size = _high(m) * _high(m)
+    _to_panels(flat, panels[:size], m)
+    _to_panels(flat[m * m :], panels[size:], m)
+    gathered = 0  # a variance of 0 has covariances of 0
+    for i in range(m):
+        gathered += acc[m + i, i] != 0.0
+    # constants gather no noise
+    changes = size + _high(m - constants) * _high(m)
+    diagonal, ones = _is_diagonal(Phid) and _is_diagonal(Qd), 0
+    for i in range(m - 9):
+        ones += Phid[i, i] == 1.0
+    return count, kinds, changes, (diagonal, diagonal and ones == m - 9), gathered > 0
 
 
 @apart
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc, floats, seen):
-    k = len(xd)
-    m = 9 + k
-    inc, f, gain, E, T, Phi, Q = _workspace(floats, m)
-    constants = _constants(Phid, Qd, drv)
-    count, kinds = _which_errors(Cr, drv, constants, seen, gain)
-    diagonal = _is_diagonal(Phid) and _is_diagonal(Qd)
-    flat = acc.reshape(acc.size)
-    _to_panels(flat, Phi, m)
-    _to_panels(flat[m * m :], Q, m)
-    moved = Q[: _panels(m - constants) * m * WIDE]  # constants gather no noise
-    first = 40 + 6 * k + 6 * WIDE + k * WIDE
-    both, X = floats[first : first + Phi.size + moved.size], floats[first:]
-    rows, gathered = moved.reshape((moved.size // WIDE, WIDE)), _any(Q)
+    m = 9 + len(xd)
+    panels, E, T, inc, f, gain = _workspace(floats, m)
+    count, kinds, changes, ticking, gathered = _begin(Phid, Qd, Cr, drv, acc, panels, seen, gain)
+    C, both, Q = drv[MEAN_C : MEAN_C + 9], panels[:changes], panels[panels.size // 2 : changes]
     for n in range(samples.shape[0]):
         _increments(samples, n, drv, inc)
         drv[COUNT] += 1.0
@@ -748,43 +820,32 @@ def _imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc, floats, seen):
             drv[SQUARES + i] += samples[n, 1 + i] * samples[n, 1 + i]
         dt = samples[n, 0] - drv[HELD_S]
         drv[HELD_S] = 0.0
-        C = drv[MEAN_C : MEAN_C + 9]
         if drv[CALIBRATED] != 0.0:
             _uncalibrated(inc, dt, xd, drv, f, seen[:, kinds[0] :], gain[kinds[0] : count])
         _inertial_advance(nav, xd, inc, dt, drv, seen, gain, kinds[0], f)
         ticks = _ticks(samples[n, 0], drv)
-        _inertial_compound(
-            xd, Phid, Qd, diagonal, ticks, C, f, seen, gain[:count], kinds, E, T, both, moved, rows, gathered, X
-        )
-        _inertial_noise(dt, drv, Cr, Q, k)
+        _inertial_compound(xd, Phid, Qd, ticking, ticks, C, f, seen, gain[:count], kinds, E, T, both, Q, gathered)
+        _inertial_noise(dt, drv, Cr, Q, m)
         gathered = True
-    _from_panels(Phi, flat, m)
-    _from_panels(Q, flat[m * m :], m)
+    flat = acc.reshape(acc.size)
+    _from_panels(panels[: panels.size // 2], flat, m)
+    _from_panels(panels[panels.size // 2 :], flat[m * m :], m)
 
 
 @njit(cache=True, error_model="numpy")
 def imu_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc):
     """Carry the state `dt` seconds past the last sample with that sample's rates; the blocks do not tick."""
     k = len(xd)
-    _imu_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc, np.zeros(_room(9 + k)), np.empty((2, 6 * k), np.int64))
+    _imu_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc, np.empty(_room(9 + k)), np.empty((2, 6 * k), np.int64))
 
 
 @apart
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _imu_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc, floats, seen):
-    k = len(xd)
-    m = 9 + k
-    inc, f, gain, E, T, Phi, Q = _workspace(floats, m)
-    constants = _constants(Phid, Qd, drv)
-    count, kinds = _which_errors(Cr, drv, constants, seen, gain)
-    diagonal = _is_diagonal(Phid) and _is_diagonal(Qd)
-    flat = acc.reshape(acc.size)
-    _to_panels(flat, Phi, m)
-    _to_panels(flat[m * m :], Q, m)
-    moved = Q[: _panels(m - constants) * m * WIDE]  # constants gather no noise
-    first = 40 + 6 * k + 6 * WIDE + k * WIDE
-    both, X = floats[first : first + Phi.size + moved.size], floats[first:]
-    rows, gathered = moved.reshape((moved.size // WIDE, WIDE)), _any(Q)
+    m = 9 + len(xd)
+    panels, E, T, inc, f, gain = _workspace(floats, m)
+    count, kinds, changes, ticking, gathered = _begin(Phid, Qd, Cr, drv, acc, panels, seen, gain)
+    C, both, Q = drv[MEAN_C : MEAN_C + 9], panels[:changes], panels[panels.size // 2 : changes]
     scale = dt / drv[PERIOD_S] if drv[INCREMENTS] != 0.0 else dt
     for i in range(6):
         inc[i] = drv[PREVIOUS + i] * scale
@@ -793,13 +854,11 @@ def _imu_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc, floats, seen):
     if drv[CALIBRATED] != 0.0:
         _uncalibrated(inc, dt, xd, drv, f, seen[:, kinds[0] :], gain[kinds[0] : count])
     _inertial_advance(nav, xd, inc, dt, drv, seen, gain, kinds[0], f)
-    C = drv[MEAN_C : MEAN_C + 9]
-    _inertial_compound(
-        xd, Phid, Qd, diagonal, int(0), C, f, seen, gain[:count], kinds, E, T, both, moved, rows, gathered, X
-    )
-    _inertial_noise(dt, drv, Cr, Q, k)
-    _from_panels(Phi, flat, m)
-    _from_panels(Q, flat[m * m :], m)
+    _inertial_compound(xd, Phid, Qd, ticking, int(0), C, f, seen, gain[:count], kinds, E, T, both, Q, gathered)
+    _inertial_noise(dt, drv, Cr, Q, m)
+    flat = acc.reshape(acc.size)
+    _from_panels(panels[: panels.size // 2], flat, m)
+    _from_panels(panels[panels.size // 2 :], flat[m * m :], m)
 
 
 @njit(cache=True, error_model="numpy", **UNCOUNTED)

@@ -7,13 +7,13 @@ checksum of those files: what a function encloses is part of numba's key.
 
 import math
 
-from navfilter.kernels import addresses, checksum, drive_watch, kalman, listen, measurement, past, strapdown
-from navfilter.kernels.decorators import apart, njit
+from navfilter.kernels import addresses, checksum, drive_watch, kalman, listen, measurement, past, shifts, strapdown
+from navfilter.kernels.decorators import apart, njit, shaped
 
 #: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
 UNCOUNTED: dict = {"_nrt": False}
 
-SOURCES = checksum(addresses, drive_watch, kalman, listen, measurement, past, strapdown)
+SOURCES = checksum(addresses, drive_watch, kalman, listen, measurement, past, shifts, strapdown)
 
 
 def _keyed(make):
@@ -32,14 +32,14 @@ UNSURE_HEADING = 0.01
 # of `past.sight` where its place or clock is a state, of the drive's motion for that, and of what its equation bends by
 # (0: none); whether it moves, turns, and reads the drive's own rates; then where in `bench` its parts stand: working
 # memory, constants and how many, rate, model, C, white, lever, R, limits, facts; in the working memory the verdict, and
-# how long the record for the smoother is; whether a reading of which components are left out is Python's to judge; from
-# which of its parameters to which the slopes are held. One
-# more row is for the drive: dimensions of a fold, addresses of its steps, its hold and `correction` in the first three,
-# in MEM its work space, in RECORD the longest record of all.
+# how long the record for the smoother is; whether a reading of which components are left out is Python's to judge;
+# from which of its parameters to which the slopes are held; which of its axes is the heading (-1: none). One more row
+# is for the drive: dimensions of a fold, addresses of its steps, its hold and `correction` in the first three, in MEM
+# its work space, in RECORD the longest record of all.
 EQUATION, SIGHT, MOTION, BEND, MOVES, TURNS, READS_RATE = range(7, 14)
 STEPS, HOLD, CORRECTION = EQUATION, SIGHT, MOTION
 MEM, CONSTANTS, CONSTANTS_SIZE, RATE, MODEL, OUTPUT, WHITE, LEVER_NOISE, NOISE, LIMITS, FACTS = range(14, 25)
-VERDICT, RECORD, PARTLY, HELD, HELD_TO, PLAN = range(25, 31)
+VERDICT, RECORD, PARTLY, HELD, HELD_TO, NORTH, PLAN = range(25, 32)
 
 # Elements of `now`: time of the state and of the last sample, stamp of the last sample, time of the last row written.
 TIME_S, SAMPLE_S, BEFORE_S, ROW_S = range(4)
@@ -51,7 +51,7 @@ MORE_RECENT = 512
 # Elements of `settings`: period of the drive, how far ahead a reading may be, samples between folds, silence that is a
 # gap, silence that is in doubt, when something is due, interval of the rows; whether samples are increments; from when
 # on it is learnt from readings, and what a tilt turns into acceleration (see `listen`); after how many samples Python
-# feels whether the vehicle rests (0: never); whether every sample gets a row; when Python looks at what has been taken.
+# feels whether the vehicle rests (0: never); whether every sample gets a row; when the gyros' biases are looked at.
 PERIOD_S, AHEAD_S, FOLD_EVERY, GAP_S, DOUBT_S, UNTIL_S, INTERVAL_S, INCREMENTS, LEARN_S, GRAVITY, FELT, EACH = range(12)
 LOOK_S = 12
 # Columns of `heard`, a row a channel: last reading, last tick, period, whether readings before have been refused, ticks
@@ -61,13 +61,15 @@ LAST_S, TICKED_S, CHANNEL_PERIOD_S, DOUBTED, TICKS, WAIT_S = range(6)
 # components that one had, the last that had so many, used.
 SAME, SINCE_S, HEARD_S, USED_S, NIS, MOST, WHOLE_S, USED = range(8)
 NIS_MEMORY, NIS_MOST = 50.0, 100.0  # readings; a single one counts up to this NIS per component
+# The biases of the gyros are looked at so often [s], beside a compass whose last reading is not older [s].
+LOOK_EVERY_S, COMPASS_S = 10.0, 3.0
 # The same value so many times and for so long is stuck, as `navfilter.filter.health.Watch` has it.
 STUCK_READINGS, STUCK_S = 10.0, 8.0
 
 # Why a stretch has ended: all is done; the next reading, or the samples before it, are for Python; its samples are
 # taken, the reading is for Python; it was not used: Python says what follows; no room is left in the output; the watch
-# over the drive has found something that Python has to heed; after the last reading there is something to learn, or it
-# is time for a look.
+# over the drive has found something that Python has to heed; after the last reading there is something to learn, or a
+# bias of a gyro may have shifted.
 DONE, NEXT, REFUSED, JUDGED, FULL, HEED, LEARN, LOOK = range(8)
 
 
@@ -115,9 +117,9 @@ def correction(sources):
             kalman.discount_heading(P, acc, mem[places[9] : places[10]])
         kalman.predict(P, nav, x, acc, model, mem, dims, count)
         rate, xd = bench[spot[RATE] : spot[RATE] + 3], x[: m - 9]
-        H, spare = mem[places[0] : places[0] + a * n].reshape((a, n)), mem[places[9] : places[10]]
+        H, spare = shaped(mem[places[0] : places[0] + a * n], a, n), mem[places[9] : places[10]]
         if spot[TURNS] or spot[READS_RATE]:
-            outputs, off = spare[: 6 * (m - 9)].reshape((6, m - 9)), spare[6 * (m - 9) : 6 * (m - 8)]
+            outputs, off = shaped(spare[: 6 * (m - 9)], 6, m - 9), spare[6 * (m - 9) : 6 * (m - 8)]
             past.drive_outputs(drv, Cr, xd, outputs, off)
             per = drv[strapdown.PERIOD_S] if drv[strapdown.INCREMENTS] != 0.0 else 1.0
             for i in range(3):
@@ -130,10 +132,10 @@ def correction(sources):
                 for i in range(3):
                     for j in range(m - 9):
                         H[i, 9 + j] = outputs[i, j]
-        near = mem[places[7] : places[8]].reshape((a, 9 + parameters))
+        near = shaped(mem[places[7] : places[8]], a, 9 + parameters)
         constants = bench[spot[CONSTANTS] : spot[CONSTANTS] + spot[CONSTANTS_SIZE]]
         first, res = start - 9 + errors, mem[places[3] : places[3] + a]
-        R = bench[spot[NOISE] : spot[NOISE] + a * a].reshape((a, a))
+        R = shaped(bench[spot[NOISE] : spot[NOISE] + a * a], a, a)
         _white(bench, spot, P, nav, variance, R)
         par, slopes = x[first : first + parameters], spot[HELD_TO] - spot[HELD]
         held = spare[6 * (m - 8) + z.size :][: a * slopes].reshape((a, slopes))
@@ -153,7 +155,7 @@ def correction(sources):
             measurement.hold_slopes(P, near, held, spot[HELD])
         if spot[BEND]:
             addresses.at_bend(spot[BEND], (z, near, P, start + errors, constants, R))
-        C = bench[spot[OUTPUT] : spot[OUTPUT] + a * errors].reshape((a, errors))
+        C = shaped(bench[spot[OUTPUT] : spot[OUTPUT] + a * errors], a, errors)
         limits, beyond, calm = bench[spot[LIMITS] : spot[LIMITS] + a + 1], False, True
         for i in range(a):
             error = 0.0
@@ -227,7 +229,7 @@ def _note_record(sources):
         if records.size == 0:
             return
         m = dims[2]
-        if kalman.unmoved(record[: m * m].reshape((m, m))):
+        if kalman.unmoved(shaped(record[: m * m], m, m)):
             record, m = record[m * m :], int(0)
         at, begin = cursor[RECORDS], cursor[WRITTEN]
         for i in range(record.size):
@@ -345,10 +347,10 @@ def _carried(sources):
                 for i in range(m):
                     for j in range(m):
                         head[i * m + j] = acc[i, j]
-                kalman.fold(P, acc, nav, work[m * m : m * m + m * n].reshape((m, n)))
+                kalman.fold(P, acc, nav, shaped(work[m * m : m * m + m * n], m, n))
                 cursor[UNFOLDED] = 0
                 if undone.size > 0:
-                    listen.carry(undone, head.reshape((m, m)))
+                    listen.carry(undone, shaped(head, m, m))
                 _note_record(head, int(0), spot, cursor, records, heads)
                 _note_row(now, cursor, settings[INTERVAL_S], nav, x, P, acc, inertial, rows, info, work[m * m :])
             elif each:
@@ -453,7 +455,7 @@ def _listened(sources):
         _ = sources
         a, errors = own[0], own[5]
         mem = bench[own[MEM] : own[CONSTANTS]]
-        C = bench[own[OUTPUT] : own[OUTPUT] + a * errors].reshape((a, errors))
+        C = shaped(bench[own[OUTPUT] : own[OUTPUT] + a * errors], a, errors)
         cursor[SPARE], once = 0, int(1)
         listen.listen(
             undone,
@@ -465,7 +467,7 @@ def _listened(sources):
             x,
             int(ear[listen.KIND]),
             ear[listen.MOUNT : listen.MOUNT + 9],
-            opened[1 : 2 + a].reshape((a + 1, 1)),
+            shaped(opened[1 : 2 + a], a + 1, 1),
             cursor[SPARE : SPARE + 1],
             once,
             Cr,
@@ -481,10 +483,67 @@ def _listened(sources):
 
 
 @_keyed
+def look_at_biases(sources):
+    @apart
+    @njit(cache=True, **UNCOUNTED)
+    def look_at_biases(bench, plan, heard, nav, x, P, w, time_s, looks, gyros, now):
+        """A look at the biases of the gyros after a reading, see `navfilter.kernels.shifts.keep`.
+
+        heard: as in `stretch`, at least its first column; w: what the watch over the drive remembers; time_s: of the
+        state; now (COLUMNS,): receives the look, but for how often the attitude has been set anew, which stands there.
+        """
+        _ = sources
+        latest_s, nis, dof, compass, calm = -math.inf, 0.0, 0.0, int(-1), True
+        for i in range(heard.shape[0]):
+            latest_s = max(latest_s, heard[i, LAST_S])
+            if compass < 0 and plan[i, NORTH] >= 0 and time_s - heard[i, LAST_S] < COMPASS_S:
+                compass = i
+        for i in range(heard.shape[0]):
+            verdict = plan[i, MEM] + plan[i, VERDICT]
+            told = heard[i, LAST_S] > latest_s - LOOK_EVERY_S and math.isfinite(bench[verdict])
+            if told and bench[verdict + 1] != 0.0:
+                nis, dof = nis + bench[verdict], dof + bench[verdict + 1]
+        now[shifts.TIME_S], now[shifts.LATITUDE], now[shifts.LONGITUDE] = latest_s, nav[0], nav[1]
+        now[shifts.NIS], now[shifts.HEADING], now[shifts.APART] = nis / dof if dof > 0.0 else 1.0, math.nan, math.nan
+        if compass >= 0:
+            own = plan[compass]
+            a, errors, north, verdict = own[0], own[5], own[NORTH], own[MEM] + own[VERDICT]
+            left = bench[verdict + 3 + north]
+            if bench[verdict + 2] != 0.0:
+                left *= bench[own[NOISE] + north * a + north] / bench[verdict + 3 + a + north]
+            heading = math.atan2(nav[9], nav[6]) + left
+            for j in range(errors):
+                heading += bench[own[OUTPUT] + north * errors + j] * x[own[4] - 9 + j]
+            now[shifts.HEADING] = heading
+            now[shifts.APART] = heading - w[drive_watch.UNIT, drive_watch.TURNED]
+        for i in range(w.shape[0] - 1):
+            calm = calm and w[i, drive_watch.HEEDED] <= drive_watch.NOISY
+        calm = calm and w[drive_watch.UNIT, drive_watch.OFF_S] == 0.0
+        return shifts.keep(looks, now, gyros, x, P, calm)
+
+    return look_at_biases
+
+
+@_keyed
 def stretch(sources):
     @njit(cache=True, nogil=True, **UNCOUNTED)
     def stretch(
-        now, cursor, settings, bench, plan, heard, watched, state, drive, samples, stamps, limits, hearing, given, out
+        now,
+        cursor,
+        settings,
+        bench,
+        plan,
+        heard,
+        watched,
+        state,
+        drive,
+        samples,
+        stamps,
+        limits,
+        hearing,
+        looking,
+        given,
+        out,
     ):
         """Samples and readings in the order of their times, until all are done or something is Python's; says why it
         ended.
@@ -492,10 +551,10 @@ def stretch(sources):
         now, cursor, settings, plan, heard, watched, bench: as described at the head of this file; they, and `state`
         (nav, x, P, acc), are left as they are then. samples (s, 7): work space, their stamps first; stamps (s,);
         limits: of their values. hearing: `undone` (see `listen`; empty where nobody listens), ears of the channels,
-        their `kalman.places`, and (r, 2 + a) for ticks and what `listen` notes of each reading. given, of readings:
-        when taken (r,), channel, samples before it, whether Python has found nothing wrong with it, whether its value
-        is that of the one before; values (r, w), and own variances (r, a), or one row of NaN; notes (r, 3 + 2a), which
-        receive the verdicts. out: as in `_carried`.
+        their `kalman.places`, and (r, 2 + a) for ticks and what `listen` notes of each reading. looking: what
+        `look_at_biases` takes last. given, of readings: when taken (r,), channel, samples before it, whether Python has
+        found nothing wrong with it, whether its value is that of the one before; values (r, w), and own variances
+        (r, a), or one row of NaN; notes (r, 3 + 2a), which receive the verdicts. out: as in `_carried`.
         """
         _ = sources
         nav, x, P, acc = state
@@ -560,8 +619,10 @@ def stretch(sources):
                 cursor[READING] = e + 1
                 return LEARN
             if t >= settings[LOOK_S]:
-                cursor[READING] = e + 1
-                return LOOK
+                if look_at_biases(bench, plan, heard, nav, x, P, drive[5], now[TIME_S], *looking):
+                    cursor[READING] = e + 1
+                    return LOOK
+                settings[LOOK_S] = (math.floor(looking[2][shifts.TIME_S] / LOOK_EVERY_S) + 1.0) * LOOK_EVERY_S
         cursor[READING] = times.size
         return DONE
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
@@ -97,6 +97,12 @@ class Depth(Sensor):
         from gsw import z_from_p
 
         return np.array([-float(z_from_p((value[0] - self.atmospheric_pressure_pa) * 1e-4, self.latitude_deg))])
+
+    def read_all(self, values: Array | Sequence[Array]) -> tuple[Array, NDArray[np.bool_]]:
+        """Depths at once; pressures one by one."""
+        if self.pressure or type(self).read is not Depth.read or not isinstance(values, np.ndarray):
+            return super().read_all(values)
+        return np.ascontiguousarray(values[:, :1]), np.abs(values[:, 0]) <= LARGEST
 
     def drift(self, drive: Mechanisation, axis: int, walk: float) -> Drift:
         """As a vertical position."""
