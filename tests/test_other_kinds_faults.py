@@ -1,5 +1,5 @@
-"""An AHRS is a compass, wheels are a velocity over ground, and fixes are all that a boat has, where something goes
-wrong.
+"""An AHRS and a magnetometer are compasses, wheels and a log speak of the velocity, and fixes are all that a boat has,
+where something goes wrong.
 """
 
 import dataclasses
@@ -11,7 +11,7 @@ from faults_run import dived, truth_at
 from feeding import DRIVE
 
 import navfilter as nf
-from navfilter.filter.offsets import Offset, offset_states, with_offsets
+from navfilter.filter.offsets import Offset, deviations, offset_states, with_offsets
 from navfilter.simulation.scenarios import COMPASS, survey, survey_vehicle
 from navfilter.simulation.simulate import simulate
 
@@ -121,6 +121,74 @@ def test_without_a_velocity_fixes_confirm_no_compass(boat):
     vehicle, mission = boat
     nav, error_m = dived(vehicle, mission, "compass", lambda v: v + 25.0 * DEG, 0.0, math.inf)
     assert heading_error(nav, mission) < nav.state.bounds.heading_rad and error_m < 10.0
+
+
+@pytest.fixture(scope="module")
+def magnetometer():
+    plain = survey_vehicle()
+    field = nf.Heading(rate_hz=8.0, error=COMPASS, magnetometer=True)
+    vehicle = dataclasses.replace(plain, sensors={**plain.sensors, "compass": field})
+    return vehicle, simulate(vehicle, survey(320.0, surface_s=100.0), seed=1, duration_s=320.0)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda v: v * [-1.0, -1.0, 1.0],
+        lambda v: v[[1, 0, 2]],
+        lambda v: v * [-1.0, 1.0, 1.0],
+        lambda v: v * [0.0, 1.0, 1.0],
+        lambda v: v + 2.5,
+    ],
+    ids=["turned", "swapped", "mirrored", "one axis dead", "hard iron"],
+)
+def test_a_field_that_goes_wrong_takes_no_heading_with_it(magnetometer, change):
+    """It was followed once the gate had widened, or drew the heading along in each turn: up to 180 degrees, at a sd of
+    one.
+    """
+    nav, error_m = dived(*magnetometer, "compass", change, FAULT_S)
+    assert error_m < 10.0 and error_m < nav.state.bounds.horizontal_m
+    assert heading_error(nav, magnetometer[1]) < min(2.0 * DEG, nav.state.bounds.heading_rad)
+
+
+def test_fixes_turn_a_magnetometer_that_is_mounted_the_wrong_way_round(magnetometer):
+    """800 m off in the dive, with a sd of 2 m."""
+    nav, error_m = dived(*magnetometer, "compass", lambda v: v * [-1.0, -1.0, 1.0], 0.0)
+    assert nav.counts["jumped"] >= 1 and error_m < 15.0
+    assert heading_error(nav, magnetometer[1]) < min(6.0 * DEG, nav.state.bounds.heading_rad)
+
+
+def test_a_compass_near_iron_deviates_with_the_heading():
+    """What iron does to it at one heading it does not do at another: beside the constant there are a sine and a
+    cosine; a compass that looks the other way round has none.
+    """
+    near, other = (with_offsets((COMPASS,), size, only=0, deviates=True) for size in (0.2, math.pi))
+    states, of_rad = deviations(near, 0.125)
+    assert len(offset_states(near, 0.125)) == 3 and of_rad.tolist() == [0.0, 0.5 * math.pi]
+    assert len(offset_states(other, 0.125)) == 1 and not deviations(other, 0.125)[0].size
+    vehicle = survey_vehicle().with_error(compass=near[0])
+    channel = nf.Navigator(vehicle, nf.Start(latitude_deg=26.0, longitude_deg=-80.0)).filter.channels["compass"]
+    nav, x = np.zeros(17), np.zeros(channel.group.start + channel.group.size)
+    nav[6], nav[9] = math.cos(1.0), math.sin(1.0)
+    channel.in_proportion(np.zeros(1), nav, x)
+    np.testing.assert_allclose(channel.C[0, states], [math.cos(1.0), math.sin(1.0)], atol=1e-15)
+
+
+@pytest.fixture(scope="module")
+def log():
+    return mission_of("dvl", water=nf.WaterVelocity(rate_hz=4.0, current_sd_m_s=0.1, current_tau_s=21600.0))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [lambda v: v + 0.5 * np.eye(6)[3], lambda v: v[[1, 0, 2, 3, 4, 5]]],
+    ids=["accelerometer +50 mg", "gyros swapped"],
+)
+def test_a_log_speaks_against_the_unit_where_no_water_moves_so(log, change):
+    """It was refused for good: three kilometres in four minutes."""
+    nav, error_m = dived(*log, DRIVE, change, FAULT_S)
+    assert error_m < 15.0 and error_m < nav.state.bounds.horizontal_m
+    assert nav.counts["contradicted"] or nav.counts["realigned"]
 
 
 def test_constants_of_one_component_only():
