@@ -265,7 +265,7 @@ def magnetometer(**iron: float) -> nf.Vehicle:
 
 def ranges() -> nf.Vehicle:
     """Ranges to three beacons on the bottom beside the DVL."""
-    beacons = tuple((26.0 + north / RADIUS_M / DEG, -80.0 + east / RADIUS_M / DEG, -40.0) for north, east in BEACONS)
+    beacons = tuple((26.05 + north / RADIUS_M / DEG, -80.1 + east / RADIUS_M / DEG, -40.0) for north, east in BEACONS)
     return with_others(ranges=nf.Range(rate_hz=0.5, beacons=beacons))
 
 

@@ -39,7 +39,6 @@ class Prompt:
         self._gravity, self._behind = nav.vehicle.drive.gravity, nav.behind[name]
         self._listener: Listener | None = None
         self._ear = self._heard_by(None)
-        self._looked, self._look_s = np.zeros(0), 0.0
 
     def take(self, stamp_s: float, value: ArrayLike) -> Outcome | None:
         """What became of a reading; None where it is no ordinary one: then nothing has been done.
@@ -74,9 +73,7 @@ class Prompt:
         reading = sensor.read(z)
         if reading is None or not nav.clock.passes(stamp_s):
             return None
-        if memory.shifts is not self._looked:
-            self._looked, self._look_s = memory.shifts, shifts.due_s(filter)
-        looks = time_s >= self._look_s
+        looks = time_s >= shifts.due_s(filter)
         if not looks:  # one after the other
             history.ready(memory.time_s)
         if learning.is_early(time_s):

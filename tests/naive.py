@@ -1420,7 +1420,7 @@ def sight(
     outputs, errors = np.zeros((6, len(xd))), np.zeros(6)
     drive_outputs(drv, Cr, xd, outputs, errors)
     past_s = since_s + (abs(par[-1]) + 0.5 * slope_s(variance) if clock else 0.2)
-    recent = recent[: max(2, math.ceil(past_s / drv[36]) + 1)]
+    recent = recent[: max(2, math.ceil(past_s / drv[36]) + 3)]
     rows, g = np.zeros((len(recent) + 1, 7)), np.zeros(1)
     at(motion)(recent, nav, drv, errors, rows, g)
     if not clock:
@@ -1460,7 +1460,7 @@ def sight(
 def hold_slopes(P, near, held, begin):
     band = 3.0 * np.sqrt(np.max(np.diag(near[:, :9] @ P[:9, :9] @ near[:, :9].T)))
     new = near[:, 9 + begin :][:, : held.shape[1]]
-    new[:] = np.clip(held, new - band, new + band)
+    new[:] = np.where(np.abs(new - held) <= band, held, new)
 
 
 def _sagitta(slope, distance, P):

@@ -32,7 +32,7 @@ def test_slopes_stay_where_noise_alone_would_draw_them():
         held = at[:, 9:].copy()
         seen.append(held[0, 0])
     # three times the sd of 0.1 m/s is let go by
-    assert seen == pytest.approx([1.0, 1.0, 1.7, 1.7])
+    assert seen == pytest.approx([1.0, 1.0, 2.0, 2.0])
 
 
 def test_a_rate_tells_a_lever_arm_where_it_stands_out_of_its_noise():

@@ -208,7 +208,7 @@ def _confirmed(filter: Filter, compass: Channel) -> bool:
     for fixes in filter.channels.values():
         kept = fixes.memory
         calm = kept.refused is None and not kept.astray and now_s - kept.used_s < RECENT_S
-        if fixes.sensor.corrects == "position" and calm:
+        if fixes.sensor.corrects == "position" and fixes.axes > 1 and calm:  # a range or a depth is no place
             sd = math.sqrt(fixes.white[0, 0] + fixes.slow[0])
             if far_m > 2.0 * SURE * math.sqrt(2.0) * sd:
                 return True

@@ -18,7 +18,7 @@ UNCOUNTED: dict = {"_nrt": False}
 COUNTED: dict = {"_nrt": True}
 
 PIECE_S = 0.02  # so long a turning force is taken as that of the middle: 1e-5 of it at 1 rad/s
-# By so many standard deviations of the velocity its slopes lag behind, see `hold_slopes`.
+# By so many standard deviations of the velocity its slopes may be off, see `hold_slopes`.
 HELD = 3.0
 
 
@@ -81,8 +81,7 @@ def hold_slopes(P, near, held, begin):
 
     The estimate errs by what the next residual shows. Such an error in the slope would be a change of velocity that
     nobody has made, and be taken for what the scale does with it, always to the same side: errors in variables (Fuller,
-    1987, sec. 1.1). So a slope stays where it was, and is drawn along where the new one is further off than `HELD` sd
-    of the velocity. near (a, 9 + parameters), in columns from 9 + begin on the new ones; held (a, k): those of the
+    1987, sec. 1.1). So a slope stays what it was until the new one is further off than `HELD` sd of the velocity. near (a, 9 + parameters), in columns from 9 + begin on the new ones; held (a, k): those of the
     reading before.
     """
     most = 0.0
@@ -100,7 +99,7 @@ def hold_slopes(P, near, held, begin):
     for i in range(near.shape[0]):
         for j in range(held.shape[1]):
             new, old = near[i, 9 + begin + j], held[i, j]
-            near[i, 9 + begin + j] = max(new - band, min(new + band, old))
+            near[i, 9 + begin + j] = old if abs(new - old) <= band else new
 
 
 @njit(cache=True, **UNCOUNTED)

@@ -313,7 +313,7 @@ def _sight(sources):
         seen, turning, over_s = nav, rate, 0.0
         drive_outputs(drv, Cr, xd, outputs, errors)
         long_s = slope_s(variance) if clock else 2.0 * WINDOW_S
-        known = math.ceil((since_s + (abs(par[last]) if clock else 0.0) + 0.5 * long_s) / drv[strapdown.PERIOD_S]) + 1
+        known = math.ceil((since_s + (abs(par[last]) if clock else 0.0) + 0.5 * long_s) / drv[strapdown.PERIOD_S]) + 3
         known = min(recent.shape[0], max(2, known))
         rows = work[: 7 * (known + 1)].reshape((known + 1, 7))
         addresses.at_motion(motion, (recent[:known], nav, drv, errors, rows, gravity))

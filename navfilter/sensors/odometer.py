@@ -66,6 +66,10 @@ class Odometer(BodyVelocity):
         live=False,
     )
 
+    def held(self) -> tuple[int, int]:
+        """None: wheels change their speed all the time, and what they then tell of their scale would be lost."""
+        return 0, 0
+
     @property
     def ground(self) -> int:  # type: ignore[override]
         """With constraints it tells all of the velocity."""
