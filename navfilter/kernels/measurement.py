@@ -81,8 +81,8 @@ def hold_slopes(P, near, held, begin):
 
     The estimate errs by what the next residual shows. Such an error in the slope would be a change of velocity that
     nobody has made, and be taken for what the scale does with it, always to the same side: errors in variables (Fuller,
-    1987, sec. 1.1). So a slope stays what it was until the new one is further off than `HELD` sd of the velocity. near (a, 9 + parameters), in columns from 9 + begin on the new ones; held (a, k): those of the
-    reading before.
+    1987, sec. 1.1). So a slope stays what it was until the new one is further off than `HELD` sd of the velocity. near
+    (a, 9 + parameters), in columns from 9 + begin on the new ones; held (a, k): those of the reading before.
     """
     most = 0.0
     for i in range(near.shape[0]):
