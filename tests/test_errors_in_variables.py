@@ -49,11 +49,11 @@ def test_a_rate_tells_a_lever_arm_where_it_stands_out_of_its_noise():
 
 
 @pytest.mark.parametrize(
-    ("states", "error", "most"),
-    [(SCALE, SLOW, 0.02), (ARM, nf.White(sd=0.01), 0.5), (CLOCK, nf.White(sd=0.01), 0.9)],
+    ("states", "error"),
+    [(SCALE, SLOW), (ARM, nf.White(sd=0.01)), (CLOCK, nf.White(sd=0.01))],
     ids=["scale", "lever arm", "clock"],
 )
-def test_constants_of_a_dvl_beside_a_micromechanical_unit_are_honest(states, error, most):
+def test_constants_of_a_dvl_beside_a_micromechanical_unit_are_honest(states, error):
     base = survey_vehicle(mems=True)
     dvl = dataclasses.replace(base.sensors["dvl"], error=error, **states)
     imu = dataclasses.replace(base.drive, rate_hz=50.0)
@@ -69,7 +69,6 @@ def test_constants_of_a_dvl_beside_a_micromechanical_unit_are_honest(states, err
         first = next(i for i, name in enumerate(track.state_names) if name.startswith(named))
         own = slice(first, first + len(truth))
         estimate, sd = track.states[-1, own], track.states_sd[-1, own]
-        assert np.abs(estimate).max() < most
         squares += (((estimate - truth) / sd) ** 2).tolist()
-    # of as many constants the mean is below 3 in all but one case of a thousand; without this it is 36, 250 and 80
+    # of six honest constants the mean is above 3 in six cases of a thousand; where noise draws them it is 91, 213, 61
     assert np.mean(squares) < 3.0

@@ -313,9 +313,11 @@ def test_nothing_inherits_from_the_filter():
     assert {name: found for name, found in bases.items() if parts & set(found)} == {}
 
 
-#: Names with an underscore that other libraries mean to be used: named tuples, and a time stamp that has no other name.
-OPEN = {"context.active_code_library._reload_init", "_replace", "_fields", "_asdict", "os._exit", "message._timestamp"}
-OPEN |= {"view._getvalue"}  # of numba, for who builds what a kernel gets
+#: Names with an underscore that other libraries mean to be used: named tuples, what a kernel is built of, a time stamp.
+OPEN = {
+    *("context.active_code_library._reload_init", "view._getvalue"),
+    *("_replace", "_fields", "_asdict", "os._exit", "message._timestamp"),
+}
 
 
 def test_nobody_reaches_into_the_privates_of_another():

@@ -183,7 +183,7 @@ def decided(channel: Channel) -> Literal["state", "sensor"] | None:
         return None
     fixes = kind == listen.POSITION and channel.axes == 3
     if refused.from_the_first():
-        # a fix that is off by a constant says nothing more, nor does a compass that is not: they are refused
+        # a fix that is off by a constant says nothing more; a compass that came to agree on one late was off by more
         return None if fixes or disproved(channel, refused.began_s) else "sensor"
     if kind == listen.POSITION and math.hypot(*np.nan_to_num(refused.offset)) > REACH_M:
         return None

@@ -67,7 +67,9 @@ class Odometer(BodyVelocity):
     )
 
     def held(self) -> tuple[int, int]:
-        """None: wheels change their speed all the time, and what they then tell of their scale would be lost."""
+        """None: held, the scale of wheels is right in simulations, but recordings speak for the other (mower, beacons of
+        unknown place: 1.10 m off at most instead of 0.87).
+        """
         return 0, 0
 
     @property
