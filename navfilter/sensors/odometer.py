@@ -67,8 +67,8 @@ class Odometer(BodyVelocity):
     )
 
     def held(self) -> tuple[int, int]:
-        """None: held, the scale of wheels is right in simulations, but recordings speak for the other (mower, beacons of
-        unknown place: 1.10 m off at most instead of 0.87).
+        """None: held, the scale of wheels is right in simulations, but recordings speak for the other (the mower's
+        beacons of unknown place: 1.10 m off at most instead of 0.87).
         """
         return 0, 0
 
