@@ -86,11 +86,11 @@ class Capture:
         self.samples += [self._full(F, Q) for F, Q in self._single]
         self._single = []
 
-    def discount_heading(self, P, acc, work):
+    def discount_heading(self, P, acc, nav, work):
         """Of the single samples the first takes it: the heading's error is one from the fold before on."""
         m = acc.shape[1]
         before = acc[:m].copy()
-        kalman.discount_heading(P, acc, work)
+        kalman.discount_heading(P, acc, nav, work)
         if self._single:
             X, (F, Q) = np.eye(m), self._single[0]
             X[:9, 8] += np.linalg.solve(before[:9, :9], acc[:9, 8] - before[:9, 8])
@@ -99,13 +99,28 @@ class Capture:
     def fold(self, P, acc, nav, work):
         m = acc.shape[1]
         self._flush()
-        self.steps.append(self._full(acc[:m], acc[m : 2 * m]))
+        self.steps.append(self._full(acc[:m], self._bent(P, acc)))
         kalman.fold(P, acc, nav, work)
+
+    def _bent(self, P, acc):
+        """The noise of a transition, with what the second order of the heading adds; the last sample has it, too."""
+        m = acc.shape[1]
+        Q, after = acc[m : 2 * m].copy(), acc[:m] @ P[:m, :m] @ acc[:m].T
+        added = naive.bend(P[:2, 8], after[:2, 8])
+        Q[:2, :2] += added
+        if self.samples and added.any():
+            self.samples[-1].Q[:2, :2] += added
+        return Q
+
+    def turn_velocity(self, P, nav, before, change):
+        kalman.turn_velocity(P, nav, before, change)
+        for chain in (self.steps, self.samples):
+            chain[-1].G = naive.velocity_turn(change, self.n) @ chain[-1].G
 
     def predict(self, P, nav, x, acc, model, mem, dims, count):
         m, b, start = dims[2:5]
         self._flush()
-        step, W = self._full(acc[:m], acc[m : 2 * m]), np.zeros((2, b, b))
+        step, W = self._full(acc[:m], self._bent(P, acc)), np.zeros((2, b, b))
         naive.power(model[0], model[1], count, W)
         A, B, here = np.eye(self.n), np.zeros((self.n, self.n)), slice(start, start + b)
         A[here, here], B[here, here] = W
@@ -133,7 +148,7 @@ class Capture:
                 mem[at[3] : at[4]].copy(),
                 mem[at[1] : at[2]].reshape(n, a).copy(),
             )
-            step.G = naive.attitude_reset(mem[at[4] : at[5]], n)
+            step.G = naive.attitude_reset(mem[at[4] : at[4] + 3], n)
 
     def rows(self):
         """Per track row: how many steps came before it, and the forward covariance."""

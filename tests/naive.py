@@ -653,10 +653,17 @@ def velocity(z, nav, rate, par, cfg, H, res):
 # --- kernels/kalman.py: errors here are true minus estimated
 
 
+def bend(before, after):
+    """What the second order of the heading adds to the position, by its first order before and after."""
+    grown, across = after @ after - before @ before, np.array([after[1], -after[0]])
+    return 0.75 * grown * np.outer(across, across) / (after @ after) if grown > 0.0 else np.zeros((2, 2))
+
+
 def fold(P, acc, nav, T):
-    m, n = acc.shape[1], len(P)
+    m, n, before = acc.shape[1], len(P), P.copy()
     Phi = block_diag(acc[:m], np.eye(n - m))
     P[:] = Phi @ P @ Phi.T
+    P[:2, :2] += bend(before[:2, 8], P[:2, 8])
     P[:m, :m] += 0.5 * (acc[m : 2 * m] + acc[m : 2 * m].T)
     acc[:m], acc[m : 2 * m] = np.eye(m), 0.0
     C = nav[6:15].reshape(3, 3)
@@ -667,23 +674,24 @@ def unmoved(A):
     return np.array_equal(A, np.eye(*A.shape))
 
 
-def discount_heading(P, acc, work=None):
+def discount_heading(P, acc, nav, work=None):
     """The slope of velocity and position by the heading, shrunk by the variance of the change of velocity."""
     m = acc.shape[1]
     J = acc[3:5] - np.eye(2, m, 3)
     J[:, 8] = 0.0
     variance = np.trace(J @ P[:m, :m] @ J.T) + acc[m + 3, 3] + acc[m + 4, 4]
     square = np.sum(acc[3:5, 8] ** 2)
+    turned = np.array([-nav[4], nav[3]]) - acc[3:5, 8]
+    if P[3:5, 8] @ turned >= 0.5 * P[8, 8] * turned @ turned:
+        return
     acc[[0, 1, 3, 4], 8] *= 1.0 - variance / square if square > variance else 0.0
 
 
-def present(P, acc, inertial, work, out):
-    m, n, acc = acc.shape[1], len(P), acc.copy()
+def present(P, acc, nav, inertial, work, out):
+    P, acc = P.copy(), acc.copy()
     if inertial:
-        discount_heading(P, acc)
-    Phi = block_diag(acc[:m], np.eye(n - m))
-    P = Phi @ P @ Phi.T
-    P[:m, :m] += 0.5 * (acc[m : 2 * m] + acc[m : 2 * m].T)
+        discount_heading(P, acc, nav)
+    fold(P, acc, nav.copy(), None)
     out[:] = np.concatenate([P[:9, :9].ravel(), np.diag(P)[9:]])
 
 
@@ -723,6 +731,19 @@ def attitude_reset(turn, n):
     return G
 
 
+def turn_velocity(P, nav, before, change):
+    change[:] = nav[3:6] - before
+    G = velocity_turn(change, len(P))
+    P[:] = G @ P @ G.T
+
+
+def velocity_turn(change, n):
+    """How the errors of a velocity that is known in the vehicle's axes change with it."""
+    G = np.eye(n)
+    G[3:6, 6:9] = -skew(change)
+    return G
+
+
 def correct(P, nav, x, res, S, PH, K, turn, T=None):
     n, a = K.shape
     K[:] = PH.T @ S[a:]
@@ -747,7 +768,7 @@ def places(dims):
         a * n,
         a * a,
         a,
-        3,
+        6,
         2 * a * a,
         a * n,
         a * (9 + par),
@@ -785,7 +806,7 @@ def update(P, nav, x, C, R, mem, dims, limits):
     if out[1] and not out[2] and np.isfinite(limits[0]):
         out[2] = fits_without_some(P, H.copy(), res.copy(), np.isnan(out[3 : 3 + a]), H, R, S, PH, res, out, limits)
     if out[2]:
-        correct(P, nav, x, res, S, PH, K, mem[at[4] : at[5]])
+        correct(P, nav, x, res, S, PH, K, mem[at[4] : at[4] + 3])
         mem[at[2] : at[3]] = S[a:].ravel()
 
 
@@ -812,11 +833,11 @@ def fits_without_some(P, whole, given, missing, H, R, S, PH, res, out, limits):
 def smooth_record(L, lam, record, a, m, b, start, T):
     """Adjoint of fold, tick, correction and reset, backward: Bierman (1973)."""
     n = len(lam)
-    sizes = [m * m, b * b] + ([a * n, n * a, a * a, a, 3] if a else [])
+    sizes = [m * m, b * b] + ([a * n, n * a, a * a, a, 6] if a else [])
     parts = np.split(record[: sum(sizes)], np.cumsum(sizes)[:-1])
     if a:
         H, K, Sinv = parts[2].reshape(a, n), parts[3].reshape(n, a), parts[4].reshape(a, a)
-        D = attitude_reset(parts[6], n) @ (np.eye(n) - K @ H)
+        D = velocity_turn(parts[6][3:], n) @ attitude_reset(parts[6][:3], n) @ (np.eye(n) - K @ H)
         lam[:] = D.T @ lam - H.T @ Sinv @ parts[5]
         L[:] = D.T @ L @ D + H.T @ Sinv @ H
     for first, size, part in ((start, b, parts[1]), (0, m, parts[0])):
@@ -1524,7 +1545,7 @@ def correction(bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count,
     held_from, held_to = spot[28:30]
     mem, places_, xd = bench[begin:cfg], places(dims), x[: m - 9]
     if drv[126]:
-        discount_heading(P, acc)
+        discount_heading(P, acc, nav)
     predict(P, nav, x, acc, bench[model : model + 2 * b * b].reshape(2, b, b), mem, dims, count)
     outputs, off = np.zeros((6, m - 9)), np.zeros(6)
     drive_outputs(drv, Cr, xd, outputs, off)
@@ -1558,7 +1579,10 @@ def correction(bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count,
     beyond, calm = np.any(squares > believed), np.all(squares <= believed / 16.0)
     used = mem[places_[8] + 2]
     mem[places_[9] - 1] = count if calm and used else mem[places_[9] - 1] + count
+    velocity = nav[3:6].copy()
     update(P, nav, x, C, R, mem, dims, np.r_[np.inf, np.full(a, -1.0)] if beyond else gate)
+    if moves and mem[places_[8] + 2]:
+        turn_velocity(P, nav, velocity, mem[places_[4] + 3 : places_[5]])
 
 
 def heeded(w, nav, P, period_s):
@@ -1694,7 +1718,7 @@ def stretch(
             now[:3], cursor[1], cursor[2] = stamps[k], k + 1, cursor[2] + 1
             if cursor[2] == every:
                 if drv[126]:
-                    discount_heading(P, acc)
+                    discount_heading(P, acc, nav)
                 record(acc[:m].ravel(), 0, m, 0, 0)
                 cursor[2] = 0
                 if undone.size:

@@ -145,19 +145,43 @@ def _navigation(P, acc, T, A, head):
         for j in range(m):
             A[j, i] = T[i, j]
     _product(acc[:9], A, head)
+    _bend(P, head)
+
+
+@njit(cache=True, **UNCOUNTED)
+def _bend(P, head):
+    """Second-order term of the position by the heading, for as much as the way has grown: on another heading it is an
+    arc. It lies across the first-order one, along the way; half the way times the square of the heading's error, whose
+    mean square is 3/4 of the first-order covariance squared (Jazwinski, 1970, sec. 9.3: second-order filter).
+    """
+    before = P[0, 8] * P[0, 8] + P[1, 8] * P[1, 8]
+    north, east = head[0, 8], head[1, 8]
+    after = north * north + east * east
+    if after > before:
+        share = 0.75 * (after - before) / after
+        head[0, 0] += share * east * east
+        head[1, 1] += share * north * north
+        head[0, 1] -= share * north * east
+        head[1, 0] -= share * north * east
 
 
 @apart
 @njit(cache=True, **UNCOUNTED)
-def discount_heading(P, acc, work):
+def discount_heading(P, acc, nav, work):
     """Before a fold of an inertial drive: what an error of the heading does to velocity and position counts as far as
     the change of velocity is known by which it does so.
 
     A heading error turns that change. But an error of tilt or of an accelerometer looks like one too, and as much of
     its square as that has variance would be information about the heading out of nothing: errors in variables (Fuller,
     1987, sec. 1.1). The part of the square beyond its variance is unbiased, and shrinks the slope. work: 2m.
+
+    Not where the velocity is known in the vehicle's axes, so that before the fold it turns with the heading by more
+    than half: what was felt wrongly is in the velocity, too, and turned by the same heading error. See `turn_velocity`.
     """
     m, north, east = acc.shape[1], acc[3, 8], acc[4, 8]
+    by_north, by_east = -nav[4] - north, nav[3] - east
+    if P[3, 8] * by_north + P[4, 8] * by_east >= 0.5 * P[8, 8] * (by_north * by_north + by_east * by_east):
+        return
     variance, own, carried = acc[m + 3, 3] + acc[m + 4, 4], work[:m], work[m : 2 * m]
     for axis in (3, 4):
         for i in range(m):
@@ -190,14 +214,14 @@ def _reach(row, i):
 
 @apart
 @njit(cache=True, **UNCOUNTED)
-def present(P, acc, inertial, work, out):
+def present(P, acc, nav, inertial, work, out):
     """What `fold` would leave in P, without folding: of navigation (the first 81 of out), then the variances of all
     other states (n - 9). inertial: whether the heading is discounted before. work: 9 (2m + 9).
     """
     m, n = acc.shape[1], P.shape[0]
     kept0, kept1, kept3, kept4 = acc[0, 8], acc[1, 8], acc[3, 8], acc[4, 8]
     if inertial:
-        discount_heading(P, acc, work)
+        discount_heading(P, acc, nav, work)
     T, A, head = shaped(work[: 9 * m], 9, m), shaped(work[9 * m :][: 9 * m], m, 9), work[18 * m :][:81]
     head = shaped(head, 9, 9)
     _navigation(P, acc, T, A, head)
@@ -579,7 +603,7 @@ def places(dims):
     inverse = K + n * a
     res = inverse + a * a
     turn = res + a
-    S = turn + 3
+    S = turn + 6
     PH = S + 2 * a * a
     near = PH + a * n
     verdict = near + a * (9 + dims[6])
@@ -669,6 +693,32 @@ def update(P, nav, x, C, R, mem, dims, limits):
 
 @apart
 @njit(cache=True, **UNCOUNTED)
+def turn_velocity(P, nav, before, change):
+    """After a velocity in the vehicle's axes has changed the estimate: what a rotation does to the velocity it also
+    does to the change. before: the three of the velocity until then; change (3,) is written for the smoother.
+
+    What is known is the velocity in the vehicle's axes. An error psi of the attitude turns it, by ``psi x v``, so the
+    covariance with the attitude has to follow v. Else what a reading changes would be something that does not turn with
+    the rest, and the next reading would tell the heading from the noise of this one; an invariant error state (Barrau
+    and Bonnabel, 2017, IEEE Trans. Automatic Control 62) has that by its coordinates.
+    """
+    north, east, down = nav[3] - before[0], nav[4] - before[1], nav[5] - before[2]
+    change[0], change[1], change[2] = north, east, down
+    n = P.shape[0]
+    for j in range(n):
+        x, y, z = P[6, j], P[7, j], P[8, j]
+        P[3, j] += y * down - z * east
+        P[4, j] += z * north - x * down
+        P[5, j] += x * east - y * north
+    for j in range(n):
+        x, y, z = P[j, 6], P[j, 7], P[j, 8]
+        P[j, 3] += y * down - z * east
+        P[j, 4] += z * north - x * down
+        P[j, 5] += x * east - y * north
+
+
+@apart
+@njit(cache=True, **UNCOUNTED)
 def _whole_jacobian(H, near, C, start, head):
     """H (a, n) from the sensor's own near (a, 9 + parameters) and the output rows C of its error models; that of the
     drive's states (9 to `head`) stays.
@@ -737,7 +787,7 @@ def smooth_record(L, lam, record, a, m, b, start, T):
     record before is -P lam with covariance P - P L P.
 
     record: Phi (m x m; m = 0 where nothing moved), tick Phi (b x b), then if a > 0: H (a x n), K (n x a), inverse S
-    (a x a), res (a), turn (3), each row by row. `start` is the ticked block's place, b its size (0: none). L (n, n) and
+    (a x a), res (a), turn (3) and the change that turns with it (3), each row by row. `start` is the ticked block's place, b its size (0: none). L (n, n) and
     lam (n,) change; T work, n columns and three times as many rows, at least 3a.
     """
     n = len(lam)
@@ -749,6 +799,22 @@ def smooth_record(L, lam, record, a, m, b, start, T):
         Sinv = shaped(record[at : at + a * a], a, a)
         res = record[at + a * a : at + a * a + a]
         turn = record[at + a * a + a : at + a * a + a + 3]
+        x, y, z = record[at + a * a + a + 3], record[at + a * a + a + 4], record[at + a * a + a + 5]
+        if x != 0.0 or y != 0.0 or z != 0.0:  # the other way round than `turn_velocity`
+            for j in range(n):
+                u, v, w = L[3, j], L[4, j], L[5, j]
+                L[6, j] += y * w - z * v
+                L[7, j] += z * u - x * w
+                L[8, j] += x * v - y * u
+            for j in range(n):
+                u, v, w = L[j, 3], L[j, 4], L[j, 5]
+                L[j, 6] += y * w - z * v
+                L[j, 7] += z * u - x * w
+                L[j, 8] += x * v - y * u
+            u, v, w = lam[3], lam[4], lam[5]
+            lam[6] += y * w - z * v
+            lam[7] += z * u - x * w
+            lam[8] += x * v - y * u
         # reset: L <- G' L G, lam <- G' lam
         if turn[0] != 0.0 or turn[1] != 0.0 or turn[2] != 0.0:
             x, y, z = turn[0], turn[1], turn[2]

@@ -114,7 +114,7 @@ def correction(sources):
         model = bench[spot[MODEL] : spot[MODEL] + 2 * b * b].reshape((2, b, b))
         places = kalman.places(dims)
         if drv[strapdown.INERTIAL] != 0.0:
-            kalman.discount_heading(P, acc, mem[places[9] : places[10]])
+            kalman.discount_heading(P, acc, nav, mem[places[9] : places[10]])
         kalman.predict(P, nav, x, acc, model, mem, dims, count)
         rate, xd = bench[spot[RATE] : spot[RATE] + 3], x[: m - 9]
         H, spare = shaped(mem[places[0] : places[0] + a * n], a, n), mem[places[9] : places[10]]
@@ -169,7 +169,10 @@ def correction(sources):
             limits = spare[: a + 1]
             for i in range(a + 1):
                 limits[i] = -1.0 if i else math.inf
+        before = nav[3], nav[4], nav[5]
         kalman.update(P, nav, x, C, R, mem, dims, limits)
+        if spot[MOVES] and mem[places[8] + 2] != 0.0:
+            kalman.turn_velocity(P, nav, before, mem[places[4] + 3 : places[5]])
 
     return correction
 
@@ -203,7 +206,7 @@ def _note_row(sources):
                     row[first + j] = P[i, j]
                 first += i + 1
         elif cursor[UNFOLDED] > 0:
-            kalman.present(P, acc, inertial, work, row[n + 8 :])
+            kalman.present(P, acc, nav, inertial, work, row[n + 8 :])
         else:
             for i in range(9):
                 for j in range(9):
@@ -343,7 +346,7 @@ def _carried(sources):
             now[TIME_S] = now[SAMPLE_S] = now[BEFORE_S] = stamps[end - 1]
             if cursor[UNFOLDED] >= every:
                 if inertial:
-                    kalman.discount_heading(P, acc, work[m * m :])
+                    kalman.discount_heading(P, acc, nav, work[m * m :])
                 for i in range(m):
                     for j in range(m):
                         head[i * m + j] = acc[i, j]
