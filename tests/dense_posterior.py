@@ -86,11 +86,11 @@ class Capture:
         self.samples += [self._full(F, Q) for F, Q in self._single]
         self._single = []
 
-    def discount_heading(self, P, acc, nav, work):
+    def discount_heading(self, P, acc, nav, own, work):
         """Of the single samples the first takes it: the heading's error is one from the fold before on."""
         m = acc.shape[1]
         before = acc[:m].copy()
-        kalman.discount_heading(P, acc, nav, work)
+        kalman.discount_heading(P, acc, nav, own, work)
         if self._single:
             X, (F, Q) = np.eye(m), self._single[0]
             X[:9, 8] += np.linalg.solve(before[:9, :9], acc[:9, 8] - before[:9, 8])
@@ -111,6 +111,9 @@ class Capture:
         if self.samples and added.any():
             self.samples[-1].Q[:2, :2] += added
         return Q
+
+    def turns_along(self, P, north, east):
+        return kalman.turns_along(P, north, east)
 
     def turn_velocity(self, P, nav, before, change):
         kalman.turn_velocity(P, nav, before, change)
@@ -148,7 +151,7 @@ class Capture:
                 mem[at[3] : at[4]].copy(),
                 mem[at[1] : at[2]].reshape(n, a).copy(),
             )
-            step.G = naive.attitude_reset(mem[at[4] : at[4] + 3], n)
+            step.G = naive.attitude_reset(mem[at[4]], n)
 
     def rows(self):
         """Per track row: how many steps came before it, and the forward covariance."""

@@ -674,23 +674,27 @@ def unmoved(A):
     return np.array_equal(A, np.eye(*A.shape))
 
 
-def discount_heading(P, acc, nav, work=None):
+def turns_along(P, velocity):
+    across = np.array([-velocity[1], velocity[0]])
+    return P[3:5, 8] @ across >= 0.5 * P[8, 8] * across @ across
+
+
+def discount_heading(P, acc, nav, own, work=None):
     """The slope of velocity and position by the heading, shrunk by the variance of the change of velocity."""
     m = acc.shape[1]
     J = acc[3:5] - np.eye(2, m, 3)
     J[:, 8] = 0.0
     variance = np.trace(J @ P[:m, :m] @ J.T) + acc[m + 3, 3] + acc[m + 4, 4]
     square = np.sum(acc[3:5, 8] ** 2)
-    turned = np.array([-nav[4], nav[3]]) - acc[3:5, 8]
-    if P[3:5, 8] @ turned >= 0.5 * P[8, 8] * turned @ turned:
+    if own and turns_along(P, nav[3:5] - [acc[4, 8], -acc[3, 8]]):
         return
     acc[[0, 1, 3, 4], 8] *= 1.0 - variance / square if square > variance else 0.0
 
 
-def present(P, acc, nav, inertial, work, out):
+def present(P, acc, nav, inertial, own, work, out):
     P, acc = P.copy(), acc.copy()
     if inertial:
-        discount_heading(P, acc, nav)
+        discount_heading(P, acc, nav, own)
     fold(P, acc, nav.copy(), None)
     out[:] = np.concatenate([P[:9, :9].ravel(), np.diag(P)[9:]])
 
@@ -723,9 +727,10 @@ def innovation(P, H, res, R, S, PH, out):
 
 
 def attitude_reset(turn, n):
-    """How a small error changes when the attitude it counts from is turned: left Jacobian of the rotation, to second
+    """How a small error changes when the heading it counts from is turned: left Jacobian of the rotation, to second
     order.
     """
+    turn = np.array([0.0, 0.0, float(turn)])
     G = np.eye(n)
     G[6:9, 6:9] += skew(turn) / 2 + skew(turn) @ skew(turn) / 6
     return G
@@ -753,10 +758,10 @@ def correct(P, nav, x, res, S, PH, K, turn, T=None):
     nav[1] += d[1] / (nav[16] * np.cos(nav[0]))
     nav[2] -= d[2]
     nav[3:6] += d[3:6]
-    turn[:] = d[6:9]
-    nav[6:15] = (rotation(turn) @ nav[6:15].reshape(3, 3)).ravel()
+    turn[0] = d[8]
+    nav[6:15] = (rotation(d[6:9]) @ nav[6:15].reshape(3, 3)).ravel()
     x += d[9:]
-    G = attitude_reset(turn, n)
+    G = attitude_reset(turn[0], n)
     P[:] = G @ P @ G.T
 
 
@@ -768,7 +773,7 @@ def places(dims):
         a * n,
         a * a,
         a,
-        6,
+        4,
         2 * a * a,
         a * n,
         a * (9 + par),
@@ -806,7 +811,7 @@ def update(P, nav, x, C, R, mem, dims, limits):
     if out[1] and not out[2] and np.isfinite(limits[0]):
         out[2] = fits_without_some(P, H.copy(), res.copy(), np.isnan(out[3 : 3 + a]), H, R, S, PH, res, out, limits)
     if out[2]:
-        correct(P, nav, x, res, S, PH, K, mem[at[4] : at[4] + 3])
+        correct(P, nav, x, res, S, PH, K, mem[at[4] : at[4] + 1])
         mem[at[2] : at[3]] = S[a:].ravel()
 
 
@@ -833,11 +838,11 @@ def fits_without_some(P, whole, given, missing, H, R, S, PH, res, out, limits):
 def smooth_record(L, lam, record, a, m, b, start, T):
     """Adjoint of fold, tick, correction and reset, backward: Bierman (1973)."""
     n = len(lam)
-    sizes = [m * m, b * b] + ([a * n, n * a, a * a, a, 6] if a else [])
+    sizes = [m * m, b * b] + ([a * n, n * a, a * a, a, 4] if a else [])
     parts = np.split(record[: sum(sizes)], np.cumsum(sizes)[:-1])
     if a:
         H, K, Sinv = parts[2].reshape(a, n), parts[3].reshape(n, a), parts[4].reshape(a, a)
-        D = velocity_turn(parts[6][3:], n) @ attitude_reset(parts[6][:3], n) @ (np.eye(n) - K @ H)
+        D = velocity_turn(parts[6][1:], n) @ attitude_reset(parts[6][0], n) @ (np.eye(n) - K @ H)
         lam[:] = D.T @ lam - H.T @ Sinv @ parts[5]
         L[:] = D.T @ L @ D + H.T @ Sinv @ H
     for first, size, part in ((start, b, parts[1]), (0, m, parts[0])):
@@ -1545,7 +1550,7 @@ def correction(bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count,
     held_from, held_to = spot[28:30]
     mem, places_, xd = bench[begin:cfg], places(dims), x[: m - 9]
     if drv[126]:
-        discount_heading(P, acc, nav)
+        discount_heading(P, acc, nav, drv[142])
     predict(P, nav, x, acc, bench[model : model + 2 * b * b].reshape(2, b, b), mem, dims, count)
     outputs, off = np.zeros((6, m - 9)), np.zeros(6)
     drive_outputs(drv, Cr, xd, outputs, off)
@@ -1579,10 +1584,14 @@ def correction(bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count,
     beyond, calm = np.any(squares > believed), np.all(squares <= believed / 16.0)
     used = mem[places_[8] + 2]
     mem[places_[9] - 1] = count if calm and used else mem[places_[9] - 1] + count
-    velocity = nav[3:6].copy()
+    velocity, turns = nav[3:6].copy(), drv[142] and turns_along(P, nav[3:5])
     update(P, nav, x, C, R, mem, dims, np.r_[np.inf, np.full(a, -1.0)] if beyond else gate)
-    if moves and mem[places_[8] + 2]:
-        turn_velocity(P, nav, velocity, mem[places_[4] + 3 : places_[5]])
+    change = mem[places_[4] + 1 : places_[5]]
+    change[:] = 0.0
+    if mem[places_[8] + 2]:
+        drv[142] = max(drv[142], moves)
+        if moves or turns:
+            turn_velocity(P, nav, velocity, change)
 
 
 def heeded(w, nav, P, period_s):
@@ -1672,7 +1681,7 @@ def stretch(
         covariance = P[np.tril_indices(len(P))]
         if rows.shape[1] != 17 + x.size + covariance.size:
             covariance = np.zeros(72 + len(P))
-            present(P, acc, drv[126], None, covariance)
+            present(P, acc, nav, drv[126], drv[142], None, covariance)
         rows[cursor[4]], info[cursor[4]] = np.concatenate([nav, x, covariance]), (now[0], cursor[5])
         now[3], cursor[4] = now[0], cursor[4] + 1
 
@@ -1718,7 +1727,7 @@ def stretch(
             now[:3], cursor[1], cursor[2] = stamps[k], k + 1, cursor[2] + 1
             if cursor[2] == every:
                 if drv[126]:
-                    discount_heading(P, acc, nav)
+                    discount_heading(P, acc, nav, drv[142])
                 record(acc[:m].ravel(), 0, m, 0, 0)
                 cursor[2] = 0
                 if undone.size:

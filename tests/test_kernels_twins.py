@@ -361,10 +361,10 @@ def test_fold(kind):
     if kind == "constants":
         acc[9:m] = np.diag([1.0] * 9 + [0.5, 1.0, 1.0][: m - 9])[9:]
     P = spd(rng, n)
-    present, twin = run_both(kalman.present, P, acc, nav, False, np.zeros(9 * (n + m + 9)), np.zeros(72 + n))
-    assert_close(present[5:], twin[5:], 1e-14)
+    present, twin = run_both(kalman.present, P, acc, nav, False, 0.0, np.zeros(9 * (n + m + 9)), np.zeros(72 + n))
+    assert_close(present[6:], twin[6:], 1e-14)
     ours, twins = run_both(kalman.fold, P, acc, nav, np.zeros((m, n)))
-    np.testing.assert_array_equal(present[5], [*ours[0][:9, :9].ravel(), *ours[0].diagonal()[9:]])
+    np.testing.assert_array_equal(present[6], [*ours[0][:9, :9].ravel(), *ours[0].diagonal()[9:]])
     assert_close([ours[0], ours[1][: 2 * m], ours[2]], [twins[0], twins[1][: 2 * m], twins[2]], 1e-14)
     np.testing.assert_array_equal(ours[0], ours[0].T)
     C = ours[2][6:15].reshape(3, 3)
@@ -386,15 +386,15 @@ def test_the_heading_is_discounted_by_what_the_change_of_velocity_may_err(change
     acc[3:5], acc[m : 2 * m] = np.eye(2, m, 3) + math.sqrt(k) * J, k * acc[m : 2 * m]
     acc[3, 8], acc[4, 8] = change_m_s * np.array([0.6, -0.8])
     before = acc.copy()
-    present, twin = run_both(kalman.present, P, acc, nav, True, np.zeros(9 * (n + m + 9)), np.zeros(72 + n))
-    assert_close(present[5:], twin[5:], 1e-14)
+    present, twin = run_both(kalman.present, P, acc, nav, True, 0.0, np.zeros(9 * (n + m + 9)), np.zeros(72 + n))
+    assert_close(present[6:], twin[6:], 1e-14)
     np.testing.assert_array_equal(present[1], before)
-    ours, twins = run_both(kalman.discount_heading, P, acc, nav, np.zeros(2 * m))
+    ours, twins = run_both(kalman.discount_heading, P, acc, nav, 0.0, np.zeros(2 * m))
     assert_close(ours[:2], twins[:2], 1e-14)
     assert ours[1][3, 8] / before[3, 8] == pytest.approx(share, abs=1e-5)
     np.testing.assert_array_equal(np.argwhere(ours[1] != before)[:, 1], 8)
     folded, _ = run_both(kalman.fold, P, ours[1], nav, np.zeros((m, n)))
-    np.testing.assert_array_equal(present[5], [*folded[0][:9, :9].ravel(), *folded[0].diagonal()[9:]])
+    np.testing.assert_array_equal(present[6], [*folded[0][:9, :9].ravel(), *folded[0].diagonal()[9:]])
 
 
 @pytest.mark.parametrize("rows", [11, 22])
@@ -556,7 +556,7 @@ def test_smoother_kernels(a, b):
             0.1 * rng.normal(size=(n, a)),
             spd(rng, a),
             rng.normal(size=a),
-            0.3 * rng.normal(size=6),
+            0.3 * rng.normal(size=4),
         ]
     record = np.concatenate([part.ravel() for part in parts])
     ours, twins = run_both(
@@ -580,7 +580,7 @@ def test_smoother_goes_through_a_run_of_records_and_rows(holds, until):
             [
                 (np.eye(head) + 0.1 * rng.normal(size=(head, head))).ravel(),
                 rng.normal(size=b * b),
-                *([0.1 * rng.normal(size=2 * a * n), spd(rng, a).ravel(), rng.normal(size=a + 6)] if a else []),
+                *([0.1 * rng.normal(size=2 * a * n), spd(rng, a).ravel(), rng.normal(size=a + 4)] if a else []),
             ]
         )
         for a, head, b, _ in kinds

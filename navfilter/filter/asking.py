@@ -92,7 +92,7 @@ def asked(
     """
     (z, own), nav, P, x = reading, memory.nav, memory.P, memory.x
     if drive.inertial:
-        kalman.discount_heading(P, memory.acc, nav, np.empty(2 * int(channel.dims[2])))
+        kalman.discount_heading(P, memory.acc, nav, memory.drv[strapdown.OWN], np.empty(2 * int(channel.dims[2])))
     kalman.predict(P, nav, x, memory.acc, channel.model, channel.mem, channel.dims, channel.ticks(time_s))
     outputs, errors = drive.outputs(drive_output, memory.drv, x[: drive_output.shape[1] - 1])
     z = channel.without_errors(z, outputs, errors) if channel.sensor.reads_rate else z
@@ -125,7 +125,11 @@ def asked(
     let_go = channel.verdict[2] and is_calm(channel, x)
     channel.pulled[0] = channel.ticks(time_s) + (0.0 if let_go else channel.pulled[0])
     gate = SHUT[: channel.axes + 1] if beyond_belief(channel, x) else channel.gate
-    before = tuple(nav[3:6])
+    before, own = tuple(nav[3:6]), memory.drv[strapdown.OWN : strapdown.OWN + 1]
+    turns = bool(own[0]) and kalman.turns_along(P, nav[3], nav[4])
     kalman.update(P, nav, x, channel.C, channel.R, channel.mem, channel.dims, gate)
-    if channel.moves and channel.verdict[2]:
+    channel.change[:] = 0.0
+    if channel.verdict[2]:
+        own[0] = max(own[0], channel.moves)
+    if channel.verdict[2] and (channel.moves or turns):
         kalman.turn_velocity(P, nav, before, channel.change)

@@ -249,7 +249,7 @@ class Channel:
         self.pulled = mem[at[9] - 1 : at[9]]  # ticks since a reading that was used, with a coloured error within one sd
         self.record, self.moved = mem[: at[5]], mem[: at[0]]
         self.transition = mem[: m * m].reshape(m, m)
-        self.change = mem[at[4] + 3 : at[5]]  # of the velocity, which turns with the attitude: `kalman.turn_velocity`
+        self.change = mem[at[4] + 1 : at[5]]  # of the velocity, which turns with the attitude: `kalman.turn_velocity`
         self.rate = bench[ends[1] : ends[2]]
         self.model = bench[ends[2] : ends[3]].reshape(2, b, b)
         self.C, self.white = bench[ends[3] : ends[4]].reshape(a, errors), bench[ends[4] : ends[5]].reshape(a, a)

@@ -64,7 +64,7 @@ class Estimate:
         memory, n = self.memory, self.layout.size
         out = np.empty(72 + n)
         inertial, work = memory.drv[strapdown.INERTIAL] != 0.0, np.empty(9 * (n + self.layout.head + 9))
-        kalman.present(memory.P, memory.acc, memory.nav, inertial, work, out)
+        kalman.present(memory.P, memory.acc, memory.nav, inertial, memory.drv[strapdown.OWN], work, out)
         return out
 
     @property

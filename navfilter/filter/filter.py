@@ -275,7 +275,7 @@ class Filter(Estimate):
         """Fold the compound transition into P."""
         memory = self.memory
         if self.inertial:
-            kalman.discount_heading(memory.P, memory.acc, memory.nav, self._work.reshape(-1))
+            kalman.discount_heading(memory.P, memory.acc, memory.nav, memory.drv[strapdown.OWN], self._work.reshape(-1))
         transition = memory.acc[: self.layout.head].copy()
         if self.tape is not None:
             self.tape.record(transition.reshape(-1), 0, self._dims)

@@ -165,9 +165,17 @@ def _bend(P, head):
         head[1, 0] -= share * north * east
 
 
+@njit(cache=True, **UNCOUNTED)
+def turns_along(P, north, east):
+    """Whether this velocity is known in the vehicle's axes, so that by more than half it turns with the heading's
+    error. Fixes tell it from north on: then it does not.
+    """
+    return P[4, 8] * north - P[3, 8] * east >= 0.5 * P[8, 8] * (north * north + east * east)
+
+
 @apart
 @njit(cache=True, **UNCOUNTED)
-def discount_heading(P, acc, nav, work):
+def discount_heading(P, acc, nav, own, work):
     """Before a fold of an inertial drive: what an error of the heading does to velocity and position counts as far as
     the change of velocity is known by which it does so.
 
@@ -175,12 +183,11 @@ def discount_heading(P, acc, nav, work):
     its square as that has variance would be information about the heading out of nothing: errors in variables (Fuller,
     1987, sec. 1.1). The part of the square beyond its variance is unbiased, and shrinks the slope. work: 2m.
 
-    Not where the velocity is known in the vehicle's axes, so that before the fold it turns with the heading by more
-    than half: what was felt wrongly is in the velocity, too, and turned by the same heading error. See `turn_velocity`.
+    Not where the velocity turns with the heading before the fold, own: see `turns_along`. What was felt wrongly is in
+    that velocity, too, and turned by the same heading error.
     """
     m, north, east = acc.shape[1], acc[3, 8], acc[4, 8]
-    by_north, by_east = -nav[4] - north, nav[3] - east
-    if P[3, 8] * by_north + P[4, 8] * by_east >= 0.5 * P[8, 8] * (by_north * by_north + by_east * by_east):
+    if own != 0.0 and turns_along(P, nav[3] - east, nav[4] + north):
         return
     variance, own, carried = acc[m + 3, 3] + acc[m + 4, 4], work[:m], work[m : 2 * m]
     for axis in (3, 4):
@@ -214,14 +221,14 @@ def _reach(row, i):
 
 @apart
 @njit(cache=True, **UNCOUNTED)
-def present(P, acc, nav, inertial, work, out):
+def present(P, acc, nav, inertial, own, work, out):
     """What `fold` would leave in P, without folding: of navigation (the first 81 of out), then the variances of all
-    other states (n - 9). inertial: whether the heading is discounted before. work: 9 (2m + 9).
+    other states (n - 9). inertial, own: whether the heading is discounted before. work: 9 (2m + 9).
     """
     m, n = acc.shape[1], P.shape[0]
     kept0, kept1, kept3, kept4 = acc[0, 8], acc[1, 8], acc[3, 8], acc[4, 8]
     if inertial:
-        discount_heading(P, acc, nav, work)
+        discount_heading(P, acc, nav, own, work)
     T, A, head = shaped(work[: 9 * m], 9, m), shaped(work[9 * m :][: 9 * m], m, 9), work[18 * m :][:81]
     head = shaped(head, 9, 9)
     _navigation(P, acc, T, A, head)
@@ -502,8 +509,11 @@ def correct(P, nav, x, res, S, PH, K, turn, T):
 
     Joseph's form for the gain as rounded, P - K PH - PH' K' + K S K' = P - K W' - W K' with W = PH' - K S / 2, which
     costs O(n^2 a) and leaves P symmetric to the bit (Bierman, 1977, sec. V.2).
-    The attitude error left over is expressed at the corrected attitude: P <- G P G', G = I + [d x]/2 + [d x]^2/6 (left
-    Jacobian; Markley, 2003). K: (n, a) receives the gain, turn: (3,) the rotation d fed back. T: (2a, n) work.
+    The tilts left over are expressed at the corrected heading: P <- G P G', G = I + [d x]/2 + [d x]^2/6 (left Jacobian;
+    Markley, 2003), d the correction of the heading alone. That of the tilts is not among it: what tells them is gravity
+    in the vehicle's axes, whatever the heading is, and by G a correction of tilt would become one of the heading, whose
+    sum over thousands of readings is information out of noise. K: (n, a) receives the gain, turn: (1,) the heading's
+    correction. T: (2a, n) work.
     """
     n, a = K.shape
     # u: columns of K; w: half of what they are multiplied with, P H' and what rounding left of the gain
@@ -525,6 +535,7 @@ def correct(P, nav, x, res, S, PH, K, turn, T):
                 w[r, i] -= f * u[c, i]
     for r in range(a):
         _less_twice(P, u[r], w[r])
+    x0, y0, z0 = 0.0, 0.0, 0.0
     for i in range(n):
         s = 0.0
         for j in range(a):
@@ -537,11 +548,14 @@ def correct(P, nav, x, res, S, PH, K, turn, T):
             nav[2] -= s
         elif i < 6:
             nav[i] += s
-        elif i < 9:
-            turn[i - 6] = s
+        elif i == 6:
+            x0 = s
+        elif i == 7:
+            y0 = s
+        elif i == 8:
+            z0 = s
         else:
             x[i - 9] += s
-    x0, y0, z0 = turn[0], turn[1], turn[2]
     t2 = x0 * x0 + y0 * y0 + z0 * z0
     # C <- exp([d x]) C, column by column (Rodrigues); the series holds to 1e-16 below t2 = 1e-8
     t = math.sqrt(t2)
@@ -552,40 +566,25 @@ def correct(P, nav, x, res, S, PH, K, turn, T):
         nav[6 + j] = u + p * f + q * (y0 * h - z0 * g)
         nav[9 + j] = v + p * g + q * (z0 * f - x0 * h)
         nav[12 + j] = w + p * h + q * (x0 * g - y0 * f)
-    _reset_rows(P, x0, y0, z0, n)
+    turn[0] = z0
+    _reset(P, 0.5 * z0, n)
+
+
+@njit(cache=True, **UNCOUNTED)
+def _reset(M, half, n):
+    """M <- G M G' for the rotation of the tilts by half of what the heading turns, to second order."""
+    c = 1.0 - 2.0 * half * half / 3.0
+    for j in range(n):
+        u, v = M[6, j], M[7, j]
+        M[6, j] = c * u - half * v
+        M[7, j] = c * v + half * u
     for i in range(n):
-        for j in range(6, 9):
-            if i < 6 or i >= 9:
-                P[i, j] = P[j, i]
-    # the 3 x 3 block needs G from the right too; its rows are done, take them as columns
-    for i in range(6, 9):
-        u, v, w = P[i, 6], P[i, 7], P[i, 8]
-        f, g, h = y0 * w - z0 * v, z0 * u - x0 * w, x0 * v - y0 * u
-        P[i, 6] = u + 0.5 * f + (y0 * h - z0 * g) / 6.0
-        P[i, 7] = v + 0.5 * g + (z0 * f - x0 * h) / 6.0
-        P[i, 8] = w + 0.5 * h + (x0 * g - y0 * f) / 6.0
-    for i in range(6, 9):
-        for j in range(6, i):
-            s = 0.5 * (P[i, j] + P[j, i])
-            P[i, j] = s
-            P[j, i] = s
-
-
-@njit(cache=True, **UNCOUNTED)
-def _reset_rows(M, x, y, z, cols):
-    """Rows 6 to 8 of M from the left by G = I + [d x]/2 + [d x]^2/6."""
-    for j in range(cols):
-        u, v, w = M[6, j], M[7, j], M[8, j]
-        f, g, h = y * w - z * v, z * u - x * w, x * v - y * u
-        M[6, j] = u + 0.5 * f + (y * h - z * g) / 6.0
-        M[7, j] = v + 0.5 * g + (z * f - x * h) / 6.0
-        M[8, j] = w + 0.5 * h + (x * g - y * f) / 6.0
-
-
-@njit(cache=True, **UNCOUNTED)
-def _reset_rows_transposed(M, x, y, z, cols):
-    """Rows 6 to 8 of M from the left by G': the same with the rotation reversed."""
-    _reset_rows(M, -x, -y, -z, cols)
+        u, v = M[i, 6], M[i, 7]
+        M[i, 6] = c * u - half * v
+        M[i, 7] = c * v + half * u
+    s = 0.5 * (M[6, 7] + M[7, 6])
+    M[6, 7] = s
+    M[7, 6] = s
 
 
 @njit(cache=True, **UNCOUNTED)
@@ -603,7 +602,7 @@ def places(dims):
     inverse = K + n * a
     res = inverse + a * a
     turn = res + a
-    S = turn + 6
+    S = turn + 4
     PH = S + 2 * a * a
     near = PH + a * n
     verdict = near + a * (9 + dims[6])
@@ -685,7 +684,7 @@ def update(P, nav, x, C, R, mem, dims, limits):
         return
     out[2] = 1.0
     T = shaped(mem[iw : iw + 2 * a * n], 2 * a, n)
-    correct(P, nav, x, res, S, PH, shaped(mem[iK:ii], n, a), mem[it : it + 3], T)
+    correct(P, nav, x, res, S, PH, shaped(mem[iK:ii], n, a), mem[it : it + 1], T)
     for i in range(a):
         for j in range(a):
             mem[ii + i * a + j] = S[a + i, j]
@@ -787,7 +786,7 @@ def smooth_record(L, lam, record, a, m, b, start, T):
     record before is -P lam with covariance P - P L P.
 
     record: Phi (m x m; m = 0 where nothing moved), tick Phi (b x b), then if a > 0: H (a x n), K (n x a), inverse S
-    (a x a), res (a), turn (3) and the change that turns with it (3), each row by row. `start` is the ticked block's place, b its size (0: none). L (n, n) and
+    (a x a), res (a), the turn of the heading and the change of velocity that turns with it (3), each row by row. `start` is the ticked block's place, b its size (0: none). L (n, n) and
     lam (n,) change; T work, n columns and three times as many rows, at least 3a.
     """
     n = len(lam)
@@ -798,8 +797,8 @@ def smooth_record(L, lam, record, a, m, b, start, T):
         at += 2 * a * n
         Sinv = shaped(record[at : at + a * a], a, a)
         res = record[at + a * a : at + a * a + a]
-        turn = record[at + a * a + a : at + a * a + a + 3]
-        x, y, z = record[at + a * a + a + 3], record[at + a * a + a + 4], record[at + a * a + a + 5]
+        half = 0.5 * record[at + a * a + a]
+        x, y, z = record[at + a * a + a + 1], record[at + a * a + a + 2], record[at + a * a + a + 3]
         if x != 0.0 or y != 0.0 or z != 0.0:  # the other way round than `turn_velocity`
             for j in range(n):
                 u, v, w = L[3, j], L[4, j], L[5, j]
@@ -815,25 +814,11 @@ def smooth_record(L, lam, record, a, m, b, start, T):
             lam[6] += y * w - z * v
             lam[7] += z * u - x * w
             lam[8] += x * v - y * u
-        # reset: L <- G' L G, lam <- G' lam
-        if turn[0] != 0.0 or turn[1] != 0.0 or turn[2] != 0.0:
-            x, y, z = turn[0], turn[1], turn[2]
-            _reset_rows_transposed(L, x, y, z, n)
-            for i in range(n):
-                for j in range(6, 9):
-                    if i < 6 or i >= 9:
-                        L[i, j] = L[j, i]
-            for i in range(6, 9):
-                u, v, w = L[i, 6], L[i, 7], L[i, 8]
-                f, g, h = -(y * w - z * v), -(z * u - x * w), -(x * v - y * u)
-                L[i, 6] = u + 0.5 * f - (y * h - z * g) / 6.0
-                L[i, 7] = v + 0.5 * g - (z * f - x * h) / 6.0
-                L[i, 8] = w + 0.5 * h - (x * g - y * f) / 6.0
-            u, v, w = lam[6], lam[7], lam[8]
-            f, g, h = -(y * w - z * v), -(z * u - x * w), -(x * v - y * u)
-            lam[6] = u + 0.5 * f - (y * h - z * g) / 6.0
-            lam[7] = v + 0.5 * g - (z * f - x * h) / 6.0
-            lam[8] = w + 0.5 * h - (x * g - y * f) / 6.0
+        if half != 0.0:
+            _reset(L, -half, n)
+            c, u, v = 1.0 - 2.0 * half * half / 3.0, lam[6], lam[7]
+            lam[6] = c * u + half * v
+            lam[7] = c * v - half * u
         # L <- (I - K H)' L (I - K H) + H' S^-1 H = L - W H - (W H)', W = V - H' (K' V + S^-1) / 2, V = L K
         for c in range(a):
             f, own = 0.0, T[2 * a + c]

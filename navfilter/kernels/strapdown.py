@@ -79,7 +79,9 @@ WAY, BLIND_S, LOST_S, SAME_ATTITUDE_S, SAME_VELOCITY_S, PREVIOUS_VELOCITY_B = 12
 # that was taken, for how long it is the last [s], negative before the first.
 ODD_HEADING, ODD_VELOCITY, GOOD_VELOCITY, GOOD_S = 136, 137, 138, 141
 PLACES = [DEVIATION, SCALE, ARM, ATTITUDE_CLOCK, VELOCITY_CLOCK, CURRENT]
-DRIVE_SIZE = 142
+# 1: a velocity in the vehicle's axes has been used, see `kalman.turns_along`.
+OWN = 142
+DRIVE_SIZE = 143
 CHANGE_S = 0.1  # what changes is a mean over so long, for readings that come faster are noisy
 MOST_TICKS = 10000.0  # of the drive's blocks in one step
 WIDE = 8  # columns of a panel: rows of so many are one register, or two

@@ -114,7 +114,7 @@ def correction(sources):
         model = bench[spot[MODEL] : spot[MODEL] + 2 * b * b].reshape((2, b, b))
         places = kalman.places(dims)
         if drv[strapdown.INERTIAL] != 0.0:
-            kalman.discount_heading(P, acc, nav, mem[places[9] : places[10]])
+            kalman.discount_heading(P, acc, nav, drv[strapdown.OWN], mem[places[9] : places[10]])
         kalman.predict(P, nav, x, acc, model, mem, dims, count)
         rate, xd = bench[spot[RATE] : spot[RATE] + 3], x[: m - 9]
         H, spare = shaped(mem[places[0] : places[0] + a * n], a, n), mem[places[9] : places[10]]
@@ -170,9 +170,15 @@ def correction(sources):
             for i in range(a + 1):
                 limits[i] = -1.0 if i else math.inf
         before = nav[3], nav[4], nav[5]
+        turns = drv[strapdown.OWN] != 0.0 and kalman.turns_along(P, nav[3], nav[4])
         kalman.update(P, nav, x, C, R, mem, dims, limits)
-        if spot[MOVES] and mem[places[8] + 2] != 0.0:
-            kalman.turn_velocity(P, nav, before, mem[places[4] + 3 : places[5]])
+        change = mem[places[4] + 1 : places[5]]
+        change[0], change[1], change[2] = 0.0, 0.0, 0.0
+        if mem[places[8] + 2] != 0.0:
+            if spot[MOVES]:
+                drv[strapdown.OWN] = 1.0
+            if spot[MOVES] or turns:
+                kalman.turn_velocity(P, nav, before, change)
 
     return correction
 
@@ -181,7 +187,7 @@ def correction(sources):
 def _note_row(sources):
     @apart
     @njit(cache=True, **UNCOUNTED)
-    def _note_row(now, cursor, interval_s, nav, x, P, acc, inertial, rows, info, work):
+    def _note_row(now, cursor, interval_s, nav, x, P, acc, inertial, own, rows, info, work):
         """Write the state down as a row: the last note of a time stands, those closer than the interval are skipped.
 
         rows (r, w): nav, x, then the lower triangle of P or its first nine rows and columns and the rest of its
@@ -206,7 +212,7 @@ def _note_row(sources):
                     row[first + j] = P[i, j]
                 first += i + 1
         elif cursor[UNFOLDED] > 0:
-            kalman.present(P, acc, nav, inertial, work, row[n + 8 :])
+            kalman.present(P, acc, nav, inertial, own, work, row[n + 8 :])
         else:
             for i in range(9):
                 for j in range(9):
@@ -346,7 +352,7 @@ def _carried(sources):
             now[TIME_S] = now[SAMPLE_S] = now[BEFORE_S] = stamps[end - 1]
             if cursor[UNFOLDED] >= every:
                 if inertial:
-                    kalman.discount_heading(P, acc, nav, work[m * m :])
+                    kalman.discount_heading(P, acc, nav, drv[strapdown.OWN], work[m * m :])
                 for i in range(m):
                     for j in range(m):
                         head[i * m + j] = acc[i, j]
@@ -355,9 +361,35 @@ def _carried(sources):
                 if undone.size > 0:
                     listen.carry(undone, shaped(head, m, m))
                 _note_record(head, int(0), spot, cursor, records, heads)
-                _note_row(now, cursor, settings[INTERVAL_S], nav, x, P, acc, inertial, rows, info, work[m * m :])
+                _note_row(
+                    now,
+                    cursor,
+                    settings[INTERVAL_S],
+                    nav,
+                    x,
+                    P,
+                    acc,
+                    inertial,
+                    drv[strapdown.OWN],
+                    rows,
+                    info,
+                    work[m * m :],
+                )
             elif each:
-                _note_row(now, cursor, settings[INTERVAL_S], nav, x, P, acc, inertial, rows, info, work[m * m :])
+                _note_row(
+                    now,
+                    cursor,
+                    settings[INTERVAL_S],
+                    nav,
+                    x,
+                    P,
+                    acc,
+                    inertial,
+                    drv[strapdown.OWN],
+                    rows,
+                    info,
+                    work[m * m :],
+                )
             begin = end
             if felt > 0 and drv[strapdown.COUNT] >= felt:
                 return HEED
@@ -614,7 +646,8 @@ def stretch(sources):
             if notes[e, 2] == 0.0 or (own[PARTLY] and _partly(notes[e], a)):
                 return JUDGED
             _note_record(bench[own[MEM] : own[MEM] + own[RECORD]], a, own, cursor, records, heads)
-            _note_row(now, cursor, settings[INTERVAL_S], nav, x, P, acc, inertial, rows, info, work)
+            by_own = drv[strapdown.OWN]
+            _note_row(now, cursor, settings[INTERVAL_S], nav, x, P, acc, inertial, by_own, rows, info, work)
             _fared(watched[i], t, notes[e, 0], notes[e, 1])
             if undone.size > 0 and _listened(
                 cursor, settings, bench, own, nav, x, Cr, t, count, undone, ears[i], places[i], opened[e]
