@@ -571,6 +571,16 @@ def correct(P, nav, x, res, S, PH, K, turn, T):
 
 
 @njit(cache=True, **UNCOUNTED)
+def _same(M, first):
+    """Three rows and columns symmetric to the last bit."""
+    for i in range(first, first + 3):
+        for j in range(first, i):
+            s = 0.5 * (M[i, j] + M[j, i])
+            M[i, j] = s
+            M[j, i] = s
+
+
+@njit(cache=True, **UNCOUNTED)
 def _reset(M, half, n):
     """M <- G M G' for the rotation of the tilts by half of what the heading turns, to second order."""
     c = 1.0 - 2.0 * half * half / 3.0
@@ -582,9 +592,7 @@ def _reset(M, half, n):
         u, v = M[i, 6], M[i, 7]
         M[i, 6] = c * u - half * v
         M[i, 7] = c * v + half * u
-    s = 0.5 * (M[6, 7] + M[7, 6])
-    M[6, 7] = s
-    M[7, 6] = s
+    _same(M, int(6))
 
 
 @njit(cache=True, **UNCOUNTED)
@@ -714,6 +722,7 @@ def turn_velocity(P, nav, before, change):
         P[j, 3] += y * down - z * east
         P[j, 4] += z * north - x * down
         P[j, 5] += x * east - y * north
+    _same(P, int(3))
 
 
 @apart
@@ -810,6 +819,7 @@ def smooth_record(L, lam, record, a, m, b, start, T):
                 L[j, 6] += y * w - z * v
                 L[j, 7] += z * u - x * w
                 L[j, 8] += x * v - y * u
+            _same(L, int(6))
             u, v, w = lam[3], lam[4], lam[5]
             lam[6] += y * w - z * v
             lam[7] += z * u - x * w
@@ -851,11 +861,7 @@ def smooth_record(L, lam, record, a, m, b, start, T):
     if m > 0:
         _head_transposed(L, lam, shaped(record[: m * m], m, m), T.reshape(T.size))
         return
-    for i in range(6, 9):  # what the reset has left
-        for j in range(6, i):
-            s = 0.5 * (L[i, j] + L[j, i])
-            L[i, j] = s
-            L[j, i] = s
+    _same(L, int(6))
 
 
 @apart
