@@ -102,7 +102,8 @@ def test_the_error_of_a_jump_is_what_two_filters_differ_by(dive):
     f = runs[1].filter.memory.jumps[0, 2, : runs[1].filter.layout.size]
     # the samples since the last correction are not in f yet: none, for a compass reads at the end
     apart = runs[0].state.minus(runs[1].state)
-    np.testing.assert_allclose(apart[8], size * f[8], rtol=0.02)
+    # the covariance follows the velocity that the bias makes, which is not in f either: 2 % of it
+    np.testing.assert_allclose(apart[8], size * f[8], rtol=0.03)
     np.testing.assert_allclose((runs[0].filter.x - runs[1].filter.x)[2], size * (f[11] - 1.0), rtol=0.05, atol=1e-9)
 
 
