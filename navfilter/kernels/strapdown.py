@@ -673,34 +673,62 @@ def _is_diagonal(A):
     return True
 
 
+def _copy_row(A, i, B, j, known):
+    """Elements j to j + 8 of B to where those from i on stand in A: the first `known`, and zeros for the others."""
+    np.copyto(A[i : i + WIDE], np.where(np.arange(WIDE) < known, B[j : j + WIDE], 0.0))
+
+
+@infer_global(_copy_row)
+class _OfCopyRow(AbstractTemplate):
+    def generic(self, arguments, keywords):
+        return signature(types.void, *arguments)
+
+
+@lower_builtin(_copy_row, types.Array, types.Integer, types.Array, types.Integer, types.Integer)
+def _build_copy_row(context, builder, kinds, arguments):
+    """In one register: a panel is loaded in such rows, which have to wait for what was stored in other pieces."""
+    index, row = cgutils.ir.IntType(64), cgutils.ir.VectorType(cgutils.ir.DoubleType(), WIDE)
+    A, i, B, j, known = arguments
+    to, of = (
+        builder.bitcast(
+            builder.gep(context.make_array(kind)(context, builder, value=array).data, [begin]), row.as_pointer()
+        )
+        for kind, array, begin in ((kinds.args[0], A, i), (kinds.args[2], B, j))
+    )
+    value = builder.load(of)
+    value.align = 8
+    counts = cgutils.ir.VectorType(index, WIDE)
+    first = builder.insert_element(
+        cgutils.ir.Constant(counts, cgutils.ir.Undefined), known, cgutils.ir.Constant(index, 0)
+    )
+    same = cgutils.ir.Constant(cgutils.ir.VectorType(cgutils.ir.IntType(32), WIDE), [0] * WIDE)
+    places = cgutils.ir.Constant(counts, list(range(WIDE)))
+    kept = builder.icmp_signed("<", places, builder.shuffle_vector(first, first, same))
+    builder.store(builder.select(kept, value, cgutils.ir.Constant(row, [0.0] * WIDE)), to, align=8)
+    return context.get_dummy_value()
+
+
 @apart
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _to_panels(M, X, m):
-    """Fill panels X from the rows of a matrix of m columns at the beginning of M, which is longer. Copies of a fixed
-    length are much quicker: what they take too much is 0 in the last panel.
-    """
-    size = _high(m) * WIDE
-    for begin in range(0, X.size, size):
-        known = min(WIDE, m - begin // _high(m))
+    """Fill panels X from the rows of a matrix of m columns at the beginning of M, which is longer."""
+    high = _high(m)
+    for column in range(0, m, WIDE):
+        begin, known = column * high, min(WIDE, m - column)
         for i in range(m):
-            A, B = X[begin + i * WIDE :], M[i * m + begin // _high(m) :]
-            for j in range(WIDE):
-                A[j] = B[j]
-            for j in range(known, WIDE):
-                A[j] = 0.0
-        for i in range(m * WIDE, size):
-            X[begin + i] = 0.0
+            _copy_row(X, begin + i * WIDE, M, i * m + column, known)
+        for i in range(m, high):
+            _copy_row(X, begin + i * WIDE, M, int(0), int(0))
 
 
 @apart
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _from_panels(X, M, m):
     """The way back. What it writes too much is overwritten by the next row; behind the last row M is work space."""
+    high, whole = _high(m), int(WIDE)
     for i in range(m):
-        for begin in range(0, X.size, _high(m) * WIDE):
-            A, B = X[begin + i * WIDE :], M[i * m + begin // _high(m) :]
-            for j in range(WIDE):
-                B[j] = A[j]
+        for column in range(0, m, WIDE):
+            _copy_row(M, i * m + column, X, column * high + i * WIDE, whole)
 
 
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
