@@ -807,8 +807,17 @@ def imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
     Increments already used by `imu_hold` since the previous sample are taken off, so that holds change when the state
     is known, not what it becomes. Savage (1998), parts 1 and 2; Groves (2013), ch. 5.
     """
-    k = len(xd)
-    _imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc, np.empty(_room(9 + k)), np.empty((2, 6 * k), np.int64))
+    floats, seen = np.empty(_room(9 + len(xd))), np.empty((2, 6 * len(xd)), np.int64)
+    _imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc, floats, seen, samples[:0])
+
+
+@njit(cache=True, error_model="numpy")
+def imu_traced(nav, xd, drv, samples, Phid, Qd, Cr, acc, trace):
+    """`imu_steps` that leaves in the rows of `trace`, if it has any, what each sample leaves: nav, xd, Phi and Q, and
+    WIDE elements of work space.
+    """
+    floats, seen = np.empty(_room(9 + len(xd))), np.empty((2, 6 * len(xd)), np.int64)
+    _imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc, floats, seen, trace)
 
 
 @njit(cache=True, error_model="numpy", inline="always", **UNCOUNTED)
@@ -833,9 +842,26 @@ def _begin(Phid, Qd, Cr, drv, acc, panels, seen, gain):
     return count, kinds, changes, (diagonal, diagonal and ones == m - 9), gathered > 0
 
 
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
+def _trace(nav, xd, row):
+    for i in range(17):
+        row[i] = nav[i]
+    for i in range(len(xd)):
+        row[17 + i] = xd[i]
+
+
 @apart
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
-def _imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc, floats, seen):
+def _trace_panels(nav, xd, panels, trace, n):
+    row, m, size = trace[n], 9 + len(xd), panels.size // 2
+    _trace(nav, xd, row)
+    _from_panels(panels[:size], row[8 + m :], m)
+    _from_panels(panels[size:], row[8 + m + m * m :], m)
+
+
+@apart
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
+def _imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc, floats, seen, trace):
     m = 9 + len(xd)
     panels, E, T, inc, f, gain = _workspace(floats, m)
     count, kinds, changes, ticking, gathered = _begin(Phid, Qd, Cr, drv, acc, panels, seen, gain)
@@ -855,6 +881,9 @@ def _imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc, floats, seen):
         _inertial_compound(xd, Phid, Qd, ticking, ticks, C, f, seen, gain[:count], kinds, E, T, both, Q, gathered)
         _inertial_noise(dt, drv, Cr, Q, m)
         gathered = True
+        # all samples or none; of a condition that stays the same the compiler made two loops, a tenth slower
+        if n < trace.shape[0]:
+            _trace_panels(nav, xd, panels, trace, n)
     flat = acc.reshape(acc.size)
     _from_panels(panels[: panels.size // 2], flat, m)
     _from_panels(panels[panels.size // 2 :], flat[m * m :], m)
@@ -1020,6 +1049,7 @@ def _keep_attitude(F, l1, u0, u1, u2, half, per):
         F[6 + j, 6 + j] += 1.0
 
 
+@apart
 @njit(cache=True, error_model="numpy")
 def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
     """Attitude and body velocity carried forward: no inertial unit (Groves, 2013, sec. 6.2; the classical AUV filter).
@@ -1280,6 +1310,20 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
             Q[7, 7] += BLIND_TILT**2 * span
             Q[8, 8] += GAP_TURN**2 * span
         drv[STARTED] = 1.0
+
+
+@njit(cache=True, error_model="numpy")
+def dead_reckoning_traced(nav, xd, drv, samples, Phid, Qd, Cr, acc, trace):
+    """`dead_reckoning_steps` that leaves what each sample leaves, as `imu_traced` does."""
+    if trace.shape[0] == 0:
+        dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc)
+    m = acc.shape[1]
+    for n in range(trace.shape[0]):
+        dead_reckoning_steps(nav, xd, drv, samples[n : n + 1], Phid, Qd, Cr, acc)
+        _trace(nav, xd, trace[n])
+        for i in range(2 * m):
+            for j in range(m):
+                trace[n, 8 + m + i * m + j] = acc[i, j]
 
 
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
