@@ -22,8 +22,10 @@ HIGH, WIDE = 9, 8
 
 
 def _product(A, B, out):
-    """A (r, k) B (k, n) into out, as many columns as it has: nine rows and eight columns at least."""
-    np.dot(A, B[:, : out.shape[1]], out)
+    """The first k columns of A (r rows) times B (k, n) into out, as many columns as it has: nine rows and eight columns
+    at least.
+    """
+    np.dot(A[:, : len(B)], B[:, : out.shape[1]], out)
 
 
 def _weighted(f, A, out):
@@ -98,12 +100,12 @@ def _build_product(builder, data, shapes):
     than such a product. Each sum goes from the first term to the last, multiplied and added in one rounding where the
     processor can.
     """
-    (left, right, out), ((rows, inner), (_, width), (_, n)) = data, shapes
+    (left, right, out), ((rows, long), (inner, width), (_, n)) = data, shapes
     sums = [cgutils.alloca_once(builder, _ROW) for _ in range(HIGH)]
     with _parts(builder, rows, HIGH) as high, _parts(builder, n, WIDE) as wide:
         first, column = _begin(builder, high, rows, HIGH), _begin(builder, wide, n, WIDE)
         places = [builder.add(first, _number(i)) for i in range(HIGH)]
-        mine = [_place(builder, left, i, inner, _number(0)) for i in places]
+        mine = [_place(builder, left, i, long, _number(0)) for i in places]
         for total in sums:
             builder.store(_ZERO, total)
         with cgutils.for_range(builder, inner, intp=_WORD) as step:
@@ -118,19 +120,24 @@ def _build_product(builder, data, shapes):
 
 @_compiled(_weighted, 3)
 def _build_weighted(builder, data, shapes):
-    """Eight columns at a time; rows whose factor is zero are left out."""
+    """Twice eight columns at a time; rows whose factor is zero are left out."""
     (f, A, out), ((k,), (_, width), (n,)) = data, shapes
-    total = cgutils.alloca_once(builder, _ROW)
-    with _parts(builder, n, WIDE) as wide:
-        column = _begin(builder, wide, n, WIDE)
-        builder.store(_ZERO, total)
+    totals = [cgutils.alloca_once(builder, _ROW) for _ in range(2)]
+    with _parts(builder, n, 2 * WIDE) as wide:
+        first, last = builder.mul(wide.index, _number(2 * WIDE)), builder.sub(n, _number(WIDE))
+        columns = [builder.add(first, _number(apart)) for apart in (0, WIDE)]
+        columns = [builder.select(builder.icmp_signed("<", at, last), at, last) for at in columns]
+        for total in totals:
+            builder.store(_ZERO, total)
         with cgutils.for_range(builder, k, intp=_WORD) as step:
             factor = builder.load(builder.gep(f, [step.index]))
             with builder.if_then(builder.fcmp_unordered("!=", factor, _ir.Constant(factor.type, 0.0))):
-                terms = _eight(builder, _place(builder, A, step.index, width, column))
-                term = builder.fmul(_times_eight(builder, factor), terms)
-                builder.store(builder.fadd(builder.load(total), term), total)
-        _put(builder, builder.load(total), builder.gep(out, [column]))
+                factors = _times_eight(builder, factor)
+                for total, column in zip(totals, columns, strict=True):
+                    term = builder.fmul(factors, _eight(builder, _place(builder, A, step.index, width, column)))
+                    builder.store(builder.fadd(builder.load(total), term), total)
+        for total, column in zip(totals, columns, strict=True):
+            _put(builder, builder.load(total), builder.gep(out, [column]))
 
 
 @apart
@@ -140,11 +147,11 @@ def _navigation(P, acc, T, A, head):
     columns of Phi P then; A (m, 9): work.
     """
     m = acc.shape[1]
-    _product(acc[:9], P[:m], T)
-    for i in range(9):
+    for i in range(9):  # first: what is stored number by number cannot be loaded in rows for a while
         for j in range(m):
-            A[j, i] = T[i, j]
-    _product(acc[:9], A, head)
+            A[j, i] = acc[i, j]
+    _product(acc[:9], P[:m], T)
+    _product(T, A, head)
 
 
 @apart
