@@ -5,6 +5,7 @@ day-long mission needs no more memory than an hour.
 from __future__ import annotations
 
 import bisect
+import contextlib
 import itertools
 import mmap
 import tempfile
@@ -23,29 +24,36 @@ Array = NDArray[np.float64]
 
 #: Bytes of memory that are asked for at a time: sixteen huge pages, which a system clears ten times as quickly as as
 #: much memory in small ones.
-BLOCK = 32 << 20
-#: Blocks that are kept for the next run, at most: an hour at 100 Hz with its rows, 142 MB, needs five. Memory that is
-#: new to a virtual machine takes 1 to 2 s per GB there, as long as all else that is done with it.
-KEPT = 6
+BLOCK, PAGE = 32 << 20, 2 << 20
+#: So many bytes are kept for the next run, at most: an hour at 100 Hz with its rows needs 142 MB. Memory that is new to
+#: a virtual machine takes 1 to 2 s per GB there, as long as all else that is done with it.
+KEPT = 256 << 20
 _idle: list[mmap.mmap] = []
 
 
-def _block() -> Array:
-    """A piece of memory, which is used again when nobody looks at it any more."""
-    if _idle:
-        block = _idle.pop()
-    else:
+def _block(size: int) -> Array:
+    """A piece of memory for so many elements at least, which is used again when nobody looks at it any more."""
+    needed = -(-8 * size // PAGE) * PAGE
+    block = None
+    for idle in sorted(_idle, key=len):
+        if needed <= len(idle) <= max(BLOCK, 2 * needed):
+            with contextlib.suppress(ValueError):  # another thread has taken it
+                _idle.remove(idle)
+                block = idle
+                break
+    if block is None:
         private = {"flags": mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS} if hasattr(mmap, "MAP_PRIVATE") else {}
-        block = mmap.mmap(-1, BLOCK, **private)
+        block = mmap.mmap(-1, needed, **private)
         if hasattr(mmap, "MADV_HUGEPAGE"):
-            block.madvise(mmap.MADV_HUGEPAGE)
+            with contextlib.suppress(OSError):  # a kernel without them
+                block.madvise(mmap.MADV_HUGEPAGE)
     array = np.frombuffer(block)
     weakref.finalize(array, _left, block).atexit = False
     return array
 
 
 def _left(block: mmap.mmap) -> None:
-    if len(_idle) < KEPT:
+    if len(block) + sum(map(len, _idle)) <= KEPT:
         if hasattr(mmap, "MADV_FREE"):  # the system may take it as soon as it is short of memory
             block.madvise(mmap.MADV_FREE)
         _idle.append(block)
@@ -149,10 +157,10 @@ class Spool:
         elif self._file is not None and len(self._chunks) > 1 and self._chunks[-2] is not None:
             chunk = self._stored(len(self._chunks) - 2)
             return chunk if len(chunk) == size else np.empty(size)
-        if self._file is not None or size > self.CHUNK:
+        if self._file is not None:
             return np.empty(size)
         if len(self._block) < size:
-            self._block = _block()
+            self._block = _block(max(size, BLOCK // 8) if self._chunk_size == self.CHUNK else size)
         chunk, self._block = self._block[:size], self._block[size:]
         return chunk
 
