@@ -36,7 +36,7 @@ def _block(size: int) -> Array:
     needed = -(-8 * size // PAGE) * PAGE
     block = None
     for idle in sorted(_idle, key=len):
-        if needed <= len(idle) <= max(BLOCK, 2 * needed):
+        if 4 * needed <= 4 * len(idle) <= 5 * needed:  # none that is much too large: who needs that would miss it
             with contextlib.suppress(ValueError):  # another thread has taken it
                 _idle.remove(idle)
                 block = idle
@@ -160,7 +160,7 @@ class Spool:
         if self._file is not None:
             return np.empty(size)
         if len(self._block) < size:
-            self._block = _block(max(size, BLOCK // 8) if self._chunk_size == self.CHUNK else size)
+            self._block = _block(size if self._chunk_size > self.CHUNK else max(size, BLOCK // 8))
         chunk, self._block = self._block[:size], self._block[size:]
         return chunk
 
