@@ -33,6 +33,11 @@ def _weighted(f, A, out):
     np.copyto(out, f @ A[: len(f), : len(out)])
 
 
+def _less_twice(P, u, w):
+    """P <- P - u w' - w u': symmetric to the bit where P was."""
+    P -= np.outer(u, w) + np.outer(w, u)
+
+
 _ir = cgutils.ir
 _WORD, _INDEX, _ROW = _ir.IntType(64), _ir.IntType(32), _ir.VectorType(_ir.DoubleType(), WIDE)
 _ZERO = _ir.Constant(_ROW, [0.0] * WIDE)
@@ -94,6 +99,12 @@ def _times_eight(builder, number):
     return builder.shuffle_vector(builder.insert_element(nothing, number, _ir.Constant(_INDEX, 0)), nothing, same)
 
 
+def _eight_numbers(builder, number):
+    nothing = _ir.Constant(_ir.VectorType(_WORD, WIDE), _ir.Undefined)
+    first = builder.insert_element(nothing, number, _ir.Constant(_INDEX, 0))
+    return builder.shuffle_vector(first, nothing, _ir.Constant(_ir.VectorType(_INDEX, WIDE), [0] * WIDE))
+
+
 @_compiled(_product, 3)
 def _build_product(builder, data, shapes):
     """Nine rows and eight columns at a time, their sums in registers: a library of linear algebra takes longer to begin
@@ -138,6 +149,23 @@ def _build_weighted(builder, data, shapes):
                     builder.store(builder.fadd(builder.load(total), term), total)
         for total, column in zip(totals, columns, strict=True):
             _put(builder, builder.load(total), builder.gep(out, [column]))
+
+
+@_compiled(_less_twice, 3)
+def _build_less_twice(builder, data, shapes):
+    """Eight columns at a time; of the last ones, which overlap those before, what is done already stays."""
+    (P, u, w), ((n, _), _, _) = data, shapes
+    with _parts(builder, n, WIDE) as wide:
+        column = _begin(builder, wide, n, WIDE)
+        others = [_eight(builder, builder.gep(of, [column])) for of in (w, u)]
+        done = _eight_numbers(builder, builder.sub(builder.mul(wide.index, _number(WIDE)), column))
+        new = builder.icmp_signed("<=", done, _ir.Constant(done.type, list(range(WIDE))))
+        with cgutils.for_range(builder, n, intp=_WORD) as row:
+            place = _place(builder, P, row.index, n, column)
+            before = _eight(builder, place)
+            mine = [_times_eight(builder, builder.load(builder.gep(of, [row.index]))) for of in (u, w)]
+            terms = [builder.fmul(factor, other) for factor, other in zip(mine, others, strict=True)]
+            _put(builder, builder.select(new, builder.fsub(before, builder.fadd(*terms)), before), place)
 
 
 @apart
@@ -464,17 +492,6 @@ def innovation(P, H, res, R, S, PH, out):
             for j in range(3):
                 nis += res[i] * S[3 + i, j] * res[j]
     out[0], out[1] = nis, used
-
-
-@njit(cache=True, **UNCOUNTED)
-def _less_twice(P, u, w):
-    """P <- P - u w' - w u': symmetric to the bit where P was."""
-    n = P.shape[0]
-    for i in range(n):
-        f, g = u[i], w[i]
-        if f != 0.0 or g != 0.0:
-            for j in range(n):
-                P[i, j] -= f * w[j] + g * u[j]
 
 
 @apart
