@@ -12,7 +12,7 @@ from numba.core import cgutils
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import lower_builtin
 
-from navfilter.kernels.decorators import apart, njit, shaped
+from navfilter.kernels.decorators import apart, flat, njit, shaped
 
 #: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
 UNCOUNTED: dict = {"_nrt": False}
@@ -269,7 +269,7 @@ def fold(P, acc, nav, T):
     """
     m, n = acc.shape[1], P.shape[0]
     # the drive's work areas in acc are free between its steps
-    work = acc[2 * m :].reshape(2 * m * m)
+    work = flat(acc[2 * m :])
     A, head, begins, ends = shaped(work[: 9 * m], m, 9), shaped(work[9 * m :][:81], 9, 9), work[-2 * m :], work[-m:]
     _navigation(P, acc, T[:9], A, head)
     for i in range(9, m):
@@ -294,9 +294,9 @@ def fold(P, acc, nav, T):
             for j in range(m, n):
                 P[i, j] = T[i, j]
                 P[j, i] = T[i, j]
-    for i in range(2 * m):
-        for j in range(m):
-            acc[i, j] = 0.0
+    whole = flat(acc)
+    for i in range(2 * m * m):
+        whole[i] = 0.0
     for i in range(m):
         acc[i, i] = 1.0
     _orthonormal(nav, T[0])
@@ -618,10 +618,9 @@ def predict(P, nav, x, acc, model, mem, dims, count):
     b), Phi and Q. Where several sensors read at once, there is nothing to fold for the later ones.
     """
     n, m, b, start = dims[1], dims[2], dims[3], dims[4]
-    work = places(dims)[9]
-    for i in range(m):
-        for j in range(m):
-            mem[i * m + j] = acc[i, j]
+    work, Phi = places(dims)[9], flat(acc)
+    for i in range(m * m):
+        mem[i] = Phi[i]
     if unmoved(acc[: 2 * m]):
         _orthonormal(nav, mem[work : work + 9])
     else:
@@ -822,7 +821,7 @@ def smooth_record(L, lam, record, a, m, b, start, T):
     if b > 0:
         _transition_transposed(L, lam, shaped(record[m * m : m * m + b * b], b, b), start, b, T)
     if m > 0:
-        _head_transposed(L, lam, shaped(record[: m * m], m, m), T.reshape(T.size))
+        _head_transposed(L, lam, shaped(record[: m * m], m, m), flat(T))
         return
     for i in range(6, 9):  # what the reset has left
         for j in range(6, i):

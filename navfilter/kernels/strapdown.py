@@ -21,7 +21,7 @@ from numba.core import cgutils
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import lower_builtin
 
-from navfilter.kernels.decorators import apart, njit
+from navfilter.kernels.decorators import apart, flat, njit
 
 #: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
 UNCOUNTED: dict = {"_nrt": False}
@@ -825,12 +825,12 @@ def _begin(Phid, Qd, Cr, drv, acc, panels, seen, gain):
     """Lay out what is compounded; how many errors there are and of which kinds, how many elements the panels that
     change have, how blocks tick, and whether there is any noise yet.
     """
-    m, flat = acc.shape[1], acc.reshape(acc.size)
+    m, rows = acc.shape[1], flat(acc)
     constants = _constants(Phid, Qd, drv)
     count, kinds = _which_errors(Cr, drv, constants, seen, gain)
     size = _high(m) * _high(m)
-    _to_panels(flat, panels[:size], m)
-    _to_panels(flat[m * m :], panels[size:], m)
+    _to_panels(rows, panels[:size], m)
+    _to_panels(rows[m * m :], panels[size:], m)
     gathered = 0  # a variance of 0 has covariances of 0
     for i in range(m):
         gathered += acc[m + i, i] != 0.0
@@ -884,9 +884,8 @@ def _imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc, floats, seen, trace):
         # all samples or none; of a condition that stays the same the compiler made two loops, a tenth slower
         if n < trace.shape[0]:
             _trace_panels(nav, xd, panels, trace, n)
-    flat = acc.reshape(acc.size)
-    _from_panels(panels[: panels.size // 2], flat, m)
-    _from_panels(panels[panels.size // 2 :], flat[m * m :], m)
+    _from_panels(panels[: panels.size // 2], flat(acc), m)
+    _from_panels(panels[panels.size // 2 :], flat(acc[m:]), m)
 
 
 @njit(cache=True, error_model="numpy")
@@ -913,9 +912,8 @@ def _imu_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc, floats, seen):
     _inertial_advance(nav, xd, inc, dt, drv, seen, gain, kinds[0], f)
     _inertial_compound(xd, Phid, Qd, ticking, int(0), C, f, seen, gain[:count], kinds, E, T, both, Q, gathered)
     _inertial_noise(dt, drv, Cr, Q, m)
-    flat = acc.reshape(acc.size)
-    _from_panels(panels[: panels.size // 2], flat, m)
-    _from_panels(panels[panels.size // 2 :], flat[m * m :], m)
+    _from_panels(panels[: panels.size // 2], flat(acc), m)
+    _from_panels(panels[panels.size // 2 :], flat(acc[m:]), m)
 
 
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
