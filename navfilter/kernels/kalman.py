@@ -22,10 +22,8 @@ HIGH, WIDE = 9, 8
 
 
 def _product(A, B, out):
-    """The first k columns of A (r rows) times B (k, n) into out, as many columns as it has: nine rows and eight columns
-    at least.
-    """
-    np.dot(A[:, : len(B)], B[:, : out.shape[1]], out)
+    """A (r, k) B (k, n) into out, as many columns as it has: nine rows and eight columns at least."""
+    np.dot(A, B[:, : out.shape[1]], out)
 
 
 def _weighted(f, A, out):
@@ -111,12 +109,12 @@ def _build_product(builder, data, shapes):
     than such a product. Each sum goes from the first term to the last, multiplied and added in one rounding where the
     processor can.
     """
-    (left, right, out), ((rows, long), (inner, width), (_, n)) = data, shapes
+    (left, right, out), ((rows, inner), (_, width), (_, n)) = data, shapes
     sums = [cgutils.alloca_once(builder, _ROW) for _ in range(HIGH)]
     with _parts(builder, rows, HIGH) as high, _parts(builder, n, WIDE) as wide:
         first, column = _begin(builder, high, rows, HIGH), _begin(builder, wide, n, WIDE)
         places = [builder.add(first, _number(i)) for i in range(HIGH)]
-        mine = [_place(builder, left, i, long, _number(0)) for i in places]
+        mine = [_place(builder, left, i, inner, _number(0)) for i in places]
         for total in sums:
             builder.store(_ZERO, total)
         with cgutils.for_range(builder, inner, intp=_WORD) as step:
@@ -175,11 +173,11 @@ def _navigation(P, acc, T, A, head):
     columns of Phi P then; A (m, 9): work.
     """
     m = acc.shape[1]
-    for i in range(9):  # first: what is stored number by number cannot be loaded in rows for a while
-        for j in range(m):
-            A[j, i] = acc[i, j]
     _product(acc[:9], P[:m], T)
-    _product(T, A, head)
+    for i in range(9):
+        for j in range(m):
+            A[j, i] = T[i, j]
+    _product(acc[:9], A, head)
 
 
 @apart

@@ -52,9 +52,8 @@ MORE_RECENT = 512
 # gap, silence that is in doubt, when something is due, interval of the rows; whether samples are increments; from when
 # on it is learnt from readings, and what a tilt turns into acceleration (see `listen`); after how many samples Python
 # feels whether the vehicle rests (0: never); when the gyros' biases are looked at.
-PERIOD_S, AHEAD_S, FOLD_EVERY, GAP_S, DOUBT_S, UNTIL_S, INTERVAL_S, INCREMENTS, LEARN_S, GRAVITY, FELT, LOOK_S = range(
-    12
-)
+PERIOD_S, AHEAD_S, FOLD_EVERY, GAP_S, DOUBT_S, UNTIL_S, INTERVAL_S, INCREMENTS, LEARN_S, GRAVITY, FELT = range(11)
+LOOK_S = 11
 # Columns of `heard`, a row a channel: last reading, last tick, period, whether readings before have been refused, ticks
 # of the last reading, how long readings wait.
 LAST_S, TICKED_S, CHANNEL_PERIOD_S, DOUBTED, TICKS, WAIT_S = range(6)
