@@ -27,7 +27,7 @@ __all__ = ["Passage", "Readings"]
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
-Output = tuple[Array, Array, Array, Ints]
+Output = tuple[Array, Array, Array, Ints, Array]
 Hearing = tuple[Array, Array, Ints, Array]
 #: So many readings and samples are laid out at a time: 4 MB.
 READINGS, SAMPLES = 4096, 1 << 16
@@ -37,6 +37,8 @@ SHOWN = 512
 GOES_ON = kernels.FULL, kernels.DONE, kernels.HEED, kernels.LEARN, kernels.LOOK
 #: So many rows and records are written before the tape hears of them.
 ROWS = 4096
+#: Where each sample has a row, so many are taken at a time: what they leave, 4 kB each, is to stay in the second cache.
+TRACED = 16
 
 
 @dataclass(frozen=True)
@@ -374,16 +376,18 @@ class Passage:
         interval_s = math.inf if tape is None else tape.interval_s
         steps, gravity = filter.memory.drv[strapdown.INCREMENTS], filter.vehicle.drive.gravity
         spans = filter.period_s, filter.ahead_s, filter.fold_every, gap_s, doubt_s, learning.early_s, interval_s
-        due = filter.feels_after, tape is not None and tape.each_sample, shifts.due_s(filter)
+        due = filter.feels_after, shifts.due_s(filter)
         return np.array([*spans, steps, learning.learning_s, gravity, *due])
 
     def _output(self, cursor: Ints) -> Output:
-        """Where rows go, when they hold, records and what each is; the last row may be the first of them."""
+        """Where rows go, the last one perhaps again; when they hold; records, what each is; a trace of samples."""
         filter, tape = self.nav.filter, self.nav.filter.tape
         rows, records = np.empty((2, 80 + 2 * filter.layout.size)), np.empty(0)  # without a tape one row is written
         if tape is not None:
             rows, records, cursor[kernels.ROWS] = tape.output(int(filter.plan[-1, kernels.RECORD]), self._info)
-        return rows[:ROWS], self._info, records, self._heads
+        each, m = tape is not None and tape.each_sample, filter.memory.acc.shape[1]
+        trace = np.empty((TRACED if each else 0, 8 + m + 2 * m * m + strapdown.WIDE))
+        return rows[:ROWS], self._info, records, self._heads, trace
 
     def _written(
         self, now: Array, cursor: Ints, heard: Array, watched: Array, first: tuple[int, int], why: int, out: Output
@@ -413,7 +417,7 @@ class Passage:
                 notes = self._notes[used.start + mine, : 3 + 2 * channel.axes]
                 tape.columns[channel.name].extend(times[mine] - channel.lead_s, notes)
         if tape is not None:
-            tape.extend(out, *cursor[[kernels.ROWS, kernels.RECORDS]].tolist())
+            tape.extend(out[:4], *cursor[[kernels.ROWS, kernels.RECORDS]].tolist())
         kept, taken = self.nav.learning.beginning, range(self._begin + used.start, self.at)
         if kept is not None and taken:  # none is frozen: the kernel leaves those to Python
             ends = np.maximum(self._ends[taken.start : taken.stop], self._kept)

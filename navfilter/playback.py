@@ -147,6 +147,7 @@ def _replayed(
     if tape.smoothable:
         tape.columns.clear()  # they stand in the track now: of a day 70 MB
         track = replace(smoothed_track(track, nav, began, progress), epoch_utc_s=mission.epoch_utc_s)
+    tape.begin(nav.filter.layout)  # its memory is there for the next run
     return track, nav
 
 

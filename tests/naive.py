@@ -385,6 +385,20 @@ def imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
         _inertial_step(nav, xd, inc, dt, drv, Phid, Qd, Cr, acc, _ticks(sample[0], drv[36]))
 
 
+def _traced(steps):
+    def traced(nav, xd, drv, samples, Phid, Qd, Cr, acc, trace):
+        for n in range(len(samples)):
+            steps(nav, xd, drv, samples[n : n + 1], Phid, Qd, Cr, acc)
+            if len(trace):
+                left = np.concatenate([nav, xd, acc[: 2 * acc.shape[1]].ravel()])
+                trace[n, : len(left)] = left
+
+    return traced
+
+
+imu_traced = _traced(imu_steps)
+
+
 def imu_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc):
     inc = drv[0:6] * (dt / drv[36] if drv[37] else dt)
     drv[6:12] += inc
@@ -406,6 +420,9 @@ def _move(nav, d):
 def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
     for sample in samples:
         _dead_reckoning_step(nav, xd, drv, sample, Phid, Qd, Cr, acc)
+
+
+dead_reckoning_traced = _traced(dead_reckoning_steps)
 
 
 def _dead_reckoning_step(nav, xd, drv, sample, Phid, Qd, Cr, acc):
@@ -1662,9 +1679,9 @@ def stretch(
     """
     (nav, x, P, acc), (drv, Phid, Qd, Cr, before, w, sd, ends), m = state, drive, state[3].shape[1]
     known = max(0, len(before) - 512)
-    period, ahead, every, gap, doubt, until, interval, increments, learn, g, felt, each, _ = settings
+    period, ahead, every, gap, doubt, until, interval, increments, learn, g, felt, _ = settings
     undone, ears, where, opened = hearing
-    rows, info, records, heads = out
+    rows, info, records, heads, trace = out
 
     def record(values, *head):
         if records.size:
@@ -1718,7 +1735,7 @@ def stretch(
                 return 4
             if len(w):
                 look(samples[k : k + 1], w, sd, ends, period, increments)
-            at(plan[-1, 7])(nav, x[: m - 9], drv, samples[k : k + 1], Phid, Qd, Cr, acc)
+            at(plan[-1, 7])(nav, x[: m - 9], drv, samples[k : k + 1], Phid, Qd, Cr, acc, trace[:0])
             if known:
                 if cursor[9] == 0:
                     before[512:], cursor[9] = before[:known].copy(), 512
@@ -1734,7 +1751,7 @@ def stretch(
                     carry(undone, acc[:m])
                 fold(P, acc, nav, None)
                 row()
-            elif each:
+            elif len(trace):
                 row()
             if felt and drv[23] >= felt:
                 return 5
@@ -1770,11 +1787,11 @@ def stretch(
         if undone.size and listened(e, i, spot, note, count, t):
             cursor[0] = e + 1
             return 6
-        if t >= settings[12]:
+        if t >= settings[11]:
             if look_at_biases(bench, plan, heard, nav, x, P, w, now[0], *looking):
                 cursor[0] = e + 1
                 return 7
-            settings[12] = 10.0 * (np.floor(looking[2][0] / 10.0) + 1.0)
+            settings[11] = 10.0 * (np.floor(looking[2][0] / 10.0) + 1.0)
     cursor[0] = len(given[0])
     return 0
 

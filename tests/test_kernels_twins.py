@@ -270,6 +270,30 @@ def test_dead_reckoning_kernels(settings):
         nav, xd, drv, acc = ours[0], ours[1], ours[2], ours[7]
 
 
+@pytest.mark.parametrize("steps", [strapdown.imu_steps, strapdown.dead_reckoning_steps], ids=["imu", "reckoning"])
+def test_a_trace_is_what_each_sample_leaves(steps):
+    """To the last bit what the samples leave one by one; and that of the twin."""
+    rng, k = np.random.default_rng(4), 6
+    drv, xd, Phid, Qd, Cr, acc = random_drive(rng, k, PERIOD_S=0.25)
+    nav, samples, m = random_nav(rng), imu_samples(rng, 5), 9 + k
+    trace = np.empty((5, 8 + m + 2 * m * m + strapdown.WIDE))
+    kernel = {strapdown.imu_steps: strapdown.imu_traced}.get(steps, strapdown.dead_reckoning_traced)
+    args = nav, xd, drv, samples, Phid, Qd, Cr, acc
+    ours, twins = run_both(kernel, *args, trace)
+    assert_close(drive_result(ours[:8]), drive_result(twins[:8]))
+    left = slice(0, -strapdown.WIDE)
+    for one, other in zip(ours[8], twins[8], strict=True):
+        assert_close([one[left]], [other[left]])
+    single = [a.copy() for a in args]
+    for n in range(len(samples)):
+        steps(*single[:3], samples[n : n + 1].copy(), *single[4:])
+        np.testing.assert_array_equal(ours[8][n][left], np.concatenate([*single[:2], single[7][: 2 * m].ravel()]))
+    plain = [a.copy() for a in args]
+    kernel(*plain, trace[:0])
+    for at in (0, 1, 2):
+        np.testing.assert_array_equal(plain[at], ours[at])
+
+
 def test_radii_and_gravity():
     for lat in np.linspace(-1.5, 1.5, 7):
         np.testing.assert_allclose(strapdown.radii(lat), naive.radii(lat), rtol=1e-14)

@@ -62,3 +62,32 @@ def test_a_spool_holds_what_a_list_would(monkeypatch):
             np.testing.assert_array_equal(flat[begin : begin + len(vector)], vector)
         last -= len(begins)
     assert last == first
+
+
+def test_memory_is_used_again_but_not_while_somebody_looks_at_it(monkeypatch):
+    """A spool leaves its blocks to the next one; those that are still seen stay as they are."""
+    monkeypatch.setattr("navfilter.filter.spool._idle", [])
+    first, second = Spool(1 << 30), Spool(1 << 30)
+    first.new(3)[:] = 1.0
+    second.new(3)[:] = 2.0
+    address, view = first[0].ctypes.data, second[0]
+    del first, second
+    third, fourth = Spool(1 << 30), Spool(1 << 30)
+    third.new(3)[:] = 3.0
+    fourth.new(3)[:] = 4.0
+    assert third[0].ctypes.data == address and np.all(view == 2.0)
+    assert np.all(third[0] == 3.0) and np.all(fourth[0] == 4.0)
+
+
+def test_a_spool_that_goes_to_its_file_leaves_nothing_behind(monkeypatch):
+    """Early, because the tape is that of a long run, or with more than is to be in memory: its blocks are given up."""
+    monkeypatch.setattr("navfilter.filter.spool._idle", idle := [])
+    for early in (True, False):
+        spool = Spool((1 << 30) if early else 5 * 8 * Spool.CHUNK)
+        vectors = 40 if early else 70
+        for k in range(vectors):
+            spool.new(Spool.CHUNK // 10)[:] = k
+            if early and k == 35:
+                spool.to_file()
+        assert spool.in_file and not idle and sum(chunk is not None for chunk in spool._chunks) <= 2
+        assert all(np.all(spool[k] == k) for k in range(vectors))

@@ -46,7 +46,7 @@ def test_velocity_turns_with_the_attitude_by_what_it_has_become():
     assert_close([ours[0], ours[3]], [twins[0], twins[3]], 1e-13)
     # errors that are all of the attitude stay so: psi x v, whatever v becomes
     nav, v, psi = random_nav(rng), np.array([1.5, -0.3, 0.1]), spd(rng, 3)
-    nav[3:6] = v + [0.02, -0.01, 0.03]
+    nav[3:6] = v + np.array([0.02, -0.01, 0.03])
     turned = [np.vstack([np.cross(axis, u) for axis in np.eye(3)]).T for u in (v, nav[3:6])]
     before, after = (np.block([[X @ psi @ X.T, X @ psi], [psi @ X.T, psi]]) for X in turned)
     P = np.zeros((9, 9))

@@ -22,6 +22,11 @@ __all__ = ["asked", "shared"]
 Array = NDArray[np.float64]
 #: Limits of a gate that lets nothing in; so many components has no reading.
 SHUT = np.r_[np.inf, np.full(64, -1.0)]
+#: Steps of the drives that are known, as the kernel takes them.
+TRACED = {
+    strapdown.imu_steps: strapdown.imu_traced,
+    strapdown.dead_reckoning_steps: strapdown.dead_reckoning_traced,
+}
 
 
 def shared(
@@ -53,8 +58,8 @@ def shared(
     last[: len(folds)], last[stretch.MEM] = folds, begins[-1]
     last[stretch.RECORD] = max([m * m, *(channel.record_size for channel in channels)])
     rows = [channel.settle(bench, int(begin)) for channel, begin in zip(channels, begins, strict=False)]
-    if drive.steps in (strapdown.imu_steps, strapdown.dead_reckoning_steps):
-        last[stretch.STEPS] = address(drive.steps, addresses.STEPS)
+    if drive.steps in TRACED:
+        last[stretch.STEPS] = address(TRACED[drive.steps], addresses.STEPS)
         last[stretch.HOLD] = address(drive.hold, addresses.HOLD)
         last[stretch.CORRECTION] = address(stretch.correction, addresses.CORRECTION)
         for row in rows:

@@ -136,7 +136,8 @@ class Tape:
         Keep the records that `navfilter.filter.smoother.smooth_rows` needs; without them only the track and the
         residuals remain.
     memory_bytes : int
-        In memory at most, of records and of rows each; the rest is spooled to a temporary file.
+        In memory at most, of records and of rows each: an hour at 100 Hz has 95 MB of records. What becomes longer goes
+        to a temporary file, and its rows with its records.
 
     Attributes
     ----------
@@ -145,7 +146,7 @@ class Tape:
     """
 
     def __init__(
-        self, output_rate_hz: float | None = None, smoothable: bool = True, memory_bytes: int = 8 << 20
+        self, output_rate_hz: float | None = None, smoothable: bool = True, memory_bytes: int = 128 << 20
     ) -> None:
         self.interval_s = 0.0 if output_rate_hz is None else 1.0 / output_rate_hz - 1e-9
         self.smoothable, self._memory_bytes, self._expected = smoothable, memory_bytes, 0
@@ -246,6 +247,8 @@ class Tape:
         how many of the rows stand there: the last one, if it may be written again. Of that `info` says when it holds.
         """
         size, records = self._row_size(self.layouts[-1].size), np.empty(0)
+        if self.records.in_file and not self.rows.in_file:
+            self.rows.to_file()  # it is a long run, which needs its memory for other things
         flat, held = self.rows.tail(size, last=True)
         if held:
             info[0] = self.row_times[-1], self.row_records[-1] - len(self.records)

@@ -36,9 +36,9 @@ _PLACES = types.Array(types.int64, 1, "C")
 EQUATION = (_ROW, _ROW, _ROW, _ROW, _ROW, _TABLE, _ROW)
 #: z, near, P, first, cfg, R, see there.
 BEND = (_ROW, _TABLE, _TABLE, types.int64, _ROW, _TABLE)
-#: nav, xd, drv, samples, Phid, Qd, Cr, acc, see `navfilter.kernels.strapdown`.
-STEPS = (_ROW, _ROW, _ROW, _TABLE, _TABLE, _TABLE, _TABLE, _TABLE)
-#: The same, with seconds in the place of samples.
+#: nav, xd, drv, samples, Phid, Qd, Cr, acc, trace, see `navfilter.kernels.strapdown`.
+STEPS = (_ROW, _ROW, _ROW, *(_TABLE,) * 6)
+#: The same, with seconds in the place of samples, and without a trace.
 HOLD = (_ROW, _ROW, _ROW, types.float64, _TABLE, _TABLE, _TABLE, _TABLE)
 #: recent, nav, drv, errors, rows, gravity, see `navfilter.kernels.past`.
 MOTION = (_TABLE, _ROW, _ROW, _ROW, _TABLE, _ROW)
@@ -64,7 +64,7 @@ STRETCH = (
     types.Tuple((_ROW, _TABLE, _MATRIX_OF_PLACES, _TABLE)),
     types.Tuple((_TABLE, _TABLE, _ROW)),
     types.Tuple((_ROW, _PLACES, _PLACES, _READINGS, _READINGS, _TABLE, _TABLE, _TABLE)),
-    types.Tuple((_TABLE, _TABLE, _ROW, _MATRIX_OF_PLACES)),
+    types.Tuple((_TABLE, _TABLE, _ROW, _MATRIX_OF_PLACES, _TABLE)),
 )
 #: The same for `navfilter.kernels.stretch.prompt`.
 PROMPT = (

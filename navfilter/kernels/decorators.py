@@ -10,7 +10,7 @@ import functools
 import hashlib
 import importlib
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import llvmlite.binding as llvm
@@ -24,7 +24,7 @@ from numba.core.typing.templates import AbstractTemplate, infer_global, signatur
 from numba.extending import lower_builtin
 from numba.np.arrayobj import make_array, populate_array
 
-__all__ = ["apart", "njit", "shaped"]
+__all__ = ["apart", "flat", "njit", "shaped"]
 
 #: Passes of numba that look for what no kernel has: closures, expressions of whole arrays, literals to unroll.
 _IDLE = {
@@ -92,21 +92,44 @@ def shaped(flat: Any, rows: int, columns: int) -> Any:
     return flat.reshape(rows, columns)
 
 
+def flat(matrix: Any) -> Any:
+    """The elements of a matrix, row by row, as one row: a view like that of `shaped`."""
+    return matrix.reshape(matrix.size)
+
+
 @infer_global(shaped)
 class _Shaped(AbstractTemplate):
     def generic(self, args: Any, kws: Any) -> Any:
         return signature(types.Array(args[0].dtype, 2, "C"), *args)
 
 
+@infer_global(flat)
+class _Flat(AbstractTemplate):
+    def generic(self, args: Any, kws: Any) -> Any:
+        return signature(types.Array(args[0].dtype, 1, "C"), *args)
+
+
+def _view(context: Any, builder: Any, sig: Any, of: Any, lengths: Sequence[Any]) -> Any:
+    """An array of these lengths, row by row, where another one begins."""
+    view, strides = make_array(sig.return_type)(context, builder), [of.itemsize]
+    for length in reversed(lengths[1:]):
+        strides.insert(0, builder.mul(length, strides[0]))
+    shape, strides = (cgutils.pack_array(builder, values) for values in (lengths, strides))
+    populate_array(view, data=of.data, shape=shape, strides=strides, itemsize=of.itemsize, meminfo=None)
+    return view._getvalue()
+
+
 @lower_builtin(shaped, types.Array, types.Integer, types.Integer)
 def _build_shaped(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-    flat = make_array(sig.args[0])(context, builder, value=args[0])
-    rows, columns = (context.cast(builder, *of, types.intp) for of in zip(args[1:], sig.args[1:], strict=True))
-    view, size = make_array(sig.return_type)(context, builder), flat.itemsize
-    strides = cgutils.pack_array(builder, [builder.mul(columns, size), size])
-    shape = cgutils.pack_array(builder, [rows, columns])
-    populate_array(view, data=flat.data, shape=shape, strides=strides, itemsize=size, meminfo=None)
-    return view._getvalue()
+    of = make_array(sig.args[0])(context, builder, value=args[0])
+    lengths = [context.cast(builder, *of, types.intp) for of in zip(args[1:], sig.args[1:], strict=True)]
+    return _view(context, builder, sig, of, lengths)
+
+
+@lower_builtin(flat, types.Array)
+def _build_flat(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+    of = make_array(sig.args[0])(context, builder, value=args[0])
+    return _view(context, builder, sig, of, [builder.mul(*cgutils.unpack_tuple(builder, of.shape))])
 
 
 class _Lean(CompilerBase):

@@ -12,7 +12,7 @@ from numba.core import cgutils
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import lower_builtin
 
-from navfilter.kernels.decorators import apart, njit, shaped
+from navfilter.kernels.decorators import apart, flat, njit, shaped
 
 #: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
 UNCOUNTED: dict = {"_nrt": False}
@@ -29,6 +29,11 @@ def _product(A, B, out):
 def _weighted(f, A, out):
     """The sum of f (k,) times the first k rows of A into out, as many columns as it has: eight at least."""
     np.copyto(out, f @ A[: len(f), : len(out)])
+
+
+def _less_twice(P, u, w):
+    """P <- P - u w' - w u': symmetric to the bit where P was."""
+    P -= np.outer(u, w) + np.outer(w, u)
 
 
 _ir = cgutils.ir
@@ -92,6 +97,12 @@ def _times_eight(builder, number):
     return builder.shuffle_vector(builder.insert_element(nothing, number, _ir.Constant(_INDEX, 0)), nothing, same)
 
 
+def _eight_numbers(builder, number):
+    nothing = _ir.Constant(_ir.VectorType(_WORD, WIDE), _ir.Undefined)
+    first = builder.insert_element(nothing, number, _ir.Constant(_INDEX, 0))
+    return builder.shuffle_vector(first, nothing, _ir.Constant(_ir.VectorType(_INDEX, WIDE), [0] * WIDE))
+
+
 @_compiled(_product, 3)
 def _build_product(builder, data, shapes):
     """Nine rows and eight columns at a time, their sums in registers: a library of linear algebra takes longer to begin
@@ -118,19 +129,41 @@ def _build_product(builder, data, shapes):
 
 @_compiled(_weighted, 3)
 def _build_weighted(builder, data, shapes):
-    """Eight columns at a time; rows whose factor is zero are left out."""
+    """Twice eight columns at a time; rows whose factor is zero are left out."""
     (f, A, out), ((k,), (_, width), (n,)) = data, shapes
-    total = cgutils.alloca_once(builder, _ROW)
-    with _parts(builder, n, WIDE) as wide:
-        column = _begin(builder, wide, n, WIDE)
-        builder.store(_ZERO, total)
+    totals = [cgutils.alloca_once(builder, _ROW) for _ in range(2)]
+    with _parts(builder, n, 2 * WIDE) as wide:
+        first, last = builder.mul(wide.index, _number(2 * WIDE)), builder.sub(n, _number(WIDE))
+        columns = [builder.add(first, _number(apart)) for apart in (0, WIDE)]
+        columns = [builder.select(builder.icmp_signed("<", at, last), at, last) for at in columns]
+        for total in totals:
+            builder.store(_ZERO, total)
         with cgutils.for_range(builder, k, intp=_WORD) as step:
             factor = builder.load(builder.gep(f, [step.index]))
             with builder.if_then(builder.fcmp_unordered("!=", factor, _ir.Constant(factor.type, 0.0))):
-                terms = _eight(builder, _place(builder, A, step.index, width, column))
-                term = builder.fmul(_times_eight(builder, factor), terms)
-                builder.store(builder.fadd(builder.load(total), term), total)
-        _put(builder, builder.load(total), builder.gep(out, [column]))
+                factors = _times_eight(builder, factor)
+                for total, column in zip(totals, columns, strict=True):
+                    term = builder.fmul(factors, _eight(builder, _place(builder, A, step.index, width, column)))
+                    builder.store(builder.fadd(builder.load(total), term), total)
+        for total, column in zip(totals, columns, strict=True):
+            _put(builder, builder.load(total), builder.gep(out, [column]))
+
+
+@_compiled(_less_twice, 3)
+def _build_less_twice(builder, data, shapes):
+    """Eight columns at a time; of the last ones, which overlap those before, what is done already stays."""
+    (P, u, w), ((n, _), _, _) = data, shapes
+    with _parts(builder, n, WIDE) as wide:
+        column = _begin(builder, wide, n, WIDE)
+        others = [_eight(builder, builder.gep(of, [column])) for of in (w, u)]
+        done = _eight_numbers(builder, builder.sub(builder.mul(wide.index, _number(WIDE)), column))
+        new = builder.icmp_signed("<=", done, _ir.Constant(done.type, list(range(WIDE))))
+        with cgutils.for_range(builder, n, intp=_WORD) as row:
+            place = _place(builder, P, row.index, n, column)
+            before = _eight(builder, place)
+            mine = [_times_eight(builder, builder.load(builder.gep(of, [row.index]))) for of in (u, w)]
+            terms = [builder.fmul(factor, other) for factor, other in zip(mine, others, strict=True)]
+            _put(builder, builder.select(new, builder.fsub(before, builder.fadd(*terms)), before), place)
 
 
 @apart
@@ -265,7 +298,7 @@ def fold(P, acc, nav, T):
     """
     m, n = acc.shape[1], P.shape[0]
     # the drive's work areas in acc are free between its steps
-    work = acc[2 * m :].reshape(2 * m * m)
+    work = flat(acc[2 * m :])
     A, head, begins, ends = shaped(work[: 9 * m], m, 9), shaped(work[9 * m :][:81], 9, 9), work[-2 * m :], work[-m:]
     _navigation(P, acc, T[:9], A, head)
     for i in range(9, m):
@@ -290,9 +323,9 @@ def fold(P, acc, nav, T):
             for j in range(m, n):
                 P[i, j] = T[i, j]
                 P[j, i] = T[i, j]
-    for i in range(2 * m):
-        for j in range(m):
-            acc[i, j] = 0.0
+    whole = flat(acc)
+    for i in range(2 * m * m):
+        whole[i] = 0.0
     for i in range(m):
         acc[i, i] = 1.0
     _orthonormal(nav, T[0])
@@ -490,17 +523,6 @@ def innovation(P, H, res, R, S, PH, out):
     out[0], out[1] = nis, used
 
 
-@njit(cache=True, **UNCOUNTED)
-def _less_twice(P, u, w):
-    """P <- P - u w' - w u': symmetric to the bit where P was."""
-    n = P.shape[0]
-    for i in range(n):
-        f, g = u[i], w[i]
-        if f != 0.0 or g != 0.0:
-            for j in range(n):
-                P[i, j] -= f * w[j] + g * u[j]
-
-
 @apart
 @njit(cache=True, **UNCOUNTED)
 def correct(P, nav, x, res, S, PH, K, turn, T):
@@ -625,10 +647,9 @@ def predict(P, nav, x, acc, model, mem, dims, count):
     b), Phi and Q. Where several sensors read at once, there is nothing to fold for the later ones.
     """
     n, m, b, start = dims[1], dims[2], dims[3], dims[4]
-    work = places(dims)[9]
-    for i in range(m):
-        for j in range(m):
-            mem[i * m + j] = acc[i, j]
+    work, Phi = places(dims)[9], flat(acc)
+    for i in range(m * m):
+        mem[i] = Phi[i]
     if unmoved(acc[: 2 * m]):
         _orthonormal(nav, mem[work : work + 9])
     else:
@@ -795,8 +816,9 @@ def smooth_record(L, lam, record, a, m, b, start, T):
     record before is -P lam with covariance P - P L P.
 
     record: Phi (m x m; m = 0 where nothing moved), tick Phi (b x b), then if a > 0: H (a x n), K (n x a), inverse S
-    (a x a), res (a), the turn of the heading and the change of velocity that turns with it (3), each row by row. `start` is the ticked block's place, b its size (0: none). L (n, n) and
-    lam (n,) change; T work, n columns and three times as many rows, at least 3a.
+    (a x a), res (a), the turn of the heading and the change of velocity that turns with it (3), each row by row.
+    `start` is the ticked block's place, b its size (0: none). L (n, n) and lam (n,) change; T work, n columns and three
+    times as many rows, at least 3a.
     """
     n = len(lam)
     at = m * m + b * b
@@ -859,7 +881,7 @@ def smooth_record(L, lam, record, a, m, b, start, T):
     if b > 0:
         _transition_transposed(L, lam, shaped(record[m * m : m * m + b * b], b, b), start, b, T)
     if m > 0:
-        _head_transposed(L, lam, shaped(record[: m * m], m, m), T.reshape(T.size))
+        _head_transposed(L, lam, shaped(record[: m * m], m, m), flat(T))
         return
     _same(L, int(6))
 

@@ -21,7 +21,7 @@ from numba.core import cgutils
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import lower_builtin
 
-from navfilter.kernels.decorators import apart, njit
+from navfilter.kernels.decorators import apart, flat, njit
 
 #: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
 UNCOUNTED: dict = {"_nrt": False}
@@ -675,34 +675,62 @@ def _is_diagonal(A):
     return True
 
 
+def _copy_row(A, i, B, j, known):
+    """Elements j to j + 8 of B to where those from i on stand in A: the first `known`, and zeros for the others."""
+    np.copyto(A[i : i + WIDE], np.where(np.arange(WIDE) < known, B[j : j + WIDE], 0.0))
+
+
+@infer_global(_copy_row)
+class _OfCopyRow(AbstractTemplate):
+    def generic(self, arguments, keywords):
+        return signature(types.void, *arguments)
+
+
+@lower_builtin(_copy_row, types.Array, types.Integer, types.Array, types.Integer, types.Integer)
+def _build_copy_row(context, builder, kinds, arguments):
+    """In one register: a panel is loaded in such rows, which have to wait for what was stored in other pieces."""
+    index, row = cgutils.ir.IntType(64), cgutils.ir.VectorType(cgutils.ir.DoubleType(), WIDE)
+    A, i, B, j, known = arguments
+    to, of = (
+        builder.bitcast(
+            builder.gep(context.make_array(kind)(context, builder, value=array).data, [begin]), row.as_pointer()
+        )
+        for kind, array, begin in ((kinds.args[0], A, i), (kinds.args[2], B, j))
+    )
+    value = builder.load(of)
+    value.align = 8
+    counts = cgutils.ir.VectorType(index, WIDE)
+    first = builder.insert_element(
+        cgutils.ir.Constant(counts, cgutils.ir.Undefined), known, cgutils.ir.Constant(index, 0)
+    )
+    same = cgutils.ir.Constant(cgutils.ir.VectorType(cgutils.ir.IntType(32), WIDE), [0] * WIDE)
+    places = cgutils.ir.Constant(counts, list(range(WIDE)))
+    kept = builder.icmp_signed("<", places, builder.shuffle_vector(first, first, same))
+    builder.store(builder.select(kept, value, cgutils.ir.Constant(row, [0.0] * WIDE)), to, align=8)
+    return context.get_dummy_value()
+
+
 @apart
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _to_panels(M, X, m):
-    """Fill panels X from the rows of a matrix of m columns at the beginning of M, which is longer. Copies of a fixed
-    length are much quicker: what they take too much is 0 in the last panel.
-    """
-    size = _high(m) * WIDE
-    for begin in range(0, X.size, size):
-        known = min(WIDE, m - begin // _high(m))
+    """Fill panels X from the rows of a matrix of m columns at the beginning of M, which is longer."""
+    high = _high(m)
+    for column in range(0, m, WIDE):
+        begin, known = column * high, min(WIDE, m - column)
         for i in range(m):
-            A, B = X[begin + i * WIDE :], M[i * m + begin // _high(m) :]
-            for j in range(WIDE):
-                A[j] = B[j]
-            for j in range(known, WIDE):
-                A[j] = 0.0
-        for i in range(m * WIDE, size):
-            X[begin + i] = 0.0
+            _copy_row(X, begin + i * WIDE, M, i * m + column, known)
+        for i in range(m, high):
+            _copy_row(X, begin + i * WIDE, M, int(0), int(0))
 
 
 @apart
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _from_panels(X, M, m):
     """The way back. What it writes too much is overwritten by the next row; behind the last row M is work space."""
+    high, whole = _high(m), int(WIDE)
     for i in range(m):
-        for begin in range(0, X.size, _high(m) * WIDE):
-            A, B = X[begin + i * WIDE :], M[i * m + begin // _high(m) :]
-            for j in range(WIDE):
-                B[j] = A[j]
+        for column in range(0, m, WIDE):
+            _copy_row(M, i * m + column, X, column * high + i * WIDE, whole)
 
 
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
@@ -781,8 +809,17 @@ def imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
     Increments already used by `imu_hold` since the previous sample are taken off, so that holds change when the state
     is known, not what it becomes. Savage (1998), parts 1 and 2; Groves (2013), ch. 5.
     """
-    k = len(xd)
-    _imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc, np.empty(_room(9 + k)), np.empty((2, 6 * k), np.int64))
+    floats, seen = np.empty(_room(9 + len(xd))), np.empty((2, 6 * len(xd)), np.int64)
+    _imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc, floats, seen, samples[:0])
+
+
+@njit(cache=True, error_model="numpy")
+def imu_traced(nav, xd, drv, samples, Phid, Qd, Cr, acc, trace):
+    """`imu_steps` that leaves in the rows of `trace`, if it has any, what each sample leaves: nav, xd, Phi and Q, and
+    WIDE elements of work space.
+    """
+    floats, seen = np.empty(_room(9 + len(xd))), np.empty((2, 6 * len(xd)), np.int64)
+    _imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc, floats, seen, trace)
 
 
 @njit(cache=True, error_model="numpy", inline="always", **UNCOUNTED)
@@ -790,12 +827,12 @@ def _begin(Phid, Qd, Cr, drv, acc, panels, seen, gain):
     """Lay out what is compounded; how many errors there are and of which kinds, how many elements the panels that
     change have, how blocks tick, and whether there is any noise yet.
     """
-    m, flat = acc.shape[1], acc.reshape(acc.size)
+    m, rows = acc.shape[1], flat(acc)
     constants = _constants(Phid, Qd, drv)
     count, kinds = _which_errors(Cr, drv, constants, seen, gain)
     size = _high(m) * _high(m)
-    _to_panels(flat, panels[:size], m)
-    _to_panels(flat[m * m :], panels[size:], m)
+    _to_panels(rows, panels[:size], m)
+    _to_panels(rows[m * m :], panels[size:], m)
     gathered = 0  # a variance of 0 has covariances of 0
     for i in range(m):
         gathered += acc[m + i, i] != 0.0
@@ -807,9 +844,26 @@ def _begin(Phid, Qd, Cr, drv, acc, panels, seen, gain):
     return count, kinds, changes, (diagonal, diagonal and ones == m - 9), gathered > 0
 
 
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
+def _trace(nav, xd, row):
+    for i in range(17):
+        row[i] = nav[i]
+    for i in range(len(xd)):
+        row[17 + i] = xd[i]
+
+
 @apart
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
-def _imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc, floats, seen):
+def _trace_panels(nav, xd, panels, trace, n):
+    row, m, size = trace[n], 9 + len(xd), panels.size // 2
+    _trace(nav, xd, row)
+    _from_panels(panels[:size], row[8 + m :], m)
+    _from_panels(panels[size:], row[8 + m + m * m :], m)
+
+
+@apart
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
+def _imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc, floats, seen, trace):
     m = 9 + len(xd)
     panels, E, T, inc, f, gain = _workspace(floats, m)
     count, kinds, changes, ticking, gathered = _begin(Phid, Qd, Cr, drv, acc, panels, seen, gain)
@@ -829,9 +883,11 @@ def _imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc, floats, seen):
         _inertial_compound(xd, Phid, Qd, ticking, ticks, C, f, seen, gain[:count], kinds, E, T, both, Q, gathered)
         _inertial_noise(dt, drv, Cr, Q, m)
         gathered = True
-    flat = acc.reshape(acc.size)
-    _from_panels(panels[: panels.size // 2], flat, m)
-    _from_panels(panels[panels.size // 2 :], flat[m * m :], m)
+        # all samples or none; of a condition that stays the same the compiler made two loops, a tenth slower
+        if n < trace.shape[0]:
+            _trace_panels(nav, xd, panels, trace, n)
+    _from_panels(panels[: panels.size // 2], flat(acc), m)
+    _from_panels(panels[panels.size // 2 :], flat(acc[m:]), m)
 
 
 @njit(cache=True, error_model="numpy")
@@ -858,9 +914,8 @@ def _imu_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc, floats, seen):
     _inertial_advance(nav, xd, inc, dt, drv, seen, gain, kinds[0], f)
     _inertial_compound(xd, Phid, Qd, ticking, int(0), C, f, seen, gain[:count], kinds, E, T, both, Q, gathered)
     _inertial_noise(dt, drv, Cr, Q, m)
-    flat = acc.reshape(acc.size)
-    _from_panels(panels[: panels.size // 2], flat, m)
-    _from_panels(panels[panels.size // 2 :], flat[m * m :], m)
+    _from_panels(panels[: panels.size // 2], flat(acc), m)
+    _from_panels(panels[panels.size // 2 :], flat(acc[m:]), m)
 
 
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
@@ -994,6 +1049,7 @@ def _keep_attitude(F, l1, u0, u1, u2, half, per):
         F[6 + j, 6 + j] += 1.0
 
 
+@apart
 @njit(cache=True, error_model="numpy")
 def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
     """Attitude and body velocity carried forward: no inertial unit (Groves, 2013, sec. 6.2; the classical AUV filter).
@@ -1254,6 +1310,20 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
             Q[7, 7] += BLIND_TILT**2 * span
             Q[8, 8] += GAP_TURN**2 * span
         drv[STARTED] = 1.0
+
+
+@njit(cache=True, error_model="numpy")
+def dead_reckoning_traced(nav, xd, drv, samples, Phid, Qd, Cr, acc, trace):
+    """`dead_reckoning_steps` that leaves what each sample leaves, as `imu_traced` does."""
+    if trace.shape[0] == 0:
+        dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc)
+    m = acc.shape[1]
+    for n in range(trace.shape[0]):
+        dead_reckoning_steps(nav, xd, drv, samples[n : n + 1], Phid, Qd, Cr, acc)
+        _trace(nav, xd, trace[n])
+        for i in range(2 * m):
+            for j in range(m):
+                trace[n, 8 + m + i * m + j] = acc[i, j]
 
 
 @njit(cache=True, error_model="numpy", **UNCOUNTED)

@@ -51,9 +51,9 @@ MORE_RECENT = 512
 # Elements of `settings`: period of the drive, how far ahead a reading may be, samples between folds, silence that is a
 # gap, silence that is in doubt, when something is due, interval of the rows; whether samples are increments; from when
 # on it is learnt from readings, and what a tilt turns into acceleration (see `listen`); after how many samples Python
-# feels whether the vehicle rests (0: never); whether every sample gets a row; when the gyros' biases are looked at.
-PERIOD_S, AHEAD_S, FOLD_EVERY, GAP_S, DOUBT_S, UNTIL_S, INTERVAL_S, INCREMENTS, LEARN_S, GRAVITY, FELT, EACH = range(12)
-LOOK_S = 12
+# feels whether the vehicle rests (0: never); when the gyros' biases are looked at.
+PERIOD_S, AHEAD_S, FOLD_EVERY, GAP_S, DOUBT_S, UNTIL_S, INTERVAL_S, INCREMENTS, LEARN_S, GRAVITY, FELT = range(11)
+LOOK_S = 11
 # Columns of `heard`, a row a channel: last reading, last tick, period, whether readings before have been refused, ticks
 # of the last reading, how long readings wait.
 LAST_S, TICKED_S, CHANNEL_PERIOD_S, DOUBTED, TICKS, WAIT_S = range(6)
@@ -187,11 +187,12 @@ def correction(sources):
 def _note_row(sources):
     @apart
     @njit(cache=True, **UNCOUNTED)
-    def _note_row(now, cursor, interval_s, nav, x, P, acc, inertial, own, rows, info, work):
+    def _note_row(now, cursor, interval_s, nav, xd, x, P, acc, inertial, own, rows, info, work):
         """Write the state down as a row: the last note of a time stands, those closer than the interval are skipped.
 
-        rows (r, w): nav, x, then the lower triangle of P or its first nine rows and columns and the rest of its
-        diagonal, as `kalman.present` gives them where samples have not been folded yet. info (r, 2): time, and after
+        xd: the first of x, those of the drive. rows (r, w): nav, x, then the lower triangle of P or its first nine rows
+        and columns and the rest of its diagonal, as `kalman.present` gives them where samples have not been folded yet.
+        info (r, 2): time, and after
         how many records.
         """
         _ = sources
@@ -203,7 +204,9 @@ def _note_row(sources):
         row = rows[at]
         for i in range(17):
             row[i] = nav[i]
-        for i in range(n - 9):
+        for i in range(xd.size):
+            row[17 + i] = xd[i]
+        for i in range(xd.size, n - 9):
             row[17 + i] = x[i]
         if row.size == n + 8 + n * (n + 1) // 2:
             first = n + 8
@@ -330,25 +333,33 @@ def _carried(sources):
         _ = sources
         m, n = acc.shape[1], P.shape[0]
         drv, Phid, Qd, Cr, recent, w, sd, ends = drive
-        rows, info, records, heads = out
+        rows, info, records, heads, trace = out
         every, begin, total = int(settings[FOLD_EVERY]), 0, samples.shape[0]
-        head, felt, each = work[: m * m], int(settings[FELT]), settings[EACH] != 0.0
+        head, felt, each = work[: m * m], int(settings[FELT]), trace.shape[0] > 0
+        xd, interval_s = x[: m - 9], settings[INTERVAL_S]
         inertial = drv[strapdown.INERTIAL] != 0.0
         while begin < total:
             if not _has_room(cursor, m * m, rows, records, heads):
                 return FULL
-            end = begin + 1 if each else min(total, begin + every - cursor[UNFOLDED])
+            end = min(total, begin + every - cursor[UNFOLDED])
+            if each:
+                end = min(end, begin + min(trace.shape[0], rows.shape[0] - cursor[ROWS]))
             if felt > 0:
                 end = min(end, begin + max(1, felt - int(drv[strapdown.COUNT])))
             if w.shape[0] > 0:
                 steps = settings[INCREMENTS] > 0.0
                 end = begin + drive_watch.look(samples[begin:end], w, sd, ends, settings[PERIOD_S], steps)
             block = samples[begin:end]
-            addresses.at_steps(spot[STEPS], (nav, x[: m - 9], drv, block, Phid, Qd, Cr, acc))
+            addresses.at_steps(spot[STEPS], (nav, xd, drv, block, Phid, Qd, Cr, acc, trace[: end - begin]))
             if recent.shape[0] > 0:
                 _remember(block, recent, cursor)
             cursor[UNFOLDED] += end - begin
             cursor[SAMPLE] += end - begin
+            for i in range(begin, end - 1 if each else begin):
+                left, now[TIME_S] = trace[i - begin], stamps[i]
+                Phi_and_Q = shaped(left[8 + m :], 2 * m, m)
+                before = left[:17], left[17 : 8 + m], x, P, Phi_and_Q, inertial, drv[strapdown.OWN]
+                _note_row(*(now, cursor, interval_s, *before, rows, info), work[m * m :])
             now[TIME_S] = now[SAMPLE_S] = now[BEFORE_S] = stamps[end - 1]
             if cursor[UNFOLDED] >= every:
                 if inertial:
@@ -361,35 +372,11 @@ def _carried(sources):
                 if undone.size > 0:
                     listen.carry(undone, shaped(head, m, m))
                 _note_record(head, int(0), spot, cursor, records, heads)
-                _note_row(
-                    now,
-                    cursor,
-                    settings[INTERVAL_S],
-                    nav,
-                    x,
-                    P,
-                    acc,
-                    inertial,
-                    drv[strapdown.OWN],
-                    rows,
-                    info,
-                    work[m * m :],
-                )
+                by = drv[strapdown.OWN]
+                _note_row(now, cursor, interval_s, nav, xd, x, P, acc, inertial, by, rows, info, work[m * m :])
             elif each:
-                _note_row(
-                    now,
-                    cursor,
-                    settings[INTERVAL_S],
-                    nav,
-                    x,
-                    P,
-                    acc,
-                    inertial,
-                    drv[strapdown.OWN],
-                    rows,
-                    info,
-                    work[m * m :],
-                )
+                by = drv[strapdown.OWN]
+                _note_row(now, cursor, interval_s, nav, xd, x, P, acc, inertial, by, rows, info, work[m * m :])
             begin = end
             if felt > 0 and drv[strapdown.COUNT] >= felt:
                 return HEED
@@ -596,7 +583,7 @@ def stretch(sources):
         drv, Phid, Qd, Cr, samples_before = drive[0], drive[1], drive[2], drive[3], drive[4]
         known, inertial = max(0, samples_before.shape[0] - MORE_RECENT), drv[strapdown.INERTIAL] != 0.0
         times, which, ends, good, same, values, variances, notes = given
-        rows, info, records, heads = out
+        rows, info, records, heads, _ = out
         undone, ears, places, opened = hearing
         m = acc.shape[1]
         period_s, spot = settings[PERIOD_S], plan[plan.shape[0] - 1]
@@ -646,8 +633,8 @@ def stretch(sources):
             if notes[e, 2] == 0.0 or (own[PARTLY] and _partly(notes[e], a)):
                 return JUDGED
             _note_record(bench[own[MEM] : own[MEM] + own[RECORD]], a, own, cursor, records, heads)
-            by_own = drv[strapdown.OWN]
-            _note_row(now, cursor, settings[INTERVAL_S], nav, x, P, acc, inertial, by_own, rows, info, work)
+            by = drv[strapdown.OWN]
+            _note_row(now, cursor, settings[INTERVAL_S], nav, x[: m - 9], x, P, acc, inertial, by, rows, info, work)
             _fared(watched[i], t, notes[e, 0], notes[e, 1])
             if undone.size > 0 and _listened(
                 cursor, settings, bench, own, nav, x, Cr, t, count, undone, ears[i], places[i], opened[e]

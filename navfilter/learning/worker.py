@@ -15,6 +15,7 @@ from navfilter.filter.health import LearningHealth
 
 __all__ = ["Task", "Worker"]
 
+
 class _ShortTurns:
     """While it is entered, Python threads take turns after `TURN_S`, so that nobody waits long for this one."""
 
