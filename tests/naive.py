@@ -1274,6 +1274,11 @@ def _look_at_gravity(w, unit, dt):
         unit[1] = 1.0
 
 
+def is_within(x, P, at, mean, variance, limit):
+    off, told = (x[at - 9] - mean) / np.sqrt(variance), 1.0 - np.diag(P)[at] / variance
+    return off @ off < limit * told[told > 0.0].sum()
+
+
 def farthest(looks, now, walk, begin):
     added = walk * (now[0] - looks[:, [0]])
     lost = np.maximum(looks[:, 7:10] + added - now[7:10], 0.0)

@@ -49,6 +49,18 @@ def attend(ear, nis, dof, ticks, learning):
     return ear[NOTED] >= ear[DUE]
 
 
+@njit(cache=True, **UNCOUNTED)
+def is_within(x, P, at, mean, variance, limit):
+    """Whether states (k,), in standard deviations of what was believed of them, have moved by less in their squares
+    than so many times what has been learnt of them.
+    """
+    moved = told = 0.0
+    for k in range(at.size):
+        moved += (x[at[k] - 9] - mean[k]) ** 2 / variance[k]
+        told += max(0.0, 1.0 - P[at[k], at[k]] / variance[k])
+    return moved < limit * told
+
+
 @apart
 @njit(cache=True, **UNCOUNTED)
 def carry(undone, Phi):
