@@ -101,7 +101,7 @@ class Navigator:
             raise ValueError("a run with a tape cannot go back: leave history_s out, and feed it in the order of time.")
         # a replay has no history, and learns what the same run learns on board with the default one
         self.learning = LearningSchedule(self.filter, max(length_s, usual_s), Worker(threads and tape is None))
-        self._beginning = Beginning(self, self.learning.worker)
+        self.beginning = Beginning(self, self.learning.worker)
         self._room = None if self.learning.rest is None else self.learning.room
         names = list(vehicle.sensors)
         self.history = History(self, length_s, names) if length_s else None
@@ -166,7 +166,7 @@ class Navigator:
 
     def _carry(self, samples: Array) -> None:
         if len(samples):
-            self._beginning.give(samples)
+            self.beginning.give(samples)
             (self if self.history is None else self.history).feed(samples)
 
     def correct(self, name: str, time_s: float, value: ArrayLike, sd: ArrayLike | None = None) -> Outcome:
@@ -229,7 +229,7 @@ class Navigator:
         watch = self.watches[reading.name]
         reading = Reading(*reading[:4], *watch.sees(reading.time_s, reading.value))
         outcome = self.placed(reading)
-        self._beginning.give(reading)
+        self.beginning.give(reading)
         watch.note(outcome.status, reading.time_s, outcome.nis, outcome.dof, self.filter.nav)
         return outcome
 
@@ -250,7 +250,7 @@ class Navigator:
         if not (reading.time_s < filter.memory.time_s - 1e-7 or reading.time_s in behind):
             outcome = history.feed(reading)
         elif not filter.intake.in_doubt:
-            with self._beginning.going_back():
+            with self.beginning.going_back():
                 outcome = history.late(reading)
             if outcome is not None and outcome.status == "used":
                 outcome = outcome._replace(status="late-replayed")
@@ -264,8 +264,8 @@ class Navigator:
             self.filter.advance(item, self.told, self._room)
             return None
         ahead_s = item.time_s - self.filter.channels[item.name].lead_s - self.filter.memory.sample_s
-        while learning.early_s <= item.time_s < math.inf and not ahead_s > self.filter.ahead_s:
-            self._beginning.early()
+        if not ahead_s > self.filter.ahead_s:
+            self.beginning.before(item.time_s)
         learning.keep(item)
         self.filter.carry_on(item.name, item.time_s, self.told)
         self.told(correction := self.filter.correct(*item), item.value)
@@ -446,5 +446,5 @@ class Navigator:
             return
         if self.history is None:
             raise ValueError("it has inputs without a history")
-        for take in (self._beginning.give, self.history.feed)[:: 1 if isinstance(item, np.ndarray) else -1]:
+        for take in (self.beginning.give, self.history.feed)[:: 1 if isinstance(item, np.ndarray) else -1]:
             take(item)

@@ -118,12 +118,18 @@ class Prompt:
                 nav.filter.adopt(change, nav.told)
 
     def _is_early(self, time_s: float, looks: bool) -> bool:
-        """Do what comes before a reading of this time, and see when the next is due; whether it is Python's."""
+        """Do what comes before a reading of this time, and see when more of it is due; whether that makes the reading
+        another than an ordinary one.
+        """
         learning, history = self._nav.learning, self._history
         if not looks:  # one after the other
             history.ready(self._memory.time_s)
         if learning.is_early(time_s):
-            return True
+            before = self._memory
+            self._nav.beginning.before(time_s)
+            self._nav.changes += 1
+            if self._nav.filter.memory is not before or not self._is_ready():
+                return True
         self._due_s = min(shifts.due_s(self._filter), learning.early_s, history.due_s)
         return False
 
