@@ -16,7 +16,7 @@ m, then velocity in b, acceleration in n, acceleration in b (three each), and m 
 
 import math
 
-from navfilter.kernels.decorators import apart, njit
+from navfilter.kernels.decorators import apart, njit, shaped
 
 #: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
 UNCOUNTED: dict = {"_nrt": False}
@@ -99,7 +99,7 @@ def listen(undone, mem, dims, places, nav, C, x, kind, mount, ring, cursor, tick
     """
     a, m, start, errors = dims[0], dims[2], dims[4], dims[5]
     K, res, verdict = places[1], places[3], places[8]
-    carry(undone, mem[: m * m].reshape((m, m)))
+    carry(undone, shaped(mem[: m * m], m, m))
     used = mem[verdict + 2] != 0.0
     if kind != NOTHING:
         capacity = ring.shape[1]

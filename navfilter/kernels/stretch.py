@@ -146,7 +146,7 @@ def correction(sources):
         R = shaped(bench[spot[NOISE] : spot[NOISE] + a * a], a, a)
         _white(bench, spot, P, nav, variance, R)
         par, slopes = x[first : first + parameters], spot[HELD_TO] - spot[HELD]
-        held = spare[6 * (m - 8) + z.size :][: a * slopes].reshape((a, slopes))
+        held = shaped(spare[6 * (m - 8) + z.size :][: a * slopes], a, slopes)
         for i in range(a):
             for j in range(slopes):
                 held[i, j] = near[i, 9 + spot[HELD] + j]
@@ -533,7 +533,7 @@ def prompt(sources):
         _fared(figures, time_s, note[0], note[1], nav)
         if undone.size > 0:
             mem, mount = bench[own[MEM] : own[CONSTANTS]], ear[listen.MOUNT :]
-            C, kind = bench[own[OUTPUT] : own[OUTPUT] + a * errors].reshape((a, errors)), int(ear[listen.KIND])
+            C, kind = shaped(bench[own[OUTPUT] : own[OUTPUT] + a * errors], a, errors), int(ear[listen.KIND])
             listen.listen(undone, mem, own[:7], places, nav, C, x, kind, mount, ring, cursor, count, Cr, facts[TILTED])
             learning = time_s >= facts[LEARNT_S]
             if kind != listen.NOTHING and listen.attend(ear, note[0], note[1], count, learning):
