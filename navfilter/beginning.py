@@ -4,6 +4,7 @@ thread, whose place the run then takes.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Iterator
 from concurrent.futures import Future
@@ -59,7 +60,12 @@ class Beginning:
         elif self._twin is not None:
             self._twin.give(item.copy() if isinstance(item, np.ndarray) else item)
 
-    def early(self) -> None:
+    def before(self, time_s: float) -> None:
+        """Before a reading of this time: do what is due by then."""
+        while self._nav.learning.early_s <= time_s < math.inf:
+            self._early()
+
+    def _early(self) -> None:
         """At `LearningSchedule.early_s`: adopt what was found, or do the beginning again."""
         nav, learning = self._nav, self._nav.learning
         if learning.again is None:
@@ -121,8 +127,6 @@ class Twin:
         self._inputs: deque[Array | Reading] = deque()
         learning = copied(nav.learning.memory)
         learning.beginning = learning.beginning and learning.beginning.shared()
-        for memory in learning.listeners.values():
-            memory.ring = np.full_like(memory.ring, np.nan)
         self._task: Task = Task(worker, partial(_begun, nav, learning, again, nav.learning.early_s, nav.time_s))
         self._drained: Future[Any] | None = None
 
@@ -153,6 +157,7 @@ def _begun(of: Navigator, learning: LearningMemory, again: Again, until_s: float
     history_s = 0.0 if of.history is None else of.history.length_s
     twin = type(of)(of.vehicle, of.start, history_s=history_s, threads=False)
     for name, memory in learning.listeners.items():
+        memory.ring = np.full_like(memory.ring, np.nan)
         if name not in twin.learning.listeners:
             twin.listen(name, memory.ring.shape[1])
     twin.learning.memory = learning

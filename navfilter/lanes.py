@@ -322,7 +322,7 @@ class LaneNavigator:
     def memory(self, memory: LanesMemory) -> None:
         for name, run in self.lanes.items():
             lane = memory.lanes[name]
-            run.memory, run.watches, run.waiting.readings = lane.run, lane.watches, lane.waiting
+            run.watches, run.waiting.readings, run.memory = lane.watches, lane.waiting, lane.run
         self.choice.memory = memory.choice
         self._ticks, self._levels, self._ahead_s = memory.ticks, memory.levels, memory.ahead_s
 

@@ -27,7 +27,7 @@ from navfilter.learning.listener import ChannelSeries
 from navfilter.learning.schedule import LearningSchedule
 from navfilter.learning.worker import Worker
 from navfilter.navigator_memory import MEMORY, NavigatorMemory, check_watches
-from navfilter.prompt import Prompt
+from navfilter.prompt import prompts
 from navfilter.start import Start
 from navfilter.state import NavState, Pose
 from navfilter.vehicle import Vehicle
@@ -101,17 +101,16 @@ class Navigator:
             raise ValueError("a run with a tape cannot go back: leave history_s out, and feed it in the order of time.")
         # a replay has no history, and learns what the same run learns on board with the default one
         self.learning = LearningSchedule(self.filter, max(length_s, usual_s), Worker(threads and tape is None))
-        self._beginning = Beginning(self, self.learning.worker)
+        self.beginning = Beginning(self, self.learning.worker)
         self._room = None if self.learning.rest is None else self.learning.room
         names = list(vehicle.sensors)
         self.history = History(self, length_s, names) if length_s else None
         self.watches = {name: Watch.of(sensor) for name, sensor in vehicle.sensors.items()}
         # a recording is in the order of its stamps: there is nothing to be seen of how it arrived
         self.clock = DriveClock(vehicle.drive.period_s, tape is None, self.filter.ahead_s)
-        self.waiting, self._row = Waiting(), np.empty((1, 7))
+        self.waiting, self._row, self.changes = Waiting(), np.empty((1, 7)), 0  # of anything but by ordinary inputs
         self.behind = {name: names[i + 1 :] for i, name in enumerate(names)}
-        prompt = [] if self.history is None or self.filter.jumps.active else names
-        self._prompts = {name: Prompt(self, name) for name in prompt if not vehicle.sensors[name].lead_s}
+        self._prompts = prompts(self)
 
     # ---------------------------------------------------------------- what comes in
     def step(self, time_s: ArrayLike, first: ArrayLike, second: ArrayLike) -> None:
@@ -167,7 +166,7 @@ class Navigator:
 
     def _carry(self, samples: Array) -> None:
         if len(samples):
-            self._beginning.give(samples)
+            self.beginning.give(samples)
             (self if self.history is None else self.history).feed(samples)
 
     def correct(self, name: str, time_s: float, value: ArrayLike, sd: ArrayLike | None = None) -> Outcome:
@@ -192,7 +191,7 @@ class Navigator:
         """
         if not (isinstance(name, str) and name in self.watches):
             return Outcome("unknown-sensor")
-        if sd is None and name in self._prompts and (outcome := self._prompts[name].take(time_s, value)) is not None:
+        if sd is None and (prompt := self._prompts.get(name)) and (outcome := prompt.take(time_s, value)):
             return outcome
         try:
             z, time_s = np.array(value, dtype=np.float64).reshape(-1), float(time_s)
@@ -203,6 +202,7 @@ class Navigator:
         return self._place(arrived)
 
     def _place(self, arrived: Arrived) -> Outcome:
+        self.changes += 1
         name, time_s, z, sd = arrived
         time_s += self.offset_s - self.vehicle.sensors[name].time_offset_s
         reading = Reading(name, time_s + self.filter.channels[name].lead_s, z, sd)
@@ -227,10 +227,9 @@ class Navigator:
     def take(self, reading: Reading) -> Outcome:
         """Take a reading now, even one that would wait; users call `correct`."""
         watch = self.watches[reading.name]
-        frozen, same = watch.sees(reading.time_s, reading.value)
-        reading = reading if (frozen, same) == reading[-2:] else reading._replace(frozen=frozen, same=same)
+        reading = Reading(*reading[:4], *watch.sees(reading.time_s, reading.value))
         outcome = self.placed(reading)
-        self._beginning.give(reading)
+        self.beginning.give(reading)
         watch.note(outcome.status, reading.time_s, outcome.nis, outcome.dof, self.filter.nav)
         return outcome
 
@@ -251,7 +250,7 @@ class Navigator:
         if not (reading.time_s < filter.memory.time_s - 1e-7 or reading.time_s in behind):
             outcome = history.feed(reading)
         elif not filter.intake.in_doubt:
-            with self._beginning.going_back():
+            with self.beginning.going_back():
                 outcome = history.late(reading)
             if outcome is not None and outcome.status == "used":
                 outcome = outcome._replace(status="late-replayed")
@@ -265,8 +264,8 @@ class Navigator:
             self.filter.advance(item, self.told, self._room)
             return None
         ahead_s = item.time_s - self.filter.channels[item.name].lead_s - self.filter.memory.sample_s
-        while learning.early_s <= item.time_s < math.inf and not ahead_s > self.filter.ahead_s:
-            self._beginning.early()
+        if not ahead_s > self.filter.ahead_s:
+            self.beginning.before(item.time_s)
         learning.keep(item)
         self.filter.carry_on(item.name, item.time_s, self.told)
         self.told(correction := self.filter.correct(*item), item.value)
@@ -275,6 +274,7 @@ class Navigator:
 
     def told(self, event: Event, value: Array | None = None) -> None:
         """Show its watch and learning what the filter does, and give it the error models that learning answers with."""
+        self.changes += 1
         self.filter.jumps.heard(event, self.filter, value)
         for change in self.learning.heard(event):
             self.filter.adopt(change, self.told)
@@ -305,9 +305,8 @@ class Navigator:
             self.history.begin()
 
     def listen(self, name: str, capacity: int | None = None) -> None:
-        """Note the open-loop residuals of a sensor, see `heard` and
-        `navfilter.learning.schedule.LearningSchedule.listen`.
-        """
+        """Note the open-loop residuals of a sensor, see `navfilter.learning.schedule.LearningSchedule.listen`."""
+        self.changes += 1
         self.learning.listen(name, capacity)
 
     def heard(self, name: str) -> tuple[ChannelSeries, ...]:
@@ -322,6 +321,7 @@ class Navigator:
 
     @memory.setter
     def memory(self, memory: NavigatorMemory) -> None:
+        self.changes += 1
         self.filter.recall(memory.filter)
         self.learning.memory = memory.learning
 
@@ -416,11 +416,11 @@ class Navigator:
     @classmethod
     def _revived(cls, vehicle: Vehicle, saved: snapshots.Saved) -> Navigator:
         nav = cls(vehicle, saved.start, history_s=saved.history_s)
+        check_watches(saved.watches, nav.watches)
+        nav.watches = saved.watches
         nav.revive(saved.memory)
         for item in saved.inputs:
             nav._given(item)
-        check_watches(saved.watches, nav.watches)
-        nav.watches = saved.watches
         nav.clock.go_on(saved.clock)
         return nav
 
@@ -446,5 +446,5 @@ class Navigator:
             return
         if self.history is None:
             raise ValueError("it has inputs without a history")
-        for take in (self._beginning.give, self.history.feed)[:: 1 if isinstance(item, np.ndarray) else -1]:
+        for take in (self.beginning.give, self.history.feed)[:: 1 if isinstance(item, np.ndarray) else -1]:
             take(item)

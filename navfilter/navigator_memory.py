@@ -91,7 +91,7 @@ def check_watches(saved: dict[str, Watch], own: dict[str, Watch]) -> None:
         raise ValueError(f"watches must be kept of {', '.join(own)}, found {', '.join(saved)}")
     for name, watch in saved.items():
         problem = misfit(watch, own[name], f"watches[{name!r}]")
-        if not problem and not all(type(n) is int for n in dict(watch.outcomes).values()):
-            problem = f"watches[{name!r}].outcomes must be counts, found {watch.outcomes!r}"
+        if not problem and not all(type(n) is int for n in dict(watch.others).values()):
+            problem = f"watches[{name!r}].others must be counts, found {watch.others!r}"
         if problem:
             raise ValueError(problem)

@@ -239,7 +239,8 @@ class Passage:
         correction = nav.filter.concluded(nav.filter.channels[name], time_s, watch.stuck)
         nav.told(correction)
         nav.filter.take_up(nav.told)
-        watch.note(correction.outcome.status, time_s, correction.outcome.nis, correction.outcome.dof)
+        outcome = correction.outcome
+        watch.note(outcome.status, time_s, outcome.nis, outcome.dof, nav.filter.nav)
 
     def _block(self, begin: int, end: int) -> Array:
         block = np.empty((end - begin, 7))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,15 +12,16 @@ from navfilter.filter import shifts
 from navfilter.filter.events import Outcome
 from navfilter.filter.history import Reading
 from navfilter.kernels import listen, strapdown, stretch
+from navfilter.learning.kept import COLUMNS
 
 if TYPE_CHECKING:
-    from navfilter.learning.listener import Listener
     from navfilter.navigator import Navigator
 
-__all__ = ["Prompt"]
+__all__ = ["Prompt", "prompts"]
 
 Array = NDArray[np.float64]
-_NO_RING, _NO_CURSOR = np.zeros((1, 1)), np.zeros(1, np.int64)
+_NO_EAR, _NO_RING, _NO_CURSOR = np.zeros(listen.EAR), np.zeros((1, 1)), np.zeros(1, np.int64)
+_NO_HEADS, _NO_VALUES = np.empty((0, COLUMNS)), np.empty((0, 1))
 
 
 class Prompt:
@@ -35,10 +37,13 @@ class Prompt:
 
     def __init__(self, nav: Navigator, name: str) -> None:
         assert nav.history is not None
+        sensor = nav.vehicle.sensors[name]
         self._nav, self._name, self._history = nav, name, nav.history
-        self._gravity, self._behind = nav.vehicle.drive.gravity, nav.behind[name]
-        self._listener: Listener | None = None
-        self._ear = self._heard_by(None)
+        self._offset_s, self._read, self._reads = sensor.time_offset_s, sensor.read, sensor.reads
+        most, size = sensor.plain
+        self._facts, self._plain = np.zeros(stretch.FACTS_SIZE), np.zeros(size)
+        self._facts[stretch.LARGEST], self._facts[stretch.TILTED] = most, nav.vehicle.drive.gravity
+        self._is_plain, self._as_of = most > 0.0, -1
 
     def take(self, stamp_s: float, value: ArrayLike) -> Outcome | None:
         """What became of a reading; None where it is no ordinary one: then nothing has been done.
@@ -53,70 +58,118 @@ class Prompt:
         except (TypeError, ValueError):
             return None
         nav = self._nav
-        filter, learning, history, watch = nav.filter, nav.learning, self._history, nav.watches[self._name]
-        memory, channels = filter.memory, filter.channels
-        channel = channels[self._name]
-        sensor, kept, shift = channel.sensor, channel.memory, memory.intake.offset_s
-        time_s, raw = stamp_s + (shift - sensor.time_offset_s), z.tobytes()
+        if nav.changes != self._as_of and not self._is_ready():
+            return None
+        memory, watch, raw = self._memory, self._watch, z.tobytes()
+        shift = memory.intake.offset_s
+        time_s = stamp_s + (shift - self._offset_s)
         early_s = time_s - memory.time_s
-        if not (early_s >= -stretch.SAME_S and time_s - memory.sample_s <= filter.ahead_s and time_s > kept.last_s):
+        if raw == watch.value or not (early_s >= -stretch.SAME_S and time_s - memory.sample_s <= self._ahead_s):
             return None
-        if raw == watch.value or channel.doubted or not channel.spot.item(stretch.EQUATION):
+        if z.ndim > 1 or len(z) < self._reads or not nav.clock.passes(stamp_s):
             return None
-        if nav.waiting.readings or not learning.is_quiet:
+        looks = time_s >= self._due_s and time_s >= shifts.due_s(self._filter)
+        if time_s >= self._due_s and self._is_early(time_s, looks):
             return None
-        for name in self._behind:
-            if channels[name].memory.last_s == time_s:
+        kept, read, plain = self._kept, self._plain, len(z) == self._reads and self._is_plain
+        counts = (0, 0, 0) if kept is None else (kept.samples.count, kept.readings.count, kept.values.count)
+        why = stretch.prompt(*self._hand, memory.recent, z, read, True, time_s, early_s, *counts) if plain else None
+        if why is None or why == stretch.REFUSED:
+            asked = self._read(z)
+            if asked is None:
                 return None
-        if z.ndim > 1 or len(z) < sensor.reads or channel.has_dived(time_s):
-            return None
-        reading = sensor.read(z)
-        if reading is None or not nav.clock.passes(stamp_s):
-            return None
-        looks = time_s >= shifts.due_s(filter)
-        if not looks:  # one after the other
-            history.ready(memory.time_s)
-        if learning.is_early(time_s):
-            return None
+            read = asked
+            why = stretch.prompt(*self._hand, memory.recent, z, read, False, time_s, early_s, *counts)
+            if why == stretch.REFUSED:
+                return None
         # ---- from here on it is taken
-        watch.value, watch.same, watch.since_s = raw, 1, time_s
-        given = Reading(self._name, time_s, z, None)
-        learning.keep(given)
-        listener = learning.listeners.get(self._name)
-        ring, cursor = _NO_RING, _NO_CURSOR
-        if listener is not None:
-            ring, cursor = listener.memory.ring, listener.memory.cursor
-        if listener is not self._listener:
-            self._listener, self._ear = listener, self._heard_by(listener)
-        channel.reading, channel.gate[:] = reading, channel.limits
-        used = stretch.prompt(
-            *(filter.bench, channel.spot, filter.drive_spot, memory.nav, memory.x, memory.P, memory.acc, memory.drv),
-            *(filter.Phid, filter.Qd, filter.drive_output, memory.recent, reading, early_s, channel.ticks(time_s)),
-            *(learning.fed_back, channel.places, self._ear, ring, cursor),
-        )
-        memory.unfolded, kept.last_s = 0, time_s
+        memory.unfolded, watch.value = 0, raw
         if early_s > stretch.SAME_S and memory.drv.item(strapdown.STARTED):
             memory.time_s = time_s
-        if used:
+        if kept is not None:
+            kept.readings.count += 1
+            kept.values.count += len(z)
+        channel, given = self._channel, Reading(self._name, time_s, z, None)
+        if why == stretch.JUDGED:
+            channel.reading, channel.count = read.copy(), int(self._facts[stretch.TICKED])
+            correction = self._filter.concluded(channel, time_s, False)
+            nav.told(correction, z)
+            outcome = correction.outcome
+            watch.note(outcome.status, time_s, outcome.nis, outcome.dof, memory.nav)
+        else:
             channel.stuck = channel.stale = False
-            channel.use(time_s)
             nis, dof, _ = channel.verdict.tolist()
             outcome = Outcome("used", nis, int(dof))
-            if listener is not None:
-                for change in learning.attended(listener, outcome, time_s):
-                    filter.adopt(change, nav.told)
-            if looks:
-                filter.take_up(nav.told)
-        else:
-            correction = filter.concluded(channel, time_s, False)
-            nav.told(correction, z)
-            filter.take_up(nav.told)
-            outcome = correction.outcome
-        history.note(given, shift)
-        watch.note(outcome.status, time_s, outcome.nis, outcome.dof, memory.nav)
+            if self._learning is not None:
+                self._learn(why)
+        if looks or why == stretch.JUDGED:
+            self._filter.take_up(nav.told)
+        self._history.note(given, shift)
         return outcome
 
-    def _heard_by(self, listener: Listener | None) -> Array:
-        """What `navfilter.kernels.stretch.prompt` listens with."""
-        kind, mount = (listen.NOTHING, np.zeros(9)) if listener is None else (listener.kind, listener.mount)
-        return np.array([kind, self._gravity, *mount])
+    def _learn(self, why: int) -> None:
+        """Take note of how the reading fared in learning, and of what is due there."""
+        nav = self._nav
+        assert self._learning is not None
+        self._learning.nis = self._ear.item(listen.NIS)
+        if why == stretch.LEARN:
+            nav.changes += 1
+            for change in nav.learning.learn(self._name):
+                nav.filter.adopt(change, nav.told)
+
+    def _is_early(self, time_s: float, looks: bool) -> bool:
+        """Do what comes before a reading of this time, and see when more of it is due; whether that makes the reading
+        another than an ordinary one.
+        """
+        learning, history = self._nav.learning, self._history
+        if not looks:  # one after the other
+            history.ready(self._memory.time_s)
+        if learning.is_early(time_s):
+            before = self._memory
+            self._nav.beginning.before(time_s)
+            self._nav.changes += 1
+            if self._nav.filter.memory is not before or not self._is_ready():
+                return True
+        self._due_s = min(shifts.due_s(self._filter), learning.early_s, history.due_s)
+        return False
+
+    def _is_ready(self) -> bool:
+        """Take in hand what a kernel needs, where its next reading may be an ordinary one."""
+        nav = self._nav
+        filter, learning = nav.filter, nav.learning
+        channel, memory = filter.channels[self._name], filter.memory
+        known, kept = channel.spot.item(stretch.EQUATION), learning.beginning
+        if channel.doubted or not (known and channel.memory.agrees) or nav.waiting.readings or not learning.is_quiet:
+            return False
+        heads, values = _NO_HEADS, _NO_VALUES
+        if kept is not None:
+            if not kept.values.pieces:
+                return False
+            heads, values = kept.readings.pieces[-1], kept.values.pieces[-1]
+            self._facts[stretch.KEPT_AS] = kept.names.index(self._name)
+        self._filter, self._memory, self._channel, self._kept = filter, memory, channel, kept
+        self._watch, self._ahead_s, self._due_s = nav.watches[self._name], filter.ahead_s, -math.inf
+        listener, ear, ring, cursor = learning.listeners.get(self._name), _NO_EAR, _NO_RING, _NO_CURSOR
+        if listener is not None:
+            ear, ring, cursor = listener.ear, listener.memory.ring, listener.memory.cursor
+        self._ear, self._learning = ear, None if listener is None or not listener.learns else listener.memory
+        facts = self._facts
+        facts[stretch.CHANNEL], facts[stretch.TICK_S] = list(filter.channels).index(self._name), channel.period_s
+        facts[stretch.DIVE_S], facts[stretch.LEARNT_S] = channel.dive_s, learning.learning_s
+        channel.gate[:] = channel.limits
+        self._hand = (
+            *(filter.bench, filter.plan, memory.nav, memory.x, memory.P, memory.acc, memory.drv),
+            *(filter.Phid, filter.Qd, filter.drive_output, facts),
+            *(learning.fed_back, channel.places, ear, ring, cursor, self._watch.figures, heads, values),
+        )
+        self._as_of = nav.changes
+        return True
+
+
+def prompts(nav: Navigator) -> dict[str, Prompt]:
+    """Those of a navigator, by sensor: of readings that need not wait, where they may come late and no jump of the
+    drive is looked for.
+    """
+    if nav.history is None or nav.filter.jumps.active:
+        return {}
+    return {name: Prompt(nav, name) for name, sensor in nav.vehicle.sensors.items() if not sensor.lead_s}

@@ -14,6 +14,7 @@ from navfilter.filter.health import Watch
 from navfilter.filter.integrity import LOST_HEADING, LOST_VELOCITY, MARGIN
 from navfilter.filter.offsets import has_offset
 from navfilter.filter.tape import OUTCOMES
+from navfilter.kernels.stretch import NIS_MEMORY
 
 if TYPE_CHECKING:
     from navfilter.mission import Stream
@@ -172,7 +173,7 @@ def _conditions(run: Track, name: str, sensor: Sensor) -> Iterator[tuple[str, Ma
         mean = np.empty_like(share)
         so_far = share[0]
         for k, value in enumerate(share.tolist()):
-            so_far += (value - so_far) / Watch.MEMORY
+            so_far += (value - so_far) / NIS_MEMORY
             mean[k] = so_far
         last = np.searchsorted(r.time_s[judged], now, side="right") - 1
         yield "noisy", left & ~jumped & (last >= 0) & (mean[last] > Watch.NOISY)

@@ -128,14 +128,15 @@ def _compile_stretch() -> None:
 
 
 def _compile_prompt() -> None:
-    """What takes a single reading live."""
+    """What takes a single reading live, and what is asked now and then."""
     from numba import config
 
-    from navfilter.kernels import addresses, stretch
+    from navfilter.kernels import addresses, listen, stretch
 
     settings: Any = config
     if not settings.DISABLE_JIT:
         stretch.prompt.compile(addresses.PROMPT)
+        listen.is_within.compile(addresses.WITHIN)
 
 
 def _warm_learner() -> None:

@@ -794,7 +794,7 @@ def places(dims):
         2 * a * a,
         a * n,
         a * (9 + par),
-        4 + 2 * a,
+        7 + 2 * a,
         max(m, b, 2 * a) * n + 4 * b * b,
     ]
     return tuple(np.cumsum(sizes))
@@ -820,7 +820,7 @@ def update(P, nav, x, C, R, mem, dims, limits):
     others = np.zeros((a, start - m)), np.zeros((a, n - start - errors - par))
     H[:] = np.hstack([near[:, :9], H[:, 9:m], others[0], C, near[:, 9:], others[1]])
     res -= C @ x[start - 9 : start - 9 + errors]
-    out = mem[at[8] : at[9] - 1]
+    out = mem[at[8] :][: 3 + 2 * a]
     out[3 : 3 + a] = res
     innovation(P, H, res, R, S, PH, out)
     out[3 + a :] = np.where(np.isnan(out[3 : 3 + a]), np.nan, np.diag(S[:a]))
@@ -1317,6 +1317,11 @@ def _look_at_gravity(w, unit, dt):
         unit[1] = 1.0
 
 
+def is_within(x, P, at, mean, variance, limit):
+    off, told = (x[at - 9] - mean) / np.sqrt(variance), 1.0 - np.diag(P)[at] / variance
+    return off @ off < limit * told[told > 0.0].sum()
+
+
 def farthest(looks, now, walk, begin):
     added = walk * (now[0] - looks[:, [0]])
     lost = np.maximum(looks[:, 7:10] + added - now[7:10], 0.0)
@@ -1621,21 +1626,80 @@ def heeded(w, nav, P, period_s):
 
 
 def prompt(
-    bench, own, spot, nav, x, P, acc, drv, Phid, Qd, Cr, recent, z, early_s, count, undone, where, ear, ring, cursor
+    bench,
+    plan,
+    nav,
+    x,
+    P,
+    acc,
+    drv,
+    Phid,
+    Qd,
+    Cr,
+    facts,
+    undone,
+    where,
+    ear,
+    ring,
+    cursor,
+    figures,
+    heads,
+    values,
+    recent,
+    z,
+    read,
+    plain,
+    t,
+    early,
+    samples,
+    readings,
+    numbers,
 ):
-    a, m, errors = own[0], acc.shape[1], own[5]
-    holds = early_s > 1e-7 and drv[13] != 0
+    """0: used, 2: nothing has been done, 3: not used, 6: used, and there is something to learn."""
+    i, kept_as, period, most, dive, gravity, learn, _ = facts
+    i, spot, at_, n = int(i), plan[int(i)], numbers % 1024, len(z)
+    begins = [own[14] + own[25] + 3 + 2 * own[0] for own in plan[:-1]]
+    last = [bench[begin] for begin in begins]
+    noted = bench[begins[i] : begins[i] + 4]
+    simple = np.all(np.abs(z) <= most) and np.any(z)
+    dived = dive < t - noted[2] < np.inf
+    full = len(heads) and (readings % 1024 == 0 or at_ == 0 or at_ + n > 1024)
+    if (plain and not simple) or t in last[i:] or t < last[i] or dived or full:
+        return 2
+    if plain:
+        read[:] = np.r_[z, np.full(len(read) - n, np.nan)]
+    if len(heads):
+        values[at_ : at_ + n, 0] = z
+        heads[readings % 1024] = t, kept_as, 0.0, 0.0, samples, numbers + n
+    figures[:2] = 1.0, t
+    a, m, errors = spot[0], acc.shape[1], spot[5]
+    holds = early > 1e-7 and drv[13] != 0
     if holds:
-        at(spot[8])(nav, x[: m - 9], drv, early_s, Phid, Qd, Cr, acc)
-    correction(bench, own, P, nav, x, acc, drv, Cr, recent, z, np.zeros(0), count, 0.0 if holds else -early_s)
-    mem = bench[own[14] : own[15]]
-    _, dof, used, *residual = mem[own[25] :][: 3 + a]
-    if not used or (own[27] and dof < np.isfinite(residual).sum()):
-        return False
-    if undone.size:
-        C, (kind, gravity, *mount) = bench[own[19] :][: a * errors].reshape(a, errors), ear.tolist()
-        listen(undone, mem, own[:7], where, nav, C, x, kind, np.array(mount), ring, cursor, count, Cr, gravity)
-    return True
+        at(plan[-1, 8])(nav, x[: m - 9], drv, early, Phid, Qd, Cr, acc)
+    count = 0 if np.isinf(noted[1]) else max(1, round((t - noted[1]) / period))
+    noted[:2] = t
+    correction(bench, spot, P, nav, x, acc, drv, Cr, recent, read, np.zeros(0), count, 0.0 if holds else -early)
+    mem = bench[spot[14] : spot[15]]
+    nis, dof, used, *residual = mem[spot[25] :][: 3 + a]
+    if not used or (spot[27] and dof < np.isfinite(residual).sum()):
+        facts[7] = count
+        return 3
+    noted[2] = t
+    _fared(figures, t, nis, dof, nav)
+    if not undone.size:
+        return 0
+    C = bench[spot[19] :][: a * errors].reshape(a, errors)
+    listen(undone, mem, spot[:7], where, nav, C, x, int(ear[0]), ear[8:], ring, cursor, count, Cr, float(gravity))
+    return 6 if ear[0] and attend(ear, nis, dof, count, t >= learn) else 0
+
+
+def _fared(watched, t, nis, dof, nav):
+    watched[2:4] = np.maximum(watched[2:4], t)
+    watched[7:] = watched[7] + 1.0, *nav[:2]
+    if dof >= watched[5]:
+        watched[5:7] = dof, max(watched[6], t)
+    share = min(nis / dof, 100.0)
+    watched[4] = share if np.isnan(watched[4]) else watched[4] + (share - watched[4]) / 50.0
 
 
 def look_at_biases(bench, plan, heard, nav, x, P, w, time_s, looks, gyros, now):
@@ -1778,12 +1842,7 @@ def stretch(
             return 3
         record(bench[spot[14] : spot[14] + spot[26]], spot[0], *spot[2:5])
         row()
-        watched[i, 2:4] = np.maximum(watched[i, 2:4], t)
-        watched[i, 7] += 1.0
-        if note[1] >= watched[i, 5]:
-            watched[i, 5:7] = note[1], max(watched[i, 6], t)
-        share = min(note[0] / note[1], 100.0)
-        watched[i, 4] = share if np.isnan(watched[i, 4]) else watched[i, 4] + (share - watched[i, 4]) / 50.0
+        _fared(watched[i], t, *note[:2], nav)
         if undone.size and listened(e, i, spot, note, count, t):
             cursor[0] = e + 1
             return 6

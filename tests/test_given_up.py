@@ -5,6 +5,7 @@ import math
 from dataclasses import replace
 from pathlib import Path
 
+import naive
 import numpy as np
 import pytest
 from feeding import DRIVE, events_of
@@ -18,6 +19,7 @@ from navfilter.evaluation.rivals import learnable, rivals
 from navfilter.evaluation.surfacing import evidence
 from navfilter.filter.filter import Filter
 from navfilter.filter.memory import differences
+from navfilter.kernels import listen
 from navfilter.learning import schedule
 from navfilter.learning.conflict import CONTRADICTED, departure, is_near
 from navfilter.learning.schedule import LearningSchedule
@@ -86,6 +88,8 @@ def test_what_is_near_does_not_depart(told):
         filter.P[np.ix_(at, at)] = P * np.outer(sd, sd)
         filter.x[at - 9] = mean + sd * size * rng.standard_normal(len(at))
         near.append(is_near(filter))
+        given = filter.x, filter.P, at, mean, variance, rng.uniform(0.1, 3.0)
+        assert listen.is_within(*given) == naive.is_within(*given)
         assert not near[-1] or departure(filter) < CONTRADICTED
     assert np.mean(near[:250]) > 0.5 and not all(near)
 

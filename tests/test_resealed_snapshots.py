@@ -139,10 +139,12 @@ CHANGES = {
     "another value in its place": lambda saved, arrays: channel_of(saved).update(way=way_of("Turns", {})),
     "a way whose time is a text": lambda saved, arrays: channel_of(saved).update(way=way_of(time_s="soon")),
     "a watch too few": lambda saved, arrays: saved["watches"]["items"].pop(),
-    "a watch that counts in texts": lambda saved, arrays: saved["watches"]["items"][0][1]["fields"]["outcomes"][
+    "a watch that counts in texts": lambda saved, arrays: saved["watches"]["items"][0][1]["fields"]["others"][
         "items"
-    ].append(["used", "often"]),
-    "a watch whose NIS is a text": lambda saved, arrays: saved["watches"]["items"][0][1]["fields"].update(nis="low"),
+    ].append(["rejected", "often"]),
+    "a watch whose figures are a text": lambda saved, arrays: saved["watches"]["items"][0][1]["fields"].update(
+        figures="low"
+    ),
     "bursts whose stamp is a list": lambda saved, arrays: saved["clock"]["fields"]["bursts"]["fields"].update(
         own_s=[1.0]
     ),

@@ -24,7 +24,7 @@ from navfilter.filter.refused_way import RefusedWay
 from navfilter.filter.scatter import Scatter
 from navfilter.filter.sight import Sight
 from navfilter.filter.turns import Turns
-from navfilter.kernels import addresses, kalman, listen, measurement, past
+from navfilter.kernels import addresses, kalman, listen, measurement, past, stretch
 from navfilter.kernels.addresses import address
 from navfilter.sensors import Sensor
 from navfilter.start import Start
@@ -46,21 +46,28 @@ DISPUTED_S = 3.0
 UNDISPUTED_S = 600.0
 
 
+def _time(which: int, meaning: str) -> property:
+    """A time that kernels note, too."""
+    at = which - stretch.NOTED
+
+    def noted(self: ChannelMemory, time_s: float) -> None:
+        self.last[at] = time_s
+
+    return property(lambda self: self.last.item(at), noted, doc=meaning)
+
+
 @dataclass
 class ChannelMemory:
     """What is remembered of a sensor.
 
     Attributes
     ----------
-    last_s, ticked_s : float
-        Times of the last reading and of the last tick of its clock [s].
     rejected_since_s : float
         Since when its readings have been rejected without one that was used [s]; NaN when they have not.
     refused_speed : float
         Of the vehicle when that began [m/s].
-    used_s, agreed_s : float
-        When it was used last, and since when it has agreed with the state: NaN before, and after the state was reset
-        to it [s].
+    agreed_s : float
+        Since when it has agreed with the state: NaN before, and after the state was reset to it [s].
     refused : Refusals or None
         What the readings that have been refused since say together.
     ramp : tuple of float
@@ -94,14 +101,12 @@ class ChannelMemory:
     same_s, again_s : float
         Since when its value has been the same, and when it came again last [s].
     last : ndarray
-        Jacobian, verdict and residual of the last reading (``kalman.places`` 7 to 9).
+        Jacobian, verdict and residual of the last reading (``kalman.places`` 7 to 9); then when it was read, when its
+        clock ticked last, and when a reading was used [s]; then see ``stretch.LET_GO``.
     """
 
-    last_s: float = -math.inf
-    ticked_s: float = -math.inf
     rejected_since_s: float = math.nan
     refused_speed: float = 0.0
-    used_s: float = -math.inf
     agreed_s: float = math.nan
     refused: Refusals | None = None
     ramp: tuple[float, ...] = ()
@@ -118,7 +123,16 @@ class ChannelMemory:
     partly_since_s: float = math.nan
     same_s: float = math.nan
     again_s: float = math.nan
-    last: Array = field(default_factory=lambda: np.zeros(0))
+    last: Array = field(default_factory=lambda: np.array([-math.inf, -math.inf, -math.inf, 0.0]))
+
+    last_s = _time(stretch.LAST_S, "Time of the last reading [s].")
+    ticked_s = _time(stretch.TICKED_S, "Of the last tick of its clock [s].")
+    used_s = _time(stretch.TAKEN_S, "Of the last reading that was used; minus infinity before the first [s].")
+
+    @property
+    def agrees(self) -> bool:
+        """Whether it is used, and was before: then another that is used says nothing new."""
+        return math.isnan(self.rejected_since_s) and not math.isnan(self.agreed_s)
 
     @property
     def undisputed(self) -> bool:
@@ -245,7 +259,7 @@ class Channel:
         self.res, self.near = mem[at[3] : at[3] + a], mem[at[7] : at[8]].reshape(a, 9 + parameters)
         self.H, self.PH = mem[at[0] : at[1]].reshape(a, n), mem[at[6] : at[7]].reshape(a, n)
         self.S = mem[at[5] : at[6]].reshape(2 * a, a)
-        self.verdict, self.note = mem[at[8] : at[8] + 3], mem[at[8] : at[9] - 1]
+        self.verdict, self.note = mem[at[8] : at[8] + 3], mem[at[8] : at[9] - stretch.NOTED]
         self.pulled = mem[at[9] - 1 : at[9]]  # ticks since a reading that was used, with a coloured error within one sd
         self.record, self.moved = mem[: at[5]], mem[: at[0]]
         self.transition = mem[: m * m].reshape(m, m)
@@ -260,8 +274,11 @@ class Channel:
         self.gate = bench[ends[7] : ends[8]]
         self.parameters = slice(first - 9 + errors, first - 9 + errors + parameters)
         self._last = mem[at[7] : at[9]]
-        if self._memory.last.size == self._last.size:
-            self._last[:] = self._memory.last
+        kept = self._memory.last
+        if kept.size == self._last.size:
+            self._last[:] = kept
+        else:
+            self._last[-stretch.NOTED : -1] = kept[-stretch.NOTED : -1]
         self._memory.last = self._last
         starts = begin, ends[0], self.constants.size, *ends[1:9]
         is_so, partly = (self.moves, self.turns, self.sensor.reads_rate), self.partly_for_s < math.inf

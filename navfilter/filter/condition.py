@@ -96,7 +96,7 @@ def _last_fix(filter: Filter, watches: Mapping[str, Watch]) -> tuple[float, floa
     last = start.time_s, math.radians(start.latitude_deg), math.radians(start.longitude_deg)
     for name, watch in watches.items():
         if filter.channels[name].sensor.corrects == "position" and watch.used_s > last[0]:
-            last = watch.used_s, watch.latitude, watch.longitude
+            last = watch.used_s, *watch.place
     return last
 
 

@@ -10,6 +10,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.filter.integrity import Bounds, Trust
+from navfilter.kernels.stretch import (
+    FIGURES,
+    HEARD_S,
+    LATITUDE,
+    LONGITUDE,
+    MOST,
+    NIS,
+    NIS_MEMORY,
+    NIS_MOST,
+    SAME,
+    SINCE_S,
+    USED,
+    USED_S,
+    WHOLE_S,
+)
 
 if TYPE_CHECKING:
     from navfilter.sensors import Sensor
@@ -144,6 +159,13 @@ class Health:
         return (*sensors, *(name for name, condition in self.axes.items() if condition != "good"))
 
 
+def _unheard() -> Array:
+    """Figures before the first reading."""
+    figures = np.full(FIGURES, math.nan)
+    figures[[SAME, MOST, USED]], figures[[HEARD_S, USED_S, WHOLE_S]] = 0.0, -math.inf
+    return figures
+
+
 @dataclass
 class Watch:
     """Keeps the figures of one sensor.
@@ -154,21 +176,22 @@ class Watch:
         One of which nothing has been used for longer is lost [s].
     silent_s : float
         One that has not been heard for longer is silent [s].
+
+    Attributes
+    ----------
+    others : dict of str to int
+        What became of readings that were not simply used.
+    value : bytes
+        Of the last reading.
+    figures : ndarray, shape (FIGURES,)
+        What kernels count, too: see `navfilter.kernels.stretch`.
     """
 
     timeout_s: float
     silent_s: float
-    outcomes: dict[str, int] = field(default_factory=dict)
-    used_s: float = -math.inf
-    heard_s: float = -math.inf
-    nis: float = math.nan
+    others: dict[str, int] = field(default_factory=dict)
     value: bytes = b""
-    same: int = 0
-    since_s: float = math.nan
-    latitude: float = math.nan
-    longitude: float = math.nan
-    most: float = 0.0
-    whole_s: float = -math.inf
+    figures: Array = field(default_factory=_unheard)
 
     #: The same value for so long, and at least so many times in a row, is stuck: a live sensor has noise. Said within
     #: 10 s, as everything is.
@@ -176,8 +199,7 @@ class Watch:
     STUCK_READINGS = 10
     #: Silence for so long, and for so many periods, is no reading that got lost [s].
     SILENT_S, SILENT_PERIODS = 5.0, 8.0
-    #: Running mean of NIS over about so many readings; beyond `NOISY` the sensor is noisier than its model.
-    MEMORY = 50
+    #: Beyond this running mean of NIS the sensor is noisier than its model.
     NOISY = 3.0
 
     @classmethod
@@ -190,57 +212,70 @@ class Watch:
         """A sensor that has not been heard for longer is silent [s]."""
         return min(sensor.gate_timeout_s, max(cls.SILENT_S, cls.SILENT_PERIODS / sensor.rate_hz))
 
-    def sees(self, time_s: float, value: Array) -> tuple[bool, bool]:
-        """Note what arrives; whether it looks stuck, and whether it is the same as before."""
-        raw = value.tobytes()
-        if raw == self.value:
-            self.same += 1
-        else:
-            self.value, self.same, self.since_s = raw, 1, time_s
-        return self.stuck, self.same > 1
+    @property
+    def outcomes(self) -> dict[str, int]:
+        """What became of its readings so far; a copy."""
+        used = int(self.figures[USED])
+        return {"used": used, **self.others} if used else dict(self.others)
 
     @property
-    def figures(self) -> tuple[float, ...]:
-        """What `navfilter.kernels.stretch` counts on from."""
-        return self.same, self.since_s, self.heard_s, self.used_s, self.nis, self.most, self.whole_s, 0.0
+    def used_s(self) -> float:
+        """Time of the last reading that was used [s]."""
+        return self.figures.item(USED_S)
+
+    @property
+    def place(self) -> tuple[float, float]:
+        """Latitude and longitude then [rad]."""
+        return self.figures.item(LATITUDE), self.figures.item(LONGITUDE)
+
+    def sees(self, time_s: float, value: Array) -> tuple[bool, bool]:
+        """Note what arrives; whether it looks stuck, and whether it is the same as before."""
+        raw, figures = value.tobytes(), self.figures
+        if raw == self.value:
+            figures[SAME] += 1.0
+        else:
+            self.value, figures[SAME], figures[SINCE_S] = raw, 1.0, time_s
+        return self.stuck, figures.item(SAME) > 1.0
 
     @property
     def stuck(self) -> bool:
         """Whether the value has not changed for suspiciously long."""
-        return self.same >= self.STUCK_READINGS and self.heard_s - self.since_s >= self.STUCK_S
+        same, since_s, heard_s = self.figures[: HEARD_S + 1].tolist()
+        return bool(same >= self.STUCK_READINGS and heard_s - since_s >= self.STUCK_S)
 
     def note(self, status: str, time_s: float, nis: float, dof: int, nav: Array | None = None) -> None:
         """Note what became of it, and where; nav: (17,) nominal state."""
-        self.outcomes[status] = self.outcomes.get(status, 0) + 1
+        figures = self.figures
+        if status == "used":
+            figures[USED] += 1.0
+        else:
+            self.others[status] = self.others.get(status, 0) + 1
         # a wild stamp is not the time at which it was heard
-        if time_s > self.heard_s and status not in ("ahead", "invalid"):
-            self.heard_s = time_s
+        if status not in ("ahead", "invalid"):
+            _later(figures, HEARD_S, time_s)
         if status in ("used", "late-replayed"):
-            if time_s > self.used_s:
-                self.used_s = time_s
-            if dof >= self.most:
-                self.most = float(dof)
-                if time_s > self.whole_s:
-                    self.whole_s = time_s
+            _later(figures, USED_S, time_s)
+            if dof >= figures[MOST]:
+                figures[MOST] = dof
+                _later(figures, WHOLE_S, time_s)
             if nav is not None:
-                self.latitude, self.longitude = nav.item(0), nav.item(1)
+                figures[LATITUDE], figures[LONGITUDE] = nav[0], nav[1]
         if dof and math.isfinite(nis):
-            share = nis / dof if nis < 100.0 * dof else 100.0
-            self.nis = share if math.isnan(self.nis) else self.nis + (share - self.nis) / self.MEMORY
+            share, before = min(nis / dof, NIS_MOST), figures.item(NIS)
+            figures[NIS] = share if math.isnan(before) else before + (share - before) / NIS_MEMORY
 
     def caught_up(self, figures: Array, value: bytes) -> None:
-        """Take over what `navfilter.kernels.stretch` has counted; `value` arrived last."""
-        same, self.since_s, self.heard_s, self.used_s, self.nis, self.most, self.whole_s, used = figures.tolist()
-        self.same, self.value = int(same), value
-        if used:
-            self.outcomes["used"] = self.outcomes.get("used", 0) + int(used)
+        """Take over what `navfilter.kernels.stretch` has counted on from its figures; `value` arrived last."""
+        self.figures[:], self.value = figures, value
 
     def health(self, now_s: float, found: str = "") -> SensorHealth:
         """The figures at a time, of a sensor of which the filter has `found` something: see `Channel.condition`."""
-        age_s = now_s - self.used_s
-        if not self.outcomes:
+        outcomes = self.outcomes
+        heard_s, used_s, nis, _, whole_s = self.figures[HEARD_S : WHOLE_S + 1].tolist()
+        age_s = now_s - used_s
+        if not outcomes:
             condition = "waiting"
-        elif now_s - self.heard_s > self.silent_s:
+        elif now_s - heard_s > self.silent_s:
             condition = "silent"
         elif self.stuck:
             condition = "stuck"
@@ -248,10 +283,17 @@ class Watch:
             condition = "rejected"
         elif found:
             condition = found
-        elif self.nis > self.NOISY:
+        elif nis > self.NOISY:
             condition = "noisy"
-        elif now_s - self.whole_s > self.silent_s:
+        elif now_s - whole_s > self.silent_s:
             condition = "partial"
         else:
             condition = "good"
-        return SensorHealth(condition, max(age_s, 0.0), dict(self.outcomes), self.nis)
+        nis = math.nan if math.isnan(nis) else nis  # this one: values that hold the same NaN are equal
+        return SensorHealth(condition, max(age_s, 0.0), outcomes, nis)
+
+
+def _later(figures: Array, which: int, time_s: float) -> None:
+    """Let a time be this one, if it is later."""
+    if time_s > figures[which]:
+        figures[which] = time_s

@@ -104,6 +104,11 @@ class History:
         if now - self._marked_s >= spacing_s:
             self._mark(now)
 
+    @property
+    def due_s(self) -> float:
+        """When the next checkpoint before a reading is due [s]."""
+        return self._marked_s + self.SPACING_S
+
     def note(self, item: Array | Reading, shift: float) -> None:
         """Behind an input: keep it, and by how much stamps were moved."""
         self._log.append(item)

@@ -25,8 +25,8 @@ __all__ = ["copied", "differences", "from_arrays", "misfit", "to_arrays"]
 Array = NDArray[np.float64]
 T = TypeVar("T")
 
-#: Annotations of fields that hold what cannot change, and of those whose own `copy` is a whole one.
-_NUMBERS, _FLAT = {"float", "int", "bool", "str"}, {"Array", "NDArray[np.int64]", "dict[str, int]"}
+#: Annotations of fields whose own `copy` is a whole one.
+_FLAT = {"Array", "NDArray[np.int64]", "dict[str, int]", "dict[str, tuple[float, ...]]"}
 
 
 class _Copiers(dict[type, Callable[[Any], Any] | None]):
@@ -43,7 +43,9 @@ def _is_state(kind: type) -> bool:
 
 
 def _state_copier(kind: type) -> Callable[[Any], Any]:
-    own = [f for f in dataclasses.fields(kind) if f.name not in getattr(kind, "SHARED", ()) and f.type not in _NUMBERS]
+    own = [
+        f for f in dataclasses.fields(kind) if f.name not in getattr(kind, "SHARED", ()) and not _rests(f.type, kind)
+    ]
     flat = tuple(f.name for f in own if f.type in _FLAT)
     nested = tuple(f.name for f in own if f.type not in _FLAT)
 
@@ -61,6 +63,15 @@ def _state_copier(kind: type) -> Callable[[Any], Any]:
         return new
 
     return copy
+
+
+def _rests(stated: Any, kind: type) -> bool:
+    """Whether a field of a class, by what is stated of it, holds what cannot change: numbers, tuples, frozen values."""
+    if str(stated).startswith("tuple["):
+        return True
+    there = vars(sys.modules[kind.__module__])
+    known = [there.get(name) for part in str(stated).split("|") if (name := part.strip()) not in _PLAIN]
+    return all(isinstance(one, type) and dataclasses.is_dataclass(one) and not _is_state(one) for one in known)
 
 
 def _copied_dict(value: dict[Any, Any]) -> dict[Any, Any]:

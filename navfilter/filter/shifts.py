@@ -85,12 +85,13 @@ def due_s(filter: Filter) -> float:
 
 def looking(filter: Filter) -> tuple[Array, Array, Array]:
     """The looks so far, what is known of the gyros, and the next look, see `navfilter.kernels.shifts`."""
-    memory, g, now = filter.memory, filter.layout.drive, np.zeros(COLUMNS)
+    memory, now = filter.memory, np.zeros(COLUMNS)
     now[ANEW] = memory.counts["realigned"] + memory.counts["opened"]
-    if not filter.inertial or not all(each.size for each in g.biases[:3]):
+    if not filter.inertial:
         return memory.shifts, np.zeros((3, 0)), now
-    own = np.array([each[0] for each in g.biases[:3]])
-    gyros = np.array([g.start + own, g.Q[own, own] / filter.period_s, FLOOR**2 * g.P0[own, own]])
+    gyros = filter.layout.drive.gyro_biases.copy()
+    gyros[kernel.WALK] /= filter.period_s
+    gyros[kernel.LEAST] *= FLOOR**2
     return memory.shifts, gyros, now
 
 

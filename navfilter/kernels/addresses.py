@@ -16,6 +16,7 @@ __all__ = [
     "PROMPT",
     "SMOOTH_RUN",
     "STRETCH",
+    "WITHIN",
     "address",
     "at_bend",
     "at_correction",
@@ -68,9 +69,12 @@ STRETCH = (
 )
 #: The same for `navfilter.kernels.stretch.prompt`.
 PROMPT = (
-    *(_ROW, _PLACES, _PLACES, _ROW, _ROW, _TABLE, _TABLE, _ROW, *(_TABLE,) * 4, _ROW, types.float64, types.int64),
-    *(_ROW, _PLACES, _ROW, _TABLE, _PLACES),
+    *(_ROW, _MATRIX_OF_PLACES, _ROW, _ROW, _TABLE, _TABLE, _ROW, _TABLE, _TABLE, _TABLE),
+    *(_ROW, _ROW, _PLACES, _ROW, _TABLE, _PLACES, _ROW, _TABLE, _TABLE),
+    *(_TABLE, _ROW, _ROW, types.boolean, types.float64, types.float64, *(types.int64,) * 3),
 )
+#: The same for `navfilter.kernels.listen.is_within`.
+WITHIN = (_ROW, _TABLE, _PLACES, _ROW, _ROW, types.float64)
 #: The same for `navfilter.kernels.kalman.smooth_run`.
 SMOOTH_RUN = (
     *(_TABLE, _ROW, _ROW, _PLACES, _MATRIX_OF_PLACES, _ROW, _PLACES, _PLACES, types.int64, types.int64),

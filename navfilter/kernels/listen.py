@@ -16,7 +16,7 @@ m, then velocity in b, acceleration in n, acceleration in b (three each), and m 
 
 import math
 
-from navfilter.kernels.decorators import apart, njit
+from navfilter.kernels.decorators import apart, njit, shaped
 
 #: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
 UNCOUNTED: dict = {"_nrt": False}
@@ -47,6 +47,18 @@ def attend(ear, nis, dof, ticks, learning):
         if ear[NOTED] >= ear[JUDGED] and not CALM_LEAST < ear[NIS] < CALM_MOST:
             return True
     return ear[NOTED] >= ear[DUE]
+
+
+@njit(cache=True, **UNCOUNTED)
+def is_within(x, P, at, mean, variance, limit):
+    """Whether states (k,), in standard deviations of what was believed of them, have moved by less in their squares
+    than so many times what has been learnt of them.
+    """
+    moved = told = 0.0
+    for k in range(at.size):
+        moved += (x[at[k] - 9] - mean[k]) ** 2 / variance[k]
+        told += max(0.0, 1.0 - P[at[k], at[k]] / variance[k])
+    return moved < limit * told
 
 
 @apart
@@ -87,7 +99,7 @@ def listen(undone, mem, dims, places, nav, C, x, kind, mount, ring, cursor, tick
     """
     a, m, start, errors = dims[0], dims[2], dims[4], dims[5]
     K, res, verdict = places[1], places[3], places[8]
-    carry(undone, mem[: m * m].reshape((m, m)))
+    carry(undone, shaped(mem[: m * m], m, m))
     used = mem[verdict + 2] != 0.0
     if kind != NOTHING:
         capacity = ring.shape[1]

@@ -57,14 +57,22 @@ LOOK_S = 11
 # Columns of `heard`, a row a channel: last reading, last tick, period, whether readings before have been refused, ticks
 # of the last reading, how long readings wait.
 LAST_S, TICKED_S, CHANNEL_PERIOD_S, DOUBTED, TICKS, WAIT_S = range(6)
+# What stands behind the verdict of a channel, which has 3 + 2a elements: when it was read, ticked and used last (the
+# first two are columns of `heard`, too); for how many ticks its coloured error may have been beyond one sd.
+TAKEN_S, LET_GO, NOTED = 2, 3, 4
 # Columns of `watched`, a row a channel: equal values in a row, since when, heard last, used last, running NIS, most
-# components that one had, the last that had so many, used.
-SAME, SINCE_S, HEARD_S, USED_S, NIS, MOST, WHOLE_S, USED = range(8)
+# components that one had, the last that had so many, how many have been used, and where the last of them was.
+SAME, SINCE_S, HEARD_S, USED_S, NIS, MOST, WHOLE_S, USED, LATITUDE, LONGITUDE, FIGURES = range(11)
 NIS_MEMORY, NIS_MOST = 50.0, 100.0  # readings; a single one counts up to this NIS per component
 # The biases of the gyros are looked at so often [s], beside a compass whose last reading is not older [s].
 LOOK_EVERY_S, COMPASS_S = 10.0, 3.0
 # The same value so many times and for so long is stuck, as `navfilter.filter.health.Watch` has it.
 STUCK_READINGS, STUCK_S = 10.0, 8.0
+
+# Elements of `facts`, of a channel whose readings come live: its place in `plan` and among the inputs that are kept;
+# its period; up to which value readings are taken as they are; without a fix for how long its vehicle has dived; what a
+# tilt turns into acceleration, and from when on it is learnt from readings (see `listen`); ticks of the last reading.
+CHANNEL, KEPT_AS, TICK_S, LARGEST, DIVE_S, TILTED, LEARNT_S, TICKED, FACTS_SIZE = range(9)
 
 # Why a stretch has ended: all is done; the next reading, or the samples before it, are for Python; its samples are
 # taken, the reading is for Python; it was not used: Python says what follows; no room is left in the output; the watch
@@ -138,7 +146,7 @@ def correction(sources):
         R = shaped(bench[spot[NOISE] : spot[NOISE] + a * a], a, a)
         _white(bench, spot, P, nav, variance, R)
         par, slopes = x[first : first + parameters], spot[HELD_TO] - spot[HELD]
-        held = spare[6 * (m - 8) + z.size :][: a * slopes].reshape((a, slopes))
+        held = shaped(spare[6 * (m - 8) + z.size :][: a * slopes], a, slopes)
         for i in range(a):
             for j in range(slopes):
                 held[i, j] = near[i, 9 + spot[HELD] + j]
@@ -163,7 +171,7 @@ def correction(sources):
                 error += C[i, j] * x[start - 9 + j]
             beyond |= error * error > bench[spot[LIMITS] + a + 1 + i]
             calm &= error * error <= bench[spot[LIMITS] + a + 1 + i] / BELIEVED
-        let_go, used = places[9] - 1, mem[places[8] + 2]
+        let_go, used = places[8] + 3 + 2 * a + LET_GO, mem[places[8] + 2]
         mem[let_go] = count if calm and used else mem[let_go] + count
         if beyond:
             limits = spare[: a + 1]
@@ -403,39 +411,6 @@ def _partly(sources):
 
 
 @_keyed
-def prompt(sources):
-    @njit(cache=True, **UNCOUNTED)
-    def prompt(
-        bench, own, spot, nav, x, P, acc, drv, Phid, Qd, Cr, recent, z, early_s, count, undone, at, ear, ring, cursor
-    ):
-        """One reading live, by the same kernels as those of a replay in `stretch`: what held the state until then, the
-        correction, and listening; False where it was not used, and Python says what follows.
-
-        own, spot: rows of `plan`, the channel's and the last; early_s: by how much the state is older; undone (empty
-        where nobody listens), ring, cursor: see `listen`; at: `kalman.places`; ear: kind of the open loop, gravity,
-        nine elements of `mount`. The others are those of `correction`.
-        """
-        _ = sources
-        a, m, errors = own[0], acc.shape[1], own[5]
-        if early_s > SAME_S and drv[strapdown.STARTED] != 0.0:
-            addresses.at_hold(spot[HOLD], (nav, x[: m - 9], drv, early_s, Phid, Qd, Cr, acc))
-            early_s = 0.0
-        filter, reading = (bench, own, P, nav, x, acc, drv, Cr, recent), (z, z[:0], count, -early_s)
-        addresses.at_correction(spot[CORRECTION], filter + reading)
-        note = bench[own[MEM] + own[VERDICT] : own[MEM] + own[VERDICT] + 3 + a]
-        if note[2] == 0.0 or (own[PARTLY] and _partly(note, a)):
-            return False
-        if undone.size > 0:
-            mem, mount = bench[own[MEM] : own[CONSTANTS]], ear[2:11]
-            C = bench[own[OUTPUT] : own[OUTPUT] + a * errors].reshape((a, errors))
-            kind, gravity = int(ear[0]), ear[1]
-            listen.listen(undone, mem, own[:7], at, nav, C, x, kind, mount, ring, cursor, count, Cr, gravity)
-        return True
-
-    return prompt
-
-
-@_keyed
 def _seen(sources):
     @njit(cache=True, **UNCOUNTED)
     def _seen(watch, time_s, same):
@@ -452,10 +427,11 @@ def _seen(sources):
 @_keyed
 def _fared(sources):
     @njit(cache=True, **UNCOUNTED)
-    def _fared(watch, time_s, nis, dof):
+    def _fared(watch, time_s, nis, dof, nav):
         """Note that a reading was used, as `navfilter.filter.health.Watch.note` does."""
         _ = sources
         watch[USED] += 1.0
+        watch[LATITUDE], watch[LONGITUDE] = nav[0], nav[1]
         watch[HEARD_S], watch[USED_S] = max(watch[HEARD_S], time_s), max(watch[USED_S], time_s)
         if dof >= watch[MOST]:
             watch[MOST], watch[WHOLE_S] = dof, max(watch[WHOLE_S], time_s)
@@ -464,6 +440,129 @@ def _fared(sources):
             watch[NIS] = share if math.isnan(watch[NIS]) else watch[NIS] + (share - watch[NIS]) / NIS_MEMORY
 
     return _fared
+
+
+@_keyed
+def _as_it_is(sources):
+    @njit(cache=True, **UNCOUNTED)
+    def _as_it_is(z, most, read):
+        """Take a reading as it is, with NaN behind it; False for one that its sensor has to be asked about."""
+        _ = sources
+        told = False
+        for i in range(z.size):
+            if not abs(z[i]) <= most:
+                return False
+            told |= z[i] != 0.0
+            read[i] = z[i]
+        for i in range(z.size, read.size):
+            read[i] = math.nan
+        return told
+
+    return _as_it_is
+
+
+@_keyed
+def _is_next(sources):
+    @njit(cache=True, **UNCOUNTED)
+    def _is_next(bench, plan, i, time_s, dive_s):
+        """Whether a reading comes after the last of its channel, in its place among those of its time, and before the
+        vehicle has dived.
+        """
+        _ = sources
+        for j in range(i, plan.shape[0] - 1):
+            last_s = bench[plan[j, MEM] + plan[j, VERDICT] + 3 + 2 * plan[j, 0] + LAST_S]
+            if last_s == time_s or (j == i and last_s > time_s):
+                return False
+        used_s = bench[plan[i, MEM] + plan[i, VERDICT] + 3 + 2 * plan[i, 0] + TAKEN_S]
+        return not dive_s < time_s - used_s < math.inf
+
+    return _is_next
+
+
+@_keyed
+def prompt(sources):
+    @njit(cache=True, **UNCOUNTED)
+    def prompt(
+        bench,
+        plan,
+        nav,
+        x,
+        P,
+        acc,
+        drv,
+        Phid,
+        Qd,
+        Cr,
+        facts,
+        undone,
+        places,
+        ear,
+        ring,
+        cursor,
+        figures,
+        heads,
+        values,
+        recent,
+        z,
+        read,
+        plain,
+        time_s,
+        early_s,
+        kept_samples,
+        kept_readings,
+        kept_values,
+    ):
+        """One reading live, by the same kernels as those of a replay in `stretch`, and all that is noted of it:
+        `REFUSED`, and nothing has been done, where its sensor has to be asked, it is not the next one, or a piece of
+        what is kept is full; `JUDGED` where it was not used, and Python says what follows; else `DONE`, or `LEARN`.
+
+        facts: see `CHANNEL`; undone (empty where nobody listens), ear, ring, cursor: see `listen`; places:
+        `kalman.places`; figures: a row of `watched`; heads, values: the last pieces of the inputs that are kept (empty
+        where none are), see `navfilter.learning.kept`, and how many samples, readings and values these are; z: what
+        arrived; read: what is read from it, work space for a `plain` one; early_s: by how much the state is older.
+        The others are those of `correction`.
+        """
+        _ = sources
+        i = int(facts[CHANNEL])
+        own, spot = plan[i], plan[plan.shape[0] - 1]
+        if (plain and not _as_it_is(z, facts[LARGEST], read)) or not _is_next(bench, plan, i, time_s, facts[DIVE_S]):
+            return REFUSED
+        a, m, errors, verdict = own[0], acc.shape[1], own[5], own[MEM] + own[VERDICT]
+        noted = bench[verdict + 3 + 2 * a : verdict + 3 + 2 * a + NOTED]
+        if heads.shape[0] > 0:
+            at, first = kept_readings % heads.shape[0], kept_values % heads.shape[0]
+            if at == 0 or first == 0 or first + z.size > heads.shape[0]:
+                return REFUSED
+            row = heads[at]
+            for j in range(z.size):
+                values[first + j, 0] = z[j]
+            row[0], row[1], row[2], row[3] = time_s, facts[KEPT_AS], 0.0, 0.0
+            row[4], row[5] = float(kept_samples), float(kept_values + z.size)
+        figures[SAME], figures[SINCE_S] = 1.0, time_s
+        if early_s > SAME_S and drv[strapdown.STARTED] != 0.0:
+            addresses.at_hold(spot[HOLD], (nav, x[: m - 9], drv, early_s, Phid, Qd, Cr, acc))
+            early_s = 0.0
+        elapsed = time_s - noted[TICKED_S]
+        count = 0 if math.isinf(elapsed) else int(max(1, round(elapsed / facts[TICK_S])))
+        noted[LAST_S], noted[TICKED_S] = time_s, time_s
+        filter, reading = (bench, own, P, nav, x, acc, drv, Cr, recent), (read, read[:0], count, -early_s)
+        addresses.at_correction(spot[CORRECTION], filter + reading)
+        note = bench[verdict : verdict + 3 + a]
+        if note[2] == 0.0 or (own[PARTLY] and _partly(note, a)):
+            facts[TICKED] = count
+            return JUDGED
+        noted[TAKEN_S] = time_s
+        _fared(figures, time_s, note[0], note[1], nav)
+        if undone.size > 0:
+            mem, mount = bench[own[MEM] : own[CONSTANTS]], ear[listen.MOUNT :]
+            C, kind = shaped(bench[own[OUTPUT] : own[OUTPUT] + a * errors], a, errors), int(ear[listen.KIND])
+            listen.listen(undone, mem, own[:7], places, nav, C, x, kind, mount, ring, cursor, count, Cr, facts[TILTED])
+            learning = time_s >= facts[LEARNT_S]
+            if kind != listen.NOTHING and listen.attend(ear, note[0], note[1], count, learning):
+                return LEARN
+        return DONE
+
+    return prompt
 
 
 @_keyed
@@ -635,7 +734,7 @@ def stretch(sources):
             _note_record(bench[own[MEM] : own[MEM] + own[RECORD]], a, own, cursor, records, heads)
             by = drv[strapdown.OWN]
             _note_row(now, cursor, settings[INTERVAL_S], nav, x[: m - 9], x, P, acc, inertial, by, rows, info, work)
-            _fared(watched[i], t, notes[e, 0], notes[e, 1])
+            _fared(watched[i], t, notes[e, 0], notes[e, 1], nav)
             if undone.size > 0 and _listened(
                 cursor, settings, bench, own, nav, x, Cr, t, count, undone, ears[i], places[i], opened[e]
             ):

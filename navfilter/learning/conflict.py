@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from navfilter.filter.filter import Filter
+from navfilter.kernels import listen
 
 __all__ = ["BETTER", "CONTRADICTED", "departure", "is_near"]
 
@@ -27,13 +28,10 @@ def is_near(filter: Filter) -> bool:
     its mean, falls with the freedom. Its mean, the sum of the eigenvalues as far as they are positive, is no less than
     the sum of the diagonal as far as that is (Schur-Horn).
     """
-    length = total = 0.0
-    (at, mean, variance), x, P = filter.layout.constants, filter.x, filter.P
-    for i, m, v in zip(at.tolist(), mean.tolist(), variance.tolist(), strict=True):
-        length += (x.item(i - 9) - m) ** 2 / v
-        total += max(0.0, 1.0 - P.item(i, i) / v)
+    at, mean, variance = filter.layout.constants
     spread = 2.0 / (9.0 * max(1, len(at)))
-    return length < 0.99 * total * (1.0 - spread + CONTRADICTED * math.sqrt(spread)) ** 3
+    limit = 0.99 * (1.0 - spread + CONTRADICTED * math.sqrt(spread)) ** 3
+    return bool(listen.is_within(filter.x, filter.P, at, mean, variance, limit))
 
 
 def departure(filter: Filter) -> float:

@@ -12,7 +12,17 @@ from numpy.typing import NDArray
 
 from navfilter.arma.model import ArmaModel
 from navfilter.arma.stationary import stationary_covariance
-from navfilter.error_models import Block, ErrorModel, GaussMarkov, Integrated, RandomWalk, Sum, White, joined_block
+from navfilter.error_models import (
+    Block,
+    ErrorModel,
+    GaussMarkov,
+    Integrated,
+    RandomWalk,
+    Sum,
+    White,
+    block_level,
+    joined_block,
+)
 from navfilter.learning.limits import least_window
 from navfilter.learning.spectrum import Spectrum
 
@@ -149,6 +159,12 @@ class LearnedArma(ErrorModel):
             raise ValueError("LearnedArma needs a prior here: LearnedArma(prior=GaussMarkov(sd=..., tau_s=...)).")
         return self.prior.block(period_s)
 
+    def level(self, period_s: float) -> float:
+        """S(0) per sample of its block."""
+        if self.model is not None:
+            return _learnt_level(self.model, self.slow_parts, period_s)
+        return block_level(self.block(period_s))
+
     def integrated(self, period_s: float) -> Integrated:
         """That of the prior while nothing has been learnt."""
         return (
@@ -174,6 +190,11 @@ class LearnedArma(ErrorModel):
 def _learnt_block(model: ArmaModel, slow: tuple[ErrorModel, ...], period_s: float) -> Block:
     # laying out the states asks for it some fifty times at each adoption
     return joined_block([register_block(model), *(part.block(period_s) for part in slow)])
+
+
+@lru_cache(maxsize=64)
+def _learnt_level(model: ArmaModel, slow: tuple[ErrorModel, ...], period_s: float) -> float:
+    return block_level(_learnt_block(model, slow, period_s))
 
 
 @lru_cache(maxsize=64)

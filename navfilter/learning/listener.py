@@ -179,11 +179,12 @@ class Listener:
         ring = self._memory.ring
         written, capacity = int(self._memory.cursor[0]), ring.shape[1]
         first = written - min(written, last, capacity)
-        series = np.take(ring[axis], np.arange(first, written - without) % capacity)
-        for begin, end in self._memory.left_out:
+        at, count = first % capacity, max(written - without - first, 0)
+        series, turned = (np.concatenate([row[at:], row[:at]])[:count] for row in (ring[axis], ring[-1]))
+        for begin, end in self._memory.left_out.tolist():
             if end > first:
                 series[max(begin - first, 0) : end - first] = np.nan
-        for tick in self.drifts[axis].begins_anew(np.take(ring[-1], np.arange(first, written - without) % capacity)):
+        for tick in self.drifts[axis].begins_anew(turned):
             series[max(tick + 1 - self._anew, 0) : tick + 1] = np.nan
         return series
 
@@ -359,8 +360,10 @@ def _answered(
     for model, learner, series in zip(models, own, hop.series, strict=True):
         learnt = None if learner is None or series is None else learner.hop(without_spikes(series), hop.fresh)
         found.append(_with_learnt(model, learnt))
-        if learnt is not None:
-            found[-1].block(period_s)  # remembered for the adoption
+        part = learning_part(found[-1])
+        if learnt is not None and part is not None:  # remembered for the adoption
+            found[-1].block(period_s)
+            part.level(period_s)
     return tuple(found), memories(own)
 
 

@@ -8,7 +8,6 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from navfilter.error_models import block_level
 from navfilter.filter.adoption import Change
 from navfilter.filter.channel import Channel
 from navfilter.filter.events import Correction, Event, Outcome, Passed, Propagated, Relaid, StoodIn
@@ -411,8 +410,7 @@ class LearningSchedule:
         levels: dict[str, tuple[float, ...]] = {}
         for name, listener in self.listeners.items():
             parts = [learning_part(model) for model in listener.memory.models]
-            blocks = [None if part is None else part.block(listener.period_s) for part in parts]
-            levels[name] = tuple(1.0 if block is None else max(block_level(block), 1e-300) for block in blocks)
+            levels[name] = tuple(1.0 if part is None else max(part.level(listener.period_s), 1e-300) for part in parts)
         return levels
 
     def begin_again(self, until_s: float) -> Kept:

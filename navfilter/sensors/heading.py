@@ -187,6 +187,12 @@ class Heading(Sensor):
             return z if z[:3].any() else None
         return z
 
+    @property
+    def plain(self) -> tuple[float, int]:
+        """A heading, and no temperature."""
+        otherwise = self.magnetometer or type(self).read is not Heading.read
+        return (0.0, 0) if otherwise else (LARGEST, self.reads + 1)
+
     def read_all(self, values: Array | Sequence[Array]) -> tuple[Array, NDArray[np.bool_]]:
         """Headings at once; fields one by one."""
         otherwise = self.magnetometer or type(self).read is not Heading.read

@@ -98,6 +98,11 @@ class Depth(Sensor):
 
         return np.array([-float(z_from_p((value[0] - self.atmospheric_pressure_pa) * 1e-4, self.latitude_deg))])
 
+    @property
+    def plain(self) -> tuple[float, int]:
+        """A depth."""
+        return (0.0, 0) if self.pressure or type(self).read is not Depth.read else (LARGEST, 1)
+
     def read_all(self, values: Array | Sequence[Array]) -> tuple[Array, NDArray[np.bool_]]:
         """Depths at once; pressures one by one."""
         if self.pressure or type(self).read is not Depth.read or not isinstance(values, np.ndarray):

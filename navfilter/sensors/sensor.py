@@ -250,6 +250,13 @@ class Sensor:
             return value
         return np.where(seen, value, np.nan) if seen.any() else None
 
+    @property
+    def plain(self) -> tuple[float, int]:
+        """A reading of `reads` values, none larger than the first number and not all of them 0, is taken as it is, with
+        NaN behind it up to as many values as the second: `read` need not be asked. Always where that is (0, 0).
+        """
+        return (LARGEST, self.reads) if type(self).read is Sensor.read else (0.0, 0)
+
     def read_all(self, values: Array | Sequence[Array]) -> tuple[Array, NDArray[np.bool_]]:
         """`read` of many readings: what it makes of each, NaN beyond, and which of them are readings.
 

@@ -139,6 +139,11 @@ class BodyVelocity(Sensor):
             return None
         return value[:3] if clean else np.array([c if -top <= c <= top else math.nan for c in components])
 
+    @property
+    def plain(self) -> tuple[float, int]:
+        """All three components."""
+        return (0.0, 0) if type(self).read is not BodyVelocity.read or self.reads != 3 else (self.max_speed_m_s, 3)
+
     def read_all(self, values: Array | Sequence[Array]) -> tuple[Array, NDArray[np.bool_]]:
         """The same of many."""
         otherwise = type(self).read is not BodyVelocity.read
