@@ -237,7 +237,7 @@ def _product_transposed(A, B, out):
             out[i, j] = s
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always", **UNCOUNTED)
+@njit(cache=True, nogil=True, error_model="numpy", **UNCOUNTED)
 def _move(x, at, U, used, a, r, m):
     """``x = F x`` in place, for the rows from `at` on: the chain advances one tick, the observer state shifts."""
     for i in range(r):
@@ -464,7 +464,7 @@ def _build_tick(context, builder, kinds, arguments):
     return context.get_dummy_value()
 
 
-_tick_by_loops = njit(cache=True, nogil=True, error_model="numpy", inline="always", **UNCOUNTED)(_tick)
+_tick_by_loops = njit(cache=True, nogil=True, error_model="numpy", **UNCOUNTED)(_tick)
 
 
 @apart
