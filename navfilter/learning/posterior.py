@@ -15,7 +15,6 @@ from functools import cache
 from typing import NamedTuple
 
 import numpy as np
-import scipy  # its parts are imported when they are first used: that takes a second
 from numpy.typing import NDArray
 
 from navfilter.error_models import CORRELATION_CONSTANTS, GaussMarkov
@@ -269,7 +268,13 @@ def _fine(nodes: int) -> tuple[Array, Array]:
     places = np.arange(float(nodes))
     fine = np.linspace(0.0, nodes - 1.0, STEPS * (nodes - 1) + 1)
     straight = np.array([np.interp(fine, places, row) for row in np.eye(nodes)]).T
-    return scipy.interpolate.CubicSpline(places, np.eye(nodes), bc_type="natural")(fine), straight
+    # second derivatives at the nodes: none at the ends, and no jump of the first one elsewhere
+    bends = np.zeros((nodes, nodes))
+    inner = np.diff(np.eye(nodes), 2, axis=0)
+    bends[1:-1] = np.linalg.solve((inner @ np.eye(nodes)[:, 1:-1]) / 6.0 + np.eye(nodes - 2), inner)
+    # between two nodes the straight line, and what bends by one at one node and by nothing at the other
+    bent = (straight**3 - straight) / 6.0
+    return straight + bent @ bends, straight
 
 
 def _between_places(line: Line, log_sd: float) -> float:
