@@ -76,6 +76,11 @@ class Readings:
         """What was read."""
         return self.values[self.sensor[index]][self.row[index]]
 
+    def rows(self, sensor: int, which: Ints) -> Array | list[Array]:
+        """Values of some readings of one sensor."""
+        values, rows = self.values[sensor], self.row[which]
+        return values[rows] if isinstance(values, np.ndarray) else [values[row] for row in rows.tolist()]
+
     def later(self, by_s: Array, which: Ints | slice = slice(None)) -> Readings:
         """Some of them by times that are later by so much; of equal times those first that have waited."""
         time_s = (self.time_s + by_s)[which]
@@ -257,23 +262,22 @@ class Passage:
         self._begin, self._end, self._first, self._stepped = at, end, self.done, 0
         self._samples = self._block(self.done, max(self.done, int(self._ends[end - 1])))
         self._stamps = self._samples[:, 0].copy()  # those of the samples become steps
-        which, rows, same = given.sensor[at:end], given.row[at:end], self._same[at:end]
+        which, same = given.sensor[at:end], self._same[at:end]
         self._good, own = np.zeros(end - at, bool), any(sds is not None for sds in given.sds)
         read: list[tuple[Ints, Array]] = []
         self._variances = np.full((end - at if own else 1, self._notes.shape[1] // 2), np.nan)
         for i, channel in enumerate(self._channels):
             if not channel.spot[kernels.EQUATION]:
                 continue
-            mine, sds, values = np.flatnonzero(which == i), given.sds[i], given.values[i]
-            some = values[rows[mine]] if isinstance(values, np.ndarray) else [values[row] for row in rows[mine]]
-            z, good = channel.sensor.read_all(some)
+            mine, sds = np.flatnonzero(which == i), given.sds[i]
+            z, good = channel.sensor.read_all(given.rows(i, at + mine))
             if channel.sensor.corrects == "position":
                 dived = np.diff(given.time_s[mine + at], prepend=channel.memory.used_s) > channel.dive_s
                 good = good & ~same[mine] & ~dived  # what a fix is worth then is Python's to judge
             self._good[mine] = good
             read.append((mine, z))
             for k in mine[good].tolist() if own else ():
-                sd = None if sds is None else sds[rows[k]]
+                sd = None if sds is None else sds[given.row[at + k]]
                 if sd is not None:
                     self._good[k] = usable(sd, channel.sensor)
                     if self._good[k]:
@@ -425,7 +429,8 @@ class Passage:
             samples = self._block(self._kept, int(ends[-1]))
             part, place = slice(taken.start, taken.stop), np.array([kept.names.index(name) for name in given.names])
             own = [given.sd(at) for at in taken] if any(sds is not None for sds in given.sds) else []
-            values = [given.value(at) for at in taken]
+            mine = {i: first_at + np.flatnonzero(which == i) for i in set(which.tolist())}
+            values = {int(place[i]): given.rows(i, those) for i, those in mine.items()}
             kept.extend(samples, ends - self._kept, times, place[which], self._same[part], values, own)
         self._kept = self.done if kept is None else int(ends[-1]) if taken else self._kept
 

@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 from scipy import special
-from scipy.linalg import block_diag, expm
+from scipy.linalg import block_diag, expm, solve_continuous_lyapunov
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
@@ -999,6 +999,65 @@ def channel_scores(E, V, steps, clip, info, gradient):
     dv = dz + 0.5 * z * ds
     gradient[:] = dz @ np.clip(z, -clip, clip) + 0.5 * ds.sum(1)
     info[:] = dv @ dv.T + 0.5 * ds @ ds.T
+
+
+def slow_part(slow, log_sd, log_tau, rate_s, chain):
+    """The cascade ``x' = -b x + b (the next one)``, its last driven by white noise."""
+    b = rate_s / np.exp(log_tau)
+    A, drive = b * (np.eye(slow, k=1) - np.eye(slow)), np.eye(slow)[-1]
+    density = (2.0 if slow == 1 else 4.0) * b * np.exp(2 * log_sd)
+    places, weights = np.polynomial.legendre.leggauss(40)
+    ways = [expm(0.5 * (place + 1.0) * A) @ drive for place in places]
+    own = np.ix_(range(3), range(-slow, 0), range(-slow, 0))
+    Q = density * sum(0.5 * weight * np.outer(way, way) for weight, way in zip(weights, ways, strict=True))
+    chain[own] = [expm(A), Q, solve_continuous_lyapunov(A, -density * np.outer(drive, drive))]
+
+
+def channel_values(y, rows, p, slow, drift, sees, rules, belief, first, E, V, values):
+    r = drift.shape[1]
+    for k, row in enumerate(rows):
+        fast = row[:-2] if slow else row
+        ar, ma = fast[:p], fast[p:-1]
+        m = max(len(ar), len(ma))
+        theta = np.r_[ar, np.zeros(m - len(ar)), ma, np.zeros(m - len(ma)), fast[-1]]
+        chain = np.zeros((3, r + slow, r + slow))
+        chain[:, :r, :r] = drift
+        if slow:
+            slow_part(slow, row[-2], row[-1], belief[0], chain)
+        e, S = np.empty(len(y)), np.empty(len(y))
+        values[k] = one_channel(y, theta, chain, sees, rules, first, e, S)
+        if slow:
+            off = (row[-2] - belief[1] - belief[3]) / belief[4], (row[-1] - belief[5]) / belief[6]
+            values[k] -= belief[2] - 0.5 * np.sum(np.square(off))
+        if len(E) and k < E.shape[1]:
+            E[:, k], V[:, k] = e, S
+
+
+def channel_point(y, rows, p, slow, drift, sees, rules, belief, differences, E, V, values, info, gradient):
+    k = rows.shape[1]
+    steps = np.full(k, differences[0])
+    for i in range(p):
+        moved = ((size, np.roots([1.0, *rows[0, :p] + size * np.eye(k)[i, :p]])) for size in differences[:-1])
+        steps[i] = next(size for size, roots in moved if abs(roots).max() < 1.0)
+    if slow:
+        steps[-2:] = differences[-1]
+    rows[1 : k + 1] = rows[0] + np.diag(steps)
+    channel_values(y, rows, p, slow, drift, sees, rules, belief, 0, E, V, values)
+    channel_scores(E, V, steps, rules[2], info, gradient)
+    if slow:
+        spreads = np.array([belief[4], belief[6]])
+        gradient[-2:] += (rows[0, -2:] - [belief[1] + belief[3], belief[5]]) / spreads**2
+        info[-2:, -2:] += np.diag(1.0 / spreads**2)
+
+
+def damped_steps(theta, gradient, info, dampings, sizes, converged, longest, moved, gains):
+    for n, damping in enumerate(dampings):
+        step = -np.linalg.solve(info + damping * np.diag(np.maximum(np.diag(info), 1e-9)), gradient)
+        gain = -0.5 * step @ gradient
+        if not gain > converged:
+            return n
+        gains[n], moved[n] = gain, theta + step * min(1.0, longest / np.abs(step[sizes:]).max())
+    return len(dampings)
 
 
 # ---------------------------------------------------------------- kernels/listen.py: what an open loop would have read

@@ -12,11 +12,10 @@ from navfilter.arma.algebra import add_arma
 from navfilter.arma.model import ArmaModel, simulate_arma
 from navfilter.kernels import channel as kernels
 from navfilter.kernels.channel import LANES
-from navfilter.learning import likelihood
 from navfilter.learning.drift import Drift
 from navfilter.learning.fit import fit_channel
-from navfilter.learning.likelihood import Likelihood, filtered
-from navfilter.learning.slow import drift_chain, slow_chains
+from navfilter.learning.likelihood import Likelihood
+from navfilter.learning.slow import drift_chain
 
 DEG = math.pi / 180.0
 PERIOD_S = 0.125
@@ -45,6 +44,13 @@ def log_s0(model):
 def packed(ar, ma, sd):
     m = max(len(ar), len(ma), 1)
     return np.r_[ar, np.zeros(m - len(ar)), ma, np.zeros(m - len(ma)), math.log(sd)]
+
+
+def filtered(y, thetas, chains, sees, rules, first=0):
+    """Minus the log-likelihood of some models."""
+    values = np.empty(len(thetas))
+    kernels.channel_filter(y, thetas, chains, sees, rules, first, *np.empty((2, 0, LANES)), values)
+    return values
 
 
 def run(y, theta, chain, sees, d, clip=NEVER, white=0.0, longest=8.0):
@@ -130,18 +136,14 @@ def moved(theta, chain, free, steps, d):
     return thetas, chains
 
 
-def naive_scores(y, thetas, chains, sees, rules, steps, E, V, info, gradient):
-    values = np.empty(len(thetas))
-    naive.channel_filter(y, thetas, chains, sees, rules, 0, E, V, values)
-    naive.channel_scores(E, V, steps, rules[2], info, gradient)
-    return values
-
-
-def scored(scores, y, theta, chain, sees, rules, free, steps, d):
+def scored(of, y, theta, chain, sees, rules, free, steps, d):
     k = len(steps)
     thetas, chains = moved(theta, chain, free, steps, d)
-    E, V, info, gradient = *np.empty((2, len(y), LANES * (k // LANES + 1))), np.empty((k, k)), np.empty(k)
-    return scores(y, thetas, chains, sees, rules, steps, E, V, info, gradient)[0], gradient, info
+    E, V, values = *np.empty((2, len(y), LANES * (k // LANES + 1))), np.empty(k + 1)
+    info, gradient = np.empty((k, k)), np.empty(k)
+    of.channel_filter(y, thetas, chains, sees, rules, 0, E, V, values)
+    of.channel_scores(E, V, steps, rules[2], info, gradient)
+    return values[0], gradient, info
 
 
 def walk_with_gaps(random, n=70):
@@ -188,7 +190,10 @@ def test_a_tick_that_is_written_out_is_its_twin(d, slow, m):
     chain[:, :d, :d] = drift_chain(Drift((0.3, 0.1, 0.02)[:d], 1.0), 1.0)
     chains = np.tile(chain, (count, 1, 1, 1))
     if slow:
-        chains[:, :, d:, d:] = slow_chains(slow, np.linspace(0.5, 2.0, count), np.linspace(5.0, 50.0, count), 1.0)
+        for one, log_sd, log_tau in zip(
+            chains, np.linspace(-0.7, 0.7, count), np.linspace(1.6, 3.9, count), strict=True
+        ):
+            kernels.slow_part(slow, log_sd, log_tau, 1.0, one)
     sees = np.eye(r)[0] + (np.arange(r) == d) * (slow > 0)
     thetas, rules = np.tile(theta, (count, 1)), np.array([d, 8.0, 1.5, 0.04])
     thetas[:, -1] += 0.01 * np.arange(count)
@@ -221,9 +226,7 @@ def test_scores_are_their_twin(ar, ma, d, beside):
     m = (len(theta) - 1) // 2
     free, rules = np.r_[np.arange(len(ar)), m + np.arange(len(ma)), 2 * m], np.array([d, 8.0, 1.5, 0.0])
     steps = np.full(len(free) + bool(beside), 1e-4)
-    one, other = (
-        scored(scores, y, theta, chain, sees, rules, free, steps, d) for scores in (likelihood.scores, naive_scores)
-    )
+    one, other = (scored(of, y, theta, chain, sees, rules, free, steps, d) for of in (kernels, naive))
     for a, b in zip(one[:3], other[:3], strict=True):
         # both take the same differences: what is left is rounding over the step, and with four integrators P spans ten
         # decades
@@ -234,13 +237,83 @@ def test_scores_are_the_slope_of_the_filter():
     random = np.random.default_rng(5)
     y, theta, (chain, sees) = walk_with_gaps(random), packed([-0.8, 0.1], [0.4], 0.7), chain_of(2, 1, random)
     rules, free = np.array([2, 8.0, 1.5, 0.0]), np.array([0, 1, 2, 4])
-    gradient = scored(likelihood.scores, y, theta, chain, sees, rules, free, np.full(5, 1e-6), 2)[1]
+    gradient = scored(kernels, y, theta, chain, sees, rules, free, np.full(5, 1e-6), 2)[1]
     for k, slope in enumerate(gradient):
         ends = []
         for sign in (1.0, -1.0):
             thetas, chains = moved(theta, chain, free, sign * 1e-5 * np.eye(5)[k], 2)
             ends.append(run(y, thetas[k + 1], chains[k + 1], sees, 2, clip=1.5))
         assert slope == pytest.approx((ends[0] - ends[1]) / 2e-5, rel=1e-4, abs=1e-3)
+
+
+BELIEF = np.array([1.3, -0.2, math.log(0.3), -0.5, 1.0, 3.0, 2.0])
+
+
+def parameters(p, q, slow, count, random):
+    """Models of one order, not far from each other."""
+    ar, ma = np.array([-0.8, 0.3, -0.1])[:p], np.array([0.4, 0.1])[:q]
+    theta = np.r_[ar, ma, -0.3, [-0.7, 3.5] if slow else []]
+    return theta + 0.01 * random.normal(size=(count, theta.size))
+
+
+@pytest.mark.parametrize("slow", [0, 1, 2])
+@pytest.mark.parametrize(("p", "q"), [(0, 0), (1, 0), (0, 2), (3, 2)])
+def test_values_and_points_are_their_twins(p, q, slow):
+    """More models than lanes; with another unit, and what is believed of the slow part."""
+    random = np.random.default_rng(12)
+    y, drift = walk_with_gaps(random, 150), drift_chain(Drift((0.3, 0.1), 1.0), 1.0)
+    rows = parameters(p, q, slow, LANES + 5, random)
+    k, r = rows.shape[1], 2 + slow
+    sees, rules = np.eye(r)[0] + (np.arange(r) == 2), np.array([2, 8.0, 1.5, 0.04])
+    fixed = p, slow, drift, sees, rules, BELIEF
+    for first in (0, 60):
+        E, V, values = *np.empty((2, 2, len(y), 2 * LANES)), np.empty((2, len(rows)))
+        for of, e, S, value in zip((kernels, naive), E, V, values, strict=True):
+            of.channel_values(y, rows, *fixed, first, e, S, value)
+        np.testing.assert_allclose(values[0], values[1], rtol=1e-10)
+        np.testing.assert_allclose(E[0][:, : len(rows)], E[1][:, : len(rows)], rtol=1e-8, atol=1e-8)
+    E, V, values = *np.empty((2, 2, len(y), 2 * LANES)), np.empty((2, len(rows)))
+    info, gradient, differences = np.empty((2, k, k)), np.empty((2, k)), np.array([1e-4, -1e-4, 2e-4])
+    both = rows.copy(), rows.copy()
+    for of, row, *out in zip((kernels, naive), both, E, V, values, info, gradient, strict=True):
+        of.channel_point(y, row, *fixed, differences, *out)
+    assert np.array_equal(*both)
+    np.testing.assert_allclose(values[0], values[1], rtol=1e-10)
+    np.testing.assert_allclose(info[0], info[1], rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(gradient[0], gradient[1], rtol=1e-6, atol=1e-6)
+
+
+@pytest.mark.parametrize("slow", [1, 2])
+@pytest.mark.parametrize("tau_s", [0.3, 5.0, 60.0, 4e3, 1e6])
+def test_a_slow_part_is_its_twin(slow, tau_s):
+    one, other = np.zeros((2, 3, 3, 3))
+    for of, chain in ((kernels, one), (naive, other)):
+        of.slow_part(slow, -0.4, math.log(tau_s), 0.7, chain)
+    np.testing.assert_allclose(one, other, rtol=1e-10, atol=1e-300)
+
+
+@pytest.mark.parametrize("size", [1e-3, 3.0, 30.0])
+def test_damped_steps_are_their_twin(size):
+    """Few steps are left where little is to be gained, and long ones are cut."""
+    random = np.random.default_rng(13)
+    for k in (1, 3, 11):
+        root, sizes, dampings = random.normal(size=(k + 3, k)), max(k - 3, 0), np.array([1e-4, 1e-2, 0.3, 10.0])
+        at = random.normal(size=k), size * random.uniform(1.0, 2.0, k), root.T @ root
+        moved, gains = np.full((2, 4, k), np.nan), np.full((2, 4), np.nan)
+        counts = [
+            of.damped_steps(*at, dampings, sizes, 0.05, 1.5, *out)
+            for of, *out in zip((kernels, naive), moved, gains, strict=True)
+        ]
+        assert counts[0] == counts[1] and (counts[0] > 0) == (size > 1.0)
+        np.testing.assert_allclose(moved[0], moved[1], rtol=1e-9)
+        np.testing.assert_allclose(gains[0], gains[1], rtol=1e-9)
+
+
+def test_nothing_is_stepped_where_the_slope_is_unknown():
+    moved, gains, nothing = np.empty((1, 2)), np.empty(1), np.full(2, np.nan)
+    dampings = np.array([0.01])
+    for gradient, info in ((nothing, np.eye(2)), (np.ones(2), np.full((2, 2), np.nan)), (np.ones(2), -np.eye(2))):
+        assert kernels.damped_steps(np.zeros(2), gradient, info, dampings, 1, 0.05, 1.5, moved, gains) == 0
 
 
 @pytest.mark.parametrize(

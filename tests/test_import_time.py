@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-#: Take longer to import than the rest together, and belong to learning, reports and figures.
+#: Take longer to import than the rest together, and belong to reports, figures and campaigns.
 HEAVY = {"scipy.stats", "scipy.signal", "scipy.optimize", "scipy.interpolate", "matplotlib", "filterpy", "bokeh"}
 RUN = """
 import json, sys
@@ -50,8 +50,15 @@ def test_a_plain_replay_imports_nothing_heavy(folder):
     assert not HEAVY & (ready | later), HEAVY & (ready | later)
 
 
-def test_a_vehicle_that_learns_imports_all_of_scipy_when_it_is_made(folder):
-    """A second of imports in the middle of a dive is a second without navigation."""
+def test_a_vehicle_that_learns_imports_nothing_heavy_either(folder):
+    """And nothing of scipy under way: half a second of imports in the middle of a dive is one without navigation."""
     ready, later, adopted = modules(folder, "learns")
-    assert adopted and {"scipy.stats", "scipy.signal"} <= ready
+    assert adopted and not HEAVY & (ready | later), HEAVY & (ready | later)
     assert not [name for name in later if name.startswith("scipy")]
+
+
+def test_a_report_does_without_the_large_parts_of_scipy():
+    code = "import json, sys, navfilter.report.report; print(json.dumps(sorted(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=300, check=True)
+    found = set(json.loads(done.stdout))
+    assert "matplotlib" in found and not {name for name in HEAVY if name.startswith("scipy")} & found

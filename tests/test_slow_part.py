@@ -10,11 +10,11 @@ from test_channel import dense, lags, walk_with_gaps, wide
 import navfilter as nf
 from navfilter.arma.model import ArmaModel, simulate_arma
 from navfilter.error_models import CORRELATION_CONSTANTS, GaussMarkov
-from navfilter.kernels.channel import LANES
+from navfilter.kernels.channel import LANES, slow_part
 from navfilter.learning.drift import Drift
 from navfilter.learning.likelihood import Likelihood, maximise
 from navfilter.learning.posterior import Line, SlowPosterior, _between_places, follow, slow_psd
-from navfilter.learning.slow import SlowNode, SlowPrior, slow_chains, slow_prior
+from navfilter.learning.slow import SlowNode, SlowPrior, slow_prior
 from navfilter.learning.spectrum import Spectrum, log_spread
 
 PERIOD_S = 0.5
@@ -25,11 +25,18 @@ PRIOR = SlowPrior(0.5, 40.0, 300.0)
 # ---------------------------------------------------------------------- states
 
 
+def chain_of(order, sd, tau_s):
+    """Transition, noise and start of a slow part."""
+    chain = np.zeros((3, order, order))
+    slow_part(order, math.log(sd), math.log(tau_s), CORRELATION_CONSTANTS[order] * PERIOD_S, chain)
+    return chain
+
+
 @pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize("tau_s", [0.3, 5.0, 60.0, 4e3, 1e6])
 def test_the_slow_states_are_a_gauss_markov_process(order, tau_s):
     """The covariance function is that of the block of the filter, and the start is stationary."""
-    Phi, Q, P0 = slow_chains(order, np.array([0.7]), np.array([tau_s]), PERIOD_S)[0]
+    Phi, Q, P0 = chain_of(order, 0.7, tau_s)
     block, moved = GaussMarkov(0.7, tau_s, order).block(PERIOD_S), np.eye(order)
     other = np.eye(order)
     for _ in range(40):
@@ -48,7 +55,7 @@ def test_noise_of_a_very_slow_part_is_no_rounding(order):
     s, weight = 0.5 * PERIOD_S * (at + 1.0), 0.5 * PERIOD_S * weight
     way = np.exp(-beta * s) * (np.stack([beta * s, np.ones_like(s)]) if order == 2 else np.ones((1, s.size)))
     density = 4.0 * beta if order == 2 else 2.0 * beta
-    (Q,) = slow_chains(order, np.ones(1), np.array([1e6]), PERIOD_S)[:, 1]
+    Q = chain_of(order, 1.0, 1e6)[1]
     np.testing.assert_allclose(Q, density * (way * weight) @ way.T, rtol=1e-12)
 
 

@@ -7,10 +7,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import signal
-from scipy.stats import chi2
 
 from navfilter.diagnostics import Whiteness, acf, whiteness
+from navfilter.filter.chi_square import chi_square_limit
 from navfilter.filter.tape import OUTCOMES, Residuals
 from navfilter.mission import Stream
 from navfilter.sensors import Sensor, traits
@@ -114,14 +113,14 @@ def independent(z: Array, most: int = 4000) -> float:
     power = float(z @ z)
     if power == 0.0:
         return 1.0
-    r = signal.correlate(z, z, method="fft")[len(z) - 1 :] / power
+    r = np.fft.irfft(np.abs(np.fft.rfft(z, 2 * len(z))) ** 2)[: len(z)] / power
     ends = np.flatnonzero(r <= 0.0)
     return max(1.0, len(z) / (1.0 + 2.0 * float(np.sum(r[1 : ends[0] if ends.size else None] ** 2))))
 
 
 def chi_square_range(freedom: float) -> tuple[float, float]:
     """Where 95 % of the means of chi-square per degree of freedom lie."""
-    low, high = chi2.ppf((0.025, 0.975), freedom) / freedom
+    low, high = (chi_square_limit(p, freedom) / freedom for p in (0.025, 0.975))
     return float(low), float(high)
 
 

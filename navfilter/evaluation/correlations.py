@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import accumulate
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
-from scipy.stats import norm
+from scipy.special import ndtr
 
 from navfilter.check.finding import Finding
 from navfilter.kernels.strapdown import gravity
@@ -164,7 +164,7 @@ def correlations(run: Track, mission: Mission) -> tuple[Correlation, ...]:
             if np.std(against) == 0.0:
                 continue
             coefficient, effective = correlation(value, against)
-            chance = 2.0 * float(norm.sf(abs(coefficient) * math.sqrt(effective)))
+            chance = 2.0 * float(ndtr(-abs(coefficient) * math.sqrt(effective)))
             found.append(Correlation(name, pair.axis, pair.words, pair.cause, pair.key, coefficient, effective, chance))
     return tuple(found)
 
@@ -250,7 +250,8 @@ def _followed(sensor: Sensor, sd: Array) -> float:
 
 def _unfollowed(signal: Array, gain: float) -> Array:
     """What is left of a signal in the readings once the state follows it: residuals of a filter with this gain."""
-    return np.asarray(lfilter([1.0, -1.0], [1.0, gain - 1.0], signal - signal[0]))
+    steps = np.diff(signal, prepend=signal[0]).tolist()
+    return np.array(list(accumulate(steps, lambda left, step: step + (1.0 - gain) * left)))
 
 
 def _pairs(name: str, vehicle: Any, motion: _Motion) -> Iterator[_Pair]:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import binom
+from scipy.special import bdtrc
 
 from navfilter.check.amounts import counted
 from navfilter.check.finding import Finding, Severity
@@ -358,7 +358,7 @@ def _surfaced(evidence: Evidence, limits: Limits) -> Iterator[Finding]:
             f"where {worst.sd_m:.1f} m were predicted ({len(refused)} of {len(found)} surfacings)."
         )
         yield Finding("warning", worst.sensor, text, cure)
-    elif outside and binom.sf(outside - 1, len(found), 0.05) < limits.chance:
+    elif outside and bdtrc(outside - 1, len(found), 0.05) < limits.chance:
         text = f"{outside} of {len(found)} surfacings lie outside the range that should hold 95 % of them."
         yield Finding("warning", "", text, cure)
 

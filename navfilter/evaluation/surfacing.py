@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
+from navfilter.filter.chi_square import chi_square_limit
 from navfilter.filter.tape import OUTCOMES
 from navfilter.track import Track
 
@@ -213,7 +213,7 @@ def surfacings(track: Track) -> tuple[Surfacing, ...]:
                 distance_m=float(end_m - begin_m),
                 error_m=float(np.hypot(*r.value[i, :2])),
                 sd_m=float(np.hypot(*r.sd[i, :2])),
-                inside=bool(r.nis[i] <= chi2.ppf(0.95, max(r.dof[i], 1.0))),
+                inside=bool(r.nis[i] <= chi_square_limit(0.95, max(r.dof[i], 1.0))),
                 used=bool(r.used[i]),
             )
         )

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
 from navfilter.error_models import ErrorModel
+from navfilter.filter.chi_square import chi_square_limit
 from navfilter.mission import TRUTH_COLUMNS, Mission, Stream
 from navfilter.sensors import Sensor
 from navfilter.state import matrix_from_euler
@@ -152,7 +152,7 @@ def score(track: Track, withheld: Withheld) -> Score | None:
         end_m=float(distance[-1]),
         distance_m=float(travelled[1] - travelled[0]),
         sd_m=float(np.sqrt(np.mean(S[:, 0, 0] + S[:, 1, 1]))),
-        inside=float(np.mean(squared <= chi2.ppf(0.95, 2))),
+        inside=float(np.mean(squared <= chi_square_limit(0.95, 2))),
     )
 
 

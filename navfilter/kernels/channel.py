@@ -36,6 +36,12 @@ from navfilter.kernels.decorators import apart, njit
 UNCOUNTED: dict = {"_nrt": False}
 DIFFUSE, LONGEST_GAP, CLIP, WHITE = 0, 1, 2, 3
 TRANSITION, NOISE, START = 0, 1, 2
+# Of a slow part: over one tick, by its correlation time [s]; ln of the unit; what is believed of ln sd and ln tau.
+RATE_S, LOG_UNIT, LOG_SHARE, CENTRE, SPREAD, CENTRE_TAU, TAU_SPREAD, SLOW = range(8)
+# Below this the integrals of a slow part's noise are series of so many terms: their closed form cancels.
+NEAR, TERMS = 0.1, 12
+# Curvatures count as at least this when they are damped.
+FLATTEST = 1e-9
 HALF_LOG_2PI = 0.9189385332046727
 # Variances multiplied before one looks how large the product is, and what is large and small then: those of the widest
 # scales, 1e35, do not overflow yet.
@@ -231,7 +237,7 @@ def _product_transposed(A, B, out):
             out[i, j] = s
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always", **UNCOUNTED)
+@njit(cache=True, nogil=True, error_model="numpy", **UNCOUNTED)
 def _move(x, at, U, used, a, r, m):
     """``x = F x`` in place, for the rows from `at` on: the chain advances one tick, the observer state shifts."""
     for i in range(r):
@@ -458,7 +464,7 @@ def _build_tick(context, builder, kinds, arguments):
     return context.get_dummy_value()
 
 
-_tick_by_loops = njit(cache=True, nogil=True, error_model="numpy", inline="always", **UNCOUNTED)(_tick)
+_tick_by_loops = njit(cache=True, nogil=True, error_model="numpy", **UNCOUNTED)(_tick)
 
 
 @apart
@@ -567,6 +573,7 @@ def _through(y, sees, rules, first, shape, group, E, V, model, state, sums):
     return counted
 
 
+@apart
 @njit(cache=True, nogil=True, error_model="numpy")
 def channel_filter(y, thetas, chains, sees, rules, first, E, V, values):
     """Minus the log-likelihood of several models into `values` (K,): of the samples from `first` on, given those
@@ -668,6 +675,7 @@ def _collapse(XS, WS, AS, xs, PS, n, d, spare):
                     PS[i * n + j, lane] += A[i, k] * A[j, k]
 
 
+@apart
 @njit(cache=True, nogil=True, error_model="numpy")
 def channel_scores(E, V, steps, clip, info, gradient):
     """Gradient of minus the log-likelihood and the Fisher information, from what `channel_filter` has noted: in lane 0
@@ -712,3 +720,166 @@ def channel_scores(E, V, steps, clip, info, gradient):
         gradient[i] = slopes[i + 1]
         for j in range(k):
             info[i, j] = sums[2 * i, j + 1] + sums[2 * i + 1, j + 1]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _integral(k, x, fading):
+    """Of ``s^k exp(-s)`` from 0 to x, k of 0 to 2; `fading` is ``exp(-x)``."""
+    if x >= NEAR:
+        if k == 0:
+            return 1.0 - fading
+        return 1.0 - fading * (1.0 + x) if k == 1 else 2.0 - fading * (2.0 + 2.0 * x + x * x)
+    total, term = 0.0, x ** (k + 1)
+    for n in range(TERMS):
+        total += term / (n + k + 1)
+        term *= -x / (n + 1)
+    return total
+
+
+@apart
+@njit(cache=True, nogil=True, error_model="numpy")
+def slow_part(slow, log_sd, log_tau, rate_s, chain):
+    """Transition, noise and start of a Gauss-Markov process of order 1 or 2 over one tick into the last rows and
+    columns of `chain` (3, r, r): a cascade of first-order ones, driven at its end.
+    """
+    step = rate_s / math.exp(log_tau)
+    variance, phi = math.exp(2.0 * log_sd), math.exp(-step)
+    i = chain.shape[1] - slow
+    chain[TRANSITION, i, i] = phi
+    if slow == 1:
+        chain[NOISE, i, i], chain[START, i, i] = -math.expm1(-2.0 * step) * variance, variance
+        return
+    # white noise of density 4 b sd^2, in closed form: P0 - Phi P0 Phi' would leave nothing but rounding at small steps
+    x, j = 2.0 * step, i + 1
+    fading = math.exp(-x)
+    zero, one, two = int(0), int(1), int(2)
+    chain[TRANSITION, j, j], chain[TRANSITION, i, j] = phi, phi * step
+    chain[NOISE, i, i] = 0.5 * variance * _integral(two, x, fading)
+    chain[NOISE, i, j] = variance * _integral(one, x, fading)
+    chain[NOISE, j, i] = chain[NOISE, i, j]
+    chain[NOISE, j, j] = 2.0 * variance * _integral(zero, x, fading)
+    chain[START, i, i], chain[START, i, j], chain[START, j, i] = variance, variance, variance
+    chain[START, j, j] = 2.0 * variance
+
+
+@apart
+@njit(cache=True, nogil=True, error_model="numpy")
+def channel_values(y, rows, p, slow, drift, sees, rules, belief, first, E, V, values):
+    """Minus the log-likelihood of several models, less the log-density of their slow parts, into `values` (K,); see
+    `channel_filter`.
+
+    rows (K, k): ``[ar (p), ma, ln sd]`` and, with a slow part of order 1 or 2, ``ln sd, ln tau`` of that. drift (3, r,
+    r) is the chain beside it; belief (SLOW,) what is believed of it.
+    """
+    fast = rows.shape[1] - (2 if slow > 0 else 0)
+    q, r = fast - 1 - p, drift.shape[1]
+    m = max(p, q)
+    thetas, chains = np.zeros((len(rows), 2 * m + 1)), np.zeros((len(rows), 3, r + slow, r + slow))
+    for n in range(len(rows)):
+        for i in range(p):
+            thetas[n, i] = rows[n, i]
+        for i in range(q):
+            thetas[n, m + i] = rows[n, p + i]
+        thetas[n, 2 * m] = rows[n, fast - 1]
+        for part in range(3):
+            for i in range(r):
+                for j in range(r):
+                    chains[n, part, i, j] = drift[part, i, j]
+        if slow > 0:
+            slow_part(slow, rows[n, fast], rows[n, fast + 1], belief[RATE_S], chains[n])
+    channel_filter(y, thetas, chains, sees, rules, first, E, V, values)
+    for n in range(len(rows) if slow > 0 else 0):
+        off = (rows[n, fast] - belief[LOG_UNIT] - belief[CENTRE]) / belief[SPREAD]
+        off_tau = (rows[n, fast + 1] - belief[CENTRE_TAU]) / belief[TAU_SPREAD]
+        values[n] -= belief[LOG_SHARE] - 0.5 * (off * off + off_tau * off_tau)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def channel_point(y, rows, p, slow, drift, sees, rules, belief, differences, E, V, values, info, gradient):
+    """`channel_values` of the model in row 0 and of those behind row k, and in rows 1 to k, written here, of the first
+    with one of its parameters moved; gradient (k,) and Fisher information (k, k) by these differences.
+
+    differences: steps of a coefficient, the first that leaves a stationary start is taken; the last is that of a slow
+    part. Infinite, and NaN, where one of the moved models is not stationary: the caller chooses steps that are.
+    """
+    k, tries = rows.shape[1], differences.size - 1
+    fast = k - (2 if slow > 0 else 0)
+    q = fast - 1 - p
+    m = max(p, q)
+    a, c, spare, steps = np.zeros(m), np.zeros(m), np.zeros((m, m)), np.empty(k)
+    for i in range(p):
+        a[i] = rows[0, i]
+    for i in range(q):
+        c[i] = rows[0, p + i]
+    for i in range(k):
+        steps[i] = differences[0 if i < fast else tries]
+        for n in range(tries if i < p else 0):
+            steps[i] = differences[n]
+            a[i] = rows[0, i] + steps[i]
+            if stationary(a, c, spare):
+                break
+        if i < p:
+            a[i] = rows[0, i]
+        for j in range(k):
+            rows[i + 1, j] = rows[0, j]
+        rows[i + 1, i] += steps[i]
+    channel_values(y, rows, p, slow, drift, sees, rules, belief, int(0), E, V, values)
+    top = 0.0
+    for i in range(k + 1):
+        top = max(top, values[i])
+    if not top < math.inf:
+        values[0] = math.inf
+        for i in range(k):
+            gradient[i] = math.nan
+            for j in range(k):
+                info[i, j] = math.nan
+        return
+    channel_scores(E, V, steps, rules[CLIP], info, gradient)
+    if slow > 0:
+        gradient[fast] += (rows[0, fast] - belief[LOG_UNIT] - belief[CENTRE]) / belief[SPREAD] ** 2
+        gradient[fast + 1] += (rows[0, fast + 1] - belief[CENTRE_TAU]) / belief[TAU_SPREAD] ** 2
+        info[fast, fast] += belief[SPREAD] ** -2.0
+        info[fast + 1, fast + 1] += belief[TAU_SPREAD] ** -2.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def damped_steps(theta, gradient, info, dampings, sizes, converged, longest, moved, gains):
+    """Where scoring steps lead that are damped more and more (Levenberg), shape (n, k), and what each should gain; only
+    for as long as that is more than `converged`: returns how many.
+
+    The parameters from number `sizes` on are logarithms of sizes: none moves by more than `longest`.
+    """
+    k = theta.size
+    L, step = np.empty((k, k)), np.empty(k)
+    for n in range(dampings.size):
+        for i in range(k):
+            for j in range(i + 1):
+                s = info[i, j]
+                if i == j:
+                    s += dampings[n] * max(info[i, i], FLATTEST)
+                for h in range(j):
+                    s -= L[i, h] * L[j, h]
+                L[i, j] = math.sqrt(s) if i == j else s / L[j, j]
+        for i in range(k):
+            s = -gradient[i]
+            for h in range(i):
+                s -= L[i, h] * step[h]
+            step[i] = s / L[i, i]
+        gain = 0.0
+        for i in range(k):
+            gain += 0.5 * step[i] * step[i]
+        if not converged < gain < math.inf:
+            return n
+        gains[n] = gain
+        top = 0.0
+        for i in range(k - 1, -1, -1):
+            s = step[i]
+            for h in range(i + 1, k):
+                s -= L[h, i] * step[h]
+            step[i] = s / L[i, i]
+            if i >= sizes:
+                top = max(top, abs(step[i]))
+        shrunk = longest / top if top > longest else 1.0
+        for i in range(k):
+            moved[n, i] = theta[i] + shrunk * step[i]
+    return dampings.size

@@ -7,7 +7,7 @@ that lives, as Python's collector does, is soon done. All of that happens betwee
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -129,7 +129,7 @@ class Kept:
         time_s: Array,
         sensor: NDArray[np.int64],
         same: NDArray[np.bool_],
-        values: Sequence[Array],
+        values: Mapping[int, Array | Sequence[Array]],
         sds: Sequence[Any],
     ) -> None:
         """Add samples, and readings between them, none of them frozen.
@@ -141,15 +141,23 @@ class Kept:
             Behind how many of these samples each reading came.
         time_s, sensor, same : ndarray, shapes (n,)
             When, of which sensor (by its place among `names`), and whether as before.
-        values : sequence of n ndarray
+        values : dict of int to ndarray, or to sequence of ndarray
+            By sensor, one row a reading.
         sds : sequence
             None for a reading without its own; empty where none has one.
         """
-        ends = self.values.count + np.cumsum([value.size for value in values])
+        owner, read = [], []
+        for number, rows in values.items():
+            flat = rows if isinstance(rows, np.ndarray) else np.concatenate([value.ravel() for value in rows])
+            read.append(flat.ravel())
+            owner.append(np.repeat(np.flatnonzero(sensor == number), [value.size for value in rows]))
+        owners = np.concatenate(owner)
+        numbers = np.concatenate(read)[np.argsort(owners, kind="stable")]
+        ends = self.values.count + np.cumsum(np.bincount(owners, minlength=len(time_s)))
         self.sds.update({self.readings.count + k: sd for k, sd in enumerate(sds) if sd is not None})
         frozen = np.zeros(len(time_s))
         self.readings.append(np.column_stack([time_s, sensor, frozen, same, self.samples.count + before, ends]))
-        self.values.append(np.concatenate([np.ravel(value) for value in values])[:, None])
+        self.values.append(numbers[:, None])
         self.samples.append(samples)
 
     def cut(self, samples: int, readings: int) -> None:

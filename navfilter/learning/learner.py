@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -30,8 +29,6 @@ __all__ = ["Learner", "LearnerMemory", "Learnt", "memories", "recall"]
 Array = NDArray[np.float64]
 Order = tuple[int, int]
 
-#: Parts of scipy that a learner calls. They take a second to import: when it is made, not at its first look, under way.
-CALLED = ("interpolate", "signal", "stats")
 #: Middles of nine equally probable parts of a standard normal distribution: the outer ones are its 5 and 95 %.
 ALIKE = ndtri((np.arange(9) + 0.5) / 9.0)
 
@@ -138,8 +135,6 @@ class Learner:
             raise ValueError(f"window must be a whole number of samples, at least {LEAST}, found {window}.")
         if not (math.isfinite(white) and white >= 0.0):
             raise ValueError(f"white must be a variance (finite, not negative), found {white}.")
-        for part in CALLED:
-            importlib.import_module(f"scipy.{part}")
         self.window, self.drift, self.white, self.prior = int(window), drift, float(white), prior
         self.described = described if prior is None else None
         self._memory = LearnerMemory({}, {}, {}, 0, 0, {}, 0)

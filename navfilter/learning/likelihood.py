@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,7 +16,7 @@ from navfilter.kernels.channel import LANES
 from navfilter.learning.drift import Drift
 from navfilter.learning.effort import EFFORT
 from navfilter.learning.limits import CLIP, LONGEST_GAP
-from navfilter.learning.slow import SlowPrior, drift_chain, slow_chains
+from navfilter.learning.slow import SlowPrior, drift_chain, slow_belief
 
 __all__ = ["Likelihood", "Point", "maximise"]
 
@@ -25,6 +24,7 @@ Array = NDArray[np.float64]
 
 #: Where innovations are not wanted.
 _UNWANTED = np.empty((0, LANES))
+_DIFFERENCES, _DAMPINGS = np.array([*EFFORT.differences, EFFORT.slow_difference]), np.array(EFFORT.dampings)
 
 
 class Likelihood:
@@ -84,15 +84,8 @@ class Likelihood:
             sizes = np.log(prior.sd_limits) + self.log_unit
             self._limits = np.concatenate([self._limits, sizes, np.log(prior.taus_s[[0, -1]])])
         self._space = np.empty(2 * self.y.size * LANES)
-
-    def _chains(self, rows: Array, slow: int) -> Array:
-        """Drift and slow part of several parameter vectors, one a row, as the kernel wants them."""
-        r = self._chain.shape[1]
-        out = np.zeros((len(rows), 3, r + slow, r + slow))
-        out[:, :, :r, :r] = self._chain
-        if slow:
-            out[:, :, r:, r:] = slow_chains(slow, np.exp(rows[:, -2]), np.exp(rows[:, -1]), self.drift.period_s)
-        return out
+        self._beliefs = [slow_belief(slow, prior, drift.period_s, self.log_unit) for slow in range(3)]
+        self._unbelieved = [slow_belief(slow, None, drift.period_s, self.log_unit) for slow in range(3)]
 
     def fast(self, theta: Array, slow: int) -> Array:
         """``[ar, ma, ln sd]`` of a parameter vector, or of several, one a row."""
@@ -104,7 +97,7 @@ class Likelihood:
         """
         rows = np.array(thetas)
         E, V = self._noted(len(rows))
-        return self._filtered(rows, p, slow, E, V), E[:, : len(rows)]
+        return self._values(rows, p, slow, self._unbelieved[slow], 0, E, V), E[:, : len(rows)]
 
     def _noted(self, count: int) -> Array:
         """Where the kernel notes innovations and variances of so many models, shape (2, N, a multiple of `LANES`)."""
@@ -126,25 +119,24 @@ class Likelihood:
         """What is minimised, of any number of models, shape (K,): minus the log-likelihood less the log-density of the
         slow part's prior.
         """
-        rows = np.array(thetas)
-        values = self._filtered(rows, p, slow)
-        return values if not slow or self.prior is None else values - self._log_densities(rows, slow)
+        return self._values(np.array(thetas), p, slow, self._beliefs[slow])
 
-    def _log_densities(self, rows: Array, slow: int) -> Array:
-        assert self.prior is not None
-        return self.prior.log_densities(slow, rows[:, -2] - self.log_unit, rows[:, -1])
-
-    def _filtered(self, rows: Array, p: int, slow: int, E: Array = _UNWANTED, V: Array = _UNWANTED) -> Array:
-        thetas, chains = _padded(self.fast(rows, slow), p), self._chains(rows, slow)
-        return filtered(self.y, thetas, chains, self._sees[slow], self.rules, 0, E, V)
+    def _values(
+        self, rows: Array, p: int, slow: int, belief: Array, first: int = 0, E: Array = _UNWANTED, V: Array = _UNWANTED
+    ) -> Array:
+        values = np.empty(len(rows))
+        fixed = self._chain, self._sees[slow], self.rules
+        kernel.channel_values(self.y, rows, p, slow, *fixed, belief, first, E, V, values)
+        return values
 
     def lines(self, fast: Array, p: int, slow: int, log_tau: ArrayLike, log_sd: ArrayLike, first: int) -> Array:
         """Minus the log-likelihood of the samples from `first` on, given those before, for several slow parts beside
         one fast part: ln tau, and ln sd in the unit of the series, shape (k,).
         """
-        chains = self._chains(np.column_stack([np.add(log_sd, self.log_unit), log_tau]), slow)
-        thetas = np.tile(_padded(fast[None], p), (len(chains), 1))
-        return filtered(self.y, thetas, chains, self._sees[slow], self.rules, first)
+        rows = np.empty((np.size(log_sd), fast.size + 2))
+        rows[:, :-2], rows[:, -2], rows[:, -1] = fast, log_sd, log_tau
+        rows[:, -2] += self.log_unit
+        return self._values(rows, p, slow, self._unbelieved[slow], first)
 
     def point(self, theta: Array, p: int, slow: int = 0) -> Point:
         """Penalised value, gradient and Fisher information at `theta`."""
@@ -155,90 +147,22 @@ class Likelihood:
     ) -> tuple[Point, list[float]]:
         """The point at `theta`, and the penalised values of others, which fill the lanes that it leaves free first."""
         k = theta.size
-        steps = np.full(k, EFFORT.slow_difference)
-        fast = self.fast(theta, slow)
-        steps[: fast.size] = self._steps(fast, p)
         rows = np.empty((k + 1 + len(beside), k))
-        rows[: k + 1], rows[k + 1 :] = theta, np.reshape(beside, (-1, k))
-        rows[range(1, k + 1), range(k)] += steps
-        info, gradient = np.empty((k, k)), np.empty(k)
-        thetas, chains = _padded(self.fast(rows, slow), p), self._chains(rows, slow)
-        E, V = self._noted(k + 1)
-        values = scores(self.y, thetas, chains, self._sees[slow], self.rules, steps, E, V, info, gradient)
-        if slow and self.prior is not None:
-            prior, log_sd = self.prior, theta[-2] - self.log_unit
-            values -= self._log_densities(rows, slow)
-            spreads = np.array([prior.spread, prior.tau_spread])
-            gradient[-2:] += prior.offsets(log_sd, theta[-1]) / spreads
-            info[[-2, -1], [-2, -1]] += spreads**-2.0
+        rows[0] = theta
+        if len(beside):
+            rows[k + 1 :] = beside
+        values, info, gradient = np.empty(len(rows)), np.empty((k, k)), np.empty(k)
+        fixed = self._chain, self._sees[slow], self.rules, self._beliefs[slow], _DIFFERENCES, *self._noted(k + 1)
+        kernel.channel_point(self.y, rows, p, slow, *fixed, values, info, gradient)
         return Point(theta, p, slow, float(values[0]), gradient, info), values[k + 1 :].tolist()
-
-    def _steps(self, theta: Array, p: int) -> Array:
-        """Difference steps that stay where a stationary start exists."""
-        steps = np.full(theta.size, EFFORT.differences[0])
-        (padded,) = _padded(theta[None], p)
-        m = padded.size // 2
-        spare = np.empty((m, m))
-        for i in range(p):
-            for size in EFFORT.differences:
-                moved = padded[:m].copy()
-                moved[i] += size
-                steps[i] = size
-                if kernel.stationary(moved, padded[m:-1], spare):
-                    break
-        return steps
 
     def confine(self, thetas: Sequence[Array] | Array, p: int, slow: int = 0) -> Array:
         """Parameter vectors, one a row, with poles and zeros pulled inside their radii, fast poles away from 1, and
         sizes within reason.
         """
         rows = np.array(thetas, dtype=np.float64, order="C")
-        roots.confine(rows, p, self.fast(rows[0], slow).size - 1 - p, self._limits)
+        roots.confine(rows, p, rows.shape[1] - 1 - p - 2 * bool(slow), self._limits)
         return rows
-
-
-def filtered(
-    y: Array,
-    thetas: Array,
-    chains: Array,
-    sees: Array,
-    rules: Array,
-    first: int = 0,
-    E: Array = _UNWANTED,
-    V: Array = _UNWANTED,
-) -> Array:
-    """Minus the log-likelihood of some models (K,), of the samples from `first` on given those before; see
-    `kernel.channel_filter`, which stands alone, so that the dearest kernel of all is compiled once.
-    """
-    values = np.empty(len(thetas))
-    kernel.channel_filter(y, thetas, chains, sees, rules, first, E, V, values)
-    return values
-
-
-def scores(
-    y: Array,
-    thetas: Array,
-    chains: Array,
-    sees: Array,
-    rules: Array,
-    steps: Array,
-    E: Array,
-    V: Array,
-    info: Array,
-    gradient: Array,
-) -> Array:
-    """Minus the log-likelihood of some models (K,); of ``thetas[0]`` and ``chains[0]`` gradient and Fisher information.
-
-    The next k rows of `thetas` (K, 2m+1) and `chains` (K, 3, r, r) are those of this model with one of its k parameters
-    moved by ``steps[i]``, the others are any. `E` and `V` receive innovations and their variances. A step that leaves
-    the stationary region gives an infinite value: the caller chooses steps that do not.
-    """
-    values = filtered(y, thetas, chains, sees, rules, 0, E, V)
-    if values[: steps.size + 1].max() < math.inf:
-        kernel.channel_scores(E, V, steps, rules[kernel.CLIP], info, gradient)
-    else:
-        values[0], info[:], gradient[:] = math.inf, math.nan, math.nan
-    return values
 
 
 @dataclass(frozen=True, eq=False)
@@ -258,21 +182,6 @@ class Point:
         sizes within reason, are of the order of one.
         """
         return np.asarray(np.linalg.inv(self.info + 0.1 * np.eye(self.theta.size)), dtype=np.float64)
-
-
-def _padded(rows: Array, p: int) -> Array:
-    """The kernel's parameter vectors of several ``[ar, ma, ln sd]``, one a row."""
-    q = rows.shape[1] - 1 - p
-    out = np.zeros((len(rows), 2 * max(p, q) + 1))
-    out[:, _places(p, q)] = rows
-    return out
-
-
-@cache
-def _places(p: int, q: int) -> NDArray[np.int64]:
-    """Where the elements of ``[ar, ma, ln sd]`` are in the kernel's parameter vector."""
-    m = max(p, q)
-    return np.r_[np.arange(p), m + np.arange(q), 2 * m]
 
 
 def maximise(
@@ -346,15 +255,8 @@ def _climb(likelihood: Likelihood, point: Point, passes: int, enough: float) -> 
 
 def _trials(likelihood: Likelihood, point: Point) -> tuple[Array, list[float]]:
     """Where steps lead that are damped more and more, and what they should gain; as long as there is something."""
-    if not (np.all(np.isfinite(point.gradient)) and np.all(np.isfinite(point.info))):
-        return np.empty((0, point.theta.size)), []
-    damped = np.multiply.outer(EFFORT.dampings, np.diag(np.maximum(point.info.diagonal(), 1e-9)))
-    steps = np.linalg.solve(point.info + damped, -point.gradient[:, None])[..., 0]
-    gains = [-0.5 * float(step @ point.gradient) for step in steps]
-    count = next((i for i, gain in enumerate(gains) if not gain > EFFORT.converged), len(gains))
-    sizes = slice(-3, None) if point.slow else slice(-1, None)
-    if not count:
-        return steps[:0], []
-    longest = np.maximum(np.abs(steps[:count, sizes]).max(axis=1), 1e-300)
-    moved = point.theta + steps[:count] * np.minimum(1.0, EFFORT.longest_step / longest)[:, None]
-    return likelihood.confine(moved, point.p, point.slow), gains[:count]
+    moved, gains = np.empty((_DAMPINGS.size, point.theta.size)), np.empty(_DAMPINGS.size)
+    sizes = point.theta.size - (3 if point.slow else 1)
+    at = point.theta, point.gradient, point.info
+    count = kernel.damped_steps(*at, _DAMPINGS, sizes, EFFORT.converged, EFFORT.longest_step, moved, gains)
+    return likelihood.confine(moved[:count], point.p, point.slow), gains[:count].tolist()

@@ -15,7 +15,6 @@ from functools import cache
 from typing import NamedTuple
 
 import numpy as np
-import scipy  # its parts are imported when they are first used: that takes a second
 from numpy.typing import NDArray
 
 from navfilter.error_models import CORRELATION_CONSTANTS, GaussMarkov
@@ -164,11 +163,12 @@ def follow(
     fast, here = theta[:-2], (float(theta[-2]) - likelihood.log_unit, float(theta[-1]))
     taus = prior.taus_s
     lines: dict[Place, Line] = {}
+    masses = dict(zip(known, _masses(known, prior)[0].tolist(), strict=True)) if first > 0 and known else {}
     for order in (1, 2):
         searches: dict[Place, tuple[float, Search]] = {}
         for number, tau in enumerate(taus.tolist()):
             old = known.get((order, number))
-            if first > 0 and old is not None and _mass(old, order, tau, prior)[0] < -DEAD:
+            if masses.get((order, number), 0.0) < -DEAD:
                 continue
             # along the ridge of equal driving noise
             guess = (here[0] + 0.5 * (math.log(tau) - here[1]), 0.3) if old is None else (old.peak, old.sd)
@@ -180,10 +180,11 @@ def follow(
             look = _Look(prior, 1, prior.tau_s, old, forgetting if old is not None else 0.0)
             searches[ABSENT] = look.log_tau, look.smallest()
         lines |= _together(likelihood, fast, p, order, searches, first)
-    highest = max(_mass(line, at[0], float(taus[at[1]]), prior)[0] for at, line in lines.items() if at != ABSENT)
     # those not followed stay as far behind as they were, but for what is forgotten
     rest = {place: line for place, line in known.items() if place not in lines}
-    lines |= {place: line._replace(evidence=forgetting * line.evidence + highest) for place, line in rest.items()}
+    if rest:
+        highest = float(_masses({at: line for at, line in lines.items() if at != ABSENT}, prior)[0].max())
+        lines |= {place: line._replace(evidence=forgetting * line.evidence + highest) for place, line in rest.items()}
     return _weighed(lines, prior)
 
 
@@ -207,38 +208,43 @@ def _together(
 
 
 def _weighed(lines: dict[Place, Line], prior: SlowPrior) -> SlowPosterior:
-    taus = prior.taus_s
     lines = {place: lines[place] for place in sorted(lines)}
-    masses = {place: _mass(line, place[0], float(taus[place[1]]), prior) for place, line in lines.items()}
-    highest = max(top for top, _ in masses.values())
+    tops, shares, begins = _masses(lines, prior)
+    highest = float(tops.max())
     lines = {place: line._replace(evidence=line.evidence - highest) for place, line in lines.items()}
-    level = {place: math.exp(max(top - highest, -700.0)) for place, (top, _) in masses.items()}
-    total = sum(level.values())
-    tops = {place: top - highest for place, (top, _) in masses.items()}
-    present = 1.0 - level.get(ABSENT, 0.0) / total
-    weight = np.concatenate([level[place] / total * masses[place][1] for place in lines])
-    means = [float(masses[place][1] @ np.exp(2.0 * line.log_sd)) for place, line in lines.items() if place != ABSENT]
-    sizes = [line.log_sd.size for line in lines.values()]
+    order, number = np.array(list(lines)).T
+    there, sizes, log_sd = order > 0, np.diff(begins), np.concatenate([line.log_sd for line in lines.values()])
+    level = np.exp(np.maximum(tops - highest, -700.0))
+    level /= level.sum()
+    means = np.add.reduceat(shares * np.exp(2.0 * log_sd), begins[:-1])[there]
     return SlowPosterior(
         lines,
-        order=np.repeat([float(max(order, 1)) for order, _ in lines], sizes),
-        tau_s=np.repeat([float(taus[number]) for _, number in lines], sizes),
-        log_sd=np.concatenate([line.log_sd for line in lines.values()]),
-        weight=weight,
-        moments=_between(taus, np.array([tops[place] for place in lines if place != ABSENT]), np.log(means), present),
+        order=np.repeat(np.maximum(order, 1.0), sizes),
+        tau_s=np.repeat(prior.taus_s[number], sizes),
+        log_sd=log_sd,
+        weight=np.repeat(level, sizes) * shares,
+        moments=_between(prior.taus_s, (tops - highest)[there], np.log(means), float(level[there].sum())),
     )
 
 
-def _mass(line: Line, order: int, tau_s: float, prior: SlowPrior) -> tuple[float, Array]:
-    """Log of the posterior's mass on a line, and how it is shared by its places."""
-    if order == 0:
-        odds = prior.absent / (1.0 - prior.absent)
-        return float(line.evidence[0]) + prior.log_mass() + math.log(max(odds, 1e-300)), np.ones(1)
-    log = line.evidence + prior.log_densities(order, line.log_sd, math.log(tau_s))
-    top = float(log.max())
-    share = np.exp(log - top)
-    total = float(share.sum())
-    return top + math.log(total * SPACING * line.sd), share / total
+def _masses(lines: Mapping[Place, Line], prior: SlowPrior) -> tuple[Array, Array, NDArray[np.int64]]:
+    """Log of the posterior's mass on each line, and how it is shared by its places: those of all lines one behind the
+    other, and where each line begins, with the end of the last.
+    """
+    order, number = np.array(list(lines)).T
+    sizes = [line.log_sd.size for line in lines.values()]
+    begins = np.concatenate([[0], np.cumsum(sizes)])
+    log_sd, evidence = (np.concatenate([line[i] for line in lines.values()]) for i in (0, 1))
+    log_tau = np.repeat(np.log(prior.taus_s)[number], sizes)
+    log = evidence + prior.log_densities(np.repeat(np.maximum(order, 1), sizes), log_sd, log_tau)
+    tops = np.maximum.reduceat(log, begins[:-1])
+    shares = np.exp(log - np.repeat(tops, sizes))
+    totals = np.add.reduceat(shares, begins[:-1])
+    tops += np.log(totals * SPACING * np.array([line.sd for line in lines.values()]))
+    odds = prior.absent / (1.0 - prior.absent)
+    absent = prior.log_mass() + math.log(max(odds, 1e-300))
+    tops = np.where(order > 0, tops, evidence[begins[:-1]] + absent)
+    return tops, shares / np.repeat(totals, sizes), begins
 
 
 def _between(taus: Array, tops: Array, means: Array, present: float) -> Array:
@@ -262,7 +268,13 @@ def _fine(nodes: int) -> tuple[Array, Array]:
     places = np.arange(float(nodes))
     fine = np.linspace(0.0, nodes - 1.0, STEPS * (nodes - 1) + 1)
     straight = np.array([np.interp(fine, places, row) for row in np.eye(nodes)]).T
-    return scipy.interpolate.CubicSpline(places, np.eye(nodes), bc_type="natural")(fine), straight
+    # second derivatives at the nodes: none at the ends, and no jump of the first one elsewhere
+    bends = np.zeros((nodes, nodes))
+    inner = np.diff(np.eye(nodes), 2, axis=0)
+    bends[1:-1] = np.linalg.solve((inner @ np.eye(nodes)[:, 1:-1]) / 6.0 + np.eye(nodes - 2), inner)
+    # between two nodes the straight line, and what bends by one at one node and by nothing at the other
+    bent = (straight**3 - straight) / 6.0
+    return straight + bent @ bends, straight
 
 
 def _between_places(line: Line, log_sd: float) -> float:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from navfilter.error_models import CORRELATION_CONSTANTS, ErrorModel, RandomWalk, Sum, block_level
 from navfilter.learning.drift import Drift
 
-__all__ = ["SlowNode", "SlowPrior", "drift_chain", "slow_chains", "slow_prior", "with_slow"]
+__all__ = ["SlowNode", "SlowPrior", "drift_chain", "slow_belief", "slow_prior"]
 
 Array = NDArray[np.float64]
 
@@ -89,20 +89,21 @@ class SlowPrior:
     def log_density(self, order: int, log_sd: float, log_tau: float) -> float:
         """Of one node, but for a constant."""
         off, off_tau = self.offsets(log_sd, log_tau)
-        return self._log_share[order - 1] - 0.5 * (off * off + off_tau * off_tau)
+        return self.log_share[order - 1] - 0.5 * (off * off + off_tau * off_tau)
 
-    def log_densities(self, order: int, log_sd: Array, log_tau: Array | float) -> Array:
-        """Of several nodes of one order, but for a constant, shape (K,)."""
-        centre, centre_tau = self._centre
+    def log_densities(self, order: NDArray[np.int64], log_sd: Array, log_tau: Array) -> Array:
+        """Of several nodes, but for a constant, shape (K,)."""
+        centre, centre_tau = self.centre
         off, off_tau = (log_sd - centre) / self.spread, (log_tau - centre_tau) / self.tau_spread
-        return self._log_share[order - 1] - 0.5 * (off * off + off_tau * off_tau)
+        return np.array(self.log_share)[order - 1] - 0.5 * (off * off + off_tau * off_tau)
 
     @cached_property
-    def _log_share(self) -> tuple[float, float]:
+    def log_share(self) -> tuple[float, float]:
+        """ln of the probability of either order."""
         return math.log(1.0 - self.second_order), math.log(self.second_order)
 
     @cached_property
-    def _centre(self) -> tuple[float, float]:
+    def centre(self) -> tuple[float, float]:
         """ln sd and ln tau."""
         return math.log(self.median * self.sd), math.log(self.tau_s)
 
@@ -113,7 +114,7 @@ class SlowPrior:
 
     def offsets(self, log_sd: float, log_tau: float) -> tuple[float, float]:
         """How far ln sd and ln tau are from the prior's centre, in its standard deviations."""
-        centre, centre_tau = self._centre
+        centre, centre_tau = self.centre
         return (log_sd - centre) / self.spread, (log_tau - centre_tau) / self.tau_spread
 
 
@@ -154,47 +155,12 @@ def drift_chain(drift: Drift, unit: float) -> Array:
     return out
 
 
-def with_slow(drift: Array, node: SlowNode, period_s: float, unit: float) -> Array:
-    """A drift's chain with a slow part beside it, shape (3, r + order, r + order)."""
-    r = drift.shape[1]
-    out = np.zeros((3, r + node.order, r + node.order))
-    out[:, :r, :r] = drift
-    (out[:, r:, r:],) = slow_chains(node.order, np.array([node.sd * unit]), np.array([node.tau_s]), period_s)
-    return out
-
-
-def slow_chains(order: int, sd: Array, tau_s: Array, period_s: float) -> Array:
-    """Transition, noise and start of Gauss-Markov processes of one order as a cascade of first-order ones (upper
-    triangular), shape (K, 3, order, order).
+def slow_belief(order: int, prior: SlowPrior | None, period_s: float, log_unit: float) -> Array:
+    """What the channel kernel wants to know of a slow part of this order, see `navfilter.kernels.channel`; without a
+    prior each is as likely as any other.
     """
-    step = CORRELATION_CONSTANTS[order] * period_s / tau_s
-    variance, phi = sd**2, np.exp(-step)
-    out = np.empty((len(sd), 3, order, order))
-    if order == 1:
-        out[:, 0, 0, 0], out[:, 1, 0, 0], out[:, 2, 0, 0] = phi, -np.expm1(-2.0 * step) * variance, variance
-        return out
-    out[:, 0] = phi[:, None, None] * np.array([[1.0, 0.0], [0.0, 1.0]])
-    out[:, 0, 0, 1] = phi * step
-    # the noise of the cascade, driven at its end by white noise of density 4 b sd^2, in closed form: P0 - Phi P0 Phi'
-    # would leave nothing but rounding at small steps
-    scale = 4.0 * variance
-    i0, i1, i2 = _incomplete(2.0 * step).T
-    out[:, 1, 0, 0], out[:, 1, 1, 1] = scale * i2 / 8.0, scale * i0 / 2.0
-    out[:, 1, 0, 1] = out[:, 1, 1, 0] = scale * i1 / 4.0
-    out[:, 2] = variance[:, None, None] * np.array([[1.0, 1.0], [1.0, 2.0]])
-    return out
-
-
-#: Terms of the series of ``x^-k-1`` times the integral of ``s^k exp(-s)`` from 0 to x, for k of 0 to 2.
-_TERMS = np.array([[(-1.0) ** n / (math.factorial(n) * (n + k + 1)) for k in range(3)] for n in range(12)])
-
-
-def _incomplete(x: Array) -> Array:
-    """Integrals of ``s^k exp(-s)`` from 0 to x for k of 0 to 2, shape (K, 3); series where the closed form cancels."""
-    powers = x[:, None] ** np.arange(12.0)
-    near = (powers @ _TERMS) * powers[:, 1:4]
-    fading = np.exp(-x)
-    closed = np.array([1.0, 1.0, 2.0]) - fading[:, None] * np.column_stack(
-        [np.ones_like(x), 1.0 + x, 2.0 + 2.0 * x + x * x]
-    )
-    return np.where(x[:, None] < 0.1, near, closed)
+    centre, spread, log_share = (0.0, 0.0), (math.inf, math.inf), 0.0
+    if prior is not None and order:
+        centre, spread, log_share = prior.centre, (prior.spread, prior.tau_spread), prior.log_share[order - 1]
+    rate_s = CORRELATION_CONSTANTS[order] * period_s if order else 0.0
+    return np.array([rate_s, log_unit, log_share, centre[0], spread[0], centre[1], spread[1]])

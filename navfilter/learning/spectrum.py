@@ -43,14 +43,12 @@ class Spectrum:
         at = np.ascontiguousarray(density.T)
         order = np.argsort(at, axis=1)
         sums = np.cumsum(weight[order], axis=1)
-        bands: list[tuple[float, ...]] = []
-        for share in (0.05, 0.5, 0.95):
-            ranks = np.minimum((sums < share).sum(axis=1, keepdims=True), len(weight) - 1)
-            chosen = np.take_along_axis(order, ranks, axis=1)
-            bands.append(tuple(np.take_along_axis(at, chosen, axis=1)[:, 0].tolist()))
+        rows = np.arange(len(at))
+        ranks = [np.minimum((sums < share).sum(axis=1), len(weight) - 1) for share in (0.05, 0.5, 0.95)]
+        low, median, high = (tuple(at[rows, order[rows, rank]].tolist()) for rank in ranks)
         log = np.log(np.maximum(density[:, 0], 1e-300))
         spread = float(np.sqrt(max(weight @ log**2 - float(weight @ log) ** 2, 0.0)))
-        return cls(tuple(frequency_hz.tolist()), bands[0], bands[1], bands[2], spread)
+        return cls(tuple(frequency_hz.tolist()), low, median, high, spread)
 
 
 def log_spread(ar: Array, ma: Array, covariance: Array, turn: Array) -> Array:

@@ -25,7 +25,8 @@ def without_spikes(series: Array) -> Array:
     # the drift may run away by metres per tick: most of it is a low polynomial
     place = known / max(float(known[-1]), 1.0) * 2.0 - 1.0
     y = result[known]
-    y = y - np.polynomial.chebyshev.chebval(place, np.polynomial.chebyshev.chebfit(place, y, 5))
+    basis = np.polynomial.chebyshev.chebvander(place, 5)
+    y = y - basis @ np.linalg.lstsq(basis, y, rcond=None)[0]
     padded = np.concatenate([y[[2, 1]], y, y[[-2, -3]]])
     off = y - _middle(*(padded[i : i + y.size] for i in range(5)))
     size = np.abs(off)

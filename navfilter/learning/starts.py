@@ -32,6 +32,25 @@ PERIODS, DECAYS, PEAKS = np.geomspace(2.5, 160.0, 11), (1.0, 4.0), (40.0,)
 SLOW_SDS, SLOW_NODES = (0.08, 0.22, 0.5, 1.2), (0, 2, 4)
 
 
+def _bumps() -> tuple[Array, Array]:
+    """Polynomials of a pole, and of a zero below it: they raise S(0) and leave higher frequencies as they are."""
+    tau, root = (a.ravel() for a in np.meshgrid(BUMP_TAUS, np.sqrt(BUMP_FACTORS), indexing="ij"))
+    pole = np.exp(-1.0 / tau)
+    zero = np.maximum(1.0 - root * (1.0 - pole), -0.5)
+    return -pole[:, None], -zero[:, None]
+
+
+def _resonances() -> tuple[Array, Array]:
+    """Polynomials of a pair of poles, and of zeros inside of it: they raise the spectrum around one frequency."""
+    period, cycles, root = (a.ravel() for a in np.meshgrid(PERIODS, DECAYS, np.sqrt(PEAKS), indexing="ij"))
+    turn, radius = 2.0 * np.cos(2.0 * np.pi / period), np.exp(-1.0 / (cycles * period))
+    inner = np.maximum(1.0 - (1.0 - radius) * root, 0.2)
+    return np.stack([-turn * radius, radius**2], axis=1), np.stack([-turn * inner, inner**2], axis=1)
+
+
+BUMPS, RESONANCES = _bumps(), _resonances()
+
+
 def padded_start(theta: Array, p: int, up_p: int, up_q: int) -> Array:
     """``[ar, ma, ln sd]`` of a lower order as a start for a higher one."""
     q = theta.size - 1 - p
@@ -98,8 +117,9 @@ def grown_starts(likelihood: Likelihood, below: Mapping[Order, Point], p: int, q
         best = min(lower, key=lambda k: below[k].value)
         point, at = below[best], best[0] + kind
         slow, fast = point.slow, likelihood.fast(point.theta, point.slow)
-        shapes = _with_bump(fast, best[0]) if kind == 1 else _with_peak(fast, best[0])
-        tried = likelihood.confine([np.concatenate([shape, point.theta[fast.size :]]) for shape in shapes], at, slow)
+        shapes = _times(fast, best[0], *(BUMPS if kind == 1 else RESONANCES))
+        slow_parts = np.tile(point.theta[fast.size :], (len(shapes), 1))
+        tried = likelihood.confine(np.hstack([shapes, slow_parts]), at, slow)
         grown = tried[int(np.argmin(likelihood.penalised(tried, at, slow)))]
         out.append(_padded(likelihood, grown, at, slow, p, q))
     return _matched(likelihood, out, p, slow) if out else []
@@ -111,35 +131,17 @@ def _padded(likelihood: Likelihood, theta: Array, at: int, slow: int, p: int, q:
     return np.concatenate([padded_start(fast, at, p, q), theta[fast.size :]])
 
 
-def _with_bump(fast: Array, p: int) -> list[Array]:
-    """A pole, and a zero below it, more: they raise S(0) and leave higher frequencies as they are."""
-    out = []
-    for tau in BUMP_TAUS:
-        for factor in BUMP_FACTORS:
-            pole = math.exp(-1.0 / tau)
-            zero = max(1.0 - math.sqrt(factor) * (1.0 - pole), -0.5)
-            out.append(_times(fast, p, np.array([-pole]), np.array([-zero])))
-    return out
-
-
-def _with_peak(fast: Array, p: int) -> list[Array]:
-    """A pair of poles, and zeros inside of it, more: they raise the spectrum around one frequency."""
-    out = []
-    for period in PERIODS:
-        turn = 2.0 * math.cos(2.0 * math.pi / period)
-        for cycles in DECAYS:
-            radius = math.exp(-1.0 / (cycles * period))
-            for factor in PEAKS:
-                inner = max(1.0 - (1.0 - radius) * math.sqrt(factor), 0.2)
-                out.append(_times(fast, p, np.array([-turn * radius, radius**2]), np.array([-turn * inner, inner**2])))
-    return out
-
-
 def _times(fast: Array, p: int, ar: Array, ma: Array) -> Array:
-    """``[ar, ma, ln sd]`` times another pair of polynomials."""
-    one = np.ones(1)
-    a, b, c, d = (np.concatenate([one, part]) for part in (fast[:p], ar, fast[p:-1], ma))
-    return np.concatenate([np.convolve(a, b)[1:], np.convolve(c, d)[1:], fast[-1:]])
+    """``[ar, ma, ln sd]`` times other pairs of polynomials, one a row of their coefficients."""
+    count, more = ar.shape
+    out = np.zeros((count, fast.size + 2 * more))
+    for of, by, begin in ((fast[:p], ar, 0), (fast[p:-1], ma, p + more)):
+        out[:, begin : begin + of.size] = of
+        for j, factor in enumerate(by.T, begin):
+            out[:, j] += factor
+            out[:, j + 1 : j + 1 + of.size] += np.outer(factor, of)
+    out[:, -1] = fast[-1]
+    return out
 
 
 @cache
@@ -154,23 +156,28 @@ def _gauss_markov(tau: float, share: float, q: int) -> Array:
 
 def _matched(likelihood: Likelihood, starts: Sequence[Array], p: int, slow: int = 0, rounds: int = 2) -> list[Array]:
     """Each start with its ln sd such that the innovations have about unit variance, where that is better."""
-    found = list(likelihood.confine(starts, p, slow))
-    at = found[0].size - 1 - 2 * bool(slow)
-    known = likelihood.standardised(found, p, slow)
-    values, E = known[0], known[1].copy()
+    found = likelihood.confine(starts, p, slow)
+    at = found.shape[1] - 1 - 2 * bool(slow)
+    values, E = likelihood.standardised(found, p, slow)
+    sizes = _sizes(E, np.isfinite(values))
     for left in range(rounds, 0, -1):
-        able = np.isfinite(values)
-        sizes = np.ones(len(found))
-        sizes[able] = np.median(np.abs(E[np.isfinite(E[:, 0])][:, able]), axis=0) / 0.6745
-        moved = np.array(found)
+        able, moved = np.isfinite(values), found.copy()
         moved[:, at] += np.clip(np.log(np.maximum(sizes, 1e-6)), -5.0, 5.0)
         if slow or left > 1:
-            new, known_of = likelihood.standardised(moved, p, slow)
+            new, E = likelihood.standardised(moved, p, slow)
             able &= (new < values) | (not slow)
             values = np.where(able, new, values)
-            E = np.where(able, known_of, E)
-        found = [new if better else old for new, old, better in zip(moved, found, able, strict=True)]
-    return found
+            if left > 1:
+                sizes = np.where(able, _sizes(E, able & np.isfinite(new)), sizes)
+        found = np.where(able[:, None], moved, found)
+    return list(found)
+
+
+def _sizes(E: Array, able: NDArray[np.bool_]) -> Array:
+    """Standard deviations of innovations, column by column, by their median; 1 for models that are not `able`."""
+    sizes = np.ones(able.size)
+    sizes[able] = np.median(np.abs(E[np.isfinite(E[:, 0])].T[able]), axis=1) / 0.6745
+    return sizes
 
 
 def _rough(likelihood: Likelihood, p: int, q: int) -> list[Array]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from bokeh.embed import json_item
 from bokeh.models import (
     BasicTicker,
     BasicTickFormatter,
@@ -25,7 +24,7 @@ from bokeh.transform import transform
 from navfilter.report.clock import Clock
 from navfilter.report.drawing import colour
 from navfilter.report.figures import TRUTH
-from navfilter.report.live import Key, Live, plain, toolbox
+from navfilter.report.live import Key, Live, item_of, plain, toolbox
 from navfilter.report.panels import short
 from navfilter.report.plan_view import Plan, PlanRun
 
@@ -72,7 +71,7 @@ def live_plan(plan: Plan, clock: Clock) -> Live:
         keys.append(Key(name, END, "points"))
     here = ColumnDataSource({"x": [], "y": []})
     plot.scatter("x", "y", source=here, size=13, line_color="#d7191c", line_width=2.5, fill_color=None, name="here")
-    return Live(json_item(plot), [*keys, Key("95 % ellipse", "#555555", "line")], HEIGHT)
+    return Live(item_of(plot), [*keys, Key("95 % ellipse", "#555555", "line")], HEIGHT)
 
 
 def _plot(plan: Plan) -> Any:

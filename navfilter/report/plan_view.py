@@ -16,8 +16,8 @@ from matplotlib.patches import Ellipse
 from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
+from navfilter.filter.chi_square import chi_square_limit
 from navfilter.mission import Mission, Stream
 from navfilter.report.drawing import WIDTH_IN, colour, no_formula
 from navfilter.report.figures import TRUTH, capped, predicted_rms
@@ -29,7 +29,7 @@ __all__ = ["Plan", "PlanRun", "Shape", "draw_plan", "plan_view"]
 Array = NDArray[np.float64]
 
 #: Half axes of an ellipse that holds 95 % of a plane Gaussian, in standard deviations.
-ELLIPSE_95 = float(np.sqrt(chi2.ppf(0.95, 2)))
+ELLIPSE_95 = float(np.sqrt(chi_square_limit(0.95, 2)))
 #: So many points of a path are drawn.
 POINTS = 4000
 
