@@ -228,9 +228,8 @@ class Passage:
         """One that the kernel has taken, as the run would have had it."""
         given = self._readings
         value = np.array(given.value(at), dtype=np.float64).reshape(-1)
-        return Reading(
-            given.names[given.sensor[at]], float(given.time_s[at]), value, given.sd(at), frozen, bool(self._same[at])
-        )
+        name, same = given.names[given.sensor[at]], bool(self._same[at])
+        return Reading(name, float(given.time_s[at]), value, given.sd(at), frozen, same)
 
     def _keep_samples(self, end: int) -> None:
         """Let learning keep those that the kernel has taken."""
@@ -244,8 +243,8 @@ class Passage:
         correction = nav.filter.concluded(nav.filter.channels[name], time_s, watch.stuck)
         nav.told(correction)
         nav.filter.take_up(nav.told)
-        outcome = correction.outcome
-        watch.note(outcome.status, time_s, outcome.nis, outcome.dof, nav.filter.nav)
+        of = correction.outcome
+        watch.note(of.status, time_s, of.nis, of.dof, nav.filter.nav)
 
     def _block(self, begin: int, end: int) -> Array:
         block = np.empty((end - begin, 7))
@@ -402,37 +401,33 @@ class Passage:
         memory, intake, tape = filter.memory, filter.memory.intake, filter.tape
         memory.time_s, memory.sample_s, intake.before_s = now[:3].tolist()
         memory.unfolded = int(cursor[kernels.UNFOLDED])
-        used = slice(first[0], int(cursor[kernels.READING]))
+        used, first_at = slice(first[0], int(cursor[kernels.READING])), self._begin + first[0]
         self.at, self.done = self._begin + used.stop, self._first + int(cursor[kernels.SAMPLE])
         if cursor[kernels.SAMPLE] > first[1]:
             filter.intake.taken(int(cursor[kernels.GAPS]))
         self._stepped = int(cursor[kernels.STEPPED])
         judged = int(given.sensor[self.at]) if why == kernels.JUDGED else -1
-        first_at = self._begin + used.start
         which, times = given.sensor[first_at : self.at], given.time_s[first_at : self.at]
         for i, (channel, watch) in enumerate(zip(self._channels, self._watches, strict=True)):
             channel.times, channel.count = tuple(heard[i, :2].tolist()), int(heard[i, kernels.TICKS])
-            mine = (which == i).nonzero()[0]
+            mine = np.flatnonzero(which == i)
             if len(mine) or i == judged:
                 watch.caught_up(watched[i], given.value(self.at if i == judged else first_at + mine[-1]).tobytes())
-            if len(mine):
-                channel.memory.use(float(times[mine[0]]))
-                channel.memory.use(float(times[mine[-1]]))
+            for k in mine[[0, -1]] if len(mine) else ():
+                channel.memory.use(float(times[k]))
             if tape is not None and len(mine):
                 notes = self._notes[used.start + mine, : 3 + 2 * channel.axes]
                 tape.columns[channel.name].extend(times[mine] - channel.lead_s, notes)
         if tape is not None:
             tape.extend(out[:4], *cursor[[kernels.ROWS, kernels.RECORDS]].tolist())
-        kept, taken = self.nav.learning.beginning, range(self._begin + used.start, self.at)
-        if kept is not None and taken:  # none is frozen: the kernel leaves those to Python
-            ends = np.maximum(self._ends[taken.start : taken.stop], self._kept)
+        kept, part = self.nav.learning.beginning, slice(first_at, self.at)
+        if kept is not None and len(times):  # none is frozen: the kernel leaves those to Python
+            ends, place = np.maximum(self._ends[part], self._kept), np.array([kept.names.index(n) for n in given.names])
             samples = self._block(self._kept, int(ends[-1]))
-            part, place = slice(taken.start, taken.stop), np.array([kept.names.index(name) for name in given.names])
-            own = [given.sd(at) for at in taken] if any(sds is not None for sds in given.sds) else []
-            mine = {i: first_at + np.flatnonzero(which == i) for i in set(which.tolist())}
-            values = {int(place[i]): given.rows(i, those) for i, those in mine.items()}
+            own = [given.sd(at) for at in range(first_at, self.at)] if any(s is not None for s in given.sds) else []
+            values = {int(place[i]): given.rows(i, first_at + np.flatnonzero(which == i)) for i in set(which.tolist())}
             kept.extend(samples, ends - self._kept, times, place[which], self._same[part], values, own)
-        self._kept = self.done if kept is None else int(ends[-1]) if taken else self._kept
+        self._kept = self.done if kept is None else int(ends[-1]) if len(times) else self._kept
 
     def _overheard(self, ears: Array, first: int) -> None:
         """What was heard of the readings that were used, from `first` on."""
