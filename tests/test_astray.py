@@ -73,7 +73,7 @@ def test_fixes_and_dvl_together_outvote_a_compass_that_is_off_from_the_start(off
         3.2905 * math.sqrt(told_by_fixes(compass, state, *watch.place)),
         3.2905 * nav.state.sd[8],
     )
-    assert nav.health.bounds.heading_rad == pytest.approx(bound) and bound > 1.2 * own
+    assert nav.health.bounds.heading_rad == pytest.approx(bound) and bound > own
     compass.memory.course = ()
     assert nav.health.bounds.heading_rad == pytest.approx(own)
 

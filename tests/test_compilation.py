@@ -121,7 +121,7 @@ def test_a_kernel_that_was_kept_finds_one_apart_that_was_not(tmp_path):
 
 @pytest.mark.skipif(numba.config.DISABLE_JIT, reason="without the JIT it is an ordinary function")
 def test_python_cannot_call_a_kernel_that_is_for_kernels_only():
-    for kernel in (kalman._less_twice, kalman._invert):
+    for kernel in (kalman._orthonormal, kalman._invert):
         with pytest.raises(TypeError, match=f"{kernel.__name__} is called by other kernels only"):
             kernel(np.eye(2))
 
