@@ -107,7 +107,7 @@ def test_the_current_wanders_on_the_sensors_clock():
     np.testing.assert_allclose(np.diag(ticked[1]), 0.09 * (1.0 - np.exp(-0.5 / 500.0)), rtol=1e-9)
     np.testing.assert_allclose(np.sqrt(np.diag(group.P0)), 0.3)
     constant = replace(vehicle, sensors={"dvl": nf.BodyVelocity(scale_sd=0.01)})
-    assert not nf.Navigator(constant, nav.start).filter.layout.groups["dvl"].ticks
+    assert not nf.Navigator(constant, nav.start).filter.layout.groups["dvl"].ticking
 
 
 def test_alignment_does_not_take_the_water_for_the_ground():

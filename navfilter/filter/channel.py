@@ -209,7 +209,7 @@ class Channel:
             White variance of the gyros as rates [rad^2/s^2].
         """
         a, parameters = sensor.axes, group.size - group.errors
-        n, m, b = layout.size, layout.head, group.size if group.ticks else 0
+        n, m, b = layout.size, layout.head, group.ticking
         variance, before = rate_variance / self.samples, self._described
         self.sensor, self.group, self.axes = sensor, group, a
         # of the very same sensor and states only the place is another

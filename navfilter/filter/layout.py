@@ -182,10 +182,11 @@ class Group:
         own = np.array([each[0] for each in self.biases[:3]])
         return np.array([self.start + own, self.Q[own, own], self.P0[own, own]])
 
-    @property
-    def ticks(self) -> bool:
-        """Whether any of its states changes by itself."""
-        return self.errors > 0 or bool(self.Q.any())
+    @cached_property
+    def ticking(self) -> int:
+        """How many of its states change by themselves, the first of all; those behind them are constants."""
+        changes = self.Q.any(axis=1) | (self.Phi != np.eye(self.size)).any(axis=1)
+        return int(np.flatnonzero(changes)[-1]) + 1 if changes.any() else 0
 
     @classmethod
     def build(
