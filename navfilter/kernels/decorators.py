@@ -85,7 +85,8 @@ def apart(kernel: Any) -> Any:
 
 
 def shaped(flat: Any, rows: int, columns: int) -> Any:
-    """Elements that stand one behind the other as a matrix of so many rows and columns: a view that nobody counts.
+    """Elements that stand one behind the other, be it in a matrix, as one of so many rows and columns: a view that
+    nobody counts.
 
     `reshape` is a call of a library in a kernel, which first finds out whether it can: two per cent of a replay.
     """

@@ -19,6 +19,8 @@ UNCOUNTED: dict = {"_nrt": False}
 COUNTED: dict = {"_nrt": True}
 # Rows and columns of a product at a time: so many sums fit in the registers, and hide how long each takes.
 HIGH, WIDE = 9, 8
+# So many times as many columns of a weighted sum, and pairs of vectors that are taken off, at a time.
+BROAD = 3
 
 
 def _product(A, B, out):
@@ -32,8 +34,9 @@ def _weighted(f, A, out):
 
 
 def _less_twice(P, u, w):
-    """P <- P - u w' - w u': symmetric to the bit where P was."""
-    P -= np.outer(u, w) + np.outer(w, u)
+    """P <- P - u' w - w' u of rows u and w (a, n): symmetric to the bit where P (n, n) was; n: eight at least."""
+    for f, g in zip(u, w, strict=True):
+        np.subtract(P, np.outer(f, g) + np.outer(g, f), P)
 
 
 _ir = cgutils.ir
@@ -93,14 +96,9 @@ def _put(builder, value, place):
 
 
 def _times_eight(builder, number):
-    nothing, same = _ir.Constant(_ROW, _ir.Undefined), _ir.Constant(_ir.VectorType(_INDEX, WIDE), [0] * WIDE)
+    nothing = _ir.Constant(_ir.VectorType(number.type, WIDE), _ir.Undefined)
+    same = _ir.Constant(_ir.VectorType(_INDEX, WIDE), [0] * WIDE)
     return builder.shuffle_vector(builder.insert_element(nothing, number, _ir.Constant(_INDEX, 0)), nothing, same)
-
-
-def _eight_numbers(builder, number):
-    nothing = _ir.Constant(_ir.VectorType(_WORD, WIDE), _ir.Undefined)
-    first = builder.insert_element(nothing, number, _ir.Constant(_INDEX, 0))
-    return builder.shuffle_vector(first, nothing, _ir.Constant(_ir.VectorType(_INDEX, WIDE), [0] * WIDE))
 
 
 @_compiled(_product, 3)
@@ -129,41 +127,65 @@ def _build_product(builder, data, shapes):
 
 @_compiled(_weighted, 3)
 def _build_weighted(builder, data, shapes):
-    """Twice eight columns at a time; rows whose factor is zero are left out."""
+    """As many columns at a time as `BROAD` registers hold, or eight; rows whose factor is zero are left out."""
     (f, A, out), ((k,), (_, width), (n,)) = data, shapes
-    totals = [cgutils.alloca_once(builder, _ROW) for _ in range(2)]
-    with _parts(builder, n, 2 * WIDE) as wide:
-        first, last = builder.mul(wide.index, _number(2 * WIDE)), builder.sub(n, _number(WIDE))
-        columns = [builder.add(first, _number(apart)) for apart in (0, WIDE)]
-        columns = [builder.select(builder.icmp_signed("<", at, last), at, last) for at in columns]
-        for total in totals:
-            builder.store(_ZERO, total)
-        with cgutils.for_range(builder, k, intp=_WORD) as step:
-            factor = builder.load(builder.gep(f, [step.index]))
-            with builder.if_then(builder.fcmp_unordered("!=", factor, _ir.Constant(factor.type, 0.0))):
-                factors = _times_eight(builder, factor)
-                for total, column in zip(totals, columns, strict=True):
-                    term = builder.fmul(factors, _eight(builder, _place(builder, A, step.index, width, column)))
-                    builder.store(builder.fadd(builder.load(total), term), total)
-        for total, column in zip(totals, columns, strict=True):
-            _put(builder, builder.load(total), builder.gep(out, [column]))
+
+    def by(count):
+        size = count * WIDE
+        sums = [cgutils.alloca_once(builder, _ROW) for _ in range(count)]
+        with _parts(builder, n, size) as wide:
+            begin = _begin(builder, wide, n, size)
+            columns = [builder.add(begin, _number(WIDE * i)) for i in range(count)]
+            for total in sums:
+                builder.store(_ZERO, total)
+            with cgutils.for_range(builder, k, intp=_WORD) as step:
+                factor = builder.load(builder.gep(f, [step.index]))
+                with builder.if_then(builder.fcmp_unordered("!=", factor, _ir.Constant(factor.type, 0.0))):
+                    factor = _times_eight(builder, factor)
+                    for column, total in zip(columns, sums, strict=True):
+                        term = builder.fmul(factor, _eight(builder, _place(builder, A, step.index, width, column)))
+                        builder.store(builder.fadd(builder.load(total), term), total)
+            for column, total in zip(columns, sums, strict=True):
+                _put(builder, builder.load(total), builder.gep(out, [column]))
+
+    with builder.if_else(builder.icmp_signed("<", n, _number(BROAD * WIDE))) as (few, many):
+        with few:
+            by(1)
+        with many:
+            by(BROAD)
 
 
 @_compiled(_less_twice, 3)
 def _build_less_twice(builder, data, shapes):
-    """Eight columns at a time; of the last ones, which overlap those before, what is done already stays."""
-    (P, u, w), ((n, _), _, _) = data, shapes
+    """Eight columns at a time, `BROAD` pairs of rows or one: each element of P is fetched and put away once for them.
+    Of the last columns those that have been done before are multiplied by zeros.
+    """
+    (P, u, w), ((n, _), (a, _), _) = data, shapes
+    lanes = _ir.Constant(_ir.VectorType(_WORD, WIDE), list(range(WIDE)))
+
+    def less(first, count, column, fresh):
+        rows = [builder.mul(builder.add(first, _number(i)), n) for i in range(count)]
+        pairs = [(builder.gep(u, [row]), builder.gep(w, [row])) for row in rows]
+        mine = [[_eight(builder, builder.gep(row, [column])) for row in pair] for pair in pairs]
+        mine = [[builder.select(fresh, row, _ZERO) for row in pair] for pair in mine]
+        with cgutils.for_range(builder, n, intp=_WORD) as i:
+            place = _place(builder, P, i.index, n, column)
+            value = _eight(builder, place)
+            for pair, (wide_u, wide_w) in zip(pairs, mine, strict=True):
+                by_u, by_w = (_times_eight(builder, builder.load(builder.gep(row, [i.index]))) for row in pair)
+                value = builder.fsub(value, builder.fadd(builder.fmul(by_u, wide_w), builder.fmul(by_w, wide_u)))
+            _put(builder, value, place)
+
+    whole = builder.udiv(a, _number(BROAD))
     with _parts(builder, n, WIDE) as wide:
         column = _begin(builder, wide, n, WIDE)
-        others = [_eight(builder, builder.gep(of, [column])) for of in (w, u)]
-        done = _eight_numbers(builder, builder.sub(builder.mul(wide.index, _number(WIDE)), column))
-        new = builder.icmp_signed("<=", done, _ir.Constant(done.type, list(range(WIDE))))
-        with cgutils.for_range(builder, n, intp=_WORD) as row:
-            place = _place(builder, P, row.index, n, column)
-            before = _eight(builder, place)
-            mine = [_times_eight(builder, builder.load(builder.gep(of, [row.index]))) for of in (u, w)]
-            terms = [builder.fmul(factor, other) for factor, other in zip(mine, others, strict=True)]
-            _put(builder, builder.select(new, builder.fsub(before, builder.fadd(*terms)), before), place)
+        known = builder.sub(builder.mul(wide.index, _number(WIDE)), column)
+        fresh = builder.icmp_signed(">=", lanes, _times_eight(builder, known))
+        with cgutils.for_range(builder, whole, intp=_WORD) as several:
+            less(builder.mul(several.index, _number(BROAD)), BROAD, column, fresh)
+        done = builder.mul(whole, _number(BROAD))
+        with cgutils.for_range(builder, builder.sub(a, done), intp=_WORD) as one:
+            less(builder.add(done, one.index), 1, column, fresh)
 
 
 @apart
@@ -284,24 +306,39 @@ def present(P, acc, nav, inertial, own, work, out):
     acc[0, 8], acc[1, 8], acc[3, 8], acc[4, 8] = kept0, kept1, kept3, kept4
 
 
+@njit(cache=True, **UNCOUNTED)
+def _moving(acc):
+    """How many of the leading states a compound transition moves: those behind them are constants, which it leaves as
+    they are, and which gather no noise.
+    """
+    m = acc.shape[1]
+    k = m
+    while k > 9 and acc[m + k - 1, k - 1] == 0.0 and acc[k - 1, k - 1] == 1.0:
+        first, last = _reach(acc[k - 1], k - 1)
+        if last - first != 1:
+            break
+        k -= 1
+    return k
+
+
 @apart
 @njit(cache=True, **UNCOUNTED)
 def fold(P, acc, nav, T):
     """P <- Phi P Phi' + Q for the leading m states.
 
     acc (4m rows) holds Phi and Q, m rows each, then work areas; it is reset to identity and zero. Navigation (nine
-    rows) depends on all of them, a drive's state on few, a constant on itself: only where a row is not zero is it
-    multiplied.
+    rows) depends on all of them, a drive's state on few: only where a row is not zero is it multiplied. What a constant
+    has in P with all that does not move either stays.
 
     C_nb in nav is made orthonormal again to first order (its rounding grows with the number of products). T: (m, n)
     work.
     """
-    m, n = acc.shape[1], P.shape[0]
+    m, n, moving = acc.shape[1], P.shape[0], _moving(acc)
     # the drive's work areas in acc are free between its steps
     work = flat(acc[2 * m :])
     A, head, begins, ends = shaped(work[: 9 * m], m, 9), shaped(work[9 * m :][:81], 9, 9), work[-2 * m :], work[-m:]
     _navigation(P, acc, T[:9], A, head)
-    for i in range(9, m):
+    for i in range(9, moving):
         first, last = _reach(acc[i], i)
         begins[i], ends[i] = first, last
         _weighted(acc[i][first:last], P[first:last], T[i])
@@ -310,7 +347,7 @@ def fold(P, acc, nav, T):
             s = 0.5 * (head[i, j] + head[j, i] + acc[m + i, j] + acc[m + j, i])
             P[i, j] = s
             P[j, i] = s
-    for i in range(9, m):
+    for i in range(9, moving):
         first, last = int(begins[i]), int(ends[i])
         for j in range(i + 1):
             s = 0.5 * (acc[m + i, j] + acc[m + j, i])
@@ -318,15 +355,16 @@ def fold(P, acc, nav, T):
                 s += T[j, r] * acc[i, r]
             P[i, j] = s
             P[j, i] = s
-    for i in range(m):
+    for i in range(moving):
         if i < 9 or ends[i] - begins[i] != 1.0 or acc[i, i] != 1.0:
-            for j in range(m, n):
+            for j in range(moving, n):
                 P[i, j] = T[i, j]
                 P[j, i] = T[i, j]
     whole = flat(acc)
-    for i in range(2 * m * m):
+    for i in range(moving * m):
         whole[i] = 0.0
-    for i in range(m):
+        whole[m * m + i] = 0.0
+    for i in range(moving):
         acc[i, i] = 1.0
     _orthonormal(nav, T[0])
 
@@ -555,8 +593,7 @@ def correct(P, nav, x, res, S, PH, K, turn, T):
             f = 0.5 * S[c, r]
             for i in range(n):
                 w[r, i] -= f * u[c, i]
-    for r in range(a):
-        _less_twice(P, u[r], w[r])
+    _less_twice(P, u, w)
     x0, y0, z0 = 0.0, 0.0, 0.0
     for i in range(n):
         s = 0.0
@@ -876,8 +913,7 @@ def smooth_record(L, lam, record, a, m, b, start, T):
                 f = T[a + c, r]
                 for i in range(n):
                     T[c, i] -= f * H[r, i]
-        for c in range(a):
-            _less_twice(L, H[c], T[c])
+        _less_twice(L, H, T[:a])
     if b > 0:
         _transition_transposed(L, lam, shaped(record[m * m : m * m + b * b], b, b), start, b, T)
     if m > 0:

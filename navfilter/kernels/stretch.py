@@ -8,7 +8,7 @@ checksum of those files: what a function encloses is part of numba's key.
 import math
 
 from navfilter.kernels import addresses, checksum, drive_watch, kalman, listen, measurement, past, shifts, strapdown
-from navfilter.kernels.decorators import apart, njit, shaped
+from navfilter.kernels.decorators import apart, flat, njit, shaped
 
 #: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
 UNCOUNTED: dict = {"_nrt": False}
@@ -372,9 +372,9 @@ def _carried(sources):
             if cursor[UNFOLDED] >= every:
                 if inertial:
                     kalman.discount_heading(P, acc, nav, drv[strapdown.OWN], work[m * m :])
-                for i in range(m):
-                    for j in range(m):
-                        head[i * m + j] = acc[i, j]
+                transition = flat(acc)
+                for i in range(m * m):
+                    head[i] = transition[i]
                 kalman.fold(P, acc, nav, shaped(work[m * m : m * m + m * n], m, n))
                 cursor[UNFOLDED] = 0
                 if undone.size > 0:
