@@ -11,13 +11,16 @@ import math
 
 import numpy as np
 
-from navfilter.kernels.decorators import apart, njit
+from navfilter.kernels.decorators import apart, njit, shaped
 
 #: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
 UNCOUNTED: dict = {"_nrt": False}
 COUNTED: dict = {"_nrt": True}
 
 PIECE_S = 0.02  # so long a turning force is taken as that of the middle: 1e-5 of it at 1 rad/s
+# Squares of angles [rad^2] below which a rotation is a series, and one by the factorials in it.
+SMALL_ANGLE2, P3, P5, P7 = 1e-3, 1.0 / 6.0, 1.0 / 120.0, 1.0 / 5040.0
+Q4, Q6, Q8 = 1.0 / 24.0, 1.0 / 720.0, 1.0 / 40320.0
 # By so many standard deviations of the velocity its slopes may be off, see `hold_slopes`.
 HELD = 3.0
 
@@ -608,64 +611,79 @@ def earth_rate(z, nav, rate, par, cfg, H, res):
         H[i, 6], H[i, 7], H[i, 8] = b * down, c * north - a * down, -b * north
 
 
-@njit(cache=True, **UNCOUNTED)
-def _turned_rows(C, x, y, z, p, q):
-    """C exp([-(x, y, z) x]): every row turned by (x, y, z) (Rodrigues); p, q: sin(t) / t and (1 - cos(t)) / t^2 of that
-    angle.
-    """
-    for i in range(3):
-        u, v, w = C[3 * i], C[3 * i + 1], C[3 * i + 2]
-        f, g, h = y * w - z * v, z * u - x * w, x * v - y * u
-        C[3 * i] = u + p * f + q * (y * h - z * g)
-        C[3 * i + 1] = v + p * g + q * (z * f - x * h)
-        C[3 * i + 2] = w + p * h + q * (x * g - y * f)
+@njit(cache=True, inline="always")
+def _rodrigues(t2):
+    """Factors p, q of ``exp([v x]) = I + p [v x] + q [v x]^2`` for |v|^2 = t2."""
+    if t2 > SMALL_ANGLE2:
+        t = math.sqrt(t2)
+        return math.sin(t) / t, (1.0 - math.cos(t)) / t2
+    # series without divisions, which are slow: the first term left out is below 1e-17
+    return 1.0 - t2 * (P3 - t2 * (P5 - P7 * t2)), 0.5 - t2 * (Q4 - t2 * (Q6 - Q8 * t2))
+
+
+@njit(cache=True, inline="always")
+def _turned(x, y, z, p, q, u, v, w):
+    """The vector (u, v, w) turned by (x, y, z), p and q see `_rodrigues`: a row of C exp([-(x, y, z) x])."""
+    f, g, h = y * w - z * v, z * u - x * w, x * v - y * u
+    return u + p * f + q * (y * h - z * g), v + p * g + q * (z * f - x * h), w + p * h + q * (x * g - y * f)
 
 
 @njit(cache=True, **UNCOUNTED)
-def _stepped_back(C, v, by, motion, k, gravity, span):
-    """C (9,), velocity v (3,) and the sums in `by` (9,) carried back by `span` at the constant rate and specific force
-    in b that stand in a row of motion, in pieces of at most `PIECE_S`.
+def _stepped_back(C, v, by, motion, gravity, span):
+    """C (9,), velocity v (3,) and the sums in `by` (9,) carried back by `span` in the intervals of motion, at the
+    constant rate and specific force in b of each, in pieces of at most `PIECE_S`. Returns what is left of the span.
 
-    by: the way (3), and the time integrals of the specific force in n, once (3) and twice (3).
+    by: the way (3), and the time integrals of the specific force in n, once (3) and twice (3). All in registers, for
+    each step waits for the one before.
     """
-    pieces = math.ceil(abs(span) / PIECE_S)
-    if pieces == 0:
-        return
-    dt = span / pieces
-    x, y, z = 0.5 * dt * motion[k, 1], 0.5 * dt * motion[k, 2], 0.5 * dt * motion[k, 3]
-    t2 = x * x + y * y + z * z
-    t = math.sqrt(t2)
-    # the series: below 1e-8 the first term left out is 1e-18
-    p, q = (math.sin(t) / t, (1.0 - math.cos(t)) / t2) if t2 > 1e-8 else (1.0 - t2 / 6.0, 0.5 - t2 / 24.0)
-    for _ in range(pieces):
-        _turned_rows(C, x, y, z, p, q)
-        for i in range(3):
-            force = C[3 * i] * motion[k, 4] + C[3 * i + 1] * motion[k, 5] + C[3 * i + 2] * motion[k, 6]
-            a = force + gravity if i == 2 else force
-            by[i] += dt * (v[i] - 0.5 * dt * a)
-            by[6 + i] += dt * (by[3 + i] + 0.5 * dt * force)
-            by[3 + i] += dt * force
-            v[i] -= dt * a
-        _turned_rows(C, x, y, z, p, q)
+    c0, c1, c2, c3, c4, c5, c6, c7, c8 = C[0], C[1], C[2], C[3], C[4], C[5], C[6], C[7], C[8]
+    v0, v1, v2, w0, w1, w2 = v[0], v[1], v[2], by[0], by[1], by[2]
+    s0, s1, s2, d0, d1, d2 = by[3], by[4], by[5], by[6], by[7], by[8]
+    for k in range(motion.shape[0]):
+        if span == 0.0:
+            break
+        dt, pieces = min(motion[k, 0], span), 1
+        span -= dt
+        if abs(dt) > PIECE_S:
+            pieces = math.ceil(abs(dt) / PIECE_S)
+            dt /= pieces
+        # angle and change of velocity
+        x, y, z, a, b, c = motion[k, 1], motion[k, 2], motion[k, 3], motion[k, 4], motion[k, 5], motion[k, 6]
+        x, y, z, a, b, c = dt * x, dt * y, dt * z, dt * a, dt * b, dt * c
+        t2, half, pull = x * x + y * y + z * z, 0.5 * dt, dt * gravity
+        p, q = _rodrigues(0.25 * t2)
+        a, b, c = _turned(-0.5 * x, -0.5 * y, -0.5 * z, p, q, a, b, c)
+        p, q = _rodrigues(t2)
+        for _ in range(pieces):
+            f0, f1, f2 = c0 * a + c1 * b + c2 * c, c3 * a + c4 * b + c5 * c, c6 * a + c7 * b + c8 * c
+            w0, w1, w2 = w0 + dt * v0 - half * f0, w1 + dt * v1 - half * f1, w2 + dt * v2 - half * (f2 + pull)
+            d0, d1, d2 = d0 + dt * s0 + half * f0, d1 + dt * s1 + half * f1, d2 + dt * s2 + half * f2
+            s0, s1, s2, v0, v1, v2 = s0 + f0, s1 + f1, s2 + f2, v0 - f0, v1 - f1, v2 - f2 - pull
+            c0, c1, c2 = _turned(x, y, z, p, q, c0, c1, c2)
+            c3, c4, c5 = _turned(x, y, z, p, q, c3, c4, c5)
+            c6, c7, c8 = _turned(x, y, z, p, q, c6, c7, c8)
+    C[0], C[1], C[2], C[3], C[4], C[5], C[6], C[7], C[8] = c0, c1, c2, c3, c4, c5, c6, c7, c8
+    v[0], v[1], v[2], by[0], by[1], by[2] = v0, v1, v2, w0, w1, w2
+    by[3], by[4], by[5], by[6], by[7], by[8] = s0, s1, s2, d0, d1, d2
+    return span
 
 
 @njit(cache=True, **UNCOUNTED)
 def _mean_motion(motion, begin, end, mean):
     """Mean of rates and forces (6,) between two ages; where nothing is known of then, the oldest that is."""
-    for i in range(6):
-        mean[i] = 0.0
-    known, age, last = 0.0, 0.0, -1
-    for k in range(motion.shape[0]):
+    known, age, last, k = 0.0, 0.0, -1, 0
+    a, b, c, d, e, f = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    while k < motion.shape[0] and age < end:
         if motion[k, 0] > 0.0:
             inside = min(age + motion[k, 0], end) - max(age, begin)
             if inside > 0.0:
                 known += inside
-                for i in range(6):
-                    mean[i] += inside * motion[k, 1 + i]
+                a, b, c = a + inside * motion[k, 1], b + inside * motion[k, 2], c + inside * motion[k, 3]
+                d, e, f = d + inside * motion[k, 4], e + inside * motion[k, 5], f + inside * motion[k, 6]
             age += motion[k, 0]
             last = k
-            if age >= end:
-                break
+        k += 1
+    mean[0], mean[1], mean[2], mean[3], mean[4], mean[5] = a, b, c, d, e, f
     for i in range(6):
         if known > 0.0:
             mean[i] /= known
@@ -705,16 +723,10 @@ def _back_to(nav, motion, gravity, late_s, window_s, slope_s, then, turn, slope,
     for i in range(3):
         turn[i] = mean[i] + (centre - late_s) * growth[i]
         ahead[1 + i], ahead[4 + i] = mean[i] + further * growth[i], mean[3 + i]
-    left = late_s
-    for k in range(motion.shape[0]):
-        dt = min(motion[k, 0], left)
-        if left <= 0.0:
-            break
-        if dt > 0.0:
-            _stepped_back(C, v, by, motion, k, gravity, dt)
-            left -= dt
-    if left != 0.0:
-        _stepped_back(C, v, by, ahead.reshape((1, 7)), int(0), gravity, left)
+    ahead[0] = late_s
+    if late_s > 0.0:
+        ahead[0] = _stepped_back(C, v, by, motion, gravity, late_s)
+    _stepped_back(C, v, by, shaped(ahead, 1, 7), gravity, ahead[0])
     latitude = nav[0] - by[0] / nav[15]
     then[0], then[2] = latitude, nav[2] + by[2]
     then[1] = nav[1] - by[1] / (nav[16] * math.cos(0.5 * (latitude + nav[0])))
