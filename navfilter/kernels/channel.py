@@ -10,12 +10,8 @@ A chain (3, r, r) describes d: transition U over one tick (upper triangular), no
 start (of the states after the diffuse ones, which come first). Parameter vector ``theta = [a (m), c (m), ln sd]``, a
 and c padded with zeros to m = max(p, q). ``rules`` holds [diffuse states, longest gap, clip, white variance].
 
-`LANES` models go through the series side by side: their numbers are one value of a type of its own, and what is done
-to one is done to all, in few instructions where the processor has them. ``_load(array, row)`` reads such a value from
-an array whose last axis is a multiple of `LANES` long; ``row`` counts those. ``_store`` writes it there. (A loop over
-eight elements would be turned into such instructions only where the compiler can prove that arrays do not overlap.) A
-matrix has a row for each element, row ``i n + j`` for element (i, j); of symmetric ones only the upper triangle is
-kept. Without the compiler such a value is an array.
+`LANES` models go through the series side by side, as values of eight numbers (`navfilter.kernels.registers`). A matrix
+has a row for each element, row ``i n + j`` for element (i, j); of symmetric ones only the upper triangle is kept.
 
 Most of the time of a tick would go into its loops, and into numbers that are put away and fetched again. So for the
 shapes that learners have, Python runs `_tick` once while the kernel is compiled, with values that write down what is
@@ -23,15 +19,20 @@ done to them (`_Value`, `_Rows`): of all loops and conditions nothing is left, a
 """
 
 import math
-import operator
 
 import numpy as np
 from numba import types
 from numba.core import cgutils
-from numba.core.typing.templates import AbstractTemplate, infer_global, signature
-from numba.extending import lower_builtin, models, register_model
 
 from navfilter.kernels.decorators import apart, njit
+from navfilter.kernels.registers import LANES
+from navfilter.kernels.registers import VECTOR as _VECTOR
+from navfilter.kernels.registers import all_of as _all_of
+from navfilter.kernels.registers import call as _call
+from navfilter.kernels.registers import compiled as _compiled
+from navfilter.kernels.registers import lanes as _lanes
+from navfilter.kernels.registers import load as _load
+from navfilter.kernels.registers import store as _store
 
 UNCOUNTED: dict = {"_nrt": False}
 DIFFUSE, LONGEST_GAP, CLIP, WHITE = 0, 1, 2, 3
@@ -49,47 +50,11 @@ TOGETHER = 8
 SMALL, LARGE = 1e-20, 1e20
 # Samples whose derivatives are summed at a time: they stay in the first cache.
 STRETCH = 64
-# Models at a time: what the widest registers there are hold.
-LANES = 8
 # Of a chain and a fast part: how many integrators, states of a slow part beside them, and of the fast one. These are
 # the usual ones of a learner.
 SHAPES = [(d, s, m) for d in (2, 3) for s, most in ((1, 4), (2, 2)) for m in range(most + 1)]
 NUMBERS = np.array([100 * d + 10 * s + m for d, s, m in SHAPES])
 _ir = cgutils.ir
-_VECTOR = _ir.VectorType(_ir.DoubleType(), LANES)
-
-
-class _Lanes(types.Type):
-    """Eight numbers."""
-
-
-_lanes = _Lanes(name=f"Lanes{LANES}")
-
-
-@register_model(_Lanes)
-class _LanesModel(models.PrimitiveModel):
-    """A vector of the compiler's."""
-
-    def __init__(self, manager, kind):
-        super().__init__(manager, kind, _VECTOR)
-
-
-def _load(array, row):
-    """Eight numbers from a row of an array."""
-    return array.load(row) if isinstance(array, _Rows) else array.reshape(-1, LANES)[row].copy()
-
-
-def _store(array, row, value):
-    """Eight numbers into a row of an array."""
-    if isinstance(array, _Rows):
-        array.rows[row] = value
-    else:
-        array.reshape(-1, LANES)[row] = value
-
-
-def _all_of(number):
-    """Eight times the same number."""
-    return np.full(LANES, number)
 
 
 def _root(u):
@@ -112,68 +77,14 @@ def _larger(u, v):
     return u.called("maxnum", v) if isinstance(u, _Value) else np.fmax(u, v)
 
 
-def _compiled(function, result, *kinds):
-    """Decorates what builds the instructions that stand for a function, or operator, in a kernel."""
-
-    def generic(self, arguments, keywords):
-        found = [types.unliteral(argument) for argument in arguments]
-        other = result is _lanes and _lanes in kinds and _lanes not in found
-        return None if other else signature(result, *found)
-
-    infer_global(function)(type(f"_Of{function.__name__}", (AbstractTemplate,), {"generic": generic}))
-    return lower_builtin(function, *kinds)
-
-
-def _place(context, builder, kinds, arguments):
-    """Pointer to eight numbers: row `arguments[1]` of an array."""
-    array = context.make_array(kinds[0])(context, builder, value=arguments[0])
-    row = context.cast(builder, arguments[1], kinds[1], types.intp)
-    first = builder.gep(array.data, [builder.mul(row, _ir.Constant(row.type, LANES))])
-    return builder.bitcast(first, _VECTOR.as_pointer())
-
-
-@_compiled(_load, _lanes, types.Array, types.Integer)
-def _build_load(context, builder, kinds, arguments):
-    value = builder.load(_place(context, builder, kinds.args, arguments))
-    value.align = 8
-    return value
-
-
-@_compiled(_store, types.void, types.Array, types.Integer, _lanes)
-def _build_store(context, builder, kinds, arguments):
-    builder.store(arguments[2], _place(context, builder, kinds.args, arguments), align=8)
-    return context.get_dummy_value()
-
-
-@_compiled(_all_of, _lanes, types.Float)
-def _build_all(context, builder, kinds, arguments):
-    index, nothing = _ir.IntType(32), _ir.Constant(_VECTOR, _ir.Undefined)
-    first = builder.insert_element(nothing, arguments[0], _ir.Constant(index, 0))
-    return builder.shuffle_vector(first, nothing, _ir.Constant(_ir.VectorType(index, LANES), [0] * LANES))
-
-
 def _compile_all():
-    """Operators are instructions, the other functions are the compiler's own."""
-    symbols = {operator.add: "fadd", operator.sub: "fsub", operator.mul: "fmul", operator.truediv: "fdiv"}
-    for symbol, instruction in symbols.items():
-
-        @_compiled(symbol, _lanes, _lanes, _lanes)
-        def build_operator(context, builder, kinds, arguments, instruction=instruction):
-            return getattr(builder, instruction)(*arguments, flags=("contract",))
-
+    """These functions are the compiler's own."""
     for function, name in ((_root, "sqrt"), (_magnitude, "fabs"), (_smaller, "minnum"), (_larger, "maxnum")):
         count = function.__code__.co_argcount
 
         @_compiled(function, _lanes, *[_lanes] * count)
         def build_function(context, builder, kinds, arguments, name=name):
             return _call(builder, name, *arguments)
-
-
-def _call(builder, name, *arguments):
-    """One of the compiler's own functions."""
-    kind = _ir.FunctionType(_VECTOR, [_VECTOR] * len(arguments))
-    called = cgutils.get_or_insert_function(builder.module, kind, f"llvm.{name}.v{LANES}f64")
-    return builder.call(called, arguments)
 
 
 _compile_all()
@@ -419,6 +330,10 @@ class _Rows:
 
     def __init__(self, builder, first=None):
         self.builder, self.first, self.rows, self.read = builder, first, {}, {}
+
+    def store(self, row, value):
+        """Put a value into a row."""
+        self.rows[row] = value
 
     def load(self, row):
         """A row as it is by now."""

@@ -12,6 +12,7 @@ import math
 import numpy as np
 
 from navfilter.kernels.decorators import apart, njit, shaped
+from navfilter.kernels.registers import all_of, load, store
 
 #: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
 UNCOUNTED: dict = {"_nrt": False}
@@ -629,16 +630,23 @@ def _turned(x, y, z, p, q, u, v, w):
 
 
 @njit(cache=True, **UNCOUNTED)
-def _stepped_back(C, v, by, motion, gravity, span):
-    """C (9,), velocity v (3,) and the sums in `by` (9,) carried back by `span` in the intervals of motion, at the
-    constant rate and specific force in b of each, in pieces of at most `PIECE_S`. Returns what is left of the span.
+def _stepped_back(X, motion, gravity, span):
+    """Attitude, velocity and sums carried back by `span` in the intervals of motion, at the constant rate and specific
+    force in b of each, in pieces of at most `PIECE_S`. Returns what is left of the span.
 
-    by: the way (3), and the time integrals of the specific force in n, once (3) and twice (3). All in registers, for
-    each step waits for the one before.
+    X: values of eight numbers, of which the first three are meant, north, east and down: columns of C_nb, velocity,
+    way, time integrals of the specific force in n, once and twice, and where gravity acts, 1.
     """
-    c0, c1, c2, c3, c4, c5, c6, c7, c8 = C[0], C[1], C[2], C[3], C[4], C[5], C[6], C[7], C[8]
-    v0, v1, v2, w0, w1, w2 = v[0], v[1], v[2], by[0], by[1], by[2]
-    s0, s1, s2, d0, d1, d2 = by[3], by[4], by[5], by[6], by[7], by[8]
+    u, v, w, speed, way, once, twice = (
+        load(X, 0),
+        load(X, 1),
+        load(X, 2),
+        load(X, 3),
+        load(X, 4),
+        load(X, 5),
+        load(X, 6),
+    )
+    down = load(X, 7) * all_of(gravity)
     for k in range(motion.shape[0]):
         if span == 0.0:
             break
@@ -650,21 +658,24 @@ def _stepped_back(C, v, by, motion, gravity, span):
         # angle and change of velocity
         x, y, z, a, b, c = motion[k, 1], motion[k, 2], motion[k, 3], motion[k, 4], motion[k, 5], motion[k, 6]
         x, y, z, a, b, c = dt * x, dt * y, dt * z, dt * a, dt * b, dt * c
-        t2, half, pull = x * x + y * y + z * z, 0.5 * dt, dt * gravity
+        t2 = x * x + y * y + z * z
         p, q = _rodrigues(0.25 * t2)
         a, b, c = _turned(-0.5 * x, -0.5 * y, -0.5 * z, p, q, a, b, c)
         p, q = _rodrigues(t2)
+        by, half, pull = all_of(dt), all_of(0.5 * dt), all_of(dt) * down
         for _ in range(pieces):
-            f0, f1, f2 = c0 * a + c1 * b + c2 * c, c3 * a + c4 * b + c5 * c, c6 * a + c7 * b + c8 * c
-            w0, w1, w2 = w0 + dt * v0 - half * f0, w1 + dt * v1 - half * f1, w2 + dt * v2 - half * (f2 + pull)
-            d0, d1, d2 = d0 + dt * s0 + half * f0, d1 + dt * s1 + half * f1, d2 + dt * s2 + half * f2
-            s0, s1, s2, v0, v1, v2 = s0 + f0, s1 + f1, s2 + f2, v0 - f0, v1 - f1, v2 - f2 - pull
-            c0, c1, c2 = _turned(x, y, z, p, q, c0, c1, c2)
-            c3, c4, c5 = _turned(x, y, z, p, q, c3, c4, c5)
-            c6, c7, c8 = _turned(x, y, z, p, q, c6, c7, c8)
-    C[0], C[1], C[2], C[3], C[4], C[5], C[6], C[7], C[8] = c0, c1, c2, c3, c4, c5, c6, c7, c8
-    v[0], v[1], v[2], by[0], by[1], by[2] = v0, v1, v2, w0, w1, w2
-    by[3], by[4], by[5], by[6], by[7], by[8] = s0, s1, s2, d0, d1, d2
+            force = all_of(a) * u + all_of(b) * v + all_of(c) * w
+            way = way + by * speed - half * (force + pull)
+            twice = twice + by * once + half * force
+            once, speed = once + force, speed - force - pull
+            u, v, w = _turned(all_of(x), all_of(y), all_of(z), all_of(p), all_of(q), u, v, w)
+    store(X, 0, u)
+    store(X, 1, v)
+    store(X, 2, w)
+    store(X, 3, speed)
+    store(X, 4, way)
+    store(X, 5, once)
+    store(X, 6, twice)
     return span
 
 
@@ -709,14 +720,18 @@ def _motion_about(motion, late_s, window_s, mean, growth):
 
 @njit(cache=True, **UNCOUNTED)
 def _back_to(nav, motion, gravity, late_s, window_s, slope_s, then, turn, slope, B, work):
-    """As `earlier`, which says what is given; work: 40."""
-    C, v, by, mean, growth, ahead = work[:9], work[9:12], work[12:21], work[21:27], work[27:33], work[33:40]
+    """As `earlier`, which says what is given; work: 104."""
+    X, C, v, by = work[:64], work[64:73], work[73:76], work[76:85]
+    mean, growth, ahead = work[85:91], work[91:97], work[97:104]
     for i in range(17):
         then[i] = nav[i]
-    for i in range(9):
-        C[i], by[i] = nav[6 + i], 0.0
+    for i in range(64):
+        X[i] = 0.0
     for i in range(3):
-        v[i] = nav[3 + i]
+        for j in range(3):
+            X[8 * j + i] = nav[6 + 3 * i + j]
+        X[24 + i] = nav[3 + i]
+    X[58] = 1.0
     centre = _motion_about(motion, late_s, window_s, mean, growth)
     # from the middle of the window to that of what is to come
     further = centre - 0.5 * late_s if late_s < 0.0 else 0.0
@@ -725,8 +740,13 @@ def _back_to(nav, motion, gravity, late_s, window_s, slope_s, then, turn, slope,
         ahead[1 + i], ahead[4 + i] = mean[i] + further * growth[i], mean[3 + i]
     ahead[0] = late_s
     if late_s > 0.0:
-        ahead[0] = _stepped_back(C, v, by, motion, gravity, late_s)
-    _stepped_back(C, v, by, shaped(ahead, 1, 7), gravity, ahead[0])
+        ahead[0] = _stepped_back(X, motion, gravity, late_s)
+    _stepped_back(X, shaped(ahead, 1, 7), gravity, ahead[0])
+    for i in range(3):
+        for j in range(3):
+            C[3 * i + j] = X[8 * j + i]
+        v[i] = X[24 + i]
+        by[i], by[3 + i], by[6 + i] = X[32 + i], X[40 + i], X[48 + i]
     latitude = nav[0] - by[0] / nav[15]
     then[0], then[2] = latitude, nav[2] + by[2]
     then[1] = nav[1] - by[1] / (nav[16] * math.cos(0.5 * (latitude + nav[0])))
@@ -772,4 +792,4 @@ def earlier(nav, motion, gravity, late_s, window_s, slope_s, then, turn, slope, 
     and how these grow; B (9, 9), derivative of the errors then with respect to those now. Accelerations and slopes are
     means over `slope_s` about then, or a time so much shorter that it ends now; returns over what time.
     """
-    return _back_to(nav, motion, gravity, late_s, window_s, slope_s, then, turn, slope, B, np.empty(40))
+    return _back_to(nav, motion, gravity, late_s, window_s, slope_s, then, turn, slope, B, np.empty(104))
