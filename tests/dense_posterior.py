@@ -1,7 +1,8 @@
 """A run of the navigator as one linear Gaussian chain, that chain conditioned in one piece, and vehicles to try it on.
 
-Every run is captured as its chain ``e- = Phi e + w, res = H e- + v, e+ = G (e- - K res)`` of errors (true minus
-estimated), G the reset of the attitude.
+Every run is captured as its chain ``e- = Phi e + w, res = H e- + v, e+ = G (e- - K res) + u`` of errors (true minus
+estimated), G the reset of the attitude. Where a constant is only considered, it walks by as much as it would have been
+told: u, and the estimate goes with it.
 """
 
 import math
@@ -14,6 +15,7 @@ from scipy.linalg import block_diag
 import navfilter as nf
 from navfilter.filter import asking, refused
 from navfilter.filter import filter as engine
+from navfilter.filter.channel import Channel
 from navfilter.filter.smoother import smooth_rows
 from navfilter.filter.tape import triangle
 from navfilter.kernels import kalman, stretch
@@ -38,6 +40,7 @@ class Step:
     res: np.ndarray | None = None
     K: np.ndarray | None = None
     G: np.ndarray | None = None
+    U: np.ndarray | None = None
 
 
 class Capture:
@@ -57,6 +60,15 @@ class Capture:
             channel.known = False
             channel.spot[stretch.EQUATION] = 0
         self._single = []
+        withhold = Channel.withhold
+
+        def withheld(channel, P, x, *drive):
+            before = P.copy()
+            withhold(channel, P, x, *drive)
+            if np.any(before != P):
+                self.steps[-1].U = self.samples[-1].U = P - before
+
+        monkeypatch.setattr(Channel, "withhold", withheld)
 
     def _each(self, kernel, block):
         """Run the drive's kernel sample by sample on a fresh compound, note each transition, and compound them here."""
@@ -199,6 +211,9 @@ class Unknowns:
             if step.H is not None:
                 self.seen.append((k, step.H @ A, step.res - step.H @ c, step.R))
                 A, c, P = step.G @ A, step.G @ (c - step.K @ step.res), step.G @ P @ step.G.T
+            if step.U is not None:
+                A, P = np.hstack([A, np.eye(len(A), dtype=wide)]), P + step.U
+                self.prior.append(np.asarray(step.U, wide))
             if k in wanted:
                 self.kept[k] = A, c, P
 

@@ -1491,12 +1491,14 @@ def lately(rows, rate):
     rows = rows[: np.argmax(rows[:, 0] <= 0.0)] if (rows[:, 0] <= 0.0).any() else rows
     rows = rows[np.concatenate([[0.0], np.cumsum(rows[:, 0])[:-1]])[: len(rows)] < 0.2]
     rate[:] = rows[:, 0] @ rows[:, 1:4] / max(rows[:, 0].sum(), 1e-9)
-    return rows[:, 0].sum()
 
 
-def stands_out(rate, seconds, drv, Cr):
+def withhold(P, x, near, K, S, res, own, at, drv, Cr):
     if drv[strapdown_kernels.INERTIAL]:
-        rate[np.abs(rate) <= 10.0 * np.sqrt(Cr[:3, -1] * drv[36] / max(seconds, drv[36]))] = 0.0
+        least = 15.0**2 * Cr[:3, -1].max() * min(1.0, drv[36] / 0.2)
+        untold = at + np.flatnonzero(np.nansum(near[:, 9 + own :][:, :3] ** 2, axis=0) <= least)
+        x[untold - 9] -= K[untold] @ res
+        P[np.ix_(untold, untold)] += K[untold] @ S[: len(res)] @ K[untold].T
 
 
 def discount(inner, slope, then, drv, Cr, over_s, gravity, variance, tilt, near, R):
@@ -1549,10 +1551,9 @@ def sight(
         if g[0]:
             H[:, 9 : 9 + len(xd)] = inner[:, :9] @ by
     if arm:
-        told, base, seconds = rate.copy(), np.zeros(len(res)), 0.2
+        told, base = rate.copy(), np.zeros(len(res))
         if not clock:
-            seconds = lately(rows, told)
-        stands_out(told, seconds, drv, Cr)
+            lately(rows, told)
         ask(then, told, np.zeros(3), base)
         for j in range(3):
             ask(then, told, 1e-3 * np.eye(3)[j], ends)
@@ -1673,6 +1674,10 @@ def correction(bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count,
         drv[142] = max(drv[142], moves)
         if moves or turns:
             turn_velocity(P, nav, velocity, change)
+    if seen and bench[facts] and mem[places_[8] + 2]:
+        K, S = mem[places_[1] : places_[2]].reshape(n, a), mem[places_[5] : places_[6]].reshape(2 * a, a)
+        first = par - 3 - int(bench[facts + 1])
+        withhold(P, x, near, K, S, res, first, start + errors + first, drv, Cr)
 
 
 def heeded(w, nav, P, period_s):

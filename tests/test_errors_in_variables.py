@@ -35,17 +35,37 @@ def test_slopes_stay_where_noise_alone_would_draw_them():
     assert seen == pytest.approx([1.0, 1.0, 2.0, 2.0])
 
 
-def test_a_rate_tells_a_lever_arm_where_it_stands_out_of_its_noise():
-    drv, Cr = np.zeros(200), np.zeros((6, 3))
-    drv[past.strapdown.INERTIAL], drv[past.strapdown.PERIOD_S], Cr[:3, 2] = 1.0, 0.01, 1e-6
+@pytest.mark.parametrize("inertial", [1.0, 0.0])
+def test_a_lever_arm_is_only_considered_where_no_slope_stands_out(inertial):
+    rng = np.random.default_rng(2)
+    drv, Cr, root = np.zeros(200), np.zeros((6, 3)), rng.normal(size=(14, 14))
+    drv[past.strapdown.INERTIAL], drv[past.strapdown.PERIOD_S], Cr[:3, 2] = inertial, 0.01, 1e-6
+    before, x, res, near = root @ root.T, rng.normal(size=5), rng.normal(size=3), np.zeros((3, 13))
+    # fifteen times 1e-3 rad/s over the root of 20 samples is 0.0034 rad/s
+    near[1, 10], near[0, 11], near[0, 12], near[2, 12] = 0.02, 0.0033, 0.0031, 0.0025
+    near[1, 11] = np.nan
+    H = np.hstack([rng.normal(size=(3, 11)), np.nan_to_num(near[:, 10:])])
+    S = H @ before @ H.T + np.eye(3)
+    K = before @ H.T @ np.linalg.inv(S)
+    P = before - K @ S @ K.T
+    ours, twins = run_both(past.withhold, P, x, near, K, np.vstack([S, S]), res, 1, 11, drv, Cr)
+    assert_close(ours[:2], twins[:2], 1e-13)
+    told = [11, 13] if inertial else [11, 12, 13]
+    G = K.copy()
+    G[[i for i in (11, 12, 13) if i not in told]] = 0.0
+    # Joseph's form holds for any gain
+    left = np.eye(14) - G @ H
+    np.testing.assert_allclose(ours[0], left @ before @ left.T + G @ G.T, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(ours[1], x - ((K - G) @ res)[9:], rtol=0.0, atol=1e-15)
+
+
+@pytest.mark.parametrize("known", [40, 6])
+def test_a_slope_by_a_lever_arm_has_no_noise_of_the_reading_that_is_predicted(known):
     rows = np.column_stack([np.full(40, 0.01), np.tile([0.002, 0.1, -0.1], (40, 1)), np.zeros((40, 3))])
-    rows[:2] = 99.0  # the newest are in the reading that is predicted
-    told = np.zeros(3)
-    seconds = past.lately(rows, told)
-    assert seconds == pytest.approx(0.2)
-    past.stands_out(told, seconds, drv, Cr)
-    # ten times 1e-3 rad/s over the root of 20 samples
-    assert told == pytest.approx([0.0, 0.1, -0.1])
+    rows[:2], rows[known:] = 99.0, 0.0
+    ours, twins = run_both(past.lately, rows, np.zeros(3))
+    assert_close(ours, twins, 1e-15)
+    assert ours[1] == pytest.approx([0.002, 0.1, -0.1])
 
 
 @pytest.mark.parametrize(

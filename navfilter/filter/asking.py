@@ -138,3 +138,4 @@ def asked(
         own[0] = max(own[0], channel.moves)
     if channel.verdict[2] and (channel.moves or turns):
         kalman.turn_velocity(P, nav, before, channel.change)
+    channel.withhold(P, x, memory.drv, drive_output)

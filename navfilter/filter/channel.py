@@ -257,18 +257,16 @@ class Channel:
         self.bench, at = bench[begin : ends[-1]], self.places
         self.mem = mem = bench[begin : ends[0]]
         self.res, self.near = mem[at[3] : at[3] + a], mem[at[7] : at[8]].reshape(a, 9 + parameters)
-        self.H, self.PH = mem[at[0] : at[1]].reshape(a, n), mem[at[6] : at[7]].reshape(a, n)
-        self.S = mem[at[5] : at[6]].reshape(2 * a, a)
+        self.H, self.K = mem[at[0] : at[1]].reshape(a, n), mem[at[1] : at[2]].reshape(n, a)
+        self.PH, self.S = mem[at[6] : at[7]].reshape(a, n), mem[at[5] : at[6]].reshape(2 * a, a)
         self.verdict, self.note = mem[at[8] : at[8] + 3], mem[at[8] : at[9] - stretch.NOTED]
         self.pulled = mem[at[9] - 1 : at[9]]  # ticks since a reading that was used, with a coloured error within one sd
         self.record, self.moved = mem[: at[5]], mem[: at[0]]
         self.transition = mem[: m * m].reshape(m, m)
         self.change = mem[at[4] + 1 : at[5]]  # of the velocity, which turns with the attitude: `kalman.turn_velocity`
-        self.rate = bench[ends[1] : ends[2]]
-        self.model = bench[ends[2] : ends[3]].reshape(2, b, b)
+        self.rate, self.model = bench[ends[1] : ends[2]], bench[ends[2] : ends[3]].reshape(2, b, b)
         self.C, self.white = bench[ends[3] : ends[4]].reshape(a, errors), bench[ends[4] : ends[5]].reshape(a, a)
-        self.lever = bench[ends[5] : ends[6]].reshape(a, a)
-        self.R = bench[ends[6] : ends[7]].reshape(a, a)
+        self.lever, self.R = bench[ends[5] : ends[6]].reshape(a, a), bench[ends[6] : ends[7]].reshape(a, a)
         # a reading of the past depends on the drive's states, too
         self.into = self.H[:, 9:m], self.near, self.res, self.R
         self.gate = bench[ends[7] : ends[8]]
@@ -293,8 +291,7 @@ class Channel:
         if not self.known or self.offset:
             return 0, 0, 0, 0
         sight = 0 if self.sight is None else address(past.sight, addresses.SIGHT)
-        bend = self.sensor.bend
-        bent = 0 if bend is None else address(bend, addresses.BEND)
+        bent = 0 if self.sensor.bend is None else address(self.sensor.bend, addresses.BEND)
         return address(self.kernel, addresses.EQUATION), sight, 0, bent
 
     def turns_by(self, rate_variance: Array) -> None:
@@ -320,6 +317,13 @@ class Channel:
         """Let the slopes that are velocities follow no closer than those are known; (a, k) of the reading before."""
         if held.size:
             measurement.hold_slopes(P, self.near, held, self.held[0])
+
+    def withhold(self, P: Array, x: Array, drv: Array, drive_output: Array) -> None:
+        """Take back what a reading that was used has told of a lever arm by the noise of the drive."""
+        if self.sight is not None and self.sight.arm and self.verdict[2]:
+            own = self.near.shape[1] - 12 - self.sight.clock
+            at = self.parameters.start + 9 + own
+            past.withhold(P, x, self.near, self.K, self.S, self.res, own, at, drv, drive_output)
 
     def without_errors(self, z: Array, outputs: Array, errors: Array) -> Array:
         """A reading of the drive's first three values without the drive's errors, of whose states it depends."""
@@ -412,8 +416,7 @@ class Channel:
     def unwrap(self, x: Array) -> None:
         """Bring the residual of a heading that has jumped within half a turn of its error, before that is taken off."""
         if self.sensor.north is not None:
-            first = self.group.start - 9
-            error = self.C @ x[first : first + self.group.errors]
+            error = self.C @ x[self.group.start - 9 :][: self.group.errors]
             own = self.res - error
             self.wrap(own)
             self.res[:] = own + error

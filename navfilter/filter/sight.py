@@ -29,25 +29,25 @@ class Sight:
 
     Attributes
     ----------
-    clock : bool
-        Whether it needs to know how the vehicle has moved.
+    arm, clock : bool
+        Which of them are states; with a clock it needs to know how the vehicle has moved.
     facts : ndarray
         See ``navfilter.kernels.past``.
     """
 
     def __init__(self, sensor: Sensor, start: Start) -> None:
         self.kernel, self.axes = sensor.kernel, sensor.axes
-        self.clock, self._arm = sensor.time_offset_sd_s > 0.0, any(sensor.lever_arm_sd_m)
+        self.clock, self.arm = sensor.time_offset_sd_s > 0.0, any(sensor.lever_arm_sd_m)
         self._constants = sensor.constants(start)
-        self._turns = sensor.needs_rate or self._arm
+        self._turns = sensor.needs_rate or self.arm
         self._by_arm = np.zeros((self._constants.size, 3))
         self._inner, self._ends = np.zeros((self.axes, 9 + len(sensor.parameters()))), np.zeros(self.axes)
         self._then, self._turn, self._slope, self._B = np.empty(17), np.empty(6), np.empty((2, 9)), np.empty((9, 9))
-        if self._arm:
+        if self.arm:
             for i, e in enumerate(np.eye(3)):
                 self._by_arm[:, i] = self._constants_at(sensor, start, e) - self._constants
         self._steps = STEP * np.ascontiguousarray(self._by_arm.T)
-        known = self._arm, self.clock, self._turns, sensor.lead_s
+        known = self.arm, self.clock, self._turns, sensor.lead_s
         self.facts = np.concatenate([np.array(known, dtype=np.float64), self._by_arm.ravel()])
 
     @staticmethod
@@ -90,8 +90,8 @@ class Sight:
             and the residual; the white covariance grows by what the clock's error does beyond that.
         """
         H, near, res, R = into
-        own = par.size - 3 * self._arm - self.clock
-        constants = self._constants + self._by_arm @ par[own : own + 3] if self._arm else self._constants
+        own = par.size - 3 * self.arm - self.clock
+        constants = self._constants + self._by_arm @ par[own : own + 3] if self.arm else self._constants
         inner, kind = self._inner, par[:own]
         if self.clock:
             late_s, now = since_s + float(par[-1]), nav
@@ -107,9 +107,10 @@ class Sight:
             if moved[1]:
                 H[:] = inner[:, :9] @ by_drive(now, nav, self._B, late_s, outputs)
         ends = self._ends
-        if self._arm:
+        if self.arm:
             told, base = self._turn[:3].copy(), np.empty_like(res)
-            past.stands_out(told, WINDOW_S if self.clock else past.lately(moved[0], told), *drive)
+            if not self.clock:
+                past.lately(moved[0], told)
             self.kernel(z, nav, told, kind, constants, inner, base)
             for i in range(3):
                 self.kernel(z, nav, told, kind, constants + self._steps[i], inner, ends)

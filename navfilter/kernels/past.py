@@ -22,9 +22,11 @@ SLOPE_S = 1.0
 #: And over so many standard deviations of the clock: between the outer two of three Gauss-Hermite points [1].
 SPREAD = 2.0 * math.sqrt(3.0)
 #: A slope counts as far as it stands out of so many standard deviations of its noise: noise is in the velocity of the
-#: state, too, and by k of them it draws a clock by SLOPE_S / (2 k^2), 5 ms [1]. A rate tells a lever arm from there on:
-#: its noise is in the reading that is predicted, and would draw the arm towards none.
+#: state, too, and by k of them it draws a clock by SLOPE_S / (2 k^2), 5 ms [1].
 TOLD = 10.0
+#: A lever arm is told from so many on, see `withhold`: by 10 of them, an arm of 0.5 m was drawn by 1.2 of its standard
+#: deviations in half an hour beside a micromechanical unit, by 15 it is 0.7, by 20 nothing of a swell is left [1].
+TOLD_ARM = 15.0
 #: Step of the difference quotients over lever arm [m] and time [s]; a reading is linear in both, or nearly so.
 STEP = 1e-3
 #: So much more of the past is kept than the clock may be off: half of what a slope is taken over [s].
@@ -222,7 +224,7 @@ def lately(sources):
     @njit(cache=True, **UNCOUNTED)
     def lately(rows, rate):
         """Mean of the angular rate (3,) over `WINDOW_S`, of the intervals but for the newest two: those have the noise
-        of the reading that is predicted. Returns over how many seconds. rows: see `inertial_motion`.
+        of the reading that is predicted. rows: see `inertial_motion`.
         """
         _ = sources
         seconds = 0.0
@@ -236,23 +238,61 @@ def lately(sources):
                 rate[j] += rows[i, 0] * rows[i, 1 + j]
         for j in range(3):
             rate[j] /= max(seconds, 1e-9)
-        return seconds
 
     return lately
 
 
 @_keyed
-def stands_out(sources):
+def _square(sources):
     @njit(cache=True, **UNCOUNTED)
-    def stands_out(rate, seconds, drv, Cr):
-        """Leave of an angular rate (3,), a mean over so many seconds, what is no noise of the unit."""
-        _ = sources
-        k, share = Cr.shape[1] - 1, drv[strapdown.PERIOD_S] / max(seconds, drv[strapdown.PERIOD_S])
-        for j in range(3):
-            if drv[strapdown.INERTIAL] != 0.0 and rate[j] * rate[j] <= TOLD * TOLD * share * Cr[j, k]:
-                rate[j] = 0.0
+    def _square(near, column):
+        """Of the length of a column, NaN being components that are missing."""
+        _, s = sources, 0.0
+        for i in range(near.shape[0]):
+            if not math.isnan(near[i, column]):
+                s += near[i, column] * near[i, column]
+        return s
 
-    return stands_out
+    return _square
+
+
+@_keyed
+def withhold(sources):
+    @apart
+    @njit(cache=True, **UNCOUNTED)
+    def withhold(P, x, near, K, S, res, own, at, drv, Cr):
+        """Take back what a reading has told of a lever arm by slopes that do not stand out of the noise of the gyros.
+
+        A rate that is noise is in the attitude, too, and by gravity in what the next readings show: an arm would be
+        drawn by both, always to the same side. So it is only considered (Schmidt, 1966): slope and correlations stay,
+        and what the gain K (n, a) has made of the residual is undone, for its state and for its variance. The smoother
+        takes it for an arm that walks by as much.
+
+        near (a, 9 + parameters): slopes, those by the arm from column 9 + own on; S (2a, a): the residual's covariance
+        first; at: where the arm stands in P; drv, Cr: the drive's memory, and its white variances in the last column.
+        """
+        _ = sources
+        k, a = Cr.shape[1] - 1, near.shape[0]
+        if drv[strapdown.INERTIAL] == 0.0:
+            return
+        share = min(1.0, drv[strapdown.PERIOD_S] / WINDOW_S)
+        least = TOLD_ARM * TOLD_ARM * share * max(Cr[0, k], Cr[1, k], Cr[2, k])
+        for i in range(3):
+            if _square(near, 9 + own + i) > least:
+                continue
+            for c in range(a):
+                x[at + i - 9] -= K[at + i, c] * res[c]
+            for j in range(i + 1):
+                if _square(near, 9 + own + j) <= least:
+                    s = 0.0
+                    for c in range(a):
+                        for r in range(a):
+                            s += K[at + i, c] * S[c, r] * K[at + j, r]
+                    P[at + i, at + j] += s
+                    if j < i:
+                        P[at + j, at + i] += s
+
+    return withhold
 
 
 @_keyed
@@ -336,12 +376,10 @@ def _sight(sources):
             if gravity[0] != 0.0:
                 _by_drive(nav, then, B, late_s, outputs, inner, 9 + k, H, spare)
         if arm:
-            seconds = WINDOW_S
             for j in range(3):
                 told[j] = turn[j]
             if not clock:
-                seconds = lately(rows, told)
-            stands_out(told, seconds, drv, Cr)
+                lately(rows, told)
             addresses.at_equation(equation, (z, seen, told, kind, constants, inner, base))
             for j in range(3):
                 for i in range(len(cfg)):
