@@ -13,7 +13,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 import navfilter as nf
-from navfilter.filter import asking, refused
+from navfilter.filter import asking
 from navfilter.filter import filter as engine
 from navfilter.filter.channel import Channel
 from navfilter.filter.smoother import smooth_rows
@@ -49,7 +49,7 @@ class Capture:
     def __init__(self, monkeypatch, vehicle, start):
         self.steps, self.samples, self.frozen = [], [], False
         self.places = kalman.places
-        for module in (engine, asking, refused):
+        for module in (engine, asking):
             monkeypatch.setattr(module, "kalman", self)
         self.tape = nf.Tape()
         self.nav = nf.Navigator(vehicle, start, self.tape)

@@ -9,15 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.filter.belief import beyond_belief, is_calm
-from navfilter.filter.channel import Channel
-from navfilter.filter.filter_memory import FilterMemory
 from navfilter.kernels import addresses, kalman, past, strapdown, stretch
 from navfilter.kernels.addresses import address
 
 if TYPE_CHECKING:
+    from navfilter.filter.channel import Channel
+    from navfilter.filter.filter_memory import FilterMemory
     from navfilter.mechanisation import Mechanisation
 
-__all__ = ["asked", "shared"]
+__all__ = ["asked", "shared", "update"]
 
 Array = NDArray[np.float64]
 #: Limits of a gate that lets nothing in; so many components has no reading.
@@ -130,12 +130,18 @@ def asked(
     let_go = channel.verdict[2] and is_calm(channel, x)
     channel.pulled[0] = channel.ticks(time_s) + (0.0 if let_go else channel.pulled[0])
     gate = SHUT[: channel.axes + 1] if beyond_belief(channel, x) else channel.gate
+    update(memory, channel, channel.C, channel.R, gate)
+    channel.withhold(P, x, memory.drv, drive_output)
+
+
+def update(memory: FilterMemory, channel: Channel, C: Array, R: Array, gate: Array) -> None:
+    """`kalman.update`, and what turns with the heading afterwards, as in `stretch.correction`."""
+    P, nav = memory.P, memory.nav
     before, own = tuple(nav[3:6]), memory.drv[strapdown.OWN : strapdown.OWN + 1]
     turns = bool(own[0]) and kalman.turns_along(P, nav[3], nav[4])
-    kalman.update(P, nav, x, channel.C, channel.R, channel.mem, channel.dims, gate)
+    kalman.update(P, nav, memory.x, C, R, channel.mem, channel.dims, gate)
     channel.change[:] = 0.0
     if channel.verdict[2]:
         own[0] = max(own[0], channel.moves)
     if channel.verdict[2] and (channel.moves or turns):
         kalman.turn_velocity(P, nav, before, channel.change)
-    channel.withhold(P, x, memory.drv, drive_output)

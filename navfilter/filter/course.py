@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.filter.adoption import Change
+from navfilter.filter.asking import update
 from navfilter.filter.offsets import offset_states, with_offsets
 from navfilter.kernels import kalman, listen, measurement
 
@@ -294,7 +295,7 @@ def turned(filter: Filter, compass: Channel, angle: float, variance: float) -> N
     compass.kernel(reading, nav, compass.rate, x[compass.parameters], compass.constants, compass.near, compass.res)
     compass.res[:], compass.res[north], compass.H[:, 9 : compass.dims[2]] = math.nan, 0.0, 0.0
     nothing, open_gate = np.zeros_like(compass.C), np.full(a + 1, np.inf)
-    kalman.update(P, nav, x, nothing, variance * np.eye(a), compass.mem, compass.dims, open_gate)
+    update(memory, compass, nothing, variance * np.eye(a), open_gate)
     memory.unfolded = 0
     kept.agreed_s, kept.refused, kept.rejected_since_s = math.nan, None, math.nan
     if compass.offset:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from navfilter.filter import agreement, aside, gating, ramp, realignment, reckoned, refused_way, shifts, turns
 from navfilter.filter.adoption import Change
+from navfilter.filter.asking import update
 from navfilter.filter.belief import beyond_belief, estimate, excused, pulled, reckoned_since, reckoned_wrongly
 from navfilter.filter.channel import Channel
 from navfilter.filter.course import Course, against_the_compass, told_here, turned
@@ -19,7 +20,7 @@ from navfilter.filter.events import Event
 from navfilter.filter.integrity import IN_LINE
 from navfilter.filter.offsets import with_offsets
 from navfilter.filter.refusals import LEAST, Refusals
-from navfilter.kernels import kalman, listen
+from navfilter.kernels import listen
 from navfilter.state import NavState
 
 if TYPE_CHECKING:
@@ -276,6 +277,6 @@ def _update(filter: Filter, channel: Channel, time_s: float) -> None:
     P[:] = 0.5 * (P + P.T)
     channel.res[:] = gating.whole_residual(channel, memory.x)
     no_limits = np.full(channel.axes + 1, np.inf)
-    kalman.update(P, memory.nav, memory.x, channel.C, channel.R, channel.mem, channel.dims, no_limits)
+    update(memory, channel, channel.C, channel.R, no_limits)
     channel.memory.use(time_s)
     memory.counts["widened"] += 1
