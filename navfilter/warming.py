@@ -131,12 +131,14 @@ def _compile_prompt() -> None:
     """What takes a single reading live, and what is asked now and then."""
     from numba import config
 
-    from navfilter.kernels import addresses, listen, stretch
+    from navfilter.kernels import addresses, kalman, listen, stretch
 
     settings: Any = config
     if not settings.DISABLE_JIT:
         stretch.prompt.compile(addresses.PROMPT)
         listen.is_within.compile(addresses.WITHIN)
+        kalman.turns_along.compile(addresses.ALONG)
+        kalman.turn_velocity.compile(addresses.TURN)
 
 
 def _warm_learner() -> None:

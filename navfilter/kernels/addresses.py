@@ -13,9 +13,11 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 
 __all__ = [
+    "ALONG",
     "PROMPT",
     "SMOOTH_RUN",
     "STRETCH",
+    "TURN",
     "WITHIN",
     "address",
     "at_bend",
@@ -75,6 +77,9 @@ PROMPT = (
 )
 #: The same for `navfilter.kernels.listen.is_within`.
 WITHIN = (_ROW, _TABLE, _PLACES, _ROW, _ROW, types.float64)
+#: The same for `navfilter.kernels.kalman.turns_along` and `turn_velocity`.
+ALONG = (_TABLE, types.float64, types.float64)
+TURN = (_TABLE, _ROW, types.UniTuple(types.float64, 3), _ROW)
 #: The same for `navfilter.kernels.kalman.smooth_run`.
 SMOOTH_RUN = (
     *(_TABLE, _ROW, _ROW, _PLACES, _MATRIX_OF_PLACES, _ROW, _PLACES, _PLACES, types.int64, types.int64),
