@@ -130,12 +130,13 @@ def asked(
     let_go = channel.verdict[2] and is_calm(channel, x)
     channel.pulled[0] = channel.ticks(time_s) + (0.0 if let_go else channel.pulled[0])
     gate = SHUT[: channel.axes + 1] if beyond_belief(channel, x) else channel.gate
-    update(memory, channel, channel.C, channel.R, gate)
-    channel.withhold(P, x, memory.drv, drive_output)
+    update(memory, channel, channel.C, channel.R, gate, drive_output)
 
 
-def update(memory: FilterMemory, channel: Channel, C: Array, R: Array, gate: Array) -> None:
-    """`kalman.update`, and what turns with the heading afterwards, as in `stretch.correction`."""
+def update(memory: FilterMemory, channel: Channel, C: Array, R: Array, gate: Array, drive_output: Array) -> None:
+    """`kalman.update`, and what follows from a reading that was used, as in `stretch.correction`: what turns with the
+    heading, and what is only considered.
+    """
     P, nav = memory.P, memory.nav
     before, own = tuple(nav[3:6]), memory.drv[strapdown.OWN : strapdown.OWN + 1]
     turns = bool(own[0]) and kalman.turns_along(P, nav[3], nav[4])
@@ -145,3 +146,4 @@ def update(memory: FilterMemory, channel: Channel, C: Array, R: Array, gate: Arr
         own[0] = max(own[0], channel.moves)
     if channel.verdict[2] and (channel.moves or turns):
         kalman.turn_velocity(P, nav, before, channel.change)
+    channel.withhold(P, memory.x, memory.drv, drive_output)

@@ -295,7 +295,7 @@ def turned(filter: Filter, compass: Channel, angle: float, variance: float) -> N
     compass.kernel(reading, nav, compass.rate, x[compass.parameters], compass.constants, compass.near, compass.res)
     compass.res[:], compass.res[north], compass.H[:, 9 : compass.dims[2]] = math.nan, 0.0, 0.0
     nothing, open_gate = np.zeros_like(compass.C), np.full(a + 1, np.inf)
-    update(memory, compass, nothing, variance * np.eye(a), open_gate)
+    update(memory, compass, nothing, variance * np.eye(a), open_gate, filter.drive_output)
     memory.unfolded = 0
     kept.agreed_s, kept.refused, kept.rejected_since_s = math.nan, None, math.nan
     if compass.offset:

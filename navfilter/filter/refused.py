@@ -277,6 +277,6 @@ def _update(filter: Filter, channel: Channel, time_s: float) -> None:
     P[:] = 0.5 * (P + P.T)
     channel.res[:] = gating.whole_residual(channel, memory.x)
     no_limits = np.full(channel.axes + 1, np.inf)
-    update(memory, channel, channel.C, channel.R, no_limits)
+    update(memory, channel, channel.C, channel.R, no_limits, filter.drive_output)
     channel.memory.use(time_s)
     memory.counts["widened"] += 1

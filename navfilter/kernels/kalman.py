@@ -756,6 +756,23 @@ def update(P, nav, x, C, R, mem, dims, limits):
             mem[ii + i * a + j] = S[a + i, j]
 
 
+@njit(cache=True, **UNCOUNTED)
+def _add_turned(M, first, of, x, y, z):
+    """Add to three rows and columns of M the cross products of three others with (x, y, z)."""
+    n = M.shape[0]
+    for j in range(n):
+        u, v, w = M[of, j], M[of + 1, j], M[of + 2, j]
+        M[first, j] += v * z - w * y
+        M[first + 1, j] += w * x - u * z
+        M[first + 2, j] += u * y - v * x
+    for j in range(n):
+        u, v, w = M[j, of], M[j, of + 1], M[j, of + 2]
+        M[j, first] += v * z - w * y
+        M[j, first + 1] += w * x - u * z
+        M[j, first + 2] += u * y - v * x
+    _same(M, first)
+
+
 @apart
 @njit(cache=True, **UNCOUNTED)
 def turn_velocity(P, nav, before, change):
@@ -769,18 +786,7 @@ def turn_velocity(P, nav, before, change):
     """
     north, east, down = nav[3] - before[0], nav[4] - before[1], nav[5] - before[2]
     change[0], change[1], change[2] = north, east, down
-    n = P.shape[0]
-    for j in range(n):
-        x, y, z = P[6, j], P[7, j], P[8, j]
-        P[3, j] += y * down - z * east
-        P[4, j] += z * north - x * down
-        P[5, j] += x * east - y * north
-    for j in range(n):
-        x, y, z = P[j, 6], P[j, 7], P[j, 8]
-        P[j, 3] += y * down - z * east
-        P[j, 4] += z * north - x * down
-        P[j, 5] += x * east - y * north
-    _same(P, int(3))
+    _add_turned(P, int(3), int(6), north, east, down)
 
 
 @apart
@@ -868,17 +874,7 @@ def smooth_record(L, lam, record, a, m, b, start, T):
         half = 0.5 * record[at + a * a + a]
         x, y, z = record[at + a * a + a + 1], record[at + a * a + a + 2], record[at + a * a + a + 3]
         if x != 0.0 or y != 0.0 or z != 0.0:  # the other way round than `turn_velocity`
-            for j in range(n):
-                u, v, w = L[3, j], L[4, j], L[5, j]
-                L[6, j] += y * w - z * v
-                L[7, j] += z * u - x * w
-                L[8, j] += x * v - y * u
-            for j in range(n):
-                u, v, w = L[j, 3], L[j, 4], L[j, 5]
-                L[j, 6] += y * w - z * v
-                L[j, 7] += z * u - x * w
-                L[j, 8] += x * v - y * u
-            _same(L, int(6))
+            _add_turned(L, int(6), int(3), -x, -y, -z)
             u, v, w = lam[3], lam[4], lam[5]
             lam[6] += y * w - z * v
             lam[7] += z * u - x * w

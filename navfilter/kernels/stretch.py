@@ -204,8 +204,7 @@ def _note_row(sources):
 
         xd: the first of x, those of the drive. rows (r, w): nav, x, then the lower triangle of P or its first nine rows
         and columns and the rest of its diagonal, as `kalman.present` gives them where samples have not been folded yet.
-        info (r, 2): time, and after
-        how many records.
+        info (r, 2): time, and after how many records. inertial, own: see `kalman.discount_heading`.
         """
         _ = sources
         at, n = cursor[ROWS], P.shape[0]
@@ -349,7 +348,7 @@ def _carried(sources):
         every, begin, total = int(settings[FOLD_EVERY]), 0, samples.shape[0]
         head, felt, each = work[: m * m], int(settings[FELT]), trace.shape[0] > 0
         xd, interval_s = x[: m - 9], settings[INTERVAL_S]
-        inertial = drv[strapdown.INERTIAL] != 0.0
+        inertial, own = drv[strapdown.INERTIAL] != 0.0, drv[strapdown.OWN]
         while begin < total:
             if not _has_room(cursor, m * m, rows, records, heads):
                 return FULL
@@ -370,12 +369,12 @@ def _carried(sources):
             for i in range(begin, end - 1 if each else begin):
                 left, now[TIME_S] = trace[i - begin], stamps[i]
                 Phi_and_Q = shaped(left[8 + m :], 2 * m, m)
-                before = left[:17], left[17 : 8 + m], x, P, Phi_and_Q, inertial, drv[strapdown.OWN]
+                before = left[:17], left[17 : 8 + m], x, P, Phi_and_Q, inertial, own
                 _note_row(*(now, cursor, interval_s, *before, rows, info), work[m * m :])
             now[TIME_S] = now[SAMPLE_S] = now[BEFORE_S] = stamps[end - 1]
             if cursor[UNFOLDED] >= every:
                 if inertial:
-                    kalman.discount_heading(P, acc, nav, drv[strapdown.OWN], work[m * m :])
+                    kalman.discount_heading(P, acc, nav, own, work[m * m :])
                 transition = flat(acc)
                 for i in range(m * m):
                     head[i] = transition[i]
@@ -384,11 +383,8 @@ def _carried(sources):
                 if undone.size > 0:
                     listen.carry(undone, shaped(head, m, m))
                 _note_record(head, int(0), spot, cursor, records, heads)
-                by = drv[strapdown.OWN]
-                _note_row(now, cursor, interval_s, nav, xd, x, P, acc, inertial, by, rows, info, work[m * m :])
-            elif each:
-                by = drv[strapdown.OWN]
-                _note_row(now, cursor, interval_s, nav, xd, x, P, acc, inertial, by, rows, info, work[m * m :])
+            if cursor[UNFOLDED] == 0 or each:
+                _note_row(now, cursor, interval_s, nav, xd, x, P, acc, inertial, own, rows, info, work[m * m :])
             begin = end
             if felt > 0 and drv[strapdown.COUNT] >= felt:
                 return HEED
