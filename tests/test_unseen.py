@@ -4,12 +4,13 @@ import math
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 import navfilter as nf
 from navfilter.arma.model import ArmaModel
 from navfilter.error_models import RandomWalk, Sum, White
 from navfilter.learning.drift import Drift
-from navfilter.learning.learner import Learner
+from navfilter.learning.learner import Learner, hop_together
 from navfilter.learning.unseen import WhiteDescription, white_description
 
 PERIOD_S, SPAN_S = 0.1, 400.0
@@ -74,3 +75,73 @@ def test_a_learner_hands_it_out():
     careful = Learner(orders, 4000, HIDING, described=described).hop(y)
     assert plain.slow == () and careful.model.sd == plain.model.sd
     assert careful.slow == described.unseen(careful.model, y, HIDING, 0.0) != ()
+
+
+# ---------------------------------------------------------------- readings that are not white
+
+#: It hides nothing.
+BARE = Drift((1e-4, 1e-6), PERIOD_S)
+#: A velocity whose slow errors are as slow as a DVL's.
+KIND = nf.GaussMarkov(sd=0.01, tau_s=5.0) + White(sd=0.01)
+ORDERS = [(0, 0), (1, 0), (1, 1), (2, 0), (2, 2)]
+SAID = white_description(White(0.01), PERIOD_S, SPAN_S, KIND)
+
+
+def coloured(sd, tau_s, drift, n=4000, seed=5, white=0.005):
+    """A Gauss-Markov process on white noise, beside a drift."""
+    random, phi = np.random.default_rng(seed), math.exp(-PERIOD_S / tau_s)
+    noise = sd * math.sqrt(1.0 - phi**2) * random.standard_normal(n)
+    noise[0] = sd * random.standard_normal()
+    return lfilter([1.0], [1.0, -phi], noise) + series(white, drift, n, seed + 100)
+
+
+def power_of_slow(learnt):
+    return sum(2.0 * part.sd**2 * part.tau_s for part in learnt.slow)
+
+
+def hop(y, drift, described=SAID):
+    return Learner(ORDERS, 4000, drift, described=described).hop(y)
+
+
+def test_white_readings_have_no_slow_part():
+    assert hop(series(0.01, CLEAR), CLEAR).slow == ()
+
+
+def test_where_readings_are_coloured_a_slow_error_is_doubted_as_far_as_they_cannot_tell():
+    """Errors of half a second: beside a drift that hides little the readings all but exclude a slow error, beside one
+    that hides what is slower than some seconds they do not.
+    """
+    clear, hiding = (hop(coloured(0.01, 0.5, drift), drift) for drift in (CLEAR, HIDING))
+    assert clear.model.p and hiding.model.p
+    true = 2.0 * 0.01**2 * 0.5
+    assert power_of_slow(clear) < power_of_slow(hiding)
+    assert power_of_slow(hiding) > true
+    assert hop(coloured(0.01, 0.5, HIDING), HIDING, white_description(White(0.01), PERIOD_S, SPAN_S)).slow == ()
+
+
+def test_a_slow_error_that_shows_is_a_slow_part_with_its_own_uncertainty():
+    """Of twenty seconds, beside a drift that hides nothing: no pole of the fast part stands for it."""
+    y = coloured(0.02, 20.0, BARE)
+    found = hop(y, BARE)
+    assert np.abs(found.model.poles).max() < math.exp(-PERIOD_S / (1.1 * SAID.slowest_s))
+    assert power_of_slow(found) > 0.5 * 2.0 * 0.02**2 * 20.0
+    low, high = (np.array(getattr(found.spectrum, name))[0] for name in ("low", "high"))
+    assert low < 4.0 * 0.02**2 * 20.0 < high
+
+
+def test_all_axes_have_a_slow_error_or_none():
+    """What one axis shows, the others are believed to have."""
+    shows, hides = coloured(0.02, 20.0, BARE), coloured(0.01, 0.5, HIDING)
+    learners = [Learner(ORDERS, 4000, drift, described=SAID) for drift in (BARE, HIDING)]
+    one, other = hop_together(learners, [shows, hides])
+    alone = hop(hides, HIDING)
+    assert power_of_slow(one) > 0.5 * 2.0 * 0.02**2 * 20.0
+    assert power_of_slow(other) > 1.5 * power_of_slow(alone)
+    assert hop_together([None, *learners], [None, shows, None])[::2] == [None, None]
+
+
+def test_the_doubt_has_the_size_that_was_described_and_the_time_of_its_kind():
+    assert SAID.usual.sd == pytest.approx(0.01) and SAID.usual.absent == 0.5
+    # the slow part of a data sheet is twice as slow as the whole
+    assert SAID.usual.tau_s == pytest.approx(10.0, rel=1e-3)
+    assert white_description(White(0.01), PERIOD_S, SPAN_S, White(1.0)).usual is None

@@ -9,46 +9,50 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import ndtri
+from scipy.special import expit
 
 from navfilter.arma.choice import criterion
-from navfilter.arma.model import ArmaModel
 from navfilter.error_models import GaussMarkov
 from navfilter.learning.drift import Drift
 from navfilter.learning.effort import EFFORT
+from navfilter.learning.learnt import Learnt, learnt_from
 from navfilter.learning.likelihood import Likelihood, Point, maximise
 from navfilter.learning.limits import LEAST, PER_PARAMETER, WILDEST
-from navfilter.learning.posterior import DEAD, Line, SlowPosterior, denied, follow, slow_psd
+from navfilter.learning.posterior import DEAD, Line, SlowPosterior, denied, follow
 from navfilter.learning.slow import SlowPrior
-from navfilter.learning.spectrum import Spectrum, log_spread
 from navfilter.learning.starts import cold_starts, grown_starts, padded_starts, with_slow_parts
-from navfilter.learning.unseen import WhiteDescription
+from navfilter.learning.unseen import Doubt, WhiteDescription
 
-__all__ = ["Learner", "LearnerMemory", "Learnt", "memories", "recall"]
+__all__ = ["Learner", "LearnerMemory", "Look", "hop_together", "memories", "recall"]
 
 Array = NDArray[np.float64]
 Order = tuple[int, int]
 
-#: Middles of nine equally probable parts of a standard normal distribution: the outer ones are its 5 and 95 %.
-ALIKE = ndtri((np.arange(9) + 0.5) / 9.0)
 
-
-class Learnt(NamedTuple):
-    """What one hop hands out.
+class Look(NamedTuple):
+    """What a learner has found in one series.
 
     Attributes
     ----------
-    model : ArmaModel
-        The fast part; its `sd_log_s0` is that of the whole error.
-    slow : tuple of GaussMarkov
-        The slow part: at most two processes that carry its posterior mean covariance.
-    spectrum : Spectrum
-        Of the whole error, with its uncertainty.
+    series : ndarray, shape (N,)
+    likelihood : Likelihood
+    point : Point
+        The fast part, beside the slow one where the learner has a prior of that.
+    posterior : SlowPosterior or None
+    n : int
+        Samples that count.
     """
 
-    model: ArmaModel
-    slow: tuple[GaussMarkov, ...]
-    spectrum: Spectrum
+    series: Array
+    likelihood: Likelihood
+    point: Point
+    posterior: SlowPosterior | None
+    n: int
+
+    @property
+    def is_coloured(self) -> bool:
+        """Whether the fast part is not white."""
+        return self.point.theta.size > 1 + 2 * bool(self.point.slow)
 
 
 @dataclass(frozen=True)
@@ -178,6 +182,10 @@ class Learner:
         ValueError
             For a series that is not one-dimensional.
         """
+        return hop_together([self], [series], fresh)[0]
+
+    def look(self, series: ArrayLike, fresh: int | None = None) -> Look | None:
+        """The first part of a hop, see there: what is found in the series by itself."""
         y = np.array(series, dtype=np.float64, order="C")
         if y.ndim != 1:
             raise ValueError(f"series must be one-dimensional, found shape {y.shape}. Use one learner per channel.")
@@ -187,7 +195,8 @@ class Learner:
         if not able:
             return None
         try:
-            likelihood = Likelihood(y, self.drift, self.white, self.prior)
+            slowest_s = math.inf if self.described is None else self.described.slowest_s
+            likelihood = Likelihood(y, self.drift, self.white, self.prior, slowest_s=slowest_s)
         except ValueError:
             return None
         fresh = y.size if fresh is None else fresh
@@ -209,10 +218,28 @@ class Learner:
             if first > 0 and self._contradicted(likelihood, point, posterior):
                 posterior = follow(likelihood, point.theta, point.p, {}, 0, 1.0)
         self._keep(likelihood, fits, scores, posterior, heard, heard if again else self._memory.grown, tried)
-        learnt = _learnt(likelihood, point, posterior, n)
+        return Look(y, likelihood, point, posterior, n)
+
+    def doubts(self, look: Look) -> Doubt | None:
+        """What speaks for a slow error that was not described; None where one was, or nothing is known of its kind."""
+        if self.described is None:
+            return None
+        return self.described.doubt(look.point, look.likelihood, look.series, self.drift, self.white)
+
+    def say(self, look: Look, doubt: Doubt | None, present: float) -> Learnt:
+        """The second part of a hop: what is handed out, where a slow error that was doubted is there with a probability
+        of `present`.
+        """
+        series, likelihood, point, posterior, n = look
+        if doubt is not None:
+            posterior = doubt.posterior.given(present)
+            if present > 0.5:
+                likelihood, point = doubt.likelihood, doubt.point
+        learnt = learnt_from(likelihood, point, posterior, n)
         if self.described is None:
             return learnt
-        return learnt._replace(slow=self.described.unseen(learnt.model, y, self.drift, self.white))
+        unseen = self.described.unseen(learnt.model, series, self.drift, self.white)
+        return learnt._replace(slow=max(learnt.slow, unseen, key=_power))
 
     def _contradicted(self, likelihood: Likelihood, point: Point, posterior: SlowPosterior) -> bool:
         """Whether earlier evidence, which was given another fast part, does not go with this window: both together lead
@@ -322,41 +349,42 @@ class Learner:
         self._memory = LearnerMemory(thetas, gaps, lines, memory.turn + 1, heard, smooth, grown)
 
 
-def _learnt(likelihood: Likelihood, point: Point, posterior: SlowPosterior | None, n: int) -> Learnt:
-    """What a hop hands out, in the unit of the series."""
-    p, fast = point.p, likelihood.fast(point.theta, point.slow)
-    covariance = point.covariance
-    model = ArmaModel(
-        fast[:p],
-        fast[p:-1],
-        math.exp(fast[-1]) / likelihood.unit,
-        covariance[: fast.size - 1, : fast.size - 1],
-        None,
-        float(n),
-    )
-    k = fast.size
-    given_slow = np.asarray(np.linalg.inv(point.info[:k, :k] + 0.1 * np.eye(k)), dtype=np.float64)
-    spectrum = _spectrum(model, given_slow, posterior, likelihood.drift.period_s, n)
-    slow = () if posterior is None else posterior.parts()
-    sd = spectrum.sd_log_s0
-    return Learnt(ArmaModel(model.ar, model.ma, model.sd, model.covariance, sd, model.effective_window), slow, spectrum)
+def _power(parts: Sequence[GaussMarkov]) -> float:
+    """Of slow parts at zero frequency, but for a factor."""
+    return sum(part.sd**2 * part.tau_s for part in parts)
 
 
-def _spectrum(
-    model: ArmaModel, covariance: Array, posterior: SlowPosterior | None, period_s: float, n: int
-) -> Spectrum:
-    """Of the whole error: the fast part as far as it is known given the slow one, and that over its posterior."""
-    frequency = np.geomspace(0.5 / (n * period_s), 0.5 / period_s, Spectrum.POINTS)
-    spread = log_spread(model.ar, model.ma, covariance, 2.0 * np.pi * frequency * period_s)
-    # beyond twenty powers of e nothing is known
-    fast = model.spectrum(frequency, 1.0 / period_s) * np.exp(np.clip(np.outer(ALIKE, spread), -20.0, 20.0))
-    if posterior is None:
-        return Spectrum.weighted(frequency, fast, np.full(len(ALIKE), 1.0 / len(ALIKE)))
-    kept = posterior.weight > 1e-6 * posterior.weight.max()
-    weight = posterior.weight[kept] / posterior.weight[kept].sum()
-    slow = slow_psd(posterior.order[kept], np.exp(posterior.log_sd[kept]), posterior.tau_s[kept], frequency)
-    both = (fast[:, None] + slow[None]).reshape(-1, frequency.size)
-    return Spectrum.weighted(frequency, both, np.tile(weight, len(ALIKE)) / len(ALIKE))
+def hop_together(
+    learners: Sequence[Learner | None], series: Sequence[ArrayLike | None], fresh: int | None = None
+) -> list[Learnt | None]:
+    """A hop of all axes of a sensor, see `Learner.hop`.
+
+    Where the readings of one are not as white as was described, slow errors are doubted of each that was described like
+    this: they all have one, or none has.
+
+    Parameters
+    ----------
+    learners : sequence of Learner or None
+    series : sequence of array_like or None
+        One for each.
+    fresh : int, optional
+
+    Returns
+    -------
+    list of Learnt or None
+        None, too, where there is no learner or no series.
+    """
+    pairs = [
+        (learner, None if learner is None or one is None else learner.look(one, fresh))
+        for learner, one in zip(learners, series, strict=True)
+    ]
+    doubted = any(learner and learner.described and look and look.is_coloured for learner, look in pairs)
+    doubts = [learner.doubts(look) if learner and look and doubted else None for learner, look in pairs]
+    present = float(expit(sum(doubt.gain for doubt in doubts if doubt is not None)))
+    return [
+        None if learner is None or look is None else learner.say(look, doubt, present)
+        for (learner, look), doubt in zip(pairs, doubts, strict=True)
+    ]
 
 
 def memories(learners: Sequence[Learner | None]) -> tuple[LearnerMemory | None, ...]:

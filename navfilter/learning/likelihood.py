@@ -46,6 +46,8 @@ class Likelihood:
         Of the slow part; without one there is none, and poles are only kept where the series can tell them from 1.
     clip : float
         Innovations beyond this many standard deviations are clipped.
+    slowest_s : float
+        Poles are at least this quick, by their natural frequency [s]; default: as the prior has it.
 
     Raises
     ------
@@ -54,7 +56,13 @@ class Likelihood:
     """
 
     def __init__(
-        self, series: Array, drift: Drift, white: float, prior: SlowPrior | None = None, clip: float = CLIP
+        self,
+        series: Array,
+        drift: Drift,
+        white: float,
+        prior: SlowPrior | None = None,
+        clip: float = CLIP,
+        slowest_s: float = math.inf,
     ) -> None:
         known = series[np.isfinite(series)]
         if known.size < drift.order + 8:
@@ -78,7 +86,7 @@ class Likelihood:
         self.rules = np.array([diffuse, LONGEST_GAP, clip, white * self.unit**2])
         self.n = known.size - diffuse
         self.pole_radius = resolved_radius(max(known.size, 8))
-        nearest = 0.0 if prior is None else drift.period_s / prior.quickest_s
+        nearest = drift.period_s / (slowest_s if prior is None else prior.quickest_s)
         self._limits = np.array([nearest, self.pole_radius, EFFORT.zero_radius, -14.0, 40.0])
         if prior is not None:
             sizes = np.log(prior.sd_limits) + self.log_unit

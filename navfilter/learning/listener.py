@@ -23,7 +23,8 @@ from navfilter.learning.learned import (
     learning_part,
     with_learned,
 )
-from navfilter.learning.learner import Learner, LearnerMemory, Learnt, memories, recall
+from navfilter.learning.learner import Learner, LearnerMemory, hop_together, memories, recall
+from navfilter.learning.learnt import Learnt
 from navfilter.learning.limits import LEAST, LONGEST_GAP
 from navfilter.learning.listener_memory import Hop, ListenerMemory
 from navfilter.learning.slow import SlowPrior, slow_prior
@@ -33,7 +34,7 @@ from navfilter.learning.worker import Task, Worker
 from navfilter.sensors import Sensor
 from navfilter.vehicle import Vehicle
 
-__all__ = ["ChannelSeries", "Listener"]
+__all__ = ["ChannelSeries", "Listener", "learner_of", "with_learnt"]
 
 Array = NDArray[np.float64]
 #: Time constant of the mean NIS by which a change is noticed, and least age of a model that is judged by it [s]: at 8
@@ -123,14 +124,7 @@ class Listener:
         self.drifts = tuple(sensor.drift(vehicle.drive, axis, known_walk(model)) for axis, model in enumerate(models))
         self.white = tuple(float(white[i]) + known_white(model, self.period_s) for i, model in enumerate(models))
         self.learners = tuple(
-            None
-            if part is None
-            else Learner(
-                *(part.orders, part.window, drift),
-                white=r,
-                prior=believed(part, self.period_s),
-                described=white_description(part.prior or part, self.period_s, span_s(part, self.period_s)),
-            )
+            None if part is None else learner_of(part, sensor, drift, r)
             for part, drift, r in zip(learned, self.drifts, self.white, strict=True)
         )
         # more missing ticks than are predicted through
@@ -357,9 +351,9 @@ def _answered(
     own = [copy(learner) for learner in learners]
     recall(own, memories(own), knew)
     found = []
-    for model, learner, series in zip(models, own, hop.series, strict=True):
-        learnt = None if learner is None or series is None else learner.hop(without_spikes(series), hop.fresh)
-        found.append(_with_learnt(model, learnt))
+    series = [None if one is None else without_spikes(one) for one in hop.series]
+    for model, learnt in zip(models, hop_together(own, series, hop.fresh), strict=True):
+        found.append(with_learnt(model, learnt))
         part = learning_part(found[-1])
         if learnt is not None and part is not None:  # remembered for the adoption
             found[-1].block(period_s)
@@ -367,12 +361,34 @@ def _answered(
     return tuple(found), memories(own)
 
 
-def _with_learnt(model: ErrorModel, found: Learnt | None) -> ErrorModel:
+def with_learnt(model: ErrorModel, found: Learnt | None, frozen: bool = False) -> ErrorModel:
+    """An error model with what was found in force, and with nothing more to be learnt where it is `frozen`."""
     part = learned_part(model)
     if part is None or found is None:
         return model
     slow = sum(found.slow[1:], start=found.slow[0]) if found.slow else None
-    return with_learned(model, replace(part, model=found.model, slow=slow, spectrum=found.spectrum))
+    return with_learned(model, replace(part, model=found.model, slow=slow, spectrum=found.spectrum, frozen=frozen))
+
+
+def learner_of(part: LearnedArma, sensor: Sensor, drift: Drift, white: float, window: int | None = None) -> Learner:
+    """The learner of one axis of a correcting sensor.
+
+    Parameters
+    ----------
+    part : LearnedArma
+        Of the axis.
+    sensor : Sensor
+    drift : Drift
+    white : float
+        Known white variance in the series.
+    window : int, optional
+        Samples; default: that of the part.
+    """
+    part = part if window is None else replace(part, window=window)
+    period_s = 1.0 / sensor.rate_hz
+    described = white_description(part.prior or part, period_s, span_s(part, period_s), sensor.prior)
+    prior = believed(part, period_s)
+    return Learner(part.orders, part.window, drift, white=white, prior=prior, described=described)
 
 
 def believed(part: LearnedArma, period_s: float) -> SlowPrior | None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from collections.abc import Generator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import NamedTuple
 
@@ -82,6 +82,8 @@ class SlowPosterior:
         Nodes, their weights with the sum one.
     moments : ndarray, shape (m, 4)
         On a finer grid of tau: order, tau [s], weight, mean of sd^2.
+    log_odds : float
+        Logarithm of the odds that there is a slow part.
     """
 
     lines: dict[Place, Line]
@@ -90,12 +92,21 @@ class SlowPosterior:
     log_sd: Array
     weight: Array
     moments: Array
+    log_odds: float = 0.0
 
     @property
     def mode(self) -> SlowNode:
         """The most probable node."""
         best = int(np.argmax(self.weight))
         return SlowNode(int(self.order[best]), float(np.exp(self.log_sd[best])), float(self.tau_s[best]))
+
+    def given(self, present: float) -> SlowPosterior:
+        """The same where there is a slow part with another probability."""
+        ratio = present / float(self.moments[:, 2].sum())
+        none = self.lines[ABSENT].log_sd.size
+        weight, moments = self.weight * ratio, self.moments.copy()
+        weight[:none], moments[:, 2] = (1.0 - present) / none, moments[:, 2] * ratio
+        return replace(self, weight=weight, moments=moments)
 
     def parts(self) -> tuple[GaussMarkov, ...]:
         """At most two processes whose sum has the mean variance of the posterior, its zero-frequency power and, where
@@ -224,6 +235,7 @@ def _weighed(lines: dict[Place, Line], prior: SlowPrior) -> SlowPosterior:
         log_sd=log_sd,
         weight=np.repeat(level, sizes) * shares,
         moments=_between(prior.taus_s, (tops - highest)[there], np.log(means), float(level[there].sum())),
+        log_odds=float(np.logaddexp.reduce(tops[there]) - np.logaddexp.reduce(tops[~there])),
     )
 
 

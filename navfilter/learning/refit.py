@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from navfilter.error_models import ErrorModel
-from navfilter.learning.learned import LONGEST_SPAN_S, LearnedArma, learned_part, learning_part, with_learned
-from navfilter.learning.limits import LEAST
-from navfilter.learning.listener import ChannelSeries
-from navfilter.learning.slow import slow_prior
+from navfilter.learning.learned import LearnedArma, learned_part, learning_part
+from navfilter.learning.learner import hop_together
+from navfilter.learning.limits import least_window
+from navfilter.learning.listener import ChannelSeries, learner_of, with_learnt
+from navfilter.sensors import Sensor
 from navfilter.vehicle import Vehicle
 
 __all__ = ["change", "learning_sensors", "refitted"]
@@ -45,26 +45,20 @@ def refitted(vehicle: Vehicle, series: Mapping[str, tuple[ChannelSeries, ...]]) 
     """
     found: dict[str, ErrorModel | tuple[ErrorModel, ...]] = {}
     for name, channels in series.items():
-        models = tuple(
-            _fitted(model, channel) for model, channel in zip(vehicle.sensors[name].models, channels, strict=True)
-        )
+        models = _fitted(vehicle.sensors[name], channels)
         found[name] = models if len(models) > 1 else models[0]
     return vehicle.with_error(**found)
 
 
-def _fitted(model: ErrorModel, channel: ChannelSeries) -> ErrorModel:
-    from navfilter.learning.learner import Learner
-
-    part = learning_part(model)
-    if part is None or np.count_nonzero(np.isfinite(channel.value)) < LEAST:
-        return model
-    n, period_s = channel.value.size, channel.period_s
-    prior = slow_prior(part.prior or part, period_s, min(n * period_s, LONGEST_SPAN_S))
-    found = Learner(part.orders, n, channel.drift, white=channel.white, prior=prior).hop(channel.value)
-    if found is None:
-        return model
-    slow = sum(found.slow[1:], start=found.slow[0]) if found.slow else None
-    return with_learned(model, replace(part, model=found.model, slow=slow, spectrum=found.spectrum, frozen=True))
+def _fitted(sensor: Sensor, channels: Sequence[ChannelSeries]) -> tuple[ErrorModel, ...]:
+    learners = [
+        None
+        if part is None or channel.value.size < least_window(sum(part.orders[0]))
+        else learner_of(part, sensor, channel.drift, channel.white, channel.value.size)
+        for part, channel in zip(map(learning_part, sensor.models), channels, strict=True)
+    ]
+    learnt = hop_together(learners, [channel.value for channel in channels])
+    return tuple(with_learnt(model, one, frozen=True) for model, one in zip(sensor.models, learnt, strict=True))
 
 
 def change(before: Vehicle, after: Vehicle) -> float:

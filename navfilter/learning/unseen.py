@@ -9,7 +9,8 @@ the motion, such as scale and delay, are described like this.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,17 +18,40 @@ from numpy.typing import NDArray
 from navfilter.arma.model import ArmaModel
 from navfilter.error_models import ErrorModel, GaussMarkov, RandomWalk, Sum, block_level
 from navfilter.learning.drift import Drift
-from navfilter.learning.likelihood import Likelihood
+from navfilter.learning.effort import EFFORT
+from navfilter.learning.likelihood import Likelihood, Point, maximise
 from navfilter.learning.low_frequency import zero_frequency
+from navfilter.learning.posterior import SlowPosterior, follow
 from navfilter.learning.slow import SlowPrior, slow_prior
+from navfilter.learning.starts import with_slow_parts
 
-__all__ = ["WhiteDescription", "white_description"]
+__all__ = ["Doubt", "WhiteDescription", "white_description"]
 
 Array = NDArray[np.float64]
 #: A part with a smaller probability is none.
 IMPROBABLE = 1e-3
 #: The slow part that stands for none, in its standard deviation.
 NOTHING = 1e-4
+
+
+class Doubt(NamedTuple):
+    """A slow error beside a fast one, where a description has none.
+
+    Attributes
+    ----------
+    likelihood : Likelihood
+    point : Point
+        The fast part beside the slow one.
+    posterior : SlowPosterior
+        Of the slow one.
+    gain : float
+        What the readings say for it: logarithm of the Bayes factor against the fast part alone.
+    """
+
+    likelihood: Likelihood
+    point: Point
+    posterior: SlowPosterior
+    gain: float
 
 
 @dataclass(frozen=True)
@@ -40,10 +64,45 @@ class WhiteDescription:
         Its power at zero frequency, per sample [unit^2].
     span_s : float
         Time that the window holds [s].
+    usual : SlowPrior, optional
+        Slow errors as the sensor's kind has them, there or not with even odds: what is doubted where the readings are
+        not white.
     """
 
     level: float
     span_s: float
+    usual: SlowPrior | None = None
+
+    @property
+    def slowest_s(self) -> float:
+        """A fast part alone has poles at least this quick [s]: what is slower is a slow error."""
+        return math.inf if self.usual is None else self.usual.quickest_s
+
+    def doubt(self, found: Point, alone: Likelihood, series: Array, drift: Drift, white: float) -> Doubt | None:
+        """What speaks for a slow error beside a fast one that was found alone; None where none can be looked for.
+
+        Parameters
+        ----------
+        found : Point
+            The fast part.
+        alone : Likelihood
+            It is the maximum of this.
+        series : ndarray, shape (n,)
+            What it was learnt from.
+        drift : Drift
+        white : float
+            Known white variance in the series.
+        """
+        if self.usual is None:
+            return None
+        both = Likelihood(series, drift, white, self.usual)
+        starts = with_slow_parts(both, [found.theta], found.p)
+        beside = maximise(both, starts, found.p, EFFORT.first_passes, 1)
+        if not math.isfinite(beside.value):
+            return None
+        posterior = follow(both, beside.theta, found.p, {}, 0, 1.0)
+        less = alone.value(both.fast(beside.theta, 1), found.p) - found.value
+        return Doubt(both, beside, posterior, posterior.log_odds - less)
 
     def unseen(self, found: ArmaModel, series: Array, drift: Drift, white: float) -> tuple[GaussMarkov, ...]:
         """The slow part that stays believed: none where the readings have the power that was described, within a
@@ -83,7 +142,9 @@ class WhiteDescription:
         return (GaussMarkov(sd=math.sqrt(mean), tau_s=float(share @ (variance * taus)) / mean),)
 
 
-def white_description(model: ErrorModel, period_s: float, span_s: float) -> WhiteDescription | None:
+def white_description(
+    model: ErrorModel, period_s: float, span_s: float, kind: ErrorModel | None = None
+) -> WhiteDescription | None:
     """What a description without coloured noise says; None where it has some, or says nothing.
 
     Parameters
@@ -94,9 +155,14 @@ def white_description(model: ErrorModel, period_s: float, span_s: float) -> Whit
         Of the sensor [s].
     span_s : float
         Time that the window holds [s].
+    kind : ErrorModel, optional
+        Usual error of the sensor's kind: slow errors are doubted that are as slow, of the size that was described.
     """
     if slow_prior(model, period_s, span_s) is not None:
         return None
     parts = model.parts if isinstance(model, Sum) else (model,)
     level = sum(block_level(part.block(period_s)) for part in parts if not isinstance(part, RandomWalk))
-    return WhiteDescription(level, span_s) if level > 0.0 else None
+    if not level > 0.0:
+        return None
+    usual = None if kind is None else slow_prior(kind, period_s, span_s)
+    return WhiteDescription(level, span_s, None if usual is None else replace(usual, sd=math.sqrt(level), absent=0.5))
