@@ -18,7 +18,7 @@ from harness import CPU, DEG, Array, Options, Table, flag, hour, in_turn, main, 
 
 import navfilter as nf
 from navfilter.kernels import strapdown
-from navfilter.learning.learner import Learner
+from navfilter.learning import listener
 
 #: What is compared: ours, filterpy, python-ins.
 WORK = {
@@ -122,16 +122,16 @@ def replays(vehicle: nf.Vehicle, learning: nf.Vehicle, mission: nf.Mission, turn
 
 def learning_alone(vehicle: nf.Vehicle, learning: nf.Vehicle, mission: nf.Mission, turns: int) -> dict[str, Any]:
     """What learning adds, and how much of it the learners take."""
-    spent, hop = [0.0], Learner.hop
+    spent, hop = [0.0], listener.hop_together
 
-    def timed(learner: Learner, series: Array, fresh: int | None = None) -> Any:
+    def timed(*given: Any) -> Any:
         began = time.thread_time()
-        learnt = hop(learner, series, fresh)
+        learnt = hop(*given)
         spent[0] += time.thread_time() - began
         return learnt
 
     nf.replay(vehicle, mission), nf.replay(learning, mission)
-    Learner.hop = timed  # type: ignore[method-assign]
+    listener.hop_together = timed
     table = Table("turn>4d plain_s>9.2f learning_s>10.2f looks_s>9.2f adds>6.2f")
     for turn in range(turns):
         spent[0] = 0.0
@@ -151,7 +151,7 @@ def learning_alone(vehicle: nf.Vehicle, learning: nf.Vehicle, mission: nf.Missio
                 "adds": adds,
             }
         )
-    Learner.hop = hop  # type: ignore[method-assign]
+    listener.hop_together = hop
     return {"table": table.rows, "learning_adds": float(np.median([row["adds"] for row in table.rows]))}
 
 

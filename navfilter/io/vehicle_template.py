@@ -54,9 +54,9 @@ _HEAD = """\
 #   {{model = "learned-arma", orders = [[1, 0], [1, 1], [2, 1]], window = 4000, hop = 1000, prior = {{model = "white", sd = 0.1}}}}
 #       learnt under way; every key may be left out: candidates (p, q), readings behind an estimate (at least 103, default 4000),
 #       readings between two adoptions (default: half the window), and what is in force before the first and believed of slow
-#       errors after it (default: what is usual for the sensor; white noise alone excludes slow errors). What has been learnt is
-#       kept as adopted = {{ar = [..], ma = [..], sd = ..}}, slow = {{model = "gauss-markov", ..}}; with frozen = true beside it that
-#       model stays in force and nothing is learnt
+#       errors after it (default: what is usual for the sensor; white noise alone excludes slow errors while the readings are
+#       white). What has been learnt is kept as adopted = {{ar = [..], ma = [..], sd = ..}}, slow = {{model = "gauss-markov",
+#       ..}}; with frozen = true beside it that model stays in force and nothing is learnt
 """
 _BESIDE = """\
 # Beside the inertial unit, dead_reckoning_lane = true runs a second filter that goes by heading and velocity alone and takes over

@@ -57,7 +57,7 @@ class LearnedArma(ErrorModel):
     prior : ErrorModel, optional
         What is believed beforehand, and in force until the first model has been learnt. The slow part's standard
         deviation is believed within a factor of e, its time constant hardly (`navfilter.learning.slow.SlowPrior`);
-        white noise alone excludes slow errors. Default: that of the sensor's kind.
+        white noise alone excludes slow errors, as long as the readings are white. Default: that of the sensor's kind.
     orders : sequence of (p, q)
         Candidates of the fast part.
     window : int

@@ -224,7 +224,7 @@ class Learner:
         """What speaks for a slow error that was not described; None where one was, or nothing is known of its kind."""
         if self.described is None:
             return None
-        return self.described.doubt(look.point, look.likelihood, look.series, self.drift, self.white)
+        return self.described.doubt(look.point, look.series, self.drift, self.white)
 
     def say(self, look: Look, doubt: Doubt | None, present: float) -> Learnt:
         """The second part of a hop: what is handed out, where a slow error that was doubted is there with a probability

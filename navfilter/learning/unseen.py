@@ -78,15 +78,13 @@ class WhiteDescription:
         """A fast part alone has poles at least this quick [s]: what is slower is a slow error."""
         return math.inf if self.usual is None else self.usual.quickest_s
 
-    def doubt(self, found: Point, alone: Likelihood, series: Array, drift: Drift, white: float) -> Doubt | None:
+    def doubt(self, found: Point, series: Array, drift: Drift, white: float) -> Doubt | None:
         """What speaks for a slow error beside a fast one that was found alone; None where none can be looked for.
 
         Parameters
         ----------
         found : Point
-            The fast part.
-        alone : Likelihood
-            It is the maximum of this.
+            The fast part: the maximum of its own likelihood.
         series : ndarray, shape (n,)
             What it was learnt from.
         drift : Drift
@@ -101,8 +99,10 @@ class WhiteDescription:
         if not math.isfinite(beside.value):
             return None
         posterior = follow(both, beside.theta, found.p, {}, 0, 1.0)
-        less = alone.value(both.fast(beside.theta, 1), found.p) - found.value
-        return Doubt(both, beside, posterior, posterior.log_odds - less)
+        # the posterior's odds are against none beside a fast part that may have counted on one
+        smallest = 1, [math.log(self.usual.tau_s)], [math.log(self.usual.sd_limits[0])], 0
+        less = both.lines(both.fast(beside.theta, 1), found.p, *smallest) - both.lines(found.theta, found.p, *smallest)
+        return Doubt(both, beside, posterior, posterior.log_odds - float(less[0]))
 
     def unseen(self, found: ArmaModel, series: Array, drift: Drift, white: float) -> tuple[GaussMarkov, ...]:
         """The slow part that stays believed: none where the readings have the power that was described, within a
