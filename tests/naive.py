@@ -621,13 +621,17 @@ def magnetometer(z, nav, rate, par, cfg, H, res):
         xx, zz, xy, xz, yz = par[soft:]
         A += np.array([[xx, xy, xz], [xy, -xx, yz], [xz, yz, zz]])
     n = C @ (A @ m - (par[hard : hard + 3] if hard >= 0 else 0.0))
-    azimuth, row = _bearing(n)
     H[:] = 0.0
-    predicted = azimuth - cfg[0]
+    predicted, more = np.arctan2(n[1], n[0]) - cfg[0], np.zeros(3)
     if len(par) and 0 not in (hard, soft):
         psi, turn = _bearing(C @ NORTH)
         H[0, 9:15], slopes = _deviation(psi - cfg[0], z[3], cfg[1])
-        predicted, row = predicted + par[:6] @ H[0, 9:15], row + par[:6] @ slopes * turn
+        predicted, more = predicted + par[:6] @ H[0, 9:15], par[:6] @ slopes * turn
+    res[0] = _half_turn(-predicted)
+    # what should have been read
+    should = np.array([[np.cos(res[0]), -np.sin(res[0]), 0], [np.sin(res[0]), np.cos(res[0]), 0], [0, 0, 1]]) @ n
+    m, n = m + C.T @ (should - n), should
+    row = _bearing(n)[1] + more
     by = np.array([-n[1], n[0], 0.0]) @ C / (n[0] ** 2 + n[1] ** 2)
     if hard >= 0:
         H[0, 9 + hard : 12 + hard] = -by
@@ -635,7 +639,7 @@ def magnetometer(z, nav, rate, par, cfg, H, res):
         both = np.outer(by, m) + np.outer(m, by)
         pairs = [both[0, 1], both[0, 2], both[1, 2]]
         H[0, 9 + soft :] = [0.5 * (both[0, 0] - both[1, 1]), 0.5 * both[2, 2], *pairs]
-    H[0, 6:9], res[0] = row, _half_turn(-predicted)
+    H[0, 6:9] = row
 
 
 def depth(z, nav, rate, par, cfg, H, res):
@@ -1600,8 +1604,11 @@ def iron_bend(z, near, P, first, cfg, R):
     if hard >= 0:
         g = -near[0, 9 + hard : 12 + hard]
     else:
-        rows = np.array([by_soft(axis)[1] for axis in np.eye(3)]).T
-        g = np.linalg.lstsq(rows, near[0, 9 + soft : 14 + soft], rcond=None)[0]
+        # near is that of the field turned by the residual: what two equations are enough for is no fit to five
+        rows, soft_row = np.array([by_soft(axis)[1] for axis in np.eye(3)]).T, near[0, 9 + soft : 14 + soft]
+        level = np.linalg.solve(rows[[0, 2]][:, :2], soft_row[[0, 2]])
+        rest = soft_row[3:] - rows[3:, :2] @ level
+        g = np.array([*level, np.linalg.lstsq(rows[3:, 2:], rest, rcond=None)[0][0]])
     h = 1.0 / np.linalg.norm(g)
     across = h * g
     down = np.sqrt(max(m @ m - h**2, 0.0)) * (-1.0 if near[0, 6:8] @ [np.cos(cfg[0]), np.sin(cfg[0])] > 0 else 1.0)

@@ -216,16 +216,28 @@ def magnetometer(z, nav, rate, par, cfg, H, res):
     n0 = nav[6] * f0 + nav[7] * f1 + nav[8] * f2
     n1 = nav[9] * f0 + nav[10] * f1 + nav[11] * f2
     n2 = nav[12] * f0 + nav[13] * f1 + nav[14] * f2
+    h2 = n0 * n0 + n1 * n1
+    if h2 < 1e-300:
+        res[0] = math.nan  # a vertical field has no azimuth
+        return
+    predicted, slope, p0, p1 = 0.0, 0.0, 0.0, 0.0
+    if len(par) > 0 and hard != 0 and soft != 0:
+        psi = _bearing(nav[6], nav[9], nav[12], H) - cfg[0]
+        p0, p1 = H[0, 6], H[0, 7]
+        predicted, slope = _deviation(psi, par, H, z[3], cfg)
     # A compass that reads too high sees the field turned to the left: reading error = -(azimuth of the levelled field -
     # declination).
-    azimuth = _bearing(n0, n1, n2, H)
-    predicted = 0.0
-    if len(par) > 0 and hard != 0 and soft != 0:
-        a, b = H[0, 6], H[0, 7]
-        psi = _bearing(nav[6], nav[9], nav[12], H) - cfg[0]
-        predicted, slope = _deviation(psi, par, H, z[3], cfg)
-        H[0, 6], H[0, 7], H[0, 8] = a + slope * H[0, 6], b + slope * H[0, 7], 1.0 + slope
-    h2 = max(n0 * n0 + n1 * n1, 1e-300)
+    r = cfg[0] - math.atan2(n1, n0) - predicted
+    r -= 2.0 * math.pi * math.floor(r / (2.0 * math.pi) + 0.5)
+    res[0] = r
+    # Slopes are those of the field as it should have been read: in those of the reading is its own error, which the
+    # residual shows, and soft iron is learnt from the product of the two.
+    turned, across = math.cos(r) - 1.0, math.sin(r)
+    d0, d1 = turned * n0 - across * n1, across * n0 + turned * n1
+    n0, n1 = n0 + d0, n1 + d1
+    m0, m1, m2 = m0 + nav[6] * d0 + nav[9] * d1, m1 + nav[7] * d0 + nav[10] * d1, m2 + nav[8] * d0 + nav[11] * d1
+    _bearing(n0, n1, n2, H)
+    H[0, 6], H[0, 7], H[0, 8] = H[0, 6] + slope * p0, H[0, 7] + slope * p1, 1.0 + slope
     # how the azimuth grows with the field in b
     g0 = (nav[9] * n0 - nav[6] * n1) / h2
     g1 = (nav[10] * n0 - nav[7] * n1) / h2
@@ -236,8 +248,6 @@ def magnetometer(z, nav, rate, par, cfg, H, res):
         s = 9 + soft
         H[0, s], H[0, s + 1] = g0 * m0 - g1 * m1, g2 * m2
         H[0, s + 2], H[0, s + 3], H[0, s + 4] = g0 * m1 + g1 * m0, g0 * m2 + g2 * m0, g1 * m2 + g2 * m1
-    r = cfg[0] - azimuth - predicted
-    res[0] = r - 2.0 * math.pi * math.floor(r / (2.0 * math.pi) + 0.5)
 
 
 @njit(cache=True, **UNCOUNTED)
