@@ -1592,8 +1592,16 @@ def range_bend(z, near, P, first, cfg, R):
     R[0, 0] += _sagitta(near[0, :3], z[0], apart @ P @ apart.T)
 
 
+def deviation_bend(z, near, P, first, cfg, R):
+    sin, cos, sin2, cos2 = near[0, 10:14]
+    turns, at = np.array([cos, -sin, 2 * cos2, -2 * sin2]), slice(first + 1, first + 5)
+    R[0, 0] += cfg[4] * (turns @ P[at, at] @ turns * P[8, 8] + (turns @ P[at, 8]) ** 2)
+
+
 def iron_bend(z, near, P, first, cfg, R):
     m, hard, soft = z[:3], int(cfg[2]), int(cfg[3])
+    if 0 not in (hard, soft):
+        deviation_bend(z, near, P, first, cfg, R)
     x, y, w = m
 
     def by_soft(q):

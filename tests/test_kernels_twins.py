@@ -359,6 +359,21 @@ def test_what_the_iron_leaves_out(hard, soft, dip):
     assert ours[5][0, 0] > 1.0
 
 
+def test_what_bends_of_a_deviation_equals_its_twin_and_is_a_variance():
+    """Of heading and deviation drawn with their covariance: the variance of what the linear equation leaves out."""
+    rng = np.random.default_rng(5)
+    nav, cfg, near, res = random_nav(rng), np.array([0.1, 20.0, -1.0, -1.0, 1.0]), np.zeros((1, 15)), np.zeros(1)
+    P, z = spd(rng, 18, 1e-3), np.array([1.0, math.nan])
+    measurement.heading(z, nav, np.zeros(3), np.zeros(6), cfg, near, res)
+    ours, twins = run_both(measurement.deviation_bend, z, near, P, 12, cfg, np.zeros((1, 1)))
+    assert_close([ours[5]], [twins[5]], 1e-12)
+    drawn = rng.multivariate_normal(np.zeros(5), P[np.ix_([8, 13, 14, 15, 16], [8, 13, 14, 15, 16])], size=200_000)
+    sin, cos, sin2, cos2 = near[0, 10:14]
+    left = drawn[:, 0] * (drawn[:, 1:] @ [cos, -sin, 2.0 * cos2, -2.0 * sin2])
+    # 200,000 squares of products scatter by 1.3 %
+    assert ours[5][0, 0] == pytest.approx(np.var(left), rel=0.05)
+
+
 def test_a_vertical_field_has_no_azimuth():
     nav = random_nav(np.random.default_rng(0))
     res, field = np.zeros(1), nav[6:15].reshape(3, 3).T @ np.array([0.0, 0.0, 50.0])

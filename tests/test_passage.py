@@ -335,7 +335,14 @@ def test_correction_is_its_twin_for_every_kind(monkeypatch):
     assert {0.0, 1.0} < counts  # there are those that have been let go, and those that have not
     # every kernel of a measurement but those of the kinds that are on board
     public = {name for name, kernel in vars(measurement).items() if hasattr(kernel, "py_func") and name[0] != "_"}
-    assert not public or public - kinds == {"earlier", "range_bend", "usbl_bend", "iron_bend", "hold_slopes"}
+    assert not public or public - kinds == {
+        "earlier",
+        "range_bend",
+        "usbl_bend",
+        "iron_bend",
+        "deviation_bend",
+        "hold_slopes",
+    }
 
 
 @pytest.mark.parametrize(

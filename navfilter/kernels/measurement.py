@@ -376,14 +376,34 @@ def range_bend(z, near, P, first, cfg, R):
 
 
 @njit(cache=True)
+def deviation_bend(z, near, P, first, cfg, R):
+    """What the linear equation of a compass leaves out of its deviation, added to R (1, 1): an error of the heading
+    changes what one of the deviation does (Gelb, 1974, sec. 6.1).
+
+    A compass that errs slowly and scatters little seems to be read exactly; without this term, deviations of degrees
+    beside a heading known to one were learnt from it. Arguments as for `iron_bend`.
+    """
+    s1, c1, s2, c2 = near[0, 10], near[0, 11], near[0, 12], near[0, 13]
+    turns, own, both = (c1, -s1, 2.0 * c2, -2.0 * s2), 0.0, 0.0
+    for i in range(4):
+        both += turns[i] * P[8, first + 1 + i]
+        for j in range(4):
+            own += turns[i] * P[first + 1 + i, first + 1 + j] * turns[j]
+    R[0, 0] += cfg[4] * (own * P[8, 8] + both * both)
+
+
+@njit(cache=True)
 def iron_bend(z, near, P, first, cfg, R):
     """What the linear equation of `magnetometer` leaves out of its iron, added to R (1, 1): an error of the field along
     the azimuth changes what one across it does (Gelb, 1974, sec. 6.1).
 
     It is the same as long as the vehicle does not turn: as white noise it gets the power of so many readings, cfg[4].
-    near: its Jacobian; P: covariance of all states, those of the sensor's parameters from `first` on.
+    near: its Jacobian; P: covariance of all states, those of the sensor's parameters from `first` on. Deviation is in
+    it where there is any, see `deviation_bend`.
     """
     hard, soft = int(cfg[2]), int(cfg[3])
+    if hard != 0 and soft != 0:
+        deviation_bend(z, near, P, first, cfg, R)
     m0, m1, m2, s = z[0], z[1], z[2], 9 + soft
     if hard >= 0:
         p0, p1, p2 = -near[0, 9 + hard], -near[0, 10 + hard], -near[0, 11 + hard]

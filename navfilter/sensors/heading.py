@@ -119,8 +119,10 @@ class Heading(Sensor):
 
     @property
     def bend(self) -> Callable[..., None] | None:  # type: ignore[override]
-        """What its equation leaves out: of iron, which is a tenth of the field and more."""
-        return measurement.iron_bend if self.hard_iron_sd or self.soft_iron_sd else None
+        """What its equation leaves out: of iron, which is a tenth of the field and more, and of deviation."""
+        if self.hard_iron_sd or self.soft_iron_sd:
+            return measurement.iron_bend
+        return measurement.deviation_bend if any(self.deviation_sd_rad) else None
 
     @property
     def reads(self) -> int:  # type: ignore[override]
@@ -163,17 +165,14 @@ class Heading(Sensor):
         return declination(start.latitude_deg, start.longitude_deg, start.height_m, start.date)
 
     def constants(self, start: Start) -> Array:
-        """Declination and reference temperature; of a magnetometer where among its states hard and soft iron begin, and
-        how many readings share what the equation leaves out.
+        """Declination and reference temperature, where among the states hard and soft iron begin (-1 for none), and how
+        many readings share what the equation leaves out.
         """
-        known = [self.declination(start), self.reference_temperature_c]
-        if self.magnetometer:
-            names = [p.name for p in self.parameters()]
-            known += [
-                names.index(first) if first in names else -1 for first in ("hard_iron_x", f"soft_iron_{SOFT_IRON[0]}")
-            ]
-            known.append(max(1.0, LEG_S * self.rate_hz))
-        return np.array(known)
+        names, iron = [p.name for p in self.parameters()], ("hard_iron_x", f"soft_iron_{SOFT_IRON[0]}")
+        begins = [names.index(first) if self.magnetometer and first in names else -1 for first in iron]
+        return np.array(
+            [self.declination(start), self.reference_temperature_c, *begins, max(1.0, LEG_S * self.rate_hz)]
+        )
 
     def read(self, value: Array) -> Array | None:
         """Apply the iron calibration; append NaN where there is no temperature."""
