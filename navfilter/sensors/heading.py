@@ -30,8 +30,9 @@ HEADING = Columns("heading", ("heading_rad",), ("angle",), circular=("heading_ra
 FIELD = Columns("field", ("field_x_T", "field_y_T", "field_z_T"), ("magnetic field",) * 3)
 #: Elements of the soft iron that are states, in their order.
 SOFT_IRON = ("xx", "zz", "xy", "xz", "yz")
-#: A vehicle keeps its heading for about so long [s]; three times less or more makes no difference to what is found.
-LEG_S = 10.0
+#: A vehicle keeps its heading for so long and longer [s]; three times more makes no difference to what is found of iron
+#: or deviation, but beside a heading that is hardly known the compass says less.
+LEG_S = 3.0
 TEMPERATURE = Columns("temperature", ("temperature_C",), ("temperature",))
 #: Generous: beyond the worst and the best of instruments on the market.
 USUAL = Plausible(1e-5, math.radians(30.0), "deg", most_rate_hz=200.0)
