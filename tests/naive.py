@@ -1179,21 +1179,22 @@ def usbl(z, nav, rate, par, cfg, H, res):
     mis = np.eye(3) + (skew(par[turned : turned + 3]) if turned >= 0 else 0.0)
     d = T @ (p - z[3:6] + A.T @ (arm + astray))
     e = mis @ d
-    r, g = np.linalg.norm(e), 1.0 + (par[scale] if scale >= 0 else 0.0)
+    r, distance, g = np.linalg.norm(e), np.linalg.norm(d), 1.0 + (par[scale] if scale >= 0 else 0.0)
     bearing, elevation = np.nan_to_num(z[1:3])
     across = np.array([-np.sin(bearing), np.cos(bearing), 0.0])
     sight = np.array([np.cos(elevation) * np.cos(bearing), np.cos(elevation) * np.sin(bearing), np.sin(elevation)])
     flat = (np.eye(3) - np.outer(e, e) / r**2) / r
-    J = np.array([g * e / r, across @ flat, np.cross(sight, across) @ flat])
-    res[:] = z[0] - g * r, -across @ e / r, -np.cross(sight, across) @ e / r
+    J = np.array([np.zeros(3), across @ flat, np.cross(sight, across) @ flat])
+    res[:] = z[0] - g * distance, -across @ e / r, -np.cross(sight, across) @ e / r
     if sight @ e < 0.0:
         res[1:] = np.pi
     res[1:][np.isnan(z[1:3]) | np.isnan(z[1])] = np.nan
     H[:] = 0.0
     H[:, :3] = J @ mis @ T @ A.T
+    H[0, :3] = g * d / distance @ T @ A.T
     H[:, 6:9] = -H[:, :3] @ skew(arm)
     if scale >= 0:
-        H[0, 9 + scale] = r
+        H[0, 9 + scale] = distance
     if turned >= 0:
         H[:, 9 + turned : 12 + turned] = -J @ skew(d)
     if ship >= 0:

@@ -485,17 +485,19 @@ def usbl(z, nav, rate, par, cfg, H, res):
             d[i] += t[j] * (p[j] - z[3 + j]) + D[i, j] * (a[j] + (par[ship + j] if ship >= 0 else 0.0))
     m0, m1, m2 = (par[turned], par[turned + 1], par[turned + 2]) if turned >= 0 else (0.0, 0.0, 0.0)
     e[0], e[1], e[2] = d[0] + m1 * d[2] - m2 * d[1], d[1] + m2 * d[0] - m0 * d[2], d[2] + m0 * d[1] - m1 * d[0]
+    # a mounting turns the direction, and leaves the range as it is: that of e grows with the square of m
+    distance = math.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
     r = math.sqrt(e[0] * e[0] + e[1] * e[1] + e[2] * e[2])
-    if r < 1e-6:
+    if distance < 1e-6:
         res[0], res[1], res[2] = math.nan, math.nan, math.nan
         return
     g = 1.0 + par[scale] if scale >= 0 else 1.0
-    res[0] = z[0] - g * r
+    res[0] = z[0] - g * distance
     if scale >= 0:
-        H[0, 9 + scale] = r
+        H[0, 9 + scale] = distance
     bearing, elevation = 0.0 if math.isnan(z[1]) else z[1], 0.0 if math.isnan(z[2]) else z[2]
     sb, cb, se, ce = math.sin(bearing), math.cos(bearing), math.sin(elevation), math.cos(elevation)
-    J[0, 0], J[0, 1], J[0, 2] = g * e[0] / r, g * e[1] / r, g * e[2] / r
+    J[0, 0], J[0, 1], J[0, 2] = g * d[0] / distance, g * d[1] / distance, g * d[2] / distance
     J[1, 0], J[1, 1] = -sb, cb
     J[2, 0], J[2, 1], J[2, 2] = -se * cb, -se * sb, ce
     ahead = ce * cb * e[0] + ce * sb * e[1] + se * e[2]
@@ -508,12 +510,12 @@ def usbl(z, nav, rate, par, cfg, H, res):
             J[k, i] = (J[k, i] - along * e[i] / r) / r
     for k in range(3):
         q0, q1, q2 = J[k, 0], J[k, 1], J[k, 2]
-        if turned >= 0:
+        if turned >= 0 and k:
             H[k, 9 + turned] = d[1] * q2 - d[2] * q1
             H[k, 10 + turned] = d[2] * q0 - d[0] * q2
             H[k, 11 + turned] = d[0] * q1 - d[1] * q0
-        # (I + [m x])' q
-        q0, q1, q2 = q0 + q1 * m2 - q2 * m1, q1 + q2 * m0 - q0 * m2, q2 + q0 * m1 - q1 * m0
+        if k:  # (I + [m x])' q
+            q0, q1, q2 = q0 + q1 * m2 - q2 * m1, q1 + q2 * m0 - q0 * m2, q2 + q0 * m1 - q1 * m0
         for j in range(3):
             H[k, j] = q0 * D[0, j] + q1 * D[1, j] + q2 * D[2, j]
             if ship >= 0:
