@@ -1493,12 +1493,26 @@ def lately(rows, rate):
     rate[:] = rows[:, 0] @ rows[:, 1:4] / max(rows[:, 0].sum(), 1e-9)
 
 
-def withhold(P, x, near, K, S, res, own, at, drv, Cr):
+def consider(P, x, K, S, res, at, untold):
+    these = at + np.flatnonzero(untold)
+    x[these - 9] -= K[these] @ res
+    P[np.ix_(these, these)] += K[these] @ S[: len(res)] @ K[these].T
+
+
+def withhold(P, x, near, K, S, res, own, at, drv, Cr, untold):
     if drv[strapdown_kernels.INERTIAL]:
         least = 15.0**2 * Cr[:3, -1].max() * min(1.0, drv[36] / 0.2)
-        untold = at + np.flatnonzero(np.nansum(near[:, 9 + own :][:, :3] ** 2, axis=0) <= least)
-        x[untold - 9] -= K[untold] @ res
-        P[np.ix_(untold, untold)] += K[untold] @ S[: len(res)] @ K[untold].T
+        untold[:] = np.nansum(near[:, 9 + own :][:, :3] ** 2, axis=0) <= least
+        consider(P, x, K, S, res, at, untold)
+
+
+def withhold_calibration(P, x, H, K, S, res, head, drv, untold):
+    count = int(drv[88])
+    G = K[head - count : head]
+    told = np.diag(G @ S[: len(res)] @ G.T)
+    before = np.diag(P)[head - count : head] + told
+    untold[:count] = told < 100.0 * np.trace(H @ K) * before**2
+    consider(P, x, K, S, res, head - count, untold[:count])
 
 
 def discount(inner, slope, then, drv, Cr, over_s, gravity, variance, tilt, near, R):
@@ -1674,10 +1688,12 @@ def correction(bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count,
         drv[142] = max(drv[142], moves)
         if moves or turns:
             turn_velocity(P, nav, velocity, change)
-    if seen and bench[facts] and mem[places_[8] + 2]:
+    if mem[places_[8] + 2]:
         K, S = mem[places_[1] : places_[2]].reshape(n, a), mem[places_[5] : places_[6]].reshape(2 * a, a)
-        first = par - 3 - int(bench[facts + 1])
-        withhold(P, x, near, K, S, res, first, start + errors + first, drv, Cr)
+        if seen and bench[facts]:
+            first = par - 3 - int(bench[facts + 1])
+            withhold(P, x, near, K, S, res, first, start + errors + first, drv, Cr, np.empty(3))
+        withhold_calibration(P, x, H, K, S, res, m, drv, np.empty(m - 9))
 
 
 def heeded(w, nav, P, period_s):

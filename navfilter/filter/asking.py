@@ -144,6 +144,17 @@ def update(memory: FilterMemory, channel: Channel, C: Array, R: Array, gate: Arr
     channel.change[:] = 0.0
     if channel.verdict[2]:
         own[0] = max(own[0], channel.moves)
-    if channel.verdict[2] and (channel.moves or turns):
-        kalman.turn_velocity(P, nav, before, channel.change)
-    channel.withhold(P, memory.x, memory.drv, drive_output)
+        if channel.moves or turns:
+            kalman.turn_velocity(P, nav, before, channel.change)
+        withhold(memory, channel, drive_output)
+
+
+def withhold(memory: FilterMemory, channel: Channel, drive_output: Array) -> None:
+    """Take back what a reading that was used has told of constants by the noise of the drive."""
+    P, x, drv, sight, head = memory.P, memory.x, memory.drv, channel.sight, 8 + drive_output.shape[1]
+    K, S, res, untold = channel.K, channel.S, channel.res, np.empty(head)
+    if sight is not None and sight.arm:
+        own = channel.near.shape[1] - 12 - sight.clock
+        at = channel.parameters.start + 9 + own
+        past.withhold(P, x, channel.near, K, S, res, own, at, drv, drive_output, untold[:3])
+    past.withhold_calibration(P, x, channel.H, K, S, res, head, drv, untold)

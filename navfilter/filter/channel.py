@@ -318,13 +318,6 @@ class Channel:
         if held.size:
             measurement.hold_slopes(P, self.near, held, self.held[0])
 
-    def withhold(self, P: Array, x: Array, drv: Array, drive_output: Array) -> None:
-        """Take back what a reading that was used has told of a lever arm by the noise of the drive."""
-        if self.sight is not None and self.sight.arm and self.verdict[2]:
-            own = self.near.shape[1] - 12 - self.sight.clock
-            at = self.parameters.start + 9 + own
-            past.withhold(P, x, self.near, self.K, self.S, self.res, own, at, drv, drive_output)
-
     def without_errors(self, z: Array, outputs: Array, errors: Array) -> Array:
         """A reading of the drive's first three values without the drive's errors, of whose states it depends."""
         self.into[0][:] = outputs[:3]

@@ -187,10 +187,13 @@ def correction(sources):
                 drv[strapdown.OWN] = 1.0
             if spot[MOVES] or turns:
                 kalman.turn_velocity(P, nav, before, change)
-        if spot[SIGHT] and bench[spot[FACTS] + past.ARM] != 0.0 and mem[places[8] + 2] != 0.0:
-            own = parameters - 3 - (bench[spot[FACTS] + past.CLOCK] != 0.0)
+        if mem[places[8] + 2] != 0.0:
             K, S = shaped(mem[places[1] : places[2]], n, a), shaped(mem[places[5] : places[6]], 2 * a, a)
-            past.withhold(P, x, near, K, S, res, own, start + errors + own, drv, Cr)
+            if spot[SIGHT] and bench[spot[FACTS] + past.ARM] != 0.0:
+                own = parameters - 3 - (bench[spot[FACTS] + past.CLOCK] != 0.0)
+                past.withhold(P, x, near, K, S, res, own, start + errors + own, drv, Cr, spare[:3])
+            if drv[strapdown.CALIBRATED] != 0.0:
+                past.withhold_calibration(P, x, H, K, S, res, m, drv, spare[: m - 9])
 
     return correction
 
