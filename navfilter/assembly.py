@@ -174,6 +174,9 @@ def smoothed_track(forward: Track, nav: Navigator, began: float, progress: bool)
     drive = nav.vehicle.drive
     own = drive.parameters() if drive.inertial else ()
     constants = {parameter.name for parameter in constant_parameters(own, drive.wandering())}
+    for name, sensor in nav.vehicle.sensors.items():
+        held = sensor.parameters()[slice(*sensor.held())] if sensor.hidden else ()
+        constants |= {f"{name}.{parameter.name}" for parameter in held}
     for i, name in enumerate(rows.names):
         if ".lever_arm_" in name or name in constants:
             # what has not told of it makes it walk there, see `past.consider`: of a constant the end says all

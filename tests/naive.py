@@ -1506,13 +1506,12 @@ def withhold(P, x, near, K, S, res, own, at, drv, Cr, untold):
         consider(P, x, K, S, res, at, untold)
 
 
-def withhold_calibration(P, x, H, K, S, res, head, drv, untold):
-    count = int(drv[88])
-    G = K[head - count : head]
-    told = np.diag(G @ S[: len(res)] @ G.T)
-    before = np.diag(P)[head - count : head] + told
-    untold[:count] = told < 100.0 * np.trace(H @ K) * before**2
-    consider(P, x, K, S, res, head - count, untold[:count])
+def withhold_hidden(P, x, H, K, S, res, at, untold):
+    these = slice(at, at + len(untold))
+    told = np.diag(K[these] @ S[: len(res)] @ K[these].T)
+    before = np.diag(P)[these] + told
+    untold[:] = told < 100.0 * np.trace(H @ K) * before**2
+    consider(P, x, K, S, res, at, untold)
 
 
 def discount(inner, slope, then, drv, Cr, over_s, gravity, variance, tilt, near, R):
@@ -1693,7 +1692,10 @@ def correction(bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count,
         if seen and bench[facts]:
             first = par - 3 - int(bench[facts + 1])
             withhold(P, x, near, K, S, res, first, start + errors + first, drv, Cr, np.empty(3))
-        withhold_calibration(P, x, H, K, S, res, m, drv, np.empty(m - 9))
+        if spot[31]:
+            withhold_hidden(P, x, H, K, S, res, start + errors + held_from, np.empty(held_to - held_from))
+        elements = int(drv[88])
+        withhold_hidden(P, x, H, K, S, res, m - elements, np.empty(elements))
 
 
 def heeded(w, nav, P, period_s):

@@ -150,11 +150,14 @@ def update(memory: FilterMemory, channel: Channel, C: Array, R: Array, gate: Arr
 
 
 def withhold(memory: FilterMemory, channel: Channel, drive_output: Array) -> None:
-    """Take back what a reading that was used has told of constants by the noise of the drive."""
+    """Take back what a reading that was used has told of constants by the error of the state."""
     P, x, drv, sight, head = memory.P, memory.x, memory.drv, channel.sight, 8 + drive_output.shape[1]
-    K, S, res, untold = channel.K, channel.S, channel.res, np.empty(head)
+    H, K, S, res, first = channel.H, channel.K, channel.S, channel.res, channel.parameters.start + 9
     if sight is not None and sight.arm:
         own = channel.near.shape[1] - 12 - sight.clock
-        at = channel.parameters.start + 9 + own
-        past.withhold(P, x, channel.near, K, S, res, own, at, drv, drive_output, untold[:3])
-    past.withhold_calibration(P, x, channel.H, K, S, res, head, drv, untold)
+        past.withhold(P, x, channel.near, K, S, res, own, first + own, drv, drive_output, np.empty(3))
+    if channel.sensor.hidden:
+        begin, end = channel.held
+        past.withhold_hidden(P, x, H, K, S, res, first + begin, np.empty(end - begin))
+    elements = int(drv[strapdown.CALIBRATED])
+    past.withhold_hidden(P, x, H, K, S, res, head - elements, np.empty(elements))

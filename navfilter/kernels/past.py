@@ -315,37 +315,34 @@ def withhold(sources):
 
 
 @_keyed
-def withhold_calibration(sources):
+def withhold_hidden(sources):
     @apart
     @njit(cache=True, **UNCOUNTED)
-    def withhold_calibration(P, x, H, K, S, res, head, drv, untold):
-        """Have scales and misalignments of an inertial unit only considered where what they do to a reading does not
-        stand out of what the state's error does to it.
+    def withhold_hidden(P, x, H, K, S, res, at, untold):
+        """Have constants only considered where what they do to a reading does not stand out of what the state's error
+        does to it: scales and misalignments of an inertial unit, and of wheels.
 
-        The slope by a scale is the sample itself, with the noise that has made the state err since: each reading that
-        shows this error seems to say that the scale is 1. Summed up over samples, and freed of what other constants
-        explain, the slope stands in P, and so does the error. What is drawn draws a misalignment that goes with it.
+        The slope by a scale of the unit is the sample itself, with the noise that has made the state err since: each
+        reading that shows this error seems to say that the scale is 1. Summed up over samples, and freed of what other
+        constants explain, the slope stands in P, and so does the error. What is drawn draws others that go with it.
 
-        H (a, n): Jacobian; head: drive's states and navigation, the elements of M being the last of them; untold (15,):
-        work. The others: `consider`.
+        H (a, n): Jacobian; untold (constants,): work. The others: `consider`.
         """
         _ = sources
-        a, elements = H.shape[0], int(drv[strapdown.CALIBRATED])
-        known, first = 0.0, head - elements
+        a, known = H.shape[0], 0.0
         for c in range(a):
             for i in range(H.shape[1]):
                 known += H[c, i] * K[i, c]
-        for q in range(elements):
-            i = first + q
-            told = 0.0
+        for q in range(untold.size):
+            i, told = at + q, 0.0
             for c in range(a):
                 for r in range(a):
                     told += K[i, c] * S[c, r] * K[i, r]
             before = P[i, i] + told
             untold[q] = 1.0 if told < TOLD * TOLD * known * before * before else 0.0
-        consider(P, x, K, S, res, first, untold[:elements])
+        consider(P, x, K, S, res, at, untold)
 
-    return withhold_calibration
+    return withhold_hidden
 
 
 @_keyed
