@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from navfilter.filter.layout import constant_parameters
 from navfilter.filter.smoother import smooth_rows
 from navfilter.filter.tape import Tape
 from navfilter.navigator import Navigator
@@ -170,9 +171,15 @@ def smoothed_track(forward: Track, nav: Navigator, began: float, progress: bool)
         packed[:, 1] += moved[:, 1] / (packed[:, 16] * np.cos(packed[:, 0]))
         packed[:, 2] -= moved[:, 2]
         packed[:, 3:6] += moved[:, 3:6]
+    drive = nav.vehicle.drive
+    own = drive.parameters() if drive.inertial else ()
+    constants = {parameter.name for parameter in constant_parameters(own, drive.wandering())}
+    for name, sensor in nav.vehicle.sensors.items():
+        held = sensor.parameters()[slice(*sensor.held())] if sensor.hidden else ()
+        constants |= {f"{name}.{parameter.name}" for parameter in held}
     for i, name in enumerate(rows.names):
-        if ".lever_arm_" in name:
-            # what has not told of it makes it walk there, see `past.withhold`: of a constant the end says all
+        if ".lever_arm_" in name or name in constants:
+            # what has not told of it makes it walk there, see `past.consider`: of a constant the end says all
             rows.x[:, i], rows.variance[:, i] = rows.x[-1, i], rows.variance[-1, i]
     return assembled("smoothed", nav, rows, forward.mission_name, time.process_time() - began, forward)
 

@@ -15,7 +15,6 @@ from scipy.linalg import block_diag
 import navfilter as nf
 from navfilter.filter import asking
 from navfilter.filter import filter as engine
-from navfilter.filter.channel import Channel
 from navfilter.filter.smoother import smooth_rows
 from navfilter.filter.tape import triangle
 from navfilter.kernels import kalman, stretch
@@ -60,15 +59,15 @@ class Capture:
             channel.known = False
             channel.spot[stretch.EQUATION] = 0
         self._single = []
-        withhold = Channel.withhold
+        withhold = asking.withhold
 
-        def withheld(channel, P, x, *drive):
-            before = P.copy()
-            withhold(channel, P, x, *drive)
-            if np.any(before != P):
-                self.steps[-1].U = self.samples[-1].U = P - before
+        def withheld(memory, channel, drive_output):
+            before = memory.P.copy()
+            withhold(memory, channel, drive_output)
+            if np.any(before != memory.P):
+                self.steps[-1].U = self.samples[-1].U = memory.P - before
 
-        monkeypatch.setattr(Channel, "withhold", withheld)
+        monkeypatch.setattr(asking, "withhold", withheld)
 
     def _each(self, kernel, block):
         """Run the drive's kernel sample by sample on a fresh compound, note each transition, and compound them here."""

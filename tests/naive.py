@@ -1498,12 +1498,25 @@ def lately(rows, rate):
     rate[:] = rows[:, 0] @ rows[:, 1:4] / max(rows[:, 0].sum(), 1e-9)
 
 
-def withhold(P, x, near, K, S, res, own, at, drv, Cr):
+def consider(P, x, K, S, res, at, untold):
+    these = at + np.flatnonzero(untold)
+    x[these - 9] -= K[these] @ res
+    P[np.ix_(these, these)] += K[these] @ S[: len(res)] @ K[these].T
+
+
+def withhold(P, x, near, K, S, res, own, at, drv, Cr, untold):
     if drv[strapdown_kernels.INERTIAL]:
         least = 15.0**2 * Cr[:3, -1].max() * min(1.0, drv[36] / 0.2)
-        untold = at + np.flatnonzero(np.nansum(near[:, 9 + own :][:, :3] ** 2, axis=0) <= least)
-        x[untold - 9] -= K[untold] @ res
-        P[np.ix_(untold, untold)] += K[untold] @ S[: len(res)] @ K[untold].T
+        untold[:] = np.nansum(near[:, 9 + own :][:, :3] ** 2, axis=0) <= least
+        consider(P, x, K, S, res, at, untold)
+
+
+def withhold_hidden(P, x, H, K, S, res, at, untold):
+    these = slice(at, at + len(untold))
+    told = np.diag(K[these] @ S[: len(res)] @ K[these].T)
+    before = np.diag(P)[these] + told
+    untold[:] = told < 100.0 * np.trace(H @ K) * before**2
+    consider(P, x, K, S, res, at, untold)
 
 
 def discount(inner, slope, then, drv, Cr, over_s, gravity, variance, tilt, near, R):
@@ -1690,10 +1703,15 @@ def correction(bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count,
         drv[142] = max(drv[142], moves)
         if moves or turns:
             turn_velocity(P, nav, velocity, change)
-    if seen and bench[facts] and mem[places_[8] + 2]:
+    if mem[places_[8] + 2]:
         K, S = mem[places_[1] : places_[2]].reshape(n, a), mem[places_[5] : places_[6]].reshape(2 * a, a)
-        first = par - 3 - int(bench[facts + 1])
-        withhold(P, x, near, K, S, res, first, start + errors + first, drv, Cr)
+        if seen and bench[facts]:
+            first = par - 3 - int(bench[facts + 1])
+            withhold(P, x, near, K, S, res, first, start + errors + first, drv, Cr, np.empty(3))
+        if spot[31]:
+            withhold_hidden(P, x, H, K, S, res, start + errors + held_from, np.empty(held_to - held_from))
+        elements = int(drv[88])
+        withhold_hidden(P, x, H, K, S, res, m - elements, np.empty(elements))
 
 
 def heeded(w, nav, P, period_s):

@@ -81,9 +81,13 @@ def test_smoother_equals_rauch_tung_striebel_at_every_sample(case, monkeypatch):
     drive_through(capture.nav, seconds if case.startswith("reckoning") else 2.0, seed=2)
     chain = capture.samples
     ends, at = {0: 0}, 0
-    means, covariances = naive.rts(
-        [(s.Phi, s.Q, s.H, s.R, s.res, s.G if s.G is not None else np.eye(capture.n)) for s in chain], capture.P0
-    )
+    still, links, after = np.eye(capture.n), [], [0]
+    for s in chain:
+        links.append((s.Phi, s.Q, s.H, s.R, s.res, s.G if s.G is not None else still))
+        if s.U is not None:  # what is only considered walks
+            links.append((still, s.U, None, None, None, still))
+        after.append(len(links))
+    means, covariances = naive.rts(links, capture.P0)
     # where in the chain of samples each record of the tape ends: compound transitions agree there
     compound = np.eye(capture.n)
     records = iter(capture.steps)
@@ -100,7 +104,7 @@ def test_smoother_equals_rauch_tung_striebel_at_every_sample(case, monkeypatch):
     assert record is None
     smoothed = capture.smoothed()
     for count, P in capture.rows():
-        k = ends[count]
+        k = after[ends[count]]
         assert_same(smoothed[count], (means[k], covariances[k]), np.sqrt(np.diag(P)), 1e-9)
 
 

@@ -144,6 +144,20 @@ def update(memory: FilterMemory, channel: Channel, C: Array, R: Array, gate: Arr
     channel.change[:] = 0.0
     if channel.verdict[2]:
         own[0] = max(own[0], channel.moves)
-    if channel.verdict[2] and (channel.moves or turns):
-        kalman.turn_velocity(P, nav, before, channel.change)
-    channel.withhold(P, memory.x, memory.drv, drive_output)
+        if channel.moves or turns:
+            kalman.turn_velocity(P, nav, before, channel.change)
+        withhold(memory, channel, drive_output)
+
+
+def withhold(memory: FilterMemory, channel: Channel, drive_output: Array) -> None:
+    """Take back what a reading that was used has told of constants by the error of the state."""
+    P, x, drv, sight, head = memory.P, memory.x, memory.drv, channel.sight, 8 + drive_output.shape[1]
+    H, K, S, res, first = channel.H, channel.K, channel.S, channel.res, channel.parameters.start + 9
+    if sight is not None and sight.arm:
+        own = channel.near.shape[1] - 12 - sight.clock
+        past.withhold(P, x, channel.near, K, S, res, own, first + own, drv, drive_output, np.empty(3))
+    if channel.sensor.hidden:
+        begin, end = channel.held
+        past.withhold_hidden(P, x, H, K, S, res, first + begin, np.empty(end - begin))
+    elements = int(drv[strapdown.CALIBRATED])
+    past.withhold_hidden(P, x, H, K, S, res, head - elements, np.empty(elements))

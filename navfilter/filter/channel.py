@@ -282,7 +282,7 @@ class Channel:
         is_so, partly = (self.moves, self.turns, self.sensor.reads_rate), self.partly_for_s < math.inf
         asked = self._kernels if self.known else (0, 0, 0, 0)
         north = -1 if self.sensor.north is None else self.sensor.north
-        more = at[8], at[5], partly, *self.held, north
+        more = at[8], at[5], partly, *self.held, north, self.sensor.hidden
         self.spot = np.array([*self.dims, *asked, *is_so, *starts, *more], dtype=np.int64)
         return self.spot
 
@@ -317,13 +317,6 @@ class Channel:
         """Let the slopes that are velocities follow no closer than those are known; (a, k) of the reading before."""
         if held.size:
             measurement.hold_slopes(P, self.near, held, self.held[0])
-
-    def withhold(self, P: Array, x: Array, drv: Array, drive_output: Array) -> None:
-        """Take back what a reading that was used has told of a lever arm by the noise of the drive."""
-        if self.sight is not None and self.sight.arm and self.verdict[2]:
-            own = self.near.shape[1] - 12 - self.sight.clock
-            at = self.parameters.start + 9 + own
-            past.withhold(P, x, self.near, self.K, self.S, self.res, own, at, drv, drive_output)
 
     def without_errors(self, z: Array, outputs: Array, errors: Array) -> Array:
         """A reading of the drive's first three values without the drive's errors, of whose states it depends."""

@@ -22,7 +22,7 @@ SLOPE_S = 1.0
 #: And over so many standard deviations of the clock: between the outer two of three Gauss-Hermite points [1].
 SPREAD = 2.0 * math.sqrt(3.0)
 #: A slope counts as far as it stands out of so many standard deviations of its noise: noise is in the velocity of the
-#: state, too, and by k of them it draws a clock by SLOPE_S / (2 k^2), 5 ms [1].
+#: state, too, and by k of them it draws a clock by SLOPE_S / (2 k^2), 5 ms, and a scale by 1 / k^2 at most [1].
 TOLD = 10.0
 #: A lever arm is told from so many on, see `withhold`: by 10 of them, an arm of 0.5 m was drawn by 1.2 of its standard
 #: deviations in half an hour beside a micromechanical unit, by 15 it is 0.7, by 20 nothing of a swell is left [1].
@@ -257,42 +257,92 @@ def _square(sources):
 
 
 @_keyed
+def consider(sources):
+    @apart
+    @njit(cache=True, **UNCOUNTED)
+    def consider(P, x, K, S, res, at, untold):
+        """Take back what a reading has told of constants that are only considered (Schmidt, 1966): slopes and
+        correlations stay, and what the gain K (n, a) has made of the residual is undone, for their states and for their
+        variances. The smoother takes them for constants that walk by as much.
+
+        S (2a, a): the residual's covariance first; untold: of the states from `at` on, not 0 for those that are so.
+        """
+        _ = sources
+        a = K.shape[1]
+        for i in range(untold.size):
+            if untold[i] == 0.0:
+                continue
+            for c in range(a):
+                x[at + i - 9] -= K[at + i, c] * res[c]
+            for j in range(i + 1):
+                if untold[j] == 0.0:
+                    continue
+                s = 0.0
+                for c in range(a):
+                    for r in range(a):
+                        s += K[at + i, c] * S[c, r] * K[at + j, r]
+                P[at + i, at + j] += s
+                if j < i:
+                    P[at + j, at + i] += s
+
+    return consider
+
+
+@_keyed
 def withhold(sources):
     @apart
     @njit(cache=True, **UNCOUNTED)
-    def withhold(P, x, near, K, S, res, own, at, drv, Cr):
-        """Take back what a reading has told of a lever arm by slopes that do not stand out of the noise of the gyros.
+    def withhold(P, x, near, K, S, res, own, at, drv, Cr, untold):
+        """Have a lever arm only considered where its slopes do not stand out of the noise of the gyros.
 
         A rate that is noise is in the attitude, too, and by gravity in what the next readings show: an arm would be
-        drawn by both, always to the same side. So it is only considered (Schmidt, 1966): slope and correlations stay,
-        and what the gain K (n, a) has made of the residual is undone, for its state and for its variance. The smoother
-        takes it for an arm that walks by as much.
+        drawn by both, always to the same side.
 
-        near (a, 9 + parameters): slopes, those by the arm from column 9 + own on; S (2a, a): the residual's covariance
-        first; at: where the arm stands in P; drv, Cr: the drive's memory, and its white variances in the last column.
+        near (a, 9 + parameters): slopes, those by the arm from column 9 + own on; at: where the arm stands in P; drv,
+        Cr: the drive's memory, and its white variances in the last column; untold (3,): work. The others: `consider`.
         """
         _ = sources
-        k, a = Cr.shape[1] - 1, near.shape[0]
+        k = Cr.shape[1] - 1
         if drv[strapdown.INERTIAL] == 0.0:
             return
         share = min(1.0, drv[strapdown.PERIOD_S] / WINDOW_S)
         least = TOLD_ARM * TOLD_ARM * share * max(Cr[0, k], Cr[1, k], Cr[2, k])
         for i in range(3):
-            if _square(near, 9 + own + i) > least:
-                continue
-            for c in range(a):
-                x[at + i - 9] -= K[at + i, c] * res[c]
-            for j in range(i + 1):
-                if _square(near, 9 + own + j) <= least:
-                    s = 0.0
-                    for c in range(a):
-                        for r in range(a):
-                            s += K[at + i, c] * S[c, r] * K[at + j, r]
-                    P[at + i, at + j] += s
-                    if j < i:
-                        P[at + j, at + i] += s
+            untold[i] = 1.0 if _square(near, 9 + own + i) <= least else 0.0
+        consider(P, x, K, S, res, at, untold)
 
     return withhold
+
+
+@_keyed
+def withhold_hidden(sources):
+    @apart
+    @njit(cache=True, **UNCOUNTED)
+    def withhold_hidden(P, x, H, K, S, res, at, untold):
+        """Have constants only considered where what they do to a reading does not stand out of what the state's error
+        does to it: scales and misalignments of an inertial unit, and of wheels.
+
+        The slope by a scale of the unit is the sample itself, with the noise that has made the state err since: each
+        reading that shows this error seems to say that the scale is 1. Summed up over samples, and freed of what other
+        constants explain, the slope stands in P, and so does the error. What is drawn draws others that go with it.
+
+        H (a, n): Jacobian; untold (constants,): work. The others: `consider`.
+        """
+        _ = sources
+        a, known = H.shape[0], 0.0
+        for c in range(a):
+            for i in range(H.shape[1]):
+                known += H[c, i] * K[i, c]
+        for q in range(untold.size):
+            i, told = at + q, 0.0
+            for c in range(a):
+                for r in range(a):
+                    told += K[i, c] * S[c, r] * K[i, r]
+            before = P[i, i] + told
+            untold[q] = 1.0 if told < TOLD * TOLD * known * before * before else 0.0
+        consider(P, x, K, S, res, at, untold)
+
+    return withhold_hidden
 
 
 @_keyed

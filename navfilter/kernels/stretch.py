@@ -33,13 +33,13 @@ UNSURE_HEADING = 0.01
 # (0: none); whether it moves, turns, and reads the drive's own rates; then where in `bench` its parts stand: working
 # memory, constants and how many, rate, model, C, white, lever, R, limits, facts; in the working memory the verdict, and
 # how long the record for the smoother is; whether a reading of which components are left out is Python's to judge;
-# from which of its parameters to which the slopes are held; which of its axes is the heading (-1: none). One more row
-# is for the drive: dimensions of a fold, addresses of its steps, its hold and `correction` in the first three, in MEM
-# its work space, in RECORD the longest record of all.
+# from which of its parameters to which the slopes are held; which of its axes is the heading (-1: none); whether these
+# parameters may be hidden by the state's error. One more row is for the drive: dimensions of a fold, addresses of its
+# steps, its hold and `correction` in the first three, in MEM its work space, in RECORD the longest record of all.
 EQUATION, SIGHT, MOTION, BEND, MOVES, TURNS, READS_RATE = range(7, 14)
 STEPS, HOLD, CORRECTION = EQUATION, SIGHT, MOTION
 MEM, CONSTANTS, CONSTANTS_SIZE, RATE, MODEL, OUTPUT, WHITE, LEVER_NOISE, NOISE, LIMITS, FACTS = range(14, 25)
-VERDICT, RECORD, PARTLY, HELD, HELD_TO, NORTH, PLAN = range(25, 32)
+VERDICT, RECORD, PARTLY, HELD, HELD_TO, NORTH, HIDDEN, PLAN = range(25, 33)
 
 # Elements of `now`: time of the state and of the last sample, stamp of the last sample, time of the last row written.
 TIME_S, SAMPLE_S, BEFORE_S, ROW_S = range(4)
@@ -187,10 +187,16 @@ def correction(sources):
                 drv[strapdown.OWN] = 1.0
             if spot[MOVES] or turns:
                 kalman.turn_velocity(P, nav, before, change)
-        if spot[SIGHT] and bench[spot[FACTS] + past.ARM] != 0.0 and mem[places[8] + 2] != 0.0:
-            own = parameters - 3 - (bench[spot[FACTS] + past.CLOCK] != 0.0)
+        if mem[places[8] + 2] != 0.0:
             K, S = shaped(mem[places[1] : places[2]], n, a), shaped(mem[places[5] : places[6]], 2 * a, a)
-            past.withhold(P, x, near, K, S, res, own, start + errors + own, drv, Cr)
+            if spot[SIGHT] and bench[spot[FACTS] + past.ARM] != 0.0:
+                own = parameters - 3 - (bench[spot[FACTS] + past.CLOCK] != 0.0)
+                past.withhold(P, x, near, K, S, res, own, start + errors + own, drv, Cr, spare[:3])
+            if spot[HIDDEN]:
+                past.withhold_hidden(P, x, H, K, S, res, start + errors + spot[HELD], spare[:slopes])
+            elements = int(drv[strapdown.CALIBRATED])
+            if elements:
+                past.withhold_hidden(P, x, H, K, S, res, m - elements, spare[:elements])
 
     return correction
 

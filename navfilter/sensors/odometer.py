@@ -50,6 +50,7 @@ class Odometer(BodyVelocity):
     reads: ClassVar[int] = 1
     single_gates: ClassVar[bool] = True
     single_s: ClassVar[float] = 5.0  # wheels spin, and slip in a turn, for no longer
+    hidden: ClassVar[bool] = True  # they drive what their scale is told by
     gives: ClassVar[str] = ""
     jumps: ClassVar[int | None] = 0  # what holds it to its way does not
     contents: ClassVar[tuple[tuple[Columns, ...], ...]] = ((SPEED,),)
@@ -65,12 +66,6 @@ class Odometer(BodyVelocity):
         (-1.0, 0.0, 0.4),
         live=False,
     )
-
-    def held(self) -> tuple[int, int]:
-        """None: held, the scale of wheels is right in simulations, but recordings speak for the other (the mower's
-        beacons of unknown place: 1.10 m off at most instead of 0.87).
-        """
-        return 0, 0
 
     @property
     def ground(self) -> int:  # type: ignore[override]

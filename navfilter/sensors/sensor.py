@@ -84,6 +84,8 @@ class Sensor:
         term while the heading is hardly known.
     single_gates : bool
         A component that contradicts the others is left out alone, as long as more than half of them remain.
+    hidden : bool
+        Parameters whose slopes are held may be hidden by the state's error, see `past.withhold_hidden`.
     single_s : float
         For so long on end [s]: where the others do not tell what it does, the reading is refused whole after that.
     tracks : int
@@ -141,6 +143,7 @@ class Sensor:
     reads_rate: ClassVar[bool] = False
     sees_velocity: ClassVar[bool] = False
     single_gates: ClassVar[bool] = False
+    hidden: ClassVar[bool] = False
     single_s: ClassVar[float] = math.inf
     tracks: ClassVar[int] = 1
     bend: ClassVar[Callable[..., None] | None] = None
