@@ -85,6 +85,10 @@ DRIVE_SIZE = 143
 CHANGE_S = 0.1  # what changes is a mean over so long, for readings that come faster are noisy
 MOST_TICKS = 10000.0  # of the drive's blocks in one step
 WIDE = 8  # columns of a panel: rows of so many are one register, or two
+# Work of the inertial kernels, one array as every further one costs its call: increments (6), elements of the
+# transition (34), rows of errors (6 * WIDE); then how errors enter the readings, one number a pair of `_which_errors`,
+# the same of constants, six rows to a panel, and rows of the drive's blocks.
+INCREMENT, STEP, ROWS, GAINS = 0, 6, 40, 40 + 6 * WIDE
 GAP_PERIODS = 3.0  # a silence of more than this many periods is a gap: what the vehicle did in it is unknown
 
 
@@ -294,10 +298,11 @@ def integrate(nav, drv, samples, out):
 
 @apart
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
-def _inertial_advance(nav, xd, inc, dt, drv, seen, gain, noisy, f):
+def _inertial_advance(nav, xd, dt, drv, seen, noisy, work):
     """One strapdown step with the drive's errors taken off; leaves the elements of its transition, of second order in
-    dt, in f (34,) for `_carried`. seen, gain, noisy: as `_which_errors` has it.
+    dt, in `work` for `_carried`. seen, noisy, gains: as `_which_errors` has it.
     """
+    inc, f, gain = work[:STEP], work[STEP:ROWS], work[GAINS:]
     C, mid = drv[MEAN_C : MEAN_C + 9], f[:12]
     for p in range(noisy):
         inc[seen[0, p]] -= dt * gain[p] * xd[seen[1, p]]
@@ -423,19 +428,20 @@ def _build_carry_panel(context, builder, kinds, arguments):
 
 @apart
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
-def _inertial_carry(X, f, C, seen, gain, kinds, E, G, moving, Phi_ends):
+def _inertial_carry(X, work, C, seen, kinds, moving, Phi_ends):
     """Rows 0 to 8 of X (panels of matrices with a row for each state that moves) from the left by the transition of one
     step, see `_carried`.
 
-    seen, gain, kinds: as `_which_errors` has it; E (6 * WIDE,): work, where states enter the readings in another way
-    than plainly. A constant is a unit row of Phi, which ends at `Phi_ends`, and has no noise: its columns of Phi get
-    what stands in G, six rows of errors to a panel.
+    seen, kinds: as `_which_errors` has it. Rows of errors are put together where states enter the readings in another
+    way than plainly. A constant is a unit row of Phi, which ends at `Phi_ends`, and has no noise: to its columns of Phi
+    come the rows that `_uncalibrated` leaves.
     """
-    noisy, plain, varying = kinds
+    count, noisy, plain, varying = kinds
+    f, E, gain, G = work[STEP:ROWS], work[ROWS:GAINS], work[GAINS:], work[GAINS + seen.shape[1] :]
     dt, direct, size = f[0], plain and noisy == varying, _high(moving) * WIDE
     for begin in range(0, X.size, size):
         Z, left = X[begin : begin + size], begin // _high(moving)
-        constant = varying < gain.size and begin < Phi_ends and left + WIDE > moving
+        constant = varying < count and begin < Phi_ends and left + WIDE > moving
         if direct and not constant:
             _carry_panel(Z, Z[9 * WIDE :], dt, f, C)
             continue
@@ -559,30 +565,33 @@ def _tick_drive(xd, Phid, Qd, diagonal, T, Q, moving):
 
 
 @njit(cache=True, error_model="numpy", inline="always", **UNCOUNTED)
-def _inertial_compound(xd, Phid, Qd, ticking, ticks, C, f, seen, gain, kinds, work, both, Q, gathered, moving):
-    """Compound Phi <- F Phi, Q <- F Q F' with the step that `_inertial_advance` left in f; the drive's blocks tick, and
-    their mean too.
+def _inertial_compound(xd, Phid, Qd, ticking, ticks, C, seen, kinds, work, both, Q, gathered, moving):
+    """Compound Phi <- F Phi, Q <- F Q F' with the step that `_inertial_advance` left in `work`; the drive's blocks
+    tick, and their mean too.
 
-    ticking: whether a tick is diagonal, and whether nothing but noise comes with it. work: E, T and G of `_workspace`.
-    both: panels of Phi and behind them Q, those of Q; gathered: whether there is any noise yet. Q F' is formed as
-    (F Q)', Q being symmetric.
+    ticking: whether a tick is diagonal, and whether nothing but noise comes with it. both: panels of Phi and behind
+    them Q, those of Q; gathered: whether there is any noise yet. Q F' is formed as (F Q)', Q being symmetric.
     """
-    (diagonal, walks), (E, T, G) = ticking, work
+    (diagonal, walks), T = ticking, work[work.size - WIDE * len(xd) :]
     Phi_ends = both.size - Q.size
     moved = both if gathered else both[:Phi_ends]
-    _inertial_carry(moved, f, C, seen, gain, kinds, E, G, moving, Phi_ends)
+    _inertial_carry(moved, work, C, seen, kinds, moving, Phi_ends)
     if ticks > 0 and not walks:
         _tick_rows(moved, Phid, diagonal, T, moving)
     if gathered:
         _transpose(Q, moving)
-        _inertial_carry(Q, f, C, seen, gain, kinds, E, G, moving, int(0))
+        _inertial_carry(Q, work, C, seen, kinds, moving, int(0))
     for count in range(ticks):
         if count > 0 and not walks:
             _tick_rows(both, Phid, diagonal, T, moving)
             _transpose(Q, moving)
         if (gathered or count > 0) and not walks:
             _tick_rows(Q, Phid, diagonal, T, moving)
-        _tick_drive(xd, Phid, Qd, diagonal, T, Q, moving)
+        if walks:
+            for i in range(moving - 9):
+                Q[_place(9 + i, 9 + i, moving)] += Qd[i, i]
+        else:
+            _tick_drive(xd, Phid, Qd, diagonal, T, Q, moving)
 
 
 @apart
@@ -617,19 +626,20 @@ def _inertial_noise(dt, drv, Cr, Q, moving):
 
 @apart
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
-def _uncalibrated(inc, dt, xd, drv, work, seen, gain, G):
-    """Take the calibration errors off the increments, and note by how much (gain, G) each element of M enters: as the
-    reading of its axis. Over no time at all that is no number, and nothing to speak of. work: 12.
+def _uncalibrated(dt, xd, drv, seen, begin, end, work):
+    """Take the calibration errors off the increments, and note by how much each element of M enters, as one of the
+    pairs from begin to end, and as a constant: as the reading of its axis. Over no time at all that is no number, and
+    nothing to speak of.
     """
-    first = len(xd) - int(drv[CALIBRATED])
+    inc, before, readings, gain = work[:STEP], work[STEP : STEP + 6], work[STEP + 6 : STEP + 12], work[GAINS:]
+    first, G = len(xd) - int(drv[CALIBRATED]), gain[seen.shape[1] :]
     for i in range(6):
-        work[i] = inc[i]
-        work[6 + i] = inc[i] / dt if dt != 0.0 else 0.0
-    for p in range(gain.size):
+        before[i] = inc[i]
+        readings[i] = inc[i] / dt if dt != 0.0 else 0.0
+    for p in range(begin, end):
         s, axis = seen[1, p], seen[2, p]
-        inc[seen[0, p]] -= xd[s] * work[axis]
-        gain[p] = work[6 + axis]
-        G[seen[3, p]] = gain[p]
+        inc[seen[0, p]] -= xd[s] * before[axis]
+        gain[p] = G[seen[3, p]] = readings[axis]
         drv[CALIBRATION + s - first] = xd[s]
 
 
@@ -649,10 +659,10 @@ def _constants(Phid, Qd, drv):
 def _which_errors(Cr, drv, constants, seen, gain):
     """Which of the six readings (row 0 of seen) which of the drive's states (row 1) enters, and by how much (gain):
     first the states of its error models, then the elements of M, whose gains follow from the readings (of the axis in
-    row 2; row 3: their places in G of `_inertial_carry`).
+    row 2; row 3: where in six rows to a panel they stand).
 
-    Returns how many such pairs there are, and kinds: how many of the first, whether these are plain, one state a
-    reading, in their order, as it is, and how many pairs are of states that are no constants.
+    Returns how many such pairs there are, how many of the first, whether these are plain, one state a reading, in their
+    order, as it is, and how many pairs are of states that are no constants.
     """
     elements = int(drv[CALIBRATED])
     count, plain = 0, True
@@ -670,7 +680,7 @@ def _which_errors(Cr, drv, constants, seen, gain):
         seen[3, count] = (6 * (column // WIDE) + reading) * WIDE + column % WIDE
         gain[count] = 0.0
         count += 1
-    return count, (noisy, plain and noisy == 6, count - constants)
+    return count, noisy, plain and noisy == 6, count - constants
 
 
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
@@ -797,25 +807,19 @@ def _place(i, j, m):
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _room(m):
     """Elements of the work space of the inertial kernels for a head of m states."""
-    return WIDE + 2 * _high(m) * _high(m) + (m - 3) * WIDE + 40 + 6 * (m - 9) + 6 * _high(m)
+    return WIDE + 2 * _high(m) * _high(m) + GAINS + 6 * (m - 9) + 6 * _high(m) + WIDE * (m - 9)
 
 
 @apart
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _workspace(floats, m, moving):
-    """Its parts: panels of Phi and Q, from where a line of the cache begins, for their rows are as long as lines, and
-    those of Q; work of `_inertial_compound`: rows of errors and of blocks, what constants do; increments, elements of
-    the transition, gains.
+    """Its parts: panels of Phi and Q, from where a line of the cache begins, for their rows are as long as lines; those
+    of Q; and work, see `GAINS`.
     """
-    begin, k, high = -(floats.ctypes.data // 8) % WIDE, m - 9, _high(moving)
+    begin, high = -(floats.ctypes.data // 8) % WIDE, _high(moving)
     Q = begin + high * _high(m)
-    E = Q + high * high
-    T = E + 6 * WIDE
-    G = T + k * WIDE
-    inc = G + 6 * _high(m)
-    gain = inc + 40
-    work = floats[E:T], floats[T:G], floats[G:inc]
-    return floats[begin:E], floats[Q:E], work, floats[inc : inc + 6], floats[inc + 6 : gain], floats[gain:]
+    end = Q + high * high
+    return floats[begin:end], floats[Q:end], floats[end : end + GAINS + 6 * _high(m) + (6 + WIDE) * (m - 9)]
 
 
 @njit(cache=True, error_model="numpy")
@@ -839,23 +843,23 @@ def imu_traced(nav, xd, drv, samples, Phid, Qd, Cr, acc, trace):
 
 
 @njit(cache=True, error_model="numpy", inline="always", **UNCOUNTED)
-def _begin(Phid, Qd, Cr, drv, acc, both, Q, seen, gain, G, moving):
-    """Lay out what is compounded; how many errors there are and of which kinds, how blocks tick, and whether there is
-    any noise yet. Only rows of states that move: constants gather no noise.
+def _begin(Phid, Qd, Cr, drv, acc, both, Q, seen, gain, moving):
+    """Lay out what is compounded; which errors there are, how blocks tick, and whether there is any noise yet. Only
+    rows of states that move: constants gather no noise.
     """
     m, rows = acc.shape[1], flat(acc)
-    count, kinds = _which_errors(Cr, drv, m - moving, seen, gain)
+    kinds = _which_errors(Cr, drv, m - moving, seen, gain)
     _to_panels(rows, both[: both.size - Q.size], m, moving)
     _to_panels(rows[m * m :], Q, m, moving)
     gathered = 0  # a variance of 0 has covariances of 0
     for i in range(moving):
         gathered += acc[m + i, i] != 0.0
-    for i in range(G.size if moving < m else 0):
-        G[i] = 0.0
+    for i in range(6 * _high(m) if moving < m else 0):
+        gain[seen.shape[1] + i] = 0.0
     diagonal, ones = _is_diagonal(Phid, moving - 9) and _is_diagonal(Qd, moving - 9), 0
     for i in range(moving - 9):
         ones += Phid[i, i] == 1.0
-    return count, kinds, (diagonal, diagonal and ones == moving - 9), gathered > 0
+    return kinds, (diagonal, diagonal and ones == moving - 9), gathered > 0
 
 
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
@@ -885,10 +889,9 @@ def _trace_panels(nav, xd, acc, both, Q, moving, trace, n):
 def _imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc, floats, seen, trace):
     m = 9 + len(xd)
     moving = m - _constants(Phid, Qd, drv)
-    both, Q, work, inc, f, gain = _workspace(floats, m, moving)
-    count, kinds, ticking, gathered = _begin(Phid, Qd, Cr, drv, acc, both, Q, seen, gain, work[2], moving)
-    C = drv[MEAN_C : MEAN_C + 9]
-    elements, gains, gain = seen[:, kinds[0] : count], gain[kinds[0] : count], gain[:count]
+    both, Q, work = _workspace(floats, m, moving)
+    kinds, ticking, gathered = _begin(Phid, Qd, Cr, drv, acc, both, Q, seen, work[GAINS:], moving)
+    C, inc = drv[MEAN_C : MEAN_C + 9], work[:STEP]
     for n in range(samples.shape[0]):
         _increments(samples, n, drv, inc)
         drv[COUNT] += 1.0
@@ -898,10 +901,10 @@ def _imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc, floats, seen, trace):
         dt = samples[n, 0] - drv[HELD_S]
         drv[HELD_S] = 0.0
         if drv[CALIBRATED] != 0.0:
-            _uncalibrated(inc, dt, xd, drv, f, elements, gains, work[2])
-        _inertial_advance(nav, xd, inc, dt, drv, seen, gain, kinds[0], f)
+            _uncalibrated(dt, xd, drv, seen, kinds[1], kinds[0], work)
+        _inertial_advance(nav, xd, dt, drv, seen, kinds[1], work)
         ticks = _ticks(samples[n, 0], drv)
-        _inertial_compound(xd, Phid, Qd, ticking, ticks, C, f, seen, gain, kinds, work, both, Q, gathered, moving)
+        _inertial_compound(xd, Phid, Qd, ticking, ticks, C, seen, kinds, work, both, Q, gathered, moving)
         _inertial_noise(dt, drv, Cr, Q, moving)
         gathered = True
         # all samples or none; of a condition that stays the same the compiler made two loops, a tenth slower
@@ -923,19 +926,18 @@ def imu_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc):
 def _imu_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc, floats, seen):
     m = 9 + len(xd)
     moving = m - _constants(Phid, Qd, drv)
-    both, Q, work, inc, f, gain = _workspace(floats, m, moving)
-    count, kinds, ticking, gathered = _begin(Phid, Qd, Cr, drv, acc, both, Q, seen, gain, work[2], moving)
-    C = drv[MEAN_C : MEAN_C + 9]
-    elements, gains, gain = seen[:, kinds[0] : count], gain[kinds[0] : count], gain[:count]
+    both, Q, work = _workspace(floats, m, moving)
+    kinds, ticking, gathered = _begin(Phid, Qd, Cr, drv, acc, both, Q, seen, work[GAINS:], moving)
+    C, inc = drv[MEAN_C : MEAN_C + 9], work[:STEP]
     scale = dt / drv[PERIOD_S] if drv[INCREMENTS] != 0.0 else dt
     for i in range(6):
         inc[i] = drv[PREVIOUS + i] * scale
         drv[CONSUMED + i] += inc[i]
     drv[HELD_S] += dt
     if drv[CALIBRATED] != 0.0:
-        _uncalibrated(inc, dt, xd, drv, f, elements, gains, work[2])
-    _inertial_advance(nav, xd, inc, dt, drv, seen, gain, kinds[0], f)
-    _inertial_compound(xd, Phid, Qd, ticking, int(0), C, f, seen, gain, kinds, work, both, Q, gathered, moving)
+        _uncalibrated(dt, xd, drv, seen, kinds[1], kinds[0], work)
+    _inertial_advance(nav, xd, dt, drv, seen, kinds[1], work)
+    _inertial_compound(xd, Phid, Qd, ticking, int(0), C, seen, kinds, work, both, Q, gathered, moving)
     _inertial_noise(dt, drv, Cr, Q, moving)
     _from_panels(both[: both.size - Q.size], flat(acc), m, moving)
     _from_panels(Q, flat(acc[m:]), m, moving)
