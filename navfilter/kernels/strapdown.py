@@ -65,7 +65,7 @@ ATTITUDE_CLOCK, VELOCITY_CLOCK, ARM, CHANGE, PREVIOUS_VELOCITY, KNOWN_VELOCITY, 
 # 1: dead reckoning has a scale of the velocity for each axis, 0: one for all.
 SCALE_STEP = 87
 # An inertial unit that is not calibrated, true = reading - M reading - errors: how many elements of M are states, the
-# last of the drive's; which they are (3 * channel + axis each); and what they are thought to be.
+# last of the drive's; which they are (3 * channel + axis each); and what all 18 are thought to be, 0 for the others.
 CALIBRATED, ELEMENTS, CALIBRATION = 88, 89, 107
 # Dead reckoning through water: place of the current, north and east, among the drive's states (-1: over ground).
 CURRENT = 125
@@ -445,6 +445,9 @@ def _inertial_carry(X, work, C, seen, kinds, moving, Phi_ends):
         if direct and not constant:
             _carry_panel(Z, Z[9 * WIDE :], dt, f, C)
             continue
+        if constant and left >= moving:
+            _carry_panel(Z, G[6 * left :], dt, f, C)
+            continue
         for j in range(6 * WIDE):
             E[j] = Z[9 * WIDE + j] if plain else 0.0
         for p in range(noisy if plain else 0, varying):
@@ -626,21 +629,31 @@ def _inertial_noise(dt, drv, Cr, Q, moving):
 
 @apart
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
-def _uncalibrated(dt, xd, drv, seen, begin, end, work):
+def _uncalibrated(dt, drv, seen, begin, end, work):
     """Take the calibration errors off the increments, and note by how much each element of M enters, as one of the
     pairs from begin to end, and as a constant: as the reading of its axis. Over no time at all that is no number, and
     nothing to speak of.
     """
-    inc, before, readings, gain = work[:STEP], work[STEP : STEP + 6], work[STEP + 6 : STEP + 12], work[GAINS:]
-    first, G = len(xd) - int(drv[CALIBRATED]), gain[seen.shape[1] :]
-    for i in range(6):
-        before[i] = inc[i]
-        readings[i] = inc[i] / dt if dt != 0.0 else 0.0
+    inc, readings, gain, M = work[:STEP], work[STEP : STEP + 6], work[GAINS:], drv[CALIBRATION : CALIBRATION + 18]
+    G = gain[seen.shape[1] :]
+    for c in (0, 3):
+        x, y, z = inc[c], inc[c + 1], inc[c + 2]
+        for i in range(3):
+            of = 3 * (c + i)
+            readings[c + i] = inc[c + i] / dt if dt != 0.0 else 0.0
+            inc[c + i] = inc[c + i] - M[of] * x - M[of + 1] * y - M[of + 2] * z
     for p in range(begin, end):
-        s, axis = seen[1, p], seen[2, p]
-        inc[seen[0, p]] -= xd[s] * before[axis]
-        gain[p] = G[seen[3, p]] = readings[axis]
-        drv[CALIBRATION + s - first] = xd[s]
+        gain[p] = G[seen[3, p]] = readings[seen[2, p]]
+
+
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
+def _note_calibration(xd, drv):
+    """Write down what all elements of M are thought to be."""
+    elements = int(drv[CALIBRATED])
+    for i in range(18 if elements > 0 else 0):
+        drv[CALIBRATION + i] = 0.0
+    for q in range(elements):
+        drv[CALIBRATION + int(drv[ELEMENTS + q])] = xd[len(xd) - elements + q]
 
 
 @apart
@@ -891,6 +904,7 @@ def _imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc, floats, seen, trace):
     moving = m - _constants(Phid, Qd, drv)
     both, Q, work = _workspace(floats, m, moving)
     kinds, ticking, gathered = _begin(Phid, Qd, Cr, drv, acc, both, Q, seen, work[GAINS:], moving)
+    _note_calibration(xd, drv)
     C, inc = drv[MEAN_C : MEAN_C + 9], work[:STEP]
     for n in range(samples.shape[0]):
         _increments(samples, n, drv, inc)
@@ -901,7 +915,9 @@ def _imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc, floats, seen, trace):
         dt = samples[n, 0] - drv[HELD_S]
         drv[HELD_S] = 0.0
         if drv[CALIBRATED] != 0.0:
-            _uncalibrated(dt, xd, drv, seen, kinds[1], kinds[0], work)
+            if kinds[3] == kinds[0]:  # they are no constants
+                _note_calibration(xd, drv)
+            _uncalibrated(dt, drv, seen, kinds[1], kinds[0], work)
         _inertial_advance(nav, xd, dt, drv, seen, kinds[1], work)
         ticks = _ticks(samples[n, 0], drv)
         _inertial_compound(xd, Phid, Qd, ticking, ticks, C, seen, kinds, work, both, Q, gathered, moving)
@@ -928,6 +944,7 @@ def _imu_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc, floats, seen):
     moving = m - _constants(Phid, Qd, drv)
     both, Q, work = _workspace(floats, m, moving)
     kinds, ticking, gathered = _begin(Phid, Qd, Cr, drv, acc, both, Q, seen, work[GAINS:], moving)
+    _note_calibration(xd, drv)
     C, inc = drv[MEAN_C : MEAN_C + 9], work[:STEP]
     scale = dt / drv[PERIOD_S] if drv[INCREMENTS] != 0.0 else dt
     for i in range(6):
@@ -935,7 +952,7 @@ def _imu_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc, floats, seen):
         drv[CONSUMED + i] += inc[i]
     drv[HELD_S] += dt
     if drv[CALIBRATED] != 0.0:
-        _uncalibrated(dt, xd, drv, seen, kinds[1], kinds[0], work)
+        _uncalibrated(dt, drv, seen, kinds[1], kinds[0], work)
     _inertial_advance(nav, xd, dt, drv, seen, kinds[1], work)
     _inertial_compound(xd, Phid, Qd, ticking, int(0), C, seen, kinds, work, both, Q, gathered, moving)
     _inertial_noise(dt, drv, Cr, Q, moving)
