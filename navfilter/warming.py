@@ -116,15 +116,14 @@ def _warm_reckoning() -> None:
 
 
 def _compile_stretch() -> None:
-    """What goes through many readings at once, and the smoother."""
+    """What goes through many readings at once. The smoother is left to the first process: both take as long then."""
     from numba import config
 
-    from navfilter.kernels import addresses, kalman, stretch
+    from navfilter.kernels import addresses, stretch
 
     settings: Any = config
     if not settings.DISABLE_JIT:
         stretch.stretch.compile(addresses.STRETCH)
-        kalman.smooth_run.compile(addresses.SMOOTH_RUN)
 
 
 def _compile_prompt() -> None:
