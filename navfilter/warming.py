@@ -71,14 +71,20 @@ def warm_up(vehicle: Vehicle | None = None, progress: bool = False) -> None:
 
 
 def help_warming(learning: bool, everything: bool) -> None:
-    """What the second process of `warm_up` does: first what the first one comes to next, when it has what corrects."""
+    """What the second process of `warm_up` does: first what the first one comes to next, when it has what corrects.
+
+    It ends at once: nothing is to be tidied that took seconds, for all of it is in files.
+    """
     announce_each()
-    with calls_remembered(), _no_collector():
+    gc.disable()
+    with calls_remembered():
         _compile_stretch()
         if learning:
             _warm_learner()
         if everything:
             _warm_reckoning()
+    sys.stdout.flush()
+    os._exit(0)
 
 
 @contextmanager
