@@ -37,8 +37,8 @@ _IDLE = {
 FROM, BELOW = (0, 65), (0, 69)
 KNOWN = FROM <= tuple(int(part) for part in numba.__version__.split(".")[:2]) < BELOW
 
-#: What is worth vectors is written in vectors (`strapdown`, `kalman`, `registers`): those that LLVM makes of loops over two
-#: to four dozen numbers are no quicker, and double the code that it has to look through.
+#: What is worth vectors is written in vectors (`strapdown`, `kalman`, `registers`): those that LLVM makes of loops over
+#: two to four dozen numbers are no quicker, and double the code that it has to look through.
 OPTIMISER = {"LOOP_VECTORIZE": 0, "SLP_VECTORIZE": 0}
 
 _settings: Any = config
