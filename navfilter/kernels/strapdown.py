@@ -438,9 +438,10 @@ def _inertial_carry(X, work, C, seen, kinds, moving, Phi_ends):
     """
     count, noisy, plain, varying = kinds
     f, E, gain, G = work[STEP:ROWS], work[ROWS:GAINS], work[GAINS:], work[GAINS + seen.shape[1] :]
-    dt, direct, size = f[0], plain and noisy == varying, _high(moving) * WIDE
-    for begin in range(0, X.size, size):
-        Z, left = X[begin : begin + size], begin // _high(moving)
+    dt, direct, high = f[0], plain and noisy == varying, _high(moving)
+    for left in range(0, X.size // high, WIDE):
+        begin = left * high
+        Z = X[begin : begin + high * WIDE]
         constant = varying < count and begin < Phi_ends and left + WIDE > moving
         if direct and not constant:
             _carry_panel(Z, Z[9 * WIDE :], dt, f, C)
@@ -747,9 +748,8 @@ def _to_panels(M, X, m, moving):
     longer.
     """
     high = _high(moving)
-    for begin in range(0, X.size, high * WIDE):
-        column = begin // high
-        known = min(WIDE, m - column)
+    for column in range(0, X.size // high, WIDE):
+        begin, known = column * high, min(WIDE, m - column)
         for i in range(moving):
             _copy_row(X, begin + i * WIDE, M, i * m + column, known)
         for i in range(moving, high):
@@ -763,9 +763,10 @@ def _from_panels(X, M, m, moving):
     begins the row of a constant, with zeros.
     """
     high, whole = _high(moving), int(WIDE)
+    columns = X.size // high
     for i in range(moving):
-        for begin in range(0, X.size, high * WIDE):
-            _copy_row(M, i * m + begin // high, X, begin + i * WIDE, whole)
+        for column in range(0, columns, WIDE):
+            _copy_row(M, i * m + column, X, column * high + i * WIDE, whole)
 
 
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
