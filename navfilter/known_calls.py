@@ -20,15 +20,6 @@ from navfilter.kernels.decorators import KNOWN
 __all__ = ["calls_remembered"]
 
 
-class _Plain:
-    """Text of errors as it is, where numba would colour it."""
-
-    def _same(self, text: str) -> str:
-        return text
-
-    code = errmsg = filename = indicate = highlight = reset = _same
-
-
 @contextmanager
 def calls_remembered() -> Iterator[None]:
     """Within it numba remembers the types of operations and built-in functions.
@@ -39,8 +30,8 @@ def calls_remembered() -> Iterator[None]:
         yield
         return
     resolve, known = BaseFunction.get_call_type, {}
-    texts: Any = errors
-    coloured, texts._termcolor_inst = texts._termcolor_inst, _Plain()
+    colours: Any = type(errors.termcolor())
+    coloured = vars(colours).get("_markup")  # None where colorama is not installed
 
     def remembered(self: Any, context: Any, args: Any, kws: Any) -> Any:
         key = id(self), id(context), args
@@ -52,8 +43,11 @@ def calls_remembered() -> Iterator[None]:
         return known[key][1]
 
     setattr(BaseFunction, "get_call_type", remembered)  # noqa: B010
+    if coloured is not None:
+        colours._markup = lambda scheme, text, *_, **__: text
     try:
         yield
     finally:
         setattr(BaseFunction, "get_call_type", resolve)  # noqa: B010
-        texts._termcolor_inst = coloured
+        if coloured is not None:
+            colours._markup = coloured

@@ -71,14 +71,20 @@ def warm_up(vehicle: Vehicle | None = None, progress: bool = False) -> None:
 
 
 def help_warming(learning: bool, everything: bool) -> None:
-    """What the second process of `warm_up` does: first what the first one comes to next, when it has what corrects."""
+    """What the second process of `warm_up` does: first what the first one comes to next, when it has what corrects.
+
+    It ends at once: nothing is to be tidied that took seconds, for all of it is in files.
+    """
     announce_each()
-    with calls_remembered(), _no_collector():
+    gc.disable()
+    with calls_remembered():
         _compile_stretch()
         if learning:
             _warm_learner()
         if everything:
             _warm_reckoning()
+    sys.stdout.flush()
+    os._exit(0)
 
 
 @contextmanager
@@ -116,15 +122,14 @@ def _warm_reckoning() -> None:
 
 
 def _compile_stretch() -> None:
-    """What goes through many readings at once, and the smoother."""
+    """What goes through many readings at once. The smoother is left to the first process: both take as long then."""
     from numba import config
 
-    from navfilter.kernels import addresses, kalman, stretch
+    from navfilter.kernels import addresses, stretch
 
     settings: Any = config
     if not settings.DISABLE_JIT:
         stretch.stretch.compile(addresses.STRETCH)
-        kalman.smooth_run.compile(addresses.SMOOTH_RUN)
 
 
 def _compile_prompt() -> None:

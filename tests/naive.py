@@ -348,7 +348,8 @@ def _uncalibrated(xd, drv, inc, dt, Cr):
     Cr, first = Cr.copy(), len(xd) - count
     for q, code in enumerate(drv[89 : 89 + count].astype(int)):
         Cr[code // 3, first + q] = inc[3 * (code // 9) + code % 3] / dt if dt else 0.0
-    drv[107 : 107 + count] = xd[first:]
+    drv[107:125] = 0.0
+    drv[107 + drv[89 : 89 + count].astype(int)] = xd[first:]
     return Cr
 
 
@@ -1447,8 +1448,8 @@ def at(address):
 
 def _calibration(drv):
     """Channel, axis and value of each element of M."""
-    for element, value in zip(drv[89:107].astype(int)[: int(drv[88])], drv[107:125], strict=False):
-        yield element // 3, element // 9 * 3 + element % 3, value
+    for element in drv[89:107].astype(int)[: int(drv[88])]:
+        yield element // 3, element // 9 * 3 + element % 3, drv[107 + element]
 
 
 def drive_outputs(drv, Cr, xd, rows, errors):

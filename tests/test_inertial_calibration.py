@@ -123,7 +123,7 @@ def test_rates_for_lever_arms_and_for_the_past_are_those_of_a_calibrated_unit():
     drv, x = IMU.memory(6), 0.01 * np.random.default_rng(0).normal(size=21)
     recent = np.column_stack([np.full(5, 0.05), np.random.default_rng(1).normal(size=(5, 6))])
     drv[strapdown.PREVIOUS : strapdown.PREVIOUS + 6] = reading = recent[0, 1:].copy()
-    drv[strapdown.CALIBRATION : strapdown.CALIBRATION + 15] = x[6:]
+    drv[strapdown.CALIBRATION + drv[strapdown.ELEMENTS :][:15].astype(int)] = x[6:]
     M = np.zeros((6, 6))
     for q, (channel, axis, _) in enumerate(IMU._elements()):
         M[channel, 3 * (channel // 3) + axis] = x[6 + q]
@@ -131,7 +131,7 @@ def test_rates_for_lever_arms_and_for_the_past_are_those_of_a_calibrated_unit():
     true = reading - M @ reading - x[:6]
     np.testing.assert_allclose(IMU.body_rate(drv, errors[:3]), true[:3], atol=1e-14)
     uncalibrated = drv.copy()
-    uncalibrated[strapdown.CALIBRATED] = 0.0
+    uncalibrated[strapdown.CALIBRATED], uncalibrated[strapdown.CALIBRATION :][:18] = 0.0, 0.0
     plain, _ = nf.Imu(rate_hz=20.0).motion(recent, np.zeros(17), uncalibrated, np.zeros(6))
     moved, _ = IMU.motion(recent, np.zeros(17), drv, errors)
     np.testing.assert_allclose(moved[:, 1:], plain[:, 1:] - plain[:, 1:] @ M.T - x[:6], atol=1e-14)

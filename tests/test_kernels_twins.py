@@ -272,13 +272,23 @@ def test_dead_reckoning_kernels(settings):
         nav, xd, drv, acc = ours[0], ours[1], ours[2], ours[7]
 
 
-@pytest.mark.parametrize("steps", [strapdown.imu_steps, strapdown.dead_reckoning_steps], ids=["imu", "reckoning"])
-def test_a_trace_is_what_each_sample_leaves(steps):
+@pytest.mark.parametrize(
+    ("steps", "elements", "wandering"),
+    [
+        (strapdown.imu_steps, (), ()),
+        (strapdown.imu_steps, (0, 4, 8, 13), ()),
+        (strapdown.imu_steps, range(18), ()),
+        (strapdown.imu_steps, (0, 4, 8, 13), (2,)),
+        (strapdown.dead_reckoning_steps, (), ()),
+    ],
+    ids=["imu", "constants", "all constants", "a constant that wanders", "reckoning"],
+)
+def test_a_trace_is_what_each_sample_leaves(steps, elements, wandering):
     """To the last bit what the samples leave one by one; and that of the twin."""
-    rng, k = np.random.default_rng(4), 6
-    drv, xd, Phid, Qd, Cr, acc = random_drive(rng, k, PERIOD_S=0.25)
+    rng, k = np.random.default_rng(4), 6 + len(elements)
+    drv, xd, Phid, Qd, Cr, acc = uncalibrated_drive(rng, 6, elements, wandering, PERIOD_S=0.25)
     nav, samples, m = random_nav(rng), imu_samples(rng, 5), 9 + k
-    trace = np.empty((5, 8 + m + 2 * m * m + strapdown.WIDE))
+    trace = np.full((5, 8 + m + 2 * m * m + strapdown.WIDE), np.nan)
     kernel = {strapdown.imu_steps: strapdown.imu_traced}.get(steps, strapdown.dead_reckoning_traced)
     args = nav, xd, drv, samples, Phid, Qd, Cr, acc
     ours, twins = run_both(kernel, *args, trace)

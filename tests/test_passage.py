@@ -44,6 +44,14 @@ def changed(mission, name, **fields):
     return replace(mission, streams={**mission.streams, name: replace(mission.streams[name], **fields)})
 
 
+def calibrated(vehicle):
+    """The same with constants as states: of the inertial unit, and the lever arm of a sensor."""
+    names = ("gyro_scale_sd", "gyro_misalignment_sd_rad", "accel_scale_sd", "accel_misalignment_sd_rad")
+    sensors, unit = dict(vehicle.sensors), dict.fromkeys(names, 1e-3)
+    sensors["dvl"] = replace(sensors["dvl"], lever_arm_sd_m=(0.1, 0.1, 0.1))
+    return nf.Vehicle(replace(vehicle.drive, **unit), sensors)
+
+
 def with_defects(mission):
     """Outliers in a row, a reading repeated for long, one that is none, a stamp twice, samples missing and impossible,
     an axis that sticks, standard deviations of single readings.
@@ -154,10 +162,13 @@ def test_what_python_has_to_be_asked_about_goes_one_by_one(monkeypatch):
     assert not calls
 
 
+@pytest.mark.parametrize("constants", [False, True])
 @pytest.mark.parametrize("defects", [False, True])
-def test_a_row_per_sample_is_what_the_vehicle_knew_then(defects, monkeypatch):
+def test_a_row_per_sample_is_what_the_vehicle_knew_then(defects, constants, monkeypatch):
     """In stretches, reading by reading and live, to the last bit; the rows at readings are those of any other rate."""
     vehicle, mission = survey(20.0)
+    if constants:
+        vehicle = calibrated(vehicle)
     if defects:
         mission = with_defects(survey(60.0)[1]).between(0.0, 50.0)
     monkeypatch.setattr(passage, "ROWS", 40)
@@ -238,8 +249,11 @@ def test_stretch_is_its_twin(learning, monkeypatch):
     assert (kernels.LEARN in compare_stretches(monkeypatch, vehicle, mission)) == learning
 
 
-def test_stretch_with_a_row_per_sample_is_its_twin(monkeypatch):
+@pytest.mark.parametrize("constants", [False, True])
+def test_stretch_with_a_row_per_sample_is_its_twin(constants, monkeypatch):
     vehicle, mission = survey(5.0)
+    if constants:
+        vehicle = calibrated(vehicle)
     compare_stretches(monkeypatch, vehicle, mission, smooth=False, output_rate_hz=None)
 
 

@@ -42,7 +42,7 @@ def steady(rng, elements=()):
     k = 6 + len(elements)
     drv, xd, _, _, Cr, _ = uncalibrated_drive(rng, 6, elements)
     drv[strapdown.PREVIOUS : strapdown.PREVIOUS + 6] = felt = [0.1, -0.05, 0.3, 0.2, -0.1, -9.7]
-    drv[strapdown.CALIBRATION : strapdown.CALIBRATION + len(elements)] = xd[6:]
+    drv[strapdown.CALIBRATION + np.array(elements, dtype=int)] = xd[6:]
     recent = np.column_stack([np.full(300, 0.01), np.tile(felt, (300, 1))])
     return drv, recent, Cr, xd[:k]
 

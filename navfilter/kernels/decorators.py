@@ -18,8 +18,9 @@ import numba
 from numba import config, types
 from numba.core import cgutils
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
-from numba.core.compiler_machinery import PassManager
+from numba.core.compiler_machinery import PassManager, register_pass
 from numba.core.extending import _Intrinsic
+from numba.core.typed_passes import NativeLowering
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import lower_builtin
 from numba.np.arrayobj import make_array, populate_array
@@ -36,8 +37,13 @@ _IDLE = {
 FROM, BELOW = (0, 65), (0, 69)
 KNOWN = FROM <= tuple(int(part) for part in numba.__version__.split(".")[:2]) < BELOW
 
+#: What is worth vectors is written in vectors (`strapdown`, `kalman`, `registers`): those that LLVM makes of loops over
+#: two to four dozen numbers are no quicker, and double the code that it has to look through.
+OPTIMISER = {"LOOP_VECTORIZE": 0, "SLP_VECTORIZE": 0}
+
 _settings: Any = config
 _Base: Any = _Intrinsic
+_Native: Any = NativeLowering
 
 
 def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
@@ -140,9 +146,25 @@ class _Lean(CompilerBase):
         passes = PassManager("kernel")
         for kind, text in DefaultPassBuilder.define_nopython_pipeline(self.state).passes:
             if kind.__name__ not in _IDLE:
-                passes.add_pass(kind, text)
+                passes.add_pass(_Lowering if kind is NativeLowering else kind, text)
         passes.finalize()
         return [passes]
+
+
+@register_pass(mutates_CFG=True, analysis_only=False)
+class _Lowering(_Native):
+    """numba's, with `OPTIMISER` in force: it compiles one function at a time."""
+
+    _name = "kernel_lowering"
+
+    def run_pass(self, state: Any) -> bool:
+        before = {name: getattr(_settings, name) for name in OPTIMISER}
+        try:
+            vars(_settings).update(OPTIMISER)
+            done: bool = super().run_pass(state)
+        finally:
+            vars(_settings).update(before)
+        return done
 
 
 class Inner:

@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from navfilter.kernels import addresses, checksum, measurement, strapdown
-from navfilter.kernels.decorators import apart, njit
+from navfilter.kernels.decorators import apart, njit, shaped
 
 #: Of kernels that allocate nothing: numba is not to count references to arrays, see `navfilter.kernels`.
 UNCOUNTED: dict = {"_nrt": False}
@@ -32,7 +32,7 @@ STEP = 1e-3
 #: So much more of the past is kept than the clock may be off: half of what a slope is taken over [s].
 MORE_S = 0.5
 #: Elements of what `sight` works in, but for those whose number the sensor says.
-ROOM = 156
+ROOM = 132
 #: Elements of `facts` of a sensor: whether its lever arm is a state, and its clock; whether it turns with the body; how
 #: long its readings wait [s]; from BY_ARM on what a lever arm does to its constants, row by row (constants, 3).
 ARM, CLOCK, TURNS, LEAD_S, BY_ARM = range(5)
@@ -56,37 +56,20 @@ def drive_outputs(sources):
         k, elements = len(xd), int(drv[strapdown.CALIBRATED])
         per = drv[strapdown.PERIOD_S] if drv[strapdown.INCREMENTS] != 0.0 else 1.0
         for i in range(6):
-            for j in range(k):
-                rows[i, j] = Cr[i, j]
-        for q in range(elements):
-            element = int(drv[strapdown.ELEMENTS + q])
-            channel = element // 3
-            for i in range(6):
-                rows[i, k - elements + q] = 0.0
-            rows[channel, k - elements + q] = drv[strapdown.PREVIOUS + 3 * (channel // 3) + element % 3] / per
-        for i in range(6):
             s = 0.0
-            for j in range(k):
-                s += rows[i, j] * xd[j]
+            for j in range(k - elements):
+                rows[i, j] = Cr[i, j]
+                s += Cr[i, j] * xd[j]
+            for j in range(k - elements, k):
+                rows[i, j] = 0.0
             errors[i] = s
+        for q in range(elements):
+            element, j = int(drv[strapdown.ELEMENTS + q]), k - elements + q
+            channel = element // 3
+            rows[channel, j] = drv[strapdown.PREVIOUS + 3 * (channel // 3) + element % 3] / per
+            errors[channel] += rows[channel, j] * xd[j]
 
     return drive_outputs
-
-
-@_keyed
-def _element(sources):
-    @njit(cache=True, **UNCOUNTED)
-    def _element(drv, element):
-        """By how much an axis enters a channel of its triad, as the unit is not calibrated: three axes of each of six
-        channels; 0 where that is no state.
-        """
-        _ = sources
-        for q in range(int(drv[strapdown.CALIBRATED])):
-            if int(drv[strapdown.ELEMENTS + q]) == element:
-                return drv[strapdown.CALIBRATION + q]
-        return 0.0
-
-    return _element
 
 
 @_keyed
@@ -116,16 +99,15 @@ def inertial_motion(sources):
                     rows[1 + i, j] = recent[i, j] / per
         for c in (0, 3):
             x, y, z = rows[0, 1 + c], rows[0, 2 + c], rows[0, 3 + c]
-            at = 3 * c
-            xx, xy, xz = _element(drv, at), _element(drv, at + 1), _element(drv, at + 2)
-            yx, yy, yz = _element(drv, at + 3), _element(drv, at + 4), _element(drv, at + 5)
-            zx, zy, zz = _element(drv, at + 6), _element(drv, at + 7), _element(drv, at + 8)
+            M = drv[strapdown.CALIBRATION + 3 * c : strapdown.CALIBRATION + 3 * c + 9]
+            xx, xy, xz, yx, yy, yz, zx, zy, zz = M[0], M[1], M[2], M[3], M[4], M[5], M[6], M[7], M[8]
+            ex, ey, ez = errors[c], errors[c + 1], errors[c + 2]
             for i in range(k + 1):
                 # by how much other readings than the last err otherwise, as the unit is not calibrated
                 u, v, w = rows[i, 1 + c] - x, rows[i, 2 + c] - y, rows[i, 3 + c] - z
-                rows[i, 1 + c] -= errors[c] + xx * u + xy * v + xz * w
-                rows[i, 2 + c] -= errors[c + 1] + yx * u + yy * v + yz * w
-                rows[i, 3 + c] -= errors[c + 2] + zx * u + zy * v + zz * w
+                rows[i, 1 + c] -= ex + xx * u + xy * v + xz * w
+                rows[i, 2 + c] -= ey + yx * u + yy * v + yz * w
+                rows[i, 3 + c] -= ez + zx * u + zy * v + zz * w
         gravity[0] = strapdown.gravity(nav[0], nav[2])
 
     return inertial_motion
@@ -178,32 +160,26 @@ def reckoned_motion(sources):
 @_keyed
 def _by_drive(sources):
     @njit(cache=True, **UNCOUNTED)
-    def _by_drive(now, then, B, late_s, outputs, inner, m, H, work):
-        """What errors of rates and forces do to a state that is carried back by them, in the columns of H of the
-        drive's states, 9 to m; `B` holds what the forces have gathered (`measurement.earlier`). work: 24.
+    def _by_drive(now, then, B, late_s, outputs, u, row):
+        """What errors of rates and forces do to a reading through a state that is carried back by them, into row (k,),
+        by the drive's states; u: derivative of the reading by that state. `B` holds what the forces have gathered
+        (`measurement.earlier`).
         """
         _ = sources
-        middle, by, rates, forces = work[:9].reshape((3, 3)), work[9:18], work[18:21], work[21:24]
-        for i in range(3):
-            for j in range(3):
-                middle[i, j] = 0.5 * (now[6 + 3 * i + j] + then[6 + 3 * i + j])
-        for s in range(m - 9):
+        for s in range(len(row)):
+            row[s] = 0.0
+        for j in range(3):
+            by_rate, by_force = 0.0, 0.0
             for i in range(3):
-                rates[i], forces[i] = 0.0, 0.0
-                for j in range(3):
-                    rates[i] += middle[i, j] * outputs[j, s]
-                    forces[i] += middle[i, j] * outputs[3 + j, s]
-            for i in range(3):
-                # a tilt that grows on the way back turns the forces: half of what the whole of it would do, a third
-                # to the place
-                turned = B[3 + i, 6] * rates[0] + B[3 + i, 7] * rates[1] + B[3 + i, 8] * rates[2]
-                by[i] = -0.5 * late_s * late_s * (forces[i] + turned / 3.0)
-                by[3 + i], by[6 + i] = late_s * (forces[i] + 0.5 * turned), late_s * rates[i]
-            for i in range(H.shape[0]):
-                t = 0.0
-                for j in range(9):
-                    t += inner[i, j] * by[j]
-                H[i, 9 + s] = t
+                # a tilt that grows on the way back turns the forces: half of what the whole of it would do, a third to
+                # the place
+                pushed, turned = late_s * u[3 + i] - 0.5 * late_s * late_s * u[i], late_s * u[6 + i]
+                for r in range(3):
+                    turned += (0.5 * late_s * u[3 + r] - late_s * late_s / 6.0 * u[r]) * B[3 + r, 6 + i]
+                middle = 0.5 * (now[6 + 3 * i + j] + then[6 + 3 * i + j])
+                by_rate, by_force = by_rate + turned * middle, by_force + pushed * middle
+            for s in range(len(row)):
+                row[s] += by_rate * outputs[j, s] + by_force * outputs[3 + j, s]
 
     return _by_drive
 
@@ -389,12 +365,12 @@ def _sight(sources):
         a, last = near.shape[0], near.shape[1] - 10
         own = last + 1 - (3 if arm else 0) - (1 if clock else 0)
         kind, k, late_s = par[:own], len(xd), 0.0
-        then, turn, gravity, errors, spare = work[:17], work[17:23], work[23:24], work[24:30], work[30:54]
-        slope, B, told, work = work[54:72].reshape((2, 9)), work[72:153].reshape((9, 9)), work[153:156], work[ROOM:]
+        then, turn, gravity, errors = work[:17], work[17:23], work[23:24], work[24:30]
+        slope, B, told, work = shaped(work[30:48], 2, 9), shaped(work[48:129], 9, 9), work[129:132], work[ROOM:]
         constants, moved, work = work[: len(cfg)], work[len(cfg) : 2 * len(cfg)], work[2 * len(cfg) :]
-        outputs, work = work[: 6 * k].reshape((6, k)), work[6 * k :]
+        outputs, work = shaped(work[: 6 * k], 6, k), work[6 * k :]
         ends, base, work = work[:a], work[a : 2 * a], work[2 * a :]
-        inner, work = work[: a * (9 + own)].reshape((a, 9 + own)), work[a * (9 + own) :]
+        inner, work = shaped(work[: a * (9 + own)], a, 9 + own), work[a * (9 + own) :]
         for i in range(len(cfg)):
             constants[i] = cfg[i]
             if arm:
@@ -405,7 +381,7 @@ def _sight(sources):
         long_s = slope_s(variance) if clock else 2.0 * WINDOW_S
         known = math.ceil((since_s + (abs(par[last]) if clock else 0.0) + 0.5 * long_s) / drv[strapdown.PERIOD_S]) + 3
         known = min(recent.shape[0], max(2, known))
-        rows = work[: 7 * (known + 1)].reshape((known + 1, 7))
+        rows = shaped(work[: 7 * (known + 1)], known + 1, 7)
         addresses.at_motion(motion, (recent[:known], nav, drv, errors, rows, gravity))
         if clock:
             late_s = since_s + par[last]
@@ -417,14 +393,16 @@ def _sight(sources):
                 near[i, j] = inner[i, j]
         if clock:
             for i in range(a):
-                near[i, 9 + last] = 0.0
+                u, told_by_clock = inner[i], 0.0
                 for j in range(9):
-                    near[i, j] = 0.0
-                    near[i, 9 + last] -= inner[i, j] * slope[0, j]
-                    for r in range(9):
-                        near[i, j] += inner[i, r] * B[r, j]
-            if gravity[0] != 0.0:
-                _by_drive(nav, then, B, late_s, outputs, inner, 9 + k, H, spare)
+                    told_by_clock -= u[j] * slope[0, j]
+                near[i, 9 + last] = told_by_clock
+                for j in range(3):
+                    near[i, 3 + j] += u[j] * B[j, 3 + j]
+                    for r in range(6):
+                        near[i, 6 + j] += u[r] * B[r, 6 + j]
+                if gravity[0] != 0.0:
+                    _by_drive(nav, then, B, late_s, outputs, u, H[i][9 : 9 + k])
         if arm:
             for j in range(3):
                 told[j] = turn[j]

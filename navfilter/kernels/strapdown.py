@@ -65,7 +65,7 @@ ATTITUDE_CLOCK, VELOCITY_CLOCK, ARM, CHANGE, PREVIOUS_VELOCITY, KNOWN_VELOCITY, 
 # 1: dead reckoning has a scale of the velocity for each axis, 0: one for all.
 SCALE_STEP = 87
 # An inertial unit that is not calibrated, true = reading - M reading - errors: how many elements of M are states, the
-# last of the drive's; which they are (3 * channel + axis each); and what they are thought to be.
+# last of the drive's; which they are (3 * channel + axis each); and what all 18 are thought to be, 0 for the others.
 CALIBRATED, ELEMENTS, CALIBRATION = 88, 89, 107
 # Dead reckoning through water: place of the current, north and east, among the drive's states (-1: over ground).
 CURRENT = 125
@@ -85,6 +85,10 @@ DRIVE_SIZE = 143
 CHANGE_S = 0.1  # what changes is a mean over so long, for readings that come faster are noisy
 MOST_TICKS = 10000.0  # of the drive's blocks in one step
 WIDE = 8  # columns of a panel: rows of so many are one register, or two
+# Work of the inertial kernels, one array as every further one costs its call: increments (6), elements of the
+# transition (34), rows of errors (6 * WIDE); then how errors enter the readings, one number a pair of `_which_errors`,
+# the same of constants, six rows to a panel, and rows of the drive's blocks.
+INCREMENT, STEP, ROWS, GAINS = 0, 6, 40, 40 + 6 * WIDE
 GAP_PERIODS = 3.0  # a silence of more than this many periods is a gap: what the vehicle did in it is unknown
 
 
@@ -294,10 +298,11 @@ def integrate(nav, drv, samples, out):
 
 @apart
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
-def _inertial_advance(nav, xd, inc, dt, drv, seen, gain, noisy, f):
+def _inertial_advance(nav, xd, dt, drv, seen, noisy, work):
     """One strapdown step with the drive's errors taken off; leaves the elements of its transition, of second order in
-    dt, in f (34,) for `_carried`. seen, gain, noisy: as `_which_errors` has it.
+    dt, in `work` for `_carried`. seen, noisy, gains: as `_which_errors` has it.
     """
+    inc, f, gain = work[:STEP], work[STEP:ROWS], work[GAINS:]
     C, mid = drv[MEAN_C : MEAN_C + 9], f[:12]
     for p in range(noisy):
         inc[seen[0, p]] -= dt * gain[p] * xd[seen[1, p]]
@@ -423,40 +428,47 @@ def _build_carry_panel(context, builder, kinds, arguments):
 
 @apart
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
-def _inertial_carry(X, f, C, seen, gain, kinds, E, m, Phi_ends):
-    """Rows 0 to 8 of X (panels of (m, m) matrices) from the left by the transition of one step, see `_carried`.
+def _inertial_carry(X, work, C, seen, kinds, moving, Phi_ends):
+    """Rows 0 to 8 of X (panels of matrices with a row for each state that moves) from the left by the transition of one
+    step, see `_carried`.
 
-    seen, gain, kinds: as `_which_errors` has it; E (6 * WIDE,): work, where states enter the readings in another way
-    than plainly. A constant is a unit row of Phi, which ends at `Phi_ends`, and has no noise.
+    seen, kinds: as `_which_errors` has it. Rows of errors are put together where states enter the readings in another
+    way than plainly. A constant is a unit row of Phi, which ends at `Phi_ends`, and has no noise: to its columns of Phi
+    come the rows that `_uncalibrated` leaves.
     """
-    noisy, plain, moving = kinds
-    dt, direct, size = f[0], plain and noisy == gain.size, _high(m) * WIDE
-    for begin in range(0, X.size, size):
-        Z = X[begin : begin + size]
-        if direct:
+    count, noisy, plain, varying = kinds
+    f, E, gain, G = work[STEP:ROWS], work[ROWS:GAINS], work[GAINS:], work[GAINS + seen.shape[1] :]
+    dt, direct, high = f[0], plain and noisy == varying, _high(moving)
+    for left in range(0, X.size // high, WIDE):
+        begin = left * high
+        Z = X[begin : begin + high * WIDE]
+        constant = varying < count and begin < Phi_ends and left + WIDE > moving
+        if direct and not constant:
             _carry_panel(Z, Z[9 * WIDE :], dt, f, C)
+            continue
+        if constant and left >= moving:
+            _carry_panel(Z, G[6 * left :], dt, f, C)
             continue
         for j in range(6 * WIDE):
             E[j] = Z[9 * WIDE + j] if plain else 0.0
-        for p in range(noisy if plain else 0, moving):
+        for p in range(noisy if plain else 0, varying):
             row, of = WIDE * seen[0, p], WIDE * (9 + seen[1, p])
             for j in range(WIDE):
                 E[row + j] += gain[p] * Z[of + j]
-        left = begin // _high(m)
-        for p in range(moving, gain.size if begin < Phi_ends else moving):
-            column = 9 + seen[1, p] - left
-            if 0 <= column < WIDE:
-                E[WIDE * seen[0, p] + column] += gain[p]
+        if constant:
+            enters = G[6 * left :]
+            for j in range(6 * WIDE):
+                E[j] += enters[j]
         _carry_panel(Z, E, dt, f, C)
 
 
 @apart
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
-def _tick_rows(X, Phid, diagonal, T, m):
+def _tick_rows(X, Phid, diagonal, T, moving):
     """Rows from 9 on of X (panels) from the left by the transition of the drive's blocks; T (k * WIDE,): work."""
-    k = m - 9
-    for begin in range(0, X.size, _high(m) * WIDE):
-        Z = X[begin + 9 * WIDE : begin + m * WIDE]
+    k = moving - 9
+    for begin in range(0, X.size, _high(moving) * WIDE):
+        Z = X[begin + 9 * WIDE : begin + moving * WIDE]
         if diagonal:
             for i in range(k):
                 c = Phid[i, i]
@@ -537,59 +549,62 @@ def _transpose(X, m):
 
 @apart
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
-def _tick_drive(xd, Phid, Qd, diagonal, T, Q, m):
+def _tick_drive(xd, Phid, Qd, diagonal, T, Q, moving):
     """A tick of the drive's blocks: their mean, and their noise into Q (panels)."""
-    k = m - 9
+    k = moving - 9
     if diagonal:
         for i in range(k):
             xd[i] *= Phid[i, i]
             if Qd[i, i] != 0.0:
-                Q[_place(9 + i, 9 + i, m)] += Qd[i, i]
+                Q[_place(9 + i, 9 + i, moving)] += Qd[i, i]
         return
     for i in range(k):
         T[i] = 0.0
         for j in range(k):
             T[i] += Phid[i, j] * xd[j]
             if Qd[i, j] != 0.0:
-                Q[_place(9 + i, 9 + j, m)] += Qd[i, j]
+                Q[_place(9 + i, 9 + j, moving)] += Qd[i, j]
     for i in range(k):
         xd[i] = T[i]
 
 
 @njit(cache=True, error_model="numpy", inline="always", **UNCOUNTED)
-def _inertial_compound(xd, Phid, Qd, ticking, ticks, C, f, seen, gain, kinds, E, T, both, Q, gathered):
-    """Compound Phi <- F Phi, Q <- F Q F' with the step that `_inertial_advance` left in f; the drive's blocks tick, and
-    their mean too.
+def _inertial_compound(xd, Phid, Qd, ticking, ticks, C, seen, kinds, work, both, Q, gathered, moving):
+    """Compound Phi <- F Phi, Q <- F Q F' with the step that `_inertial_advance` left in `work`; the drive's blocks
+    tick, and their mean too.
 
     ticking: whether a tick is diagonal, and whether nothing but noise comes with it. both: panels of Phi and behind
     them Q, those of Q; gathered: whether there is any noise yet. Q F' is formed as (F Q)', Q being symmetric.
     """
-    diagonal, walks = ticking
-    m = 9 + len(xd)
+    (diagonal, walks), T = ticking, work[work.size - WIDE * len(xd) :]
     Phi_ends = both.size - Q.size
     moved = both if gathered else both[:Phi_ends]
-    _inertial_carry(moved, f, C, seen, gain, kinds, E, m, Phi_ends)
+    _inertial_carry(moved, work, C, seen, kinds, moving, Phi_ends)
     if ticks > 0 and not walks:
-        _tick_rows(moved, Phid, diagonal, T, m)
+        _tick_rows(moved, Phid, diagonal, T, moving)
     if gathered:
-        _transpose(Q, m)
-        _inertial_carry(Q, f, C, seen, gain, kinds, E, m, int(0))
+        _transpose(Q, moving)
+        _inertial_carry(Q, work, C, seen, kinds, moving, int(0))
     for count in range(ticks):
         if count > 0 and not walks:
-            _tick_rows(both, Phid, diagonal, T, m)
-            _transpose(Q, m)
+            _tick_rows(both, Phid, diagonal, T, moving)
+            _transpose(Q, moving)
         if (gathered or count > 0) and not walks:
-            _tick_rows(Q, Phid, diagonal, T, m)
-        _tick_drive(xd, Phid, Qd, diagonal, T, Q, m)
+            _tick_rows(Q, Phid, diagonal, T, moving)
+        if walks:
+            for i in range(moving - 9):
+                Q[_place(9 + i, 9 + i, moving)] += Qd[i, i]
+        else:
+            _tick_drive(xd, Phid, Qd, diagonal, T, Q, moving)
 
 
 @apart
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
-def _inertial_noise(dt, drv, Cr, Q, m):
+def _inertial_noise(dt, drv, Cr, Q, moving):
     """White noise of one step, into the panels of Q: variance r per sample means an angle (velocity) variance r *
     period per second.
     """
-    C, k = drv[MEAN_C : MEAN_C + 9], m - 9
+    C, k = drv[MEAN_C : MEAN_C + 9], Cr.shape[1] - 1
     period = drv[PERIOD_S] * max(dt, 0.0)
     a0, a1, a2 = Cr[0, k] * period, Cr[1, k] * period, Cr[2, k] * period
     v0, v1, v2 = Cr[3, k] * period, Cr[4, k] * period, Cr[5, k] * period
@@ -604,30 +619,42 @@ def _inertial_noise(dt, drv, Cr, Q, m):
         x, y, z = C[3 * i], C[3 * i + 1], C[3 * i + 2]
         for j in range(3):
             xx, yy, zz = x * C[3 * j], y * C[3 * j + 1], z * C[3 * j + 2]
-            Q[_place(6 + i, 6 + j, m)] += xx * a0 + yy * a1 + zz * a2
+            Q[_place(6 + i, 6 + j, moving)] += xx * a0 + yy * a1 + zz * a2
             speed = xx * v0 + yy * v1 + zz * v2
-            Q[_place(3 + i, 3 + j, m)] += speed
+            Q[_place(3 + i, 3 + j, moving)] += speed
             if gap:
-                Q[_place(i, j, m)] += speed * 0.25 * dt * dt
-                Q[_place(i, 3 + j, m)] += speed * 0.5 * dt
-                Q[_place(3 + i, j, m)] += speed * 0.5 * dt
+                Q[_place(i, j, moving)] += speed * 0.25 * dt * dt
+                Q[_place(i, 3 + j, moving)] += speed * 0.5 * dt
+                Q[_place(3 + i, j, moving)] += speed * 0.5 * dt
 
 
 @apart
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
-def _uncalibrated(inc, dt, xd, drv, work, seen, gain):
-    """Take the calibration errors off the increments, and note by how much (gain) each element of M enters: as the
-    reading of its axis. Over no time at all that is no number, and nothing to speak of.
+def _uncalibrated(dt, drv, seen, begin, end, work):
+    """Take the calibration errors off the increments, and note by how much each element of M enters, as one of the
+    pairs from begin to end, and as a constant: as the reading of its axis. Over no time at all that is no number, and
+    nothing to speak of.
     """
-    first = len(xd) - int(drv[CALIBRATED])
-    for i in range(6):
-        work[i] = inc[i]
-    for p in range(gain.size):
-        q = seen[1, p] - first
-        reading = work[3 * (seen[0, p] // 3) + int(drv[ELEMENTS + q]) % 3]
-        inc[seen[0, p]] -= xd[first + q] * reading
-        gain[p] = reading / dt if dt != 0.0 else 0.0
-        drv[CALIBRATION + q] = xd[first + q]
+    inc, readings, gain, M = work[:STEP], work[STEP : STEP + 6], work[GAINS:], drv[CALIBRATION : CALIBRATION + 18]
+    G = gain[seen.shape[1] :]
+    for c in (0, 3):
+        x, y, z = inc[c], inc[c + 1], inc[c + 2]
+        for i in range(3):
+            of = 3 * (c + i)
+            readings[c + i] = inc[c + i] / dt if dt != 0.0 else 0.0
+            inc[c + i] = inc[c + i] - M[of] * x - M[of + 1] * y - M[of + 2] * z
+    for p in range(begin, end):
+        gain[p] = G[seen[3, p]] = readings[seen[2, p]]
+
+
+@njit(cache=True, error_model="numpy", **UNCOUNTED)
+def _note_calibration(xd, drv):
+    """Write down what all elements of M are thought to be."""
+    elements = int(drv[CALIBRATED])
+    for i in range(18 if elements > 0 else 0):
+        drv[CALIBRATION + i] = 0.0
+    for q in range(elements):
+        drv[CALIBRATION + int(drv[ELEMENTS + q])] = xd[len(xd) - elements + q]
 
 
 @apart
@@ -645,10 +672,11 @@ def _constants(Phid, Qd, drv):
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _which_errors(Cr, drv, constants, seen, gain):
     """Which of the six readings (row 0 of seen) which of the drive's states (row 1) enters, and by how much (gain):
-    first the states of its error models, then the elements of M, whose gains follow from the readings.
+    first the states of its error models, then the elements of M, whose gains follow from the readings (of the axis in
+    row 2; row 3: where in six rows to a panel they stand).
 
-    Returns how many such pairs there are, and kinds: how many of the first, whether these are plain, one state a
-    reading, in their order, as it is, and how many pairs are of states that are no constants.
+    Returns how many such pairs there are, how many of the first, whether these are plain, one state a reading, in their
+    order, as it is, and how many pairs are of states that are no constants.
     """
     elements = int(drv[CALIBRATED])
     count, plain = 0, True
@@ -660,16 +688,19 @@ def _which_errors(Cr, drv, constants, seen, gain):
                 count += 1
     noisy = count
     for q in range(elements):
-        seen[0, count], seen[1, count] = int(drv[ELEMENTS + q]) // 3, Cr.shape[1] - 1 - elements + q
+        element, state = int(drv[ELEMENTS + q]), Cr.shape[1] - 1 - elements + q
+        reading, column = element // 3, 9 + state
+        seen[0, count], seen[1, count], seen[2, count] = reading, state, 3 * (reading // 3) + element % 3
+        seen[3, count] = (6 * (column // WIDE) + reading) * WIDE + column % WIDE
         gain[count] = 0.0
         count += 1
-    return count, (noisy, plain and noisy == 6, count - constants)
+    return count, noisy, plain and noisy == 6, count - constants
 
 
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
-def _is_diagonal(A):
-    for i in range(A.shape[0]):
-        for j in range(A.shape[0]):
+def _is_diagonal(A, k):
+    for i in range(k):
+        for j in range(k):
             if i != j and A[i, j] != 0.0:
                 return False
     return True
@@ -712,24 +743,29 @@ def _build_copy_row(context, builder, kinds, arguments):
 
 @apart
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
-def _to_panels(M, X, m):
-    """Fill panels X from the rows of a matrix of m columns at the beginning of M, which is longer."""
-    high = _high(m)
-    for column in range(0, m, WIDE):
+def _to_panels(M, X, m, moving):
+    """Fill panels X with the rows of the states that move, of a matrix of m columns at the beginning of M, which is
+    longer.
+    """
+    high = _high(moving)
+    for column in range(0, X.size // high, WIDE):
         begin, known = column * high, min(WIDE, m - column)
-        for i in range(m):
+        for i in range(moving):
             _copy_row(X, begin + i * WIDE, M, i * m + column, known)
-        for i in range(m, high):
+        for i in range(moving, high):
             _copy_row(X, begin + i * WIDE, M, int(0), int(0))
 
 
 @apart
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
-def _from_panels(X, M, m):
-    """The way back. What it writes too much is overwritten by the next row; behind the last row M is work space."""
-    high, whole = _high(m), int(WIDE)
-    for i in range(m):
-        for column in range(0, m, WIDE):
+def _from_panels(X, M, m, moving):
+    """The way back. What it writes too much is overwritten by the next row; behind the last row M is work space, or
+    begins the row of a constant, with zeros.
+    """
+    high, whole = _high(moving), int(WIDE)
+    columns = X.size // high
+    for i in range(moving):
+        for column in range(0, columns, WIDE):
             _copy_row(M, i * m + column, X, column * high + i * WIDE, whole)
 
 
@@ -785,21 +821,19 @@ def _place(i, j, m):
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _room(m):
     """Elements of the work space of the inertial kernels for a head of m states."""
-    return WIDE + 2 * _high(m) * _high(m) + (m - 3) * WIDE + 40 + 6 * (m - 9)
+    return WIDE + 2 * _high(m) * _high(m) + GAINS + 6 * (m - 9) + 6 * _high(m) + WIDE * (m - 9)
 
 
 @apart
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
-def _workspace(floats, m):
-    """Its parts: panels of Phi and Q, from where a line of the cache begins, for their rows are as long as lines; rows
-    of errors and of blocks, increments, elements of the transition, gains.
+def _workspace(floats, m, moving):
+    """Its parts: panels of Phi and Q, from where a line of the cache begins, for their rows are as long as lines; those
+    of Q; and work, see `GAINS`.
     """
-    begin, k = -(floats.ctypes.data // 8) % WIDE, m - 9
-    E = begin + 2 * _high(m) * _high(m)
-    T = E + 6 * WIDE
-    inc = T + k * WIDE
-    gain = inc + 40
-    return floats[begin:E], floats[E:T], floats[T:inc], floats[inc : inc + 6], floats[inc + 6 : gain], floats[gain:]
+    begin, high = -(floats.ctypes.data // 8) % WIDE, _high(moving)
+    Q = begin + high * _high(m)
+    end = Q + high * high
+    return floats[begin:end], floats[Q:end], floats[end : end + GAINS + 6 * _high(m) + (6 + WIDE) * (m - 9)]
 
 
 @njit(cache=True, error_model="numpy")
@@ -809,7 +843,7 @@ def imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
     Increments already used by `imu_hold` since the previous sample are taken off, so that holds change when the state
     is known, not what it becomes. Savage (1998), parts 1 and 2; Groves (2013), ch. 5.
     """
-    floats, seen = np.empty(_room(9 + len(xd))), np.empty((2, 6 * len(xd)), np.int64)
+    floats, seen = np.empty(_room(9 + len(xd))), np.empty((4, 6 * len(xd)), np.int64)
     _imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc, floats, seen, samples[:0])
 
 
@@ -818,30 +852,28 @@ def imu_traced(nav, xd, drv, samples, Phid, Qd, Cr, acc, trace):
     """`imu_steps` that leaves in the rows of `trace`, if it has any, what each sample leaves: nav, xd, Phi and Q, and
     WIDE elements of work space.
     """
-    floats, seen = np.empty(_room(9 + len(xd))), np.empty((2, 6 * len(xd)), np.int64)
+    floats, seen = np.empty(_room(9 + len(xd))), np.empty((4, 6 * len(xd)), np.int64)
     _imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc, floats, seen, trace)
 
 
 @njit(cache=True, error_model="numpy", inline="always", **UNCOUNTED)
-def _begin(Phid, Qd, Cr, drv, acc, panels, seen, gain):
-    """Lay out what is compounded; how many errors there are and of which kinds, how many elements the panels that
-    change have, how blocks tick, and whether there is any noise yet.
+def _begin(Phid, Qd, Cr, drv, acc, both, Q, seen, gain, moving):
+    """Lay out what is compounded; which errors there are, how blocks tick, and whether there is any noise yet. Only
+    rows of states that move: constants gather no noise.
     """
     m, rows = acc.shape[1], flat(acc)
-    constants = _constants(Phid, Qd, drv)
-    count, kinds = _which_errors(Cr, drv, constants, seen, gain)
-    size = _high(m) * _high(m)
-    _to_panels(rows, panels[:size], m)
-    _to_panels(rows[m * m :], panels[size:], m)
+    kinds = _which_errors(Cr, drv, m - moving, seen, gain)
+    _to_panels(rows, both[: both.size - Q.size], m, moving)
+    _to_panels(rows[m * m :], Q, m, moving)
     gathered = 0  # a variance of 0 has covariances of 0
-    for i in range(m):
+    for i in range(moving):
         gathered += acc[m + i, i] != 0.0
-    # constants gather no noise
-    changes = size + _high(m - constants) * _high(m)
-    diagonal, ones = _is_diagonal(Phid) and _is_diagonal(Qd), 0
-    for i in range(m - 9):
+    for i in range(6 * _high(m) if moving < m else 0):
+        gain[seen.shape[1] + i] = 0.0
+    diagonal, ones = _is_diagonal(Phid, moving - 9) and _is_diagonal(Qd, moving - 9), 0
+    for i in range(moving - 9):
         ones += Phid[i, i] == 1.0
-    return count, kinds, changes, (diagonal, diagonal and ones == m - 9), gathered > 0
+    return kinds, (diagonal, diagonal and ones == moving - 9), gathered > 0
 
 
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
@@ -854,20 +886,27 @@ def _trace(nav, xd, row):
 
 @apart
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
-def _trace_panels(nav, xd, panels, trace, n):
-    row, m, size = trace[n], 9 + len(xd), panels.size // 2
+def _trace_panels(nav, xd, acc, both, Q, moving, trace, n):
+    """What a sample leaves, into row n; rows of constants, and their columns of Q, are those of acc."""
+    row, m = trace[n], acc.shape[1]
     _trace(nav, xd, row)
-    _from_panels(panels[:size], row[8 + m :], m)
-    _from_panels(panels[size:], row[8 + m + m * m :], m)
+    if moving < m:
+        before = flat(acc)
+        for i in range(2 * m * m):
+            row[8 + m + i] = before[i]
+    _from_panels(both[: both.size - Q.size], row[8 + m :], m, moving)
+    _from_panels(Q, row[8 + m + m * m :], m, moving)
 
 
 @apart
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc, floats, seen, trace):
     m = 9 + len(xd)
-    panels, E, T, inc, f, gain = _workspace(floats, m)
-    count, kinds, changes, ticking, gathered = _begin(Phid, Qd, Cr, drv, acc, panels, seen, gain)
-    C, both, Q = drv[MEAN_C : MEAN_C + 9], panels[:changes], panels[panels.size // 2 : changes]
+    moving = m - _constants(Phid, Qd, drv)
+    both, Q, work = _workspace(floats, m, moving)
+    kinds, ticking, gathered = _begin(Phid, Qd, Cr, drv, acc, both, Q, seen, work[GAINS:], moving)
+    _note_calibration(xd, drv)
+    C, inc = drv[MEAN_C : MEAN_C + 9], work[:STEP]
     for n in range(samples.shape[0]):
         _increments(samples, n, drv, inc)
         drv[COUNT] += 1.0
@@ -877,45 +916,49 @@ def _imu_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc, floats, seen, trace):
         dt = samples[n, 0] - drv[HELD_S]
         drv[HELD_S] = 0.0
         if drv[CALIBRATED] != 0.0:
-            _uncalibrated(inc, dt, xd, drv, f, seen[:, kinds[0] :], gain[kinds[0] : count])
-        _inertial_advance(nav, xd, inc, dt, drv, seen, gain, kinds[0], f)
+            if kinds[3] == kinds[0]:  # they are no constants
+                _note_calibration(xd, drv)
+            _uncalibrated(dt, drv, seen, kinds[1], kinds[0], work)
+        _inertial_advance(nav, xd, dt, drv, seen, kinds[1], work)
         ticks = _ticks(samples[n, 0], drv)
-        _inertial_compound(xd, Phid, Qd, ticking, ticks, C, f, seen, gain[:count], kinds, E, T, both, Q, gathered)
-        _inertial_noise(dt, drv, Cr, Q, m)
+        _inertial_compound(xd, Phid, Qd, ticking, ticks, C, seen, kinds, work, both, Q, gathered, moving)
+        _inertial_noise(dt, drv, Cr, Q, moving)
         gathered = True
         # all samples or none; of a condition that stays the same the compiler made two loops, a tenth slower
         if n < trace.shape[0]:
-            _trace_panels(nav, xd, panels, trace, n)
-    _from_panels(panels[: panels.size // 2], flat(acc), m)
-    _from_panels(panels[panels.size // 2 :], flat(acc[m:]), m)
+            _trace_panels(nav, xd, acc, both, Q, moving, trace, n)
+    _from_panels(both[: both.size - Q.size], flat(acc), m, moving)
+    _from_panels(Q, flat(acc[m:]), m, moving)
 
 
 @njit(cache=True, error_model="numpy")
 def imu_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc):
     """Carry the state `dt` seconds past the last sample with that sample's rates; the blocks do not tick."""
     k = len(xd)
-    _imu_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc, np.empty(_room(9 + k)), np.empty((2, 6 * k), np.int64))
+    _imu_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc, np.empty(_room(9 + k)), np.empty((4, 6 * k), np.int64))
 
 
 @apart
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
 def _imu_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc, floats, seen):
     m = 9 + len(xd)
-    panels, E, T, inc, f, gain = _workspace(floats, m)
-    count, kinds, changes, ticking, gathered = _begin(Phid, Qd, Cr, drv, acc, panels, seen, gain)
-    C, both, Q = drv[MEAN_C : MEAN_C + 9], panels[:changes], panels[panels.size // 2 : changes]
+    moving = m - _constants(Phid, Qd, drv)
+    both, Q, work = _workspace(floats, m, moving)
+    kinds, ticking, gathered = _begin(Phid, Qd, Cr, drv, acc, both, Q, seen, work[GAINS:], moving)
+    _note_calibration(xd, drv)
+    C, inc = drv[MEAN_C : MEAN_C + 9], work[:STEP]
     scale = dt / drv[PERIOD_S] if drv[INCREMENTS] != 0.0 else dt
     for i in range(6):
         inc[i] = drv[PREVIOUS + i] * scale
         drv[CONSUMED + i] += inc[i]
     drv[HELD_S] += dt
     if drv[CALIBRATED] != 0.0:
-        _uncalibrated(inc, dt, xd, drv, f, seen[:, kinds[0] :], gain[kinds[0] : count])
-    _inertial_advance(nav, xd, inc, dt, drv, seen, gain, kinds[0], f)
-    _inertial_compound(xd, Phid, Qd, ticking, int(0), C, f, seen, gain[:count], kinds, E, T, both, Q, gathered)
-    _inertial_noise(dt, drv, Cr, Q, m)
-    _from_panels(panels[: panels.size // 2], flat(acc), m)
-    _from_panels(panels[panels.size // 2 :], flat(acc[m:]), m)
+        _uncalibrated(dt, drv, seen, kinds[1], kinds[0], work)
+    _inertial_advance(nav, xd, dt, drv, seen, kinds[1], work)
+    _inertial_compound(xd, Phid, Qd, ticking, int(0), C, seen, kinds, work, both, Q, gathered, moving)
+    _inertial_noise(dt, drv, Cr, Q, moving)
+    _from_panels(both[: both.size - Q.size], flat(acc), m, moving)
+    _from_panels(Q, flat(acc[m:]), m, moving)
 
 
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
