@@ -583,11 +583,15 @@ def body_velocity(z, nav, rate, par, cfg, H, res):
     C_bn = nav[6:15].reshape(3, 3).T
     y = A @ (C_bn @ nav[3:6] + np.cross(rate, arm))
     scale, mis = _scale_and_turn(par)
-    D = scale @ (np.eye(3) + skew(mis))
+    K = skew(mis)
+    turn = np.eye(3) + K + K @ K / 2
+    D = scale @ turn
     res[:], H[:] = z[:3] - D @ y, 0.0
     H[:, 3:6], H[:, 6:9] = D @ A @ C_bn, _attitude_columns(D @ A @ C_bn, nav[3:6])
     if len(par):
-        H[:, 9:] = _by_scale_and_turn(scale, mis, y, len(par) == 6)
+        by_scale, axes = np.diag(turn @ y), [skew(axis) for axis in np.eye(3)]
+        by_turn = [scale @ (E + (E @ K + K @ E) / 2) @ y for E in axes]
+        H[:, 9:] = np.column_stack([by_scale if len(par) == 6 else by_scale.sum(axis=1), *by_turn])
 
 
 def _bearing(n):

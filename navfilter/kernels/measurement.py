@@ -56,13 +56,17 @@ def _instrument_velocity(z, nav, v0, v1, v2, rate, par, first, cfg, H, res):
     if len(par) > first:
         g0, g1, g2 = 1.0 + par[first], 1.0 + par[first + step], 1.0 + par[first + 2 * step]
         a, b, c = par[turned], par[turned + 1], par[turned + 2]
-    t0, t1, t2 = y0 + b * y2 - c * y1, y1 + c * y0 - a * y2, y2 + a * y1 - b * y0
+    # a rotation, to second order: to first it lengthens a velocity, which a scale would have to take back
+    d0, d1, d2 = 1.0 - 0.5 * (b * b + c * c), 1.0 - 0.5 * (c * c + a * a), 1.0 - 0.5 * (a * a + b * b)
+    e01, e02, e10 = 0.5 * a * b - c, 0.5 * a * c + b, 0.5 * a * b + c
+    e12, e20, e21 = 0.5 * b * c - a, 0.5 * a * c - b, 0.5 * b * c + a
+    t0, t1, t2 = d0 * y0 + e01 * y1 + e02 * y2, e10 * y0 + d1 * y1 + e12 * y2, e20 * y0 + e21 * y1 + d2 * y2
     res[0], res[1], res[2] = z[0] - g0 * t0, z[1] - g1 * t1, z[2] - g2 * t2
     for j in range(3):
         a0, a1, a2 = H[0, 3 + j], H[1, 3 + j], H[2, 3 + j]
-        H[0, 3 + j] = g0 * (a0 + b * a2 - c * a1)
-        H[1, 3 + j] = g1 * (a1 + c * a0 - a * a2)
-        H[2, 3 + j] = g2 * (a2 + a * a1 - b * a0)
+        H[0, 3 + j] = g0 * (d0 * a0 + e01 * a1 + e02 * a2)
+        H[1, 3 + j] = g1 * (e10 * a0 + d1 * a1 + e12 * a2)
+        H[2, 3 + j] = g2 * (e20 * a0 + e21 * a1 + d2 * a2)
     for i in range(3):
         # C_nb' turns by -phi: d(C' v) = -C' (phi x v) = C' (v x phi)
         h0, h1, h2 = H[i, 3], H[i, 4], H[i, 5]
@@ -72,9 +76,12 @@ def _instrument_velocity(z, nav, v0, v1, v2, rate, par, first, cfg, H, res):
     if len(par) > first:
         s, m = 9 + first, 9 + turned
         H[0, s], H[1, s + step], H[2, s + 2 * step] = t0, t1, t2
-        H[0, m + 1], H[0, m + 2] = g0 * y2, -g0 * y1
-        H[1, m], H[1, m + 2] = -g1 * y2, g1 * y0
-        H[2, m], H[2, m + 1] = g2 * y1, -g2 * y0
+        # e_k x y, and half of what both factors of m x (m x y) give
+        H[0, m], H[1, m + 1] = 0.5 * g0 * (b * y1 + c * y2), 0.5 * g1 * (c * y2 + a * y0)
+        H[2, m + 2] = 0.5 * g2 * (a * y0 + b * y1)
+        H[0, m + 1], H[0, m + 2] = g0 * (y2 + 0.5 * a * y1 - b * y0), g0 * (0.5 * a * y2 - y1 - c * y0)
+        H[1, m], H[1, m + 2] = g1 * (0.5 * b * y0 - y2 - a * y1), g1 * (y0 + 0.5 * b * y2 - c * y1)
+        H[2, m], H[2, m + 1] = g2 * (y1 + 0.5 * c * y0 - a * y2), g2 * (0.5 * c * y1 - y0 - b * y2)
 
 
 @apart
@@ -108,7 +115,8 @@ def hold_slopes(P, near, held, begin):
 
 @njit(cache=True, **UNCOUNTED)
 def body_velocity(z, nav, rate, par, cfg, H, res):
-    """Velocity at a lever arm in instrument axes: reading = (1 + s)(y + m x y), y = M' (C_nb' v_n + rate x arm).
+    """Velocity at a lever arm in instrument axes: reading = (1 + s) R(m) y, y = M' (C_nb' v_n + rate x arm), the
+    rotation to second order.
 
     cfg: lever arm (3), mounting matrix M instrument-to-body (9). par: none, or scale s (1, or 3: diagonal) and
     misalignment m (3).
@@ -128,7 +136,7 @@ def water_velocity(z, nav, rate, par, cfg, H, res):
 
 @njit(cache=True)
 def beam_velocity(z, nav, rate, par, cfg, H, res):
-    """Velocities along four beams over ground, then along the same through water: reading = d (1 + s)(y + m x y), y as
+    """Velocities along four beams over ground, then along the same through water: reading = d (1 + s) R(m) y, y as
     for `body_velocity`.
 
     cfg: lever arm (3), mounting (9), unit vectors d of the beams in instrument axes (12), states of the current (0, 2).

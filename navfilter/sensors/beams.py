@@ -57,7 +57,7 @@ class DvlBeams(BodyVelocity):
 
     Notes
     -----
-    A beam reads the velocity of the instrument along it, positive towards the bottom: ``d (1 + s)(y + m x y)`` with
+    A beam reads the velocity of the instrument along it, positive towards the bottom: ``d (1 + s) R(m) y`` with
     ``y`` as for `BodyVelocity` and ``d`` the unit vector of the beam. A reading has four elements (the fourth NaN for
     three beams), or eight with those of the water track, in which ``y`` is the velocity through the water. Lever arm,
     mounting, scale and misalignment are those of the instrument, the same for both. A beam that contradicts the others

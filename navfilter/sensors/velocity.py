@@ -60,7 +60,7 @@ class BodyVelocity(Sensor):
 
     Notes
     -----
-    ``reading = (1 + s)(y + m x y) + error`` with ``y`` the velocity of the instrument in its own axes, lever arm
+    ``reading = (1 + s) R(m) y + error`` with ``y`` the velocity of the instrument in its own axes, lever arm
     included, and ``1 + s`` a number or a diagonal matrix. Scale and misalignment can only be told from the vehicle's
     motion by position fixes.
     """
