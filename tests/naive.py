@@ -1181,7 +1181,8 @@ def usbl(z, nav, rate, par, cfg, H, res):
     A, p = earth_axes(*nav[:3], *cfg[:2])
     T, arm = z[6:15].reshape(3, 3), nav[6:15].reshape(3, 3) @ cfg[2:5]
     astray = par[ship : ship + 3] if ship >= 0 else np.zeros(3)
-    mis = np.eye(3) + (skew(par[turned : turned + 3]) if turned >= 0 else 0.0)
+    K = skew(par[turned : turned + 3]) if turned >= 0 else np.zeros((3, 3))
+    mis = np.eye(3) + K + K @ K / 2
     d = T @ (p - z[3:6] + A.T @ (arm + astray))
     e = mis @ d
     r, distance, g = np.linalg.norm(e), np.linalg.norm(d), 1.0 + (par[scale] if scale >= 0 else 0.0)
@@ -1201,7 +1202,8 @@ def usbl(z, nav, rate, par, cfg, H, res):
     if scale >= 0:
         H[0, 9 + scale] = distance
     if turned >= 0:
-        H[:, 9 + turned : 12 + turned] = -J @ skew(d)
+        for j, E in enumerate(skew(axis) for axis in np.eye(3)):
+            H[:, 9 + turned + j] = J @ (E + (E @ K + K @ E) / 2) @ d
     if ship >= 0:
         H[:, 9 + ship : 12 + ship] = H[:, :3]
 
@@ -1215,11 +1217,13 @@ def _angles(C):
 
 def attitude(z, nav, rate, par, cfg, H, res):
     plain = nav[6:15].reshape(3, 3) @ cfg[1:10].reshape(3, 3)
-    C = plain @ (np.eye(3) - (skew(par) if len(par) else 0.0))
+    K = skew(par) if len(par) else np.zeros((3, 3))
+    C = plain @ (np.eye(3) + K + K @ K / 2).T
     res[:] = z[:3] - _angles(C) + [0.0, 0.0, cfg[0]]
     res[[0, 2]] = _half_turn(res[[0, 2]])
     H[:] = 0.0
-    changes = [skew(axis) @ C for axis in np.eye(3)] + [-plain @ skew(axis) for axis in np.eye(3)][: len(par)]
+    axes = [skew(axis) for axis in np.eye(3)]
+    changes = [E @ C for E in axes] + [plain @ (E + (E @ K + K @ E) / 2).T for E in axes][: len(par)]
     for j, D in enumerate(changes):
         tilt = C[:, 0] + 1e-20j * D[:, 0]  # an imaginary step: the derivative is exact to rounding
         H[:, 6 + j] = [

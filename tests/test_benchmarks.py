@@ -27,6 +27,7 @@ SCRIPTS = {
     "gnss_ins": ("KF-GINS", ()),
     "heading_toy": ("Sage-Husa", ()),
     "honest": ("Gauss-Markov", ()),
+    "honest_constants": ("no other software", ()),
     "identify_recordings": ("statsmodels", ()),
     "lanes": ("sound unit alone", ("two", "one", "clean")),
     "logs": ("library underneath", ("samples", "large")),

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from navfilter.check.finding import Finding
+from navfilter.evaluation.constants import constants
 from navfilter.kernels.strapdown import gravity
 from navfilter.mission import Mission
 from navfilter.sensors import Sensor
@@ -37,6 +38,8 @@ SMOOTH_S = 1.0
 AFTER_S = 0.55
 #: The heading of the drive's own turns is held to that of the track over this time [s].
 LEVEL_S = 60.0
+#: A compass whose deviation keeps more than this share of its sd has residuals that follow the turns for it.
+UNTOLD = 0.5
 #: Share of a series over which its autocorrelation is summed.
 LAGS = 0.1
 
@@ -145,6 +148,7 @@ def correlations(run: Track, mission: Mission) -> tuple[Correlation, ...]:
     through the same filter: a reading's share ``k = 1 - R / S`` is taken into the state.
     """
     found: list[Correlation] = []
+    deviates = {one.owner for one in constants(run) if "_cycle_" in one.name and one.sd > UNTOLD * one.given_sd}
     for name, sensor in run.vehicle.sensors.items():
         r = run.residuals.get(name)
         if r is None or sensor.from_drive or r.count("used") < READINGS:
@@ -158,7 +162,7 @@ def correlations(run: Track, mission: Mission) -> tuple[Correlation, ...]:
         follows = _followed(sensor, r.sd[known])
         if sensor.sees_velocity and sensor.axes == 3:
             whitened = whitened @ sensor.instrument_axes()
-        for pair in _pairs(name, run.vehicle, motion):
+        for pair in _pairs(name, run.vehicle, motion, name in deviates):
             value = np.concatenate([whitened[:, column] for column in pair.columns])
             against = np.concatenate([_unfollowed(part, follows) for part in pair.motions])
             if np.std(against) == 0.0:
@@ -254,8 +258,10 @@ def _unfollowed(signal: Array, gain: float) -> Array:
     return np.array(list(accumulate(steps, lambda left, step: step + (1.0 - gain) * left)))
 
 
-def _pairs(name: str, vehicle: Any, motion: _Motion) -> Iterator[_Pair]:
-    """What is compared of one sensor: only what the vehicle does not describe already."""
+def _pairs(name: str, vehicle: Any, motion: _Motion, deviates: bool) -> Iterator[_Pair]:
+    """What is compared of one sensor: only what the vehicle does not describe already, and no clock of a compass whose
+    deviation is hardly told.
+    """
     sensor = vehicle.sensors[name]
     table = f"[sensors.{name}] of vehicle.toml"
     late, clock = not sensor.time_offset_sd_s, f"Add time_offset_sd_s = 0.3 to {table}"
@@ -263,7 +269,7 @@ def _pairs(name: str, vehicle: Any, motion: _Motion) -> Iterator[_Pair]:
     fixed = sensor.has_lever_arm and not any(sensor.lever_arm_sd_m)
     c, s = np.cos(motion.heading), np.sin(motion.heading)
     if sensor.gives == "heading":
-        if late:
+        if late and not deviates:
             yield _Pair("", (0,), "turn rate", (motion.turn_rate,), "its clock is off", clock)
         if not any(sensor.deviation_sd_rad):
             key = f"Add bias_sd_deg = 5.0 and deviation_sd_deg = [5.0, 2.0] to {table}"

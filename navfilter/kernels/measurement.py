@@ -469,6 +469,17 @@ def _sagitta(near, distance, P):
 
 
 @njit(cache=True)
+def _rotation(m, out):
+    """The rotation by a vector, to second order: to first it is none, and lengthens."""
+    square = m[0] * m[0] + m[1] * m[1] + m[2] * m[2]
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        out[i, i] = 1.0 + 0.5 * (m[i] * m[i] - square)
+        out[k, j] = m[i] + 0.5 * m[j] * m[k]
+        out[j, k] = -m[i] + 0.5 * m[j] * m[k]
+
+
+@njit(cache=True)
 def usbl(z, nav, rate, par, cfg, H, res):
     """Where a transponder stands as seen by a transceiver: its range, and the direction across and below the line of
     sight that was measured.
@@ -479,8 +490,8 @@ def usbl(z, nav, rate, par, cfg, H, res):
     place north, east, down (3) begin, -1 for none.
     """
     _clear(H)
-    A, D, p = np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
-    a, d, e, J = np.empty(3), np.empty(3), np.zeros(3), np.zeros((3, 3))
+    A, D, p, turn = np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.empty((3, 3))
+    a, d, e, J, m = np.empty(3), np.empty(3), np.zeros(3), np.zeros((3, 3)), np.zeros(3)
     _earth_axes(nav[0], nav[1], nav[2], cfg[0], cfg[1], A, p)
     scale, turned, ship = int(cfg[5]), int(cfg[6]), int(cfg[7])
     for i in range(3):
@@ -491,9 +502,12 @@ def usbl(z, nav, rate, par, cfg, H, res):
             t = z[6 + 3 * i : 9 + 3 * i]
             D[i, j] = t[0] * A[j, 0] + t[1] * A[j, 1] + t[2] * A[j, 2]  # n to transceiver
             d[i] += t[j] * (p[j] - z[3 + j]) + D[i, j] * (a[j] + (par[ship + j] if ship >= 0 else 0.0))
-    m0, m1, m2 = (par[turned], par[turned + 1], par[turned + 2]) if turned >= 0 else (0.0, 0.0, 0.0)
-    e[0], e[1], e[2] = d[0] + m1 * d[2] - m2 * d[1], d[1] + m2 * d[0] - m0 * d[2], d[2] + m0 * d[1] - m1 * d[0]
-    # a mounting turns the direction, and leaves the range as it is: that of e grows with the square of m
+    if turned >= 0:
+        m[0], m[1], m[2] = par[turned], par[turned + 1], par[turned + 2]
+    _rotation(m, turn)
+    for i in range(3):
+        e[i] = turn[i, 0] * d[0] + turn[i, 1] * d[1] + turn[i, 2] * d[2]
+    # a mounting turns the direction, and leaves the range as it is
     distance = math.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
     r = math.sqrt(e[0] * e[0] + e[1] * e[1] + e[2] * e[2])
     if distance < 1e-6:
@@ -519,11 +533,17 @@ def usbl(z, nav, rate, par, cfg, H, res):
     for k in range(3):
         q0, q1, q2 = J[k, 0], J[k, 1], J[k, 2]
         if turned >= 0 and k:
-            H[k, 9 + turned] = d[1] * q2 - d[2] * q1
-            H[k, 10 + turned] = d[2] * q0 - d[0] * q2
-            H[k, 11 + turned] = d[0] * q1 - d[1] * q0
-        if k:  # (I + [m x])' q
-            q0, q1, q2 = q0 + q1 * m2 - q2 * m1, q1 + q2 * m0 - q0 * m2, q2 + q0 * m1 - q1 * m0
+            md, qm = m[0] * d[0] + m[1] * d[1] + m[2] * d[2], q0 * m[0] + q1 * m[1] + q2 * m[2]
+            qd = q0 * d[0] + q1 * d[1] + q2 * d[2]
+            for j in range(3):
+                i, n = (j + 1) % 3, (j + 2) % 3
+                H[k, 9 + turned + j] = d[i] * J[k, n] - d[n] * J[k, i] + 0.5 * (J[k, j] * md + qm * d[j]) - m[j] * qd
+        if k:  # back through the rotation
+            q0, q1, q2 = (
+                turn[0, 0] * q0 + turn[1, 0] * q1 + turn[2, 0] * q2,
+                turn[0, 1] * q0 + turn[1, 1] * q1 + turn[2, 1] * q2,
+                turn[0, 2] * q0 + turn[1, 2] * q1 + turn[2, 2] * q2,
+            )
         for j in range(3):
             H[k, j] = q0 * D[0, j] + q1 * D[1, j] + q2 * D[2, j]
             if ship >= 0:
@@ -572,21 +592,20 @@ def _angle_slopes(C, D, H, column):
 
 @njit(cache=True)
 def attitude(z, nav, rate, par, cfg, H, res):
-    """Roll, pitch and yaw of an instrument's own axes, C_nb M (I - [m x]), roll and yaw wrapped to half a turn.
+    """Roll, pitch and yaw of an instrument's own axes, C_nb M R(m)', roll and yaw wrapped to half a turn.
 
     z: the three angles [rad]. cfg: declination [rad], mounting matrix M instrument-to-body (9). par: none or
     misalignment m (3).
     """
     _clear(H)
-    C, B = np.empty((3, 3)), np.empty((3, 3))
+    C, B, turn = np.empty((3, 3)), np.empty((3, 3)), np.eye(3)
+    if len(par) > 0:
+        _rotation(par, turn)
     for i in range(3):
         for j in range(3):
             B[i, j] = nav[6 + 3 * i] * cfg[1 + j] + nav[7 + 3 * i] * cfg[4 + j] + nav[8 + 3 * i] * cfg[7 + j]
-            C[i, j] = B[i, j]
-        if len(par) > 0:
-            C[i, 0] -= B[i, 1] * par[2] - B[i, 2] * par[1]
-            C[i, 1] -= B[i, 2] * par[0] - B[i, 0] * par[2]
-            C[i, 2] -= B[i, 0] * par[1] - B[i, 1] * par[0]
+        for j in range(3):
+            C[i, j] = B[i, 0] * turn[j, 0] + B[i, 1] * turn[j, 1] + B[i, 2] * turn[j, 2]
     level = math.sqrt(C[0, 0] * C[0, 0] + C[1, 0] * C[1, 0])
     upright = C[2, 1] * C[2, 1] + C[2, 2] * C[2, 2]
     if level < 1e-6 or upright < 1e-12:
@@ -606,6 +625,9 @@ def attitude(z, nav, rate, par, cfg, H, res):
         if len(par) > 0:
             for i in range(3):
                 D[i, j], D[i, k], D[i, m] = 0.0, -B[i, m], B[i, k]  # against one about axis j of the instrument
+                for a in range(3):
+                    D[i, a] += 0.5 * par[a] * B[i, j] - par[j] * B[i, a]
+                D[i, j] += 0.5 * (B[i, 0] * par[0] + B[i, 1] * par[1] + B[i, 2] * par[2])
             _angle_slopes(C, D, H, 9 + j)
 
 

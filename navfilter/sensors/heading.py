@@ -273,6 +273,10 @@ class Heading(Sensor):
 
     @classmethod
     def examples(cls) -> tuple[Sensor, ...]:
-        """A compass and a magnetometer."""
+        """Compasses without and with deviation, and a magnetometer."""
         error = White(sd=0.01) + GaussMarkov(sd=0.01, tau_s=10.0)
-        return cls(error=error), cls(magnetometer=True, error=error, hard_iron_sd=1e-6, soft_iron_sd=0.01)
+        return (
+            cls(error=error),
+            cls(error=error, deviation_sd_rad=(0.02, 0.01)),
+            cls(magnetometer=True, error=error, hard_iron_sd=1e-6, soft_iron_sd=0.01),
+        )
