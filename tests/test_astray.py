@@ -9,6 +9,7 @@ from feeding import events_of, one_by_one
 from test_agreement import DEG, RADIUS_M, after, altered, dive, fly, turned
 
 import navfilter as nf
+from navfilter.evaluation.montecarlo.campaign import Campaign
 from navfilter.filter.course import Course, led_astray, told_by_fixes
 from navfilter.filter.memory import differences
 from navfilter.filter.offsets import has_offset
@@ -166,3 +167,14 @@ def test_what_pulls_fixes_slowly_is_dead_reckoning(drawn_m_s, blamed):
     assert (most_s < 40.0) == (blamed == "astray")
     velocity = nav.filter.in_force.drive.models[3:]
     assert has_offset(velocity) == (blamed == "jumped")
+
+
+def test_a_unit_that_runs_away_from_its_dvl_is_not_a_dvl_that_jumps_again_and_again():
+    """Seed 302 of `dvl-coloured`: the DVL is described as better than it is, and refused from an outlier on. The unit,
+    whose tilt is off, goes away from it, and what it has been refused with was taken for its jump, 42 times: 80 km.
+    """
+    staged = Campaign("dvl-coloured", motion="lawnmower", gyro="tactical", imu_rate_hz=50.0).staged
+    mission = staged.mission(302)
+    track = nf.replay(staged.vehicle, mission, output_rate_hz=1.0)
+    assert track.counts["jumped"] <= 3
+    assert np.nanmax(track.errors(mission.truth).horizontal) < 100.0

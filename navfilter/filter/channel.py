@@ -76,8 +76,8 @@ class ChannelMemory:
         Of a velocity that has been refused since the last fix: the way that it would have made beside the state's.
     refused_s : float
         When its last reading was refused [s].
-    disputed_s : float
-        When it was last refused for long although nothing was wrong with the drive [s].
+    disputed_s, jumped_s : float
+        When it was last refused for long although the drive was right, and when it was taken to have jumped [s].
     astray_m : float
         Its slow error came to be beyond belief, and no reading has agreed with the state since: the way made in the
         periods of those that were heard; NaN where it is not so [m].
@@ -96,8 +96,7 @@ class ChannelMemory:
     turns : Turns or None
         Of a compass that was refused: what it said of the gyros.
     partly_since_s : float
-        Since when components of each reading have been left out alone, of a sensor whose others do not tell what those
-        do (`Sensor.single_s`); NaN where they are not [s].
+        Since when components of each reading are left out alone (`Sensor.single_s`); NaN where they are not [s].
     same_s, again_s : float
         Since when its value has been the same, and when it came again last [s].
     last : ndarray
@@ -113,6 +112,7 @@ class ChannelMemory:
     way: RefusedWay | None = None
     refused_s: float = -math.inf
     disputed_s: float = -math.inf
+    jumped_s: float = -math.inf
     astray_m: float = math.nan
     aside: Aside | None = None
     alone: tuple[float, ...] = ()

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from navfilter.constants import STANDARD_GRAVITY
 from navfilter.filter import agreement, aside, gating, ramp, realignment, reckoned, refused_way, shifts, turns
 from navfilter.filter.adoption import Change
 from navfilter.filter.asking import update
@@ -31,6 +32,8 @@ __all__ = ["let_in", "take_up"]
 Array = NDArray[np.float64]
 #: Below this speed a velocity that is off says nothing of its scale [m/s].
 SLOW = 0.1
+#: A sensor that seems to jump twice in this time has not [s]: no fault that jumps comes in another size so soon.
+AGAIN_S = 120.0
 
 
 def let_in(filter: Filter, channel: Channel, time_s: float, nis: float, dof: int, frozen: bool) -> bool:
@@ -261,14 +264,33 @@ def _jumped(filter: Filter, channel: Channel, time_s: float) -> None:
         only, deviates = channel.sensor.jumps, channel.sensor.north is not None
         opened = with_offsets(models, 0.0 if back else size, speed if moving else 0.0, only=only, deviates=deviates)
         filter.jumped.append(Change(channel.name, opened, offsets=True))
+    elif channel.moves and filter.inertial and time_s - kept.jumped_s < AGAIN_S:
+        _runs_away(filter, channel, time_s)
     else:
         memory.P[places, places] += size**2
         kept.refused = None
-    kept.rejected_since_s = kept.disputed_s = time_s
+    kept.rejected_since_s = kept.disputed_s = kept.jumped_s = time_s
     kept.course = kept.course if refused.back < LEAST else ()
     if kept.way is not None and refused.back >= LEAST:
         kept.way = replace(kept.way, north=0.0, east=0.0)
     memory.counts["jumped"] += 1
+
+
+def _runs_away(filter: Filter, channel: Channel, time_s: float) -> None:
+    """A velocity seems to jump again: the unit runs away from it. Its constants are taken away, and velocity, way since
+    then, tilt and the unit's own errors are opened as far as it is off.
+    """
+    memory, kept = filter.memory, channel.memory
+    span_s, N = time_s - kept.jumped_s, channel.near[:, 3:6]
+    off = np.nan_to_num(channel.res[: channel.axes] + channel.jumped_by(memory.x))
+    V = N.T @ (off[:, None] ** 2 * N)
+    memory.P[3:6, 3:6] += V
+    memory.P[:3, :3] += V * span_s**2
+    memory.P[range(6, 8), range(6, 8)] += float(off @ off) / (span_s * STANDARD_GRAVITY) ** 2
+    drive = filter.layout.drive
+    memory.P[drive.slice, drive.slice] += drive.P0
+    filter.jumped.append(Change(channel.name, with_offsets(channel.sensor.models), offsets=True))
+    kept.refused = kept.aside = None
 
 
 def _update(filter: Filter, channel: Channel, time_s: float) -> None:
