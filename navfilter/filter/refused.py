@@ -281,7 +281,7 @@ def _runs_away(filter: Filter, channel: Channel, time_s: float) -> None:
     then, tilt and the unit's own errors are opened as far as it is off.
     """
     memory, kept = filter.memory, channel.memory
-    span_s, N = time_s - kept.jumped_s, channel.near[:, 3:6]
+    span_s, N = max(time_s - kept.jumped_s, channel.period_s), np.nan_to_num(channel.near[:, 3:6])
     off = np.nan_to_num(channel.res[: channel.axes] + channel.jumped_by(memory.x))
     V = N.T @ (off[:, None] ** 2 * N)
     memory.P[3:6, 3:6] += V
