@@ -221,6 +221,11 @@ def rotation(v):
     return expm(skew(v))
 
 
+def rotation_and_changes(v):
+    """exp([v x]) and its derivatives by the three elements of v: an imaginary step is exact to rounding."""
+    return rotation(v), [np.imag(rotation(v + 1e-20j * axis)) / 1e-20 for axis in np.eye(3)]
+
+
 def radii(latitude):
     x = 1.0 - E2 * np.sin(latitude) ** 2
     return RADIUS * (1.0 - E2) / x**1.5, RADIUS / np.sqrt(x)
@@ -583,14 +588,12 @@ def body_velocity(z, nav, rate, par, cfg, H, res):
     C_bn = nav[6:15].reshape(3, 3).T
     y = A @ (C_bn @ nav[3:6] + np.cross(rate, arm))
     scale, mis = _scale_and_turn(par)
-    K = skew(mis)
-    turn = np.eye(3) + K + K @ K / 2
+    turn, changes = rotation_and_changes(mis)
     D = scale @ turn
     res[:], H[:] = z[:3] - D @ y, 0.0
     H[:, 3:6], H[:, 6:9] = D @ A @ C_bn, _attitude_columns(D @ A @ C_bn, nav[3:6])
     if len(par):
-        by_scale, axes = np.diag(turn @ y), [skew(axis) for axis in np.eye(3)]
-        by_turn = [scale @ (E + (E @ K + K @ E) / 2) @ y for E in axes]
+        by_scale, by_turn = np.diag(turn @ y), [scale @ change @ y for change in changes]
         H[:, 9:] = np.column_stack([by_scale if len(par) == 6 else by_scale.sum(axis=1), *by_turn])
 
 
@@ -1181,8 +1184,7 @@ def usbl(z, nav, rate, par, cfg, H, res):
     A, p = earth_axes(*nav[:3], *cfg[:2])
     T, arm = z[6:15].reshape(3, 3), nav[6:15].reshape(3, 3) @ cfg[2:5]
     astray = par[ship : ship + 3] if ship >= 0 else np.zeros(3)
-    K = skew(par[turned : turned + 3]) if turned >= 0 else np.zeros((3, 3))
-    mis = np.eye(3) + K + K @ K / 2
+    mis, changes = rotation_and_changes(par[turned : turned + 3] if turned >= 0 else np.zeros(3))
     d = T @ (p - z[3:6] + A.T @ (arm + astray))
     e = mis @ d
     r, distance, g = np.linalg.norm(e), np.linalg.norm(d), 1.0 + (par[scale] if scale >= 0 else 0.0)
@@ -1202,8 +1204,7 @@ def usbl(z, nav, rate, par, cfg, H, res):
     if scale >= 0:
         H[0, 9 + scale] = distance
     if turned >= 0:
-        for j, E in enumerate(skew(axis) for axis in np.eye(3)):
-            H[:, 9 + turned + j] = J @ (E + (E @ K + K @ E) / 2) @ d
+        H[:, 9 + turned : 12 + turned] = np.column_stack([J @ change @ d for change in changes])
     if ship >= 0:
         H[:, 9 + ship : 12 + ship] = H[:, :3]
 
@@ -1217,13 +1218,12 @@ def _angles(C):
 
 def attitude(z, nav, rate, par, cfg, H, res):
     plain = nav[6:15].reshape(3, 3) @ cfg[1:10].reshape(3, 3)
-    K = skew(par) if len(par) else np.zeros((3, 3))
-    C = plain @ (np.eye(3) + K + K @ K / 2).T
+    turn, by = rotation_and_changes(par if len(par) else np.zeros(3))
+    C = plain @ turn.T
     res[:] = z[:3] - _angles(C) + [0.0, 0.0, cfg[0]]
     res[[0, 2]] = _half_turn(res[[0, 2]])
     H[:] = 0.0
-    axes = [skew(axis) for axis in np.eye(3)]
-    changes = [E @ C for E in axes] + [plain @ (E + (E @ K + K @ E) / 2).T for E in axes][: len(par)]
+    changes = [skew(axis) @ C for axis in np.eye(3)] + [plain @ change.T for change in by][: len(par)]
     for j, D in enumerate(changes):
         tilt = C[:, 0] + 1e-20j * D[:, 0]  # an imaginary step: the derivative is exact to rounding
         H[:, 6 + j] = [
@@ -1592,8 +1592,9 @@ def sight(
         discount(inner, slope, then, drv, Cr, over_s, g[0], variance, tilt, near, R)
 
 
-def hold_slopes(P, near, held, begin):
-    band = 3.0 * np.sqrt(np.max(np.diag(near[:, :9] @ P[:9, :9] @ near[:, :9].T)))
+def hold_slopes(P, near, held, begin, first):
+    at = np.r_[:9, first : first + begin]
+    band = 3.0 * np.sqrt(np.max(np.diag(near[:, : 9 + begin] @ P[np.ix_(at, at)] @ near[:, : 9 + begin].T)))
     new = near[:, 9 + begin :][:, : held.shape[1]]
     new[:] = np.where(np.abs(new - held) <= band, held, new)
 
@@ -1695,7 +1696,7 @@ def correction(bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count,
     else:
         at(equation)(*here, near, res)
     if held.size:
-        hold_slopes(P, near, held, held_from)
+        hold_slopes(P, near, held, held_from, start + errors)
     if bend:
         at(bend)(z, near, P, start + errors, here[-1], R)
     C, gate = bench[output : output + a * errors].reshape(a, errors), bench[limits : limits + a + 1]

@@ -22,14 +22,14 @@ SLOW = nf.GaussMarkov(sd=0.01, tau_s=20.0) + nf.White(sd=0.01)
 def test_slopes_stay_where_noise_alone_would_draw_them():
     rng = np.random.default_rng(1)
     near, held, root = rng.normal(size=(3, 14)), rng.normal(size=(3, 4)), 0.1 * rng.normal(size=(20, 20))
-    ours, twins = run_both(measurement.hold_slopes, root @ root.T, near, held, 1)
+    ours, twins = run_both(measurement.hold_slopes, root @ root.T, near, held, 1, 15)
     assert_close(ours, twins, 1e-13)
     P, at, seen = np.zeros((20, 20)), np.zeros((3, 13)), []
     P[3:6, 3:6] = 0.01 * np.eye(3)
     held = np.ones((3, 4))
     for velocity in (1.2, 0.8, 2.0, 1.8):
         at[:, 3:6], at[:, 9:] = np.eye(3), velocity
-        measurement.hold_slopes(P, at, held, 0)
+        measurement.hold_slopes(P, at, held, 0, 13)
         held = at[:, 9:].copy()
         seen.append(held[0, 0])
     # three times the sd of 0.1 m/s is let go by

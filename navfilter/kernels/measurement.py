@@ -33,6 +33,24 @@ def _clear(H):
             H[i, j] = 0.0
 
 
+@njit(cache=True, inline="always")
+def _rodrigues(t2):
+    """Factors p, q of ``exp([v x]) = I + p [v x] + q [v x]^2`` for |v|^2 = t2."""
+    if t2 > SMALL_ANGLE2:
+        t = math.sqrt(t2)
+        return math.sin(t) / t, (1.0 - math.cos(t)) / t2
+    # series without divisions, which are slow: the first term left out is below 1e-17
+    return 1.0 - t2 * (P3 - t2 * (P5 - P7 * t2)), 0.5 - t2 * (Q4 - t2 * (Q6 - Q8 * t2))
+
+
+@njit(cache=True, inline="always")
+def _third(t2, p):
+    """The factor after those of `_rodrigues`, (1 - p) / t2: with q in place of p it makes the rotation of a change of v,
+    ``exp([(v + dv) x]) = exp([J dv x]) exp([v x])``.
+    """
+    return (1.0 - p) / t2 if t2 > SMALL_ANGLE2 else P3 - t2 * (P5 - P7 * t2)
+
+
 @apart
 @njit(cache=True, **UNCOUNTED)
 def _instrument_velocity(z, nav, v0, v1, v2, rate, par, first, cfg, H, res):
@@ -56,10 +74,12 @@ def _instrument_velocity(z, nav, v0, v1, v2, rate, par, first, cfg, H, res):
     if len(par) > first:
         g0, g1, g2 = 1.0 + par[first], 1.0 + par[first + step], 1.0 + par[first + 2 * step]
         a, b, c = par[turned], par[turned + 1], par[turned + 2]
-    # a rotation, to second order: to first it lengthens a velocity, which a scale would have to take back
-    d0, d1, d2 = 1.0 - 0.5 * (b * b + c * c), 1.0 - 0.5 * (c * c + a * a), 1.0 - 0.5 * (a * a + b * b)
-    e01, e02, e10 = 0.5 * a * b - c, 0.5 * a * c + b, 0.5 * a * b + c
-    e12, e20, e21 = 0.5 * b * c - a, 0.5 * a * c - b, 0.5 * b * c + a
+    # the whole rotation: a series to second order is off by 0.01 deg at 6 deg, more than a mounting is told to
+    angle2 = a * a + b * b + c * c
+    p, q = _rodrigues(angle2)
+    d0, d1, d2 = 1.0 - q * (b * b + c * c), 1.0 - q * (c * c + a * a), 1.0 - q * (a * a + b * b)
+    e01, e02, e10 = q * a * b - p * c, q * a * c + p * b, q * a * b + p * c
+    e12, e20, e21 = q * b * c - p * a, q * a * c - p * b, q * b * c + p * a
     t0, t1, t2 = d0 * y0 + e01 * y1 + e02 * y2, e10 * y0 + d1 * y1 + e12 * y2, e20 * y0 + e21 * y1 + d2 * y2
     res[0], res[1], res[2] = z[0] - g0 * t0, z[1] - g1 * t1, z[2] - g2 * t2
     for j in range(3):
@@ -76,34 +96,42 @@ def _instrument_velocity(z, nav, v0, v1, v2, rate, par, first, cfg, H, res):
     if len(par) > first:
         s, m = 9 + first, 9 + turned
         H[0, s], H[1, s + step], H[2, s + 2 * step] = t0, t1, t2
-        # e_k x y, and half of what both factors of m x (m x y) give
-        H[0, m], H[1, m + 1] = 0.5 * g0 * (b * y1 + c * y2), 0.5 * g1 * (c * y2 + a * y0)
-        H[2, m + 2] = 0.5 * g2 * (a * y0 + b * y1)
-        H[0, m + 1], H[0, m + 2] = g0 * (y2 + 0.5 * a * y1 - b * y0), g0 * (0.5 * a * y2 - y1 - c * y0)
-        H[1, m], H[1, m + 2] = g1 * (0.5 * b * y0 - y2 - a * y1), g1 * (y0 + 0.5 * b * y2 - c * y1)
-        H[2, m], H[2, m + 1] = g2 * (y1 + 0.5 * c * y0 - a * y2), g2 * (0.5 * c * y1 - y0 - b * y2)
+        # a change of the k-th angle turns by column k of J: J_k x t
+        r = _third(angle2, p)
+        j00, j11, j22 = 1.0 - r * (b * b + c * c), 1.0 - r * (c * c + a * a), 1.0 - r * (a * a + b * b)
+        j01, j02, j10 = r * a * b - q * c, r * a * c + q * b, r * a * b + q * c
+        j12, j20, j21 = r * b * c - q * a, r * a * c - q * b, r * b * c + q * a
+        H[0, m], H[1, m], H[2, m] = g0 * (j10 * t2 - j20 * t1), g1 * (j20 * t0 - j00 * t2), g2 * (j00 * t1 - j10 * t0)
+        m += 1
+        H[0, m], H[1, m], H[2, m] = g0 * (j11 * t2 - j21 * t1), g1 * (j21 * t0 - j01 * t2), g2 * (j01 * t1 - j11 * t0)
+        m += 1
+        H[0, m], H[1, m], H[2, m] = g0 * (j12 * t2 - j22 * t1), g1 * (j22 * t0 - j02 * t2), g2 * (j02 * t1 - j12 * t0)
 
 
 @apart
 @njit(cache=True, **UNCOUNTED)
-def hold_slopes(P, near, held, begin):
+def hold_slopes(P, near, held, begin, first):
     """Slopes of a velocity by its scale and misalignment, which are velocities themselves: they follow the velocity no
     closer than it is known.
 
     The estimate errs by what the next residual shows. Such an error in the slope would be a change of velocity that
     nobody has made, and be taken for what the scale does with it, always to the same side: errors in variables (Fuller,
     1987, sec. 1.1). So a slope stays what it was until the new one is further off than `HELD` sd of the velocity. near
-    (a, 9 + parameters), in columns from 9 + begin on the new ones; held (a, k): those of the reading before.
+    (a, 9 + parameters), in columns from 9 + begin on the new ones; held (a, k): those of the reading before. first:
+    where the sensor's parameters stand in P. Those before `begin` are a current: of the velocity through the water it
+    is the difference that counts, which a log tells well where velocity and current are both unknown.
     """
     most = 0.0
     for i in range(near.shape[0]):
         variance = 0.0
-        for j in range(9):
-            f = near[i, j]
+        for j in range(9 + begin):
+            f, row = near[i, j], j if j < 9 else first + j - 9
             if f != 0.0:
                 s = 0.0
                 for k in range(9):
-                    s += P[j, k] * near[i, k]
+                    s += P[row, k] * near[i, k]
+                for k in range(begin):
+                    s += P[row, first + k] * near[i, 9 + k]
                 variance += f * s
         most = max(most, variance)
     band = HELD * math.sqrt(most)
@@ -115,8 +143,7 @@ def hold_slopes(P, near, held, begin):
 
 @njit(cache=True, **UNCOUNTED)
 def body_velocity(z, nav, rate, par, cfg, H, res):
-    """Velocity at a lever arm in instrument axes: reading = (1 + s) R(m) y, y = M' (C_nb' v_n + rate x arm), the
-    rotation to second order.
+    """Velocity at a lever arm in instrument axes: reading = (1 + s) R(m) y, y = M' (C_nb' v_n + rate x arm).
 
     cfg: lever arm (3), mounting matrix M instrument-to-body (9). par: none, or scale s (1, or 3: diagonal) and
     misalignment m (3).
@@ -469,14 +496,16 @@ def _sagitta(near, distance, P):
 
 
 @njit(cache=True)
-def _rotation(m, out):
-    """The rotation by a vector, to second order: to first it is none, and lengthens."""
-    square = m[0] * m[0] + m[1] * m[1] + m[2] * m[2]
+def _rotation(m, out, by):
+    """The rotation by a vector m, and the matrix (3, 3) by which a change of m turns it further."""
+    angle2 = m[0] * m[0] + m[1] * m[1] + m[2] * m[2]
+    p, q = _rodrigues(angle2)
+    r = _third(angle2, p)
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
-        out[i, i] = 1.0 + 0.5 * (m[i] * m[i] - square)
-        out[k, j] = m[i] + 0.5 * m[j] * m[k]
-        out[j, k] = -m[i] + 0.5 * m[j] * m[k]
+        out[i, i], by[i, i] = 1.0 + q * (m[i] * m[i] - angle2), 1.0 + r * (m[i] * m[i] - angle2)
+        out[k, j], by[k, j] = p * m[i] + q * m[j] * m[k], q * m[i] + r * m[j] * m[k]
+        out[j, k], by[j, k] = -p * m[i] + q * m[j] * m[k], -q * m[i] + r * m[j] * m[k]
 
 
 @njit(cache=True)
@@ -490,7 +519,7 @@ def usbl(z, nav, rate, par, cfg, H, res):
     place north, east, down (3) begin, -1 for none.
     """
     _clear(H)
-    A, D, p, turn = np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.empty((3, 3))
+    A, D, p, turn, by = np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.empty((3, 3)), np.empty((3, 3))
     a, d, e, J, m = np.empty(3), np.empty(3), np.zeros(3), np.zeros((3, 3)), np.zeros(3)
     _earth_axes(nav[0], nav[1], nav[2], cfg[0], cfg[1], A, p)
     scale, turned, ship = int(cfg[5]), int(cfg[6]), int(cfg[7])
@@ -504,7 +533,7 @@ def usbl(z, nav, rate, par, cfg, H, res):
             d[i] += t[j] * (p[j] - z[3 + j]) + D[i, j] * (a[j] + (par[ship + j] if ship >= 0 else 0.0))
     if turned >= 0:
         m[0], m[1], m[2] = par[turned], par[turned + 1], par[turned + 2]
-    _rotation(m, turn)
+    _rotation(m, turn, by)
     for i in range(3):
         e[i] = turn[i, 0] * d[0] + turn[i, 1] * d[1] + turn[i, 2] * d[2]
     # a mounting turns the direction, and leaves the range as it is
@@ -533,11 +562,9 @@ def usbl(z, nav, rate, par, cfg, H, res):
     for k in range(3):
         q0, q1, q2 = J[k, 0], J[k, 1], J[k, 2]
         if turned >= 0 and k:
-            md, qm = m[0] * d[0] + m[1] * d[1] + m[2] * d[2], q0 * m[0] + q1 * m[1] + q2 * m[2]
-            qd = q0 * d[0] + q1 * d[1] + q2 * d[2]
             for j in range(3):
-                i, n = (j + 1) % 3, (j + 2) % 3
-                H[k, 9 + turned + j] = d[i] * J[k, n] - d[n] * J[k, i] + 0.5 * (J[k, j] * md + qm * d[j]) - m[j] * qd
+                x0, x1, x2 = e[1] * q2 - e[2] * q1, e[2] * q0 - e[0] * q2, e[0] * q1 - e[1] * q0
+                H[k, 9 + turned + j] = by[0, j] * x0 + by[1, j] * x1 + by[2, j] * x2
         if k:  # back through the rotation
             q0, q1, q2 = (
                 turn[0, 0] * q0 + turn[1, 0] * q1 + turn[2, 0] * q2,
@@ -598,9 +625,9 @@ def attitude(z, nav, rate, par, cfg, H, res):
     misalignment m (3).
     """
     _clear(H)
-    C, B, turn = np.empty((3, 3)), np.empty((3, 3)), np.eye(3)
+    C, B, turn, by = np.empty((3, 3)), np.empty((3, 3)), np.eye(3), np.empty((3, 3))
     if len(par) > 0:
-        _rotation(par, turn)
+        _rotation(par, turn, by)
     for i in range(3):
         for j in range(3):
             B[i, j] = nav[6 + 3 * i] * cfg[1 + j] + nav[7 + 3 * i] * cfg[4 + j] + nav[8 + 3 * i] * cfg[7 + j]
@@ -623,11 +650,10 @@ def attitude(z, nav, rate, par, cfg, H, res):
             D[j, i], D[k, i], D[m, i] = 0.0, -C[m, i], C[k, i]  # a rotation about axis j of n
         _angle_slopes(C, D, H, 6 + j)
         if len(par) > 0:
+            x, y, w = by[0, j], by[1, j], by[2, j]
             for i in range(3):
-                D[i, j], D[i, k], D[i, m] = 0.0, -B[i, m], B[i, k]  # against one about axis j of the instrument
-                for a in range(3):
-                    D[i, a] += 0.5 * par[a] * B[i, j] - par[j] * B[i, a]
-                D[i, j] += 0.5 * (B[i, 0] * par[0] + B[i, 1] * par[1] + B[i, 2] * par[2])
+                # against a rotation about (x, y, w) of the instrument
+                D[i, 0], D[i, 1], D[i, 2] = C[i, 2] * y - C[i, 1] * w, C[i, 0] * w - C[i, 2] * x, C[i, 1] * x - C[i, 0] * y
             _angle_slopes(C, D, H, 9 + j)
 
 
@@ -672,16 +698,6 @@ def earth_rate(z, nav, rate, par, cfg, H, res):
         H[i, 0] = (a * down - c * north) / nav[15]
         # C_nb' turns by -phi: C' (w x phi)
         H[i, 6], H[i, 7], H[i, 8] = b * down, c * north - a * down, -b * north
-
-
-@njit(cache=True, inline="always")
-def _rodrigues(t2):
-    """Factors p, q of ``exp([v x]) = I + p [v x] + q [v x]^2`` for |v|^2 = t2."""
-    if t2 > SMALL_ANGLE2:
-        t = math.sqrt(t2)
-        return math.sin(t) / t, (1.0 - math.cos(t)) / t2
-    # series without divisions, which are slow: the first term left out is below 1e-17
-    return 1.0 - t2 * (P3 - t2 * (P5 - P7 * t2)), 0.5 - t2 * (Q4 - t2 * (Q6 - Q8 * t2))
 
 
 @njit(cache=True, inline="always")

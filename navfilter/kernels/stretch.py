@@ -160,7 +160,7 @@ def correction(sources):
         else:
             addresses.at_equation(spot[EQUATION], (z, nav, rate, par, constants, near, res))
         if slopes:
-            measurement.hold_slopes(P, near, held, spot[HELD])
+            measurement.hold_slopes(P, near, held, spot[HELD], start + errors)
         if spot[BEND]:
             addresses.at_bend(spot[BEND], (z, near, P, start + errors, constants, R))
         C = shaped(bench[spot[OUTPUT] : spot[OUTPUT] + a * errors], a, errors)
