@@ -1596,7 +1596,7 @@ def hold_slopes(P, near, held, begin, first):
     at = np.r_[:9, first : first + begin]
     band = 3.0 * np.sqrt(np.max(np.diag(near[:, : 9 + begin] @ P[np.ix_(at, at)] @ near[:, : 9 + begin].T)))
     new = near[:, 9 + begin :][:, : held.shape[1]]
-    new[:] = np.where(np.abs(new - held) <= band, held, new)
+    new[:] = np.where(np.abs(new - held) <= band, 0.98 * held + 0.02 * new, new)
 
 
 def _sagitta(slope, distance, P):
