@@ -48,7 +48,7 @@ def _rodrigues(t2):
 
 @njit(cache=True, inline="always")
 def _third(t2, p):
-    """The factor after those of `_rodrigues`, (1 - p) / t2: with q in place of p it makes the rotation of a change of v,
+    """The factor after those of `_rodrigues`, (1 - p) / t2. With q and it in place of p and q the same form is J of
     ``exp([(v + dv) x]) = exp([J dv x]) exp([v x])``.
     """
     return (1.0 - p) / t2 if t2 > SMALL_ANGLE2 else P3 - t2 * (P5 - P7 * t2)
@@ -657,7 +657,8 @@ def attitude(z, nav, rate, par, cfg, H, res):
             x, y, w = by[0, j], by[1, j], by[2, j]
             for i in range(3):
                 # against a rotation about (x, y, w) of the instrument
-                D[i, 0], D[i, 1], D[i, 2] = C[i, 2] * y - C[i, 1] * w, C[i, 0] * w - C[i, 2] * x, C[i, 1] * x - C[i, 0] * y
+                D[i, 0], D[i, 1] = C[i, 2] * y - C[i, 1] * w, C[i, 0] * w - C[i, 2] * x
+                D[i, 2] = C[i, 1] * x - C[i, 0] * y
             _angle_slopes(C, D, H, 9 + j)
 
 
