@@ -217,6 +217,6 @@ def smoothable(piece: Piece) -> Tape:
         whole.append(one.tape, *(() if then is None else (then.records, then.rows)))
         if then is not None:
             m = len(then.transition)
-            whole.record(then.transition.reshape(-1), 0, np.array([0, then.M.shape[1], m, 0, 0, 0, 0]))
+            whole.record(then.transition.reshape(-1), 0, np.array([0, then.M.shape[1], m, 0, 0, 0, 0, 0]))
             whole.change(then.M)
     return whole

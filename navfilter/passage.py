@@ -135,7 +135,7 @@ class Passage:
         self._steady = driven and heard and nav.learning.rest is None
         self.at, self.done, self._kept, self._until = 0, done, done, len(self._ends)
         self._begin = self._end = 0
-        self._info, self._heads = np.empty((ROWS, 2)), np.empty((ROWS, 5), np.int64)
+        self._info, self._heads = np.empty((ROWS, 2)), np.empty((ROWS, 6), np.int64)
 
     def _watched(self) -> list[Watch]:
         return [self.nav.watches[name] for name in self._readings.names]

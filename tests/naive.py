@@ -778,6 +778,18 @@ def velocity_turn(change, n):
     return G
 
 
+def turn_deviation(P, K, res, first):
+    G = deviation_turn(K, res, first)
+    P[:] = G @ P @ G.T
+
+
+def deviation_turn(K, res, first):
+    """How the errors of a deviation that no reading tells from the heading change with it."""
+    G, (sine, cosine, sine_2, cosine_2) = np.eye(len(K)), K[first : first + 4] * res
+    G[first : first + 4, 8] = cosine, -sine, 2 * cosine_2, -2 * sine_2
+    return G
+
+
 def correct(P, nav, x, res, S, PH, K, turn, T=None):
     n, a = K.shape
     K[:] = PH.T @ S[a:]
@@ -795,7 +807,7 @@ def correct(P, nav, x, res, S, PH, K, turn, T=None):
 
 
 def places(dims):
-    a, n, m, b, _, _, par = dims
+    a, n, m, b, _, _, par = dims[:7]
     sizes = [
         m * m + b * b,
         a * n,
@@ -824,7 +836,7 @@ def predict(P, nav, x, acc, model, mem, dims, count):
 
 
 def update(P, nav, x, C, R, mem, dims, limits):
-    a, n, m, _, start, errors, par = dims
+    a, n, m, _, start, errors, par = dims[:7]
     at = places(dims)
     H, K = mem[at[0] : at[1]].reshape(a, n), mem[at[1] : at[2]].reshape(n, a)
     S, PH = mem[at[5] : at[6]].reshape(2 * a, a), mem[at[6] : at[7]].reshape(a, n)
@@ -841,6 +853,8 @@ def update(P, nav, x, C, R, mem, dims, limits):
         out[2] = fits_without_some(P, H.copy(), res.copy(), np.isnan(out[3 : 3 + a]), H, R, S, PH, res, out, limits)
     if out[2]:
         correct(P, nav, x, res, S, PH, K, mem[at[4] : at[4] + 1])
+        if dims[7]:
+            turn_deviation(P, K[:, 0], res[0], dims[7])
         mem[at[2] : at[3]] = S[a:].ravel()
 
 
@@ -864,14 +878,15 @@ def fits_without_some(P, whole, given, missing, H, R, S, PH, res, out, limits):
     return 0.0
 
 
-def smooth_record(L, lam, record, a, m, b, start, T):
+def smooth_record(L, lam, record, a, m, b, start, deviation, T):
     """Adjoint of fold, tick, correction and reset, backward: Bierman (1973)."""
     n = len(lam)
     sizes = [m * m, b * b] + ([a * n, n * a, a * a, a, 4] if a else [])
     parts = np.split(record[: sum(sizes)], np.cumsum(sizes)[:-1])
     if a:
         H, K, Sinv = parts[2].reshape(a, n), parts[3].reshape(n, a), parts[4].reshape(a, a)
-        D = velocity_turn(parts[6][1:], n) @ attitude_reset(parts[6][0], n) @ (np.eye(n) - K @ H)
+        turned = deviation_turn(K[:, 0], parts[5][0], deviation) if deviation else np.eye(n)
+        D = turned @ velocity_turn(parts[6][1:], n) @ attitude_reset(parts[6][0], n) @ (np.eye(n) - K @ H)
         lam[:] = D.T @ lam - H.T @ Sinv @ parts[5]
         L[:] = D.T @ L @ D + H.T @ Sinv @ H
     for first, size, part in ((start, b, parts[1]), (0, m, parts[0])):
@@ -1094,7 +1109,7 @@ def attend(ear, nis, dof, ticks, learning):
 
 
 def listen(undone, mem, dims, places, nav, C, x, kind, mount, ring, cursor, ticks, Cr, gravity):
-    a, n, m, _, start, errors, par = dims
+    a, n, m, _, start, errors, par = dims[:7]
     at, capacity = places, ring.shape[1]
     K, res, near = mem[at[1] : at[2]].reshape(n, a), mem[at[3] : at[4]], mem[at[7] : at[8]].reshape(a, 9 + par)
     used, C_nb, own = mem[at[8] + 2] != 0, nav[6:15].reshape(3, 3), slice(start, start + errors)
@@ -1665,10 +1680,10 @@ def usbl_bend(z, near, P, first, cfg, R):
 
 # ---------------------------------------------------------------- stretch
 def correction(bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count, since_s):
-    a, n, m, b, start, errors, par = dims = spot[:7]
-    equation, seen, motion, bend, moves, turns, reads_rate = spot[7:14]
-    begin, cfg, cfg_size, rate, model, output, white, lever, noise, limits, facts = spot[14:25]
-    held_from, held_to = spot[28:30]
+    a, n, m, b, start, errors, par, _ = dims = spot[:8]
+    equation, seen, motion, bend, moves, turns, reads_rate = spot[8:15]
+    begin, cfg, cfg_size, rate, model, output, white, lever, noise, limits, facts = spot[15:26]
+    held_from, held_to = spot[29:31]
     mem, places_, xd = bench[begin:cfg], places(dims), x[: m - 9]
     if drv[126]:
         discount_heading(P, acc, nav, drv[142])
@@ -1718,7 +1733,7 @@ def correction(bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count,
         if seen and bench[facts]:
             first = par - 3 - int(bench[facts + 1])
             withhold(P, x, near, K, S, res, first, start + errors + first, drv, Cr, np.empty(3))
-        if spot[31]:
+        if spot[32]:
             withhold_hidden(P, x, H, K, S, res, start + errors + held_from, np.empty(held_to - held_from))
         elements = int(drv[88])
         withhold_hidden(P, x, H, K, S, res, m - elements, np.empty(elements))
@@ -1766,7 +1781,7 @@ def prompt(
     """0: used, 2: nothing has been done, 3: not used, 6: used, and there is something to learn."""
     i, kept_as, period, most, dive, gravity, learn, _ = facts
     i, spot, at_, n = int(i), plan[int(i)], numbers % 1024, len(z)
-    begins = [own[14] + own[25] + 3 + 2 * own[0] for own in plan[:-1]]
+    begins = [own[15] + own[26] + 3 + 2 * own[0] for own in plan[:-1]]
     last = [bench[begin] for begin in begins]
     noted = bench[begins[i] : begins[i] + 4]
     simple = np.all(np.abs(z) <= most) and np.any(z)
@@ -1783,21 +1798,21 @@ def prompt(
     a, m, errors = spot[0], acc.shape[1], spot[5]
     holds = early > 1e-7 and drv[13] != 0
     if holds:
-        at(plan[-1, 8])(nav, x[: m - 9], drv, early, Phid, Qd, Cr, acc)
+        at(plan[-1, 9])(nav, x[: m - 9], drv, early, Phid, Qd, Cr, acc)
     count = 0 if np.isinf(noted[1]) else max(1, round((t - noted[1]) / period))
     noted[:2] = t
     correction(bench, spot, P, nav, x, acc, drv, Cr, recent, read, np.zeros(0), count, 0.0 if holds else -early)
-    mem = bench[spot[14] : spot[15]]
-    nis, dof, used, *residual = mem[spot[25] :][: 3 + a]
-    if not used or (spot[27] and dof < np.isfinite(residual).sum()):
+    mem = bench[spot[15] : spot[16]]
+    nis, dof, used, *residual = mem[spot[26] :][: 3 + a]
+    if not used or (spot[28] and dof < np.isfinite(residual).sum()):
         facts[7] = count
         return 3
     noted[2] = t
     _fared(figures, t, nis, dof, nav)
     if not undone.size:
         return 0
-    C = bench[spot[19] :][: a * errors].reshape(a, errors)
-    listen(undone, mem, spot[:7], where, nav, C, x, int(ear[0]), ear[8:], ring, cursor, count, Cr, float(gravity))
+    C = bench[spot[20] :][: a * errors].reshape(a, errors)
+    listen(undone, mem, spot[:8], where, nav, C, x, int(ear[0]), ear[8:], ring, cursor, count, Cr, float(gravity))
     return 6 if ear[0] and attend(ear, nis, dof, count, t >= learn) else 0
 
 
@@ -1812,16 +1827,16 @@ def _fared(watched, t, nis, dof, nav):
 
 def look_at_biases(bench, plan, heard, nav, x, P, w, time_s, looks, gyros, now):
     last_s, table = heard[:, 0], plan[: len(heard)]
-    notes = [bench[spot[14] + spot[25] :][: 3 + 2 * spot[0]] for spot in table]
+    notes = [bench[spot[15] + spot[26] :][: 3 + 2 * spot[0]] for spot in table]
     told = [note for note, t in zip(notes, last_s, strict=True) if t > last_s.max() - 10.0 and np.isfinite(note[0])]
     told = [note for note in told if note[1]]
     now[:3], now[10:] = (last_s.max(), *nav[:2]), np.nan
     now[10] = sum(note[0] for note in told) / sum(note[1] for note in told) if told else 1.0
-    near = [i for i, spot in enumerate(table) if spot[30] >= 0 and time_s - last_s[i] < 3.0]
+    near = [i for i, spot in enumerate(table) if spot[31] >= 0 and time_s - last_s[i] < 3.0]
     if near:
         spot, note = table[near[0]], notes[near[0]]
-        a, errors, north = spot[0], spot[5], spot[30]
-        C, R = bench[spot[19] :][: a * errors].reshape(a, errors), bench[spot[22] :][: a * a].reshape(a, a)
+        a, errors, north = spot[0], spot[5], spot[31]
+        C, R = bench[spot[20] :][: a * errors].reshape(a, errors), bench[spot[23] :][: a * a].reshape(a, a)
         left = note[3 + north] * (R[north, north] / note[3 + a + north] if note[2] else 1.0)
         now[11] = np.arctan2(nav[9], nav[6]) + left + C[north] @ x[spot[4] - 9 :][:errors]
         now[12] = now[11] - w[6, 9]
@@ -1876,9 +1891,9 @@ def stretch(
 
     def listened(e, i, spot, note, count, t):
         """Whether there is something to learn."""
-        a, mem, once = spot[0], bench[spot[14] : spot[15]], np.zeros(1, int)
-        C, value = bench[spot[19] :][: a * spot[5]].reshape(a, spot[5]), np.zeros((a + 1, 1))
-        listen(undone, mem, spot[:7], where[i], nav, C, x, ears[i, 0], ears[i, 8:17], value, once, 1, Cr, float(g))
+        a, mem, once = spot[0], bench[spot[15] : spot[16]], np.zeros(1, int)
+        C, value = bench[spot[20] :][: a * spot[5]].reshape(a, spot[5]), np.zeros((a + 1, 1))
+        listen(undone, mem, spot[:8], where[i], nav, C, x, ears[i, 0], ears[i, 8:17], value, once, 1, Cr, float(g))
         opened[e, 0], cursor[8] = count, once[0]
         if ears[i, 0]:
             opened[e, 1 : 2 + a] = value[:, 0]
@@ -1907,7 +1922,7 @@ def stretch(
                 return 4
             if len(w):
                 look(samples[k : k + 1], w, sd, ends, period, increments)
-            at(plan[-1, 7])(nav, x[: m - 9], drv, samples[k : k + 1], Phid, Qd, Cr, acc, trace[:0])
+            at(plan[-1, 8])(nav, x[: m - 9], drv, samples[k : k + 1], Phid, Qd, Cr, acc, trace[:0])
             if known:
                 if cursor[9] == 0:
                     before[512:], cursor[9] = before[:known].copy(), 512
@@ -1917,7 +1932,7 @@ def stretch(
             if cursor[2] == every:
                 if drv[126]:
                     discount_heading(P, acc, nav, drv[142])
-                record(acc[:m].ravel(), 0, m, 0, 0)
+                record(acc[:m].ravel(), 0, m, 0, 0, 0)
                 cursor[2] = 0
                 if undone.size:
                     carry(undone, acc[:m])
@@ -1929,14 +1944,14 @@ def stretch(
                 return 5
             if len(w) and w[6, 1] and not heeded(w, nav, P, period):
                 return 5
-        if full(plan[-1, 26]):
+        if full(plan[-1, 27]):
             return 4
         early, wait = t - now[0], heard[i, 5]
         if t <= heard[i, 0] or early < -1.001 * period or t - wait - now[1] > ahead:
             return 2
         watched[i, :2] = (watched[i, 0] + 1.0, watched[i, 1]) if same else (1.0, t)
         if early > 1e-7 and drv[13] and (early <= 1.001 * period or wait == 0):
-            at(plan[-1, 8])(nav, x[: m - 9], drv, early, Phid, Qd, Cr, acc)
+            at(plan[-1, 9])(nav, x[: m - 9], drv, early, Phid, Qd, Cr, acc)
             now[0] = t
         elapsed = t - heard[i, 1]
         count = 0 if np.isinf(elapsed) else max(1, round(elapsed / heard[i, 2]))
@@ -1945,10 +1960,10 @@ def stretch(
         correction(bench, spot, P, nav, x, acc, drv, Cr, before[cursor[9] : cursor[9] + known], *reading)
         cursor[2], heard[i, :2], heard[i, 4] = 0, t, count
         note = given[7][e, : 3 + 2 * spot[0]]
-        note[:] = bench[spot[14] + spot[25] :][: len(note)]
+        note[:] = bench[spot[15] + spot[26] :][: len(note)]
         if not note[2]:
             return 3
-        record(bench[spot[14] : spot[14] + spot[26]], spot[0], *spot[2:5])
+        record(bench[spot[15] : spot[15] + spot[27]], spot[0], *spot[2:5], spot[7])
         row()
         _fared(watched[i], t, *note[:2], nav)
         if undone.size and listened(e, i, spot, note, count, t):

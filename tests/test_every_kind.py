@@ -14,6 +14,7 @@ from test_passage import assert_same, changed, compare_stretches, one_by_one
 import navfilter as nf
 from navfilter import passage
 from navfilter.filter.channel import Channel
+from navfilter.kernels.stretch import EQUATION
 from navfilter.simulation.faults import Faults
 from navfilter.simulation.manoeuvres import ChangeSpeed, Straight, Turn, Wait
 from navfilter.simulation.motion import Motion
@@ -169,7 +170,7 @@ def test_compiled_as_asked_by_python(name, monkeypatch):
     compiled = nf.playback.at_the_end(vehicle, mission)
     monkeypatch.setattr(Channel, "_addresses", lambda self: (0, 0, 0, 0))
     asked = nf.playback.at_the_end(vehicle, mission)
-    assert not asked.filter.plan[:-1, 7].any() and compiled.filter.plan[:-1, 7].all()
+    assert not asked.filter.plan[:-1, EQUATION].any() and compiled.filter.plan[:-1, EQUATION].all()
     same_runs.assert_same_estimate(compiled, asked, 1e-7)
     assert max(watch.outcomes.get("used", 0) for watch in asked.watches.values()) > 30
 

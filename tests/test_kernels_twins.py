@@ -459,7 +459,7 @@ def test_what_has_not_moved_is_not_folded_and_nothing_changes(rows):
         assert not kalman.unmoved(A) and not naive.unmoved(A)
     P, nav = spd(rng, 18), random_nav(rng)
     folded, _ = run_both(kalman.fold, P, acc, nav, np.zeros((m, 18)))
-    dims = np.array([1, 18, m, 0, m, 0, 0])
+    dims = np.array([1, 18, m, 0, m, 0, 0, 0])
     none, mem = np.zeros((2, 0, 0)), np.zeros(kalman.places(dims)[-1])
     predicted, _ = run_both(kalman.predict, P, nav, rng.normal(size=9), acc, none, mem, dims, 0)
     np.testing.assert_array_equal(predicted[0], folded[0])
@@ -527,7 +527,7 @@ def test_innovation_of_other_numbers_of_axes(a, missing):
 def test_one_component_that_contradicts_the_others_is_left_out(wrong, missing, verdict):
     """As long as more than half remain: of three readings of a plane one, of two none."""
     rng = np.random.default_rng(9)
-    dims = np.array([4, 12, 9, 0, 9, 1, 2])
+    dims = np.array([4, 12, 9, 0, 9, 1, 2, 0])
     at, a, n = kalman.places(dims), 4, 12
     P, mem, C = 1e-4 * spd(rng, n), np.zeros(at[-1]), np.full((a, 1), 0.1)
     mem[at[7] : at[8]] = rng.normal(size=at[8] - at[7])
@@ -567,8 +567,8 @@ def test_innovation_of_a_scalar():
 @pytest.mark.parametrize(("count", "verdict"), [(0, 1.0), (1, 1.0), (4, 0.0)])
 def test_predict_and_update_work_through_the_channels_memory(count, verdict):
     rng = np.random.default_rng(6)
-    dims = np.array([3, 18, 11, 5, 12, 4, 1])  # three axes, four error states and one parameter
-    a, n, m, b, _, errors, par = dims
+    dims = np.array([3, 18, 11, 5, 12, 4, 1, 0])  # three axes, four error states and one parameter
+    a, n, m, b, _, errors, par, _ = dims
     at = kalman.places(dims)
     assert tuple(at) == naive.places(dims)
     P, nav, x, mem = spd(rng, n), random_nav(rng), rng.normal(size=n - 9), np.zeros(at[-1])
@@ -596,8 +596,10 @@ def test_predict_and_update_work_through_the_channels_memory(count, verdict):
     )
 
 
-@pytest.mark.parametrize(("a", "b"), [(0, 0), (0, 4), (1, 0), (3, 4), (4, 0), (8, 4)])
-def test_smoother_kernels(a, b):
+@pytest.mark.parametrize(
+    ("a", "b", "deviation"), [(0, 0, 0), (0, 4, 0), (1, 0, 0), (1, 0, 12), (1, 4, 11), (3, 4, 0), (4, 0, 0), (8, 4, 0)]
+)
+def test_smoother_kernels(a, b, deviation):
     rng = np.random.default_rng(7)
     n, m, start = 16, 11, 12
     parts = [np.eye(m) + 0.1 * rng.normal(size=(m, m)), rng.normal(size=(b, b))]
@@ -611,7 +613,7 @@ def test_smoother_kernels(a, b):
         ]
     record = np.concatenate([part.ravel() for part in parts])
     ours, twins = run_both(
-        kalman.smooth_record, spd(rng, n), rng.normal(size=n), record, a, m, b, start, np.zeros((3 * n, n))
+        kalman.smooth_record, spd(rng, n), rng.normal(size=n), record, a, m, b, start, deviation, np.zeros((3 * n, n))
     )
     assert_close(ours[:2], twins[:2], 1e-13)
     np.testing.assert_allclose(ours[0], ours[0].T, rtol=0, atol=1e-13 * np.abs(ours[0]).max())
@@ -625,7 +627,7 @@ def test_smoother_kernels(a, b):
 def test_smoother_goes_through_a_run_of_records_and_rows(holds, until):
     rng = np.random.default_rng(17)
     n, m, q = 14, 10, len(holds)
-    kinds = [(0, m, 0, 0), (1, m, 2, 11), (3, 0, 0, 0), (2, m, 3, 10)]
+    kinds = [(0, m, 0, 0, 0), (1, m, 2, 11, 10), (3, 0, 0, 0, 0), (2, m, 3, 10, 0)]
     parts = [
         np.concatenate(
             [
@@ -634,7 +636,7 @@ def test_smoother_goes_through_a_run_of_records_and_rows(holds, until):
                 *([0.1 * rng.normal(size=2 * a * n), spd(rng, a).ravel(), rng.normal(size=a + 4)] if a else []),
             ]
         )
-        for a, head, b, _ in kinds
+        for a, head, b, _, _ in kinds
     ]
     begins = 5 + np.cumsum([0, *map(len, parts)])[:-1]  # something else stands before them
     rows = [np.concatenate([rng.normal(size=8 + n), 0.1 * spd(rng, n)[np.tril_indices(n)]]) for _ in holds]

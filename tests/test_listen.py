@@ -38,7 +38,7 @@ def test_listen(kind, gravity, used):
     rng = np.random.default_rng(2)
     a = 1 if kind == listen.HEADING else 3
     for ticks, cursor in ((1, 0), (4, 6), (30, 17)):
-        dims = np.array([a, 20, 13, 4, 15, 3, 1])
+        dims = np.array([a, 20, 13, 4, 15, 3, 1, 0])
         n, m, errors, at = dims[1], dims[2], dims[5], kalman.places(dims)
         mem = rng.normal(size=at[-1])
         mem[at[8] + 2] = used

@@ -215,7 +215,8 @@ class Channel:
         # of the very same sensor and states only the place is another
         if not (before and before[0] is sensor and before[1] is group.Phi and np.array_equal(variance, self._turned)):
             self._describe(sensor, group, b, variance)
-        self.dims = np.array([a, n, m, b, group.start, group.errors, parameters])
+        deviation = 0 if sensor.deviation is None else group.start + group.errors + sensor.deviation
+        self.dims = np.array([a, n, m, b, group.start, group.errors, parameters, deviation])
         at = kalman.places(self.dims)
         self.places, self.record_size = np.array(at), at[5]
         self._ends = at[-1] + np.cumsum([0, *self._sizes])
@@ -252,7 +253,7 @@ class Channel:
         ndarray of int
             Its row of the plan, see `navfilter.kernels.stretch`.
         """
-        a, n, m, b, first, errors, parameters = self.dims.tolist()
+        a, n, m, b, first, errors, parameters, _ = self.dims.tolist()
         ends = begin + self._ends
         self.bench, at = bench[begin : ends[-1]], self.places
         self.mem = mem = bench[begin : ends[0]]

@@ -178,7 +178,7 @@ class Tape:
 
     def _fresh(self, layout: Any) -> None:
         self.records = Spool(self._memory_bytes)
-        self._heads = array("h")  # a, m, b, start of each record
+        self._heads = array("h")  # a, m, b, start, deviation of each record
         row = self._row_size(layout.size) if self._expected else 0
         self.rows = Spool(sys.maxsize if row else self._memory_bytes, row * self._expected)
         self.row_times = array("d")
@@ -195,20 +195,20 @@ class Tape:
         """
         if self.smoothable:
             self.records.new(record.size)[:] = record
-            self._heads.extend((axes, int(dims[2]), int(dims[3]), int(dims[4])))
+            self._heads.extend((axes, *dims[[2, 3, 4, 7]].tolist()))
 
     def change(self, M: Array) -> None:
         """Write down that the error state became M times what it was: another layout of the states from here on."""
         if self.smoothable:
             self.records.new(M.size)[:] = M.reshape(-1)
-            self._heads.extend((CHANGE, *M.shape, 0))
+            self._heads.extend((CHANGE, *M.shape, 0, 0))
 
     @property
     def heads(self) -> NDArray[np.int16]:
-        """Of each record: axes, size of the head, size and start of the ticked block; or `CHANGE`, rows and columns of
-        the matrix, 0. A view: while it is held, no record can be written.
+        """Of each record: axes, size of the head, size and start of the ticked block, place of a deviation; or
+        `CHANGE`, rows and columns of the matrix, 0, 0. A view: while it is held, no record can be written.
         """
-        return np.frombuffer(self._heads, np.int16).reshape(-1, 4)
+        return np.frombuffer(self._heads, np.int16).reshape(-1, 5)
 
     def row(self, time_s: float, nav: Array, x: Array, P: Array, present: Array | None = None) -> None:
         """Note the state at this time; the last note of a time stands, and times closer than the output interval are
@@ -304,7 +304,7 @@ class Tape:
         for mine, its, count in ((self.records, other.records, records), (self.rows, other.rows, rows)):
             for flat, sizes in its.pieces(count):
                 mine.extend(flat, sizes)
-        self._heads.extend(other._heads[: 4 * records])
+        self._heads.extend(other._heads[: 5 * records])
         self.row_times.extend(other.row_times[:rows])
         self.row_records.extend(array("q", [before + number for number in other.row_records[:rows]]))
         self.row_layouts.extend(array("q", [layouts + number for number in other.row_layouts[:rows]]))

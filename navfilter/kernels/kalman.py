@@ -659,9 +659,9 @@ def places(dims):
     """Where things stand in a channel's memory ``mem``: starts of H, K, inverse S, res, turn, then of S, PH, near,
     verdict, work, and the end.
 
-    dims: axes a, states n, head m, ticked block b, its start, states of its error models, parameters. Everything before
-    S has the layout of a tape record (see `smooth_record`), which starts with the head's transition (m x m) and the
-    tick's (b x b).
+    dims: axes a, states n, head m, ticked block b, its start, states of its error models, parameters; what follows is
+    not looked at. Everything before S has the layout of a tape record (see `smooth_record`), which starts with the
+    head's transition (m x m) and the tick's (b x b).
     """
     a, n, m, b = dims[0], dims[1], dims[2], dims[3]
     H = m * m + b * b
@@ -722,7 +722,8 @@ def update(P, nav, x, C, R, mem, dims, limits):
     H of the drive's states is what the caller has left there (0 but for readings of the past). C: (a, errors) output
     rows of the error models, R: (a, a) white covariance, limits: (a + 1,) gates by the number of components used; the
     first says more than which share of the components has to remain when single ones that contradict the others are
-    left out, infinite: none ever is. Leaves the verdict: NIS, components used, 1 if the state was corrected, then
+    left out, infinite: none ever is. dims: those of `places`, then where a deviation begins, see `turn_deviation`; 0:
+    none. Leaves the verdict: NIS, components used, 1 if the state was corrected, then
     residuals (NaN where missing) and their variances (NaN also where left out).
     """
     a, n, start, errors, par = dims[0], dims[1], dims[4], dims[5], dims[6]
@@ -751,6 +752,8 @@ def update(P, nav, x, C, R, mem, dims, limits):
     out[2] = 1.0
     T = shaped(mem[iw : iw + 2 * a * n], 2 * a, n)
     correct(P, nav, x, res, S, PH, shaped(mem[iK:ii], n, a), mem[it : it + 1], T)
+    if dims[7] > 0:
+        turn_deviation(P, mem[iK:ii], res[0], dims[7])
     for i in range(a):
         for j in range(a):
             mem[ii + i * a + j] = S[a + i, j]
@@ -787,6 +790,32 @@ def turn_velocity(P, nav, before, change):
     north, east, down = nav[3] - before[0], nav[4] - before[1], nav[5] - before[2]
     change[0], change[1], change[2] = north, east, down
     _add_turned(P, int(3), int(6), north, east, down)
+
+
+@apart
+@njit(cache=True, **UNCOUNTED)
+def turn_deviation(P, K, res, first):
+    """After a compass has changed its own deviation: what an error of the heading does to the deviation it also does to
+    the change. K (n,): its gain; first: where sine and cosine of the heading, and of twice it, begin.
+
+    Readings tell no heading from a deviation: were the vehicle turned by psi, a bias less by psi and a deviation that
+    is turned with it would have them read the same. So errors of the heading and of the deviation go together by what
+    that is, and have to follow it. Else each reading would tell a little of the heading by how its slope has changed
+    (Huang, Mourikis and Roumeliotis, 2010, International Journal of Robotics Research 29).
+    """
+    by = K[first + 1] * res, -K[first] * res, 2.0 * K[first + 3] * res, -2.0 * K[first + 2] * res
+    n = P.shape[0]
+    for i in range(4):
+        for j in range(n):
+            P[first + i, j] += by[i] * P[8, j]
+    for i in range(4):
+        for j in range(n):
+            P[j, first + i] += by[i] * P[j, 8]
+    for i in range(first, first + 4):
+        for j in range(first, i):
+            s = 0.5 * (P[i, j] + P[j, i])
+            P[i, j] = s
+            P[j, i] = s
 
 
 @apart
@@ -850,7 +879,7 @@ def _fits_without_some(P, H, near, C, R, S, PH, res, out, limits, start, head):
 
 @apart
 @njit(cache=True, **UNCOUNTED)
-def smooth_record(L, lam, record, a, m, b, start, T):
+def smooth_record(L, lam, record, a, m, b, start, deviation, T):
     """Carry the adjoint (lam, L) backward over one tape record: reset, correction, tick, compound transition.
 
     Modified Bryson-Frazier form of the fixed-interval (Rauch-Tung-Striebel) solution (Bierman, 1973): only S is
@@ -860,8 +889,8 @@ def smooth_record(L, lam, record, a, m, b, start, T):
 
     record: Phi (m x m; m = 0 where nothing moved), tick Phi (b x b), then if a > 0: H (a x n), K (n x a), inverse S
     (a x a), res (a), the turn of the heading and the change of velocity that turns with it (3), each row by row.
-    `start` is the ticked block's place, b its size (0: none). L (n, n) and lam (n,) change; T work, n columns and three
-    times as many rows, at least 3a.
+    `start` is the ticked block's place, b its size (0: none); deviation: see `turn_deviation`, 0: none. L (n, n) and
+    lam (n,) change; T work, n columns and three times as many rows, at least 3a.
     """
     n = len(lam)
     at = m * m + b * b
@@ -872,6 +901,8 @@ def smooth_record(L, lam, record, a, m, b, start, T):
         Sinv = shaped(record[at : at + a * a], a, a)
         res = record[at + a * a : at + a * a + a]
         half = 0.5 * record[at + a * a + a]
+        if deviation > 0:
+            _deviation_transposed(L, lam, K[:, 0], res[0], deviation)
         x, y, z = record[at + a * a + a + 1], record[at + a * a + a + 2], record[at + a * a + a + 3]
         if x != 0.0 or y != 0.0 or z != 0.0:  # the other way round than `turn_velocity`
             _add_turned(L, int(6), int(3), -x, -y, -z)
@@ -916,6 +947,21 @@ def smooth_record(L, lam, record, a, m, b, start, T):
         _head_transposed(L, lam, shaped(record[: m * m], m, m), flat(T))
         return
     _same(L, int(6))
+
+
+@apart
+@njit(cache=True, **UNCOUNTED)
+def _deviation_transposed(L, lam, K, res, first):
+    """`turn_deviation` backward."""
+    by = K[first + 1] * res, -K[first] * res, 2.0 * K[first + 3] * res, -2.0 * K[first + 2] * res
+    n = len(lam)
+    for i in range(4):
+        lam[8] += by[i] * lam[first + i]
+        for j in range(n):
+            L[8, j] += by[i] * L[first + i, j]
+    for i in range(4):
+        for j in range(n):
+            L[j, 8] += by[i] * L[j, first + i]
 
 
 @apart
@@ -1039,19 +1085,19 @@ def smooth_run(L, lam, records, begins, heads, rows, firsts, holds, index, until
     """Carry the adjoint backward over a run of records, and give the smoothed error at every row of them, the latest
     first: `smooth_record` and `smooth_row` in one call.
 
-    records: flat; begins (r,): where each begins; heads (r, 4): axes, size of the head, size and start of the ticked
-    block. rows: flat, each 17 + (n - 9) values and the lower triangle of P; firsts (q,): where each begins; holds (q,):
-    after how many of the records it holds. index: after how many of them the adjoint is; until: where to leave it.
-    means (q, n), covs (q, n, n): what is found. T, U: work, n columns, T as many rows as `smooth_record` asks for, U
-    2n.
+    records: flat; begins (r,): where each begins; heads (r, 5): axes, size of the head, size and start of the ticked
+    block, place of a deviation. rows: flat, each 17 + (n - 9) values and the lower triangle of P; firsts (q,): where
+    each begins; holds (q,): after how many of the records it holds. index: after how many of them the adjoint is;
+    until: where to leave it. means (q, n), covs (q, n, n): what is found. T, U: work, n columns, T as many rows as
+    `smooth_record` asks for, U 2n.
     """
     n = len(lam)
     for q in range(len(firsts) - 1, -2, -1):
         least = holds[q] if q >= 0 else until
         while index > least:
             index -= 1
-            a, m, b, start = heads[index, 0], heads[index, 1], heads[index, 2], heads[index, 3]
-            smooth_record(L, lam, records[begins[index] :], a, m, b, start, T)
+            a, m, b, start, deviation = heads[index]
+            smooth_record(L, lam, records[begins[index] :], a, m, b, start, deviation, T)
         if q >= 0:
             first, P = firsts[q] + 8 + n, U[n:]
             for i in range(n):

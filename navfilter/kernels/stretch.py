@@ -28,7 +28,7 @@ SAME_S = 1e-7
 # Beyond this variance of the heading [rad^2] a body velocity is taken with its second-order term.
 UNSURE_HEADING = 0.01
 
-# Columns of `plan`, a row a channel: the seven of `kalman.places`; addresses of its kernel (0: it is asked by Python),
+# Columns of `plan`, a row a channel: the eight of `kalman.update`; addresses of its kernel (0: it is asked by Python),
 # of `past.sight` where its place or clock is a state, of the drive's motion for that, and of what its equation bends by
 # (0: none); whether it moves, turns, and reads the drive's own rates; then where in `bench` its parts stand: working
 # memory, constants and how many, rate, model, C, white, lever, R, limits, facts; in the working memory the verdict, and
@@ -36,10 +36,10 @@ UNSURE_HEADING = 0.01
 # from which of its parameters to which the slopes are held; which of its axes is the heading (-1: none); whether these
 # parameters may be hidden by the state's error. One more row is for the drive: dimensions of a fold, addresses of its
 # steps, its hold and `correction` in the first three, in MEM its work space, in RECORD the longest record of all.
-EQUATION, SIGHT, MOTION, BEND, MOVES, TURNS, READS_RATE = range(7, 14)
+EQUATION, SIGHT, MOTION, BEND, MOVES, TURNS, READS_RATE = range(8, 15)
 STEPS, HOLD, CORRECTION = EQUATION, SIGHT, MOTION
-MEM, CONSTANTS, CONSTANTS_SIZE, RATE, MODEL, OUTPUT, WHITE, LEVER_NOISE, NOISE, LIMITS, FACTS = range(14, 25)
-VERDICT, RECORD, PARTLY, HELD, HELD_TO, NORTH, HIDDEN, PLAN = range(25, 33)
+MEM, CONSTANTS, CONSTANTS_SIZE, RATE, MODEL, OUTPUT, WHITE, LEVER_NOISE, NOISE, LIMITS, FACTS = range(15, 26)
+VERDICT, RECORD, PARTLY, HELD, HELD_TO, NORTH, HIDDEN, PLAN = range(26, 34)
 
 # Elements of `now`: time of the state and of the last sample, stamp of the last sample, time of the last row written.
 TIME_S, SAMPLE_S, BEFORE_S, ROW_S = range(4)
@@ -116,7 +116,7 @@ def correction(sources):
         how many ticks it may have been beyond one sd stands behind the verdict: from the last used reading within it.
         """
         _ = sources
-        dims = spot[:7]
+        dims = spot[:8]
         a, n, m, b, start, errors, parameters = dims[0], dims[1], dims[2], dims[3], dims[4], dims[5], dims[6]
         mem = bench[spot[MEM] : spot[CONSTANTS]]
         model = bench[spot[MODEL] : spot[MODEL] + 2 * b * b].reshape((2, b, b))
@@ -251,8 +251,9 @@ def _note_record(sources):
     @apart
     @njit(cache=True, **UNCOUNTED)
     def _note_record(record, axes, dims, cursor, records, heads):
-        """Write a record for the smoother: nothing where `records` is empty. heads (r, 5): size, axes, head, size and
-        start of the ticked block; a head of 0 where the transition is the identity, which is left out.
+        """Write a record for the smoother: nothing where `records` is empty. heads (r, 6): size, axes, head, size and
+        start of the ticked block, place of a deviation; a head of 0 where the transition is the identity, which is
+        left out.
         """
         _ = sources
         if records.size == 0:
@@ -263,13 +264,8 @@ def _note_record(sources):
         at, begin = cursor[RECORDS], cursor[WRITTEN]
         for i in range(record.size):
             records[begin + i] = record[i]
-        heads[at, 0], heads[at, 1], heads[at, 2], heads[at, 3], heads[at, 4] = (
-            record.size,
-            axes,
-            m,
-            dims[3],
-            dims[4],
-        )
+        head = heads[at]
+        head[0], head[1], head[2], head[3], head[4], head[5] = record.size, axes, m, dims[3], dims[4], dims[7]
         cursor[RECORDS], cursor[WRITTEN] = at + 1, begin + record.size
 
     return _note_record

@@ -126,6 +126,11 @@ class Heading(Sensor):
         return measurement.deviation_bend if any(self.deviation_sd_rad) else None
 
     @property
+    def deviation(self) -> int | None:  # type: ignore[override]
+        """Its sine and cosine stand behind the bias."""
+        return 1 if any(self.deviation_sd_rad) else None
+
+    @property
     def reads(self) -> int:  # type: ignore[override]
         """Number of elements of a reading without the temperature."""
         return 3 if self.magnetometer else 1

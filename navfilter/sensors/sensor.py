@@ -84,6 +84,9 @@ class Sensor:
         term while the heading is hardly known.
     single_gates : bool
         A component that contradicts the others is left out alone, as long as more than half of them remain.
+    deviation : int or None
+        Which of its parameters begin a deviation with the heading, that no reading tells from it: see
+        `kalman.turn_deviation`.
     hidden : bool
         Parameters whose slopes are held may be hidden by the state's error, see `past.withhold_hidden`.
     single_s : float
@@ -144,6 +147,7 @@ class Sensor:
     sees_velocity: ClassVar[bool] = False
     single_gates: ClassVar[bool] = False
     hidden: ClassVar[bool] = False
+    deviation: ClassVar[int | None] = None
     single_s: ClassVar[float] = math.inf
     tracks: ClassVar[int] = 1
     bend: ClassVar[Callable[..., None] | None] = None
