@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import navfilter as nf
-from navfilter.calibration.calibrate import REFERENCE, UNTOLD, with_reference
+from navfilter.calibration.calibrate import REFERENCE, UNTOLD, Calibration, Found, with_reference
 from navfilter.calibration.estimate import estimate
 from navfilter.calibration.parts import KINDS, constants_of, described, opened
 from navfilter.calibration.validation import FOLDS, stretches_of
@@ -149,6 +149,29 @@ def test_what_predicts_no_better_is_not_kept():
     result = nf.calibrate(vehicle, [mission], kinds=["scale", "mounting"])
     assert not result.kept and result.vehicle is vehicle
     assert result.after.rms_m >= result.before.rms_m and "Not kept" in calibration_text(result)
+
+
+def test_a_constant_that_has_left_its_prior_does_not_spoil_the_others(monkeypatch):
+    """Of wheels a rotation about the way they roll came out 14 deg off, and the true scale was refused, too."""
+    spoilt = "velocity.misalignment_x"
+
+    def calibrated(vehicle, wide, missions, cut, each, tell):
+        constants = constants_of(wide)
+        kept = spoilt not in [one.name for one in constants]
+        listed = [Found(c.name, c.unit, c.part, 0.0, c.sd, 0.5 * c.sd, 0.1 * c.sd, 0.0, True) for c in constants]
+        listed = [replace(one, value=5.0 * one.before_sd) if one.name == spoilt else one for one in listed]
+        return Calibration(tuple(listed), wide if kept else vehicle, kept, None, None, 1.0, True, 1, constants)
+
+    monkeypatch.setattr("navfilter.calibration.calibrate._calibrated", calibrated)
+    result = nf.calibrate(reckoning(**UNSURE), [dive(4, way=AHEAD)])
+    by_name = found(result)
+    assert result.kept and list(by_name) == [one.name for one in constants_of(reckoning(**UNSURE))]
+    assert [name for name, one in by_name.items() if not one.believed] == [spoilt]
+    sure = {name: (value, sd) for name, value, sd in result.vehicle.drive.velocity.calibrated}
+    assert sure["misalignment_x"] == (0.0, 0.0)
+    assert "not believed" in calibration_text(result) and f"Not believed: {spoilt} (15 deg)" in calibration_text(result)
+    monkeypatch.setattr("navfilter.calibration.calibrate.FAR", 6.0)
+    assert not nf.calibrate(reckoning(**UNSURE), [dive(4, way=AHEAD)]).kept
 
 
 def test_the_scatter_of_the_parts_bounds_the_sd():

@@ -38,6 +38,8 @@ def _row(one: Found) -> str:
     if not one.told:
         return f"{label:{_WIDTH}} {before:>20}  {'not told':>20}"
     away = abs(one.value - one.before) / one.before_sd
+    if not one.believed:
+        return f"{label:{_WIDTH}} {before:>20}  {'not believed':>20}  {away:.1f} sd off"
     return f"{label:{_WIDTH}} {before:>20}  {found:>20}" + (f"  {away:.1f} sd off" if away > 2.5 else "")
 
 
@@ -61,12 +63,19 @@ def _remarks(result: Calibration) -> Iterator[str]:
     untold = [one.name for one in result.found if not one.told]
     if untold:
         yield f"Not told, more than 80 % of its sd is left: {', '.join(untold)}. These stay as described."
+    doubtful = [one for one in result.found if not one.believed]
+    if doubtful:
+        each = ", ".join(f"{one.name} ({amount(one.value, one.unit)})" for one in doubtful)
+        yield (
+            f"Not believed: {each}. It is far from what is described, and with it the withheld fixes are predicted no "
+            "better: something that vehicle.toml has no state for looks like it. It stays as described, and sure."
+        )
     if result.factor > TOO_MUCH:
         yield (
             f"The parts of the missions scatter {math.sqrt(result.factor):.1f} times as much as their likelihood says: "
             "they count less by that. An error model of vehicle.toml is too small, or a constant changes."
         )
-    wide = [one.name for one in result.found if one.told and one.scatter >= one.sd * 0.999]
+    wide = [one.name for one in result.found if one.told and one.believed and one.scatter >= one.sd * 0.999]
     if wide:
         yield (
             f"The parts of the missions scatter more than their likelihood says in {', '.join(wide)}: the sd is that "
@@ -76,7 +85,7 @@ def _remarks(result: Calibration) -> Iterator[str]:
         yield f"The constants had not settled after {result.rounds} steps: start from a better description."
     if result.kept and result.after is not None and result.after.inside < 0.8:
         yield "The withheld fixes lie outside the ellipse too often: an error model is too small."
-    wheels = [one for one in result.found if one.told and one.name.endswith(".scale") and result.kept]
+    wheels = [one for one in result.found if one.told and one.believed and one.name.endswith(".scale") and result.kept]
     if wheels:
         factors = ", ".join(f"{one.name} {1.0 / (1.0 + one.value):.5f}" for one in wheels)
         yield f"Of a velocity that comes from wheels, the true radius is the described one times: {factors}."
