@@ -1543,12 +1543,20 @@ def withhold_hidden(P, x, H, K, S, res, at, untold):
     consider(P, x, K, S, res, at, untold)
 
 
-def discount(inner, slope, then, drv, Cr, over_s, gravity, variance, tilt, near, R):
+def pushed(P, nav, drv, Cr, pushes, work):
+    pushes[:] = 0.0
+    if drv[strapdown_kernels.INERTIAL]:
+        down, C = np.array([0.0, 0.0, gravity(nav[0], nav[2])]), nav[6:15].reshape(3, 3)
+        J, k = np.hstack([skew(down), -C @ Cr[3:6, :-1]]), Cr.shape[1] - 1
+        pushes[:] = J @ P[6 : 9 + k, 6 : 9 + k] @ J.T
+
+
+def discount(inner, slope, then, drv, Cr, over_s, gravity, variance, pushes, near, R):
     white = Cr[:, -1] * (drv[36] / over_s if gravity else 2.0 / max(over_s, drv[36]) ** 2)
     C = then[6:15].reshape(3, 3)
     turned, pushed = inner[:, 6:9] @ C, inner[:, 3:6] @ C
     noise, growth = np.hstack([turned, pushed]) ** 2 @ white, inner[:, :9] @ slope[1]
-    noise += gravity**2 * tilt * (inner[:, 3:5] ** 2).sum(axis=1)
+    noise += np.einsum("ij,jk,ik->i", inner[:, 3:6], pushes, inner[:, 3:6])
     told = near[:, -1].copy()
     stands_out = told**2 > 100.0 * noise
     left = np.where(stands_out, 100.0 * noise / np.where(stands_out, told, 1.0), told)
@@ -1558,7 +1566,7 @@ def discount(inner, slope, then, drv, Cr, over_s, gravity, variance, tilt, near,
 
 
 def sight(
-    equation, motion, facts, z, nav, rate, par, cfg, recent, drv, Cr, xd, since_s, variance, tilt, H, near, res, R
+    equation, motion, facts, z, nav, rate, par, cfg, recent, drv, Cr, xd, since_s, variance, pushes, H, near, res, R
 ):
     arm, clock, turns, _, *by_arm = facts
     own, by_arm = len(par) - 3 * int(arm) - int(clock), np.reshape(by_arm, (-1, 3))
@@ -1604,7 +1612,7 @@ def sight(
         ask(then, rate + 1e-3 * turn[3:], np.zeros(3), ends)
         near[:, -1] -= (res - ends) / 1e-3
     if clock:
-        discount(inner, slope, then, drv, Cr, over_s, g[0], variance, tilt, near, R)
+        discount(inner, slope, then, drv, Cr, over_s, g[0], variance, pushes, near, R)
 
 
 def hold_slopes(P, near, held, begin, first):
@@ -1706,7 +1714,9 @@ def correction(bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count,
     held = near[:, 9 + held_from : 9 + held_to].copy()
     if seen:
         clock = start + errors + par - 1
-        rest = recent, drv, Cr, xd, since_s, P[clock, clock], max(P[6, 6], P[7, 7]), H, near, res, R
+        pushes = np.zeros((3, 3))
+        pushed(P, nav, drv, Cr, pushes, None)
+        rest = recent, drv, Cr, xd, since_s, P[clock, clock], pushes, H, near, res, R
         at(seen)(equation, motion, bench[facts : facts + 4 + 3 * cfg_size], *here, *rest)
     else:
         at(equation)(*here, near, res)

@@ -92,13 +92,14 @@ def test_sight_equals_its_twin_and_that_of_users_kinds(kind, clock, variance):
     a, z = sensor.axes, np.array(KINDS[kind][1])
     into = np.zeros((a, 9 + len(xd) + 5)), np.zeros((a, 9 + len(par))), np.zeros(a), np.eye(a)
     here = z, nav, np.array([0.1, 0.2, 0.3]), par, sensor.constants(START)
-    ours, twins = run_both(past.sight, *head, *here, recent, drv, Cr, xd, 0.3, variance, 1e-6, *into)
+    pushes = 1e-4 * np.array([[2.0, 0.5, -0.2], [0.5, 1.0, 0.1], [-0.2, 0.1, 0.3]])
+    ours, twins = run_both(past.sight, *head, *here, recent, drv, Cr, xd, 0.3, variance, pushes, *into)
     assert_close(ours[-4:], twins[-4:], 1e-9)  # quotients over 1e-3 of rounding
     imu = nf.Imu(rate_hz=100.0)
     outputs, errors = imu.outputs(Cr, drv, xd)
     used = recent[: imu.remembered(0.3 + abs(par[-1]) + 0.5 * past.slope_s(variance))]
     near, res, H, R = np.zeros_like(into[1]), np.zeros(a), np.zeros((a, len(xd))), np.eye(a)
-    known = imu.motion(used, nav, drv, errors), 0.3, outputs, (drv, Cr), (variance, 1e-6)
+    known = imu.motion(used, nav, drv, errors), 0.3, outputs, (drv, Cr), (variance, pushes)
     sight.look(*here[:4], *known, (H, near, res, R))
     assert_close((ours[-4][:, 9 : 9 + len(xd)], *ours[-3:]), (H, near, res, R), 1e-9)
     assert ours[-4].any() == bool(clock)
@@ -123,7 +124,7 @@ def test_jacobians_of_sight_equal_finite_differences(kind, clock):
     def residual(state, par):
         near, res, H = np.zeros((a, 9 + len(par))), np.zeros(a), np.zeros((a, 9 + len(xd)))
         here = z, state.pack(), rate, par, sensor.constants(START)
-        past.sight(*head, *here, recent, drv, Cr, xd, 0.05, 0.01, 0.0, H, near, res, np.eye(a))
+        past.sight(*head, *here, recent, drv, Cr, xd, 0.05, 0.01, np.zeros((3, 3)), H, near, res, np.eye(a))
         return near, res
 
     if kind == "position":

@@ -23,7 +23,7 @@ from navfilter.state import NavState, matrix_from_euler
 STEPS = np.array([10.0] * 3 + [0.1] * 3 + [1e-3] * 3)
 NONE = np.zeros((6, 0))
 #: The same, a drive without noise, and the variance of a clock.
-STILL = NONE, (np.ones(200), np.zeros((6, 1))), (0.01, 0.0)
+STILL = NONE, (np.ones(200), np.zeros((6, 1))), (0.01, np.zeros((3, 3)))
 START = nf.Start(latitude_deg=50.0, longitude_deg=5.0)
 
 

@@ -117,7 +117,9 @@ def asked(
         clock = float(P[channel.group.slice.stop - 1, channel.group.slice.stop - 1])
         reach_s = abs(float(par[-1])) + 0.5 * past.slope_s(clock)
         moved = drive.motion(memory.recent[: drive.remembered(since_s + reach_s)], nav, memory.drv, errors)
-        known = outputs, (memory.drv, drive_output), (clock, max(P[6, 6], P[7, 7]))
+        pushes = np.empty((3, 3))
+        past.pushed(P, nav, memory.drv, drive_output, pushes, np.empty(3 * drive_output.shape[1] + 6))
+        known = outputs, (memory.drv, drive_output), (clock, pushes)
         channel.sight.look(z, nav, channel.rate, par, moved, since_s, *known, channel.into)
     channel.hold_slopes(P, held)
     if channel.offset:

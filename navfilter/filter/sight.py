@@ -66,7 +66,7 @@ class Sight:
         since_s: float,
         outputs: Array,
         drive: tuple[Array, Array],
-        variances: tuple[float, float],
+        variances: tuple[float, Array],
         into: tuple[Array, Array, Array, Array],
     ) -> None:
         """Fill residual and Jacobian as the kernels do, see `navfilter.kernels.measurement`.
@@ -83,8 +83,8 @@ class Sight:
             Rows by which the drive's states make the errors of its six values.
         drive : (ndarray, ndarray)
             Its memory, and (6, k + 1) with the white variances of its values in the last column.
-        variances : (2,) float
-            Of the clock [s^2], and of roll or pitch [rad^2].
+        variances : (float, ndarray)
+            Of the clock [s^2], and of the acceleration, see ``past.pushed``.
         into : tuple of ndarray, shapes (axes, k), (axes, 9 + states), (axes,), (axes, axes)
             Receive the derivatives with respect to the drive's states (a bias bends the way back), those of the kernel,
             and the residual; the white covariance grows by what the clock's error does beyond that.

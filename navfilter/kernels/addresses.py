@@ -49,7 +49,7 @@ MOTION = (_TABLE, _ROW, _ROW, _ROW, _TABLE, _ROW)
 #: there.
 SIGHT = (
     *(types.int64, types.int64, *(_ROW,) * 6, _TABLE, _ROW, _TABLE, _ROW),
-    *(types.float64, types.float64, types.float64, _TABLE, _TABLE, _ROW, _TABLE),
+    *(types.float64, types.float64, _TABLE, _TABLE, _TABLE, _ROW, _TABLE),
 )
 #: bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count, since_s, see `navfilter.kernels.stretch`.
 CORRECTION = (

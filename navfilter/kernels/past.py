@@ -322,14 +322,48 @@ def withhold_hidden(sources):
 
 
 @_keyed
+def pushed(sources):
+    @apart
+    @njit(cache=True, **UNCOUNTED)
+    def pushed(P, nav, drv, Cr, pushes, work):
+        """Covariance of an inertial unit's acceleration in n, into `pushes` (3, 3): by tilt and by errors of the
+        accelerometers, with all that is known of both. At rest a bias looks like an acceleration, and what a velocity
+        tells is the sum of them. work: 3 (k + 3) elements.
+        """
+        _ = sources
+        for i in range(3):
+            for j in range(3):
+                pushes[i, j] = 0.0
+        if drv[strapdown.INERTIAL] == 0.0:
+            return
+        k, g = Cr.shape[1] - 1, strapdown.gravity(nav[0], nav[2])
+        J = shaped(work, 3, k + 3)
+        for i in range(3):
+            for j in range(3):
+                J[i, j] = 0.0
+            for s in range(k):
+                J[i, 3 + s] = -(nav[6 + 3 * i] * Cr[3, s] + nav[7 + 3 * i] * Cr[4, s] + nav[8 + 3 * i] * Cr[5, s])
+        J[0, 1], J[1, 0] = -g, g
+        for i in range(3):
+            for c in range(k + 3):
+                with_c = 0.0
+                for r in range(k + 3):
+                    with_c += J[i, r] * P[6 + r, 6 + c]
+                for j in range(3):
+                    pushes[i, j] += with_c * J[j, c]
+
+    return pushed
+
+
+@_keyed
 def discount(sources):
     @njit(cache=True, **UNCOUNTED)
-    def discount(inner, slope, then, drv, Cr, over_s, gravity, variance, tilt, near, R):
+    def discount(inner, slope, then, drv, Cr, over_s, gravity, variance, pushes, near, R):
         """Let what a reading tells of a clock, in the last column of near, count as far as its slope stands out of the
         drive's noise. The rest, and what is not straight, goes into R (second order, Gelb, 1974, sec. 6.1).
 
         inner: Jacobian at the state `then`; slope: see `measurement.earlier`, a mean over `over_s`; gravity: 0 where
-        forces are accelerations, else a tilt looks like one; variance, tilt: variances of clock, roll or pitch.
+        forces are accelerations; variance: of the clock; pushes (3, 3): see `pushed`.
         """
         _ = sources
         k, last = Cr.shape[1] - 1, near.shape[1] - 1
@@ -342,7 +376,9 @@ def discount(sources):
                 turned = u[6] * then[6 + j] + u[7] * then[9 + j] + u[8] * then[12 + j]
                 pushed = u[3] * then[6 + j] + u[4] * then[9 + j] + u[5] * then[12 + j]
                 noise += by * (turned * turned * Cr[j, k] + pushed * pushed * Cr[3 + j, k])
-            noise += gravity * gravity * tilt * (u[3] * u[3] + u[4] * u[4])
+            for j in range(3):
+                for r in range(3):
+                    noise += u[3 + j] * pushes[j, r] * u[3 + r]
             told, least = near[i, last], TOLD * TOLD * noise
             if math.isnan(told):
                 continue  # there is no reading of this component
@@ -360,7 +396,7 @@ def _sight(sources):
     def _sight(given, H, near, res, R, work):
         """As `sight`; given: what it is told; work: what it has room in."""
         _ = sources
-        equation, motion, facts, z, nav, rate, par, cfg, recent, drv, Cr, xd, since_s, variance, tilt = given
+        equation, motion, facts, z, nav, rate, par, cfg, recent, drv, Cr, xd, since_s, variance, pushes = given
         arm, clock = facts[ARM] != 0.0, facts[CLOCK] != 0.0
         a, last = near.shape[0], near.shape[1] - 10
         own = last + 1 - (3 if arm else 0) - (1 if clock else 0)
@@ -422,7 +458,7 @@ def _sight(sources):
             for i in range(a):
                 near[i, 9 + last] -= (res[i] - ends[i]) / STEP
         if clock:
-            discount(inner, slope, then, drv, Cr, over_s, gravity[0], variance, tilt, near, R)
+            discount(inner, slope, then, drv, Cr, over_s, gravity[0], variance, pushes, near, R)
 
     return _sight
 
@@ -431,7 +467,7 @@ def _sight(sources):
 def sight(sources):
     @njit(cache=True)
     def sight(
-        equation, motion, facts, z, nav, rate, par, cfg, recent, drv, Cr, xd, since_s, variance, tilt, H, near, res, R
+        equation, motion, facts, z, nav, rate, par, cfg, recent, drv, Cr, xd, since_s, variance, pushes, H, near, res, R
     ):
         """Residual and Jacobian of a reading of any kind through its own kernel, with a lever arm and a clock that are
         states: the last of `par`.
@@ -441,14 +477,14 @@ def sight(sources):
 
         equation, motion: addresses of the sensor's kernel and of `inertial_motion` or `reckoned_motion`; facts: of the
         sensor, see at the head of this file; z, nav, rate, cfg: as for `navfilter.kernels.measurement`; recent: the
-        drive's last samples; since_s: how much later than the stamp it is now; variance, tilt: variances of the clock,
-        and of roll or pitch. H (a, n) receives the derivatives with respect to the drive's states (a bias bends the way
+        drive's last samples; since_s: how much later than the stamp it is now; variance: of the clock; pushes (3, 3):
+        see `pushed`. H (a, n) receives the derivatives with respect to the drive's states (a bias bends the way
         back); near and res are filled as by the kernel; R (a, a) grows by what the clock's error does beyond that.
         """
         _ = sources
         sizes = 7 * (recent.shape[0] + 1) + near.size + 2 * len(res) + 2 * len(cfg) + 6 * len(xd)
         work = np.empty(ROOM + sizes)
-        given = equation, motion, facts, z, nav, rate, par, cfg, recent, drv, Cr, xd, since_s, variance, tilt
+        given = equation, motion, facts, z, nav, rate, par, cfg, recent, drv, Cr, xd, since_s, variance, pushes
         _sight(given, H, near, res, R, work)
 
     return sight

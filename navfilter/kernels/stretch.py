@@ -155,8 +155,10 @@ def correction(sources):
             sensor = spot[EQUATION], spot[MOTION], facts
             here = z, nav, rate, par, constants, recent, drv, Cr, xd, since_s
             clock = start + errors + parameters - 1
-            tilt = max(P[6, 6], P[7, 7])
-            addresses.at_sight(spot[SIGHT], sensor + here + (P[clock, clock], tilt, H, near, res, R))
+            room = spare[6 * (m - 8) + z.size + a * slopes :]
+            pushes = shaped(room[:9], 3, 3)
+            past.pushed(P, nav, drv, Cr, pushes, room[9 : 9 + 3 * (m - 6)])
+            addresses.at_sight(spot[SIGHT], sensor + here + (P[clock, clock], pushes, H, near, res, R))
         else:
             addresses.at_equation(spot[EQUATION], (z, nav, rate, par, constants, near, res))
         if slopes:
