@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.filter.history import Reading
+from navfilter.filter.intake import joined
 from navfilter.filter.memory import copied
 from navfilter.learning.learning_memory import Again, LearningMemory
 from navfilter.learning.worker import Task, Worker
@@ -54,16 +55,28 @@ class Beginning:
             self._goes_back = False
 
     def give(self, item: Array | Reading) -> None:
-        """An input of the run, before samples are taken and after a reading has been."""
+        """An input of the run, before samples are taken and after a reading has been: then what waits has its turn."""
+        self.follow(item)
+        if isinstance(item, Reading):
+            self._worker.turn()
+
+    def follow(self, item: Array | Reading) -> None:
+        """As `give`, but nothing that waits has its turn."""
         if self._nav.learning.again is None:
             self._twin = None
         elif self._twin is not None:
             self._twin.give(item.copy() if isinstance(item, np.ndarray) else item)
 
-    def before(self, time_s: float) -> None:
-        """Before a reading of this time: do what is due by then."""
+    def before(self, time_s: float) -> bool:
+        """Before a reading of this time: do what is due by then; whether more was done than to begin to look for
+        models.
+        """
+        changed = False
         while self._nav.learning.early_s <= time_s < math.inf:
+            looked_for = self._nav.learning.is_hopping
             self._early()
+            changed = changed or looked_for or not self._nav.learning.is_hopping
+        return changed
 
     def _early(self) -> None:
         """At `LearningSchedule.early_s`: adopt what was found, or do the beginning again."""
@@ -71,8 +84,8 @@ class Beginning:
         if learning.again is None:
             learning.early()
             # what a late reading has fed again would not reach a twin that was made on the way
-            if learning.again is not None and self._worker.threads and not self._goes_back:
-                self._twin = Twin(nav, learning.again, self._worker)
+            if learning.again is not None and not self._goes_back:
+                self._worker.later(partial(self._follow, learning.again))
             return
         twin, self._twin = self._twin, None
         if twin is None or twin.again != learning.again:
@@ -84,7 +97,12 @@ class Beginning:
         other = twin.arrived()
         if not (learning.again.given_up and learning.is_no_better(other.filter)):
             _change_places(nav, other)
-        self._worker.begin(partial(_let_go, other))
+        self._worker.later(partial(self._worker.begin, partial(_let_go, other)))
+
+    def _follow(self, again: Again) -> None:
+        """Make a twin, where the beginning is still to be done again so."""
+        if self._twin is None and self._nav.learning.again == again:
+            self._twin = Twin(self._nav, again, self._worker)
 
 
 def _change_places(nav: Navigator, other: Navigator) -> None:
@@ -121,9 +139,11 @@ class Twin:
     #: Inputs that are worked off together: each time costs a hand-over between threads. It is done at a reading, for
     #: samples are many and have less time to spare.
     TOGETHER = 16
+    #: So long before it is awaited it is given each reading at once [s], so that next to nothing is left to be done.
+    CLOSE_S = 0.5
 
     def __init__(self, nav: Navigator, again: Again, worker: Worker) -> None:
-        self.again, self._worker = again, worker
+        self.again, self._worker, self._close_s = again, worker, nav.learning.early_s - self.CLOSE_S
         self._inputs: deque[Array | Reading] = deque()
         learning = copied(nav.learning.memory)
         learning.beginning = learning.beginning and learning.beginning.shared()
@@ -133,14 +153,16 @@ class Twin:
     def give(self, item: Array | Reading) -> None:
         """The next input."""
         self._inputs.append(item)
-        together = isinstance(item, Reading) and len(self._inputs) >= self.TOGETHER
-        if together and (self._drained is None or self._drained.done()):
+        if not isinstance(item, Reading) or not (len(self._inputs) >= self.TOGETHER or item.time_s >= self._close_s):
+            return
+        if self._drained is None or self._drained.done():
             self._drained = self._worker.begin(self._drain)
 
     def _drain(self) -> None:
         twin = self._task.answer()
         while self._inputs:
-            twin.given(self._inputs.popleft())
+            for item in joined([self._inputs.popleft() for _ in range(len(self._inputs))]):
+                twin.given(item)
 
     def arrived(self) -> Navigator:
         """The run, when it has come as far as the one it is a twin of."""

@@ -43,23 +43,27 @@ class Prompt:
         most, size = sensor.plain
         self._facts, self._plain = np.zeros(stretch.FACTS_SIZE), np.zeros(size)
         self._facts[stretch.LARGEST], self._facts[stretch.TILTED] = most, nav.vehicle.drive.gravity
-        self._is_plain, self._as_of = most > 0.0, -1
+        self._is_plain, self._as_of, self._waiting = most > 0.0, -1, nav.learning.worker.waiting
 
-    def take(self, stamp_s: float, value: ArrayLike) -> Outcome | None:
+    def take(self, stamp_s: float, value: ArrayLike, busy: bool = False) -> Outcome | None:
         """What became of a reading; None where it is no ordinary one: then nothing has been done.
 
         Parameters
         ----------
         stamp_s, value
             As for `Navigator.correct`, without a standard deviation of its own.
+        busy : bool
+            Enough has been done before it already: a checkpoint can wait for the next one.
         """
         try:
             z, stamp_s = np.array(value, dtype=np.float64, ndmin=1), float(stamp_s)
         except (TypeError, ValueError):
             return None
         nav = self._nav
-        if nav.changes != self._as_of and not self._is_ready():
-            return None
+        if nav.changes != self._as_of:
+            if not self._is_ready():
+                return None
+            busy = True
         memory, watch, raw = self._memory, self._watch, z.tobytes()
         shift = memory.intake.offset_s
         time_s = stamp_s + (shift - self._offset_s)
@@ -69,27 +73,35 @@ class Prompt:
         if z.ndim > 1 or len(z) < self._reads or not nav.clock.passes(stamp_s):
             return None
         looks = time_s >= self._due_s and time_s >= shifts.due_s(self._filter)
-        if time_s >= self._due_s and self._is_early(time_s, looks):
-            return None
+        if time_s >= self._due_s:
+            if self._is_early(time_s, busy or looks):
+                return self.take(stamp_s, value, True)  # from what is in hand now
+            busy = True
         kept, read, plain = self._kept, self._plain, len(z) == self._reads and self._is_plain
+        hand, full = self._hand, False
         counts = (0, 0, 0) if kept is None else (kept.samples.count, kept.readings.count, kept.values.count)
-        why = stretch.prompt(*self._hand, memory.recent, z, read, True, time_s, early_s, *counts) if plain else None
+        why = stretch.prompt(*hand, memory.recent, z, read, True, time_s, early_s, *counts) if plain else None
         if why is None or why == stretch.REFUSED:
             asked = self._read(z)
             if asked is None:
                 return None
+            if kept is not None and not kept.has_room(len(z)):
+                hand, full = (*hand[:-2], _NO_HEADS, _NO_VALUES), True
             read = asked
-            why = stretch.prompt(*self._hand, memory.recent, z, read, False, time_s, early_s, *counts)
+            why = stretch.prompt(*hand, memory.recent, z, read, False, time_s, early_s, *counts)
             if why == stretch.REFUSED:
                 return None
         # ---- from here on it is taken
         memory.unfolded, watch.value = 0, raw
         if early_s > stretch.SAME_S and memory.drv.item(strapdown.STARTED):
             memory.time_s = time_s
-        if kept is not None:
+        channel, given = self._channel, Reading(self._name, time_s, z, None)
+        if full:
+            kept.append(given)
+            nav.changes += 1  # the pieces in hand are others now
+        elif kept is not None:
             kept.readings.count += 1
             kept.values.count += len(z)
-        channel, given = self._channel, Reading(self._name, time_s, z, None)
         if why == stretch.JUDGED:
             channel.reading, channel.count = read.copy(), int(self._facts[stretch.TICKED])
             correction = self._filter.concluded(channel, time_s, False)
@@ -105,6 +117,10 @@ class Prompt:
         if looks or why == stretch.JUDGED:
             self._filter.take_up(nav.told)
         self._history.note(given, shift)
+        if kept is not None:
+            nav.beginning.follow(given)
+        if self._waiting and not busy:
+            nav.learning.worker.turn()
         return outcome
 
     def _learn(self, why: int) -> None:
@@ -117,19 +133,16 @@ class Prompt:
             for change in nav.learning.learn(self._name):
                 nav.filter.adopt(change, nav.told)
 
-    def _is_early(self, time_s: float, looks: bool) -> bool:
-        """Do what comes before a reading of this time, and see when more of it is due; whether that makes the reading
-        another than an ordinary one.
+    def _is_early(self, time_s: float, busy: bool) -> bool:
+        """Do what comes before a reading of this time, and see when more of it is due; whether what is in hand has
+        changed by that.
         """
         learning, history = self._nav.learning, self._history
-        if not looks:  # one after the other
-            history.ready(self._memory.time_s)
         if learning.is_early(time_s):
-            before = self._memory
-            self._nav.beginning.before(time_s)
-            self._nav.changes += 1
-            if self._nav.filter.memory is not before or not self._is_ready():
-                return True
+            self._nav.changes += self._nav.beginning.before(time_s)
+            return True
+        if not busy:  # one after the other
+            history.ready(self._memory.time_s)
         self._due_s = min(shifts.due_s(self._filter), learning.early_s, history.due_s)
         return False
 
@@ -139,7 +152,7 @@ class Prompt:
         filter, learning = nav.filter, nav.learning
         channel, memory = filter.channels[self._name], filter.memory
         known, kept = channel.spot.item(stretch.EQUATION), learning.beginning
-        if channel.doubted or not (known and channel.memory.agrees) or nav.waiting.readings or not learning.is_quiet:
+        if channel.doubted or not (known and channel.memory.agrees) or nav.waiting.readings or learning.is_waiting:
             return False
         heads, values = _NO_HEADS, _NO_VALUES
         if kept is not None:

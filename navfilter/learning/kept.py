@@ -122,6 +122,11 @@ class Kept:
             self.values.put(number)
         self.readings.put((time_s, self.names.index(name), frozen, same, self.samples.count, self.values.count))
 
+    def has_room(self, values: int) -> bool:
+        """Whether a reading of so many values fits into the last pieces."""
+        rows, numbers = self.readings.count % PIECE, self.values.count % PIECE
+        return rows > 0 and 0 < numbers <= PIECE - values
+
     def extend(
         self,
         samples: Array,

@@ -88,9 +88,17 @@ class LearningMemory:
         Raises
         ------
         ValueError
-            When they are not as many as were kept, or have another form.
+            When they are not as many as were kept, or they or what is being learnt from have another form.
         """
         if self.beginning is not None:
             self.beginning = self.beginning.again(names)
         if (self.beginning.count if self.beginning else (0, 0)) != self.kept:
             raise ValueError("memory.learning.beginning has not as many inputs as were kept")
+        for name, listener in self.listeners.items():
+            hop, rows = listener.hop, len(listener.ring)
+            if hop is None:
+                continue
+            fits = isinstance(hop.heard, np.ndarray) and hop.heard.ndim == 2 and len(hop.heard) == rows
+            left = isinstance(hop.left_out, np.ndarray) and hop.left_out.shape == listener.left_out.shape
+            if not (fits and left and hop.heard.dtype == np.float64 and hop.left_out.dtype.kind == "i"):
+                raise ValueError(f"what the hop of {name!r} learns from has another form")

@@ -166,18 +166,25 @@ class Listener:
 
     def series(self, axis: int) -> Array:
         """All ticks of one axis, oldest first; isolated spikes are missing."""
-        return without_spikes(self._noted(axis, self._memory.ring.shape[1]))
+        return without_spikes(self._told(axis, *self._noted(self._memory.ring.shape[1])))
 
-    def _noted(self, axis: int, last: int, without: int = 0) -> Array:
-        """The last ticks of one axis, oldest first, without the newest."""
+    def _noted(self, last: int, without: int = 0) -> tuple[Array, NDArray[np.int64]]:
+        """The last ticks of all axes, oldest first, without the newest, and what of them is left out: copies."""
         ring = self._memory.ring
         written, capacity = int(self._memory.cursor[0]), ring.shape[1]
         first = written - min(written, last, capacity)
         at, count = first % capacity, max(written - without - first, 0)
-        series, turned = (np.concatenate([row[at:], row[:at]])[:count] for row in (ring[axis], ring[-1]))
-        for begin, end in self._memory.left_out.tolist():
-            if end > first:
-                series[max(begin - first, 0) : end - first] = np.nan
+        heard = np.empty((len(ring), count))
+        room = min(capacity - at, count)
+        heard[:, :room], heard[:, room:] = ring[:, at : at + room], ring[:, : count - room]
+        return heard, self._memory.left_out - first
+
+    def _told(self, axis: int, heard: Array, left_out: NDArray[np.int64]) -> Array:
+        """What one axis is learnt from: the last of these ticks, without those that are left out."""
+        series, turned = heard[axis].copy(), heard[-1]
+        for begin, end in left_out.tolist():
+            if end > 0:
+                series[max(begin, 0) : end] = np.nan
         for tick in self.drifts[axis].begins_anew(turned):
             series[max(tick + 1 - self._anew, 0) : tick + 1] = np.nan
         return series
@@ -303,13 +310,9 @@ class Listener:
         newest = min(max(0, round((self.behind_s - age_s) / self.period_s)), written)
         memory.due = self._next(written)
         fresh, memory.heard = written - newest - memory.heard, written - newest
-        known = written - memory.since
-        series = tuple(
-            None if learner is None else self._noted(axis, min(learner.window + newest, known), newest)
-            for axis, learner in enumerate(self.learners)
-        )
         after = math.ceil(TAKEN_AFTER_S / self.period_s)
-        memory.hop = Hop(series, fresh, written + after if taken is None else taken)
+        noted = self._noted(min(self.window + newest, written - memory.since), newest)
+        memory.hop = Hop(*noted, fresh, written + after if taken is None else taken)
         self._task(memory.hop)
 
     def _task(self, hop: Hop) -> Task:
@@ -322,7 +325,7 @@ class Listener:
             self._begun = (
                 hop,
                 knew,
-                Task(self.worker, partial(_answered, self.learners, knew, hop, self._memory.models, self.period_s)),
+                Task(self.worker, partial(self._answered, knew, hop, self._memory.models), later=True),
             )
         return self._begun[2]
 
@@ -339,26 +342,26 @@ class Listener:
         memory.models = models
         return models
 
-
-def _answered(
-    learners: Sequence[Learner | None],
-    knew: Sequence[LearnerMemory | None],
-    hop: Hop,
-    models: Sequence[ErrorModel],
-    period_s: float,
-) -> tuple[tuple[ErrorModel, ...], tuple[LearnerMemory | None, ...]]:
-    """Error models that the learners of all axes have found, and what they know then; they themselves do not change."""
-    own = [copy(learner) for learner in learners]
-    recall(own, memories(own), knew)
-    found = []
-    series = [None if one is None else without_spikes(one) for one in hop.series]
-    for model, learnt in zip(models, hop_together(own, series, hop.fresh), strict=True):
-        found.append(with_learnt(model, learnt))
-        part = learning_part(found[-1])
-        if learnt is not None and part is not None:  # remembered for the adoption
-            found[-1].block(period_s)
-            part.level(period_s)
-    return tuple(found), memories(own)
+    def _answered(
+        self, knew: Sequence[LearnerMemory | None], hop: Hop, models: Sequence[ErrorModel]
+    ) -> tuple[tuple[ErrorModel, ...], tuple[LearnerMemory | None, ...]]:
+        """Error models that the learners of all axes have found, and what they know then; they themselves do not
+        change. What is not of the hop may be another one meanwhile: this is worked on beside the run.
+        """
+        own = [copy(learner) for learner in self.learners]
+        recall(own, memories(own), knew)
+        series, found = [], []
+        for axis, learner in enumerate(own):
+            before = 0 if learner is None else max(hop.heard.shape[1] - learner.window, 0)
+            told = None if learner is None else self._told(axis, hop.heard[:, before:], hop.left_out - before)
+            series.append(None if told is None else without_spikes(told))
+        for model, learnt in zip(models, hop_together(own, series, hop.fresh), strict=True):
+            found.append(with_learnt(model, learnt))
+            part = learning_part(found[-1])
+            if learnt is not None and part is not None:  # remembered for the adoption
+                found[-1].block(self.period_s)
+                part.level(self.period_s)
+        return tuple(found), memories(own)
 
 
 def with_learnt(model: ErrorModel, found: Learnt | None, frozen: bool = False) -> ErrorModel:

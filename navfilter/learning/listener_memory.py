@@ -22,23 +22,27 @@ class Hop:
 
     Attributes
     ----------
-    series : tuple of ndarray or None
-        Of each axis that learns, spikes and all [unit of the sensor].
+    heard : ndarray, shape (axes + 1, n)
+        The newest ticks that it learns from, as the ring has them, oldest first.
+    left_out : ndarray of int, shape (LEFT_OUT, 2)
+        As of the listener, from the first of these ticks.
     fresh : int
         Ticks that came since the hop before.
     taken : int
         Its answer is taken when so many ticks have been noted.
     """
 
-    series: tuple[Array | None, ...]
+    heard: Array
+    left_out: NDArray[np.int64]
     fresh: int
     taken: int
 
     def is_same(self, other: Hop) -> bool:
         """Whether another hop has the same answer."""
-        return (self.fresh, self.taken) == (other.fresh, other.taken) and all(
-            one is two or (one is not None and two is not None and np.array_equal(one, two, equal_nan=True))
-            for one, two in zip(self.series, other.series, strict=True)
+        return (
+            (self.fresh, self.taken) == (other.fresh, other.taken)
+            and np.array_equal(self.left_out, other.left_out)
+            and np.array_equal(self.heard, other.heard, equal_nan=True)
         )
 
 

@@ -241,9 +241,9 @@ class LearningSchedule:
         return bool(self._waiting)
 
     @property
-    def is_quiet(self) -> bool:
-        """Whether the next reading brings no model, and the beginning is not about to be done again."""
-        return self.again is None and not self._waiting
+    def is_hopping(self) -> bool:
+        """Whether models are being looked for at an early age."""
+        return self._hopping
 
     def is_early(self, time_s: float) -> bool:
         """Whether `early` is to be called before a reading of this time; what only asks in vain is done here."""

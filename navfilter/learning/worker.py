@@ -43,25 +43,42 @@ _short_turns = _ShortTurns()
 
 
 class Task:
-    """A piece of work, and its answer: the same one however often it is asked for."""
+    """A piece of work, and its answer: the same one however often it is asked for.
 
-    def __init__(self, worker: Worker, work: Callable[[], Any]) -> None:
+    Parameters
+    ----------
+    worker : Worker
+    work : callable
+    later : bool
+        The thread is told at the next reading, as others have things to do now.
+    """
+
+    def __init__(self, worker: Worker, work: Callable[[], Any], later: bool = False) -> None:
         self._worker, self._work = worker, work
         self._answer: list[Any] = []
-        self._future: Future[Any] | None = worker.begin(self._done)
+        self._future: Future[Any] | None = None
+        if later:
+            worker.later(self._begin)
+        else:
+            self._begin()
+
+    def _begin(self) -> None:
+        if not self._answer:
+            self._future = self._worker.begin(self._done)
 
     def _done(self) -> None:
         self._answer.append(self._work())
 
     def answer(self) -> Any:
         """What came out; waits for it where it is late."""
-        if self._future is None:
-            if not self._answer:
-                self._done()
-        elif not self._answer:
+        if not self._answer:
             began = time.perf_counter()
-            self._future.result()
-            self._worker.note(time.perf_counter() - began)
+            if self._future is None:
+                self._done()
+            else:
+                self._future.result()
+            if self._worker.threads:
+                self._worker.note(time.perf_counter() - began)
         return self._answer[0]
 
 
@@ -76,12 +93,25 @@ class Worker:
     ----------
     health : LearningHealth
         Answers that had to be waited for: the machine is too slow for what it learns, or is fed faster than real time.
+    waiting : list of callable
+        What is to be done behind one of the next readings, one behind each: together it would keep one waiting.
     """
 
     def __init__(self, threads: bool) -> None:
         self.threads = threads
         self.health = LearningHealth()
+        self.waiting: list[Callable[[], None]] = []
         self._pool: ThreadPoolExecutor | None = None
+
+    def later(self, work: Callable[[], None]) -> None:
+        """Have it done by `turn`; without threads there is nobody to be told anything."""
+        if self.threads:
+            self.waiting.append(work)
+
+    def turn(self) -> None:
+        """Behind a reading: do the next of what waits."""
+        if self.waiting:
+            self.waiting.pop(0)()
 
     def begin(self, work: Callable[[], None]) -> Future[Any] | None:
         """Have the thread do it; None without threads."""
