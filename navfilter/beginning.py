@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from navfilter.filter import shifts
 from navfilter.filter.history import Reading
 from navfilter.filter.intake import joined
 from navfilter.filter.memory import copied
@@ -67,16 +68,10 @@ class Beginning:
         elif self._twin is not None:
             self._twin.give(item.copy() if isinstance(item, np.ndarray) else item)
 
-    def before(self, time_s: float) -> bool:
-        """Before a reading of this time: do what is due by then; whether more was done than to begin to look for
-        models.
-        """
-        changed = False
+    def before(self, time_s: float) -> None:
+        """Before a reading of this time: do what is due by then."""
         while self._nav.learning.early_s <= time_s < math.inf:
-            looked_for = self._nav.learning.is_hopping
             self._early()
-            changed = changed or looked_for or not self._nav.learning.is_hopping
-        return changed
 
     def _early(self) -> None:
         """At `LearningSchedule.early_s`: adopt what was found, or do the beginning again."""
@@ -97,7 +92,11 @@ class Beginning:
         other = twin.arrived()
         if not (learning.again.given_up and learning.is_no_better(other.filter)):
             _change_places(nav, other)
-        self._worker.later(partial(self._worker.begin, partial(_let_go, other)))
+        self._worker.later(partial(self._part_with, other))
+
+    def _part_with(self, run: Navigator) -> None:
+        """Free what is left of a run, on the thread."""
+        self._worker.begin(partial(_let_go, run))
 
     def _follow(self, again: Again) -> None:
         """Make a twin, where the beginning is still to be done again so."""
@@ -184,6 +183,7 @@ def _begun(of: Navigator, learning: LearningMemory, again: Again, until_s: float
             twin.listen(name, memory.ring.shape[1])
     twin.learning.memory = learning
     _begin_again(twin, again, until_s, now_s)
+    _ = twin.filter.layout.constants, shifts.looking(twin.filter)  # asked for soon after it has taken a place
     return twin
 
 

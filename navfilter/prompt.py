@@ -96,7 +96,7 @@ class Prompt:
         if early_s > stretch.SAME_S and memory.drv.item(strapdown.STARTED):
             memory.time_s = time_s
         channel, given = self._channel, Reading(self._name, time_s, z, None)
-        if full:
+        if full and kept is not None:
             kept.append(given)
             nav.changes += 1  # the pieces in hand are others now
         elif kept is not None:
@@ -137,9 +137,11 @@ class Prompt:
         """Do what comes before a reading of this time, and see when more of it is due; whether what is in hand has
         changed by that.
         """
-        learning, history = self._nav.learning, self._history
+        nav, history, learning = self._nav, self._history, self._nav.learning
         if learning.is_early(time_s):
-            self._nav.changes += self._nav.beginning.before(time_s)
+            nav.beginning.before(time_s)
+            same = nav.filter.memory is self._memory and learning.beginning is self._kept and not learning.is_waiting
+            nav.changes += not (same and learning.learning_s == self._facts[stretch.LEARNT_S])
             return True
         if not busy:  # one after the other
             history.ready(self._memory.time_s)

@@ -5,13 +5,13 @@ users see of it.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navfilter.error_models import per_axis
-from navfilter.filter import agreement, course, drive_watch, realignment, refused, scatter
+from navfilter.filter import agreement, course, drive_watch, realignment, refused, scatter, shifts
 from navfilter.filter.adoption import Change, state_change
 from navfilter.filter.asking import asked, shared
 from navfilter.filter.channel import Channel, usable
@@ -91,7 +91,7 @@ class Filter(Estimate):
         self.remembered = drive.remembered(past_s) if past_s else 0
         self.jumped: list[Change] = []
         self.accused: float | None = None
-        self.tilted = False
+        self.tilted, self.gyros = False, shifts.gyros(None)
         self._like: tuple[Vehicle, Layout] | None = None
         self._rest = [self.channels[name] for name, s in vehicle.sensors.items() if s.from_drive and self.inertial]
         shortest_s = min((channel.period_s for channel in self._rest), default=0.0)
@@ -386,10 +386,9 @@ class Filter(Estimate):
     # ---------------------------------------------------------------- other error models
     take_up = refused.take_up
 
-    @property
-    def described_models(self) -> dict[str, Errors]:
-        """Error models put in force since the start, without the constants of sensors that have jumped."""
-        return described(self.memory.models, {name: channel.axes for name, channel in self.channels.items()})
+    def described_models(self, others: Mapping[str, Errors]) -> dict[str, Errors]:
+        """Error models put in force since the start, or others, without the constants of sensors that have jumped."""
+        return described(self.memory.models, {name: channel.axes for name, channel in self.channels.items()}, others)
 
     def adopt(self, change: Change, tell: Listening) -> None:
         """Put another error model of one sensor in force, now; the states follow without a jump

@@ -148,9 +148,17 @@ def with_offsets(
     return tuple(sum(added, start=m) if only in (None, axis) else m for axis, m in enumerate(plain))
 
 
-def described(models: Iterable[tuple[str, Errors]], axes: Mapping[str, int]) -> dict[str, Errors]:
-    """Error models by sensor without the offsets of those that have so many axes; the rest stay what they are."""
-    return {name: with_offsets(per_axis(e, axes[name], name)) if name in axes else e for name, e in models}
+def described(
+    models: Iterable[tuple[str, Errors]], axes: Mapping[str, int], others: Mapping[str, Errors]
+) -> dict[str, Errors]:
+    """Error models by sensor without the offsets of those that have so many axes; the rest stay what they are. Of what
+    stands among the others, as it does there, those are taken.
+    """
+    plain = {
+        name: others[name] if name in others else with_offsets(per_axis(e, axes[name], name)) if name in axes else e
+        for name, e in models
+    }
+    return plain | dict(others)
 
 
 def with_the_same_offsets(new: tuple[ErrorModel, ...], old: tuple[ErrorModel, ...]) -> tuple[ErrorModel, ...]:

@@ -98,7 +98,7 @@ class LearningMemory:
             hop, rows = listener.hop, len(listener.ring)
             if hop is None:
                 continue
-            fits = isinstance(hop.heard, np.ndarray) and hop.heard.ndim == 2 and len(hop.heard) == rows
+            fits = isinstance(hop.heard, np.ndarray) and hop.heard.ndim == 2 and rows - 1 <= len(hop.heard) <= rows
             left = isinstance(hop.left_out, np.ndarray) and hop.left_out.shape == listener.left_out.shape
             if not (fits and left and hop.heard.dtype == np.float64 and hop.left_out.dtype.kind == "i"):
                 raise ValueError(f"what the hop of {name!r} learns from has another form")

@@ -115,6 +115,7 @@ class Listener:
             )
         self.name, self.period_s, self.behind_s = name, 1.0 / sensor.rate_hz, behind_s
         self.worker = worker
+        self._found: tuple[tuple[ErrorModel, ...], tuple[float, ...]] = (), ()  # models, and their S(0)
         # the hop that was begun last, what the learners knew then, and the work on it
         self._begun: tuple[Hop, tuple[LearnerMemory | None, ...], Task] | None = None
         models = sensor.models
@@ -122,6 +123,7 @@ class Listener:
         window = max((part.window for part in learned if part is not None), default=0)
         self.mount = np.ascontiguousarray(sensor.instrument_axes()).ravel()
         self.drifts = tuple(sensor.drift(vehicle.drive, axis, known_walk(model)) for axis, model in enumerate(models))
+        self._turns = any(math.isfinite(drift.most_turned) for drift in self.drifts)
         self.white = tuple(float(white[i]) + known_white(model, self.period_s) for i, model in enumerate(models))
         self.learners = tuple(
             None if part is None else learner_of(part, sensor, drift, r)
@@ -134,6 +136,8 @@ class Listener:
         self.hop = min((part.hop or part.window // 2 for part in learned if part is not None), default=0)
         # what is left out as too new, and what going back writes over
         capacity = capacity or window + round(2.0 * behind_s * sensor.rate_hz) + 64
+        facts = {listen.KIND: self.kind, listen.CAPACITY: capacity, listen.SHARE: self._share}
+        self._ear = np.array([*(facts.get(i, 0.0) for i in range(listen.MOUNT)), *self.mount], dtype=np.float64)
         self._memory = ListenerMemory(
             ring=np.full((sensor.axes + 1, capacity), np.nan),
             cursor=np.zeros(1, np.int64),
@@ -161,7 +165,7 @@ class Listener:
 
     @memory.setter
     def memory(self, memory: ListenerMemory) -> None:
-        recall(self.learners, self._memory.learners, memory.learners)
+        recall(self.learners, memories(self.learners), memory.learners)
         self._memory = memory
 
     def series(self, axis: int) -> Array:
@@ -169,14 +173,16 @@ class Listener:
         return without_spikes(self._told(axis, *self._noted(self._memory.ring.shape[1])))
 
     def _noted(self, last: int, without: int = 0) -> tuple[Array, NDArray[np.int64]]:
-        """The last ticks of all axes, oldest first, without the newest, and what of them is left out: copies."""
+        """The last ticks of all axes, and what is needed beside them, oldest first, without the newest; and what of
+        them is left out. Both are copies.
+        """
         ring = self._memory.ring
         written, capacity = int(self._memory.cursor[0]), ring.shape[1]
         first = written - min(written, last, capacity)
         at, count = first % capacity, max(written - without - first, 0)
-        heard = np.empty((len(ring), count))
-        room = min(capacity - at, count)
-        heard[:, :room], heard[:, room:] = ring[:, at : at + room], ring[:, : count - room]
+        rows = len(ring) if self._turns else len(ring) - 1
+        heard, room = np.empty((rows, count)), min(capacity - at, count)
+        heard[:, :room], heard[:, room:] = ring[:rows, at : at + room], ring[:rows, : count - room]
         return heard, self._memory.left_out - first
 
     def _told(self, axis: int, heard: Array, left_out: NDArray[np.int64]) -> Array:
@@ -224,11 +230,11 @@ class Listener:
     @property
     def ear(self) -> Array:
         """What a kernel needs to listen over many readings, see `navfilter.kernels.listen`."""
-        memory = self._memory
+        memory, ear = self._memory, self._ear.copy()
         due = memory.due if memory.hop is None else memory.hop.taken
-        noted, capacity = int(memory.cursor[0]), memory.ring.shape[1]
-        watched = self.learns, self._share, memory.nis, memory.judged
-        return np.array([self.kind, noted, capacity, due, *watched, *self.mount], dtype=np.float64)
+        ear[listen.NOTED], ear[listen.DUE], ear[listen.WATCHED] = memory.cursor.item(), due, self.learns
+        ear[listen.NIS], ear[listen.JUDGED] = memory.nis, memory.judged
+        return ear
 
     def caught_up(self, ear: Array, ticks: Array, values: Array) -> None:
         """Take over what a kernel has heard: ticks of each reading, and what it has noted of them (n, axes + 1)."""
@@ -296,6 +302,7 @@ class Listener:
         memory.nis, memory.judged = 1.0, now + round((MEMORY_S + PROBATION_S) / self.period_s)
         memory.since = memory.heard = max(memory.since, now - ticks)
         memory.due = now + round(MEMORY_S / self.period_s) if self.learns else NEVER
+        recall(self.learners, memories(self.learners), memory.learners)
         for learner in self.learners:
             if learner is not None:
                 learner.forget()
@@ -334,19 +341,31 @@ class Listener:
         memory = self._memory
         if memory.hop is None:  # what it was learnt from does not count any longer
             return None
-        models, knows = self._task(memory.hop).answer()
-        recall(self.learners, memory.learners, knows)
-        memory.learners, memory.hop = knows, None
-        if models == memory.models:
+        models, levels, memory.learners = self._task(memory.hop).answer()
+        memory.hop = None
+        if models is memory.models:
             return None
-        memory.models = models
+        memory.models, self._found = models, (models, levels)
         return models
 
+    @property
+    def levels(self) -> tuple[float, ...]:
+        """S(0) of what is learnt, per axis; 1 where nothing is."""
+        models = self._memory.models
+        if models is not self._found[0]:
+            self._found = models, self._levels(models)
+        return self._found[1]
+
+    def _levels(self, models: Sequence[ErrorModel]) -> tuple[float, ...]:
+        parts = [learning_part(model) for model in models]
+        return tuple(1.0 if part is None else max(part.level(self.period_s), 1e-300) for part in parts)
+
     def _answered(
-        self, knew: Sequence[LearnerMemory | None], hop: Hop, models: Sequence[ErrorModel]
-    ) -> tuple[tuple[ErrorModel, ...], tuple[LearnerMemory | None, ...]]:
-        """Error models that the learners of all axes have found, and what they know then; they themselves do not
-        change. What is not of the hop may be another one meanwhile: this is worked on beside the run.
+        self, knew: Sequence[LearnerMemory | None], hop: Hop, models: tuple[ErrorModel, ...]
+    ) -> tuple[tuple[ErrorModel, ...], tuple[float, ...], tuple[LearnerMemory | None, ...]]:
+        """Error models that the learners of all axes have found (the very same where nothing is new), their S(0), and
+        what the learners know then; they themselves do not change. What is not of the hop may be another one meanwhile:
+        this is worked on beside the run.
         """
         own = [copy(learner) for learner in self.learners]
         recall(own, memories(own), knew)
@@ -357,11 +376,10 @@ class Listener:
             series.append(None if told is None else without_spikes(told))
         for model, learnt in zip(models, hop_together(own, series, hop.fresh), strict=True):
             found.append(with_learnt(model, learnt))
-            part = learning_part(found[-1])
-            if learnt is not None and part is not None:  # remembered for the adoption
+            if learnt is not None and learning_part(found[-1]) is not None:  # remembered for the adoption
                 found[-1].block(self.period_s)
-                part.level(self.period_s)
-        return tuple(found), memories(own)
+        new = models if tuple(found) == models else tuple(found)
+        return new, self._levels(new), memories(own)
 
 
 def with_learnt(model: ErrorModel, found: Learnt | None, frozen: bool = False) -> ErrorModel:

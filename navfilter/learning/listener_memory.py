@@ -22,8 +22,8 @@ class Hop:
 
     Attributes
     ----------
-    heard : ndarray, shape (axes + 1, n)
-        The newest ticks that it learns from, as the ring has them, oldest first.
+    heard : ndarray, shape (axes or axes + 1, n)
+        The newest ticks that it learns from, as the ring has them, oldest first; its last row where a drift needs it.
     left_out : ndarray of int, shape (LEFT_OUT, 2)
         As of the listener, from the first of these ticks.
     fresh : int

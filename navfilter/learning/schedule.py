@@ -240,11 +240,6 @@ class LearningSchedule:
         """Whether the next reading brings a model to adopt."""
         return bool(self._waiting)
 
-    @property
-    def is_hopping(self) -> bool:
-        """Whether models are being looked for at an early age."""
-        return self._hopping
-
     def is_early(self, time_s: float) -> bool:
         """Whether `early` is to be called before a reading of this time; what only asks in vain is done here."""
         while self.beginning is not None and self.early_s <= time_s:
@@ -368,7 +363,7 @@ class LearningSchedule:
             for name, listener in self.listeners.items():
                 listener.settle(ages[name])
             learnt = {name: listener.memory.models for name, listener in self.listeners.items()}
-            in_force = {**self.filter.described_models, **learnt}
+            in_force = self.filter.described_models(learnt)
             self.again = Again(tuple(in_force.items()), self.filter.counts["adopted"] + len(learnt))
             return
         self._go_on()
@@ -382,7 +377,7 @@ class LearningSchedule:
         models = {name: listener.memory.models for name, listener in self.listeners.items()}
         described = {name: listener.described for name, listener in self.listeners.items()}
         if models != described and departure(self.filter) >= CONTRADICTED:
-            in_force = {**self.filter.described_models, **described}
+            in_force = self.filter.described_models(described)
             self.again = Again(tuple(in_force.items()), self.filter.counts["adopted"], given_up=True)
 
     def is_no_better(self, described: Filter) -> bool:
@@ -407,11 +402,7 @@ class LearningSchedule:
 
     def _present_levels(self) -> dict[str, tuple[float, ...]]:
         """S(0) of what is learnt, per axis; 1 where nothing is."""
-        levels: dict[str, tuple[float, ...]] = {}
-        for name, listener in self.listeners.items():
-            parts = [learning_part(model) for model in listener.memory.models]
-            levels[name] = tuple(1.0 if part is None else max(part.level(listener.period_s), 1e-300) for part in parts)
-        return levels
+        return {name: listener.levels for name, listener in self.listeners.items()}
 
     def begin_again(self, until_s: float) -> Kept:
         """The filter stands at the start again: listen from there, and learn nothing before `until_s`; returns the
