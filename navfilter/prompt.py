@@ -114,6 +114,7 @@ class Prompt:
             outcome = Outcome("used", nis, int(dof))
             if self._learning is not None:
                 self._learn(why)
+                busy = busy or why == stretch.LEARN
         if looks or why == stretch.JUDGED:
             self._filter.take_up(nav.told)
         self._history.note(given, shift)
@@ -141,9 +142,10 @@ class Prompt:
         if learning.is_early(time_s):
             nav.beginning.before(time_s)
             same = nav.filter.memory is self._memory and learning.beginning is self._kept and not learning.is_waiting
-            nav.changes += not (same and learning.learning_s == self._facts[stretch.LEARNT_S])
-            return True
-        if not busy:  # one after the other
+            if not (same and learning.learning_s == self._facts[stretch.LEARNT_S]):
+                nav.changes += 1
+                return True
+        elif not busy:  # one after the other
             history.ready(self._memory.time_s)
         self._due_s = min(shifts.due_s(self._filter), learning.early_s, history.due_s)
         return False

@@ -243,7 +243,7 @@ def test_a_model_that_is_learnt_keeps_the_constant():
     nav.adopt("compass", nf.GaussMarkov(sd=0.012, tau_s=25.0) + nf.White(sd=0.002))
     assert nav.filter.channels["compass"].offset
     assert abs(nav.errors["compass[1]"] - before) < 0.05
-    assert not any("Offset" in str(model) for model in nav.filter.described_models["compass"])
+    assert not any("Offset" in str(model) for model in nav.filter.described_models({})["compass"])
 
 
 # --- the parts -------------------------------------------------------------------------------------------------------

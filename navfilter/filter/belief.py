@@ -75,7 +75,10 @@ def beyond_belief(channel: Channel, x: Array) -> bool:
     x : ndarray, shape (n - 9,)
         Error states.
     """
-    return bool(np.any(estimate(channel, x) ** 2 > channel.limits[channel.axes + 1 :]))
+    limits = channel.limits[channel.axes + 1 :].tolist()
+    if min(limits) == math.inf:  # of most sensors: nothing is beyond that
+        return False
+    return any(error * error > limit for error, limit in zip(estimate(channel, x).tolist(), limits, strict=True))
 
 
 def is_calm(channel: Channel, x: Array) -> bool:
@@ -135,7 +138,8 @@ def excused(channel: Channel) -> bool:
     channel : Channel
         As the refused reading left it.
     """
-    return math.hypot(*np.nan_to_num(channel.res).tolist()) <= SHARE * channel.memory.astray_m
+    astray_m = channel.memory.astray_m  # NaN where they are not
+    return astray_m >= 0.0 and math.hypot(*np.nan_to_num(channel.res).tolist()) <= SHARE * astray_m
 
 
 def estimate(channel: Channel, x: Array) -> Array:

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from navfilter.filter import shifts
 from navfilter.filter.adoption import Change
 from navfilter.filter.channel import Channel
 from navfilter.filter.events import Correction, Event, Outcome, Passed, Propagated, Relaid, StoodIn
@@ -99,6 +100,7 @@ class LearningSchedule:
         self.beginning = Kept(tuple(vehicle.sensors)) if self.listeners else None
         if self.listeners:
             self.worker.start()
+            self.worker.later(self._ask_for)
         self._levels = self._present_levels()
 
     # ---------------------------------------------------------------- what changes
@@ -283,6 +285,11 @@ class LearningSchedule:
         fed_back[after : after + 9] = self._fed_back[before : before + 9]
         fed_back[-1] = self._fed_back[-1]
         self._fed_back = fed_back
+        self.worker.later(self._ask_for)
+
+    def _ask_for(self) -> None:
+        """What a new layout is asked for by later readings, once: it would come with a look, or a question."""
+        _ = self.filter.layout.constants, shifts.looking(self.filter)
 
     # ---------------------------------------------------------------- at rest
     def _passed(self, samples: Array) -> Sequence[Change]:
