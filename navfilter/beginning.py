@@ -39,11 +39,16 @@ class Beginning:
     nav : Navigator
     worker : Worker
         With threads a twin does it; the results are the same to the last bit.
+
+    Attributes
+    ----------
+    twin : Twin or None
+        Who follows the run at present.
     """
 
     def __init__(self, nav: Navigator, worker: Worker) -> None:
         self._nav, self._worker = nav, worker
-        self._twin: Twin | None = None
+        self.twin: Twin | None = None
         self._goes_back = False
 
     @contextmanager
@@ -64,9 +69,9 @@ class Beginning:
     def follow(self, item: Array | Reading) -> None:
         """As `give`, but nothing that waits has its turn."""
         if self._nav.learning.again is None:
-            self._twin = None
-        elif self._twin is not None:
-            self._twin.give(item.copy() if isinstance(item, np.ndarray) else item)
+            self.twin = None
+        elif self.twin is not None:
+            self.twin.give(item.copy() if isinstance(item, np.ndarray) else item)
 
     def before(self, time_s: float) -> None:
         """Before a reading of this time: do what is due by then."""
@@ -82,7 +87,7 @@ class Beginning:
             if learning.again is not None and not self._goes_back:
                 self._worker.later(partial(self._follow, learning.again))
             return
-        twin, self._twin = self._twin, None
+        twin, self.twin = self.twin, None
         if twin is None or twin.again != learning.again:
             # in place: what runs over this filter goes on with it
             tried = Twin(nav, learning.again, Worker(threads=False)) if learning.again.given_up else None
@@ -100,8 +105,8 @@ class Beginning:
 
     def _follow(self, again: Again) -> None:
         """Make a twin, where the beginning is still to be done again so."""
-        if self._twin is None and self._nav.learning.again == again:
-            self._twin = Twin(self._nav, again, self._worker)
+        if self.twin is None and self._nav.learning.again == again:
+            self.twin = Twin(self._nav, again, self._worker)
 
 
 def _change_places(nav: Navigator, other: Navigator) -> None:

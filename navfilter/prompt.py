@@ -118,7 +118,7 @@ class Prompt:
         if looks or why == stretch.JUDGED:
             self._filter.take_up(nav.told)
         self._history.note(given, shift)
-        if kept is not None:
+        if nav.beginning.twin is not None:
             nav.beginning.follow(given)
         if self._waiting and not busy:
             nav.learning.worker.turn()

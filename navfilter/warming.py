@@ -32,7 +32,7 @@ FILTER, LEARNER = ("strapdown", "kalman", "measurement"), ("listen", "channel", 
 STRETCH = ("stretch", "drive_watch")
 
 
-def warm_up(vehicle: Vehicle | None = None, progress: bool = False) -> None:
+def warm_up(vehicle: Vehicle | None = None, progress: bool = False, *, smoother: bool = True) -> None:
     """Compile the kernels of navigator, smoother and learners by running tiny missions: once, then they are cached.
 
     Where nothing has been compiled yet and there is a second core, a second process compiles some of them meanwhile.
@@ -44,33 +44,36 @@ def warm_up(vehicle: Vehicle | None = None, progress: bool = False) -> None:
         Default: everything.
     progress : bool
         Show on standard error what is being compiled.
+    smoother : bool
+        Also what only the smoother needs.
 
     Notes
     -----
-    After it nothing is compiled under way: live, in a replay or by the smoother, late readings and gaps included.
+    After it nothing is compiled under way: live, in a replay, or by the smoother if that is asked for, late readings
+    and gaps included.
     """
     if progress:
         show_compilation()
     learning = vehicle is None or learns(vehicle)
-    helper = None if is_compiled(*FILTER) or is_compiled("stretch") else _Helper(learning, vehicle is None)
+    helper = None if is_compiled(*FILTER) or is_compiled("stretch") else _Helper(learning, vehicle is None, smoother)
     with calls_remembered(), _no_collector():
         try:
             # units differ by numbers only, and the lane without one has a sensor of its own
             lanes: list[Vehicle | None] = [] if vehicle is None else list(vehicle.lanes().values())
             for single in [*lanes[:1], *lanes[1:][-1:]] or [vehicle]:
-                _warm_filter(single, learning)
+                _warm_filter(single, learning, smoother)
             if helper is not None:
                 helper.wait()
         finally:
             if helper is not None:
                 helper.end()
         if vehicle is None:
-            _warm_reckoning()
+            _warm_reckoning(smoother)
         if learning:
             _warm_learner()
 
 
-def help_warming(learning: bool, everything: bool) -> None:
+def help_warming(learning: bool, everything: bool, smoother: bool) -> None:
     """What the second process of `warm_up` does: first what the first one comes to next, when it has what corrects.
 
     It ends at once: nothing is to be tidied that took seconds, for all of it is in files.
@@ -82,7 +85,7 @@ def help_warming(learning: bool, everything: bool) -> None:
         if learning:
             _warm_learner()
         if everything:
-            _warm_reckoning()
+            _warm_reckoning(smoother)
     sys.stdout.flush()
     os._exit(0)
 
@@ -99,12 +102,12 @@ def _no_collector() -> Iterator[None]:
             gc.enable()
 
 
-def _warm_filter(vehicle: Vehicle | None, learning: bool) -> None:
+def _warm_filter(vehicle: Vehicle | None, learning: bool, smoother: bool) -> None:
     if vehicle is None:  # where some kinds are on board a replay goes reading by reading, else in stretches
         plain = Vehicle(imu=Imu(rate_hz=20.0), sensors={"depth": Depth(rate_hz=2.0)})
-        replay(*tiny_mission(plain), smooth=True)
+        replay(*tiny_mission(plain), smooth=smoother)
     tiny, mission = next(tiny_missions()) if vehicle is None else tiny_mission(vehicle)
-    replay(tiny, mission, smooth=True)
+    replay(tiny, mission, smooth=smoother)
     _ = Navigator(tiny, mission.start).health  # asks the drive for its errors by itself
     _compile_prompt()
     replay(
@@ -116,9 +119,9 @@ def _warm_filter(vehicle: Vehicle | None, learning: bool) -> None:
         replay(tiny.with_error(**heard), mission)
 
 
-def _warm_reckoning() -> None:
+def _warm_reckoning(smoother: bool) -> None:
     _, (tiny, mission) = tiny_missions()
-    replay(tiny, mission, smooth=True)
+    replay(tiny, mission, smooth=smoother)
 
 
 def _compile_stretch() -> None:
@@ -159,14 +162,14 @@ def _warm_learner() -> None:
 class _Helper:
     """A second process that compiles into the same cache. Whatever becomes of it, the first one compiles the rest."""
 
-    def __init__(self, learning: bool, everything: bool) -> None:
+    def __init__(self, learning: bool, everything: bool, smoother: bool) -> None:
         self._process: subprocess.Popen[str] | None = None
         if not (sys.executable and _kept() and _cores() > 1):
             return
         from numba import config
 
         settings: Any = config
-        program = f"from navfilter.warming import help_warming; help_warming({learning}, {everything})"
+        program = f"from navfilter.warming import help_warming; help_warming({learning}, {everything}, {smoother})"
         paths = {"PYTHONPATH": os.pathsep.join(path or os.getcwd() for path in sys.path)}
         if settings.CACHE_DIR:
             paths["NUMBA_CACHE_DIR"] = settings.CACHE_DIR

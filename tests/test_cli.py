@@ -211,7 +211,7 @@ def test_interrupted_and_out_of_memory(monkeypatch, capsys):
 def test_compilation_is_announced_once(dive, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
     monkeypatch.setattr(numba.config, "DISABLE_JIT", 0)
-    monkeypatch.setattr(warming, "warm_up", lambda vehicle: None)
+    monkeypatch.setattr(warming, "warm_up", lambda vehicle, smoother: None)
     monkeypatch.setattr(compilation, "show_compilation", lambda: None)
     assert main(["warmup"]) == 0
     assert "compiling" in capsys.readouterr().err

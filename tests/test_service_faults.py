@@ -485,7 +485,7 @@ def test_kernels_that_cannot_be_loaded_are_compiled_again(tmp_path, monkeypatch)
     (tmp_path / "a.nbi").write_bytes(b"whole")
     calls, said = [], []
 
-    def warm_up(vehicle):
+    def warm_up(vehicle, smoother):
         calls.append(sorted(path.name for path in tmp_path.iterdir()))
         if len(calls) == 1:
             raise AttributeError("no such name")

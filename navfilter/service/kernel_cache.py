@@ -72,17 +72,17 @@ def make_usable(say: Say) -> None:
     sys.modules.pop(_ANY, None)  # numba has chosen its folder when it was imported
 
 
-def compile_kernels(say: Say, vehicle: Vehicle | None = None) -> None:
+def compile_kernels(say: Say, vehicle: Vehicle | None = None, *, smoother: bool = True) -> None:
     """Compile, or load what has been compiled; kernels that cannot be loaded are compiled again.
 
-    Given a vehicle, only what that one needs.
+    Given a vehicle, only what that one needs; without what only the smoother needs, if so asked.
     """
     from navfilter.warming import warm_up
 
     folder = _folder()
     try:
         with warnings.catch_warnings(record=True) as unkept:
-            warm_up(vehicle)
+            warm_up(vehicle, smoother=smoother)
         for text in sorted({str(warning.message) for warning in unkept}):
             say(text)
     except Exception as error:  # of numba, llvmlite or pickle, whatever a damaged file makes of them
@@ -90,7 +90,7 @@ def compile_kernels(say: Say, vehicle: Vehicle | None = None) -> None:
             raise
         say(f"the compiled kernels in {folder} cannot be used ({type(error).__name__}: {error}); compiling them again")
         _remove(_files(folder))
-        warm_up(vehicle)
+        warm_up(vehicle, smoother=smoother)
     if folder is not None:
         seal(folder)
 
@@ -99,7 +99,7 @@ def warm(say: Say, vehicle: Vehicle) -> None:
     """Make everything ready for a live run of a vehicle."""
     say("warming up ...")
     began = time.perf_counter()
-    compile_kernels(say, vehicle)
+    compile_kernels(say, vehicle, smoother=False)
     # What is here now stays: the collector need not look at it again and again.
     gc.collect()
     gc.freeze()
