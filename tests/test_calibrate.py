@@ -10,7 +10,7 @@ import navfilter as nf
 from navfilter.calibration.calibrate import REFERENCE, UNTOLD, Calibration, Found, with_reference
 from navfilter.calibration.estimate import estimate
 from navfilter.calibration.parts import KINDS, constants_of, described, opened
-from navfilter.calibration.validation import FOLDS, stretches_of
+from navfilter.calibration.validation import FOLDS, Prediction, stretches_of
 from navfilter.calibration.words import calibration_text
 from navfilter.cli import main
 from navfilter.io import write_vehicle
@@ -172,6 +172,24 @@ def test_a_constant_that_has_left_its_prior_does_not_spoil_the_others(monkeypatc
     assert "not believed" in calibration_text(result) and f"Not believed: {spoilt} (15 deg)" in calibration_text(result)
     monkeypatch.setattr("navfilter.calibration.calibrate.FAR", 6.0)
     assert not nf.calibrate(reckoning(**UNSURE), [dive(4, way=AHEAD)]).kept
+
+
+@pytest.mark.parametrize("with_it", [0.4, 0.6])
+def test_a_constant_that_has_left_its_prior_is_kept_where_it_predicts_better(with_it, monkeypatch):
+    far = "velocity.misalignment_z"
+
+    def calibrated(vehicle, wide, missions, cut, each, tell):
+        constants = constants_of(wide)
+        listed = [Found(c.name, c.unit, c.part, 0.0, c.sd, 0.5 * c.sd, 0.1 * c.sd, 0.0, True) for c in constants]
+        listed = [replace(one, value=5.0 * one.before_sd) if one.name == far else one for one in listed]
+        rms_m = with_it if far in [one.name for one in constants] else 0.5
+        before, after = (Prediction(9, rms, 0.5, 0.95, np.nan) for rms in (1.0, rms_m))
+        return Calibration(tuple(listed), wide, True, before, after, 1.0, True, 1, constants)
+
+    monkeypatch.setattr("navfilter.calibration.calibrate._calibrated", calibrated)
+    result = nf.calibrate(reckoning(**UNSURE), [dive(4, way=AHEAD)])
+    assert result.kept and found(result)[far].believed == (with_it < 0.5)
+    assert result.after.rms_m == min(with_it, 0.5)
 
 
 def test_the_scatter_of_the_parts_bounds_the_sd():

@@ -30,7 +30,7 @@ TOO_MUCH = 3.0
 #: At least this share of the parts must be predicted better.
 MOST = 0.75
 #: Farther from its prior than so many of its sds is hardly a constant: one in 370 would be. What the description has no
-#: state for may look like one; where the constants predict no better, they are tried without it.
+#: state for may look like one; it is kept only where the constants predict better with it than without.
 FAR = 3.0
 REFERENCE = "reference"
 
@@ -179,8 +179,8 @@ def calibrate(
     likelihood says, all that the missions say counts less by that factor (the variance of unit weight of geodesy), and
     the prior more.
 
-    Where the constants predict no better, and some of them have left their prior, it is tried once more with those as
-    described, and sure: a rotation of wheels about the way they roll, say, is told by nothing but how a car leans.
+    Where some of the constants have left their prior, it is tried once more with those as described, and sure, and what
+    predicts better is taken: a rotation of wheels about the way they roll, say, is told only by how a car leans.
     """
     if not missions:
         raise ValueError("calibrate needs at least one mission.")
@@ -193,7 +193,7 @@ def calibrate(
     cut = [stretches_of(vehicle, mission) for mission in missions]
     result = _calibrated(vehicle, opened(vehicle, kinds, missions), missions, cut, each, tell)
     far = [one for one in result.found if one.told and abs(one.value - one.before) > FAR * one.before_sd]
-    if result.kept or not far:
+    if not far:
         return result
     tell(f"again, with {', '.join(one.name for one in far)} as described")
     names = [one.name for one in far]
@@ -202,11 +202,15 @@ def calibrate(
     if not constants_of(sure, each):
         return result
     other = _calibrated(vehicle, sure, missions, cut, each, tell)
-    if not other.kept:
+    if not other.kept or (result.kept and _loss(other) > _loss(result)):
         return result
     order = {one.name: i for i, one in enumerate(result.found)}
     found = [*other.found, *(replace(one, believed=False) for one in far)]
     return replace(other, found=tuple(sorted(found, key=lambda one: order[one.name])))
+
+
+def _loss(result: Calibration) -> float:
+    return math.inf if result.after is None else result.after.loss
 
 
 def _calibrated(

@@ -67,7 +67,7 @@ def _remarks(result: Calibration) -> Iterator[str]:
     if doubtful:
         each = ", ".join(f"{one.name} ({amount(one.value, one.unit)})" for one in doubtful)
         yield (
-            f"Not believed: {each}. It is far from what is described, and with it the withheld fixes are predicted no "
+            f"Not believed: {each}. It is far from what is described, and without it what was withheld is predicted "
             "better: something that vehicle.toml has no state for looks like it. It stays as described, and sure."
         )
     if result.factor > TOO_MUCH:
