@@ -28,6 +28,7 @@ SCRIPTS = {
     "heading_toy": ("Sage-Husa", ()),
     "honest": ("Gauss-Markov", ()),
     "honest_constants": ("no other software", ()),
+    "honest_kinds": ("no other software", ()),
     "identify_recordings": ("statsmodels", ()),
     "lanes": ("sound unit alone", ("two", "one", "clean")),
     "logs": ("library underneath", ("samples", "large")),
