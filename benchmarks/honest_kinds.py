@@ -3,9 +3,9 @@
 Each sensor that errs in a coloured way is described within a factor of two, and learns (`learnt`). The same missions
 are replayed by the vehicle that is told the truth (`oracle`) and by the description as it stands (`vehicle`), forward
 as first given out and smoothed. Printed, slot by slot: NEES of position and heading, mean over the missions, of the
-learnt model the largest, too, and root mean squares of horizontal position and heading over those of the oracle. 1 is honest;
-errors are so slow that the mean of six missions of the truth itself is between 0.4 and 2. Its rivals are the two other
-vehicles; there is no other software in it.
+learnt model the largest, too, and root mean squares of horizontal position and heading over those of the oracle. 1 is
+honest; errors are so slow that the mean of six missions of the truth itself is between 0.4 and 2. Its rivals are the
+two other vehicles; there is no other software in it.
 """
 
 from __future__ import annotations
