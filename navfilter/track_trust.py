@@ -14,7 +14,7 @@ from navfilter.filter.health import Watch
 from navfilter.filter.integrity import LOST_HEADING, LOST_VELOCITY, MARGIN
 from navfilter.filter.offsets import has_offset
 from navfilter.filter.tape import OUTCOMES
-from navfilter.kernels.stretch import NIS_MEMORY
+from navfilter.kernels.stretch import NIS_MEMORY, NIS_MOST
 
 if TYPE_CHECKING:
     from navfilter.mission import Stream
@@ -169,7 +169,7 @@ def _conditions(run: Track, name: str, sensor: Sensor) -> Iterator[tuple[str, Ma
     yield "jumped", left & jumped
     judged = (r.dof > 0) & np.isfinite(r.nis)
     if judged.any():
-        share = np.minimum(r.nis[judged] / r.dof[judged], 100.0)
+        share = np.minimum(r.nis[judged] / r.dof[judged], NIS_MOST)
         mean = np.empty_like(share)
         so_far = share[0]
         for k, value in enumerate(share.tolist()):

@@ -1831,7 +1831,7 @@ def _fared(watched, t, nis, dof, nav):
     watched[7:] = watched[7] + 1.0, *nav[:2]
     if dof >= watched[5]:
         watched[5:7] = dof, max(watched[6], t)
-    share = min(nis / dof, 100.0)
+    share = min(nis / dof, 25.0)
     watched[4] = share if np.isnan(watched[4]) else watched[4] + (share - watched[4]) / 50.0
 
 

@@ -1,13 +1,16 @@
 """What is said of a sensor, and how soon: within 10 s."""
 
 import math
+from dataclasses import replace
 
+import numpy as np
 import pytest
 from feeding import events_of, one_by_one
 
 import navfilter as nf
 from navfilter.filter.health import CALM, Watch
 from navfilter.simulation.scenarios import simulate_scenario
+from navfilter.track_trust import spells
 
 FAULT_S, END_S = 20.0, 40.0
 
@@ -76,3 +79,21 @@ def test_a_sensor_that_speaks_seldom_is_given_its_time():
     assert Watch.silent_after_s(nf.Depth(rate_hz=8.0)) == 5.0
     assert Watch.silent_after_s(nf.Depth(rate_hz=0.5)) == 16.0
     assert Watch.silent_after_s(nf.Depth(rate_hz=0.01)) == nf.Depth().gate_timeout_s
+
+
+@pytest.mark.parametrize(("outliers", "noisy"), [(1, False), (2, False), (6, True)])
+def test_an_outlier_is_no_noise(mission, outliers, noisy):
+    """Each is off by 5 m/s, half a second after the one before. One by itself made a DVL noisy for ten seconds."""
+    vehicle, mission = mission
+    dvl, wild = mission.streams["dvl"], FAULT_S + 0.5 * np.arange(outliers)
+    value = dvl.value.copy()
+    value[np.abs(dvl.time_s[:, None] - wild).min(axis=1) < 0.01, 0] += 5.0
+    assert np.sum(value != dvl.value) == outliers
+    mission = replace(mission, streams={**mission.streams, "dvl": replace(dvl, value=value)})
+    found = said(vehicle, mission, events_of(vehicle, mission), "dvl")
+    assert any(one == "noisy" for one, _ in found) == noisy
+    if not noisy:
+        assert set(found) == {("good", "good")}
+    # a replay says the same
+    reasons = " ".join(spell.reason for spell in spells(nf.replay(vehicle, mission)))
+    assert ("dvl is noisy" in reasons) == noisy

@@ -63,7 +63,9 @@ TAKEN_S, LET_GO, NOTED = 2, 3, 4
 # Columns of `watched`, a row a channel: equal values in a row, since when, heard last, used last, running NIS, most
 # components that one had, the last that had so many, how many have been used, and where the last of them was.
 SAME, SINCE_S, HEARD_S, USED_S, NIS, MOST, WHOLE_S, USED, LATITUDE, LONGITUDE, FIGURES = range(11)
-NIS_MEMORY, NIS_MOST = 50.0, 100.0  # readings; a single one counts up to this NIS per component
+# Readings of the running NIS, and what a single one counts per component at most: an outlier is no noise, and five of
+# them bring the mean beyond the 3 of a noisy sensor. Two do not, of one whose mean is 1.8 as it is.
+NIS_MEMORY, NIS_MOST = 50.0, 25.0
 # The biases of the gyros are looked at so often [s], beside a compass whose last reading is not older [s].
 LOOK_EVERY_S, COMPASS_S = 10.0, 3.0
 # The same value so many times and for so long is stuck, as `navfilter.filter.health.Watch` has it.
