@@ -171,7 +171,7 @@ def _conditions(run: Track, name: str, sensor: Sensor) -> Iterator[tuple[str, Ma
     if judged.any():
         share = np.minimum(r.nis[judged] / r.dof[judged], NIS_MOST)
         mean = np.empty_like(share)
-        so_far = share[0]
+        so_far = 1.0
         for k, value in enumerate(share.tolist()):
             so_far += (value - so_far) / NIS_MEMORY
             mean[k] = so_far

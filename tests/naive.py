@@ -1832,7 +1832,8 @@ def _fared(watched, t, nis, dof, nav):
     if dof >= watched[5]:
         watched[5:7] = dof, max(watched[6], t)
     share = min(nis / dof, 25.0)
-    watched[4] = share if np.isnan(watched[4]) else watched[4] + (share - watched[4]) / 50.0
+    before = 1.0 if np.isnan(watched[4]) else watched[4]
+    watched[4] = before + (share - before) / 50.0
 
 
 def look_at_biases(bench, plan, heard, nav, x, P, w, time_s, looks, gyros, now):

@@ -94,6 +94,6 @@ def test_an_outlier_is_no_noise(mission, outliers, noisy):
     assert any(one == "noisy" for one, _ in found) == noisy
     if not noisy:
         assert set(found) == {("good", "good")}
-    # a replay says the same
+    # a replay says the same; the first reading by itself made one in two missions begin with noise
     reasons = " ".join(spell.reason for spell in spells(nf.replay(vehicle, mission)))
     assert ("dvl is noisy" in reasons) == noisy

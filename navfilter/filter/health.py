@@ -261,8 +261,8 @@ class Watch:
             if nav is not None:
                 figures[LATITUDE], figures[LONGITUDE] = nav[0], nav[1]
         if dof and math.isfinite(nis):
-            share, before = min(nis / dof, NIS_MOST), figures.item(NIS)
-            figures[NIS] = share if math.isnan(before) else before + (share - before) / NIS_MEMORY
+            share, before = min(nis / dof, NIS_MOST), 1.0 if math.isnan(figures[NIS]) else figures.item(NIS)
+            figures[NIS] = before + (share - before) / NIS_MEMORY
 
     def caught_up(self, figures: Array, value: bytes) -> None:
         """Take over what `navfilter.kernels.stretch` has counted on from its figures; `value` arrived last."""

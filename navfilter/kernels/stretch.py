@@ -64,7 +64,7 @@ TAKEN_S, LET_GO, NOTED = 2, 3, 4
 # components that one had, the last that had so many, how many have been used, and where the last of them was.
 SAME, SINCE_S, HEARD_S, USED_S, NIS, MOST, WHOLE_S, USED, LATITUDE, LONGITUDE, FIGURES = range(11)
 # Readings of the running NIS, and what a single one counts per component at most: an outlier is no noise, and five of
-# them bring the mean beyond the 3 of a noisy sensor. Two do not, of one whose mean is 1.8 as it is.
+# them bring the mean beyond the 3 of a noisy sensor. Two do not, of one whose mean is 1.8 as it is. It begins with 1.
 NIS_MEMORY, NIS_MOST = 50.0, 25.0
 # The biases of the gyros are looked at so often [s], beside a compass whose last reading is not older [s].
 LOOK_EVERY_S, COMPASS_S = 10.0, 3.0
@@ -443,7 +443,8 @@ def _fared(sources):
             watch[MOST], watch[WHOLE_S] = dof, max(watch[WHOLE_S], time_s)
         if dof > 0.0 and math.isfinite(nis):
             share = min(nis / dof, NIS_MOST)
-            watch[NIS] = share if math.isnan(watch[NIS]) else watch[NIS] + (share - watch[NIS]) / NIS_MEMORY
+            before = 1.0 if math.isnan(watch[NIS]) else watch[NIS]
+            watch[NIS] = before + (share - before) / NIS_MEMORY
 
     return _fared
 
