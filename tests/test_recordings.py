@@ -31,8 +31,8 @@ def test_cars_with_rtk_for_25_m(recording, benchmark):
         assert first.end_m < min(first.plain_end_m, PUBLISHED_PLAIN_M[name]), name
         assert first.beyond_3_sigma_pct == 0.0, name
         assert between.smoothed_rms_m <= 0.5 * between.rms_m, name
-        # the aim of 0.15 m is missed by one of the four, 0.23 m; that of a NEES between 0.5 and 2 by none
-        assert twice.smoothed_rms_m <= 0.24 and 0.5 < twice.smoothed_nees < 2.0, name
+        # the aim of 0.15 m is missed by one of the four, 0.17 m; that of a NEES between 0.5 and 2 by none
+        assert twice.smoothed_rms_m <= 0.19 and 0.5 < twice.smoothed_nees < 2.0, name
         ends.append(first.end_pct)
     assert np.median(ends) < 0.5
 
