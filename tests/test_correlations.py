@@ -9,6 +9,7 @@ import navfilter as nf
 from navfilter.evaluation.correlations import FALSE_ALARMS, correlation, correlation_doubts, correlations
 from navfilter.evaluation.surfacing import evidence
 from navfilter.evaluation.verdict import judge
+from navfilter.simulation.campaigns import stage
 from navfilter.simulation.faults import Faults
 from navfilter.simulation.manoeuvres import ChangeSpeed, FigureEight, Straight, Turn
 from navfilter.simulation.motion import Motion
@@ -108,3 +109,23 @@ def test_the_manual_states_the_rate():
 
     page = (Path(__file__).parent.parent / "docs" / "pages" / "replay.md").read_text(encoding="utf-8")
     assert f"once in {1.0 / FALSE_ALARMS:.0f} missions" in page
+
+
+@pytest.mark.parametrize("motion", ["lawnmower", "lawnmower/mems"])
+def test_a_deviation_of_half_a_degree_is_said(motion):
+    """It is gone from the residuals soon after each turn, yet the heading was a degree off and nothing was said."""
+    staged = stage(f"compass-deviation/{motion}", imu_rate_hz=50.0)
+    prior = staged.vehicle.sensors["compass"].error
+    for vehicle in (staged.vehicle, staged.vehicle.with_error(compass=nf.LearnedArma(prior=prior))):
+        mission = staged.mission(302)
+        words = list(correlation_doubts(nf.replay(vehicle, mission, output_rate_hz=2.0), mission))
+        assert [word.stream for word in words] == ["compass"] and "deviates" in words[0].text
+        assert "deviation_sd_deg" in words[0].cure
+
+
+@pytest.mark.parametrize("error", ["white", "slow-2min", "rolling"])
+def test_no_deviation_is_said_of_a_compass_that_errs_otherwise(error):
+    staged = stage(f"compass-{error}", imu_rate_hz=50.0)
+    for seed in (1, 2):
+        mission = staged.mission(seed)
+        assert list(correlation_doubts(nf.replay(staged.vehicle, mission, output_rate_hz=2.0), mission)) == []
