@@ -123,6 +123,18 @@ def test_a_deviation_of_half_a_degree_is_said(motion):
         assert "deviation_sd_deg" in words[0].cure
 
 
+def test_a_pitch_that_the_reading_itself_has_moved_is_no_acceleration():
+    """A DVL that errs with the waves and is believed moves the pitch beside a micromechanical unit, and with it what
+    gravity is taken off the accelerometer: a correlation of 0.16 to 0.20 with itself, "its clock is off" each time.
+    """
+    staged = stage("dvl-coloured/mems", duration_s=1200.0, imu_rate_hz=50.0)
+    for seed in (401, 402):
+        mission = staged.mission(seed)
+        track = nf.replay(staged.vehicle, mission, output_rate_hz=2.0)
+        (one,) = (one for one in correlations(track, mission) if one.motion == "acceleration")
+        assert abs(one.r) < 0.1 and list(correlation_doubts(track, mission)) == []
+
+
 @pytest.mark.parametrize("error", ["white", "slow-2min", "rolling"])
 def test_no_deviation_is_said_of_a_compass_that_errs_otherwise(error):
     staged = stage(f"compass-{error}", imu_rate_hz=50.0)

@@ -39,7 +39,7 @@ READINGS = 50
 SMOOTH_S = 1.0
 #: Motion is looked at so much later than a reading [s]: noise of the drive before it is in its residual too.
 AFTER_S = 0.55
-#: The heading of the drive's own turns is held to that of the track over this time [s].
+#: Heading and pitch of the drive's own turns are held to those of the track over this time [s].
 LEVEL_S = 60.0
 #: A compass whose deviation keeps more than this share of its sd has residuals that follow the turns for it.
 UNTOLD = 0.5
@@ -219,8 +219,9 @@ def _moved(run: Track, mission: Mission, time_s: Array) -> _Motion:
         )
         down = matrix_from_euler(roll, pitch, 0.0 * roll)[:, 2, :]
         turn = np.einsum("ni,ni->n", down, rates)
-        ahead = forces[:, 0] + down[:, 0] * gravity(float(run.latitude[0]), float(run.height[0]))
-        heading = _between(time_s, turn, heading)
+        rising = rates[:, 1] * np.cos(roll) - rates[:, 2] * np.sin(roll)
+        pitch, heading = _between(time_s, rising, pitch), _between(time_s, turn, heading)
+        ahead = forces[:, 0] - np.sin(pitch) * gravity(float(run.latitude[0]), float(run.height[0]))
     else:
         yaw = np.unwrap(values[:, 2])
         turn = _slope_after(time_s, t, yaw)
@@ -230,7 +231,9 @@ def _moved(run: Track, mission: Mission, time_s: Array) -> _Motion:
 
 
 def _between(time_s: Array, turn: Array, heading: Array) -> Array:
-    """The turns of the drive, on the level of the track's heading: what corrects the heading now is not in it."""
+    """The turns of the drive, on the level of the track's heading: what corrects the heading now is not in it. The same
+    of a pitch.
+    """
     own = np.concatenate([[0.0], np.cumsum(0.5 * (turn[1:] + turn[:-1]) * np.diff(time_s))])
     off = _mean_about(time_s, time_s, (heading - own)[:, None], LEVEL_S)
     return np.asarray(own + off[:, 0])
