@@ -54,11 +54,6 @@ ERRORS: dict[str, tuple[Model, Model]] = {
 ALL = ("compass", "dvl", "gps", "depth")
 
 
-def rated(vehicle: nf.Vehicle, name: str, rate_hz: float) -> nf.Vehicle:
-    """The vehicle with another rate of one sensor."""
-    return unsure(vehicle, name, rate_hz=rate_hz)
-
-
 def without(vehicle: nf.Vehicle, *names: str) -> nf.Vehicle:
     """The vehicle without some sensors."""
     return nf.Vehicle(vehicle.drive, {name: one for name, one in vehicle.sensors.items() if name not in names})
@@ -67,12 +62,12 @@ def without(vehicle: nf.Vehicle, *names: str) -> nf.Vehicle:
 #: By name: the vehicle beside a tactical unit, which of its sensors learn, whether it has fixes all along.
 CASES: Mapping[str, tuple[Callable[[], nf.Vehicle], tuple[str, ...], bool]] = {
     "compass": (survey_vehicle, ("compass",), False),
-    "compass at 1 Hz": (lambda: rated(survey_vehicle(), "compass", 1.0), ("compass",), False),
-    "compass at 25 Hz": (lambda: rated(survey_vehicle(), "compass", 25.0), ("compass",), False),
+    "compass at 1 Hz": (lambda: unsure(survey_vehicle(), "compass", rate_hz=1.0), ("compass",), False),
+    "compass at 25 Hz": (lambda: unsure(survey_vehicle(), "compass", rate_hz=25.0), ("compass",), False),
     "compass, deviation": (lambda: unsure(survey_vehicle(), "compass", **DEVIATION), ("compass",), False),
     "magnetometer": (magnetometer, ("compass",), False),
     "dvl": (survey_vehicle, ("dvl",), False),
-    "dvl at 1 Hz": (lambda: rated(survey_vehicle(), "dvl", 1.0), ("dvl",), False),
+    "dvl at 1 Hz": (lambda: unsure(survey_vehicle(), "dvl", rate_hz=1.0), ("dvl",), False),
     "dvl, scale and arm": (lambda: unsure(survey_vehicle(), "dvl", **SCALE, **ARM), ("dvl",), False),
     "dvl, no compass": (lambda: without(survey_vehicle(), "compass"), ("dvl",), False),
     "beams": (beams, ("dvl",), False),

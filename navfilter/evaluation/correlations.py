@@ -125,7 +125,7 @@ def correlation(x: Array, y: Array) -> tuple[float, float]:
         return 0.0, 0.0
     lags, r = max(1, int(LAGS * n)), float(x @ y) / power
     # what y explains is no noise of x
-    a, b = (_autocorrelation(v, lags) for v in (x - float(x @ y) / float(y @ y) * y, y))
+    a, b = (_autocorrelation(v, lags) for v in (_without(x, y), y))
     spread = 1.0 + 2.0 * float(np.sum((1.0 - np.arange(1, lags + 1) / n) * a * b))
     return r, n / max(spread, 1.0)
 
@@ -298,10 +298,9 @@ def _pairs(name: str, vehicle: Any, motion: _Motion, deviates: bool) -> Iterator
         if not any(sensor.deviation_sd_rad):
             cause = "it deviates with the heading, or a gyro turns by too much or too little"
             key = f"Add bias_sd_deg = 5.0 and deviation_sd_deg = [5.0, 2.0] to {table}"
+            rest = cause, key, LEAST_BY_HEADING, (motion.turn_rate,) if late else ()
             for wave in (s, c, 2.0 * s * c, c**2 - s**2):
-                yield _Pair(
-                    "", (0,), "heading", (wave,), cause, key, LEAST_BY_HEADING, (motion.turn_rate,) if late else ()
-                )
+                yield _Pair("", (0,), "heading", (wave,), *rest)
     elif sensor.sees_velocity and sensor.axes == 3:
         if late:
             yield _Pair("forward", (0,), "acceleration", (motion.acceleration,), "its clock is off", clock)

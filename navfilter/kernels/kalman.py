@@ -723,8 +723,8 @@ def update(P, nav, x, C, R, mem, dims, limits):
     rows of the error models, R: (a, a) white covariance, limits: (a + 1,) gates by the number of components used; the
     first says more than which share of the components has to remain when single ones that contradict the others are
     left out, infinite: none ever is. dims: those of `places`, then where a deviation begins, see `turn_deviation`; 0:
-    none. Leaves the verdict: NIS, components used, 1 if the state was corrected, then
-    residuals (NaN where missing) and their variances (NaN also where left out).
+    none. Leaves the verdict: NIS, components used, 1 if the state was corrected, then residuals (NaN where missing) and
+    their variances (NaN also where left out).
     """
     a, n, start, errors, par = dims[0], dims[1], dims[4], dims[5], dims[6]
     iH, iK, ii, ir, it, iS, iP, ine, iv, iw, _ = places(dims)
@@ -792,6 +792,12 @@ def turn_velocity(P, nav, before, change):
     _add_turned(P, int(3), int(6), north, east, down)
 
 
+@njit(cache=True, **UNCOUNTED)
+def _deviated(K, res, first):
+    """What turning by one does to the change of a deviation: to sine and cosine of the heading, and of twice it."""
+    return K[first + 1] * res, -K[first] * res, 2.0 * K[first + 3] * res, -2.0 * K[first + 2] * res
+
+
 @apart
 @njit(cache=True, **UNCOUNTED)
 def turn_deviation(P, K, res, first):
@@ -803,7 +809,7 @@ def turn_deviation(P, K, res, first):
     that is, and have to follow it. Else each reading would tell a little of the heading by how its slope has changed
     (Huang, Mourikis and Roumeliotis, 2010, International Journal of Robotics Research 29).
     """
-    by = K[first + 1] * res, -K[first] * res, 2.0 * K[first + 3] * res, -2.0 * K[first + 2] * res
+    by = _deviated(K, res, first)
     n = P.shape[0]
     for i in range(4):
         for j in range(n):
@@ -953,7 +959,7 @@ def smooth_record(L, lam, record, a, m, b, start, deviation, T):
 @njit(cache=True, **UNCOUNTED)
 def _deviation_transposed(L, lam, K, res, first):
     """`turn_deviation` backward."""
-    by = K[first + 1] * res, -K[first] * res, 2.0 * K[first + 3] * res, -2.0 * K[first + 2] * res
+    by = _deviated(K, res, first)
     n = len(lam)
     for i in range(4):
         lam[8] += by[i] * lam[first + i]
