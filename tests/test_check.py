@@ -188,6 +188,21 @@ def test_timing_findings():
     assert "late or shuffled" in one(t, noise, ("depth (a.csv): 3 stamps go back, by up to 1 s",)).lower()
 
 
+def test_a_stream_that_ends_before_the_others_is_named():
+    whole = mission()
+    end_s = whole.streams["imu"].time_s[-1]
+    for name in ("imu", "dvl"):
+        stream = whole.streams[name]
+        cut = {**whole.streams, name: stream.keep(stream.time_s < 0.5 * end_s)}
+        said = [f for f in check_mission(Mission("cut", cut)) if f.stream == name and "before the others" in f.text]
+        assert [f.severity for f in said] == ["warning"], name
+    assert not [f for f in check_mission(whole) if "before the others" in f.text]
+    # a vehicle that ends its mission under water has no fixes there
+    fixes = whole.streams["gps"]
+    dived = Mission("dived", {**whole.streams, "gps": fixes.keep(fixes.time_s < 0.5 * end_s)})
+    assert [f.severity for f in check_mission(dived) if "before the others" in f.text] == ["info"]
+
+
 def test_empty_mission():
     assert "there is no stream" in said(Mission("x"))
     assert "none" in report_text(Mission("x"), check_mission(Mission("x")))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import statistics
 from collections.abc import Iterator
 from typing import Any
 
@@ -60,6 +62,19 @@ def _timing(name: str, stream: Stream, mission: Mission) -> Iterator[Finding]:
     late = stream.time_s[0] - mission.begin_s
     if late > max(10.0 * usual, 5.0):
         yield Finding("info", name, f"starts {late:.1f} s after the first stream.")
+    early = _others_end_s(name, mission) - stream.time_s[-1]
+    if early > max(10.0 * usual, 5.0):
+        severity: Severity = "warning" if early > 20.0 * usual and "latitude_rad" not in stream.columns else "info"
+        cure = "Was its file cut, or did it fail? What it holds is not held from then on."
+        yield Finding(severity, name, f"ends {early:.1f} s before the others.", cure)
+
+
+def _others_end_s(name: str, mission: Mission) -> float:
+    """When most of the other streams end [s], fixes apart, which are not to be had under water; NaN where there are
+    none. Of one whose clock runs too fast, not all others end early.
+    """
+    others = [s for other, s in mission.streams.items() if other != name and len(s) and "latitude_rad" not in s.columns]
+    return statistics.median_low(float(s.time_s[-1]) for s in others) if others else math.nan
 
 
 def _even(step: Array) -> bool:
