@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.filter.chi_square import chi_square_limit
-from navfilter.filter.integrity import CONFIRMED_S, bounds, whole_offset
+from navfilter.filter.integrity import CONFIRMED_S, FOLLOWED_S, bounds, whole_offset
 from navfilter.filter.offsets import has_offset
 from navfilter.filter.refused_way import SPEAKS_S, believable
 from navfilter.filter.tape import OUTCOMES, Residuals
@@ -62,10 +62,23 @@ def _off(track: Track, name: str) -> Array:
     unseen = np.sqrt(limit * np.where(np.isnan(sd), 0.0, sd**2 + slow).max(axis=1))
     last = _so_far(time_s, track.time_s) - 1
     off = np.where(again, whole_offset(sensor.corrects, r.value[judged], max(slow)), unseen)[last]
+    if sensor.corrects == "position" and sensor.axes == 3:
+        for k in _beat(r.value[judged], sd, refused, limit):
+            after = (track.time_s >= time_s[k]) & (track.time_s < time_s[k] + FOLLOWED_S)
+            off[after] = np.maximum(off[after], np.hypot(*np.nan_to_num(r.value[judged][k, :2])))
     off[last < 0] = 0.0
     for begin_s, end_s in _with_offsets(track, name):
         off[(track.time_s >= begin_s) & (track.time_s < end_s)] = 0.0
     return np.asarray(off)
+
+
+def _beat(value: Array, sd: Array, refused: NDArray[np.bool_], limit: float) -> NDArray[np.int64]:
+    """Which fixes the state was set to against what was believed before: used after one that was refused, and beyond
+    what the gate would have passed of that one.
+    """
+    size = np.nan_to_num(np.abs(value)).max(axis=1)
+    let_in = ~refused[1:] & refused[:-1] & (size[1:] > np.sqrt(limit) * np.nan_to_num(sd[:-1]).max(axis=1))
+    return np.flatnonzero(let_in) + 1
 
 
 def _with_offsets(track: Track, name: str) -> list[tuple[float, float]]:

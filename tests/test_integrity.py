@@ -14,7 +14,9 @@ import navfilter as nf
 from navfilter.filter.integrity import IN_LINE, IN_PLANE, Trust, bounds, trust, whole_offset
 from navfilter.io import read_vehicle, write_vehicle
 from navfilter.service.protocol import state_fields, to_line
-from navfilter.simulation.scenarios import simulate_scenario
+from navfilter.simulation.faults import Faults
+from navfilter.simulation.scenarios import simulate_scenario, survey
+from navfilter.simulation.simulate import simulate
 
 P = np.diag([4.0, 4.0, 1.0, 1e-4, 1e-4, 1e-4, 1e-6, 1e-6, 1e-4])
 FAULTS = {
@@ -109,6 +111,26 @@ def test_a_start_that_is_off_is_held_from_the_first_fix_on():
         if state.time_s > 1.5:
             error = state.minus(watched.truth_at(mission.truth, state.time_s))
             assert math.hypot(*error[:2]) <= state.bounds.horizontal_m, state.time_s
+
+
+def test_fixes_that_come_up_with_a_wrong_place_are_held():
+    """The first half minute after a dive is 500 m off: the state follows, for nothing else says where it is."""
+    vehicle, _ = dive()
+    available = {"gps": Faults(available=((0.0, 40.0), (110.0, 1e9)))}
+    mission = simulate(vehicle, survey(320.0), seed=4, duration_s=320.0, faults=available)
+    north = np.array([500.0 / RADIUS_M, 0.0, 0.0])
+    broken = altered(mission, "gps", lambda value: value + north[: value.shape[1]], 110.0, 140.0)
+    nav = nf.Navigator(vehicle, mission.start)
+    off = []
+    for state in watch(nav, vehicle, broken):
+        error = math.hypot(*state.minus(watched.truth_at(mission.truth, state.time_s))[:2])
+        assert error <= state.bounds.horizontal_m, state.time_s
+        off.append(error)
+    assert max(off) > 400.0 and nav.counts["reset"] == 2
+    assert nav.state.bounds.horizontal_m < 30.0  # and the bounds are of use again
+    track = nf.replay(vehicle, broken)
+    error = track.errors(mission.truth).horizontal
+    assert error.max() > 400.0 and (error <= track.to_frame().protection_radius_m).all()
 
 
 def test_dead_reckoning_between_fixes_is_held_by_nothing():

@@ -86,6 +86,8 @@ class ChannelMemory:
     alone : tuple of float
         Of a compass to which the heading was set against what was believed before, until something else confirms that:
         by how much at most [rad], latitude and longitude then [rad].
+    beat : tuple of float
+        Of fixes that the state was set to against what was believed before: by how much [m], and when last [s].
     course : tuple of float
         Of a compass that fixes have contradicted: variance to which they have told the heading [rad^2], that of one of
         them [m^2], latitude and longitude then [rad]; until the compass is back.
@@ -116,6 +118,7 @@ class ChannelMemory:
     astray_m: float = math.nan
     aside: Aside | None = None
     alone: tuple[float, ...] = ()
+    beat: tuple[float, ...] = ()
     course: tuple[float, ...] = ()
     scatter: Scatter | None = None
     reckoned: Reckoned | None = None

@@ -55,7 +55,7 @@ def health_of(
     held = filter.inertial and drive.feels
     slow, fix = 0.0, _last_fix(filter, watches)
     for name, watch in watches.items():
-        sees, known = channels[name].sensor.corrects, _off(channels[name], watch)
+        sees, known = channels[name].sensor.corrects, _off(channels[name], watch, now_s)
         off[sees] = max(off.get(sees, 0.0), known)
         slow = max(slow, *channels[name].slow) if sees == "heading" and known > 0.0 else slow
         slow = max(slow, told_by_fixes(channels[name], memory.nav, *fix[1:]))
@@ -107,7 +107,7 @@ def _distance(nav: Array, latitude: float, longitude: float) -> float:
     return math.hypot(north, east)
 
 
-def _off(channel: Channel, watch: Watch) -> float:
+def _off(channel: Channel, watch: Watch, now_s: float) -> float:
     """What a sensor may be off by; 0 for one that has not been heard, or has been found to be off."""
     sensor, kept, a = channel.sensor, channel.memory, channel.axes
     if channel.offset or not sensor.corrects:
@@ -127,4 +127,5 @@ def _off(channel: Channel, watch: Watch) -> float:
     if not math.isfinite(watch.used_s):
         return 0.0
     largest = max((v + s for v, s in zip(note[3 + a :], channel.slow, strict=True) if v + s > 0.0), default=0.0)
-    return math.sqrt(float(channel.limits[a]) * largest)
+    unseen = math.sqrt(float(channel.limits[a]) * largest)
+    return max(unseen, kept.beat[0]) if kept.beat and now_s - kept.beat[1] < integrity.FOLLOWED_S else unseen

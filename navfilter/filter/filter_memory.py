@@ -121,6 +121,9 @@ class FilterMemory:
         alone = [channel.alone for channel in self.channels.values() if channel.alone]
         if any(len(told) != 3 or not all(type(v) is float for v in told) for told in alone):
             return "what a heading told alone is not an angle and a place"
+        beat = [channel.beat for channel in self.channels.values() if channel.beat]
+        if any(len(told) != 2 or not all(type(v) is float for v in told) for told in beat):
+            return "what fixes have beaten is not a distance and a time"
         # kernels use these as places of states
         places = [*strapdown.PLACES, strapdown.INCREMENTS, strapdown.PERIOD_S]
         if not np.array_equal(self.drv[places], fresh.drv[places]):

@@ -7,7 +7,7 @@ the sd of its readings, slow error and all; one whose readings are refused by th
 one that is right.
 What such a constant does to the position:
 
-- of fixes: it is the error;
+- of fixes: it is the error; where the state has been set to them, it may have been right before;
 - of a velocity: it has been integrated since the last fix; so have the residuals of readings that were refused, for
   nobody knows yet who was right;
 - of a heading: it turns the way made since the last fix.
@@ -42,6 +42,9 @@ CONFIRMED_S = 30.0
 MARGIN = 1.2
 #: Beyond this sd of the velocity [m/s] or of the heading [rad] there is no dead reckoning.
 LOST_VELOCITY, LOST_HEADING = 1.0, math.radians(30.0)
+#: Fixes to which a state was set against what was believed are right once that is so long ago [s]: a receiver that has
+#: come up with a wrong place finds the right one sooner.
+FOLLOWED_S = 120.0
 #: Fixes are there while the last one is so old at most [s].
 PRESENT_S = 5.0
 

@@ -18,7 +18,7 @@ from navfilter.filter.belief import beyond_belief, estimate, excused, pulled, re
 from navfilter.filter.channel import Channel
 from navfilter.filter.course import Course, against_the_compass, told_here, turned
 from navfilter.filter.events import Event
-from navfilter.filter.integrity import IN_LINE
+from navfilter.filter.integrity import FOLLOWED_S, IN_LINE
 from navfilter.filter.offsets import with_offsets
 from navfilter.filter.refusals import LEAST, Refusals
 from navfilter.kernels import listen
@@ -106,6 +106,7 @@ def let_in(filter: Filter, channel: Channel, time_s: float, nis: float, dof: int
         return False
     channel.R *= added.white_factor
     P[:9, :9] += added.covariance
+    _follows(channel, time_s)
     P[:2, :2] += refused_way.followed(filter, channel)
     _update(filter, channel, time_s)
     return True
@@ -151,6 +152,7 @@ def _agreed(filter: Filter, channel: Channel, time_s: float) -> bool:
         filter.jumped.append(Change(channel.name, channel.sensor.models, offsets=True, turn=(angle, variance)))
         return False
     memory.P[:2, :2] += refused_way.followed(filter, channel)
+    _follows(channel, time_s)
     velocity = reckoned.opened_velocity(filter, reckoned_since(channel, refused, speed), speed)
     filter.jumped += [] if velocity is None else [velocity]
     memory.counts["jumped"] += velocity is not None
@@ -291,6 +293,14 @@ def _runs_away(filter: Filter, channel: Channel, time_s: float) -> None:
     memory.P[drive.slice, drive.slice] += drive.P0
     filter.jumped.append(Change(channel.name, with_offsets(channel.sensor.models), offsets=True))
     kept.refused = kept.aside = None
+
+
+def _follows(channel: Channel, time_s: float) -> None:
+    """Remember that the state is set to fixes against what was believed before: they may be what was wrong."""
+    if channel.sensor.open_loop == listen.POSITION and channel.axes == 3:
+        before_m, before_s = channel.memory.beat or (0.0, -math.inf)
+        off_m = math.hypot(*np.nan_to_num(channel.res[:2]).tolist())
+        channel.memory.beat = max(off_m, before_m if time_s - before_s < FOLLOWED_S else 0.0), float(time_s)
 
 
 def _update(filter: Filter, channel: Channel, time_s: float) -> None:
