@@ -310,3 +310,19 @@ def test_a_dvl_whose_sign_changes_for_a_minute_of_turns_is_taken_back():
     nav, off = fly(vehicle, altered(mission, "dvl", lambda v: -v, FAULT_S, FAULT_S + 60.0))
     assert after(off, FAULT_S)[:, 1].max() < 30.0
     assert nav.health.sensors["dvl"].condition == "good"
+
+
+@pytest.mark.parametrize("seed", [3, 6])
+def test_a_compass_that_follows_no_turn_is_left_out(seed):
+    """Radians read as degrees: a constant and a deviation fit it, and it would tell that the vehicle does not turn."""
+    vehicle, _ = dive(mems=True)
+    fixes = {"gps": Faults(available=((0.0, DIVE_S),))}
+    mission = simulate(vehicle, survey(480.0), seed=seed, duration_s=480.0, faults=fixes)
+    nav, off = fly(vehicle, altered(mission, "compass", lambda value: value * DEG, FAULT_S))
+    late = after(off, FAULT_S + 20.0)
+    assert (late[:, 3] * DEG < 2.0 * late[:, 6]).all()
+    health = nav.health.sensors["compass"]
+    assert health.condition == "rejected" and nav.counts["jumped"] == 1
+    # iron that turns it by up to 25 deg leaves a compass
+    iron = altered(mission, "compass", lambda value: wrap(value + 25.0 * DEG * np.cos(value - 1.0)), FAULT_S)
+    assert fly(vehicle, iron)[0].health.sensors["compass"].condition == "jumped"

@@ -231,7 +231,7 @@ class Channel:
         self.offset = has_offset(sensor.models)
         self._kernels = self._addresses()
         self._proportions = proportions(sensor.models, self.period_s)
-        self._deviations = deviations(sensor.models, self.period_s)
+        self.deviations = deviations(sensor.models, self.period_s)
         self.limits = np.concatenate([self._gates, believed(sensor, group)])
         slow = group.C @ group.P0[: group.errors, : group.errors] @ group.C.T
         self.slow: list[float] = slow.diagonal().tolist()  # variance by axis of what its error states begin with
@@ -400,7 +400,7 @@ class Channel:
         if len(axis):
             self.C[axis, state] = np.nan_to_num(z - self.res)[axis] / at_m_s
             self.near[axis, :9] *= 1.0 + (x[self.group.start - 9 + state] / at_m_s)[:, None]
-        state, of_rad = self._deviations
+        state, of_rad = self.deviations
         if len(state):
             # its slope by the heading is left out: with it, turns would seem to tell a heading from the constant
             self.C[self.sensor.north, state] = np.cos(math.atan2(nav[9], nav[6]) - of_rad)
