@@ -208,13 +208,13 @@ def _look(nav: Navigator, last: Event, reading: Event | None, outcome: Outcome) 
     outcome.smallest = min(outcome.smallest, smallest)
     if smallest <= DEFINITE and outcome.not_definite_s is None:
         outcome.not_definite_s = last.true_s
-    for event in (last, reading, last):
-        # a clock that was set moves the stamps, not the instant
-        stamp = event.time_s if event is not None and isinstance(event.time_s, float) else math.nan
-        ahead = state.time_s - nav.offset_s - stamp
-        if event is not None and abs(ahead) < 2.0:
-            break
-    outcome.states.append((event.true_s + (ahead if abs(ahead) < 2.0 else 0.0), state))
+    # a clock that was set moves the stamps, not the instant: of two that differ the one counts that the state goes by
+    there = [e for e in (last, reading) if e is not None and isinstance(e.time_s, float) and math.isfinite(e.time_s)]
+    ahead, at = [state.time_s - nav.offset_s - e.time_s for e in there], 0
+    if there:
+        at = min(range(len(there)), key=lambda k: abs(ahead[k]))
+    near = bool(there) and abs(ahead[at]) < 2.0
+    outcome.states.append((there[at].true_s + ahead[at] if near else last.true_s, state))
 
 
 def truth_at(truth: Stream, time_s: float) -> NavState:
