@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from navfilter.filter.adoption import Change
 from navfilter.filter.bursts import BurstsMemory
 from navfilter.filter.channel import Aside, ChannelMemory, Course, Reckoned, Refusals, RefusedWay, Scatter, Turns
-from navfilter.filter.drive_clock import Arrived, DriveClockMemory
+from navfilter.filter.drive_clock import Ahead, Arrived, DriveClockMemory
 from navfilter.filter.filter_memory import FilterMemory
 from navfilter.filter.health import Watch
 from navfilter.filter.history import Reading
@@ -80,7 +80,7 @@ class LanesMemory:
 #: Classes that a snapshot is made of, beside error models.
 MEMORY = (
     *(NavigatorMemory, FilterMemory, ChannelMemory, Refusals, RefusedWay, Course, Reckoned, Aside, Scatter, Turns),
-    *(IntakeMemory, DriveClockMemory, BurstsMemory, Arrived),
+    *(IntakeMemory, DriveClockMemory, BurstsMemory, Arrived, Ahead),
     *(LearningMemory, Kept, Rows, Again, Change, ListenerMemory, Hop, RestMemory, LearnerMemory, Line, Spectrum),
 )
 

@@ -70,7 +70,7 @@ class Prompt:
         early_s = time_s - memory.time_s
         if raw == watch.value or not (early_s >= -stretch.SAME_S and time_s - memory.sample_s <= self._ahead_s):
             return None
-        if z.ndim > 1 or len(z) < self._reads or not nav.clock.passes(stamp_s):
+        if z.ndim > 1 or len(z) < self._reads or not nav.clock.passes(self._name, stamp_s):
             return None
         looks = time_s >= self._due_s and time_s >= shifts.due_s(self._filter)
         if time_s >= self._due_s:

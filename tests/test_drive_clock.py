@@ -184,6 +184,36 @@ def test_readings_that_leap_ahead_do_not_wait(dive):
     assert sum(outcome.status == "ahead" for outcome in outcomes) > 50 and "late" not in nav.health.drive
 
 
+@pytest.mark.parametrize("by_s", [0.5, 1.0, 2.0])
+@pytest.mark.parametrize("sensor", ["compass", "dvl"])
+def test_the_clock_of_one_sensor_that_is_set_ahead_is_moved_back(sensor, by_s):
+    """Nothing arrives before it was measured: else the state would be carried on to it, and believe an old heading."""
+    vehicle, mission = simulate_scenario("lawnmower", 2, 100.0)
+    events = events_of(vehicle, mission)
+    best, _ = flown(vehicle, mission, events)
+    wrong = stamped(events, by_s, (sensor,), 40.0)
+    nav, outcomes = flown(vehicle, mission, wrong)
+    assert nav.clock.memory.ahead[sensor].by_s == pytest.approx(by_s, abs=0.02)
+    assert nav.health.drive["moved"] > 50
+    assert abs(nav.time_s - best.time_s) < 0.02 and np.abs(nav.state.minus(best.state)[:3]).max() < 0.3
+    # the stamps of those that were ahead come again
+    assert sum(outcome.status == "duplicate" for outcome in outcomes) < 8 * by_s + 4
+    # and one that is put right is what it was
+    nav, _ = flown(vehicle, mission, stamped(wrong, -by_s, (sensor,), 70.0))
+    assert nav.clock.memory.ahead[sensor].by_s == 0.0
+
+
+def test_blocks_of_the_drive_set_no_clock():
+    """Samples that come in blocks of 0.8 s leave readings ahead of them, by more and more."""
+    vehicle, mission = simulate_scenario("lawnmower", 2, 60.0)
+    events = [
+        e._replace(arrival_s=math.ceil(e.time_s / 0.8) * 0.8) if e.sensor == DRIVE else e
+        for e in events_of(vehicle, mission)
+    ]
+    nav, _ = flown(vehicle, mission, sorted(events, key=lambda e: e.arrival_s))
+    assert "moved" not in nav.health.drive and nav.health.drive["late"] > 100
+
+
 def test_of_a_drive_that_falls_silent_nothing_waits_for_ever():
     """To the same bits as where nothing waits at all."""
     vehicle, mission = simulate_scenario("lawnmower", 2, END_S)

@@ -9,7 +9,9 @@ that they go on, and nothing is lost.
 
 A drive may also be late: its samples come a second or more behind the readings of their time. Readings that follow each
 other then wait for the samples before them, until the drive is so far behind that it is silent. Readings whose stamps
-leap ahead do not wait: it is their clock that is wrong.
+leap ahead do not wait: it is their clock that is wrong. Where those of one sensor have come in time and are all ahead
+of the drive from one reading on, while others come in time, its clock was set: nothing arrives before it was measured.
+Its stamps are moved back by as much.
 
 Samples of a burst that were stamped when they were received are taken apart first: `navfilter.filter.bursts`.
 
@@ -29,6 +31,7 @@ from numpy.typing import NDArray
 
 from navfilter.filter.bursts import Bursts, BurstsMemory
 from navfilter.filter.intake import Intake
+from navfilter.filter.memory import misfit
 
 __all__ = ["Arrived", "DriveClock", "DriveClockMemory"]
 
@@ -42,6 +45,31 @@ class Arrived(NamedTuple):
     time_s: float
     value: Any
     sd: Any
+
+
+@dataclass
+class Ahead:
+    """By how much the readings of a sensor are ahead of the drive.
+
+    Attributes
+    ----------
+    usual_s : float
+        The last one that came in time [s].
+    since_s : float
+        Stamp of the drive before the first of those since then that were not [s].
+    sum_s : float
+        Of those [s].
+    count : int
+        Their number.
+    by_s : float
+        What the stamps of a clock that was set are moved back by [s]; 0: it was not.
+    """
+
+    usual_s: float = 0.0
+    since_s: float = 0.0
+    sum_s: float = 0.0
+    count: int = 0
+    by_s: float = 0.0
 
 
 @dataclass
@@ -70,6 +98,12 @@ class DriveClockMemory:
         Stamp that the next reading is to follow [s].
     late : int
         Readings that came so far ahead of it, so far.
+    ahead : dict of str to Ahead
+        By how much the readings of each sensor are ahead of the drive.
+    in_time_s : float
+        Stamp of the drive when a reading last came in time [s].
+    moved : int
+        Readings whose stamps were moved, so far.
     bursts : BurstsMemory
     """
 
@@ -84,6 +118,9 @@ class DriveClockMemory:
     early: list[Arrived] = field(default_factory=list)
     follows_s: float = -math.inf
     late: int = 0
+    ahead: dict[str, Ahead] = field(default_factory=dict)
+    in_time_s: float = -math.inf
+    moved: int = 0
     bursts: BurstsMemory = field(default_factory=BurstsMemory)
 
 
@@ -112,6 +149,10 @@ class DriveClock:
     LATE_S, LATE_PERIODS = 0.2, 5.0
     #: Readings follow each other when one comes so soon after the one before [s]: a sensor at 1 Hz is on board.
     FOLLOWS_S = 1.5
+    #: After so many readings that are ahead by the same the clock of a sensor was set: one may have a wild stamp.
+    SET = 4
+    #: By how much is not told to more digits than this [1]; a reading that is carried on to makes the others late.
+    DIGITS = 2
     #: A stamp further from the drive's than this says nothing of what follows [s].
     WILD_S = 10.0
 
@@ -130,8 +171,9 @@ class DriveClock:
 
     @property
     def counts(self) -> dict[str, int]:
-        """Readings that came ahead of a late drive, samples of bursts; without zeros."""
-        counts = {"late": self.memory.late, "burst": self.memory.bursts.count}
+        """Readings ahead of a late drive, samples of bursts, readings of clocks that were set; without zeros."""
+        memory = self.memory
+        counts = {"late": memory.late, "burst": memory.bursts.count, "moved": memory.moved}
         return {name: count for name, count in counts.items() if count}
 
     def take(self, samples: Array) -> list[Array | Arrived]:
@@ -202,6 +244,35 @@ class DriveClock:
 
     def hear(self, reading: Arrived) -> list[Array | Arrived] | None:
         """What goes on now, when this reading has arrived: nothing where it waits; None for the reading itself."""
+        by_s = self._set_by(reading.name, reading.time_s - self.memory.last_s)
+        if not by_s:
+            return self._heard(reading)
+        self.memory.moved += 1
+        moved = reading._replace(time_s=reading.time_s - by_s)
+        heard = self._heard(moved)
+        return [moved] if heard is None else heard
+
+    def _set_by(self, name: str, ahead_s: float) -> float:
+        """By how much the clock of a sensor was set, a reading of which comes so far ahead of the drive [s]; else 0."""
+        memory = self.memory
+        if not self._live or not abs(ahead_s) < self.WILD_S:
+            return 0.0
+        if ahead_s <= self._late_s:
+            memory.ahead[name], memory.in_time_s = Ahead(ahead_s), memory.last_s
+            return 0.0
+        told = memory.ahead.get(name)
+        if told is None:  # it has never come in time: its offset may be known
+            return 0.0
+        mean_s = told.sum_s / told.count if told.count else math.inf
+        if abs(ahead_s - mean_s) > 0.5 * self._late_s:  # samples in blocks make it ahead by more and more
+            told.since_s, told.sum_s, told.count = memory.last_s, 0.0, 0
+        told.sum_s, told.count = told.sum_s + ahead_s, told.count + 1
+        by_s = told.sum_s / told.count - told.usual_s
+        if told.count == self.SET and memory.in_time_s > told.since_s and by_s > self._late_s:
+            told.by_s = round(by_s, self.DIGITS)
+        return told.by_s
+
+    def _heard(self, reading: Arrived) -> list[Array | Arrived] | None:
         memory = self.memory
         memory.heard_s = reading.time_s if math.isfinite(reading.time_s) else memory.heard_s
         if not self.holds:
@@ -215,14 +286,20 @@ class DriveClock:
         memory.together += stamp >= memory.last_s + half if half > 0.0 else stamp < memory.last_s + half
         return list(self._met(self._told()))
 
-    def passes(self, stamp_s: float) -> bool:
-        """Whether a reading with this stamp goes on at once, and neither clock nor order are in doubt: then that is
-        noted. Else `hear` says what follows.
+    def passes(self, name: str, stamp_s: float) -> bool:
+        """Whether a reading of this sensor and stamp goes on at once, and neither clock nor order are in doubt: then
+        that is noted. Else `hear` says what follows.
         """
         memory = self.memory
-        if len(memory.held) or not -self.WILD_S < stamp_s - memory.last_s <= self._prompt_s:
+        ahead_s = stamp_s - memory.last_s
+        if len(memory.held) or not -self.WILD_S < ahead_s <= self._prompt_s:
             return False
-        memory.heard_s = memory.follows_s = stamp_s
+        told = memory.ahead.get(name)
+        if told is None or told.count:
+            memory.ahead[name] = Ahead(ahead_s)
+        else:
+            told.usual_s = ahead_s
+        memory.heard_s, memory.follows_s, memory.in_time_s = stamp_s, stamp_s, memory.last_s
         return True
 
     def _waited(self, reading: Arrived) -> list[Array | Arrived] | None:
@@ -280,8 +357,12 @@ class DriveClock:
         ValueError
             For what is no memory of a clock.
         """
+        told = [misfit(one, Ahead(), f"ahead of the drive: {name!r}") for name, one in memory.ahead.items()]
+        if problem := next(filter(None, told), None):
+            raise ValueError(problem)
         rows = memory.held.shape[1:] if isinstance(memory.held, np.ndarray) else None
-        numbers = (memory.last_s, memory.heard_s, memory.offset_s, memory.follows_s, float(memory.late))
+        times = (memory.last_s, memory.heard_s, memory.offset_s, memory.follows_s, memory.in_time_s)
+        numbers = (*times, float(memory.late), float(memory.moved))
         if rows != (7,) or not all(isinstance(x, float) for x in numbers) or not math.isfinite(memory.offset_s):
             raise ValueError("what is kept of the drive's clock has another form")
         if not all(isinstance(reading, Arrived) for reading in [*memory.readings, *memory.early]):
