@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.filter.chi_square import chi_square_limit
 from navfilter.filter.integrity import CONFIRMED_S, FOLLOWED_S, bounds, whole_offset
-from navfilter.filter.offsets import has_offset
+from navfilter.filter.offsets import has_offset, wanders
 from navfilter.filter.refused_way import SPEAKS_S, believable
 from navfilter.filter.tape import OUTCOMES, Residuals
 
@@ -81,11 +82,11 @@ def _beat(value: Array, sd: Array, refused: NDArray[np.bool_], limit: float) -> 
     return np.flatnonzero(let_in) + 1
 
 
-def _with_offsets(track: Track, name: str) -> list[tuple[float, float]]:
-    """When a sensor that had jumped had constants for it [s]."""
+def _with_offsets(track: Track, name: str, so: Callable[[Any], bool] = has_offset) -> list[tuple[float, float]]:
+    """When a sensor that had jumped had constants for it, or such that wander [s]."""
     history = track.error_models.get(name, [])
     pairs = zip(history, [*history[1:], (np.inf, None)], strict=True)
-    return [(begin_s, end_s) for (begin_s, models), (end_s, _) in pairs if has_offset(models)]
+    return [(begin_s, end_s) for (begin_s, models), (end_s, _) in pairs if so(models)]
 
 
 def _refused_way(track: Track, name: str, fix_s: Array) -> Array:
@@ -98,7 +99,8 @@ def _refused_way(track: Track, name: str, fix_s: Array) -> Array:
     row = np.minimum(np.searchsorted(track.time_s, time_s), len(track) - 1)
     speed = np.linalg.norm(track.velocity_n[row], axis=1)
     again = refused & np.r_[False, refused[:-1]] & believable(value, speed, track.vehicle.drive.max_speed_m_s)
-    for begin_s, end_s in _with_offsets(track, name):
+    # of what is left aside nothing is reckoned with
+    for begin_s, end_s in _with_offsets(track, name, wanders):
         again &= (time_s < begin_s) | (time_s >= end_s)
     if not again.any():
         return np.zeros(len(track))

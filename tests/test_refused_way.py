@@ -55,6 +55,44 @@ def test_the_residuals_are_integrated_from_the_second_refused_reading_on(refusin
     assert since_fix(filter, channel) == RefusedWay()
 
 
+def test_one_that_has_jumped_counts_as_far_as_its_constants_do_not_explain_it(refusing, monkeypatch):
+    filter, channel = refusing
+    channel.offset = True
+    monkeypatch.setattr(channel, "jumped_by", lambda x: np.array([2.0, 0.0, 0.0]))
+    for time_s in (10.0, 10.5, 11.0):
+        channel.memory.way = with_refused(filter, channel, time_s)
+    assert channel.memory.way.north == pytest.approx(2.4) and channel.memory.way.length == pytest.approx(0.5)
+    channel.memory.aside = True
+    assert with_refused(filter, channel, 11.5).length == pytest.approx(0.5)
+
+
+def test_wheels_that_are_refused_beside_their_constants_hold_the_position():
+    """Two accelerometers are exchanged: the wheels seem to have jumped, and are refused all the same for 20 s."""
+    plain = survey_vehicle()
+    sideways = nf.White(sd=0.05)
+    wheels = nf.Odometer(rate_hz=10.0, error=(nf.White(sd=0.02), sideways, sideways))
+    vehicle = dataclasses.replace(plain, sensors={**plain.sensors, "dvl": wheels})
+    fixes = {"gps": Faults(available=((0.0, 140.0),))}
+    mission = simulate(vehicle, survey(700.0, surface_s=110.0), seed=1, duration_s=310.0, faults=fixes)
+    exchanged = mission.streams["imu"].value.copy()
+    late = mission.streams["imu"].time_s >= FAULT_S
+    exchanged[late, 3:5] = exchanged[late][:, [4, 3]]
+    imu = mission.streams["imu"]
+    broken = mission.with_stream("imu", nf.Stream(imu.time_s, exchanged, imu.columns))
+    nav, due, most = nf.Navigator(vehicle, mission.start), 0.0, 0.0
+    for event in events_of(vehicle, broken):
+        if event.sensor == DRIVE:
+            nav.step(event.time_s, event.value[:3], event.value[3:])
+        else:
+            nav.correct(event.sensor, event.time_s, event.value)
+        if event.time_s >= due:
+            state, due = nav.state, event.time_s + 1.0
+            off = math.hypot(*state.minus(watched.truth_at(mission.truth, state.time_s))[:2])
+            assert off <= state.bounds.horizontal_m, state.time_s
+            most = max(most, off)
+    assert most > 10.0
+
+
 def test_what_no_vehicle_can_do_does_not_count(refusing):
     filter, channel = refusing
     channel.note[3:6] = 1500.0, 0.0, 0.0

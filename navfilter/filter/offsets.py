@@ -20,6 +20,7 @@ __all__ = [
     "has_offset",
     "offset_states",
     "proportions",
+    "wanders",
     "with_offsets",
     "with_the_same_offsets",
 ]
@@ -87,6 +88,12 @@ def has_offset(models: ErrorModel | tuple[ErrorModel, ...]) -> bool:
     """Whether the error models of a sensor, one for all axes or one per axis, have an `Offset`."""
     each = models if isinstance(models, tuple) else (models,)
     return any(isinstance(part, Offset) for model in each for part in _parts(model))
+
+
+def wanders(models: ErrorModel | tuple[ErrorModel, ...]) -> bool:
+    """Whether an `Offset` among the error models of a sensor wanders: that of one that has jumped by about itself."""
+    each = models if isinstance(models, tuple) else (models,)
+    return any(isinstance(part, Offset) and part.density > 0.0 for model in each for part in _parts(model))
 
 
 def offset_states(models: tuple[ErrorModel, ...], period_s: float, only: int | None = None) -> NDArray[np.int64]:

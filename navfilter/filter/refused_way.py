@@ -118,11 +118,14 @@ def with_refused(filter: Filter, channel: Channel, time_s: float) -> RefusedWay:
     dt = min(time_s - max(way.time_s, channel.memory.rejected_since_s), SPEAKS_S)
     if dt > 0.0 and believable(residual, speed, filter.vehicle.drive.max_speed_m_s):
         seen = np.isfinite(residual)
-        off = over_ground.as_velocity(channel, seen) @ residual[seen]
-        further, size = off * dt, float(np.linalg.norm(residual[seen] if len(residual) == over_ground.AXES else off))
-        # once it has been found to be off, nobody need reckon with its being right
-        length = way.length + (0.0 if channel.offset else dt * size)
-        return RefusedWay(time_s, way.north + float(further[0]), way.east + float(further[1]), length)
+        A = over_ground.as_velocity(channel, seen)
+        further = A @ residual[seen] * dt
+        size = 0.0
+        if not channel.aside:
+            # once it has been found to be off, nobody need reckon with its being right, but as far as it still differs
+            left = over_ground.components(channel, channel.note[3 : 3 + channel.axes]) if channel.offset else residual
+            size = float(np.linalg.norm(left[seen] if len(left) == over_ground.AXES else A @ left[seen]))
+        return RefusedWay(time_s, way.north + float(further[0]), way.east + float(further[1]), way.length + dt * size)
     return replace(way, time_s=time_s)
 
 
