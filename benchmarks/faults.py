@@ -2,6 +2,7 @@
 
 missions  every kind of fault in `tests/faults_library.py`, in a simulated mission and in real recordings
 outcomes  how far each fault takes the state, what the filter says of it, and whether its bounds hold the truth
+further   the same for what nothing was written for: two faults at once, clocks, mountings, a bottom that moves
 fault_free  what is excluded where there is no fault, and what that costs
 service   killed processes, full disks, cut logs, damaged snapshots, garbage on the line
 """
@@ -23,6 +24,7 @@ sys.path.insert(0, str(ROOT / "tests"))
 import faults_library as library
 import faults_run as watched
 from faults_free import fault_free
+from faults_further import further
 from faults_outcomes import VEHICLES, outcomes
 from faults_service import service
 
@@ -192,7 +194,8 @@ if __name__ == "__main__":
     shown = flag("--shown", action="store_true", help="the faults of the manual's page, and its table")
     words = "inertial unit, its DVL read beam by beam, or dead reckoning without a unit (default: %(default)s)"
     vehicle = flag("--vehicle", choices=list(VEHICLES), default="tactical", help=words)
-    commands = {missions: flags, outcomes: [seeds, flags[1], shown, vehicle, quick("one seed")]}
+    told = [seeds, flags[1], shown, vehicle, quick("one seed")]
+    commands = {missions: flags, outcomes: told, further: told}
     fifty = flag("--seeds", type=int, default=50)
     commands |= {fault_free: [fifty, flags[1], quick("three seeds")]}
     around = [

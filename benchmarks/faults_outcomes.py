@@ -384,13 +384,20 @@ def outcomes(options: Options) -> list[dict[str, Any]]:
     goes on. after_m, nees: greatest error, and worst
     NEES of position, velocity and attitude, from two minutes of fixes on. Figures are the worst of the seeds.
     """
+    vehicle, _ = mission_of(1, options.vehicle)
+    chosen = cases(vehicle)
+    if options.shown:
+        chosen = {name: case for name, case in chosen.items() if name in SITUATIONS or name in SHOWN}
+    return table_of(chosen, options)
+
+
+def table_of(chosen: dict[str, Case], options: Options) -> list[dict[str, Any]]:
+    """A row for each of these faults that changes anything for the vehicle."""
     rows = Table(COLUMNS)
     seeds = [1] if options.quick else list(range(1, options.seeds + 1))
     nf.warm_up()
-    vehicle, _ = mission_of(1, options.vehicle)
-    for name, case in cases(vehicle).items():
-        shown = name in SITUATIONS or name in SHOWN or not options.shown
-        if options.only in name and shown and befalls(name, case, options.vehicle):
+    for name, case in chosen.items():
+        if options.only in name and befalls(name, case, options.vehicle):
             rows.add(row_of(name, case, seeds, options.vehicle))
     if options.shown:
         print("\n".join(markdown(rows.rows)))
