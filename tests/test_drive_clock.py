@@ -214,6 +214,18 @@ def test_blocks_of_the_drive_set_no_clock():
     assert "moved" not in nav.health.drive and nav.health.drive["late"] > 100
 
 
+def test_a_drive_that_is_late_sets_no_clock():
+    """Fixes that take long to arrive come in time all the same, but no longer by as much as before."""
+    vehicle, mission = simulate_scenario("lawnmower", 2, 60.0)
+    late = {DRIVE: lambda time_s: 0.5 * (time_s > 20.0), "gps": lambda time_s: 0.7}
+    events = [
+        e._replace(arrival_s=e.true_s + late.get(e.sensor, lambda time_s: 0.0)(e.true_s))
+        for e in events_of(vehicle, mission)
+    ]
+    nav, _ = flown(vehicle, mission, sorted(events, key=lambda e: e.arrival_s))
+    assert "moved" not in nav.health.drive and nav.health.drive["late"] > 100
+
+
 def test_of_a_drive_that_falls_silent_nothing_waits_for_ever():
     """To the same bits as where nothing waits at all."""
     vehicle, mission = simulate_scenario("lawnmower", 2, END_S)

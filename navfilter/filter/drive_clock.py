@@ -55,10 +55,12 @@ class Ahead:
     ----------
     usual_s : float
         The last one that came in time [s].
+    held_s, seen_s : float
+        Stamps of the drive since when they have come in time by that, and when the last one did [s].
     since_s : float
-        Stamp of the drive before the first of those since then that were not [s].
+        Stamp of the drive before the first of those since then that did not [s].
     sum_s : float
-        Of those [s].
+        Of those that are ahead by the same [s].
     count : int
         Their number.
     by_s : float
@@ -66,7 +68,9 @@ class Ahead:
     """
 
     usual_s: float = 0.0
-    since_s: float = 0.0
+    held_s: float = -math.inf
+    seen_s: float = -math.inf
+    since_s: float = math.inf
     sum_s: float = 0.0
     count: int = 0
     by_s: float = 0.0
@@ -100,8 +104,6 @@ class DriveClockMemory:
         Readings that came so far ahead of it, so far.
     ahead : dict of str to Ahead
         By how much the readings of each sensor are ahead of the drive.
-    in_time_s : float
-        Stamp of the drive when a reading last came in time [s].
     moved : int
         Readings whose stamps were moved, so far.
     bursts : BurstsMemory
@@ -119,7 +121,6 @@ class DriveClockMemory:
     follows_s: float = -math.inf
     late: int = 0
     ahead: dict[str, Ahead] = field(default_factory=dict)
-    in_time_s: float = -math.inf
     moved: int = 0
     bursts: BurstsMemory = field(default_factory=BurstsMemory)
 
@@ -258,19 +259,42 @@ class DriveClock:
         if not self._live or not abs(ahead_s) < self.WILD_S:
             return 0.0
         if ahead_s <= self._late_s:
-            memory.ahead[name], memory.in_time_s = Ahead(ahead_s), memory.last_s
+            self._in_time(name, ahead_s)
             return 0.0
         told = memory.ahead.get(name)
         if told is None:  # it has never come in time: its offset may be known
             return 0.0
+        if not told.count and ahead_s - told.usual_s <= self._late_s:  # no clock is set little by little
+            told.usual_s = ahead_s
+            return 0.0
+        told.since_s = min(told.since_s, memory.last_s)
         mean_s = told.sum_s / told.count if told.count else math.inf
         if abs(ahead_s - mean_s) > 0.5 * self._late_s:  # samples in blocks make it ahead by more and more
-            told.since_s, told.sum_s, told.count = memory.last_s, 0.0, 0
+            told.sum_s, told.count = 0.0, 0
         told.sum_s, told.count = told.sum_s + ahead_s, told.count + 1
         by_s = told.sum_s / told.count - told.usual_s
-        if told.count == self.SET and memory.in_time_s > told.since_s and by_s > self._late_s:
+        if told.count == self.SET and by_s > self._late_s and self._others_are_as_before(told):
             told.by_s = round(by_s, self.DIGITS)
         return told.by_s
+
+    def _in_time(self, name: str, ahead_s: float) -> None:
+        """Note that a reading of a sensor comes in time."""
+        last_s, told = self.memory.last_s, self.memory.ahead.get(name)
+        if told is None:
+            self.memory.ahead[name] = Ahead(ahead_s, last_s, last_s)
+            return
+        if abs(ahead_s - told.usual_s) > 0.5 * self._late_s:
+            told.held_s = last_s
+        told.usual_s, told.seen_s = ahead_s, last_s
+        if told.count:
+            told.since_s, told.sum_s, told.count, told.by_s = math.inf, 0.0, 0, 0.0
+
+    def _others_are_as_before(self, one: Ahead) -> bool:
+        """Whether another sensor has come in time since one has not, by what it did before: else it is the drive that
+        is late, and hides behind what the readings of that sensor take to arrive.
+        """
+        others = self.memory.ahead.values()
+        return any(other.held_s < one.seen_s and other.seen_s > one.since_s for other in others)
 
     def _heard(self, reading: Arrived) -> list[Array | Arrived] | None:
         memory = self.memory
@@ -294,12 +318,8 @@ class DriveClock:
         ahead_s = stamp_s - memory.last_s
         if len(memory.held) or not -self.WILD_S < ahead_s <= self._prompt_s:
             return False
-        told = memory.ahead.get(name)
-        if told is None or told.count:
-            memory.ahead[name] = Ahead(ahead_s)
-        else:
-            told.usual_s = ahead_s
-        memory.heard_s, memory.follows_s, memory.in_time_s = stamp_s, stamp_s, memory.last_s
+        self._in_time(name, ahead_s)
+        memory.heard_s = memory.follows_s = stamp_s
         return True
 
     def _waited(self, reading: Arrived) -> list[Array | Arrived] | None:
@@ -361,7 +381,7 @@ class DriveClock:
         if problem := next(filter(None, told), None):
             raise ValueError(problem)
         rows = memory.held.shape[1:] if isinstance(memory.held, np.ndarray) else None
-        times = (memory.last_s, memory.heard_s, memory.offset_s, memory.follows_s, memory.in_time_s)
+        times = (memory.last_s, memory.heard_s, memory.offset_s, memory.follows_s)
         numbers = (*times, float(memory.late), float(memory.moved))
         if rows != (7,) or not all(isinstance(x, float) for x in numbers) or not math.isfinite(memory.offset_s):
             raise ValueError("what is kept of the drive's clock has another form")
