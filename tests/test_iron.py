@@ -128,6 +128,25 @@ def test_keys_of_a_vehicle_toml_and_what_is_said_of_them(tmp_path):
     assert [doubt.field for doubt in nf.Heading(magnetometer=True, soft_iron_sd=5.0).doubts()] == ["soft_iron_sd"]
 
 
+@pytest.mark.parametrize(
+    ("hard", "soft", "deviation", "said"),
+    [
+        (2.0, 0.0, (0.03, 0.0), ["hard iron is a deviation of one cycle:"]),
+        (0.0, 0.02, (0.0, 0.03), ["soft iron is a deviation of two cycles:"]),
+        (2.0, 0.02, (0.03, 0.03), ["hard iron", "soft iron"]),
+        (2.0, 0.0, (0.0, 0.03), []),
+        (0.0, 0.0, (0.03, 0.03), []),
+    ],
+)
+def test_iron_and_deviation_say_the_same_twice(hard, soft, deviation, said):
+    """Both as states, a single one of them had a NEES of 20: only their sum is told."""
+    compass = nf.Heading(magnetometer=True, hard_iron_sd=hard, soft_iron_sd=soft, deviation_sd_rad=deviation)
+    doubts = list(compass.doubts())
+    assert len(doubts) == len(said)
+    for doubt, words in zip(doubts, said, strict=True):
+        assert words in doubt.text and doubt.field == "deviation_sd_rad" and "Leave out" in doubt.cure
+
+
 @pytest.mark.parametrize("hard", [0.0, HARD_UT])
 def test_an_alignment_by_a_magnetometer_knows_of_the_iron(hard):
     described = vehicle(hard_iron_sd=hard, soft_iron_sd=0.0)

@@ -45,7 +45,7 @@ def series(sd, tau_s, random, draw):
 def ranks():
     """Share of the posterior below the true power at 2 mHz, of each draw at each hop."""
     seen, out = [], np.empty((DRAWS, len(HOPS_S)))
-    whole = learner_module._learnt
+    whole = learner_module.learnt_from
 
     def noted(likelihood, point, posterior, n):
         seen.append(posterior)
@@ -53,7 +53,7 @@ def ranks():
 
     frequency = np.array([0.002])
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(learner_module, "_learnt", noted)
+        patch.setattr(learner_module, "learnt_from", noted)
         for draw in range(DRAWS):
             random = np.random.default_rng([draw, 90210])
             sd, tau_s = truth(random)

@@ -13,6 +13,7 @@ from scipy.special import expit
 
 from navfilter.arma.choice import criterion
 from navfilter.error_models import GaussMarkov
+from navfilter.learning.alike import alike
 from navfilter.learning.drift import Drift
 from navfilter.learning.effort import EFFORT
 from navfilter.learning.learnt import Learnt, learnt_from
@@ -359,6 +360,8 @@ def hop_together(
 ) -> list[Learnt | None]:
     """A hop of all axes of a sensor, see `Learner.hop`.
 
+    Those with the same prior have like slow errors, see `navfilter.learning.alike`.
+
     Where the readings of one are not as white as was described, slow errors are doubted of each that was described like
     this: they all have one, or none has.
 
@@ -378,6 +381,7 @@ def hop_together(
         (learner, None if learner is None or one is None else learner.look(one, fresh))
         for learner, one in zip(learners, series, strict=True)
     ]
+    pairs = _told_by_others(pairs)
     doubted = any(learner and learner.described and look and look.is_coloured for learner, look in pairs)
     doubts = [learner.doubts(look) if learner and look and doubted else None for learner, look in pairs]
     present = float(expit(sum(doubt.gain for doubt in doubts if doubt is not None)))
@@ -385,6 +389,20 @@ def hop_together(
         None if learner is None or look is None else learner.say(look, doubt, present)
         for (learner, look), doubt in zip(pairs, doubts, strict=True)
     ]
+
+
+def _told_by_others(pairs: list[tuple[Learner | None, Look | None]]) -> list[tuple[Learner | None, Look | None]]:
+    """The looks of all axes, those that are described alike with what the others say of their slow errors."""
+    axes: dict[SlowPrior, dict[int, SlowPosterior]] = {}
+    for axis, (learner, look) in enumerate(pairs):
+        if learner and learner.prior and look and look.posterior:
+            axes.setdefault(learner.prior, {})[axis] = look.posterior
+    for prior, posteriors in axes.items():
+        for axis, told in zip(posteriors, alike(list(posteriors.values()), prior), strict=True):
+            learner, look = pairs[axis]
+            assert look is not None
+            pairs[axis] = learner, look._replace(posterior=told)
+    return pairs
 
 
 def memories(learners: Sequence[Learner | None]) -> tuple[LearnerMemory | None, ...]:

@@ -100,6 +100,10 @@ class SlowPosterior:
         best = int(np.argmax(self.weight))
         return SlowNode(int(self.order[best]), float(np.exp(self.log_sd[best])), float(self.tau_s[best]))
 
+    def told(self, prior: SlowPrior, log_factor: Array) -> SlowPosterior:
+        """The same with something that changes the prior of its nodes, shape (n,); the evidence stays what it was."""
+        return replace(_weighed(self.lines, prior, log_factor), lines=self.lines)
+
     def given(self, present: float) -> SlowPosterior:
         """The same where there is a slow part with another probability."""
         ratio = present / float(self.moments[:, 2].sum())
@@ -218,9 +222,9 @@ def _together(
     return found
 
 
-def _weighed(lines: dict[Place, Line], prior: SlowPrior) -> SlowPosterior:
+def _weighed(lines: dict[Place, Line], prior: SlowPrior, log_factor: Array | float = 0.0) -> SlowPosterior:
     lines = {place: lines[place] for place in sorted(lines)}
-    tops, shares, begins = _masses(lines, prior)
+    tops, shares, begins = _masses(lines, prior, log_factor)
     highest = float(tops.max())
     lines = {place: line._replace(evidence=line.evidence - highest) for place, line in lines.items()}
     order, number = np.array(list(lines)).T
@@ -239,16 +243,18 @@ def _weighed(lines: dict[Place, Line], prior: SlowPrior) -> SlowPosterior:
     )
 
 
-def _masses(lines: Mapping[Place, Line], prior: SlowPrior) -> tuple[Array, Array, NDArray[np.int64]]:
+def _masses(
+    lines: Mapping[Place, Line], prior: SlowPrior, log_factor: Array | float = 0.0
+) -> tuple[Array, Array, NDArray[np.int64]]:
     """Log of the posterior's mass on each line, and how it is shared by its places: those of all lines one behind the
-    other, and where each line begins, with the end of the last.
+    other, and where each line begins, with the end of the last. `log_factor` comes to the prior of a node.
     """
     order, number = np.array(list(lines)).T
     sizes = [line.log_sd.size for line in lines.values()]
     begins = np.concatenate([[0], np.cumsum(sizes)])
     log_sd, evidence = (np.concatenate([line[i] for line in lines.values()]) for i in (0, 1))
     log_tau = np.repeat(np.log(prior.taus_s)[number], sizes)
-    log = evidence + prior.log_densities(np.repeat(np.maximum(order, 1), sizes), log_sd, log_tau)
+    log = evidence + prior.log_densities(np.repeat(np.maximum(order, 1), sizes), log_sd, log_tau) + log_factor
     tops = np.maximum.reduceat(log, begins[:-1])
     shares = np.exp(log - np.repeat(tops, sizes))
     totals = np.add.reduceat(shares, begins[:-1])

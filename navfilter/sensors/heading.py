@@ -239,6 +239,12 @@ class Heading(Sensor):
         if self.soft_iron_sd > 0.5:
             text = f"a soft iron of {100.0 * self.soft_iron_sd:.3g} % is unusual."
             yield Doubt("soft_iron_sd", text, "It is a pure number: 5 % is 0.05.")
+        iron = zip(("hard", "soft"), (self.hard_iron_sd, self.soft_iron_sd), self.deviation_sd_rad, strict=True)
+        for cycles, (kind, sd, deviation) in enumerate(iron, 1):
+            if sd and deviation:
+                cycle = "one cycle" if cycles == 1 else "two cycles"
+                text = f"in level turns {kind} iron is a deviation of {cycle}: two states for one thing."
+                yield Doubt("deviation_sd_rad", text, f"Leave out {kind}_iron_sd, or set that deviation to 0.")
 
     def draws(self) -> dict[str, tuple[Parameter, ...]]:
         """Deviation (bias, sine and cosine of the heading and of its double), drift with temperature, iron."""

@@ -1,0 +1,81 @@
+"""Axes of one instrument that are described alike have like slow errors: what one of them shows, the others may use.
+
+The readings of a level axis cannot tell an error of some minutes from the drift of the tilt, those of an upright one
+can. So the slow errors of such axes have a common centre in ln sd and ln tau, of which as little is known beforehand as
+of each by itself, and lie about it. That is a hierarchical prior (Gelman et al., Bayesian Data Analysis, 2013, ch. 5),
+summed up over a grid of centres.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navfilter.learning.posterior import SlowPosterior
+from navfilter.learning.slow import SlowPrior
+
+__all__ = ["APART", "alike"]
+
+Array = NDArray[np.float64]
+#: How far the slow errors of such axes are from their centre, in ln sd and in ln tau: a factor of two.
+APART = math.log(2.0)
+#: Centres reach so far about the prior's [its sd], `APART` from one to the next: of densities so wide the sum is the
+#: integral to 1e-8.
+REACH = 3.5
+#: No node is less probable than this beside a centre.
+LEAST_DENSITY = 1e-30
+
+
+def alike(posteriors: Sequence[SlowPosterior], prior: SlowPrior) -> list[SlowPosterior]:
+    """The posteriors of axes with the same prior, each with what the others say of the centre.
+
+    Parameters
+    ----------
+    posteriors : sequence of SlowPosterior
+        Of each axis by itself.
+    prior : SlowPrior
+        Of all of them.
+    """
+    if len(posteriors) < 2:
+        return list(posteriors)
+    belief = np.outer(_centres(prior.spread)[1], _centres(prior.tau_spread)[1])
+    densities = [_densities(one, prior) for one in posteriors]
+    # an error that is not there says nothing of the centre
+    said = [
+        np.log((by_sd * one.weight[:, None]).T @ by_tau)
+        for one, (by_sd, by_tau) in zip(posteriors, densities, strict=True)
+    ]
+    together = np.sum(said, axis=0)
+    out = []
+    for one, (by_sd, by_tau), own in zip(posteriors, densities, said, strict=True):
+        share = belief * np.exp(together - own - (together - own).max())
+        factor = ((by_sd @ (share / share.sum())) * by_tau).sum(axis=1)
+        out.append(one.told(prior, np.log(factor)))
+    return out
+
+
+@lru_cache(maxsize=16)
+def _centres(spread: float) -> tuple[Array, Array]:
+    """A grid of centres, as far as they are from the prior's, and what is believed of them, with the sum one."""
+    common = math.sqrt(max(spread**2 - APART**2, 0.25 * APART**2))
+    steps = math.ceil(REACH * common / APART)
+    centres = np.arange(-steps, steps + 1) * APART
+    belief: Array = np.exp(-0.5 * (centres / common) ** 2)
+    return np.asarray(centres, dtype=np.float64), np.asarray(belief / belief.sum())
+
+
+def _densities(posterior: SlowPosterior, prior: SlowPrior) -> tuple[Array, Array]:
+    """Density of each node given the centre over that given the prior: in ln sd (n, m), and in ln tau (n, k)."""
+    (log_sd, by), (log_tau, by_time), nodes = _centres(prior.spread), _centres(prior.tau_spread), np.log(prior.taus_s)
+    by_sd = np.exp(-0.5 * ((posterior.log_sd[:, None] - prior.centre[0] - log_sd) / APART) ** 2)
+    by_tau = np.exp(-0.5 * ((nodes[:, None] - prior.centre[1] - log_tau) / APART) ** 2)
+    # times have limits: of a centre beyond them all the probability is between them, too
+    by_tau /= np.maximum(by_tau.sum(axis=0), LEAST_DENSITY)
+    by_tau = by_tau[np.argmin(np.abs(np.log(posterior.tau_s)[:, None] - nodes), axis=1)]
+    by_sd, by_tau = np.maximum(by_sd, LEAST_DENSITY), np.maximum(by_tau, LEAST_DENSITY)
+    by_sd[0], by_tau[0] = 1.0, 1.0  # none at all
+    return by_sd / (by_sd @ by)[:, None], by_tau / (by_tau @ by_time)[:, None]
