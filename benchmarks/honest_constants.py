@@ -10,7 +10,7 @@ at the end, with its mean error in standard deviations: one that is always off t
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -19,7 +19,7 @@ from faults_outcomes import ahrs, beams, magnetometer, ranges, water, with_other
 from harness import Options, Table, flag, main, quick
 
 import navfilter as nf
-from navfilter.simulation.scenarios import lawnmower, survey, survey_vehicle, turns_and_dives
+from navfilter.simulation.scenarios import lawnmower, reckoning_vehicle, survey, survey_vehicle, turns_and_dives
 from navfilter.simulation.simulate import simulate
 
 DEG = math.pi / 180.0
@@ -56,6 +56,15 @@ def mems() -> nf.Vehicle:
     return survey_vehicle(mems=True)
 
 
+def reckoning(velocity: Mapping[str, Any], attitude: Mapping[str, Any]) -> nf.Vehicle:
+    """Dead reckoning, with constants of its velocity and of its heading as states."""
+    vehicle = reckoning_vehicle()
+    drive = vehicle.drive
+    assert isinstance(drive, nf.DeadReckoning)
+    unsure = replace(drive, velocity=replace(drive.velocity, **velocity), attitude=replace(drive.attitude, **attitude))
+    return nf.Vehicle(unsure, dict(vehicle.sensors))
+
+
 VEHICLES: dict[str, Callable[[], nf.Vehicle]] = {
     "dvl": lambda: unsure(survey_vehicle(), "dvl", **SCALE, **MOUNTING),
     "dvl, arm and clock": lambda: unsure(survey_vehicle(), "dvl", **SCALE, **ARM, **CLOCK),
@@ -72,6 +81,8 @@ VEHICLES: dict[str, Callable[[], nf.Vehicle]] = {
     "ahrs": lambda: unsure(ahrs(), "ahrs", **MOUNTING, **CLOCK),
     "usbl": lambda: unsure(usbl(), "usbl", **SCALE, **MOUNTING, **ARM, **CLOCK),
     "ranges": lambda: unsure(ranges(), "ranges", **SCALE, **ARM, **CLOCK),
+    "reckoning": lambda: reckoning({**SCALE, **MOUNTING}, {}),
+    "reckoning, the rest": lambda: reckoning({**ARM, **CLOCK}, {**DEVIATION, **CLOCK}),
     "course": lambda: unsure(with_others(course=nf.Course(rate_hz=1.0)), "course", **CLOCK),
 }
 MOTIONS = {
@@ -88,6 +99,8 @@ def drawn(mission: nf.Mission) -> dict[str, float]:
         sensor, _, text = note.partition(": ")
         what, _, values = text.partition(" error ")
         names = DRAWN.get(what, ())
+        if what == "deviation" and sensor == "attitude":
+            sensor = "yaw"  # that of the drive's own compass
         if len(names) == len(values.split()):
             found |= {f"{sensor}.{name}": float(value) for name, value in zip(names, values.split(), strict=True)}
     return found

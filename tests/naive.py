@@ -492,7 +492,7 @@ def _dead_reckoning_step(nav, xd, drv, sample, Phid, Qd, Cr, acc):
         F[3:6, 3:6], F[3:6, 6:9] = B, B @ skew(v0 - current)
     else:
         scale, mis = _scale_and_turn(xd[par : par + 4 + 2 * int(drv[87])] if par >= 0 else np.zeros(0))
-        D = scale @ (np.eye(3) + skew(mis))
+        D = scale @ rotation(mis)
         y = np.linalg.solve(D, sample[4:7] - err[3:])
         u = C @ M @ y
         J[3:6, 3:6] = C @ M @ np.linalg.inv(D)
@@ -547,9 +547,11 @@ def _scale_and_turn(par):
 
 
 def _by_scale_and_turn(scale, mis, y, each):
-    """Derivative of scale (I + [mis x]) y."""
-    by_scale = np.diag(y + np.cross(mis, y))
-    return np.column_stack([by_scale if each else by_scale.sum(axis=1), -scale @ skew(y)])
+    """Derivative of scale R(mis) y."""
+    turned, changes = rotation_and_changes(mis)
+    by_scale = np.diag(turned @ y)
+    by_turn = scale @ np.column_stack([change @ y for change in changes])
+    return np.column_stack([by_scale if each else by_scale.sum(axis=1), by_turn])
 
 
 def _change(drv, sample, missing):

@@ -1219,17 +1219,14 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
             if par >= 0:
                 g0, g1, g2 = 1.0 + xd[par], 1.0 + xd[par + step], 1.0 + xd[par + 2 * step]
                 a, b, c = xd[par + 2 * step + 1], xd[par + 2 * step + 2], xd[par + 2 * step + 3]
-            h = 1.0 + a * a + b * b + c * c
-            h0, h1, h2 = 1.0 / (g0 * h), 1.0 / (g1 * h), 1.0 / (g2 * h)
+            p, q = _rodrigues(a * a + b * b + c * c)
             for i in range(3):
-                # row i of C M, then times the inverse of (1 + scale)(I + [misalignment x])
+                # row i of C M, then times the inverse of (1 + scale) R(misalignment)
                 r0 = C[i, 0] * M[0] + C[i, 1] * M[3] + C[i, 2] * M[6]
                 r1 = C[i, 0] * M[1] + C[i, 1] * M[4] + C[i, 2] * M[7]
                 r2 = C[i, 0] * M[2] + C[i, 1] * M[5] + C[i, 2] * M[8]
-                d = r0 * a + r1 * b + r2 * c
-                J[3 + i, 3] = h0 * (r0 + d * a - r1 * c + r2 * b)
-                J[3 + i, 4] = h1 * (r1 + d * b + r0 * c - r2 * a)
-                J[3 + i, 5] = h2 * (r2 + d * c - r0 * b + r1 * a)
+                r0, r1, r2 = _turned(p, q, a, b, c, r0, r1, r2)
+                J[3 + i, 3], J[3 + i, 4], J[3 + i, 5] = r0 / g0, r1 / g1, r2 / g2
             z0, z1, z2 = samples[n, 4] - err[3], samples[n, 5] - err[4], samples[n, 6] - err[5]
             for i in range(3):
                 u[i] = J[3 + i, 3] * z0 + J[3 + i, 4] * z1 + J[3 + i, 5] * z2
@@ -1291,30 +1288,33 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
                     F[3 + i, 9 + flow + j] += a
                     F[i, 9 + flow + j] += half * a
         if par >= 0 and not missing:
-            # reading = (1 + s)(y + m x y): y is the true velocity in instrument axes
+            # reading = (1 + s) R(m) y: y is the true velocity in instrument axes
             for i in range(3):
                 err[i] = 0.0
                 for j in range(3):
                     through = through0 if j == 0 else through1 if j == 1 else through2
                     err[i] += (C[j, 0] * M[i] + C[j, 1] * M[3 + i] + C[j, 2] * M[6 + i]) * through
             turned = par + 2 * step + 1
-            g = 1.0 + xd[par]
             a, b, c = xd[turned], xd[turned + 1], xd[turned + 2]
-            r1, r2 = (1.0 + xd[par + step]) / g, (1.0 + xd[par + 2 * step]) / g
-            y0, y1, y2 = err[0], err[1], err[2]
+            angle2 = a * a + b * b + c * c
+            p, q = _rodrigues(angle2)
+            t0, t1, t2 = _turned(p, q, a, b, c, err[0], err[1], err[2])
+            # a change of m turns further, by I + q [m x] + third [m x]^2 of it
+            third = (1.0 - p) / angle2 if angle2 > 1e-3 else (1.0 - angle2 / 20.0 * (1.0 - angle2 / 42.0)) / 6.0
             for i in range(9):
                 j0, j1, j2 = J[i, 3], J[i, 4], J[i, 5]
-                t0, t1, t2 = j0 * (y0 + b * y2 - c * y1), j1 * (y1 + c * y0 - a * y2), j2 * (y2 + a * y1 - b * y0)
                 if step == 0:
-                    F[i, 9 + par] -= t0 + t1 + t2
+                    F[i, 9 + par] -= j0 * t0 + j1 * t1 + j2 * t2
                 else:
-                    F[i, 9 + par] -= t0
-                    F[i, 10 + par] -= t1
-                    F[i, 11 + par] -= t2
-                j1, j2 = r1 * j1, r2 * j2  # by the scales of the other axes
-                F[i, 9 + turned] -= g * (j2 * y1 - j1 * y2)
-                F[i, 10 + turned] -= g * (j0 * y2 - j2 * y0)
-                F[i, 11 + turned] -= g * (j1 * y0 - j0 * y1)
+                    F[i, 9 + par] -= j0 * t0
+                    F[i, 10 + par] -= j1 * t1
+                    F[i, 11 + par] -= j2 * t2
+                j0, j1, j2 = (1.0 + xd[par]) * j0, (1.0 + xd[par + step]) * j1, (1.0 + xd[par + 2 * step]) * j2
+                y0, y1, y2 = t1 * j2 - t2 * j1, t2 * j0 - t0 * j2, t0 * j1 - t1 * j0
+                y0, y1, y2 = _turned(-q, third, a, b, c, y0, y1, y2)
+                F[i, 9 + turned] -= y0
+                F[i, 10 + turned] -= y1
+                F[i, 11 + turned] -= y2
         _position_rows(nav, F, span - held, m)
         w0, w1 = drv[LEVER_VELOCITY], drv[LEVER_VELOCITY + 1]
         drv[WAY] += half * (nav[3] + w0 + u[0]) - l1[0] + l0[0]
