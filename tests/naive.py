@@ -469,11 +469,11 @@ def _dead_reckoning_step(nav, xd, drv, sample, Phid, Qd, Cr, acc):
         y = sample[3]
         E[2, dev : dev + 4] = np.sin(y), np.cos(y), np.sin(2 * y), np.cos(2 * y)
     if late_a >= 0 or late_v >= 0:
-        _change(drv, sample, missing)
+        late = _change(drv, sample, missing, Cr, Qd)
     if late_a >= 0:
-        E[:3, late_a] -= drv[68:71]
+        E[:3, late_a] -= late[:3]
     if late_v >= 0:
-        E[3:, late_v] -= drv[71:74]
+        E[3:, late_v] -= late[3:]
     err = E @ xd
     roll, pitch, yaw = sample[1:4] - err[:3]
     yaw += drv[43]  # declination
@@ -554,16 +554,28 @@ def _by_scale_and_turn(scale, mis, y, each):
     return np.column_stack([by_scale if each else by_scale.sum(axis=1), by_turn])
 
 
-def _change(drv, sample, missing):
-    span = sample[0]
-    near, share = drv[13] != 0 and 0 < span <= 3 * drv[36], span / (span + 0.1)
-    turned = (sample[1:4] - drv[59:62] + np.pi) % (2 * np.pi) - np.pi
-    drv[68:71] = (1 - share) * drv[68:71] + share * turned / span if near else 0.0
-    known = near and not missing and drv[77]
-    drv[71:74] = (1 - share) * drv[71:74] + share * (sample[4:7] - drv[74:77]) / span if known else 0.0
+def _change(drv, sample, missing, Cr, Qd):
+    span, near = sample[0], drv[13] != 0 and 0 < sample[0] <= 3 * drv[36]
+    known = np.repeat([near, near and not missing and drv[77]], 3)
+    before = np.r_[drv[59:62], drv[74:77]]
+    step = sample[1:7] - before
+    step[:3] = (step[:3] + np.pi) % (2 * np.pi) - np.pi
     if not missing:
         drv[74:77] = sample[4:7]
     drv[77] = not missing
+    if not near:
+        drv[68:74] = 0.0
+        return np.zeros(6)
+    # of a difference of two readings, per second squared: their white noise, and what their slow errors wander by
+    white, walk = 2.0 * Cr[:, -1] / span**2, np.diag(Cr[:, :-1] @ Qd @ Cr[:, :-1].T) / span**2
+    off = step / span - drv[68:74]
+    share = span / (span + np.where(off**2 > 25.0 * (white + walk), 0.1, 1.0))
+    drv[68:74] = np.where(known, drv[68:74] + share * off, 0.0)
+    # the same of their mean over a second
+    steady = span / (span + 1.0)
+    noise = steady / (2.0 - steady) * (steady * white + walk)
+    square = drv[68:74] ** 2
+    return drv[68:74] * np.divide(square, square + 9.0 * noise, out=np.zeros(6), where=square > 0.0)
 
 
 def dead_reckoning_hold(nav, xd, drv, dt, Phid, Qd, Cr, acc):

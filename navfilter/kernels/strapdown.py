@@ -82,7 +82,11 @@ PLACES = [DEVIATION, SCALE, ARM, ATTITUDE_CLOCK, VELOCITY_CLOCK, CURRENT]
 # 1: a velocity in the vehicle's axes has been used, see `kalman.turns_along`.
 OWN = 142
 DRIVE_SIZE = 143
-CHANGE_S = 0.1  # what changes is a mean over so long, for readings that come faster are noisy
+# What changes is a mean over the longer of these [s], for readings are noisy, and over the shorter one where it is off by
+# so many sd of the noise of a difference. A change counts as far as it stands out of so many sd of its own noise, which
+# is in the state's velocity, too: by it depths drew the clock of a velocity that scatters by 1 cm/s to one side, by one
+# sd in a quarter of an hour [1].
+CHANGE_S, STEADY_S, SUDDEN, TOLD_CHANGE = 0.1, 1.0, 5.0, 3.0
 MOST_TICKS = 10000.0  # of the drive's blocks in one step
 WIDE = 8  # columns of a panel: rows of so many are one register, or two
 # Work of the inertial kernels, one array as every further one costs its call: increments (6), elements of the
@@ -1015,25 +1019,38 @@ def _arm_columns(F, drv, nav, C, B, missing, per, half, arm):
 
 
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
-def _change(drv, samples, n, missing):
+def _change(drv, samples, n, missing, Cr, Qd, late):
     """How fast the readings change [unit/s], in drv: the difference from the last ones, a little smoothed; 0 over gaps
-    and while the velocity is lost.
+    and while the velocity is lost. late (6,): as far as that stands out of what the noise of the readings changes by.
     """
-    span = samples[n, 0]
+    span, k = samples[n, 0], Qd.shape[0]
     near = drv[STARTED] != 0.0 and 0.0 < span <= GAP_PERIODS * drv[PERIOD_S]
-    share = span / (span + CHANGE_S)
-    for i in range(3):
-        angle = samples[n, 1 + i] - drv[PREVIOUS_RPY + i]
-        angle -= 2.0 * math.pi * math.floor(angle / (2.0 * math.pi) + 0.5)
-        drv[CHANGE + i] = drv[CHANGE + i] + share * (angle / span - drv[CHANGE + i]) if near else 0.0
-        known = near and not missing and drv[KNOWN_VELOCITY] != 0.0
-        if known:
-            step = samples[n, 4 + i] - drv[PREVIOUS_VELOCITY + i]
-            drv[CHANGE + 3 + i] += share * (step / span - drv[CHANGE + 3 + i])
+    for i in range(6):
+        if i < 3:
+            step = samples[n, 1 + i] - drv[PREVIOUS_RPY + i]
+            step -= 2.0 * math.pi * math.floor(step / (2.0 * math.pi) + 0.5)
+            known = near
         else:
-            drv[CHANGE + 3 + i] = 0.0
-        if not missing:
-            drv[PREVIOUS_VELOCITY + i] = samples[n, 4 + i]
+            step = samples[n, 1 + i] - drv[PREVIOUS_VELOCITY + i - 3]
+            known = near and not missing and drv[KNOWN_VELOCITY] != 0.0
+            if not missing:
+                drv[PREVIOUS_VELOCITY + i - 3] = samples[n, 1 + i]
+        late[i] = 0.0
+        if not known:
+            drv[CHANGE + i] = 0.0
+            continue
+        white, walk = 2.0 * Cr[i, k] / (span * span), 0.0
+        for a in range(k):
+            for b in range(k):
+                walk += Cr[i, a] * Qd[a, b] * Cr[i, b]
+        walk /= span * span
+        step = step / span - drv[CHANGE + i]
+        share = span / (span + (CHANGE_S if step * step > SUDDEN**2 * (white + walk) else STEADY_S))
+        drv[CHANGE + i] += share * step
+        share = span / (span + STEADY_S)
+        noise = TOLD_CHANGE**2 * share / (2.0 - share) * (share * white + walk)
+        square = drv[CHANGE + i] ** 2
+        late[i] = drv[CHANGE + i] * square / (square + noise) if square > 0.0 else 0.0
     drv[KNOWN_VELOCITY] = 0.0 if missing else 1.0
 
 
@@ -1107,8 +1124,9 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
     m = 9 + k
     F, Q = acc[2 * m : 3 * m], acc[m : 2 * m]
     J = np.empty((9, 6))
-    B, err, v, u, w, l0, l1 = (
+    B, err, late, v, u, w, l0, l1 = (
         np.empty((3, 3)),
+        np.empty(6),
         np.empty(6),
         np.empty(3),
         np.empty(3),
@@ -1144,12 +1162,12 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
             for i in range(3):
                 samples[n, 1 + i] = drv[PREVIOUS_RPY + i]
         if late_a >= 0 or late_v >= 0:
-            _change(drv, samples, n, missing)
+            _change(drv, samples, n, missing, Cr, Qd, late)
         for i in range(3):
             if late_a >= 0:
-                err[i] -= xd[late_a] * drv[CHANGE + i]
+                err[i] -= xd[late_a] * late[i]
             if late_v >= 0:
-                err[3 + i] -= xd[late_v] * drv[CHANGE + 3 + i]
+                err[3 + i] -= xd[late_v] * late[3 + i]
         yaw = samples[n, 3]
         s1, c1 = math.sin(yaw), math.cos(yaw)
         s2, c2 = 2.0 * s1 * c1, c1 * c1 - s1 * s1
@@ -1276,9 +1294,9 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
         for i in range(9):
             for a in range(3):
                 if late_a >= 0:
-                    F[i, 9 + late_a] += J[i, a] * drv[CHANGE + a]
+                    F[i, 9 + late_a] += J[i, a] * late[a]
                 if late_v >= 0:
-                    F[i, 9 + late_v] += J[i, 3 + a] * drv[CHANGE + 3 + a]
+                    F[i, 9 + late_v] += J[i, 3 + a] * late[3 + a]
         if arm >= 0:
             _arm_columns(F, drv, nav, C, B, missing, per, half, arm)
         if flow >= 0:
