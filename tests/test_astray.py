@@ -35,6 +35,32 @@ def test_fixes_that_are_drawn_off_go_astray_and_are_not_followed():
     assert nav.counts["jumped"] == nav.counts["reset"] == 0
 
 
+def test_a_height_that_a_depth_gauge_holds_is_not_that_of_fixes():
+    """14 m of height, 4.6 sd of their slow error: they went astray by it, agreed with each other on the height while
+    they were refused, and the state followed for 20 s, in which the depth gauge was refused.
+    """
+    vehicle, mission = short(115.0)
+    stream = mission.streams["gps"]
+    high = np.clip(stream.time_s - 40.0, 0.0, 30.0)[:, None] * np.array([0.0, 0.0, 0.5])
+    nav, off = fly(vehicle, mission.with_stream("gps", nf.Stream(stream.time_s, stream.value + high, stream.columns)))
+    clean, right = fly(vehicle, mission)
+    assert off[:, 2].max() < 0.3 and right[:, 2].max() < 0.3
+    np.testing.assert_allclose(off[:, 1], right[:, 1], atol=0.5)
+    assert not any(nav.counts[what] for what in ("astray", "reset", "jumped", "opened"))
+    assert nav.health.sensors["gps"].outcomes["used"] > 0.95 * clean.health.sensors["gps"].outcomes["used"]
+    assert nav.health.sensors["depth"].outcomes.get("rejected", 0) == 0
+
+
+@pytest.mark.parametrize("high_m", [0.0, 40.0])
+def test_fixes_that_beat_what_was_reckoned_leave_the_height_to_the_depth_gauge(high_m):
+    """A start that is 2 km off; the fixes' height is right, or is not."""
+    vehicle, mission = short(60.0)
+    raised = altered(mission, "gps", lambda p: p + np.array([0.0, 0.0, high_m]), 0.0)
+    nav, off = fly(vehicle, raised, latitude_deg=mission.start.latitude_deg + math.degrees(2000.0 / RADIUS_M))
+    assert nav.counts["reset"] == 1
+    assert after(off, 15.0)[:, 1].max() < 12.0 and off[:, 2].max() < 0.5
+
+
 def test_a_receiver_that_repeats_itself_while_the_vehicle_moves_is_not_believed():
     vehicle, mission = short(75.0)
     last = mission.streams["gps"].value[np.searchsorted(mission.streams["gps"].time_s, 50.0)]

@@ -193,7 +193,7 @@ def decided(channel: Channel) -> Literal["state", "sensor"] | None:
 
 
 # ---------------------------------------------------------------- the state was wrong
-def opened_state(channel: Channel, refused: Refusals, moved_m: float) -> Array:
+def opened_state(channel: Channel, refused: Refusals, moved_m: float, held: bool) -> Array:
     """Variance to add to the navigation states, shape (9, 9), when a sensor's readings together beat them.
 
     The component that the sensor sees may be wrong by the offset that they agree on, and nothing else is: so the
@@ -207,21 +207,27 @@ def opened_state(channel: Channel, refused: Refusals, moved_m: float) -> Array:
     refused : Refusals
     moved_m : float
         Distance from the start [m].
+    held : bool
+        Whether another sensor tells the height, and agrees.
     """
     V = np.zeros((9, 9))
     offset, seen = np.nan_to_num(refused.offset), np.isfinite(channel.res[: channel.axes])
     size = np.where(seen, offset**2 + np.array(refused.variance), 0.0)
+    fits = np.array(refused.variance) + np.array(refused.seen)
     kind = channel.sensor.open_loop
     north = channel.sensor.north
     if north is not None:
         # heading and velocity are turned (`course.turned`); the way made good may be turned by as much
         V[range(2), range(2)] = (2.0 * math.sin(0.5 * min(abs(float(offset[north])), math.pi)) * moved_m) ** 2
         # a tilt that fits is not opened
-        beyond = offset**2 > channel.limits[1] * (np.array(refused.variance) + np.array(refused.seen))
+        beyond = offset**2 > channel.limits[1] * fits
         tilt = np.where(beyond & (np.arange(channel.axes) != north), size, 0.0)
         V[6:8, 6:8] = channel.near[:, 6:8].T @ (tilt[:, None] * channel.near[:, 6:8])
         return V
     first = 0 if kind == listen.POSITION else 3
+    if kind == listen.POSITION and channel.axes == 3:
+        held = held or bool(offset[2] ** 2 <= channel.limits[3] * (fits + channel.slow)[2])
+        size[2] = 0.0 if held else size[2]  # a height that fits is not opened
     N = channel.near[:, first : first + 3]
     V[first : first + 3, first : first + 3] = N.T @ (size[:, None] * N)
     if kind == listen.VELOCITY and channel.sensor.ground != over_ground.AXES:

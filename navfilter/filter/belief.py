@@ -53,8 +53,10 @@ MOST_PULLED = 10.0
 
 
 def believed(sensor: Sensor, group: Group) -> Array:
-    """The largest square of the coloured error of each axis that is still believed; infinite for all but fixes, and
-    where the error model sets no limit, shape (axes,).
+    """The largest square of the coloured error of each axis that is still believed; infinite for all but fixes, for
+    their height, and where the error model sets no limit, shape (axes,).
+
+    A depth gauge holds the height, whatever fixes say of it; and where there is none, it is theirs to say.
     """
     e, none = group.errors, np.full(sensor.axes, np.inf)
     if sensor.corrects != "position" or sensor.open_loop != listen.POSITION or not e:
@@ -63,7 +65,7 @@ def believed(sensor: Sensor, group: Group) -> Array:
     if not np.allclose(Phi @ P0 @ Phi.T + group.Q[:e, :e], P0, rtol=1e-6, atol=1e-12):
         return none  # it wanders for ever
     variance = np.diag(group.C @ P0 @ group.C.T)
-    return np.where(variance > 0.0, MOST_SDS**2 * variance, np.inf)
+    return np.where((variance > 0.0) & (np.arange(sensor.axes) < 2), MOST_SDS**2 * variance, np.inf)
 
 
 def beyond_belief(channel: Channel, x: Array) -> bool:

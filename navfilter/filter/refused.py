@@ -143,7 +143,11 @@ def _agreed(filter: Filter, channel: Channel, time_s: float) -> bool:
             other.memory.agreed_s = math.nan
     memory.counts["reset"] += 1
     told = math.sqrt(float(memory.P[8, 8]))
-    memory.P[:9, :9] += agreement.opened_state(channel, refused, moved_m)
+    held = any(
+        other.sensor.corrects == "depth" and other is not channel and time_s - other.memory.used_s < agreement.SPAN_S
+        for other in filter.channels.values()
+    )
+    memory.P[:9, :9] += agreement.opened_state(channel, refused, moved_m, held)
     north = channel.sensor.north
     if north is not None:
         angle, variance = refused.offset[north], refused.variance[north] + channel.slow[north]

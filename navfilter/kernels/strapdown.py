@@ -82,10 +82,10 @@ PLACES = [DEVIATION, SCALE, ARM, ATTITUDE_CLOCK, VELOCITY_CLOCK, CURRENT]
 # 1: a velocity in the vehicle's axes has been used, see `kalman.turns_along`.
 OWN = 142
 DRIVE_SIZE = 143
-# What changes is a mean over the longer of these [s], for readings are noisy, and over the shorter where it is off by so
-# many sd of the noise of a difference. A change counts as far as it stands out of so many sd of its own noise, which is
-# in the state's velocity, too: by it depths drew the clock of a velocity that scatters by 1 cm/s to one side, by one sd
-# in a quarter of an hour [1].
+# What changes is a mean over the longer of these [s], for readings are noisy, and over the shorter where it is off by
+# so many sd of the noise of a difference. A change counts as far as it stands out of so many sd of its own noise, which
+# is in the state's velocity, too: by it depths drew the clock of a velocity that scatters by 1 cm/s to one side, by one
+# sd in a quarter of an hour [1].
 CHANGE_S, STEADY_S, SUDDEN, TOLD_CHANGE = 0.1, 1.0, 5.0, 3.0
 MOST_TICKS = 10000.0  # of the drive's blocks in one step
 WIDE = 8  # columns of a panel: rows of so many are one register, or two
