@@ -293,13 +293,13 @@ def test_evidence_that_falls_off_steeply_is_not_made_up_between_its_places():
     for shift in np.linspace(0.0, 1.3, 14):
         places = shift + 1.3 * np.arange(-4.0, 4.0)
         line = Line(places, evidence(places), 0.0, 1.0)
-        found = np.array([_between_places(line, float(u)) for u in wanted])
+        found = np.array([_between_places(line)(float(u)) for u in wanted])
         assert found.max() < -0.7  # never more than was found anywhere, but for what a peak may rise by
         held = evidence(wanted) > -4.0  # a twentieth of the likelihood
         assert np.abs(found - evidence(wanted))[held].max() < 2.0
     parabola = Line(places, 3.0 - 0.7 * (places - 0.2) ** 2, 0.2, 1.0)
     inside = wanted[(wanted > places[0]) & (wanted < places[-1])]
-    found = [_between_places(parabola, float(u)) for u in inside]
+    found = [_between_places(parabola)(float(u)) for u in inside]
     np.testing.assert_allclose(found, 3.0 - 0.7 * (inside - 0.2) ** 2, atol=1e-9)
 
 

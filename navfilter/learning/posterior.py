@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from collections.abc import Generator, Mapping
+from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import NamedTuple
@@ -295,7 +295,7 @@ def _fine(nodes: int) -> tuple[Array, Array]:
     return straight + bent @ bends, straight
 
 
-def _between_places(line: Line, log_sd: float) -> float:
+def _between_places(line: Line) -> Callable[[float], float]:
     """Evidence of a line between its places: the chord, and a parabola on it that bends by the harmonic mean of what
     the evidence bends by at both its ends; beyond the ends of the line a parabola that never rises.
 
@@ -303,20 +303,27 @@ def _between_places(line: Line, log_sd: float) -> float:
     above them by many times what the evidence says (Amat et al., Found. Comput. Math. 6, 2006).
     """
     x, y = line.log_sd.tolist(), line.evidence.tolist()
-    if len(x) < 4:
-        return y[min(range(len(x)), key=lambda i: abs(x[i] - log_sd))]
-    if log_sd < x[0] or log_sd > x[-1]:
-        ends = slice(None, 3) if log_sd < x[0] else slice(None, -4, -1)
-        (a, b, c), (fa, fb, fc) = x[ends], y[ends]
-        ab, bc = (fb - fa) / (b - a), (fc - fb) / (c - b)
-        bend, away = (bc - ab) / (c - a), log_sd - a
-        slope = ab - bend * (b - a)
-        return fa + away * (max(slope, 0.0) if away < 0.0 else min(slope, 0.0)) + min(bend, 0.0) * away**2
-    at = min(max(bisect_right(x, log_sd) - 1, 0), len(x) - 2)
-    slopes = [(y[i + 1] - y[i]) / (x[i + 1] - x[i]) for i in range(len(x) - 1)]
-    bends = [(slopes[i] - slopes[i - 1]) / (x[i + 1] - x[i - 1]) for i in (at, at + 1) if 0 < i < len(x) - 1]
-    bend = len(bends) / sum(1.0 / one for one in bends) if min(bends) * max(bends) > 0.0 else 0.0
-    return y[at] + (log_sd - x[at]) * (slopes[at] + (log_sd - x[at + 1]) * bend)
+    last = len(x) - 1
+    if last < 3:
+        return lambda log_sd: y[min(range(len(x)), key=lambda i: abs(x[i] - log_sd))]
+    slopes = [(y[i + 1] - y[i]) / (x[i + 1] - x[i]) for i in range(last)]
+    bends = [(slopes[i] - slopes[i - 1]) / (x[i + 1] - x[i - 1]) for i in range(1, last)]
+
+    def beyond(away: float, end: int) -> float:
+        bend = bends[end]
+        slope = slopes[end] - bend * (x[-2] - x[-1] if end else x[1] - x[0])
+        return y[end] + away * (max(slope, 0.0) if away < 0.0 else min(slope, 0.0)) + min(bend, 0.0) * away**2
+
+    def evidence(log_sd: float) -> float:
+        if log_sd < x[0] or log_sd > x[-1]:
+            end = 0 if log_sd < x[0] else -1
+            return beyond(log_sd - x[end], end)
+        at = min(max(bisect_right(x, log_sd) - 1, 0), last - 1)
+        two = bends[max(at - 1, 0) : at + 1]
+        bend = len(two) / sum(1.0 / one for one in two) if min(two) * max(two) > 0.0 else 0.0
+        return y[at] + (log_sd - x[at]) * (slopes[at] + (log_sd - x[at + 1]) * bend)
+
+    return evidence
 
 
 def denied(known: Mapping[Place, Line], prior: SlowPrior, node: SlowNode) -> float:
@@ -326,7 +333,7 @@ def denied(known: Mapping[Place, Line], prior: SlowPrior, node: SlowNode) -> flo
     line = known.get((node.order, int(np.argmin(np.abs(prior.taus_s - node.tau_s)))))
     if line is None:
         return 0.0
-    return max(float(line.evidence.max()) for line in known.values()) - _between_places(line, math.log(node.sd))
+    return max(float(line.evidence.max()) for line in known.values()) - _between_places(line)(math.log(node.sd))
 
 
 class _Look:
@@ -336,11 +343,13 @@ class _Look:
     """
 
     def __init__(self, prior: SlowPrior, order: int, tau_s: float, known: Line | None, forgetting: float) -> None:
-        self.prior, self.order, self.log_tau = prior, order, math.log(tau_s)
-        self.known, self.forgetting = known, forgetting
+        self.known, self.forgetting = known if forgetting else None, forgetting
+        self.before = None if self.known is None else _between_places(self.known)
         self.evidence: dict[float, float] = {}
-        low, high = np.log(prior.sd_limits).tolist()
-        self.low, self.high = low, high
+        self.low, self.high = (math.log(limit) for limit in prior.sd_limits)
+        self.centre, self.spread = prior.centre[0], prior.spread
+        self.log_tau = math.log(tau_s)
+        self.most = prior.log_density(order, self.centre, self.log_tau)
 
     def along(self, places: list[float]) -> Generator[list[float], list[float], list[float]]:
         """The evidence at these places; what is not yet known is measured together."""
@@ -349,18 +358,17 @@ class _Look:
         if new:
             values = yield new
             for key, value in zip(new, values, strict=True):
-                old = self.known
-                before = _between_places(old, key) if old is not None and self.forgetting else 0.0
-                self.evidence[key] = self.forgetting * before - value
+                self.evidence[key] = (self.forgetting * self.before(key) if self.before else 0.0) - value
         return [self.evidence[key] for key in keys]
+
+    def log_prior(self, place: float) -> float:
+        """The log-density of the prior at a place."""
+        return self.most - 0.5 * ((place - self.centre) / self.spread) ** 2
 
     def at(self, *places: float) -> Generator[list[float], list[float], list[float]]:
         """The log-posterior at these places."""
         found = yield from self.along(list(places))
-        return [
-            evidence + self.prior.log_density(self.order, place, self.log_tau)
-            for evidence, place in zip(found, places, strict=True)
-        ]
+        return [evidence + self.log_prior(place) for evidence, place in zip(found, places, strict=True)]
 
     def smallest(self) -> Search:
         """The line of the smallest size there is."""
@@ -369,7 +377,7 @@ class _Look:
 
     def line(self, guess: float, sd: float) -> Search:
         """The line around its peak, which is looked for from a guess of place and width."""
-        if self.known is not None and self.forgetting:
+        if self.known is not None:
             same = yield from self._same_places(self.known)
             if same is not None:
                 return same
@@ -403,11 +411,17 @@ class _Look:
 
     def _same_places(self, line: Line) -> Generator[list[float], list[float], Line | None]:
         """The line at its old places, where nothing has to be interpolated; None where these do no longer do."""
-        log = np.array((yield from self.at(*line.log_sd.tolist())))
-        top = int(np.argmax(log))
-        around = np.abs(np.diff(log)[max(top - 1, 0) : top + 1])
+        places = line.log_sd.tolist()
+        values = yield places
+        evidence = [
+            self.forgetting * old - new if new < math.inf else -1e300
+            for old, new in zip(line.evidence.tolist(), values, strict=True)
+        ]
+        self.evidence.update(zip([round(place, 6) for place in places], evidence, strict=True))
+        log = [one + self.log_prior(place) for one, place in zip(evidence, places, strict=True)]
+        top = log.index(max(log))
         # the sum over places stands for the integral while the curve bends by less than this from one to the next
-        if not (0 < top < log.size - 1 and around.max() < STEEPEST and log[top] - log[[0, -1]].max() > SHALLOWEST):
+        near = 0 < top < len(log) - 1 and log[top] - min(log[top - 1], log[top + 1]) < STEEPEST
+        if not (near and log[top] - max(log[0], log[-1]) > SHALLOWEST):
             return None
-        evidence = yield from self.along(line.log_sd.tolist())
-        return line._replace(evidence=np.maximum(evidence, -1e300))
+        return line._replace(evidence=np.array(evidence))

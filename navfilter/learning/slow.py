@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -145,11 +145,18 @@ def drift_chain(drift: Drift, unit: float) -> Array:
 
     Transition over one tick, its noise, covariance of the start (0 where it is diffuse); r is at least 1.
     """
+    chain = _chain(drift).copy()
+    chain[1:] *= unit**2
+    return chain
+
+
+@lru_cache(64)
+def _chain(drift: Drift) -> Array:
     r = max(drift.order, 1)
     out = np.zeros((3, r, r))
     out[0] = np.eye(r)
     if drift.order:
-        per_tick = drift.per_tick() * unit**2
+        per_tick = drift.per_tick()
         out[0], out[1] = Drift(drift.density, 1.0).transition(), per_tick[:r]
         out[2, range(r), range(r)] = np.where(np.isfinite(per_tick[r]), per_tick[r], 0.0)
     return out

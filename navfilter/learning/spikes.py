@@ -22,16 +22,16 @@ def without_spikes(series: Array) -> Array:
     known = np.flatnonzero(np.isfinite(result))
     if known.size < 5:
         return result
-    # the drift may run away by metres per tick: most of it is a low polynomial
-    place = known / max(float(known[-1]), 1.0) * 2.0 - 1.0
+    # the drift may run away by metres per tick: most of it is a low polynomial, and what that leaves is smooth
     y = result[known]
+    place = (known - known[0]) * (2.0 / (known[-1] - known[0])) - 1.0
     basis = np.polynomial.chebyshev.chebvander(place, 5)
-    y = y - basis @ np.linalg.lstsq(basis, y, rcond=None)[0]
+    y -= basis @ np.linalg.lstsq(basis.T @ basis, basis.T @ y, rcond=None)[0]
     padded = np.concatenate([y[[2, 1]], y, y[[-2, -3]]])
-    off = y - _middle(*(padded[i : i + y.size] for i in range(5)))
-    size = np.abs(off)
+    size = np.abs(y - _middle(*(padded[i : i + y.size] for i in range(5))))
     # where most samples equal their median (quantised readings), the mean of the others says how much is ordinary
-    scale = max(float(np.median(size)) * 1.4826, float(np.mean(np.minimum(size, np.quantile(size, 0.99)))))
+    median, most = np.interp([0.5 * (y.size - 1), 0.99 * (y.size - 1)], np.arange(y.size), np.sort(size))
+    scale = max(1.4826 * float(median), float(np.mean(np.minimum(size, most))))
     result[known[size > SPIKE * scale]] = np.nan
     return result
 
