@@ -23,7 +23,7 @@ from dense_posterior import (
 
 import navfilter as nf
 from navfilter.arma.model import ArmaModel
-from navfilter.filter import filter as running
+from navfilter.filter.filter import Filter
 from navfilter.learning.learned import LearnedArma
 
 
@@ -32,18 +32,17 @@ class Changing(Capture):
 
     def __init__(self, monkeypatch, vehicle, start):
         super().__init__(monkeypatch, vehicle, start)
-        follow, self.sizes = running.state_change, []
+        follow, self.sizes = Filter._change, []
 
-        def change(*layouts_and_vehicles):
-            M, N = follow(*layouts_and_vehicles)
+        def change(filter, M, N):
             assert not self._single  # what was not yet folded would belong before the change
             for chain in (self.steps, self.samples):
                 chain.append(Step(M.copy(), N.copy()))
             self.n = len(M)
             self.sizes.append(M.shape)
-            return M, N
+            follow(filter, M, N)
 
-        monkeypatch.setattr(running, "state_change", change)
+        monkeypatch.setattr(Filter, "_change", change)
 
 
 def learnt(ar=(), ma=(), sd=1.0, slow=None):

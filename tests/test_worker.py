@@ -13,6 +13,7 @@ from feeding import DRIVE, events_of
 
 import navfilter as nf
 from navfilter import beginning
+from navfilter.filter import filter as filter_module
 from navfilter.filter.memory import differences
 from navfilter.learning.schedule import LearningSchedule
 from navfilter.learning.worker import Task, Worker
@@ -167,3 +168,19 @@ def test_a_task_that_fails_says_so_when_it_is_asked():
         task = Task(Worker(threads), lambda: 1 // 0)
         with pytest.raises(ZeroDivisionError):
             task.answer()
+
+
+def test_what_adoptions_take_is_worked_out_beforehand(mission, alone, monkeypatch):
+    """On the thread, behind the look that has found the models; where the beginning is done again, too."""
+    vehicle, recorded, events = mission
+    monkeypatch.setattr(LearningSchedule, "ANOTHER", 1e9)
+    found, work_out = [], filter_module.adoption
+
+    def adoption(before, layout, sensor, error, afresh, known):
+        found.append(any(one.before is before and one.error is error for one in known))
+        return work_out(before, layout, sensor, error, afresh, known)
+
+    monkeypatch.setattr(filter_module, "adoption", adoption)
+    nav = nf.Navigator(vehicle, recorded.start)
+    fed(nav, events)
+    assert len(found) >= 2 and all(found)

@@ -14,9 +14,10 @@ from navfilter.filter.layout import Group, Layout
 from navfilter.learning.learned import LearnedArma, register_block, register_labels
 from navfilter.vehicle import Vehicle
 
-__all__ = ["Change", "state_change", "transfer"]
+__all__ = ["Adoption", "Change", "adoption", "state_change", "transfer"]
 
 Array = NDArray[np.float64]
+Errors = ErrorModel | tuple[ErrorModel, ...]
 
 
 class Change(NamedTuple):
@@ -38,10 +39,56 @@ class Change(NamedTuple):
     """
 
     sensor: str
-    error: ErrorModel | tuple[ErrorModel, ...]
+    error: Errors
     offsets: bool = False
     afresh: bool = False
     turn: tuple[float, float] | None = None
+
+
+class Adoption(NamedTuple):
+    """What it takes to put another error model in force, apart from what the filter knows then.
+
+    Attributes
+    ----------
+    before, after : Vehicle
+        With the models in force.
+    error : ErrorModel or tuple of ErrorModel
+        The new one.
+    layout : Layout
+        Of the states afterwards.
+    M, N : ndarray
+        See `state_change`.
+    """
+
+    before: Vehicle
+    after: Vehicle
+    error: Errors
+    layout: Layout
+    M: Array
+    N: Array
+
+
+def adoption(
+    before: Vehicle,
+    layout: Layout,
+    sensor: str,
+    error: Errors,
+    afresh: bool = False,
+    known: Sequence[Adoption] = (),
+) -> Adoption:
+    """What a change of one model takes where a vehicle is laid out like this: what is `known` of it, or worked out.
+
+    Raises
+    ------
+    ValueError
+        For an unknown sensor, or something that is no error model.
+    """
+    for one in known:
+        if one.error is error and one.before is before and not afresh:
+            return one
+    after = before.with_error(**{sensor: error})
+    new = Layout.of(after, (before, layout))
+    return Adoption(before, after, error, new, *state_change(layout, before, new, after, sensor if afresh else ""))
 
 
 def state_change(before: Layout, old: Vehicle, after: Layout, new: Vehicle, afresh: str = "") -> tuple[Array, Array]:

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from navfilter.error_models import per_axis
 from navfilter.filter import agreement, course, drive_watch, iron, realignment, refused, scatter, shifts
-from navfilter.filter.adoption import Change, state_change
+from navfilter.filter.adoption import Adoption, Change, adoption
 from navfilter.filter.asking import asked, shared
 from navfilter.filter.channel import Channel, usable
 from navfilter.filter.estimate import Estimate
@@ -63,6 +63,8 @@ class Filter(Estimate):
         Samples of the drive after which it is felt whether the vehicle rests; 0: never.
     jumped : list of Change
         Error models of sensors that have jumped or gone astray, to be adopted before the next input.
+    foreseen : list of Adoption
+        What may be adopted next, worked out beforehand.
     accused : float or None
         A velocity sensor has been left behind by the drive, see `ramp.accused`.
     tilted : bool
@@ -93,6 +95,7 @@ class Filter(Estimate):
         self.accused: float | None = None
         self.tilted, self.gyros = False, shifts.gyros(None)
         self._like: tuple[Vehicle, Layout] | None = None
+        self.foreseen: list[Adoption] = []
         self._rest = [self.channels[name] for name, s in vehicle.sensors.items() if s.from_drive and self.inertial]
         shortest_s = min((channel.period_s for channel in self._rest), default=0.0)
         self.feels_after = max(2, round(drive.rate_hz * shortest_s)) if self._rest else 0
@@ -146,10 +149,10 @@ class Filter(Estimate):
         if self.tape is not None and self.inertial and any(learning_part(model) is not None for model in drive.models):
             self.tape.models |= {name: [(self.time_s, getattr(drive, name))] for name in ("gyro", "accel")}
 
-    def _arrange(self, models: tuple[tuple[str, Errors], ...], in_force: Vehicle | None = None) -> None:
-        """Lay out the states with these models `in_force`, and the working memory that depends on it."""
-        in_force, like = in_force or self.vehicle.with_error(**dict(models)), self._like
-        self.layout = layout = Layout.of(in_force, like)
+    def _arrange(self, models: tuple[tuple[str, Errors], ...], found: Adoption | None = None) -> None:
+        """Lay out the states with these models in force, and the working memory that depends on it."""
+        in_force = found.after if found else self.vehicle.with_error(**dict(models))
+        self.layout = layout = found.layout if found else Layout.of(in_force, self._like)
         self.in_force, self._like, self._laid_out = in_force, (in_force, layout), models
         g, m = layout.drive, layout.head
         self.Phid, self.Qd, self.drive_sd = g.Phi, g.Q, np.sqrt(g.r)
@@ -173,8 +176,7 @@ class Filter(Estimate):
                 channel.turns_by(self.watch.rate_variance(w, g.r))
 
     def _identity(self) -> Array:
-        m = self.layout.head
-        return np.vstack([np.eye(m), np.zeros((3 * m, m))])
+        return np.eye(4 * self.layout.head, self.layout.head)
 
     # ---------------------------------------------------------------- what changes
     def recall(self, memory: FilterMemory) -> None:
@@ -410,26 +412,24 @@ class Filter(Estimate):
         if channel is not None and channel.offset and not change.offsets:
             error = with_the_same_offsets(per_axis(error, channel.axes, change.sensor), channel.sensor.models)
         # refuses what cannot be adopted before anything has changed
-        new = self.in_force.with_error(**{change.sensor: error})
+        found = adoption(self.in_force, self.layout, change.sensor, error, change.afresh, self.foreseen)
         models = tuple((dict(memory.models) | {change.sensor: error}).items())
         if memory.unfolded:
             tell(self._fold())
-        before, old = self.layout, self.in_force
-        self._arrange(models, new)
-        M, N = state_change(before, old, self.layout, new, change.sensor if change.afresh else "")
-        self._change(M, N)
-        memory.x = np.ascontiguousarray(M[9:, 9:] @ memory.x)
-        memory.acc, self._xd = self._identity(), memory.x[: self.layout.drive.size]
+        self._arrange(models, found)
+        self._change(found.M, found.N)
+        memory.x = np.ascontiguousarray(found.M[9:, 9:] @ memory.x)
+        memory.acc, memory.models, self._xd = self._identity(), models, memory.x[: self.layout.drive.size]
         self.weigh()
-        if new.drive is not old.drive:
-            memory.drv[strapdown.PLACES] = new.drive.memory(self.layout.drive.errors, self.start)[strapdown.PLACES]
-        memory.models = models
+        drive, places = found.after.drive, strapdown.PLACES
+        if drive is not found.before.drive:
+            memory.drv[places] = drive.memory(self.layout.drive.errors, self.start)[places]
         memory.counts["adopted"] += 1
         if self.tape is not None:
             self.tape.layouts.append(self.layout)
             self.tape.models.setdefault(change.sensor, []).append((memory.time_s, error))
             self._row()
-        tell(Relaid(M))
+        tell(Relaid(found.M))
 
     def _change(self, M: Array, N: Array) -> None:
         """Let the error state become ``M x + w``, ``w ~ N(0, N)``."""

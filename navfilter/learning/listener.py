@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import partial
@@ -90,6 +90,8 @@ class Listener:
         Works on the hops.
     capacity : int, optional
         Ticks to keep; default: the window of the learnt models, and what going back needs.
+    expect : callable, optional
+        Returns, as a weak reference does, what is told where a hop is worked on which models will be adopted.
 
     Raises
     ------
@@ -106,7 +108,9 @@ class Listener:
         behind_s: float,
         worker: Worker,
         capacity: int | None = None,
+        expect: Callable[[], Callable[[str, tuple[ErrorModel, ...]], None] | None] | None = None,
     ) -> None:
+        self._expect = expect
         self.kind = sensor.open_loop
         if self.kind == listen.NOTHING:
             raise ValueError(
@@ -381,6 +385,9 @@ class Listener:
             if learnt is not None and learning_part(found[-1]) is not None:  # remembered for the adoption
                 found[-1].block(self.period_s)
         new = models if tuple(found) == models else tuple(found)
+        expect = self._expect and self._expect()
+        if expect and new is not models:
+            expect(self.name, new)
         return new, self._levels(new), memories(own)
 
 

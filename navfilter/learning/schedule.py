@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from weakref import WeakMethod
 
 import numpy as np
 from numpy.typing import NDArray
 
+from navfilter.error_models import ErrorModel
 from navfilter.filter import shifts
-from navfilter.filter.adoption import Change
+from navfilter.filter.adoption import Change, adoption
 from navfilter.filter.channel import Channel
 from navfilter.filter.events import Correction, Event, Outcome, Passed, Propagated, Relaid, StoodIn
 from navfilter.filter.filter import Filter
@@ -47,7 +49,7 @@ def doubtful_ticks(channel: Channel, time_s: float) -> int:
 class LearningSchedule:
     """Listens to a filter, and says which error models it should adopt.
 
-    It reads the filter and never writes to it.
+    It reads the filter and never writes to it, but for what it has worked out beforehand of the next adoptions.
 
     Parameters
     ----------
@@ -155,9 +157,9 @@ class LearningSchedule:
         channels = self.filter.channels
         if name not in channels:
             raise ValueError(f'"{name}" is no sensor of this vehicle (sensors: {", ".join(channels)}).')
-        sensor, lever = channels[name].sensor, np.diag(channels[name].lever)
-        vehicle = self.filter.vehicle
-        self.listeners[name] = Listener(name, sensor, vehicle, lever, self.behind_s, self.worker, capacity)
+        about = channels[name].sensor, self.filter.vehicle, np.diag(channels[name].lever)
+        expect = WeakMethod(self._expect) if self.worker.threads else None
+        self.listeners[name] = Listener(name, *about, self.behind_s, self.worker, capacity, expect)
 
     def series(self, name: str) -> tuple[ChannelSeries, ...]:
         """Open-loop residuals of a sensor that is listened to, one series per axis.
@@ -375,6 +377,16 @@ class LearningSchedule:
             return
         self._go_on()
         self._waiting = tuple(Change(name, models) for name, models in found.items())
+
+    def _expect(self, name: str, models: tuple[ErrorModel, ...]) -> None:
+        """Have worked out, on the learning thread, what it takes to adopt these behind those that are expected already:
+        the filter finds it where it comes like this.
+        """
+        filter, known = self.filter, self.filter.foreseen
+        if not (known and known[0].before is filter.in_force):
+            known = []
+        at = (known[-1].after, known[-1].layout) if known else (filter.in_force, filter.layout)
+        filter.foreseen = [*known, adoption(*at, name, models)]
 
     def _ask(self) -> None:
         """Where the constants speak against the models that were learnt, have the beginning done again as described."""
