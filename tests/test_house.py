@@ -40,6 +40,7 @@ FLOORS = [
         "learning.starts",
         "learning.fit",
         "learning.posterior",
+        "learning.alike",
         "learning.unseen",
         "learning.learnt",
         "learning.learner",

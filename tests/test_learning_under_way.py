@@ -289,6 +289,8 @@ def test_a_mission_that_ends_before_the_first_models_are_due_keeps_its_priors():
 class Says:
     """Stands in for a learner: hands out what it is told to."""
 
+    prior = None
+
     def __init__(self, *found):
         self.found = list(found)
 
