@@ -226,8 +226,9 @@ def opened_state(channel: Channel, refused: Refusals, moved_m: float, held: bool
         return V
     first = 0 if kind == listen.POSITION else 3
     if kind == listen.POSITION and channel.axes == 3:
-        held = held or bool(offset[2] ** 2 <= channel.limits[3] * (fits + channel.slow)[2])
-        size[2] = 0.0 if held else size[2]  # a height that fits is not opened
+        # a height that fits is not opened, nor one that another sensor holds while it is the place that does not fit
+        beyond = offset**2 > channel.limits[1:4] * (fits + channel.slow)
+        size[2] = size[2] if beyond[2] and not (held and beyond[:2].any()) else 0.0
     N = channel.near[:, first : first + 3]
     V[first : first + 3, first : first + 3] = N.T @ (size[:, None] * N)
     if kind == listen.VELOCITY and channel.sensor.ground != over_ground.AXES:

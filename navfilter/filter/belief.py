@@ -42,6 +42,8 @@ Array = NDArray[np.float64]
 #: An estimate of a slow error beyond so many of its standard deviations is none [1]: once in 2e4 times that it changes,
 #: and less often, for an estimate varies less than what it estimates.
 MOST_SDS = 4.0
+#: The same of a height: that of a receiver leaves its description sooner than its place does.
+MOST_SDS_UP = 6.0
 #: Dead reckoning may err by this share of the way made [1]: 6 deg of heading or mounting, 10 % of scale. What draws
 #: fixes off in earnest is faster, or takes longer than the gate waits.
 SHARE = 0.1
@@ -53,10 +55,8 @@ MOST_PULLED = 10.0
 
 
 def believed(sensor: Sensor, group: Group) -> Array:
-    """The largest square of the coloured error of each axis that is still believed; infinite for all but fixes, for
-    their height, and where the error model sets no limit, shape (axes,).
-
-    A depth gauge holds the height, whatever fixes say of it; and where there is none, it is theirs to say.
+    """The largest square of the coloured error of each axis that is still believed; infinite for all but fixes, and
+    where the error model sets no limit, shape (axes,).
     """
     e, none = group.errors, np.full(sensor.axes, np.inf)
     if sensor.corrects != "position" or sensor.open_loop != listen.POSITION or not e:
@@ -65,7 +65,8 @@ def believed(sensor: Sensor, group: Group) -> Array:
     if not np.allclose(Phi @ P0 @ Phi.T + group.Q[:e, :e], P0, rtol=1e-6, atol=1e-12):
         return none  # it wanders for ever
     variance = np.diag(group.C @ P0 @ group.C.T)
-    return np.where((variance > 0.0) & (np.arange(sensor.axes) < 2), MOST_SDS**2 * variance, np.inf)
+    most = np.where(np.arange(sensor.axes) < 2, MOST_SDS, MOST_SDS_UP)
+    return np.where(variance > 0.0, most**2 * variance, np.inf)
 
 
 def beyond_belief(channel: Channel, x: Array) -> bool:
