@@ -302,10 +302,12 @@ class Choice:
         return found
 
     def _missed(self) -> Array:
-        """By lane and sensor, what was to be gained more in the last minute."""
+        """By lane and sensor, what was to be gained more in the last minute. A lane that is more modest than it need be
+        has missed nothing: what it is below that is not held against the others.
+        """
         whole = self.memory.ring.sum(axis=0)
         judged = whole[:, :, JUDGED]
-        return np.asarray(whole[:, :, SHORT] + FULL * (judged.max(axis=0) - judged))
+        return np.asarray(np.maximum(whole[:, :, SHORT], 0.0) + FULL * (judged.max(axis=0) - judged))
 
     def means(self) -> tuple[Array, Array]:
         """Of the last minute, by lane: mean gain of a component that any lane foretold, and mean NIS of its own."""
