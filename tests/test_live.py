@@ -177,7 +177,7 @@ def circling(steps, begin=0):
 
 def grown(steps):
     """Python and NumPy memory [bytes] that a navigator gathers over so many steps, after as many as its learner's
-    window holds.
+    window holds, and the larger models of a few hops more: what is made once is made by then.
     """
     vehicle = nf.Vehicle(
         imu=nf.Imu(rate_hz=100),
@@ -194,10 +194,11 @@ def grown(steps):
     one_by_one(nav, circling(20_000))
     tracemalloc.start()
     try:
-        one_by_one(nav, circling(1000, 20_000))
+        settled = max(1000, steps // 10)
+        one_by_one(nav, circling(settled, 20_000))
         gc.collect()
         before = tracemalloc.get_traced_memory()[0]
-        one_by_one(nav, circling(steps, 21_000))
+        one_by_one(nav, circling(steps, 20_000 + settled))
         gc.collect()
         return tracemalloc.get_traced_memory()[0] - before, nav
     finally:
