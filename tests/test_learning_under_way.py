@@ -429,7 +429,7 @@ def identified(scenario, gyro, seeds):
 
 
 #: Medians that are beyond the bars, and why.
-ROUGH = "its slow error begins smoothly, within half a second; a Gauss-Markov process does not, which no white noise hides"
+ROUGH = "its slow error begins smoothly; a Gauss-Markov process does not, which no white noise hides"
 TAIL = "what the readings cannot exclude stays, and the mean of the posterior is ruled by its longest times"
 BEYOND = {
     ("tactical", "compass-swell"): f"0.23: {ROUGH}",
