@@ -194,7 +194,7 @@ def grown(steps):
     one_by_one(nav, circling(20_000))
     tracemalloc.start()
     try:
-        settled = max(1000, steps // 10)
+        settled = max(1000, steps // 4)
         one_by_one(nav, circling(settled, 20_000))
         gc.collect()
         before = tracemalloc.get_traced_memory()[0]
