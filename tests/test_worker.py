@@ -4,6 +4,7 @@ the beginning of a hop and its answer.
 
 import gc
 import subprocess
+import sys
 import time
 import weakref
 from concurrent.futures import Future, ThreadPoolExecutor
