@@ -20,8 +20,7 @@ class Effort:
     late_passes : int
         The same later, when its turn comes.
     one_maximum : int
-        An order with no more coefficients than this goes on from its last estimate alone; one with as many and more is
-        not fitted where smaller ones leave nothing that it could explain.
+        An order with no more coefficients than this goes on from its last estimate alone.
     below_passes : int
         Passes of a lower order that only serves as a start.
     contradicted : float
@@ -44,8 +43,7 @@ class Effort:
     hopeless : float
         An order that should stay so far behind the best (half of BIC) is not improved.
     optimism : float
-        What an order may gain, of what its slope says, for the curvature beside it is that of other places; or of what
-        the spectrum says that a smaller order leaves.
+        What an order may gain, of what its slope says: the curvature beside it is that of other places.
     longest_step : float
         Largest change of ln sd in one step.
     differences : tuple of float

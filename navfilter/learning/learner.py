@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import expit
 
+from navfilter.arma.choice import criterion
 from navfilter.error_models import GaussMarkov
 from navfilter.learning.alike import alike
 from navfilter.learning.drift import Drift
@@ -20,7 +21,7 @@ from navfilter.learning.likelihood import Likelihood, Point, maximise
 from navfilter.learning.limits import LEAST, PER_PARAMETER, WILDEST
 from navfilter.learning.posterior import DEAD, Line, SlowPosterior, denied, follow
 from navfilter.learning.slow import SlowPrior
-from navfilter.learning.starts import cold_starts, grown_starts, is_hopeless, padded_starts, with_slow_parts
+from navfilter.learning.starts import cold_starts, grown_starts, padded_starts, with_slow_parts
 from navfilter.learning.unseen import Doubt, WhiteDescription
 
 __all__ = ["Learner", "LearnerMemory", "Look", "hop_together", "memories", "recall"]
@@ -205,7 +206,7 @@ class Learner:
         first = 0 if heard <= y.size else max(0, y.size - fresh)
         # what is heard for the first time is half of it
         again = heard >= 2 * self._memory.grown
-        fits, hopeless = self._fits(likelihood, able, n, again)
+        fits = self._fits(likelihood, able, n, again)
         if not fits:
             return None
         scores = {order: self._score(point, n) for order, point in fits.items()}
@@ -217,7 +218,7 @@ class Learner:
             posterior = follow(likelihood, point.theta, point.p, self._memory.lines, first, forgetting)
             if first > 0 and self._contradicted(likelihood, point, posterior):
                 posterior = follow(likelihood, point.theta, point.p, {}, 0, 1.0)
-        self._keep(likelihood, fits, scores | hopeless, posterior, heard, heard if again else self._memory.grown, tried)
+        self._keep(likelihood, fits, scores, posterior, heard, heard if again else self._memory.grown, tried)
         return Look(y, likelihood, point, posterior, n)
 
     def doubts(self, look: Look) -> Doubt | None:
@@ -256,46 +257,36 @@ class Learner:
     def _score(self, point: Point, n: int) -> float:
         """Half of BIC; the slow part is there for every order."""
         fast = point.theta.size - 2 * bool(point.slow)
-        return point.value + 0.5 * fast * math.log(n)
+        return point.value + 0.5 * criterion("bic", 0.0, fast, n)
 
-    def _fits(
-        self, likelihood: Likelihood, able: list[Order], n: int, again: bool
-    ) -> tuple[dict[Order, Point], dict[Order, float]]:
+    def _fits(self, likelihood: Likelihood, able: list[Order], n: int, again: bool) -> dict[Order, Point]:
         """The orders whose turn it is, each from its last estimate; large ones also from smaller ones, `again` and
-        again: what was found of few readings may be near a lower maximum, and a step never leaves it. And the least
-        scores of those that are hopeless by what smaller ones leave: they are not fitted.
+        again: what was found of few readings may be near a lower maximum, and a step never leaves it.
         """
         memory, slow = self._memory, 0 if self.prior is None else 1
         fits: dict[Order, Point] = {}
-        hopeless: dict[Order, float] = {}
-        best = math.inf
         for order in self._ration(able):
             known, (p, q) = memory.thetas.get(order), order
             # what it costs to be larger comes off what an order may be worth
-            costs = 0.5 * (p + q + 1) * math.log(n)
-            enough = best + EFFORT.hopeless - costs
+            best = min((self._score(point, n) for point in fits.values()), default=math.inf)
+            enough = best + EFFORT.hopeless - 0.5 * criterion("bic", 0.0, p + q + 1, n)
             below = {k: point for k, point in fits.items() if k[0] <= p and k[1] <= q}
-            behind = memory.scores.get(order, math.inf) > EFFORT.hopeless
-            if p + q >= EFFORT.one_maximum and behind and below and is_hopeless(likelihood, below, enough):
-                hopeless[order] = min(point.value for point in below.values()) + costs
-                continue
             if known is not None:
                 moved = known.copy()
                 moved[p + q : p + q + 1 + slow] += likelihood.log_unit
-                large = again and p + q > EFFORT.one_maximum
-                grown = grown_starts(likelihood, below, p, q) if large else []
+                grown = grown_starts(likelihood, below, p, q) if again and p + q > EFFORT.one_maximum else []
                 starts = [moved, *(grown or padded_starts(likelihood, below, p, q))]
-                point = maximise(likelihood, starts, p, EFFORT.late_passes, slow, 3 if grown else 1, enough)
+                point = maximise(likelihood, starts, p, EFFORT.late_passes, slow, 2 if grown else 1, enough)
             else:
                 starts = [*padded_starts(likelihood, below, p, q), *grown_starts(likelihood, below, p, q)]
                 if p + q <= 2 or not starts:
                     cold = cold_starts(likelihood, p, q)
                     like = min(below.values(), key=lambda point: point.value).theta if below else None
                     starts += with_slow_parts(likelihood, cold, p, 1, like) if slow and cold else cold
-                point = maximise(likelihood, starts, p, EFFORT.first_passes, slow, 3, enough)
+                point = maximise(likelihood, starts, p, EFFORT.first_passes, slow, enough=enough)
             if math.isfinite(point.value) and np.all(np.isfinite(point.info)):
-                fits[order], best = point, min(best, self._score(point, n))
-        return fits, hopeless
+                fits[order] = point
+        return fits
 
     def _ration(self, able: list[Order]) -> list[Order]:
         """The orders to fit: all while the window fills, then the two best, and one of the others in turn."""

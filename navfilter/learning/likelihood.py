@@ -25,8 +25,6 @@ Array = NDArray[np.float64]
 #: Where innovations are not wanted.
 _UNWANTED = np.empty((0, LANES))
 _DIFFERENCES, _DAMPINGS = np.array([*EFFORT.differences, EFFORT.slow_difference]), np.array(EFFORT.dampings)
-#: Of so many trials all but one.
-_OTHERS = [np.delete(np.arange(_DAMPINGS.size), i) for i in range(_DAMPINGS.size)]
 
 
 class Likelihood:
@@ -50,11 +48,6 @@ class Likelihood:
         Innovations beyond this many standard deviations are clipped.
     slowest_s : float
         Poles are at least this quick, by their natural frequency [s]; default: as the prior has it.
-
-    Attributes
-    ----------
-    left : dict of Point to ndarray
-        What points leave in the innovations, by bands of frequency, see `navfilter.learning.starts`.
 
     Raises
     ------
@@ -98,7 +91,6 @@ class Likelihood:
         if prior is not None:
             sizes = np.log(prior.sd_limits) + self.log_unit
             self._limits = np.concatenate([self._limits, sizes, np.log(prior.taus_s[[0, -1]])])
-        self.left: dict[Point, Array] = {}
         self._space = np.empty(2 * self.y.size * LANES)
         self._beliefs = [slow_belief(slow, prior, drift.period_s, self.log_unit) for slow in range(3)]
         self._unbelieved = [slow_belief(slow, None, drift.period_s, self.log_unit) for slow in range(3)]
@@ -251,7 +243,7 @@ def _climb(likelihood: Likelihood, point: Point, passes: int, enough: float) -> 
         # most often what did before will do; its derivatives, which the next step wants, come with it
         usual = min(usual, len(gains) - 1)
         if left > 1:
-            others = trials[_OTHERS[usual][: len(gains) - 1]]
+            others = np.delete(trials, usual, axis=0)
             ahead, rest = likelihood.points(trials[usual], point.p, point.slow, others)
             values = [*rest[:usual], ahead.value, *rest[usual:]]
         else:

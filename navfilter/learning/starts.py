@@ -6,20 +6,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from functools import cache, lru_cache
+from functools import cache
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from navfilter.arma.algebra import add_arma
 from navfilter.arma.model import ArmaModel
 from navfilter.arma.roots import pull_inside, slowest_real
 from navfilter.arma.starts import default_long_order, hannan_rissanen_start, long_residuals
-from navfilter.learning.effort import EFFORT
 from navfilter.learning.likelihood import Likelihood, Point
-from navfilter.learning.limits import CLIP
 
-__all__ = ["cold_starts", "grown_starts", "is_hopeless", "padded_start", "padded_starts", "with_slow_parts"]
+__all__ = ["cold_starts", "grown_starts", "padded_start", "padded_starts", "with_slow_parts"]
 
 Array = NDArray[np.float64]
 Order = tuple[int, int]
@@ -30,13 +28,6 @@ TAUS, SHARES = (2.0, 8.0, 30.0, 120.0, 500.0), (0.0, 0.5, 0.95)
 BUMP_TAUS, BUMP_FACTORS = (1.5, 5.0, 16.0, 50.0), (12.0,)
 # A pair of each more: periods in ticks, cycles in which the oscillation decays, factors by which they raise its power.
 PERIODS, DECAYS, PEAKS = np.geomspace(2.5, 160.0, 11), (1.0, 4.0), (40.0,)
-# At so many periods an order is begun with one.
-TRIED = 3
-# All of these by which it is judged what an order might be worth.
-MANY = np.geomspace(2.5, 160.0, 41), (1.0, 2.0, 4.0), (4.0, 40.0)
-# Bands of a spectrum, of each power of e, from the lowest frequency on [cycles per tick]: the sharpest of these poles
-# are a tenth of their frequency wide.
-BANDS, LOWEST = 12, 5e-4
 # A slow part: of the prior's standard deviation, correlation times among its nodes.
 SLOW_SDS, SLOW_NODES = (0.08, 0.22, 0.5, 1.2), (0, 2, 4)
 
@@ -49,26 +40,15 @@ def _bumps() -> tuple[Array, Array]:
     return -pole[:, None], -zero[:, None]
 
 
-def _resonances(periods: ArrayLike, decays: ArrayLike, peaks: ArrayLike) -> tuple[Array, Array]:
+def _resonances() -> tuple[Array, Array]:
     """Polynomials of a pair of poles, and of zeros inside of it: they raise the spectrum around one frequency."""
-    period, cycles, root = (a.ravel() for a in np.meshgrid(periods, decays, np.sqrt(peaks), indexing="ij"))
+    period, cycles, root = (a.ravel() for a in np.meshgrid(PERIODS, DECAYS, np.sqrt(PEAKS), indexing="ij"))
     turn, radius = 2.0 * np.cos(2.0 * np.pi / period), np.exp(-1.0 / (cycles * period))
     inner = np.maximum(1.0 - (1.0 - radius) * root, 0.2)
     return np.stack([-turn * radius, radius**2], axis=1), np.stack([-turn * inner, inner**2], axis=1)
 
 
-BUMPS, RESONANCES = _bumps(), _resonances(PERIODS, DECAYS, PEAKS)
-CENTRES = LOWEST * np.exp((np.arange(math.ceil(BANDS * math.log(0.5 / LOWEST))) + 0.5) / BANDS)
-
-
-def _in_bands(ar: Array, ma: Array) -> tuple[Array, Array]:
-    """The inverse of what such polynomials do to a spectrum, shape (n, bands), and the logarithm of what they do."""
-    turn = np.exp(-2j * np.pi * np.outer(np.arange(1, ar.shape[1] + 1), CENTRES))
-    inverse = np.square(np.abs((1.0 + ar @ turn) / (1.0 + ma @ turn)))
-    return inverse, -np.log(inverse)
-
-
-SHAPED = [_in_bands(*shapes) for shapes in (BUMPS, RESONANCES, _resonances(*MANY))]
+BUMPS, RESONANCES = _bumps(), _resonances()
 
 
 def padded_start(theta: Array, p: int, up_p: int, up_q: int) -> Array:
@@ -128,63 +108,21 @@ def padded_starts(likelihood: Likelihood, below: Mapping[Order, Point], p: int, 
 
 
 def grown_starts(likelihood: Likelihood, below: Mapping[Order, Point], p: int, q: int) -> list[Array]:
-    """Starts from estimates of lower orders: the best with a pole and a zero more, and the best with a pair of each, a
-    few of them; those that serve best by the spectrum of what the lower order leaves.
-    """
-    out = []
-    for kind, shapes in ((1, BUMPS), (2, RESONANCES)):
+    """Starts from estimates of lower orders: the best with a pole and a zero more, and the best with a pair of each."""
+    out, slow = [], 0
+    for kind in (1, 2):
         lower = [k for k in below if k[0] + kind <= p and k[1] + kind <= q]
         if not lower:
             continue
         best = min(lower, key=lambda k: below[k].value)
-        point = below[best]
-        gains, sizes = _whittle(likelihood, point, SHAPED[kind - 1])
-        for which in _peaks(gains, len(DECAYS) * len(PEAKS)) if kind == 2 else [int(np.argmax(gains))]:
-            fast = likelihood.fast(point.theta, point.slow).copy()
-            fast[-1] += sizes[which]
-            grown = np.concatenate([_times(fast, best[0], *(part[which] for part in shapes)), point.theta[fast.size :]])
-            out.append(_padded(likelihood, grown, best[0] + kind, point.slow, p, q))
-    return out
-
-
-def _peaks(gains: Array, each: int) -> list[int]:
-    """The best of the shapes at a few periods, where neighbouring ones are no better; there are so many of each."""
-    of = gains.reshape(-1, each)
-    top, best = np.pad(of.max(axis=1), 1, constant_values=-math.inf), of.argmax(axis=1)
-    at = np.flatnonzero((top[1:-1] >= top[:-2]) & (top[1:-1] >= top[2:]))
-    return [int(i * each + best[i]) for i in at[np.argsort(-top[1:-1][at], kind="stable")[:TRIED]]]
-
-
-def is_hopeless(likelihood: Likelihood, below: Mapping[Order, Point], enough: float) -> bool:
-    """Whether an order above these should stay above `enough`: whatever the best of them leaves in its innovations, a
-    pole and a zero more, or a pair of both, would not do.
-    """
-    best = min(below.values(), key=lambda point: point.value)
-    gain = max(float(_whittle(likelihood, best, shapes)[0].max()) for shapes in SHAPED)
-    return best.value - EFFORT.optimism * gain > enough
-
-
-def _whittle(likelihood: Likelihood, point: Point, shapes: tuple[Array, Array]) -> tuple[Array, Array]:
-    """By how much the log-likelihood should rise with each of some shapes more, see `_in_bands`, and what is to be
-    added to ln sd then: by the periodogram of the innovations (Whittle 1953).
-    """
-    band = _bands(likelihood.y.size)
-    counts, total = np.bincount(band, minlength=CENTRES.size), band.size
-    if point not in likelihood.left:
-        z = np.clip(likelihood.standardised([point.theta], point.p, point.slow)[1][:, 0], -CLIP, CLIP)
-        known = np.isfinite(z)
-        power = np.square(np.abs(np.fft.rfft(np.where(known, z, 0.0))[1:])) + 1e-300
-        likelihood.left[point] = np.bincount(band, power, CENTRES.size) / max(int(known.sum()), 1)
-    left, (inverse, log) = likelihood.left[point], shapes
-    level = np.log(inverse @ left / total)
-    return total * (math.log(float(left.sum()) / total) - level - log @ counts / total), 0.5 * level
-
-
-@lru_cache(64)
-def _bands(size: int) -> NDArray[np.int64]:
-    """The band of each frequency of the periodogram of a series of this size, but for its mean."""
-    frequency = np.arange(1.0, size // 2 + 1.0) / size
-    return np.clip(BANDS * np.log(frequency / LOWEST), 0.0, CENTRES.size - 1.0).astype(np.int64)
+        point, at = below[best], best[0] + kind
+        slow, fast = point.slow, likelihood.fast(point.theta, point.slow)
+        shapes = _times(fast, best[0], *(BUMPS if kind == 1 else RESONANCES))
+        slow_parts = np.tile(point.theta[fast.size :], (len(shapes), 1))
+        tried = likelihood.confine(np.hstack([shapes, slow_parts]), at, slow)
+        grown = tried[int(np.argmin(likelihood.penalised(tried, at, slow)))]
+        out.append(_padded(likelihood, grown, at, slow, p, q))
+    return _matched(likelihood, out, p, slow) if out else []
 
 
 def _padded(likelihood: Likelihood, theta: Array, at: int, slow: int, p: int, q: int) -> Array:
@@ -194,9 +132,16 @@ def _padded(likelihood: Likelihood, theta: Array, at: int, slow: int, p: int, q:
 
 
 def _times(fast: Array, p: int, ar: Array, ma: Array) -> Array:
-    """``[ar, ma, ln sd]`` times another pair of polynomials."""
-    more = [np.convolve(np.r_[1.0, of], np.r_[1.0, by])[1:] for of, by in ((fast[:p], ar), (fast[p:-1], ma))]
-    return np.concatenate([*more, fast[-1:]])
+    """``[ar, ma, ln sd]`` times other pairs of polynomials, one a row of their coefficients."""
+    count, more = ar.shape
+    out = np.zeros((count, fast.size + 2 * more))
+    for of, by, begin in ((fast[:p], ar, 0), (fast[p:-1], ma, p + more)):
+        out[:, begin : begin + of.size] = of
+        for j, factor in enumerate(by.T, begin):
+            out[:, j] += factor
+            out[:, j + 1 : j + 1 + of.size] += np.outer(factor, of)
+    out[:, -1] = fast[-1]
+    return out
 
 
 @cache
