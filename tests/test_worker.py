@@ -3,8 +3,6 @@ the beginning of a hop and its answer.
 """
 
 import gc
-import subprocess
-import sys
 import time
 import weakref
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -186,20 +184,3 @@ def test_what_adoptions_take_is_worked_out_beforehand(mission, alone, monkeypatc
     nav = nf.Navigator(vehicle, recorded.start)
     fed(nav, events)
     assert len(found) >= 2 and all(found)
-
-
-def test_nothing_is_imported_under_way():
-    """The first smooth slow part brought half a second of imports with it, in the middle of a dive."""
-    program = """
-import sys
-import navfilter as nf
-start = nf.Start(latitude_deg=45.0, longitude_deg=8.0)
-said = []
-for error in (nf.White(sd=0.01), nf.LearnedArma()):
-    vehicle = nf.Vehicle(imu=nf.Imu(rate_hz=100), sensors={"compass": nf.Heading(rate_hz=8.0, error=error)})
-    nav = nf.Navigator(vehicle, start)
-    said.append("filterpy" in sys.modules)
-print(said)
-"""
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    assert done.stdout.split("\n")[-2] == "[False, True]"

@@ -11,7 +11,6 @@ from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
-from navfilter.error_models import GaussMarkov
 from navfilter.filter.health import LearningHealth
 
 __all__ = ["Task", "Worker"]
@@ -127,12 +126,8 @@ class Worker:
             work()
 
     def start(self) -> None:
-        """Have the thread ready, which takes milliseconds to make, and the library that discretises smooth slow parts,
-        which takes half a second to import: the first hop that found one had everybody wait for it.
-        """
-        if self.threads:
-            GaussMarkov(sd=1.0, tau_s=1.0, order=2).block(1.0)
-            self.begin(lambda: None)
+        """Have the thread ready: making one takes milliseconds."""
+        self.begin(lambda: None)
 
     def note(self, waited_s: float) -> None:
         """An answer was late."""
