@@ -7,12 +7,12 @@ wrong, a bottom that moves (fish, or a plume), units and signs that change on th
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from typing import Any
 
 import faults_library as library
 import numpy as np
-from faults_outcomes import BACK_S, FAULT_S, MINUTE_S, Case, G, north, table_of, turned, values
+from faults_outcomes import BACK_S, FAULT_S, MINUTE_S, Case, G, flowing, north, table_of, turned, values
 from feeding import DRIVE, Events
 from harness import DEG, Options
 
@@ -96,28 +96,6 @@ def held(role: str, begin_s: float, end_s: float = math.inf) -> Case:
     return Case(events=altered, begin_s=begin_s)
 
 
-def bottom(flows: Callable[[float], float]) -> Case:
-    """A bottom that moves north at a speed by its age [m/s], by the headings that are read meanwhile."""
-
-    def altered(events: Events, scene: library.Scene) -> Events:
-        if not {"velocity", "heading"} <= scene.targets.keys():
-            return events
-        dvl, compass = scene.targets["velocity"], scene.targets["heading"]
-        heading, result = 0.0, []
-        for e in events:
-            if e.sensor == compass.sensor:
-                heading = e.value[compass.columns[0]]
-            if e.sensor == dvl.sensor and e.true_s >= FAULT_S:
-                value = np.array(e.value)
-                off = flows(e.true_s - FAULT_S) * np.array([math.cos(heading), -math.sin(heading), 0.0])
-                value[list(dvl.columns)] -= scene.along @ off
-                e = e._replace(value=tuple(value.tolist()))
-            result.append(e)
-        return result
-
-    return Case(events=altered)
-
-
 def mounted(role: str, axes: np.ndarray) -> Case:
     """Other axes of an instrument from now on."""
     return values(role, lambda v, age_s: axes @ v if len(v) == 3 else v)
@@ -173,9 +151,11 @@ FURTHER: dict[str, Case] = {
     "DVL lags by 1 s": lags("velocity", 1.0),
     "drive silent for 5 s every 20 s": gaps(np.arange(FAULT_S, END_S, 20.0), 5.0),
     "gyros saturate at 1 deg/s": values("gyro", lambda v, age_s: np.clip(v, -DEG, DEG)),
-    "fish below at 1 m/s, 5 s": bottom(lambda age_s: 1.0 if age_s < 5.0 else 0.0),
-    "fish below at 0.5 m/s, 20 s": bottom(lambda age_s: 0.5 if age_s < 20.0 else 0.0),
-    "bottom that begins to move by 0.02 m/s^2": bottom(lambda age_s: min(0.02 * age_s, 1.0) if age_s < 120.0 else 0.0),
+    "fish below at 1 m/s, 5 s": flowing("velocity", lambda age_s: 1.0 if age_s < 5.0 else 0.0),
+    "fish below at 0.5 m/s, 20 s": flowing("velocity", lambda age_s: 0.5 if age_s < 20.0 else 0.0),
+    "bottom that begins to move by 0.02 m/s^2": flowing(
+        "velocity", lambda age_s: min(0.02 * age_s, 1.0) if age_s < 120.0 else 0.0
+    ),
     "accelerometer x drifts by 0.5 mg/s": values(
         "accel", lambda v, age_s: v + G * 1e-3 * min(0.5 * age_s, 50.0) * np.eye(3)[0]
     ),

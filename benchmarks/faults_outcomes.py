@@ -121,21 +121,29 @@ def turned(by_rad: float) -> Callable[..., Any]:
     return lambda v, age_s: wrap(v + by_rad) if len(v) == 1 else about_z @ v
 
 
-def other_water(events: Events, scene: library.Scene, by_m_s: float, within_s: float = 1e-3) -> Events:
-    """The water begins to flow north, by the headings that are read meanwhile."""
-    if not {"water", "heading"} <= scene.targets.keys():
-        return events
-    water, compass = scene.targets["water"], scene.targets["heading"]
-    heading, result = 0.0, []
-    for e in events:
-        if e.sensor == compass.sensor:
-            heading = e.value[compass.columns[0]]
-        if e.sensor == water.sensor and e.true_s >= FAULT_S:
-            flows = by_m_s * min(1.0, (e.true_s - FAULT_S) / within_s)
-            v = np.array(e.value[:3]) - flows * np.array([math.cos(heading), -math.sin(heading), 0.0])
-            e = e._replace(value=tuple(v.tolist()))
-        result.append(e)
-    return result
+def flowing(role: str, flows: Callable[[float], float]) -> Case:
+    """What a velocity is read against begins to move north, at a speed by its age [m/s], by the headings that are read
+    meanwhile: the water, or the bottom.
+    """
+
+    def altered(events: Events, scene: library.Scene) -> Events:
+        if not {role, "heading"} <= scene.targets.keys():
+            return events
+        one, compass = scene.targets[role], scene.targets["heading"]
+        along = scene.along if role == "velocity" else np.eye(3)
+        heading, result = 0.0, []
+        for e in events:
+            if e.sensor == compass.sensor:
+                heading = e.value[compass.columns[0]]
+            if e.sensor == one.sensor and e.true_s >= FAULT_S:
+                value = np.array(e.value)
+                off = flows(e.true_s - FAULT_S) * np.array([math.cos(heading), -math.sin(heading), 0.0])
+                value[list(one.columns)] -= along @ off
+                e = e._replace(value=tuple(value.tolist()))
+            result.append(e)
+        return result
+
+    return Case(events=altered)
 
 
 SITUATIONS: dict[str, Case] = {
@@ -192,10 +200,8 @@ OTHERS: dict[str, Case] = {
     "course in degrees": values("course", lambda v, age_s: v * [1.0, 1.0 / DEG], 60.0, 100.0),
     "speed in knots": values("course", lambda v, age_s: v * [1.0 / 0.514444, 1.0], 60.0, DIVE_S),
     "log reads 0.3 m/s too much for good": values("water", lambda v, age_s: v + np.array([0.3, 0.0, 0.0])),
-    "current changes by 0.3 m/s for good": Case(events=lambda events, scene: other_water(events, scene, 0.3)),
-    "current changes by 0.3 m/s within a minute": Case(
-        events=lambda events, scene: other_water(events, scene, 0.3, MINUTE_S)
-    ),
+    "current changes by 0.3 m/s for good": flowing("water", lambda age_s: 0.3),
+    "current changes by 0.3 m/s within a minute": flowing("water", lambda age_s: 0.3 * min(1.0, age_s / MINUTE_S)),
 }
 
 

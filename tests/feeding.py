@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable
+import math
+from collections.abc import Iterable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,6 +12,7 @@ import numpy as np
 from navfilter.mission import Mission
 from navfilter.navigator import Navigator
 from navfilter.playback import drive_samples
+from navfilter.state import NavState
 from navfilter.vehicle import Vehicle
 
 DRIVE = "drive"
@@ -63,6 +65,20 @@ def one_by_one(nav: Navigator, events: Iterable[Event]) -> list[Any]:
         else:
             outcomes.append(nav.correct(event.sensor, event.time_s, event.value))
     return outcomes
+
+
+def once_a_second(
+    nav: Navigator, vehicle: Vehicle, mission: Mission, until_s: float = math.inf, after_s: float = -math.inf
+) -> Iterator[NavState]:
+    """The states of a run over a mission, or over a part of it, once a second."""
+    due = 0.0
+    for event in events_of(vehicle, mission):
+        if not after_s < event.time_s <= until_s:
+            continue
+        one_by_one(nav, [event])
+        if event.time_s >= due:
+            due = event.time_s + 1.0
+            yield nav.state
 
 
 def in_blocks(nav: Navigator, events: Iterable[Event], rng: np.random.Generator, longest: int = 12) -> None:

@@ -7,7 +7,7 @@ import math
 import faults_run as watched
 import numpy as np
 import pytest
-from feeding import DRIVE, events_of
+from feeding import once_a_second
 
 import navfilter as nf
 from navfilter.filter import agreement, refused
@@ -58,18 +58,10 @@ def fly(vehicle, mission, until_s=math.inf, **start):
 
 
 def feed(nav, vehicle, mission, until_s=math.inf, after_s=-math.inf):
-    off, due = [], 0.0
-    for event in events_of(vehicle, mission):
-        if not after_s < event.time_s <= until_s:
-            continue
-        if event.sensor == DRIVE:
-            nav.step(event.time_s, event.value[:3], event.value[3:])
-        else:
-            nav.correct(event.sensor, event.time_s, event.value)
-        if event.time_s >= due:
-            state, due = nav.state, event.time_s + 1.0
-            e = state.minus(watched.truth_at(mission.truth, state.time_s))
-            off.append([state.time_s, math.hypot(e[0], e[1]), abs(e[2]), abs(e[8]) / DEG, *state.sd[[0, 2, 8]]])
+    off = []
+    for state in once_a_second(nav, vehicle, mission, until_s, after_s):
+        e = state.minus(watched.truth_at(mission.truth, state.time_s))
+        off.append([state.time_s, math.hypot(e[0], e[1]), abs(e[2]), abs(e[8]) / DEG, *state.sd[[0, 2, 8]]])
     return np.array(off)
 
 

@@ -7,7 +7,7 @@ import math
 import faults_run as watched
 import numpy as np
 import pytest
-from feeding import DRIVE, events_of
+from feeding import once_a_second
 from test_agreement import DIVE_S, FAULT_S, RADIUS_M, altered, dive, fly, turned
 
 import navfilter as nf
@@ -77,7 +77,7 @@ def test_the_truth_lies_within_the_bounds_under_a_single_fault(fault, mems):
     broken = altered(mission, name, change, FAULT_S)
     nav = nf.Navigator(vehicle, mission.start)
     inside, said = [], set()
-    for outcome in watch(nav, vehicle, broken):
+    for outcome in once_a_second(nav, vehicle, broken):
         error = outcome.minus(watched.truth_at(mission.truth, outcome.time_s))
         bound = outcome.bounds
         inside.append(math.hypot(*error[:2]) <= bound.horizontal_m and abs(error[8]) <= bound.heading_rad)
@@ -89,25 +89,12 @@ def test_the_truth_lies_within_the_bounds_under_a_single_fault(fault, mems):
         assert nav.state.trust.level == "degraded" and nav.state.trust.reasons == ("compass is jumped",)
 
 
-def watch(nav, vehicle, mission):
-    """The states of a run, once a second."""
-    due = 0.0
-    for event in events_of(vehicle, mission):
-        if event.sensor == DRIVE:
-            nav.step(event.time_s, event.value[:3], event.value[3:])
-        else:
-            nav.correct(event.sensor, event.time_s, event.value)
-        if event.time_s >= due:
-            due = event.time_s + 1.0
-            yield nav.state
-
-
 def test_a_start_that_is_off_is_held_from_the_first_fix_on():
     vehicle, mission = dive()
     start = mission.start
     north_deg = math.degrees(2000.0 / RADIUS_M)
     nav = nf.Navigator(vehicle, dataclasses.replace(start, latitude_deg=start.latitude_deg + north_deg))
-    for state in watch(nav, vehicle, mission):
+    for state in once_a_second(nav, vehicle, mission):
         if state.time_s > 1.5:
             error = state.minus(watched.truth_at(mission.truth, state.time_s))
             assert math.hypot(*error[:2]) <= state.bounds.horizontal_m, state.time_s
@@ -122,7 +109,7 @@ def test_fixes_that_come_up_with_a_wrong_place_are_held():
     broken = altered(mission, "gps", lambda value: value + north[: value.shape[1]], 110.0, 140.0)
     nav = nf.Navigator(vehicle, mission.start)
     off = []
-    for state in watch(nav, vehicle, broken):
+    for state in once_a_second(nav, vehicle, broken):
         error = math.hypot(*state.minus(watched.truth_at(mission.truth, state.time_s))[:2])
         assert error <= state.bounds.horizontal_m, state.time_s
         off.append(error)

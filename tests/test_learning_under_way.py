@@ -446,7 +446,11 @@ BEYOND = {
 @pytest.mark.parametrize(
     ("gyro", "scenario"),
     [
-        pytest.param(gyro, name, marks=[pytest.mark.xfail(reason=BEYOND[gyro, name])] if (gyro, name) in BEYOND else [])
+        pytest.param(
+            gyro,
+            name,
+            marks=[pytest.mark.xfail(strict=True, reason=BEYOND[gyro, name])] if (gyro, name) in BEYOND else [],
+        )
         for gyro in GYROS
         for name in FIXED
     ],

@@ -317,7 +317,7 @@ def test_the_demo_shows_what_the_readme_says(tmp_path, capsys):
     """
     assert main(["demo", "--out", str(tmp_path)]) == 0
     said = capsys.readouterr().out
-    for rows, count in ((("forward  ", "smoothed  "), 18), (("position rms", "heading rms", "NEES"), 20)):
+    for rows in (("forward  ", "smoothed  "), ("position rms", "heading rms", "NEES")):
         shown, found = (numbers(text, *rows) for text in (PAGES["README.md"], said))
-        np.testing.assert_allclose(found[: len(shown)], shown, rtol=0.03, atol=0.02)
-        assert len(shown) >= count // 2
+        assert len(shown) > 12
+        np.testing.assert_allclose(found, shown, rtol=0.03, atol=0.02)

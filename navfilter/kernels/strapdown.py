@@ -1019,11 +1019,12 @@ def _arm_columns(F, drv, nav, C, B, missing, per, half, arm):
 
 
 @njit(cache=True, error_model="numpy", **UNCOUNTED)
-def _change(drv, samples, n, missing, Cr, Qd, late):
+def _change(drv, samples, n, missing, Cr, wander, late):
     """How fast the readings change [unit/s], in drv: the difference from the last ones, a little smoothed; 0 over gaps
-    and while the velocity is lost. late (6,): as far as that stands out of what the noise of the readings changes by.
+    and while the velocity is lost. late (6,): as far as that stands out of what the noise of the readings changes by,
+    which is white (last column of Cr) and wanders by so much from one to the next, wander (6,).
     """
-    span, k = samples[n, 0], Qd.shape[0]
+    span = samples[n, 0]
     near = drv[STARTED] != 0.0 and 0.0 < span <= GAP_PERIODS * drv[PERIOD_S]
     for i in range(6):
         if i < 3:
@@ -1039,11 +1040,7 @@ def _change(drv, samples, n, missing, Cr, Qd, late):
         if not known:
             drv[CHANGE + i] = 0.0
             continue
-        white, walk = 2.0 * Cr[i, k] / (span * span), 0.0
-        for a in range(k):
-            for b in range(k):
-                walk += Cr[i, a] * Qd[a, b] * Cr[i, b]
-        walk /= span * span
+        white, walk = 2.0 * Cr[i, Cr.shape[1] - 1] / (span * span), wander[i] / (span * span)
         step = step / span - drv[CHANGE + i]
         share = span / (span + (CHANGE_S if step * step > SUDDEN**2 * (white + walk) else STEADY_S))
         drv[CHANGE + i] += share * step
@@ -1124,10 +1121,11 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
     m = 9 + k
     F, Q = acc[2 * m : 3 * m], acc[m : 2 * m]
     J = np.empty((9, 6))
-    B, err, late, v, u, w, l0, l1 = (
+    B, err, late, wander, v, u, w, l0, l1 = (
         np.empty((3, 3)),
         np.empty(6),
         np.empty(6),
+        np.zeros(6),
         np.empty(3),
         np.empty(3),
         np.empty(3),
@@ -1135,6 +1133,11 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
         np.empty(3),
     )
     C, M = np.empty((3, 3)), drv[MOUNTING : MOUNTING + 9]
+    if drv[ATTITUDE_CLOCK] >= 0.0 or drv[VELOCITY_CLOCK] >= 0.0:
+        for i in range(6):
+            for s in range(k):
+                for j in range(k):
+                    wander[i] += Cr[i, s] * Qd[s, j] * Cr[i, j]
     for n in range(samples.shape[0]):
         span, held = samples[n, 0], drv[HELD_S]
         drv[HELD_S] = 0.0
@@ -1162,7 +1165,7 @@ def dead_reckoning_steps(nav, xd, drv, samples, Phid, Qd, Cr, acc):
             for i in range(3):
                 samples[n, 1 + i] = drv[PREVIOUS_RPY + i]
         if late_a >= 0 or late_v >= 0:
-            _change(drv, samples, n, missing, Cr, Qd, late)
+            _change(drv, samples, n, missing, Cr, wander, late)
         for i in range(3):
             if late_a >= 0:
                 err[i] -= xd[late_a] * late[i]
