@@ -438,7 +438,6 @@ BEYOND = {
     ("mems", "gps-thesis"): f"5.5: {TAIL}",
     ("tactical", "dvl-coloured"): f"2.0: {TAIL}",
     ("mems", "compass-white"): f"3.8: {TAIL}",
-    ("mems", "compass-mixed"): f"2.5: {TAIL}",
 }
 
 
