@@ -13,12 +13,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from navfilter.arma.continuous import gauss_markov
 from navfilter.arma.roots import is_stable
 from navfilter.arma.stationary import stationary_covariance
 from navfilter.constants import ROOT_HOUR
@@ -268,30 +268,15 @@ class GaussMarkov(ErrorModel):
         return CORRELATION_CONSTANTS[self.order] / self.tau_s
 
     def block(self, period_s: float) -> Block:
-        """Discretise: closed form for order 1, Van Loan's method (1978) above, the stationary covariance where much
-        decays in a period.
-        """
-        return _gauss_markov_block(self.order, self.sd, self.beta * period_s)
+        """Discretise, exactly."""
+        Phi, Q, P0 = gauss_markov(self.order, self.sd, self.beta * period_s)
+        return Block(Phi, Q, np.eye(self.order)[0], 0.0, P0)
 
     def integrated(self, period_s: float) -> Integrated:
         """As a walk: such a model states a bias that outlasts the integral, which sees the beginning of a walk from its
         variance.
         """
         return _as_walk(self.block(period_s))
-
-
-def _stationary_gauss_markov(n: int) -> Array:
-    """Stationary covariance of the scaled states for unit variance: E[x^(i) x^(j)] = (-1)^j R^(i+j)(0), odd derivatives
-    vanish.
-    """
-    # Partial moments of the spectrum 1/(1 + w^2)^n: m_2k = integral of w^2k S(w), ratio by the beta function.
-    moment = [math.gamma(k + 0.5) * math.gamma(n - k - 0.5) / (math.gamma(0.5) * math.gamma(n - 0.5)) for k in range(n)]
-    P = np.zeros((n, n))
-    for i in range(n):
-        for j in range(n):
-            if (i + j) % 2 == 0:
-                P[i, j] = (-1.0) ** ((j - i) // 2) * moment[(i + j) // 2]
-    return P
 
 
 @dataclass(frozen=True)
@@ -345,37 +330,6 @@ class Arma(ErrorModel):
         h[: len(self.ma) + 1] = [1.0, *self.ma]
         Q = self.sd**2 * np.outer(h, h)
         return Block(F, Q, np.eye(n)[0], 0.0, stationary_covariance(F, Q))
-
-
-@lru_cache(maxsize=256)
-def _gauss_markov_block(n: int, sd: float, step: float) -> Block:
-    """That of order n and a period of `step` inverse time constants; asked for at each change of the layout."""
-    if n == 1:
-        phi = math.exp(-step)
-        q = -math.expm1(-2.0 * step) * sd**2
-        return Block(_square(phi, 1), _square(q, 1), np.ones(1), 0.0, _square(sd**2, 1))
-    from filterpy.common import van_loan_discretization  # costs half a second to import
-
-    F = np.diag(np.ones(n - 1), 1)
-    F[-1] = [-math.comb(n, k) for k in range(n)]
-    P0 = _stationary_gauss_markov(n) * sd**2
-    if step > 2.0:
-        # Van Loan's matrix holds exp(+step), which swallows all digits of Q when much decays between two samples;
-        # what has decayed is what the stationary variance makes up for. F has the one eigenvalue -1, so that the
-        # series of exp((F + 1) step) ends; beyond 700 nothing is left of it.
-        step = min(step, 700.0)
-        Phi = math.exp(-step) * np.sum(
-            [np.linalg.matrix_power(F + np.eye(n), k) * (step**k / math.factorial(k)) for k in range(n)], axis=0
-        )
-        Q = P0 - Phi @ P0 @ Phi.T
-        return Block(_square(Phi, n), _square((Q + Q.T) / 2, n), np.eye(n)[0], 0.0, P0)
-    # White noise of spectral density s2 drives the last state; the process then has this variance (thesis eq 2.42,
-    # corrected).
-    s2 = sd**2 * 2.0 ** (2 * n - 1) * math.factorial(n - 1) ** 2 / math.factorial(2 * n - 2)
-    G = np.zeros((n, 1))
-    G[-1] = math.sqrt(s2)
-    Phi, Q = van_loan_discretization(F, G, step)
-    return Block(_square(Phi, n), _square((Q + Q.T) / 2, n), np.eye(n)[0], 0.0, P0)
 
 
 @dataclass(frozen=True)

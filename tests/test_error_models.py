@@ -4,10 +4,12 @@ import math
 
 import numpy as np
 import pytest
+from filterpy.common import van_loan_discretization
 from scipy.optimize import brentq
 from statsmodels.tsa.arima_process import ArmaProcess
 
 import navfilter as nf
+from navfilter.arma.continuous import gauss_markov as discretised
 from navfilter.error_models import CORRELATION_CONSTANTS, per_axis
 from navfilter.filter.layout import Layout
 from navfilter.simulation.faults import draw_error
@@ -43,7 +45,7 @@ def test_gauss_markov_has_the_autocovariance_of_the_thesis(order, period_s):
     model = nf.GaussMarkov(sd=0.6, tau_s=30.0, order=order)
     lags = np.arange(60)
     expected = 0.36 * gauss_markov(order, model.beta, lags * period_s)
-    # Van Loan's matrix exponential and Phi^60 round at 1e-13.
+    # Van Loan's matrix exponential (orders 3, 4) and Phi^60 round at 1e-13.
     np.testing.assert_allclose(autocovariance(model.block(period_s), 60), expected, rtol=0, atol=1e-11)
 
 
@@ -240,3 +242,14 @@ def test_what_each_model_adds_to_an_integral(model, expected):
     assert model.integrated(0.5) == pytest.approx(expected, rel=1e-12, abs=1e-15)
     twice = (model + model).integrated(0.5)
     assert twice == pytest.approx([2.0 * part for part in expected], rel=1e-12, abs=1e-15)
+
+
+@pytest.mark.parametrize("step", [1e-9, 1e-3, 0.3, 0.999, 1.001, 1.9])
+def test_the_second_order_is_van_loans(step):
+    """Which has no digits of the smallest element where the step is short, and holds exp(step) where it is long."""
+    Phi, Q, _ = discretised(2, 1.3, step)
+    theirs = van_loan_discretization(np.array([[0.0, 1.0], [-1.0, -2.0]]), np.array([[0.0], [2.6]]), step)
+    np.testing.assert_allclose(Phi, theirs[0], rtol=0, atol=1e-14)
+    np.testing.assert_allclose(Q, theirs[1], rtol=0, atol=1e-13 * Q[1, 1])
+    # the beginning of the series of the first element: 4 variance step^3 / 3
+    assert Q[0, 0] == pytest.approx(4.0 * 1.69 * step**3 / 3.0, rel=2.0 * step)
