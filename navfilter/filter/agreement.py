@@ -262,6 +262,8 @@ def is_back(channel: Channel, constant: Array, P: Array) -> bool:
     near, plain = channel.near[:, :9], channel.res + constant
     channel.wrap(plain)
     seen = np.einsum("ij,jk,ik->i", near, P[:9, :9], near)
+    if channel.memory.either and not float(constant @ constant) > channel.limits[1] * float(seen.sum()):
+        return False  # the state is not known well enough to tell whether it is the gauge that was off
     meanwhile = (AGAIN * constant) ** 2
     squares = plain**2 / (seen + np.diag(channel.R) + wander(channel, math.inf, with_offset=False) + meanwhile)
     dof = int(np.count_nonzero(np.isfinite(squares)))

@@ -101,6 +101,8 @@ class ChannelMemory:
         Since when components of each reading are left out alone (`Sensor.single_s`); NaN where they are not [s].
     same_s, again_s : float
         Since when its value has been the same, and when it came again last [s].
+    either : bool
+        Of a depth gauge with a constant: that may as well be the state's (`heights`).
     last : ndarray
         Jacobian, verdict and residual of the last reading (``kalman.places`` 7 to 9); then when it was read, when its
         clock ticked last, and when a reading was used [s]; then see ``stretch.LET_GO``.
@@ -126,6 +128,7 @@ class ChannelMemory:
     partly_since_s: float = math.nan
     same_s: float = math.nan
     again_s: float = math.nan
+    either: bool = False
     last: Array = field(default_factory=lambda: np.array([-math.inf, -math.inf, -math.inf, 0.0]))
 
     last_s = _time(stretch.LAST_S, "Time of the last reading [s].")

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.constants import STANDARD_GRAVITY
-from navfilter.filter import agreement, aside, gating, ramp, realignment, reckoned, refused_way, shifts, turns
+from navfilter.filter import agreement, aside, gating, heights, ramp, realignment, reckoned, refused_way, shifts, turns
 from navfilter.filter.adoption import Change
 from navfilter.filter.asking import update
 from navfilter.filter.belief import beyond_belief, estimate, excused, pulled, reckoned_since, reckoned_wrongly
@@ -103,6 +103,9 @@ def let_in(filter: Filter, channel: Channel, time_s: float, nis: float, dof: int
         return False
     added = None if agreement.disproved(channel, time_s) else gating.widening(P, channel, time_s, nis, dof)
     if added is None:
+        return False
+    if heights.undecided(filter, channel, time_s):
+        heights.open_both(filter, channel, time_s)
         return False
     channel.R *= added.white_factor
     P[:9, :9] += added.covariance
@@ -257,6 +260,10 @@ def _jumped(filter: Filter, channel: Channel, time_s: float) -> None:
     memory, kept = filter.memory, channel.memory
     refused = kept.refused
     assert refused is not None
+    if channel.offset and refused.back < LEAST and heights.undecided(filter, channel, time_s):
+        heights.open_both(filter, channel, time_s)
+        return
+    kept.either = False
     size = float(np.nanmax(np.abs(refused.offset), initial=0.0))
     models, places = channel.sensor.models, agreement.offset_places(channel)
     kept.aside = None if refused.back >= LEAST else aside.jumped(filter, channel, np.array(refused.offset))

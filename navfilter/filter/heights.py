@@ -1,0 +1,90 @@
+"""A depth gauge that has left the state slowly: it has drifted, or what carries the height has.
+
+One that leaves from one reading to the next has jumped, for no vehicle can (`navfilter.filter.agreement`). A difference
+that grows has no such owner: a gauge drifts, and a velocity whose mounting is off by a degree leads the height off by
+as much in the same time. While a velocity goes on to say how the height changes, nobody can tell the two apart. To set
+the state to the gauge, with the sd that one more of its readings leaves, is to claim that it was the velocity. So both
+are opened, by all that lies between them: the height, and a constant of the gauge. What follows tells them apart, fixes
+with a height above all; until then the sd is what is known, and the estimate lies between the two, which is never wrong
+by more than either of them could be.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from navfilter.filter.adoption import Change
+from navfilter.filter.agreement import offset_places
+from navfilter.filter.integrity import CONFIRMED_S
+from navfilter.filter.offsets import offset_states, with_offsets
+from navfilter.kernels import listen
+
+if TYPE_CHECKING:
+    from navfilter.filter.channel import Channel
+    from navfilter.filter.filter import Filter
+
+__all__ = ["open_both", "undecided"]
+
+#: Of the height among the navigation states.
+DOWN = 2
+#: A velocity carries the height while it is used: none for so long, and accelerometers alone do [s]. Their error grows
+#: as the square of the time, and the gauge is right.
+CARRIED_S = 5.0
+#: One that has jumped and is off by so many times that now [1] has not jumped: it is leaving, and its first refused
+#: readings happened to look alike.
+GROWN = 2.0
+
+
+def undecided(filter: Filter, channel: Channel, time_s: float) -> bool:
+    """Whether a sensor that is refused is a depth gauge that was right for long, and a velocity carries the height.
+
+    Parameters
+    ----------
+    filter : Filter
+    channel : Channel
+        As its refused reading left it.
+    time_s : float
+        Of the reading [s].
+    """
+    if channel.sensor.open_loop != listen.POSITION or channel.axes != 1:
+        return False
+    if channel.memory.either:
+        return True
+    states = offset_states(channel.sensor.models, channel.period_s)
+    if len(states):
+        whole = float(channel.res[0] + channel.jumped_by(filter.memory.x)[0])
+        if not whole**2 > GROWN**2 * float(channel.group.P0[states, states].max()):
+            return False
+    confirmed = channel.memory.used_s - channel.memory.agreed_s >= CONFIRMED_S
+    used = (c.memory.used_s for c in filter.channels.values() if c.sensor.ground and not c.aside)
+    return confirmed and (not filter.inertial or time_s - max(used, default=-np.inf) < CARRIED_S)
+
+
+def open_both(filter: Filter, channel: Channel, time_s: float) -> None:
+    """Open the height, and give the gauge a constant, or open the one that it has, by all that lies between them.
+
+    Parameters
+    ----------
+    filter : Filter
+        Its covariance changes; an error model is adopted before the next input.
+    channel : Channel
+        Of the gauge, as its refused reading left it; its memory takes note.
+    time_s : float
+        Of the reading [s].
+    """
+    memory, kept = filter.memory, channel.memory
+    P, places = memory.P, offset_places(channel)
+    new = float(channel.res[0])
+    whole = new + float(channel.jumped_by(memory.x)[0])
+    # at least by what has come since they were opened last; beyond that only as far as they are not open any more
+    P[DOWN, DOWN] += max(new**2, whole**2 - P[DOWN, DOWN])
+    if len(places):
+        P[places, places] += np.maximum(new**2, whole**2 - P[places, places])
+    else:
+        models = with_offsets(channel.sensor.models, abs(new), only=channel.sensor.jumps)
+        filter.jumped.append(Change(channel.name, models, offsets=True))
+    kept.either, kept.refused = True, None
+    kept.rejected_since_s = kept.disputed_s = kept.jumped_s = time_s
+    memory.counts["jumped"] += 1

@@ -1,0 +1,73 @@
+"""A depth gauge that leaves the state slowly: it or what carries the height is wrong, and the height is as unsure."""
+
+import dataclasses
+import functools
+import math
+
+import faults_run as watched
+import numpy as np
+import pytest
+from feeding import once_a_second
+
+import navfilter as nf
+from navfilter.simulation.faults import Faults
+from navfilter.simulation.scenarios import survey, survey_vehicle
+from navfilter.simulation.simulate import simulate
+
+DURATION_S, DIVE_S, BACK_S, FAULT_S = 260.0, 100.0, 210.0, 120.0
+#: Drift of the gauge, or of the height that the DVL makes [m/s].
+DRIFT = 0.1
+
+
+@functools.cache
+def dive():
+    """Fixes until the dive and after it; a gauge of which the gate does not wait for minutes."""
+    plain = survey_vehicle()
+    depth = dataclasses.replace(plain.sensors["depth"], gate_timeout_s=5.0)
+    vehicle = dataclasses.replace(plain, sensors={**plain.sensors, "depth": depth})
+    fixes = {"gps": Faults(available=((0.0, DIVE_S), (BACK_S, DURATION_S)))}
+    return vehicle, simulate(vehicle, survey(DURATION_S), seed=4, duration_s=DURATION_S, faults=fixes)
+
+
+def fly(name, drift):
+    """Height error and its sd once a second, and the navigator; the readings of a sensor drift off."""
+    vehicle, mission = dive()
+    stream = mission.streams[name]
+    value = stream.value + np.maximum(stream.time_s - FAULT_S, 0.0)[:, None] * drift
+    mission = mission.with_stream(name, nf.Stream(stream.time_s, value, stream.columns))
+    nav, rows = nf.Navigator(vehicle, mission.start), []
+    for state in once_a_second(nav, vehicle, mission):
+        down = state.minus(watched.truth_at(mission.truth, state.time_s))[2]
+        rows.append((state.time_s, down, state.sd[2]))
+    return np.array(rows), nav
+
+
+def of(name):
+    """What makes the gauge and the height part by `DRIFT`: a gauge, or a DVL that says that the vehicle sinks."""
+    return np.array([DRIFT]) if name == "depth" else np.array([0.0, 0.0, 2e-3])
+
+
+@pytest.mark.parametrize("name", ["depth", "dvl"])
+def test_a_gauge_that_leaves_slowly_makes_the_height_unsure(name):
+    rows, nav = fly(name, of(name))
+    opened = rows[np.argmax(rows[:, 2] > 0.5) :]
+    assert FAULT_S < opened[0, 0] < BACK_S and nav.counts["jumped"] > 1
+    # whichever of the two it was
+    assert (np.abs(opened[:, 1]) < 3.0 * opened[:, 2]).all()
+
+
+def test_fixes_tell_the_height_then():
+    rows, _ = fly("depth", of("depth"))
+    late = rows[rows[:, 0] > BACK_S + 10.0]
+    # their slow error is 3 m
+    assert late[:, 2].max() < 3.5 and np.abs(late[:, 1]).max() < 9.0
+
+
+def test_a_gauge_that_jumps_says_nothing_of_the_height():
+    vehicle, mission = dive()
+    stream = mission.streams["depth"]
+    value = stream.value + np.where(stream.time_s > FAULT_S, 5.0, 0.0)[:, None]
+    nav = nf.Navigator(vehicle, mission.start)
+    states = list(once_a_second(nav, vehicle, mission.with_stream("depth", dataclasses.replace(stream, value=value))))
+    assert nav.counts["jumped"] == 1 and max(s.sd[2] for s in states if s.time_s > FAULT_S) < 0.2
+    assert not nav.filter.channels["depth"].memory.either and math.isclose(nav.errors["depth[0]"], 5.0, abs_tol=0.3)
