@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -26,6 +29,22 @@ CONFIRMING_SD = 10.0
 ABOUT_M = 1.0
 #: Of the Earth, as far as it matters here [m].
 EARTH_RADIUS = 6.37e6
+#: The readings that tell the start are used again once the run has begun, and their slow errors are in those that
+#: follow: the start counts as known so many times worse than they tell it [1], so that nothing is counted twice.
+AGAIN = 10.0
+#: A heading is not made worse than this for it [rad]: the cosine is then off by 1.5 %, which fixes of centimetres see.
+LINEAR = np.radians(10.0)
+#: A tilt counts as known so many times worse than the bias of accelerometers lets it be [1]: a tenth is counted twice.
+TILT_AGAIN = 3.0
+#: A way between two fixes is so long at least [m], and so many times the sd by which they err apart [1]: of a minute of
+#: fixes at rest, one in 10 000 seems to go.
+LEAST_WAY_M, LEAST_WAY_SD = 10.0, 5.0
+#: It is made in so much time at most [s].
+LONGEST_WAY_S = 60.0
+#: By so much a heading differs from the course: current, wind, turns meanwhile [rad].
+ABOUT_COURSE = np.radians(15.0)
+#: By so much a velocity differs from its mean over a window; and so fast are most vehicles at the start [m/s].
+ABOUT_MEAN, SLOW = 1.0, 2.0
 
 
 def align(vehicle: Vehicle, mission: Mission, window_s: float = 5.0) -> Start:
@@ -33,11 +52,16 @@ def align(vehicle: Vehicle, mission: Mission, window_s: float = 5.0) -> Start:
     place by fixes.
 
     The place is that of the first fix that agrees with half of those in the window behind it: a receiver may begin with
-    a place of its own.
+    a place of its own. Its lever arm is taken off.
 
     Levelling works while the vehicle moves steadily (the specific force is gravity); the standard deviations grow with
-    what the inertial unit felt during the window. Without a compass the heading comes from the course between fixes, if
-    the vehicle travelled far enough.
+    what the inertial unit felt during the window. Without a compass the heading comes from the course between fixes,
+    and the run begins when the vehicle goes: the two have to be farther apart than what they err by. Where no sensor
+    gives the velocity, the fixes of the window do.
+
+    The readings that all this is made of are used again once the run has begun, and their slow errors are in those that
+    follow. So the start is said to be known ten times worse than they tell it, its tilt three times worse than the bias
+    of the accelerometers.
 
     Parameters
     ----------
@@ -58,11 +82,16 @@ def align(vehicle: Vehicle, mission: Mission, window_s: float = 5.0) -> Start:
     """
     if vehicle.lanes():
         return _by_the_first_unit(vehicle, mission, window_s)
-    place, place_sd, first_s = _first_fix(vehicle, mission, window_s)
     drive = mission.streams.get(vehicle.drive.streams[0])
     if drive is None or not len(drive):
         raise ValueError(f'the drive needs a stream "{vehicle.drive.streams[0]}" in this mission.')
-    begin = max(first_s, drive.time_s[0])
+    fixes = _fixes(vehicle, mission)
+    first = _first_fix(fixes, vehicle, window_s)
+    begin = max(fixes.time_s[first], drive.time_s[0])
+    by_course = vehicle.drive.inertial and not _headings(vehicle, mission, begin, window_s)
+    if by_course:
+        first, last = _way(fixes, vehicle, first)
+        begin = max(fixes.time_s[first], drive.time_s[0])
     # attitude that is given needs no mean, and a heading may come once in minutes: the next one is taken
     end = begin + window_s if vehicle.drive.inertial else np.inf
     rows = (drive.time_s >= begin) & (drive.time_s <= end) & np.isfinite(drive.value).all(axis=1)
@@ -72,15 +101,19 @@ def align(vehicle: Vehicle, mission: Mission, window_s: float = 5.0) -> Start:
         )
     if not vehicle.drive.inertial:
         roll, pitch, heading = drive.value[rows][0, :3]
-        lat, lon = np.degrees(place[:2])
+        lat, lon = np.degrees(fixes.value[first, :2])
         heading += vehicle.drive.declination(
             Start(latitude_deg=float(lat), longitude_deg=float(lon), date=mission.date)
         )
         tilt_sd, heading_sd = np.radians(1.0), np.radians(5.0)
     else:
         roll, pitch, tilt_sd = _level(drive.value[rows, 3:6], vehicle.drive)
-        heading, heading_sd = _heading(vehicle, mission, begin, window_s, roll, pitch)
-    velocity, velocity_sd = _velocity(vehicle, mission, begin, window_s, np.array([roll, pitch, heading]))
+        if by_course:
+            heading, heading_sd = _course(fixes, first, last)
+        else:
+            heading, heading_sd = _heading(vehicle, mission, fixes.value[first], begin, window_s, roll, pitch)
+    velocity, velocity_sd = _velocity(vehicle, mission, fixes, begin, window_s, np.array([roll, pitch, heading]))
+    place, place_sd = _place(vehicle, mission, fixes, first, begin, matrix_from_euler(roll, pitch, heading), heading_sd)
     return Start(
         time_s=float(begin),
         latitude_deg=float(np.degrees(place[0])),
@@ -117,7 +150,60 @@ def _stream(vehicle: Vehicle, mission: Mission, what: str) -> tuple[Stream, Any]
     return None
 
 
-def _first_fix(vehicle: Vehicle, mission: Mission, window_s: float) -> tuple[Array, Array, float]:
+@dataclass(frozen=True)
+class _Fixes:
+    """Valid fixes of the first position sensor that has readings: latitude, longitude, height [rad, rad, m]."""
+
+    sensor: Any
+    stream: Stream
+    time_s: Array
+    value: Array
+
+    @cached_property
+    def sd(self) -> Array:
+        """Of one fix, north, east, down [m]."""
+        blocks = [model.block(1.0 / self.sensor.rate_hz) for model in self.sensor.models]
+        return np.array([math.sqrt(b.r + b.C @ b.P0 @ b.C) for b in blocks])
+
+    @cached_property
+    def _apart(self) -> tuple[float, Array]:
+        """By how much two fixes differ where nothing moves, the larger of north and east [m], by multiples of a step in
+        time [s], which comes first: a second, or a tick where these are longer.
+        """
+        ticks = max(1, round(self.sensor.rate_hz))
+        step_s = ticks / self.sensor.rate_hz
+        sd = np.zeros(2 + int(LONGEST_WAY_S / step_s))
+        for model in self.sensor.models[:2]:
+            b = model.block(1.0 / self.sensor.rate_hz)
+            Phi, Q = np.eye(len(b.C)), np.zeros_like(b.Q)
+            for _ in range(ticks):
+                Phi, Q = b.Phi @ Phi, b.Phi @ Q @ b.Phi.T + b.Q
+            left, grown = np.eye(len(b.C)), np.zeros_like(Q)
+            for k in range(len(sd)):
+                gone = left - np.eye(len(b.C))
+                sd[k] = max(sd[k], math.sqrt(2.0 * b.r + b.C @ (gone @ b.P0 @ gone.T + grown) @ b.C))
+                left, grown = Phi @ left, Phi @ grown @ Phi.T + Q
+        return step_s, sd
+
+    def apart_sd(self, first: Any, last: int) -> Array:
+        """By how much two fixes, or several and one, differ where nothing moves [m]."""
+        step_s, sd = self._apart
+        steps = np.ceil((self.time_s[last] - self.time_s[first]) / step_s - 1e-6).astype(int)
+        return np.asarray(sd[np.minimum(steps, len(sd) - 1)])
+
+    def way(self, first: int) -> Array:
+        """North and east of one fix [m], shape (n, 2)."""
+        here = self.value[first]
+        east = wrap(self.value[:, 1] - here[1]) * EARTH_RADIUS * math.cos(here[0])
+        return np.column_stack([(self.value[:, 0] - here[0]) * EARTH_RADIUS, east])
+
+    def near_m(self, seconds: Array, vehicle: Vehicle) -> Array:
+        """Two fixes so long apart are no farther apart than this [m]."""
+        fastest = vehicle.drive.max_speed_m_s or FASTEST_M_S
+        return fastest * np.abs(seconds) + CONFIRMING_SD * float(self.sd[:2].max())
+
+
+def _fixes(vehicle: Vehicle, mission: Mission) -> _Fixes:
     found = _stream(vehicle, mission, "position")
     if found is None:
         raise ValueError(
@@ -126,41 +212,52 @@ def _first_fix(vehicle: Vehicle, mission: Mission, window_s: float) -> tuple[Arr
             "Give replay(..., start=Start(latitude_deg=..., longitude_deg=..., heading_deg=...))."
         )
     stream, sensor = found
-    read = [sensor.read(value) for value in stream.value]
-    times = np.array([t for t, z in zip(stream.time_s, read, strict=True) if z is not None])
-    fixes = np.array([z for z in read if z is not None])
-    blocks = [m.block(1.0 / sensor.rate_hz) for m in sensor.models]
-    sd = np.sqrt([b.r + b.C @ b.P0 @ b.C for b in blocks])
-    speed = vehicle.drive.max_speed_m_s or FASTEST_M_S
+    read = [(t, sensor.read(value)) for t, value in zip(stream.time_s.tolist(), stream.value, strict=True)]
+    valid = [(t, z) for t, z in read if z is not None]
+    return _Fixes(sensor, stream, np.array([t for t, _ in valid]), np.array([z for _, z in valid]).reshape(-1, 3))
+
+
+def _first_fix(fixes: _Fixes, vehicle: Vehicle, window_s: float) -> int:
+    """The first that can be believed."""
+    times = fixes.time_s
     for k, t in enumerate(times.tolist()):
         others = (times > t) & (times <= t + window_s)
         others = others if others.any() else (times < t) & (times >= t - window_s)
-        near_m = speed * np.abs(times[others] - t) + CONFIRMING_SD * float(sd[:2].max())
-        if not _confirmed(fixes[k], fixes[others], near_m):
-            continue
-        z = fixes[k]
-        z, sd = z.copy(), sd.copy()
-        if getattr(sensor, "antenna_height_m", None) is not None:
-            # what this height errs by, each fix says again: it is not to be counted twice
-            z[2], sd[2] = z[2] + sensor.lever_arm_b_m[2], max(sd[2], ABOUT_M)
-        elif not np.isfinite(z[2]):
-            z[2], sd[2] = _height(vehicle, mission)
-        return z, np.maximum(sd, 1e-3), t
-    raise ValueError(f"no start: {_nowhere(stream, len(fixes), window_s)}")
+        if _confirmed(fixes.way(k)[others], fixes.near_m(times[others] - t, vehicle)):
+            return k
+    raise ValueError(f"no start: {_nowhere(fixes, window_s)}")
 
 
-def _confirmed(fix: Array, others: Array, within_m: Array) -> bool:
-    """Whether half of the others at least can be of the same vehicle; one alone is believed.
+def _place(
+    vehicle: Vehicle, mission: Mission, fixes: _Fixes, first: int, begin: float, C: Array, heading_sd: float
+) -> tuple[Array, Array]:
+    """Place of the vehicle at a fix, and its sd north, east, down [m]."""
+    place, sd, up = fixes.value[first].copy(), fixes.sd.copy(), getattr(fixes.sensor, "antenna_height_m", None)
+    arm = C @ np.asarray(fixes.sensor.lever_arm_b_m, dtype=float)
+    place[:2] -= arm[:2] / (EARTH_RADIUS * np.array([1.0, math.cos(place[0])]))
+    if np.any(fixes.time_s >= begin):
+        sd *= AGAIN
+    sd[:2] = np.hypot(sd[:2], heading_sd * math.hypot(arm[0], arm[1]))
+    if not np.isfinite(place[2]):
+        place[2], sd[2] = _height(vehicle, mission)
+    else:
+        place[2] += arm[2]
+        if up is not None:
+            sd[2] = max(sd[2], ABOUT_M)
+    return place, np.maximum(sd, 1e-3)
+
+
+def _confirmed(others: Array, within_m: Array) -> bool:
+    """Whether half of the others at least, north and east of a fix, can be of the same vehicle; one alone is believed.
 
     The others are those of the window behind it: what arrives later a run that is fed live has not heard yet.
     """
-    north = (others[:, 0] - fix[0]) * EARTH_RADIUS
-    east = wrap(others[:, 1] - fix[1]) * EARTH_RADIUS * np.cos(fix[0])
-    return bool(2 * np.count_nonzero(np.hypot(north, east) <= within_m) >= len(others))
+    return bool(2 * np.count_nonzero(np.hypot(*others.T) <= within_m) >= len(others))
 
 
-def _nowhere(stream: Stream, valid: int, window_s: float) -> str:
+def _nowhere(fixes: _Fixes, window_s: float) -> str:
     """Why no fix can be begun with."""
+    stream, valid = fixes.stream, len(fixes.time_s)
     nothing = int((stream.value[:, :2] == 0.0).all(axis=1).sum())
     if valid:
         return (
@@ -204,26 +301,30 @@ def _level(force: Array, drive: Mechanisation) -> tuple[float, float, float]:
         )
     roll = float(np.arctan2(-mean[1], -mean[2]))
     pitch = float(np.arctan2(mean[0], np.hypot(mean[1], mean[2])))
-    # Slow manoeuvres lean the mean by their mean acceleration: a third of the scatter, not less than 0.05 m/s^2 of
-    # accelerometer bias.
+    # Slow manoeuvres lean the mean by their mean acceleration: a third of the scatter, not less than 0.05 m/s^2.
     lean = max(0.05, excess, float(force[:, :2].std(axis=0).max()) / 3.0)
-    return roll, pitch, lean / STANDARD_GRAVITY
+    blocks = [model.block(drive.period_s) for model in drive.models[3:5]]
+    bias = max(math.sqrt(b.C @ b.P0 @ b.C) for b in blocks)
+    return roll, pitch, math.hypot(lean, TILT_AGAIN * bias) / STANDARD_GRAVITY
+
+
+def _headings(vehicle: Vehicle, mission: Mission, begin: float, window_s: float) -> list[Array]:
+    """Valid readings of a heading in the window."""
+    found = _stream(vehicle, mission, "heading")
+    if found is None:
+        return []
+    stream, sensor = found
+    rows = (stream.time_s >= begin) & (stream.time_s <= begin + window_s)
+    return [reading for reading in map(sensor.read, stream.value[rows]) if reading is not None]
 
 
 def _heading(
-    vehicle: Vehicle, mission: Mission, begin: float, window_s: float, roll: float, pitch: float
+    vehicle: Vehicle, mission: Mission, place: Array, begin: float, window_s: float, roll: float, pitch: float
 ) -> tuple[float, float]:
     found = _stream(vehicle, mission, "heading")
-    if found is None:
-        return _course(vehicle, mission, begin)
-    stream, sensor = found
-    rows = (stream.time_s >= begin) & (stream.time_s <= begin + window_s)
-    readings = [r for r in (sensor.read(v) for v in stream.value[rows]) if r is not None]
-    if not readings:
-        return _course(vehicle, mission, begin)
-    place = _first_fix(vehicle, mission, window_s)[0]
+    assert found is not None
+    sensor, level = found[1], np.array(_headings(vehicle, mission, begin, window_s))
     at = Start(latitude_deg=float(np.degrees(place[0])), longitude_deg=float(np.degrees(place[1])), date=mission.date)
-    level = np.array(readings)
     if sensor.magnetometer:
         level = level[:, :3] @ matrix_from_euler(roll, pitch, 0.0).T
         angles = -np.arctan2(level[:, 1], level[:, 0])
@@ -231,35 +332,46 @@ def _heading(
         angles = level[:, 0]
     mean = float(np.angle(np.mean(np.exp(1j * angles))))
     block = sensor.models[0].block(1.0 / sensor.rate_hz)
-    variance = block.r / len(readings) + block.C @ block.P0 @ block.C + sensor.doubt_of(level)
-    return float(wrap(mean + sensor.declination(at))), float(np.sqrt(variance + np.radians(0.5) ** 2))
+    variance = block.r / len(level) + block.C @ block.P0 @ block.C + sensor.doubt_of(level)
+    sd = math.sqrt(variance + np.radians(0.5) ** 2)
+    return float(wrap(mean + sensor.declination(at))), max(sd, min(AGAIN * sd, LINEAR))
 
 
-def _course(vehicle: Vehicle, mission: Mission, begin: float, within_s: float = 60.0) -> tuple[float, float]:
-    """Heading from the course between the first fixes, for vehicles that move where they point."""
-    found = _stream(vehicle, mission, "position")
-    assert found is not None
-    stream, sensor = found
-    rows = (stream.time_s >= begin) & (stream.time_s <= begin + within_s)
-    rows[rows] = [sensor.read(value) is not None for value in stream.value[rows]]
-    lat, lon = stream.value[rows, 0], stream.value[rows, 1]
-    if len(lat) > 1:
-        north, east = (lat - lat[0]) * EARTH_RADIUS, wrap(lon - lon[0]) * EARTH_RADIUS * np.cos(lat[0])
-        far = np.flatnonzero(np.hypot(north, east) > 10.0)
-        if len(far):
-            return float(np.arctan2(east[far[0]], north[far[0]])), float(np.radians(15.0))
+def _way(fixes: _Fixes, vehicle: Vehicle, first: int) -> tuple[int, int]:
+    """The first two fixes, of those from `first` on, between which the vehicle has gone; neither leaps from its
+    neighbour between them.
+    """
+    times = fixes.time_s
+    steps = np.diff(times)
+    calm = np.array([np.hypot(*fixes.way(k)[k + 1]) for k in range(len(steps))]) <= fixes.near_m(steps, vehicle)
+    for last in range(first + 1, len(times)):
+        of = np.arange(first, last)
+        of = of[calm[of] & (times[of] >= times[last] - LONGEST_WAY_S)] if calm[last - 1] else of[:0]
+        gone = np.hypot(*fixes.way(last)[of].T) > np.maximum(LEAST_WAY_M, LEAST_WAY_SD * fixes.apart_sd(of, last))
+        if gone.any():
+            return int(of[gone][0]), last
     raise ValueError(
-        "no heading to start with: the vehicle has no compass with readings, and the first fixes do not move 10 m. "
+        "no heading to start with: the vehicle has no compass with readings, and within "
+        f"{LONGEST_WAY_S:g} s its fixes do not move {LEAST_WAY_M:g} m and {LEAST_WAY_SD:g} times what they err apart. "
         "Give a start."
     )
 
 
-def _velocity(vehicle: Vehicle, mission: Mission, begin: float, window_s: float, rpy: Array) -> tuple[Array, float]:
+def _course(fixes: _Fixes, first: int, last: int) -> tuple[float, float]:
+    """Heading by the course between two fixes, for vehicles that move where they point."""
+    north, east = fixes.way(first)[last].tolist()
+    off = float(fixes.apart_sd(first, last)) / math.hypot(north, east)
+    return math.atan2(east, north), math.hypot(ABOUT_COURSE, off)
+
+
+def _velocity(
+    vehicle: Vehicle, mission: Mission, fixes: _Fixes, begin: float, window_s: float, rpy: Array
+) -> tuple[Array, float]:
     found = _stream(vehicle, mission, "velocity")
     if found is None and vehicle.drive.velocity_sensor is not None:
         found = mission.streams["velocity"], vehicle.drive.velocity_sensor
     if found is None:
-        return np.zeros(3), 2.0
+        return _mean_velocity(fixes, begin, window_s)
     stream, sensor = found
     near = np.flatnonzero((stream.time_s >= begin - 1.0) & (stream.time_s <= begin + window_s))
     for row in near:
@@ -267,4 +379,15 @@ def _velocity(vehicle: Vehicle, mission: Mission, begin: float, window_s: float,
         if z is not None and np.isfinite(z).all():
             v_b = matrix_from_euler(*sensor.mounting_rad) @ z
             return matrix_from_euler(*rpy) @ v_b, 0.5
-    return np.zeros(3), 2.0
+    return _mean_velocity(fixes, begin, window_s)
+
+
+def _mean_velocity(fixes: _Fixes, begin: float, window_s: float) -> tuple[Array, float]:
+    """By the fixes of the window; where there is one alone, that of a vehicle at rest or slow."""
+    within = np.flatnonzero((fixes.time_s >= begin) & (fixes.time_s <= begin + window_s))
+    seconds = float(fixes.time_s[within[-1]] - fixes.time_s[within[0]]) if len(within) else 0.0
+    if seconds < min(1.0, window_s):
+        return np.zeros(3), SLOW
+    velocity = fixes.way(int(within[0]))[within[-1]] / seconds
+    sd = math.hypot(float(fixes.apart_sd(int(within[0]), int(within[-1]))) / seconds, ABOUT_MEAN)
+    return np.append(velocity, 0.0), sd

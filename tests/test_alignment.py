@@ -42,7 +42,7 @@ def test_levels_and_takes_the_compass():
         start.heading_deg + 160.0
     ) == pytest.approx(0.0, abs=1e-9)
     assert start.tilt_sd_deg > 0.2 and start.heading_sd_deg >= 0.5
-    assert start.position_sd_m == (2.0, 2.0, 2.0)
+    assert start.position_sd_m == (20.0, 20.0, 20.0)  # the fix says it again
 
 
 @pytest.mark.parametrize(("change", "words"), [({"sign": -1.0}, "points down"), ({"scale": 1 / 9.80665}, "Units in g")])
@@ -56,7 +56,8 @@ def test_course_between_fixes_replaces_a_missing_compass():
     fixes = (t, np.column_stack([0.7 + t * 1.0 / 6.37e6, 0.2 + t * 1.0 / (6.37e6 * np.cos(0.7)), np.full(30, 5.0)]))
     start = nf.align(vehicle().without("compass"), imu_mission(0.0, 0.0, 0.0, compass=False, fixes=fixes))
     assert start.heading_deg == pytest.approx(45.0, abs=0.5)  # the radii differ by 0.3 % north and east
-    assert start.heading_sd_deg == pytest.approx(15.0)
+    # 11 fixes are 15.6 m, the first that are more than five times the 2.8 m by which two of them err apart
+    assert start.heading_sd_deg == pytest.approx(np.hypot(15.0, np.degrees(2.0 / 11.0)), rel=0.01)
 
 
 def test_no_position_and_no_heading_are_said():
@@ -201,3 +202,71 @@ def test_the_course_is_not_that_from_zero_zero():
     fixes = rows_of(HERE, (0.0, 0.0), *moving[2:])
     start = nf.align(vehicle().without("compass"), imu_mission(0.0, 0.0, 0.0, compass=False, fixes=fixes))
     assert start.heading_deg == pytest.approx(0.0, abs=1e-6)
+
+
+def going(m_s, *, after_s=0.0, seconds=90.0, noise_m=0.0, every_s=1.0):
+    """Fixes of a vehicle that goes north from some time on."""
+    t = np.arange(0.0, seconds, every_s)
+    noise = noise_m * np.random.default_rng(7).standard_normal((len(t), 2))
+    north = m_s * np.maximum(t - after_s, 0.0) + noise[:, 0]
+    return t, np.column_stack([0.7 + north / 6.37e6, 0.2 + noise[:, 1] / (6.37e6 * np.cos(0.7)), np.full(len(t), 5.0)])
+
+
+def without_compass(fixes, error=None, **more):
+    """A vehicle whose heading only its fixes tell, and its mission."""
+    mission = imu_mission(0.0, 0.0, 0.0, compass=False, fixes=fixes)
+    t = np.arange(0.0, fixes[0][-1], 0.1)
+    imu = nf.Stream(t, np.tile(mission.streams["imu"].value[0], (len(t), 1)))
+    gps = nf.Position(error=nf.White(sd=2.0) if error is None else error, **more)
+    return nf.Vehicle(imu=nf.Imu(rate_hz=10), sensors={"gps": gps}), mission.with_stream("imu", imu)
+
+
+def test_noise_of_fixes_is_no_course():
+    """Found by aligning on them: of 5 m of noise the course was said to be known to 15 deg, NEES 39."""
+    with pytest.raises(ValueError, match=r"do not move 10 m and 5 times what they err apart"):
+        nf.align(*without_compass(going(0.0, noise_m=5.0), nf.White(sd=5.0)))
+    start = nf.align(*without_compass(going(1.5, noise_m=5.0), nf.White(sd=5.0)))
+    assert 15.0 < start.heading_sd_deg < 20.0 and abs(start.heading_deg) < 2.0 * start.heading_sd_deg
+
+
+def test_a_leap_of_fixes_is_no_course():
+    t, value = going(1.5)
+    value[4, 1] += 200.0 / (6.37e6 * np.cos(0.7))
+    start = nf.align(*without_compass((t, value)))
+    assert abs(start.heading_deg) < 1.0
+
+
+def test_a_vehicle_that_rests_starts_when_it_goes():
+    start = nf.align(*without_compass(going(2.0, after_s=150.0, seconds=200.0)))
+    # as far back as a way may begin from its end, the first second at which fixes are 15 m apart
+    assert start.time_s == pytest.approx(150.0 + 8.0 - 60.0) and abs(start.heading_deg) < 1.0
+
+
+def test_fixes_tell_the_velocity_where_no_sensor_does():
+    start = nf.align(*without_compass(going(15.0)))
+    assert np.allclose(start.velocity_n, (15.0, 0.0, 0.0), atol=1e-6)
+    assert start.velocity_sd_m_s == pytest.approx(np.hypot(2.0 * np.sqrt(2.0) / 5.0, 1.0))
+    seldom = nf.align(*without_compass(going(2.0, every_s=10.0), rate_hz=0.1))
+    assert seldom.velocity_n == (0.0, 0.0, 0.0) and seldom.velocity_sd_m_s == 2.0
+
+
+def test_the_place_is_that_of_the_vehicle_not_of_its_antenna():
+    v, mission = vehicle(), imu_mission(0.0, 0.0, np.radians(90.0))
+    arm = dataclasses.replace(v.sensors["gps"], lever_arm_b_m=(2.0, 0.0, -3.0))
+    start = nf.align(nf.Vehicle(v.drive, {**v.sensors, "gps": arm}), mission)
+    assert np.radians(start.longitude_deg) == pytest.approx(0.2 - 2.0 / (6.37e6 * np.cos(0.7)), abs=1e-12)
+    assert start.height_m == pytest.approx(2.0) and start.latitude_deg == pytest.approx(np.degrees(0.7), abs=1e-9)
+
+
+def test_nothing_is_counted_twice():
+    """The fix and the level that a start is made of are seen again: two readings of one slow error are one."""
+    slow = nf.GaussMarkov(sd=3.0, tau_s=1e5)
+    accel = nf.White(density=1e-3) + nf.RandomWalk(density=1e-6, start_sd=0.15)
+    sensors = {"gps": nf.Position(error=slow), "compass": nf.Heading(rate_hz=10, error=nf.White(sd=0.01))}
+    sensors["dvl"] = nf.BodyVelocity(rate_hz=10, error=nf.White(sd=0.01))
+    v = nf.Vehicle(imu=nf.Imu(rate_hz=100, accel=accel), sensors=sensors)
+    mission = imu_mission(0.0, 0.0, 0.0)
+    mission = mission.with_stream("dvl", nf.Stream(np.arange(0.0, 10.0, 0.1), np.zeros((100, 3))))
+    last = nf.replay(v, mission).covariance[-1]
+    # what is left out are 1 % and 10 % of the variance, see `align`
+    assert np.sqrt(last[0, 0]) > 0.99 * 3.0 and np.sqrt(last[6, 6]) > 0.94 * 0.15 / 9.81

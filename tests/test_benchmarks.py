@@ -14,6 +14,7 @@ import pytest
 BENCHMARKS = Path(__file__).parent.parent / "benchmarks"
 #: By script: what it is compared with, and its sub-commands.
 SCRIPTS = {
+    "alignment": ("no other software", ()),
     "arma": ("statsmodels", ("speed", "batch", "efficiency", "tracking", "order")),
     "arma_vs_gm1": ("Gauss-Markov", ()),
     "between_hops": ("resting model", ()),

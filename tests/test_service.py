@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from live_run import PATIENCE_S, Dive, Process, run_session, states, wait_for
+from live_run import PATIENCE_S, Dive, Process, as_lines, run_session, states, wait_for
 
 import navfilter as nf
 from navfilter.cli import main
@@ -279,6 +279,21 @@ def test_the_start_may_be_a_line_or_found(dive):
         states(aligned)[1][0]["how"] == "aligned"
         and states(aligned)[0][-1]["latitude_deg"] == track["latitude_deg"].iloc[-1]
     )
+
+
+def test_without_a_compass_it_waits_until_the_vehicle_goes():
+    """And starts where a replay of the whole mission does, though it has heard no more than it needs."""
+    t, still = np.arange(0.0, 140.0, 0.1), [0.0, 0.0, 0.0, 0.0, 0.0, -9.80665]
+    noise = np.random.default_rng(3).standard_normal((140, 2))
+    north = 2.0 * np.maximum(np.arange(140.0) - 110.0, 0.0) + noise[:, 0]
+    fixes = np.column_stack([0.7 + north / 6.37e6, 0.2 + noise[:, 1] / 6.37e6, np.full(140, 5.0)])
+    streams = {"imu": nf.Stream(t, np.tile(still, (len(t), 1))), "gps": nf.Stream(np.arange(140.0), fixes)}
+    vehicle = nf.Vehicle(imu=nf.Imu(rate_hz=10), sensors={"gps": nf.Position(error=nf.White(sd=1.0))})
+    mission = nf.Mission("quay", streams)
+    told = states(run_session(vehicle, as_lines(vehicle, mission), Options()))[1]
+    assert [event["event"] for event in told][:2] == ["waiting", "start"] and "do not move" in told[0]["text"]
+    start = nf.align(vehicle, mission)
+    assert told[1]["time_s"] == start.time_s > 50.0 and told[1]["heading_deg"] == start.heading_deg
 
 
 def test_without_a_fix_it_waits_and_says_so(dive):
