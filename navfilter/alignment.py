@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -34,6 +36,8 @@ EARTH_RADIUS = 6.37e6
 AGAIN = 10.0
 #: A heading is not made worse than this for it [rad]: the cosine is then off by 1.5 %, which fixes of centimetres see.
 LINEAR = np.radians(10.0)
+#: What it is good to at best: turns during the window, tilt [rad].
+ABOUT_RAD = np.radians(0.5)
 #: A tilt counts as known so many times worse than the bias of accelerometers lets it be [1]: a tenth is counted twice.
 TILT_AGAIN = 3.0
 #: A way between two fixes is so long at least [m], and so many times the sd by which they err apart [1]: of a minute of
@@ -88,10 +92,11 @@ def align(vehicle: Vehicle, mission: Mission, window_s: float = 5.0) -> Start:
     fixes = _fixes(vehicle, mission)
     first = _first_fix(fixes, vehicle, window_s)
     begin = max(fixes.time_s[first], drive.time_s[0])
-    by_course = vehicle.drive.inertial and not _headings(vehicle, mission, begin, window_s)
-    if by_course:
-        first, last = _way(fixes, vehicle, first)
+    read, last = _headings(vehicle, mission, begin, window_s), -1
+    if vehicle.drive.inertial and read is None:
+        first, last = _later(fixes, vehicle, mission, first, window_s)
         begin = max(fixes.time_s[first], drive.time_s[0])
+        read = None if last >= 0 else _headings(vehicle, mission, begin, window_s)
     # attitude that is given needs no mean, and a heading may come once in minutes: the next one is taken
     end = begin + window_s if vehicle.drive.inertial else np.inf
     rows = (drive.time_s >= begin) & (drive.time_s <= end) & np.isfinite(drive.value).all(axis=1)
@@ -99,19 +104,20 @@ def align(vehicle: Vehicle, mission: Mission, window_s: float = 5.0) -> Start:
         raise ValueError(
             f"no valid reading of the drive within {end - begin:g} s after {begin:.3f} s: nothing to align with."
         )
+    lat, lon = np.degrees(fixes.value[first, :2]).tolist()
+    here = Start(latitude_deg=lat, longitude_deg=lon, date=mission.date)
     if not vehicle.drive.inertial:
         roll, pitch, heading = drive.value[rows][0, :3]
-        lat, lon = np.degrees(fixes.value[first, :2])
-        heading += vehicle.drive.declination(
-            Start(latitude_deg=float(lat), longitude_deg=float(lon), date=mission.date)
-        )
+        heading += vehicle.drive.declination(here)
         tilt_sd, heading_sd = np.radians(1.0), np.radians(5.0)
     else:
         roll, pitch, tilt_sd = _level(drive.value[rows, 3:6], vehicle.drive)
-        if by_course:
+        if read is None:
             heading, heading_sd = _course(fixes, first, last)
         else:
-            heading, heading_sd = _heading(vehicle, mission, fixes.value[first], begin, window_s, roll, pitch)
+            sensor, readings = read
+            headings, variance = sensor.headings(readings, matrix_from_euler(roll, pitch, 0.0), here)
+            heading, heading_sd = float(np.angle(np.mean(np.exp(1j * headings)))), _again(math.sqrt(variance))
     velocity, velocity_sd = _velocity(vehicle, mission, fixes, begin, window_s, np.array([roll, pitch, heading]))
     place, place_sd = _place(vehicle, mission, fixes, first, begin, matrix_from_euler(roll, pitch, heading), heading_sd)
     return Start(
@@ -162,8 +168,7 @@ class _Fixes:
     @cached_property
     def sd(self) -> Array:
         """Of one fix, north, east, down [m]."""
-        blocks = [model.block(1.0 / self.sensor.rate_hz) for model in self.sensor.models]
-        return np.array([math.sqrt(b.r + b.C @ b.P0 @ b.C) for b in blocks])
+        return np.sqrt([self.sensor.mean_variance(axis, 1) for axis in range(3)])
 
     @cached_property
     def _apart(self) -> tuple[float, Array]:
@@ -308,53 +313,69 @@ def _level(force: Array, drive: Mechanisation) -> tuple[float, float, float]:
     return roll, pitch, math.hypot(lean, TILT_AGAIN * bias) / STANDARD_GRAVITY
 
 
-def _headings(vehicle: Vehicle, mission: Mission, begin: float, window_s: float) -> list[Array]:
-    """Valid readings of a heading in the window."""
-    found = _stream(vehicle, mission, "heading")
-    if found is None:
-        return []
-    stream, sensor = found
-    rows = (stream.time_s >= begin) & (stream.time_s <= begin + window_s)
-    return [reading for reading in map(sensor.read, stream.value[rows]) if reading is not None]
+def _whole(
+    vehicle: Vehicle, mission: Mission, begin: float, end: float = math.inf
+) -> Iterator[tuple[Any, Iterator[tuple[float, Array]]]]:
+    """Sensors that give a heading, or an attitude, and their valid readings of this time."""
+    for found in (_stream(vehicle, mission, "heading"), _stream(vehicle, mission, "attitude")):
+        if found is not None:
+            stream, sensor = found
+            rows = np.flatnonzero((stream.time_s >= begin) & (stream.time_s <= end))
+            read = ((float(stream.time_s[row]), sensor.read(stream.value[row])) for row in rows)
+            yield sensor, ((t, z) for t, z in read if z is not None and np.isfinite(z[: sensor.reads]).all())
 
 
-def _heading(
-    vehicle: Vehicle, mission: Mission, place: Array, begin: float, window_s: float, roll: float, pitch: float
-) -> tuple[float, float]:
-    found = _stream(vehicle, mission, "heading")
-    assert found is not None
-    sensor, level = found[1], np.array(_headings(vehicle, mission, begin, window_s))
-    at = Start(latitude_deg=float(np.degrees(place[0])), longitude_deg=float(np.degrees(place[1])), date=mission.date)
-    if sensor.magnetometer:
-        level = level[:, :3] @ matrix_from_euler(roll, pitch, 0.0).T
-        angles = -np.arctan2(level[:, 1], level[:, 0])
-    else:
-        angles = level[:, 0]
-    mean = float(np.angle(np.mean(np.exp(1j * angles))))
-    block = sensor.models[0].block(1.0 / sensor.rate_hz)
-    variance = block.r / len(level) + block.C @ block.P0 @ block.C + sensor.doubt_of(level)
-    sd = math.sqrt(variance + np.radians(0.5) ** 2)
-    return float(wrap(mean + sensor.declination(at))), max(sd, min(AGAIN * sd, LINEAR))
+def _headings(vehicle: Vehicle, mission: Mission, begin: float, window_s: float) -> tuple[Any, Array] | None:
+    """Valid readings of a heading in the window, and their sensor."""
+    for sensor, whole in _whole(vehicle, mission, begin, begin + window_s):
+        readings = [reading for _, reading in whole]
+        if readings:
+            return sensor, np.array(readings)
+    return None
 
 
-def _way(fixes: _Fixes, vehicle: Vehicle, first: int) -> tuple[int, int]:
+def _again(sd: float) -> float:
+    """The sd of a heading that its readings tell to this one [rad]."""
+    sd = math.hypot(sd, ABOUT_RAD)
+    return max(sd, min(AGAIN * sd, LINEAR))
+
+
+def _later(fixes: _Fixes, vehicle: Vehicle, mission: Mission, first: int, window_s: float) -> tuple[int, int]:
+    """The fix to begin with where the first has no heading: one of those from it on in whose window there is one, and
+    -1; or, where the vehicle has gone before that is over, the two between which it has.
+    """
+    times = fixes.time_s
+    heading_s = min(
+        (t for _, whole in _whole(vehicle, mission, times[first]) for t, _ in islice(whole, 1)), default=math.inf
+    )
+    with_heading = int(np.searchsorted(times, heading_s - window_s))
+    known_s = times[with_heading] + window_s if with_heading < len(times) else math.inf
+    gone = _way(fixes, vehicle, first, known_s)
+    if gone is not None:
+        return gone
+    if with_heading < len(times):
+        return max(with_heading, first), -1
+    raise ValueError(
+        "no heading to start with: the vehicle has no compass with readings, and within "
+        f"{LONGEST_WAY_S:g} s its fixes do not move {LEAST_WAY_M:g} m and {LEAST_WAY_SD:g} times what they err apart. "
+        "Give a start."
+    )
+
+
+def _way(fixes: _Fixes, vehicle: Vehicle, first: int, until_s: float) -> tuple[int, int] | None:
     """The first two fixes, of those from `first` on, between which the vehicle has gone; neither leaps from its
     neighbour between them.
     """
     times = fixes.time_s
     steps = np.diff(times)
     calm = np.array([np.hypot(*fixes.way(k)[k + 1]) for k in range(len(steps))]) <= fixes.near_m(steps, vehicle)
-    for last in range(first + 1, len(times)):
+    for last in range(first + 1, int(np.searchsorted(times, until_s))):
         of = np.arange(first, last)
         of = of[calm[of] & (times[of] >= times[last] - LONGEST_WAY_S)] if calm[last - 1] else of[:0]
         gone = np.hypot(*fixes.way(last)[of].T) > np.maximum(LEAST_WAY_M, LEAST_WAY_SD * fixes.apart_sd(of, last))
         if gone.any():
             return int(of[gone][0]), last
-    raise ValueError(
-        "no heading to start with: the vehicle has no compass with readings, and within "
-        f"{LONGEST_WAY_S:g} s its fixes do not move {LEAST_WAY_M:g} m and {LEAST_WAY_SD:g} times what they err apart. "
-        "Give a start."
-    )
+    return None
 
 
 def _course(fixes: _Fixes, first: int, last: int) -> tuple[float, float]:

@@ -270,3 +270,31 @@ def test_nothing_is_counted_twice():
     last = nf.replay(v, mission).covariance[-1]
     # what is left out are 1 % and 10 % of the variance, see `align`
     assert np.sqrt(last[0, 0]) > 0.99 * 3.0 and np.sqrt(last[6, 6]) > 0.94 * 0.15 / 9.81
+
+
+def test_an_ahrs_tells_the_heading():
+    """Mounted with its nose to starboard; it needs no way, and its yaw may be missing for a while."""
+    v, mission = vehicle(), imu_mission(0.1, -0.05, 1.0)
+    own = matrix_from_euler(0.1, -0.05, 1.0) @ matrix_from_euler(0.0, 0.0, np.pi / 2.0)
+    angles = [np.arctan2(own[2, 1], own[2, 2]), -np.arcsin(own[2, 0]), np.arctan2(own[1, 0], own[0, 0])]
+    read = np.tile(angles, (50, 1))
+    read[:10, 2] = np.nan
+    yaw = nf.GaussMarkov(sd=0.01, tau_s=100.0)
+    ahrs = nf.Attitude(rate_hz=5, mounting_rad=(0.0, 0.0, np.pi / 2.0), error=(yaw, yaw, yaw))
+    v = nf.Vehicle(v.drive, {"gps": v.sensors["gps"], "ahrs": ahrs})
+    mission = mission.without_stream("compass").with_stream("ahrs", nf.Stream(np.arange(50) / 5.0, read))
+    start = nf.align(v, mission)
+    assert start.time_s == 0.0 and np.radians(start.heading_deg) == pytest.approx(1.0, abs=1e-9)
+    assert start.heading_sd_deg == pytest.approx(10.0 * np.hypot(np.degrees(0.01), 0.5))
+
+
+def test_a_compass_that_begins_late_is_waited_for():
+    """Unless the vehicle goes before: then the course is known first, as it is to a run that is fed live."""
+    v, mission = without_compass(going(0.0))
+    v = nf.Vehicle(v.drive, {**v.sensors, "compass": nf.Heading(rate_hz=1, error=nf.White(sd=0.01))})
+    compass = nf.Stream(np.arange(40.0, 90.0), np.full((50, 1), 1.0))
+    start = nf.align(v, mission.with_stream("compass", compass))
+    assert start.time_s == 35.0 and np.radians(start.heading_deg) == pytest.approx(1.0)
+    gone = without_compass(going(2.0, after_s=10.0))[1].with_stream("compass", compass)
+    start = nf.align(v, gone)
+    assert start.time_s < 20.0 and abs(start.heading_deg) < 1.0

@@ -65,6 +65,7 @@ class Attitude(Sensor):
     axis_names: ClassVar[tuple[str, ...]] = ("roll", "pitch", "yaw")
     kernel: ClassVar[Callable[..., None]] = staticmethod(measurement.attitude)
     confirms_state: ClassVar[bool] = False
+    gives: ClassVar[str] = "attitude"
     corrects: ClassVar[str] = "heading"
     north: ClassVar[int | None] = 2
     contents: ClassVar[tuple[tuple[Columns, ...], ...]] = ((ATTITUDE,),)
@@ -99,6 +100,13 @@ class Attitude(Sensor):
         """Declination, then the mounting matrix row by row."""
         compass = Heading(magnetic=self.magnetic, declination_rad=self.declination_rad)
         return np.concatenate([[compass.declination(start)], matrix_from_euler(*self.mounting_rad).ravel()])
+
+    def headings(self, readings: Array, level: Array, start: Start) -> tuple[Array, float]:
+        """True headings by readings (n, 3), and the variance of their mean [rad], [rad^2]; they know what is level."""
+        forward = matrix_from_euler(*self.mounting_rad)[0]  # along which the vehicle's own goes in the instrument
+        ahead = np.array([matrix_from_euler(*angles) @ forward for angles in readings[:, :3].tolist()])
+        variance = self.misalignment_sd_rad**2 + self.mean_variance(2, len(readings))
+        return np.arctan2(ahead[:, 1], ahead[:, 0]) + self.constants(start)[0], variance
 
     def doubts(self) -> Iterator[Doubt]:
         """Of mounting, misalignment and declination."""

@@ -207,14 +207,20 @@ class Heading(Sensor):
         z[:, : values.shape[1]] = values[:, :2]
         return z, np.abs(z[:, 0]) <= LARGEST
 
-    def doubt_of(self, level: Array) -> float:
-        """Variance of a heading from readings (n, 3) of a levelled field, or (n, 1), by what is constant [rad^2]."""
+    def headings(self, readings: Array, level: Array, start: Start) -> tuple[Array, float]:
+        """True headings by readings (n, ...) of a vehicle that is level by this rotation (3, 3) out of b, and the
+        variance of their mean [rad], [rad^2].
+        """
         variance = sum(p.sd**2 for p in self._constants()[:5])
         if self.magnetometer:
-            across = float(np.mean(np.hypot(level[:, 0], level[:, 1])))
-            dip2 = float(np.mean(level[:, 2])) ** 2 / across**2
+            field = readings[:, :3] @ level.T
+            angles = -np.arctan2(field[:, 1], field[:, 0])
+            across = float(np.mean(np.hypot(field[:, 0], field[:, 1])))
+            dip2 = float(np.mean(field[:, 2])) ** 2 / across**2
             variance += (self.hard_iron_sd / across) ** 2 + self.soft_iron_sd**2 * (1.0 + dip2)
-        return variance
+        else:
+            angles = readings[:, 0]
+        return angles + self.declination(start), variance + self.mean_variance(0, len(readings))
 
     def drift(self, drive: Mechanisation, axis: int, walk: float) -> Drift:
         """As a heading."""

@@ -105,8 +105,8 @@ class Sensor:
         learnt under way. The direction in which an axis sees the state must not turn much within a window of learning,
         or the drift is no chain.
     gives : str
-        What a start can take from one reading alone: "position" (latitude, longitude, height), "heading", "depth",
-        "velocity", or nothing.
+        What a start can take from one reading alone: "position" (latitude, longitude, height), "heading", "attitude",
+        "depth", "velocity", or nothing. Those of a heading and an attitude have a method `headings`.
     ground : int
         So many of its first components are of the velocity over ground: three axes, or the beams of a DVL.
     flows_m_s : float
@@ -233,6 +233,13 @@ class Sensor:
     def all_parameters(self) -> tuple[Parameter, ...]:
         """All states beside the error model, in their order."""
         return with_calibrated(self.parameters(), self.calibrated) + self.place_and_clock()
+
+    def mean_variance(self, axis: int, count: int) -> float:
+        """Of the mean of so many readings of an axis that follow each other: white noise averages out, what is slow
+        does not.
+        """
+        block = self.models[axis].block(1.0 / self.rate_hz)
+        return float(block.r / count + block.C @ block.P0 @ block.C)
 
     def held(self) -> tuple[int, int]:
         """From which of its parameters to which the slopes are velocities, see `measurement.hold_slopes`."""
