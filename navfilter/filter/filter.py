@@ -263,7 +263,7 @@ class Filter(Estimate):
         if felt is None or self.watch.lost(self.memory.watch):
             return
         for channel in self._rest:
-            reading = channel.sensor.felt(*felt, math.hypot(*self.memory.nav[3:6].tolist()))
+            reading = channel.sensor.felt(*felt, self.memory.nav[3:6], self.memory.P[3:6, 3:6])
             if reading is not None:
                 tell(self._update(channel, self.memory.time_s, reading, None, False))
 

@@ -294,15 +294,15 @@ class Sensor:
         return z, good
 
     # ---------------------------------------------------------------- what the filter asks
-    def felt(self, mean: Array, scatter: Array, speed_m_s: float) -> Array | None:
+    def felt(self, mean: Array, scatter: Array, velocity: Array, P: Array) -> Array | None:
         """The reading that the drive's own samples of one period make, for kinds that are `from_drive`; None for none.
 
         Parameters
         ----------
         mean, scatter : ndarray, shape (6,)
             Mean and standard deviation of rates [rad/s] and forces [m/s^2].
-        speed_m_s : float
-            As the filter believes it at the end of the period [m/s].
+        velocity, P : ndarray, shape (3,) and (3, 3)
+            North, east, down, as the filter believes it at the end of the period, and its covariance.
         """
         return None
 

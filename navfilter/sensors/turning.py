@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import ClassVar
@@ -19,6 +20,8 @@ from navfilter.start import Start
 __all__ = ["ZeroRate"]
 
 Array = NDArray[np.float64]
+#: A vehicle surely moves that is faster by so many standard deviations [1] than one at rest may seem to be [m/s].
+SURE, RESTING_M_S = 5.0, 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,6 +34,11 @@ class ZeroRate(ZeroVelocity):
     error : ErrorModel
         How much the vehicle turns in the mean of a period although it rests, about each axis [rad/s]; the noise of the
         gyros is added by the filter itself.
+    gate_timeout_s : float
+        As of every sensor [s], but 300: that it turns slowly is likelier than a bias that is far from what is known.
+    speed_max : float, optional
+        As of `ZeroVelocity`. Default: it rests for the filter, too, unless that is sure of a speed, for the unit of a
+        vehicle that goes straight on feels no more than one at rest.
 
     Notes
     -----
@@ -40,6 +48,7 @@ class ZeroRate(ZeroVelocity):
     """
 
     error: Errors = White(sd=1e-5)
+    gate_timeout_s: float = 300.0
 
     unit: ClassVar[str] = "rad_s"
     axis_names: ClassVar[tuple[str, ...]] = ("x", "y", "z")
@@ -66,9 +75,15 @@ class ZeroRate(ZeroVelocity):
         """The Earth's rate [rad/s]."""
         return np.array([strapdown.EARTH_RATE])
 
-    def felt(self, mean: Array, scatter: Array, speed_m_s: float) -> Array | None:
+    def quiet(self, mean: Array, scatter: Array, velocity: Array, P: Array) -> bool:
+        """Whether a period was one of rest: also for the filter, unless that is sure of a speed."""
+        sd = math.sqrt(float(np.trace(P)))
+        moves = self.speed_max is None and math.hypot(*velocity.tolist()) > SURE * sd + RESTING_M_S
+        return not moves and super().quiet(mean, scatter, velocity, P)
+
+    def felt(self, mean: Array, scatter: Array, velocity: Array, P: Array) -> Array | None:
         """The mean rate when the period was quiet."""
-        return mean[:3].copy() if self.quiet(mean, scatter, speed_m_s) else None
+        return mean[:3].copy() if self.quiet(mean, scatter, velocity, P) else None
 
     def lever_arm_covariance(self, rate_variance: Array) -> Array:
         """The gyros' own noise, of as many samples as a period has."""

@@ -363,10 +363,10 @@ class ZeroVelocity(Sensor):
                 text = f"{type(self).__name__}.{name} must be > 0, found {limit!r}: nothing is below it."
                 raise ValueError(text)
 
-    def quiet(self, mean: Array, scatter: Array, speed_m_s: float) -> bool:
+    def quiet(self, mean: Array, scatter: Array, velocity: Array, P: Array) -> bool:
         """Whether a period was one of rest, see `felt`."""
         still = scatter[:3].max() < self.gyro_sd_max and scatter[3:].max() < self.force_sd_max
-        slow = self.speed_max is None or speed_m_s < self.speed_max
+        slow = self.speed_max is None or math.hypot(*velocity.tolist()) < self.speed_max
         return bool(still and slow and np.abs(mean[:3]).max() < self.gyro_mean_max)
 
     @property
@@ -374,6 +374,6 @@ class ZeroVelocity(Sensor):
         """What it measures."""
         return "zero velocity, whenever the inertial unit says that the vehicle rests; needs no stream"
 
-    def felt(self, mean: Array, scatter: Array, speed_m_s: float) -> Array | None:
+    def felt(self, mean: Array, scatter: Array, velocity: Array, P: Array) -> Array | None:
         """Zeros when the period was quiet."""
-        return np.zeros(3) if self.quiet(mean, scatter, speed_m_s) else None
+        return np.zeros(3) if self.quiet(mean, scatter, velocity, P) else None
