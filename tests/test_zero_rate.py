@@ -141,6 +141,21 @@ def test_a_vehicle_that_goes_steadily_does_not_rest(steady):
     assert np.nanmean(nees["heading"]) < 3.0 and np.nanmean(nees["attitude"]) < 3.0
 
 
+def test_a_rate_that_is_let_in_is_a_bias_and_no_attitude():
+    """Refused when the vehicle set off, let in when it has not quite come to rest 400 s later: the Earth's rate tells
+    the attitude so weakly that any attitude seemed to explain it (NEES of the tilt 1e5).
+    """
+    survey = survey_vehicle()
+    loose = nf.ZeroRate(speed_max=0.2, gyro_mean_max=0.1, gyro_sd_max=0.1, force_sd_max=1.0)
+    vehicle = nf.Vehicle(survey.drive, {**survey.sensors, "turning": loose})
+    stops = Motion((Wait(20.0), ChangeSpeed(1.5, 15.0), Straight(duration_s=400.0), ChangeSpeed(0.0, 15.0), Wait(20.0)))
+    mission = simulate(vehicle, stops, seed=2, start=StartErrors(heading_sd_deg=2.0))
+    track = nf.replay(vehicle, mission, output_rate_hz=1.0)
+    used = track.residuals["turning"]
+    late = used.time_s[used.time_s > 400.0]
+    assert len(late) > 10 and np.degrees(np.abs(track.errors(mission.truth).attitude[:, :2]).max()) < 1.0
+
+
 @pytest.mark.parametrize("limit", ["gyro_sd_max", "force_sd_max", "gyro_mean_max", "speed_max"])
 def test_a_limit_that_nothing_is_below_is_refused(limit):
     for value in (0.0, -1.0, np.nan):

@@ -117,12 +117,15 @@ class Widening(NamedTuple):
 
     Attributes
     ----------
-    covariance : ndarray, shape (9, 9)
-        For the navigation states.
+    places : slice
+        Of the states that it is for.
+    covariance : ndarray, shape (k, k)
+        For these.
     white_factor : float
         By which the reading's white noise is larger: let in, but not believed more than the gate would have.
     """
 
+    places: slice
     covariance: Array
     white_factor: float
 
@@ -145,7 +148,9 @@ def widening(P: Array, channel: Channel, time_s: float, nis: float, dof: int) ->
     Notes
     -----
     A sensor that is rejected for so long shows that the state is less certain than thought: P is widened where the
-    sensor sees it. Only there: along P H' a fix that is far off would throw the velocity after the position.
+    sensor sees it. Only there: along P H' a fix that is far off would throw the velocity after the position. One that
+    reads the drive's own rates sees the errors of that: the Earth's rate is so slow that a reading out of place would
+    make it believe in any attitude.
     """
     limit = channel.limits[dof]
     patience_s = channel.sensor.gate_timeout_s * (PATIENT if channel.memory.astray else 1.0)
@@ -155,9 +160,10 @@ def widening(P: Array, channel: Channel, time_s: float, nis: float, dof: int) ->
     a, H = channel.axes, channel.H
     seen = channel.PH @ H.T
     grow = nis / limit * max(1.0, float(np.trace(channel.S[:a]) / max(np.trace(seen), 1e-300)))
-    spread = np.diag(P)[:9, None] * H[:, :9].T
-    inverse = np.linalg.pinv(H[:, :9] @ spread, hermitian=True)
-    return Widening(grow * spread @ inverse @ seen @ inverse @ spread.T, max(1.0, nis / limit))
+    places = slice(9, int(channel.dims[2])) if channel.sensor.reads_rate else slice(9)
+    spread = np.diag(P)[places, None] * H[:, places].T
+    inverse = np.linalg.pinv(H[:, places] @ spread, hermitian=True)
+    return Widening(places, grow * spread @ inverse @ seen @ inverse @ spread.T, max(1.0, nis / limit))
 
 
 def whole_residual(channel: Channel, x: Array) -> Array:

@@ -108,7 +108,7 @@ def let_in(filter: Filter, channel: Channel, time_s: float, nis: float, dof: int
         heights.open_both(filter, channel, time_s)
         return False
     channel.R *= added.white_factor
-    P[:9, :9] += added.covariance
+    P[added.places, added.places] += added.covariance
     _follows(channel, time_s)
     P[:2, :2] += refused_way.followed(filter, channel)
     _update(filter, channel, time_s)

@@ -20,8 +20,9 @@ from navfilter.start import Start
 __all__ = ["ZeroRate"]
 
 Array = NDArray[np.float64]
-#: A vehicle surely moves that is faster by so many standard deviations [1] than one at rest may seem to be [m/s].
-SURE, RESTING_M_S = 5.0, 0.05
+#: A vehicle does not rest for the filter that is faster by so many standard deviations [1] than what hardly turns it
+#: [m/s], or whose velocity is not known to so much [m/s].
+SURE, RESTING_M_S, KNOWN_M_S = 5.0, 0.01, 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,8 +38,8 @@ class ZeroRate(ZeroVelocity):
     gate_timeout_s : float
         As of every sensor [s], but 300: that it turns slowly is likelier than a bias that is far from what is known.
     speed_max : float, optional
-        As of `ZeroVelocity`. Default: it rests for the filter, too, unless that is sure of a speed, for the unit of a
-        vehicle that goes straight on feels no more than one at rest.
+        As of `ZeroVelocity`. Default: a speed that is 0 as far as the filter knows, which knows it to 0.05 m/s; for the
+        unit of a vehicle that goes straight on feels no more than that of one at rest.
 
     Notes
     -----
@@ -76,10 +77,10 @@ class ZeroRate(ZeroVelocity):
         return np.array([strapdown.EARTH_RATE])
 
     def quiet(self, mean: Array, scatter: Array, velocity: Array, P: Array) -> bool:
-        """Whether a period was one of rest: also for the filter, unless that is sure of a speed."""
+        """Whether a period was one of rest: also for the filter."""
         sd = math.sqrt(float(np.trace(P)))
-        moves = self.speed_max is None and math.hypot(*velocity.tolist()) > SURE * sd + RESTING_M_S
-        return not moves and super().quiet(mean, scatter, velocity, P)
+        rests = sd < KNOWN_M_S and math.hypot(*velocity.tolist()) < SURE * sd + RESTING_M_S
+        return (rests or self.speed_max is not None) and super().quiet(mean, scatter, velocity, P)
 
     def felt(self, mean: Array, scatter: Array, velocity: Array, P: Array) -> Array | None:
         """The mean rate when the period was quiet."""
