@@ -262,3 +262,48 @@ def test_the_truth_of_a_long_dive_is_held():
     error = nav.state.minus(watched.truth_at(mission.truth, 240.0))
     assert math.hypot(*error[:2]) < 10.0
     assert math.hypot(*error[:2]) < nav.state.bounds.horizontal_m
+
+
+@pytest.mark.parametrize("sensor", ["compass", "dvl"])
+def test_the_first_readings_of_a_clock_that_was_set_wait_until_that_is_told(sensor):
+    """Used at once, they carry the state on without samples, and the next ones are late."""
+    vehicle, mission = simulate_scenario("lawnmower", 2, 80.0)
+    events = events_of(vehicle, mission)
+    best, _ = flown(vehicle, mission, events)
+    nav, outcomes = flown(vehicle, mission, stamped(events, 1.0, (sensor,), 40.0))
+    assert sum(outcome.status == "waiting" for outcome in outcomes) == DriveClock.SET - 1
+    assert not nav.clock.memory.early and "late" not in nav.health.drive
+    assert not nav.counts["jumped"] and not nav.counts["gap"]
+    for name in vehicle.sensors:
+        counts = nav.health.sensors[name].outcomes
+        taken = counts["used"] + counts.get("late-replayed", 0)
+        assert taken == best.health.sensors[name].outcomes["used"]
+    # all of them in their place, but for a stamp that is told to a hundredth of a second
+    assert np.abs(nav.state.minus(best.state)[:3]).max() < 0.05
+
+
+@pytest.mark.parametrize("rate_hz", [4.0, 1.0])
+def test_nothing_waits_for_a_drive_that_falls_silent_beside_a_single_sensor(rate_hz):
+    clock = DriveClock(0.01, live=True, ahead_s=1.0)
+    row = lambda t: np.array([[t, *np.zeros(6)]])  # noqa: E731
+    held = []
+    for k in range(1, 3 * round(rate_hz)):
+        clock.take(np.vstack([row(k / rate_hz - 0.01 * j) for j in range(round(100 / rate_hz) - 1, -1, -1)]))
+        assert clock.hear(Arrived("dvl", k / rate_hz, 0.0, None)) is None
+    for k in range(3 * round(rate_hz), 12 * round(rate_hz)):
+        went = clock.hear(Arrived("dvl", k / rate_hz, 0.0, None))
+        held.append(len(clock.memory.early))
+        assert went is None or held[-1] or went[-1].time_s == k / rate_hz
+    assert held[0] <= 1 and held[-1] == 0
+
+
+def test_readings_that_wait_for_their_clock_go_on_where_all_are_ahead():
+    """Then it is the drive's: nothing is kept, and nothing moved."""
+    clock = DriveClock(0.01, live=True, ahead_s=5.0)
+    clock.take(np.array([[t, *np.zeros(6)] for t in np.arange(0.0, 2.0, 0.01)]))
+    for name in ("compass", "dvl"):
+        assert clock.hear(Arrived(name, 1.99, 0.0, None)) is None
+    assert clock.hear(Arrived("dvl", 3.0, 0.0, None)) == []
+    went = clock.hear(Arrived("compass", 3.1, 0.0, None))
+    assert [(one.name, one.time_s) for one in went] == [("dvl", 3.0), ("compass", 3.1)]
+    assert not clock.memory.early

@@ -11,7 +11,8 @@ A drive may also be late: its samples come a second or more behind the readings 
 other then wait for the samples before them, until the drive is so far behind that it is silent. Readings whose stamps
 leap ahead do not wait: it is their clock that is wrong. Where those of one sensor have come in time and are all ahead
 of the drive from one reading on, while others come in time, its clock was set: nothing arrives before it was measured.
-Its stamps are moved back by as much.
+Its stamps are moved back by as much. Until that is told its first readings wait, where nothing else has come of the
+time that they leap over: the state would be carried on to them without samples, and all others be late.
 
 Samples of a burst that were stamped when they were received are taken apart first: `navfilter.filter.bursts`.
 
@@ -65,6 +66,8 @@ class Ahead:
         Their number.
     by_s : float
         What the stamps of a clock that was set are moved back by [s]; 0: it was not.
+    waits : bool
+        Its first readings ahead wait until it is told whether it was.
     """
 
     usual_s: float = 0.0
@@ -74,6 +77,7 @@ class Ahead:
     sum_s: float = 0.0
     count: int = 0
     by_s: float = 0.0
+    waits: bool = False
 
 
 @dataclass
@@ -97,7 +101,8 @@ class DriveClockMemory:
     alone, together : int
         Readings that were of the time before the leap, and of the time after it.
     early : list of Arrived
-        Readings that wait for a drive that is late, in the order of their stamps.
+        Readings that wait for a drive that is late, or until it is told whose clock was set, in the order of their
+        stamps.
     follows_s : float
         Stamp that the next reading is to follow [s].
     late : int
@@ -245,13 +250,44 @@ class DriveClock:
 
     def hear(self, reading: Arrived) -> list[Array | Arrived] | None:
         """What goes on now, when this reading has arrived: nothing where it waits; None for the reading itself."""
+        told = self.memory.ahead.get(reading.name)
+        leaps = told is not None and not told.count and reading.time_s - self.memory.heard_s > self._late_s
         by_s = self._set_by(reading.name, reading.time_s - self.memory.last_s)
-        if not by_s:
-            return self._heard(reading)
-        self.memory.moved += 1
-        moved = reading._replace(time_s=reading.time_s - by_s)
-        heard = self._heard(moved)
-        return [moved] if heard is None else heard
+        if told is not None and not by_s and self._waits(told, leaps):
+            insort(self.memory.early, reading, key=lambda one: one.time_s)
+            self.memory.heard_s = reading.time_s
+            return []
+        before = self._told_now(reading, by_s)
+        reading = reading._replace(time_s=reading.time_s - by_s)
+        self.memory.moved += (1 + len(before)) * (by_s > 0.0)
+        heard = self._heard(reading)
+        if not (by_s or before):
+            return heard
+        return [*before, *([reading] if heard is None else heard)]
+
+    def _waits(self, told: Ahead, leaps: bool) -> bool:
+        """Whether a reading that is ahead of the drive waits until it is told whether the clock of its sensor was set:
+        the first one, which leaps over a time of which nothing else has come, and those that are ahead by the same.
+        """
+        if self.holds or not 0 < told.count < self.SET or not (leaps or (told.waits and told.count > 1)):
+            return False
+        told.waits = True
+        return True
+
+    def _told_now(self, reading: Arrived, by_s: float) -> list[Arrived]:
+        """The readings that have waited until now: those of a clock that was set, by the time that they belong to, or,
+        where others are ahead of the drive, too, as they are.
+        """
+        memory = self.memory
+        ahead = reading.time_s - memory.last_s > self._late_s
+        names = [name for name, one in memory.ahead.items() if one.waits and (name == reading.name or not by_s)]
+        if not (ahead and names):
+            return []
+        for name in names:
+            memory.ahead[name].waits = False
+        waited = [one for one in memory.early if one.name in names]
+        memory.early = [one for one in memory.early if one.name not in names]
+        return [one._replace(time_s=one.time_s - by_s) for one in waited]
 
     def _set_by(self, name: str, ahead_s: float) -> float:
         """By how much the clock of a sensor was set, a reading of which comes so far ahead of the drive [s]; else 0."""
@@ -287,7 +323,7 @@ class DriveClock:
             told.held_s = last_s
         told.usual_s, told.seen_s = ahead_s, last_s
         if told.count:
-            told.since_s, told.sum_s, told.count, told.by_s = math.inf, 0.0, 0, 0.0
+            told.since_s, told.sum_s, told.count, told.by_s, told.waits = math.inf, 0.0, 0, 0.0, False
 
     def _others_are_as_before(self, one: Ahead) -> bool:
         """Whether another sensor has come in time since one has not, by what it did before: else it is the drive that
