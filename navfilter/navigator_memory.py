@@ -8,13 +8,14 @@ from dataclasses import dataclass
 from navfilter.filter.adoption import Change
 from navfilter.filter.bursts import BurstsMemory
 from navfilter.filter.channel import Aside, ChannelMemory, Course, Reckoned, Refusals, RefusedWay, Scatter, Turns
-from navfilter.filter.drive_clock import Ahead, Arrived, DriveClockMemory
+from navfilter.filter.drive_clock import Arrived, DriveClockMemory
 from navfilter.filter.filter_memory import FilterMemory
 from navfilter.filter.health import Watch
 from navfilter.filter.history import Reading
 from navfilter.filter.intake import IntakeMemory
 from navfilter.filter.lane_choice import ChoiceMemory
 from navfilter.filter.memory import misfit
+from navfilter.filter.sensor_clock import Ahead
 from navfilter.learning.kept import Kept, Rows
 from navfilter.learning.learner import LearnerMemory
 from navfilter.learning.learning_memory import Again, LearningMemory

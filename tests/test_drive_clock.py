@@ -8,6 +8,7 @@ import pytest
 from feeding import DRIVE, events_of, one_by_one
 
 import navfilter as nf
+from navfilter.filter import sensor_clock
 from navfilter.filter.drive_clock import Arrived, DriveClock
 from navfilter.simulation.scenarios import simulate_scenario
 
@@ -184,10 +185,12 @@ def test_readings_that_leap_ahead_do_not_wait(dive):
     assert sum(outcome.status == "ahead" for outcome in outcomes) > 50 and "late" not in nav.health.drive
 
 
-@pytest.mark.parametrize("by_s", [0.5, 1.0, 2.0])
+@pytest.mark.parametrize("by_s", [0.5, 1.0, 2.0, -0.5, -1.0, -2.0])
 @pytest.mark.parametrize("sensor", ["compass", "dvl"])
-def test_the_clock_of_one_sensor_that_is_set_ahead_is_moved_back(sensor, by_s):
-    """Nothing arrives before it was measured: else the state would be carried on to it, and believe an old heading."""
+def test_the_clock_of_one_sensor_that_is_set_is_put_right(sensor, by_s):
+    """Nothing arrives before it was measured, and nothing in another order: else the state would be carried on to it,
+    and believe an old heading; or go on against a velocity that is a second old.
+    """
     vehicle, mission = simulate_scenario("lawnmower", 2, 100.0)
     events = events_of(vehicle, mission)
     best, _ = flown(vehicle, mission, events)
@@ -197,10 +200,22 @@ def test_the_clock_of_one_sensor_that_is_set_ahead_is_moved_back(sensor, by_s):
     assert nav.health.drive["moved"] > 50
     assert abs(nav.time_s - best.time_s) < 0.02 and np.abs(nav.state.minus(best.state)[:3]).max() < 0.3
     # the stamps of those that were ahead come again
-    assert sum(outcome.status == "duplicate" for outcome in outcomes) < 8 * by_s + 4
+    assert sum(outcome.status == "duplicate" for outcome in outcomes) < 8 * abs(by_s) + 4
     # and one that is put right is what it was
     nav, _ = flown(vehicle, mission, stamped(wrong, -by_s, (sensor,), 70.0))
     assert nav.clock.memory.ahead[sensor].by_s == 0.0
+
+
+def test_readings_that_take_longer_to_arrive_set_no_clock():
+    """They are late, and right: they still come in order. One old one in between is none of these."""
+    vehicle, mission = simulate_scenario("lawnmower", 2, 60.0)
+    events = [
+        e._replace(arrival_s=e.true_s + (e.sensor == "dvl" and e.true_s > 20.0) * (1.0 + (e.true_s > 40.0)))
+        for e in events_of(vehicle, mission)
+    ]
+    again = [e._replace(arrival_s=e.true_s + 3.1) for e in events if e.sensor == "dvl" and round(4 * e.true_s) % 24 < 3]
+    nav, _ = flown(vehicle, mission, sorted([*events, *again], key=lambda e: e.arrival_s))
+    assert "moved" not in nav.health.drive and nav.health.sensors["dvl"].outcomes["late-replayed"] > 100
 
 
 def test_blocks_of_the_drive_set_no_clock():
@@ -271,7 +286,7 @@ def test_the_first_readings_of_a_clock_that_was_set_wait_until_that_is_told(sens
     events = events_of(vehicle, mission)
     best, _ = flown(vehicle, mission, events)
     nav, outcomes = flown(vehicle, mission, stamped(events, 1.0, (sensor,), 40.0))
-    assert sum(outcome.status == "waiting" for outcome in outcomes) == DriveClock.SET - 1
+    assert sum(outcome.status == "waiting" for outcome in outcomes) == sensor_clock.SET - 1
     assert not nav.clock.memory.early and "late" not in nav.health.drive
     assert not nav.counts["jumped"] and not nav.counts["gap"]
     for name in vehicle.sensors:

@@ -9,10 +9,9 @@ that they go on, and nothing is lost.
 
 A drive may also be late: its samples come a second or more behind the readings of their time. Readings that follow each
 other then wait for the samples before them, until the drive is so far behind that it is silent. Readings whose stamps
-leap ahead do not wait: it is their clock that is wrong. Where those of one sensor have come in time and are all ahead
-of the drive from one reading on, while others come in time, its clock was set: nothing arrives before it was measured.
-Its stamps are moved back by as much. Until that is told its first readings wait, where nothing else has come of the
-time that they leap over: the state would be carried on to them without samples, and all others be late.
+leap ahead do not wait: it is their clock that is wrong, and it is told by how much (`navfilter.filter.sensor_clock`).
+Until then the first readings of such a clock wait, where nothing else has come of the time that they leap over: the
+state would be carried on to them without samples, and all others be late.
 
 Samples of a burst that were stamped when they were received are taken apart first: `navfilter.filter.bursts`.
 
@@ -30,9 +29,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from navfilter.filter import sensor_clock
 from navfilter.filter.bursts import Bursts, BurstsMemory
 from navfilter.filter.intake import Intake
 from navfilter.filter.memory import misfit
+from navfilter.filter.sensor_clock import Ahead
 
 __all__ = ["Arrived", "DriveClock", "DriveClockMemory"]
 
@@ -46,38 +47,6 @@ class Arrived(NamedTuple):
     time_s: float
     value: Any
     sd: Any
-
-
-@dataclass
-class Ahead:
-    """By how much the readings of a sensor are ahead of the drive.
-
-    Attributes
-    ----------
-    usual_s : float
-        The last one that came in time [s].
-    held_s, seen_s : float
-        Stamps of the drive since when they have come in time by that, and when the last one did [s].
-    since_s : float
-        Stamp of the drive before the first of those since then that did not [s].
-    sum_s : float
-        Of those that are ahead by the same [s].
-    count : int
-        Their number.
-    by_s : float
-        What the stamps of a clock that was set are moved back by [s]; 0: it was not.
-    waits : bool
-        Its first readings ahead wait until it is told whether it was.
-    """
-
-    usual_s: float = 0.0
-    held_s: float = -math.inf
-    seen_s: float = -math.inf
-    since_s: float = math.inf
-    sum_s: float = 0.0
-    count: int = 0
-    by_s: float = 0.0
-    waits: bool = False
 
 
 @dataclass
@@ -155,10 +124,6 @@ class DriveClock:
     LATE_S, LATE_PERIODS = 0.2, 5.0
     #: Readings follow each other when one comes so soon after the one before [s]: a sensor at 1 Hz is on board.
     FOLLOWS_S = 1.5
-    #: After so many readings that are ahead by the same the clock of a sensor was set: one may have a wild stamp.
-    SET = 4
-    #: By how much is not told to more digits than this [1]; a reading that is carried on to makes the others late.
-    DIGITS = 2
     #: A stamp further from the drive's than this says nothing of what follows [s].
     WILD_S = 10.0
 
@@ -251,25 +216,33 @@ class DriveClock:
     def hear(self, reading: Arrived) -> list[Array | Arrived] | None:
         """What goes on now, when this reading has arrived: nothing where it waits; None for the reading itself."""
         told = self.memory.ahead.get(reading.name)
-        leaps = told is not None and not told.count and reading.time_s - self.memory.heard_s > self._late_s
-        by_s = self._set_by(reading.name, reading.time_s - self.memory.last_s)
+        known_s = max(self.memory.heard_s, self.memory.last_s)
+        leaps = told is not None and not told.count and reading.time_s - known_s > self._late_s
+        by_s = self._set_by(reading)
         if told is not None and not by_s and self._waits(told, leaps):
             insort(self.memory.early, reading, key=lambda one: one.time_s)
             self.memory.heard_s = reading.time_s
             return []
         before = self._told_now(reading, by_s)
         reading = reading._replace(time_s=reading.time_s - by_s)
-        self.memory.moved += (1 + len(before)) * (by_s > 0.0)
+        self.memory.moved += (1 + len(before)) * (by_s != 0.0)
         heard = self._heard(reading)
         if not (by_s or before):
             return heard
         return [*before, *([reading] if heard is None else heard)]
 
+    def _set_by(self, reading: Arrived) -> float:
+        """By how much the clock of its sensor was set [s]; 0: it was not."""
+        memory = self.memory
+        if not self._live or not abs(reading.time_s - memory.last_s) < self.WILD_S:
+            return 0.0
+        return sensor_clock.set_by(memory.ahead, reading.name, reading.time_s, memory.last_s, self._late_s)
+
     def _waits(self, told: Ahead, leaps: bool) -> bool:
         """Whether a reading that is ahead of the drive waits until it is told whether the clock of its sensor was set:
         the first one, which leaps over a time of which nothing else has come, and those that are ahead by the same.
         """
-        if self.holds or not 0 < told.count < self.SET or not (leaps or (told.waits and told.count > 1)):
+        if self.holds or not 0 < told.count < sensor_clock.SET or not (leaps or (told.waits and told.count > 1)):
             return False
         told.waits = True
         return True
@@ -288,49 +261,6 @@ class DriveClock:
         waited = [one for one in memory.early if one.name in names]
         memory.early = [one for one in memory.early if one.name not in names]
         return [one._replace(time_s=one.time_s - by_s) for one in waited]
-
-    def _set_by(self, name: str, ahead_s: float) -> float:
-        """By how much the clock of a sensor was set, a reading of which comes so far ahead of the drive [s]; else 0."""
-        memory = self.memory
-        if not self._live or not abs(ahead_s) < self.WILD_S:
-            return 0.0
-        if ahead_s <= self._late_s:
-            self._in_time(name, ahead_s)
-            return 0.0
-        told = memory.ahead.get(name)
-        if told is None:  # it has never come in time: its offset may be known
-            return 0.0
-        if not told.count and ahead_s - told.usual_s <= self._late_s:  # no clock is set little by little
-            told.usual_s = ahead_s
-            return 0.0
-        told.since_s = min(told.since_s, memory.last_s)
-        mean_s = told.sum_s / told.count if told.count else math.inf
-        if abs(ahead_s - mean_s) > 0.5 * self._late_s:  # samples in blocks make it ahead by more and more
-            told.sum_s, told.count = 0.0, 0
-        told.sum_s, told.count = told.sum_s + ahead_s, told.count + 1
-        by_s = told.sum_s / told.count - told.usual_s
-        if told.count == self.SET and by_s > self._late_s and self._others_are_as_before(told):
-            told.by_s = round(by_s, self.DIGITS)
-        return told.by_s
-
-    def _in_time(self, name: str, ahead_s: float) -> None:
-        """Note that a reading of a sensor comes in time."""
-        last_s, told = self.memory.last_s, self.memory.ahead.get(name)
-        if told is None:
-            self.memory.ahead[name] = Ahead(ahead_s, last_s, last_s)
-            return
-        if abs(ahead_s - told.usual_s) > 0.5 * self._late_s:
-            told.held_s = last_s
-        told.usual_s, told.seen_s = ahead_s, last_s
-        if told.count:
-            told.since_s, told.sum_s, told.count, told.by_s, told.waits = math.inf, 0.0, 0, 0.0, False
-
-    def _others_are_as_before(self, one: Ahead) -> bool:
-        """Whether another sensor has come in time since one has not, by what it did before: else it is the drive that
-        is late, and hides behind what the readings of that sensor take to arrive.
-        """
-        others = self.memory.ahead.values()
-        return any(other.held_s < one.seen_s and other.seen_s > one.since_s for other in others)
 
     def _heard(self, reading: Arrived) -> list[Array | Arrived] | None:
         memory = self.memory
@@ -354,7 +284,7 @@ class DriveClock:
         ahead_s = stamp_s - memory.last_s
         if len(memory.held) or not -self.WILD_S < ahead_s <= self._prompt_s:
             return False
-        self._in_time(name, ahead_s)
+        sensor_clock.in_time(memory.ahead, name, stamp_s, memory.last_s, self._late_s)
         memory.heard_s = memory.follows_s = stamp_s
         return True
 
@@ -414,7 +344,7 @@ class DriveClock:
             For what is no memory of a clock.
         """
         told = [misfit(one, Ahead(), f"ahead of the drive: {name!r}") for name, one in memory.ahead.items()]
-        if problem := next(filter(None, told), None):
+        if problem := next(filter(None, told), ""):
             raise ValueError(problem)
         rows = memory.held.shape[1:] if isinstance(memory.held, np.ndarray) else None
         times = (memory.last_s, memory.heard_s, memory.offset_s, memory.follows_s)
