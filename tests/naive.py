@@ -1688,7 +1688,7 @@ def iron_bend(z, near, P, first, cfg, R):
             if at >= 0:
                 row[at : at + len(part)] = part
     S = H @ P[first:, first:][: H.shape[1], : H.shape[1]] @ H.T
-    R[0, 0] += cfg[4] * (S[0, 0] * S[1, 1] + 2.0 * S[0, 1] ** 2) / h**4
+    R[0, 0] += cfg[5] * (S[0, 0] * S[1, 1] + 2.0 * S[0, 1] ** 2) / h**4
 
 
 def usbl_bend(z, near, P, first, cfg, R):

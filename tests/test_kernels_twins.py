@@ -360,7 +360,7 @@ def test_measurement_kernels(seed):
 def test_what_the_iron_leaves_out(hard, soft, dip):
     """Only the iron's own states count; where the field points down, and where up."""
     rng, k = np.random.default_rng(4), (6 if 0 not in (hard, soft) else 0) + 3 * (hard >= 0) + 5 * (soft >= 0)
-    nav, cfg = random_nav(rng), np.array([0.1, 20.0, hard, soft, 30.0])
+    nav, cfg = random_nav(rng), np.array([0.1, 20.0, hard, soft, 30.0, 70.0])
     z = np.append(nav[6:15].reshape(3, 3).T @ [20.0, 3.0, 45.0 * dip], math.nan)
     near, res, P = np.zeros((1, 9 + k)), np.zeros(1), spd(rng, 12 + k, 1e-3)
     measurement.magnetometer(z, nav, np.zeros(3), np.zeros(k), cfg, near, res)

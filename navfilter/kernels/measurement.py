@@ -436,7 +436,7 @@ def iron_bend(z, near, P, first, cfg, R):
     """What the linear equation of `magnetometer` leaves out of its iron, added to R (1, 1): an error of the field along
     the azimuth changes what one across it does (Gelb, 1974, sec. 6.1).
 
-    It is the same as long as the vehicle does not turn: as white noise it gets the power of so many readings, cfg[4].
+    It is the same as long as the vehicle does not turn: as white noise it gets the power of so many readings, cfg[5].
     near: its Jacobian; P: covariance of all states, those of the sensor's parameters from `first` on. Deviation is in
     it where there is any, see `deviation_bend`.
     """
@@ -474,7 +474,7 @@ def iron_bend(z, near, P, first, cfg, R):
         for j in range(k):
             c = P[first + i, first + j]
             pp, pu, uu = pp + across[i] * c * across[j], pu + across[i] * c * along[j], uu + along[i] * c * along[j]
-    R[0, 0] += cfg[4] * (pp * uu + 2.0 * pu * pu) / (h * h * h * h)
+    R[0, 0] += cfg[5] * (pp * uu + 2.0 * pu * pu) / (h * h * h * h)
 
 
 @njit(cache=True)

@@ -30,9 +30,12 @@ HEADING = Columns("heading", ("heading_rad",), ("angle",), circular=("heading_ra
 FIELD = Columns("field", ("field_x_T", "field_y_T", "field_z_T"), ("magnetic field",) * 3)
 #: Elements of the soft iron that are states, in their order.
 SOFT_IRON = ("xx", "zz", "xy", "xz", "yz")
-#: A vehicle keeps its heading for so long and longer [s]; three times more makes no difference to what is found of iron
-#: or deviation, but beside a heading that is hardly known the compass says less.
+#: A vehicle keeps its heading for so long and longer [s]; three times more makes no difference to what is found of
+#: deviation, but beside a heading that is hardly known the compass says less.
 LEG_S = 3.0
+#: What hard and soft iron leave out counts as the same for so long [s]: a vehicle that goes straight on for half an hour
+#: has the noise of all its readings as one, and would tell iron from heading by what the equation is off.
+STRAIGHT_S = 300.0
 TEMPERATURE = Columns("temperature", ("temperature_C",), ("temperature",))
 #: Generous: beyond the worst and the best of instruments on the market.
 USUAL = Plausible(1e-5, math.radians(30.0), "deg", most_rate_hz=200.0)
@@ -172,13 +175,12 @@ class Heading(Sensor):
 
     def constants(self, start: Start) -> Array:
         """Declination and reference temperature, where among the states hard and soft iron begin (-1 for none), and how
-        many readings share what the equation leaves out.
+        many readings share what the equation leaves out of deviation and of iron.
         """
         names, iron = [p.name for p in self.parameters()], ("hard_iron_x", f"soft_iron_{SOFT_IRON[0]}")
         begins = [names.index(first) if self.magnetometer and first in names else -1 for first in iron]
-        return np.array(
-            [self.declination(start), self.reference_temperature_c, *begins, max(1.0, LEG_S * self.rate_hz)]
-        )
+        shared = [max(1.0, seconds * self.rate_hz) for seconds in (LEG_S, STRAIGHT_S)]
+        return np.array([self.declination(start), self.reference_temperature_c, *begins, *shared])
 
     def read(self, value: Array) -> Array | None:
         """Apply the iron calibration; append NaN where there is no temperature."""
