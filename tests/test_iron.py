@@ -151,7 +151,7 @@ def test_iron_and_deviation_say_the_same_twice(hard, soft, deviation, said):
 def test_a_mean_of_magnetometer_readings_knows_of_the_iron(hard):
     described = vehicle(hard_iron_sd=hard, soft_iron_sd=0.0)
     mission = simulate(described, WAY, seed=1, duration_s=20.0)
-    readings = mission.streams["compass"].value[:25]
+    readings = mission.streams["compass"].value[:26]  # five seconds
     headings, variance = described.sensors["compass"].headings(readings, np.eye(3), mission.start)
     # 2 uT across a horizontal field of 22 uT are 5 deg
     sd = np.degrees(np.sqrt(variance))

@@ -33,7 +33,7 @@ SOFT_IRON = ("xx", "zz", "xy", "xz", "yz")
 #: A vehicle keeps its heading for so long and longer [s]; three times more makes no difference to what is found of
 #: deviation, but beside a heading that is hardly known the compass says less.
 LEG_S = 3.0
-#: What hard and soft iron leave out counts as the same for so long [s]: a vehicle that goes straight on for half an hour
+#: What iron leaves out counts as the same for so long [s]: a vehicle that goes straight on for half an hour
 #: has the noise of all its readings as one, and would tell iron from heading by what the equation is off.
 STRAIGHT_S = 300.0
 TEMPERATURE = Columns("temperature", ("temperature_C",), ("temperature",))
