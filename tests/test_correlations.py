@@ -13,7 +13,7 @@ from navfilter.simulation.campaigns import stage
 from navfilter.simulation.faults import Faults
 from navfilter.simulation.manoeuvres import ChangeSpeed, FigureEight, Straight, Turn
 from navfilter.simulation.motion import Motion
-from navfilter.simulation.scenarios import reckoning_vehicle, survey_vehicle
+from navfilter.simulation.scenarios import reckoning_vehicle, survey, survey_vehicle
 from navfilter.simulation.simulate import simulate
 
 DEG = math.pi / 180.0
@@ -141,3 +141,21 @@ def test_no_deviation_is_said_of_a_compass_that_errs_otherwise(error):
     for seed in (1, 2):
         mission = staged.mission(seed)
         assert list(correlation_doubts(nf.replay(staged.vehicle, mission, output_rate_hz=2.0), mission)) == []
+
+
+@pytest.mark.parametrize("by_s", [1.0, -1.0])
+def test_a_compass_whose_clock_is_set_on_the_way_is_said(by_s):
+    """Over the whole run it is half as much; and what is ahead follows the turn before its stamp."""
+    vehicle = inertial()
+    mission = simulate(vehicle, survey(500.0), seed=3, duration_s=500.0)
+    stream = mission.streams["compass"]
+    time_s = stream.time_s + by_s * (stream.time_s > 0.5 * mission.end_s)
+    order = np.argsort(time_s, kind="stable")
+    kept = order[np.diff(time_s[order], prepend=-1.0) > 0.0]
+    late = mission.with_stream("compass", nf.Stream(time_s[kept], stream.value[kept], stream.columns))
+    track = nf.replay(vehicle, late, output_rate_hz=2.0)
+    (word,) = (one for one in correlation_doubts(track, late) if one.stream == "compass")
+    assert "its clock is off" in word.text and ("set on the way" in word.cure) == ("second half" in word.text)
+    halves = {one.motion: one.r for one in correlations(track, late) if one.sensor == "compass"}
+    motion = "turn rate just before" if by_s > 0.0 else "turn rate"
+    assert abs(halves[f"{motion}, in the second half"]) > 0.3 > abs(halves[f"{motion}, in the first half"])

@@ -39,6 +39,11 @@ READINGS = 50
 SMOOTH_S = 1.0
 #: Motion is looked at so much later than a reading [s]: noise of the drive before it is in its residual too.
 AFTER_S = 0.55
+#: A compass is held against the turn so much before its readings, too: one whose clock is ahead shows a heading that is
+#: older than its stamp. Noise of the gyros is in both, so that less than this says nothing: without a fault it is below
+#: 0.08 with a micromechanical unit, and a second makes 0.4 to 0.6 in the half where the clock is off. No acceleration
+#: is looked at there: accelerometers of such a unit make 0.28 of nothing.
+LEAST_BEFORE = 0.25
 #: Heading and pitch of the drive's own turns are held to those of the track over this time [s].
 LEVEL_S = 60.0
 #: A compass whose deviation keeps more than this share of its sd has residuals that follow the turns for it.
@@ -64,6 +69,8 @@ class Correlation(NamedTuple):
         Independent pairs that are worth as much as the readings.
     chance : float
         That independent series correlate so much.
+    whole : bool
+        All along; else in a part of the run.
     """
 
     sensor: str
@@ -75,6 +82,7 @@ class Correlation(NamedTuple):
     r: float
     effective: float
     chance: float
+    whole: bool = True
 
 
 @dataclass(frozen=True)
@@ -165,22 +173,32 @@ def correlations(run: Track, mission: Mission) -> tuple[Correlation, ...]:
             continue
         whitened = r.value[known] / r.sd[known]
         motion = _moved(run, mission, r.time_s[known] - sensor.time_offset_s)
+        before = _moved(run, mission, r.time_s[known] - sensor.time_offset_s, -AFTER_S)
         follows = _followed(sensor, r.sd[known])
         if sensor.sees_velocity and sensor.axes == 3:
             whitened = whitened @ sensor.instrument_axes()
-        for pair in _pairs(name, run.vehicle, motion, name in deviates):
+        for pair in _pairs(name, run.vehicle, motion, before, name in deviates):
             value = np.concatenate([whitened[:, column] for column in pair.columns])
             against = np.concatenate([_unfollowed(part, follows) for part in pair.motions])
             for other in pair.beside:
                 known_by = _unfollowed(other, follows)
                 value, against = _without(value, known_by), _without(against, known_by)
-            if np.std(against) == 0.0:
-                continue
-            coefficient, effective = correlation(value, against)
-            chance = 2.0 * float(ndtr(-abs(coefficient) * math.sqrt(effective)))
-            words = pair.axis, pair.words, pair.cause, pair.key, pair.least
-            found.append(Correlation(name, *words, coefficient, effective, chance))
+            for when, part in _parts(len(value), pair.halves):
+                if np.std(against[part]) == 0.0:
+                    continue
+                coefficient, effective = correlation(value[part], against[part])
+                chance = 2.0 * float(ndtr(-abs(coefficient) * math.sqrt(effective)))
+                words = pair.axis, pair.words + when, pair.cause, pair.key, pair.least
+                found.append(Correlation(name, *words, coefficient, effective, chance, not when))
     return tuple(found)
+
+
+def _parts(n: int, halves: bool) -> Iterator[tuple[str, slice]]:
+    """The whole of so many readings, and its halves, in words."""
+    yield "", slice(0, n)
+    if halves and n >= 2 * READINGS:
+        yield ", in the first half", slice(0, n // 2)
+        yield ", in the second half", slice(n // 2, n)
 
 
 def correlation_doubts(run: Track, mission: Mission) -> Iterator[Finding]:
@@ -190,13 +208,14 @@ def correlation_doubts(run: Track, mission: Mission) -> Iterator[Finding]:
     """
     compared = correlations(run, mission)
     said: set[tuple[str, str]] = set()
-    for one in sorted(compared, key=lambda one: -abs(one.r)):
+    for one in sorted(compared, key=lambda one: (not one.whole, -abs(one.r))):
         if one.chance * len(compared) > FALSE_ALARMS or abs(one.r) < one.least or (one.sensor, one.cause) in said:
             continue
         said.add((one.sensor, one.cause))
         along = f" {one.axis}" if one.axis else ""
         text = f"its residuals{along} follow the {one.motion} (correlation {one.r:+.2f}): {one.cause}."
-        yield Finding("warning", one.sensor, text, f"{one.key}; 'navfilter calibrate' then finds it.")
+        set_then = "" if one.whole else " Was it set on the way? Then its stamps want another offset from there on."
+        yield Finding("warning", one.sensor, text, f"{one.key}; 'navfilter calibrate' then finds it.{set_then}")
 
 
 def _without(x: Array, y: Array) -> Array:
@@ -206,7 +225,7 @@ def _without(x: Array, y: Array) -> Array:
     return x if power == 0.0 else x - float(x @ y) / power * y
 
 
-def _moved(run: Track, mission: Mission, time_s: Array) -> _Motion:
+def _moved(run: Track, mission: Mission, time_s: Array, after_s: float = AFTER_S) -> _Motion:
     roll, pitch = (np.interp(time_s, run.time_s, run.attitude[:, k]) for k in range(2))
     heading = np.interp(time_s, run.time_s, np.unwrap(run.attitude[:, 2]))
     drive = run.vehicle.drive
@@ -215,7 +234,7 @@ def _moved(run: Track, mission: Mission, time_s: Array) -> _Motion:
     if drive.inertial:
         per = drive.period_s if getattr(drive, "increments", False) else 1.0
         rates, forces = (
-            _mean_about(time_s + AFTER_S, t, values[:, part] / per, SMOOTH_S) for part in (slice(0, 3), slice(3, 6))
+            _mean_about(time_s + after_s, t, values[:, part] / per, SMOOTH_S) for part in (slice(0, 3), slice(3, 6))
         )
         down = matrix_from_euler(roll, pitch, 0.0 * roll)[:, 2, :]
         turn = np.einsum("ni,ni->n", down, rates)
@@ -224,9 +243,9 @@ def _moved(run: Track, mission: Mission, time_s: Array) -> _Motion:
         ahead = forces[:, 0] - np.sin(pitch) * gravity(float(run.latitude[0]), float(run.height[0]))
     else:
         yaw = np.unwrap(values[:, 2])
-        turn = _slope_after(time_s, t, yaw)
+        turn = _slope_about(time_s + after_s, t, yaw)
         axes = run.vehicle.drive.velocity_sensor.instrument_axes()  # type: ignore[union-attr]
-        ahead = _slope_after(time_s, t, (values[:, 3:6] @ axes)[:, 0])
+        ahead = _slope_about(time_s + after_s, t, (values[:, 3:6] @ axes)[:, 0])
     return _Motion(time_s, turn, ahead, heading)
 
 
@@ -249,15 +268,15 @@ def _mean_about(time_s: Array, t: Array, values: Array, span_s: float) -> Array:
     return np.asarray((total[last] - total[first]) / (last - first)[:, None])
 
 
-def _slope_after(time_s: Array, t: Array, values: Array) -> Array:
-    """Slope across `SMOOTH_S` behind some times."""
-    ends = [np.interp(time_s + AFTER_S + side * SMOOTH_S, t, values) for side in (-0.5, 0.5)]
+def _slope_about(time_s: Array, t: Array, values: Array) -> Array:
+    """Slope across `SMOOTH_S` about some times."""
+    ends = [np.interp(time_s + side * SMOOTH_S, t, values) for side in (-0.5, 0.5)]
     return np.asarray((ends[1] - ends[0]) / SMOOTH_S)
 
 
 class _Pair(NamedTuple):
     """What is compared: columns of the residuals, one after the other, with as many motions; in words. What other
-    motions beside these explain is taken off both.
+    motions beside these explain is taken off both. One that may change on the way is compared in the halves, too.
     """
 
     axis: str
@@ -268,6 +287,7 @@ class _Pair(NamedTuple):
     key: str
     least: float = LEAST
     beside: tuple[Array, ...] = ()
+    halves: bool = False
 
 
 def _followed(sensor: Sensor, sd: Array) -> float:
@@ -282,7 +302,7 @@ def _unfollowed(signal: Array, gain: float) -> Array:
     return np.array(list(accumulate(steps, lambda left, step: step + (1.0 - gain) * left)))
 
 
-def _pairs(name: str, vehicle: Any, motion: _Motion, deviates: bool) -> Iterator[_Pair]:
+def _pairs(name: str, vehicle: Any, motion: _Motion, before: _Motion, deviates: bool) -> Iterator[_Pair]:
     """What is compared of one sensor: only what the vehicle does not describe already, and no clock of a compass whose
     deviation is hardly told.
     """
@@ -294,7 +314,9 @@ def _pairs(name: str, vehicle: Any, motion: _Motion, deviates: bool) -> Iterator
     c, s = np.cos(motion.heading), np.sin(motion.heading)
     if sensor.gives == "heading":
         if late and not deviates:
-            yield _Pair("", (0,), "turn rate", (motion.turn_rate,), "its clock is off", clock)
+            off = "its clock is off", clock
+            yield _Pair("", (0,), "turn rate", (motion.turn_rate,), *off, halves=True)
+            yield _Pair("", (0,), "turn rate just before", (before.turn_rate,), *off, LEAST_BEFORE, halves=True)
         if not any(sensor.deviation_sd_rad):
             cause = "it deviates with the heading, or a gyro turns by too much or too little"
             key = f"Add bias_sd_deg = 5.0 and deviation_sd_deg = [5.0, 2.0] to {table}"
@@ -303,7 +325,7 @@ def _pairs(name: str, vehicle: Any, motion: _Motion, deviates: bool) -> Iterator
                 yield _Pair("", (0,), "heading", (wave,), *rest)
     elif sensor.sees_velocity and sensor.axes == 3:
         if late:
-            yield _Pair("forward", (0,), "acceleration", (motion.acceleration,), "its clock is off", clock)
+            yield _Pair("forward", (0,), "acceleration", (motion.acceleration,), "its clock is off", clock, halves=True)
         if fixed:
             for axis, column in (("forward", 0), ("sideways", 1)):
                 yield _Pair(axis, (column,), "turn rate", (motion.turn_rate,), "its lever arm is off", arm)
