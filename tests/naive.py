@@ -1619,6 +1619,7 @@ def sight(
         if not clock:
             lately(rows, told)
         ask(then, told, np.zeros(3), base)
+        near[:, 9 : 9 + own] = inner[:, 9:]
         for j in range(3):
             ask(then, told, 1e-3 * np.eye(3)[j], ends)
             near[:, 9 + own + j] = (base - ends) / 1e-3
@@ -1629,9 +1630,10 @@ def sight(
         discount(inner, slope, then, drv, Cr, over_s, g[0], variance, pushes, near, R)
 
 
-def hold_slopes(P, near, held, begin, first):
+def hold_slopes(P, near, held, begin, first, turned):
     at = np.r_[:9, first : first + begin]
-    band = 3.0 * np.sqrt(np.max(np.diag(near[:, : 9 + begin] @ P[np.ix_(at, at)] @ near[:, : 9 + begin].T)))
+    known = np.diag(near[:, : 9 + begin] @ P[np.ix_(at, at)] @ near[:, : 9 + begin].T)
+    band = 3.0 * np.sqrt(max(0.0, np.max(known)) + turned)
     new = near[:, 9 + begin :][:, : held.shape[1]]
     new[:] = np.where(np.abs(new - held) <= band, 0.98 * held + 0.02 * new, new)
 
@@ -1735,7 +1737,8 @@ def correction(bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count,
     else:
         at(equation)(*here, near, res)
     if held.size:
-        hold_slopes(P, near, held, held_from, start + errors)
+        turned = np.diag(bench[lever:][: a * a].reshape(a, a)).max()
+        hold_slopes(P, near, held, held_from, start + errors, turned)
     if bend:
         at(bend)(z, near, P, start + errors, here[-1], R)
     C, gate = bench[output : output + a * errors].reshape(a, errors), bench[limits : limits + a + 1]

@@ -323,7 +323,7 @@ class Channel:
     def hold_slopes(self, P: Array, held: Array) -> None:
         """Let the slopes that are velocities follow no closer than those are known; (a, k) of the reading before."""
         if held.size:
-            measurement.hold_slopes(P, self.near, held, self.held[0], 9 + self.parameters.start)
+            measurement.hold_slopes(P, self.near, held, self.held[0], 9 + self.parameters.start, self.lever.max())
 
     def without_errors(self, z: Array, outputs: Array, errors: Array) -> Array:
         """A reading of the drive's first three values without the drive's errors, of whose states it depends."""

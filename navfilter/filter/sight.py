@@ -112,6 +112,7 @@ class Sight:
             if not self.clock:
                 past.lately(moved[0], told)
             self.kernel(z, nav, told, kind, constants, inner, base)
+            near[:, 9 : 9 + own] = inner[:, 9:]
             for i in range(3):
                 self.kernel(z, nav, told, kind, constants + self._steps[i], inner, ends)
                 near[:, 9 + own + i] = (base - ends) / STEP

@@ -113,7 +113,7 @@ def _instrument_velocity(z, nav, v0, v1, v2, rate, par, first, cfg, H, res):
 
 @apart
 @njit(cache=True, **UNCOUNTED)
-def hold_slopes(P, near, held, begin, first):
+def hold_slopes(P, near, held, begin, first, turned):
     """Slopes of a velocity by its scale and misalignment, which are velocities themselves: they follow the velocity no
     closer than it is known.
 
@@ -122,7 +122,8 @@ def hold_slopes(P, near, held, begin, first):
     1987, sec. 1.1). So a slope goes to the new one slowly, unless that is further off than `HELD` sd of the velocity.
     Were it to stay, a turn would leave it off by as much, and each leg would tell something else of the constant. near
     (a, 9 + parameters), in columns from 9 + begin on the new ones; held (a, k): those of the reading before. first:
-    where the sensor's parameters stand in P. Those before `begin` are a current: of the velocity through the water it
+    where the sensor's parameters stand in P; turned: by how much the noise of the gyros moves the instrument [m^2/s^2],
+    the largest of its axes. Those before `begin` are a current: of the velocity through the water it
     is the difference that counts, which a log tells well where velocity and current are both unknown.
     """
     most = 0.0
@@ -138,7 +139,7 @@ def hold_slopes(P, near, held, begin, first):
                     s += P[row, first + k] * near[i, 9 + k]
                 variance += f * s
         most = max(most, variance)
-    band = HELD * math.sqrt(most)
+    band = HELD * math.sqrt(most + turned)
     for i in range(near.shape[0]):
         for j in range(held.shape[1]):
             new, old = near[i, 9 + begin + j], held[i, j]

@@ -445,6 +445,10 @@ def _sight(sources):
             if not clock:
                 lately(rows, told)
             addresses.at_equation(equation, (z, seen, told, kind, constants, inner, base))
+            # what a mounting or a scale does with the arm's turning: the noise of the rate is in the residual, too
+            for i in range(a):
+                for j in range(9, 9 + own):
+                    near[i, j] = inner[i, j]
             for j in range(3):
                 for i in range(len(cfg)):
                     moved[i] = constants[i] + STEP * facts[BY_ARM + 3 * i + j]

@@ -164,7 +164,10 @@ def correction(sources):
         else:
             addresses.at_equation(spot[EQUATION], (z, nav, rate, par, constants, near, res))
         if slopes:
-            measurement.hold_slopes(P, near, held, spot[HELD], start + errors)
+            turned = 0.0
+            for i in range(a):
+                turned = max(turned, bench[spot[LEVER_NOISE] + i * a + i])
+            measurement.hold_slopes(P, near, held, spot[HELD], start + errors, turned)
         if spot[BEND]:
             addresses.at_bend(spot[BEND], (z, near, P, start + errors, constants, R))
         C = shaped(bench[spot[OUTPUT] : spot[OUTPUT] + a * errors], a, errors)

@@ -161,9 +161,13 @@ class BodyVelocity(Sensor):
         return any(self.lever_arm_b_m)
 
     def lever_arm_covariance(self, rate_variance: Array) -> Array:
-        """Strongly correlated (a rate moves the arm across itself), which counts where the instrument is quiet."""
-        by_rate = self.instrument_axes() @ np.cross(np.eye(3), np.asarray(self.lever_arm_b_m, dtype=float)).T
-        return by_rate @ np.diag(rate_variance) @ by_rate.T
+        """Strongly correlated (a rate moves the arm across itself), which counts where the instrument is quiet; of what
+        is not known of the arm the mean.
+        """
+        axes, arm = self.instrument_axes(), np.asarray(self.lever_arm_b_m, dtype=float)
+        by_rate, square = axes @ np.cross(np.eye(3), arm).T, np.square(self.lever_arm_sd_m)
+        unknown = rate_variance @ np.array([np.cross(axis, np.eye(3)) ** 2 @ square for axis in np.eye(3)])
+        return by_rate @ np.diag(rate_variance) @ by_rate.T + axes @ np.diag(unknown) @ axes.T
 
     def instrument_axes(self) -> Array:
         """Those of the mounting."""
