@@ -1638,6 +1638,12 @@ def hold_slopes(P, near, held, begin, first, turned):
     new[:] = np.where(np.abs(new - held) <= band, 0.98 * held + 0.02 * new, new)
 
 
+def hold_clock(P, near, held, column):
+    sd = np.sqrt(np.maximum(np.diag(near[:, :3] @ P[3:6, 3:6] @ near[:, :3].T), 0.0))
+    new = near[:, column].copy()
+    near[:, column] = np.where((sd > 0.0) & (np.abs(new - held) <= 3.0 * sd), 0.998 * held + 0.002 * new, new)
+
+
 def _sagitta(slope, distance, P):
     """What a distance of this slope grows by when its ends move across it: the moments of a quadratic form."""
     along = slope / np.linalg.norm(slope)
@@ -1727,13 +1733,15 @@ def correction(bench, spot, P, nav, x, acc, drv, Cr, recent, z, variance, count,
     R[:] = bench[(lever if given else white) :][: a * a].reshape(a, a) + (np.diag(variance[:a]) if given else 0.0)
     if moves and P[8, 8] > 0.01:
         R += np.eye(a) * 0.5 * (nav[3] ** 2 + nav[4] ** 2) * P[8, 8] ** 2
-    held = near[:, 9 + held_from : 9 + held_to].copy()
+    held, timed = near[:, 9 + held_from : 9 + held_to].copy(), near[:, -1].copy()
     if seen:
         clock = start + errors + par - 1
         pushes = np.zeros((3, 3))
         pushed(P, nav, drv, Cr, pushes, None)
         rest = recent, drv, Cr, xd, since_s, P[clock, clock], pushes, H, near, res, R
         at(seen)(equation, motion, bench[facts : facts + 4 + 3 * cfg_size], *here, *rest)
+        if bench[facts + 1]:
+            hold_clock(P, near, timed, 8 + par)
     else:
         at(equation)(*here, near, res)
     if held.size:

@@ -80,7 +80,8 @@ def test_without_it_the_fixes_own_height_is_used_as_ever():
 def test_a_run_may_begin_by_it():
     vehicle = replace(VEHICLE, sensors={**VEHICLE.sensors, "compass": nf.Heading(rate_hz=4.0)})
     start = nf.align(vehicle, replace(dive(3, vehicle), start=None))
-    assert start.height_m == pytest.approx(0.0) and start.position_sd_m[2] == 1.0
+    # the antenna's arm of a vehicle that is not quite level
+    assert start.height_m == pytest.approx(0.0, abs=0.02) and start.position_sd_m[2] == 1.0
 
 
 def test_check_names_a_gauge_that_is_off():

@@ -109,7 +109,7 @@ def asked(
     if channel.moves and P[8, 8] > stretch.UNSURE_HEADING:
         # second-order term of a velocity seen from a heading that is hardly known (Gelb, 1974, sec. 6.1)
         channel.R[range(channel.axes), range(channel.axes)] += 0.5 * (nav[3] ** 2 + nav[4] ** 2) * P[8, 8] ** 2
-    held = channel.near[:, 9:][:, slice(*channel.held)].copy()
+    before = channel.near.copy()
     if channel.sight is None:
         channel.kernel(z, nav, channel.rate, x[channel.parameters], channel.constants, channel.near, channel.res)
     else:
@@ -121,7 +121,7 @@ def asked(
         past.pushed(P, nav, memory.drv, drive_output, pushes, np.empty(3 * drive_output.shape[1] + 6))
         known = outputs, (memory.drv, drive_output), (clock, pushes)
         channel.sight.look(z, nav, channel.rate, par, moved, since_s, *known, channel.into)
-    channel.hold_slopes(P, held)
+    _hold(channel, P, before)
     if channel.offset:
         channel.in_proportion(z, nav, x)
         channel.unwrap(x)
@@ -163,3 +163,13 @@ def withhold(memory: FilterMemory, channel: Channel, drive_output: Array) -> Non
         past.withhold_hidden(P, x, H, K, S, res, first + begin, np.empty(end - begin))
     elements = int(drv[strapdown.CALIBRATED])
     past.withhold_hidden(P, x, H, K, S, res, head - elements, np.empty(elements))
+
+
+def _hold(channel: Channel, P: Array, before: Array) -> None:
+    """Let the slopes that are velocities follow no closer than those are known; before: of the reading before."""
+    (begin, end), near = channel.held, channel.near
+    if end > begin:
+        held = before[:, 9 + begin : 9 + end].copy()
+        measurement.hold_slopes(P, near, held, begin, 9 + channel.parameters.start, channel.lever.max())
+    if channel.sight is not None and channel.sight.clock:
+        measurement.hold_clock(P, near, before[:, -1].copy(), near.shape[1] - 1)

@@ -320,11 +320,6 @@ class Channel:
         own = own if memory.aside is None else aside.variances(memory.aside, z, own)
         return own if memory.scatter is None else scatter.variances(memory.scatter, own)
 
-    def hold_slopes(self, P: Array, held: Array) -> None:
-        """Let the slopes that are velocities follow no closer than those are known; (a, k) of the reading before."""
-        if held.size:
-            measurement.hold_slopes(P, self.near, held, self.held[0], 9 + self.parameters.start, self.lever.max())
-
     def without_errors(self, z: Array, outputs: Array, errors: Array) -> Array:
         """A reading of the drive's first three values without the drive's errors, of whose states it depends."""
         self.into[0][:] = outputs[:3]

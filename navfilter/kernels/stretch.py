@@ -156,11 +156,17 @@ def correction(sources):
             facts = bench[spot[FACTS] : spot[FACTS] + past.BY_ARM + 3 * spot[CONSTANTS_SIZE]]
             sensor = spot[EQUATION], spot[MOTION], facts
             here = z, nav, rate, par, constants, recent, drv, Cr, xd, since_s
-            clock = start + errors + parameters - 1
+            clock, timed = start + errors + parameters - 1, bench[spot[FACTS] + past.CLOCK] != 0.0
             room = spare[6 * (m - 8) + z.size + a * slopes :]
+            before = room[:a]
+            for i in range(a):
+                before[i] = near[i, 8 + parameters]
+            room = room[a:]
             pushes = shaped(room[:9], 3, 3)
             past.pushed(P, nav, drv, Cr, pushes, room[9 : 9 + 3 * (m - 6)])
             addresses.at_sight(spot[SIGHT], sensor + here + (P[clock, clock], pushes, H, near, res, R))
+            if timed:
+                measurement.hold_clock(P, near, before, 8 + parameters)
         else:
             addresses.at_equation(spot[EQUATION], (z, nav, rate, par, constants, near, res))
         if slopes:
@@ -184,7 +190,7 @@ def correction(sources):
             limits = spare[: a + 1]
             for i in range(a + 1):
                 limits[i] = -1.0 if i else math.inf
-        before = nav[3], nav[4], nav[5]
+        velocity = nav[3], nav[4], nav[5]
         turns = drv[strapdown.OWN] != 0.0 and kalman.turns_along(P, nav[3], nav[4])
         kalman.update(P, nav, x, C, R, mem, dims, limits)
         change = mem[places[4] + 1 : places[5]]
@@ -193,7 +199,7 @@ def correction(sources):
             if spot[MOVES]:
                 drv[strapdown.OWN] = 1.0
             if spot[MOVES] or turns:
-                kalman.turn_velocity(P, nav, before, change)
+                kalman.turn_velocity(P, nav, velocity, change)
         if mem[places[8] + 2] != 0.0:
             K, S = shaped(mem[places[1] : places[2]], n, a), shaped(mem[places[5] : places[6]], 2 * a, a)
             if spot[SIGHT] and bench[spot[FACTS] + past.ARM] != 0.0:
