@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navfilter.filter.belief import beyond_belief, is_calm
-from navfilter.kernels import addresses, kalman, past, strapdown, stretch
+from navfilter.kernels import addresses, kalman, measurement, past, strapdown, stretch
 from navfilter.kernels.addresses import address
 
 if TYPE_CHECKING:
