@@ -5,8 +5,8 @@ fixes, USBL, course and rates at rest, each with an error of one of six kinds, w
 driven somewhere on Earth through one of six motions. It errs as it is described, so that NEES is 1 but for chance:
 errors live for minutes, and a single mission of a sound filter has more than 5 once in a hundred. A case beyond that is
 simulated again, with `--again` other seeds; what it has in the median of these is no chance. With --learn all errors
-that are not white are learnt, from a prior that is wrong by up to two in sd and three in time; the same missions by the
-vehicle that is told are its rivals. There is no other software in it.
+that are not white are learnt, from a prior that is wrong by up to two in sd and three in time; its rival is the same
+vehicle that is told the truth, for there is no other software in it.
 """
 
 from __future__ import annotations

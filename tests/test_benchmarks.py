@@ -30,6 +30,7 @@ SCRIPTS = {
     "honest": ("Gauss-Markov", ()),
     "honest_constants": ("no other software", ()),
     "honest_kinds": ("no other software", ()),
+    "honest_random": ("no other software", ()),
     "identify_recordings": ("statsmodels", ()),
     "lanes": ("sound unit alone", ("two", "one", "clean")),
     "logs": ("library underneath", ("samples", "large")),
