@@ -356,6 +356,7 @@ def test_correction_is_its_twin_for_every_kind(monkeypatch):
         "iron_bend",
         "deviation_bend",
         "hold_slopes",
+        "hold_clock",
     }
 
 

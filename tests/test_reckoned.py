@@ -150,7 +150,9 @@ def test_fixes_after_a_dive_are_right_where_they_agree(dive, wrong, odd_m):
     rows, nav = fly(dive, events_of(vehicle, bad))
     time_s, far_m, sd_m = np.array([(row[0], row[1], row[3]) for row in rows]).T
     late = time_s > 195.0
-    assert nav.counts["reset"] == nav.counts["jumped"] == bool(wrong)
+    # where the vehicle dives and climbs, a velocity that is wrong along the way is wrong downwards too: the depth gauge
+    # and what is reckoned share the blame
+    assert nav.counts["reset"] == bool(wrong) and nav.counts["jumped"] == 2 * bool(wrong)
     assert has_offset(nav.filter.in_force.drive.models[3:]) == bool(wrong)
     assert (far_m[late] < 3.0 * sd_m[late]).all() and sd_m[late].max() < 5.0
     assert far_m[np.searchsorted(time_s, 180.0)] > 8.0 or not wrong

@@ -32,6 +32,8 @@ DOWN = 2
 #: A velocity carries the height while it is used: none for so long, and accelerometers alone do [s]. Their error grows
 #: as the square of the time, and the gauge is right.
 CARRIED_S = 5.0
+#: A velocity that is known worse carries no height [m/s]: half a minute of it is what a glider dives.
+CARRIED_M_S = 0.1
 #: One that has jumped and is off by so many times that now [1] has not jumped: it is leaving, and its first refused
 #: readings happened to look alike.
 GROWN = 2.0
@@ -49,6 +51,8 @@ def undecided(filter: Filter, channel: Channel, time_s: float) -> bool:
         Of the reading [s].
     """
     if channel.sensor.open_loop != listen.POSITION or channel.axes != 1:
+        return False
+    if not filter.memory.P[DOWN + 3, DOWN + 3] < CARRIED_M_S**2:
         return False
     if channel.memory.either:
         return True
